@@ -7,7 +7,7 @@ use anyhow::anyhow;
 use can::StandardId;
 use can::schedule::{self, Every, Message, Sender};
 use can::timing::Bitrate;
-use drive::cia402::{Cia402Group, Traffic};
+use drive::cia402::{self, Traffic};
 use serde::Serialize;
 
 use crate::cell_file::CellFile;
@@ -84,7 +84,7 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
         file.cell.group_config(index),
         setup::axis_configs(file, index),
     );
-    let mut traffic = Cia402Group::<Box<dyn can::Port>>::traffic(&configs.0, &configs.1);
+    let mut traffic = cia402::traffic(&configs.0, &configs.1);
     // Messages outside the cycle are sent after the cyclic ones.
     traffic.sort_by_key(|traffic| traffic.period > period || is_service(traffic.cob_id));
     let messages = messages(&traffic, period, bus.host_node);

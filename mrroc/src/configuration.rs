@@ -110,8 +110,7 @@ impl Configuration {
     /// The writes, for the drive group.
     pub fn settings(&self) -> Vec<Setting> {
         let setting = |write: &dcf::ObjectWrite| Setting {
-            index: write.object.index,
-            subindex: write.object.subindex,
+            object: write.object,
             data: write.data.clone(),
             readable: write.readable,
         };

@@ -147,12 +147,12 @@ impl ServoAxis {
         let Some(mut search) = self.search else {
             return Ok(());
         };
-        let reversed = search.is_reversed();
+        let reversed = search.reversed;
         let result = search.advance(&mut self.knot, &self.state, follows, now, dt);
         if result.is_err() {
             search.brake(&mut self.knot, dt);
         }
-        if search.is_reversed() && !reversed {
+        if search.reversed && !reversed {
             // The reversed search starts from the measured position instead of the commanded one.
             self.capture();
         }
@@ -209,7 +209,7 @@ impl ServoAxis {
             self.commanded[1] = self.commanded[0];
             return;
         };
-        let velocity = host.measured_velocity();
+        let velocity = host.measured_velocity;
         // The sample shows the command of `delay` cycles ago. The newest command is one cycle old.
         let shown = self.delay - 1 + self.state.age as usize + missed as usize;
         self.commanded = std::array::from_fn(|age| {
@@ -249,7 +249,7 @@ impl ServoAxis {
     /// Checks whether `position` may be commanded next.
     pub(crate) fn vet(&self, position: f64, dt: f64) -> Result<(), StopCause> {
         let [last, before_last, ..] = self.commanded;
-        limit::check(&self.config.limits(), before_last, last, position, dt)
+        limit::check(&self.config, before_last, last, position, dt)
     }
 
     /// Whether a sample taken under a set-point exists. The check does not require that the drive follows: a drive

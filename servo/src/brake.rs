@@ -25,13 +25,13 @@ pub struct StraightStop {
 const MOST_PERIODS: f64 = 1e9;
 
 impl StraightStop {
-    /// A stop starting at `from`, with one knot and one greatest acceleration, rad/s², per motor, in periods of `dt`
+    /// A stop starting at `from`, with a knot and the greatest acceleration, rad/s², of each motor, in periods of `dt`
     /// seconds. A knot is the last position sent, and the step to it divided by `dt`.
-    pub fn new(from: &[Knot], max_acceleration: &[f64], dt: f64) -> Self {
+    pub fn new(from: impl IntoIterator<Item = (Knot, f64)>, dt: f64) -> Self {
         let mut knots = [Knot::default(); MAX_AXES];
         let mut duration: f64 = 0.0;
-        for (axis, (knot, acceleration)) in from.iter().zip(max_acceleration).enumerate() {
-            knots[axis] = *knot;
+        for (axis, (knot, acceleration)) in from.into_iter().enumerate() {
+            knots[axis] = knot;
             duration = duration.max(knot.velocity.abs() / acceleration);
         }
         // Rounding must not add a period to a stop of a whole number of periods.
@@ -88,7 +88,7 @@ mod tests {
             let from: Vec<Knot> =
                 motors.iter().map(|&(position, velocity, _)| Knot { position, velocity }).collect();
             let limits: Vec<f64> = motors.iter().map(|m| m.2).collect();
-            let mut stop = StraightStop::new(&from, &limits, DT);
+            let mut stop = StraightStop::new(from.iter().copied().zip(limits.iter().copied()), DT);
             let mut last = from.clone();
             // The positions sent before the stop: constant velocity.
             let mut step: Vec<f64> = from.iter().map(|k| k.velocity * DT).collect();
@@ -125,7 +125,7 @@ mod tests {
             position: 1.0,
             velocity: 0.0,
         };
-        let mut stop = StraightStop::new(&[knot], &[10.0], DT);
+        let mut stop = StraightStop::new([(knot, 10.0)], DT);
         assert!(!stop.advance());
         assert_eq!(stop.at(0), knot);
     }
@@ -142,7 +142,7 @@ mod tests {
                 velocity: -1.0,
             },
         ];
-        let mut stop = StraightStop::new(&from, &[100.0, 50.0], DT);
+        let mut stop = StraightStop::new(from.into_iter().zip([100.0, 50.0]), DT);
         let periods = std::iter::from_fn(|| stop.advance().then_some(())).count();
         assert_eq!(periods, 20);
         assert!((stop.at(1).position + 0.0095).abs() < 1e-12);

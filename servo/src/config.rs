@@ -14,7 +14,7 @@ pub use loop_ranges::LoopBounds;
 pub use position_loop::{FeedForward, HostLoop, Law, Output, PositionLoop};
 pub use refusal::{Figure, KeyError, KeyProblem, Range};
 
-use crate::{AxisLimits, MAX_AXES};
+use crate::MAX_AXES;
 
 /// Configuration of a [`Servo`](crate::Servo): period and effectors.
 #[derive(Clone, Debug, PartialEq)]
@@ -79,18 +79,6 @@ pub struct ServoAxisConfig {
     /// Possible only where the servo closes the position loop. After its counter was set, a drive that closes the
     /// loop would still follow positions of the old count, which are under way.
     pub homing: Option<HostHoming>,
-}
-
-impl ServoAxisConfig {
-    /// The limits of its commanded sequence.
-    pub fn limits(&self) -> AxisLimits {
-        AxisLimits {
-            min_position: self.min_position,
-            max_position: self.max_position,
-            max_velocity: self.max_velocity,
-            max_acceleration: self.max_acceleration,
-        }
-    }
 }
 
 /// Error in the configuration of a [`Servo`](crate::Servo). Indices count from zero.

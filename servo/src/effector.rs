@@ -9,13 +9,11 @@ use can::Instant;
 use drive::{AxisCommand, AxisState, Power};
 
 use crate::axis::ServoAxis;
-use crate::excitation::Playing;
 use crate::interpolate::Segment;
 use crate::servo::OpenGates;
 use crate::{
-    After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Excitation, ExcitationError,
-    Knot, MAX_AXES, Order, Record, ServoAxisConfig, ServoEvent, ServoFault, ServoReport,
-    ServoState, StopCause, StraightStop, TrackingError,
+    After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, MAX_AXES, Order, Record,
+    ServoAxisConfig, ServoEvent, ServoFault, ServoReport, ServoState, StopCause, StraightStop,
 };
 
 /// Longest wait for standstill after the last set-point of a stop. The power is then switched off.
@@ -51,17 +49,17 @@ pub(crate) struct Tick {
 /// State of one effector.
 pub(crate) struct Effector {
     index: u8,
-    axes: Vec<ServoAxis>,
+    pub(crate) axes: Vec<ServoAxis>,
     enabling_timeout: Duration,
     homing_timeout: Duration,
     orders: rtrb::Consumer<Order>,
     /// Number of orders at the front of the queue that were checked and are neither stop nor disable.
     scanned: usize,
     reports: rtrb::Producer<ServoReport>,
-    state: ServoState,
+    pub(crate) state: ServoState,
     /// Time at which `state` was entered.
     since: Instant,
-    fault: Option<ServoFault>,
+    pub(crate) fault: Option<ServoFault>,
     segment: Option<Segment>,
     stop: StraightStop,
     /// The present stop was restarted because a bus refused its set-points.
@@ -74,7 +72,7 @@ pub(crate) struct Effector {
     news: bool,
     /// Time that the slowest axis needs to stop from its greatest velocity.
     stopping_time: Duration,
-    counters: Counters,
+    pub(crate) counters: Counters,
 }
 
 impl Effector {
@@ -103,7 +101,7 @@ impl Effector {
             since: Instant::ZERO,
             fault: None,
             segment: None,
-            stop: StraightStop::new(&[], &[], 1.0),
+            stop: StraightStop::new([], 1.0),
             stop_restarted: false,
             halted: false,
             macrostep: 0,
@@ -121,48 +119,9 @@ impl Effector {
         )
     }
 
-    pub(crate) fn state(&self) -> ServoState {
-        self.state
-    }
-
-    pub(crate) fn fault(&self) -> Option<ServoFault> {
-        self.fault
-    }
-
-    pub(crate) fn counters(&self) -> &Counters {
-        &self.counters
-    }
-
     /// Duration of the slowest stop, including the wait for standstill.
     pub(crate) fn longest_stop(&self) -> Duration {
         self.stopping_time.saturating_add(STANDSTILL_WAIT)
-    }
-
-    pub(crate) fn has_power(&self) -> bool {
-        self.axes.iter().any(|axis| axis.state.power != Power::Off)
-    }
-
-    pub(crate) fn homing_offsets(&self) -> impl Iterator<Item = Option<i64>> {
-        self.axes.iter().map(ServoAxis::homing_offset)
-    }
-
-    pub(crate) fn tracking(&self) -> impl Iterator<Item = TrackingError> {
-        self.axes.iter().map(|axis| axis.tracking)
-    }
-
-    /// Starts an excitation of axis `axis`, if the axis exists.
-    pub(crate) fn excite(
-        &mut self,
-        axis: usize,
-        excitation: Excitation,
-        dt: f64,
-    ) -> Result<(), ExcitationError> {
-        let effector = usize::from(self.index);
-        let found = self.axes.get_mut(axis);
-        let found = found.ok_or(ExcitationError::NoSuchAxis { effector, axis })?;
-        excitation.check(&found.config, dt)?;
-        found.playing = Some(Playing::new(excitation));
-        Ok(())
     }
 
     /// Takes the states of the drives, by group and index within the group.
@@ -171,11 +130,6 @@ impl Effector {
             let state = state(axis.config.group, axis.config.index_in_group);
             axis.observe(state, tick.periods, tick.dt);
         }
-    }
-
-    /// The drive group of each axis.
-    pub(crate) fn groups(&self) -> impl Iterator<Item = usize> {
-        self.axes.iter().map(|axis| axis.config.group)
     }
 
     /// The command of each axis, with its group and its index within the group.
@@ -404,14 +358,9 @@ impl Effector {
 
     /// A straight stop from the last set-points.
     fn begin_stop(&mut self, tick: &Tick) {
-        let mut knots = [Knot::default(); MAX_AXES];
-        let mut accelerations = [0.0; MAX_AXES];
-        for (index, axis) in self.axes.iter().enumerate() {
-            knots[index] = axis.last_step(tick.dt);
-            accelerations[index] = axis.config.max_acceleration;
-        }
-        let used = self.axes.len();
-        self.stop = StraightStop::new(&knots[..used], &accelerations[..used], tick.dt);
+        let axes = self.axes.iter();
+        let from = axes.map(|axis| (axis.last_step(tick.dt), axis.config.max_acceleration));
+        self.stop = StraightStop::new(from, tick.dt);
     }
 
     /// Advances the set-points by one period, and the state with them.

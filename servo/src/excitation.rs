@@ -101,27 +101,26 @@ pub fn most(axis: &ServoAxisConfig) -> f64 {
 /// An excitation under way.
 #[derive(Clone, Debug)]
 pub(crate) struct Playing {
-    period: Box<[f64]>,
-    macrosteps: RangeInclusive<u64>,
+    excitation: Excitation,
     next: usize,
 }
 
 impl Playing {
     pub(crate) fn new(excitation: Excitation) -> Self {
         Self {
-            period: excitation.period.into(),
-            macrosteps: excitation.macrosteps,
+            excitation,
             next: 0,
         }
     }
 
     /// The value for a cycle in macrostep `number`; zero outside the excited macrosteps.
     pub(crate) fn value(&mut self, number: Option<u64>) -> f64 {
-        if !number.is_some_and(|number| self.macrosteps.contains(&number)) {
+        let Excitation { period, macrosteps } = &self.excitation;
+        if !number.is_some_and(|number| macrosteps.contains(&number)) {
             return 0.0;
         }
-        let value = self.period[self.next];
-        self.next = (self.next + 1) % self.period.len();
+        let value = period[self.next];
+        self.next = (self.next + 1) % period.len();
         value
     }
 }

@@ -3,7 +3,7 @@
 use drive::{AxisState, Finite, Setpoint};
 
 use crate::axis::REMEMBERED;
-use crate::regulator::{Cascade, Incremental, Proportional};
+use crate::regulator::{Incremental, Proportional};
 use crate::{FeedForward, HostLoop, Knot, Law, Output};
 
 /// Number of samples in a row above the limit that count as a runaway. A cycle may be half a period late without being
@@ -34,8 +34,8 @@ pub(crate) struct Loop {
     periods: u32,
     /// Periods between the last cycle and the one before.
     last_periods: u32,
-    /// Speed between the last two samples, rad/s.
-    measured_velocity: f64,
+    /// Velocity between the last two samples, rad/s.
+    pub(crate) measured_velocity: f64,
     /// Samples in a row with a velocity beyond the limit.
     beyond: u32,
     /// Errors of the last sample, rad and rad/s.
@@ -48,7 +48,10 @@ pub(crate) struct Loop {
 #[derive(Clone, Debug)]
 enum Regulator {
     Incremental(Incremental),
-    Cascade(Cascade),
+    Cascade {
+        position_gain: f64,
+        velocity_loop: Proportional,
+    },
     Proportional(Proportional),
 }
 
@@ -57,7 +60,10 @@ impl Loop {
         Self {
             law: match config.law {
                 Law::Incremental(law) => Regulator::Incremental(Incremental::new(law)),
-                Law::Cascade(law) => Regulator::Cascade(Cascade::new(law)),
+                Law::Cascade(law) => Regulator::Cascade {
+                    position_gain: law.position_gain,
+                    velocity_loop: Proportional::new(law.velocity_loop()),
+                },
                 Law::Proportional(law) => Regulator::Proportional(Proportional::new(law)),
             },
             config,
@@ -134,8 +140,12 @@ impl Loop {
             Regulator::Incremental(law) => {
                 law.step(grown * self.increments_per_radian, feed_forward)
             }
-            Regulator::Cascade(law) => {
-                law.step(self.error, self.velocity_error, feed_forward, integrated)
+            Regulator::Cascade {
+                position_gain,
+                velocity_loop,
+            } => {
+                let error = self.velocity_error + *position_gain * self.error;
+                velocity_loop.step(error, feed_forward, integrated)
             }
             Regulator::Proportional(law) => law.step(self.error, feed_forward, integrated),
         };
@@ -182,7 +192,7 @@ impl Loop {
     fn give(&mut self, output: f64) -> f64 {
         match &mut self.law {
             Regulator::Incremental(law) => law.give(output),
-            Regulator::Cascade(law) => law.give(output),
+            Regulator::Cascade { velocity_loop, .. } => velocity_loop.give(output),
             Regulator::Proportional(_) => 0.0,
         }
     }
@@ -191,8 +201,10 @@ impl Loop {
     pub(crate) fn capture(&mut self, position: f64) {
         match &mut self.law {
             Regulator::Incremental(law) => law.reset(),
-            Regulator::Cascade(law) => law.reset(),
-            Regulator::Proportional(law) => law.reset(),
+            Regulator::Cascade {
+                velocity_loop: law, ..
+            }
+            | Regulator::Proportional(law) => law.reset(),
         }
         self.follow([position; REMEMBERED], 0.0);
     }
@@ -214,11 +226,6 @@ impl Loop {
     /// stored.
     pub(crate) fn error(&self, state: &AxisState) -> f64 {
         self.reference((self.delay - 1).saturating_add(state.age as usize)) - state.position
-    }
-
-    /// Velocity, rad/s, between the last two samples.
-    pub(crate) fn measured_velocity(&self) -> f64 {
-        self.measured_velocity
     }
 
     /// The measured velocity and the limit, both rad/s, if [`RUNAWAY_SAMPLES`] samples exceeded the limit.
@@ -259,6 +266,29 @@ mod tests {
         match setpoint {
             Setpoint::Torque(torque) => torque.get(),
             other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn a_cascade_acts_on_both_errors_by_their_gains_and_integrates_the_velocity_error() {
+        let mut held = cascade(FeedForward::default());
+        held.capture(0.1);
+        // Position errors of 0.1 and 0.096 rad; the second sample moved at 2 rad/s.
+        for (position, expected) in [
+            (0.0, 0.02 * 40.0 * 0.1),
+            (0.004, 0.02 * (40.0 * 0.096 - 2.0) + 0.08 * 50.0 * DT),
+        ] {
+            let state = AxisState {
+                position,
+                ..AxisState::default()
+            };
+            held.observe(&state, 1, DT);
+            let knot = Knot {
+                position: 0.1,
+                velocity: 0.0,
+            };
+            let found = torque(held.regulate(knot, 0.0, DT, &mut 0.0));
+            assert!((found - expected).abs() < 1e-12, "{position}: {found}");
         }
     }
 
@@ -403,15 +433,15 @@ mod tests {
             ..AxisState::default()
         };
         held.observe(&at(1.0, 0), 1, DT);
-        assert_eq!(held.measured_velocity(), 0.0, "one sample has no velocity");
+        assert_eq!(held.measured_velocity, 0.0, "one sample has no velocity");
         held.observe(&at(1.0, 1), 1, DT);
         held.observe(&at(1.4, 0), 1, DT);
-        assert!((held.measured_velocity() - 100.0).abs() < 1e-9);
+        assert!((held.measured_velocity - 100.0).abs() < 1e-9);
         // After two missed deadlines, the next sample is the one taken later.
         held.observe(&at(1.6, 0), 3, DT);
-        assert!((held.measured_velocity() - 100.0).abs() < 1e-9);
+        assert!((held.measured_velocity - 100.0).abs() < 1e-9);
         held.observe(&at(2.2, 0), 1, DT);
-        assert!((held.measured_velocity() - 100.0).abs() < 1e-9);
+        assert!((held.measured_velocity - 100.0).abs() < 1e-9);
         assert_eq!(held.runaway(), None);
     }
 

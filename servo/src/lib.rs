@@ -48,7 +48,6 @@ pub use config::{
 pub use excitation::{Excitation, ExcitationError, most as greatest_excitation};
 pub use histogram::Histogram;
 pub use interpolate::{Knot, hermite};
-pub use limit::{AxisLimits, check};
 pub use link::{
     EffectorLink, MAX_AXES, Macrostep, Order, Phase, ServoFault, ServoReport, StopCause,
 };

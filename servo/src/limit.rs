@@ -1,6 +1,6 @@
 //! Limits of the set-points sent.
 
-use crate::StopCause;
+use crate::{ServoAxisConfig, StopCause};
 
 /// Fraction by which a finite difference of sent positions may exceed a limit.
 ///
@@ -14,27 +14,14 @@ pub(crate) const RELATIVE_TOLERANCE: f64 = 1e-3;
 /// interpolation. The shortest count of a drive is above 10⁻⁷ rad.
 const POSITION_TOLERANCE: f64 = 1e-8;
 
-/// Limits of the commanded sequence of one motor.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AxisLimits {
-    /// Lowest position, rad.
-    pub min_position: f64,
-    /// Highest position, rad.
-    pub max_position: f64,
-    /// Highest speed, rad/s.
-    pub max_velocity: f64,
-    /// Highest acceleration, rad/s².
-    pub max_acceleration: f64,
-}
-
 /// Checks whether `next` may follow `last` and `before_last`, in periods of `dt` seconds.
 ///
 /// Speed and acceleration are the first and second difference of the positions sent, with a tolerance of a thousandth.
 /// Positions have a tolerance of 10⁻⁸ rad. An axis beyond a position limit may move back towards the limit. A stop
 /// begun near a position limit overshoots it by at most v² / 2a. The limit must keep at least this distance from any
 /// obstacle.
-pub fn check(
-    limits: &AxisLimits,
+pub(crate) fn check(
+    limits: &ServoAxisConfig,
     before_last: f64,
     last: f64,
     next: f64,
@@ -77,22 +64,26 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const LIMITS: AxisLimits = AxisLimits {
-        min_position: -10.0,
-        max_position: 10.0,
-        max_velocity: 5.0,
-        max_acceleration: 100.0,
-    };
     const DT: f64 = 0.01;
+
+    fn limits() -> ServoAxisConfig {
+        ServoAxisConfig {
+            min_position: -10.0,
+            max_position: 10.0,
+            max_velocity: 5.0,
+            max_acceleration: 100.0,
+            ..crate::scripted::config(1).effectors[0].axes[0]
+        }
+    }
 
     #[test]
     fn a_position_that_rounding_takes_beyond_its_limit_is_within() {
         // The limits of a motor that turns without end behind a gear of 50, and of a short ball screw.
         for limit in [3.35e6, 100.0] {
-            let limits = AxisLimits {
+            let limits = ServoAxisConfig {
                 min_position: -limit,
                 max_position: limit,
-                ..LIMITS
+                ..limits()
             };
             let beyond: f64 = limit + 4.0 * (limit * f64::EPSILON);
             assert!(beyond > limit);
@@ -123,14 +114,14 @@ mod tests {
             (0.0, 0.0, f64::NEG_INFINITY, Some(StopCause::NotFinite)),
         ];
         for (before_last, last, next, expected) in cases {
-            let found = check(&LIMITS, before_last, last, next, DT).err();
+            let found = check(&limits(), before_last, last, next, DT).err();
             assert_eq!(found, expected, "{before_last} {last} {next}");
         }
-        let too_fast = check(&LIMITS, 0.0, 0.05, 0.11, DT);
+        let too_fast = check(&limits(), 0.0, 0.05, 0.11, DT);
         assert!(
             matches!(too_fast, Err(StopCause::VelocityLimit { velocity, limit: 5.0 }) if velocity > 5.9)
         );
-        let too_hard = check(&LIMITS, 0.0, 0.0, 0.02, DT);
+        let too_hard = check(&limits(), 0.0, 0.0, 0.02, DT);
         assert!(
             matches!(too_hard, Err(StopCause::AccelerationLimit { acceleration, .. }) if acceleration > 199.0)
         );
@@ -143,7 +134,7 @@ mod tests {
         ) {
             let before_last = last - v * DT;
             let next = last + (v + dv) * DT;
-            if check(&LIMITS, before_last, last, next, DT).is_ok() {
+            if check(&limits(), before_last, last, next, DT).is_ok() {
                 prop_assert!((v + dv).abs() <= 5.0 * 1.001 + 1e-9);
                 prop_assert!(dv.abs() <= 1.0 * 1.001 + 1e-9);
                 prop_assert!(next.abs() <= 10.0 || next.abs() <= last.abs());

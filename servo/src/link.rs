@@ -1,7 +1,5 @@
 //! Orders to an effector and reports from it.
 
-use std::fmt;
-
 use std::time::Duration;
 
 use can::Instant;
@@ -103,23 +101,13 @@ pub struct ServoReport {
 }
 
 /// Fault by which the servo stopped an effector.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[error("{}{cause}", axis.map_or_else(String::new, |axis| format!("axis {axis}: ")))]
 pub struct ServoFault {
     /// Index of the axis within its effector; `None` if no single axis is concerned.
     pub axis: Option<u8>,
     /// Cause of the stop.
     pub cause: StopCause,
-}
-
-impl std::error::Error for ServoFault {}
-
-impl fmt::Display for ServoFault {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if let Some(axis) = self.axis {
-            write!(f, "axis {axis}: ")?;
-        }
-        self.cause.fmt(f)
-    }
 }
 
 /// Cause of a stop. Positions are motor positions, rad.

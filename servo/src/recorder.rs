@@ -56,7 +56,7 @@ pub struct AxisRecord {
 #[derive(Debug)]
 pub(crate) struct Recorder {
     ring: rtrb::Producer<Record>,
-    dropped: u64,
+    pub(crate) dropped: u64,
 }
 
 impl Recorder {
@@ -75,10 +75,6 @@ impl Recorder {
     pub(crate) fn record(&mut self, record: Record) {
         self.dropped += u64::from(self.ring.push(record).is_err());
     }
-
-    pub(crate) fn dropped(&self) -> u64 {
-        self.dropped
-    }
 }
 
 #[cfg(test)]
@@ -94,9 +90,9 @@ mod tests {
                 ..Record::default()
             });
         }
-        assert_eq!(recorder.dropped(), 3);
+        assert_eq!(recorder.dropped, 3);
         assert_eq!(records.pop().unwrap().cycle, 0);
         recorder.record(Record::default());
-        assert_eq!(recorder.dropped(), 3);
+        assert_eq!(recorder.dropped, 3);
     }
 }

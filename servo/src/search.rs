@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use can::Instant;
-use drive::{AxisState, Homing, Switches};
+use drive::{AxisState, Homing};
 use thiserror::Error;
 
 use crate::{Direction, HomingLeg, HostHoming, Knot};
@@ -98,7 +98,7 @@ pub(crate) struct Search {
     since: Option<Instant>,
     travelled: f64,
     /// A limit switch reversed the search.
-    reversed: bool,
+    pub(crate) reversed: bool,
     home: Debounce,
     lower: Debounce,
     upper: Debounce,
@@ -131,11 +131,6 @@ impl Search {
         self.phase == Phase::Zero { open: true }
     }
 
-    /// Whether a limit switch reversed the search.
-    pub(crate) fn is_reversed(&self) -> bool {
-        self.reversed
-    }
-
     /// Advances the search and `knot` by one period of `dt` seconds.
     pub(crate) fn advance(
         &mut self,
@@ -162,23 +157,18 @@ impl Search {
                 self.phase = Phase::Leave { seen };
                 if seen && !self.home.closed {
                     self.rest(Next::Switch)
-                } else if let Some(upper) = self.limit(-self.sense()) {
-                    return Err(HomingFailure::LimitSwitch { upper });
                 } else {
-                    let distance = self.watch(self.config.search, now)?;
-                    if let Some(distance) = distance {
-                        return Err(HomingFailure::SwitchNotLeft { distance });
-                    }
-                    -self.sense() * self.config.search.velocity
+                    let failure = |distance| HomingFailure::SwitchNotLeft { distance };
+                    self.travel(-self.sense(), self.config.search, now, failure)?
                 }
             }
             Phase::Switch => {
                 if self.home.closed {
                     self.rest(Next::Zero)
-                } else if let Some(upper) = self.limit(self.sense()) {
-                    if self.reversed || !self.config.reverse_at_limit {
-                        return Err(HomingFailure::LimitSwitch { upper });
-                    }
+                } else if self.limit(self.sense()).is_some()
+                    && self.config.reverse_at_limit
+                    && !self.reversed
+                {
                     self.reversed = true;
                     // The commanded velocity drops to zero at once, without a braking ramp. The drive blocks all
                     // torque in this direction, and a loop would push against the block with its full torque.
@@ -186,11 +176,8 @@ impl Search {
                     self.begin(Phase::Leave { seen: false });
                     0.0
                 } else {
-                    let distance = self.watch(self.config.search, now)?;
-                    if let Some(distance) = distance {
-                        return Err(HomingFailure::NoSwitch { distance });
-                    }
-                    self.sense() * self.config.search.velocity
+                    let failure = |distance| HomingFailure::NoSwitch { distance };
+                    self.travel(self.sense(), self.config.search, now, failure)?
                 }
             }
             Phase::Zero { open } => {
@@ -198,18 +185,12 @@ impl Search {
                 self.phase = Phase::Zero { open };
                 if state.homing == Homing::Attained {
                     self.rest(Next::Done)
-                } else if let Some(upper) = self.limit(-self.sense()) {
-                    return Err(HomingFailure::LimitSwitch { upper });
                 } else {
-                    let distance = self.watch(self.config.zero, now)?;
-                    if let Some(distance) = distance {
-                        return Err(if open {
-                            HomingFailure::NoIndex { distance }
-                        } else {
-                            HomingFailure::SwitchNotLeft { distance }
-                        });
-                    }
-                    -self.sense() * self.config.zero.velocity
+                    let failure = |distance| match open {
+                        true => HomingFailure::NoIndex { distance },
+                        false => HomingFailure::SwitchNotLeft { distance },
+                    };
+                    self.travel(-self.sense(), self.config.zero, now, failure)?
                 }
             }
             Phase::Rest(since, next) => {
@@ -261,27 +242,36 @@ impl Search {
 
     /// Takes the switches of a sample. True once the state of every switch is known.
     fn look(&mut self, state: &AxisState) -> bool {
-        let Switches {
-            home,
-            lower_limit,
-            upper_limit,
-        } = state.switches;
+        let switches = state.switches;
         let enough = self.config.debounce;
         if state.age == 0 {
-            self.home.take(home, enough);
-            self.lower.take(lower_limit, enough);
-            self.upper.take(upper_limit, enough);
+            self.home.take(switches.home, enough);
+            self.lower.take(switches.lower_limit, enough);
+            self.upper.take(switches.upper_limit, enough);
         }
         self.home.known && self.lower.known && self.upper.known
     }
 
-    /// Checks time and distance of a phase. A time-out is an error; an exceeded distance is returned.
-    fn watch(&mut self, leg: HomingLeg, now: Instant) -> Result<Option<f64>, HomingFailure> {
+    /// The target velocity of a leg in `sense`. A closed limit switch, a time-out and an exceeded distance are errors;
+    /// `failure` names the error of the distance.
+    fn travel(
+        &mut self,
+        sense: f64,
+        leg: HomingLeg,
+        now: Instant,
+        failure: impl FnOnce(f64) -> HomingFailure,
+    ) -> Result<f64, HomingFailure> {
+        if let Some(upper) = self.limit(sense) {
+            return Err(HomingFailure::LimitSwitch { upper });
+        }
         let waited = now.since(*self.since.get_or_insert(now));
         if waited > leg.timeout {
             return Err(HomingFailure::TimedOut { waited });
         }
-        Ok((self.travelled > leg.distance).then_some(self.travelled))
+        if self.travelled > leg.distance {
+            return Err(failure(self.travelled));
+        }
+        Ok(sense * leg.velocity)
     }
 
     /// Direction of the home switch: +1 or -1.

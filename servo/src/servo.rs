@@ -6,9 +6,11 @@ use std::task::Poll;
 use std::time::Duration;
 
 use can::Instant;
-use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Warnings};
+use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Power, Warnings};
 
+use crate::axis::ServoAxis;
 use crate::effector::{Effector, Tick};
+use crate::excitation::Playing;
 use crate::recorder::Recorder;
 use crate::{
     Counters, EffectorLink, Excitation, ExcitationError, Record, ServoConfig, ServoError,
@@ -219,7 +221,8 @@ impl Servo {
         let tick = self.tick(now);
         for effector in &mut self.effectors {
             effector.set_states(|group, index| self.groups[group].states[index], &tick);
-            let refused = effector.groups().map(|group| self.groups[group].refused());
+            let refused = effector.axes.iter();
+            let refused = refused.map(|axis| self.groups[axis.config.group].refused());
             let tick = Tick {
                 refused: refused.max().unwrap_or(0),
                 ..tick
@@ -333,10 +336,12 @@ impl Servo {
         axis: usize,
         excitation: Excitation,
     ) -> Result<(), ExcitationError> {
-        let dt = self.period.as_secs_f64();
         let found = self.effectors.get_mut(effector);
+        let found = found.and_then(|effector| effector.axes.get_mut(axis));
         let found = found.ok_or(ExcitationError::NoSuchAxis { effector, axis })?;
-        found.excite(axis, excitation, dt)
+        excitation.check(&found.config, self.period.as_secs_f64())?;
+        found.playing = Some(Playing::new(excitation));
+        Ok(())
     }
 
     /// A handle to open the gates that effectors wait at.
@@ -356,19 +361,24 @@ impl Servo {
 
     /// State of effector `index`; `None` if there is no such effector.
     pub fn state(&self, index: usize) -> Option<ServoState> {
-        self.effectors.get(index).map(Effector::state)
+        self.effectors.get(index).map(|effector| effector.state)
     }
 
     /// The fault that stopped effector `index`, if any.
     pub fn fault(&self, index: usize) -> Option<ServoFault> {
-        self.effectors.get(index).and_then(Effector::fault)
+        self.effectors
+            .get(index)
+            .and_then(|effector| effector.fault)
     }
 
     /// Whether every effector is off or faulted, and every drive reports that it has no power.
     pub fn is_off(&self) -> bool {
         self.effectors.iter().all(|effector| {
-            matches!(effector.state(), ServoState::Off | ServoState::Faulted)
-                && !effector.has_power()
+            matches!(effector.state, ServoState::Off | ServoState::Faulted)
+                && effector
+                    .axes
+                    .iter()
+                    .all(|axis| axis.state.power == Power::Off)
         })
     }
 
@@ -380,20 +390,19 @@ impl Servo {
 
     /// Tracking errors of the axes of effector `index`; empty if there is no such effector.
     pub fn tracking(&self, index: usize) -> impl Iterator<Item = TrackingError> {
-        self.effectors
-            .get(index)
-            .into_iter()
-            .flat_map(Effector::tracking)
+        self.axes(index).map(|axis| axis.tracking)
     }
 
     /// Change of the counters of effector `index` when homing found the reference, increments: the count since
     /// power-on at the reference. The uncertainty is about one cycle's motion. `None` for an axis that did not home in
     /// this run.
     pub fn homing_offsets(&self, index: usize) -> impl Iterator<Item = Option<i64>> {
-        self.effectors
-            .get(index)
-            .into_iter()
-            .flat_map(Effector::homing_offsets)
+        self.axes(index).map(ServoAxis::homing_offset)
+    }
+
+    fn axes(&self, index: usize) -> impl Iterator<Item = &ServoAxis> {
+        let effector = self.effectors.get(index).into_iter();
+        effector.flat_map(|effector| &effector.axes)
     }
 
     /// The counters of the servo.
@@ -401,10 +410,13 @@ impl Servo {
         let mut sum = Counters {
             cycles: self.cycles,
             missed_cycles: self.missed_ever,
-            dropped_records: self.recorder.as_ref().map_or(0, Recorder::dropped),
+            dropped_records: self
+                .recorder
+                .as_ref()
+                .map_or(0, |recorder| recorder.dropped),
             ..Counters::default()
         };
-        for counters in self.effectors.iter().map(Effector::counters) {
+        for counters in self.effectors.iter().map(|effector| &effector.counters) {
             sum.macrosteps += counters.macrosteps;
             sum.refused_orders += counters.refused_orders;
             sum.dropped_reports += counters.dropped_reports;

@@ -7,7 +7,7 @@
 /// error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TrackingError {
-    samples: u64,
+    pub(crate) samples: u64,
     sum_of_squares: f64,
     peak: f64,
 }
@@ -18,11 +18,6 @@ impl TrackingError {
         self.samples += 1;
         self.sum_of_squares += error * error;
         self.peak = self.peak.max(error.abs());
-    }
-
-    /// Number of cycles counted.
-    pub fn samples(&self) -> u64 {
-        self.samples
     }
 
     /// Root mean square, rad; zero if the axis never moved.
@@ -67,6 +62,6 @@ mod tests {
         assert_eq!(error.rms(), 0.0);
         [3.0, -4.0].into_iter().for_each(|e| error.record(e));
         assert!((error.rms() - 12.5f64.sqrt()).abs() < 1e-12);
-        assert_eq!((error.peak(), error.samples()), (4.0, 2));
+        assert_eq!((error.peak(), error.samples), (4.0, 2));
     }
 }

@@ -160,18 +160,12 @@ pub enum Panicked {
 
 impl std::fmt::Debug for Finished {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self {
-            servo,
-            timing,
-            spikes: _,
-            denied,
-            panicked,
-        } = self;
-        let counters = servo.counters();
-        write!(
-            f,
-            "Finished {{ {counters:?}, {timing:?}, {denied:?}, {panicked:?} }}"
-        )
+        f.debug_struct("Finished")
+            .field("counters", &self.servo.counters())
+            .field("timing", &self.timing)
+            .field("denied", &self.denied)
+            .field("panicked", &self.panicked)
+            .finish_non_exhaustive()
     }
 }
 
@@ -299,12 +293,7 @@ impl Run {
             account: Account::open(),
             tracer: Tracer::new(request),
             usual: LearntQuantile::new(Duration::ZERO, period / 2),
-            before: Before {
-                sync: Instant::ZERO,
-                done: Instant::ZERO,
-                called: Instant::ZERO,
-                late: Duration::ZERO,
-            },
+            before: Before::default(),
             skipped: None,
         }
     }
@@ -331,7 +320,7 @@ impl Run {
         if self.panicked == Some(Panicked::Cycle) {
             self.cut_power();
         }
-        self.timing.account = self.account.reads();
+        self.timing.account = self.account.reads;
         self.timing.wait = WaitReport {
             lead: self.lead(),
             ..self.waiter.report()

@@ -85,7 +85,6 @@ fn measure(protocol: Protocol, cycles: usize) {
         max_current: 15.0,
         max_velocity: 100.0,
         max_acceleration: 10_000.0,
-        current_gains: None,
     };
     let config = GroupConfig {
         tolerated_missing: 100,

@@ -1,8 +1,8 @@
 //! Faults of an axis, and errors of bring-up.
 
-use std::fmt;
 use std::time::Duration;
 
+use canopen::Object;
 use canopen::cia402::{FaultTable, ModeOfOperation};
 use canopen::sdo::AbortCode;
 use thiserror::Error;
@@ -112,14 +112,12 @@ pub enum Fault {
         waited: Duration,
     },
     /// The drive refused a service request, or did not answer it in time.
-    #[error("node {node}: {index:#06x}:{subindex:02x} failed: {abort}", abort = AbortCode(*.code))]
+    #[error("node {node}: {object} failed: {abort}", abort = AbortCode(*.code))]
     Aborted {
         /// Node-ID.
         node: u8,
-        /// Object index.
-        index: u16,
-        /// Sub-index.
-        subindex: u8,
+        /// The object.
+        object: Object,
         /// SDO abort code; 0x0504_0000 if the drive did not answer.
         code: u32,
     },
@@ -210,16 +208,14 @@ pub enum BringUpError {
     },
     /// The scale of the drive's positions or torques differs from the cell.
     #[error(
-        "node {node}: {index:#06x}:{subindex:02x} is {ratio} {what}, the cell says {expected}: {remedy}",
-        ratio = Ratio(*.found, *.per)
+        "node {node}: {object} is {ratio} {what}, the cell says {expected}: {remedy}",
+        ratio = ratio(*.found, *.per)
     )]
     WrongScale {
         /// Node-ID.
         node: u8,
-        /// Object index.
-        index: u16,
-        /// Sub-index; for a ratio, the sub-index of the dividend.
-        subindex: u8,
+        /// The object; for a ratio, the dividend.
+        object: Object,
         /// The value in the drive; for a ratio, the dividend.
         found: u32,
         /// The divisor of a ratio, otherwise 1.
@@ -232,26 +228,22 @@ pub enum BringUpError {
         remedy: &'static str,
     },
     /// The drive refused a parameter.
-    #[error("node {node}: {index:#06x}:{subindex:02x} refused: {abort}", abort = AbortCode(*.code))]
+    #[error("node {node}: {object} refused: {abort}", abort = AbortCode(*.code))]
     Aborted {
         /// Node-ID.
         node: u8,
-        /// Object index.
-        index: u16,
-        /// Sub-index.
-        subindex: u8,
+        /// The object.
+        object: Object,
         /// SDO abort code.
         code: u32,
     },
     /// The drive accepted a parameter but reads back another value.
-    #[error("node {node}: {index:#06x}:{subindex:02x} reads back {found:#x}, wrote {written:#x}")]
+    #[error("node {node}: {object} reads back {found:#x}, wrote {written:#x}")]
     ReadBack {
         /// Node-ID.
         node: u8,
-        /// Object index.
-        index: u16,
-        /// Sub-index.
-        subindex: u8,
+        /// The object.
+        object: Object,
         /// The written value.
         written: u32,
         /// The value read back.
@@ -259,15 +251,13 @@ pub enum BringUpError {
     },
     /// The drive accepted data but reads back other data.
     #[error(
-        "node {node}: {index:#06x}:{subindex:02x} reads back {found} bytes, wrote {written}, the first {same} are equal"
+        "node {node}: {object} reads back {found} bytes, wrote {written}, the first {same} are equal"
     )]
     ReadBackBytes {
         /// Node-ID.
         node: u8,
-        /// Object index.
-        index: u16,
-        /// Sub-index.
-        subindex: u8,
+        /// The object.
+        object: Object,
         /// Bytes written.
         written: usize,
         /// Bytes read back.
@@ -276,14 +266,12 @@ pub enum BringUpError {
         same: usize,
     },
     /// The drive did not answer a service request in time.
-    #[error("node {node}: {index:#06x}:{subindex:02x} timed out after {waited:.1?}")]
+    #[error("node {node}: {object} timed out after {waited:.1?}")]
     TimedOut {
         /// Node-ID.
         node: u8,
-        /// Object index.
-        index: u16,
-        /// Sub-index.
-        subindex: u8,
+        /// The object.
+        object: Object,
         /// Time waited.
         waited: Duration,
     },
@@ -343,15 +331,10 @@ impl BringUpError {
     }
 }
 
-/// Formatted as `4000` or `8000/3`.
-struct Ratio(u32, u32);
-
-impl fmt::Display for Ratio {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self(dividend, divisor) = self;
-        match divisor {
-            1 => write!(f, "{dividend}"),
-            _ => write!(f, "{dividend}/{divisor}"),
-        }
+/// `4000` or `8000/3`.
+fn ratio(dividend: u32, divisor: u32) -> String {
+    match divisor {
+        1 => dividend.to_string(),
+        _ => format!("{dividend}/{divisor}"),
     }
 }

@@ -285,7 +285,6 @@ fn no_cycle_of_serial_lines_allocates() {
             max_current: 15.0,
             max_velocity: 100.0,
             max_acceleration: 10_000.0,
-            current_gains: None,
         };
         let drives = |_| scripted::Drive::new(protocol, 8).shared();
         let lines: Vec<scripted::Shared> = (0..AXES).map(drives).collect();

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use canopen::Object;
 use drive::Scale;
 use drive::axis_controller::{self, Settings, StopBits};
 use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, NodeId};
@@ -129,8 +130,7 @@ impl Axis {
     pub fn drive_config(&self, home: f64) -> AxisConfig {
         let drive = self.cia402();
         let parameter = |given: &Parameter| drive::cia402::Parameter {
-            index: given.index,
-            subindex: given.subindex,
+            object: Object::new(given.index, given.subindex),
             value: given.value,
             size: given.bytes,
         };
@@ -193,7 +193,6 @@ impl Axis {
                 controller.plausible_acceleration,
                 20.0 * self.max_acceleration,
             ),
-            current_gains: None,
         }
     }
 

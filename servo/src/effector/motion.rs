@@ -84,18 +84,17 @@ impl Effector {
 
     /// Checks whether a macrostep can be started.
     fn admit(&self, macrostep: &Macrostep) -> Result<(), (Option<usize>, StopCause)> {
-        let Macrostep {
-            number,
-            steps,
-            report_at,
-            position,
-            velocity,
-            torque,
-        } = macrostep;
-        if *report_at < 1 || report_at > steps {
-            return Err((None, StopCause::Malformed { number: *number }));
+        let number = macrostep.number;
+        if !(1..=macrostep.steps).contains(&macrostep.report_at) {
+            return Err((None, StopCause::Malformed { number }));
         }
         for (index, axis) in self.axes.iter().enumerate() {
+            let Macrostep {
+                position,
+                velocity,
+                torque,
+                ..
+            } = macrostep;
             let asked = [position[index], velocity[index], torque[index]];
             if !asked.iter().all(|value| value.is_finite()) {
                 return Err((Some(index), StopCause::NotFinite));

@@ -1,4 +1,4 @@
-//! Proportional position loop.
+//! Proportional position loop, and the cascade of such a loop over a velocity loop.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -35,6 +35,43 @@ impl ProportionalConfig {
     }
 }
 
+/// Gains of `velocity_gain (1 + integral_rate / s) (position_gain + s)`, which acts on the position error in rad.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(rename = "Cascade")]
+pub struct CascadeConfig {
+    /// Velocity asked for per position error, 1/s.
+    pub position_gain: f64,
+    /// Output per velocity error, 1/(rad/s).
+    pub velocity_gain: f64,
+    /// How fast the velocity error is integrated, 1/s; zero for not at all.
+    pub integral_rate: f64,
+    /// The most that is put out either way.
+    pub limit: f64,
+}
+
+impl CascadeConfig {
+    /// The first field that makes no sense.
+    pub(crate) fn nonsense(&self) -> Option<&'static str> {
+        if !is_positive(self.position_gain) {
+            Some("position_gain of its loop")
+        } else if !is_positive(self.velocity_gain) {
+            Some("velocity_gain of its loop")
+        } else {
+            self.velocity_loop().nonsense()
+        }
+    }
+
+    /// The law of the velocity loop below the proportional position loop. It acts on the velocity error in rad/s.
+    pub(crate) fn velocity_loop(&self) -> ProportionalConfig {
+        ProportionalConfig {
+            position_gain: self.velocity_gain,
+            integral_rate: self.integral_rate,
+            limit: self.limit,
+        }
+    }
+}
+
 /// A proportional-integral position loop over a velocity loop that the drive closes.
 ///
 /// ```text
@@ -42,7 +79,9 @@ impl ProportionalConfig {
 /// ```
 ///
 /// With [`FeedForward::velocity`](crate::FeedForward::velocity) of 1 the commanded velocity needs no error.
-/// At its limit the integral may come down but not wind up.
+/// At its limit the integral may come down but not wind up, and by itself it never exceeds the limit.
+///
+/// The velocity loop of a cascade is the same law of the velocity error, rad/s. Its output is N·m or a duty.
 #[derive(Clone, Debug)]
 pub struct Proportional {
     config: ProportionalConfig,
@@ -128,6 +167,15 @@ mod tests {
             let output = law.step(-0.01 * sign, 0.0, DT) * sign;
             assert!(output < 0.0, "wound up: {output}");
         }
+    }
+
+    #[test]
+    fn feed_forward_at_the_limit_does_not_wind_the_integral_up() {
+        let mut law = law();
+        for _ in 0..1000 {
+            assert_eq!(law.step(0.1, 500.0, DT), 250.0);
+        }
+        assert_eq!(law.step(0.0, 0.0, DT), 0.0);
     }
 
     #[test]

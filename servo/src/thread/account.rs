@@ -26,7 +26,7 @@ pub struct AccountReads {
 }
 
 /// Counts of the kernel for one thread since the last reading.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Account {
     /// `/proc/thread-self/schedstat`, opened before the first cycle; none where the kernel has none.
     schedstat: Option<File>,
@@ -34,7 +34,8 @@ pub struct Account {
     /// Wake-up latencies of the quiet cycles since then: an upper bound of their delays.
     quiet: Duration,
     cycles: u32,
-    reads: AccountReads,
+    /// Number of readings in cycles.
+    pub(super) reads: AccountReads,
 }
 
 impl Account {
@@ -42,18 +43,10 @@ impl Account {
     pub fn open() -> Self {
         let mut account = Self {
             schedstat: File::open("/proc/thread-self/schedstat").ok(),
-            last: Usage::default(),
-            quiet: Duration::ZERO,
-            cycles: 0,
-            reads: AccountReads::default(),
+            ..Self::default()
         };
         account.begin();
         account
-    }
-
-    /// Number of readings in cycles.
-    pub(super) fn reads(&self) -> AccountReads {
-        self.reads
     }
 
     /// Drops the counts up to now.

@@ -13,7 +13,7 @@ pub(super) const LATE: u32 = 100;
 pub const GAP: Duration = Duration::from_micros(5);
 
 /// Data of the last cycle for the next one.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Before {
     /// Time at which SYNC was sent, time at which sending had ended, and time at which the caller got the thread.
     pub sync: Instant,

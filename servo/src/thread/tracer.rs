@@ -221,15 +221,8 @@ impl Pending {
 
 /// Touched memory for the cycles of one spike.
 fn touched() -> Vec<Stamps> {
-    let zero = Instant::ZERO;
-    let awake = Awake {
-        asked_at: zero,
-        wake_up: zero,
-        woken: zero,
-        at: zero,
-        gap: Duration::ZERO,
-    };
-    let mut cycles = vec![Stamps::of_wait(1, zero, awake, None); SHOWN];
+    let cycle = Stamps::of_wait(1, Instant::ZERO, Awake::default(), None);
+    let mut cycles = vec![cycle; SHOWN];
     cycles.clear();
     cycles
 }

@@ -37,7 +37,7 @@ pub struct WaitReport {
 }
 
 /// Times of one wait.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Awake {
     /// When the thread began to wait.
     pub asked_at: Instant,

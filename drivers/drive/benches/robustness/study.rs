@@ -271,7 +271,6 @@ pub(crate) fn run(protocol: Protocol, damage: Damage, cycles: u64, seed: u64) ->
         max_current: 15.0,
         max_velocity: MAX_VELOCITY,
         max_acceleration: 10_000.0,
-        current_gains: None,
     };
     let config = GroupConfig {
         tolerated_missing: u32::MAX,

@@ -1,7 +1,6 @@
 //! One axis controller on a serial line during operation.
 
 use can::Instant;
-use serial::LineError;
 use serial::nfv2::Status;
 
 use super::AxisCounters;
@@ -32,17 +31,16 @@ const LIMITED: u16 = Status::UPPER_LIMIT
 /// independent of the phase.
 ///
 /// Nothing here waits or allocates. A cycle calls, one after the other: [`take`](Self::take) and
-/// [`end_of_read`](Self::end_of_read); [`reset`](Self::reset), [`stop_with`](Self::stop_with) and
-/// [`check`](Self::check) for all axes; [`command`](Self::command), [`telegram`](Self::telegram) and
-/// [`handed_over`](Self::handed_over).
+/// [`end_of_read`](Self::end_of_read); [`FaultLatch::reset`], [`FaultLatch::stop_with`] and [`check`](Self::check) for
+/// all axes; [`command`](Self::command) and [`handed_over`](Self::handed_over).
 #[derive(Clone, Debug)]
 pub(super) struct SerialAxis {
-    setup: Setup,
+    pub(super) setup: Setup,
     phase: Phase,
     acknowledgement: Acknowledgement,
-    faults: FaultLatch,
-    exchange: Exchange,
-    pub(super) stream: Stream,
+    pub(super) faults: FaultLatch,
+    pub(super) exchange: Exchange,
+    stream: Stream,
     position_check: PositionCheck,
     freeze_check: FreezeCheck,
     status: DebouncedStatus,
@@ -51,16 +49,16 @@ pub(super) struct SerialAxis {
     state: AxisState,
     /// Set-point of the last telegram, in the units of the drive.
     setpoint: i16,
-    telegram: Telegram,
-    /// The telegram is the first to take torque away: older telegrams must not reach the drive before it.
-    discards_unsent: bool,
+    pub(super) telegram: Telegram,
+    /// The telegram is the first to take torque away: older telegrams that the line still holds are discarded before it.
+    pub(super) discards_unsent: bool,
     pub(super) counters: AxisCounters,
 }
 
 /// What does not change while the group lives.
 #[derive(Clone, Copy, Debug)]
-struct Setup {
-    dialect: Dialect,
+pub(super) struct Setup {
+    pub(super) dialect: Dialect,
     scale: Scale,
     torque_constant: f64,
     /// Greatest set-point, in the units of the drive.
@@ -137,10 +135,6 @@ impl SerialAxis {
         }
     }
 
-    pub(super) fn dialect(&self) -> Dialect {
-        self.setup.dialect
-    }
-
     /// Starts operation after bring-up: without torque, at the position of the last answer.
     pub(super) fn begin(&mut self, learnt: Learnt) {
         let Learnt { answer, at, stream } = learnt;
@@ -171,7 +165,7 @@ impl SerialAxis {
 
     /// Takes the bytes of one reading of the line.
     pub(super) fn take(&mut self, bytes: &[u8], now: Instant) {
-        let pending = self.exchange.pending();
+        let pending = self.exchange.pending;
         let found = self.stream.take(bytes, pending, &mut self.counters);
         let expected = self.exchange.receive(found.count, &mut self.counters);
         if let Some(answer) = found.answer
@@ -188,7 +182,7 @@ impl SerialAxis {
         }
         let may_index =
             self.phase.mode() == ControllerMode::Index || self.acknowledgement.may_index();
-        let sent_at = self.exchange.sent_at();
+        let sent_at = self.exchange.sent_at;
         match self.position_check.judge(answer, sent_at, may_index) {
             Verdict::Plausible => {}
             Verdict::Implausible => {
@@ -252,11 +246,6 @@ impl SerialAxis {
         self.state.torque = scale.torque_of(answer.current, self.setup.torque_constant);
     }
 
-    /// The line failed.
-    pub(super) fn line_failed(&mut self, error: LineError) {
-        self.faults.latch(AxisControllerFault::Line(error));
-    }
-
     /// Ends the reading of a cycle. `due` says whether the cycle before asked for an answer. Returns the state, and
     /// whether the answer is missing.
     pub(super) fn end_of_read(&mut self, due: bool) -> (AxisState, bool) {
@@ -315,20 +304,15 @@ impl SerialAxis {
             AxisCommand::Follow(setpoint) | AxisCommand::Seek(setpoint) => setpoint,
             AxisCommand::Off | AxisCommand::ResetFault | AxisCommand::Stand => return Ok(None),
         };
-        let Setup {
-            dialect,
-            scale,
-            torque_constant,
-            full_scale,
-            ..
-        } = &self.setup;
-        let raw = match (dialect.control, setpoint) {
-            (Control::Current, Setpoint::Torque(torque)) => scale
-                .milliamperes(torque.get(), *torque_constant)
+        let setup = &self.setup;
+        let raw = match (setup.dialect.control, setpoint) {
+            (Control::Current, Setpoint::Torque(torque)) => setup
+                .scale
+                .milliamperes(torque.get(), setup.torque_constant)
                 .map(|current| current.0)
-                .filter(|current| current.unsigned_abs() <= full_scale.unsigned_abs()),
+                .filter(|current| current.unsigned_abs() <= setup.full_scale.unsigned_abs()),
             (Control::Pwm, Setpoint::Duty(duty)) => {
-                scale.pulse_width(duty.get()).map(|width| width.0)
+                setup.scale.pulse_width(duty.get()).map(|width| width.0)
             }
             (
                 Control::Current | Control::Pwm,
@@ -343,10 +327,6 @@ impl SerialAxis {
             return Err(Refusal::NotOn);
         }
         raw.map(Some).ok_or(Refusal::OutOfRange)
-    }
-
-    pub(super) fn refuse(&mut self, refusal: Refusal) {
-        self.faults.latch(AxisControllerFault::Refused(refusal));
     }
 
     /// Takes the command of this cycle. `setpoint` is the result of [`check`](Self::check); `hold` keeps the set-point
@@ -429,31 +409,12 @@ impl SerialAxis {
         self.reference == Reference::Known && !status.any(Status::SYNCHRONIZED)
     }
 
-    pub(super) fn telegram(&self) -> &[u8] {
-        self.telegram.bytes()
-    }
-
-    /// Whether older telegrams that the line still holds are to be discarded before this one.
-    pub(super) fn discards_unsent(&self) -> bool {
-        self.discards_unsent
-    }
-
     /// Whether the line took the whole telegram.
     pub(super) fn handed_over(&mut self, taken: bool, now: Instant) {
         self.exchange.send(taken, now, &mut self.counters);
         if taken {
             self.acknowledgement.count_telegram();
         }
-    }
-
-    /// Whether the line took the last telegram.
-    pub(super) fn was_sent(&self) -> bool {
-        self.exchange.was_sent()
-    }
-
-    /// Whether a fault is latched: the drive follows no set-point.
-    pub(super) fn is_faulted(&self) -> bool {
-        self.faults.is_latched()
     }
 
     /// The last telegram to a drive whose group ends.
@@ -465,21 +426,6 @@ impl SerialAxis {
         };
         let dialect = self.setup.dialect;
         dialect.farewell(mode, self.reference == Reference::Invalid)
-    }
-
-    /// Clears the latched faults. The next reading latches again what the drive and the line still show.
-    pub(super) fn reset(&mut self) {
-        self.faults.reset();
-    }
-
-    /// Whether this axis itself has required an emergency stop since its last reset.
-    pub(super) fn requires_emergency_stop(&self) -> bool {
-        self.faults.requires_emergency_stop()
-    }
-
-    /// The axis of `line` requires an emergency stop: this drive too is to open the circuit of the cabinet.
-    pub(super) fn stop_with(&mut self, line: u8) {
-        self.faults.stop_with(line);
     }
 }
 

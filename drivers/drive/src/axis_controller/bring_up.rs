@@ -6,11 +6,11 @@ use can::Instant;
 use serial::Line;
 use serial::nfv2::Status;
 
-use super::config::{AxisConfig, CurrentGains, GroupConfig, Protocol};
+use super::config::{AxisConfig, GroupConfig, Protocol};
 use super::fault::AxisControllerError;
 use super::plausibility::{PositionCheck, Verdict};
 use super::stream::{Answer, Stream, speaks};
-use super::telegram::{ControllerMode, Dialect, Setting, Telegram};
+use super::telegram::{ControllerMode, Dialect, Telegram};
 use super::{AxisCounters, axis::Learnt};
 
 /// Last address of the search for a drive: the IRp-6's drives have 0 to 15.
@@ -19,11 +19,14 @@ const LAST_ADDRESS: u8 = 15;
 /// Calls that wait for silence on the line before the first request goes out anyway.
 const CALLS_TO_DRAIN: u8 = 3;
 
+/// How often a request is made before its silence counts.
+const ATTEMPTS: u8 = 3;
+
 /// Brings one drive up: to manual mode, where latched errors clear, with its limits set.
 ///
 /// ```text
-/// drain → manual → manual → greatest current → (gains) → manual → ready
-///           each until it is answered, `attempts` times
+/// drain → manual → manual → greatest current → manual → ready
+///           each until it is answered, three times
 ///                └ silence → probe of every address, then of the other protocol → the error that names the drive
 /// ```
 ///
@@ -35,7 +38,6 @@ pub(super) struct BringUp {
     dialect: Dialect,
     period: Duration,
     answer_timeout: Duration,
-    attempts_allowed: u8,
     /// Requests in their order.
     script: Vec<Telegram>,
     fresh_check: PositionCheck,
@@ -73,17 +75,12 @@ impl BringUp {
     pub(super) fn new(group: &GroupConfig, config: &AxisConfig, dialect: Dialect) -> Self {
         let manual = dialect.rest(ControllerMode::Manual, 1, false);
         let mut script = vec![dialect.opening(), manual, manual];
-        let limit = config.limit().map(|limit| Setting::MaxCurrent(limit.0));
-        let gains = config.current_gains.and_then(CurrentGains::raw);
-        let settings = [limit, gains.map(Setting::CurrentGains)];
-        let settings = settings.into_iter().flatten();
-        script.extend(settings.map(|setting| dialect.setting(setting)));
+        script.extend(config.limit().map(|limit| dialect.max_current(limit.0)));
         script.push(manual);
         Self {
             dialect,
             period: group.period,
             answer_timeout: group.answer_timeout,
-            attempts_allowed: group.attempts,
             script,
             fresh_check: PositionCheck::new(group, config),
             stage: Stage::Draining(0),
@@ -162,7 +159,7 @@ impl BringUp {
                     None
                 } else {
                     self.attempts += 1;
-                    Some(if self.attempts < self.attempts_allowed {
+                    Some(if self.attempts < ATTEMPTS {
                         self.stage
                     } else {
                         self.unanswered()?

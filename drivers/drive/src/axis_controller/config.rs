@@ -1,6 +1,5 @@
 //! Configuration of a bundle of axis controllers.
 
-use std::fmt;
 use std::time::Duration;
 
 use schemars::JsonSchema;
@@ -42,13 +41,11 @@ pub struct GroupConfig {
     pub tolerated_missing: u32,
     /// Bring-up: how long an answer to one request may take, rounded up to calls of it.
     pub answer_timeout: Duration,
-    /// Bring-up: how often a request is made before its silence counts, at least 1.
-    pub attempts: u8,
 }
 
 impl GroupConfig {
-    /// As the laboratory ran its robots: 921600 8N2, a cycle of 2 ms, the third missing answer in a row is an
-    /// emergency stop, three attempts for a parameter.
+    /// As the laboratory ran its robots: 921600 8N2, a cycle of 2 ms, and the third missing answer in a row is an
+    /// emergency stop.
     pub const fn new(protocol: Protocol) -> Self {
         Self {
             period: Duration::from_millis(2),
@@ -56,7 +53,6 @@ impl GroupConfig {
             settings: Settings::AXIS_CONTROLLER,
             tolerated_missing: 2,
             answer_timeout: Duration::from_millis(10),
-            attempts: 3,
         }
     }
 }
@@ -80,8 +76,6 @@ pub struct AxisConfig {
     /// Greatest acceleration that the motor can physically have, rad/s², for the same check: the torque of the greatest
     /// current and of friction, over the inertia.
     pub max_acceleration: f64,
-    /// Gains of the drive's current regulator; `None` leaves those it has after power-on.
-    pub current_gains: Option<CurrentGains>,
 }
 
 // These docs are those of the cell-file reference, where links into this crate lead nowhere. The set-points come from
@@ -95,17 +89,6 @@ pub enum Control {
     Current,
     /// Pulse width: the share of the supply voltage that the motor gets.
     Pwm,
-}
-
-/// Gains of a drive's current regulator, fractions below 2 of what only its firmware knows.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CurrentGains {
-    /// Proportional; 0.06 after power-on.
-    pub p: f64,
-    /// Integral; 0.05 after power-on.
-    pub i: f64,
-    /// Differential; 0 after power-on.
-    pub d: f64,
 }
 
 /// Why a group cannot be configured so.
@@ -130,14 +113,9 @@ pub enum ConfigError {
         /// Time that a request and its answer take.
         exchange: Duration,
     },
-    /// A count or time of the group that must be at least something.
-    #[error("{what} must be at least {least}")]
-    TooSmall {
-        /// Which.
-        what: &'static str,
-        /// How much.
-        least: u32,
-    },
+    /// [`GroupConfig::tolerated_missing`] is 0.
+    #[error("the number of tolerated missing answers must be at least 1")]
+    ToleratedMissing,
     /// A quantity of an axis that is zero, negative, not finite, or beyond what the drive can hold.
     #[error("line {line}: {quantity} is out of range")]
     OutOfRange {
@@ -146,44 +124,32 @@ pub enum ConfigError {
         /// Which quantity.
         quantity: Quantity,
     },
-    /// A thing that only the later protocol has.
-    #[error("line {line}: {what} takes protocol nfv2; hi_moxa has pulse widths only")]
+    /// Control by current, which only the later protocol has.
+    #[error("line {line}: control by current takes protocol nfv2; hi_moxa has pulse widths only")]
     NeedsNfv2 {
         /// Index of the axis in its group.
         line: u8,
-        /// Which thing.
-        what: &'static str,
     },
 }
 
 /// A quantity of an axis that has bounds in the drive or in the plausibility check.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Quantity {
     /// [`AxisConfig::address`].
+    #[error("address")]
     Address,
     /// [`AxisConfig::torque_constant`].
+    #[error("torque constant")]
     TorqueConstant,
     /// [`AxisConfig::max_current`].
+    #[error("greatest current")]
     MaxCurrent,
     /// [`AxisConfig::max_velocity`]: a count to half of the counter per period.
+    #[error("greatest velocity")]
     MaxVelocity,
     /// [`AxisConfig::max_acceleration`].
+    #[error("greatest acceleration")]
     MaxAcceleration,
-    /// [`AxisConfig::current_gains`].
-    CurrentGains,
-}
-
-impl fmt::Display for Quantity {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Address => "address",
-            Self::TorqueConstant => "torque constant",
-            Self::MaxCurrent => "greatest current",
-            Self::MaxVelocity => "greatest velocity",
-            Self::MaxAcceleration => "greatest acceleration",
-            Self::CurrentGains => "current gain",
-        })
-    }
 }
 
 impl Protocol {
@@ -226,23 +192,6 @@ impl AxisConfig {
     }
 }
 
-impl CurrentGains {
-    pub(super) fn raw(self) -> Option<nfv2::Gains> {
-        let fraction = |value: f64| {
-            let raw = (value * 32_768.0).round();
-            (0.0..=f64::from(u16::MAX))
-                .contains(&raw)
-                .then_some(raw as u16)
-        };
-        Some(nfv2::Gains {
-            p: fraction(self.p)?,
-            i: fraction(self.i)?,
-            d: fraction(self.d)?,
-            t: 0,
-        })
-    }
-}
-
 impl GroupConfig {
     /// Refuses what cannot work before a byte is sent: all that
     /// [`AxisControllerGroup::new`](super::AxisControllerGroup::new) refuses.
@@ -259,16 +208,8 @@ impl GroupConfig {
             let period = self.period;
             return Err(ConfigError::Period { period, exchange });
         }
-        for (what, value) in [
-            (
-                "the number of tolerated missing answers",
-                self.tolerated_missing,
-            ),
-            ("the number of attempts", u32::from(self.attempts)),
-        ] {
-            if value == 0 {
-                return Err(ConfigError::TooSmall { what, least: 1 });
-            }
+        if self.tolerated_missing == 0 {
+            return Err(ConfigError::ToleratedMissing);
         }
         for (line, axis) in (0..).zip(axes) {
             check_axis(self, axis, line)?;
@@ -278,18 +219,12 @@ impl GroupConfig {
 }
 
 fn check_axis(config: &GroupConfig, axis: &AxisConfig, line: u8) -> Result<(), ConfigError> {
-    let needs_nfv2 = |what| Err(ConfigError::NeedsNfv2 { line, what });
-    match config.protocol {
-        Protocol::HiMoxa if axis.control == Control::Current => {
-            return needs_nfv2("control by current");
-        }
-        Protocol::HiMoxa if axis.current_gains.is_some() => return needs_nfv2("a current gain"),
-        Protocol::HiMoxa | Protocol::Nfv2 => {}
+    if config.protocol == Protocol::HiMoxa && axis.control == Control::Current {
+        return Err(ConfigError::NeedsNfv2 { line });
     }
     let positive = |value: f64| value > 0.0 && value.is_finite();
     let reach = axis.max_velocity * config.period.as_secs_f64();
     let counts = |distance: f64| distance * axis.scale.increments_per_radian().abs();
-    let gains = axis.current_gains.map(CurrentGains::raw);
     for (quantity, right) in [
         (
             Quantity::Address,
@@ -305,7 +240,6 @@ fn check_axis(config: &GroupConfig, axis: &AxisConfig, line: u8) -> Result<(), C
             positive(axis.max_velocity) && (1.0..FARTHEST).contains(&counts(reach)),
         ),
         (Quantity::MaxAcceleration, positive(axis.max_acceleration)),
-        (Quantity::CurrentGains, gains != Some(None)),
     ] {
         if !right {
             return Err(ConfigError::OutOfRange { line, quantity });

@@ -14,8 +14,9 @@ const MISSING_IN_WINDOW: u32 = WINDOW / 4;
 pub(super) struct Exchange {
     tolerated_missing: u32,
     /// Requests whose answers can still come: at most 2, since an answer later than the next one does not count.
-    pending: u32,
-    sent_at: Instant,
+    pub(super) pending: u32,
+    /// When the line took the last telegram.
+    pub(super) sent_at: Instant,
     reading: Reading,
     /// Cycles in a row without an accepted answer.
     age: u32,
@@ -65,16 +66,6 @@ impl Exchange {
             unsent: 0,
             window: Window::default(),
         }
-    }
-
-    /// Requests whose answers can still come.
-    pub(super) fn pending(&self) -> u32 {
-        self.pending
-    }
-
-    /// When the line took the last telegram.
-    pub(super) fn sent_at(&self) -> Instant {
-        self.sent_at
     }
 
     /// Counts the answers of one reading. Returns whether the last of them answers a request.

@@ -144,7 +144,7 @@ impl FaultLatch {
         self.first.get_or_insert(fault);
     }
 
-    /// Latches the emergency stop that the axis of `line` requires.
+    /// Latches the emergency stop that the axis of `line` requires: this drive too is to open the circuit of the cabinet.
     pub(super) fn stop_with(&mut self, line: u8) {
         if self.emergency_stop.is_none() {
             self.emergency_stop = Some(Origin::OtherAxis);
@@ -152,6 +152,7 @@ impl FaultLatch {
         }
     }
 
+    /// Clears the latched faults. The next reading latches again what the drive and the line still show.
     pub(super) fn reset(&mut self) {
         *self = Self::new(self.line);
     }
@@ -162,6 +163,7 @@ impl FaultLatch {
             .map(|fault| Fault::AxisController { line, fault })
     }
 
+    /// Whether a fault is latched: the drive follows no set-point.
     pub(super) fn is_latched(&self) -> bool {
         self.first.is_some()
     }

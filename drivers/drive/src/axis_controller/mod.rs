@@ -76,11 +76,11 @@ mod telegram;
 use std::task::Poll;
 
 use can::{Counters, Instant};
-use serial::{Line, LineCounters, LineError};
+use serial::{Line, LineError};
 
 pub use serial::{Settings, StopBits};
 
-pub use config::{AxisConfig, ConfigError, Control, CurrentGains, GroupConfig, Protocol, Quantity};
+pub use config::{AxisConfig, ConfigError, Control, GroupConfig, Protocol, Quantity};
 pub use fault::{AxisControllerError, AxisControllerFault};
 
 #[cfg(doc)]
@@ -152,7 +152,7 @@ impl<L: Line> AxisControllerGroup<L> {
         let controllers = lines.into_iter().zip(axes).zip(0..);
         let controllers = controllers.map(|((line, config_of_axis), index)| {
             let axis = SerialAxis::new(&config, config_of_axis, index);
-            let bring_up = BringUp::new(&config, config_of_axis, axis.dialect());
+            let bring_up = BringUp::new(&config, config_of_axis, axis.setup.dialect);
             Controller {
                 line,
                 axis,
@@ -239,11 +239,11 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
             let Controller { line, axis, .. } = controller;
             match line.read(now, &mut self.buffer[..]) {
                 Ok(count) => axis.take(&self.buffer[..count], now),
-                Err(error) => axis.line_failed(error),
+                Err(error) => axis.faults.latch(AxisControllerFault::Line(error)),
             }
             let (read, missing) = axis.end_of_read(self.attempted);
             *state = read;
-            self.counters.missed_answers += u64::from(missing && axis.was_sent());
+            self.counters.missed_answers += u64::from(missing && axis.exchange.was_sent());
         }
         self.attempted = false;
     }
@@ -251,17 +251,17 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
     fn write(&mut self, _now: Instant, commands: &[AxisCommand]) {
         for (controller, &command) in self.controllers.iter_mut().zip(commands) {
             if command == AxisCommand::ResetFault {
-                controller.axis.reset();
+                controller.axis.faults.reset();
             }
         }
         // The reading came before: so states show the cause a cycle before the axes that stop with it.
         let cause = (0..)
             .zip(&self.controllers)
-            .find(|(_, controller)| controller.axis.requires_emergency_stop());
+            .find(|(_, controller)| controller.axis.faults.requires_emergency_stop());
         if let Some((line, _)) = cause {
             for (controller, &command) in self.controllers.iter_mut().zip(commands) {
                 if command != AxisCommand::ResetFault {
-                    controller.axis.stop_with(line);
+                    controller.axis.faults.stop_with(line);
                 }
             }
         }
@@ -271,7 +271,8 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
                 Ok(setpoint) => setpoint,
                 Err(refusal) => {
                     refused = true;
-                    controller.axis.refuse(refusal);
+                    let fault = AxisControllerFault::Refused(refusal);
+                    controller.axis.faults.latch(fault);
                     None
                 }
             };
@@ -285,19 +286,19 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
     fn send(&mut self, now: Instant) -> bool {
         let mut all = true;
         for Controller { line, axis, .. } in &mut self.controllers {
-            if axis.discards_unsent() {
+            if axis.discards_unsent {
                 line.discard_unsent();
             }
-            let taken = match line.write(now, axis.telegram()) {
-                Ok(count) => count == axis.telegram().len(),
+            let taken = match line.write(now, axis.telegram.bytes()) {
+                Ok(count) => count == axis.telegram.bytes().len(),
                 Err(error) => {
-                    axis.line_failed(error);
+                    axis.faults.latch(AxisControllerFault::Line(error));
                     false
                 }
             };
             axis.handed_over(taken, now);
             self.counters.dropped_setpoints += u64::from(!taken);
-            all &= taken || axis.is_faulted();
+            all &= taken || axis.faults.is_latched();
         }
         self.attempted = true;
         all
@@ -310,12 +311,7 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
         let bits_per_byte = self.config.settings.bits_per_byte();
         for Controller { line, axis, .. } in &self.controllers {
             let axis = axis.counters;
-            let LineCounters {
-                sent,
-                received,
-                dropped,
-                ..
-            } = line.counters();
+            let line = line.counters();
             let refused = axis.implausible + axis.damaged + axis.foreign + axis.late + axis.surplus;
             counters.unexpected += refused;
             let port = &mut counters.port;
@@ -323,9 +319,9 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
                 sent: port.sent + axis.sent,
                 received: port.received + axis.accepted,
                 refused: port.refused + axis.refused,
-                dropped: port.dropped + dropped,
+                dropped: port.dropped + line.dropped,
                 errors: port.errors + refused,
-                bits: port.bits + bits_per_byte * (sent + received),
+                bits: port.bits + bits_per_byte * (line.sent + line.received),
             };
         }
         counters

@@ -2,11 +2,11 @@
 
 use serial::hi_moxa;
 use serial::hi_moxa::{DriverMode, Parameter, Request};
-use serial::nfv2::{Command, FrameBuilder, Gains, Mode};
+use serial::nfv2::{Command, FrameBuilder, Mode};
 
 use super::config::{Control, Protocol};
 
-/// Greatest length: gains, a mode, a flag, a set-point and three reads have fewer bytes.
+/// Greatest length: a mode, a flag, a set-point and three reads have fewer bytes.
 const LONGEST: usize = 64;
 
 /// Answers to telegrams with a mode until the drive is taken to be in the mode: one answer could belong to an earlier
@@ -25,14 +25,6 @@ pub(super) enum ControllerMode {
     Drive,
     /// Follows set-points, and takes the next index pulse for its reference.
     Index,
-}
-
-/// A parameter, in the units of the drive.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Setting {
-    /// mA.
-    MaxCurrent(i16),
-    CurrentGains(Gains),
 }
 
 /// Address and language of a drive.
@@ -165,20 +157,13 @@ impl Dialect {
         }
     }
 
-    /// A request to set a parameter.
-    pub(super) fn setting(self, setting: Setting) -> Telegram {
-        match (self.protocol, setting) {
-            (Protocol::Nfv2, Setting::MaxCurrent(current)) => {
+    /// A request to set the greatest current, mA.
+    pub(super) fn max_current(self, current: i16) -> Telegram {
+        match self.protocol {
+            Protocol::Nfv2 => {
                 prefixed(read(self.frame(0).command(Command::SetMaxCurrent(current))))
             }
-            (Protocol::Nfv2, Setting::CurrentGains(gains)) => prefixed(read(
-                self.frame(0).command(Command::SetCurrentRegulator(gains)),
-            )),
-            (Protocol::HiMoxa, Setting::MaxCurrent(current)) => set(Parameter::MaxCurrent(current)),
-            // Unreachable: the configuration refuses gains in this protocol.
-            (Protocol::HiMoxa, Setting::CurrentGains(_)) => {
-                self.rest(ControllerMode::Manual, 1, false)
-            }
+            Protocol::HiMoxa => set(Parameter::MaxCurrent(current)),
         }
     }
 

@@ -43,8 +43,7 @@ impl Agreement {
         }
         Err(BringUpError::WrongScale {
             node,
-            index: self.object.index,
-            subindex: self.object.subindex,
+            object: self.object,
             found,
             per,
             expected: self.expected,
@@ -122,14 +121,9 @@ pub(super) fn of(axis: &AxisConfig) -> Vec<Agreement> {
     };
     let expected = (axis.rated_torque / unit).round() as u32;
     agreements.push(Agreement {
-        object: MOTOR_RATED_TORQUE,
-        divisor: None,
-        instead: false,
-        expected,
         // 1 %, or one unit of the object where 1 % is less.
         tolerance: (expected / 100).max(1),
-        what,
-        remedy: CORRECT_TORQUE,
+        ..ratio(MOTOR_RATED_TORQUE, None, expected, what, CORRECT_TORQUE)
     });
     agreements
 }

@@ -5,17 +5,16 @@ use std::time::Duration;
 use can::{Frame, Instant};
 use canopen::cia402::{Controlword, ModeOfOperation, PowerState, Statusword};
 use canopen::emcy::Emergency;
-use canopen::{NodeId, Object, nmt};
+use canopen::{NodeId, nmt};
 use master::power::{self, PowerStateMachine};
 
 use super::config::{AxisConfig, CyclicMode, GroupConfig};
 use super::homing::Search;
-use super::measurement::{Jump, Measurement};
-use super::mode::{ModeRequest, ModeSwitch};
+use super::measurement::Measurement;
 use super::process_data::{self, Answer};
-use super::service::Service;
-use super::setup::Setup;
-use super::target::{Target, TargetOrder};
+use super::program::MAXON;
+use super::service::{ModeSwitch, Service};
+use super::target::Target;
 use crate::{AxisCommand, AxisState, Fault, Increments, Permille, Power, Refusal};
 
 /// Answers until a controlword surely has its effect in the statusword. The drive latches the word at the next SYNC
@@ -32,7 +31,9 @@ pub(super) const ANSWERS_TO_EFFECT: u32 = 4;
 /// 4. [`command`](Self::command) and [`handed_over`](Self::handed_over).
 #[derive(Clone, Debug)]
 pub(super) struct CanAxis {
-    setup: Setup,
+    group: GroupConfig,
+    /// Without the objects that bring-up writes.
+    config: AxisConfig,
 
     state: AxisState,
     statusword: Statusword,
@@ -91,30 +92,35 @@ pub(super) struct Learnt {
 
 impl CanAxis {
     pub(super) fn new(group: &GroupConfig, axis: &AxisConfig) -> Self {
-        let setup = Setup::of(group, axis);
-        Self::started(setup, Instant::ZERO, Learnt::default())
+        let config = AxisConfig {
+            configuration: Vec::new(),
+            parameters: Vec::new(),
+            ..axis.clone()
+        };
+        Self::started(*group, config, Instant::ZERO, Learnt::default())
     }
 
     /// Starts operation after bring-up. The drive is not enabled, and its position is known before any controlword
     /// could enable it.
     pub(super) fn begin(&mut self, now: Instant, learnt: Learnt) {
-        let search = self.search;
-        *self = Self::started(self.setup, now, learnt);
-        self.search.doubt_as(&search);
+        // Bring-up neither resets nor checks the counter.
+        let doubted = self.search.doubted;
+        *self = Self::started(self.group, self.config.clone(), now, learnt);
+        self.search.doubted = doubted;
         if let Some(mode) = learnt.mode_shown {
             self.shows(mode);
         }
     }
 
-    fn started(setup: Setup, now: Instant, learnt: Learnt) -> Self {
+    fn started(group: GroupConfig, config: AxisConfig, now: Instant, learnt: Learnt) -> Self {
         let mut axis = Self {
-            setup,
+            group,
             state: AxisState {
                 at: now,
                 ..AxisState::default()
             },
             statusword: learnt.statusword,
-            measurement: Measurement::new(&setup, learnt.position),
+            measurement: Measurement::new(&group, &config, learnt.position),
             answered: false,
             not_sent: 0,
             error_code: learnt.error_code,
@@ -127,20 +133,28 @@ impl CanAxis {
             unsettled_since: None,
             power: PowerStateMachine::new(),
             search: Search::default(),
-            modes: ModeSwitch::settled(setup.mode.of_operation()),
+            modes: ModeSwitch::settled(config.mode.of_operation()),
             telling: false,
             unserved: false,
             held: false,
             target: Target::default(),
+            config,
         };
         axis.measurement.tell(&mut axis.state);
-        axis.search.answered(setup.homing_word(learnt.statusword));
+        let word = axis.homing_word(learnt.statusword);
+        axis.search.answered(word);
         axis.judge_power(PowerState::NotReadyToSwitchOn);
         axis
     }
 
+    /// The statusword without bit 15, unless the drive is maxon's: the meaning of this bit is vendor-specific.
+    fn homing_word(&self, word: Statusword) -> Statusword {
+        let told = self.config.identity.vendor == MAXON && word.epos_referenced();
+        word.with(Statusword::EPOS_REFERENCED, told)
+    }
+
     pub(super) fn node(&self) -> NodeId {
-        self.setup.node
+        self.config.node
     }
 
     pub(super) fn fault(&self) -> Option<Fault> {
@@ -149,7 +163,7 @@ impl CanAxis {
 
     /// A fault of the drive itself.
     pub(super) fn drive_fault(&self, code: u16) -> Fault {
-        let node = self.setup.node.raw();
+        let node = self.config.node.raw();
         Fault::Drive { node, code }
     }
 
@@ -164,38 +178,26 @@ impl CanAxis {
     pub(super) fn answered(&mut self, answer: Answer, sampled: Instant, at: Instant) {
         let before = self.statusword.power_state();
         self.statusword = answer.statusword;
-        self.search
-            .answered(self.setup.homing_word(answer.statusword));
+        self.search.answered(self.homing_word(answer.statusword));
         let search = self.search.may_set_counter();
-        let search_speed = search.then_some(self.setup.search_speed);
+        let search_speed = search.then_some(self.config.homing.search_speed);
         let position = answer.position;
         let taken = self.measurement.take(position, sampled, at, search_speed);
-        if let Err(Jump {
-            moved,
-            most,
-            within,
-        }) = taken
-        {
-            self.search.doubt();
-            let node = self.setup.node.raw();
-            self.latch(Fault::Implausible {
-                node,
-                moved,
-                most,
-                within,
-            });
+        if let Err(jump) = taken {
+            self.search.doubted = true;
+            self.latch(jump);
         }
         self.measurement.tell(&mut self.state);
         self.state.at = at;
         self.state.torque = self
-            .setup
+            .config
             .scale
-            .torque(answer.torque, self.setup.rated_torque);
+            .torque(answer.torque, self.config.rated_torque);
         self.judge_power(before);
     }
 
     fn judge_power(&mut self, before: PowerState) {
-        let node = self.setup.node.raw();
+        let node = self.config.node.raw();
         let dropped = before == PowerState::OperationEnabled
             && self.goal == Goal::On
             && self.answers > ANSWERS_TO_EFFECT;
@@ -239,9 +241,9 @@ impl CanAxis {
     pub(super) fn shows(&mut self, found: ModeOfOperation) {
         let settled = self.modes.settled_in().filter(|_| !self.telling);
         if let Some(expected) = settled.filter(|expected| *expected != found) {
-            self.modes.overruled(found);
+            self.modes = ModeSwitch::settled(found);
             self.latch(Fault::ModeChanged {
-                node: self.setup.node.raw(),
+                node: self.config.node.raw(),
                 expected,
                 found,
             });
@@ -269,7 +271,7 @@ impl CanAxis {
     /// left the state operational. `due` is true if the last cycle had to send a SYNC. Returns the state and whether
     /// the answer is missing.
     pub(super) fn end_of_read(&mut self, now: Instant, due: bool) -> (AxisState, bool) {
-        let node = self.setup.node.raw();
+        let node = self.config.node.raw();
         let missing = due && !self.answered;
         if self.answered {
             self.state.age = 0;
@@ -287,19 +289,19 @@ impl CanAxis {
             self.latch(Fault::LeftOperational { node });
         }
         // Checked before silence, because dropped set-points may cause the silence.
-        if self.not_sent > self.setup.tolerated_missing {
+        if self.not_sent > self.group.tolerated_missing {
             self.latch(Fault::NotSent {
                 node,
                 cycles: self.not_sent,
             });
         }
-        if self.state.age > self.setup.tolerated_missing {
+        if self.state.age > self.group.tolerated_missing {
             self.latch(Fault::Silent {
                 node,
                 cycles: self.state.age,
             });
         }
-        if waited > self.setup.heartbeat_lost_after {
+        if waited > self.group.heartbeat_lost_after() {
             self.latch(Fault::HeartbeatLost { node, waited });
         }
         self.state.power = self.power();
@@ -338,7 +340,7 @@ impl CanAxis {
             && self.state.fault.is_none()
             && !self.search.needs_homing_mode()
             && !self.telling
-            && self.modes.is(self.setup.mode.of_operation())
+            && self.modes.is(self.config.mode.of_operation())
     }
 
     /// Converts the set-point of a command to the drive's units; `None` for a command without a set-point. An error
@@ -353,13 +355,7 @@ impl CanAxis {
         if self.state.fault.is_some() {
             return Ok(None);
         }
-        let Setup {
-            mode,
-            scale,
-            rated_torque,
-            ..
-        } = &self.setup;
-        let target = Target::of(setpoint, *mode, scale, *rated_torque)?;
+        let target = Target::of(setpoint, &self.config)?;
         if self.state.power != Power::On {
             return Err(Refusal::NotOn);
         }
@@ -369,25 +365,28 @@ impl CanAxis {
     /// Latches that no SYNC was sent for so long that the drive braked by itself. A controlword that enables the drive
     /// would make it follow an old target, so the drive gets a quick stop instead.
     pub(super) fn left_alone(&mut self, waited: Duration) {
-        let node = self.setup.node.raw();
+        let node = self.config.node.raw();
         self.latch(Fault::HostLate { node, waited });
     }
 
     pub(super) fn refuse(&mut self, refusal: Refusal) {
         self.latch(Fault::Refused {
-            node: self.setup.node.raw(),
+            node: self.config.node.raw(),
             refusal,
         });
     }
 
-    /// Takes the command of this cycle.
-    pub(super) fn command(&mut self, order: TargetOrder, now: Instant) -> Frame {
-        let TargetOrder {
-            command,
-            setpoint,
-            hold,
-            watched,
-        } = order;
+    /// Takes the command of this cycle. `setpoint` is the result of [`check`](Self::check). `hold` keeps the target of
+    /// the last cycle, because another axis refused its own. `watched` says that the drives have been sent a heartbeat,
+    /// whose absence they would notice.
+    pub(super) fn command(
+        &mut self,
+        command: AxisCommand,
+        setpoint: Option<Target>,
+        hold: bool,
+        watched: bool,
+        now: Instant,
+    ) -> Frame {
         if command == AxisCommand::ResetFault {
             self.reset();
         }
@@ -424,7 +423,7 @@ impl CanAxis {
                 .controlword(self.power.step(self.statusword, goal)),
             _ => self.power.step(self.statusword, goal),
         };
-        process_data::encode(self.setup.node, self.setup.mode, word, self.target)
+        process_data::encode(self.config.node, self.config.mode, word, self.target)
     }
 
     /// Notes whether the port took the frame from [`command`](Self::command) and the SYNC before it.
@@ -470,7 +469,7 @@ impl CanAxis {
     /// Chooses the target. As long as the drive does not act on the target, the target follows the measured position,
     /// so enabling moves nothing. Once the drive acts on the target, only set-points change it.
     fn aim(&mut self, command: AxisCommand, setpoint: Option<Target>, hold: bool, powered: bool) {
-        let holding = powered && self.modes.is(self.setup.mode.of_operation());
+        let holding = powered && self.modes.is(self.config.mode.of_operation());
         if !(holding && self.held) {
             self.target = self.resting_target().into();
         }
@@ -491,13 +490,13 @@ impl CanAxis {
         if self.rests_at_zero() {
             0
         } else {
-            self.measurement.reported().0
+            self.measurement.reported.0
         }
     }
 
     /// Whether the axis stands by a velocity or torque of zero instead of a held position.
     fn rests_at_zero(&self) -> bool {
-        match self.setup.mode {
+        match self.config.mode {
             CyclicMode::Csp | CyclicMode::CspWithTorque => false,
             CyclicMode::Csv | CyclicMode::Cst => true,
         }
@@ -507,7 +506,7 @@ impl CanAxis {
         if self.search.needs_homing_mode() {
             ModeOfOperation::Homing
         } else {
-            self.setup.mode.of_operation()
+            self.config.mode.of_operation()
         }
     }
 
@@ -534,8 +533,8 @@ impl CanAxis {
             return;
         }
         let waited = now.since(*self.unsettled_since.get_or_insert(now));
-        if waited > self.setup.transition_timeout {
-            let (node, statusword) = (self.setup.node.raw(), self.statusword.0);
+        if waited > self.group.transition_timeout {
+            let (node, statusword) = (self.config.node.raw(), self.statusword.0);
             self.latch(Fault::Stuck {
                 node,
                 statusword,
@@ -557,36 +556,35 @@ impl CanAxis {
             return None;
         }
         let request = self.modes.next(self.wanted_mode())?;
+        let tells = matches!(request, Service::Tell(_));
         let braking = self.goal == Goal::Stopped
             && matches!(
                 self.statusword.power_state(),
                 PowerState::OperationEnabled | PowerState::QuickStopActive
             );
         // CiA 402 leaves open what a change of mode does to a drive that brakes.
-        if braking && matches!(request, ModeRequest::Tell(_)) {
+        if braking && tells {
             return None;
         }
-        self.telling = matches!(request, ModeRequest::Tell(_));
-        Some(Service::Mode(request))
+        self.telling = tells;
+        Some(request)
     }
 
     /// Takes the answer to a service request: the value of the object, or the abort code.
     pub(super) fn served(&mut self, service: Service, result: Result<u32, u32>) {
         match (service, result) {
-            (Service::Mode(ModeRequest::Tell(mode)), Ok(_)) => self.modes.taken(mode),
-            (Service::Mode(ModeRequest::Look), Ok(value)) => {
+            (Service::Tell(mode), Ok(_)) => self.modes.taken(mode),
+            (Service::Look, Ok(value)) => {
                 self.modes.seen(ModeOfOperation::from_raw(value as i8));
             }
             (Service::ErrorCode, Ok(code @ 1..)) => self.name_fault(code as u16),
             // The drive has a fault but reports no error code.
             (Service::ErrorCode, Ok(0)) => self.unserved = true,
-            (Service::Mode(_) | Service::ErrorCode, Err(code)) => {
-                let Object { index, subindex } = service.object();
+            (_, Err(code)) => {
                 self.unserved = true;
                 self.latch(Fault::Aborted {
-                    node: self.setup.node.raw(),
-                    index,
-                    subindex,
+                    node: self.config.node.raw(),
+                    object: service.object(),
                     code,
                 });
             }

@@ -10,7 +10,7 @@ use master::sdo::{Client, SdoError, Transfer};
 use super::axis::Learnt;
 use super::config::{AxisConfig, ConfigError, GroupConfig, Setting};
 use super::process_data;
-use super::program::{Step, program};
+use super::program::{Need, Step, program};
 use crate::{BringUpError, Increments};
 
 /// Greatest number of boots of a node in one bring-up. A node that boots again has failed to boot.
@@ -35,7 +35,7 @@ pub(super) struct NodeBringUp {
     configuration: Vec<Setting>,
     phase: Phase,
     boots: u8,
-    learnt: Learnt,
+    pub(super) learnt: Learnt,
     /// Value of the last agreement's object, kept while its divisor is read.
     value: Option<u32>,
     /// Whether the drive has the object of the last agreement, or its last limit suffices.
@@ -52,18 +52,34 @@ enum Phase {
         booted: bool,
         asked: bool,
     },
-    /// `asked`: the request of the current step is under way since `since`.
-    Configuring {
-        step: usize,
-        reading_back: bool,
-        asked: bool,
-        since: Instant,
-    },
+    Configuring(Progress),
     Configured,
     Starting {
         since: Instant,
     },
     Operational,
+}
+
+/// Progress through the program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Progress {
+    step: usize,
+    reading_back: bool,
+    /// The request of this step is under way.
+    asked: bool,
+    /// When this step began.
+    since: Instant,
+}
+
+impl Progress {
+    fn at(step: usize, now: Instant) -> Self {
+        Self {
+            step,
+            reading_back: false,
+            asked: false,
+            since: now,
+        }
+    }
 }
 
 impl NodeBringUp {
@@ -106,10 +122,6 @@ impl NodeBringUp {
         self.phase == Phase::Operational
     }
 
-    pub(super) fn learnt(&self) -> Learnt {
-        self.learnt
-    }
-
     /// Takes the mode of operation that the drive reported unasked. A drive reports none before its start.
     pub(super) fn shows(&mut self, mode: ModeOfOperation) {
         if matches!(self.phase, Phase::Starting { .. } | Phase::Operational) {
@@ -125,19 +137,19 @@ impl NodeBringUp {
             (Phase::Operational, state) if state != nmt::NmtState::Operational => {
                 self.phase = Phase::Starting { since: now };
             }
-            (Phase::Booting { since, .. }, nmt::NmtState::Initialising) => {
+            (
+                Phase::Booting { .. } | Phase::Configuring(_) | Phase::Configured,
+                nmt::NmtState::Initialising,
+            ) => {
                 sdo.reset();
+                let since = if let Phase::Booting { since, .. } = self.phase {
+                    since
+                } else {
+                    self.boots += 1;
+                    now
+                };
                 self.phase = Phase::Booting {
                     since,
-                    booted: true,
-                    asked: false,
-                };
-            }
-            (Phase::Configuring { .. } | Phase::Configured, nmt::NmtState::Initialising) => {
-                sdo.reset();
-                self.boots += 1;
-                self.phase = Phase::Booting {
-                    since: now,
                     booted: true,
                     asked: false,
                 };
@@ -161,6 +173,11 @@ impl NodeBringUp {
                 asked,
             } => {
                 let waited = now.since(since);
+                let booting = |asked| Phase::Booting {
+                    since,
+                    booted,
+                    asked,
+                };
                 if waited > self.group.boot_timeout || self.boots > BOOTS {
                     return Err(BringUpError::NeverBooted { node, waited });
                 }
@@ -168,55 +185,36 @@ impl NodeBringUp {
                     match result.and_then(|transfer| transfer.number::<u32>()) {
                         Ok(device_type) if device_type & 0xFFFF == PROFILE_402 => {
                             self.unwatched = false;
-                            self.phase = Phase::Configuring {
-                                step: 0,
-                                reading_back: false,
-                                asked: false,
-                                since: now,
-                            };
+                            self.phase = Phase::Configuring(Progress::at(0, now));
                             return self.advance(sdo, now);
                         }
                         Ok(device_type) => {
                             return Err(BringUpError::NotADrive { node, device_type });
                         }
                         // The node may still boot; the boot time-out decides.
-                        Err(_) => {
-                            self.phase = Phase::Booting {
-                                since,
-                                booted,
-                                asked: false,
-                            }
-                        }
+                        Err(_) => self.phase = booting(false),
                     }
                 } else if !asked && (booted || waited >= self.group.sdo_timeout) {
-                    self.phase = Phase::Booting {
-                        since,
-                        booted,
-                        asked: true,
-                    };
+                    self.phase = booting(true);
                     begin(sdo, DEVICE_TYPE, None, now);
                 }
                 Ok(())
             }
-            Phase::Configuring {
-                step,
-                reading_back,
-                asked,
-                since,
-            } => {
+            Phase::Configuring(progress) => {
+                let Progress {
+                    step,
+                    reading_back,
+                    asked,
+                    since,
+                } = progress;
                 let Some(current) = self.program.get(step).copied() else {
                     self.phase = Phase::Configured;
                     return Ok(());
                 };
                 let left_out = self.agreed && current.instead()
-                    || self.unwatched && matches!(current, Step::Watch(_));
+                    || self.unwatched && matches!(current, Step::Set(_, Need::Watch));
                 if !asked && left_out {
-                    self.phase = Phase::Configuring {
-                        step: step + 1,
-                        reading_back: false,
-                        asked: false,
-                        since: now,
-                    };
+                    self.phase = Phase::Configuring(Progress::at(step + 1, now));
                     return self.advance(sdo, now);
                 }
                 if !asked {
@@ -231,38 +229,28 @@ impl NodeBringUp {
                             begin(sdo, current.object(), write, now);
                         }
                     }
-                    self.phase = Phase::Configuring {
-                        step,
-                        reading_back,
+                    self.phase = Phase::Configuring(Progress {
                         asked: true,
-                        since,
-                    };
+                        ..progress
+                    });
                     return Ok(());
                 }
                 let Some(result) = sdo.poll() else {
                     return Ok(());
                 };
                 let next = self.judge(current, reading_back, result, now.since(since))?;
-                self.phase = match next {
-                    Next::ReadBack => Phase::Configuring {
-                        step,
+                self.phase = Phase::Configuring(match next {
+                    Next::ReadBack => Progress {
                         reading_back: true,
                         asked: false,
-                        since,
+                        ..progress
                     },
-                    Next::Again => Phase::Configuring {
-                        step,
-                        reading_back,
+                    Next::Again => Progress {
                         asked: false,
-                        since,
+                        ..progress
                     },
-                    Next::Step => Phase::Configuring {
-                        step: step + 1,
-                        reading_back: false,
-                        asked: false,
-                        since: now,
-                    },
-                };
+                    Next::Step => Progress::at(step + 1, now),
+                });
                 self.advance(sdo, now)
             }
             Phase::Starting { since } => {
@@ -285,40 +273,24 @@ impl NodeBringUp {
         waited: std::time::Duration,
     ) -> Result<Next, BringUpError> {
         let node = self.node.raw();
-        let absent = matches!(
-            result,
-            Err(SdoError::Aborted {
-                code: AbortCode::NO_OBJECT | AbortCode::NO_SUBINDEX,
-                ..
-            })
-        );
-        let unmapped = !reading_back
-            && matches!(
-                result,
-                Err(SdoError::Aborted {
-                    code: AbortCode::NO_OBJECT
-                        | AbortCode::NO_SUBINDEX
-                        | AbortCode::NOT_MAPPABLE
-                        | AbortCode::READ_ONLY
-                        | AbortCode::ACCESS,
-                    ..
-                })
-            );
-        let read_only = matches!(
-            result,
-            Err(SdoError::Aborted {
-                code: AbortCode::READ_ONLY,
-                ..
-            })
-        );
+        let abort = match &result {
+            Err(SdoError::Aborted { code, .. }) => Some(*code),
+            _ => None,
+        };
+        let absent = matches!(abort, Some(AbortCode::NO_OBJECT | AbortCode::NO_SUBINDEX));
+        let read_only = abort == Some(AbortCode::READ_ONLY);
+        let closed = matches!(abort, Some(AbortCode::NOT_MAPPABLE | AbortCode::ACCESS));
+        let unmapped = !reading_back && (absent || read_only || closed);
         match step {
-            Step::Watch(write) if unmapped => {
+            Step::Set(write, Need::Watch) if unmapped => {
                 // A drive that lacks a timer can map its mode all the same.
                 self.unwatched = !process_data::is_timer(write.object);
                 return Ok(Next::Step);
             }
-            Step::SetIfPresent(_) if absent => return Ok(Next::Step),
-            Step::SetIfPresent(_) if read_only && !reading_back => return Ok(Next::ReadBack),
+            Step::Set(_, Need::Optional) if absent => return Ok(Next::Step),
+            Step::Set(_, Need::Optional) if read_only && !reading_back => {
+                return Ok(Next::ReadBack);
+            }
             Step::AtLeast(..) if absent => {
                 self.agreed = true;
                 return Ok(Next::Step);
@@ -379,11 +351,7 @@ impl NodeBringUp {
             Step::AtLeast(_, least) => {
                 self.agreed = transfer.number::<u32>().map_err(error)? >= least;
             }
-            Step::Set(_) | Step::SetIfPresent(_) | Step::Raise(_) | Step::Watch(_)
-                if !reading_back =>
-            {
-                return Ok(Next::ReadBack);
-            }
+            Step::Set(..) if !reading_back => return Ok(Next::ReadBack),
             Step::Configure(_, number) if !reading_back => {
                 return Ok(if self.configuration[number].readable {
                     Next::ReadBack
@@ -399,10 +367,7 @@ impl NodeBringUp {
                     transfer,
                 )?;
             }
-            Step::Set(write)
-            | Step::SetIfPresent(write)
-            | Step::Raise(write)
-            | Step::Watch(write) => {
+            Step::Set(write, _) => {
                 compare(self.node, write.object, write.data.data(), transfer)?;
             }
             Step::Shown(mode) => {
@@ -411,13 +376,10 @@ impl NodeBringUp {
                     if waited <= self.group.transition_timeout {
                         return Ok(Next::Again);
                     }
-                    let Object { index, subindex } = MODE_OF_OPERATION_DISPLAY;
-                    let (written, found) = (mode.raw() as u8, found as u8);
-                    let (written, found) = (u32::from(written), u32::from(found));
+                    let [written, found] = [mode.raw(), found].map(|mode| u32::from(mode as u8));
                     return Err(BringUpError::ReadBack {
                         node,
-                        index,
-                        subindex,
+                        object: MODE_OF_OPERATION_DISPLAY,
                         written,
                         found,
                     });
@@ -444,7 +406,6 @@ impl NodeBringUp {
 fn compare(node: NodeId, object: Object, wrote: &[u8], read: Transfer) -> Result<(), BringUpError> {
     let found = read.data;
     let node = node.raw();
-    let Object { index, subindex } = object;
     let number_like = (1..=4).contains(&wrote.len()) && found.len() <= 4;
     if read.agrees_with(wrote) {
         Ok(())
@@ -452,8 +413,7 @@ fn compare(node: NodeId, object: Object, wrote: &[u8], read: Transfer) -> Result
         let (written, found) = (number(wrote), number(found));
         Err(BringUpError::ReadBack {
             node,
-            index,
-            subindex,
+            object,
             written,
             found,
         })
@@ -461,8 +421,7 @@ fn compare(node: NodeId, object: Object, wrote: &[u8], read: Transfer) -> Result
         let same = wrote.iter().zip(found).take_while(|(a, b)| a == b).count();
         Err(BringUpError::ReadBackBytes {
             node,
-            index,
-            subindex,
+            object,
             written: wrote.len(),
             found: found.len(),
             same,
@@ -485,27 +444,16 @@ pub(super) fn begin(sdo: &mut Client, object: Object, write: Option<Write>, now:
     started.expect("the client is idle and four bytes fit it");
 }
 
-/// The abort code of the error, whichever side ended the transfer.
-pub(super) fn abort_code(error: SdoError) -> (Object, AbortCode) {
-    (error.object(), error.abort_code())
-}
-
 fn error_of(node: NodeId, error: SdoError) -> BringUpError {
-    let (Object { index, subindex }, AbortCode(code)) = abort_code(error);
+    let (object, AbortCode(code)) = (error.object(), error.abort_code());
     let node = node.raw();
     match error {
         SdoError::TimedOut { waited, .. } => BringUpError::TimedOut {
             node,
-            index,
-            subindex,
+            object,
             waited,
         },
-        _ => BringUpError::Aborted {
-            node,
-            index,
-            subindex,
-            code,
-        },
+        _ => BringUpError::Aborted { node, object, code },
     }
 }
 

@@ -1,6 +1,5 @@
 //! Configuration of a drive group and its axes, and the checks made before the first frame.
 
-use std::fmt;
 use std::time::Duration;
 
 use canopen::cia402::ModeOfOperation;
@@ -120,10 +119,8 @@ pub struct HomingConfig {
 /// A value of an object of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Parameter {
-    /// Object index.
-    pub index: u16,
-    /// Sub-index.
-    pub subindex: u8,
+    /// The object.
+    pub object: Object,
     /// The value; for a signed object the two's complement, truncated to `size`.
     pub value: u32,
     /// Bytes of the object: 1, 2 or 4.
@@ -133,26 +130,12 @@ pub struct Parameter {
 /// A value of any length of an object of a drive.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Setting {
-    /// Object index.
-    pub index: u16,
-    /// Sub-index.
-    pub subindex: u8,
+    /// The object.
+    pub object: Object,
     /// The value in wire format, up to [`CAPACITY`] bytes.
     pub data: Vec<u8>,
     /// The object can be read; bring-up then reads it back.
     pub readable: bool,
-}
-
-impl Setting {
-    pub(super) fn object(&self) -> Object {
-        Object::new(self.index, self.subindex)
-    }
-}
-
-impl Parameter {
-    pub(super) fn object(&self) -> Object {
-        Object::new(self.index, self.subindex)
-    }
 }
 
 /// Why a configuration is refused.
@@ -171,14 +154,12 @@ pub enum ConfigError {
     #[error("a heartbeat period of {0:?} is not 1 to 21845 whole milliseconds")]
     HeartbeatPeriod(Duration),
     /// A setting that cannot or must not be written.
-    #[error("node {node}: {index:#06x}:{subindex:02x} cannot be configured: {why}")]
+    #[error("node {node}: {object} cannot be configured: {why}")]
     Setting {
         /// Node-ID.
         node: u8,
-        /// Object index.
-        index: u16,
-        /// Sub-index.
-        subindex: u8,
+        /// The object.
+        object: Object,
         /// Why.
         why: &'static str,
     },
@@ -193,39 +174,32 @@ pub enum ConfigError {
 }
 
 /// A quantity of an axis that the drive holds in its own unit and integer size.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Quantity {
     /// [`AxisConfig::rated_torque`].
+    #[error("rated torque")]
     RatedTorque,
     /// [`AxisConfig::plausible_velocity`].
+    #[error("plausible velocity")]
     PlausibleVelocity,
     /// [`Parameter::size`].
+    #[error("parameter size")]
     ParameterSize,
     /// [`AxisConfig::following_error`].
+    #[error("following error")]
     FollowingError,
     /// [`AxisConfig::quick_stop_deceleration`].
+    #[error("quick stop deceleration")]
     QuickStopDeceleration,
     /// [`HomingConfig::search_speed`].
+    #[error("homing search speed")]
     SearchSpeed,
     /// [`HomingConfig::zero_speed`].
+    #[error("homing zero speed")]
     ZeroSpeed,
     /// [`HomingConfig::acceleration`].
+    #[error("homing acceleration")]
     HomingAcceleration,
-}
-
-impl fmt::Display for Quantity {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::RatedTorque => "rated torque",
-            Self::PlausibleVelocity => "plausible velocity",
-            Self::ParameterSize => "parameter size",
-            Self::FollowingError => "following error",
-            Self::QuickStopDeceleration => "quick stop deceleration",
-            Self::SearchSpeed => "homing search speed",
-            Self::ZeroSpeed => "homing zero speed",
-            Self::HomingAcceleration => "homing acceleration",
-        })
-    }
 }
 
 impl CyclicMode {
@@ -297,12 +271,11 @@ impl AxisConfig {
     fn check_writes(&self) -> Result<(), ConfigError> {
         let refusal = |object: Object, why| ConfigError::Setting {
             node: self.node.raw(),
-            index: object.index,
-            subindex: object.subindex,
+            object,
             why,
         };
-        let settings = self.configuration.iter().map(Setting::object);
-        let mut objects = settings.chain(self.parameters.iter().map(Parameter::object));
+        let settings = self.configuration.iter().map(|setting| setting.object);
+        let mut objects = settings.chain(self.parameters.iter().map(|parameter| parameter.object));
         if let Some(error) = objects.find_map(|object| {
             let found = reserved(self.identity.vendor, object.index, object.subindex)?;
             Some(refusal(object, found.why()))
@@ -311,7 +284,7 @@ impl AxisConfig {
         }
         let mut settings = self.configuration.iter();
         match settings.find(|setting| setting.data.len() > CAPACITY) {
-            Some(long) => Err(refusal(long.object(), "256 bytes at most are transferred")),
+            Some(long) => Err(refusal(long.object, "256 bytes at most are transferred")),
             None => Ok(()),
         }
     }

@@ -25,7 +25,7 @@ pub(super) struct Search {
     /// Bit 15 of the last statusword: EPOS drives keep their reference while they are powered.
     kept: bool,
     /// The counter jumped. The axis has no reference until the next search, even if the drive reports one.
-    doubted: bool,
+    pub(super) doubted: bool,
     /// Number of further answers in which the drive may still set its counter, as the end of a search does.
     may_set_counter: u32,
 }
@@ -124,16 +124,6 @@ impl Search {
                 }
             }
         }
-    }
-
-    /// Notes that the counter jumped.
-    pub(super) fn doubt(&mut self) {
-        self.doubted = true;
-    }
-
-    /// Keeps the doubt from before a bring-up, because bring-up neither resets nor checks the counter.
-    pub(super) fn doubt_as(&mut self, before: &Self) {
-        self.doubted = before.doubted;
     }
 
     /// Whether the drive may set its counter. A drive continues its search until the controlword that ends it takes

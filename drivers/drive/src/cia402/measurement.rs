@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use can::Instant;
 
-use super::setup::Setup;
-use crate::{AxisState, Increments, Scale};
+use super::config::{AxisConfig, GroupConfig};
+use crate::{AxisState, Fault, Increments, Scale};
 
 /// Greatest error of a displacement from rounding both positions, increments.
 const ROUNDING: f64 = 2.0;
@@ -19,38 +19,30 @@ const SHORTEST: u32 = 2;
 /// Position and velocity of the last plausible sample.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Measurement {
+    /// Node-ID of the drive.
+    node: u8,
     scale: Scale,
     /// Greatest possible speed of the motor, increments/s.
     fastest: f64,
     /// Shortest time that the check allows for a displacement.
     shortest: Duration,
     increments: Increments,
-    /// The last reported position, plausible or not.
-    reported: Increments,
+    /// The last position as the drive counts it, plausible or not.
+    pub(super) reported: Increments,
     velocity: f64,
     /// Time at which the SYNC of that sample was sent.
     sampled: Option<Instant>,
 }
 
-/// An impossible change of position.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Jump {
-    /// Increments from the last plausible position.
-    pub(super) moved: i32,
-    /// Greatest possible displacement of the motor, increments.
-    pub(super) most: u32,
-    /// Longest time that may have passed for the motor.
-    pub(super) within: Duration,
-}
-
 impl Measurement {
     /// A motor at `increments` before the first answer.
-    pub(super) fn new(setup: &Setup, increments: Increments) -> Self {
-        let Setup { scale, period, .. } = *setup;
+    pub(super) fn new(group: &GroupConfig, axis: &AxisConfig, increments: Increments) -> Self {
+        let scale = axis.scale;
         Self {
+            node: axis.node.raw(),
             scale,
-            fastest: setup.plausible_velocity * scale.increments_per_radian().abs(),
-            shortest: SHORTEST * period,
+            fastest: axis.plausible_velocity * scale.increments_per_radian().abs(),
+            shortest: SHORTEST * group.period,
             increments,
             reported: increments,
             velocity: 0.0,
@@ -59,7 +51,7 @@ impl Measurement {
     }
 
     /// Takes the position sampled by the SYNC sent at `sampled` and received at `at`. `search_speed` is given during a
-    /// search for the reference. A jump is refused: position and velocity keep their values.
+    /// search for the reference. A jump is refused and returned as a fault: position and velocity keep their values.
     ///
     /// Velocity is the difference of two positions over the time between the SYNCs that sampled them. That time is
     /// longer than a period where an answer or a cycle was missed. The resolution is one increment per period.
@@ -73,7 +65,7 @@ impl Measurement {
         sampled: Instant,
         at: Instant,
         search_speed: Option<f64>,
-    ) -> Result<(), Jump> {
+    ) -> Result<(), Fault> {
         self.reported = position;
         if let Some(before) = self.sampled {
             let moved = position.0.wrapping_sub(self.increments.0);
@@ -82,10 +74,10 @@ impl Measurement {
             let most = self.fastest * within.as_secs_f64() + ROUNDING;
             // During a search, the drive sets the counter.
             if search_speed.is_none() && f64::from(moved).abs() > most {
-                let most = most as u32;
-                return Err(Jump {
+                return Err(Fault::Implausible {
+                    node: self.node,
                     moved,
-                    most,
+                    most: most as u32,
                     within,
                 });
             }
@@ -100,11 +92,6 @@ impl Measurement {
         self.sampled = Some(sampled);
         self.increments = position;
         Ok(())
-    }
-
-    /// The position as the drive counts it, even after a jump.
-    pub(super) fn reported(&self) -> Increments {
-        self.reported
     }
 
     /// Copies position and velocity to `state`.

@@ -50,7 +50,6 @@ mod bring_up;
 mod config;
 mod homing;
 mod measurement;
-mod mode;
 mod other_controller;
 mod own_heartbeat;
 mod process_data;
@@ -58,7 +57,6 @@ mod program;
 mod recording;
 mod reserved;
 mod service;
-mod setup;
 mod target;
 mod traffic;
 
@@ -85,7 +83,7 @@ pub use other_controller::Sign;
 pub use process_data::pdo_setups;
 pub use recording::Recording;
 pub use reserved::{Reserved, reserved};
-pub use traffic::Traffic;
+pub use traffic::{Traffic, traffic};
 
 #[cfg(doc)]
 use crate::Power;
@@ -97,7 +95,7 @@ use bring_up::NodeBringUp;
 use own_heartbeat::OwnHeartbeat;
 use process_data::Answer;
 use service::Service;
-use target::{Target, TargetOrder};
+use target::Target;
 
 /// Greatest number of SDO frames sent by one call of bring-up. A transmit queue of ten has room for them.
 const SDO_FRAMES_PER_CALL: usize = 8;
@@ -223,11 +221,6 @@ impl<P: Port> Cia402Group<P> {
             warnings: Warnings::with_room(),
             up_since: Instant::ZERO,
         })
-    }
-
-    /// Frames that a group of this configuration exchanges on its bus during operation.
-    pub fn traffic(config: &GroupConfig, axes: &[AxisConfig]) -> Vec<Traffic> {
-        traffic::of(config, axes)
     }
 
     fn node(&mut self, node: NodeId) -> Option<&mut Node> {
@@ -429,7 +422,7 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
                 self.up_since = now;
                 self.warnings.clear();
                 for node in &mut self.nodes {
-                    node.axis.begin(now, node.bring_up.learnt());
+                    node.axis.begin(now, node.bring_up.learnt);
                     node.fault = None;
                 }
                 Poll::Ready(Ok(()))
@@ -458,9 +451,6 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         if self.port.state() == ControllerState::BusOff {
             self.latch_all(Fault::BusOff);
         }
-        let Syncs {
-            attempted, sent, ..
-        } = self.syncs;
         let alone = self.syncs.last.map(|last| now.since(last));
         let lost_after = self.config.heartbeat_lost_after();
         let alone = alone.filter(|waited| *waited > lost_after);
@@ -474,13 +464,13 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
             }
             node.finish_service(now);
             let before = node.fault;
-            let (read, missing) = node.axis.end_of_read(now, attempted);
+            let (read, missing) = node.axis.end_of_read(now, self.syncs.attempted);
             *state = read;
             node.fault = read.fault;
             if let Some(Fault::Drive { node, code }) = read.fault.filter(|_| read.fault != before) {
                 self.warnings.explain(node, code);
             }
-            self.counters.missed_answers += u64::from(missing && sent);
+            self.counters.missed_answers += u64::from(missing && self.syncs.sent);
         }
         self.syncs.attempted = false;
     }
@@ -501,13 +491,10 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         self.batch.push(Sync::default().encode());
         let watched = self.heartbeat.is_watched();
         for (node, &command) in self.nodes.iter_mut().zip(commands) {
-            let order = TargetOrder {
-                command,
-                setpoint: node.setpoint,
-                hold: refused,
-                watched,
-            };
-            self.batch.push(node.axis.command(order, now));
+            let frame = node
+                .axis
+                .command(command, node.setpoint, refused, watched, now);
+            self.batch.push(frame);
             node.start_service(now);
         }
     }
@@ -587,7 +574,7 @@ impl Node {
         };
         let value = result
             .map(|transfer| bring_up::number(transfer.data))
-            .map_err(|error| bring_up::abort_code(error).1.0);
+            .map_err(|error| error.abort_code().0);
         self.axis.served(service, value);
     }
 }

@@ -3,36 +3,28 @@
 //! Drives follow SYNC and set-points from any sender, and accept any heartbeat under the host's node-ID. NMT commands
 //! and service requests are not signs of a second controller, because service tools may send them beside a controller.
 
-use std::fmt;
-
 use can::Frame;
 use canopen::{NodeId, cob};
+use thiserror::Error;
 
 /// A received frame that only the controller of a bus sends.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Sign {
     /// SYNC.
+    #[error("SYNC")]
     Sync,
     /// The heartbeat of the host's own node-ID.
+    #[error("the heartbeat of node {node}")]
     Heartbeat {
         /// Node-ID of the host.
         node: u8,
     },
     /// An RPDO of one of our drives.
+    #[error("a set-point of node {node}")]
     Setpoint {
         /// Node-ID of the drive.
         node: u8,
     },
-}
-
-impl fmt::Display for Sign {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Sync => f.write_str("SYNC"),
-            Self::Heartbeat { node } => write!(f, "the heartbeat of node {node}"),
-            Self::Setpoint { node } => write!(f, "a set-point of node {node}"),
-        }
-    }
 }
 
 impl Sign {

@@ -38,16 +38,10 @@ pub(super) enum Step {
     Agree(Agreement),
     /// Writes this setting of [`AxisConfig::configuration`], and reads it back if the object is readable.
     Configure(Object, usize),
-    /// Writes and reads back.
-    Set(Write),
-    /// Writes and reads back. A drive without the object is accepted.
-    SetIfPresent(Write),
-    /// Read a limit; a drive without it, or with at least this much, leaves out the next [`Raise`](Self::Raise).
+    /// Reads a limit. A drive without the object, or with at least this much, skips the next [`Need::Limit`].
     AtLeast(Object, u32),
-    /// Write the limit, and read it back.
-    Raise(Write),
-    /// Write, and read back, for the watch of the mode of operation; a drive that cannot map its mode has no watch.
-    Watch(Write),
+    /// Writes and reads back.
+    Set(Write, Need),
     /// Object 0x6061 must come to show this mode.
     Shown(ModeOfOperation),
     /// Reads object 0x6041.
@@ -56,6 +50,19 @@ pub(super) enum Step {
     Position,
     /// Reads object 0x603F, used if the drive is in fault.
     ErrorCode,
+}
+
+/// What the absence of an object of [`Step::Set`] means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Need {
+    /// The drive is refused.
+    Required,
+    /// The drive is accepted.
+    Optional,
+    /// The drive is refused, unless the last [`Step::AtLeast`] found no limit to raise.
+    Limit,
+    /// The drive is accepted, and its mode of operation is not watched.
+    Watch,
 }
 
 impl Step {
@@ -67,10 +74,7 @@ impl Step {
             Self::Modes(_) => SUPPORTED_MODES,
             Self::Value(agreement) => agreement.object,
             Self::Agree(agreement) => agreement.divisor.unwrap_or(agreement.object),
-            Self::Set(write)
-            | Self::SetIfPresent(write)
-            | Self::Raise(write)
-            | Self::Watch(write) => write.object,
+            Self::Set(write, _) => write.object,
             Self::Shown(_) => MODE_OF_OPERATION_DISPLAY,
             Self::Statusword => STATUSWORD,
             Self::Position => POSITION_ACTUAL,
@@ -82,7 +86,7 @@ impl Step {
     pub(super) fn instead(&self) -> bool {
         match self {
             Self::Value(agreement) | Self::Agree(agreement) => agreement.instead,
-            Self::Raise(_) => true,
+            Self::Set(_, Need::Limit) => true,
             _ => false,
         }
     }
@@ -90,10 +94,7 @@ impl Step {
     /// The number to write; `None` for a setting or a read.
     pub(super) fn write(&self) -> Option<Write> {
         match self {
-            Self::Set(write)
-            | Self::SetIfPresent(write)
-            | Self::Raise(write)
-            | Self::Watch(write) => Some(*write),
+            Self::Set(write, _) => Some(*write),
             Self::Identity(..)
             | Self::AtLeast(..)
             | Self::Configure(..)
@@ -112,7 +113,7 @@ impl Parameter {
     fn write(&self) -> Option<Write> {
         let data = Expedited::new(self.value.to_le_bytes().get(..usize::from(self.size))?)?;
         Some(Write {
-            object: self.object(),
+            object: self.object,
             data,
         })
     }
@@ -120,6 +121,8 @@ impl Parameter {
 
 /// All steps before a drive is started.
 pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step>, ConfigError> {
+    let required = |write| Step::Set(write, Need::Required);
+    let optional = |write| Step::Set(write, Need::Optional);
     let units = axis.drive_units()?;
     let (period, exponent) = group.interpolation_period()?;
     let (heartbeat, lost) = group.heartbeat_times()?;
@@ -137,20 +140,20 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         .collect();
     steps.push(Step::Modes([mode, ModeOfOperation::Homing]));
     // A previous controller may have left the drive enabled.
-    steps.push(Step::Set(Write::new(CONTROLWORD, 0_u16)));
+    steps.push(required(Write::new(CONTROLWORD, 0_u16)));
     let settings = axis.configuration.iter().enumerate();
-    steps.extend(settings.map(|(number, setting)| Step::Configure(setting.object(), number)));
+    steps.extend(settings.map(|(number, setting)| Step::Configure(setting.object, number)));
     steps.extend(
         axis.parameters
             .iter()
             .filter_map(Parameter::write)
-            .map(Step::Set),
+            .map(required),
     );
     // Behind the cell's own objects, whose writing may change others in the drive. First the limits of the ramps.
     let ramp = units.quick_stop_deceleration.max(units.homing_acceleration);
     for object in [MAX_ACCELERATION, MAX_DECELERATION] {
         steps.push(Step::AtLeast(object, ramp));
-        steps.push(Step::Raise(Write::new(object, ramp)));
+        steps.push(Step::Set(Write::new(object, ramp), Need::Limit));
     }
     steps.extend(
         [
@@ -167,15 +170,12 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
             Write::new(HOMING_ZERO_SPEED, units.zero_speed),
             Write::new(HOMING_ACCELERATION, units.homing_acceleration),
         ]
-        .map(Step::Set),
+        .map(required),
     );
-    steps.push(Step::SetIfPresent(Write::new(
-        ERROR_BEHAVIOUR,
-        STAY_OPERATIONAL,
-    )));
-    // What a drive has stored would decide how an axis brakes, when it faults and which way it turns.
     steps.extend(
         [
+            Write::new(ERROR_BEHAVIOUR, STAY_OPERATIONAL),
+            // What a drive has stored would decide how an axis brakes, when it faults and which way it turns.
             Write::new(SHUTDOWN_OPTION, BRAKE_ON_PROFILE),
             Write::new(DISABLE_OPERATION_OPTION, BRAKE_ON_PROFILE),
             Write::new(HALT_OPTION, BRAKE_ON_PROFILE),
@@ -186,22 +186,21 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
             Write::new(POLARITY, 0_u8),
             Write::new(PROFILE_DECELERATION, units.quick_stop_deceleration),
             Write::new(MOTION_PROFILE_TYPE, 0_i16),
+            // Offsets outlive a host that added them and died, and are added to every set-point
+            // (CiA 402-2 §17.4).
+            Write::new(POSITION_OFFSET, 0_i32),
+            Write::new(VELOCITY_OFFSET, 0_i32),
+            Write::new(TORQUE_OFFSET, 0_i16),
+            // The homed counter must read zero at home, which is the position of the reference. EPOS4 has two objects of
+            // its own in place of the home offset.
+            Write::new(HOME_OFFSET, 0_i32),
         ]
-        .map(Step::SetIfPresent),
+        .map(optional),
     );
-    // Offsets outlive a host that added them and died, and are added to every set-point (CiA 402-2 §17.4).
-    steps.extend([
-        Step::SetIfPresent(Write::new(POSITION_OFFSET, 0_i32)),
-        Step::SetIfPresent(Write::new(VELOCITY_OFFSET, 0_i32)),
-        Step::SetIfPresent(Write::new(TORQUE_OFFSET, 0_i16)),
-    ]);
-    // The homed counter must read zero at home, which is the position of the reference. EPOS4 has two objects of its
-    // own in place of the home offset.
-    steps.push(Step::SetIfPresent(Write::new(HOME_OFFSET, 0_i32)));
     if axis.identity.vendor == MAXON {
         steps.extend(
             [EPOS4_HOME_POSITION, EPOS4_HOME_OFFSET_MOVE]
-                .map(|object| Step::SetIfPresent(Write::new(object, 0_i32))),
+                .map(|object| optional(Write::new(object, 0_i32))),
         );
     }
     // After all writes that may change these objects.
@@ -214,12 +213,12 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         maps_mode |= process_data::maps_mode(write.object);
         steps.push(match process_data::may_be_absent(write.object) {
             // All of TPDO 2 but its first write, which switches it off.
-            _ if maps_mode => Step::Watch(write),
-            true => Step::SetIfPresent(write),
-            false => Step::Set(write),
+            _ if maps_mode => Step::Set(write, Need::Watch),
+            true => optional(write),
+            false => required(write),
         });
     }
-    steps.push(Step::Set(Write::new(MODE_OF_OPERATION, mode.raw())));
+    steps.push(required(Write::new(MODE_OF_OPERATION, mode.raw())));
     steps.extend([
         Step::Shown(mode),
         Step::Statusword,

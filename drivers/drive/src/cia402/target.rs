@@ -1,7 +1,7 @@
-//! Targets in the units of a drive, and the command of a cycle.
+//! Targets in the units of a drive.
 
-use super::config::CyclicMode;
-use crate::{AxisCommand, Finite, Permille, Refusal, Scale, Setpoint};
+use super::config::{AxisConfig, CyclicMode};
+use crate::{Finite, Permille, Refusal, Setpoint};
 
 /// Target of a drive, in the drive's units.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -12,28 +12,12 @@ pub(super) struct Target {
     pub(super) torque: Permille,
 }
 
-/// The command of a cycle to one axis.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct TargetOrder {
-    pub(super) command: AxisCommand,
-    /// What [`CanAxis::check`](super::axis::CanAxis::check) said.
-    pub(super) setpoint: Option<Target>,
-    /// The target of the last cycle is kept, because another axis refused its own.
-    pub(super) hold: bool,
-    /// The drives have been sent a heartbeat, whose absence they would notice.
-    pub(super) watched: bool,
-}
-
 impl Target {
-    /// Converts a set-point to the target of a drive in a mode; `None` beyond the drive's range.
-    pub(super) fn of(
-        setpoint: Setpoint,
-        mode: CyclicMode,
-        scale: &Scale,
-        rated_torque: f64,
-    ) -> Result<Option<Self>, Refusal> {
+    /// Converts a set-point to the target of the drive of `axis`; `None` beyond the drive's range.
+    pub(super) fn of(setpoint: Setpoint, axis: &AxisConfig) -> Result<Option<Self>, Refusal> {
+        let AxisConfig { mode, scale, .. } = axis;
         let at = |position: Finite| scale.increments(position.get());
-        let permille = |torque: Finite| scale.permille(torque.get(), rated_torque);
+        let permille = |torque: Finite| scale.permille(torque.get(), axis.rated_torque);
         Ok(match (mode, setpoint) {
             (CyclicMode::Csp | CyclicMode::CspWithTorque, Setpoint::Position(position)) => {
                 at(position).map(|increments| increments.0.into())

@@ -24,7 +24,7 @@ pub struct Traffic {
 
 /// All traffic of a group during operation, except EMCY. Service frames occur only during a change of mode. The
 /// result counts them at their greatest rate: one request and one answer per cycle.
-pub(super) fn of(config: &GroupConfig, axes: &[AxisConfig]) -> Vec<Traffic> {
+pub fn traffic(config: &GroupConfig, axes: &[AxisConfig]) -> Vec<Traffic> {
     let cycle = |cob_id, bytes, what| Traffic {
         cob_id,
         bytes,

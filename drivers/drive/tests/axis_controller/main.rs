@@ -16,7 +16,7 @@ use std::time::Duration;
 use can::Instant;
 use mrroc_drive::axis_controller::{
     AxisConfig, AxisControllerError, AxisControllerFault, AxisControllerGroup, AxisCounters,
-    ConfigError, Control, CurrentGains, GroupConfig, Protocol,
+    ConfigError, Control, GroupConfig, Protocol,
 };
 use mrroc_drive::{
     AxisCommand, AxisState, BringUpError, DriveGroup, Fault, Finite, Homing, Power, Refusal, Scale,
@@ -42,7 +42,6 @@ fn axis(protocol: Protocol) -> AxisConfig {
         max_current: 15.0,
         max_velocity: 100.0,
         max_acceleration: 10_000.0,
-        current_gains: None,
     }
 }
 

@@ -123,8 +123,8 @@ fn place_of_controller(
     match error {
         ConfigError::Axes(_) | ConfigError::Lines { .. } => bundle.clone(),
         ConfigError::Period { .. } => bundle.then("baud"),
-        ConfigError::TooSmall { .. } => bundle.then("tolerated_missing"),
-        ConfigError::NeedsNfv2 { line, .. } => of_line(line).map_or(bundle.clone(), |place| {
+        ConfigError::ToleratedMissing => bundle.then("tolerated_missing"),
+        ConfigError::NeedsNfv2 { line } => of_line(line).map_or(bundle.clone(), |place| {
             axis_path(place).then("controller").then("control")
         }),
         ConfigError::OutOfRange { line, quantity } => {
@@ -150,7 +150,6 @@ fn place_of_controller(
                     controller.then("plausible_acceleration")
                 }
                 Quantity::MaxAcceleration => path.then("max_acceleration"),
-                Quantity::CurrentGains => controller,
             }
         }
     }

@@ -98,8 +98,8 @@ fn a_drive_that_scales_as_the_cell_or_does_not_say_comes_up_and_another_is_refus
             }
             match (bench.bring_up(), refusal) {
                 (Ok(()), None) => {}
-                (Err(error @ BringUpError::WrongScale { index, .. }), Some((of, needle))) => {
-                    assert_eq!((error.node(), index), (Some(2), of), "{says:x?}");
+                (Err(error @ BringUpError::WrongScale { object, .. }), Some((of, needle))) => {
+                    assert_eq!((error.node(), object.index), (Some(2), of), "{says:x?}");
                     assert!(error.to_string().contains(needle), "{error}");
                     // The only controlword removed the voltage, and the node was not started.
                     let sent = sent(&bench);

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received, StandardId};
 use canopen::NodeId;
+use canopen::Object;
 
 use crate::cia402::*;
 use crate::{Finite, Power, Scale, Setpoint};
@@ -54,8 +55,7 @@ pub(super) fn axis_config(raw: u8) -> AxisConfig {
         quick_stop_deceleration: tau * 100.0,
         configuration: Vec::new(),
         parameters: vec![Parameter {
-            index: 0x3001,
-            subindex: 1,
+            object: Object::new(0x3001, 1),
             value: 2_000,
             size: 4,
         }],

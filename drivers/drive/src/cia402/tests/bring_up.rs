@@ -4,6 +4,7 @@ use std::task::Poll;
 use std::time::Duration;
 
 use can::{Instant, PortError, Received};
+use canopen::Object;
 
 use super::bench::*;
 use crate::cia402::*;
@@ -345,8 +346,7 @@ fn every_failure_names_the_node_and_what_it_said() {
             |store| store.put(0x1018, 1, &[0xFB, 0]),
             BringUpError::Aborted {
                 node,
-                index: 0x1018,
-                subindex: 1,
+                object: Object::new(0x1018, 1),
                 code: 0x0607_0010,
             },
         ),
@@ -354,8 +354,7 @@ fn every_failure_names_the_node_and_what_it_said() {
             |store| _ = store.aborts.insert((0x60C2, 1), 0x0609_0030),
             BringUpError::Aborted {
                 node,
-                index: 0x60C2,
-                subindex: 1,
+                object: Object::new(0x60C2, 1),
                 code: 0x0609_0030,
             },
         ),
@@ -363,8 +362,7 @@ fn every_failure_names_the_node_and_what_it_said() {
             |store| _ = store.objects.remove(&(0x6007, 0)),
             BringUpError::Aborted {
                 node,
-                index: 0x6007,
-                subindex: 0,
+                object: Object::new(0x6007, 0),
                 code: 0x0602_0000,
             },
         ),
@@ -372,8 +370,7 @@ fn every_failure_names_the_node_and_what_it_said() {
             |store| store.forgetful = Some((0x6007, 0)),
             BringUpError::ReadBack {
                 node,
-                index: 0x6007,
-                subindex: 0,
+                object: Object::new(0x6007, 0),
                 written: 3,
                 found: 1,
             },
@@ -383,8 +380,7 @@ fn every_failure_names_the_node_and_what_it_said() {
             // Two requests, 100 ms each.
             BringUpError::TimedOut {
                 node,
-                index: 0x6085,
-                subindex: 0,
+                object: Object::new(0x6085, 0),
                 waited: Duration::from_millis(200),
             },
         ),
@@ -429,8 +425,7 @@ fn a_mode_that_never_shows_ends_the_wait() {
     bench.stores[0].shows_modes = false;
     let error = BringUpError::ReadBack {
         node: 2,
-        index: 0x6061,
-        subindex: 0,
+        object: Object::new(0x6061, 0),
         written: 8,
         found: 1,
     };

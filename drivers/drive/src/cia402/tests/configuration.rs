@@ -1,6 +1,7 @@
 //! Download of device configuration files.
 
 use can::Frame;
+use canopen::Object;
 
 use super::bench::*;
 use crate::BringUpError;
@@ -8,8 +9,7 @@ use crate::cia402::*;
 
 fn setting(index: u16, subindex: u8, data: &[u8]) -> Setting {
     Setting {
-        index,
-        subindex,
+        object: Object::new(index, subindex),
         data: data.to_vec(),
         readable: true,
     }
@@ -89,8 +89,7 @@ fn a_drive_that_forgets_a_setting_does_not_come_up() {
     forgetful.stores[0].forgetful = Some((0x2101, 0));
     let error = BringUpError::ReadBack {
         node: 2,
-        index: 0x2101,
-        subindex: 0,
+        object: Object::new(0x2101, 0),
         written: 7,
         found: 0,
     };
@@ -100,8 +99,7 @@ fn a_drive_that_forgets_a_setting_does_not_come_up() {
     forgetful.stores[0].forgetful = Some((0x2102, 0));
     let error = BringUpError::ReadBackBytes {
         node: 2,
-        index: 0x2102,
-        subindex: 0,
+        object: Object::new(0x2102, 0),
         written: 5,
         found: 8,
         same: 2,
@@ -121,8 +119,7 @@ fn settings_that_must_not_or_cannot_be_written_are_refused_before_a_frame() {
     for (setting, why) in table {
         let error = ConfigError::Setting {
             node: 2,
-            index: setting.index,
-            subindex: setting.subindex,
+            object: setting.object,
             why,
         };
         let group = Cia402Group::new(

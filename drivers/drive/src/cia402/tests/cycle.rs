@@ -284,7 +284,7 @@ fn traffic_lists_every_frame_of_a_cycle() {
             ..axis_config(2)
         },
     ];
-    let traffic = Cia402Group::<BusEnd>::traffic(&config, &axes);
+    let traffic = traffic(&config, &axes);
     let frames: Vec<(u16, u8, u64)> = traffic
         .iter()
         .map(|frame| {

@@ -3,6 +3,7 @@
 use super::bench::*;
 use crate::cia402::*;
 use crate::{Finite, Homing, Power, Setpoint};
+use canopen::Object;
 
 const HOME: &[AxisCommand] = &[AxisCommand::Home];
 const STAND: &[AxisCommand] = &[AxisCommand::Stand];
@@ -240,8 +241,7 @@ fn a_service_frame_that_was_not_taken_is_offered_again() {
 fn a_drive_that_refuses_the_mode_or_does_not_answer_is_faulted() {
     let abort = |code| Fault::Aborted {
         node: 2,
-        index: 0x6060,
-        subindex: 0,
+        object: Object::new(0x6060, 0),
         code,
     };
     for code in [0x0800_0022, 0x0504_0000] {

@@ -3,6 +3,7 @@
 use super::bench::*;
 use crate::cia402::program::{MAXON, program};
 use crate::cia402::*;
+use canopen::Object;
 
 const MODES: [CyclicMode; 4] = [
     CyclicMode::Csp,
@@ -122,22 +123,19 @@ fn reserved_objects_are_refused_before_a_frame_whoever_asks_for_them() {
     ] {
         let mut by_parameter = axis_config(2);
         by_parameter.parameters = vec![Parameter {
-            index,
-            subindex,
+            object: Object::new(index, subindex),
             value: 0,
             size: 4,
         }];
         let mut by_setting = axis_config(2);
         by_setting.configuration = vec![Setting {
-            index,
-            subindex,
+            object: Object::new(index, subindex),
             data: vec![0; 4],
             readable: true,
         }];
         let error = ConfigError::Setting {
             node: 2,
-            index,
-            subindex,
+            object: Object::new(index, subindex),
             why: reserved(MAXON, index, subindex).unwrap().why(),
         };
         for axis in [by_parameter, by_setting] {
@@ -153,15 +151,13 @@ fn what_a_setting_or_a_parameter_changes_elsewhere_is_set_and_read_back_afterwar
     let (trigger, changed) = ((0x2101, 0), [(0x6007, 0), (0x1016, 1), (0x6085, 0)]);
     let mut by_setting = axis_config(2);
     by_setting.configuration = vec![Setting {
-        index: trigger.0,
-        subindex: trigger.1,
+        object: Object::new(trigger.0, trigger.1),
         data: vec![7],
         readable: true,
     }];
     let mut by_parameter = axis_config(2);
     by_parameter.parameters.push(Parameter {
-        index: trigger.0,
-        subindex: trigger.1,
+        object: Object::new(trigger.0, trigger.1),
         value: 7,
         size: 1,
     });

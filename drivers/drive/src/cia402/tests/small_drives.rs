@@ -3,6 +3,7 @@
 use super::bench::*;
 use crate::Power;
 use crate::cia402::*;
+use canopen::Object;
 
 const NOT_MAPPABLE: u32 = 0x0604_0041;
 const READ_ONLY: u32 = 0x0601_0002;
@@ -55,8 +56,7 @@ fn a_drive_that_cannot_map_its_answer_is_refused() {
     let error = bench.bring_up().unwrap_err();
     let expected = BringUpError::Aborted {
         node: 2,
-        index: 0x1A00,
-        subindex: 1,
+        object: Object::new(0x1A00, 1),
         code: NOT_MAPPABLE,
     };
     assert_eq!(error, expected);

@@ -4,6 +4,7 @@ use super::bench::*;
 use crate::cia402::program::{MAXON, program};
 use crate::cia402::reserved::{BRAKING, DELAY, SENSE, SILENCE};
 use crate::cia402::*;
+use canopen::Object;
 
 /// Object, stored value that bring-up must not leave, and the driver's value. The quick stop of `axis_config` brakes
 /// with 6000 rpm/s.
@@ -42,9 +43,9 @@ fn a_drive_that_does_not_take_them_is_refused() {
         bench.stores[0].put(index, subindex, stored);
         bench.stores[0].forgetful = Some((index, subindex));
         let error = bench.bring_up().unwrap_err();
-        let expected = (index, subindex);
+        let expected = Object::new(index, subindex);
         assert!(
-            matches!(error, BringUpError::ReadBack { index, subindex, .. } if (index, subindex) == expected),
+            matches!(error, BringUpError::ReadBack { object, .. } if object == expected),
             "{error}"
         );
     }
@@ -58,8 +59,7 @@ fn an_object_that_cannot_be_written_is_compared() {
             65_535,
             Err(BringUpError::ReadBack {
                 node: 2,
-                index: 0x6066,
-                subindex: 0,
+                object: Object::new(0x6066, 0),
                 written: 0,
                 found: 65_535,
             }),
