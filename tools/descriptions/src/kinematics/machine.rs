@@ -75,7 +75,7 @@ impl Machine {
         if let Parameters::Rnt(numbers) = &parameters {
             rnt = Some(Rnt::new(numbers)?);
         }
-        let caution = described(&parameters).caution();
+        let caution = described(&parameters).caution;
         Ok(Self {
             name,
             robot: parameters.kinematics()?,
