@@ -37,6 +37,20 @@ pub(crate) struct Other {
     pub(crate) said: Option<String>,
 }
 
+impl View {
+    /// A view of the robot alone, with its directions to the right and upwards.
+    pub(crate) fn of(title: &'static str, joints: Joints, [right, up]: [Vector3<f64>; 2]) -> Self {
+        Self {
+            title,
+            joints,
+            right,
+            up,
+            reach: None,
+            others: Vec::new(),
+        }
+    }
+}
+
 /// Kind of a part.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Part {

@@ -48,7 +48,6 @@ impl Svg {
         );
     }
 
-    /// Adds a straight line.
     pub(super) fn line(&mut self, from: Point, to: Point, style: &str) {
         self.path(&[from, to], style);
     }
@@ -65,13 +64,11 @@ impl Svg {
         let _ = writeln!(self.0, "<path d=\"{way}\" {style}/>");
     }
 
-    /// Adds a closed polygon.
     pub(super) fn polygon(&mut self, corners: [Point; 4], style: &str) {
         let corners = corners.map(|[x, y]| format!("{x:.1},{y:.1} ")).concat();
         let _ = writeln!(self.0, "<polygon points=\"{corners}\" {style}/>");
     }
 
-    /// Adds a circle.
     pub(super) fn circle(&mut self, [x, y]: Point, radius: f64, style: &str) {
         let _ = writeln!(
             self.0,

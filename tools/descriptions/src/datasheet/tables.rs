@@ -45,7 +45,7 @@ pub(crate) fn sheet(machine: &Machine) -> String {
     let presets: Vec<_> = presets.iter().map(described).collect();
     let (name, about) = (&machine.name, described_as.about);
     let mut page = format!("# {name}\n\n{about}\n\n");
-    if let Some(caution) = machine.caution {
+    if let Some(caution) = described_as.caution {
         let _ = write!(page, "**Mind:** {caution}.\n\n");
     }
     let _ = write!(

@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use anyhow::{Context as _, anyhow};
 use clap::Args;
-use controller::robot::{Joints, Limits, Motors, ParameterError, Rnt, Robot, Vector};
+use controller::robot::{
+    Joints, Limits, Motors, ParameterError, Rnt, RntParameters, Robot, Vector,
+};
 use mrroc::cell::{Model, Parameters};
 
 use nalgebra::Vector3;
@@ -44,8 +46,8 @@ pub struct Machine {
     pub robot: Arc<dyn Robot>,
     /// Parameters of the robot.
     pub parameters: Parameters,
-    /// The RNT, if the robot is one: a robot with legs.
-    rnt: Option<Rnt>,
+    /// The RNT and its parameters, if the robot is one: a robot with legs.
+    rnt: Option<(RntParameters, Rnt)>,
     /// Warning about the numbers.
     pub caution: Option<&'static str>,
 }
@@ -71,17 +73,15 @@ impl Machine {
     }
 
     fn new(name: String, parameters: Parameters) -> Result<Self, ParameterError> {
-        let mut rnt = None;
-        if let Parameters::Rnt(numbers) = &parameters {
-            rnt = Some(Rnt::new(numbers)?);
-        }
-        let caution = described(&parameters).caution;
         Ok(Self {
             name,
             robot: parameters.kinematics()?,
+            rnt: match &parameters {
+                Parameters::Rnt(numbers) => Some((*numbers, Rnt::new(numbers)?)),
+                _ => None,
+            },
+            caution: described(&parameters).caution,
             parameters,
-            rnt,
-            caution,
         })
     }
 
@@ -94,7 +94,7 @@ impl Machine {
     /// lengths.
     pub(super) fn joints_from_motors(&self, list: &str) -> anyhow::Result<Joints> {
         let mut motors: Motors = self.vector("--motors", list)?;
-        if let Parameters::Rnt(parameters) = &self.parameters {
+        if let Some((parameters, _)) = &self.rnt {
             for (motor, leg) in motors.iter_mut().zip(&parameters.legs) {
                 *motor = leg.motor(*motor);
             }
@@ -111,22 +111,18 @@ impl Machine {
     /// Leg lengths at these joint positions, m; `None` for a robot without legs.
     pub(super) fn leg_lengths(&self, joints: &Joints) -> anyhow::Result<Option<[f64; 3]>> {
         let rnt = self.rnt.as_ref();
-        Ok(rnt.map(|rnt| rnt.leg_lengths(joints)).transpose()?)
+        Ok(rnt.map(|(_, rnt)| rnt.leg_lengths(joints)).transpose()?)
     }
 
     /// Ranges of the leg lengths, m; `None` for a robot without legs.
     pub(super) fn leg_limits(&self) -> Option<[Limits; 3]> {
-        let Parameters::Rnt(parameters) = &self.parameters else {
-            return None;
-        };
+        let (parameters, _) = self.rnt.as_ref()?;
         Some(parameters.legs.map(|leg| leg.length_limits))
     }
 
     /// Ends of each leg on the base and on the platform, m; `None` for a robot without legs.
     pub fn leg_ends(&self) -> Option<[[Vector3<f64>; 2]; 3]> {
-        let Parameters::Rnt(parameters) = &self.parameters else {
-            return None;
-        };
+        let (parameters, _) = self.rnt.as_ref()?;
         Some(parameters.leg_ends())
     }
 

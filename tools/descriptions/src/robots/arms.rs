@@ -209,21 +209,9 @@ fn arm(machine: &Machine, degrees: &[f64]) -> [View; 2] {
         let ends = range(machine, &joints, column);
         above = Some((sector(radii, ends), "reach of the pitch axis"));
     }
-    let side = View {
-        title: "From the side",
-        joints,
-        right: Vector3::x(),
-        up: Vector3::z(),
-        reach: Some((vec![area], "reach of the pitch axis")),
-        others: Vec::new(),
-    };
-    let top = View {
-        title: "From above",
-        joints: turned,
-        right: Vector3::x(),
-        up: Vector3::y(),
-        reach: above,
-        others,
-    };
+    let mut side = View::of("From the side", joints, [Vector3::x(), Vector3::z()]);
+    side.reach = Some((vec![area], "reach of the pitch axis"));
+    let mut top = View::of("From above", turned, [Vector3::x(), Vector3::y()]);
+    (top.reach, top.others) = (above, others);
     [side, top]
 }

@@ -64,21 +64,8 @@ impl Described for PolycrankParameters {
 fn views(radii: [f64; 2]) -> [View; 2] {
     let joints = from_degrees(&[140.0, -90.0, -50.0, 50.0, -80.0, 130.0, 0.0]);
     let ring = sector(radii, [-std::f64::consts::PI, std::f64::consts::PI]);
-    let along = View {
-        title: "Along axis 1",
-        joints,
-        right: -Vector3::y(),
-        up: Vector3::x(),
-        reach: Some((ring, "reach of axis 3")),
-        others: Vec::new(),
-    };
-    let side = View {
-        title: "From the side",
-        joints,
-        right: Vector3::z(),
-        up: Vector3::x(),
-        reach: None,
-        others: Vec::new(),
-    };
+    let mut along = View::of("Along axis 1", joints, [-Vector3::y(), Vector3::x()]);
+    along.reach = Some((ring, "reach of axis 3"));
+    let side = View::of("From the side", joints, [Vector3::z(), Vector3::x()]);
     [along, side]
 }

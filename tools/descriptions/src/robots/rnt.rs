@@ -95,45 +95,29 @@ fn views(machine: &Machine) -> [View; 2] {
     let platform = placed.fold(nalgebra::Isometry3::identity(), |base, link| base * link);
     let legs = machine.leg_ends().unwrap_or_default();
     let legs = legs.map(|[base, end]| [base, (platform * nalgebra::Point3::from(end)).coords]);
-    let others = || {
-        let mut others: Vec<_> = legs
-            .iter()
-            .map(|ends| Other {
-                points: ends.to_vec(),
-                part: Part::Leg,
-                said: None,
-            })
-            .collect();
-        for end in [0, 1] {
-            let ring = [0, 1, 2, 0].map(|leg: usize| legs[leg][end]);
-            others.push(Other {
-                points: ring.to_vec(),
-                part: Part::Solid,
-                said: None,
-            });
-        }
-        others
+    let legs_and_rings = || {
+        let beams = legs.iter().map(|ends| Other {
+            points: ends.to_vec(),
+            part: Part::Leg,
+            said: None,
+        });
+        let rings = [0, 1].map(|end| Other {
+            points: [0, 1, 2, 0].map(|leg: usize| legs[leg][end]).into(),
+            part: Part::Solid,
+            said: None,
+        });
+        beams.chain(rings).collect::<Vec<_>>()
     };
     let radius = Other {
         said: Some(format!("{:.0}", legs[1][0].norm() * 1e3)),
         points: vec![Vector3::zeros(), legs[1][0]],
         part: Part::Measure,
     };
-    let side = View {
-        title: "From the side",
-        joints,
-        right: Vector3::x(),
-        up: Vector3::z(),
-        reach: Some((vec![area], "reach of the wrist centre with alpha at 0")),
-        others: others(),
-    };
-    let above = View {
-        title: "From above",
-        joints,
-        right: Vector3::x(),
-        up: Vector3::y(),
-        reach: None,
-        others: others().into_iter().chain([radius]).collect(),
-    };
+    let mut side = View::of("From the side", joints, [Vector3::x(), Vector3::z()]);
+    side.reach = Some((vec![area], "reach of the wrist centre with alpha at 0"));
+    side.others = legs_and_rings();
+    let mut above = View::of("From above", joints, [Vector3::x(), Vector3::y()]);
+    above.others = legs_and_rings();
+    above.others.push(radius);
     [side, above]
 }
