@@ -5,7 +5,6 @@
 
 mod answers;
 mod machine;
-mod numbers;
 
 use anyhow::{Context as _, bail};
 use clap::{ArgGroup, Args, Subcommand};
@@ -112,7 +111,7 @@ pub fn kinematics(question: &Question) -> anyhow::Result<Answer> {
             near,
         } => {
             let machine = Machine::find(&common.machine)?;
-            let pose = numbers::pose(position, quaternion)?;
+            let pose = machine::pose(position, quaternion)?;
             let near = match near {
                 Some(near) => machine.joints("--near", near)?,
                 None => machine.home()?,

@@ -219,24 +219,6 @@ impl Bus {
     }
 }
 
-impl Channel {
-    /// Name of `node` in reports.
-    fn name_of(&self, node: NodeId) -> String {
-        match self {
-            Self::Bus(bus) => bus.name_of(node),
-            Self::Drive(drive) => drive.name_of(node),
-        }
-    }
-
-    /// Possible reasons why no node answered.
-    fn silence(&self) -> String {
-        match self {
-            Self::Bus(bus) => bus.silence(),
-            Self::Drive(drive) => drive.silence(),
-        }
-    }
-}
-
 impl Drive {
     /// Reads an object of `node`, or writes `data` into it. Node 0 is the drive on a service port.
     fn transfer(

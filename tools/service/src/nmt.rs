@@ -5,10 +5,10 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use can::{Frame, Instant, clock};
+use canopen::NodeId;
 use canopen::guarding::Response;
 use canopen::nmt::{Command, NmtState, Request, Target};
 use canopen::objects::PRODUCER_HEARTBEAT;
-use canopen::{NodeId, Object};
 use clap::{Args, ValueEnum};
 use master::sdo::{self, SdoError};
 
@@ -17,9 +17,6 @@ use super::{Bus, BusArgs, Channel, Drive, node_id, say};
 
 /// Time that a node has to answer an SDO request.
 const ANSWER: Duration = Duration::from_millis(300);
-
-/// The object that says whether a node sends a heartbeat.
-const ASKED: Object = PRODUCER_HEARTBEAT;
 
 /// NMT commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -151,7 +148,7 @@ impl Told {
             (Target::All, _) | (_, NmtState::Initialising) => None,
             (Target::Node(node), _) => {
                 let mut client = sdo::Client::new(node, ANSWER, 1);
-                let started = client.upload(ASKED, now);
+                let started = client.upload(PRODUCER_HEARTBEAT, now);
                 started.expect("nothing is being transferred yet");
                 Some(client)
             }

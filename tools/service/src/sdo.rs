@@ -284,13 +284,16 @@ fn transfer(
 
 /// Text of an abort or a time-out in one line.
 fn refusal(channel: &Channel, target: &Target, error: SdoError) -> anyhow::Error {
-    let node = channel.name_of(target.node);
+    let (node, silence) = match channel {
+        Channel::Bus(bus) => (bus.name_of(target.node), bus.silence()),
+        Channel::Drive(drive) => (drive.name_of(target.node), drive.silence()),
+    };
     let error = match error {
         SdoError::Aborted { code, .. } => match words::hint(code) {
             Some(hint) => anyhow!("{error}: {hint}"),
             None => anyhow!("{error}"),
         },
-        SdoError::TimedOut { .. } => anyhow!("{error}: {}", channel.silence()),
+        SdoError::TimedOut { .. } => anyhow!("{error}: {silence}"),
         other => anyhow!(other),
     };
     error.context(node)

@@ -31,7 +31,7 @@ use std::time::Duration;
 
 use anyhow::{Context, ensure};
 use can::clock::{now, sleep_until};
-use can::{OpenError, SocketCanOptions, SocketCanPort};
+use can::{SocketCanOptions, SocketCanPort};
 use clap::Args;
 use drive::cia402;
 use mrroc::cell::{Cell, Realtime, Scheduler};
@@ -177,8 +177,9 @@ fn examine(tree: &Tree, cell: Option<&Cell>) -> anyhow::Result<Vec<Finding>> {
     let (interfaces, lines) = wanted(tree, cell);
     for wanted in interfaces {
         let link = Link::of(&wanted.interface);
-        let opened = try_open(&wanted.interface);
-        let found = can_interfaces::findings(tree, &wanted, opened, link.as_ref());
+        // Sends nothing; the socket is closed at once.
+        let opened = SocketCanPort::open(&wanted.interface, &SocketCanOptions::default());
+        let found = can_interfaces::findings(tree, &wanted, opened.map(drop), link.as_ref());
         findings.extend(found);
     }
     for wanted in lines {
@@ -253,11 +254,6 @@ fn try_scheduler(realtime: &Realtime, period: Duration) -> anyhow::Result<Result
     });
     let asking = asking.context("a thread to ask for its priority")?;
     Ok(asking.join().expect("asking does not panic"))
-}
-
-/// Opens a socket, sends nothing, and closes the socket at once.
-fn try_open(interface: &str) -> Result<(), OpenError> {
-    SocketCanPort::open(interface, &SocketCanOptions::default()).map(drop)
 }
 
 impl fmt::Display for Examined {
