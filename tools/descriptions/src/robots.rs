@@ -37,9 +37,12 @@ pub(crate) struct Description<'a> {
     pub(crate) drawing: Drawing<'a>,
 }
 
+/// Draws the views of an arm.
+type Views<'a> = dyn Fn(&Machine) -> [View; 2] + 'a;
+
 /// Content of the figure of a machine.
 pub(crate) enum Drawing<'a> {
-    Arm(Box<dyn Fn(&Machine) -> [View; 2] + 'a>),
+    Arm(Box<Views<'a>>),
     Gripper(&'a GripperParameters),
     Conveyor(&'a ConveyorParameters),
 }

@@ -152,10 +152,10 @@ impl Scan {
 impl Conversation for Scan {
     fn handle(&mut self, frame: &Frame, now: Instant) {
         // An answer to node guarding carries the state with a toggle bit.
-        if let Some(Response { node, state, .. }) = Response::decode(frame) {
-            if let Some(identity) = self.survey.questions(node) {
-                identity.heard(state, now);
-            }
+        if let Some(Response { node, state, .. }) = Response::decode(frame)
+            && let Some(identity) = self.survey.questions(node)
+        {
+            identity.heard(state, now);
         }
         self.survey.handle(frame, now);
     }
