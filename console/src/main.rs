@@ -127,7 +127,8 @@ fn main() -> ExitCode {
         Command::Run { cell, options } => CellFile::read(&cell)
             .and_then(|file| mrroc::run_program(&file, &options, &Tasks::programs)),
         Command::Emulate(options) => emulate::emulate(&options),
-        Command::Scan(options) => service::scan::scan(&options),
+        Command::Scan(options) => service::scan::scan(&options)
+            .and_then(|scanned| streams::answer(&scanned, options.json)),
         Command::Sdo { action } => service::sdo::sdo(&action),
         Command::Nmt(options) => service::nmt::nmt(&options),
         Command::Lss { action } => service::lss::lss(&action),
@@ -151,6 +152,9 @@ fn main() -> ExitCode {
         } => manual::write(Arguments::command(), &directory, replacement),
     };
     result.unwrap_or_else(|refusal| {
+        if refusal.is::<service::Interrupted>() {
+            return ExitCode::from(1);
+        }
         streams::refuse(&refusal);
         ExitCode::from(2)
     })

@@ -4,18 +4,15 @@ mod devices;
 pub(crate) mod drives;
 pub(crate) mod figure;
 mod ink;
-pub(crate) mod loops;
 pub(crate) mod posture;
 mod svg;
 mod symbols;
 pub(crate) mod tables;
-pub(crate) mod views;
 
 use clap::Args;
 
 use crate::kinematics::{Machine, Which};
-use crate::robots::described;
-use views::Drawing;
+use crate::robots::{Drawing, described};
 
 /// Options of `mrroc datasheet`.
 #[derive(Args)]
@@ -31,9 +28,11 @@ pub struct Options {
 pub fn datasheet(options: &Options) -> anyhow::Result<String> {
     let machine = Machine::find(&options.machine)?;
     let described = described(&machine.parameters);
-    Ok(match (options.figure, described.drawing(&machine)) {
+    Ok(match (options.figure, described.drawing) {
         (false, _) => tables::sheet(&machine),
-        (true, Drawing::Arm(views)) => figure::figure(&machine, described.symbols(), &views),
+        (true, Drawing::Arm(views)) => {
+            figure::figure(&machine, described.symbols, &views(&machine))
+        }
         (true, Drawing::Gripper(gripper)) => devices::gripper(gripper),
         (true, Drawing::Conveyor(conveyor)) => devices::conveyor(conveyor),
     })
@@ -53,11 +52,11 @@ mod tests {
     fn every_view_shows_a_posture_that_the_robot_can_take() {
         for model in Model::ALL {
             let machine = machine(model);
-            let Drawing::Arm(views) = described(&machine.parameters).drawing(&machine) else {
+            let Drawing::Arm(views) = described(&machine.parameters).drawing else {
                 assert_eq!(model.axes(), 1, "{}", model.name());
                 continue;
             };
-            for view in *views {
+            for view in views(&machine) {
                 let motors = machine.robot.motors_from_joints(&view.joints);
                 assert!(
                     motors.is_ok(),

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::anyhow;
+use anyhow::bail;
 use can::Instant;
 use hil::epos4::Epos4;
 
@@ -22,38 +22,30 @@ fn find(file: &CellFile, wanted: &str) -> anyhow::Result<(usize, usize)> {
     let robots = file.cell.robot.iter().enumerate();
     let axes = robots.flat_map(|(number, robot)| {
         let axes = robot.axis.iter().enumerate();
-        axes.map(move |(axis, value)| ((number, axis), robot, value))
+        let on_can = axes.filter(|(_, axis)| axis.drive.is_some());
+        on_can.map(move |(place, axis)| {
+            let full = format!("{}/{}", robot.name, axis.name);
+            ((number, place), full, axis)
+        })
     });
-    let axes: Vec<_> = axes
-        .filter(|(.., axis)| axis.drive.is_some())
-        .map(|(place, robot, axis)| (place, format!("{}/{}", robot.name, axis.name), axis))
-        .collect();
+    let axes: Vec<_> = axes.collect();
     let called = |full: &str, axis: &mrroc::cell::Axis| {
         full == wanted || axis.name == wanted || wanted.parse() == Ok(axis.node)
     };
     let mut found = axes.iter().filter(|(_, full, axis)| called(full, axis));
-    match (found.next(), found.next()) {
-        (Some((place, ..)), None) => Ok(*place),
-        (first, _) => {
-            let all: Vec<_> = axes
-                .iter()
-                .map(|(_, full, axis)| format!("{full} (node {})", axis.node))
-                .collect();
-            if all.is_empty() {
-                return Err(anyhow!(
-                    "{}: the cell has no drive on CAN",
-                    file.path.display()
-                ));
-            }
-            let what = if first.is_some() {
-                "more than one axis is"
-            } else {
-                "no axis is"
-            };
-            Err(anyhow!(
-                "{what} called {wanted:?} with a drive on CAN; there are {}",
-                all.join(", ")
-            ))
-        }
+    let what = match (found.next(), found.next()) {
+        (Some((place, ..)), None) => return Ok(*place),
+        (Some(_), Some(_)) => "more than one axis is",
+        (None, _) => "no axis is",
+    };
+    if axes.is_empty() {
+        bail!("{}: the cell has no drive on CAN", file.path.display());
     }
+    let all = axes
+        .iter()
+        .map(|(_, full, axis)| format!("{full} (node {})", axis.node));
+    bail!(
+        "{what} called {wanted:?} with a drive on CAN; there are {}",
+        all.collect::<Vec<_>>().join(", ")
+    )
 }

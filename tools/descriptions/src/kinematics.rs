@@ -5,15 +5,11 @@
 
 mod answers;
 mod machine;
-mod numbers;
-
-use std::fmt;
 
 use anyhow::{Context as _, bail};
 use clap::{ArgGroup, Args, Subcommand};
-use serde::Serialize;
 
-pub use answers::{Forward, Inverse, Ranges, Sensitivity};
+pub use answers::Answer;
 pub use machine::{Machine, Which};
 
 /// The robot, and the format of the answer.
@@ -81,31 +77,6 @@ pub enum Question {
     },
 }
 
-/// The answer to a question about a robot.
-#[derive(Serialize)]
-#[serde(untagged)]
-pub enum Answer {
-    /// Pose of the flange.
-    Forward(Forward),
-    /// Joint positions that give a pose.
-    Inverse(Inverse),
-    /// Jacobian.
-    Jacobian(Sensitivity),
-    /// Ranges of joints and motors.
-    Limits(Ranges),
-}
-
-impl fmt::Display for Answer {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Forward(answer) => answer.fmt(f),
-            Self::Inverse(answer) => answer.fmt(f),
-            Self::Jacobian(answer) => answer.fmt(f),
-            Self::Limits(answer) => answer.fmt(f),
-        }
-    }
-}
-
 impl Question {
     /// Whether the answer is to be one JSON object.
     pub fn json(&self) -> bool {
@@ -131,7 +102,7 @@ pub fn kinematics(question: &Question) -> anyhow::Result<Answer> {
                 (None, Some(motors)) => machine.joints_from_motors(motors)?,
                 (None, None) => bail!("neither --joints nor --motors is given"),
             };
-            Answer::Forward(Forward::of(&machine, &joints)?)
+            Answer::forward(&machine, &joints)?
         }
         Question::Ik {
             common,
@@ -140,7 +111,7 @@ pub fn kinematics(question: &Question) -> anyhow::Result<Answer> {
             near,
         } => {
             let machine = Machine::find(&common.machine)?;
-            let pose = numbers::pose(position, quaternion)?;
+            let pose = machine::pose(position, quaternion)?;
             let near = match near {
                 Some(near) => machine.joints("--near", near)?,
                 None => machine.home()?,
@@ -148,16 +119,16 @@ pub fn kinematics(question: &Question) -> anyhow::Result<Answer> {
             let solutions = machine.robot.inverse(&pose, &near);
             let solutions =
                 solutions.with_context(|| format!("{}: no joints for this pose", machine.name))?;
-            Answer::Inverse(Inverse::of(&machine, &solutions))
+            Answer::inverse(&machine, &solutions)
         }
         Question::Jacobian { common, joints } => {
             let machine = Machine::find(&common.machine)?;
             let joints = machine.joints("--joints", joints)?;
-            Answer::Jacobian(Sensitivity::of(&machine, &joints)?)
+            Answer::jacobian(&machine, &joints)?
         }
         Question::Limits { common } => {
             let machine = Machine::find(&common.machine)?;
-            Answer::Limits(Ranges::of(&machine))
+            Answer::limits(&machine)
         }
     })
 }

@@ -5,50 +5,49 @@ mod devices;
 mod polycrank;
 mod rnt;
 
+use controller::robot::{ConveyorParameters, GripperParameters};
 use mrroc::cell::Parameters;
 
-use crate::datasheet::drives::Drive;
-use crate::datasheet::loops::Loop;
-use crate::datasheet::tables::Row;
-use crate::datasheet::views::Drawing;
+use crate::datasheet::figure::View;
+use crate::datasheet::tables::{Loop, Row};
 use crate::kinematics::Machine;
 
-/// The data sheet of one robot.
+/// A robot with a data sheet.
 pub(crate) trait Described {
+    fn description(&self) -> Description<'_>;
+}
+
+/// Contents of the data sheet of one robot.
+pub(crate) struct Description<'a> {
     /// The robot in some sentences: its axes, its base frame, the sense of its joints.
-    fn about(&self) -> &'static str;
-
+    pub(crate) about: &'static str,
     /// Names of the joints in the formulas; none of a device beside a robot.
-    fn symbols(&self) -> &'static [&'static str] {
-        &[]
-    }
-
+    pub(crate) symbols: &'static [&'static str],
+    /// Warning about the numbers.
+    pub(crate) caution: Option<&'static str>,
     /// Title of the table of its lengths.
-    fn title(&self) -> &'static str {
-        "Geometry"
-    }
+    pub(crate) title: &'static str,
+    pub(crate) lengths: Vec<Row>,
+    /// Transmissions of its axes.
+    pub(crate) drives: Vec<Row>,
+    /// The measured loops.
+    pub(crate) loops: Vec<Loop>,
+    /// The arguments of `mrroc identify` that measure one of the loops.
+    pub(crate) example: &'static str,
+    pub(crate) drawing: Drawing<'a>,
+}
 
-    /// What must be known of the numbers.
-    fn caution(&self) -> Option<&'static str> {
-        None
-    }
+/// Draws the views of an arm.
+type Views<'a> = dyn Fn(&Machine) -> [View; 2] + 'a;
 
-    /// Its lengths.
-    fn lengths(&self) -> Vec<Row>;
-
-    /// Its axes.
-    fn drives(&self) -> Vec<Drive> {
-        Vec::new()
-    }
-
-    /// The measured loops, and the arguments that measure one of them.
-    fn loops(&self) -> (Vec<Loop>, &'static str);
-
-    /// What its figure shows.
-    fn drawing<'a>(&'a self, machine: &Machine) -> Drawing<'a>;
+/// Content of the figure of a machine.
+pub(crate) enum Drawing<'a> {
+    Arm(Box<Views<'a>>),
+    Gripper(&'a GripperParameters),
+    Conveyor(&'a ConveyorParameters),
 }
 
 /// The data sheet of the robot of these numbers.
-pub(crate) fn described(parameters: &Parameters) -> &dyn Described {
-    mrroc::each_robot!(parameters, it => it as &dyn Described)
+pub(crate) fn described(parameters: &Parameters) -> Description<'_> {
+    mrroc::each_robot!(parameters, it => it.description())
 }

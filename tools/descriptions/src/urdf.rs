@@ -118,30 +118,24 @@ fn joint(text: &mut String, link: &Link, parent: &str) -> fmt::Result {
         LinkKind::Continuous => "continuous",
         LinkKind::Prismatic => "prismatic",
     };
-    let terms = link
-        .coupling
-        .iter()
-        .enumerate()
-        .filter(|(_, factor)| **factor != 0.0);
+    let name = link.name;
+    let terms = link.coupling.iter().enumerate();
     let terms: Vec<_> = terms
+        .filter(|(_, factor)| **factor != 0.0)
         .map(|(axis, factor)| format!("{factor:+} x joint {axis}"))
         .collect();
     if terms.len() > 1 {
-        writeln!(
-            text,
-            "  <!-- {} is {} of the robot's joints. -->",
-            link.name,
-            terms.join(" ")
-        )?;
+        let terms = terms.join(" ");
+        writeln!(text, "  <!-- {name} is {terms} of the robot's joints. -->")?;
     }
-    writeln!(text, "  <joint name=\"{}\" type=\"{kind}\">", link.name)?;
     writeln!(
         text,
-        "    <parent link=\"{parent}\"/>\n    <child link=\"{}_link\"/>",
-        link.name
+        "  <joint name=\"{name}\" type=\"{kind}\">\n    \
+             <parent link=\"{parent}\"/>\n    <child link=\"{name}_link\"/>\n    \
+             {}\n    <axis xyz=\"{}\"/>",
+        origin(&link.parent_from_link),
+        triple(&link.axis)
     )?;
-    writeln!(text, "    {}", origin(&link.parent_from_link))?;
-    writeln!(text, "    <axis xyz=\"{}\"/>", triple(&link.axis))?;
     if link.kind != LinkKind::Continuous {
         let (low, high) = (link.limits.low, link.limits.high);
         writeln!(
@@ -167,14 +161,12 @@ fn body(text: &mut String, name: &str, visuals: &[Option<Cylinder>]) -> fmt::Res
         length,
     } in visuals.iter().flatten()
     {
-        writeln!(text, "    <visual>\n      {}", origin(link_from_cylinder))?;
         writeln!(
             text,
-            "      <geometry><cylinder radius=\"{radius}\" length=\"{length}\"/></geometry>"
-        )?;
-        writeln!(
-            text,
-            "      <material name=\"grey\"><color rgba=\"0.6 0.6 0.65 1\"/></material>\n    </visual>"
+            "    <visual>\n      {}\n      \
+                 <geometry><cylinder radius=\"{radius}\" length=\"{length}\"/></geometry>\n      \
+                 <material name=\"grey\"><color rgba=\"0.6 0.6 0.65 1\"/></material>\n    </visual>",
+            origin(link_from_cylinder)
         )?;
     }
     writeln!(text, "  </link>")

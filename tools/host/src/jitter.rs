@@ -44,7 +44,6 @@ use servo::thread::{CpuLatency, Denial, Scheduler, Wait, Waiter};
 
 use bench::CellBench;
 use cell::MeasuredCell;
-use chart::Curve;
 use files::{Files, IntervalLog};
 use interval::{Ledger, recording};
 use load::Load;
@@ -172,18 +171,6 @@ struct Course<'a> {
 }
 
 impl Course<'_> {
-    fn turn(&self, warm_up: bool) -> Turn<'_> {
-        Turn {
-            period: self.plan.period,
-            time: if warm_up {
-                self.plan.warm_up
-            } else {
-                self.plan.turn
-            },
-            over: self.over,
-        }
-    }
-
     /// Adds the new intervals to `ledger` and shows intermediate results.
     fn look(&mut self, ledger: &mut Ledger, who: &str) {
         if let Err(error) = ledger.drain() {
@@ -211,9 +198,9 @@ impl Course<'_> {
     ) -> anyhow::Result<Vec<Denial>> {
         let Plan {
             realtime, period, ..
-        } = *self.plan;
+        } = self.plan;
         let look = || self.look(ledger, who);
-        let ((), denied) = probe::on_thread(&realtime, period, || body(wakeups), look)?;
+        let denied = probe::on_thread(realtime, *period, || body(wakeups), look)?;
         // The last interval of a turn; all others are free by now.
         self.look(ledger, who);
         wakeups.late.hand_over();
@@ -246,7 +233,7 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         cyclictest::find()?;
     }
     Load::find(&options.load)?;
-    let ((), mut denied) = probe::on_thread(&plan.realtime, plan.period, || (), || ())?;
+    let mut denied = probe::on_thread(&plan.realtime, plan.period, || (), || ())?;
     if let Some(cpu) = denied.iter().find(|one| matches!(one, Denial::Cpu { .. })) {
         bail!("{cpu}");
     }
@@ -292,8 +279,9 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
             false => (&mut ours, &mut ledger),
         };
         let turn = Turn {
+            period: plan.period,
+            time: if warm_up { plan.warm_up } else { plan.turn },
             over: &over,
-            ..course.turn(warm_up)
         };
         denied = match &mut cell {
             None => course.thread(wakeups, into, "ours", |to| {
@@ -371,9 +359,8 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         (_, Some(error)) => Err(error).context("ours.hlog cannot be written"),
         (None, None) => Ok(()),
         (Some(files), None) => {
-            let curve = |name, ledger| Curve::of(name, ledger);
-            let beside = options.against.map(|against| curve(against.name(), &peers));
-            let chart = chart::chart(&said, &curve("mrroc", &ledger), beside.as_ref());
+            let beside = options.against.map(|against| (against.name(), &peers));
+            let chart = chart::chart(&said, ("mrroc", &ledger), beside);
             let chart = chart.context("jitter.svg cannot be drawn");
             chart.and_then(|chart| files.write(&ledger.total, &peers.total, &chart))
         }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, anyhow, bail};
-use canopen::eds::{Access, DataType, Eds, Value};
+use canopen::eds::{DataType, Eds, Value, Variable};
 use canopen::{NodeId, Object};
 use mrroc::cell::printable;
 
@@ -17,10 +17,7 @@ pub(super) struct DataSheet {
     object: Object,
     /// Name of the object. The name of a sub-index is preceded by the name of its object.
     pub(super) name: String,
-    data_type: DataType,
-    access: Access,
-    low: Option<Value>,
-    high: Option<Value>,
+    variable: Variable,
 }
 
 impl DataSheet {
@@ -46,16 +43,13 @@ impl DataSheet {
             path,
             object,
             name: printable(&name),
-            data_type: variable.data_type,
-            access: variable.access,
-            low: variable.low.clone(),
-            high: variable.high.clone(),
+            variable: variable.clone(),
         })
     }
 
     /// Data type of the object's values; `None` for a type that has no name on the command line.
     pub(super) fn value_type(&self) -> Option<Type> {
-        Some(match self.data_type {
+        Some(match self.variable.data_type {
             DataType::Boolean => Type::Bool,
             DataType::Integer8 => Type::I8,
             DataType::Integer16 => Type::I16,
@@ -75,13 +69,9 @@ impl DataSheet {
 
     /// Refuses to read a write-only object.
     pub(super) fn check_read(&self) -> anyhow::Result<()> {
-        if !self.access.readable() {
-            bail!(
-                "{} {} is write-only by {}",
-                self.object,
-                self.name,
-                self.path
-            );
+        if !self.variable.access.readable() {
+            let (object, name, path) = (self.object, &self.name, &self.path);
+            bail!("{object} {name} is write-only by {path}");
         }
         Ok(())
     }
@@ -92,7 +82,7 @@ impl DataSheet {
         let Self {
             object, name, path, ..
         } = self;
-        if !self.access.writable() {
+        if !self.variable.access.writable() {
             bail!("{object} {name} is read-only by {path}");
         }
         let length = self.value_type().and_then(Type::bytes);
@@ -100,27 +90,20 @@ impl DataSheet {
             let given = data.len();
             bail!("{object} {name} takes {length} bytes by {path}, not {given}: leave out --type");
         }
-        let number = match self.data_type.range() {
+        let number = match self.variable.data_type.range() {
             Some((least, _)) if least < 0 => value::signed(data).map(i128::from),
             Some(_) => value::unsigned(data).map(i128::from),
             None => None,
         };
-        let bound = |bound: &Option<Value>| bound.as_ref().and_then(|bound| bound.integer(node));
-        let (low, high) = (bound(&self.low), bound(&self.high));
         let Some(number) = number else {
             return Ok(());
         };
-        if low.is_some_and(|low| number < low) {
-            bail!(
-                "{object} {name} takes no less than {} by {path}",
-                low.unwrap_or(number)
-            );
+        let bound = |bound: &Option<Value>| bound.as_ref().and_then(|bound| bound.integer(node));
+        if let Some(low) = bound(&self.variable.low).filter(|&low| number < low) {
+            bail!("{object} {name} takes no less than {low} by {path}");
         }
-        if high.is_some_and(|high| number > high) {
-            bail!(
-                "{object} {name} takes no more than {} by {path}",
-                high.unwrap_or(number)
-            );
+        if let Some(high) = bound(&self.variable.high).filter(|&high| number > high) {
+            bail!("{object} {name} takes no more than {high} by {path}");
         }
         Ok(())
     }

@@ -16,18 +16,18 @@ use canopen::cia402::FaultTable;
 use canopen::emcy::Emergency;
 use canopen::guarding;
 use canopen::nmt::{Command, NmtState, Request as NmtRequest, Target};
-use canopen::pdo::{Entry, PdoKind};
+use canopen::pdo::{Entry, PdoKind, PdoNumber};
 use canopen::sdo::{Initiate, Request, Response, Segment};
 use canopen::sync::Sync;
 use canopen::time::TimeOfDay;
 use canopen::{NodeId, Object, cob};
 use clap::ValueEnum;
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 use super::pdo_map::{Pdo, PdoMap};
 use super::value::Shown;
 use super::words;
-use transfer::{Channel, Reading};
+use transfer::{Channel, Reading, Side};
 
 /// Service that a frame belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
@@ -70,14 +70,20 @@ impl Kind {
 }
 
 /// Text of a frame and its service.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Described {
     /// Service of the frame.
     pub kind: Kind,
     /// The node that sends or receives the frame, if there is exactly one.
+    #[serde(skip_serializing_if = "Option::is_none", serialize_with = "raw")]
     pub node: Option<NodeId>,
     /// Text of the frame.
     pub text: String,
+}
+
+#[expect(clippy::ref_option, reason = "the signature that serde calls")]
+fn raw<S: Serializer>(node: &Option<NodeId>, serializer: S) -> Result<S::Ok, S::Error> {
+    node.map(NodeId::raw).serialize(serializer)
 }
 
 /// Knowledge of a bus. Initially no SDO transfer is under way.
@@ -128,11 +134,11 @@ impl Decoder {
             text: format!("{what}{}", bytes(frame.data())),
         };
         let Some(id) = frame.standard_data_id() else {
-            return if frame.is_remote() {
-                other("remote frame")
+            return other(if frame.is_remote() {
+                "remote frame"
             } else {
-                other("29-bit identifier: ")
-            };
+                "29-bit identifier: "
+            });
         };
         if let Some(pdo) = self.pdos.get(&id.raw()) {
             return self.mapped(pdo, frame.data());
@@ -148,6 +154,10 @@ impl Decoder {
         let Some(function) = cob::Function::of(id) else {
             return other("unknown identifier: ");
         };
+        let pdo = |name, number: PdoNumber| {
+            let number = number.offset() + 1;
+            Some(format!("{name} {number}: {}", bytes(frame.data())))
+        };
         let (kind, node, text) = match function {
             cob::Function::Nmt => (Kind::Nmt, None, nmt(frame)),
             cob::Function::Sync => (Kind::Sync, None, sync(frame)),
@@ -160,14 +170,8 @@ impl Decoder {
             cob::Function::SdoResponse(node) => {
                 (Kind::Sdo, Some(node), self.response(frame, node, at))
             }
-            cob::Function::Tpdo(number, node) => {
-                let text = unmapped("TPDO", number.offset(), frame.data());
-                (Kind::Pdo, Some(node), Some(text))
-            }
-            cob::Function::Rpdo(number, node) => {
-                let text = unmapped("RPDO", number.offset(), frame.data());
-                (Kind::Pdo, Some(node), Some(text))
-            }
+            cob::Function::Tpdo(number, node) => (Kind::Pdo, Some(node), pdo("TPDO", number)),
+            cob::Function::Rpdo(number, node) => (Kind::Pdo, Some(node), pdo("RPDO", number)),
         };
         Described {
             kind,
@@ -233,41 +237,27 @@ impl Decoder {
             vendor => format!(", vendor's bytes {}", bytes(&vendor)),
         };
         let register = words::error_register(emergency.error_register);
+        let code = emergency.code;
+        let text = self.faults(emergency.node).text(code);
         Some(if emergency.is_reset() {
             format!("error gone; still present: {register}{vendor}")
         } else {
-            let (code, text) = (
-                emergency.code,
-                self.faults(emergency.node).text(emergency.code),
-            );
             format!("error {code:#06x} ({text}); present: {register}{vendor}")
         })
     }
 
     fn request(&mut self, frame: &Frame, node: NodeId, at: Instant) -> Option<String> {
         let request = Request::decode(frame, node)?;
-        let transferred = match self.channel(node).request(frame, at) {
+        let transferred = match self.channel(node).read(Side::Client, frame, at) {
             Reading::Command(object) => object,
             Reading::BlockSegment(object) => return Some(block::segment(frame, object)),
             Reading::Unknown => return Some(block::unknown(frame, "a command")),
         };
         Some(match request {
             Request::InitiateUpload { object } => format!("read {}", named(object)),
-            Request::InitiateDownload { object, initiate } => match initiate {
-                Initiate::Expedited(data) => {
-                    format!(
-                        "write {} = {}",
-                        named(object),
-                        self.value(object, data.data(), node)
-                    )
-                }
-                Initiate::Segmented { size: Some(size) } => {
-                    format!("write {}, {size} bytes in segments", named(object))
-                }
-                Initiate::Segmented { size: None } => {
-                    format!("write {} in segments", named(object))
-                }
-            },
+            Request::InitiateDownload { object, initiate } => {
+                format!("write {}", self.initiated(object, &initiate, ",", node))
+            }
             Request::DownloadSegment(segment) => segment_text(&segment, transferred),
             Request::UploadSegment { .. } => "next segment, please".to_owned(),
             Request::Abort { object, code } => format!("client aborts {}: {code}", named(object)),
@@ -277,31 +267,35 @@ impl Decoder {
 
     fn response(&mut self, frame: &Frame, node: NodeId, at: Instant) -> Option<String> {
         let response = Response::decode(frame, node)?;
-        let transferred = match self.channel(node).response(frame, at) {
+        let transferred = match self.channel(node).read(Side::Server, frame, at) {
             Reading::Command(object) => object,
             Reading::BlockSegment(object) => return Some(block::segment(frame, object)),
             Reading::Unknown => return Some(block::unknown(frame, "an answer")),
         };
         Some(match response {
-            Response::InitiateUpload { object, initiate } => match initiate {
-                Initiate::Expedited(data) => {
-                    format!(
-                        "{} = {}",
-                        named(object),
-                        self.value(object, data.data(), node)
-                    )
-                }
-                Initiate::Segmented { size: Some(size) } => {
-                    format!("{}: {size} bytes in segments", named(object))
-                }
-                Initiate::Segmented { size: None } => format!("{} in segments", named(object)),
-            },
+            Response::InitiateUpload { object, initiate } => {
+                self.initiated(object, &initiate, ":", node)
+            }
             Response::InitiateDownload { object } => format!("{} taken", named(object)),
             Response::UploadSegment(segment) => segment_text(&segment, transferred),
             Response::DownloadSegment { .. } => "segment taken".to_owned(),
             Response::Abort { object, code } => format!("aborts {}: {code}", named(object)),
             Response::Unsupported(_) => block::response(frame, node).unwrap_or_else(|| odd(frame)),
         })
+    }
+
+    /// Text of the start of a transfer, with `colon` before the size.
+    fn initiated(&self, object: Object, initiate: &Initiate, colon: &str, node: NodeId) -> String {
+        let name = named(object);
+        match initiate {
+            Initiate::Expedited(data) => {
+                format!("{name} = {}", self.value(object, data.data(), node))
+            }
+            Initiate::Segmented { size: Some(size) } => {
+                format!("{name}{colon} {size} bytes in segments")
+            }
+            Initiate::Segmented { size: None } => format!("{name} in segments"),
+        }
     }
 
     fn value(&self, object: Object, data: &[u8], node: NodeId) -> String {
@@ -395,10 +389,6 @@ fn heartbeat(frame: &Frame) -> Option<String> {
         (state, false) => state.to_string(),
         (state, true) => format!("{state}, toggle bit set"),
     })
-}
-
-fn unmapped(name: &str, offset: u16, data: &[u8]) -> String {
-    format!("{name} {}: {}", offset + 1, bytes(data))
 }
 
 fn time(frame: &Frame) -> Option<String> {

@@ -1,7 +1,5 @@
 //! Service port of an EPOS2 or EPOS4 on a tty: objects and NMT commands without a bus, on the wall clock.
 
-#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
-
 use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -16,10 +14,9 @@ use serial::epos4::Address;
 use serial::service::{Client, Config, Dialect, Reply, ServiceError, StartError, TIME_OUT};
 use serial::{Line, Settings, StopBits, Tty};
 
+use super::Interrupted;
+use super::talk::LOOK;
 use super::value::Type;
-
-/// Longest time between two checks for Ctrl-C.
-const LOOK: Duration = Duration::from_millis(50);
 
 /// Time after which bytes that the tty did not accept are offered again.
 const AGAIN: Duration = Duration::from_millis(1);
@@ -34,8 +31,8 @@ pub(super) struct ServicePort {
     dialect: Dialect,
 }
 
-/// Result of a request; `None` if Ctrl-C came first.
-type Brought = Option<Result<Vec<u8>, SdoError>>;
+/// Result of a request.
+type Brought = Result<Vec<u8>, SdoError>;
 
 impl ServicePort {
     /// Opens a tty. `timeout` limits the time to an answer, and is at least the frame time-out of the drive.
@@ -84,13 +81,13 @@ impl ServicePort {
             subindex,
         };
         if let Some(data) = data {
-            return self.ask(object, stop, |client, now| match *data {
-                [] => client.write(address, 0, now),
-                [a] => client.write(address, a.into(), now),
-                [a, b] => client.write(address, u16::from_le_bytes([a, b]).into(), now),
-                [a, b, c] => client.write(address, u32::from_le_bytes([a, b, c, 0]), now),
-                [a, b, c, d] => client.write(address, u32::from_le_bytes([a, b, c, d]), now),
-                _ => client.write_segmented(address, data, now),
+            return self.ask(object, stop, |client, now| {
+                if data.len() > 4 {
+                    return client.write_segmented(address, data, now);
+                }
+                let mut value = [0; 4];
+                value[..data.len()].copy_from_slice(data);
+                client.write(address, u32::from_le_bytes(value), now)
             });
         }
         let bytes = ty.map(Type::bytes);
@@ -102,24 +99,24 @@ impl ServicePort {
         }
         let read = self.ask(object, stop, |client, now| client.read(address, now))?;
         match read {
-            Some(Ok(mut data)) => {
+            Ok(mut data) => {
                 data.truncate(bytes.flatten().unwrap_or(4));
-                Ok(Some(Ok(data)))
+                Ok(Ok(data))
             }
-            Some(Err(SdoError::Aborted {
+            Err(SdoError::Aborted {
                 code: AbortCode::TOO_LONG | AbortCode::LENGTH_MISMATCH,
                 ..
-            })) if segments && bytes.is_none() => self.ask(object, stop, read_segmented),
+            }) if segments && bytes.is_none() => self.ask(object, stop, read_segmented),
             other => Ok(other),
         }
     }
 
-    /// Sends an NMT command; `None` if Ctrl-C came before the drive accepted it.
+    /// Sends an NMT command.
     pub(super) fn nmt(
         &mut self,
         request: Request,
         stop: &AtomicBool,
-    ) -> anyhow::Result<Option<Result<(), SdoError>>> {
+    ) -> anyhow::Result<Result<(), SdoError>> {
         let frame = request.encode();
         let &[command, node] = frame.data() else {
             unreachable!("an NMT command has two bytes")
@@ -127,10 +124,11 @@ impl ServicePort {
         // An NMT command addresses no object. A refusal concerns the command.
         let nothing = Object::new(0, 0);
         let told = self.ask(nothing, stop, |client, now| client.nmt(node, command, now))?;
-        Ok(told.map(|told| told.map(|_| ())))
+        Ok(told.map(|_| ()))
     }
 
-    /// Makes a request and waits for its end. The deadlines of the request bound the wait.
+    /// Makes a request and waits for its end. The deadlines of the request bound the wait. The error after Ctrl-C is
+    /// [`Interrupted`].
     fn ask(
         &mut self,
         object: Object,
@@ -149,15 +147,15 @@ impl ServicePort {
             }
             match self.client.poll() {
                 None => {}
-                Some(Ok(Reply::Value(value))) => return Ok(Some(Ok(value.to_le_bytes().into()))),
-                Some(Ok(Reply::Object(object))) => return Ok(Some(Ok(object.to_owned()))),
-                Some(Ok(Reply::Done)) => return Ok(Some(Ok(Vec::new()))),
+                Some(Ok(Reply::Value(value))) => return Ok(Ok(value.to_le_bytes().into())),
+                Some(Ok(Reply::Object(object))) => return Ok(Ok(object.to_owned())),
+                Some(Ok(Reply::Done)) => return Ok(Ok(Vec::new())),
                 Some(Err(ServiceError::Refused(code))) => {
                     let code = AbortCode(code);
-                    return Ok(Some(Err(SdoError::Aborted { object, code })));
+                    return Ok(Err(SdoError::Aborted { object, code }));
                 }
                 Some(Err(ServiceError::TimedOut { waited })) => {
-                    return Ok(Some(Err(SdoError::TimedOut { object, waited })));
+                    return Ok(Err(SdoError::TimedOut { object, waited }));
                 }
                 Some(Err(other)) => return Err(anyhow!(other)),
             }
@@ -171,7 +169,7 @@ impl ServicePort {
             clock::wait_readable(self.tty.as_fd(), until).map_err(serial::LineError::Os)?;
             self.receive()?;
         }
-        Ok(None)
+        Err(Interrupted.into())
     }
 
     /// Passes on the received bytes.

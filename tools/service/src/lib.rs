@@ -25,16 +25,16 @@ pub mod value;
 pub mod words;
 
 use std::path::PathBuf;
-use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use can::{ControllerState, Instant, Port, clock};
+use can::{ControllerState, Port};
 use canopen::{NodeId, Object};
 use clap::Args;
 use master::sdo::SdoError;
+use thiserror::Error;
 
 use epos::ServicePort;
 use mrroc::bench::bus_port::BusPort;
@@ -42,7 +42,7 @@ use mrroc::bench::interfaces::Interface;
 use mrroc::cell_file::CellFile;
 use mrroc::signals;
 use mrroc::streams::say;
-use talk::{Conversation, Ended};
+use talk::Conversation;
 use value::Type;
 
 /// Options that select the bus of a command.
@@ -66,16 +66,26 @@ pub struct BusArgs {
     bus: Option<String>,
 }
 
-/// An open bus.
-pub struct Bus {
-    port: BusPort,
-    /// The interface of the bus.
+/// An open port: a bus, or the service port of one drive.
+pub struct Open<P> {
+    port: P,
     interface: Interface,
-    /// The cell, and the index of the bus in it.
+    /// The cell, and the index of the bus, which the drive is also on.
     cell: OfCell,
     /// Set by Ctrl-C.
     interrupted: Arc<AtomicBool>,
 }
+
+/// An open bus.
+pub type Bus = Open<BusPort>;
+
+/// A drive on its open service port.
+type Drive = Open<ServicePort>;
+
+/// Ctrl-C ended a command early. The exit status is 1.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error("interrupted")]
+pub struct Interrupted;
 
 /// The cell, if given, and the index of the bus in it.
 type OfCell = Option<(CellFile, usize)>;
@@ -85,17 +95,6 @@ type OfCell = Option<(CellFile, usize)>;
 enum Channel {
     Bus(Bus),
     Drive(Drive),
-}
-
-/// A drive on its open service port.
-struct Drive {
-    port: ServicePort,
-    /// The interface of the service port.
-    interface: Interface,
-    /// The cell, and the index of the bus that the drive is also on.
-    cell: OfCell,
-    /// Set by Ctrl-C.
-    interrupted: Arc<AtomicBool>,
 }
 
 impl BusArgs {
@@ -109,9 +108,12 @@ impl BusArgs {
         self.open_by(BusPort::listen)
     }
 
-    fn open_by(&self, open: fn(&Interface, u32) -> anyhow::Result<BusPort>) -> anyhow::Result<Bus> {
+    fn open_by<P>(
+        &self,
+        open: impl FnOnce(&Interface, u32) -> anyhow::Result<P>,
+    ) -> anyhow::Result<Open<P>> {
         let (interface, kbps, cell) = self.resolve()?;
-        Ok(Bus {
+        Ok(Open {
             interrupted: signals::ending_flag()?,
             port: open(&interface, kbps)?,
             interface,
@@ -121,21 +123,17 @@ impl BusArgs {
 
     /// Opens the bus or the service port. On a service port, `timeout` limits the time to an answer.
     fn open_channel(&self, timeout: Duration) -> anyhow::Result<Channel> {
-        let (interface, _, cell) = self.resolve()?;
+        let (interface, ..) = self.resolve()?;
         let Interface::Epos {
             dialect,
             path,
             baud,
-        } = &interface
+        } = interface
         else {
             return self.open().map(Channel::Bus);
         };
-        Ok(Channel::Drive(Drive {
-            interrupted: signals::ending_flag()?,
-            port: ServicePort::open(*dialect, path, *baud, timeout)?,
-            interface,
-            cell,
-        }))
+        self.open_by(|_, _| ServicePort::open(dialect, &path, baud, timeout))
+            .map(Channel::Drive)
     }
 
     /// The interface to open, its bit rate, kbit/s, and the cell.
@@ -176,16 +174,27 @@ impl BusArgs {
     }
 }
 
-impl Bus {
-    /// Runs a conversation until its end or until Ctrl-C.
-    fn hold(&mut self, conversation: &mut impl Conversation) -> anyhow::Result<Ended> {
-        talk::hold(&mut self.port, conversation, &self.interrupted)
-            .with_context(|| self.interface.to_string())
-    }
-
+impl<P> Open<P> {
     /// Name of `node` in reports, with the name of its axis if the cell has one.
     fn name_of(&self, node: NodeId) -> String {
-        name_of(node, self.cell.as_ref())
+        let axis = self.cell.as_ref().and_then(|(file, bus)| {
+            let mut axes = file.cell.axes_on(*bus);
+            let is_node = |&(robot, axis): &(usize, usize)| {
+                file.cell.robot[robot].axis[axis].node == node.raw()
+            };
+            let (robot, axis) = axes.find(is_node)?;
+            Some(format!(" ({})", file.axis_name(robot, axis)))
+        });
+        format!("node {node}{}", axis.unwrap_or_default())
+    }
+}
+
+impl Bus {
+    /// Runs a conversation until its end. The error after Ctrl-C is [`Interrupted`].
+    fn hold(&mut self, conversation: &mut impl Conversation) -> anyhow::Result<()> {
+        let ended = talk::hold(&mut self.port, conversation, &self.interrupted)
+            .with_context(|| self.interface.to_string())?;
+        Ok(ended?)
     }
 
     /// Possible reasons why no node answered.
@@ -210,34 +219,15 @@ impl Bus {
     }
 }
 
-impl Channel {
-    /// Name of `node` in reports.
-    fn name_of(&self, node: NodeId) -> String {
-        match self {
-            Self::Bus(bus) => bus.name_of(node),
-            Self::Drive(drive) => name_of(node, drive.cell.as_ref()),
-        }
-    }
-
-    /// Possible reasons why no node answered.
-    fn silence(&self) -> String {
-        match self {
-            Self::Bus(bus) => bus.silence(),
-            Self::Drive(drive) => drive.silence(),
-        }
-    }
-}
-
 impl Drive {
-    /// Reads an object of `node`, or writes `data` into it. Node 0 is the drive on a service port. `None` if Ctrl-C
-    /// came first.
+    /// Reads an object of `node`, or writes `data` into it. Node 0 is the drive on a service port.
     fn transfer(
         &mut self,
         node: u8,
         object: Object,
         data: Option<&[u8]>,
         ty: Option<Type>,
-    ) -> anyhow::Result<Option<Result<Vec<u8>, SdoError>>> {
+    ) -> anyhow::Result<Result<Vec<u8>, SdoError>> {
         self.port
             .transfer(node, object, data, ty, &self.interrupted)
             .with_context(|| self.interface.to_string())
@@ -257,33 +247,6 @@ impl Drive {
             )
         }
     }
-}
-
-fn name_of(node: NodeId, cell: Option<&(CellFile, usize)>) -> String {
-    let axis = cell.and_then(|(file, bus)| {
-        let on_bus =
-            |&(robot, axis): &(usize, usize)| file.cell.robot[robot].axis[axis].node == node.raw();
-        let (robot, axis) = file.cell.axes_on(*bus).find(on_bus)?;
-        Some(file.axis_name(robot, axis))
-    });
-    match axis {
-        Some(axis) => format!("node {node} ({axis})"),
-        None => format!("node {node}"),
-    }
-}
-
-/// Exit status after Ctrl-C.
-fn interrupted() -> ExitCode {
-    ExitCode::from(1)
-}
-
-/// Present time on the clock of the conversations.
-fn now() -> Instant {
-    clock::now()
-}
-
-fn milliseconds(count: u64) -> Duration {
-    Duration::from_millis(count)
 }
 
 /// A node-ID on the command line.

@@ -1,6 +1,7 @@
 //! `mrroc lss`: assigns node-IDs to nodes that have none, and reads the identities of nodes.
 
 use std::collections::VecDeque;
+use std::fmt;
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -13,9 +14,10 @@ use clap::{Args, Subcommand};
 use master::lss::{Answer, LssError, Master, Service};
 use serde::Serialize;
 
-use super::talk::{Conversation, Ended};
-use super::{BusArgs, interrupted, milliseconds, node_id, say, value, words};
+use super::talk::Conversation;
+use super::{BusArgs, node_id, say, value, words};
 use mrroc::bench::interfaces::Interface;
+use mrroc::streams;
 
 /// Time that a slave has to store its configuration.
 const STORING: Duration = Duration::from_secs(2);
@@ -92,7 +94,7 @@ pub struct Slave {
     timeout: u64,
 }
 
-/// Own type, because a parser of clap returns a type that can be cloned.
+/// A node-ID, or none. Own type, because clap takes an `Option` for an optional argument.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NewNodeId(Option<NodeId>);
 
@@ -127,20 +129,18 @@ fn written(identity: &Identity) -> String {
 /// Runs the action.
 pub fn lss(action: &Action) -> anyhow::Result<ExitCode> {
     match action {
-        Action::Scan { bus, timeout, json } => scan(bus, timeout.map(milliseconds), *json),
+        Action::Scan { bus, timeout, json } => scan(bus, timeout.map(Duration::from_millis), *json),
         Action::Inquire { slave, json } => inquire(slave, *json),
         Action::SetNodeId { slave, node, store } => set_node_id(slave, node.0, *store),
         Action::Store { slave } => {
-            let services = [(Service::Store, STORING)];
-            let Some(_) = slave.ask(&services, None)? else {
-                return Ok(interrupted());
-            };
+            slave.ask(&[(Service::Store, STORING)], None)?;
             say("stored")?;
             Ok(ExitCode::SUCCESS)
         }
     }
 }
 
+/// A node that was found, and its node-ID if it was asked for.
 #[derive(Serialize)]
 struct Found {
     identity: String,
@@ -154,7 +154,7 @@ struct Found {
 }
 
 impl Found {
-    fn of(identity: &Identity) -> Self {
+    fn of(identity: &Identity, node: Option<NodeId>) -> Self {
         Self {
             identity: written(identity),
             vendor: identity.vendor,
@@ -162,7 +162,16 @@ impl Found {
             product: identity.product,
             revision: identity.revision,
             serial: identity.serial,
-            node: None,
+            node: node.map(NodeId::raw),
+        }
+    }
+}
+
+impl fmt::Display for Found {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.node {
+            Some(node) => write!(f, "node {node}: {}", self.identity),
+            None => write!(f, "no node-ID: {}", self.identity),
         }
     }
 }
@@ -184,101 +193,81 @@ fn scan(bus: &BusArgs, timeout: Option<Duration>, json: bool) -> anyhow::Result<
     let mut bus = bus.open()?;
     let timeout = timeout.unwrap_or_else(|| question(&bus.interface));
     let mut dialogue = Dialogue::scan(timeout);
-    if bus.hold(&mut dialogue)? == Ended::Interrupted {
-        return Ok(interrupted());
-    }
+    bus.hold(&mut dialogue)?;
     let (found, failed) = dialogue.found();
-    if json {
+    let unconfigured: Vec<_> = found.iter().map(|found| Found::of(found, None)).collect();
+    match (json, failed) {
         // The JSON object has no form for an incomplete list.
-        if let Some(error) = failed {
-            return Err(error.into());
+        (true, Some(error)) => return Err(error.into()),
+        (true, None) => {
+            say(serde_json::to_string(&Unconfigured { unconfigured })?)?;
+            return Ok(ExitCode::SUCCESS);
         }
-        let unconfigured = found.iter().map(Found::of).collect();
-        say(serde_json::to_string(&Unconfigured { unconfigured })?)?;
-        return Ok(ExitCode::SUCCESS);
+        (false, None) if found.is_empty() => {
+            say("every node that knows LSS has a node-ID")?;
+        }
+        (false, _) => {}
     }
-    if found.is_empty() && failed.is_none() {
-        say("every node that knows LSS has a node-ID")?;
-    }
-    for identity in found {
-        let vendor =
-            words::vendor(identity.vendor).map_or(String::new(), |name| format!(" ({name})"));
-        say(format_args!("no node-ID: {}{vendor}", written(&identity)))?;
+    for found in unconfigured {
+        let vendor = found.vendor_name.map(|name| format!(" ({name})"));
+        say(format_args!("{found}{}", vendor.unwrap_or_default()))?;
     }
     failed.map_or(Ok(ExitCode::SUCCESS), |error| Err(error.into()))
 }
 
 fn inquire(slave: &Slave, json: bool) -> anyhow::Result<ExitCode> {
-    let timeout = milliseconds(slave.timeout);
+    let timeout = Duration::from_millis(slave.timeout);
     let services = [
         (Service::InquireIdentity, timeout),
         (Service::InquireNodeId, timeout),
     ];
-    let Some((answers, _)) = slave.ask(&services, None)? else {
-        return Ok(interrupted());
-    };
-    for pair in answers.windows(2) {
-        let [Answer::Identity(identity), Answer::NodeId(node)] = pair else {
-            continue;
-        };
-        let text = if json {
-            serde_json::to_string(&Found {
-                node: node.map(NodeId::raw),
-                ..Found::of(identity)
-            })?
-        } else {
-            let node = node.map_or("no node-ID".to_owned(), |node| format!("node {node}"));
-            format!("{node}: {}", written(identity))
-        };
-        say(text)?;
-    }
-    Ok(ExitCode::SUCCESS)
+    let (answers, _) = slave.ask(&services, None)?;
+    let found = answers.windows(2).find_map(|pair| match pair {
+        [Answer::Identity(identity), Answer::NodeId(node)] => Some(Found::of(identity, *node)),
+        _ => None,
+    });
+    found.map_or(Ok(ExitCode::SUCCESS), |found| streams::answer(&found, json))
 }
 
 fn set_node_id(slave: &Slave, node: Option<NodeId>, store: bool) -> anyhow::Result<ExitCode> {
-    let mut services = vec![(Service::ConfigureNodeId(node), milliseconds(slave.timeout))];
+    let mut services = vec![(
+        Service::ConfigureNodeId(node),
+        Duration::from_millis(slave.timeout),
+    )];
     if store {
         services.push((Service::Store, STORING));
     }
-    let Some((_, booted)) = slave.ask(&services, node)? else {
-        return Ok(interrupted());
-    };
+    let (_, booted) = slave.ask(&services, node)?;
     let stored = if store { " and stored" } else { "" };
-    let Some(node) = node else {
-        say(format_args!(
-            "node-ID taken away{stored}, from the next reset of communication on"
-        ))?;
-        return Ok(ExitCode::SUCCESS);
-    };
-    if booted {
-        say(format_args!("node {node}: configured{stored}, and booted"))?;
-    } else {
-        say(format_args!(
+    say(match (node, booted) {
+        (None, _) => {
+            format!("node-ID taken away{stored}, from the next reset of communication on")
+        }
+        (Some(node), true) => format!("node {node}: configured{stored}, and booted"),
+        (Some(node), false) => format!(
             "node {node}: configured{stored}; a node that had another node-ID takes it at its next reset of communication"
-        ))?;
-    }
+        ),
+    })?;
     Ok(ExitCode::SUCCESS)
 }
 
 impl Slave {
-    /// Answers of the slave, and whether node `expected` boots afterwards; `None` if Ctrl-C came first.
+    /// Answers of the slave, and whether node `expected` boots afterwards.
     fn ask(
         &self,
         services: &[(Service, Duration)],
         expected: Option<NodeId>,
-    ) -> anyhow::Result<Option<(Vec<Answer>, bool)>> {
+    ) -> anyhow::Result<(Vec<Answer>, bool)> {
         let mut bus = self.bus.open()?;
         let mut dialogue = Dialogue::with(
             self.identity,
             services,
             expected,
-            milliseconds(self.timeout),
+            Duration::from_millis(self.timeout),
         );
-        if bus.hold(&mut dialogue)? == Ended::Interrupted {
-            return Ok(None);
-        }
+        bus.hold(&mut dialogue)?;
         let booted = dialogue.booted;
-        Ok(Some((dialogue.result()?, booted)))
+        Ok((dialogue.result()?, booted))
     }
 }
 
@@ -287,6 +276,8 @@ pub(super) struct Dialogue {
     master: Master,
     services: VecDeque<(Service, Duration)>,
     answers: Vec<Answer>,
+    /// Nodes that a scan found, in ascending order of their identities.
+    found: Vec<Identity>,
     failed: Option<LssError>,
     scanning: Option<Scanning>,
     /// Node whose boot-up message ends the dialogue.
@@ -302,8 +293,6 @@ pub(super) struct Dialogue {
 struct Scanning {
     /// Time to wait for an answer to each request.
     timeout: Duration,
-    /// Identity of the node found last.
-    last: Option<Identity>,
     /// Whether all nodes stay in waiting mode during the scan, which then skips the identities already found.
     above: bool,
 }
@@ -337,12 +326,11 @@ impl Dialogue {
             (Service::SwitchGlobal(Mode::Waiting), SWITCHING),
             (select, timeout),
         ];
+        let services = begin.into_iter().chain(services.iter().copied());
         Self {
-            services: begin.into_iter().chain(services.iter().copied()).collect(),
             expected,
-            ..Self::scan(timeout)
+            ..Self::of(services.collect(), None)
         }
-        .not_scanning()
     }
 
     /// Scan for every slave without a node-ID. A slave that was found is in configuration mode and should be silent
@@ -353,35 +341,31 @@ impl Dialogue {
             (Service::SwitchGlobal(Mode::Waiting), SWITCHING),
             (Service::Fastscan, timeout),
         ];
+        let scanning = Scanning {
+            timeout,
+            above: false,
+        };
+        Self::of(services.into(), Some(scanning))
+    }
+
+    /// Query whether any slave has no node-ID.
+    pub(super) fn anybody(timeout: Duration) -> Self {
+        Self::of([(Service::IdentifyUnconfigured, timeout)].into(), None)
+    }
+
+    fn of(services: VecDeque<(Service, Duration)>, scanning: Option<Scanning>) -> Self {
         Self {
             master: Master::new(),
-            services: services.into(),
+            services,
             answers: Vec::new(),
+            found: Vec::new(),
             failed: None,
-            scanning: Some(Scanning {
-                timeout,
-                last: None,
-                above: false,
-            }),
+            scanning,
             expected: None,
             booted: false,
             busy: false,
             ending: Ending::NotYet,
         }
-    }
-
-    /// Query whether any slave has no node-ID.
-    pub(super) fn anybody(timeout: Duration) -> Self {
-        Self {
-            services: [(Service::IdentifyUnconfigured, timeout)].into(),
-            ..Self::scan(timeout)
-        }
-        .not_scanning()
-    }
-
-    fn not_scanning(mut self) -> Self {
-        self.scanning = None;
-        self
     }
 
     /// Answers in the order of the services.
@@ -392,11 +376,7 @@ impl Dialogue {
     /// Nodes that a scan found, in ascending order of their identities, and the error that ended the scan early, if
     /// any.
     pub(super) fn found(self) -> (Vec<Identity>, Option<LssError>) {
-        let found = self.answers.iter().filter_map(|answer| match answer {
-            Answer::Found(found) => *found,
-            _ => None,
-        });
-        (found.collect(), self.failed)
+        (self.found, self.failed)
     }
 
     /// Processes the result of the present service and starts the next.
@@ -430,51 +410,36 @@ impl Dialogue {
     }
 
     fn take(&mut self, result: Result<Answer, LssError>) {
-        let scanning = self.scanning.as_mut();
-        match (result, scanning) {
+        let last = self.found.last().copied();
+        let Some(scanning) = &mut self.scanning else {
+            return self.keep(result);
+        };
+        match result {
             // A slave in configuration mode keeps answering, or a slave that was found stayed in waiting mode.
-            (Err(LssError::Untrue), Some(scanning))
-                if scanning.last.is_some() && !scanning.above =>
-            {
-                scanning.above = true;
-                self.scan_on();
-            }
-            (Ok(Answer::Found(Some(found))), Some(scanning)) if scanning.last == Some(found) => {
-                scanning.above = true;
-                self.scan_on();
-            }
-            (Err(error), _) => {
-                self.failed.get_or_insert(error);
-                self.services.clear();
-            }
-            (Ok(answer @ Answer::Found(Some(found))), Some(scanning)) => {
-                scanning.last = Some(found);
-                self.answers.push(answer);
-                let is_find = |answer: &&Answer| matches!(answer, Answer::Found(Some(_)));
-                if self.answers.iter().filter(is_find).count() < MOST_FOUND {
-                    self.scan_on();
-                }
-            }
-            (Ok(answer), _) => self.answers.push(answer),
+            Err(LssError::Untrue) if last.is_some() && !scanning.above => scanning.above = true,
+            Ok(Answer::Found(Some(found))) if last == Some(found) => scanning.above = true,
+            Ok(Answer::Found(Some(found))) => self.found.push(found),
+            other => return self.keep(other),
+        }
+        // The scan for the next slave.
+        let above = self.found.last().filter(|_| scanning.above);
+        match above {
+            _ if self.found.len() >= MOST_FOUND => {}
+            Some(last) => self.services.extend([
+                (Service::SwitchGlobal(Mode::Waiting), SWITCHING),
+                (Service::FastscanAbove(*last), scanning.timeout),
+            ]),
+            None => (self.services).push_back((Service::Fastscan, scanning.timeout)),
         }
     }
 
-    /// Scans for the next slave.
-    fn scan_on(&mut self) {
-        let Some(Scanning {
-            timeout,
-            last,
-            above,
-        }) = self.scanning
-        else {
-            return;
-        };
-        match last.filter(|_| above) {
-            Some(last) => self.services.extend([
-                (Service::SwitchGlobal(Mode::Waiting), SWITCHING),
-                (Service::FastscanAbove(last), timeout),
-            ]),
-            None => self.services.push_back((Service::Fastscan, timeout)),
+    fn keep(&mut self, result: Result<Answer, LssError>) {
+        match result {
+            Ok(answer) => self.answers.push(answer),
+            Err(error) => {
+                self.failed.get_or_insert(error);
+                self.services.clear();
+            }
         }
     }
 }

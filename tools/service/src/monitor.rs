@@ -1,16 +1,13 @@
 //! `mrroc monitor`: prints the frames of a bus as text while they arrive.
 
-#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
-
 use std::io::{BufWriter, ErrorKind, Write};
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use anyhow::Context;
-use can::{ControllerState, Frame, Instant, Port, Received, clock};
+use can::{ControllerState, Port, Received, clock};
 use canopen::NodeId;
-use canopen::sync::Sync;
 use clap::Args;
 use drive::cia402::pdo_setups;
 use serde::Serialize;
@@ -18,13 +15,10 @@ use serde::Serialize;
 use super::decode::{Decoder, Described, Kind};
 use super::pdo_map::{MappingQuestions, Pdo, PdoMap};
 use super::survey::Survey;
-use super::talk::Ended;
-use super::{Bus, BusArgs, interrupted, milliseconds, now, words};
+use super::talk;
+use super::{Bus, BusArgs, words};
 use mrroc::bench::interfaces::Interface;
 use mrroc::setup;
-
-/// Longest time between two checks for Ctrl-C.
-const LOOK: Duration = Duration::from_millis(50);
 
 /// Options of `mrroc monitor`.
 #[derive(Args)]
@@ -74,10 +68,8 @@ pub fn monitor(options: &Options) -> anyhow::Result<ExitCode> {
     let mut decoder = of_cell(&bus);
     if options.map {
         let nodes = NodeId::all().map(|node| (node, MappingQuestions::of(node)));
-        let mut survey = Survey::new(nodes, milliseconds(options.timeout));
-        if bus.hold(&mut survey)? == Ended::Interrupted {
-            return Ok(interrupted());
-        }
+        let mut survey = Survey::new(nodes, Duration::from_millis(options.timeout));
+        bus.hold(&mut survey)?;
         for (node, questions) in survey.into_answers() {
             if let Some(vendor) = questions.vendor {
                 decoder.set_vendor(node, vendor);
@@ -121,19 +113,16 @@ fn of_cell(bus: &Bus) -> Decoder {
 }
 
 fn watch(bus: &mut Bus, decoder: &mut Decoder, options: &Options) -> anyhow::Result<()> {
-    let mut received = [Received {
-        frame: Sync::default().encode(),
-        at: Instant::ZERO,
-    }; 256];
+    let mut received = talk::batch();
     let mut out = BufWriter::new(std::io::stdout());
-    let began = now();
+    let began = clock::now();
     decoder.begin(began);
     let mut left = options.count.unwrap_or(u64::MAX);
     let mut health = Health::default();
     while left > 0 && !bus.interrupted.load(Ordering::Relaxed) {
         let on = || bus.interface.to_string();
         bus.port
-            .wait_readable(clock::now() + LOOK)
+            .wait_readable(clock::now() + talk::LOOK)
             .with_context(on)?;
         let on = || bus.interface.to_string();
         let count = bus
@@ -151,15 +140,20 @@ fn watch(bus: &mut Bus, decoder: &mut Decoder, options: &Options) -> anyhow::Res
             }
             left -= 1;
             let shown = MonitorLine {
-                bus,
-                at: at.since(began),
-                frame,
-                described: &described,
+                at_s: at.since(began).as_secs_f64(),
+                frame: frame.to_string(),
+                described,
             };
             if options.json {
-                writeln!(out, "{}", serde_json::to_string(&shown.to_json())?)?;
+                writeln!(out, "{}", serde_json::to_string(&shown)?)?;
             } else {
-                writeln!(out, "{shown}")?;
+                let name = shown
+                    .described
+                    .node
+                    .map(|node| format!("{}: ", bus.name_of(node)));
+                let (frame, text) = (&shown.frame, &shown.described.text);
+                let name = name.unwrap_or_default();
+                writeln!(out, "{:12.6}  {frame:<20}  {name}{text}", shown.at_s)?;
             }
         }
         if let Some(news) = health.news(bus) {
@@ -205,44 +199,13 @@ fn loss(interface: &Interface, count: u64) -> String {
     }
 }
 
-struct MonitorLine<'a> {
-    bus: &'a Bus,
-    at: Duration,
-    frame: &'a Frame,
-    described: &'a Described,
-}
-
+/// A frame with the time since the start of the monitor.
 #[derive(Serialize)]
-struct JsonLine<'a> {
+struct MonitorLine {
     at_s: f64,
     frame: String,
-    kind: Kind,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    node: Option<u8>,
-    text: &'a str,
-}
-
-impl MonitorLine<'_> {
-    fn to_json(&self) -> JsonLine<'_> {
-        JsonLine {
-            at_s: self.at.as_secs_f64(),
-            frame: self.frame.to_string(),
-            kind: self.described.kind,
-            node: self.described.node.map(NodeId::raw),
-            text: &self.described.text,
-        }
-    }
-}
-
-impl std::fmt::Display for MonitorLine<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let (at, frame) = (self.at.as_secs_f64(), self.frame.to_string());
-        write!(f, "{at:12.6}  {frame:<20}  ")?;
-        if let Some(node) = self.described.node {
-            write!(f, "{}: ", self.bus.name_of(node))?;
-        }
-        f.write_str(&self.described.text)
-    }
+    #[serde(flatten)]
+    described: Described,
 }
 
 #[cfg(test)]

@@ -4,22 +4,19 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use can::{Frame, Instant};
+use can::{Frame, Instant, clock};
+use canopen::NodeId;
 use canopen::guarding::Response;
 use canopen::nmt::{Command, NmtState, Request, Target};
 use canopen::objects::PRODUCER_HEARTBEAT;
-use canopen::{NodeId, Object};
 use clap::{Args, ValueEnum};
 use master::sdo::{self, SdoError};
 
-use super::talk::{Conversation, Ended};
-use super::{Bus, BusArgs, Channel, Drive, interrupted, milliseconds, node_id, now, say};
+use super::talk::Conversation;
+use super::{Bus, BusArgs, Channel, Drive, node_id, say};
 
 /// Time that a node has to answer an SDO request.
 const ANSWER: Duration = Duration::from_millis(300);
-
-/// The object that says whether a node sends a heartbeat.
-const ASKED: Object = PRODUCER_HEARTBEAT;
 
 /// NMT commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -46,21 +43,17 @@ pub struct Options {
     order: CommandName,
     /// The node-ID, or `all`.
     #[arg(value_name = "NODE", value_parser = target)]
-    target: Whom,
+    target: Target,
     /// Time to wait for heartbeats and boot-up messages, ms.
     #[arg(long, value_name = "MS", default_value_t = 2000)]
     timeout: u64,
 }
 
-/// Own type, because a parser of clap returns a type that can be cloned.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Whom(Target);
-
-fn target(text: &str) -> Result<Whom, String> {
-    if text == "all" {
-        return Ok(Whom(Target::All));
+fn target(text: &str) -> Result<Target, String> {
+    match text {
+        "all" => Ok(Target::All),
+        _ => node_id(text).map(Target::Node),
     }
-    node_id(text).map(|node| Whom(Target::Node(node)))
 }
 
 impl CommandName {
@@ -79,17 +72,15 @@ impl CommandName {
 pub fn nmt(options: &Options) -> anyhow::Result<ExitCode> {
     let request = Request {
         command: options.order.command(),
-        target: options.target.0,
+        target: options.target,
     };
-    let timeout = milliseconds(options.timeout);
+    let timeout = Duration::from_millis(options.timeout);
     let mut bus = match options.bus.open_channel(timeout)? {
         Channel::Bus(bus) => bus,
         Channel::Drive(mut drive) => return tell(&mut drive, request),
     };
-    let mut told = Told::new(request, timeout, now());
-    if bus.hold(&mut told)? == Ended::Interrupted {
-        return Ok(interrupted());
-    }
+    let mut told = Told::new(request, timeout, clock::now());
+    bus.hold(&mut told)?;
     let report = told.report();
     for line in report.lines(&bus) {
         say(line)?;
@@ -101,17 +92,16 @@ pub fn nmt(options: &Options) -> anyhow::Result<ExitCode> {
 fn tell(drive: &mut Drive, request: Request) -> anyhow::Result<ExitCode> {
     let whom = match request.target {
         Target::All => "all nodes".to_owned(),
-        Target::Node(node) => super::name_of(node, drive.cell.as_ref()),
+        Target::Node(node) => drive.name_of(node),
     };
     let told = drive.port.nmt(request, &drive.interrupted);
     match told.with_context(|| drive.interface.to_string())? {
-        None => return Ok(interrupted()),
-        Some(Ok(())) => {}
-        Some(Err(SdoError::Aborted { code, .. })) => bail!("{whom}: refused: {code}"),
-        Some(Err(SdoError::TimedOut { waited, .. })) => {
+        Ok(()) => {}
+        Err(SdoError::Aborted { code, .. }) => bail!("{whom}: refused: {code}"),
+        Err(SdoError::TimedOut { waited, .. }) => {
             bail!("{whom}: timed out after {waited:?}: {}", drive.silence())
         }
-        Some(Err(other)) => return Err(other).context(whom),
+        Err(other) => return Err(other).context(whom),
     }
     say(format_args!(
         "{whom}: told, and the drive on the line accepted it; its service port does not say what became of it"
@@ -158,7 +148,7 @@ impl Told {
             (Target::All, _) | (_, NmtState::Initialising) => None,
             (Target::Node(node), _) => {
                 let mut client = sdo::Client::new(node, ANSWER, 1);
-                let started = client.upload(ASKED, now);
+                let started = client.upload(PRODUCER_HEARTBEAT, now);
                 started.expect("nothing is being transferred yet");
                 Some(client)
             }
@@ -277,20 +267,19 @@ impl NodeReport {
         };
         let mut lines: Vec<_> = self.heard.iter().map(said).collect();
         if let Some((node, answer)) = &self.silent {
-            let what = match (answer, self.wanted) {
-                (_, NmtState::Initialising) => "told, and did not boot".to_owned(),
+            let what: &str = match (answer, self.wanted) {
+                (_, NmtState::Initialising) => "told, and did not boot",
                 (Some(Ok(0)), NmtState::Stopped) => {
-                    "told, and still answers SDO, so it did not stop".to_owned()
+                    "told, and still answers SDO, so it did not stop"
                 }
                 (Some(Ok(0)), _) => {
                     "told; it sends no heartbeat (0x1017 is 0 or missing), and is not stopped"
-                        .to_owned()
                 }
-                (Some(Ok(ms)), _) => format!("told, and its heartbeat of {ms} ms was not heard"),
-                (Some(Err(_)) | None, NmtState::Stopped) => {
-                    "told; neither heartbeat nor SDO answer: stopped, or not there".to_owned()
+                (Some(Ok(ms)), _) => &format!("told, and its heartbeat of {ms} ms was not heard"),
+                (_, NmtState::Stopped) => {
+                    "told; neither heartbeat nor SDO answer: stopped, or not there"
                 }
-                (Some(Err(_)) | None, _) => format!(
+                _ => &format!(
                     "told, and neither a heartbeat nor an SDO answer came: {}",
                     bus.silence()
                 ),

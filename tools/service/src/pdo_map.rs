@@ -31,7 +31,7 @@ pub(super) struct MappingQuestions {
     /// Vendor-ID. Its presence shows that the node exists.
     pub(super) vendor: Option<u32>,
     stage: Stage,
-    pdos: [(PdoKind, PdoNumber); 8],
+    pdos: Vec<(PdoKind, PdoNumber)>,
     /// Index of the PDO that is being read.
     pdo: usize,
     id: u16,
@@ -52,13 +52,11 @@ enum Stage {
 impl MappingQuestions {
     pub(super) fn of(node: NodeId) -> Self {
         let of_kind = |kind| PdoNumber::ALL.map(|number| (kind, number));
-        let [a, b, c, d] = of_kind(PdoKind::Rpdo);
-        let [e, f, g, h] = of_kind(PdoKind::Tpdo);
         Self {
             node,
             vendor: None,
             stage: Stage::Vendor,
-            pdos: [a, b, c, d, e, f, g, h],
+            pdos: [PdoKind::Rpdo, PdoKind::Tpdo].map(of_kind).concat(),
             pdo: 0,
             id: 0,
             entries: Vec::new(),

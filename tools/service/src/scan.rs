@@ -1,11 +1,10 @@
 //! `mrroc scan`: lists the nodes of a bus.
 
 use std::fmt;
-use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::bail;
-use can::{Frame, Instant};
+use can::{Frame, Instant, clock};
 use canopen::guarding::Response;
 use canopen::objects::{
     DEVICE_NAME, DEVICE_TYPE, PRODUCER_HEARTBEAT, PRODUCT_CODE, REVISION, SERIAL_NUMBER, VENDOR_ID,
@@ -18,9 +17,9 @@ use serde::Serialize;
 
 use super::lss::Dialogue;
 use super::survey::{Questions, Survey};
-use super::talk::{Conversation, Ended};
+use super::talk::Conversation;
 use super::value::Type;
-use super::{BusArgs, Channel, Drive, interrupted, milliseconds, now, say, words};
+use super::{BusArgs, Channel, Drive, words};
 
 /// Minimum time to listen for heartbeats. A stopped node shows itself by its heartbeat only.
 const LISTEN: Duration = Duration::from_secs(1);
@@ -55,80 +54,75 @@ pub struct Options {
     timeout: u64,
     /// Print one JSON object.
     #[arg(long)]
-    json: bool,
+    pub json: bool,
 }
 
 /// Requests the identity of every node-ID.
-pub fn scan(options: &Options) -> anyhow::Result<ExitCode> {
-    let mut bus = match options.bus.open_channel(milliseconds(options.timeout))? {
+pub fn scan(options: &Options) -> anyhow::Result<Scanned> {
+    let mut bus = match options
+        .bus
+        .open_channel(Duration::from_millis(options.timeout))?
+    {
         Channel::Bus(bus) => bus,
-        Channel::Drive(mut drive) => return identify(&mut drive, options.json),
+        Channel::Drive(mut drive) => return identify(&mut drive),
     };
-    let mut scan = Scan::new(milliseconds(options.timeout), now());
-    if bus.hold(&mut scan)? == Ended::Interrupted {
-        return Ok(interrupted());
-    }
+    let mut scan = Scan::new(Duration::from_millis(options.timeout), clock::now());
+    bus.hold(&mut scan)?;
     let mut without_id = Dialogue::anybody(LSS_ANSWER);
-    if bus.hold(&mut without_id)? == Ended::Interrupted {
-        return Ok(interrupted());
-    }
+    bus.hold(&mut without_id)?;
     let unconfigured = without_id.result()?.contains(&Answer::Unconfigured(true));
     let nodes: Vec<_> = scan.into_nodes().collect();
     if nodes.is_empty() && !unconfigured {
         bail!("no node answers: {}", bus.silence());
     }
-    if options.json {
-        let scanned = Scanned {
-            nodes,
-            unconfigured,
-        };
-        say(serde_json::to_string(&scanned)?)?;
-        return Ok(ExitCode::SUCCESS);
-    }
-    if unconfigured {
-        say("there are nodes without a node-ID: `mrroc lss scan` finds them")?;
-    }
-    for node in &nodes {
-        let id = NodeId::new(node.node).expect("it came from a node-ID");
-        if !say(format_args!("{}: {node}", bus.name_of(id)))? {
-            break;
-        }
-    }
-    Ok(ExitCode::SUCCESS)
+    let name = |node: &Node| NodeId::new(node.node).map(|id| bus.name_of(id));
+    Ok(Scanned {
+        names: nodes.iter().filter_map(name).collect(),
+        nodes,
+        unconfigured,
+    })
 }
 
 /// Requests the identity of the drive on a service port.
-fn identify(drive: &mut Drive, json: bool) -> anyhow::Result<ExitCode> {
+fn identify(drive: &mut Drive) -> anyhow::Result<Scanned> {
     let mut identity = Identity::default();
     while let Some(object) = identity.next() {
         let ty = (object == DEVICE_NAME).then_some(Type::String);
-        match drive.transfer(ON_THE_LINE, object, None, ty)? {
-            None => return Ok(interrupted()),
-            Some(Ok(data)) => identity.answer(Ok(&data)),
-            Some(Err(error)) => identity.answer(Err(error)),
-        }
+        let answer = drive.transfer(ON_THE_LINE, object, None, ty)?;
+        identity.answer(answer.as_deref().map_err(|error| *error));
     }
     let Some(node) = identity.into_node(ON_THE_LINE) else {
         bail!("no drive answers: {}", drive.silence());
     };
-    if json {
-        let scanned = Scanned {
-            nodes: vec![node],
-            unconfigured: false,
-        };
-        say(serde_json::to_string(&scanned)?)?;
-    } else {
-        say(format_args!("{}: {node}", drive.interface))?;
-    }
-    Ok(ExitCode::SUCCESS)
+    Ok(Scanned {
+        nodes: vec![node],
+        unconfigured: false,
+        names: vec![drive.interface.to_string()],
+    })
 }
 
 /// Result of a scan.
 #[derive(Serialize)]
-struct Scanned {
+pub struct Scanned {
     nodes: Vec<Node>,
     /// Whether any node that supports LSS has no node-ID.
     unconfigured: bool,
+    /// Names of the nodes in the text.
+    #[serde(skip)]
+    names: Vec<String>,
+}
+
+impl fmt::Display for Scanned {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.unconfigured {
+            writeln!(
+                f,
+                "there are nodes without a node-ID: `mrroc lss scan` finds them"
+            )?;
+        }
+        let mut nodes = self.names.iter().zip(&self.nodes);
+        nodes.try_for_each(|(name, node)| writeln!(f, "{name}: {node}"))
+    }
 }
 
 /// Requests to every node-ID, and heartbeats received during the scan.
@@ -158,11 +152,10 @@ impl Scan {
 impl Conversation for Scan {
     fn handle(&mut self, frame: &Frame, now: Instant) {
         // An answer to node guarding carries the state with a toggle bit.
-        if let Some(Response { node, state, .. }) = Response::decode(frame) {
-            let mut all = self.survey.questions();
-            if let Some((_, identity)) = all.find(|(asked, _)| *asked == node) {
-                identity.heard(state, now);
-            }
+        if let Some(Response { node, state, .. }) = Response::decode(frame)
+            && let Some(identity) = self.survey.questions(node)
+        {
+            identity.heard(state, now);
         }
         self.survey.handle(frame, now);
     }
@@ -176,11 +169,8 @@ impl Conversation for Scan {
         let listen = self.began + if waited_for { LONGEST_LISTEN } else { LISTEN };
         let listening = (self.now < listen).then_some(listen);
         // The announced heartbeat ends the wait when it arrives.
-        self.survey
-            .poll_timeout()
-            .into_iter()
-            .chain(listening)
-            .min()
+        let due = self.survey.poll_timeout().into_iter();
+        due.chain(listening).min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {

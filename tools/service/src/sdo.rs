@@ -1,11 +1,12 @@
 //! `mrroc sdo`: reads or writes one object of one node.
 
+use std::fmt;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
-use can::{Frame, Instant};
+use can::{Frame, Instant, clock};
 use canopen::objects::{ERROR_CODE, ERROR_HISTORY_NEWEST, VENDOR_ID};
 use canopen::sdo::AbortCode;
 use canopen::{NodeId, Object};
@@ -13,12 +14,13 @@ use clap::{Args, Subcommand};
 use drive::cia402::reserved;
 use master::sdo::{self, SdoError, StartError};
 use mrroc::bench::interfaces::Interface;
+use mrroc::streams;
 use serde::Serialize;
 
 use super::data_sheet::DataSheet;
-use super::talk::{Conversation, Ended};
+use super::talk::Conversation;
 use super::value::{self, Shown, Type};
-use super::{BusArgs, Channel, interrupted, milliseconds, node_id, now, say, words};
+use super::{BusArgs, Channel, Interrupted, node_id, words};
 
 /// Number of repetitions of a transfer that is not answered.
 const RETRIES: u8 = 2;
@@ -86,7 +88,13 @@ pub struct Target {
 
 impl Target {
     fn open(&self) -> anyhow::Result<Channel> {
-        self.bus.open_channel(milliseconds(self.timeout))
+        self.bus.open_channel(Duration::from_millis(self.timeout))
+    }
+
+    /// Starts to write `data` into an object of the node, or to read the object if `data` is `None`.
+    fn start(&self, object: Object, data: Option<&[u8]>) -> Result<Transfer, StartError> {
+        let timeout = Duration::from_millis(self.timeout);
+        Transfer::start(self.node, object, data, self.block, timeout, clock::now())
     }
 
     fn data_sheet(&self) -> anyhow::Result<Option<DataSheet>> {
@@ -136,15 +144,15 @@ fn read(target: &Target, ty: Option<Type>) -> anyhow::Result<ExitCode> {
     }
     let mut channel = target.open()?;
     let ty = ty.or_else(|| sheet.as_ref()?.value_type());
-    match transfer(&mut channel, target, target.object, None, ty)? {
-        None => Ok(interrupted()),
-        Some(Ok(data)) => {
-            let vendor = vendor(&mut channel, target)?;
-            show(target, &data, ty, sheet.as_ref(), vendor)?;
-            Ok(ExitCode::SUCCESS)
-        }
-        Some(Err(error)) => Err(refusal(&channel, target, error)),
-    }
+    let data = transfer(&mut channel, target, target.object, None, ty)?;
+    let data = data.map_err(|error| refusal(&channel, target, error))?;
+    // The vendor decides the meaning of error codes.
+    let vendor = match target.object {
+        ERROR_CODE | ERROR_HISTORY_NEWEST => vendor(&mut channel, target)?,
+        _ => None,
+    };
+    show(target, &data, ty, sheet.as_ref(), vendor)?;
+    Ok(ExitCode::SUCCESS)
 }
 
 /// Refuses an object that belongs to the driver while a controller is at work, which would not notice the change.
@@ -163,9 +171,8 @@ fn check_kept(channel: &mut Channel, target: &Target) -> anyhow::Result<()> {
     let Object { index, subindex } = target.object;
     let kept = match reserved(0, index, subindex) {
         None => {
-            let answer = transfer(channel, target, VENDOR_ID, None, None)?;
-            let vendor = answer.and_then(|answer| value::unsigned(&answer.ok()?));
-            vendor.and_then(|vendor| reserved(vendor as u32, index, subindex))
+            let vendor = vendor(channel, target)?;
+            vendor.and_then(|vendor| reserved(vendor, index, subindex))
         }
         kept => kept,
     };
@@ -175,16 +182,11 @@ fn check_kept(channel: &mut Channel, target: &Target) -> anyhow::Result<()> {
     }
 }
 
-/// Whose error codes the node has, if it is an error code that is read.
+/// Vendor-ID of the node, if the node tells it.
 fn vendor(channel: &mut Channel, target: &Target) -> anyhow::Result<Option<u32>> {
-    if !matches!(target.object, ERROR_CODE | ERROR_HISTORY_NEWEST) {
-        return Ok(None);
-    }
     let answer = transfer(channel, target, VENDOR_ID, None, None)?;
-    let data = answer.and_then(Result::ok);
-    Ok(data
-        .and_then(|data| value::unsigned(&data))
-        .map(|raw| raw as u32))
+    let raw = answer.ok().and_then(|data| value::unsigned(&data));
+    Ok(raw.map(|raw| raw as u32))
 }
 
 fn write(
@@ -206,110 +208,92 @@ fn write(
             .is_none_or(|sheet| sheet.check_read().is_ok());
     let mut channel = target.open()?;
     check_kept(&mut channel, target)?;
-    match transfer(&mut channel, target, target.object, Some(&data), Some(ty))? {
-        None => return Ok(interrupted()),
-        Some(Err(error)) => return Err(refusal(&channel, target, error)),
-        Some(Ok(_)) => {}
-    }
+    let written = transfer(&mut channel, target, target.object, Some(&data), Some(ty))?;
+    written.map_err(|error| refusal(&channel, target, error))?;
     if !read_back {
         return Ok(ExitCode::SUCCESS);
     }
-    match read_back_of(&mut channel, target, &data, ty)? {
-        None => Ok(interrupted()),
-        Some(Ok((found, agrees))) => {
+    let object = target.object;
+    let (problem, code) = match read_back_of(&mut channel, target, &data, ty)? {
+        Ok((found, agrees)) => {
             show(target, &found, Some(ty), sheet.as_ref(), None)?;
             if agrees {
                 return Ok(ExitCode::SUCCESS);
             }
-            let (object, wrote) = (target.object, Shown::of(&data, Some(ty), false));
-            let found = Shown::of(&found, Some(ty), false);
-            mrroc::streams::warn(format_args!(
-                "mrroc: {object} was written as {wrote} and reads back as {found}"
-            ));
-            Ok(ExitCode::from(1))
+            let [wrote, found] = [&data, &found].map(|data| Shown::of(data, Some(ty), false));
+            let problem = format!("{object} was written as {wrote} and reads back as {found}");
+            (problem, ExitCode::from(1))
         }
-        Some(Err(SdoError::Aborted {
+        Err(SdoError::Aborted {
             code: AbortCode::WRITE_ONLY,
             ..
-        })) => {
-            mrroc::streams::warn(format_args!(
-                "mrroc: {} is written; it cannot be read back",
-                target.object
-            ));
-            Ok(ExitCode::SUCCESS)
+        }) => {
+            let problem = format!("{object} is written; it cannot be read back");
+            (problem, ExitCode::SUCCESS)
         }
-        Some(Err(error)) => {
-            mrroc::streams::warn(format_args!(
-                "mrroc: {} is written; reading it back failed: {error}",
-                target.object
-            ));
-            Ok(ExitCode::from(1))
+        Err(error) => {
+            let problem = format!("{object} is written; reading it back failed: {error}");
+            (problem, ExitCode::from(1))
         }
-    }
+    };
+    streams::warn(format_args!("mrroc: {problem}"));
+    Ok(code)
 }
 
-/// Value that was read back, and whether it equals the written value.
-type ReadBack = (Vec<u8>, bool);
-
-/// Value that is read back after a write, and whether it equals the written value; `None` if Ctrl-C came first.
+/// Value that is read back after a write, and whether it equals the written value.
 fn read_back_of(
     channel: &mut Channel,
     target: &Target,
     wrote: &[u8],
     ty: Type,
-) -> anyhow::Result<Option<Result<ReadBack, SdoError>>> {
+) -> anyhow::Result<Result<(Vec<u8>, bool), SdoError>> {
+    let object = target.object;
     let Channel::Bus(bus) = channel else {
-        let found = transfer(channel, target, target.object, None, Some(ty))?;
-        let judged = |found: Vec<u8>| {
+        let found = transfer(channel, target, object, None, Some(ty))?;
+        return Ok(found.map(|found| {
             let agrees = found == wrote;
             (found, agrees)
-        };
-        return Ok(found.map(|found| found.map(judged)));
+        }));
     };
-    let timeout = milliseconds(target.timeout);
-    let (node, object) = (target.node, target.object);
-    let mut reading = Transfer::start(node, object, None, target.block, timeout, now())?;
+    let mut reading = target.start(object, None)?;
     reading.wrote = wrote.to_vec();
-    if bus.hold(&mut reading)? == Ended::Interrupted {
-        return Ok(None);
-    }
+    bus.hold(&mut reading)?;
     let agrees = reading.agrees;
-    Ok(reading
-        .result
-        .map(|found| found.map(|found| (found, agrees))))
+    let found = reading.result.ok_or(Interrupted)?;
+    Ok(found.map(|found| (found, agrees)))
 }
 
-/// Value that was read, or empty after a write; `None` if Ctrl-C came first. A service port does not report the length
-/// of an object, so `ty` gives it.
+/// Value that was read, or empty after a write. A service port does not report the length of an object, so `ty` gives
+/// it.
 fn transfer(
     channel: &mut Channel,
     target: &Target,
     object: Object,
     data: Option<&[u8]>,
     ty: Option<Type>,
-) -> anyhow::Result<Option<Result<Vec<u8>, SdoError>>> {
+) -> anyhow::Result<Result<Vec<u8>, SdoError>> {
     let bus = match channel {
         Channel::Bus(bus) => bus,
         Channel::Drive(_) if target.block => bail!("--block: a service port transfers no blocks"),
         Channel::Drive(drive) => return drive.transfer(target.node.raw(), object, data, ty),
     };
-    let timeout = milliseconds(target.timeout);
-    let mut transfer = Transfer::start(target.node, object, data, target.block, timeout, now())?;
-    if bus.hold(&mut transfer)? == Ended::Interrupted {
-        return Ok(None);
-    }
-    Ok(transfer.result)
+    let mut transfer = target.start(object, data)?;
+    bus.hold(&mut transfer)?;
+    Ok(transfer.result.ok_or(Interrupted)?)
 }
 
 /// Text of an abort or a time-out in one line.
 fn refusal(channel: &Channel, target: &Target, error: SdoError) -> anyhow::Error {
-    let node = channel.name_of(target.node);
+    let (node, silence) = match channel {
+        Channel::Bus(bus) => (bus.name_of(target.node), bus.silence()),
+        Channel::Drive(drive) => (drive.name_of(target.node), drive.silence()),
+    };
     let error = match error {
         SdoError::Aborted { code, .. } => match words::hint(code) {
             Some(hint) => anyhow!("{error}: {hint}"),
             None => anyhow!("{error}"),
         },
-        SdoError::TimedOut { .. } => anyhow!("{error}: {}", channel.silence()),
+        SdoError::TimedOut { .. } => anyhow!("{error}: {silence}"),
         other => anyhow!(other),
     };
     error.context(node)
@@ -348,16 +332,21 @@ fn show(
         meaning: raw.and_then(|raw| words::meaning(object, raw, faults)),
         shown,
     };
-    if target.json {
-        say(serde_json::to_string(&answer)?)?;
-        return Ok(());
+    streams::answer(&answer, target.json).map(|_| ())
+}
+
+impl fmt::Display for Answer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", Object::new(self.index, self.subindex))?;
+        if let Some(name) = &self.name {
+            write!(f, " {name}")?;
+        }
+        write!(f, " = {}", self.shown)?;
+        match &self.meaning {
+            Some(meaning) => write!(f, " ({meaning})"),
+            None => Ok(()),
+        }
     }
-    let name = answer.name.map_or(String::new(), |name| format!(" {name}"));
-    let meaning = answer
-        .meaning
-        .map_or(String::new(), |it| format!(" ({it})"));
-    say(format_args!("{object}{name} = {}{meaning}", answer.shown))?;
-    Ok(())
 }
 
 /// Conversation of one transfer.

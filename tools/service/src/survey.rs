@@ -49,16 +49,15 @@ impl<Q: Questions> Survey<Q> {
 
     /// Results of the requests, node by node.
     pub(super) fn into_answers(self) -> impl Iterator<Item = (NodeId, Q)> {
-        self.nodes
-            .into_iter()
-            .map(|asked| (asked.client.node(), asked.questions))
+        let nodes = self.nodes.into_iter();
+        nodes.map(|asked| (asked.client.node(), asked.questions))
     }
 
-    /// Present knowledge about the nodes, for modification.
-    pub(super) fn questions(&mut self) -> impl Iterator<Item = (NodeId, &mut Q)> {
-        self.nodes
-            .iter_mut()
-            .map(|asked| (asked.client.node(), &mut asked.questions))
+    /// Present knowledge about one node, for modification.
+    pub(super) fn questions(&mut self, node: NodeId) -> Option<&mut Q> {
+        let mut nodes = self.nodes.iter_mut();
+        let asked = nodes.find(|asked| asked.client.node() == node)?;
+        Some(&mut asked.questions)
     }
 
     /// Present knowledge about the nodes.
@@ -69,12 +68,8 @@ impl<Q: Questions> Survey<Q> {
     fn ask_next(&mut self, now: Instant) {
         let free = AT_ONCE - self.nodes.iter().filter(|asked| asked.asking).count();
         let idle = self.nodes.iter_mut().filter(|asked| !asked.asking);
-        for asked in idle
-            .filter(|asked| asked.questions.next().is_some())
-            .take(free)
-        {
-            asked.ask(now);
-        }
+        let asked = idle.filter(|asked| asked.questions.next().is_some());
+        asked.take(free).for_each(|asked| asked.ask(now));
     }
 }
 
@@ -108,17 +103,13 @@ impl<Q: Questions> Conversation for Survey<Q> {
     }
 
     fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
-        self.nodes
-            .iter_mut()
-            .find_map(|asked| asked.client.poll_transmit(now))
+        let mut nodes = self.nodes.iter_mut();
+        nodes.find_map(|asked| asked.client.poll_transmit(now))
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let timeouts = self
-            .nodes
-            .iter()
-            .filter_map(|asked| asked.client.poll_timeout());
-        timeouts.min()
+        let nodes = self.nodes.iter();
+        nodes.filter_map(|asked| asked.client.poll_timeout()).min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {

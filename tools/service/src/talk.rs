@@ -1,17 +1,16 @@
 //! Runs a conversation on a bus on the wall clock.
 
-#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
-
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use can::{Frame, Instant, Port, PortError, Received, clock};
 use canopen::sync::Sync;
 
+use super::Interrupted;
 use mrroc::bench::bus_port::BusPort;
 
 /// Longest time between two checks for Ctrl-C.
-const LOOK: Duration = Duration::from_millis(50);
+pub(super) const LOOK: Duration = Duration::from_millis(50);
 
 /// Time after which a frame that the port did not accept is offered again.
 const AGAIN: Duration = Duration::from_micros(200);
@@ -22,9 +21,6 @@ const SENDING: Duration = Duration::from_millis(20);
 
 /// Longest time for which the last frame of an interrupted conversation is offered to the port.
 const LAST: Duration = Duration::from_millis(200);
-
-/// Maximum number of frames that are read from the port at once.
-const BATCH: usize = 256;
 
 /// Protocol of a command: the frames that it sends, and its reaction to received frames.
 pub(super) trait Conversation {
@@ -46,13 +42,11 @@ pub(super) trait Conversation {
     }
 }
 
-/// How a conversation ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Ended {
-    /// At its regular end.
-    Over,
-    /// By Ctrl-C.
-    Interrupted,
+/// Places for the frames that are read from the port at once.
+pub(super) fn batch() -> [Received; 256] {
+    let frame = Sync::default().encode();
+    let at = Instant::ZERO;
+    [Received { frame, at }; 256]
 }
 
 /// Runs `conversation` until it is over or `stop` is set. The deadlines of the conversation bound its duration.
@@ -60,11 +54,8 @@ pub(super) fn hold(
     port: &mut BusPort,
     conversation: &mut impl Conversation,
     stop: &AtomicBool,
-) -> Result<Ended, PortError> {
-    let mut received = [Received {
-        frame: Sync::default().encode(),
-        at: Instant::ZERO,
-    }; BATCH];
+) -> Result<Result<(), Interrupted>, PortError> {
+    let mut received = batch();
     let mut untaken = None;
     // Time of the last sent frame, or `None` if a frame was received since.
     let mut under_way = None;
@@ -80,7 +71,7 @@ pub(super) fn hold(
         }
         let Some(due) = conversation.poll_timeout() else {
             clock::sleep_until(under_way.map_or(now, |sent| sent + SENDING));
-            return Ok(Ended::Over);
+            return Ok(Ok(()));
         };
         let again = untaken.map_or(LOOK, |_| AGAIN);
         port.wait_readable(due.min(now + again))?;
@@ -97,5 +88,5 @@ pub(super) fn hold(
         }
         clock::sleep_until(clock::now() + SENDING);
     }
-    Ok(Ended::Interrupted)
+    Ok(Err(Interrupted))
 }

@@ -39,23 +39,17 @@ pub enum Type {
 
 /// Reason why a text is not a value of a type.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-pub enum ValueError {
+pub(super) enum ValueError {
     /// Not a number, or a number outside the range of the type.
     #[error("{text:?} is no {ty}: {least} to {most}, decimal or 0x…")]
     Number {
-        /// The given text.
         text: String,
-        /// The type.
-        ty: &'static str,
-        /// The least value.
+        ty: String,
         least: i128,
-        /// The greatest value.
         most: i128,
     },
-    /// Not a real number.
     #[error("{0:?} is no real number")]
     Real(String),
-    /// Not a sequence of bytes.
     #[error("{0:?} are no bytes: two hexadecimal digits each, such as 7f00")]
     Bytes(String),
     /// A character that VISIBLE_STRING does not allow.
@@ -79,22 +73,10 @@ impl Type {
         matches!(self, Self::I8 | Self::I16 | Self::I32 | Self::I64)
     }
 
-    const fn name(self) -> &'static str {
-        match self {
-            Self::Bool => "bool",
-            Self::U8 => "u8",
-            Self::U16 => "u16",
-            Self::U32 => "u32",
-            Self::U64 => "u64",
-            Self::I8 => "i8",
-            Self::I16 => "i16",
-            Self::I32 => "i32",
-            Self::I64 => "i64",
-            Self::F32 => "f32",
-            Self::F64 => "f64",
-            Self::String => "string",
-            Self::Hex => "hex",
-        }
+    /// Name on the command line.
+    fn name(self) -> String {
+        let value = self.to_possible_value();
+        value.map_or_else(String::new, |value| value.get_name().to_owned())
     }
 
     /// Converts `text` to bytes in the order of transmission. A hexadecimal number is the bit pattern of a signed type.
@@ -105,13 +87,13 @@ impl Type {
             Self::Hex => bytes(text).ok_or_else(|| ValueError::Bytes(text.to_owned())),
             Self::F32 => {
                 let real = text.parse::<f32>().ok().filter(|real| real.is_finite());
-                let real = real.ok_or_else(|| ValueError::Real(text.to_owned()))?;
-                Ok(real.to_le_bytes().to_vec())
+                let bytes = real.map(|real| real.to_le_bytes().to_vec());
+                bytes.ok_or_else(|| ValueError::Real(text.to_owned()))
             }
             Self::F64 => {
                 let real = text.parse::<f64>().ok().filter(|real| real.is_finite());
-                let real = real.ok_or_else(|| ValueError::Real(text.to_owned()))?;
-                Ok(real.to_le_bytes().to_vec())
+                let bytes = real.map(|real| real.to_le_bytes().to_vec());
+                bytes.ok_or_else(|| ValueError::Real(text.to_owned()))
             }
             Self::Bool | Self::U8 | Self::U16 | Self::U32 | Self::U64 => self.integer(text),
             Self::I8 | Self::I16 | Self::I32 | Self::I64 => self.integer(text),
@@ -130,14 +112,13 @@ impl Type {
             let as_bits = *hexadecimal && self.is_signed() && (0..1_i128 << bits).contains(value);
             (least..=most).contains(value) || as_bits
         };
-        let (value, _) = integer(text)
-            .filter(fits)
-            .ok_or_else(|| ValueError::Number {
-                text: text.to_owned(),
-                ty: self.name(),
-                least,
-                most,
-            })?;
+        let refused = || ValueError::Number {
+            text: text.to_owned(),
+            ty: self.name(),
+            least,
+            most,
+        };
+        let (value, _) = integer(text).filter(fits).ok_or_else(refused)?;
         Ok(value.to_le_bytes()[..size].to_vec())
     }
 }
@@ -238,7 +219,7 @@ impl Shown {
             _ => None,
         };
         let raw = unsigned(data).filter(|_| sized && real.is_none());
-        let as_signed = signed_if(sized && real.is_none(), data);
+        let as_signed = raw.and_then(|_| signed(data));
         let is_signed = ty.map_or(is_signed, Type::is_signed);
         let value = if is_signed {
             as_signed.map(i128::from)
@@ -261,10 +242,6 @@ impl Shown {
             text,
         }
     }
-}
-
-fn signed_if(wanted: bool, data: &[u8]) -> Option<i64> {
-    if wanted { signed(data) } else { None }
 }
 
 fn printable(data: &[u8]) -> Option<std::borrow::Cow<'_, str>> {

@@ -126,8 +126,7 @@ pub(super) fn meaning(object: Object, raw: u64, faults: FaultTable) -> Option<St
         MODE_OF_OPERATION | MODE_OF_OPERATION_DISPLAY => {
             ModeOfOperation::from_raw(raw as i8).to_string()
         }
-        ERROR_CODE => faults.text(low).to_owned(),
-        ERROR_HISTORY_NEWEST => faults.text(low).to_owned(),
+        ERROR_CODE | ERROR_HISTORY_NEWEST => faults.text(low).to_owned(),
         ERROR_REGISTER => error_register(ErrorRegister(raw as u8)),
         DEVICE_TYPE => device_type(raw as u32),
         VENDOR_ID => vendor(raw as u32)?.to_owned(),

@@ -1,75 +1,51 @@
 //! Transmissions of a robot's axes between joint and motor, as text.
 
-use super::tables::Tag;
+use super::tables::{Row, Tag};
 use controller::robot::{GearAxis, Limits, ScrewAxis};
 
-/// Transmission of one axis between joint and motor.
-pub(crate) struct Drive {
-    pub(crate) joint: &'static str,
-    pub(crate) name: String,
-    pub(crate) transmission: String,
-    pub(crate) home: String,
-    pub(crate) joints: String,
-    pub(crate) motors: String,
-    pub(crate) tag: Tag,
+/// Transmission of one axis between joint and motor. `numbers` are the relation of both, the home and the ranges of
+/// joint and motor.
+pub(crate) fn drive(joint: &str, name: &str, numbers: [&str; 4], tag: Tag) -> Row {
+    let cells = format!("{joint} | `{name}` | {}", numbers.join(" | "));
+    Row { cells, tag }
 }
 
-impl Drive {
-    /// Parameters that a cell file can set.
-    pub(crate) fn numbers(&self) -> [&str; 4] {
-        [&self.transmission, &self.home, &self.joints, &self.motors]
-    }
+pub(crate) fn gear(joint: &str, name: &str, gear: &GearAxis, tag: Tag) -> Row {
+    let symbol = if joint == "d0" { "d0" } else { "th" };
+    let transmission = format!("m = {} {symbol}", signed(gear.ratio));
+    geared(joint, name, &transmission, gear, tag)
 }
 
-pub(crate) fn gear(joint: &'static str, name: &str, gear: &GearAxis, tag: Tag) -> Drive {
-    Drive {
-        joint,
-        name: name.into(),
-        transmission: format!(
-            "m = {} {}",
-            signed(gear.ratio),
-            if joint == "d0" { "d0" } else { "th" }
-        ),
-        home: format!(
-            "{} at m {}",
-            signed(gear.joint_at_home),
-            signed(gear.motor_at_home)
-        ),
-        joints: range(&gear.joint_limits),
-        motors: range(&gear.motor_limits),
-        tag,
-    }
+/// A gear with another relation of motor and joint.
+pub(crate) fn geared(
+    joint: &str,
+    name: &str,
+    transmission: &str,
+    gear: &GearAxis,
+    tag: Tag,
+) -> Row {
+    let [at_joint, at_motor] = [gear.joint_at_home, gear.motor_at_home].map(signed);
+    let home = format!("{at_joint} at m {at_motor}");
+    let [joints, motors] = [gear.joint_limits, gear.motor_limits].map(|limits| range(&limits));
+    drive(joint, name, [transmission, &home, &joints, &motors], tag)
 }
 
-pub(crate) fn screw(joint: &'static str, name: &str, screw: &ScrewAxis, tag: Tag) -> Drive {
-    let ScrewAxis {
-        lead,
-        squared,
-        cosine,
-        sine,
-        length_at_home,
-        motor_at_home,
-        ..
-    } = *screw;
-    Drive {
-        joint,
-        name: name.into(),
-        transmission: format!(
-            "screw of {} m per turn, L² = {} {} cos th {} sin th m²",
-            signed(lead),
-            signed(squared),
-            added(cosine),
-            added(sine)
-        ),
-        home: format!(
-            "L {} m at m {}",
-            signed(length_at_home),
-            signed(motor_at_home)
-        ),
-        joints: range(&screw.joint_limits),
-        motors: range(&screw.motor_limits),
-        tag,
-    }
+pub(crate) fn screw(joint: &str, name: &str, screw: &ScrewAxis, tag: Tag) -> Row {
+    let transmission = format!(
+        "screw of {} m per turn, L² = {} {} cos th {} sin th m²",
+        signed(screw.lead),
+        signed(screw.squared),
+        added(screw.cosine),
+        added(screw.sine)
+    );
+    let home = length_at_home(screw.length_at_home, screw.motor_at_home);
+    let [joints, motors] = [screw.joint_limits, screw.motor_limits].map(|limits| range(&limits));
+    drive(joint, name, [&transmission, &home, &joints, &motors], tag)
+}
+
+/// Home of a screw: its length, m, and the position of its motor, rad.
+pub(crate) fn length_at_home(length: f64, motor: f64) -> String {
+    format!("L {} m at m {}", signed(length), signed(motor))
 }
 
 /// A number with at most six decimal places and a true minus sign.

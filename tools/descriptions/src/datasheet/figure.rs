@@ -1,13 +1,12 @@
 //! Figure of an arm: links, joints with their positive directions, dimensions, reach and frames, drawn from
 //! [`controller::robot::Robot::links`].
 
-use controller::robot::{Joints, LinkKind};
+use controller::robot::{Joints, Link, LinkKind};
 use nalgebra::Vector3;
 
 use super::ink::{self, Sheet};
 use super::posture::{LEAST, Stand, stands};
-use super::svg::{self, Point};
-use super::symbols;
+use super::svg::{NOTE, Point, Svg, TITLE, ahead, between, distance, unit};
 use crate::kinematics::Machine;
 
 const WIDTH: f64 = 960.0;
@@ -38,6 +37,20 @@ pub(crate) struct Other {
     pub(crate) said: Option<String>,
 }
 
+impl View {
+    /// A view of the robot alone, with its directions to the right and upwards.
+    pub(crate) fn of(title: &'static str, joints: Joints, [right, up]: [Vector3<f64>; 2]) -> Self {
+        Self {
+            title,
+            joints,
+            right,
+            up,
+            reach: None,
+            others: Vec::new(),
+        }
+    }
+}
+
 /// Kind of a part.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Part {
@@ -52,46 +65,28 @@ pub(crate) enum Part {
 /// Figure of one or two views. `symbols` are the names of the joints in the formulas.
 pub(crate) fn figure(machine: &Machine, symbols: &[&str], views: &[View; 2]) -> String {
     let links = machine.robot.links().map_or_else(Vec::new, |links| links.0);
-    let mut svg = svg::open([WIDTH, HEIGHT]);
+    let mut svg = Svg::open([WIDTH, HEIGHT]);
     let title = format!("{}: geometry in mm", machine.name);
-    svg::text(
-        &mut svg,
-        [LEFT[0], 34.0],
-        "start",
-        "font-size=\"19\" fill=\"#111\"",
-        &title,
-    );
+    svg.text([LEFT[0], 34.0], "start", TITLE, &title);
     if let Some(caution) = machine.caution {
-        svg::text(&mut svg, [LEFT[0], 55.0], "start", ink::SECONDARY, caution);
+        svg.text([LEFT[0], 55.0], "start", ink::SECONDARY, caution);
     }
     let mut told = Vec::new();
     for (view, left) in views.iter().zip(LEFT) {
-        svg::text(
-            &mut svg,
-            [left, TOP - 28.0],
-            "start",
-            "font-size=\"15\" fill=\"#111\"",
-            view.title,
-        );
-        let posture = at(&view.joints, symbols, machine);
-        svg::text(
-            &mut svg,
-            [left, TOP - 10.0],
-            "start",
-            "font-size=\"12\" fill=\"#666\"",
-            &posture,
-        );
+        let style = "font-size=\"15\" fill=\"#111\"";
+        svg.text([left, TOP - 28.0], "start", style, view.title);
+        let posture = at(&view.joints, symbols, &links);
+        svg.text([left, TOP - 10.0], "start", NOTE, &posture);
         let stands = stands(&links, &view.joints);
         panel(&mut svg, left, symbols, view, &stands, &mut told);
     }
-    symbols::legend(&mut svg, [LEFT[0], HEIGHT - 22.0]);
-    svg + "</svg>\n"
+    svg.legend([LEFT[0], HEIGHT - 22.0]);
+    svg.close()
 }
 
 /// Text of the posture.
-fn at(joints: &Joints, symbols: &[&str], machine: &Machine) -> String {
-    let links = machine.robot.links().map_or_else(Vec::new, |links| links.0);
-    let values = joints.iter().zip(symbols).zip(&links);
+fn at(joints: &Joints, symbols: &[&str], links: &[Link]) -> String {
+    let values = joints.iter().zip(symbols).zip(links);
     let values: Vec<_> = values
         .map(|((joint, symbol), link)| match link.kind {
             LinkKind::Prismatic => format!("{symbol} {:.0} mm", joint * 1e3),
@@ -105,7 +100,7 @@ fn at(joints: &Joints, symbols: &[&str], machine: &Machine) -> String {
 
 /// Draws a view. Adds the dimensioned lengths to `told`: number of the joint and number of the segment before it.
 fn panel(
-    svg: &mut String,
+    svg: &mut Svg,
     left: f64,
     symbols: &[&str],
     view: &View,
@@ -123,10 +118,10 @@ fn panel(
             .iter()
             .flat_map(|(outlines, _)| outlines.iter().flatten()),
     );
-    let mut sheet = Sheet::fit([view.right, view.up], &seen, [left, TOP], PANEL);
+    let mut sheet = Sheet::fit(svg, [view.right, view.up], &seen, [left, TOP], PANEL);
 
     if let Some((outlines, _)) = &view.reach {
-        sheet.area(svg, outlines);
+        sheet.area(outlines);
     }
     let ways = || stands.iter().flat_map(|stand| &stand.way);
     for [from, to] in ways() {
@@ -134,14 +129,14 @@ fn panel(
     }
     // A base frame below the first joint is drawn on the ground.
     let stands_on_it = stands.first().is_some_and(|stand| !stand.way.is_empty());
-    sheet.ground(svg, if stands_on_it { 4.0 } else { 44.0 });
+    sheet.ground(if stands_on_it { 4.0 } else { 44.0 });
     for other in &view.others {
         if other.part != Part::Measure {
-            sheet.other(svg, &other.points, other.part == Part::Leg);
+            sheet.other(&other.points, other.part == Part::Leg);
         }
     }
     for [from, to] in ways() {
-        sheet.link(svg, *from, *to);
+        sheet.link(*from, *to);
     }
     let places = places(&sheet, stands);
     for place in &places {
@@ -149,18 +144,18 @@ fn panel(
     }
     for (stand, place) in stands.iter().zip(&places) {
         if let Some([zero, now]) = stand.turned {
-            sheet.angle(svg, *place, [zero, now], stand.axis);
+            sheet.angle(*place, [zero, now], stand.axis);
         }
     }
     for (stand, place) in stands.iter().zip(&places) {
-        sheet.joint(svg, *place, stand.kind, stand.axis);
+        sheet.joint(*place, stand.kind, stand.axis);
     }
-    sheet.frame(svg, &nalgebra::Isometry3::identity());
+    sheet.frame(&nalgebra::Isometry3::identity());
     if let Some(last) = stands.last() {
-        sheet.frame(svg, &last.frame);
+        sheet.frame(&last.frame);
     }
     for ((symbol, place), stand) in symbols.iter().zip(&places).zip(stands) {
-        sheet.name(svg, *place, symbol, &stand.axis);
+        sheet.name(*place, symbol, &stand.axis);
     }
     for (joint, (stand, symbol)) in stands.iter().zip(symbols).enumerate() {
         for (part, [from, to]) in stand.way.iter().enumerate() {
@@ -175,22 +170,22 @@ fn panel(
             } else {
                 ink::millimetres(length)
             };
-            if sheet.dimension(svg, [*from, *to], &said) {
+            if sheet.dimension([*from, *to], &said) {
                 told.push((joint, part));
             }
         }
     }
     for other in &view.others {
         if let (Some(said), Some(&[from, to])) = (&other.said, other.points.first_chunk()) {
-            sheet.dimension(svg, [from, to], said);
+            sheet.dimension([from, to], said);
         }
     }
-    sheet.frame_name(svg, &Vector3::zeros(), "base");
-    sheet.frame_name(svg, &flange, "flange");
+    sheet.frame_name(&Vector3::zeros(), "base");
+    sheet.frame_name(&flange, "flange");
     if let Some((outlines, said)) = &view.reach {
-        sheet.area_name(svg, outlines, said);
+        sheet.area_name(outlines, said);
     }
-    sheet.scale(svg, [left, TOP + PANEL[1] + 24.0]);
+    sheet.scale([left, TOP + PANEL[1] + 24.0]);
 }
 
 /// Positions of the joint symbols. Joints seen along their axes come first, because their symbols cannot be moved
@@ -216,18 +211,17 @@ fn place(sheet: &Sheet, stand: &Stand, [first, last]: [bool; 2], taken: &[Point]
     let on_way = stand.way.last().and_then(|[from, to]| {
         let along = (to - from).normalize().dot(&stand.axis).abs() > 0.99;
         let [a, b] = [from, to].map(|end| sheet.at(*end));
-        let long = (to - from).norm() > LEAST && (b[0] - a[0]).hypot(b[1] - a[1]) > 30.0;
+        let long = (to - from).norm() > LEAST && distance(a, b) > 30.0;
         let share = if first { 0.65 } else { 0.5 };
-        (along && long).then(|| [0, 1].map(|side| a[side] + share * (b[side] - a[side])))
+        (along && long).then(|| ahead(a, share, between(a, b)))
     });
     let is_free = |place: &Point| {
-        let near = |other: &Point| (other[0] - place[0]).hypot(other[1] - place[1]) < 27.0;
+        let near = |other: &Point| distance(*place, *other) < 27.0;
         !taken.iter().any(near)
     };
     // Symbols are moved towards the base, and the symbol of the last joint towards the flange.
-    let towards = svg::unit(sheet.direction(if last { stand.axis } else { -stand.axis }));
-    let beside =
-        [30.0, -30.0, 56.0, -56.0].map(|away| [0, 1].map(|side| own[side] + away * towards[side]));
+    let towards = unit(sheet.direction(if last { stand.axis } else { -stand.axis }));
+    let beside = [30.0, -30.0, 56.0, -56.0].map(|away| ahead(own, away, towards));
     let seen_along = sheet.is_seen_along(&stand.axis);
     let aside = beside.into_iter().filter(|_| !seen_along);
     let mut places = on_way.into_iter().chain([own]).chain(aside);

@@ -1,12 +1,10 @@
 //! Drawing of a view: projection, links, and placement of texts.
 
-use std::fmt::Write as _;
-
 use controller::robot::LinkKind;
 use nalgebra::{Isometry3, Vector3};
 
-use super::svg::{self, Point, unit};
-use super::symbols::{ACCENT, BODY, DASHED, axis_line, drum, pole, square, turn_about};
+use super::svg::{NOTE, Point, Svg, ahead, around, between, curve, distance, stroke, unit};
+use super::symbols::{ACCENT, BODY, DASHED};
 
 pub(super) const SECONDARY: &str = "fill=\"#666\"";
 const LINK: &str = "fill=\"none\" stroke=\"#8a939e\" stroke-width=\"9\" stroke-linecap=\"round\"";
@@ -24,7 +22,8 @@ pub(super) fn millimetres(length: f64) -> String {
 }
 
 /// Projection of a view onto the sheet.
-pub(super) struct Sheet {
+pub(super) struct Sheet<'a> {
+    svg: &'a mut Svg,
     right: Vector3<f64>,
     up: Vector3<f64>,
     origin: Point,
@@ -34,9 +33,10 @@ pub(super) struct Sheet {
     taken: Vec<Point>,
 }
 
-impl Sheet {
+impl<'a> Sheet<'a> {
     /// Projection that places all of `seen` inside the panel.
     pub(super) fn fit(
+        svg: &'a mut Svg,
         [right, up]: [Vector3<f64>; 2],
         seen: &[Vector3<f64>],
         corner: Point,
@@ -55,6 +55,7 @@ impl Sheet {
         let scale = room(size[0], across).min(room(size[1], upwards));
         let middle = |[low, high]: [f64; 2]| f64::midpoint(low, high) * scale;
         Self {
+            svg,
             right,
             up,
             origin: [
@@ -95,26 +96,23 @@ impl Sheet {
     }
 
     fn occupy_line(&mut self, from: Point, to: Point) {
-        let steps = ((to[0] - from[0]).hypot(to[1] - from[1]) / 5.0)
-            .ceil()
-            .max(1.0);
-        for step in 0..=steps as u32 {
-            let share = f64::from(step) / steps;
-            self.taken
-                .push([0, 1].map(|side| from[side] + (to[side] - from[side]) * share));
-        }
+        let steps = (distance(from, to) / 5.0).ceil().max(1.0);
+        let places = (0..=steps as u32).map(|step| f64::from(step) / steps);
+        let line = between(from, to);
+        self.taken
+            .extend(places.map(|share| ahead(from, share, line)));
     }
 
     /// Marks a square as an obstacle for texts.
     pub(super) fn block(&mut self, [x, y]: Point, half: f64) {
         for [dx, dy] in [
-            [-1.0, -1.0],
-            [1.0, -1.0],
-            [1.0, 1.0],
-            [-1.0, 1.0],
-            [0.0, 0.0],
+            [-half, -half],
+            [half, -half],
+            [half, half],
+            [-half, half],
+            [0.0; 2],
         ] {
-            self.taken.push([x + dx * half, y + dy * half]);
+            self.taken.push([x + dx, y + dy]);
         }
         self.occupy_line([x - half, y], [x + half, y]);
         self.occupy_line([x, y - half], [x, y + half]);
@@ -134,19 +132,18 @@ impl Sheet {
     /// Adds a text at the position with the fewest obstacles; among equals, at the first.
     fn text(
         &mut self,
-        svg: &mut String,
-        places: impl Iterator<Item = Point>,
+        places: impl IntoIterator<Item = Point>,
         size: f64,
         style: &str,
         said: &str,
     ) {
-        let places: Vec<_> = places.collect();
+        let places: Vec<_> = places.into_iter().collect();
         let best = places
             .iter()
             .min_by_key(|place| self.crowd(**place, said, size));
         let Some(&[x, y]) = best else { return };
         let style = format!("font-size=\"{size}\" {style} {HALO}");
-        svg::text(svg, [x, y + 0.36 * size], "middle", &style, said);
+        self.svg.text([x, y + 0.36 * size], "middle", &style, said);
         let half = 0.29 * size * said.chars().count() as f64;
         for dy in [-0.4 * size, 0.0, 0.4 * size] {
             self.occupy_line([x - half, y + dy], [x + half, y + dy]);
@@ -154,29 +151,16 @@ impl Sheet {
     }
 
     /// Fills an area inside closed outlines.
-    pub(super) fn area(&self, svg: &mut String, outlines: &[Vec<Vector3<f64>>]) {
-        let mut way = String::new();
-        for outline in outlines {
-            for (number, point) in outline.iter().enumerate() {
-                let [x, y] = self.at(*point);
-                let _ = write!(way, "{}{x:.1} {y:.1}", if number == 0 { 'M' } else { 'L' });
-            }
-            way.push('Z');
-        }
-        let _ = writeln!(
-            svg,
-            "<path d=\"{way}\" fill=\"#e8f1fb\" fill-rule=\"evenodd\" stroke=\"#9dc1e8\" stroke-width=\"1\" \
-             stroke-dasharray=\"6 3\"/>"
-        );
+    pub(super) fn area(&mut self, outlines: &[Vec<Vector3<f64>>]) {
+        let style = "fill=\"#e8f1fb\" fill-rule=\"evenodd\" stroke=\"#9dc1e8\" stroke-width=\"1\" \
+                     stroke-dasharray=\"6 3\"";
+        let points = |outline: &Vec<_>| outline.iter().map(|point| self.at(*point)).collect();
+        let outlines: Vec<Vec<_>> = outlines.iter().map(points).collect();
+        self.svg.area(outlines.into_iter(), style);
     }
 
     /// Name of an area, below or above it.
-    pub(super) fn area_name(
-        &mut self,
-        svg: &mut String,
-        outlines: &[Vec<Vector3<f64>>],
-        said: &str,
-    ) {
+    pub(super) fn area_name(&mut self, outlines: &[Vec<Vector3<f64>>], said: &str) {
         let points = outlines.iter().flatten().map(|point| self.at(*point));
         let (low, high) = points.fold(
             ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]),
@@ -190,101 +174,86 @@ impl Sheet {
         let middle = f64::midpoint(low[0], high[0]);
         let heights = [high[1] + 14.0, low[1] - 12.0, high[1] + 28.0, low[1] - 26.0];
         let places = heights.map(|height| [middle, height]);
-        self.text(svg, places.into_iter(), 12.0, "fill=\"#4a86c5\"", said);
+        self.text(places, 12.0, "fill=\"#4a86c5\"", said);
     }
 
     /// Hatched base, `depth` px below the base frame, drawn only in a side view. The base carries axis 1 along the z
     /// axis of the base frame.
-    pub(super) fn ground(&mut self, svg: &mut String, depth: f64) {
+    pub(super) fn ground(&mut self, depth: f64) {
         if self.is_seen_along(&Vector3::z()) {
             return;
         }
         let down = unit(self.direction(-Vector3::z()));
         let across = [-down[1], down[0]];
-        let place = |along: f64, deep: f64| {
-            [0, 1].map(|side| self.origin[side] + across[side] * along + down[side] * deep)
-        };
+        let origin = self.origin;
+        let place = |along: f64, deep: f64| ahead(ahead(origin, along, across), deep, down);
         let top = [place(-44.0, depth), place(44.0, depth)];
-        svg::line(svg, place(0.0, 0.0), place(0.0, depth), LINK);
-        svg::line(svg, top[0], top[1], "stroke=\"#222\" stroke-width=\"2\"");
+        self.svg.line(place(0.0, 0.0), place(0.0, depth), LINK);
+        self.svg.line(top[0], top[1], &stroke("#222", 2.0));
         for step in 0..9 {
             let from = -40.0 + 10.0 * f64::from(step);
-            svg::line(
-                svg,
-                place(from, depth),
-                place(from - 8.0, depth + 9.0),
-                "stroke=\"#222\" stroke-width=\"1\"",
-            );
+            let to = place(from - 8.0, depth + 9.0);
+            self.svg.line(place(from, depth), to, &stroke("#222", 1.0));
         }
         self.occupy_line(top[0], top[1]);
-        let origin = self.origin;
-        self.occupy_line(origin, [0, 1].map(|side| origin[side] + depth * down[side]));
+        self.occupy_line(self.origin, ahead(self.origin, depth, down));
     }
 
-    pub(super) fn link(&self, svg: &mut String, from: Vector3<f64>, to: Vector3<f64>) {
+    pub(super) fn link(&mut self, from: Vector3<f64>, to: Vector3<f64>) {
         let [from, to] = [from, to].map(|end| self.at(end));
-        if (to[0] - from[0]).hypot(to[1] - from[1]) > 1.0 {
-            svg::line(svg, from, to, LINK);
+        if distance(from, to) > 1.0 {
+            self.svg.line(from, to, LINK);
         }
     }
 
     /// A rail, a leg or a platform. A part whose length is driven carries a box.
-    pub(super) fn other(&mut self, svg: &mut String, points: &[Vector3<f64>], slides: bool) {
+    pub(super) fn other(&mut self, points: &[Vector3<f64>], slides: bool) {
         let points: Vec<_> = points.iter().map(|point| self.at(*point)).collect();
-        svg::path(
-            svg,
-            &points,
-            "fill=\"none\" stroke=\"#5b6570\" stroke-width=\"3\" stroke-linejoin=\"round\"",
-        );
+        let style = curve("#5b6570", 3.0) + " stroke-linejoin=\"round\"";
+        self.svg.path(&points, &style);
         for ends in points.windows(2) {
             self.occupy_line(ends[0], ends[1]);
         }
         if let (true, &[from, to]) = (slides, &points[..]) {
             // Joints at both ends, and the screw between them.
             for end in [from, to] {
-                svg::circle(svg, end, 4.5, BODY);
+                self.svg.circle(end, 4.5, BODY);
             }
-            let along = [to[0] - from[0], to[1] - from[1]];
-            let middle = [0, 1].map(|side| from[side] + 0.45 * along[side]);
-            drum(svg, middle, unit(along), [22.0, 6.0]);
+            let along = between(from, to);
+            let middle = ahead(from, 0.45, along);
+            self.svg.drum(middle, unit(along), [22.0, 6.0]);
         }
     }
 
     /// The symbol of a joint and its positive direction.
-    pub(super) fn joint(&self, svg: &mut String, at: Point, kind: LinkKind, axis: Vector3<f64>) {
+    pub(super) fn joint(&mut self, at: Point, kind: LinkKind, axis: Vector3<f64>) {
         let towards = axis.dot(&self.viewer());
         let along = unit(self.direction(axis));
         let seen_along = self.is_seen_along(&axis);
         if kind == LinkKind::Prismatic {
             if seen_along {
-                square(svg, at, 10.0);
-                pole(svg, at, towards > 0.0, "#222");
+                self.svg.drum(at, [1.0, 0.0], [10.0, 10.0]);
+                self.svg.pole(at, towards > 0.0);
             } else {
-                drum(svg, at, along, [20.0, 10.0]);
-                let tip = [0, 1].map(|side| at[side] + 15.0 * along[side]);
-                let tail = [0, 1].map(|side| at[side] - 13.0 * along[side]);
-                svg::line(svg, tail, tip, "stroke=\"#1666c0\" stroke-width=\"2\"");
-                svg::arrowhead(svg, tip, along, 9.0, ACCENT);
+                self.svg.drum(at, along, [20.0, 10.0]);
+                let tip = ahead(at, 15.0, along);
+                let tail = ahead(at, -13.0, along);
+                self.svg.line(tail, tip, &stroke(ACCENT, 2.0));
+                self.svg.arrowhead(tip, along, 9.0, ACCENT);
             }
         } else if seen_along {
-            svg::circle(svg, at, 11.0, BODY);
-            pole(svg, at, towards > 0.0, "#222");
+            self.svg.circle(at, 11.0, BODY);
+            self.svg.pole(at, towards > 0.0);
         } else {
-            axis_line(svg, at, along);
-            drum(svg, at, along, [13.0, 9.0]);
-            turn_about(svg, at, along);
+            self.svg.axis_line(at, along);
+            self.svg.drum(at, along, [13.0, 9.0]);
+            self.svg.turn_about(at, along);
         }
     }
 
     /// Angle of a joint that is seen along its axis. A dashed line marks the zero position of the link, and an arrow
     /// marks the positive direction.
-    pub(super) fn angle(
-        &mut self,
-        svg: &mut String,
-        at: Point,
-        [zero, now]: [Vector3<f64>; 2],
-        axis: Vector3<f64>,
-    ) {
+    pub(super) fn angle(&mut self, at: Point, [zero, now]: [Vector3<f64>; 2], axis: Vector3<f64>) {
         if !self.is_seen_along(&axis) {
             return;
         }
@@ -296,7 +265,7 @@ impl Sheet {
         // sheet.
         let sense = -axis.dot(&self.viewer()).signum();
         let end = [at[0] + 56.0 * zero.cos(), at[1] + 56.0 * zero.sin()];
-        svg::line(svg, at, end, DASHED);
+        self.svg.line(at, end, DASHED);
         self.occupy_line(at, end);
         let mut swept = now - zero;
         swept -= std::f64::consts::TAU * (swept / std::f64::consts::TAU).round();
@@ -308,92 +277,56 @@ impl Sheet {
         };
         if swept.abs() > 0.05 {
             let points = arc(40.0, zero, swept);
-            svg::path(
-                svg,
-                &points,
-                &format!("fill=\"none\" stroke=\"{ACCENT}\" stroke-width=\"1\""),
-            );
+            self.svg.path(&points, &curve(ACCENT, 1.0));
             self.taken.extend(points);
         }
         let span = 1.3 * sense;
         let points = arc(20.0, zero - span / 2.0 + sense * 0.9, span);
-        svg::path(
-            svg,
-            &points,
-            &format!("fill=\"none\" stroke=\"{ACCENT}\" stroke-width=\"2\""),
-        );
-        if let Some([before, tip]) = points.last_chunk::<2>() {
-            let onwards = [tip[0] - before[0], tip[1] - before[1]];
-            let tip = [0, 1].map(|side| tip[side] + 5.0 * unit(onwards)[side]);
-            svg::arrowhead(svg, tip, onwards, 9.0, ACCENT);
-        }
+        self.svg.turn(&points, 5.0);
         self.taken.extend(points);
     }
 
     /// Name of a joint. The dimension line of a joint seen along its axis leaves the joint across its links. Most links
     /// are horizontal or vertical, so the name is placed diagonally.
-    pub(super) fn name(&mut self, svg: &mut String, at: Point, symbol: &str, axis: &Vector3<f64>) {
-        let round = |radius: f64| {
-            [3, 5, 1, 7, 4, 0, 2, 6].map(|eighth| {
-                let angle = std::f64::consts::FRAC_PI_4 * f64::from(eighth);
-                [
-                    at[0] + 1.15 * radius * angle.cos(),
-                    at[1] - radius * angle.sin(),
-                ]
-            })
-        };
+    pub(super) fn name(&mut self, at: Point, symbol: &str, axis: &Vector3<f64>) {
+        let round = |radius: f64| around(at, radius, 1.15, [3, 5, 1, 7, 4, 0, 2, 6]);
         let askew = if self.is_seen_along(axis) { 2 } else { 0 };
         let askew = round(34.0).into_iter().take(askew);
-        let places = [26.0, 34.0, 46.0].into_iter().flat_map(round);
-        self.text(
-            svg,
-            askew.chain(places),
-            14.0,
-            "fill=\"#111\" font-weight=\"bold\"",
-            symbol,
-        );
+        let places = askew.chain([26.0, 34.0, 46.0].into_iter().flat_map(round));
+        self.text(places, 14.0, "fill=\"#111\" font-weight=\"bold\"", symbol);
     }
 
     /// Adds a dimension beside a line, if the line is parallel to the sheet. Returns whether the dimension was added.
-    pub(super) fn dimension(
-        &mut self,
-        svg: &mut String,
-        ends: [Vector3<f64>; 2],
-        said: &str,
-    ) -> bool {
+    pub(super) fn dimension(&mut self, ends: [Vector3<f64>; 2], said: &str) -> bool {
         let length = (ends[1] - ends[0]).norm() * self.scale;
         let [from, to] = ends.map(|end| self.at(end));
-        let along = [to[0] - from[0], to[1] - from[1]];
-        let seen = along[0].hypot(along[1]);
+        let (along, seen) = (between(from, to), distance(from, to));
         if seen < 9.0 || seen < 0.999 * length {
             return false;
         }
         let (along, size) = (unit(along), 12.0);
         let across = [-along[1], along[0]];
-        let beside = |offset: f64, end: Point| [0, 1].map(|side| end[side] + offset * across[side]);
+        let beside = |offset: f64, end: Point| ahead(end, offset, across);
         let middle = [0, 1].map(|side| f64::midpoint(from[side], to[side]));
         let offsets = [30.0, -30.0, 48.0, -48.0, 66.0, -66.0, 84.0, -84.0];
         // A text wider than its line is placed farther away.
         let wide = 0.6 * size * said.chars().count() as f64 > seen - 4.0;
         let place = |offset: f64| {
-            let further = if wide {
-                offset + 12.0 * offset.signum()
-            } else {
-                offset
-            };
-            beside(further, middle)
+            let further = if wide { 12.0 * offset.signum() } else { 0.0 };
+            beside(offset + further, middle)
         };
         let crowd = |offset: &f64| {
+            let seen_from = |end: Point, other: Point| {
+                let apart = between(end, other);
+                [along, across].map(|axis| apart[0] * axis[0] + apart[1] * axis[1])
+            };
             let on_line = |other: &&Point| {
-                let apart = [other[0] - middle[0], other[1] - middle[1]];
-                let [x, y] = [along, across].map(|axis| apart[0] * axis[0] + apart[1] * axis[1]);
+                let [x, y] = seen_from(middle, **other);
                 x.abs() < seen / 2.0 && (y - offset).abs() < 7.0
             };
             let on_mark = |other: &&Point| {
                 [from, to].into_iter().any(|end| {
-                    let apart = [other[0] - end[0], other[1] - end[1]];
-                    let [x, y] =
-                        [along, across].map(|axis| apart[0] * axis[0] + apart[1] * axis[1]);
+                    let [x, y] = seen_from(end, **other);
                     x.abs() < 3.0 && (14.0..offset.abs()).contains(&(y * offset.signum()))
                 })
             };
@@ -405,27 +338,22 @@ impl Sheet {
         };
         let [a, b] = [beside(offset, from), beside(offset, to)];
         for (end, mark) in [(from, a), (to, b)] {
-            let past = [0, 1].map(|side| mark[side] + 4.0 * across[side] * offset.signum());
-            let off = [0, 1].map(|side| end[side] + 9.0 * across[side] * offset.signum());
-            svg::line(svg, off, past, THIN);
+            let past = beside(4.0 * offset.signum(), mark);
+            let off = beside(9.0 * offset.signum(), end);
+            self.svg.line(off, past, THIN);
             self.occupy_line(off, past);
         }
-        svg::line(svg, a, b, THIN);
-        svg::arrowhead(svg, b, along, 7.0, "#6b747e");
-        svg::arrowhead(svg, a, along.map(|part| -part), 7.0, "#6b747e");
+        self.svg.line(a, b, THIN);
+        self.svg.arrowhead(b, along, 7.0, "#6b747e");
+        self.svg
+            .arrowhead(a, along.map(|part| -part), 7.0, "#6b747e");
         self.occupy_line(a, b);
-        self.text(
-            svg,
-            [place(offset)].into_iter(),
-            size,
-            "fill=\"#222\"",
-            said,
-        );
+        self.text([place(offset)], size, "fill=\"#222\"", said);
         true
     }
 
     /// Draws the axes of a frame.
-    pub(super) fn frame(&mut self, svg: &mut String, frame: &Isometry3<f64>) {
+    pub(super) fn frame(&mut self, frame: &Isometry3<f64>) {
         const LENGTH: f64 = 58.0;
         let origin = self.at(frame.translation.vector);
         let columns = frame.rotation.to_rotation_matrix().into_inner();
@@ -435,71 +363,42 @@ impl Sheet {
                 continue;
             }
             let direction = self.direction(axis);
-            let [x, y] = direction.map(|part| part / self.scale * LENGTH);
-            let tip = [origin[0] + x, origin[1] + y];
-            svg::line(
-                svg,
+            let tip = ahead(
                 origin,
-                tip,
-                &format!("stroke=\"{colour}\" stroke-width=\"2\""),
+                1.0,
+                direction.map(|part| part / self.scale * LENGTH),
             );
-            svg::arrowhead(svg, tip, direction, 9.0, colour);
+            self.svg.line(origin, tip, &stroke(colour, 2.0));
+            self.svg.arrowhead(tip, direction, 9.0, colour);
             self.occupy_line(origin, tip);
-            let towards = unit(direction);
-            let beyond = [0, 1].map(|side| tip[side] + 9.0 * towards[side]);
-            self.text(
-                svg,
-                [beyond].into_iter(),
-                13.0,
-                &format!("fill=\"{colour}\""),
-                name,
-            );
+            let beyond = ahead(tip, 9.0, unit(direction));
+            self.text([beyond], 13.0, &format!("fill=\"{colour}\""), name);
         }
     }
 
     /// Name of a frame.
-    pub(super) fn frame_name(&mut self, svg: &mut String, origin: &Vector3<f64>, said: &str) {
+    pub(super) fn frame_name(&mut self, origin: &Vector3<f64>, said: &str) {
         let origin = self.at(*origin);
-        let round = |radius: f64| {
-            (0..8).map(move |eighth| {
-                let angle = std::f64::consts::FRAC_PI_4 * f64::from(eighth);
-                [
-                    origin[0] + 1.5 * radius * angle.cos(),
-                    origin[1] - radius * angle.sin(),
-                ]
-            })
-        };
-        let places: Vec<_> = [24.0, 36.0, 50.0].into_iter().flat_map(round).collect();
-        self.text(
-            svg,
-            places.into_iter(),
-            12.0,
-            "fill=\"#666\" font-style=\"italic\"",
-            said,
-        );
+        let round = |radius: f64| around(origin, radius, 1.5, [0, 1, 2, 3, 4, 5, 6, 7]);
+        let places = [24.0, 36.0, 50.0].into_iter().flat_map(round);
+        self.text(places, 12.0, "fill=\"#666\" font-style=\"italic\"", said);
     }
 
     /// Scale bar of 200 mm.
-    pub(super) fn scale(&self, svg: &mut String, [x, y]: Point) {
+    pub(super) fn scale(&mut self, [x, y]: Point) {
         let end = x + 0.2 * self.scale;
-        svg::path(
-            svg,
+        let [low, middle, high] = [y + 4.0, y, y - 4.0];
+        self.svg.path(
             &[
-                [x, y - 4.0],
-                [x, y + 4.0],
-                [x, y],
-                [end, y],
-                [end, y - 4.0],
-                [end, y + 4.0],
+                [x, high],
+                [x, low],
+                [x, middle],
+                [end, middle],
+                [end, high],
+                [end, low],
             ],
-            "fill=\"none\" stroke=\"#666\" stroke-width=\"1.5\"",
+            &curve("#666", 1.5),
         );
-        svg::text(
-            svg,
-            [end + 8.0, y + 4.0],
-            "start",
-            "font-size=\"12\" fill=\"#666\"",
-            "200 mm",
-        );
+        self.svg.text([end + 8.0, low], "start", NOTE, "200 mm");
     }
 }

@@ -1,6 +1,6 @@
 //! Posture of a robot in a figure: positions of joints, links and legs in the base frame.
 
-use controller::robot::{Joints, Link, LinkKind};
+use controller::robot::{Joints, Link, LinkKind, Vector};
 use nalgebra::{Isometry3, Vector3};
 
 use crate::kinematics::Machine;
@@ -120,4 +120,24 @@ pub(crate) fn range(machine: &Machine, joints: &Joints, axis: usize) -> [f64; 2]
         }
         good
     })
+}
+
+pub(crate) fn from_degrees(degrees: &[f64]) -> Joints {
+    let radians: Vec<_> = degrees.iter().map(|degrees| degrees.to_radians()).collect();
+    Vector::new(&radians).expect("no robot has more axes than a vector")
+}
+
+/// A ring in the plane of x and y, or a sector of a ring.
+pub(crate) fn sector(radii: [f64; 2], [from, to]: [f64; 2]) -> Vec<Vec<Vector3<f64>>> {
+    let [inner, outer] = radii.map(|radius| {
+        let point = |step| {
+            let (sin, cos) = (from + (to - from) * f64::from(step) / 72.0).sin_cos();
+            Vector3::new(radius * cos, radius * sin, 0.0)
+        };
+        (0..=72).map(point).collect::<Vec<_>>()
+    });
+    if to - from >= std::f64::consts::TAU {
+        return vec![outer, inner];
+    }
+    vec![outer.into_iter().chain(inner.into_iter().rev()).collect()]
 }

@@ -1,64 +1,101 @@
-//! Elements of a figure in SVG: sheet, texts, lines, arrowheads. Lengths are in px, and y points down.
+//! A figure in SVG: sheet, texts, lines, arrowheads. Lengths are in px, and y points down.
 
+use std::f64::consts::FRAC_PI_4;
 use std::fmt::Write as _;
 
 /// A point or a direction on the sheet.
 pub(super) type Point = [f64; 2];
 
-/// Starts a white sheet of this size; `</svg>` ends it.
-pub(super) fn open([width, height]: [f64; 2]) -> String {
-    format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" \
-         height=\"{height}\" font-family=\"Helvetica, Arial, sans-serif\" font-size=\"13\" fill=\"#333\">\n\
-         <rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n"
-    )
+/// Style of a title.
+pub(super) const TITLE: &str = "font-size=\"19\" fill=\"#111\"";
+/// Style of a text beside the drawing.
+pub(super) const NOTE: &str = "font-size=\"12\" fill=\"#666\"";
+
+/// Style of a line of this colour and width, px.
+pub(super) fn stroke(colour: &str, width: f64) -> String {
+    format!("stroke=\"{colour}\" stroke-width=\"{width}\"")
 }
 
-/// Adds a text; `anchor` is the SVG attribute text-anchor.
-pub(super) fn text(svg: &mut String, [x, y]: Point, anchor: &str, style: &str, said: &str) {
-    let said = said.replace('&', "&amp;").replace('<', "&lt;");
-    let _ = writeln!(
-        svg,
-        "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" {style}>{said}</text>"
-    );
+/// Style of a curve of this colour and width, px, which surrounds no area.
+pub(super) fn curve(colour: &str, width: f64) -> String {
+    format!("fill=\"none\" {}", stroke(colour, width))
 }
 
-/// Adds a straight line.
-pub(super) fn line(svg: &mut String, from: Point, to: Point, style: &str) {
-    path(svg, &[from, to], style);
+/// A figure under construction.
+pub(super) struct Svg(String);
+
+impl Svg {
+    /// Starts a white sheet of this size.
+    pub(super) fn open([width, height]: [f64; 2]) -> Self {
+        Self(format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" \
+             height=\"{height}\" font-family=\"Helvetica, Arial, sans-serif\" font-size=\"13\" fill=\"#333\">\n\
+             <rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n"
+        ))
+    }
+
+    /// The finished figure.
+    pub(super) fn close(self) -> String {
+        self.0 + "</svg>\n"
+    }
+
+    /// Adds a text; `anchor` is the SVG attribute text-anchor.
+    pub(super) fn text(&mut self, [x, y]: Point, anchor: &str, style: &str, said: &str) {
+        let said = said.replace('&', "&amp;").replace('<', "&lt;");
+        let _ = writeln!(
+            self.0,
+            "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" {style}>{said}</text>"
+        );
+    }
+
+    pub(super) fn line(&mut self, from: Point, to: Point, style: &str) {
+        self.path(&[from, to], style);
+    }
+
+    /// Adds a line through points, or an area if `style` fills it.
+    pub(super) fn path(&mut self, points: &[Point], style: &str) {
+        let way = way(points);
+        let _ = writeln!(self.0, "<path d=\"{way}\" {style}/>");
+    }
+
+    /// Adds an area inside closed outlines.
+    pub(super) fn area(&mut self, outlines: impl Iterator<Item = Vec<Point>>, style: &str) {
+        let way: String = outlines.map(|outline| way(&outline) + "Z").collect();
+        let _ = writeln!(self.0, "<path d=\"{way}\" {style}/>");
+    }
+
+    pub(super) fn polygon(&mut self, corners: [Point; 4], style: &str) {
+        let corners = corners.map(|[x, y]| format!("{x:.1},{y:.1} ")).concat();
+        let _ = writeln!(self.0, "<polygon points=\"{corners}\" {style}/>");
+    }
+
+    pub(super) fn circle(&mut self, [x, y]: Point, radius: f64, style: &str) {
+        let _ = writeln!(
+            self.0,
+            "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius:.1}\" {style}/>"
+        );
+    }
+
+    /// Adds an arrowhead with its tip at `tip`. The arrow points along `direction`, which may have any length.
+    pub(super) fn arrowhead(&mut self, tip: Point, direction: Point, size: f64, colour: &str) {
+        let along = unit(direction);
+        let back = |side: f64| {
+            [
+                tip[0] - size * (along[0] - 0.38 * side * along[1]),
+                tip[1] - size * (along[1] + 0.38 * side * along[0]),
+            ]
+        };
+        let corners = [tip, back(1.0), back(-1.0), tip];
+        self.path(&corners, &format!("fill=\"{colour}\""));
+    }
 }
 
-/// Adds a line through points, or an area if `style` fills it.
-pub(super) fn path(svg: &mut String, points: &[Point], style: &str) {
+fn way(points: &[Point]) -> String {
     let mut way = String::new();
     for (number, [x, y]) in points.iter().enumerate() {
         let _ = write!(way, "{}{x:.1} {y:.1}", if number == 0 { 'M' } else { 'L' });
     }
-    let _ = writeln!(svg, "<path d=\"{way}\" {style}/>");
-}
-
-/// Adds a circle.
-pub(super) fn circle(svg: &mut String, [x, y]: Point, radius: f64, style: &str) {
-    let _ = writeln!(
-        svg,
-        "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius:.1}\" {style}/>"
-    );
-}
-
-/// Adds an arrowhead with its tip at `tip`. The arrow points along `direction`, which may have any length.
-pub(super) fn arrowhead(svg: &mut String, tip: Point, direction: Point, size: f64, colour: &str) {
-    let along = unit(direction);
-    let back = |side: f64| {
-        [
-            tip[0] - size * (along[0] - 0.38 * side * along[1]),
-            tip[1] - size * (along[1] + 0.38 * side * along[0]),
-        ]
-    };
-    path(
-        svg,
-        &[tip, back(1.0), back(-1.0), tip],
-        &format!("fill=\"{colour}\""),
-    );
+    way
 }
 
 /// Unit vector; a vector of length zero yields the direction to the right.
@@ -69,4 +106,28 @@ pub(super) fn unit([x, y]: Point) -> Point {
     } else {
         [1.0, 0.0]
     }
+}
+
+/// Vector between two points.
+pub(super) fn between(from: Point, to: Point) -> Point {
+    [to[0] - from[0], to[1] - from[1]]
+}
+
+/// Distance of two points.
+pub(super) fn distance(from: Point, to: Point) -> f64 {
+    let [x, y] = between(from, to);
+    x.hypot(y)
+}
+
+/// The point at `distance` times `along` from `from`.
+pub(super) fn ahead(from: Point, distance: f64, along: Point) -> Point {
+    [0, 1].map(|side| from[side] + distance * along[side])
+}
+
+/// Points around another in the directions of these eighths of a turn. `stretch` widens the circle.
+pub(super) fn around(at: Point, radius: f64, stretch: f64, eighths: [i32; 8]) -> [Point; 8] {
+    eighths.map(|eighth| {
+        let (sin, cos) = (FRAC_PI_4 * f64::from(eighth)).sin_cos();
+        [at[0] + stretch * radius * cos, at[1] - radius * sin]
+    })
 }

@@ -1,17 +1,15 @@
-//! Data sheet of a robot: its parameters with unit, tag and source.
+//! Data sheet of a robot: its parameters with unit, tag and source, and its position loops.
 
 use std::fmt::Write as _;
 use std::mem::discriminant;
 
-use mrroc::cell::{Model, Parameters};
+use mrroc::cell::Model;
 
-use super::drives::Drive;
-use super::loops;
 use crate::kinematics::Machine;
-use crate::robots::described;
+use crate::robots::{Description, described};
 
 /// Source of a number.
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, Copy)]
 pub(crate) enum Tag {
     /// Read in published source.
     PublicCode(&'static str),
@@ -26,45 +24,65 @@ pub(crate) enum Tag {
 pub(crate) const WUT: &str = "ptroja/mrrocpp, src/robot/irp6p_m";
 pub(crate) const WUT_TRACK: &str = "ptroja/mrrocpp, src/robot/irp6ot_m";
 
-/// One parameter, with its name in a cell file.
+/// One line of a table: its cells, separated by `|`, without the last two, which the tag gives.
 pub(crate) struct Row {
-    pub(crate) name: String,
-    pub(crate) meaning: &'static str,
-    pub(crate) value: String,
-    pub(crate) unit: &'static str,
+    pub(crate) cells: String,
     pub(crate) tag: Tag,
 }
 
+/// A loop: axes, structure, crossover frequency in Hz, phase margin in degrees.
+pub(crate) type Loop = [&'static str; 4];
+
+/// The loop that a CiA 402 drive closes.
+pub(crate) const BY_DRIVE: &str = "by the drive (CSP): emulated with a velocity loop at 45 Hz and a position loop at a fifth of it; cut open at the torque";
+
 /// The data sheet in Markdown.
 pub(crate) fn sheet(machine: &Machine) -> String {
-    let mut page = String::new();
-    let _ = write!(
-        page,
-        "# {}\n\n{}\n\n",
-        machine.name,
-        described(&machine.parameters).about()
-    );
-    if let Some(caution) = machine.caution {
+    let described_as = described(&machine.parameters);
+    // The project's own numbers of that kind.
+    let mut presets = Model::ALL.map(Model::parameters).to_vec();
+    presets.retain(|preset| discriminant(preset) == discriminant(&machine.parameters));
+    let presets: Vec<_> = presets.iter().map(described).collect();
+    let (name, about) = (&machine.name, described_as.about);
+    let mut page = format!("# {name}\n\n{about}\n\n");
+    if let Some(caution) = described_as.caution {
         let _ = write!(page, "**Mind:** {caution}.\n\n");
     }
-    let _ = write!(page, "![{0}]({0}.svg)\n\n", machine.name);
-    geometry(&mut page, machine);
-    drives(&mut page, machine);
-    loops::section(&mut page, &machine.parameters);
-    footer(&mut page, &machine.name);
-    page
-}
-
-/// Meaning of the tags, and how the page is generated.
-fn footer(page: &mut String, name: &str) {
     let _ = write!(
         page,
-        "## Tags\n\n\
+        "![{name}]({name}.svg)\n\n## {}\n\n\
+         | parameter | meaning | value | unit | tag | source |\n|---|---|--:|---|---|---|\n",
+        described_as.title
+    );
+    lines(&mut page, &described_as, &presets, |of| &of.lengths);
+    if !described_as.drives.is_empty() {
+        page.push_str(
+            "## Axes\n\nRanges and homes in rad, of what slides in m; the motor's in rad. Both ranges hold at once.\n\n\
+             | joint | parameter | motor and joint | at home | joint range | motor range | tag | source |\n\
+             |---|---|---|---|---|---|---|---|\n",
+        );
+        lines(&mut page, &described_as, &presets, |of| &of.drives);
+    }
+    // The figures are the results of `mrroc identify`.
+    let _ = write!(
+        page,
+        "## Loop\n\nEmulated with nominal motors, at 10 rad/s of the motor and a period of 2 ms; as \
+         `mrroc identify {}` measures it.\n\n\
+         | axes | position loop | crossover, Hz | phase margin |\n|---|---|---|---|\n",
+        described_as.example
+    );
+    for cells in described_as.loops {
+        let _ = writeln!(page, "| {} |", cells.join(" | "));
+    }
+    let _ = write!(
+        page,
+        "\n## Tags\n\n\
          - *public code*: read in the published source that is named.\n\
          - *derived*: follows from such numbers by arithmetic.\n\
          - *nominal*: a plausible figure, to be replaced by measurement.\n\n\
          `mrroc datasheet --robot {name}` prints this page, with `--figure` its figure.\n"
     );
+    page
 }
 
 impl Tag {
@@ -79,96 +97,24 @@ impl Tag {
     }
 }
 
-fn geometry(page: &mut String, machine: &Machine) {
-    let presets: Vec<_> = presets(&machine.parameters)
-        .map(|preset| described(&preset).lengths())
-        .collect();
-    let title = described(&machine.parameters).title();
-    let _ = write!(
-        page,
-        "## {title}\n\n| parameter | meaning | value | unit | tag | source |\n|---|---|--:|---|---|---|\n"
-    );
-    for (number, row) in described(&machine.parameters)
-        .lengths()
-        .into_iter()
-        .enumerate()
-    {
-        let known = presets
-            .iter()
-            .any(|preset| preset[number].value == row.value);
-        let tag = if known { row.tag } else { Tag::CellFile };
-        let Row {
-            name,
-            meaning,
-            value,
-            unit,
-            ..
-        } = row;
-        let _ = writeln!(
-            page,
-            "| `{name}` | {meaning} | {value} | {unit} | {} |",
-            tag.cells()
-        );
+/// Adds the lines of one table. A line that no preset has is tagged as set in the cell file.
+fn lines<'a>(
+    page: &mut String,
+    machine: &'a Description,
+    presets: &'a [Description],
+    table: fn(&'a Description) -> &'a Vec<Row>,
+) {
+    for (number, Row { cells, tag }) in table(machine).iter().enumerate() {
+        let mut presets = presets.iter().map(|preset| &table(preset)[number]);
+        let known = presets.any(|preset| preset.cells == *cells);
+        let tag = if known { *tag } else { Tag::CellFile };
+        let _ = writeln!(page, "| {cells} | {} |", tag.cells());
     }
     page.push('\n');
-}
-
-fn drives(page: &mut String, machine: &Machine) {
-    let drives = described(&machine.parameters).drives();
-    if drives.is_empty() {
-        return;
-    }
-    let presets: Vec<_> = presets(&machine.parameters)
-        .map(|preset| described(&preset).drives())
-        .collect();
-    page.push_str(
-        "## Axes\n\nRanges and homes in rad, of what slides in m; the motor's in rad. Both ranges hold at once.\n\n\
-         | joint | parameter | motor and joint | at home | joint range | motor range | tag | source |\n\
-         |---|---|---|---|---|---|---|---|\n",
-    );
-    for (number, drive) in drives.into_iter().enumerate() {
-        let known = presets
-            .iter()
-            .any(|preset| preset[number].numbers() == drive.numbers());
-        let tag = if known { drive.tag } else { Tag::CellFile };
-        let Drive {
-            joint,
-            name,
-            transmission,
-            home,
-            joints,
-            motors,
-            ..
-        } = drive;
-        let _ = writeln!(
-            page,
-            "| {joint} | `{name}` | {transmission} | {home} | {joints} | {motors} | {} |",
-            tag.cells()
-        );
-    }
-    page.push('\n');
-}
-
-/// The project's own numbers of that kind.
-fn presets(parameters: &Parameters) -> impl Iterator<Item = Parameters> {
-    let kind = discriminant(parameters);
-    let all = Model::ALL.into_iter().map(Model::parameters);
-    all.filter(move |preset| discriminant(preset) == kind)
 }
 
 /// A row whose value is a number.
-pub(crate) fn row(
-    name: &str,
-    meaning: &'static str,
-    value: f64,
-    unit: &'static str,
-    tag: Tag,
-) -> Row {
-    Row {
-        name: name.into(),
-        meaning,
-        value: value.to_string(),
-        unit,
-        tag,
-    }
+pub(crate) fn row(name: &str, meaning: &str, value: f64, unit: &str, tag: Tag) -> Row {
+    let cells = format!("`{name}` | {meaning} | {value} | {unit}");
+    Row { cells, tag }
 }

@@ -11,10 +11,51 @@ use super::Machine;
 /// A joint position beyond its limit and beyond this value, rad, was probably given in degrees: four turns.
 const DEGREES: f64 = 8.0 * std::f64::consts::PI;
 
+/// The answer to a question about a robot.
+#[derive(Serialize)]
+pub struct Answer {
+    robot: String,
+    #[serde(flatten)]
+    values: Values,
+    /// Remarks about the values.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    notes: Vec<String>,
+}
+
+#[derive(Serialize)]
+#[serde(untagged)]
+enum Values {
+    Forward(Forward),
+    Inverse(Inverse),
+    Jacobian(Jacobian),
+    Limits(Ranges),
+}
+
+impl Answer {
+    fn of(machine: &Machine, values: Values) -> Self {
+        Self {
+            robot: machine.name.clone(),
+            values,
+            notes: machine.caution.map(str::to_owned).into_iter().collect(),
+        }
+    }
+}
+
+impl fmt::Display for Answer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.values {
+            Values::Forward(answer) => answer.fmt(f),
+            Values::Inverse(answer) => answer.fmt(f),
+            Values::Jacobian(answer) => answer.fmt(f),
+            Values::Limits(answer) => answer.fmt(f),
+        }?;
+        self.notes.iter().try_for_each(|note| writeln!(f, "{note}"))
+    }
+}
+
 /// Position and orientation of the flange.
 #[derive(Serialize)]
-pub struct Forward {
-    robot: String,
+struct Forward {
     joints: Vec<f64>,
     /// Origin of the flange in the base frame, m.
     position: [f64; 3],
@@ -31,15 +72,14 @@ pub struct Forward {
     /// Position of each joint in the description file of the robot.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     links: BTreeMap<&'static str, f64>,
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    notes: Vec<String>,
 }
 
-impl Forward {
-    pub(super) fn of(machine: &Machine, joints: &Joints) -> anyhow::Result<Self> {
+impl Answer {
+    /// Pose of the flange at these joints.
+    pub(super) fn forward(machine: &Machine, joints: &Joints) -> anyhow::Result<Self> {
         let pose = machine.robot.forward(joints)?;
         let rotation = pose.rotation.to_rotation_matrix();
-        let mut notes = notes(machine);
+        let mut notes = Vec::new();
         let angles = match machine.robot.motors_from_joints(joints) {
             Ok(motors) => Some(motors.to_vec()),
             Err(error) => {
@@ -69,8 +109,7 @@ impl Forward {
             (link.name, terms.map(|(joint, factor)| factor * joint).sum())
         };
         let q = pose.rotation;
-        Ok(Self {
-            robot: machine.name.clone(),
+        let values = Forward {
             joints: joints.to_vec(),
             position: pose.translation.vector.into(),
             rotation: std::array::from_fn(|row| {
@@ -80,8 +119,53 @@ impl Forward {
             motors,
             motor_angles: angles.filter(|_| lengths.is_some()),
             links: links.iter().map(position).collect(),
-            notes,
-        })
+        };
+        let mut answer = Self::of(machine, Values::Forward(values));
+        answer.notes.extend(notes);
+        Ok(answer)
+    }
+
+    /// Joint positions for a pose, the preferred solution first.
+    pub(super) fn inverse(machine: &Machine, solutions: &Solutions) -> Self {
+        let solutions = solutions.iter().map(|joints| joints.to_vec()).collect();
+        Self::of(machine, Values::Inverse(Inverse { solutions }))
+    }
+
+    /// Relation between velocities of joints and flange.
+    pub(super) fn jacobian(machine: &Machine, joints: &Joints) -> anyhow::Result<Self> {
+        let jacobian = machine.robot.jacobian(joints)?;
+        let near = machine.robot.singularity(joints)?;
+        let columns = 0..machine.robot.axes();
+        let values = |row| {
+            columns
+                .clone()
+                .map(|column| jacobian[(row, column)])
+                .collect()
+        };
+        let jacobian = Jacobian {
+            jacobian: std::array::from_fn(values),
+            singularity: Singularity {
+                axis: near.axis,
+                margin: near.margin,
+            },
+        };
+        Ok(Self::of(machine, Values::Jacobian(jacobian)))
+    }
+
+    /// Permitted ranges of joints and motors.
+    pub(super) fn limits(machine: &Machine) -> Self {
+        let angles = machine.robot.motor_limits().to_vec();
+        let legs = machine.leg_limits();
+        let mut motors = angles.clone();
+        if let Some(legs) = legs {
+            motors[..3].copy_from_slice(&legs);
+        }
+        let ranges = Ranges {
+            joints: machine.robot.joint_limits().to_vec(),
+            motors,
+            motor_angles: legs.map(|_| angles),
+        };
+        Self::of(machine, Values::Limits(ranges))
     }
 }
 
@@ -103,49 +187,29 @@ impl fmt::Display for Forward {
                 None => writeln!(f, "motors      {} rad", row(motors))?,
             }
         }
-        self.notes.iter().try_for_each(|note| writeln!(f, "{note}"))
+        Ok(())
     }
 }
 
-/// Joint positions for a pose of the flange.
 #[derive(Serialize)]
-pub struct Inverse {
-    robot: String,
+struct Inverse {
     /// Solutions, the preferred solution first.
     solutions: Vec<Vec<f64>>,
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    notes: Vec<String>,
-}
-
-impl Inverse {
-    pub(super) fn of(machine: &Machine, solutions: &Solutions) -> Self {
-        Self {
-            robot: machine.name.clone(),
-            solutions: solutions.iter().map(|joints| joints.to_vec()).collect(),
-            notes: notes(machine),
-        }
-    }
 }
 
 impl fmt::Display for Inverse {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for solution in &self.solutions {
-            writeln!(f, "joints      {}", row(solution))?;
-        }
-        self.notes.iter().try_for_each(|note| writeln!(f, "{note}"))
+        let mut solutions = self.solutions.iter();
+        solutions.try_for_each(|solution| writeln!(f, "joints      {}", row(solution)))
     }
 }
 
-/// Relation between velocities of joints and flange.
 #[derive(Serialize)]
-pub struct Sensitivity {
-    robot: String,
+struct Jacobian {
     /// Six rows, one column per joint.
     jacobian: [Vec<f64>; 6],
     /// Distance to the nearest singularity.
     singularity: Singularity,
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    notes: Vec<String>,
 }
 
 #[derive(Serialize)]
@@ -156,73 +220,25 @@ struct Singularity {
     margin: f64,
 }
 
-impl Sensitivity {
-    pub(super) fn of(machine: &Machine, joints: &Joints) -> anyhow::Result<Self> {
-        let jacobian = machine.robot.jacobian(joints)?;
-        let near = machine.robot.singularity(joints)?;
-        let columns = 0..machine.robot.axes();
-        let values = |row| {
-            columns
-                .clone()
-                .map(|column| jacobian[(row, column)])
-                .collect()
-        };
-        Ok(Self {
-            robot: machine.name.clone(),
-            jacobian: std::array::from_fn(values),
-            singularity: Singularity {
-                axis: near.axis,
-                margin: near.margin,
-            },
-            notes: notes(machine),
-        })
-    }
-}
-
-impl fmt::Display for Sensitivity {
+impl fmt::Display for Jacobian {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (name, values) in ["vx", "vy", "vz", "wx", "wy", "wz"]
-            .into_iter()
-            .zip(&self.jacobian)
-        {
+        let names = ["vx", "vy", "vz", "wx", "wy", "wz"];
+        for (name, values) in names.into_iter().zip(&self.jacobian) {
             writeln!(f, "{name}          {}", row(values))?;
         }
         let Singularity { axis, margin } = self.singularity;
-        writeln!(f, "smallest singular value {margin:.9}, of axis {axis}")?;
-        self.notes.iter().try_for_each(|note| writeln!(f, "{note}"))
+        writeln!(f, "smallest singular value {margin:.9}, of axis {axis}")
     }
 }
 
-/// Permitted ranges of a robot.
 #[derive(Serialize)]
-pub struct Ranges {
-    robot: String,
+struct Ranges {
     joints: Vec<Limits>,
     /// Motor ranges, rad. The first three ranges of the RNT are leg lengths, m.
     motors: Vec<Limits>,
     /// All motor ranges, rad, for a robot whose `motors` contains leg lengths.
     #[serde(skip_serializing_if = "Option::is_none")]
     motor_angles: Option<Vec<Limits>>,
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    notes: Vec<String>,
-}
-
-impl Ranges {
-    pub(super) fn of(machine: &Machine) -> Self {
-        let angles = machine.robot.motor_limits().to_vec();
-        let legs = machine.leg_limits();
-        let mut motors = angles.clone();
-        if let Some(legs) = legs {
-            motors[..3].copy_from_slice(&legs);
-        }
-        Self {
-            robot: machine.name.clone(),
-            joints: machine.robot.joint_limits().to_vec(),
-            motors,
-            motor_angles: legs.map(|_| angles),
-            notes: notes(machine),
-        }
-    }
 }
 
 impl fmt::Display for Ranges {
@@ -241,16 +257,11 @@ impl fmt::Display for Ranges {
         match &self.motor_angles {
             Some(angles) => {
                 list("leg", "m", &self.motors[..3])?;
-                list("motor", "rad", angles)?;
+                list("motor", "rad", angles)
             }
-            None => list("motor", "rad", &self.motors)?,
+            None => list("motor", "rad", &self.motors),
         }
-        self.notes.iter().try_for_each(|note| writeln!(f, "{note}"))
     }
-}
-
-fn notes(machine: &Machine) -> Vec<String> {
-    machine.caution.map(str::to_owned).into_iter().collect()
 }
 
 /// Numbers in columns.

@@ -1,18 +1,21 @@
-//! Selection of a robot and its parameters.
+//! Selection of a robot and its parameters, and numbers from the command line.
 
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use anyhow::{Context as _, anyhow};
+use anyhow::{Context as _, anyhow, ensure};
 use clap::Args;
-use controller::robot::{Joints, Limits, Motors, ParameterError, Rnt, Robot, Vector};
+use controller::robot::{
+    Joints, Limits, Motors, ParameterError, Rnt, RntParameters, Robot, Vector,
+};
 use mrroc::cell::{Model, Parameters};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
-use nalgebra::Vector3;
-
-use super::numbers;
 use crate::robots::described;
 use mrroc::cell_file::CellFile;
+
+/// Tolerance of the norm of a quaternion.
+const NORM: f64 = 0.01;
 
 /// Which robot.
 #[derive(Args)]
@@ -44,8 +47,8 @@ pub struct Machine {
     pub robot: Arc<dyn Robot>,
     /// Parameters of the robot.
     pub parameters: Parameters,
-    /// The RNT, if the robot is one: a robot with legs.
-    rnt: Option<Rnt>,
+    /// The RNT and its parameters, if the robot is one: a robot with legs.
+    rnt: Option<(RntParameters, Rnt)>,
     /// Warning about the numbers.
     pub caution: Option<&'static str>,
 }
@@ -71,17 +74,15 @@ impl Machine {
     }
 
     fn new(name: String, parameters: Parameters) -> Result<Self, ParameterError> {
-        let mut rnt = None;
-        if let Parameters::Rnt(numbers) = &parameters {
-            rnt = Some(Rnt::new(numbers)?);
-        }
-        let caution = described(&parameters).caution();
         Ok(Self {
             name,
             robot: parameters.kinematics()?,
+            rnt: match &parameters {
+                Parameters::Rnt(numbers) => Some((*numbers, Rnt::new(numbers)?)),
+                _ => None,
+            },
+            caution: described(&parameters).caution,
             parameters,
-            rnt,
-            caution,
         })
     }
 
@@ -94,7 +95,7 @@ impl Machine {
     /// lengths.
     pub(super) fn joints_from_motors(&self, list: &str) -> anyhow::Result<Joints> {
         let mut motors: Motors = self.vector("--motors", list)?;
-        if let Parameters::Rnt(parameters) = &self.parameters {
+        if let Some((parameters, _)) = &self.rnt {
             for (motor, leg) in motors.iter_mut().zip(&parameters.legs) {
                 *motor = leg.motor(*motor);
             }
@@ -111,27 +112,23 @@ impl Machine {
     /// Leg lengths at these joint positions, m; `None` for a robot without legs.
     pub(super) fn leg_lengths(&self, joints: &Joints) -> anyhow::Result<Option<[f64; 3]>> {
         let rnt = self.rnt.as_ref();
-        Ok(rnt.map(|rnt| rnt.leg_lengths(joints)).transpose()?)
+        Ok(rnt.map(|(_, rnt)| rnt.leg_lengths(joints)).transpose()?)
     }
 
     /// Ranges of the leg lengths, m; `None` for a robot without legs.
     pub(super) fn leg_limits(&self) -> Option<[Limits; 3]> {
-        let Parameters::Rnt(parameters) = &self.parameters else {
-            return None;
-        };
+        let (parameters, _) = self.rnt.as_ref()?;
         Some(parameters.legs.map(|leg| leg.length_limits))
     }
 
     /// Ends of each leg on the base and on the platform, m; `None` for a robot without legs.
     pub fn leg_ends(&self) -> Option<[[Vector3<f64>; 2]; 3]> {
-        let Parameters::Rnt(parameters) = &self.parameters else {
-            return None;
-        };
+        let (parameters, _) = self.rnt.as_ref()?;
         Some(parameters.leg_ends())
     }
 
     fn vector<Space>(&self, option: &str, text: &str) -> anyhow::Result<Vector<Space>> {
-        let numbers = numbers::list(option, text)?;
+        let numbers = list(option, text)?;
         let (given, axes) = (numbers.len(), self.robot.axes());
         let vector = Vector::new(&numbers).filter(|_| given == axes);
         vector.ok_or_else(|| {
@@ -156,4 +153,40 @@ fn unknown<'a>(what: &str, name: &str, known: impl Iterator<Item = &'a str>) -> 
         "{what} {name:?}, only {}",
         known.collect::<Vec<_>>().join(", ")
     )
+}
+
+/// Parses a list of finite numbers, separated by commas.
+fn list(option: &str, text: &str) -> anyhow::Result<Vec<f64>> {
+    let number = |part: &str| {
+        let value: f64 = part.trim().parse().map_err(|_| {
+            anyhow!("{option}: {part:?} is not a number, as in a list separated by commas")
+        })?;
+        ensure!(value.is_finite(), "{option}: {part:?} is not finite");
+        Ok(value)
+    };
+    text.split(',').map(number).collect()
+}
+
+fn exactly<const N: usize>(option: &str, text: &str, form: &str) -> anyhow::Result<[f64; N]> {
+    let numbers = list(option, text)?;
+    let count = numbers.len();
+    numbers
+        .try_into()
+        .map_err(|_| anyhow!("{option}: {count} numbers, not the {N} of {form}"))
+}
+
+/// Parses a pose from its position and its quaternion.
+pub(super) fn pose(position: &str, quaternion: &str) -> anyhow::Result<Isometry3<f64>> {
+    let position = exactly::<3>("--position", position, "x,y,z")?;
+    let [w, x, y, z] = exactly("--quaternion", quaternion, "w,x,y,z")?;
+    let quaternion = Quaternion::new(w, x, y, z);
+    let norm = quaternion.norm();
+    ensure!(
+        (norm - 1.0).abs() <= NORM,
+        "--quaternion: its norm is {norm:.6}, and that of a rotation is 1"
+    );
+    Ok(Isometry3::from_parts(
+        Translation3::from(position),
+        UnitQuaternion::from_quaternion(quaternion),
+    ))
 }

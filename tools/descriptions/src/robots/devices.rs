@@ -2,153 +2,96 @@
 
 use controller::robot::{ConveyorParameters, GripperParameters};
 
-use super::Described;
-use crate::datasheet::loops::{BY_DRIVE, Loop};
-use crate::datasheet::tables::{Row, Tag, row};
-use crate::datasheet::views::Drawing;
-use crate::kinematics::Machine;
-
-const GRIPPER: &str = "ptroja/mrrocpp, src/robot/irp6ot_tfg";
-const CONVEYOR: &str = "ptroja/mrrocpp, src/robot/conveyor";
+use super::{Described, Description, Drawing};
+use crate::datasheet::tables::{BY_DRIVE, Tag, row};
 
 impl Described for GripperParameters {
-    fn about(&self) -> &'static str {
-        "The two-finger gripper of the WUT robots: one motor, two jaws. The opening is a polynomial of the motor's \
-             position; past its vertex the jaws close again."
-    }
-
-    fn title(&self) -> &'static str {
-        "Parameters"
-    }
-
-    fn lengths(&self) -> Vec<Row> {
-        let gripper = self;
-        let (motors, openings) = (gripper.motor_limits, gripper.opening_limits);
+    fn description(&self) -> Description<'_> {
+        let (motors, openings) = (self.motor_limits, self.opening_limits);
         let sign = Tag::Derived(
             "ptroja/mrrocpp, src/robot/irp6ot_tfg; with the sign by which its home, 4830 rad, is within its \
                  openings: the code has the other, by which it is not",
         );
-        let code = Tag::PublicCode(GRIPPER);
-        [
-            (
-                "square",
-                "opening per square of the motor's position",
-                gripper.square,
-                "m/rad²",
-            ),
-            (
-                "linear",
-                "opening per motor position",
-                gripper.linear,
-                "m/rad",
-            ),
-            (
-                "constant",
-                "opening at motor position 0",
-                gripper.constant,
-                "m",
-            ),
-            (
-                "motor_at_home",
-                "motor position at home",
-                gripper.motor_at_home,
-                "rad",
-            ),
-            (
-                "motor_limits.low",
-                "lowest motor position",
-                motors.low,
-                "rad",
-            ),
-            (
-                "motor_limits.high",
-                "highest motor position",
-                motors.high,
-                "rad",
-            ),
-            ("opening_limits.low", "narrowest opening", openings.low, "m"),
-            ("opening_limits.high", "widest opening", openings.high, "m"),
-        ]
-        .map(|(name, meaning, value, unit)| {
-            let tag = if name == "linear" { sign } else { code };
-            row(name, meaning, value, unit, tag)
-        })
-        .into()
-    }
-
-    fn loops(&self) -> (Vec<Loop>, &'static str) {
-        (
-            vec![[
+        let code = Tag::PublicCode("ptroja/mrrocpp, src/robot/irp6ot_tfg");
+        let per_square = "opening per square of the motor's position";
+        let home = "motor position at home";
+        let (low, high) = ("lowest motor position", "highest motor position");
+        Description {
+            about: "The two-finger gripper of the WUT robots: one motor, two jaws. The opening is a polynomial of \
+                    the motor's position; past its vertex the jaws close again.",
+            symbols: &[],
+            caution: None,
+            title: "Parameters",
+            lengths: vec![
+                row("square", per_square, self.square, "m/rad²", code),
+                row(
+                    "linear",
+                    "opening per motor position",
+                    self.linear,
+                    "m/rad",
+                    sign,
+                ),
+                row(
+                    "constant",
+                    "opening at motor position 0",
+                    self.constant,
+                    "m",
+                    code,
+                ),
+                row("motor_at_home", home, self.motor_at_home, "rad", code),
+                row("motor_limits.low", low, motors.low, "rad", code),
+                row("motor_limits.high", high, motors.high, "rad", code),
+                row(
+                    "opening_limits.low",
+                    "narrowest opening",
+                    openings.low,
+                    "m",
+                    code,
+                ),
+                row(
+                    "opening_limits.high",
+                    "widest opening",
+                    openings.high,
+                    "m",
+                    code,
+                ),
+            ],
+            drives: Vec::new(),
+            loops: vec![[
                 "`cells/lab.toml`",
                 BY_DRIVE,
                 "48.9",
                 "38.8°, roughly: at 98 rad/s and by `--periods 12`, with a coherence of 0.85; its encoder has 128 counts a turn",
             ]],
-            "cells/lab.toml --axis jaws",
-        )
-    }
-
-    fn drawing<'a>(&'a self, _: &Machine) -> Drawing<'a> {
-        Drawing::Gripper(self)
+            example: "cells/lab.toml --axis jaws",
+            drawing: Drawing::Gripper(self),
+        }
     }
 }
 
 impl Described for ConveyorParameters {
-    fn about(&self) -> &'static str {
-        "The conveyor of the WUT laboratory: a belt behind a gear, without limits."
-    }
-
-    fn title(&self) -> &'static str {
-        "Parameters"
-    }
-
-    fn lengths(&self) -> Vec<Row> {
-        let conveyor = self;
+    fn description(&self) -> Description<'_> {
         let counter = Tag::Derived("what a 32-bit counter of 4000 counts per turn holds");
-        let code = Tag::PublicCode(CONVEYOR);
-        let motors = conveyor.motor_limits;
-        [
-            (
-                "ratio",
-                "motor position per position of the belt",
-                conveyor.ratio,
-                "rad/m",
-                code,
-            ),
-            (
-                "motor_at_home",
-                "motor position at home",
-                conveyor.motor_at_home,
-                "rad",
-                code,
-            ),
-            (
-                "motor_limits.low",
-                "lowest motor position",
-                motors.low,
-                "rad",
-                counter,
-            ),
-            (
-                "motor_limits.high",
-                "highest motor position",
-                motors.high,
-                "rad",
-                counter,
-            ),
-        ]
-        .map(|(name, meaning, value, unit, tag)| row(name, meaning, value, unit, tag))
-        .into()
-    }
-
-    fn loops(&self) -> (Vec<Loop>, &'static str) {
-        (
-            vec![["`cells/lab.toml`", BY_DRIVE, "45.9", "39.1°"]],
-            "cells/lab.toml --axis belt",
-        )
-    }
-
-    fn drawing<'a>(&'a self, _: &Machine) -> Drawing<'a> {
-        Drawing::Conveyor(self)
+        let code = Tag::PublicCode("ptroja/mrrocpp, src/robot/conveyor");
+        let motors = self.motor_limits;
+        let ratio = "motor position per position of the belt";
+        let home = "motor position at home";
+        let (low, high) = ("lowest motor position", "highest motor position");
+        Description {
+            about: "The conveyor of the WUT laboratory: a belt behind a gear, without limits.",
+            symbols: &[],
+            caution: None,
+            title: "Parameters",
+            lengths: vec![
+                row("ratio", ratio, self.ratio, "rad/m", code),
+                row("motor_at_home", home, self.motor_at_home, "rad", code),
+                row("motor_limits.low", low, motors.low, "rad", counter),
+                row("motor_limits.high", high, motors.high, "rad", counter),
+            ],
+            drives: Vec::new(),
+            loops: vec![["`cells/lab.toml`", BY_DRIVE, "45.9", "39.1°"]],
+            example: "cells/lab.toml --axis belt",
+            drawing: Drawing::Conveyor(self),
+        }
     }
 }

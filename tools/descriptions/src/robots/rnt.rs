@@ -3,96 +3,54 @@
 use controller::robot::{Joints, LegAxis, Limits, RntParameters};
 use nalgebra::Vector3;
 
-use super::Described;
-use crate::datasheet::drives::{Drive, gear, range as span, signed};
+use super::{Described, Description, Drawing};
+use crate::datasheet::drives::{drive, gear, length_at_home, range as span, signed};
 use crate::datasheet::figure::{Other, Part, View};
-use crate::datasheet::loops::Loop;
-use crate::datasheet::posture::outline;
+use crate::datasheet::posture::{from_degrees, outline};
 use crate::datasheet::tables::{Row, Tag, row};
-use crate::datasheet::views::{Drawing, from_degrees};
 use crate::kinematics::Machine;
 
 impl Described for RntParameters {
-    fn about(&self) -> &'static str {
-        "RNT, serial-parallel, six axes: three driven legs around a passive central one hold a platform, on which a \
-             wrist of three axes stands. The joints are alpha, beta and rho, which place the platform, and the \
-             wrist's; the first three motors are the legs. The base frame is in the universal joint of the central \
-             leg."
-    }
-
-    fn symbols(&self) -> &'static [&'static str] {
-        &["alpha", "beta", "rho", "roll", "pitch", "spin"]
-    }
-
-    fn caution(&self) -> Option<&'static str> {
-        (*self == Self::nominal()).then_some(
-            "geometry, drives and limits of the RNT are nominal: none was measured or published",
-        )
-    }
-
-    fn lengths(&self) -> Vec<Row> {
-        let robot = self;
-        [
-            (
-                "base_radius",
-                "circle on which the legs begin, at 0°, 120°, 240°",
-                robot.base_radius,
-            ),
-            (
-                "platform_radius",
-                "circle on which the legs end",
-                robot.platform_radius,
-            ),
-            (
-                "wrist_offset",
-                "platform to wrist centre along the central leg",
-                robot.wrist_offset,
-            ),
-        ]
-        .map(|(name, meaning, value)| row(name, meaning, value, "m", Tag::Nominal))
-        .into()
-    }
-
-    fn drives(&self) -> Vec<Drive> {
-        let symbols = self.symbols();
-        let robot = self;
-        let mut drives: Vec<_> = [
-            ("alpha", robot.alpha),
-            ("beta", robot.beta),
-            ("extension", robot.extension),
-        ]
-        .into_iter()
-        .zip(symbols)
-        .map(|((name, limits), joint)| Drive {
-            joint,
-            name: name.into(),
-            transmission: "by the legs".into(),
-            home: String::new(),
-            joints: span(&limits),
-            motors: String::new(),
-            tag: Tag::Nominal,
-        })
-        .collect();
-        drives.extend(
-            robot
-                .legs
-                .iter()
-                .enumerate()
-                .map(|(number, leg)| leg_drive(number, leg)),
-        );
-        for (joint, axis) in [
-            ("roll", &robot.roll),
-            ("pitch", &robot.pitch),
-            ("spin", &robot.spin),
-        ] {
-            drives.push(gear(joint, joint, axis, Tag::Nominal));
-        }
-        drives
-    }
-
-    fn loops(&self) -> (Vec<Loop>, &'static str) {
-        (
-            vec![
+    fn description(&self) -> Description<'_> {
+        let nominal =
+            "geometry, drives and limits of the RNT are nominal: none was measured or published";
+        let begin = "circle on which the legs begin, at 0°, 120°, 240°";
+        let end = "circle on which the legs end";
+        let wrist = "platform to wrist centre along the central leg";
+        let lengths = [
+            ("base_radius", begin, self.base_radius),
+            ("platform_radius", end, self.platform_radius),
+            ("wrist_offset", wrist, self.wrist_offset),
+        ];
+        let length = |(name, meaning, value)| row(name, meaning, value, "m", Tag::Nominal);
+        let platform = [
+            ("alpha", "alpha", self.alpha),
+            ("beta", "beta", self.beta),
+            ("rho", "extension", self.extension),
+        ];
+        let by_legs = |(joint, name, limits)| {
+            let numbers = ["by the legs", "", &span(&limits), ""];
+            drive(joint, name, numbers, Tag::Nominal)
+        };
+        let mut drives: Vec<_> = platform.map(by_legs).into();
+        drives.extend(self.legs.iter().enumerate().map(leg_drive));
+        let wrist = [
+            ("roll", self.roll),
+            ("pitch", self.pitch),
+            ("spin", self.spin),
+        ];
+        drives.extend(wrist.map(|(joint, axis)| gear(joint, joint, &axis, Tag::Nominal)));
+        Description {
+            about: "RNT, serial-parallel, six axes: three driven legs around a passive central one hold a platform, \
+                    on which a wrist of three axes stands. The joints are alpha, beta and rho, which place the \
+                    platform, and the wrist's; the first three motors are the legs. The base frame is in the \
+                    universal joint of the central leg.",
+            symbols: &["alpha", "beta", "rho", "roll", "pitch", "spin"],
+            caution: (*self == Self::nominal()).then_some(nominal),
+            title: "Geometry",
+            lengths: lengths.map(length).into(),
+            drives,
+            loops: vec![
                 [
                     "`cells/rnt.toml`, by velocity (CSV), axis by axis",
                     "by the servo: proportional, 50 / s, delay 3",
@@ -106,32 +64,22 @@ impl Described for RntParameters {
                     "47.5°",
                 ],
             ],
-            "cells/rnt.toml --axis leg-1",
-        )
-    }
-
-    fn drawing<'a>(&'a self, machine: &Machine) -> Drawing<'a> {
-        Drawing::Arm(Box::new(views(machine)))
+            example: "cells/rnt.toml --axis leg-1",
+            drawing: Drawing::Arm(Box::new(views)),
+        }
     }
 }
 
-fn leg_drive(number: usize, leg: &LegAxis) -> Drive {
-    Drive {
-        joint: ["leg 0", "leg 1", "leg 2"][number],
-        name: format!("legs[{number}]"),
-        transmission: format!("screw of {} m per turn", signed(leg.lead)),
-        home: format!(
-            "L {} m at m {}",
-            signed(leg.length_at_home),
-            signed(leg.motor_at_home)
-        ),
-        joints: span(&leg.length_limits),
-        motors: span(&Limits {
-            low: leg.motor(leg.length_limits.low),
-            high: leg.motor(leg.length_limits.high),
-        }),
-        tag: Tag::Nominal,
-    }
+fn leg_drive((number, leg): (usize, &LegAxis)) -> Row {
+    let transmission = format!("screw of {} m per turn", signed(leg.lead));
+    let home = length_at_home(leg.length_at_home, leg.motor_at_home);
+    let motors = span(&Limits {
+        low: leg.motor(leg.length_limits.low),
+        high: leg.motor(leg.length_limits.high),
+    });
+    let numbers = [&*transmission, &home, &span(&leg.length_limits), &motors];
+    let (joint, name) = (format!("leg {number}"), format!("legs[{number}]"));
+    drive(&joint, &name, numbers, Tag::Nominal)
 }
 
 fn views(machine: &Machine) -> [View; 2] {
@@ -147,45 +95,29 @@ fn views(machine: &Machine) -> [View; 2] {
     let platform = placed.fold(nalgebra::Isometry3::identity(), |base, link| base * link);
     let legs = machine.leg_ends().unwrap_or_default();
     let legs = legs.map(|[base, end]| [base, (platform * nalgebra::Point3::from(end)).coords]);
-    let others = || {
-        let mut others: Vec<_> = legs
-            .iter()
-            .map(|ends| Other {
-                points: ends.to_vec(),
-                part: Part::Leg,
-                said: None,
-            })
-            .collect();
-        for end in [0, 1] {
-            let ring = [0, 1, 2, 0].map(|leg: usize| legs[leg][end]);
-            others.push(Other {
-                points: ring.to_vec(),
-                part: Part::Solid,
-                said: None,
-            });
-        }
-        others
+    let legs_and_rings = || {
+        let beams = legs.iter().map(|ends| Other {
+            points: ends.to_vec(),
+            part: Part::Leg,
+            said: None,
+        });
+        let rings = [0, 1].map(|end| Other {
+            points: [0, 1, 2, 0].map(|leg: usize| legs[leg][end]).into(),
+            part: Part::Solid,
+            said: None,
+        });
+        beams.chain(rings).collect::<Vec<_>>()
     };
     let radius = Other {
         said: Some(format!("{:.0}", legs[1][0].norm() * 1e3)),
         points: vec![Vector3::zeros(), legs[1][0]],
         part: Part::Measure,
     };
-    let side = View {
-        title: "From the side",
-        joints,
-        right: Vector3::x(),
-        up: Vector3::z(),
-        reach: Some((vec![area], "reach of the wrist centre with alpha at 0")),
-        others: others(),
-    };
-    let above = View {
-        title: "From above",
-        joints,
-        right: Vector3::x(),
-        up: Vector3::y(),
-        reach: None,
-        others: others().into_iter().chain([radius]).collect(),
-    };
+    let mut side = View::of("From the side", joints, [Vector3::x(), Vector3::z()]);
+    side.reach = Some((vec![area], "reach of the wrist centre with alpha at 0"));
+    side.others = legs_and_rings();
+    let mut above = View::of("From above", joints, [Vector3::x(), Vector3::y()]);
+    above.others = legs_and_rings();
+    above.others.push(radius);
     [side, above]
 }

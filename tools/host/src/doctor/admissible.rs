@@ -81,29 +81,23 @@ pub(super) enum Inadmissible {
 impl Change {
     /// Refuses a change that `--fix` cannot have made.
     pub(super) fn check(&self) -> Result<(), Inadmissible> {
-        let knob = || self.knob.clone();
-        let takes = self
-            .knob
-            .takes()
-            .ok_or_else(|| Inadmissible::Knob(knob()))?;
-        let before = self.before.as_deref();
-        if !before.map_or(takes.may_be_absent(), |value| takes.admits(value)) {
-            let before = self.before.clone();
-            return Err(Inadmissible::Before {
-                knob: knob(),
-                before,
-            });
-        }
-        let after = self.after.as_str();
-        let admitted = match takes {
-            Takes::Limits => is_granted(before.unwrap_or_default(), after),
-            _ => takes.admits(after),
+        let (knob, before) = (self.knob.clone(), self.before.clone());
+        let Some(takes) = knob.takes() else {
+            return Err(Inadmissible::Knob(knob));
         };
-        let after = || after.to_owned();
-        admitted.then_some(()).ok_or_else(|| Inadmissible::After {
-            knob: knob(),
-            after: after(),
-        })
+        let value = before.as_deref();
+        if !value.map_or(takes.may_be_absent(), |value| takes.admits(value)) {
+            return Err(Inadmissible::Before { knob, before });
+        }
+        let after = self.after.clone();
+        let admitted = match takes {
+            Takes::Limits => is_granted(value.unwrap_or_default(), &after),
+            _ => takes.admits(&after),
+        };
+        match admitted {
+            true => Ok(()),
+            false => Err(Inadmissible::After { knob, after }),
+        }
     }
 }
 
@@ -197,9 +191,9 @@ fn is_granted(before: &str, after: &str) -> bool {
     let Some(added) = after.strip_prefix(before) else {
         return false;
     };
-    let added = match (before.is_empty() || before.ends_with('\n'), added) {
-        (false, added) => added.strip_prefix('\n'),
-        (true, added) => Some(added),
+    let added = match before.is_empty() || before.ends_with('\n') {
+        false => added.strip_prefix('\n'),
+        true => Some(added),
     };
     let grants = |line: &str| {
         let priorities = (1..=99).map(Limit::Priority);

@@ -43,7 +43,9 @@ pub(super) fn findings(
 ) -> Vec<Finding> {
     let name = wanted.interface.as_str();
     let driver = tree.resolved_name(&format!("{NET}/{name}/device/driver"));
-    let kind = link.map(Link::kind).filter(|kind| !kind.is_empty());
+    let kind = link
+        .map(|link| &*link.info.kind)
+        .filter(|kind| !kind.is_empty());
     let presence = Finding::new(
         &wanted.of,
         "interface",
@@ -195,11 +197,10 @@ fn bit_timing(wanted: &Wanted, link: &Link, set: impl Fn(&str) -> String) -> Vec
         (Some(rate), Some(wanted)) => rate == wanted,
         (rate, _) => rate.is_some(),
     };
-    let mut findings = vec![if agrees {
-        finding
-    } else {
-        let fix = wanted.map(|wanted| fix_timing(name, wanted, None));
-        finding.not_usable(mend).fixed_by(fix)
+    let fix = wanted.map(|wanted| fix_timing(name, wanted, None));
+    let mut findings = vec![match agrees {
+        true => finding,
+        false => finding.not_usable(mend).fixed_by(fix),
     }];
     if let (Some(rate), Some(point)) = (bitrate, link.sample_point()) {
         let finding = Finding::new(
@@ -222,9 +223,9 @@ fn bit_timing(wanted: &Wanted, link: &Link, set: impl Fn(&str) -> String) -> Vec
 }
 
 fn errors(of: &str, up: bool, link: &Link) -> Option<Finding> {
-    let state = link.state().filter(|_| up)?;
-    let counters = link.error_counters();
-    let statistics = link.statistics();
+    let controller = &link.info.controller;
+    let state = controller.state.as_deref().filter(|_| up)?;
+    let (counters, statistics) = (controller.error_counters, link.info.statistics);
     let counted = counters.map_or("no error counters".to_owned(), |counters| {
         format!("errors tx {} rx {}", counters.tx, counters.rx)
     });
@@ -249,7 +250,7 @@ fn errors(of: &str, up: bool, link: &Link) -> Option<Finding> {
 }
 
 fn restart(wanted: &Wanted, link: &Link, set: impl Fn(&str) -> String) -> Finding {
-    let after = link.restart_ms();
+    let after = link.info.controller.restart_ms;
     let finding = Finding::new(
         &wanted.of,
         "restart-ms",

@@ -70,31 +70,22 @@ fn governors(tree: &Tree, online: &BTreeSet<usize>) -> Finding {
         .fixed_by(fixes)
 }
 
-/// An idle state that is enabled.
-#[derive(Debug)]
-struct IdleState {
-    /// Exit latency, µs.
-    latency: i64,
-    name: String,
-    directory: String,
-}
+/// An enabled idle state: its exit latency, µs, its name and its directory.
+type IdleState = (i64, String, String);
 
 fn enabled(tree: &Tree, online: &BTreeSet<usize>) -> Vec<IdleState> {
-    let states = online.iter().flat_map(|cpu| {
+    let directories = online.iter().flat_map(|cpu| {
         let directory = format!("{CPUS}/cpu{cpu}/cpuidle");
         let states = tree.names(&directory).into_iter();
         states.map(move |state| format!("{directory}/{state}"))
     });
-    let enabled = states.filter(|state| tree.number(&format!("{state}/disable")) == Some(0));
-    enabled
-        .filter_map(|directory| {
-            Some(IdleState {
-                latency: tree.number(&format!("{directory}/latency"))?,
-                name: tree.text(&format!("{directory}/name"))?,
-                directory,
-            })
-        })
-        .collect()
+    let enabled = directories.filter_map(|directory| {
+        let disabled = tree.number(&format!("{directory}/disable"))? != 0;
+        let latency = tree.number(&format!("{directory}/latency"))?;
+        let name = tree.text(&format!("{directory}/name"))?;
+        (!disabled).then_some((latency, name, directory))
+    });
+    enabled.collect()
 }
 
 /// Finding about `/dev/cpu_dma_latency`, which a servo thread holds open. `writable` says whether this user may write
@@ -119,12 +110,10 @@ fn cpu_latency(writable: Option<bool>, policy: Policy) -> Finding {
 }
 
 fn idle_states(enabled: &[IdleState]) -> Finding {
-    let deepest = enabled.iter().max_by_key(|state| state.latency);
+    let deepest = enabled.iter().max_by_key(|(latency, ..)| latency);
     let (latency, read) = match deepest {
         None => (0, "none".to_owned()),
-        Some(IdleState { latency, name, .. }) => {
-            (*latency, format!("down to {name}, {latency} µs to leave"))
-        }
+        Some((latency, name, _)) => (*latency, format!("down to {name}, {latency} µs to leave")),
     };
     let finding = Finding::new(
         OF,
@@ -135,8 +124,10 @@ fn idle_states(enabled: &[IdleState]) -> Finding {
     if latency <= BEARABLE_US {
         return finding;
     }
-    let deep = enabled.iter().filter(|state| state.latency > BEARABLE_US);
-    let fixes = deep.map(|state| Knob::Kernel(format!("{}/disable", state.directory)).to("1"));
+    let deep = enabled
+        .iter()
+        .filter(|(latency, ..)| *latency > BEARABLE_US);
+    let fixes = deep.map(|(.., directory)| Knob::Kernel(format!("{directory}/disable")).to("1"));
     finding
         .warning(format!(
             "cpupower idle-set -D {BEARABLE_US}; or processor.max_cstate=1 intel_idle.max_cstate=1 on the kernel's \

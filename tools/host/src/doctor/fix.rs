@@ -101,55 +101,42 @@ impl Knob {
 
     /// Sets the knob to `value`, in the form that [`read`](Self::read) returns.
     fn write(&self, tree: &Tree, value: Option<&str>) -> anyhow::Result<()> {
-        let change = |interface: &str, change: card::Change| {
-            unheard(tree, interface)?;
-            of_host(tree)?;
-            Ok(card::change(interface, &change)?)
-        };
-        let number = |text: &str| text.parse().with_context(|| format!("{text}: no number"));
-        match (self, value) {
-            (Self::File(path), value) => tree.replace(path, value).with_context(|| path.clone()),
+        let none = card::Change::default();
+        let (interface, change) = match (self, value) {
+            (Self::File(path), value) => {
+                return tree.replace(path, value).with_context(|| path.clone());
+            }
             (Self::Kernel(path), Some(value)) => {
-                tree.set(path, value).with_context(|| path.clone())
+                return tree.set(path, value).with_context(|| path.clone());
             }
             (Self::BitTiming(interface), Some(value)) => {
                 let (bitrate, point) = timing(value).context("no bit rate")?;
                 // Sample point in tenths of a percent, below 1000.
                 let point = point.map(|point| (point * 1000.0).round() as u32);
-                change(
-                    interface,
-                    card::Change {
-                        timing: Some((bitrate, point)),
-                        ..card::Change::default()
-                    },
-                )
+                let timing = Some((bitrate, point));
+                (interface, card::Change { timing, ..none })
             }
-            (Self::RestartMs(interface), Some(value)) => change(
-                interface,
-                card::Change {
-                    restart_ms: Some(number(value)?),
-                    ..card::Change::default()
-                },
-            ),
-            (Self::State(interface), Some(value)) => change(
-                interface,
-                card::Change {
-                    up: Some(value == "up"),
-                    ..card::Change::default()
-                },
-            ),
+            (Self::RestartMs(interface), Some(value)) => {
+                let number = value.parse().with_context(|| format!("{value}: no number"));
+                let restart_ms = Some(number?);
+                (interface, card::Change { restart_ms, ..none })
+            }
+            (Self::State(interface), Some(value)) => {
+                let up = Some(value == "up");
+                (interface, card::Change { up, ..none })
+            }
             // An interface without a bit rate was down. The bit rate cannot be removed, so only the state is put back.
-            (Self::BitTiming(interface), None) => change(
-                interface,
-                card::Change {
-                    up: Some(false),
-                    ..card::Change::default()
-                },
-            ),
+            (Self::BitTiming(interface), None) => {
+                let up = Some(false);
+                (interface, card::Change { up, ..none })
+            }
             (Self::Kernel(_) | Self::RestartMs(_) | Self::State(_), None) => {
                 bail!("it cannot be without a value")
             }
-        }
+        };
+        unheard(tree, interface)?;
+        of_host(tree)?;
+        Ok(card::change(interface, &change)?)
     }
 
     /// Whether the setting `found` equals `wanted`. Sample points are compared with a tolerance.

@@ -19,26 +19,40 @@ const ARGUMENTS: [&str; 6] = ["-details", "-statistics", "-json", "link", "show"
 pub struct Link {
     /// Queueing discipline.
     pub qdisc: String,
-    linkinfo: LinkInfo,
+    /// Data of the kind of interface.
+    #[serde(rename = "linkinfo")]
+    pub info: LinkInfo,
 }
 
+/// Data of the kind of an interface.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
-struct LinkInfo {
-    info_kind: String,
-    info_data: Data,
-    info_xstats: Statistics,
+pub struct LinkInfo {
+    /// `can`, `vcan` or `vxcan`; empty if unknown.
+    #[serde(rename = "info_kind")]
+    pub kind: String,
+    /// Settings and state of a CAN controller.
+    #[serde(rename = "info_data")]
+    pub controller: Controller,
+    /// Event counts since the interface was created.
+    #[serde(rename = "info_xstats")]
+    pub statistics: Statistics,
 }
 
+/// Settings and state of a CAN controller.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
-struct Data {
-    state: Option<String>,
-    restart_ms: u32,
+pub struct Controller {
+    /// `ERROR-ACTIVE` and so on; `STOPPED` while the interface is down.
+    pub state: Option<String>,
+    /// Time from bus-off to the restart, ms; 0 means no automatic restart.
+    pub restart_ms: u32,
     bittiming: Option<Bittiming>,
     /// Bit rate of a controller with a few fixed bit rates and without bit timing.
     bittiming_bitrate: Option<u32>,
-    berr_counter: Option<ErrorCounters>,
+    /// Error counters, if available.
+    #[serde(rename = "berr_counter")]
+    pub error_counters: Option<ErrorCounters>,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -87,42 +101,17 @@ impl Link {
         links.into_iter().next()
     }
 
-    /// `can`, `vcan` or `vxcan`; empty if unknown.
-    pub fn kind(&self) -> &str {
-        &self.linkinfo.info_kind
-    }
-
-    /// `ERROR-ACTIVE` and so on; `STOPPED` while the interface is down.
-    pub fn state(&self) -> Option<&str> {
-        self.linkinfo.info_data.state.as_deref()
-    }
-
     /// Bit rate, bit/s; `None` if no bit rate is set.
     pub fn bitrate(&self) -> Option<u32> {
-        let data = &self.linkinfo.info_data;
+        let data = &self.info.controller;
         let timing = data.bittiming.as_ref().map(|timing| timing.bitrate);
         timing.or(data.bittiming_bitrate).filter(|&rate| rate > 0)
     }
 
     /// Sample point as a share of the bit time, 0 to 1.
     pub fn sample_point(&self) -> Option<f64> {
-        let point = &self.linkinfo.info_data.bittiming.as_ref()?.sample_point;
+        let point = &self.info.controller.bittiming.as_ref()?.sample_point;
         let number = || point.as_str()?.parse().ok();
         point.as_f64().or_else(number).filter(|&point| point > 0.0)
-    }
-
-    /// Time from bus-off to the restart, ms; 0 means no automatic restart.
-    pub fn restart_ms(&self) -> u32 {
-        self.linkinfo.info_data.restart_ms
-    }
-
-    /// Error counters of the controller, if available.
-    pub fn error_counters(&self) -> Option<ErrorCounters> {
-        self.linkinfo.info_data.berr_counter
-    }
-
-    /// Event counts since the interface was created.
-    pub fn statistics(&self) -> Statistics {
-        self.linkinfo.info_xstats
     }
 }

@@ -31,7 +31,7 @@ use std::time::Duration;
 
 use anyhow::{Context, ensure};
 use can::clock::{now, sleep_until};
-use can::{OpenError, SocketCanOptions, SocketCanPort};
+use can::{SocketCanOptions, SocketCanPort};
 use clap::Args;
 use drive::cia402;
 use mrroc::cell::{Cell, Realtime, Scheduler};
@@ -90,13 +90,9 @@ pub struct Examined {
 }
 
 /// Examines the host, for a cell if one is given. Changes nothing.
-pub fn examine_host(cell: Option<&CellFile>) -> anyhow::Result<Examined> {
-    examined(&Tree::new("/"), cell)
-}
-
-fn examined(tree: &Tree, file: Option<&CellFile>) -> anyhow::Result<Examined> {
+pub fn examine_host(file: Option<&CellFile>) -> anyhow::Result<Examined> {
     let cell = file.map(|file| &file.cell);
-    let findings = examine(tree, cell)?;
+    let findings = examine(&Tree::new("/"), cell)?;
     let worst = findings.iter().map(|finding| finding.verdict).max();
     Ok(Examined {
         cell: cell.map(|cell| cell.name.clone()),
@@ -116,17 +112,15 @@ pub fn doctor(options: &Options) -> anyhow::Result<ExitCode> {
         "--fix asks on a terminal, and this is none: --yes answers for it"
     );
     let file = options.cell.as_deref().map(CellFile::read).transpose()?;
-    let mut found = examined(&tree, file.as_ref())?;
+    let mut found = examine_host(file.as_ref())?;
     if options.fix {
         let mut record = Record::open(&state(&tree, options)?)?;
-        mend::fix(&tree, &found.findings, &mut record, |finding| {
-            if options.yes {
-                Ok(true)
-            } else {
-                mend::asked(finding)
-            }
-        })?;
-        found = examined(&tree, file.as_ref())?;
+        let agreed = |finding: &Finding| match options.yes {
+            true => Ok(true),
+            false => mend::asked(finding),
+        };
+        mend::fix(&tree, &found.findings, &mut record, agreed)?;
+        found = examine_host(file.as_ref())?;
     }
     streams::answer(&found, options.json)?;
     Ok(ExitCode::from(match found.verdict {
@@ -138,15 +132,14 @@ pub fn doctor(options: &Options) -> anyhow::Result<ExitCode> {
 
 fn undo(tree: &Tree, options: &Options) -> anyhow::Result<ExitCode> {
     let path = state(tree, options)?;
-    let nothing = || streams::say(format_args!("{}: nothing to put back", path.display()));
-    if !path.try_exists().unwrap_or(true) {
-        nothing()?;
+    let record = match path.try_exists().unwrap_or(true) {
+        true => Some(Record::existing(&path)?),
+        false => None,
+    };
+    let Some(mut record) = record.filter(|record| !record.changes().is_empty()) else {
+        streams::say(format_args!("{}: nothing to put back", path.display()))?;
         return Ok(ExitCode::SUCCESS);
-    }
-    let mut record = Record::existing(&path)?;
-    if record.changes().is_empty() {
-        nothing()?;
-    }
+    };
     let left = mend::undo(tree, &mut record)?;
     Ok(ExitCode::from(u8::from(left > 0)))
 }
@@ -184,8 +177,9 @@ fn examine(tree: &Tree, cell: Option<&Cell>) -> anyhow::Result<Vec<Finding>> {
     let (interfaces, lines) = wanted(tree, cell);
     for wanted in interfaces {
         let link = Link::of(&wanted.interface);
-        let opened = try_open(&wanted.interface);
-        let found = can_interfaces::findings(tree, &wanted, opened, link.as_ref());
+        // Sends nothing; the socket is closed at once.
+        let opened = SocketCanPort::open(&wanted.interface, &SocketCanOptions::default());
+        let found = can_interfaces::findings(tree, &wanted, opened.map(drop), link.as_ref());
         findings.extend(found);
     }
     for wanted in lines {
@@ -262,11 +256,6 @@ fn try_scheduler(realtime: &Realtime, period: Duration) -> anyhow::Result<Result
     Ok(asking.join().expect("asking does not panic"))
 }
 
-/// Opens a socket, sends nothing, and closes the socket at once.
-fn try_open(interface: &str) -> Result<(), OpenError> {
-    SocketCanPort::open(interface, &SocketCanOptions::default()).map(drop)
-}
-
 impl fmt::Display for Examined {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for finding in &self.findings {
@@ -290,12 +279,8 @@ impl fmt::Display for Examined {
                 writeln!(f, "{:12}--fix: {fix}", "")?;
             }
         }
-        let count = |verdict| {
-            let findings = self.findings.iter();
-            findings
-                .filter(|finding| finding.verdict == verdict)
-                .count()
-        };
+        let verdicts = || self.findings.iter().map(|finding| finding.verdict);
+        let count = |wanted| verdicts().filter(|verdict| *verdict == wanted).count();
         let whose = self.cell.as_deref().map(|cell| format!(" for {cell}"));
         let whose = whose.unwrap_or_default();
         let warnings = count(Verdict::Warning);

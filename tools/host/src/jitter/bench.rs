@@ -67,11 +67,9 @@ fn virtual_alone(interface: &str) -> anyhow::Result<()> {
     }
     // A card whose driver reports nothing to netlink is refused as well.
     let link = Link::of(interface).context("`ip` of iproute2 has to tell its kind")?;
-    if !["vcan", "vxcan"].contains(&link.kind()) {
-        bail!(
-            "its kind is {:?}, neither vcan nor vxcan, and it may be an arm's",
-            link.kind()
-        );
+    let kind = link.info.kind.as_str();
+    if !["vcan", "vxcan"].contains(&kind) {
+        bail!("its kind is {kind:?}, neither vcan nor vxcan, and it may be an arm's");
     }
     Ok(())
 }

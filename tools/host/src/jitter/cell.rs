@@ -4,8 +4,6 @@
 //! moves. The servo thread itself measures every cycle from bring-up to switch-off, so one turn gives one interval.
 //! There is no servo between the turns, and the peer has the host for itself.
 
-#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
-
 use std::sync::Arc;
 
 use anyhow::{anyhow, bail};

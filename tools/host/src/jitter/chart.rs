@@ -4,7 +4,7 @@ use mrroc::charts::{
     COLOURS, ChartError, RGBColor, Scale, key, line, panel, px, segments, sheet, titled,
 };
 
-use super::interval::{Counts, Ledger, Series};
+use super::interval::{Counts, Ledger};
 
 /// Size of the picture, px.
 const SIZE: [u32; 2] = [960, 720];
@@ -19,50 +19,30 @@ const PEER: RGBColor = COLOURS[1];
 /// What is earlier is drawn as this late, µs: the clock shows no less.
 const EARLIEST: f64 = 0.01;
 
-/// One side of the chart.
-pub(super) struct Curve<'a> {
-    pub name: &'a str,
-    pub late: &'a Counts,
-    pub series: &'a Series,
-}
-
-impl<'a> Curve<'a> {
-    pub(super) fn of(name: &'a str, ledger: &'a Ledger) -> Self {
-        Self {
-            name,
-            late: &ledger.total,
-            series: &ledger.series,
-        }
-    }
-}
+/// One side of the chart, with its name.
+type Curve<'a> = (&'a str, &'a Ledger<'a>);
 
 /// The chart of ours and the peer's; `setting` is said below the title.
-pub(super) fn chart(
-    setting: &str,
-    ours: &Curve,
-    peer: Option<&Curve>,
-) -> Result<String, ChartError> {
+pub(super) fn chart(setting: &str, ours: Curve, peer: Option<Curve>) -> Result<String, ChartError> {
     let curves = || {
-        peer.map(|peer| (peer, PEER))
-            .into_iter()
-            .chain([(ours, OURS)])
+        let peer = peer.map(|peer| (peer, PEER));
+        peer.into_iter().chain([(ours, OURS)])
     };
-    let worst = curves().map(|(curve, _)| curve.late.max()).max();
-    let count = curves().map(|(curve, _)| curve.late.len()).max();
+    let worst = curves().map(|((_, curve), _)| curve.total.max()).max();
+    let count = curves().map(|((_, curve), _)| curve.total.len()).max();
     let worst = worst.unwrap_or(0) as f64 / 1e3;
     let late = Scale::decades("late by, µs", [EARLIEST, worst], |decade| {
         10f64.powi(decade).to_string()
     });
     let count = count.unwrap_or(0) as f64;
     let nines = Scale::decades("percentile of cycles, %", [1.0, count], percent);
-    let end = curves().flat_map(|(curve, _)| curve.series.times.last().map(|last| last[1]));
+    let end = curves().flat_map(|((_, curve), _)| curve.series.times.last().map(|last| last[1]));
     let seconds = end.fold(0.0, f64::max).max(1e-3);
     let time = Scale::exact("time since the beginning, s", [0.0, seconds]);
-    let named = curves().map(|(curve, colour)| {
-        let said = format!("{}, {} cycles", curve.name, curve.late.len());
-        (said, colour)
-    });
-    let named: Vec<_> = named.collect();
+    let said = |(name, curve): Curve| format!("{name}, {} cycles", curve.total.len());
+    let named: Vec<_> = curves()
+        .map(|(curve, colour)| (said(curve), colour))
+        .collect();
     sheet(SIZE, "Wake-up error", |area| {
         let (beside, area) = titled(area, "Wake-up error", setting)?;
         let names = named.iter().rev();
@@ -73,11 +53,11 @@ pub(super) fn chart(
         )?;
         let (upper, lower) = area.split_vertically(px(DISTRIBUTION));
         let mut upper = panel(&upper, "", &nines, &late)?;
-        for (curve, colour) in curves() {
-            line(&mut upper, colour, distribution(curve.late))?;
+        for ((_, curve), colour) in curves() {
+            line(&mut upper, colour, distribution(&curve.total))?;
         }
         let mut lower = panel(&lower, "Worst of each interval", &time, &late)?;
-        for (curve, colour) in curves() {
+        for ((_, curve), colour) in curves() {
             let times = curve.series.times.iter();
             let worst = times.map(|&[from, to, worst]| [(from, worst), (to, worst)]);
             segments(&mut lower, colour, worst)?;
@@ -122,23 +102,18 @@ mod tests {
     use can::Instant;
 
     use super::*;
-    use crate::jitter::interval::counts;
+    use crate::jitter::interval::recording;
 
     #[test]
     fn a_chart_of_nothing_or_of_one_cycle_has_no_number_that_is_none() {
-        let (mut late, series) = (counts(), Series::new(Instant::ZERO));
+        let (_, mut ledger) = recording(Instant::ZERO, None);
         for _ in 0..2 {
-            let curve = Curve {
-                name: "a & b",
-                late: &late,
-                series: &series,
-            };
-            let svg = chart("1 ms", &curve, None).unwrap();
+            let svg = chart("1 ms", ("a & b", &ledger), None).unwrap();
             assert!(
                 !svg.contains("NaN") && !svg.contains("inf") && svg.contains("a &amp; b"),
                 "{svg}"
             );
-            late.saturating_record(5);
+            ledger.total.saturating_record(5);
         }
     }
 }

@@ -1,8 +1,6 @@
 //! cyclictest of Debian's package rt-tests as the peer: runs the program for a time and reads its histogram.
 
-#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
-
-use std::io::{ErrorKind, Read};
+use std::io::Read;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
@@ -10,6 +8,7 @@ use anyhow::{Context, anyhow, bail};
 use can::clock::{now, sleep_until};
 
 use super::interval::{Counts, Interval, counts};
+use super::load;
 use super::probe::Turn;
 
 /// Number of bins of its histogram, 1 µs each. A larger latency is counted as the maximum.
@@ -23,19 +22,7 @@ const POLL: Duration = Duration::from_millis(20);
 
 /// Refuses the measurement if cyclictest is not installed.
 pub(super) fn find() -> anyhow::Result<()> {
-    let found = Command::new("cyclictest")
-        .arg("--help")
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .status();
-    match found {
-        Err(error) if error.kind() == ErrorKind::NotFound => bail!(
-            "cyclictest is not installed; `apt install rt-tests` installs it, --against plain does without"
-        ),
-        Err(error) => Err(error).context("cyclictest cannot be run"),
-        Ok(_) => Ok(()),
-    }
+    load::find("cyclictest", "rt-tests", ", --against plain does without")
 }
 
 /// Runs cyclictest for one turn and returns its histogram. cyclictest is told not to hold /dev/cpu_dma_latency.

@@ -3,8 +3,6 @@
 //! A program runs in a process group of its own. Dropping the load kills the whole group. If this process is killed
 //! first, the kernel ends the program.
 
-#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
-
 use std::fs::OpenOptions;
 use std::hint::black_box;
 use std::io::{ErrorKind, Seek, SeekFrom, Write};
@@ -75,6 +73,23 @@ impl Kind {
     }
 }
 
+/// Refuses a program of a Debian package that is not installed. `otherwise` says how to do without the program.
+pub(super) fn find(name: &str, package: &str, otherwise: &str) -> anyhow::Result<()> {
+    let found = Command::new(name)
+        .arg("--help")
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .status();
+    match found {
+        Err(error) if error.kind() == ErrorKind::NotFound => {
+            bail!("{name} is not installed; `apt install {package}` installs it{otherwise}")
+        }
+        found => found.with_context(|| format!("{name} cannot be run"))?,
+    };
+    Ok(())
+}
+
 /// A running load. Dropping it ends the load.
 pub(super) struct Load {
     over: Arc<AtomicBool>,
@@ -84,21 +99,8 @@ pub(super) struct Load {
 impl Load {
     /// Refuses kinds of load whose program is not installed.
     pub(super) fn find(kinds: &[Kind]) -> anyhow::Result<()> {
-        for (name, package) in kinds.iter().filter_map(|kind| kind.program()) {
-            let found = Command::new(name)
-                .arg("--help")
-                .stdin(Stdio::null())
-                .stdout(Stdio::null())
-                .stderr(Stdio::null())
-                .status();
-            match found {
-                Err(error) if error.kind() == ErrorKind::NotFound => {
-                    bail!("{name} is not installed; `apt install {package}` installs it")
-                }
-                found => found.with_context(|| format!("{name} cannot be run"))?,
-            };
-        }
-        Ok(())
+        let mut programs = kinds.iter().filter_map(|kind| kind.program());
+        programs.try_for_each(|(name, package)| find(name, package, ""))
     }
 
     /// Starts a thread per CPU for each of `kinds`; a kind that is a program is started once.

@@ -1,7 +1,5 @@
 //! The measuring threads: the wait of the servo thread without a servo, and the algorithm of cyclictest.
 
-#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
-
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Builder;
@@ -127,21 +125,22 @@ pub(super) fn probe(wakeups: &mut Wakeups, turn: Turn) {
     }
 }
 
-/// Runs `body` on a new thread under `policy`, and calls `meanwhile` on this thread repeatedly. Also returns what the
-/// host denied.
-pub(super) fn on_thread<T: Send>(
+/// Runs `body` on a new thread under `realtime`, and calls `meanwhile` on this thread repeatedly. Returns what the host
+/// denied.
+pub(super) fn on_thread(
     realtime: &Realtime,
     period: Duration,
-    body: impl FnOnce() -> T + Send,
+    body: impl FnOnce() + Send,
     mut meanwhile: impl FnMut(),
-) -> anyhow::Result<(T, Vec<Denial>)> {
+) -> anyhow::Result<Vec<Denial>> {
     std::thread::scope(|scope| {
         let thread = Builder::new()
             .name("jitter".into())
             .stack_size(STACK)
             .spawn_scoped(scope, || {
                 let denied = thread::demand(realtime, period);
-                (body(), denied)
+                body();
+                denied
             })
             .context("no thread to measure on can be made")?;
         while !thread.is_finished() {
@@ -217,7 +216,7 @@ mod tests {
         let mut wakeups = Wakeups::new(recorder);
         let mut waiter = Waiter::new(&Realtime::PLAIN, turn.period);
         let measure = || wait(&mut waiter, &mut wakeups, turn);
-        let ((), denied) = on_thread(&realtime(80), turn.period, measure, || {}).unwrap();
+        let denied = on_thread(&realtime(80), turn.period, measure, || {}).unwrap();
         assert_eq!(
             denied,
             [],

@@ -86,8 +86,8 @@ pub(super) struct JitterReport {
     ours: Side,
     /// The peer.
     peer: Option<Side>,
-    /// Latency of our thread divided by the peer's; null if the peer's is zero.
-    ratio: Option<Ratio>,
+    /// Latency of our thread divided by the peer's; not a number, which is null in JSON, if the peer's is zero.
+    ratio: Option<Percentiles>,
     /// Number of our wake-ups, or SYNCs of the cell, that were late by more than a hundredth of the period, by cause.
     causes: BTreeMap<&'static str, u64>,
     /// The latest of these wake-ups.
@@ -135,15 +135,6 @@ pub(super) fn percentiles(late: &Counts) -> Percentiles {
     }
 }
 
-/// Latency of our thread divided by the peer's.
-#[derive(Debug, Serialize)]
-pub(super) struct Ratio {
-    p50: Option<f64>,
-    p99: Option<f64>,
-    p999: Option<f64>,
-    max: Option<f64>,
-}
-
 /// One late wake-up.
 #[derive(Debug, Serialize)]
 pub(super) struct Late {
@@ -160,13 +151,8 @@ impl JitterReport {
         late: &LateCycles,
         cell: Option<CellReport>,
     ) -> Self {
-        let over = |ours: f64, peer: f64| (peer > 0.0).then(|| ours / peer);
-        let ratio = peer.as_ref().map(|peer| Ratio {
-            p50: over(ours.late.p50, peer.late.p50),
-            p99: over(ours.late.p99, peer.late.p99),
-            p999: over(ours.late.p999, peer.late.p999),
-            max: over(ours.late.max, peer.late.max),
-        });
+        let over = |ours, peer| if peer > 0.0 { ours / peer } else { f64::NAN };
+        let ratio = (peer.as_ref()).map(|peer| verdict::each(&ours.late, &peer.late, over));
         // The percentiles of a thread without a cell already contain the delay of skipped deadlines.
         let skipped = (cell.as_ref()).and(ours.missed).unwrap_or(0);
         let fits = verdict::fits(&ours.late, setting.period_us, ours.cycles, skipped);
@@ -191,6 +177,11 @@ impl JitterReport {
     }
 }
 
+/// Columns of the table.
+fn columns(late: &Percentiles) -> [f64; 4] {
+    [late.p50, late.p99, late.p999, late.max]
+}
+
 impl fmt::Display for JitterReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
@@ -202,32 +193,22 @@ impl fmt::Display for JitterReport {
             let missed = side
                 .missed
                 .map_or("-".to_owned(), |missed| missed.to_string());
-            let Percentiles {
-                p50,
-                p99,
-                p999,
-                max,
-            } = side.late;
-            writeln!(
-                f,
-                "{name:11} {p50:>10.3} {p99:>10.3} {p999:>10.3} {max:>10.3} {:>10} {missed:>8}",
-                side.cycles
-            )
+            let late = columns(&side.late)
+                .map(|late| format!("{late:>10.3}"))
+                .join(" ");
+            writeln!(f, "{name:11} {late} {:>10} {missed:>8}", side.cycles)
         };
         side("ours", &self.ours)?;
         if let (Some(peer), Some(against)) = (&self.peer, self.setting.against) {
             side(against.name(), peer)?;
         }
-        if let Some(Ratio {
-            p50,
-            p99,
-            p999,
-            max,
-        }) = &self.ratio
-        {
-            let [p50, p99, p999, max] = [p50, p99, p999, max]
-                .map(|ratio| ratio.map_or("-".to_owned(), |ratio| format!("{ratio:.4}")));
-            writeln!(f, "{:11} {p50:>10} {p99:>10} {p999:>10} {max:>10}", "ratio")?;
+        if let Some(ratio) = &self.ratio {
+            let shown = |ratio: f64| match ratio.is_nan() {
+                true => "-".to_owned(),
+                false => format!("{ratio:.4}"),
+            };
+            let ratio = columns(ratio).map(|ratio| format!("{:>10}", shown(ratio)));
+            writeln!(f, "{:11} {}", "ratio", ratio.join(" "))?;
         }
         if let Some(cell) = &self.cell {
             let times = [
@@ -237,11 +218,8 @@ impl fmt::Display for JitterReport {
             ];
             // The time of an answer is unknown for a tty.
             for (name, times) in times.into_iter().filter(|(_, times)| times.max > 0.0) {
-                writeln!(
-                    f,
-                    "{name:11} {:>10.3} {:>10.3} {:>10.3} {:>10.3}",
-                    times.p50, times.p99, times.p999, times.max
-                )?;
+                let times = columns(&times).map(|time| format!("{time:>10.3}"));
+                writeln!(f, "{name:11} {}", times.join(" "))?;
             }
             writeln!(
                 f,

@@ -101,15 +101,19 @@ pub(super) fn fits(late: &Percentiles, period: f64, cycles: u64, skipped: u64) -
 
 /// Splits the latency tail into the share that the peer suffered in the same run and the share of our thread.
 pub(super) fn tail(ours: &Percentiles, peer: &Percentiles) -> Tail {
-    let with = |of: fn(f64, f64) -> f64| Percentiles {
+    Tail {
+        host: each(ours, peer, f64::min),
+        own: each(ours, peer, |ours, peer| (ours - peer).max(0.0)),
+    }
+}
+
+/// Combines our percentiles with those of the peer, one by one.
+pub(super) fn each(ours: &Percentiles, peer: &Percentiles, of: fn(f64, f64) -> f64) -> Percentiles {
+    Percentiles {
         p50: of(ours.p50, peer.p50),
         p99: of(ours.p99, peer.p99),
         p999: of(ours.p999, peer.p999),
         max: of(ours.max, peer.max),
-    };
-    Tail {
-        host: with(f64::min),
-        own: with(|ours, peer| (ours - peer).max(0.0)),
     }
 }
 

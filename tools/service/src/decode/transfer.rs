@@ -6,7 +6,7 @@
 //! an exchange fits only one kind of transfer.
 //!
 //! ```text
-//! Idle ──command──▶ Asked ──answer──▶ Segments, Block(Start ▶ Segments ⇄ Acknowledge ▶ End ▶ Ended) ──▶ Idle
+//! Idle ──command──▶ Asked ──answer──▶ …Segments, Block(Start ▶ Segments ⇄ Acknowledge ▶ End ▶ Ended) ──▶ Idle
 //! any state ──abort──▶ Idle
 //! any state ──a segment out of turn, or frames were lost──▶ Unknown ──a fitting exchange, or QUIET──▶ …
 //! ```
@@ -49,7 +49,7 @@ enum Way {
 
 /// Sender of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Side {
+pub(super) enum Side {
     Client,
     Server,
 }
@@ -61,12 +61,12 @@ enum SessionState {
     Idle,
     /// A transfer was requested. The answer of the server decides which kind of transfer follows.
     Asked(Asked),
-    Segments {
-        way: Way,
+    DownloadSegments {
         object: Option<Object>,
         /// The last segment was seen.
         last: bool,
     },
+    UploadSegments(Option<Object>),
     Block(Block),
 }
 
@@ -126,41 +126,28 @@ impl Channel {
         }
     }
 
-    /// Processes a frame of the client.
-    pub(super) fn request(&mut self, frame: &Frame, at: Instant) -> Reading {
+    /// Processes a frame.
+    pub(super) fn read(&mut self, side: Side, frame: &Frame, at: Instant) -> Reading {
         let quiet = self.passed(at);
         if first(frame) == ABORT {
             self.state = SessionState::Idle;
             return Reading::Command(None);
         }
-        self.resolve(Side::Client, frame, quiet);
-        match self.state {
-            SessionState::Unknown(_) => self.unknown(Side::Client, frame),
-            SessionState::Block(block) if block.expects(Way::Download) => {
+        self.resolve(side, frame, quiet);
+        match (self.state, side) {
+            (SessionState::Unknown(_), _) => self.unknown(side, frame),
+            (SessionState::Block(block), Side::Client) if block.expects(Way::Download) => {
                 let other = Asked::of(frame, self.node).filter(|_| quiet);
                 match other {
                     Some(asked) if !block.is_next(frame) => self.ask(asked),
-                    _ => self.segment(block, Side::Client, frame, quiet),
+                    _ => self.segment(block, side, frame, quiet),
                 }
             }
-            state => self.command(state, frame),
-        }
-    }
-
-    /// Processes a frame of the server.
-    pub(super) fn response(&mut self, frame: &Frame, at: Instant) -> Reading {
-        let quiet = self.passed(at);
-        if first(frame) == ABORT {
-            self.state = SessionState::Idle;
-            return Reading::Command(None);
-        }
-        self.resolve(Side::Server, frame, quiet);
-        match self.state {
-            SessionState::Unknown(_) => self.unknown(Side::Server, frame),
-            SessionState::Block(block) if block.expects(Way::Upload) => {
-                self.segment(block, Side::Server, frame, quiet)
+            (SessionState::Block(block), Side::Server) if block.expects(Way::Upload) => {
+                self.segment(block, side, frame, quiet)
             }
-            state => self.answer(state, frame),
+            (state, Side::Client) => self.command(state, frame),
+            (state, Side::Server) => self.answer(state, frame),
         }
     }
 
@@ -177,18 +164,13 @@ impl Channel {
         let SessionState::Unknown(before) = self.state else {
             return;
         };
-        let resolved = if quiet {
-            Some(SessionState::Idle)
-        } else {
-            before.and_then(|before| match (before, side) {
-                ((Side::Client, request), Side::Server) => self.answered(&request, frame),
-                ((Side::Server, response), Side::Client) => acknowledged(&response, frame),
-                _ => None,
-            })
+        let resolved = match (before, side) {
+            _ if quiet => Some(SessionState::Idle),
+            (Some((Side::Client, request)), Side::Server) => self.answered(&request, frame),
+            (Some((Side::Server, response)), Side::Client) => acknowledged(&response, frame),
+            _ => None,
         };
-        if let Some(state) = resolved {
-            self.state = state;
-        }
+        self.state = resolved.unwrap_or(self.state);
     }
 
     /// State after `response` has answered `request`, if exactly one state is possible.
@@ -197,26 +179,15 @@ impl Channel {
         if let Some(asked) = asked.filter(|asked| asked.is_answered(response, self.node)) {
             return Some(SessionState::Asked(asked));
         }
-        let segments = |way, last| SessionState::Segments {
-            way,
-            object: None,
-            last,
-        };
         match (first(request), first(response)) {
-            (0x00..=0x1F, 0x20 | 0x30) => {
-                Some(segments(Way::Download, is_last_of_segments(request)))
-            }
-            (0x60 | 0x70, 0x00..=0x1F) => Some(segments(Way::Upload, false)),
+            (0x00..=0x1F, 0x20 | 0x30) => Some(SessionState::DownloadSegments {
+                object: None,
+                last: is_last_of_segments(request),
+            }),
+            (0x60 | 0x70, 0x00..=0x1F) => Some(SessionState::UploadSegments(None)),
             (_, ACKNOWLEDGE) => Block::complete(Way::Download, request, response),
-            (0xA3, 0x01 | 0x81) => Some(SessionState::Block(Block {
-                stage: Stage::Segments,
-                size: MAX_BLOCK_SIZE,
-                ..Block::new(Way::Upload, None)
-            })),
-            (end, 0xA1) if is_end(end) => Some(SessionState::Block(Block {
-                stage: Stage::Ended,
-                ..Block::new(Way::Download, None)
-            })),
+            (0xA3, 0x01 | 0x81) => Some(Block::at(Way::Upload, Stage::Segments, MAX_BLOCK_SIZE)),
+            (end, 0xA1) if is_end(end) => Some(Block::at(Way::Download, Stage::Ended, 0)),
             _ => None,
         }
     }
@@ -263,22 +234,16 @@ impl Channel {
             };
         }
         match (state, first(frame)) {
-            (
-                SessionState::Segments {
-                    way: Way::Download,
-                    object,
-                    ..
-                },
-                0x00..=0x1F,
-            ) => {
-                self.state = SessionState::Segments {
-                    way: Way::Download,
-                    object,
-                    last: is_last_of_segments(frame),
-                };
+            (SessionState::DownloadSegments { object, .. }, 0x00..=0x1F) => {
+                let last = is_last_of_segments(frame);
+                self.state = SessionState::DownloadSegments { object, last };
                 Reading::Command(object)
             }
-            (SessionState::Segments { object, .. }, _) => Reading::Command(object),
+            (
+                SessionState::DownloadSegments { object, .. }
+                | SessionState::UploadSegments(object),
+                _,
+            ) => Reading::Command(object),
             (SessionState::Block(block), specifier) => {
                 let Some(state) = block.commanded(specifier, frame) else {
                     return self.unknown(Side::Client, frame);
@@ -299,31 +264,19 @@ impl Channel {
                 self.state = asked.begun(frame, self.node);
                 Reading::Command(None)
             }
-            (
-                SessionState::Segments {
-                    way: Way::Download,
-                    object,
-                    last: true,
-                },
-                0x20 | 0x30,
-            ) => {
+            (SessionState::DownloadSegments { object, last: true }, 0x20 | 0x30) => {
+                self.state = SessionState::Idle;
+                Reading::Command(object)
+            }
+            (SessionState::UploadSegments(object), 0x00..=0x1F) if is_last_of_segments(frame) => {
                 self.state = SessionState::Idle;
                 Reading::Command(object)
             }
             (
-                SessionState::Segments {
-                    way: Way::Upload,
-                    object,
-                    ..
-                },
-                0x00..=0x1F,
-            ) => {
-                if is_last_of_segments(frame) {
-                    self.state = SessionState::Idle;
-                }
-                Reading::Command(object)
-            }
-            (SessionState::Segments { object, .. }, _) => Reading::Command(object),
+                SessionState::DownloadSegments { object, .. }
+                | SessionState::UploadSegments(object),
+                _,
+            ) => Reading::Command(object),
             (SessionState::Block(block), specifier) => {
                 self.state = block.answered(specifier, frame).unwrap_or(state);
                 Reading::Command(block.object)
@@ -346,6 +299,15 @@ impl Block {
             sent: 0,
             last: false,
         }
+    }
+
+    /// A transfer of an unknown object at this stage, with sub-blocks of `size` segments.
+    const fn at(way: Way, stage: Stage, size: u8) -> SessionState {
+        SessionState::Block(Self {
+            stage,
+            size,
+            ..Self::new(way, None)
+        })
     }
 
     /// Whether segments are due in direction `way`.
@@ -390,17 +352,13 @@ impl Block {
 
     /// State after an answer of the server; `None` if no answer is due.
     fn answered(self, specifier: u8, frame: &Frame) -> Option<SessionState> {
+        let to = |stage| SessionState::Block(Self { stage, ..self });
         match (self.way, self.stage, specifier) {
             (Way::Download, Stage::Segments | Stage::Acknowledge, ACKNOWLEDGE) => {
                 Some(self.acknowledged(frame))
             }
             (Way::Download, Stage::Ended, 0xA1) => Some(SessionState::Idle),
-            (Way::Upload, Stage::End, specifier) if is_end(specifier) => {
-                Some(SessionState::Block(Self {
-                    stage: Stage::Ended,
-                    ..self
-                }))
-            }
+            (Way::Upload, Stage::End, specifier) if is_end(specifier) => Some(to(Stage::Ended)),
             _ => None,
         }
     }
@@ -433,10 +391,7 @@ impl Block {
 fn acknowledged(response: &Frame, request: &Frame) -> Option<SessionState> {
     match (first(response), first(request)) {
         (_, ACKNOWLEDGE) => Block::complete(Way::Upload, response, request),
-        (end, 0xA1) if is_end(end) => Some(SessionState::Block(Block {
-            stage: Stage::Ended,
-            ..Block::new(Way::Upload, None)
-        })),
+        (end, 0xA1) if is_end(end) => Some(Block::at(Way::Upload, Stage::Ended, 0)),
         _ => None,
     }
 }

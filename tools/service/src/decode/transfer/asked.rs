@@ -92,8 +92,7 @@ impl Asked {
     pub(super) fn begun(self, answer: &Frame, node: NodeId) -> SessionState {
         let object = Some(self.object());
         match (self, block::Response::decode(answer, node)) {
-            (Self::Segments(Way::Download, _), _) => SessionState::Segments {
-                way: Way::Download,
+            (Self::Segments(Way::Download, _), _) => SessionState::DownloadSegments {
                 object,
                 last: false,
             },
@@ -112,11 +111,7 @@ impl Asked {
             (Self::Segments(Way::Upload, _) | Self::BlockUpload { .. }, None)
                 if is_segmented(answer, node) =>
             {
-                SessionState::Segments {
-                    way: Way::Upload,
-                    object,
-                    last: false,
-                }
+                SessionState::UploadSegments(object)
             }
             // The answer completes the transfer, or it has a block size that no client accepts.
             (
