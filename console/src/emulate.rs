@@ -19,7 +19,7 @@ use mrroc::bench::emulated_lines::EmulatedLines;
 use mrroc::bench::emulated_time::EmulatedTime;
 use mrroc::bench::plants::{Mechanisms, Payloads};
 use mrroc::bench::{emulation, interfaces};
-use mrroc::cell_file::CellFile;
+use mrroc::cell::CellFile;
 use mrroc::signals;
 
 /// Longest time between two checks for Ctrl-C.

@@ -2,7 +2,6 @@
 
 use std::time::Duration;
 
-use crate::cell::{Path, Protocol};
 use anyhow::anyhow;
 use can::StandardId;
 use can::schedule::{self, Every, Message, Sender};
@@ -10,7 +9,7 @@ use can::timing::Bitrate;
 use drive::cia402::{Cia402Group, Traffic};
 use serde::Serialize;
 
-use crate::cell_file::CellFile;
+use crate::cell::{CellFile, Path, Protocol};
 use crate::setup;
 
 /// Budget of one bus.

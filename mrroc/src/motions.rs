@@ -6,7 +6,7 @@ use controller::robot::Arm;
 use controller::robot::Space;
 use servo::MAX_AXES;
 
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 
 /// Makes generators for one robot of a cell.
 #[derive(Clone, Debug)]

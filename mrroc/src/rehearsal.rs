@@ -19,8 +19,7 @@ use drive::{
 };
 use servo::{PositionLoop, Servo, lockstep};
 
-use crate::cell::{Path, instruction_path};
-use crate::cell_file::CellFile;
+use crate::cell::{CellFile, Path, instruction_path};
 use crate::setup;
 use crate::tasks::{MakeTasks, Tasks};
 

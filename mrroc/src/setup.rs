@@ -12,9 +12,7 @@ use drive::cia402::{AxisConfig, Cia402Group, CyclicMode};
 use serial::Line;
 use servo::{EffectorConfig, EffectorLink, Gates, HostHoming, ServoAxisConfig, ServoConfig};
 
-use crate::cell::{Bus, ENABLING, Homing, Path, Robot, Serial};
-use crate::cell_file::CellFile;
-use crate::configuration::Configuration;
+use crate::cell::{Bus, CellFile, DeviceConfiguration, ENABLING, Homing, Path, Robot, Serial};
 use crate::tasks::Tasks;
 
 /// Least homing time-out of an effector. The value also applies to a search by the drive of an axis without ends,
@@ -36,7 +34,7 @@ pub fn axis_configs(file: &CellFile, bus: usize) -> Vec<AxisConfig> {
         let configuration = file.configuration(robot, number);
         AxisConfig {
             identity: file.identity(robot, number),
-            configuration: configuration.map_or_else(Vec::new, Configuration::settings),
+            configuration: configuration.map_or_else(Vec::new, DeviceConfiguration::settings),
             ..axis.drive_config(file.arms[robot].robot().home()[number])
         }
     };

@@ -9,7 +9,7 @@ use drive::AxisCommand;
 use servo::Record;
 
 use crate::bench::interfaces::Interface;
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 
 /// A candump log of every frame that passed the ports of a run.
 pub(crate) struct FrameLog {

@@ -17,7 +17,7 @@ use servo::thread::set_fifo;
 use crate::bench::emulated_time::EmulatedTime;
 use crate::bench::emulation;
 use crate::bench::plants::Mechanisms;
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 
 /// Longest time between two checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);

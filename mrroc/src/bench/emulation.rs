@@ -2,7 +2,6 @@
 
 use std::time::Duration;
 
-use crate::cell::Protocol;
 use can::timing::Bitrate;
 use can::{Frame, Instant, StandardId, VirtualPort};
 use canopen::NodeId;
@@ -14,7 +13,7 @@ use serial::{Settings, VirtualLine};
 
 use crate::bench::bridge::{Bridge, BridgedTty};
 use crate::bench::plants::{Mechanisms, Payloads, homing_problem, plant};
-use crate::cell_file::CellFile;
+use crate::cell::{CellFile, Protocol};
 
 /// Capacity of the host's end of a virtual bus in each direction, frames.
 const QUEUE: usize = 256;

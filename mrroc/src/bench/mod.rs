@@ -12,7 +12,6 @@ pub mod plants;
 
 use std::path::{Path, PathBuf};
 
-use crate::cell::Serial;
 use anyhow::{Context, bail};
 use can::{Port, SocketCanOptions, TraceReader, Tracer};
 use clap::{Args, ValueEnum};
@@ -22,7 +21,7 @@ use serial::{Line, Tty, VirtualLine};
 use crate::bench::bus_port::BusPort;
 use crate::bench::emulation::Emulation;
 use crate::bench::interfaces::Interface;
-use crate::cell_file::CellFile;
+use crate::cell::{CellFile, Serial};
 use crate::wire::{Listener, Wire};
 
 /// Frames by which a trace may lag behind the bus: some seconds of a full bus.

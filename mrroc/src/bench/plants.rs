@@ -9,8 +9,7 @@ use controller::robot::Limits;
 use hil::plant::PlantConfig;
 use hil::{AxisConfig, Mechanism, Mount};
 
-use crate::cell::Path;
-use crate::cell_file::CellFile;
+use crate::cell::{CellFile, Path};
 
 /// The mechanism of each robot of a cell that has one. The axes of a mechanism may be on several buses and lines.
 pub struct Mechanisms(Vec<Option<Mechanism>>);

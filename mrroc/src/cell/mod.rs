@@ -6,10 +6,11 @@
 //! joint for a program. The name of a key with another unit ends in that unit.
 
 mod axis_controller;
-mod check;
+mod device_configuration;
 mod document;
 mod drives;
 mod error;
+mod file;
 mod home;
 mod locate;
 mod meetings;
@@ -18,6 +19,7 @@ mod read;
 #[cfg(test)]
 mod tests;
 mod text;
+mod validation;
 mod weight;
 
 use std::sync::Arc;
@@ -31,10 +33,12 @@ use controller::robot::ParameterError;
 
 pub use crate::robots::{Model, Parameters};
 pub use axis_controller::{AxisController, Loop, Serial};
+pub(crate) use device_configuration::DeviceConfiguration;
 pub use document::LARGEST;
 pub use drive::axis_controller::{Control, Protocol};
 pub use drives::ENABLING;
 pub use error::{CellError, Problem};
+pub use file::CellFile;
 pub use locate::{Path, Step};
 pub use meetings::Meeting;
 pub use program::{ProgramError, instruction_path};
@@ -446,7 +450,7 @@ impl Cell {
     pub fn parse(text: &str) -> Result<Self, CellError> {
         let document = document::parse(text)?;
         let cell: Self = read::read(text, &document)?;
-        check::check(&cell).map_err(|(path, problem)| CellError {
+        validation::check(&cell).map_err(|(path, problem)| CellError {
             line: locate::line_of(text, &path),
             key: path.to_string(),
             problem,

@@ -8,6 +8,7 @@ mod page;
 mod plots;
 mod text;
 mod tool;
+mod warning;
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -20,13 +21,13 @@ use servo::thread::{AccountReads, LateCycle, Spike, WaitReport};
 use servo::{Histogram, Servo, Timing};
 
 use crate::budget::BusBudget;
-use crate::cell_file::CellFile;
-use crate::warning_report::WarningReport;
+use crate::cell::CellFile;
 use crate::wire::WireReport;
 
 pub(crate) use page::page;
 pub(crate) use tool::Tracks;
 pub use tool::{Deviation, RobotReport, Subject};
+pub use warning::WarningReport;
 
 /// What a run leaves behind.
 pub(crate) struct RunEnd {

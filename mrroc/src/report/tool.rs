@@ -12,7 +12,7 @@ use serde::Serialize;
 use servo::Record;
 
 use super::curves::{Curve, Path};
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 
 /// What the error of a robot is of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

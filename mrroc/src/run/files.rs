@@ -13,7 +13,7 @@ use anyhow::{Context, anyhow};
 use servo::Record;
 
 use super::SMALL_STACK;
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 use crate::report::Tracks;
 use crate::trace::{AxisLog, FrameLog};
 

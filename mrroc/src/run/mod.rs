@@ -10,6 +10,7 @@
 
 mod files;
 mod requests;
+mod running_tasks;
 mod turning;
 
 use std::cell::{Cell as Shared, RefCell};
@@ -30,9 +31,8 @@ use servo::{NotUp, Servo, Timing, lockstep};
 use crate::bench::clockwork;
 use crate::bench::emulation::Emulation;
 use crate::bench::{Bench, BenchKind, Places};
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 use crate::outputs::{Outputs, Replacement};
-use crate::programs::{Programs, servo_faults};
 use crate::report::{self, FaultReport, Outcome, RunEnd, RunReport, Tracks};
 use crate::spikes::SpikeFile;
 use crate::tasks::MakeTasks;
@@ -42,8 +42,10 @@ use crate::{budget, rehearsal, setup, streams};
 use files::{Logs, Writing};
 use turning::Over;
 
-pub use crate::programs::Progress;
 pub use requests::Requests;
+pub use running_tasks::Progress;
+pub(crate) use running_tasks::RunningTasks;
+use running_tasks::servo_faults;
 pub use turning::Turning;
 
 /// Records that the evaluation may lag behind the servo, per effector: some seconds.
@@ -171,16 +173,16 @@ pub fn run(
             .transpose()?,
     };
     let spikes = spikes.map(SpikeFile::new);
-    let programs = Programs::new(file, tasks, links, &servo)?;
+    let tasks = RunningTasks::new(file, tasks, links, &servo)?;
     requests.stop_through(servo.stop_request());
 
     let began = clock::now();
     let buses = Buses { wire, emulation };
     let mut end = match options.bench {
         BenchKind::Lockstep => {
-            in_lockstep(file, servo, programs, logs, buses, &requests.stop, progress)?
+            in_lockstep(file, servo, tasks, logs, buses, &requests.stop, progress)?
         }
-        _ => by_the_clock(file, servo, programs, logs, buses, requests, progress)?,
+        _ => by_the_clock(file, servo, tasks, logs, buses, requests, progress)?,
     };
     let interrupted = requests.is_stopped();
     if interrupted {
@@ -280,7 +282,7 @@ pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
 fn in_lockstep(
     file: &CellFile,
     mut servo: Servo,
-    mut programs: Programs,
+    mut tasks: RunningTasks,
     logs: Logs,
     Buses { wire, emulation }: Buses,
     interrupted: &AtomicBool,
@@ -312,7 +314,7 @@ fn in_lockstep(
         &mut servo,
         start,
         |now| {
-            let going = logs.borrow_mut().drain() && programs.poll(now, &mut *progress);
+            let going = logs.borrow_mut().drain() && tasks.poll(now, &mut *progress);
             done.set(!going || interrupted.load(Ordering::Relaxed));
         },
         between,
@@ -329,7 +331,7 @@ fn in_lockstep(
         },
     );
     let (written, tracks) = logs.into_inner().finish();
-    let mut faults = programs.faults;
+    let mut faults = tasks.faults;
     faults.extend(written.err().map(FaultReport::of_run));
     Ok(RunEnd {
         servo,
@@ -346,7 +348,7 @@ fn in_lockstep(
 fn by_the_clock(
     file: &CellFile,
     mut servo: Servo,
-    mut programs: Programs,
+    mut tasks: RunningTasks,
     logs: Logs,
     Buses {
         wire,
@@ -394,7 +396,7 @@ fn by_the_clock(
             );
             let show = |seen| _ = tell.try_send(seen);
             while !done.load(Ordering::Relaxed)
-                && programs.poll(clock::now(), show)
+                && tasks.poll(clock::now(), show)
                 && !requests.stop.load(Ordering::Relaxed)
                 && !turning.is_finished()
             {
@@ -412,7 +414,7 @@ fn by_the_clock(
         Some(first) => cycles(first).since(Instant::ZERO),
         None => clock::now().since(began),
     };
-    let mut faults = programs.faults;
+    let mut faults = tasks.faults;
     let (written, tracks) = writing.finish(file);
     faults.extend(written.err().map(FaultReport::of_run));
     if let Some(panicked) = ended.panicked {

@@ -28,7 +28,7 @@ use servo::{
 
 use mrroc::bench::clockwork;
 use mrroc::bench::{Bench, BenchKind, Places};
-use mrroc::cell_file::CellFile;
+use mrroc::cell::CellFile;
 use mrroc::outputs::{Outputs, Replacement};
 use mrroc::signals::Motion;
 use mrroc::{setup, signals};

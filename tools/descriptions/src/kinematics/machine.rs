@@ -6,13 +6,12 @@ use std::sync::Arc;
 use anyhow::{Context as _, anyhow};
 use clap::Args;
 use controller::robot::{Joints, Limits, Motors, ParameterError, Rnt, Robot, Vector};
-use mrroc::cell::{Model, Parameters};
 
 use nalgebra::Vector3;
 
 use super::numbers;
 use crate::robots::described;
-use mrroc::cell_file::CellFile;
+use mrroc::cell::{CellFile, Model, Parameters};
 
 /// Which robot.
 #[derive(Args)]

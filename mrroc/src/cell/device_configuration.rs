@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use crate::cell::Path;
 use anyhow::{Context, anyhow};
 use canopen::dcf::{self, Download};
 use canopen::eds::Eds;
@@ -11,21 +10,21 @@ use canopen::{NodeId, Object};
 use drive::cia402::{Setting, reserved};
 use master::sdo::CAPACITY;
 
-use crate::cell_file::CellFile;
+use super::{CellFile, Path};
 use crate::input;
 
 /// Greatest number of values written to a drive before operation. Each value takes two exchanges of some milliseconds.
 const MOST_WRITES: usize = 4096;
 
 /// Content of a device configuration file, and the drive it is for.
-pub struct Configuration {
+pub struct DeviceConfiguration {
     pub path: PathBuf,
     pub product: Option<u32>,
     pub revision: Option<u32>,
     pub download: Download,
 }
 
-impl Configuration {
+impl DeviceConfiguration {
     /// Reads the file of an axis, if the cell names one.
     pub fn read(file: &CellFile, robot: usize, axis: usize) -> anyhow::Result<Option<Self>> {
         let key = Path::default().then("robot").then(robot);

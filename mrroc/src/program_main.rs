@@ -10,7 +10,7 @@ use servo::Phase;
 use signal_hook::consts::SIGUSR1;
 use signal_hook::flag;
 
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 use crate::report::Outcome;
 use crate::run::{Progress, Requests, RunOptions, run};
 use crate::signals::Motion;

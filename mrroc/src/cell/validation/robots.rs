@@ -2,9 +2,8 @@
 
 use super::axis::{self, Place};
 use super::{Checked, MOST, first_same, name, program, refused, some, twice, weight, within};
-use crate::cell::Range;
 use crate::cell::error::Problem;
-use crate::cell::{Axis, Cell, Path, Plant, Robot};
+use crate::cell::{Axis, Cell, Path, Plant, Range, Robot};
 
 pub(super) fn check(cell: &Cell) -> Checked {
     let robots = Path::default().then("robot");

@@ -1,10 +1,9 @@
 //! Checks of buses and bundles of serial lines.
 
 use super::{Checked, MOST, first_same, name, refused, some, twice, within};
-use crate::cell::Range;
 use crate::cell::error::Problem;
 use crate::cell::text::quoted;
-use crate::cell::{Cell, Path};
+use crate::cell::{Cell, Path, Range};
 
 pub(super) fn check(cell: &Cell) -> Checked {
     let groups = cell.bus.len() + cell.serial.len();

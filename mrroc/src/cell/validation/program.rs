@@ -1,9 +1,8 @@
 //! Checks of the instructions of a program that do not depend on the arm.
 
 use super::{Checked, name, refused, some, within};
-use crate::cell::Range;
 use crate::cell::error::Problem;
-use crate::cell::{Instruction, JointGenerator, Joints, LineInstruction, Path, Robot};
+use crate::cell::{Instruction, JointGenerator, Joints, LineInstruction, Path, Range, Robot};
 
 /// Greatest number of instructions of a program, and of poses of an instruction.
 const MOST: usize = 10_000;

@@ -30,7 +30,7 @@ use drive::cia402::pdo_setups;
 use hdrhistogram::Histogram;
 
 use crate::bench::interfaces::Interface;
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 use crate::report::{Percentiles, microseconds};
 use crate::setup;
 

@@ -5,13 +5,13 @@ use controller::ecp::{Ecp, EcpError, Subcontrollers, Task};
 use drive::Fault;
 use servo::{EffectorLink, Phase, Servo, ServoFault, StopCause, StopRequest};
 
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 use crate::report::FaultReport;
 use crate::tasks::MakeTasks;
 use crate::{rehearsal, setup};
 
 /// All tasks of a run. The first failure stops every robot.
-pub(crate) struct Programs<'a> {
+pub(crate) struct RunningTasks<'a> {
     file: &'a CellFile,
     tasks: &'a MakeTasks<'a>,
     subcontrollers: Subcontrollers,
@@ -36,7 +36,7 @@ pub struct Progress {
     pub ended: u64,
 }
 
-impl<'a> Programs<'a> {
+impl<'a> RunningTasks<'a> {
     /// The tasks of a cell's robots, on the `links` to `servo`.
     pub(crate) fn new(
         file: &'a CellFile,

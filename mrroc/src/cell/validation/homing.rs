@@ -2,10 +2,9 @@
 
 use super::axis::Place;
 use super::{Checked, no_effect, refused, within};
-use crate::cell::Range;
 use crate::cell::drives::FARTHEST_INDEX;
 use crate::cell::error::Problem;
-use crate::cell::{Axis, Path};
+use crate::cell::{Axis, Path, Range};
 use controller::robot::Limits;
 
 /// The homing methods of an EPOS4.
