@@ -45,10 +45,10 @@ impl BusPort {
         options: &SocketCanOptions,
     ) -> anyhow::Result<Self> {
         match interface {
-            Interface::SocketCan(name) => Ok(Self::SocketCan(
-                SocketCanPort::open(name, options)?,
-                Vec::new(),
-            )),
+            Interface::SocketCan(name) => {
+                let port = SocketCanPort::open(name, options)?;
+                Ok(Self::SocketCan(port, Vec::new()))
+            }
             Interface::Slcan { path, baud } => Self::slcan(path, *baud, kbps, SlcanPort::new),
             Interface::Epos { .. } => bail!(
                 "{interface}: the service port of a drive is no CAN bus; `mrroc sdo`, `mrroc nmt` and `mrroc scan` \
@@ -100,10 +100,13 @@ impl BusPort {
 /// Starts to open an adapter, for sending or for listening only.
 type Begin = fn(Tty, Bitrate, Instant) -> Result<SlcanPort<Tty>, SlcanError>;
 
+pub(super) fn bitrate(kbps: u32) -> anyhow::Result<Bitrate> {
+    let bitrate = Bitrate::from_kbps(kbps);
+    bitrate.with_context(|| format!("{kbps} kbit/s is no bit rate of CAN, 10 to 1000 kbit/s"))
+}
+
 fn open_slcan(tty: Tty, kbps: u32, begin: Begin) -> anyhow::Result<SlcanPort<Tty>> {
-    let bitrate = Bitrate::from_kbps(kbps)
-        .with_context(|| format!("{kbps} kbit/s is no bit rate of CAN, 10 to 1000 kbit/s"))?;
-    let mut port = begin(tty, bitrate, clock::now())?;
+    let mut port = begin(tty, bitrate(kbps)?, clock::now())?;
     loop {
         if let Poll::Ready(result) = port.poll_open(clock::now()) {
             return result.map(|()| port).map_err(Into::into);

@@ -1,11 +1,11 @@
 //! The CAN card of a bus before a run: sets its bit rate on request, and otherwise compares it with the cell's.
 
-use crate::cell::Bus;
-use anyhow::{Context, bail};
+use anyhow::bail;
 use can::card::{self, Card, CardError, CardState};
-use can::timing::Bitrate;
 
+use crate::bench::bus_port::bitrate;
 use crate::bench::interfaces::Interface;
+use crate::cell::Bus;
 
 /// Ensures that the card of `bus` has the cell's bit rate: sets the bit rate, or refuses a different one.
 ///
@@ -16,14 +16,9 @@ pub(super) fn prepare(interface: &Interface, bus: &Bus, set: bool) -> anyhow::Re
     };
     let kbps = bus.bitrate_kbps;
     if set {
-        let bitrate = Bitrate::from_kbps(kbps)
-            .with_context(|| format!("{kbps} kbit/s is no bit rate of CAN, 10 to 1000 kbit/s"))?;
-        let card = card::set_bitrate(name, bitrate)?;
-        crate::streams::warn(format_args!(
-            "bus {}: {name} {}",
-            bus.name,
-            described(&card)
-        ));
+        let card = card::set_bitrate(name, bitrate(kbps)?)?;
+        let described = described(&card);
+        crate::streams::warn(format_args!("bus {}: {name} {described}", bus.name));
         return Ok(());
     }
     let card = match card::read(name) {

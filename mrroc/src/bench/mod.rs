@@ -28,11 +28,12 @@ use crate::wire::{Listener, Wire};
 const TRACE: usize = 1 << 16;
 
 /// The benches.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum BenchKind {
     /// Emulated drives on a virtual bus, in virtual time.
     Lockstep,
     /// Emulated drives on a virtual bus, in real time.
+    #[default]
     Emulated,
     /// A virtual CAN interface or pseudo-terminals, with `mrroc emulate` at the other end.
     Vcan,
@@ -121,13 +122,8 @@ impl Bench {
         places: &Places,
         trace: bool,
     ) -> anyhow::Result<Self> {
-        let Places {
-            can,
-            serial,
-            set_bitrate,
-        } = places;
-        let (serial, set_bitrate) = (serial.as_deref(), *set_bitrate);
-        if set_bitrate && kind != BenchKind::Card {
+        let (can, serial) = (&places.can, places.serial.as_deref());
+        if places.set_bitrate && kind != BenchKind::Card {
             bail!("--set-bitrate needs --bench card");
         }
         let interfaces = interfaces::resolve(&file.cell, can)?;
@@ -152,7 +148,7 @@ impl Bench {
                     // Before any access to the card, which another controller may be using.
                     let claim = interface.claim_as_controller().with_context(on_bus)?;
                     if kind == BenchKind::Card {
-                        card::prepare(interface, bus, set_bitrate).with_context(on_bus)?;
+                        card::prepare(interface, bus, places.set_bitrate).with_context(on_bus)?;
                     }
                     let setpoints = file.cell.axes_on(index).count();
                     let options = SocketCanOptions {
@@ -173,28 +169,21 @@ impl Bench {
                 (ports, ttys(file, serial)?, listeners, None)
             }
         };
-        let wire = Wire::new(file, listeners);
-        if !trace {
-            return Ok(Self {
-                ports,
-                lines,
-                interfaces,
-                traces: Vec::new(),
-                wire,
-                emulation,
+        let (ports, traces) = if trace {
+            let traced = ports.into_iter().map(|port| {
+                let (port, reader) = Tracer::new(port, TRACE);
+                (Box::new(port) as _, reader)
             });
-        }
-        let traced = ports.into_iter().map(|port| {
-            let (port, reader) = Tracer::new(port, TRACE);
-            (Box::new(port) as _, reader)
-        });
-        let (ports, traces) = traced.unzip();
+            traced.unzip()
+        } else {
+            (ports, Vec::new())
+        };
         Ok(Self {
             ports,
             lines,
             interfaces,
             traces,
-            wire,
+            wire: Wire::new(file, listeners),
             emulation,
         })
     }
@@ -220,7 +209,6 @@ fn emulated_lines(
     bundles.map(bundle).collect()
 }
 
-/// Opens the ttys of a cell.
 fn ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<Vec<Box<dyn Line>>>> {
     let bundles = file.cell.serial.iter().enumerate();
     let bundle = |(index, bundle): (usize, &Serial)| {
