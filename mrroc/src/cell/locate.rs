@@ -1,21 +1,24 @@
 //! Location of a key in the text of a cell file.
 
+use std::borrow::Cow;
 use std::fmt;
 
 use toml::de::DeTable;
 
+use super::text::{excerpt, quoted};
+
 /// One step from a table to its content.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Step {
     /// To the value of a key.
-    Key(&'static str),
+    Key(Cow<'static, str>),
     /// To an element of an array, counted from 0.
     At(usize),
 }
 
 impl From<&'static str> for Step {
     fn from(key: &'static str) -> Self {
-        Self::Key(key)
+        Self::Key(key.into())
     }
 }
 
@@ -39,10 +42,16 @@ impl Path {
 
     /// The index of the robot that the path leads to.
     pub fn robot(&self) -> Option<usize> {
-        match *self.0 {
-            [Step::Key("robot"), Step::At(robot), ..] => Some(robot),
+        match &*self.0 {
+            [Step::Key(key), Step::At(robot), ..] if key == "robot" => Some(*robot),
             _ => None,
         }
+    }
+}
+
+impl FromIterator<Step> for Path {
+    fn from_iter<T: IntoIterator<Item = Step>>(steps: T) -> Self {
+        Self(steps.into_iter().collect())
     }
 }
 
@@ -50,9 +59,13 @@ impl fmt::Display for Path {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (position, step) in self.0.iter().enumerate() {
             match step {
-                Step::Key(key) if position == 0 => write!(f, "{key}")?,
-                Step::Key(key) => write!(f, ".{key}")?,
                 Step::At(index) => write!(f, "[{index}]")?,
+                Step::Key(name) => {
+                    let bare = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+                    let is_bare = !name.is_empty() && name.chars().all(bare);
+                    f.write_str(if position == 0 { "" } else { "." })?;
+                    f.write_str(&if is_bare { excerpt(name) } else { quoted(name) })?;
+                }
             }
         }
         Ok(())
@@ -61,12 +74,8 @@ impl fmt::Display for Path {
 
 /// The line, counted from 1, of the byte at `offset` of `text`.
 pub(super) fn line_at(text: &str, offset: usize) -> usize {
-    let upto = offset.min(text.len());
-    text.as_bytes()[..upto]
-        .iter()
-        .filter(|&&byte| byte == b'\n')
-        .count()
-        + 1
+    let before = &text.as_bytes()[..offset.min(text.len())];
+    before.iter().filter(|&&byte| byte == b'\n').count() + 1
 }
 
 /// The line of the value at `path`, or of the nearest enclosing table in the file.
@@ -76,24 +85,21 @@ pub(super) fn line_of(text: &str, path: &Path) -> usize {
     };
     let mut offset = document.span().start;
     let mut steps = path.0.iter();
-    let mut value = match steps.next() {
-        Some(Step::Key(key)) => match document.get_ref().get(*key) {
-            Some(value) => value,
-            None => return 1,
-        },
-        _ => return 1,
+    let Some(Step::Key(key)) = steps.next() else {
+        return 1;
+    };
+    let Some(mut value) = document.get_ref().get(key.as_ref()) else {
+        return 1;
     };
     loop {
-        offset = if value.span().is_empty() {
-            offset
-        } else {
-            value.span().start
-        };
+        if !value.span().is_empty() {
+            offset = value.span().start;
+        }
         let Some(step) = steps.next() else {
             return line_at(text, offset);
         };
         let inner = match step {
-            Step::Key(key) => value.get_ref().get(*key),
+            Step::Key(key) => value.get_ref().get(key.as_ref()),
             Step::At(index) => value.get_ref().get(*index),
         };
         match inner {

@@ -3,10 +3,10 @@
 //! The bounds in the other modules are narrower and use the units of the file. The checks here are those of the
 //! drivers and the servo.
 
+use controller::robot::ParameterError;
 use drive::{axis_controller, cia402};
 
 use super::Checked;
-use crate::cell::error::Problem;
 use crate::cell::{Cell, Path};
 
 pub(super) fn check(cell: &Cell) -> Checked {
@@ -14,12 +14,11 @@ pub(super) fn check(cell: &Cell) -> Checked {
         .robot
         .iter()
         .map(|robot| {
-            robot
-                .kinematics()
-                .map(|it| (it.home(), it.motor_limits().to_vec()))
+            let robot = robot.kinematics()?;
+            Ok((robot.home(), robot.motor_limits().to_vec()))
         })
-        .collect::<Result<_, _>>()
-        .map_err(|error| (Path::default().then("robot"), refusal(error)))?;
+        .collect::<Result<_, ParameterError>>()
+        .map_err(|error| (Path::default().then("robot"), error.to_string()))?;
     for index in 0..cell.bus.len() {
         let axes: Vec<_> = cell.axes_on(index).collect();
         let config = |&(robot, axis): &(usize, usize)| {
@@ -29,7 +28,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
         let checked = cell.group_config(index).check(&configs);
         checked.map_err(|error| {
             let bus = Path::default().then("bus").then(index);
-            (place_of_drive(cell, &bus, &axes, error), refusal(error))
+            (place_of_drive(cell, &bus, &axes, error), error.to_string())
         })?;
     }
     for (index, bundle) in cell.serial.iter().enumerate() {
@@ -47,7 +46,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
             Err(error) => {
                 let bundle = Path::default().then("serial").then(index);
                 let place = place_of_controller(cell, &bundle, &axes, error);
-                return Err((place, refusal(error)));
+                return Err((place, error.to_string()));
             }
         }
     }
@@ -56,18 +55,11 @@ pub(super) fn check(cell: &Cell) -> Checked {
             let limits = homes[number].1[axis];
             let config = robot.servo_config(axis, 0, 0, limits);
             if let Some(field) = config.nonsense() {
-                return Err((
-                    axis_path((number, axis)),
-                    refusal(format!("{field} makes no sense")),
-                ));
+                return Err((axis_path((number, axis)), format!("{field} makes no sense")));
             }
         }
     }
     Ok(())
-}
-
-fn refusal(error: impl std::fmt::Display) -> Problem {
-    Problem::Refused(error.to_string())
 }
 
 fn axis_path((robot, axis): (usize, usize)) -> Path {

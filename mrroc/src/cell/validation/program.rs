@@ -1,8 +1,9 @@
 //! Checks of the instructions of a program that do not depend on the arm.
 
-use super::{Checked, name, refused, some, within};
-use crate::cell::error::Problem;
-use crate::cell::{Instruction, JointGenerator, Joints, LineInstruction, Path, Range, Robot};
+use super::{Checked, count, name, refused, some, within};
+use crate::cell::{
+    Figure, Instruction, JointGenerator, Joints, LineInstruction, Path, Range, Robot,
+};
 
 /// Greatest number of instructions of a program, and of poses of an instruction.
 const MOST: usize = 10_000;
@@ -13,17 +14,17 @@ const SHARE: Range = Range::new(1e-3, 1.0, "of the greatest");
 /// Greatest coordinate of a joint or a tool, rad or m.
 const FARTHEST: Range = Range::new(-1e6, 1e6, "rad or m");
 
-pub(super) fn check(path: &Path, robot: &Robot) -> Checked {
-    let found = robot.program.len();
+pub(super) fn check(robot_path: &Path, robot: &Robot) -> Checked {
+    let (path, found) = (robot_path.then("program"), robot.program.len());
     if found > 0 {
-        some(path, found, MOST, "instructions")?;
+        some(robot_path, "program", found, MOST, "instructions")?;
     }
     for (number, instruction) in robot.program.iter().enumerate() {
         let path = path.then(number);
         match instruction {
             Instruction::Joints(joints) => check_joints(&path.then("joints"), joints, robot)?,
             Instruction::Line(line) => check_line(&path.then("line"), line)?,
-            Instruction::Meet(meeting) => name(&path.then("meet"), meeting)?,
+            Instruction::Meet(meeting) => name(&path, "meet", meeting)?,
         }
     }
     Ok(())
@@ -31,55 +32,43 @@ pub(super) fn check(path: &Path, robot: &Robot) -> Checked {
 
 fn check_joints(path: &Path, joints: &Joints, robot: &Robot) -> Checked {
     let poses = path.then("poses");
-    some(&poses, joints.poses.len(), MOST, "poses")?;
+    some(path, "poses", joints.poses.len(), MOST, "poses")?;
     for (index, pose) in joints.poses.iter().enumerate() {
-        let (found, expected) = (pose.len(), robot.axis.len());
-        if found != expected {
-            let what = "joint values";
-            let problem = Problem::Count {
-                found,
-                expected,
-                what,
-            };
-            return Err((poses.then(index), problem));
-        }
+        let path = poses.then(index);
+        count(path.clone(), pose.len(), robot.axis.len(), "joint values")?;
         for (joint, value) in pose.iter().enumerate() {
-            within(&poses.then(index).then(joint), *value, FARTHEST)?;
+            within(&path, joint, *value, FARTHEST)?;
         }
     }
-    within(&path.then("velocity"), joints.velocity, SHARE)?;
-    within(&path.then("acceleration"), joints.acceleration, SHARE)?;
+    within(path, "velocity", joints.velocity, SHARE)?;
+    within(path, "acceleration", joints.acceleration, SHARE)?;
     let Some(duration) = joints.duration else {
         return Ok(());
     };
-    let path = path.then("duration");
     if joints.generator != JointGenerator::JerkLimited {
         let why = "is for jerk-limited motions: use generator = \"jerk-limited\"";
-        return refused(path, why);
+        return refused(path, "duration", why);
     }
-    within(&path, duration, Range::new(1e-3, 86_400.0, "s"))
+    within(path, "duration", duration, Range::new(1e-3, 86_400.0, "s"))
 }
 
 fn check_line(path: &Path, line: &LineInstruction) -> Checked {
     for (number, part) in line.position.into_iter().enumerate() {
-        within(&path.then("position").then(number), part, FARTHEST)?;
+        within(&path.then("position"), number, part, FARTHEST)?;
     }
     let velocity = Range::new(1e-4, 100.0, "m/s");
-    within(&path.then("velocity"), line.velocity, velocity)?;
+    within(path, "velocity", line.velocity, velocity)?;
     let acceleration = Range::new(1e-4, 1000.0, "m/s²");
-    within(&path.then("acceleration"), line.acceleration, acceleration)?;
+    within(path, "acceleration", line.acceleration, acceleration)?;
     let Some(quaternion) = line.quaternion else {
         return Ok(());
     };
-    let norm = quaternion
-        .iter()
-        .map(|part| part * part)
-        .sum::<f64>()
-        .sqrt();
+    let squares = quaternion.iter().map(|part| part * part);
+    let norm = squares.sum::<f64>().sqrt();
     if (norm - 1.0).abs() > 1e-3 {
-        let (value, expected) = (norm, "of length 1, as every orientation");
-        let path = path.then("quaternion");
-        return Err((path, Problem::NoneOf { value, expected }));
+        let norm = Figure(norm);
+        let why = format!("is {norm}, must be of length 1, as every orientation");
+        return refused(path, "quaternion", why);
     }
     Ok(())
 }
