@@ -8,6 +8,7 @@
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
+mod background;
 mod files;
 mod requests;
 mod running_tasks;
@@ -39,6 +40,7 @@ use crate::tasks::MakeTasks;
 use crate::trace::{AxisLog, FrameLog};
 use crate::wire::Wire;
 use crate::{budget, rehearsal, setup, streams};
+pub(crate) use background::Background;
 use files::{Logs, Writing};
 use turning::Over;
 
@@ -66,6 +68,9 @@ const NEWS: usize = 64;
 /// Longest time in the cell for the drives to report that they have no power, once they are told.
 const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
 
+/// Longest wait for the times on the wire at the end of a run.
+const LAST_LOOK: Duration = Duration::from_secs(2);
+
 /// The file of `--out`.
 const REPORT: &str = "report.html";
 
@@ -73,7 +78,7 @@ const REPORT: &str = "report.html";
 pub const SMALL_STACK: usize = 128 * 1024;
 
 /// What a run runs on and which files it writes.
-#[derive(Args, Debug)]
+#[derive(Args, Debug, Default)]
 pub struct RunOptions {
     /// What to run it on.
     #[arg(long, value_enum, default_value = "emulated")]
@@ -104,12 +109,7 @@ impl RunOptions {
     pub fn on(bench: BenchKind) -> Self {
         Self {
             bench,
-            places: Places::default(),
-            trace: None,
-            record: None,
-            spikes: None,
-            out: None,
-            replacement: Replacement::default(),
+            ..Self::default()
         }
     }
 }
@@ -428,7 +428,7 @@ fn by_the_clock(
         spikes: ended.spikes,
         denied: ended.denied.iter().map(ToString::to_string).collect(),
         faults,
-        wire: listening.finish(),
+        wire: listening.finish(LAST_LOOK).unwrap_or_default(),
         cell_time,
     })
 }
