@@ -348,7 +348,7 @@ impl ValueFormatter<f64> for Scale {
 }
 
 /// The range of finite values, at the least `least`.
-fn over(values: impl IntoIterator<Item = f64>, least: [f64; 2]) -> [f64; 2] {
+pub fn over(values: impl IntoIterator<Item = f64>, least: [f64; 2]) -> [f64; 2] {
     let finite = values.into_iter().filter(|value| value.is_finite());
     finite.fold(least, |[low, high], value| {
         [low.min(value), high.max(value)]

@@ -147,15 +147,10 @@ impl CheckReport {
                     protocol.name(),
                     self.period_us
                 )?;
-                for budget::LineBudget {
-                    axis,
-                    line,
-                    address,
-                } in lines
-                {
-                    let address =
-                        address.map_or(String::new(), |address| format!(", address {address}"));
-                    writeln!(f, "  axis {axis}: {line}{address}")?;
+                for budget in lines {
+                    let address = budget.address.map(|address| format!(", address {address}"));
+                    let address = address.unwrap_or_default();
+                    writeln!(f, "  axis {}: {}{address}", budget.axis, budget.line)?;
                 }
             }
         }

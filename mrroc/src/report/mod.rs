@@ -158,7 +158,7 @@ impl RunReport {
                     .map(|(cause, count)| (cause.name(), count))
                     .collect(),
                 worst: end.timing.late.worst().map(WorstCycle::from).collect(),
-                account: AccountReport::from(end.timing.account),
+                account: end.timing.account,
             },
             buses: buses.collect(),
             wire: take(&mut end.wire),
@@ -268,33 +268,7 @@ pub struct CycleReport {
     /// The latest of them, the worst first.
     pub worst: Vec<WorstCycle>,
     /// How often the kernel was asked who, in the slack.
-    pub account: AccountReport,
-}
-
-/// How often the kernel's account of the servo thread was read, each time with two system calls.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct AccountReport {
-    /// After a cycle that was late, longer than usual or interrupted.
-    pub disturbed: u64,
-    /// After the last of 16 quiet cycles.
-    pub quiet: u64,
-    /// Before the wait, since what followed a cycle took more than a hundredth of the period.
-    pub slack: u64,
-}
-
-impl From<AccountReads> for AccountReport {
-    fn from(reads: AccountReads) -> Self {
-        let AccountReads {
-            disturbed,
-            quiet,
-            slack,
-        } = reads;
-        Self {
-            disturbed,
-            quiet,
-            slack,
-        }
-    }
+    pub account: AccountReads,
 }
 
 /// One late cycle.
@@ -358,6 +332,19 @@ pub struct Percentiles {
     pub p999: f64,
     /// Greatest.
     pub max: f64,
+}
+
+/// The four points in columns of 10 characters, µs.
+impl fmt::Display for Percentiles {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            p50,
+            p99,
+            p999,
+            max,
+        } = self;
+        write!(f, "{p50:>10.1} {p99:>10.1} {p999:>10.1} {max:>10.1}")
+    }
 }
 
 impl From<&Histogram> for Percentiles {
