@@ -40,7 +40,6 @@ struct Known {
 /// Device and inode, which identify a file regardless of its path.
 type Identity = (u64, u64);
 
-/// An output.
 struct Opened {
     what: String,
     path: PathBuf,

@@ -87,7 +87,6 @@ pub fn run_program(
     }))
 }
 
-/// The progress bar of a run.
 struct Bar {
     bar: ProgressBar,
     names: Vec<String>,
@@ -122,7 +121,6 @@ impl Bar {
         self.bar.set_message(message.join(", "));
     }
 
-    /// Removes the bar.
     fn finish(self) {
         self.bar.finish_and_clear();
     }

@@ -61,7 +61,6 @@ pub(crate) fn rehearse_from(
     Ok(())
 }
 
-/// The home positions of the robots.
 fn homes(file: &CellFile) -> Vec<PlannedStart> {
     let robots = file.arms.iter().enumerate();
     robots
@@ -85,7 +84,6 @@ fn beside(home: &PlannedStart, number: usize) -> Axes {
 /// The rehearsed part of the tasks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Extent {
-    /// The whole tasks.
     Tasks,
     /// The first motion of each robot, for at most [`BEGINNING`].
     FirstMotions,

@@ -123,7 +123,6 @@ pub fn subcontrollers(
     Subcontrollers::new(ecps.collect(), meetings(file, gates))
 }
 
-/// The axes of robot `robot`.
 fn servo_axes(file: &CellFile, robot: usize) -> Vec<ServoAxisConfig> {
     let cell = &file.cell;
     let axis = |number: usize| {

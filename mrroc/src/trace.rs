@@ -70,7 +70,6 @@ pub(crate) struct AxisLog {
 }
 
 impl AxisLog {
-    /// Writes the head of the file.
     pub(crate) fn new(sink: File, file: &CellFile) -> io::Result<Self> {
         let mut writer = BufWriter::new(sink);
         writeln!(
@@ -90,7 +89,6 @@ impl AxisLog {
         })
     }
 
-    /// Writes a record.
     pub(crate) fn write(&mut self, record: &Record) -> io::Result<()> {
         let names = &self.names[usize::from(record.effector)];
         for (axis, name) in record.axis.iter().zip(names) {
