@@ -112,7 +112,7 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
         return Ok(budget);
     }
     let axes = file.cell.axes_on(index).count();
-    let key = Path::default().then("bus").then(index);
+    let key = Path::to("bus").then(index);
     Err(file.refuse(&key, anyhow!(
         "{axes} axes keep bus {:?} busy for {} µs of each {} µs at the worst ({:.0} %, at most 100 %); {}",
         bus.name, analysis.busy.as_micros(), period.as_micros(), share(analysis.busy),
@@ -163,7 +163,7 @@ fn check_lines(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     if answered <= period {
         return Ok(budget);
     }
-    let key = Path::default().then("serial").then(index).then("baud");
+    let key = Path::to("serial").then(index).then("baud");
     Err(file.refuse(&key, anyhow!(
         "a request of {request} and an answer of {answer} bytes take {} µs of each {} µs ({:.0} %, at most 100 %)",
         answered.as_micros(), period.as_micros(), share(answered),

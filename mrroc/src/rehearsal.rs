@@ -171,7 +171,7 @@ impl<'a> Rehearsal<'a> {
             Some(failure) => Err(failure),
             None if extent == Extent::Tasks && end.get() != Instant::FAR_FUTURE => {
                 let problem = format!("a program takes longer than {} h", LONGEST.as_secs() / 3600);
-                Err(file.refuse(&Path::default().then("robot"), problem))
+                Err(file.refuse(&Path::to("robot"), problem))
             }
             None => Ok(Duration::from_nanos(self.servo.counters().cycles)
                 * self.servo.period().as_nanos() as u32),
@@ -183,7 +183,7 @@ impl<'a> Rehearsal<'a> {
 fn of_program(file: &CellFile, robot: usize, instruction: usize, why: String) -> anyhow::Error {
     let place = file.cell.robot[robot].instruction_of(instruction);
     let key = place.map_or_else(
-        || Path::default().then("robot").then(robot),
+        || Path::to("robot").then(robot),
         |index| instruction_path(robot, index),
     );
     file.refuse(&key, why)

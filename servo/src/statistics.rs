@@ -14,7 +14,7 @@ pub struct TrackingError {
 
 impl TrackingError {
     /// Counts one error, rad.
-    pub(crate) fn record(&mut self, error: f64) {
+    pub fn record(&mut self, error: f64) {
         self.samples += 1;
         self.sum_of_squares += error * error;
         self.peak = self.peak.max(error.abs());

@@ -103,9 +103,8 @@ pub fn homing_problem(file: &CellFile, (robot, number): (usize, usize)) -> Optio
         }
         Some(_) => return None,
     };
-    let key = Path::default().then("robot").then(robot);
-    let key = key.then("axis").then(number).then("homing");
-    Some((key.then("method"), format!("is {method}, which {why}")))
+    let key = Path::axis(robot, number).then("homing").then("method");
+    Some((key, format!("is {method}, which {why}")))
 }
 
 /// Motor, load, sensors and switches of an axis.

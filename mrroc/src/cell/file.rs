@@ -71,7 +71,7 @@ impl CellFile {
                     .map(|first| format!("{interface} is that of bus[{first}]: give each its own")),
             };
             if let Some(problem) = problem {
-                let key = super::Path::default().then("bus").then(index);
+                let key = super::Path::to("bus").then(index);
                 return Err(self.refuse(&key.then("interface"), problem));
             }
             taken.push(interface);

@@ -40,6 +40,16 @@ impl Path {
         Self(steps)
     }
 
+    /// The path to the table or list `key` at the top of the file.
+    pub fn to(key: &'static str) -> Self {
+        Self::default().then(key)
+    }
+
+    /// The path to axis `axis` of robot `robot`.
+    pub fn axis(robot: usize, axis: usize) -> Self {
+        Self::to("robot").then(robot).then("axis").then(axis)
+    }
+
     /// The index of the robot that the path leads to.
     pub fn robot(&self) -> Option<usize> {
         match &*self.0 {

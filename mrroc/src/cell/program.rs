@@ -60,11 +60,7 @@ impl ProgramError {
 
 /// The key of instruction `index` of the program of robot `robot`.
 pub fn instruction_path(robot: usize, index: usize) -> Path {
-    Path::default()
-        .then("robot")
-        .then(robot)
-        .then("program")
-        .then(index)
+    Path::to("robot").then(robot).then("program").then(index)
 }
 
 impl Cell {
@@ -79,22 +75,15 @@ impl Cell {
 }
 
 impl Robot {
-    /// Number of instructions of the robot's [`task`](Cell::task).
-    pub fn task_len(&self) -> usize {
-        PREAMBLE + self.program.iter().map(moves).sum::<usize>() + 1
-    }
-
     /// The index in the program of instruction `index` of the [`task`](Cell::task); `None` for those before and after
     /// the program.
     pub fn instruction_of(&self, index: usize) -> Option<usize> {
         let mut left = index.checked_sub(PREAMBLE)?;
         self.program.iter().position(|instruction| {
-            let (mine, others) = (
-                left < moves(instruction),
-                left.saturating_sub(moves(instruction)),
-            );
-            left = others;
-            mine
+            let moves = moves(instruction);
+            let found = left < moves;
+            left = left.saturating_sub(moves);
+            found
         })
     }
 

@@ -32,7 +32,7 @@ pub(super) fn check_used(cell: &Cell) -> Checked {
 }
 
 fn check_buses(cell: &Cell) -> Checked {
-    let buses = Path::default().then("bus");
+    let buses = Path::to("bus");
     for (index, bus) in cell.bus.iter().enumerate() {
         let path = buses.then(index);
         name(&path, "name", &bus.name)?;
@@ -65,13 +65,13 @@ fn check_buses(cell: &Cell) -> Checked {
 }
 
 fn check_serial(cell: &Cell) -> Checked {
-    let bundles = Path::default().then("serial");
+    let bundles = Path::to("serial");
     for (index, bundle) in cell.serial.iter().enumerate() {
         let path = bundles.then(index);
         name(&path, "name", &bundle.name)?;
         let what = |name: &String| format!("bus {name:?}");
         if let Some(first) = cell.bus.iter().position(|bus| bus.name == bundle.name) {
-            let first = Path::default().then("bus").then(first);
+            let first = Path::to("bus").then(first);
             return refused(&path, "name", twice(&what(&bundle.name), &first));
         }
         let names = cell.serial.iter().map(|it| &it.name);

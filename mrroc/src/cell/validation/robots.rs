@@ -8,7 +8,7 @@ use crate::cell::{Axis, Cell, Path, Plant, Range, Robot, quoted};
 const NEAR: Range = Range::new(-10.0, 10.0, "m");
 
 pub(super) fn check(cell: &Cell) -> Checked {
-    let robots = Path::default().then("robot");
+    let robots = Path::to("robot");
     some(&Path::default(), "robot", cell.robot.len(), MOST, "robots")?;
     let mut taken: Vec<(String, Path)> = Vec::new();
     for (index, robot) in cell.robot.iter().enumerate() {
