@@ -2,7 +2,6 @@
 
 pub mod bridge;
 pub mod bus_port;
-mod card;
 pub mod clockwork;
 pub mod emulated_lines;
 pub mod emulated_time;
@@ -18,7 +17,7 @@ use clap::{Args, ValueEnum};
 use drive::cia402;
 use serial::{Line, Tty, VirtualLine};
 
-use crate::bench::bus_port::BusPort;
+use crate::bench::bus_port::{BusPort, prepare_card};
 use crate::bench::emulation::Emulation;
 use crate::bench::interfaces::Interface;
 use crate::cell::{CellFile, Serial};
@@ -148,7 +147,7 @@ impl Bench {
                     // Before any access to the card, which another controller may be using.
                     let claim = interface.claim_as_controller().with_context(on_bus)?;
                     if kind == BenchKind::Card {
-                        card::prepare(interface, bus, places.set_bitrate).with_context(on_bus)?;
+                        prepare_card(interface, bus, places.set_bitrate).with_context(on_bus)?;
                     }
                     let setpoints = file.cell.axes_on(index).count();
                     let options = SocketCanOptions {

@@ -7,12 +7,10 @@
 
 mod axis_controller;
 mod device_configuration;
-mod document;
 mod drives;
 mod error;
 mod file;
 mod home;
-mod locate;
 mod meetings;
 mod program;
 mod read;
@@ -33,14 +31,13 @@ use servo::KeyProblem;
 pub use crate::robots::{Model, Parameters};
 pub use axis_controller::{AxisController, Loop, Serial};
 pub(crate) use device_configuration::DeviceConfiguration;
-pub use document::LARGEST;
 pub use drive::axis_controller::{Control, Protocol};
 pub use drives::ENABLING;
-pub use error::CellError;
+pub use error::{CellError, Path, Step};
 pub use file::CellFile;
-pub use locate::{Path, Step};
 pub use meetings::Meeting;
 pub use program::{ProgramError, instruction_path};
+pub use read::LARGEST;
 pub use servo::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
 pub use servo::thread::{Policy, Realtime, Scheduler, Wait};
 pub use servo::{Direction, FeedForward, Figure, Law, Range};
@@ -467,12 +464,12 @@ impl Cell {
 
     /// The text of a cell file. Bytes that are not UTF-8 or more than [`LARGEST`] are refused.
     pub fn text(bytes: &[u8]) -> Result<&str, CellError> {
-        document::text(bytes)
+        read::text(bytes)
     }
 
     /// Reads and checks the text of a cell file.
     pub fn parse(text: &str) -> Result<Self, CellError> {
-        let document = document::parse(text)?;
+        let document = read::parse(text)?;
         let cell: Self = read::read(text, &document)?;
         validation::check(&cell).map_err(|(path, problem)| CellError::at(text, &path, problem))?;
         Ok(cell)

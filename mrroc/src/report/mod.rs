@@ -182,6 +182,20 @@ pub struct FaultReport {
 }
 
 impl FaultReport {
+    /// A fault of robot `robot`, or of one of its axes.
+    pub(crate) fn of_robot(
+        file: &CellFile,
+        robot: usize,
+        axis: Option<usize>,
+        what: String,
+    ) -> Self {
+        Self {
+            robot: Some(file.cell.robot[robot].name.clone()),
+            axis: axis.map(|axis| file.axis_name(robot, axis)),
+            what,
+        }
+    }
+
     /// A fault of the run itself.
     pub fn of_run(what: impl fmt::Display) -> Self {
         Self {

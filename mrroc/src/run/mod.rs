@@ -9,10 +9,9 @@
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
 mod background;
+mod ending;
 mod files;
-mod requests;
 mod running_tasks;
-mod turning;
 
 use std::cell::{Cell as Shared, RefCell};
 use std::io::Write as _;
@@ -41,14 +40,13 @@ use crate::trace::{AxisLog, FrameLog};
 use crate::wire::Wire;
 use crate::{budget, rehearsal, setup, streams};
 pub(crate) use background::Background;
+use ending::Over;
 use files::{Logs, Writing};
-use turning::Over;
 
-pub use requests::Requests;
+pub use ending::{Requests, Turning};
 pub use running_tasks::Progress;
 pub(crate) use running_tasks::RunningTasks;
 use running_tasks::servo_faults;
-pub use turning::Turning;
 
 /// Records that the evaluation may lag behind the servo, per effector: some seconds.
 const RECORDS: usize = 1 << 11;

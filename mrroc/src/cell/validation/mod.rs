@@ -12,7 +12,7 @@ mod weight;
 
 use servo::KeyError;
 
-use super::locate::{Path, Step};
+use super::error::{Path, Step};
 use super::{Cell, Range, out_of_range, text};
 
 /// Greatest number of robots of a cell, and of buses and bundles together.
