@@ -72,7 +72,7 @@ pub fn run_program(
         bar.show(news);
     });
     motion.is_over();
-    bar.finish();
+    bar.bar.finish_and_clear();
     let report = report?;
     if let Err(error) = streams::answer(&report, options.json) {
         // A refusal is too late, because everything has moved.
@@ -119,9 +119,5 @@ impl Bar {
             .map(|(name, phase)| format!("{name}: {phase:?}"))
             .collect();
         self.bar.set_message(message.join(", "));
-    }
-
-    fn finish(self) {
-        self.bar.finish_and_clear();
     }
 }
