@@ -36,6 +36,7 @@ pub use drives::ENABLING;
 pub use error::{CellError, Path, Step};
 pub use file::CellFile;
 pub use meetings::Meeting;
+pub(crate) use program::smooth_pose;
 pub use program::{ProgramError, instruction_path};
 pub use read::LARGEST;
 pub use servo::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};

@@ -139,12 +139,9 @@ impl Robot {
         let limits = self.motion_limits(arm);
         let task = match motion.generator {
             JointGenerator::Newsmooth => {
-                let pose = |position| SmoothPose {
-                    position,
-                    velocity: [motion.velocity; MAX_AXES],
-                    acceleration: [motion.acceleration; MAX_AXES],
-                };
-                let poses = poses.into_iter().map(pose).collect();
+                let (velocity, acceleration) = (motion.velocity, motion.acceleration);
+                let smooth = |pose: &Axes| smooth_pose(pose, velocity, acceleration);
+                let poses = poses.iter().map(smooth).collect();
                 Newsmooth::new(Space::Joint, arm.axes(), limits, poses)
                     .map(|generator| task.run(generator))
                     .map_err(|error| (0, error.into()))?
@@ -291,6 +288,15 @@ fn steepest_gains(arm: &Arm) -> [Axes; MAX_AXES] {
         }
     }
     gains
+}
+
+/// A pose of a synchronised trapezoid, reached with these fractions of the limits.
+pub(crate) fn smooth_pose(pose: &[f64], velocity: f64, acceleration: f64) -> SmoothPose {
+    SmoothPose {
+        position: padded(pose),
+        velocity: [velocity; MAX_AXES],
+        acceleration: [acceleration; MAX_AXES],
+    }
 }
 
 fn padded(pose: &[f64]) -> Axes {

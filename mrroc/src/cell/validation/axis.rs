@@ -7,8 +7,7 @@ use drive::cia402::reserved;
 
 use super::{Checked, buses, homing, no_effect, position_loop, refused, within};
 use crate::cell::{
-    Axis, AxisController, Bus, Cell, Control, Drive, Emulator, Figure, Path, Plant, Protocol,
-    Range, Serial,
+    Axis, AxisController, Bus, Cell, Control, Drive, Figure, Path, Plant, Protocol, Range, Serial,
 };
 use controller::robot::Limits;
 
@@ -158,38 +157,30 @@ fn check_family(path: &Path, axis: &Axis, place: Place<'_>) -> Checked {
 }
 
 fn check_emulator(path: &Path, axis: &Axis, place: Place<'_>, model: Limits, home: f64) -> Checked {
-    let Emulator {
-        start,
-        vendor,
-        revision,
-        counts_per_revolution,
-        rated_torque,
-        address,
-        protocol,
-        ..
-    } = axis.emulator;
+    let emulator = &axis.emulator;
+    let counts = emulator.counts_per_revolution;
     let of_drives = [
-        ("vendor", vendor.is_some()),
-        ("revision", revision.is_some()),
-        ("counts_per_revolution", counts_per_revolution.is_some()),
-        ("rated_torque", rated_torque.is_some()),
+        ("vendor", emulator.vendor.is_some()),
+        ("revision", emulator.revision.is_some()),
+        ("counts_per_revolution", counts.is_some()),
+        ("rated_torque", emulator.rated_torque.is_some()),
     ];
     match place {
         Place::Bus(_) => {
             let because = "on a CAN bus: it is of serial lines";
-            no_effect(path, "address", address.is_some(), because)?;
-            no_effect(path, "protocol", protocol.is_some(), because)?;
+            no_effect(path, "address", emulator.address.is_some(), because)?;
+            no_effect(path, "protocol", emulator.protocol.is_some(), because)?;
         }
         Place::Serial(serial) => {
             for (key, given) in of_drives {
                 no_effect(path, key, given, "on a serial line: it is of drives on CAN")?;
             }
-            let spoken = protocol.unwrap_or(serial.protocol);
-            let given = address.is_some() && spoken == Protocol::HiMoxa;
+            let spoken = emulator.protocol.unwrap_or(serial.protocol);
+            let given = emulator.address.is_some() && spoken == Protocol::HiMoxa;
             no_effect(path, "address", given, NO_ADDRESSES)?;
         }
     }
-    if let Some(start) = start {
+    if let Some(start) = emulator.start {
         let range = if homing::is_endless(model) {
             let of = "rad of the motor: 1000 rad from home";
             Range::new(home - FARTHEST_START, home + FARTHEST_START, of)
@@ -200,11 +191,14 @@ fn check_emulator(path: &Path, axis: &Axis, place: Place<'_>, model: Limits, hom
         };
         within(path, "start", start, range)?;
     }
-    if let Some(counts) = counts_per_revolution {
+    if let Some(counts) = counts {
         check_counts(path, counts)?;
     }
     let torque = Range::new(1e-6, STRONGEST, "N·m");
-    rated_torque.map_or(Ok(()), |rated| within(path, "rated_torque", rated, torque))
+    match emulator.rated_torque {
+        Some(rated) => within(path, "rated_torque", rated, torque),
+        None => Ok(()),
+    }
 }
 
 fn check_drive(path: &Path, period: Duration, drive: &Drive, axis: &Axis) -> Checked {
