@@ -1,7 +1,8 @@
 //! The cell file: robots, buses, lines and drives of one controller, in TOML.
 //!
 //! The structs mirror the file key for key. The JSON schema next to the example cells is generated from them.
-//! [`Cell::parse`] checks the whole cell, so the rest of the program does not check again. A `Cell` deserialised by
+//! [`CellFile`] is a cell that was read from a file, with its device configuration files. [`Cell::parse`] checks the
+//! whole cell, so the rest of the program does not check again. A `Cell` deserialised by
 //! serde alone is unchecked. Units are SI: rad, rad/s and rad/s² at the **motor shaft** for an axis, rad or m at the
 //! joint for a program. The name of a key with another unit ends in that unit.
 
