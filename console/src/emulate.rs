@@ -17,9 +17,9 @@ use hil::{Cabinet, Device, Pty};
 use mrroc::bench::bus_port::BusPort;
 use mrroc::bench::emulated_lines::EmulatedLines;
 use mrroc::bench::emulated_time::EmulatedTime;
-use mrroc::bench::plants::{Mechanisms, Payloads};
+use mrroc::bench::plants::{EmulatedCell, Payloads};
 use mrroc::bench::{emulation, interfaces};
-use mrroc::cell_file::CellFile;
+use mrroc::cell::CellFile;
 use mrroc::signals;
 
 /// Longest time between two checks for Ctrl-C.
@@ -69,8 +69,8 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     let on_interfaces = on_interfaces.map(|(interface, link)| link.is_none().then_some(interface));
     interfaces::all_differ(&file.cell, on_interfaces)?;
     emulation::problems(&file).next().map_or(Ok(()), Err)?;
-    let mechanisms = Mechanisms::of(&file);
-    let mut payloads = Payloads::of(&file, &mechanisms, clock::now());
+    let emulated = EmulatedCell::of(&file);
+    let mut payloads = Payloads::of(&emulated, clock::now());
     let mut buses = Vec::new();
     let mut lines = EmulatedLines::default();
     let mut names = Vec::new();
@@ -78,7 +78,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         if let Some(link) = links[index] {
             let pty = Pty::linked(Path::new(link)).with_context(|| format!("--slcan {link}"))?;
             names.push(format!("{} behind {link}", bus.name));
-            lines.add_bus(&file, &mechanisms, index, pty);
+            lines.add_bus(&emulated, index, pty);
         } else {
             let interface = &interfaces[index];
             let on_bus = || format!("bus {}", bus.name);
@@ -86,16 +86,15 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
                 interface.claim_as_node(file.cell.robot[robot].axis[axis].node)
             };
             let claims = emulation::axes_present(&file, index).map(claim);
-            let claims = claims
-                .collect::<anyhow::Result<Vec<_>>>()
-                .with_context(on_bus)?;
+            let claims: anyhow::Result<Vec<_>> = claims.collect();
+            let claims = claims.with_context(on_bus)?;
             let port = BusPort::open(interface, bus.bitrate_kbps).with_context(on_bus)?;
             let port = port.holding(claims.into_iter().flatten());
             names.push(format!("{} on {interface}", bus.name));
             let now = clock::now();
             buses.push(EmulatedBus {
                 port,
-                devices: emulation::devices(&file, &mechanisms, index, now),
+                devices: emulated.devices(index, now),
                 time: EmulatedTime::default(),
                 passed: now,
                 outgoing: Vec::new(),
@@ -104,15 +103,14 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     }
     for (bundle, serial) in file.cell.serial.iter().enumerate() {
         let Some(directory) = &options.serial else {
-            bail!(
-                "--serial DIR is missing: it is where the ttys of {} are to be linked",
-                serial.name
-            );
+            let name = &serial.name;
+            bail!("--serial DIR is missing: it is where the ttys of {name} are to be linked");
         };
         let cabinet = Cabinet::default();
         for axis in file.cell.axes_on(file.cell.bus.len() + bundle) {
             let pty = link_of(&file, axis, directory)?;
-            lines.add_axis(&file, &mechanisms, bundle, axis, &cabinet, pty);
+            let line = emulated.add_line(&mut lines.world, bundle, axis, &cabinet);
+            lines.add_line(line, pty);
         }
         names.push(format!("{} in {}", serial.name, directory.display()));
     }
@@ -123,7 +121,8 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         for bus in 0..file.cell.bus.len() {
             for axis in emulation::axes_present(&file, bus) {
                 let pty = link_of(&file, axis, directory)?;
-                lines.add_service_port(&file, axis, pty);
+                let line = emulation::add_service_port(&mut lines.world, &file, axis);
+                lines.add_line(line, pty);
             }
         }
         names.push(format!("of service ports in {}", directory.display()));
@@ -198,12 +197,9 @@ impl EmulatedBus {
             at: Instant::ZERO,
         }; 64];
         while !stop.load(Ordering::Relaxed) {
-            let timeouts = self
-                .devices
-                .iter()
-                .filter_map(|device| device.poll_timeout());
-            let timeouts = timeouts.map(|timeout| self.time.clock(timeout));
-            let wake = timeouts.fold(clock::now() + LOOK, Instant::min);
+            let look = clock::now() + LOOK;
+            let due = self.due().map(|due| self.time.clock(due));
+            let wake = due.map_or(look, |due| due.min(look));
             self.port.wait_readable(wake)?;
             let count = self.port.receive(clock::now(), &mut received)?;
             // The clock is read after the frames arrived, so that no frame has a later time.
@@ -212,9 +208,9 @@ impl EmulatedBus {
             self.time.waited(wake, came);
             for Received { frame, at } in &received[..count] {
                 self.let_pass(self.time.at(*at));
-                self.devices
-                    .iter_mut()
-                    .for_each(|device| device.handle(frame, self.passed));
+                for device in &mut self.devices {
+                    device.handle(frame, self.passed);
+                }
             }
             self.let_pass(self.time.at(now));
             self.transmit(now)?;
@@ -222,16 +218,18 @@ impl EmulatedBus {
         Ok(())
     }
 
+    /// Time of the next event of a device.
+    fn due(&self) -> Option<Instant> {
+        let devices = self.devices.iter();
+        devices.filter_map(|device| device.poll_timeout()).min()
+    }
+
     /// Advances the devices to `to`. A frame is processed at its time of arrival, even if this program reads it late.
     /// The watchdogs of the devices therefore monitor the bus and not this program.
     fn let_pass(&mut self, to: Instant) {
         self.passed = self.passed.max(to);
-        let timeouts = self
-            .devices
-            .iter()
-            .filter_map(|device| device.poll_timeout());
         // All devices are handled at once. Otherwise each device would advance its plant in a wake-up of its own.
-        if timeouts.min().is_some_and(|due| due <= self.passed) {
+        if self.due().is_some_and(|due| due <= self.passed) {
             for device in &mut self.devices {
                 device.handle_timeout(self.passed);
             }
@@ -243,11 +241,8 @@ impl EmulatedBus {
     fn transmit(&mut self, now: Instant) -> anyhow::Result<()> {
         for sender in 0..self.devices.len() {
             while let Some(frame) = self.devices[sender].poll_transmit(self.passed) {
-                let others = self
-                    .devices
-                    .iter_mut()
-                    .enumerate()
-                    .filter(|(number, _)| *number != sender);
+                let devices = self.devices.iter_mut().enumerate();
+                let others = devices.filter(|(number, _)| *number != sender);
                 others.for_each(|(_, device)| device.handle(&frame, self.passed));
                 self.outgoing.push(frame);
             }

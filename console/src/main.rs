@@ -15,8 +15,7 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
 use mrroc::Tasks;
-use mrroc::cell::Cell;
-use mrroc::cell_file::CellFile;
+use mrroc::cell::{Cell, CellFile};
 use mrroc::streams;
 
 /// Exit status in the help text: scripts may rely on it.

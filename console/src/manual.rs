@@ -15,7 +15,6 @@ use clap_mangen::Man;
 
 use mrroc::outputs::{Outputs, Replacement};
 
-/// Shells with completions.
 const SHELLS: [Shell; 3] = [Shell::Bash, Shell::Zsh, Shell::Fish];
 
 /// Writes the completions, and a page for every command that is not hidden, such as `mrroc-sdo-read.1` for `mrroc sdo
@@ -48,7 +47,6 @@ pub(crate) fn write(
     Ok(ExitCode::SUCCESS)
 }
 
-/// Pages by name.
 fn pages(command: Command) -> Vec<(String, Vec<u8>)> {
     let mut command = without_help(command);
     // Builds the full names of the commands, with which their usage texts begin.

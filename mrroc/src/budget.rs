@@ -2,15 +2,16 @@
 
 use std::time::Duration;
 
-use crate::cell::{Path, Protocol};
 use anyhow::anyhow;
 use can::StandardId;
 use can::schedule::{self, Every, Message, Sender};
 use can::timing::Bitrate;
+use canopen::cob;
 use drive::cia402::{self, Traffic};
 use serde::Serialize;
 
-use crate::cell_file::CellFile;
+use crate::bench::emulation;
+use crate::cell::{CellFile, Path, Protocol};
 use crate::setup;
 
 /// Budget of one bus.
@@ -78,8 +79,7 @@ pub fn check(file: &CellFile) -> anyhow::Result<Vec<BusBudget>> {
 fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     let bus = &file.cell.bus[index];
     let period = file.cell.period();
-    let bitrate =
-        Bitrate::from_kbps(bus.bitrate_kbps).expect("a parsed cell has possible bit rates");
+    let bitrate = emulation::bitrate(file, index);
     let configs = (
         file.cell.group_config(index),
         setup::axis_configs(file, index),
@@ -112,7 +112,7 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
         return Ok(budget);
     }
     let axes = file.cell.axes_on(index).count();
-    let key = Path::default().then("bus").then(index);
+    let key = Path::to("bus").then(index);
     Err(file.refuse(&key, anyhow!(
         "{axes} axes keep bus {:?} busy for {} µs of each {} µs at the worst ({:.0} %, at most 100 %); {}",
         bus.name, analysis.busy.as_micros(), period.as_micros(), share(analysis.busy),
@@ -125,11 +125,8 @@ fn check_lines(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     let bundle = &file.cell.serial[index];
     let period = file.cell.period();
     let settings = bundle.settings();
-    let (request, answer) = bundle.telegrams();
-    let (asked, answered) = (
-        settings.line_time(request),
-        settings.line_time(request + answer),
-    );
+    let (request, answer) = bundle.protocol.telegrams();
+    let [asked, answered] = [request, request + answer].map(|bytes| settings.line_time(bytes));
     let share = |time: Duration| 100.0 * time.as_secs_f64() / period.as_secs_f64();
     let message = |what, bytes: usize, response: Duration| MessageBudget {
         what,
@@ -166,7 +163,7 @@ fn check_lines(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     if answered <= period {
         return Ok(budget);
     }
-    let key = Path::default().then("serial").then(index).then("baud");
+    let key = Path::to("serial").then(index).then("baud");
     Err(file.refuse(&key, anyhow!(
         "a request of {request} and an answer of {answer} bytes take {} µs of each {} µs ({:.0} %, at most 100 %)",
         answered.as_micros(), period.as_micros(), share(answered),
@@ -210,32 +207,25 @@ fn is_service(id: StandardId) -> bool {
 fn what_fits(bitrate: Bitrate, period: Duration, messages: &[Message], axes: usize) -> String {
     let fits =
         |messages: &[Message], period| schedule::analyse(bitrate, period, messages).busy <= period;
-    let nodes: Vec<u8> = messages
-        .iter()
-        .filter_map(|message| match message.sender {
-            // Each axis has one answer, and at a long period further messages once per cycle.
-            Sender::Node(node) if message.id.raw() & 0x780 == 0x180 => Some(node),
-            _ => None,
-        })
-        .collect();
+    let answer = |message: &Message| match message.sender {
+        // Each axis has one answer, and at a long period further messages once per cycle.
+        Sender::Node(node) if message.id.raw() & 0x780 == 0x180 => Some(node),
+        _ => None,
+    };
+    let nodes: Vec<u8> = messages.iter().filter_map(answer).collect();
     let without = |count: usize| -> Vec<Message> {
         let gone = &nodes[count..];
         let kept = |message: &&Message| {
-            message.id == SYNC || !gone.contains(&((message.id.raw() & 0x7F) as u8))
+            message.id == cob::SYNC || !gone.contains(&((message.id.raw() & 0x7F) as u8))
         };
         messages.iter().filter(kept).copied().collect()
     };
-    let most = (0..axes)
-        .rev()
-        .find(|&count| fits(&without(count), period))
-        .unwrap_or(0);
-    let shortest = (1..=1000)
-        .map(Duration::from_millis)
-        .find(|&period| fits(messages, period));
+    let most = (0..axes).rev().find(|&count| fits(&without(count), period));
+    let most = most.unwrap_or(0);
+    let mut periods = (1..=1000).map(Duration::from_millis);
+    let shortest = periods.find(|&period| fits(messages, period));
     let period = shortest.map_or(String::new(), |period| {
         format!(", or a period of {} ms", period.as_millis())
     });
     format!("{most} axes would fit{period}, or more buses")
 }
-
-const SYNC: StandardId = StandardId::new(0x080).expect("an 11-bit identifier");

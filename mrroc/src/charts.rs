@@ -50,12 +50,12 @@ pub const fn px(length: u32) -> u32 {
 }
 
 /// A line of a width of 1.5 px.
-pub fn stroke(colour: RGBColor) -> ShapeStyle {
+fn stroke(colour: RGBColor) -> ShapeStyle {
     colour.stroke_width(px(3) / 2)
 }
 
 /// The font of texts, of this size, px.
-pub fn font(size: u32) -> TextStyle<'static> {
+fn font(size: u32) -> TextStyle<'static> {
     (FONT, px(size)).into_font().color(&INK)
 }
 
@@ -253,7 +253,7 @@ impl Scale {
     }
 
     /// A linear axis with a tick at every multiple of `step`.
-    pub fn stepped(name: &str, range: [f64; 2], step: f64) -> Self {
+    fn stepped(name: &str, range: [f64; 2], step: f64) -> Self {
         let digits = (-step.log10().floor()).max(0.0) as usize;
         let first = (range[0] / step - 1e-9).ceil() as i64;
         let last = (range[1] / step + 1e-9).floor() as i64;
@@ -291,7 +291,7 @@ impl Scale {
     }
 
     /// A logarithmic axis with these ticks.
-    pub fn logarithmic(
+    fn logarithmic(
         name: &str,
         range: [f64; 2],
         ticks: impl IntoIterator<Item = (f64, String)>,
@@ -348,7 +348,7 @@ impl ValueFormatter<f64> for Scale {
 }
 
 /// The range of finite values, at the least `least`.
-fn over(values: impl IntoIterator<Item = f64>, least: [f64; 2]) -> [f64; 2] {
+pub fn over(values: impl IntoIterator<Item = f64>, least: [f64; 2]) -> [f64; 2] {
     let finite = values.into_iter().filter(|value| value.is_finite());
     finite.fold(least, |[low, high], value| {
         [low.min(value), high.max(value)]

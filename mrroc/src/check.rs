@@ -9,9 +9,8 @@ use servo::Servo;
 
 use crate::bench::emulation::{self, Emulation, HostEnds};
 use crate::budget::{self, Bundle, BusBudget};
-use crate::cell::printable;
-use crate::cell_file::CellFile;
-use crate::programs::Programs;
+use crate::cell::{CellFile, printable};
+use crate::run::RunningTasks;
 use crate::tasks::MakeTasks;
 use crate::{rehearsal, setup};
 
@@ -85,7 +84,7 @@ fn assemble(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<()> {
     let lines = lines.into_iter().map(boxed).collect();
     let groups = setup::drive_groups(file, ports.collect(), lines, None)?;
     let (servo, links) = Servo::new(&setup::servo_config(file), groups)?;
-    Programs::new(file, tasks, links, &servo).map(|_| ())
+    RunningTasks::new(file, tasks, links, &servo).map(|_| ())
 }
 
 fn configurations(file: &CellFile, robot: usize) -> Vec<CheckedConfiguration> {
@@ -148,15 +147,10 @@ impl CheckReport {
                     protocol.name(),
                     self.period_us
                 )?;
-                for budget::LineBudget {
-                    axis,
-                    line,
-                    address,
-                } in lines
-                {
-                    let address =
-                        address.map_or(String::new(), |address| format!(", address {address}"));
-                    writeln!(f, "  axis {axis}: {line}{address}")?;
+                for budget in lines {
+                    let address = budget.address.map(|address| format!(", address {address}"));
+                    let address = address.unwrap_or_default();
+                    writeln!(f, "  axis {}: {}{address}", budget.axis, budget.line)?;
                 }
             }
         }

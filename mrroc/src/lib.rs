@@ -1,6 +1,6 @@
 //! The library of robot programs: cell files, benches, runs and their results.
 //!
-//! A program reads a [cell file](cell_file::CellFile), gives each robot a [task](prelude::Task) made of
+//! A program reads a [cell file](cell::CellFile), gives each robot a [task](prelude::Task) made of
 //! [generators](controller::generator), and runs the tasks on a [bench](bench::BenchKind):
 //!
 //! ```
@@ -18,15 +18,12 @@
 pub mod bench;
 pub mod budget;
 pub mod cell;
-pub mod cell_file;
 pub mod charts;
 pub mod check;
-mod configuration;
 pub mod input;
 mod motions;
 pub mod outputs;
-mod program;
-mod programs;
+mod program_main;
 pub mod rehearsal;
 pub mod report;
 pub mod robots;
@@ -37,16 +34,15 @@ pub mod spikes;
 pub mod streams;
 mod tasks;
 mod trace;
-pub mod warning_report;
 pub mod wire;
 
 pub use check::check;
 pub use motions::Motions;
-pub use program::{ProgramOptions, program, run_program};
+pub use program_main::{ProgramOptions, program, run_program};
 pub use tasks::{MakeTasks, Tasks};
 
 use bench::BenchKind;
-use cell_file::CellFile;
+use cell::CellFile;
 use report::RunReport;
 use run::{Requests, RunOptions};
 
@@ -75,7 +71,7 @@ pub mod prelude {
     };
 
     pub use crate::bench::BenchKind;
-    pub use crate::cell_file::CellFile;
+    pub use crate::cell::CellFile;
     pub use crate::motions::Motions;
     pub use crate::report::{AxisReport, Deviation, FaultReport, Outcome, RobotReport, RunReport};
     pub use crate::tasks::Tasks;

@@ -1,12 +1,11 @@
 //! Motions of one robot of a cell, within the limits of its axes.
 
 use anyhow::{Context, bail};
-use controller::generator::{Axes, MotionLimits, Newsmooth, SmoothPose};
+use controller::generator::{MotionLimits, Newsmooth};
 use controller::robot::Arm;
 use controller::robot::Space;
-use servo::MAX_AXES;
 
-use crate::cell_file::CellFile;
+use crate::cell::{CellFile, smooth_pose};
 
 /// Makes generators for one robot of a cell.
 #[derive(Clone, Debug)]
@@ -49,15 +48,7 @@ impl Motions {
         if AXES != axes {
             bail!("a pose has {AXES} joints, and the robot has {axes}");
         }
-        let pose = |pose: &[f64; AXES]| {
-            let mut position = Axes::default();
-            position[..AXES].copy_from_slice(pose);
-            SmoothPose {
-                position,
-                velocity: [share; MAX_AXES],
-                acceleration: [share; MAX_AXES],
-            }
-        };
+        let pose = |pose: &[f64; AXES]| smooth_pose(pose, share, share);
         let poses = poses.iter().map(pose).collect();
         let motion = Newsmooth::new(Space::Joint, axes, self.limits, poses);
         motion.context("the joint motion cannot be planned")

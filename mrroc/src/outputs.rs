@@ -12,7 +12,7 @@ use anyhow::{Context, bail};
 use clap::Args;
 use nix::fcntl::{FcntlArg, OFlag, fcntl};
 
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 
 /// The option of a command that writes files.
 #[derive(Args, Clone, Copy, Debug, Default)]
@@ -40,7 +40,6 @@ struct Known {
 /// Device and inode, which identify a file regardless of its path.
 type Identity = (u64, u64);
 
-/// An output.
 struct Opened {
     what: String,
     path: PathBuf,

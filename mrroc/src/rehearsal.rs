@@ -7,20 +7,20 @@
 //! run are not homed, and their robot may stand anywhere. `mrroc run` then rehearses the program again from the actual
 //! position.
 
+use std::cell::Cell;
 use std::task::Poll;
 use std::time::Duration;
 
 use anyhow::anyhow;
 use can::Instant;
-use controller::ecp::{EcpError, Subcontrollers};
+use controller::ecp::{EcpError, Task};
 use controller::generator::{Axes, PlannedStart};
 use drive::{
     AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Power, Setpoint,
 };
 use servo::{PositionLoop, Servo, lockstep};
 
-use crate::cell::{Path, instruction_path};
-use crate::cell_file::CellFile;
+use crate::cell::{CellFile, Path, instruction_path};
 use crate::setup;
 use crate::tasks::{MakeTasks, Tasks};
 
@@ -41,10 +41,10 @@ const STARTS: usize = 16;
 pub fn rehearse(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<Duration> {
     let homes = homes(file);
     let motors: Vec<_> = homes.iter().map(|home| home.motors).collect();
-    let duration = Rehearsal::of(file, tasks(file)?, &motors)?.run(Extent::Tasks)?;
+    let duration = run(file, tasks(file)?, &motors, Extent::Tasks)?;
     for number in 0..STARTS {
         let starts: Vec<_> = homes.iter().map(|home| beside(home, number)).collect();
-        Rehearsal::of(file, tasks(file)?, &starts)?.run(Extent::FirstMotions)?;
+        run(file, tasks(file)?, &starts, Extent::FirstMotions)?;
     }
     Ok(duration)
 }
@@ -58,11 +58,9 @@ pub(crate) fn rehearse_from(
 ) -> anyhow::Result<()> {
     let mut starts: Vec<_> = homes(file).iter().map(|home| home.motors).collect();
     starts[robot] = motors;
-    Rehearsal::of(file, tasks(file)?, &starts)?.run(Extent::Tasks)?;
-    Ok(())
+    run(file, tasks(file)?, &starts, Extent::Tasks).map(|_| ())
 }
 
-/// The home positions of the robots.
 fn homes(file: &CellFile) -> Vec<PlannedStart> {
     let robots = file.arms.iter().enumerate();
     robots
@@ -86,98 +84,68 @@ fn beside(home: &PlannedStart, number: usize) -> Axes {
 /// The rehearsed part of the tasks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Extent {
-    /// The whole tasks.
     Tasks,
     /// The first motion of each robot, for at most [`BEGINNING`].
     FirstMotions,
 }
 
-/// A rehearsal that has not started.
-struct Rehearsal<'a> {
-    file: &'a CellFile,
-    servo: Servo,
-    subcontrollers: Subcontrollers,
-    /// Number of instructions of each task, and number up to its first motion.
-    lengths: Vec<[usize; 2]>,
-    /// Whether the tasks are the programs of the cell file.
-    programs: bool,
-}
-
-impl<'a> Rehearsal<'a> {
-    /// A rehearsal on ideal drives, with the initial motor positions, rad, of each robot.
-    fn of(file: &'a CellFile, tasks: Tasks, starts: &[Axes]) -> anyhow::Result<Self> {
-        let groups = (0..file.cell.groups().count())
-            .map(|bus| Box::new(IdealDrives::of(file, bus, starts)) as Box<dyn DriveGroup>);
-        let mut config = setup::servo_config(file);
-        // Ideal drives follow positions, and stand at the commanded position from the start.
-        for axis in config.effectors.iter_mut().flat_map(|it| &mut it.axes) {
-            axis.position_loop = PositionLoop::Drive;
-            axis.homing = None;
-        }
-        let (servo, links) = Servo::new(&config, groups.collect())?;
-        let lengths = tasks.tasks.iter().map(|task| {
-            let task = task.as_ref();
-            let first_motion = task.and_then(|task| task.first_motion());
-            [
-                task.map_or(0, |task| task.len()),
-                first_motion.map_or(0, |first| first + 1),
-            ]
-        });
-        Ok(Self {
-            lengths: lengths.collect(),
-            programs: tasks.are_programs(),
-            subcontrollers: setup::subcontrollers(file, links, servo.gates(), tasks),
-            file,
-            servo,
-        })
+/// Rehearses tasks on ideal drives, from the initial motor positions, rad, of each robot. Returns the duration.
+fn run(file: &CellFile, tasks: Tasks, starts: &[Axes], extent: Extent) -> anyhow::Result<Duration> {
+    let drives = |bus| Box::new(IdealDrives::of(file, bus, starts)) as Box<dyn DriveGroup>;
+    let groups = (0..file.cell.groups().count()).map(drives);
+    let mut config = setup::servo_config(file);
+    // Ideal drives follow positions, and stand at the commanded position from the start.
+    for axis in config.effectors.iter_mut().flat_map(|it| &mut it.axes) {
+        axis.position_loop = PositionLoop::Drive;
+        axis.homing = None;
     }
-
-    /// Runs the tasks, or their first motions only, and returns the duration.
-    fn run(mut self, extent: Extent) -> anyhow::Result<Duration> {
-        let needed: Vec<_> = self
-            .lengths
-            .iter()
-            .map(|&[all, first]| if extent == Extent::Tasks { all } else { first })
-            .collect();
-        let mut ended = vec![0; needed.len()];
-        let mut failure = None;
-        let (file, programs) = (self.file, self.programs);
-        let start = lockstep::bring_up(&mut self.servo, Instant::ZERO, |_| {})
-            .expect("ideal drives come up");
-        let end = std::cell::Cell::new(start);
-        lockstep::run(
-            &mut self.servo,
-            start,
-            |now| {
-                end.set(now);
-                self.subcontrollers.poll(now, |robot, _, event| {
-                    ended[robot] = event.instruction + 1;
-                    if let Err(error) = event.outcome {
-                        failure.get_or_insert_with(|| {
-                            let refuse = if programs { of_program } else { of_task };
-                            refuse(file, robot, event.instruction, extent.refusal(&error))
-                        });
-                    }
-                });
-                let over = ended
-                    .iter()
-                    .zip(&needed)
-                    .all(|(ended, needed)| ended >= needed);
-                if failure.is_some() || over {
-                    end.set(Instant::FAR_FUTURE);
+    let (mut servo, links) = Servo::new(&config, groups.collect())?;
+    let needed = |task: &Option<Task>| match (task, extent) {
+        (None, _) => 0,
+        (Some(task), Extent::Tasks) => task.len(),
+        (Some(task), Extent::FirstMotions) => task.first_motion().map_or(0, |first| first + 1),
+    };
+    let needed: Vec<_> = tasks.tasks.iter().map(needed).collect();
+    let refuse = if tasks.are_programs() {
+        of_program
+    } else {
+        of_task
+    };
+    let mut subcontrollers = setup::subcontrollers(file, links, servo.gates(), tasks);
+    let mut ended = vec![0; needed.len()];
+    let mut failure = None;
+    let start = lockstep::bring_up(&mut servo, Instant::ZERO, |_| {});
+    let start = start.expect("ideal drives come up");
+    let over = Cell::new(false);
+    lockstep::run(
+        &mut servo,
+        start,
+        |now| {
+            subcontrollers.poll(now, |robot, _, event| {
+                ended[robot] = event.instruction + 1;
+                if let Err(error) = event.outcome {
+                    failure.get_or_insert_with(|| {
+                        refuse(file, robot, event.instruction, extent.refusal(&error))
+                    });
                 }
-            },
-            |_| {},
-            |_, now| end.get() == Instant::FAR_FUTURE || now.since(start) > extent.longest(),
-        );
-        match failure {
-            Some(failure) => Err(failure),
-            None if extent == Extent::Tasks && end.get() != Instant::FAR_FUTURE => {
-                let problem = format!("a program takes longer than {} h", LONGEST.as_secs() / 3600);
-                Err(file.refuse(&Path::default().then("robot"), problem))
-            }
-            None => Ok(Duration::from_nanos(self.servo.counters().cycles)
-                * self.servo.period().as_nanos() as u32),
+            });
+            let all_ended = ended
+                .iter()
+                .zip(&needed)
+                .all(|(ended, needed)| ended >= needed);
+            over.set(failure.is_some() || all_ended);
+        },
+        |_| {},
+        |_, now| over.get() || now.since(start) > extent.longest(),
+    );
+    match failure {
+        Some(failure) => Err(failure),
+        None if extent == Extent::Tasks && !over.get() => {
+            let problem = format!("a program takes longer than {} h", LONGEST.as_secs() / 3600);
+            Err(file.refuse(&Path::to("robot"), problem))
+        }
+        None => {
+            Ok(Duration::from_nanos(servo.counters().cycles) * servo.period().as_nanos() as u32)
         }
     }
 }
@@ -186,7 +154,7 @@ impl<'a> Rehearsal<'a> {
 fn of_program(file: &CellFile, robot: usize, instruction: usize, why: String) -> anyhow::Error {
     let place = file.cell.robot[robot].instruction_of(instruction);
     let key = place.map_or_else(
-        || Path::default().then("robot").then(robot),
+        || Path::to("robot").then(robot),
         |index| instruction_path(robot, index),
     );
     file.refuse(&key, why)

@@ -1,11 +1,6 @@
 //! The list of robots that a cell can name: their models, their numbers and what emulates them.
 //!
-//! A robot keeps [`RobotParameters`] in `controller` and [`Emulated`] in its own file here. CONTRIBUTING.md has the recipe.
-
-mod arms;
-mod devices;
-mod polycrank;
-mod rnt;
+//! A robot keeps [`RobotParameters`] in a file of its own in `controller`. CONTRIBUTING.md has the recipe.
 
 use std::sync::Arc;
 
@@ -16,25 +11,10 @@ use controller::robot::{
     ConveyorParameters, GripperParameters, Irb6Parameters, Irp6Parameters, Irp6TrackParameters,
     Mass, ParameterError, PolycrankParameters, RntParameters, Robot, RobotParameters,
 };
-use hil::{AxisConfig, MechanismConfig};
+use hil::plant::Switch;
+use hil::{AxisConfig, Irp6Axis, MechanismConfig};
 
 use crate::cell::Plant;
-
-/// What stands in for a robot on the benches without hardware.
-pub trait Emulated: RobotParameters {
-    /// Plants that its axes can have.
-    fn plants(&self) -> &'static [Plant] {
-        &[Plant::Physical]
-    }
-
-    /// Coupled dynamics of its motors; `None` where each axis moves a load of its own.
-    fn mechanism(&self) -> Option<MechanismConfig> {
-        None
-    }
-
-    /// Motor, load, sensors and switches of axis `number`, whose home position is `home`, rad.
-    fn plant(&self, plant: Plant, number: usize, home: f64) -> AxisConfig;
-}
 
 /// Evaluates an expression on the numbers of a robot, whichever robot: `each_robot!(parameters, it => it.masses())`.
 #[macro_export]
@@ -132,17 +112,44 @@ impl Parameters {
 
     /// Plants that its axes can have.
     pub fn plants(&self) -> &'static [Plant] {
-        each_robot!(self, it => it.plants())
+        match self {
+            Self::Irb6(_) | Self::Irp6(_) => &[Plant::Physical, Plant::Wut],
+            Self::Irp6Track(_)
+            | Self::Rnt(_)
+            | Self::Polycrank(_)
+            | Self::Gripper(_)
+            | Self::Conveyor(_) => &[Plant::Physical],
+        }
     }
 
     /// Coupled dynamics of its motors; `None` where each axis moves a load of its own.
     pub fn mechanism(&self) -> Option<MechanismConfig> {
-        each_robot!(self, it => it.mechanism())
+        Some(match self {
+            Self::Irb6(_) => MechanismConfig::Irb6,
+            Self::Irp6(_) => MechanismConfig::Irp6,
+            Self::Irp6Track(_) => MechanismConfig::Irp6OnTrack,
+            Self::Rnt(given) => MechanismConfig::Rnt {
+                home_lengths: given.legs.map(|leg| leg.length_at_home),
+            },
+            Self::Polycrank(given) => MechanismConfig::Polycrank {
+                coupled: given.coupled,
+                at_home: given.axes.map(|axis| axis.joint_at_home),
+            },
+            Self::Gripper(_) | Self::Conveyor(_) => return None,
+        })
     }
 
     /// Motor, load, sensors and switches of axis `number`, whose home position is `home`, rad.
     pub fn plant(&self, plant: Plant, number: usize, home: f64) -> AxisConfig {
-        each_robot!(self, it => it.plant(plant, number, home))
+        let preset = match self {
+            Self::Irb6(_) | Self::Irp6(_) => return on_pedestal(plant, number, home),
+            Self::Irp6Track(_) => AxisConfig::irp6_track(number).expect(AS_MANY),
+            Self::Rnt(_) => AxisConfig::rnt(number).expect(AS_MANY),
+            Self::Polycrank(_) => AxisConfig::polycrank(number).expect(AS_MANY),
+            Self::Gripper(_) => AxisConfig::gripper(),
+            Self::Conveyor(_) => AxisConfig::conveyor(),
+        };
+        preset.with_home(home)
     }
 }
 
@@ -214,3 +221,22 @@ impl Model {
 }
 
 const AS_MANY: &str = "a parsed robot has as many axes as its model";
+
+/// An axis of the IRb-6, or of the IRp-6 on its pedestal.
+fn on_pedestal(plant: Plant, number: usize, home: f64) -> AxisConfig {
+    let axis = Irp6Axis::ALL[number];
+    let preset = match plant {
+        Plant::Physical => AxisConfig::irp6(axis),
+        Plant::Wut => AxisConfig::wut(axis),
+    };
+    AxisConfig {
+        index_angle: home,
+        start_angle: home + 20.0,
+        home_switch: Some(Switch {
+            from: home - 20.0,
+            to: home - 2.0,
+            bounce: 0,
+        }),
+        ..preset
+    }
+}

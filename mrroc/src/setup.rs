@@ -12,9 +12,7 @@ use drive::cia402::{AxisConfig, Cia402Group, CyclicMode};
 use serial::Line;
 use servo::{EffectorConfig, EffectorLink, Gates, HostHoming, ServoAxisConfig, ServoConfig};
 
-use crate::cell::{Bus, ENABLING, Homing, Path, Robot, Serial};
-use crate::cell_file::CellFile;
-use crate::configuration::Configuration;
+use crate::cell::{Bus, CellFile, DeviceConfiguration, ENABLING, Homing, Path, Robot, Serial};
 use crate::tasks::Tasks;
 
 /// Least homing time-out of an effector. The value also applies to a search by the drive of an axis without ends,
@@ -36,7 +34,7 @@ pub fn axis_configs(file: &CellFile, bus: usize) -> Vec<AxisConfig> {
         let configuration = file.configuration(robot, number);
         AxisConfig {
             identity: file.identity(robot, number),
-            configuration: configuration.map_or_else(Vec::new, Configuration::settings),
+            configuration: configuration.map_or_else(Vec::new, DeviceConfiguration::settings),
             ..axis.drive_config(file.arms[robot].robot().home()[number])
         }
     };
@@ -60,7 +58,7 @@ pub fn drive_groups(
             }
         }
         let group = Cia402Group::new(port, file.cell.group_config(index), &axes);
-        let refused = |error| file.refuse(&Path::default().then("bus").then(index), error);
+        let refused = |error| file.refuse(&Path::to("bus").then(index), error);
         Ok(Box::new(group.map_err(refused)?) as Box<dyn DriveGroup>)
     };
     let bundle = |((index, bundle), lines): ((usize, &Serial), _)| {
@@ -74,7 +72,7 @@ pub fn drive_groups(
             .map(config)
             .collect();
         let group = AxisControllerGroup::new(lines, bundle.group_config(file.cell.period()), &axes);
-        let refused = |error| file.refuse(&Path::default().then("serial").then(index), error);
+        let refused = |error| file.refuse(&Path::to("serial").then(index), error);
         Ok(Box::new(group.map_err(refused)?) as Box<dyn DriveGroup>)
     };
     let buses = file.cell.bus.iter().enumerate().zip(ports).map(group);
@@ -102,12 +100,6 @@ pub fn servo_config(file: &CellFile) -> ServoConfig {
     }
 }
 
-/// The meetings of the effector control processes of a cell, on the gates of its servo.
-fn meetings(file: &CellFile, gates: Gates) -> Meetings {
-    let meetings = file.cell.meetings().into_iter();
-    Meetings::new(meetings.map(|meeting| meeting.robots), gates)
-}
-
 /// The effector control processes of a cell with their tasks, on the links to its servo.
 pub fn subcontrollers(
     file: &CellFile,
@@ -122,10 +114,11 @@ pub fn subcontrollers(
         ecp
     };
     let ecps = links.into_iter().zip(tasks.tasks).enumerate().map(ecp);
-    Subcontrollers::new(ecps.collect(), meetings(file, gates))
+    let meetings = file.cell.meetings().into_iter();
+    let meetings = Meetings::new(meetings.map(|meeting| meeting.robots), gates);
+    Subcontrollers::new(ecps.collect(), meetings)
 }
 
-/// The axes of robot `robot`.
 fn servo_axes(file: &CellFile, robot: usize) -> Vec<ServoAxisConfig> {
     let cell = &file.cell;
     let axis = |number: usize| {

@@ -56,7 +56,6 @@ impl SpikeFile {
     }
 }
 
-/// The JSON document.
 fn trace(thread: &str, spikes: &[Spike]) -> Value {
     // Longest time from the first cycle of a spike to its late deadline.
     let before = spikes.iter().filter_map(|spike| {

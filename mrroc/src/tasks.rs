@@ -3,7 +3,7 @@
 use anyhow::bail;
 use controller::ecp::Task;
 
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 
 /// A function that makes the tasks of a cell. A run calls the function for each rehearsal and once for the run itself.
 pub type MakeTasks<'a> = dyn Fn(&CellFile) -> anyhow::Result<Tasks> + Sync + 'a;

@@ -9,7 +9,7 @@ use drive::AxisCommand;
 use servo::Record;
 
 use crate::bench::interfaces::Interface;
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 
 /// A candump log of every frame that passed the ports of a run.
 pub(crate) struct FrameLog {
@@ -71,7 +71,6 @@ pub(crate) struct AxisLog {
 }
 
 impl AxisLog {
-    /// Writes the head of the file.
     pub(crate) fn new(sink: File, file: &CellFile) -> io::Result<Self> {
         let mut writer = BufWriter::new(sink);
         writeln!(
@@ -91,7 +90,6 @@ impl AxisLog {
         })
     }
 
-    /// Writes a record.
     pub(crate) fn write(&mut self, record: &Record) -> io::Result<()> {
         let names = &self.names[usize::from(record.effector)];
         for (axis, name) in record.axis.iter().zip(names) {

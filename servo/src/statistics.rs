@@ -7,17 +7,22 @@
 /// error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TrackingError {
-    pub(crate) samples: u64,
+    samples: u64,
     sum_of_squares: f64,
     peak: f64,
 }
 
 impl TrackingError {
     /// Counts one error, rad.
-    pub(crate) fn record(&mut self, error: f64) {
+    pub fn record(&mut self, error: f64) {
         self.samples += 1;
         self.sum_of_squares += error * error;
         self.peak = self.peak.max(error.abs());
+    }
+
+    /// Number of cycles counted.
+    pub fn samples(&self) -> u64 {
+        self.samples
     }
 
     /// Root mean square, rad; zero if the axis never moved.

@@ -122,24 +122,13 @@ impl Exchange {
 
 fn obey(request: Request, service: &mut Service, now: Instant) -> Result<Answer, AbortCode> {
     Ok(match request {
-        Request::Read {
-            node,
-            index,
-            subindex,
-        } => Answer::Value(
-            service
-                .epos
-                .read_value(node, Object::new(index, subindex), now)?,
-        ),
-        Request::Write {
-            node,
-            index,
-            subindex,
-            value,
-        } => {
-            service
-                .epos
-                .write_value(node, Object::new(index, subindex), value, now)?;
+        Request::Read(address) => {
+            let object = Object::new(address.index, address.subindex);
+            Answer::Value(service.epos.read_value(address.node, object, now)?)
+        }
+        Request::Write(address, value) => {
+            let object = Object::new(address.index, address.subindex);
+            service.epos.write_value(address.node, object, value, now)?;
             Answer::Done
         }
         Request::Nmt { node, command } => {

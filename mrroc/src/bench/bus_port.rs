@@ -1,4 +1,4 @@
-//! A real bus: a SocketCAN interface or an slcan adapter.
+//! A real bus: a SocketCAN interface or an slcan adapter, and the card of an interface before a run.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -6,6 +6,7 @@ use std::os::fd::AsFd;
 use std::task::Poll;
 
 use anyhow::{Context, bail};
+use can::card::{self, Card, CardError, CardState};
 use can::timing::Bitrate;
 use can::{
     Claim, ControllerState, Counters, Frame, Instant, Port, PortError, Received, SocketCanOptions,
@@ -14,6 +15,7 @@ use can::{
 use serial::{Settings, SlcanError, SlcanPort, StopBits, Tty};
 
 use crate::bench::interfaces::Interface;
+use crate::cell::Bus;
 
 /// A port that supports waiting.
 pub enum BusPort {
@@ -45,10 +47,10 @@ impl BusPort {
         options: &SocketCanOptions,
     ) -> anyhow::Result<Self> {
         match interface {
-            Interface::SocketCan(name) => Ok(Self::SocketCan(
-                SocketCanPort::open(name, options)?,
-                Vec::new(),
-            )),
+            Interface::SocketCan(name) => {
+                let port = SocketCanPort::open(name, options)?;
+                Ok(Self::SocketCan(port, Vec::new()))
+            }
             Interface::Slcan { path, baud } => Self::slcan(path, *baud, kbps, SlcanPort::new),
             Interface::Epos { .. } => bail!(
                 "{interface}: the service port of a drive is no CAN bus; `mrroc sdo`, `mrroc nmt` and `mrroc scan` \
@@ -100,10 +102,13 @@ impl BusPort {
 /// Starts to open an adapter, for sending or for listening only.
 type Begin = fn(Tty, Bitrate, Instant) -> Result<SlcanPort<Tty>, SlcanError>;
 
+fn bitrate(kbps: u32) -> anyhow::Result<Bitrate> {
+    let bitrate = Bitrate::from_kbps(kbps);
+    bitrate.with_context(|| format!("{kbps} kbit/s is no bit rate of CAN, 10 to 1000 kbit/s"))
+}
+
 fn open_slcan(tty: Tty, kbps: u32, begin: Begin) -> anyhow::Result<SlcanPort<Tty>> {
-    let bitrate = Bitrate::from_kbps(kbps)
-        .with_context(|| format!("{kbps} kbit/s is no bit rate of CAN, 10 to 1000 kbit/s"))?;
-    let mut port = begin(tty, bitrate, clock::now())?;
+    let mut port = begin(tty, bitrate(kbps)?, clock::now())?;
     loop {
         if let Poll::Ready(result) = port.poll_open(clock::now()) {
             return result.map(|()| port).map_err(Into::into);
@@ -128,4 +133,49 @@ impl Port for BusPort {
     fn state(&self) -> ControllerState {
         self.port().state()
     }
+}
+
+/// Ensures that the card of `bus` has the cell's bit rate: sets the bit rate, or refuses a different one.
+///
+/// An slcan adapter is set whenever it is opened, and a virtual interface has no bit rate to compare.
+pub(super) fn prepare_card(interface: &Interface, bus: &Bus, set: bool) -> anyhow::Result<()> {
+    let Interface::SocketCan(name) = interface else {
+        return Ok(());
+    };
+    let kbps = bus.bitrate_kbps;
+    if set {
+        let card = card::set_bitrate(name, bitrate(kbps)?)?;
+        let described = described(&card);
+        crate::streams::warn(format_args!("bus {}: {name} {described}", bus.name));
+        return Ok(());
+    }
+    let card = match card::read(name) {
+        Err(CardError::NotCard(_)) => return Ok(()),
+        card => card?,
+    };
+    match card.bitrate {
+        Some(found) if u64::from(found) != u64::from(kbps) * 1000 => bail!(
+            "{name}: the card is at {} kbit/s, the cell's bus at {kbps} kbit/s: --set-bitrate sets it",
+            f64::from(found) / 1000.0
+        ),
+        _ if card.state == CardState::BusOff => bail!(
+            "{name}: the card is off the bus after too many errors: mend the bus, then \
+             `ip link set {name} type can restart`"
+        ),
+        _ => Ok(()),
+    }
+}
+
+/// Description of the settings that were read back.
+fn described(card: &Card) -> String {
+    let state = match card.state {
+        CardState::Running => "running",
+        CardState::BusOff => "bus-off",
+        CardState::Stopped => "stopped",
+    };
+    format!(
+        "is {state} at {} kbit/s, sample point {} %",
+        f64::from(card.bitrate.unwrap_or(0)) / 1000.0,
+        f64::from(card.sample_point.unwrap_or(0)) / 10.0
+    )
 }

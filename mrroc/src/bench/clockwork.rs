@@ -26,31 +26,17 @@ pub fn bring_up(
 /// Starts the servo thread of a cell. `emulated_since` is the emulated time at the end of bring-up.
 pub fn start(
     servo: Servo,
-    emulation: Option<Emulation>,
+    mut emulation: Option<Emulation>,
     emulated_since: Option<Instant>,
     realtime: Realtime,
     trace_request: Arc<AtomicBool>,
     until: impl FnMut(&Servo) -> bool + Send + 'static,
 ) -> Result<Running, StartError> {
-    match emulation.zip(emulated_since) {
-        None => thread::start(
-            servo,
-            realtime,
-            CellTime::Wall,
-            trace_request,
-            |_| {},
-            until,
-        ),
-        Some((mut emulation, first)) => {
-            let between = move |next| emulation.advance(next);
-            thread::start(
-                servo,
-                realtime,
-                CellTime::Nominal(first),
-                trace_request,
-                between,
-                until,
-            )
+    let time = emulated_since.map_or(CellTime::Wall, CellTime::Nominal);
+    let between = move |next| {
+        if let Some(emulation) = &mut emulation {
+            emulation.advance(next);
         }
-    }
+    };
+    thread::start(servo, realtime, time, trace_request, between, until)
 }

@@ -10,14 +10,13 @@ use std::time::Duration;
 
 use can::{Instant, clock};
 use hil::pty::{self, Interest};
-use hil::{Cabinet, DeviceId, Pty, SlcanDevice, World};
+use hil::{DeviceId, Pty, SlcanDevice, World};
 use serial::{Line, VirtualLine};
 use servo::thread::set_fifo;
 
 use crate::bench::emulated_time::EmulatedTime;
 use crate::bench::emulation;
-use crate::bench::plants::Mechanisms;
-use crate::cell_file::CellFile;
+use crate::bench::plants::EmulatedCell;
 
 /// Longest time between two checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
@@ -35,7 +34,8 @@ const CHUNK: usize = 4096;
 /// A world, and the pseudo-terminals for its hosts. The time of the world starts at [`Instant::ZERO`].
 #[derive(Default)]
 pub struct EmulatedLines {
-    world: World,
+    /// The world.
+    pub world: World,
     lines: Vec<EmulatedLine>,
 }
 
@@ -58,35 +58,15 @@ enum End {
 
 impl EmulatedLines {
     /// Adds CAN bus `index` of a cell, behind an slcan adapter on `pty`.
-    pub fn add_bus(&mut self, file: &CellFile, mechanisms: &Mechanisms, index: usize, pty: Pty) {
-        let bus = emulation::add_bus(&mut self.world, file, mechanisms, index);
-        let adapter = Box::new(SlcanDevice::new(emulation::bitrate(file, index)));
+    pub fn add_bus(&mut self, emulated: &EmulatedCell, index: usize, pty: Pty) {
+        let bus = emulated.add_bus(&mut self.world, index);
+        let adapter = Box::new(SlcanDevice::new(emulation::bitrate(emulated.file, index)));
         let end = End::Adapter(self.world.add_device(bus, adapter));
         self.add(pty, end);
     }
 
-    /// Adds the axis controller of `axis`, given as robot and axis number, on `pty`. The axis controller belongs to
-    /// bundle `bundle` and is in `cabinet`.
-    pub fn add_axis(
-        &mut self,
-        file: &CellFile,
-        mechanisms: &Mechanisms,
-        bundle: usize,
-        axis: (usize, usize),
-        cabinet: &Cabinet,
-        pty: Pty,
-    ) {
-        let line = emulation::add_line(&mut self.world, file, mechanisms, bundle, axis, cabinet);
-        self.add_line(line, pty);
-    }
-
-    /// Adds a service port on `pty`, of a drive like the drive of `axis`, given as robot and axis number.
-    pub fn add_service_port(&mut self, file: &CellFile, axis: (usize, usize), pty: Pty) {
-        let line = emulation::add_service_port(&mut self.world, file, axis);
-        self.add_line(line, pty);
-    }
-
-    fn add_line(&mut self, line: VirtualLine, pty: Pty) {
+    /// Adds a line of the world on `pty`.
+    pub fn add_line(&mut self, line: VirtualLine, pty: Pty) {
         let arrived = Vec::new();
         self.add(pty, End::Line { line, arrived });
     }

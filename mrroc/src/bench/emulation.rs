@@ -2,7 +2,6 @@
 
 use std::time::Duration;
 
-use crate::cell::Protocol;
 use can::timing::Bitrate;
 use can::{Frame, Instant, StandardId, VirtualPort};
 use canopen::NodeId;
@@ -13,8 +12,8 @@ use hil::{
 use serial::{Settings, VirtualLine};
 
 use crate::bench::bridge::{Bridge, BridgedTty};
-use crate::bench::plants::{Mechanisms, Payloads, homing_problem, plant};
-use crate::cell_file::CellFile;
+use crate::bench::plants::{EmulatedCell, Payloads, homing_problem, plant};
+use crate::cell::{CellFile, Protocol};
 
 /// Capacity of the host's end of a virtual bus in each direction, frames.
 const QUEUE: usize = 256;
@@ -57,9 +56,10 @@ impl Emulation {
     /// The world of a cell, switched on at [`Instant::ZERO`].
     pub fn of(file: &CellFile) -> (Self, HostEnds) {
         let mut world = World::new();
-        let mechanisms = Mechanisms::of(file);
-        let buses: Vec<_> = (0..file.cell.bus.len())
-            .map(|index| add_bus(&mut world, file, &mechanisms, index))
+        let emulated = EmulatedCell::of(file);
+        let buses = 0..file.cell.bus.len();
+        let buses: Vec<_> = buses
+            .map(|index| emulated.add_bus(&mut world, index))
             .collect();
         let mut ends = |queue| -> Vec<_> {
             let buses = buses.iter();
@@ -69,7 +69,7 @@ impl Emulation {
         let lines = (0..file.cell.serial.len()).map(|bundle| {
             let cabinet = Cabinet::default();
             let axes = file.cell.axes_on(file.cell.bus.len() + bundle);
-            axes.map(|axis| add_line(&mut world, file, &mechanisms, bundle, axis, &cabinet))
+            axes.map(|axis| emulated.add_line(&mut world, bundle, axis, &cabinet))
                 .collect()
         });
         let ends = HostEnds {
@@ -81,7 +81,7 @@ impl Emulation {
             world,
             buses,
             bridges: Vec::new(),
-            payloads: Payloads::of(file, &mechanisms, Instant::ZERO),
+            payloads: Payloads::of(&emulated, Instant::ZERO),
             passed: Instant::ZERO,
         };
         (emulation, ends)
@@ -151,38 +151,75 @@ pub fn problems(file: &CellFile) -> impl Iterator<Item = anyhow::Error> {
     problems.map(|(key, problem)| file.refuse(&key, problem))
 }
 
-/// Adds bus `bus` of a cell with its devices, switched on at [`Instant::ZERO`].
-pub fn add_bus(world: &mut World, file: &CellFile, mechanisms: &Mechanisms, bus: usize) -> BusId {
-    let id = world.add_bus(bitrate(file, bus));
-    for device in devices(file, mechanisms, bus, Instant::ZERO) {
-        world.add_device(id, device);
+impl EmulatedCell<'_> {
+    /// Adds bus `bus` with its devices, switched on at [`Instant::ZERO`].
+    pub fn add_bus(&self, world: &mut World, bus: usize) -> BusId {
+        let id = world.add_bus(bitrate(self.file, bus));
+        for device in self.devices(bus, Instant::ZERO) {
+            world.add_device(id, device);
+        }
+        id
     }
-    id
+
+    /// The devices on bus `bus`, switched on at `power_on`.
+    pub fn devices(&self, bus: usize, power_on: Instant) -> Vec<Box<dyn Device>> {
+        let device = |(robot, number): (usize, usize)| {
+            let drive = Epos4::new(Epos4Config {
+                mount: self.mount(robot, number),
+                ..config(self.file, robot, number, power_on)
+            });
+            Box::new(drive) as _
+        };
+        axes_present(self.file, bus).map(device).collect()
+    }
+
+    /// Adds the line of an axis of bundle `bundle`, with its axis controller in `cabinet`, switched on at
+    /// [`Instant::ZERO`]. Returns the host's end.
+    pub fn add_line(
+        &self,
+        world: &mut World,
+        bundle: usize,
+        axis: (usize, usize),
+        cabinet: &Cabinet,
+    ) -> VirtualLine {
+        let bundle = &self.file.cell.serial[bundle];
+        let latency = bundle.emulated_latency_ms;
+        let latency = latency.map(|latency| Duration::from_millis(u64::from(latency)));
+        let device = self.axis_controller(bundle.protocol, axis, cabinet);
+        let line = world.add_line(bundle.settings(), latency, device);
+        world.host_line(line, LINE)
+    }
+
+    fn axis_controller(
+        &self,
+        protocol: Protocol,
+        (robot, number): (usize, usize),
+        cabinet: &Cabinet,
+    ) -> Box<dyn LineDevice> {
+        let axis = &self.file.cell.robot[robot].axis[number];
+        if axis.emulator.absent {
+            return Box::new(Absent);
+        }
+        let config = AxisControllerConfig {
+            seed: seed(self.file, robot, number),
+            cabinet: cabinet.clone(),
+            mount: self.mount(robot, number),
+            ..AxisControllerConfig::new(plant(self.file, robot, number))
+        };
+        match axis.emulator.protocol.unwrap_or(protocol) {
+            Protocol::Nfv2 => {
+                let address = axis.emulator.address.unwrap_or(axis.node);
+                Box::new(AxisController::nfv2(address, &config))
+            }
+            Protocol::HiMoxa => Box::new(AxisController::hi_moxa(&config)),
+        }
+    }
 }
 
 /// The bit rate of bus `bus`.
 pub fn bitrate(file: &CellFile, bus: usize) -> Bitrate {
     Bitrate::from_kbps(file.cell.bus[bus].bitrate_kbps)
         .expect("a parsed cell has possible bit rates")
-}
-
-/// Adds the line of an axis of bundle `bundle`, with its axis controller in `cabinet`, switched on at
-/// [`Instant::ZERO`]. Returns the host's end.
-pub fn add_line(
-    world: &mut World,
-    file: &CellFile,
-    mechanisms: &Mechanisms,
-    bundle: usize,
-    (robot, number): (usize, usize),
-    cabinet: &Cabinet,
-) -> VirtualLine {
-    let bundle = &file.cell.serial[bundle];
-    let latency = bundle
-        .emulated_latency_ms
-        .map(|latency| Duration::from_millis(u64::from(latency)));
-    let device = axis_controller(file, mechanisms, bundle.protocol, (robot, number), cabinet);
-    let line = world.add_line(bundle.settings(), latency, device);
-    world.host_line(line, LINE)
 }
 
 /// Adds the service port of a drive like the drive of a CAN axis, switched on at [`Instant::ZERO`]. This drive is on
@@ -196,32 +233,6 @@ pub fn add_service_port(
     let device = Box::new(EposSerial::epos4(config));
     let line = world.add_line(Settings::EPOS, None, device);
     world.host_line(line, LINE)
-}
-
-fn axis_controller(
-    file: &CellFile,
-    mechanisms: &Mechanisms,
-    protocol: Protocol,
-    (robot, number): (usize, usize),
-    cabinet: &Cabinet,
-) -> Box<dyn LineDevice> {
-    let axis = &file.cell.robot[robot].axis[number];
-    if axis.emulator.absent {
-        return Box::new(Absent);
-    }
-    let config = AxisControllerConfig {
-        seed: seed(file, robot, number),
-        cabinet: cabinet.clone(),
-        mount: mechanisms.mount(file, robot, number),
-        ..AxisControllerConfig::new(plant(file, robot, number))
-    };
-    match axis.emulator.protocol.unwrap_or(protocol) {
-        Protocol::Nfv2 => {
-            let address = axis.emulator.address.unwrap_or(axis.node);
-            Box::new(AxisController::nfv2(address, &config))
-        }
-        Protocol::HiMoxa => Box::new(AxisController::hi_moxa(&config)),
-    }
 }
 
 /// The end of a line without a device.
@@ -243,31 +254,6 @@ pub fn axes_present(file: &CellFile, bus: usize) -> impl Iterator<Item = (usize,
     let present =
         |&(robot, axis): &(usize, usize)| !file.cell.robot[robot].axis[axis].emulator.absent;
     file.cell.axes_on(bus).filter(present)
-}
-
-/// The devices on bus `bus`, switched on at `power_on`.
-pub fn devices(
-    file: &CellFile,
-    mechanisms: &Mechanisms,
-    bus: usize,
-    power_on: Instant,
-) -> Vec<Box<dyn Device>> {
-    axes_present(file, bus)
-        .map(|(robot, axis)| device(file, mechanisms, robot, axis, power_on))
-        .collect()
-}
-
-fn device(
-    file: &CellFile,
-    mechanisms: &Mechanisms,
-    robot: usize,
-    number: usize,
-    power_on: Instant,
-) -> Box<dyn Device> {
-    Box::new(Epos4::new(Epos4Config {
-        mount: mechanisms.mount(file, robot, number),
-        ..config(file, robot, number, power_on)
-    }))
 }
 
 /// The configuration of the emulated drive of an axis, with its motor on no mechanism.

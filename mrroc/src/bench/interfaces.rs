@@ -8,7 +8,6 @@ use serial::service::Dialect;
 
 use crate::cell::{Cell, quoted};
 
-/// Prefix of the name of an slcan adapter.
 const SLCAN: &str = "slcan:";
 
 /// Prefixes of the name of a service port.
@@ -221,7 +220,6 @@ pub fn bus_of<'a>(cell: &Cell, option: &str, given: &'a str) -> anyhow::Result<(
     }
 }
 
-/// The names of the buses.
 fn names(cell: &Cell) -> String {
     let names: Vec<_> = cell.bus.iter().map(|bus| bus.name.as_str()).collect();
     names.join(", ")

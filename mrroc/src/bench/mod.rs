@@ -2,7 +2,6 @@
 
 pub mod bridge;
 pub mod bus_port;
-mod card;
 pub mod clockwork;
 pub mod emulated_lines;
 pub mod emulated_time;
@@ -12,28 +11,28 @@ pub mod plants;
 
 use std::path::{Path, PathBuf};
 
-use crate::cell::Serial;
 use anyhow::{Context, bail};
 use can::{Port, SocketCanOptions, TraceReader, Tracer};
 use clap::{Args, ValueEnum};
 use drive::cia402;
 use serial::{Line, Tty, VirtualLine};
 
-use crate::bench::bus_port::BusPort;
+use crate::bench::bus_port::{BusPort, prepare_card};
 use crate::bench::emulation::Emulation;
 use crate::bench::interfaces::Interface;
-use crate::cell_file::CellFile;
+use crate::cell::{CellFile, Serial};
 use crate::wire::{Listener, Wire};
 
 /// Frames by which a trace may lag behind the bus: some seconds of a full bus.
 const TRACE: usize = 1 << 16;
 
 /// The benches.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum BenchKind {
     /// Emulated drives on a virtual bus, in virtual time.
     Lockstep,
     /// Emulated drives on a virtual bus, in real time.
+    #[default]
     Emulated,
     /// A virtual CAN interface or pseudo-terminals, with `mrroc emulate` at the other end.
     Vcan,
@@ -122,13 +121,8 @@ impl Bench {
         places: &Places,
         trace: bool,
     ) -> anyhow::Result<Self> {
-        let Places {
-            can,
-            serial,
-            set_bitrate,
-        } = places;
-        let (serial, set_bitrate) = (serial.as_deref(), *set_bitrate);
-        if set_bitrate && kind != BenchKind::Card {
+        let (can, serial) = (&places.can, places.serial.as_deref());
+        if places.set_bitrate && kind != BenchKind::Card {
             bail!("--set-bitrate needs --bench card");
         }
         let interfaces = interfaces::resolve(&file.cell, can)?;
@@ -153,7 +147,7 @@ impl Bench {
                     // Before any access to the card, which another controller may be using.
                     let claim = interface.claim_as_controller().with_context(on_bus)?;
                     if kind == BenchKind::Card {
-                        card::prepare(interface, bus, set_bitrate).with_context(on_bus)?;
+                        prepare_card(interface, bus, places.set_bitrate).with_context(on_bus)?;
                     }
                     let setpoints = file.cell.axes_on(index).count();
                     let options = SocketCanOptions {
@@ -174,28 +168,21 @@ impl Bench {
                 (ports, ttys(file, serial)?, listeners, None)
             }
         };
-        let wire = Wire::new(file, listeners);
-        if !trace {
-            return Ok(Self {
-                ports,
-                lines,
-                interfaces,
-                traces: Vec::new(),
-                wire,
-                emulation,
+        let (ports, traces) = if trace {
+            let traced = ports.into_iter().map(|port| {
+                let (port, reader) = Tracer::new(port, TRACE);
+                (Box::new(port) as _, reader)
             });
-        }
-        let traced = ports.into_iter().map(|port| {
-            let (port, reader) = Tracer::new(port, TRACE);
-            (Box::new(port) as _, reader)
-        });
-        let (ports, traces) = traced.unzip();
+            traced.unzip()
+        } else {
+            (ports, Vec::new())
+        };
         Ok(Self {
             ports,
             lines,
             interfaces,
             traces,
-            wire,
+            wire: Wire::new(file, listeners),
             emulation,
         })
     }
@@ -221,7 +208,6 @@ fn emulated_lines(
     bundles.map(bundle).collect()
 }
 
-/// Opens the ttys of a cell.
 fn ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<Vec<Box<dyn Line>>>> {
     let bundles = file.cell.serial.iter().enumerate();
     let bundle = |(index, bundle): (usize, &Serial)| {

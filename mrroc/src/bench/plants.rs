@@ -9,27 +9,31 @@ use controller::robot::Limits;
 use hil::plant::PlantConfig;
 use hil::{AxisConfig, Mechanism, Mount};
 
-use crate::cell::Path;
-use crate::cell_file::CellFile;
+use crate::cell::{CellFile, Path, Robot};
 
-/// The mechanism of each robot of a cell that has one. The axes of a mechanism may be on several buses and lines.
-pub struct Mechanisms(Vec<Option<Mechanism>>);
+/// A cell whose devices are emulated.
+pub struct EmulatedCell<'a> {
+    /// The cell.
+    pub file: &'a CellFile,
+    /// The mechanism of each robot that has one. The axes of a mechanism may be on several buses and lines.
+    mechanisms: Vec<Option<Mechanism>>,
+}
 
-impl Mechanisms {
+impl<'a> EmulatedCell<'a> {
     /// All mechanisms at home and without payloads.
-    pub fn of(file: &CellFile) -> Self {
-        let robots = file.cell.robot.iter();
-        let config = |robot: &crate::cell::Robot| {
+    pub fn of(file: &'a CellFile) -> Self {
+        let mechanism = |robot: &Robot| {
             let parameters = robot.parameters.unwrap_or(robot.model.parameters());
             parameters.mechanism().map(Mechanism::new)
         };
-        Self(robots.map(config).collect())
+        let mechanisms = file.cell.robot.iter().map(mechanism).collect();
+        Self { file, mechanisms }
     }
 
     /// The mount of an axis in its robot; `None` if the axis moves its own load.
-    pub fn mount(&self, file: &CellFile, robot: usize, number: usize) -> Option<Mount> {
-        let home = file.arms[robot].robot().home()[number];
-        self.0[robot].as_ref()?.mount(number, home)
+    pub fn mount(&self, robot: usize, number: usize) -> Option<Mount> {
+        let home = self.file.arms[robot].robot().home()[number];
+        self.mechanisms[robot].as_ref()?.mount(number, home)
     }
 }
 
@@ -45,8 +49,8 @@ struct Payload {
 
 impl Payloads {
     /// The payloads of a cell whose drives are switched on at `power_on`.
-    pub fn of(file: &CellFile, mechanisms: &Mechanisms, power_on: Instant) -> Self {
-        let robots = file.cell.robot.iter().zip(&mechanisms.0);
+    pub fn of(emulated: &EmulatedCell, power_on: Instant) -> Self {
+        let robots = emulated.file.cell.robot.iter().zip(&emulated.mechanisms);
         let payloads = robots.filter_map(|(robot, mechanism)| Some((robot, mechanism.as_ref()?)));
         let payloads = payloads.flat_map(|(robot, mechanism)| {
             robot.emulated_payload.iter().map(|payload| Payload {
@@ -99,9 +103,8 @@ pub fn homing_problem(file: &CellFile, (robot, number): (usize, usize)) -> Optio
         }
         Some(_) => return None,
     };
-    let key = Path::default().then("robot").then(robot);
-    let key = key.then("axis").then(number).then("homing");
-    Some((key.then("method"), format!("is {method}, which {why}")))
+    let key = Path::axis(robot, number).then("homing").then("method");
+    Some((key, format!("is {method}, which {why}")))
 }
 
 /// Motor, load, sensors and switches of an axis.

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Control, FeedForward, Law, Protocol};
+use super::{Control, FeedForward, Law, Protocol, defaults};
 
 /// A bundle of serial lines that axis controllers of one kind hang on, one on each.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -16,14 +16,14 @@ pub struct Serial {
     #[serde(default)]
     pub protocol: Protocol,
     /// Bits per second of each line; 8 data bits, 2 stop bits.
-    #[serde(default = "defaults::baud")]
+    #[serde(default = "defaults::count::<921_600, u32>")]
     pub baud: u32,
     /// Cycles in a row, 1 to 10, that an axis controller's answer may be missing before it is a fault: unheard, it
     /// goes on by its last set-point.
-    #[serde(default = "defaults::tolerated_missing_on_lines")]
+    #[serde(default = "defaults::count::<2, u32>")]
     pub tolerated_missing: u32,
     /// Deadline of the answer to a parameter, ms, at most 1000.
-    #[serde(default = "defaults::answer_timeout_ms")]
+    #[serde(default = "defaults::count::<10, u32>")]
     pub answer_timeout_ms: u32,
     /// Latency timer of the USB adapter between host and line, ms, where one is to be emulated; none
     /// for a card.
@@ -77,16 +77,4 @@ pub struct Loop {
     /// the axis's `max_velocity`; 1.2 times that where absent.
     #[serde(default)]
     pub runaway_velocity: Option<f64>,
-}
-
-mod defaults {
-    pub(super) fn baud() -> u32 {
-        921_600
-    }
-    pub(super) fn tolerated_missing_on_lines() -> u32 {
-        2
-    }
-    pub(super) fn answer_timeout_ms() -> u32 {
-        10
-    }
 }

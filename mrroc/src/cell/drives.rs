@@ -81,11 +81,6 @@ impl Serial {
         }
     }
 
-    /// Lengths of a cyclic request on one of the lines and of its answer, bytes.
-    pub fn telegrams(&self) -> (usize, usize) {
-        self.protocol.telegrams()
-    }
-
     /// Settings common to the axis controllers, at the servo period `period`.
     pub fn group_config(&self, period: Duration) -> axis_controller::GroupConfig {
         axis_controller::GroupConfig {
@@ -102,21 +97,22 @@ impl Axis {
     /// Scale between motor positions, rad, and the counts of the drive. The homed counter reads zero at the motor
     /// position `home`, rad.
     pub fn scale(&self, home: f64) -> Scale {
-        let reversed = match (&self.drive, &self.controller) {
-            (Some(drive), _) => drive.reversed,
-            (None, Some(controller)) => controller.reversed,
-            (None, None) => false,
-        };
-        let counts = self.counts_per_revolution() as i32;
+        let (counts, reversed) = self.counts();
+        let counts = counts as i32;
         Scale::new(if reversed { -counts } else { counts }, home)
             .expect("a parsed cell has counts and finite home positions")
     }
 
     /// Quadrature counts per motor revolution.
     pub fn counts_per_revolution(&self) -> u32 {
+        self.counts().0
+    }
+
+    /// Quadrature counts per motor revolution, and whether the counter falls in the motor's positive direction.
+    fn counts(&self) -> (u32, bool) {
         match (&self.drive, &self.controller) {
-            (Some(drive), _) => drive.counts_per_revolution,
-            (None, Some(controller)) => controller.counts_per_revolution,
+            (Some(drive), _) => (drive.counts_per_revolution, drive.reversed),
+            (None, Some(controller)) => (controller.counts_per_revolution, controller.reversed),
             (None, None) => unreachable!("{HAS_DRIVE}"),
         }
     }
@@ -149,10 +145,7 @@ impl Axis {
             scale: self.scale(home),
             rated_torque: drive.rated_torque,
             homing: HomingConfig {
-                method: self
-                    .homing
-                    .method
-                    .expect("a parsed cell's drives have homing methods"),
+                method: self.homing.method.expect(HAS_METHOD),
                 search_speed: self.homing.search_velocity,
                 zero_speed: self.homing.zero_velocity,
                 acceleration: self.homing.acceleration,
@@ -181,18 +174,16 @@ impl Axis {
     /// Configuration of the axis controller on a serial line, homed at the motor position `home`, rad.
     pub fn controller_config(&self, home: f64) -> axis_controller::AxisConfig {
         let controller = self.axis_controller();
-        let plausible = |given: Option<f64>, otherwise| given.unwrap_or(otherwise);
+        let max_velocity = controller.plausible_velocity;
+        let max_acceleration = controller.plausible_acceleration;
         axis_controller::AxisConfig {
             address: self.node,
             scale: self.scale(home),
             torque_constant: controller.torque_constant,
             control: controller.control,
             max_current: controller.max_current,
-            max_velocity: plausible(controller.plausible_velocity, 4.0 / 3.0 * self.max_velocity),
-            max_acceleration: plausible(
-                controller.plausible_acceleration,
-                20.0 * self.max_acceleration,
-            ),
+            max_velocity: max_velocity.unwrap_or(4.0 / 3.0 * self.max_velocity),
+            max_acceleration: max_acceleration.unwrap_or(20.0 * self.max_acceleration),
         }
     }
 
@@ -232,6 +223,7 @@ impl Robot {
         limits: Limits,
     ) -> ServoAxisConfig {
         let axis = &self.axis[number];
+        let by_host = axis.controller.is_some();
         ServoAxisConfig {
             group,
             index_in_group,
@@ -244,10 +236,7 @@ impl Robot {
             increments_per_radian: axis.scale(0.0).increments_per_radian(),
             position_loop: axis.position_loop(self.weight.is_some()),
             torque_offset: None,
-            homing: axis
-                .controller
-                .as_ref()
-                .map(|_| axis.homing.by_host(limits)),
+            homing: by_host.then(|| axis.homing.by_host(limits)),
         }
     }
 }
@@ -298,6 +287,8 @@ impl Homing {
 }
 
 const HAS_DRIVE: &str = "a parsed cell's axes have the drive that their bus needs";
+
+const HAS_METHOD: &str = "a parsed cell's drives have homing methods";
 
 const HAS_LOOP: &str = "a parsed cell's drives by velocity or torque have a loop";
 

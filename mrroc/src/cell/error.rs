@@ -1,157 +1,153 @@
-//! Errors of a cell file: line, key and problem.
+//! Errors of a cell file, and the location of a key in its text.
 
-use std::fmt;
+use std::borrow::Cow;
+use std::fmt::{self, Display};
 
 use thiserror::Error;
+use toml::de::DeTable;
 
-use super::locate::{self, Path};
-use super::text::{printable, quoted};
-use super::{Figure, Range};
+use super::text::{excerpt, printable, quoted};
 
 /// The error of a refused cell file, in one line without control characters.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Error, PartialEq)]
+#[error("{line}: {key}{}{}", if .key.is_empty() { "" } else { ": " }, printable(.problem))]
 pub struct CellError {
     /// The line, counted from 1.
     pub line: usize,
     /// The dotted key, empty where the text is not TOML.
     pub key: String,
     /// The problem.
-    pub problem: Problem,
+    pub problem: String,
 }
 
 impl CellError {
-    /// An error found by another part of the program, for a value of the right structure.
-    pub fn at(text: &str, path: &Path, problem: impl fmt::Display) -> Self {
+    /// The problem of the value at `path`.
+    pub fn at(text: &str, path: &Path, problem: impl Display) -> Self {
         Self {
-            line: locate::line_of(text, path),
+            line: line_of(text, path),
             key: path.to_string(),
-            problem: Problem::Refused(problem.to_string()),
+            problem: problem.to_string(),
+        }
+    }
+
+    /// The problem of a text that is no TOML.
+    pub(super) fn of_text(line: usize, problem: String) -> Self {
+        Self {
+            line,
+            key: String::new(),
+            problem,
         }
     }
 }
 
-impl fmt::Display for CellError {
+/// One step from a table to its content.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// To the value of a key.
+    Key(Cow<'static, str>),
+    /// To an element of an array, counted from 0.
+    At(usize),
+}
+
+impl From<&'static str> for Step {
+    fn from(key: &'static str) -> Self {
+        Self::Key(key.into())
+    }
+}
+
+impl From<usize> for Step {
+    fn from(index: usize) -> Self {
+        Self::At(index)
+    }
+}
+
+/// The path from the top of the file to a value, written as `robot[0].axis[2].node`.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Path(Vec<Step>);
+
+impl Path {
+    /// This path, extended by one step.
+    pub fn then(&self, step: impl Into<Step>) -> Self {
+        let mut steps = self.0.clone();
+        steps.push(step.into());
+        Self(steps)
+    }
+
+    /// The path to the table or list `key` at the top of the file.
+    pub fn to(key: &'static str) -> Self {
+        Self::default().then(key)
+    }
+
+    /// The path to axis `axis` of robot `robot`.
+    pub fn axis(robot: usize, axis: usize) -> Self {
+        Self::to("robot").then(robot).then("axis").then(axis)
+    }
+
+    /// The index of the robot that the path leads to.
+    pub fn robot(&self) -> Option<usize> {
+        match &*self.0 {
+            [Step::Key(key), Step::At(robot), ..] if key == "robot" => Some(*robot),
+            _ => None,
+        }
+    }
+}
+
+impl FromIterator<Step> for Path {
+    fn from_iter<T: IntoIterator<Item = Step>>(steps: T) -> Self {
+        Self(steps.into_iter().collect())
+    }
+}
+
+impl Display for Path {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: ", self.line)?;
-        if !self.key.is_empty() {
-            write!(f, "{}: ", self.key)?;
+        for (position, step) in self.0.iter().enumerate() {
+            match step {
+                Step::At(index) => write!(f, "[{index}]")?,
+                Step::Key(name) => {
+                    let bare = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+                    let is_bare = !name.is_empty() && name.chars().all(bare);
+                    f.write_str(if position == 0 { "" } else { "." })?;
+                    f.write_str(&if is_bare { excerpt(name) } else { quoted(name) })?;
+                }
+            }
         }
-        f.write_str(&printable(&self.problem.to_string()))
+        Ok(())
     }
 }
 
-impl std::error::Error for CellError {}
-
-/// Problems of a cell file.
-#[derive(Clone, Debug, PartialEq, Error)]
-pub enum Problem {
-    /// Not TOML, a key that does not exist, or a value of the wrong type.
-    #[error("{0}")]
-    Shape(String),
-    /// NaN or infinity.
-    #[error("must be a finite number")]
-    NotFinite,
-    /// A required key is missing.
-    #[error("is missing")]
-    Missing,
-    /// A number outside its range.
-    #[error("is {}, must be {range}", Figure(*value))]
-    OutOfRange {
-        /// The number.
-        value: f64,
-        /// The range.
-        range: Range,
-    },
-    /// A number that is not one of the permitted ones.
-    #[error("is {}, must be {expected}", Figure(*value))]
-    NoneOf {
-        /// The number.
-        value: f64,
-        /// Description of the permitted numbers.
-        expected: &'static str,
-    },
-    /// A lower limit above its upper limit.
-    #[error("is {}, not below the upper limit {}", Figure(*low), Figure(*high))]
-    UpsideDown {
-        /// The lower limit.
-        low: f64,
-        /// The upper limit.
-        high: f64,
-    },
-    /// An upper limit below the model's lower limit.
-    #[error("is {}, not above the lower limit {}", Figure(*high), Figure(*low))]
-    BelowLow {
-        /// The lower limit.
-        low: f64,
-        /// The upper limit.
-        high: f64,
-    },
-    /// A limit outside those of the model.
-    #[error("is {}, must lie within the model's limits {} and {}", Figure(*value), Figure(*low), Figure(*high))]
-    BeyondModel {
-        /// The limit.
-        value: f64,
-        /// The model's lower limit.
-        low: f64,
-        /// The model's upper limit.
-        high: f64,
-    },
-    /// A text that is not a valid name.
-    #[error("is {}, must be a name: {NAME_RULE}", quoted(.0))]
-    NotName(String),
-    /// A second use of something that must be unique.
-    #[error("{what} is used twice, first by {first}")]
-    Twice {
-        /// The repeated value.
-        what: String,
-        /// The key of the first use.
-        first: String,
-    },
-    /// A reference to an unknown name.
-    #[error("no {kind} is called {}", quoted(name))]
-    Unknown {
-        /// Kind of the referenced object.
-        kind: &'static str,
-        /// The name.
-        name: String,
-    },
-    /// An empty list that needs an element.
-    #[error("has no {what}, must have at least one")]
-    None {
-        /// Kind of the elements.
-        what: &'static str,
-    },
-    /// A wrong number of elements.
-    #[error("has {found} {what}, must have {expected}")]
-    Count {
-        /// Number of elements found.
-        found: usize,
-        /// Number of elements expected.
-        expected: usize,
-        /// Kind of the elements.
-        what: &'static str,
-    },
-    /// Too many elements.
-    #[error("has {found} {what}, may have {most}")]
-    TooMany {
-        /// Number of elements found.
-        found: usize,
-        /// Greatest number of elements.
-        most: usize,
-        /// Kind of the elements.
-        what: &'static str,
-    },
-    /// A key without effect at its place.
-    #[error("has no effect {because}: leave it out")]
-    NoEffect {
-        /// The reason, as the rest of a sentence.
-        because: &'static str,
-    },
-    /// A refusal by another part of the program.
-    #[error("{0}")]
-    Refused(String),
+/// The line, counted from 1, of the byte at `offset` of `text`.
+pub(super) fn line_at(text: &str, offset: usize) -> usize {
+    let before = &text.as_bytes()[..offset.min(text.len())];
+    before.iter().filter(|&&byte| byte == b'\n').count() + 1
 }
 
-/// Rule for names, as part of a message.
-pub(super) const NAME_RULE: &str =
-    "1 to 64 letters of A to Z, digits, - and _, of which the first is a letter or a digit";
+/// The line of the value at `path`, or of the nearest enclosing table in the file.
+pub(super) fn line_of(text: &str, path: &Path) -> usize {
+    let Ok(document) = DeTable::parse(text) else {
+        return 1;
+    };
+    let mut offset = document.span().start;
+    let mut steps = path.0.iter();
+    let Some(Step::Key(key)) = steps.next() else {
+        return 1;
+    };
+    let Some(mut value) = document.get_ref().get(key.as_ref()) else {
+        return 1;
+    };
+    loop {
+        if !value.span().is_empty() {
+            offset = value.span().start;
+        }
+        let Some(step) = steps.next() else {
+            return line_at(text, offset);
+        };
+        let inner = match step {
+            Step::Key(key) => value.get_ref().get(key.as_ref()),
+            Step::At(index) => value.get_ref().get(*index),
+        };
+        match inner {
+            Some(inner) => value = inner,
+            None => return line_at(text, offset),
+        }
+    }
+}

@@ -1,24 +1,24 @@
 //! The cell file: robots, buses, lines and drives of one controller, in TOML.
 //!
 //! The structs mirror the file key for key. The JSON schema next to the example cells is generated from them.
-//! [`Cell::parse`] checks the whole cell, so the rest of the program does not check again. A `Cell` deserialised by
+//! [`CellFile`] is a cell that was read from a file, with its device configuration files. [`Cell::parse`] checks the
+//! whole cell, so the rest of the program does not check again. A `Cell` deserialised by
 //! serde alone is unchecked. Units are SI: rad, rad/s and rad/s² at the **motor shaft** for an axis, rad or m at the
 //! joint for a program. The name of a key with another unit ends in that unit.
 
 mod axis_controller;
-mod check;
-mod document;
+mod device_configuration;
 mod drives;
 mod error;
+mod file;
 mod home;
-mod locate;
 mod meetings;
 mod program;
 mod read;
 #[cfg(test)]
 mod tests;
 mod text;
-mod weight;
+mod validation;
 
 use std::sync::Arc;
 
@@ -26,23 +26,24 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use controller::generator::Pose;
-use controller::robot::Arm;
-use controller::robot::ParameterError;
+use controller::robot::{self, Arm, Mass, ParameterError, Weight, WeightError};
+use servo::KeyProblem;
 
 pub use crate::robots::{Model, Parameters};
 pub use axis_controller::{AxisController, Loop, Serial};
-pub use document::LARGEST;
+pub(crate) use device_configuration::DeviceConfiguration;
 pub use drive::axis_controller::{Control, Protocol};
 pub use drives::ENABLING;
-pub use error::{CellError, Problem};
-pub use locate::{Path, Step};
+pub use error::{CellError, Path, Step};
+pub use file::CellFile;
 pub use meetings::Meeting;
+pub(crate) use program::smooth_pose;
 pub use program::{ProgramError, instruction_path};
+pub use read::LARGEST;
 pub use servo::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
 pub use servo::thread::{Policy, Realtime, Scheduler, Wait};
 pub use servo::{Direction, FeedForward, Figure, Law, Range};
 pub use text::{printable, quoted};
-pub use weight::Weights;
 
 /// One controller: all robots that share one servo cycle.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -54,18 +55,18 @@ pub struct Cell {
     /// Period of the servo cycle and of SYNC, µs: 1 to 100 whole milliseconds.
     pub period_us: u32,
     /// Servo periods in one macrostep, the step of the generators.
-    #[serde(default = "defaults::macrostep")]
+    #[serde(default = "defaults::count::<10, u16>")]
     pub macrostep: u16,
     /// Tolerated number of missed deadlines in a row; one more stops the cell with category 1. The drives hold their
     /// last set-point while deadlines are missed. The number therefore limits the time that a moving arm stands still
     /// before it would jump. The number has no effect on the emulated benches, where time waits for the host.
-    #[serde(default = "defaults::max_missed_in_row")]
+    #[serde(default = "defaults::count::<3, u32>")]
     pub max_missed_in_row: u32,
     /// Longest wait of a robot for its partners at a meeting, s. A longer wait stops the cell by a fault.
-    #[serde(default = "defaults::meeting_timeout_s")]
+    #[serde(default = "defaults::count::<600, u32>")]
     pub meeting_timeout_s: u32,
     /// Seed of all random values in the emulators.
-    #[serde(default = "defaults::seed")]
+    #[serde(default = "defaults::count::<1, u64>")]
     pub seed: u64,
     /// Real-time settings of the servo thread.
     #[serde(default)]
@@ -88,25 +89,25 @@ pub struct Bus {
     #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
     pub name: String,
     /// Bit rate, kbit/s.
-    #[serde(default = "defaults::bitrate_kbps")]
+    #[serde(default = "defaults::count::<1_000, u32>")]
     pub bitrate_kbps: u32,
     /// The interface on the benches with a real or virtual interface: a SocketCAN interface, or `slcan:PATH[@BAUD]`
     /// for an adapter on a tty.
     pub interface: String,
     /// Node-ID of the host, whose heartbeat the drives watch.
-    #[serde(default = "defaults::host_node")]
+    #[serde(default = "defaults::count::<127, u8>")]
     pub host_node: u8,
     /// Period of every heartbeat on the bus, ms. Three periods without a heartbeat are a fault.
-    #[serde(default = "defaults::heartbeat_ms")]
+    #[serde(default = "defaults::count::<100, u16>")]
     pub heartbeat_ms: u16,
     /// Tolerated number of cycles in a row without an answer of a drive; one more is a fault.
-    #[serde(default = "defaults::tolerated_missing")]
+    #[serde(default = "defaults::count::<5, u32>")]
     pub tolerated_missing: u32,
     /// Time-out of an SDO answer, ms.
-    #[serde(default = "defaults::sdo_timeout_ms")]
+    #[serde(default = "defaults::count::<500, u32>")]
     pub sdo_timeout_ms: u32,
     /// Time-out of a node's boot, ms.
-    #[serde(default = "defaults::boot_timeout_ms")]
+    #[serde(default = "defaults::count::<2_000, u32>")]
     pub boot_timeout_ms: u32,
 }
 
@@ -179,7 +180,7 @@ impl Robot {
     }
 
     /// Kinematics and drive train, or the error in the parameters.
-    pub fn kinematics(&self) -> Result<Arc<dyn controller::robot::Robot>, ParameterError> {
+    pub fn kinematics(&self) -> Result<Arc<dyn robot::Robot>, ParameterError> {
         let usual = || self.model.parameters();
         self.parameters.unwrap_or_else(usual).kinematics()
     }
@@ -353,6 +354,32 @@ pub struct EmulatedPayload {
     pub centre: [f64; 3],
 }
 
+/// Masses of a robot's links. With this table in the cell file, the torques that hold the links in the commanded pose
+/// are fed forward to the motors. Without the table, only the position loops hold the weight. An empty table uses the
+/// nominal masses of the model.
+///
+/// The host must close the position loop of every axis, commanded by torque or current. Pulse width is possible if
+/// `feed_forward` gives `weight`. Drives that close the loop hold the weight by themselves.
+#[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Weights {
+    /// The links from base to flange, as written by `mrroc urdf`; the nominal links of the model where absent.
+    pub masses: Option<Vec<Mass>>,
+    /// The load at the flange beyond the last link, with its centre in the flange's frame.
+    pub load: Mass,
+    /// The direction against gravity in the robot's base frame, of any length; the direction of the model where
+    /// absent.
+    pub up: Option<[f64; 3]>,
+}
+
+impl Weights {
+    /// The weight of `robot`, whose model is `model`.
+    pub(super) fn of(&self, model: Model, robot: &dyn robot::Robot) -> Result<Weight, WeightError> {
+        let masses = self.masses.as_deref().unwrap_or(model.masses());
+        Weight::new(robot, masses, self.load, self.up.unwrap_or(model.up()))
+    }
+}
+
 /// Physical models of an emulated axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -439,52 +466,28 @@ impl Cell {
 
     /// The text of a cell file. Bytes that are not UTF-8 or more than [`LARGEST`] are refused.
     pub fn text(bytes: &[u8]) -> Result<&str, CellError> {
-        document::text(bytes)
+        read::text(bytes)
     }
 
     /// Reads and checks the text of a cell file.
     pub fn parse(text: &str) -> Result<Self, CellError> {
-        let document = document::parse(text)?;
+        let document = read::parse(text)?;
         let cell: Self = read::read(text, &document)?;
-        check::check(&cell).map_err(|(path, problem)| CellError {
-            line: locate::line_of(text, &path),
-            key: path.to_string(),
-            problem,
-        })?;
+        validation::check(&cell).map_err(|(path, problem)| CellError::at(text, &path, problem))?;
         Ok(cell)
     }
 }
 
+/// The problem of a number outside its range.
+fn out_of_range(value: f64, range: Range) -> String {
+    KeyProblem::OutOfRange { value, range }.to_string()
+}
+
 mod defaults {
-    pub(super) fn macrostep() -> u16 {
-        10
-    }
-    pub(super) fn max_missed_in_row() -> u32 {
-        3
-    }
-    pub(super) fn meeting_timeout_s() -> u32 {
-        600
-    }
-    pub(super) fn seed() -> u64 {
-        1
-    }
-    pub(super) fn bitrate_kbps() -> u32 {
-        1000
-    }
-    pub(super) fn host_node() -> u8 {
-        127
-    }
-    pub(super) fn heartbeat_ms() -> u16 {
-        100
-    }
-    pub(super) fn tolerated_missing() -> u32 {
-        5
-    }
-    pub(super) fn sdo_timeout_ms() -> u32 {
-        500
-    }
-    pub(super) fn boot_timeout_ms() -> u32 {
-        2000
+    /// The default of a whole number.
+    pub(super) fn count<const COUNT: u32, T: TryFrom<u32>>() -> T {
+        let count = T::try_from(COUNT).ok();
+        count.expect("a key has room for its default")
     }
     pub(super) fn fraction() -> f64 {
         0.5

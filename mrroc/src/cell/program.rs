@@ -60,11 +60,7 @@ impl ProgramError {
 
 /// The key of instruction `index` of the program of robot `robot`.
 pub fn instruction_path(robot: usize, index: usize) -> Path {
-    Path::default()
-        .then("robot")
-        .then(robot)
-        .then("program")
-        .then(index)
+    Path::to("robot").then(robot).then("program").then(index)
 }
 
 impl Cell {
@@ -79,22 +75,15 @@ impl Cell {
 }
 
 impl Robot {
-    /// Number of instructions of the robot's [`task`](Cell::task).
-    pub fn task_len(&self) -> usize {
-        PREAMBLE + self.program.iter().map(moves).sum::<usize>() + 1
-    }
-
     /// The index in the program of instruction `index` of the [`task`](Cell::task); `None` for those before and after
     /// the program.
     pub fn instruction_of(&self, index: usize) -> Option<usize> {
         let mut left = index.checked_sub(PREAMBLE)?;
         self.program.iter().position(|instruction| {
-            let (mine, others) = (
-                left < moves(instruction),
-                left.saturating_sub(moves(instruction)),
-            );
-            left = others;
-            mine
+            let moves = moves(instruction);
+            let found = left < moves;
+            left = left.saturating_sub(moves);
+            found
         })
     }
 
@@ -150,12 +139,9 @@ impl Robot {
         let limits = self.motion_limits(arm);
         let task = match motion.generator {
             JointGenerator::Newsmooth => {
-                let pose = |position| SmoothPose {
-                    position,
-                    velocity: [motion.velocity; MAX_AXES],
-                    acceleration: [motion.acceleration; MAX_AXES],
-                };
-                let poses = poses.into_iter().map(pose).collect();
+                let (velocity, acceleration) = (motion.velocity, motion.acceleration);
+                let smooth = |pose: &Axes| smooth_pose(pose, velocity, acceleration);
+                let poses = poses.iter().map(smooth).collect();
                 Newsmooth::new(Space::Joint, arm.axes(), limits, poses)
                     .map(|generator| task.run(generator))
                     .map_err(|error| (0, error.into()))?
@@ -302,6 +288,15 @@ fn steepest_gains(arm: &Arm) -> [Axes; MAX_AXES] {
         }
     }
     gains
+}
+
+/// A pose of a synchronised trapezoid, reached with these fractions of the limits.
+pub(crate) fn smooth_pose(pose: &[f64], velocity: f64, acceleration: f64) -> SmoothPose {
+    SmoothPose {
+        position: padded(pose),
+        velocity: [velocity; MAX_AXES],
+        acceleration: [acceleration; MAX_AXES],
+    }
 }
 
 fn padded(pose: &[f64]) -> Axes {

@@ -1,71 +1,116 @@
-//! Conversion of a TOML document to the values of a cell. Every element is used, or refused with its key and line.
+//! Conversion of the TOML text of a cell file to the values of a cell. The size is checked before parsing. Every element
+//! is used, or refused with its key and line.
 //!
 //! The arrays of serde silently ignore surplus elements. This module refuses them, and also a table with two variants
 //! of an enumeration. All messages name the permitted values in the words of TOML.
 
-use std::fmt;
+use std::fmt::Display;
 
 use serde::Deserialize;
 use serde::de::value::StrDeserializer;
 use serde::de::{
-    DeserializeSeed, Deserializer, EnumAccess, Error, IntoDeserializer, MapAccess, SeqAccess,
+    self, DeserializeSeed, Deserializer, EnumAccess, IntoDeserializer, MapAccess, SeqAccess,
     VariantAccess, Visitor,
 };
 use serde::forward_to_deserialize_any;
+use thiserror::Error;
 use toml::Spanned;
-use toml::de::{DeTable, DeValue};
+use toml::de::{DeString, DeTable, DeValue};
+use toml::map::Iter;
 
-use super::Range;
-use super::error::{CellError, Problem};
-use super::locate::line_at;
+use super::error::{CellError, Path, Step, line_at};
 use super::text::{excerpt, one_of, quoted};
+use super::{Range, out_of_range};
+
+/// Greatest size of a cell file, bytes. The largest example has 26 kB.
+pub const LARGEST: usize = 1 << 20;
+
+/// Greatest number of characters in a cell file that make elements: `.`, `,`, `=`, `[` and `{`. Each may create a
+/// table, which takes a kilobyte of memory. A taught pose of six joints has thirteen such characters.
+const MOST_ELEMENTS: usize = 1 << 16;
 
 /// Range of all numbers of a cell. No SI quantity of a robot is beyond it, and squares and products stay finite.
 const MOST: Range = Range::new(-1e12, 1e12, "");
 
-/// Reads a value from a document that was parsed from `text`.
+/// The text of a cell file, if its size and encoding permit.
+pub(super) fn text(bytes: &[u8]) -> Result<&str, CellError> {
+    if bytes.len() > LARGEST {
+        let length = bytes.len();
+        let problem = format!("the file has {length} bytes, a cell file may have {LARGEST}");
+        return Err(CellError::of_text(1, problem));
+    }
+    str::from_utf8(bytes).map_err(|error| {
+        let before = &bytes[..error.valid_up_to()];
+        let line = before.iter().filter(|&&byte| byte == b'\n').count() + 1;
+        let byte = bytes[error.valid_up_to()];
+        let problem = format!("the byte {byte:#04x} is no UTF-8 text: save the file as UTF-8");
+        CellError::of_text(line, problem)
+    })
+}
+
+/// The document of a text.
+pub(super) fn parse(text: &str) -> Result<DeValue<'_>, CellError> {
+    self::text(text.as_bytes())?;
+    let elements = |byte: &u8| matches!(byte, b'.' | b',' | b'=' | b'[' | b'{');
+    let mut excess = text.bytes().enumerate().filter(|(_, byte)| elements(byte));
+    if let Some((offset, _)) = excess.nth(MOST_ELEMENTS) {
+        let problem = format!(
+            "the file has too many elements: it may have {MOST_ELEMENTS} of the characters . , = [ and {{"
+        );
+        return Err(CellError::of_text(line_at(text, offset), problem));
+    }
+    let document = DeTable::parse(text).map_err(|error| {
+        let span = error.span().unwrap_or_default();
+        let message = error.message().lines().collect::<Vec<_>>().join(", ");
+        let found = text.get(span.clone()).unwrap_or_default();
+        let (key, problem) = match message.as_str() {
+            "duplicate key" => (excerpt(found), "is given twice".to_owned()),
+            _ => (String::new(), excerpt(&message)),
+        };
+        let line = line_at(text, span.start);
+        CellError { line, key, problem }
+    })?;
+    Ok(DeValue::Table(document.into_inner()))
+}
+
 pub(super) fn read<'de, T: Deserialize<'de>>(
     text: &str,
-    document: &'de DeTable<'de>,
+    document: &'de DeValue<'de>,
 ) -> Result<T, CellError> {
-    let table = Table {
-        table: document,
+    let whole = Value {
+        value: document,
         offset: 0,
     };
-    T::deserialize(table).map_err(|refusal| CellError {
+    T::deserialize(whole).map_err(|refusal| CellError {
         line: line_at(text, refusal.offset.unwrap_or(0)),
-        key: refusal.key(),
+        key: refusal
+            .steps
+            .into_iter()
+            .rev()
+            .collect::<Path>()
+            .to_string(),
         problem: refusal.problem,
     })
 }
 
 /// A problem and its location.
-#[derive(Debug)]
+#[derive(Debug, Error)]
+#[error("{problem}")]
 struct ValueError {
     /// The key, its last step first.
     steps: Vec<Step>,
     /// Offset in the text.
     offset: Option<usize>,
-    problem: Problem,
-}
-
-#[derive(Debug)]
-enum Step {
-    Key(String),
-    At(usize),
+    problem: String,
 }
 
 impl ValueError {
-    fn new(problem: Problem) -> Self {
+    fn new(problem: impl Into<String>) -> Self {
         Self {
             steps: Vec::new(),
             offset: None,
-            problem,
+            problem: problem.into(),
         }
-    }
-
-    fn shape(problem: String) -> Self {
-        Self::new(Problem::Shape(problem))
     }
 
     /// The refusal at this offset, unless it has an offset already.
@@ -79,92 +124,35 @@ impl ValueError {
         self.steps.push(step);
         self
     }
-
-    fn key(&self) -> String {
-        let mut key = String::new();
-        for step in self.steps.iter().rev() {
-            match step {
-                Step::At(index) => key += &format!("[{index}]"),
-                Step::Key(name) => {
-                    key += if key.is_empty() { "" } else { "." };
-                    let bare = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
-                    let is_bare = !name.is_empty() && name.chars().all(bare);
-                    key += &if is_bare { excerpt(name) } else { quoted(name) };
-                }
-            }
-        }
-        key
-    }
 }
 
-impl fmt::Display for ValueError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.problem.fmt(f)
-    }
-}
-
-impl std::error::Error for ValueError {}
-
-impl Error for ValueError {
-    fn custom<T: fmt::Display>(message: T) -> Self {
-        Self::shape(message.to_string())
+impl de::Error for ValueError {
+    fn custom<T: Display>(message: T) -> Self {
+        Self::new(message.to_string())
     }
 
     fn unknown_field(field: &str, expected: &'static [&'static str]) -> Self {
         let expected = one_of(expected);
-        Self::shape(format!("is an unknown key, must be {expected}"))
-            .below(Step::Key(field.to_owned()))
+        Self::new(format!("is an unknown key, must be {expected}")).below(step(field))
     }
 
     fn missing_field(field: &'static str) -> Self {
-        Self::new(Problem::Missing).below(Step::Key(field.to_owned()))
+        Self::new("is missing").below(step(field))
     }
 }
 
-/// A table at an offset.
-#[derive(Clone, Copy)]
-struct Table<'de> {
-    table: &'de DeTable<'de>,
-    offset: usize,
+fn step(name: &str) -> Step {
+    Step::Key(name.to_owned().into())
 }
 
-impl<'de> Deserializer<'de> for Table<'de> {
-    type Error = ValueError;
-
-    fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ValueError> {
-        let entries = Entries {
-            left: self.table.iter(),
-            value: None,
-            offset: self.offset,
-        };
-        visitor
-            .visit_map(entries)
-            .map_err(|error| error.from(self.offset))
-    }
-
-    forward_to_deserialize_any! {
-        bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char str string bytes byte_buf option unit unit_struct
-        newtype_struct seq tuple tuple_struct map struct enum identifier ignored_any
-    }
-}
-
-/// The entries of a table.
-struct Entries<'de, I> {
-    left: I,
+struct Entries<'de> {
+    left: Iter<'de, Spanned<DeString<'de>>, Spanned<DeValue<'de>>>,
     /// The value of the last key.
     value: Option<(&'de str, &'de Spanned<DeValue<'de>>)>,
     offset: usize,
 }
 
-impl<'de, I> MapAccess<'de> for Entries<'de, I>
-where
-    I: Iterator<
-        Item = (
-            &'de Spanned<std::borrow::Cow<'de, str>>,
-            &'de Spanned<DeValue<'de>>,
-        ),
-    >,
-{
+impl<'de> MapAccess<'de> for Entries<'de> {
     type Error = ValueError;
 
     fn next_key_seed<K: DeserializeSeed<'de>>(
@@ -185,13 +173,11 @@ where
         &mut self,
         seed: S,
     ) -> Result<S::Value, ValueError> {
-        let (key, value) = self
-            .value
-            .take()
-            .expect("serde asks for a key before its value");
+        let found = self.value.take();
+        let (name, value) = found.expect("serde asks for a key before its value");
         let value = Value::of(value, self.offset);
-        seed.deserialize(value)
-            .map_err(|error| error.from(value.offset).below(Step::Key(key.to_owned())))
+        let value_read = seed.deserialize(value);
+        value_read.map_err(|error| error.from(value.offset).below(step(name)))
     }
 }
 
@@ -213,7 +199,7 @@ impl<'de> Value<'de> {
     }
 
     /// The refusal of a value that differs from `expected`.
-    fn wrong(&self, expected: impl fmt::Display) -> ValueError {
+    fn wrong(&self, expected: impl Display) -> ValueError {
         let found = match self.value {
             DeValue::String(text) => quoted(text),
             DeValue::Integer(number) => excerpt(&number.to_string()),
@@ -223,7 +209,7 @@ impl<'de> Value<'de> {
             DeValue::Array(_) => "an array".into(),
             DeValue::Table(_) => "a table".into(),
         };
-        ValueError::shape(format!("is {found}, must be {expected}")).from(self.offset)
+        ValueError::new(format!("is {found}, must be {expected}")).from(self.offset)
     }
 
     fn integer(&self, low: i128, high: i128) -> Result<i128, ValueError> {
@@ -252,15 +238,13 @@ impl<'de> Value<'de> {
             }
             _ => None,
         };
-        match number {
-            Some(value) if MOST.has(value) => Ok(value),
-            Some(value) if f64::is_finite(value) => {
-                let range = MOST;
-                Err(ValueError::new(Problem::OutOfRange { value, range }).from(self.offset))
-            }
-            Some(_) => Err(ValueError::new(Problem::NotFinite).from(self.offset)),
-            None => Err(self.wrong("a number")),
-        }
+        let problem = match number {
+            Some(value) if MOST.has(value) => return Ok(value),
+            Some(value) if f64::is_finite(value) => out_of_range(value, MOST),
+            Some(_) => "must be a finite number".to_owned(),
+            None => return Err(self.wrong("a number")),
+        };
+        Err(ValueError::new(problem).from(self.offset))
     }
 
     fn text(&self) -> Result<&'de str, ValueError> {
@@ -270,14 +254,17 @@ impl<'de> Value<'de> {
         }
     }
 
-    fn table(&self) -> Result<Table<'de>, ValueError> {
-        match self.value {
-            DeValue::Table(table) => Ok(Table {
-                table,
-                offset: self.offset,
-            }),
-            _ => Err(self.wrong("a table")),
-        }
+    fn table<V: Visitor<'de>>(&self, visitor: V) -> Result<V::Value, ValueError> {
+        let DeValue::Table(table) = self.value else {
+            return Err(self.wrong("a table"));
+        };
+        let entries = Entries {
+            left: table.iter(),
+            value: None,
+            offset: self.offset,
+        };
+        let read = visitor.visit_map(entries);
+        read.map_err(|error| error.from(self.offset))
     }
 
     /// Passes an array to `visitor`, which must take all elements.
@@ -293,13 +280,9 @@ impl<'de> Value<'de> {
             });
         };
         let count = |expected| {
-            let (found, what) = (array.len(), "elements");
-            ValueError::new(Problem::Count {
-                found,
-                expected,
-                what,
-            })
-            .from(self.offset)
+            let found = array.len();
+            let problem = format!("has {found} elements, must have {expected}");
+            ValueError::new(problem).from(self.offset)
         };
         if let Some(expected) = length.filter(|length| *length != array.len()) {
             return Err(count(expected));
@@ -343,7 +326,7 @@ impl<'de> Deserializer<'de> for Value<'de> {
             DeValue::Boolean(truth) => visitor.visit_bool(*truth),
             DeValue::Datetime(_) => Err(self.wrong("no date or time")),
             DeValue::Array(_) => self.array(None, visitor),
-            DeValue::Table(_) => self.table()?.deserialize_any(visitor),
+            DeValue::Table(_) => self.table(visitor),
         }
     }
 
@@ -391,7 +374,7 @@ impl<'de> Deserializer<'de> for Value<'de> {
     }
 
     fn deserialize_map<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ValueError> {
-        self.table()?.deserialize_any(visitor)
+        self.table(visitor)
     }
 
     fn deserialize_struct<V: Visitor<'de>>(
@@ -400,7 +383,7 @@ impl<'de> Deserializer<'de> for Value<'de> {
         _fields: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, ValueError> {
-        self.table()?.deserialize_any(visitor)
+        self.table(visitor)
     }
 
     fn deserialize_enum<V: Visitor<'de>>(
@@ -423,11 +406,11 @@ impl<'de> Deserializer<'de> for Value<'de> {
                 let (Some((key, content)), None) = (entries.next(), entries.next()) else {
                     let found = table.len();
                     let problem = format!("has {found} keys, must have one: {}", one_of(variants));
-                    return Err(ValueError::shape(problem).from(self.offset));
+                    return Err(ValueError::new(problem).from(self.offset));
                 };
                 let name = key.get_ref().as_ref();
                 if !variants.contains(&name) {
-                    let unknown = <ValueError as Error>::unknown_field(name, variants);
+                    let unknown = <ValueError as de::Error>::unknown_field(name, variants);
                     return Err(unknown.from(key.span().start));
                 }
                 let chosen = Variant {
@@ -436,7 +419,7 @@ impl<'de> Deserializer<'de> for Value<'de> {
                     content: Some(Self::of(content, self.offset)),
                 };
                 let visited = visitor.visit_enum(chosen);
-                visited.map_err(|error| error.below(Step::Key(name.to_owned())))
+                visited.map_err(|error| error.below(step(name)))
             }
             _ => Err(self.wrong(one_of(variants))),
         }
@@ -447,7 +430,6 @@ impl<'de> Deserializer<'de> for Value<'de> {
     }
 }
 
-/// The elements of an array.
 struct Elements<'de> {
     array: &'de [Spanned<DeValue<'de>>],
     next: usize,
@@ -479,6 +461,14 @@ struct Variant<'de> {
     content: Option<Value<'de>>,
 }
 
+impl<'de> Variant<'de> {
+    /// The content of a variant that is not given by its name alone.
+    fn content(&self) -> Result<Value<'de>, ValueError> {
+        let expected = || format!("a table with the key {}", self.name);
+        self.content.ok_or_else(|| self.whole.wrong(expected()))
+    }
+}
+
 impl<'de> EnumAccess<'de> for Variant<'de> {
     type Error = ValueError;
     type Variant = Self;
@@ -506,14 +496,9 @@ impl<'de> VariantAccess<'de> for Variant<'de> {
         self,
         seed: S,
     ) -> Result<S::Value, ValueError> {
-        match self.content {
-            Some(content) => seed
-                .deserialize(content)
-                .map_err(|error| error.from(content.offset)),
-            None => Err(self
-                .whole
-                .wrong(format!("a table with the key {}", self.name))),
-        }
+        let content = self.content()?;
+        let value = seed.deserialize(content);
+        value.map_err(|error| error.from(content.offset))
     }
 
     fn tuple_variant<V: Visitor<'de>>(
@@ -521,12 +506,7 @@ impl<'de> VariantAccess<'de> for Variant<'de> {
         length: usize,
         visitor: V,
     ) -> Result<V::Value, ValueError> {
-        match self.content {
-            Some(content) => content.array(Some(length), visitor),
-            None => Err(self
-                .whole
-                .wrong(format!("a table with the key {}", self.name))),
-        }
+        self.content()?.array(Some(length), visitor)
     }
 
     fn struct_variant<V: Visitor<'de>>(
@@ -534,11 +514,6 @@ impl<'de> VariantAccess<'de> for Variant<'de> {
         _fields: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, ValueError> {
-        match self.content {
-            Some(content) => content.table()?.deserialize_any(visitor),
-            None => Err(self
-                .whole
-                .wrong(format!("a table with the key {}", self.name))),
-        }
+        self.content()?.table(visitor)
     }
 }

@@ -8,6 +8,7 @@ mod page;
 mod plots;
 mod text;
 mod tool;
+mod warning;
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -20,13 +21,13 @@ use servo::thread::{AccountReads, LateCycle, Spike, WaitReport};
 use servo::{Histogram, Servo, Timing};
 
 use crate::budget::BusBudget;
-use crate::cell_file::CellFile;
-use crate::warning_report::WarningReport;
+use crate::cell::CellFile;
 use crate::wire::WireReport;
 
 pub(crate) use page::page;
 pub(crate) use tool::Tracks;
 pub use tool::{Deviation, RobotReport, Subject};
+pub use warning::WarningReport;
 
 /// What a run leaves behind.
 pub(crate) struct RunEnd {
@@ -157,7 +158,7 @@ impl RunReport {
                     .map(|(cause, count)| (cause.name(), count))
                     .collect(),
                 worst: end.timing.late.worst().map(WorstCycle::from).collect(),
-                account: AccountReport::from(end.timing.account),
+                account: end.timing.account,
             },
             buses: buses.collect(),
             wire: take(&mut end.wire),
@@ -181,6 +182,20 @@ pub struct FaultReport {
 }
 
 impl FaultReport {
+    /// A fault of robot `robot`, or of one of its axes.
+    pub(crate) fn of_robot(
+        file: &CellFile,
+        robot: usize,
+        axis: Option<usize>,
+        what: String,
+    ) -> Self {
+        Self {
+            robot: Some(file.cell.robot[robot].name.clone()),
+            axis: axis.map(|axis| file.axis_name(robot, axis)),
+            what,
+        }
+    }
+
     /// A fault of the run itself.
     pub fn of_run(what: impl fmt::Display) -> Self {
         Self {
@@ -267,33 +282,7 @@ pub struct CycleReport {
     /// The latest of them, the worst first.
     pub worst: Vec<WorstCycle>,
     /// How often the kernel was asked who, in the slack.
-    pub account: AccountReport,
-}
-
-/// How often the kernel's account of the servo thread was read, each time with two system calls.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct AccountReport {
-    /// After a cycle that was late, longer than usual or interrupted.
-    pub disturbed: u64,
-    /// After the last of 16 quiet cycles.
-    pub quiet: u64,
-    /// Before the wait, since what followed a cycle took more than a hundredth of the period.
-    pub slack: u64,
-}
-
-impl From<AccountReads> for AccountReport {
-    fn from(reads: AccountReads) -> Self {
-        let AccountReads {
-            disturbed,
-            quiet,
-            slack,
-        } = reads;
-        Self {
-            disturbed,
-            quiet,
-            slack,
-        }
-    }
+    pub account: AccountReads,
 }
 
 /// One late cycle.
@@ -357,6 +346,19 @@ pub struct Percentiles {
     pub p999: f64,
     /// Greatest.
     pub max: f64,
+}
+
+/// The four points in columns of 10 characters, µs.
+impl fmt::Display for Percentiles {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            p50,
+            p99,
+            p999,
+            max,
+        } = self;
+        write!(f, "{p50:>10.1} {p99:>10.1} {p999:>10.1} {max:>10.1}")
+    }
 }
 
 impl From<&Histogram> for Percentiles {

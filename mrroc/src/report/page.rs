@@ -248,7 +248,7 @@ mod tests {
 
     use super::*;
     use crate::bench::BenchKind;
-    use crate::cell_file::CellFile;
+    use crate::cell::CellFile;
     use crate::report::FaultReport;
     use crate::tasks::Tasks;
 

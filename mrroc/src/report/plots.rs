@@ -6,7 +6,7 @@ use servo::{Histogram, Timing};
 use super::curves::{Curve, Path};
 use super::tool::{Curves, Subject, Track};
 use crate::cell::printable;
-use crate::charts::{self, Area, COLOURS, ChartError, Scale, key, line, panel, px, sheet};
+use crate::charts::{self, Area, COLOURS, ChartError, Scale, key, line, over, panel, px, sheet};
 
 /// Size of a plot over the whole page, px.
 const WIDE: [u32; 2] = [960, 300];
@@ -26,8 +26,10 @@ const PATH: u32 = 420;
 /// What the axes of a panel take of its width and height, px.
 const AXES: [u32; 2] = [90, 80];
 
-/// Bars of a histogram.
 const BARS: u32 = 80;
+
+/// The range of no values.
+const NOTHING: [f64; 2] = [f64::INFINITY, f64::NEG_INFINITY];
 
 /// The plots of a robot; none without a cycle that counts.
 pub(super) fn robot(track: &Track) -> Result<Vec<String>, ChartError> {
@@ -114,10 +116,7 @@ fn path(
     let paths = [&curves.commanded, &curves.measured];
     let ends = |direction: usize| {
         let points = paths.iter().flat_map(|path| path.points());
-        let ends = [f64::INFINITY, f64::NEG_INFINITY];
-        points.fold(ends, |[low, high], point| {
-            [low.min(point[direction]), high.max(point[direction])]
-        })
+        over(points.map(|point| point[direction]), NOTHING)
     };
     let ends = [across, up].map(|(_, direction)| ends(direction));
     // mm per px, with some room around; a robot that stands has a path without extent.
@@ -149,7 +148,6 @@ fn path(
     line(&mut panel, COLOURS[0], projected(paths[1]))
 }
 
-/// An error over time.
 fn error(area: &Area, title: &str, unit: &str, curve: &Curve) -> Result<(), ChartError> {
     let values = curve.points().map(|point| point.1);
     let y = Scale::linear(unit, values, [0.0, 1e-6]);
@@ -188,10 +186,7 @@ fn over_time(title: &str, unit: &str, curves: &[(usize, &Curve)]) -> Result<Stri
 /// The axis of the time in which curves have values.
 fn time<'a>(curves: impl IntoIterator<Item = &'a Curve>) -> Scale {
     let times = curves.into_iter().flat_map(Curve::points);
-    let ends = [f64::INFINITY, f64::NEG_INFINITY];
-    let [first, last] = times.fold(ends, |[first, last], (time, _)| {
-        [first.min(time), last.max(time)]
-    });
+    let [first, last] = over(times.map(|(time, _)| time), NOTHING);
     Scale::exact(
         "time since the first cycle, s",
         [first, last.max(first + 1e-3)],

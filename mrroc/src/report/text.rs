@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Write as _};
 
-use super::{Deviation, FaultReport, RobotReport, RunReport, WorstCycle};
+use super::{Deviation, FaultReport, RobotReport, RunReport};
 
 /// `irb6  tool 0.12 mm rms, 0.45 mm peak; 0.01° rms, 0.05° peak`
 impl fmt::Display for RobotReport {
@@ -44,13 +44,8 @@ impl fmt::Display for RunReport {
         if self.lost_records > 0 {
             writeln!(f, "{} records of cycles were lost", self.lost_records)?;
         }
-        let names = self
-            .axes
-            .iter()
-            .map(|axis| axis.name.len())
-            .max()
-            .unwrap_or(0)
-            .max(4);
+        let names = self.axes.iter().map(|axis| axis.name.len());
+        let names = names.max().unwrap_or(0).max(4);
         writeln!(
             f,
             "\n{:names$}  {:>12} {:>12} {:>10} {:>10} {:>10} {:>7}",
@@ -89,11 +84,7 @@ impl fmt::Display for RunReport {
             )?;
         }
         for (name, times) in rows {
-            writeln!(
-                f,
-                "{name:9} {:>10.1} {:>10.1} {:>10.1} {:>10.1}",
-                times.p50, times.p99, times.p999, times.max
-            )?;
+            writeln!(f, "{name:9} {times}")?;
         }
         let cycle = &self.cycle;
         writeln!(
@@ -116,13 +107,8 @@ impl fmt::Display for RunReport {
             let limit = f64::from(cycle.period_us) / 100.0;
             writeln!(f, "more than {limit} µs late: {}", causes.join(", "))?;
             let worst = cycle.worst.iter().map(|worst| {
-                let WorstCycle {
-                    time_s,
-                    late_us,
-                    cause,
-                    ..
-                } = worst;
-                format!("{late_us:.0} µs {cause} at {time_s:.3} s")
+                let (late, time) = (worst.late_us, worst.time_s);
+                format!("{late:.0} µs {} at {time:.3} s", worst.cause)
             });
             writeln!(f, "the worst: {}", worst.collect::<Vec<_>>().join(", "))?;
         }

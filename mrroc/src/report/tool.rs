@@ -9,10 +9,10 @@ use controller::generator::{Axes, Pose};
 use controller::robot::Arm;
 use controller::robot::{KinematicsError, LinkKind};
 use serde::Serialize;
-use servo::Record;
+use servo::{Record, TrackingError};
 
 use super::curves::{Curve, Path};
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 
 /// What the error of a robot is of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -60,23 +60,12 @@ pub struct RobotReport {
     pub orientation_deg: Option<Deviation>,
 }
 
-/// Sum of one error.
-#[derive(Debug, Default)]
-struct Errors {
-    squares: f64,
-    peak: f64,
-}
-
-impl Errors {
-    fn count(&mut self, error: f64) {
-        self.squares += error * error;
-        self.peak = self.peak.max(error.abs());
-    }
-
-    fn deviation(&self, cycles: u64) -> Option<Deviation> {
-        (cycles > 0).then(|| Deviation {
-            rms: (self.squares / cycles as f64).sqrt(),
-            peak: self.peak,
+impl Deviation {
+    /// `None` without a cycle that counts.
+    fn of(error: &TrackingError) -> Option<Self> {
+        (error.samples() > 0).then(|| Self {
+            rms: error.rms(),
+            peak: error.peak(),
         })
     }
 }
@@ -125,10 +114,9 @@ pub(crate) struct Track {
     arm: Arm,
     /// Whether each joint slides.
     pub(crate) linear: Vec<bool>,
-    cycles: u64,
     unsolved: u64,
-    position: Errors,
-    orientation: Errors,
+    position: TrackingError,
+    orientation: TrackingError,
     pub(crate) curves: Option<Curves>,
 }
 
@@ -165,10 +153,9 @@ impl Track {
             curves: plotted.then(curves),
             linear: joints.map(|joint| is_linear(&arm, joint)).collect(),
             arm,
-            cycles: 0,
             unsolved: 0,
-            position: Errors::default(),
-            orientation: Errors::default(),
+            position: TrackingError::default(),
+            orientation: TrackingError::default(),
         }
     }
 
@@ -189,7 +176,6 @@ impl Track {
             self.unsolved += 1;
             return;
         };
-        self.cycles += 1;
         let [position, orientation] = match self.subject {
             Subject::Tool => {
                 let apart = commanded.tool.translation.vector - measured.tool.translation.vector;
@@ -205,8 +191,8 @@ impl Track {
                 }
             }
         };
-        self.position.count(position);
-        self.orientation.count(orientation);
+        self.position.record(position);
+        self.orientation.record(orientation);
         let units: Axes = std::array::from_fn(|joint| self.unit(joint));
         if let Some(curves) = &mut self.curves {
             curves.position.push(time, position);
@@ -239,13 +225,12 @@ impl Track {
 
     fn report(&self) -> RobotReport {
         let slides = self.linear.first() == Some(&true);
-        let [position, orientation] =
-            [&self.position, &self.orientation].map(|errors| errors.deviation(self.cycles));
+        let [position, orientation] = [&self.position, &self.orientation].map(Deviation::of);
         let is_tool = self.subject == Subject::Tool;
         RobotReport {
             name: self.name.clone(),
             subject: self.subject,
-            cycles: self.cycles,
+            cycles: self.position.samples(),
             unsolved: self.unsolved,
             position_mm: position.filter(|_| is_tool || slides),
             orientation_deg: orientation.filter(|_| is_tool || !slides),

@@ -1,19 +1,15 @@
 //! The files of a run: written in the loop in lockstep, by a thread of their own by the clock.
 
-#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
-
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, sync_channel};
-use std::thread::Builder;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 
 use servo::Record;
 
-use super::SMALL_STACK;
-use crate::cell_file::CellFile;
+use super::Background;
+use crate::cell::CellFile;
 use crate::report::Tracks;
 use crate::trace::{AxisLog, FrameLog};
 
@@ -81,41 +77,29 @@ impl Logs {
 /// The files of a run, written by a thread of its own: a file that takes nothing any more holds up nothing else.
 pub(super) struct Writing {
     what: &'static str,
-    over: Arc<AtomicBool>,
-    told: Receiver<(anyhow::Result<()>, Tracks)>,
+    thread: Background<(anyhow::Result<()>, Tracks)>,
 }
 
 impl Writing {
     /// Begins. A file that cannot be written raises `failed`.
-    pub(super) fn start(mut logs: Logs, failed: Arc<AtomicBool>) -> anyhow::Result<Self> {
+    pub(super) fn start(logs: Logs, failed: Arc<AtomicBool>) -> anyhow::Result<Self> {
         let what = match (&logs.frames, &logs.axes) {
             (None, None) => "records",
             (Some(_), None) => "trace",
             (None, Some(_)) => "record",
             (Some(_), Some(_)) => "trace or the record",
         };
-        let over = Arc::new(AtomicBool::new(false));
-        let (tell, told) = sync_channel(1);
-        let last = over.clone();
-        let thread = Builder::new().name("files".into()).stack_size(SMALL_STACK);
-        let body = move || {
-            while !last.load(Ordering::Relaxed) {
-                std::thread::park_timeout(DRAIN);
-                failed.fetch_or(!logs.drain(), Ordering::Relaxed);
-            }
-            // Nobody listens any more if it took too long.
-            let _ = tell.send(logs.finish());
+        let drain = move |logs: &mut Logs| {
+            failed.fetch_or(!logs.drain(), Ordering::Relaxed);
         };
-        thread
-            .spawn(body)
-            .context("no thread to write the files can be made")?;
-        Ok(Self { what, over, told })
+        let thread = Background::start("files", DRAIN, logs, drain, Logs::finish);
+        let thread = thread.context("no thread to write the files can be made")?;
+        Ok(Self { what, thread })
     }
 
     /// Writes the rest, unless that takes too long: then nothing is known of the robots either.
     pub(super) fn finish(self, file: &CellFile) -> (anyhow::Result<()>, Tracks) {
-        self.over.store(true, Ordering::Relaxed);
-        self.told.recv_timeout(FILES_WAIT).unwrap_or_else(|_| {
+        self.thread.finish(FILES_WAIT).unwrap_or_else(|| {
             let late = anyhow!("the {} cannot be written in time", self.what);
             (Err(late), Tracks::new(file, false))
         })

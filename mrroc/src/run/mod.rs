@@ -8,9 +8,10 @@
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
+mod background;
+mod ending;
 mod files;
-mod requests;
-mod turning;
+mod running_tasks;
 
 use std::cell::{Cell as Shared, RefCell};
 use std::io::Write as _;
@@ -30,21 +31,22 @@ use servo::{NotUp, Servo, Timing, lockstep};
 use crate::bench::clockwork;
 use crate::bench::emulation::Emulation;
 use crate::bench::{Bench, BenchKind, Places};
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 use crate::outputs::{Outputs, Replacement};
-use crate::programs::{Programs, servo_faults};
 use crate::report::{self, FaultReport, Outcome, RunEnd, RunReport, Tracks};
 use crate::spikes::SpikeFile;
 use crate::tasks::MakeTasks;
 use crate::trace::{AxisLog, FrameLog};
 use crate::wire::Wire;
 use crate::{budget, rehearsal, setup, streams};
+pub(crate) use background::Background;
+use ending::Over;
 use files::{Logs, Writing};
-use turning::Over;
 
-pub use crate::programs::Progress;
-pub use requests::Requests;
-pub use turning::Turning;
+pub use ending::{Requests, Turning};
+pub use running_tasks::Progress;
+pub(crate) use running_tasks::RunningTasks;
+use running_tasks::servo_faults;
 
 /// Records that the evaluation may lag behind the servo, per effector: some seconds.
 const RECORDS: usize = 1 << 11;
@@ -64,6 +66,9 @@ const NEWS: usize = 64;
 /// Longest time in the cell for the drives to report that they have no power, once they are told.
 const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
 
+/// Longest wait for the times on the wire at the end of a run.
+const LAST_LOOK: Duration = Duration::from_secs(2);
+
 /// The file of `--out`.
 const REPORT: &str = "report.html";
 
@@ -71,7 +76,7 @@ const REPORT: &str = "report.html";
 pub const SMALL_STACK: usize = 128 * 1024;
 
 /// What a run runs on and which files it writes.
-#[derive(Args, Debug)]
+#[derive(Args, Debug, Default)]
 pub struct RunOptions {
     /// What to run it on.
     #[arg(long, value_enum, default_value = "emulated")]
@@ -102,12 +107,7 @@ impl RunOptions {
     pub fn on(bench: BenchKind) -> Self {
         Self {
             bench,
-            places: Places::default(),
-            trace: None,
-            record: None,
-            spikes: None,
-            out: None,
-            replacement: Replacement::default(),
+            ..Self::default()
         }
     }
 }
@@ -171,16 +171,16 @@ pub fn run(
             .transpose()?,
     };
     let spikes = spikes.map(SpikeFile::new);
-    let programs = Programs::new(file, tasks, links, &servo)?;
+    let tasks = RunningTasks::new(file, tasks, links, &servo)?;
     requests.stop_through(servo.stop_request());
 
     let began = clock::now();
     let buses = Buses { wire, emulation };
     let mut end = match options.bench {
         BenchKind::Lockstep => {
-            in_lockstep(file, servo, programs, logs, buses, &requests.stop, progress)?
+            in_lockstep(file, servo, tasks, logs, buses, &requests.stop, progress)?
         }
-        _ => by_the_clock(file, servo, programs, logs, buses, requests, progress)?,
+        _ => by_the_clock(file, servo, tasks, logs, buses, requests, progress)?,
     };
     let interrupted = requests.is_stopped();
     if interrupted {
@@ -280,7 +280,7 @@ pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
 fn in_lockstep(
     file: &CellFile,
     mut servo: Servo,
-    mut programs: Programs,
+    mut tasks: RunningTasks,
     logs: Logs,
     Buses { wire, emulation }: Buses,
     interrupted: &AtomicBool,
@@ -312,7 +312,7 @@ fn in_lockstep(
         &mut servo,
         start,
         |now| {
-            let going = logs.borrow_mut().drain() && programs.poll(now, &mut *progress);
+            let going = logs.borrow_mut().drain() && tasks.poll(now, &mut *progress);
             done.set(!going || interrupted.load(Ordering::Relaxed));
         },
         between,
@@ -329,7 +329,7 @@ fn in_lockstep(
         },
     );
     let (written, tracks) = logs.into_inner().finish();
-    let mut faults = programs.faults;
+    let mut faults = tasks.faults;
     faults.extend(written.err().map(FaultReport::of_run));
     Ok(RunEnd {
         servo,
@@ -346,7 +346,7 @@ fn in_lockstep(
 fn by_the_clock(
     file: &CellFile,
     mut servo: Servo,
-    mut programs: Programs,
+    mut tasks: RunningTasks,
     logs: Logs,
     Buses {
         wire,
@@ -394,7 +394,7 @@ fn by_the_clock(
             );
             let show = |seen| _ = tell.try_send(seen);
             while !done.load(Ordering::Relaxed)
-                && programs.poll(clock::now(), show)
+                && tasks.poll(clock::now(), show)
                 && !requests.stop.load(Ordering::Relaxed)
                 && !turning.is_finished()
             {
@@ -412,7 +412,7 @@ fn by_the_clock(
         Some(first) => cycles(first).since(Instant::ZERO),
         None => clock::now().since(began),
     };
-    let mut faults = programs.faults;
+    let mut faults = tasks.faults;
     let (written, tracks) = writing.finish(file);
     faults.extend(written.err().map(FaultReport::of_run));
     if let Some(panicked) = ended.panicked {
@@ -426,7 +426,7 @@ fn by_the_clock(
         spikes: ended.spikes,
         denied: ended.denied.iter().map(ToString::to_string).collect(),
         faults,
-        wire: listening.finish(),
+        wire: listening.finish(LAST_LOOK).unwrap_or_default(),
         cell_time,
     })
 }

@@ -116,14 +116,7 @@ impl fmt::Display for WireReport {
         for (name, times, counts) in rows {
             write!(f, "{name:names$}")?;
             match times {
-                Some(Percentiles {
-                    p50,
-                    p99,
-                    p999,
-                    max,
-                }) => {
-                    write!(f, " {p50:>10.1} {p99:>10.1} {p999:>10.1} {max:>10.1}")?;
-                }
+                Some(times) => write!(f, " {times}")?,
                 None => write!(f, " {:>10} {:>10} {:>10} {:>10}", "-", "-", "-", "-")?,
             }
             writeln!(f, "{counts}")?;

@@ -4,6 +4,8 @@ use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::time::Duration;
 
+use serde::Serialize;
+
 use super::Usage;
 
 /// Quiet cycles after which the account is read. Each wake-up costs a small delay, and the sum over many quiet cycles
@@ -15,7 +17,7 @@ const STALE: u32 = 16;
 const FAULT: Duration = Duration::from_micros(2);
 
 /// Number of readings of the kernel's account of the thread by reason. Each reading takes two system calls.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct AccountReads {
     /// After a cycle that was late or otherwise out of the ordinary.
     pub disturbed: u64,

@@ -7,7 +7,7 @@ use can::Instant;
 use hil::epos4::Epos4;
 
 use mrroc::bench::emulation;
-use mrroc::cell_file::CellFile;
+use mrroc::cell::CellFile;
 
 /// The data sheet of the emulated drive of an axis.
 pub fn eds(cell: &Path, axis: &str) -> anyhow::Result<String> {

@@ -52,7 +52,7 @@ use probe::{Turn, Wakeups};
 use report::{JitterReport, Setting, Side};
 
 use crate::doctor::stolen_ticks;
-use mrroc::cell_file::CellFile;
+use mrroc::cell::CellFile;
 use mrroc::outputs::{Outputs, Replacement};
 use mrroc::signals;
 use mrroc::spikes::SpikeFile;

@@ -29,7 +29,7 @@ use servo::{
 use mrroc::bench::clockwork;
 use mrroc::bench::emulation::Emulation;
 use mrroc::bench::{Bench, BenchKind, Places};
-use mrroc::cell_file::CellFile;
+use mrroc::cell::CellFile;
 use mrroc::outputs::{Outputs, Replacement};
 use mrroc::signals::Motion;
 use mrroc::{setup, signals};

@@ -39,7 +39,7 @@ use thiserror::Error;
 use epos::ServicePort;
 use mrroc::bench::bus_port::BusPort;
 use mrroc::bench::interfaces::Interface;
-use mrroc::cell_file::CellFile;
+use mrroc::cell::CellFile;
 use mrroc::signals;
 use mrroc::streams::say;
 use talk::Conversation;

@@ -152,7 +152,7 @@ fn the_following_error_is_that_of_the_command_the_drive_had_latched() {
     assert_eq!((rig.phase(), rig.cause()), (Phase::Moving, None));
     let tracking = rig.servo.tracking(0).next().unwrap();
     assert!(
-        tracking.samples > 40 && tracking.peak() < 1e-12,
+        tracking.samples() > 40 && tracking.peak() < 1e-12,
         "{tracking:?}"
     );
 

@@ -8,11 +8,10 @@ use clap::Args;
 use controller::robot::{
     Joints, Limits, Motors, ParameterError, Rnt, RntParameters, Robot, Vector,
 };
-use mrroc::cell::{Model, Parameters};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use crate::robots::described;
-use mrroc::cell_file::CellFile;
+use mrroc::cell::{CellFile, Model, Parameters};
 
 /// Tolerance of the norm of a quaternion.
 const NORM: f64 = 0.01;

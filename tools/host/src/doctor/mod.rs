@@ -34,14 +34,13 @@ use can::clock::{now, sleep_until};
 use can::{SocketCanOptions, SocketCanPort};
 use clap::Args;
 use drive::cia402;
-use mrroc::cell::{Cell, Realtime, Scheduler};
 use serde::Serialize;
 use servo::thread::{Denial, set_deadline, set_fifo};
 
 use finding::{Finding, Verdict};
 use link::Link;
 use mrroc::bench::interfaces::Interface;
-use mrroc::cell_file::CellFile;
+use mrroc::cell::{Cell, CellFile, Realtime, Scheduler};
 use mrroc::streams;
 use record::Record;
 use tree::Tree;

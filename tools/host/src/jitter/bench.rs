@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::doctor::link::Link;
 use mrroc::bench::interfaces::{Interface, bus_of};
-use mrroc::cell_file::CellFile;
+use mrroc::cell::CellFile;
 
 /// Bench on which a cell is measured. No bench moves hardware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]

@@ -18,7 +18,7 @@ use super::probe::{LOOK, Turn};
 use super::report::percentiles;
 use mrroc::bench::clockwork;
 use mrroc::bench::{Bench, BenchKind, Places};
-use mrroc::cell_file::CellFile;
+use mrroc::cell::CellFile;
 use mrroc::report::Percentiles;
 use mrroc::setup;
 use mrroc::wire::{Wire, WireReport};

@@ -3,10 +3,10 @@
 //! The bounds in the other modules are narrower and use the units of the file. The checks here are those of the
 //! drivers and the servo.
 
+use controller::robot::ParameterError;
 use drive::{axis_controller, cia402};
 
 use super::Checked;
-use crate::cell::error::Problem;
 use crate::cell::{Cell, Path};
 
 pub(super) fn check(cell: &Cell) -> Checked {
@@ -14,12 +14,11 @@ pub(super) fn check(cell: &Cell) -> Checked {
         .robot
         .iter()
         .map(|robot| {
-            robot
-                .kinematics()
-                .map(|it| (it.home(), it.motor_limits().to_vec()))
+            let robot = robot.kinematics()?;
+            Ok((robot.home(), robot.motor_limits().to_vec()))
         })
-        .collect::<Result<_, _>>()
-        .map_err(|error| (Path::default().then("robot"), refusal(error)))?;
+        .collect::<Result<_, ParameterError>>()
+        .map_err(|error| (Path::to("robot"), error.to_string()))?;
     for index in 0..cell.bus.len() {
         let axes: Vec<_> = cell.axes_on(index).collect();
         let config = |&(robot, axis): &(usize, usize)| {
@@ -28,8 +27,8 @@ pub(super) fn check(cell: &Cell) -> Checked {
         let configs: Vec<_> = axes.iter().map(config).collect();
         let checked = cell.group_config(index).check(&configs);
         checked.map_err(|error| {
-            let bus = Path::default().then("bus").then(index);
-            (place_of_drive(cell, &bus, &axes, error), refusal(error))
+            let bus = Path::to("bus").then(index);
+            (place_of_drive(cell, &bus, &axes, error), error.to_string())
         })?;
     }
     for (index, bundle) in cell.serial.iter().enumerate() {
@@ -45,9 +44,9 @@ pub(super) fn check(cell: &Cell) -> Checked {
             // The budget of the line refuses such a period and proposes one that fits.
             Ok(()) | Err(axis_controller::ConfigError::Period { .. }) => {}
             Err(error) => {
-                let bundle = Path::default().then("serial").then(index);
+                let bundle = Path::to("serial").then(index);
                 let place = place_of_controller(cell, &bundle, &axes, error);
-                return Err((place, refusal(error)));
+                return Err((place, error.to_string()));
             }
         }
     }
@@ -56,23 +55,11 @@ pub(super) fn check(cell: &Cell) -> Checked {
             let limits = homes[number].1[axis];
             let config = robot.servo_config(axis, 0, 0, limits);
             if let Some(field) = config.nonsense() {
-                return Err((
-                    axis_path((number, axis)),
-                    refusal(format!("{field} makes no sense")),
-                ));
+                return Err((Path::axis(number, axis), format!("{field} makes no sense")));
             }
         }
     }
     Ok(())
-}
-
-fn refusal(error: impl std::fmt::Display) -> Problem {
-    Problem::Refused(error.to_string())
-}
-
-fn axis_path((robot, axis): (usize, usize)) -> Path {
-    let path = Path::default().then("robot").then(robot);
-    path.then("axis").then(axis)
 }
 
 /// The key for an error of a drive group on `bus`.
@@ -87,11 +74,11 @@ fn place_of_drive(
         let axis = |&&(robot, axis): &&(usize, usize)| cell.robot[robot].axis[axis].node == node;
         axes.iter()
             .find(axis)
-            .map_or(bus.clone(), |place| axis_path(*place))
+            .map_or(bus.clone(), |&(robot, axis)| Path::axis(robot, axis))
     };
     match error {
         ConfigError::Axes(_) => bus.clone(),
-        ConfigError::Period(_) => Path::default().then("period_us"),
+        ConfigError::Period(_) => Path::to("period_us"),
         ConfigError::HeartbeatPeriod(_) => bus.then("heartbeat_ms"),
         ConfigError::DuplicateNode(node) => of_node(node).then("node"),
         ConfigError::Setting { node, .. } => of_node(node).then("drive").then("dcf"),
@@ -124,14 +111,14 @@ fn place_of_controller(
         ConfigError::Axes(_) | ConfigError::Lines { .. } => bundle.clone(),
         ConfigError::Period { .. } => bundle.then("baud"),
         ConfigError::ToleratedMissing => bundle.then("tolerated_missing"),
-        ConfigError::NeedsNfv2 { line } => of_line(line).map_or(bundle.clone(), |place| {
-            axis_path(place).then("controller").then("control")
+        ConfigError::NeedsNfv2 { line } => of_line(line).map_or(bundle.clone(), |(robot, axis)| {
+            Path::axis(robot, axis).then("controller").then("control")
         }),
         ConfigError::OutOfRange { line, quantity } => {
             let Some((robot, number)) = of_line(line) else {
                 return bundle.clone();
             };
-            let (axis, path) = (&cell.robot[robot].axis[number], axis_path((robot, number)));
+            let (axis, path) = (&cell.robot[robot].axis[number], Path::axis(robot, number));
             let controller = path.then("controller");
             let given = axis.controller.as_ref();
             match quantity {

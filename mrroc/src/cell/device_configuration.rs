@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use crate::cell::Path;
 use anyhow::{Context, anyhow};
 use canopen::dcf::{self, Download};
 use canopen::eds::Eds;
@@ -11,34 +10,33 @@ use canopen::{NodeId, Object};
 use drive::cia402::{Setting, reserved};
 use master::sdo::CAPACITY;
 
-use crate::cell_file::CellFile;
+use super::{CellFile, Path};
 use crate::input;
 
 /// Greatest number of values written to a drive before operation. Each value takes two exchanges of some milliseconds.
 const MOST_WRITES: usize = 4096;
 
 /// Content of a device configuration file, and the drive it is for.
-pub struct Configuration {
+pub struct DeviceConfiguration {
     pub path: PathBuf,
     pub product: Option<u32>,
     pub revision: Option<u32>,
     pub download: Download,
 }
 
-impl Configuration {
+impl DeviceConfiguration {
     /// Reads the file of an axis, if the cell names one.
     pub fn read(file: &CellFile, robot: usize, axis: usize) -> anyhow::Result<Option<Self>> {
-        let key = Path::default().then("robot").then(robot);
-        let key = key.then("axis").then(axis).then("drive").then("dcf");
+        let key = Path::axis(robot, axis).then("drive").then("dcf");
         let axis = &file.cell.robot[robot].axis[axis];
-        let Some(drive) = &axis.drive else {
-            return Ok(None);
-        };
-        let Some(name) = &drive.dcf else {
+        let drive = axis.drive.as_ref();
+        let Some((drive, name)) = drive.and_then(|drive| Some((drive, drive.dcf.as_ref()?))) else {
             return Ok(None);
         };
         let path = file.path.parent().unwrap_or(&file.path).join(name);
         let shown = path.display();
+        let refuse = |problem: String| Err(file.refuse(&key, format_args!("{shown} {problem}")));
+        let at_line = |(line, problem): (u32, String)| anyhow!("{shown}:{line}: {problem}");
         let bytes = input::read(&path, input::SHEET);
         let bytes = bytes.map_err(|error| file.refuse(&key, format_args!("{shown}: {error}")))?;
         let dcf = Eds::read(&bytes).map_err(|error| anyhow!("{shown}:{error}"))?;
@@ -46,15 +44,13 @@ impl Configuration {
         let place = dcf.commissioning.as_ref();
         let node = place.and_then(|place| place.node);
         if let Some(node) = node.filter(|node| node.raw() != axis.node) {
-            let problem = format_args!("{shown} is of node {node}, the axis of node {}", axis.node);
-            return Err(file.refuse(&key, problem));
+            return refuse(format!("is of node {node}, the axis of node {}", axis.node));
         }
         let bus = file.cell.bus.iter().find(|bus| bus.name == axis.bus);
         let bitrate = bus.expect("a parsed cell has the bus").bitrate_kbps;
         let rate = place.and_then(|place| place.baud_rate).map(u32::from);
         if let Some(rate) = rate.filter(|rate| *rate != bitrate) {
-            let problem = format_args!("{shown} is for {rate} kbit/s, the bus has {bitrate}");
-            return Err(file.refuse(&key, problem));
+            return refuse(format!("is for {rate} kbit/s, the bus has {bitrate}"));
         }
         let identity = [
             (VENDOR_ID, Some(drive.vendor)),
@@ -67,38 +63,33 @@ impl Configuration {
                 && stated != expected
             {
                 let name = object.name().unwrap_or("identity");
-                let problem = format_args!(
-                    "{shown} is of {name} {stated:#010x} ({object}), the cell says {expected:#010x}"
-                );
-                return Err(file.refuse(&key, problem));
+                return refuse(format!(
+                    "is of {name} {stated:#010x} ({object}), the cell says {expected:#010x}"
+                ));
             }
         }
 
         let node = NodeId::new(axis.node).context("a parsed cell has valid node-IDs")?;
         let download = dcf::download(&dcf, node).map_err(|error| anyhow!("{shown}:{error}"))?;
         if download.writes.is_empty() {
-            let problem = format_args!("{shown} asks for no write: it has no ParameterValue");
-            return Err(file.refuse(&key, problem));
+            return refuse("asks for no write: it has no ParameterValue".to_owned());
         }
-        check_reserved(&download, drive.vendor)
-            .map_err(|(line, problem)| anyhow!("{shown}:{line}: {problem}"))?;
+        check_reserved(&download, drive.vendor).map_err(at_line)?;
         if download.writes.len() > MOST_WRITES {
             let writes = download.writes.len();
-            let problem = format_args!(
-                "{shown} asks for {writes} writes, more than the {MOST_WRITES} that a drive may be given"
-            );
-            return Err(file.refuse(&key, problem));
+            return refuse(format!(
+                "asks for {writes} writes, more than the {MOST_WRITES} that a drive may be given"
+            ));
         }
         for write in &download.writes {
             let (line, object, size) = (write.line, write.object, write.data.len());
             if size > CAPACITY {
-                return Err(anyhow!(
-                    "{shown}:{line}: {object} takes {size} bytes, at most {CAPACITY} are transferred"
-                ));
+                let problem =
+                    format!("{object} takes {size} bytes, at most {CAPACITY} are transferred");
+                return Err(at_line((line, problem)));
             }
         }
-        check_scale(&download, drive.counts_per_revolution)
-            .map_err(|(line, problem)| anyhow!("{shown}:{line}: {problem}"))?;
+        check_scale(&download, drive.counts_per_revolution).map_err(at_line)?;
         Ok(Some(Self {
             product: dcf.identity(PRODUCT_CODE.subindex),
             revision: dcf.identity(REVISION.subindex),

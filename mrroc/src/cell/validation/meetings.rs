@@ -2,39 +2,38 @@
 
 use servo::Gates;
 
-use super::{Checked, Problem};
+use super::Checked;
 use crate::cell::{Cell, Meeting, Path, instruction_path};
 
 /// Robots with a common meeting must come to it equally often. The order of the meetings must not make robots wait for
 /// each other forever.
 pub(super) fn check(cell: &Cell) -> Checked {
-    let refused = |(path, why): (Path, String)| Err((path, Problem::Refused(why)));
     for (number, robot) in cell.robot.iter().enumerate() {
         // Each occurrence of a name is a meeting of its own.
         let (own, most) = (robot.meetings().count(), usize::from(Gates::COUNT));
         if let Some((index, _)) = robot.meetings().nth(most) {
             let why = format!("is one of {own} meetings of the robot, which may have {most}");
-            return refused((instruction_path(number, index).then("meet"), why));
+            return Err((instruction_path(number, index).then("meet"), why));
         }
     }
     let meetings = cell.meetings();
     if meetings.len() > usize::from(Gates::COUNT) {
-        let (robot, name) = (meetings[usize::from(Gates::COUNT)].robots[0], &meetings);
-        let why = format!(
-            "is one of {} meetings of the cell, which may have {}",
-            name.len(),
-            Gates::COUNT
+        let (robot, found) = (
+            meetings[usize::from(Gates::COUNT)].robots[0],
+            meetings.len(),
         );
+        let most = Gates::COUNT;
+        let why = format!("is one of {found} meetings of the cell, which may have {most}");
         let (index, _) = cell.robot[robot].meetings().next().unwrap_or_default();
-        return refused((instruction_path(robot, index).then("meet"), why));
+        return Err((instruction_path(robot, index).then("meet"), why));
     }
     if let Some(lonely) = meetings
         .iter()
         .find_map(|meeting| lonely(cell, &meetings, meeting))
     {
-        return refused(lonely);
+        return Err(lonely);
     }
-    hold(cell).map_or(Ok(()), refused)
+    hold(cell).map_or(Ok(()), Err)
 }
 
 /// The error of a meeting with a wrong number of robots.

@@ -3,14 +3,15 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::cell::{self, Cell, CellError};
 use anyhow::{Context, anyhow};
 use controller::robot::Arm;
 use drive::cia402::Identity;
 
 use crate::bench::interfaces::Interface;
-use crate::configuration::Configuration;
 use crate::input;
+
+use super::device_configuration::DeviceConfiguration;
+use super::{Cell, CellError, LARGEST};
 
 /// A cell with the arms of its robots, and the text of its file.
 pub struct CellFile {
@@ -23,14 +24,14 @@ pub struct CellFile {
     /// The arms, one per robot.
     pub arms: Vec<Arm>,
     /// The device configurations by robot and axis, where the cell names a file.
-    configurations: Vec<Vec<Option<Configuration>>>,
+    configurations: Vec<Vec<Option<DeviceConfiguration>>>,
 }
 
 impl CellFile {
     /// Reads and checks a cell file. The motions of its programs are checked by a rehearsal.
     pub fn read(path: impl AsRef<Path>) -> anyhow::Result<Self> {
         let path = path.as_ref();
-        let bytes = input::read(path, cell::LARGEST);
+        let bytes = input::read(path, LARGEST);
         let bytes = bytes.with_context(|| path.display().to_string())?;
         let text = Cell::text(&bytes).map_err(|error| refusal(path, &error))?;
         let text = text.to_owned();
@@ -49,7 +50,7 @@ impl CellFile {
         file.check_interfaces()?;
         for robot in 0..file.cell.robot.len() {
             let axes = 0..file.cell.robot[robot].axis.len();
-            let read = axes.map(|axis| Configuration::read(&file, robot, axis));
+            let read = axes.map(|axis| DeviceConfiguration::read(&file, robot, axis));
             let read = read.collect::<anyhow::Result<_>>()?;
             file.configurations.push(read);
         }
@@ -70,7 +71,7 @@ impl CellFile {
                     .map(|first| format!("{interface} is that of bus[{first}]: give each its own")),
             };
             if let Some(problem) = problem {
-                let key = cell::Path::default().then("bus").then(index);
+                let key = super::Path::to("bus").then(index);
                 return Err(self.refuse(&key.then("interface"), problem));
             }
             taken.push(interface);
@@ -79,7 +80,7 @@ impl CellFile {
     }
 
     /// The device configuration of axis `axis` of robot `robot`, if it has one.
-    pub fn configuration(&self, robot: usize, axis: usize) -> Option<&Configuration> {
+    pub fn configuration(&self, robot: usize, axis: usize) -> Option<&DeviceConfiguration> {
         self.configurations[robot][axis].as_ref()
     }
 
@@ -94,7 +95,7 @@ impl CellFile {
     pub fn identity(&self, robot: usize, axis: usize) -> Identity {
         let drive = self.cell.robot[robot].axis[axis].cia402();
         let configured = self.configuration(robot, axis);
-        let configured = |of: fn(&Configuration) -> Option<u32>| configured.and_then(of);
+        let configured = |of: fn(&DeviceConfiguration) -> Option<u32>| configured.and_then(of);
         Identity {
             vendor: drive.vendor,
             product: drive.product.or(configured(|dcf| dcf.product)),
@@ -103,7 +104,7 @@ impl CellFile {
     }
 
     /// The error of the value at `key`, with its line. The message gives the name of an axis in place of its number.
-    pub fn refuse(&self, key: &cell::Path, problem: impl std::fmt::Display) -> anyhow::Error {
+    pub fn refuse(&self, key: &super::Path, problem: impl std::fmt::Display) -> anyhow::Error {
         let robot = key.robot().and_then(|robot| self.cell.robot.get(robot));
         let problem = match robot {
             Some(robot) => robot.naming_axes(problem),

@@ -10,7 +10,7 @@ use servo::Phase;
 use signal_hook::consts::SIGUSR1;
 use signal_hook::flag;
 
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 use crate::report::Outcome;
 use crate::run::{Progress, Requests, RunOptions, run};
 use crate::signals::Motion;
@@ -72,7 +72,7 @@ pub fn run_program(
         bar.show(news);
     });
     motion.is_over();
-    bar.finish();
+    bar.bar.finish_and_clear();
     let report = report?;
     if let Err(error) = streams::answer(&report, options.json) {
         // A refusal is too late, because everything has moved.
@@ -87,7 +87,6 @@ pub fn run_program(
     }))
 }
 
-/// The progress bar of a run.
 struct Bar {
     bar: ProgressBar,
     names: Vec<String>,
@@ -120,10 +119,5 @@ impl Bar {
             .map(|(name, phase)| format!("{name}: {phase:?}"))
             .collect();
         self.bar.set_message(message.join(", "));
-    }
-
-    /// Removes the bar.
-    fn finish(self) {
-        self.bar.finish_and_clear();
     }
 }

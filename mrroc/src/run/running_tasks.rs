@@ -5,13 +5,13 @@ use controller::ecp::{Ecp, EcpError, Subcontrollers, Task};
 use drive::Fault;
 use servo::{EffectorLink, Phase, Servo, ServoFault, StopCause, StopRequest};
 
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 use crate::report::FaultReport;
 use crate::tasks::MakeTasks;
 use crate::{rehearsal, setup};
 
 /// All tasks of a run. The first failure stops every robot.
-pub(crate) struct Programs<'a> {
+pub(crate) struct RunningTasks<'a> {
     file: &'a CellFile,
     tasks: &'a MakeTasks<'a>,
     subcontrollers: Subcontrollers,
@@ -36,7 +36,7 @@ pub struct Progress {
     pub ended: u64,
 }
 
-impl<'a> Programs<'a> {
+impl<'a> RunningTasks<'a> {
     /// The tasks of a cell's robots, on the `links` to `servo`.
     pub(crate) fn new(
         file: &'a CellFile,
@@ -111,29 +111,23 @@ fn refused_from_here(
         return None;
     }
     let error = rehearsal::rehearse_from(file, tasks, robot, motors).err()?;
-    Some(FaultReport {
-        robot: Some(file.cell.robot[robot].name.clone()),
-        axis: None,
-        what: format!(
-            "was referenced and stands away from its home position, from where {error:#}"
-        ),
-    })
+    let what =
+        format!("was referenced and stands away from its home position, from where {error:#}");
+    Some(FaultReport::of_robot(file, robot, None, what))
 }
 
 /// The failure of an instruction, with the names of the cell.
 fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
     match error {
         EcpError::Servo(fault) => describe_fault(file, robot, fault),
-        error => FaultReport {
-            robot: Some(file.cell.robot[robot].name.clone()),
-            axis: None,
-            what: file.cell.robot[robot].naming_axes(error),
-        },
+        error => {
+            let what = file.cell.robot[robot].naming_axes(error);
+            FaultReport::of_robot(file, robot, None, what)
+        }
     }
 }
 
 fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultReport {
-    let name = Some(file.cell.robot[robot].name.clone());
     let axis = fault.axis.map(usize::from);
     // Some faults concern the bus and all axes on it.
     let of_bus = match fault.cause {
@@ -145,17 +139,9 @@ fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultRep
     };
     if let Some((what, axis)) = of_bus.zip(axis) {
         let bus = &file.cell.robot[robot].axis[axis].bus;
-        return FaultReport {
-            robot: name,
-            axis: None,
-            what: format!("bus {bus}: {what}"),
-        };
+        return FaultReport::of_robot(file, robot, None, format!("bus {bus}: {what}"));
     }
-    FaultReport {
-        robot: name,
-        axis: axis.map(|axis| file.axis_name(robot, axis)),
-        what: fault.cause.to_string(),
-    }
+    FaultReport::of_robot(file, robot, axis, fault.cause.to_string())
 }
 
 /// The fault that the servo latched for each robot, and a fault if some robots still have power.

@@ -14,7 +14,6 @@
 //! An ordinary thread reads the listeners. The servo thread bears only the kernel's delivery of a few more frames, or
 //! on the emulated bench a push into a queue.
 
-mod listening;
 mod report;
 
 use std::time::Duration;
@@ -30,11 +29,15 @@ use drive::cia402::pdo_setups;
 use hdrhistogram::Histogram;
 
 use crate::bench::interfaces::Interface;
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 use crate::report::{Percentiles, microseconds};
+use crate::run::Background;
 use crate::setup;
 
 pub use report::{NodeReport, Source, SyncStamp, WireReport};
+
+/// Longest time between two readings of the listeners. Their queues hold the frames of some seconds.
+const LOOK: Duration = Duration::from_millis(20);
 
 /// Greatest number of frames read at a time, and of readings in one pass. No queue holds more frames.
 const BATCH: usize = 32;
@@ -159,6 +162,17 @@ impl Wire {
     /// Takes the frames received since the last call.
     pub fn look(&mut self) {
         self.0.iter_mut().for_each(BusWire::look);
+    }
+
+    /// Starts to listen on a separate thread, until the result is dropped or asked for its reports.
+    pub(crate) fn listen(self) -> anyhow::Result<Background<Vec<WireReport>>> {
+        // Frames that arrived before the end are still in the queues.
+        let finish = |mut wire: Self| {
+            wire.look();
+            wire.reports()
+        };
+        let thread = Background::start("listener", LOOK, self, Self::look, finish);
+        thread.context("no thread to listen to the buses can be made")
     }
 
     /// The results of each bus.

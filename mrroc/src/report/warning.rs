@@ -5,7 +5,7 @@ use std::fmt;
 use drive::Warning;
 use serde::Serialize;
 
-use crate::cell_file::CellFile;
+use crate::cell::CellFile;
 
 /// One error of one drive, and how often the drive reported the error.
 #[derive(Debug, Serialize)]

@@ -2,8 +2,8 @@
 
 use servo::PositionLoop;
 
-use super::{Checked, Path, Problem};
-use crate::cell::{Axis, Control, DriveControl, FeedForward, Robot};
+use super::{Checked, refused};
+use crate::cell::{Axis, Control, DriveControl, FeedForward, Path, Robot};
 use controller::robot::WeightError;
 
 pub(super) fn check(
@@ -35,13 +35,13 @@ pub(super) fn check(
             WeightError::Centre { link, .. } => body(link).then("centre"),
             WeightError::Up => path.then("up"),
         };
-        (place, Problem::Refused(error.to_string()))
+        (place, error.to_string())
     };
     let weight = weights.of(given.model, kinematics).map_err(at)?;
     let torques = weight.torque(kinematics, &kinematics.home());
     let torques = torques.map_err(|error| {
         let why = format!("at home: {}", given.naming_axes(error));
-        (path.clone(), Problem::Refused(why))
+        (path.clone(), why)
     })?;
     axes.try_for_each(|(number, axis)| {
         let path = robot.then("axis").then(number);
@@ -67,13 +67,11 @@ fn feed_forward(path: &Path, axis: &Axis) -> Option<(Path, FeedForward)> {
 /// Checks an axis of a robot without a table `weight`: its feed-forward must not use the weight.
 fn check_weightless(path: &Path, axis: &Axis) -> Checked {
     match feed_forward(path, axis) {
-        Some((path, it)) if it.weight.is_some_and(|weight| weight != 0.0) => Err((
-            path.then("weight"),
-            Problem::Refused(
-                "is for a robot that says what it weighs: give it a table weight, or leave this out"
-                    .into(),
-            ),
-        )),
+        Some((path, it)) if it.weight.is_some_and(|weight| weight != 0.0) => refused(
+            &path,
+            "weight",
+            "is for a robot that says what it weighs: give it a table weight, or leave this out",
+        ),
         _ => Ok(()),
     }
 }
@@ -89,7 +87,7 @@ fn check_output(path: &Path, axis: &Axis, torque: f64) -> Checked {
     };
     if given.constant != 0.0 {
         let why = "is the mean of a weight that the robot's table weight feeds forward already: leave it out";
-        return Err((path.then("constant"), Problem::Refused(why.into())));
+        return refused(&path, "constant", why);
     }
     let (output, limit) = (weight * torque, host.law.limit());
     if output.abs() > limit {
@@ -97,27 +95,28 @@ fn check_output(path: &Path, axis: &Axis, torque: f64) -> Checked {
             "is to hold {torque:.3} N·m at home, {:.3} of an output of {limit} at most: correct the masses or the limit",
             output.abs()
         );
-        return Err((path, Problem::Refused(why)));
+        return Err((path, why));
     }
     Ok(())
 }
 
 /// Checks that the weight can be fed forward to a motor.
 fn check_axis(path: &Path, axis: &Axis) -> Checked {
-    let refused = |path: Path, why: &str| -> Checked { Err((path, Problem::Refused(why.into()))) };
-    let drive = path.then("drive").then("control");
     match (&axis.drive, &axis.controller) {
-        (Some(it), _) if it.control == DriveControl::Position => refused(
-            drive,
-            "is position, by which the drive's own loop holds the robot's weight: use torque, or leave the weight out",
-        ),
-        (Some(it), _) if it.control == DriveControl::Velocity => refused(
-            drive,
-            "is velocity, by which the drive's own loop holds the robot's weight: use torque, or leave the weight out",
-        ),
+        (Some(it), _) if it.control != DriveControl::Torque => {
+            let control = match it.control {
+                DriveControl::Velocity => "velocity",
+                DriveControl::Position | DriveControl::Torque => "position",
+            };
+            let why = format!(
+                "is {control}, by which the drive's own loop holds the robot's weight: use torque, or leave the weight out"
+            );
+            refused(&path.then("drive"), "control", why)
+        }
         (_, Some(it)) if it.control == Control::Pwm && it.r#loop.feed_forward.weight.is_none() => {
             refused(
-                path.then("controller").then("loop").then("feed_forward"),
+                &path.then("controller").then("loop"),
+                "feed_forward",
                 "lacks weight, the pulse width per torque that the robot's weight takes: winding resistance / \
                  (torque constant * supply voltage), or 0 to hold this axis by its loop alone",
             )

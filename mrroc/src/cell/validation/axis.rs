@@ -6,10 +6,8 @@ use std::time::Duration;
 use drive::cia402::reserved;
 
 use super::{Checked, buses, homing, no_effect, position_loop, refused, within};
-use crate::cell::Range;
-use crate::cell::error::Problem;
 use crate::cell::{
-    Axis, AxisController, Bus, Cell, Control, Drive, Emulator, Path, Plant, Protocol, Serial,
+    Axis, AxisController, Bus, Cell, Control, Drive, Figure, Path, Plant, Protocol, Range, Serial,
 };
 use controller::robot::Limits;
 
@@ -28,6 +26,9 @@ const STRONGEST: f64 = 4294.0;
 /// Greatest initial distance of an emulated axis without ends from home, rad. The distance determines the duration of
 /// its search for the home switch.
 const FARTHEST_START: f64 = 1000.0;
+
+/// Why an address has no effect with the older protocol.
+const NO_ADDRESSES: &str = "with protocol = \"hi-moxa\", which has no addresses";
 
 /// The bus or bundle of an axis.
 #[derive(Clone, Copy)]
@@ -59,49 +60,36 @@ pub(super) fn check(
         Place::Bus(_) => Range::new(1.0, 127.0, ""),
         Place::Serial(_) => Range::new(0.0, 253.0, ""),
     };
-    within(&path.then("node"), f64::from(axis.node), node)?;
+    within(path, "node", axis.node, node)?;
     if let Place::Serial(serial) = place {
         let given = serial.protocol == Protocol::HiMoxa && axis.node != 0;
-        no_effect(
-            &path.then("node"),
-            given,
-            "with protocol = \"hi-moxa\", which has no addresses",
-        )?;
+        no_effect(path, "node", given, NO_ADDRESSES)?;
     }
     check_family(path, axis, place)?;
     let slowest = homing::slowest(model);
     let of = "rad/s of the motor; the least crosses the travel in 20 min";
     let velocity = Range::new(slowest, FASTEST.0, of);
-    within(&path.then("max_velocity"), axis.max_velocity, velocity)?;
+    within(path, "max_velocity", axis.max_velocity, velocity)?;
     let of = "rad/s² of the motor; the least brakes from max_velocity in 60 s";
-    let acceleration = Range::new(axis.max_velocity / LONGEST_STOP, FASTEST.1, of);
-    within(
-        &path.then("max_acceleration"),
-        axis.max_acceleration,
-        acceleration,
-    )?;
-    match (place, &axis.drive, &axis.controller) {
-        (Place::Bus(_), Some(drive), _) => {
-            check_counts(&path.then("drive"), drive.counts_per_revolution)
-        }
-        (_, _, Some(controller)) => {
-            check_counts(&path.then("controller"), controller.counts_per_revolution)
-        }
-        _ => Ok(()),
-    }?;
+    let range = Range::new(axis.max_velocity / LONGEST_STOP, FASTEST.1, of);
+    within(path, "max_acceleration", axis.max_acceleration, range)?;
+    let family = path.then(match place {
+        Place::Bus(_) => "drive",
+        Place::Serial(_) => "controller",
+    });
+    check_counts(&family, axis.counts_per_revolution())?;
     check_positions(path, axis, model, home)?;
     let count = TAU / f64::from(axis.counts_per_revolution());
     let least = LEAST_ERROR * count;
     let most = (model.high - model.low).min(f64::from(u32::MAX) * count);
     let of = "rad of the motor: 10 counts to all of its travel";
     let error = Range::new(least, most.max(least), of);
-    within(&path.then("following_error"), axis.following_error, error)?;
-    match (place, &axis.drive, &axis.controller) {
-        (Place::Bus(_), Some(drive), _) => check_drive(&path.then("drive"), period, drive, axis),
-        (Place::Serial(serial), _, Some(controller)) => {
-            check_controller(&path.then("controller"), period, controller, serial, axis)
+    within(path, "following_error", axis.following_error, error)?;
+    match place {
+        Place::Bus(_) => check_drive(&family, period, axis.cia402(), axis),
+        Place::Serial(serial) => {
+            check_controller(&family, period, axis.axis_controller(), serial, axis)
         }
-        _ => Ok(()),
     }?;
     check_emulator(&path.then("emulator"), axis, place, model, home)?;
     homing::check(&path.then("homing"), axis, place, model, home)
@@ -116,18 +104,22 @@ fn check_positions(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checke
     for (key, value) in given {
         let Some(value) = value else { continue };
         if !(model.low..=model.high).contains(&value) {
-            let Limits { low, high } = model;
-            return Err((path.then(key), Problem::BeyondModel { value, low, high }));
+            let [value, low, high] = [value, model.low, model.high].map(Figure);
+            let why = format!("is {value}, must lie within the model's limits {low} and {high}");
+            return refused(path, key, why);
         }
     }
     let low = axis.min_position.unwrap_or(model.low);
     let high = axis.max_position.unwrap_or(model.high);
     if low >= high {
-        return Err(if axis.min_position.is_some() {
-            (path.then("min_position"), Problem::UpsideDown { low, high })
+        let [low, high] = [low, high].map(Figure);
+        return if axis.min_position.is_some() {
+            let why = format!("is {low}, not below the upper limit {high}");
+            refused(path, "min_position", why)
         } else {
-            (path.then("max_position"), Problem::BelowLow { low, high })
-        });
+            let why = format!("is {high}, not above the lower limit {low}");
+            refused(path, "max_position", why)
+        };
     }
     let scale = axis.scale(home);
     for (key, value) in [("min_position", low), ("max_position", high)] {
@@ -138,7 +130,7 @@ fn check_positions(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checke
                 "is {value} rad, more than the {reach:.0} rad from home that a counter of 32 bits reaches at {counts} \
                  counts per revolution: narrow it"
             );
-            return refused(path.then(key), why);
+            return refused(path, key, why);
         }
     }
     Ok(())
@@ -146,65 +138,49 @@ fn check_positions(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checke
 
 /// An axis on a CAN bus has a drive, and an axis on a serial line has an axis controller.
 fn check_family(path: &Path, axis: &Axis, place: Place<'_>) -> Checked {
-    match (place, &axis.drive, &axis.controller) {
-        (Place::Bus(_), Some(_), None) | (Place::Serial(_), None, Some(_)) => Ok(()),
-        (Place::Bus(_), None, _) => refused(
-            path.then("drive"),
-            "is missing: an axis on a CAN bus has a drive",
-        ),
-        (Place::Bus(_), _, Some(_)) => refused(
-            path.then("controller"),
+    let (key, why) = match (place, &axis.drive, &axis.controller) {
+        (Place::Bus(_), Some(_), None) | (Place::Serial(_), None, Some(_)) => return Ok(()),
+        (Place::Bus(_), None, _) => ("drive", "is missing: an axis on a CAN bus has a drive"),
+        (Place::Bus(_), _, Some(_)) => (
+            "controller",
             "is for an axis on a serial line, not on a CAN bus",
         ),
-        (Place::Serial(_), _, None) => refused(
-            path.then("controller"),
+        (Place::Serial(_), _, None) => (
+            "controller",
             "is missing: an axis on a serial line has an axis controller",
         ),
-        (Place::Serial(_), Some(_), _) => refused(
-            path.then("drive"),
-            "is for an axis on a CAN bus, not on a serial line",
-        ),
-    }
+        (Place::Serial(_), Some(_), _) => {
+            ("drive", "is for an axis on a CAN bus, not on a serial line")
+        }
+    };
+    refused(path, key, why)
 }
 
 fn check_emulator(path: &Path, axis: &Axis, place: Place<'_>, model: Limits, home: f64) -> Checked {
-    let Emulator {
-        start,
-        vendor,
-        revision,
-        counts_per_revolution,
-        rated_torque,
-        address,
-        protocol,
-        ..
-    } = axis.emulator;
+    let emulator = &axis.emulator;
+    let counts = emulator.counts_per_revolution;
     let of_drives = [
-        ("vendor", vendor.is_some()),
-        ("revision", revision.is_some()),
-        ("counts_per_revolution", counts_per_revolution.is_some()),
-        ("rated_torque", rated_torque.is_some()),
+        ("vendor", emulator.vendor.is_some()),
+        ("revision", emulator.revision.is_some()),
+        ("counts_per_revolution", counts.is_some()),
+        ("rated_torque", emulator.rated_torque.is_some()),
     ];
     match place {
         Place::Bus(_) => {
             let because = "on a CAN bus: it is of serial lines";
-            no_effect(&path.then("address"), address.is_some(), because)?;
-            no_effect(&path.then("protocol"), protocol.is_some(), because)?;
+            no_effect(path, "address", emulator.address.is_some(), because)?;
+            no_effect(path, "protocol", emulator.protocol.is_some(), because)?;
         }
         Place::Serial(serial) => {
             for (key, given) in of_drives {
-                no_effect(
-                    &path.then(key),
-                    given,
-                    "on a serial line: it is of drives on CAN",
-                )?;
+                no_effect(path, key, given, "on a serial line: it is of drives on CAN")?;
             }
-            let spoken = protocol.unwrap_or(serial.protocol);
-            let given = address.is_some() && spoken == Protocol::HiMoxa;
-            let because = "with protocol = \"hi-moxa\", which has no addresses";
-            no_effect(&path.then("address"), given, because)?;
+            let spoken = emulator.protocol.unwrap_or(serial.protocol);
+            let given = emulator.address.is_some() && spoken == Protocol::HiMoxa;
+            no_effect(path, "address", given, NO_ADDRESSES)?;
         }
     }
-    if let Some(start) = start {
+    if let Some(start) = emulator.start {
         let range = if homing::is_endless(model) {
             let of = "rad of the motor: 1000 rad from home";
             Range::new(home - FARTHEST_START, home + FARTHEST_START, of)
@@ -213,33 +189,34 @@ fn check_emulator(path: &Path, axis: &Axis, place: Place<'_>, model: Limits, hom
             let of = "rad of the motor: its travel and half a turn beyond";
             Range::new(model.low - PI, model.high + PI, of)
         };
-        within(&path.then("start"), start, range)?;
+        within(path, "start", start, range)?;
     }
-    if let Some(counts) = counts_per_revolution {
+    if let Some(counts) = counts {
         check_counts(path, counts)?;
     }
     let torque = Range::new(1e-6, STRONGEST, "N·m");
-    rated_torque.map_or(Ok(()), |rated| {
-        within(&path.then("rated_torque"), rated, torque)
-    })
+    match emulator.rated_torque {
+        Some(rated) => within(path, "rated_torque", rated, torque),
+        None => Ok(()),
+    }
 }
 
 fn check_drive(path: &Path, period: Duration, drive: &Drive, axis: &Axis) -> Checked {
     // The unit of object 0x6076 is 1 mN·m, for maxon's drives 1 µN·m.
     let torque = Range::new(1e-3, STRONGEST, "N·m");
-    within(&path.then("rated_torque"), drive.rated_torque, torque)?;
+    within(path, "rated_torque", drive.rated_torque, torque)?;
     if let Some(dcf) = &drive.dcf {
-        buses::text(&path.then("dcf"), dcf)?;
+        buses::text(path, "dcf", dcf)?;
     }
-    position_loop::check_drive(&path.then("loop"), period, drive, axis)?;
+    position_loop::check_drive(path, period, drive, axis)?;
     for (number, parameter) in drive.parameter.iter().enumerate() {
         let path = path.then("parameter").then(number);
         if let Some(found) = reserved(drive.vendor, parameter.index, parameter.subindex) {
-            return refused(path.then("index"), found.to_string());
+            return refused(&path, "index", found.to_string());
         }
         if !matches!(parameter.bytes, 1 | 2 | 4) {
-            let (value, expected) = (f64::from(parameter.bytes), "1, 2 or 4");
-            return Err((path.then("bytes"), Problem::NoneOf { value, expected }));
+            let why = format!("is {}, must be 1, 2 or 4", parameter.bytes);
+            return refused(&path, "bytes", why);
         }
         // As an unsigned number, or as the two's complement of a signed number.
         let unused = 32 - 8 * u32::from(parameter.bytes);
@@ -248,7 +225,7 @@ fn check_drive(path: &Path, period: Duration, drive: &Drive, axis: &Axis) -> Che
         if value << unused >> unused != value && extended != value {
             let bytes = parameter.bytes;
             let why = format!("is {value:#x}, more than {bytes} bytes hold");
-            return refused(path.then("value"), why);
+            return refused(&path, "value", why);
         }
     }
     Ok(())
@@ -256,11 +233,7 @@ fn check_drive(path: &Path, period: Duration, drive: &Drive, axis: &Axis) -> Che
 
 fn check_counts(path: &Path, counts: u32) -> Checked {
     let range = Range::new(4.0, 1e7, "quadrature counts");
-    within(
-        &path.then("counts_per_revolution"),
-        f64::from(counts),
-        range,
-    )
+    within(path, "counts_per_revolution", counts, range)
 }
 
 fn check_controller(
@@ -270,46 +243,29 @@ fn check_controller(
     serial: &Serial,
     axis: &Axis,
 ) -> Checked {
-    buses::text(&path.then("line"), &controller.line)?;
-    let constant = Range::new(1e-4, STRONGEST, "N·m/A");
-    within(
-        &path.then("torque_constant"),
-        controller.torque_constant,
-        constant,
-    )?;
+    buses::text(path, "line", &controller.line)?;
+    let range = Range::new(1e-4, STRONGEST, "N·m/A");
+    within(path, "torque_constant", controller.torque_constant, range)?;
     // The telegrams hold 16 bits of milliamperes.
     let current = Range::new(1e-3, 32.767, "A");
-    within(&path.then("max_current"), controller.max_current, current)?;
+    within(path, "max_current", controller.max_current, current)?;
     position_loop::check_controller(&path.then("loop"), period, controller, axis)?;
-    let plausible = [
-        (
-            "plausible_velocity",
-            controller.plausible_velocity,
-            (axis.max_velocity, "rad/s; max_velocity at the least"),
-        ),
-        (
-            "plausible_acceleration",
-            controller.plausible_acceleration,
-            (
-                axis.max_acceleration,
-                "rad/s²; max_acceleration at the least",
-            ),
-        ),
-    ];
-    for (key, given, (least, of)) in plausible {
-        let value = given.unwrap_or(least);
-        within(&path.then(key), value, Range::new(least, 1e9, of))?;
-    }
-    match (controller.control, serial.protocol, axis.emulator.plant) {
-        (Control::Current, Protocol::HiMoxa, _) => refused(
-            path.then("control"),
-            "is current, which the older protocol's axis controllers do not follow: use pwm",
-        ),
-        (Control::Pwm, _, Plant::Wut) => refused(
-            path.then("control"),
-            "is pwm, which the emulator's plant wut cannot follow, having no voltage: use the \
-             physical one",
-        ),
-        _ => Ok(()),
-    }
+    let least = axis.max_velocity;
+    let velocity = Range::new(least, 1e9, "rad/s; max_velocity at the least");
+    let given = controller.plausible_velocity.unwrap_or(least);
+    within(path, "plausible_velocity", given, velocity)?;
+    let least = axis.max_acceleration;
+    let acceleration = Range::new(least, 1e9, "rad/s²; max_acceleration at the least");
+    let given = controller.plausible_acceleration.unwrap_or(least);
+    within(path, "plausible_acceleration", given, acceleration)?;
+    let why = match (controller.control, serial.protocol, axis.emulator.plant) {
+        (Control::Current, Protocol::HiMoxa, _) => {
+            "is current, which the older protocol's axis controllers do not follow: use pwm"
+        }
+        (Control::Pwm, _, Plant::Wut) => {
+            "is pwm, which the emulator's plant wut cannot follow, having no voltage: use the physical one"
+        }
+        _ => return Ok(()),
+    };
+    refused(path, "control", why)
 }

@@ -2,10 +2,8 @@
 
 use super::axis::Place;
 use super::{Checked, no_effect, refused, within};
-use crate::cell::Range;
 use crate::cell::drives::FARTHEST_INDEX;
-use crate::cell::error::Problem;
-use crate::cell::{Axis, Path};
+use crate::cell::{Axis, Path, Range};
 use controller::robot::Limits;
 
 /// The homing methods of an EPOS4.
@@ -63,25 +61,21 @@ pub(super) fn check(
     match place {
         Place::Bus(_) => {
             let because = "on a CAN bus: the drive's homing method decides";
-            no_effect(&path.then("direction"), homing.direction.is_some(), because)?;
+            no_effect(path, "direction", homing.direction.is_some(), because)?;
             let given = homing.reverse_at_limit.is_some();
-            no_effect(&path.then("reverse_at_limit"), given, because)?;
-            check_method(&path.then("method"), axis, model, home)?;
+            no_effect(path, "reverse_at_limit", given, because)?;
+            check_method(path, axis, model, home)?;
         }
         Place::Serial(_) if homing.method.is_some() => {
             let why = "is a drive's: an axis on a serial line is homed by the host";
-            return refused(path.then("method"), why);
+            return refused(path, "method", why);
         }
         Place::Serial(_) => {}
     }
     let most = axis.max_velocity;
     let of = "rad/s of the motor: from crossing the travel in 20 min to max_velocity";
     let search = Range::new(slowest(model), most, of);
-    within(
-        &path.then("search_velocity"),
-        homing.search_velocity,
-        search,
-    )?;
+    within(path, "search_velocity", homing.search_velocity, search)?;
     let zero = match place {
         Place::Bus(_) => search,
         Place::Serial(_) => {
@@ -89,46 +83,35 @@ pub(super) fn check(
             Range::new((FARTHEST_INDEX / ZEROING).min(most), most, of)
         }
     };
-    within(&path.then("zero_velocity"), homing.zero_velocity, zero)?;
+    within(path, "zero_velocity", homing.zero_velocity, zero)?;
     let fastest = homing.search_velocity.max(homing.zero_velocity);
     let most = axis.max_acceleration;
     let of = "rad/s² of the motor: from reaching the search velocity in 10 s to max_acceleration";
     let acceleration = Range::new((fastest / RAMP).min(most), most, of);
-    within(
-        &path.then("acceleration"),
-        homing.acceleration,
-        acceleration,
-    )?;
+    within(path, "acceleration", homing.acceleration, acceleration)?;
     let Place::Serial(_) = place else {
         return Ok(());
     };
     let most = (2.0 * homing.acceleration * FARTHEST_INDEX).sqrt();
     let of = "rad/s of the motor: a search by the host brakes within five turns behind the switch";
     let search = Range::new(0.0, most, of);
-    within(
-        &path.then("search_velocity"),
-        homing.search_velocity,
-        search,
-    )
+    within(path, "search_velocity", homing.search_velocity, search)
 }
 
 /// The reference of the method must be at the robot's home position, because a homed counter reads zero there.
 fn check_method(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checked {
     let Some(method) = axis.homing.method else {
         let why = "is missing: a drive homes by one of its methods";
-        return refused(path.clone(), why);
+        return refused(path, "method", why);
     };
     if !METHODS.contains(&method) {
-        let value = f64::from(method);
-        let expected = "37, 34, 33, 27, 23, 18, 17, 11, 7, 2, 1 or -1 to -4";
-        return Err((path.clone(), Problem::NoneOf { value, expected }));
+        let why =
+            format!("is {method}, must be 37, 34, 33, 27, 23, 18, 17, 11, 7, 2, 1 or -1 to -4");
+        return refused(path, "method", why);
     }
     let reversed = axis.drive.as_ref().is_some_and(|drive| drive.reversed);
-    let (negative, positive) = (
-        NEGATIVE_END.contains(&method),
-        POSITIVE_END.contains(&method),
-    );
-    if !negative && !positive {
+    let negative = NEGATIVE_END.contains(&method);
+    if !negative && !POSITIVE_END.contains(&method) {
         return Ok(());
     }
     let (end, distance) = if negative == reversed {
@@ -148,5 +131,5 @@ fn check_method(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checked {
         "is {method}, which takes the {by} at the {end} end of the travel for home, and the home of this axis is \
          {distance:.0} rad from there: use a method with a home switch (7, 11, 23, 27)"
     );
-    refused(path.clone(), why)
+    refused(path, "method", why)
 }

@@ -43,26 +43,33 @@ pub(super) fn check_controller(
     if let Law::Proportional(_) = given.law {
         let why =
             "is for a drive that closes the velocity loop, as no axis controller does: use cascade";
-        return refused(path.then("law").then("proportional"), why);
+        return refused(&path.then("law"), "proportional", why);
     }
     check(path, period, given, &output, axis)
 }
 
-pub(super) fn check_drive(path: &Path, period: Duration, drive: &Drive, axis: &Axis) -> Checked {
+/// Checks the loop of the drive at `drive_path`.
+pub(super) fn check_drive(
+    drive_path: &Path,
+    period: Duration,
+    drive: &Drive,
+    axis: &Axis,
+) -> Checked {
+    let path = &drive_path.then("loop");
     let (given, output) = match (drive.control, &drive.r#loop) {
         (DriveControl::Position, None) => return Ok(()),
         (DriveControl::Position, Some(_)) => {
             let why = "is for control = \"velocity\" or \"torque\": by position the drive closes the loop";
-            return refused(path.clone(), why);
+            return refused(drive_path, "loop", why);
         }
         (_, None) => {
             let why = "is missing: by velocity or torque the host closes the loop";
-            return refused(path.clone(), why);
+            return refused(drive_path, "loop", why);
         }
         (DriveControl::Velocity, Some(given)) => {
             if given.feed_forward.weight.is_some_and(|weight| weight > 0.0) {
                 let why = "is a torque: by velocity the drive's own loop holds the weight";
-                return refused(path.then("feed_forward").then("weight"), why);
+                return refused(&path.then("feed_forward"), "weight", why);
             }
             // A loop at its limit must not look like a runaway loop.
             let output = Output {
@@ -76,7 +83,7 @@ pub(super) fn check_drive(path: &Path, period: Duration, drive: &Drive, axis: &A
             if let Law::Proportional(_) = given.law {
                 let why =
                     "is for control = \"velocity\": by torque nothing would damp it, use cascade";
-                return refused(path.then("law").then("proportional"), why);
+                return refused(&path.then("law"), "proportional", why);
             }
             // Object 0x6071 holds 16 bits of thousandths.
             let output = Output {
@@ -94,7 +101,7 @@ fn check(path: &Path, period: Duration, given: &Loop, output: &Output, axis: &Ax
     if let Some(runaway) = given.runaway_velocity {
         let of = "rad/s of the motor; above max_velocity";
         let range = Range::new(axis.max_velocity * (1.0 + 1e-9), 1e6, of);
-        within(&path.then("runaway_velocity"), runaway, range)?;
+        within(path, "runaway_velocity", runaway, range)?;
     }
     let bounds = LoopBounds {
         period,

@@ -1,0 +1,105 @@
+//! Checks of buses and bundles of serial lines.
+
+use super::{Checked, MOST, name, refused, some, twice, unique, within};
+use crate::cell::text::quoted;
+use crate::cell::{Cell, Path, Range};
+
+pub(super) fn check(cell: &Cell) -> Checked {
+    let groups = cell.bus.len() + cell.serial.len();
+    let what = match groups {
+        0 => "buses, and no serial lines either",
+        _ => "buses and bundles of serial lines",
+    };
+    some(&Path::default(), "bus", groups, MOST, what)?;
+    check_buses(cell)?;
+    check_serial(cell)
+}
+
+/// A drive group needs at least one axis.
+pub(super) fn check_used(cell: &Cell) -> Checked {
+    for (group, group_name) in cell.groups().enumerate() {
+        if cell.axes_on(group).next().is_none() {
+            let why =
+                format!("no axis has bus = {group_name:?}: leave it out, or name it in an axis");
+            let top = Path::default();
+            return match group.checked_sub(cell.bus.len()) {
+                None => refused(&top.then("bus"), group, why),
+                Some(bundle) => refused(&top.then("serial"), bundle, why),
+            };
+        }
+    }
+    Ok(())
+}
+
+fn check_buses(cell: &Cell) -> Checked {
+    let buses = Path::to("bus");
+    for (index, bus) in cell.bus.iter().enumerate() {
+        let path = buses.then(index);
+        name(&path, "name", &bus.name)?;
+        let names = cell.bus.iter().map(|it| &it.name);
+        unique(&buses, "name", index, names, |name| format!("bus {name:?}"))?;
+        text(&path, "interface", &bus.interface)?;
+        let interfaces = cell.bus.iter().map(|it| &it.interface);
+        unique(&buses, "interface", index, interfaces, |interface| {
+            format!("interface {}", quoted(interface))
+        })?;
+        let kbps = bus.bitrate_kbps;
+        if can::timing::Bitrate::from_kbps(kbps).is_none() {
+            let why = format!(
+                "is {kbps}, must be 10 to 1000 (kbit/s) with a bit time of whole nanoseconds"
+            );
+            return refused(&path, "bitrate_kbps", why);
+        }
+        let (node, cycles) = (
+            Range::new(1.0, 127.0, ""),
+            Range::new(0.0, 1000.0, "cycles"),
+        );
+        let [ten_seconds, minute] = [1e4, 6e4].map(|most| Range::new(1.0, most, "ms"));
+        within(&path, "host_node", bus.host_node, node)?;
+        within(&path, "heartbeat_ms", bus.heartbeat_ms, ten_seconds)?;
+        within(&path, "tolerated_missing", bus.tolerated_missing, cycles)?;
+        within(&path, "sdo_timeout_ms", bus.sdo_timeout_ms, minute)?;
+        within(&path, "boot_timeout_ms", bus.boot_timeout_ms, minute)?;
+    }
+    Ok(())
+}
+
+fn check_serial(cell: &Cell) -> Checked {
+    let bundles = Path::to("serial");
+    for (index, bundle) in cell.serial.iter().enumerate() {
+        let path = bundles.then(index);
+        name(&path, "name", &bundle.name)?;
+        let what = |name: &String| format!("bus {name:?}");
+        if let Some(first) = cell.bus.iter().position(|bus| bus.name == bundle.name) {
+            let first = Path::to("bus").then(first);
+            return refused(&path, "name", twice(&what(&bundle.name), &first));
+        }
+        let names = cell.serial.iter().map(|it| &it.name);
+        unique(&bundles, "name", index, names, |name| what(name))?;
+        let latency = bundle.emulated_latency_ms.unwrap_or(1);
+        let (bauds, cycles) = (
+            Range::new(9_600.0, 4e6, "bit/s"),
+            Range::new(1.0, 10.0, "cycles"),
+        );
+        let [second, timer] = [1000.0, 255.0].map(|most| Range::new(1.0, most, "ms"));
+        within(&path, "baud", bundle.baud, bauds)?;
+        within(&path, "tolerated_missing", bundle.tolerated_missing, cycles)?;
+        within(&path, "answer_timeout_ms", bundle.answer_timeout_ms, second)?;
+        within(&path, "emulated_latency_ms", latency, timer)?;
+    }
+    Ok(())
+}
+
+/// Checks that a text can be the path of a device or the name of an interface.
+pub(super) fn text(path: &Path, key: &'static str, text: &str) -> Checked {
+    let why = if text.is_empty() {
+        "is empty".to_owned()
+    } else if text.chars().any(char::is_control) {
+        format!("is {}, must have no control characters", quoted(text))
+    } else if text.len() > 4096 {
+        format!("is {}, must have at most 4096 bytes", quoted(text))
+    } else {
+        return Ok(());
+    };
+    refused(path, key, why)
+}
