@@ -67,7 +67,7 @@ where
         period: Duration::from_millis(2),
         steps: 10,
         report_at: 8,
-        lead: 4,
+        macrosteps_ahead: 4,
         silence: Duration::from_millis(500),
         switching: Duration::from_secs(5),
         homing: Duration::from_secs(120),

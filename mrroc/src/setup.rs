@@ -23,9 +23,9 @@ const HOMING: Duration = Duration::from_secs(120);
 const LONGEST_HOMING: Duration = Duration::from_secs(3600);
 
 /// Number of macrosteps that a generator may be ahead of the servo, if the generator does not need feedback from the
-/// servo. At the usual 20 ms, the lead bridges two seconds in which only the servo thread gets the processor. A stop
+/// servo. At the usual 20 ms, the queue bridges two seconds in which only the servo thread gets the processor. A stop
 /// drops these macrosteps.
-const LEAD: u16 = 100;
+const MACROSTEPS_AHEAD: u16 = 100;
 
 /// The drives of bus `bus`, in the order of `Cell::axes_on`.
 pub fn axis_configs(file: &CellFile, bus: usize) -> Vec<AxisConfig> {
@@ -87,7 +87,7 @@ pub fn servo_config(file: &CellFile) -> ServoConfig {
         let axes = servo_axes(file, index);
         EffectorConfig {
             name: robot.name.clone(),
-            queue: usize::from(LEAD) + 8,
+            queue: usize::from(MACROSTEPS_AHEAD) + 8,
             enabling_timeout: ENABLING,
             homing_timeout: homing_timeout(file, index, &axes),
             axes,
@@ -187,7 +187,7 @@ fn ecp_config(file: &CellFile, robot: usize) -> EcpConfig {
         period: cell.period(),
         steps: cell.macrostep,
         report_at: cell.macrostep.saturating_sub(2).max(1),
-        lead: LEAD,
+        macrosteps_ahead: MACROSTEPS_AHEAD,
         silence: Duration::from_secs(10),
         switching: ENABLING * 2,
         homing: homing_timeout(file, robot, &servo_axes(file, robot)) + ENABLING,

@@ -76,9 +76,9 @@ const CUTS: u32 = 10;
 /// answer is read one cycle later.
 const OFF_CYCLES: u32 = 4;
 
-/// Largest fraction of the period, given as a divisor, for the learnt lead. The bus needs the rest to deliver the
-/// answers of the last cycle.
-const LONGEST_LEAD: u32 = 20;
+/// Largest fraction of the period, given as a divisor, for the learnt duration of preparation. The bus needs the rest
+/// to deliver the answers of the last cycle.
+const LONGEST_PREPARATION: u32 = 20;
 
 /// Longest time for the drives to report that they have no power, after the command.
 const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
@@ -257,7 +257,7 @@ struct Run {
     panicked: Option<Panicked>,
     period: Duration,
     waiter: Waiter,
-    /// What preparing takes, if the lead is to follow it.
+    /// Duration of preparation, if the wake-up follows it.
     preparation: Option<LearntQuantile>,
     /// Deadline of the next cycle, on the wall clock.
     deadline: Instant,
@@ -285,7 +285,7 @@ impl Run {
             period,
             waiter: Waiter::new(realtime, period),
             preparation: (realtime.wait != Wait::Plain)
-                .then(|| LearntQuantile::new(Duration::ZERO, period / LONGEST_LEAD)),
+                .then(|| LearntQuantile::new(Duration::ZERO, period / LONGEST_PREPARATION)),
             deadline: Instant::ZERO,
             first: Instant::ZERO,
             time,
@@ -322,13 +322,13 @@ impl Run {
         }
         self.timing.account = self.account.reads;
         self.timing.wait = WaitReport {
-            lead: self.lead(),
+            preparation: self.preparation(),
             ..self.waiter.report()
         };
     }
 
     /// Time from the start of preparing to the deadline.
-    fn lead(&self) -> Duration {
+    fn preparation(&self) -> Duration {
         self.preparation
             .map_or(Duration::ZERO, |learnt| learnt.get())
     }
@@ -410,16 +410,17 @@ impl Run {
         self.cell_time(self.deadline)
     }
 
-    /// Waits until the lead before the deadline. A deadline passed by half a period or more is skipped.
+    /// Waits until it is time to prepare for the deadline. A deadline passed by half a period or more is skipped.
     fn wait(&mut self, begun: Instant) -> Awake {
-        if begun < self.deadline - self.lead() && begun.since(self.before.done) > self.period / LATE
+        if begun < self.deadline - self.preparation()
+            && begun.since(self.before.done) > self.period / LATE
         {
             // The kernel's counts during the caller's work made no cycle late.
             self.account.skip();
         }
         loop {
-            let lead = self.lead();
-            let awake = self.waiter.wait(self.deadline - lead, lead);
+            let preparation = self.preparation();
+            let awake = self.waiter.wait(self.deadline - preparation, preparation);
             if let Some(latency) = awake.wake_up_latency() {
                 self.timing.wake_up.record(latency);
             }

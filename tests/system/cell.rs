@@ -30,7 +30,7 @@ use crate::motion::Motion;
 /// Longest time for homing, from the farthest end of the longest travel, in virtual time.
 const HOMING: Duration = Duration::from_secs(900);
 const LONGEST_PROGRAM: Duration = Duration::from_secs(600);
-const LEAD: u16 = 8;
+const MACROSTEPS_AHEAD: u16 = 8;
 
 type Alteration = Box<dyn Fn(usize, &mut hil::AxisConfig)>;
 type Wrapping = Box<dyn FnOnce(VirtualPort) -> Box<dyn Port>>;
@@ -108,7 +108,7 @@ impl Setup {
             effectors: vec![EffectorConfig {
                 name: self.cell.name.clone(),
                 axes: self.axes.iter().enumerate().map(axis).collect(),
-                queue: usize::from(LEAD) + 8,
+                queue: usize::from(MACROSTEPS_AHEAD) + 8,
                 enabling_timeout: ::mrroc::cell::ENABLING,
                 homing_timeout: HOMING,
             }],
@@ -547,7 +547,7 @@ impl Rig {
             period: self.period,
             steps: self.cell.macrostep,
             report_at: self.cell.macrostep - 2,
-            lead: LEAD,
+            macrosteps_ahead: MACROSTEPS_AHEAD,
             silence: Duration::from_millis(500),
             switching: Duration::from_secs(5),
             homing: HOMING,

@@ -50,8 +50,8 @@ pub struct EcpConfig {
     pub report_at: u16,
     /// Macrosteps, at least 1, by which a generator may be ahead of the macrostep in execution if its next steps read
     /// no images. Other generators compute the next macrostep from the report of the previous macrostep. The servo's
-    /// order queue must hold more than `lead` orders. Otherwise a stop has to wait for room behind macrosteps.
-    pub lead: u16,
+    /// order queue must hold more than `macrosteps_ahead` orders. Otherwise a stop waits for room behind macrosteps.
+    pub macrosteps_ahead: u16,
     /// Time limit without a report and without an accepted order while an instruction is in progress.
     pub silence: Duration,
     /// Time limit of switching on or off, resetting and braking.
@@ -159,7 +159,7 @@ impl Ecp {
             instruction: 0,
             activity: Activity::Idle,
             report: None,
-            outbox: VecDeque::with_capacity(usize::from(config.lead.max(1)) + 1),
+            outbox: VecDeque::with_capacity(usize::from(config.macrosteps_ahead.max(1)) + 1),
             sent: 0,
             executed: 0,
             base: 0,
@@ -225,8 +225,8 @@ impl Ecp {
     /// any.
     ///
     /// Call the function again while it returns an event. A generator that reads the effector needs a call within the
-    /// periods that `report_at` leaves of a macrostep. Other generators need a call within `lead` macrosteps. The
-    /// servo brakes a moving effector that has no next macrostep.
+    /// periods that `report_at` leaves of a macrostep. Other generators need a call within `macrosteps_ahead`
+    /// macrosteps. The servo brakes a moving effector that has no next macrostep.
     pub fn poll(&mut self, now: Instant) -> Option<EcpEvent> {
         while let Ok(report) = self.link.reports.pop() {
             self.heard = now;
@@ -452,7 +452,7 @@ impl Ecp {
                 self.brake(Ok(()));
             }
         } else {
-            for _ in 0..self.config.lead.max(1) {
+            for _ in 0..self.config.macrosteps_ahead.max(1) {
                 self.step();
             }
         }
@@ -476,12 +476,12 @@ impl Ecp {
         let Activity::Running { run } = &mut self.activity else {
             return;
         };
-        let lead = if run.runs_ahead() {
-            u64::from(self.config.lead.max(1))
+        let ahead = if run.runs_ahead() {
+            u64::from(self.config.macrosteps_ahead.max(1))
         } else {
             1
         };
-        if outstanding >= lead {
+        if outstanding >= ahead {
             return;
         }
         match run.next_step(&self.effector) {

@@ -24,7 +24,7 @@ const CONFIG: EcpConfig = EcpConfig {
     period: PERIOD,
     steps: 10,
     report_at: 8,
-    lead: 4,
+    macrosteps_ahead: 4,
     silence: Duration::from_millis(500),
     switching: Duration::from_secs(5),
     homing: Duration::from_secs(10),
@@ -518,7 +518,10 @@ fn the_first_macrosteps_of_a_motion_reach_the_servo_at_once() {
         .execute(Task::new().run(to(0.5, 0.0, 0.0)))
         .unwrap();
     assert_eq!(bench.ecp.poll(bench.now), None);
-    assert_eq!(bench.servo.orders.slots(), usize::from(CONFIG.lead));
+    assert_eq!(
+        bench.servo.orders.slots(),
+        usize::from(CONFIG.macrosteps_ahead)
+    );
     assert_eq!(bench.go_on(|_| {}), finished(1));
 }
 

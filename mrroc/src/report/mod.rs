@@ -315,7 +315,7 @@ pub struct WaitCost {
     /// How long before it needs to run the thread asks to be woken, as of last, µs.
     pub margin_us: f64,
     /// How long before the deadline it prepares the cycle, as of last, µs.
-    pub lead_us: f64,
+    pub preparation_us: f64,
     /// Time spent spinning, percent of a core.
     pub spin_percent: f64,
 }
@@ -324,7 +324,7 @@ impl From<WaitReport> for WaitCost {
     fn from(wait: WaitReport) -> Self {
         Self {
             margin_us: microseconds(wait.margin),
-            lead_us: microseconds(wait.lead),
+            preparation_us: microseconds(wait.preparation),
             spin_percent: 100.0 * wait.spin_share,
         }
     }

@@ -96,7 +96,7 @@ impl fmt::Display for RunReport {
             writeln!(
                 f,
                 "hybrid wait: woken {:.0} µs early, prepared {:.0} µs early, {:.1} % of a core spent spinning",
-                cycle.wait.margin_us, cycle.wait.lead_us, cycle.wait.spin_percent
+                cycle.wait.margin_us, cycle.wait.preparation_us, cycle.wait.spin_percent
             )?;
         }
         let causes = cycle.causes.iter().filter(|(_, count)| **count > 0);

@@ -74,7 +74,7 @@ fn with_a_hybrid_wait_sync_leaves_at_the_deadline_however_long_preparing_takes()
     };
     let finished = run(servo, realtime, CellTime::Wall, |_| {}, until).unwrap();
     let timing = finished.timing;
-    assert!(timing.wait.lead > work && timing.wait.margin > Duration::ZERO);
+    assert!(timing.wait.preparation > work && timing.wait.margin > Duration::ZERO);
     assert!(timing.wait.spin_share > 0.0);
     // The host may be very late at times, but not in most cycles.
     assert!(timing.sync.quantile(0.5) < work, "{:?}", timing.sync);

@@ -31,7 +31,7 @@ pub struct WaitReport {
     /// Time by which the last wake-up was requested early; zero with [`Wait::Plain`].
     pub margin: Duration,
     /// Time from the start of preparing to the deadline, in the last cycle.
-    pub lead: Duration,
+    pub preparation: Duration,
     /// Share of a core spent spinning.
     pub spin_share: f64,
 }
@@ -134,7 +134,7 @@ impl Waiter {
     pub fn report(&self) -> WaitReport {
         WaitReport {
             margin: self.margin.get(),
-            lead: Duration::ZERO,
+            preparation: Duration::ZERO,
             spin_share: if self.elapsed.is_zero() {
                 0.0
             } else {
