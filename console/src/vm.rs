@@ -1,4 +1,4 @@
-//! `mrroc vm`: virtual machines with capabilities that the host lacks.
+//! `mrroc vm`: runs a command in user-mode Linux with vcan, or in an emulated PC with PREEMPT_RT and CAN cards.
 
 use std::env;
 use std::ffi::OsString;
@@ -16,10 +16,10 @@ use hil::{qemu, uml};
 
 use mrroc::signals::{self, Motion};
 
-/// Search path of the machine after the directory of this program.
+/// PATH inside the machine, after the directory of this program.
 const PATH: &str = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin";
 
-/// Directory of the unpacked kernel package without `--kernel`.
+/// Default of `--kernel`, if this directory exists.
 const UNPACKED: &str = "target/qemu";
 
 /// Kinds of machine.
@@ -65,7 +65,7 @@ pub(crate) struct Options {
 }
 
 impl Options {
-    /// Options in the form that the machines expect.
+    /// Options for `hil`, with absolute paths.
     fn resolve(&self, cancellation: &Cancellation) -> anyhow::Result<uml::Options> {
         let program = env::current_exe().context("this program's own path")?;
         let home = program.parent().expect("a program lies in a directory");
@@ -86,8 +86,8 @@ impl Options {
     }
 }
 
-/// Runs a command in a machine and returns its exit status. The status is 128 plus the number of the signal if a signal
-/// ended the machine.
+/// Runs a command in a machine and returns the exit status of the command. If a signal ends the machine before
+/// the command ends, the status is 128 plus the signal number.
 pub(crate) fn vm(machine: &Machine) -> anyhow::Result<ExitCode> {
     let mut stdout = io::stdout();
     let cancellation = Cancellation::default();
@@ -95,7 +95,7 @@ pub(crate) fn vm(machine: &Machine) -> anyhow::Result<ExitCode> {
     let first = ended_by.clone();
     signals::on_ending(Motion::none(), move |signal| {
         let signal = u8::try_from(signal).expect("signals have small numbers");
-        // The exit status names the first signal.
+        // The exit status reports the first signal only.
         let _ = first.compare_exchange(0, signal, Ordering::Relaxed, Ordering::Relaxed);
         cancel.cancel();
     })?;

@@ -1,4 +1,4 @@
-//! A jerk-limited plan by Ruckig, stretched to end with a macrostep.
+//! Jerk-limited trajectory by Ruckig, slowed to last a whole number of macrosteps.
 
 use rsruckig::prelude::{
     DataArrayOrVec, InputParameter, Ruckig, RuckigResult, ThrowErrorHandler, Trajectory,
@@ -7,23 +7,23 @@ use rsruckig::prelude::{
 use super::GeneratorError;
 use super::newsmooth::whole_macrosteps;
 
-/// A plan of `N` coordinates.
+/// Jerk-limited trajectory of `N` coordinates.
 #[derive(Debug)]
 pub(super) struct Plan<const N: usize> {
-    /// Start, targets and limits of [`solve`](Self::solve).
+    /// Start, waypoints, target and limits for [`solve`](Self::solve).
     pub(super) input: InputParameter<N>,
     solver: Ruckig<N, ThrowErrorHandler>,
     trajectory: Trajectory<N>,
-    /// Macrosteps that the plan takes; 0 before it is solved.
+    /// Duration in macrosteps; 0 before [`solve`](Self::solve), or without motion.
     pub(super) macrosteps: u32,
-    /// Trajectory seconds per macrostep.
+    /// Trajectory time per macrostep, s.
     step: f64,
-    /// Time scale of the slowed trajectory, at most 1.
+    /// Trajectory time divided by real time; at most 1, up to rounding.
     pace: f64,
 }
 
 impl<const N: usize> Plan<N> {
-    /// A plan with space for this many waypoints.
+    /// An unsolved plan with memory for this many intermediate waypoints.
     pub(super) fn new(on_the_way: usize) -> Self {
         let mut trajectory = Trajectory::new(None);
         trajectory.reserve_sections(on_the_way + 1);
@@ -37,8 +37,8 @@ impl<const N: usize> Plan<N> {
         }
     }
 
-    /// Solves the plan. The duration is `given`, s, or the shortest within the limits. The trajectory is slowed so that
-    /// the duration is a whole number of macrosteps.
+    /// Solves the plan for the duration `given`, s, or for the shortest duration within the limits. The duration is
+    /// then rounded up to a multiple of `macrostep`, s.
     pub(super) fn solve(
         &mut self,
         given: Option<f64>,
@@ -61,7 +61,7 @@ impl<const N: usize> Plan<N> {
         Ok(())
     }
 
-    /// Position and velocity after this many macrosteps.
+    /// Position and velocity after `done` macrosteps.
     pub(super) fn at(&self, done: u32) -> ([f64; N], [f64; N]) {
         let mut position = DataArrayOrVec::Stack([0.0; N]);
         let mut velocity = DataArrayOrVec::Stack([0.0; N]);

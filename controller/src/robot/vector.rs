@@ -10,17 +10,17 @@ use servo::MAX_AXES;
 
 use super::KinematicsError;
 
-/// Marks positions of joints.
+/// Type marker of joint positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Joint {}
 
-/// Marks positions of motor shafts.
+/// Type marker of motor positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Motor {}
 
-/// One number per axis of a robot, at most [`MAX_AXES`]. A vector can be used as a slice.
+/// One position per axis of a robot with at most [`MAX_AXES`] axes. Dereferences to a slice.
 ///
-/// Joints and motors are different types, so that the compiler refuses a mix-up of the two.
+/// Joint and motor positions are different types, so the compiler rejects an interchange.
 #[derive(Clone, Copy, PartialEq)]
 pub struct Vector<Space> {
     values: [f64; MAX_AXES],
@@ -28,14 +28,14 @@ pub struct Vector<Space> {
     space: PhantomData<Space>,
 }
 
-/// Joint positions, rad (m for a linear joint), in the convention of their robot.
+/// Joint positions, rad (m for a linear joint). The robot defines zero and sign.
 pub type Joints = Vector<Joint>;
 
-/// Motor shaft positions, rad, as in the servo and the drives.
+/// Motor shaft positions, rad, as in the set-points of the servo.
 pub type Motors = Vector<Motor>;
 
 impl<Space> Vector<Space> {
-    /// The numbers of axes 0, 1, …; `None` for more than [`MAX_AXES`].
+    /// A vector of `values`, one per axis; `None` for more than [`MAX_AXES`] values.
     pub fn new(values: &[f64]) -> Option<Self> {
         let mut padded = [0.0; MAX_AXES];
         padded.get_mut(..values.len())?.copy_from_slice(values);
@@ -46,12 +46,12 @@ impl<Space> Vector<Space> {
         })
     }
 
-    /// The numbers, padded with zeros as in a [`servo::Macrostep`].
+    /// The positions, padded with zeros to [`MAX_AXES`] as in a [`servo::Macrostep`].
     pub const fn padded(&self) -> [f64; MAX_AXES] {
         self.values
     }
 
-    /// The numbers of a robot of `N` axes. Refuses another count, and numbers that are not finite.
+    /// The positions as an array. Fails if the number of axes is not `N`, or if a position is not finite.
     pub(super) fn exactly<const N: usize>(&self) -> Result<&[f64; N], KinematicsError> {
         let values: &[f64; N] = (**self)
             .try_into()

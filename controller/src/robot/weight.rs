@@ -1,4 +1,4 @@
-//! Motor torques that balance the weight of links and load.
+//! Gravity compensation: motor torques that balance the weight of links and load.
 
 use nalgebra::{UnitVector3, Vector3};
 use schemars::JsonSchema;
@@ -8,13 +8,13 @@ use thiserror::Error;
 
 use super::{KinematicsError, Link, Motors, Robot};
 
-/// Free fall, m/s².
+/// Gravitational acceleration, m/s².
 const GRAVITY: f64 = 9.81;
 
 /// Motor displacement to either side for the numerical derivative of the potential energy, rad.
 ///
-/// The truncation error of the central difference is f‴ / 6 · 1e-6. Behind gears of 50 and more the error is 1e-10 of
-/// the torque. The rounding error of 200 J adds 2e-11 N·m.
+/// The truncation error of the central difference is f‴ / 6 · 1e-6: 1e-10 of the torque at a gear ratio of 50, less at
+/// higher ratios. Rounding of an energy of 200 J adds 2e-11 N·m.
 const STEP: f64 = 1e-3;
 
 /// The mass of one link, or of the load on the flange, at its centre.
@@ -39,20 +39,20 @@ impl Mass {
     }
 }
 
-/// Links of a robot with their masses, for the torques that balance their weight.
+/// Gravity model of a robot: links with their masses, the load, and the upward direction.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Weight {
     /// Links from base to flange, without the load.
     links: Vec<(Link, Mass)>,
     load: Mass,
-    /// Direction against gravity, in the base frame.
+    /// Upward direction, opposite to gravity, in the base frame.
     up: UnitVector3<f64>,
 }
 
-/// Reasons why masses do not fit a robot.
+/// Reasons why a gravity model is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum WeightError {
-    /// The robot, a gripper or a conveyor, has no description of links.
+    /// The robot has no links, for example a gripper or a conveyor.
     #[error("the robot has no links that weigh on its motors")]
     NoLinks,
     /// The number of masses differs from the number of links.
@@ -66,7 +66,7 @@ pub enum WeightError {
     /// A mass is below zero, above [`Mass::MOST`], or not finite.
     #[error("a mass of {mass} kg is not between 0 and {} kg", Mass::MOST)]
     Mass {
-        /// Index of the link; one more than the last for the load.
+        /// Index of the link; for the load, the number of links.
         link: usize,
         /// Mass, kg.
         mass: f64,
@@ -77,20 +77,19 @@ pub enum WeightError {
         Mass::FARTHEST
     )]
     Centre {
-        /// Index of the link; one more than the last for the load.
+        /// Index of the link; for the load, the number of links.
         link: usize,
         /// The invalid coordinate, m.
         coordinate: f64,
     },
-    /// The vector against gravity has no direction.
+    /// The upward vector is shorter than 1e-6, or not finite.
     #[error("up has no direction")]
     Up,
 }
 
 impl Weight {
-    /// The weights of `robot`. There is one mass per link of [`Robot::links`]. The load is in the frame of the
-    /// flange. The upward direction is in the base frame and need not be a unit
-    /// vector.
+    /// Gravity model of `robot`, with one mass per link of [`Robot::links`]. `load` is in the flange frame. `up` is in
+    /// the base frame and need not be a unit vector.
     pub fn new(
         robot: &dyn Robot,
         masses: &[Mass],
@@ -122,11 +121,11 @@ impl Weight {
     }
 
     /// Torques of the motors, N·m, that balance the weight of `robot` at these motor positions. All torques are
-    /// finite. `robot` must be the robot for which the weights were made.
+    /// finite. `robot` must be the robot passed to [`new`](Self::new).
     ///
-    /// The torque of a motor is the partial derivative of the potential energy with respect to its angle.
-    /// This is the principle of virtual work. It holds for all gears, screws, couplings and parallel legs. Gears have
-    /// no losses here. The potential energy of the links is computed twice per motor: some 5 µs for six axes.
+    /// Principle of virtual work: the torque of a motor is the partial derivative of the potential energy with respect
+    /// to the motor angle. The principle covers gears, screws, couplings and parallel legs. Gear losses are neglected.
+    /// The potential energy is computed twice per motor: about 5 µs for six axes.
     pub fn torque(
         &self,
         robot: &dyn Robot,
@@ -148,7 +147,7 @@ impl Weight {
         Ok(torques)
     }
 
-    /// Potential energy relative to the origin of the base, J.
+    /// Potential energy of links and load, J; zero for masses at the height of the base origin.
     pub(super) fn potential(
         &self,
         robot: &dyn Robot,
@@ -156,7 +155,7 @@ impl Weight {
     ) -> Result<f64, KinematicsError> {
         let joints = robot.joints_from_motors(motors)?;
         let moment_of = |body: &Mass| Vector3::from(body.centre) * body.mass;
-        // From the flange to the base: the mass of all carried links and its first moment, in the frame of the link.
+        // The loop runs from flange to base, and adds up mass and first moment in the frame of the current link.
         let (mut mass, mut moment) = (self.load.mass, moment_of(&self.load));
         for (link, body) in self.links.iter().rev() {
             mass += body.mass;

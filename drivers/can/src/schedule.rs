@@ -1,63 +1,63 @@
 //! Worst-case bus load and response times of a cyclic traffic pattern.
 //!
-//! The bus is driven by SYNC: at the start of a cycle the host queues a batch, and the nodes answer. All frames of a
-//! cycle must have left the bus before the next cycle begins. The delay of a message has three parts:
-//! - one frame that is already on the wire;
+//! SYNC starts each cycle: the host queues a batch of frames, and the nodes answer. All frames of a cycle must have
+//! left the bus before the next cycle begins. The response time of a message is its own time on the wire plus:
+//! - the longest frame that can already be on the wire;
 //! - the frames before the message in the queue of its sender;
-//! - the frames that win arbitration against it.
+//! - the frames that win arbitration against the message or against a frame before it in the queue.
 //!
-//! Every frame counts with the largest number of stuff bits of any content. Error frames, retransmissions and frames that
-//! only faults cause are left out. The drivers tolerate those.
+//! Each frame is counted with the largest possible number of stuff bits. Error frames, retransmissions and frames sent
+//! only after faults are not counted. The drivers tolerate the delay from such frames.
 
 use std::time::Duration;
 
 use crate::StandardId;
 use crate::timing::{Bitrate, Format, worst_case_bits};
 
-/// A recurring message. The order of a slice of them is the order of each sender's queue.
+/// A recurring message. Messages in a slice are in the order of their senders' queues.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Message {
-    /// Identifier, and so priority.
+    /// Identifier. A lower identifier has priority.
     pub id: StandardId,
     /// Payload bytes.
     pub bytes: u8,
-    /// Who sends it. Messages of one sender leave in queue order.
+    /// Sender of the message. Messages of one sender leave in queue order.
     pub sender: Sender,
-    /// How often.
+    /// Recurrence of the message.
     pub every: Every,
 }
 
 /// The sender of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sender {
-    /// The controller's host.
+    /// The host, which sends SYNC.
     Host,
-    /// The node of this node-ID.
+    /// The node with this node-ID.
     Node(u8),
 }
 
-/// How often a message is sent.
+/// Recurrence of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Every {
-    /// Once in each cycle, before its end.
+    /// Once in each cycle. The end of the cycle is the deadline.
     Cycle,
-    /// At most once in this time, and never urgent.
+    /// At most once in this interval, without a deadline.
     Interval(Duration),
 }
 
-/// What [`analyse`] found.
+/// Result of [`analyse`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Analysis {
-    /// Share of the bus's time that all messages need in the long run, 1 being all of it.
+    /// Long-term bus load of all messages; 1 is a full bus.
     pub load: f64,
-    /// Worst response time of each message, from the start of the cycle to its last bit. That of an
-    /// [`Every::Interval`] message is only a bound on its own transmission.
+    /// Worst-case response time of each message, from the start of the cycle to its last bit. The time of an
+    /// [`Every::Interval`] message starts at its queueing, and includes each frame ahead only once.
     pub responses: Vec<Duration>,
-    /// When the last message of a cycle has left the bus at the latest, after the cycle's start.
+    /// Latest end of the last cyclic message, from the start of the cycle.
     pub busy: Duration,
 }
 
-/// Worst-case load and response times of `messages` on a bus whose cycle is `cycle`.
+/// Worst-case load and response times of `messages` on a bus with this cycle time.
 pub fn analyse(bitrate: Bitrate, cycle: Duration, messages: &[Message]) -> Analysis {
     let time =
         |message: &Message| bitrate.duration(worst_case_bits(Format::Standard, message.bytes));
@@ -90,7 +90,7 @@ pub fn analyse(bitrate: Bitrate, cycle: Duration, messages: &[Message]) -> Analy
 /// The message at `index` and the messages that can leave before it.
 fn before(messages: &[Message], index: usize) -> impl Iterator<Item = &Message> {
     let own = messages[index];
-    // A message queued before must win arbitration first, so messages that can overtake the queued one count too.
+    // The message waits for the frames before it in the queue, so frames with priority over any of these count too.
     let queued = messages[..=index]
         .iter()
         .filter(|message| message.sender == own.sender);
@@ -106,7 +106,7 @@ fn before(messages: &[Message], index: usize) -> impl Iterator<Item = &Message> 
     messages.map(|(_, message)| message)
 }
 
-/// The longest frame that may be on the wire when the message at `index` becomes ready.
+/// Time of the longest frame not counted by [`before`] that can occupy the wire when the message at `index` is queued.
 fn blocking(messages: &[Message], index: usize, time: impl Fn(&Message) -> Duration) -> Duration {
     let ahead: Vec<StandardId> = before(messages, index).map(|message| message.id).collect();
     messages
@@ -121,7 +121,7 @@ fn blocking(messages: &[Message], index: usize, time: impl Fn(&Message) -> Durat
 mod tests {
     use super::*;
 
-    /// SYNC, an RPDO of 6 bytes and a TPDO of 8 for each axis, and a heartbeat of each node.
+    /// SYNC; per axis an RPDO of 6 bytes, a TPDO of 8 bytes and a heartbeat.
     fn axes(count: u8) -> Vec<Message> {
         let id = |raw| StandardId::new(raw).unwrap();
         let cyclic = |raw, bytes, sender| Message {

@@ -1,4 +1,4 @@
-//! The motion during which an axis is measured, and the records kept of the axis.
+//! Motion of an axis during identification, and the frequency response from its records.
 
 use std::ops::RangeInclusive;
 
@@ -12,7 +12,7 @@ use crate::{Excitation, MAX_AXES, Macrostep, PositionLoop, Record, ServoAxisConf
 const SETTLING: f64 = 0.5;
 
 /// Motion of one axis: acceleration from rest, constant velocity with excitation, and braking to rest. The other axes
-/// stand.
+/// stand still.
 #[derive(Clone, Debug)]
 pub struct Run {
     /// Index of the axis within its effector.
@@ -23,16 +23,16 @@ pub struct Run {
     pub velocity: f64,
     /// Acceleration and deceleration, rad/s².
     pub acceleration: f64,
-    /// One period of the excitation; a whole number of macrosteps long.
+    /// One period of the excitation: one value per cycle, over a whole number of macrosteps.
     pub excitation: Vec<f64>,
-    /// Number of measured periods. One more period is played before them, for the transient.
+    /// Number of measured periods. The transient decays in one additional period before them.
     pub periods: usize,
-    /// Cycles of a macrostep.
+    /// Servo cycles per macrostep.
     pub steps: u16,
     /// Period of the servo, s.
     pub dt: f64,
-    /// Period of the drive's loops, s, where a torque is added inside the drive. The drive holds each of its values
-    /// for this time.
+    /// Period of the drive's control loops, s, for an excitation by a torque offset. The drive holds each torque for
+    /// this time.
     pub drive_period: f64,
 }
 
@@ -45,7 +45,7 @@ impl Run {
         }
     }
 
-    /// The macrostep with this number, counted from 1; `None` after the last.
+    /// The macrostep with this number, counted from 1; `None` for 0 and after the last.
     pub fn macrostep(&self, number: u64) -> Option<Macrostep> {
         if number == 0 || number > self.macrosteps() {
             return None;
@@ -82,7 +82,7 @@ impl Run {
         self.excited().end() + self.ramp()
     }
 
-    /// Displacement of the axis, rad, with the sign of the velocity.
+    /// Displacement of the axis over the whole motion, rad, with the sign of the velocity.
     pub fn travel(&self) -> f64 {
         self.velocity * (self.macrosteps() - self.ramp()) as f64 * self.macrostep_time()
     }
@@ -93,7 +93,7 @@ impl Run {
         settled + 1..=settled + (cycles / usize::from(self.steps)) as u64
     }
 
-    /// Number of macrosteps of the acceleration.
+    /// Number of macrosteps of the acceleration, and of the deceleration.
     fn ramp(&self) -> u64 {
         (self.velocity.abs() / self.acceleration / self.macrostep_time()).ceil() as u64
     }
@@ -103,14 +103,14 @@ impl Run {
     }
 }
 
-/// Records of an axis since the start of its excitation.
+/// Records of an axis since the first nonzero value of its excitation.
 #[derive(Clone, Debug, Default)]
 pub struct Trace {
     records: Vec<crate::AxisRecord>,
 }
 
 impl Trace {
-    /// Takes the record of a cycle. Records before the start of the excitation are skipped.
+    /// Stores the record of a cycle. Records before the first nonzero excitation are skipped.
     pub fn take(&mut self, record: &Record, axis: usize) {
         let record = record.axis[axis];
         if !self.records.is_empty() || record.excitation != 0.0 {
@@ -118,10 +118,10 @@ impl Trace {
         }
     }
 
-    /// The frequency response of an axis at `lines`; `None` if the run was interrupted.
+    /// Frequency response of the axis at `lines`, multiples of 1 / excitation period; `None` after an interrupted run.
     ///
-    /// The response is the open loop where the servo closes the position loop or the drive takes a torque, and the
-    /// closed loop otherwise. `delay` is the [`DriveGroup::delay`](drive::DriveGroup::delay) of the drive group.
+    /// The response is the open loop if the servo closes the position loop or the drive accepts a torque offset, and
+    /// the closed loop otherwise. `delay` is [`DriveGroup::delay`](drive::DriveGroup::delay).
     pub fn response(
         &self,
         run: &Run,

@@ -1,7 +1,7 @@
 //! `mrroc kinematics`: forward kinematics, inverse kinematics, Jacobian and limits of a robot.
 //!
-//! Forward kinematics accepts positions beyond every limit, as a measured position may be. `motors` is then null, and a
-//! note names the limit. Inverse kinematics returns only positions within the limits.
+//! Forward kinematics accepts positions beyond the limits, since measured positions can lie there. `motors` is then
+//! null, and a note names the exceeded limit. Inverse kinematics returns only positions within the limits.
 
 mod answers;
 mod machine;
@@ -78,7 +78,7 @@ pub enum Question {
 }
 
 impl Question {
-    /// Whether the answer is to be one JSON object.
+    /// Whether the answer is printed as one JSON object.
     pub fn json(&self) -> bool {
         let (Self::Fk { common, .. }
         | Self::Ik { common, .. }
@@ -88,7 +88,7 @@ impl Question {
     }
 }
 
-/// Answers a question about a robot.
+/// Computes the answer to a question about a robot.
 pub fn kinematics(question: &Question) -> anyhow::Result<Answer> {
     Ok(match question {
         Question::Fk {

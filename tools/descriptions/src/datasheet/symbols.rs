@@ -1,15 +1,15 @@
-//! Symbols of joints: discs, drums, arrows, and their legend.
+//! Joint symbols of the figures: circles, rectangles and arrows, and their legend.
 
 use super::svg::{NOTE, Point, Svg, ahead, between, curve, stroke, unit};
 
 pub(super) const DASHED: &str = "stroke=\"#1666c0\" stroke-width=\"1\" stroke-dasharray=\"4 3\"";
 pub(super) const BODY: &str = "fill=\"#fff\" stroke=\"#222\" stroke-width=\"2\"";
 pub(super) const ACCENT: &str = "#1666c0";
-/// A centre line.
+/// Style of a centre line.
 pub(super) const CENTRE: &str = "stroke=\"#222\" stroke-width=\"1\" stroke-dasharray=\"8 3 2 3\"";
 
 impl Svg {
-    /// Legend of the symbols.
+    /// Draws the legend of the symbols.
     pub(super) fn legend(&mut self, [x, y]: Point) {
         let right = [1.0, 0.0];
         let accent = stroke(ACCENT, 2.0);
@@ -36,7 +36,7 @@ impl Svg {
         say(self, 766.0, "zero");
     }
 
-    /// Arrow parallel to the line of sight: its point or its feathers.
+    /// Axis along the line of sight: a dot for an axis towards the viewer, a cross for an axis away from the viewer.
     pub(super) fn pole(&mut self, [x, y]: Point, towards: bool) {
         const COLOUR: &str = "#222";
         if towards {
@@ -51,7 +51,7 @@ impl Svg {
         }
     }
 
-    /// A rectangle centred on a line.
+    /// Rectangle centred at `at`, parallel to `along`. Its dimensions are half the length and half the width, px.
     pub(super) fn drum(&mut self, at: Point, along: Point, [long, wide]: [f64; 2]) {
         let corners = [(-long, -wide), (long, -wide), (long, wide), (-long, wide)].map(|(a, b)| {
             [
@@ -66,9 +66,9 @@ impl Svg {
         self.line(ahead(at, -26.0, along), ahead(at, 26.0, along), CENTRE);
     }
 
-    /// Positive direction of rotation about an axis in the plane of the sheet, on the side of the viewer.
+    /// Arrow of positive rotation about an axis in the plane of the sheet, drawn on the near side of the axis.
     pub(super) fn turn_about(&mut self, at: Point, along: Point) {
-        // The near side moves to the right of the direction of the axis, because y points down on the sheet.
+        // The near side moves to the right of the axis direction. `across` points there, since y points down.
         let across = [-along[1], along[0]];
         let point = |step: i32| {
             let (sin, cos) = (std::f64::consts::PI * (f64::from(step) / 16.0)).sin_cos();
@@ -78,7 +78,7 @@ impl Svg {
         self.turn(&points, 3.0);
     }
 
-    /// A curve along the positive direction of rotation. Its arrowhead ends `beyond` px after the last point.
+    /// A curved arrow in the positive direction of rotation. Its tip lies `beyond` px after the last point.
     pub(super) fn turn(&mut self, points: &[Point], beyond: f64) {
         self.path(points, &curve(ACCENT, 2.0));
         if let Some(&[before, tip]) = points.last_chunk() {

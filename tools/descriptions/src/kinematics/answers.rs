@@ -1,4 +1,4 @@
-//! Answers to kinematic questions: one JSON object, or lines for a person.
+//! Answers of `mrroc kinematics`: one JSON object, or readable text.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::Machine;
 
-/// A joint position beyond its limit and beyond this value, rad, was probably given in degrees: four turns.
+/// Four turns, rad. A larger joint position beyond its limit was probably given in degrees (or mm).
 const DEGREES: f64 = 8.0 * std::f64::consts::PI;
 
 /// The answer to a question about a robot.
@@ -17,7 +17,7 @@ pub struct Answer {
     robot: String,
     #[serde(flatten)]
     values: Values,
-    /// Remarks about the values.
+    /// Notes on the values, for example an exceeded limit.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     notes: Vec<String>,
 }
@@ -59,17 +59,17 @@ struct Forward {
     joints: Vec<f64>,
     /// Origin of the flange in the base frame, m.
     position: [f64; 3],
-    /// `base_from_flange`, row by row.
+    /// Rotation matrix `base_from_flange`, row by row.
     rotation: [[f64; 3]; 3],
     /// The same rotation as a quaternion w, x, y, z.
     quaternion: [f64; 4],
-    /// Motor positions, rad. The first three motors of the RNT are given by their leg lengths, m. Null if a limit
-    /// forbids the joints.
+    /// Motor positions, rad; for the RNT, the first three are leg lengths, m. Null if a joint, motor or leg is beyond
+    /// its limit.
     motors: Option<Vec<f64>>,
-    /// All motor positions, rad, for a robot whose `motors` contains leg lengths.
+    /// All motor positions, rad, of a robot whose `motors` contains leg lengths.
     #[serde(skip_serializing_if = "Option::is_none")]
     motor_angles: Option<Vec<f64>>,
-    /// Position of each joint in the description file of the robot.
+    /// Position of each joint, rad or m, by its link's name in the URDF of the robot.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     links: BTreeMap<&'static str, f64>,
 }
@@ -125,13 +125,13 @@ impl Answer {
         Ok(answer)
     }
 
-    /// Joint positions for a pose, the preferred solution first.
+    /// Joint positions for a pose, the solution nearest to `--near` first.
     pub(super) fn inverse(machine: &Machine, solutions: &Solutions) -> Self {
         let solutions = solutions.iter().map(|joints| joints.to_vec()).collect();
         Self::of(machine, Values::Inverse(Inverse { solutions }))
     }
 
-    /// Relation between velocities of joints and flange.
+    /// Jacobian and distance from a singularity at these joints.
     pub(super) fn jacobian(machine: &Machine, joints: &Joints) -> anyhow::Result<Self> {
         let jacobian = machine.robot.jacobian(joints)?;
         let near = machine.robot.singularity(joints)?;
@@ -193,7 +193,7 @@ impl fmt::Display for Forward {
 
 #[derive(Serialize)]
 struct Inverse {
-    /// Solutions, the preferred solution first.
+    /// Joint positions of each solution, rad or m, the nearest to `--near` first.
     solutions: Vec<Vec<f64>>,
 }
 
@@ -206,15 +206,15 @@ impl fmt::Display for Inverse {
 
 #[derive(Serialize)]
 struct Jacobian {
-    /// Six rows, one column per joint.
+    /// Three rows for linear and three for angular velocity; one column per joint.
     jacobian: [Vec<f64>; 6],
-    /// Distance to the nearest singularity.
+    /// Distance from a singularity.
     singularity: Singularity,
 }
 
 #[derive(Serialize)]
 struct Singularity {
-    /// Index, from 0, of the axis with the largest motion for the least motion of the flange.
+    /// Axis, counted from 0, that moves most while the flange moves least.
     axis: u8,
     /// Smallest singular value of the Jacobian.
     margin: f64,
@@ -234,9 +234,9 @@ impl fmt::Display for Jacobian {
 #[derive(Serialize)]
 struct Ranges {
     joints: Vec<Limits>,
-    /// Motor ranges, rad. The first three ranges of the RNT are leg lengths, m.
+    /// Motor ranges, rad; for the RNT, the first three are ranges of leg lengths, m.
     motors: Vec<Limits>,
-    /// All motor ranges, rad, for a robot whose `motors` contains leg lengths.
+    /// All motor ranges, rad, of a robot whose `motors` contains leg lengths.
     #[serde(skip_serializing_if = "Option::is_none")]
     motor_angles: Option<Vec<Limits>>,
 }
@@ -264,7 +264,7 @@ impl fmt::Display for Ranges {
     }
 }
 
-/// Numbers in columns.
+/// Formats values in columns of equal width.
 fn row(values: &[f64]) -> String {
     let columns: Vec<_> = values
         .iter()
