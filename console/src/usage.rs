@@ -1,15 +1,15 @@
-//! Error messages for invalid arguments, in one line as every other error message.
+//! Output of help, version and one-line error messages for invalid arguments.
 
 use std::process::ExitCode;
 
 use clap::Error;
 use clap::error::ErrorKind;
 
-/// Prints help or version if requested, otherwise the error in the arguments. Returns the exit status.
+/// Prints help, the version or a one-line error. Returns exit status 0 for requested help or version, otherwise 2.
 pub(crate) fn answer(error: &Error) -> ExitCode {
     match error.kind() {
         ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => {
-            // A reader such as `head` that has closed the output has read enough.
+            // A write error is ignored: a reader such as `head` may have closed the pipe.
             let _ = error.print();
             ExitCode::SUCCESS
         }
@@ -24,7 +24,7 @@ pub(crate) fn answer(error: &Error) -> ExitCode {
     }
 }
 
-/// Text of an error in one line: the error, a suggestion and the usage.
+/// Joins the lines of an error message of `clap`: the error, a suggestion and the usage.
 fn line(message: &str) -> String {
     let mut said = String::new();
     for part in message.lines().map(str::trim) {

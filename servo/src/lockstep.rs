@@ -5,10 +5,10 @@ use std::task::Poll;
 
 use crate::{NotUp, Servo};
 
-/// Polls the bring-up of every group once a period from `start` on. After each poll, `between` is called with the time
-/// of the next one. Returns the time at which the first cycle is due.
+/// Polls the bring-up of every drive group once per period, from `start` on. After each poll, `between` is called with
+/// the time of the next poll. Returns the time of the first cycle.
 ///
-/// The function ends because every wait inside a group's bring-up ends. A stop request ends it at once.
+/// Every wait in the bring-up of a group has a time limit. A stop request ends the bring-up at the next poll.
 pub fn bring_up(
     servo: &mut Servo,
     start: Instant,
@@ -27,9 +27,8 @@ pub fn bring_up(
 
 /// Runs cycles from `start` on until `until` returns true, and returns the time of the next cycle.
 ///
-/// A cycle consists of, in this order: `until(servo, now)`, [`Servo::step`], `controller(now)`, and `between(next)`,
-/// which advances the emulated world to the time of the next cycle. The caller has to let a motion end before the run
-/// ends.
+/// Each cycle calls `until(servo, now)`, [`Servo::step`], `controller(now)` and `between(next)`, in this order.
+/// `between` advances the emulated world to the time of the next cycle. `run` does not stop a motion in progress.
 pub fn run(
     servo: &mut Servo,
     start: Instant,
@@ -56,7 +55,7 @@ mod tests {
     use super::*;
     use crate::{MAX_AXES, Macrostep, Order, Phase, Record, scripted};
 
-    /// Brings up a cell, moves the effector back and forth, and stops it. Returns all records.
+    /// Brings up a servo, moves its effector back and forth, and requests a stop. Returns all records.
     fn run_once() -> Vec<Record> {
         let (group, world) = scripted::group(2);
         for drive in &mut world.lock().unwrap().axes {

@@ -1,4 +1,4 @@
-//! The image of the effector in its control process, in motors, joints and pose.
+//! Image of an effector in its control process: state of the motors, state of the joints and pose of the tool.
 
 use can::Instant;
 use servo::ServoReport;
@@ -8,20 +8,19 @@ use crate::generator::{
 };
 use crate::robot::{Arm, KinematicsError};
 
-/// Step of the finite differences that convert velocities in drive trains and kinematics, rad or m of the fastest
-/// axis.
+/// Step of the differences by which velocities are converted, rad or m of the fastest axis or of the tool.
 const STEP: f64 = 1e-4;
 
-/// Data of the effector in the subcontroller. Everything but motors is calculated on request.
+/// Data of the effector in its control process. Joints and pose are computed from the motors on request.
 #[derive(Debug)]
 pub(super) struct Effector {
     pub(super) arm: Arm,
     /// Time of the last report.
     pub(super) at: Instant,
     pub(super) macrostep: u64,
-    /// Motors in the last report.
+    /// Motor positions and velocities measured, from the last report.
     pub(super) measured: AxesState,
-    /// Motors at the end of the last macrostep sent.
+    /// Motor positions and velocities at the end of the last macrostep made.
     pub(super) commanded: AxesState,
 }
 
@@ -55,7 +54,7 @@ impl Effector {
         })
     }
 
-    /// Motors at the end of the next macrostep.
+    /// State of the motors at the end of the next macrostep. Without a set-point, the motors stand at the last command.
     pub(super) fn motors(&self, setpoint: Option<Setpoint>) -> Result<AxesState, KinematicsError> {
         let joints = match setpoint {
             None => return Ok(AxesState::at_rest(self.commanded.position)),
@@ -101,8 +100,8 @@ impl ImageSource for Effector {
     }
 }
 
-/// Converts a velocity through a map of positions: the derivative of the map along `from.velocity`. The map has the
-/// value `value` at `from`.
+/// Velocity of `map(position)` while `position` moves from `from.position` at `from.velocity`. `value` is
+/// `map(from.position)`.
 fn slope(
     from: &AxesState,
     value: &Axes,
@@ -115,11 +114,11 @@ fn slope(
     })
 }
 
-/// Time derivative at 0 of positions that equal `value` there, while the fastest axis moves at `speed`.
+/// Time derivative of `at(t)` at t = 0. `value` is `at(0)`; `speed` is that of the fastest axis or of the tool.
 ///
-/// The central difference uses points 1e-4 rad to either side. Its error, f‴ / f′ · 1e-8 / 6, is below 1e-8 of the
-/// velocity for screws and rods. The rounding of positions near 1000 rad adds 1e-9. Next to a limit, where one side
-/// has no value, the difference is one-sided and accurate to 1e-4.
+/// The central difference uses points 1e-4 rad or m before and after. Its relative error, f‴ / f′ · 1e-8 / 6, is below
+/// 1e-8 for the screws and rods of the drive trains. Rounding of positions near 1000 rad adds 1e-9. If one point is
+/// beyond a limit, the difference is one-sided and accurate to 1e-4.
 fn difference(
     speed: f64,
     value: &Axes,

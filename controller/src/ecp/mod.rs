@@ -1,18 +1,18 @@
 //! The effector control process: executes a [`Task`] for one effector over its servo link.
 //!
 //! A thread calls [`Ecp::poll`] at macrostep rate; a lockstep bench calls it in each cycle. The poll receives
-//! reports, keeps the effector's image, and advances the flow chart of the current generator (see
-//! [`generator`](crate::generator)). It converts the set-points of the generator to motors and offers orders to the
-//! servo.
+//! reports, updates the effector's image, and executes the current generator: its first step, then its terminal
+//! condition and next step for each macrostep (see [`generator`](crate::generator)). It converts the set-points of the
+//! generator to motor positions and velocities, and sends orders to the servo.
 //!
-//! The poll never waits. Only the first step of a generator may allocate. Everything is bounded: the macrosteps ahead
-//! of the servo, the one order for which there was no room, the time without a report.
+//! The poll never waits. Only the first step of a generator may allocate. The macrosteps ahead of the servo, the orders
+//! that wait for room in the queue, and the time without a report are limited.
 //!
-//! An instruction ends when the effector stands again, whatever the cause: the terminal condition, an error of the
-//! generator, [`Ecp::stop`] or the servo. If a generator ends while the effector moves, the effector is braked
-//! ([`Order::Stop`]). The first failure ends the task.
+//! A motion is ended by the terminal condition, an error of the generator, [`Ecp::stop`] or the servo. The instruction
+//! ends when the effector stands again or is faulted, or when a time limit passes. If a generator ends while the
+//! effector moves, the effector is braked ([`Order::Stop`]). The first failure ends the task.
 //!
-//! Motor velocities are converted in the drive train by numeric central differences.
+//! Velocities are converted between tool, joints and motors by central differences.
 //!
 //! Read [`Task`] first, then [`Ecp::poll`].
 
@@ -45,16 +45,16 @@ pub struct EcpConfig {
     pub period: Duration,
     /// Periods per macrostep, at least 1.
     pub steps: u16,
-    /// The period of a macrostep after which the servo reports, 1 ..= `steps`. A generator that reads images must
-    /// compute the next macrostep in the rest of the macrostep.
+    /// Period of the macrostep after which the servo reports, 1 ..= `steps`. A generator that reads images must compute
+    /// the next macrostep in the remaining periods.
     pub report_at: u16,
-    /// Macrosteps, at least 1, by which a generator may be ahead of the macrostep in execution if its next steps read
-    /// no images. Other generators compute the next macrostep from the report of the previous macrostep. The servo's
-    /// order queue must hold more than `macrosteps_ahead` orders. Otherwise a stop waits for room behind macrosteps.
+    /// Number of macrosteps, at least 1, that may be sent ahead of the last reported macrostep if the generator's next
+    /// steps read no images. Other generators compute each macrostep from the report of the previous macrostep. The
+    /// servo's order queue must hold more orders than this. Otherwise a stop may have to wait for room in the queue.
     pub macrosteps_ahead: u16,
-    /// Time limit without a report and without an accepted order while an instruction is in progress.
+    /// Time limit, in addition to one macrostep, without a report and without an accepted order during a motion.
     pub silence: Duration,
-    /// Time limit of switching on or off, resetting and braking.
+    /// Time limit for switching the drives on or off, for resetting a fault and for braking.
     pub switching: Duration,
     /// Time limit of homing.
     pub homing: Duration,
@@ -95,19 +95,19 @@ pub struct Busy {
     pub instruction: usize,
 }
 
-/// Motor velocity, rad/s, below which a motor stands: a generator that computes its last velocity, such as by
-/// `sin(2.0 * PI)`, leaves a rounding error.
+/// Commanded motor velocity, rad/s, below which zero is commanded. The last velocity of a generator may contain a
+/// rounding error, such as that of `sin(2.0 * PI)`.
 const STILL: f64 = 1e-9;
 
-/// Current activity. Every activity except `Idle` ends by a report or at its deadline.
+/// Current activity. Every wait in an activity has a time limit.
 enum Activity {
     Idle,
-    /// An order other than a macrostep or a stop was sent.
+    /// Waits until an order to enable, home, disable or reset has taken effect.
     Switching {
         order: Order,
         since: Instant,
     },
-    /// The process waits for its partners. `admitted`: all partners have come.
+    /// Waits for the partners of a meeting. `admitted`: all partners have come.
     Meeting {
         meeting: u8,
         since: Instant,
@@ -117,18 +117,18 @@ enum Activity {
     Running {
         run: Box<dyn Execution + Send>,
     },
-    /// The last macrostep, which ends at standstill, was sent.
+    /// Waits for the end of the last macrostep, which ends at standstill.
     Arriving,
-    /// The last macrostep, which ends in motion, was sent. A stop follows once the servo reports from that macrostep.
+    /// Waits for the report from the last macrostep, which ends in motion. A stop follows.
     RunningOut,
-    /// A stop is offered (`since` is `None`) or sent. `outcome` is the result after the stop.
+    /// Waits for standstill. `since`: time of the stop, `None` until its order is sent. `outcome`: result afterwards.
     Stopping {
         since: Option<Instant>,
         outcome: Result<(), EcpError>,
     },
 }
 
-/// One effector's subcontroller. See the [module](self).
+/// Effector control process of one effector. See the [module](self).
 pub struct Ecp {
     effector: Effector,
     link: EffectorLink,
@@ -137,19 +137,20 @@ pub struct Ecp {
     instruction: usize,
     activity: Activity,
     report: Option<ServoReport>,
-    /// The orders that wait for room in the queue.
+    /// Orders that wait for room in the servo's queue.
     outbox: VecDeque<Order>,
-    /// Numbers of the last macrostep made, of the last macrostep reported, and of the last macrostep before this
-    /// motion.
+    /// Number of the last macrostep made.
     sent: u64,
+    /// Number of the last macrostep reported.
     executed: u64,
+    /// Number of the last macrostep before this motion.
     base: u64,
     /// Time of the last report or accepted order.
     heard: Instant,
 }
 
 impl Ecp {
-    /// A subcontroller without a task.
+    /// A process without a task.
     pub fn new(arm: Arm, link: EffectorLink, config: EcpConfig) -> Self {
         Self {
             effector: Effector::new(arm),
@@ -177,9 +178,14 @@ impl Ecp {
         Ok(())
     }
 
-    /// Brakes and drops the rest of the task. The current instruction ends with [`EcpError::Stopped`].
+    /// Brakes the effector and drops the rest of the task. The current instruction ends with [`EcpError::Stopped`],
+    /// unless the process already brakes because of an error.
     pub fn stop(&mut self) {
-        match self.activity {
+        match &mut self.activity {
+            // The generator ended in motion.
+            Activity::Stopping { outcome, .. } if outcome.is_ok() => {
+                *outcome = Err(EcpError::Stopped);
+            }
             Activity::Stopping { .. } => {}
             Activity::Idle if self.task.is_empty() => {}
             _ => self.brake(Err(EcpError::Stopped)),
@@ -203,7 +209,7 @@ impl Ecp {
         }
     }
 
-    /// Admits the process to the meeting at which it waits. The next orders are sent at the next poll, and wait for
+    /// Admits the process to the meeting at which it waits. The next poll sends a gate, and later orders queue behind
     /// the gate.
     fn admit(&mut self) {
         if let Activity::Meeting { admitted, .. } = &mut self.activity {
@@ -224,9 +230,9 @@ impl Ecp {
     /// Receives the servo's reports, performs the actions due at `now`, and returns the end of an instruction, if
     /// any.
     ///
-    /// Call the function again while it returns an event. A generator that reads the effector needs a call within the
-    /// periods that `report_at` leaves of a macrostep. Other generators need a call within `macrosteps_ahead`
-    /// macrosteps. The servo brakes a moving effector that has no next macrostep.
+    /// Call this function again until it returns `None`. A generator that reads images needs a call between the report
+    /// and the end of each macrostep. Other generators need a call every `macrosteps_ahead` macrosteps. The servo brakes
+    /// a moving effector without a next macrostep and reports a fault.
     pub fn poll(&mut self, now: Instant) -> Option<EcpEvent> {
         while let Ok(report) = self.link.reports.pop() {
             self.heard = now;
@@ -254,8 +260,7 @@ impl Ecp {
         self.report.is_some_and(|report| report.homed)
     }
 
-    /// The fault that began a stop, or `consequence` if there is none. The cause is reported rather than its
-    /// consequences.
+    /// The fault of the last report, or `consequence` if there is none.
     fn cause_of(&self, consequence: EcpError) -> EcpError {
         self.report
             .and_then(|report| report.fault)
@@ -275,9 +280,8 @@ impl Ecp {
         event
     }
 
-    /// Sends the waiting orders for which the queue has room. The servo sees these orders at the same instant. If the
-    /// servo saw the first macrostep of a motion alone, a thread that then loses the processor would starve the
-    /// motion.
+    /// Sends the waiting orders for which the queue has room, all at once. Orders sent one by one would be unsafe: if
+    /// the thread lost the processor after the first macrostep, the servo would run out of macrosteps.
     fn offer(&mut self, now: Instant) {
         let count = self.outbox.len().min(self.link.orders.slots());
         if count == 0 {
@@ -296,7 +300,7 @@ impl Ecp {
         }
     }
 
-    /// Drops the waiting orders.
+    /// Drops the waiting orders. The numbers of their macrosteps are used again.
     fn clear_outbox(&mut self) {
         let moves = self
             .outbox
@@ -349,7 +353,7 @@ impl Ecp {
     fn begin_run(&mut self, mut run: Box<dyn Execution + Send>) -> Option<Result<(), EcpError>> {
         let report = self.report?;
         self.effector.commanded = AxesState::at_rest(report.commanded);
-        // The numbers of macrosteps dropped by a stop are not reused.
+        // Numbers of macrosteps that the servo dropped at a stop are not used again.
         self.sent = self.sent.max(report.macrostep);
         self.base = self.sent;
         let first = run.first_step(&self.effector, self.config.macrostep());
@@ -389,7 +393,7 @@ impl Ecp {
                 }
                 let homing = matches!(phase, Phase::Standing | Phase::Homing);
                 if order == Order::Home && !homing {
-                    // The servo was stopped from elsewhere during homing. The search is not resumed.
+                    // The servo ended homing without an order of this process. Homing is not resumed.
                     self.break_off(now);
                 } else if waited > patience {
                     self.brake(Err(EcpError::TimedOut { phase, waited }));
@@ -424,8 +428,8 @@ impl Ecp {
                 outcome,
             } => {
                 let waited = now.since(since);
-                // A standstill reported before the stop does not count: the servo may be about to start an earlier
-                // order. The servo takes orders each period and reports each change.
+                // A standstill from before the stop does not count: the servo may still start an earlier order. Two
+                // macrosteps are enough, because the servo takes orders each period and reports each change.
                 let settled = waited > self.config.macrostep() * 2;
                 if settled && matches!(phase, Phase::Standing | Phase::Off) {
                     Some(outcome)
@@ -459,7 +463,7 @@ impl Ecp {
         None
     }
 
-    /// Ends an instruction that the servo has ended, as soon as the effector stands.
+    /// Waits for standstill after the servo has broken off an instruction, and then ends the instruction.
     fn break_off(&mut self, now: Instant) {
         let phase = self.phase();
         let outcome = Err(self.cause_of(EcpError::BrokenOff { phase }));
@@ -501,7 +505,7 @@ impl Ecp {
         }
     }
 
-    /// Macrosteps that were sent and from which the servo has not reported.
+    /// Number of macrosteps of this motion that were made and not yet reported.
     fn outstanding(&self) -> u64 {
         self.sent.saturating_sub(self.executed.max(self.base))
     }
@@ -532,7 +536,7 @@ impl Ecp {
         Ok(())
     }
 
-    /// Drops the generator and the waiting orders, and stops the effector.
+    /// Drops the generator and the waiting orders, and queues a stop of the effector.
     fn brake(&mut self, outcome: Result<(), EcpError>) {
         self.clear_outbox();
         self.outbox.push_back(Order::Stop);

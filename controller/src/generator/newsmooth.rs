@@ -1,4 +1,4 @@
-//! Synchronised trapezoid through a list of poses.
+//! Generator of a time-synchronised motion through a list of poses, with trapezoidal velocity profiles.
 
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use super::{
 };
 use crate::robot::Space;
 
-/// Largest number of macrosteps of one motion: almost six hours at 20 ms.
+/// Maximum number of macrosteps of one motion: almost six hours with macrosteps of 20 ms.
 pub(super) const MAX_MACROSTEPS: u32 = 1 << 20;
 
 impl Space {
@@ -32,7 +32,7 @@ impl Space {
 /// One pose of a [`Newsmooth`] motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SmoothPose {
-    /// Target position.
+    /// Target position of each axis, rad, or m for a linear joint.
     pub position: Axes,
     /// Fraction of each axis' velocity limit on the segment to this pose, in (0, 1].
     pub velocity: Axes,
@@ -41,7 +41,7 @@ pub struct SmoothPose {
 }
 
 impl SmoothPose {
-    /// A pose with the full limits.
+    /// A pose whose segment uses the full velocity and acceleration limits.
     pub const fn fast(position: Axes) -> Self {
         Self {
             position,
@@ -51,18 +51,17 @@ impl SmoothPose {
     }
 }
 
-/// A time-synchronised motion through a list of poses, with constant accelerations. An axis does not stop at a pose
-/// if it continues in the same direction. Class 1, sporadic feedback.
+/// A time-synchronised motion through a list of poses, with trapezoidal velocity profiles. An axis does not stop at a
+/// pose if its direction of travel is the same before and after the pose. Class 1, sporadic feedback.
 ///
-/// Every pose is reached exactly, at the end of a macrostep. Each segment lasts as long as its slowest axis needs,
-/// rounded up to whole macrosteps. The other axes are stretched to the same duration.
+/// Every pose is reached exactly, at the end of a macrostep. The slowest axis determines the duration of a segment,
+/// rounded up to whole macrosteps. The profiles of the other axes are stretched to this duration.
 ///
-/// An axis stops at a pose if it reverses there, if it rests in the next segment, or if the pose is the last. At any
-/// other pose the speed of the axis has two bounds. The first bound is the smaller of its cruise speeds in the two
-/// segments, after stretching. The second bound is the speed that the axis can lose again within either segment. The
-/// second bound allows each segment to be planned independently, and only once.
+/// The speed of an axis at such a pose has two bounds. The first bound is the smaller of the speeds in the segments
+/// before and after the pose if all axes moved at constant speed. The second bound lets the axis brake to a standstill
+/// and accelerate again within either segment. Each segment can therefore be planned independently, and only once.
 ///
-/// The computing time of the first step is proportional to the number of poses. The first step does not allocate.
+/// The computing time of the first step is proportional to the number of poses. Only that of a clone may allocate.
 #[doc(alias = "smooth")]
 #[derive(Clone, Debug)]
 pub struct Newsmooth {
@@ -82,17 +81,17 @@ struct Segment {
     profiles: [Trapezoid; MAX_AXES],
 }
 
-/// Progress of a motion.
+/// Progress of a [`Newsmooth`] motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Progress {
-    /// Number of segments done.
+    /// Number of completed segments, which is the index of the current segment.
     segment: usize,
-    /// Number of macrosteps done in the next segment.
+    /// Number of completed macrosteps in the current segment.
     macrostep: u32,
 }
 
 impl Newsmooth {
-    /// A motion from the effector's position through `poses`, for its first `axes` axes.
+    /// A motion of the first `axes` axes from the commanded position of the effector through `poses`.
     pub fn new(
         space: Space,
         axes: usize,
@@ -146,8 +145,7 @@ impl Newsmooth {
         pose.position[axis] - from[axis]
     }
 
-    /// Speed of each axis in the segment to pose `index`, for a motion at constant speed with the duration of the
-    /// slowest axis.
+    /// Speed of each axis in the segment to pose `index` if all axes moved at constant speed, in the shortest time.
     fn cruise(&self, start: &Axes, index: usize) -> Axes {
         let mut time: f64 = 0.0;
         for axis in 0..self.axes {
@@ -163,7 +161,7 @@ impl Newsmooth {
         speeds
     }
 
-    /// Whether an axis continues in the same direction past pose `index`.
+    /// Whether an axis travels in the same direction before and after pose `index`.
     fn passes(&self, start: &Axes, index: usize, axis: usize) -> bool {
         self.distance(start, index, axis) * self.distance(start, index + 1, axis) > 0.0
     }
@@ -179,7 +177,8 @@ impl Newsmooth {
             if !self.passes(start, index, axis) {
                 continue;
             }
-            // Each end of a segment may use half of 2 a s, or all of it if the axis stands at the other end.
+            // Bound of v² at one end: a s, so that both ends together stay within 2 a s. If the axis stands at the
+            // other end, the bound is 2 a s.
             let claim = |segment: usize, other_end_stands: bool| {
                 let a = self.poses[segment].acceleration[axis] * self.limits.max_acceleration[axis];
                 let s = self.distance(start, segment, axis).abs();

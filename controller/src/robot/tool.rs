@@ -1,4 +1,4 @@
-//! A robot with its tool, with vectors padded to the axes of the servo.
+//! [`Arm`]: a robot with its tool. Vectors have one entry per axis of the servo.
 
 use std::sync::Arc;
 
@@ -9,10 +9,10 @@ use super::{KinematicsError, Robot, Vector, Weight};
 /// One number per axis; entries beyond the robot's axes are zero.
 pub type Axes = [f64; MAX_AXES];
 
-/// Base from tool, metres.
+/// Pose of one frame in another, lengths in m: `base_from_tool` unless the name says otherwise.
 pub type Pose = nalgebra::Isometry3<f64>;
 
-/// A robot and its tool: kinematics from tool to motors, with vectors padded with zeros.
+/// A robot and its tool: kinematics from tool to motors. Vectors are padded with zeros.
 #[derive(Clone, Debug)]
 pub struct Arm {
     robot: Arc<dyn Robot>,
@@ -21,7 +21,7 @@ pub struct Arm {
 }
 
 impl Arm {
-    /// The robot with its tool frame; the identity stands for no tool.
+    /// The robot with a tool; the identity means no tool.
     pub fn new(robot: Arc<dyn Robot>, flange_from_tool: Pose) -> Self {
         Self {
             robot,
@@ -30,7 +30,7 @@ impl Arm {
         }
     }
 
-    /// The same arm with the weight of its links. An arm without weight has a weight torque of zero.
+    /// The same arm with the masses of links and load. Without masses, [`torques`](Self::torques) returns zeros.
     pub fn weighing(self, weight: Weight) -> Self {
         Self {
             weight: Some(weight),
@@ -53,7 +53,7 @@ impl Arm {
         Ok(self.robot.forward(&self.given(joints))? * self.flange_from_tool)
     }
 
-    /// The joint positions, within all limits, that bring the tool to the pose, on the branch nearest to `near`.
+    /// Joint positions within all limits that bring the tool to this pose: of all solutions the nearest to `near`.
     pub fn inverse(&self, base_from_tool: &Pose, near: &Axes) -> Result<Axes, KinematicsError> {
         let base_from_flange = base_from_tool * self.flange_from_tool.inverse();
         let solutions = self.robot.inverse(&base_from_flange, &self.given(near))?;
@@ -65,7 +65,7 @@ impl Arm {
         Ok(self.robot.motors_from_joints(&self.given(joints))?.padded())
     }
 
-    /// Joint positions at these motor positions.
+    /// Joint positions at these motor positions. Limits are not checked.
     pub fn joints(&self, motors: &Axes) -> Result<Axes, KinematicsError> {
         Ok(self.robot.joints_from_motors(&self.given(motors))?.padded())
     }

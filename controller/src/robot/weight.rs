@@ -112,7 +112,8 @@ impl Weight {
                 return Err(WeightError::Centre { link, coordinate });
             }
         }
-        let up = UnitVector3::try_new(Vector3::from(up), 1e-6).filter(|up| up.norm().is_finite());
+        let up = Vector3::from(up);
+        let up = UnitVector3::try_new(up, 1e-6).filter(|_| up.norm().is_finite());
         Ok(Self {
             links: links.into_iter().zip(masses.iter().copied()).collect(),
             load,

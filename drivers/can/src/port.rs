@@ -1,30 +1,30 @@
-//! The contract of a port: one end of a bus.
+//! [`Port`], the interface of drivers to a CAN bus, with its counters and errors.
 
 use thiserror::Error;
 
 use crate::timing::bits_on_wire;
 use crate::{Frame, Instant};
 
-/// One end of a bus: a SocketCAN interface, or an end of the virtual bus.
+/// One end of a CAN bus: a SocketCAN interface, an slcan adapter, the virtual bus or a recording.
 ///
-/// Neither call waits. A driver cannot tell which of the implementors it has, nor a recording from
-/// either.
+/// No method waits. A driver cannot tell the implementations apart.
 pub trait Port: Send {
-    /// Hands `frames` to the controller in order and returns how many it took: fewer than all of
-    /// them means back-pressure, and the rest is the caller's to drop or to offer again.
+    /// Passes `frames` to the CAN controller in order and returns the number accepted. If fewer than all are accepted,
+    /// the caller drops the others or offers them again.
     ///
     /// At most one system call.
     fn send(&mut self, now: Instant, frames: &[Frame]) -> Result<usize, PortError>;
 
-    /// Fills `into` from the front with what has arrived by `now` and returns how many there are.
+    /// Fills `into` from the front with the frames that have arrived, and returns their number. A virtual port and a
+    /// recording return no frame later than `now`.
     ///
-    /// At most one system call. Error frames are consumed here and show in [`Port::counters`].
+    /// At most one read; an slcan adapter may write first. Error frames appear only in the counters and the state.
     fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError>;
 
-    /// What this port has counted since it was opened.
+    /// Counters since the port was opened.
     fn counters(&self) -> Counters;
 
-    /// What the controller last said of its own health.
+    /// Fault confinement state that the CAN controller reported last.
     fn state(&self) -> ControllerState;
 }
 
@@ -43,49 +43,49 @@ impl<P: Port + ?Sized> Port for Box<P> {
     }
 }
 
-/// A frame and when it was received: at the end of its last bit on the virtual bus, at the
-/// kernel's receive time stamp on SocketCAN.
+/// A received frame with its time: the end of its last bit on the virtual bus, the kernel's time stamp on SocketCAN,
+/// the time of the read on an slcan adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Received {
     /// The frame.
     pub frame: Frame,
-    /// When it was received.
+    /// Time of reception.
     pub at: Instant,
 }
 
-/// Why a port could not send or receive.
+/// Errors of sending and receiving.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum PortError {
-    /// The interface is down (`ENETDOWN`); the same port works again once it is up.
+    /// The interface is down (`ENETDOWN`). The port works again once the interface is up.
     #[error("interface is down")]
     Down,
-    /// The interface was removed (`ENODEV`, `ENXIO`); the port must be opened anew.
+    /// The interface or the line was removed (`ENODEV`, `ENXIO`). The caller must open a new port.
     #[error("interface was removed")]
     Gone,
-    /// Anything else the operating system said.
+    /// Any other error of the operating system, with its `errno`.
     #[error("errno {0}")]
     Os(i32),
 }
 
-/// What a port counts. Counters only grow.
+/// Counters of a port. The counters never decrease.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// Frames taken for sending.
+    /// Frames accepted for sending.
     pub sent: u64,
     /// Frames received.
     pub received: u64,
-    /// Frames offered to [`Port::send`] and not taken.
+    /// Frames passed to [`Port::send`] and not accepted, or refused by an slcan adapter.
     pub refused: u64,
-    /// Frames the kernel or the receive queue dropped before we read them (`SO_RXQ_OVFL`).
+    /// Received frames lost before they were read, such as by an overflow of the receive queue (`SO_RXQ_OVFL`).
     pub dropped: u64,
-    /// Error frames received.
+    /// Error frames, or error reports of an slcan adapter.
     pub errors: u64,
-    /// Bits that the frames sent and received took on the wire, intermissions included.
+    /// Bits on the wire of all frames sent and received, with stuff bits and intermissions.
     pub bits: u64,
 }
 
 impl Counters {
-    /// Counts frames taken for sending.
+    /// Counts frames accepted for sending.
     pub fn count_sent(&mut self, frames: &[Frame]) {
         self.sent += frames.len() as u64;
         self.bits += frames.iter().map(bits).sum::<u64>();
@@ -103,16 +103,16 @@ fn bits(frame: &Frame) -> u64 {
     bits_on_wire(frame).into()
 }
 
-/// The fault confinement state of a CAN controller (ISO 11898-1, fault confinement).
+/// Fault confinement state of a CAN controller (ISO 11898-1).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum ControllerState {
-    /// Takes full part in the bus.
+    /// Error active, with both error counters below 96.
     #[default]
     Active,
-    /// An error counter passed 96.
+    /// Error active, with an error counter of 96 or more.
     Warning,
-    /// An error counter passed 127; it may no longer destroy others' frames.
+    /// Error passive: an error counter exceeds 127. The controller sends only passive error flags.
     Passive,
-    /// The transmit error counter passed 255; it has left the bus.
+    /// Bus off: the transmit error counter exceeds 255. The controller no longer takes part in the bus.
     BusOff,
 }

@@ -15,7 +15,7 @@ use master::sdo::{self, SdoError};
 use super::talk::Conversation;
 use super::{Bus, BusArgs, Channel, Drive, node_id, say};
 
-/// Time that a node has to answer an SDO request.
+/// Time limit for the answer to an SDO request.
 const ANSWER: Duration = Duration::from_millis(300);
 
 /// NMT commands.
@@ -117,25 +117,25 @@ pub(super) struct Told {
     frame: Option<Frame>,
     deadline: Instant,
     over: bool,
-    /// Last NMT state of each node since the command, or its boot-up message.
+    /// NMT state last received from each node since the command. After a reset, a boot-up message is kept.
     heard: [Option<NmtState>; 128],
-    /// Reads the heartbeat period of a single node, because a node without a heartbeat can be seen by SDO only.
+    /// Uploads the heartbeat period of the addressed node: only SDO detects a node without a heartbeat.
     client: Option<sdo::Client>,
     answer: Option<Result<u16, SdoError>>,
 }
 
-/// Result of a command.
+/// NMT states of the nodes after a command.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct NodeReport {
     pub(super) wanted: NmtState,
-    /// Nodes that sent heartbeats, and their states.
+    /// Nodes that reported an NMT state, with the last state of each.
     pub(super) heard: Vec<(NodeId, NmtState)>,
-    /// Node that sent no heartbeat, and its answer to the SDO request for its heartbeat period.
+    /// The addressed node, if it reported no NMT state, with its heartbeat period as read by SDO, ms.
     pub(super) silent: Option<(NodeId, Option<Result<u16, SdoError>>)>,
 }
 
 impl Told {
-    /// Sends the command at once, and listens for `patience`.
+    /// A conversation that sends the command first, and then listens for at most `patience`.
     pub(super) fn new(request: Request, patience: Duration, now: Instant) -> Self {
         let wanted = match request.command {
             Command::Start => NmtState::Operational,
@@ -144,7 +144,7 @@ impl Told {
             Command::ResetNode | Command::ResetCommunication => NmtState::Initialising,
         };
         let client = match (request.target, wanted) {
-            // A reset ends with a boot-up message.
+            // A node that was reset sends a boot-up message. All nodes together cannot be addressed by SDO.
             (Target::All, _) | (_, NmtState::Initialising) => None,
             (Target::Node(node), _) => {
                 let mut client = sdo::Client::new(node, ANSWER, 1);
@@ -170,7 +170,7 @@ impl Told {
             return;
         };
         self.answer = Some(match result {
-            // An abort is an answer as well: a node without the object sends no heartbeat.
+            // An abort counts as a period of 0 ms: a node without the object sends no heartbeat.
             Err(SdoError::Aborted { .. }) => Ok(0),
             result => result.and_then(|transfer| transfer.number::<u16>()),
         });
@@ -204,7 +204,7 @@ impl Conversation for Told {
         if self.frame.is_some() {
             return;
         }
-        // An answer to node guarding carries the state with a toggle bit.
+        // Heartbeats, boot-up messages and answers to node guarding have the same form. The toggle bit is ignored.
         if let Some(Response { node, state, .. }) = Response::decode(frame) {
             let heard = &mut self.heard[usize::from(node.raw())];
             // A heartbeat after the boot-up message must not hide the boot-up message.
@@ -243,8 +243,8 @@ impl Conversation for Told {
 }
 
 impl NodeReport {
-    /// Whether at least one node was heard and every heard node obeyed. A node without heartbeat that answers SDO is
-    /// not stopped; its state is otherwise unknown.
+    /// Whether at least one node reported a state, and each reported state is the wanted state. A node without
+    /// heartbeat that answers SDO is not stopped. Its answer confirms `Start` and `PreOperational`, but not `Stop`.
     pub(super) fn confirmed(&self) -> bool {
         match self.silent {
             Some((_, Some(Ok(0)))) => self.wanted != NmtState::Stopped,

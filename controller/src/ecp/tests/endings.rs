@@ -46,3 +46,21 @@ fn a_generator_that_ends_in_motion_is_braked_in_its_last_macrostep() {
         assert!((stood - 2.0).abs() < 0.05, "{last}: {stood}");
     }
 }
+
+#[test]
+fn a_stop_while_the_end_of_a_motion_is_braked_drops_the_rest() {
+    let mut bench = Bench::ready();
+    let ramp = Ramp {
+        distance: 0.02,
+        last: 0.02,
+    };
+    let task = Task::new().run(ramp).run(to(1.0, 0.0, 0.0));
+    bench.ecp.execute(task).unwrap();
+    let events = bench.go_on(|bench| {
+        if matches!(bench.ecp.activity, Activity::Stopping { .. }) {
+            bench.ecp.stop();
+        }
+    });
+    assert_eq!(events, failed(EcpError::Stopped));
+    assert_eq!(bench.servo.moves().count(), 50);
+}

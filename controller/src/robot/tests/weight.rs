@@ -113,7 +113,7 @@ fn masses_of_no_such_robot_are_refused() {
         with(|_, c, _| c.centre[0] = f64::NAN),
         Some(WeightError::Centre { link: 6, .. })
     ));
-    for up in [0.0, f64::NAN, f64::INFINITY] {
+    for up in [0.0, 1e200, f64::NAN, f64::INFINITY] {
         let found = Weight::new(&robot, &Mass::IRP6, Mass::default(), [up; 3]);
         assert_eq!(found, Err(WeightError::Up), "{up}");
     }

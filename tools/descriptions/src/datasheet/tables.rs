@@ -8,38 +8,38 @@ use mrroc::cell::Model;
 use crate::kinematics::Machine;
 use crate::robots::{Description, described};
 
-/// Source of a number.
+/// Tag of a parameter, which says where its value comes from.
 #[derive(Clone, Copy)]
 pub(crate) enum Tag {
-    /// Read in published source.
+    /// Value from the published source code that is named.
     PublicCode(&'static str),
-    /// Derived from published numbers.
+    /// Value calculated from published values in the way that is named.
     Derived(&'static str),
     /// Plausible value, to be replaced by a measurement.
     Nominal,
-    /// A number from the cell file that differs from the default.
+    /// Value from the cell file that differs from every preset.
     CellFile,
 }
 
 pub(crate) const WUT: &str = "ptroja/mrrocpp, src/robot/irp6p_m";
 pub(crate) const WUT_TRACK: &str = "ptroja/mrrocpp, src/robot/irp6ot_m";
 
-/// One line of a table: its cells, separated by `|`, without the last two, which the tag gives.
+/// One row of a table. `cells` are separated by `|`. The last two cells, tag and source, come from `tag`.
 pub(crate) struct Row {
     pub(crate) cells: String,
     pub(crate) tag: Tag,
 }
 
-/// A loop: axes, structure, crossover frequency in Hz, phase margin in degrees.
+/// One row of the loop table: axes, position loop, crossover frequency in Hz, phase margin in degrees.
 pub(crate) type Loop = [&'static str; 4];
 
-/// The loop that a CiA 402 drive closes.
+/// Text for a position loop that a CiA 402 drive closes.
 pub(crate) const BY_DRIVE: &str = "by the drive (CSP): emulated with a velocity loop at 45 Hz and a position loop at a fifth of it; cut open at the torque";
 
 /// The data sheet in Markdown.
 pub(crate) fn sheet(machine: &Machine) -> String {
     let described_as = described(&machine.parameters);
-    // The project's own numbers of that kind.
+    // Built-in parameters of robots of the same kind.
     let mut presets = Model::ALL.map(Model::parameters).to_vec();
     presets.retain(|preset| discriminant(preset) == discriminant(&machine.parameters));
     let presets: Vec<_> = presets.iter().map(described).collect();
@@ -63,7 +63,7 @@ pub(crate) fn sheet(machine: &Machine) -> String {
         );
         lines(&mut page, &described_as, &presets, |of| &of.drives);
     }
-    // The figures are the results of `mrroc identify`.
+    // The values in the table are copied from results of `mrroc identify`.
     let _ = write!(
         page,
         "## Loop\n\nEmulated with nominal motors, at 10 rad/s of the motor and a period of 2 ms; as \
@@ -86,7 +86,7 @@ pub(crate) fn sheet(machine: &Machine) -> String {
 }
 
 impl Tag {
-    /// Two cells of a table.
+    /// The last two cells of a row: tag and source.
     fn cells(self) -> String {
         match self {
             Self::PublicCode(source) => format!("public code | {source}"),
@@ -97,7 +97,7 @@ impl Tag {
     }
 }
 
-/// Adds the lines of one table. A line that no preset has is tagged as set in the cell file.
+/// Adds the rows of one table. A row that no preset contains is tagged as set in the cell file.
 fn lines<'a>(
     page: &mut String,
     machine: &'a Description,

@@ -1,4 +1,4 @@
-//! First frame of a transfer, the answer to it, and the state of the channel after each of them.
+//! The request that starts an SDO transfer, its answer, and the state of the channel after the answer.
 
 use can::Frame;
 use canopen::sdo::block::{self, MAX_BLOCK_SIZE};
@@ -15,13 +15,13 @@ pub(super) enum Asked {
     BlockDownload(Object),
     BlockUpload {
         object: Object,
-        /// Number of segments in the first sub-block.
+        /// Maximum number of segments in the first sub-block.
         size: u8,
     },
 }
 
 impl Asked {
-    /// Transfer that a frame of a client requests, if any.
+    /// Transfer that a frame of the client requests; `None` for all other frames.
     pub(super) fn of(frame: &Frame, node: NodeId) -> Option<Self> {
         if let Some(request) = block::Request::decode(frame, node) {
             return match request {
@@ -73,7 +73,7 @@ impl Asked {
             }
             Some(_) => None,
             None => match (self, Response::decode(frame, node)) {
-                // A server may answer the request of a block upload with an ordinary upload.
+                // A server may answer a request for a block upload with an expedited or segmented upload.
                 (
                     Self::Segments(Way::Upload, _) | Self::BlockUpload { .. },
                     Some(Response::InitiateUpload { object, .. }),
@@ -88,7 +88,7 @@ impl Asked {
         answered == Some(self.object())
     }
 
-    /// State of the channel after the server has answered the request with `answer`.
+    /// State of the channel after `answer`, the server's answer to this request.
     pub(super) fn begun(self, answer: &Frame, node: NodeId) -> SessionState {
         let object = Some(self.object());
         match (self, block::Response::decode(answer, node)) {
@@ -113,7 +113,7 @@ impl Asked {
             {
                 SessionState::UploadSegments(object)
             }
-            // The answer completes the transfer, or it has a block size that no client accepts.
+            // The answer completes the transfer, or its block size is invalid.
             (
                 Self::Expedited(_)
                 | Self::Segments(Way::Upload, _)
@@ -125,7 +125,7 @@ impl Asked {
     }
 }
 
-/// Whether the answer to a read announces a segmented upload.
+/// Whether the answer to an upload request announces a segmented upload.
 fn is_segmented(answer: &Frame, node: NodeId) -> bool {
     matches!(
         Response::decode(answer, node),
