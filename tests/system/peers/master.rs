@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::serial::attach;
 use super::{Bus, judged, python};
-use crate::bench::on_vcan;
+use crate::bench::{on_vcan, turn};
 use crate::mrroc::{self, Directory, Running};
 use crate::vcan::{on_stage, wait_until};
 
@@ -42,6 +42,7 @@ fn suite(python: &Path, bus: &Bus) {
 fn python_canopen_finds_an_emulated_drive_right_over_slcan() {
     let test = "peers::master::python_canopen_finds_an_emulated_drive_right_over_slcan";
     let Some(python) = python(test) else { return };
+    let _turn = turn();
     let emulated = Emulated::start();
     suite(&python, &Bus::slcan(&emulated.link));
 }
@@ -50,7 +51,7 @@ fn python_canopen_finds_an_emulated_drive_right_over_slcan() {
 fn python_canopen_finds_an_emulated_drive_right_over_the_kernels_slcan() {
     let test = "peers::master::python_canopen_finds_an_emulated_drive_right_over_the_kernels_slcan";
     let Some(python) = python(test) else { return };
-    mrroc::binary();
+    let _turn = turn();
     on_vcan(test, |_| {
         let emulated = Emulated::start();
         let slcan = attach(&emulated.link, "slcan0");
