@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::serial::attach;
 use super::{Bus, judged, python};
 use crate::bench::{on_vcan, turn};
-use crate::mrroc::{self, Directory, Running};
+use crate::mrroc::{Directory, Running};
 use crate::vcan::{on_stage, wait_until};
 
 /// The drives of an arm behind an emulated adapter, and the symbolic link to its tty.
