@@ -439,7 +439,7 @@ fn an_open_loop_generator_survives_a_controller_that_is_three_macrosteps_late() 
 }
 
 #[test]
-fn nothing_is_sent_further_ahead_than_the_lead() {
+fn nothing_is_sent_further_ahead_than_configured() {
     let mut bench = Bench::ready();
     bench
         .ecp

@@ -156,7 +156,7 @@ fn is_limit(value: f64) -> bool {
 ///
 /// Next steps take `&self`, the old memory and one snapshot, and return a [`Next`], which the runner commits as a
 /// whole. The first step stores its plan in `self`. Next steps must not allocate or block: the servo needs each
-/// result within one macrostep, less the report's lead.
+/// result within the periods of a macrostep that remain after the report.
 pub trait Generator {
     /// Images the first step reads: sporadic feedback.
     type First: Images;

@@ -5,7 +5,8 @@ use super::{Jacobian, KinematicsError};
 /// Distance of a posture from a singularity, in which the flange cannot move in some direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Singularity {
-    /// The axis that moves most while the flange moves least. Of axes within 10 % of the largest, the axis nearest to the base.
+    /// The axis that moves most while the flange moves least. Of axes within 10 % of the largest, the axis nearest to the
+    /// base.
     pub axis: u8,
     /// Smallest singular value of the Jacobian, with lengths in m. This value is the speed of the flange in its
     /// slowest direction at joint speeds of norm 1, with m/s and rad/s taken together. Zero at a singularity.

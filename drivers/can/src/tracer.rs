@@ -1,9 +1,8 @@
 //! Recording what passes through a port, and playing a recording back through one.
 //!
 //! [`Tracer`] wraps any port and never waits for the reader of the trace: what does not fit is counted
-//! and left out. [`ReplayPort`] is a port whose bus is a recording. Files are [`candump`]'s work.
-//!
-//! [`candump`]: crate::candump
+//! and left out. [`ReplayPort`] is a port whose bus is a recording. A line of a file is a
+//! [`candump::Entry`](crate::candump::Entry).
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -11,7 +11,7 @@ use crate::{cob, frame, payload};
 pub struct TimeOfDay {
     /// Days since 1984-01-01.
     pub days: u16,
-    /// Milliseconds after midnight, of which the frame has 28 bits; a day has 86_400_000.
+    /// Milliseconds after midnight, of which the frame carries 28 bits: higher bits are not sent. A day has 86_400_000.
     pub millis: u32,
 }
 

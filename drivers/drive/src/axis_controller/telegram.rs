@@ -125,9 +125,9 @@ impl Dialect {
         }
     }
 
-    /// Takes torque away by a zero set-point and the mode [`ControllerMode::Manual`] or [`ControllerMode::Error`]; `told` counts such
-    /// telegrams. In the older protocol the set-point goes first, except before an error state. `unreference` tells the
-    /// drive to forget its reference too, in every other telegram of the older protocol.
+    /// Takes torque away by a zero set-point and the mode [`ControllerMode::Manual`] or [`ControllerMode::Error`]; `told`
+    /// counts such telegrams. In the older protocol the set-point goes first, except before an error state.
+    /// `unreference` tells the drive to forget its reference too, in every other telegram of the older protocol.
     pub(super) fn rest(self, mode: ControllerMode, told: u32, unreference: bool) -> Telegram {
         match (self.protocol, mode) {
             (Protocol::Nfv2, _) => prefixed(self.follow(mode, 0, true, unreference)),

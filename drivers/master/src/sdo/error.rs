@@ -30,7 +30,8 @@ pub enum SdoError {
     /// The server aborted.
     #[error("{object} aborted by the server: {code}")]
     Aborted { object: Object, code: AbortCode },
-    /// No answer, or none that brought the transfer on, for all the retries.
+    /// No answer, or none that brought the transfer on, for all the retries. `waited` counts from the start of
+    /// the transfer, retries included.
     #[error("{object} timed out after {waited:.1?}")]
     TimedOut { object: Object, waited: Duration },
     /// A segment came or was confirmed twice, or one is missing.

@@ -26,7 +26,7 @@ pub enum ServiceError {
     /// The device refused the request with the code of an SDO abort or a code of maxon, 0x0F00_FFxx.
     #[error("refused with code {0:#010x}")]
     Refused(u32),
-    /// No answer, or an incomplete answer.
+    /// No answer, or an incomplete answer. `waited` counts from the start of the service, retries included.
     #[error("timed out after {waited:?}")]
     TimedOut { waited: Duration },
     /// An EPOS2 was not ready, or received damaged bytes.
