@@ -33,7 +33,7 @@ pub use switch::Switch;
 pub use thermal::ThermalConfig;
 pub use wut::{Wut, WutConfig};
 
-/// The integration step of every plant in an [`PlantAxis`], s.
+/// The integration step of every plant in a [`PlantAxis`], s.
 ///
 /// Compared with a reference step of 10 µs, the error of an IRp-6 motor under its servo loop is 0.06 counts at this
 /// step. At the 2 ms of the servo period the error is 1.4 counts.

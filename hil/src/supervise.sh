@@ -4,15 +4,13 @@
 # the machine with all its processes and removes the directory. However the calling program ends, the kernel closes the
 # pipe. A machine that ends by itself leaves the directory until the end of the pipe.
 #
-# The machine precedes ordinary processes, because its programs miss deadlines while the machine waits for a processor.
-# The kernel permits this for root alone. The second line is for kernels that share processor time among sessions.
+# Some kernels share processor time among sessions. The session of the machine gets the niceness of the calling program.
 directory=$1
 shift
 exec 3<&0 </dev/null 4>&2 2>/dev/null
-renice -n -15 -p $$ >/dev/null
 
 if read -r _ <&3; then
-    setsid sh -c 'echo -15 >/proc/self/autogroup; exec "$@"' sh "$@" 2>&4 3<&- 4>&- &
+    setsid sh -c '{ nice >/proc/self/autogroup; } 2>/dev/null; exec "$@"' sh "$@" 2>&4 3<&- 4>&- &
     machine=$!
     trap '' HUP INT QUIT TERM
     {

@@ -113,7 +113,10 @@ fn run_until_hung_up(
     hang_up();
     if spoilt {
         println!("again, the host disturbed the run: {moved:?}");
-        drop(run);
+        match moved {
+            Err(said) => assert!(said.contains("took more than a period"), "{said}"),
+            Ok(()) => assert_eq!(run.output().status.code(), Some(1)),
+        }
         let _ = fs::remove_file(record);
         return None;
     }

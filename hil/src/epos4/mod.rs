@@ -1,6 +1,6 @@
 //! An EPOS4-class axis controller: CiA 301 and CiA 402 as a maxon EPOS4 speaks them on CAN.
 //!
-//! [`Epos4`] is a [`Device`] with an [`PlantAxis`] and its physics. The device has LSS, boot-up, NMT, an SDO server,
+//! [`Epos4`] is a [`Device`] with a [`PlantAxis`] and its physics. The device has LSS, boot-up, NMT, an SDO server,
 //! heartbeat producer and consumer, EMCY, and four PDOs each way with strict re-mapping. The drive has power states
 //! with their option codes and the modes PP, PV, HM, CSP, CSV and CST. The object dictionary is one table.
 //!
