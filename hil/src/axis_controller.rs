@@ -59,7 +59,7 @@ pub struct AxisController {
 }
 
 enum Telegrams {
-    Nfv2(Nfv2),
+    Nfv2(Box<Nfv2>),
     HiMoxa(HiMoxa),
 }
 
@@ -70,7 +70,7 @@ impl AxisController {
     /// answered. A broadcast frame is executed and not answered. After bytes that form no valid frame, reception
     /// resumes at the next `#` that begins a frame.
     pub fn nfv2(address: u8, config: &AxisControllerConfig) -> Self {
-        Self::new(Telegrams::Nfv2(Nfv2::new(address)), config)
+        Self::new(Telegrams::Nfv2(Box::new(Nfv2::new(address))), config)
     }
 
     /// A controller with the older hi_moxa telegrams after power-on, in manual mode.

@@ -57,8 +57,8 @@ pub struct EposSerial {
 }
 
 enum Port {
-    Epos4(Frames),
-    Epos2(Exchange),
+    Epos4(Box<Frames>),
+    Epos2(Box<Exchange>),
 }
 
 impl EposSerial {
@@ -67,7 +67,10 @@ impl EposSerial {
     /// Every complete frame is answered, an invalid frame with an error code. A torn frame is not answered. A new
     /// initiation replaces a segmented transfer in progress. Any error ends the transfer.
     pub fn epos4(config: EposSerialConfig) -> Self {
-        Self::new(Port::Epos4(Frames::new(config.segment)), config.epos)
+        Self::new(
+            Port::Epos4(Box::new(Frames::new(config.segment))),
+            config.epos,
+        )
     }
 
     /// The RS-232 port of an EPOS2 after power-on.
@@ -75,7 +78,7 @@ impl EposSerial {
     /// An unknown opcode is received to its end and refused with 0x0F00_FFBF. While the port has bytes to send, it
     /// ignores received bytes.
     pub fn epos2(config: EposSerialConfig) -> Self {
-        Self::new(Port::Epos2(Exchange::new()), config.epos)
+        Self::new(Port::Epos2(Box::new(Exchange::new())), config.epos)
     }
 
     fn new(port: Port, config: Epos4Config) -> Self {

@@ -41,12 +41,12 @@ impl Rig {
         }
     }
 
-    fn nfv2(config: AxisControllerConfig) -> Self {
-        Self::new(Box::new(AxisController::nfv2(ADDRESS, &config)))
+    fn nfv2(config: &AxisControllerConfig) -> Self {
+        Self::new(Box::new(AxisController::nfv2(ADDRESS, config)))
     }
 
-    fn hi_moxa(config: AxisControllerConfig) -> Self {
-        Self::new(Box::new(AxisController::hi_moxa(&config)))
+    fn hi_moxa(config: &AxisControllerConfig) -> Self {
+        Self::new(Box::new(AxisController::hi_moxa(config)))
     }
 
     /// Writes now, and returns the bytes received one period later.

@@ -102,7 +102,6 @@ impl Epos4 {
                 creation_time: "12:00PM".into(),
                 creation_date: "11-21-2026".into(),
                 created_by: "mrroc".into(),
-                ..FileInfo::default()
             },
             device: DeviceInfo {
                 vendor_name: "mrroc, in place of maxon".into(),

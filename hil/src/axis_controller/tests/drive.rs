@@ -25,7 +25,7 @@ fn pulse_widths_and_currents_drive_the_motor_only_in_their_modes() {
         if let crate::PlantConfig::Physical(motor) = &mut config.axis.plant {
             motor.friction = crate::plant::FrictionConfig::NONE;
         }
-        let mut rig = Rig::nfv2(config);
+        let mut rig = Rig::nfv2(&config);
         rig.cycle(&[Command::SetMode(mode), set_point]);
         let before = rig.cycle(&[]).position;
         for _ in 0..50 {
@@ -43,7 +43,7 @@ fn pulse_widths_and_currents_drive_the_motor_only_in_their_modes() {
 
 #[test]
 fn a_pulse_width_is_its_share_of_48_volts() {
-    let mut rig = Rig::nfv2(column());
+    let mut rig = Rig::nfv2(&column());
     rig.cycle(&[Command::SetMode(Mode::Pwm)]);
     // A ramp, since a step from standstill would trip the drive.
     for pwm in 0..=100 {
@@ -79,7 +79,7 @@ fn the_drives_own_loop_settles_on_the_current_within_two_milliseconds() {
             motor.friction.coulomb = 100.0;
         }
         let asked = (config.axis.amplifier.max_current * 500.0) as i16;
-        let mut rig = Rig::nfv2(config);
+        let mut rig = Rig::nfv2(&config);
         rig.cycle(&[Command::SetMode(Mode::Current), Command::SetCurrent(asked)]);
         rig.cycle(&[]);
         let read = rig.cycle(&[]).current;
@@ -90,7 +90,7 @@ fn the_drives_own_loop_settles_on_the_current_within_two_milliseconds() {
 
 #[test]
 fn other_gains_make_another_loop() {
-    let mut rig = Rig::nfv2(column());
+    let mut rig = Rig::nfv2(&column());
     let weak = Gains {
         p: 3,
         i: 3,
@@ -108,7 +108,7 @@ fn other_gains_make_another_loop() {
 
 #[test]
 fn over_current_is_latched_until_manual_mode() {
-    let mut rig = Rig::nfv2(column());
+    let mut rig = Rig::nfv2(&column());
     let go = [Command::SetMode(Mode::Pwm), Command::SetPwm(300)];
     rig.cycle(&[Command::SetMaxCurrent(5000)]);
     rig.cycle(&go);
@@ -136,7 +136,7 @@ fn a_limit_switch_stops_what_runs_into_it_and_lets_it_out() {
         for current in [false, true] {
             let mut config = column();
             config.axis.start_angle = start;
-            let mut rig = Rig::nfv2(config);
+            let mut rig = Rig::nfv2(&config);
             let set = |value: i16| {
                 if current {
                     Command::SetCurrent(sign * 15 * value)
@@ -167,7 +167,7 @@ fn a_limit_switch_stops_what_runs_into_it_and_lets_it_out() {
 
 #[test]
 fn a_set_point_stays_when_the_host_stops_sending() {
-    let mut rig = Rig::nfv2(column());
+    let mut rig = Rig::nfv2(&column());
     rig.cycle(&[Command::SetMode(Mode::Pwm), Command::SetPwm(100)]);
     rig.now += Duration::from_millis(500);
     let before = rig.cycle(&[]).position;
@@ -184,7 +184,7 @@ fn a_drive_in_error_takes_the_power_from_its_cabinet_alone() {
             cabinet: cabinet.clone(),
             ..column()
         };
-        let mut rig = Rig::nfv2(config);
+        let mut rig = Rig::nfv2(&config);
         let other = AxisControllerConfig {
             cabinet: if shared { cabinet } else { Cabinet::default() },
             ..column()
@@ -236,7 +236,7 @@ fn home(mut step: impl FnMut(i16, bool) -> (bool, bool, i32)) {
 
 #[test]
 fn homing_by_hand_zeroes_the_counter_at_the_index() {
-    let mut rig = Rig::nfv2(column());
+    let mut rig = Rig::nfv2(&column());
     rig.cycle(&[Command::SetMode(Mode::Pwm)]);
     home(|pwm, armed| {
         let mode = if armed { Mode::SyncPwm } else { Mode::Pwm };
@@ -269,7 +269,7 @@ fn homing_by_hand_zeroes_the_counter_at_the_index() {
 
 #[test]
 fn homing_by_hand_works_with_the_older_telegrams() {
-    let mut rig = Rig::hi_moxa(column());
+    let mut rig = Rig::hi_moxa(&column());
     home(|value, latch_index| {
         let answer = rig.old_cycle(hi_moxa::Request::Drive {
             mode: hi_moxa::Mode::Pwm,
@@ -293,7 +293,7 @@ fn homing_by_hand_works_with_the_older_telegrams() {
 fn the_regression_model_takes_currents_and_pulse_widths() {
     let settle = |commands: &[Command]| {
         let config = AxisControllerConfig::new(AxisConfig::wut(Irp6Axis::Column));
-        let mut rig = Rig::nfv2(config);
+        let mut rig = Rig::nfv2(&config);
         rig.cycle(commands);
         let before = (0..100).map(|_| rig.cycle(&[]).position).last();
         let turns = f64::from(rig.cycle(&[]).position - before.unwrap()) / 4000.0;

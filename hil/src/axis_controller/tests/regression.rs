@@ -96,7 +96,7 @@ fn the_original_regulators_follow_as_they_do_on_the_original_emulator() {
         config.axis.start_angle -= 60.0;
         let counts = f64::from(config.axis.counts_per_revolution) / TAU;
         let mut regulator = Original::new(numbers);
-        let mut rig = Rig::nfv2(config);
+        let mut rig = Rig::nfv2(&config);
         rig.cycle(&[Command::SetMode(Mode::Current)]);
         let (mut set_point, mut target, mut position) = (0, 0.0, 0.0);
         let (mut worst, mut most, mut last) = (0.0_f64, 0.0_f64, 0.0);

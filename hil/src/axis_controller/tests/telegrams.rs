@@ -39,7 +39,7 @@ fn nfv2_answers_are_the_bytes_of_the_line() {
             &[0x23, 0x08, 0xF7, 0x08, 0x1F, 0x02, 0x00, 0x00],
         ),
     ];
-    let mut rig = Rig::nfv2(kept);
+    let mut rig = Rig::nfv2(&kept);
     for (request, answer) in cases {
         let with_crc = |bytes: &[u8]| {
             let start = bytes.iter().position(|&byte| byte == 0x23).unwrap();
@@ -59,7 +59,7 @@ fn hi_moxa_answers_are_the_bytes_of_the_line() {
     let mut kept = column();
     kept.counter = 70_000;
     kept.synchronized = true;
-    let mut rig = Rig::hi_moxa(kept);
+    let mut rig = Rig::hi_moxa(&kept);
     let cases: [(&[u8], [u8; 8]); 4] = [
         // Manual mode, with trailing garbage.
         (
@@ -92,8 +92,8 @@ fn an_answer_ends_after_both_line_times_and_the_delay() {
     let old = hi_moxa::Request::Set(hi_moxa::Parameter::Synchronized(true)).encode();
     let new = frame(ADDRESS, &[Command::SetPwm(0)]);
     let cases = [
-        (Rig::nfv2(config.clone()), new, 19),
-        (Rig::hi_moxa(config), old.to_vec(), 8),
+        (Rig::nfv2(&config.clone()), new, 19),
+        (Rig::hi_moxa(&config), old.to_vec(), 8),
     ];
     for (mut rig, request, length) in cases {
         for written in [0, 5_123_456, 13_000_001].map(Instant::from_nanos) {
@@ -113,7 +113,7 @@ fn an_answer_ends_after_both_line_times_and_the_delay() {
 
 #[test]
 fn several_requests_at_once_are_answered_in_order() {
-    let mut rig = Rig::nfv2(column());
+    let mut rig = Rig::nfv2(&column());
     let one = frame(ADDRESS, &[Command::SetMisc(Command::SET_SYNCHRONIZED)]);
     let other = frame(9, &[Command::SetMode(Mode::Pwm)]);
     let everybody = frame(0xFF, &[Command::SetMode(Mode::Error)]);
@@ -126,7 +126,7 @@ fn several_requests_at_once_are_answered_in_order() {
 
 #[test]
 fn what_it_does_not_understand_it_does_not_answer() {
-    let mut rig = Rig::nfv2(column());
+    let mut rig = Rig::nfv2(&column());
     let good = frame(ADDRESS, &[]);
     let unknown = {
         let mut bytes = vec![0x23, 0x08, 0xF7, ADDRESS, 0x1F, 0x00, 0x99, 0x00];
@@ -160,7 +160,7 @@ fn what_it_does_not_understand_it_does_not_answer() {
 #[test]
 fn random_noise_is_never_answered_without_a_frame_in_it() {
     let mut noise = crate::plant::Noise::new(11);
-    let mut rig = Rig::nfv2(column());
+    let mut rig = Rig::nfv2(&column());
     for _ in 0..200 {
         // Without the start byte the bytes contain no frame.
         let bytes: Vec<u8> = std::iter::repeat_with(|| noise.bits() as u8)
@@ -177,7 +177,7 @@ fn a_torn_request_does_not_cost_the_one_behind_it() {
     // NFv2 finds its frame with or without a pause.
     let request = frame(ADDRESS, &[Command::SetMisc(Command::SET_SYNCHRONIZED)]);
     for offset in 0..request.len() {
-        let mut rig = Rig::nfv2(column());
+        let mut rig = Rig::nfv2(&column());
         let torn = [&request[..offset], &request].concat();
         assert_eq!(rig.exchange(&torn).len(), 19, "at once, torn at {offset}");
         assert_eq!(rig.exchange(&request[..offset]), [0_u8; 0]);
@@ -191,7 +191,7 @@ fn a_torn_request_does_not_cost_the_one_behind_it() {
     // The older protocol needs the pause.
     let request = hi_moxa::Request::Set(hi_moxa::Parameter::Synchronized(true)).encode();
     for offset in 0..request.len() {
-        let mut rig = Rig::hi_moxa(column());
+        let mut rig = Rig::hi_moxa(&column());
         assert_eq!(rig.exchange(&request[..offset]), [0_u8; 0]);
         assert_eq!(rig.exchange(&request).len(), 8, "torn at {offset}");
         if offset > 0 {
@@ -207,7 +207,7 @@ fn a_torn_request_does_not_cost_the_one_behind_it() {
 
 #[test]
 fn a_pause_ends_a_request_whose_length_is_wrong() {
-    let mut rig = Rig::nfv2(column());
+    let mut rig = Rig::nfv2(&column());
     // The beginning of a frame of 256 bytes, which would swallow a dozen valid frames.
     assert_eq!(rig.exchange(&[0x23, 0xFF, 0x00, ADDRESS]), [0_u8; 0]);
     assert!(PERIOD > GAP);
@@ -217,7 +217,7 @@ fn a_pause_ends_a_request_whose_length_is_wrong() {
 #[test]
 fn the_same_run_gives_the_same_bytes() {
     let run = || {
-        let mut rig = Rig::nfv2(column());
+        let mut rig = Rig::nfv2(&column());
         rig.cycle(&[Command::SetMode(Mode::Pwm)]);
         (0..300_i16)
             .flat_map(|k| rig.exchange(&frame(ADDRESS, &[Command::SetPwm(k % 97 - 30)])))
@@ -243,7 +243,7 @@ fn the_older_drive_does_not_answer_what_is_no_request() {
         ("zeros", &[0; 100]),
         ("spaces", &[0x20; 100]),
     ];
-    let mut rig = Rig::hi_moxa(column());
+    let mut rig = Rig::hi_moxa(&column());
     for (what, bytes) in cases {
         assert_eq!(rig.exchange(bytes), [0_u8; 0], "{what}");
         assert_eq!(rig.exchange(&good).len(), 8, "after {what}");
@@ -264,7 +264,7 @@ fn a_bad_line_costs_telegrams_and_not_the_drive() {
             to_device: wire,
             to_host: WireFaults::default(),
         };
-        let mut rig = Rig::nfv2(column());
+        let mut rig = Rig::nfv2(&column());
         let request = frame(ADDRESS, &[Command::SetMisc(Command::SET_SYNCHRONIZED)]);
         rig.world.set_line_faults(rig.line, &faults);
         let answered = (0..1000)
@@ -294,7 +294,7 @@ fn a_stuck_line_is_silence() {
             } else {
                 faults.to_host = hangs;
             }
-            let mut rig = Rig::nfv2(column());
+            let mut rig = Rig::nfv2(&column());
             rig.world.set_line_faults(rig.line, &faults);
             let answer = rig.exchange(&frame(ADDRESS, &[]));
             let expected = match stuck {
@@ -318,12 +318,12 @@ fn after_any_noise_and_a_pause_a_drive_works() {
         })
         .take(1000)
         .collect();
-        let mut rig = Rig::nfv2(column());
+        let mut rig = Rig::nfv2(&column());
         rig.exchange(&bytes);
         rig.now += 10 * PERIOD;
         rig.exchange(&[]);
         rig.cycle(&[]);
-        let mut rig = Rig::hi_moxa(column());
+        let mut rig = Rig::hi_moxa(&column());
         rig.exchange(&bytes);
         rig.now += 10 * PERIOD;
         rig.exchange(&[]);
