@@ -216,6 +216,8 @@ fn an_unprivileged_user_goes_on_after_a_run_and_an_emulator_were_killed() {
     // Runs until the drives are up, so that all lines are open.
     let run = |record: &Path| {
         let run = (0..ATTEMPTS).find_map(|_| {
+            // An attempt before this one may have made the file.
+            let _ = fs::remove_file(record);
             let run = Running::unprivileged(&directory, run_arguments(&cell, &ttys, record));
             let ended = run.ended_before(record, |text| text.contains(",wrist-roll,"));
             // The run uses an ordinary thread on a loaded host and may end early.
