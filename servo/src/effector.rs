@@ -151,8 +151,8 @@ impl Effector {
             self.advance(tick);
             self.command(tick);
         }
-        let due =
-            self.state == ServoState::Moving && self.segment.is_some_and(|s| s.is_at_report());
+        let due = self.state == ServoState::Moving
+            && self.segment.as_ref().is_some_and(Segment::is_at_report);
         if due || self.news {
             self.report(tick);
         }

@@ -363,17 +363,20 @@ impl Epos4 {
     }
 
     fn schedule(&mut self) {
-        let consumers = self.consumers.poll_timeout();
-        self.wake_at = consumers
-            .into_iter()
-            .chain(self.boots_at)
-            .chain(self.heartbeat_at)
-            .chain(self.answer.map(|(at, _)| at))
-            .chain(self.block_at)
-            .chain(self.server.poll_timeout())
-            .chain(self.pdos.poll_timeout())
-            .chain([self.next_control()])
-            .min();
+        let timers = [
+            self.consumers.poll_timeout(),
+            self.boots_at,
+            self.heartbeat_at,
+            self.answer.map(|(at, _)| at),
+            self.block_at,
+            self.server.poll_timeout(),
+            self.pdos.poll_timeout(),
+        ];
+        let mut first = self.next_control();
+        for timer in timers {
+            first = timer.map_or(first, |at| first.min(at));
+        }
+        self.wake_at = Some(first);
     }
 }
 

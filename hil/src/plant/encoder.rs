@@ -49,6 +49,7 @@ impl Encoder {
     }
 
     /// Reads the shaft at `angle`, rad.
+    #[inline]
     pub(crate) fn read(&mut self, angle: f64, noise: &mut Noise) {
         let mut at = angle * self.counts_per_radian;
         if self.jitter > 0.0 {

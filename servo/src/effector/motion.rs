@@ -16,12 +16,11 @@ impl Effector {
     }
 
     fn try_follow(&mut self, tick: &Tick) -> Result<(), (Option<usize>, StopCause)> {
-        let mut segment = match self.segment {
-            Some(segment) if !segment.is_over() => segment,
-            _ => match self.begin(tick)? {
-                Some(segment) => segment,
-                None => return Ok(()),
-            },
+        if self.segment.as_ref().is_none_or(Segment::is_over) {
+            self.segment = self.begin(tick)?;
+        }
+        let Some(segment) = &mut self.segment else {
+            return Ok(());
         };
         segment.advance();
         let mut knots = [Knot::default(); MAX_AXES];
@@ -36,7 +35,6 @@ impl Effector {
             axis.knot = knots[index];
             axis.torque = segment.torque(index);
         }
-        self.segment = Some(segment);
         Ok(())
     }
 

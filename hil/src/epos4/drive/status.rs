@@ -43,7 +43,7 @@ impl Drive {
         objects.set(EPOS4_CURRENT_ACTUAL, signed(current));
         objects.set(CURRENT_AVERAGE, signed(self.average_current));
         // maxon counts µN·m. With the vendor-ID of another maker the drive counts mN·m, as in CiA 402.
-        let of_maxon = objects.u(Slot::of(VENDOR_ID)) == 0x0000_00FB;
+        let of_maxon = objects.u(const { Slot::of(VENDOR_ID) }) == 0x0000_00FB;
         let unit = if of_maxon { 1e6 } else { 1e3 };
         objects.set(MOTOR_RATED_TORQUE, (rated * unit).round() as u32);
         objects.set(MODE_OF_OPERATION_DISPLAY, i32::from(self.mode.raw()) as u32);
