@@ -7,8 +7,9 @@ use std::path::Path;
 
 use ::mrroc::cell::{Cell, Instruction, JointGenerator, Joints, LineInstruction};
 
+use crate::bench::turn;
 use crate::mrroc::{Directory, Output, mrroc, shorten};
-use crate::serial_cli::emulate;
+use crate::serial_cli::{emulate, output_on};
 
 /// A cell with this instruction only and long time limits, because the answers of another process are late on a loaded
 /// machine.
@@ -43,17 +44,7 @@ fn line() -> Instruction {
 }
 
 fn run_on(cell: &Path, ttys: &Path, record: &Path) -> Output {
-    mrroc([
-        "run".as_ref(),
-        cell.as_os_str(),
-        "--bench=card".as_ref(),
-        "--serial".as_ref(),
-        ttys.as_os_str(),
-        "--json".as_ref(),
-        "--force".as_ref(),
-        "--record".as_ref(),
-        record.as_os_str(),
-    ])
+    output_on(cell, ttys, record, |_| {})
 }
 
 /// Whether the arm was in this phase.
@@ -79,6 +70,7 @@ fn completed(run: &Output) -> bool {
 
 #[test]
 fn a_program_is_rehearsed_again_from_where_a_referenced_arm_stands() {
+    let _turn = turn();
     let directory = Directory::new();
     let (ttys, record) = (directory.path("ttys"), directory.path("record.csv"));
     let away = cell(&directory, joints([0.5, -1.7, 0.1, 0.4, 0.3]));
@@ -111,8 +103,9 @@ fn a_program_is_rehearsed_again_from_where_a_referenced_arm_stands() {
     // A motion of the joints is possible from everywhere. The line after it is possible from home.
     for instruction in [joints([0.0, -FRAC_PI_2, 0.0, 0.0, 0.0]), line()] {
         let run = run_on(&cell(&directory, instruction), &ttys, &record);
+        let completed = completed(&run);
         assert!(!has_been(&record, "Homing") && has_been(&record, "Moving"));
-        if !completed(&run) {
+        if !completed {
             return;
         }
     }
