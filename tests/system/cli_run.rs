@@ -110,11 +110,9 @@ fn check_axes(name: &str, reports: &[Value]) {
 #[test]
 fn the_wall_clock_bench_completes_without_a_fault() {
     let _turn = turn();
-    let run = mrroc([
-        "run".as_ref(),
-        example("irp6").as_os_str(),
-        "--json".as_ref(),
-    ]);
+    let directory = Directory::new();
+    let cell = directory.cell("irp6", shorten);
+    let run = mrroc(["run".as_ref(), cell.as_os_str(), "--json".as_ref()]);
     assert_eq!(run.status.code(), Some(0), "{run:?}");
     let report = run.json();
     assert_eq!(report["outcome"], "completed");

@@ -24,7 +24,7 @@ use std::path::Path;
 use serde_json::Value;
 
 use crate::bench::turn;
-use crate::mrroc::{self, Directory, Output, Running, shorten, text};
+use crate::mrroc::{self, Directory, Output, Running, shorten};
 use crate::vcan::on_stage;
 
 /// The call that waits for the next cycle.
@@ -217,10 +217,11 @@ fn a_cycle_on_an_emulated_bus_makes_no_call_but_the_wait() {
     let _turn = turn();
     let directory = Directory::new();
     for wait in ["plain", "hybrid"] {
-        let cell = text("irb6").replace(
-            "priority = 80",
-            &format!("priority = 80\nwait = \"{wait}\""),
-        );
+        let cell = directory.cell("irb6", shorten);
+        let cell = fs::read_to_string(cell).expect("the cell is there");
+        let waiting = format!("priority = 80\nwait = \"{wait}\"");
+        let cell = cell.replace("priority = 80", &waiting);
+        assert!(cell.contains(&waiting), "{cell}");
         let cell = directory.write("irb6.toml", &cell);
         let (log, output) = run(&directory, &cell, &[]);
         check(wait, &log, &output, &[]);

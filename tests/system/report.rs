@@ -7,7 +7,7 @@ use roxmltree::{Document, ParsingOptions};
 use serde_json::Value;
 
 use crate::bench::turn;
-use crate::mrroc::{Directory, Output, example, mrroc, root};
+use crate::mrroc::{Directory, Output, mrroc, root, shorten};
 
 /// A lockstep run of an example cell with `words`.
 fn lockstep(cell: &str, words: &[&str]) -> Output {
@@ -68,7 +68,8 @@ fn the_report_begins_with_the_tool_path_error_of_each_robot() {
 #[test]
 fn a_robot_by_the_clock_has_its_error_and_loses_no_record() {
     let _turn = turn();
-    let cell = example("irb6");
+    let directory = Directory::new();
+    let cell = directory.cell("irb6", shorten);
     let run = mrroc(["run".as_ref(), cell.as_os_str(), "--json".as_ref()]);
     let report = run.json();
     assert_eq!(report["lost_records"], 0, "{report}");
