@@ -93,24 +93,18 @@ pub enum Control {
 
 /// Why a group cannot be configured so.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum ConfigError {
     /// No axis at all, or more than a line index holds.
     #[error("a group has 1 to 255 axes, not {0}")]
     Axes(usize),
     /// Each axis has a line of its own.
     #[error("{axes} axes need as many lines, not {lines}")]
-    Lines {
-        /// How many axes.
-        axes: usize,
-        /// How many lines.
-        lines: usize,
-    },
+    Lines { axes: usize, lines: usize },
     /// A request and its answer do not fit into the period.
     #[error("a period of {period:?} is too short for {exchange:?} of bytes on the line")]
     Period {
-        /// The period.
         period: Duration,
-        /// Time that a request and its answer take.
         exchange: Duration,
     },
     /// [`GroupConfig::tolerated_missing`] is 0.
@@ -118,18 +112,10 @@ pub enum ConfigError {
     ToleratedMissing,
     /// A quantity of an axis that is zero, negative, not finite, or beyond what the drive can hold.
     #[error("line {line}: {quantity} is out of range")]
-    OutOfRange {
-        /// Index of the axis in its group.
-        line: u8,
-        /// Which quantity.
-        quantity: Quantity,
-    },
+    OutOfRange { line: u8, quantity: Quantity },
     /// Control by current, which only the later protocol has.
     #[error("line {line}: control by current takes protocol nfv2; hi_moxa has pulse widths only")]
-    NeedsNfv2 {
-        /// Index of the axis in its group.
-        line: u8,
-    },
+    NeedsNfv2 { line: u8 },
 }
 
 /// A quantity of an axis that has bounds in the drive or in the plausibility check.

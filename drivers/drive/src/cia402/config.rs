@@ -140,6 +140,7 @@ pub struct Setting {
 
 /// Why a configuration is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum ConfigError {
     /// No axis, or more axes than node-IDs.
     #[error("a group has 1 to 126 axes, not {0}")]
@@ -156,21 +157,13 @@ pub enum ConfigError {
     /// A setting that cannot or must not be written.
     #[error("node {node}: {object} cannot be configured: {why}")]
     Setting {
-        /// Node-ID.
         node: u8,
-        /// The object.
         object: Object,
-        /// Why.
         why: &'static str,
     },
     /// A quantity of an axis is zero, negative, not finite, or out of the drive's range.
     #[error("node {node}: {quantity} is out of range")]
-    OutOfRange {
-        /// Node-ID.
-        node: u8,
-        /// Which quantity.
-        quantity: Quantity,
-    },
+    OutOfRange { node: u8, quantity: Quantity },
 }
 
 /// A quantity of an axis that the drive holds in its own unit and integer size.
