@@ -224,10 +224,10 @@ impl NodeBringUp {
                             let started = sdo.download(object, data, now);
                             started.expect("the client is idle and the length was checked");
                         }
-                        _ => {
-                            let write = current.write().filter(|_| !reading_back);
-                            begin(sdo, current.object(), write, now);
+                        (Step::Set(write, _), false) => {
+                            begin(sdo, write.object, Some(write), now);
                         }
+                        _ => begin(sdo, current.object(), None, now),
                     }
                     self.phase = Phase::Configuring(Progress {
                         asked: true,

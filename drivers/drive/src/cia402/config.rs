@@ -291,6 +291,7 @@ impl AxisConfig {
             let value = value.filter(|value| *value > 0);
             value.ok_or(out_of_range(quantity))
         };
+        let rpm = |quantity, value| positive(quantity, rpm_magnitude(value));
         for (quantity, value) in [
             (Quantity::RatedTorque, self.rated_torque),
             (Quantity::PlausibleVelocity, self.plausible_velocity),
@@ -309,16 +310,13 @@ impl AxisConfig {
                 Quantity::FollowingError,
                 self.scale.distance(self.following_error),
             )?,
-            quick_stop_deceleration: positive(
+            quick_stop_deceleration: rpm(
                 Quantity::QuickStopDeceleration,
-                rpm_magnitude(self.quick_stop_deceleration),
+                self.quick_stop_deceleration,
             )?,
-            search_speed: positive(Quantity::SearchSpeed, rpm_magnitude(homing.search_speed))?,
-            zero_speed: positive(Quantity::ZeroSpeed, rpm_magnitude(homing.zero_speed))?,
-            homing_acceleration: positive(
-                Quantity::HomingAcceleration,
-                rpm_magnitude(homing.acceleration),
-            )?,
+            search_speed: rpm(Quantity::SearchSpeed, homing.search_speed)?,
+            zero_speed: rpm(Quantity::ZeroSpeed, homing.zero_speed)?,
+            homing_acceleration: rpm(Quantity::HomingAcceleration, homing.acceleration)?,
         })
     }
 }
