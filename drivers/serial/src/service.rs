@@ -93,7 +93,8 @@ pub struct Client {
     config: Config,
     wire: Wire,
     state: ExchangeState,
-    operation: Operation,
+    /// The request that starts the operation.
+    operation: Request<'static>,
     step: Step,
     /// Data to write in segments, or data read so far; never longer than the capacity.
     object: Vec<u8>,
@@ -129,15 +130,6 @@ enum Brought {
     Done,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Operation {
-    Read(Address),
-    Write(Address, u32),
-    ReadSegmented(Address),
-    WriteSegmented(Address),
-    Nmt { node: u8, command: u8 },
-}
-
 /// Progress of a segmented transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Step {
@@ -157,7 +149,7 @@ impl Client {
             config,
             wire: Wire::new(config.dialect),
             state: ExchangeState::Idle,
-            operation: Operation::Nmt {
+            operation: Request::Nmt {
                 node: 0,
                 command: 0,
             },
@@ -177,18 +169,18 @@ impl Client {
 
     /// Reads an object of up to four bytes: [`Reply::Value`].
     pub fn read(&mut self, address: Address, now: Instant) -> Result<(), StartError> {
-        self.start(Operation::Read(address), now)
+        self.start(Request::Read(address), now)
     }
 
     /// Writes an object of up to four bytes, given by the low bytes of `value`: [`Reply::Done`].
     pub fn write(&mut self, address: Address, value: u32, now: Instant) -> Result<(), StartError> {
-        self.start(Operation::Write(address, value), now)
+        self.start(Request::Write(address, value), now)
     }
 
     /// Reads a whole object in segments: [`Reply::Object`]. Only the device on the line can be addressed.
     pub fn read_segmented(&mut self, address: Address, now: Instant) -> Result<(), StartError> {
         self.check_segments(0)?;
-        self.start(Operation::ReadSegmented(address), now)
+        self.start(Request::InitiateSegmentedRead(address), now)
     }
 
     /// Writes a whole object in segments: [`Reply::Done`]. Only the device on the line can be addressed.
@@ -202,13 +194,15 @@ impl Client {
         self.check_idle()?;
         self.object.clear();
         self.object.extend_from_slice(data);
-        self.start(Operation::WriteSegmented(address), now)
+        let size = data.len() as u32;
+        self.start(Request::InitiateSegmentedWrite(address, size), now)
     }
 
     /// Sends an NMT command specifier (CiA 301 §7.2.8.3.1) to a node, 0 for all nodes. [`Reply::Done`] means that the
     /// device on the line has accepted the command. The reply does not confirm that the nodes obey.
     pub fn nmt(&mut self, node: u8, command: u8, now: Instant) -> Result<(), StartError> {
-        self.start(Operation::Nmt { node, command }, now)
+        let (node, command) = (node.into(), command.into());
+        self.start(Request::Nmt { node, command }, now)
     }
 
     fn check_segments(&self, size: usize) -> Result<(), StartError> {
@@ -226,7 +220,7 @@ impl Client {
         if idle { Ok(()) } else { Err(StartError::Busy) }
     }
 
-    fn start(&mut self, operation: Operation, now: Instant) -> Result<(), StartError> {
+    fn start(&mut self, operation: Request<'static>, now: Instant) -> Result<(), StartError> {
         self.check_idle()?;
         self.operation = operation;
         self.state = ExchangeState::Waiting;
@@ -257,7 +251,7 @@ impl Client {
     /// Time at which the awaited telegram is overdue.
     fn awaited(&self) -> Instant {
         let longest = match (self.config.dialect, self.operation) {
-            (Dialect::Epos4, Operation::ReadSegmented(_)) => LONGEST,
+            (Dialect::Epos4, Request::InitiateSegmentedRead(_)) => LONGEST,
             _ => 2 * (4 + 8),
         };
         self.traffic + self.config.time_out + self.config.settings.line_time(longest)
@@ -321,27 +315,14 @@ impl Client {
     /// Request of the present step.
     fn request(&self) -> Request<'_> {
         match (self.operation, self.step) {
-            (Operation::Read(address), _) => Request::Read(address),
-            (Operation::Write(address, value), _) => Request::Write(address, value),
-            (Operation::Nmt { node, command }, _) => Request::Nmt {
-                node: node.into(),
-                command: command.into(),
-            },
-            (Operation::ReadSegmented(address), Step::Start) => {
-                Request::InitiateSegmentedRead(address)
-            }
-            (Operation::ReadSegmented(_), Step::Segment { toggle, .. }) => {
-                Request::SegmentRead { toggle }
-            }
-            (Operation::WriteSegmented(address), Step::Start) => {
-                Request::InitiateSegmentedWrite(address, self.object.len() as u32)
-            }
-            (Operation::WriteSegmented(_), Step::Segment { toggle, done, .. }) => {
+            (first, Step::Start) => first,
+            (Request::InitiateSegmentedWrite(..), Step::Segment { toggle, done, .. }) => {
                 let data = &self.object[done..];
                 let data = &data[..data.len().min(MAX_SEGMENT)];
                 let last = done + data.len() == self.object.len();
                 Request::SegmentWrite { toggle, last, data }
             }
+            (_, Step::Segment { toggle, .. }) => Request::SegmentRead { toggle },
         }
     }
 
@@ -351,13 +332,13 @@ impl Client {
             // The device reports a frame that it received damaged.
             (_, _, Answer::Refused(CRC)) => self.fail(ServiceError::NotAcknowledged, now),
             (_, _, Answer::Refused(code)) => self.finish(Err(ServiceError::Refused(code)), now),
-            (Operation::Read(_), _, Answer::Value(value)) => {
+            (Request::Read(_), _, Answer::Value(value)) => {
                 self.finish(Ok(Brought::Value(value)), now);
             }
-            (Operation::Write(..) | Operation::Nmt { .. }, _, Answer::Done) => {
+            (Request::Write(..) | Request::Nmt { .. }, _, Answer::Done) => {
                 self.finish(Ok(Brought::Done), now);
             }
-            (Operation::ReadSegmented(_), Step::Start, Answer::Started(total, data)) => {
+            (Request::InitiateSegmentedRead(_), Step::Start, Answer::Started(total, data)) => {
                 let (size, capacity) = (total as usize, self.config.capacity);
                 if size > capacity {
                     let error = ServiceError::TooLarge { size, capacity };
@@ -367,7 +348,7 @@ impl Client {
                 }
             }
             (
-                Operation::ReadSegmented(_),
+                Request::InitiateSegmentedRead(_),
                 Step::Segment { toggle, total, .. },
                 Answer::Segment {
                     toggle: of,
@@ -377,7 +358,7 @@ impl Client {
             ) if of == toggle && (last || !data.is_empty()) => {
                 self.append(data, total, !toggle, last, now);
             }
-            (Operation::WriteSegmented(_), Step::Start, Answer::Done) => {
+            (Request::InitiateSegmentedWrite(..), Step::Start, Answer::Done) => {
                 self.step = Step::Segment {
                     toggle: false,
                     done: 0,
@@ -386,7 +367,7 @@ impl Client {
                 self.ask(now);
             }
             (
-                Operation::WriteSegmented(_),
+                Request::InitiateSegmentedWrite(..),
                 Step::Segment {
                     toggle,
                     done,
@@ -436,7 +417,7 @@ impl Client {
         if self.retries_left == self.config.retries {
             self.begun = now;
         }
-        if matches!(self.operation, Operation::ReadSegmented(_)) {
+        if matches!(self.operation, Request::InitiateSegmentedRead(_)) {
             self.object.clear();
         }
         self.ask(now);
