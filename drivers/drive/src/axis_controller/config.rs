@@ -55,6 +55,31 @@ impl GroupConfig {
             answer_timeout: Duration::from_millis(10),
         }
     }
+
+    /// Refuses what cannot work before a byte is sent: all that
+    /// [`AxisControllerGroup::new`](super::AxisControllerGroup::new) refuses.
+    pub fn check(&self, axes: &[AxisConfig], lines: usize) -> Result<(), ConfigError> {
+        if !(1..=usize::from(u8::MAX)).contains(&axes.len()) {
+            return Err(ConfigError::Axes(axes.len()));
+        }
+        if axes.len() != lines {
+            let axes = axes.len();
+            return Err(ConfigError::Lines { axes, lines });
+        }
+        let (request, answer) = self.protocol.telegrams();
+        let exchange = self.settings.line_time(request + answer);
+        if exchange >= self.period {
+            let period = self.period;
+            return Err(ConfigError::Period { period, exchange });
+        }
+        if self.tolerated_missing == 0 {
+            return Err(ConfigError::ToleratedMissing);
+        }
+        for (line, axis) in (0..).zip(axes) {
+            check_axis(self, axis, line)?;
+        }
+        Ok(())
+    }
 }
 
 /// One drive, its motor and its line.
@@ -161,12 +186,6 @@ impl Protocol {
             Self::HiMoxa => (hi_moxa::CYCLIC_REQUEST, hi_moxa::ANSWER),
         }
     }
-
-    /// Bytes of both.
-    pub(super) const fn exchange(self) -> usize {
-        let (request, answer) = self.telegrams();
-        request + answer
-    }
 }
 
 impl AxisConfig {
@@ -175,32 +194,6 @@ impl AxisConfig {
         let torque = self.max_current * self.torque_constant;
         let signed = self.scale.milliamperes(torque, self.torque_constant)?;
         Some(Milliamperes(signed.0.abs())).filter(|limit| limit.0 > 0)
-    }
-}
-
-impl GroupConfig {
-    /// Refuses what cannot work before a byte is sent: all that
-    /// [`AxisControllerGroup::new`](super::AxisControllerGroup::new) refuses.
-    pub fn check(&self, axes: &[AxisConfig], lines: usize) -> Result<(), ConfigError> {
-        if !(1..=usize::from(u8::MAX)).contains(&axes.len()) {
-            return Err(ConfigError::Axes(axes.len()));
-        }
-        if axes.len() != lines {
-            let axes = axes.len();
-            return Err(ConfigError::Lines { axes, lines });
-        }
-        let exchange = self.settings.line_time(self.protocol.exchange());
-        if exchange >= self.period {
-            let period = self.period;
-            return Err(ConfigError::Period { period, exchange });
-        }
-        if self.tolerated_missing == 0 {
-            return Err(ConfigError::ToleratedMissing);
-        }
-        for (line, axis) in (0..).zip(axes) {
-            check_axis(self, axis, line)?;
-        }
-        Ok(())
     }
 }
 

@@ -206,6 +206,28 @@ impl CyclicMode {
 }
 
 impl GroupConfig {
+    /// Checks the configuration without sending a frame: all that [`Cia402Group::new`](super::Cia402Group::new)
+    /// refuses.
+    pub fn check(&self, axes: &[AxisConfig]) -> Result<(), ConfigError> {
+        if !(1..=126).contains(&axes.len()) {
+            return Err(ConfigError::Axes(axes.len()));
+        }
+        for (i, axis) in axes.iter().enumerate() {
+            let earlier = axes[..i].iter().map(|axis| axis.node);
+            if earlier
+                .chain([self.host_node])
+                .any(|node| node == axis.node)
+            {
+                return Err(ConfigError::DuplicateNode(axis.node.raw()));
+            }
+            axis.drive_units()?;
+            axis.check_writes()?;
+        }
+        self.interpolation_period()?;
+        self.heartbeat_times()?;
+        Ok(())
+    }
+
     /// Object 0x60C2: value and power of ten, s. The unit is milliseconds if possible, otherwise the coarsest unit
     /// that is exact.
     pub(super) fn interpolation_period(&self) -> Result<(u8, i8), ConfigError> {
@@ -271,7 +293,7 @@ impl AxisConfig {
         let mut objects = settings.chain(self.parameters.iter().map(|parameter| parameter.object));
         if let Some(error) = objects.find_map(|object| {
             let found = reserved(self.identity.vendor, object.index, object.subindex)?;
-            Some(refusal(object, found.why()))
+            Some(refusal(object, found.why))
         }) {
             return Err(error);
         }
@@ -318,29 +340,5 @@ impl AxisConfig {
             zero_speed: rpm(Quantity::ZeroSpeed, homing.zero_speed)?,
             homing_acceleration: rpm(Quantity::HomingAcceleration, homing.acceleration)?,
         })
-    }
-}
-
-impl GroupConfig {
-    /// Checks the configuration without sending a frame: all that [`Cia402Group::new`](super::Cia402Group::new)
-    /// refuses.
-    pub fn check(&self, axes: &[AxisConfig]) -> Result<(), ConfigError> {
-        if !(1..=126).contains(&axes.len()) {
-            return Err(ConfigError::Axes(axes.len()));
-        }
-        for (i, axis) in axes.iter().enumerate() {
-            let earlier = axes[..i].iter().map(|axis| axis.node);
-            if earlier
-                .chain([self.host_node])
-                .any(|node| node == axis.node)
-            {
-                return Err(ConfigError::DuplicateNode(axis.node.raw()));
-            }
-            axis.drive_units()?;
-            axis.check_writes()?;
-        }
-        self.interpolation_period()?;
-        self.heartbeat_times()?;
-        Ok(())
     }
 }

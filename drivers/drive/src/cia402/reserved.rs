@@ -94,15 +94,10 @@ const ENTRIES_OF_MAXON: &[(Object, &str)] = &[(Object::new(0x3000, 4), SENSE)];
 /// An object that belongs to the driver, and why.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reserved {
-    object: Object,
-    why: &'static str,
-}
-
-impl Reserved {
+    /// The object.
+    pub object: Object,
     /// Reason why a cell or a device configuration file must not write the object.
-    pub fn why(&self) -> &'static str {
-        self.why
-    }
+    pub why: &'static str,
 }
 
 /// Formatted as `0x6007:00 (abort connection option code) belongs to the driver: it decides …`.

@@ -140,7 +140,7 @@ fn reserved_objects_are_refused_before_a_frame_whoever_asks_for_them() {
         let error = ConfigError::Setting {
             node: 2,
             object: Object::new(index, subindex),
-            why: reserved(MAXON, index, subindex).unwrap().why(),
+            why: reserved(MAXON, index, subindex).unwrap().why,
         };
         for axis in [by_parameter, by_setting] {
             let group = Cia402Group::new(BusEnd::default(), group_config(), &[axis]);
