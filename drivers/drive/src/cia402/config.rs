@@ -290,18 +290,17 @@ impl AxisConfig {
             why,
         };
         let settings = self.configuration.iter().map(|setting| setting.object);
-        let mut objects = settings.chain(self.parameters.iter().map(|parameter| parameter.object));
-        if let Some(error) = objects.find_map(|object| {
-            let found = reserved(self.identity.vendor, object.index, object.subindex)?;
-            Some(refusal(object, found.why))
-        }) {
-            return Err(error);
+        let parameters = self.parameters.iter().map(|parameter| parameter.object);
+        for object in settings.chain(parameters) {
+            if let Some(found) = reserved(self.identity.vendor, object.index, object.subindex) {
+                return Err(refusal(object, found.why));
+            }
         }
         let mut settings = self.configuration.iter();
-        match settings.find(|setting| setting.data.len() > CAPACITY) {
-            Some(long) => Err(refusal(long.object, "256 bytes at most are transferred")),
-            None => Ok(()),
-        }
+        let long = settings.find(|setting| setting.data.len() > CAPACITY);
+        long.map_or(Ok(()), |long| {
+            Err(refusal(long.object, "256 bytes at most are transferred"))
+        })
     }
 
     pub(super) fn drive_units(&self) -> Result<DriveUnits, ConfigError> {
