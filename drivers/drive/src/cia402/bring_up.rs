@@ -170,14 +170,9 @@ impl NodeBringUp {
             Phase::Booting {
                 since,
                 booted,
-                asked,
+                ref mut asked,
             } => {
                 let waited = now.since(since);
-                let booting = |asked| Phase::Booting {
-                    since,
-                    booted,
-                    asked,
-                };
                 if waited > self.group.boot_timeout || self.boots > BOOTS {
                     return Err(BringUpError::NeverBooted { node, waited });
                 }
@@ -192,10 +187,10 @@ impl NodeBringUp {
                             return Err(BringUpError::NotADrive { node, device_type });
                         }
                         // The node may still boot; the boot time-out decides.
-                        Err(_) => self.phase = booting(false),
+                        Err(_) => *asked = false,
                     }
-                } else if !asked && (booted || waited >= self.group.sdo_timeout) {
-                    self.phase = booting(true);
+                } else if !*asked && (booted || waited >= self.group.sdo_timeout) {
+                    *asked = true;
                     begin(sdo, DEVICE_TYPE, None, now);
                 }
                 Ok(())
