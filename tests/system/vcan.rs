@@ -15,7 +15,7 @@ use std::time::Duration;
 
 use ::mrroc::cell::{Axis, Cell, Wait};
 use can::candump::Entry;
-use can::{Frame, Instant, Port, Received, SocketCanOptions, SocketCanPort, Tracer, clock};
+use can::{Frame, Instant, Port, Received, SocketCanOptions, SocketCanPort, clock};
 use canopen::cia402::{PowerState, Statusword};
 use canopen::emcy::{Emergency, ErrorRegister};
 use canopen::objects::{POSITION_ACTUAL, STATUSWORD};
@@ -262,7 +262,7 @@ impl Row {
 /// of the run for each identifier.
 fn replays(recording: &Recording, cell: &Cell, states: &str, tolerance: f64) {
     let (config, axes) = drives_of(cell);
-    let (port, mut sent) = Tracer::new(recording.port(), 1 << 20);
+    let (port, mut sent) = recording.port();
     let mut group = Cia402Group::new(port, config, &axes).unwrap();
     assert_eq!(recording.bring_up(&mut group), Poll::Ready(Ok(())));
 
@@ -291,8 +291,8 @@ fn replays(recording: &Recording, cell: &Cell, states: &str, tolerance: f64) {
     }
     assert_eq!((recording.syncs().count(), cycles.len()), (syncs, syncs));
 
-    let replayed = std::iter::from_fn(|| sent.read());
-    let replayed = by_identifier(replayed.map(|traced| traced.frame));
+    let replayed = std::iter::from_fn(|| sent.take_sent());
+    let replayed = by_identifier(replayed.map(|sent| sent.frame));
     let live = by_identifier(recording.from_host().map(|received| received.frame));
     for (id, live) in &live {
         let replayed = replayed.get(id).map_or(&[][..], Vec::as_slice);

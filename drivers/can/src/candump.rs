@@ -13,7 +13,8 @@ use std::fmt;
 
 use thiserror::Error;
 
-use crate::{ExtendedId, Frame, Id, Instant, InterfaceName, StandardId};
+use crate::frame::{ERROR, EXTENDED, REMOTE};
+use crate::{Frame, Instant, InterfaceName};
 
 /// Which way a frame went, seen from the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -101,83 +102,61 @@ pub enum LineError {
 
 fn parse_time(text: &[u8]) -> Option<Instant> {
     let text = text.strip_prefix(b"(")?.strip_suffix(b")")?;
-    let point = text.iter().position(|&byte| byte == b'.')?;
-    let (seconds, micros) = (&text[..point], &text[point + 1..]);
-    if micros.len() != 6 {
-        return None;
-    }
-    let nanos = decimal(seconds)?.checked_mul(1_000_000_000)?;
-    nanos
-        .checked_add(decimal(micros)? * 1000)
-        .map(Instant::from_nanos)
+    let (seconds, micros) = text.split_at_checked(text.len().checked_sub(7)?)?;
+    let micros = number(micros.strip_prefix(b".")?, 10)?;
+    let nanos = number(seconds, 10)?.checked_mul(1_000_000_000)?;
+    nanos.checked_add(micros * 1000).map(Instant::from_nanos)
 }
 
-fn decimal(digits: &[u8]) -> Option<u64> {
-    if digits.is_empty() {
-        return None;
-    }
-    digits.iter().try_fold(0_u64, |number, &digit| {
-        let digit = char::from(digit).to_digit(10)?;
-        number.checked_mul(10)?.checked_add(u64::from(digit))
-    })
-}
-
-fn hex(digit: u8) -> Option<u8> {
-    char::from(digit).to_digit(16).map(|digit| digit as u8)
+/// `None` for no digits, for a byte that is none, and beyond 64 bits.
+fn number(digits: &[u8], radix: u32) -> Option<u64> {
+    let all = digits.iter().try_fold(0_u64, |number, &digit| {
+        let digit = char::from(digit).to_digit(radix)?;
+        number.checked_mul(radix.into())?.checked_add(digit.into())
+    });
+    all.filter(|_| !digits.is_empty())
 }
 
 fn parse_frame(text: &[u8]) -> Result<Frame, LineError> {
-    const FLAGS: u32 = 0xE000_0000;
-    const ERROR: u32 = 0x2000_0000;
-    let split = text
-        .iter()
-        .position(|&byte| byte == b'#')
-        .ok_or(LineError::Id)?;
-    let (digits, payload) = (&text[..split], &text[split + 1..]);
+    let split = text.iter().position(|&byte| byte == b'#');
+    let (digits, payload) = text.split_at(split.ok_or(LineError::Id)?);
+    let payload = &payload[1..];
     if payload.starts_with(b"#") {
         return Err(LineError::Fd);
     }
-    let raw = digits
-        .iter()
-        .take(8)
-        .try_fold(0, |raw, &digit| Some(raw << 4 | u32::from(hex(digit)?)))
-        .ok_or(LineError::Id)?;
-    let id: Option<Id> = match digits.len() {
-        3 => Some(StandardId::new(raw as u16).ok_or(LineError::Id)?.into()),
-        8 if raw & FLAGS == ERROR => None,
-        8 => Some(ExtendedId::new(raw).ok_or(LineError::Id)?.into()),
+    let raw = number(digits, 16).and_then(|raw| u32::try_from(raw).ok());
+    let raw = match (digits.len(), raw.ok_or(LineError::Id)?) {
+        (3, raw @ ..=0x7FF) => raw,
+        (8, raw @ ..=0x1FFF_FFFF) => raw | EXTENDED,
+        (8, raw @ ERROR..=0x3FFF_FFFF) => raw,
         _ => return Err(LineError::Id),
     };
-    if let Some(length) = payload.strip_prefix(b"R") {
+    let frame = if let Some(length) = payload.strip_prefix(b"R") {
+        if raw & ERROR != 0 {
+            return Err(LineError::Id);
+        }
         let len = match length {
-            [] => Some(0),
-            &[digit] => hex(digit),
-            _ => None,
+            [] => 0,
+            [_] => number(length, 16).ok_or(LineError::Data)? as u8,
+            _ => return Err(LineError::Data),
         };
-        let id = id.ok_or(LineError::Id)?;
-        return len
-            .and_then(|len| Frame::remote(id, len))
-            .ok_or(LineError::Data);
-    }
-    let (pairs, odd) = payload.as_chunks::<2>();
-    let mut data = [0; 8];
-    if pairs.len() > data.len() || !odd.is_empty() {
-        return Err(LineError::Data);
-    }
-    for (byte, &[high, low]) in data.iter_mut().zip(pairs) {
-        let nibbles = hex(high).zip(hex(low)).ok_or(LineError::Data)?;
-        *byte = nibbles.0 << 4 | nibbles.1;
-    }
-    let frame = match id {
-        Some(id) => Frame::new(id, &data[..pairs.len()]),
-        None => Frame::from_raw(raw, pairs.len() as u8, data),
+        Frame::from_raw(raw | REMOTE, len, [0; 8])
+    } else {
+        let (pairs, odd) = payload.as_chunks::<2>();
+        let mut data = [0; 8];
+        let bytes = data.get_mut(..pairs.len()).filter(|_| odd.is_empty());
+        for (byte, pair) in bytes.ok_or(LineError::Data)?.iter_mut().zip(pairs) {
+            *byte = number(pair, 16).ok_or(LineError::Data)? as u8;
+        }
+        Frame::from_raw(raw, pairs.len() as u8, data)
     };
-    Ok(frame.expect("at most 8 bytes"))
+    frame.ok_or(LineError::Data)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{ExtendedId, StandardId};
 
     fn entry(frame: Frame, direction: Option<Direction>) -> Entry {
         Entry {

@@ -29,6 +29,7 @@ pub struct Claim {
 
 /// Why a part could not be claimed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum ClaimError {
     /// There is no such interface.
     #[error(transparent)]
@@ -36,17 +37,13 @@ pub enum ClaimError {
     /// Another process plays the part.
     #[error("{interface}: in use by {}", Holder(*.holder))]
     Taken {
-        /// The interface.
         interface: InterfaceName,
-        /// Process ID as that process knows it; `None` if the process ended meanwhile or hides its ID.
         holder: Option<u32>,
     },
     /// Anything else that the operating system said.
     #[error("{interface}: cannot be claimed: errno {errno}")]
     Os {
-        /// The interface.
         interface: InterfaceName,
-        /// Its answer.
         errno: i32,
     },
 }

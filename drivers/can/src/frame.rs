@@ -4,9 +4,9 @@ use std::fmt;
 
 use crate::{ExtendedId, Id, StandardId};
 
-const EXTENDED: u32 = 0x8000_0000;
-const REMOTE: u32 = 0x4000_0000;
-const ERROR: u32 = 0x2000_0000;
+pub(crate) const EXTENDED: u32 = 0x8000_0000;
+pub(crate) const REMOTE: u32 = 0x4000_0000;
+pub(crate) const ERROR: u32 = 0x2000_0000;
 
 /// A classic CAN frame with the layout of Linux's `struct can_frame` (16 bytes): the kernel reads a slice of frames
 /// without conversion.

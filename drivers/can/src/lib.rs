@@ -27,5 +27,5 @@ pub use id::{ExtendedId, Id, StandardId};
 pub use instant::Instant;
 pub use interface::InterfaceName;
 pub use port::{ControllerState, Counters, Port, PortError, Received};
-pub use tracer::{ReplayPort, TraceReader, Traced, Tracer};
+pub use tracer::{TraceReader, Traced, Tracer};
 pub use virtual_port::{VirtualPeer, VirtualPort, virtual_port};

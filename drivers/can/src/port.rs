@@ -5,7 +5,7 @@ use thiserror::Error;
 use crate::timing::bits_on_wire;
 use crate::{Frame, Instant};
 
-/// One end of a CAN bus: a SocketCAN interface, an slcan adapter, the virtual bus or a recording.
+/// One end of a CAN bus: a SocketCAN interface, an slcan adapter, or the virtual bus, which may play a recording.
 ///
 /// No method waits. A driver cannot tell the implementations apart.
 pub trait Port: Send {
@@ -15,8 +15,8 @@ pub trait Port: Send {
     /// At most one system call.
     fn send(&mut self, now: Instant, frames: &[Frame]) -> Result<usize, PortError>;
 
-    /// Fills `into` from the front with the frames that have arrived, and returns their number. A virtual port and a
-    /// recording return no frame later than `now`.
+    /// Fills `into` from the front with the frames that have arrived, and returns their number. A virtual port
+    /// returns no frame later than `now`.
     ///
     /// At most one read; an slcan adapter may write first. Error frames appear only in the counters and the state.
     fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError>;

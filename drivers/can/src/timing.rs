@@ -30,22 +30,10 @@ pub struct Bitrate {
 }
 
 impl Bitrate {
-    /// 10 kbit/s.
-    pub const KBPS_10: Self = Self { kbps: 10 };
-    /// 20 kbit/s.
-    pub const KBPS_20: Self = Self { kbps: 20 };
-    /// 50 kbit/s.
-    pub const KBPS_50: Self = Self { kbps: 50 };
-    /// 100 kbit/s.
-    pub const KBPS_100: Self = Self { kbps: 100 };
     /// 125 kbit/s.
     pub const KBPS_125: Self = Self { kbps: 125 };
-    /// 250 kbit/s.
-    pub const KBPS_250: Self = Self { kbps: 250 };
     /// 500 kbit/s.
     pub const KBPS_500: Self = Self { kbps: 500 };
-    /// 800 kbit/s.
-    pub const KBPS_800: Self = Self { kbps: 800 };
     /// 1 Mbit/s, the fastest that classic CAN has.
     pub const KBPS_1000: Self = Self { kbps: 1000 };
 

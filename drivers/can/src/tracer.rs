@@ -1,8 +1,7 @@
-//! Recording what passes through a port, and playing a recording back through one.
+//! Recording what passes through a port.
 //!
 //! [`Tracer`] wraps any port and never waits for the reader of the trace: what does not fit is counted
-//! and left out. [`ReplayPort`] is a port whose bus is a recording. A line of a file is a
-//! [`candump::Entry`](crate::candump::Entry).
+//! and left out. A line of a file is a [`candump::Entry`](crate::candump::Entry).
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -10,7 +9,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use rtrb::{Consumer, Producer, RingBuffer};
 
 use crate::candump::Direction;
-use crate::error_frame::state_after;
 use crate::{ControllerState, Counters, Frame, Instant, Port, PortError, Received};
 
 /// A frame that passed through a port.
@@ -101,65 +99,6 @@ impl TraceReader {
     }
 }
 
-/// A port that hands out a recording as time passes, and takes every frame sent.
-///
-/// Once the recording is over it stays silent, as a bus without nodes.
-pub struct ReplayPort {
-    recording: Vec<Received>,
-    next: usize,
-    counters: Counters,
-    state: ControllerState,
-}
-
-impl ReplayPort {
-    /// Plays `recording` at the times it has, which must not decrease: a frame holds back those behind it.
-    pub fn new(recording: Vec<Received>) -> Self {
-        Self {
-            recording,
-            next: 0,
-            counters: Counters::default(),
-            state: ControllerState::Active,
-        }
-    }
-}
-
-impl Port for ReplayPort {
-    fn send(&mut self, _now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
-        self.counters.count_sent(frames);
-        Ok(frames.len())
-    }
-
-    fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
-        let mut count = 0;
-        while count < into.len() {
-            let Some(&received) = self.recording.get(self.next) else {
-                break;
-            };
-            if received.at > now {
-                break;
-            }
-            self.next += 1;
-            if let Some(state) = state_after(&received.frame, self.state) {
-                self.counters.errors += 1;
-                self.state = state;
-                continue;
-            }
-            into[count] = received;
-            count += 1;
-        }
-        self.counters.count_received(&into[..count]);
-        Ok(count)
-    }
-
-    fn counters(&self) -> Counters {
-        self.counters
-    }
-
-    fn state(&self) -> ControllerState {
-        self.state
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -217,34 +156,5 @@ mod tests {
         assert_eq!(port.send(at(2), &[frame(4)]), Ok(1));
         drop(port);
         assert_eq!(trace.read().map(|traced| traced.at), Some(at(2)));
-    }
-
-    #[test]
-    fn a_recording_comes_at_its_times_and_then_falls_silent() {
-        let passive = Frame::from_raw(0x2000_0004, 8, [0, 0x20, 0, 0, 0, 0, 0, 0]).unwrap();
-        let recording = vec![
-            received(1, 1000),
-            Received {
-                frame: passive,
-                at: at(1005),
-            },
-            received(2, 1010),
-        ];
-        let mut port = ReplayPort::new(recording);
-        assert_eq!(receive(&mut port, 999), []);
-        assert_eq!(receive(&mut port, 1000), [received(1, 1000)]);
-        assert_eq!(port.state(), ControllerState::Active);
-        assert_eq!(receive(&mut port, 1010), [received(2, 1010)]);
-        assert_eq!(port.state(), ControllerState::Passive);
-        assert_eq!(receive(&mut port, 5000), []);
-        assert_eq!(port.send(at(5000), &[frame(1), frame(2)]), Ok(2));
-        let expected = Counters {
-            sent: 2,
-            received: 2,
-            errors: 1,
-            bits: port.counters().bits,
-            ..Counters::default()
-        };
-        assert_eq!(port.counters(), expected);
     }
 }

@@ -60,13 +60,8 @@ impl Port for VirtualPort {
             self.counters.refused += frames.len() as u64;
             return Err(PortError::Gone);
         }
-        let mut taken = 0;
-        for &frame in frames {
-            if self.to_bus.push(Received { frame, at: now }).is_err() {
-                break;
-            }
-            taken += 1;
-        }
+        let mut push = |&frame: &Frame| self.to_bus.push(Received { frame, at: now }).is_ok();
+        let taken = frames.iter().take_while(|frame| push(frame)).count();
         self.counters.count_sent(&frames[..taken]);
         self.counters.refused += (frames.len() - taken) as u64;
         Ok(taken)

@@ -1,9 +1,9 @@
 //! Whatever comes over a serial line, reading it does not panic; what was written reads back.
 
 use can::slcan::{
-    AdapterReport, BITRATES, BusErrors, Command, LONGEST, Piece, Splitter, StatusFlags,
+    AdapterReport, BITRATES_KBPS, BusErrors, Command, LONGEST, Piece, Splitter, StatusFlags,
 };
-use can::timing::Format;
+use can::timing::{Bitrate, Format};
 use can::{ControllerState, Frame};
 use mrroc_can as can;
 use proptest::prelude::*;
@@ -23,7 +23,8 @@ fn frames() -> impl Strategy<Value = Frame> {
 fn commands() -> impl Strategy<Value = Command> {
     prop_oneof![
         frames().prop_map(Command::Transmit),
-        proptest::sample::select(&BITRATES[..]).prop_map(Command::Bitrate),
+        proptest::sample::select(&BITRATES_KBPS[..])
+            .prop_map(|kbps| Command::Bitrate(Bitrate::from_kbps(kbps).expect("a rate of slcan"))),
         any::<(u8, u8)>().prop_map(|(btr0, btr1)| Command::BitTiming { btr0, btr1 }),
         any::<u32>().prop_map(Command::AcceptanceCode),
         any::<u32>().prop_map(Command::AcceptanceMask),

@@ -12,7 +12,6 @@
 //! exists for EPOS4 only, because no layout of it is known for EPOS2. The codes of refusals are SDO abort codes and
 //! codes of maxon.
 
-mod error;
 #[cfg(test)]
 mod tests;
 mod wire;
@@ -20,12 +19,11 @@ mod wire;
 use std::time::Duration;
 
 use can::Instant;
+use thiserror::Error;
 
 use crate::epos4::{Address, Answer, LONGEST, MAX_SEGMENT, Request};
 use crate::{Settings, epos2, epos4};
 use wire::{Seen, Wire};
-
-pub use error::{ServiceError, StartError};
 
 /// Factory setting of the frame time-out of both devices.
 pub const TIME_OUT: Duration = epos4::TIME_OUT;
@@ -81,6 +79,45 @@ pub enum Reply<'a> {
     Done,
 }
 
+/// Reason why a request did not start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
+pub enum StartError {
+    /// Another request is under way.
+    #[error("an earlier request is not over")]
+    Busy,
+    /// No source describes the segmented transfer of EPOS2.
+    #[error("no transfer in segments with an EPOS2: only objects of up to 4 bytes")]
+    NoSegments,
+    /// The object is longer than the capacity of the client.
+    #[error("{size} bytes are too many, at most {capacity} are transferred")]
+    TooLarge { size: usize, capacity: usize },
+}
+
+/// Reason why a request failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
+pub enum ServiceError {
+    /// The device refused the request with the code of an SDO abort or a code of maxon, 0x0F00_FFxx.
+    #[error("refused with code {0:#010x}")]
+    Refused(u32),
+    /// No answer, or an incomplete answer. `waited` counts from the start of the service, retries included.
+    #[error("timed out after {waited:?}")]
+    TimedOut { waited: Duration },
+    /// An EPOS2 was not ready, or received damaged bytes.
+    #[error("the device did not accept the request: it was busy, or heard it damaged")]
+    NotAcknowledged,
+    /// The CRC of the answer was wrong, or the answer was incomplete.
+    #[error("the answer came damaged")]
+    Damaged,
+    /// A correct answer to another request.
+    #[error("the answer does not belong to the request")]
+    Unexpected,
+    /// The object is longer than the capacity of the client.
+    #[error("the object has {size} bytes, at most {capacity} are transferred")]
+    TooLarge { size: usize, capacity: usize },
+}
+
 /// Client of a service channel.
 ///
 /// ```text
@@ -93,7 +130,8 @@ pub struct Client {
     config: Config,
     wire: Wire,
     state: ExchangeState,
-    operation: Operation,
+    /// The request that starts the operation.
+    operation: Request<'static>,
     step: Step,
     /// Data to write in segments, or data read so far; never longer than the capacity.
     object: Vec<u8>,
@@ -129,15 +167,6 @@ enum Brought {
     Done,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Operation {
-    Read(Address),
-    Write(Address, u32),
-    ReadSegmented(Address),
-    WriteSegmented(Address),
-    Nmt { node: u8, command: u8 },
-}
-
 /// Progress of a segmented transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Step {
@@ -157,7 +186,7 @@ impl Client {
             config,
             wire: Wire::new(config.dialect),
             state: ExchangeState::Idle,
-            operation: Operation::Nmt {
+            operation: Request::Nmt {
                 node: 0,
                 command: 0,
             },
@@ -177,18 +206,18 @@ impl Client {
 
     /// Reads an object of up to four bytes: [`Reply::Value`].
     pub fn read(&mut self, address: Address, now: Instant) -> Result<(), StartError> {
-        self.start(Operation::Read(address), now)
+        self.start(Request::Read(address), now)
     }
 
     /// Writes an object of up to four bytes, given by the low bytes of `value`: [`Reply::Done`].
     pub fn write(&mut self, address: Address, value: u32, now: Instant) -> Result<(), StartError> {
-        self.start(Operation::Write(address, value), now)
+        self.start(Request::Write(address, value), now)
     }
 
     /// Reads a whole object in segments: [`Reply::Object`]. Only the device on the line can be addressed.
     pub fn read_segmented(&mut self, address: Address, now: Instant) -> Result<(), StartError> {
         self.check_segments(0)?;
-        self.start(Operation::ReadSegmented(address), now)
+        self.start(Request::InitiateSegmentedRead(address), now)
     }
 
     /// Writes a whole object in segments: [`Reply::Done`]. Only the device on the line can be addressed.
@@ -202,13 +231,15 @@ impl Client {
         self.check_idle()?;
         self.object.clear();
         self.object.extend_from_slice(data);
-        self.start(Operation::WriteSegmented(address), now)
+        let size = data.len() as u32;
+        self.start(Request::InitiateSegmentedWrite(address, size), now)
     }
 
     /// Sends an NMT command specifier (CiA 301 §7.2.8.3.1) to a node, 0 for all nodes. [`Reply::Done`] means that the
     /// device on the line has accepted the command. The reply does not confirm that the nodes obey.
     pub fn nmt(&mut self, node: u8, command: u8, now: Instant) -> Result<(), StartError> {
-        self.start(Operation::Nmt { node, command }, now)
+        let (node, command) = (node.into(), command.into());
+        self.start(Request::Nmt { node, command }, now)
     }
 
     fn check_segments(&self, size: usize) -> Result<(), StartError> {
@@ -226,7 +257,7 @@ impl Client {
         if idle { Ok(()) } else { Err(StartError::Busy) }
     }
 
-    fn start(&mut self, operation: Operation, now: Instant) -> Result<(), StartError> {
+    fn start(&mut self, operation: Request<'static>, now: Instant) -> Result<(), StartError> {
         self.check_idle()?;
         self.operation = operation;
         self.state = ExchangeState::Waiting;
@@ -257,7 +288,7 @@ impl Client {
     /// Time at which the awaited telegram is overdue.
     fn awaited(&self) -> Instant {
         let longest = match (self.config.dialect, self.operation) {
-            (Dialect::Epos4, Operation::ReadSegmented(_)) => LONGEST,
+            (Dialect::Epos4, Request::InitiateSegmentedRead(_)) => LONGEST,
             _ => 2 * (4 + 8),
         };
         self.traffic + self.config.time_out + self.config.settings.line_time(longest)
@@ -321,27 +352,14 @@ impl Client {
     /// Request of the present step.
     fn request(&self) -> Request<'_> {
         match (self.operation, self.step) {
-            (Operation::Read(address), _) => Request::Read(address),
-            (Operation::Write(address, value), _) => Request::Write(address, value),
-            (Operation::Nmt { node, command }, _) => Request::Nmt {
-                node: node.into(),
-                command: command.into(),
-            },
-            (Operation::ReadSegmented(address), Step::Start) => {
-                Request::InitiateSegmentedRead(address)
-            }
-            (Operation::ReadSegmented(_), Step::Segment { toggle, .. }) => {
-                Request::SegmentRead { toggle }
-            }
-            (Operation::WriteSegmented(address), Step::Start) => {
-                Request::InitiateSegmentedWrite(address, self.object.len() as u32)
-            }
-            (Operation::WriteSegmented(_), Step::Segment { toggle, done, .. }) => {
+            (first, Step::Start) => first,
+            (Request::InitiateSegmentedWrite(..), Step::Segment { toggle, done, .. }) => {
                 let data = &self.object[done..];
                 let data = &data[..data.len().min(MAX_SEGMENT)];
                 let last = done + data.len() == self.object.len();
                 Request::SegmentWrite { toggle, last, data }
             }
+            (_, Step::Segment { toggle, .. }) => Request::SegmentRead { toggle },
         }
     }
 
@@ -351,13 +369,13 @@ impl Client {
             // The device reports a frame that it received damaged.
             (_, _, Answer::Refused(CRC)) => self.fail(ServiceError::NotAcknowledged, now),
             (_, _, Answer::Refused(code)) => self.finish(Err(ServiceError::Refused(code)), now),
-            (Operation::Read(_), _, Answer::Value(value)) => {
+            (Request::Read(_), _, Answer::Value(value)) => {
                 self.finish(Ok(Brought::Value(value)), now);
             }
-            (Operation::Write(..) | Operation::Nmt { .. }, _, Answer::Done) => {
+            (Request::Write(..) | Request::Nmt { .. }, _, Answer::Done) => {
                 self.finish(Ok(Brought::Done), now);
             }
-            (Operation::ReadSegmented(_), Step::Start, Answer::Started(total, data)) => {
+            (Request::InitiateSegmentedRead(_), Step::Start, Answer::Started(total, data)) => {
                 let (size, capacity) = (total as usize, self.config.capacity);
                 if size > capacity {
                     let error = ServiceError::TooLarge { size, capacity };
@@ -367,7 +385,7 @@ impl Client {
                 }
             }
             (
-                Operation::ReadSegmented(_),
+                Request::InitiateSegmentedRead(_),
                 Step::Segment { toggle, total, .. },
                 Answer::Segment {
                     toggle: of,
@@ -377,7 +395,7 @@ impl Client {
             ) if of == toggle && (last || !data.is_empty()) => {
                 self.append(data, total, !toggle, last, now);
             }
-            (Operation::WriteSegmented(_), Step::Start, Answer::Done) => {
+            (Request::InitiateSegmentedWrite(..), Step::Start, Answer::Done) => {
                 self.step = Step::Segment {
                     toggle: false,
                     done: 0,
@@ -386,7 +404,7 @@ impl Client {
                 self.ask(now);
             }
             (
-                Operation::WriteSegmented(_),
+                Request::InitiateSegmentedWrite(..),
                 Step::Segment {
                     toggle,
                     done,
@@ -436,7 +454,7 @@ impl Client {
         if self.retries_left == self.config.retries {
             self.begun = now;
         }
-        if matches!(self.operation, Operation::ReadSegmented(_)) {
+        if matches!(self.operation, Request::InitiateSegmentedRead(_)) {
             self.object.clear();
         }
         self.ask(now);

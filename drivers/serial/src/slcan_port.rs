@@ -3,7 +3,7 @@
 use std::task::Poll;
 use std::time::Duration;
 
-use can::slcan::{AdapterReport, BITRATES, BusErrors, Command, LONGEST, Piece, Splitter};
+use can::slcan::{AdapterReport, BITRATES_KBPS, BusErrors, Command, LONGEST, Piece, Splitter};
 use can::timing::Bitrate;
 use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received};
 use thiserror::Error;
@@ -126,8 +126,8 @@ impl<L: Line> SlcanPort<L> {
         bitrate: Bitrate,
         now: Instant,
     ) -> Result<Self, SlcanError> {
-        if !BITRATES.contains(&bitrate) {
-            let kbps = bitrate.kbps();
+        let kbps = bitrate.kbps();
+        if !BITRATES_KBPS.contains(&kbps) {
             return Err(SlcanError::NoSuchBitrate { kbps });
         }
         let mut port = Self {

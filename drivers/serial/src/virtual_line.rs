@@ -56,13 +56,8 @@ impl Line for VirtualLine {
             self.counters.refused += bytes.len() as u64;
             return Err(LineError::Gone);
         }
-        let mut taken = 0;
-        for &byte in bytes {
-            if self.to_device.push(TimedByte { byte, at: now }).is_err() {
-                break;
-            }
-            taken += 1;
-        }
+        let mut push = |&byte: &u8| self.to_device.push(TimedByte { byte, at: now }).is_ok();
+        let taken = bytes.iter().take_while(|byte| push(byte)).count();
         self.counters.sent += taken as u64;
         self.counters.refused += (bytes.len() - taken) as u64;
         Ok(taken)

@@ -5,27 +5,17 @@ use crate::timing::Bitrate;
 
 use super::text::{LineError, Rest, TextLine};
 
-/// What `S0` to `S8` stand for, as Linux's driver has it.
+/// What `S0` to `S8` stand for, kbit/s, as Linux's driver has it.
 ///
 /// python-can takes `S7` for 750 kbit/s, and its `S9` of 83.3 kbit/s is refused here.
-pub const BITRATES: [Bitrate; 9] = [
-    Bitrate::KBPS_10,
-    Bitrate::KBPS_20,
-    Bitrate::KBPS_50,
-    Bitrate::KBPS_100,
-    Bitrate::KBPS_125,
-    Bitrate::KBPS_250,
-    Bitrate::KBPS_500,
-    Bitrate::KBPS_800,
-    Bitrate::KBPS_1000,
-];
+pub const BITRATES_KBPS: [u32; 9] = [10, 20, 50, 100, 125, 250, 500, 800, 1000];
 
 /// What a host says to an adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Command {
     /// An empty line: asks for nothing, ends what noise may stand in the adapter's buffer.
     Empty,
-    /// `S0` to `S8`: one of [`BITRATES`]; while the channel is closed.
+    /// `S0` to `S8`: one of [`BITRATES_KBPS`]; while the channel is closed.
     Bitrate(Bitrate),
     /// `sxxyy`: the registers BTR0 and BTR1 of an SJA1000 at 16 MHz; while the channel is closed.
     BitTiming {
@@ -70,12 +60,13 @@ pub enum Command {
 
 impl Command {
     /// The line that says it; `None` for what no line can say: an error frame, a bit rate that is
-    /// none of [`BITRATES`], a line speed above 6.
+    /// none of [`BITRATES_KBPS`], a line speed above 6.
     pub fn encode(&self) -> Option<TextLine> {
         let line = match *self {
             Self::Empty => TextLine::new(b""),
             Self::Bitrate(bitrate) => {
-                let number = BITRATES.iter().position(|&known| known == bitrate)?;
+                let mut rates = BITRATES_KBPS.iter();
+                let number = rates.position(|&kbps| kbps == bitrate.kbps())?;
                 TextLine::new(b"S").hex(number as u32, 1)
             }
             Self::BitTiming { btr0, btr1 } => TextLine::new(b"s")
@@ -110,8 +101,9 @@ impl Command {
         let mut rest = Rest(rest);
         let command = match letter {
             b'S' => {
-                let number = rest.decimal(1)? as usize;
-                Self::Bitrate(*BITRATES.get(number).ok_or(LineError::Character)?)
+                let kbps = BITRATES_KBPS.get(rest.decimal(1)? as usize);
+                let bitrate = kbps.and_then(|&kbps| Bitrate::from_kbps(kbps));
+                Self::Bitrate(bitrate.ok_or(LineError::Character)?)
             }
             b's' => Self::BitTiming {
                 btr0: rest.hex(2)? as u8,
@@ -157,8 +149,8 @@ mod tests {
         let send = |frame: Option<Frame>| Command::Transmit(frame.unwrap());
         let cases = [
             (Command::Empty, "\r"),
-            (Command::Bitrate(Bitrate::KBPS_10), "S0\r"),
-            (Command::Bitrate(Bitrate::KBPS_800), "S7\r"),
+            (Command::Bitrate(Bitrate::from_kbps(10).unwrap()), "S0\r"),
+            (Command::Bitrate(Bitrate::from_kbps(800).unwrap()), "S7\r"),
             (Command::Bitrate(Bitrate::KBPS_1000), "S8\r"),
             (
                 Command::BitTiming {

@@ -21,7 +21,7 @@ mod report;
 mod splitter;
 mod text;
 
-pub use command::{BITRATES, Command};
+pub use command::{BITRATES_KBPS, Command};
 pub use report::{AdapterReport, BusErrors, StatusFlags};
 pub use splitter::{Piece, Splitter};
 pub use text::{LONGEST, LineError, TextLine};

@@ -5,7 +5,7 @@ use serial::nfv2::Status;
 
 use super::AxisCounters;
 use super::config::{AxisConfig, Control, GroupConfig};
-use super::exchange::Exchange;
+use super::exchange::{Exchange, Reading};
 use super::fault::{AxisControllerFault, FaultLatch};
 use super::phase::{Acknowledgement, Phase, PhaseEvent};
 use super::plausibility::{FreezeCheck, PositionCheck, Verdict};
@@ -190,7 +190,7 @@ impl SerialAxis {
                 return;
             }
             Verdict::Unconfirmed => {
-                self.exchange.await_confirmation();
+                self.exchange.reading = Reading::Unconfirmed;
                 return;
             }
             Verdict::Indexed(before) => {
@@ -213,8 +213,9 @@ impl SerialAxis {
 
     fn accept(&mut self, answer: Answer, now: Instant, may_index: bool) {
         self.counters.accepted += 1;
-        self.exchange.accept();
-        self.acknowledgement.count_answer();
+        self.exchange.reading = Reading::Accepted;
+        let answers = &mut self.acknowledgement.answers;
+        *answers = answers.saturating_add(1);
         self.state.at = now;
         self.status.take(answer.status);
         self.measure(answer);
@@ -413,7 +414,8 @@ impl SerialAxis {
     pub(super) fn handed_over(&mut self, taken: bool, now: Instant) {
         self.exchange.send(taken, now, &mut self.counters);
         if taken {
-            self.acknowledgement.count_telegram();
+            let telegrams = &mut self.acknowledgement.telegrams;
+            *telegrams = telegrams.saturating_add(1);
         }
     }
 

@@ -39,8 +39,7 @@ pub(super) struct BringUp {
     period: Duration,
     answer_timeout: Duration,
     /// Requests in their order.
-    script: Vec<Telegram>,
-    fresh_check: PositionCheck,
+    script: [Telegram; 5],
 
     stage: Stage,
     stream: Stream,
@@ -72,23 +71,29 @@ enum Stage {
 }
 
 impl BringUp {
-    pub(super) fn new(group: &GroupConfig, config: &AxisConfig, dialect: Dialect) -> Self {
+    /// Begins at `now`. The configuration is checked.
+    pub(super) fn new(
+        group: &GroupConfig,
+        config: &AxisConfig,
+        dialect: Dialect,
+        now: Instant,
+    ) -> Self {
         let manual = dialect.rest(ControllerMode::Manual, 1, false);
-        let mut script = vec![dialect.opening(), manual, manual];
-        script.extend(config.limit().map(|limit| dialect.max_current(limit.0)));
-        script.push(manual);
+        let limit = config
+            .limit()
+            .expect("an axis without a current is refused");
+        let limit = dialect.max_current(limit.0);
         Self {
             dialect,
             period: group.period,
             answer_timeout: group.answer_timeout,
-            script,
-            fresh_check: PositionCheck::new(group, config),
+            script: [dialect.opening(), manual, manual, limit, manual],
             stage: Stage::Draining(0),
             stream: Stream::new(dialect.protocol, dialect.address),
             position_check: PositionCheck::new(group, config),
             attempts: 0,
-            asked_at: Instant::ZERO,
-            since: Instant::ZERO,
+            asked_at: now,
+            since: now,
             heard: 0,
             calls: 0,
             late: 0,
@@ -97,23 +102,13 @@ impl BringUp {
         }
     }
 
-    /// Begins anew.
-    pub(super) fn reset(&mut self, now: Instant) {
-        self.stage = Stage::Draining(0);
-        self.stream = Stream::new(self.dialect.protocol, self.dialect.address);
-        self.position_check = self.fresh_check.clone();
-        (self.attempts, self.heard, self.calls, self.late) = (0, 0, 0, 0);
-        (self.asked_at, self.since) = (now, now);
-        (self.last, self.objection) = (None, None);
-    }
-
     /// Start of operation, once the drive is ready.
-    pub(super) fn learnt(&self) -> Option<Learnt> {
+    pub(super) fn learnt(self) -> Option<Learnt> {
         let answer = self.last.filter(|_| self.stage == Stage::Ready)?;
         Some(Learnt {
             answer,
             at: self.asked_at,
-            stream: self.stream.clone(),
+            stream: self.stream,
         })
     }
 

@@ -55,6 +55,31 @@ impl GroupConfig {
             answer_timeout: Duration::from_millis(10),
         }
     }
+
+    /// Refuses what cannot work before a byte is sent: all that
+    /// [`AxisControllerGroup::new`](super::AxisControllerGroup::new) refuses.
+    pub fn check(&self, axes: &[AxisConfig], lines: usize) -> Result<(), ConfigError> {
+        if !(1..=usize::from(u8::MAX)).contains(&axes.len()) {
+            return Err(ConfigError::Axes(axes.len()));
+        }
+        if axes.len() != lines {
+            let axes = axes.len();
+            return Err(ConfigError::Lines { axes, lines });
+        }
+        let (request, answer) = self.protocol.telegrams();
+        let exchange = self.settings.line_time(request + answer);
+        if exchange >= self.period {
+            let period = self.period;
+            return Err(ConfigError::Period { period, exchange });
+        }
+        if self.tolerated_missing == 0 {
+            return Err(ConfigError::ToleratedMissing);
+        }
+        for (line, axis) in (0..).zip(axes) {
+            check_axis(self, axis, line)?;
+        }
+        Ok(())
+    }
 }
 
 /// One drive, its motor and its line.
@@ -93,24 +118,18 @@ pub enum Control {
 
 /// Why a group cannot be configured so.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum ConfigError {
     /// No axis at all, or more than a line index holds.
     #[error("a group has 1 to 255 axes, not {0}")]
     Axes(usize),
     /// Each axis has a line of its own.
     #[error("{axes} axes need as many lines, not {lines}")]
-    Lines {
-        /// How many axes.
-        axes: usize,
-        /// How many lines.
-        lines: usize,
-    },
+    Lines { axes: usize, lines: usize },
     /// A request and its answer do not fit into the period.
     #[error("a period of {period:?} is too short for {exchange:?} of bytes on the line")]
     Period {
-        /// The period.
         period: Duration,
-        /// Time that a request and its answer take.
         exchange: Duration,
     },
     /// [`GroupConfig::tolerated_missing`] is 0.
@@ -118,18 +137,10 @@ pub enum ConfigError {
     ToleratedMissing,
     /// A quantity of an axis that is zero, negative, not finite, or beyond what the drive can hold.
     #[error("line {line}: {quantity} is out of range")]
-    OutOfRange {
-        /// Index of the axis in its group.
-        line: u8,
-        /// Which quantity.
-        quantity: Quantity,
-    },
+    OutOfRange { line: u8, quantity: Quantity },
     /// Control by current, which only the later protocol has.
     #[error("line {line}: control by current takes protocol nfv2; hi_moxa has pulse widths only")]
-    NeedsNfv2 {
-        /// Index of the axis in its group.
-        line: u8,
-    },
+    NeedsNfv2 { line: u8 },
 }
 
 /// A quantity of an axis that has bounds in the drive or in the plausibility check.
@@ -175,12 +186,6 @@ impl Protocol {
             Self::HiMoxa => (hi_moxa::CYCLIC_REQUEST, hi_moxa::ANSWER),
         }
     }
-
-    /// Bytes of both.
-    pub(super) const fn exchange(self) -> usize {
-        let (request, answer) = self.telegrams();
-        request + answer
-    }
 }
 
 impl AxisConfig {
@@ -189,32 +194,6 @@ impl AxisConfig {
         let torque = self.max_current * self.torque_constant;
         let signed = self.scale.milliamperes(torque, self.torque_constant)?;
         Some(Milliamperes(signed.0.abs())).filter(|limit| limit.0 > 0)
-    }
-}
-
-impl GroupConfig {
-    /// Refuses what cannot work before a byte is sent: all that
-    /// [`AxisControllerGroup::new`](super::AxisControllerGroup::new) refuses.
-    pub fn check(&self, axes: &[AxisConfig], lines: usize) -> Result<(), ConfigError> {
-        if !(1..=usize::from(u8::MAX)).contains(&axes.len()) {
-            return Err(ConfigError::Axes(axes.len()));
-        }
-        if axes.len() != lines {
-            let axes = axes.len();
-            return Err(ConfigError::Lines { axes, lines });
-        }
-        let exchange = self.settings.line_time(self.protocol.exchange());
-        if exchange >= self.period {
-            let period = self.period;
-            return Err(ConfigError::Period { period, exchange });
-        }
-        if self.tolerated_missing == 0 {
-            return Err(ConfigError::ToleratedMissing);
-        }
-        for (line, axis) in (0..).zip(axes) {
-            check_axis(self, axis, line)?;
-        }
-        Ok(())
     }
 }
 

@@ -17,7 +17,7 @@ pub(super) struct Exchange {
     pub(super) pending: u32,
     /// When the line took the last telegram.
     pub(super) sent_at: Instant,
-    reading: Reading,
+    pub(super) reading: Reading,
     /// Cycles in a row without an accepted answer.
     age: u32,
     /// Telegrams in a row that the line did not take.
@@ -27,12 +27,13 @@ pub(super) struct Exchange {
 
 /// Result of the reading of one cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Reading {
+pub(super) enum Reading {
     /// No answer, or a refused one.
     #[default]
     Missing,
     /// An answer that the next one has to confirm.
     Unconfirmed,
+    /// An accepted answer.
     Accepted,
 }
 
@@ -78,16 +79,6 @@ impl Exchange {
             self.pending = 0;
         }
         expected
-    }
-
-    /// The answer of this cycle is accepted.
-    pub(super) fn accept(&mut self) {
-        self.reading = Reading::Accepted;
-    }
-
-    /// The answer of this cycle has to be confirmed by the next one.
-    pub(super) fn await_confirmation(&mut self) {
-        self.reading = Reading::Unconfirmed;
     }
 
     /// Ends the reading of a cycle. `due` says whether the cycle before asked for an answer.

@@ -10,50 +10,32 @@ use crate::{Fault, Refusal};
 
 /// A latched condition of an axis controller on a serial line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum AxisControllerFault {
     /// Answers were missing, damaged or implausible for more cycles than the cell allows. An emergency stop.
     #[error(
         "no answer to be believed for {cycles} cycles: check cable, power and a USB adapter's latency timer"
     )]
-    Silent {
-        /// Cycles without an accepted answer.
-        cycles: u32,
-    },
-    /// More than a quarter of the answers were missing, in gaps that are tolerated one by one.
+    Silent { cycles: u32 },
+    /// More than a quarter of the answers due, 200 at most, were missing or refused, in gaps that are tolerated one by one.
     #[error(
         "{missing} of {cycles} answers missing or late: set a USB adapter's latency timer to 1 ms, check the cable"
     )]
-    Late {
-        /// Answers that did not come in their cycle, or were refused.
-        missing: u32,
-        /// Answers that were due, 200 at most.
-        cycles: u32,
-    },
+    Late { missing: u32, cycles: u32 },
     /// The line took no set-point for more cycles than the cell allows: the drive follows an old one. An emergency stop.
     #[error("set-point not taken by the line for {cycles} cycles")]
-    NotSent {
-        /// Cycles in a row.
-        cycles: u32,
-    },
+    NotSent { cycles: u32 },
     /// The line cannot be read or written. An emergency stop of the drives that are still connected.
     #[error("{0}: open it anew")]
     Line(LineError),
-    /// The counter changed by more than the motor can move, and stays there. An emergency stop.
+    /// The counter changed by more than the motor can move, and stays there (increments). An emergency stop.
     #[error(
         "counter went from {from} to {to}, farther than the motor can move: home the axis again"
     )]
-    Jumped {
-        /// Last accepted position, increments.
-        from: i32,
-        /// Position after the jump, increments.
-        to: i32,
-    },
+    Jumped { from: i32, to: i32 },
     /// The answers stayed the same in every bit while the set-points changed. An emergency stop.
     #[error("the same answer for {cycles} cycles after the set-points changed")]
-    Frozen {
-        /// Cycles.
-        cycles: u32,
-    },
+    Frozen { cycles: u32 },
     /// The drive lost its reference without being told to: it was power-cycled.
     #[error("restarted: home the axis again")]
     Restarted,
@@ -61,10 +43,7 @@ pub enum AxisControllerFault {
     #[error(
         "kept its reference though told to forget it for {cycles} cycles: switch it off and on"
     )]
-    KeepsReference {
-        /// Cycles.
-        cycles: u32,
-    },
+    KeepsReference { cycles: u32 },
     /// The drive reports that its power stage is off or has failed.
     #[error(
         "power stage is off or has failed: check the emergency stop and the power of the cabinet"
@@ -76,12 +55,10 @@ pub enum AxisControllerFault {
     /// The drive reports its error state.
     #[error("drive is in its error state")]
     Error,
-    /// Another axis required an emergency stop: this drive is told to open the circuit of their cabinet too.
+    /// Another axis required an emergency stop: this drive is told to open the circuit of their cabinet too. `line` is the
+    /// first one whose axis required the stop.
     #[error("stopped with line {line}, whose drive may go on: see what that one reports")]
-    Cabinet {
-        /// The first line whose axis required the emergency stop.
-        line: u8,
-    },
+    Cabinet { line: u8 },
     /// A refused set-point. The group sent no new set-point in that cycle.
     #[error("set-point {0}")]
     Refused(Refusal),
@@ -181,57 +158,32 @@ impl FaultLatch {
 
 /// Why an axis controller could not be brought up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum AxisControllerError {
     /// No byte came.
     #[error(
         "no answer, waited {waited:.1?}: check that the cabinet is on, the cable, the baud rate, and the address"
     )]
-    Silent {
-        /// Time waited.
-        waited: Duration,
-    },
+    Silent { waited: Duration },
     /// Bytes came, and no answer among them.
     #[error(
         "{bytes} bytes and no answer among them: check the baud rate, a USB adapter's latency timer, and what is on the line"
     )]
-    Garbled {
-        /// How many bytes.
-        bytes: u32,
-    },
+    Garbled { bytes: u32 },
     /// The drive answers in the other protocol.
     #[error("speaks {found:?}, the cell says {expected:?}")]
-    OtherProtocol {
-        /// What the cell says.
-        expected: Protocol,
-        /// What the drive speaks.
-        found: Protocol,
-    },
+    OtherProtocol { expected: Protocol, found: Protocol },
     /// The drive answers for another axis.
     #[error("answers as address {found}, the cell says {expected}: check which line goes where")]
-    OtherAddress {
-        /// What the cell says.
-        expected: u8,
-        /// Address of the answers.
-        found: u8,
-    },
-    /// The drive answers, and its counter is elsewhere in each answer.
+    OtherAddress { expected: u8, found: u8 },
+    /// The drive answers, and its counter is elsewhere in each answer (increments).
     #[error("its counter is at {from} and then at {to}, farther than the motor can move")]
-    Unsteady {
-        /// Increments.
-        from: i32,
-        /// Increments.
-        to: i32,
-    },
+    Unsteady { from: i32, to: i32 },
     /// The drive answers too late for a cycle.
     #[error(
         "{late} of {answers} answers took more than a period: set the adapter's latency timer to 1 ms, or take a card"
     )]
-    Late {
-        /// How many answers.
-        late: usize,
-        /// Of how many.
-        answers: usize,
-    },
+    Late { late: usize, answers: usize },
     /// The drive answers, and has no power.
     #[error("power stage is off: switch the cabinet on and release its emergency stop")]
     PowerStage,

@@ -99,7 +99,6 @@ const READING: usize = 4_096;
 pub struct AxisControllerGroup<L: Line> {
     config: GroupConfig,
     controllers: Vec<Controller<L>>,
-    up: bool,
     /// The last cycle called [`send`](DriveGroup::send), so that answers are due.
     attempted: bool,
     buffer: Box<[u8; READING]>,
@@ -110,9 +109,10 @@ pub struct AxisControllerGroup<L: Line> {
 /// One drive and its line.
 struct Controller<L> {
     line: L,
+    config: AxisConfig,
     axis: SerialAxis,
-    bring_up: BringUp,
-    begun: bool,
+    /// Bring-up, while it is under way.
+    bring_up: Option<BringUp>,
     setpoint: Option<i16>,
 }
 
@@ -150,21 +150,16 @@ impl<L: Line> AxisControllerGroup<L> {
     ) -> Result<Self, ConfigError> {
         config.check(axes, lines.len())?;
         let controllers = lines.into_iter().zip(axes).zip(0..);
-        let controllers = controllers.map(|((line, config_of_axis), index)| {
-            let axis = SerialAxis::new(&config, config_of_axis, index);
-            let bring_up = BringUp::new(&config, config_of_axis, axis.setup.dialect);
-            Controller {
-                line,
-                axis,
-                bring_up,
-                begun: false,
-                setpoint: None,
-            }
+        let controllers = controllers.map(|((line, &of_axis), index)| Controller {
+            line,
+            config: of_axis,
+            axis: SerialAxis::new(&config, &of_axis, index),
+            bring_up: None,
+            setpoint: None,
         });
         Ok(Self {
             config,
             controllers: controllers.collect(),
-            up: false,
             attempted: false,
             buffer: Box::new([0; READING]),
             counters: GroupCounters::default(),
@@ -182,11 +177,10 @@ impl<L: Line> AxisControllerGroup<L> {
     fn advance_bring_up(&mut self, now: Instant) -> Result<bool, BringUpError> {
         let mut ready = true;
         for (line, controller) in (0..).zip(&mut self.controllers) {
-            let Controller { axis, bring_up, .. } = controller;
-            if !controller.begun {
-                bring_up.reset(now);
-                controller.begun = true;
-            }
+            let Controller { axis, config, .. } = controller;
+            let bring_up = controller
+                .bring_up
+                .get_or_insert_with(|| BringUp::new(&self.config, config, axis.setup.dialect, now));
             let buffer = &mut self.buffer[..];
             ready &= bring_up
                 .advance(&mut controller.line, buffer, &mut axis.counters, now)
@@ -210,27 +204,18 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
     /// A call after success or after an error begins anew. The error of the first failing axis is returned.
     fn bring_up(&mut self, now: Instant) -> Poll<Result<(), BringUpError>> {
         self.now = now;
-        if std::mem::take(&mut self.up) {
-            self.controllers
-                .iter_mut()
-                .for_each(|controller| controller.begun = false);
+        let result = self.advance_bring_up(now);
+        if result == Ok(false) {
+            return Poll::Pending;
         }
-        let result = match self.advance_bring_up(now) {
-            Ok(false) => return Poll::Pending,
-            Ok(true) => Ok(()),
-            Err(error) => Err(error),
-        };
-        self.up = result.is_ok();
         self.attempted = false;
         for controller in &mut self.controllers {
-            if self.up
-                && let Some(learnt) = controller.bring_up.learnt()
-            {
+            let ended = controller.bring_up.take().filter(|_| result.is_ok());
+            if let Some(learnt) = ended.and_then(BringUp::learnt) {
                 controller.axis.begin(learnt);
             }
-            controller.begun = self.up;
         }
-        Poll::Ready(result)
+        Poll::Ready(result.map(|_| ()))
     }
 
     fn read(&mut self, now: Instant, states: &mut [AxisState]) {

@@ -224,14 +224,6 @@ impl Acknowledgement {
         }
     }
 
-    pub(super) fn count_telegram(&mut self) {
-        self.telegrams = self.telegrams.saturating_add(1);
-    }
-
-    pub(super) fn count_answer(&mut self) {
-        self.answers = self.answers.saturating_add(1);
-    }
-
     /// Whether the drive is in its new mode.
     pub(super) fn is_complete(&self) -> bool {
         self.answers >= ANSWERS_TO_EFFECT

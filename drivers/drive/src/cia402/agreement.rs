@@ -9,11 +9,6 @@ use super::config::AxisConfig;
 use super::program::MAXON;
 use crate::BringUpError;
 
-/// Vendors whose object 0x6076 has a unit of its own, N·m. Maxon counts µN·m, as published drivers for EPOS4 read it.
-const TORQUE_UNITS: [(u32, f64); 1] = [(MAXON, 1e-6)];
-/// The unit of object 0x6076 of all other vendors, N·m, as manuals of CiA 402 drives give it.
-const TORQUE_UNIT: f64 = 1e-3;
-
 const CORRECT_COUNTS: &str = "correct drive.counts_per_revolution or the drive's own setting";
 const CORRECT_GEAR: &str = "set 1/1 in the drive, the cell counts at the motor shaft";
 const CORRECT_TORQUE: &str = "correct drive.rated_torque or the drive's motor data";
@@ -113,11 +108,11 @@ pub(super) fn of(axis: &AxisConfig) -> Vec<Agreement> {
             CORRECT_COUNTS,
         ));
     }
-    let mut units = TORQUE_UNITS.iter();
-    let own = units.find(|(vendor, _)| *vendor == axis.identity.vendor);
-    let (unit, what) = match own {
-        Some((_, unit)) => (*unit, "µN·m of rated torque"),
-        None => (TORQUE_UNIT, "mN·m of rated torque"),
+    // Object 0x6076 counts mN·m, as manuals of CiA 402 drives give it. Maxon counts µN·m, as published drivers for EPOS4
+    // read it.
+    let (unit, what) = match axis.identity.vendor {
+        MAXON => (1e-6, "µN·m of rated torque"),
+        _ => (1e-3, "mN·m of rated torque"),
     };
     let expected = (axis.rated_torque / unit).round() as u32;
     agreements.push(Agreement {

@@ -170,14 +170,9 @@ impl NodeBringUp {
             Phase::Booting {
                 since,
                 booted,
-                asked,
+                ref mut asked,
             } => {
                 let waited = now.since(since);
-                let booting = |asked| Phase::Booting {
-                    since,
-                    booted,
-                    asked,
-                };
                 if waited > self.group.boot_timeout || self.boots > BOOTS {
                     return Err(BringUpError::NeverBooted { node, waited });
                 }
@@ -192,10 +187,10 @@ impl NodeBringUp {
                             return Err(BringUpError::NotADrive { node, device_type });
                         }
                         // The node may still boot; the boot time-out decides.
-                        Err(_) => self.phase = booting(false),
+                        Err(_) => *asked = false,
                     }
-                } else if !asked && (booted || waited >= self.group.sdo_timeout) {
-                    self.phase = booting(true);
+                } else if !*asked && (booted || waited >= self.group.sdo_timeout) {
+                    *asked = true;
                     begin(sdo, DEVICE_TYPE, None, now);
                 }
                 Ok(())
@@ -224,10 +219,10 @@ impl NodeBringUp {
                             let started = sdo.download(object, data, now);
                             started.expect("the client is idle and the length was checked");
                         }
-                        _ => {
-                            let write = current.write().filter(|_| !reading_back);
-                            begin(sdo, current.object(), write, now);
+                        (Step::Set(write, _), false) => {
+                            begin(sdo, write.object, Some(write), now);
                         }
+                        _ => begin(sdo, current.object(), None, now),
                     }
                     self.phase = Phase::Configuring(Progress {
                         asked: true,

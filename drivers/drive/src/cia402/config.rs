@@ -140,6 +140,7 @@ pub struct Setting {
 
 /// Why a configuration is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum ConfigError {
     /// No axis, or more axes than node-IDs.
     #[error("a group has 1 to 126 axes, not {0}")]
@@ -156,21 +157,13 @@ pub enum ConfigError {
     /// A setting that cannot or must not be written.
     #[error("node {node}: {object} cannot be configured: {why}")]
     Setting {
-        /// Node-ID.
         node: u8,
-        /// The object.
         object: Object,
-        /// Why.
         why: &'static str,
     },
     /// A quantity of an axis is zero, negative, not finite, or out of the drive's range.
     #[error("node {node}: {quantity} is out of range")]
-    OutOfRange {
-        /// Node-ID.
-        node: u8,
-        /// Which quantity.
-        quantity: Quantity,
-    },
+    OutOfRange { node: u8, quantity: Quantity },
 }
 
 /// A quantity of an axis that the drive holds in its own unit and integer size.
@@ -213,6 +206,28 @@ impl CyclicMode {
 }
 
 impl GroupConfig {
+    /// Checks the configuration without sending a frame: all that [`Cia402Group::new`](super::Cia402Group::new)
+    /// refuses.
+    pub fn check(&self, axes: &[AxisConfig]) -> Result<(), ConfigError> {
+        if !(1..=126).contains(&axes.len()) {
+            return Err(ConfigError::Axes(axes.len()));
+        }
+        for (i, axis) in axes.iter().enumerate() {
+            let earlier = axes[..i].iter().map(|axis| axis.node);
+            if earlier
+                .chain([self.host_node])
+                .any(|node| node == axis.node)
+            {
+                return Err(ConfigError::DuplicateNode(axis.node.raw()));
+            }
+            axis.drive_units()?;
+            axis.check_writes()?;
+        }
+        self.interpolation_period()?;
+        self.heartbeat_times()?;
+        Ok(())
+    }
+
     /// Object 0x60C2: value and power of ten, s. The unit is milliseconds if possible, otherwise the coarsest unit
     /// that is exact.
     pub(super) fn interpolation_period(&self) -> Result<(u8, i8), ConfigError> {
@@ -275,18 +290,17 @@ impl AxisConfig {
             why,
         };
         let settings = self.configuration.iter().map(|setting| setting.object);
-        let mut objects = settings.chain(self.parameters.iter().map(|parameter| parameter.object));
-        if let Some(error) = objects.find_map(|object| {
-            let found = reserved(self.identity.vendor, object.index, object.subindex)?;
-            Some(refusal(object, found.why()))
-        }) {
-            return Err(error);
+        let parameters = self.parameters.iter().map(|parameter| parameter.object);
+        for object in settings.chain(parameters) {
+            if let Some(found) = reserved(self.identity.vendor, object.index, object.subindex) {
+                return Err(refusal(object, found.why));
+            }
         }
         let mut settings = self.configuration.iter();
-        match settings.find(|setting| setting.data.len() > CAPACITY) {
-            Some(long) => Err(refusal(long.object, "256 bytes at most are transferred")),
-            None => Ok(()),
-        }
+        let long = settings.find(|setting| setting.data.len() > CAPACITY);
+        long.map_or(Ok(()), |long| {
+            Err(refusal(long.object, "256 bytes at most are transferred"))
+        })
     }
 
     pub(super) fn drive_units(&self) -> Result<DriveUnits, ConfigError> {
@@ -298,6 +312,7 @@ impl AxisConfig {
             let value = value.filter(|value| *value > 0);
             value.ok_or(out_of_range(quantity))
         };
+        let rpm = |quantity, value| positive(quantity, rpm_magnitude(value));
         for (quantity, value) in [
             (Quantity::RatedTorque, self.rated_torque),
             (Quantity::PlausibleVelocity, self.plausible_velocity),
@@ -316,40 +331,13 @@ impl AxisConfig {
                 Quantity::FollowingError,
                 self.scale.distance(self.following_error),
             )?,
-            quick_stop_deceleration: positive(
+            quick_stop_deceleration: rpm(
                 Quantity::QuickStopDeceleration,
-                rpm_magnitude(self.quick_stop_deceleration),
+                self.quick_stop_deceleration,
             )?,
-            search_speed: positive(Quantity::SearchSpeed, rpm_magnitude(homing.search_speed))?,
-            zero_speed: positive(Quantity::ZeroSpeed, rpm_magnitude(homing.zero_speed))?,
-            homing_acceleration: positive(
-                Quantity::HomingAcceleration,
-                rpm_magnitude(homing.acceleration),
-            )?,
+            search_speed: rpm(Quantity::SearchSpeed, homing.search_speed)?,
+            zero_speed: rpm(Quantity::ZeroSpeed, homing.zero_speed)?,
+            homing_acceleration: rpm(Quantity::HomingAcceleration, homing.acceleration)?,
         })
-    }
-}
-
-impl GroupConfig {
-    /// Checks the configuration without sending a frame: all that [`Cia402Group::new`](super::Cia402Group::new)
-    /// refuses.
-    pub fn check(&self, axes: &[AxisConfig]) -> Result<(), ConfigError> {
-        if !(1..=126).contains(&axes.len()) {
-            return Err(ConfigError::Axes(axes.len()));
-        }
-        for (i, axis) in axes.iter().enumerate() {
-            let earlier = axes[..i].iter().map(|axis| axis.node);
-            if earlier
-                .chain([self.host_node])
-                .any(|node| node == axis.node)
-            {
-                return Err(ConfigError::DuplicateNode(axis.node.raw()));
-            }
-            axis.drive_units()?;
-            axis.check_writes()?;
-        }
-        self.interpolation_period()?;
-        self.heartbeat_times()?;
-        Ok(())
     }
 }

@@ -93,28 +93,23 @@ impl Search {
                 *answers = answers.saturating_add(1);
                 let had_time = *answers > ANSWERS_TO_EFFECT;
                 let timely = *begun || had_time;
-                match word.homing() {
-                    HomingStatus::InProgress => *begun = true,
-                    HomingStatus::Attained => {}
-                    HomingStatus::Done if timely => {
-                        (self.attained, self.doubted) = (true, false);
-                        self.step = Step::Ended { attained: true };
+                let attained = match word.homing() {
+                    HomingStatus::InProgress => {
+                        *begun = true;
+                        None
                     }
-                    HomingStatus::Interrupted if *begun && had_time => {
-                        self.step = Step::Ended { attained: false };
-                    }
+                    HomingStatus::Attained => None,
+                    HomingStatus::Done => timely.then_some(true),
+                    HomingStatus::Interrupted => (*begun && had_time).then_some(false),
                     HomingStatus::ErrorMoving
                     | HomingStatus::ErrorStanding
-                    | HomingStatus::Reserved
-                        if timely =>
-                    {
-                        self.step = Step::Ended { attained: false };
+                    | HomingStatus::Reserved => timely.then_some(false),
+                };
+                if let Some(attained) = attained {
+                    self.step = Step::Ended { attained };
+                    if attained {
+                        (self.attained, self.doubted) = (true, false);
                     }
-                    HomingStatus::Done
-                    | HomingStatus::Interrupted
-                    | HomingStatus::ErrorMoving
-                    | HomingStatus::ErrorStanding
-                    | HomingStatus::Reserved => {}
                 }
             }
             Step::Halting { answers } => {

@@ -489,7 +489,7 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         }
         self.batch.clear();
         self.batch.push(Sync::default().encode());
-        let watched = self.heartbeat.is_watched();
+        let watched = self.heartbeat.watched;
         for (node, &command) in self.nodes.iter_mut().zip(commands) {
             let frame = node
                 .axis

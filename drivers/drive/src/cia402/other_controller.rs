@@ -9,22 +9,17 @@ use thiserror::Error;
 
 /// A received frame that only the controller of a bus sends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum Sign {
     /// SYNC.
     #[error("SYNC")]
     Sync,
     /// The heartbeat of the host's own node-ID.
     #[error("the heartbeat of node {node}")]
-    Heartbeat {
-        /// Node-ID of the host.
-        node: u8,
-    },
+    Heartbeat { node: u8 },
     /// An RPDO of one of our drives.
     #[error("a set-point of node {node}")]
-    Setpoint {
-        /// Node-ID of the drive.
-        node: u8,
-    },
+    Setpoint { node: u8 },
 }
 
 impl Sign {

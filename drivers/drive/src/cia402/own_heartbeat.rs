@@ -10,8 +10,8 @@ pub(super) struct OwnHeartbeat {
     due: Instant,
     /// When the port took the last one, or was offered the first one.
     since: Option<Instant>,
-    /// The port took one.
-    heard: bool,
+    /// The port took one: the drives would notice that the host falls silent.
+    pub(super) watched: bool,
 }
 
 impl OwnHeartbeat {
@@ -20,7 +20,7 @@ impl OwnHeartbeat {
         Self {
             due: now,
             since: None,
-            heard: false,
+            watched: false,
         }
     }
 
@@ -33,7 +33,7 @@ impl OwnHeartbeat {
         if taken {
             self.due = now + period;
             self.since = Some(now);
-            self.heard = true;
+            self.watched = true;
         } else {
             self.since.get_or_insert(now);
         }
@@ -43,10 +43,5 @@ impl OwnHeartbeat {
     pub(super) fn missing(&self, now: Instant, allowed: Duration) -> Option<Duration> {
         let waited = now.since(self.since?);
         (waited > allowed).then_some(waited)
-    }
-
-    /// Whether the drives would notice that the host falls silent.
-    pub(super) fn is_watched(&self) -> bool {
-        self.heard
     }
 }

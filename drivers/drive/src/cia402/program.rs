@@ -90,23 +90,6 @@ impl Step {
             _ => false,
         }
     }
-
-    /// The number to write; `None` for a setting or a read.
-    pub(super) fn write(&self) -> Option<Write> {
-        match self {
-            Self::Set(write, _) => Some(*write),
-            Self::Identity(..)
-            | Self::AtLeast(..)
-            | Self::Configure(..)
-            | Self::Modes(_)
-            | Self::Value(_)
-            | Self::Agree(_)
-            | Self::Shown(_)
-            | Self::Statusword
-            | Self::Position
-            | Self::ErrorCode => None,
-        }
-    }
 }
 
 impl Parameter {

@@ -3,7 +3,8 @@
 use std::task::Poll;
 use std::time::Duration;
 
-use can::{Frame, Instant, Received, ReplayPort};
+use can::timing::bits_on_wire;
+use can::{Frame, Instant, Received, VirtualPeer, VirtualPort, virtual_port};
 use canopen::heartbeat::Heartbeat;
 use canopen::{NodeId, cob};
 
@@ -19,7 +20,8 @@ use crate::{BringUpError, DriveGroup};
 ///   refused is not in the recording.
 ///
 /// ```text
-/// group = Cia402Group::new(recording.port(), config, axes)
+/// (port, sent) = recording.port()
+/// group = Cia402Group::new(port, config, axes)
 /// recording.bring_up(group)
 /// for now in recording.syncs(): group.read(now, states); group.write(now, commands); group.send(now)
 /// ```
@@ -49,10 +51,15 @@ impl Recording {
         }
     }
 
-    /// A port that delivers the frames of the drives at their times.
-    pub fn port(&self) -> ReplayPort {
+    /// A port that delivers the frames of the drives at their times, and its other end, at which the frames of the
+    /// group arrive. The port has room for twice the frames of the recording.
+    pub fn port(&self) -> (VirtualPort, VirtualPeer) {
+        let (port, mut peer) = virtual_port(2 * self.frames.len());
         let drives = |received: &&Received| !is_from_host(&received.frame, self.host_node);
-        ReplayPort::new(self.frames.iter().filter(drives).copied().collect())
+        for received in self.frames.iter().filter(drives) {
+            peer.deliver(*received, bits_on_wire(&received.frame));
+        }
+        (port, peer)
     }
 
     /// The frames of the host.
@@ -143,7 +150,7 @@ mod tests {
             [Instant::from_nanos(9)]
         );
         let mut into = [recording.frames[0]; 8];
-        let mut port = recording.port();
+        let (mut port, _peer) = recording.port();
         let count = can::Port::receive(&mut port, Instant::from_nanos(100), &mut into).unwrap();
         let drives = [(6, 0x701), (8, 0x581), (30, 0x081), (31, 0x181)];
         assert_eq!(ids(into[..count].iter().copied()), drives);

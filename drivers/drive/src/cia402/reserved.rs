@@ -27,6 +27,9 @@ const OFFSET: &str = "it would be added to every set-point";
 const UNIT: &str = "set-points and ramps are sent in the units of the profile";
 const COMMUNICATION: &str = "the driver sets how the node communicates";
 const SYNC: &str = "the host sends SYNC, without a counter, under identifier 0x080";
+const TIME: &str = "no drive may send TIME, nor under the identifier of another frame";
+const EMCY: &str = "the host reads EMCY under identifier 0x080 + node-ID";
+const OUTPUTS: &str = "it commands outputs, and the brake of the drive by bit 0";
 const STORE: &str = "it would store or restore the drive's parameters at every start";
 const IDENTITY: &str = "it would take the node off its bus or rename it";
 
@@ -34,14 +37,8 @@ const IDENTITY: &str = "it would take the node off its bus or rename it";
 const RESERVED: &[(RangeInclusive<u16>, &str)] = &[
     (0x1005..=0x1007, SYNC),
     (0x1010..=0x1011, STORE),
-    (
-        0x1012..=0x1012,
-        "no drive may send TIME, nor under the identifier of another frame",
-    ),
-    (
-        0x1014..=0x1014,
-        "the host reads EMCY under identifier 0x080 + node-ID",
-    ),
+    (0x1012..=0x1012, TIME),
+    (0x1014..=0x1014, EMCY),
     (0x1016..=0x1016, SILENCE),
     (0x1017..=0x1017, "the cell's heartbeat_ms sets it"),
     (0x1019..=0x1019, SYNC),
@@ -73,10 +70,7 @@ const RESERVED: &[(RangeInclusive<u16>, &str)] = &[
     (0x60C1..=0x60C1, COMMAND),
     (0x60C2..=0x60C2, "the cell's period_us sets it"),
     (0x60C5..=0x60C6, BRAKING),
-    (
-        0x60FE..=0x60FE,
-        "it commands outputs, and the brake of the drive by bit 0",
-    ),
+    (0x60FE..=0x60FE, OUTPUTS),
     (0x60FF..=0x60FF, COMMAND),
 ];
 
@@ -88,21 +82,16 @@ const FREE: [u16; 4] = [0x1003, 0x1013, 0x1015, 0x1020];
 const OF_MAXON: &[(RangeInclusive<u16>, &str)] =
     &[(0x2000..=0x2001, IDENTITY), (0x30B0..=0x30B1, REFERENCE)];
 
-/// The same for single entries of maxon's records: bit 0 of the axis configuration is its polarity.
-const ENTRIES_OF_MAXON: &[(Object, &str)] = &[(Object::new(0x3000, 4), SENSE)];
+/// Axis configuration of maxon drives, whose bit 0 is the polarity. The rest of its record is free.
+const AXIS_CONFIGURATION_OF_MAXON: Object = Object::new(0x3000, 4);
 
 /// An object that belongs to the driver, and why.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reserved {
-    object: Object,
-    why: &'static str,
-}
-
-impl Reserved {
+    /// The object.
+    pub object: Object,
     /// Reason why a cell or a device configuration file must not write the object.
-    pub fn why(&self) -> &'static str {
-        self.why
-    }
+    pub why: &'static str,
 }
 
 /// Formatted as `0x6007:00 (abort connection option code) belongs to the driver: it decides …`.
@@ -128,14 +117,10 @@ pub fn reserved(vendor: u32, index: u16, subindex: u8) -> Option<Reserved> {
         return None;
     }
     let object = Object::new(index, subindex);
-    let (of_vendor, entries) = match vendor {
-        MAXON => (OF_MAXON, ENTRIES_OF_MAXON),
-        _ => (&[][..], &[][..]),
-    };
+    let of_vendor = if vendor == MAXON { OF_MAXON } else { &[] };
     let mut rules = RESERVED.iter().chain(of_vendor);
     let rule = rules.find(|(range, _)| range.contains(&canonical));
-    let mut entries = entries.iter();
-    let entry = entries.find(|(reserved, _)| *reserved == object);
-    let why = rule.map(|(_, why)| why).or(entry.map(|(_, why)| why))?;
+    let polarity = vendor == MAXON && object == AXIS_CONFIGURATION_OF_MAXON;
+    let why = rule.map(|(_, why)| *why).or(polarity.then_some(SENSE))?;
     Some(Reserved { object, why })
 }

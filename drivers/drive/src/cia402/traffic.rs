@@ -25,40 +25,33 @@ pub struct Traffic {
 /// All traffic of a group during operation, except EMCY. Service frames occur only during a change of mode. The
 /// result counts them at their greatest rate: one request and one answer per cycle.
 pub fn traffic(config: &GroupConfig, axes: &[AxisConfig]) -> Vec<Traffic> {
-    let cycle = |cob_id, bytes, what| Traffic {
+    let frame = |cob_id, bytes, period, what| Traffic {
         cob_id,
         bytes,
-        period: config.period,
+        period,
         what,
     };
-    let heartbeat = |node, what| Traffic {
-        cob_id: cob::heartbeat(node),
-        bytes: 1,
-        period: config.heartbeat_period,
-        what,
-    };
+    let (cycle, heartbeat) = (config.period, config.heartbeat_period);
+    let host = cob::heartbeat(config.host_node);
     let mut traffic = vec![
-        cycle(cob::SYNC, 0, "SYNC"),
-        heartbeat(config.host_node, "host heartbeat"),
+        frame(cob::SYNC, 0, cycle, "SYNC"),
+        frame(host, 1, heartbeat, "host heartbeat"),
     ];
-    for axis in axes {
-        let request = process_data::request_len(axis.mode) as u8;
+    for &AxisConfig { node, mode, .. } in axes {
+        let length = process_data::request_len(mode) as u8;
+        let [answer, shown] =
+            [PdoNumber::One, PdoNumber::Two].map(|number| cob::tpdo(number, node));
         traffic.extend([
-            cycle(cob::rpdo(PdoNumber::One, axis.node), request, "set-point"),
-            cycle(cob::tpdo(PdoNumber::One, axis.node), 8, "answer"),
-            Traffic {
-                cob_id: cob::tpdo(PdoNumber::Two, axis.node),
-                bytes: 1,
-                period: process_data::SHOWN_APART,
-                what: "mode of operation",
-            },
-            heartbeat(axis.node, "heartbeat"),
+            frame(cob::rpdo(PdoNumber::One, node), length, cycle, "set-point"),
+            frame(answer, 8, cycle, "answer"),
+            frame(shown, 1, process_data::SHOWN_APART, "mode of operation"),
+            frame(cob::heartbeat(node), 1, heartbeat, "heartbeat"),
         ]);
     }
-    if let Some(axis) = axes.first() {
+    if let Some(&AxisConfig { node, .. }) = axes.first() {
         traffic.extend([
-            cycle(cob::sdo_request(axis.node), 8, "service request"),
-            cycle(cob::sdo_response(axis.node), 8, "service answer"),
+            frame(cob::sdo_request(node), 8, cycle, "service request"),
+            frame(cob::sdo_response(node), 8, cycle, "service answer"),
         ]);
     }
     traffic

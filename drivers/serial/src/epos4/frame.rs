@@ -115,11 +115,6 @@ impl Deframer {
         }
     }
 
-    /// Whether the start of a frame was received.
-    pub fn is_inside(&self) -> bool {
-        self.state != Deframing::Outside
-    }
-
     /// Discards the start of a frame.
     pub fn reset(&mut self) {
         self.count = 0;

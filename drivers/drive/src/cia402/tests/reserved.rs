@@ -1,7 +1,7 @@
 //! The objects reserved for the driver, and the refusal of all other ways to write them.
 
 use super::bench::*;
-use crate::cia402::program::{MAXON, program};
+use crate::cia402::program::{MAXON, Step, program};
 use crate::cia402::*;
 use canopen::Object;
 
@@ -19,7 +19,11 @@ fn everything_that_bring_up_writes_is_reserved() {
         axis.mode = mode;
         axis.parameters.clear();
         let program = program(&group_config(), &axis).unwrap();
-        let writes: Vec<_> = program.iter().filter_map(|step| step.write()).collect();
+        let write = |step: &Step| match *step {
+            Step::Set(write, _) => Some(write),
+            _ => None,
+        };
+        let writes: Vec<_> = program.iter().filter_map(write).collect();
         assert!(writes.len() > 30);
         for write in writes {
             let object = write.object;
@@ -136,7 +140,7 @@ fn reserved_objects_are_refused_before_a_frame_whoever_asks_for_them() {
         let error = ConfigError::Setting {
             node: 2,
             object: Object::new(index, subindex),
-            why: reserved(MAXON, index, subindex).unwrap().why(),
+            why: reserved(MAXON, index, subindex).unwrap().why,
         };
         for axis in [by_parameter, by_setting] {
             let group = Cia402Group::new(BusEnd::default(), group_config(), &[axis]);

@@ -97,7 +97,7 @@ fn every_reserved_object_of_braking_silence_and_sense_is_part_of_bring_up() {
     let program = program(&group_config(), &axis_config(2)).unwrap();
     let mut of_group = 0;
     for index in (0x1000..=0x67FF).filter(|index| !without_effect.contains(index)) {
-        let why = reserved(MAXON, index, 0).map(|found| found.why());
+        let why = reserved(MAXON, index, 0).map(|found| found.why);
         if why.is_some_and(|why| [BRAKING, DELAY, SENSE, SILENCE].contains(&why)) {
             let mut objects = program.iter().map(|step| step.object().index);
             assert!(objects.any(|found| found == index), "{index:#06x}");
