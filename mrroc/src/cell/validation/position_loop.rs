@@ -73,7 +73,7 @@ pub(super) fn check_drive(
             }
             // A loop at its limit must not look like a runaway loop.
             let output = Output {
-                most: given.runaway_velocity.unwrap_or(1.2 * axis.max_velocity),
+                most: axis.runaway_velocity(),
                 of: "rad/s of the motor; runaway_velocity at the most",
                 weight: 0.0,
             };

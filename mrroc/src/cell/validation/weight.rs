@@ -52,16 +52,9 @@ pub(super) fn check(
 
 /// The feed-forward of the position loop, if the host closes the loop.
 fn feed_forward(path: &Path, axis: &Axis) -> Option<(Path, FeedForward)> {
-    match (&axis.drive, &axis.controller) {
-        (Some(drive), _) => {
-            let path = path.then("drive").then("loop").then("feed_forward");
-            drive.r#loop.as_ref().map(|it| (path, it.feed_forward))
-        }
-        (None, controller) => {
-            let path = path.then("controller").then("loop").then("feed_forward");
-            controller.as_ref().map(|it| (path, it.r#loop.feed_forward))
-        }
-    }
+    let (family, given, _) = axis.host_loop()?;
+    let path = path.then(family).then("loop").then("feed_forward");
+    Some((path, given.feed_forward))
 }
 
 /// Checks an axis of a robot without a table `weight`: its feed-forward must not use the weight.
