@@ -170,6 +170,26 @@ impl RunReport {
     }
 }
 
+impl RunReport {
+    /// Rows on the axes, each with its name, tracking errors, homing offset and faults; `none` stands for no offset.
+    fn axis_rows(&self, none: &str) -> impl Iterator<Item = [String; 7]> {
+        self.axes.iter().map(move |axis| {
+            let faults = self.faults.iter();
+            let faults = faults.filter(|fault| fault.axis.as_ref() == Some(&axis.name));
+            let offset = axis.homing_offset_counts;
+            [
+                axis.name.clone(),
+                format!("{:.6}", axis.tracking_rms_rad),
+                format!("{:.6}", axis.tracking_peak_rad),
+                format!("{:.2}", axis.tracking_rms_counts),
+                format!("{:.1}", axis.tracking_peak_counts),
+                offset.map_or(none.to_owned(), |counts| counts.to_string()),
+                faults.count().to_string(),
+            ]
+        })
+    }
+}
+
 /// One fault: whose, and what happened.
 #[derive(Debug, PartialEq, Serialize)]
 pub struct FaultReport {
@@ -285,6 +305,25 @@ pub struct CycleReport {
     pub account: AccountReads,
 }
 
+impl CycleReport {
+    /// The times of the cycle with their names in tables.
+    fn times(&self) -> [(&'static str, Percentiles); 4] {
+        [
+            ("wake-up", self.wake_us),
+            ("SYNC", self.sync_us),
+            ("step", self.step_us),
+            ("bus", self.bus_us),
+        ]
+    }
+
+    /// Causes of late cycles that occurred, and the lateness from which a cycle counts as late, µs.
+    fn late(&self) -> (Vec<(&'static str, u64)>, f64) {
+        let causes = self.causes.iter().map(|(cause, count)| (*cause, *count));
+        let occurred = causes.filter(|(_, count)| *count > 0);
+        (occurred.collect(), f64::from(self.period_us) / 100.0)
+    }
+}
+
 /// One late cycle.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct WorstCycle {
@@ -346,6 +385,11 @@ pub struct Percentiles {
     pub p999: f64,
     /// Greatest.
     pub max: f64,
+}
+
+impl Percentiles {
+    /// The heads of the columns.
+    pub(crate) const HEAD: &str = "       p50        p99      p99.9        max";
 }
 
 /// The four points in columns of 10 characters, µs.
