@@ -6,7 +6,6 @@
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
-use std::sync::mpsc::sync_channel;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
@@ -15,7 +14,7 @@ use serde_json::{Value, json};
 use servo::thread::{Spike, Stamps};
 
 use crate::report::microseconds;
-use crate::run::SMALL_STACK;
+use crate::run::Background;
 
 /// Longest wait for writing the file, limited because the disk of a host may block.
 const WRITE_WAIT: Duration = Duration::from_secs(2);
@@ -35,23 +34,16 @@ impl SpikeFile {
 
     /// Writes the `spikes` of a thread of that name. A file that blocks is not waited for.
     pub fn write(self, thread: &'static str, spikes: Vec<Spike>) -> anyhow::Result<()> {
-        let (tell, told) = sync_channel(1);
-        let body = move || {
-            let mut file = BufWriter::new(self.0);
-            let written = serde_json::to_writer(&mut file, &trace(thread, &spikes))
-                .map_err(std::io::Error::from)
-                .and_then(|()| file.flush());
-            // The receiver may have stopped waiting.
-            let _ = tell.send(written);
+        let write = move |mut file: BufWriter<File>| {
+            serde_json::to_writer(&mut file, &trace(thread, &spikes))?;
+            file.flush()
         };
-        std::thread::Builder::new()
-            .name("spikes".into())
-            .stack_size(SMALL_STACK)
-            .spawn(body)
-            .context("no thread to write the spikes can be made")?;
-        match told.recv_timeout(WRITE_WAIT) {
-            Ok(written) => written.context("the spikes cannot be written"),
-            Err(_) => Err(anyhow!("the spikes cannot be written in time")),
+        let file = BufWriter::new(self.0);
+        let writing = Background::start("spikes", WRITE_WAIT, file, |_| {}, write);
+        let writing = writing.context("no thread to write the spikes can be made")?;
+        match writing.finish(WRITE_WAIT) {
+            Some(written) => written.context("the spikes cannot be written"),
+            None => Err(anyhow!("the spikes cannot be written in time")),
         }
     }
 }
