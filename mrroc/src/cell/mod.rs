@@ -121,13 +121,11 @@ pub struct Robot {
     /// Model of the robot.
     pub model: Model,
     /// Geometry, drive train, home positions and limits, in place of those of the model.
-    #[serde(default)]
     pub parameters: Option<Parameters>,
     /// Origin of the tool in the flange's frame, m.
     #[serde(default)]
     pub tool: [f64; 3],
     /// Masses of the links, for the feed-forward of the weight to the motors; no such feed-forward where absent.
-    #[serde(default)]
     pub weight: Option<Weights>,
     /// The axes, base first.
     pub axis: Vec<Axis>,
@@ -199,10 +197,8 @@ pub struct Axis {
     #[serde(default)]
     pub node: u8,
     /// The drive, on a CAN bus.
-    #[serde(default)]
     pub drive: Option<Drive>,
     /// The axis controller, on a serial line.
-    #[serde(default)]
     pub controller: Option<AxisController>,
     /// Greatest motor velocity, rad/s.
     pub max_velocity: f64,
@@ -210,11 +206,9 @@ pub struct Axis {
     pub max_acceleration: f64,
     /// Lowest motor position, rad, within the limits of the model and below `max_position`; the limit of the model
     /// where absent.
-    #[serde(default)]
     pub min_position: Option<f64>,
     /// Highest motor position, rad, within the limits of the model and above `min_position`; the limit of the model
     /// where absent.
-    #[serde(default)]
     pub max_position: Option<f64>,
     /// Greatest following error: distance between commanded and measured motor position, rad.
     pub following_error: f64,
@@ -232,15 +226,12 @@ pub struct Drive {
     /// Vendor-ID, object 0x1018:01.
     pub vendor: u32,
     /// Product code, object 0x1018:02; not checked where absent.
-    #[serde(default)]
     pub product: Option<u32>,
     /// Revision number, object 0x1018:03; not checked where absent.
-    #[serde(default)]
     pub revision: Option<u32>,
     /// Device configuration file (DCF of CiA 306), relative to the cell file. Its values are written before operation
     /// and read back. Settings of the controller and `parameter` are written later and take precedence. A file without
     /// a node-ID can serve several axes.
-    #[serde(default)]
     pub dcf: Option<String>,
     /// Quadrature counts per motor revolution.
     pub counts_per_revolution: u32,
@@ -253,7 +244,6 @@ pub struct Drive {
     #[serde(default)]
     pub control: DriveControl,
     /// The position loop in the host, with `control = "velocity"` or `"torque"`.
-    #[serde(default)]
     pub r#loop: Option<Loop>,
     /// Further objects to write before operation.
     #[serde(default)]
@@ -297,17 +287,14 @@ pub struct Parameter {
 pub struct Homing {
     /// Homing method of a drive, object 0x6098. An axis on a serial line has no method: it searches for its home
     /// switch, and then back for the index pulse of the switch.
-    #[serde(default)]
     pub method: Option<i8>,
     /// Direction in which an axis on a serial line searches for its home switch; negative where absent.
-    #[serde(default)]
     pub direction: Option<Direction>,
     /// Homing order: axes home in ascending order, and axes of equal order together.
     #[serde(default)]
     pub order: u8,
     /// Whether a search by the host that meets a limit switch returns across the home switch and starts again, once;
     /// true where absent.
-    #[serde(default)]
     pub reverse_at_limit: Option<bool>,
     /// Motor velocity while searching for the switch, rad/s.
     pub search_velocity: f64,
@@ -426,7 +413,6 @@ pub struct Joints {
     pub acceleration: f64,
     /// Duration of the motion to each pose, s, rounded up to a macrostep; the shortest within the limits where absent.
     /// Only for jerk-limited motions.
-    #[serde(default)]
     pub duration: Option<f64>,
 }
 
@@ -448,7 +434,6 @@ pub struct LineInstruction {
     /// Target position of the tool, m, in the robot's base frame.
     pub position: [f64; 3],
     /// Target orientation of the tool as w, x, y, z; unchanged where absent.
-    #[serde(default)]
     pub quaternion: Option<[f64; 4]>,
     /// Greatest tool velocity, m/s.
     #[serde(default = "defaults::line_velocity")]
