@@ -2,15 +2,14 @@
 
 use std::time::Duration;
 
-use canopen::Object;
 use drive::Scale;
 use drive::axis_controller::{self, Settings, StopBits};
 use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, NodeId};
 use servo::{FeedForward, HomingLeg, HostHoming, HostLoop, Output, PositionLoop, ServoAxisConfig};
 
 use super::{
-    Axis, AxisController, Cell, Control, Direction, Drive, DriveControl, Homing, Loop, Parameter,
-    Robot, Serial,
+    Axis, AxisController, Cell, Control, Direction, Drive, DriveControl, Homing, Loop, Robot,
+    Serial,
 };
 use controller::robot::Limits;
 
@@ -125,11 +124,6 @@ impl Axis {
     /// Configuration of the drive on a CAN bus, homed at the motor position `home`, rad.
     pub fn drive_config(&self, home: f64) -> AxisConfig {
         let drive = self.cia402();
-        let parameter = |given: &Parameter| drive::cia402::Parameter {
-            object: Object::new(given.index, given.subindex),
-            value: given.value,
-            size: given.bytes,
-        };
         AxisConfig {
             node: node(self.node),
             identity: Identity {
@@ -154,7 +148,7 @@ impl Axis {
             following_error: self.following_error,
             quick_stop_deceleration: self.max_acceleration,
             configuration: Vec::new(),
-            parameters: drive.parameter.iter().map(parameter).collect(),
+            parameters: drive.parameter.clone(),
         }
     }
 

@@ -33,6 +33,7 @@ pub use crate::robots::{Model, Parameters};
 pub use axis_controller::{AxisController, Loop, Serial};
 pub(crate) use device_configuration::DeviceConfiguration;
 pub use drive::axis_controller::{Control, Protocol};
+pub use drive::cia402::Parameter;
 pub use drives::ENABLING;
 pub use error::{CellError, Path, Step};
 pub use file::CellFile;
@@ -263,21 +264,6 @@ pub enum DriveControl {
     /// `rated_torque` equals object 0x6076 of the drive. For maxon, that value is nominal current times torque
     /// constant.
     Torque,
-}
-
-/// An object written to a drive before operation and read back.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Parameter {
-    /// Index.
-    pub index: u16,
-    /// Sub-index.
-    #[serde(default)]
-    pub subindex: u8,
-    /// Value.
-    pub value: u32,
-    /// Size of the object, bytes: 1, 2 or 4.
-    pub bytes: u8,
 }
 
 // One table for both families. The legs of a `HostHoming` follow from the limits of the motor.
