@@ -390,6 +390,16 @@ pub struct Percentiles {
 impl Percentiles {
     /// The heads of the columns.
     pub(crate) const HEAD: &str = "       p50        p99      p99.9        max";
+
+    /// The points of a distribution with these quantiles and this maximum, µs.
+    pub fn of(quantile: impl Fn(f64) -> f64, max: f64) -> Self {
+        Self {
+            p50: quantile(0.5),
+            p99: quantile(0.99),
+            p999: quantile(0.999),
+            max,
+        }
+    }
 }
 
 /// The four points in columns of 10 characters, µs.
@@ -407,12 +417,8 @@ impl fmt::Display for Percentiles {
 
 impl From<&Histogram> for Percentiles {
     fn from(histogram: &Histogram) -> Self {
-        Self {
-            p50: microseconds(histogram.quantile(0.5)),
-            p99: microseconds(histogram.quantile(0.99)),
-            p999: microseconds(histogram.quantile(0.999)),
-            max: microseconds(histogram.max()),
-        }
+        let quantile = |share| microseconds(histogram.quantile(share));
+        Self::of(quantile, microseconds(histogram.max()))
     }
 }
 

@@ -308,11 +308,6 @@ impl Spread {
     fn percentiles(&self) -> Option<Percentiles> {
         let max = microseconds(self.1);
         let quantile = |share| (self.0.value_at_quantile(share) as f64 / 1e3).min(max);
-        (!self.0.is_empty()).then(|| Percentiles {
-            p50: quantile(0.5),
-            p99: quantile(0.99),
-            p999: quantile(0.999),
-            max,
-        })
+        (!self.0.is_empty()).then(|| Percentiles::of(quantile, max))
     }
 }
