@@ -23,28 +23,19 @@ const WRITE_WAIT: Duration = Duration::from_secs(2);
 const THREAD: u32 = 1;
 const DEADLINES: u32 = 2;
 
-/// The file, opened before the run.
-pub struct SpikeFile(File);
-
-impl SpikeFile {
-    /// A file without content.
-    pub fn new(file: File) -> Self {
-        Self(file)
-    }
-
-    /// Writes the `spikes` of a thread of that name. A file that blocks is not waited for.
-    pub fn write(self, thread: &'static str, spikes: Vec<Spike>) -> anyhow::Result<()> {
-        let write = move |mut file: BufWriter<File>| {
-            serde_json::to_writer(&mut file, &trace(thread, &spikes))?;
-            file.flush()
-        };
-        let file = BufWriter::new(self.0);
-        let writing = Background::start("spikes", WRITE_WAIT, file, |_| {}, write);
-        let writing = writing.context("no thread to write the spikes can be made")?;
-        match writing.finish(WRITE_WAIT) {
-            Some(written) => written.context("the spikes cannot be written"),
-            None => Err(anyhow!("the spikes cannot be written in time")),
-        }
+/// Writes the `spikes` of a thread of that name to a file that was opened before the run. A file that blocks is not
+/// waited for.
+pub fn write(file: File, thread: &'static str, spikes: Vec<Spike>) -> anyhow::Result<()> {
+    let write = move |mut file: BufWriter<File>| {
+        serde_json::to_writer(&mut file, &trace(thread, &spikes))?;
+        file.flush()
+    };
+    let file = BufWriter::new(file);
+    let writing = Background::start("spikes", WRITE_WAIT, file, |_| {}, write);
+    let writing = writing.context("no thread to write the spikes can be made")?;
+    match writing.finish(WRITE_WAIT) {
+        Some(written) => written.context("the spikes cannot be written"),
+        None => Err(anyhow!("the spikes cannot be written in time")),
     }
 }
 

@@ -34,11 +34,10 @@ use crate::bench::{Bench, BenchKind, Places};
 use crate::cell::CellFile;
 use crate::outputs::{Outputs, Replacement};
 use crate::report::{self, FaultReport, Outcome, RunEnd, RunReport, Tracks};
-use crate::spikes::SpikeFile;
 use crate::tasks::MakeTasks;
 use crate::trace::{AxisLog, FrameLog};
 use crate::wire::Wire;
-use crate::{budget, rehearsal, setup, streams};
+use crate::{budget, rehearsal, setup, spikes, streams};
 pub(crate) use background::Background;
 use ending::Over;
 use files::{Logs, Writing};
@@ -170,7 +169,6 @@ pub fn run(
             .map(|sink| FrameLog::new(sink, &interfaces, traces))
             .transpose()?,
     };
-    let spikes = spikes.map(SpikeFile::new);
     let tasks = RunningTasks::new(file, tasks, links, &servo)?;
     requests.stop_through(servo.stop_request());
 
@@ -192,7 +190,7 @@ pub fn run(
             end.faults.push(fault);
         }
     }
-    let written = spikes.map(|file| file.write("servo", take(&mut end.spikes)));
+    let written = spikes.map(|file| spikes::write(file, "servo", take(&mut end.spikes)));
     if let Some(Err(error)) = written {
         end.faults.push(FaultReport::of_run(error));
     }
