@@ -437,7 +437,17 @@ impl Cell {
 
     /// The text of a cell file. Bytes that are not UTF-8 or more than [`LARGEST`] are refused.
     pub fn text(bytes: &[u8]) -> Result<&str, CellError> {
-        read::text(bytes)
+        if bytes.len() > LARGEST {
+            let length = bytes.len();
+            let problem = format!("the file has {length} bytes, a cell file may have {LARGEST}");
+            return Err(CellError::of_text(1, problem));
+        }
+        str::from_utf8(bytes).map_err(|error| {
+            let end = error.valid_up_to();
+            let byte = bytes[end];
+            let problem = format!("the byte {byte:#04x} is no UTF-8 text: save the file as UTF-8");
+            CellError::of_text(error::line_at(bytes, end), problem)
+        })
     }
 
     /// Reads and checks the text of a cell file.
