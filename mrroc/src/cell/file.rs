@@ -36,8 +36,7 @@ impl CellFile {
         let text = Cell::text(&bytes).map_err(|error| refusal(path, &error))?;
         let text = text.to_owned();
         let cell = Cell::parse(&text).map_err(|error| refusal(path, &error))?;
-        let arm = |robot| cell.arm(robot);
-        let arms = (0..cell.robot.len()).map(arm);
+        let arms = (0..cell.robot.len()).map(|robot| cell.arm(robot));
         let arms = arms.collect::<Result<_, _>>();
         let arms = arms.expect("a parsed cell has sound parameters");
         let mut file = Self {

@@ -7,7 +7,7 @@ use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use servo::MAX_AXES;
 use thiserror::Error;
 
-use super::{Cell, Instruction, JointGenerator, Joints, LineInstruction, Meeting, Path, Robot};
+use super::{Cell, Instruction, JointGenerator, Joints, LineInstruction, Path, Robot};
 use controller::ecp::Task;
 use controller::generator::{
     self, Axes, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, PlannedStart,
@@ -69,8 +69,36 @@ impl Cell {
     /// Every pose is checked from the end of the previous instruction. An error comes with the key of the instruction
     /// or the pose.
     pub fn task(&self, robot: usize, arm: &Arm) -> Result<Task, (Path, ProgramError)> {
-        let home = self.home(robot, arm);
-        self.robot[robot].task(robot, arm, home, &self.meetings())
+        let (given, home) = (&self.robot[robot], self.home(robot, arm));
+        let meetings = self.meetings();
+        let mut task = Task::new().enable().home();
+        let mut joints = arm
+            .joints(&home.motors)
+            .map_err(|error| (instruction_path(robot, 0), error.into()))?;
+        let mut start = Some(home);
+        for (index, instruction) in given.program.iter().enumerate() {
+            let key = instruction_path(robot, index);
+            let (next, end) = match instruction {
+                Instruction::Joints(motion) => {
+                    let key = key.then("joints").then("poses");
+                    given
+                        .joint_motion(arm, motion, task)
+                        .map_err(|(pose, error)| (key.then(pose), error))
+                }
+                Instruction::Line(line) => given
+                    .line(arm, line, &joints, start, task)
+                    .map_err(|error| (key.then("line"), error)),
+                Instruction::Meet(_) => {
+                    let meeting = given.meeting_at(index, &meetings);
+                    let meeting = meeting.expect("a parsed cell has few enough meetings");
+                    Ok((task.meet(meeting), joints))
+                }
+            }?;
+            (task, joints) = (next, end);
+            // After the first motion, the arm is at the end of that motion.
+            start = start.filter(|_| matches!(instruction, Instruction::Meet(_)));
+        }
+        Ok(task.disable())
     }
 }
 
@@ -85,42 +113,6 @@ impl Robot {
             left = left.saturating_sub(moves);
             found
         })
-    }
-
-    fn task(
-        &self,
-        robot: usize,
-        arm: &Arm,
-        home: PlannedStart,
-        meetings: &[Meeting],
-    ) -> Result<Task, (Path, ProgramError)> {
-        let mut task = Task::new().enable().home();
-        let mut joints = arm
-            .joints(&home.motors)
-            .map_err(|error| (instruction_path(robot, 0), error.into()))?;
-        let mut start = Some(home);
-        for (index, instruction) in self.program.iter().enumerate() {
-            let key = instruction_path(robot, index);
-            let (next, end) = match instruction {
-                Instruction::Joints(motion) => {
-                    let key = key.then("joints").then("poses");
-                    self.joint_motion(arm, motion, task)
-                        .map_err(|(pose, error)| (key.then(pose), error))
-                }
-                Instruction::Line(line) => self
-                    .line(arm, line, &joints, start, task)
-                    .map_err(|error| (key.then("line"), error)),
-                Instruction::Meet(_) => {
-                    let meeting = self.meeting_at(index, meetings);
-                    let meeting = meeting.expect("a parsed cell has few enough meetings");
-                    Ok((task.meet(meeting), joints))
-                }
-            }?;
-            (task, joints) = (next, end);
-            // After the first motion, the arm is at the end of that motion.
-            start = start.filter(|_| matches!(instruction, Instruction::Meet(_)));
-        }
-        Ok(task.disable())
     }
 
     /// Converts a joint motion. An error comes with the number of its pose.
