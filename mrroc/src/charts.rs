@@ -222,7 +222,8 @@ pub fn key<'a>(
 #[derive(Clone, Debug)]
 pub struct Scale {
     name: String,
-    range: [f64; 2],
+    /// The lowest and the highest value.
+    pub ends: [f64; 2],
     logarithmic: bool,
     ticks: Vec<(f64, String)>,
 }
@@ -263,7 +264,7 @@ impl Scale {
         };
         Self {
             name: name.into(),
-            range,
+            ends: range,
             logarithmic: false,
             ticks: (first..=last).map(tick).collect(),
         }
@@ -298,15 +299,10 @@ impl Scale {
     ) -> Self {
         Self {
             name: name.into(),
-            range,
+            ends: range,
             logarithmic: true,
             ticks: ticks.into_iter().collect(),
         }
-    }
-
-    /// The lowest and the highest value.
-    pub fn ends(&self) -> [f64; 2] {
-        self.range
     }
 }
 
@@ -323,7 +319,7 @@ impl Ranged for Scale {
                 value
             }
         };
-        let [low, high] = self.range.map(place);
+        let [low, high] = self.ends.map(place);
         let share = ((place(*value) - low) / (high - low)).clamp(0.0, 1.0);
         first + (f64::from(last - first) * share).round() as i32
     }
@@ -336,7 +332,7 @@ impl Ranged for Scale {
     }
 
     fn range(&self) -> Range<f64> {
-        self.range[0]..self.range[1]
+        self.ends[0]..self.ends[1]
     }
 }
 
@@ -388,7 +384,7 @@ mod tests {
         let linear = Scale::linear("", [], [0.0, 0.0]);
         assert_eq!(linear.map(&1.0, (0, 100)), 100);
         let decades = Scale::decades("", [1.0, 1.0], |decade| decade.to_string());
-        assert_eq!(decades.ends(), [1.0, 10.0]);
+        assert_eq!(decades.ends, [1.0, 10.0]);
         let places = [0.0, 1.0, 10f64.sqrt(), 10.0, 1e9].map(|it| decades.map(&it, (0, 100)));
         assert_eq!(places, [0, 0, 50, 100, 100]);
     }

@@ -106,11 +106,7 @@ fn run(file: &CellFile, tasks: Tasks, starts: &[Axes], extent: Extent) -> anyhow
         (Some(task), Extent::FirstMotions) => task.first_motion().map_or(0, |first| first + 1),
     };
     let needed: Vec<_> = tasks.tasks.iter().map(needed).collect();
-    let refuse = if tasks.are_programs() {
-        of_program
-    } else {
-        of_task
-    };
+    let refuse = if tasks.programs { of_program } else { of_task };
     let mut subcontrollers = setup::subcontrollers(file, links, servo.gates(), tasks);
     let mut ended = vec![0; needed.len()];
     let mut failure = None;

@@ -242,7 +242,7 @@ fn histogram(title: &str, times: &Histogram) -> Result<String, ChartError> {
         let mut panel = panel(area, title, &x, &y)?;
         let bars = (0..).zip(counts).filter(|(_, count)| *count > 0);
         let bars = bars.map(|(class, count)| {
-            let corners = [(edge(class), y.ends()[0]), (edge(class + 1), count as f64)];
+            let corners = [(edge(class), y.ends[0]), (edge(class + 1), count as f64)];
             Rectangle::new(corners, COLOURS[0].filled())
         });
         panel.draw_series(bars)?;
