@@ -95,39 +95,33 @@ impl RunReport {
         let counters = end.servo.counters();
         let robots = file.cell.robot.iter().enumerate();
         let axes = robots.flat_map(|(robot, value)| {
-            value
-                .axis
-                .iter()
-                .zip(end.servo.tracking(robot))
-                .zip(end.servo.homing_offsets(robot))
-                .enumerate()
-                .map(move |(number, ((axis, error), homing_offset_counts))| {
-                    let counts = f64::from(axis.counts_per_revolution()) / std::f64::consts::TAU;
-                    AxisReport {
-                        name: file.axis_name(robot, number),
-                        tracking_rms_rad: error.rms(),
-                        tracking_peak_rad: error.peak(),
-                        tracking_rms_counts: error.rms() * counts,
-                        tracking_peak_counts: error.peak() * counts,
-                        homing_offset_counts,
-                    }
-                })
+            let axes = value.axis.iter().zip(end.servo.tracking(robot));
+            let axes = axes.zip(end.servo.homing_offsets(robot)).enumerate();
+            axes.map(move |(number, ((axis, error), homing_offset_counts))| {
+                let counts = f64::from(axis.counts_per_revolution()) / std::f64::consts::TAU;
+                AxisReport {
+                    name: file.axis_name(robot, number),
+                    tracking_rms_rad: error.rms(),
+                    tracking_peak_rad: error.peak(),
+                    tracking_rms_counts: error.rms() * counts,
+                    tracking_peak_counts: error.peak() * counts,
+                    homing_offset_counts,
+                }
+            })
         });
-        let buses =
-            end.servo
-                .group_counters()
-                .zip(budgets)
-                .enumerate()
-                .map(|(index, (group, budget))| BusReport {
-                    name: budget.name.clone(),
-                    lines: (index >= file.cell.bus.len()).then(|| file.cell.axes_on(index).count()),
-                    frames: group.port.sent + group.port.received,
-                    load_percent: 100.0 * group.port.bits as f64
-                        / (budget.bits_per_second * end.cell_time.as_secs_f64()),
-                    worst_case_percent: budget.worst_case_percent,
-                    dropped_setpoints: group.dropped_setpoints,
-                    missed_answers: group.missed_answers,
-                });
+        let groups = end.servo.group_counters().zip(budgets).enumerate();
+        let buses = groups.map(|(index, (group, budget))| BusReport {
+            name: budget.name.clone(),
+            lines: (index >= file.cell.bus.len()).then(|| file.cell.axes_on(index).count()),
+            frames: group.port.sent + group.port.received,
+            load_percent: 100.0 * group.port.bits as f64
+                / (budget.bits_per_second * end.cell_time.as_secs_f64()),
+            worst_case_percent: budget.worst_case_percent,
+            dropped_setpoints: group.dropped_setpoints,
+            missed_answers: group.missed_answers,
+        });
+        let timing = &end.timing;
+        let causes = timing.late.causes();
         let groups = end.servo.warnings().enumerate();
         let warnings = groups.flat_map(|(group, warnings)| {
             warnings
@@ -146,19 +140,14 @@ impl RunReport {
                 period_us: file.cell.period().as_micros() as u32,
                 cycles: counters.cycles,
                 missed: counters.missed_cycles,
-                wake_us: Percentiles::from(&end.timing.wake_up),
-                sync_us: Percentiles::from(&end.timing.sync),
-                step_us: Percentiles::from(&end.timing.step),
-                bus_us: Percentiles::from(&end.timing.bus),
-                wait: WaitCost::from(end.timing.wait),
-                causes: end
-                    .timing
-                    .late
-                    .causes()
-                    .map(|(cause, count)| (cause.name(), count))
-                    .collect(),
-                worst: end.timing.late.worst().map(WorstCycle::from).collect(),
-                account: end.timing.account,
+                wake_us: Percentiles::from(&timing.wake_up),
+                sync_us: Percentiles::from(&timing.sync),
+                step_us: Percentiles::from(&timing.step),
+                bus_us: Percentiles::from(&timing.bus),
+                wait: WaitCost::from(timing.wait),
+                causes: causes.map(|(cause, count)| (cause.name(), count)).collect(),
+                worst: timing.late.worst().map(WorstCycle::from).collect(),
+                account: timing.account,
             },
             buses: buses.collect(),
             wire: take(&mut end.wire),
