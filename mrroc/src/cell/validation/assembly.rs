@@ -106,37 +106,38 @@ fn place_of_controller(
     error: axis_controller::ConfigError,
 ) -> Path {
     use axis_controller::{ConfigError, Quantity};
-    let of_line = |line: u8| axes.get(usize::from(line)).copied();
+    let of_line = |line: u8| axes[usize::from(line)];
     match error {
         ConfigError::Axes(_) | ConfigError::Lines { .. } => bundle.clone(),
         ConfigError::Period { .. } => bundle.then("baud"),
         ConfigError::ToleratedMissing => bundle.then("tolerated_missing"),
-        ConfigError::NeedsNfv2 { line } => of_line(line).map_or(bundle.clone(), |(robot, axis)| {
+        ConfigError::NeedsNfv2 { line } => {
+            let (robot, axis) = of_line(line);
             Path::axis(robot, axis).then("controller").then("control")
-        }),
+        }
         ConfigError::OutOfRange { line, quantity } => {
-            let Some((robot, number)) = of_line(line) else {
-                return bundle.clone();
-            };
-            let (axis, path) = (&cell.robot[robot].axis[number], Path::axis(robot, number));
+            let (robot, axis) = of_line(line);
+            let path = Path::axis(robot, axis);
             let controller = path.then("controller");
-            let given = axis.controller.as_ref();
+            let given = cell.robot[robot].axis[axis].axis_controller();
+            let plausible = |key, given: Option<f64>, of_axis| match given {
+                Some(_) => controller.then(key),
+                None => path.then(of_axis),
+            };
             match quantity {
                 Quantity::Address => path.then("node"),
                 Quantity::TorqueConstant => controller.then("torque_constant"),
                 Quantity::MaxCurrent => controller.then("max_current"),
-                Quantity::MaxVelocity
-                    if given.is_some_and(|it| it.plausible_velocity.is_some()) =>
-                {
-                    controller.then("plausible_velocity")
-                }
-                Quantity::MaxVelocity => path.then("max_velocity"),
-                Quantity::MaxAcceleration
-                    if given.is_some_and(|it| it.plausible_acceleration.is_some()) =>
-                {
-                    controller.then("plausible_acceleration")
-                }
-                Quantity::MaxAcceleration => path.then("max_acceleration"),
+                Quantity::MaxVelocity => plausible(
+                    "plausible_velocity",
+                    given.plausible_velocity,
+                    "max_velocity",
+                ),
+                Quantity::MaxAcceleration => plausible(
+                    "plausible_acceleration",
+                    given.plausible_acceleration,
+                    "max_acceleration",
+                ),
             }
         }
     }
