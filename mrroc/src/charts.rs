@@ -201,10 +201,10 @@ pub fn titled<'a>(
 }
 
 /// Draws the names of curves in their colours beside a panel, each `step`, px, from the one before.
-pub fn key<'a>(
+pub fn key(
     area: &Area,
     step: [u32; 2],
-    curves: impl IntoIterator<Item = (&'a str, RGBColor)>,
+    curves: impl IntoIterator<Item = (impl Into<String>, RGBColor)>,
 ) -> Result<(), ChartError> {
     let place = |x: u32, y: u32| (px(x) as i32, px(y) as i32);
     for (number, (name, colour)) in (0..).zip(curves) {
@@ -213,7 +213,7 @@ pub fn key<'a>(
         let ends = vec![place(x, y + 14), place(x + 18, y + 14)];
         area.draw(&PathElement::new(ends, style))?;
         let text = font(13).pos(Pos::new(HPos::Left, VPos::Center));
-        area.draw(&Text::new(name.to_owned(), place(x + 24, y + 14), text))?;
+        area.draw(&Text::new(name.into(), place(x + 24, y + 14), text))?;
     }
     Ok(())
 }

@@ -170,16 +170,10 @@ fn over_time(title: &str, unit: &str, curves: &[(usize, &Curve)]) -> Result<Stri
         for (joint, curve) in curves {
             line(&mut panel, colour(*joint), curve.points())?;
         }
-        let named: Vec<_> = curves
+        let named = curves
             .iter()
-            .map(|(joint, _)| format!("joint {joint}"))
-            .collect();
-        let named = named.iter().zip(curves);
-        key(
-            &names,
-            [0, 20],
-            named.map(|(name, (joint, _))| (name.as_str(), colour(*joint))),
-        )
+            .map(|(joint, _)| (format!("joint {joint}"), colour(*joint)));
+        key(&names, [0, 20], named)
     })
 }
 
