@@ -134,28 +134,25 @@ impl Robot {
                 let (velocity, acceleration) = (motion.velocity, motion.acceleration);
                 let smooth = |pose: &Axes| smooth_pose(pose, velocity, acceleration);
                 let poses = poses.iter().map(smooth).collect();
-                Newsmooth::new(Space::Joint, arm.axes(), limits, poses)
-                    .map(|generator| task.run(generator))
-                    .map_err(|error| (0, error.into()))?
+                let generator = Newsmooth::new(Space::Joint, arm.axes(), limits, poses);
+                task.run(generator.map_err(|error| (0, error.into()))?)
             }
             JointGenerator::JerkLimited => {
                 let limits = MotionLimits {
-                    max_velocity: limits.max_velocity.map(|limit| limit * motion.velocity),
-                    max_acceleration: limits
-                        .max_acceleration
-                        .map(|limit| limit * motion.acceleration),
-                    max_jerk: limits.max_jerk.map(|limit| limit * motion.acceleration),
+                    max_velocity: limits.max_velocity.map(|it| it * motion.velocity),
+                    max_acceleration: limits.max_acceleration.map(|it| it * motion.acceleration),
+                    max_jerk: limits.max_jerk.map(|it| it * motion.acceleration),
                 };
-                let mut poses = poses.iter().enumerate();
-                poses.try_fold(task, |task, (number, pose)| {
-                    JerkLimited::new(Space::Joint, arm.axes(), limits, &[*pose])
-                        .map(|generator| match motion.duration {
-                            Some(duration) => generator.lasting(Duration::from_secs_f64(duration)),
-                            None => generator,
-                        })
-                        .map(|generator| task.run(generator))
-                        .map_err(|error| (number, error.into()))
-                })?
+                let mut task = task;
+                for (number, pose) in poses.iter().enumerate() {
+                    let generator = JerkLimited::new(Space::Joint, arm.axes(), limits, &[*pose]);
+                    let generator = generator.map_err(|error| (number, error.into()))?;
+                    task = task.run(match motion.duration {
+                        Some(duration) => generator.lasting(Duration::from_secs_f64(duration)),
+                        None => generator,
+                    });
+                }
+                task
             }
         };
         Ok((task, end))
@@ -201,16 +198,12 @@ impl Robot {
         let gains = steepest_gains(arm);
         for (motor, gains) in gains.iter().enumerate().take(arm.axes()) {
             let axis = &self.axis[motor];
-            slow(
-                &mut limits.max_velocity,
-                gains,
+            let planned = [
                 axis.max_velocity * PLANNED.0,
-            );
-            slow(
-                &mut limits.max_acceleration,
-                gains,
                 axis.max_acceleration * PLANNED.1,
-            );
+            ];
+            slow(&mut limits.max_velocity, gains, planned[0]);
+            slow(&mut limits.max_acceleration, gains, planned[1]);
         }
         for joint in 0..arm.axes() {
             limits.max_jerk[joint] = jerk * limits.max_acceleration[joint] / acceleration;
@@ -233,11 +226,8 @@ fn moves(instruction: &Instruction) -> usize {
 
 /// Reduces the `rates` of the joints that turn a motor until their sum is within `limit`.
 fn slow(rates: &mut Axes, gains: &Axes, limit: f64) {
-    let sum: f64 = rates
-        .iter()
-        .zip(gains)
-        .map(|(rate, gain)| rate * gain)
-        .sum();
+    let turned = rates.iter().zip(gains).map(|(rate, gain)| rate * gain);
+    let sum: f64 = turned.sum();
     if sum > limit {
         for (rate, _) in rates.iter_mut().zip(gains).filter(|(_, gain)| **gain > 0.0) {
             *rate *= limit / sum;
@@ -272,10 +262,8 @@ fn steepest_gains(arm: &Arm) -> [Axes; MAX_AXES] {
                 continue;
             };
             for motor in 0..arm.axes() {
-                gains[motor][joint] = f64::max(
-                    gains[motor][joint],
-                    ((high[motor] - low[motor]) / step).abs(),
-                );
+                let gain = ((high[motor] - low[motor]) / step).abs();
+                gains[motor][joint] = f64::max(gains[motor][joint], gain);
             }
         }
     }
