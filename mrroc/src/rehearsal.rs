@@ -62,10 +62,9 @@ pub(crate) fn rehearse_from(
 }
 
 fn homes(file: &CellFile) -> Vec<PlannedStart> {
-    let robots = file.arms.iter().enumerate();
-    robots
-        .map(|(robot, arm)| file.cell.home(robot, arm))
-        .collect()
+    let homes = file.arms.iter().enumerate();
+    let homes = homes.map(|(robot, arm)| file.cell.home(robot, arm));
+    homes.collect()
 }
 
 /// The motor positions of start `number` of [`STARTS`].
@@ -125,10 +124,8 @@ fn run(file: &CellFile, tasks: Tasks, starts: &[Axes], extent: Extent) -> anyhow
                     });
                 }
             });
-            let all_ended = ended
-                .iter()
-                .zip(&needed)
-                .all(|(ended, needed)| ended >= needed);
+            let mut robots = ended.iter().zip(&needed);
+            let all_ended = robots.all(|(ended, needed)| ended >= needed);
             over.set(failure.is_some() || all_ended);
         },
         |_| {},

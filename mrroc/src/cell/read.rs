@@ -68,15 +68,13 @@ pub(super) fn read<'de, T: Deserialize<'de>>(
         value: document,
         offset: 0,
     };
-    T::deserialize(whole).map_err(|refusal| CellError {
-        line: line_at(text.as_bytes(), refusal.offset.unwrap_or(0)),
-        key: refusal
-            .steps
-            .into_iter()
-            .rev()
-            .collect::<Path>()
-            .to_string(),
-        problem: refusal.problem,
+    T::deserialize(whole).map_err(|refusal| {
+        let path: Path = refusal.steps.into_iter().rev().collect();
+        CellError {
+            line: line_at(text.as_bytes(), refusal.offset.unwrap_or(0)),
+            key: path.to_string(),
+            problem: refusal.problem,
+        }
     })
 }
 

@@ -165,11 +165,8 @@ impl Track {
             };
             (*expected, *measured) = (command, axis.measured);
         }
-        let places = self.place(&expected).and_then(|commanded| {
-            let measured = self.place(&measured)?;
-            Ok((commanded, measured))
-        });
-        let Ok((commanded, measured)) = places else {
+        let places = (self.place(&expected), self.place(&measured));
+        let (Ok(commanded), Ok(measured)) = places else {
             self.unsolved += 1;
             return;
         };

@@ -50,10 +50,8 @@ fn check_buses(cell: &Cell) -> Checked {
             );
             return refused(&path, "bitrate_kbps", why);
         }
-        let (node, cycles) = (
-            Range::new(1.0, 127.0, ""),
-            Range::new(0.0, 1000.0, "cycles"),
-        );
+        let node = Range::new(1.0, 127.0, "");
+        let cycles = Range::new(0.0, 1000.0, "cycles");
         let [ten_seconds, minute] = [1e4, 6e4].map(|most| Range::new(1.0, most, "ms"));
         within(&path, "host_node", bus.host_node, node)?;
         within(&path, "heartbeat_ms", bus.heartbeat_ms, ten_seconds)?;
