@@ -1,6 +1,7 @@
 //! Checks of buses and bundles of serial lines.
 
 use super::{Checked, MOST, name, refused, some, twice, unique, within};
+use crate::bench::interfaces::Interface;
 use crate::cell::text::quoted;
 use crate::cell::{Cell, Path, Range};
 
@@ -27,6 +28,27 @@ pub(super) fn check_used(cell: &Cell) -> Checked {
                 Some(bundle) => refused(&top.then("serial"), bundle, why),
             };
         }
+    }
+    Ok(())
+}
+
+/// Each bus has a valid interface of its own.
+pub(super) fn check_interfaces(cell: &Cell) -> Checked {
+    let mut taken = Vec::new();
+    for (index, bus) in cell.bus.iter().enumerate() {
+        let interface = Interface::parse(&bus.interface);
+        let problem = match interface.check() {
+            Err(problem) => Some(problem.to_string()),
+            Ok(()) if matches!(interface, Interface::Epos { .. }) => Some(format!(
+                "{interface} is the service port of a drive, which is no CAN bus"
+            )),
+            Ok(()) => (taken.iter().position(|other| *other == interface))
+                .map(|first| format!("{interface} is that of bus[{first}]: give each its own")),
+        };
+        if let Some(problem) = problem {
+            return refused(&Path::to("bus").then(index), "interface", problem);
+        }
+        taken.push(interface);
     }
     Ok(())
 }
