@@ -284,11 +284,8 @@ impl Scale {
         let low = range[0].log10().floor() as i32;
         let high = (range[1].max(range[0]).log10().ceil() as i32).max(low + 1);
         let tick = |decade| (10f64.powi(decade), label(decade));
-        Self::logarithmic(
-            name,
-            [low, high].map(|decade| 10f64.powi(decade)),
-            (low..=high).map(tick),
-        )
+        let ends = [low, high].map(|decade| 10f64.powi(decade));
+        Self::logarithmic(name, ends, (low..=high).map(tick))
     }
 
     /// A logarithmic axis with these ticks.
