@@ -65,7 +65,7 @@ impl From<usize> for Step {
 
 /// The path from the top of the file to a value, written as `robot[0].axis[2].node`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Path(Vec<Step>);
+pub struct Path(pub(super) Vec<Step>);
 
 impl Path {
     /// This path, extended by one step.
@@ -91,12 +91,6 @@ impl Path {
             [Step::Key(key), Step::At(robot), ..] if key == "robot" => Some(*robot),
             _ => None,
         }
-    }
-}
-
-impl FromIterator<Step> for Path {
-    fn from_iter<T: IntoIterator<Item = Step>>(steps: T) -> Self {
-        Self(steps.into_iter().collect())
     }
 }
 

@@ -69,10 +69,10 @@ pub(super) fn read<'de, T: Deserialize<'de>>(
         offset: 0,
     };
     T::deserialize(whole).map_err(|refusal| {
-        let path: Path = refusal.steps.into_iter().rev().collect();
+        let steps = refusal.steps.into_iter().rev();
         CellError {
             line: line_at(text.as_bytes(), refusal.offset.unwrap_or(0)),
-            key: path.to_string(),
+            key: Path(steps.collect()).to_string(),
             problem: refusal.problem,
         }
     })
@@ -202,15 +202,11 @@ impl<'de> Value<'de> {
             DeValue::Integer(number) => i128::from_str_radix(number.as_str(), number.radix()).ok(),
             _ => None,
         };
-        number
-            .filter(|number| (low..=high).contains(number))
-            .ok_or_else(|| {
-                self.wrong(if high > i128::from(u32::MAX) {
-                    format!("a whole number of at least {low}")
-                } else {
-                    format!("a whole number from {low} to {high}")
-                })
-            })
+        let number = number.filter(|number| (low..=high).contains(number));
+        number.ok_or_else(|| match high > i128::from(u32::MAX) {
+            true => self.wrong(format!("a whole number of at least {low}")),
+            false => self.wrong(format!("a whole number from {low} to {high}")),
+        })
     }
 
     fn number(&self) -> Result<f64, ValueError> {
