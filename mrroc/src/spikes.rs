@@ -73,18 +73,17 @@ fn events(
     // `before` makes the earliest time of any spike zero or later.
     let at = |time: Instant| (before + time.since(anchor)).saturating_sub(anchor.since(time));
     let (what, due) = match spike.late {
-        Some(late) => (
-            format!(
-                "spike {process}: {:.0} µs late, {}, cycle {}",
-                microseconds(late.late),
-                late.cause.name(),
-                spike.cycle
-            ),
-            format!(
-                "due {:.6} s after the first deadline, ",
-                late.due.as_secs_f64()
-            ),
-        ),
+        Some(late) => {
+            let (by, cause) = (microseconds(late.late), late.cause.name());
+            let due = late.due.as_secs_f64();
+            (
+                format!(
+                    "spike {process}: {by:.0} µs late, {cause}, cycle {}",
+                    spike.cycle
+                ),
+                format!("due {due:.6} s after the first deadline, "),
+            )
+        }
         None => (format!("on request: cycle {}", spike.cycle), String::new()),
     };
     let nanos = anchor.as_nanos();
