@@ -253,7 +253,7 @@ fn check_controller(
     // The telegrams hold 16 bits of milliamperes.
     let current = Range::new(1e-3, 32.767, "A");
     within(path, "max_current", controller.max_current, current)?;
-    position_loop::check_controller(&path.then("loop"), period, controller, axis)?;
+    position_loop::check(path, period, axis)?;
     let least = axis.max_velocity;
     let velocity = Range::new(least, 1e9, "rad/s; max_velocity at the least");
     let given = controller.plausible_velocity.unwrap_or(least);
