@@ -94,11 +94,8 @@ impl fmt::Display for WireReport {
             let counts: String = counts
                 .map(|(count, what)| format!("  {count} {what}"))
                 .collect();
-            (
-                format!("SYNC to {}", node.axis),
-                node.sync_to_tpdo_us,
-                counts,
-            )
+            let name = format!("SYNC to {}", node.axis);
+            (name, node.sync_to_tpdo_us, counts)
         });
         let syncs = [
             ("SYNC to SYNC".to_owned(), self.sync_to_sync_us),
