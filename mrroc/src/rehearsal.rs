@@ -146,22 +146,15 @@ fn run(file: &CellFile, tasks: Tasks, starts: &[Axes], extent: Extent) -> anyhow
 /// The refusal of an instruction of the cell file's program.
 fn of_program(file: &CellFile, robot: usize, instruction: usize, why: String) -> anyhow::Error {
     let place = file.cell.robot[robot].instruction_of(instruction);
-    let key = place.map_or_else(
-        || Path::to("robot").then(robot),
-        |index| instruction_path(robot, index),
-    );
-    file.refuse(&key, why)
+    let place = place.map(|index| instruction_path(robot, index));
+    file.refuse(&place.unwrap_or(Path::to("robot").then(robot)), why)
 }
 
 /// The refusal of an instruction of a task outside a cell file.
 fn of_task(file: &CellFile, robot: usize, instruction: usize, why: String) -> anyhow::Error {
     let robot = &file.cell.robot[robot];
-    let why = robot.naming_axes(why);
-    anyhow!(
-        "robot {}: instruction {} of its task: {why}",
-        robot.name,
-        instruction + 1
-    )
+    let (name, why, number) = (&robot.name, robot.naming_axes(why), instruction + 1);
+    anyhow!("robot {name}: instruction {number} of its task: {why}")
 }
 
 impl Extent {

@@ -10,21 +10,22 @@ use super::Checked;
 use crate::cell::{Cell, Path};
 
 pub(super) fn check(cell: &Cell) -> Checked {
-    let homes: Vec<_> = cell
-        .robot
-        .iter()
-        .map(|robot| {
-            let robot = robot.kinematics()?;
-            Ok((robot.home(), robot.motor_limits().to_vec()))
-        })
-        .collect::<Result<_, ParameterError>>()
-        .map_err(|error| (Path::to("robot"), error.to_string()))?;
+    let homes = cell.robot.iter().map(|robot| {
+        let robot = robot.kinematics()?;
+        Ok((robot.home(), robot.motor_limits().to_vec()))
+    });
+    let homes: Result<Vec<_>, ParameterError> = homes.collect();
+    let homes = homes.map_err(|error| (Path::to("robot"), error.to_string()))?;
+    let given = |&(robot, axis): &(usize, usize)| {
+        let home = homes[robot].0[axis];
+        (&cell.robot[robot].axis[axis], home)
+    };
     for index in 0..cell.bus.len() {
         let axes: Vec<_> = cell.axes_on(index).collect();
-        let config = |&(robot, axis): &(usize, usize)| {
-            cell.robot[robot].axis[axis].drive_config(homes[robot].0[axis])
-        };
-        let configs: Vec<_> = axes.iter().map(config).collect();
+        let configs = axes.iter().map(given);
+        let configs: Vec<_> = configs
+            .map(|(axis, home)| axis.drive_config(home))
+            .collect();
         let checked = cell.group_config(index).check(&configs);
         checked.map_err(|error| {
             let bus = Path::to("bus").then(index);
@@ -33,14 +34,12 @@ pub(super) fn check(cell: &Cell) -> Checked {
     }
     for (index, bundle) in cell.serial.iter().enumerate() {
         let axes: Vec<_> = cell.axes_on(cell.bus.len() + index).collect();
-        let config = |&(robot, axis): &(usize, usize)| {
-            cell.robot[robot].axis[axis].controller_config(homes[robot].0[axis])
-        };
-        let configs: Vec<_> = axes.iter().map(config).collect();
-        let checked = bundle
-            .group_config(cell.period())
-            .check(&configs, axes.len());
-        match checked {
+        let configs = axes.iter().map(given);
+        let configs: Vec<_> = configs
+            .map(|(axis, home)| axis.controller_config(home))
+            .collect();
+        let group = bundle.group_config(cell.period());
+        match group.check(&configs, axes.len()) {
             // The budget of the line refuses such a period and proposes one that fits.
             Ok(()) | Err(axis_controller::ConfigError::Period { .. }) => {}
             Err(error) => {
