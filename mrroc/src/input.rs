@@ -20,6 +20,7 @@ pub const RECORD: usize = 1 << 20;
 
 /// Why a file cannot be read.
 #[derive(Debug, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum InputError {
     /// The system reports an error.
     #[error(transparent)]
@@ -32,21 +33,13 @@ pub enum InputError {
     Link,
     /// The file belongs to another user, who may have written it.
     #[error("belongs to user {owner}, must belong to user {user}, who runs this command")]
-    Foreign {
-        /// User-ID of the file's owner.
-        owner: u32,
-        /// Effective user-ID of this process.
-        user: u32,
-    },
+    Foreign { owner: u32, user: u32 },
     /// Other users may write to the file.
     #[error("can be written by others than its owner; check its contents, then `chmod go-w` it")]
     Writable,
     /// The file is too long.
     #[error("has more than {limit} bytes, the most that such a file may have")]
-    TooLong {
-        /// Greatest size, bytes.
-        limit: usize,
-    },
+    TooLong { limit: usize },
 }
 
 /// The bytes of the regular file at `path`, at most `limit`.
