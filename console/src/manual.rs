@@ -54,16 +54,10 @@ fn pages(command: Command) -> Vec<(String, Vec<u8>)> {
     let mut pages = Vec::new();
     let mut below = vec![command];
     while let Some(command) = below.pop() {
-        below.extend(
-            command
-                .get_subcommands()
-                .filter(|command| !command.is_hide_set())
-                .cloned(),
-        );
-        let name = command
-            .get_display_name()
-            .unwrap_or(command.get_name())
-            .to_owned();
+        let shown = command.get_subcommands().filter(|it| !it.is_hide_set());
+        below.extend(shown.cloned());
+        let name = command.get_display_name();
+        let name = name.unwrap_or(command.get_name()).to_owned();
         let mut page = Vec::new();
         render(command, &mut page).expect("a vector takes what is written");
         pages.push((name, page));
@@ -80,10 +74,8 @@ fn without_help(command: Command) -> Command {
 
 fn render(command: Command, page: &mut dyn Write) -> io::Result<()> {
     let top = command.get_name() == "mrroc";
-    let (has_options, has_commands) = (
-        command.get_arguments().any(|option| !option.is_hide_set()),
-        command.has_subcommands(),
-    );
+    let has_options = command.get_arguments().any(|it| !it.is_hide_set());
+    let has_commands = command.has_subcommands();
     let man = Man::new(command).source(concat!("mrroc ", env!("CARGO_PKG_VERSION")));
     man.render_title(page)?;
     man.render_name_section(page)?;

@@ -80,38 +80,34 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     let bus = &file.cell.bus[index];
     let period = file.cell.period();
     let bitrate = emulation::bitrate(file, index);
-    let configs = (
-        file.cell.group_config(index),
-        setup::axis_configs(file, index),
-    );
-    let mut traffic = cia402::traffic(&configs.0, &configs.1);
+    let axes = setup::axis_configs(file, index);
+    let mut traffic = cia402::traffic(&file.cell.group_config(index), &axes);
     // Messages outside the cycle are sent after the cyclic ones.
     traffic.sort_by_key(|traffic| traffic.period > period || is_service(traffic.cob_id));
     let messages = messages(&traffic, period, bus.host_node);
     let analysis = schedule::analyse(bitrate, period, &messages);
     let share = |time: Duration| 100.0 * time.as_secs_f64() / period.as_secs_f64();
+    let timed = messages.iter().zip(&analysis.responses);
+    let rows = traffic.iter().zip(timed);
+    let rows = rows.map(|(traffic, (message, response))| MessageBudget {
+        what: traffic.what,
+        cob_id: Some(traffic.cob_id.raw()),
+        bytes: traffic.bytes,
+        period_us: traffic.period.as_micros(),
+        response_us: (message.every == Every::Cycle).then_some(response.as_micros()),
+    });
     let budget = BusBudget {
         name: bus.name.clone(),
         load_percent: 100.0 * analysis.load,
         worst_case_percent: share(analysis.busy),
-        messages: traffic
-            .iter()
-            .zip(messages.iter().zip(&analysis.responses))
-            .map(|(traffic, (message, response))| MessageBudget {
-                what: traffic.what,
-                cob_id: Some(traffic.cob_id.raw()),
-                bytes: traffic.bytes,
-                period_us: traffic.period.as_micros(),
-                response_us: (message.every == Every::Cycle).then_some(response.as_micros()),
-            })
-            .collect(),
+        messages: rows.collect(),
         bits_per_second: 1e3 * f64::from(bus.bitrate_kbps),
         serial: None,
     };
     if analysis.busy <= period {
         return Ok(budget);
     }
-    let axes = file.cell.axes_on(index).count();
+    let axes = axes.len();
     let key = Path::to("bus").then(index);
     Err(file.refuse(&key, anyhow!(
         "{axes} axes keep bus {:?} busy for {} µs of each {} µs at the worst ({:.0} %, at most 100 %); {}",

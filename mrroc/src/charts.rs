@@ -201,10 +201,10 @@ pub fn titled<'a>(
 }
 
 /// Draws the names of curves in their colours beside a panel, each `step`, px, from the one before.
-pub fn key<'a>(
+pub fn key(
     area: &Area,
     step: [u32; 2],
-    curves: impl IntoIterator<Item = (&'a str, RGBColor)>,
+    curves: impl IntoIterator<Item = (impl Into<String>, RGBColor)>,
 ) -> Result<(), ChartError> {
     let place = |x: u32, y: u32| (px(x) as i32, px(y) as i32);
     for (number, (name, colour)) in (0..).zip(curves) {
@@ -213,7 +213,7 @@ pub fn key<'a>(
         let ends = vec![place(x, y + 14), place(x + 18, y + 14)];
         area.draw(&PathElement::new(ends, style))?;
         let text = font(13).pos(Pos::new(HPos::Left, VPos::Center));
-        area.draw(&Text::new(name.to_owned(), place(x + 24, y + 14), text))?;
+        area.draw(&Text::new(name.into(), place(x + 24, y + 14), text))?;
     }
     Ok(())
 }
@@ -222,7 +222,8 @@ pub fn key<'a>(
 #[derive(Clone, Debug)]
 pub struct Scale {
     name: String,
-    range: [f64; 2],
+    /// The lowest and the highest value.
+    pub ends: [f64; 2],
     logarithmic: bool,
     ticks: Vec<(f64, String)>,
 }
@@ -263,7 +264,7 @@ impl Scale {
         };
         Self {
             name: name.into(),
-            range,
+            ends: range,
             logarithmic: false,
             ticks: (first..=last).map(tick).collect(),
         }
@@ -283,11 +284,8 @@ impl Scale {
         let low = range[0].log10().floor() as i32;
         let high = (range[1].max(range[0]).log10().ceil() as i32).max(low + 1);
         let tick = |decade| (10f64.powi(decade), label(decade));
-        Self::logarithmic(
-            name,
-            [low, high].map(|decade| 10f64.powi(decade)),
-            (low..=high).map(tick),
-        )
+        let ends = [low, high].map(|decade| 10f64.powi(decade));
+        Self::logarithmic(name, ends, (low..=high).map(tick))
     }
 
     /// A logarithmic axis with these ticks.
@@ -298,15 +296,10 @@ impl Scale {
     ) -> Self {
         Self {
             name: name.into(),
-            range,
+            ends: range,
             logarithmic: true,
             ticks: ticks.into_iter().collect(),
         }
-    }
-
-    /// The lowest and the highest value.
-    pub fn ends(&self) -> [f64; 2] {
-        self.range
     }
 }
 
@@ -323,7 +316,7 @@ impl Ranged for Scale {
                 value
             }
         };
-        let [low, high] = self.range.map(place);
+        let [low, high] = self.ends.map(place);
         let share = ((place(*value) - low) / (high - low)).clamp(0.0, 1.0);
         first + (f64::from(last - first) * share).round() as i32
     }
@@ -336,7 +329,7 @@ impl Ranged for Scale {
     }
 
     fn range(&self) -> Range<f64> {
-        self.range[0]..self.range[1]
+        self.ends[0]..self.ends[1]
     }
 }
 
@@ -388,7 +381,7 @@ mod tests {
         let linear = Scale::linear("", [], [0.0, 0.0]);
         assert_eq!(linear.map(&1.0, (0, 100)), 100);
         let decades = Scale::decades("", [1.0, 1.0], |decade| decade.to_string());
-        assert_eq!(decades.ends(), [1.0, 10.0]);
+        assert_eq!(decades.ends, [1.0, 10.0]);
         let places = [0.0, 1.0, 10f64.sqrt(), 10.0, 1e9].map(|it| decades.map(&it, (0, 100)));
         assert_eq!(places, [0, 0, 50, 100, 100]);
     }

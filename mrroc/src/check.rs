@@ -2,12 +2,11 @@
 
 use std::fmt;
 
-use can::Port;
 use serde::Serialize;
-use serial::{Line, VirtualLine};
 use servo::Servo;
 
-use crate::bench::emulation::{self, Emulation, HostEnds};
+use crate::bench::emulation::{self, Emulation};
+use crate::bench::{BenchKind, emulated_lines};
 use crate::budget::{self, Bundle, BusBudget};
 use crate::cell::{CellFile, printable};
 use crate::run::RunningTasks;
@@ -71,18 +70,9 @@ pub fn check(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<CheckReport> 
 
 /// Creates all parts of a run on emulated drives, with the functions of the run.
 fn assemble(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<()> {
-    let (_, HostEnds { ports, lines, .. }) = Emulation::of(file);
-    let ports = ports
-        .into_iter()
-        .map(|port| Box::new(port) as Box<dyn Port>);
-    let boxed = |lines: Vec<VirtualLine>| {
-        let lines = lines
-            .into_iter()
-            .map(|line| Box::new(line) as Box<dyn Line>);
-        lines.collect()
-    };
-    let lines = lines.into_iter().map(boxed).collect();
-    let groups = setup::drive_groups(file, ports.collect(), lines, None)?;
+    let (mut emulation, ends) = Emulation::of(file);
+    let lines = emulated_lines(file, BenchKind::Lockstep, &mut emulation, ends.lines)?;
+    let groups = setup::drive_groups(file, ends.ports, lines, None)?;
     let (servo, links) = Servo::new(&setup::servo_config(file), groups)?;
     RunningTasks::new(file, tasks, links, &servo).map(|_| ())
 }

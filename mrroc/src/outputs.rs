@@ -4,7 +4,7 @@
 use std::fmt::Display;
 use std::fs::{self, File, Metadata};
 use std::io::{self, ErrorKind, IsTerminal};
-use std::os::fd::{AsFd, BorrowedFd};
+use std::os::fd::AsFd;
 use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
@@ -26,15 +26,9 @@ pub struct Replacement {
 /// drop.
 pub struct Outputs {
     replacement: Replacement,
-    inputs: Vec<Known>,
-    standard: Vec<Known>,
+    /// Files that must not be used as outputs.
+    known: Vec<(&'static str, Identity)>,
     opened: Vec<Opened>,
-}
-
-/// A file that must not be used as an output.
-struct Known {
-    what: String,
-    identity: Identity,
 }
 
 /// Device and inode, which identify a file regardless of its path.
@@ -51,24 +45,20 @@ struct Opened {
 impl Outputs {
     /// Outputs that protect the files of standard output and standard error.
     pub fn new(replacement: Replacement) -> Self {
-        let known = |what: &str, end: BorrowedFd| {
+        let (stdout, stderr) = (io::stdout(), io::stderr());
+        let standard = [
+            ("standard output", stdout.as_fd()),
+            ("standard error", stderr.as_fd()),
+        ];
+        let known = standard.into_iter().filter_map(|(what, end)| {
             let found = end.try_clone_to_owned().map(File::from);
             let found = found.and_then(|file| file.metadata()).ok()?;
             // All writers of a pipe, a terminal or a device share one end.
-            found.is_file().then(|| Known {
-                what: what.to_owned(),
-                identity: identity(&found),
-            })
-        };
-        let (stdout, stderr) = (io::stdout(), io::stderr());
-        let standard = [
-            known("standard output", stdout.as_fd()),
-            known("standard error", stderr.as_fd()),
-        ];
+            found.is_file().then(|| (what, identity(&found)))
+        });
         Self {
             replacement,
-            inputs: Vec::new(),
-            standard: standard.into_iter().flatten().collect(),
+            known: known.collect(),
             opened: Vec::new(),
         }
     }
@@ -81,13 +71,10 @@ impl Outputs {
         }
     }
 
-    fn reads_file(&mut self, what: &str, path: &Path) {
+    fn reads_file(&mut self, what: &'static str, path: &Path) {
         // A file that was removed in the meantime cannot be overwritten.
         if let Ok(found) = fs::metadata(path) {
-            self.inputs.push(Known {
-                what: what.to_owned(),
-                identity: identity(&found),
-            });
+            self.known.push((what, identity(&found)));
         }
     }
 
@@ -126,9 +113,9 @@ impl Outputs {
             file: file.try_clone()?,
             made,
         };
-        let same = |known: &&Known| known.identity == opened.identity;
-        if let Some(known) = self.inputs.iter().chain(&self.standard).find(same) {
-            bail!("{} is the same file: name another", known.what);
+        let mut known = self.known.iter();
+        if let Some((what, _)) = known.find(|(_, identity)| *identity == opened.identity) {
+            bail!("{what} is the same file: name another");
         }
         // A device such as /dev/null keeps writers apart; a pipe or a terminal mixes their bytes.
         let mixes = !found.file_type().is_char_device() || file.is_terminal();

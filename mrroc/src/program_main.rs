@@ -64,7 +64,7 @@ pub fn run_program(
 ) -> anyhow::Result<ExitCode> {
     signals::block_suspension()?;
     let requests = Requests::default();
-    flag::register(SIGUSR1, requests.spikes()).context("SIGUSR1 cannot be caught")?;
+    flag::register(SIGUSR1, requests.spikes.clone()).context("SIGUSR1 cannot be caught")?;
     let (asked, motion) = (requests.clone(), Motion::on(options.run.bench));
     signals::on_ending_of_motion(motion.clone(), move |_| asked.stop())?;
     let mut bar = Bar::new(file, tasks(file)?.instructions() as u64, !options.json)?;

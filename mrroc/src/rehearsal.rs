@@ -62,10 +62,9 @@ pub(crate) fn rehearse_from(
 }
 
 fn homes(file: &CellFile) -> Vec<PlannedStart> {
-    let robots = file.arms.iter().enumerate();
-    robots
-        .map(|(robot, arm)| file.cell.home(robot, arm))
-        .collect()
+    let homes = file.arms.iter().enumerate();
+    let homes = homes.map(|(robot, arm)| file.cell.home(robot, arm));
+    homes.collect()
 }
 
 /// The motor positions of start `number` of [`STARTS`].
@@ -106,11 +105,7 @@ fn run(file: &CellFile, tasks: Tasks, starts: &[Axes], extent: Extent) -> anyhow
         (Some(task), Extent::FirstMotions) => task.first_motion().map_or(0, |first| first + 1),
     };
     let needed: Vec<_> = tasks.tasks.iter().map(needed).collect();
-    let refuse = if tasks.are_programs() {
-        of_program
-    } else {
-        of_task
-    };
+    let refuse = if tasks.programs { of_program } else { of_task };
     let mut subcontrollers = setup::subcontrollers(file, links, servo.gates(), tasks);
     let mut ended = vec![0; needed.len()];
     let mut failure = None;
@@ -129,10 +124,8 @@ fn run(file: &CellFile, tasks: Tasks, starts: &[Axes], extent: Extent) -> anyhow
                     });
                 }
             });
-            let all_ended = ended
-                .iter()
-                .zip(&needed)
-                .all(|(ended, needed)| ended >= needed);
+            let mut robots = ended.iter().zip(&needed);
+            let all_ended = robots.all(|(ended, needed)| ended >= needed);
             over.set(failure.is_some() || all_ended);
         },
         |_| {},
@@ -153,22 +146,15 @@ fn run(file: &CellFile, tasks: Tasks, starts: &[Axes], extent: Extent) -> anyhow
 /// The refusal of an instruction of the cell file's program.
 fn of_program(file: &CellFile, robot: usize, instruction: usize, why: String) -> anyhow::Error {
     let place = file.cell.robot[robot].instruction_of(instruction);
-    let key = place.map_or_else(
-        || Path::to("robot").then(robot),
-        |index| instruction_path(robot, index),
-    );
-    file.refuse(&key, why)
+    let place = place.map(|index| instruction_path(robot, index));
+    file.refuse(&place.unwrap_or(Path::to("robot").then(robot)), why)
 }
 
 /// The refusal of an instruction of a task outside a cell file.
 fn of_task(file: &CellFile, robot: usize, instruction: usize, why: String) -> anyhow::Error {
     let robot = &file.cell.robot[robot];
-    let why = robot.naming_axes(why);
-    anyhow!(
-        "robot {}: instruction {} of its task: {why}",
-        robot.name,
-        instruction + 1
-    )
+    let (name, why, number) = (&robot.name, robot.naming_axes(why), instruction + 1);
+    anyhow!("robot {name}: instruction {number} of its task: {why}")
 }
 
 impl Extent {

@@ -66,11 +66,8 @@ pub fn drive_groups(
             let axis = &file.cell.robot[robot].axis[number];
             axis.controller_config(file.arms[robot].robot().home()[number])
         };
-        let axes: Vec<_> = file
-            .cell
-            .axes_on(file.cell.bus.len() + index)
-            .map(config)
-            .collect();
+        let axes = file.cell.axes_on(file.cell.bus.len() + index);
+        let axes: Vec<_> = axes.map(config).collect();
         let group = AxisControllerGroup::new(lines, bundle.group_config(file.cell.period()), &axes);
         let refused = |error| file.refuse(&Path::to("serial").then(index), error);
         Ok(Box::new(group.map_err(refused)?) as Box<dyn DriveGroup>)
@@ -124,14 +121,10 @@ fn servo_axes(file: &CellFile, robot: usize) -> Vec<ServoAxisConfig> {
     let axis = |number: usize| {
         let axis = &cell.robot[robot].axis[number];
         let limits = file.arms[robot].robot().motor_limits()[number];
-        let group = cell
-            .groups()
-            .position(|name| name == axis.bus)
-            .expect("a parsed cell has the bus");
-        let index_in_group = cell
-            .axes_on(group)
-            .position(|place| place == (robot, number))
-            .expect("the axis is on its bus");
+        let group = cell.groups().position(|name| name == axis.bus);
+        let group = group.expect("a parsed cell has the bus");
+        let index = cell.axes_on(group).position(|it| it == (robot, number));
+        let index_in_group = index.expect("the axis is on its bus");
         cell.robot[robot].servo_config(number, group, index_in_group, limits)
     };
     (0..cell.robot[robot].axis.len()).map(axis).collect()
@@ -151,10 +144,9 @@ fn homing_timeout(file: &CellFile, robot: usize, axes: &[ServoAxisConfig]) -> Du
         };
         *longest = search.max(*longest);
     }
-    let searches = orders
-        .into_values()
-        .fold(Duration::ZERO, Duration::saturating_add);
-    searches.max(HOMING).min(LONGEST_HOMING)
+    let searches = orders.into_values();
+    let sum = searches.fold(Duration::ZERO, Duration::saturating_add);
+    sum.max(HOMING).min(LONGEST_HOMING)
 }
 
 /// Longest search by a drive: to one end of the travel, back over the whole travel, and off a switch of the same

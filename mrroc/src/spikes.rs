@@ -6,7 +6,6 @@
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
-use std::sync::mpsc::sync_channel;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
@@ -15,7 +14,7 @@ use serde_json::{Value, json};
 use servo::thread::{Spike, Stamps};
 
 use crate::report::microseconds;
-use crate::run::SMALL_STACK;
+use crate::run::Background;
 
 /// Longest wait for writing the file, limited because the disk of a host may block.
 const WRITE_WAIT: Duration = Duration::from_secs(2);
@@ -24,35 +23,19 @@ const WRITE_WAIT: Duration = Duration::from_secs(2);
 const THREAD: u32 = 1;
 const DEADLINES: u32 = 2;
 
-/// The file, opened before the run.
-pub struct SpikeFile(File);
-
-impl SpikeFile {
-    /// A file without content.
-    pub fn new(file: File) -> Self {
-        Self(file)
-    }
-
-    /// Writes the `spikes` of a thread of that name. A file that blocks is not waited for.
-    pub fn write(self, thread: &'static str, spikes: Vec<Spike>) -> anyhow::Result<()> {
-        let (tell, told) = sync_channel(1);
-        let body = move || {
-            let mut file = BufWriter::new(self.0);
-            let written = serde_json::to_writer(&mut file, &trace(thread, &spikes))
-                .map_err(std::io::Error::from)
-                .and_then(|()| file.flush());
-            // The receiver may have stopped waiting.
-            let _ = tell.send(written);
-        };
-        std::thread::Builder::new()
-            .name("spikes".into())
-            .stack_size(SMALL_STACK)
-            .spawn(body)
-            .context("no thread to write the spikes can be made")?;
-        match told.recv_timeout(WRITE_WAIT) {
-            Ok(written) => written.context("the spikes cannot be written"),
-            Err(_) => Err(anyhow!("the spikes cannot be written in time")),
-        }
+/// Writes the `spikes` of a thread of that name to a file that was opened before the run. A file that blocks is not
+/// waited for.
+pub fn write(file: File, thread: &'static str, spikes: Vec<Spike>) -> anyhow::Result<()> {
+    let write = move |mut file: BufWriter<File>| {
+        serde_json::to_writer(&mut file, &trace(thread, &spikes))?;
+        file.flush()
+    };
+    let file = BufWriter::new(file);
+    let writing = Background::start("spikes", WRITE_WAIT, file, |_| {}, write);
+    let writing = writing.context("no thread to write the spikes can be made")?;
+    match writing.finish(WRITE_WAIT) {
+        Some(written) => written.context("the spikes cannot be written"),
+        None => Err(anyhow!("the spikes cannot be written in time")),
     }
 }
 
@@ -90,18 +73,17 @@ fn events(
     // `before` makes the earliest time of any spike zero or later.
     let at = |time: Instant| (before + time.since(anchor)).saturating_sub(anchor.since(time));
     let (what, due) = match spike.late {
-        Some(late) => (
-            format!(
-                "spike {process}: {:.0} µs late, {}, cycle {}",
-                microseconds(late.late),
-                late.cause.name(),
-                spike.cycle
-            ),
-            format!(
-                "due {:.6} s after the first deadline, ",
-                late.due.as_secs_f64()
-            ),
-        ),
+        Some(late) => {
+            let (by, cause) = (microseconds(late.late), late.cause.name());
+            let due = late.due.as_secs_f64();
+            (
+                format!(
+                    "spike {process}: {by:.0} µs late, {cause}, cycle {}",
+                    spike.cycle
+                ),
+                format!("due {due:.6} s after the first deadline, "),
+            )
+        }
         None => (format!("on request: cycle {}", spike.cycle), String::new()),
     };
     let nanos = anchor.as_nanos();

@@ -12,7 +12,8 @@ pub type MakeTasks<'a> = dyn Fn(&CellFile) -> anyhow::Result<Tasks> + Sync + 'a;
 pub struct Tasks {
     names: Vec<String>,
     pub(crate) tasks: Vec<Option<Task>>,
-    programs: bool,
+    /// Whether these are the programs of the cell file.
+    pub(crate) programs: bool,
 }
 
 impl Tasks {
@@ -58,11 +59,6 @@ impl Tasks {
             bail!("robot {name:?} has two tasks");
         }
         Ok(self)
-    }
-
-    /// Whether these are the programs of the cell file.
-    pub fn are_programs(&self) -> bool {
-        self.programs
     }
 
     /// Number of instructions of all robots.

@@ -43,11 +43,10 @@ impl FrameLog {
     pub(crate) fn drain(&mut self) -> io::Result<()> {
         for (reader, name) in self.readers.iter_mut().zip(&self.names) {
             while let Some(traced) = reader.read() {
-                let (at, frame) = (traced.at, traced.frame);
                 let entry = candump::Entry {
-                    at,
+                    at: traced.at,
                     interface: *name,
-                    frame,
+                    frame: traced.frame,
                     direction: None,
                 };
                 writeln!(self.writer, "{entry}")?;

@@ -7,7 +7,7 @@ use roxmltree::{Document, ParsingOptions};
 use serde_json::Value;
 
 use crate::bench::turn;
-use crate::mrroc::{Directory, Output, mrroc, root, shorten};
+use crate::mrroc::{Directory, Output, example, mrroc, root, shorten};
 
 /// A lockstep run of an example cell with `words`.
 fn lockstep(cell: &str, words: &[&str]) -> Output {

@@ -71,7 +71,7 @@ impl BusPort {
         let stop_bits = StopBits::One;
         let tty = Tty::open(path, Settings { baud, stop_bits })?;
         let opened = open_slcan(tty, kbps, begin);
-        Ok(Self::Slcan(opened.with_context(|| path.to_owned())?))
+        opened.map(Self::Slcan).context(path.to_owned())
     }
 
     /// Waits until a frame can be received or the clock shows `until`. Returns whether a frame can be received.

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use can::timing::Bitrate;
-use can::{Frame, Instant, StandardId, VirtualPort};
+use can::{Frame, Instant, Port, StandardId, VirtualPort};
 use canopen::NodeId;
 use hil::{
     AxisController, AxisControllerConfig, BusId, Cabinet, Device, Epos4, Epos4Config, EposSerial,
@@ -45,7 +45,7 @@ pub struct Emulation {
 /// The host's ends of an emulated cell.
 pub struct HostEnds {
     /// The port of each CAN bus.
-    pub ports: Vec<VirtualPort>,
+    pub ports: Vec<Box<dyn Port>>,
     /// An additional end of each CAN bus for listening.
     pub listeners: Vec<VirtualPort>,
     /// The lines of each bundle, in the order of [`Cell::axes_on`](crate::cell::Cell::axes_on).
@@ -65,7 +65,9 @@ impl Emulation {
             let buses = buses.iter();
             buses.map(|&bus| world.host_port(bus, queue)).collect()
         };
-        let (ports, listeners) = (ends(QUEUE), ends(HEARD));
+        let ports = ends(QUEUE).into_iter().map(|port| Box::new(port) as _);
+        let ports = ports.collect();
+        let listeners = ends(HEARD);
         let lines = (0..file.cell.serial.len()).map(|bundle| {
             let cabinet = Cabinet::default();
             let axes = file.cell.axes_on(file.cell.bus.len() + bundle);

@@ -128,7 +128,7 @@ impl Bench {
         let interfaces = interfaces::resolve(&file.cell, can)?;
         interfaces::all_differ(&file.cell, interfaces.iter().map(Some))?;
         places.check(file, kind)?;
-        let (ports, lines, listeners, emulation): (Vec<Box<dyn Port>>, _, _, _) = match kind {
+        let (ports, lines, listeners, emulation) = match kind {
             BenchKind::Lockstep | BenchKind::Emulated => {
                 if !can.is_empty() || serial.is_some() {
                     bail!("--can and --serial need --bench vcan or --bench card");
@@ -136,9 +136,8 @@ impl Bench {
                 emulation::problems(file).next().map_or(Ok(()), Err)?;
                 let (mut emulation, ends) = Emulation::of(file);
                 let lines = emulated_lines(file, kind, &mut emulation, ends.lines)?;
-                let ports = ends.ports.into_iter().map(|port| Box::new(port) as _);
                 let listeners = ends.listeners.into_iter().map(Listener::Virtual).collect();
-                (ports.collect(), lines, listeners, Some(emulation))
+                (ends.ports, lines, listeners, Some(emulation))
             }
             BenchKind::Vcan | BenchKind::Card => {
                 let open = |(index, interface): (usize, &Interface)| {
@@ -189,7 +188,7 @@ impl Bench {
 }
 
 /// The host's ends of emulated lines: virtual lines in lockstep, ttys in real time.
-fn emulated_lines(
+pub(crate) fn emulated_lines(
     file: &CellFile,
     kind: BenchKind,
     emulation: &mut Emulation,

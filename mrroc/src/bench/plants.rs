@@ -9,7 +9,7 @@ use controller::robot::Limits;
 use hil::plant::PlantConfig;
 use hil::{AxisConfig, Mechanism, Mount};
 
-use crate::cell::{CellFile, Path, Robot};
+use crate::cell::{CellFile, EmulatedPayload, Path, Robot};
 
 /// A cell whose devices are emulated.
 pub struct EmulatedCell<'a> {
@@ -38,14 +38,7 @@ impl<'a> EmulatedCell<'a> {
 }
 
 /// The emulated payloads of a cell, in order of time.
-pub struct Payloads(VecDeque<Payload>);
-
-struct Payload {
-    due: Instant,
-    mechanism: Mechanism,
-    mass: f64,
-    centre: [f64; 3],
-}
+pub struct Payloads(VecDeque<(Instant, Mechanism, EmulatedPayload)>);
 
 impl Payloads {
     /// The payloads of a cell whose drives are switched on at `power_on`.
@@ -53,28 +46,26 @@ impl Payloads {
         let robots = emulated.file.cell.robot.iter().zip(&emulated.mechanisms);
         let payloads = robots.filter_map(|(robot, mechanism)| Some((robot, mechanism.as_ref()?)));
         let payloads = payloads.flat_map(|(robot, mechanism)| {
-            robot.emulated_payload.iter().map(|payload| Payload {
-                due: power_on + Duration::from_secs_f64(payload.at_s),
-                mechanism: mechanism.clone(),
-                mass: payload.mass,
-                centre: payload.centre,
+            robot.emulated_payload.iter().map(|payload| {
+                let due = power_on + Duration::from_secs_f64(payload.at_s);
+                (due, mechanism.clone(), *payload)
             })
         });
         let mut payloads: Vec<_> = payloads.collect();
-        payloads.sort_by_key(|payload| payload.due);
+        payloads.sort_by_key(|(due, ..)| *due);
         Self(payloads.into())
     }
 
     /// Time of the next change of payload.
     pub fn next(&self) -> Option<Instant> {
-        self.0.front().map(|payload| payload.due)
+        self.0.front().map(|(due, ..)| *due)
     }
 
     /// Attaches the payloads that are due to their robots.
     pub fn take_over(&mut self, now: Instant) {
         while self.next().is_some_and(|due| due <= now) {
-            if let Some(payload) = self.0.pop_front() {
-                payload.mechanism.set_payload(payload.mass, payload.centre);
+            if let Some((_, mechanism, payload)) = self.0.pop_front() {
+                mechanism.set_payload(payload.mass, payload.centre);
             }
         }
     }

@@ -27,7 +27,6 @@ pub struct Serial {
     pub answer_timeout_ms: u32,
     /// Latency timer of the USB adapter between host and line, ms, where one is to be emulated; none
     /// for a card.
-    #[serde(default)]
     pub emulated_latency_ms: Option<u32>,
 }
 
@@ -53,11 +52,9 @@ pub struct AxisController {
     pub r#loop: Loop,
     /// Greatest velocity that the motor can physically have, rad/s: a position that would need more is not
     /// believed. A third above the axis's `max_velocity` where absent.
-    #[serde(default)]
     pub plausible_velocity: Option<f64>,
     /// Greatest acceleration that it can physically have, rad/s², for the same purpose. Twenty times the
     /// axis's `max_acceleration` where absent.
-    #[serde(default)]
     pub plausible_acceleration: Option<f64>,
 }
 
@@ -75,6 +72,5 @@ pub struct Loop {
     pub feed_forward: FeedForward,
     /// Measured motor velocity, rad/s, that no working loop reaches: beyond it the power is taken at once. Above
     /// the axis's `max_velocity`; 1.2 times that where absent.
-    #[serde(default)]
     pub runaway_velocity: Option<f64>,
 }

@@ -1,5 +1,6 @@
 //! The device configuration file (DCF of CiA 306) of an axis, checked against the cell.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use anyhow::{Context, anyhow};
@@ -112,32 +113,24 @@ impl DeviceConfiguration {
 /// Refuses values for objects that belong to the driver. The error gives the first such line and its object, and the
 /// other lines.
 fn check_reserved(download: &Download, vendor: u32) -> Result<(), (u32, String)> {
-    let mut found: Vec<_> = download
-        .writes
-        .iter()
-        .filter_map(|write| {
-            let Object { index, subindex } = write.object;
-            Some((write.line, reserved(vendor, index, subindex)?))
-        })
-        .collect();
-    found.sort_by_key(|(line, _)| *line);
-    // One line of a PDO causes several writes.
-    found.dedup_by_key(|(line, _)| *line);
-    let Some(((line, first), others)) = found.split_first() else {
+    // One line of a PDO causes several writes, of which the map keeps the first.
+    let found = download.writes.iter().rev().filter_map(|write| {
+        let Object { index, subindex } = write.object;
+        Some((write.line, reserved(vendor, index, subindex)?))
+    });
+    let mut found = found.collect::<BTreeMap<_, _>>().into_iter();
+    let Some((line, first)) = found.next() else {
         return Ok(());
     };
     let mut problem = format!(
         "{first}; remove its ParameterValue, or set bit 0 of its ObjFlags to keep it as a note"
     );
+    let others: Vec<_> = found.map(|(line, _)| line.to_string()).collect();
     if !others.is_empty() {
-        let lines: Vec<_> = others.iter().map(|(line, _)| line.to_string()).collect();
-        let lines = lines.join(", ");
-        problem += &format!(
-            "; the same holds for {} further lines: {lines}",
-            others.len()
-        );
+        let (count, lines) = (others.len(), others.join(", "));
+        problem += &format!("; the same holds for {count} further lines: {lines}");
     }
-    Err((*line, problem))
+    Err((line, problem))
 }
 
 /// Checks that a written scale counts at the motor shaft, like the cell. The scale is given by the gear ratio (0x6091)

@@ -2,15 +2,14 @@
 
 use std::time::Duration;
 
-use canopen::Object;
 use drive::Scale;
 use drive::axis_controller::{self, Settings, StopBits};
 use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, NodeId};
 use servo::{FeedForward, HomingLeg, HostHoming, HostLoop, Output, PositionLoop, ServoAxisConfig};
 
 use super::{
-    Axis, AxisController, Cell, Control, Direction, Drive, DriveControl, Homing, Loop, Parameter,
-    Robot, Serial,
+    Axis, AxisController, Cell, Control, Direction, Drive, DriveControl, Homing, Loop, Robot,
+    Serial,
 };
 use controller::robot::Limits;
 
@@ -125,11 +124,6 @@ impl Axis {
     /// Configuration of the drive on a CAN bus, homed at the motor position `home`, rad.
     pub fn drive_config(&self, home: f64) -> AxisConfig {
         let drive = self.cia402();
-        let parameter = |given: &Parameter| drive::cia402::Parameter {
-            object: Object::new(given.index, given.subindex),
-            value: given.value,
-            size: given.bytes,
-        };
         AxisConfig {
             node: node(self.node),
             identity: Identity {
@@ -154,15 +148,15 @@ impl Axis {
             following_error: self.following_error,
             quick_stop_deceleration: self.max_acceleration,
             configuration: Vec::new(),
-            parameters: drive.parameter.iter().map(parameter).collect(),
+            parameters: drive.parameter.clone(),
         }
     }
 
     /// Motor velocity, rad/s, beyond which a position loop closed by the host counts as a runaway loop. The same bound
     /// applies to a drive that closes its own loop.
-    fn runaway_velocity(&self) -> f64 {
-        let given = self.drive.as_ref().and_then(|drive| drive.r#loop.as_ref());
-        let given = given.and_then(|given| given.runaway_velocity);
+    pub(super) fn runaway_velocity(&self) -> f64 {
+        let given = self.host_loop();
+        let given = given.and_then(|(_, given, _)| given.runaway_velocity);
         given.unwrap_or(RUNAWAY * self.max_velocity)
     }
 
@@ -187,28 +181,48 @@ impl Axis {
         }
     }
 
-    /// Position loop of the axis, closed by drive or host. `weighs` is true if the weight of the robot is known.
-    pub(super) fn position_loop(&self, weighs: bool) -> PositionLoop {
-        let by_host =
-            |given: &Loop, output| PositionLoop::Host(given.of(output, self.max_velocity, weighs));
+    /// The loop that the host closes with its output, behind the key of the table with the loop; `None` if the drive
+    /// closes the position loop.
+    pub(super) fn host_loop(&self) -> Option<(&'static str, &Loop, Output)> {
         match (&self.drive, &self.controller) {
             (Some(drive), _) => {
                 let output = match drive.control {
-                    DriveControl::Position => return PositionLoop::Drive,
+                    DriveControl::Position => return None,
                     DriveControl::Velocity => Output::Velocity,
                     DriveControl::Torque => Output::Torque,
                 };
-                by_host(drive.r#loop.as_ref().expect(HAS_LOOP), output)
+                Some(("drive", drive.r#loop.as_ref().expect(HAS_LOOP), output))
             }
             (None, Some(controller)) => {
                 let output = match controller.control {
                     Control::Current => Output::Torque,
                     Control::Pwm => Output::Duty,
                 };
-                by_host(&controller.r#loop, output)
+                Some(("controller", &controller.r#loop, output))
             }
             (None, None) => unreachable!("{HAS_DRIVE}"),
         }
+    }
+
+    /// Position loop of the axis, closed by drive or host. `weighs` is true if the weight of the robot is known.
+    pub(super) fn position_loop(&self, weighs: bool) -> PositionLoop {
+        let Some((_, given, output)) = self.host_loop() else {
+            return PositionLoop::Drive;
+        };
+        let weight = match output {
+            _ if !weighs => None,
+            Output::Torque => Some(given.feed_forward.weight.unwrap_or(1.0)),
+            Output::Velocity | Output::Duty => given.feed_forward.weight,
+        };
+        PositionLoop::Host(HostLoop {
+            law: given.law,
+            output,
+            feed_forward: FeedForward {
+                weight,
+                ..given.feed_forward
+            },
+            runaway_velocity: self.runaway_velocity(),
+        })
     }
 }
 
@@ -237,29 +251,6 @@ impl Robot {
             position_loop: axis.position_loop(self.weight.is_some()),
             torque_offset: None,
             homing: by_host.then(|| axis.homing.by_host(limits)),
-        }
-    }
-}
-
-impl Loop {
-    fn of(&self, output: Output, max_velocity: f64, weighs: bool) -> HostLoop {
-        let Loop {
-            law,
-            feed_forward,
-            runaway_velocity,
-        } = *self;
-        HostLoop {
-            law,
-            output,
-            feed_forward: FeedForward {
-                weight: match output {
-                    _ if !weighs => None,
-                    Output::Torque => Some(feed_forward.weight.unwrap_or(1.0)),
-                    Output::Velocity | Output::Duty => feed_forward.weight,
-                },
-                ..feed_forward
-            },
-            runaway_velocity: runaway_velocity.unwrap_or(RUNAWAY * max_velocity),
         }
     }
 }

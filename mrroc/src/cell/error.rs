@@ -2,9 +2,11 @@
 
 use std::borrow::Cow;
 use std::fmt::{self, Display};
+use std::iter::successors;
 
 use thiserror::Error;
-use toml::de::DeTable;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
 
 use super::text::{excerpt, printable, quoted};
 
@@ -63,7 +65,7 @@ impl From<usize> for Step {
 
 /// The path from the top of the file to a value, written as `robot[0].axis[2].node`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Path(Vec<Step>);
+pub struct Path(pub(super) Vec<Step>);
 
 impl Path {
     /// This path, extended by one step.
@@ -92,12 +94,6 @@ impl Path {
     }
 }
 
-impl FromIterator<Step> for Path {
-    fn from_iter<T: IntoIterator<Item = Step>>(steps: T) -> Self {
-        Self(steps.into_iter().collect())
-    }
-}
-
 impl Display for Path {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (position, step) in self.0.iter().enumerate() {
@@ -116,8 +112,8 @@ impl Display for Path {
 }
 
 /// The line, counted from 1, of the byte at `offset` of `text`.
-pub(super) fn line_at(text: &str, offset: usize) -> usize {
-    let before = &text.as_bytes()[..offset.min(text.len())];
+pub(super) fn line_at(text: &[u8], offset: usize) -> usize {
+    let before = &text[..offset.min(text.len())];
     before.iter().filter(|&&byte| byte == b'\n').count() + 1
 }
 
@@ -126,28 +122,13 @@ pub(super) fn line_of(text: &str, path: &Path) -> usize {
     let Ok(document) = DeTable::parse(text) else {
         return 1;
     };
-    let mut offset = document.span().start;
+    let document = Spanned::new(0..0, DeValue::Table(document.into_inner()));
     let mut steps = path.0.iter();
-    let Some(Step::Key(key)) = steps.next() else {
-        return 1;
-    };
-    let Some(mut value) = document.get_ref().get(key.as_ref()) else {
-        return 1;
-    };
-    loop {
-        if !value.span().is_empty() {
-            offset = value.span().start;
-        }
-        let Some(step) = steps.next() else {
-            return line_at(text, offset);
-        };
-        let inner = match step {
-            Step::Key(key) => value.get_ref().get(key.as_ref()),
-            Step::At(index) => value.get_ref().get(*index),
-        };
-        match inner {
-            Some(inner) => value = inner,
-            None => return line_at(text, offset),
-        }
-    }
+    let values = successors(Some(&document), |value| match steps.next()? {
+        Step::Key(key) => value.get_ref().get(key.as_ref()),
+        Step::At(index) => value.get_ref().get(*index),
+    });
+    // A table of dotted keys alone has no offset in the text.
+    let placed = values.map(Spanned::span).filter(|span| !span.is_empty());
+    line_at(text.as_bytes(), placed.last().map_or(0, |span| span.start))
 }

@@ -7,7 +7,6 @@ use anyhow::{Context, anyhow};
 use controller::robot::Arm;
 use drive::cia402::Identity;
 
-use crate::bench::interfaces::Interface;
 use crate::input;
 
 use super::device_configuration::DeviceConfiguration;
@@ -36,8 +35,7 @@ impl CellFile {
         let text = Cell::text(&bytes).map_err(|error| refusal(path, &error))?;
         let text = text.to_owned();
         let cell = Cell::parse(&text).map_err(|error| refusal(path, &error))?;
-        let arm = |robot| cell.arm(robot);
-        let arms = (0..cell.robot.len()).map(arm);
+        let arms = (0..cell.robot.len()).map(|robot| cell.arm(robot));
         let arms = arms.collect::<Result<_, _>>();
         let arms = arms.expect("a parsed cell has sound parameters");
         let mut file = Self {
@@ -47,7 +45,6 @@ impl CellFile {
             arms,
             configurations: Vec::new(),
         };
-        file.check_interfaces()?;
         for robot in 0..file.cell.robot.len() {
             let axes = 0..file.cell.robot[robot].axis.len();
             let read = axes.map(|axis| DeviceConfiguration::read(&file, robot, axis));
@@ -55,28 +52,6 @@ impl CellFile {
             file.configurations.push(read);
         }
         Ok(file)
-    }
-
-    /// Checks that each bus has a valid interface of its own.
-    fn check_interfaces(&self) -> anyhow::Result<()> {
-        let mut taken = Vec::new();
-        for (index, bus) in self.cell.bus.iter().enumerate() {
-            let interface = Interface::parse(&bus.interface);
-            let problem = match interface.check() {
-                Err(problem) => Some(problem.to_string()),
-                Ok(()) if matches!(interface, Interface::Epos { .. }) => Some(format!(
-                    "{interface} is the service port of a drive, which is no CAN bus"
-                )),
-                Ok(()) => (taken.iter().position(|other| *other == interface))
-                    .map(|first| format!("{interface} is that of bus[{first}]: give each its own")),
-            };
-            if let Some(problem) = problem {
-                let key = super::Path::to("bus").then(index);
-                return Err(self.refuse(&key.then("interface"), problem));
-            }
-            taken.push(interface);
-        }
-        Ok(())
     }
 
     /// The device configuration of axis `axis` of robot `robot`, if it has one.

@@ -35,11 +35,9 @@ impl Cell {
     }
 
     fn home_tolerances(&self, robot: usize) -> Axes {
-        let mut tolerances = Axes::default();
-        for (tolerance, axis) in tolerances.iter_mut().zip(&self.robot[robot].axis) {
-            *tolerance = self.home_tolerance(axis);
-        }
-        tolerances
+        let axes = &self.robot[robot].axis;
+        let tolerance = |axis| self.home_tolerance(axis);
+        std::array::from_fn(|number| axes.get(number).map_or(0.0, tolerance))
     }
 
     /// Greatest distance of a homed motor from its home position, rad.

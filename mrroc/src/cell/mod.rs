@@ -33,6 +33,7 @@ pub use crate::robots::{Model, Parameters};
 pub use axis_controller::{AxisController, Loop, Serial};
 pub(crate) use device_configuration::DeviceConfiguration;
 pub use drive::axis_controller::{Control, Protocol};
+pub use drive::cia402::Parameter;
 pub use drives::ENABLING;
 pub use error::{CellError, Path, Step};
 pub use file::CellFile;
@@ -121,13 +122,11 @@ pub struct Robot {
     /// Model of the robot.
     pub model: Model,
     /// Geometry, drive train, home positions and limits, in place of those of the model.
-    #[serde(default)]
     pub parameters: Option<Parameters>,
     /// Origin of the tool in the flange's frame, m.
     #[serde(default)]
     pub tool: [f64; 3],
     /// Masses of the links, for the feed-forward of the weight to the motors; no such feed-forward where absent.
-    #[serde(default)]
     pub weight: Option<Weights>,
     /// The axes, base first.
     pub axis: Vec<Axis>,
@@ -199,10 +198,8 @@ pub struct Axis {
     #[serde(default)]
     pub node: u8,
     /// The drive, on a CAN bus.
-    #[serde(default)]
     pub drive: Option<Drive>,
     /// The axis controller, on a serial line.
-    #[serde(default)]
     pub controller: Option<AxisController>,
     /// Greatest motor velocity, rad/s.
     pub max_velocity: f64,
@@ -210,11 +207,9 @@ pub struct Axis {
     pub max_acceleration: f64,
     /// Lowest motor position, rad, within the limits of the model and below `max_position`; the limit of the model
     /// where absent.
-    #[serde(default)]
     pub min_position: Option<f64>,
     /// Highest motor position, rad, within the limits of the model and above `min_position`; the limit of the model
     /// where absent.
-    #[serde(default)]
     pub max_position: Option<f64>,
     /// Greatest following error: distance between commanded and measured motor position, rad.
     pub following_error: f64,
@@ -232,15 +227,12 @@ pub struct Drive {
     /// Vendor-ID, object 0x1018:01.
     pub vendor: u32,
     /// Product code, object 0x1018:02; not checked where absent.
-    #[serde(default)]
     pub product: Option<u32>,
     /// Revision number, object 0x1018:03; not checked where absent.
-    #[serde(default)]
     pub revision: Option<u32>,
     /// Device configuration file (DCF of CiA 306), relative to the cell file. Its values are written before operation
     /// and read back. Settings of the controller and `parameter` are written later and take precedence. A file without
     /// a node-ID can serve several axes.
-    #[serde(default)]
     pub dcf: Option<String>,
     /// Quadrature counts per motor revolution.
     pub counts_per_revolution: u32,
@@ -253,7 +245,6 @@ pub struct Drive {
     #[serde(default)]
     pub control: DriveControl,
     /// The position loop in the host, with `control = "velocity"` or `"torque"`.
-    #[serde(default)]
     pub r#loop: Option<Loop>,
     /// Further objects to write before operation.
     #[serde(default)]
@@ -275,21 +266,6 @@ pub enum DriveControl {
     Torque,
 }
 
-/// An object written to a drive before operation and read back.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Parameter {
-    /// Index.
-    pub index: u16,
-    /// Sub-index.
-    #[serde(default)]
-    pub subindex: u8,
-    /// Value.
-    pub value: u32,
-    /// Size of the object, bytes: 1, 2 or 4.
-    pub bytes: u8,
-}
-
 // One table for both families. The legs of a `HostHoming` follow from the limits of the motor.
 /// Homing: by the drive on CAN (CiA 402 mode HM), by the host on a serial line.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
@@ -297,17 +273,14 @@ pub struct Parameter {
 pub struct Homing {
     /// Homing method of a drive, object 0x6098. An axis on a serial line has no method: it searches for its home
     /// switch, and then back for the index pulse of the switch.
-    #[serde(default)]
     pub method: Option<i8>,
     /// Direction in which an axis on a serial line searches for its home switch; negative where absent.
-    #[serde(default)]
     pub direction: Option<Direction>,
     /// Homing order: axes home in ascending order, and axes of equal order together.
     #[serde(default)]
     pub order: u8,
     /// Whether a search by the host that meets a limit switch returns across the home switch and starts again, once;
     /// true where absent.
-    #[serde(default)]
     pub reverse_at_limit: Option<bool>,
     /// Motor velocity while searching for the switch, rad/s.
     pub search_velocity: f64,
@@ -426,7 +399,6 @@ pub struct Joints {
     pub acceleration: f64,
     /// Duration of the motion to each pose, s, rounded up to a macrostep; the shortest within the limits where absent.
     /// Only for jerk-limited motions.
-    #[serde(default)]
     pub duration: Option<f64>,
 }
 
@@ -448,7 +420,6 @@ pub struct LineInstruction {
     /// Target position of the tool, m, in the robot's base frame.
     pub position: [f64; 3],
     /// Target orientation of the tool as w, x, y, z; unchanged where absent.
-    #[serde(default)]
     pub quaternion: Option<[f64; 4]>,
     /// Greatest tool velocity, m/s.
     #[serde(default = "defaults::line_velocity")]
@@ -466,7 +437,17 @@ impl Cell {
 
     /// The text of a cell file. Bytes that are not UTF-8 or more than [`LARGEST`] are refused.
     pub fn text(bytes: &[u8]) -> Result<&str, CellError> {
-        read::text(bytes)
+        if bytes.len() > LARGEST {
+            let length = bytes.len();
+            let problem = format!("the file has {length} bytes, a cell file may have {LARGEST}");
+            return Err(CellError::of_text(1, problem));
+        }
+        str::from_utf8(bytes).map_err(|error| {
+            let end = error.valid_up_to();
+            let byte = bytes[end];
+            let problem = format!("the byte {byte:#04x} is no UTF-8 text: save the file as UTF-8");
+            CellError::of_text(error::line_at(bytes, end), problem)
+        })
     }
 
     /// Reads and checks the text of a cell file.

@@ -7,7 +7,7 @@ use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use servo::MAX_AXES;
 use thiserror::Error;
 
-use super::{Cell, Instruction, JointGenerator, Joints, LineInstruction, Meeting, Path, Robot};
+use super::{Cell, Instruction, JointGenerator, Joints, LineInstruction, Path, Robot};
 use controller::ecp::Task;
 use controller::generator::{
     self, Axes, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, PlannedStart,
@@ -69,8 +69,36 @@ impl Cell {
     /// Every pose is checked from the end of the previous instruction. An error comes with the key of the instruction
     /// or the pose.
     pub fn task(&self, robot: usize, arm: &Arm) -> Result<Task, (Path, ProgramError)> {
-        let home = self.home(robot, arm);
-        self.robot[robot].task(robot, arm, home, &self.meetings())
+        let (given, home) = (&self.robot[robot], self.home(robot, arm));
+        let meetings = self.meetings();
+        let mut task = Task::new().enable().home();
+        let mut joints = arm
+            .joints(&home.motors)
+            .map_err(|error| (instruction_path(robot, 0), error.into()))?;
+        let mut start = Some(home);
+        for (index, instruction) in given.program.iter().enumerate() {
+            let key = instruction_path(robot, index);
+            let (next, end) = match instruction {
+                Instruction::Joints(motion) => {
+                    let key = key.then("joints").then("poses");
+                    given
+                        .joint_motion(arm, motion, task)
+                        .map_err(|(pose, error)| (key.then(pose), error))
+                }
+                Instruction::Line(line) => given
+                    .line(arm, line, &joints, start, task)
+                    .map_err(|error| (key.then("line"), error)),
+                Instruction::Meet(_) => {
+                    let meeting = given.meeting_at(index, &meetings);
+                    let meeting = meeting.expect("a parsed cell has few enough meetings");
+                    Ok((task.meet(meeting), joints))
+                }
+            }?;
+            (task, joints) = (next, end);
+            // After the first motion, the arm is at the end of that motion.
+            start = start.filter(|_| matches!(instruction, Instruction::Meet(_)));
+        }
+        Ok(task.disable())
     }
 }
 
@@ -85,42 +113,6 @@ impl Robot {
             left = left.saturating_sub(moves);
             found
         })
-    }
-
-    fn task(
-        &self,
-        robot: usize,
-        arm: &Arm,
-        home: PlannedStart,
-        meetings: &[Meeting],
-    ) -> Result<Task, (Path, ProgramError)> {
-        let mut task = Task::new().enable().home();
-        let mut joints = arm
-            .joints(&home.motors)
-            .map_err(|error| (instruction_path(robot, 0), error.into()))?;
-        let mut start = Some(home);
-        for (index, instruction) in self.program.iter().enumerate() {
-            let key = instruction_path(robot, index);
-            let (next, end) = match instruction {
-                Instruction::Joints(motion) => {
-                    let key = key.then("joints").then("poses");
-                    self.joint_motion(arm, motion, task)
-                        .map_err(|(pose, error)| (key.then(pose), error))
-                }
-                Instruction::Line(line) => self
-                    .line(arm, line, &joints, start, task)
-                    .map_err(|error| (key.then("line"), error)),
-                Instruction::Meet(_) => {
-                    let meeting = self.meeting_at(index, meetings);
-                    let meeting = meeting.expect("a parsed cell has few enough meetings");
-                    Ok((task.meet(meeting), joints))
-                }
-            }?;
-            (task, joints) = (next, end);
-            // After the first motion, the arm is at the end of that motion.
-            start = start.filter(|_| matches!(instruction, Instruction::Meet(_)));
-        }
-        Ok(task.disable())
     }
 
     /// Converts a joint motion. An error comes with the number of its pose.
@@ -142,28 +134,25 @@ impl Robot {
                 let (velocity, acceleration) = (motion.velocity, motion.acceleration);
                 let smooth = |pose: &Axes| smooth_pose(pose, velocity, acceleration);
                 let poses = poses.iter().map(smooth).collect();
-                Newsmooth::new(Space::Joint, arm.axes(), limits, poses)
-                    .map(|generator| task.run(generator))
-                    .map_err(|error| (0, error.into()))?
+                let generator = Newsmooth::new(Space::Joint, arm.axes(), limits, poses);
+                task.run(generator.map_err(|error| (0, error.into()))?)
             }
             JointGenerator::JerkLimited => {
                 let limits = MotionLimits {
-                    max_velocity: limits.max_velocity.map(|limit| limit * motion.velocity),
-                    max_acceleration: limits
-                        .max_acceleration
-                        .map(|limit| limit * motion.acceleration),
-                    max_jerk: limits.max_jerk.map(|limit| limit * motion.acceleration),
+                    max_velocity: limits.max_velocity.map(|it| it * motion.velocity),
+                    max_acceleration: limits.max_acceleration.map(|it| it * motion.acceleration),
+                    max_jerk: limits.max_jerk.map(|it| it * motion.acceleration),
                 };
-                let mut poses = poses.iter().enumerate();
-                poses.try_fold(task, |task, (number, pose)| {
-                    JerkLimited::new(Space::Joint, arm.axes(), limits, &[*pose])
-                        .map(|generator| match motion.duration {
-                            Some(duration) => generator.lasting(Duration::from_secs_f64(duration)),
-                            None => generator,
-                        })
-                        .map(|generator| task.run(generator))
-                        .map_err(|error| (number, error.into()))
-                })?
+                let mut task = task;
+                for (number, pose) in poses.iter().enumerate() {
+                    let generator = JerkLimited::new(Space::Joint, arm.axes(), limits, &[*pose]);
+                    let generator = generator.map_err(|error| (number, error.into()))?;
+                    task = task.run(match motion.duration {
+                        Some(duration) => generator.lasting(Duration::from_secs_f64(duration)),
+                        None => generator,
+                    });
+                }
+                task
             }
         };
         Ok((task, end))
@@ -209,16 +198,12 @@ impl Robot {
         let gains = steepest_gains(arm);
         for (motor, gains) in gains.iter().enumerate().take(arm.axes()) {
             let axis = &self.axis[motor];
-            slow(
-                &mut limits.max_velocity,
-                gains,
+            let planned = [
                 axis.max_velocity * PLANNED.0,
-            );
-            slow(
-                &mut limits.max_acceleration,
-                gains,
                 axis.max_acceleration * PLANNED.1,
-            );
+            ];
+            slow(&mut limits.max_velocity, gains, planned[0]);
+            slow(&mut limits.max_acceleration, gains, planned[1]);
         }
         for joint in 0..arm.axes() {
             limits.max_jerk[joint] = jerk * limits.max_acceleration[joint] / acceleration;
@@ -241,11 +226,8 @@ fn moves(instruction: &Instruction) -> usize {
 
 /// Reduces the `rates` of the joints that turn a motor until their sum is within `limit`.
 fn slow(rates: &mut Axes, gains: &Axes, limit: f64) {
-    let sum: f64 = rates
-        .iter()
-        .zip(gains)
-        .map(|(rate, gain)| rate * gain)
-        .sum();
+    let turned = rates.iter().zip(gains).map(|(rate, gain)| rate * gain);
+    let sum: f64 = turned.sum();
     if sum > limit {
         for (rate, _) in rates.iter_mut().zip(gains).filter(|(_, gain)| **gain > 0.0) {
             *rate *= limit / sum;
@@ -280,10 +262,8 @@ fn steepest_gains(arm: &Arm) -> [Axes; MAX_AXES] {
                 continue;
             };
             for motor in 0..arm.axes() {
-                gains[motor][joint] = f64::max(
-                    gains[motor][joint],
-                    ((high[motor] - low[motor]) / step).abs(),
-                );
+                let gain = ((high[motor] - low[motor]) / step).abs();
+                gains[motor][joint] = f64::max(gains[motor][joint], gain);
             }
         }
     }

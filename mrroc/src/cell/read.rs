@@ -20,7 +20,7 @@ use toml::map::Iter;
 
 use super::error::{CellError, Path, Step, line_at};
 use super::text::{excerpt, one_of, quoted};
-use super::{Range, out_of_range};
+use super::{Cell, Range, out_of_range};
 
 /// Greatest size of a cell file, bytes. The largest example has 26 kB.
 pub const LARGEST: usize = 1 << 20;
@@ -32,32 +32,19 @@ const MOST_ELEMENTS: usize = 1 << 16;
 /// Range of all numbers of a cell. No SI quantity of a robot is beyond it, and squares and products stay finite.
 const MOST: Range = Range::new(-1e12, 1e12, "");
 
-/// The text of a cell file, if its size and encoding permit.
-pub(super) fn text(bytes: &[u8]) -> Result<&str, CellError> {
-    if bytes.len() > LARGEST {
-        let length = bytes.len();
-        let problem = format!("the file has {length} bytes, a cell file may have {LARGEST}");
-        return Err(CellError::of_text(1, problem));
-    }
-    str::from_utf8(bytes).map_err(|error| {
-        let before = &bytes[..error.valid_up_to()];
-        let line = before.iter().filter(|&&byte| byte == b'\n').count() + 1;
-        let byte = bytes[error.valid_up_to()];
-        let problem = format!("the byte {byte:#04x} is no UTF-8 text: save the file as UTF-8");
-        CellError::of_text(line, problem)
-    })
-}
-
 /// The document of a text.
 pub(super) fn parse(text: &str) -> Result<DeValue<'_>, CellError> {
-    self::text(text.as_bytes())?;
+    Cell::text(text.as_bytes())?;
     let elements = |byte: &u8| matches!(byte, b'.' | b',' | b'=' | b'[' | b'{');
     let mut excess = text.bytes().enumerate().filter(|(_, byte)| elements(byte));
     if let Some((offset, _)) = excess.nth(MOST_ELEMENTS) {
         let problem = format!(
             "the file has too many elements: it may have {MOST_ELEMENTS} of the characters . , = [ and {{"
         );
-        return Err(CellError::of_text(line_at(text, offset), problem));
+        return Err(CellError::of_text(
+            line_at(text.as_bytes(), offset),
+            problem,
+        ));
     }
     let document = DeTable::parse(text).map_err(|error| {
         let span = error.span().unwrap_or_default();
@@ -67,7 +54,7 @@ pub(super) fn parse(text: &str) -> Result<DeValue<'_>, CellError> {
             "duplicate key" => (excerpt(found), "is given twice".to_owned()),
             _ => (String::new(), excerpt(&message)),
         };
-        let line = line_at(text, span.start);
+        let line = line_at(text.as_bytes(), span.start);
         CellError { line, key, problem }
     })?;
     Ok(DeValue::Table(document.into_inner()))
@@ -81,15 +68,13 @@ pub(super) fn read<'de, T: Deserialize<'de>>(
         value: document,
         offset: 0,
     };
-    T::deserialize(whole).map_err(|refusal| CellError {
-        line: line_at(text, refusal.offset.unwrap_or(0)),
-        key: refusal
-            .steps
-            .into_iter()
-            .rev()
-            .collect::<Path>()
-            .to_string(),
-        problem: refusal.problem,
+    T::deserialize(whole).map_err(|refusal| {
+        let steps = refusal.steps.into_iter().rev();
+        CellError {
+            line: line_at(text.as_bytes(), refusal.offset.unwrap_or(0)),
+            key: Path(steps.collect()).to_string(),
+            problem: refusal.problem,
+        }
     })
 }
 
@@ -217,15 +202,11 @@ impl<'de> Value<'de> {
             DeValue::Integer(number) => i128::from_str_radix(number.as_str(), number.radix()).ok(),
             _ => None,
         };
-        number
-            .filter(|number| (low..=high).contains(number))
-            .ok_or_else(|| {
-                self.wrong(if high > i128::from(u32::MAX) {
-                    format!("a whole number of at least {low}")
-                } else {
-                    format!("a whole number from {low} to {high}")
-                })
-            })
+        let number = number.filter(|number| (low..=high).contains(number));
+        number.ok_or_else(|| match high > i128::from(u32::MAX) {
+            true => self.wrong(format!("a whole number of at least {low}")),
+            false => self.wrong(format!("a whole number from {low} to {high}")),
+        })
     }
 
     fn number(&self) -> Result<f64, ValueError> {
@@ -245,13 +226,6 @@ impl<'de> Value<'de> {
             None => return Err(self.wrong("a number")),
         };
         Err(ValueError::new(problem).from(self.offset))
-    }
-
-    fn text(&self) -> Result<&'de str, ValueError> {
-        match self.value {
-            DeValue::String(text) => Ok(text),
-            _ => Err(self.wrong("a string in quotes")),
-        }
     }
 
     fn table<V: Visitor<'de>>(&self, visitor: V) -> Result<V::Value, ValueError> {
@@ -342,7 +316,10 @@ impl<'de> Deserializer<'de> for Value<'de> {
     }
 
     fn deserialize_str<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ValueError> {
-        visitor.visit_borrowed_str(self.text()?)
+        match self.value {
+            DeValue::String(text) => visitor.visit_borrowed_str(text),
+            _ => Err(self.wrong("a string in quotes")),
+        }
     }
 
     fn deserialize_string<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ValueError> {

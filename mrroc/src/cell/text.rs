@@ -36,21 +36,22 @@ pub fn printable(text: &str) -> String {
 
 /// The beginning of a text, for a message without quotes.
 pub(super) fn excerpt(text: &str) -> String {
-    match text.char_indices().nth(LONGEST) {
-        None => printable(text),
-        Some((end, _)) => format!(
-            "{}… ({} characters)",
-            printable(&text[..end]),
-            text.chars().count()
-        ),
-    }
+    beginning(text, printable)
 }
 
 /// The beginning of a text in quotes, for a message.
 pub fn quoted(text: &str) -> String {
+    beginning(text, |text| format!("{text:?}"))
+}
+
+fn beginning(text: &str, shown: impl Fn(&str) -> String) -> String {
     match text.char_indices().nth(LONGEST) {
-        None => format!("{text:?}"),
-        Some((end, _)) => format!("{:?}… ({} characters)", &text[..end], text.chars().count()),
+        None => shown(text),
+        Some((end, _)) => format!(
+            "{}… ({} characters)",
+            shown(&text[..end]),
+            text.chars().count()
+        ),
     }
 }
 

@@ -8,11 +8,12 @@ const POINTS: usize = 4000;
 
 /// A value over time. Each bucket keeps the least and the greatest value of as many samples as the length of the run asks
 /// for: no peak is lost.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Curve {
     buckets: Vec<Bucket>,
-    /// Samples of a full bucket, and of the last one.
-    width: u64,
+    /// How often the samples of a full bucket were doubled, from one.
+    doublings: u32,
+    /// Samples of the last bucket.
     filled: u64,
 }
 
@@ -34,23 +35,13 @@ impl Bucket {
     }
 }
 
-impl Default for Curve {
-    fn default() -> Self {
-        Self {
-            buckets: Vec::new(),
-            width: 1,
-            filled: 0,
-        }
-    }
-}
-
 impl Curve {
     pub(crate) fn push(&mut self, time: f64, value: f64) {
         let sample = Bucket {
             least: (time, value),
             greatest: (time, value),
         };
-        if self.filled < self.width
+        if self.filled < 1 << self.doublings
             && let Some(last) = self.buckets.last_mut()
         {
             last.merge(sample);
@@ -64,7 +55,7 @@ impl Curve {
                 self.buckets[pair] = first;
             }
             self.buckets.truncate(BUCKETS / 2);
-            self.width *= 2;
+            self.doublings += 1;
         }
         self.buckets.push(sample);
         self.filled = 1;

@@ -8,14 +8,13 @@ mod page;
 mod plots;
 mod text;
 mod tool;
-mod warning;
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::mem::take;
 use std::time::Duration;
 
-use drive::Warnings;
+use drive::{Warning, Warnings};
 use serde::Serialize;
 use servo::thread::{AccountReads, LateCycle, Spike, WaitReport};
 use servo::{Histogram, Servo, Timing};
@@ -27,7 +26,6 @@ use crate::wire::WireReport;
 pub(crate) use page::page;
 pub(crate) use tool::Tracks;
 pub use tool::{Deviation, RobotReport, Subject};
-pub use warning::WarningReport;
 
 /// What a run leaves behind.
 pub(crate) struct RunEnd {
@@ -95,39 +93,33 @@ impl RunReport {
         let counters = end.servo.counters();
         let robots = file.cell.robot.iter().enumerate();
         let axes = robots.flat_map(|(robot, value)| {
-            value
-                .axis
-                .iter()
-                .zip(end.servo.tracking(robot))
-                .zip(end.servo.homing_offsets(robot))
-                .enumerate()
-                .map(move |(number, ((axis, error), homing_offset_counts))| {
-                    let counts = f64::from(axis.counts_per_revolution()) / std::f64::consts::TAU;
-                    AxisReport {
-                        name: file.axis_name(robot, number),
-                        tracking_rms_rad: error.rms(),
-                        tracking_peak_rad: error.peak(),
-                        tracking_rms_counts: error.rms() * counts,
-                        tracking_peak_counts: error.peak() * counts,
-                        homing_offset_counts,
-                    }
-                })
+            let axes = value.axis.iter().zip(end.servo.tracking(robot));
+            let axes = axes.zip(end.servo.homing_offsets(robot)).enumerate();
+            axes.map(move |(number, ((axis, error), homing_offset_counts))| {
+                let counts = f64::from(axis.counts_per_revolution()) / std::f64::consts::TAU;
+                AxisReport {
+                    name: file.axis_name(robot, number),
+                    tracking_rms_rad: error.rms(),
+                    tracking_peak_rad: error.peak(),
+                    tracking_rms_counts: error.rms() * counts,
+                    tracking_peak_counts: error.peak() * counts,
+                    homing_offset_counts,
+                }
+            })
         });
-        let buses =
-            end.servo
-                .group_counters()
-                .zip(budgets)
-                .enumerate()
-                .map(|(index, (group, budget))| BusReport {
-                    name: budget.name.clone(),
-                    lines: (index >= file.cell.bus.len()).then(|| file.cell.axes_on(index).count()),
-                    frames: group.port.sent + group.port.received,
-                    load_percent: 100.0 * group.port.bits as f64
-                        / (budget.bits_per_second * end.cell_time.as_secs_f64()),
-                    worst_case_percent: budget.worst_case_percent,
-                    dropped_setpoints: group.dropped_setpoints,
-                    missed_answers: group.missed_answers,
-                });
+        let groups = end.servo.group_counters().zip(budgets).enumerate();
+        let buses = groups.map(|(index, (group, budget))| BusReport {
+            name: budget.name.clone(),
+            lines: (index >= file.cell.bus.len()).then(|| file.cell.axes_on(index).count()),
+            frames: group.port.sent + group.port.received,
+            load_percent: 100.0 * group.port.bits as f64
+                / (budget.bits_per_second * end.cell_time.as_secs_f64()),
+            worst_case_percent: budget.worst_case_percent,
+            dropped_setpoints: group.dropped_setpoints,
+            missed_answers: group.missed_answers,
+        });
+        let timing = &end.timing;
+        let causes = timing.late.causes();
         let groups = end.servo.warnings().enumerate();
         let warnings = groups.flat_map(|(group, warnings)| {
             warnings
@@ -146,19 +138,14 @@ impl RunReport {
                 period_us: file.cell.period().as_micros() as u32,
                 cycles: counters.cycles,
                 missed: counters.missed_cycles,
-                wake_us: Percentiles::from(&end.timing.wake_up),
-                sync_us: Percentiles::from(&end.timing.sync),
-                step_us: Percentiles::from(&end.timing.step),
-                bus_us: Percentiles::from(&end.timing.bus),
-                wait: WaitCost::from(end.timing.wait),
-                causes: end
-                    .timing
-                    .late
-                    .causes()
-                    .map(|(cause, count)| (cause.name(), count))
-                    .collect(),
-                worst: end.timing.late.worst().map(WorstCycle::from).collect(),
-                account: end.timing.account,
+                wake_us: Percentiles::from(&timing.wake_up),
+                sync_us: Percentiles::from(&timing.sync),
+                step_us: Percentiles::from(&timing.step),
+                bus_us: Percentiles::from(&timing.bus),
+                wait: WaitCost::from(timing.wait),
+                causes: causes.map(|(cause, count)| (cause.name(), count)).collect(),
+                worst: timing.late.worst().map(WorstCycle::from).collect(),
+                account: timing.account,
             },
             buses: buses.collect(),
             wire: take(&mut end.wire),
@@ -167,6 +154,26 @@ impl RunReport {
             realtime_factor: end.cell_time.as_secs_f64() / wall.as_secs_f64(),
             outcome,
         }
+    }
+}
+
+impl RunReport {
+    /// Rows on the axes, each with its name, tracking errors, homing offset and faults; `none` stands for no offset.
+    fn axis_rows(&self, none: &str) -> impl Iterator<Item = [String; 7]> {
+        self.axes.iter().map(move |axis| {
+            let faults = self.faults.iter();
+            let faults = faults.filter(|fault| fault.axis.as_ref() == Some(&axis.name));
+            let offset = axis.homing_offset_counts;
+            [
+                axis.name.clone(),
+                format!("{:.6}", axis.tracking_rms_rad),
+                format!("{:.6}", axis.tracking_peak_rad),
+                format!("{:.2}", axis.tracking_rms_counts),
+                format!("{:.1}", axis.tracking_peak_counts),
+                offset.map_or(none.to_owned(), |counts| counts.to_string()),
+                faults.count().to_string(),
+            ]
+        })
     }
 }
 
@@ -215,6 +222,61 @@ impl fmt::Display for FaultReport {
             write!(f, "axis {axis}: ")?;
         }
         f.write_str(&self.what)
+    }
+}
+
+/// One error of one drive, and how often the drive reported the error.
+#[derive(Debug, Serialize)]
+pub struct WarningReport {
+    /// The bus.
+    bus: String,
+    /// The axis, as in [`AxisReport::name`].
+    axis: Option<String>,
+    /// Node-ID.
+    node: u8,
+    /// Error code of the EMCY.
+    code: u16,
+    /// Error register of the EMCY (object 0x1001).
+    register: u8,
+    /// Time of the first report, from the end of bring-up, s.
+    time_s: f64,
+    /// How often the drive reported it.
+    count: u64,
+    /// Description of the error.
+    what: String,
+}
+
+impl WarningReport {
+    /// A warning of drive group `group`.
+    pub fn of(file: &CellFile, group: usize, warning: &Warning) -> Self {
+        let node = |&(robot, axis): &(usize, usize)| {
+            file.cell.robot[robot].axis[axis].node == warning.node
+        };
+        let axis = file.cell.axes_on(group).find(node);
+        Self {
+            bus: file.cell.groups().nth(group).unwrap_or_default().to_owned(),
+            axis: axis.map(|(robot, axis)| file.axis_name(robot, axis)),
+            node: warning.node,
+            code: warning.code,
+            register: warning.register,
+            time_s: warning.after.as_secs_f64(),
+            count: warning.count,
+            what: warning.to_string(),
+        }
+    }
+}
+
+impl fmt::Display for WarningReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "bus {}", self.bus)?;
+        if let Some(axis) = &self.axis {
+            write!(f, ", axis {axis}")?;
+        }
+        write!(f, ": {}, at {:.3} s", self.what, self.time_s)?;
+        if self.count > 1 {
+            write!(f, " and {} times more", self.count - 1)?;
+        }
+        Ok(())
     }
 }
 
@@ -285,6 +347,25 @@ pub struct CycleReport {
     pub account: AccountReads,
 }
 
+impl CycleReport {
+    /// The times of the cycle with their names in tables.
+    fn times(&self) -> [(&'static str, Percentiles); 4] {
+        [
+            ("wake-up", self.wake_us),
+            ("SYNC", self.sync_us),
+            ("step", self.step_us),
+            ("bus", self.bus_us),
+        ]
+    }
+
+    /// Causes of late cycles that occurred, and the lateness from which a cycle counts as late, µs.
+    fn late(&self) -> (Vec<(&'static str, u64)>, f64) {
+        let causes = self.causes.iter().map(|(cause, count)| (*cause, *count));
+        let occurred = causes.filter(|(_, count)| *count > 0);
+        (occurred.collect(), f64::from(self.period_us) / 100.0)
+    }
+}
+
 /// One late cycle.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct WorstCycle {
@@ -348,6 +429,21 @@ pub struct Percentiles {
     pub max: f64,
 }
 
+impl Percentiles {
+    /// The heads of the columns.
+    pub(crate) const HEAD: &str = "       p50        p99      p99.9        max";
+
+    /// The points of a distribution with these quantiles and this maximum, µs.
+    pub fn of(quantile: impl Fn(f64) -> f64, max: f64) -> Self {
+        Self {
+            p50: quantile(0.5),
+            p99: quantile(0.99),
+            p999: quantile(0.999),
+            max,
+        }
+    }
+}
+
 /// The four points in columns of 10 characters, µs.
 impl fmt::Display for Percentiles {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -363,12 +459,8 @@ impl fmt::Display for Percentiles {
 
 impl From<&Histogram> for Percentiles {
     fn from(histogram: &Histogram) -> Self {
-        Self {
-            p50: microseconds(histogram.quantile(0.5)),
-            p99: microseconds(histogram.quantile(0.99)),
-            p999: microseconds(histogram.quantile(0.999)),
-            max: microseconds(histogram.max()),
-        }
+        let quantile = |share| microseconds(histogram.quantile(share));
+        Self::of(quantile, microseconds(histogram.max()))
     }
 }
 

@@ -93,18 +93,18 @@ fn figure(page: &mut String, svg: &str) {
     let _ = writeln!(page, "<figure>\n{svg}</figure>");
 }
 
-fn table(page: &mut String, caption: &str, head: &[&str], rows: &[Vec<String>]) {
-    let row = |page: &mut String, tag: &str, cells: &mut dyn Iterator<Item = &str>| {
-        page.push_str("<tr>");
-        cells.for_each(|cell| {
-            let _ = write!(page, "<{tag}>{}</{tag}>", text(cell));
-        });
-        page.push_str("</tr>\n");
-    };
+fn table<const COLUMNS: usize>(
+    page: &mut String,
+    caption: &str,
+    head: [&str; COLUMNS],
+    rows: impl IntoIterator<Item = [String; COLUMNS]>,
+) {
+    let head = [("th", head.map(str::to_owned))];
+    let rows = rows.into_iter().map(|cells| ("td", cells));
     let _ = writeln!(page, "<table>\n<caption>{}</caption>", text(caption));
-    row(page, "th", &mut head.iter().copied());
-    for cells in rows {
-        row(page, "td", &mut cells.iter().map(String::as_str));
+    for (tag, cells) in head.into_iter().chain(rows) {
+        let cells = cells.map(|cell| format!("<{tag}>{}</{tag}>", text(&cell)));
+        let _ = writeln!(page, "<tr>{}</tr>", cells.concat());
     }
     page.push_str("</table>\n");
 }
@@ -118,7 +118,7 @@ fn robots(page: &mut String, report: &RunReport) {
     let row = |robot: &super::RobotReport| {
         let [position_rms, position_peak] = errors(robot.position_mm);
         let [angle_rms, angle_peak] = errors(robot.orientation_deg);
-        vec![
+        [
             robot.name.clone(),
             robot.subject.name().to_owned(),
             position_rms,
@@ -129,42 +129,21 @@ fn robots(page: &mut String, report: &RunReport) {
             robot.unsolved.to_string(),
         ]
     };
-    let rows: Vec<_> = report.robots.iter().map(row).collect();
     table(
         page,
         "Distance from the commanded path, while the robot moved or stood with power and a reference",
-        &[
+        [
             "robot", "error of", "mm rms", "mm peak", "° rms", "° peak", "cycles", "no pose",
         ],
-        &rows,
+        report.robots.iter().map(row),
     );
 }
 
 fn motors(page: &mut String, report: &RunReport) {
-    let rows: Vec<_> = report
-        .axes
-        .iter()
-        .map(|axis| {
-            let faults = report
-                .faults
-                .iter()
-                .filter(|it| it.axis.as_ref() == Some(&axis.name));
-            let offset = axis.homing_offset_counts;
-            vec![
-                axis.name.clone(),
-                format!("{:.6}", axis.tracking_rms_rad),
-                format!("{:.6}", axis.tracking_peak_rad),
-                format!("{:.2}", axis.tracking_rms_counts),
-                format!("{:.1}", axis.tracking_peak_counts),
-                offset.map_or("–".to_owned(), |counts| counts.to_string()),
-                faults.count().to_string(),
-            ]
-        })
-        .collect();
     table(
         page,
         "Tracking error of the motor shaft while moving, and counter at the reference",
-        &[
+        [
             "axis",
             "rad rms",
             "rad peak",
@@ -173,40 +152,31 @@ fn motors(page: &mut String, report: &RunReport) {
             "homing, counts",
             "faults",
         ],
-        &rows,
+        report.axis_rows("–"),
     );
 }
 
 fn times(page: &mut String, report: &RunReport) {
     let cycle = &report.cycle;
-    let named = [
-        ("wake-up", cycle.wake_us),
-        ("SYNC", cycle.sync_us),
-        ("step", cycle.step_us),
-        ("bus", cycle.bus_us),
-    ];
-    let row = |(name, times): (&str, super::Percentiles)| {
+    let rows = cycle.times().map(|(name, times)| {
         let points = [times.p50, times.p99, times.p999, times.max];
-        let points = points.map(|time| format!("{time:.1}"));
-        [name.to_owned()].into_iter().chain(points).collect()
-    };
-    let rows: Vec<Vec<String>> = named.into_iter().map(row).collect();
+        let [p50, p99, p999, max] = points.map(|time| format!("{time:.1}"));
+        [name.to_owned(), p50, p99, p999, max]
+    });
     let caption = "Servo cycle, µs";
-    table(page, caption, &["", "p50", "p99", "p99.9", "max"], &rows);
-    let causes = cycle.causes.iter().filter(|(_, count)| **count > 0);
-    let causes: Vec<_> = causes
-        .map(|(cause, count)| vec![(*cause).to_owned(), count.to_string()])
-        .collect();
+    table(page, caption, ["", "p50", "p99", "p99.9", "max"], rows);
+    let (causes, limit) = cycle.late();
     if !causes.is_empty() {
-        let limit = f64::from(cycle.period_us) / 100.0;
         let caption = format!("Cycles more than {limit} µs late");
-        table(page, &caption, &["cause", "cycles"], &causes);
+        let rows = causes.into_iter();
+        let rows = rows.map(|(cause, count)| [cause.to_owned(), count.to_string()]);
+        table(page, &caption, ["cause", "cycles"], rows);
     }
 }
 
 fn buses(page: &mut String, report: &RunReport) {
     let row = |bus: &super::BusReport| {
-        vec![
+        [
             bus.name.clone(),
             bus.frames.to_string(),
             format!("{:.1}", bus.load_percent),
@@ -215,12 +185,11 @@ fn buses(page: &mut String, report: &RunReport) {
             bus.missed_answers.to_string(),
         ]
     };
-    let rows: Vec<_> = report.buses.iter().map(row).collect();
     page.push_str("<h2>Buses</h2>\n");
     table(
         page,
         "Traffic of the host",
-        &[
+        [
             "bus",
             "frames or telegrams",
             "load, %",
@@ -228,7 +197,7 @@ fn buses(page: &mut String, report: &RunReport) {
             "set-points dropped",
             "answers missed",
         ],
-        &rows,
+        report.buses.iter().map(row),
     );
     for wire in &report.wire {
         // Lines of a table in columns.

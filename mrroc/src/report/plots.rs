@@ -53,9 +53,7 @@ pub(super) fn robot(track: &Track) -> Result<Vec<String>, ChartError> {
         }
         for (index, what) in ["position", "error"].into_iter().enumerate() {
             let title = format!("{name}: joint {what}, {unit}");
-            let curves = joints
-                .iter()
-                .map(|(joint, curves)| (*joint, &curves[index]));
+            let curves = joints.iter().map(|(joint, both)| (*joint, &both[index]));
             drawn.push(over_time(&title, unit, &curves.collect::<Vec<_>>())?);
         }
     }
@@ -69,9 +67,7 @@ fn tool(name: &str, curves: &Curves) -> Result<String, ChartError> {
         let (left, right) = area.split_horizontally(px(PATH));
         let (names, left) = left.split_vertically(px(KEY));
         let right = right.split_vertically(px(KEY)).1;
-        let both = ["commanded", "measured"]
-            .into_iter()
-            .zip([COLOURS[1], COLOURS[0]]);
+        let both = [("commanded", COLOURS[1]), ("measured", COLOURS[0])];
         key(&names.margin(0, 0, px(72), 0), [120, 0], both)?;
         let left = left.split_evenly((2, 1));
         let right = right.split_evenly((2, 1));
@@ -123,10 +119,8 @@ fn path(
     let scales = [0, 1].map(|it| 1.1 * (ends[it][1] - ends[it][0]) / room[it]);
     let scale = scales[0].max(scales[1]).max(0.05);
     let axis = |it: usize, name: &str| {
-        let (middle, half) = (
-            f64::midpoint(ends[it][0], ends[it][1]),
-            0.5 * scale * room[it],
-        );
+        let middle = f64::midpoint(ends[it][0], ends[it][1]);
+        let half = 0.5 * scale * room[it];
         Scale::exact(name, [middle - half, middle + half])
     };
     let mut panel = panel(area, title, &axis(0, across.0), &axis(1, up.0))?;
@@ -170,16 +164,10 @@ fn over_time(title: &str, unit: &str, curves: &[(usize, &Curve)]) -> Result<Stri
         for (joint, curve) in curves {
             line(&mut panel, colour(*joint), curve.points())?;
         }
-        let named: Vec<_> = curves
+        let named = curves
             .iter()
-            .map(|(joint, _)| format!("joint {joint}"))
-            .collect();
-        let named = named.iter().zip(curves);
-        key(
-            &names,
-            [0, 20],
-            named.map(|(name, (joint, _))| (name.as_str(), colour(*joint))),
-        )
+            .map(|(joint, _)| (format!("joint {joint}"), colour(*joint)));
+        key(&names, [0, 20], named)
     })
 }
 
@@ -187,10 +175,8 @@ fn over_time(title: &str, unit: &str, curves: &[(usize, &Curve)]) -> Result<Stri
 fn time<'a>(curves: impl IntoIterator<Item = &'a Curve>) -> Scale {
     let times = curves.into_iter().flat_map(Curve::points);
     let [first, last] = over(times.map(|(time, _)| time), NOTHING);
-    Scale::exact(
-        "time since the first cycle, s",
-        [first, last.max(first + 1e-3)],
-    )
+    let ends = [first, last.max(first + 1e-3)];
+    Scale::exact("time since the first cycle, s", ends)
 }
 
 /// The histograms of the cycle that have values.
@@ -210,10 +196,9 @@ pub(super) fn timing(timing: &Timing) -> Result<Vec<String>, ChartError> {
 /// Counts over classes of equal width on the axis, which is linear for times close to each other and logarithmic
 /// otherwise.
 fn histogram(title: &str, times: &Histogram) -> Result<String, ChartError> {
-    let bins: Vec<_> = times
-        .bins()
-        .map(|(time, count)| (super::microseconds(time).max(1e-2), count))
-        .collect();
+    let micros = |time| super::microseconds(time).max(1e-2);
+    let bins = times.bins().map(|(time, count)| (micros(time), count));
+    let bins: Vec<_> = bins.collect();
     let first = bins.first().map_or(1.0, |bin| bin.0);
     let last = bins.last().map_or(1.0, |bin| bin.0);
     let wide = last > 5.0 * first;
@@ -242,7 +227,7 @@ fn histogram(title: &str, times: &Histogram) -> Result<String, ChartError> {
         let mut panel = panel(area, title, &x, &y)?;
         let bars = (0..).zip(counts).filter(|(_, count)| *count > 0);
         let bars = bars.map(|(class, count)| {
-            let corners = [(edge(class), y.ends()[0]), (edge(class + 1), count as f64)];
+            let corners = [(edge(class), y.ends[0]), (edge(class + 1), count as f64)];
             Rectangle::new(corners, COLOURS[0].filled())
         });
         panel.draw_series(bars)?;

@@ -1,8 +1,8 @@
 //! The report of a run as tables for a person.
 
-use std::fmt::{self, Write as _};
+use std::fmt;
 
-use super::{Deviation, FaultReport, RobotReport, RunReport};
+use super::{Deviation, Percentiles, RobotReport, RunReport};
 
 /// `irb6  tool 0.12 mm rms, 0.45 mm peak; 0.01° rms, 0.05° peak`
 impl fmt::Display for RobotReport {
@@ -51,42 +51,22 @@ impl fmt::Display for RunReport {
             "\n{:names$}  {:>12} {:>12} {:>10} {:>10} {:>10} {:>7}",
             "axis", "rms rad", "peak rad", "rms cnt", "peak cnt", "homing cnt", "faults"
         )?;
-        for axis in &self.axes {
-            let offset = axis
-                .homing_offset_counts
-                .map_or("-".to_owned(), |counts| counts.to_string());
-            let of_axis = |fault: &&FaultReport| fault.axis.as_ref() == Some(&axis.name);
-            let faults = self.faults.iter().filter(of_axis).count();
+        for [name, rms, peak, rms_counts, peak_counts, offset, faults] in self.axis_rows("-") {
             writeln!(
                 f,
-                "{:names$}  {:>12.6} {:>12.6} {:>10.2} {:>10.1} {offset:>10} {faults:>7}",
-                axis.name,
-                axis.tracking_rms_rad,
-                axis.tracking_peak_rad,
-                axis.tracking_rms_counts,
-                axis.tracking_peak_counts,
+                "{name:names$}  {rms:>12} {peak:>12} {rms_counts:>10} {peak_counts:>10} {offset:>10} {faults:>7}"
             )?;
         }
+        let cycle = &self.cycle;
         // Virtual time has no delays, and a tty does not tell when an answer came.
-        let rows = [
-            ("wake-up", self.cycle.wake_us),
-            ("SYNC", self.cycle.sync_us),
-            ("step", self.cycle.step_us),
-            ("bus", self.cycle.bus_us),
-        ];
-        let measured = |(_, times): &(_, super::Percentiles)| times.max > 0.0;
-        let mut rows = rows.into_iter().filter(measured).peekable();
+        let measured = |(_, times): &(_, Percentiles)| times.max > 0.0;
+        let mut rows = cycle.times().into_iter().filter(measured).peekable();
         if rows.peek().is_some() {
-            writeln!(
-                f,
-                "\n{:9} {:>10} {:>10} {:>10} {:>10}",
-                "cycle, µs", "p50", "p99", "p99.9", "max"
-            )?;
+            writeln!(f, "\n{:9} {}", "cycle, µs", Percentiles::HEAD)?;
         }
         for (name, times) in rows {
             writeln!(f, "{name:9} {times}")?;
         }
-        let cycle = &self.cycle;
         writeln!(
             f,
             "\n{} cycles of {} µs, {} missed",
@@ -99,12 +79,12 @@ impl fmt::Display for RunReport {
                 cycle.wait.margin_us, cycle.wait.preparation_us, cycle.wait.spin_percent
             )?;
         }
-        let causes = cycle.causes.iter().filter(|(_, count)| **count > 0);
-        let causes: Vec<_> = causes
-            .map(|(cause, count)| format!("{cause} {count}"))
-            .collect();
+        let (causes, limit) = cycle.late();
         if !causes.is_empty() {
-            let limit = f64::from(cycle.period_us) / 100.0;
+            let causes = causes.iter();
+            let causes: Vec<_> = causes
+                .map(|(cause, count)| format!("{cause} {count}"))
+                .collect();
             writeln!(f, "more than {limit} µs late: {}", causes.join(", "))?;
             let worst = cycle.worst.iter().map(|worst| {
                 let (late, time) = (worst.late_us, worst.time_s);
@@ -118,18 +98,19 @@ impl fmt::Display for RunReport {
                 Some(1) => format!("{} telegrams on 1 line", bus.frames),
                 Some(lines) => format!("{} telegrams on {lines} lines", bus.frames),
             };
-            let mut line = format!(
+            write!(
+                f,
                 "bus {}: {traffic}, load {:.1} %, worst case {:.1} % of the period",
                 bus.name, bus.load_percent, bus.worst_case_percent
-            );
+            )?;
             if bus.dropped_setpoints + bus.missed_answers > 0 {
                 write!(
-                    line,
+                    f,
                     ", {} set-points dropped, {} answers missed",
                     bus.dropped_setpoints, bus.missed_answers
                 )?;
             }
-            writeln!(f, "{line}")?;
+            writeln!(f)?;
         }
         for wire in &self.wire {
             write!(f, "{wire}")?;

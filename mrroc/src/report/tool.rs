@@ -121,7 +121,7 @@ pub(crate) struct Track {
 }
 
 /// What is plotted of a robot: joints in degrees or mm, the tool in mm.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Curves {
     /// Measured position of each joint, and its error.
     pub(crate) joints: Vec<[Curve; 2]>,
@@ -142,10 +142,7 @@ impl Track {
         let joints = 0..arm.axes();
         let curves = || Curves {
             joints: joints.clone().map(|_| Default::default()).collect(),
-            position: Curve::default(),
-            orientation: Curve::default(),
-            commanded: Path::default(),
-            measured: Path::default(),
+            ..Curves::default()
         };
         Self {
             name: name.to_owned(),
@@ -168,14 +165,16 @@ impl Track {
             };
             (*expected, *measured) = (command, axis.measured);
         }
-        let places = self.place(&expected).and_then(|commanded| {
-            let measured = self.place(&measured)?;
-            Ok((commanded, measured))
-        });
-        let Ok((commanded, measured)) = places else {
+        let places = (self.place(&expected), self.place(&measured));
+        let (Ok(commanded), Ok(measured)) = places else {
             self.unsolved += 1;
             return;
         };
+        // mm per m of a linear joint, degrees per rad of another.
+        let units: Axes = std::array::from_fn(|joint| match self.linear.get(joint) {
+            Some(true) => 1e3,
+            _ => 1f64.to_degrees(),
+        });
         let [position, orientation] = match self.subject {
             Subject::Tool => {
                 let apart = commanded.tool.translation.vector - measured.tool.translation.vector;
@@ -183,7 +182,7 @@ impl Track {
                 [1e3 * apart.norm(), turned.to_degrees()]
             }
             Subject::Joint => {
-                let error = self.unit(0) * (measured.joints[0] - commanded.joints[0]);
+                let error = units[0] * (measured.joints[0] - commanded.joints[0]);
                 if self.linear[0] {
                     [error, 0.0]
                 } else {
@@ -193,7 +192,6 @@ impl Track {
         };
         self.position.record(position);
         self.orientation.record(orientation);
-        let units: Axes = std::array::from_fn(|joint| self.unit(joint));
         if let Some(curves) = &mut self.curves {
             curves.position.push(time, position);
             curves.orientation.push(time, orientation);
@@ -215,14 +213,6 @@ impl Track {
         Ok(Place { joints, tool })
     }
 
-    /// mm per m of a linear joint, degrees per rad of another.
-    fn unit(&self, joint: usize) -> f64 {
-        match self.linear.get(joint) {
-            Some(true) => 1e3,
-            _ => 1f64.to_degrees(),
-        }
-    }
-
     fn report(&self) -> RobotReport {
         let slides = self.linear.first() == Some(&true);
         let [position, orientation] = [&self.position, &self.orientation].map(Deviation::of);
@@ -241,10 +231,8 @@ impl Track {
 /// Whether a joint slides. A device of one axis, which has no links, does.
 fn is_linear(arm: &Arm, joint: usize) -> bool {
     arm.robot().links().is_none_or(|links| {
-        let moves = links.0.iter().filter(|link| link.coupling[joint] != 0.0);
-        moves
-            .into_iter()
-            .any(|link| link.kind == LinkKind::Prismatic)
+        let mut moves = links.0.iter().filter(|link| link.coupling[joint] != 0.0);
+        moves.any(|link| link.kind == LinkKind::Prismatic)
     })
 }
 

@@ -2,17 +2,19 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
-use servo::StopRequest;
+use can::Instant;
 use servo::thread::{Finished, Running};
+use servo::{Servo, StopRequest};
 
 /// Requests to a run, from a signal handler or another thread.
 #[derive(Clone, Debug, Default)]
 pub struct Requests {
     /// The end of the run.
     pub(super) stop: Arc<AtomicBool>,
-    /// The cycles around this moment.
-    pub(super) spikes: Arc<AtomicBool>,
+    /// Set to keep the servo cycles around this moment (`--spikes`).
+    pub spikes: Arc<AtomicBool>,
     servo: Arc<Mutex<Option<StopRequest>>>,
 }
 
@@ -31,11 +33,6 @@ impl Requests {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Set to keep the servo cycles around this moment (`--spikes`).
-    pub fn spikes(&self) -> Arc<AtomicBool> {
-        self.spikes.clone()
-    }
-
     /// Lets a stop reach the servo of the run that begins.
     pub(super) fn stop_through(&self, servo: StopRequest) {
         if self.is_stopped() {
@@ -48,7 +45,7 @@ impl Requests {
 /// A servo thread that is stopped in order and waited for when this is dropped, by a panic too.
 pub struct Turning {
     running: Option<Running>,
-    over: Over,
+    over: Arc<AtomicBool>,
 }
 
 impl Turning {
@@ -56,7 +53,7 @@ impl Turning {
     pub fn of(running: Running, over: Arc<AtomicBool>) -> Self {
         Self {
             running: Some(running),
-            over: Over(over),
+            over,
         }
     }
 
@@ -67,32 +64,44 @@ impl Turning {
 
     /// Stops the servo thread in order and waits for its end.
     pub fn end(mut self) -> Finished {
-        self.over.raise();
-        let running = self.running.take();
-        running.expect("taken at its end alone").join()
+        self.stop().expect("it is stopped once")
+    }
+
+    fn stop(&mut self) -> Option<Finished> {
+        self.over.store(true, Ordering::Relaxed);
+        self.running.take().map(Running::join)
     }
 }
 
 impl Drop for Turning {
     fn drop(&mut self) {
-        self.over.raise();
-        if let Some(running) = self.running.take() {
-            let _ = running.join();
-        }
+        let _ = self.stop();
     }
 }
 
-/// Ends the cycles when it is raised or dropped: the servo thread brakes the arms and switches them off.
+/// Ends the cycles when it is dropped: the servo thread brakes the arms and switches them off.
 pub(super) struct Over(pub(super) Arc<AtomicBool>);
 
-impl Over {
-    fn raise(&self) {
+impl Drop for Over {
+    fn drop(&mut self) {
         self.0.store(true, Ordering::Relaxed);
     }
 }
 
-impl Drop for Over {
-    fn drop(&mut self) {
-        self.raise();
+/// Longest time in the cell for the drives to report that they have no power, once they are told.
+const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
+
+/// The end of a servo in lockstep that is stopped once `over` holds: its drives are off, or did not report so in time.
+pub fn stopped_once(mut over: impl FnMut() -> bool) -> impl FnMut(&Servo, Instant) -> bool {
+    let mut latest = None;
+    move |servo, now| {
+        if !over() {
+            return false;
+        }
+        let latest = *latest.get_or_insert_with(|| {
+            servo.stop_request().request();
+            now + servo.longest_stop() + POWER_OFF_WAIT
+        });
+        servo.is_off() || now >= latest
     }
 }

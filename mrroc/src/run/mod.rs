@@ -34,16 +34,15 @@ use crate::bench::{Bench, BenchKind, Places};
 use crate::cell::CellFile;
 use crate::outputs::{Outputs, Replacement};
 use crate::report::{self, FaultReport, Outcome, RunEnd, RunReport, Tracks};
-use crate::spikes::SpikeFile;
 use crate::tasks::MakeTasks;
 use crate::trace::{AxisLog, FrameLog};
 use crate::wire::Wire;
-use crate::{budget, rehearsal, setup, streams};
+use crate::{budget, rehearsal, setup, spikes, streams};
 pub(crate) use background::Background;
 use ending::Over;
 use files::{Logs, Writing};
 
-pub use ending::{Requests, Turning};
+pub use ending::{Requests, Turning, stopped_once};
 pub use running_tasks::Progress;
 pub(crate) use running_tasks::RunningTasks;
 use running_tasks::servo_faults;
@@ -62,9 +61,6 @@ const BELOW_SERVO: u8 = 10;
 
 /// News of the controller that the progress may lag behind; what does not fit is not shown.
 const NEWS: usize = 64;
-
-/// Longest time in the cell for the drives to report that they have no power, once they are told.
-const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
 
 /// Longest wait for the times on the wire at the end of a run.
 const LAST_LOOK: Duration = Duration::from_secs(2);
@@ -139,43 +135,29 @@ pub fn run(
     let directory = options.out.as_deref();
     let page = directory.map(|directory| outputs.open_in("--out", directory, REPORT));
     let page = page.transpose()?;
-    let Bench {
-        ports,
-        lines,
-        interfaces,
-        traces,
-        wire,
-        emulation,
-    } = Bench::open(
-        file,
-        options.bench,
-        &options.places,
-        options.trace.is_some(),
-    )?;
-    let (mut servo, links) = Servo::new(
-        &setup::servo_config(file),
-        setup::drive_groups(file, ports, lines, None)?,
-    )?;
+    let traced = options.trace.is_some();
+    let bench = Bench::open(file, options.bench, &options.places, traced)?;
+    let groups = setup::drive_groups(file, bench.ports, bench.lines, None)?;
+    let (mut servo, links) = Servo::new(&setup::servo_config(file), groups)?;
     outputs.begin()?;
     let lag = record.as_ref().map_or(RECORDS, |_| LOGGED_RECORDS);
+    let axes = record.map(|sink| AxisLog::new(sink, file)).transpose();
+    let frames = trace.map(|sink| FrameLog::new(sink, &bench.interfaces, bench.traces));
     let logs = Logs {
         records: servo.record(lag * file.cell.robot.len()),
         tracks: Tracks::new(file, page.is_some()),
         failed: None,
-        axes: record
-            .map(|sink| AxisLog::new(sink, file))
-            .transpose()
-            .context("--record")?,
-        frames: trace
-            .map(|sink| FrameLog::new(sink, &interfaces, traces))
-            .transpose()?,
+        axes: axes.context("--record")?,
+        frames: frames.transpose()?,
     };
-    let spikes = spikes.map(SpikeFile::new);
     let tasks = RunningTasks::new(file, tasks, links, &servo)?;
     requests.stop_through(servo.stop_request());
 
     let began = clock::now();
-    let buses = Buses { wire, emulation };
+    let buses = Buses {
+        wire: bench.wire,
+        emulation: bench.emulation,
+    };
     let mut end = match options.bench {
         BenchKind::Lockstep => {
             in_lockstep(file, servo, tasks, logs, buses, &requests.stop, progress)?
@@ -192,7 +174,7 @@ pub fn run(
             end.faults.push(fault);
         }
     }
-    let written = spikes.map(|file| file.write("servo", take(&mut end.spikes)));
+    let written = spikes.map(|file| spikes::write(file, "servo", take(&mut end.spikes)));
     if let Some(Err(error)) = written {
         end.faults.push(FaultReport::of_run(error));
     }
@@ -201,14 +183,8 @@ pub fn run(
         (true, true) => Outcome::Stopped,
         (false, true) => Outcome::Completed,
     };
-    let mut report = RunReport::of(
-        file,
-        options.bench.name(),
-        &mut end,
-        &budget,
-        clock::now().since(began),
-        outcome,
-    );
+    let (bench, wall) = (options.bench.name(), clock::now().since(began));
+    let mut report = RunReport::of(file, bench, &mut end, &budget, wall, outcome);
     if let Some(mut file) = page {
         let drawn = report::page(&report, &end.tracks, &end.timing).context(REPORT);
         let written = drawn.and_then(|page| {
@@ -259,22 +235,15 @@ pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
     let NotUp::Group(bus, error) = why else {
         return anyhow!("stopped on request");
     };
-    let axis = file
-        .cell
-        .axes_on(bus)
-        .enumerate()
-        .find(|&(index, (robot, axis))| match error.line() {
-            Some(line) => index == line,
-            None => error.node() == Some(file.cell.robot[robot].axis[axis].node),
-        })
-        .map(|(_, (robot, axis))| format!(", axis {}", file.axis_name(robot, axis)))
-        .unwrap_or_default();
-    let name = file
-        .cell
-        .groups()
-        .nth(bus)
-        .expect("the servo has the groups of the cell");
-    anyhow!("bus {name}{axis}: {error}")
+    let mut axes = file.cell.axes_on(bus).enumerate();
+    let axis = axes.find(|&(index, (robot, axis))| match error.line() {
+        Some(line) => index == line,
+        None => error.node() == Some(file.cell.robot[robot].axis[axis].node),
+    });
+    let axis = axis.map(|(_, (robot, axis))| format!(", axis {}", file.axis_name(robot, axis)));
+    let name = file.cell.groups().nth(bus);
+    let name = name.expect("the servo has the groups of the cell");
+    anyhow!("bus {name}{}: {error}", axis.unwrap_or_default())
 }
 
 fn in_lockstep(
@@ -305,7 +274,7 @@ fn in_lockstep(
         }
     };
     let done = Shared::new(false);
-    let mut over = None;
+    let mut is_over = stopped_once(|| done.get());
     let logs = RefCell::new(logs);
     let mut timing = Timing::default();
     let end = lockstep::run(
@@ -318,14 +287,7 @@ fn in_lockstep(
         between,
         |servo, now| {
             timing.record_bus(servo);
-            if !done.get() {
-                return false;
-            }
-            let over = *over.get_or_insert_with(|| {
-                servo.stop_request().request();
-                now + servo.longest_stop() + POWER_OFF_WAIT
-            });
-            servo.is_off() || now >= over
+            is_over(servo, now)
         },
     );
     let (written, tracks) = logs.into_inner().finish();
@@ -361,7 +323,7 @@ fn by_the_clock(
     let listening = wire.listen()?;
     let finished = done.clone();
     let until = move |_: &Servo| finished.load(Ordering::Relaxed);
-    let emulated_since = match clockwork::bring_up(&mut servo, &mut emulation) {
+    let since = match clockwork::bring_up(&mut servo, &mut emulation) {
         Ok(first) => first,
         Err(error) => {
             let cell_time = clock::now().since(began);
@@ -369,14 +331,8 @@ fn by_the_clock(
         }
     };
     let trace = requests.spikes.clone();
-    let running = clockwork::start(
-        servo,
-        emulation,
-        emulated_since,
-        file.cell.realtime,
-        trace,
-        until,
-    )?;
+    let realtime = file.cell.realtime;
+    let running = clockwork::start(servo, emulation, since, realtime, trace, until)?;
     let turning = Turning::of(running, done.clone());
     let poll = POLL.max(file.cell.period() * u32::from(file.cell.macrostep) / 10);
     let (tell, told) = sync_channel(NEWS);
@@ -385,13 +341,8 @@ fn by_the_clock(
         let _over = Over(done.clone());
         scope.spawn(|| {
             // Below the servo and above everything else; a host that denies this was named by the servo thread.
-            let _ = thread::set_fifo(
-                file.cell
-                    .realtime
-                    .priority
-                    .saturating_sub(BELOW_SERVO)
-                    .max(1),
-            );
+            let priority = realtime.priority.saturating_sub(BELOW_SERVO);
+            let _ = thread::set_fifo(priority.max(1));
             let show = |seen| _ = tell.try_send(seen);
             while !done.load(Ordering::Relaxed)
                 && tasks.poll(clock::now(), show)
@@ -408,7 +359,7 @@ fn by_the_clock(
     // An emulated cell's time stands still while the host misses deadlines.
     let cycles =
         |first: Instant| first + ended.servo.period() * ended.servo.counters().cycles as u32;
-    let cell_time = match emulated_since {
+    let cell_time = match since {
         Some(first) => cycles(first).since(Instant::ZERO),
         None => clock::now().since(began),
     };

@@ -150,11 +150,12 @@ impl Wire {
         let before = before.into_iter().flat_map(|wire| wire.0);
         for (bus, before) in self.0.iter_mut().zip(before) {
             (bus.times, bus.card) = (before.times, before.card);
-            let times = [Some(&mut bus.times), bus.card.as_mut()];
-            times
+            for times in [Some(&mut bus.times), bus.card.as_mut()]
                 .into_iter()
                 .flatten()
-                .for_each(|times| times.timing.pause());
+            {
+                times.timing.pause();
+            }
         }
         self
     }
@@ -229,26 +230,23 @@ impl BusWire {
             }
             Listener::None => (None, None, 0),
         };
-        let nodes = self
-            .axes
-            .iter()
-            .zip(times.answers.iter().zip(times.timing.counts()));
+        let answers = times.answers.iter().zip(times.timing.counts());
+        let nodes = self.axes.iter().zip(answers);
+        let nodes = nodes.map(|((axis, node), (after, counts))| NodeReport {
+            axis: axis.clone(),
+            node: *node,
+            sync_to_tpdo_us: after.percentiles(),
+            unanswered: counts.unanswered,
+            late: counts.late,
+            surplus: counts.surplus,
+        });
         WireReport {
             bus: self.name.clone(),
             source,
             sync_stamp,
             sync_to_sync_us: times.sync.percentiles(),
             sync_off_period_us: times.off_period.percentiles(),
-            nodes: nodes
-                .map(|((axis, node), (after, counts))| NodeReport {
-                    axis: axis.clone(),
-                    node: *node,
-                    sync_to_tpdo_us: after.percentiles(),
-                    unanswered: counts.unanswered,
-                    late: counts.late,
-                    surplus: counts.surplus,
-                })
-                .collect(),
+            nodes: nodes.collect(),
             lost_frames,
         }
     }
@@ -308,11 +306,6 @@ impl Spread {
     fn percentiles(&self) -> Option<Percentiles> {
         let max = microseconds(self.1);
         let quantile = |share| (self.0.value_at_quantile(share) as f64 / 1e3).min(max);
-        (!self.0.is_empty()).then(|| Percentiles {
-            p50: quantile(0.5),
-            p99: quantile(0.99),
-            p999: quantile(0.999),
-            max,
-        })
+        (!self.0.is_empty()).then(|| Percentiles::of(quantile, max))
     }
 }

@@ -94,11 +94,8 @@ impl fmt::Display for WireReport {
             let counts: String = counts
                 .map(|(count, what)| format!("  {count} {what}"))
                 .collect();
-            (
-                format!("SYNC to {}", node.axis),
-                node.sync_to_tpdo_us,
-                counts,
-            )
+            let name = format!("SYNC to {}", node.axis);
+            (name, node.sync_to_tpdo_us, counts)
         });
         let syncs = [
             ("SYNC to SYNC".to_owned(), self.sync_to_sync_us),
@@ -108,18 +105,11 @@ impl fmt::Display for WireReport {
         let rows: Vec<_> = syncs.into_iter().chain(answers).collect();
         let names = rows.iter().map(|(name, ..)| name).chain([&title]);
         let names = names.map(|name| name.chars().count()).max().unwrap_or(0);
-        writeln!(
-            f,
-            "\n{title:names$} {:>10} {:>10} {:>10} {:>10}",
-            "p50", "p99", "p99.9", "max"
-        )?;
+        writeln!(f, "\n{title:names$} {}", Percentiles::HEAD)?;
         for (name, times, counts) in rows {
-            write!(f, "{name:names$}")?;
-            match times {
-                Some(times) => write!(f, " {times}")?,
-                None => write!(f, " {:>10} {:>10} {:>10} {:>10}", "-", "-", "-", "-")?,
-            }
-            writeln!(f, "{counts}")?;
+            let none = || format!("{:>11}", "-").repeat(4);
+            let times = times.map_or_else(none, |times| format!(" {times}"));
+            writeln!(f, "{name:names$}{times}{counts}")?;
         }
         match self.lost_frames {
             0 => Ok(()),

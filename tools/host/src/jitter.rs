@@ -55,7 +55,7 @@ use crate::doctor::stolen_ticks;
 use mrroc::cell::CellFile;
 use mrroc::outputs::{Outputs, Replacement};
 use mrroc::signals;
-use mrroc::spikes::SpikeFile;
+use mrroc::spikes;
 
 /// Options of `mrroc jitter`.
 #[derive(Args)]
@@ -244,7 +244,6 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         files.map(|directory| Files::open(&mut outputs, directory, options.against.is_some()));
     let (files, mut log) = files.transpose()?.unzip();
     let spikes = outputs.open_if("--spikes", options.spikes.as_deref())?;
-    let spikes = spikes.map(SpikeFile::new);
     outputs.begin()?;
     let mut serializer = V2DeflateSerializer::new();
     let log = (log.as_mut()).map(|log| IntervalLog::begin(log, &mut serializer));
@@ -366,8 +365,8 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         }
     };
     let written = written.and(spikes.map_or(Ok(()), |file| match cell {
-        None => file.write("jitter", ours.spikes.finish()),
-        Some(cell) => file.write("servo", cell.spikes),
+        None => spikes::write(file, "jitter", ours.spikes.finish()),
+        Some(cell) => spikes::write(file, "servo", cell.spikes),
     }));
     let failures = [answered.map(|_| ()), written];
     for error in failures.iter().filter_map(|it| it.as_ref().err()) {

@@ -79,16 +79,16 @@ fn curve(
 
 /// A dashed line at one value, over all frequencies.
 fn across(panel: &mut Panel, x: &Scale, value: f64) -> Result<(), ChartError> {
-    dashed(panel, MARK, x.ends().map(|frequency| (frequency, value)))
+    dashed(panel, MARK, x.ends.map(|frequency| (frequency, value)))
 }
 
 /// A dashed line at one frequency.
 fn upright(panel: &mut Panel, y: &Scale, frequency: f64) -> Result<(), ChartError> {
-    dashed(panel, MARK, y.ends().map(|value| (frequency, value)))
+    dashed(panel, MARK, y.ends.map(|value| (frequency, value)))
 }
 
 /// A text at the top of a panel.
 fn named(panel: &mut Panel, y: &Scale, frequency: f64, said: &str) -> Result<(), ChartError> {
-    let [low, high] = y.ends();
+    let [low, high] = y.ends;
     label(panel, MARK, (frequency, high - 0.06 * (high - low)), said)
 }

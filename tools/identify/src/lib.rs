@@ -61,9 +61,6 @@ const ACCELERATION: f64 = 100.0;
 /// Distance kept from the end of the axis's range, rad of the motor.
 const ROOM: f64 = 5.0;
 
-/// Longest wait for the drives to switch off at the end, in cell time.
-const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
-
 /// Options of `mrroc identify`.
 #[derive(Args)]
 pub struct Options {
@@ -437,22 +434,12 @@ fn in_lockstep(
     let between = |next| emulation.borrow_mut().advance(next);
     let start = lockstep::bring_up(&mut servo, Instant::ZERO, between).map_err(not_up)?;
     let session = RefCell::new(session);
-    let mut over = None;
     lockstep::run(
         &mut servo,
         start,
         |_| session.borrow_mut().poll(),
         between,
-        |servo, now| {
-            if !session.borrow().is_over() {
-                return false;
-            }
-            let over = *over.get_or_insert_with(|| {
-                servo.stop_request().request();
-                now + servo.longest_stop() + POWER_OFF_WAIT
-            });
-            servo.is_off() || now >= over
-        },
+        mrroc::run::stopped_once(|| session.borrow().is_over()),
     );
     Ok(session.into_inner())
 }

@@ -5,6 +5,8 @@ use std::time::Duration;
 use canopen::cia402::ModeOfOperation;
 use canopen::{NodeId, Object};
 use master::sdo::CAPACITY;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::reserved::reserved;
@@ -116,15 +118,25 @@ pub struct HomingConfig {
     pub acceleration: f64,
 }
 
-/// A value of an object of a drive.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// An object written to a drive before operation and read back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
 pub struct Parameter {
-    /// The object.
-    pub object: Object,
-    /// The value; for a signed object the two's complement, truncated to `size`.
+    /// Index.
+    pub index: u16,
+    /// Sub-index.
+    #[serde(default)]
+    pub subindex: u8,
+    /// Value; two's complement for a signed object.
     pub value: u32,
-    /// Bytes of the object: 1, 2 or 4.
-    pub size: u8,
+    /// Size of the object, bytes: 1, 2 or 4.
+    pub bytes: u8,
+}
+
+impl Parameter {
+    pub(super) const fn object(&self) -> Object {
+        Object::new(self.index, self.subindex)
+    }
 }
 
 /// A value of any length of an object of a drive.
@@ -175,7 +187,7 @@ pub enum Quantity {
     /// [`AxisConfig::plausible_velocity`].
     #[error("plausible velocity")]
     PlausibleVelocity,
-    /// [`Parameter::size`].
+    /// [`Parameter::bytes`].
     #[error("parameter size")]
     ParameterSize,
     /// [`AxisConfig::following_error`].
@@ -290,7 +302,7 @@ impl AxisConfig {
             why,
         };
         let settings = self.configuration.iter().map(|setting| setting.object);
-        let parameters = self.parameters.iter().map(|parameter| parameter.object);
+        let parameters = self.parameters.iter().map(Parameter::object);
         for object in settings.chain(parameters) {
             if let Some(found) = reserved(self.identity.vendor, object.index, object.subindex) {
                 return Err(refusal(object, found.why));
@@ -321,7 +333,7 @@ impl AxisConfig {
                 return Err(out_of_range(quantity));
             }
         }
-        let possible = |parameter: &Parameter| matches!(parameter.size, 1 | 2 | 4);
+        let possible = |parameter: &Parameter| matches!(parameter.bytes, 1 | 2 | 4);
         if !self.parameters.iter().all(possible) {
             return Err(out_of_range(Quantity::ParameterSize));
         }

@@ -94,9 +94,9 @@ impl Step {
 
 impl Parameter {
     fn write(&self) -> Option<Write> {
-        let data = Expedited::new(self.value.to_le_bytes().get(..usize::from(self.size))?)?;
+        let data = Expedited::new(self.value.to_le_bytes().get(..usize::from(self.bytes))?)?;
         Some(Write {
-            object: self.object,
+            object: self.object(),
             data,
         })
     }

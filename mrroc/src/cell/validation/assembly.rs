@@ -10,21 +10,22 @@ use super::Checked;
 use crate::cell::{Cell, Path};
 
 pub(super) fn check(cell: &Cell) -> Checked {
-    let homes: Vec<_> = cell
-        .robot
-        .iter()
-        .map(|robot| {
-            let robot = robot.kinematics()?;
-            Ok((robot.home(), robot.motor_limits().to_vec()))
-        })
-        .collect::<Result<_, ParameterError>>()
-        .map_err(|error| (Path::to("robot"), error.to_string()))?;
+    let homes = cell.robot.iter().map(|robot| {
+        let robot = robot.kinematics()?;
+        Ok((robot.home(), robot.motor_limits().to_vec()))
+    });
+    let homes: Result<Vec<_>, ParameterError> = homes.collect();
+    let homes = homes.map_err(|error| (Path::to("robot"), error.to_string()))?;
+    let given = |&(robot, axis): &(usize, usize)| {
+        let home = homes[robot].0[axis];
+        (&cell.robot[robot].axis[axis], home)
+    };
     for index in 0..cell.bus.len() {
         let axes: Vec<_> = cell.axes_on(index).collect();
-        let config = |&(robot, axis): &(usize, usize)| {
-            cell.robot[robot].axis[axis].drive_config(homes[robot].0[axis])
-        };
-        let configs: Vec<_> = axes.iter().map(config).collect();
+        let configs = axes.iter().map(given);
+        let configs: Vec<_> = configs
+            .map(|(axis, home)| axis.drive_config(home))
+            .collect();
         let checked = cell.group_config(index).check(&configs);
         checked.map_err(|error| {
             let bus = Path::to("bus").then(index);
@@ -33,14 +34,12 @@ pub(super) fn check(cell: &Cell) -> Checked {
     }
     for (index, bundle) in cell.serial.iter().enumerate() {
         let axes: Vec<_> = cell.axes_on(cell.bus.len() + index).collect();
-        let config = |&(robot, axis): &(usize, usize)| {
-            cell.robot[robot].axis[axis].controller_config(homes[robot].0[axis])
-        };
-        let configs: Vec<_> = axes.iter().map(config).collect();
-        let checked = bundle
-            .group_config(cell.period())
-            .check(&configs, axes.len());
-        match checked {
+        let configs = axes.iter().map(given);
+        let configs: Vec<_> = configs
+            .map(|(axis, home)| axis.controller_config(home))
+            .collect();
+        let group = bundle.group_config(cell.period());
+        match group.check(&configs, axes.len()) {
             // The budget of the line refuses such a period and proposes one that fits.
             Ok(()) | Err(axis_controller::ConfigError::Period { .. }) => {}
             Err(error) => {
@@ -106,37 +105,38 @@ fn place_of_controller(
     error: axis_controller::ConfigError,
 ) -> Path {
     use axis_controller::{ConfigError, Quantity};
-    let of_line = |line: u8| axes.get(usize::from(line)).copied();
+    let of_line = |line: u8| axes[usize::from(line)];
     match error {
         ConfigError::Axes(_) | ConfigError::Lines { .. } => bundle.clone(),
         ConfigError::Period { .. } => bundle.then("baud"),
         ConfigError::ToleratedMissing => bundle.then("tolerated_missing"),
-        ConfigError::NeedsNfv2 { line } => of_line(line).map_or(bundle.clone(), |(robot, axis)| {
+        ConfigError::NeedsNfv2 { line } => {
+            let (robot, axis) = of_line(line);
             Path::axis(robot, axis).then("controller").then("control")
-        }),
+        }
         ConfigError::OutOfRange { line, quantity } => {
-            let Some((robot, number)) = of_line(line) else {
-                return bundle.clone();
-            };
-            let (axis, path) = (&cell.robot[robot].axis[number], Path::axis(robot, number));
+            let (robot, axis) = of_line(line);
+            let path = Path::axis(robot, axis);
             let controller = path.then("controller");
-            let given = axis.controller.as_ref();
+            let given = cell.robot[robot].axis[axis].axis_controller();
+            let plausible = |key, given: Option<f64>, of_axis| match given {
+                Some(_) => controller.then(key),
+                None => path.then(of_axis),
+            };
             match quantity {
                 Quantity::Address => path.then("node"),
                 Quantity::TorqueConstant => controller.then("torque_constant"),
                 Quantity::MaxCurrent => controller.then("max_current"),
-                Quantity::MaxVelocity
-                    if given.is_some_and(|it| it.plausible_velocity.is_some()) =>
-                {
-                    controller.then("plausible_velocity")
-                }
-                Quantity::MaxVelocity => path.then("max_velocity"),
-                Quantity::MaxAcceleration
-                    if given.is_some_and(|it| it.plausible_acceleration.is_some()) =>
-                {
-                    controller.then("plausible_acceleration")
-                }
-                Quantity::MaxAcceleration => path.then("max_acceleration"),
+                Quantity::MaxVelocity => plausible(
+                    "plausible_velocity",
+                    given.plausible_velocity,
+                    "max_velocity",
+                ),
+                Quantity::MaxAcceleration => plausible(
+                    "plausible_acceleration",
+                    given.plausible_acceleration,
+                    "max_acceleration",
+                ),
             }
         }
     }

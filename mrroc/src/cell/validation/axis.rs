@@ -113,13 +113,17 @@ fn check_positions(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checke
     let high = axis.max_position.unwrap_or(model.high);
     if low >= high {
         let [low, high] = [low, high].map(Figure);
-        return if axis.min_position.is_some() {
-            let why = format!("is {low}, not below the upper limit {high}");
-            refused(path, "min_position", why)
-        } else {
-            let why = format!("is {high}, not above the lower limit {low}");
-            refused(path, "max_position", why)
+        let (key, why) = match axis.min_position {
+            Some(_) => (
+                "min_position",
+                format!("is {low}, not below the upper limit {high}"),
+            ),
+            None => (
+                "max_position",
+                format!("is {high}, not above the lower limit {low}"),
+            ),
         };
+        return refused(path, key, why);
     }
     let scale = axis.scale(home);
     for (key, value) in [("min_position", low), ("max_position", high)] {
@@ -249,7 +253,7 @@ fn check_controller(
     // The telegrams hold 16 bits of milliamperes.
     let current = Range::new(1e-3, 32.767, "A");
     within(path, "max_current", controller.max_current, current)?;
-    position_loop::check_controller(&path.then("loop"), period, controller, axis)?;
+    position_loop::check(path, period, axis)?;
     let least = axis.max_velocity;
     let velocity = Range::new(least, 1e9, "rad/s; max_velocity at the least");
     let given = controller.plausible_velocity.unwrap_or(least);

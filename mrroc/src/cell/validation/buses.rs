@@ -1,6 +1,7 @@
 //! Checks of buses and bundles of serial lines.
 
 use super::{Checked, MOST, name, refused, some, twice, unique, within};
+use crate::bench::interfaces::Interface;
 use crate::cell::text::quoted;
 use crate::cell::{Cell, Path, Range};
 
@@ -31,6 +32,27 @@ pub(super) fn check_used(cell: &Cell) -> Checked {
     Ok(())
 }
 
+/// Each bus has a valid interface of its own.
+pub(super) fn check_interfaces(cell: &Cell) -> Checked {
+    let mut taken = Vec::new();
+    for (index, bus) in cell.bus.iter().enumerate() {
+        let interface = Interface::parse(&bus.interface);
+        let problem = match interface.check() {
+            Err(problem) => Some(problem.to_string()),
+            Ok(()) if matches!(interface, Interface::Epos { .. }) => Some(format!(
+                "{interface} is the service port of a drive, which is no CAN bus"
+            )),
+            Ok(()) => (taken.iter().position(|other| *other == interface))
+                .map(|first| format!("{interface} is that of bus[{first}]: give each its own")),
+        };
+        if let Some(problem) = problem {
+            return refused(&Path::to("bus").then(index), "interface", problem);
+        }
+        taken.push(interface);
+    }
+    Ok(())
+}
+
 fn check_buses(cell: &Cell) -> Checked {
     let buses = Path::to("bus");
     for (index, bus) in cell.bus.iter().enumerate() {
@@ -50,10 +72,8 @@ fn check_buses(cell: &Cell) -> Checked {
             );
             return refused(&path, "bitrate_kbps", why);
         }
-        let (node, cycles) = (
-            Range::new(1.0, 127.0, ""),
-            Range::new(0.0, 1000.0, "cycles"),
-        );
+        let node = Range::new(1.0, 127.0, "");
+        let cycles = Range::new(0.0, 1000.0, "cycles");
         let [ten_seconds, minute] = [1e4, 6e4].map(|most| Range::new(1.0, most, "ms"));
         within(&path, "host_node", bus.host_node, node)?;
         within(&path, "heartbeat_ms", bus.heartbeat_ms, ten_seconds)?;

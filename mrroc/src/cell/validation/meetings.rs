@@ -18,22 +18,14 @@ pub(super) fn check(cell: &Cell) -> Checked {
     }
     let meetings = cell.meetings();
     if meetings.len() > usize::from(Gates::COUNT) {
-        let (robot, found) = (
-            meetings[usize::from(Gates::COUNT)].robots[0],
-            meetings.len(),
-        );
-        let most = Gates::COUNT;
+        let (most, found) = (Gates::COUNT, meetings.len());
+        let robot = meetings[usize::from(most)].robots[0];
         let why = format!("is one of {found} meetings of the cell, which may have {most}");
         let (index, _) = cell.robot[robot].meetings().next().unwrap_or_default();
         return Err((instruction_path(robot, index).then("meet"), why));
     }
-    if let Some(lonely) = meetings
-        .iter()
-        .find_map(|meeting| lonely(cell, &meetings, meeting))
-    {
-        return Err(lonely);
-    }
-    hold(cell).map_or(Ok(()), Err)
+    let mut unmet = meetings.iter().filter_map(|it| lonely(cell, &meetings, it));
+    unmet.next().or_else(|| hold(cell)).map_or(Ok(()), Err)
 }
 
 /// The error of a meeting with a wrong number of robots.
@@ -49,10 +41,8 @@ fn lonely(cell: &Cell, meetings: &[Meeting], meeting: &Meeting) -> Option<(Path,
         let why = format!("no robot but {:?} comes to meeting {name:?}", called(robot));
         return Some((path, why));
     }
-    let other = *first
-        .robots
-        .iter()
-        .find(|it| !meeting.robots.contains(it))?;
+    let mut others = first.robots.iter();
+    let other = *others.find(|it| !meeting.robots.contains(it))?;
     let why = format!(
         "robot {:?} comes {} times to meeting {name:?}, robot {:?} {} times",
         called(robot),
@@ -65,11 +55,8 @@ fn lonely(cell: &Cell, meetings: &[Meeting], meeting: &Meeting) -> Option<(Path,
 
 /// Holds meetings in order, until all were held or the remaining robots wait for each other.
 fn hold(cell: &Cell) -> Option<(Path, String)> {
-    let mut programs: Vec<_> = cell
-        .robot
-        .iter()
-        .map(|it| it.meetings().peekable())
-        .collect();
+    let programs = cell.robot.iter().map(|it| it.meetings().peekable());
+    let mut programs: Vec<_> = programs.collect();
     let comers = |name: &str| {
         let robots = cell.robot.iter().enumerate();
         let comes = robots.filter(move |(_, robot)| robot.meetings().any(|it| it.1 == name));
@@ -79,24 +66,17 @@ fn hold(cell: &Cell) -> Option<(Path, String)> {
         let waiting: Vec<_> = programs.iter_mut().map(|it| it.peek().copied()).collect();
         let at = |robot: usize| waiting[robot].map(|(_, name)| name);
         let names = waiting.iter().flatten().map(|(_, name)| *name);
-        let mut complete = names.filter(|name| {
-            comers(name)
-                .into_iter()
-                .all(|robot| at(robot) == Some(name))
-        });
+        let is_at = |name, robot: &usize| at(*robot) == Some(name);
+        let mut complete = names.filter(|name| comers(name).iter().all(|it| is_at(*name, it)));
         if let Some(name) = complete.next() {
             for robot in comers(name) {
                 programs[robot].next();
             }
             continue;
         }
-        let (robot, (index, name)) = waiting
-            .iter()
-            .enumerate()
-            .find_map(|(robot, it)| Some((robot, (*it)?)))?;
-        let other = comers(name)
-            .into_iter()
-            .find(|&other| at(other) != Some(name))?;
+        let mut robots = waiting.iter().enumerate();
+        let (robot, (index, name)) = robots.find_map(|(robot, it)| Some((robot, (*it)?)))?;
+        let other = comers(name).into_iter().find(|it| !is_at(name, it))?;
         let why = format!(
             "meeting {name:?} is never held: robot {:?} waits for robot {:?} there, which waits at {:?}",
             cell.robot[robot].name,

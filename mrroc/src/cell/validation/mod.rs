@@ -46,7 +46,8 @@ pub(super) fn check(cell: &Cell) -> Checked {
     robots::check(cell)?;
     buses::check_used(cell)?;
     meetings::check(cell)?;
-    assembly::check(cell)
+    assembly::check(cell)?;
+    buses::check_interfaces(cell)
 }
 
 /// What the servo refuses of a table at `path`.

@@ -6,98 +6,67 @@
 
 use std::time::Duration;
 
-use servo::LoopBounds;
+use servo::{LoopBounds, Output};
 
 use super::{Checked, by_servo, refused, within};
-use crate::cell::{Axis, AxisController, Control, Drive, DriveControl, Law, Loop, Path, Range};
+use crate::cell::{Axis, Drive, DriveControl, Law, Path, Range};
 
-/// Greatest output of a loop, and greatest output per newton metre of weight.
-struct Output {
-    most: f64,
-    of: &'static str,
-    /// Greatest factor of the weight.
-    weight: f64,
-}
-
-pub(super) fn check_controller(
-    path: &Path,
-    period: Duration,
-    controller: &AxisController,
-    axis: &Axis,
-) -> Checked {
-    let output = match controller.control {
-        // A greater output is refused during motion, and the axis would stop by a fault where the torque is needed
-        // most.
-        Control::Current => Output {
-            most: controller.max_current * controller.torque_constant * (1.0 + 1e-9),
-            of: "N·m; max_current * torque_constant at the most",
-            weight: 10.0,
-        },
-        Control::Pwm => Output {
-            most: 1.0,
-            of: "of the full pulse width",
-            weight: 1000.0,
-        },
-    };
-    let given = &controller.r#loop;
-    if let Law::Proportional(_) = given.law {
-        let why =
-            "is for a drive that closes the velocity loop, as no axis controller does: use cascade";
-        return refused(&path.then("law"), "proportional", why);
-    }
-    check(path, period, given, &output, axis)
-}
-
-/// Checks the loop of the drive at `drive_path`.
-pub(super) fn check_drive(
-    drive_path: &Path,
-    period: Duration,
-    drive: &Drive,
-    axis: &Axis,
-) -> Checked {
-    let path = &drive_path.then("loop");
-    let (given, output) = match (drive.control, &drive.r#loop) {
+/// Checks that the table of a drive at `path` has a loop where the host closes it, and checks the loop.
+pub(super) fn check_drive(path: &Path, period: Duration, drive: &Drive, axis: &Axis) -> Checked {
+    let why = match (drive.control, &drive.r#loop) {
         (DriveControl::Position, None) => return Ok(()),
         (DriveControl::Position, Some(_)) => {
-            let why = "is for control = \"velocity\" or \"torque\": by position the drive closes the loop";
-            return refused(drive_path, "loop", why);
+            "is for control = \"velocity\" or \"torque\": by position the drive closes the loop"
         }
-        (_, None) => {
-            let why = "is missing: by velocity or torque the host closes the loop";
-            return refused(drive_path, "loop", why);
-        }
-        (DriveControl::Velocity, Some(given)) => {
+        (_, None) => "is missing: by velocity or torque the host closes the loop",
+        (_, Some(_)) => return check(path, period, axis),
+    };
+    refused(path, "loop", why)
+}
+
+/// Checks the loop that the host closes, in the table of a drive or an axis controller at `path`.
+pub(super) fn check(path: &Path, period: Duration, axis: &Axis) -> Checked {
+    let Some((_, given, output)) = axis.host_loop() else {
+        return Ok(());
+    };
+    let path = &path.then("loop");
+    let proportional = |why| refused(&path.then("law"), "proportional", why);
+    let is_proportional = matches!(given.law, Law::Proportional(_));
+    // Greatest output of the loop with its unit, and greatest output per newton metre of weight.
+    let (most, of, weight) = match (output, &axis.drive) {
+        (Output::Velocity, _) => {
             if given.feed_forward.weight.is_some_and(|weight| weight > 0.0) {
                 let why = "is a torque: by velocity the drive's own loop holds the weight";
                 return refused(&path.then("feed_forward"), "weight", why);
             }
             // A loop at its limit must not look like a runaway loop.
-            let output = Output {
-                most: given.runaway_velocity.unwrap_or(1.2 * axis.max_velocity),
-                of: "rad/s of the motor; runaway_velocity at the most",
-                weight: 0.0,
-            };
-            (given, output)
+            let of = "rad/s of the motor; runaway_velocity at the most";
+            (axis.runaway_velocity(), of, 0.0)
         }
-        (DriveControl::Torque, Some(given)) => {
-            if let Law::Proportional(_) = given.law {
-                let why =
-                    "is for control = \"velocity\": by torque nothing would damp it, use cascade";
-                return refused(&path.then("law"), "proportional", why);
-            }
+        (_, Some(_)) if is_proportional => {
+            return proportional(
+                "is for control = \"velocity\": by torque nothing would damp it, use cascade",
+            );
+        }
+        (_, None) if is_proportional => {
+            return proportional(
+                "is for a drive that closes the velocity loop, as no axis controller does: use cascade",
+            );
+        }
+        (_, Some(drive)) => {
             // Object 0x6071 holds 16 bits of thousandths.
-            let output = Output {
-                most: 32.0 * drive.rated_torque,
-                of: "N·m; 32 * rated_torque at the most",
-                weight: 10.0,
-            };
-            (given, output)
+            let most = 32.0 * drive.rated_torque;
+            (most, "N·m; 32 * rated_torque at the most", 10.0)
         }
+        (Output::Torque, None) => {
+            // A greater output is refused during motion, and the axis would stop by a fault where the torque is needed
+            // most.
+            let controller = axis.axis_controller();
+            let most = controller.max_current * controller.torque_constant * (1.0 + 1e-9);
+            (most, "N·m; max_current * torque_constant at the most", 10.0)
+        }
+        (Output::Duty, None) => (1.0, "of the full pulse width", 1000.0),
     };
-    check(path, period, given, &output, axis)
-}
-
-fn check(path: &Path, period: Duration, given: &Loop, output: &Output, axis: &Axis) -> Checked {
     if let Some(runaway) = given.runaway_velocity {
         let of = "rad/s of the motor; above max_velocity";
         let range = Range::new(axis.max_velocity * (1.0 + 1e-9), 1e6, of);
@@ -109,9 +78,9 @@ fn check(path: &Path, period: Duration, given: &Loop, output: &Output, axis: &Ax
         max_velocity: axis.max_velocity,
         max_acceleration: axis.max_acceleration,
         following_error: axis.following_error,
-        most: output.most,
-        of: output.of,
-        weight: output.weight,
+        most,
+        of,
+        weight,
     };
     let law = given.law.check(&bounds);
     law.map_err(|refusal| by_servo(&path.then("law"), refusal))?;

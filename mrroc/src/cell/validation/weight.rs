@@ -1,9 +1,9 @@
 //! Checks of a robot with a table `weight`.
 
-use servo::PositionLoop;
+use servo::{Output, PositionLoop};
 
 use super::{Checked, refused};
-use crate::cell::{Axis, Control, DriveControl, FeedForward, Path, Robot};
+use crate::cell::{Axis, FeedForward, Path, Robot};
 use controller::robot::WeightError;
 
 pub(super) fn check(
@@ -52,16 +52,9 @@ pub(super) fn check(
 
 /// The feed-forward of the position loop, if the host closes the loop.
 fn feed_forward(path: &Path, axis: &Axis) -> Option<(Path, FeedForward)> {
-    match (&axis.drive, &axis.controller) {
-        (Some(drive), _) => {
-            let path = path.then("drive").then("loop").then("feed_forward");
-            drive.r#loop.as_ref().map(|it| (path, it.feed_forward))
-        }
-        (None, controller) => {
-            let path = path.then("controller").then("loop").then("feed_forward");
-            controller.as_ref().map(|it| (path, it.r#loop.feed_forward))
-        }
-    }
+    let (family, given, _) = axis.host_loop()?;
+    let path = path.then(family).then("loop").then("feed_forward");
+    Some((path, given.feed_forward))
 }
 
 /// Checks an axis of a robot without a table `weight`: its feed-forward must not use the weight.
@@ -102,27 +95,20 @@ fn check_output(path: &Path, axis: &Axis, torque: f64) -> Checked {
 
 /// Checks that the weight can be fed forward to a motor.
 fn check_axis(path: &Path, axis: &Axis) -> Checked {
-    match (&axis.drive, &axis.controller) {
-        (Some(it), _) if it.control != DriveControl::Torque => {
-            let control = match it.control {
-                DriveControl::Velocity => "velocity",
-                DriveControl::Position | DriveControl::Torque => "position",
-            };
-            let why = format!(
-                "is {control}, by which the drive's own loop holds the robot's weight: use torque, or leave the weight out"
-            );
-            refused(&path.then("drive"), "control", why)
+    let control = match axis.host_loop() {
+        None => "position",
+        Some((_, _, Output::Velocity)) => "velocity",
+        Some((_, given, Output::Duty)) if given.feed_forward.weight.is_none() => {
+            let why = "lacks weight, the pulse width per torque that the robot's weight takes: winding resistance / \
+                       (torque constant * supply voltage), or 0 to hold this axis by its loop alone";
+            return refused(&path.then("controller").then("loop"), "feed_forward", why);
         }
-        (_, Some(it)) if it.control == Control::Pwm && it.r#loop.feed_forward.weight.is_none() => {
-            refused(
-                &path.then("controller").then("loop"),
-                "feed_forward",
-                "lacks weight, the pulse width per torque that the robot's weight takes: winding resistance / \
-                 (torque constant * supply voltage), or 0 to hold this axis by its loop alone",
-            )
-        }
-        _ => Ok(()),
-    }
+        Some((_, _, Output::Torque | Output::Duty)) => return Ok(()),
+    };
+    let why = format!(
+        "is {control}, by which the drive's own loop holds the robot's weight: use torque, or leave the weight out"
+    );
+    refused(&path.then("drive"), "control", why)
 }
 
 #[cfg(test)]

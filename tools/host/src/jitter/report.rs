@@ -127,12 +127,8 @@ impl Side {
 
 pub(super) fn percentiles(late: &Counts) -> Percentiles {
     let micros = |nanos: u64| nanos as f64 / 1e3;
-    Percentiles {
-        p50: micros(late.value_at_quantile(0.5)),
-        p99: micros(late.value_at_quantile(0.99)),
-        p999: micros(late.value_at_quantile(0.999)),
-        max: micros(late.max()),
-    }
+    let quantile = |share| micros(late.value_at_quantile(share));
+    Percentiles::of(quantile, micros(late.max()))
 }
 
 /// One late wake-up.

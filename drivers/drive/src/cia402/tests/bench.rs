@@ -7,7 +7,6 @@ use std::time::Duration;
 
 use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received, StandardId};
 use canopen::NodeId;
-use canopen::Object;
 
 use crate::cia402::*;
 use crate::{Finite, Power, Scale, Setpoint};
@@ -55,9 +54,10 @@ pub(super) fn axis_config(raw: u8) -> AxisConfig {
         quick_stop_deceleration: tau * 100.0,
         configuration: Vec::new(),
         parameters: vec![Parameter {
-            object: Object::new(0x3001, 1),
+            index: 0x3001,
+            subindex: 1,
             value: 2_000,
-            size: 4,
+            bytes: 4,
         }],
     }
 }

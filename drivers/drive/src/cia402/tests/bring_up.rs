@@ -498,7 +498,7 @@ fn configurations_that_cannot_work_are_refused() {
             out_of_range(Quantity::ZeroSpeed),
         ),
         (
-            with(|_, axes| axes[1].parameters[0].size = 3),
+            with(|_, axes| axes[1].parameters[0].bytes = 3),
             out_of_range(Quantity::ParameterSize),
         ),
     ];

@@ -127,9 +127,10 @@ fn reserved_objects_are_refused_before_a_frame_whoever_asks_for_them() {
     ] {
         let mut by_parameter = axis_config(2);
         by_parameter.parameters = vec![Parameter {
-            object: Object::new(index, subindex),
+            index,
+            subindex,
             value: 0,
-            size: 4,
+            bytes: 4,
         }];
         let mut by_setting = axis_config(2);
         by_setting.configuration = vec![Setting {
@@ -161,9 +162,10 @@ fn what_a_setting_or_a_parameter_changes_elsewhere_is_set_and_read_back_afterwar
     }];
     let mut by_parameter = axis_config(2);
     by_parameter.parameters.push(Parameter {
-        object: Object::new(trigger.0, trigger.1),
+        index: trigger.0,
+        subindex: trigger.1,
         value: 7,
-        size: 1,
+        bytes: 1,
     });
     let mut untouched = Bench::new(group_config(), &[axis_config(2)]);
     assert_eq!(untouched.bring_up(), Ok(()));
