@@ -64,7 +64,7 @@ pub use drive_train::{GearAxis, ScrewAxis};
 pub use irb6::{Irb6, Irb6Parameters};
 pub use irp6::{Irp6, Irp6Parameters};
 pub use irp6_track::{Irp6Track, Irp6TrackParameters};
-pub use links::{Link, LinkKind, Links};
+pub use links::{Link, LinkKind};
 pub use parameters::{ArmParameters, ParameterError};
 pub use polycrank::{Polycrank, PolycrankParameters};
 pub use rnt::{LegAxis, Rnt, RntParameters};
@@ -157,9 +157,11 @@ pub trait Robot: fmt::Debug + Send + Sync {
         Singularity::of(&self.jacobian(joints)?, self.axes())
     }
 
-    /// The arm link by link, for description files and figures; `None` if the arm is no serial chain.
-    fn links(&self) -> Option<Links> {
-        None
+    /// The links of a serial arm from base to flange, for description files and figures; none if the robot is no
+    /// serial chain. The last link's frame is the flange. The product of the links, each [placed](Link::placed), equals
+    /// [`forward`](Self::forward).
+    fn links(&self) -> Vec<Link> {
+        Vec::new()
     }
 }
 

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::room::room;
 use super::{
-    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Links, Mass, Motors,
+    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Mass, Motors,
     ParameterError, Robot, RobotParameters, Solutions, Space,
     arm::{self, PARALLEL},
     drive_train::{self, DriveTrain, TrainAxis},
@@ -373,7 +373,7 @@ impl Robot for Rnt {
     }
 
     /// The passive central leg and the wrist. The driven legs are not part of a serial chain.
-    fn links(&self) -> Option<Links> {
+    fn links(&self) -> Vec<Link> {
         let (x, y, z) = (Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis());
         let link = |name, axis, index, offset| Link {
             axis,
@@ -389,14 +389,14 @@ impl Robot for Rnt {
                 &self.joint_limits,
             )
         };
-        Some(Links(vec![
+        vec![
             link("alpha", x, ALPHA, 0.0),
             link("beta", y, BETA, 0.0),
             link("rho", z, RHO, 0.0),
             link("roll", z, ROLL, self.parameters.wrist_offset),
             link("pitch", y, PITCH, 0.0),
             link("spin", z, SPIN, 0.0),
-        ]))
+        ]
     }
 }
 

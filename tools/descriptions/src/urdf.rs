@@ -5,7 +5,7 @@
 
 use std::fmt::{self, Write as _};
 
-use anyhow::{Context as _, anyhow};
+use anyhow::{Context as _, ensure};
 use clap::Args;
 use controller::robot::{Link, LinkKind};
 use mrroc::cell::Parameters;
@@ -29,10 +29,13 @@ pub struct Options {
 pub fn urdf(options: &Options) -> anyhow::Result<String> {
     let machine = Machine::find(&options.machine)?;
     let links = machine.robot.links();
-    let links = links
-        .ok_or_else(|| anyhow!("{}: no serial arm, and no description of one", machine.name))?;
+    ensure!(
+        !links.is_empty(),
+        "{}: no serial arm, and no description of one",
+        machine.name
+    );
     let mut text = String::new();
-    write(&mut text, &machine, &links.0).context("the description cannot be written")?;
+    write(&mut text, &machine, &links).context("the description cannot be written")?;
     Ok(text)
 }
 

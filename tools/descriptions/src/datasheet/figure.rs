@@ -64,7 +64,7 @@ pub(crate) enum Part {
 
 /// Figure of one or two views. `symbols` are the names of the joints in the formulas.
 pub(crate) fn figure(machine: &Machine, symbols: &[&str], views: &[View; 2]) -> String {
-    let links = machine.robot.links().map_or_else(Vec::new, |links| links.0);
+    let links = machine.robot.links();
     let mut svg = Svg::open([WIDTH, HEIGHT]);
     let title = format!("{}: geometry in mm", machine.name);
     svg.text([LEFT[0], 34.0], "start", TITLE, &title);

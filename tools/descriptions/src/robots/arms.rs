@@ -176,7 +176,7 @@ fn arm(machine: &Machine, degrees: &[f64]) -> [View; 2] {
     let on_track = degrees.len() == 7;
     let column = usize::from(on_track);
     let joints = from_degrees(degrees);
-    let links = machine.robot.links().map_or_else(Vec::new, |links| links.0);
+    let links = machine.robot.links();
     let pitch_axis = |joints: &Joints| {
         let placed = links
             .iter()

@@ -90,7 +90,7 @@ fn views(machine: &Machine) -> [View; 2] {
         pose.map_or_else(|_| Vector3::zeros(), |pose| pose.translation.vector)
     };
     let area = outline(machine, &joints, [1, 2], flange);
-    let links = machine.robot.links().map_or_else(Vec::new, |links| links.0);
+    let links = machine.robot.links();
     let placed = links.iter().take(3).map(|link| link.placed(&joints));
     let platform = placed.fold(nalgebra::Isometry3::identity(), |base, link| base * link);
     let legs = machine.leg_ends().unwrap_or_default();
