@@ -133,8 +133,7 @@ fn group_scheduling(
 ) -> Finding {
     let built = config.and_then(|config| option(config, "CONFIG_RT_GROUP_SCHED")) == Some("y");
     let unified = unified.filter(|_| built && group.is_none());
-    let read = match (built, group, runtime_us) {
-        _ if unified.is_some() => format!("built in, group {}", unified.unwrap_or_default()),
+    let read = match (built, group.or(unified), runtime_us) {
         (_, Some(group), Some(runtime)) => format!("group {group} has {runtime} µs"),
         (true, Some(group), None) => format!("built in, group {group}"),
         (true, None, None) => "built in, no group of the CPU controller".to_owned(),

@@ -6,6 +6,8 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
 use can::clock::{now, sleep_until};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 
 use super::interval::{Counts, Interval, counts};
 use super::load;
@@ -69,10 +71,7 @@ pub(super) fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::R
                 told = true;
                 // Makes cyclictest print its result. It may have ended already, since Ctrl-C on a terminal reaches it
                 // as well.
-                let _ = Command::new("sh")
-                    .args(["-c", &format!("kill -INT {}", child.id())])
-                    .stderr(Stdio::null())
-                    .status();
+                let _ = kill(Pid::from_raw(child.id().cast_signed()), Signal::SIGINT);
             }
             if now() >= end {
                 child.kill().context("cyclictest cannot be ended")?;
