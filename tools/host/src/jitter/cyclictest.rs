@@ -1,6 +1,6 @@
 //! cyclictest of Debian's package rt-tests as the peer: runs the program for a time and reads its histogram.
 
-use std::io::Read;
+use std::io;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
@@ -52,14 +52,8 @@ pub(super) fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::R
     let end = begun + turn.time * 2 + OVERHEAD;
     let mut told = false;
     std::thread::scope(|scope| {
-        let text = |pipe: Option<Box<dyn Read + Send>>| {
-            let mut text = String::new();
-            // Output that is not text is refused below.
-            let _ = pipe.map(|mut pipe| pipe.read_to_string(&mut text));
-            text
-        };
-        let out = scope.spawn(move || text(out.map(|pipe| Box::new(pipe) as _)));
-        let err = scope.spawn(move || text(err.map(|pipe| Box::new(pipe) as _)));
+        let out = scope.spawn(move || out.map(io::read_to_string));
+        let err = scope.spawn(move || err.map(io::read_to_string));
         let status = loop {
             if let Some(status) = child
                 .try_wait()
@@ -79,7 +73,11 @@ pub(super) fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::R
             }
             sleep_until(now() + POLL);
         };
-        let [out, err] = [out, err].map(|thread| thread.join().unwrap_or_default());
+        // Output that is not text is refused below.
+        let [out, err] = [out, err].map(|thread| {
+            let text = thread.join().ok().flatten();
+            text.and_then(Result::ok).unwrap_or_default()
+        });
         match status {
             None => bail!("cyclictest did not end in time"),
             Some(status) if !status.success() => {
