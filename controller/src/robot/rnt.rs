@@ -131,7 +131,7 @@ const fn wrist(range: f64) -> GearAxis {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rnt {
     parameters: RntParameters,
-    legs: Legs,
+    pub(super) legs: Legs,
     /// Drive train between the motors, and leg lengths and wrist angles.
     drive_train: DriveTrain<AXES>,
     joint_limits: [Limits; AXES],
@@ -220,11 +220,6 @@ impl Rnt {
     pub fn leg_lengths(&self, joints: &Joints) -> Result<[f64; 3], KinematicsError> {
         let &[alpha, beta, rho, ..] = joints.exactly::<AXES>()?;
         Ok(self.legs.lengths(&[alpha, beta, rho]))
-    }
-
-    #[cfg(test)]
-    pub(super) fn legs(&self) -> &Legs {
-        &self.legs
     }
 
     /// Alpha, beta and rho in the middle of their limits.

@@ -19,21 +19,10 @@ const NORM: f64 = 0.01;
 pub struct Which {
     /// The model of the robot, such as irp6-track. With --cell, the name of the robot in the cell.
     #[arg(long)]
-    robot: String,
+    pub(crate) robot: String,
     /// A cell file. Its robot may have parameters of its own.
     #[arg(long)]
-    cell: Option<PathBuf>,
-}
-
-impl Which {
-    #[cfg(test)]
-    /// Machine of a robot model.
-    pub fn preset(name: &str) -> Self {
-        Self {
-            robot: name.into(),
-            cell: None,
-        }
-    }
+    pub(crate) cell: Option<PathBuf>,
 }
 
 /// A robot with its name and parameters.
