@@ -78,7 +78,7 @@ impl Session {
                 continue;
             }
             if let Some(fault) = report.fault {
-                self.stop(fault.cause);
+                self.stop(fault.cause.to_string());
                 continue;
             }
             match (self.stage, report.phase) {
@@ -100,7 +100,7 @@ impl Session {
                     self.outcome = Some(Ok(()));
                 }
                 (Stage::Enabling | Stage::Homing | Stage::Moving, Phase::Off) => {
-                    self.stop(UNFINISHED);
+                    self.stop(UNFINISHED.into());
                 }
                 _ => {}
             }
@@ -130,8 +130,8 @@ impl Session {
     }
 
     /// Ends a measurement that was broken off.
-    fn stop(&mut self, why: impl ToString) {
-        self.outcome = Some(Err(Unmeasured::Stopped(why.to_string())));
+    fn stop(&mut self, why: String) {
+        self.outcome = Some(Err(Unmeasured::Stopped(why)));
     }
 
     fn order(&mut self, order: Order) {
