@@ -93,7 +93,7 @@ enum Command {
     /// each number. The format is Markdown; the figure is SVG.
     Datasheet(descriptions::datasheet::Options),
     /// Print the description of a robot (URDF) for viewers and libraries of rigid bodies.
-    Urdf(descriptions::urdf::Options),
+    Urdf(descriptions::kinematics::Which),
     /// Run a command in a virtual machine with CAN.
     Vm {
         #[command(subcommand)]
@@ -142,7 +142,7 @@ fn main() -> ExitCode {
         Command::Datasheet(options) => {
             descriptions::datasheet::datasheet(&options).and_then(streams::print)
         }
-        Command::Urdf(options) => descriptions::urdf::urdf(&options).and_then(streams::print),
+        Command::Urdf(which) => descriptions::urdf::urdf(&which).and_then(streams::print),
         Command::Vm { machine } => vm::vm(&machine),
         Command::Schema { reference } => schema(reference),
         Command::Manual {

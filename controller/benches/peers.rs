@@ -128,7 +128,7 @@ impl Measured {
 
     /// The links as joints of pinocchio, and the positions of these joints.
     fn described(&self) -> Value {
-        let links = self.robot.links().unwrap().0;
+        let links = self.robot.links();
         let positions = |joints: &Joints| -> Vec<f64> {
             let position =
                 |coupling: &[f64; 8]| joints.iter().zip(coupling).map(|(q, k)| q * k).sum();

@@ -16,7 +16,7 @@ use crate::generator::{
     Next, Pose, SmoothPose, Wait,
 };
 use crate::robot::{
-    Arm, Jacobian, Joints, KinematicsError, Limits, Links, Motors, Robot, Solutions, Space,
+    Arm, Jacobian, Joints, KinematicsError, Limits, Link, Motors, Robot, Solutions, Space,
 };
 
 const PERIOD: Duration = Duration::from_millis(2);
@@ -87,8 +87,8 @@ impl Robot for Gantry {
     fn jacobian(&self, _: &Joints) -> Result<Jacobian, KinematicsError> {
         Ok(Jacobian::identity())
     }
-    fn links(&self) -> Option<Links> {
-        Some(weight::links())
+    fn links(&self) -> Vec<Link> {
+        weight::links()
     }
 }
 

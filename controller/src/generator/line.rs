@@ -44,6 +44,17 @@ pub struct LineLimits {
     pub max_angular_jerk: f64,
 }
 
+impl LineLimits {
+    /// Limits of the origin and of the rotation: velocities, accelerations, jerks.
+    const fn pairs(&self) -> [[f64; 2]; 3] {
+        [
+            [self.max_velocity, self.max_angular_velocity],
+            [self.max_acceleration, self.max_angular_acceleration],
+            [self.max_jerk, self.max_angular_jerk],
+        ]
+    }
+}
+
 /// Planned start of a line, and the distance within which the arm counts as standing there.
 ///
 /// Homing takes an arm to its home position except for a remainder: the braking distance behind the index pulse, and
@@ -138,12 +149,7 @@ impl Path {
 }
 
 /// Velocity, acceleration and jerk of the path parameter, 1/s, 1/s², 1/s³.
-#[derive(Clone, Copy, Debug)]
-struct Rates {
-    velocity: f64,
-    acceleration: f64,
-    jerk: f64,
-}
+type Rates = [f64; 3];
 
 /// Progress of a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -163,15 +169,7 @@ impl StraightLine {
         joint_limits: MotionLimits,
     ) -> Result<Self, GeneratorError> {
         joint_limits.check(arm.axes())?;
-        let rates = [
-            limits.max_velocity,
-            limits.max_acceleration,
-            limits.max_jerk,
-            limits.max_angular_velocity,
-            limits.max_angular_acceleration,
-            limits.max_angular_jerk,
-        ];
-        if !rates.into_iter().all(is_limit) {
+        if !limits.pairs().into_iter().flatten().all(is_limit) {
             return Err(GeneratorError::PathLimit);
         }
         let position = target.translation.vector.iter();
@@ -234,19 +232,16 @@ impl StraightLine {
         let way = Path::between(here, &self.target);
         let length = way.displacement.norm().max(self.path.displacement.norm());
         let angle = way.turn.norm().max(self.path.turn.norm());
-        let rate = |linear: f64, angular: f64| (linear / length).min(angular / angle);
-        (length > 1e-12 || angle > 1e-12).then(|| Rates {
-            velocity: rate(self.limits.max_velocity, self.limits.max_angular_velocity),
-            acceleration: rate(
-                self.limits.max_acceleration,
-                self.limits.max_angular_acceleration,
-            ),
-            jerk: rate(self.limits.max_jerk, self.limits.max_angular_jerk),
-        })
+        let rate = |[linear, angular]: [f64; 2]| (linear / length).min(angular / angle);
+        (length > 1e-12 || angle > 1e-12).then(|| self.limits.pairs().map(rate))
     }
 
     /// Checks the whole line. Returns the factor by which the line must be slowed down, at least 1.
-    fn slowdown(&self, start: &Axes, rates: &Rates) -> Result<f64, GeneratorError> {
+    fn slowdown(
+        &self,
+        start: &Axes,
+        [cruise, acceleration, _]: Rates,
+    ) -> Result<f64, GeneratorError> {
         let checks = self.path.checks();
         let ds = 1.0 / checks as f64;
         let axes = self.arm.axes();
@@ -264,9 +259,7 @@ impl StraightLine {
             let mut slope = [0.0; servo::MAX_AXES];
             // Acceleration from the start and braking to the end limit the velocity of the profile at this place.
             let reach = (s - ds / 2.0).min(1.0 - s + ds / 2.0);
-            let velocity = rates
-                .velocity
-                .min((2.0 * rates.acceleration * reach).sqrt());
+            let velocity = cruise.min((2.0 * acceleration * reach).sqrt());
             for axis in 0..axes {
                 let by = (ahead[axis] - joints[axis]).abs();
                 if by > JUMP {
@@ -279,8 +272,7 @@ impl StraightLine {
                 slope[axis] = (ahead[axis] - joints[axis]) / ds - self.remainder[axis];
                 let bend = slopes.map_or(0.0, |last| (slope[axis] - last[axis]) / ds);
                 let speed = slope[axis].abs() * velocity / self.joint_limits.max_velocity[axis];
-                let push = (slope[axis].abs() * rates.acceleration
-                    + bend.abs() * velocity * velocity)
+                let push = (slope[axis].abs() * acceleration + bend.abs() * velocity * velocity)
                     / self.joint_limits.max_acceleration[axis];
                 let times = speed.max(push.sqrt());
                 if times > SLOWEST {
@@ -337,12 +329,13 @@ impl Generator for StraightLine {
             return Ok(Next::remember(memory));
         };
         self.on_the_way(0.0, &memory.joints)?;
-        let slowdown = self.slowdown(&memory.joints, &rates)?;
+        let slowdown = self.slowdown(&memory.joints, rates)?;
+        let [velocity, acceleration, jerk] = rates;
         let input = &mut self.plan.input;
         input.target_position[0] = 1.0;
-        input.max_velocity[0] = rates.velocity / slowdown;
-        input.max_acceleration[0] = rates.acceleration / slowdown.powi(2);
-        input.max_jerk[0] = rates.jerk / slowdown.powi(3);
+        input.max_velocity[0] = velocity / slowdown;
+        input.max_acceleration[0] = acceleration / slowdown.powi(2);
+        input.max_jerk[0] = jerk / slowdown.powi(3);
         self.plan.solve(None, macrostep.as_secs_f64())?;
         Ok(Next::remember(memory))
     }

@@ -145,20 +145,13 @@ impl Newsmooth {
         pose.position[axis] - from[axis]
     }
 
-    /// Speed of each axis in the segment to pose `index` if all axes moved at constant speed, in the shortest time.
-    fn cruise(&self, start: &Axes, index: usize) -> Axes {
-        let mut time: f64 = 0.0;
-        for axis in 0..self.axes {
+    /// Shortest duration of the segment to pose `index` if all axes moved at constant speed, s.
+    fn cruise_time(&self, start: &Axes, index: usize) -> f64 {
+        let times = (0..self.axes).map(|axis| {
             let limit = self.poses[index].velocity[axis] * self.limits.max_velocity[axis];
-            time = time.max(self.distance(start, index, axis).abs() / limit);
-        }
-        let mut speeds = [0.0; MAX_AXES];
-        for (axis, speed) in speeds.iter_mut().enumerate().take(self.axes) {
-            if time > 0.0 {
-                *speed = self.distance(start, index, axis).abs() / time;
-            }
-        }
-        speeds
+            self.distance(start, index, axis).abs() / limit
+        });
+        times.fold(0.0, f64::max)
     }
 
     /// Whether an axis travels in the same direction before and after pose `index`.
@@ -172,7 +165,7 @@ impl Newsmooth {
         if index + 1 >= self.poses.len() {
             return speeds;
         }
-        let (before, after) = (self.cruise(start, index), self.cruise(start, index + 1));
+        let [before, after] = [index, index + 1].map(|segment| self.cruise_time(start, segment));
         for (axis, speed) in speeds.iter_mut().enumerate().take(self.axes) {
             if !self.passes(start, index, axis) {
                 continue;
@@ -186,8 +179,9 @@ impl Newsmooth {
             };
             let stood_before = index == 0 || !self.passes(start, index - 1, axis);
             let stands_after = !self.passes(start, index + 1, axis);
-            *speed = before[axis]
-                .min(after[axis])
+            let cruise = |segment, time| self.distance(start, segment, axis).abs() / time;
+            *speed = cruise(index, before)
+                .min(cruise(index + 1, after))
                 .min(claim(index, stood_before))
                 .min(claim(index + 1, stands_after));
         }
@@ -208,12 +202,10 @@ impl Newsmooth {
                 end_velocity: exit[axis],
                 acceleration: pose.acceleration[axis] * self.limits.max_acceleration[axis],
             };
-            let mut shortest: f64 = 0.0;
-            for axis in 0..self.axes {
-                shortest = shortest.max(
-                    course(axis).shortest(pose.velocity[axis] * self.limits.max_velocity[axis]),
-                );
-            }
+            let times = (0..self.axes).map(|axis| {
+                course(axis).shortest(pose.velocity[axis] * self.limits.max_velocity[axis])
+            });
+            let shortest = times.fold(0.0, f64::max);
             let macrosteps = whole_macrosteps(shortest, self.macrostep)?;
             total = total.saturating_add(macrosteps);
             if total > MAX_MACROSTEPS {

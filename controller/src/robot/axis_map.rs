@@ -1,6 +1,6 @@
 //! Devices of one axis: gripper and conveyor.
 
-use std::{fmt, sync::Arc};
+use std::sync::Arc;
 
 use nalgebra::Isometry3;
 use schemars::JsonSchema;
@@ -102,29 +102,37 @@ impl ConveyorParameters {
     }
 }
 
-/// The two-finger gripper as a robot of one axis. Its joint is the opening of the jaws, m. Its flange moves along x
-/// by the opening.
-///
-/// Two motor positions give the same opening, one on either side of the vertex of the polynomial. The motor position
-/// must be a function of the joint. The gripper therefore uses only the side of its home position, and its joint has
-/// the range of that side.
+/// A device of one axis, whose flange moves along x by the position of its joint.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Gripper {
-    /// The parameters, with the range of the motor on the side of its home.
-    parameters: GripperParameters,
-    openings: Limits,
+pub struct LinearDevice {
+    map: AxisMap,
+    joint_limits: Limits,
+    motor_limits: Limits,
+    motor_at_home: f64,
 }
 
-impl Gripper {
-    /// A gripper with these parameters. Fails if a parameter is invalid.
-    pub fn new(parameters: &GripperParameters) -> Result<Self, ParameterError> {
+/// Relation of joint and motor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum AxisMap {
+    Gripper(GripperParameters),
+    /// Motor angle per displacement, rad/m.
+    Conveyor(f64),
+}
+
+impl LinearDevice {
+    /// The two-finger gripper. Its joint is the opening of the jaws, m. Fails if a parameter is invalid.
+    ///
+    /// Two motor positions give the same opening, one on either side of the vertex of the polynomial. The motor
+    /// position must be a function of the joint. The gripper therefore uses only the side of its home position, and
+    /// its joint has the range of that side.
+    pub fn gripper(parameters: &GripperParameters) -> Result<Self, ParameterError> {
         let name = "jaws";
         let GripperParameters {
             square,
             linear,
             constant,
             motor_at_home,
-            motor_limits,
+            mut motor_limits,
             opening_limits,
         } = *parameters;
         for value in [square, linear, constant, motor_at_home] {
@@ -136,35 +144,28 @@ impl Gripper {
             return Err(ParameterError::NoRatio { name });
         }
         let vertex = -linear / (2.0 * square);
-        let mut motors = motor_limits;
         if motor_at_home < vertex {
-            motors.high = motors.high.min(vertex);
+            motor_limits.high = motor_limits.high.min(vertex);
         } else {
-            motors.low = motors.low.max(vertex);
+            motor_limits.low = motor_limits.low.max(vertex);
         }
-        room(name, motors)?;
-        let openings =
-            opening_limits.within(motors.map(|motor| (square * motor + linear) * motor + constant));
-        room(name, openings)?;
+        room(name, motor_limits)?;
+        let opening = |motor| (square * motor + linear) * motor + constant;
+        let joint_limits = opening_limits.within(motor_limits.map(opening));
+        room(name, joint_limits)?;
         Ok(Self {
-            parameters: GripperParameters {
-                motor_limits: motors,
+            map: AxisMap::Gripper(GripperParameters {
+                motor_limits,
                 ..*parameters
-            },
-            openings,
+            }),
+            joint_limits,
+            motor_limits,
+            motor_at_home,
         })
     }
-}
 
-/// The endless conveyor as a robot of one axis. Its joint is the position of the belt, m, along x.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Conveyor {
-    parameters: ConveyorParameters,
-}
-
-impl Conveyor {
-    /// A conveyor with these parameters. Fails if a parameter is invalid.
-    pub fn new(parameters: &ConveyorParameters) -> Result<Self, ParameterError> {
+    /// The endless conveyor. Its joint is the position of the belt, m. Fails if a parameter is invalid.
+    pub fn conveyor(parameters: &ConveyorParameters) -> Result<Self, ParameterError> {
         let name = "belt";
         finite_parameter(name, parameters.ratio)?;
         finite_parameter(name, parameters.motor_at_home)?;
@@ -173,82 +174,48 @@ impl Conveyor {
         }
         room(name, parameters.motor_limits)?;
         Ok(Self {
-            parameters: *parameters,
+            map: AxisMap::Conveyor(parameters.ratio),
+            joint_limits: Limits::CONTINUOUS,
+            motor_limits: parameters.motor_limits,
+            motor_at_home: parameters.motor_at_home,
         })
     }
-}
 
-/// A device whose flange moves along x by the position of its joint.
-trait AxisMap: fmt::Debug + Send + Sync {
-    fn joint_limits(&self) -> &Limits;
-    fn motor_limits(&self) -> &Limits;
-    /// Motor position at home, rad.
-    fn motor_at_home(&self) -> f64;
     /// Motor position, rad, for a position of the joint, m. Both are checked against their limits.
-    fn motor(&self, joint: f64) -> Result<f64, KinematicsError>;
+    fn motor(&self, joint: f64) -> Result<f64, KinematicsError> {
+        match &self.map {
+            AxisMap::Gripper(gripper) => {
+                within(&self.joint_limits, joint, Space::Joint)?;
+                gripper.motor(joint, self.motor_at_home)
+            }
+            AxisMap::Conveyor(ratio) => {
+                let motor = joint * ratio;
+                within(&self.motor_limits, motor, Space::Motor)?;
+                Ok(motor)
+            }
+        }
+    }
+
     /// Position of the joint, m, at a motor position, rad. No limit is checked.
-    fn joint(&self, motor: f64) -> Result<f64, KinematicsError>;
-}
-
-impl AxisMap for Gripper {
-    fn joint_limits(&self) -> &Limits {
-        &self.openings
-    }
-
-    fn motor_limits(&self) -> &Limits {
-        &self.parameters.motor_limits
-    }
-
-    fn motor_at_home(&self) -> f64 {
-        self.parameters.motor_at_home
-    }
-
-    fn motor(&self, opening: f64) -> Result<f64, KinematicsError> {
-        within(&self.openings, opening, Space::Joint)?;
-        self.parameters
-            .motor(opening, self.parameters.motor_at_home)
-    }
-
     fn joint(&self, motor: f64) -> Result<f64, KinematicsError> {
-        self.parameters.opening(motor)
+        match &self.map {
+            AxisMap::Gripper(gripper) => gripper.opening(motor),
+            AxisMap::Conveyor(ratio) => finite(motor / ratio),
+        }
     }
 }
 
-impl AxisMap for Conveyor {
-    fn joint_limits(&self) -> &Limits {
-        &Limits::CONTINUOUS
-    }
-
-    fn motor_limits(&self) -> &Limits {
-        &self.parameters.motor_limits
-    }
-
-    fn motor_at_home(&self) -> f64 {
-        self.parameters.motor_at_home
-    }
-
-    fn motor(&self, belt: f64) -> Result<f64, KinematicsError> {
-        let motor = belt * self.parameters.ratio;
-        within(&self.parameters.motor_limits, motor, Space::Motor)?;
-        Ok(motor)
-    }
-
-    fn joint(&self, motor: f64) -> Result<f64, KinematicsError> {
-        finite(motor / self.parameters.ratio)
-    }
-}
-
-impl<Device: AxisMap> Robot for Device {
+impl Robot for LinearDevice {
     fn joint_limits(&self) -> &[Limits] {
-        std::slice::from_ref(AxisMap::joint_limits(self))
+        std::slice::from_ref(&self.joint_limits)
     }
 
     fn motor_limits(&self) -> &[Limits] {
-        std::slice::from_ref(AxisMap::motor_limits(self))
+        std::slice::from_ref(&self.motor_limits)
     }
 
     fn home(&self) -> Motors {
-        Motors::from([self.motor_at_home()])
+        Motors::from([self.motor_at_home])
     }
 
     fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
@@ -307,7 +274,7 @@ impl RobotParameters for GripperParameters {
     const AXES: usize = 1;
 
     fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
-        Ok(Arc::new(Gripper::new(self)?))
+        Ok(Arc::new(LinearDevice::gripper(self)?))
     }
 
     fn with_room_at_home(mut self, motors: &[f64]) -> Self {
@@ -325,7 +292,7 @@ impl RobotParameters for ConveyorParameters {
     const AXES: usize = 1;
 
     fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
-        Ok(Arc::new(Conveyor::new(self)?))
+        Ok(Arc::new(LinearDevice::conveyor(self)?))
     }
 
     fn with_room_at_home(mut self, motors: &[f64]) -> Self {
@@ -382,7 +349,7 @@ mod tests {
 
     #[test]
     fn belt_moves_a_metre_in_2250_rad() {
-        let belt = Conveyor::new(&ConveyorParameters::belt()).unwrap();
+        let belt = LinearDevice::conveyor(&ConveyorParameters::belt()).unwrap();
         assert!((belt.motor(0.4).unwrap() - 900.0).abs() < 1e-9);
         assert!((belt.joint(900.0).unwrap() - 0.4).abs() < 1e-12);
         assert_eq!(belt.motor(f64::NAN), Err(KinematicsError::NotFinite));
@@ -390,7 +357,7 @@ mod tests {
 
     #[test]
     fn a_gripper_works_on_the_side_of_its_home() {
-        let gripper = Gripper::new(&GripperParameters::two_finger()).unwrap();
+        let gripper = LinearDevice::gripper(&GripperParameters::two_finger()).unwrap();
         let home = gripper.joints_from_motors(&gripper.home()).unwrap();
         let motors = gripper.motors_from_joints(&home).unwrap();
         assert!((motors[0] - 4830.0).abs() < 1e-6, "{motors:?}");
@@ -403,7 +370,7 @@ mod tests {
         assert_eq!(narrow.axis(), Some(0));
         let mut other = GripperParameters::two_finger();
         other.motor_at_home = 0.0;
-        let motors = Gripper::new(&other)
+        let motors = LinearDevice::gripper(&other)
             .unwrap()
             .motors_from_joints(&Joints::from([0.06]));
         assert!(motors.unwrap()[0] < 0.0);
@@ -411,7 +378,7 @@ mod tests {
 
     #[test]
     fn a_pose_off_the_way_of_the_belt_is_refused() {
-        let belt = Conveyor::new(&ConveyorParameters::belt()).unwrap();
+        let belt = LinearDevice::conveyor(&ConveyorParameters::belt()).unwrap();
         let near = Joints::from([0.0]);
         let there = belt.inverse(&Isometry3::translation(12.5, 0.0, 0.0), &near);
         assert_eq!(*there.unwrap().preferred(), Joints::from([12.5]));

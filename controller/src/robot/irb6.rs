@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ArmParameters, Jacobian, Joints, KinematicsError, Limits, Links, Mass, Motors, ParameterError,
+    ArmParameters, Jacobian, Joints, KinematicsError, Limits, Link, Mass, Motors, ParameterError,
     Robot, RobotParameters, Solutions,
     arm::{self, Facing, Posture, ROLL},
     drive_train::DriveTrain,
@@ -155,8 +155,9 @@ impl Robot for Irb6 {
             .arm
             .jacobian(&Posture::new(th1, th2, th3, th4)))
     }
-    fn links(&self) -> Option<Links> {
-        Some(Links(self.parameters.arm.links(self.joint_limits())))
+
+    fn links(&self) -> Vec<Link> {
+        self.parameters.arm.links(self.joint_limits())
     }
 }
 

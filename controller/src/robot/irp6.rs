@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::room::room;
 use super::{
-    ArmParameters, GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Links, Mass, Motors,
+    ArmParameters, GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Mass, Motors,
     ParameterError, Robot, RobotParameters, Solutions,
     arm::{self, Facing, PARALLEL, PITCH, Posture, ROLL},
     drive_train::DriveTrain,
@@ -198,12 +198,13 @@ impl Robot for Irp6 {
             .copy_from(&approach);
         Ok(jacobian)
     }
-    fn links(&self) -> Option<Links> {
+
+    fn links(&self) -> Vec<Link> {
         let limits = self.joint_limits();
         let mut links = self.arm.links(limits);
         let across = Isometry3::rotation(Vector3::x() * std::f64::consts::FRAC_PI_2);
         links.push(Link::turning("hand", across, &[(HAND, 1.0)], limits));
-        Some(Links(links))
+        links
     }
 }
 

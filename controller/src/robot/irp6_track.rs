@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::room::room;
 use super::{
     GearAxis, Irp6, Irp6Parameters, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind,
-    Links, Mass, Motors, ParameterError, Robot, RobotParameters, Solutions,
+    Mass, Motors, ParameterError, Robot, RobotParameters, Solutions,
     drive_train::DriveTrain,
     free_parameter::{self, Ring},
     parameters,
@@ -275,9 +275,9 @@ impl Robot for Irp6Track {
         Ok(jacobian)
     }
 
-    fn links(&self) -> Option<Links> {
-        let mut links = self.robot.links()?;
-        for link in &mut links.0 {
+    fn links(&self) -> Vec<Link> {
+        let mut links = self.robot.links();
+        for link in &mut links {
             link.coupling.rotate_right(1);
         }
         let mut coupling = [0.0; servo::MAX_AXES];
@@ -290,8 +290,8 @@ impl Robot for Irp6Track {
             coupling,
             limits: self.joint_limits[0],
         };
-        links.0.insert(0, track);
-        Some(links)
+        links.insert(0, track);
+        links
     }
 }
 

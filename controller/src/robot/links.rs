@@ -78,8 +78,3 @@ impl Link {
         self.parent_from_link * moved
     }
 }
-
-/// The links of a serial arm from base to flange. The last link's frame is the flange. The product of the links,
-/// each [placed](Link::placed), equals [`super::Robot::forward`].
-#[derive(Clone, Debug, PartialEq)]
-pub struct Links(pub Vec<Link>);

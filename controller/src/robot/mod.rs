@@ -1,7 +1,7 @@
 //! Robots: forward kinematics, inverse kinematics and drive trains.
 //!
 //! [`Robot`] is the contract. Its robots are [`Irb6`] (5 axes), [`Irp6`] (6), [`Irp6Track`] and [`Polycrank`] (7),
-//! and [`Rnt`] (6, serial-parallel). [`Gripper`] and [`Conveyor`] are devices of one axis with the same contract.
+//! and [`Rnt`] (6, serial-parallel). [`LinearDevice`] is a gripper or a conveyor, of one axis, with the same contract.
 //! Every call is a function of its arguments: no state, no allocation, no unbounded search. A call that a robot
 //! cannot fulfil returns a [`KinematicsError`] with the axis and both sides, never a NaN or a clamped number.
 //!
@@ -19,7 +19,7 @@
 //! | IRp-6 on its track | [`Irp6Track`] | `irp6_track.rs` | the choice of the carriage position |
 //! | Polycrank | [`Polycrank`] | `polycrank.rs`, `polycrank/cranks.rs` | endless joints, the forearm's reach |
 //! | RNT | [`Rnt`] | `rnt.rs`, `legs.rs` | closed loops of legs, by Newton's method, and a wrist |
-//! | gripper, conveyor | [`Gripper`], [`Conveyor`] | `axis_map.rs` | one motor each |
+//! | gripper, conveyor | [`LinearDevice`] | `axis_map.rs` | one motor each |
 //!
 //! Figures and every parameter with its source are in `docs/robots` of the repository. Read [`Robot`] first, then
 //! `irp6.rs` as a complete example of a robot.
@@ -59,12 +59,12 @@ use serde::{Deserialize, Serialize};
 use servo::MAX_AXES;
 use thiserror::Error;
 
-pub use axis_map::{Conveyor, ConveyorParameters, Gripper, GripperParameters};
+pub use axis_map::{ConveyorParameters, GripperParameters, LinearDevice};
 pub use drive_train::{GearAxis, ScrewAxis};
 pub use irb6::{Irb6, Irb6Parameters};
 pub use irp6::{Irp6, Irp6Parameters};
 pub use irp6_track::{Irp6Track, Irp6TrackParameters};
-pub use links::{Link, LinkKind, Links};
+pub use links::{Link, LinkKind};
 pub use parameters::{ArmParameters, ParameterError};
 pub use polycrank::{Polycrank, PolycrankParameters};
 pub use rnt::{LegAxis, Rnt, RntParameters};
@@ -157,9 +157,11 @@ pub trait Robot: fmt::Debug + Send + Sync {
         Singularity::of(&self.jacobian(joints)?, self.axes())
     }
 
-    /// The arm link by link, for description files and figures; `None` if the arm is no serial chain.
-    fn links(&self) -> Option<Links> {
-        None
+    /// The links of a serial arm from base to flange, for description files and figures; none if the robot is no
+    /// serial chain. The last link's frame is the flange. The product of the links, each [placed](Link::placed), equals
+    /// [`forward`](Self::forward).
+    fn links(&self) -> Vec<Link> {
+        Vec::new()
     }
 }
 

@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 
 use super::room::room;
 use super::{
-    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Links, Mass, Motors, ParameterError,
-    Robot, RobotParameters, Solutions,
+    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Mass, Motors, ParameterError, Robot,
+    RobotParameters, Solutions,
     arm::{self, PARALLEL},
     drive_train::{DriveTrain, TrainAxis},
     free_parameter, parameters,
@@ -356,7 +356,7 @@ impl Robot for Polycrank {
         Ok(self.cranks.jacobian(joints.exactly()?))
     }
 
-    fn links(&self) -> Option<Links> {
+    fn links(&self) -> Vec<Link> {
         let PolycrankParameters {
             upper_cranks: [a1, a2],
             upper_offsets: [d1, d2, d3],
@@ -379,7 +379,7 @@ impl Robot for Polycrank {
         let limits = self.joint_limits();
         let links = NAMES.iter().zip(frames).enumerate();
         let link = |(axis, (&name, frame))| Link::turning(name, frame, &[(axis, 1.0)], limits);
-        Some(Links(links.map(link).collect()))
+        links.map(link).collect()
     }
 }
 

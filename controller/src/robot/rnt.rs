@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::room::room;
 use super::{
-    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Links, Mass, Motors,
+    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Mass, Motors,
     ParameterError, Robot, RobotParameters, Solutions, Space,
     arm::{self, PARALLEL},
     drive_train::{self, DriveTrain, TrainAxis},
@@ -131,7 +131,7 @@ const fn wrist(range: f64) -> GearAxis {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rnt {
     parameters: RntParameters,
-    legs: Legs,
+    pub(super) legs: Legs,
     /// Drive train between the motors, and leg lengths and wrist angles.
     drive_train: DriveTrain<AXES>,
     joint_limits: [Limits; AXES],
@@ -220,11 +220,6 @@ impl Rnt {
     pub fn leg_lengths(&self, joints: &Joints) -> Result<[f64; 3], KinematicsError> {
         let &[alpha, beta, rho, ..] = joints.exactly::<AXES>()?;
         Ok(self.legs.lengths(&[alpha, beta, rho]))
-    }
-
-    #[cfg(test)]
-    pub(super) fn legs(&self) -> &Legs {
-        &self.legs
     }
 
     /// Alpha, beta and rho in the middle of their limits.
@@ -373,7 +368,7 @@ impl Robot for Rnt {
     }
 
     /// The passive central leg and the wrist. The driven legs are not part of a serial chain.
-    fn links(&self) -> Option<Links> {
+    fn links(&self) -> Vec<Link> {
         let (x, y, z) = (Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis());
         let link = |name, axis, index, offset| Link {
             axis,
@@ -389,14 +384,14 @@ impl Robot for Rnt {
                 &self.joint_limits,
             )
         };
-        Some(Links(vec![
+        vec![
             link("alpha", x, ALPHA, 0.0),
             link("beta", y, BETA, 0.0),
             link("rho", z, RHO, 0.0),
             link("roll", z, ROLL, self.parameters.wrist_offset),
             link("pitch", y, PITCH, 0.0),
             link("spin", z, SPIN, 0.0),
-        ]))
+        ]
     }
 }
 

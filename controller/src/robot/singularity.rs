@@ -1,9 +1,11 @@
 //! Distance of a posture from a singularity.
 
+use serde::Serialize;
+
 use super::{Jacobian, KinematicsError};
 
 /// Distance of a posture from a singularity, in which the flange cannot move in some direction.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Singularity {
     /// The axis that moves most while the flange moves least. Of axes within 10 % of the largest, the axis nearest to the
     /// base.

@@ -96,7 +96,10 @@ impl Weight {
         load: Mass,
         up: [f64; 3],
     ) -> Result<Self, WeightError> {
-        let links = robot.links().ok_or(WeightError::NoLinks)?.0;
+        let links = robot.links();
+        if links.is_empty() {
+            return Err(WeightError::NoLinks);
+        }
         if links.len() != masses.len() {
             return Err(WeightError::Count {
                 links: links.len(),

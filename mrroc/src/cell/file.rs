@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, anyhow};
+use anyhow::{Context, anyhow, bail};
 use controller::robot::Arm;
 use drive::cia402::Identity;
 
@@ -86,6 +86,44 @@ impl CellFile {
             None => problem.to_string(),
         };
         refusal(&self.path, &CellError::at(&self.text, key, problem))
+    }
+
+    /// Finds the axis with this name, as robot and axis: ROBOT/AXIS, or an axis name that is unique in the cell. With
+    /// `on_can`, only axes with a drive on CAN are considered, and a node-ID is a name too.
+    pub fn find_axis(&self, wanted: &str, on_can: bool) -> anyhow::Result<(usize, usize)> {
+        let robots = self.cell.robot.iter().enumerate();
+        let axes = robots.flat_map(|(number, robot)| {
+            let axes = robot.axis.iter().enumerate();
+            let axes = axes.filter(|(_, axis)| !on_can || axis.drive.is_some());
+            axes.map(move |(place, axis)| {
+                let full = format!("{}/{}", robot.name, axis.name);
+                ((number, place), full, axis)
+            })
+        });
+        let axes: Vec<_> = axes.collect();
+        let mut found = axes.iter().filter(|(_, full, axis)| {
+            let by_node = on_can && wanted.parse() == Ok(axis.node);
+            full == wanted || axis.name == wanted || by_node
+        });
+        let what = match (found.next(), found.next()) {
+            (Some((place, ..)), None) => return Ok(*place),
+            (Some(_), Some(_)) => "more than one axis is",
+            (None, _) => "no axis is",
+        };
+        if !on_can {
+            let all: Vec<_> = axes.iter().map(|(_, full, _)| full.as_str()).collect();
+            bail!("{what} called {wanted:?}; there are {}", all.join(", "));
+        }
+        if axes.is_empty() {
+            bail!("{}: the cell has no drive on CAN", self.path.display());
+        }
+        let all = axes
+            .iter()
+            .map(|(_, full, axis)| format!("{full} (node {})", axis.node));
+        bail!(
+            "{what} called {wanted:?} with a drive on CAN; there are {}",
+            all.collect::<Vec<_>>().join(", ")
+        )
     }
 
     /// Name of axis `axis` of robot `robot` in reports.

@@ -230,10 +230,9 @@ impl Track {
 
 /// Whether a joint slides. A device of one axis, which has no links, does.
 fn is_linear(arm: &Arm, joint: usize) -> bool {
-    arm.robot().links().is_none_or(|links| {
-        let mut moves = links.0.iter().filter(|link| link.coupling[joint] != 0.0);
-        moves.any(|link| link.kind == LinkKind::Prismatic)
-    })
+    let links = arm.robot().links();
+    let mut moved = links.iter().filter(|link| link.coupling[joint] != 0.0);
+    links.is_empty() || moved.any(|link| link.kind == LinkKind::Prismatic)
 }
 
 #[cfg(test)]

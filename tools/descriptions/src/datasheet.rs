@@ -45,7 +45,8 @@ mod tests {
     use super::*;
 
     fn machine(model: Model) -> Machine {
-        Machine::find(&Which::preset(model.name())).unwrap()
+        let robot = model.name().to_owned();
+        Machine::find(&Which { robot, cell: None }).unwrap()
     }
 
     #[test]

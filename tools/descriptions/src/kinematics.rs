@@ -78,57 +78,51 @@ pub enum Question {
 }
 
 impl Question {
-    /// Whether the answer is printed as one JSON object.
-    pub fn json(&self) -> bool {
+    fn common(&self) -> &Common {
         let (Self::Fk { common, .. }
         | Self::Ik { common, .. }
         | Self::Jacobian { common, .. }
         | Self::Limits { common }) = self;
-        common.json
+        common
+    }
+
+    /// Whether the answer is printed as one JSON object.
+    pub fn json(&self) -> bool {
+        self.common().json
     }
 }
 
 /// Computes the answer to a question about a robot.
 pub fn kinematics(question: &Question) -> anyhow::Result<Answer> {
-    Ok(match question {
-        Question::Fk {
-            common,
-            joints,
-            motors,
-        } => {
-            let machine = Machine::find(&common.machine)?;
+    let machine = &Machine::find(&question.common().machine)?;
+    match question {
+        Question::Fk { joints, motors, .. } => {
             let joints = match (joints, motors) {
-                (Some(joints), _) => machine.joints("--joints", joints)?,
+                (Some(joints), _) => machine.vector("--joints", joints)?,
                 (None, Some(motors)) => machine.joints_from_motors(motors)?,
                 (None, None) => bail!("neither --joints nor --motors is given"),
             };
-            Answer::forward(&machine, &joints)?
+            Answer::forward(machine, &joints)
         }
         Question::Ik {
-            common,
             position,
             quaternion,
             near,
+            ..
         } => {
-            let machine = Machine::find(&common.machine)?;
             let pose = machine::pose(position, quaternion)?;
             let near = match near {
-                Some(near) => machine.joints("--near", near)?,
-                None => machine.home()?,
+                Some(near) => machine.vector("--near", near)?,
+                None => (machine.robot).joints_from_motors(&machine.robot.home())?,
             };
             let solutions = machine.robot.inverse(&pose, &near);
             let solutions =
                 solutions.with_context(|| format!("{}: no joints for this pose", machine.name))?;
-            Answer::inverse(&machine, &solutions)
+            Ok(Answer::inverse(machine, &solutions))
         }
-        Question::Jacobian { common, joints } => {
-            let machine = Machine::find(&common.machine)?;
-            let joints = machine.joints("--joints", joints)?;
-            Answer::jacobian(&machine, &joints)?
+        Question::Jacobian { joints, .. } => {
+            Answer::jacobian(machine, &machine.vector("--joints", joints)?)
         }
-        Question::Limits { common } => {
-            let machine = Machine::find(&common.machine)?;
-            Answer::limits(&machine)
-        }
-    })
+        Question::Limits { .. } => Ok(Answer::limits(machine)),
+    }
 }

@@ -5,8 +5,7 @@
 
 use std::fmt::{self, Write as _};
 
-use anyhow::{Context as _, anyhow};
-use clap::Args;
+use anyhow::{Context as _, ensure};
 use controller::robot::{Link, LinkKind};
 use mrroc::cell::Parameters;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -18,21 +17,17 @@ const ROD: f64 = 0.03;
 /// Radius and length of the drum at a joint, m.
 const DRUM: (f64, f64) = (0.045, 0.09);
 
-/// Options of `mrroc urdf`.
-#[derive(Args)]
-pub struct Options {
-    #[command(flatten)]
-    machine: Which,
-}
-
 /// The description of a robot.
-pub fn urdf(options: &Options) -> anyhow::Result<String> {
-    let machine = Machine::find(&options.machine)?;
+pub fn urdf(which: &Which) -> anyhow::Result<String> {
+    let machine = Machine::find(which)?;
     let links = machine.robot.links();
-    let links = links
-        .ok_or_else(|| anyhow!("{}: no serial arm, and no description of one", machine.name))?;
+    ensure!(
+        !links.is_empty(),
+        "{}: no serial arm, and no description of one",
+        machine.name
+    );
     let mut text = String::new();
-    write(&mut text, &machine, &links.0).context("the description cannot be written")?;
+    write(&mut text, &machine, &links).context("the description cannot be written")?;
     Ok(text)
 }
 

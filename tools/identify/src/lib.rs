@@ -139,7 +139,7 @@ enum At {
 pub fn identify(options: &Options) -> anyhow::Result<ExitCode> {
     signals::block_suspension()?;
     let file = CellFile::read(&options.cell)?;
-    let place = find(&file, &options.axis)?;
+    let place = file.find_axis(&options.axis, false)?;
     let mut config = setup::servo_config(&file);
     let axis = &mut config.effectors[place.0].axes[place.1];
     let by_drive = axis.position_loop == PositionLoop::Drive;
@@ -254,37 +254,6 @@ fn write([mut chart, mut table]: [File; 2], report: &IdentifyReport) -> anyhow::
     written.context("bode.svg cannot be written")?;
     let written = table.write_all(report.csv().as_bytes());
     written.context("bode.csv cannot be written")
-}
-
-/// Finds the axis with this name: ROBOT/AXIS, or an axis name that is unique in the cell.
-fn find(file: &CellFile, wanted: &str) -> anyhow::Result<(usize, usize)> {
-    let robots = file.cell.robot.iter().enumerate();
-    let axes = robots.flat_map(|(robot, value)| {
-        let axes = value.axis.iter().enumerate();
-        axes.map(move |(axis, it)| {
-            let full = format!("{}/{}", value.name, it.name);
-            ((robot, axis), full, it.name.as_str())
-        })
-    });
-    let axes: Vec<_> = axes.collect();
-    let mut found = axes
-        .iter()
-        .filter(|(_, full, name)| full == wanted || *name == wanted);
-    match (found.next(), found.next()) {
-        (Some(&(place, ..)), None) => Ok(place),
-        (first, _) => {
-            let what = if first.is_some() {
-                "more than one"
-            } else {
-                "no"
-            };
-            let all: Vec<_> = axes.iter().map(|(_, full, _)| full.as_str()).collect();
-            bail!(
-                "{what} axis is called {wanted:?}; there are {}",
-                all.join(", ")
-            )
-        }
-    }
 }
 
 /// Number of cycles in one period of the excitation, in whole macrosteps.

@@ -100,7 +100,15 @@ impl IdentifyReport {
             bandwidth_hz: bandwidth,
             peak_db: (!open).then(|| 20.0 * peak.log10()),
             coherence: judged.map(|it| it.coherence).fold(1.0, f64::min),
-            points: points.iter().map(PointReport::of).collect(),
+            points: points
+                .iter()
+                .map(|point| PointReport {
+                    frequency_hz: point.frequency,
+                    magnitude: point.magnitude,
+                    phase_deg: point.phase.to_degrees(),
+                    coherence: point.coherence,
+                })
+                .collect(),
         }
     }
 
@@ -136,17 +144,6 @@ impl IdentifyReport {
             }
             _ if self.open_loop => "no crossover between these frequencies".into(),
             _ => format!("less than 3 dB lost at these frequencies, {peak:.1} dB more at most"),
-        }
-    }
-}
-
-impl PointReport {
-    fn of(point: &Point) -> Self {
-        Self {
-            frequency_hz: point.frequency,
-            magnitude: point.magnitude,
-            phase_deg: point.phase.to_degrees(),
-            coherence: point.coherence,
         }
     }
 }

@@ -3,9 +3,11 @@
 use anyhow::anyhow;
 use rtrb::Consumer;
 use servo::identify::{Run, Trace};
-use servo::{EffectorLink, Order, Phase, Record, ServoAxisConfig, ServoFault};
+use servo::{EffectorLink, Order, Phase, Record, ServoAxisConfig};
 
 use super::{Unmeasured, direct};
+
+const UNFINISHED: &str = "stopped before it was measured";
 
 /// Orders of one measurement: enable, home if allowed, and move. Also collects the recorded samples.
 pub(super) struct Session {
@@ -15,26 +17,22 @@ pub(super) struct Session {
     records: Consumer<Record>,
     /// Whether homing is allowed.
     homes: bool,
-    /// Whether the robot was homed.
-    homed: bool,
     trace: Trace,
     stage: Stage,
+    /// Result of the measurement when it is over.
+    outcome: Option<Result<(), Unmeasured>>,
     /// Number of the next macrostep.
     next: u64,
     /// Configuration of the axis with its limits.
     config: ServoAxisConfig,
 }
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Copy, PartialEq)]
 enum Stage {
     Begin,
     Enabling,
     Homing,
     Moving,
-    Done,
-    Refused(String),
-    Faulted(ServoFault),
-    Stopped,
 }
 
 impl Session {
@@ -52,17 +50,16 @@ impl Session {
             link,
             records,
             homes,
-            homed: false,
             trace: Trace::default(),
             stage: Stage::Begin,
+            outcome: None,
             next: 1,
             config,
         }
     }
 
     pub(super) fn is_over(&self) -> bool {
-        use Stage::{Done, Faulted, Refused, Stopped};
-        matches!(self.stage, Done | Refused(_) | Faulted(_) | Stopped)
+        self.outcome.is_some()
     }
 
     /// Gives the orders that are due.
@@ -81,18 +78,17 @@ impl Session {
                 continue;
             }
             if let Some(fault) = report.fault {
-                self.stage = Stage::Faulted(fault);
+                self.stop(fault.cause.to_string());
                 continue;
             }
-            match (&self.stage, report.phase) {
+            match (self.stage, report.phase) {
                 (Stage::Enabling, Phase::Standing) if !report.homed && self.homes => {
                     self.order(Order::Home);
-                    self.homed = true;
                     self.stage = Stage::Homing;
                 }
                 (Stage::Enabling, Phase::Standing) if !report.homed => {
-                    self.stage =
-                        Stage::Refused("the robot is not homed: run the cell first".into());
+                    let why = anyhow!("the robot is not homed: run the cell first");
+                    self.outcome = Some(Err(Unmeasured::Refused(why)));
                 }
                 (Stage::Enabling | Stage::Homing, Phase::Standing) if report.homed => {
                     self.begin(report.commanded);
@@ -101,15 +97,15 @@ impl Session {
                     if self.run.macrostep(self.next).is_none()
                         && report.macrostep == self.run.macrosteps() =>
                 {
-                    self.stage = Stage::Done;
+                    self.outcome = Some(Ok(()));
                 }
                 (Stage::Enabling | Stage::Homing | Stage::Moving, Phase::Off) => {
-                    self.stage = Stage::Stopped;
+                    self.stop(UNFINISHED.into());
                 }
                 _ => {}
             }
         }
-        if self.stage == Stage::Moving {
+        if self.stage == Stage::Moving && !self.is_over() {
             while self.link.orders.slots() > 2
                 && let Some(macrostep) = self.run.macrostep(self.next)
             {
@@ -127,8 +123,15 @@ impl Session {
                 self.run.velocity = velocity;
                 self.stage = Stage::Moving;
             }
-            Err(why) => self.stage = Stage::Refused(why),
+            // Homing has moved the axis.
+            Err(why) if self.stage == Stage::Homing => self.stop(why),
+            Err(why) => self.outcome = Some(Err(Unmeasured::Refused(anyhow!(why)))),
         }
+    }
+
+    /// Ends a measurement that was broken off.
+    fn stop(&mut self, why: String) {
+        self.outcome = Some(Err(Unmeasured::Stopped(why)));
     }
 
     fn order(&mut self, order: Order) {
@@ -138,12 +141,9 @@ impl Session {
     /// Returns the run and the recorded samples.
     pub(super) fn finish(mut self) -> Result<(Run, Trace), Unmeasured> {
         self.poll();
-        Err(match self.stage {
-            Stage::Done => return Ok((self.run, self.trace)),
-            Stage::Refused(why) if !self.homed => Unmeasured::Refused(anyhow!(why)),
-            Stage::Refused(why) => Unmeasured::Stopped(why),
-            Stage::Faulted(fault) => Unmeasured::Stopped(fault.cause.to_string()),
-            _ => Unmeasured::Stopped("stopped before it was measured".into()),
-        })
+        match self.outcome {
+            Some(outcome) => outcome.map(|()| (self.run, self.trace)),
+            None => Err(Unmeasured::Stopped(UNFINISHED.into())),
+        }
     }
 }

@@ -6,7 +6,7 @@ use super::*;
 use crate::robot::{Arm, Link, LinkKind, Mass, Weight};
 
 /// The linear joints, each mounted on the previous joint.
-pub(super) fn links() -> Links {
+pub(super) fn links() -> Vec<Link> {
     let axes = [Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis()];
     let slide = |(joint, axis): (usize, nalgebra::UnitVector3<f64>)| Link {
         name: "slide",
@@ -16,7 +16,7 @@ pub(super) fn links() -> Links {
         coupling: std::array::from_fn(|factor| f64::from(u8::from(factor == joint))),
         limits: RANGE[joint],
     };
-    Links(axes.into_iter().enumerate().map(slide).collect())
+    axes.into_iter().enumerate().map(slide).collect()
 }
 
 /// The gantry on its side: the slide behind the lever lifts itself, the next slide and the load.

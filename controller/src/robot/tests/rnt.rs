@@ -83,15 +83,15 @@ fn legs_close_within_six_steps_all_over_the_workspace() {
     for _ in 0..20_000 {
         let joints = random.joints(&robot);
         let posture = [joints[0], joints[1], joints[2]];
-        let lengths = robot.legs().lengths(&posture);
-        let found = robot.legs().close(&lengths, &[0.0, 0.0, 0.95]).unwrap();
+        let lengths = robot.legs.lengths(&posture);
+        let found = robot.legs.close(&lengths, &[0.0, 0.0, 0.95]).unwrap();
         assert!(
             largest_difference(&found.posture, &posture) < 1e-12,
             "{joints:?} {found:?}"
         );
         most = most.max(found.steps);
         let near = posture.map(|value| value + random.within(-0.01, 0.01));
-        warm = warm.max(robot.legs().close(&lengths, &near).unwrap().steps);
+        warm = warm.max(robot.legs.close(&lengths, &near).unwrap().steps);
 
         let motors = robot.motors_from_joints(&joints).unwrap();
         let back = robot.joints_from_motors(&motors).unwrap();
@@ -110,7 +110,7 @@ fn legs_have_a_firm_hold_all_over_the_workspace() {
     let mut worst: f64 = 0.0;
     for _ in 0..5_000 {
         let joints = random.joints(&robot);
-        let (jacobian, _) = robot.legs().jacobian(&[joints[0], joints[1], joints[2]]);
+        let (jacobian, _) = robot.legs.jacobian(&[joints[0], joints[1], joints[2]]);
         let values = jacobian.singular_values();
         worst = worst.max(values.max() / values.min());
     }
@@ -235,7 +235,7 @@ fn legs_that_cannot_close_are_named_with_what_they_miss() {
     }
     // Lengths outside the range of the legs, but possible for the mechanism: a measured position is converted.
     for rho in [0.45, 1.6] {
-        let lengths = robot.legs().lengths(&[0.7, -0.7, rho]);
+        let lengths = robot.legs.lengths(&[0.7, -0.7, rho]);
         let joints = robot.joints_from_motors(&motors(lengths)).unwrap();
         assert!(
             largest_difference(&joints[..3], &[0.7, -0.7, rho]) < 1e-9,

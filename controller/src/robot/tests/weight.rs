@@ -122,7 +122,7 @@ fn masses_of_no_such_robot_are_refused() {
         Weight::new(&robot, &Mass::IRP6[..5], Mass::default(), UP),
         Err(count)
     );
-    let belt = Conveyor::new(&ConveyorParameters::belt()).unwrap();
+    let belt = LinearDevice::conveyor(&ConveyorParameters::belt()).unwrap();
     assert_eq!(
         Weight::new(&belt, &[], Mass::default(), UP),
         Err(WeightError::NoLinks)

@@ -42,7 +42,7 @@ pub(super) fn gripper(gripper: &GripperParameters) -> String {
         svg.text([right - 8.0, y - 6.0], "end", "fill=\"#b35c10\"", &said);
     }
     let value = |motor: f64| (gripper.square * motor + gripper.linear) * motor + gripper.constant;
-    let points: Vec<Point> = (0..=140)
+    let points: Vec<_> = (0..=140)
         .map(|step| motors.low + (motors.high - motors.low) * f64::from(step) / 140.0)
         .map(|motor| [x(motor), y(value(motor))])
         .collect();
@@ -84,14 +84,14 @@ pub(super) fn conveyor(conveyor: &ConveyorParameters) -> String {
                 y + radius * angle.sin(),
             ]
         });
-        let arc: Vec<Point> = arc.collect();
+        let arc: Vec<_> = arc.collect();
         svg.path(&arc, &curve("#8a939e", 7.0));
         svg.circle([roller, y], radius - 6.0, BODY);
         svg.circle([roller, y], 3.0, "fill=\"#222\"");
     }
     let above = y - 84.0;
     svg.line([380.0, above], [566.0, above], &stroke(ACCENT, 2.0));
-    svg.arrowhead([576.0, above], [1.0, 0.0], 11.0, ACCENT);
+    svg.arrowhead([576.0, above], Point::x(), 11.0, ACCENT);
     let style = "font-weight=\"bold\" fill=\"#111\"";
     svg.text([478.0, y - 96.0], "middle", style, "belt position, m");
     svg.line([220.0, y + 40.0], [220.0, y + 104.0], CENTRE);

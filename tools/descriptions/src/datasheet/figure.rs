@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 
 use super::ink::{self, Sheet};
 use super::posture::{LEAST, Stand, stands};
-use super::svg::{NOTE, Point, Svg, TITLE, ahead, between, distance, unit};
+use super::svg::{NOTE, Point, Svg, TITLE, unit};
 use crate::kinematics::Machine;
 
 const WIDTH: f64 = 960.0;
@@ -64,7 +64,7 @@ pub(crate) enum Part {
 
 /// Figure of one or two views. `symbols` are the names of the joints in the formulas.
 pub(crate) fn figure(machine: &Machine, symbols: &[&str], views: &[View; 2]) -> String {
-    let links = machine.robot.links().map_or_else(Vec::new, |links| links.0);
+    let links = machine.robot.links();
     let mut svg = Svg::open([WIDTH, HEIGHT]);
     let title = format!("{}: geometry in mm", machine.name);
     svg.text([LEFT[0], 34.0], "start", TITLE, &title);
@@ -191,7 +191,7 @@ fn panel(
 /// Positions of the joint symbols. Joints seen along their axes come first, because their symbols cannot be moved
 /// aside.
 fn places(sheet: &Sheet, stands: &[Stand]) -> Vec<Point> {
-    let mut places = vec![[f64::INFINITY; 2]; stands.len()];
+    let mut places = vec![Point::repeat(f64::INFINITY); stands.len()];
     for seen_along in [true, false] {
         for (number, stand) in stands.iter().enumerate() {
             if sheet.is_seen_along(&stand.axis) == seen_along {
@@ -211,17 +211,17 @@ fn place(sheet: &Sheet, stand: &Stand, [first, last]: [bool; 2], taken: &[Point]
     let on_way = stand.way.last().and_then(|[from, to]| {
         let along = (to - from).normalize().dot(&stand.axis).abs() > 0.99;
         let [a, b] = [from, to].map(|end| sheet.at(*end));
-        let long = (to - from).norm() > LEAST && distance(a, b) > 30.0;
+        let long = (to - from).norm() > LEAST && (b - a).norm() > 30.0;
         let share = if first { 0.65 } else { 0.5 };
-        (along && long).then(|| ahead(a, share, between(a, b)))
+        (along && long).then(|| a + (b - a) * share)
     });
     let is_free = |place: &Point| {
-        let near = |other: &Point| distance(*place, *other) < 27.0;
+        let near = |other: &Point| (other - place).norm() < 27.0;
         !taken.iter().any(near)
     };
     // Symbols are moved towards the base, and the symbol of the last joint towards the flange.
     let towards = unit(sheet.direction(if last { stand.axis } else { -stand.axis }));
-    let beside = [30.0, -30.0, 56.0, -56.0].map(|away| ahead(own, away, towards));
+    let beside = [30.0, -30.0, 56.0, -56.0].map(|away| own + towards * away);
     let seen_along = sheet.is_seen_along(&stand.axis);
     let aside = beside.into_iter().filter(|_| !seen_along);
     let mut places = on_way.into_iter().chain([own]).chain(aside);

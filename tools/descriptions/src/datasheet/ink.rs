@@ -3,7 +3,7 @@
 use controller::robot::LinkKind;
 use nalgebra::{Isometry3, Vector3};
 
-use super::svg::{NOTE, Point, Svg, ahead, around, between, curve, distance, stroke, unit};
+use super::svg::{NOTE, Point, Svg, across, around, curve, stroke, unit};
 use super::symbols::{ACCENT, BODY, DASHED};
 
 pub(super) const SECONDARY: &str = "fill=\"#666\"";
@@ -39,7 +39,7 @@ impl<'a> Sheet<'a> {
         svg: &'a mut Svg,
         [right, up]: [Vector3<f64>; 2],
         seen: &[Vector3<f64>],
-        corner: Point,
+        corner: [f64; 2],
         size: [f64; 2],
     ) -> Self {
         const MARGIN: f64 = 62.0;
@@ -58,26 +58,22 @@ impl<'a> Sheet<'a> {
             svg,
             right,
             up,
-            origin: [
+            origin: Point::new(
                 corner[0] + size[0] / 2.0 - middle(across),
                 corner[1] + size[1] / 2.0 + middle(upwards),
-            ],
+            ),
             scale,
             taken: Vec::new(),
         }
     }
 
     pub(super) fn at(&self, point: Vector3<f64>) -> Point {
-        let [x, y] = self.direction(point);
-        [self.origin[0] + x, self.origin[1] + y]
+        self.origin + self.direction(point)
     }
 
     /// Direction on the sheet; zero if the direction is parallel to the line of sight.
     pub(super) fn direction(&self, direction: Vector3<f64>) -> Point {
-        [
-            direction.dot(&self.right) * self.scale,
-            -direction.dot(&self.up) * self.scale,
-        ]
+        Point::new(direction.dot(&self.right), -direction.dot(&self.up)) * self.scale
     }
 
     /// Direction towards the viewer.
@@ -96,36 +92,34 @@ impl<'a> Sheet<'a> {
     }
 
     fn occupy_line(&mut self, from: Point, to: Point) {
-        let steps = (distance(from, to) / 5.0).ceil().max(1.0);
+        let steps = ((to - from).norm() / 5.0).ceil().max(1.0);
         let places = (0..=steps as u32).map(|step| f64::from(step) / steps);
-        let line = between(from, to);
         self.taken
-            .extend(places.map(|share| ahead(from, share, line)));
+            .extend(places.map(|share| from + (to - from) * share));
     }
 
     /// Marks a square as an obstacle for texts.
-    pub(super) fn block(&mut self, [x, y]: Point, half: f64) {
-        for [dx, dy] in [
-            [-half, -half],
-            [half, -half],
-            [half, half],
-            [-half, half],
-            [0.0; 2],
-        ] {
-            self.taken.push([x + dx, y + dy]);
+    pub(super) fn block(&mut self, at: Point, half: f64) {
+        let corners = [
+            (-1.0, -1.0),
+            (1.0, -1.0),
+            (1.0, 1.0),
+            (-1.0, 1.0),
+            (0.0, 0.0),
+        ];
+        let corners = corners.map(|(x, y)| at + Point::new(x, y) * half);
+        self.taken.extend(corners);
+        for side in [Point::x() * half, Point::y() * half] {
+            self.occupy_line(at - side, at + side);
         }
-        self.occupy_line([x - half, y], [x + half, y]);
-        self.occupy_line([x, y - half], [x, y + half]);
     }
 
     /// Number of obstacle points that a text centred at this position would cover.
-    fn crowd(&self, [x, y]: Point, said: &str, size: f64) -> usize {
-        let half = [
-            0.30 * size * said.chars().count() as f64 + 3.0,
-            0.55 * size + 2.0,
-        ];
+    fn crowd(&self, at: Point, said: &str, size: f64) -> usize {
+        let wide = 0.30 * size * said.chars().count() as f64 + 3.0;
+        let high = 0.55 * size + 2.0;
         let covered =
-            |other: &&Point| (other[0] - x).abs() < half[0] && (other[1] - y).abs() < half[1];
+            |other: &&Point| (other.x - at.x).abs() < wide && (other.y - at.y).abs() < high;
         self.taken.iter().filter(covered).count()
     }
 
@@ -141,12 +135,14 @@ impl<'a> Sheet<'a> {
         let best = places
             .iter()
             .min_by_key(|place| self.crowd(**place, said, size));
-        let Some(&[x, y]) = best else { return };
+        let Some(&at) = best else { return };
         let style = format!("font-size=\"{size}\" {style} {HALO}");
-        self.svg.text([x, y + 0.36 * size], "middle", &style, said);
-        let half = 0.29 * size * said.chars().count() as f64;
-        for dy in [-0.4 * size, 0.0, 0.4 * size] {
-            self.occupy_line([x - half, y + dy], [x + half, y + dy]);
+        self.svg
+            .text(at + Point::y() * (0.36 * size), "middle", &style, said);
+        let half = Point::x() * (0.29 * size * said.chars().count() as f64);
+        for down in [-0.4 * size, 0.0, 0.4 * size] {
+            let line = at + Point::y() * down;
+            self.occupy_line(line - half, line + half);
         }
     }
 
@@ -162,18 +158,13 @@ impl<'a> Sheet<'a> {
     /// Name of an area, below or above it.
     pub(super) fn area_name(&mut self, outlines: &[Vec<Vector3<f64>>], said: &str) {
         let points = outlines.iter().flatten().map(|point| self.at(*point));
-        let (low, high) = points.fold(
-            ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]),
-            |(low, high), [x, y]| {
-                (
-                    [low[0].min(x), low[1].min(y)],
-                    [high[0].max(x), high[1].max(y)],
-                )
-            },
-        );
-        let middle = f64::midpoint(low[0], high[0]);
-        let heights = [high[1] + 14.0, low[1] - 12.0, high[1] + 28.0, low[1] - 26.0];
-        let places = heights.map(|height| [middle, height]);
+        let nothing = [f64::INFINITY, f64::NEG_INFINITY].map(Point::repeat);
+        let [low, high] = points.fold(nothing, |[low, high], point| {
+            [low.inf(&point), high.sup(&point)]
+        });
+        let middle = f64::midpoint(low.x, high.x);
+        let heights = [high.y + 14.0, low.y - 12.0, high.y + 28.0, low.y - 26.0];
+        let places = heights.map(|height| Point::new(middle, height));
         self.text(places, 12.0, "fill=\"#4a86c5\"", said);
     }
 
@@ -184,9 +175,8 @@ impl<'a> Sheet<'a> {
             return;
         }
         let down = unit(self.direction(-Vector3::z()));
-        let across = [-down[1], down[0]];
-        let origin = self.origin;
-        let place = |along: f64, deep: f64| ahead(ahead(origin, along, across), deep, down);
+        let (origin, across) = (self.origin, across(down));
+        let place = |along: f64, deep: f64| origin + across * along + down * deep;
         let top = [place(-44.0, depth), place(44.0, depth)];
         self.svg.line(place(0.0, 0.0), place(0.0, depth), LINK);
         self.svg.line(top[0], top[1], &stroke("#222", 2.0));
@@ -196,12 +186,12 @@ impl<'a> Sheet<'a> {
             self.svg.line(place(from, depth), to, &stroke("#222", 1.0));
         }
         self.occupy_line(top[0], top[1]);
-        self.occupy_line(self.origin, ahead(self.origin, depth, down));
+        self.occupy_line(origin, place(0.0, depth));
     }
 
     pub(super) fn link(&mut self, from: Vector3<f64>, to: Vector3<f64>) {
         let [from, to] = [from, to].map(|end| self.at(end));
-        if distance(from, to) > 1.0 {
+        if (to - from).norm() > 1.0 {
             self.svg.line(from, to, LINK);
         }
     }
@@ -219,9 +209,8 @@ impl<'a> Sheet<'a> {
             for end in [from, to] {
                 self.svg.circle(end, 4.5, BODY);
             }
-            let along = between(from, to);
-            let middle = ahead(from, 0.45, along);
-            self.svg.drum(middle, unit(along), [22.0, 6.0]);
+            let along = to - from;
+            self.svg.drum(from + along * 0.45, unit(along), [22.0, 6.0]);
         }
     }
 
@@ -232,13 +221,12 @@ impl<'a> Sheet<'a> {
         let seen_along = self.is_seen_along(&axis);
         if kind == LinkKind::Prismatic {
             if seen_along {
-                self.svg.drum(at, [1.0, 0.0], [10.0, 10.0]);
+                self.svg.drum(at, Point::x(), [10.0, 10.0]);
                 self.svg.pole(at, towards > 0.0);
             } else {
                 self.svg.drum(at, along, [20.0, 10.0]);
-                let tip = ahead(at, 15.0, along);
-                let tail = ahead(at, -13.0, along);
-                self.svg.line(tail, tip, &stroke(ACCENT, 2.0));
+                let tip = at + along * 15.0;
+                self.svg.line(at - along * 13.0, tip, &stroke(ACCENT, 2.0));
                 self.svg.arrowhead(tip, along, 9.0, ACCENT);
             }
         } else if seen_along {
@@ -258,13 +246,14 @@ impl<'a> Sheet<'a> {
             return;
         }
         let [zero, now] = [zero, now].map(|direction| {
-            let [x, y] = self.direction(direction);
-            y.atan2(x)
+            let seen = self.direction(direction);
+            seen.y.atan2(seen.x)
         });
         // On the sheet y points down. A rotation about an axis towards the viewer therefore reduces the angle on the
         // sheet.
         let sense = -axis.dot(&self.viewer()).signum();
-        let end = [at[0] + 56.0 * zero.cos(), at[1] + 56.0 * zero.sin()];
+        let place = |radius: f64, angle: f64| at + Point::new(angle.cos(), angle.sin()) * radius;
+        let end = place(56.0, zero);
         self.svg.line(at, end, DASHED);
         self.occupy_line(at, end);
         let mut swept = now - zero;
@@ -272,8 +261,7 @@ impl<'a> Sheet<'a> {
         let arc = |radius: f64, from: f64, sweep: f64| -> Vec<Point> {
             let steps = 24;
             let angle = move |step: i32| from + sweep * f64::from(step) / f64::from(steps);
-            let place = |angle: f64| [at[0] + radius * angle.cos(), at[1] + radius * angle.sin()];
-            (0..=steps).map(angle).map(place).collect()
+            (0..=steps).map(|step| place(radius, angle(step))).collect()
         };
         if swept.abs() > 0.05 {
             let points = arc(40.0, zero, swept);
@@ -300,14 +288,14 @@ impl<'a> Sheet<'a> {
     pub(super) fn dimension(&mut self, ends: [Vector3<f64>; 2], said: &str) -> bool {
         let length = (ends[1] - ends[0]).norm() * self.scale;
         let [from, to] = ends.map(|end| self.at(end));
-        let (along, seen) = (between(from, to), distance(from, to));
+        let (along, seen) = (to - from, (to - from).norm());
         if seen < 9.0 || seen < 0.999 * length {
             return false;
         }
         let (along, size) = (unit(along), 12.0);
-        let across = [-along[1], along[0]];
-        let beside = |offset: f64, end: Point| ahead(end, offset, across);
-        let middle = [0, 1].map(|side| f64::midpoint(from[side], to[side]));
+        let across = across(along);
+        let beside = |offset: f64, end: Point| end + across * offset;
+        let middle = (from + to) / 2.0;
         let offsets = [30.0, -30.0, 48.0, -48.0, 66.0, -66.0, 84.0, -84.0];
         // A text wider than its line is placed farther away.
         let wide = 0.6 * size * said.chars().count() as f64 > seen - 4.0;
@@ -316,10 +304,8 @@ impl<'a> Sheet<'a> {
             beside(offset + further, middle)
         };
         let crowd = |offset: &f64| {
-            let seen_from = |end: Point, other: Point| {
-                let apart = between(end, other);
-                [along, across].map(|axis| apart[0] * axis[0] + apart[1] * axis[1])
-            };
+            let seen_from =
+                |end: Point, other: Point| [along, across].map(|axis| axis.dot(&(other - end)));
             let on_line = |other: &&Point| {
                 let [x, y] = seen_from(middle, **other);
                 x.abs() < seen / 2.0 && (y - offset).abs() < 7.0
@@ -345,8 +331,7 @@ impl<'a> Sheet<'a> {
         }
         self.svg.line(a, b, THIN);
         self.svg.arrowhead(b, along, 7.0, "#6b747e");
-        self.svg
-            .arrowhead(a, along.map(|part| -part), 7.0, "#6b747e");
+        self.svg.arrowhead(a, -along, 7.0, "#6b747e");
         self.occupy_line(a, b);
         self.text([place(offset)], size, "fill=\"#222\"", said);
         true
@@ -363,15 +348,11 @@ impl<'a> Sheet<'a> {
                 continue;
             }
             let direction = self.direction(axis);
-            let tip = ahead(
-                origin,
-                1.0,
-                direction.map(|part| part / self.scale * LENGTH),
-            );
+            let tip = origin + direction / self.scale * LENGTH;
             self.svg.line(origin, tip, &stroke(colour, 2.0));
             self.svg.arrowhead(tip, direction, 9.0, colour);
             self.occupy_line(origin, tip);
-            let beyond = ahead(tip, 9.0, unit(direction));
+            let beyond = tip + unit(direction) * 9.0;
             self.text([beyond], 13.0, &format!("fill=\"{colour}\""), name);
         }
     }
@@ -385,7 +366,7 @@ impl<'a> Sheet<'a> {
     }
 
     /// Scale bar of 200 mm.
-    pub(super) fn scale(&mut self, [x, y]: Point) {
+    pub(super) fn scale(&mut self, [x, y]: [f64; 2]) {
         let end = x + 0.2 * self.scale;
         let [low, middle, high] = [y + 4.0, y, y - 4.0];
         self.svg.path(

@@ -61,7 +61,8 @@ pub(crate) fn stands(links: &[Link], all: &Joints) -> Vec<Stand> {
     stands
 }
 
-fn frames(links: &[Link], joints: &Joints) -> Vec<Isometry3<f64>> {
+/// Frame of each link in the base frame.
+pub(crate) fn frames(links: &[Link], joints: &Joints) -> Vec<Isometry3<f64>> {
     let mut base = Isometry3::identity();
     let mut placed = |link: &Link| {
         base *= link.placed(joints);

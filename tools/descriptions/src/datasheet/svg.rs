@@ -3,8 +3,10 @@
 use std::f64::consts::FRAC_PI_4;
 use std::fmt::Write as _;
 
+use nalgebra::Vector2;
+
 /// A point or a direction on the sheet.
-pub(super) type Point = [f64; 2];
+pub(super) type Point = Vector2<f64>;
 
 /// Style of a title.
 pub(super) const TITLE: &str = "font-size=\"19\" fill=\"#111\"";
@@ -40,7 +42,8 @@ impl Svg {
     }
 
     /// Adds a text; `anchor` is the SVG attribute text-anchor.
-    pub(super) fn text(&mut self, [x, y]: Point, anchor: &str, style: &str, said: &str) {
+    pub(super) fn text(&mut self, at: impl Into<[f64; 2]>, anchor: &str, style: &str, said: &str) {
+        let [x, y] = at.into();
         let said = said.replace('&', "&amp;").replace('<', "&lt;");
         let _ = writeln!(
             self.0,
@@ -48,12 +51,12 @@ impl Svg {
         );
     }
 
-    pub(super) fn line(&mut self, from: Point, to: Point, style: &str) {
-        self.path(&[from, to], style);
+    pub(super) fn line(&mut self, from: impl Into<[f64; 2]>, to: impl Into<[f64; 2]>, style: &str) {
+        self.path(&[from.into(), to.into()], style);
     }
 
     /// Adds a line through points, or an area if `style` fills it.
-    pub(super) fn path(&mut self, points: &[Point], style: &str) {
+    pub(super) fn path(&mut self, points: &[impl Copy + Into<[f64; 2]>], style: &str) {
         let way = way(points);
         let _ = writeln!(self.0, "<path d=\"{way}\" {style}/>");
     }
@@ -65,11 +68,13 @@ impl Svg {
     }
 
     pub(super) fn polygon(&mut self, corners: [Point; 4], style: &str) {
-        let corners = corners.map(|[x, y]| format!("{x:.1},{y:.1} ")).concat();
+        let corners = corners.map(|at| format!("{:.1},{:.1} ", at.x, at.y));
+        let corners = corners.concat();
         let _ = writeln!(self.0, "<polygon points=\"{corners}\" {style}/>");
     }
 
-    pub(super) fn circle(&mut self, [x, y]: Point, radius: f64, style: &str) {
+    pub(super) fn circle(&mut self, at: impl Into<[f64; 2]>, radius: f64, style: &str) {
+        let [x, y] = at.into();
         let _ = writeln!(
             self.0,
             "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius:.1}\" {style}/>"
@@ -77,57 +82,43 @@ impl Svg {
     }
 
     /// Adds an arrowhead with its tip at `tip`. The arrow points along `direction`, which may have any length.
-    pub(super) fn arrowhead(&mut self, tip: Point, direction: Point, size: f64, colour: &str) {
-        let along = unit(direction);
-        let back = |side: f64| {
-            [
-                tip[0] - size * (along[0] - 0.38 * side * along[1]),
-                tip[1] - size * (along[1] + 0.38 * side * along[0]),
-            ]
-        };
+    pub(super) fn arrowhead(
+        &mut self,
+        tip: impl Into<Point>,
+        direction: Point,
+        size: f64,
+        colour: &str,
+    ) {
+        let (tip, along) = (tip.into(), unit(direction));
+        let back = |side: f64| tip - (along + across(along) * (0.38 * side)) * size;
         let corners = [tip, back(1.0), back(-1.0), tip];
         self.path(&corners, &format!("fill=\"{colour}\""));
     }
 }
 
-fn way(points: &[Point]) -> String {
+fn way(points: &[impl Copy + Into<[f64; 2]>]) -> String {
     let mut way = String::new();
-    for (number, [x, y]) in points.iter().enumerate() {
+    for (number, &point) in points.iter().enumerate() {
+        let [x, y] = point.into();
         let _ = write!(way, "{}{x:.1} {y:.1}", if number == 0 { 'M' } else { 'L' });
     }
     way
 }
 
 /// Unit vector; a vector of length zero yields the direction to the right.
-pub(super) fn unit([x, y]: Point) -> Point {
-    let length = x.hypot(y);
-    if length > 0.0 {
-        [x / length, y / length]
-    } else {
-        [1.0, 0.0]
-    }
+pub(super) fn unit(direction: Point) -> Point {
+    direction.try_normalize(0.0).unwrap_or_else(Point::x)
 }
 
-/// Vector between two points.
-pub(super) fn between(from: Point, to: Point) -> Point {
-    [to[0] - from[0], to[1] - from[1]]
-}
-
-/// Distance of two points.
-pub(super) fn distance(from: Point, to: Point) -> f64 {
-    let [x, y] = between(from, to);
-    x.hypot(y)
-}
-
-/// The point at `distance` times `along` from `from`.
-pub(super) fn ahead(from: Point, distance: f64, along: Point) -> Point {
-    [0, 1].map(|side| from[side] + distance * along[side])
+/// The direction to the right of another.
+pub(super) fn across(along: Point) -> Point {
+    Point::new(-along.y, along.x)
 }
 
 /// Points around another in the directions of these eighths of a turn. `stretch` widens the circle.
 pub(super) fn around(at: Point, radius: f64, stretch: f64, eighths: [i32; 8]) -> [Point; 8] {
     eighths.map(|eighth| {
         let (sin, cos) = (FRAC_PI_4 * f64::from(eighth)).sin_cos();
-        [at[0] + stretch * radius * cos, at[1] - radius * sin]
+        at + Point::new(stretch * radius * cos, -radius * sin)
     })
 }

@@ -1,6 +1,6 @@
 //! Joint symbols of the figures: circles, rectangles and arrows, and their legend.
 
-use super::svg::{NOTE, Point, Svg, ahead, between, curve, stroke, unit};
+use super::svg::{NOTE, Point, Svg, across, curve, stroke, unit};
 
 pub(super) const DASHED: &str = "stroke=\"#1666c0\" stroke-width=\"1\" stroke-dasharray=\"4 3\"";
 pub(super) const BODY: &str = "fill=\"#fff\" stroke=\"#222\" stroke-width=\"2\"";
@@ -10,8 +10,8 @@ pub(super) const CENTRE: &str = "stroke=\"#222\" stroke-width=\"1\" stroke-dasha
 
 impl Svg {
     /// Draws the legend of the symbols.
-    pub(super) fn legend(&mut self, [x, y]: Point) {
-        let right = [1.0, 0.0];
+    pub(super) fn legend(&mut self, [x, y]: [f64; 2]) {
+        let right = Point::x();
         let accent = stroke(ACCENT, 2.0);
         for (place, towards) in [(x + 11.0, true), (x + 204.0, false)] {
             self.circle([place, y], 9.0, BODY);
@@ -22,10 +22,10 @@ impl Svg {
         };
         say(self, 28.0, "axis towards the viewer");
         say(self, 221.0, "axis away");
-        self.axis_line([x + 322.0, y], right);
-        self.drum([x + 322.0, y], right, [13.0, 8.0]);
+        self.axis_line(Point::new(x + 322.0, y), right);
+        self.drum(Point::new(x + 322.0, y), right, [13.0, 8.0]);
         say(self, 356.0, "axis in the page");
-        self.drum([x + 486.0, y], right, [20.0, 8.0]);
+        self.drum(Point::new(x + 486.0, y), right, [20.0, 8.0]);
         self.line([x + 473.0, y], [x + 498.0, y], &accent);
         self.arrowhead([x + 502.0, y], right, 8.0, ACCENT);
         say(self, 514.0, "slides");
@@ -37,8 +37,9 @@ impl Svg {
     }
 
     /// Axis along the line of sight: a dot for an axis towards the viewer, a cross for an axis away from the viewer.
-    pub(super) fn pole(&mut self, [x, y]: Point, towards: bool) {
+    pub(super) fn pole(&mut self, at: impl Into<[f64; 2]>, towards: bool) {
         const COLOUR: &str = "#222";
+        let [x, y] = at.into();
         if towards {
             return self.circle([x, y], 2.8, &format!("fill=\"{COLOUR}\""));
         }
@@ -53,26 +54,22 @@ impl Svg {
 
     /// Rectangle centred at `at`, parallel to `along`. Its dimensions are half the length and half the width, px.
     pub(super) fn drum(&mut self, at: Point, along: Point, [long, wide]: [f64; 2]) {
-        let corners = [(-long, -wide), (long, -wide), (long, wide), (-long, wide)].map(|(a, b)| {
-            [
-                at[0] + a * along[0] - b * along[1],
-                at[1] + a * along[1] + b * along[0],
-            ]
-        });
+        let corners = [(-long, -wide), (long, -wide), (long, wide), (-long, wide)]
+            .map(|(a, b)| at + along * a + across(along) * b);
         self.polygon(corners, &format!("{BODY} stroke-linejoin=\"round\""));
     }
 
     pub(super) fn axis_line(&mut self, at: Point, along: Point) {
-        self.line(ahead(at, -26.0, along), ahead(at, 26.0, along), CENTRE);
+        self.line(at - along * 26.0, at + along * 26.0, CENTRE);
     }
 
     /// Arrow of positive rotation about an axis in the plane of the sheet, drawn on the near side of the axis.
     pub(super) fn turn_about(&mut self, at: Point, along: Point) {
         // The near side moves to the right of the axis direction. `across` points there, since y points down.
-        let across = [-along[1], along[0]];
+        let across = across(along);
         let point = |step: i32| {
             let (sin, cos) = (std::f64::consts::PI * (f64::from(step) / 16.0)).sin_cos();
-            ahead(ahead(at, -16.0 * cos, across), 17.0 - 5.0 * sin, along)
+            at - across * (16.0 * cos) + along * (17.0 - 5.0 * sin)
         };
         let points: Vec<_> = (0..=16).map(point).collect();
         self.turn(&points, 3.0);
@@ -82,8 +79,8 @@ impl Svg {
     pub(super) fn turn(&mut self, points: &[Point], beyond: f64) {
         self.path(points, &curve(ACCENT, 2.0));
         if let Some(&[before, tip]) = points.last_chunk() {
-            let onwards = between(before, tip);
-            self.arrowhead(ahead(tip, beyond, unit(onwards)), onwards, 9.0, ACCENT);
+            let onwards = tip - before;
+            self.arrowhead(tip + unit(onwards) * beyond, onwards, 9.0, ACCENT);
         }
     }
 }

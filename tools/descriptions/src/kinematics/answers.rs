@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use controller::robot::{Joints, KinematicsError, Limits, Solutions, Space};
+use controller::robot::{Joints, KinematicsError, Limits, Link, Singularity, Solutions, Space};
 use serde::Serialize;
 
 use super::Machine;
@@ -25,10 +25,42 @@ pub struct Answer {
 #[derive(Serialize)]
 #[serde(untagged)]
 enum Values {
-    Forward(Forward),
-    Inverse(Inverse),
-    Jacobian(Jacobian),
-    Limits(Ranges),
+    /// Position and orientation of the flange.
+    Forward {
+        joints: Vec<f64>,
+        /// Origin of the flange in the base frame, m.
+        position: [f64; 3],
+        /// Rotation matrix `base_from_flange`, row by row.
+        rotation: [[f64; 3]; 3],
+        /// The same rotation as a quaternion w, x, y, z.
+        quaternion: [f64; 4],
+        /// Motor positions, rad; for the RNT, the first three are leg lengths, m. Null if a joint, motor or leg is
+        /// beyond its limit.
+        motors: Option<Vec<f64>>,
+        /// All motor positions, rad, of a robot whose `motors` contains leg lengths.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        motor_angles: Option<Vec<f64>>,
+        /// Position of each joint, rad or m, by its link's name in the URDF of the robot.
+        #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+        links: BTreeMap<&'static str, f64>,
+    },
+    Inverse {
+        /// Joint positions of each solution, rad or m, the nearest to `--near` first.
+        solutions: Vec<Vec<f64>>,
+    },
+    Jacobian {
+        /// Three rows for linear and three for angular velocity; one column per joint.
+        jacobian: [Vec<f64>; 6],
+        singularity: Singularity,
+    },
+    Limits {
+        joints: Vec<Limits>,
+        /// Motor ranges, rad; for the RNT, the first three are ranges of leg lengths, m.
+        motors: Vec<Limits>,
+        /// All motor ranges, rad, of a robot whose `motors` contains leg lengths.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        motor_angles: Option<Vec<Limits>>,
+    },
 }
 
 impl Answer {
@@ -39,42 +71,7 @@ impl Answer {
             notes: machine.caution.map(str::to_owned).into_iter().collect(),
         }
     }
-}
 
-impl fmt::Display for Answer {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match &self.values {
-            Values::Forward(answer) => answer.fmt(f),
-            Values::Inverse(answer) => answer.fmt(f),
-            Values::Jacobian(answer) => answer.fmt(f),
-            Values::Limits(answer) => answer.fmt(f),
-        }?;
-        self.notes.iter().try_for_each(|note| writeln!(f, "{note}"))
-    }
-}
-
-/// Position and orientation of the flange.
-#[derive(Serialize)]
-struct Forward {
-    joints: Vec<f64>,
-    /// Origin of the flange in the base frame, m.
-    position: [f64; 3],
-    /// Rotation matrix `base_from_flange`, row by row.
-    rotation: [[f64; 3]; 3],
-    /// The same rotation as a quaternion w, x, y, z.
-    quaternion: [f64; 4],
-    /// Motor positions, rad; for the RNT, the first three are leg lengths, m. Null if a joint, motor or leg is beyond
-    /// its limit.
-    motors: Option<Vec<f64>>,
-    /// All motor positions, rad, of a robot whose `motors` contains leg lengths.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    motor_angles: Option<Vec<f64>>,
-    /// Position of each joint, rad or m, by its link's name in the URDF of the robot.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    links: BTreeMap<&'static str, f64>,
-}
-
-impl Answer {
     /// Pose of the flange at these joints.
     pub(super) fn forward(machine: &Machine, joints: &Joints) -> anyhow::Result<Self> {
         let pose = machine.robot.forward(joints)?;
@@ -103,13 +100,13 @@ impl Answer {
             }
             motors
         });
-        let links = machine.robot.links().map_or_else(Vec::new, |links| links.0);
-        let position = |link: &controller::robot::Link| {
+        let links = machine.robot.links();
+        let position = |link: &Link| {
             let terms = joints.iter().zip(link.coupling);
             (link.name, terms.map(|(joint, factor)| factor * joint).sum())
         };
         let q = pose.rotation;
-        let values = Forward {
+        let values = Values::Forward {
             joints: joints.to_vec(),
             position: pose.translation.vector.into(),
             rotation: std::array::from_fn(|row| {
@@ -120,7 +117,7 @@ impl Answer {
             motor_angles: angles.filter(|_| lengths.is_some()),
             links: links.iter().map(position).collect(),
         };
-        let mut answer = Self::of(machine, Values::Forward(values));
+        let mut answer = Self::of(machine, values);
         answer.notes.extend(notes);
         Ok(answer)
     }
@@ -128,28 +125,22 @@ impl Answer {
     /// Joint positions for a pose, the solution nearest to `--near` first.
     pub(super) fn inverse(machine: &Machine, solutions: &Solutions) -> Self {
         let solutions = solutions.iter().map(|joints| joints.to_vec()).collect();
-        Self::of(machine, Values::Inverse(Inverse { solutions }))
+        Self::of(machine, Values::Inverse { solutions })
     }
 
     /// Jacobian and distance from a singularity at these joints.
     pub(super) fn jacobian(machine: &Machine, joints: &Joints) -> anyhow::Result<Self> {
         let jacobian = machine.robot.jacobian(joints)?;
-        let near = machine.robot.singularity(joints)?;
         let columns = 0..machine.robot.axes();
-        let values = |row| {
-            columns
-                .clone()
-                .map(|column| jacobian[(row, column)])
-                .collect()
+        let row = |row| {
+            let columns = columns.clone();
+            columns.map(|column| jacobian[(row, column)]).collect()
         };
-        let jacobian = Jacobian {
-            jacobian: std::array::from_fn(values),
-            singularity: Singularity {
-                axis: near.axis,
-                margin: near.margin,
-            },
+        let values = Values::Jacobian {
+            jacobian: std::array::from_fn(row),
+            singularity: machine.robot.singularity(joints)?,
         };
-        Ok(Self::of(machine, Values::Jacobian(jacobian)))
+        Ok(Self::of(machine, values))
     }
 
     /// Permitted ranges of joints and motors.
@@ -160,108 +151,81 @@ impl Answer {
         if let Some(legs) = legs {
             motors[..3].copy_from_slice(&legs);
         }
-        let ranges = Ranges {
+        let values = Values::Limits {
             joints: machine.robot.joint_limits().to_vec(),
             motors,
             motor_angles: legs.map(|_| angles),
         };
-        Self::of(machine, Values::Limits(ranges))
+        Self::of(machine, values)
     }
 }
 
-impl fmt::Display for Forward {
+impl fmt::Display for Answer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "joints      {}", row(&self.joints))?;
-        writeln!(f, "position    {} m", row(&self.position))?;
-        for (number, values) in self.rotation.iter().enumerate() {
-            let name = if number == 0 { "rotation" } else { "" };
-            writeln!(f, "{name:<11} {}", row(values))?;
-        }
-        writeln!(f, "quaternion  {} (w x y z)", row(&self.quaternion))?;
-        if let Some(motors) = &self.motors {
-            match &self.motor_angles {
-                Some(angles) => {
+        match &self.values {
+            Values::Forward {
+                joints,
+                position,
+                rotation,
+                quaternion,
+                motors,
+                motor_angles,
+                ..
+            } => {
+                writeln!(f, "joints      {}", row(joints))?;
+                writeln!(f, "position    {} m", row(position))?;
+                for (number, values) in rotation.iter().enumerate() {
+                    let name = if number == 0 { "rotation" } else { "" };
+                    writeln!(f, "{name:<11} {}", row(values))?;
+                }
+                writeln!(f, "quaternion  {} (w x y z)", row(quaternion))?;
+                if let (Some(motors), Some(_)) = (motors, motor_angles) {
                     writeln!(f, "legs        {} m", row(&motors[..3]))?;
+                }
+                if let Some(angles) = motor_angles.as_ref().or(motors.as_ref()) {
                     writeln!(f, "motors      {} rad", row(angles))?;
                 }
-                None => writeln!(f, "motors      {} rad", row(motors))?,
             }
-        }
-        Ok(())
-    }
-}
-
-#[derive(Serialize)]
-struct Inverse {
-    /// Joint positions of each solution, rad or m, the nearest to `--near` first.
-    solutions: Vec<Vec<f64>>,
-}
-
-impl fmt::Display for Inverse {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut solutions = self.solutions.iter();
-        solutions.try_for_each(|solution| writeln!(f, "joints      {}", row(solution)))
-    }
-}
-
-#[derive(Serialize)]
-struct Jacobian {
-    /// Three rows for linear and three for angular velocity; one column per joint.
-    jacobian: [Vec<f64>; 6],
-    /// Distance from a singularity.
-    singularity: Singularity,
-}
-
-#[derive(Serialize)]
-struct Singularity {
-    /// Axis, counted from 0, that moves most while the flange moves least.
-    axis: u8,
-    /// Smallest singular value of the Jacobian.
-    margin: f64,
-}
-
-impl fmt::Display for Jacobian {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let names = ["vx", "vy", "vz", "wx", "wy", "wz"];
-        for (name, values) in names.into_iter().zip(&self.jacobian) {
-            writeln!(f, "{name}          {}", row(values))?;
-        }
-        let Singularity { axis, margin } = self.singularity;
-        writeln!(f, "smallest singular value {margin:.9}, of axis {axis}")
-    }
-}
-
-#[derive(Serialize)]
-struct Ranges {
-    joints: Vec<Limits>,
-    /// Motor ranges, rad; for the RNT, the first three are ranges of leg lengths, m.
-    motors: Vec<Limits>,
-    /// All motor ranges, rad, of a robot whose `motors` contains leg lengths.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    motor_angles: Option<Vec<Limits>>,
-}
-
-impl fmt::Display for Ranges {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut list = |what: &str, unit: &str, limits: &[Limits]| {
-            let mut numbered = limits.iter().enumerate();
-            numbered.try_for_each(|(axis, limits)| {
-                let what = format!("{what} {axis}");
-                if limits.is_continuous() {
-                    return writeln!(f, "{what:<11} without end");
+            Values::Inverse { solutions } => {
+                for solution in solutions {
+                    writeln!(f, "joints      {}", row(solution))?;
                 }
-                writeln!(f, "{what:<11} {} {unit}", row(&[limits.low, limits.high]))
-            })
-        };
-        list("joint", "", &self.joints)?;
-        match &self.motor_angles {
-            Some(angles) => {
-                list("leg", "m", &self.motors[..3])?;
-                list("motor", "rad", angles)
             }
-            None => list("motor", "rad", &self.motors),
+            Values::Jacobian {
+                jacobian,
+                singularity: Singularity { axis, margin },
+            } => {
+                let names = ["vx", "vy", "vz", "wx", "wy", "wz"];
+                for (name, values) in names.into_iter().zip(jacobian) {
+                    writeln!(f, "{name}          {}", row(values))?;
+                }
+                writeln!(f, "smallest singular value {margin:.9}, of axis {axis}")?;
+            }
+            Values::Limits {
+                joints,
+                motors,
+                motor_angles,
+            } => {
+                ranges(f, "joint", "", joints)?;
+                if motor_angles.is_some() {
+                    ranges(f, "leg", "m", &motors[..3])?;
+                }
+                ranges(f, "motor", "rad", motor_angles.as_ref().unwrap_or(motors))?;
+            }
         }
+        self.notes.iter().try_for_each(|note| writeln!(f, "{note}"))
     }
+}
+
+/// Writes one line per range.
+fn ranges(f: &mut fmt::Formatter<'_>, what: &str, unit: &str, limits: &[Limits]) -> fmt::Result {
+    limits.iter().enumerate().try_for_each(|(axis, limits)| {
+        let what = format!("{what} {axis}");
+        if limits.is_continuous() {
+            return writeln!(f, "{what:<11} without end");
+        }
+        writeln!(f, "{what:<11} {} {unit}", row(&[limits.low, limits.high]))
+    })
 }
 
 /// Formats values in columns of equal width.

@@ -5,9 +5,7 @@ use std::sync::Arc;
 
 use anyhow::{Context as _, anyhow, ensure};
 use clap::Args;
-use controller::robot::{
-    Joints, Limits, Motors, ParameterError, Rnt, RntParameters, Robot, Vector,
-};
+use controller::robot::{Joints, Limits, Motors, Rnt, RntParameters, Robot, Vector};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use crate::robots::described;
@@ -21,21 +19,10 @@ const NORM: f64 = 0.01;
 pub struct Which {
     /// The model of the robot, such as irp6-track. With --cell, the name of the robot in the cell.
     #[arg(long)]
-    robot: String,
+    pub(crate) robot: String,
     /// A cell file. Its robot may have parameters of its own.
     #[arg(long)]
-    cell: Option<PathBuf>,
-}
-
-impl Which {
-    #[cfg(test)]
-    /// Machine of a robot model.
-    pub fn preset(name: &str) -> Self {
-        Self {
-            robot: name.into(),
-            cell: None,
-        }
-    }
+    pub(crate) cell: Option<PathBuf>,
 }
 
 /// A robot with its name and parameters.
@@ -46,8 +33,6 @@ pub struct Machine {
     pub robot: Arc<dyn Robot>,
     /// Parameters of the robot.
     pub parameters: Parameters,
-    /// The RNT and its parameters, if the robot is one: a robot with legs.
-    rnt: Option<(RntParameters, Rnt)>,
     /// Warning about the numbers.
     pub caution: Option<&'static str>,
 }
@@ -69,64 +54,54 @@ impl Machine {
                 found.parameters.unwrap_or_else(|| model.parameters())
             }
         };
-        Ok(Self::new(robot.clone(), parameters)?)
-    }
-
-    fn new(name: String, parameters: Parameters) -> Result<Self, ParameterError> {
         Ok(Self {
-            name,
+            name: robot.clone(),
             robot: parameters.kinematics()?,
-            rnt: match &parameters {
-                Parameters::Rnt(numbers) => Some((*numbers, Rnt::new(numbers)?)),
-                _ => None,
-            },
             caution: described(&parameters).caution,
             parameters,
         })
-    }
-
-    /// Parses a list of joint positions.
-    pub(super) fn joints(&self, option: &str, list: &str) -> anyhow::Result<Joints> {
-        self.vector(option, list)
     }
 
     /// Joint positions from a list of motor positions. The first three motors of the RNT are given by their leg
     /// lengths.
     pub(super) fn joints_from_motors(&self, list: &str) -> anyhow::Result<Joints> {
         let mut motors: Motors = self.vector("--motors", list)?;
-        if let Some((parameters, _)) = &self.rnt {
-            for (motor, leg) in motors.iter_mut().zip(&parameters.legs) {
-                *motor = leg.motor(*motor);
-            }
+        for (motor, leg) in motors
+            .iter_mut()
+            .zip(self.rnt().iter().flat_map(|rnt| &rnt.legs))
+        {
+            *motor = leg.motor(*motor);
         }
         let joints = self.robot.joints_from_motors(&motors);
         joints.with_context(|| format!("{}: no joints at these motors", self.name))
     }
 
-    /// Joint positions at home.
-    pub(super) fn home(&self) -> anyhow::Result<Joints> {
-        Ok(self.robot.joints_from_motors(&self.robot.home())?)
+    /// Parameters of the RNT, the robot with legs; `None` for any other robot.
+    fn rnt(&self) -> Option<&RntParameters> {
+        match &self.parameters {
+            Parameters::Rnt(parameters) => Some(parameters),
+            _ => None,
+        }
     }
 
     /// Leg lengths at these joint positions, m; `None` for a robot without legs.
     pub(super) fn leg_lengths(&self, joints: &Joints) -> anyhow::Result<Option<[f64; 3]>> {
-        let rnt = self.rnt.as_ref();
-        Ok(rnt.map(|(_, rnt)| rnt.leg_lengths(joints)).transpose()?)
+        let lengths = |rnt| anyhow::Ok(Rnt::new(rnt)?.leg_lengths(joints)?);
+        self.rnt().map(lengths).transpose()
     }
 
     /// Ranges of the leg lengths, m; `None` for a robot without legs.
     pub(super) fn leg_limits(&self) -> Option<[Limits; 3]> {
-        let (parameters, _) = self.rnt.as_ref()?;
-        Some(parameters.legs.map(|leg| leg.length_limits))
+        Some(self.rnt()?.legs.map(|leg| leg.length_limits))
     }
 
     /// Ends of each leg on the base and on the platform, m; `None` for a robot without legs.
     pub fn leg_ends(&self) -> Option<[[Vector3<f64>; 2]; 3]> {
-        let (parameters, _) = self.rnt.as_ref()?;
-        Some(parameters.leg_ends())
+        Some(self.rnt()?.leg_ends())
     }
 
-    fn vector<Space>(&self, option: &str, text: &str) -> anyhow::Result<Vector<Space>> {
+    /// Parses a list of positions, one per axis.
+    pub(super) fn vector<Space>(&self, option: &str, text: &str) -> anyhow::Result<Vector<Space>> {
         let numbers = list(option, text)?;
         let (given, axes) = (numbers.len(), self.robot.axes());
         let vector = Vector::new(&numbers).filter(|_| given == axes);

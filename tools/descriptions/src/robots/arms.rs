@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use super::{Described, Description, Drawing};
 use crate::datasheet::drives::{gear, geared, screw, signed};
 use crate::datasheet::figure::{Other, Part, View};
-use crate::datasheet::posture::{from_degrees, outline, range, sector};
+use crate::datasheet::posture::{frames, from_degrees, outline, range, sector};
 use crate::datasheet::tables::{BY_DRIVE, Row, Tag, WUT, WUT_TRACK, row};
 use crate::kinematics::Machine;
 
@@ -176,17 +176,8 @@ fn arm(machine: &Machine, degrees: &[f64]) -> [View; 2] {
     let on_track = degrees.len() == 7;
     let column = usize::from(on_track);
     let joints = from_degrees(degrees);
-    let links = machine.robot.links().map_or_else(Vec::new, |links| links.0);
-    let pitch_axis = |joints: &Joints| {
-        let placed = links
-            .iter()
-            .take(column + 4)
-            .map(|link| link.placed(joints));
-        placed
-            .fold(nalgebra::Isometry3::identity(), |base, link| base * link)
-            .translation
-            .vector
-    };
+    let links = machine.robot.links();
+    let pitch_axis = |joints: &Joints| frames(&links, joints)[column + 3].translation.vector;
     let area = outline(machine, &joints, [column + 1, column + 2], pitch_axis);
     let radii = area
         .iter()

@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use super::{Described, Description, Drawing};
 use crate::datasheet::drives::{drive, gear, length_at_home, range as span, signed};
 use crate::datasheet::figure::{Other, Part, View};
-use crate::datasheet::posture::{from_degrees, outline};
+use crate::datasheet::posture::{frames, from_degrees, outline};
 use crate::datasheet::tables::{Row, Tag, row};
 use crate::kinematics::Machine;
 
@@ -90,9 +90,8 @@ fn views(machine: &Machine) -> [View; 2] {
         pose.map_or_else(|_| Vector3::zeros(), |pose| pose.translation.vector)
     };
     let area = outline(machine, &joints, [1, 2], flange);
-    let links = machine.robot.links().map_or_else(Vec::new, |links| links.0);
-    let placed = links.iter().take(3).map(|link| link.placed(&joints));
-    let platform = placed.fold(nalgebra::Isometry3::identity(), |base, link| base * link);
+    let links = machine.robot.links();
+    let platform = frames(&links, &joints)[2];
     let legs = machine.leg_ends().unwrap_or_default();
     let legs = legs.map(|[base, end]| [base, (platform * nalgebra::Point3::from(end)).coords]);
     let legs_and_rings = || {

@@ -2,7 +2,7 @@
 
 use can::OpenError;
 
-use super::finding::Finding;
+use super::finding::{Finding, Verdict};
 use super::fix::{Fix, Knob};
 use super::link::Link;
 use super::tree::{Tree, cpu_list, cpu_ranges};
@@ -61,7 +61,7 @@ pub(super) fn findings(
             read: read.to_owned(),
             ..presence.clone()
         };
-        vec![absent.not_usable(mend)]
+        vec![absent.judged(Verdict::NotUsable, mend)]
     };
     let up = match opened {
         Ok(()) => true,
@@ -88,7 +88,6 @@ pub(super) fn findings(
         Err(error) => return wrong(&error.to_string(), "bus.interface in the cell".to_owned()),
     };
     let bitrate = u64::from(wanted.bitrate_kbps.unwrap_or(1000)) * 1000;
-    let fix_up = || Knob::State(name.to_owned()).to("up");
     let virtual_bus = match kind {
         Some(kind) => kind != "can",
         None => driver.is_none(),
@@ -102,29 +101,22 @@ pub(super) fn findings(
 
     let mut findings = vec![presence];
     findings.extend(frame_order(tree, &wanted.of, driver.as_deref()));
-    let state = Finding::new(
-        &wanted.of,
-        "up",
-        if up { "yes" } else { "no" },
-        "an interface that is down sends nothing",
-    );
-    findings.push(match (up, virtual_bus) {
-        (true, _) => state,
-        (false, true) => state
-            .not_usable(format!("ip link set {name} up"))
-            .fixed_by([fix_up()]),
-        (false, false) => {
-            let rate = match wanted.bitrate_kbps {
-                Some(kbps) => kbps.checked_mul(1000),
-                None => link.and_then(Link::bitrate),
-            };
-            let timing = rate.map(|rate| fix_timing(name, rate, None));
-            let fixes = timing.into_iter().flat_map(|timing| [timing, fix_up()]);
-            state
-                .not_usable(set(&format!("bitrate {bitrate} restart-ms 100")))
-                .fixed_by(fixes)
-        }
-    });
+    let fix_up = Knob::State(name.to_owned()).to("up");
+    let (mend, fixes) = if virtual_bus {
+        (format!("ip link set {name} up"), vec![fix_up])
+    } else {
+        let rate = match wanted.bitrate_kbps {
+            Some(kbps) => kbps.checked_mul(1000),
+            None => link.and_then(Link::bitrate),
+        };
+        let timing = rate.map(|rate| fix_timing(name, rate, None));
+        let fixes = timing.map_or(Vec::new(), |timing| vec![timing, fix_up]);
+        (set(&format!("bitrate {bitrate} restart-ms 100")), fixes)
+    };
+    let read = if up { "yes" } else { "no" };
+    let why = "an interface that is down sends nothing";
+    let state = Finding::new(&wanted.of, "up", read, why);
+    findings.push((state.judged(Verdict::NotUsable.when(!up), mend)).fixed_by(fixes));
     match link {
         _ if virtual_bus => {}
         None => findings.push(
@@ -134,7 +126,7 @@ pub(super) fn findings(
                 "unknown: there is no command ip, or it failed",
                 "bit rate, error counters and restart time are told through it",
             )
-            .warning("apt-get install iproute2"),
+            .judged(Verdict::Warning, "apt-get install iproute2"),
         ),
         Some(link) => {
             findings.extend(bit_timing(wanted, link, set));
@@ -163,11 +155,14 @@ fn frame_order(tree: &Tree, of: &str, driver: Option<&str>) -> Option<Finding> {
          after a newer one",
     );
     let mut numbers = release.split(['.', '-']).map(str::parse::<u32>);
-    let version = (numbers.next(), numbers.next());
-    Some(match version {
-        (Some(Ok(major)), Some(Ok(minor))) if (major, minor) >= (6, 6) => finding,
-        _ => finding.warning("a kernel of 6.6 or later, such as that of Debian 13"),
-    })
+    let ordered = matches!(
+        (numbers.next(), numbers.next()),
+        (Some(Ok(major)), Some(Ok(minor))) if (major, minor) >= (6, 6)
+    );
+    Some(finding.judged(
+        Verdict::Warning.when(!ordered),
+        "a kernel of 6.6 or later, such as that of Debian 13",
+    ))
 }
 
 /// Sets a bit rate, bit/s, and a sample point, as a share of the bit time.
@@ -198,10 +193,8 @@ fn bit_timing(wanted: &Wanted, link: &Link, set: impl Fn(&str) -> String) -> Vec
         (rate, _) => rate.is_some(),
     };
     let fix = wanted.map(|wanted| fix_timing(name, wanted, None));
-    let mut findings = vec![match agrees {
-        true => finding,
-        false => finding.not_usable(mend).fixed_by(fix),
-    }];
+    let verdict = Verdict::NotUsable.when(!agrees);
+    let mut findings = vec![finding.judged(verdict, mend).fixed_by(fix)];
     if let (Some(rate), Some(point)) = (bitrate, link.sample_point()) {
         let finding = Finding::new(
             of,
@@ -210,14 +203,11 @@ fn bit_timing(wanted: &Wanted, link: &Link, set: impl Fn(&str) -> String) -> Vec
             "nodes that sample much earlier or later than 87.5 % (CiA 301) disagree about bits on a long bus; \
              75 % is usual at 1 Mbit/s",
         );
-        findings.push(if (0.70..=0.90).contains(&point) {
-            finding
-        } else {
-            let mend = set(&format!("bitrate {rate} sample-point 0.875"));
-            // A wrong bit rate is set first. The kernel then chooses the sample point for the new bit rate.
-            let fix = agrees.then(|| fix_timing(name, rate, Some(0.875)));
-            finding.warning(mend).fixed_by(fix)
-        });
+        let verdict = Verdict::Warning.when(!(0.70..=0.90).contains(&point));
+        let mend = set(&format!("bitrate {rate} sample-point 0.875"));
+        // A wrong bit rate is set first. The kernel then chooses the sample point for the new bit rate.
+        let fix = agrees.then(|| fix_timing(name, rate, Some(0.875)));
+        findings.push(finding.judged(verdict, mend).fixed_by(fix));
     }
     findings
 }
@@ -242,27 +232,21 @@ fn errors(of: &str, up: bool, link: &Link) -> Option<Finding> {
     let cabling =
         "the cable, its two terminators, and the drives' supply; then `ip link set` down and up";
     let counting = counters.is_some_and(|counters| counters.tx > 0 || counters.rx > 0);
-    Some(match state {
-        "BUS-OFF" | "STOPPED" | "SLEEPING" => finding.not_usable(cabling),
-        "ERROR-ACTIVE" if !counting && statistics.bus_off == 0 => finding,
-        _ => finding.warning(cabling),
-    })
+    let verdict = match state {
+        "BUS-OFF" | "STOPPED" | "SLEEPING" => Verdict::NotUsable,
+        "ERROR-ACTIVE" if !counting && statistics.bus_off == 0 => Verdict::Ok,
+        _ => Verdict::Warning,
+    };
+    Some(finding.judged(verdict, cabling))
 }
 
 fn restart(wanted: &Wanted, link: &Link, set: impl Fn(&str) -> String) -> Finding {
     let after = link.info.controller.restart_ms;
-    let finding = Finding::new(
-        &wanted.of,
-        "restart-ms",
-        after.to_string(),
-        "after bus-off the card stays silent until it is restarted; 0 leaves that to a person",
-    );
-    match after {
-        0 => finding
-            .warning(set("restart-ms 100"))
-            .fixed_by([Knob::RestartMs(wanted.interface.clone()).to("100")]),
-        _ => finding,
-    }
+    let why =
+        "after bus-off the card stays silent until it is restarted; 0 leaves that to a person";
+    Finding::new(&wanted.of, "restart-ms", after.to_string(), why)
+        .judged(Verdict::Warning.when(after == 0), set("restart-ms 100"))
+        .fixed_by([Knob::RestartMs(wanted.interface.clone()).to("100")])
 }
 
 fn queue(tree: &Tree, wanted: &Wanted, link: Option<&Link>, virtual_bus: bool) -> Option<Finding> {
@@ -283,14 +267,11 @@ fn queue(tree: &Tree, wanted: &Wanted, link: Option<&Link>, virtual_bus: bool) -
     );
     let unqueued = discipline == "noqueue" || (virtual_bus && discipline.is_empty());
     let needed = i64::try_from(wanted.send_queue).unwrap_or(i64::MAX);
-    Some(if unqueued || (length > needed && length <= 1000) {
-        finding
-    } else {
-        let long_enough = 128.max(wanted.send_queue + 1);
-        finding
-            .warning(format!("ip link set {name} txqueuelen {long_enough}"))
-            .fixed_by([Knob::Kernel(file).to(long_enough.to_string())])
-    })
+    let fits = unqueued || (length > needed && length <= 1000);
+    let long_enough = 128.max(wanted.send_queue + 1);
+    let mend = format!("ip link set {name} txqueuelen {long_enough}");
+    let finding = finding.judged(Verdict::Warning.when(!fits), mend);
+    Some(finding.fixed_by([Knob::Kernel(file).to(long_enough.to_string())]))
 }
 
 /// Finding about the CPUs that serve the interrupt of the card, or of the USB host controller of the adapter.
@@ -318,28 +299,21 @@ fn interrupt(tree: &Tree, wanted: &Wanted) -> Option<Finding> {
         format!("{} on CPU {}", numbers.join(", "), cpus.join(", ")),
         "interrupts on the servo's CPU delay its cycle, unless they are the only ones there on purpose",
     );
-    let elsewhere = wanted
-        .servo_cpu
-        .is_none_or(|servo| !cpus.iter().any(|list| cpu_list(list).contains(&servo)));
-    let only = wanted
-        .servo_cpu
-        .is_some_and(|servo| cpus.iter().all(|list| cpu_list(list).iter().eq([&servo])));
-    Some(if elsewhere || only {
-        finding
-    } else {
-        let list: Vec<_> = numbers
-            .iter()
-            .map(|number| format!("/proc/irq/{number}/smp_affinity_list"))
-            .collect();
-        let online = tree.text("/sys/devices/system/cpu/online");
-        let mut others = cpu_list(&online.unwrap_or_default());
-        others.retain(|cpu| Some(*cpu) != wanted.servo_cpu);
-        let mend = format!("echo another CPU > {}", list.join(" "));
-        let elsewhere = list.into_iter().filter(|_| !others.is_empty());
-        finding
-            .warning(mend)
-            .fixed_by(elsewhere.map(|file| Knob::Kernel(file).to(cpu_ranges(&others))))
-    })
+    let delays = wanted.servo_cpu.is_some_and(|servo| {
+        let mut lists = cpus.iter().map(|list| cpu_list(list));
+        let only = lists.clone().all(|list| list.iter().eq([&servo]));
+        !only && lists.any(|list| list.contains(&servo))
+    });
+    let list = numbers.iter();
+    let list = list.map(|number| format!("/proc/irq/{number}/smp_affinity_list"));
+    let list: Vec<_> = list.collect();
+    let online = tree.text("/sys/devices/system/cpu/online");
+    let mut others = cpu_list(&online.unwrap_or_default());
+    others.retain(|cpu| Some(*cpu) != wanted.servo_cpu);
+    let mend = format!("echo another CPU > {}", list.join(" "));
+    let elsewhere = list.into_iter().filter(|_| !others.is_empty());
+    let finding = finding.judged(Verdict::Warning.when(delays), mend);
+    Some(finding.fixed_by(elsewhere.map(|file| Knob::Kernel(file).to(cpu_ranges(&others)))))
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use mrroc::cell::{Policy, Realtime};
 use servo::thread::Denial;
 
-use super::finding::Finding;
+use super::finding::{Finding, Verdict};
 use super::fix::Knob;
 use super::limits::{Identity, denied};
 use super::tree::{Tree, cpu_list, field};
@@ -48,7 +48,12 @@ fn governors(tree: &Tree, online: &BTreeSet<usize>) -> Finding {
         .map(|(governor, _)| governor.as_str())
         .collect();
     let named: Vec<_> = named.into_iter().collect();
-    let finding = Finding::new(
+    let slow = files
+        .iter()
+        .filter(|(governor, _)| governor != "performance");
+    let fixes = slow.map(|(_, file)| Knob::Kernel(file.clone()).to("performance"));
+    let fixes: Vec<_> = fixes.collect();
+    Finding::new(
         OF,
         "governor",
         if named.is_empty() {
@@ -57,17 +62,12 @@ fn governors(tree: &Tree, online: &BTreeSet<usize>) -> Finding {
             named.join(", ")
         },
         "a processor that slowed down while it waited steps the next cycle at a fraction of its speed",
-    );
-    if named.iter().all(|&governor| governor == "performance") {
-        return finding;
-    }
-    let slow = files
-        .iter()
-        .filter(|(governor, _)| governor != "performance");
-    let fixes = slow.map(|(_, file)| Knob::Kernel(file.clone()).to("performance"));
-    finding
-        .warning("cpupower frequency-set -g performance")
-        .fixed_by(fixes)
+    )
+    .judged(
+        Verdict::Warning.when(!fixes.is_empty()),
+        "cpupower frequency-set -g performance",
+    )
+    .fixed_by(fixes)
 }
 
 /// An enabled idle state: its exit latency, µs, its name and its directory.
@@ -96,17 +96,17 @@ fn cpu_latency(writable: Option<bool>, policy: Policy) -> Finding {
         Some(false) => "/dev/cpu_dma_latency is not this user's to write",
         Some(true) => "/dev/cpu_dma_latency is writable",
     };
-    let finding = Finding::new(
+    let denial = Denial::CpuLatency { errno: EACCES };
+    Finding::new(
         OF,
         "CPU latency",
         read,
         "while a servo thread runs it keeps all processors from idle states that take time to leave",
-    );
-    if writable != Some(false) {
-        return finding;
-    }
-    let denial = Denial::CpuLatency { errno: EACCES };
-    finding.judged(denied(policy), denial.to_string())
+    )
+    .judged(
+        denied(policy).when(writable == Some(false)),
+        denial.to_string(),
+    )
 }
 
 fn idle_states(enabled: &[IdleState]) -> Finding {
@@ -115,25 +115,24 @@ fn idle_states(enabled: &[IdleState]) -> Finding {
         None => (0, "none".to_owned()),
         Some((latency, name, _)) => (*latency, format!("down to {name}, {latency} µs to leave")),
     };
-    let finding = Finding::new(
-        OF,
-        "idle states",
-        read,
-        "a processor that sleeps deeply wakes late for the next cycle, by as much as the state takes to leave",
-    );
-    if latency <= BEARABLE_US {
-        return finding;
-    }
     let deep = enabled
         .iter()
         .filter(|(latency, ..)| *latency > BEARABLE_US);
     let fixes = deep.map(|(.., directory)| Knob::Kernel(format!("{directory}/disable")).to("1"));
-    finding
-        .warning(format!(
+    Finding::new(
+        OF,
+        "idle states",
+        read,
+        "a processor that sleeps deeply wakes late for the next cycle, by as much as the state takes to leave",
+    )
+    .judged(
+        Verdict::Warning.when(latency > BEARABLE_US),
+        format!(
             "cpupower idle-set -D {BEARABLE_US}; or processor.max_cstate=1 intel_idle.max_cstate=1 on the kernel's \
              command line"
-        ))
-        .fixed_by(fixes)
+        ),
+    )
+    .fixed_by(fixes)
 }
 
 fn placement(
@@ -144,10 +143,9 @@ fn placement(
 ) -> Finding {
     let list = |cpus: &BTreeSet<usize>| {
         let cpus: Vec<_> = cpus.iter().map(usize::to_string).collect();
-        if cpus.is_empty() {
-            "none".to_owned()
-        } else {
-            cpus.join(",")
+        match cpus.join(",") {
+            none if none.is_empty() => "none".to_owned(),
+            cpus => cpus,
         }
     };
     let pinned = realtime.cpu;
@@ -162,23 +160,29 @@ fn placement(
         ),
         "on an isolated CPU nothing but the servo thread runs; on any other it waits for the kernel's own work",
     );
-    match pinned {
-        Some(cpu) if !online.contains(&cpu) || !allowed.contains(&cpu) => finding.judged(
+    let (verdict, mend) = match pinned {
+        Some(cpu) if !online.contains(&cpu) || !allowed.contains(&cpu) => (
             denied(realtime.policy),
             format!("realtime.cpu in the cell: one of {}", list(allowed)),
         ),
-        Some(cpu) if !isolated.contains(&cpu) => finding.warning(format!(
-            "isolcpus={cpu} nohz_full={cpu} rcu_nocbs={cpu} on the kernel's command line"
-        )),
-        None if !isolated.is_empty() => finding.warning(format!(
-            "realtime.cpu in the cell: one of {}, which nobody uses otherwise",
-            list(isolated)
-        )),
-        None if online.len() < 2 => {
-            finding.warning("a second processor: everything else shares the servo's")
-        }
-        _ => finding,
-    }
+        Some(cpu) if !isolated.contains(&cpu) => (
+            Verdict::Warning,
+            format!("isolcpus={cpu} nohz_full={cpu} rcu_nocbs={cpu} on the kernel's command line"),
+        ),
+        None if !isolated.is_empty() => (
+            Verdict::Warning,
+            format!(
+                "realtime.cpu in the cell: one of {}, which nobody uses otherwise",
+                list(isolated)
+            ),
+        ),
+        None if online.len() < 2 => (
+            Verdict::Warning,
+            "a second processor: everything else shares the servo's".to_owned(),
+        ),
+        _ => return finding,
+    };
+    finding.judged(verdict, mend)
 }
 
 /// Time that a hypervisor took from the processors of this virtual machine between two readings of `/proc/stat`.
@@ -193,7 +197,7 @@ pub(super) fn steal(cpuinfo: &str, before: &str, after: &str) -> Finding {
     } else {
         "no hypervisor"
     };
-    let finding = Finding::new(
+    Finding::new(
         OF,
         "steal time",
         format!(
@@ -201,11 +205,11 @@ pub(super) fn steal(cpuinfo: &str, before: &str, after: &str) -> Finding {
             stolen_ticks(after)
         ),
         "a hypervisor stops the whole machine whenever it likes, and no setting inside can prevent that",
-    );
-    if !virtual_machine && stolen == 0 {
-        return finding;
-    }
-    finding.warning("run arms from a real machine; here only emulated ones")
+    )
+    .judged(
+        Verdict::Warning.when(virtual_machine || stolen > 0),
+        "run arms from a real machine; here only emulated ones",
+    )
 }
 
 /// The eighth number of the first line of `/proc/stat` (proc(5)), in ticks of 10 ms of all processors.

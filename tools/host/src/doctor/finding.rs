@@ -16,6 +16,13 @@ pub(super) enum Verdict {
     NotUsable,
 }
 
+impl Verdict {
+    /// This verdict if the property is `wrong`, otherwise [`Ok`](Self::Ok).
+    pub(super) fn when(self, wrong: bool) -> Self {
+        if wrong { self } else { Self::Ok }
+    }
+}
+
 /// One property of the host and its consequence.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Finding {
@@ -36,8 +43,7 @@ pub(super) struct Finding {
 }
 
 impl Finding {
-    /// A finding with verdict [`Verdict::Ok`]; [`warning`](Self::warning) and [`not_usable`](Self::not_usable) change
-    /// the verdict.
+    /// A finding with verdict [`Verdict::Ok`]; [`judged`](Self::judged) changes the verdict.
     pub(super) fn new(
         of: &str,
         what: &'static str,
@@ -55,31 +61,18 @@ impl Finding {
         }
     }
 
-    /// Adds the changes that `--fix` makes.
-    pub(super) fn fixed_by(self, fixes: impl IntoIterator<Item = Fix>) -> Self {
-        Self {
-            fixes: fixes.into_iter().collect(),
-            ..self
+    /// Sets the verdict, and the correction that any verdict but [`Verdict::Ok`] asks for.
+    pub(super) fn judged(mut self, verdict: Verdict, mend: impl Into<String>) -> Self {
+        self.verdict = verdict;
+        self.mend = (verdict != Verdict::Ok).then(|| mend.into());
+        self
+    }
+
+    /// Adds the changes that `--fix` makes if a correction is needed.
+    pub(super) fn fixed_by(mut self, fixes: impl IntoIterator<Item = Fix>) -> Self {
+        if self.verdict != Verdict::Ok {
+            self.fixes.extend(fixes);
         }
-    }
-
-    /// Changes the verdict to a warning.
-    pub(super) fn warning(self, mend: impl Into<String>) -> Self {
-        self.judged(Verdict::Warning, mend)
-    }
-
-    /// Changes the verdict to not usable.
-    pub(super) fn not_usable(self, mend: impl Into<String>) -> Self {
-        self.judged(Verdict::NotUsable, mend)
-    }
-
-    /// Changes the verdict to `verdict`, which is not [`Verdict::Ok`].
-    pub(super) fn judged(self, verdict: Verdict, mend: impl Into<String>) -> Self {
-        let mend = Some(mend.into());
-        Self {
-            verdict,
-            mend,
-            ..self
-        }
+        self
     }
 }

@@ -1,6 +1,6 @@
 //! Kernel: preemption of running threads, and limits on the run time of real-time threads.
 
-use super::finding::Finding;
+use super::finding::{Finding, Verdict};
 use super::fix::Knob;
 use super::tree::Tree;
 
@@ -45,17 +45,17 @@ fn preemption(version: &str, realtime: bool) -> Finding {
         .find(|word| word.starts_with("PREEMPT"))
         .unwrap_or("no preemption");
     let release = version.split_whitespace().nth(2).unwrap_or("unknown");
-    let finding = Finding::new(
+    Finding::new(
         OF,
         "preemption",
         format!("{release}, {model}"),
         "only PREEMPT_RT lets the servo thread interrupt the kernel itself; without it drivers and disk writes delay \
          a cycle by milliseconds now and then",
-    );
-    if realtime || model == "PREEMPT_RT" {
-        return finding;
-    }
-    finding.warning("apt-get install linux-image-rt-amd64, then boot it")
+    )
+    .judged(
+        Verdict::Warning.when(!realtime && model != "PREEMPT_RT"),
+        "apt-get install linux-image-rt-amd64, then boot it",
+    )
 }
 
 /// Value of an option in the configuration of the kernel; `None` if the option is not set.
@@ -68,33 +68,26 @@ fn option<'a>(config: &'a str, name: &str) -> Option<&'a str> {
 fn timers(config: Option<&str>, period_us: Option<u32>) -> Finding {
     let why = "without high-resolution timers a sleep ends at a tick, 1/HZ apart; with them HZ rounds time-outs of \
                sockets only";
+    let finding = |read| Finding::new(OF, "timers", read, why);
     let Some(config) = config else {
-        return Finding::new(
-            OF,
-            "timers",
-            "the kernel does not tell its configuration",
-            why,
-        )
-        .warning("read HZ and HIGH_RES_TIMERS where the kernel was built");
+        return finding("the kernel does not tell its configuration".to_owned()).judged(
+            Verdict::Warning,
+            "read HZ and HIGH_RES_TIMERS where the kernel was built",
+        );
     };
     let hz: Option<u32> = option(config, "CONFIG_HZ").and_then(|hz| hz.parse().ok());
     let fine = option(config, "CONFIG_HIGH_RES_TIMERS") == Some("y");
     let resolution = if fine { "high" } else { "tick" };
     let told = hz.map_or("unknown".to_owned(), |hz| hz.to_string());
-    let finding = Finding::new(
-        OF,
-        "timers",
-        format!("HZ {told}, {resolution} resolution"),
-        why,
-    );
     let tick_us = hz.filter(|&hz| hz > 0).map(|hz| 1_000_000 / hz);
     let mend = "boot a kernel with CONFIG_HIGH_RES_TIMERS=y, as Debian's are; remove highres=off from its command line";
-    match (fine, tick_us, period_us) {
-        (true, ..) => finding,
-        (false, Some(tick), Some(period)) if tick <= period / 10 => finding.warning(mend),
-        (false, _, Some(_)) => finding.not_usable(mend),
-        (false, _, None) => finding.warning(mend),
-    }
+    let verdict = match (fine, tick_us, period_us) {
+        (true, ..) => Verdict::Ok,
+        (false, Some(tick), Some(period)) if tick <= period / 10 => Verdict::Warning,
+        (false, _, Some(_)) => Verdict::NotUsable,
+        (false, _, None) => Verdict::Warning,
+    };
+    finding(format!("HZ {told}, {resolution} resolution")).judged(verdict, mend)
 }
 
 fn throttling(runtime_us: Option<i64>, period_us: Option<i64>) -> Option<Finding> {
@@ -109,13 +102,12 @@ fn throttling(runtime_us: Option<i64>, period_us: Option<i64>) -> Option<Finding
     let usual = period / 100 * 95;
     let mend = format!("sysctl -w kernel.sched_rt_runtime_us={usual}");
     let fix = Knob::Kernel(RUNTIME.to_owned()).to(usual.to_string());
-    Some(match runtime {
-        0 => finding.not_usable(mend).fixed_by([fix]),
-        1.. if runtime.saturating_mul(10) < period.saturating_mul(9) => {
-            finding.warning(mend).fixed_by([fix])
-        }
-        _ => finding,
-    })
+    let verdict = match runtime {
+        0 => Verdict::NotUsable,
+        1.. => Verdict::Warning.when(runtime.saturating_mul(10) < period.saturating_mul(9)),
+        _ => Verdict::Ok,
+    };
+    Some(finding.judged(verdict, mend).fixed_by([fix]))
 }
 
 /// Control group of this process under the CPU controller of cgroup version 1.
@@ -141,8 +133,7 @@ fn group_scheduling(
 ) -> Finding {
     let built = config.and_then(|config| option(config, "CONFIG_RT_GROUP_SCHED")) == Some("y");
     let unified = unified.filter(|_| built && group.is_none());
-    let read = match (built, group, runtime_us) {
-        _ if unified.is_some() => format!("built in, group {}", unified.unwrap_or_default()),
+    let read = match (built, group.or(unified), runtime_us) {
         (_, Some(group), Some(runtime)) => format!("group {group} has {runtime} µs"),
         (true, Some(group), None) => format!("built in, group {group}"),
         (true, None, None) => "built in, no group of the CPU controller".to_owned(),
@@ -155,15 +146,20 @@ fn group_scheduling(
         "a control group without real-time run time is denied SCHED_FIFO, whatever the limits say",
     );
     if unified.is_some() {
-        return finding.warning(
+        return finding.judged(
+            Verdict::Warning,
             "echo $$ > /sys/fs/cgroup/cgroup.procs before the start, as root; or a kernel without \
              CONFIG_RT_GROUP_SCHED, as Debian's are",
         );
     }
     match (group, runtime_us) {
-        (Some(group), Some(0)) => finding.not_usable(format!(
-            "echo 800000 > /sys/fs/cgroup/cpu{group}/cpu.rt_runtime_us, its parents first; or start from the root group"
-        )),
+        (Some(group), Some(0)) => finding.judged(
+            Verdict::NotUsable,
+            format!(
+                "echo 800000 > /sys/fs/cgroup/cpu{group}/cpu.rt_runtime_us, its parents first; or start from the root \
+                 group"
+            ),
+        ),
         _ => finding,
     }
 }

@@ -211,10 +211,11 @@ fn memory(limits: &str, identity: &Identity, policy: Policy) -> Finding {
         "memory that is not locked may be swapped out, and a page fault in a cycle takes milliseconds; locking counts \
          every page, stacks of later threads too",
     );
-    if free || limit.is_some_and(|limit| limit >= LOCKED) {
-        return finding;
-    }
-    finding.judged(denied(policy), Grant(Limit::LockedMemory).to_string())
+    let enough = free || limit.is_some_and(|limit| limit >= LOCKED);
+    finding.judged(
+        denied(policy).when(!enough),
+        Grant(Limit::LockedMemory).to_string(),
+    )
 }
 
 #[cfg(test)]

@@ -101,6 +101,7 @@ pub(super) fn undo(tree: &Tree, record: &mut Record) -> anyhow::Result<usize> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::finding::Verdict;
     use super::super::fix::Knob;
     use super::*;
 
@@ -118,7 +119,8 @@ mod tests {
             ),
         ];
         for (fix, down) in table {
-            let finding = Finding::new("bus", "x", "y", "z").fixed_by([fix.clone()]);
+            let finding = Finding::new("bus", "x", "y", "z").judged(Verdict::Warning, "m");
+            let finding = finding.fixed_by([fix.clone()]);
             let asked = question(&finding);
             assert!(asked.contains(&format!("set: {fix}\n")), "{asked}");
             assert_eq!(asked.contains("can0 goes down for it"), down, "{asked}");

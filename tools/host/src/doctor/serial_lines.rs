@@ -1,6 +1,6 @@
 //! Ttys of a cell: presence, permissions, persistent names and latency.
 
-use super::finding::Finding;
+use super::finding::{Finding, Verdict};
 use super::fix::Knob;
 use super::limits::Identity;
 use super::tree::Tree;
@@ -27,7 +27,8 @@ pub(super) fn findings(tree: &Tree, wanted: &Wanted) -> Vec<Finding> {
         } else {
             format!("there are {}", others.join(", "))
         };
-        return vec![presence(format!("not there; {others}")).not_usable(
+        return vec![presence(format!("not there; {others}")).judged(
+            Verdict::NotUsable,
             "plug it in, load the card's driver and look into dmesg; or the line's path in the cell",
         )];
     };
@@ -39,10 +40,10 @@ pub(super) fn findings(tree: &Tree, wanted: &Wanted) -> Vec<Finding> {
     };
     // Drivers of serial ports create ttys for ports that the machine does not have: PORT_UNKNOWN of linux/serial.h.
     if tree.number(&format!("{class}/type")) == Some(0) {
-        return vec![
-            presence(format!("{present}, no port behind it"))
-                .not_usable("the line's path in the cell: a tty that has a port"),
-        ];
+        return vec![presence(format!("{present}, no port behind it")).judged(
+            Verdict::NotUsable,
+            "the line's path in the cell: a tty that has a port",
+        )];
     }
     let mut findings = vec![presence(present)];
     findings.extend(permission(tree, wanted));
@@ -70,17 +71,12 @@ fn flag(tree: &Tree, of: &str, name: &str) -> Option<Finding> {
 fn permission(tree: &Tree, wanted: &Wanted) -> Option<Finding> {
     let access = tree.access(&wanted.path)?;
     let granted = Identity::of(tree).may(0o6, access);
-    let finding = Finding::new(
-        &wanted.of,
-        "permission",
-        if granted { "granted" } else { "denied" },
-        "it is opened for reading and writing",
-    );
-    Some(if granted {
-        finding
-    } else {
-        finding.not_usable("usermod -aG dialout USER, then a new login")
-    })
+    let read = if granted { "granted" } else { "denied" };
+    let why = "it is opened for reading and writing";
+    Some(Finding::new(&wanted.of, "permission", read, why).judged(
+        Verdict::NotUsable.when(!granted),
+        "usermod -aG dialout USER, then a new login",
+    ))
 }
 
 /// Persistent names of the USB adapters, which do not depend on the order of plugging.
@@ -108,10 +104,11 @@ fn naming(tree: &Tree, wanted: &Wanted, name: &str) -> Option<Finding> {
     }
     let lasting = persistent(tree).into_iter();
     let mut lasting = lasting.filter(|path| tree.resolved_name(path).as_deref() == Some(name));
-    Some(finding.warning(match lasting.next() {
+    let mend = match lasting.next() {
         Some(path) => format!("the line's path in the cell: {path}"),
         None => "a udev rule that gives it a name by its serial number or its place".to_owned(),
-    }))
+    };
+    Some(finding.judged(Verdict::Warning, mend))
 }
 
 /// Finding about the latency timer of adapters that collect received bytes before they send them to the host.
@@ -125,14 +122,11 @@ fn latency(tree: &Tree, of: &str, name: &str) -> Option<Finding> {
         "the adapter holds an answer back for as long; opening a line asks for low latency, which not every driver \
          grants",
     );
-    Some(if timer <= 1 {
-        finding
-    } else {
-        let mend = format!(
-            "echo 1 > {file}; for good ATTR{{latency_timer}}=\"1\" in a rule of /etc/udev/rules.d"
-        );
-        finding.warning(mend).fixed_by([Knob::Kernel(file).to("1")])
-    })
+    let mend = format!(
+        "echo 1 > {file}; for good ATTR{{latency_timer}}=\"1\" in a rule of /etc/udev/rules.d"
+    );
+    let finding = finding.judged(Verdict::Warning.when(timer > 1), mend);
+    Some(finding.fixed_by([Knob::Kernel(file).to("1")]))
 }
 
 #[cfg(test)]

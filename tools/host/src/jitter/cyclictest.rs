@@ -1,11 +1,13 @@
 //! cyclictest of Debian's package rt-tests as the peer: runs the program for a time and reads its histogram.
 
-use std::io::Read;
+use std::io;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
 use can::clock::{now, sleep_until};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 
 use super::interval::{Counts, Interval, counts};
 use super::load;
@@ -50,14 +52,8 @@ pub(super) fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::R
     let end = begun + turn.time * 2 + OVERHEAD;
     let mut told = false;
     std::thread::scope(|scope| {
-        let text = |pipe: Option<Box<dyn Read + Send>>| {
-            let mut text = String::new();
-            // Output that is not text is refused below.
-            let _ = pipe.map(|mut pipe| pipe.read_to_string(&mut text));
-            text
-        };
-        let out = scope.spawn(move || text(out.map(|pipe| Box::new(pipe) as _)));
-        let err = scope.spawn(move || text(err.map(|pipe| Box::new(pipe) as _)));
+        let out = scope.spawn(move || out.map(io::read_to_string));
+        let err = scope.spawn(move || err.map(io::read_to_string));
         let status = loop {
             if let Some(status) = child
                 .try_wait()
@@ -69,10 +65,7 @@ pub(super) fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::R
                 told = true;
                 // Makes cyclictest print its result. It may have ended already, since Ctrl-C on a terminal reaches it
                 // as well.
-                let _ = Command::new("sh")
-                    .args(["-c", &format!("kill -INT {}", child.id())])
-                    .stderr(Stdio::null())
-                    .status();
+                let _ = kill(Pid::from_raw(child.id().cast_signed()), Signal::SIGINT);
             }
             if now() >= end {
                 child.kill().context("cyclictest cannot be ended")?;
@@ -80,7 +73,11 @@ pub(super) fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::R
             }
             sleep_until(now() + POLL);
         };
-        let [out, err] = [out, err].map(|thread| thread.join().unwrap_or_default());
+        // Output that is not text is refused below.
+        let [out, err] = [out, err].map(|thread| {
+            let text = thread.join().ok().flatten();
+            text.and_then(Result::ok).unwrap_or_default()
+        });
         match status {
             None => bail!("cyclictest did not end in time"),
             Some(status) if !status.success() => {

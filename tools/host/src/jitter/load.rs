@@ -16,6 +16,8 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use can::clock::{now, sleep_until};
 use clap::ValueEnum;
+use nix::sys::signal::{Signal, kill, killpg};
+use nix::unistd::Pid;
 use serde::Serialize;
 
 /// Stack of a thread, bytes; small, because all memory may be locked.
@@ -237,20 +239,14 @@ impl Program {
 
 impl Drop for Program {
     fn drop(&mut self) {
-        let id = self.0.id();
-        let signal = |signal: &str| {
-            let _ = Command::new("sh")
-                .args(["-c", &format!("kill {signal}{id}")])
-                .stderr(Stdio::null())
-                .status();
-        };
+        let id = Pid::from_raw(self.0.id().cast_signed());
         // Programs with child processes wait for them.
-        signal("-TERM ");
+        let _ = kill(id, Signal::SIGTERM);
         let end = now() + ENDING;
         while matches!(self.0.try_wait(), Ok(None)) && now() < end {
             sleep_until(now() + LOOK);
         }
-        signal("-KILL -- -");
+        let _ = killpg(id, Signal::SIGKILL);
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
