@@ -316,17 +316,30 @@ pub(crate) fn command_script(options: &Options, output: &Path) -> Vec<u8> {
     script
 }
 
+/// A line of a shell script that mounts `what` at `place`, seen from `root`.
+pub(crate) fn mount(what: &[u8], root: &str, place: &Path) -> Vec<u8> {
+    let place = [root.as_bytes(), &quoted(place.as_os_str())].concat();
+    [
+        b"mkdir -p ",
+        &*place,
+        b"; mount ",
+        what,
+        b" ",
+        &place,
+        b"\n",
+    ]
+    .concat()
+}
+
 /// Quotes `word`, which may contain any byte, so that a shell reads one word with the same bytes.
 pub(crate) fn quoted(word: &OsStr) -> Vec<u8> {
-    let mut script = vec![b'\''];
-    for &byte in word.as_bytes() {
-        match byte {
-            b'\'' => script.extend(br"'\''"),
-            other => script.push(other),
-        }
-    }
-    script.push(b'\'');
-    script
+    [b"'", &*replaced(word, b'\'', br"'\''"), b"'"].concat()
+}
+
+/// The bytes of `text`, with each `byte` replaced by the bytes `by`.
+pub(crate) fn replaced(text: &OsStr, byte: u8, by: &[u8]) -> Vec<u8> {
+    let parts: Vec<&[u8]> = text.as_bytes().split(|other| *other == byte).collect();
+    parts.join(by)
 }
 
 #[cfg(test)]

@@ -22,8 +22,8 @@ use std::path::Path;
 
 use thiserror::Error;
 
+use crate::machine::{self, Control, Machine, command_script, host};
 pub use crate::machine::{Cancellation, MachineError, Options};
-use crate::machine::{Control, Machine, command_script, host, quoted};
 
 /// The kernel, as Debian's package `user-mode-linux` installs it.
 const KERNEL: &str = "/usr/bin/linux.uml";
@@ -106,19 +106,12 @@ fn mark(control: &Control) -> Vec<u8> {
 /// every path.
 fn mount_script(control: &Control, options: &Options) -> io::Result<Vec<u8>> {
     let mut script = Vec::new();
-    let mut mount = |name: &str, place: &Path, access: &str| {
+    let mut mount = |name: &str, place: &Path, access: &str| -> io::Result<()> {
         let link = control.path.join(name);
         symlink(place, &link)?;
-        let place = quoted(place.as_os_str());
-        write!(script, "mkdir -p ")?;
-        script.write_all(&place)?;
-        write!(
-            script,
-            "; mount -t hostfs -o {access},{} none ",
-            link.display()
-        )?;
-        script.write_all(&place)?;
-        writeln!(script)
+        let what = format!("-t hostfs -o {access},{} none", link.display());
+        script.extend(machine::mount(what.as_bytes(), "", place));
+        Ok(())
     };
     for (number, place) in options.hidden().iter().enumerate() {
         mount(&format!("visible-{number}"), place, "ro")?;
