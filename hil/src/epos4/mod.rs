@@ -19,7 +19,6 @@
 //! sends SYNC therefore needs no computing time between SYNCs.
 
 mod config;
-mod conformity;
 mod drive;
 mod eds;
 mod errors;
@@ -276,21 +275,16 @@ impl Epos4 {
         if self.objects.nmt != nmt::NmtState::Operational {
             return;
         }
-        let queue = &mut self.queue;
-        self.pdos
-            .sample(&self.objects, now, |frame| append(queue, frame));
+        self.pdos.sample(&self.objects, now, &mut self.queue);
         self.pdos.take_effect(&mut self.objects);
         self.objects.changes.setpoint = true;
         self.settle(now);
     }
 
     fn send_events(&mut self, now: Instant) {
-        if self.objects.nmt != nmt::NmtState::Operational {
-            return;
+        if self.objects.nmt == nmt::NmtState::Operational {
+            self.pdos.events(&self.objects, now, &mut self.queue);
         }
-        let queue = &mut self.queue;
-        self.pdos
-            .events(&self.objects, now, |frame| append(queue, frame));
     }
 
     /// Applies the last writes to the dictionary.

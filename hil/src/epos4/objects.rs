@@ -11,7 +11,7 @@ use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE};
 use canopen::{NodeId, Object, cob, nmt};
 
 use super::heartbeats::{ENTRIES, watched};
-use super::table::{Access, Kind, MAPPED, ROWS, Slot, TABLE};
+use super::table::{Kind, MAPPED, ROWS, Slot, TABLE};
 
 /// "save", the password of object 0x1010.
 const SAVE: u32 = 0x6576_6173;
@@ -125,9 +125,7 @@ impl Objects {
     pub(super) fn receive(&mut self, slot: Slot, bytes: [u8; 4]) {
         let entry = slot.entry();
         let value = entry.kind.decode(bytes);
-        let number = entry.kind.number(value);
-        let in_range = number >= entry.min && number <= entry.max;
-        if in_range && (entry.object != named::MODE_OF_OPERATION || supported(value)) {
+        if entry.allows(value) && (entry.object != named::MODE_OF_OPERATION || supported(value)) {
             self.assign(slot, value);
         }
     }
@@ -214,7 +212,7 @@ impl Objects {
         match (object, value) {
             (named::STORE_ALL, SAVE) => {
                 for (row, entry) in TABLE.iter().enumerate() {
-                    if entry.access == Access::Write && !entry.volatile {
+                    if entry.writable && !entry.volatile {
                         self.stored[row] = self.values[row];
                     }
                 }
@@ -377,10 +375,8 @@ impl Dictionary for Objects {
     }
 
     fn check_write(&self, object: Object) -> Result<(), AbortCode> {
-        match find(object)?.entry().access {
-            Access::Read => Err(AbortCode::READ_ONLY),
-            Access::Write => Ok(()),
-        }
+        let writable = find(object)?.entry().writable;
+        writable.then_some(()).ok_or(AbortCode::READ_ONLY)
     }
 
     fn read(&mut self, object: Object, into: &mut [u8; MAX_SIZE]) -> Result<usize, AbortCode> {
@@ -423,8 +419,7 @@ impl Dictionary for Objects {
         let mut bytes = [0; 4];
         bytes[..size].copy_from_slice(data);
         let value = entry.kind.decode(bytes);
-        let number = entry.kind.number(value);
-        if !(entry.min..=entry.max).contains(&number) {
+        if !entry.allows(value) {
             return Err(AbortCode::VALUE_RANGE);
         }
         self.refuse(slot, value)?;

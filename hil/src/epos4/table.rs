@@ -56,19 +56,12 @@ impl Kind {
     }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Access {
-    /// Read only. The device may change the value.
-    Read,
-    /// Read and write.
-    Write,
-}
-
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Entry {
     pub(super) object: Object,
     pub(super) kind: Kind,
-    pub(super) access: Access,
+    /// Whether the host can write the value. The device may change any value.
+    pub(super) writable: bool,
     /// Default, in stored form.
     pub(super) default: u32,
     /// Whether the node-ID is added to the default.
@@ -84,19 +77,9 @@ pub(super) struct Entry {
 }
 
 impl Entry {
-    const fn new(index: u16, subindex: u8, kind: Kind, access: Access, default: i64) -> Self {
-        Self {
-            object: Object::new(index, subindex),
-            kind,
-            access,
-            default: default as u32,
-            plus_node: false,
-            receive: false,
-            transmit: false,
-            volatile: false,
-            min: i64::MIN,
-            max: i64::MAX,
-        }
+    /// Whether a stored value is within the limits.
+    pub(super) fn allows(&self, stored: u32) -> bool {
+        (self.min..=self.max).contains(&self.kind.number(stored))
     }
 
     const fn range(mut self, min: i64, max: i64) -> Self {
@@ -127,11 +110,25 @@ impl Entry {
 }
 
 const fn ro(index: u16, subindex: u8, kind: Kind, default: i64) -> Entry {
-    Entry::new(index, subindex, kind, Access::Read, default)
+    Entry {
+        object: Object::new(index, subindex),
+        kind,
+        writable: false,
+        default: default as u32,
+        plus_node: false,
+        receive: false,
+        transmit: false,
+        volatile: false,
+        min: i64::MIN,
+        max: i64::MAX,
+    }
 }
 
 const fn rw(index: u16, subindex: u8, kind: Kind, default: i64) -> Entry {
-    Entry::new(index, subindex, kind, Access::Write, default)
+    Entry {
+        writable: true,
+        ..ro(index, subindex, kind, default)
+    }
 }
 
 /// Communication objects below the PDO parameters.
