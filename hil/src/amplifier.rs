@@ -6,7 +6,7 @@
 
 use std::f64::consts::TAU;
 
-use crate::plant::{Demand, PlantConfig, SUB_STEP, Wut};
+use crate::plant::{AxisConfig, Demand, PlantConfig, SUB_STEP, Wut};
 
 /// Settings of a drive.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -121,19 +121,12 @@ pub(crate) struct Amplifier {
 }
 
 impl Amplifier {
-    pub(crate) fn new(
-        config: &AmplifierConfig,
-        plant: &PlantConfig,
-        counts_per_revolution: u32,
-    ) -> Self {
+    pub(crate) fn new(axis: &AxisConfig) -> Self {
         Self {
-            config: *config,
-            gains: Gains::new(config, plant),
-            torque_constant: match plant {
-                PlantConfig::Wut(wut) => wut.torque_constant,
-                PlantConfig::Physical(motor) => motor.torque_constant,
-            },
-            radians_per_count: TAU / f64::from(counts_per_revolution),
+            config: axis.amplifier,
+            gains: Gains::new(&axis.amplifier, &axis.plant),
+            torque_constant: axis.plant.torque_constant(),
+            radians_per_count: TAU / f64::from(axis.counts_per_revolution),
             counts: 0,
             ahead: 0.5,
             observed_velocity: 0.0,

@@ -43,7 +43,7 @@ use canopen::heartbeat::Heartbeat;
 use canopen::pdo::{PdoKind, PdoNumber};
 use canopen::{NodeId, cob, nmt, objects as named, sdo};
 
-use crate::{Device, PlantAxis, PlantConfig};
+use crate::{Device, PlantAxis};
 pub use config::Epos4Config;
 use drive::{CHUNK, Drive};
 use errors::Errors;
@@ -64,10 +64,7 @@ const QUEUE: usize = 32;
 /// Values of one unit that replace the table's defaults.
 fn identity(config: &Epos4Config) -> [(Slot, u32); 8] {
     let amps = config.axis.amplifier.max_current;
-    let torque_constant = match &config.axis.plant {
-        PlantConfig::Wut(wut) => wut.torque_constant,
-        PlantConfig::Physical(motor) => motor.torque_constant,
-    };
+    let torque_constant = config.axis.plant.torque_constant();
     let milliamps = |amps: f64| (amps * 1e3).round() as u32;
     let rated = config.rated_torque.unwrap_or(amps * torque_constant);
     // Nominal current in whole milliamperes. The torque constant compensates for the rounding error, which matters

@@ -45,6 +45,16 @@ pub enum PlantConfig {
     Physical(MotorConfig),
 }
 
+impl PlantConfig {
+    /// Torque per current, N·m/A.
+    pub(crate) fn torque_constant(&self) -> f64 {
+        match self {
+            Self::Wut(wut) => wut.torque_constant,
+            Self::Physical(motor) => motor.torque_constant,
+        }
+    }
+}
+
 /// Demand of the drive's state machine on the power stage and the loops.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Demand {
@@ -111,9 +121,8 @@ pub struct PlantAxis {
     amplifier: Amplifier,
     encoder: Encoder,
     brake: f64,
-    home_switch: Option<Contact>,
-    negative_limit: Option<Contact>,
-    positive_limit: Option<Contact>,
+    /// Home switch, negative and positive limit switch.
+    contacts: [Option<Contact>; 3],
     noise: Noise,
     trip: Option<Trip>,
     /// Sub-steps since the last step of the outer loops.
@@ -140,7 +149,11 @@ impl PlantAxis {
         }
         let mut noise = Noise::new(seed);
         let angle = config.start_angle;
-        let contact = |switch: Option<Switch>| switch.map(|switch| Contact::new(&switch, angle));
+        let switches = [
+            config.home_switch,
+            config.negative_limit,
+            config.positive_limit,
+        ];
         Self {
             plant: match &config.plant {
                 PlantConfig::Wut(wut) => Plant::Wut(Box::new(Wut::new(wut, angle))),
@@ -150,11 +163,7 @@ impl PlantAxis {
                 }
             },
             mount: mount.cloned(),
-            amplifier: Amplifier::new(
-                &config.amplifier,
-                &config.plant,
-                config.counts_per_revolution,
-            ),
+            amplifier: Amplifier::new(config),
             encoder: Encoder::new(
                 config.counts_per_revolution,
                 config.index_angle,
@@ -162,9 +171,7 @@ impl PlantAxis {
                 angle,
             ),
             brake: config.brake,
-            home_switch: contact(config.home_switch),
-            negative_limit: contact(config.negative_limit),
-            positive_limit: contact(config.positive_limit),
+            contacts: switches.map(|switch| Some(Contact::new(&switch?, angle))),
             noise,
             trip: None,
             phase: 0,
@@ -214,14 +221,7 @@ impl PlantAxis {
         if let (Plant::Wut(_), Some(mount)) = (&self.plant, &self.mount) {
             mount.load(angle);
         }
-        for contact in [
-            &mut self.home_switch,
-            &mut self.negative_limit,
-            &mut self.positive_limit,
-        ]
-        .into_iter()
-        .flatten()
-        {
+        for contact in self.contacts.iter_mut().flatten() {
             contact.advance(angle, dt_steps, &mut self.noise);
         }
     }
@@ -235,7 +235,7 @@ impl PlantAxis {
                     self.trip = Some(Trip::OverCurrent);
                     self.amplifier.release();
                 }
-                wut.step_braked(self.amplifier.current, SUB_STEP, brake);
+                wut.step(self.amplifier.current, SUB_STEP, brake);
             }
             Plant::Physical(motor) => {
                 let voltage = on.then(|| self.amplifier.voltage(motor.current));
@@ -256,8 +256,8 @@ impl PlantAxis {
 
     /// Sensor readings after the last sub-step.
     pub fn feedback(&self) -> Feedback {
-        let closed =
-            |contact: &Option<Contact>| contact.as_ref().is_some_and(|contact| contact.closed);
+        let closed = |contact: &Option<Contact>| contact.as_ref().is_some_and(|it| it.closed);
+        let [home_switch, negative_limit, positive_limit] = self.contacts.each_ref().map(closed);
         let current = match &self.plant {
             Plant::Wut(_) => self.amplifier.current,
             Plant::Physical(motor) => motor.current,
@@ -268,9 +268,9 @@ impl PlantAxis {
             torque: self.amplifier.torque(current),
             current,
             index: self.encoder.latched,
-            home_switch: closed(&self.home_switch),
-            negative_limit: closed(&self.negative_limit),
-            positive_limit: closed(&self.positive_limit),
+            home_switch,
+            negative_limit,
+            positive_limit,
             trip: self.trip,
         }
     }
@@ -289,7 +289,7 @@ impl PlantAxis {
 impl Plant {
     fn angle(&self) -> f64 {
         match self {
-            Self::Wut(wut) => wut.angle(),
+            Self::Wut(wut) => wut.angle,
             Self::Physical(motor) => motor.angle,
         }
     }
