@@ -18,6 +18,7 @@ mod tests;
 
 pub use faults::{LineFaults, Stuck, WireFaults};
 
+use std::any::Any;
 use std::time::Duration;
 
 use can::Instant;
@@ -204,9 +205,10 @@ impl SerialLine {
         self.host = None;
     }
 
-    /// The device on the line.
-    pub fn device(&self) -> &dyn LineDevice {
-        self.device.as_ref()
+    /// The device as its own type, to examine its true state; `None` if the device is no `D`.
+    pub fn device<D: LineDevice>(&self) -> Option<&D> {
+        let device: &dyn Any = self.device.as_ref();
+        device.downcast_ref()
     }
 
     /// Sets the faults from now on. The same faults damage the same bytes in the same way.
