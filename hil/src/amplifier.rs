@@ -38,7 +38,6 @@ const CURRENT_BANDWIDTH: f64 = 1000.0 * TAU;
 /// filter, a demand that changes every other millisecond makes the acceleration jump.
 const ACCELERATION_SHARE: f64 = 0.2;
 
-/// The gains of all loops, derived from the plant.
 #[derive(Clone, Copy, Debug)]
 struct Gains {
     /// Demanded velocity per position error, 1/s: `ωv / 5`.

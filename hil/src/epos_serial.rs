@@ -56,7 +56,6 @@ pub struct EposSerial {
     last: Instant,
 }
 
-/// The protocol of a port.
 trait Protocol: Send {
     /// Abandons a frame or an exchange in progress.
     fn reset(&mut self);

@@ -56,7 +56,6 @@ pub struct LineStatistics {
     pub duplicated: u64,
 }
 
-/// One direction of the line.
 struct Direction {
     settings: Settings,
     /// Start of the current burst of bytes without gaps, and the number of bytes in the burst.
@@ -131,7 +130,6 @@ impl Adapter {
         self.since + self.latency
     }
 
-    /// Takes a byte from the line.
     fn collect(&mut self, byte: TimedByte, host: Option<&mut VirtualLinePeer>) {
         self.bytes[self.count] = byte.byte;
         self.count += 1;
@@ -150,7 +148,6 @@ impl Adapter {
         self.since = at;
     }
 
-    /// Runs the timer to `now`.
     fn run(&mut self, now: Instant, host: Option<&mut VirtualLinePeer>) {
         if self.count > 0 && self.expires() <= now {
             self.hand_over(self.expires(), host);

@@ -173,7 +173,6 @@ impl Options {
 pub(crate) struct Control {
     /// The path of the directory. The path contains no character that is special in a command line or a mount option.
     pub(crate) path: PathBuf,
-    /// The output directory.
     pub(crate) output: PathBuf,
     _directory: TempDir,
 }

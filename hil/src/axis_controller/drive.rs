@@ -31,7 +31,6 @@ pub(super) enum Mode {
     Error,
 }
 
-/// State of the index search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Search {
     Off,

@@ -14,7 +14,6 @@ const START: u8 = 0x23;
 /// A window that contains no received byte.
 const NOTHING: [u8; REQUEST] = [0xFF; REQUEST];
 
-/// The telegrams of one controller.
 pub(super) struct HiMoxa {
     /// The last bytes received.
     window: [u8; REQUEST],

@@ -8,7 +8,6 @@ use serial::nfv2::{
 use super::GAP;
 use super::drive::{Drive, Mode, Search};
 
-/// The telegrams of one controller.
 pub(super) struct Nfv2 {
     address: u8,
     stream: Stream,

@@ -34,12 +34,10 @@ use standstill::Standstill;
 /// Sub-steps of a whole chunk: 1 ms.
 pub(super) const CHUNK: u32 = 10;
 
-/// The drive.
 #[derive(Clone, Debug)]
 pub(super) struct Drive {
     pub(super) axis: PlantAxis,
     counts_per_turn: f64,
-    /// Bits set in every statusword.
     vendor_bits: u16,
     feedback: Feedback,
     /// Device position = raw counter + offset.

@@ -10,7 +10,6 @@ use canopen::{NodeId, objects as named};
 use super::objects::Objects;
 use super::table::Slot;
 
-/// Reaction of a drive to an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Reaction {
     /// The error is announced, and nothing else happens.
@@ -23,7 +22,6 @@ pub(super) enum Reaction {
     Fault,
 }
 
-/// An error of the EPOS4.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Error {
     pub(super) code: u16,
@@ -78,7 +76,6 @@ pub(super) const SOFTWARE_LIMIT: Error = error(0x8A82, ErrorRegister::VENDOR, Re
 /// Maximum number of simultaneous errors: eight with one cause, two heartbeats, two kinds for each of four RPDOs.
 const PRESENT: usize = 8 + 2 + 2 * 4;
 
-/// An error that is present.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Present {
     error: Error,
@@ -114,7 +111,6 @@ impl Errors {
         self.write_register(objects);
     }
 
-    /// Removes the errors for which `gone` is true.
     pub(super) fn clear(&mut self, objects: &mut Objects, gone: impl Fn(Error) -> bool) {
         for place in &mut self.present {
             *place = place.filter(|present| !gone(present.error));
@@ -125,7 +121,6 @@ impl Errors {
         }
     }
 
-    /// Whether any error is present.
     pub(super) fn any(&self) -> bool {
         self.present.iter().any(Option::is_some)
     }

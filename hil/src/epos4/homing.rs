@@ -35,11 +35,9 @@ pub(super) enum Progress {
     ArmIndex(f64),
     /// The reference, as a count of the raw counter.
     Found(i32),
-    /// The search has failed.
     Failed,
 }
 
-/// A search in progress.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Search {
     sought: Sought,

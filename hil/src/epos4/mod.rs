@@ -331,7 +331,6 @@ impl Epos4 {
         self.block_at = self.server.transmits().then_some(due);
     }
 
-    /// Applies an LSS request.
     fn configure(&mut self, frame: &Frame, now: Instant) {
         let Some(request) = lss::Request::decode(frame) else {
             return;

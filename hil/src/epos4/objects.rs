@@ -36,7 +36,6 @@ pub(super) struct Changes {
     pub(super) consumers: bool,
 }
 
-/// The values of all objects.
 #[derive(Clone, Debug)]
 pub(super) struct Objects {
     values: [u32; ROWS],

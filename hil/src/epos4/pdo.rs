@@ -114,7 +114,6 @@ struct Tpdo {
     inhibited: bool,
 }
 
-/// Result of the reception of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Reception {
     /// The frame is no RPDO of this node.
@@ -135,7 +134,6 @@ pub(super) struct Pdos {
 }
 
 impl Pdos {
-    /// All PDOs switched off.
     pub(super) const NONE: Self = Self {
         received: [None; 4],
         transmitted: [None; 4],
@@ -250,7 +248,6 @@ impl Pdos {
         }
     }
 
-    /// Whether any TPDO is event-driven.
     pub(super) fn event_driven(&self) -> bool {
         self.event_driven_tpdos().next().is_some()
     }

@@ -10,7 +10,6 @@ use Kind::{Domain, I8, I16, I32, Text, U8, U16, U32};
 /// Mapping entries per PDO, as in an EPOS4.
 pub(super) const MAPPED: u8 = 12;
 
-/// The type of an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Kind {
     U8,
@@ -77,7 +76,6 @@ pub(super) struct Entry {
 }
 
 impl Entry {
-    /// Whether a stored value is within the limits.
     pub(super) fn allows(&self, stored: u32) -> bool {
         (self.min..=self.max).contains(&self.kind.number(stored))
     }
@@ -272,7 +270,6 @@ const TRANSMITTED_COB: [u32; 4] = [0x4000_0180, 0xC000_0280, 0xC000_0380, 0xC000
 
 /// Rows of four PDOs each way: communication parameters, then a count and the entries of a mapping.
 const PDO_ROWS: usize = 4 * (4 + 1 + MAPPED as usize) + 4 * (5 + 1 + MAPPED as usize);
-/// Rows of the whole table.
 pub(super) const ROWS: usize = COMMUNICATION.len() + PDO_ROWS + APPLICATION.len();
 
 /// The dictionary, in ascending order.

@@ -86,7 +86,6 @@ impl Exchange {
         }
     }
 
-    /// Processes a complete telegram.
     fn finish(
         &self,
         opcode: u8,

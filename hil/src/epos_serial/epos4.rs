@@ -6,7 +6,6 @@ use serial::epos4::{Address, Answer, Deframer, Frame, FrameError, LONGEST, MAX_S
 
 use super::{Protocol, Service};
 
-/// The protocol of an EPOS4's port.
 pub(super) struct Frames {
     deframer: Deframer,
     transfer: Option<Transfer>,
@@ -14,7 +13,6 @@ pub(super) struct Frames {
     segment: u8,
 }
 
-/// A segmented transfer in progress.
 struct Transfer {
     address: Address,
     writing: bool,

@@ -35,7 +35,6 @@ pub enum Stuck {
     At(u8),
 }
 
-/// A wire with its faults.
 #[derive(Debug)]
 pub(super) struct Wire {
     faults: WireFaults,

@@ -84,7 +84,6 @@ impl Supervisor {
             .map_or(Ok(()), |pipe| pipe.write_all(b"start\n"))
     }
 
-    /// Kills the machine.
     pub(super) fn kill(&self) {
         self.cancellation.state().pipe = None;
     }

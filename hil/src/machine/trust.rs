@@ -14,10 +14,8 @@ const GROUP_WRITES: u32 = 0o020;
 const OTHERS_WRITE: u32 = 0o002;
 const STICKY: u32 = 0o1000;
 
-/// The superuser.
 const ROOT: u32 = 0;
 
-/// Reasons why a path is not trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Distrust {
     /// A directory or link of the path belongs to this other user.

@@ -46,7 +46,6 @@ pub enum PlantConfig {
 }
 
 impl PlantConfig {
-    /// Torque per current, N·m/A.
     pub(crate) fn torque_constant(&self) -> f64 {
         match self {
             Self::Wut(wut) => wut.torque_constant,

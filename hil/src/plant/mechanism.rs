@@ -82,7 +82,6 @@ enum Links {
     Polycrank(Polycrank),
 }
 
-/// Load of a motor.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Loaded {
     /// Torque of the weight, N·m.

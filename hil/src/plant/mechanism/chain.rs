@@ -130,7 +130,6 @@ pub(super) struct Link {
     twist: (f64, f64),
     /// Vector from the origin of the previous frame to the origin of this frame, in this frame, m.
     reach: Vector,
-    /// Body of the link, in this frame.
     body: Body,
     /// The last angle of the joint, rad, and its sine and cosine. Most joints stand still between two turns of one
     /// motor, so the values are kept.
