@@ -395,12 +395,10 @@ impl Device for Epos4 {
                 self.hear_sync(frame, now);
             }
         } else if id == cob::NMT {
-            let Some(request) = nmt::Request::decode(frame) else {
+            let request = nmt::Request::decode(frame);
+            let Some(request) = request.filter(|request| request.concerns(node)) else {
                 return;
             };
-            if !request.concerns(node) {
-                return;
-            }
             self.catch_up(now, false);
             self.manage(request.command, now);
         } else if id == cob::sdo_request(node) {

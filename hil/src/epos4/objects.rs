@@ -11,7 +11,7 @@ use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE};
 use canopen::{NodeId, Object, cob, nmt};
 
 use super::heartbeats::{ENTRIES, watched};
-use super::table::{Kind, MAPPED, ROWS, Slot, TABLE};
+use super::table::{Kind, ROWS, Slot, TABLE};
 
 /// "save", the password of object 0x1010.
 const SAVE: u32 = 0x6576_6173;
@@ -278,27 +278,12 @@ impl Objects {
 
 /// The slot of a PDO's COB-ID; transmission type, inhibit time and event timer follow.
 pub(super) fn cob_id(kind: PdoKind, number: PdoNumber) -> Slot {
-    const FIRST: [Slot; 2] = [
-        Slot::of(PdoKind::Rpdo.communication(PdoNumber::One, 1)),
-        Slot::of(PdoKind::Tpdo.communication(PdoNumber::One, 1)),
-    ];
-    match kind {
-        PdoKind::Rpdo => FIRST[0].plus(4 * number.offset()),
-        PdoKind::Tpdo => FIRST[1].plus(5 * number.offset()),
-    }
+    Slot::find(kind.communication(number, 1)).expect("the table has all PDOs")
 }
 
 /// The slot of a sub-index of a PDO's mapping.
-pub(super) fn map(kind: PdoKind, number: PdoNumber, sub: u16) -> Slot {
-    const FIRST: [Slot; 2] = [
-        Slot::of(PdoKind::Rpdo.mapping(PdoNumber::One, 0)),
-        Slot::of(PdoKind::Tpdo.mapping(PdoNumber::One, 0)),
-    ];
-    let first = match kind {
-        PdoKind::Rpdo => FIRST[0],
-        PdoKind::Tpdo => FIRST[1],
-    };
-    first.plus((u16::from(MAPPED) + 1) * number.offset() + sub)
+pub(super) fn map(kind: PdoKind, number: PdoNumber, sub: u8) -> Slot {
+    Slot::find(kind.mapping(number, sub)).expect("the table has all PDOs")
 }
 
 /// Sizes of objects 0x0001 to 0x0007, bits. In an RPDO these objects stand for their data types as fillers. 0 marks

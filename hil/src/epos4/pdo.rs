@@ -34,7 +34,7 @@ impl Mapping {
         let mut mapping = Self::EMPTY;
         mapping.count = objects.u(map(kind, number, 0)) as usize;
         for sub in 1..=mapping.count {
-            let entry = Entry::from_raw(objects.u(map(kind, number, sub as u16)));
+            let entry = Entry::from_raw(objects.u(map(kind, number, sub as u8)));
             let slot = mappable(kind, entry).unwrap_or(None);
             let bytes = usize::from(entry.bits / 8);
             mapping.entries[sub - 1] = (slot, bytes);

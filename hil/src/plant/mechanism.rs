@@ -84,20 +84,18 @@ enum Links {
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Loaded {
-    /// Torque of the weight, N·m.
-    pub(super) torque: f64,
-    /// Inertia of the links, at the motor, kg·m².
-    pub(super) reflected: f64,
+    /// Weight and inertia of the links, at the motor.
+    pub(super) links: Load,
     /// Inertia of parts that turn at motor speed, kg·m².
     pub(super) turning: f64,
-    /// Transmission ratio behind which `reflected` lies, if the ratio changes with the motor's own angle; otherwise a
+    /// Transmission ratio behind which the links lie, if the ratio changes with the motor's own angle; otherwise a
     /// constant.
     pub(super) ratio: f64,
 }
 
 impl Loaded {
     pub(super) fn inertia(&self) -> f64 {
-        self.turning + self.reflected
+        self.turning + self.links.inertia
     }
 
     /// Speed change of a motor when its reflected load changes and no torque acts.
@@ -106,7 +104,7 @@ impl Loaded {
     /// the other axes conserves momentum; the other axes supply the difference in energy.
     pub(super) fn slows_by(&self, next: &Self) -> f64 {
         let gear = self.ratio / next.ratio;
-        let geared = self.turning + self.reflected * gear * gear;
+        let geared = self.turning + self.links.inertia * gear * gear;
         (self.inertia() / geared).sqrt() * geared / next.inertia()
     }
 }
@@ -175,7 +173,7 @@ impl Mechanism {
         }
         let loaded = robot.load(number);
         Load {
-            torque: loaded.torque,
+            torque: loaded.links.torque,
             inertia: loaded.inertia(),
         }
     }

@@ -197,7 +197,7 @@ impl Motor {
                 self.velocity *= last.slows_by(&next);
                 self.gain = SUB_STEP / next.inertia();
                 *last = next;
-                next.torque
+                next.links.torque
             }
         };
         let ripple = if self.config.torque_ripple > 0.0 {

@@ -1,7 +1,5 @@
 //! Rigid links on revolute joints, and their load on a motor that turns some of the joints.
 
-use super::Loaded;
-
 /// Free fall, m/s².
 pub(super) const GRAVITY: f64 = 9.81;
 
@@ -104,16 +102,6 @@ pub struct Load {
 }
 
 impl Load {
-    /// The load with the inertia of `turning` parts, kg·m², behind a transmission of this `ratio`.
-    pub(super) fn behind(self, ratio: f64, turning: f64) -> Loaded {
-        Loaded {
-            torque: self.torque,
-            reflected: self.inertia,
-            turning,
-            ratio,
-        }
-    }
-
     pub(super) fn and(self, other: Self) -> Self {
         Self {
             torque: self.torque + other.torque,

@@ -133,8 +133,10 @@ impl Irp6 {
                 TURNING[axis.min(5)]
             }
         };
-        self.chain
-            .load(&base, &angles, &rates)
-            .behind(ratio, turning)
+        Loaded {
+            links: self.chain.load(&base, &angles, &rates),
+            turning,
+            ratio,
+        }
     }
 }

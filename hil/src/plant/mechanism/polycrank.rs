@@ -57,7 +57,10 @@ impl Polycrank {
         for (angle, at_home) in angles.iter_mut().zip(self.at_home) {
             *angle += at_home;
         }
-        let load = self.chain.load(&Motion::standing(UP), &angles, &rates);
-        load.behind(1.0, TURNING)
+        Loaded {
+            links: self.chain.load(&Motion::standing(UP), &angles, &rates),
+            turning: TURNING,
+            ratio: 1.0,
+        }
     }
 }

@@ -130,8 +130,11 @@ impl Rnt {
             rates[number - 3] = 1.0 / GEAR;
             (TURNING.1, Load::default())
         };
-        load.and(self.wrist.load(&base, &angles, &rates))
-            .behind(1.0, turning)
+        Loaded {
+            links: load.and(self.wrist.load(&base, &angles, &rates)),
+            turning,
+            ratio: 1.0,
+        }
     }
 }
 
@@ -283,7 +286,7 @@ mod tests {
             };
             let expected = -(moved(1e-5) - moved(-1e-5)) / 2e-5 / LEG;
             let (mut rnt, motors, _) = potential(lengths);
-            let found = rnt.load(leg, &motors).torque;
+            let found = rnt.load(leg, &motors).links.torque;
             assert!(
                 (found - expected).abs() < 1e-7,
                 "leg {leg}: {found} for {expected}"
