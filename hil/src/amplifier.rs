@@ -140,6 +140,8 @@ impl Amplifier {
         }
     }
 
+    /// Replaces the gains of the current loop that follow from the motor: voltage per current error, Ω, and voltage
+    /// per current error and sub-step. The regression model does not use these gains.
     pub(crate) fn set_current_gains(&mut self, proportional: f64, integral: f64) {
         self.gains.current = proportional;
         self.gains.current_integral = integral;

@@ -75,8 +75,7 @@ impl EposSerial {
 
     /// The RS-232 port of an EPOS2 after power-on.
     ///
-    /// An unknown opcode is received to its end and refused with 0x0F00_FFBF. While the port has bytes to send, it
-    /// ignores received bytes.
+    /// An unknown opcode is received to its end and refused with 0x0F00_FFBF.
     pub fn epos2(config: EposSerialConfig) -> Self {
         Self::new(Box::new(Exchange::new()), config.epos)
     }
@@ -132,7 +131,7 @@ impl Service {
         self.outbox.put(now + TURN_AROUND, bytes);
     }
 
-    /// Whether received bytes are accepted. The port ignores bytes during boot and while an answer is being sent.
+    /// Whether received bytes are accepted: not during boot, and not while an answer is being sent.
     fn listens(&self) -> bool {
         self.epos.has_booted() && self.outbox.is_empty()
     }

@@ -1,11 +1,10 @@
 //! A test machine with CAN cards and a real-time kernel. QEMU emulates a PC with two Kvaser PCI cards on one bus.
 //! Debian's PREEMPT_RT kernel boots in about five seconds on the host's own file system.
 //!
-//! The machine gives the guarantees of [`uml`](crate::uml). The command inside can write to one directory of the host
-//! and to no other. The command ends within its time limit. No process and no file is left behind. Interfaces `can0`
-//! and `can1` exist, down and without a bit rate, as on a PC after power-on. `ip` and `can-utils` work on the
-//! interfaces as on any card. The machine proves function and never timing: every instruction is emulated, on one
-//! processor. The emulated bus has neither bit times nor acknowledgement.
+//! The machine gives the guarantees of [`uml`](crate::uml). Interfaces `can0` and `can1` exist, down and without a bit
+//! rate, as on a PC after power-on. `ip` and `can-utils` work on the interfaces as on any card. The machine proves
+//! function and never timing: every instruction is emulated, on one processor. The emulated bus has neither bit times
+//! nor acknowledgement.
 //!
 //! Read [`Kernel`], then [`run`]. The machine's first process is `qemu-init.sh`.
 

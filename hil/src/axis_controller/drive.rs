@@ -178,7 +178,7 @@ impl Drive {
 
     /// Current limit, mA. With a limit of zero or less, any current trips the drive.
     pub(super) fn set_max_current(&mut self, current: i16) {
-        self.axis.set_trip_current(f64::from(current.max(0)) * 1e-3);
+        self.axis.amplifier.config.trip_current = f64::from(current.max(0)) * 1e-3;
     }
 
     pub(super) fn set_current_gains(&mut self, gains: Gains) {
@@ -187,7 +187,7 @@ impl Drive {
         let (p, i) = (f64::from(gains.p) * scale, f64::from(gains.i) * scale);
         // The integral of the axis's loop lags by one sub-step. Adding the integral gain to the proportional gain
         // compensates.
-        self.axis.set_current_gains(p + i, i);
+        self.axis.amplifier.set_current_gains(p + i, i);
     }
 
     pub(super) fn position(&self) -> i32 {

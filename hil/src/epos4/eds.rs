@@ -169,10 +169,8 @@ impl Epos4 {
 }
 
 fn known(index: u16, subindex: u8) -> Option<&'static str> {
-    let known = NAMES
-        .iter()
-        .find(|known| (known.0, known.1) == (index, subindex))?;
-    Some(known.2)
+    let mut names = NAMES.iter();
+    names.find_map(|known| ((known.0, known.1) == (index, subindex)).then_some(known.2))
 }
 
 fn object_type(index: u16) -> ObjectType {

@@ -117,7 +117,7 @@ pub enum Trip {
 pub struct PlantAxis {
     plant: Plant,
     mount: Option<Mount>,
-    amplifier: Amplifier,
+    pub(crate) amplifier: Amplifier,
     encoder: Encoder,
     brake: f64,
     /// Home switch, negative and positive limit switch.
@@ -177,21 +177,10 @@ impl PlantAxis {
         }
     }
 
-    /// Sets another over-current threshold than the configured one, A.
-    pub fn set_trip_current(&mut self, current: f64) {
-        self.amplifier.config.trip_current = current;
-    }
-
     /// Sets the torque, N·m, that is added to the output of the velocity loop from now on, under [`Demand::Position`]
     /// and [`Demand::Velocity`].
     pub fn set_torque_offset(&mut self, torque: f64) {
         self.amplifier.torque_offset = torque;
-    }
-
-    /// Replaces the gains of the current loop that follow from the motor: voltage per current error, Ω, and voltage
-    /// per current error and sub-step. The regression model does not use these gains.
-    pub fn set_current_gains(&mut self, proportional: f64, integral: f64) {
-        self.amplifier.set_current_gains(proportional, integral);
     }
 
     /// Advances by `dt_steps` sub-steps of 100 µs under one demand.
