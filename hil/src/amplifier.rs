@@ -166,8 +166,7 @@ impl Amplifier {
         self.fixed = None;
     }
 
-    /// Applies a demand that addresses the current loop directly. The current loop continues from the last output
-    /// voltage.
+    /// Applies a demand on the current loop itself, which continues from the last output voltage.
     pub(crate) fn command(&mut self, demand: &Demand) {
         self.fixed = None;
         match *demand {

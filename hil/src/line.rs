@@ -169,8 +169,7 @@ enum LineEvent {
 }
 
 impl SerialLine {
-    /// An idle line at [`Instant::ZERO`]. `latency`, above zero, inserts a USB adapter with such a latency timer
-    /// between line and host.
+    /// An idle line at [`Instant::ZERO`]. A `latency` above zero inserts a USB adapter with such a latency timer.
     pub fn new(settings: Settings, latency: Option<Duration>, device: Box<dyn LineDevice>) -> Self {
         let latency = latency.filter(|latency| !latency.is_zero());
         let mut line = Self {

@@ -269,8 +269,7 @@ impl Machine {
         Err(MachineError::TimedOut(timeout))
     }
 
-    /// Exit status of the command, once the machine has ended. Without a status, the error depends on whether the command
-    /// `began`.
+    /// Exit status of the command of an ended machine. Without a status, the error depends on `began`.
     pub(crate) fn result(&self, began: bool) -> Result<u8, MachineError> {
         let status = fs::read_to_string(self.control.path.join("status")).ok();
         let status = status.and_then(|status| status.trim().parse().ok());

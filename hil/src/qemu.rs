@@ -22,8 +22,7 @@ use crate::machine::{Control, Machine, command_script, host, mount, quoted, repl
 const QEMU: &str = "qemu-system-x86_64";
 const BUSYBOX: &str = "/bin/busybox";
 const INIT: &str = include_str!("qemu-init.sh");
-/// Modules that the machine needs in addition to those built into the kernel. Each module comes after its
-/// dependencies.
+/// Modules that the machine needs beside those built into the kernel, each after its dependencies.
 const MODULES: [&str; 17] = [
     "drivers/virtio/virtio_ring",
     "drivers/virtio/virtio",
@@ -211,8 +210,7 @@ fn initramfs(kernel: &Kernel, options: &Options, control: &Control) -> io::Resul
     Ok(archive.end())
 }
 
-/// A script that mounts the visible directories of [`Options`] which would otherwise be hidden, then the output
-/// directory, which may lie in one of them.
+/// A script that mounts [`Options::hidden`], then the output directory, which may lie in one of them.
 fn mount_script(options: &Options, output: &Path) -> Vec<u8> {
     let hidden = options.hidden().into_iter().flat_map(|place| {
         let from = quoted(place.as_os_str());

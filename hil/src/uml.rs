@@ -101,9 +101,8 @@ fn mark(control: &Control) -> Vec<u8> {
     [name.as_bytes(), b"\n"].concat()
 }
 
-/// A script that mounts the visible directories of [`Options`] which would otherwise be hidden, then the output
-/// directory, which may lie in one of them. Each mount names a symbolic link, because a mount option cannot carry
-/// every path.
+/// A script that mounts [`Options::hidden`], then the output directory, which may lie in one of them. Each mount names
+/// a symbolic link, because a mount option cannot carry every path.
 fn mount_script(control: &Control, options: &Options) -> io::Result<Vec<u8>> {
     let mut script = Vec::new();
     let mut mount = |name: &str, place: &Path, access: &str| -> io::Result<()> {

@@ -94,8 +94,7 @@ impl World {
         LineId(self.lines.len() - 1)
     }
 
-    /// The host's end of a line with room for `capacity` bytes each way. The call disconnects the previous end.
-    /// `line` must belong to this world.
+    /// The host's end of a `line` of this world, in place of the last end, with room for `capacity` bytes each way.
     pub fn host_line(&mut self, line: LineId, capacity: usize) -> VirtualLine {
         let (host, peer) = virtual_line(capacity);
         self.lines[line.0].attach_host(peer);

@@ -35,8 +35,7 @@ impl Cabinet {
         self.0.changed.store(now.as_nanos(), Ordering::Relaxed);
     }
 
-    /// Whether the stop is open at `at`. A lagging drive may ask for a past instant. The answer is correct back to
-    /// the last change but one.
+    /// Whether the stop is open at `at`, which may be past for a lagging drive, back to the last change but one.
     pub(super) fn is_open(&self, at: Instant) -> bool {
         let open = self.0.in_error.load(Ordering::Relaxed) > 0;
         let changed = self.0.changed.load(Ordering::Relaxed);

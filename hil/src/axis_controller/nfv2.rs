@@ -139,8 +139,7 @@ impl Stream {
         Frame::parse(&self.bytes[..self.used])
     }
 
-    /// Drops bytes that cannot begin a frame. Returns the length of the first valid frame, if the buffer contains
-    /// one.
+    /// Drops bytes that cannot begin a frame. Returns the length of the first valid frame, if any.
     fn find(&mut self) -> Option<usize> {
         loop {
             let bytes = &self.bytes[..self.count];

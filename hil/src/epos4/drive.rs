@@ -302,8 +302,7 @@ impl Drive {
         self.referenced && (min != 0.0 || max != 0.0) && !(min..=max).contains(&target)
     }
 
-    /// Advances by `steps` sub-steps, at most [`CHUNK`], and updates the dictionary. Returns a new error, if there is
-    /// one.
+    /// Advances by `steps` sub-steps, at most [`CHUNK`], and updates the dictionary. Returns a new error, if any.
     pub(super) fn advance(&mut self, steps: u32, objects: &mut Objects) -> Option<Error> {
         let dt = f64::from(steps) * SUB_STEP;
         let start = self.motion;

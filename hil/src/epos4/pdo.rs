@@ -147,8 +147,7 @@ impl Pdos {
         }
     }
 
-    /// Applies the communication parameters of one PDO. Its counts, times and data stay unless its identifier
-    /// changes.
+    /// Applies the parameters of one PDO. Its counts, times and data stay unless its identifier changes.
     pub(super) fn update(&mut self, kind: PdoKind, number: PdoNumber, objects: &Objects) {
         let at = usize::from(number.offset());
         match kind {
@@ -267,8 +266,7 @@ impl Pdos {
         transmitted.filter(|tpdo| !tpdo.transmission.is_synchronous())
     }
 
-    /// Number of an overdue RPDO, from 0. Called until the result is `None`. The timer of an overdue RPDO restarts
-    /// with the next reception.
+    /// Number of an overdue RPDO, from 0, whose timer restarts with the next reception. Called until `None`.
     pub(super) fn overdue(&mut self, now: Instant) -> Option<usize> {
         let overdue = |rpdo: &Rpdo| rpdo.deadline().is_some_and(|at| at <= now);
         let (number, rpdo) = self.rpdos().find(|(_, rpdo)| overdue(rpdo))?;

@@ -56,8 +56,7 @@ impl Epos4 {
         })
     }
 
-    /// Accesses the dictionary if the address is one of this device: its node-ID, or 0, which addresses the device at
-    /// the end of the line.
+    /// Accesses the dictionary if `address` has the device's node-ID, or 0 for the device at the end of the line.
     fn access<R>(
         &mut self,
         address: Address,

@@ -68,8 +68,7 @@ pub(super) struct Entry {
     /// Whether the object can be mapped to RPDOs, and to TPDOs.
     pub(super) receive: bool,
     pub(super) transmit: bool,
-    /// Marks commands, set-points and the error history. "save" does not store them, and the data sheet excludes them
-    /// from downloads.
+    /// Commands, set-points and the error history, which "save" and downloads of the data sheet leave out.
     pub(super) volatile: bool,
     pub(super) min: i64,
     pub(super) max: i64,

@@ -47,8 +47,7 @@ pub(super) struct Supervisor {
 }
 
 impl Supervisor {
-    /// A supervisor that is ready to start `command` and removes `directory` at the end. The machine writes to
-    /// `stdout` and `stderr`.
+    /// A supervisor that is ready to start `command`, the machine, and removes `directory` at the end.
     pub(super) fn new<Word: AsRef<OsStr>>(
         directory: &Path,
         command: impl IntoIterator<Item = Word>,

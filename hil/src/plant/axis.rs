@@ -177,8 +177,7 @@ impl PlantAxis {
         }
     }
 
-    /// Sets the torque, N·m, that is added to the output of the velocity loop from now on, under [`Demand::Position`]
-    /// and [`Demand::Velocity`].
+    /// Sets the torque, N·m, added to the velocity loop's output under [`Demand::Position`] and [`Demand::Velocity`].
     pub fn set_torque_offset(&mut self, torque: f64) {
         self.amplifier.torque_offset = torque;
     }

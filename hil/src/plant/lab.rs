@@ -111,8 +111,7 @@ fn inertia(mechanism: MechanismConfig, number: usize) -> f64 {
 }
 
 impl AxisConfig {
-    /// The same axis with its home at another motor angle, rad. Index, start, switches, buffers and gravity move with
-    /// the home position.
+    /// The same axis with its home at another motor angle, rad. Index, start, switches, buffers and gravity move too.
     pub fn with_home(mut self, home: f64) -> Self {
         let shift = home - self.index_angle;
         let moved = |switch: Option<Switch>| {

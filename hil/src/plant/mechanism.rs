@@ -21,8 +21,7 @@ use rnt::Rnt;
 pub enum MechanismConfig {
     /// Five axes. At home the lower arm is upright. Upper arm, wrist and gripper are level, in one line.
     Irb6,
-    /// Six axes. The home posture is that of [`MechanismConfig::Irb6`], except that the gripper is level across the
-    /// wrist.
+    /// Six axes. At home as [`MechanismConfig::Irb6`], except that the gripper is level across the wrist.
     Irp6,
     /// The IRp-6 on a track, which is the first of seven axes.
     Irp6OnTrack,
@@ -88,8 +87,7 @@ pub(super) struct Loaded {
     pub(super) links: Load,
     /// Inertia of parts that turn at motor speed, kg·m².
     pub(super) turning: f64,
-    /// Transmission ratio behind which the links lie, if the ratio changes with the motor's own angle; otherwise a
-    /// constant.
+    /// Ratio of the transmission to the links if it changes with the motor's own angle; otherwise a constant.
     pub(super) ratio: f64,
 }
 
@@ -195,8 +193,7 @@ impl Mount {
         }
     }
 
-    /// Records the motor's new `angle`, rad, for the loads of the other axes, and returns the motor's load at that
-    /// angle.
+    /// Records the motor's new `angle`, rad, for the loads of the other axes. Returns the motor's load there.
     pub(super) fn load(&self, angle: f64) -> Loaded {
         let mut robot = self.mechanism.lock();
         robot.motors[self.number] = angle - robot.homes[self.number];

@@ -39,8 +39,7 @@ pub struct Gravity {
     pub amplitude: f64,
     /// Motor angle per joint angle, negative if they turn in opposite directions.
     pub ratio: f64,
-    /// Joint angle at which the motor reads zero, rad. The torque is greatest where the argument of the cosine is
-    /// zero.
+    /// Joint angle at which the motor reads zero, rad, measured from the pose of the greatest torque.
     pub phase: f64,
 }
 

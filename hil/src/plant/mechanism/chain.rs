@@ -50,8 +50,7 @@ impl Body {
     }
 }
 
-/// Motion of a frame while a motor turns at 1 rad/s, and the frame's upward direction. All vectors are in the frame's
-/// own axes.
+/// Motion of a frame while a motor turns at 1 rad/s, and its upward direction, in the frame's own axes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion {
     /// Unit vector against gravity.
@@ -153,8 +152,7 @@ pub(super) struct Chain<const N: usize> {
 }
 
 impl<const N: usize> Chain<N> {
-    /// Load on a motor that, at 1 rad/s, moves the base with `base` and turns the joints at `rates`. The joints are
-    /// at `angles`.
+    /// Load on a motor that, at 1 rad/s, moves the base with `base` and turns the joints, at `angles`, at `rates`.
     pub(super) fn load(&mut self, base: &Motion, angles: &[f64; N], rates: &[f64; N]) -> Load {
         let mut motion = *base;
         let mut load = Load::default();

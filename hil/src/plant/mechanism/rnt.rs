@@ -174,8 +174,7 @@ impl Pose {
         }
     }
 
-    /// For each leg: its length, m, and the change of the pose per metre of its length while the other legs keep
-    /// theirs.
+    /// For each leg: its length, m, and the change of the pose per metre of its length, other lengths being constant.
     fn legs(&self) -> [(f64, Vector); 3] {
         let [x, y, z] = self.axes();
         let legs = CIRCLE.map(|[cos, sin]| {
