@@ -8,7 +8,7 @@ use canopen::eds::{
 use canopen::objects as named;
 
 use super::objects::DUMMIES;
-use super::table::{self, Kind, TABLE};
+use super::table::{self, TABLE};
 use super::{Epos4, Epos4Config, identity};
 
 /// Comments of the data sheet: conformity of the emulated drive to maxon's documents, CiA 301 and CiA 402. The text is
@@ -253,32 +253,23 @@ fn variable(entry: &table::Entry, stated: Option<u32>) -> Variable {
             entry.object,
             named::SERIAL_NUMBER | named::MOTOR_RATED_TORQUE
         );
-    let default = match entry.kind {
-        Kind::Text(text) => Value::Text(text.to_owned()),
-        kind => Value::Integer {
-            value: kind.number(stored).into(),
+    let default = match entry.data_type {
+        DataType::VisibleString => Value::Text(entry.text.to_owned()),
+        _ => Value::Integer {
+            value: entry.number(stored).into(),
             plus_node: entry.plus_node,
         },
     };
     Variable {
         name: variable_name(entry),
-        data_type: match entry.kind {
-            Kind::U8 => DataType::Unsigned8,
-            Kind::I8 => DataType::Integer8,
-            Kind::U16 => DataType::Unsigned16,
-            Kind::I16 => DataType::Integer16,
-            Kind::U32 => DataType::Unsigned32,
-            Kind::I32 => DataType::Integer32,
-            Kind::Text(_) => DataType::VisibleString,
-            Kind::Domain => DataType::Domain,
-        },
+        data_type: entry.data_type,
         access: match (entry.writable, entry.receive, entry.transmit) {
             (false, ..) => Access::ReadOnly,
             (true, true, false) => Access::ReadWriteOutput,
             (true, false, true) => Access::ReadWriteInput,
             (true, ..) => Access::ReadWrite,
         },
-        default: (!measured && entry.kind != Kind::Domain).then_some(default),
+        default: (!measured && entry.data_type != DataType::Domain).then_some(default),
         low: (entry.min != i64::MIN).then(|| number(entry.min)),
         high: (entry.max != i64::MAX).then(|| number(entry.max)),
         pdo_mapping: entry.receive || entry.transmit,
