@@ -6,7 +6,6 @@ mod supervisor;
 mod trust;
 
 use std::ffi::{OsStr, OsString};
-use std::fmt;
 use std::fs::{self, File, Permissions};
 use std::io::{self, PipeReader};
 use std::os::fd::OwnedFd;
@@ -81,21 +80,14 @@ pub enum MachineError {
 }
 
 /// A directory that a machine works with.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Directory {
     /// The directory of [`Options::output`].
+    #[error("the output directory")]
     Output,
     /// The directory of temporary files, in which the machine's own directory is made.
+    #[error("the directory for temporary files (TMPDIR)")]
     Temporary,
-}
-
-impl fmt::Display for Directory {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Output => "the output directory",
-            Self::Temporary => "the directory for temporary files (TMPDIR)",
-        })
-    }
 }
 
 impl Directory {

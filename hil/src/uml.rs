@@ -73,7 +73,8 @@ pub fn run(options: &Options, stdout: &mut dyn Write) -> Result<u8, UmlError> {
     let control = Control::new("uml", options.output.as_deref())?;
     let machine = machine(control, options).map_err(host("start the test machine"))?;
     write(&machine.control, options).map_err(host("write the machine's directory"))?;
-    let mut screen = Screen::new(mark(&machine.control));
+    let name = machine.control.path.file_name().expect("made with a name");
+    let mut screen = Screen::new([name.as_bytes(), b"\n"].concat());
     machine.run(options.timeout, |line| screen.show(line, stdout))?;
     let result = machine.result(screen.part != Part::Boot);
     if result == Err(MachineError::BootFailed) {
@@ -93,12 +94,6 @@ fn write(control: &Control, options: &Options) -> io::Result<()> {
     fs::set_permissions(file("init"), fs::Permissions::from_mode(0o755))?;
     fs::write(file("mounts"), mount_script(control, options)?)?;
     fs::write(file("command"), command_script(options, &control.output))
-}
-
-/// The line before and behind the command's output. The mark differs from run to run.
-fn mark(control: &Control) -> Vec<u8> {
-    let name = control.path.file_name().expect("made with a name");
-    [name.as_bytes(), b"\n"].concat()
 }
 
 /// A script that mounts [`Options::hidden`], then the output directory, which may lie in one of them. Each mount names
@@ -152,6 +147,7 @@ fn read_lines(console: PipeReader, take: &mut dyn FnMut(Vec<u8>) -> bool) {
 
 /// Separates the command's output from the kernel's messages before and behind it.
 struct Screen {
+    /// The line before and behind the command's output, which differs from run to run.
     mark: Vec<u8>,
     part: Part,
     boot_log: Vec<u8>,
