@@ -36,15 +36,6 @@ enum TelegramState {
     Ending,
 }
 
-impl Exchange {
-    pub(super) fn new() -> Self {
-        Self {
-            state: TelegramState::Idle,
-            body: [0; body_length(MAX_WORDS)],
-        }
-    }
-}
-
 impl Protocol for Exchange {
     fn reset(&mut self) {
         self.state = TelegramState::Idle;
@@ -56,6 +47,13 @@ impl Protocol for Exchange {
 }
 
 impl Exchange {
+    pub(super) fn new() -> Self {
+        Self {
+            state: TelegramState::Idle,
+            body: [0; body_length(MAX_WORDS)],
+        }
+    }
+
     fn take(&mut self, byte: u8, service: &mut Service, now: Instant) -> TelegramState {
         match self.state {
             TelegramState::Idle => {

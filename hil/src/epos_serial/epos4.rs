@@ -23,16 +23,6 @@ struct Transfer {
     toggle: bool,
 }
 
-impl Frames {
-    pub(super) fn new(segment: u8) -> Self {
-        Self {
-            deframer: Deframer::new(),
-            transfer: None,
-            segment,
-        }
-    }
-}
-
 impl Protocol for Frames {
     fn reset(&mut self) {
         self.deframer.reset();
@@ -53,6 +43,14 @@ impl Protocol for Frames {
 }
 
 impl Frames {
+    pub(super) fn new(segment: u8) -> Self {
+        Self {
+            deframer: Deframer::new(),
+            transfer: None,
+            segment,
+        }
+    }
+
     fn serve(&mut self, frame: &Frame, service: &mut Service, now: Instant) -> Frame {
         let mut segment = [0; MAX_SEGMENT];
         let obeyed = match Request::decode(frame) {

@@ -150,7 +150,7 @@ impl AxisConfig {
         let motor = &AXES[axis as usize];
         let (inertia, viscous) = match axis {
             Irp6Axis::Roll | Irp6Axis::Flange => WRIST_WUT,
-            _ => ARM_WUT,
+            Irp6Axis::Column | Irp6Axis::LowerArm | Irp6Axis::UpperArm | Irp6Axis::Pitch => ARM_WUT,
         };
         let mut config = Self::irp6(axis);
         config.plant = PlantConfig::Wut(WutConfig {

@@ -24,6 +24,7 @@ const THERMAL: ThermalConfig = ThermalConfig {
 
 /// Parameters of a motor and its drive, at the motor shaft.
 pub(super) struct MotorData {
+    /// Motor angle of the synchronisation position, rad.
     pub(super) home: f64,
     /// Angles at which the limit switches close, rad; `None` for an endless axis.
     pub(super) travel: Option<(f64, f64)>,
@@ -37,6 +38,7 @@ pub(super) struct MotorData {
     pub(super) gravity: (f64, f64, f64),
     /// Viscous friction, N·m·s/rad, Coulomb and static friction, N·m.
     pub(super) friction: (f64, f64, f64),
+    /// Working current limit and over-current threshold, A.
     pub(super) max_current: f64,
     pub(super) trip_current: f64,
     pub(super) max_voltage: f64,
