@@ -6,7 +6,7 @@
 
 use std::f64::consts::TAU;
 
-use crate::plant::{Demand, PlantConfig, SUB_STEP, Wut};
+use crate::plant::{AxisConfig, Demand, PlantConfig, SUB_STEP, Wut};
 
 /// Settings of a drive.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,7 +38,6 @@ const CURRENT_BANDWIDTH: f64 = 1000.0 * TAU;
 /// filter, a demand that changes every other millisecond makes the acceleration jump.
 const ACCELERATION_SHARE: f64 = 0.2;
 
-/// The gains of all loops, derived from the plant.
 #[derive(Clone, Copy, Debug)]
 struct Gains {
     /// Demanded velocity per position error, 1/s: `ωv / 5`.
@@ -121,19 +120,12 @@ pub(crate) struct Amplifier {
 }
 
 impl Amplifier {
-    pub(crate) fn new(
-        config: &AmplifierConfig,
-        plant: &PlantConfig,
-        counts_per_revolution: u32,
-    ) -> Self {
+    pub(crate) fn new(axis: &AxisConfig) -> Self {
         Self {
-            config: *config,
-            gains: Gains::new(config, plant),
-            torque_constant: match plant {
-                PlantConfig::Wut(wut) => wut.torque_constant,
-                PlantConfig::Physical(motor) => motor.torque_constant,
-            },
-            radians_per_count: TAU / f64::from(counts_per_revolution),
+            config: axis.amplifier,
+            gains: Gains::new(&axis.amplifier, &axis.plant),
+            torque_constant: axis.plant.torque_constant(),
+            radians_per_count: TAU / f64::from(axis.counts_per_revolution),
             counts: 0,
             ahead: 0.5,
             observed_velocity: 0.0,
@@ -148,6 +140,8 @@ impl Amplifier {
         }
     }
 
+    /// Replaces the gains of the current loop that follow from the motor: voltage per current error, Ω, and voltage
+    /// per current error and sub-step. The regression model does not use these gains.
     pub(crate) fn set_current_gains(&mut self, proportional: f64, integral: f64) {
         self.gains.current = proportional;
         self.gains.current_integral = integral;
@@ -172,8 +166,7 @@ impl Amplifier {
         self.fixed = None;
     }
 
-    /// Applies a demand that addresses the current loop directly. The current loop continues from the last output
-    /// voltage.
+    /// Applies a demand on the current loop itself, which continues from the last output voltage.
     pub(crate) fn command(&mut self, demand: &Demand) {
         self.fixed = None;
         match *demand {

@@ -137,8 +137,7 @@ pub struct AxisControllerConfig {
     pub power_on: Instant,
     /// Seed of noise and ripple.
     pub seed: u64,
-    /// Motor, load and sensors. Of the amplifier's settings only the trip current counts, until the host sends its
-    /// own limit.
+    /// Motor, load and sensors. Of the amplifier, only the trip current counts, until the host sends its own limit.
     pub axis: AxisConfig,
     /// Mounting point of the axis. `None`: the motor carries a load of its own.
     pub mount: Option<Mount>,

@@ -52,13 +52,16 @@ impl EposSerialConfig {
 /// The service port of an axis controller, with its device.
 pub struct EposSerial {
     service: Service,
-    port: Port,
+    protocol: Box<dyn Protocol>,
     last: Instant,
 }
 
-enum Port {
-    Epos4(Box<Frames>),
-    Epos2(Box<Exchange>),
+trait Protocol: Send {
+    /// Abandons a frame or an exchange in progress.
+    fn reset(&mut self);
+
+    /// Takes a byte, and answers the request that ends with the byte.
+    fn receive(&mut self, byte: u8, service: &mut Service, now: Instant);
 }
 
 impl EposSerial {
@@ -67,28 +70,23 @@ impl EposSerial {
     /// Every complete frame is answered, an invalid frame with an error code. A torn frame is not answered. A new
     /// initiation replaces a segmented transfer in progress. Any error ends the transfer.
     pub fn epos4(config: EposSerialConfig) -> Self {
-        Self::new(
-            Port::Epos4(Box::new(Frames::new(config.segment))),
-            config.epos,
-        )
+        Self::new(Box::new(Frames::new(config.segment)), config.epos)
     }
 
     /// The RS-232 port of an EPOS2 after power-on.
     ///
-    /// An unknown opcode is received to its end and refused with 0x0F00_FFBF. While the port has bytes to send, it
-    /// ignores received bytes.
+    /// An unknown opcode is received to its end and refused with 0x0F00_FFBF.
     pub fn epos2(config: EposSerialConfig) -> Self {
-        Self::new(Port::Epos2(Box::new(Exchange::new())), config.epos)
+        Self::new(Box::new(Exchange::new()), config.epos)
     }
 
-    fn new(port: Port, config: Epos4Config) -> Self {
-        let service = Service {
-            epos: Epos4::new(config),
-            outbox: Outbox::new(),
-        };
+    fn new(protocol: Box<dyn Protocol>, config: Epos4Config) -> Self {
         Self {
-            service,
-            port,
+            service: Service {
+                epos: Epos4::new(config),
+                outbox: Outbox::new(),
+            },
+            protocol,
             last: Instant::ZERO,
         }
     }
@@ -98,18 +96,12 @@ impl LineDevice for EposSerial {
     fn receive(&mut self, byte: u8, now: Instant) {
         self.service.run(now);
         // A pause ends a frame or exchange (objects 0x2005, 0x2006).
-        let paused = now.since(self.last) > serial::epos4::TIME_OUT;
-        self.last = now;
-        match &mut self.port {
-            Port::Epos4(frames) if paused => frames.reset(),
-            Port::Epos2(exchange) if paused => exchange.reset(),
-            Port::Epos4(_) | Port::Epos2(_) => {}
+        if now.since(self.last) > serial::epos4::TIME_OUT {
+            self.protocol.reset();
         }
+        self.last = now;
         if self.service.listens() {
-            match &mut self.port {
-                Port::Epos4(frames) => frames.receive(byte, &mut self.service, now),
-                Port::Epos2(exchange) => exchange.receive(byte, &mut self.service, now),
-            }
+            self.protocol.receive(byte, &mut self.service, now);
         }
     }
 
@@ -139,7 +131,7 @@ impl Service {
         self.outbox.put(now + TURN_AROUND, bytes);
     }
 
-    /// Whether received bytes are accepted. The port ignores bytes during boot and while an answer is being sent.
+    /// Whether received bytes are accepted: not during boot, and not while an answer is being sent.
     fn listens(&self) -> bool {
         self.epos.has_booted() && self.outbox.is_empty()
     }

@@ -18,6 +18,7 @@ mod tests;
 
 pub use faults::{LineFaults, Stuck, WireFaults};
 
+use std::any::Any;
 use std::time::Duration;
 
 use can::Instant;
@@ -55,7 +56,6 @@ pub struct LineStatistics {
     pub duplicated: u64,
 }
 
-/// One direction of the line.
 struct Direction {
     settings: Settings,
     /// Start of the current burst of bytes without gaps, and the number of bytes in the burst.
@@ -130,7 +130,6 @@ impl Adapter {
         self.since + self.latency
     }
 
-    /// Takes a byte from the line.
     fn collect(&mut self, byte: TimedByte, host: Option<&mut VirtualLinePeer>) {
         self.bytes[self.count] = byte.byte;
         self.count += 1;
@@ -149,7 +148,6 @@ impl Adapter {
         self.since = at;
     }
 
-    /// Runs the timer to `now`.
     fn run(&mut self, now: Instant, host: Option<&mut VirtualLinePeer>) {
         if self.count > 0 && self.expires() <= now {
             self.hand_over(self.expires(), host);
@@ -171,8 +169,7 @@ enum LineEvent {
 }
 
 impl SerialLine {
-    /// An idle line at [`Instant::ZERO`]. `latency`, above zero, inserts a USB adapter with such a latency timer
-    /// between line and host.
+    /// An idle line at [`Instant::ZERO`]. A `latency` above zero inserts a USB adapter with such a latency timer.
     pub fn new(settings: Settings, latency: Option<Duration>, device: Box<dyn LineDevice>) -> Self {
         let latency = latency.filter(|latency| !latency.is_zero());
         let mut line = Self {
@@ -204,9 +201,10 @@ impl SerialLine {
         self.host = None;
     }
 
-    /// The device on the line.
-    pub fn device(&self) -> &dyn LineDevice {
-        self.device.as_ref()
+    /// The device as its own type, to examine its true state; `None` if the device is no `D`.
+    pub fn device<D: LineDevice>(&self) -> Option<&D> {
+        let device: &dyn Any = self.device.as_ref();
+        device.downcast_ref()
     }
 
     /// Sets the faults from now on. The same faults damage the same bytes in the same way.

@@ -6,7 +6,6 @@ mod supervisor;
 mod trust;
 
 use std::ffi::{OsStr, OsString};
-use std::fmt;
 use std::fs::{self, File, Permissions};
 use std::io::{self, PipeReader};
 use std::os::fd::OwnedFd;
@@ -81,21 +80,14 @@ pub enum MachineError {
 }
 
 /// A directory that a machine works with.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Directory {
     /// The directory of [`Options::output`].
+    #[error("the output directory")]
     Output,
     /// The directory of temporary files, in which the machine's own directory is made.
+    #[error("the directory for temporary files (TMPDIR)")]
     Temporary,
-}
-
-impl fmt::Display for Directory {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Output => "the output directory",
-            Self::Temporary => "the directory for temporary files (TMPDIR)",
-        })
-    }
 }
 
 impl Directory {
@@ -173,7 +165,6 @@ impl Options {
 pub(crate) struct Control {
     /// The path of the directory. The path contains no character that is special in a command line or a mount option.
     pub(crate) path: PathBuf,
-    /// The output directory.
     pub(crate) output: PathBuf,
     _directory: TempDir,
 }
@@ -270,8 +261,7 @@ impl Machine {
         Err(MachineError::TimedOut(timeout))
     }
 
-    /// Exit status of the command, once the machine has ended. Without a status, the error depends on whether the command
-    /// `began`.
+    /// Exit status of the command of an ended machine. Without a status, the error depends on `began`.
     pub(crate) fn result(&self, began: bool) -> Result<u8, MachineError> {
         let status = fs::read_to_string(self.control.path.join("status")).ok();
         let status = status.and_then(|status| status.trim().parse().ok());
@@ -316,17 +306,30 @@ pub(crate) fn command_script(options: &Options, output: &Path) -> Vec<u8> {
     script
 }
 
+/// A line of a shell script that mounts `what` at `place`, seen from `root`.
+pub(crate) fn mount(what: &[u8], root: &str, place: &Path) -> Vec<u8> {
+    let place = [root.as_bytes(), &quoted(place.as_os_str())].concat();
+    [
+        b"mkdir -p ",
+        &*place,
+        b"; mount ",
+        what,
+        b" ",
+        &place,
+        b"\n",
+    ]
+    .concat()
+}
+
 /// Quotes `word`, which may contain any byte, so that a shell reads one word with the same bytes.
 pub(crate) fn quoted(word: &OsStr) -> Vec<u8> {
-    let mut script = vec![b'\''];
-    for &byte in word.as_bytes() {
-        match byte {
-            b'\'' => script.extend(br"'\''"),
-            other => script.push(other),
-        }
-    }
-    script.push(b'\'');
-    script
+    [b"'", &*replaced(word, b'\'', br"'\''"), b"'"].concat()
+}
+
+/// The bytes of `text`, with each `byte` replaced by the bytes `by`.
+pub(crate) fn replaced(text: &OsStr, byte: u8, by: &[u8]) -> Vec<u8> {
+    let parts: Vec<&[u8]> = text.as_bytes().split(|other| *other == byte).collect();
+    parts.join(by)
 }
 
 #[cfg(test)]

@@ -39,7 +39,6 @@ impl Outbox {
         self.bytes.is_empty()
     }
 
-    /// Sets the current time.
     pub(crate) fn run(&mut self, now: Instant) {
         self.now = now;
     }

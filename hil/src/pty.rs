@@ -121,8 +121,7 @@ impl Pty {
         Ok(count as usize)
     }
 
-    /// Sends the front of `bytes`, and returns the number of bytes for which there was room: 0 while the host does
-    /// not read.
+    /// Sends the front of `bytes`. Returns the number of bytes that had room: 0 while the host does not read.
     pub fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         not_yet(self.master.write(bytes))
     }
@@ -204,8 +203,7 @@ fn make_raw(slave: &File) -> io::Result<()> {
     Ok(())
 }
 
-/// Marks the terminal as used by an emulator while `slave` is open. Hosts lock their terminals by `flock`, which is
-/// another lock.
+/// Marks the terminal as used by an emulator while `slave` is open. The `flock` of hosts is another lock.
 fn hold(slave: &File) -> io::Result<()> {
     let lock = write_lock();
     // SAFETY: a valid lock to be read.

@@ -1,30 +1,28 @@
 //! A test machine with CAN cards and a real-time kernel. QEMU emulates a PC with two Kvaser PCI cards on one bus.
 //! Debian's PREEMPT_RT kernel boots in about five seconds on the host's own file system.
 //!
-//! The machine gives the guarantees of [`uml`](crate::uml). The command inside can write to one directory of the host
-//! and to no other. The command ends within its time limit. No process and no file is left behind. Interfaces `can0`
-//! and `can1` exist, down and without a bit rate, as on a PC after power-on. `ip` and `can-utils` work on the
-//! interfaces as on any card. The machine proves function and never timing: every instruction is emulated, on one
-//! processor. The emulated bus has neither bit times nor acknowledgement.
+//! The machine gives the guarantees of [`uml`](crate::uml). Interfaces `can0` and `can1` exist, down and without a bit
+//! rate, as on a PC after power-on. `ip` and `can-utils` work on the interfaces as on any card. The machine proves
+//! function and never timing: every instruction is emulated, on one processor. The emulated bus has neither bit times
+//! nor acknowledgement.
 //!
 //! Read [`Kernel`], then [`run`]. The machine's first process is `qemu-init.sh`.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{self, PipeReader, Read, Write};
-use std::os::unix::ffi::{OsStrExt, OsStringExt};
+use std::os::unix::ffi::OsStringExt;
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
 pub use crate::machine::{Cancellation, MachineError, Options};
-use crate::machine::{Control, Machine, command_script, host, quoted};
+use crate::machine::{Control, Machine, command_script, host, mount, quoted, replaced};
 
 const QEMU: &str = "qemu-system-x86_64";
 const BUSYBOX: &str = "/bin/busybox";
 const INIT: &str = include_str!("qemu-init.sh");
-/// Modules that the machine needs in addition to those built into the kernel. Each module comes after its
-/// dependencies.
+/// Modules that the machine needs beside those built into the kernel, each after its dependencies.
 const MODULES: [&str; 17] = [
     "drivers/virtio/virtio_ring",
     "drivers/virtio/virtio",
@@ -150,10 +148,8 @@ fn boot_log(control: &Control) -> PathBuf {
 
 /// A setting of QEMU that ends with a path. A comma separates settings; a double comma stands for a comma.
 fn setting(before: &str, path: &Path, behind: &str) -> OsString {
-    let path = path.as_os_str().as_bytes();
-    let path: Vec<&[u8]> = path.split(|byte| *byte == b',').collect();
-    let words = [before.as_bytes(), &path.join(&b",,"[..]), behind.as_bytes()];
-    OsString::from_vec(words.concat())
+    let path = replaced(path.as_os_str(), b',', b",,");
+    OsString::from_vec([before.as_bytes(), &path, behind.as_bytes()].concat())
 }
 
 /// The machine, not started yet.
@@ -201,46 +197,32 @@ fn read_pieces(mut output: PipeReader, take: &mut dyn FnMut(Vec<u8>) -> bool) {
 /// The file system with which the kernel starts.
 fn initramfs(kernel: &Kernel, options: &Options, control: &Control) -> io::Result<Vec<u8>> {
     let mut archive = Archive::default();
-    archive.add("init", 0o755, INIT.as_bytes());
-    archive.add("busybox", 0o755, &fs::read(BUSYBOX)?);
-    archive.add("settings", 0o644, &settings(control));
-    archive.add("mounts", 0o644, &mount_script(options, &control.output));
-    archive.add("command", 0o644, &command_script(options, &control.output));
+    let settings = [b"control=", &*quoted(control.path.as_os_str()), b"\n"].concat();
+    archive.add("init", PROGRAM, INIT.as_bytes());
+    archive.add("busybox", PROGRAM, &fs::read(BUSYBOX)?);
+    archive.add("settings", DATA, &settings);
+    archive.add("mounts", DATA, &mount_script(options, &control.output));
+    archive.add("command", DATA, &command_script(options, &control.output));
     for (number, module) in MODULES.iter().enumerate() {
         let name = format!("{number:02}.ko");
-        archive.add(&name, 0o644, &fs::read(kernel.module(module))?);
+        archive.add(&name, DATA, &fs::read(kernel.module(module))?);
     }
     Ok(archive.end())
 }
 
-fn settings(control: &Control) -> Vec<u8> {
-    let control = quoted(control.path.as_os_str());
-    [b"control=", &*control, b"\n"].concat()
-}
-
-/// A script that mounts the visible directories of [`Options`] which would otherwise be hidden, then the output
-/// directory, which may lie in one of them.
+/// A script that mounts [`Options::hidden`], then the output directory, which may lie in one of them.
 fn mount_script(options: &Options, output: &Path) -> Vec<u8> {
-    let mount = |place: &Path, how: &[u8]| {
-        let place = quoted(place.as_os_str());
-        let words = [
-            b"mkdir -p /root",
-            &*place,
-            b"; mount ",
-            how,
-            b" /root",
-            &place,
-            b"\n",
-        ];
-        words.concat()
-    };
     let hidden = options.hidden().into_iter().flat_map(|place| {
         let from = quoted(place.as_os_str());
-        mount(&place, &[b"-o bind /host", &*from].concat())
+        mount(&[b"-o bind /host", &*from].concat(), "/root", &place)
     });
     let writable = b"-t 9p -o trans=virtio,version=9p2000.L,rw,msize=262144 output";
-    hidden.chain(mount(output, writable)).collect()
+    hidden.chain(mount(writable, "/root", output)).collect()
 }
+
+/// Modes of regular files.
+const PROGRAM: u32 = 0o100_755;
+const DATA: u32 = 0o100_644;
 
 /// A cpio archive of the format `newc`. Each entry has `070701`, thirteen numbers of eight hexadecimal digits, the
 /// name with a NUL, and the content. Name and content are each padded to four bytes (Linux,
@@ -252,13 +234,7 @@ struct Archive {
 }
 
 impl Archive {
-    /// Adds a regular file.
-    fn add(&mut self, name: &str, permissions: u32, content: &[u8]) {
-        const REGULAR: u32 = 0o100_000;
-        self.entry(name, REGULAR | permissions, content);
-    }
-
-    fn entry(&mut self, name: &str, mode: u32, content: &[u8]) {
+    fn add(&mut self, name: &str, mode: u32, content: &[u8]) {
         self.files += 1;
         let size = u32::try_from(content.len()).expect("no file of a kernel has 4 GiB");
         let name_size = name.len() as u32 + 1;
@@ -281,7 +257,7 @@ impl Archive {
     }
 
     fn end(mut self) -> Vec<u8> {
-        self.entry("TRAILER!!!", 0, &[]);
+        self.add("TRAILER!!!", 0, &[]);
         self.bytes
     }
 }
@@ -293,7 +269,7 @@ mod tests {
     #[test]
     fn an_archive_is_laid_out_as_the_kernel_reads_it() {
         let mut archive = Archive::default();
-        archive.add("init", 0o755, b"hello");
+        archive.add("init", PROGRAM, b"hello");
         let zeros = "00000000".repeat(2);
         let expected = format!(
             "070701{}{}{zeros}{}{}{}{zeros}{zeros}{}{}init\0\0hello\0\0\0070701",

@@ -63,7 +63,9 @@ pub struct SlcanDevice {
     in_tune: Option<bool>,
     time_stamps: bool,
     auto_poll: bool,
-    acceptance: Acceptance,
+    /// The acceptance filter of an SJA1000 in dual filter mode. Set bits of the mask are ignored.
+    acceptance_code: u32,
+    acceptance_mask: u32,
     flags: StatusFlags,
     state: ControllerState,
     receive_errors: u16,
@@ -82,14 +84,6 @@ enum Channel {
     Loopback,
 }
 
-/// The acceptance filter of an SJA1000 in dual filter mode.
-#[derive(Clone, Copy)]
-struct Acceptance {
-    code: u32,
-    /// Set bits of the mask are ignored.
-    mask: u32,
-}
-
 impl SlcanDevice {
     /// An adapter with a closed channel on a bus of this bit rate.
     pub fn new(bus: Bitrate) -> Self {
@@ -101,10 +95,8 @@ impl SlcanDevice {
             in_tune: None,
             time_stamps: false,
             auto_poll: true,
-            acceptance: Acceptance {
-                code: 0,
-                mask: u32::MAX,
-            },
+            acceptance_code: 0,
+            acceptance_mask: u32::MAX,
             flags: StatusFlags::default(),
             state: ControllerState::Active,
             receive_errors: 0,
@@ -221,8 +213,8 @@ impl SlcanDevice {
             }
             Command::TimeStamps(on) if closed => self.time_stamps = on,
             Command::AutoPoll(on) if closed => self.auto_poll = on,
-            Command::AcceptanceCode(code) if closed => self.acceptance.code = code,
-            Command::AcceptanceMask(mask) if closed => self.acceptance.mask = mask,
+            Command::AcceptanceCode(code) if closed => self.acceptance_code = code,
+            Command::AcceptanceMask(mask) if closed => self.acceptance_mask = mask,
             Command::Bitrate(_)
             | Command::BitTiming { .. }
             | Command::TimeStamps(_)
@@ -332,44 +324,11 @@ impl SlcanDevice {
         }
         fits
     }
-}
 
-impl Device for SlcanDevice {
-    fn handle(&mut self, frame: &Frame, now: Instant) {
-        let listening = matches!(self.channel, Channel::Open | Channel::ListenOnly);
-        if !listening || self.state == ControllerState::BusOff {
-            return;
-        }
-        if self.in_tune == Some(false) {
-            self.flags.0 |= StatusFlags::BUS_ERROR;
-            if self.channel == Channel::Open {
-                // A controller stops counting receive errors in error passive.
-                let receive = (self.receive_errors + 1).min(128);
-                self.set_error_counters(receive, self.transmit_errors);
-            }
-        } else if self.acceptance.accepts(frame) {
-            self.report(*frame, now);
-        }
-    }
-
-    fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
-        let frame = self.to_bus.pop_front();
-        self.work(now);
-        frame
-    }
-
-    fn poll_timeout(&self) -> Option<Instant> {
-        None
-    }
-
-    fn handle_timeout(&mut self, _now: Instant) {}
-}
-
-impl Acceptance {
     /// Whether either filter accepts the frame. The first filter compares an 11-bit identifier, RTR and the first
     /// data byte. The second filter compares identifier and RTR. Of a 29-bit identifier both filters compare the
     /// upper 16 bits.
-    fn accepts(self, frame: &Frame) -> bool {
+    fn accepts(&self, frame: &Frame) -> bool {
         let remote = u32::from(frame.is_remote());
         let (seen, first, second) = match frame.id() {
             Some(Id::Standard(id)) => {
@@ -386,9 +345,40 @@ impl Acceptance {
             }
             None => return false,
         };
-        let differs = (seen ^ self.code) & !self.mask;
+        let differs = (seen ^ self.acceptance_code) & !self.acceptance_mask;
         differs & first == 0 || differs & second == 0
     }
+}
+
+impl Device for SlcanDevice {
+    fn handle(&mut self, frame: &Frame, now: Instant) {
+        let listening = matches!(self.channel, Channel::Open | Channel::ListenOnly);
+        if !listening || self.state == ControllerState::BusOff {
+            return;
+        }
+        if self.in_tune == Some(false) {
+            self.flags.0 |= StatusFlags::BUS_ERROR;
+            if self.channel == Channel::Open {
+                // A controller stops counting receive errors in error passive.
+                let receive = (self.receive_errors + 1).min(128);
+                self.set_error_counters(receive, self.transmit_errors);
+            }
+        } else if self.accepts(frame) {
+            self.report(*frame, now);
+        }
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        let frame = self.to_bus.pop_front();
+        self.work(now);
+        frame
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        None
+    }
+
+    fn handle_timeout(&mut self, _now: Instant) {}
 }
 
 /// The bit time, ns, that the registers of an SJA1000 at 16 MHz set.

@@ -22,8 +22,8 @@ use std::path::Path;
 
 use thiserror::Error;
 
+use crate::machine::{self, Control, Machine, command_script, host};
 pub use crate::machine::{Cancellation, MachineError, Options};
-use crate::machine::{Control, Machine, command_script, host, quoted};
 
 /// The kernel, as Debian's package `user-mode-linux` installs it.
 const KERNEL: &str = "/usr/bin/linux.uml";
@@ -73,7 +73,8 @@ pub fn run(options: &Options, stdout: &mut dyn Write) -> Result<u8, UmlError> {
     let control = Control::new("uml", options.output.as_deref())?;
     let machine = machine(control, options).map_err(host("start the test machine"))?;
     write(&machine.control, options).map_err(host("write the machine's directory"))?;
-    let mut screen = Screen::new(mark(&machine.control));
+    let name = machine.control.path.file_name().expect("made with a name");
+    let mut screen = Screen::new([name.as_bytes(), b"\n"].concat());
     machine.run(options.timeout, |line| screen.show(line, stdout))?;
     let result = machine.result(screen.part != Part::Boot);
     if result == Err(MachineError::BootFailed) {
@@ -95,30 +96,16 @@ fn write(control: &Control, options: &Options) -> io::Result<()> {
     fs::write(file("command"), command_script(options, &control.output))
 }
 
-/// The line before and behind the command's output. The mark differs from run to run.
-fn mark(control: &Control) -> Vec<u8> {
-    let name = control.path.file_name().expect("made with a name");
-    [name.as_bytes(), b"\n"].concat()
-}
-
-/// A script that mounts the visible directories of [`Options`] which would otherwise be hidden, then the output
-/// directory, which may lie in one of them. Each mount names a symbolic link, because a mount option cannot carry
-/// every path.
+/// A script that mounts [`Options::hidden`], then the output directory, which may lie in one of them. Each mount names
+/// a symbolic link, because a mount option cannot carry every path.
 fn mount_script(control: &Control, options: &Options) -> io::Result<Vec<u8>> {
     let mut script = Vec::new();
-    let mut mount = |name: &str, place: &Path, access: &str| {
+    let mut mount = |name: &str, place: &Path, access: &str| -> io::Result<()> {
         let link = control.path.join(name);
         symlink(place, &link)?;
-        let place = quoted(place.as_os_str());
-        write!(script, "mkdir -p ")?;
-        script.write_all(&place)?;
-        write!(
-            script,
-            "; mount -t hostfs -o {access},{} none ",
-            link.display()
-        )?;
-        script.write_all(&place)?;
-        writeln!(script)
+        let what = format!("-t hostfs -o {access},{} none", link.display());
+        script.extend(machine::mount(what.as_bytes(), "", place));
+        Ok(())
     };
     for (number, place) in options.hidden().iter().enumerate() {
         mount(&format!("visible-{number}"), place, "ro")?;
@@ -160,6 +147,7 @@ fn read_lines(console: PipeReader, take: &mut dyn FnMut(Vec<u8>) -> bool) {
 
 /// Separates the command's output from the kernel's messages before and behind it.
 struct Screen {
+    /// The line before and behind the command's output, which differs from run to run.
     mark: Vec<u8>,
     part: Part,
     boot_log: Vec<u8>,

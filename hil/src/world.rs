@@ -32,7 +32,7 @@ use can::{Instant, VirtualPort, virtual_port};
 use serial::{Settings, VirtualLine, virtual_line};
 
 use crate::bus::VirtualBus;
-use crate::line::{LineFaults, LineStatistics, SerialLine};
+use crate::line::SerialLine;
 use crate::{Device, LineDevice};
 
 /// Buses and lines with their devices, advanced together. Buses and lines do not influence each other.
@@ -94,8 +94,7 @@ impl World {
         LineId(self.lines.len() - 1)
     }
 
-    /// The host's end of a line with room for `capacity` bytes each way. The call disconnects the previous end.
-    /// `line` must belong to this world.
+    /// The host's end of a `line` of this world, in place of the last end, with room for `capacity` bytes each way.
     pub fn host_line(&mut self, line: LineId, capacity: usize) -> VirtualLine {
         let (host, peer) = virtual_line(capacity);
         self.lines[line.0].attach_host(peer);
@@ -141,26 +140,14 @@ impl World {
         device.downcast_ref()
     }
 
-    /// Counters of a line. `line` must belong to this world.
-    pub fn line(&self, line: LineId) -> LineStatistics {
-        self.lines[line.0].statistics()
+    /// A line, to examine its counters and its device. `line` must belong to this world.
+    pub fn line(&self, line: LineId) -> &SerialLine {
+        &self.lines[line.0]
     }
 
-    /// Sets the faults of a line from now on. `line` must belong to this world.
-    pub fn set_line_faults(&mut self, line: LineId, faults: &LineFaults) {
-        self.lines[line.0].set_faults(faults);
-    }
-
-    /// Disconnects the host's end of a line permanently, as an unplugged adapter does. `line` must belong to this
-    /// world.
-    pub fn hang_up(&mut self, line: LineId) {
-        self.lines[line.0].hang_up();
-    }
-
-    /// The device of a line as its own type, to examine its true state; `None` if the device is no `D`.
-    pub fn line_device<D: LineDevice>(&self, line: LineId) -> Option<&D> {
-        let device: &dyn Any = self.lines.get(line.0)?.device();
-        device.downcast_ref()
+    /// A line, to change its faults or to disconnect its host. `line` must belong to this world.
+    pub fn line_mut(&mut self, line: LineId) -> &mut SerialLine {
+        &mut self.lines[line.0]
     }
 }
 
@@ -212,7 +199,7 @@ mod tests {
             at: end,
         }];
         assert_eq!(listener.receive(end, &mut frame), Ok(1));
-        assert!(world.line_device::<Echo>(line).is_some());
-        assert_eq!(world.line(line).to_host, 1);
+        assert!(world.line(line).device::<Echo>().is_some());
+        assert_eq!(world.line(line).statistics().to_host, 1);
     }
 }

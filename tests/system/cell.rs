@@ -408,7 +408,7 @@ impl Rig {
                 let socket: Option<&Socket> = world.device(id);
                 socket.map(|socket| socket.drive.axis())
             }
-            DriveId::Line(id) => world.line_device(id).map(AxisController::axis),
+            DriveId::Line(id) => world.line(id).device().map(AxisController::axis),
         }
         .expect("a drive")
         .angle()
@@ -418,7 +418,7 @@ impl Rig {
     pub(crate) fn set_line_faults(&mut self, axis: usize, faults: &LineFaults) {
         match self.drives[axis] {
             DriveId::Node(_) => panic!("axis {axis} is on no serial line"),
-            DriveId::Line(line) => self.world.set_line_faults(line, faults),
+            DriveId::Line(line) => self.world.line_mut(line).set_faults(faults),
         }
     }
 
@@ -426,7 +426,7 @@ impl Rig {
     pub(crate) fn hang_up(&mut self, axis: usize) {
         match self.drives[axis] {
             DriveId::Node(_) => panic!("axis {axis} is on no serial line"),
-            DriveId::Line(line) => self.world.hang_up(line),
+            DriveId::Line(line) => self.world.line_mut(line).hang_up(),
         }
     }
 

@@ -211,7 +211,7 @@ fn a_bad_line_costs_time_and_gives_no_wrong_value() {
                 to_device: faults,
                 to_host: faults,
             };
-            stage.world.set_line_faults(stage.line, &line);
+            stage.world.line_mut(stage.line).set_faults(&line);
             let mut right = 0;
             // A write whose confirmation was lost may have been performed.
             let mut possible = vec![10_000];
@@ -230,7 +230,7 @@ fn a_bad_line_costs_time_and_gives_no_wrong_value() {
                     Err(_) => {}
                 }
             }
-            let statistics = stage.world.line(stage.line);
+            let statistics = stage.world.line(stage.line).statistics();
             let spoilt = statistics.corrupted + statistics.lost + statistics.duplicated;
             let case = format!("{dialect:?}, {number}: {right} of 100, {spoilt} spoilt");
             assert!(right >= 90 && spoilt > 5, "{case}");

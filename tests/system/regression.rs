@@ -65,13 +65,13 @@ fn run(
     let periods = (motion.duration() / PERIOD) as u32 + 1000;
     (0..periods)
         .map(|k| {
-            let count = (motor.angle() * per_radian).floor() as i32;
+            let count = (motor.angle * per_radian).floor() as i32;
             let demand = motion.at(f64::from(k) * PERIOD) * per_radian;
             let moved = f64::from(count - last_count);
             let torque = regulator.step(demand - last_demand - moved, 0.0);
             // Drives receive whole milliamperes.
             let current = (torque / motor_config.torque_constant * 1000.0) as i32;
-            motor.step(f64::from(current) / 1000.0, PERIOD);
+            motor.step(f64::from(current) / 1000.0, PERIOD, 0.0);
             (last_demand, last_count) = (demand, count);
             (demand - f64::from(count), current)
         })

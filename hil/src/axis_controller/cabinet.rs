@@ -13,21 +13,18 @@ pub struct Cabinet(Arc<Stop>);
 /// The order of the two atomics does not matter: one thread moves all drives of a world.
 #[derive(Debug, Default)]
 struct Stop {
-    /// Number of drives in error.
     in_error: AtomicU32,
     /// Time of the last opening or closing, ns.
     changed: AtomicU64,
 }
 
 impl Cabinet {
-    /// Records that a drive is in error from `now` on.
     pub(super) fn enter_error(&self, now: Instant) {
         if self.0.in_error.fetch_add(1, Ordering::Relaxed) == 0 {
             self.change(now);
         }
     }
 
-    /// Records that a drive has left the error state.
     pub(super) fn leave_error(&self, now: Instant) {
         if self.0.in_error.fetch_sub(1, Ordering::Relaxed) == 1 {
             self.change(now);
@@ -38,8 +35,7 @@ impl Cabinet {
         self.0.changed.store(now.as_nanos(), Ordering::Relaxed);
     }
 
-    /// Whether the stop is open at `at`. A lagging drive may ask for a past instant. The answer is correct back to
-    /// the last change but one.
+    /// Whether the stop is open at `at`, which may be past for a lagging drive, back to the last change but one.
     pub(super) fn is_open(&self, at: Instant) -> bool {
         let open = self.0.in_error.load(Ordering::Relaxed) > 0;
         let changed = self.0.changed.load(Ordering::Relaxed);

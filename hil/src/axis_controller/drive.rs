@@ -31,9 +31,8 @@ pub(super) enum Mode {
     Error,
 }
 
-/// State of the index search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Search {
+pub(super) enum Search {
     Off,
     Armed,
     Found,
@@ -47,34 +46,19 @@ pub(super) struct Faults {
     pub(super) power_stage: bool,
 }
 
-/// Sensor readings of one instant, as both protocols report them.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Sample {
-    pub(super) position: i32,
-    /// Current, mA.
-    pub(super) current: i16,
-    pub(super) upper_limit: bool,
-    pub(super) lower_limit: bool,
-    pub(super) home_switch: bool,
-    pub(super) index: bool,
-    pub(super) synchronized: bool,
-    pub(super) faults: Faults,
-    pub(super) error: bool,
-}
-
 pub(super) struct Drive {
     pub(super) axis: PlantAxis,
-    feedback: Feedback,
+    pub(super) feedback: Feedback,
     /// Time up to which the axis has been simulated.
     inner: Instant,
     supply: f64,
-    mode: Mode,
+    pub(super) mode: Mode,
     /// Set-point of the current mode: pulse width, or mA.
     set_point: f64,
-    search: Search,
+    pub(super) search: Search,
     /// Position counter = raw counter + offset.
     offset: i32,
-    synchronized: bool,
+    pub(super) synchronized: bool,
     faults: Faults,
     cabinet: Cabinet,
 }
@@ -192,13 +176,9 @@ impl Drive {
         }
     }
 
-    pub(super) fn set_synchronized(&mut self, synchronized: bool) {
-        self.synchronized = synchronized;
-    }
-
     /// Current limit, mA. With a limit of zero or less, any current trips the drive.
     pub(super) fn set_max_current(&mut self, current: i16) {
-        self.axis.set_trip_current(f64::from(current.max(0)) * 1e-3);
+        self.axis.amplifier.config.trip_current = f64::from(current.max(0)) * 1e-3;
     }
 
     pub(super) fn set_current_gains(&mut self, gains: Gains) {
@@ -207,24 +187,23 @@ impl Drive {
         let (p, i) = (f64::from(gains.p) * scale, f64::from(gains.i) * scale);
         // The integral of the axis's loop lags by one sub-step. Adding the integral gain to the proportional gain
         // compensates.
-        self.axis.set_current_gains(p + i, i);
+        self.axis.amplifier.set_current_gains(p + i, i);
     }
 
-    pub(super) fn sample(&self) -> Sample {
-        let feedback = &self.feedback;
-        Sample {
-            position: feedback.counts.wrapping_add(self.offset),
-            current: (feedback.current * 1e3).round() as i16,
-            upper_limit: feedback.positive_limit,
-            lower_limit: feedback.negative_limit,
-            home_switch: feedback.home_switch,
-            index: self.search == Search::Found,
-            synchronized: self.synchronized,
-            faults: Faults {
-                power_stage: self.faults.power_stage || self.cabinet.is_open(self.inner),
-                ..self.faults
-            },
-            error: self.mode == Mode::Error,
+    pub(super) fn position(&self) -> i32 {
+        self.feedback.counts.wrapping_add(self.offset)
+    }
+
+    /// Current, mA.
+    pub(super) fn current(&self) -> i16 {
+        (self.feedback.current * 1e3).round() as i16
+    }
+
+    /// The faults that both protocols report. An open stop is shown as a fault of the power stage.
+    pub(super) fn faults(&self) -> Faults {
+        Faults {
+            power_stage: self.faults.power_stage || self.cabinet.is_open(self.inner),
+            ..self.faults
         }
     }
 }

@@ -6,7 +6,7 @@ use serial::hi_moxa::{
 };
 
 use super::GAP;
-use super::drive::{Drive, Mode, Sample};
+use super::drive::{Drive, Mode, Search};
 
 /// First byte of an answer. No source documents its value.
 const START: u8 = 0x23;
@@ -14,7 +14,6 @@ const START: u8 = 0x23;
 /// A window that contains no received byte.
 const NOTHING: [u8; REQUEST] = [0xFF; REQUEST];
 
-/// The telegrams of one controller.
 pub(super) struct HiMoxa {
     /// The last bytes received.
     window: [u8; REQUEST],
@@ -57,7 +56,7 @@ impl HiMoxa {
             if let Some(request) = Request::decode(&self.window) {
                 drive.catch_up(now);
                 if obey(drive, request) {
-                    send(&answer(&drive.sample()).encode());
+                    send(&answer(drive).encode());
                 }
             }
         }
@@ -87,7 +86,7 @@ fn obey(drive: &mut Drive, request: Request) -> bool {
             drive.set_point(mode, value);
         }
         Request::Set(parameter) => match parameter {
-            Parameter::Synchronized(synchronized) => drive.set_synchronized(synchronized),
+            Parameter::Synchronized(synchronized) => drive.synchronized = synchronized,
             Parameter::MaxCurrent(current) => drive.set_max_current(current),
             Parameter::PositionGain(..) | Parameter::CurrentGain(..) => {}
             Parameter::DriverMode(mode) => drive.set_mode(match mode {
@@ -100,22 +99,23 @@ fn obey(drive: &mut Drive, request: Request) -> bool {
     true
 }
 
-fn answer(sample: &Sample) -> Answer {
+fn answer(drive: &Drive) -> Answer {
+    let (feedback, faults) = (&drive.feedback, drive.faults());
     let bits = [
-        (sample.upper_limit, Flags::UPPER_LIMIT),
-        (sample.lower_limit, Flags::LOWER_LIMIT),
-        (sample.home_switch, Flags::HOME_SWITCH),
-        (sample.index, Flags::INDEX),
-        (sample.faults.power_stage, Flags::POWER_STAGE_FAULT),
-        (sample.faults.over_current, Flags::OVERCURRENT),
-        (sample.error, Flags::ERROR),
-        (sample.synchronized, Flags::SYNCHRONIZED),
+        (feedback.positive_limit, Flags::UPPER_LIMIT),
+        (feedback.negative_limit, Flags::LOWER_LIMIT),
+        (feedback.home_switch, Flags::HOME_SWITCH),
+        (drive.search == Search::Found, Flags::INDEX),
+        (faults.power_stage, Flags::POWER_STAGE_FAULT),
+        (faults.over_current, Flags::OVERCURRENT),
+        (drive.mode == Mode::Error, Flags::ERROR),
+        (drive.synchronized, Flags::SYNCHRONIZED),
     ];
     let set = bits.into_iter().filter(|(is, _)| *is);
     Answer {
         start: START,
         flags: Flags(set.fold(0, |flags, (_, bit)| flags | bit)),
-        current: sample.current,
-        position: sample.position,
+        current: drive.current(),
+        position: drive.position(),
     }
 }

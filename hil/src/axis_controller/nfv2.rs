@@ -6,9 +6,8 @@ use serial::nfv2::{
 };
 
 use super::GAP;
-use super::drive::{Drive, Mode, Sample};
+use super::drive::{Drive, Mode, Search};
 
-/// The telegrams of one controller.
 pub(super) struct Nfv2 {
     address: u8,
     stream: Stream,
@@ -82,30 +81,31 @@ fn obey(drive: &mut Drive, command: Command, answer: FrameBuilder) -> FrameBuild
         Command::SetMaxCurrent(current) => drive.set_max_current(current),
         Command::SetMisc(bits) => {
             if bits & Command::SET_SYNCHRONIZED != 0 {
-                drive.set_synchronized(true);
+                drive.synchronized = true;
             }
             if bits & Command::RESET_SYNCHRONIZED != 0 {
-                drive.set_synchronized(false);
+                drive.synchronized = false;
             }
         }
         Command::SetCurrentRegulator(gains) => drive.set_current_gains(gains),
-        Command::ReadPosition => return answer.answer(Answer::Position(drive.sample().position)),
-        Command::ReadCurrent => return answer.answer(Answer::Current(drive.sample().current)),
-        Command::ReadStatus => return answer.answer(Answer::Status(status(&drive.sample()))),
+        Command::ReadPosition => return answer.answer(Answer::Position(drive.position())),
+        Command::ReadCurrent => return answer.answer(Answer::Current(drive.current())),
+        Command::ReadStatus => return answer.answer(Answer::Status(status(drive))),
     }
     answer
 }
 
-fn status(sample: &Sample) -> Status {
+fn status(drive: &Drive) -> Status {
+    let (feedback, faults) = (&drive.feedback, drive.faults());
     let bits = [
-        (sample.upper_limit, Status::UPPER_LIMIT),
-        (sample.lower_limit, Status::LOWER_LIMIT),
-        (sample.home_switch, Status::HOME_SWITCH),
-        (sample.index, Status::INDEX),
-        (sample.synchronized, Status::SYNCHRONIZED),
-        (sample.faults.over_current, Status::OVERCURRENT),
-        (sample.faults.power_stage, Status::POWER_STAGE_FAULT),
-        (sample.error, Status::ERROR),
+        (feedback.positive_limit, Status::UPPER_LIMIT),
+        (feedback.negative_limit, Status::LOWER_LIMIT),
+        (feedback.home_switch, Status::HOME_SWITCH),
+        (drive.search == Search::Found, Status::INDEX),
+        (drive.synchronized, Status::SYNCHRONIZED),
+        (faults.over_current, Status::OVERCURRENT),
+        (faults.power_stage, Status::POWER_STAGE_FAULT),
+        (drive.mode == Mode::Error, Status::ERROR),
     ];
     let set = bits.into_iter().filter(|(is, _)| *is);
     Status(set.fold(0, |status, (_, bit)| status | bit))
@@ -139,8 +139,7 @@ impl Stream {
         Frame::parse(&self.bytes[..self.used])
     }
 
-    /// Drops bytes that cannot begin a frame. Returns the length of the first valid frame, if the buffer contains
-    /// one.
+    /// Drops bytes that cannot begin a frame. Returns the length of the first valid frame, if any.
     fn find(&mut self) -> Option<usize> {
         loop {
             let bytes = &self.bytes[..self.count];

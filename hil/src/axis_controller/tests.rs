@@ -88,7 +88,7 @@ impl Rig {
     }
 
     fn device(&self) -> &AxisController {
-        self.world.line_device(self.line).expect("it is one")
+        self.world.line(self.line).device().expect("it is one")
     }
 }
 

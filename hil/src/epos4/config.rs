@@ -28,8 +28,7 @@ pub struct Epos4Config {
     pub answer_delay: Duration,
     /// Object 0x3000:05, quadrature counts per revolution. `None`: the counts of the axis's encoder.
     pub main_sensor_resolution: Option<u32>,
-    /// Object 0x6076, N·m, from which the nominal current (0x3001:01) is calculated. `None`: the torque at the
-    /// amplifier's maximum current.
+    /// Object 0x6076, N·m, which gives the nominal current (0x3001:01). `None`: the torque at maximum current.
     pub rated_torque: Option<f64>,
     /// Bits set in every statusword. An EPOS2 sets bit 8 in all its states.
     pub vendor_bits: u16,

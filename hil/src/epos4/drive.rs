@@ -34,12 +34,10 @@ use standstill::Standstill;
 /// Sub-steps of a whole chunk: 1 ms.
 pub(super) const CHUNK: u32 = 10;
 
-/// The drive.
 #[derive(Clone, Debug)]
 pub(super) struct Drive {
     pub(super) axis: PlantAxis,
     counts_per_turn: f64,
-    /// Bits set in every statusword.
     vendor_bits: u16,
     feedback: Feedback,
     /// Device position = raw counter + offset.
@@ -304,8 +302,7 @@ impl Drive {
         self.referenced && (min != 0.0 || max != 0.0) && !(min..=max).contains(&target)
     }
 
-    /// Advances by `steps` sub-steps, at most [`CHUNK`], and updates the dictionary. Returns a new error, if there is
-    /// one.
+    /// Advances by `steps` sub-steps, at most [`CHUNK`], and updates the dictionary. Returns a new error, if any.
     pub(super) fn advance(&mut self, steps: u32, objects: &mut Objects) -> Option<Error> {
         let dt = f64::from(steps) * SUB_STEP;
         let start = self.motion;

@@ -10,7 +10,6 @@ use canopen::{NodeId, objects as named};
 use super::objects::Objects;
 use super::table::Slot;
 
-/// Reaction of a drive to an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Reaction {
     /// The error is announced, and nothing else happens.
@@ -23,7 +22,6 @@ pub(super) enum Reaction {
     Fault,
 }
 
-/// An error of the EPOS4.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Error {
     pub(super) code: u16,
@@ -78,18 +76,11 @@ pub(super) const SOFTWARE_LIMIT: Error = error(0x8A82, ErrorRegister::VENDOR, Re
 /// Maximum number of simultaneous errors: eight with one cause, two heartbeats, two kinds for each of four RPDOs.
 const PRESENT: usize = 8 + 2 + 2 * 4;
 
-/// An error that is present.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Present {
-    error: Error,
-    /// Whether an EMCY has announced it.
-    announced: bool,
-}
-
 /// The present errors, and their announcement by EMCY.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Errors {
-    present: [Option<Present>; PRESENT],
+    /// Each error with whether an EMCY has announced it.
+    present: [Option<(Error, bool)>; PRESENT],
     /// Whether an error was announced since the last EMCY 0x0000.
     announced: bool,
 }
@@ -104,20 +95,16 @@ impl Errors {
             return;
         }
         if let Some(place) = self.present.iter_mut().find(|place| place.is_none()) {
-            *place = Some(Present {
-                error,
-                announced: false,
-            });
+            *place = Some((error, false));
         }
         objects.push_history(error.code);
         objects.set(LAST_CODE, u32::from(error.code));
         self.write_register(objects);
     }
 
-    /// Removes the errors for which `gone` is true.
     pub(super) fn clear(&mut self, objects: &mut Objects, gone: impl Fn(Error) -> bool) {
         for place in &mut self.present {
-            *place = place.filter(|present| !gone(present.error));
+            *place = place.filter(|(error, _)| !gone(*error));
         }
         self.write_register(objects);
         if !self.any() {
@@ -125,7 +112,6 @@ impl Errors {
         }
     }
 
-    /// Whether any error is present.
     pub(super) fn any(&self) -> bool {
         self.present.iter().any(Option::is_some)
     }
@@ -133,10 +119,10 @@ impl Errors {
     /// After a reset of the communication, present errors enter the emptied history and are announced again.
     pub(super) fn restart(&mut self, objects: &mut Objects) {
         self.announced = false;
-        for present in self.present.iter_mut().flatten() {
-            present.announced = false;
-            objects.push_history(present.error.code);
-            objects.set(LAST_CODE, u32::from(present.error.code));
+        for (error, announced) in self.present.iter_mut().flatten() {
+            *announced = false;
+            objects.push_history(error.code);
+            objects.set(LAST_CODE, u32::from(error.code));
         }
         self.write_register(objects);
     }
@@ -144,10 +130,10 @@ impl Errors {
     /// Error code of the next EMCY, which the caller sends; `None` once every change has been announced.
     pub(super) fn announce(&mut self) -> Option<u16> {
         let mut unannounced = self.present.iter_mut().flatten();
-        if let Some(present) = unannounced.find(|present| !present.announced) {
-            present.announced = true;
+        if let Some((error, announced)) = unannounced.find(|(_, announced)| !announced) {
+            *announced = true;
             self.announced = true;
-            return Some(present.error.code);
+            return Some(error.code);
         }
         let ended = self.announced && !self.any();
         self.announced &= !ended;
@@ -155,7 +141,7 @@ impl Errors {
     }
 
     fn errors(&self) -> impl Iterator<Item = Error> + '_ {
-        self.present.iter().flatten().map(|present| present.error)
+        self.present.iter().flatten().map(|(error, _)| *error)
     }
 
     fn write_register(&self, objects: &mut Objects) {

@@ -24,7 +24,6 @@ pub(super) fn watched(entry: u32) -> Option<(NodeId, Duration)> {
     (!within.is_zero()).then_some((node, within))
 }
 
-/// The monitors of all entries.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Consumers([Consumer; ENTRIES]);
 
@@ -73,7 +72,6 @@ impl Consumers {
         Some(number)
     }
 
-    /// Whether the node of an entry is lost.
     pub(super) fn lost(&self, number: usize) -> bool {
         self.0[number].lost
     }

@@ -35,11 +35,9 @@ pub(super) enum Progress {
     ArmIndex(f64),
     /// The reference, as a count of the raw counter.
     Found(i32),
-    /// The search has failed.
     Failed,
 }
 
-/// A search in progress.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Search {
     sought: Sought,
@@ -61,27 +59,19 @@ enum Sought {
 enum Phase {
     Seek {
         direction: f64,
-        turned: bool,
         pressing: f64,
     },
     /// Time for which the switch was closed at first, and time for which it has been open since, s.
-    Leave { closed_for: f64, open_for: f64 },
+    Leave {
+        closed_for: f64,
+        open_for: f64,
+    },
     Index {
         direction: f64,
         begun_at: Option<i32>,
     },
     /// The reference is the present position.
     Here,
-}
-
-impl Phase {
-    fn seek(direction: f64) -> Self {
-        Self::Seek {
-            direction,
-            turned: false,
-            pressing: 0.0,
-        }
-    }
 }
 
 /// Inputs of a search in addition to the sensors.
@@ -125,7 +115,10 @@ impl Search {
                 direction: initial,
                 begun_at: None,
             },
-            _ => Phase::seek(initial),
+            _ => Phase::Seek {
+                direction: initial,
+                pressing: 0.0,
+            },
         };
         Some(Self {
             sought,
@@ -146,7 +139,6 @@ impl Search {
             Phase::Here => Progress::Found(feedback.counts),
             Phase::Seek {
                 direction,
-                turned,
                 pressing,
             } => {
                 *pressing = if feedback.torque.abs() > around.stop_torque {
@@ -174,11 +166,10 @@ impl Search {
                     return Progress::Slow(-self.initial);
                 }
                 if limit && self.sought == Sought::Home {
-                    if *turned {
+                    if *direction != self.initial {
                         return Progress::Failed;
                     }
-                    *turned = true;
-                    *direction = -*direction;
+                    *direction = -self.initial;
                 }
                 Progress::Fast(*direction)
             }
@@ -204,7 +195,10 @@ impl Search {
                 }
                 if *open_for >= SETTLING {
                     // The axis turned round on the edge of the switch.
-                    self.phase = Phase::seek(self.initial);
+                    self.phase = Phase::Seek {
+                        direction: self.initial,
+                        pressing: 0.0,
+                    };
                     Progress::Fast(self.initial)
                 } else if leaving && limit_ahead(feedback, direction) {
                     Progress::Failed

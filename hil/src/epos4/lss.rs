@@ -141,13 +141,8 @@ impl Lss {
     }
 
     /// Whether the unit still matches the fastscan.
-    fn scan(&mut self, question: Fastscan) -> bool {
-        let Fastscan {
-            number,
-            bit,
-            sub,
-            next,
-        } = question;
+    fn scan(&mut self, asked: Fastscan) -> bool {
+        let Fastscan { bit, sub, next, .. } = asked;
         if bit == FASTSCAN_RESET {
             self.scanned = 0;
             return true;
@@ -156,7 +151,7 @@ impl Lss {
         let Some(part) = part.filter(|_| sub == self.scanned && bit < 32) else {
             return false;
         };
-        let agrees = (self.identity.get(part) ^ number) >> bit == 0;
+        let agrees = (self.identity.get(part) ^ asked.number) >> bit == 0;
         if agrees && bit == 0 {
             if next < sub {
                 self.mode = Mode::Configuration;

@@ -19,7 +19,6 @@
 //! sends SYNC therefore needs no computing time between SYNCs.
 
 mod config;
-mod conformity;
 mod drive;
 mod eds;
 mod errors;
@@ -44,7 +43,7 @@ use canopen::heartbeat::Heartbeat;
 use canopen::pdo::{PdoKind, PdoNumber};
 use canopen::{NodeId, cob, nmt, objects as named, sdo};
 
-use crate::{Device, PlantAxis, PlantConfig};
+use crate::{Device, PlantAxis};
 pub use config::Epos4Config;
 use drive::{CHUNK, Drive};
 use errors::Errors;
@@ -65,10 +64,7 @@ const QUEUE: usize = 32;
 /// Values of one unit that replace the table's defaults.
 fn identity(config: &Epos4Config) -> [(Slot, u32); 8] {
     let amps = config.axis.amplifier.max_current;
-    let torque_constant = match &config.axis.plant {
-        PlantConfig::Wut(wut) => wut.torque_constant,
-        PlantConfig::Physical(motor) => motor.torque_constant,
-    };
+    let torque_constant = config.axis.plant.torque_constant();
     let milliamps = |amps: f64| (amps * 1e3).round() as u32;
     let rated = config.rated_torque.unwrap_or(amps * torque_constant);
     // Nominal current in whole milliamperes. The torque constant compensates for the rounding error, which matters
@@ -276,21 +272,16 @@ impl Epos4 {
         if self.objects.nmt != nmt::NmtState::Operational {
             return;
         }
-        let queue = &mut self.queue;
-        self.pdos
-            .sample(&self.objects, now, |frame| append(queue, frame));
+        self.pdos.sample(&self.objects, now, &mut self.queue);
         self.pdos.take_effect(&mut self.objects);
         self.objects.changes.setpoint = true;
         self.settle(now);
     }
 
     fn send_events(&mut self, now: Instant) {
-        if self.objects.nmt != nmt::NmtState::Operational {
-            return;
+        if self.objects.nmt == nmt::NmtState::Operational {
+            self.pdos.events(&self.objects, now, &mut self.queue);
         }
-        let queue = &mut self.queue;
-        self.pdos
-            .events(&self.objects, now, |frame| append(queue, frame));
     }
 
     /// Applies the last writes to the dictionary.
@@ -340,7 +331,6 @@ impl Epos4 {
         self.block_at = self.server.transmits().then_some(due);
     }
 
-    /// Applies an LSS request.
     fn configure(&mut self, frame: &Frame, now: Instant) {
         let Some(request) = lss::Request::decode(frame) else {
             return;
@@ -408,12 +398,10 @@ impl Device for Epos4 {
                 self.hear_sync(frame, now);
             }
         } else if id == cob::NMT {
-            let Some(request) = nmt::Request::decode(frame) else {
+            let request = nmt::Request::decode(frame);
+            let Some(request) = request.filter(|request| request.concerns(node)) else {
                 return;
             };
-            if !request.concerns(node) {
-                return;
-            }
             self.catch_up(now, false);
             self.manage(request.command, now);
         } else if id == cob::sdo_request(node) {

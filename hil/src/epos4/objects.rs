@@ -5,13 +5,14 @@
 //! COB-ID off (bit 31), count to 0, entries, count, COB-ID on. Stored values live as long as the emulator.
 
 use canopen::cia402::{HomingMethod, ModeOfOperation, SupportedModes};
+use canopen::eds::DataType;
 use canopen::objects as named;
 use canopen::pdo::{Entry as MapEntry, PdoCobId, PdoKind, PdoNumber};
 use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE};
 use canopen::{NodeId, Object, cob, nmt};
 
 use super::heartbeats::{ENTRIES, watched};
-use super::table::{Access, Kind, MAPPED, ROWS, Slot, TABLE};
+use super::table::{ROWS, Slot, TABLE};
 
 /// "save", the password of object 0x1010.
 const SAVE: u32 = 0x6576_6173;
@@ -36,7 +37,6 @@ pub(super) struct Changes {
     pub(super) consumers: bool,
 }
 
-/// The values of all objects.
 #[derive(Clone, Debug)]
 pub(super) struct Objects {
     values: [u32; ROWS],
@@ -113,7 +113,7 @@ impl Objects {
 
     /// A value as a number for formulas.
     pub(super) fn f(&self, slot: Slot) -> f64 {
-        slot.entry().kind.number(self.u(slot)) as f64
+        slot.entry().number(self.u(slot)) as f64
     }
 
     /// Sets a value from inside the device, without any check.
@@ -124,10 +124,8 @@ impl Objects {
     /// Writes a value received in a PDO. A value outside its limits is ignored.
     pub(super) fn receive(&mut self, slot: Slot, bytes: [u8; 4]) {
         let entry = slot.entry();
-        let value = entry.kind.decode(bytes);
-        let number = entry.kind.number(value);
-        let in_range = number >= entry.min && number <= entry.max;
-        if in_range && (entry.object != named::MODE_OF_OPERATION || supported(value)) {
+        let value = entry.decode(bytes);
+        if entry.allows(value) && (entry.object != named::MODE_OF_OPERATION || supported(value)) {
             self.assign(slot, value);
         }
     }
@@ -214,7 +212,7 @@ impl Objects {
         match (object, value) {
             (named::STORE_ALL, SAVE) => {
                 for (row, entry) in TABLE.iter().enumerate() {
-                    if entry.access == Access::Write && !entry.volatile {
+                    if entry.writable && !entry.volatile {
                         self.stored[row] = self.values[row];
                     }
                 }
@@ -281,27 +279,12 @@ impl Objects {
 
 /// The slot of a PDO's COB-ID; transmission type, inhibit time and event timer follow.
 pub(super) fn cob_id(kind: PdoKind, number: PdoNumber) -> Slot {
-    const FIRST: [Slot; 2] = [
-        Slot::of(PdoKind::Rpdo.communication(PdoNumber::One, 1)),
-        Slot::of(PdoKind::Tpdo.communication(PdoNumber::One, 1)),
-    ];
-    match kind {
-        PdoKind::Rpdo => FIRST[0].plus(4 * number.offset()),
-        PdoKind::Tpdo => FIRST[1].plus(5 * number.offset()),
-    }
+    Slot::find(kind.communication(number, 1)).expect("the table has all PDOs")
 }
 
 /// The slot of a sub-index of a PDO's mapping.
-pub(super) fn map(kind: PdoKind, number: PdoNumber, sub: u16) -> Slot {
-    const FIRST: [Slot; 2] = [
-        Slot::of(PdoKind::Rpdo.mapping(PdoNumber::One, 0)),
-        Slot::of(PdoKind::Tpdo.mapping(PdoNumber::One, 0)),
-    ];
-    let first = match kind {
-        PdoKind::Rpdo => FIRST[0],
-        PdoKind::Tpdo => FIRST[1],
-    };
-    first.plus((u16::from(MAPPED) + 1) * number.offset() + sub)
+pub(super) fn map(kind: PdoKind, number: PdoNumber, sub: u8) -> Slot {
+    Slot::find(kind.mapping(number, sub)).expect("the table has all PDOs")
 }
 
 /// Sizes of objects 0x0001 to 0x0007, bits. In an RPDO these objects stand for their data types as fillers. 0 marks
@@ -323,7 +306,7 @@ pub(super) fn mappable(kind: PdoKind, entry: MapEntry) -> Result<Option<Slot>, A
         PdoKind::Rpdo => row.receive,
         PdoKind::Tpdo => row.transmit,
     };
-    if allowed && usize::from(entry.bits) == 8 * row.kind.size() {
+    if allowed && usize::from(entry.bits) == 8 * row.size() {
         Ok(Some(slot))
     } else {
         Err(AbortCode::NOT_MAPPABLE)
@@ -370,27 +353,23 @@ fn find(object: Object) -> Result<Slot, AbortCode> {
 
 impl Dictionary for Objects {
     fn size(&self, object: Object) -> Option<usize> {
-        match Slot::find(object)?.entry().kind {
-            Kind::Domain => None,
-            kind => Some(kind.size()),
-        }
+        let entry = Slot::find(object)?.entry();
+        (entry.data_type != DataType::Domain).then(|| entry.size())
     }
 
     fn check_write(&self, object: Object) -> Result<(), AbortCode> {
-        match find(object)?.entry().access {
-            Access::Read => Err(AbortCode::READ_ONLY),
-            Access::Write => Ok(()),
-        }
+        let writable = find(object)?.entry().writable;
+        writable.then_some(()).ok_or(AbortCode::READ_ONLY)
     }
 
     fn read(&mut self, object: Object, into: &mut [u8; MAX_SIZE]) -> Result<usize, AbortCode> {
         let slot = find(object)?;
         let entry = slot.entry();
-        if let Kind::Text(text) = entry.kind {
-            into[..text.len()].copy_from_slice(text.as_bytes());
-            return Ok(text.len());
+        if entry.data_type == DataType::VisibleString {
+            into[..entry.size()].copy_from_slice(entry.text.as_bytes());
+            return Ok(entry.size());
         }
-        if entry.kind == Kind::Domain {
+        if entry.data_type == DataType::Domain {
             into[..self.domain.len()].copy_from_slice(&self.domain);
             return Ok(self.domain.len());
         }
@@ -398,7 +377,7 @@ impl Dictionary for Objects {
         if object.index == named::ERROR_HISTORY_COUNT.index && u32::from(object.subindex) > count {
             return Err(AbortCode::NO_DATA);
         }
-        let size = entry.kind.size();
+        let size = entry.size();
         into[..size].copy_from_slice(&self.u(slot).to_le_bytes()[..size]);
         Ok(size)
     }
@@ -407,12 +386,12 @@ impl Dictionary for Objects {
         self.check_write(object)?;
         let slot = find(object)?;
         let entry = slot.entry();
-        if entry.kind == Kind::Domain {
+        if entry.data_type == DataType::Domain {
             // A server accepts only as many bytes as it can return.
             self.domain = data.to_vec();
             return Ok(());
         }
-        let size = entry.kind.size();
+        let size = entry.size();
         if data.len() != size {
             return Err(if data.len() > size {
                 AbortCode::LENGTH_MISMATCH
@@ -422,9 +401,8 @@ impl Dictionary for Objects {
         }
         let mut bytes = [0; 4];
         bytes[..size].copy_from_slice(data);
-        let value = entry.kind.decode(bytes);
-        let number = entry.kind.number(value);
-        if !(entry.min..=entry.max).contains(&number) {
+        let value = entry.decode(bytes);
+        if !entry.allows(value) {
             return Err(AbortCode::VALUE_RANGE);
         }
         self.refuse(slot, value)?;

@@ -4,18 +4,21 @@
 //! reads the parameters of that PDO again. No other access to the parameters takes place. A synchronous RPDO waits
 //! for the next SYNC; a second RPDO before that SYNC replaces the first. A synchronous TPDO is sampled at SYNC.
 
+use std::collections::VecDeque;
+use std::ops::Range;
 use std::time::Duration;
 
 use can::{Frame, Instant, StandardId};
 use canopen::pdo::{Entry, PdoCobId, PdoKind, PdoNumber, TransmissionType};
 
+use super::append;
 use super::objects::{Objects, cob_id, map, mappable};
 use super::table::{MAPPED, Slot};
 
 /// The objects that the bytes of a PDO come from or go to.
 #[derive(Clone, Copy, Debug)]
 struct Mapping {
-    entries: [(Option<Slot>, u8); MAPPED as usize],
+    entries: [(Option<Slot>, usize); MAPPED as usize],
     count: usize,
     bytes: usize,
 }
@@ -31,41 +34,39 @@ impl Mapping {
         let mut mapping = Self::EMPTY;
         mapping.count = objects.u(map(kind, number, 0)) as usize;
         for sub in 1..=mapping.count {
-            let entry = Entry::from_raw(objects.u(map(kind, number, sub as u16)));
+            let entry = Entry::from_raw(objects.u(map(kind, number, sub as u8)));
             let slot = mappable(kind, entry).unwrap_or(None);
-            mapping.entries[sub - 1] = (slot, entry.bits / 8);
-            mapping.bytes += usize::from(entry.bits / 8);
+            let bytes = usize::from(entry.bits / 8);
+            mapping.entries[sub - 1] = (slot, bytes);
+            mapping.bytes += bytes;
         }
         mapping
     }
 
-    fn entries(&self) -> &[(Option<Slot>, u8)] {
-        &self.entries[..self.count]
+    /// The mapped slots, each with its place in the data.
+    fn places(&self) -> impl Iterator<Item = (Slot, Range<usize>)> {
+        let mut at = 0;
+        let entries = self.entries[..self.count].iter();
+        entries.filter_map(move |&(slot, bytes)| {
+            at += bytes;
+            Some((slot?, at - bytes..at))
+        })
     }
 
     fn compose(&self, objects: &Objects) -> [u8; 8] {
         let mut data = [0; 8];
-        let mut at = 0;
-        for &(slot, bytes) in self.entries() {
-            let bytes = usize::from(bytes);
-            if let Some(slot) = slot {
-                data[at..at + bytes].copy_from_slice(&objects.u(slot).to_le_bytes()[..bytes]);
-            }
-            at += bytes;
+        for (slot, place) in self.places() {
+            let bytes = place.len();
+            data[place].copy_from_slice(&objects.u(slot).to_le_bytes()[..bytes]);
         }
         data
     }
 
     fn spread(&self, data: &[u8; 8], objects: &mut Objects) {
-        let mut at = 0;
-        for &(slot, bytes) in self.entries() {
-            let bytes = usize::from(bytes);
-            if let Some(slot) = slot {
-                let mut value = [0; 4];
-                value[..bytes].copy_from_slice(&data[at..at + bytes]);
-                objects.receive(slot, value);
-            }
-            at += bytes;
+        for (slot, place) in self.places() {
+            let mut value = [0; 4];
+            value[..place.len()].copy_from_slice(&data[place]);
+            objects.receive(slot, value);
         }
     }
 }
@@ -113,7 +114,6 @@ struct Tpdo {
     inhibited: bool,
 }
 
-/// Result of the reception of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Reception {
     /// The frame is no RPDO of this node.
@@ -134,7 +134,6 @@ pub(super) struct Pdos {
 }
 
 impl Pdos {
-    /// All PDOs switched off.
     pub(super) const NONE: Self = Self {
         received: [None; 4],
         transmitted: [None; 4],
@@ -148,8 +147,7 @@ impl Pdos {
         }
     }
 
-    /// Applies the communication parameters of one PDO. Its counts, times and data stay unless its identifier
-    /// changes.
+    /// Applies the parameters of one PDO. Its counts, times and data stay unless its identifier changes.
     pub(super) fn update(&mut self, kind: PdoKind, number: PdoNumber, objects: &Objects) {
         let at = usize::from(number.offset());
         match kind {
@@ -206,7 +204,7 @@ impl Pdos {
     }
 
     /// SYNC, first half: sends the synchronous TPDOs that are due.
-    pub(super) fn sample(&mut self, objects: &Objects, now: Instant, mut send: impl FnMut(Frame)) {
+    pub(super) fn sample(&mut self, objects: &Objects, now: Instant, queue: &mut VecDeque<Frame>) {
         let transmitted = self.transmitted.iter_mut().flatten();
         for tpdo in transmitted.filter(|tpdo| tpdo.transmission.is_synchronous()) {
             tpdo.syncs = tpdo.syncs.saturating_add(1);
@@ -217,7 +215,7 @@ impl Pdos {
             };
             if due {
                 tpdo.syncs = 0;
-                tpdo.send(data, now, &mut send);
+                tpdo.send(data, now, queue);
             }
         }
     }
@@ -232,7 +230,7 @@ impl Pdos {
     }
 
     /// Sends the event-driven TPDOs whose content changed or whose timer expired, except during the inhibit time.
-    pub(super) fn events(&mut self, objects: &Objects, now: Instant, mut send: impl FnMut(Frame)) {
+    pub(super) fn events(&mut self, objects: &Objects, now: Instant, queue: &mut VecDeque<Frame>) {
         let transmitted = self.transmitted.iter_mut().flatten();
         for tpdo in transmitted.filter(|tpdo| !tpdo.transmission.is_synchronous()) {
             let data = tpdo.mapping.compose(objects);
@@ -244,12 +242,11 @@ impl Pdos {
                 }
             };
             if due {
-                tpdo.send(data, now, &mut send);
+                tpdo.send(data, now, queue);
             }
         }
     }
 
-    /// Whether any TPDO is event-driven.
     pub(super) fn event_driven(&self) -> bool {
         self.event_driven_tpdos().next().is_some()
     }
@@ -269,8 +266,7 @@ impl Pdos {
         transmitted.filter(|tpdo| !tpdo.transmission.is_synchronous())
     }
 
-    /// Number of an overdue RPDO, from 0. Called until the result is `None`. The timer of an overdue RPDO restarts
-    /// with the next reception.
+    /// Number of an overdue RPDO, from 0, whose timer restarts with the next reception. Called until `None`.
     pub(super) fn overdue(&mut self, now: Instant) -> Option<usize> {
         let overdue = |rpdo: &Rpdo| rpdo.deadline().is_some_and(|at| at <= now);
         let (number, rpdo) = self.rpdos().find(|(_, rpdo)| overdue(rpdo))?;
@@ -329,10 +325,10 @@ impl Tpdo {
         Some(at + event?.max(self.inhibit))
     }
 
-    fn send(&mut self, data: [u8; 8], now: Instant, send: &mut impl FnMut(Frame)) {
+    fn send(&mut self, data: [u8; 8], now: Instant, queue: &mut VecDeque<Frame>) {
         self.sent = Some((data, now));
         self.inhibited = false;
         let frame = Frame::new(self.id, &data[..self.mapping.bytes.min(8)]);
-        send(frame.expect("a mapping has at most 8 bytes"));
+        append(queue, frame.expect("a mapping has at most 8 bytes"));
     }
 }

@@ -42,7 +42,6 @@ pub(super) struct Options {
 pub(super) struct Transition {
     /// The state from now on.
     pub(super) now: PowerState,
-    /// Braking ramp, if any.
     pub(super) brake: Option<Brake>,
     /// The state after standstill.
     pub(super) then: PowerState,

@@ -3,6 +3,7 @@
 use can::{Frame, Instant};
 use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE};
 use canopen::{Object, cob, nmt};
+use serial::epos4::Address;
 
 use super::Epos4;
 use super::objects::Objects;
@@ -16,23 +17,17 @@ impl Epos4 {
     /// Reads an object to the front of `into`, and returns the size of the object in bytes.
     pub(crate) fn read(
         &mut self,
-        node: u8,
-        object: Object,
+        address: Address,
         into: &mut [u8; MAX_SIZE],
         now: Instant,
     ) -> Result<usize, AbortCode> {
-        self.access(node, now, |objects| objects.read(object, into))
+        self.access(address, now, |objects, object| objects.read(object, into))
     }
 
     /// Reads an object of up to four bytes.
-    pub(crate) fn read_value(
-        &mut self,
-        node: u8,
-        object: Object,
-        now: Instant,
-    ) -> Result<u32, AbortCode> {
+    pub(crate) fn read_value(&mut self, address: Address, now: Instant) -> Result<u32, AbortCode> {
         let mut bytes = [0; MAX_SIZE];
-        match self.read(node, object, &mut bytes, now)? {
+        match self.read(address, &mut bytes, now)? {
             0..=4 => Ok(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]])),
             _ => Err(AbortCode::LENGTH_MISMATCH),
         }
@@ -41,42 +36,42 @@ impl Epos4 {
     /// Writes a whole object and applies the change.
     pub(crate) fn write(
         &mut self,
-        node: u8,
-        object: Object,
+        address: Address,
         data: &[u8],
         now: Instant,
     ) -> Result<(), AbortCode> {
-        self.access(node, now, |objects| objects.write(object, data))
+        self.access(address, now, |objects, object| objects.write(object, data))
     }
 
     /// Writes the low bytes of `value`. The size of the object determines their number.
     pub(crate) fn write_value(
         &mut self,
-        node: u8,
-        object: Object,
+        address: Address,
         value: u32,
         now: Instant,
     ) -> Result<(), AbortCode> {
-        let size = self.objects.size(object).map_or(4, |size| size.min(4));
-        self.write(node, object, &value.to_le_bytes()[..size], now)
+        self.access(address, now, |objects, object| {
+            let size = objects.size(object).map_or(4, |size| size.min(4));
+            objects.write(object, &value.to_le_bytes()[..size])
+        })
     }
 
-    /// Accesses the dictionary if `node` addresses this device: by its node-ID, or by 0, which addresses the device at
-    /// the end of the line.
+    /// Accesses the dictionary if `address` has the device's node-ID, or 0 for the device at the end of the line.
     fn access<R>(
         &mut self,
-        node: u8,
+        address: Address,
         now: Instant,
-        access: impl FnOnce(&mut Objects) -> Result<R, AbortCode>,
+        access: impl FnOnce(&mut Objects, Object) -> Result<R, AbortCode>,
     ) -> Result<R, AbortCode> {
-        if node != 0 && self.node.is_none_or(|own| own.raw() != node) {
+        if address.node != 0 && self.node.is_none_or(|own| own.raw() != address.node) {
             return Err(AbortCode::MAXON_NODE_ID);
         }
         if !self.serving() {
             return Err(AbortCode::MAXON_NMT_STATE);
         }
         self.catch_up(now, false);
-        let result = access(&mut self.objects);
+        let object = Object::new(address.index, address.subindex);
+        let result = access(&mut self.objects, object);
         self.settle(now);
         self.schedule();
         result

@@ -45,8 +45,7 @@ impl Epos4 {
         self.enter(to, now);
     }
 
-    /// Ends a communication error after the missing frame was received again. A drive in fault keeps its error until
-    /// a reset.
+    /// Ends a communication error when the missing frame is received. A fault keeps the error until a reset.
     pub(super) fn regain(&mut self, error: Error) {
         if self.errors.any() && !self.drive.faulted() {
             self.clear(|present| present == error);
@@ -144,8 +143,7 @@ impl Epos4 {
         self.regain(errors::PDO_LENGTH.of(number));
     }
 
-    /// Applies a write to a parameter of a PDO. The errors of an RPDO end when the RPDO or its event timer is
-    /// switched off.
+    /// Applies a write to a parameter of a PDO. Errors of an RPDO end when the RPDO or its timer is switched off.
     pub(super) fn update_pdo(&mut self, kind: PdoKind, number: PdoNumber) {
         if self.objects.nmt == nmt::NmtState::Operational {
             self.pdos.update(kind, number, &self.objects);

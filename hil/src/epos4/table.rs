@@ -4,99 +4,66 @@
 //! sheet is known. Limits set by [`Entry::range`] are from EPOS4 or CiA.
 
 use canopen::Object;
-
-use Kind::{Domain, I8, I16, I32, Text, U8, U16, U32};
+use canopen::eds::DataType::{
+    self, Domain, Integer8 as I8, Integer16 as I16, Integer32 as I32, Unsigned8 as U8,
+    Unsigned16 as U16, Unsigned32 as U32, VisibleString,
+};
 
 /// Mapping entries per PDO, as in an EPOS4.
 pub(super) const MAPPED: u8 = 12;
 
-/// The type of an object.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Kind {
-    U8,
-    I8,
-    U16,
-    I16,
-    U32,
-    I32,
-    Text(&'static str),
-    /// Any number of bytes. The dictionary has one such object.
-    Domain,
-}
-
-impl Kind {
-    pub(super) const fn size(self) -> usize {
-        match self {
-            Self::U8 | Self::I8 => 1,
-            Self::U16 | Self::I16 => 2,
-            Self::U32 | Self::I32 => 4,
-            Self::Text(text) => text.len(),
-            Self::Domain => 0,
-        }
-    }
-
-    /// Converts the bytes on the wire to the stored value (sign extended).
-    pub(super) fn decode(self, bytes: [u8; 4]) -> u32 {
-        let [a, b, ..] = bytes;
-        match self {
-            Self::U8 => u32::from(a),
-            Self::I8 => i32::from(a as i8) as u32,
-            Self::U16 => u32::from(u16::from_le_bytes([a, b])),
-            Self::I16 => i32::from(i16::from_le_bytes([a, b])) as u32,
-            Self::U32 | Self::I32 | Self::Text(_) | Self::Domain => u32::from_le_bytes(bytes),
-        }
-    }
-
-    /// The number that a stored value represents.
-    pub(super) fn number(self, stored: u32) -> i64 {
-        match self {
-            Self::I8 | Self::I16 | Self::I32 => i64::from(stored as i32),
-            Self::U8 | Self::U16 | Self::U32 | Self::Text(_) | Self::Domain => i64::from(stored),
-        }
-    }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Access {
-    /// Read only. The device may change the value.
-    Read,
-    /// Read and write.
-    Write,
-}
-
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Entry {
     pub(super) object: Object,
-    pub(super) kind: Kind,
-    pub(super) access: Access,
-    /// Default, in stored form.
+    pub(super) data_type: DataType,
+    /// Whether the host can write the value. The device may change any value.
+    pub(super) writable: bool,
+    /// Default, in stored form; of a VISIBLE_STRING the text.
     pub(super) default: u32,
+    pub(super) text: &'static str,
     /// Whether the node-ID is added to the default.
     pub(super) plus_node: bool,
     /// Whether the object can be mapped to RPDOs, and to TPDOs.
     pub(super) receive: bool,
     pub(super) transmit: bool,
-    /// Marks commands, set-points and the error history. "save" does not store them, and the data sheet excludes them
-    /// from downloads.
+    /// Commands, set-points and the error history, which "save" and downloads of the data sheet leave out.
     pub(super) volatile: bool,
     pub(super) min: i64,
     pub(super) max: i64,
 }
 
 impl Entry {
-    const fn new(index: u16, subindex: u8, kind: Kind, access: Access, default: i64) -> Self {
-        Self {
-            object: Object::new(index, subindex),
-            kind,
-            access,
-            default: default as u32,
-            plus_node: false,
-            receive: false,
-            transmit: false,
-            volatile: false,
-            min: i64::MIN,
-            max: i64::MAX,
+    /// Bytes of the object; 0 for the one object of type DOMAIN.
+    pub(super) fn size(&self) -> usize {
+        self.data_type.size().unwrap_or(self.text.len())
+    }
+
+    fn is_signed(&self) -> bool {
+        matches!(self.data_type, I8 | I16 | I32)
+    }
+
+    /// Converts the bytes of a number on the wire to the stored value (sign extended).
+    pub(super) fn decode(&self, bytes: [u8; 4]) -> u32 {
+        let unused = 32 - 8 * self.data_type.size().unwrap_or(4);
+        let value = u32::from_le_bytes(bytes) << unused;
+        if self.is_signed() {
+            (value as i32 >> unused) as u32
+        } else {
+            value >> unused
         }
+    }
+
+    /// The number that a stored value represents.
+    pub(super) fn number(&self, stored: u32) -> i64 {
+        if self.is_signed() {
+            i64::from(stored as i32)
+        } else {
+            i64::from(stored)
+        }
+    }
+
+    pub(super) fn allows(&self, stored: u32) -> bool {
+        (self.min..=self.max).contains(&self.number(stored))
     }
 
     const fn range(mut self, min: i64, max: i64) -> Self {
@@ -126,12 +93,34 @@ impl Entry {
     }
 }
 
-const fn ro(index: u16, subindex: u8, kind: Kind, default: i64) -> Entry {
-    Entry::new(index, subindex, kind, Access::Read, default)
+const fn ro(index: u16, subindex: u8, data_type: DataType, default: i64) -> Entry {
+    Entry {
+        object: Object::new(index, subindex),
+        data_type,
+        writable: false,
+        default: default as u32,
+        text: "",
+        plus_node: false,
+        receive: false,
+        transmit: false,
+        volatile: false,
+        min: i64::MIN,
+        max: i64::MAX,
+    }
 }
 
-const fn rw(index: u16, subindex: u8, kind: Kind, default: i64) -> Entry {
-    Entry::new(index, subindex, kind, Access::Write, default)
+const fn text(index: u16, subindex: u8, text: &'static str) -> Entry {
+    Entry {
+        text,
+        ..ro(index, subindex, VisibleString, 0)
+    }
+}
+
+const fn rw(index: u16, subindex: u8, data_type: DataType, default: i64) -> Entry {
+    Entry {
+        writable: true,
+        ..ro(index, subindex, data_type, default)
+    }
 }
 
 /// Communication objects below the PDO parameters.
@@ -145,7 +134,7 @@ const COMMUNICATION: &[Entry] = &[
     ro(0x1003, 4, U32, 0),
     ro(0x1003, 5, U32, 0),
     ro(0x1005, 0, U32, 0x80),
-    ro(0x1008, 0, Text("EPOS4"), 0),
+    text(0x1008, 0, "EPOS4"),
     ro(0x1010, 0, U8, 1),
     rw(0x1010, 1, U32, 1).volatile(),
     ro(0x1011, 0, U8, 1),
@@ -173,11 +162,10 @@ const APPLICATION: &[Entry] = &[
     ro(0x2200, 1, U16, 480).tx(),
     // Not an object of EPOS4: a long object for tests of transfers.
     ro(0x2FF0, 0, U8, 2),
-    ro(
+    text(
         0x2FF0,
         1,
-        Text("a record of the emulator, which no EPOS4 has: sub-index 2 takes any bytes"),
-        0,
+        "a record of the emulator, which no EPOS4 has: sub-index 2 takes any bytes",
     ),
     rw(0x2FF0, 2, Domain, 0),
     ro(0x3000, 0, U8, 5),
@@ -275,7 +263,6 @@ const TRANSMITTED_COB: [u32; 4] = [0x4000_0180, 0xC000_0280, 0xC000_0380, 0xC000
 
 /// Rows of four PDOs each way: communication parameters, then a count and the entries of a mapping.
 const PDO_ROWS: usize = 4 * (4 + 1 + MAPPED as usize) + 4 * (5 + 1 + MAPPED as usize);
-/// Rows of the whole table.
 pub(super) const ROWS: usize = COMMUNICATION.len() + PDO_ROWS + APPLICATION.len();
 
 /// The dictionary, in ascending order.

@@ -1,13 +1,12 @@
 //! Exchanges of the emulated RS-232 port of an EPOS2.
 
 use can::Instant;
-use canopen::Object;
 use canopen::sdo::AbortCode;
 use serial::epos2::{
     ANSWER, Acknowledge, Answer, MAX_WORDS, Malformed, Request, Telegram, body_length,
 };
 
-use super::Service;
+use super::{Protocol, Service};
 
 /// The protocol of an EPOS2's port.
 ///
@@ -37,21 +36,22 @@ enum TelegramState {
     Ending,
 }
 
+impl Protocol for Exchange {
+    fn reset(&mut self) {
+        self.state = TelegramState::Idle;
+    }
+
+    fn receive(&mut self, byte: u8, service: &mut Service, now: Instant) {
+        self.state = self.take(byte, service, now);
+    }
+}
+
 impl Exchange {
     pub(super) fn new() -> Self {
         Self {
             state: TelegramState::Idle,
             body: [0; body_length(MAX_WORDS)],
         }
-    }
-
-    /// Abandons an exchange in progress.
-    pub(super) fn reset(&mut self) {
-        self.state = TelegramState::Idle;
-    }
-
-    pub(super) fn receive(&mut self, byte: u8, service: &mut Service, now: Instant) {
-        self.state = self.take(byte, service, now);
     }
 
     fn take(&mut self, byte: u8, service: &mut Service, now: Instant) -> TelegramState {
@@ -84,7 +84,6 @@ impl Exchange {
         }
     }
 
-    /// Processes a complete telegram.
     fn finish(
         &self,
         opcode: u8,
@@ -122,13 +121,9 @@ impl Exchange {
 
 fn obey(request: Request, service: &mut Service, now: Instant) -> Result<Answer, AbortCode> {
     Ok(match request {
-        Request::Read(address) => {
-            let object = Object::new(address.index, address.subindex);
-            Answer::Value(service.epos.read_value(address.node, object, now)?)
-        }
+        Request::Read(address) => Answer::Value(service.epos.read_value(address, now)?),
         Request::Write(address, value) => {
-            let object = Object::new(address.index, address.subindex);
-            service.epos.write_value(address.node, object, value, now)?;
+            service.epos.write_value(address, value, now)?;
             Answer::Done
         }
         Request::Nmt { node, command } => {

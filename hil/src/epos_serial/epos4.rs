@@ -1,13 +1,11 @@
 //! Frames of the emulated USB or RS-232 port of an EPOS4.
 
 use can::Instant;
-use canopen::Object;
 use canopen::sdo::{AbortCode, MAX_SIZE};
 use serial::epos4::{Address, Answer, Deframer, Frame, FrameError, LONGEST, MAX_SEGMENT, Request};
 
-use super::Service;
+use super::{Protocol, Service};
 
-/// The protocol of an EPOS4's port.
 pub(super) struct Frames {
     deframer: Deframer,
     transfer: Option<Transfer>,
@@ -15,7 +13,6 @@ pub(super) struct Frames {
     segment: u8,
 }
 
-/// A segmented transfer in progress.
 struct Transfer {
     address: Address,
     writing: bool,
@@ -26,21 +23,12 @@ struct Transfer {
     toggle: bool,
 }
 
-impl Frames {
-    pub(super) fn new(segment: u8) -> Self {
-        Self {
-            deframer: Deframer::new(),
-            transfer: None,
-            segment,
-        }
-    }
-
-    /// Abandons a frame in progress.
-    pub(super) fn reset(&mut self) {
+impl Protocol for Frames {
+    fn reset(&mut self) {
         self.deframer.reset();
     }
 
-    pub(super) fn receive(&mut self, byte: u8, service: &mut Service, now: Instant) {
+    fn receive(&mut self, byte: u8, service: &mut Service, now: Instant) {
         let answer = match self.deframer.take(byte) {
             Some(Ok(frame)) => self.serve(&frame, service, now),
             Some(Err(FrameError::Crc | FrameError::TooLong(_))) => {
@@ -51,6 +39,16 @@ impl Frames {
         let mut bytes = [0; LONGEST];
         let length = answer.encode(&mut bytes);
         service.send(&bytes[..length], now);
+    }
+}
+
+impl Frames {
+    pub(super) fn new(segment: u8) -> Self {
+        Self {
+            deframer: Deframer::new(),
+            transfer: None,
+            segment,
+        }
     }
 
     fn serve(&mut self, frame: &Frame, service: &mut Service, now: Instant) -> Frame {
@@ -75,18 +73,10 @@ impl Frames {
         service: &mut Service,
         now: Instant,
     ) -> Result<Answer<'s>, AbortCode> {
-        let object = |address: Address| Object::new(address.index, address.subindex);
         match request {
-            Request::Read(address) => {
-                let value = service
-                    .epos
-                    .read_value(address.node, object(address), now)?;
-                Ok(Answer::Value(value))
-            }
+            Request::Read(address) => Ok(Answer::Value(service.epos.read_value(address, now)?)),
             Request::Write(address, value) => {
-                service
-                    .epos
-                    .write_value(address.node, object(address), value, now)?;
+                service.epos.write_value(address, value, now)?;
                 Ok(Answer::Done)
             }
             Request::Nmt { node, command } => {
@@ -95,18 +85,16 @@ impl Frames {
             }
             Request::InitiateSegmentedRead(address) => {
                 let mut transfer = Transfer::new(address, false);
-                let (node, into) = (address.node, &mut transfer.object);
-                transfer.size = service.epos.read(node, object(address), into, now)?;
+                transfer.size = service.epos.read(address, &mut transfer.object, now)?;
                 let first = transfer.take(self.segment, segment);
                 let size = transfer.size as u32;
                 self.transfer = Some(transfer).filter(|transfer| !transfer.is_complete());
                 Ok(Answer::Started(size, first))
             }
             Request::SegmentRead { toggle } => {
+                let limit = self.segment;
                 let transfer = self.continued(toggle, false)?;
-                transfer.toggle = !toggle;
-                let transfer = self.transfer.as_mut().expect("it was continued");
-                let data = transfer.take(self.segment, segment);
+                let data = transfer.take(limit, segment);
                 let last = transfer.is_complete();
                 self.transfer.take_if(|_| last);
                 Ok(Answer::Segment { toggle, last, data })
@@ -122,18 +110,14 @@ impl Frames {
                 Ok(Answer::Done)
             }
             Request::SegmentWrite { toggle, last, data } => {
-                let transfer = self.continued(toggle, true)?;
-                transfer.toggle = !toggle;
-                transfer.put(data)?;
+                self.continued(toggle, true)?.put(data)?;
                 if last {
                     let transfer = self.transfer.take().expect("it was continued");
                     if !transfer.is_complete() {
                         return Err(AbortCode::LENGTH_MISMATCH);
                     }
-                    let (address, data) = (transfer.address, &transfer.object[..transfer.size]);
-                    service
-                        .epos
-                        .write(address.node, object(address), data, now)?;
+                    let data = &transfer.object[..transfer.size];
+                    service.epos.write(transfer.address, data, now)?;
                 }
                 Ok(Answer::Taken {
                     toggle,
@@ -143,14 +127,15 @@ impl Frames {
         }
     }
 
+    /// The transfer in progress, if a segment in this direction with this toggle bit continues it.
     fn continued(&mut self, toggle: bool, writing: bool) -> Result<&mut Transfer, AbortCode> {
         match &mut self.transfer {
             Some(transfer) if transfer.writing == writing => {
-                if transfer.toggle == toggle {
-                    Ok(transfer)
-                } else {
-                    Err(AbortCode::TOGGLE)
+                if transfer.toggle != toggle {
+                    return Err(AbortCode::TOGGLE);
                 }
+                transfer.toggle = !toggle;
+                Ok(transfer)
             }
             _ => Err(AbortCode::MAXON_ILLEGAL_COMMAND),
         }

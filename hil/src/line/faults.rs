@@ -35,8 +35,7 @@ pub enum Stuck {
     At(u8),
 }
 
-/// A wire with its faults.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Wire {
     faults: WireFaults,
     noise: Noise,
@@ -45,19 +44,6 @@ pub(super) struct Wire {
     pub(super) corrupted: u64,
     pub(super) lost: u64,
     pub(super) duplicated: u64,
-}
-
-impl Default for Wire {
-    fn default() -> Self {
-        Self {
-            faults: WireFaults::default(),
-            noise: Noise::new(0),
-            torn: false,
-            corrupted: 0,
-            lost: 0,
-            duplicated: 0,
-        }
-    }
 }
 
 impl Wire {

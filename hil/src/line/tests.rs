@@ -52,8 +52,7 @@ fn rig(latency: Option<Duration>, delay: Duration) -> Rig {
 
 impl Rig {
     fn heard(&self) -> &[(u8, Instant)] {
-        let device: &dyn std::any::Any = self.line.device();
-        &device.downcast_ref::<Echo>().unwrap().heard
+        &self.line.device::<Echo>().unwrap().heard
     }
 
     /// Advances from event to event until `until`. Returns the times at which bytes could be read, and their numbers.

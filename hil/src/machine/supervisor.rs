@@ -47,8 +47,7 @@ pub(super) struct Supervisor {
 }
 
 impl Supervisor {
-    /// A supervisor that is ready to start `command` and removes `directory` at the end. The machine writes to
-    /// `stdout` and `stderr`.
+    /// A supervisor that is ready to start `command`, the machine, and removes `directory` at the end.
     pub(super) fn new<Word: AsRef<OsStr>>(
         directory: &Path,
         command: impl IntoIterator<Item = Word>,
@@ -84,7 +83,6 @@ impl Supervisor {
             .map_or(Ok(()), |pipe| pipe.write_all(b"start\n"))
     }
 
-    /// Kills the machine.
     pub(super) fn kill(&self) {
         self.cancellation.state().pipe = None;
     }

@@ -8,16 +8,13 @@ use std::path::{Component, Path, PathBuf};
 /// Maximum number of links on a path.
 const LINKS: u32 = 40;
 
-/// Permission bits: users of the group may write; other users may write; entries are their owners' alone to rename and
-/// remove.
+/// Permission bits: the group writes; others write; only its owner can rename or remove an entry.
 const GROUP_WRITES: u32 = 0o020;
 const OTHERS_WRITE: u32 = 0o002;
 const STICKY: u32 = 0o1000;
 
-/// The superuser.
 const ROOT: u32 = 0;
 
-/// Reasons why a path is not trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Distrust {
     /// A directory or link of the path belongs to this other user.
@@ -34,8 +31,7 @@ impl From<io::Error> for Distrust {
     }
 }
 
-/// Resolves `path`, which is absolute and exists. Fails if anybody but `user` and the superuser can change the
-/// result.
+/// Resolves an absolute, existing `path`. Fails if anybody but `user` and the superuser can change the result.
 pub(super) fn resolve(path: &Path, user: u32) -> Result<PathBuf, Distrust> {
     let mut links = LINKS;
     resolve_within(path, user, &mut links)

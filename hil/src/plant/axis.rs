@@ -45,6 +45,15 @@ pub enum PlantConfig {
     Physical(MotorConfig),
 }
 
+impl PlantConfig {
+    pub(crate) fn torque_constant(&self) -> f64 {
+        match self {
+            Self::Wut(wut) => wut.torque_constant,
+            Self::Physical(motor) => motor.torque_constant,
+        }
+    }
+}
+
 /// Demand of the drive's state machine on the power stage and the loops.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Demand {
@@ -108,12 +117,11 @@ pub enum Trip {
 pub struct PlantAxis {
     plant: Plant,
     mount: Option<Mount>,
-    amplifier: Amplifier,
+    pub(crate) amplifier: Amplifier,
     encoder: Encoder,
     brake: f64,
-    home_switch: Option<Contact>,
-    negative_limit: Option<Contact>,
-    positive_limit: Option<Contact>,
+    /// Home switch, negative and positive limit switch.
+    contacts: [Option<Contact>; 3],
     noise: Noise,
     trip: Option<Trip>,
     /// Sub-steps since the last step of the outer loops.
@@ -140,7 +148,11 @@ impl PlantAxis {
         }
         let mut noise = Noise::new(seed);
         let angle = config.start_angle;
-        let contact = |switch: Option<Switch>| switch.map(|switch| Contact::new(&switch, angle));
+        let switches = [
+            config.home_switch,
+            config.negative_limit,
+            config.positive_limit,
+        ];
         Self {
             plant: match &config.plant {
                 PlantConfig::Wut(wut) => Plant::Wut(Box::new(Wut::new(wut, angle))),
@@ -150,11 +162,7 @@ impl PlantAxis {
                 }
             },
             mount: mount.cloned(),
-            amplifier: Amplifier::new(
-                &config.amplifier,
-                &config.plant,
-                config.counts_per_revolution,
-            ),
+            amplifier: Amplifier::new(config),
             encoder: Encoder::new(
                 config.counts_per_revolution,
                 config.index_angle,
@@ -162,30 +170,16 @@ impl PlantAxis {
                 angle,
             ),
             brake: config.brake,
-            home_switch: contact(config.home_switch),
-            negative_limit: contact(config.negative_limit),
-            positive_limit: contact(config.positive_limit),
+            contacts: switches.map(|switch| Some(Contact::new(&switch?, angle))),
             noise,
             trip: None,
             phase: 0,
         }
     }
 
-    /// Sets another over-current threshold than the configured one, A.
-    pub fn set_trip_current(&mut self, current: f64) {
-        self.amplifier.config.trip_current = current;
-    }
-
-    /// Sets the torque, N·m, that is added to the output of the velocity loop from now on, under [`Demand::Position`]
-    /// and [`Demand::Velocity`].
+    /// Sets the torque, N·m, added to the velocity loop's output under [`Demand::Position`] and [`Demand::Velocity`].
     pub fn set_torque_offset(&mut self, torque: f64) {
         self.amplifier.torque_offset = torque;
-    }
-
-    /// Replaces the gains of the current loop that follow from the motor: voltage per current error, Ω, and voltage
-    /// per current error and sub-step. The regression model does not use these gains.
-    pub fn set_current_gains(&mut self, proportional: f64, integral: f64) {
-        self.amplifier.set_current_gains(proportional, integral);
     }
 
     /// Advances by `dt_steps` sub-steps of 100 µs under one demand.
@@ -214,14 +208,7 @@ impl PlantAxis {
         if let (Plant::Wut(_), Some(mount)) = (&self.plant, &self.mount) {
             mount.load(angle);
         }
-        for contact in [
-            &mut self.home_switch,
-            &mut self.negative_limit,
-            &mut self.positive_limit,
-        ]
-        .into_iter()
-        .flatten()
-        {
+        for contact in self.contacts.iter_mut().flatten() {
             contact.advance(angle, dt_steps, &mut self.noise);
         }
     }
@@ -235,7 +222,7 @@ impl PlantAxis {
                     self.trip = Some(Trip::OverCurrent);
                     self.amplifier.release();
                 }
-                wut.step_braked(self.amplifier.current, SUB_STEP, brake);
+                wut.step(self.amplifier.current, SUB_STEP, brake);
             }
             Plant::Physical(motor) => {
                 let voltage = on.then(|| self.amplifier.voltage(motor.current));
@@ -256,8 +243,8 @@ impl PlantAxis {
 
     /// Sensor readings after the last sub-step.
     pub fn feedback(&self) -> Feedback {
-        let closed =
-            |contact: &Option<Contact>| contact.as_ref().is_some_and(|contact| contact.closed);
+        let closed = |contact: &Option<Contact>| contact.as_ref().is_some_and(|it| it.closed);
+        let [home_switch, negative_limit, positive_limit] = self.contacts.each_ref().map(closed);
         let current = match &self.plant {
             Plant::Wut(_) => self.amplifier.current,
             Plant::Physical(motor) => motor.current,
@@ -268,9 +255,9 @@ impl PlantAxis {
             torque: self.amplifier.torque(current),
             current,
             index: self.encoder.latched,
-            home_switch: closed(&self.home_switch),
-            negative_limit: closed(&self.negative_limit),
-            positive_limit: closed(&self.positive_limit),
+            home_switch,
+            negative_limit,
+            positive_limit,
             trip: self.trip,
         }
     }
@@ -289,7 +276,7 @@ impl PlantAxis {
 impl Plant {
     fn angle(&self) -> f64 {
         match self {
-            Self::Wut(wut) => wut.angle(),
+            Self::Wut(wut) => wut.angle,
             Self::Physical(motor) => motor.angle,
         }
     }

@@ -3,7 +3,6 @@
 use super::axis::{AxisConfig, PlantConfig};
 use super::friction::FrictionConfig;
 use super::lab::MotorData;
-use super::motor::Gravity;
 use super::wut::WutConfig;
 
 /// The axes of the IRp-6 robot on a pedestal, in the order of its software. The robot is an IRb-6 with a sixth axis.
@@ -35,115 +34,99 @@ impl Irp6Axis {
     ];
 }
 
-/// The parameters of one axis, at the motor.
-struct Row {
-    /// Motor angle of the synchronisation position, rad (public code).
-    home: f64,
-    /// Motor limits, rad (public code).
-    travel: (f64, f64),
-    /// Quadrature counts per turn (public code).
-    counts: u32,
-    /// Working current limit, A (public code).
-    max_current: f64,
-    /// Over-current threshold, A (public code; the upper arm's is nominal, since the public code contains 15 A
-    /// twice).
-    trip_current: f64,
-    /// Rotor inertia, kg·m², and viscous friction, N·m·s/rad, in the robot's own emulator (public code).
-    wut: (f64, f64),
-    /// Inertia of the load at the motor, at home, kg·m² (derived from nominal masses).
-    load: f64,
-    /// Gravity at the motor: torque, N·m; motor angle per joint angle; joint angle at `home` above the horizontal,
-    /// rad. Ratio and angle are from public code. The torque is derived from nominal masses: lower arm 12 kg at 0.20
-    /// m, upper arm 14 kg at 0.25 m, wrist 4 kg, gripper 1.35 kg; no payload.
-    gravity: (f64, f64, f64),
-    /// Viscous friction, N·m·s/rad, Coulomb and static friction, N·m (nominal).
-    friction: (f64, f64, f64),
-    /// Winding: resistance, Ω, and inductance, H (nominal).
-    winding: (f64, f64),
-}
-
 const QUARTER: f64 = std::f64::consts::FRAC_PI_2;
 
-const ROWS: [Row; 6] = [
-    Row {
+/// Rotor inertia, kg·m², and viscous friction, N·m·s/rad, in the robot's own emulator (public code): axes 1 to 4, and
+/// axes 5 and 6.
+const ARM_WUT: (f64, f64) = (1.5e-4, 0.02);
+const WRIST_WUT: (f64, f64) = (1.5e-5, 2e-4);
+
+/// The motor of the column without a load. The maximum voltage is that of the control cards on their supply of 48 V
+/// (public code: pulse widths up to 190 of 255). Friction, winding and brake are nominal, the other values are from
+/// public code.
+pub(super) const COLUMN: MotorData = MotorData {
+    home: 0.0,
+    travel: None,
+    counts: 4000,
+    torque_constant: 0.105,
+    winding: (0.6, 0.5e-3),
+    inertia: ARM_WUT.0,
+    gravity: (0.0, 1.0, 0.0),
+    friction: (1e-3, 0.08, 0.12),
+    max_current: 20.0,
+    trip_current: 25.0,
+    max_voltage: 48.0 * 190.0 / 255.0,
+    brake: 5.0,
+};
+
+/// The motors of the wrist, as far as they are alike.
+const WRIST: MotorData = MotorData {
+    friction: (2e-4, 0.01, 0.015),
+    ..COLUMN
+};
+
+/// Home, travel, counts, currents, ratios and angles at home are from public code. The over-current threshold of the
+/// upper arm is nominal, since the public code contains 15 A twice. The inertia of each load, at home, and the weights
+/// are derived from nominal masses: lower arm 12 kg at 0.20 m, upper arm 14 kg at 0.25 m, wrist 4 kg, gripper 1.35 kg;
+/// no payload. Friction and windings are nominal.
+const AXES: [MotorData; 6] = [
+    MotorData {
         home: -15.9,
-        travel: (-470.0, 450.0),
-        counts: 4000,
-        max_current: 20.0,
-        trip_current: 25.0,
-        wut: (1.5e-4, 0.02),
-        load: 2.8e-4,
+        travel: Some((-470.0, 450.0)),
+        inertia: ARM_WUT.0 + 2.8e-4,
         gravity: (0.0, -158.0, 0.0),
-        friction: (1e-3, 0.08, 0.12),
-        winding: (0.6, 0.5e-3),
+        ..COLUMN
     },
-    Row {
+    MotorData {
         home: -5.0,
-        travel: (-110.0, 100.0),
-        counts: 4000,
+        travel: Some((-110.0, 100.0)),
+        inertia: ARM_WUT.0 + 2.0e-4,
+        gravity: (0.63, 173.7, -QUARTER),
         max_current: 15.0,
         trip_current: 18.0,
-        wut: (1.5e-4, 0.02),
-        load: 2.0e-4,
-        gravity: (0.63, 173.7, -QUARTER),
-        friction: (1e-3, 0.08, 0.12),
-        winding: (0.6, 0.5e-3),
+        ..COLUMN
     },
-    Row {
+    MotorData {
         home: -8.527,
-        travel: (-80.0, 100.0),
-        counts: 4000,
-        max_current: 15.0,
-        trip_current: 17.0,
-        wut: (1.5e-4, 0.02),
-        load: 1.2e-4,
+        travel: Some((-80.0, 100.0)),
+        inertia: ARM_WUT.0 + 1.2e-4,
         gravity: (0.40, 175.1, 0.0),
-        friction: (1e-3, 0.08, 0.12),
-        winding: (0.6, 0.5e-3),
-    },
-    Row {
-        home: 151.31,
-        travel: (-70.0, 380.0),
-        counts: 4000,
         max_current: 15.0,
         trip_current: 17.0,
-        wut: (1.5e-4, 0.02),
-        load: 0.3e-4,
+        ..COLUMN
+    },
+    MotorData {
+        home: 151.31,
+        travel: Some((-70.0, 380.0)),
+        inertia: ARM_WUT.0 + 0.3e-4,
         gravity: (-0.05, -128.0, 0.0),
         friction: (1e-3, 0.06, 0.09),
-        winding: (0.6, 0.5e-3),
+        max_current: 15.0,
+        trip_current: 17.0,
+        ..COLUMN
     },
-    Row {
+    MotorData {
         home: 435.25,
-        travel: (-80.0, 490.0),
-        counts: 4000,
+        travel: Some((-80.0, 490.0)),
+        winding: (1.2, 1.0e-3),
+        inertia: WRIST_WUT.0 + 1.0e-5,
+        gravity: (0.0, -76.8, 0.0),
         max_current: 8.0,
         trip_current: 10.0,
-        wut: (1.5e-5, 2e-4),
-        load: 1.0e-5,
-        gravity: (0.0, -76.8, 0.0),
-        friction: (2e-4, 0.01, 0.015),
-        winding: (1.2, 1.0e-3),
+        ..WRIST
     },
-    Row {
+    MotorData {
         home: 791.0,
-        travel: (-1000.0, 3000.0),
+        travel: Some((-1000.0, 3000.0)),
         counts: 2000,
+        winding: (3.0, 2.5e-3),
+        inertia: WRIST_WUT.0 + 0.1e-5,
+        gravity: (0.0, 288.8845, 0.0),
         max_current: 1.0,
         trip_current: 2.0,
-        wut: (1.5e-5, 2e-4),
-        load: 0.1e-5,
-        gravity: (0.0, 288.8845, 0.0),
-        friction: (2e-4, 0.01, 0.015),
-        winding: (3.0, 2.5e-3),
+        ..WRIST
     },
 ];
-
-/// Torque per current of every motor of the arm, N·m/A (public code).
-pub(super) const TORQUE_CONSTANT: f64 = 0.105;
-
-/// Maximum output of the control cards on their supply of 48 V, V (public code: pulse widths up to 190 of 255).
-pub(super) const MAX_VOLTAGE: f64 = 48.0 * 190.0 / 255.0;
 
 impl AxisConfig {
     /// An axis of the IRp-6 as a motor with load, friction, gravity and switches.
@@ -157,41 +140,25 @@ impl AxisConfig {
     /// Following errors in a trapezoidal motion at 50 rad/s and 150 rad/s², with a set-point each 1 or 2 ms: within
     /// 5, 6, 14, 12, 10 and 7 counts for the axes in order.
     pub fn irp6(axis: Irp6Axis) -> Self {
-        let row = &ROWS[axis as usize];
-        let (amplitude, ratio, at_home) = row.gravity;
-        let gravity = Gravity {
-            amplitude,
-            ratio,
-            phase: at_home - row.home / ratio,
-        };
-        let motor = MotorData {
-            home: row.home,
-            travel: Some(row.travel),
-            counts: row.counts,
-            torque_constant: TORQUE_CONSTANT,
-            winding: row.winding,
-            inertia: row.wut.0 + row.load,
-            friction: row.friction,
-            max_current: row.max_current,
-            trip_current: row.trip_current,
-            max_voltage: MAX_VOLTAGE,
-            brake: 5.0,
-        };
-        motor.axis(gravity, (row.home - 20.0, row.home - 2.0), 0)
+        let motor = &AXES[axis as usize];
+        motor.axis((motor.home - 20.0, motor.home - 2.0), 0)
     }
 
     /// An axis of the IRp-6 as the robot's own software emulates it. The sensors are the same. The motor has no
     /// windings, dry friction, gravity or noise.
     pub fn wut(axis: Irp6Axis) -> Self {
-        let row = &ROWS[axis as usize];
-        let (inertia, viscous) = row.wut;
+        let motor = &AXES[axis as usize];
+        let (inertia, viscous) = match axis {
+            Irp6Axis::Roll | Irp6Axis::Flange => WRIST_WUT,
+            Irp6Axis::Column | Irp6Axis::LowerArm | Irp6Axis::UpperArm | Irp6Axis::Pitch => ARM_WUT,
+        };
         let mut config = Self::irp6(axis);
         config.plant = PlantConfig::Wut(WutConfig {
-            torque_constant: TORQUE_CONSTANT,
+            torque_constant: motor.torque_constant,
             inertia,
             viscous,
             friction: FrictionConfig::NONE,
-            resistance: row.winding.0,
+            resistance: motor.winding.0,
         });
         config.amplifier.inertia = inertia;
         config.edge_jitter = 0.0;

@@ -2,7 +2,7 @@
 
 use super::axis::{AxisConfig, PlantConfig};
 use super::friction::FrictionConfig;
-use super::irp6::{Irp6Axis, MAX_VOLTAGE, TORQUE_CONSTANT};
+use super::irp6::{COLUMN, Irp6Axis};
 use super::mechanism::{Mechanism, MechanismConfig};
 use super::motor::{EndStops, Gravity, MotorConfig};
 use super::switch::Switch;
@@ -24,6 +24,7 @@ const THERMAL: ThermalConfig = ThermalConfig {
 
 /// Parameters of a motor and its drive, at the motor shaft.
 pub(super) struct MotorData {
+    /// Motor angle of the synchronisation position, rad.
     pub(super) home: f64,
     /// Angles at which the limit switches close, rad; `None` for an endless axis.
     pub(super) travel: Option<(f64, f64)>,
@@ -33,8 +34,11 @@ pub(super) struct MotorData {
     pub(super) winding: (f64, f64),
     /// Inertia of rotor and load, kg·m².
     pub(super) inertia: f64,
+    /// Weight of the load: torque, N·m; motor angle per joint angle; joint angle at home above the horizontal, rad.
+    pub(super) gravity: (f64, f64, f64),
     /// Viscous friction, N·m·s/rad, Coulomb and static friction, N·m.
     pub(super) friction: (f64, f64, f64),
+    /// Working current limit and over-current threshold, A.
     pub(super) max_current: f64,
     pub(super) trip_current: f64,
     pub(super) max_voltage: f64,
@@ -51,17 +55,13 @@ const EDGE: f64 = std::f64::consts::PI;
 impl MotorData {
     /// An axis with the edge of its home switch half a motor turn below home.
     fn config(&self, home_from: f64) -> AxisConfig {
-        self.axis(Gravity::NONE, (home_from, self.home - EDGE), BOUNCE)
+        self.axis((home_from, self.home - EDGE), BOUNCE)
     }
 
     /// An axis with a home switch that is closed over `home_switch`, rad. Contacts bounce for `bounce` sub-steps.
-    pub(super) fn axis(
-        &self,
-        gravity: Gravity,
-        home_switch: (f64, f64),
-        bounce: u32,
-    ) -> AxisConfig {
+    pub(super) fn axis(&self, home_switch: (f64, f64), bounce: u32) -> AxisConfig {
         let (viscous, coulomb, stiction) = self.friction;
+        let (amplitude, ratio, at_home) = self.gravity;
         let switch = |from, to| Switch { from, to, bounce };
         AxisConfig {
             plant: PlantConfig::Physical(MotorConfig {
@@ -75,7 +75,11 @@ impl MotorData {
                     stiction,
                     stribeck_velocity: 5.0,
                 },
-                gravity,
+                gravity: Gravity {
+                    amplitude,
+                    ratio,
+                    phase: at_home - self.home / ratio,
+                },
                 end_stops: self.travel.map(|(negative, positive)| EndStops {
                     negative: negative - 3.0,
                     positive: positive + 3.0,
@@ -109,8 +113,7 @@ fn inertia(mechanism: MechanismConfig, number: usize) -> f64 {
 }
 
 impl AxisConfig {
-    /// The same axis with its home at another motor angle, rad. Index, start, switches, buffers and gravity move with
-    /// the home position.
+    /// The same axis with its home at another motor angle, rad. Index, start, switches, buffers and gravity move too.
     pub fn with_home(mut self, home: f64) -> Self {
         let shift = home - self.index_angle;
         let moved = |switch: Option<Switch>| {
@@ -150,17 +153,10 @@ impl AxisConfig {
             return Some(Self::irp6(axis).with_home(TRACK_ARM_HOMES[arm]));
         }
         let track = MotorData {
-            home: 0.0,
             travel: Some((-200.0, 1900.0)),
-            counts: 4000,
-            torque_constant: TORQUE_CONSTANT,
-            winding: (0.6, 0.5e-3),
             inertia: inertia(MechanismConfig::Irp6OnTrack, 0),
             friction: (1e-3, 0.15, 0.22),
-            max_current: 20.0,
-            trip_current: 25.0,
-            max_voltage: MAX_VOLTAGE,
-            brake: 5.0,
+            ..COLUMN
         };
         Some(track.config(f64::NEG_INFINITY))
     }
@@ -186,25 +182,23 @@ impl AxisConfig {
             4 => (-11_000.0_f64.to_radians(), 11_000.0_f64.to_radians()),
             _ => return None,
         };
-        let is_leg = number < 3;
-        let row = MotorData {
-            home: 0.0,
+        let leg = MotorData {
             travel: Some(travel),
-            counts: 4000,
-            torque_constant: 0.105,
-            winding: if is_leg { (0.6, 0.5e-3) } else { (1.2, 1.0e-3) },
             inertia: inertia(mechanism, number),
-            friction: if is_leg {
-                (1e-3, 0.08, 0.12)
-            } else {
-                (2e-4, 0.008, 0.012)
-            },
-            max_current: if is_leg { 15.0 } else { 8.0 },
-            trip_current: if is_leg { 20.0 } else { 10.0 },
+            max_current: 15.0,
+            trip_current: 20.0,
             max_voltage: 48.0,
-            brake: 5.0,
+            ..COLUMN
         };
-        Some(row.config(f64::NEG_INFINITY))
+        let wrist = MotorData {
+            winding: (1.2, 1.0e-3),
+            friction: (2e-4, 0.008, 0.012),
+            max_current: 8.0,
+            trip_current: 10.0,
+            ..leg
+        };
+        let motor = if number < 3 { leg } else { wrist };
+        Some(motor.config(f64::NEG_INFINITY))
     }
 
     /// Axis 0 to 6 of Polycrank, to be mounted on [`MechanismConfig::Polycrank`]. `None` for a higher number. All
@@ -227,10 +221,7 @@ impl AxisConfig {
             6 => (0.2, (2.0, 4.0e-3), 4.0),
             _ => return None,
         };
-        let row = MotorData {
-            home: 0.0,
-            travel: None,
-            counts: 4000,
+        let motor = MotorData {
             torque_constant,
             winding,
             inertia: inertia(mechanism, number),
@@ -239,9 +230,10 @@ impl AxisConfig {
             trip_current: 1.5 * max_current,
             max_voltage: 170.0,
             brake: 10.0,
+            ..COLUMN
         };
         let cam = 10.0 * 50.0 * std::f64::consts::TAU;
-        let mut config = row.config(-cam);
+        let mut config = motor.config(-cam);
         // The loops are tuned for a pose between the folded and the stretched arm. In the first two axes the inertia
         // of such a pose differs much from the inertia at home.
         config.amplifier.inertia *= match number {
@@ -260,14 +252,13 @@ impl AxisConfig {
             home: 4830.0,
             travel: Some((-2000.0, 5000.0)),
             counts: 128,
-            torque_constant: TORQUE_CONSTANT,
             winding: (30.0, 10e-3),
             inertia: 5e-7,
             friction: (2e-6, 5e-4, 8e-4),
             max_current: 0.06,
             trip_current: 0.2,
-            max_voltage: MAX_VOLTAGE,
             brake: 0.0,
+            ..COLUMN
         }
         .config(f64::NEG_INFINITY)
     }
@@ -277,23 +268,17 @@ impl AxisConfig {
     /// friction. The 0.01 N·m·s/rad of its own emulator would take 21 A at 0.1 m/s and burn a real winding. As with
     /// the arm's motors, a tenth of that friction is used here.
     pub fn conveyor() -> Self {
-        let row = MotorData {
-            home: 0.0,
-            travel: None,
-            counts: 4000,
-            torque_constant: TORQUE_CONSTANT,
-            winding: (0.6, 0.5e-3),
+        let motor = MotorData {
             inertia: 1.5e-4,
             friction: (1e-3, 0.05, 0.08),
-            max_current: 20.0,
-            trip_current: 25.0,
             max_voltage: 60.0,
             brake: 0.0,
+            ..COLUMN
         };
         Self {
             home_switch: None,
             start_angle: 0.0,
-            ..row.config(f64::NEG_INFINITY)
+            ..motor.config(f64::NEG_INFINITY)
         }
     }
 }

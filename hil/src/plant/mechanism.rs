@@ -21,8 +21,7 @@ use rnt::Rnt;
 pub enum MechanismConfig {
     /// Five axes. At home the lower arm is upright. Upper arm, wrist and gripper are level, in one line.
     Irb6,
-    /// Six axes. The home posture is that of [`MechanismConfig::Irb6`], except that the gripper is level across the
-    /// wrist.
+    /// Six axes. At home as [`MechanismConfig::Irb6`], except that the gripper is level across the wrist.
     Irp6,
     /// The IRp-6 on a track, which is the first of seven axes.
     Irp6OnTrack,
@@ -82,23 +81,19 @@ enum Links {
     Polycrank(Polycrank),
 }
 
-/// Load of a motor.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Loaded {
-    /// Torque of the weight, N·m.
-    pub(super) torque: f64,
-    /// Inertia of the links, at the motor, kg·m².
-    pub(super) reflected: f64,
+    /// Weight and inertia of the links, at the motor.
+    pub(super) links: Load,
     /// Inertia of parts that turn at motor speed, kg·m².
     pub(super) turning: f64,
-    /// Transmission ratio behind which `reflected` lies, if the ratio changes with the motor's own angle; otherwise a
-    /// constant.
+    /// Ratio of the transmission to the links if it changes with the motor's own angle; otherwise a constant.
     pub(super) ratio: f64,
 }
 
 impl Loaded {
     pub(super) fn inertia(&self) -> f64 {
-        self.turning + self.reflected
+        self.turning + self.links.inertia
     }
 
     /// Speed change of a motor when its reflected load changes and no torque acts.
@@ -107,7 +102,7 @@ impl Loaded {
     /// the other axes conserves momentum; the other axes supply the difference in energy.
     pub(super) fn slows_by(&self, next: &Self) -> f64 {
         let gear = self.ratio / next.ratio;
-        let geared = self.turning + self.reflected * gear * gear;
+        let geared = self.turning + self.links.inertia * gear * gear;
         (self.inertia() / geared).sqrt() * geared / next.inertia()
     }
 }
@@ -176,7 +171,7 @@ impl Mechanism {
         }
         let loaded = robot.load(number);
         Load {
-            torque: loaded.torque,
+            torque: loaded.links.torque,
             inertia: loaded.inertia(),
         }
     }
@@ -198,8 +193,7 @@ impl Mount {
         }
     }
 
-    /// Records the motor's new `angle`, rad, for the loads of the other axes, and returns the motor's load at that
-    /// angle.
+    /// Records the motor's new `angle`, rad, for the loads of the other axes. Returns the motor's load there.
     pub(super) fn load(&self, angle: f64) -> Loaded {
         let mut robot = self.mechanism.lock();
         robot.motors[self.number] = angle - robot.homes[self.number];

@@ -6,7 +6,8 @@ use super::mechanism::{Loaded, Mount};
 use super::noise::Noise;
 use super::thermal::{Thermal, ThermalConfig};
 
-/// A permanent-magnet motor with its load, with all quantities at the motor shaft.
+/// A permanent-magnet motor with its load, with all quantities at the motor shaft. For a mounted axis, inertia and weight
+/// of the mechanism replace those of the load.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorConfig {
     /// Torque per current, N·m/A, and back-EMF per speed, V·s/rad, at 25 °C.
@@ -15,14 +16,13 @@ pub struct MotorConfig {
     pub resistance: f64,
     /// Inductance of the winding, H.
     pub inductance: f64,
-    /// Inertia of rotor and reflected load, kg·m². For a mounted axis the inertia of the mechanism replaces this
-    /// value.
+    /// Inertia of rotor and reflected load, kg·m².
     pub inertia: f64,
     /// Viscous friction, N·m·s/rad.
     pub viscous: f64,
     /// Dry friction.
     pub friction: FrictionConfig,
-    /// Weight of the load. For a mounted axis the weight from the mechanism replaces this value.
+    /// Weight of the load.
     pub gravity: Gravity,
     /// Buffers at the ends of travel, if there are any.
     pub end_stops: Option<EndStops>,
@@ -39,8 +39,7 @@ pub struct Gravity {
     pub amplitude: f64,
     /// Motor angle per joint angle, negative if they turn in opposite directions.
     pub ratio: f64,
-    /// Joint angle at which the motor reads zero, rad. The torque is greatest where the argument of the cosine is
-    /// zero.
+    /// Joint angle at which the motor reads zero, rad, measured from the pose of the greatest torque.
     pub phase: f64,
 }
 
@@ -197,7 +196,7 @@ impl Motor {
                 self.velocity *= last.slows_by(&next);
                 self.gain = SUB_STEP / next.inertia();
                 *last = next;
-                next.torque
+                next.links.torque
             }
         };
         let ripple = if self.config.torque_ripple > 0.0 {

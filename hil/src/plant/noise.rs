@@ -4,7 +4,7 @@
 ///
 /// A Weyl sequence: the state increases by the odd 64-bit golden ratio and is hashed by two rounds of xor-shift and
 /// multiply. The period is 2^64. The quality suffices for ripple and jitter, not for secrets.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Noise(u64);
 
 impl Noise {

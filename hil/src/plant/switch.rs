@@ -13,7 +13,6 @@ pub struct Switch {
     pub bounce: u32,
 }
 
-/// A switch and the state of its contact.
 #[derive(Clone, Debug)]
 pub(crate) struct Contact {
     switch: Switch,

@@ -509,7 +509,7 @@ fn an_axis_trips_beyond_the_current_it_was_set_to() {
     ] {
         for (limit, trips) in [(4.0, true), (6.0, false)] {
             let mut axis = PlantAxis::new(&config, 1);
-            axis.set_trip_current(limit);
+            axis.amplifier.config.trip_current = limit;
             axis.advance(100, Demand::Current(5.0));
             let trip = axis.feedback().trip;
             assert_eq!(trip == Some(Trip::OverCurrent), trips, "{limit} A");

@@ -17,7 +17,6 @@ pub struct ThermalConfig {
     pub trip: f64,
 }
 
-/// The state of the two bodies.
 #[derive(Clone, Debug)]
 pub(crate) struct Thermal {
     config: ThermalConfig,

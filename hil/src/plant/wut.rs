@@ -31,8 +31,10 @@ pub struct WutConfig {
 pub struct Wut {
     config: WutConfig,
     friction: Friction,
-    angle: f64,
-    velocity: f64,
+    /// Angle, rad.
+    pub angle: f64,
+    /// Velocity, rad/s.
+    pub velocity: f64,
 }
 
 impl Wut {
@@ -46,13 +48,8 @@ impl Wut {
         }
     }
 
-    /// Integrates one step of `dt` seconds under a constant current, A.
-    pub fn step(&mut self, current: f64, dt: f64) {
-        self.step_braked(current, dt, 0.0);
-    }
-
-    /// As [`Wut::step`], with a brake that resists by up to `brake` N·m.
-    pub(crate) fn step_braked(&mut self, current: f64, dt: f64, brake: f64) {
+    /// Integrates one step of `dt` seconds under a constant current, A, with a brake that resists by up to `brake` N·m.
+    pub fn step(&mut self, current: f64, dt: f64, brake: f64) {
         let torque = self.config.torque_constant * current - self.config.viscous * self.velocity;
         let gain = dt / self.config.inertia;
         self.velocity =
@@ -64,16 +61,6 @@ impl Wut {
     /// The current that a voltage drives at the present speed, A.
     pub(crate) fn static_current(&self, voltage: f64) -> f64 {
         (voltage - self.config.torque_constant * self.velocity) / self.config.resistance
-    }
-
-    /// Angle, rad.
-    pub fn angle(&self) -> f64 {
-        self.angle
-    }
-
-    /// Velocity, rad/s.
-    pub fn velocity(&self) -> f64 {
-        self.velocity
     }
 }
 
@@ -93,7 +80,7 @@ mod tests {
     fn spun_up(config: &WutConfig, current: f64) -> Wut {
         let mut wut = Wut::new(config, 0.0);
         for _ in 0..20_000 {
-            wut.step(current, 1e-4);
+            wut.step(current, 1e-4, 0.0);
         }
         wut
     }
@@ -101,15 +88,15 @@ mod tests {
     #[test]
     fn current_and_viscous_friction_settle_at_their_balance() {
         let wut = spun_up(&COLUMN, 10.0);
-        assert!((wut.velocity() - 52.5).abs() < 1e-9, "{}", wut.velocity());
+        assert!((wut.velocity - 52.5).abs() < 1e-9, "{}", wut.velocity);
     }
 
     #[test]
     fn coasting_slows_with_inertia_over_viscous_friction() {
         let mut wut = spun_up(&COLUMN, 10.0);
         let mut steps = 0;
-        while wut.velocity() > 52.5 / std::f64::consts::E {
-            wut.step(0.0, 1e-5);
+        while wut.velocity > 52.5 / std::f64::consts::E {
+            wut.step(0.0, 1e-5, 0.0);
             steps += 1;
         }
         assert!(
@@ -127,14 +114,14 @@ mod tests {
         };
         let mut wut = spun_up(&WutConfig { friction, ..COLUMN }, 10.0);
         for _ in 0..10_000 {
-            wut.step(0.0, 1e-4);
+            wut.step(0.0, 1e-4, 0.0);
         }
-        let angle = wut.angle();
+        let angle = wut.angle;
         for _ in 0..10_000 {
-            wut.step(1.4, 1e-4);
+            wut.step(1.4, 1e-4, 0.0);
         }
         assert_eq!(
-            (wut.velocity(), wut.angle()),
+            (wut.velocity, wut.angle),
             (0.0, angle),
             "0.147 N·m is below stiction"
         );

@@ -39,13 +39,13 @@ impl Regression {
 
 impl Motor for Regression {
     fn angle(&self) -> f64 {
-        self.motor.angle()
+        self.motor.angle
     }
 
     fn run(&mut self, input: f64) {
         for _ in 0..self.steps {
             let current = input / self.torque_constant;
-            self.motor.step(current, DT / f64::from(self.steps));
+            self.motor.step(current, DT / f64::from(self.steps), 0.0);
         }
     }
 }

@@ -266,13 +266,15 @@ fn a_bad_line_costs_telegrams_and_not_the_drive() {
         };
         let mut rig = Rig::nfv2(&column());
         let request = frame(ADDRESS, &[Command::SetMisc(Command::SET_SYNCHRONIZED)]);
-        rig.world.set_line_faults(rig.line, &faults);
+        rig.world.line_mut(rig.line).set_faults(&faults);
         let answered = (0..1000)
             .filter(|_| !rig.exchange(&request).is_empty())
             .count();
         // 21 bytes of 8 bits in each of two directions: about a third of the exchanges is lost.
         assert!((500..800).contains(&answered), "seed {seed}: {answered}");
-        rig.world.set_line_faults(rig.line, &LineFaults::default());
+        rig.world
+            .line_mut(rig.line)
+            .set_faults(&LineFaults::default());
         for _ in 0..10 {
             assert_eq!(rig.exchange(&request).len(), 19, "seed {seed}");
         }
@@ -295,7 +297,7 @@ fn a_stuck_line_is_silence() {
                 faults.to_host = hangs;
             }
             let mut rig = Rig::nfv2(&column());
-            rig.world.set_line_faults(rig.line, &faults);
+            rig.world.line_mut(rig.line).set_faults(&faults);
             let answer = rig.exchange(&frame(ADDRESS, &[]));
             let expected = match stuck {
                 Some(At(level)) if !to_device => vec![level; 19],

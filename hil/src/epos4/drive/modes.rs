@@ -53,8 +53,7 @@ impl Drive {
         }
     }
 
-    /// Whether the position has been in its window for the window time. A window of 0xFFFF_FFFF disables the check
-    /// (CiA 402-2 §12).
+    /// Whether the position has been in its window for its time. 0xFFFF_FFFF disables the check (CiA 402-2 §12).
     pub(super) fn settled(&self, objects: &Objects) -> bool {
         let time = objects.f(POSITION_WINDOW_TIME);
         objects.u(POSITION_WINDOW) == u32::MAX
@@ -242,8 +241,7 @@ impl Drive {
         }
     }
 
-    /// Returns the start of this chunk. The start differs from the end of the last chunk if homing has set the
-    /// counter.
+    /// Returns the start of this chunk, which is not the end of the last chunk if homing has set the counter.
     pub(super) fn home(&mut self, objects: &Objects, dt: f64) -> Motion {
         let unit = self.counts_per_velocity(objects);
         let acceleration = objects.f(HOMING_ACCELERATION).max(1.0) * self.counts_per_turn / 60.0;

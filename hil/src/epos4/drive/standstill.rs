@@ -16,10 +16,8 @@ pub(super) struct Window {
     pub(super) time_out: f64,
 }
 
-/// Standstill detection.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Standstill {
-    /// Whether the axis stands.
     pub(super) reached: bool,
     /// Time for which the velocity has contradicted the present result, s.
     contradicted: f64,

@@ -17,23 +17,24 @@ fn an_enabled_epos_says_what_a_real_one_said() {
 
 #[test]
 fn the_table_ascends_and_every_default_is_within_its_limits() {
-    use crate::epos4::table::{Kind, TABLE};
+    use crate::epos4::table::TABLE;
+    use canopen::eds::DataType;
     for pair in TABLE.windows(2) {
         assert!(pair[0].object < pair[1].object, "{}", pair[1].object);
     }
     for entry in &TABLE {
-        let number = entry.kind.number(entry.default);
+        let number = entry.number(entry.default);
         assert!(
             (entry.min..=entry.max).contains(&number),
             "{}",
             entry.object
         );
         let bytes = entry.default.to_le_bytes();
-        if !matches!(entry.kind, Kind::Text(_)) {
-            let size = entry.kind.size();
+        if entry.data_type != DataType::VisibleString {
+            let size = entry.size();
             let mut kept = [0; 4];
             kept[..size].copy_from_slice(&bytes[..size]);
-            assert_eq!(entry.kind.decode(kept), entry.default, "{}", entry.object);
+            assert_eq!(entry.decode(kept), entry.default, "{}", entry.object);
         }
     }
 }

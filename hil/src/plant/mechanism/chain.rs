@@ -1,32 +1,11 @@
 //! Rigid links on revolute joints, and their load on a motor that turns some of the joints.
 
-use super::Loaded;
+use nalgebra::Vector3;
+
+pub(super) type Vector = Vector3<f64>;
 
 /// Free fall, m/s².
 pub(super) const GRAVITY: f64 = 9.81;
-
-pub(super) type Vector = [f64; 3];
-
-pub(super) fn dot(a: Vector, b: Vector) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-pub(super) fn cross(a: Vector, b: Vector) -> Vector {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
-}
-
-/// `a + factor · b`.
-pub(super) fn add(a: Vector, factor: f64, b: Vector) -> Vector {
-    [
-        a[0] + factor * b[0],
-        a[1] + factor * b[1],
-        a[2] + factor * b[2],
-    ]
-}
 
 /// A mass with its centre and its spread. Half of the mass lies at the distance `spread` on either side of the
 /// centre. For a rod of length l the spread is l / √12.
@@ -43,11 +22,11 @@ pub(super) struct Body {
 impl Body {
     pub(super) const NONE: Self = Self::point(0.0, [0.0; 3]);
 
-    pub(super) const fn point(mass: f64, centre: Vector) -> Self {
+    pub(super) const fn point(mass: f64, [x, y, z]: [f64; 3]) -> Self {
         Self {
             mass,
-            centre,
-            spread: [0.0; 3],
+            centre: Vector::new(x, y, z),
+            spread: Vector::new(0.0, 0.0, 0.0),
         }
     }
 
@@ -55,24 +34,23 @@ impl Body {
     pub(super) fn rod(mass: f64, end: Vector) -> Self {
         Self {
             mass,
-            centre: end.map(|x| 0.5 * x),
-            spread: end.map(|x| x / 12_f64.sqrt()),
+            centre: 0.5 * end,
+            spread: end / 12_f64.sqrt(),
         }
     }
 
     /// Load on a motor that moves the body's frame with `motion`.
     pub(super) fn load(&self, motion: &Motion) -> Load {
-        let velocity = add(motion.velocity, 1.0, cross(motion.spin, self.centre));
-        let around = cross(motion.spin, self.spread);
+        let velocity = motion.velocity + motion.spin.cross(&self.centre);
+        let around = motion.spin.cross(&self.spread);
         Load {
-            torque: -GRAVITY * self.mass * dot(motion.up, velocity),
-            inertia: self.mass * (dot(velocity, velocity) + dot(around, around)),
+            torque: -GRAVITY * self.mass * motion.up.dot(&velocity),
+            inertia: self.mass * (velocity.dot(&velocity) + around.dot(&around)),
         }
     }
 }
 
-/// Motion of a frame while a motor turns at 1 rad/s, and the frame's upward direction. All vectors are in the frame's
-/// own axes.
+/// Motion of a frame while a motor turns at 1 rad/s, and its upward direction, in the frame's own axes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion {
     /// Unit vector against gravity.
@@ -85,11 +63,11 @@ pub(super) struct Motion {
 
 impl Motion {
     /// A frame at rest.
-    pub(super) const fn standing(up: Vector) -> Self {
+    pub(super) fn standing(up: Vector) -> Self {
         Self {
             up,
-            spin: [0.0; 3],
-            velocity: [0.0; 3],
+            spin: Vector::zeros(),
+            velocity: Vector::zeros(),
         }
     }
 }
@@ -104,16 +82,6 @@ pub struct Load {
 }
 
 impl Load {
-    /// The load with the inertia of `turning` parts, kg·m², behind a transmission of this `ratio`.
-    pub(super) fn behind(self, ratio: f64, turning: f64) -> Loaded {
-        Loaded {
-            torque: self.torque,
-            reflected: self.inertia,
-            turning,
-            ratio,
-        }
-    }
-
     pub(super) fn and(self, other: Self) -> Self {
         Self {
             torque: self.torque + other.torque,
@@ -130,7 +98,6 @@ pub(super) struct Link {
     twist: (f64, f64),
     /// Vector from the origin of the previous frame to the origin of this frame, in this frame, m.
     reach: Vector,
-    /// Body of the link, in this frame.
     body: Body,
     /// The last angle of the joint, rad, and its sine and cosine. Most joints stand still between two turns of one
     /// motor, so the values are kept.
@@ -147,7 +114,7 @@ impl Link {
         };
         Self {
             twist,
-            reach: [a, d * twist.0, d * twist.1],
+            reach: Vector::new(a, d * twist.0, d * twist.1),
             body,
             turn: (0.0, (0.0, 1.0)),
         }
@@ -157,7 +124,7 @@ impl Link {
     pub(super) fn rod(d: f64, a: f64, alpha: i8, mass: f64) -> Self {
         let link = Self::new(d, a, alpha, Body::NONE);
         // The rod begins at the origin of the previous frame, which lies at `-reach` in this frame.
-        let body = Body::rod(mass, link.reach.map(|x| -x));
+        let body = Body::rod(mass, -link.reach);
         Self { body, ..link }
     }
 
@@ -169,10 +136,11 @@ impl Link {
     }
 
     /// Converts a vector from the previous frame to this frame.
-    fn turned(&self, (sin, cos): (f64, f64), [x, y, z]: Vector) -> Vector {
+    fn turned(&self, (sin, cos): (f64, f64), vector: Vector) -> Vector {
+        let [x, y, z] = vector.into();
         let (s, c) = self.twist;
         let across = cos * y - sin * x;
-        [cos * x + sin * y, c * across + s * z, c * z - s * across]
+        Vector::new(cos * x + sin * y, c * across + s * z, c * z - s * across)
     }
 }
 
@@ -184,8 +152,7 @@ pub(super) struct Chain<const N: usize> {
 }
 
 impl<const N: usize> Chain<N> {
-    /// Load on a motor that, at 1 rad/s, moves the base with `base` and turns the joints at `rates`. The joints are
-    /// at `angles`.
+    /// Load on a motor that, at 1 rad/s, moves the base with `base` and turns the joints, at `angles`, at `rates`.
     pub(super) fn load(&mut self, base: &Motion, angles: &[f64; N], rates: &[f64; N]) -> Load {
         let mut motion = *base;
         let mut load = Load::default();
@@ -195,7 +162,7 @@ impl<const N: usize> Chain<N> {
             motion.up = link.turned(angle, motion.up);
             motion.spin = link.turned(angle, motion.spin);
             motion.velocity = link.turned(angle, motion.velocity);
-            motion.velocity = add(motion.velocity, 1.0, cross(motion.spin, link.reach));
+            motion.velocity += motion.spin.cross(&link.reach);
             load = load.and(link.body.load(&motion));
         }
         load.and(self.payload.load(&motion))

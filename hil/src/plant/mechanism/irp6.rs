@@ -3,7 +3,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use super::chain::{Body, Chain, Link, Motion};
+use super::chain::{Body, Chain, Link, Motion, Vector};
 use super::screw::Screw;
 use super::{AXES, Loaded};
 
@@ -18,7 +18,7 @@ const TRACK: f64 = 2.0 * std::f64::consts::TAU / 8e-3;
 /// Mass of the carriage below the column, kg (nominal).
 const CARRIAGE: f64 = 60.0;
 /// Unit vector against gravity.
-const UP: [f64; 3] = [0.0, 0.0, 1.0];
+const UP: Vector = Vector::new(0.0, 0.0, 1.0);
 /// The gripper, along its own axis from the end of the wrist (nominal).
 const GRIPPER: Body = Body::point(1.35, [0.0, 0.0, 0.15]);
 
@@ -51,11 +51,11 @@ impl Irp6 {
     /// Lengths follow the public code. All masses and their positions are nominal.
     pub(super) fn new(on_track: bool) -> Self {
         let slender = |mass: f64, centre: f64, length: f64| Body {
-            spread: [length / 12_f64.sqrt(), 0.0, 0.0],
+            spread: Vector::new(length / 12_f64.sqrt(), 0.0, 0.0),
             ..Body::point(mass, [centre - length, 0.0, 0.0])
         };
         let column = Body {
-            spread: [0.2, 0.0, 0.0],
+            spread: Vector::new(0.2, 0.0, 0.0),
             ..Body::point(45.0, [0.0; 3])
         };
         let wrist = Body::point(4.0, [0.0, -0.095, 0.0]);
@@ -133,8 +133,10 @@ impl Irp6 {
                 TURNING[axis.min(5)]
             }
         };
-        self.chain
-            .load(&base, &angles, &rates)
-            .behind(ratio, turning)
+        Loaded {
+            links: self.chain.load(&base, &angles, &rates),
+            turning,
+            ratio,
+        }
     }
 }

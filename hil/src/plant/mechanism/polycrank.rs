@@ -1,6 +1,6 @@
 //! Polycrank: two planar cranks of three parallel axes each, and a tool roll, on a horizontal first axis.
 
-use super::chain::{Body, Chain, Link, Motion};
+use super::chain::{Body, Chain, Link, Motion, Vector};
 use super::{AXES, Loaded};
 
 /// Motor angle per joint angle (nominal).
@@ -8,7 +8,7 @@ const RATIO: f64 = 50.0;
 /// Inertia of a rotor, kg·m² (nominal).
 const TURNING: f64 = 1e-4;
 /// The x axis of the first frame points up. The published rotations leave open whether the x or the y axis does.
-const UP: [f64; 3] = [1.0, 0.0, 0.0];
+const UP: Vector = Vector::new(1.0, 0.0, 0.0);
 
 #[derive(Clone, Debug)]
 pub(super) struct Polycrank {
@@ -57,7 +57,10 @@ impl Polycrank {
         for (angle, at_home) in angles.iter_mut().zip(self.at_home) {
             *angle += at_home;
         }
-        let load = self.chain.load(&Motion::standing(UP), &angles, &rates);
-        load.behind(1.0, TURNING)
+        Loaded {
+            links: self.chain.load(&Motion::standing(UP), &angles, &rates),
+            turning: TURNING,
+            ratio: 1.0,
+        }
     }
 }

@@ -3,7 +3,7 @@
 
 use std::f64::consts::TAU;
 
-use super::chain::{Body, Chain, Link, Load, Motion, Vector, add, cross, dot};
+use super::chain::{Body, Chain, Link, Load, Motion, Vector};
 use super::{AXES, Loaded};
 
 /// Radius of the universal joints in the base, at 0°, 120° and 240°, m.
@@ -19,7 +19,7 @@ const GEAR: f64 = 100.0;
 /// wrist.
 const TURNING: (f64, f64) = (3.0e-4, 2.0e-5);
 /// The machine hangs: the z axis of its base, along which the legs extend, points down.
-const UP: Vector = [0.0, 0.0, -1.0];
+const UP: Vector = Vector::new(0.0, 0.0, -1.0);
 
 #[derive(Clone, Debug)]
 pub(super) struct Rnt {
@@ -56,12 +56,15 @@ impl Rnt {
         let reach = BASE_RADIUS - PLATFORM_RADIUS;
         let length = home_lengths.iter().sum::<f64>() / 3.0;
         let mut rnt = Self {
-            platform: [half([disc, 0.0, 0.0]), half([0.0, disc, 0.0])],
+            platform: [
+                half(Vector::new(disc, 0.0, 0.0)),
+                half(Vector::new(0.0, disc, 0.0)),
+            ],
             wrist: Chain {
                 links: [
                     Link::new(0.0, 0.0, -1, Body::point(5.0, [0.0; 3])),
-                    Link::new(0.0, 0.0, 1, Body::rod(4.0, [0.0, 0.0, 0.10])),
-                    Link::new(0.100, 0.0, 0, Body::rod(3.0, [0.0, 0.0, 0.15])),
+                    Link::new(0.0, 0.0, 1, Body::rod(4.0, Vector::new(0.0, 0.0, 0.10))),
+                    Link::new(0.100, 0.0, 0, Body::rod(3.0, Vector::new(0.0, 0.0, 0.15))),
                 ],
                 payload: Body::NONE,
             },
@@ -96,12 +99,12 @@ impl Rnt {
     /// leg length before the step, m. If no pose fits the leg lengths, the platform keeps its last valid pose.
     fn follow(&mut self, motors: &[f64; AXES]) -> f64 {
         let legs = self.pose.legs();
-        let mut step = [0.0; 3];
+        let mut step = Vector::zeros();
         let mut worst = 0.0_f64;
         for (leg, (length, column)) in legs.iter().enumerate() {
             let missing = self.length(leg, motors) - length;
             worst = worst.max(missing.abs());
-            step = add(step, missing, *column);
+            step += missing * column;
         }
         let next = Pose {
             alpha: self.pose.alpha + step[0],
@@ -121,17 +124,20 @@ impl Rnt {
         let angles = [3, 4, 5].map(|axis| motors[axis] / GEAR);
         let (turning, load) = if number < 3 {
             let (_, rate) = self.pose.legs()[number];
-            base = self.pose.motion(&rate.map(|x| x / LEG), base.up);
+            base = self.pose.motion(rate / LEG, base.up);
             let halves = self.platform.map(|body| body.load(&base));
             // The base of the wrist's chain moves with the wrist centre.
-            base.velocity = add(base.velocity, WRIST, cross(base.spin, [0.0, 0.0, 1.0]));
+            base.velocity += WRIST * base.spin.cross(&Vector::z());
             (TURNING.0, halves[0].and(halves[1]))
         } else {
             rates[number - 3] = 1.0 / GEAR;
             (TURNING.1, Load::default())
         };
-        load.and(self.wrist.load(&base, &angles, &rates))
-            .behind(1.0, turning)
+        Loaded {
+            links: load.and(self.wrist.load(&base, &angles, &rates)),
+            turning,
+            ratio: 1.0,
+        }
     }
 }
 
@@ -146,53 +152,50 @@ impl Pose {
         let (sa, ca) = self.alpha.sin_cos();
         let (sb, cb) = self.beta.sin_cos();
         [
-            [cb, sa * sb, -ca * sb],
-            [0.0, ca, sa],
-            [sb, -sa * cb, ca * cb],
+            Vector::new(cb, sa * sb, -ca * sb),
+            Vector::new(0.0, ca, sa),
+            Vector::new(sb, -sa * cb, ca * cb),
         ]
     }
 
     fn into_platform(self, vector: Vector) -> Vector {
-        self.axes().map(|axis| dot(axis, vector))
+        self.axes().map(|axis| axis.dot(&vector)).into()
     }
 
     /// Motion of the platform's frame when the pose changes at these rates.
-    fn motion(&self, rates: &Vector, up: Vector) -> Motion {
-        let [alpha, beta, extension] = *rates;
-        let spin = add([alpha, 0.0, 0.0], beta, self.axes()[1]);
+    fn motion(&self, rates: Vector, up: Vector) -> Motion {
+        let spin = rates[0] * Vector::x() + rates[1] * self.axes()[1];
         let spin = self.into_platform(spin);
-        let along = [0.0, 0.0, self.extension];
+        let along = self.extension * Vector::z();
         Motion {
             up,
             spin,
-            velocity: add([0.0, 0.0, extension], 1.0, cross(spin, along)),
+            velocity: rates[2] * Vector::z() + spin.cross(&along),
         }
     }
 
-    /// For each leg: its length, m, and the change of the pose per metre of its length while the other legs keep
-    /// theirs.
+    /// For each leg: its length, m, and the change of the pose per metre of its length, other lengths being constant.
     fn legs(&self) -> [(f64, Vector); 3] {
         let [x, y, z] = self.axes();
         let legs = CIRCLE.map(|[cos, sin]| {
-            let from_base = add([0.0; 3], PLATFORM_RADIUS * cos, x);
-            let from_base = add(from_base, PLATFORM_RADIUS * sin, y);
-            let joint = add(from_base, self.extension, z);
-            let leg = add(joint, -BASE_RADIUS, [cos, sin, 0.0]);
-            let length = dot(leg, leg).sqrt();
-            let along = leg.map(|part| part / length);
+            let from_base = PLATFORM_RADIUS * cos * x + PLATFORM_RADIUS * sin * y;
+            let joint = from_base + self.extension * z;
+            let leg = joint - BASE_RADIUS * Vector::new(cos, sin, 0.0);
+            let length = leg.dot(&leg).sqrt();
+            let along = leg / length;
             // Change of the leg length with the pose.
             let slope = [
-                dot(along, cross([1.0, 0.0, 0.0], joint)),
-                dot(along, cross(y, joint)),
-                dot(along, z),
+                along.dot(&Vector::x().cross(&joint)),
+                along.dot(&y.cross(&joint)),
+                along.dot(&z),
             ];
             (length, slope)
         });
-        let slopes = legs.map(|(_, slope)| slope);
-        let volume = dot(slopes[0], cross(slopes[1], slopes[2]));
+        let slopes = legs.map(|(_, slope)| Vector::from(slope));
+        let volume = slopes[0].dot(&slopes[1].cross(&slopes[2]));
         [0, 1, 2].map(|leg| {
-            let column = cross(slopes[(leg + 1) % 3], slopes[(leg + 2) % 3]);
-            (legs[leg].0, column.map(|part| part / volume))
+            let column = slopes[(leg + 1) % 3].cross(&slopes[(leg + 2) % 3]);
+            (legs[leg].0, column / volume)
         })
     }
 }
@@ -283,7 +286,7 @@ mod tests {
             };
             let expected = -(moved(1e-5) - moved(-1e-5)) / 2e-5 / LEG;
             let (mut rnt, motors, _) = potential(lengths);
-            let found = rnt.load(leg, &motors).torque;
+            let found = rnt.load(leg, &motors).links.torque;
             assert!(
                 (found - expected).abs() < 1e-7,
                 "leg {leg}: {found} for {expected}"

@@ -2,7 +2,7 @@
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-use super::{Loaded, Mechanism, MechanismConfig};
+use super::{Load, Loaded, Mechanism, MechanismConfig};
 use crate::plant::{
     AxisConfig, Demand, FrictionConfig, Irp6Axis, MotorConfig, Noise, PlantAxis, PlantConfig,
 };
@@ -349,8 +349,10 @@ fn falling_arm_turns_its_height_into_speed() {
 #[test]
 fn changing_gears_keep_energy_and_folding_arms_momentum() {
     let load = |reflected, ratio| Loaded {
-        torque: 0.0,
-        reflected,
+        links: Load {
+            torque: 0.0,
+            inertia: reflected,
+        },
         turning: 2.0,
         ratio,
     };
