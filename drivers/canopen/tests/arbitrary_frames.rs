@@ -7,7 +7,7 @@ use mrroc_canopen::heartbeat::Heartbeat;
 use mrroc_canopen::sdo::{self, Expedited, Initiate, Request, Response, Segment, block};
 use mrroc_canopen::sync::Sync;
 use mrroc_canopen::time::TimeOfDay;
-use mrroc_canopen::{NodeId, Object, cob, guarding, lss, nmt};
+use mrroc_canopen::{NodeId, Object, cob, lss, nmt};
 use proptest::prelude::*;
 
 const NODE: NodeId = NodeId::new(2).unwrap();
@@ -127,9 +127,6 @@ proptest! {
         }
         if let Some(heartbeat) = Heartbeat::decode(&frame) {
             prop_assert_eq!(heartbeat.encode(), frame);
-        }
-        if let Some(guarded) = guarding::Response::decode(&frame) {
-            prop_assert_eq!(guarded.encode(), frame);
         }
         if let Some(time) = TimeOfDay::decode(&frame) {
             prop_assert_eq!(TimeOfDay::decode(&time.encode()), Some(time));

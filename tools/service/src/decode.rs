@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use can::{Frame, Instant};
 use canopen::cia402::FaultTable;
 use canopen::emcy::Emergency;
-use canopen::guarding;
+use canopen::heartbeat::Heartbeat;
 use canopen::nmt::{Command, NmtState, Request as NmtRequest, Target};
 use canopen::pdo::{Entry, PdoKind, PdoNumber};
 use canopen::sdo::{Initiate, Request, Response, Segment};
@@ -383,8 +383,7 @@ fn sync(frame: &Frame) -> Option<String> {
 
 fn heartbeat(frame: &Frame) -> Option<String> {
     // An answer to node guarding is a heartbeat with a toggle bit. The bit is 0 in a heartbeat proper.
-    let said = guarding::Response::decode(frame)?;
-    Some(match (said.state, said.toggle) {
+    Some(match Heartbeat::decode(frame)?.guarded() {
         (NmtState::Initialising, false) => "booted".to_owned(),
         (state, false) => state.to_string(),
         (state, true) => format!("{state}, toggle bit set"),

@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use can::{Frame, Instant, clock};
 use canopen::NodeId;
-use canopen::guarding::Response;
+use canopen::heartbeat::Heartbeat;
 use canopen::nmt::{Command, NmtState, Request, Target};
 use canopen::objects::PRODUCER_HEARTBEAT;
 use clap::{Args, ValueEnum};
@@ -205,7 +205,8 @@ impl Conversation for Told {
             return;
         }
         // Heartbeats, boot-up messages and answers to node guarding have the same form. The toggle bit is ignored.
-        if let Some(Response { node, state, .. }) = Response::decode(frame) {
+        if let Some(heartbeat) = Heartbeat::decode(frame) {
+            let (node, (state, _)) = (heartbeat.node, heartbeat.guarded());
             let heard = &mut self.heard[usize::from(node.raw())];
             // A heartbeat after the boot-up message must not hide the boot-up message.
             if *heard != Some(self.wanted) || self.wanted != NmtState::Initialising {

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::bail;
 use can::{Frame, Instant, clock};
-use canopen::guarding::Response;
+use canopen::heartbeat::Heartbeat;
 use canopen::objects::{
     DEVICE_NAME, DEVICE_TYPE, PRODUCER_HEARTBEAT, PRODUCT_CODE, REVISION, SERIAL_NUMBER, VENDOR_ID,
 };
@@ -152,10 +152,10 @@ impl Scan {
 impl Conversation for Scan {
     fn handle(&mut self, frame: &Frame, now: Instant) {
         // An answer to node guarding carries the state with a toggle bit.
-        if let Some(Response { node, state, .. }) = Response::decode(frame)
-            && let Some(identity) = self.survey.questions(node)
+        if let Some(heartbeat) = Heartbeat::decode(frame)
+            && let Some(identity) = self.survey.questions(heartbeat.node)
         {
-            identity.heard(state, now);
+            identity.heard(heartbeat.guarded().0, now);
         }
         self.survey.handle(frame, now);
     }
