@@ -102,14 +102,6 @@ proptest! {
             if let Some(response) = Response::decode(&frame, node) {
                 prop_assert_eq!(Response::decode(&response.encode(node), node), Some(response));
             }
-        }
-        for node in [NODE, NodeId::MAX] {
-            if let Some(request) = block::Request::decode(&frame, node) {
-                prop_assert_eq!(block::Request::decode(&request.encode(node), node), Some(request));
-            }
-            if let Some(response) = block::Response::decode(&frame, node) {
-                prop_assert_eq!(block::Response::decode(&response.encode(node), node), Some(response));
-            }
             for id in [cob::sdo_request(node), cob::sdo_response(node)] {
                 if let Some(segment) = block::Segment::decode(&frame, id) {
                     prop_assert_eq!(segment.encode(id), frame);

@@ -306,8 +306,9 @@ impl Client {
             (_, Response::Abort { object, code }) if object == self.object => {
                 self.finish(Err(SdoError::Aborted { object, code }));
             }
-            (_, Response::Unsupported(response)) => {
-                let (object, specifier) = (self.object, response.specifier());
+            (_, Response::Block(_) | Response::Unsupported(_)) => {
+                let object = self.object;
+                let specifier = response.encode(self.node).data()[0];
                 self.fail(SdoError::Specifier { object, specifier });
             }
             (TransferState::UploadInitiated, Response::InitiateUpload { object, initiate })
@@ -450,11 +451,7 @@ impl Client {
     }
 
     fn send(&mut self, request: Request, now: Instant) {
-        self.send_frame(request.encode(self.node), now);
-    }
-
-    fn send_frame(&mut self, request: Frame, now: Instant) {
-        self.request = Some(request);
+        self.request = Some(request.encode(self.node));
         self.deadline = now + self.timeout;
     }
 

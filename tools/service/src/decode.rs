@@ -261,7 +261,8 @@ impl Decoder {
             Request::DownloadSegment(segment) => segment_text(&segment, transferred),
             Request::UploadSegment { .. } => "next segment, please".to_owned(),
             Request::Abort { object, code } => format!("client aborts {}: {code}", named(object)),
-            Request::Unsupported(_) => block::request(frame, node).unwrap_or_else(|| odd(frame)),
+            Request::Block(request) => block::request(request),
+            Request::Unsupported(bytes) => odd(&bytes),
         })
     }
 
@@ -280,7 +281,8 @@ impl Decoder {
             Response::UploadSegment(segment) => segment_text(&segment, transferred),
             Response::DownloadSegment { .. } => "segment taken".to_owned(),
             Response::Abort { object, code } => format!("aborts {}: {code}", named(object)),
-            Response::Unsupported(_) => block::response(frame, node).unwrap_or_else(|| odd(frame)),
+            Response::Block(response) => block::response(response),
+            Response::Unsupported(bytes) => odd(&bytes),
         })
     }
 
@@ -336,8 +338,8 @@ fn bytes(data: &[u8]) -> String {
 }
 
 /// Text of an SDO frame that CiA 301 does not define.
-fn odd(frame: &Frame) -> String {
-    format!("unknown command specifier: {}", bytes(frame.data()))
+fn odd(data: &[u8]) -> String {
+    format!("unknown command specifier: {}", bytes(data))
 }
 
 fn segment_text(segment: &Segment, object: Option<Object>) -> String {

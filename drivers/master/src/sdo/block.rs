@@ -77,7 +77,7 @@ impl Client {
             block_size: MAX_BLOCK_SIZE,
             threshold: THRESHOLD as u8,
         };
-        self.send_block(request, now);
+        self.send(sdo::Request::Block(request), now);
     }
 
     /// Sends the first frame of a download.
@@ -88,7 +88,7 @@ impl Client {
             crc: true,
             size: u32::try_from(self.length).ok(),
         };
-        self.send_block(request, now);
+        self.send(sdo::Request::Block(request), now);
     }
 
     /// Takes a frame in the course of a block transfer.
@@ -111,11 +111,10 @@ impl Client {
             ) if object == self.object => {
                 self.upload_initiated(initiate, now);
             }
-            _ => {
-                if let Some(response) = Response::decode(frame, self.node) {
-                    self.handle_block_response(state, response, now);
-                }
+            (_, Some(sdo::Response::Block(response))) => {
+                self.handle_block_response(state, response, now);
             }
+            _ => {}
         }
     }
 
@@ -155,7 +154,7 @@ impl Client {
                         highest: 0,
                         stalls: 0,
                     }));
-                    self.send_block(Request::StartUpload, now);
+                    self.send(sdo::Request::Block(Request::StartUpload), now);
                 }
             }
             (BlockState::UploadEnd { crc, announced }, Response::EndUpload(end)) => {
@@ -275,7 +274,7 @@ impl Client {
             sequence: receiving.in_order,
             block_size,
         };
-        self.send_block(Request::Acknowledge(acknowledge), now);
+        self.send(sdo::Request::Block(Request::Acknowledge(acknowledge)), now);
     }
 
     fn block_upload_ended(&mut self, crc: bool, announced: Option<usize>, end: End) {
@@ -297,7 +296,8 @@ impl Client {
             _ => {
                 self.length = found;
                 self.finish(Ok(()));
-                self.ending = Some(Request::EndUpload.encode(self.node));
+                let end = sdo::Request::Block(Request::EndUpload);
+                self.ending = Some(end.encode(self.node));
             }
         }
     }
@@ -348,7 +348,10 @@ impl Client {
             let data = &self.buffer[..self.length];
             let crc = if sending.crc { checksum(data) } else { 0 };
             self.state = TransferState::Block(BlockState::DownloadEnd);
-            self.send_block(Request::EndDownload(End::of(self.length, crc)), now);
+            self.send(
+                sdo::Request::Block(Request::EndDownload(End::of(self.length, crc))),
+                now,
+            );
         } else if sequence > 0 || sending.stalls < self.retries {
             let stalls = if sequence > 0 { 0 } else { sending.stalls + 1 };
             let sending = Sending {
@@ -362,10 +365,6 @@ impl Client {
         } else {
             self.start_anew(now);
         }
-    }
-
-    fn send_block(&mut self, request: Request, now: Instant) {
-        self.send_frame(request.encode(self.node), now);
     }
 }
 

@@ -14,13 +14,11 @@
 //! A client that falls silent within a sub-block may continue it or start a new transfer. After [`QUIET`], a frame with
 //! the segment number that is due is [`Reading::Unknown`]. Any other command starts a new transfer.
 
-mod asked;
-
 use std::time::Duration;
 
-use asked::Asked;
 use can::{Frame, Instant};
-use canopen::sdo::block::MAX_BLOCK_SIZE;
+use canopen::sdo::block::{self, MAX_BLOCK_SIZE};
+use canopen::sdo::{Initiate, Request, Response};
 use canopen::{NodeId, Object};
 
 /// Silence of a channel after which neither side waits any longer. The value exceeds the time-outs of SDO clients in
@@ -68,6 +66,19 @@ enum SessionState {
     },
     UploadSegments(Option<Object>),
     Block(Block),
+}
+
+/// Transfer that a client requests.
+#[derive(Clone, Copy, Debug)]
+enum Asked {
+    Expedited(Object),
+    Segments(Way, Object),
+    BlockDownload(Object),
+    BlockUpload {
+        object: Object,
+        /// Maximum number of segments in the first sub-block.
+        size: u8,
+    },
 }
 
 /// State of a block transfer.
@@ -176,7 +187,7 @@ impl Channel {
     /// State after `response` has answered `request`, if exactly one state is possible.
     fn answered(&self, request: &Frame, response: &Frame) -> Option<SessionState> {
         let asked = Asked::of(request, self.node);
-        if let Some(asked) = asked.filter(|asked| asked.is_answered(response, self.node)) {
+        if let Some(asked) = asked.filter(|asked| asked.begun(response, self.node).is_some()) {
             return Some(SessionState::Asked(asked));
         }
         match (first(request), first(response)) {
@@ -260,8 +271,8 @@ impl Channel {
     /// Processes a frame of the server that is not a segment of a block transfer.
     fn answer(&mut self, state: SessionState, frame: &Frame) -> Reading {
         match (state, first(frame)) {
-            (SessionState::Asked(asked), _) if asked.is_answered(frame, self.node) => {
-                self.state = asked.begun(frame, self.node);
+            (SessionState::Asked(asked), _) => {
+                self.state = asked.begun(frame, self.node).unwrap_or(state);
                 Reading::Command(None)
             }
             (SessionState::DownloadSegments { object, last: true }, 0x20 | 0x30) => {
@@ -282,10 +293,91 @@ impl Channel {
                 Reading::Command(block.object)
             }
             // An answer to a client that has already given up.
-            (SessionState::Unknown(_) | SessionState::Idle | SessionState::Asked(_), _) => {
-                Reading::Command(None)
-            }
+            (SessionState::Unknown(_) | SessionState::Idle, _) => Reading::Command(None),
         }
+    }
+}
+
+impl Asked {
+    /// Transfer that a frame of the client requests; `None` for all other frames.
+    fn of(frame: &Frame, node: NodeId) -> Option<Self> {
+        Some(match Request::decode(frame, node)? {
+            Request::InitiateDownload { object, initiate } => match initiate {
+                Initiate::Expedited(_) => Self::Expedited(object),
+                Initiate::Segmented { .. } => Self::Segments(Way::Download, object),
+            },
+            Request::InitiateUpload { object } => Self::Segments(Way::Upload, object),
+            Request::Block(block::Request::InitiateDownload { object, .. }) => {
+                Self::BlockDownload(object)
+            }
+            Request::Block(block::Request::InitiateUpload {
+                object, block_size, ..
+            }) => Self::BlockUpload {
+                object,
+                size: block_size.min(MAX_BLOCK_SIZE),
+            },
+            _ => return None,
+        })
+    }
+
+    /// State of the channel after `answer`; `None` if the frame of the server does not answer this request.
+    fn begun(self, answer: &Frame, node: NodeId) -> Option<SessionState> {
+        let (asked, object, state) = match (self, Response::decode(answer, node)?) {
+            (Self::Expedited(asked), Response::InitiateDownload { object }) => {
+                (asked, object, SessionState::Idle)
+            }
+            (Self::Segments(Way::Download, asked), Response::InitiateDownload { object }) => {
+                let state = SessionState::DownloadSegments {
+                    object: Some(object),
+                    last: false,
+                };
+                (asked, object, state)
+            }
+            // A server may answer a request for a block upload with an expedited or segmented upload.
+            (
+                Self::Segments(Way::Upload, asked) | Self::BlockUpload { object: asked, .. },
+                Response::InitiateUpload { object, initiate },
+            ) => match initiate {
+                Initiate::Expedited(_) => (asked, object, SessionState::Idle),
+                Initiate::Segmented { .. } => {
+                    (asked, object, SessionState::UploadSegments(Some(object)))
+                }
+            },
+            (
+                Self::BlockDownload(asked),
+                Response::Block(block::Response::InitiateDownload {
+                    object, block_size, ..
+                }),
+            ) => {
+                let block = Block {
+                    stage: Stage::Segments,
+                    size: block_size,
+                    ..Block::new(Way::Download, Some(object))
+                };
+                let valid = (1..=MAX_BLOCK_SIZE).contains(&block_size);
+                let state = if valid {
+                    SessionState::Block(block)
+                } else {
+                    SessionState::Idle
+                };
+                (asked, object, state)
+            }
+            (
+                Self::BlockUpload {
+                    object: asked,
+                    size,
+                },
+                Response::Block(block::Response::InitiateUpload { object, .. }),
+            ) => {
+                let block = Block {
+                    size,
+                    ..Block::new(Way::Upload, Some(object))
+                };
+                (asked, object, SessionState::Block(block))
+            }
+            _ => return None,
+        };
+        (asked == object).then_some(state)
     }
 }
 
