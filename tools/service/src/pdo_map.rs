@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use canopen::pdo::{Entry, PdoCobId, PdoKind, PdoNumber};
 use canopen::{NodeId, Object};
-use master::sdo::SdoError;
+use master::sdo::SdoCause;
 
 use super::survey::Questions;
 use super::value;
@@ -92,8 +92,8 @@ impl Questions for MappingQuestions {
         })
     }
 
-    fn answer(&mut self, answer: Result<&[u8], SdoError>) {
-        if let Err(SdoError::TimedOut { .. }) = answer {
+    fn answer(&mut self, answer: Result<&[u8], SdoCause>) {
+        if let Err(SdoCause::TimedOut { .. }) = answer {
             self.stage = Stage::Done;
             return;
         }

@@ -12,7 +12,7 @@ use canopen::objects::{
 use canopen::{NodeId, Object, nmt};
 use clap::Args;
 use master::lss::Answer;
-use master::sdo::SdoError;
+use master::sdo::SdoCause;
 use serde::Serialize;
 
 use super::lss::Dialogue;
@@ -89,7 +89,7 @@ fn identify(drive: &mut Drive) -> anyhow::Result<Scanned> {
     while let Some(object) = identity.next() {
         let ty = (object == DEVICE_NAME).then_some(Type::String);
         let answer = drive.transfer(ON_THE_LINE, object, None, ty)?;
-        identity.answer(answer.as_deref().map_err(|error| *error));
+        identity.answer(answer.as_deref().map_err(|error| error.cause));
     }
     let Some(node) = identity.into_node(ON_THE_LINE) else {
         bail!("no drive answers: {}", drive.silence());
@@ -242,7 +242,7 @@ impl Questions for Identity {
         ASKED.get(self.asked).copied()
     }
 
-    fn answer(&mut self, answer: Result<&[u8], SdoError>) {
+    fn answer(&mut self, answer: Result<&[u8], SdoCause>) {
         let object = ASKED[self.asked];
         self.asked += 1;
         match answer {
@@ -255,7 +255,7 @@ impl Questions for Identity {
                 self.numbers[self.asked - 1] = super::value::unsigned(data).map(|raw| raw as u32);
                 self.answered = true;
             }
-            Err(SdoError::TimedOut { .. }) => self.silent = true,
+            Err(SdoCause::TimedOut { .. }) => self.silent = true,
             Err(_) => self.answered = true,
         }
     }

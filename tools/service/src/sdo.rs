@@ -12,7 +12,7 @@ use canopen::sdo::AbortCode;
 use canopen::{NodeId, Object};
 use clap::{Args, Subcommand};
 use drive::cia402::reserved;
-use master::sdo::{self, SdoError, StartError};
+use master::sdo::{self, SdoCause, SdoError, StartError};
 use mrroc::bench::interfaces::Interface;
 use mrroc::streams;
 use serde::Serialize;
@@ -224,10 +224,7 @@ fn write(
             let problem = format!("{object} was written as {wrote} and reads back as {found}");
             (problem, ExitCode::from(1))
         }
-        Err(SdoError::Aborted {
-            code: AbortCode::WRITE_ONLY,
-            ..
-        }) => {
+        Err(error) if error.cause.abort_code() == AbortCode::WRITE_ONLY => {
             let problem = format!("{object} is written; it cannot be read back");
             (problem, ExitCode::SUCCESS)
         }
@@ -288,13 +285,14 @@ fn refusal(channel: &Channel, target: &Target, error: SdoError) -> anyhow::Error
         Channel::Bus(bus) => (bus.name_of(target.node), bus.silence()),
         Channel::Drive(drive) => (drive.name_of(target.node), drive.silence()),
     };
-    let error = match error {
-        SdoError::Aborted { code, .. } => match words::hint(code) {
-            Some(hint) => anyhow!("{error}: {hint}"),
-            None => anyhow!("{error}"),
-        },
-        SdoError::TimedOut { .. } => anyhow!("{error}: {silence}"),
-        other => anyhow!(other),
+    let hint = match error.cause {
+        SdoCause::Aborted { code } => words::hint(code),
+        SdoCause::TimedOut { .. } => Some(silence.as_str()),
+        _ => None,
+    };
+    let error = match hint {
+        Some(hint) => anyhow!("{error}: {hint}"),
+        None => anyhow!(error),
     };
     error.context(node)
 }

@@ -13,7 +13,7 @@ use canopen::{NodeId, Object};
 use hil::epos4::{Epos4, Epos4Config};
 use hil::{AxisConfig, BusId, Irp6Axis, World};
 use master::lss::{Answer, Service};
-use master::sdo::SdoError;
+use master::sdo::{SdoCause, SdoError};
 
 use super::lss::Dialogue;
 use super::nmt::{NodeReport, Told};
@@ -215,7 +215,7 @@ fn an_object_is_read_written_and_read_back() {
 fn a_refusal_ends_a_transfer_and_silence_does() {
     let mut stage = Stage::with(&[3]);
     let refused = |answer: Result<Vec<u8>, SdoError>, expected: AbortCode| match answer {
-        Err(SdoError::Aborted { code, .. }) => assert_eq!(code, expected),
+        Err(error) => assert_eq!(error.cause, SdoCause::Aborted { code: expected }),
         other => panic!("{other:?}"),
     };
     refused(
@@ -224,7 +224,8 @@ fn a_refusal_ends_a_transfer_and_silence_does() {
     );
     refused(stage.read(3, Object::new(0x5FFF, 0)), AbortCode::NO_OBJECT);
     let silent = stage.read(4, STATUSWORD);
-    assert!(matches!(silent, Err(SdoError::TimedOut { waited, .. }) if waited >= 3 * TIMEOUT));
+    let cause = silent.map_err(|error| error.cause);
+    assert!(matches!(cause, Err(SdoCause::TimedOut { waited }) if waited >= 3 * TIMEOUT));
     // Three requests, each ended by an abort after its time-out.
     let to_4 = |frame: &&Frame| frame.to_string().starts_with("604#");
     assert_eq!(stage.sent.iter().filter(to_4).count(), 6);

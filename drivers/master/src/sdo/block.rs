@@ -2,7 +2,7 @@
 
 use can::{Frame, Instant};
 
-use super::{Client, SdoError, Start, TransferState};
+use super::{Client, SdoCause, Start, TransferState};
 use canopen::cob;
 use canopen::sdo::block::{
     Acknowledge, End, MAX_BLOCK_SIZE, Request, Response, SEGMENT, Segment, checksum,
@@ -121,7 +121,6 @@ impl Client {
     /// Falls back to segmented transfer if the server refuses block transfer. Repeats the request if the server
     /// missed an abort and took the request for a segment of the abandoned sub-block.
     fn aborted(&mut self, state: BlockState, code: AbortCode, now: Instant) {
-        let object = self.object;
         match (state, code) {
             (BlockState::UploadInitiated, AbortCode::COMMAND_SPECIFIER) => {
                 self.start = Start::Upload;
@@ -135,7 +134,7 @@ impl Client {
             ) if self.retries_left > 0 => {
                 self.retries_left -= 1;
             }
-            _ => return self.finish(Err(SdoError::Aborted { object, code })),
+            _ => return self.finish(Err(SdoCause::Aborted { code })),
         }
         self.initiate(now);
     }
@@ -197,7 +196,7 @@ impl Client {
     }
 
     fn block_segment_received(&mut self, mut receiving: Receiving, segment: Segment, now: Instant) {
-        let (object, sequence) = (self.object, segment.sequence());
+        let sequence = segment.sequence();
         // After a late acknowledgement the rest of the sub-block before may still come.
         if sequence > receiving.block_size {
             return;
@@ -208,11 +207,7 @@ impl Client {
             if let Some(expected) = receiving.announced
                 && found > expected.max(1).next_multiple_of(SEGMENT)
             {
-                return self.fail(SdoError::Length {
-                    object,
-                    expected,
-                    found,
-                });
+                return self.fail(SdoCause::Length { expected, found });
             }
             if found > self.buffer.len() {
                 return self.too_large(found);
@@ -278,18 +273,14 @@ impl Client {
     }
 
     fn block_upload_ended(&mut self, crc: bool, announced: Option<usize>, end: End) {
-        let object = self.object;
         let found = self.length - end.unused();
         let sum = checksum(&self.buffer[..found]);
         match announced {
-            Some(expected) if found != expected => self.fail(SdoError::Length {
-                object,
-                expected,
-                found,
-            }),
+            Some(expected) if found != expected => {
+                self.fail(SdoCause::Length { expected, found });
+            }
             _ if found > self.capacity => self.too_large(found),
-            _ if crc && sum != end.crc => self.fail(SdoError::Crc {
-                object,
+            _ if crc && sum != end.crc => self.fail(SdoCause::Crc {
                 expected: end.crc,
                 found: sum,
             }),
@@ -304,12 +295,12 @@ impl Client {
 
     /// Gets a sub-block ready to be sent, segment by segment.
     fn send_sub_block(&mut self, sending: Sending, now: Instant) {
-        let (object, block_size) = (self.object, sending.block_size);
+        let block_size = sending.block_size;
         if (1..=MAX_BLOCK_SIZE).contains(&block_size) {
             self.state = TransferState::Block(BlockState::Download(sending));
             self.deadline = now + self.timeout;
         } else {
-            self.fail(SdoError::BlockSize { object, block_size });
+            self.fail(SdoCause::BlockSize { block_size });
         }
     }
 
@@ -336,14 +327,10 @@ impl Client {
     ///
     /// It may say so before the sub-block is complete, if it saw a gap.
     fn sub_block_acknowledged(&mut self, sending: Sending, acknowledge: Acknowledge, now: Instant) {
-        let (object, sequence) = (self.object, acknowledge.sequence);
+        let (sequence, sent) = (acknowledge.sequence, sending.sent);
         let from = sending.from + SEGMENT * usize::from(sequence);
-        if sequence > sending.sent {
-            self.fail(SdoError::Sequence {
-                object,
-                sequence,
-                sent: sending.sent,
-            });
+        if sequence > sent {
+            self.fail(SdoCause::Sequence { sequence, sent });
         } else if from >= self.length {
             let data = &self.buffer[..self.length];
             let crc = if sending.crc { checksum(data) } else { 0 };
