@@ -19,7 +19,7 @@ use super::lss::Dialogue;
 use super::nmt::{NodeReport, Told};
 use super::pdo_map::MappingQuestions;
 use super::scan::Scan;
-use super::sdo::Transfer;
+use super::sdo;
 use super::survey::Survey;
 use super::talk::Conversation;
 
@@ -132,10 +132,11 @@ impl Stage {
         data: Option<&[u8]>,
     ) -> Result<Vec<u8>, SdoError> {
         let with = node(with);
-        let transfer = Transfer::start(with, object, data, blocks, TIMEOUT, self.now);
-        let mut transfer = transfer.unwrap();
-        self.hold(&mut transfer);
-        transfer.result.unwrap()
+        let client = sdo::start(with, object, data, blocks, TIMEOUT, self.now);
+        let mut client = client.unwrap();
+        self.hold(&mut client);
+        let result = client.poll().unwrap();
+        result.map(|transfer| transfer.data.to_vec())
     }
 
     fn tell(&mut self, request: Request) -> NodeReport {
