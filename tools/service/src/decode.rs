@@ -128,10 +128,17 @@ impl Decoder {
 
     /// Text of a frame that arrived at `at`.
     pub fn describe(&mut self, frame: &Frame, at: Instant) -> Described {
-        let other = |what: &str| Described {
-            kind: Kind::Other,
-            node: None,
-            text: format!("{what}{}", bytes(frame.data())),
+        let (kind, node, text) = self.read(frame, at);
+        let text =
+            text.unwrap_or_else(|| format!("malformed {}: {}", kind.name(), bytes(frame.data())));
+        Described { kind, node, text }
+    }
+
+    /// Kind and node of a frame, and its text unless the frame is malformed.
+    fn read(&mut self, frame: &Frame, at: Instant) -> (Kind, Option<NodeId>, Option<String>) {
+        let other = |what: &str| {
+            let text = format!("{what}{}", bytes(frame.data()));
+            (Kind::Other, None, Some(text))
         };
         let Some(id) = frame.standard_data_id() else {
             return other(if frame.is_remote() {
@@ -141,15 +148,12 @@ impl Decoder {
             });
         };
         if let Some(pdo) = self.pdos.get(&id.raw()) {
-            return self.mapped(pdo, frame.data());
+            let text = self.mapped(pdo, frame.data());
+            return (Kind::Pdo, Some(pdo.node), Some(text));
         }
         if matches!(id, cob::LSS_REQUEST | cob::LSS_RESPONSE) {
             let text = lss::request(frame).or_else(|| lss::response(frame));
-            return Described {
-                kind: Kind::Lss,
-                node: None,
-                text: text.unwrap_or_else(|| malformed(Kind::Lss, frame)),
-            };
+            return (Kind::Lss, None, text);
         }
         let Some(function) = cob::Function::of(id) else {
             return other("unknown identifier: ");
@@ -158,7 +162,7 @@ impl Decoder {
             let number = number.offset() + 1;
             Some(format!("{name} {number}: {}", bytes(frame.data())))
         };
-        let (kind, node, text) = match function {
+        match function {
             cob::Function::Nmt => (Kind::Nmt, None, nmt(frame)),
             cob::Function::Sync => (Kind::Sync, None, sync(frame)),
             cob::Function::Time => (Kind::Time, None, time(frame)),
@@ -172,15 +176,10 @@ impl Decoder {
             }
             cob::Function::Tpdo(number, node) => (Kind::Pdo, Some(node), pdo("TPDO", number)),
             cob::Function::Rpdo(number, node) => (Kind::Pdo, Some(node), pdo("RPDO", number)),
-        };
-        Described {
-            kind,
-            node,
-            text: text.unwrap_or_else(|| malformed(kind, frame)),
         }
     }
 
-    fn mapped(&self, pdo: &Pdo, data: &[u8]) -> Described {
+    fn mapped(&self, pdo: &Pdo, data: &[u8]) -> String {
         let name = match pdo.kind {
             PdoKind::Rpdo => "RPDO",
             PdoKind::Tpdo => "TPDO",
@@ -202,11 +201,7 @@ impl Decoder {
             text += "; and ";
             text += &bytes(&data[from.div_ceil(8)..]);
         }
-        Described {
-            kind: Kind::Pdo,
-            node: Some(pdo.node),
-            text,
-        }
+        text
     }
 
     /// Text of a mapped object and its value.
@@ -319,10 +314,6 @@ fn bits(data: &[u8], from: usize, bits: u8) -> Option<u64> {
     padded.get_mut(..data.len())?.copy_from_slice(data);
     let value = u64::from_le_bytes(padded) >> from;
     Some(value & u64::MAX >> (64 - u32::from(bits)))
-}
-
-fn malformed(kind: Kind, frame: &Frame) -> String {
-    format!("malformed {}: {}", kind.name(), bytes(frame.data()))
 }
 
 fn named(object: Object) -> String {
