@@ -79,14 +79,8 @@ impl HomingMethod {
 
     /// The references that the method searches: none if the method takes the actual position. `None` for a method without
     /// a name here.
-    pub const fn references(self) -> Option<References> {
-        let mut needs = References {
-            negative_limit: false,
-            positive_limit: false,
-            home_switch: false,
-            index: false,
-            stop: false,
-        };
+    pub fn references(self) -> Option<References> {
+        let mut needs = References::default();
         match self {
             Self::ACTUAL_POSITION | Self::ACTUAL_POSITION_OLD => {}
             Self::INDEX_NEGATIVE | Self::INDEX_POSITIVE => needs.index = true,
