@@ -24,10 +24,7 @@ pub(super) enum BlockState {
     UploadInitiated,
     Upload(Receiving),
     /// All segments came; the checksum is due.
-    UploadEnd {
-        crc: bool,
-        announced: Option<usize>,
-    },
+    UploadEnd(Receiving),
     DownloadInitiated,
     Download(Sending),
     /// The checksum was sent.
@@ -156,8 +153,8 @@ impl Client {
                     self.send(sdo::Request::Block(Request::StartUpload), now);
                 }
             }
-            (BlockState::UploadEnd { crc, announced }, Response::EndUpload(end)) => {
-                self.block_upload_ended(crc, announced, end);
+            (BlockState::UploadEnd(receiving), Response::EndUpload(end)) => {
+                self.block_upload_ended(receiving, end);
             }
             (
                 BlockState::DownloadInitiated,
@@ -186,7 +183,7 @@ impl Client {
             (
                 BlockState::UploadInitiated
                 | BlockState::Upload(_)
-                | BlockState::UploadEnd { .. }
+                | BlockState::UploadEnd(_)
                 | BlockState::DownloadInitiated
                 | BlockState::Download(_)
                 | BlockState::DownloadEnd,
@@ -237,8 +234,7 @@ impl Client {
         let lost = receiving.in_order < receiving.highest;
         self.acknowledge(receiving, lost, now);
         if complete {
-            let Receiving { crc, announced, .. } = receiving;
-            self.state = TransferState::Block(BlockState::UploadEnd { crc, announced });
+            self.state = TransferState::Block(BlockState::UploadEnd(receiving));
         }
     }
 
@@ -272,15 +268,15 @@ impl Client {
         self.send(sdo::Request::Block(Request::Acknowledge(acknowledge)), now);
     }
 
-    fn block_upload_ended(&mut self, crc: bool, announced: Option<usize>, end: End) {
+    fn block_upload_ended(&mut self, receiving: Receiving, end: End) {
         let found = self.length - end.unused();
         let sum = checksum(&self.buffer[..found]);
-        match announced {
+        match receiving.announced {
             Some(expected) if found != expected => {
                 self.fail(SdoCause::Length { expected, found });
             }
             _ if found > self.capacity => self.too_large(found),
-            _ if crc && sum != end.crc => self.fail(SdoCause::Crc {
+            _ if receiving.crc && sum != end.crc => self.fail(SdoCause::Crc {
                 expected: end.crc,
                 found: sum,
             }),
