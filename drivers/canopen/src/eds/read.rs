@@ -173,12 +173,11 @@ impl Section<'_> {
         let Some(value) = self.get(key) else {
             return Ok(());
         };
-        let said: u32 = unsigned(value, u32::MAX.into())?;
-        if usize::try_from(said) == Ok(found) {
+        let said: i128 = unsigned(value, u32::MAX.into())?;
+        if said == found as i128 {
             Ok(())
         } else {
-            let (line, said) = (value.line, said.into());
-            Err(EdsCause::Count { key, said, found }.at(line))
+            Err(EdsCause::Count { key, said, found }.at(value.line))
         }
     }
 }
@@ -220,15 +219,8 @@ fn entry(section: &Section<'_>) -> Result<(Entry, Option<u8>), EdsError> {
         }
         return Ok((entry, Some(count)));
     }
-    match object_type {
-        ObjectType::Variable | ObjectType::Domain => {
-            entry.variables.insert(0, variable(section)?);
-        }
-        ObjectType::Null
-        | ObjectType::TypeDefinition
-        | ObjectType::RecordDefinition
-        | ObjectType::Array
-        | ObjectType::Record => {}
+    if matches!(object_type, ObjectType::Variable | ObjectType::Domain) {
+        entry.variables.insert(0, variable(section)?);
     }
     Ok((entry, None))
 }
@@ -421,7 +413,6 @@ fn commissioning(section: &Section<'_>) -> Result<Commissioning, EdsError> {
         let node = NodeId::new(unsigned(value, 127)?);
         node.ok_or(EdsCause::Range { low: 1, high: 127 }.at(value.line))
     });
-    let stated = |number: &u32| *number != 0;
     Ok(Commissioning {
         node: node.transpose()?,
         baud_rate: section
@@ -431,7 +422,7 @@ fn commissioning(section: &Section<'_>) -> Result<Commissioning, EdsError> {
         manager: section.flag("CANopenManager")?,
         serial_number: section
             .number("LSS_SerialNumber", u32::MAX.into())?
-            .filter(stated),
+            .filter(|number| *number != 0),
     })
 }
 
