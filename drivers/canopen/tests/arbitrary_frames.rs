@@ -1,7 +1,7 @@
 //! Arbitrary frames: no layout panics, and every frame that a layout understands encodes to the same frame again.
 
 use can::Frame;
-use mrroc_canopen::cia402::{Controlword, ModeOfOperation, Statusword};
+use mrroc_canopen::cia402::{Controlword, HomingStatus, ModeOfOperation, Statusword};
 use mrroc_canopen::emcy::Emergency;
 use mrroc_canopen::heartbeat::Heartbeat;
 use mrroc_canopen::sdo::{self, Expedited, Initiate, Request, Response, Segment, block};
@@ -171,6 +171,6 @@ proptest! {
             prop_assert_eq!(bits.power_state(), status.power_state());
         }
         prop_assert_eq!(ModeOfOperation::from_raw(mode).raw(), mode);
-        let _ = (status.homing(), Controlword(control).power_command());
+        let _ = (HomingStatus::of(status), Controlword(control).power_command());
     }
 }

@@ -151,11 +151,6 @@ impl fmt::Display for Service {
 }
 
 impl Master {
-    /// An idle one.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
     /// Starts a service.
     pub fn start(&mut self, service: Service, timeout: Duration, now: Instant) -> Result<(), Busy> {
         match self.state {

@@ -188,8 +188,8 @@ mod tests {
         ];
         for (raw, status) in table {
             let word = Statusword(raw);
-            assert_eq!(word.homing(), status, "{raw:#06x}");
-            assert_eq!(Statusword(status.bits()).homing(), status);
+            assert_eq!(HomingStatus::of(word), status, "{raw:#06x}");
+            assert_eq!(HomingStatus::of(Statusword(status.bits())), status);
         }
     }
 
