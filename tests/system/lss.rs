@@ -38,7 +38,7 @@ impl Bench {
         let mut bench = Self {
             world,
             port,
-            master: Master::new(),
+            master: Master::default(),
             now: Instant::ZERO,
             heard: Vec::new(),
         };

@@ -18,7 +18,6 @@ pub mod cob;
 pub mod dcf;
 pub mod eds;
 pub mod emcy;
-pub mod guarding;
 pub mod heartbeat;
 pub mod lss;
 pub mod nmt;

@@ -34,7 +34,7 @@ fn machines(c: &mut Criterion) {
                 .and_then(|result| result.ok()?.number::<u16>().ok())
         });
     });
-    let mut machine = PowerStateMachine::new();
+    let mut machine = PowerStateMachine::default();
     group.bench_function("power step", |b| {
         b.iter(|| machine.step(black_box(Statusword(0x0737)), Goal::On));
     });

@@ -33,19 +33,24 @@ pub struct Master {
 enum ServiceState {
     #[default]
     Idle,
-    /// Of fastscans, `scan` is the question asked; of `InquireIdentity`, `identity` is what was
-    /// answered before `part`; of `SwitchSelective`, `part` is the one sent last; of `IdentifyUnconfigured`,
-    /// `scan` has been asked for once `scanning`.
-    Busy {
-        service: Service,
-        part: Part,
-        identity: Identity,
-        scan: Scan,
-        scanning: bool,
-        /// Whether any slave answered a question to all slaves.
-        heard: bool,
-    },
+    Busy(Progress),
     Finished(Result<Answer, LssError>),
+}
+
+/// How far a service is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Progress {
+    service: Service,
+    /// Of `InquireIdentity`, the number asked for; of `SwitchSelective`, the number sent last.
+    part: Part,
+    /// Of `InquireIdentity`, the numbers answered before `part`.
+    identity: Identity,
+    /// Of fastscans, the question asked.
+    scan: Scan,
+    /// Of `IdentifyUnconfigured`, whether the first question of a fastscan was asked as well.
+    scanning: bool,
+    /// Whether any slave answered a question to all slaves.
+    heard: bool,
 }
 
 /// A service of the master.
@@ -146,30 +151,25 @@ impl fmt::Display for Service {
 }
 
 impl Master {
-    /// An idle one.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
     /// Starts a service.
     pub fn start(&mut self, service: Service, timeout: Duration, now: Instant) -> Result<(), Busy> {
         match self.state {
             ServiceState::Idle => {}
-            ServiceState::Busy { service, .. } => return Err(Busy { service }),
+            ServiceState::Busy(Progress { service, .. }) => return Err(Busy { service }),
             ServiceState::Finished(_) => return Err(Busy { service }),
         }
         let scan = match service {
             Service::FastscanAbove(identity) => Scan::above(identity),
             _ => Scan::new(),
         };
-        self.state = ServiceState::Busy {
+        self.state = ServiceState::Busy(Progress {
             service,
             part: Part::Vendor,
             identity: Identity::default(),
             scan,
-            scanning: service == Service::Fastscan,
+            scanning: false,
             heard: false,
-        };
+        });
         self.timeout = timeout;
         self.started = now;
         let request = match service {
@@ -193,17 +193,10 @@ impl Master {
         let (Some(response), None) = (Response::decode(frame), self.request) else {
             return;
         };
-        let ServiceState::Busy {
-            service,
-            part,
-            identity,
-            heard,
-            ..
-        } = &mut self.state
-        else {
+        let ServiceState::Busy(progress) = &mut self.state else {
             return;
         };
-        let service = *service;
+        let service = progress.service;
         let result = match (service, response) {
             (Service::SwitchSelective(_), Response::Selected) => Ok(Answer::Done),
             (Service::ConfigureNodeId(_), Response::NodeIdConfigured(outcome))
@@ -215,14 +208,14 @@ impl Master {
                 }
             }
             (Service::InquireIdentity, Response::Inquired { part: told, value })
-                if told == *part =>
+                if told == progress.part =>
             {
-                *identity.get_mut(told) = value;
+                *progress.identity.get_mut(told) = value;
                 if let Some(next) = told.next() {
-                    *part = next;
+                    progress.part = next;
                     return self.ask(Request::Inquire(next), now);
                 }
-                Ok(Answer::Identity(*identity))
+                Ok(Answer::Identity(progress.identity))
             }
             (Service::InquireNodeId, Response::NodeId { node_id }) => {
                 match (node_id, NodeId::new(node_id)) {
@@ -236,7 +229,7 @@ impl Master {
                 Service::IdentifyUnconfigured | Service::Fastscan | Service::FastscanAbove(_),
                 Response::Identified,
             ) => {
-                *heard = true;
+                progress.heard = true;
                 return;
             }
             _ => return,
@@ -248,12 +241,12 @@ impl Master {
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
         let request = self.request.take()?;
         self.deadline = now + self.timeout;
-        if let ServiceState::Busy { service, part, .. } = &mut self.state {
-            match *service {
+        if let ServiceState::Busy(progress) = &mut self.state {
+            match progress.service {
                 Service::SwitchGlobal(_) => self.state = ServiceState::Finished(Ok(Answer::Done)),
                 Service::SwitchSelective(identity) => {
-                    if let Some(next) = part.next() {
-                        *part = next;
+                    if let Some(next) = progress.part.next() {
+                        progress.part = next;
                         self.request = Some(select(identity, next));
                     }
                 }
@@ -265,34 +258,27 @@ impl Master {
 
     /// When an answer is due, or the time is over that all have to answer.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        matches!(self.state, ServiceState::Busy { .. }).then_some(self.deadline)
+        matches!(self.state, ServiceState::Busy(_)).then_some(self.deadline)
     }
 
     /// Goes on or gives up if it is time at `now`.
     pub fn handle_timeout(&mut self, now: Instant) {
-        let ServiceState::Busy {
-            service,
-            scan,
-            scanning,
-            heard,
-            ..
-        } = &mut self.state
-        else {
+        let ServiceState::Busy(progress) = &mut self.state else {
             return;
         };
         if now < self.deadline {
             return;
         }
-        let (service, sent) = (*service, self.request.is_none());
+        let (service, sent) = (progress.service, self.request.is_none());
         let result = match service {
-            Service::IdentifyUnconfigured if sent && !*heard && !*scanning => {
-                *scanning = true;
-                let question = scan.question();
+            Service::IdentifyUnconfigured if sent && !progress.heard && !progress.scanning => {
+                progress.scanning = true;
+                let question = progress.scan.question();
                 return self.ask(Request::Fastscan(question), now);
             }
-            Service::IdentifyUnconfigured if sent => Ok(Answer::Unconfigured(*heard)),
+            Service::IdentifyUnconfigured if sent => Ok(Answer::Unconfigured(progress.heard)),
             Service::Fastscan | Service::FastscanAbove(_) if sent => {
-                match scan.answered(std::mem::take(heard)) {
+                match progress.scan.answered(std::mem::take(&mut progress.heard)) {
                     Next::Ask(question) => return self.ask(Request::Fastscan(question), now),
                     Next::Found(identity) => Ok(Answer::Found(identity)),
                     Next::Vanished { part, number } => Err(LssError::Vanished { part, number }),

@@ -84,11 +84,6 @@ pub struct PowerStateMachine {
 }
 
 impl PowerStateMachine {
-    /// One that has sent nothing yet.
-    pub const fn new() -> Self {
-        Self { armed: false }
-    }
-
     /// The next word to send, once per cycle. While a fault is being reset, words with bit 7 clear and
     /// set alternate, beginning with clear, so that a lost frame costs two cycles.
     pub fn step(&mut self, status: Statusword, goal: Goal) -> Controlword {
@@ -161,7 +156,7 @@ mod tests {
     /// Statuswords as a drive sent them, each with the controlword that must follow.
     fn check(goal: Goal, trace: &[(&str, &str)]) {
         let node = NodeId::new(2).unwrap();
-        let mut machine = PowerStateMachine::new();
+        let mut machine = PowerStateMachine::default();
         for (seen, sent) in trace {
             let status = parse(seen);
             assert_eq!(

@@ -12,7 +12,7 @@ mod block;
 mod error;
 mod transfer;
 
-pub use error::{SdoError, StartError};
+pub use error::{SdoCause, SdoError, StartError};
 pub use transfer::{Number, Transfer};
 
 /// The longest object that a client of [`Client::new`] transfers, bytes.
@@ -98,7 +98,7 @@ enum TransferState {
         sent: usize,
     },
     Block(block::BlockState),
-    Finished(Result<(), SdoError>),
+    Finished(Result<(), SdoCause>),
 }
 
 impl Client {
@@ -229,11 +229,16 @@ impl Client {
             return None;
         };
         self.state = TransferState::Idle;
-        Some(result.map(|()| Transfer {
+        let transfer = Transfer {
             object: self.object,
             data: &self.buffer[..self.length],
             exact: self.exact,
-        }))
+        };
+        Some(
+            result
+                .map(|()| transfer)
+                .map_err(|cause| cause.of(self.object)),
+        )
     }
 
     fn begin(
@@ -292,8 +297,8 @@ impl Client {
 
     /// Aborts, and starts anew while there are retries left.
     fn start_anew(&mut self, now: Instant) {
-        let (object, waited) = (self.object, now.since(self.started));
-        self.fail(SdoError::TimedOut { object, waited });
+        let waited = now.since(self.started);
+        self.fail(SdoCause::TimedOut { waited });
         if self.retries_left > 0 {
             self.retries_left -= 1;
             self.initiate(now);
@@ -304,11 +309,11 @@ impl Client {
     fn handle_response(&mut self, response: Response, now: Instant) {
         match (self.state, response) {
             (_, Response::Abort { object, code }) if object == self.object => {
-                self.finish(Err(SdoError::Aborted { object, code }));
+                self.finish(Err(SdoCause::Aborted { code }));
             }
-            (_, Response::Unsupported(response)) => {
-                let (object, specifier) = (self.object, response.specifier());
-                self.fail(SdoError::Specifier { object, specifier });
+            (_, Response::Block(_) | Response::Unsupported(_)) => {
+                let specifier = response.encode(self.node).data()[0];
+                self.fail(SdoCause::Specifier { specifier });
             }
             (TransferState::UploadInitiated, Response::InitiateUpload { object, initiate })
                 if object == self.object =>
@@ -335,9 +340,7 @@ impl Client {
                 Response::DownloadSegment { toggle: taken },
             ) => {
                 if taken != toggle {
-                    self.fail(SdoError::Toggle {
-                        object: self.object,
-                    });
+                    self.fail(SdoCause::Toggle);
                 } else if sent == self.length {
                     self.finish(Ok(()));
                 } else {
@@ -402,20 +405,15 @@ impl Client {
         announced: Option<usize>,
         now: Instant,
     ) {
-        let object = self.object;
         let found = self.length + segment.data().len();
         if segment.toggle != toggle {
-            self.fail(SdoError::Toggle { object });
+            self.fail(SdoCause::Toggle);
         } else if segment.data().is_empty() && !segment.last {
-            self.fail(SdoError::EmptySegment { object });
+            self.fail(SdoCause::EmptySegment);
         } else if let Some(expected) = announced
             && (found > expected || segment.last && found < expected)
         {
-            self.fail(SdoError::Length {
-                object,
-                expected,
-                found,
-            });
+            self.fail(SdoCause::Length { expected, found });
         } else if found > self.capacity {
             self.too_large(found);
         } else {
@@ -450,29 +448,22 @@ impl Client {
     }
 
     fn send(&mut self, request: Request, now: Instant) {
-        self.send_frame(request.encode(self.node), now);
-    }
-
-    fn send_frame(&mut self, request: Frame, now: Instant) {
-        self.request = Some(request);
+        self.request = Some(request.encode(self.node));
         self.deadline = now + self.timeout;
     }
 
     fn too_large(&mut self, size: usize) {
-        self.fail(SdoError::TooLarge {
-            object: self.object,
-            size,
-            capacity: self.capacity,
-        });
+        let capacity = self.capacity;
+        self.fail(SdoCause::TooLarge { size, capacity });
     }
 
-    fn fail(&mut self, error: SdoError) {
-        let (object, code) = (self.object, error.abort_code());
+    fn fail(&mut self, cause: SdoCause) {
+        let (object, code) = (self.object, cause.abort_code());
         self.ending = Some(Request::Abort { object, code }.encode(self.node));
-        self.finish(Err(error));
+        self.finish(Err(cause));
     }
 
-    fn finish(&mut self, result: Result<(), SdoError>) {
+    fn finish(&mut self, result: Result<(), SdoCause>) {
         self.request = None;
         self.state = TransferState::Finished(result);
     }

@@ -124,7 +124,7 @@ proptest! {
             Service::Fastscan,
         ];
         let mut now = Instant::ZERO;
-        let mut master = Master::new();
+        let mut master = Master::default();
         master.start(services[service], TIME_OUT, now).unwrap();
         let mut sent = 0;
         for (frame, millis) in answers {
@@ -153,7 +153,7 @@ proptest! {
             (proptest::sample::select(vec![Goal::Off, Goal::ResetFault, Goal::On]), any::<u16>()), 0..20,
         ),
     ) {
-        let mut machine = PowerStateMachine::new();
+        let mut machine = PowerStateMachine::default();
         let mut last = None;
         for (goal, status) in goals {
             let word = machine.step(Statusword(status), goal);

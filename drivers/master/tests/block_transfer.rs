@@ -338,7 +338,7 @@ proptest! {
             }
             Some(bytes)
         };
-        let crc = |error| matches!(error, SdoError::Crc { .. } | SdoError::Aborted { code: AbortCode::CRC, .. });
+        let crc = |error: SdoError| error.cause.abort_code() == AbortCode::CRC;
         let mut peer = Peer::new(old.clone(), true, true, vec![30]);
         match upload(0, &mut peer, flip).0 {
             Ok(read) => prop_assert_eq!(&read, &old),

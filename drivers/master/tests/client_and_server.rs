@@ -5,7 +5,7 @@ use std::time::Duration;
 use can::Instant;
 use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE, Server};
 use canopen::{NodeId, Object};
-use mrroc_master::sdo::{CAPACITY, Client, SdoError};
+use mrroc_master::sdo::{CAPACITY, Client, SdoCause, SdoError};
 use proptest::prelude::*;
 
 const NODE: NodeId = NodeId::new(2).unwrap();
@@ -162,10 +162,10 @@ fn refusals_reach_the_client_with_their_code() {
     let read = run(&mut client, &mut server, &mut objects, &[]);
     assert_eq!(
         read,
-        Err(SdoError::Aborted {
-            object,
+        Err(SdoCause::Aborted {
             code: AbortCode::NO_OBJECT
-        })
+        }
+        .of(object))
     );
     client
         .download(object, &[0; 20], Instant::ZERO)
@@ -173,9 +173,9 @@ fn refusals_reach_the_client_with_their_code() {
     let written = run(&mut client, &mut server, &mut objects, &[]);
     assert_eq!(
         written,
-        Err(SdoError::Aborted {
-            object,
+        Err(SdoCause::Aborted {
             code: AbortCode::READ_ONLY
-        })
+        }
+        .of(object))
     );
 }

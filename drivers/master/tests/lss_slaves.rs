@@ -182,7 +182,7 @@ fn slaves() -> impl Strategy<Value = Vec<Slave>> {
 proptest! {
     #[test]
     fn every_slave_without_a_node_id_is_found_and_gets_one(mut slaves in slaves()) {
-        let mut master = Master::new();
+        let mut master = Master::default();
         let mut now = Instant::ZERO;
         let unconfigured: Vec<_> =
             slaves.iter().filter(|slave| slave.node_id == 0xFF).map(|slave| slave.identity).collect();
@@ -205,7 +205,7 @@ proptest! {
 
     #[test]
     fn a_slave_is_selected_by_its_whole_identity(mut slaves in slaves(), other in any::<[u32; 4]>()) {
-        let mut master = Master::new();
+        let mut master = Master::default();
         let mut now = Instant::ZERO;
         for at in 0..slaves.len() {
             let expected = identity(slaves[at].identity);
@@ -231,7 +231,7 @@ proptest! {
         for slave in &mut slaves {
             slave.oddity = if odd { Oddity::AnswersConfigured } else { Oddity::StaysWaiting };
         }
-        let mut master = Master::new();
+        let mut master = Master::default();
         let mut now = Instant::ZERO;
         let mut service = Service::Fastscan;
         let unconfigured: Vec<_> =
@@ -256,7 +256,7 @@ proptest! {
         first.oddity = if always { Oddity::AnswersAlways } else { Oddity::AnswersConfigured };
         for service in [Service::Fastscan, Service::FastscanAbove(identity(above))] {
             let mut now = Instant::ZERO;
-            let scanned = run(&mut Master::new(), &mut slaves, service, &mut now);
+            let scanned = run(&mut Master::default(), &mut slaves, service, &mut now);
             prop_assert_eq!(scanned, Err(LssError::Untrue));
             prop_assert_eq!(now.since(Instant::ZERO), 3 * TIME_OUT);
         }
@@ -276,7 +276,7 @@ fn a_fastscan_takes_134_time_outs() {
     };
     let mut now = Instant::ZERO;
     let found = run(
-        &mut Master::new(),
+        &mut Master::default(),
         &mut [slave.clone()],
         Service::Fastscan,
         &mut now,

@@ -9,7 +9,7 @@ use canopen::nmt::{Command, NmtState};
 use canopen::sdo::{AbortCode, Write};
 use canopen::sync::Sync;
 use canopen::{NodeId, Object};
-use master::sdo::{Client, SdoError, StartError};
+use master::sdo::{Client, SdoCause, SdoError, StartError};
 
 /// Upper bound for the duration of every step.
 pub(super) const PATIENCE: Duration = Duration::from_secs(30);
@@ -149,7 +149,15 @@ impl Host {
     /// Uploads after a reset of the node. durand opens its SDO server some time after the boot-up message, and loses
     /// requests until then.
     pub(super) fn upload_after_reset(&mut self, object: Object) -> Result<Vec<u8>, SdoError> {
-        let lost = |result: &Result<_, _>| matches!(result, Err(SdoError::TimedOut { .. }));
+        let lost = |result: &Result<_, _>| {
+            matches!(
+                result,
+                Err(SdoError {
+                    cause: SdoCause::TimedOut { .. },
+                    ..
+                })
+            )
+        };
         let first = self.upload(object);
         if lost(&first) {
             self.upload(object)
@@ -182,11 +190,11 @@ impl Host {
 
     pub(super) fn refuses(&mut self, object: Object, data: &[u8], code: AbortCode) {
         let refused = self.download(object, data);
-        assert_eq!(refused, Err(SdoError::Aborted { object, code }));
+        assert_eq!(refused, Err(SdoCause::Aborted { code }.of(object)));
     }
 
     pub(super) fn hides(&mut self, object: Object, code: AbortCode) {
         let refused = self.upload(object);
-        assert_eq!(refused, Err(SdoError::Aborted { object, code }));
+        assert_eq!(refused, Err(SdoCause::Aborted { code }.of(object)));
     }
 }

@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use can::{Frame, Instant};
 use canopen::cia402::FaultTable;
 use canopen::emcy::Emergency;
-use canopen::guarding;
+use canopen::heartbeat::Heartbeat;
 use canopen::nmt::{Command, NmtState, Request as NmtRequest, Target};
 use canopen::pdo::{Entry, PdoKind, PdoNumber};
 use canopen::sdo::{Initiate, Request, Response, Segment};
@@ -128,10 +128,17 @@ impl Decoder {
 
     /// Text of a frame that arrived at `at`.
     pub fn describe(&mut self, frame: &Frame, at: Instant) -> Described {
-        let other = |what: &str| Described {
-            kind: Kind::Other,
-            node: None,
-            text: format!("{what}{}", bytes(frame.data())),
+        let (kind, node, text) = self.read(frame, at);
+        let text =
+            text.unwrap_or_else(|| format!("malformed {}: {}", kind.name(), bytes(frame.data())));
+        Described { kind, node, text }
+    }
+
+    /// Kind and node of a frame, and its text unless the frame is malformed.
+    fn read(&mut self, frame: &Frame, at: Instant) -> (Kind, Option<NodeId>, Option<String>) {
+        let other = |what: &str| {
+            let text = format!("{what}{}", bytes(frame.data()));
+            (Kind::Other, None, Some(text))
         };
         let Some(id) = frame.standard_data_id() else {
             return other(if frame.is_remote() {
@@ -141,15 +148,12 @@ impl Decoder {
             });
         };
         if let Some(pdo) = self.pdos.get(&id.raw()) {
-            return self.mapped(pdo, frame.data());
+            let text = self.mapped(pdo, frame.data());
+            return (Kind::Pdo, Some(pdo.node), Some(text));
         }
         if matches!(id, cob::LSS_REQUEST | cob::LSS_RESPONSE) {
             let text = lss::request(frame).or_else(|| lss::response(frame));
-            return Described {
-                kind: Kind::Lss,
-                node: None,
-                text: text.unwrap_or_else(|| malformed(Kind::Lss, frame)),
-            };
+            return (Kind::Lss, None, text);
         }
         let Some(function) = cob::Function::of(id) else {
             return other("unknown identifier: ");
@@ -158,7 +162,7 @@ impl Decoder {
             let number = number.offset() + 1;
             Some(format!("{name} {number}: {}", bytes(frame.data())))
         };
-        let (kind, node, text) = match function {
+        match function {
             cob::Function::Nmt => (Kind::Nmt, None, nmt(frame)),
             cob::Function::Sync => (Kind::Sync, None, sync(frame)),
             cob::Function::Time => (Kind::Time, None, time(frame)),
@@ -172,15 +176,10 @@ impl Decoder {
             }
             cob::Function::Tpdo(number, node) => (Kind::Pdo, Some(node), pdo("TPDO", number)),
             cob::Function::Rpdo(number, node) => (Kind::Pdo, Some(node), pdo("RPDO", number)),
-        };
-        Described {
-            kind,
-            node,
-            text: text.unwrap_or_else(|| malformed(kind, frame)),
         }
     }
 
-    fn mapped(&self, pdo: &Pdo, data: &[u8]) -> Described {
+    fn mapped(&self, pdo: &Pdo, data: &[u8]) -> String {
         let name = match pdo.kind {
             PdoKind::Rpdo => "RPDO",
             PdoKind::Tpdo => "TPDO",
@@ -202,11 +201,7 @@ impl Decoder {
             text += "; and ";
             text += &bytes(&data[from.div_ceil(8)..]);
         }
-        Described {
-            kind: Kind::Pdo,
-            node: Some(pdo.node),
-            text,
-        }
+        text
     }
 
     /// Text of a mapped object and its value.
@@ -261,7 +256,8 @@ impl Decoder {
             Request::DownloadSegment(segment) => segment_text(&segment, transferred),
             Request::UploadSegment { .. } => "next segment, please".to_owned(),
             Request::Abort { object, code } => format!("client aborts {}: {code}", named(object)),
-            Request::Unsupported(_) => block::request(frame, node).unwrap_or_else(|| odd(frame)),
+            Request::Block(request) => block::request(request),
+            Request::Unsupported(bytes) => odd(&bytes),
         })
     }
 
@@ -280,7 +276,8 @@ impl Decoder {
             Response::UploadSegment(segment) => segment_text(&segment, transferred),
             Response::DownloadSegment { .. } => "segment taken".to_owned(),
             Response::Abort { object, code } => format!("aborts {}: {code}", named(object)),
-            Response::Unsupported(_) => block::response(frame, node).unwrap_or_else(|| odd(frame)),
+            Response::Block(response) => block::response(response),
+            Response::Unsupported(bytes) => odd(&bytes),
         })
     }
 
@@ -319,10 +316,6 @@ fn bits(data: &[u8], from: usize, bits: u8) -> Option<u64> {
     Some(value & u64::MAX >> (64 - u32::from(bits)))
 }
 
-fn malformed(kind: Kind, frame: &Frame) -> String {
-    format!("malformed {}: {}", kind.name(), bytes(frame.data()))
-}
-
 fn named(object: Object) -> String {
     match words::object(object) {
         Some(name) => format!("{object} {name}"),
@@ -336,8 +329,8 @@ fn bytes(data: &[u8]) -> String {
 }
 
 /// Text of an SDO frame that CiA 301 does not define.
-fn odd(frame: &Frame) -> String {
-    format!("unknown command specifier: {}", bytes(frame.data()))
+fn odd(data: &[u8]) -> String {
+    format!("unknown command specifier: {}", bytes(data))
 }
 
 fn segment_text(segment: &Segment, object: Option<Object>) -> String {
@@ -383,8 +376,7 @@ fn sync(frame: &Frame) -> Option<String> {
 
 fn heartbeat(frame: &Frame) -> Option<String> {
     // An answer to node guarding is a heartbeat with a toggle bit. The bit is 0 in a heartbeat proper.
-    let said = guarding::Response::decode(frame)?;
-    Some(match (said.state, said.toggle) {
+    Some(match Heartbeat::decode(frame)?.guarded() {
         (NmtState::Initialising, false) => "booted".to_owned(),
         (state, false) => state.to_string(),
         (state, true) => format!("{state}, toggle bit set"),

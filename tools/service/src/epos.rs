@@ -9,7 +9,7 @@ use can::{Instant, clock};
 use canopen::Object;
 use canopen::nmt::Request;
 use canopen::sdo::AbortCode;
-use master::sdo::SdoError;
+use master::sdo::{SdoCause, SdoError};
 use serial::epos4::Address;
 use serial::service::{Client, Config, Dialect, Reply, ServiceError, StartError, TIME_OUT};
 use serial::{Line, Settings, StopBits, Tty};
@@ -103,8 +103,11 @@ impl ServicePort {
                 data.truncate(bytes.flatten().unwrap_or(4));
                 Ok(Ok(data))
             }
-            Err(SdoError::Aborted {
-                code: AbortCode::TOO_LONG | AbortCode::LENGTH_MISMATCH,
+            Err(SdoError {
+                cause:
+                    SdoCause::Aborted {
+                        code: AbortCode::TOO_LONG | AbortCode::LENGTH_MISMATCH,
+                    },
                 ..
             }) if segments && bytes.is_none() => self.ask(object, stop, read_segmented),
             other => Ok(other),
@@ -152,10 +155,10 @@ impl ServicePort {
                 Some(Ok(Reply::Done)) => return Ok(Ok(Vec::new())),
                 Some(Err(ServiceError::Refused(code))) => {
                     let code = AbortCode(code);
-                    return Ok(Err(SdoError::Aborted { object, code }));
+                    return Ok(Err(SdoCause::Aborted { code }.of(object)));
                 }
                 Some(Err(ServiceError::TimedOut { waited })) => {
-                    return Ok(Err(SdoError::TimedOut { object, waited }));
+                    return Ok(Err(SdoCause::TimedOut { waited }.of(object)));
                 }
                 Some(Err(other)) => return Err(anyhow!(other)),
             }

@@ -355,7 +355,7 @@ impl Dialogue {
 
     fn of(services: VecDeque<(Service, Duration)>, scanning: Option<Scanning>) -> Self {
         Self {
-            master: Master::new(),
+            master: Master::default(),
             services,
             answers: Vec::new(),
             found: Vec::new(),

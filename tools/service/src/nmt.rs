@@ -6,11 +6,11 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use can::{Frame, Instant, clock};
 use canopen::NodeId;
-use canopen::guarding::Response;
+use canopen::heartbeat::Heartbeat;
 use canopen::nmt::{Command, NmtState, Request, Target};
 use canopen::objects::PRODUCER_HEARTBEAT;
 use clap::{Args, ValueEnum};
-use master::sdo::{self, SdoError};
+use master::sdo::{self, SdoCause, SdoError};
 
 use super::talk::Conversation;
 use super::{Bus, BusArgs, Channel, Drive, node_id, say};
@@ -97,11 +97,13 @@ fn tell(drive: &mut Drive, request: Request) -> anyhow::Result<ExitCode> {
     let told = drive.port.nmt(request, &drive.interrupted);
     match told.with_context(|| drive.interface.to_string())? {
         Ok(()) => {}
-        Err(SdoError::Aborted { code, .. }) => bail!("{whom}: refused: {code}"),
-        Err(SdoError::TimedOut { waited, .. }) => {
-            bail!("{whom}: timed out after {waited:?}: {}", drive.silence())
-        }
-        Err(other) => return Err(other).context(whom),
+        Err(error) => match error.cause {
+            SdoCause::Aborted { code } => bail!("{whom}: refused: {code}"),
+            SdoCause::TimedOut { waited } => {
+                bail!("{whom}: timed out after {waited:?}: {}", drive.silence())
+            }
+            _ => return Err(error).context(whom),
+        },
     }
     say(format_args!(
         "{whom}: told, and the drive on the line accepted it; its service port does not say what became of it"
@@ -171,7 +173,7 @@ impl Told {
         };
         self.answer = Some(match result {
             // An abort counts as a period of 0 ms: a node without the object sends no heartbeat.
-            Err(SdoError::Aborted { .. }) => Ok(0),
+            Err(error) if matches!(error.cause, SdoCause::Aborted { .. }) => Ok(0),
             result => result.and_then(|transfer| transfer.number::<u16>()),
         });
         // The node sends no heartbeat, so the wait ends.
@@ -205,7 +207,8 @@ impl Conversation for Told {
             return;
         }
         // Heartbeats, boot-up messages and answers to node guarding have the same form. The toggle bit is ignored.
-        if let Some(Response { node, state, .. }) = Response::decode(frame) {
+        if let Some(heartbeat) = Heartbeat::decode(frame) {
+            let (node, (state, _)) = (heartbeat.node, heartbeat.guarded());
             let heard = &mut self.heard[usize::from(node.raw())];
             // A heartbeat after the boot-up message must not hide the boot-up message.
             if *heard != Some(self.wanted) || self.wanted != NmtState::Initialising {

@@ -1,10 +1,10 @@
 //! PDO mapping of nodes, read from the nodes or taken from a cell file.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
 use canopen::pdo::{Entry, PdoCobId, PdoKind, PdoNumber};
 use canopen::{NodeId, Object};
-use master::sdo::SdoError;
+use master::sdo::SdoCause;
 
 use super::survey::Questions;
 use super::value;
@@ -31,9 +31,8 @@ pub(super) struct MappingQuestions {
     /// Vendor-ID. Its presence shows that the node exists.
     pub(super) vendor: Option<u32>,
     stage: Stage,
-    pdos: Vec<(PdoKind, PdoNumber)>,
-    /// Index of the PDO that is being read.
-    pdo: usize,
+    /// The PDO that is being read, and the PDOs after it.
+    pdos: VecDeque<(PdoKind, PdoNumber)>,
     id: u16,
     entries: Vec<Entry>,
     count: u64,
@@ -46,7 +45,6 @@ enum Stage {
     CobId,
     Count,
     Entry,
-    Done,
 }
 
 impl MappingQuestions {
@@ -56,8 +54,7 @@ impl MappingQuestions {
             node,
             vendor: None,
             stage: Stage::Vendor,
-            pdos: [PdoKind::Rpdo, PdoKind::Tpdo].map(of_kind).concat(),
-            pdo: 0,
+            pdos: [PdoKind::Rpdo, PdoKind::Tpdo].map(of_kind).concat().into(),
             id: 0,
             entries: Vec::new(),
             count: 0,
@@ -71,30 +68,25 @@ impl MappingQuestions {
     }
 
     fn next_pdo(&mut self) {
-        self.pdo += 1;
-        self.stage = if self.pdo < self.pdos.len() {
-            Stage::CobId
-        } else {
-            Stage::Done
-        };
+        self.pdos.pop_front();
+        self.stage = Stage::CobId;
     }
 }
 
 impl Questions for MappingQuestions {
     fn next(&self) -> Option<Object> {
-        let (kind, number) = self.pdos[self.pdo.min(self.pdos.len() - 1)];
+        let &(kind, number) = self.pdos.front()?;
         Some(match self.stage {
             Stage::Vendor => canopen::objects::VENDOR_ID,
             Stage::CobId => kind.communication(number, 1),
             Stage::Count => kind.mapping(number, 0),
             Stage::Entry => kind.mapping(number, self.entries.len() as u8 + 1),
-            Stage::Done => return None,
         })
     }
 
-    fn answer(&mut self, answer: Result<&[u8], SdoError>) {
-        if let Err(SdoError::TimedOut { .. }) = answer {
-            self.stage = Stage::Done;
+    fn answer(&mut self, answer: Result<&[u8], SdoCause>) {
+        if let Err(SdoCause::TimedOut { .. }) = answer {
+            self.pdos.clear();
             return;
         }
         let raw = answer.ok().and_then(value::unsigned);
@@ -120,8 +112,9 @@ impl Questions for MappingQuestions {
             }
             (Stage::Entry, Some(raw)) => {
                 self.entries.push(Entry::from_raw(raw as u32));
-                if self.entries.len() as u64 == self.count {
-                    let (kind, number) = self.pdos[self.pdo];
+                if self.entries.len() as u64 == self.count
+                    && let Some(&(kind, number)) = self.pdos.front()
+                {
                     let pdo = Pdo {
                         node: self.node,
                         kind,
@@ -133,7 +126,6 @@ impl Questions for MappingQuestions {
                 }
             }
             (Stage::CobId | Stage::Count | Stage::Entry, _) => self.next_pdo(),
-            (Stage::Done, _) => {}
         }
     }
 }

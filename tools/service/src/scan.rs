@@ -5,14 +5,14 @@ use std::time::Duration;
 
 use anyhow::bail;
 use can::{Frame, Instant, clock};
-use canopen::guarding::Response;
+use canopen::heartbeat::Heartbeat;
 use canopen::objects::{
     DEVICE_NAME, DEVICE_TYPE, PRODUCER_HEARTBEAT, PRODUCT_CODE, REVISION, SERIAL_NUMBER, VENDOR_ID,
 };
 use canopen::{NodeId, Object, nmt};
 use clap::Args;
 use master::lss::Answer;
-use master::sdo::SdoError;
+use master::sdo::SdoCause;
 use serde::Serialize;
 
 use super::lss::Dialogue;
@@ -89,7 +89,7 @@ fn identify(drive: &mut Drive) -> anyhow::Result<Scanned> {
     while let Some(object) = identity.next() {
         let ty = (object == DEVICE_NAME).then_some(Type::String);
         let answer = drive.transfer(ON_THE_LINE, object, None, ty)?;
-        identity.answer(answer.as_deref().map_err(|error| *error));
+        identity.answer(answer.as_deref().map_err(|error| error.cause));
     }
     let Some(node) = identity.into_node(ON_THE_LINE) else {
         bail!("no drive answers: {}", drive.silence());
@@ -152,10 +152,10 @@ impl Scan {
 impl Conversation for Scan {
     fn handle(&mut self, frame: &Frame, now: Instant) {
         // An answer to node guarding carries the state with a toggle bit.
-        if let Some(Response { node, state, .. }) = Response::decode(frame)
-            && let Some(identity) = self.survey.questions(node)
+        if let Some(heartbeat) = Heartbeat::decode(frame)
+            && let Some(identity) = self.survey.questions(heartbeat.node)
         {
-            identity.heard(state, now);
+            identity.heard(heartbeat.guarded().0, now);
         }
         self.survey.handle(frame, now);
     }
@@ -184,53 +184,27 @@ impl Conversation for Scan {
 struct Identity {
     /// Number of objects of [`ASKED`] that were answered or given up.
     asked: usize,
-    /// Whether any request was answered, also by an abort.
-    answered: bool,
     silent: bool,
-    numbers: [Option<u32>; ASKED.len()],
-    name: Option<String>,
-    state: Option<nmt::NmtState>,
+    /// Time of the last heartbeat.
     heard: Option<Instant>,
-    /// Time between the last two heartbeats.
-    interval: Option<Duration>,
+    node: Node,
 }
 
 impl Identity {
     fn heard(&mut self, state: nmt::NmtState, now: Instant) {
-        self.interval = self.heard.map(|before| now.since(before));
+        let interval = self.heard.map(|before| now.since(before).as_millis());
+        self.node.heard_every_ms = interval;
+        self.node.state = Some(state.to_string());
         self.heard = Some(now);
-        self.state = Some(state);
-    }
-
-    fn number(&self, object: Object) -> Option<u32> {
-        let at = ASKED.iter().position(|asked| *asked == object)?;
-        self.numbers[at]
     }
 
     fn owes_a_heartbeat(&self) -> bool {
-        self.heard.is_none() && self.number(PRODUCER_HEARTBEAT).is_some_and(|ms| ms > 0)
+        self.heard.is_none() && self.node.heartbeat_ms.is_some_and(|ms| ms > 0)
     }
 
     fn into_node(self, node: u8) -> Option<Node> {
-        if !self.answered && self.heard.is_none() {
-            return None;
-        }
-        let vendor = self.number(VENDOR_ID);
-        Some(Node {
-            node,
-            answers_sdo: self.answered,
-            device_type: self.number(DEVICE_TYPE),
-            profile: self.number(DEVICE_TYPE).map(words::device_type),
-            vendor,
-            vendor_name: vendor.and_then(words::vendor),
-            product: self.number(PRODUCT_CODE),
-            revision: self.number(REVISION),
-            serial: self.number(SERIAL_NUMBER),
-            state: self.state.map(|state| state.to_string()),
-            heartbeat_ms: self.number(PRODUCER_HEARTBEAT),
-            heard_every_ms: self.interval.map(|interval| interval.as_millis()),
-            name: self.name,
-        })
+        let found = self.node.answers_sdo || self.heard.is_some();
+        found.then_some(Node { node, ..self.node })
     }
 }
 
@@ -242,27 +216,40 @@ impl Questions for Identity {
         ASKED.get(self.asked).copied()
     }
 
-    fn answer(&mut self, answer: Result<&[u8], SdoError>) {
+    fn answer(&mut self, answer: Result<&[u8], SdoCause>) {
         let object = ASKED[self.asked];
         self.asked += 1;
-        match answer {
-            Ok(data) if object == DEVICE_NAME => {
+        if let Err(SdoCause::TimedOut { .. }) = answer {
+            self.silent = true;
+            return;
+        }
+        let node = &mut self.node;
+        node.answers_sdo = true;
+        let Ok(data) = answer else { return };
+        let number = super::value::unsigned(data).map(|raw| raw as u32);
+        match object {
+            DEVICE_TYPE => {
+                node.device_type = number;
+                node.profile = number.map(words::device_type);
+            }
+            VENDOR_ID => {
+                node.vendor = number;
+                node.vendor_name = number.and_then(words::vendor);
+            }
+            PRODUCT_CODE => node.product = number,
+            REVISION => node.revision = number,
+            SERIAL_NUMBER => node.serial = number,
+            PRODUCER_HEARTBEAT => node.heartbeat_ms = number,
+            _ => {
                 let text = String::from_utf8_lossy(data);
-                self.name = Some(text.trim_end_matches('\0').to_owned());
-                self.answered = true;
+                node.name = Some(text.trim_end_matches('\0').to_owned());
             }
-            Ok(data) => {
-                self.numbers[self.asked - 1] = super::value::unsigned(data).map(|raw| raw as u32);
-                self.answered = true;
-            }
-            Err(SdoError::TimedOut { .. }) => self.silent = true,
-            Err(_) => self.answered = true,
         }
     }
 }
 
 /// A node that was found.
-#[derive(Debug, Serialize, PartialEq, Eq)]
+#[derive(Debug, Default, Serialize, PartialEq, Eq)]
 pub(super) struct Node {
     node: u8,
     /// Whether the node answered an SDO request. A node that did not was found by its heartbeat.

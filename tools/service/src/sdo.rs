@@ -12,7 +12,7 @@ use canopen::sdo::AbortCode;
 use canopen::{NodeId, Object};
 use clap::{Args, Subcommand};
 use drive::cia402::reserved;
-use master::sdo::{self, SdoError, StartError};
+use master::sdo::{Client, SdoCause, SdoError, StartError};
 use mrroc::bench::interfaces::Interface;
 use mrroc::streams;
 use serde::Serialize;
@@ -20,7 +20,7 @@ use serde::Serialize;
 use super::data_sheet::DataSheet;
 use super::talk::Conversation;
 use super::value::{self, Shown, Type};
-use super::{BusArgs, Channel, Interrupted, node_id, words};
+use super::{Bus, BusArgs, Channel, Interrupted, node_id, words};
 
 /// Number of repetitions of a transfer that is not answered.
 const RETRIES: u8 = 2;
@@ -91,10 +91,13 @@ impl Target {
         self.bus.open_channel(Duration::from_millis(self.timeout))
     }
 
-    /// Starts to write `data` into an object of the node, or to read the object if `data` is `None`.
-    fn start(&self, object: Object, data: Option<&[u8]>) -> Result<Transfer, StartError> {
+    /// Writes `data` into an object of the node, or reads the object if `data` is `None`. The error after Ctrl-C is
+    /// [`Interrupted`].
+    fn hold(&self, bus: &mut Bus, object: Object, data: Option<&[u8]>) -> anyhow::Result<Client> {
         let timeout = Duration::from_millis(self.timeout);
-        Transfer::start(self.node, object, data, self.block, timeout, clock::now())
+        let mut client = start(self.node, object, data, self.block, timeout, clock::now())?;
+        bus.hold(&mut client)?;
+        Ok(client)
     }
 
     fn data_sheet(&self) -> anyhow::Result<Option<DataSheet>> {
@@ -224,10 +227,7 @@ fn write(
             let problem = format!("{object} was written as {wrote} and reads back as {found}");
             (problem, ExitCode::from(1))
         }
-        Err(SdoError::Aborted {
-            code: AbortCode::WRITE_ONLY,
-            ..
-        }) => {
+        Err(error) if error.cause.abort_code() == AbortCode::WRITE_ONLY => {
             let problem = format!("{object} is written; it cannot be read back");
             (problem, ExitCode::SUCCESS)
         }
@@ -250,17 +250,11 @@ fn read_back_of(
     let object = target.object;
     let Channel::Bus(bus) = channel else {
         let found = transfer(channel, target, object, None, Some(ty))?;
-        return Ok(found.map(|found| {
-            let agrees = found == wrote;
-            (found, agrees)
-        }));
+        return Ok(found.map(|found| (found.clone(), found == wrote)));
     };
-    let mut reading = target.start(object, None)?;
-    reading.wrote = wrote.to_vec();
-    bus.hold(&mut reading)?;
-    let agrees = reading.agrees;
-    let found = reading.result.ok_or(Interrupted)?;
-    Ok(found.map(|found| (found, agrees)))
+    let mut client = target.hold(bus, object, None)?;
+    let found = client.poll().ok_or(Interrupted)?;
+    Ok(found.map(|found| (found.data.to_vec(), found.agrees_with(wrote))))
 }
 
 /// Value that was read, or empty after a write. A service port does not report the length of an object, so `ty` gives
@@ -277,9 +271,28 @@ fn transfer(
         Channel::Drive(_) if target.block => bail!("--block: a service port transfers no blocks"),
         Channel::Drive(drive) => return drive.transfer(target.node.raw(), object, data, ty),
     };
-    let mut transfer = target.start(object, data)?;
-    bus.hold(&mut transfer)?;
-    Ok(transfer.result.ok_or(Interrupted)?)
+    let mut client = target.hold(bus, object, data)?;
+    let found = client.poll().ok_or(Interrupted)?;
+    Ok(found.map(|found| found.data.to_vec()))
+}
+
+/// A client that starts to write `data`, or to read if `data` is `None`.
+pub(super) fn start(
+    node: NodeId,
+    object: Object,
+    data: Option<&[u8]>,
+    by_blocks: bool,
+    timeout: Duration,
+    now: Instant,
+) -> Result<Client, StartError> {
+    let mut client = Client::with_capacity(node, timeout, RETRIES, CAPACITY);
+    match (data, by_blocks) {
+        (Some(data), false) => client.download(object, data, now)?,
+        (Some(data), true) => client.block_download(object, data, now)?,
+        (None, false) => client.upload(object, now)?,
+        (None, true) => client.block_upload(object, now)?,
+    }
+    Ok(client)
 }
 
 /// Text of an abort or a time-out in one line.
@@ -288,13 +301,14 @@ fn refusal(channel: &Channel, target: &Target, error: SdoError) -> anyhow::Error
         Channel::Bus(bus) => (bus.name_of(target.node), bus.silence()),
         Channel::Drive(drive) => (drive.name_of(target.node), drive.silence()),
     };
-    let error = match error {
-        SdoError::Aborted { code, .. } => match words::hint(code) {
-            Some(hint) => anyhow!("{error}: {hint}"),
-            None => anyhow!("{error}"),
-        },
-        SdoError::TimedOut { .. } => anyhow!("{error}: {silence}"),
-        other => anyhow!(other),
+    let hint = match error.cause {
+        SdoCause::Aborted { code } => words::hint(code),
+        SdoCause::TimedOut { .. } => Some(silence.as_str()),
+        _ => None,
+    };
+    let error = match hint {
+        Some(hint) => anyhow!("{error}: {hint}"),
+        None => anyhow!(error),
     };
     error.context(node)
 }
@@ -349,67 +363,21 @@ impl fmt::Display for Answer {
     }
 }
 
-/// Conversation of one transfer.
-pub(super) struct Transfer {
-    client: sdo::Client,
-    /// Value that was written, if it is to be read back.
-    wrote: Vec<u8>,
-    /// Whether the value read back equals the written value.
-    agrees: bool,
-    /// Result, once the transfer is over.
-    pub(super) result: Option<Result<Vec<u8>, SdoError>>,
-}
-
-impl Transfer {
-    /// Starts to write `data`, or to read if `data` is `None`.
-    pub(super) fn start(
-        node: NodeId,
-        object: Object,
-        data: Option<&[u8]>,
-        by_blocks: bool,
-        timeout: Duration,
-        now: Instant,
-    ) -> Result<Self, StartError> {
-        let mut client = sdo::Client::with_capacity(node, timeout, RETRIES, CAPACITY);
-        match (data, by_blocks) {
-            (Some(data), false) => client.download(object, data, now)?,
-            (Some(data), true) => client.block_download(object, data, now)?,
-            (None, false) => client.upload(object, now)?,
-            (None, true) => client.block_upload(object, now)?,
-        }
-        Ok(Self {
-            client,
-            wrote: Vec::new(),
-            agrees: false,
-            result: None,
-        })
-    }
-
-    fn take_result(&mut self) {
-        if let Some(result) = self.client.poll() {
-            self.agrees = result.is_ok_and(|transfer| transfer.agrees_with(&self.wrote));
-            self.result = Some(result.map(|transfer| transfer.data.to_vec()));
-        }
-    }
-}
-
-impl Conversation for Transfer {
+impl Conversation for Client {
     fn handle(&mut self, frame: &Frame, now: Instant) {
-        self.client.handle(frame, now);
-        self.take_result();
+        self.handle(frame, now);
     }
 
     fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
-        self.client.poll_transmit(now)
+        self.poll_transmit(now)
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        self.client.poll_timeout()
+        self.poll_timeout()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        self.client.handle_timeout(now);
-        self.take_result();
+        self.handle_timeout(now);
     }
 }
 

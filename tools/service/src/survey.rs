@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use can::{Frame, Instant};
 use canopen::{NodeId, Object};
-use master::sdo::{self, SdoError};
+use master::sdo::{self, SdoCause};
 
 use super::talk::Conversation;
 
@@ -20,7 +20,7 @@ pub(super) trait Questions {
     fn next(&self) -> Option<Object>;
 
     /// Processes the answer to the last request. A node that does not answer yields a time-out.
-    fn answer(&mut self, answer: Result<&[u8], SdoError>);
+    fn answer(&mut self, answer: Result<&[u8], SdoCause>);
 }
 
 /// Many nodes and the requests to each of them.
@@ -88,7 +88,8 @@ impl<Q: Questions> Asked<Q> {
         let Some(result) = self.client.poll() else {
             return;
         };
-        self.questions.answer(result.map(|transfer| transfer.data));
+        let answer = result.map(|transfer| transfer.data);
+        self.questions.answer(answer.map_err(|error| error.cause));
         self.asking = false;
         self.ask(now);
     }

@@ -13,13 +13,13 @@ use canopen::{NodeId, Object};
 use hil::epos4::{Epos4, Epos4Config};
 use hil::{AxisConfig, BusId, Irp6Axis, World};
 use master::lss::{Answer, Service};
-use master::sdo::SdoError;
+use master::sdo::{SdoCause, SdoError};
 
 use super::lss::Dialogue;
 use super::nmt::{NodeReport, Told};
 use super::pdo_map::MappingQuestions;
 use super::scan::Scan;
-use super::sdo::Transfer;
+use super::sdo;
 use super::survey::Survey;
 use super::talk::Conversation;
 
@@ -132,10 +132,11 @@ impl Stage {
         data: Option<&[u8]>,
     ) -> Result<Vec<u8>, SdoError> {
         let with = node(with);
-        let transfer = Transfer::start(with, object, data, blocks, TIMEOUT, self.now);
-        let mut transfer = transfer.unwrap();
-        self.hold(&mut transfer);
-        transfer.result.unwrap()
+        let client = sdo::start(with, object, data, blocks, TIMEOUT, self.now);
+        let mut client = client.unwrap();
+        self.hold(&mut client);
+        let result = client.poll().unwrap();
+        result.map(|transfer| transfer.data.to_vec())
     }
 
     fn tell(&mut self, request: Request) -> NodeReport {
@@ -215,7 +216,7 @@ fn an_object_is_read_written_and_read_back() {
 fn a_refusal_ends_a_transfer_and_silence_does() {
     let mut stage = Stage::with(&[3]);
     let refused = |answer: Result<Vec<u8>, SdoError>, expected: AbortCode| match answer {
-        Err(SdoError::Aborted { code, .. }) => assert_eq!(code, expected),
+        Err(error) => assert_eq!(error.cause, SdoCause::Aborted { code: expected }),
         other => panic!("{other:?}"),
     };
     refused(
@@ -224,7 +225,8 @@ fn a_refusal_ends_a_transfer_and_silence_does() {
     );
     refused(stage.read(3, Object::new(0x5FFF, 0)), AbortCode::NO_OBJECT);
     let silent = stage.read(4, STATUSWORD);
-    assert!(matches!(silent, Err(SdoError::TimedOut { waited, .. }) if waited >= 3 * TIMEOUT));
+    let cause = silent.map_err(|error| error.cause);
+    assert!(matches!(cause, Err(SdoCause::TimedOut { waited }) if waited >= 3 * TIMEOUT));
     // Three requests, each ended by an abort after its time-out.
     let to_4 = |frame: &&Frame| frame.to_string().starts_with("604#");
     assert_eq!(stage.sent.iter().filter(to_4).count(), 6);

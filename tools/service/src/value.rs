@@ -194,13 +194,9 @@ pub(super) struct Shown {
     /// Value as text.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) text: Option<String>,
+    /// The representations in one line.
     #[serde(skip)]
-    text_only: bool,
-    #[serde(skip)]
-    hex: Option<String>,
-    /// Signed value of the same bits, if the sign of the type is not known.
-    #[serde(skip)]
-    or: Option<i64>,
+    line: String,
 }
 
 impl Shown {
@@ -232,15 +228,37 @@ impl Shown {
             _ => None,
         };
         let text = text.map(|text| text.trim_end_matches('\0').to_owned());
+        let bytes: String = data.iter().map(|byte| format!("{byte:02x}")).collect();
+        let mut line = match (raw, value, real) {
+            (Some(raw), Some(value), _) => {
+                format!("{raw:#0width$x}, {value}", width = 2 + 2 * data.len())
+            }
+            (_, _, Some(real)) => real.to_string(),
+            _ if data.is_empty() => "no bytes".to_owned(),
+            _ => format!("{} bytes {bytes}", data.len()),
+        };
+        // The sign of the type is not known.
+        if let Some(or @ ..0) = as_signed.filter(|_| ty.is_none() && !is_signed) {
+            line += &format!(" or {or}");
+        }
+        match &text {
+            Some(text) if ty == Some(Type::String) => line = format!("{text:?}"),
+            Some(text) => line += &format!(", {text:?}"),
+            None => {}
+        }
         Self {
-            bytes: data.iter().map(|byte| format!("{byte:02x}")).collect(),
-            hex: raw.map(|raw| format!("{raw:#0width$x}", width = 2 + 2 * data.len())),
-            or: as_signed.filter(|value| ty.is_none() && !is_signed && *value < 0),
+            bytes,
             value,
             real,
-            text_only: ty == Some(Type::String),
             text,
+            line,
         }
+    }
+}
+
+impl fmt::Display for Shown {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.line)
     }
 }
 
@@ -250,27 +268,6 @@ fn printable(data: &[u8]) -> Option<std::borrow::Cow<'_, str>> {
     text.iter()
         .all(|byte| matches!(byte, b' '..=b'~'))
         .then(|| String::from_utf8_lossy(text))
-}
-
-impl fmt::Display for Shown {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if let (true, Some(text)) = (self.text_only, &self.text) {
-            return write!(f, "{text:?}");
-        }
-        match (&self.hex, self.value, self.real) {
-            (Some(hex), Some(value), _) => write!(f, "{hex}, {value}")?,
-            (_, _, Some(real)) => write!(f, "{real}")?,
-            _ if self.bytes.is_empty() => f.write_str("no bytes")?,
-            _ => write!(f, "{} bytes {}", self.bytes.len() / 2, self.bytes)?,
-        }
-        if let Some(or) = self.or {
-            write!(f, " or {or}")?;
-        }
-        if let Some(text) = &self.text {
-            write!(f, ", {text:?}")?;
-        }
-        Ok(())
-    }
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use can::ControllerState;
 use canopen::Object;
 use canopen::cia402::{Controlword, FaultTable, ModeOfOperation, PowerCommand, Statusword};
 use canopen::emcy::ErrorRegister;
-use canopen::lss::{Outcome, Part};
+use canopen::lss::Outcome;
 use canopen::objects::{
     CONTROLWORD, DEVICE_TYPE, ERROR_CODE, ERROR_HISTORY_NEWEST, ERROR_REGISTER, MODE_OF_OPERATION,
     MODE_OF_OPERATION_DISPLAY, STATUSWORD, VENDOR_ID,
@@ -208,16 +208,6 @@ pub(super) fn hint(code: AbortCode) -> Option<&'static str> {
         AbortCode::COMMAND_SPECIFIER => "the device may not know this kind of transfer",
         _ => return None,
     })
-}
-
-/// Name of one number of an identity.
-pub(super) fn identity_part(part: Part) -> &'static str {
-    match part {
-        Part::Vendor => "vendor-ID",
-        Part::Product => "product code",
-        Part::Revision => "revision number",
-        Part::Serial => "serial number",
-    }
 }
 
 /// Text for the result of an LSS configuration request.

@@ -79,14 +79,8 @@ impl HomingMethod {
 
     /// The references that the method searches: none if the method takes the actual position. `None` for a method without
     /// a name here.
-    pub const fn references(self) -> Option<References> {
-        let mut needs = References {
-            negative_limit: false,
-            positive_limit: false,
-            home_switch: false,
-            index: false,
-            stop: false,
-        };
+    pub fn references(self) -> Option<References> {
+        let mut needs = References::default();
         match self {
             Self::ACTUAL_POSITION | Self::ACTUAL_POSITION_OLD => {}
             Self::INDEX_NEGATIVE | Self::INDEX_POSITIVE => needs.index = true,
@@ -194,8 +188,8 @@ mod tests {
         ];
         for (raw, status) in table {
             let word = Statusword(raw);
-            assert_eq!(word.homing(), status, "{raw:#06x}");
-            assert_eq!(Statusword(status.bits()).homing(), status);
+            assert_eq!(HomingStatus::of(word), status, "{raw:#06x}");
+            assert_eq!(HomingStatus::of(Statusword(status.bits())), status);
         }
     }
 

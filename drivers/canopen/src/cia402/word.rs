@@ -2,8 +2,6 @@
 
 use std::fmt;
 
-use super::HomingStatus;
-
 /// Power state of a drive by its statusword (CiA 402-2 §8.2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PowerState {
@@ -115,19 +113,9 @@ impl Statusword {
         Self(if set { self.0 | mask } else { self.0 & !mask })
     }
 
-    /// Whether the target is reached; in homing mode read [`Self::homing`] instead.
+    /// Whether the target is reached; in homing mode read [`HomingStatus::of`](super::HomingStatus::of) instead.
     pub const fn target_reached(self) -> bool {
         self.has(Self::TARGET_REACHED)
-    }
-
-    /// EPOS2 and EPOS4: whether the position is referenced to home.
-    pub const fn epos_referenced(self) -> bool {
-        self.has(Self::EPOS_REFERENCED)
-    }
-
-    /// Homing mode: how far homing is (bits 10, 12 and 13).
-    pub const fn homing(self) -> HomingStatus {
-        HomingStatus::of(self)
     }
 }
 

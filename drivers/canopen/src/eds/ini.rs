@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use super::{EdsError, MAX_SECTIONS};
+use super::{EdsCause, EdsError, MAX_SECTIONS};
 
 /// A section with its keys, lower-cased.
 pub(super) struct Section<'a> {
@@ -69,18 +69,13 @@ pub(super) fn sections(text: &str) -> Result<Vec<Section<'_>>, EdsError> {
             continue;
         }
         if let Some(name) = line.strip_prefix('[') {
-            let name = name
-                .strip_suffix(']')
-                .ok_or(EdsError::Line { line: number })?;
+            let name = name.strip_suffix(']').ok_or(EdsCause::Line.at(number))?;
             let name = name.trim();
             if let Some(first) = seen.insert(name.to_ascii_lowercase(), number) {
-                return Err(EdsError::DuplicateSection {
-                    line: number,
-                    first,
-                });
+                return Err(EdsCause::DuplicateSection { first }.at(number));
             }
             if sections.len() == MAX_SECTIONS {
-                return Err(EdsError::TooManySections { line: number });
+                return Err(EdsCause::TooManySections.at(number));
             }
             sections.push(Section {
                 name,
@@ -90,21 +85,16 @@ pub(super) fn sections(text: &str) -> Result<Vec<Section<'_>>, EdsError> {
             continue;
         }
         let Some((key, value)) = line.split_once('=') else {
-            return Err(EdsError::Line { line: number });
+            return Err(EdsCause::Line.at(number));
         };
-        let section = sections
-            .last_mut()
-            .ok_or(EdsError::NoSection { line: number })?;
+        let section = sections.last_mut().ok_or(EdsCause::NoSection.at(number))?;
         let value = Text {
             line: number,
             text: value.trim(),
         };
         let earlier = section.keys.insert(key.trim().to_ascii_lowercase(), value);
         if let Some(Text { line: first, .. }) = earlier {
-            return Err(EdsError::DuplicateKey {
-                line: number,
-                first,
-            });
+            return Err(EdsCause::DuplicateKey { first }.at(number));
         }
     }
     Ok(sections)

@@ -27,7 +27,7 @@ use std::collections::BTreeMap;
 
 use crate::{NodeId, Object};
 
-pub use error::EdsError;
+pub use error::{EdsCause, EdsError};
 pub use value::Value;
 
 /// The most variables that a file may describe; a device has some thousands.

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use super::ini::{self, Section, Text};
 use super::value::number;
 use super::{
-    Access, BAUD_RATES, Commissioning, DataType, DeviceInfo, Eds, EdsError, Entry, FileInfo,
-    MAX_VARIABLES, ObjectType, Parameter, ParameterValue, Value, Variable,
+    Access, BAUD_RATES, Commissioning, DataType, DeviceInfo, Eds, EdsCause, EdsError, Entry,
+    FileInfo, MAX_VARIABLES, ObjectType, Parameter, ParameterValue, Value, Variable,
 };
 use crate::NodeId;
 
@@ -23,7 +23,7 @@ enum Kind {
 
 fn kind(section: &Section<'_>) -> Result<Kind, EdsError> {
     let name = section.name;
-    let error = EdsError::NotAnObject { line: section.line };
+    let error = EdsCause::NotAnObject.at(section.line);
     let index = name.get(..4).and_then(hex);
     let Some(index) = index.and_then(|index| u16::try_from(index).ok()) else {
         // `[60400]` is meant as an object and `[FileInfo]` is not.
@@ -93,12 +93,12 @@ pub(super) fn read(text: &str) -> Result<Eds, EdsError> {
             },
         }
         if variables + subs.len() > MAX_VARIABLES {
-            return Err(EdsError::TooMany { line: section.line });
+            return Err(EdsCause::TooMany.at(section.line));
         }
     }
     for (index, subindex, section) in subs {
         let line = section.line;
-        let orphan = EdsError::Orphan { line, index };
+        let orphan = EdsCause::Orphan { index }.at(line);
         let entry = eds.objects.get_mut(&index).ok_or(orphan)?;
         if !entry.object_type.has_subindices() || compact.contains_key(&index) {
             return Err(orphan);
@@ -106,7 +106,7 @@ pub(super) fn read(text: &str) -> Result<Eds, EdsError> {
         let variable = variable(section)?;
         // `[1018sub01]` beside `[1018sub1]`.
         if entry.variables.insert(subindex, variable).is_some() {
-            return Err(EdsError::NotAnObject { line });
+            return Err(EdsCause::NotAnObject.at(line));
         }
     }
     for section in &sections {
@@ -132,7 +132,7 @@ pub(super) fn read(text: &str) -> Result<Eds, EdsError> {
     for list in lists {
         for (line, index) in listed(list)? {
             if !eds.objects.contains_key(&index) {
-                return Err(EdsError::Undescribed { line, index });
+                return Err(EdsCause::Undescribed { index }.at(line));
             }
         }
     }
@@ -142,8 +142,8 @@ pub(super) fn read(text: &str) -> Result<Eds, EdsError> {
 /// A number of an unsigned type.
 fn unsigned<T: TryFrom<i128>>(value: Text<'_>, high: i128) -> Result<T, EdsError> {
     let Text { line, text } = value;
-    let found = number(text).ok_or(EdsError::Number { line })?;
-    let range = EdsError::Range { line, low: 0, high };
+    let found = number(text).ok_or(EdsCause::Number.at(line))?;
+    let range = EdsCause::Range { low: 0, high }.at(line);
     let found = (0..=high).contains(&found).then_some(found).ok_or(range)?;
     T::try_from(found).map_err(|_| range)
 }
@@ -173,17 +173,11 @@ impl Section<'_> {
         let Some(value) = self.get(key) else {
             return Ok(());
         };
-        let said: u32 = unsigned(value, u32::MAX.into())?;
-        if usize::try_from(said) == Ok(found) {
+        let said: i128 = unsigned(value, u32::MAX.into())?;
+        if said == found as i128 {
             Ok(())
         } else {
-            let (line, said) = (value.line, said.into());
-            Err(EdsError::Count {
-                line,
-                key,
-                said,
-                found,
-            })
+            Err(EdsCause::Count { key, said, found }.at(value.line))
         }
     }
 }
@@ -198,7 +192,7 @@ fn entry(section: &Section<'_>) -> Result<(Entry, Option<u8>), EdsError> {
                 .into_iter()
                 .find(|kind| *kind as i128 == found);
             let line = value.line;
-            known.ok_or(EdsError::ObjectType { line, found })?
+            known.ok_or(EdsCause::ObjectType { found }.at(line))?
         }
     };
     let mut entry = Entry {
@@ -211,7 +205,7 @@ fn entry(section: &Section<'_>) -> Result<(Entry, Option<u8>), EdsError> {
     if let (Some(count), Some(value)) = (compact, section.get("CompactSubObj")) {
         if !object_type.has_subindices() {
             let (line, found) = (value.line, object_type as i128);
-            return Err(EdsError::ObjectType { line, found });
+            return Err(EdsCause::ObjectType { found }.at(line));
         }
         if section.flag("SubNumber")? {
             section.count("SubNumber", usize::from(count) + 1)?;
@@ -225,15 +219,8 @@ fn entry(section: &Section<'_>) -> Result<(Entry, Option<u8>), EdsError> {
         }
         return Ok((entry, Some(count)));
     }
-    match object_type {
-        ObjectType::Variable | ObjectType::Domain => {
-            entry.variables.insert(0, variable(section)?);
-        }
-        ObjectType::Null
-        | ObjectType::TypeDefinition
-        | ObjectType::RecordDefinition
-        | ObjectType::Array
-        | ObjectType::Record => {}
+    if matches!(object_type, ObjectType::Variable | ObjectType::Domain) {
+        entry.variables.insert(0, variable(section)?);
     }
     Ok((entry, None))
 }
@@ -257,10 +244,7 @@ fn count_variable(count: u8) -> Variable {
 /// The variable that a section describes. A domain need not say its type and access (CiA 306-1 table 7).
 fn variable(section: &Section<'_>) -> Result<Variable, EdsError> {
     let domain = section.number("ObjectType", u32::MAX.into())? == Some(ObjectType::Domain as u32);
-    let missing = |key| EdsError::Missing {
-        line: section.line,
-        key,
-    };
+    let missing = |key| EdsCause::Missing { key }.at(section.line);
     let data_type = match section.number("DataType", u16::MAX.into())? {
         Some(code) => DataType::from_code(code),
         None if domain => DataType::Domain,
@@ -271,7 +255,7 @@ fn variable(section: &Section<'_>) -> Result<Variable, EdsError> {
             .into_iter()
             .find(|(_, name)| name.eq_ignore_ascii_case(text))
             .map(|(access, _)| access)
-            .ok_or(EdsError::Access { line })?,
+            .ok_or(EdsCause::Access.at(line))?,
         None if domain => Access::ReadWrite,
         None => return Err(missing("AccessType")),
     };
@@ -324,7 +308,7 @@ fn parameter(variable: &Variable, text: Text<'_>) -> Result<Parameter, EdsError>
                 .integer(node)
                 .is_some_and(|value| value < low || value > high)
             {
-                return Err(EdsError::Limits { line, low, high });
+                return Err(EdsCause::Limits { low, high }.at(line));
             }
         }
     }
@@ -352,17 +336,17 @@ fn compact_lines<'a>(
     let line = section.line;
     let count = *compact
         .get(&index)
-        .ok_or(EdsError::Orphan { line, index })?;
+        .ok_or(EdsCause::Orphan { index }.at(line))?;
     let lines: Vec<_> = section.numbered().collect();
     section.count("NrOfEntries", lines.len())?;
     let subindex = |(subindex, text): (u32, Text<'a>)| {
         let known = u8::try_from(subindex).ok();
         let known = known.filter(|subindex| (1..=count).contains(subindex));
-        let range = EdsError::Range {
-            line: text.line,
+        let range = EdsCause::Range {
             low: 1,
             high: count.into(),
-        };
+        }
+        .at(text.line);
         Ok((known.ok_or(range)?, text))
     };
     let mut lines: Vec<_> = lines.into_iter().map(subindex).collect::<Result<_, _>>()?;
@@ -427,13 +411,8 @@ fn device_info(section: &Section<'_>) -> Result<DeviceInfo, EdsError> {
 fn commissioning(section: &Section<'_>) -> Result<Commissioning, EdsError> {
     let node = section.get("NodeID").map(|value| {
         let node = NodeId::new(unsigned(value, 127)?);
-        node.ok_or(EdsError::Range {
-            line: value.line,
-            low: 1,
-            high: 127,
-        })
+        node.ok_or(EdsCause::Range { low: 1, high: 127 }.at(value.line))
     });
-    let stated = |number: &u32| *number != 0;
     Ok(Commissioning {
         node: node.transpose()?,
         baud_rate: section
@@ -443,7 +422,7 @@ fn commissioning(section: &Section<'_>) -> Result<Commissioning, EdsError> {
         manager: section.flag("CANopenManager")?,
         serial_number: section
             .number("LSS_SerialNumber", u32::MAX.into())?
-            .filter(stated),
+            .filter(|number| *number != 0),
     })
 }
 

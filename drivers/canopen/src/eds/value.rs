@@ -3,7 +3,7 @@
 use std::fmt;
 
 use super::ini::Text;
-use super::{DataType, EdsError};
+use super::{DataType, EdsCause, EdsError};
 use crate::NodeId;
 
 /// A default, a limit or a parameter value of a variable.
@@ -75,8 +75,8 @@ impl Value {
         match data_type {
             DataType::Real32 | DataType::Real64 => real(data_type, text)
                 .map(Self::Real)
-                .ok_or(EdsError::Real { line }),
-            DataType::OctetString => bytes(text).map(Self::Bytes).ok_or(EdsError::Bytes { line }),
+                .ok_or(EdsCause::Real.at(line)),
+            DataType::OctetString => bytes(text).map(Self::Bytes).ok_or(EdsCause::Bytes.at(line)),
             _ => match data_type.range() {
                 Some(range) => integer(range, line, text),
                 None => Ok(Self::Text(text.to_owned())),
@@ -129,7 +129,7 @@ pub(super) fn number(text: &str) -> Option<i128> {
 }
 
 fn integer((low, high): (i128, i128), line: u32, text: &str) -> Result<Value, EdsError> {
-    let error = EdsError::Number { line };
+    let error = EdsCause::Number.at(line);
     let (text, plus_node) = without_node_id(text).ok_or(error)?;
     let value = if text.is_empty() && plus_node {
         0
@@ -152,7 +152,7 @@ fn integer((low, high): (i128, i128), line: u32, text: &str) -> Result<Value, Ed
     if (low..=high).contains(&value) {
         Ok(Value::Integer { value, plus_node })
     } else {
-        Err(EdsError::Range { line, low, high })
+        Err(EdsCause::Range { low, high }.at(line))
     }
 }
 
@@ -266,8 +266,8 @@ mod tests {
 
     #[test]
     fn what_is_no_number_or_does_not_fit_is_refused() {
-        let number = EdsError::Number { line: 7 };
-        let range = |low, high| EdsError::Range { line: 7, low, high };
+        let number = EdsCause::Number.at(7);
+        let range = |low, high| EdsCause::Range { low, high }.at(7);
         let table = [
             (DataType::Unsigned32, "0x", number),
             (DataType::Unsigned32, "08", number),
@@ -291,15 +291,12 @@ mod tests {
             assert_eq!(parse(data_type, text), Err(error), "{text}");
         }
         for text in ["nan", "inf", "1e39", "x", "0x7F800000"] {
-            assert_eq!(
-                parse(DataType::Real32, text),
-                Err(EdsError::Real { line: 7 })
-            );
+            assert_eq!(parse(DataType::Real32, text), Err(EdsCause::Real.at(7)));
         }
         for text in ["1", "1G", "é1"] {
             assert_eq!(
                 parse(DataType::OctetString, text),
-                Err(EdsError::Bytes { line: 7 })
+                Err(EdsCause::Bytes.at(7))
             );
         }
     }

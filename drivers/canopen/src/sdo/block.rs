@@ -23,14 +23,13 @@
 //!
 //! The first byte of a segment has any value but 0x00 and 0x80. The bytes of a segment therefore do not differ from those of
 //! other requests and responses. The receiver of a sub-block tries [`Segment::decode`]; an abort (0x80) is the only
-//! other frame there. In all other states [`Request::decode`] or [`Response::decode`] decode the frames that
-//! [`super::Request`] or [`super::Response`] call unsupported.
+//! other frame there. In all other states the frame is a [`super::Request`] or [`super::Response`].
 
 use can::{Frame, StandardId};
 use crc::{CRC_16_XMODEM, Crc};
 
 use super::layout::{addressed, object};
-use crate::{NodeId, Object, cob, frame, payload};
+use crate::{Object, frame, payload};
 
 /// The most segments of a sub-block. A block size outside 1 ..= this is refused with
 /// [`AbortCode::BLOCK_SIZE`](super::AbortCode::BLOCK_SIZE).
@@ -39,7 +38,7 @@ pub const MAX_BLOCK_SIZE: u8 = 127;
 /// The bytes of a segment.
 pub const SEGMENT: usize = 7;
 
-/// A request of the client, on `0x600 + node`.
+/// A request of the client in [`super::Request::Block`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {
     /// Begin to write an object.
@@ -73,7 +72,7 @@ pub enum Request {
     EndUpload,
 }
 
-/// An answer of the server, on `0x580 + node`.
+/// An answer of the server in [`super::Response::Block`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Response {
     /// Send the first sub-block.
@@ -149,7 +148,7 @@ impl End {
     }
 }
 
-/// Seven bytes of a sub-block, under [`cob::sdo_request`] or [`cob::sdo_response`].
+/// Seven bytes of a sub-block, under [`crate::cob::sdo_request`] or [`crate::cob::sdo_response`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Segment {
     sequence: u8,
@@ -199,9 +198,8 @@ pub fn checksum(data: &[u8]) -> u16 {
 }
 
 impl Request {
-    /// The frame to the server `node`.
-    pub fn encode(self, node: NodeId) -> Frame {
-        let bytes = match self {
+    pub(super) fn encode(self) -> [u8; 8] {
+        match self {
             Self::InitiateDownload { object, crc, size } => initiate(object, crc, size),
             Self::EndDownload(end) => end.encode(),
             Self::InitiateUpload {
@@ -213,14 +211,11 @@ impl Request {
             Self::StartUpload => [0xA3, 0, 0, 0, 0, 0, 0, 0],
             Self::Acknowledge(acknowledge) => acknowledge.encode(),
             Self::EndUpload => [0xA1, 0, 0, 0, 0, 0, 0, 0],
-        };
-        frame(cob::sdo_request(node), bytes)
+        }
     }
 
-    /// `None` unless it is a frame of 8 bytes to the server `node`, with a command specifier of block
-    /// transfer. In the middle of a sub-block of a download it may be a [`Segment`] all the same.
-    pub fn decode(frame: &Frame, node: NodeId) -> Option<Self> {
-        let bytes: [u8; 8] = payload(frame, cob::sdo_request(node))?.try_into().ok()?;
+    /// `None` for a command specifier that is none of block transfer.
+    pub(super) fn decode(bytes: [u8; 8]) -> Option<Self> {
         let (object, crc, size) = (object(bytes), has_crc(bytes), size(bytes));
         Some(match bytes[0] {
             0xA0 | 0xA4 => Self::InitiateUpload {
@@ -240,9 +235,8 @@ impl Request {
 }
 
 impl Response {
-    /// The frame from the server `node`.
-    pub fn encode(self, node: NodeId) -> Frame {
-        let bytes = match self {
+    pub(super) fn encode(self) -> [u8; 8] {
+        match self {
             Self::InitiateDownload {
                 object,
                 crc,
@@ -252,14 +246,11 @@ impl Response {
             Self::EndDownload => [0xA1, 0, 0, 0, 0, 0, 0, 0],
             Self::InitiateUpload { object, crc, size } => initiate(object, crc, size),
             Self::EndUpload(end) => end.encode(),
-        };
-        frame(cob::sdo_response(node), bytes)
+        }
     }
 
-    /// `None` unless it is a frame of 8 bytes from the server `node`, with a command specifier of block
-    /// transfer. In the middle of a sub-block of an upload it may be a [`Segment`] all the same.
-    pub fn decode(frame: &Frame, node: NodeId) -> Option<Self> {
-        let bytes: [u8; 8] = payload(frame, cob::sdo_response(node))?.try_into().ok()?;
+    /// `None` for a command specifier that is none of block transfer.
+    pub(super) fn decode(bytes: [u8; 8]) -> Option<Self> {
         let (object, crc, size) = (object(bytes), has_crc(bytes), size(bytes));
         Some(match bytes[0] {
             0xA0 | 0xA4 => Self::InitiateDownload {
@@ -322,7 +313,7 @@ mod tests {
     use super::*;
     use crate::objects::DEVICE_NAME;
     use crate::parse;
-    use crate::sdo;
+    use crate::{NodeId, cob, sdo};
 
     const NODE: NodeId = NodeId::new(2).unwrap();
     const ACKNOWLEDGE: Acknowledge = Acknowledge {
@@ -371,8 +362,9 @@ mod tests {
             (Request::EndUpload, "602#A100000000000000"),
         ];
         for (request, bytes) in table {
+            let request = sdo::Request::Block(request);
             assert_eq!(request.encode(NODE).to_string(), bytes);
-            assert_eq!(Request::decode(&parse(bytes), NODE), Some(request));
+            assert_eq!(sdo::Request::decode(&parse(bytes), NODE), Some(request));
         }
     }
 
@@ -400,8 +392,9 @@ mod tests {
             (Response::EndUpload(end(6)), "582#D9C3310000000000"),
         ];
         for (response, bytes) in table {
+            let response = sdo::Response::Block(response);
             assert_eq!(response.encode(NODE).to_string(), bytes);
-            assert_eq!(Response::decode(&parse(bytes), NODE), Some(response));
+            assert_eq!(sdo::Response::decode(&parse(bytes), NODE), Some(response));
         }
     }
 
@@ -440,7 +433,8 @@ mod tests {
             Request::StartUpload,
             Request::EndUpload,
         ] {
-            assert!(Segment::decode(&request.encode(NODE), id).is_some());
+            let frame = sdo::Request::Block(request).encode(NODE);
+            assert!(Segment::decode(&frame, id).is_some());
         }
     }
 
@@ -448,29 +442,23 @@ mod tests {
     fn other_specifiers_lengths_and_identifiers_are_refused() {
         for first in (0..=0x9F).chain(0xA5..=0xBF).chain(0xE0..=0xFF) {
             let bytes = [first, 0x08, 0x10, 0, 1, 0, 0, 0];
-            let request = Frame::new(cob::sdo_request(NODE), &bytes).unwrap();
-            assert_eq!(Request::decode(&request, NODE), None, "{first:#04x}");
-            let response = Frame::new(cob::sdo_response(NODE), &bytes).unwrap();
-            assert_eq!(Response::decode(&response, NODE), None, "{first:#04x}");
+            assert_eq!(Request::decode(bytes), None, "{first:#04x}");
+            assert_eq!(Response::decode(bytes), None, "{first:#04x}");
         }
-        assert_eq!(Response::decode(&parse("582#A300000000000000"), NODE), None);
+        assert_eq!(Response::decode([0xA3, 0, 0, 0, 0, 0, 0, 0]), None);
         for text in ["602#A1000000000000", "603#A100000000000000", "602#"] {
-            assert_eq!(Request::decode(&parse(text), NODE), None, "{text}");
-            assert_eq!(Segment::decode(&parse(text), cob::sdo_request(NODE)), None);
+            let frame = parse(text);
+            assert_eq!(sdo::Request::decode(&frame, NODE), None, "{text}");
+            assert_eq!(Segment::decode(&frame, cob::sdo_request(NODE)), None);
         }
-        assert_eq!(Request::decode(&parse("582#A100000000000000"), NODE), None);
-        assert_eq!(Response::decode(&parse("602#A100000000000000"), NODE), None);
     }
 
     #[test]
     fn bits_and_bytes_that_are_not_used_are_ignored() {
-        let frame = parse("602#D5C331AA55AA55AA");
-        assert_eq!(
-            Request::decode(&frame, NODE),
-            Some(Request::EndDownload(end(5)))
-        );
-        let frame = parse("582#C008100009000000");
-        let Some(Response::InitiateUpload { size, .. }) = Response::decode(&frame, NODE) else {
+        let bytes = [0xD5, 0xC3, 0x31, 0xAA, 0x55, 0xAA, 0x55, 0xAA];
+        assert_eq!(Request::decode(bytes), Some(Request::EndDownload(end(5))));
+        let bytes = [0xC0, 0x08, 0x10, 0, 9, 0, 0, 0];
+        let Some(Response::InitiateUpload { size, .. }) = Response::decode(bytes) else {
             panic!("it begins an upload");
         };
         assert_eq!(size, None);

@@ -1,8 +1,9 @@
-//! Frames of expedited and segmented SDO transfer (CiA 301 §7.2.4.3.3 to §7.2.4.3.7, abort §7.2.4.3.17).
+//! Frames of SDO: expedited and segmented transfer (CiA 301 §7.2.4.3.3 to §7.2.4.3.7), abort (§7.2.4.3.17), and
+//! [block transfer](super::block).
 
 use can::Frame;
 
-use super::AbortCode;
+use super::{AbortCode, block};
 use crate::{NodeId, Object, cob, frame, payload};
 
 /// A request of the client, on `0x600 + node`.
@@ -34,8 +35,10 @@ pub enum Request {
         /// The reason.
         code: AbortCode,
     },
-    /// Any other command specifier, for example of [block transfer](super::block).
-    Unsupported(Unsupported),
+    /// Of block transfer. In the middle of a sub-block the frame may be a [`block::Segment`] all the same.
+    Block(block::Request),
+    /// Any other command specifier, kept byte for byte.
+    Unsupported([u8; 8]),
 }
 
 /// An answer of the server, on `0x580 + node`.
@@ -67,8 +70,10 @@ pub enum Response {
         /// The reason.
         code: AbortCode,
     },
-    /// Any other command specifier, for example of [block transfer](super::block).
-    Unsupported(Unsupported),
+    /// Of block transfer. In the middle of a sub-block the frame may be a [`block::Segment`] all the same.
+    Block(block::Response),
+    /// Any other command specifier, kept byte for byte.
+    Unsupported([u8; 8]),
 }
 
 /// Contents of the first frame of a transfer.
@@ -198,22 +203,6 @@ impl Segment {
     }
 }
 
-/// A frame whose command specifier has no other variant, kept byte for byte.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Unsupported(pub [u8; 8]);
-
-impl Unsupported {
-    /// Byte 0.
-    pub const fn specifier(self) -> u8 {
-        self.0[0]
-    }
-
-    /// Bytes 1 to 3 read as an address, as in every frame that begins a transfer.
-    pub fn object(self) -> Object {
-        object(self.0)
-    }
-}
-
 impl Request {
     /// The frame to the server `node`.
     pub fn encode(&self, node: NodeId) -> Frame {
@@ -223,7 +212,8 @@ impl Request {
             Self::InitiateUpload { object } => addressed(0x40, object, [0; 4]),
             Self::UploadSegment { toggle } => [0x60 | toggle_bit(toggle), 0, 0, 0, 0, 0, 0, 0],
             Self::Abort { object, code } => addressed(0x80, object, code.0.to_le_bytes()),
-            Self::Unsupported(Unsupported(bytes)) => bytes,
+            Self::Block(block) => block.encode(),
+            Self::Unsupported(bytes) => bytes,
         };
         frame(cob::sdo_request(node), bytes)
     }
@@ -239,7 +229,10 @@ impl Request {
             0x40 => Self::InitiateUpload { object },
             0x60 | 0x70 => Self::UploadSegment { toggle },
             0x80 => Self::Abort { object, code },
-            _ => Self::Unsupported(Unsupported(bytes)),
+            _ => match block::Request::decode(bytes) {
+                Some(block) => Self::Block(block),
+                None => Self::Unsupported(bytes),
+            },
         })
     }
 }
@@ -253,7 +246,8 @@ impl Response {
             Self::InitiateUpload { object, initiate } => initiate.encode(0x40, object),
             Self::UploadSegment(segment) => segment.encode(),
             Self::Abort { object, code } => addressed(0x80, object, code.0.to_le_bytes()),
-            Self::Unsupported(Unsupported(bytes)) => bytes,
+            Self::Block(block) => block.encode(),
+            Self::Unsupported(bytes) => bytes,
         };
         frame(cob::sdo_response(node), bytes)
     }
@@ -269,7 +263,10 @@ impl Response {
             0x40..=0x4F => Self::InitiateUpload { object, initiate },
             0x60 => Self::InitiateDownload { object },
             0x80 => Self::Abort { object, code },
-            _ => Self::Unsupported(Unsupported(bytes)),
+            _ => match block::Response::decode(bytes) {
+                Some(block) => Self::Block(block),
+                None => Self::Unsupported(bytes),
+            },
         })
     }
 }
@@ -416,8 +413,8 @@ mod tests {
                 "602#8041600000000405",
             ),
             (
-                Request::Unsupported(Unsupported([0xC6, 0x08, 0x10, 0, 7, 0, 0, 0])),
-                "602#C608100007000000",
+                Request::Unsupported([0xE6, 0x08, 0x10, 0, 7, 0, 0, 0]),
+                "602#E608100007000000",
             ),
         ];
         for (request, bytes) in table {
@@ -517,23 +514,18 @@ mod tests {
     }
 
     #[test]
-    fn block_transfer_and_unknown_specifiers_are_kept_whole() {
-        for specifier in [0x50, 0x90, 0xA0, 0xA2, 0xC1, 0xC6, 0xE0, 0xFF] {
+    fn unknown_specifiers_are_kept_whole() {
+        for specifier in [0x50, 0x90, 0xA5, 0xC3, 0xE0, 0xFF] {
             let bytes = [specifier, 0x08, 0x10, 0x03, 1, 2, 3, 4];
-            let kept = Unsupported(bytes);
-            assert_eq!(
-                (kept.specifier(), kept.object()),
-                (specifier, Object::new(0x1008, 3))
-            );
             let frame = Frame::new(cob::sdo_request(NODE), &bytes).unwrap();
             assert_eq!(
                 Request::decode(&frame, NODE),
-                Some(Request::Unsupported(kept))
+                Some(Request::Unsupported(bytes))
             );
             let frame = Frame::new(cob::sdo_response(NODE), &bytes).unwrap();
             assert_eq!(
                 Response::decode(&frame, NODE),
-                Some(Response::Unsupported(kept))
+                Some(Response::Unsupported(bytes))
             );
         }
     }

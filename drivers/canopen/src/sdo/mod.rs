@@ -9,5 +9,5 @@ mod layout;
 mod server;
 
 pub use abort::AbortCode;
-pub use layout::{Expedited, Initiate, Request, Response, Segment, Unsupported, Write};
+pub use layout::{Expedited, Initiate, Request, Response, Segment, Write};
 pub use server::{Dictionary, MAX_SIZE, Server};

@@ -11,7 +11,7 @@ use std::time::Duration;
 use can::{Frame, Instant};
 
 use super::block::MAX_BLOCK_SIZE;
-use super::{AbortCode, Expedited, Initiate, Request, Response, Segment, block};
+use super::{AbortCode, Expedited, Initiate, Request, Response, Segment, block, layout};
 use crate::{NodeId, Object, cob};
 
 /// The longest object a server transfers, bytes: a whole number of a block transfer's segments.
@@ -89,19 +89,15 @@ impl Server {
         dictionary: &mut D,
         now: Instant,
     ) -> Option<Frame> {
-        if self.receives_blocks()
+        let answer = if self.receives_blocks()
             && let Some(segment) = block::Segment::decode(frame, cob::sdo_request(node))
         {
-            return self.take_of_block(segment, node, now);
-        }
-        let request = Request::decode(frame, node)?;
-        if matches!(request, Request::Unsupported(_))
-            && let Some(request) = block::Request::decode(frame, node)
-        {
-            return self.handle_block(request, node, dictionary, now);
-        }
-        let answer = self.handle(request, dictionary, now)?;
-        Some(answer.encode(node))
+            let answer = self.append(segment, now);
+            self.answer(self.object(), answer)
+        } else {
+            self.handle(Request::decode(frame, node)?, dictionary, now)
+        };
+        Some(answer?.encode(node))
     }
 
     /// Forgets the transfer in progress.
@@ -109,7 +105,7 @@ impl Server {
         self.transfer = None;
     }
 
-    /// Takes a request that is none of block transfer and answers it. An abort has no answer.
+    /// Takes a request and answers it. An abort has no answer.
     fn handle<D: Dictionary>(
         &mut self,
         request: Request,
@@ -122,24 +118,37 @@ impl Server {
                 return None;
             }
             Request::InitiateDownload { object, initiate } => {
-                (object, self.download(object, initiate, dictionary, now))
+                let answer = self.download(object, initiate, dictionary, now);
+                (object, answer.map(Some))
             }
-            Request::InitiateUpload { object } => (object, self.upload(object, dictionary, now)),
+            Request::InitiateUpload { object } => {
+                (object, self.upload(object, dictionary, now).map(Some))
+            }
             Request::DownloadSegment(segment) => {
-                (self.object(), self.take(segment, dictionary, now))
+                let answer = self.take(segment, dictionary, now);
+                (self.object(), answer.map(Some))
             }
-            Request::UploadSegment { toggle } => (self.object(), self.give(toggle, now)),
-            Request::Unsupported(unsupported) => {
-                let object = self
-                    .transfer
-                    .map_or(unsupported.object(), |transfer| transfer.object);
+            Request::UploadSegment { toggle } => (self.object(), self.give(toggle, now).map(Some)),
+            Request::Block(request) => self.handle_block(request, dictionary, now),
+            Request::Unsupported(bytes) => {
+                let transferred = self.transfer.map(|transfer| transfer.object);
+                let object = transferred.unwrap_or_else(|| layout::object(bytes));
                 (object, Err(AbortCode::COMMAND_SPECIFIER))
             }
         };
-        Some(answer.unwrap_or_else(|code| {
+        self.answer(object, answer)
+    }
+
+    /// The answer to a request about `object`. An error ends the transfer.
+    fn answer(
+        &mut self,
+        object: Object,
+        answer: Result<Option<Response>, AbortCode>,
+    ) -> Option<Response> {
+        answer.unwrap_or_else(|code| {
             self.transfer = None;
-            Response::Abort { object, code }
-        }))
+            Some(Response::Abort { object, code })
+        })
     }
 
     /// When the transfer in progress times out.
@@ -190,11 +199,7 @@ impl Server {
                 dictionary.write(object, &data.data()[..size])?;
             }
             Initiate::Segmented { size } => {
-                let size = size.map(|size| size as usize);
-                if size.is_some_and(|size| size > MAX_SIZE) {
-                    return Err(AbortCode::OUT_OF_MEMORY);
-                }
-                dictionary.check_write(object)?;
+                let size = check_download(object, size, dictionary)?;
                 self.begin(object, Direction::Download { size }, now);
             }
         }
@@ -277,6 +282,20 @@ impl Server {
         }
         Ok(Response::UploadSegment(segment))
     }
+}
+
+/// The announced size of a download, if there is room for it and the object can be written.
+fn check_download<D: Dictionary>(
+    object: Object,
+    size: Option<u32>,
+    dictionary: &D,
+) -> Result<Option<usize>, AbortCode> {
+    let size = size.map(|size| size as usize);
+    if size.is_some_and(|size| size > MAX_SIZE) {
+        return Err(AbortCode::OUT_OF_MEMORY);
+    }
+    dictionary.check_write(object)?;
+    Ok(size)
 }
 
 #[cfg(test)]

@@ -131,7 +131,7 @@ impl CanAxis {
             goal: Goal::Off,
             answers: 0,
             unsettled_since: None,
-            power: PowerStateMachine::new(),
+            power: PowerStateMachine::default(),
             search: Search::default(),
             modes: ModeSwitch::settled(config.mode.of_operation()),
             telling: false,
@@ -149,7 +149,7 @@ impl CanAxis {
 
     /// The statusword without bit 15, unless the drive is maxon's: the meaning of this bit is vendor-specific.
     fn homing_word(&self, word: Statusword) -> Statusword {
-        let told = self.config.identity.vendor == MAXON && word.epos_referenced();
+        let told = self.config.identity.vendor == MAXON && word.has(Statusword::EPOS_REFERENCED);
         word.with(Statusword::EPOS_REFERENCED, told)
     }
 

@@ -5,7 +5,7 @@ use canopen::cia402::{ModeOfOperation, PowerState, Statusword, SupportedModes};
 use canopen::objects::{DEVICE_TYPE, MODE_OF_OPERATION_DISPLAY};
 use canopen::sdo::{AbortCode, Write};
 use canopen::{NodeId, Object, nmt};
-use master::sdo::{Client, SdoError, Transfer};
+use master::sdo::{Client, SdoCause, SdoError, Transfer};
 
 use super::axis::Learnt;
 use super::config::{AxisConfig, ConfigError, GroupConfig, Setting};
@@ -269,7 +269,10 @@ impl NodeBringUp {
     ) -> Result<Next, BringUpError> {
         let node = self.node.raw();
         let abort = match &result {
-            Err(SdoError::Aborted { code, .. }) => Some(*code),
+            Err(SdoError {
+                cause: SdoCause::Aborted { code },
+                ..
+            }) => Some(*code),
             _ => None,
         };
         let absent = matches!(abort, Some(AbortCode::NO_OBJECT | AbortCode::NO_SUBINDEX));
@@ -440,10 +443,10 @@ pub(super) fn begin(sdo: &mut Client, object: Object, write: Option<Write>, now:
 }
 
 fn error_of(node: NodeId, error: SdoError) -> BringUpError {
-    let (object, AbortCode(code)) = (error.object(), error.abort_code());
+    let (object, AbortCode(code)) = (error.object, error.cause.abort_code());
     let node = node.raw();
-    match error {
-        SdoError::TimedOut { waited, .. } => BringUpError::TimedOut {
+    match error.cause {
+        SdoCause::TimedOut { waited } => BringUpError::TimedOut {
             node,
             object,
             waited,

@@ -78,10 +78,10 @@ impl Search {
     /// search until it stands, and then to be interrupted. An interruption is therefore accepted only once the drive
     /// had time to begin.
     pub(super) fn answered(&mut self, word: Statusword) {
-        if self.kept && !word.epos_referenced() {
+        if self.kept && !word.has(Statusword::EPOS_REFERENCED) {
             self.attained = false;
         }
-        self.kept = word.epos_referenced();
+        self.kept = word.has(Statusword::EPOS_REFERENCED);
         self.may_set_counter = if self.needs_homing_mode() {
             ANSWERS_TO_EFFECT + 1
         } else {
@@ -93,7 +93,7 @@ impl Search {
                 *answers = answers.saturating_add(1);
                 let had_time = *answers > ANSWERS_TO_EFFECT;
                 let timely = *begun || had_time;
-                let attained = match word.homing() {
+                let attained = match HomingStatus::of(word) {
                     HomingStatus::InProgress => {
                         *begun = true;
                         None

@@ -574,7 +574,7 @@ impl Node {
         };
         let value = result
             .map(|transfer| bring_up::number(transfer.data))
-            .map_err(|error| error.abort_code().0);
+            .map_err(|error| error.cause.abort_code().0);
         self.axis.served(service, value);
     }
 }

@@ -16,7 +16,7 @@ fn at(millis: u64) -> Instant {
 }
 
 fn started(service: Service) -> Master {
-    let mut master = Master::new();
+    let mut master = Master::default();
     master.start(service, TIME_OUT, at(0)).unwrap();
     master
 }

@@ -2,7 +2,7 @@
 
 use can::{Frame, Instant};
 
-use super::{Client, SdoError, Start, TransferState};
+use super::{Client, SdoCause, Start, TransferState};
 use canopen::cob;
 use canopen::sdo::block::{
     Acknowledge, End, MAX_BLOCK_SIZE, Request, Response, SEGMENT, Segment, checksum,
@@ -24,10 +24,7 @@ pub(super) enum BlockState {
     UploadInitiated,
     Upload(Receiving),
     /// All segments came; the checksum is due.
-    UploadEnd {
-        crc: bool,
-        announced: Option<usize>,
-    },
+    UploadEnd(Receiving),
     DownloadInitiated,
     Download(Sending),
     /// The checksum was sent.
@@ -77,7 +74,7 @@ impl Client {
             block_size: MAX_BLOCK_SIZE,
             threshold: THRESHOLD as u8,
         };
-        self.send_block(request, now);
+        self.send(sdo::Request::Block(request), now);
     }
 
     /// Sends the first frame of a download.
@@ -88,7 +85,7 @@ impl Client {
             crc: true,
             size: u32::try_from(self.length).ok(),
         };
-        self.send_block(request, now);
+        self.send(sdo::Request::Block(request), now);
     }
 
     /// Takes a frame in the course of a block transfer.
@@ -111,18 +108,16 @@ impl Client {
             ) if object == self.object => {
                 self.upload_initiated(initiate, now);
             }
-            _ => {
-                if let Some(response) = Response::decode(frame, self.node) {
-                    self.handle_block_response(state, response, now);
-                }
+            (_, Some(sdo::Response::Block(response))) => {
+                self.handle_block_response(state, response, now);
             }
+            _ => {}
         }
     }
 
     /// Falls back to segmented transfer if the server refuses block transfer. Repeats the request if the server
     /// missed an abort and took the request for a segment of the abandoned sub-block.
     fn aborted(&mut self, state: BlockState, code: AbortCode, now: Instant) {
-        let object = self.object;
         match (state, code) {
             (BlockState::UploadInitiated, AbortCode::COMMAND_SPECIFIER) => {
                 self.start = Start::Upload;
@@ -136,7 +131,7 @@ impl Client {
             ) if self.retries_left > 0 => {
                 self.retries_left -= 1;
             }
-            _ => return self.finish(Err(SdoError::Aborted { object, code })),
+            _ => return self.finish(Err(SdoCause::Aborted { code })),
         }
         self.initiate(now);
     }
@@ -155,11 +150,11 @@ impl Client {
                         highest: 0,
                         stalls: 0,
                     }));
-                    self.send_block(Request::StartUpload, now);
+                    self.send(sdo::Request::Block(Request::StartUpload), now);
                 }
             }
-            (BlockState::UploadEnd { crc, announced }, Response::EndUpload(end)) => {
-                self.block_upload_ended(crc, announced, end);
+            (BlockState::UploadEnd(receiving), Response::EndUpload(end)) => {
+                self.block_upload_ended(receiving, end);
             }
             (
                 BlockState::DownloadInitiated,
@@ -188,7 +183,7 @@ impl Client {
             (
                 BlockState::UploadInitiated
                 | BlockState::Upload(_)
-                | BlockState::UploadEnd { .. }
+                | BlockState::UploadEnd(_)
                 | BlockState::DownloadInitiated
                 | BlockState::Download(_)
                 | BlockState::DownloadEnd,
@@ -198,7 +193,7 @@ impl Client {
     }
 
     fn block_segment_received(&mut self, mut receiving: Receiving, segment: Segment, now: Instant) {
-        let (object, sequence) = (self.object, segment.sequence());
+        let sequence = segment.sequence();
         // After a late acknowledgement the rest of the sub-block before may still come.
         if sequence > receiving.block_size {
             return;
@@ -209,11 +204,7 @@ impl Client {
             if let Some(expected) = receiving.announced
                 && found > expected.max(1).next_multiple_of(SEGMENT)
             {
-                return self.fail(SdoError::Length {
-                    object,
-                    expected,
-                    found,
-                });
+                return self.fail(SdoCause::Length { expected, found });
             }
             if found > self.buffer.len() {
                 return self.too_large(found);
@@ -243,8 +234,7 @@ impl Client {
         let lost = receiving.in_order < receiving.highest;
         self.acknowledge(receiving, lost, now);
         if complete {
-            let Receiving { crc, announced, .. } = receiving;
-            self.state = TransferState::Block(BlockState::UploadEnd { crc, announced });
+            self.state = TransferState::Block(BlockState::UploadEnd(receiving));
         }
     }
 
@@ -275,41 +265,38 @@ impl Client {
             sequence: receiving.in_order,
             block_size,
         };
-        self.send_block(Request::Acknowledge(acknowledge), now);
+        self.send(sdo::Request::Block(Request::Acknowledge(acknowledge)), now);
     }
 
-    fn block_upload_ended(&mut self, crc: bool, announced: Option<usize>, end: End) {
-        let object = self.object;
+    fn block_upload_ended(&mut self, receiving: Receiving, end: End) {
         let found = self.length - end.unused();
         let sum = checksum(&self.buffer[..found]);
-        match announced {
-            Some(expected) if found != expected => self.fail(SdoError::Length {
-                object,
-                expected,
-                found,
-            }),
+        match receiving.announced {
+            Some(expected) if found != expected => {
+                self.fail(SdoCause::Length { expected, found });
+            }
             _ if found > self.capacity => self.too_large(found),
-            _ if crc && sum != end.crc => self.fail(SdoError::Crc {
-                object,
+            _ if receiving.crc && sum != end.crc => self.fail(SdoCause::Crc {
                 expected: end.crc,
                 found: sum,
             }),
             _ => {
                 self.length = found;
                 self.finish(Ok(()));
-                self.ending = Some(Request::EndUpload.encode(self.node));
+                let end = sdo::Request::Block(Request::EndUpload);
+                self.ending = Some(end.encode(self.node));
             }
         }
     }
 
     /// Gets a sub-block ready to be sent, segment by segment.
     fn send_sub_block(&mut self, sending: Sending, now: Instant) {
-        let (object, block_size) = (self.object, sending.block_size);
+        let block_size = sending.block_size;
         if (1..=MAX_BLOCK_SIZE).contains(&block_size) {
             self.state = TransferState::Block(BlockState::Download(sending));
             self.deadline = now + self.timeout;
         } else {
-            self.fail(SdoError::BlockSize { object, block_size });
+            self.fail(SdoCause::BlockSize { block_size });
         }
     }
 
@@ -336,19 +323,18 @@ impl Client {
     ///
     /// It may say so before the sub-block is complete, if it saw a gap.
     fn sub_block_acknowledged(&mut self, sending: Sending, acknowledge: Acknowledge, now: Instant) {
-        let (object, sequence) = (self.object, acknowledge.sequence);
+        let (sequence, sent) = (acknowledge.sequence, sending.sent);
         let from = sending.from + SEGMENT * usize::from(sequence);
-        if sequence > sending.sent {
-            self.fail(SdoError::Sequence {
-                object,
-                sequence,
-                sent: sending.sent,
-            });
+        if sequence > sent {
+            self.fail(SdoCause::Sequence { sequence, sent });
         } else if from >= self.length {
             let data = &self.buffer[..self.length];
             let crc = if sending.crc { checksum(data) } else { 0 };
             self.state = TransferState::Block(BlockState::DownloadEnd);
-            self.send_block(Request::EndDownload(End::of(self.length, crc)), now);
+            self.send(
+                sdo::Request::Block(Request::EndDownload(End::of(self.length, crc))),
+                now,
+            );
         } else if sequence > 0 || sending.stalls < self.retries {
             let stalls = if sequence > 0 { 0 } else { sending.stalls + 1 };
             let sending = Sending {
@@ -362,10 +348,6 @@ impl Client {
         } else {
             self.start_anew(now);
         }
-    }
-
-    fn send_block(&mut self, request: Request, now: Instant) {
-        self.send_frame(request.encode(self.node), now);
     }
 }
 

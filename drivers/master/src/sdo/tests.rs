@@ -175,7 +175,7 @@ fn a_broken_upload_is_aborted() {
                 "582#1045504F53342035",
                 "602#8008100000000305",
             ],
-            SdoError::Toggle { object },
+            SdoCause::Toggle.of(object),
         ),
         (
             &[
@@ -185,11 +185,11 @@ fn a_broken_upload_is_aborted() {
                 "582#0145504F53342035",
                 "602#8008100010000706",
             ],
-            SdoError::Length {
-                object,
+            SdoCause::Length {
                 expected: 10,
                 found: 7,
-            },
+            }
+            .of(object),
         ),
         (
             &[
@@ -201,11 +201,11 @@ fn a_broken_upload_is_aborted() {
                 "582#1745504F53000000",
                 "602#8008100010000706",
             ],
-            SdoError::Length {
-                object,
+            SdoCause::Length {
                 expected: 10,
                 found: 11,
-            },
+            }
+            .of(object),
         ),
         (
             &[
@@ -215,29 +215,26 @@ fn a_broken_upload_is_aborted() {
                 "582#0E00000000000000",
                 "602#8008100000000008",
             ],
-            SdoError::EmptySegment { object },
+            SdoCause::EmptySegment.of(object),
         ),
         (
             &[ask, "582#4108100001010000", "602#8008100005000405"],
-            SdoError::TooLarge {
-                object,
+            SdoCause::TooLarge {
                 size: 257,
                 capacity: CAPACITY,
-            },
+            }
+            .of(object),
         ),
         (
             &[ask, "582#C20810000A000000", "602#8008100001000405"],
-            SdoError::Specifier {
-                object,
-                specifier: 0xC2,
-            },
+            SdoCause::Specifier { specifier: 0xC2 }.of(object),
         ),
         (
             &[ask, "582#8008100000000206"],
-            SdoError::Aborted {
-                object,
+            SdoCause::Aborted {
                 code: AbortCode::NO_OBJECT,
-            },
+            }
+            .of(object),
         ),
     ];
     for (dialogue, error) in table {
@@ -258,11 +255,11 @@ fn an_upload_of_unknown_size_is_bounded() {
     }
     let frame = Response::UploadSegment(Segment::new(&[7; 7], false, false).unwrap());
     client.handle(&frame.encode(NODE), at(0));
-    let error = SdoError::TooLarge {
-        object: DEVICE_NAME,
+    let error = SdoCause::TooLarge {
         size: 259,
         capacity: CAPACITY,
-    };
+    }
+    .of(DEVICE_NAME);
     assert_eq!(client.poll(), Some(Err(error)));
 }
 
@@ -275,9 +272,7 @@ fn a_download_confirmed_with_the_wrong_toggle_is_aborted() {
         "582#3000000000000000",
         "602#8008100000000305",
     ];
-    let error = SdoError::Toggle {
-        object: DEVICE_NAME,
-    };
+    let error = SdoCause::Toggle.of(DEVICE_NAME);
     assert_eq!(write(DEVICE_NAME, &[1; 8], &dialogue), Err(error));
 }
 
@@ -300,10 +295,7 @@ fn a_silent_server_is_asked_again_a_counted_number_of_times() {
     let waited = Duration::from_millis(1500);
     assert_eq!(
         client.poll(),
-        Some(Err(SdoError::TimedOut {
-            object: STATUSWORD,
-            waited
-        }))
+        Some(Err(SdoCause::TimedOut { waited }.of(STATUSWORD)))
     );
     assert_eq!(client.poll_timeout(), None);
 }
@@ -409,11 +401,7 @@ fn numbers_are_read_in_the_size_of_their_type() {
     let transfer = sized.poll().unwrap().unwrap();
     assert_eq!(transfer.number(), Ok(0xFFFEu16));
     assert_eq!(transfer.number(), Ok(-2i16));
-    let length = |expected, found| SdoError::Length {
-        object: STATUSWORD,
-        expected,
-        found,
-    };
+    let length = |expected, found| SdoCause::Length { expected, found }.of(STATUSWORD);
     assert_eq!(transfer.number::<u32>(), Err(length(4, 2)));
     assert_eq!(transfer.number::<i8>(), Err(length(1, 2)));
     let mut unsized_ = answer("582#42416000FEFF0000");
@@ -428,25 +416,22 @@ fn errors_name_the_object_and_both_sides() {
     let object = STATUSWORD;
     let table = [
         (
-            SdoError::Aborted {
-                object,
+            SdoCause::Aborted {
                 code: AbortCode::NO_OBJECT,
-            },
+            }
+            .of(object),
             "0x6041:00 aborted by the server: 0x06020000 (object does not exist)",
         ),
         (
-            SdoError::TimedOut {
-                object,
-                waited: TIME_OUT,
-            },
+            SdoCause::TimedOut { waited: TIME_OUT }.of(object),
             "0x6041:00 timed out after 500.0ms",
         ),
         (
-            SdoError::Length {
-                object,
+            SdoCause::Length {
                 expected: 4,
                 found: 2,
-            },
+            }
+            .of(object),
             "0x6041:00 has 2 bytes, expected 4",
         ),
     ];

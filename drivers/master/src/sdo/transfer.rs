@@ -1,6 +1,6 @@
 //! Results of SDO transfers.
 
-use super::SdoError;
+use super::{SdoCause, SdoError};
 use canopen::Object;
 
 /// A transfer that succeeded: what was read, or what was written.
@@ -25,11 +25,8 @@ impl Transfer<'_> {
         } else {
             self.data
         };
-        T::from_le(data).ok_or(SdoError::Length {
-            object: self.object,
-            expected: T::BYTES,
-            found: data.len(),
-        })
+        let (expected, found) = (T::BYTES, data.len());
+        T::from_le(data).ok_or(SdoCause::Length { expected, found }.of(self.object))
     }
 
     /// Whether what was read back is `wrote`. A server that does not give sizes fills up to four bytes.

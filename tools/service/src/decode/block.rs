@@ -1,16 +1,16 @@
 //! Text of the frames of an SDO block transfer.
 
 use can::Frame;
+use canopen::Object;
 use canopen::sdo::block;
-use canopen::{NodeId, Object};
 
 use super::{bytes, named, transfer};
 
-pub(super) fn request(frame: &Frame, node: NodeId) -> Option<String> {
+pub(super) fn request(request: block::Request) -> String {
     use block::Request::{
         Acknowledge, EndDownload, EndUpload, InitiateDownload, InitiateUpload, StartUpload,
     };
-    Some(match block::Request::decode(frame, node)? {
+    match request {
         InitiateDownload { object, size, .. } => {
             format!("write {} in blocks{}", named(object), of_size(size))
         }
@@ -21,12 +21,12 @@ pub(super) fn request(frame: &Frame, node: NodeId) -> Option<String> {
         Acknowledge(taken) => acknowledged(&taken),
         EndDownload(end) => format!("end of blocks, checksum {:#06x}", end.crc),
         EndUpload => "end of blocks taken".to_owned(),
-    })
+    }
 }
 
-pub(super) fn response(frame: &Frame, node: NodeId) -> Option<String> {
+pub(super) fn response(response: block::Response) -> String {
     use block::Response::{Acknowledge, EndDownload, EndUpload, InitiateDownload, InitiateUpload};
-    Some(match block::Response::decode(frame, node)? {
+    match response {
         InitiateDownload {
             object, block_size, ..
         } => format!("{}, in blocks of {block_size}", named(object)),
@@ -36,7 +36,7 @@ pub(super) fn response(frame: &Frame, node: NodeId) -> Option<String> {
         Acknowledge(taken) => acknowledged(&taken),
         EndUpload(end) => format!("end of blocks, checksum {:#06x}", end.crc),
         EndDownload => "end of blocks taken".to_owned(),
-    })
+    }
 }
 
 /// Text of a segment of a block transfer; `object` is the transferred object, if known.

@@ -10,7 +10,7 @@ pub(super) fn request(frame: &Frame) -> Option<String> {
         lss::Request::SwitchGlobal(Mode::Waiting) => "all nodes to waiting".to_owned(),
         lss::Request::SwitchGlobal(Mode::Configuration) => "all nodes to configuration".to_owned(),
         lss::Request::SwitchSelective { part, value } => {
-            format!("select {} {value:#010x}", words::identity_part(part))
+            format!("select {part} {value:#010x}")
         }
         lss::Request::ConfigureNodeId {
             node_id: lss::UNCONFIGURED,
@@ -28,7 +28,7 @@ pub(super) fn request(frame: &Frame) -> Option<String> {
             format!("activate bit timing after {delay_ms} ms")
         }
         lss::Request::Store => "store".to_owned(),
-        lss::Request::Inquire(part) => format!("inquire {}", words::identity_part(part)),
+        lss::Request::Inquire(part) => format!("inquire {part}"),
         lss::Request::InquireNodeId => "inquire node-ID".to_owned(),
         lss::Request::Identify { bound, value } => {
             format!("identify, {bound:?} {value:#010x}")
@@ -39,7 +39,7 @@ pub(super) fn request(frame: &Frame) -> Option<String> {
         }
         lss::Request::Fastscan(scan) => {
             let part = Part::ALL.into_iter().find(|part| part.index() == scan.sub);
-            let part = part.map_or("number", words::identity_part);
+            let part = part.map_or("number".to_owned(), |part| part.to_string());
             format!(
                 "fastscan {part} {:#010x} down to bit {}",
                 scan.number, scan.bit
@@ -60,7 +60,7 @@ pub(super) fn response(frame: &Frame) -> Option<String> {
         }
         lss::Response::Stored(outcome) => format!("store: {}", words::lss_outcome(outcome)),
         lss::Response::Inquired { part, value } => {
-            format!("{} {value:#010x}", words::identity_part(part))
+            format!("{part} {value:#010x}")
         }
         lss::Response::NodeId {
             node_id: lss::UNCONFIGURED,

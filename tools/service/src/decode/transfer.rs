@@ -14,13 +14,11 @@
 //! A client that falls silent within a sub-block may continue it or start a new transfer. After [`QUIET`], a frame with
 //! the segment number that is due is [`Reading::Unknown`]. Any other command starts a new transfer.
 
-mod asked;
-
 use std::time::Duration;
 
-use asked::Asked;
 use can::{Frame, Instant};
-use canopen::sdo::block::MAX_BLOCK_SIZE;
+use canopen::sdo::block::{self, MAX_BLOCK_SIZE};
+use canopen::sdo::{Initiate, Request, Response};
 use canopen::{NodeId, Object};
 
 /// Silence of a channel after which neither side waits any longer. The value exceeds the time-outs of SDO clients in
@@ -38,16 +36,7 @@ pub(super) enum Reading {
     Unknown,
 }
 
-/// Direction of a transfer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Way {
-    /// The client sends the data.
-    Download,
-    /// The server sends the data.
-    Upload,
-}
-
-/// Sender of a frame.
+/// Sender of a frame. The client sends the data of a download, and the server the data of an upload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Side {
     Client,
@@ -70,10 +59,25 @@ enum SessionState {
     Block(Block),
 }
 
+/// Transfer that a client requests.
+#[derive(Clone, Copy, Debug)]
+enum Asked {
+    Expedited(Object),
+    DownloadSegments(Object),
+    UploadSegments(Object),
+    BlockDownload(Object),
+    BlockUpload {
+        object: Object,
+        /// Maximum number of segments in the first sub-block.
+        size: u8,
+    },
+}
+
 /// State of a block transfer.
 #[derive(Clone, Copy, Debug)]
 struct Block {
-    way: Way,
+    /// Sender of the data.
+    sender: Side,
     object: Option<Object>,
     stage: Stage,
     /// Maximum number of segments in the present sub-block.
@@ -134,20 +138,15 @@ impl Channel {
             return Reading::Command(None);
         }
         self.resolve(side, frame, quiet);
-        match (self.state, side) {
-            (SessionState::Unknown(_), _) => self.unknown(side, frame),
-            (SessionState::Block(block), Side::Client) if block.expects(Way::Download) => {
-                let other = Asked::of(frame, self.node).filter(|_| quiet);
-                match other {
+        match self.state {
+            SessionState::Unknown(_) => self.unknown(side, frame),
+            SessionState::Block(block) if block.expects(side) => {
+                match Asked::of(frame, self.node).filter(|_| quiet) {
                     Some(asked) if !block.is_next(frame) => self.ask(asked),
                     _ => self.segment(block, side, frame, quiet),
                 }
             }
-            (SessionState::Block(block), Side::Server) if block.expects(Way::Upload) => {
-                self.segment(block, side, frame, quiet)
-            }
-            (state, Side::Client) => self.command(state, frame),
-            (state, Side::Server) => self.answer(state, frame),
+            _ => self.command(side, frame),
         }
     }
 
@@ -164,30 +163,31 @@ impl Channel {
         let SessionState::Unknown(before) = self.state else {
             return;
         };
-        let resolved = match (before, side) {
+        let resolved = match before {
             _ if quiet => Some(SessionState::Idle),
-            (Some((Side::Client, request)), Side::Server) => self.answered(&request, frame),
-            (Some((Side::Server, response)), Side::Client) => acknowledged(&response, frame),
+            Some((earlier, before)) if earlier != side => self.answered(earlier, &before, frame),
             _ => None,
         };
         self.state = resolved.unwrap_or(self.state);
     }
 
-    /// State after `response` has answered `request`, if exactly one state is possible.
-    fn answered(&self, request: &Frame, response: &Frame) -> Option<SessionState> {
-        let asked = Asked::of(request, self.node);
-        if let Some(asked) = asked.filter(|asked| asked.is_answered(response, self.node)) {
+    /// State after a frame of `sender` and the answer of the other side, if exactly one state is possible.
+    fn answered(&self, sender: Side, frame: &Frame, answer: &Frame) -> Option<SessionState> {
+        let asked = Asked::of(frame, self.node);
+        if let Some(asked) = asked.filter(|asked| asked.begun(answer, self.node).is_some()) {
             return Some(SessionState::Asked(asked));
         }
-        match (first(request), first(response)) {
-            (0x00..=0x1F, 0x20 | 0x30) => Some(SessionState::DownloadSegments {
+        match (sender, first(frame), first(answer)) {
+            (Side::Client, 0x00..=0x1F, 0x20 | 0x30) => Some(SessionState::DownloadSegments {
                 object: None,
-                last: is_last_of_segments(request),
+                last: is_last_of_segments(frame),
             }),
-            (0x60 | 0x70, 0x00..=0x1F) => Some(SessionState::UploadSegments(None)),
-            (_, ACKNOWLEDGE) => Block::complete(Way::Download, request, response),
-            (0xA3, 0x01 | 0x81) => Some(Block::at(Way::Upload, Stage::Segments, MAX_BLOCK_SIZE)),
-            (end, 0xA1) if is_end(end) => Some(Block::at(Way::Download, Stage::Ended, 0)),
+            (Side::Client, 0x60 | 0x70, 0x00..=0x1F) => Some(SessionState::UploadSegments(None)),
+            (Side::Client, 0xA3, 0x01 | 0x81) => {
+                Some(Block::at(Side::Server, Stage::Segments, MAX_BLOCK_SIZE))
+            }
+            (_, _, ACKNOWLEDGE) => Block::complete(sender, frame, answer),
+            (_, end, 0xA1) if is_end(end) => Some(Block::at(sender, Stage::Ended, 0)),
             _ => None,
         }
     }
@@ -221,78 +221,139 @@ impl Channel {
         Reading::Command(None)
     }
 
-    /// Processes a frame of the client that is not a segment of a block transfer.
-    fn command(&mut self, state: SessionState, frame: &Frame) -> Reading {
+    /// Processes a frame that is not a segment of a block transfer.
+    fn command(&mut self, side: Side, frame: &Frame) -> Reading {
         if let Some(asked) = Asked::of(frame, self.node) {
-            return match state {
+            return match self.state {
                 // The server may still be sending the sub-block of the previous transfer.
-                SessionState::Block(block) if block.expects(Way::Upload) => {
-                    self.state = SessionState::Unknown(Some((Side::Client, *frame)));
+                SessionState::Block(block) if block.expects(Side::Server) => {
+                    self.state = SessionState::Unknown(Some((side, *frame)));
                     Reading::Command(None)
                 }
                 _ => self.ask(asked),
             };
         }
-        match (state, first(frame)) {
-            (SessionState::DownloadSegments { object, .. }, 0x00..=0x1F) => {
+        let (state, object) = match (self.state, side, first(frame)) {
+            (SessionState::Asked(asked), Side::Server, _) => (asked.begun(frame, self.node), None),
+            (SessionState::DownloadSegments { object, .. }, Side::Client, 0x00..=0x1F) => {
                 let last = is_last_of_segments(frame);
-                self.state = SessionState::DownloadSegments { object, last };
-                Reading::Command(object)
+                let state = SessionState::DownloadSegments { object, last };
+                (Some(state), object)
+            }
+            (SessionState::DownloadSegments { object, last: true }, Side::Server, 0x20 | 0x30) => {
+                (Some(SessionState::Idle), object)
+            }
+            (SessionState::UploadSegments(object), Side::Server, 0x00..=0x1F)
+                if is_last_of_segments(frame) =>
+            {
+                (Some(SessionState::Idle), object)
             }
             (
                 SessionState::DownloadSegments { object, .. }
                 | SessionState::UploadSegments(object),
-                _,
-            ) => Reading::Command(object),
-            (SessionState::Block(block), specifier) => {
-                let Some(state) = block.commanded(specifier, frame) else {
-                    return self.unknown(Side::Client, frame);
-                };
-                self.state = state;
-                Reading::Command(block.object)
+                ..,
+            ) => (None, object),
+            (SessionState::Block(block), ..) => match (block.commanded(side, frame), side) {
+                (None, Side::Client) => return self.unknown(side, frame),
+                (state, _) => (state, block.object),
+            },
+            // An answer to a client that has already given up.
+            (SessionState::Unknown(_) | SessionState::Idle | SessionState::Asked(_), ..) => {
+                (None, None)
             }
-            (SessionState::Unknown(_) | SessionState::Idle | SessionState::Asked(_), _) => {
-                Reading::Command(None)
+        };
+        self.state = state.unwrap_or(self.state);
+        Reading::Command(object)
+    }
+}
+
+impl Asked {
+    /// Transfer that a frame of the client requests; `None` for all other frames.
+    fn of(frame: &Frame, node: NodeId) -> Option<Self> {
+        Some(match Request::decode(frame, node)? {
+            Request::InitiateDownload { object, initiate } => match initiate {
+                Initiate::Expedited(_) => Self::Expedited(object),
+                Initiate::Segmented { .. } => Self::DownloadSegments(object),
+            },
+            Request::InitiateUpload { object } => Self::UploadSegments(object),
+            Request::Block(block::Request::InitiateDownload { object, .. }) => {
+                Self::BlockDownload(object)
             }
-        }
+            Request::Block(block::Request::InitiateUpload {
+                object, block_size, ..
+            }) => Self::BlockUpload {
+                object,
+                size: block_size.min(MAX_BLOCK_SIZE),
+            },
+            _ => return None,
+        })
     }
 
-    /// Processes a frame of the server that is not a segment of a block transfer.
-    fn answer(&mut self, state: SessionState, frame: &Frame) -> Reading {
-        match (state, first(frame)) {
-            (SessionState::Asked(asked), _) if asked.is_answered(frame, self.node) => {
-                self.state = asked.begun(frame, self.node);
-                Reading::Command(None)
+    /// State of the channel after `answer`; `None` if the frame of the server does not answer this request.
+    fn begun(self, answer: &Frame, node: NodeId) -> Option<SessionState> {
+        let (asked, object, state) = match (self, Response::decode(answer, node)?) {
+            (Self::Expedited(asked), Response::InitiateDownload { object }) => {
+                (asked, object, SessionState::Idle)
             }
-            (SessionState::DownloadSegments { object, last: true }, 0x20 | 0x30) => {
-                self.state = SessionState::Idle;
-                Reading::Command(object)
+            (Self::DownloadSegments(asked), Response::InitiateDownload { object }) => {
+                let state = SessionState::DownloadSegments {
+                    object: Some(object),
+                    last: false,
+                };
+                (asked, object, state)
             }
-            (SessionState::UploadSegments(object), 0x00..=0x1F) if is_last_of_segments(frame) => {
-                self.state = SessionState::Idle;
-                Reading::Command(object)
+            // A server may answer a request for a block upload with an expedited or segmented upload.
+            (
+                Self::UploadSegments(asked) | Self::BlockUpload { object: asked, .. },
+                Response::InitiateUpload { object, initiate },
+            ) => match initiate {
+                Initiate::Expedited(_) => (asked, object, SessionState::Idle),
+                Initiate::Segmented { .. } => {
+                    (asked, object, SessionState::UploadSegments(Some(object)))
+                }
+            },
+            (
+                Self::BlockDownload(asked),
+                Response::Block(block::Response::InitiateDownload {
+                    object, block_size, ..
+                }),
+            ) => {
+                let block = Block {
+                    stage: Stage::Segments,
+                    size: block_size,
+                    ..Block::new(Side::Client, Some(object))
+                };
+                let valid = (1..=MAX_BLOCK_SIZE).contains(&block_size);
+                let state = if valid {
+                    SessionState::Block(block)
+                } else {
+                    SessionState::Idle
+                };
+                (asked, object, state)
             }
             (
-                SessionState::DownloadSegments { object, .. }
-                | SessionState::UploadSegments(object),
-                _,
-            ) => Reading::Command(object),
-            (SessionState::Block(block), specifier) => {
-                self.state = block.answered(specifier, frame).unwrap_or(state);
-                Reading::Command(block.object)
+                Self::BlockUpload {
+                    object: asked,
+                    size,
+                },
+                Response::Block(block::Response::InitiateUpload { object, .. }),
+            ) => {
+                let block = Block {
+                    size,
+                    ..Block::new(Side::Server, Some(object))
+                };
+                (asked, object, SessionState::Block(block))
             }
-            // An answer to a client that has already given up.
-            (SessionState::Unknown(_) | SessionState::Idle | SessionState::Asked(_), _) => {
-                Reading::Command(None)
-            }
-        }
+            _ => return None,
+        };
+        (asked == object).then_some(state)
     }
 }
 
 impl Block {
-    const fn new(way: Way, object: Option<Object>) -> Self {
+    const fn new(sender: Side, object: Option<Object>) -> Self {
         Self {
-            way,
+            sender,
             object,
             stage: Stage::Start,
             size: 0,
@@ -302,17 +363,17 @@ impl Block {
     }
 
     /// A transfer of an unknown object at this stage, with sub-blocks of `size` segments.
-    const fn at(way: Way, stage: Stage, size: u8) -> SessionState {
+    const fn at(sender: Side, stage: Stage, size: u8) -> SessionState {
         SessionState::Block(Self {
             stage,
             size,
-            ..Self::new(way, None)
+            ..Self::new(sender, None)
         })
     }
 
-    /// Whether segments are due in direction `way`.
-    fn expects(self, way: Way) -> bool {
-        self.way == way && self.stage == Stage::Segments
+    /// Whether segments of `side` are due.
+    fn expects(self, side: Side) -> bool {
+        self.sender == side && self.stage == Stage::Segments
     }
 
     /// Whether a frame has the segment number that is due.
@@ -320,8 +381,8 @@ impl Block {
         number(frame) == self.sent + 1
     }
 
-    /// State after `segment` and `answer`, if either acknowledges the other.
-    fn complete(way: Way, segment: &Frame, answer: &Frame) -> Option<SessionState> {
+    /// State after a segment of `sender` and `answer`, if the answer acknowledges the segment.
+    fn complete(sender: Side, segment: &Frame, answer: &Frame) -> Option<SessionState> {
         let [_, sequence, size, rest @ ..] = answer.data() else {
             return None;
         };
@@ -331,34 +392,23 @@ impl Block {
             size: (*size).min(MAX_BLOCK_SIZE),
             sent: *sequence,
             last: first(segment) & LAST != 0,
-            ..Self::new(way, None)
+            ..Self::new(sender, None)
         };
         fits.then_some(SessionState::Block(block))
     }
 
-    /// State after a command of the client; `None` if no command is due.
-    fn commanded(self, specifier: u8, frame: &Frame) -> Option<SessionState> {
-        let to = |stage| SessionState::Block(Self { stage, ..self });
-        match (self.way, self.stage, specifier) {
-            (Way::Upload, Stage::Start, 0xA3) => Some(to(Stage::Segments)),
-            (Way::Upload, Stage::Segments | Stage::Acknowledge, ACKNOWLEDGE) => {
+    /// State after a frame of `side` that is not a segment; `None` if no such frame is due.
+    fn commanded(self, side: Side, frame: &Frame) -> Option<SessionState> {
+        let to = |stage| Some(SessionState::Block(Self { stage, ..self }));
+        match (self.stage, side == self.sender, first(frame)) {
+            (Stage::Start, false, 0xA3) => to(Stage::Segments),
+            (Stage::Segments | Stage::Acknowledge, false, ACKNOWLEDGE) => {
                 Some(self.acknowledged(frame))
             }
-            (Way::Upload, Stage::End | Stage::Ended, 0xA1) => Some(SessionState::Idle),
-            (Way::Download, Stage::End, specifier) if is_end(specifier) => Some(to(Stage::Ended)),
-            _ => None,
-        }
-    }
-
-    /// State after an answer of the server; `None` if no answer is due.
-    fn answered(self, specifier: u8, frame: &Frame) -> Option<SessionState> {
-        let to = |stage| SessionState::Block(Self { stage, ..self });
-        match (self.way, self.stage, specifier) {
-            (Way::Download, Stage::Segments | Stage::Acknowledge, ACKNOWLEDGE) => {
-                Some(self.acknowledged(frame))
-            }
-            (Way::Download, Stage::Ended, 0xA1) => Some(SessionState::Idle),
-            (Way::Upload, Stage::End, specifier) if is_end(specifier) => Some(to(Stage::Ended)),
+            (Stage::End, true, specifier) if is_end(specifier) => to(Stage::Ended),
+            (Stage::Ended, false, 0xA1) => Some(SessionState::Idle),
+            // The client ends an upload, although the checksum was not seen.
+            (Stage::End, false, 0xA1) if side == Side::Client => Some(SessionState::Idle),
             _ => None,
         }
     }
@@ -384,15 +434,6 @@ impl Block {
             last: false,
             ..self
         })
-    }
-}
-
-/// State after `request` has acknowledged `response`, if exactly one state is possible.
-fn acknowledged(response: &Frame, request: &Frame) -> Option<SessionState> {
-    match (first(response), first(request)) {
-        (_, ACKNOWLEDGE) => Block::complete(Way::Upload, response, request),
-        (end, 0xA1) if is_end(end) => Some(Block::at(Way::Upload, Stage::Ended, 0)),
-        _ => None,
     }
 }
 

@@ -2,7 +2,7 @@
 
 use can::{Frame, Instant};
 
-use super::{Dictionary, Direction, MAX_SIZE, Server};
+use super::{Dictionary, Direction, Server, check_download};
 use crate::sdo::block::{self, Acknowledge, End, MAX_BLOCK_SIZE, SEGMENT, Segment};
 use crate::sdo::{AbortCode, Response};
 use crate::{NodeId, Object, cob};
@@ -79,27 +79,15 @@ impl Server {
         matches!(direction, Some(Direction::BlockDownload(download)) if !download.complete)
     }
 
-    /// Takes a segment of the sub-block that is being received.
-    pub(super) fn take_of_block(
-        &mut self,
-        segment: Segment,
-        node: NodeId,
-        now: Instant,
-    ) -> Option<Frame> {
-        match self.append(segment, now) {
-            Ok(acknowledge) => Some(block::Response::Acknowledge(acknowledge?).encode(node)),
-            Err(code) => Some(self.abort(self.object(), code, node)),
-        }
-    }
-
+    /// Takes a request of block transfer. Returns the object that an abort names, and the answer.
     pub(super) fn handle_block<D: Dictionary>(
         &mut self,
         request: block::Request,
-        node: NodeId,
         dictionary: &mut D,
         now: Instant,
-    ) -> Option<Frame> {
-        let (object, answer) = match request {
+    ) -> (Object, Result<Option<Response>, AbortCode>) {
+        let transferred = self.object();
+        match request {
             block::Request::InitiateDownload { object, crc, size } => {
                 let answer = self.begin_download(object, crc, size, dictionary, now);
                 (object, answer.map(Some))
@@ -117,27 +105,18 @@ impl Server {
                     sent: 0,
                     phase: Phase::Offered,
                 };
-                let answer = self.begin_upload(object, upload, threshold, node, dictionary, now);
-                return Some(answer.unwrap_or_else(|code| self.abort(object, code, node)));
+                let answer = self.begin_upload(object, upload, threshold, dictionary, now);
+                (object, answer.map(Some))
             }
             block::Request::EndDownload(end) => {
-                (self.object(), self.end_download(end, dictionary).map(Some))
+                (transferred, self.end_download(end, dictionary).map(Some))
             }
-            block::Request::StartUpload => (self.object(), self.start_upload(now).map(|()| None)),
+            block::Request::StartUpload => (transferred, self.start_upload(now).map(|()| None)),
             block::Request::Acknowledge(acknowledge) => {
-                (self.object(), self.acknowledged(acknowledge, now))
+                (transferred, self.acknowledged(acknowledge, now))
             }
-            block::Request::EndUpload => (self.object(), self.end_upload().map(|()| None)),
-        };
-        match answer {
-            Ok(answer) => Some(answer?.encode(node)),
-            Err(code) => Some(self.abort(object, code, node)),
+            block::Request::EndUpload => (transferred, self.end_upload().map(|()| None)),
         }
-    }
-
-    fn abort(&mut self, object: Object, code: AbortCode, node: NodeId) -> Frame {
-        self.transfer = None;
-        Response::Abort { object, code }.encode(node)
     }
 
     fn begin_download<D: Dictionary>(
@@ -147,29 +126,28 @@ impl Server {
         size: Option<u32>,
         dictionary: &D,
         now: Instant,
-    ) -> Result<block::Response, AbortCode> {
+    ) -> Result<Response, AbortCode> {
         self.transfer = None;
-        let size = size.map(|size| size as usize);
-        if size.is_some_and(|size| size > MAX_SIZE) {
-            return Err(AbortCode::OUT_OF_MEMORY);
-        }
-        dictionary.check_write(object)?;
         let download = Download {
-            size,
+            size: check_download(object, size, dictionary)?,
             crc,
             sequence: 0,
             complete: false,
         };
         self.begin(object, Direction::BlockDownload(download), now);
-        Ok(block::Response::InitiateDownload {
+        Ok(Response::Block(block::Response::InitiateDownload {
             object,
             crc: true,
             block_size: self.block_size,
-        })
+        }))
     }
 
-    /// Takes what comes in order and acknowledges that at the end of the sub-block.
-    fn append(&mut self, segment: Segment, now: Instant) -> Result<Option<Acknowledge>, AbortCode> {
+    /// Takes a segment that comes in order, and acknowledges the segments at the end of the sub-block.
+    pub(super) fn append(
+        &mut self,
+        segment: Segment,
+        now: Instant,
+    ) -> Result<Option<Response>, AbortCode> {
         let transfer = self.transfer.as_mut().ok_or(AbortCode::COMMAND_SPECIFIER)?;
         let Direction::BlockDownload(download) = &mut transfer.direction else {
             return Err(AbortCode::COMMAND_SPECIFIER);
@@ -195,17 +173,18 @@ impl Server {
             download.complete = segment.last;
         }
         let ends = segment.last || segment.sequence() == self.block_size;
-        Ok(ends.then(|| Acknowledge {
+        let acknowledge = ends.then(|| Acknowledge {
             sequence: std::mem::take(&mut download.sequence),
             block_size: self.block_size,
-        }))
+        });
+        Ok(acknowledge.map(|taken| Response::Block(block::Response::Acknowledge(taken))))
     }
 
     fn end_download<D: Dictionary>(
         &mut self,
         end: End,
         dictionary: &mut D,
-    ) -> Result<block::Response, AbortCode> {
+    ) -> Result<Response, AbortCode> {
         let transfer = self.transfer.ok_or(AbortCode::COMMAND_SPECIFIER)?;
         let download = match transfer.direction {
             Direction::BlockDownload(download) if download.complete => download,
@@ -223,7 +202,7 @@ impl Server {
         }
         dictionary.write(transfer.object, data)?;
         self.transfer = None;
-        Ok(block::Response::EndDownload)
+        Ok(Response::Block(block::Response::EndDownload))
     }
 
     fn begin_upload<D: Dictionary>(
@@ -231,25 +210,23 @@ impl Server {
         object: Object,
         upload: Upload,
         threshold: u8,
-        node: NodeId,
         dictionary: &mut D,
         now: Instant,
-    ) -> Result<Frame, AbortCode> {
+    ) -> Result<Response, AbortCode> {
         self.transfer = None;
         check_block_size(upload.block_size)?;
         let size = dictionary.read(object, &mut self.buffer)?;
         if threshold > 0 && size <= usize::from(threshold) {
-            return Ok(self.upload(object, dictionary, now)?.encode(node));
+            return self.upload(object, dictionary, now);
         }
         let upload = Upload { size, ..upload };
         self.begin(object, Direction::BlockUpload(upload), now);
-        let answer = block::Response::InitiateUpload {
+        Ok(Response::Block(block::Response::InitiateUpload {
             object,
             // The server has offered the checksum. A client that did not ask for it may check it nevertheless.
             crc: upload.crc,
             size: Some(size as u32),
-        };
-        Ok(answer.encode(node))
+        }))
     }
 
     /// The upload in progress. The time-out of the client restarts.
@@ -276,7 +253,7 @@ impl Server {
         &mut self,
         acknowledge: Acknowledge,
         now: Instant,
-    ) -> Result<Option<block::Response>, AbortCode> {
+    ) -> Result<Option<Response>, AbortCode> {
         let Acknowledge {
             sequence,
             block_size,
@@ -300,7 +277,8 @@ impl Server {
         let (size, checked) = (upload.size, upload.crc);
         let sum = checked.then(|| block::checksum(&self.buffer[..size]));
         let crc = sum.unwrap_or(0);
-        Ok(Some(block::Response::EndUpload(End::of(size, crc))))
+        let end = block::Response::EndUpload(End::of(size, crc));
+        Ok(Some(Response::Block(end)))
     }
 
     fn end_upload(&mut self) -> Result<(), AbortCode> {

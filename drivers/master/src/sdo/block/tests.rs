@@ -5,6 +5,7 @@ use std::time::Duration;
 use super::super::tests::{NODE, TIME_OUT, at, client, play};
 use super::*;
 use crate::parse;
+use crate::sdo::SdoError;
 use canopen::objects::DEVICE_NAME;
 
 const OBJECT: canopen::Object = DEVICE_NAME;
@@ -234,18 +235,13 @@ fn a_server_that_missed_the_abort_and_takes_the_request_for_a_segment_is_asked_a
         );
         say(&mut client, 500, refused);
         let (object, code) = (OBJECT, AbortCode::SEQUENCE_NUMBER);
-        assert_eq!(result(client), Err(SdoError::Aborted { object, code }));
+        assert_eq!(result(client), Err(SdoCause::Aborted { code }.of(object)));
     }
 }
 
 #[test]
 fn every_other_abort_ends_the_transfer() {
-    let aborted = |code| {
-        Err(SdoError::Aborted {
-            object: OBJECT,
-            code,
-        })
-    };
+    let aborted = |code| Err(SdoCause::Aborted { code }.of(OBJECT));
     let table = [
         (
             "602#A40810007F1C0000 582#8008100000000206",
@@ -276,10 +272,12 @@ fn every_other_abort_ends_the_transfer() {
 fn a_broken_upload_is_aborted() {
     let object = OBJECT;
     let unsized_ = "602#A40810007F1C0000 582#C408100000000000 602#A300000000000000 ";
-    let length = |found| SdoError::Length {
-        object,
-        expected: 30,
-        found,
+    let length = |found| {
+        SdoCause::Length {
+            expected: 30,
+            found,
+        }
+        .of(object)
     };
     let table = [
         (
@@ -289,11 +287,11 @@ fn a_broken_upload_is_aborted() {
                 "582#D522010000000000 602#8008100004000405",
             ]
             .concat(),
-            SdoError::Crc {
-                object,
+            SdoCause::Crc {
                 expected: 0x0122,
                 found: 0x0121,
-            },
+            }
+            .of(object),
         ),
         (
             [
@@ -317,19 +315,19 @@ fn a_broken_upload_is_aborted() {
         ),
         (
             "602#A40810007F1C0000 582#C608100001010000 602#8008100005000405".to_string(),
-            SdoError::TooLarge {
-                object,
+            SdoCause::TooLarge {
                 size: 257,
                 capacity: 256,
-            },
+            }
+            .of(object),
         ),
         (
             [unsized_, &segments(1, 38), "602#8008100005000405"].concat(),
-            SdoError::TooLarge {
-                object,
+            SdoCause::TooLarge {
                 size: 266,
                 capacity: 256,
-            },
+            }
+            .of(object),
         ),
         (
             [
@@ -339,11 +337,11 @@ fn a_broken_upload_is_aborted() {
                  582#C500000000000000 602#8008100005000405",
             ]
             .concat(),
-            SdoError::TooLarge {
-                object,
+            SdoCause::TooLarge {
                 size: 258,
                 capacity: 256,
-            },
+            }
+            .of(object),
         ),
     ];
     for (dialogue, error) in table {
@@ -372,7 +370,7 @@ fn a_server_that_breaks_a_download_is_told_so() {
     let object = OBJECT;
     let four =
         "602#0101020304050607 602#0208090A0B0C0D0E 602#030F101112131415 602#04161718191A1B1C ";
-    let block_size = |block_size| SdoError::BlockSize { object, block_size };
+    let block_size = |block_size| SdoCause::BlockSize { block_size }.of(object);
     let begin = BEGIN_DOWNLOAD.split_once(' ').unwrap().0;
     let table = [
         (
@@ -399,11 +397,11 @@ fn a_server_that_breaks_a_download_is_told_so() {
                 "582#A205040000000000 602#8008100003000405",
             ]
             .concat(),
-            SdoError::Sequence {
-                object,
+            SdoCause::Sequence {
                 sequence: 5,
                 sent: 4,
-            },
+            }
+            .of(object),
         ),
     ];
     for (dialogue, error) in table {
@@ -439,7 +437,10 @@ fn silence_in_any_state_starts_anew_and_late_frames_disturb_nothing() {
         say(&mut client, 1100, ABORT_TIME_OUT);
         let waited = Duration::from_millis(1100);
         let object = OBJECT;
-        assert_eq!(result(client), Err(SdoError::TimedOut { object, waited }));
+        assert_eq!(
+            result(client),
+            Err(SdoCause::TimedOut { waited }.of(object))
+        );
     }
     let begin = BEGIN_DOWNLOAD.split_once(' ').unwrap().0;
     let last = "582#A2047F0000000000 602#811D1E0000000000 ";

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use super::*;
+use crate::sdo::{MAX_SIZE, Request};
 
 const NODE: NodeId = NodeId::new(2).unwrap();
 const TIME_OUT: Duration = Duration::from_millis(500);
@@ -257,13 +258,23 @@ fn every_size_comes_whole_through_a_wire_that_loses_segments() {
             block_size,
             threshold: 0,
         };
-        sent(&mut server, &initiate.encode(NODE), &mut objects, now);
+        sent(
+            &mut server,
+            &Request::Block(initiate).encode(NODE),
+            &mut objects,
+            now,
+        );
         let mut next = block::Request::StartUpload;
         let mut got = Vec::new();
         let end = loop {
-            let frames = sent(&mut server, &next.encode(NODE), &mut objects, now);
-            if let Some(block::Response::EndUpload(end)) =
-                block::Response::decode(&frames[0], NODE).filter(|_| frames.len() == 1)
+            let frames = sent(
+                &mut server,
+                &Request::Block(next).encode(NODE),
+                &mut objects,
+                now,
+            );
+            if let Some(Response::Block(block::Response::EndUpload(end))) =
+                Response::decode(&frames[0], NODE).filter(|_| frames.len() == 1)
                 && got.len() >= size.max(1)
             {
                 break end;
@@ -284,7 +295,7 @@ fn every_size_comes_whole_through_a_wire_that_loses_segments() {
         };
         got.truncate(got.len() - end.unused());
         assert!(got == data && end.crc == crc, "upload of {size}");
-        let done = block::Request::EndUpload.encode(NODE);
+        let done = Request::Block(block::Request::EndUpload).encode(NODE);
         assert_eq!(sent(&mut server, &done, &mut objects, now), []);
 
         let mut objects = Text(Vec::new());
@@ -293,7 +304,12 @@ fn every_size_comes_whole_through_a_wire_that_loses_segments() {
             crc: true,
             size: Some(size as u32),
         };
-        sent(&mut server, &initiate.encode(NODE), &mut objects, now);
+        sent(
+            &mut server,
+            &Request::Block(initiate).encode(NODE),
+            &mut objects,
+            now,
+        );
         let mut from = 0;
         let segments = size.div_ceil(SEGMENT).max(1);
         while from < segments {
@@ -313,8 +329,8 @@ fn every_size_comes_whole_through_a_wire_that_loses_segments() {
                 let answer = sent(&mut server, &frame, &mut objects, now);
                 assert_eq!(answer.len(), usize::from(sequence == count));
                 if let [answer] = answer[..] {
-                    let answer = block::Response::decode(&answer, NODE);
-                    let Some(block::Response::Acknowledge(taken)) = answer else {
+                    let answer = Response::decode(&answer, NODE);
+                    let Some(Response::Block(block::Response::Acknowledge(taken))) = answer else {
                         panic!("{answer:?}");
                     };
                     from += usize::from(taken.sequence);
@@ -322,11 +338,11 @@ fn every_size_comes_whole_through_a_wire_that_loses_segments() {
                 }
             }
         }
-        let end = block::Request::EndDownload(End::of(size, crc)).encode(NODE);
+        let end = Request::Block(block::Request::EndDownload(End::of(size, crc))).encode(NODE);
         let answer = sent(&mut server, &end, &mut objects, now);
         assert_eq!(
             answer,
-            [block::Response::EndDownload.encode(NODE)],
+            [Response::Block(block::Response::EndDownload).encode(NODE)],
             "download of {size}"
         );
         assert_eq!(objects.0, data);

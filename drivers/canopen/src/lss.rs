@@ -1,4 +1,8 @@
-//! Frames of the layer setting services (CiA 305).
+//! LSS, the layer setting services (CiA 305): node-IDs and bit rates for nodes that have none.
+//!
+//! A [`Request`] goes from the master to all slaves, a [`Response`] from the addressed slave to the master. Neither has a
+//! node-ID. A node without a node-ID takes part in LSS alone. Slaves obey the configuring requests only in
+//! [`Mode::Configuration`].
 
 use std::fmt;
 
@@ -6,12 +10,75 @@ use can::Frame;
 
 use crate::{cob, frame, payload};
 
+/// The node-ID of a node that has none.
+pub const UNCONFIGURED: u8 = 0xFF;
+
+/// The bit timing table of CiA (CiA 305 §6.4.3). [`BitRate::from_index`] has its indices.
+pub const CIA_TABLE: u8 = 0;
+
+/// The LSS address of a node, unique among all nodes of CANopen: object 0x1018 (CiA 301 §7.5.2.21).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Identity {
+    /// Vendor-ID, given by CiA.
+    pub vendor: u32,
+    /// Product code, given by the vendor.
+    pub product: u32,
+    /// Revision number.
+    pub revision: u32,
+    /// Serial number.
+    pub serial: u32,
+}
+
+impl Identity {
+    /// One of the four numbers.
+    pub const fn get(&self, part: Part) -> u32 {
+        [self.vendor, self.product, self.revision, self.serial][part as usize]
+    }
+
+    /// One of the four numbers, to write it.
+    pub const fn get_mut(&mut self, part: Part) -> &mut u32 {
+        match part {
+            Part::Vendor => &mut self.vendor,
+            Part::Product => &mut self.product,
+            Part::Revision => &mut self.revision,
+            Part::Serial => &mut self.serial,
+        }
+    }
+}
+
+/// A bit rate of the [`CIA_TABLE`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BitRate {
+    /// kbit/s.
+    Kbps(u16),
+    /// The node detects the bit rate of the bus.
+    Automatic,
+}
+
+impl BitRate {
+    /// `None` for an index that the table does not have; 5 is reserved.
+    pub const fn from_index(index: u8) -> Option<Self> {
+        Some(Self::Kbps(match index {
+            0 => 1000,
+            1 => 800,
+            2 => 500,
+            3 => 250,
+            4 => 125,
+            6 => 50,
+            7 => 20,
+            8 => 10,
+            9 => return Some(Self::Automatic),
+            _ => return None,
+        }))
+    }
+}
+
 /// A request of the master, on 0x7E5.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {
     /// All slaves enter this mode (CiA 305 §6.3.2). Not answered.
     SwitchGlobal(Mode),
-    /// One of four frames (CiA 305 §6.3.3). The slave with this [identity](super::Identity) enters configuration mode and
+    /// One of four frames (CiA 305 §6.3.3). The slave with this [identity](Identity) enters configuration mode and
     /// answers [`Response::Selected`] after the fourth frame.
     SwitchSelective {
         /// The number of the identity.
@@ -21,14 +88,14 @@ pub enum Request {
     },
     /// Take this node-ID at the next reset of the communication (CiA 305 §6.4.2).
     ConfigureNodeId {
-        /// 1 ..= 127 or [`super::UNCONFIGURED`]; a slave refuses the others.
+        /// 1 ..= 127 or [`UNCONFIGURED`]; a slave refuses the others.
         node_id: u8,
     },
     /// Take this bit rate at its activation or at the next power-on (CiA 305 §6.4.3).
     ConfigureBitTiming {
-        /// [`super::CIA_TABLE`], or a table of the vendor.
+        /// [`CIA_TABLE`], or a table of the vendor.
         table: u8,
-        /// See [`super::BitRate::from_index`].
+        /// See [`BitRate::from_index`].
         index: u8,
     },
     /// Be silent for the delay, change to the configured bit rate, and be silent for the delay again. Not
@@ -76,7 +143,7 @@ pub enum Response {
     },
     /// To [`Request::InquireNodeId`].
     NodeId {
-        /// 1 ..= 127 or [`super::UNCONFIGURED`].
+        /// 1 ..= 127 or [`UNCONFIGURED`].
         node_id: u8,
     },
     /// To [`Request::Identify`] and [`Request::Fastscan`].
@@ -462,6 +529,18 @@ mod tests {
         ];
         for text in table {
             assert_eq!(Response::decode(&parse(text)), None, "{text}");
+        }
+    }
+
+    #[test]
+    fn bit_rates_have_the_indices_of_the_table() {
+        let rates = [1000, 800, 500, 250, 125, 0, 50, 20, 10].map(BitRate::Kbps);
+        for (rate, index) in rates.into_iter().chain([BitRate::Automatic]).zip(0..) {
+            let expected = Some(rate).filter(|_| index != 5);
+            assert_eq!(BitRate::from_index(index), expected);
+        }
+        for index in [10, 255] {
+            assert_eq!(BitRate::from_index(index), None);
         }
     }
 }
