@@ -19,11 +19,7 @@ impl Generator for Swing {
     type Every = (); // no feedback while it moves
     type Memory = u32; // macrosteps done
 
-    fn first_step(
-        &mut self,
-        e: &EffectorImage,
-        macrostep: Duration,
-    ) -> Result<Next<u32>, GeneratorError> {
+    fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<u32>, GeneratorError> {
         self.start = e.commanded.joints;
         self.macrostep = macrostep.as_secs_f64();
         Ok(Next::remember(0))
@@ -45,12 +41,7 @@ impl Generator for Swing {
 
 fn main() -> ExitCode {
     mrroc::program("cells/irb6.toml", |cell| {
-        let swing = Swing {
-            amplitude: 0.5,
-            steps: 200,
-            start: AxesState::default(),
-            macrostep: 0.0,
-        };
+        let swing = Swing { amplitude: 0.5, steps: 200, start: AxesState::default(), macrostep: 0.0 };
         Tasks::new(cell).give("irb6", Task::new().enable().home().run(swing).disable())
     })
 }

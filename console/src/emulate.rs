@@ -57,9 +57,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     let mut links = vec![None; interfaces.len()];
     for given in &options.slcan {
         let (index, link) = interfaces::bus_of(&file.cell, "--slcan", given)?;
-        let named = |can: &String| {
-            interfaces::bus_of(&file.cell, "--can", can).is_ok_and(|(bus, _)| bus == index)
-        };
+        let named = |can: &String| interfaces::bus_of(&file.cell, "--can", can).is_ok_and(|(bus, _)| bus == index);
         if options.can.iter().any(named) || links[index].is_some() {
             bail!("--slcan {given}: the bus is already elsewhere");
         }
@@ -82,9 +80,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         } else {
             let interface = &interfaces[index];
             let on_bus = || format!("bus {}", bus.name);
-            let claim = |(robot, axis): (usize, usize)| {
-                interface.claim_as_node(file.cell.robot[robot].axis[axis].node)
-            };
+            let claim = |(robot, axis): (usize, usize)| interface.claim_as_node(file.cell.robot[robot].axis[axis].node);
             let claims = emulation::axes_present(&file, index).map(claim);
             let claims: anyhow::Result<Vec<_>> = claims.collect();
             let claims = claims.with_context(on_bus)?;
@@ -128,11 +124,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         names.push(format!("of service ports in {}", directory.display()));
     }
     let stop = signals::ending_flag()?;
-    mrroc::streams::say(format_args!(
-        "{} emulated: bus {}; Ctrl-C ends it",
-        file.cell.name,
-        names.join(", bus ")
-    ))?;
+    mrroc::streams::say(format_args!("{} emulated: bus {}; Ctrl-C ends it", file.cell.name, names.join(", bus ")))?;
     std::thread::scope(|scope| {
         let flag = &stop;
         scope.spawn(move || {
@@ -158,21 +150,14 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
             stop.store(true, Ordering::Relaxed);
             served.context("a pseudo-terminal fails")
         };
-        threads
-            .into_iter()
-            .map(|thread| thread.join().expect("serving a bus does not panic"))
-            .fold(served, Result::and)
+        threads.into_iter().map(|thread| thread.join().expect("serving a bus does not panic")).fold(served, Result::and)
     })?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// A pseudo-terminal and a symbolic link to it in `directory`. The link has the name of `axis`, which gives robot and
 /// number.
-fn link_of(
-    file: &CellFile,
-    (robot, number): (usize, usize),
-    directory: &Path,
-) -> anyhow::Result<Pty> {
+fn link_of(file: &CellFile, (robot, number): (usize, usize), directory: &Path) -> anyhow::Result<Pty> {
     std::fs::create_dir_all(directory).with_context(|| directory.display().to_string())?;
     let link = directory.join(file.axis_name(robot, number));
     Pty::linked(&link).with_context(|| link.display().to_string())
@@ -192,10 +177,7 @@ struct EmulatedBus {
 impl EmulatedBus {
     /// Processes frames and advances the devices until `stop` is set.
     fn serve(mut self, stop: &AtomicBool) -> anyhow::Result<()> {
-        let mut received = [Received {
-            frame: Sync::default().encode(),
-            at: Instant::ZERO,
-        }; 64];
+        let mut received = [Received { frame: Sync::default().encode(), at: Instant::ZERO }; 64];
         while !stop.load(Ordering::Relaxed) {
             let look = clock::now() + LOOK;
             let due = self.due().map(|due| self.time.clock(due));

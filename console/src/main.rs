@@ -123,32 +123,28 @@ fn main() -> ExitCode {
     let result = match arguments.command {
         Command::Check { cell, json } => check(&cell, json),
         Command::Doctor(options) => host::doctor::doctor(&options),
-        Command::Run { cell, options } => CellFile::read(&cell)
-            .and_then(|file| mrroc::run_program(&file, &options, &Tasks::programs)),
+        Command::Run { cell, options } => {
+            CellFile::read(&cell).and_then(|file| mrroc::run_program(&file, &options, &Tasks::programs))
+        }
         Command::Emulate(options) => emulate::emulate(&options),
-        Command::Scan(options) => service::scan::scan(&options)
-            .and_then(|scanned| streams::answer(&scanned, options.json)),
+        Command::Scan(options) => {
+            service::scan::scan(&options).and_then(|scanned| streams::answer(&scanned, options.json))
+        }
         Command::Sdo { action } => service::sdo::sdo(&action),
         Command::Nmt(options) => service::nmt::nmt(&options),
         Command::Lss { action } => service::lss::lss(&action),
         Command::Monitor(options) => service::monitor::monitor(&options),
-        Command::Eds { cell, axis } => {
-            descriptions::eds::eds(&cell, &axis).and_then(streams::print)
-        }
+        Command::Eds { cell, axis } => descriptions::eds::eds(&cell, &axis).and_then(streams::print),
         Command::Identify(options) => identify::identify(&options),
         Command::Jitter(options) => host::jitter::jitter(&options),
-        Command::Kinematics { question } => descriptions::kinematics::kinematics(&question)
-            .and_then(|answer| streams::answer(&answer, question.json())),
-        Command::Datasheet(options) => {
-            descriptions::datasheet::datasheet(&options).and_then(streams::print)
+        Command::Kinematics { question } => {
+            descriptions::kinematics::kinematics(&question).and_then(|answer| streams::answer(&answer, question.json()))
         }
+        Command::Datasheet(options) => descriptions::datasheet::datasheet(&options).and_then(streams::print),
         Command::Urdf(which) => descriptions::urdf::urdf(&which).and_then(streams::print),
         Command::Vm { machine } => vm::vm(&machine),
         Command::Schema { reference } => schema(reference),
-        Command::Manual {
-            directory,
-            replacement,
-        } => manual::write(Arguments::command(), &directory, replacement),
+        Command::Manual { directory, replacement } => manual::write(Arguments::command(), &directory, replacement),
     };
     result.unwrap_or_else(|refusal| {
         if refusal.is::<service::Interrupted>() {

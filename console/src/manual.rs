@@ -19,11 +19,7 @@ const SHELLS: [Shell; 3] = [Shell::Bash, Shell::Zsh, Shell::Fish];
 
 /// Writes the completions, and a page for every command that is not hidden, such as `mrroc-sdo-read.1` for `mrroc sdo
 /// read`.
-pub(crate) fn write(
-    mut command: Command,
-    directory: &Path,
-    replacement: Replacement,
-) -> anyhow::Result<ExitCode> {
+pub(crate) fn write(mut command: Command, directory: &Path, replacement: Replacement) -> anyhow::Result<ExitCode> {
     fs::create_dir_all(directory).with_context(|| directory.display().to_string())?;
     let mut outputs = Outputs::new(replacement);
     let mut files = Vec::new();
@@ -67,9 +63,7 @@ fn pages(command: Command) -> Vec<(String, Vec<u8>)> {
 
 /// Removes the `help` commands: `mrroc help run` shows the same text as `man mrroc-run`.
 fn without_help(command: Command) -> Command {
-    command
-        .disable_help_subcommand(true)
-        .mut_subcommands(without_help)
+    command.disable_help_subcommand(true).mut_subcommands(without_help)
 }
 
 fn render(command: Command, page: &mut dyn Write) -> io::Result<()> {
@@ -113,10 +107,7 @@ mod tests {
         command.build();
         for (name, page) in pages {
             let page = String::from_utf8(page).unwrap();
-            let of = name
-                .split('-')
-                .skip(1)
-                .fold(&command, |of, word| of.find_subcommand(word).unwrap_or(of));
+            let of = name.split('-').skip(1).fold(&command, |of, word| of.find_subcommand(word).unwrap_or(of));
             for option in of.get_arguments().filter_map(clap::Arg::get_long) {
                 let shown = format!("\\-\\-{}", option.replace('-', "\\-"));
                 assert!(page.contains(&shown), "{name}: {shown}");

@@ -100,16 +100,10 @@ pub(crate) fn vm(machine: &Machine) -> anyhow::Result<ExitCode> {
         cancel.cancel();
     })?;
     let status = match machine {
-        Machine::Uml(options) => {
-            uml::run(&options.resolve(&cancellation)?, &mut stdout).map_err(anyhow::Error::from)
-        }
+        Machine::Uml(options) => uml::run(&options.resolve(&cancellation)?, &mut stdout).map_err(anyhow::Error::from),
         Machine::Qemu { kernel, options } => {
             let unpacked = Path::new(UNPACKED);
-            let found = if unpacked.exists() {
-                unpacked
-            } else {
-                Path::new("/")
-            };
+            let found = if unpacked.exists() { unpacked } else { Path::new("/") };
             let kernel = qemu::Kernel::below(kernel.as_deref().unwrap_or(found))?;
             qemu::run(&kernel, &options.resolve(&cancellation)?, &mut stdout).map_err(Into::into)
         }

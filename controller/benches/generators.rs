@@ -8,8 +8,8 @@ use std::time::Duration;
 use can::Instant;
 use criterion::{Criterion, criterion_group, criterion_main};
 use mrroc_controller::generator::{
-    Axes, AxesState, EffectorImage, EffectorState, Generator, JerkLimited, LineLimits,
-    MotionLimits, Newsmooth, Next, Pose, SmoothPose, StraightLine,
+    Axes, AxesState, EffectorImage, EffectorState, Generator, JerkLimited, LineLimits, MotionLimits, Newsmooth, Next,
+    Pose, SmoothPose, StraightLine,
 };
 use mrroc_controller::robot::{Arm, Irp6, Irp6Parameters, Space};
 
@@ -18,46 +18,23 @@ const START: Axes = [0.2, -FRAC_PI_2, 0.1, 0.2, 1.2, 0.3, 0.0, 0.0];
 
 fn image(arm: &Arm) -> EffectorImage {
     let joints = AxesState::at_rest(START);
-    let state = EffectorState {
-        motors: joints,
-        joints,
-        pose: arm.forward(&START).expect("the arm stands there"),
-    };
-    EffectorImage {
-        at: Instant::ZERO,
-        macrostep: 0,
-        measured: state,
-        commanded: state,
-    }
+    let state = EffectorState { motors: joints, joints, pose: arm.forward(&START).expect("the arm stands there") };
+    EffectorImage { at: Instant::ZERO, macrostep: 0, measured: state, commanded: state }
 }
 
 /// Measures the first step and the next steps separately, each repeatedly.
-fn measure<G: Generator>(
-    c: &mut Criterion,
-    name: &str,
-    mut generator: G,
-    first: &G::First,
-    every: &G::Every,
-) {
+fn measure<G: Generator>(c: &mut Criterion, name: &str, mut generator: G, first: &G::First, every: &G::Every) {
     c.bench_function(&format!("{name}/plan"), |b| {
-        b.iter(|| {
-            generator
-                .first_step(black_box(first), MACROSTEP)
-                .expect("it can be planned")
-        });
+        b.iter(|| generator.first_step(black_box(first), MACROSTEP).expect("it can be planned"));
     });
-    let Next { memory: begin, .. } = generator
-        .first_step(first, MACROSTEP)
-        .expect("it can be planned");
+    let Next { memory: begin, .. } = generator.first_step(first, MACROSTEP).expect("it can be planned");
     let mut memory = begin;
     c.bench_function(&format!("{name}/step"), |b| {
         b.iter(|| {
             if generator.terminal(&memory, every) {
                 memory = begin;
             }
-            let next = generator
-                .next_step(black_box(&memory), every)
-                .expect("it was planned");
+            let next = generator.next_step(black_box(&memory), every).expect("it was planned");
             memory = next.memory;
             next.effector
         });
@@ -69,18 +46,13 @@ fn generators(c: &mut Criterion) {
     let arm = Arm::new(Arc::new(robot), Pose::translation(0.0, 0.0, 0.25));
     let e = image(&arm);
     let limits = MotionLimits::uniform(1.5, 7.0, 70.0);
-    let poses: Vec<Axes> = (1..=5)
-        .map(|k| std::array::from_fn(|axis| START[axis] + 0.1 * f64::from(k) * (axis as f64 - 2.5)))
-        .collect();
+    let poses: Vec<Axes> =
+        (1..=5).map(|k| std::array::from_fn(|axis| START[axis] + 0.1 * f64::from(k) * (axis as f64 - 2.5))).collect();
 
-    let smooth = poses
-        .iter()
-        .map(|position| SmoothPose::fast(*position))
-        .collect();
+    let smooth = poses.iter().map(|position| SmoothPose::fast(*position)).collect();
     let newsmooth = Newsmooth::new(Space::Joint, 6, limits, smooth).expect("limits are positive");
     measure(c, "newsmooth, 5 poses", newsmooth, &e, &());
-    let direct =
-        JerkLimited::new(Space::Joint, 6, limits, &poses[4..]).expect("limits are positive");
+    let direct = JerkLimited::new(Space::Joint, 6, limits, &poses[4..]).expect("limits are positive");
     measure(c, "jerk-limited, 1 pose", direct, &e, &());
     let through = JerkLimited::new(Space::Joint, 6, limits, &poses).expect("limits are positive");
     measure(c, "jerk-limited, 5 poses", through, &e, &());

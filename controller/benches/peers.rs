@@ -20,8 +20,8 @@ use std::process::{Command, ExitCode, Stdio};
 
 use can::clock;
 use mrroc_controller::robot::{
-    Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, LinkKind,
-    Polycrank, PolycrankParameters, Rnt, RntParameters, Robot,
+    Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, LinkKind, Polycrank,
+    PolycrankParameters, Rnt, RntParameters, Robot,
 };
 use serde_json::{Value, json};
 
@@ -57,8 +57,7 @@ fn main() -> ExitCode {
     let mut rows = Vec::new();
     let mut holds = true;
     for (robot, theirs) in robots.iter().zip(theirs["robots"].as_array().unwrap()) {
-        let (forward, inverse, from_motors) =
-            (robot.forward(), robot.inverse(), robot.joints_from_motors());
+        let (forward, inverse, from_motors) = (robot.forward(), robot.inverse(), robot.joints_from_motors());
         let number = |key: &str| theirs[key].as_f64().unwrap_or(f64::NAN);
         let slow = forward >= FORWARD || inverse >= robot.within || from_motors >= FROM_MOTORS;
         holds &= !slow;
@@ -97,11 +96,8 @@ impl Measured {
     }
 
     fn inverse(&self) -> f64 {
-        let asked: Vec<_> = self
-            .postures
-            .iter()
-            .map(|joints| (self.robot.forward(joints).unwrap(), seed(joints)))
-            .collect();
+        let asked: Vec<_> =
+            self.postures.iter().map(|joints| (self.robot.forward(joints).unwrap(), seed(joints))).collect();
         for (pose, near) in &asked {
             self.robot.inverse(pose, near).unwrap();
         }
@@ -114,10 +110,7 @@ impl Measured {
 
     /// Computing time of the joints from the motors. The legs of the RNT need Newton's method.
     fn joints_from_motors(&self) -> f64 {
-        let motors = self
-            .postures
-            .iter()
-            .map(|joints| self.robot.motors_from_joints(joints));
+        let motors = self.postures.iter().map(|joints| self.robot.motors_from_joints(joints));
         let motors: Vec<_> = motors.map(Result::unwrap).collect();
         least(|| {
             for motors in &motors {
@@ -130,8 +123,7 @@ impl Measured {
     fn described(&self) -> Value {
         let links = self.robot.links();
         let positions = |joints: &Joints| -> Vec<f64> {
-            let position =
-                |coupling: &[f64; 8]| joints.iter().zip(coupling).map(|(q, k)| q * k).sum();
+            let position = |coupling: &[f64; 8]| joints.iter().zip(coupling).map(|(q, k)| q * k).sum();
             links.iter().map(|link| position(&link.coupling)).collect()
         };
         let described: Vec<_> = links
@@ -147,11 +139,7 @@ impl Measured {
             })
             .collect();
         let flange = self.robot.forward(&self.postures[0]).unwrap();
-        let seeds: Vec<_> = self
-            .postures
-            .iter()
-            .map(|joints| positions(&seed(joints)))
-            .collect();
+        let seeds: Vec<_> = self.postures.iter().map(|joints| positions(&seed(joints))).collect();
         json!({
             "name": self.name,
             "links": described,
@@ -202,30 +190,10 @@ fn robots() -> [Measured; 5] {
     let seven = Polycrank::new(&PolycrankParameters::polycrank()).unwrap();
     [
         made("irb6", Box::new(five), &[0.3, -1.5, 0.1, 0.4, 1.1], 500.0),
-        made(
-            "irp6",
-            Box::new(six),
-            &[0.3, -1.5, 0.1, -0.2, 1.1, 0.6],
-            500.0,
-        ),
-        made(
-            "irp6-track",
-            Box::new(track),
-            &[0.4, 0.3, -1.5, 0.1, -0.2, 1.1, 0.6],
-            1000.0,
-        ),
-        made(
-            "rnt",
-            Box::new(rnt),
-            &[0.1, -0.1, 0.95, 0.4, 1.1, 0.6],
-            1000.0,
-        ),
-        made(
-            "polycrank",
-            Box::new(seven),
-            &[0.3, 1.2, -0.7, 0.4, 1.3, -0.6, 0.2],
-            1000.0,
-        ),
+        made("irp6", Box::new(six), &[0.3, -1.5, 0.1, -0.2, 1.1, 0.6], 500.0),
+        made("irp6-track", Box::new(track), &[0.4, 0.3, -1.5, 0.1, -0.2, 1.1, 0.6], 1000.0),
+        made("rnt", Box::new(rnt), &[0.1, -0.1, 0.95, 0.4, 1.1, 0.6], 1000.0),
+        made("polycrank", Box::new(seven), &[0.3, 1.2, -0.7, 0.4, 1.3, -0.6, 0.2], 1000.0),
     ]
 }
 
@@ -240,9 +208,7 @@ fn theirs(robots: &[Measured]) -> Value {
         .expect("`tests/run` makes target/peers");
     let asked: Vec<_> = robots.iter().map(Measured::described).collect();
     let mut stdin = python.stdin.take().unwrap();
-    stdin
-        .write_all(json!(asked).to_string().as_bytes())
-        .unwrap();
+    stdin.write_all(json!(asked).to_string().as_bytes()).unwrap();
     drop(stdin);
     let output = python.wait_with_output().unwrap();
     assert!(output.status.success(), "{output:?}");

@@ -9,12 +9,11 @@ use std::time::Duration;
 use can::Instant;
 use mrroc_controller::ecp::{Ecp, EcpConfig, Task};
 use mrroc_controller::generator::{
-    Axes, Generator, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Pose,
-    SmoothPose, StraightLine,
+    Axes, Generator, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Pose, SmoothPose, StraightLine,
 };
 use mrroc_controller::robot::{
-    Arm, Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Mass,
-    Polycrank, PolycrankParameters, Rnt, RntParameters, Robot, Space, Weight,
+    Arm, Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Mass, Polycrank,
+    PolycrankParameters, Rnt, RntParameters, Robot, Space, Weight,
 };
 use servo::{EffectorLink, Order, Phase, ServoReport};
 
@@ -86,8 +85,7 @@ where
     };
     servo_reports.push(report).expect("there is room");
     ecp.poll(Instant::ZERO);
-    ecp.execute(Task::new().run(generator.expect("it can be made")))
-        .expect("nothing is under way");
+    ecp.execute(Task::new().run(generator.expect("it can be made"))).expect("nothing is under way");
 
     let before = ALLOCATIONS.get();
     assert_eq!(ecp.poll(Instant::ZERO), None);
@@ -116,11 +114,7 @@ fn no_generator_allocates_once_it_was_made() {
     let pose = |k: f64| std::array::from_fn(|axis| START[axis] + 0.05 * k * (axis as f64 - 2.0));
     let poses: [Axes; 4] = [pose(1.0), pose(2.0), pose(3.0), pose(4.0)];
     let smooth = poses.map(SmoothPose::fast).to_vec();
-    assert_eq!(
-        allocations(Newsmooth::new(Space::Joint, 6, limits, smooth)),
-        (0, 0),
-        "newsmooth"
-    );
+    assert_eq!(allocations(Newsmooth::new(Space::Joint, 6, limits, smooth)), (0, 0), "newsmooth");
     let direct = JerkLimited::new(Space::Joint, 6, limits, &poses[..1]);
     assert_eq!(allocations(direct), (0, 0), "jerk-limited");
     let through = JerkLimited::new(Space::Joint, 6, limits, &poses);
@@ -136,11 +130,7 @@ fn no_generator_allocates_once_it_was_made() {
         max_angular_acceleration: 4.0,
         max_angular_jerk: 40.0,
     };
-    assert_eq!(
-        allocations(StraightLine::new(arm(), target, line_limits, limits)),
-        (0, 0),
-        "line"
-    );
+    assert_eq!(allocations(StraightLine::new(arm(), target, line_limits, limits)), (0, 0), "line");
 }
 
 #[test]
@@ -154,10 +144,7 @@ fn no_kinematics_allocates() {
         (&five, Joints::from([0.3, -1.7, 0.07, -0.33, 1.1])),
         (&six, Joints::from([0.3, -1.7, 0.07, -0.33, 1.1, 0.6])),
         (&legs, Joints::from([0.2, -0.1, 0.9, 0.4, 1.1, 0.6])),
-        (
-            &track,
-            Joints::from([0.4, 0.3, -1.7, 0.07, -0.33, 1.1, 0.6]),
-        ),
+        (&track, Joints::from([0.4, 0.3, -1.7, 0.07, -0.33, 1.1, 0.6])),
         (&seven, Joints::from([0.3, 1.2, -0.7, 0.4, 1.3, -0.6, 0.2])),
     ];
     for (robot, joints) in robots {

@@ -36,12 +36,7 @@ impl Robot {
             world.host_line(line, 256)
         });
         let hosts = hosts.collect();
-        let mut robot = Self {
-            world,
-            hosts,
-            now: Instant::ZERO,
-            cycle: 0,
-        };
+        let mut robot = Self { world, hosts, now: Instant::ZERO, cycle: 0 };
         robot.exchange(Command::SetMode(Mode::Pwm));
         robot
     }
@@ -80,10 +75,7 @@ impl Robot {
 fn second(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("six serial axes, 2 ms, one simulated second");
     group.throughput(Throughput::Elements(500));
-    let plants: [(&str, Axes); 2] = [
-        ("motors", AxisConfig::irp6),
-        ("regression model", AxisConfig::wut),
-    ];
+    let plants: [(&str, Axes); 2] = [("motors", AxisConfig::irp6), ("regression model", AxisConfig::wut)];
     for (name, axis) in plants {
         let mut robot = Robot::new(axis);
         assert_eq!(robot.step(), robot.hosts.len(), "every axis answers");

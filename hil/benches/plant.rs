@@ -11,10 +11,7 @@ const PERIOD: u32 = 20;
 fn advance(c: &mut Criterion) {
     let mut group = c.benchmark_group("advance one servo period");
     group.throughput(Throughput::Elements(u64::from(PERIOD)));
-    let plants = [
-        ("physical", AxisConfig::irp6(Irp6Axis::Column)),
-        ("wut", AxisConfig::wut(Irp6Axis::Column)),
-    ];
+    let plants = [("physical", AxisConfig::irp6(Irp6Axis::Column)), ("wut", AxisConfig::wut(Irp6Axis::Column))];
     for (name, config) in plants {
         let mut axis = PlantAxis::new(&config, 1);
         let mut target = 0.0;
@@ -23,18 +20,8 @@ fn advance(c: &mut Criterion) {
             b.iter(|| {
                 // Forward and back at 50 rad/s, one second each way.
                 period += 1;
-                let velocity = if period % 1000 < 500 {
-                    31_831.0
-                } else {
-                    -31_831.0
-                };
-                axis.advance(
-                    PERIOD,
-                    Demand::Position {
-                        counts: target,
-                        velocity,
-                    },
-                );
+                let velocity = if period % 1000 < 500 { 31_831.0 } else { -31_831.0 };
+                axis.advance(PERIOD, Demand::Position { counts: target, velocity });
                 target += velocity * 0.002;
                 black_box(axis.feedback())
             });
@@ -49,21 +36,12 @@ type Preset = fn(usize) -> Option<AxisConfig>;
 /// The axes of a robot mounted on their mechanism. Each axis in turn advances by one servo period.
 fn mounted(c: &mut Criterion) {
     let mut group = c.benchmark_group("advance a robot by one servo period");
-    let rnt = MechanismConfig::Rnt {
-        home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3],
-    };
-    let polycrank = MechanismConfig::Polycrank {
-        coupled: false,
-        at_home: [0.0; 7],
-    };
+    let rnt = MechanismConfig::Rnt { home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3] };
+    let polycrank = MechanismConfig::Polycrank { coupled: false, at_home: [0.0; 7] };
     let pedestal: Preset = |axis| Some(AxisConfig::irp6(Irp6Axis::ALL[axis]));
     let robots: [(&str, MechanismConfig, Preset); 4] = [
         ("irp6", MechanismConfig::Irp6, pedestal),
-        (
-            "irp6 on track",
-            MechanismConfig::Irp6OnTrack,
-            AxisConfig::irp6_track,
-        ),
+        ("irp6 on track", MechanismConfig::Irp6OnTrack, AxisConfig::irp6_track),
         ("rnt", rnt, AxisConfig::rnt),
         ("polycrank", polycrank, AxisConfig::polycrank),
     ];
@@ -81,11 +59,7 @@ fn mounted(c: &mut Criterion) {
         group.bench_function(name, |b| {
             b.iter(|| {
                 period += 1;
-                let velocity = if period % 1000 < 500 {
-                    20_000.0
-                } else {
-                    -20_000.0
-                };
+                let velocity = if period % 1000 < 500 { 20_000.0 } else { -20_000.0 };
                 for axis in &mut axes {
                     axis.advance(PERIOD, Demand::Velocity(velocity));
                 }

@@ -37,13 +37,7 @@ impl Robot {
             let device = Epos4::new(Epos4Config::new(node, axis(which)));
             world.add_device(bus, Box::new(device));
         }
-        let mut robot = Self {
-            world,
-            port,
-            nodes,
-            now: Instant::ZERO,
-            cycle: 0,
-        };
+        let mut robot = Self { world, port, nodes, now: Instant::ZERO, cycle: 0 };
         robot.run(Duration::from_millis(100));
         for node in robot.nodes.clone() {
             robot.configure(node);
@@ -100,15 +94,9 @@ impl Robot {
     fn run(&mut self, duration: Duration) -> usize {
         self.now += duration;
         self.world.advance(self.now);
-        let nothing = Received {
-            frame: Frame::new(cob::SYNC, &[]).expect("no bytes"),
-            at: self.now,
-        };
+        let nothing = Received { frame: Frame::new(cob::SYNC, &[]).expect("no bytes"), at: self.now };
         let mut into = [nothing; 64];
-        let count = self
-            .port
-            .receive(self.now, &mut into)
-            .expect("the bus is there");
+        let count = self.port.receive(self.now, &mut into).expect("the bus is there");
         let enabled = |received: &&Received| match received.frame.data() {
             &[low, _, _, _, _, _, _, _] => low & 0x6F == 0x27,
             _ => false,
@@ -135,10 +123,7 @@ impl Robot {
 fn second(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("six axes, 2 ms, one simulated second");
     group.throughput(Throughput::Elements(500));
-    let plants: [(&str, Axes); 2] = [
-        ("motors", AxisConfig::irp6),
-        ("regression model", AxisConfig::wut),
-    ];
+    let plants: [(&str, Axes); 2] = [("motors", AxisConfig::irp6), ("regression model", AxisConfig::wut)];
     for (name, axis) in plants {
         let mut robot = Robot::new(axis);
         for _ in 0..3 {

@@ -199,16 +199,12 @@ impl Amplifier {
                 return;
             }
             Demand::Velocity(velocity) => (velocity, 0.0),
-            Demand::Position {
-                counts: start,
-                velocity,
-            } => {
+            Demand::Position { counts: start, velocity } => {
                 let here = start + velocity * f64::from(sub_step) * SUB_STEP;
                 (velocity, self.gains.position * (here - f64::from(counts)))
             }
         };
-        let velocity_error =
-            (velocity + correction - self.observed_velocity) * self.radians_per_count;
+        let velocity_error = (velocity + correction - self.observed_velocity) * self.radians_per_count;
         let torque = self.feed_forward(velocity * self.radians_per_count)
             + self.gains.velocity * velocity_error
             + self.torque_integral

@@ -84,12 +84,7 @@ impl AxisController {
     }
 
     fn new(telegrams: Telegrams, config: &AxisControllerConfig) -> Self {
-        Self {
-            drive: Drive::new(config),
-            telegrams,
-            outbox: Outbox::new(),
-            answer_delay: config.answer_delay,
-        }
+        Self { drive: Drive::new(config), telegrams, outbox: Outbox::new(), answer_delay: config.answer_delay }
     }
 
     /// The simulated axis, including state that no drive can measure.

@@ -74,11 +74,7 @@ impl VirtualBus {
 
     /// Adds a device and returns its number on this bus, counted from 0.
     pub fn attach_device(&mut self, device: Box<dyn Device>) -> usize {
-        let mut attached = Attached {
-            device,
-            pending: VecDeque::with_capacity(QUEUE),
-            time_out: None,
-        };
+        let mut attached = Attached { device, pending: VecDeque::with_capacity(QUEUE), time_out: None };
         attached.collect(self.now);
         self.devices.push(attached);
         self.devices.len() - 1
@@ -86,9 +82,7 @@ impl VirtualBus {
 
     /// A device by the number that [`VirtualBus::attach_device`] gave it.
     pub fn device(&self, number: usize) -> Option<&dyn Device> {
-        self.devices
-            .get(number)
-            .map(|attached| attached.device.as_ref())
+        self.devices.get(number).map(|attached| attached.device.as_ref())
     }
 
     /// Applies `change` to a device at `now`, after advancing the bus to `now`. Returns `None` if there is no such
@@ -129,18 +123,10 @@ impl VirtualBus {
     }
 
     fn next(&self) -> Option<(Instant, BusEvent)> {
-        let time_out = self
-            .devices
-            .iter()
-            .filter_map(|attached| attached.time_out)
-            .min();
+        let time_out = self.devices.iter().filter_map(|attached| attached.time_out).min();
         let wire = match self.on_wire {
             Some(transmission) => Some((transmission.ends, BusEvent::FrameEnd)),
-            None => self
-                .heads()
-                .map(|(_, head)| head.at)
-                .min()
-                .map(|at| (at.max(self.free_at), BusEvent::FrameStart)),
+            None => self.heads().map(|(_, head)| head.at).min().map(|at| (at.max(self.free_at), BusEvent::FrameStart)),
         };
         match (time_out, wire) {
             (Some(at), Some((wire_at, _))) if at <= wire_at => Some((at, BusEvent::TimeOut)),
@@ -155,9 +141,7 @@ impl VirtualBus {
         let devices = self.devices.iter().enumerate();
         hosts
             .filter_map(|(at, host)| Some((End::Host(at), host.peek_sent()?)))
-            .chain(
-                devices.filter_map(|(at, device)| Some((End::Device(at), device.pending.front()?))),
-            )
+            .chain(devices.filter_map(|(at, device)| Some((End::Device(at), device.pending.front()?))))
     }
 
     fn time_out(&mut self) {
@@ -191,12 +175,7 @@ impl VirtualBus {
         }
         let ends = self.now + self.bitrate.duration(bits - INTERMISSION);
         self.free_at = self.now + self.bitrate.duration(bits);
-        self.on_wire = Some(Transmission {
-            frame: head.frame,
-            sender,
-            ends,
-            bits,
-        });
+        self.on_wire = Some(Transmission { frame: head.frame, sender, ends, bits });
     }
 
     fn end_frame(&mut self) {

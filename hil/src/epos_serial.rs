@@ -42,10 +42,7 @@ pub struct EposSerialConfig {
 impl EposSerialConfig {
     /// A port that sends segments of the maximum length.
     pub fn new(epos: Epos4Config) -> Self {
-        Self {
-            epos,
-            segment: serial::epos4::MAX_SEGMENT as u8,
-        }
+        Self { epos, segment: serial::epos4::MAX_SEGMENT as u8 }
     }
 }
 
@@ -81,14 +78,7 @@ impl EposSerial {
     }
 
     fn new(protocol: Box<dyn Protocol>, config: Epos4Config) -> Self {
-        Self {
-            service: Service {
-                epos: Epos4::new(config),
-                outbox: Outbox::new(),
-            },
-            protocol,
-            last: Instant::ZERO,
-        }
+        Self { service: Service { epos: Epos4::new(config), outbox: Outbox::new() }, protocol, last: Instant::ZERO }
     }
 }
 

@@ -29,8 +29,7 @@ pub use epos_serial::{EposSerial, EposSerialConfig};
 pub use epos4::{Epos4, Epos4Config};
 pub use line::{LineFaults, LineStatistics, Stuck, WireFaults};
 pub use plant::{
-    AxisConfig, Demand, Feedback, Irp6Axis, Mechanism, MechanismConfig, Mount, PlantAxis,
-    PlantConfig, Trip,
+    AxisConfig, Demand, Feedback, Irp6Axis, Mechanism, MechanismConfig, Mount, PlantAxis, PlantConfig, Trip,
 };
 pub use pty::{Pty, PtyError};
 pub use slcan::{SlcanCounts, SlcanDevice};

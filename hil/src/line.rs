@@ -99,10 +99,7 @@ impl Direction {
             self.wire.pause();
         }
         (self.free_at, self.burst, self.count) = self.end(at);
-        self.on_wire = Some(TimedByte {
-            byte,
-            at: self.free_at,
-        });
+        self.on_wire = Some(TimedByte { byte, at: self.free_at });
         self.carried += 1;
     }
 
@@ -179,12 +176,7 @@ impl SerialLine {
             now: Instant::ZERO,
             to_device: Direction::new(settings),
             to_host: Direction::new(settings),
-            adapter: latency.map(|latency| Adapter {
-                latency,
-                since: Instant::ZERO,
-                bytes: [0; USB_PACKET],
-                count: 0,
-            }),
+            adapter: latency.map(|latency| Adapter { latency, since: Instant::ZERO, bytes: [0; USB_PACKET], count: 0 }),
         };
         line.collect();
         line
@@ -293,10 +285,7 @@ impl SerialLine {
             }
         };
         consider(self.time_out, LineEvent::TimeOut);
-        consider(
-            on_wire(&self.to_device).or_else(offered),
-            LineEvent::ToDevice,
-        );
+        consider(on_wire(&self.to_device).or_else(offered), LineEvent::ToDevice);
         consider(on_wire(&self.to_host), LineEvent::ToHost);
         consider(packet(), LineEvent::Packet);
         (first.0 < Instant::FAR_FUTURE).then_some(first)
@@ -304,12 +293,7 @@ impl SerialLine {
 
     fn take_from_host(&mut self) {
         let free = self.to_device.on_wire.is_none();
-        if let Some(next) = self
-            .host
-            .as_mut()
-            .filter(|_| free)
-            .and_then(|host| host.take())
-        {
+        if let Some(next) = self.host.as_mut().filter(|_| free).and_then(|host| host.take()) {
             self.to_device.start(next.byte, next.at.max(self.now));
         }
     }

@@ -49,9 +49,7 @@ pub enum MachineError {
     #[error("the test machine was stopped on request")]
     Cancelled,
     /// Another user can replace files of the machine.
-    #[error(
-        "{directory}, or one above it, belongs to user {user}, who can change what lies there: name another"
-    )]
+    #[error("{directory}, or one above it, belongs to user {user}, who can change what lies there: name another")]
     Foreign {
         /// The directory in question.
         directory: Directory,
@@ -59,9 +57,7 @@ pub enum MachineError {
         user: u32,
     },
     /// Other users can put other files in the place of the machine's.
-    #[error(
-        "{directory}, or one above it, can be changed by other users: name another, or `chmod go-w` it"
-    )]
+    #[error("{directory}, or one above it, can be changed by other users: name another, or `chmod go-w` it")]
     Shared {
         /// The directory in question.
         directory: Directory,
@@ -93,10 +89,7 @@ pub enum Directory {
 impl Directory {
     fn distrusted(self, why: Distrust) -> MachineError {
         match why {
-            Distrust::Foreign(user) => MachineError::Foreign {
-                directory: self,
-                user,
-            },
+            Distrust::Foreign(user) => MachineError::Foreign { directory: self, user },
             Distrust::Shared => MachineError::Shared { directory: self },
             Distrust::Unknown(kind) => MachineError::Host {
                 doing: match self {
@@ -189,11 +182,7 @@ impl Control {
         }
         let output = output.map_or_else(|| path.join("output"), Path::to_owned);
         let output = trust::own(&output, user).map_err(|why| Directory::Output.distrusted(why))?;
-        Ok(Self {
-            path,
-            output,
-            _directory: directory,
-        })
+        Ok(Self { path, output, _directory: directory })
     }
 }
 
@@ -225,27 +214,14 @@ impl Machine {
         let supervisor = Supervisor::new(&control.path, command, writer, errors, cancellation)?;
         let (pieces, output) = sync_channel(OUTPUT_PIECES);
         let read = move || read(reader, &mut |piece| pieces.send(piece).is_ok());
-        thread::Builder::new()
-            .name("machine output".into())
-            .spawn(read)?;
-        Ok(Self {
-            supervisor,
-            control,
-            output,
-            cancellation: cancellation.clone(),
-        })
+        thread::Builder::new().name("machine output".into()).spawn(read)?;
+        Ok(Self { supervisor, control, output, cancellation: cancellation.clone() })
     }
 
     /// Starts the machine and shows its output until the machine ends. After `timeout` the machine is killed.
-    pub(crate) fn run(
-        &self,
-        timeout: Duration,
-        mut show: impl FnMut(&[u8]),
-    ) -> Result<(), MachineError> {
+    pub(crate) fn run(&self, timeout: Duration, mut show: impl FnMut(&[u8])) -> Result<(), MachineError> {
         let deadline = clock::now() + timeout;
-        self.supervisor
-            .start()
-            .map_err(host("start the test machine"))?;
+        self.supervisor.start().map_err(host("start the test machine"))?;
         loop {
             match self.output.recv_timeout(deadline.since(clock::now())) {
                 Ok(piece) => show(&piece),
@@ -277,10 +253,7 @@ impl Machine {
 
 /// Names the operation that the host refused.
 pub(crate) fn host(doing: &'static str) -> impl Fn(io::Error) -> MachineError {
-    move |error| MachineError::Host {
-        doing,
-        kind: error.kind(),
-    }
+    move |error| MachineError::Host { doing, kind: error.kind() }
 }
 
 /// The command as a shell script, with the path of the `output` directory.
@@ -309,16 +282,7 @@ pub(crate) fn command_script(options: &Options, output: &Path) -> Vec<u8> {
 /// A line of a shell script that mounts `what` at `place`, seen from `root`.
 pub(crate) fn mount(what: &[u8], root: &str, place: &Path) -> Vec<u8> {
     let place = [root.as_bytes(), &quoted(place.as_os_str())].concat();
-    [
-        b"mkdir -p ",
-        &*place,
-        b"; mount ",
-        what,
-        b" ",
-        &place,
-        b"\n",
-    ]
-    .concat()
+    [b"mkdir -p ", &*place, b"; mount ", what, b" ", &place, b"\n"].concat()
 }
 
 /// Quotes `word`, which may contain any byte, so that a shell reads one word with the same bytes.
@@ -348,9 +312,6 @@ mod tests {
             r"exec timeout --signal=KILL 61 env 'MRROC_OUT=/o' 'A=it'\''s $HOME' 'echo' '' '`x`' 2>&1",
             "\n"
         );
-        assert_eq!(
-            String::from_utf8(command_script(&options, Path::new("/o"))).unwrap(),
-            expected
-        );
+        assert_eq!(String::from_utf8(command_script(&options, Path::new("/o"))).unwrap(), expected);
     }
 }

@@ -16,17 +16,13 @@ impl Outbox {
     const CAPACITY: usize = 1024;
 
     pub(crate) fn new() -> Self {
-        Self {
-            bytes: VecDeque::with_capacity(Self::CAPACITY),
-            now: Instant::ZERO,
-        }
+        Self { bytes: VecDeque::with_capacity(Self::CAPACITY), now: Instant::ZERO }
     }
 
     /// Adds the bytes for which there is room. The others are lost. `at` must not decrease.
     pub(crate) fn put(&mut self, at: Instant, bytes: &[u8]) {
         let room = Self::CAPACITY - self.bytes.len();
-        self.bytes
-            .extend(bytes.iter().take(room).map(|&byte| (at, byte)));
+        self.bytes.extend(bytes.iter().take(room).map(|&byte| (at, byte)));
     }
 
     pub(crate) fn poll_transmit(&mut self, now: Instant) -> Option<u8> {

@@ -5,10 +5,7 @@
 //! they are read. This module is part of the rim: it makes system calls, and [`wait`] waits.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
-#![expect(
-    unsafe_code,
-    reason = "pseudo-terminals and waiting for several of them are system calls"
-)]
+#![expect(unsafe_code, reason = "pseudo-terminals and waiting for several of them are system calls")]
 
 use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, Read, Write};
@@ -41,9 +38,7 @@ pub enum PtyError {
     #[error("the name is taken by something that is no symbolic link")]
     NameTaken,
     /// The name links to the terminal of another emulator.
-    #[error(
-        "the name links to a terminal that is in use; end the emulator it belongs to, or remove the link"
-    )]
+    #[error("the name links to a terminal that is in use; end the emulator it belongs to, or remove the link")]
     InUse,
     /// The name links to a target other than a pseudo-terminal. The link was left unchanged.
     #[error("the name is a link that no emulator made; remove the link, or choose another name")]
@@ -67,12 +62,7 @@ impl Pty {
                 .open("/dev/ptmx")?;
             let (number, slave) = unlock(&master)?;
             make_raw(&slave)?;
-            Ok(Self {
-                master,
-                slave,
-                path: PathBuf::from(format!("{TERMINALS}{number}")),
-                link: None,
-            })
+            Ok(Self { master, slave, path: PathBuf::from(format!("{TERMINALS}{number}")), link: None })
         };
         open().map_err(|error| PtyError::Open(errno(&error)))
     }
@@ -156,18 +146,11 @@ pub struct Interest {
 
 /// Waits until one of `ends` is ready for its interest, or until `until`. The result states for each end whether a
 /// read would return at once, also with an error or without a host. Signals do not shorten the wait.
-pub fn wait<'a>(
-    ends: impl IntoIterator<Item = (BorrowedFd<'a>, Interest)>,
-    until: Instant,
-) -> io::Result<Vec<bool>> {
+pub fn wait<'a>(ends: impl IntoIterator<Item = (BorrowedFd<'a>, Interest)>, until: Instant) -> io::Result<Vec<bool>> {
     let waited = |(end, interest): (BorrowedFd, Interest)| {
         let read = if interest.read { libc::POLLIN } else { 0 };
         let write = if interest.write { libc::POLLOUT } else { 0 };
-        libc::pollfd {
-            fd: end.as_raw_fd(),
-            events: read | write,
-            revents: 0,
-        }
+        libc::pollfd { fd: end.as_raw_fd(), events: read | write, revents: 0 }
     };
     let mut ends: Vec<_> = ends.into_iter().map(waited).collect();
     clock::wait(&mut ends, until).map_err(io::Error::from_raw_os_error)?;
@@ -214,13 +197,8 @@ fn hold(slave: &File) -> io::Result<()> {
 /// The target of `link`, if no running emulator uses that terminal. `found` is the metadata of the link itself.
 fn terminal_left(link: &Path, found: &Metadata) -> Result<PathBuf, PtyError> {
     let terminal = fs::read_link(link).map_err(|error| PtyError::Link(errno(&error)))?;
-    let number = terminal
-        .to_str()
-        .and_then(|path| path.strip_prefix(TERMINALS));
-    if number
-        .and_then(|number| number.parse::<u32>().ok())
-        .is_none()
-    {
+    let number = terminal.to_str().and_then(|path| path.strip_prefix(TERMINALS));
+    if number.and_then(|number| number.parse::<u32>().ok()).is_none() {
         return Err(PtyError::ForeignLink);
     }
     if is_in_use(&terminal, found.uid()) {
@@ -231,16 +209,12 @@ fn terminal_left(link: &Path, found: &Metadata) -> Result<PathBuf, PtyError> {
 
 /// Whether a running emulator uses a terminal. `owner` is the user who made the link to the terminal.
 fn is_in_use(terminal: &Path, owner: u32) -> bool {
-    let opened = OpenOptions::new()
-        .read(true)
-        .custom_flags(libc::O_NOCTTY | libc::O_NONBLOCK | libc::O_NOFOLLOW)
-        .open(terminal);
+    let opened =
+        OpenOptions::new().read(true).custom_flags(libc::O_NOCTTY | libc::O_NONBLOCK | libc::O_NOFOLLOW).open(terminal);
     match opened {
         Ok(opened) => !is_pseudo_terminal(&opened) || is_held(&opened),
         // The other end is closed.
-        Err(error) if [Some(libc::ENOENT), Some(libc::EIO)].contains(&error.raw_os_error()) => {
-            false
-        }
+        Err(error) if [Some(libc::ENOENT), Some(libc::EIO)].contains(&error.raw_os_error()) => false,
         // An emulator's terminal belongs to the user who made the link. A terminal of another user is not an
         // emulator's.
         Err(error) if error.kind() == io::ErrorKind::PermissionDenied => {
@@ -252,9 +226,8 @@ fn is_in_use(terminal: &Path, owner: u32) -> bool {
 
 /// Major numbers 136 to 143 (Linux, `devices.txt`).
 fn is_pseudo_terminal(file: &File) -> bool {
-    file.metadata().is_ok_and(|found| {
-        found.file_type().is_char_device() && (136..=143).contains(&libc::major(found.rdev()))
-    })
+    file.metadata()
+        .is_ok_and(|found| found.file_type().is_char_device() && (136..=143).contains(&libc::major(found.rdev())))
 }
 
 /// Removes a link left by a killed emulator, unless another emulator has replaced the link in the meantime.
@@ -318,22 +291,15 @@ mod tests {
     use super::*;
     use std::time::Duration;
 
-    const READ: Interest = Interest {
-        read: true,
-        write: false,
-    };
-    const WRITE: Interest = Interest {
-        read: false,
-        write: true,
-    };
+    const READ: Interest = Interest { read: true, write: false };
+    const WRITE: Interest = Interest { read: false, write: true };
 
     /// A directory that is removed at the end of the test.
     struct Directory(PathBuf);
 
     impl Directory {
         fn new(name: &str) -> Self {
-            let path =
-                std::env::temp_dir().join(format!("mrroc-pty-{}-{name}", std::process::id()));
+            let path = std::env::temp_dir().join(format!("mrroc-pty-{}-{name}", std::process::id()));
             fs::create_dir(&path).unwrap();
             Self(path)
         }
@@ -346,12 +312,7 @@ mod tests {
     }
 
     fn host(path: &Path) -> File {
-        OpenOptions::new()
-            .read(true)
-            .write(true)
-            .custom_flags(libc::O_NOCTTY | libc::O_NONBLOCK)
-            .open(path)
-            .unwrap()
+        OpenOptions::new().read(true).write(true).custom_flags(libc::O_NOCTTY | libc::O_NONBLOCK).open(path).unwrap()
     }
 
     /// Reads `count` bytes within a second.
@@ -376,9 +337,7 @@ mod tests {
         let all: Vec<u8> = (0..=255).collect();
         host.write_all(&all).unwrap();
         let mut end = pty.master.try_clone().unwrap();
-        let heard = read(&pty.as_fd(), 256, |buffer| {
-            not_yet(end.read(buffer)).unwrap()
-        });
+        let heard = read(&pty.as_fd(), 256, |buffer| not_yet(end.read(buffer)).unwrap());
         assert_eq!(heard, all);
         assert_eq!(pty.write(&all).unwrap(), 256);
         let mut end = host.try_clone().unwrap();
@@ -430,10 +389,7 @@ mod tests {
         assert_eq!(readable, [false, true]);
         assert!(clock::now() < start + Duration::from_secs(30));
         // Readable bytes do not wake an end without interest in reading.
-        let nothing = Interest {
-            read: false,
-            ..READ
-        };
+        let nothing = Interest { read: false, ..READ };
         let later = clock::now() + Duration::from_millis(20);
         wait([(pty[1].as_fd(), nothing)], later).unwrap();
         assert!(clock::now() >= later);
@@ -498,13 +454,7 @@ mod tests {
         let planted = directory.0.join("planted");
         let terminal = Pty::open().unwrap();
         symlink(terminal.path(), &planted).unwrap();
-        let targets = [
-            "/dev/null",
-            "/tmp",
-            "/dev/ttyUSB99",
-            "/dev/pts/ptmx",
-            "/dev/pts/../null",
-        ];
+        let targets = ["/dev/null", "/tmp", "/dev/ttyUSB99", "/dev/pts/ptmx", "/dev/pts/../null"];
         let targets = targets.map(Path::new);
         for target in targets.into_iter().chain([&*fifo, &*planted]) {
             symlink(target, &link).unwrap();
@@ -537,9 +487,6 @@ mod tests {
         assert_eq!(Pty::linked(&directory.0).unwrap_err(), PtyError::NameTaken);
         assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
         let nowhere = directory.0.join("missing/can0");
-        assert_eq!(
-            Pty::linked(&nowhere).unwrap_err(),
-            PtyError::Link(libc::ENOENT)
-        );
+        assert_eq!(Pty::linked(&nowhere).unwrap_err(), PtyError::Link(libc::ENOENT));
     }
 }

@@ -104,9 +104,7 @@ impl Kernel {
             image: root.join(format!("boot/vmlinuz-{version}")),
             modules: root.join(format!("lib/modules/{version}/kernel")),
         };
-        let missing = MODULES
-            .iter()
-            .find(|module| !kernel.module(module).exists());
+        let missing = MODULES.iter().find(|module| !kernel.module(module).exists());
         missing.map_or(Ok(kernel), |module| Err(QemuError::ModuleMissing(module)))
     }
 
@@ -125,8 +123,7 @@ pub fn run(kernel: &Kernel, options: &Options, stdout: &mut dyn Write) -> Result
     let machine = machine(control, kernel, options).map_err(host("start the test machine"))?;
     let control = &machine.control;
     let initramfs = initramfs(kernel, options, control).map_err(host("read the kernel"))?;
-    fs::write(control.path.join("initramfs"), initramfs)
-        .map_err(host("write the machine's directory"))?;
+    fs::write(control.path.join("initramfs"), initramfs).map_err(host("write the machine's directory"))?;
     machine.run(options.timeout, |piece| {
         // The command continues even if its output cannot be written.
         let _ = stdout.write_all(piece).and_then(|()| stdout.flush());
@@ -283,10 +280,7 @@ mod tests {
 
     #[test]
     fn what_would_be_hidden_is_mounted_from_the_host() {
-        let options = Options {
-            directory: "/tmp/a b".into(),
-            ..Options::new(["sh"])
-        };
+        let options = Options { directory: "/tmp/a b".into(), ..Options::new(["sh"]) };
         assert_eq!(
             String::from_utf8(mount_script(&options, Path::new("/o"))).unwrap(),
             "mkdir -p /root'/tmp/a b'; mount -o bind /host'/tmp/a b' /root'/tmp/a b'\n\

@@ -184,11 +184,7 @@ impl SlcanDevice {
             self.to_bus.clear();
         }
         if self.state != before {
-            let state = AdapterReport::State {
-                state: self.state,
-                receive,
-                transmit,
-            };
+            let state = AdapterReport::State { state: self.state, receive, transmit };
             self.volunteer(&state);
         }
     }
@@ -227,10 +223,7 @@ impl SlcanDevice {
             Command::Close => self.close(),
             Command::Transmit(frame) => return self.transmit(frame, now),
             Command::Version => {
-                return AdapterReport::Version {
-                    hardware: 0x10,
-                    software: 0x10,
-                };
+                return AdapterReport::Version { hardware: 0x10, software: 0x10 };
             }
             Command::Firmware => return AdapterReport::Firmware { major: 1, minor: 0 },
             Command::SerialNumber => return AdapterReport::SerialNumber(*b"HIL1"),

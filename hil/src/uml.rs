@@ -162,11 +162,7 @@ enum Part {
 
 impl Screen {
     fn new(mark: Vec<u8>) -> Self {
-        Self {
-            mark,
-            part: Part::Boot,
-            boot_log: Vec::new(),
-        }
+        Self { mark, part: Part::Boot, boot_log: Vec::new() }
     }
 
     fn show(&mut self, line: &[u8], stdout: &mut dyn Write) {
@@ -197,11 +193,8 @@ mod tests {
     #[test]
     fn what_would_be_hidden_is_mounted_and_the_output_directory_last() {
         let check = |directory: &str, visible: &str, program: &str, hidden: &[&str]| {
-            let options = Options {
-                directory: directory.into(),
-                visible: vec![visible.into()],
-                ..Options::new([program])
-            };
+            let options =
+                Options { directory: directory.into(), visible: vec![visible.into()], ..Options::new([program]) };
             let control = Control::new("test", None).unwrap();
             let script = String::from_utf8(mount_script(&control, &options).unwrap()).unwrap();
             let mut lines = script.lines();
@@ -209,9 +202,7 @@ mod tests {
                 let link = control.path.join(name);
                 assert_eq!(fs::read_link(&link).unwrap(), place);
                 let (link, place) = (link.display(), place.display());
-                let expected = format!(
-                    "mkdir -p '{place}'; mount -t hostfs -o {access},{link} none '{place}'"
-                );
+                let expected = format!("mkdir -p '{place}'; mount -t hostfs -o {access},{link} none '{place}'");
                 assert_eq!(lines.next(), Some(&*expected));
             };
             for (number, place) in hidden.iter().enumerate() {
@@ -232,13 +223,7 @@ mod tests {
     fn only_what_stands_between_the_marks_is_shown() {
         let mut screen = Screen::new(b"MARK\n".to_vec());
         let mut shown = Vec::new();
-        for line in [
-            "boot\n",
-            "MARK\n",
-            "one\n",
-            "twoMARK\n",
-            "reboot: Power down\n",
-        ] {
+        for line in ["boot\n", "MARK\n", "one\n", "twoMARK\n", "reboot: Power down\n"] {
             screen.show(line.as_bytes(), &mut shown);
         }
         assert_eq!(shown, b"one\ntwo");
@@ -254,11 +239,7 @@ mod tests {
             (here, Path::new("/proc/self"), UmlError::ModulesMissing),
         ] {
             assert_eq!(installed_in(kernel, modules), Err(error));
-            assert!(
-                error
-                    .to_string()
-                    .ends_with("`apt-get install user-mode-linux`")
-            );
+            assert!(error.to_string().ends_with("`apt-get install user-mode-linux`"));
         }
     }
 

@@ -84,12 +84,7 @@ impl World {
 
     /// Adds a serial line with a device at its end. `latency` inserts a USB adapter with such a latency timer towards
     /// the host, for example the 16 ms of an FTDI adapter.
-    pub fn add_line(
-        &mut self,
-        settings: Settings,
-        latency: Option<Duration>,
-        device: Box<dyn LineDevice>,
-    ) -> LineId {
+    pub fn add_line(&mut self, settings: Settings, latency: Option<Duration>, device: Box<dyn LineDevice>) -> LineId {
         self.lines.push(SerialLine::new(settings, latency, device));
         LineId(self.lines.len() - 1)
     }
@@ -121,12 +116,7 @@ impl World {
 
     /// Applies `change` to a device at `now`, after advancing its bus to `now`. A device with a serial line exchanges
     /// its bytes in this way. `None` if the device is no `D`.
-    pub fn change<D: Device, R>(
-        &mut self,
-        id: DeviceId,
-        now: Instant,
-        change: impl FnOnce(&mut D) -> R,
-    ) -> Option<R> {
+    pub fn change<D: Device, R>(&mut self, id: DeviceId, now: Instant, change: impl FnOnce(&mut D) -> R) -> Option<R> {
         let bus = self.buses.get_mut(id.bus.0)?;
         bus.change_device(id.number, now, |device| {
             let device: &mut dyn Any = device;
@@ -194,10 +184,7 @@ mod tests {
         let mut byte = [0];
         let end = Instant::from_nanos(2 * 86_806);
         assert_eq!(host.read(end, &mut byte), Ok(1));
-        let mut frame = [can::Received {
-            frame: sync,
-            at: end,
-        }];
+        let mut frame = [can::Received { frame: sync, at: end }];
         assert_eq!(listener.receive(end, &mut frame), Ok(1));
         assert!(world.line(line).device::<Echo>().is_some());
         assert_eq!(world.line(line).statistics().to_host, 1);

@@ -109,11 +109,17 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     }
     let axes = axes.len();
     let key = Path::to("bus").then(index);
-    Err(file.refuse(&key, anyhow!(
-        "{axes} axes keep bus {:?} busy for {} µs of each {} µs at the worst ({:.0} %, at most 100 %); {}",
-        bus.name, analysis.busy.as_micros(), period.as_micros(), share(analysis.busy),
-        what_fits(bitrate, period, &messages, axes),
-    )))
+    Err(file.refuse(
+        &key,
+        anyhow!(
+            "{axes} axes keep bus {:?} busy for {} µs of each {} µs at the worst ({:.0} %, at most 100 %); {}",
+            bus.name,
+            analysis.busy.as_micros(),
+            period.as_micros(),
+            share(analysis.busy),
+            what_fits(bitrate, period, &messages, axes),
+        ),
+    ))
 }
 
 /// Each line carries one telegram in each direction per period. The answer starts after the request has arrived.
@@ -145,25 +151,23 @@ fn check_lines(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
         name: bundle.name.clone(),
         load_percent: share(settings.line_time(request.max(answer))),
         worst_case_percent: share(answered),
-        messages: vec![
-            message("request", request, asked),
-            message("answer", answer, answered),
-        ],
+        messages: vec![message("request", request, asked), message("answer", answer, answered)],
         bits_per_second: f64::from(bundle.baud) * lines.len() as f64,
-        serial: Some(Bundle {
-            protocol: bundle.protocol,
-            baud: bundle.baud,
-            lines,
-        }),
+        serial: Some(Bundle { protocol: bundle.protocol, baud: bundle.baud, lines }),
     };
     if answered <= period {
         return Ok(budget);
     }
     let key = Path::to("serial").then(index).then("baud");
-    Err(file.refuse(&key, anyhow!(
-        "a request of {request} and an answer of {answer} bytes take {} µs of each {} µs ({:.0} %, at most 100 %)",
-        answered.as_micros(), period.as_micros(), share(answered),
-    )))
+    Err(file.refuse(
+        &key,
+        anyhow!(
+            "a request of {request} and an answer of {answer} bytes take {} µs of each {} µs ({:.0} %, at most 100 %)",
+            answered.as_micros(),
+            period.as_micros(),
+            share(answered),
+        ),
+    ))
 }
 
 /// The messages of a bus in the order of the senders' queues.
@@ -179,11 +183,7 @@ fn messages(traffic: &[Traffic], period: Duration, host: u8) -> Vec<Message> {
         Message {
             id: traffic.cob_id,
             bytes: traffic.bytes,
-            sender: if from_node {
-                Sender::Node(node)
-            } else {
-                Sender::Host
-            },
+            sender: if from_node { Sender::Node(node) } else { Sender::Host },
             every: match (service, traffic.period == period) {
                 (false, true) => Every::Cycle,
                 (true, _) => Every::Interval(Duration::from_secs(1)),
@@ -201,8 +201,7 @@ fn is_service(id: StandardId) -> bool {
 
 /// Proposals for a cell that fits: fewer axes, or a longer period.
 fn what_fits(bitrate: Bitrate, period: Duration, messages: &[Message], axes: usize) -> String {
-    let fits =
-        |messages: &[Message], period| schedule::analyse(bitrate, period, messages).busy <= period;
+    let fits = |messages: &[Message], period| schedule::analyse(bitrate, period, messages).busy <= period;
     let answer = |message: &Message| match message.sender {
         // Each axis has one answer, and at a long period further messages once per cycle.
         Sender::Node(node) if message.id.raw() & 0x780 == 0x180 => Some(node),
@@ -211,17 +210,13 @@ fn what_fits(bitrate: Bitrate, period: Duration, messages: &[Message], axes: usi
     let nodes: Vec<u8> = messages.iter().filter_map(answer).collect();
     let without = |count: usize| -> Vec<Message> {
         let gone = &nodes[count..];
-        let kept = |message: &&Message| {
-            message.id == cob::SYNC || !gone.contains(&((message.id.raw() & 0x7F) as u8))
-        };
+        let kept = |message: &&Message| message.id == cob::SYNC || !gone.contains(&((message.id.raw() & 0x7F) as u8));
         messages.iter().filter(kept).copied().collect()
     };
     let most = (0..axes).rev().find(|&count| fits(&without(count), period));
     let most = most.unwrap_or(0);
     let mut periods = (1..=1000).map(Duration::from_millis);
     let shortest = periods.find(|&period| fits(messages, period));
-    let period = shortest.map_or(String::new(), |period| {
-        format!(", or a period of {} ms", period.as_millis())
-    });
+    let period = shortest.map_or(String::new(), |period| format!(", or a period of {} ms", period.as_millis()));
     format!("{most} axes would fit{period}, or more buses")
 }

@@ -4,9 +4,7 @@ use std::io;
 use std::ops::Range;
 
 use plotters::coord::Shift;
-use plotters::coord::ranged1d::{
-    KeyPointHint, KeyPointWeight, NoDefaultFormatting, Ranged, ValueFormatter,
-};
+use plotters::coord::ranged1d::{KeyPointHint, KeyPointWeight, NoDefaultFormatting, Ranged, ValueFormatter};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
@@ -97,12 +95,7 @@ pub fn escaped(text: &str) -> String {
 }
 
 /// Begins a panel with a grid.
-pub fn panel<'a, 'b>(
-    area: &Area<'b>,
-    title: &str,
-    x: &Scale,
-    y: &Scale,
-) -> Result<Panel<'a, 'b>, ChartError> {
+pub fn panel<'a, 'b>(area: &Area<'b>, title: &str, x: &Scale, y: &Scale) -> Result<Panel<'a, 'b>, ChartError> {
     let mut panel = ChartBuilder::on(area)
         .caption(title, font(15))
         .margin(px(8))
@@ -157,22 +150,13 @@ pub fn segments(
 }
 
 /// Draws a dashed straight line.
-pub fn dashed(
-    panel: &mut Panel,
-    colour: RGBColor,
-    ends: [(f64, f64); 2],
-) -> Result<(), ChartError> {
+pub fn dashed(panel: &mut Panel, colour: RGBColor, ends: [(f64, f64); 2]) -> Result<(), ChartError> {
     let series = DashedLineSeries::new(ends, px(5), px(4), stroke(colour));
     panel.draw_series(series).map(|_| ())
 }
 
 /// Writes a text beside a point, on the side that has room.
-pub fn label(
-    panel: &mut Panel,
-    colour: RGBColor,
-    at: (f64, f64),
-    said: &str,
-) -> Result<(), ChartError> {
+pub fn label(panel: &mut Panel, colour: RGBColor, at: (f64, f64), said: &str) -> Result<(), ChartError> {
     let area = panel.plotting_area();
     let room = area.get_pixel_range().0.end - area.map_coordinate(&at).0;
     let (side, away) = match room > px(120) as i32 {
@@ -186,11 +170,7 @@ pub fn label(
 }
 
 /// Writes a title and what is said below it; returns the part of the sheet beside the title, and the part below.
-pub fn titled<'a>(
-    area: &Area<'a>,
-    title: &str,
-    setting: &str,
-) -> Result<(Area<'a>, Area<'a>), ChartError> {
+pub fn titled<'a>(area: &Area<'a>, title: &str, setting: &str) -> Result<(Area<'a>, Area<'a>), ChartError> {
     let (head, rest) = area.split_vertically(px(64));
     let place = |y: u32| (px(62) as i32, px(y) as i32);
     head.draw(&Text::new(title.to_owned(), place(10), font(19)))?;
@@ -237,12 +217,7 @@ impl Scale {
     }
 
     /// A linear axis over `values` and `least` in whole steps.
-    pub fn in_steps(
-        name: &str,
-        values: impl IntoIterator<Item = f64>,
-        least: [f64; 2],
-        step: f64,
-    ) -> Self {
+    pub fn in_steps(name: &str, values: impl IntoIterator<Item = f64>, least: [f64; 2], step: f64) -> Self {
         let [low, high] = over(values, least);
         let range = [(low / step).floor() * step, (high / step).ceil() * step];
         Self::stepped(name, range, step)
@@ -262,12 +237,7 @@ impl Scale {
             let value = number as f64 * step;
             (value, format!("{value:.digits$}"))
         };
-        Self {
-            name: name.into(),
-            ends: range,
-            logarithmic: false,
-            ticks: (first..=last).map(tick).collect(),
-        }
+        Self { name: name.into(), ends: range, logarithmic: false, ticks: (first..=last).map(tick).collect() }
     }
 
     /// A logarithmic axis with ticks at 1, 2, 5 and their decades.
@@ -289,17 +259,8 @@ impl Scale {
     }
 
     /// A logarithmic axis with these ticks.
-    fn logarithmic(
-        name: &str,
-        range: [f64; 2],
-        ticks: impl IntoIterator<Item = (f64, String)>,
-    ) -> Self {
-        Self {
-            name: name.into(),
-            ends: range,
-            logarithmic: true,
-            ticks: ticks.into_iter().collect(),
-        }
+    fn logarithmic(name: &str, range: [f64; 2], ticks: impl IntoIterator<Item = (f64, String)>) -> Self {
+        Self { name: name.into(), ends: range, logarithmic: true, ticks: ticks.into_iter().collect() }
     }
 }
 
@@ -310,11 +271,7 @@ impl Ranged for Scale {
     /// A value beyond an end is drawn at the end.
     fn map(&self, value: &f64, (first, last): (i32, i32)) -> i32 {
         let place = |value: f64| {
-            if self.logarithmic {
-                value.max(f64::MIN_POSITIVE).log10()
-            } else {
-                value
-            }
+            if self.logarithmic { value.max(f64::MIN_POSITIVE).log10() } else { value }
         };
         let [low, high] = self.ends.map(place);
         let share = ((place(*value) - low) / (high - low)).clamp(0.0, 1.0);
@@ -343,9 +300,7 @@ impl ValueFormatter<f64> for Scale {
 /// The range of finite values, at the least `least`.
 pub fn over(values: impl IntoIterator<Item = f64>, least: [f64; 2]) -> [f64; 2] {
     let finite = values.into_iter().filter(|value| value.is_finite());
-    finite.fold(least, |[low, high], value| {
-        [low.min(value), high.max(value)]
-    })
+    finite.fold(least, |[low, high], value| [low.min(value), high.max(value)])
 }
 
 /// The step, 1, 2 or 5 times a power of ten, that makes at most [`TICKS`] of `span`.
@@ -362,12 +317,7 @@ mod tests {
 
     #[test]
     fn axes_have_at_most_ten_round_steps() {
-        for (end, last, label) in [
-            (0.3, 0.3, "0.30"),
-            (7.0, 7.0, "7"),
-            (61.0, 60.0, "60"),
-            (3600.0, 3500.0, "3500"),
-        ] {
+        for (end, last, label) in [(0.3, 0.3, "0.30"), (7.0, 7.0, "7"), (61.0, 60.0, "60"), (3600.0, 3500.0, "3500")] {
             let ticks = Scale::exact("", [0.0, end]).ticks;
             assert!((4..=11).contains(&ticks.len()), "{end}: {ticks:?}");
             let (found, said) = ticks.last().unwrap();
@@ -396,10 +346,7 @@ mod tests {
         });
         let drawn = drawn.unwrap();
         let read = roxmltree::Document::parse(&drawn).unwrap();
-        let texts: Vec<_> = read
-            .descendants()
-            .filter_map(|node| node.text().map(str::trim))
-            .collect();
+        let texts: Vec<_> = read.descendants().filter_map(|node| node.text().map(str::trim)).collect();
         for text in ["a & b", "\"<b>\"", "<x>", "<i>"] {
             assert!(texts.contains(&text), "{text}: {texts:?}");
         }

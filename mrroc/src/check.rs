@@ -62,9 +62,7 @@ pub fn check(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<CheckReport> 
         robots: robots.collect(),
         program_s: program.as_secs_f64(),
         buses,
-        problems: emulation::problems(file)
-            .map(|problem| problem.to_string())
-            .collect(),
+        problems: emulation::problems(file).map(|problem| problem.to_string()).collect(),
     })
 }
 
@@ -94,11 +92,7 @@ fn configurations(file: &CellFile, robot: usize) -> Vec<CheckedConfiguration> {
 impl fmt::Display for CheckReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for robot in &self.robots {
-            writeln!(
-                f,
-                "robot {}: {} axes, {} instructions",
-                robot.name, robot.axes, robot.instructions
-            )?;
+            writeln!(f, "robot {}: {} axes, {} instructions", robot.name, robot.axes, robot.instructions)?;
             for configured in &robot.configurations {
                 writeln!(
                     f,
@@ -124,11 +118,7 @@ impl CheckReport {
                 "\nbus {}: load {load:.1} %, the last frame of a cycle has left after {worst:.1} % of {} µs at the worst",
                 bus.name, self.period_us
             )?,
-            Some(Bundle {
-                protocol,
-                baud,
-                lines,
-            }) => {
+            Some(Bundle { protocol, baud, lines }) => {
                 writeln!(
                     f,
                     "\nserial bundle {}: {} at {baud} bit/s, load {load:.1} % of each line, the answer has come after \
@@ -144,20 +134,12 @@ impl CheckReport {
                 }
             }
         }
-        writeln!(
-            f,
-            "  {:16} {:>6} {:>5} {:>10} {:>11}",
-            "frame", "id", "bytes", "every µs", "response µs"
-        )?;
+        writeln!(f, "  {:16} {:>6} {:>5} {:>10} {:>11}", "frame", "id", "bytes", "every µs", "response µs")?;
         let shown = |value: Option<String>| value.unwrap_or("-".to_owned());
         for message in &bus.messages {
             let response = shown(message.response_us.map(|response| response.to_string()));
             let id = shown(message.cob_id.map(|id| format!("{id:#x}")));
-            writeln!(
-                f,
-                "  {:16} {id:>6} {:>5} {:>10} {response:>11}",
-                message.what, message.bytes, message.period_us
-            )?;
+            writeln!(f, "  {:16} {id:>6} {:>5} {:>10} {response:>11}", message.what, message.bytes, message.period_us)?;
         }
         Ok(())
     }

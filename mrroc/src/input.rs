@@ -179,10 +179,7 @@ mod tests {
         let metadata = fs::metadata(&path).unwrap();
         let owner = metadata.uid();
         let foreign = check_owner(&metadata, owner + 1).unwrap_err().to_string();
-        assert!(
-            foreign.contains(&format!("belongs to user {owner}")),
-            "{foreign}"
-        );
+        assert!(foreign.contains(&format!("belongs to user {owner}")), "{foreign}");
         for mode in [0o600, 0o644, 0o620, 0o602, 0o666] {
             fs::set_permissions(&path, Permissions::from_mode(mode)).unwrap();
             let read = read_own(&path, 4);

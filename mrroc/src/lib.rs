@@ -66,8 +66,8 @@ pub mod prelude {
 
     pub use controller::ecp::Task;
     pub use controller::generator::{
-        AxesState, EffectorImage, Generator, GeneratorError, JerkLimited, LineLimits, MotionLimits,
-        Newsmooth, Next, Pose, Setpoint, SmoothPose, StraightLine, Wait,
+        AxesState, EffectorImage, Generator, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Next,
+        Pose, Setpoint, SmoothPose, StraightLine, Wait,
     };
 
     pub use crate::bench::BenchKind;

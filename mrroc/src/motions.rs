@@ -39,11 +39,7 @@ impl Motions {
     /// A synchronised trapezoid through joint positions, rad (m for a linear joint).
     ///
     /// `share` is the fraction of the limits of velocity and acceleration to use, above 0 and at most 1.
-    pub fn joints<const AXES: usize>(
-        &self,
-        share: f64,
-        poses: &[[f64; AXES]],
-    ) -> anyhow::Result<Newsmooth> {
+    pub fn joints<const AXES: usize>(&self, share: f64, poses: &[[f64; AXES]]) -> anyhow::Result<Newsmooth> {
         let axes = self.arm.axes();
         if AXES != axes {
             bail!("a pose has {AXES} joints, and the robot has {axes}");

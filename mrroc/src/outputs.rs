@@ -46,21 +46,14 @@ impl Outputs {
     /// Outputs that protect the files of standard output and standard error.
     pub fn new(replacement: Replacement) -> Self {
         let (stdout, stderr) = (io::stdout(), io::stderr());
-        let standard = [
-            ("standard output", stdout.as_fd()),
-            ("standard error", stderr.as_fd()),
-        ];
+        let standard = [("standard output", stdout.as_fd()), ("standard error", stderr.as_fd())];
         let known = standard.into_iter().filter_map(|(what, end)| {
             let found = end.try_clone_to_owned().map(File::from);
             let found = found.and_then(|file| file.metadata()).ok()?;
             // All writers of a pipe, a terminal or a device share one end.
             found.is_file().then(|| (what, identity(&found)))
         });
-        Self {
-            replacement,
-            known: known.collect(),
-            opened: Vec::new(),
-        }
+        Self { replacement, known: known.collect(), opened: Vec::new() }
     }
 
     /// Protects the files that `cell` was read from.
@@ -91,14 +84,8 @@ impl Outputs {
     }
 
     /// Opens the output `name` of the option `what` in a directory, which is made where it is not there yet.
-    pub fn open_in(
-        &mut self,
-        what: impl Display,
-        directory: &Path,
-        name: &str,
-    ) -> anyhow::Result<File> {
-        fs::create_dir_all(directory)
-            .with_context(|| format!("{what}: {} cannot be made", directory.display()))?;
+    pub fn open_in(&mut self, what: impl Display, directory: &Path, name: &str) -> anyhow::Result<File> {
+        fs::create_dir_all(directory).with_context(|| format!("{what}: {} cannot be made", directory.display()))?;
         self.open(what, &directory.join(name))
     }
 
@@ -135,9 +122,7 @@ impl Outputs {
     fn file(&self, path: &Path) -> anyhow::Result<(File, bool)> {
         let mut options = File::options();
         // A FIFO without a reader, or a line without a carrier, would be waited for, and no signal would end that.
-        options
-            .write(true)
-            .custom_flags(libc::O_NONBLOCK | libc::O_NOCTTY);
+        options.write(true).custom_flags(libc::O_NONBLOCK | libc::O_NOCTTY);
         match options.clone().create_new(true).open(path) {
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
             made => return Ok((made?, true)),
@@ -146,17 +131,15 @@ impl Outputs {
         match fs::metadata(path) {
             Ok(found) if found.file_type().is_block_device() => bail!("a disk is no file to write"),
             Err(error) if error.kind() == ErrorKind::NotFound && !self.replacement.force => {
-                bail!(
-                    "the name is that of a link which leads nowhere: name another, or let --force follow it"
-                )
+                bail!("the name is that of a link which leads nowhere: name another, or let --force follow it")
             }
             Err(error) if error.kind() == ErrorKind::NotFound => made = true,
             _ => {}
         }
         match options.create(made).open(path) {
-            Err(error) if error.raw_os_error() == Some(libc::ENXIO) => bail!(
-                "the file is a FIFO that no program reads, or a device that is not there: start the reader first"
-            ),
+            Err(error) if error.raw_os_error() == Some(libc::ENXIO) => {
+                bail!("the file is a FIFO that no program reads, or a device that is not there: start the reader first")
+            }
             opened => {
                 let file = opened?;
                 wait_for_room(&file)?;
@@ -169,11 +152,7 @@ impl Outputs {
     pub fn begin(mut self) -> anyhow::Result<()> {
         for opened in &self.opened {
             let is_file = opened.file.metadata().is_ok_and(|found| found.is_file());
-            let emptied = if is_file {
-                opened.file.set_len(0)
-            } else {
-                Ok(())
-            };
+            let emptied = if is_file { opened.file.set_len(0) } else { Ok(()) };
             emptied.with_context(|| format!("{}: {}", opened.what, opened.path.display()))?;
         }
         self.opened.clear();
@@ -258,12 +237,7 @@ mod tests {
         let place = |name: &str| directory.path().join(name);
         symlink(directory.path(), place("here")).unwrap();
         symlink("new", place("link")).unwrap();
-        for (first, second) in [
-            ("new", "new"),
-            ("new", "here/new"),
-            ("link", "new"),
-            ("here/link", "link"),
-        ] {
+        for (first, second) in [("new", "new"), ("new", "here/new"), ("link", "new"), ("here/link", "link")] {
             let mut outputs = Outputs::new(FORCE);
             outputs.open("--one", &place(first)).unwrap();
             let said = refusal(&mut outputs, &place(second));
@@ -285,10 +259,7 @@ mod tests {
         thread::spawn(move || said.send(refusal(&mut Outputs::new(FORCE), &fifo)));
         let refused = refused.recv_timeout(Duration::from_secs(60));
         let refused = refused.expect("the FIFO is not waited for");
-        assert!(
-            refused.contains("a FIFO that no program reads"),
-            "{refused}"
-        );
+        assert!(refused.contains("a FIFO that no program reads"), "{refused}");
         // With a reader, a writer waits for room.
         let mut reader = File::options().read(true).write(true).open(&path).unwrap();
         let mut outputs = Outputs::new(KEEP);
@@ -325,10 +296,7 @@ mod tests {
             outputs.open("--it", Path::new(device)).unwrap();
         }
         let (mut pipe, end) = io::pipe().unwrap();
-        let path = PathBuf::from(format!(
-            "/proc/self/fd/{}",
-            std::os::fd::AsRawFd::as_raw_fd(&end)
-        ));
+        let path = PathBuf::from(format!("/proc/self/fd/{}", std::os::fd::AsRawFd::as_raw_fd(&end)));
         let mut file = outputs.open("--it", &path).unwrap();
         assert!(refusal(&mut outputs, &path).contains("--it has the same file"));
         outputs.begin().unwrap();

@@ -43,10 +43,7 @@ struct Arguments {
 /// exit status is 0 after the end of the tasks, 1 after a fault or a requested stop, and 2 if the program was refused
 /// before any motion.
 pub fn program(cell: &str, tasks: impl Fn(&CellFile) -> anyhow::Result<Tasks> + Sync) -> ExitCode {
-    let Arguments {
-        cell: given,
-        options,
-    } = Arguments::parse();
+    let Arguments { cell: given, options } = Arguments::parse();
     let cell = given.unwrap_or_else(|| cell.into());
     let file = CellFile::read(&cell);
     let result = file.and_then(|file| run_program(&file, &options, &tasks));
@@ -57,11 +54,7 @@ pub fn program(cell: &str, tasks: impl Fn(&CellFile) -> anyhow::Result<Tasks> + 
 }
 
 /// Runs `tasks` with a progress bar and prints the report. Signals that end a process first brake the robots.
-pub fn run_program(
-    file: &CellFile,
-    options: &ProgramOptions,
-    tasks: &MakeTasks,
-) -> anyhow::Result<ExitCode> {
+pub fn run_program(file: &CellFile, options: &ProgramOptions, tasks: &MakeTasks) -> anyhow::Result<ExitCode> {
     signals::block_suspension()?;
     let requests = Requests::default();
     flag::register(SIGUSR1, requests.spikes.clone()).context("SIGUSR1 cannot be caught")?;
@@ -76,9 +69,7 @@ pub fn run_program(
     let report = report?;
     if let Err(error) = streams::answer(&report, options.json) {
         // A refusal is too late, because everything has moved.
-        streams::warn(format_args!(
-            "mrroc: the report cannot be printed: {error:#}"
-        ));
+        streams::warn(format_args!("mrroc: the report cannot be printed: {error:#}"));
         return Ok(ExitCode::from(1));
     }
     Ok(ExitCode::from(match report.outcome {
@@ -103,11 +94,7 @@ impl Bar {
         let style = ProgressStyle::with_template("{elapsed:>4} [{bar:30}] {pos}/{len} {msg}")?;
         bar.set_style(style.progress_chars("=> "));
         let names = file.cell.robot.iter().map(|robot| robot.name.clone());
-        Ok(Self {
-            bar,
-            names: names.collect(),
-            phases: vec![Phase::Off; file.cell.robot.len()],
-        })
+        Ok(Self { bar, names: names.collect(), phases: vec![Phase::Off; file.cell.robot.len()] })
     }
 
     /// Shows the progress of a robot.
@@ -115,9 +102,7 @@ impl Bar {
         self.bar.inc(news.ended);
         self.phases[news.robot] = news.phase;
         let robots = self.names.iter().zip(&self.phases);
-        let message: Vec<_> = robots
-            .map(|(name, phase)| format!("{name}: {phase:?}"))
-            .collect();
+        let message: Vec<_> = robots.map(|(name, phase)| format!("{name}: {phase:?}")).collect();
         self.bar.set_message(message.join(", "));
     }
 }

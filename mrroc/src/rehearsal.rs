@@ -15,9 +15,7 @@ use anyhow::anyhow;
 use can::Instant;
 use controller::ecp::{EcpError, Task};
 use controller::generator::{Axes, PlannedStart};
-use drive::{
-    AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Power, Setpoint,
-};
+use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Power, Setpoint};
 use servo::{PositionLoop, Servo, lockstep};
 
 use crate::cell::{CellFile, Path, instruction_path};
@@ -50,12 +48,7 @@ pub fn rehearse(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<Duration> 
 }
 
 /// Rehearses every task with robot `robot` at these motor positions, rad, and the other robots at home.
-pub(crate) fn rehearse_from(
-    file: &CellFile,
-    tasks: &MakeTasks,
-    robot: usize,
-    motors: Axes,
-) -> anyhow::Result<()> {
+pub(crate) fn rehearse_from(file: &CellFile, tasks: &MakeTasks, robot: usize, motors: Axes) -> anyhow::Result<()> {
     let mut starts: Vec<_> = homes(file).iter().map(|home| home.motors).collect();
     starts[robot] = motors;
     run(file, tasks(file)?, &starts, Extent::Tasks).map(|_| ())
@@ -119,9 +112,7 @@ fn run(file: &CellFile, tasks: Tasks, starts: &[Axes], extent: Extent) -> anyhow
             subcontrollers.poll(now, |robot, _, event| {
                 ended[robot] = event.instruction + 1;
                 if let Err(error) = event.outcome {
-                    failure.get_or_insert_with(|| {
-                        refuse(file, robot, event.instruction, extent.refusal(&error))
-                    });
+                    failure.get_or_insert_with(|| refuse(file, robot, event.instruction, extent.refusal(&error)));
                 }
             });
             let mut robots = ended.iter().zip(&needed);
@@ -137,9 +128,7 @@ fn run(file: &CellFile, tasks: Tasks, starts: &[Axes], extent: Extent) -> anyhow
             let problem = format!("a program takes longer than {} h", LONGEST.as_secs() / 3600);
             Err(file.refuse(&Path::to("robot"), problem))
         }
-        None => {
-            Ok(Duration::from_nanos(servo.counters().cycles) * servo.period().as_nanos() as u32)
-        }
+        None => Ok(Duration::from_nanos(servo.counters().cycles) * servo.period().as_nanos() as u32),
     }
 }
 
@@ -201,10 +190,7 @@ impl IdealDrives {
             latched: off,
             position: starts[robot][axis],
         };
-        Self {
-            axes: file.cell.axes_on(bus).map(axis).collect(),
-            now: Instant::ZERO,
-        }
+        Self { axes: file.cell.axes_on(bus).map(axis).collect(), now: Instant::ZERO }
     }
 }
 

@@ -8,8 +8,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use controller::robot::{
-    ConveyorParameters, GripperParameters, Irb6Parameters, Irp6Parameters, Irp6TrackParameters,
-    Mass, ParameterError, PolycrankParameters, RntParameters, Robot, RobotParameters,
+    ConveyorParameters, GripperParameters, Irb6Parameters, Irp6Parameters, Irp6TrackParameters, Mass, ParameterError,
+    PolycrankParameters, RntParameters, Robot, RobotParameters,
 };
 use hil::plant::Switch;
 use hil::{AxisConfig, Irp6Axis, MechanismConfig};
@@ -114,11 +114,9 @@ impl Parameters {
     pub fn plants(&self) -> &'static [Plant] {
         match self {
             Self::Irb6(_) | Self::Irp6(_) => &[Plant::Physical, Plant::Wut],
-            Self::Irp6Track(_)
-            | Self::Rnt(_)
-            | Self::Polycrank(_)
-            | Self::Gripper(_)
-            | Self::Conveyor(_) => &[Plant::Physical],
+            Self::Irp6Track(_) | Self::Rnt(_) | Self::Polycrank(_) | Self::Gripper(_) | Self::Conveyor(_) => {
+                &[Plant::Physical]
+            }
         }
     }
 
@@ -128,9 +126,7 @@ impl Parameters {
             Self::Irb6(_) => MechanismConfig::Irb6,
             Self::Irp6(_) => MechanismConfig::Irp6,
             Self::Irp6Track(_) => MechanismConfig::Irp6OnTrack,
-            Self::Rnt(given) => MechanismConfig::Rnt {
-                home_lengths: given.legs.map(|leg| leg.length_at_home),
-            },
+            Self::Rnt(given) => MechanismConfig::Rnt { home_lengths: given.legs.map(|leg| leg.length_at_home) },
             Self::Polycrank(given) => MechanismConfig::Polycrank {
                 coupled: given.coupled,
                 at_home: given.axes.map(|axis| axis.joint_at_home),
@@ -189,9 +185,7 @@ impl Model {
             Self::Irp6 => Parameters::Irp6(Irp6Parameters::irp6p()),
             Self::Irp6Calibrated => Parameters::Irp6(Irp6Parameters::irp6p_calibrated()),
             Self::Irp6Track => Parameters::Irp6Track(Irp6TrackParameters::irp6ot()),
-            Self::Irp6TrackCalibrated => {
-                Parameters::Irp6Track(Irp6TrackParameters::irp6ot_calibrated())
-            }
+            Self::Irp6TrackCalibrated => Parameters::Irp6Track(Irp6TrackParameters::irp6ot_calibrated()),
             Self::Rnt => Parameters::Rnt(RntParameters::nominal()),
             Self::Polycrank => Parameters::Polycrank(PolycrankParameters::polycrank()),
             Self::Gripper => Parameters::Gripper(GripperParameters::two_finger()),
@@ -232,11 +226,7 @@ fn on_pedestal(plant: Plant, number: usize, home: f64) -> AxisConfig {
     AxisConfig {
         index_angle: home,
         start_angle: home + 20.0,
-        home_switch: Some(Switch {
-            from: home - 20.0,
-            to: home - 2.0,
-            bounce: 0,
-        }),
+        home_switch: Some(Switch { from: home - 20.0, to: home - 2.0, bounce: 0 }),
         ..preset
     }
 }

@@ -98,16 +98,10 @@ pub fn servo_config(file: &CellFile) -> ServoConfig {
 }
 
 /// The effector control processes of a cell with their tasks, on the links to its servo.
-pub fn subcontrollers(
-    file: &CellFile,
-    links: Vec<EffectorLink>,
-    gates: Gates,
-    tasks: Tasks,
-) -> Subcontrollers {
+pub fn subcontrollers(file: &CellFile, links: Vec<EffectorLink>, gates: Gates, tasks: Tasks) -> Subcontrollers {
     let ecp = |(robot, (link, task)): (usize, (EffectorLink, Option<Task>))| {
         let mut ecp = Ecp::new(file.arms[robot].clone(), link, ecp_config(file, robot));
-        ecp.execute(task.unwrap_or_default())
-            .expect("a new process has no instruction");
+        ecp.execute(task.unwrap_or_default()).expect("a new process has no instruction");
         ecp
     };
     let ecps = links.into_iter().zip(tasks.tasks).enumerate().map(ecp);
@@ -164,12 +158,10 @@ fn longest_search_by_drive(homing: &Homing, limits: Limits) -> Duration {
 /// returns to the home switch. Each rest begins with a stop.
 fn longest_search(homing: HostHoming) -> Duration {
     let velocity = homing.search.velocity.max(homing.zero.velocity);
-    let stop =
-        Duration::try_from_secs_f64(velocity / homing.acceleration).unwrap_or(LONGEST_HOMING);
+    let stop = Duration::try_from_secs_f64(velocity / homing.acceleration).unwrap_or(LONGEST_HOMING);
     let rest = stop.saturating_add(homing.pause);
     let legs = homing.search.timeout.saturating_mul(4);
-    legs.saturating_add(homing.zero.timeout)
-        .saturating_add(rest.saturating_mul(4))
+    legs.saturating_add(homing.zero.timeout).saturating_add(rest.saturating_mul(4))
 }
 
 /// Timing of the effector control process of robot `robot`.
@@ -195,9 +187,7 @@ mod tests {
 
     /// The time-outs of the robot of an example cell.
     fn timeouts(cell: &str) -> (Duration, Duration) {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("../cells")
-            .join(cell);
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells").join(cell);
         let file = CellFile::read(&path).unwrap();
         let servo = servo_config(&file).effectors[0].homing_timeout;
         (servo, ecp_config(&file, 0).homing)
@@ -209,10 +199,7 @@ mod tests {
         assert_eq!(timeouts("polycrank.toml").0, HOMING * 2);
         let (servo, ecp) = timeouts("irp6-track.toml");
         // The track alone: 2100 rad at 30 rad/s in both directions, and off the switch at 3.5 rad/s.
-        assert!(
-            servo > Duration::from_secs(740) && ecp == servo + ENABLING,
-            "{servo:?}"
-        );
+        assert!(servo > Duration::from_secs(740) && ecp == servo + ENABLING, "{servo:?}");
         assert!(servo <= LONGEST_HOMING);
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells/irb6-serial.toml");
         let axes = servo_axes(&CellFile::read(&path).unwrap(), 0);

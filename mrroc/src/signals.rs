@@ -11,8 +11,8 @@ use std::thread::Builder;
 use anyhow::Context;
 use nix::sys::signal::{SigSet, Signal};
 use signal_hook::consts::{
-    SIGABRT, SIGALRM, SIGHUP, SIGINT, SIGIO, SIGPROF, SIGQUIT, SIGSYS, SIGTERM, SIGTRAP, SIGTSTP,
-    SIGUSR1, SIGUSR2, SIGVTALRM, SIGXCPU, SIGXFSZ,
+    SIGABRT, SIGALRM, SIGHUP, SIGINT, SIGIO, SIGPROF, SIGQUIT, SIGSYS, SIGTERM, SIGTRAP, SIGTSTP, SIGUSR1, SIGUSR2,
+    SIGVTALRM, SIGXCPU, SIGXFSZ,
 };
 use signal_hook::iterator::Signals;
 
@@ -76,10 +76,7 @@ pub fn on_ending(motion: Motion, ask: impl FnMut(c_int) + Send + 'static) -> any
 
 /// Like [`on_ending`], for a command that moves an arm. SIGTSTP (Ctrl-Z) also ends such a command, because a suspended
 /// controller cannot monitor its arm. SIGUSR1 is left to the command.
-pub fn on_ending_of_motion(
-    motion: Motion,
-    ask: impl FnMut(c_int) + Send + 'static,
-) -> anyhow::Result<()> {
+pub fn on_ending_of_motion(motion: Motion, ask: impl FnMut(c_int) + Send + 'static) -> anyhow::Result<()> {
     let signals = ending().into_iter().filter(|signal| *signal != SIGUSR1);
     on(signals.chain([SIGTSTP]), motion, ask)
 }
@@ -100,10 +97,7 @@ pub fn block_suspension() -> anyhow::Result<()> {
 }
 
 fn ending() -> Vec<c_int> {
-    ENDING
-        .into_iter()
-        .chain(libc::SIGRTMIN()..=libc::SIGRTMAX())
-        .collect()
+    ENDING.into_iter().chain(libc::SIGRTMIN()..=libc::SIGRTMAX()).collect()
 }
 
 fn on(
@@ -121,9 +115,7 @@ fn on(
             }
         }
     };
-    let thread = Builder::new()
-        .name("signals".into())
-        .stack_size(SMALL_STACK);
+    let thread = Builder::new().name("signals".into()).stack_size(SMALL_STACK);
     thread.spawn(listen).context(refused)?;
     Ok(())
 }

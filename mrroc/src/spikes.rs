@@ -63,13 +63,7 @@ fn anchor(spike: &Spike) -> Option<Instant> {
     named.or(spike.cycles.first()).map(|one| one.deadline)
 }
 
-fn events(
-    process: u32,
-    thread: &str,
-    spike: &Spike,
-    anchor: Instant,
-    before: Duration,
-) -> Vec<Value> {
+fn events(process: u32, thread: &str, spike: &Spike, anchor: Instant, before: Duration) -> Vec<Value> {
     // `before` makes the earliest time of any spike zero or later.
     let at = |time: Instant| (before + time.since(anchor)).saturating_sub(anchor.since(time));
     let (what, due) = match spike.late {
@@ -77,10 +71,7 @@ fn events(
             let (by, cause) = (microseconds(late.late), late.cause.name());
             let due = late.due.as_secs_f64();
             (
-                format!(
-                    "spike {process}: {by:.0} µs late, {cause}, cycle {}",
-                    spike.cycle
-                ),
+                format!("spike {process}: {by:.0} µs late, {cause}, cycle {}", spike.cycle),
                 format!("due {due:.6} s after the first deadline, "),
             )
         }
@@ -197,14 +188,9 @@ mod tests {
     }
 
     fn spike(first: u64, late: u64, micros: u64) -> Spike {
-        let cycles: Vec<_> = (first..late + 3)
-            .map(|number| cycle(number, if number == late { micros } else { 0 }))
-            .collect();
-        Spike {
-            late: cycles[(late - first) as usize].late,
-            cycle: late,
-            cycles,
-        }
+        let cycles: Vec<_> =
+            (first..late + 3).map(|number| cycle(number, if number == late { micros } else { 0 })).collect();
+        Spike { late: cycles[(late - first) as usize].late, cycle: late, cycles }
     }
 
     #[test]
@@ -241,16 +227,10 @@ mod tests {
             (one["name"].as_str().unwrap(), nanos(&one["ts"]))
         };
         let [(first, at), (second, then)] = [late(1), late(2)];
-        assert_eq!(
-            [first, second],
-            ["late by 312 µs: preempted", "late by 33 µs: preempted"]
-        );
+        assert_eq!([first, second], ["late by 312 µs: preempted", "late by 33 µs: preempted"]);
         // The two due times coincide.
         assert_eq!(at - 312_000, then - 33_000);
         let name = of(1, "M").find(|one| one["name"] == "process_name");
-        assert_eq!(
-            name.unwrap()["args"]["name"],
-            "spike 1: 312 µs late, preempted, cycle 8"
-        );
+        assert_eq!(name.unwrap()["args"]["name"], "spike 1: 312 µs late, preempted, cycle 8");
     }
 }

@@ -23,11 +23,7 @@ pub fn say(line: impl Display) -> anyhow::Result<bool> {
 
 /// Prints an answer as text, or as one JSON object in one line.
 pub fn answer(answer: &(impl Serialize + Display), json: bool) -> anyhow::Result<ExitCode> {
-    let text = if json {
-        serde_json::to_string(answer)?
-    } else {
-        answer.to_string()
-    };
+    let text = if json { serde_json::to_string(answer)? } else { answer.to_string() };
     say(text.trim_end_matches('\n')).map(|_| ExitCode::SUCCESS)
 }
 

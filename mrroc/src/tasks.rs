@@ -19,14 +19,8 @@ pub struct Tasks {
 impl Tasks {
     /// No task for any robot of `file`.
     pub fn new(file: &CellFile) -> Self {
-        let names: Vec<_> = (file.cell.robot.iter())
-            .map(|robot| robot.name.clone())
-            .collect();
-        Self {
-            tasks: names.iter().map(|_| None).collect(),
-            names,
-            programs: false,
-        }
+        let names: Vec<_> = (file.cell.robot.iter()).map(|robot| robot.name.clone()).collect();
+        Self { tasks: names.iter().map(|_| None).collect(), names, programs: false }
     }
 
     /// The programs of the cell file: switch on, home, move, switch off.
@@ -50,10 +44,7 @@ impl Tasks {
     /// Gives the robot called `name` its task. Refuses an unknown name and a second task for one robot.
     pub fn give(mut self, name: &str, task: Task) -> anyhow::Result<Self> {
         let Some(robot) = self.names.iter().position(|known| known == name) else {
-            bail!(
-                "the cell has no robot {name:?}, only {}",
-                self.names.join(", ")
-            );
+            bail!("the cell has no robot {name:?}, only {}", self.names.join(", "));
         };
         if self.tasks[robot].replace(task).is_some() {
             bail!("robot {name:?} has two tasks");

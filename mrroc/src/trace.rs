@@ -21,34 +21,21 @@ pub(crate) struct FrameLog {
 
 impl FrameLog {
     /// Begins the log. `interfaces` are what the buses run on.
-    pub(crate) fn new(
-        file: File,
-        interfaces: &[Interface],
-        readers: Vec<TraceReader>,
-    ) -> anyhow::Result<Self> {
+    pub(crate) fn new(file: File, interfaces: &[Interface], readers: Vec<TraceReader>) -> anyhow::Result<Self> {
         let name = |(bus, interface): (usize, &Interface)| {
             let name = interface.log_name(bus);
             can::InterfaceName::new(&name).with_context(|| format!("{name:?} is no interface name"))
         };
         let interfaces = interfaces.iter().enumerate();
         let names = interfaces.map(name).collect::<anyhow::Result<_>>()?;
-        Ok(Self {
-            readers,
-            names,
-            writer: BufWriter::new(file),
-        })
+        Ok(Self { readers, names, writer: BufWriter::new(file) })
     }
 
     /// Writes what has passed since the last call.
     pub(crate) fn drain(&mut self) -> io::Result<()> {
         for (reader, name) in self.readers.iter_mut().zip(&self.names) {
             while let Some(traced) = reader.read() {
-                let entry = candump::Entry {
-                    at: traced.at,
-                    interface: *name,
-                    frame: traced.frame,
-                    direction: None,
-                };
+                let entry = candump::Entry { at: traced.at, interface: *name, frame: traced.frame, direction: None };
                 writeln!(self.writer, "{entry}")?;
             }
         }
@@ -78,15 +65,9 @@ impl AxisLog {
              velocity_rad_per_s,torque_nm,homing,dt_s"
         )?;
         let robots = file.cell.robot.iter().enumerate();
-        let names = robots.map(|(robot, value)| {
-            (0..value.axis.len())
-                .map(|axis| file.axis_name(robot, axis))
-                .collect()
-        });
-        Ok(Self {
-            names: names.collect(),
-            writer,
-        })
+        let names =
+            robots.map(|(robot, value)| (0..value.axis.len()).map(|axis| file.axis_name(robot, axis)).collect());
+        Ok(Self { names: names.collect(), writer })
     }
 
     pub(crate) fn write(&mut self, record: &Record) -> io::Result<()> {

@@ -10,8 +10,8 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Power};
 use mrroc_servo::regulator::{CascadeConfig, IRP6};
 use mrroc_servo::{
-    EffectorConfig, EffectorLink, FeedForward, HostLoop, Law, MAX_AXES, Macrostep, Order, Output,
-    Phase, PositionLoop, Servo, ServoAxisConfig, ServoConfig,
+    EffectorConfig, EffectorLink, FeedForward, HostLoop, Law, MAX_AXES, Macrostep, Order, Output, Phase, PositionLoop,
+    Servo, ServoAxisConfig, ServoConfig,
 };
 
 const AXES: usize = 6;
@@ -71,14 +71,9 @@ fn servo(position_loop: PositionLoop) -> (Servo, EffectorLink) {
             homing_timeout: Duration::from_secs(1),
         }],
     };
-    let state = AxisState {
-        power: Power::On,
-        homing: Homing::Attained,
-        following: true,
-        ..AxisState::default()
-    };
-    let (servo, mut links) = Servo::new(&config, vec![Box::new(Trivial([state; AXES]))])
-        .expect("the configuration is sound");
+    let state = AxisState { power: Power::On, homing: Homing::Attained, following: true, ..AxisState::default() };
+    let (servo, mut links) =
+        Servo::new(&config, vec![Box::new(Trivial([state; AXES]))]).expect("the configuration is sound");
     (servo, links.remove(0))
 }
 
@@ -98,26 +93,15 @@ fn bench(criterion: &mut Criterion, name: &str, position_loop: PositionLoop) {
                 number += 1;
                 let position = [0.01 * (number % 2) as f64; MAX_AXES];
                 let velocity = [0.0; MAX_AXES];
-                let macrostep = Macrostep {
-                    number,
-                    steps: 10,
-                    report_at: 5,
-                    position,
-                    velocity,
-                    torque: [0.0; MAX_AXES],
-                };
-                link.orders
-                    .push(Order::Move(macrostep))
-                    .expect("there is room");
+                let macrostep =
+                    Macrostep { number, steps: 10, report_at: 5, position, velocity, torque: [0.0; MAX_AXES] };
+                link.orders.push(Order::Move(macrostep)).expect("there is room");
             }
             while link.reports.pop().is_ok() {}
             servo.step(now);
             now += PERIOD;
         });
-        assert_eq!(
-            servo.state(0).map(|state| state.phase()),
-            Some(Phase::Moving)
-        );
+        assert_eq!(servo.state(0).map(|state| state.phase()), Some(Phase::Moving));
     });
 }
 
@@ -126,27 +110,14 @@ fn cycle(criterion: &mut Criterion) {
         PositionLoop::Host(HostLoop {
             law,
             output: Output::Torque,
-            feed_forward: FeedForward {
-                velocity: 1e-3,
-                acceleration: 6.6e-4,
-                coulomb: 0.08,
-                ..FeedForward::default()
-            },
+            feed_forward: FeedForward { velocity: 1e-3, acceleration: 6.6e-4, coulomb: 0.08, ..FeedForward::default() },
             runaway_velocity: 300.0,
         })
     };
-    let cascade = CascadeConfig {
-        position_gain: 25.0,
-        velocity_gain: 0.066,
-        integral_rate: 10.0,
-        limit: 2.1,
-    };
+    let cascade = CascadeConfig { position_gain: 25.0, velocity_gain: 0.066, integral_rate: 10.0, limit: 2.1 };
     let rows = [
         ("six moving axes, one step", PositionLoop::Drive),
-        (
-            "six moving axes, incremental law",
-            by(Law::Incremental(IRP6[0])),
-        ),
+        ("six moving axes, incremental law", by(Law::Incremental(IRP6[0]))),
         ("six moving axes, cascade", by(Law::Cascade(cascade))),
     ];
     for (name, position_loop) in rows {

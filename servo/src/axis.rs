@@ -6,9 +6,7 @@ use drive::{AxisCommand, AxisState, Finite, Homing, Power, Setpoint};
 use crate::excitation::Playing;
 use crate::host_loop::Loop;
 use crate::search::Search;
-use crate::{
-    HomingFailure, Knot, PositionLoop, ServoAxisConfig, ServoState, StopCause, TrackingError, limit,
-};
+use crate::{HomingFailure, Knot, PositionLoop, ServoAxisConfig, ServoState, StopCause, TrackingError, limit};
 
 /// Commands remembered per axis. A sample older than that is compared with the oldest command.
 pub(crate) const REMEMBERED: usize = 16;
@@ -66,9 +64,7 @@ impl ServoAxis {
             reference: ReferenceWatch::default(),
             host: match config.position_loop {
                 PositionLoop::Drive => None,
-                PositionLoop::Host(host) => {
-                    Some(Loop::new(host, config.increments_per_radian, delay))
-                }
+                PositionLoop::Host(host) => Some(Loop::new(host, config.increments_per_radian, delay)),
             },
             search: None,
         }
@@ -79,11 +75,8 @@ impl ServoAxis {
         let seeking = matches!(self.command, AxisCommand::Seek(_));
         // The index pulse may come in the cycle in which a stop ends the search.
         let led = self.search.is_some() && self.followed > 0;
-        let attained =
-            led && self.state.homing != Homing::Attained && state.homing == Homing::Attained;
-        let step =
-            self.reference
-                .observe(&state, seeking, attained, self.config.max_acceleration, dt);
+        let attained = led && self.state.homing != Homing::Attained && state.homing == Homing::Attained;
+        let step = self.reference.observe(&state, seeking, attained, self.config.max_acceleration, dt);
         if let Some(step) = step
             && led
         {
@@ -181,10 +174,7 @@ impl ServoAxis {
 
     /// Takes the measured position as the commanded one. Following then starts without a jump.
     pub(crate) fn capture(&mut self) {
-        self.knot = Knot {
-            position: self.state.position,
-            velocity: 0.0,
-        };
+        self.knot = Knot { position: self.state.position, velocity: 0.0 };
         self.commanded = [self.state.position; REMEMBERED];
         if let Some(host) = &mut self.host {
             host.capture(self.state.position);
@@ -212,13 +202,8 @@ impl ServoAxis {
         let velocity = host.measured_velocity;
         // The sample shows the command of `delay` cycles ago. The newest command is one cycle old.
         let shown = self.delay - 1 + self.state.age as usize + missed as usize;
-        self.commanded = std::array::from_fn(|age| {
-            self.state.position + velocity * dt * (shown as f64 - age as f64)
-        });
-        self.knot = Knot {
-            position: self.commanded[0],
-            velocity,
-        };
+        self.commanded = std::array::from_fn(|age| self.state.position + velocity * dt * (shown as f64 - age as f64));
+        self.knot = Knot { position: self.commanded[0], velocity };
         host.follow(self.commanded, velocity);
     }
 
@@ -240,10 +225,7 @@ impl ServoAxis {
     /// The last position sent, and the velocity of the step to it.
     pub(crate) fn last_step(&self, dt: f64) -> Knot {
         let [last, before_last, ..] = self.commanded;
-        Knot {
-            position: last,
-            velocity: (last - before_last) / dt,
-        }
+        Knot { position: last, velocity: (last - before_last) / dt }
     }
 
     /// Checks whether `position` may be commanded next.
@@ -264,9 +246,7 @@ impl ServoAxis {
             return host.error(&self.state);
         }
         // `commanded` does not contain this cycle's command yet; its newest entry is one period old.
-        let age = (self.delay - 1)
-            .saturating_add(self.state.age as usize)
-            .min(REMEMBERED - 1);
+        let age = (self.delay - 1).saturating_add(self.state.age as usize).min(REMEMBERED - 1);
         self.commanded[age] - self.state.position
     }
 
@@ -291,11 +271,7 @@ impl ServoAxis {
     /// Stores `command` for the write and remembers the set-point.
     pub(crate) fn command(&mut self, command: AxisCommand) {
         let follows = matches!(command, AxisCommand::Follow(_) | AxisCommand::Seek(_));
-        self.followed = if follows {
-            self.followed.saturating_add(1)
-        } else {
-            0
-        };
+        self.followed = if follows { self.followed.saturating_add(1) } else { 0 };
         self.commanded.rotate_right(1);
         self.commanded[0] = self.knot.position;
         self.command = command;
@@ -343,11 +319,7 @@ impl ServoAxis {
 
     fn excited_position(&self) -> f64 {
         let by_position = self.host.is_none() && self.config.torque_offset.is_none();
-        if by_position && self.excitation != 0.0 {
-            self.knot.position + self.excitation
-        } else {
-            self.knot.position
-        }
+        if by_position && self.excitation != 0.0 { self.knot.position + self.excitation } else { self.knot.position }
     }
 
     /// The torque sent beside the position, if the drive takes one.
@@ -488,9 +460,7 @@ mod tests {
                         ..AxisState::default()
                     };
                     let attained = std::mem::replace(&mut was, homing) != homing;
-                    led += watch
-                        .observe(&state, true, attained, 1500.0, 0.002)
-                        .unwrap_or(0.0);
+                    led += watch.observe(&state, true, attained, 1500.0, 0.002).unwrap_or(0.0);
                 }
                 let led = led * COUNTS;
                 assert!((led - f64::from(jump)).abs() < 0.5, "{jump}, {late}: {led}");

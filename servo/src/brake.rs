@@ -36,12 +36,7 @@ impl StraightStop {
         }
         // Rounding must not add a period to a stop of a whole number of periods.
         let periods = (duration / dt - 1e-9).ceil().clamp(0.0, MOST_PERIODS);
-        Self {
-            from: knots,
-            periods: periods as u32,
-            done: 0,
-            dt,
-        }
+        Self { from: knots, periods: periods as u32, done: 0, dt }
     }
 
     /// Advances by one period; false if the stop has ended.
@@ -55,10 +50,7 @@ impl StraightStop {
     pub fn at(&self, axis: usize) -> Knot {
         let from = self.from[axis];
         if self.periods == 0 {
-            return Knot {
-                velocity: 0.0,
-                ..from
-            };
+            return Knot { velocity: 0.0, ..from };
         }
         // The sum of the steps 1 − i / N for i = 1 ..= done.
         let (done, periods) = (f64::from(self.done), f64::from(self.periods));
@@ -121,10 +113,7 @@ mod tests {
 
     #[test]
     fn a_stop_at_rest_is_over_at_once() {
-        let knot = Knot {
-            position: 1.0,
-            velocity: 0.0,
-        };
+        let knot = Knot { position: 1.0, velocity: 0.0 };
         let mut stop = StraightStop::new([(knot, 10.0)], DT);
         assert!(!stop.advance());
         assert_eq!(stop.at(0), knot);
@@ -132,16 +121,7 @@ mod tests {
 
     #[test]
     fn the_slowest_axis_sets_the_time_and_no_period_is_lost() {
-        let from = [
-            Knot {
-                position: 0.0,
-                velocity: 1.0,
-            },
-            Knot {
-                position: 0.0,
-                velocity: -1.0,
-            },
-        ];
+        let from = [Knot { position: 0.0, velocity: 1.0 }, Knot { position: 0.0, velocity: -1.0 }];
         let mut stop = StraightStop::new(from.into_iter().zip([100.0, 50.0]), DT);
         let periods = std::iter::from_fn(|| stop.advance().then_some(())).count();
         assert_eq!(periods, 20);

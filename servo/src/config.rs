@@ -114,9 +114,7 @@ pub enum ServoError {
         groups: usize,
     },
     /// A group does not have that axis.
-    #[error(
-        "effector {effector} axis {axis} is axis {index} of group {group}, which has {axes} axes"
-    )]
+    #[error("effector {effector} axis {axis} is axis {index} of group {group}, which has {axes} axes")]
     NoSuchAxis {
         /// The effector.
         effector: usize,
@@ -130,9 +128,7 @@ pub enum ServoError {
         axes: usize,
     },
     /// One drive serves two axes.
-    #[error(
-        "effector {effector} axis {axis} is axis {index} of group {group}, which is taken already"
-    )]
+    #[error("effector {effector} axis {axis} is axis {index} of group {group}, which is taken already")]
     MappedTwice {
         /// The effector that came second.
         effector: usize,
@@ -174,37 +170,17 @@ impl ServoConfig {
                 let (group, index) = (config.group, config.index_in_group);
                 let groups = group_axes.len();
                 let Some(&axes) = group_axes.get(group) else {
-                    return Err(ServoError::NoSuchGroup {
-                        effector,
-                        axis,
-                        group,
-                        groups,
-                    });
+                    return Err(ServoError::NoSuchGroup { effector, axis, group, groups });
                 };
                 if index >= axes {
-                    return Err(ServoError::NoSuchAxis {
-                        effector,
-                        axis,
-                        group,
-                        index,
-                        axes,
-                    });
+                    return Err(ServoError::NoSuchAxis { effector, axis, group, index, axes });
                 }
                 if taken.contains(&(group, index)) {
-                    return Err(ServoError::MappedTwice {
-                        effector,
-                        axis,
-                        group,
-                        index,
-                    });
+                    return Err(ServoError::MappedTwice { effector, axis, group, index });
                 }
                 taken.push((group, index));
                 if let Some(limit) = config.nonsense() {
-                    return Err(ServoError::BadLimit {
-                        effector,
-                        axis,
-                        limit,
-                    });
+                    return Err(ServoError::BadLimit { effector, axis, limit });
                 }
             }
         }
@@ -215,9 +191,8 @@ impl ServoConfig {
 impl ServoAxisConfig {
     /// Longest duration of a stop, s: from the greatest velocity, or during homing.
     pub(crate) fn stopping_time(&self) -> f64 {
-        let homing = self.homing.map_or(0.0, |homing| {
-            homing.search.velocity.max(homing.zero.velocity) / homing.acceleration
-        });
+        let homing =
+            self.homing.map_or(0.0, |homing| homing.search.velocity.max(homing.zero.velocity) / homing.acceleration);
         homing.max(self.max_velocity / self.max_acceleration)
     }
 
@@ -240,9 +215,7 @@ impl ServoAxisConfig {
             && let Some(field) = host.nonsense(self.max_velocity)
         {
             Some(field)
-        } else if self
-            .torque_offset
-            .is_some_and(|rated| !positive(rated) || self.position_loop != PositionLoop::Drive)
+        } else if self.torque_offset.is_some_and(|rated| !positive(rated) || self.position_loop != PositionLoop::Drive)
         {
             Some("torque_offset")
         } else if self.homing.is_some() && self.position_loop == PositionLoop::Drive {
@@ -268,84 +241,29 @@ mod tests {
 
     #[test]
     fn a_configuration_is_refused_for_what_is_wrong_with_it() {
-        let bad = |limit| {
-            Err(ServoError::BadLimit {
-                effector: 0,
-                axis: 1,
-                limit,
-            })
-        };
-        let mapped_twice = ServoError::MappedTwice {
-            effector: 0,
-            axis: 1,
-            group: 0,
-            index: 0,
-        };
-        let no_group = ServoError::NoSuchGroup {
-            effector: 0,
-            axis: 1,
-            group: 1,
-            groups: 1,
-        };
-        let no_axis = ServoError::NoSuchAxis {
-            effector: 0,
-            axis: 1,
-            group: 0,
-            index: 2,
-            axes: 2,
-        };
+        let bad = |limit| Err(ServoError::BadLimit { effector: 0, axis: 1, limit });
+        let mapped_twice = ServoError::MappedTwice { effector: 0, axis: 1, group: 0, index: 0 };
+        let no_group = ServoError::NoSuchGroup { effector: 0, axis: 1, group: 1, groups: 1 };
+        let no_axis = ServoError::NoSuchAxis { effector: 0, axis: 1, group: 0, index: 2, axes: 2 };
         type Case = (fn(&mut ServoConfig), Result<(), ServoError>);
         let cases: [Case; 15] = [
             (|_| {}, Ok(())),
             (|c| c.period = Duration::ZERO, Err(ServoError::ZeroPeriod)),
-            (
-                |c| c.effectors[0].axes.clear(),
-                Err(ServoError::AxisCount {
-                    effector: 0,
-                    axes: 0,
-                }),
-            ),
+            (|c| c.effectors[0].axes.clear(), Err(ServoError::AxisCount { effector: 0, axes: 0 })),
             (
                 |c| c.effectors[0].axes = vec![c.effectors[0].axes[0]; 9],
-                Err(ServoError::AxisCount {
-                    effector: 0,
-                    axes: 9,
-                }),
+                Err(ServoError::AxisCount { effector: 0, axes: 9 }),
             ),
-            (
-                |c| c.effectors[0].queue = 0,
-                Err(ServoError::EmptyQueue { effector: 0 }),
-            ),
-            (
-                |c| c.effectors[0].axes[1].index_in_group = 0,
-                Err(mapped_twice),
-            ),
+            (|c| c.effectors[0].queue = 0, Err(ServoError::EmptyQueue { effector: 0 })),
+            (|c| c.effectors[0].axes[1].index_in_group = 0, Err(mapped_twice)),
             (|c| c.effectors[0].axes[1].group = 1, Err(no_group)),
             (|c| c.effectors[0].axes[1].index_in_group = 2, Err(no_axis)),
-            (
-                |c| c.effectors[0].axes[1].min_position = f64::NAN,
-                bad("min_position"),
-            ),
-            (
-                |c| c.effectors[0].axes[1].torque_offset = Some(0.0),
-                bad("torque_offset"),
-            ),
-            (
-                |c| c.effectors[0].axes[1].max_position = -1000.0,
-                bad("max_position"),
-            ),
-            (
-                |c| c.effectors[0].axes[1].max_velocity = 0.0,
-                bad("max_velocity"),
-            ),
-            (
-                |c| c.effectors[0].axes[1].max_acceleration = -1.0,
-                bad("max_acceleration"),
-            ),
-            (
-                |c| c.effectors[0].axes[1].following_error = f64::INFINITY,
-                bad("following_error"),
-            ),
+            (|c| c.effectors[0].axes[1].min_position = f64::NAN, bad("min_position")),
+            (|c| c.effectors[0].axes[1].torque_offset = Some(0.0), bad("torque_offset")),
+            (|c| c.effectors[0].axes[1].max_position = -1000.0, bad("max_position")),
+            (|c| c.effectors[0].axes[1].max_velocity = 0.0, bad("max_velocity")),
+            (|c| c.effectors[0].axes[1].max_acceleration = -1.0, bad("max_acceleration")),
+            (|c| c.effectors[0].axes[1].following_error = f64::INFINITY, bad("following_error")),
             (|c| c.max_missed_in_row = 0, Ok(())),
         ];
         for (number, (change, expected)) in cases.into_iter().enumerate() {
@@ -353,11 +271,8 @@ mod tests {
         }
     }
 
-    const PROPORTIONAL: ProportionalConfig = ProportionalConfig {
-        position_gain: 50.0,
-        integral_rate: 0.0,
-        limit: 250.0,
-    };
+    const PROPORTIONAL: ProportionalConfig =
+        ProportionalConfig { position_gain: 50.0, integral_rate: 0.0, limit: 250.0 };
     const HOST: HostLoop = HostLoop {
         law: Law::Incremental(IRP6_DUTY[0]),
         output: Output::Duty,
@@ -372,12 +287,8 @@ mod tests {
         },
         runaway_velocity: 120.0,
     };
-    const CASCADE: CascadeConfig = CascadeConfig {
-        position_gain: 40.0,
-        velocity_gain: 0.02,
-        integral_rate: 50.0,
-        limit: 1.0,
-    };
+    const CASCADE: CascadeConfig =
+        CascadeConfig { position_gain: 40.0, velocity_gain: 0.02, integral_rate: 50.0, limit: 1.0 };
     const HOMING: HostHoming = HostHoming {
         direction: Direction::Negative,
         search: LEG,
@@ -387,11 +298,7 @@ mod tests {
         debounce: 1,
         reverse_at_limit: true,
     };
-    const LEG: HomingLeg = HomingLeg {
-        velocity: 15.0,
-        distance: 60.0,
-        timeout: Duration::from_secs(5),
-    };
+    const LEG: HomingLeg = HomingLeg { velocity: 15.0, distance: 60.0, timeout: Duration::from_secs(5) };
 
     fn refused_limit(change: impl FnOnce(&mut ServoAxisConfig)) -> Option<&'static str> {
         let result = refusal(|config| change(&mut config.effectors[0].axes[0]));
@@ -407,34 +314,13 @@ mod tests {
         type Case = (fn(&mut HostLoop), Option<&'static str>);
         let cases: [Case; 19] = [
             (|_| {}, None),
-            (
-                |l| l.runaway_velocity = 100.0,
-                Some("runaway_velocity, not above max_velocity,"),
-            ),
-            (
-                |l| l.feed_forward.velocity = -1.0,
-                Some("feed_forward.velocity"),
-            ),
-            (
-                |l| l.feed_forward.acceleration = f64::NAN,
-                Some("feed_forward.acceleration"),
-            ),
-            (
-                |l| l.feed_forward.coulomb = -0.1,
-                Some("feed_forward.coulomb"),
-            ),
-            (
-                |l| (l.feed_forward.coulomb, l.feed_forward.stiction) = (0.1, Some(0.09)),
-                Some("feed_forward.stiction"),
-            ),
-            (
-                |l| l.feed_forward.stiction = Some(0.1),
-                Some("feed_forward.stribeck_velocity"),
-            ),
-            (
-                |l| l.feed_forward.weight = Some(f64::NAN),
-                Some("feed_forward.weight"),
-            ),
+            (|l| l.runaway_velocity = 100.0, Some("runaway_velocity, not above max_velocity,")),
+            (|l| l.feed_forward.velocity = -1.0, Some("feed_forward.velocity")),
+            (|l| l.feed_forward.acceleration = f64::NAN, Some("feed_forward.acceleration")),
+            (|l| l.feed_forward.coulomb = -0.1, Some("feed_forward.coulomb")),
+            (|l| (l.feed_forward.coulomb, l.feed_forward.stiction) = (0.1, Some(0.09)), Some("feed_forward.stiction")),
+            (|l| l.feed_forward.stiction = Some(0.1), Some("feed_forward.stribeck_velocity")),
+            (|l| l.feed_forward.weight = Some(f64::NAN), Some("feed_forward.weight")),
             (
                 |l| (l.output, l.feed_forward.weight) = (Output::Velocity, Some(1.0)),
                 Some("feed_forward.weight, a torque for a drive that is sent velocities,"),
@@ -447,25 +333,14 @@ mod tests {
                 },
                 None,
             ),
-            (
-                |l| l.feed_forward.constant = f64::INFINITY,
-                Some("feed_forward.constant"),
-            ),
+            (|l| l.feed_forward.constant = f64::INFINITY, Some("feed_forward.constant")),
             // The tables of loops by torque have limits above 1.
-            (
-                |l| l.law = Law::Incremental(IRP6[0]),
-                Some("limit of its loop, a duty above 1,"),
-            ),
-            (
-                |l| l.law = Law::Incremental(IncrementalConfig { a: 1.0, ..IRP6[0] }),
-                Some("a of its loop"),
-            ),
+            (|l| l.law = Law::Incremental(IRP6[0]), Some("limit of its loop, a duty above 1,")),
+            (|l| l.law = Law::Incremental(IncrementalConfig { a: 1.0, ..IRP6[0] }), Some("a of its loop")),
             (|l| l.law = Law::Cascade(CASCADE), None),
             (
                 |l| l.law = Law::Proportional(PROPORTIONAL),
-                Some(
-                    "law of its loop, which leaves the velocity to a drive that has no loop for it,",
-                ),
+                Some("law of its loop, which leaves the velocity to a drive that has no loop for it,"),
             ),
             (
                 |l| {
@@ -476,28 +351,19 @@ mod tests {
             ),
             (
                 |l| {
-                    l.law = Law::Proportional(ProportionalConfig {
-                        position_gain: 0.0,
-                        ..PROPORTIONAL
-                    });
+                    l.law = Law::Proportional(ProportionalConfig { position_gain: 0.0, ..PROPORTIONAL });
                 },
                 Some("position_gain of its loop"),
             ),
             (
                 |l| {
-                    l.law = Law::Cascade(CascadeConfig {
-                        position_gain: f64::NAN,
-                        ..CASCADE
-                    });
+                    l.law = Law::Cascade(CascadeConfig { position_gain: f64::NAN, ..CASCADE });
                 },
                 Some("position_gain of its loop"),
             ),
             (
                 |l| {
-                    l.law = Law::Cascade(CascadeConfig {
-                        integral_rate: -1.0,
-                        ..CASCADE
-                    });
+                    l.law = Law::Cascade(CascadeConfig { integral_rate: -1.0, ..CASCADE });
                 },
                 Some("integral_rate of its loop"),
             ),
@@ -519,24 +385,12 @@ mod tests {
         type Case = (fn(&mut HostHoming), Option<&'static str>);
         let cases: [Case; 9] = [
             (|_| {}, None),
-            (
-                |h| h.search.velocity = 101.0,
-                Some("homing.search.velocity"),
-            ),
+            (|h| h.search.velocity = 101.0, Some("homing.search.velocity")),
             (|h| h.search.distance = 0.0, Some("homing.search.distance")),
-            (
-                |h| h.search.timeout = Duration::ZERO,
-                Some("homing.search.timeout"),
-            ),
+            (|h| h.search.timeout = Duration::ZERO, Some("homing.search.timeout")),
             (|h| h.zero.velocity = -3.0, Some("homing.zero.velocity")),
-            (
-                |h| h.zero.distance = f64::INFINITY,
-                Some("homing.zero.distance"),
-            ),
-            (
-                |h| h.zero.timeout = Duration::ZERO,
-                Some("homing.zero.timeout"),
-            ),
+            (|h| h.zero.distance = f64::INFINITY, Some("homing.zero.distance")),
+            (|h| h.zero.timeout = Duration::ZERO, Some("homing.zero.timeout")),
             (|h| h.acceleration = 1001.0, Some("homing.acceleration")),
             (|h| h.debounce = 0, Some("homing.debounce")),
         ];

@@ -12,8 +12,8 @@ use crate::axis::ServoAxis;
 use crate::interpolate::Segment;
 use crate::servo::OpenGates;
 use crate::{
-    After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, MAX_AXES, Order, Record,
-    ServoAxisConfig, ServoEvent, ServoFault, ServoReport, ServoState, StopCause, StraightStop,
+    After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, MAX_AXES, Order, Record, ServoAxisConfig,
+    ServoEvent, ServoFault, ServoReport, ServoState, StopCause, StraightStop,
 };
 
 /// Longest wait for standstill after the last set-point of a stop. The power is then switched off.
@@ -76,22 +76,14 @@ pub(crate) struct Effector {
 }
 
 impl Effector {
-    pub(crate) fn new(
-        index: u8,
-        config: &EffectorConfig,
-        delays: &[usize],
-    ) -> (Self, EffectorLink) {
+    pub(crate) fn new(index: u8, config: &EffectorConfig, delays: &[usize]) -> (Self, EffectorLink) {
         let (order_sender, orders) = rtrb::RingBuffer::new(config.queue);
         // One report per macrostep, plus the few changes of phase that one order can cause.
         let (reports, report_receiver) = rtrb::RingBuffer::new(config.queue + 16);
         let stops = config.axes.iter().map(ServoAxisConfig::stopping_time);
         let effector = Self {
             index,
-            axes: config
-                .axes
-                .iter()
-                .map(|axis| ServoAxis::new(*axis, delays[axis.group]))
-                .collect(),
+            axes: config.axes.iter().map(|axis| ServoAxis::new(*axis, delays[axis.group])).collect(),
             enabling_timeout: config.enabling_timeout,
             homing_timeout: config.homing_timeout,
             orders,
@@ -106,17 +98,10 @@ impl Effector {
             halted: false,
             macrostep: 0,
             news: false,
-            stopping_time: Duration::try_from_secs_f64(stops.fold(0.0, f64::max))
-                .unwrap_or(Duration::MAX),
+            stopping_time: Duration::try_from_secs_f64(stops.fold(0.0, f64::max)).unwrap_or(Duration::MAX),
             counters: Counters::default(),
         };
-        (
-            effector,
-            EffectorLink {
-                orders: order_sender,
-                reports: report_receiver,
-            },
-        )
+        (effector, EffectorLink { orders: order_sender, reports: report_receiver })
     }
 
     /// Duration of the slowest stop, including the wait for standstill.
@@ -134,8 +119,7 @@ impl Effector {
 
     /// The command of each axis, with its group and its index within the group.
     pub(crate) fn commands(&self) -> impl Iterator<Item = (usize, usize, AxisCommand)> {
-        let command =
-            |axis: &ServoAxis| (axis.config.group, axis.config.index_in_group, axis.command);
+        let command = |axis: &ServoAxis| (axis.config.group, axis.config.index_in_group, axis.command);
         self.axes.iter().map(command)
     }
 
@@ -151,8 +135,7 @@ impl Effector {
             self.advance(tick);
             self.command(tick);
         }
-        let due = self.state == ServoState::Moving
-            && self.segment.as_ref().is_some_and(Segment::is_at_report);
+        let due = self.state == ServoState::Moving && self.segment.as_ref().is_some_and(Segment::is_at_report);
         if due || self.news {
             self.report(tick);
         }
@@ -170,10 +153,7 @@ impl Effector {
             }
             return false;
         }
-        let follows = matches!(
-            self.state,
-            ServoState::Standing | ServoState::Moving | ServoState::Braking(_)
-        );
+        let follows = matches!(self.state, ServoState::Standing | ServoState::Moving | ServoState::Braking(_));
         tick.refused > 0 && follows
     }
 
@@ -198,10 +178,7 @@ impl Effector {
                 continue;
             }
             let (error, limit) = (axis.error(), axis.config.following_error);
-            let commanding = matches!(
-                self.state,
-                ServoState::Standing | ServoState::Moving | ServoState::Braking(_)
-            );
+            let commanding = matches!(self.state, ServoState::Standing | ServoState::Moving | ServoState::Braking(_));
             if !axis.is_watched() || !commanding && !axis.is_led() {
                 continue;
             }
@@ -270,8 +247,8 @@ impl Effector {
         for _ in 0..last_stop.map_or(0, |index| index + 1) {
             let Some(order) = self.pop() else { return };
             self.news = true;
-            let dropped = matches!(order, Order::Move(_) | Order::Gate(_) | Order::Home)
-                || tick.stop && order == Order::Enable;
+            let dropped =
+                matches!(order, Order::Move(_) | Order::Gate(_) | Order::Home) || tick.stop && order == Order::Enable;
             if dropped || !self.apply(tick, order.event()) {
                 self.counters.refused_orders += 1;
             }
@@ -292,11 +269,7 @@ impl Effector {
                 return;
             };
             let event = order.event();
-            let answer = if tick.stop {
-                Answer::Refuse
-            } else {
-                self.state.next(event)
-            };
+            let answer = if tick.stop { Answer::Refuse } else { self.state.next(event) };
             match answer {
                 Answer::To(next) => match order {
                     Order::Move(_) => return,
@@ -335,8 +308,7 @@ impl Effector {
         self.news |= next.phase() != last.phase() || last == ServoState::Resetting;
         match (last, next) {
             // The stop continues; only the state after it changes.
-            (ServoState::Braking(_), ServoState::Braking(_))
-            | (ServoState::Halting(_), ServoState::Halting(_)) => {
+            (ServoState::Braking(_), ServoState::Braking(_)) | (ServoState::Halting(_), ServoState::Halting(_)) => {
                 return;
             }
             (_, ServoState::Braking(_)) => {
@@ -441,11 +413,7 @@ impl Effector {
     /// Longest time from the last set-point of a stop to switching off the power. A drive that brakes by itself gets
     /// the time of the longest stop.
     fn standstill_wait(&self) -> Duration {
-        if self.axes.iter().any(|axis| axis.state.fault.is_some()) {
-            self.longest_stop()
-        } else {
-            STANDSTILL_WAIT
-        }
+        if self.axes.iter().any(|axis| axis.state.fault.is_some()) { self.longest_stop() } else { STANDSTILL_WAIT }
     }
 
     /// Takes the set-points of the straight stop. A lost axis keeps its last set-point, because its drive receives no

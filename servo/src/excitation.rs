@@ -38,9 +38,7 @@ pub enum ExcitationError {
     #[error("an excitation of no value, or of one that is not a number")]
     NotFinite,
     /// The amplitude exceeds a quarter of the loop's output limit, of the rated torque, or of the following error.
-    #[error(
-        "an amplitude of {amplitude} is beyond the limit of {limit} at this axis; ask for less"
-    )]
+    #[error("an amplitude of {amplitude} is beyond the limit of {limit} at this axis; ask for less")]
     Amplitude {
         /// Greatest value.
         amplitude: f64,
@@ -79,10 +77,7 @@ impl Excitation {
             let acceleration = bends.fold(0.0, f64::max) / (dt * dt);
             let limit = axis.max_acceleration;
             if acceleration > limit {
-                return Err(ExcitationError::Acceleration {
-                    acceleration,
-                    limit,
-                });
+                return Err(ExcitationError::Acceleration { acceleration, limit });
             }
         }
         Ok(())
@@ -107,10 +102,7 @@ pub(crate) struct Playing {
 
 impl Playing {
     pub(crate) fn new(excitation: Excitation) -> Self {
-        Self {
-            excitation,
-            next: 0,
-        }
+        Self { excitation, next: 0 }
     }
 
     /// The value for a cycle in macrostep `number`; zero outside the excited macrosteps.

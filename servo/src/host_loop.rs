@@ -48,10 +48,7 @@ pub(crate) struct Loop {
 #[derive(Clone, Debug)]
 enum Regulator {
     Incremental(Incremental),
-    Cascade {
-        position_gain: f64,
-        velocity_loop: Proportional,
-    },
+    Cascade { position_gain: f64, velocity_loop: Proportional },
     Proportional(Proportional),
 }
 
@@ -95,20 +92,12 @@ impl Loop {
             return;
         }
         // Set-points whose effect is visible in this sample and in the sample before.
-        let (now, before) = (
-            self.reference(self.delay - 1),
-            self.reference(self.delay - 1 + self.cycles),
-        );
+        let (now, before) = (self.reference(self.delay - 1), self.reference(self.delay - 1 + self.cycles));
         self.error = now - state.position;
         let last = self.sample.replace(state.position);
-        self.measured_velocity = last.map_or(0.0, |last| {
-            (state.position - last) / (f64::from(self.periods) * dt)
-        });
-        self.beyond = if self.measured_velocity.abs() > self.config.runaway_velocity {
-            self.beyond.saturating_add(1)
-        } else {
-            0
-        };
+        self.measured_velocity = last.map_or(0.0, |last| (state.position - last) / (f64::from(self.periods) * dt));
+        self.beyond =
+            if self.measured_velocity.abs() > self.config.runaway_velocity { self.beyond.saturating_add(1) } else { 0 };
         self.velocity_error = (now - before) / (self.cycles as f64 * dt) - self.measured_velocity;
         (self.cycles, self.periods) = (0, 0);
     }
@@ -116,13 +105,7 @@ impl Loop {
     /// One cycle: returns the set-point for the drive from the set-point `knot` and the torque, N·m, that holds the
     /// weight there. `excitation` is added to the output; afterwards `excitation` holds the part that the output limit
     /// let pass.
-    pub(crate) fn regulate(
-        &mut self,
-        knot: Knot,
-        torque: f64,
-        dt: f64,
-        excitation: &mut f64,
-    ) -> Setpoint {
+    pub(crate) fn regulate(&mut self, knot: Knot, torque: f64, dt: f64, excitation: &mut f64) -> Setpoint {
         self.references.rotate_right(1);
         self.references[0] = knot.position;
         let last_velocity = std::mem::replace(&mut self.velocity, knot.velocity);
@@ -137,13 +120,8 @@ impl Loop {
         let integrated = if self.cycles == 0 { dt } else { 0.0 };
         let grown = self.error - std::mem::replace(&mut self.taken, self.error);
         let output = match &mut self.law {
-            Regulator::Incremental(law) => {
-                law.step(grown * self.increments_per_radian, feed_forward)
-            }
-            Regulator::Cascade {
-                position_gain,
-                velocity_loop,
-            } => {
+            Regulator::Incremental(law) => law.step(grown * self.increments_per_radian, feed_forward),
+            Regulator::Cascade { position_gain, velocity_loop } => {
                 let error = self.velocity_error + *position_gain * self.error;
                 velocity_loop.step(error, feed_forward, integrated)
             }
@@ -173,12 +151,7 @@ impl Loop {
     /// friction fed forward. The axis sticks during the transfer, unless it carries an unknown load: then the torque
     /// steps by the friction at most.
     pub(crate) fn hand_over(&mut self, torque: f64) -> f64 {
-        let FeedForward {
-            weight,
-            coulomb,
-            stiction,
-            ..
-        } = self.config.feed_forward;
+        let FeedForward { weight, coulomb, stiction, .. } = self.config.feed_forward;
         let Some(weight) = weight.filter(|weight| *weight != 0.0) else {
             return 0.0;
         };
@@ -201,10 +174,7 @@ impl Loop {
     pub(crate) fn capture(&mut self, position: f64) {
         match &mut self.law {
             Regulator::Incremental(law) => law.reset(),
-            Regulator::Cascade {
-                velocity_loop: law, ..
-            }
-            | Regulator::Proportional(law) => law.reset(),
+            Regulator::Cascade { velocity_loop: law, .. } | Regulator::Proportional(law) => law.reset(),
         }
         self.follow([position; REMEMBERED], 0.0);
     }
@@ -245,20 +215,12 @@ mod tests {
     use crate::regulator::CascadeConfig;
 
     const DT: f64 = 0.002;
-    const CASCADE: CascadeConfig = CascadeConfig {
-        position_gain: 40.0,
-        velocity_gain: 0.02,
-        integral_rate: 50.0,
-        limit: 100.0,
-    };
+    const CASCADE: CascadeConfig =
+        CascadeConfig { position_gain: 40.0, velocity_gain: 0.02, integral_rate: 50.0, limit: 100.0 };
 
     fn cascade(feed_forward: FeedForward) -> Loop {
-        let config = HostLoop {
-            law: Law::Cascade(CASCADE),
-            output: Output::Torque,
-            feed_forward,
-            runaway_velocity: 300.0,
-        };
+        let config =
+            HostLoop { law: Law::Cascade(CASCADE), output: Output::Torque, feed_forward, runaway_velocity: 300.0 };
         Loop::new(config, -636.6, 2)
     }
 
@@ -274,19 +236,11 @@ mod tests {
         let mut held = cascade(FeedForward::default());
         held.capture(0.1);
         // Position errors of 0.1 and 0.096 rad; the second sample moved at 2 rad/s.
-        for (position, expected) in [
-            (0.0, 0.02 * 40.0 * 0.1),
-            (0.004, 0.02 * (40.0 * 0.096 - 2.0) + 0.08 * 50.0 * DT),
-        ] {
-            let state = AxisState {
-                position,
-                ..AxisState::default()
-            };
+        for (position, expected) in [(0.0, 0.02 * 40.0 * 0.1), (0.004, 0.02 * (40.0 * 0.096 - 2.0) + 0.08 * 50.0 * DT)]
+        {
+            let state = AxisState { position, ..AxisState::default() };
             held.observe(&state, 1, DT);
-            let knot = Knot {
-                position: 0.1,
-                velocity: 0.0,
-            };
+            let knot = Knot { position: 0.1, velocity: 0.0 };
             let found = torque(held.regulate(knot, 0.0, DT, &mut 0.0));
             assert!((found - expected).abs() < 1e-12, "{position}: {found}");
         }
@@ -312,10 +266,7 @@ mod tests {
             (-4.0, 0.0, -1.5 - 10.0 - 0.25 - 0.125),
         ];
         for (velocity, weight, expected) in cases {
-            let knot = Knot {
-                position: 0.0,
-                velocity,
-            };
+            let knot = Knot { position: 0.0, velocity };
             let found = torque(held.regulate(knot, weight, DT, &mut 0.0));
             assert!((found - expected).abs() < 1e-9, "{velocity}: {found}");
         }
@@ -323,12 +274,8 @@ mod tests {
 
     #[test]
     fn dry_friction_is_greatest_at_break_away_and_turns_round_without_a_step() {
-        let feed = FeedForward {
-            coulomb: 0.08,
-            stiction: Some(0.12),
-            stribeck_velocity: Some(5.0),
-            ..FeedForward::default()
-        };
+        let feed =
+            FeedForward { coulomb: 0.08, stiction: Some(0.12), stribeck_velocity: Some(5.0), ..FeedForward::default() };
         let cases = [
             (0.0, 0.0),
             (1e-9, 0.12e-6),
@@ -352,26 +299,17 @@ mod tests {
                 HostLoop {
                     law,
                     output: Output::Torque,
-                    feed_forward: FeedForward {
-                        weight: Some(2.0),
-                        ..FeedForward::default()
-                    },
+                    feed_forward: FeedForward { weight: Some(2.0), ..FeedForward::default() },
                     runaway_velocity: 300.0,
                 },
                 636.6,
                 2,
             );
-            let knot = Knot {
-                position: 0.01,
-                velocity: 0.0,
-            };
+            let knot = Knot { position: 0.01, velocity: 0.0 };
             held.capture(0.0);
             // An error caused by a weight, which the integral part then corrects.
             for (position, cycles) in [(0.0, 10), (0.01, 300)] {
-                let state = AxisState {
-                    position,
-                    ..AxisState::default()
-                };
+                let state = AxisState { position, ..AxisState::default() };
                 for _ in 0..cycles {
                     held.observe(&state, 1, DT);
                     held.regulate(knot, 0.0, DT, &mut 0.0);
@@ -386,10 +324,7 @@ mod tests {
                 assert!(given > 0.0 && given <= asked, "{law:?}: {given}");
                 let after = torque(held.regulate(knot, given, DT, &mut 0.0));
                 let expected = before - if asked == before { 0.25 * before } else { 0.0 };
-                assert!(
-                    (after - expected).abs() < 1e-9,
-                    "{law:?}: {after} for {expected}"
-                );
+                assert!((after - expected).abs() < 1e-9, "{law:?}: {after} for {expected}");
             }
         }
     }
@@ -397,10 +332,7 @@ mod tests {
     #[test]
     fn while_answers_are_missing_errors_stay_and_nothing_is_integrated() {
         let mut held = cascade(FeedForward::default());
-        let knot = Knot {
-            position: 0.1,
-            velocity: 0.0,
-        };
+        let knot = Knot { position: 0.1, velocity: 0.0 };
         held.capture(0.0);
         let mut state = AxisState::default();
         for _ in 0..5 {
@@ -414,10 +346,7 @@ mod tests {
             outputs.push(torque(held.regulate(knot, 0.0, DT, &mut 0.0)));
         }
         assert!(outputs[0] > 0.08, "{outputs:?}");
-        assert!(
-            outputs.iter().all(|output| *output == outputs[0]),
-            "{outputs:?}"
-        );
+        assert!(outputs.iter().all(|output| *output == outputs[0]), "{outputs:?}");
         // The next sample is compared with the command that belongs to it.
         state.age = 0;
         held.observe(&state, 1, DT);
@@ -427,11 +356,7 @@ mod tests {
     #[test]
     fn velocities_are_over_the_whole_time_between_samples() {
         let mut held = cascade(FeedForward::default());
-        let at = |position, age| AxisState {
-            position,
-            age,
-            ..AxisState::default()
-        };
+        let at = |position, age| AxisState { position, age, ..AxisState::default() };
         held.observe(&at(1.0, 0), 1, DT);
         assert_eq!(held.measured_velocity, 0.0, "one sample has no velocity");
         held.observe(&at(1.0, 1), 1, DT);

@@ -40,20 +40,9 @@ pub(crate) struct Segment {
 
 impl Segment {
     /// A segment from `from` with the torques `from_torque`, N·m. `macrostep.steps` is at least 1.
-    pub(crate) fn new(
-        macrostep: Macrostep,
-        from: [Knot; MAX_AXES],
-        from_torque: [f64; MAX_AXES],
-        dt: f64,
-    ) -> Self {
+    pub(crate) fn new(macrostep: Macrostep, from: [Knot; MAX_AXES], from_torque: [f64; MAX_AXES], dt: f64) -> Self {
         let duration = f64::from(macrostep.steps) * dt;
-        Self {
-            macrostep,
-            from,
-            from_torque,
-            done: 0,
-            duration,
-        }
+        Self { macrostep, from, from_torque, done: 0, duration }
     }
 
     /// Advances by one period. [`Segment::at`] then returns the new knot of an axis.
@@ -63,10 +52,7 @@ impl Segment {
 
     /// Present set-point of `axis`. The set-point of the last period equals the macrostep exactly.
     pub(crate) fn at(&self, axis: usize) -> Knot {
-        let to = Knot {
-            position: self.macrostep.position[axis],
-            velocity: self.macrostep.velocity[axis],
-        };
+        let to = Knot { position: self.macrostep.position[axis], velocity: self.macrostep.velocity[axis] };
         if self.is_over() {
             return to;
         }
@@ -98,14 +84,8 @@ mod tests {
 
     #[test]
     fn the_cubic_meets_both_ends() {
-        let from = Knot {
-            position: 1.0,
-            velocity: -2.0,
-        };
-        let to = Knot {
-            position: 3.0,
-            velocity: 4.0,
-        };
+        let from = Knot { position: 1.0, velocity: -2.0 };
+        let to = Knot { position: 3.0, velocity: 4.0 };
         for (u, end) in [(0.0, from), (1.0, to)] {
             let knot = hermite(from, to, 0.5, u);
             assert!((knot.position - end.position).abs() < 1e-12, "{knot:?}");
@@ -115,10 +95,7 @@ mod tests {
 
     #[test]
     fn constant_acceleration_is_reproduced_exactly() {
-        let truth = |t: f64| Knot {
-            position: 2.0 + 3.0 * t + 2.5 * t * t,
-            velocity: 3.0 + 5.0 * t,
-        };
+        let truth = |t: f64| Knot { position: 2.0 + 3.0 * t + 2.5 * t * t, velocity: 3.0 + 5.0 * t };
         for step in 0..=10 {
             let t = 0.02 * f64::from(step);
             let knot = hermite(truth(0.0), truth(0.2), 0.2, t / 0.2);

@@ -41,16 +41,13 @@ mod timing;
 
 pub use brake::StraightStop;
 pub use config::{
-    Direction, EffectorConfig, FeedForward, Figure, HomingLeg, HostHoming, HostLoop, KeyError,
-    KeyProblem, Law, LoopBounds, Output, PositionLoop, Range, ServoAxisConfig, ServoConfig,
-    ServoError,
+    Direction, EffectorConfig, FeedForward, Figure, HomingLeg, HostHoming, HostLoop, KeyError, KeyProblem, Law,
+    LoopBounds, Output, PositionLoop, Range, ServoAxisConfig, ServoConfig, ServoError,
 };
 pub use excitation::{Excitation, ExcitationError, most as greatest_excitation};
 pub use histogram::Histogram;
 pub use interpolate::{Knot, hermite};
-pub use link::{
-    EffectorLink, MAX_AXES, Macrostep, Order, Phase, ServoFault, ServoReport, StopCause,
-};
+pub use link::{EffectorLink, MAX_AXES, Macrostep, Order, Phase, ServoFault, ServoReport, StopCause};
 pub use recorder::{AxisRecord, Record};
 pub use search::HomingFailure;
 pub use servo::{Gates, NotUp, Servo, StopRequest};

@@ -31,30 +31,18 @@ pub(crate) fn check(
         return Err(StopCause::NotFinite);
     }
     if next > limits.max_position + POSITION_TOLERANCE && next > last {
-        return Err(StopCause::PositionLimit {
-            position: next,
-            limit: limits.max_position,
-        });
+        return Err(StopCause::PositionLimit { position: next, limit: limits.max_position });
     }
     if next < limits.min_position - POSITION_TOLERANCE && next < last {
-        return Err(StopCause::PositionLimit {
-            position: next,
-            limit: limits.min_position,
-        });
+        return Err(StopCause::PositionLimit { position: next, limit: limits.min_position });
     }
     let velocity = (next - last) / dt;
     if velocity.abs() > limits.max_velocity * (1.0 + RELATIVE_TOLERANCE) {
-        return Err(StopCause::VelocityLimit {
-            velocity,
-            limit: limits.max_velocity,
-        });
+        return Err(StopCause::VelocityLimit { velocity, limit: limits.max_velocity });
     }
     let acceleration = (velocity - (last - before_last) / dt) / dt;
     if acceleration.abs() > limits.max_acceleration * (1.0 + RELATIVE_TOLERANCE) {
-        return Err(StopCause::AccelerationLimit {
-            acceleration,
-            limit: limits.max_acceleration,
-        });
+        return Err(StopCause::AccelerationLimit { acceleration, limit: limits.max_acceleration });
     }
     Ok(())
 }
@@ -80,11 +68,7 @@ mod tests {
     fn a_position_that_rounding_takes_beyond_its_limit_is_within() {
         // The limits of a motor that turns without end behind a gear of 50, and of a short ball screw.
         for limit in [3.35e6, 100.0] {
-            let limits = ServoAxisConfig {
-                min_position: -limit,
-                max_position: limit,
-                ..limits()
-            };
+            let limits = ServoAxisConfig { min_position: -limit, max_position: limit, ..limits() };
             let beyond: f64 = limit + 4.0 * (limit * f64::EPSILON);
             assert!(beyond > limit);
             for (last, next) in [(limit - 1e-3, beyond), (1e-3 - limit, -beyond)] {
@@ -118,13 +102,9 @@ mod tests {
             assert_eq!(found, expected, "{before_last} {last} {next}");
         }
         let too_fast = check(&limits(), 0.0, 0.05, 0.11, DT);
-        assert!(
-            matches!(too_fast, Err(StopCause::VelocityLimit { velocity, limit: 5.0 }) if velocity > 5.9)
-        );
+        assert!(matches!(too_fast, Err(StopCause::VelocityLimit { velocity, limit: 5.0 }) if velocity > 5.9));
         let too_hard = check(&limits(), 0.0, 0.0, 0.02, DT);
-        assert!(
-            matches!(too_hard, Err(StopCause::AccelerationLimit { acceleration, .. }) if acceleration > 199.0)
-        );
+        assert!(matches!(too_hard, Err(StopCause::AccelerationLimit { acceleration, .. }) if acceleration > 199.0));
     }
 
     proptest! {

@@ -35,10 +35,7 @@ pub struct Macrostep {
 }
 
 /// An order of the controller to one effector.
-#[expect(
-    clippy::large_enum_variant,
-    reason = "nearly all that a queue holds are macrosteps, and a box would allocate"
-)]
+#[expect(clippy::large_enum_variant, reason = "nearly all that a queue holds are macrosteps, and a box would allocate")]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Order {
     /// Switch the drives on and stand.

@@ -9,11 +9,7 @@ use crate::{NotUp, Servo};
 /// the time of the next poll. Returns the time of the first cycle.
 ///
 /// Every wait in the bring-up of a group has a time limit. A stop request ends the bring-up at the next poll.
-pub fn bring_up(
-    servo: &mut Servo,
-    start: Instant,
-    mut between: impl FnMut(Instant),
-) -> Result<Instant, NotUp> {
+pub fn bring_up(servo: &mut Servo, start: Instant, mut between: impl FnMut(Instant)) -> Result<Instant, NotUp> {
     let mut now = start;
     loop {
         let progress = servo.bring_up(now);
@@ -78,14 +74,8 @@ mod tests {
                 number += 1;
                 let position = [0.01 * (number % 2) as f64; MAX_AXES];
                 let velocity = [0.0; MAX_AXES];
-                let macrostep = Macrostep {
-                    number,
-                    steps: 10,
-                    report_at: 5,
-                    position,
-                    velocity,
-                    torque: [0.0; MAX_AXES],
-                };
+                let macrostep =
+                    Macrostep { number, steps: 10, report_at: 5, position, velocity, torque: [0.0; MAX_AXES] };
                 let _ = orders.push(Order::Move(macrostep));
                 if number == 200 {
                     stop.request();

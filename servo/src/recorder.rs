@@ -85,10 +85,7 @@ mod tests {
     fn what_does_not_fit_is_counted() {
         let (mut recorder, mut records) = Recorder::new(2);
         for cycle in 0..5 {
-            recorder.record(Record {
-                cycle,
-                ..Record::default()
-            });
+            recorder.record(Record { cycle, ..Record::default() });
         }
         assert_eq!(recorder.dropped, 3);
         assert_eq!(records.pop().unwrap().cycle, 0);

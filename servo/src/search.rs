@@ -144,11 +144,7 @@ impl Search {
         let target = match self.phase {
             Phase::Look => {
                 if known && follows {
-                    self.begin(if self.home.closed {
-                        Phase::Leave { seen: true }
-                    } else {
-                        Phase::Switch
-                    });
+                    self.begin(if self.home.closed { Phase::Leave { seen: true } } else { Phase::Switch });
                 }
                 0.0
             }
@@ -165,10 +161,7 @@ impl Search {
             Phase::Switch => {
                 if self.home.closed {
                     self.rest(Next::Zero)
-                } else if self.limit(self.sense()).is_some()
-                    && self.config.reverse_at_limit
-                    && !self.reversed
-                {
+                } else if self.limit(self.sense()).is_some() && self.config.reverse_at_limit && !self.reversed {
                     self.reversed = true;
                     // The commanded velocity drops to zero at once, without a braking ramp. The drive blocks all
                     // torque in this direction, and a loop would push against the block with its full torque.

@@ -13,8 +13,8 @@ use crate::effector::{Effector, Tick};
 use crate::excitation::Playing;
 use crate::recorder::Recorder;
 use crate::{
-    Counters, EffectorLink, Excitation, ExcitationError, Record, ServoConfig, ServoError,
-    ServoFault, ServoState, TrackingError,
+    Counters, EffectorLink, Excitation, ExcitationError, Record, ServoConfig, ServoError, ServoFault, ServoState,
+    TrackingError,
 };
 
 /// Steps every effector of a cell on one tick grid.
@@ -64,11 +64,7 @@ impl Group {
     /// Number of cycles in a row, up to the last, whose set-points must be repeated. A group whose axes all have a
     /// fault has no set-points, so a failed bus delays no stop.
     fn refused(&self) -> u32 {
-        if self.states.iter().all(|state| state.fault.is_some()) {
-            0
-        } else {
-            self.refused_in_row
-        }
+        if self.states.iter().all(|state| state.fault.is_some()) { 0 } else { self.refused_in_row }
     }
 }
 
@@ -145,9 +141,7 @@ impl Servo {
         config.check(&axes)?;
         let delays: Vec<usize> = groups.iter().map(|group| group.delay()).collect();
         let effectors = config.effectors.iter().zip(0..);
-        let (effectors, links) = effectors
-            .map(|(config, index)| Effector::new(index, config, &delays))
-            .unzip();
+        let (effectors, links) = effectors.map(|(config, index)| Effector::new(index, config, &delays)).unzip();
         let group = |drives: Box<dyn DriveGroup>| Group {
             states: vec![AxisState::default(); drives.axes()],
             commands: vec![AxisCommand::Off; drives.axes()],
@@ -187,11 +181,7 @@ impl Servo {
                 Poll::Pending => up = false,
             }
         }
-        if up {
-            Poll::Ready(Ok(()))
-        } else {
-            Poll::Pending
-        }
+        if up { Poll::Ready(Ok(())) } else { Poll::Pending }
     }
 
     /// One cycle. Call this function only after [`bring_up`](Self::bring_up) is ready.
@@ -223,10 +213,7 @@ impl Servo {
             effector.set_states(|group, index| self.groups[group].states[index], &tick);
             let refused = effector.axes.iter();
             let refused = refused.map(|axis| self.groups[axis.config.group].refused());
-            let tick = Tick {
-                refused: refused.max().unwrap_or(0),
-                ..tick
-            };
+            let tick = Tick { refused: refused.max().unwrap_or(0), ..tick };
             effector.step(&tick);
             for (group, index, command) in effector.commands() {
                 self.groups[group].commands[index] = command;
@@ -257,11 +244,7 @@ impl Servo {
         self.sent = Some(now);
         for group in &mut self.groups {
             let taken = group.drives.send(now);
-            group.refused_in_row = if taken {
-                0
-            } else {
-                group.refused_in_row.saturating_add(1)
-            };
+            group.refused_in_row = if taken { 0 } else { group.refused_in_row.saturating_add(1) };
         }
     }
 
@@ -283,11 +266,7 @@ impl Servo {
     fn tick(&mut self, now: Instant) -> Tick {
         let missed = std::mem::take(&mut self.missed);
         self.missed_ever += u64::from(missed);
-        let row = if missed == 0 {
-            0
-        } else {
-            self.missed_in_row.saturating_add(missed)
-        };
+        let row = if missed == 0 { 0 } else { self.missed_in_row.saturating_add(missed) };
         self.missed_in_row = row;
         let number = self.cycles;
         self.cycles += 1;
@@ -330,12 +309,7 @@ impl Servo {
     /// All monitoring of the axis stays active. An excitation must not exceed a quarter of the output limit of a loop
     /// that the servo closes. Where the drive closes the loop, an added torque must not exceed a quarter of the rated
     /// torque. An added position must not exceed a quarter of the following error, or the acceleration of the axis.
-    pub fn excite(
-        &mut self,
-        effector: usize,
-        axis: usize,
-        excitation: Excitation,
-    ) -> Result<(), ExcitationError> {
+    pub fn excite(&mut self, effector: usize, axis: usize, excitation: Excitation) -> Result<(), ExcitationError> {
         let found = self.effectors.get_mut(effector);
         let found = found.and_then(|effector| effector.axes.get_mut(axis));
         let found = found.ok_or(ExcitationError::NoSuchAxis { effector, axis })?;
@@ -366,19 +340,14 @@ impl Servo {
 
     /// The fault that stopped effector `index`, if any.
     pub fn fault(&self, index: usize) -> Option<ServoFault> {
-        self.effectors
-            .get(index)
-            .and_then(|effector| effector.fault)
+        self.effectors.get(index).and_then(|effector| effector.fault)
     }
 
     /// Whether every effector is off or faulted, and every drive reports that it has no power.
     pub fn is_off(&self) -> bool {
         self.effectors.iter().all(|effector| {
             matches!(effector.state, ServoState::Off | ServoState::Faulted)
-                && effector
-                    .axes
-                    .iter()
-                    .all(|axis| axis.state.power == Power::Off)
+                && effector.axes.iter().all(|axis| axis.state.power == Power::Off)
         })
     }
 
@@ -410,10 +379,7 @@ impl Servo {
         let mut sum = Counters {
             cycles: self.cycles,
             missed_cycles: self.missed_ever,
-            dropped_records: self
-                .recorder
-                .as_ref()
-                .map_or(0, |recorder| recorder.dropped),
+            dropped_records: self.recorder.as_ref().map_or(0, |recorder| recorder.dropped),
             ..Counters::default()
         };
         for counters in self.effectors.iter().map(|effector| &effector.counters) {

@@ -98,9 +98,7 @@ impl ServoState {
     /// The only transition function.
     pub fn next(self, event: ServoEvent) -> Answer {
         use Answer::{Refuse, To, Wait};
-        use ServoState::{
-            Braking, Enabling, Faulted, Halting, Homing, Moving, Off, Resetting, Standing,
-        };
+        use ServoState::{Braking, Enabling, Faulted, Halting, Homing, Moving, Off, Resetting, Standing};
         match (self, event) {
             (_, ServoEvent::ControlLost) => To(Faulted),
 
@@ -110,17 +108,13 @@ impl ServoState {
             (Off | Enabling | Standing, ServoEvent::Fault) => To(Faulted),
 
             (Enabling, ServoEvent::Done) => To(Standing),
-            (Enabling, ServoEvent::Enable | ServoEvent::Stop | ServoEvent::ResetFault) => {
-                To(Enabling)
-            }
+            (Enabling, ServoEvent::Enable | ServoEvent::Stop | ServoEvent::ResetFault) => To(Enabling),
             (Enabling, ServoEvent::Home | ServoEvent::Move) => Wait,
             (Enabling | Standing, ServoEvent::Disable) => To(Off),
 
             (Standing, ServoEvent::Home) => To(Homing),
             (Standing, ServoEvent::Move) => To(Moving),
-            (Standing, ServoEvent::Enable | ServoEvent::Stop | ServoEvent::ResetFault) => {
-                To(Standing)
-            }
+            (Standing, ServoEvent::Enable | ServoEvent::Stop | ServoEvent::ResetFault) => To(Standing),
             (Standing, ServoEvent::Done) => Refuse,
 
             (Homing, ServoEvent::Done) => To(Standing),
@@ -142,9 +136,7 @@ impl ServoState {
                 After::Off => Off,
                 After::Fault => Faulted,
             }),
-            (Braking(_) | Halting(_), ServoEvent::Enable | ServoEvent::Home | ServoEvent::Move) => {
-                Wait
-            }
+            (Braking(_) | Halting(_), ServoEvent::Enable | ServoEvent::Home | ServoEvent::Move) => Wait,
             (Braking(_) | Halting(_), ServoEvent::ResetFault) => Refuse,
             (Braking(_) | Halting(_), ServoEvent::Stop) => To(self),
             (Braking(after), ServoEvent::Disable) => To(Braking(after.max(After::Off))),
@@ -154,16 +146,11 @@ impl ServoState {
 
             (Faulted, ServoEvent::ResetFault) => To(Resetting),
             (Faulted, ServoEvent::Stop | ServoEvent::Disable | ServoEvent::Fault) => To(Faulted),
-            (
-                Faulted,
-                ServoEvent::Enable | ServoEvent::Home | ServoEvent::Move | ServoEvent::Done,
-            ) => Refuse,
+            (Faulted, ServoEvent::Enable | ServoEvent::Home | ServoEvent::Move | ServoEvent::Done) => Refuse,
 
             (Resetting, ServoEvent::Done) => To(Off),
             (Resetting, ServoEvent::Fault) => To(Faulted),
-            (Resetting, ServoEvent::Stop | ServoEvent::Disable | ServoEvent::ResetFault) => {
-                To(Resetting)
-            }
+            (Resetting, ServoEvent::Stop | ServoEvent::Disable | ServoEvent::ResetFault) => To(Resetting),
             (Resetting, ServoEvent::Enable | ServoEvent::Home | ServoEvent::Move) => Wait,
         }
     }

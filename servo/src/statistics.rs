@@ -27,11 +27,7 @@ impl TrackingError {
 
     /// Root mean square, rad; zero if the axis never moved.
     pub fn rms(&self) -> f64 {
-        if self.samples == 0 {
-            0.0
-        } else {
-            (self.sum_of_squares / self.samples as f64).sqrt()
-        }
+        if self.samples == 0 { 0.0 } else { (self.sum_of_squares / self.samples as f64).sqrt() }
     }
 
     /// The largest absolute value, rad.

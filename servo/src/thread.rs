@@ -129,9 +129,7 @@ impl Running {
     /// Waits for the end of the thread.
     pub fn join(self) -> Finished {
         // The thread catches every panic of the functions it calls.
-        self.thread
-            .join()
-            .unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        self.thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     }
 }
 
@@ -212,21 +210,10 @@ pub fn start(
         if !refused && heard {
             run.go(between, until);
         }
-        Finished {
-            servo: run.servo,
-            timing: run.timing,
-            spikes: run.tracer.finish(),
-            denied,
-            panicked: run.panicked,
-        }
+        Finished { servo: run.servo, timing: run.timing, spikes: run.tracer.finish(), denied, panicked: run.panicked }
     };
-    let spawned = Builder::new()
-        .name("servo".into())
-        .stack_size(STACK)
-        .spawn(body);
-    let thread = spawned.map_err(|e| StartError::Spawn {
-        errno: e.raw_os_error().unwrap_or(0),
-    })?;
+    let spawned = Builder::new().name("servo".into()).stack_size(STACK).spawn(body);
+    let thread = spawned.map_err(|e| StartError::Spawn { errno: e.raw_os_error().unwrap_or(0) })?;
     let denied = told.recv().unwrap_or_default();
     let running = Running { thread, denied };
     match running.denied.first() {
@@ -321,16 +308,12 @@ impl Run {
             self.cut_power();
         }
         self.timing.account = self.account.reads;
-        self.timing.wait = WaitReport {
-            preparation: self.preparation(),
-            ..self.waiter.report()
-        };
+        self.timing.wait = WaitReport { preparation: self.preparation(), ..self.waiter.report() };
     }
 
     /// Time from the start of preparing to the deadline.
     fn preparation(&self) -> Duration {
-        self.preparation
-            .map_or(Duration::ZERO, |learnt| learnt.get())
+        self.preparation.map_or(Duration::ZERO, |learnt| learnt.get())
     }
 
     /// Waits for the deadline and steps the servo; false if the step panicked.
@@ -412,9 +395,7 @@ impl Run {
 
     /// Waits until it is time to prepare for the deadline. A deadline passed by half a period or more is skipped.
     fn wait(&mut self, begun: Instant) -> Awake {
-        if begun < self.deadline - self.preparation()
-            && begun.since(self.before.done) > self.period / LATE
-        {
+        if begun < self.deadline - self.preparation() && begun.since(self.before.done) > self.period / LATE {
             // The kernel's counts during the caller's work made no cycle late.
             self.account.skip();
         }

@@ -1,9 +1,6 @@
 //! Ten thousand cycles with a moving effector, and its stop, do not allocate.
 
-#![allow(
-    clippy::disallowed_methods,
-    reason = "tests keep pace with other processes"
-)]
+#![allow(clippy::disallowed_methods, reason = "tests keep pace with other processes")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -15,9 +12,8 @@ use can::Instant;
 use can::clock::now;
 use drive::Homing;
 use mrroc_servo::{
-    Direction, EffectorConfig, FeedForward, HomingLeg, HostHoming, HostLoop, Law, MAX_AXES,
-    Macrostep, Order, Output, Phase, PositionLoop, Servo, ServoAxisConfig, ServoConfig, StopCause,
-    Timing, regulator, thread,
+    Direction, EffectorConfig, FeedForward, HomingLeg, HostHoming, HostLoop, Law, MAX_AXES, Macrostep, Order, Output,
+    Phase, PositionLoop, Servo, ServoAxisConfig, ServoConfig, StopCause, Timing, regulator, thread,
 };
 
 mod scripted;
@@ -64,13 +60,9 @@ fn moves_and_stops(config: &ServoConfig) {
     {
         let mut world = world.lock().expect("nobody else has it yet");
         world.log = false;
-        world
-            .axes
-            .iter_mut()
-            .for_each(|drive| drive.state.homing = Homing::Attained);
+        world.axes.iter_mut().for_each(|drive| drive.state.homing = Homing::Attained);
     }
-    let (mut servo, mut links) =
-        Servo::new(config, vec![group]).expect("the configuration is sound");
+    let (mut servo, mut links) = Servo::new(config, vec![group]).expect("the configuration is sound");
     let link = &mut links[0];
     let mut records = servo.record(1000);
     let mut timing = Timing::default();
@@ -89,17 +81,8 @@ fn moves_and_stops(config: &ServoConfig) {
         // Back and forth by 0.01 rad.
         let position = [if number % 2 == 0 { 0.01 } else { 0.0 }; MAX_AXES];
         let velocity = [0.0; MAX_AXES];
-        let macrostep = Macrostep {
-            number,
-            steps: 10,
-            report_at: 5,
-            position,
-            velocity,
-            torque: [0.0; MAX_AXES],
-        };
-        link.orders
-            .push(Order::Move(macrostep))
-            .expect("one is waiting at most");
+        let macrostep = Macrostep { number, steps: 10, report_at: 5, position, velocity, torque: [0.0; MAX_AXES] };
+        link.orders.push(Order::Move(macrostep)).expect("one is waiting at most");
         for _ in 0..10 {
             cycle(&mut servo);
             moving += u64::from(servo.state(0).is_some_and(|s| s.phase() == Phase::Moving));
@@ -108,24 +91,12 @@ fn moves_and_stops(config: &ServoConfig) {
     }
     // A stop does not allocate either: a stream that ends in motion, a fault, drives off.
     let (position, velocity) = ([0.05; MAX_AXES], [5.0; MAX_AXES]);
-    let last = Macrostep {
-        number: 1000,
-        steps: 20,
-        report_at: 5,
-        position,
-        velocity,
-        torque: [0.0; MAX_AXES],
-    };
-    link.orders
-        .push(Order::Move(last))
-        .expect("the queue is empty");
+    let last = Macrostep { number: 1000, steps: 20, report_at: 5, position, velocity, torque: [0.0; MAX_AXES] };
+    link.orders.push(Order::Move(last)).expect("the queue is empty");
     (0..200).for_each(|_| cycle(&mut servo));
     assert_eq!(CALLS.with(Cell::get) - before, 0);
     assert_eq!(moving, 10_000);
-    assert_eq!(
-        servo.fault(0).map(|fault| fault.cause),
-        Some(StopCause::Starved { last: 1000 })
-    );
+    assert_eq!(servo.fault(0).map(|fault| fault.cause), Some(StopCause::Starved { last: 1000 }));
     assert_eq!(servo.counters().dropped_records, 0);
 
     drop(vec![0u8]);
@@ -156,12 +127,8 @@ fn late_cycles_and_their_bookkeeping_do_not_allocate() {
         turned += 1;
         turned == 200
     };
-    let realtime = thread::Realtime {
-        lock_memory: false,
-        ..thread::Realtime::PLAIN
-    };
-    let finished = thread::run(servo, realtime, thread::CellTime::Wall, between, until)
-        .expect("nothing is required");
+    let realtime = thread::Realtime { lock_memory: false, ..thread::Realtime::PLAIN };
+    let finished = thread::run(servo, realtime, thread::CellTime::Wall, between, until).expect("nothing is required");
     assert!(finished.timing.late.count() >= 20, "{finished:?}");
     assert!(finished.servo.counters().missed_cycles >= 10);
     assert_eq!(counted.load(Ordering::Relaxed), 0);
@@ -171,11 +138,7 @@ fn late_cycles_and_their_bookkeeping_do_not_allocate() {
 fn homing_by_the_servo_does_not_allocate() {
     let mut config = scripted::host_config(2);
     config.effectors[0].homing_timeout = Duration::from_secs(20);
-    let leg = |velocity, distance| HomingLeg {
-        velocity,
-        distance,
-        timeout: Duration::from_secs(5),
-    };
+    let leg = |velocity, distance| HomingLeg { velocity, distance, timeout: Duration::from_secs(5) };
     for axis in &mut config.effectors[0].axes {
         axis.homing = Some(HostHoming {
             direction: Direction::Negative,
@@ -196,8 +159,7 @@ fn homing_by_the_servo_does_not_allocate() {
             drive.index = -3.0;
         }
     }
-    let (mut servo, mut links) =
-        Servo::new(&config, vec![group]).expect("the configuration is sound");
+    let (mut servo, mut links) = Servo::new(&config, vec![group]).expect("the configuration is sound");
     let mut now = Instant::ZERO;
     let mut run = |servo: &mut Servo, cycles| {
         for _ in 0..cycles {
@@ -213,8 +175,5 @@ fn homing_by_the_servo_does_not_allocate() {
     run(&mut servo, 5000);
     assert_eq!(CALLS.with(Cell::get) - before, 0);
     assert!(servo.homing_offsets(0).all(|offset| offset.is_some()));
-    assert_eq!(
-        servo.state(0).map(|state| state.phase()),
-        Some(Phase::Standing)
-    );
+    assert_eq!(servo.state(0).map(|state| state.phase()), Some(Phase::Standing));
 }

@@ -3,10 +3,7 @@
 //! Only cycles with an inserted delay are judged, and by their share, because the host of a test may delay others. The
 //! tests need SCHED_FIFO up to priority 90. `MRROC_LEAVE_OUT=realtime` skips the cases that need it.
 
-#![allow(
-    clippy::disallowed_methods,
-    reason = "tests keep pace with other processes"
-)]
+#![allow(clippy::disallowed_methods, reason = "tests keep pace with other processes")]
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -223,17 +220,8 @@ impl Drop for Pages {
 
 /// A thread of a higher priority than the servo's on the same CPU, which takes the CPU for given intervals.
 fn hog(cpu: usize, orders: Receiver<HoldUp>) {
-    let realtime = Realtime {
-        priority: 90,
-        cpu: Some(cpu),
-        lock_memory: false,
-        ..Realtime::PLAIN
-    };
-    assert_eq!(
-        thread::demand(&realtime, scripted::PERIOD),
-        [],
-        "the hog needs them"
-    );
+    let realtime = Realtime { priority: 90, cpu: Some(cpu), lock_memory: false, ..Realtime::PLAIN };
+    assert_eq!(thread::demand(&realtime, scripted::PERIOD), [], "the hog needs them");
     for (_, from, to) in orders {
         sleep_until(from);
         spin_until(to);
@@ -245,8 +233,7 @@ fn flood() -> usize {
     const ORDERS: usize = 10_000;
     let mut config = scripted::config(2);
     config.effectors[0].queue = ORDERS;
-    let (mut servo, mut links) =
-        Servo::new(&config, vec![scripted::group(2).0]).expect("the configuration is sound");
+    let (mut servo, mut links) = Servo::new(&config, vec![scripted::group(2).0]).expect("the configuration is sound");
     let mut step = || {
         for _ in 0..ORDERS {
             let pushed = links[0].orders.push(Order::Stop);
@@ -271,16 +258,8 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
         let (inner, world) = scripted::group(2);
         world.lock().expect("nobody else has it yet").log = false;
         let (tell, told) = channel();
-        let group = Delaying {
-            inner,
-            plant,
-            cycle: 0,
-            due: Instant::ZERO,
-            pages: Pages::new(),
-            hog: tell,
-        };
-        let (servo, mut links) =
-            Servo::new(&config, vec![Box::new(group)]).expect("the configuration is sound");
+        let group = Delaying { inner, plant, cycle: 0, due: Instant::ZERO, pages: Pages::new(), hog: tell };
+        let (servo, mut links) = Servo::new(&config, vec![Box::new(group)]).expect("the configuration is sound");
         let cpu = current_cpu();
         let hog = match plant {
             Plant::PreemptedStep | Plant::StarvedWakeUp | Plant::LongStarvedWakeUp => {
@@ -301,9 +280,7 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
         let between = move |next: Instant| {
             next_cycle += 1;
             match plant {
-                Plant::FloodedStep if is_planted(next_cycle) => {
-                    while links[0].orders.push(Order::Stop).is_ok() {}
-                }
+                Plant::FloodedStep if is_planted(next_cycle) => while links[0].orders.push(Order::Stop).is_ok() {},
                 Plant::SlowBetween if is_planted(next_cycle) => spin_until(next + DELAY),
                 _ => {}
             }
@@ -316,8 +293,7 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
             }
             cycles == EVERY * PER_RUN
         };
-        let finished = thread::run(servo, realtime, CellTime::Wall, between, until)
-            .expect("nothing is required");
+        let finished = thread::run(servo, realtime, CellTime::Wall, between, until).expect("nothing is required");
         let late = finished.timing.late;
         finished.spikes.iter().for_each(traced);
         let is_traced = |late: &LateCycle| {
@@ -327,17 +303,13 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
         let named = |cycle| {
             let mut of_cycle = late.worst().filter(|one| one.cycle == cycle);
             let worst = of_cycle.next();
-            worst.is_some_and(|one| one.cause == cause && is_traced(&one))
-                && of_cycle.all(|one| one.cause == cause)
+            worst.is_some_and(|one| one.cause == cause && is_traced(&one)) && of_cycle.all(|one| one.cause == cause)
         };
-        right += (0..EVERY * PER_RUN)
-            .filter(|&cycle| is_planted(cycle) && named(cycle))
-            .count() as u64;
+        right += (0..EVERY * PER_RUN).filter(|&cycle| is_planted(cycle) && named(cycle)).count() as u64;
         planted += PER_RUN;
         drop(finished.servo);
         if let Some(hog) = hog {
-            hog.join()
-                .expect("SCHED_FIFO 90 on the servo's CPU is granted");
+            hog.join().expect("SCHED_FIFO 90 on the servo's CPU is granted");
         }
     }
     (right, planted)
@@ -356,10 +328,7 @@ fn traced(spike: &Spike) {
     let mut end = Instant::ZERO;
     for (number, cycle) in (cycles[0].cycle..).zip(cycles) {
         assert_eq!(cycle.cycle, number);
-        assert!(
-            end <= cycle.called && cycle.called <= cycle.begun,
-            "{cycle:?}"
-        );
+        assert!(end <= cycle.called && cycle.called <= cycle.begun, "{cycle:?}");
         end = cycle.begun;
         for (phase, ended) in cycle.phases() {
             assert!(end <= ended, "{phase}: {cycle:?}");
@@ -390,10 +359,7 @@ fn check(cases: &[(Plant, Cause)]) {
         }
         sleep_until(now() + Duration::from_secs(1));
         let second = plant(planted, cause);
-        assert!(
-            enough(second),
-            "{planted:?}: named {cause:?} in {first:?}, then {second:?} planted cycles"
-        );
+        assert!(enough(second), "{planted:?}: named {cause:?} in {first:?}, then {second:?} planted cycles");
     }
 }
 
@@ -419,14 +385,8 @@ fn a_thread_that_takes_the_cpu_is_named() {
         println!("left out: realtime");
         return;
     }
-    let denied = std::thread::spawn(|| thread::set_fifo(90))
-        .join()
-        .expect("it does not panic");
-    assert_eq!(
-        denied,
-        Ok(()),
-        "grant it, or leave it out: MRROC_LEAVE_OUT=realtime"
-    );
+    let denied = std::thread::spawn(|| thread::set_fifo(90)).join().expect("it does not panic");
+    assert_eq!(denied, Ok(()), "grant it, or leave it out: MRROC_LEAVE_OUT=realtime");
     check(&[
         (Plant::PreemptedStep, Cause::Preempted),
         // The thread was ready at the requested time, but another thread ran.

@@ -8,9 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use can::{
-    ControllerState, Counters, Frame, Instant, Port, PortError, Received, StandardId, VirtualPort,
-};
+use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received, StandardId, VirtualPort};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use servo::Phase;
 
@@ -37,10 +35,7 @@ struct ToAndFro {
 impl ToAndFro {
     fn new(rig: &Rig) -> Self {
         let distance = 30.0;
-        Self {
-            motion: Motion::new(rig, distance),
-            distance,
-        }
+        Self { motion: Motion::new(rig, distance), distance }
     }
 
     fn feed(&mut self, rig: &mut Rig) {
@@ -112,10 +107,7 @@ impl Port for Echo {
             return Ok(0);
         };
         for (place, answer) in into.iter_mut().zip(&self.answers) {
-            *place = Received {
-                at: at + Duration::from_micros(500),
-                ..*answer
-            };
+            *place = Received { at: at + Duration::from_micros(500), ..*answer };
         }
         // All heartbeats in each cycle, which is more than real drives send.
         let mut count = self.answers.len();

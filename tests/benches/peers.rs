@@ -11,10 +11,7 @@
 //!   times and arbitration, and the server is an emulated drive in virtual time. The bus of python-can passes messages
 //!   through a queue.
 
-#![allow(
-    clippy::disallowed_methods,
-    reason = "tests keep pace with other processes"
-)]
+#![allow(clippy::disallowed_methods, reason = "tests keep pace with other processes")]
 #![expect(clippy::unwrap_used, reason = "in a benchmark it is a verdict")]
 
 use std::os::fd::AsFd;
@@ -40,10 +37,7 @@ use adapter::Adapter;
 
 const NODE: NodeId = NodeId::new(1).unwrap();
 
-const READ: pty::Interest = pty::Interest {
-    read: true,
-    write: false,
-};
+const READ: pty::Interest = pty::Interest { read: true, write: false };
 
 /// Duration of the measurement of each side in a round.
 const MEASURED: Duration = Duration::from_secs(1);
@@ -54,17 +48,10 @@ const ROUNDS: usize = 4;
 fn main() -> ExitCode {
     let all = [
         Comparison::new("slcan", over_slcan(), 2.0),
-        Comparison::new(
-            "virtual",
-            in_turns(|| python_canopen(&[]), on_the_virtual_bus),
-            50.0,
-        ),
+        Comparison::new("virtual", in_turns(|| python_canopen(&[]), on_the_virtual_bus), 50.0),
     ];
     all.iter().for_each(Comparison::print);
-    println!(
-        "{}",
-        json!({ "sdo_uploads_per_second": all.each_ref().map(Comparison::json) })
-    );
+    println!("{}", json!({ "sdo_uploads_per_second": all.each_ref().map(Comparison::json) }));
     ExitCode::from(u8::from(!all.iter().all(Comparison::holds)))
 }
 
@@ -79,12 +66,7 @@ struct Comparison {
 
 impl Comparison {
     fn new(name: &'static str, (theirs, ours): (f64, f64), at_least: f64) -> Self {
-        Self {
-            name,
-            ours,
-            theirs,
-            at_least,
-        }
+        Self { name, ours, theirs, at_least }
     }
 
     fn ratio(&self) -> f64 {
@@ -120,11 +102,7 @@ impl Comparison {
 
 /// Rates of python-canopen and of this project on one adapter.
 fn over_slcan() -> (f64, f64) {
-    let drive = Epos4::new(Epos4Config {
-        answer_delay: Duration::ZERO,
-        power_on: clock::now(),
-        ..drive_config()
-    });
+    let drive = Epos4::new(Epos4Config { answer_delay: Duration::ZERO, power_on: clock::now(), ..drive_config() });
     Adapter::new(Some(Box::new(drive))).served(|tty| {
         let channel = tty.to_str().expect("a path of digits and letters");
         let theirs = || python_canopen(&["--interface", "slcan", "--channel", channel]);
@@ -134,9 +112,7 @@ fn over_slcan() -> (f64, f64) {
 
 /// Measures both sides in turns, so that other load of the machine disturbs both. Returns the best round of each.
 fn in_turns(mut theirs: impl FnMut() -> f64, mut ours: impl FnMut() -> f64) -> (f64, f64) {
-    (0..ROUNDS).fold((0.0_f64, 0.0_f64), |best, _| {
-        (best.0.max(theirs()), best.1.max(ours()))
-    })
+    (0..ROUNDS).fold((0.0_f64, 0.0_f64), |best, _| (best.0.max(theirs()), best.1.max(ours())))
 }
 
 fn on_the_adapter(tty: &Path) -> f64 {
@@ -147,18 +123,12 @@ fn on_the_adapter(tty: &Path) -> f64 {
         pty::wait([(port.line().as_fd(), READ)], until).unwrap();
         clock::now()
     };
-    while port
-        .poll_open(clock::now())
-        .map(Result::unwrap)
-        .is_pending()
-    {
+    while port.poll_open(clock::now()).map(Result::unwrap).is_pending() {
         wait(&port, port.poll_timeout().expect("it is opening"));
     }
     let mut client = client();
     rate(|| {
-        upload(&mut client, &mut port, clock::now(), |port, now| {
-            wait(port, now + LOOK)
-        });
+        upload(&mut client, &mut port, clock::now(), |port, now| wait(port, now + LOOK));
     })
 }
 
@@ -195,10 +165,7 @@ fn upload<P: Port>(
     mut now: Instant,
     mut wait: impl FnMut(&P, Instant) -> Instant,
 ) -> Instant {
-    let nothing = Received {
-        frame: Sync::default().encode(),
-        at: Instant::ZERO,
-    };
+    let nothing = Received { frame: Sync::default().encode(), at: Instant::ZERO };
     let mut received = [nothing; 16];
     client.upload(DEVICE_TYPE, now).unwrap();
     let request = client.poll_transmit(now).unwrap();
@@ -233,9 +200,7 @@ fn rate(mut once: impl FnMut()) -> f64 {
 
 /// Rate of python-canopen, measured by `speed.py` with these arguments.
 fn python_canopen(arguments: &[&str]) -> f64 {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .expect("the tests' room is inside the workspace");
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the tests' room is inside the workspace");
     let output = Command::new(root.join("target/peers/bin/python"))
         .args(["-B", "tests/peers/speed.py", "--seconds"])
         .arg(MEASURED.as_secs().to_string())

@@ -2,10 +2,7 @@
 //! write must detect the operation. The argument selects it: `nothing`, `allocation`, `lock` or `write`. The program
 //! prints how often it read the kernel's account of the thread.
 
-#![allow(
-    clippy::disallowed_methods,
-    reason = "tests keep pace with other processes"
-)]
+#![allow(clippy::disallowed_methods, reason = "tests keep pace with other processes")]
 
 use std::fs::File;
 use std::hint::black_box;
@@ -98,8 +95,7 @@ fn main() {
             homing_timeout: PERIOD,
         }],
     };
-    let (servo, _links) =
-        Servo::new(&config, vec![Box::new(plant)]).expect("the configuration is sound");
+    let (servo, _links) = Servo::new(&config, vec![Box::new(plant)]).expect("the configuration is sound");
     let mut cycles = 0;
     let over = Arc::new(AtomicBool::new(false));
     let ended = over.clone();
@@ -107,14 +103,7 @@ fn main() {
         cycles += 1;
         ended.fetch_or(cycles == CYCLES, Ordering::Relaxed)
     };
-    let running = thread::start(
-        servo,
-        Realtime::PLAIN,
-        CellTime::Wall,
-        Arc::default(),
-        |_| {},
-        until,
-    );
+    let running = thread::start(servo, Realtime::PLAIN, CellTime::Wall, Arc::default(), |_| {}, until);
     while !over.load(Ordering::Relaxed) {
         let _held = held.lock().unwrap_or_else(PoisonError::into_inner);
         clock::sleep_until(clock::now() + PERIOD * 2);

@@ -23,11 +23,7 @@ pub(crate) struct Adapter {
 
 impl Adapter {
     pub(crate) fn new(behind: Option<Box<dyn Device>>) -> Self {
-        Self {
-            pty: Pty::open().unwrap(),
-            device: SlcanDevice::new(Bitrate::KBPS_1000),
-            behind,
-        }
+        Self { pty: Pty::open().unwrap(), device: SlcanDevice::new(Bitrate::KBPS_1000), behind }
     }
 
     /// Serves the host while `body` runs. `body` receives the path of the host's end.
@@ -65,14 +61,8 @@ impl Adapter {
         const LOOK: Duration = Duration::from_millis(20);
         let due = self.behind.as_ref().and_then(|it| it.poll_timeout());
         let look = clock::now() + LOOK;
-        let interest = Interest {
-            read: true,
-            write: !self.device.bytes().is_empty(),
-        };
-        pty::wait(
-            [(self.pty.as_fd(), interest)],
-            due.map_or(look, |due| due.min(look)),
-        )?;
+        let interest = Interest { read: true, write: !self.device.bytes().is_empty() };
+        pty::wait([(self.pty.as_fd(), interest)], due.map_or(look, |due| due.min(look)))?;
         let mut bytes = [0; 512];
         let count = self.pty.read(&mut bytes)?;
         let now = clock::now();

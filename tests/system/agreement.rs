@@ -12,11 +12,7 @@ fn check(cell: &Path) -> Output {
 }
 
 fn run(cell: &Path) -> Output {
-    let run = [
-        "run".as_ref(),
-        cell.as_os_str(),
-        "--bench=lockstep".as_ref(),
-    ];
+    let run = ["run".as_ref(), cell.as_os_str(), "--bench=lockstep".as_ref()];
     mrroc(run)
 }
 
@@ -24,212 +20,42 @@ fn run(cell: &Path) -> Output {
 type Case = (&'static str, &'static str, &'static str, &'static str);
 
 const REFUSED: &[Case] = &[
-    (
-        "irb6",
-        "max_acceleration = 1500.0",
-        "max_acceleration = 1e-3",
-        "axis[0].max_acceleration",
-    ),
-    (
-        "irb6",
-        "max_acceleration = 1500.0",
-        "max_acceleration = 1e9",
-        "axis[0].max_acceleration",
-    ),
-    (
-        "irb6",
-        "following_error = 2.0",
-        "following_error = 1e-300",
-        "axis[0].following_error",
-    ),
-    (
-        "irb6",
-        "following_error = 2.0",
-        "following_error = 1e-6",
-        "axis[0].following_error",
-    ),
-    (
-        "irb6",
-        "following_error = 2.0",
-        "following_error = 1e9",
-        "axis[0].following_error",
-    ),
-    (
-        "irb6",
-        "following_error = 2.0",
-        "following_error = 1e12",
-        "axis[0].following_error",
-    ),
-    (
-        "irb6",
-        "search_velocity = 15.0",
-        "search_velocity = 1e-300",
-        "axis[0].homing.search_velocity",
-    ),
-    (
-        "irb6",
-        "search_velocity = 15.0",
-        "search_velocity = 0.02",
-        "axis[0].homing.search_velocity",
-    ),
-    (
-        "irb6",
-        "zero_velocity = 3.5",
-        "zero_velocity = 1e-9",
-        "axis[0].homing.zero_velocity",
-    ),
-    (
-        "irb6",
-        "acceleration = 150.0",
-        "acceleration = 1e-6",
-        "axis[0].homing.acceleration",
-    ),
-    (
-        "irb6",
-        "acceleration = 150.0",
-        "acceleration = 1e9",
-        "axis[0].homing.acceleration",
-    ),
-    (
-        "irb6",
-        "rated_torque = 0.42",
-        "rated_torque = 1e-6",
-        "axis[0].drive.rated_torque",
-    ),
-    (
-        "irb6",
-        "rated_torque = 0.42",
-        "rated_torque = 1e9",
-        "axis[0].drive.rated_torque",
-    ),
+    ("irb6", "max_acceleration = 1500.0", "max_acceleration = 1e-3", "axis[0].max_acceleration"),
+    ("irb6", "max_acceleration = 1500.0", "max_acceleration = 1e9", "axis[0].max_acceleration"),
+    ("irb6", "following_error = 2.0", "following_error = 1e-300", "axis[0].following_error"),
+    ("irb6", "following_error = 2.0", "following_error = 1e-6", "axis[0].following_error"),
+    ("irb6", "following_error = 2.0", "following_error = 1e9", "axis[0].following_error"),
+    ("irb6", "following_error = 2.0", "following_error = 1e12", "axis[0].following_error"),
+    ("irb6", "search_velocity = 15.0", "search_velocity = 1e-300", "axis[0].homing.search_velocity"),
+    ("irb6", "search_velocity = 15.0", "search_velocity = 0.02", "axis[0].homing.search_velocity"),
+    ("irb6", "zero_velocity = 3.5", "zero_velocity = 1e-9", "axis[0].homing.zero_velocity"),
+    ("irb6", "acceleration = 150.0", "acceleration = 1e-6", "axis[0].homing.acceleration"),
+    ("irb6", "acceleration = 150.0", "acceleration = 1e9", "axis[0].homing.acceleration"),
+    ("irb6", "rated_torque = 0.42", "rated_torque = 1e-6", "axis[0].drive.rated_torque"),
+    ("irb6", "rated_torque = 0.42", "rated_torque = 1e9", "axis[0].drive.rated_torque"),
     ("irb6", "method = 11", "method = 1", "axis[0].homing.method"),
-    (
-        "irb6",
-        "method = 11",
-        "method = 17",
-        "axis[0].homing.method",
-    ),
+    ("irb6", "method = 11", "method = 17", "axis[0].homing.method"),
     ("irb6", "method = 11", "method = 2", "axis[0].homing.method"),
-    (
-        "irb6",
-        "period_us = 2000",
-        "period_us = 1000000",
-        "period_us",
-    ),
-    (
-        "irb6",
-        "[[robot]]",
-        "[[bus]]\nname = \"spare\"\ninterface = \"can1\"\n\n[[robot]]",
-        "bus[1]",
-    ),
-    (
-        "irb6",
-        "interface = \"can0\"",
-        "interface = \"\"",
-        "bus[0].interface",
-    ),
-    (
-        "irb6",
-        "interface = \"can0\"",
-        "interface = \"can 0\"",
-        "bus[0].interface",
-    ),
-    (
-        "irb6",
-        "interface = \"can0\"",
-        "interface = \"can/0\"",
-        "bus[0].interface",
-    ),
-    (
-        "irb6",
-        "interface = \"can0\"",
-        "interface = \"can0\\u0000\"",
-        "bus[0].interface",
-    ),
-    (
-        "irb6",
-        "interface = \"can0\"",
-        "interface = \"a-name-of-16-byte\"",
-        "bus[0].interface",
-    ),
-    (
-        "irb6",
-        "interface = \"can0\"",
-        "interface = \"slcan:\"",
-        "bus[0].interface",
-    ),
-    (
-        "irb6",
-        "interface = \"can0\"",
-        "interface = \"epos4:/dev/ttyACM0\"",
-        "bus[0].interface",
-    ),
-    (
-        "irb6-serial",
-        "search_velocity = 15.0",
-        "search_velocity = 1e-300",
-        "axis[0].homing.search_velocity",
-    ),
-    (
-        "irb6-serial",
-        "search_velocity = 15.0",
-        "search_velocity = 1e-9",
-        "axis[0].homing.search_velocity",
-    ),
-    (
-        "irb6-serial",
-        "zero_velocity = 3.5",
-        "zero_velocity = 1e-300",
-        "axis[0].homing.zero_velocity",
-    ),
-    (
-        "irb6-serial",
-        "zero_velocity = 3.5",
-        "zero_velocity = 1e-9",
-        "axis[0].homing.zero_velocity",
-    ),
-    (
-        "irb6-serial",
-        "acceleration = 150.0",
-        "acceleration = 1501.0",
-        "axis[0].homing.acceleration",
-    ),
-    (
-        "irb6-serial",
-        "max_velocity = 250.0",
-        "max_velocity = 1e9",
-        "axis[0].max_velocity",
-    ),
-    (
-        "irb6-serial",
-        "following_error = 2.0",
-        "following_error = 1e-9",
-        "axis[0].following_error",
-    ),
-    (
-        "irb6-serial",
-        "torque_constant = 0.105",
-        "torque_constant = 1e300",
-        "controller.torque_constant",
-    ),
-    (
-        "irb6-serial",
-        "position_gain = 25.0",
-        "position_gain = 1e300",
-        "cascade.position_gain",
-    ),
-    (
-        "irb6-serial",
-        "line = \"/dev/ttyMI8\"",
-        "line = \"\"",
-        "controller.line",
-    ),
-    (
-        "rnt",
-        "position_gain = 50.0",
-        "position_gain = 1e300",
-        "proportional.position_gain",
-    ),
+    ("irb6", "period_us = 2000", "period_us = 1000000", "period_us"),
+    ("irb6", "[[robot]]", "[[bus]]\nname = \"spare\"\ninterface = \"can1\"\n\n[[robot]]", "bus[1]"),
+    ("irb6", "interface = \"can0\"", "interface = \"\"", "bus[0].interface"),
+    ("irb6", "interface = \"can0\"", "interface = \"can 0\"", "bus[0].interface"),
+    ("irb6", "interface = \"can0\"", "interface = \"can/0\"", "bus[0].interface"),
+    ("irb6", "interface = \"can0\"", "interface = \"can0\\u0000\"", "bus[0].interface"),
+    ("irb6", "interface = \"can0\"", "interface = \"a-name-of-16-byte\"", "bus[0].interface"),
+    ("irb6", "interface = \"can0\"", "interface = \"slcan:\"", "bus[0].interface"),
+    ("irb6", "interface = \"can0\"", "interface = \"epos4:/dev/ttyACM0\"", "bus[0].interface"),
+    ("irb6-serial", "search_velocity = 15.0", "search_velocity = 1e-300", "axis[0].homing.search_velocity"),
+    ("irb6-serial", "search_velocity = 15.0", "search_velocity = 1e-9", "axis[0].homing.search_velocity"),
+    ("irb6-serial", "zero_velocity = 3.5", "zero_velocity = 1e-300", "axis[0].homing.zero_velocity"),
+    ("irb6-serial", "zero_velocity = 3.5", "zero_velocity = 1e-9", "axis[0].homing.zero_velocity"),
+    ("irb6-serial", "acceleration = 150.0", "acceleration = 1501.0", "axis[0].homing.acceleration"),
+    ("irb6-serial", "max_velocity = 250.0", "max_velocity = 1e9", "axis[0].max_velocity"),
+    ("irb6-serial", "following_error = 2.0", "following_error = 1e-9", "axis[0].following_error"),
+    ("irb6-serial", "torque_constant = 0.105", "torque_constant = 1e300", "controller.torque_constant"),
+    ("irb6-serial", "position_gain = 25.0", "position_gain = 1e300", "cascade.position_gain"),
+    ("irb6-serial", "line = \"/dev/ttyMI8\"", "line = \"\"", "controller.line"),
+    ("rnt", "position_gain = 50.0", "position_gain = 1e300", "proportional.position_gain"),
     (
         "polycrank",
         "interface = \"can1\"",
@@ -246,10 +72,7 @@ fn what_a_run_would_refuse_a_check_refuses_with_file_line_and_key() {
         let at = text.find(good).unwrap_or_else(|| panic!("no {good:?}"));
         // A table inserted before another table begins on the line of the old table.
         let line = text[..at].matches('\n').count() + 1;
-        let line = line
-            + bad
-                .rfind("[[bus]]")
-                .map_or(0, |at| bad[..at].matches('\n').count());
+        let line = line + bad.rfind("[[bus]]").map_or(0, |at| bad[..at].matches('\n').count());
         let cell = directory.write("cell.toml", &text.replacen(good, bad, 1));
         let place = format!("mrroc: {}:{line}: ", cell.display());
         let (check, run) = (check(&cell), run(&cell));
@@ -269,10 +92,7 @@ fn a_search_of_any_speed_ends_a_check_without_a_panic() {
             let given = format!("{name} = {value}");
             let text = text("irb6-serial").replacen(key, &given, 1);
             let cell = directory.write("cell.toml", &text);
-            refused(
-                &check(&cell),
-                &[&format!("homing.{name}: is {}", shown(value))],
-            );
+            refused(&check(&cell), &[&format!("homing.{name}: is {}", shown(value))]);
         }
     }
 }
@@ -284,36 +104,16 @@ fn shown(value: &str) -> String {
 
 /// Cells with values at the limits of the accepted ranges.
 const ACCEPTED: &[Case] = &[
-    (
-        "irb6",
-        "following_error = 2.0",
-        "following_error = 0.016",
-        "",
-    ),
-    (
-        "irb6",
-        "following_error = 2.0",
-        "following_error = 900.0",
-        "",
-    ),
-    (
-        "irb6",
-        "max_acceleration = 1500.0",
-        "max_acceleration = 1e7",
-        "",
-    ),
+    ("irb6", "following_error = 2.0", "following_error = 0.016", ""),
+    ("irb6", "following_error = 2.0", "following_error = 900.0", ""),
+    ("irb6", "max_acceleration = 1500.0", "max_acceleration = 1e7", ""),
     ("irb6", "max_velocity = 250.0", "max_velocity = 9e4", ""),
     ("irb6", "rated_torque = 0.42", "rated_torque = 0.001", ""),
     ("irb6", "rated_torque = 0.42", "rated_torque = 4294.0", ""),
     ("irb6", "vendor = 0xFB", "vendor = 1", ""),
     ("irb6", "vendor = 0xFB", "vendor = 0", ""),
     ("irb6", "acceleration = 150.0", "acceleration = 1500.0", ""),
-    (
-        "irb6",
-        "counts_per_revolution = 4000",
-        "counts_per_revolution = 1000000",
-        "",
-    ),
+    ("irb6", "counts_per_revolution = 4000", "counts_per_revolution = 1000000", ""),
     ("irb6", "period_us = 2000", "period_us = 100000", ""),
     ("irb6", "macrostep = 10", "macrostep = 1", ""),
     ("irb6", "macrostep = 10", "macrostep = 1000", ""),
@@ -343,20 +143,12 @@ fn what_a_check_calls_ready_runs() {
 #[test]
 fn a_method_for_another_wiring_than_the_emulated_one_is_warned_of_and_runs_on_no_emulated_robot() {
     let directory = Directory::new();
-    let (below, above) = (
-        "which leaves the home switch downwards",
-        "which turns round at a positive limit switch",
-    );
+    let (below, above) = ("which leaves the home switch downwards", "which turns round at a positive limit switch");
     for (example, good, bad, why) in [
         ("rnt", "method = 11", "method = 7", below),
         ("rnt", "method = 11", "method = 23", below),
         ("polycrank", "method = 11", "method = 7", above),
-        (
-            "lab",
-            "method = 37",
-            "method = 11",
-            "which needs a home switch",
-        ),
+        ("lab", "method = 37", "method = 11", "which needs a home switch"),
     ] {
         let text = text(example);
         let line = text[..text.find(good).unwrap()].matches('\n').count() + 1;
@@ -386,16 +178,8 @@ fn names_lead_no_file_out_of_its_directory() {
         let given = format!("name = \"{name}\"");
         let text = text("irb6-serial").replacen("name = \"column\"", &given, 1);
         let cell = directory.write("cell.toml", &text);
-        let emulate = [
-            "emulate".as_ref(),
-            cell.as_os_str(),
-            "--serial".as_ref(),
-            inside.as_os_str(),
-        ];
-        refused(
-            &mrroc(emulate),
-            &["robot[0].axis[0].name: ", "must be a name"],
-        );
+        let emulate = ["emulate".as_ref(), cell.as_os_str(), "--serial".as_ref(), inside.as_os_str()];
+        refused(&mrroc(emulate), &["robot[0].axis[0].name: ", "must be a name"]);
         assert!(!outside.exists() && !inside.exists());
     }
 }
@@ -408,10 +192,7 @@ fn an_axis_is_called_by_its_name_in_every_refusal() {
     let text = text.replacen("macrostep = 10", "macrostep = 1000", 1);
     let cell = directory.write("cell.toml", &text);
     let check = check(&cell);
-    refused(
-        &check,
-        &["robot[0].program[0]: ", "axis wrist-roll: set-point"],
-    );
+    refused(&check, &["robot[0].program[0]: ", "axis wrist-roll: set-point"]);
     assert_eq!(check.stderr, run(&cell).stderr);
     let pose = "poses = [[0.4, -1.8,";
     let beyond = self::text("irb6").replacen(pose, "poses = [[0.4, -0.5,", 1);

@@ -1,8 +1,5 @@
 //! Counter of the heap operations of each thread of this binary.
-#![allow(
-    unsafe_code,
-    reason = "a counting allocator implements an unsafe trait"
-)]
+#![allow(unsafe_code, reason = "a counting allocator implements an unsafe trait")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;

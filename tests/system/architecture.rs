@@ -6,10 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .expect("the tests' room is inside the workspace")
-        .to_owned()
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the tests' room is inside the workspace").to_owned()
 }
 
 /// Each room and the rooms it may import, by their names in the workspace.
@@ -26,52 +23,13 @@ const ARROWS: [(&str, &[&str]); 15] = [
     ("tools/descriptions", &["can", "controller", "hil", "mrroc"]),
     ("tools/host", &["can", "drive", "servo", "mrroc"]),
     ("tools/identify", &["can", "servo", "mrroc"]),
-    (
-        "tools/service",
-        &[
-            "can", "canopen", "master", "serial", "drive", "hil", "mrroc",
-        ],
-    ),
-    (
-        "console",
-        &[
-            "can",
-            "canopen",
-            "hil",
-            "mrroc",
-            "descriptions",
-            "host",
-            "identify",
-            "service",
-        ],
-    ),
-    (
-        "tests",
-        &[
-            "can",
-            "canopen",
-            "master",
-            "serial",
-            "drive",
-            "servo",
-            "controller",
-            "hil",
-            "mrroc",
-        ],
-    ),
+    ("tools/service", &["can", "canopen", "master", "serial", "drive", "hil", "mrroc"]),
+    ("console", &["can", "canopen", "hil", "mrroc", "descriptions", "host", "identify", "service"]),
+    ("tests", &["can", "canopen", "master", "serial", "drive", "servo", "controller", "hil", "mrroc"]),
 ];
 
 /// The crates below the library for robot programs.
-const BELOW_LIBRARY: &[&str] = &[
-    "can",
-    "canopen",
-    "master",
-    "serial",
-    "drive",
-    "servo",
-    "controller",
-    "hil",
-];
+const BELOW_LIBRARY: &[&str] = &["can", "canopen", "master", "serial", "drive", "servo", "controller", "hil"];
 
 /// Modules that may read clocks and wait, with the modules below them. Clippy refuses both in all others
 /// (`clippy.toml`).
@@ -112,15 +70,9 @@ fn forbidden_imports(room: &str, allowed: &[&str], manifest: &toml::Table) -> Ve
 
 fn manifest_names() -> Vec<String> {
     let manifest = read_manifest(&root().join("Cargo.toml"));
-    let dependencies = manifest["workspace"]["dependencies"]
-        .as_table()
-        .expect("the workspace lists dependencies");
+    let dependencies = manifest["workspace"]["dependencies"].as_table().expect("the workspace lists dependencies");
     let in_tree = |value: &toml::Value| value.get("path").is_some();
-    dependencies
-        .iter()
-        .filter(|(_, value)| in_tree(value))
-        .map(|(name, _)| name.clone())
-        .collect()
+    dependencies.iter().filter(|(_, value)| in_tree(value)).map(|(name, _)| name.clone()).collect()
 }
 
 fn read_manifest(path: &Path) -> toml::Table {
@@ -133,22 +85,12 @@ fn read_manifest(path: &Path) -> toml::Table {
 #[test]
 fn rooms_import_one_way() {
     let workspace = read_manifest(&root().join("Cargo.toml"));
-    let members: Vec<&str> = workspace["workspace"]["members"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|member| member.as_str().unwrap())
-        .collect();
+    let members: Vec<&str> =
+        workspace["workspace"]["members"].as_array().unwrap().iter().map(|member| member.as_str().unwrap()).collect();
     let listed: BTreeMap<&str, &[&str]> = ARROWS.into_iter().collect();
     for member in &members {
-        let allowed = listed
-            .get(member)
-            .unwrap_or_else(|| panic!("room {member} has no row in ARROWS"));
-        let found = forbidden_imports(
-            member,
-            allowed,
-            &read_manifest(&root().join(member).join("Cargo.toml")),
-        );
+        let allowed = listed.get(member).unwrap_or_else(|| panic!("room {member} has no row in ARROWS"));
+        let found = forbidden_imports(member, allowed, &read_manifest(&root().join(member).join("Cargo.toml")));
         assert!(found.is_empty(), "forbidden imports: {found:?}");
     }
 }
@@ -156,13 +98,8 @@ fn rooms_import_one_way() {
 #[test]
 fn a_forbidden_import_is_found() {
     let manifest: toml::Table =
-        "[dependencies]\nhil.workspace = true\n[dev-dependencies]\nserde.workspace = true"
-            .parse()
-            .unwrap();
-    assert_eq!(
-        forbidden_imports("servo", &["can", "drive"], &manifest),
-        ["servo imports hil (dependencies)"]
-    );
+        "[dependencies]\nhil.workspace = true\n[dev-dependencies]\nserde.workspace = true".parse().unwrap();
+    assert_eq!(forbidden_imports("servo", &["can", "drive"], &manifest), ["servo imports hil (dependencies)"]);
 }
 
 /// All Rust files below a directory of the workspace.
@@ -188,9 +125,7 @@ const REFUSAL: &str = "clippy::disallowed_methods";
 #[test]
 fn only_the_rim_is_excepted_from_the_refusal_of_clock_reads() {
     let rooms = ARROWS.into_iter().map(|(room, _)| room);
-    let files = rooms
-        .filter(|room| *room != "tests")
-        .flat_map(|room| sources(&format!("{room}/src")));
+    let files = rooms.filter(|room| *room != "tests").flat_map(|room| sources(&format!("{room}/src")));
     let excepted = files.filter(|path| fs::read_to_string(path).unwrap().contains(REFUSAL));
     let root = root();
     let name = |path: PathBuf| path.strip_prefix(&root).unwrap().display().to_string();
@@ -205,10 +140,7 @@ fn only_the_rim_is_excepted_from_the_refusal_of_clock_reads() {
 fn every_function_of_the_clock_module_is_refused_outside_the_rim() {
     let refused = fs::read_to_string(root().join("clippy.toml")).unwrap();
     let clock = fs::read_to_string(root().join("drivers/can/src/clock.rs")).unwrap();
-    for function in clock
-        .lines()
-        .filter_map(|line| line.strip_prefix("pub fn "))
-    {
+    for function in clock.lines().filter_map(|line| line.strip_prefix("pub fn ")) {
         let (name, _) = function.split_once('(').unwrap();
         let path = format!("\"mrroc_can::clock::{name}\"");
         assert!(refused.contains(&path), "{name}");

@@ -72,9 +72,7 @@ pub(crate) fn on_cards(test: &str, body: impl FnOnce(&str, &str)) {
 
 /// The kernel that QEMU boots. `None` if the kernel is missing and `test` may be left out; panics if it may not.
 pub(crate) fn kernel(test: &str) -> Option<qemu::Kernel> {
-    qemu::Kernel::below(&mrroc::root().join("target/qemu"))
-        .inspect_err(|error| may_leave_out("qemu", test, error))
-        .ok()
+    qemu::Kernel::below(&mrroc::root().join("target/qemu")).inspect_err(|error| may_leave_out("qemu", test, error)).ok()
 }
 
 /// Options that run `test` of this binary again in a test machine.
@@ -86,12 +84,7 @@ fn again(test: &str, (variable, value): (&str, &str), timeout: Duration) -> uml:
         // Directory of the example cells.
         visible: vec![mrroc::root().to_owned()],
         timeout,
-        ..uml::Options::new([
-            binary.as_os_str(),
-            test.as_ref(),
-            "--exact".as_ref(),
-            "--nocapture".as_ref(),
-        ])
+        ..uml::Options::new([binary.as_os_str(), test.as_ref(), "--exact".as_ref(), "--nocapture".as_ref()])
     }
 }
 
@@ -100,10 +93,7 @@ fn judge<E: Debug + PartialEq>(test: &str, outcome: &Result<u8, E>, output: &[u8
     let output = String::from_utf8_lossy(output);
     // The test runner does not report a path that names no test.
     let ran = output.contains("1 passed");
-    assert!(
-        *outcome == Ok(0) && ran,
-        "{test} in the test machine: {outcome:?}\n{output}"
-    );
+    assert!(*outcome == Ok(0) && ran, "{test} in the test machine: {outcome:?}\n{output}");
     print!("{output}");
 }
 
@@ -111,9 +101,7 @@ fn judge<E: Debug + PartialEq>(test: &str, outcome: &Result<u8, E>, output: &[u8
 /// not permit this.
 pub(crate) fn left_out(test: &str) -> bool {
     let wanting = uml::installed().err();
-    wanting
-        .inspect(|error| may_leave_out("vcan", test, error))
-        .is_some()
+    wanting.inspect(|error| may_leave_out("vcan", test, error)).is_some()
 }
 
 /// Reports that `test` is left out because `what` is missing. Panics if `MRROC_LEAVE_OUT` does not permit this.

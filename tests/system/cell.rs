@@ -19,8 +19,8 @@ use drive::cia402::Cia402Group;
 use drive::{DriveGroup, Scale};
 use hil::plant::Switch;
 use hil::{
-    AxisController, AxisControllerConfig, Cabinet, Device, DeviceId, Epos4, Epos4Config, Irp6Axis,
-    LineDevice, LineFaults, LineId, Mechanism, World,
+    AxisController, AxisControllerConfig, Cabinet, Device, DeviceId, Epos4, Epos4Config, Irp6Axis, LineDevice,
+    LineFaults, LineId, Mechanism, World,
 };
 use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig, ServoFault};
 
@@ -74,18 +74,12 @@ impl Setup {
 
     /// One axis of the IRb-6.
     pub(crate) fn one_axis(axis: usize) -> Self {
-        Self {
-            axes: vec![axis],
-            ..Self::of("irb6")
-        }
+        Self { axes: vec![axis], ..Self::of("irb6") }
     }
 
     /// Alters the plants of the axes.
     pub(crate) fn with_plant(self, plant: impl Fn(usize, &mut hil::AxisConfig) + 'static) -> Self {
-        Self {
-            plant: Box::new(plant),
-            ..self
-        }
+        Self { plant: Box::new(plant), ..self }
     }
 
     /// The servo period.
@@ -120,13 +114,7 @@ impl Setup {
         let axis = self.axis(number);
         let home = arm.robot().home()[number];
         let limits = arm.robot().motor_limits()[number];
-        let switch = |from, to| {
-            Some(Switch {
-                from,
-                to,
-                bounce: 0,
-            })
-        };
+        let switch = |from, to| Some(Switch { from, to, bounce: 0 });
         let mut plant = hil::AxisConfig {
             counts_per_revolution: axis.counts_per_revolution(),
             index_angle: home,
@@ -193,11 +181,8 @@ impl Setup {
         let scale = |&axis: &usize| self.axis(axis).scale(arm.robot().home()[axis]);
         let scales = self.axes.iter().map(scale).collect();
         let mut world = World::new();
-        let (group, drives, plugs, cell) = if self.cell.bus.is_empty() {
-            self.lines(&arm, &mut world)
-        } else {
-            self.bus(&arm, &mut world)
-        };
+        let (group, drives, plugs, cell) =
+            if self.cell.bus.is_empty() { self.lines(&arm, &mut world) } else { self.bus(&arm, &mut world) };
         let delay = group.delay();
         let (mut servo, mut links) =
             Servo::new(&servo_config, vec![group]).expect("the servo's configuration is sound");
@@ -265,12 +250,7 @@ impl Setup {
 }
 
 /// A drive group, its drives, their cables, and the cell.
-type Made = (
-    Box<dyn DriveGroup>,
-    Vec<DriveId>,
-    Vec<Arc<AtomicBool>>,
-    Cell,
-);
+type Made = (Box<dyn DriveGroup>, Vec<DriveId>, Vec<Arc<AtomicBool>>, Cell);
 
 /// Address of a drive.
 #[derive(Clone, Copy)]
@@ -362,12 +342,7 @@ impl Rig {
     pub(crate) fn until(&mut self, limit: Duration, what: &str, done: impl Fn(&Self) -> bool) {
         let end = self.now + limit;
         while !done(self) {
-            assert!(
-                self.now < end,
-                "{what}: not within {limit:?}, {:?}, {:?}",
-                self.phase(),
-                self.servo.fault(0)
-            );
+            assert!(self.now < end, "{what}: not within {limit:?}, {:?}, {:?}", self.phase(), self.servo.fault(0));
             self.cycle();
         }
     }
@@ -383,9 +358,7 @@ impl Rig {
     pub(crate) fn stand_by(&mut self, order: Order) {
         self.order(order);
         self.cycle();
-        self.until(HOMING, "standing", |rig| {
-            rig.phase() == Phase::Standing || rig.servo.fault(0).is_some()
-        });
+        self.until(HOMING, "standing", |rig| rig.phase() == Phase::Standing || rig.servo.fault(0).is_some());
         assert_eq!(self.servo.fault(0), None, "{order:?}");
     }
 
@@ -432,19 +405,12 @@ impl Rig {
 
     /// The true angles of all motors, rad.
     pub(crate) fn angles(&self) -> Vec<f64> {
-        (0..self.drives.len())
-            .map(|axis| self.angle(axis))
-            .collect()
+        (0..self.drives.len()).map(|axis| self.angle(axis)).collect()
     }
 
     /// Runs cycles with `motion` until a fault is latched within `limit` and all axes are at rest. Asserts that no
     /// motor moved farther than `bound`, rad, after the fault.
-    pub(crate) fn fault_within(
-        &mut self,
-        limit: Duration,
-        motion: &mut Motion,
-        bound: f64,
-    ) -> ServoFault {
+    pub(crate) fn fault_within(&mut self, limit: Duration, motion: &mut Motion, bound: f64) -> ServoFault {
         let end = self.now + limit;
         while self.servo.fault(0).is_none() {
             assert!(self.now < end, "no fault");
@@ -452,9 +418,7 @@ impl Rig {
             self.cycle();
         }
         let latched_at = self.angles();
-        self.until(Motion::LONGEST, "stopped", |rig| {
-            rig.phase() == Phase::Faulted
-        });
+        self.until(Motion::LONGEST, "stopped", |rig| rig.phase() == Phase::Faulted);
         self.at_rest(&latched_at, bound);
         self.servo.fault(0).expect("it is latched")
     }
@@ -537,10 +501,7 @@ impl Rig {
     }
 
     /// As [`Rig::run_program`]; `each` is called after each cycle and may intervene.
-    pub(crate) fn run_program_until(
-        &mut self,
-        mut each: impl FnMut(&mut Self),
-    ) -> Result<(), String> {
+    pub(crate) fn run_program_until(&mut self, mut each: impl FnMut(&mut Self)) -> Result<(), String> {
         let task = self.cell.task(0, &self.arm).expect("the program is sound");
         let link = self.link.take().expect("no program runs yet");
         let config = EcpConfig {

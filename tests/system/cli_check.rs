@@ -13,13 +13,7 @@ fn check_accepts_the_example_cells_and_says_what_their_buses_carry() {
         let cell = example(name);
         let check = mrroc(["check".as_ref(), cell.as_os_str()]);
         assert_eq!(check.status.code(), Some(0), "{check:?}");
-        for needle in [
-            "bus arm: load ",
-            "response µs",
-            "SYNC",
-            "set-point",
-            "is ready",
-        ] {
+        for needle in ["bus arm: load ", "response µs", "SYNC", "set-point", "is ready"] {
             assert!(check.stdout.contains(needle), "{needle}: {check:?}");
         }
         let json = mrroc(["check".as_ref(), cell.as_os_str(), "--json".as_ref()]);
@@ -77,27 +71,15 @@ fn two_arms(period_us: u32, buses: usize) -> Output {
     let cell = directory.cell("irb6", |cell| {
         cell.period_us = period_us;
         let (robot, bus) = (cell.robot[0].clone(), cell.bus[0].clone());
-        let second = if buses == 1 {
-            bus.name.clone()
-        } else {
-            "second".into()
-        };
+        let second = if buses == 1 { bus.name.clone() } else { "second".into() };
         let mut axes = robot.axis.clone();
         for axis in &mut axes {
             axis.node += 10;
             axis.bus.clone_from(&second);
         }
-        cell.robot.push(Robot {
-            name: "other".into(),
-            axis: axes,
-            ..robot
-        });
+        cell.robot.push(Robot { name: "other".into(), axis: axes, ..robot });
         if buses > 1 {
-            cell.bus.push(Bus {
-                name: second,
-                interface: "can1".into(),
-                ..bus
-            });
+            cell.bus.push(Bus { name: second, interface: "can1".into(), ..bus });
         }
     });
     mrroc(["check".as_ref(), cell.as_os_str()])
@@ -105,49 +87,27 @@ fn two_arms(period_us: u32, buses: usize) -> Output {
 
 /// The integer before `words`.
 fn number_before(line: &str, words: &str) -> u32 {
-    let before = line
-        .split(words)
-        .next()
-        .filter(|before| before.len() < line.len());
+    let before = line.split(words).next().filter(|before| before.len() < line.len());
     let number = before.and_then(|before| before.split_whitespace().next_back());
     let number = number.unwrap_or_else(|| panic!("nothing before {words:?} in {line:?}"));
     let number = number.trim_start_matches('(');
-    number
-        .parse()
-        .unwrap_or_else(|_| panic!("{number:?} is no number: {line:?}"))
+    number.parse().unwrap_or_else(|_| panic!("{number:?} is no number: {line:?}"))
 }
 
 #[test]
 fn ten_axes_at_1_khz_on_one_bus_are_refused_with_what_would_fit() {
     let check = two_arms(1000, 1);
     assert_eq!(check.status.code(), Some(2), "{check:?}");
-    assert_eq!(
-        (check.stdout.as_str(), check.stderr.lines().count()),
-        ("", 1)
-    );
+    assert_eq!((check.stdout.as_str(), check.stderr.lines().count()), ("", 1));
     let line = check.stderr.as_str();
-    for needle in [
-        "mrroc: ",
-        "cell.toml:",
-        "bus[0]: ",
-        "10 axes",
-        "\"arm\"",
-        "of each 1000 µs",
-        "at most 100 %",
-    ] {
+    for needle in ["mrroc: ", "cell.toml:", "bus[0]: ", "10 axes", "\"arm\"", "of each 1000 µs", "at most 100 %"] {
         assert!(line.contains(needle), "{needle}: {line}");
     }
     assert!(number_before(line, " %, at most") > 100, "{line}");
     let axes = number_before(line, " axes would fit");
     assert!((1..7).contains(&axes), "{line}");
     // The period that the command proposes is accepted. A period that is 1 ms shorter is refused.
-    let period: String = line
-        .split("a period of ")
-        .nth(1)
-        .unwrap()
-        .chars()
-        .take_while(char::is_ascii_digit)
-        .collect();
+    let period: String = line.split("a period of ").nth(1).unwrap().chars().take_while(char::is_ascii_digit).collect();
     let period = 1000 * period.parse::<u32>().unwrap();
     let fits = two_arms(period, 1);
     assert_eq!(fits.status.code(), Some(0), "{fits:?}");
@@ -169,11 +129,7 @@ fn two_buses_carry_what_one_cannot() {
 fn a_run_refuses_the_overloaded_bus_as_well() {
     let directory = Directory::new();
     let cell = directory.cell("irp6", |cell| cell.period_us = 1000);
-    let run = mrroc([
-        "run".as_ref(),
-        cell.as_os_str(),
-        "--bench=lockstep".as_ref(),
-    ]);
+    let run = mrroc(["run".as_ref(), cell.as_os_str(), "--bench=lockstep".as_ref()]);
     assert_eq!(run.status.code(), Some(2), "{run:?}");
     assert!(run.stderr.contains("axes would fit"), "{run:?}");
 }
@@ -203,16 +159,12 @@ fn the_published_reference_is_the_one_the_command_prints() {
 /// Keys of `value` that are not in `schema`, and required keys that are missing.
 fn strangers(root: &Value, schema: &Value, value: &Value, place: &str) -> Vec<String> {
     let schema = match schema["$ref"].as_str() {
-        Some(reference) => root
-            .pointer(&reference[1..])
-            .expect("a reference leads somewhere"),
+        Some(reference) => root.pointer(&reference[1..]).expect("a reference leads somewhere"),
         None => schema,
     };
     for either in ["anyOf", "oneOf"] {
         if let Some(options) = schema[either].as_array() {
-            let found = options
-                .iter()
-                .map(|option| strangers(root, option, value, place));
+            let found = options.iter().map(|option| strangers(root, option, value, place));
             return found.min_by_key(Vec::len).unwrap_or_default();
         }
     }
@@ -232,10 +184,9 @@ fn strangers(root: &Value, schema: &Value, value: &Value, place: &str) -> Vec<St
                 .map(|key| format!("{place}.{key} is missing"));
             inner.chain(missing).collect()
         }
-        Value::Array(items) => items
-            .iter()
-            .flat_map(|item| strangers(root, &schema["items"], item, &format!("{place}[]")))
-            .collect(),
+        Value::Array(items) => {
+            items.iter().flat_map(|item| strangers(root, &schema["items"], item, &format!("{place}[]"))).collect()
+        }
         _ => Vec::new(),
     }
 }
@@ -252,13 +203,7 @@ fn every_key_of_the_example_cells_is_in_the_schema() {
         assert_eq!(check(&text), Vec::<String>::new());
         let wrong = text.replacen("search_velocity", "serch_velocity", 1);
         let place = format!("{name}.robot[].axis[].homing");
-        assert_eq!(
-            check(&wrong),
-            [
-                format!("{place}.serch_velocity"),
-                format!("{place}.search_velocity is missing")
-            ]
-        );
+        assert_eq!(check(&wrong), [format!("{place}.serch_velocity"), format!("{place}.search_velocity is missing")]);
         let wrong = text.replacen("line = { position", "line = { posture", 1);
         assert!(!check(&wrong).is_empty());
         Cell::parse(&text).unwrap();
@@ -267,17 +212,8 @@ fn every_key_of_the_example_cells_is_in_the_schema() {
 
 #[test]
 fn every_command_explains_itself() {
-    let commands: [&[&str]; 9] = [
-        &[],
-        &["check"],
-        &["doctor"],
-        &["run"],
-        &["emulate"],
-        &["eds"],
-        &["vm"],
-        &["vm", "uml"],
-        &["schema"],
-    ];
+    let commands: [&[&str]; 9] =
+        [&[], &["check"], &["doctor"], &["run"], &["emulate"], &["eds"], &["vm"], &["vm", "uml"], &["schema"]];
     for command in commands {
         let help = mrroc(command.iter().chain(&["--help"]));
         assert_eq!(help.status.code(), Some(0), "{help:?}");
@@ -306,18 +242,12 @@ fn every_command_explains_itself() {
 fn the_version_is_that_of_the_workspace() {
     let version = mrroc(["--version"]);
     assert_eq!(version.status.code(), Some(0));
-    assert_eq!(
-        version.stdout,
-        format!("mrroc {}\n", env!("CARGO_PKG_VERSION"))
-    );
+    assert_eq!(version.stdout, format!("mrroc {}\n", env!("CARGO_PKG_VERSION")));
 }
 
 #[test]
 fn an_unknown_command_or_bench_is_refused_with_the_known_ones() {
-    for (arguments, needle) in [
-        (&["fly"][..], "--help"),
-        (&["run", "x.toml", "--bench", "moon"], "lockstep"),
-    ] {
+    for (arguments, needle) in [(&["fly"][..], "--help"), (&["run", "x.toml", "--bench", "moon"], "lockstep")] {
         let run = mrroc(arguments);
         assert_eq!(run.status.code(), Some(2), "{run:?}");
         assert!(run.stderr.contains(needle), "{run:?}");

@@ -36,88 +36,35 @@ pub(crate) fn run_in_lockstep(cell: &Path, log: &Path) -> Output {
 /// The example cell with the first `good` replaced by `bad`, and the line number, from 1, of the replacement.
 fn spoilt(good: &str, bad: &str) -> (String, usize) {
     let text = text("irb6");
-    let at = text
-        .find(good)
-        .unwrap_or_else(|| panic!("no {good:?} in the cell"));
-    (
-        text.replacen(good, bad, 1),
-        text[..at].matches('\n').count() + 1,
-    )
+    let at = text.find(good).unwrap_or_else(|| panic!("no {good:?} in the cell"));
+    (text.replacen(good, bad, 1), text[..at].matches('\n').count() + 1)
 }
 
 /// A name, a text in the cell, the replacement of the text, and the required parts of the refusal.
-type Case = (
-    &'static str,
-    &'static str,
-    &'static str,
-    &'static [&'static str],
-);
+type Case = (&'static str, &'static str, &'static str, &'static [&'static str]);
 
 /// Cells with internal errors. The refusal names the line of the error.
 const FILES: &[Case] = &[
-    (
-        "broken TOML",
-        "period_us = 2000",
-        "period_us = = 1",
-        &["extra `=`"],
-    ),
+    ("broken TOML", "period_us = 2000", "period_us = = 1", &["extra `=`"]),
     ("unclosed", "[[bus]]", "[[bus]", &["table"]),
-    (
-        "unknown key",
-        "macrostep = 10",
-        "macrosteps = 10",
-        &["macrosteps: is an unknown key", "\"macrostep\""],
-    ),
-    (
-        "wrong type",
-        "period_us = 2000",
-        "period_us = \"2 ms\"",
-        &["period_us: is \"2 ms\", must be a whole number"],
-    ),
-    (
-        "NaN",
-        "max_velocity = 250.0",
-        "max_velocity = nan",
-        &["robot[0].axis[0].max_velocity: ", "finite"],
-    ),
-    (
-        "infinity",
-        "[[0.4, ",
-        "[[inf, ",
-        &["robot[0].program[0].joints.poses[0][0]: ", "finite"],
-    ),
+    ("unknown key", "macrostep = 10", "macrosteps = 10", &["macrosteps: is an unknown key", "\"macrostep\""]),
+    ("wrong type", "period_us = 2000", "period_us = \"2 ms\"", &["period_us: is \"2 ms\", must be a whole number"]),
+    ("NaN", "max_velocity = 250.0", "max_velocity = nan", &["robot[0].axis[0].max_velocity: ", "finite"]),
+    ("infinity", "[[0.4, ", "[[inf, ", &["robot[0].program[0].joints.poses[0][0]: ", "finite"]),
     (
         "limits upside down",
         "max_velocity = 250.0",
         "min_position = 5.0\nmax_position = -5.0\nmax_velocity = 250.0",
-        &[
-            "robot[0].axis[0].min_position: ",
-            "is 5, not below the upper limit -5",
-        ],
+        &["robot[0].axis[0].min_position: ", "is 5, not below the upper limit -5"],
     ),
     (
         "duplicate node",
         "node = 2",
         "node = 1",
-        &[
-            "robot[0].axis[1].node: ",
-            "node 1 of bus \"arm\"",
-            "twice",
-            "robot[0].axis[0]",
-        ],
+        &["robot[0].axis[1].node: ", "node 1 of bus \"arm\"", "twice", "robot[0].axis[0]"],
     ),
-    (
-        "unknown bus",
-        "bus = \"arm\"",
-        "bus = \"leg\"",
-        &["robot[0].axis[0].bus: ", "\"leg\""],
-    ),
-    (
-        "period",
-        "period_us = 2000",
-        "period_us = 0",
-        &["period_us: ", "between 1000 and 100000"],
-    ),
+    ("unknown bus", "bus = \"arm\"", "bus = \"leg\"", &["robot[0].axis[0].bus: ", "\"leg\""]),
+    ("period", "period_us = 2000", "period_us = 0", &["period_us: ", "between 1000 and 100000"]),
     (
         "unreachable pose",
         "position = [0.85, 0.0, 0.85]",
@@ -128,12 +75,7 @@ const FILES: &[Case] = &[
         "pose beyond a limit",
         "[[0.4, -1.8,",
         "[[0.4, -0.5,",
-        &[
-            "robot[0].program[0]",
-            "lower-arm",
-            "-0.5",
-            "beyond its limit -0.87",
-        ],
+        &["robot[0].program[0]", "lower-arm", "-0.5", "beyond its limit -0.87"],
     ),
 ];
 
@@ -145,10 +87,7 @@ fn a_wrong_cell_is_refused_at_its_line() {
         let cell = directory.write("wrong.toml", &text);
         let place = format!("{}:{line}: ", cell.display());
         let log = directory.path("wrong.log");
-        for run in [
-            run_in_lockstep(&cell, &log),
-            mrroc(["check".as_ref(), cell.as_os_str()]),
-        ] {
+        for run in [run_in_lockstep(&cell, &log), mrroc(["check".as_ref(), cell.as_os_str()])] {
             refused(&run, &[&[place.as_str()], needles].concat());
             assert!(!log.exists(), "{name}: a bus was opened");
         }
@@ -161,14 +100,8 @@ fn a_pose_is_refused_at_its_own_line() {
     let directory = Directory::new();
     let cell = directory.write("late.toml", &text);
     // The line after the first line of the motion.
-    let place = format!(
-        "late.toml:{}: robot[0].program[0].joints.poses[1]: ",
-        line + 1
-    );
-    refused(
-        &mrroc(["check".as_ref(), cell.as_os_str()]),
-        &[&place, "lower-arm"],
-    );
+    let place = format!("late.toml:{}: robot[0].program[0].joints.poses[1]: ", line + 1);
+    refused(&mrroc(["check".as_ref(), cell.as_os_str()]), &[&place, "lower-arm"]);
 }
 
 /// Cells that do not match their drives. No line is known for these errors; the refusal names bus, axis and node.
@@ -183,34 +116,19 @@ const DRIVES: &[Case] = &[
         "another identity",
         "node = 3",
         "node = 3\nemulator = { vendor = 0x1234 }",
-        &[
-            "bus arm, axis upper-arm: node 3: ",
-            "0x1018:01",
-            "0x00001234",
-            "0x000000fb",
-        ],
+        &["bus arm, axis upper-arm: node 3: ", "0x1018:01", "0x00001234", "0x000000fb"],
     ),
     (
         "an object that is not there",
         "rated_torque = 0.42 }",
         "rated_torque = 0.42, parameter = [{ index = 0x2FFF, value = 1, bytes = 4 }] }",
-        &[
-            "bus arm, axis column: node 1: ",
-            "0x2fff:00",
-            "0x06020000",
-            "object does not exist",
-        ],
+        &["bus arm, axis column: node 1: ", "0x2fff:00", "0x06020000", "object does not exist"],
     ),
     (
         "an object that cannot be written",
         "rated_torque = 0.42 }",
         "rated_torque = 0.42, parameter = [{ index = 0x6041, value = 1, bytes = 2 }] }",
-        &[
-            "bus arm, axis column: node 1: ",
-            "0x6041:00",
-            "0x06010002",
-            "read-only",
-        ],
+        &["bus arm, axis column: node 1: ", "0x6041:00", "0x06010002", "read-only"],
     ),
 ];
 
@@ -222,10 +140,7 @@ fn a_drive_that_does_not_come_up_is_refused_and_none_is_switched_on() {
         let log = directory.path("drives.log");
         refused(&run_in_lockstep(&cell, &log), needles);
         let frames = trace(&log);
-        assert!(
-            !frames.is_empty(),
-            "{name}: the trace of the refusal is lost"
-        );
+        assert!(!frames.is_empty(), "{name}: the trace of the refusal is lost");
         assert_eq!(enables(&frames), 0, "{name}");
     }
 }
@@ -236,12 +151,7 @@ fn by_the_wall_clock_as_well_no_drive_is_switched_on_that_is_another() {
     let directory = Directory::new();
     let cell = directory.write("drives.toml", &spoilt(good, bad).0);
     let log = directory.path("drives.log");
-    let run = mrroc([
-        "run".as_ref(),
-        cell.as_os_str(),
-        "--trace".as_ref(),
-        log.as_os_str(),
-    ]);
+    let run = mrroc(["run".as_ref(), cell.as_os_str(), "--trace".as_ref(), log.as_os_str()]);
     refused(&run, needles);
     let frames = trace(&log);
     assert!(!frames.is_empty());
@@ -300,10 +210,7 @@ const SCALES: &[Scale] = &[
         &[(0x608F, 1, 8192), (0x608F, 2, 3)],
         "0x608f:01 is 8192/3 encoder increments per motor revolution, the cell says 4000: correct",
     ),
-    (
-        &[(0x3000, 5, 4096)],
-        "0x3000:05 is 4096 quadrature counts per revolution, the cell says 4000: correct",
-    ),
+    (&[(0x3000, 5, 4096)], "0x3000:05 is 4096 quadrature counts per revolution, the cell says 4000: correct"),
     (
         &[(0x6076, 0, 840_000)],
         "0x6076:00 is 840000 µN·m of rated torque, the cell says 420000: correct drive.rated_torque",
@@ -315,31 +222,18 @@ fn a_drive_whose_own_ratios_are_not_the_cells_is_refused_on_a_bus_and_not_switch
     let directory = Directory::new();
     let cell = directory.cell("lab", |cell| {
         cell.robot.retain(|robot| robot.name == "conveyor");
-        cell.robot[0]
-            .program
-            .retain(|it| matches!(it, Instruction::Joints(_)));
+        cell.robot[0].program.retain(|it| matches!(it, Instruction::Joints(_)));
         let bus = cell.robot[0].axis[0].bus.clone();
         cell.bus.retain(|it| it.name == bus);
         cell.serial.clear();
     });
-    let node = Cell::parse(&text("lab"))
-        .unwrap()
-        .robot
-        .last()
-        .unwrap()
-        .axis[0]
-        .node;
+    let node = Cell::parse(&text("lab")).unwrap().robot.last().unwrap().axis[0].node;
     for &(numbers, needle) in SCALES {
         let config = Epos4Config {
             power_on: clock::now(),
             ..Epos4Config::new(NodeId::new(node).unwrap(), AxisConfig::conveyor())
         };
-        let drive = Scaled {
-            drive: Epos4::new(config),
-            node,
-            numbers,
-            answer: None,
-        };
+        let drive = Scaled { drive: Epos4::new(config), node, numbers, answer: None };
         let log = directory.path("scale.log");
         let run = Adapter::new(Some(Box::new(drive))).served(|tty| {
             let interface = format!("slcan:{}", tty.display());
@@ -367,10 +261,7 @@ fn a_missing_file_is_refused_by_every_command() {
         let run = mrroc([command, "no-such-cell.toml"]);
         refused(&run, &["no-such-cell.toml: ", "No such file"]);
     }
-    refused(
-        &mrroc(["run".as_ref(), crate::mrroc::root().as_os_str()]),
-        &["directory"],
-    );
+    refused(&mrroc(["run".as_ref(), crate::mrroc::root().as_os_str()]), &["directory"]);
 }
 
 #[test]
@@ -386,11 +277,7 @@ fn an_absent_interface_is_refused_by_name() {
         // If the kernel has no CAN, the line says so and names the remedy.
         refused(&run, &["bus arm: nosuch0: "]);
     }
-    let run = mrroc([
-        "emulate".as_ref(),
-        example("irb6").as_os_str(),
-        "--can=nosuch0".as_ref(),
-    ]);
+    let run = mrroc(["emulate".as_ref(), example("irb6").as_os_str(), "--can=nosuch0".as_ref()]);
     refused(&run, &["bus arm: nosuch0: "]);
 }
 
@@ -401,14 +288,8 @@ fn options_that_contradict_each_other_are_refused() {
         (&["--can=vcan0"], "--bench vcan"),
         (&["--bench=vcan", "--can=leg=vcan0"], "no bus \"leg\""),
         (&["--bench=vcan", "--set-bitrate"], "--bench card"),
-        (
-            &["--bench=lockstep", "--trace=/no/such/place.log"],
-            "/no/such/place.log",
-        ),
-        (
-            &["--bench=lockstep", "--record=/no/such/place.csv"],
-            "/no/such/place.csv",
-        ),
+        (&["--bench=lockstep", "--trace=/no/such/place.log"], "/no/such/place.log"),
+        (&["--bench=lockstep", "--record=/no/such/place.csv"], "/no/such/place.csv"),
     ];
     for (options, needle) in cases {
         let arguments = ["run".as_ref(), cell.as_os_str()];
@@ -421,28 +302,13 @@ fn options_that_contradict_each_other_are_refused() {
 fn each_bus_has_one_interface_and_each_interface_one_bus() {
     let cell = example("polycrank");
     let cases: &[(&[&str], &[&str])] = &[
-        (
-            &["--can=vcan0"],
-            &["2 buses", "BUS=vcan0", "upper, forearm"],
-        ),
+        (&["--can=vcan0"], &["2 buses", "BUS=vcan0", "upper, forearm"]),
         (&["--can=leg=vcan0"], &["no bus \"leg\"", "upper, forearm"]),
-        (
-            &["--can=upper=vcan0", "--can=upper=vcan1"],
-            &["--can upper=vcan1", "already", "--can upper=vcan0"],
-        ),
-        (
-            &["--can=upper=vcan0", "--can=forearm=vcan0"],
-            &["bus forearm: vcan0 is that of bus upper", "BUS=IFACE"],
-        ),
+        (&["--can=upper=vcan0", "--can=upper=vcan1"], &["--can upper=vcan1", "already", "--can upper=vcan0"]),
+        (&["--can=upper=vcan0", "--can=forearm=vcan0"], &["bus forearm: vcan0 is that of bus upper", "BUS=IFACE"]),
         // The other bus keeps the interface of the cell file.
-        (
-            &["--can=upper=can1"],
-            &["bus forearm: can1 is that of bus upper"],
-        ),
-        (
-            &["--can=upper=nosuch0", "--can=forearm=nosuch1"],
-            &["bus upper: nosuch0: "],
-        ),
+        (&["--can=upper=can1"], &["bus forearm: can1 is that of bus upper"]),
+        (&["--can=upper=nosuch0", "--can=forearm=nosuch1"], &["bus upper: nosuch0: "]),
     ];
     let commands: [&[&str]; 2] = [&["run", "--bench=vcan"], &["emulate"]];
     for (options, needles) in cases {
@@ -455,8 +321,5 @@ fn each_bus_has_one_interface_and_each_interface_one_bus() {
     let directory = Directory::new();
     let link = format!("--slcan=forearm={}", directory.path("tty").display());
     let emulate = ["emulate", "--can=upper=can1", &link].map(AsRef::as_ref);
-    refused(
-        &mrroc(emulate.into_iter().chain([cell.as_os_str()])),
-        &["bus upper: can1: "],
-    );
+    refused(&mrroc(emulate.into_iter().chain([cell.as_os_str()])), &["bus upper: can1: "]);
 }

@@ -8,9 +8,7 @@ use ::mrroc::cell::{Cell, Plant};
 use serde_json::Value;
 
 use crate::bench::turn;
-use crate::mrroc::{
-    CELLS, Directory, Output, Running, enables, example, mrroc, shorten, text, trace,
-};
+use crate::mrroc::{CELLS, Directory, Output, Running, enables, example, mrroc, shorten, text, trace};
 
 /// Largest following error in a lockstep run of an example cell, rad.
 const TRACKING: f64 = 0.05;
@@ -47,12 +45,7 @@ fn lockstep_runs_are_the_same_bit_for_bit() {
 #[test]
 fn json_is_one_object_with_every_figure() {
     for name in CELLS {
-        let run = mrroc([
-            "run".as_ref(),
-            example(name).as_os_str(),
-            "--bench=lockstep".as_ref(),
-            "--json".as_ref(),
-        ]);
+        let run = mrroc(["run".as_ref(), example(name).as_os_str(), "--bench=lockstep".as_ref(), "--json".as_ref()]);
         assert_eq!(run.status.code(), Some(0), "{run:?}");
         assert_eq!(run.stdout.lines().count(), 1, "{run:?}");
         assert_eq!(run.stderr, "", "{name}");
@@ -66,8 +59,7 @@ fn json_is_one_object_with_every_figure() {
         assert_eq!(cycle["missed"], 0);
         assert!(number(&cycle["cycles"]) > 5000.0, "{report}");
         for times in ["wake_us", "step_us", "bus_us"] {
-            let [p50, p99, p999, max] =
-                ["p50", "p99", "p999", "max"].map(|key| number(&cycle[times][key]));
+            let [p50, p99, p999, max] = ["p50", "p99", "p999", "max"].map(|key| number(&cycle[times][key]));
             assert!(p50 <= p99 && p99 <= p999 && p999 <= max, "{times}: {cycle}");
         }
         assert!(number(&cycle["bus_us"]["p50"]) > 100.0, "{cycle}");
@@ -93,17 +85,11 @@ fn check_axes(name: &str, reports: &[Value]) {
         assert_eq!(report["name"], axis.name.as_str());
         let rms = number(&report["tracking_rms_rad"]);
         let peak = number(&report["tracking_peak_rad"]);
-        assert!(
-            0.0 < rms && rms < peak && peak < TRACKING,
-            "{name}: {report}"
-        );
+        assert!(0.0 < rms && rms < peak && peak < TRACKING, "{name}: {report}");
         let scale = f64::from(axis.counts_per_revolution()) / std::f64::consts::TAU;
         let expected = (home * scale).floor() - ((home + START) * scale).floor();
         let offset = number(&report["homing_offset_counts"]);
-        assert!(
-            (offset - expected).abs() <= 1.0,
-            "{name}: {report}, expected {expected}"
-        );
+        assert!((offset - expected).abs() <= 1.0, "{name}: {report}, expected {expected}");
     }
 }
 
@@ -126,21 +112,8 @@ fn the_wall_clock_bench_completes_without_a_fault() {
 
 #[test]
 fn the_table_names_every_axis_and_the_outcome() {
-    let run = mrroc([
-        "run".as_ref(),
-        example("irb6").as_os_str(),
-        "--bench=lockstep".as_ref(),
-    ]);
-    for needle in [
-        "column",
-        "wrist-roll",
-        "rms rad",
-        "homing",
-        "p99.9",
-        "missed",
-        "bus arm",
-        "load",
-    ] {
+    let run = mrroc(["run".as_ref(), example("irb6").as_os_str(), "--bench=lockstep".as_ref()]);
+    for needle in ["column", "wrist-roll", "rms rad", "homing", "p99.9", "missed", "bus arm", "load"] {
         assert!(run.stdout.contains(needle), "{needle}: {}", run.stdout);
     }
     // Virtual time has no late wake-ups.
@@ -167,10 +140,7 @@ fn ctrl_c_while_homing_ends_the_run_at_once() {
     let last = record.lines().last().unwrap();
     assert!(last.contains(",Off,"), "{last}");
     let cycles = number(&run.json()["cycle"]["cycles"]);
-    assert!(
-        cycles < 2500.0,
-        "{cycles} cycles for a stop after 200 of 5000"
-    );
+    assert!(cycles < 2500.0, "{cycles} cycles for a stop after 200 of 5000");
 }
 
 #[test]
@@ -192,10 +162,7 @@ fn a_record_that_cannot_be_written_stops_the_arm() {
         let faults = report["faults"].as_array().unwrap();
         assert_eq!(faults.len(), 1, "{report}");
         let what = faults[0]["what"].as_str().unwrap();
-        assert!(
-            what.contains("record cannot be written: No space"),
-            "{what}"
-        );
+        assert!(what.contains("record cannot be written: No space"), "{what}");
         let cycles = number(&report["cycle"]["cycles"]);
         assert!(cycles < 2500.0, "{bench}: {cycles} cycles");
     }
@@ -228,10 +195,7 @@ fn a_stalled_trace_does_not_hold_up_a_stop() {
     assert_eq!(report["outcome"], "faulted", "{report}");
     let faults = report["faults"].as_array().unwrap();
     assert_eq!(faults.len(), 1, "{report}");
-    assert_eq!(
-        faults[0]["what"],
-        "the trace or the record cannot be written in time"
-    );
+    assert_eq!(faults[0]["what"], "the trace or the record cannot be written in time");
     drop(pipe);
 }
 
@@ -242,15 +206,7 @@ pub(crate) fn stopped(run: &Output) {
     assert_eq!(report["faults"], Value::Array(Vec::new()));
     let causes = report["cycle"]["causes"].as_object().unwrap();
     let names: Vec<_> = causes.keys().collect();
-    let expected = [
-        "between cycles",
-        "bus",
-        "host",
-        "late wake-up",
-        "own step",
-        "page fault",
-        "preempted",
-    ];
+    let expected = ["between cycles", "bus", "host", "late wake-up", "own step", "page fault", "preempted"];
     assert_eq!(names, expected);
     let count: f64 = causes.values().map(number).sum();
     let worst = report["cycle"]["worst"].as_array().unwrap();
@@ -273,13 +229,8 @@ pub(crate) fn interrupted(
     let directory = Directory::new();
     let cell = directory.cell("irb6", change);
     let record = directory.path("axes.csv");
-    let run = Running::start([
-        "run".as_ref(),
-        cell.as_os_str(),
-        "--json".as_ref(),
-        "--record".as_ref(),
-        record.as_os_str(),
-    ]);
+    let run =
+        Running::start(["run".as_ref(), cell.as_os_str(), "--json".as_ref(), "--record".as_ref(), record.as_os_str()]);
     let phase = format!(",wrist-roll,{phase},");
     run.wait_for(&record, |text| text.matches(&phase).count() > cycles);
     run.signal(signal);
@@ -312,32 +263,18 @@ pub(crate) fn stops_in_motion(signal: &str) {
     let mut fastest = 0.0_f64;
     for (name, rows) in &axes {
         let braking = rows.iter().position(|row| row.phase == "Stopping").unwrap();
-        let set_points: Vec<&Row> = rows[braking - 2..]
-            .iter()
-            .take_while(|row| row.phase != "Off")
-            .collect();
+        let set_points: Vec<&Row> = rows[braking - 2..].iter().take_while(|row| row.phase != "Off").collect();
         let velocity = |pair: &[&Row]| (pair[1].commanded - pair[0].commanded) / period;
         let velocities: Vec<f64> = set_points.windows(2).map(velocity).collect();
         fastest = fastest.max(velocities[0].abs());
         for pair in velocities.windows(2) {
             let acceleration = (pair[1] - pair[0]).abs() / period;
-            assert!(
-                acceleration <= limit * 1.001,
-                "{name}: {acceleration} rad/s²"
-            );
+            assert!(acceleration <= limit * 1.001, "{name}: {acceleration} rad/s²");
         }
-        assert_eq!(
-            *velocities.last().unwrap(),
-            0.0,
-            "{name} was switched off in motion"
-        );
+        assert_eq!(*velocities.last().unwrap(), 0.0, "{name} was switched off in motion");
         let last = rows.last().unwrap();
         assert_eq!(last.phase, "Off", "{name}");
-        assert!(
-            last.velocity.abs() < 1.0,
-            "{name} ends at {} rad/s",
-            last.velocity
-        );
+        assert!(last.velocity.abs() < 1.0, "{name} ends at {} rad/s", last.velocity);
     }
     assert!(fastest > 10.0, "nothing was in motion: {fastest} rad/s");
 }
@@ -356,17 +293,10 @@ impl<'a> Row<'a> {
         let [_, _, axis, phase, _, commanded, _, _, velocity, _, _, _] = fields[..] else {
             panic!("{line}");
         };
-        Self {
-            axis,
-            phase,
-            commanded: commanded.parse().unwrap(),
-            velocity: velocity.parse().unwrap(),
-        }
+        Self { axis, phase, commanded: commanded.parse().unwrap(), velocity: velocity.parse().unwrap() }
     }
 }
 
 fn number(value: &Value) -> f64 {
-    value
-        .as_f64()
-        .unwrap_or_else(|| panic!("{value} is no number"))
+    value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }

@@ -60,10 +60,7 @@ fn the_published_data_sheet_is_the_one_the_command_prints() {
     }
     Eds::read(sheet().as_bytes()).unwrap();
     let nobody = mrroc(["eds".as_ref(), cell.as_os_str(), "elbow".as_ref()]);
-    refused(
-        &nobody,
-        &["no axis is called \"elbow\"", "irb6/column (node 1)"],
-    );
+    refused(&nobody, &["no axis is called \"elbow\"", "irb6/column (node 1)"]);
 }
 
 #[test]
@@ -85,23 +82,17 @@ fn a_dcf_is_in_the_drive_before_it_is_switched_on() {
     assert!(enables(&frames) > 0);
     let sdo = sdo(&frames);
     // Ratios of CiA 402-2 for encoder, gear and feed, which no EPOS4 has.
-    let absent = [
-        "291001", "8F6001", "8F6002", "916001", "916002", "926001", "926002", "7B6001", "7B6002",
-        "7E6000", "C66000",
-    ]
-    .map(|object| format!("581#80{object}00000206"));
+    let absent =
+        ["291001", "8F6001", "8F6002", "916001", "916002", "926001", "926002", "7B6001", "7B6002", "7E6000", "C66000"]
+            .map(|object| format!("581#80{object}00000206"));
     // The time-out of the following error can be read alone.
     let read_only = "581#8066600002000106";
-    let refused = |frame: &&String| {
-        frame.starts_with("581#80") && !absent.contains(frame) && *frame != read_only
-    };
+    let refused = |frame: &&String| frame.starts_with("581#80") && !absent.contains(frame) && *frame != read_only;
     assert_eq!(sdo.iter().find(refused), None);
     // The last answer of the drive to an upload of each object is the value that it keeps.
     let holds = |answer: &str| {
         let mut answers = sdo.iter().rev();
-        answers.find(|frame| {
-            frame.len() >= 12 && frame[6..12] == answer[6..12] && frame.starts_with("581#4")
-        })
+        answers.find(|frame| frame.len() >= 12 && frame[6..12] == answer[6..12] && frame.starts_with("581#4"))
     };
     for answer in [
         "581#43676000D2040000",
@@ -124,12 +115,7 @@ type Change = fn(&mut ::mrroc::cell::Axis);
 
 /// A name, the lines inserted into the sheet, the change of the axis, and the required parts of the refusal. `@` stands
 /// for file and line of the first value.
-type Case = (
-    &'static str,
-    &'static [(&'static str, &'static str)],
-    Change,
-    &'static [&'static str],
-);
+type Case = (&'static str, &'static [(&'static str, &'static str)], Change, &'static [&'static str]);
 
 const VALUE: (&str, &str) = ("6067", "ParameterValue=1");
 
@@ -168,11 +154,7 @@ const REFUSALS: &[Case] = &[
         "another product than the cell's",
         &[VALUE],
         |axis| axis.drive.as_mut().unwrap().product = Some(0x6552_0000),
-        &[
-            "robot[0].axis[0].drive.dcf: ",
-            "motor.dcf",
-            "0x61500000 (0x1018:02), the cell says 0x65520000",
-        ],
+        &["robot[0].axis[0].drive.dcf: ", "motor.dcf", "0x61500000 (0x1018:02), the cell says 0x65520000"],
     ),
     (
         "another vendor than the cell's",
@@ -188,19 +170,13 @@ const REFUSALS: &[Case] = &[
     ),
     (
         "the file of another node",
-        &[
-            ("Comments", "[DeviceComissioning]\nNodeID=2\n[More]"),
-            VALUE,
-        ],
+        &[("Comments", "[DeviceComissioning]\nNodeID=2\n[More]"), VALUE],
         |_| {},
         &["is of node 2, the axis of node 1"],
     ),
     (
         "the file of another bus",
-        &[
-            ("Comments", "[DeviceComissioning]\nBaudrate=500\n[More]"),
-            VALUE,
-        ],
+        &[("Comments", "[DeviceComissioning]\nBaudrate=500\n[More]"), VALUE],
         |_| {},
         &["is for 500 kbit/s, the bus has 1000"],
     ),
@@ -220,20 +196,9 @@ fn a_dcf_that_cannot_be_meant_is_refused_before_a_bus_is_opened() {
         let (text, line) = dcf(lines);
         let cell = cell(&directory, &text, *change);
         let place = format!("{}:{line}: ", directory.path("motor.dcf").display());
-        let needles: Vec<&str> = needles
-            .iter()
-            .map(|needle| {
-                if *needle == "@" {
-                    place.as_str()
-                } else {
-                    *needle
-                }
-            })
-            .collect();
-        for run in [
-            run_in_lockstep(&cell, &log),
-            mrroc(["check".as_ref(), cell.as_os_str()]),
-        ] {
+        let needles: Vec<&str> =
+            needles.iter().map(|needle| if *needle == "@" { place.as_str() } else { *needle }).collect();
+        for run in [run_in_lockstep(&cell, &log), mrroc(["check".as_ref(), cell.as_os_str()])] {
             refused(&run, &needles);
             assert!(!log.exists(), "{name}: a bus was opened");
         }
@@ -243,62 +208,18 @@ fn a_dcf_that_cannot_be_meant_is_refused_before_a_bus_is_opened() {
 #[test]
 fn what_belongs_to_the_driver_is_refused_in_a_dcf_by_line_and_name() {
     let cases = [
-        (
-            "6040",
-            "0x000F",
-            "0x6040:00 (controlword) belongs to the driver: it commands the drive",
-        ),
-        (
-            "1010sub1",
-            "0x65766173",
-            "0x1010:01 (store all parameters) belongs to the driver",
-        ),
-        (
-            "1011sub1",
-            "0x64616F6C",
-            "0x1011:01 (restore all default parameters) belongs to the driver",
-        ),
-        (
-            "1016sub1",
-            "0",
-            "0x1016:01 (heartbeat consumer 1) belongs to the driver",
-        ),
+        ("6040", "0x000F", "0x6040:00 (controlword) belongs to the driver: it commands the drive"),
+        ("1010sub1", "0x65766173", "0x1010:01 (store all parameters) belongs to the driver"),
+        ("1011sub1", "0x64616F6C", "0x1011:01 (restore all default parameters) belongs to the driver"),
+        ("1016sub1", "0", "0x1016:01 (heartbeat consumer 1) belongs to the driver"),
         ("1016sub2", "0x007F0064", "0x1016:02 belongs to the driver"),
-        (
-            "6007",
-            "0",
-            "0x6007:00 (abort connection option code) belongs to the driver",
-        ),
-        (
-            "6085",
-            "1",
-            "0x6085:00 (quick stop deceleration) belongs to the driver",
-        ),
-        (
-            "6065",
-            "0xFFFFFFFF",
-            "0x6065:00 (following error window) belongs to the driver",
-        ),
-        (
-            "6060",
-            "3",
-            "0x6060:00 (modes of operation) belongs to the driver",
-        ),
-        (
-            "60C2sub1",
-            "9",
-            "0x60c2:01 (interpolation time period value) belongs to the driver",
-        ),
-        (
-            "1802sub2",
-            "1",
-            "belongs to the driver: the driver maps the process data",
-        ),
-        (
-            "1A02sub1",
-            "0x60640020",
-            "belongs to the driver: the driver maps the process data",
-        ),
+        ("6007", "0", "0x6007:00 (abort connection option code) belongs to the driver"),
+        ("6085", "1", "0x6085:00 (quick stop deceleration) belongs to the driver"),
+        ("6065", "0xFFFFFFFF", "0x6065:00 (following error window) belongs to the driver"),
+        ("6060", "3", "0x6060:00 (modes of operation) belongs to the driver"),
+        ("60C2sub1", "9", "0x60c2:01 (interpolation time period value) belongs to the driver"),
+        ("1802sub2", "1", "belongs to the driver: the driver maps the process data"),
+        ("1A02sub1", "0x60640020", "belongs to the driver: the driver maps the process data"),
     ];
     let directory = Directory::new();
     for (section, value, refusal) in cases {
@@ -323,11 +244,7 @@ fn what_belongs_to_the_driver_is_refused_in_a_dcf_by_line_and_name() {
         let at = text.find(&format!("[{section}]\n")).unwrap();
         text[..at].matches('\n').count() + 2
     };
-    let others = format!(
-        "the same holds for 2 further lines: {}, {}",
-        line_of("6065"),
-        line_of("60C2sub1")
-    );
+    let others = format!("the same holds for 2 further lines: {}, {}", line_of("6065"), line_of("60C2sub1"));
     let check = mrroc(["check".as_ref(), cell.as_os_str()]);
     refused(&check, &[&format!("motor.dcf:{line}: 0x6007:00"), &others]);
 }
@@ -340,21 +257,9 @@ fn a_drive_that_is_not_the_files_is_refused_and_none_is_switched_on() {
         (
             text.clone(),
             |axis| axis.emulator.revision = Some(0x0168_0000),
-            &[
-                "bus arm, axis column: node 1: ",
-                "0x1018:03 is 0x01680000",
-                "expects 0x01700000",
-            ],
+            &["bus arm, axis column: node 1: ", "0x1018:03 is 0x01680000", "expects 0x01700000"],
         ),
-        (
-            text + unknown,
-            |_| {},
-            &[
-                "bus arm, axis column: node 1: ",
-                "0x2fff:00 refused",
-                "object does not exist",
-            ],
-        ),
+        (text + unknown, |_| {}, &["bus arm, axis column: node 1: ", "0x2fff:00 refused", "object does not exist"]),
     ];
     let directory = Directory::new();
     for (text, change, needles) in cases {
@@ -416,9 +321,7 @@ fn a_dcf_that_scales_otherwise_than_the_cell_is_refused() {
     let (text, _) = dcf(&[VALUE]);
     let scale = |index: &str, above: u32, below: u32| {
         let sub = |number: u8, value: u32| {
-            format!(
-                "\n[{index}sub{number}]\nParameterName=of\nDataType=7\nAccessType=rw\nParameterValue={value}\n"
-            )
+            format!("\n[{index}sub{number}]\nParameterName=of\nDataType=7\nAccessType=rw\nParameterValue={value}\n")
         };
         let head = format!("\n[{index}]\nParameterName=scale\nObjectType=9\nSubNumber=2\n");
         head + &sub(1, above) + &sub(2, below)
@@ -429,18 +332,9 @@ fn a_dcf_that_scales_otherwise_than_the_cell_is_refused() {
         (scale("608F", 8000, 2), None),
         (scale("6091", 1, 1), None),
         (scale("608F", 524_288, 1) + &scale("6092", 4000, 1), None),
-        (
-            scale("6092", 3600, 7),
-            Some("0x6092 sets 3600/7 position units per shaft revolution, the cell says 4000"),
-        ),
-        (
-            scale("608F", 2000, 1),
-            Some("0x608f sets 2000 counts per revolution, the cell says 4000"),
-        ),
-        (
-            scale("6091", 158, 1),
-            Some("0x6091 sets 158 motor revolutions per shaft revolution, the cell says 1"),
-        ),
+        (scale("6092", 3600, 7), Some("0x6092 sets 3600/7 position units per shaft revolution, the cell says 4000")),
+        (scale("608F", 2000, 1), Some("0x608f sets 2000 counts per revolution, the cell says 4000")),
+        (scale("6091", 158, 1), Some("0x6091 sets 158 motor revolutions per shaft revolution, the cell says 1")),
     ];
     for (objects, refusal) in cases {
         let cell = cell(&directory, &format!("{text}{objects}"), |_| {});

@@ -28,10 +28,7 @@ fn a_cycle_sends_once_and_receives_once() {
         assert_eq!(ids[1..=axes], set_points, "one set-point per axis");
         // The rest is at most a heartbeat and an SDO request.
         let rest = &ids[axes + 1..];
-        assert!(
-            rest.len() <= 2 && rest.iter().all(|&id| id > 0x600),
-            "{ids:03x?}"
-        );
+        assert!(rest.len() <= 2 && rest.iter().all(|&id| id > 0x600), "{ids:03x?}");
         watch.forget();
     });
     rig.home();
@@ -72,9 +69,7 @@ fn a_drive_is_enabled_step_by_step_as_an_epos_was_seen_to() {
             words.push(word);
         }
     }
-    let expected = [
-        "202#00", "182#40", "202#06", "182#21", "202#07", "182#23", "202#0F", "182#37",
-    ];
+    let expected = ["202#00", "182#40", "202#06", "182#21", "202#07", "182#23", "202#0F", "182#37"];
     assert_eq!(words, expected);
 }
 

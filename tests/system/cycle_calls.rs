@@ -36,12 +36,7 @@ const OF_THE_ACCOUNT: [&str; 2] = ["getrusage", "pread64"];
 
 /// Clock sources that the vDSO of the kernel reads without a system call. With any other source, such as that of
 /// user-mode Linux, `clock_gettime` is a system call.
-const WITHOUT_A_CALL: [&str; 4] = [
-    "tsc",
-    "kvm-clock",
-    "hyperv_clocksource_tsc_page",
-    "arch_sys_counter",
-];
+const WITHOUT_A_CALL: [&str; 4] = ["tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter"];
 
 /// Additional calls when a serial line is ended: each of five drives that loses its power discards the bytes that wait
 /// in its line. Each drive may do so repeatedly.
@@ -53,28 +48,18 @@ type Calls = BTreeMap<String, u64>;
 /// System calls of the thread `servo`, from its first wait to its last, in a log of `strace -f`.
 fn of_the_cycles(log: &Path) -> Vec<String> {
     let log = fs::read_to_string(log).expect("strace wrote its log");
-    let name = log
-        .lines()
-        .find(|line| line.contains("prctl(PR_SET_NAME, \"servo\""));
+    let name = log.lines().find(|line| line.contains("prctl(PR_SET_NAME, \"servo\""));
     let thread = name.expect("a thread is called servo").split(' ').next();
     let of_thread = |line: &&str| line.split(' ').next() == thread;
     // The second part of an interrupted call begins with `<...`, an exit with `+++`.
     let call = |line: &'_ str| {
         let (_, call) = line.split_once(' ')?;
         let (name, _) = call.trim_start().split_once('(')?;
-        name.chars()
-            .all(|c| c.is_ascii_alphanumeric() || c == '_')
-            .then(|| name.to_owned())
+        name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_').then(|| name.to_owned())
     };
     let calls: Vec<String> = log.lines().filter(of_thread).filter_map(call).collect();
-    let first = calls
-        .iter()
-        .position(|name| name == WAIT)
-        .expect("it waits");
-    let last = calls
-        .iter()
-        .rposition(|name| name == WAIT)
-        .expect("it waits");
+    let first = calls.iter().position(|name| name == WAIT).expect("it waits");
+    let last = calls.iter().rposition(|name| name == WAIT).expect("it waits");
     calls[first..=last].to_vec()
 }
 
@@ -100,15 +85,8 @@ fn reads_before_sync(calls: &[String], exchange: &[(&str, u64)]) -> usize {
 
 /// Calls beyond the permitted ones. Permitted are the wait, the calls of `exchange` up to their number per cycle, and
 /// `reads` reads of the account.
-fn surplus(
-    calls: &Calls,
-    exchange: &[(&str, u64)],
-    cycles: u64,
-    missed: u64,
-    reads: u64,
-) -> Vec<String> {
-    let clock =
-        fs::read_to_string("/sys/devices/system/clocksource/clocksource0/current_clocksource");
+fn surplus(calls: &Calls, exchange: &[(&str, u64)], cycles: u64, missed: u64, reads: u64) -> Vec<String> {
+    let clock = fs::read_to_string("/sys/devices/system/clocksource/clocksource0/current_clocksource");
     let clock_is_called = !clock.is_ok_and(|clock| WITHOUT_A_CALL.contains(&clock.trim()));
     let allowed = |name: &str| {
         let per_cycle = exchange.iter().find(|(call, _)| *call == name);
@@ -117,9 +95,7 @@ fn surplus(
             // Each sequence of missed deadlines is followed by another wait.
             None if name == WAIT => cycles + missed + 1,
             None if name == "clock_gettime" && clock_is_called => u64::MAX,
-            None if name == OF_LINES_WITHOUT_POWER.0
-                && exchange.iter().any(|(call, _)| *call == "write") =>
-            {
+            None if name == OF_LINES_WITHOUT_POWER.0 && exchange.iter().any(|(call, _)| *call == "write") => {
                 OF_LINES_WITHOUT_POWER.1
             }
             None if OF_THE_ACCOUNT.contains(&name) => reads,
@@ -127,9 +103,7 @@ fn surplus(
         }
     };
     let surplus = calls.iter().filter(|(name, count)| **count > allowed(name));
-    surplus
-        .map(|(name, count)| format!("{count} × {name}"))
-        .collect()
+    surplus.map(|(name, count)| format!("{count} × {name}")).collect()
 }
 
 /// Minimum number of cycles for a meaningful run.
@@ -143,33 +117,20 @@ fn check(bench: &str, log: &Path, run: &Output, exchange: &[(&str, u64)]) {
     let cycles = number(&report["cycle"]["cycles"]);
     let missed = number(&report["cycle"]["missed"]);
     let account = &report["cycle"]["account"];
-    let [disturbed, quiet, slack] =
-        ["disturbed", "quiet", "slack"].map(|why| number(&account[why]));
+    let [disturbed, quiet, slack] = ["disturbed", "quiet", "slack"].map(|why| number(&account[why]));
     let reads = disturbed + quiet + slack;
     let in_order = of_the_cycles(log);
     let calls = counted(&in_order);
-    let each: Vec<String> = calls
-        .iter()
-        .map(|(name, count)| format!("{:.3} {name}", *count as f64 / cycles as f64))
-        .collect();
+    let each: Vec<String> =
+        calls.iter().map(|(name, count)| format!("{:.3} {name}", *count as f64 / cycles as f64)).collect();
     // On a busy host, drives in another process may answer too late for the arm. The run then covers the reaction to a
     // fault.
     let (outcome, each) = (&report["outcome"], each.join(", "));
-    println!(
-        "{bench}: {outcome}, {cycles} cycles, {missed} missed, account {account}, per cycle {each}"
-    );
+    println!("{bench}: {outcome}, {cycles} cycles, {missed} missed, account {account}, per cycle {each}");
     assert!(cycles > LEAST, "{bench}: {report}");
     let surplus = surplus(&calls, exchange, cycles, missed, reads);
-    assert!(
-        surplus.is_empty(),
-        "{bench}: {surplus:?} in {cycles} cycles"
-    );
-    let late: u64 = report["cycle"]["causes"]
-        .as_object()
-        .expect("causes by name")
-        .values()
-        .map(number)
-        .sum();
+    assert!(surplus.is_empty(), "{bench}: {surplus:?} in {cycles} cycles");
+    let late: u64 = report["cycle"]["causes"].as_object().expect("causes by name").values().map(number).sum();
     // Skipped cycles before a late cycle count as late too.
     assert!(disturbed <= cycles && late <= 2 * disturbed, "{report}");
     assert!(16 * quiet <= cycles - disturbed, "{report}");
@@ -177,18 +138,12 @@ fn check(bench: &str, log: &Path, run: &Output, exchange: &[(&str, u64)]) {
     for call in OF_THE_ACCOUNT {
         let count = calls.get(call).copied().unwrap_or(0);
         // One read before the first wait and one after the last wait may be missing in the log.
-        assert!(
-            count + 2 >= reads,
-            "{bench}: {count} × {call}, {reads} reads"
-        );
+        assert!(count + 2 >= reads, "{bench}: {count} × {call}, {reads} reads");
     }
     assert_eq!(reads_before_sync(&in_order, exchange), 0, "{bench}");
     // The log is of the right thread, and strace lost no calls.
     for call in exchange.iter().map(|(call, _)| *call).chain([WAIT]) {
-        assert!(
-            calls.get(call).copied().unwrap_or(0) >= cycles - 1,
-            "{bench}: {calls:?}"
-        );
+        assert!(calls.get(call).copied().unwrap_or(0) >= cycles - 1, "{bench}: {calls:?}");
     }
 }
 
@@ -241,22 +196,13 @@ fn a_cycle_on_serial_lines_makes_one_call_each_way_per_line_and_the_wait() {
     });
     let ttys = directory.path("ttys");
     let _emulator = emulate(&cell, &ttys);
-    let (log, output) = run(
-        &directory,
-        &cell,
-        &["--bench=card", &format!("--serial={}", ttys.display())],
-    );
+    let (log, output) = run(&directory, &cell, &["--bench=card", &format!("--serial={}", ttys.display())]);
     check("ttys", &log, &output, &[("read", 5), ("write", 5)]);
 }
 
 /// Starts `mrroc emulate --serial` and waits until all its ttys exist.
 pub(crate) fn emulate(cell: &Path, ttys: &Path) -> Running {
-    let arguments = [
-        "emulate".as_ref(),
-        cell.as_os_str(),
-        "--serial".as_ref(),
-        ttys.as_os_str(),
-    ];
+    let arguments = ["emulate".as_ref(), cell.as_os_str(), "--serial".as_ref(), ttys.as_os_str()];
     let emulator = Running::start(arguments);
     crate::vcan::wait_until("its ttys are there", || ttys.join("wrist-roll").exists());
     emulator
@@ -264,31 +210,25 @@ pub(crate) fn emulate(cell: &Path, ttys: &Path) -> Running {
 
 #[test]
 fn a_cycle_on_a_can_bus_sends_once_receives_once_and_waits_once() {
-    on_stage(
-        "cycle_calls::a_cycle_on_a_can_bus_sends_once_receives_once_and_waits_once",
-        |stage| {
-            let cell = stage.directory.path("cell.toml");
-            let attempt = || {
-                let _emulators = stage.start_emulators();
-                let options = ["--bench=vcan", "--can", stage.interface];
-                run(&stage.directory, &cell, &options)
-            };
-            // Under strace on a slow processor, the drives may be late before the run prints anything.
-            let says_nothing = |output: &Output| {
-                output.json()["cycle"]["cycles"]
-                    .as_u64()
-                    .is_some_and(|cycles| cycles <= LEAST)
-            };
-            let mut tried = attempt();
-            for _ in 1..3 {
-                if says_nothing(&tried.1) {
-                    tried = attempt();
-                }
+    on_stage("cycle_calls::a_cycle_on_a_can_bus_sends_once_receives_once_and_waits_once", |stage| {
+        let cell = stage.directory.path("cell.toml");
+        let attempt = || {
+            let _emulators = stage.start_emulators();
+            let options = ["--bench=vcan", "--can", stage.interface];
+            run(&stage.directory, &cell, &options)
+        };
+        // Under strace on a slow processor, the drives may be late before the run prints anything.
+        let says_nothing =
+            |output: &Output| output.json()["cycle"]["cycles"].as_u64().is_some_and(|cycles| cycles <= LEAST);
+        let mut tried = attempt();
+        for _ in 1..3 {
+            if says_nothing(&tried.1) {
+                tried = attempt();
             }
-            let (log, output) = tried;
-            check("vcan", &log, &output, &[("recvmmsg", 1), ("sendmmsg", 1)]);
-        },
-    );
+        }
+        let (log, output) = tried;
+        check("vcan", &log, &output, &[("recvmmsg", 1), ("sendmmsg", 1)]);
+    });
 }
 
 /// A free lock and a small allocation make no system call. The other two methods detect them.
@@ -296,11 +236,7 @@ fn a_cycle_on_a_can_bus_sends_once_receives_once_and_waits_once() {
 fn a_call_that_is_planted_in_the_cycle_is_found_by_its_name() {
     let directory = Directory::new();
     let planting = mrroc::planted();
-    for (planted, expected) in [
-        ("nothing", None),
-        ("lock", Some("futex")),
-        ("write", Some("write")),
-    ] {
+    for (planted, expected) in [("nothing", None), ("lock", Some("futex")), ("write", Some("write"))] {
         let log = directory.path("calls");
         let output = Running::under_strace(&log, &planting, [planted]).output();
         assert_eq!(output.status.code(), Some(0), "{output:?}");
@@ -308,11 +244,7 @@ fn a_call_that_is_planted_in_the_cycle_is_found_by_its_name() {
         let calls = counted(&of_the_cycles(&log));
         let found = surplus(&calls, &[], calls[WAIT], 0, reads);
         let named = found.iter().map(|found| found.split(' ').next_back());
-        assert_eq!(
-            named.collect::<Vec<_>>(),
-            Vec::from_iter(expected.map(Some)),
-            "{planted}"
-        );
+        assert_eq!(named.collect::<Vec<_>>(), Vec::from_iter(expected.map(Some)), "{planted}");
     }
 }
 
@@ -321,10 +253,7 @@ fn a_read_of_the_account_counts_as_early_until_the_last_call_of_the_exchange() {
     let exchange = [("read", 1), ("write", 2)];
     for (calls, expected) in [
         ("wait read write write getrusage pread64 wait", 0),
-        (
-            "wait read write write getrusage getrusage wait wait read",
-            0,
-        ),
+        ("wait read write write getrusage getrusage wait wait read", 0),
         ("wait getrusage pread64 wait", 0),
         ("wait getrusage read write write wait", 1),
         ("wait read write getrusage pread64 write wait", 2),

@@ -9,15 +9,11 @@ use crate::mrroc::{mrroc, root};
 fn the_pages_and_figures_of_the_robots_are_what_the_parameters_give() {
     for name in Model::ALL.map(Model::name) {
         for (ending, words) in [("md", vec![]), ("svg", vec!["--figure"])] {
-            let words: Vec<_> = ["datasheet", "--robot", name]
-                .into_iter()
-                .chain(words)
-                .collect();
+            let words: Vec<_> = ["datasheet", "--robot", name].into_iter().chain(words).collect();
             let output = mrroc(&words);
             assert_eq!(output.status.code(), Some(0), "{output:?}");
             let path = root().join(format!("docs/robots/{name}.{ending}"));
-            let kept = std::fs::read_to_string(&path)
-                .unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+            let kept = std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
             assert!(
                 kept == output.stdout,
                 "{} is out of date: write there what `mrroc {}` prints",
@@ -32,10 +28,7 @@ fn the_pages_and_figures_of_the_robots_are_what_the_parameters_give() {
                 let [.., tag, source] = cells[..] else {
                     panic!("{name}: {row}");
                 };
-                assert!(
-                    ["public code", "derived", "nominal"].contains(&tag),
-                    "{name}: {row}"
-                );
+                assert!(["public code", "derived", "nominal"].contains(&tag), "{name}: {row}");
                 assert!(!source.is_empty(), "{name}: {row}");
             }
         }

@@ -85,10 +85,7 @@ fn a_cell_on_an_interface_that_is_not_there_cannot_run() {
         Some(OpenError::NoCan(_)) => assert_eq!(read, "this kernel has no CAN"),
         _ => assert!(read.starts_with("not there; "), "{read}"),
     }
-    assert!(
-        words.stdout.contains("\nnot usable for irb6: 1 in the way"),
-        "{words:?}"
-    );
+    assert!(words.stdout.contains("\nnot usable for irb6: 1 in the way"), "{words:?}");
 }
 
 #[test]
@@ -98,27 +95,13 @@ fn lines_that_are_not_there_are_named_with_their_axes() {
             axis.controller.as_mut().unwrap().line = format!("/dev/no-{}", axis.name);
         }
     });
-    for axis in [
-        "column",
-        "lower-arm",
-        "upper-arm",
-        "wrist-pitch",
-        "wrist-roll",
-    ] {
+    for axis in ["column", "lower-arm", "upper-arm", "wrist-pitch", "wrist-roll"] {
         let of = format!("axis irb6.{axis}, /dev/no-{axis}");
         let found = finding(&json, &of, "tty");
         assert_eq!(found["verdict"], "not-usable");
-        assert!(
-            found["read"].as_str().unwrap().starts_with("not there"),
-            "{found}"
-        );
+        assert!(found["read"].as_str().unwrap().starts_with("not there"), "{found}");
     }
-    assert!(
-        words
-            .stdout
-            .contains("\nnot usable for irb6-serial: 5 in the way"),
-        "{words:?}"
-    );
+    assert!(words.stdout.contains("\nnot usable for irb6-serial: 5 in the way"), "{words:?}");
 }
 
 #[test]
@@ -126,10 +109,7 @@ fn the_tty_of_an_slcan_adapter_is_examined_as_a_line() {
     let (_, json) = examined("irb6", |cell| {
         cell.bus[0].interface = "slcan:/dev/no-tty@1000000".into();
     });
-    assert_eq!(
-        finding(&json, "bus arm, /dev/no-tty", "tty")["verdict"],
-        "not-usable"
-    );
+    assert_eq!(finding(&json, "bus arm, /dev/no-tty", "tty")["verdict"], "not-usable");
 }
 
 #[test]
@@ -138,17 +118,10 @@ fn undo_neither_deletes_nor_writes_what_no_fix_sets_and_shows_no_escape_codes() 
     let victim = directory.write("victim\u{1b}[2J", "precious\n");
     let path = serde_json::to_string(&victim).unwrap();
     for before in ["null", "\"evil\"", "\"\u{9b}2J\""] {
-        let change = format!(
-            r#"[{{"knob": {{"file": {path}}}, "before": {before}, "after": "precious\n"}}]"#
-        );
+        let change = format!(r#"[{{"knob": {{"file": {path}}}, "before": {before}, "after": "precious\n"}}]"#);
         for record in [change.clone(), change.replace("file", "\u{9b}2J")] {
             let state = directory.write("state.json", &record);
-            let undone = mrroc([
-                "doctor".as_ref(),
-                "--undo".as_ref(),
-                "--state".as_ref(),
-                state.as_os_str(),
-            ]);
+            let undone = mrroc(["doctor".as_ref(), "--undo".as_ref(), "--state".as_ref(), state.as_os_str()]);
             assert_eq!(undone.status.code(), Some(2), "{undone:?}");
             assert_eq!(fs::read_to_string(&victim).unwrap(), "precious\n");
             let said = undone.stdout + &undone.stderr;
@@ -160,12 +133,7 @@ fn undo_neither_deletes_nor_writes_what_no_fix_sets_and_shows_no_escape_codes() 
     }
     // No directory is created if there is nothing to undo.
     let none = directory.path("none/state.json");
-    let undone = mrroc([
-        "doctor".as_ref(),
-        "--undo".as_ref(),
-        "--state".as_ref(),
-        none.as_os_str(),
-    ]);
+    let undone = mrroc(["doctor".as_ref(), "--undo".as_ref(), "--state".as_ref(), none.as_os_str()]);
     assert_eq!(undone.status.code(), Some(0), "{undone:?}");
     assert!(!directory.path("none").exists());
 }
@@ -184,31 +152,24 @@ fn a_host_is_examined_without_a_cell_and_a_cell_that_is_not_there_is_refused() {
 #[test]
 fn a_virtual_interface_is_found_up_and_down() {
     mrroc::binary();
-    on_vcan(
-        "doctor::a_virtual_interface_is_found_up_and_down",
-        |interface| {
-            let judged = || {
-                let (_, json) = examined("irb6", |cell| cell.bus[0].interface = interface.into());
-                let of = format!("bus arm, {interface}");
-                let found = finding(&json, &of, "up");
-                let what = ["interface", "txqueuelen"]
-                    .map(|what| finding(&json, &of, what)["read"].clone());
-                (found["verdict"].clone(), json["verdict"].clone(), what)
-            };
-            let (up, cell, [kind, queue]) = judged();
-            assert_eq!(
-                (up, kind),
-                ("ok".into(), "present, vcan without a device".into())
-            );
-            assert_ne!(cell, "not-usable");
-            assert!(queue.as_str().unwrap().contains("noqueue"), "{queue}");
+    on_vcan("doctor::a_virtual_interface_is_found_up_and_down", |interface| {
+        let judged = || {
+            let (_, json) = examined("irb6", |cell| cell.bus[0].interface = interface.into());
+            let of = format!("bus arm, {interface}");
+            let found = finding(&json, &of, "up");
+            let what = ["interface", "txqueuelen"].map(|what| finding(&json, &of, what)["read"].clone());
+            (found["verdict"].clone(), json["verdict"].clone(), what)
+        };
+        let (up, cell, [kind, queue]) = judged();
+        assert_eq!((up, kind), ("ok".into(), "present, vcan without a device".into()));
+        assert_ne!(cell, "not-usable");
+        assert!(queue.as_str().unwrap().contains("noqueue"), "{queue}");
 
-            sh(&format!("ip link set {interface} down"));
-            let (up, cell, _) = judged();
-            sh(&format!("ip link set {interface} up"));
-            assert_eq!((up, cell), ("not-usable".into(), "not-usable".into()));
-        },
-    );
+        sh(&format!("ip link set {interface} down"));
+        let (up, cell, _) = judged();
+        sh(&format!("ip link set {interface} up"));
+        assert_eq!((up, cell), ("not-usable".into(), "not-usable".into()));
+    });
 }
 
 #[test]
@@ -259,19 +220,12 @@ pub(crate) fn preempts(interface: &str) {
     let (_, json) = examined("irb6", |cell| cell.bus[0].interface = interface.into());
     let found = finding(&json, "kernel", "preemption");
     let read = found["read"].as_str().unwrap();
-    assert!(
-        found["verdict"] == "ok" && read.contains("PREEMPT_RT"),
-        "{found}"
-    );
+    assert!(found["verdict"] == "ok" && read.contains("PREEMPT_RT"), "{found}");
 }
 
 /// Runs `--fix` for an interface on which `knobs`, given as `(of, what)`, are not set, and then `--undo`. Asserts that
 /// all settings are restored. `standing` reads the present settings.
-pub(crate) fn mended_and_put_back(
-    interface: &str,
-    knobs: &[(&str, &str)],
-    standing: impl Fn() -> String,
-) {
+pub(crate) fn mended_and_put_back(interface: &str, knobs: &[(&str, &str)], standing: impl Fn() -> String) {
     let directory = Directory::new();
     let state = directory.path("undo.json");
     let cell = directory.cell("irb6", |cell| cell.bus[0].interface = interface.into());
@@ -321,10 +275,7 @@ pub(crate) fn mended_and_put_back(
     assert_eq!(undone.status.code(), Some(1), "{undone:?}");
     let left = format!("left {queue}, which was ");
     let since = ": changed by somebody since, to 77";
-    assert!(
-        undone.stdout.contains(&left) && undone.stdout.contains(since),
-        "{undone:?}"
-    );
+    assert!(undone.stdout.contains(&left) && undone.stdout.contains(since), "{undone:?}");
     fs::write(&queue, &set).unwrap();
     let undone = doctor(&["--undo"]);
     assert_eq!(undone.status.code(), Some(0), "{undone:?}");
@@ -343,27 +294,19 @@ pub(crate) fn standing(interface: &str) -> String {
     let link: Value = serde_json::from_str(&json).unwrap();
     let (link, data) = (&link[0], &link[0]["linkinfo"]["info_data"]);
     let runtime = fs::read_to_string("/proc/sys/kernel/sched_rt_runtime_us").unwrap();
-    format!(
-        "{} {} {} {} {}",
-        link["flags"], link["txqlen"], data["bittiming"], data["restart_ms"], runtime
-    )
+    format!("{} {} {} {} {}", link["flags"], link["txqlen"], data["bittiming"], data["restart_ms"], runtime)
 }
 
 #[test]
 fn what_a_virtual_bus_lacks_is_set_and_put_back() {
     mrroc::binary();
-    on_vcan(
-        "doctor::what_a_virtual_bus_lacks_is_set_and_put_back",
-        |interface| {
-            sh(&format!(
-                "tc qdisc add dev {interface} root pfifo; ip link set {interface} txqueuelen 3 down"
-            ));
-            let of = format!("bus arm, {interface}");
-            // This kernel schedules groups of real-time threads. Their share of the run time prevents a smaller value.
-            let knobs = [(&*of, "up"), (&of, "txqueuelen")];
-            mended_and_put_back(interface, &knobs, || standing(interface));
-        },
-    );
+    on_vcan("doctor::what_a_virtual_bus_lacks_is_set_and_put_back", |interface| {
+        sh(&format!("tc qdisc add dev {interface} root pfifo; ip link set {interface} txqueuelen 3 down"));
+        let of = format!("bus arm, {interface}");
+        // This kernel schedules groups of real-time threads. Their share of the run time prevents a smaller value.
+        let knobs = [(&*of, "up"), (&of, "txqueuelen")];
+        mended_and_put_back(interface, &knobs, || standing(interface));
+    });
 }
 
 /// `slcand` in the foreground, which provides an interface on a tty.
@@ -373,14 +316,9 @@ impl Attached {
     /// Makes the first of `adapters` a card of the kernel, which is down and has no bit rate.
     pub(crate) fn card(adapters: &Adapters, name: &str) -> Self {
         let tty = adapters.interfaces[0].strip_prefix("slcan:").unwrap();
-        let slcand = Command::new("slcand")
-            .args(["-F", tty, name])
-            .stdout(Stdio::null())
-            .spawn();
+        let slcand = Command::new("slcand").args(["-F", tty, name]).stdout(Stdio::null()).spawn();
         let attached = Self(slcand.unwrap());
-        sh(&format!(
-            "for i in $(seq 100); do ip link show {name} >/dev/null 2>&1 && exit; sleep 0.05; done; exit 1"
-        ));
+        sh(&format!("for i in $(seq 100); do ip link show {name} >/dev/null 2>&1 && exit; sleep 0.05; done; exit 1"));
         attached
     }
 }
@@ -396,83 +334,55 @@ impl Drop for Attached {
 #[test]
 fn the_bit_rate_of_a_card_is_held_against_the_cells() {
     mrroc::binary();
-    on_vcan(
-        "doctor::the_bit_rate_of_a_card_is_held_against_the_cells",
-        |_| {
-            let adapters = Adapters::with(1, &[]);
-            let _attached = Attached::card(&adapters, "doctor0");
-            let of = "bus arm, doctor0";
-            let judged = |what: &str| {
-                let (_, json) = examined("irb6", |cell| cell.bus[0].interface = "doctor0".into());
-                let found = finding(&json, of, what);
-                (found["verdict"].clone(), found["read"].clone())
-            };
-            assert_eq!(
-                judged("bit rate"),
-                (
-                    "not-usable".into(),
-                    "not set, the cell says 1000 kbit/s".into()
-                )
-            );
-            sh("ip link set doctor0 type can bitrate 500000");
-            assert_eq!(
-                judged("bit rate"),
-                (
-                    "not-usable".into(),
-                    "500 kbit/s, the cell says 1000 kbit/s".into()
-                )
-            );
-            sh("ip link set doctor0 type can bitrate 1000000 && ip link set doctor0 up");
-            assert_eq!(
-                judged("bit rate"),
-                ("ok".into(), "1000 kbit/s, the cell says 1000 kbit/s".into())
-            );
-            let (verdict, state) = judged("bus state");
-            assert_eq!(verdict, "ok");
-            assert!(
-                state.as_str().unwrap().starts_with("ERROR-ACTIVE"),
-                "{state}"
-            );
-            sh("ip link set doctor0 down");
-        },
-    );
+    on_vcan("doctor::the_bit_rate_of_a_card_is_held_against_the_cells", |_| {
+        let adapters = Adapters::with(1, &[]);
+        let _attached = Attached::card(&adapters, "doctor0");
+        let of = "bus arm, doctor0";
+        let judged = |what: &str| {
+            let (_, json) = examined("irb6", |cell| cell.bus[0].interface = "doctor0".into());
+            let found = finding(&json, of, what);
+            (found["verdict"].clone(), found["read"].clone())
+        };
+        assert_eq!(judged("bit rate"), ("not-usable".into(), "not set, the cell says 1000 kbit/s".into()));
+        sh("ip link set doctor0 type can bitrate 500000");
+        assert_eq!(judged("bit rate"), ("not-usable".into(), "500 kbit/s, the cell says 1000 kbit/s".into()));
+        sh("ip link set doctor0 type can bitrate 1000000 && ip link set doctor0 up");
+        assert_eq!(judged("bit rate"), ("ok".into(), "1000 kbit/s, the cell says 1000 kbit/s".into()));
+        let (verdict, state) = judged("bus state");
+        assert_eq!(verdict, "ok");
+        assert!(state.as_str().unwrap().starts_with("ERROR-ACTIVE"), "{state}");
+        sh("ip link set doctor0 down");
+    });
 }
 
 #[test]
 fn a_card_that_had_no_bit_rate_is_put_back_down() {
     mrroc::binary();
-    on_vcan(
-        "doctor::a_card_that_had_no_bit_rate_is_put_back_down",
-        |_| {
-            let adapters = Adapters::with(1, &[]);
-            let _attached = Attached::card(&adapters, "fresh0");
-            let directory = Directory::new();
-            let state = directory.path("undo.json");
-            let cell = directory.cell("irb6", |cell| cell.bus[0].interface = "fresh0".into());
-            let doctor = |more: &[&str]| {
-                let paths = ["doctor".as_ref(), "--state".as_ref(), state.as_os_str()];
-                mrroc(paths.into_iter().chain(more.iter().map(AsRef::as_ref)))
-            };
-            let fixed = doctor(&[cell.to_str().unwrap(), "--fix", "--yes"]);
-            let card = card::read("fresh0").unwrap();
-            assert_eq!(
-                (card.up, card.bitrate),
-                (true, Some(1_000_000)),
-                "{fixed:?}"
-            );
-            // The second case brings the interface up by hand, so that the record contains no change of its state.
-            for by_hand in [false, true] {
-                if by_hand {
-                    let text = r#"[{"knob":{"bit-timing":"fresh0"},"before":null,"after":"1000000 0.000"}]"#;
-                    fs::write(&state, text).unwrap();
-                    sh("ip link set fresh0 up");
-                }
-                let undone = doctor(&["--undo"]);
-                assert_eq!(undone.status.code(), Some(0), "{undone:?}");
-                let said = "put back bit rate of fresh0 = nothing: the card is down, and keeps its bit rate";
-                assert!(undone.stdout.contains(said), "{undone:?}");
-                assert!(!card::read("fresh0").unwrap().up && !state.exists());
+    on_vcan("doctor::a_card_that_had_no_bit_rate_is_put_back_down", |_| {
+        let adapters = Adapters::with(1, &[]);
+        let _attached = Attached::card(&adapters, "fresh0");
+        let directory = Directory::new();
+        let state = directory.path("undo.json");
+        let cell = directory.cell("irb6", |cell| cell.bus[0].interface = "fresh0".into());
+        let doctor = |more: &[&str]| {
+            let paths = ["doctor".as_ref(), "--state".as_ref(), state.as_os_str()];
+            mrroc(paths.into_iter().chain(more.iter().map(AsRef::as_ref)))
+        };
+        let fixed = doctor(&[cell.to_str().unwrap(), "--fix", "--yes"]);
+        let card = card::read("fresh0").unwrap();
+        assert_eq!((card.up, card.bitrate), (true, Some(1_000_000)), "{fixed:?}");
+        // The second case brings the interface up by hand, so that the record contains no change of its state.
+        for by_hand in [false, true] {
+            if by_hand {
+                let text = r#"[{"knob":{"bit-timing":"fresh0"},"before":null,"after":"1000000 0.000"}]"#;
+                fs::write(&state, text).unwrap();
+                sh("ip link set fresh0 up");
             }
-        },
-    );
+            let undone = doctor(&["--undo"]);
+            assert_eq!(undone.status.code(), Some(0), "{undone:?}");
+            let said = "put back bit rate of fresh0 = nothing: the card is down, and keeps its bit rate";
+            assert!(undone.stdout.contains(said), "{undone:?}");
+            assert!(!card::read("fresh0").unwrap().up && !state.exists());
+        }
+    });
 }

@@ -46,10 +46,7 @@ impl Stage {
         let bus = world.add_bus(Bitrate::from_kbps(cell.bus[0].bitrate_kbps).unwrap());
         let port = world.host_port(bus, 256);
         let axis = &cell.robot[0].axis[0];
-        let config = Epos4Config::new(
-            NodeId::new(axis.node).unwrap(),
-            AxisConfig::irp6(Irp6Axis::Column),
-        );
+        let config = Epos4Config::new(NodeId::new(axis.node).unwrap(), AxisConfig::irp6(Irp6Axis::Column));
         let drive = world.add_device(bus, Box::new(Epos4::new(config)));
         let config = cell.group_config(0);
         Self {
@@ -121,12 +118,8 @@ fn an_arm_in_velocity_mode_stops_when_its_host_dies_whatever_parameters_a_cell_h
     let (mut refused, mut moved) = (0, 0);
     for (index, subindex, bytes) in writable() {
         for value in [0, 1, 15, SAVE, u32::MAX] {
-            let parameter = Parameter {
-                index,
-                subindex,
-                value: value & (u32::MAX >> (32 - 8 * u32::from(bytes))),
-                bytes,
-            };
+            let parameter =
+                Parameter { index, subindex, value: value & (u32::MAX >> (32 - 8 * u32::from(bytes))), bytes };
             let Ok(cell) = cell_with(parameter) else {
                 refused += 1;
                 continue;
@@ -156,10 +149,7 @@ fn an_arm_in_velocity_mode_stops_when_its_host_dies_whatever_parameters_a_cell_h
     }
     // Both outcomes must occur.
     println!("{refused} refused, {moved} moved");
-    assert!(
-        refused > 100 && moved > 50,
-        "{refused} refused, {moved} moved"
-    );
+    assert!(refused > 100 && moved > 50, "{refused} refused, {moved} moved");
 }
 
 #[test]
@@ -168,22 +158,12 @@ fn parameters_of_the_safety_set_up_are_refused_by_line_key_and_name() {
         (named::CONSUMER_HEARTBEAT_1, 0, 4, "falls silent"),
         (named::ABORT_CONNECTION_OPTION, 0, 2, "falls silent"),
         (named::QUICK_STOP_DECELERATION, 1, 4, "max_acceleration"),
-        (
-            named::FOLLOWING_ERROR_WINDOW,
-            0xFFFF_FFFF,
-            4,
-            "following_error",
-        ),
+        (named::FOLLOWING_ERROR_WINDOW, 0xFFFF_FFFF, 4, "following_error"),
         (named::CONTROLWORD, 15, 2, "commands the drive"),
         (named::STORE_ALL, 0x6576_6173, 4, "at every start"),
     ];
     for (object, value, bytes, why) in cases {
-        let parameter = Parameter {
-            index: object.index,
-            subindex: object.subindex,
-            value,
-            bytes,
-        };
+        let parameter = Parameter { index: object.index, subindex: object.subindex, value, bytes };
         let error = cell_with(parameter).unwrap_err();
         assert_eq!(error.key, "robot[0].axis[0].drive.parameter[0].index");
         assert!(error.line > 1);

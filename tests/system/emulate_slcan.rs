@@ -36,11 +36,7 @@ impl Host {
             clock::sleep_until(clock::now() + Duration::from_millis(10));
         }
         let tty = File::options().read(true).write(true).open(link).unwrap();
-        Self {
-            tty,
-            splitter: Splitter::default(),
-            reports: Vec::new(),
-        }
+        Self { tty, splitter: Splitter::default(), reports: Vec::new() }
     }
 
     fn say(&mut self, command: Command) {
@@ -57,10 +53,7 @@ impl Host {
             if clock::now() >= until {
                 return false;
             }
-            let readable = Interest {
-                read: true,
-                write: false,
-            };
+            let readable = Interest { read: true, write: false };
             pty::wait([(self.tty.as_fd(), readable)], until).unwrap();
             if clock::now() >= until {
                 return false;
@@ -77,7 +70,8 @@ impl Host {
 
     /// Sends a frame repeatedly until `answer` is received.
     fn ask(&mut self, frame: Frame, answer: Frame) {
-        let answered = |report: &AdapterReport| matches!(report, AdapterReport::Received { frame, .. } if *frame == answer);
+        let answered =
+            |report: &AdapterReport| matches!(report, AdapterReport::Received { frame, .. } if *frame == answer);
         let end = clock::now() + DEADLINE;
         while clock::now() < end {
             self.say(Command::Transmit(frame));
@@ -94,19 +88,10 @@ fn drives_behind_an_adapter_answer_and_the_adapter_goes_with_its_emulator() {
     let directory = Directory::new();
     let cell = directory.write("cell.toml", &text("irb6"));
     let link = directory.path("can0");
-    let emulator = Running::start([
-        "emulate".as_ref(),
-        cell.as_os_str(),
-        "--slcan".as_ref(),
-        link.as_os_str(),
-    ]);
+    let emulator = Running::start(["emulate".as_ref(), cell.as_os_str(), "--slcan".as_ref(), link.as_os_str()]);
     let mut host = Host::open(&link);
     let soon = clock::now() + DEADLINE;
-    for command in [
-        Command::Close,
-        Command::Bitrate(Bitrate::KBPS_1000),
-        Command::Open,
-    ] {
+    for command in [Command::Close, Command::Bitrate(Bitrate::KBPS_1000), Command::Open] {
         host.say(command);
         assert!(host.hear(soon, |report| *report == AdapterReport::Done));
     }
@@ -145,10 +130,7 @@ fn a_link_that_cannot_be_made_is_refused_before_anything_runs() {
         (&["--slcan", taken], "no symbolic link"),
         (&["--slcan", "leg=/tmp/can0"], "no bus \"leg\""),
         (&["--slcan", "/tmp/a", "--can", "can0"], "already elsewhere"),
-        (
-            &["--slcan", "/tmp/a", "--slcan", "arm=/tmp/b"],
-            "already elsewhere",
-        ),
+        (&["--slcan", "/tmp/a", "--slcan", "arm=/tmp/b"], "already elsewhere"),
     ];
     for (options, word) in cases {
         let output = emulate(options);

@@ -6,10 +6,7 @@ use std::time::Duration;
 use can::Instant;
 use canopen::NodeId;
 use hil::epos4::Epos4Config;
-use hil::{
-    AxisConfig, EposSerial, EposSerialConfig, Irp6Axis, LineDevice, LineFaults, LineId, Pty,
-    WireFaults, World,
-};
+use hil::{AxisConfig, EposSerial, EposSerialConfig, Irp6Axis, LineDevice, LineFaults, LineId, Pty, WireFaults, World};
 use serial::epos4::Address;
 use serial::service::{Client, Config, Dialect, Reply, ServiceError, StartError, TIME_OUT};
 use serial::{Line, Settings, VirtualLine};
@@ -70,10 +67,7 @@ impl Stage {
     }
 
     /// Result of the request that `start` makes.
-    fn ask(
-        &mut self,
-        start: impl FnOnce(&mut Client, Instant) -> Result<(), StartError>,
-    ) -> Result<Got, ServiceError> {
+    fn ask(&mut self, start: impl FnOnce(&mut Client, Instant) -> Result<(), StartError>) -> Result<Got, ServiceError> {
         let began = self.now;
         start(&mut self.client, self.now).unwrap();
         loop {
@@ -108,22 +102,14 @@ impl Stage {
 }
 
 const fn object(index: u16) -> Address {
-    Address {
-        node: 1,
-        index,
-        subindex: 0,
-    }
+    Address { node: 1, index, subindex: 0 }
 }
 
 #[test]
 fn both_drives_are_asked_and_told_over_their_service_port() {
     for dialect in DIALECTS {
         let mut stage = Stage::new(dialect);
-        assert_eq!(
-            stage.read(0x1000),
-            Ok(Got::Value(0x0002_0192)),
-            "{dialect:?}"
-        );
+        assert_eq!(stage.read(0x1000), Ok(Got::Value(0x0002_0192)), "{dialect:?}");
         assert_eq!(stage.write(0x6083, 4321), Ok(Got::Done));
         assert_eq!(stage.read(0x6083), Ok(Got::Value(4321)));
         let read_only = Err(ServiceError::Refused(0x0601_0002));
@@ -134,11 +120,7 @@ fn both_drives_are_asked_and_told_over_their_service_port() {
         let told = stage.ask(|client, now| client.nmt(1, 0x02, now));
         assert_eq!(told, Ok(Got::Done));
         let refused = stage.read(0x6083);
-        assert_eq!(
-            refused,
-            Err(ServiceError::Refused(0x0F00_FFC0)),
-            "{dialect:?}"
-        );
+        assert_eq!(refused, Err(ServiceError::Refused(0x0F00_FFC0)), "{dialect:?}");
         let told = stage.ask(|client, now| client.nmt(0, 0x01, now));
         assert_eq!(told, Ok(Got::Done));
         assert_eq!(stage.read(0x6083), Ok(Got::Value(4321)));
@@ -169,19 +151,12 @@ fn a_deaf_moment_costs_one_time_out_and_silence_two() {
         let mut stage = Stage::new(dialect);
         let began = stage.now;
         stage.deaf_until = began + Duration::from_millis(100);
-        assert_eq!(
-            stage.read(0x1000),
-            Ok(Got::Value(0x0002_0192)),
-            "{dialect:?}"
-        );
+        assert_eq!(stage.read(0x1000), Ok(Got::Value(0x0002_0192)), "{dialect:?}");
         let took = stage.now.since(began);
         assert!(took > TIME_OUT && took < 2 * TIME_OUT, "{took:?}");
         stage.deaf_until = Instant::FAR_FUTURE;
         let silent = stage.read(0x1000);
-        assert!(
-            matches!(silent, Err(ServiceError::TimedOut { .. })),
-            "{silent:?}"
-        );
+        assert!(matches!(silent, Err(ServiceError::TimedOut { .. })), "{silent:?}");
         stage.deaf_until = Instant::ZERO;
         assert_eq!(stage.read(0x1000), Ok(Got::Value(0x0002_0192)));
     }
@@ -190,27 +165,14 @@ fn a_deaf_moment_costs_one_time_out_and_silence_two() {
 #[test]
 fn a_bad_line_costs_time_and_gives_no_wrong_value() {
     let bad = [
-        WireFaults {
-            bit_error_rate: 2e-4,
-            ..WireFaults::default()
-        },
-        WireFaults {
-            tear: 0.005,
-            ..WireFaults::default()
-        },
-        WireFaults {
-            duplicate: 0.01,
-            ..WireFaults::default()
-        },
+        WireFaults { bit_error_rate: 2e-4, ..WireFaults::default() },
+        WireFaults { tear: 0.005, ..WireFaults::default() },
+        WireFaults { duplicate: 0.01, ..WireFaults::default() },
     ];
     for dialect in DIALECTS {
         for (number, faults) in bad.into_iter().enumerate() {
             let mut stage = Stage::new(dialect);
-            let line = LineFaults {
-                seed: 7,
-                to_device: faults,
-                to_host: faults,
-            };
+            let line = LineFaults { seed: 7, to_device: faults, to_host: faults };
             stage.world.line_mut(stage.line).set_faults(&line);
             let mut right = 0;
             // A write whose confirmation was lost may have been performed.
@@ -256,10 +218,7 @@ impl Ports {
             "--service".as_ref(),
             ports.as_os_str(),
         ]);
-        let all = Self {
-            directory,
-            _emulators: emulators,
-        };
+        let all = Self { directory, _emulators: emulators };
         let first = all.directory.path("ports").join("column");
         let listening = can::clock::now() + Duration::from_secs(20);
         while !first.exists() {
@@ -313,10 +272,7 @@ fn service_commands_reach_an_emulated_drive_over_its_service_port() {
         assert!(ports.says(words).contains("\"EPOS4"), "{words}");
     }
     let who = ports.says("scan");
-    assert!(
-        who.starts_with("epos4:") && who.contains(": CiA 402, servo drive, \"EPOS4"),
-        "{who}"
-    );
+    assert!(who.starts_with("epos4:") && who.contains(": CiA 402, servo drive, \"EPOS4"), "{who}");
     assert!(who.contains(", maxon, product 0x"), "{who}");
     let told = ports.says("nmt start 1");
     assert!(told.starts_with("node 1: told"), "{told}");
@@ -325,33 +281,17 @@ fn service_commands_reach_an_emulated_drive_over_its_service_port() {
     assert!(second.stdout.ends_with("= 0x0000, 0\n"), "{second:?}");
 
     let port = ports.port("column");
-    ports.refused(
-        "sdo write 1 0x6041 --type u16 0",
-        &port,
-        &["node 1", "read-only"],
-    );
+    ports.refused("sdo write 1 0x6041 --type u16 0", &port, &["node 1", "read-only"]);
     ports.refused("sdo read 2 0x6041", &port, &["node 2", "node-ID"]);
     ports.refused("sdo read 1 0x1000 --block", &port, &["--block"]);
     ports.refused("monitor", &port, &["no CAN bus", "mrroc sdo"]);
     ports.refused("lss scan", &port, &["no CAN bus"]);
-    ports.refused(
-        "sdo read 1 0x1000",
-        &ports.port("absent"),
-        &["no such device"],
-    );
+    ports.refused("sdo read 1 0x1000", &ports.port("absent"), &["no such device"]);
     let nobody = Pty::open().unwrap();
     let silent = format!("epos4:{}@9600", nobody.path().display());
-    ports.refused(
-        "sdo read 1 0x1000 --timeout 500",
-        &silent,
-        &["timed out", "wrong baud rate"],
-    );
+    ports.refused("sdo read 1 0x1000 --timeout 500", &silent, &["timed out", "wrong baud rate"]);
     ports.refused("scan", &silent, &["no drive answers", "wrong baud rate"]);
     let silent = silent.replace("epos4", "epos2");
-    ports.refused(
-        "nmt start 1 --timeout 500",
-        &silent,
-        &["timed out", "wrong baud rate"],
-    );
+    ports.refused("nmt start 1 --timeout 500", &silent, &["timed out", "wrong baud rate"]);
     ports.refused("sdo read 1 0x1000 --type u64", &silent, &["segments"]);
 }

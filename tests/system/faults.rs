@@ -33,9 +33,7 @@ fn resume(rig: &mut Rig) {
     let before = rig.angles();
     rig.order(Order::ResetFault);
     rig.cycle();
-    rig.until(Motion::LONGEST, "reset", |rig| {
-        rig.phase() == Phase::Off && rig.servo.fault(0).is_none()
-    });
+    rig.until(Motion::LONGEST, "reset", |rig| rig.phase() == Phase::Off && rig.servo.fault(0).is_none());
     rig.stand_by(Order::Enable);
     for _ in 0..100 {
         rig.cycle();
@@ -225,9 +223,7 @@ fn drives_whose_host_dies_stop_by_themselves() {
     rig.after_cycle = Box::new(move |_| {
         while let Some(traced) = trace.read() {
             let emergency = Emergency::decode(&traced.frame);
-            heard
-                .borrow_mut()
-                .extend(emergency.map(|found| (found.node.raw(), found.code)));
+            heard.borrow_mut().extend(emergency.map(|found| (found.node.raw(), found.code)));
         }
     });
     rig.home();
@@ -257,20 +253,13 @@ fn drives_whose_host_dies_stop_by_themselves() {
     assert_eq!(emergencies.borrow()[..nodes], expected);
     // The drives stayed operational. A reset is therefore sufficient, and the power returns without a jump.
     rig.order(Order::ResetFault);
-    rig.until(Duration::from_secs(1), "reset", |rig| {
-        rig.servo.fault(0).is_none()
-    });
+    rig.until(Duration::from_secs(1), "reset", |rig| rig.servo.fault(0).is_none());
     let before = rig.angles();
     rig.order(Order::Enable);
-    rig.until(Duration::from_secs(5), "on again", |rig| {
-        rig.phase() == Phase::Standing
-    });
+    rig.until(Duration::from_secs(5), "on again", |rig| rig.phase() == Phase::Standing);
     for (axis, before) in before.into_iter().enumerate() {
         let moved = (rig.angle(axis) - before).abs();
-        assert!(
-            moved < 0.1,
-            "axis {axis} moved {moved:.3} rad when it was enabled"
-        );
+        assert!(moved < 0.1, "axis {axis} moved {moved:.3} rad when it was enabled");
     }
 }
 
@@ -280,41 +269,16 @@ type BadStep = (&'static str, fn(&mut Macrostep), fn(&StopCause) -> bool);
 #[test]
 fn what_may_not_be_commanded_never_reaches_the_bus() {
     let bad: [BadStep; 6] = [
-        (
-            "NaN",
-            |step| step.position[3] = f64::NAN,
-            |cause| matches!(cause, StopCause::NotFinite),
-        ),
-        (
-            "endless",
-            |step| step.velocity[0] = f64::INFINITY,
-            |cause| matches!(cause, StopCause::NotFinite),
-        ),
-        (
-            "beyond",
-            |step| step.position[0] += 8.0,
-            |cause| matches!(cause, StopCause::PositionLimit { .. }),
-        ),
-        (
-            "too fast",
-            |step| step.position[4] -= 200.0,
-            |cause| matches!(cause, StopCause::VelocityLimit { .. }),
-        ),
+        ("NaN", |step| step.position[3] = f64::NAN, |cause| matches!(cause, StopCause::NotFinite)),
+        ("endless", |step| step.velocity[0] = f64::INFINITY, |cause| matches!(cause, StopCause::NotFinite)),
+        ("beyond", |step| step.position[0] += 8.0, |cause| matches!(cause, StopCause::PositionLimit { .. })),
+        ("too fast", |step| step.position[4] -= 200.0, |cause| matches!(cause, StopCause::VelocityLimit { .. })),
         (
             "too hard",
             |step| (step.steps, step.position[1]) = (2, step.position[1] + 0.5),
-            |cause| {
-                matches!(
-                    cause,
-                    StopCause::AccelerationLimit { .. } | StopCause::VelocityLimit { .. }
-                )
-            },
+            |cause| matches!(cause, StopCause::AccelerationLimit { .. } | StopCause::VelocityLimit { .. }),
         ),
-        (
-            "nothing",
-            |step| step.steps = 0,
-            |cause| matches!(cause, StopCause::Malformed { .. }),
-        ),
+        ("nothing", |step| step.steps = 0, |cause| matches!(cause, StopCause::Malformed { .. })),
     ];
     let mut setup = Setup::of("irb6");
     let home = setup.cell.robot[0].arm().unwrap().robot().home()[0];

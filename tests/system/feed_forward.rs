@@ -12,13 +12,7 @@ const LOAD: (f64, [f64; 3]) = (4.0, [0.0, 0.0, 0.1]);
 /// Makes all parameters known to the controller: masses, payload, and dry friction with break-away.
 fn know(cell: &mut Cell) {
     let robot = &mut cell.robot[0];
-    robot.weight = Some(Weights {
-        load: Mass {
-            mass: LOAD.0,
-            centre: LOAD.1,
-        },
-        ..Weights::default()
-    });
+    robot.weight = Some(Weights { load: Mass { mass: LOAD.0, centre: LOAD.1 }, ..Weights::default() });
     for axis in &mut robot.axis {
         let controller = axis.controller.as_mut().unwrap();
         let feed = &mut controller.r#loop.feed_forward;
@@ -36,19 +30,10 @@ fn errors(change: impl FnOnce(&mut Cell)) -> Vec<f64> {
     let directory = Directory::new();
     let cell = directory.cell("irb6-serial", |cell| {
         let (mass, centre) = LOAD;
-        cell.robot[0].emulated_payload = vec![EmulatedPayload {
-            at_s: 0.0,
-            mass,
-            centre,
-        }];
+        cell.robot[0].emulated_payload = vec![EmulatedPayload { at_s: 0.0, mass, centre }];
         change(cell);
     });
-    let run = mrroc([
-        "run".as_ref(),
-        cell.as_os_str(),
-        "--bench=lockstep".as_ref(),
-        "--json".as_ref(),
-    ]);
+    let run = mrroc(["run".as_ref(), cell.as_os_str(), "--bench=lockstep".as_ref(), "--json".as_ref()]);
     assert_eq!(run.status.code(), Some(0), "{run:?}");
     let report: Value = run.json();
     let axes = report["axes"].as_array().unwrap();
@@ -68,14 +53,8 @@ fn a_loaded_arm_whose_weight_is_known_follows_several_times_as_well() {
         }
     });
     let known = errors(know);
-    println!(
-        "following errors, rms, mrad at the motors: column, lower arm, upper arm, pitch, roll"
-    );
-    for (name, errors) in [
-        ("nothing known", &unknown),
-        ("weight", &weighed),
-        ("weight and break-away", &known),
-    ] {
+    println!("following errors, rms, mrad at the motors: column, lower arm, upper arm, pitch, roll");
+    for (name, errors) in [("nothing known", &unknown), ("weight", &weighed), ("weight and break-away", &known)] {
         let errors: Vec<_> = errors.iter().map(|error| error * 1e3).collect();
         println!("{name}: {errors:.1?}");
     }

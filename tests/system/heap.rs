@@ -19,19 +19,12 @@ use crate::watch::Watcher;
 
 /// Name, cell, event during the motion, and check of the cause that the servo reports; `None` if the arm brakes without
 /// a fault.
-type Case = (
-    &'static str,
-    &'static str,
-    fn(&mut Rig, &Watcher),
-    fn(Option<StopCause>) -> bool,
-);
+type Case = (&'static str, &'static str, fn(&mut Rig, &Watcher), fn(Option<StopCause>) -> bool);
 
 /// Queues a macrostep that violates the limits.
 fn beyond_every_limit(rig: &mut Rig, _: &Watcher) {
     rig.order(Order::Stop);
-    rig.until(Motion::LONGEST, "standing", |rig| {
-        rig.phase() == Phase::Standing
-    });
+    rig.until(Motion::LONGEST, "standing", |rig| rig.phase() == Phase::Standing);
     rig.order(Order::Move(Macrostep {
         number: 1,
         steps: 1,
@@ -43,15 +36,8 @@ fn beyond_every_limit(rig: &mut Rig, _: &Watcher) {
 }
 
 fn hang(rig: &mut Rig, _: &Watcher) {
-    let wire = WireFaults {
-        stuck: Some(Stuck::Silent),
-        ..WireFaults::default()
-    };
-    let faults = LineFaults {
-        seed: 1,
-        to_device: wire,
-        to_host: wire,
-    };
+    let wire = WireFaults { stuck: Some(Stuck::Silent), ..WireFaults::default() };
+    let faults = LineFaults { seed: 1, to_device: wire, to_host: wire };
     rig.set_line_faults(2, &faults);
 }
 
@@ -63,12 +49,8 @@ fn miss(rig: &mut Rig, _: &Watcher) {
 fn nothing_that_ends_a_motion_uses_the_heap() {
     use StopCause as Cause;
     let cases: [Case; 10] = [
-        ("missed deadlines", "irb6", miss, |cause| {
-            matches!(cause, Some(Cause::Overrun { .. }))
-        }),
-        ("missed deadlines", "irb6-serial", miss, |cause| {
-            matches!(cause, Some(Cause::Overrun { .. }))
-        }),
+        ("missed deadlines", "irb6", miss, |cause| matches!(cause, Some(Cause::Overrun { .. }))),
+        ("missed deadlines", "irb6-serial", miss, |cause| matches!(cause, Some(Cause::Overrun { .. }))),
         (
             "bus off",
             "irb6",
@@ -88,32 +70,12 @@ fn nothing_that_ends_a_motion_uses_the_heap() {
             |cause| matches!(cause, Some(Cause::Drive(Fault::Silent { .. }))),
         ),
         ("a hung line", "irb6-serial", hang, |cause| {
-            matches!(
-                cause,
-                Some(Cause::Drive(Fault::AxisController {
-                    fault: AxisControllerFault::Silent { .. },
-                    ..
-                }))
-            )
+            matches!(cause, Some(Cause::Drive(Fault::AxisController { fault: AxisControllerFault::Silent { .. }, .. })))
         }),
-        ("a limit", "irb6", beyond_every_limit, |cause| {
-            matches!(cause, Some(Cause::PositionLimit { .. }))
-        }),
-        ("a limit", "irb6-serial", beyond_every_limit, |cause| {
-            matches!(cause, Some(Cause::PositionLimit { .. }))
-        }),
-        (
-            "a stop",
-            "irb6",
-            |rig, _| rig.servo.stop_request().request(),
-            |cause| cause.is_none(),
-        ),
-        (
-            "a stop",
-            "irb6-serial",
-            |rig, _| rig.servo.stop_request().request(),
-            |cause| cause.is_none(),
-        ),
+        ("a limit", "irb6", beyond_every_limit, |cause| matches!(cause, Some(Cause::PositionLimit { .. }))),
+        ("a limit", "irb6-serial", beyond_every_limit, |cause| matches!(cause, Some(Cause::PositionLimit { .. }))),
+        ("a stop", "irb6", |rig, _| rig.servo.stop_request().request(), |cause| cause.is_none()),
+        ("a stop", "irb6-serial", |rig, _| rig.servo.stop_request().request(), |cause| cause.is_none()),
     ];
     for (what, cell, happen, expected) in cases {
         let watcher = Watcher::new();
@@ -129,9 +91,7 @@ fn nothing_that_ends_a_motion_uses_the_heap() {
         rig.cycle();
         assert_eq!(rig.phase(), Phase::Moving, "{cell}: {what}");
         happen(&mut rig, &watcher);
-        rig.until(Motion::LONGEST, what, |rig| {
-            matches!(rig.phase(), Phase::Faulted | Phase::Off)
-        });
+        rig.until(Motion::LONGEST, what, |rig| matches!(rig.phase(), Phase::Faulted | Phase::Off));
         let cause = rig.servo.fault(0).map(|fault| fault.cause);
         assert!(expected(cause), "{cell}: {what}: {cause:?}");
     }
@@ -140,20 +100,10 @@ fn nothing_that_ends_a_motion_uses_the_heap() {
 #[test]
 fn a_servo_thread_does_not_use_the_heap_however_it_waits() {
     const CYCLES: u64 = 500;
-    for (cell, wait) in [
-        ("irb6", Wait::Hybrid),
-        ("irb6", Wait::Plain),
-        ("irb6-serial", Wait::Hybrid),
-    ] {
+    for (cell, wait) in [("irb6", Wait::Hybrid), ("irb6", Wait::Plain), ("irb6-serial", Wait::Hybrid)] {
         let mut rig = Setup::of(cell).bring_up();
         rig.home();
-        let Rig {
-            servo,
-            mut world,
-            now,
-            link,
-            ..
-        } = rig;
+        let Rig { servo, mut world, now, link, .. } = rig;
         let realtime = Realtime {
             wait,
             // Of all the other tests too.
@@ -171,8 +121,7 @@ fn a_servo_thread_does_not_use_the_heap_however_it_waits() {
         };
         let first = servo.counters().cycles;
         let until = move |servo: &servo::Servo| servo.counters().cycles >= first + CYCLES;
-        let finished =
-            thread::run(servo, realtime, CellTime::Nominal(now), between, until).unwrap();
+        let finished = thread::run(servo, realtime, CellTime::Nominal(now), between, until).unwrap();
         drop(link);
         assert_eq!(finished.panicked, None);
         assert!(finished.servo.is_off(), "{cell}: {finished:?}");

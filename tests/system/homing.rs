@@ -20,11 +20,7 @@ fn home(start: f64, index: f64) -> (f64, f64) {
     let mut rig = setup
         .with_plant(move |_, plant| {
             plant.index_angle = home + index;
-            plant.home_switch = Some(Switch {
-                from: home - 20.0,
-                to: home - EDGE,
-                bounce: 5,
-            });
+            plant.home_switch = Some(Switch { from: home - 20.0, to: home - EDGE, bounce: 5 });
         })
         .bring_up();
     rig.home();
@@ -39,10 +35,7 @@ fn home(start: f64, index: f64) -> (f64, f64) {
 fn the_reference_is_found_from_any_start() {
     let count = TAU / 4000.0;
     // The limit switches of this axis close 454.1 rad below and 465.9 rad above its home position.
-    let starts = [
-        -453.0, -100.0, -21.0, -20.0, -19.9, -10.0, -2.01, -2.0, -1.99, -0.5, 0.0, 0.001, 3.0,
-        20.0, 465.0,
-    ];
+    let starts = [-453.0, -100.0, -21.0, -20.0, -19.9, -10.0, -2.01, -2.0, -1.99, -0.5, 0.0, 0.001, 3.0, 20.0, 465.0];
     for start in starts {
         let (reported, angle) = home(start, 0.0);
         let error = (reported - angle) / count;
@@ -53,10 +46,7 @@ fn the_reference_is_found_from_any_start() {
         for start in [-30.0, -10.0, 20.0] {
             let (reported, angle) = home(start, index);
             let error = (reported - (angle - index)) / count;
-            assert!(
-                error.abs() <= 1.0,
-                "from {start}, index at {index}: off by {error:.2} counts"
-            );
+            assert!(error.abs() <= 1.0, "from {start}, index at {index}: off by {error:.2} counts");
         }
     }
 }
@@ -71,10 +61,7 @@ fn an_index_at_the_edge_of_the_switch_leads_to_one_of_two_references() {
         let (reported, angle) = home(10.0, index);
         let error = (reported - (angle - index)) / count;
         let least = error.abs().min((error + 4000.0).abs());
-        assert!(
-            least <= 1.0,
-            "index {offset} counts above the edge: off by {error:.2} counts"
-        );
+        assert!(least <= 1.0, "index {offset} counts above the edge: off by {error:.2} counts");
     }
 }
 
@@ -119,10 +106,7 @@ fn starts(plant: &AxisConfig) -> Vec<(&'static str, f64)> {
     ];
     // The Polycrank turns without limits. Its switch opens again only after ten downward turns of the joint.
     if let (Some(lower), Some(upper)) = (plant.negative_limit, plant.positive_limit) {
-        starts.extend([
-            ("at the lower end", lower.to - 2.0),
-            ("at the upper end", upper.from + 2.0),
-        ]);
+        starts.extend([("at the lower end", lower.to - 2.0), ("at the upper end", upper.from + 2.0)]);
         if switch.from.is_finite() {
             starts.push(("beyond the switch", switch.from - 3.0));
         }
@@ -143,11 +127,7 @@ fn indices(plant: &AxisConfig, zero_velocity: f64) -> [(&'static str, f64, bool)
         ("index before the edge", edge - 2.0 * count, true),
         ("index at the edge", edge, false),
         ("index a count above the edge", edge + count, false),
-        (
-            "index five counts above the edge",
-            edge + 5.0 * count,
-            false,
-        ),
+        ("index five counts above the edge", edge + 5.0 * count, false),
     ]
 }
 
@@ -163,22 +143,15 @@ fn off(setup: Setup, plant: AxisConfig, reference: f64, home: f64) -> f64 {
 }
 
 #[test]
-fn every_axis_of_the_laboratory_finds_its_reference_past_chattering_switches_from_any_start_wherever_its_index_is()
- {
+fn every_axis_of_the_laboratory_finds_its_reference_past_chattering_switches_from_any_start_wherever_its_index_is() {
     for (robot, axes, preset) in ROBOTS {
         for axis in 0..axes {
             let (_, plant, _) = of_laboratory(robot, axis, preset);
             for (what, start) in starts(&plant) {
                 let (setup, plant, home) = of_laboratory(robot, axis, preset);
-                let plant = AxisConfig {
-                    start_angle: start,
-                    ..plant
-                };
+                let plant = AxisConfig { start_angle: start, ..plant };
                 let error = off(setup, plant, home, home);
-                assert!(
-                    error.abs() <= 1.0,
-                    "{robot}, axis {axis}, {what}: off by {error:.2} counts"
-                );
+                assert!(error.abs() <= 1.0, "{robot}, axis {axis}, {what}: off by {error:.2} counts");
             }
             let (setup, ..) = of_laboratory(robot, axis, preset);
             let zero_velocity = setup.cell.robot[0].axis[axis].homing.zero_velocity;
@@ -186,17 +159,11 @@ fn every_axis_of_the_laboratory_finds_its_reference_past_chattering_switches_fro
                 let (setup, plant, home) = of_laboratory(robot, axis, preset);
                 let edge = plant.home_switch.expect("it is homed against a switch").to;
                 let turns = ((edge - index) / TAU).ceil();
-                let plant = AxisConfig {
-                    index_angle: index,
-                    ..plant
-                };
+                let plant = AxisConfig { index_angle: index, ..plant };
                 let counts = f64::from(plant.counts_per_revolution);
                 let error = off(setup, plant, index + turns * TAU, home);
                 let next = if unique { error } else { error + counts };
-                assert!(
-                    error.abs().min(next.abs()) <= 1.0,
-                    "{robot}, axis {axis}, {what}: off by {error:.2} counts"
-                );
+                assert!(error.abs().min(next.abs()) <= 1.0, "{robot}, axis {axis}, {what}: off by {error:.2} counts");
             }
         }
     }
@@ -206,11 +173,7 @@ fn every_axis_of_the_laboratory_finds_its_reference_past_chattering_switches_fro
 fn a_belt_takes_for_home_where_it_stands() {
     for start in [-1000.3, -2.0, 0.0, 0.02, 20.0, 3e5] {
         let (setup, plant, home) = of_laboratory("conveyor", 0, |_| Some(AxisConfig::conveyor()));
-        let plant = AxisConfig {
-            start_angle: start,
-            index_angle: start + 1.0,
-            ..plant
-        };
+        let plant = AxisConfig { start_angle: start, index_angle: start + 1.0, ..plant };
         let error = off(setup, plant, start, home);
         assert!(error.abs() <= 1.0, "from {start}: off by {error:.2} counts");
     }

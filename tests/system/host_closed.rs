@@ -2,9 +2,7 @@
 
 use std::time::Duration;
 
-use ::mrroc::cell::{
-    Axis, CascadeConfig, DriveControl, FeedForward, Law, Loop, ProportionalConfig,
-};
+use ::mrroc::cell::{Axis, CascadeConfig, DriveControl, FeedForward, Law, Loop, ProportionalConfig};
 use drive::{AxisCommand, AxisState, Finite, Power, Setpoint};
 use hil::AxisConfig;
 use hil::plant::{Irp6Axis, PlantConfig};
@@ -26,21 +24,12 @@ const SHARE: f64 = 2.0 / 3.0;
 /// Makes the host close the loop of `axis`, tuned for the nominal motor.
 pub(crate) fn closed_by_host(axis: &mut Axis, kind: Irp6Axis, control: DriveControl) {
     let config = AxisConfig::irp6(kind);
-    let PlantConfig::Physical(motor) = config.plant else {
-        unreachable!("the preset is physical")
-    };
+    let PlantConfig::Physical(motor) = config.plant else { unreachable!("the preset is physical") };
     let (law, feed_forward) = match control {
         DriveControl::Position => return,
         DriveControl::Velocity => (
-            Law::Proportional(ProportionalConfig {
-                position_gain: POSITION_GAIN,
-                integral_rate: 0.0,
-                limit: 280.0,
-            }),
-            FeedForward {
-                velocity: 1.0,
-                ..FeedForward::default()
-            },
+            Law::Proportional(ProportionalConfig { position_gain: POSITION_GAIN, integral_rate: 0.0, limit: 280.0 }),
+            FeedForward { velocity: 1.0, ..FeedForward::default() },
         ),
         DriveControl::Torque => (
             Law::Cascade(CascadeConfig {
@@ -61,11 +50,7 @@ pub(crate) fn closed_by_host(axis: &mut Axis, kind: Irp6Axis, control: DriveCont
     // As in the emulated drive: rated torque is nominal current times torque constant.
     drive.rated_torque = config.amplifier.max_current * motor.torque_constant;
     drive.control = control;
-    drive.r#loop = Some(Loop {
-        law,
-        feed_forward,
-        runaway_velocity: Some(300.0),
-    });
+    drive.r#loop = Some(Loop { law, feed_forward, runaway_velocity: Some(300.0) });
 }
 
 /// The IRb-6 on CAN with loops closed by the host.
@@ -84,11 +69,7 @@ fn a_program_runs_by_velocity_and_by_torque() {
         let mut rig = irb6(control).bring_up();
         rig.run_program().unwrap();
         for (axis, tracking) in rig.servo.tracking(0).enumerate() {
-            println!(
-                "{control:?}, axis {axis}: peak {:.3} rad, rms {:.4} rad",
-                tracking.peak(),
-                tracking.rms()
-            );
+            println!("{control:?}, axis {axis}: peak {:.3} rad, rms {:.4} rad", tracking.peak(), tracking.rms());
             let most = match control {
                 DriveControl::Velocity => 0.1,
                 _ => 0.5,
@@ -143,10 +124,7 @@ fn a_loop_that_does_not_work_loses_its_power_at_once() {
         }
         let cause = rig.servo.fault(0).unwrap().cause;
         assert!(
-            matches!(
-                cause,
-                StopCause::FollowingError { .. } | StopCause::Runaway { .. }
-            ),
+            matches!(cause, StopCause::FollowingError { .. } | StopCause::Runaway { .. }),
             "{control:?}: {cause:?}"
         );
         // Stop category 0: no further set-point is sent.
@@ -176,11 +154,7 @@ fn the_host_that_falls_silent_leaves_no_drive_running() {
 #[test]
 fn a_sample_shows_the_set_point_of_three_cycles_before_in_every_mode() {
     let finite = |value| Finite::new(value).unwrap();
-    for control in [
-        DriveControl::Position,
-        DriveControl::Velocity,
-        DriveControl::Torque,
-    ] {
+    for control in [DriveControl::Position, DriveControl::Velocity, DriveControl::Torque] {
         let mut setup = irb6(control);
         setup.axes = vec![0];
         let (mut group, mut world, period) = ends(setup);
@@ -208,9 +182,7 @@ fn a_sample_shows_the_set_point_of_three_cycles_before_in_every_mode() {
             DriveControl::Velocity => Setpoint::Velocity(finite(50.0)),
             DriveControl::Torque => Setpoint::Torque(finite(2.0)),
         });
-        let moved: Vec<_> = (0..6)
-            .map(|_| (cycle(command).position - at).abs())
-            .collect();
+        let moved: Vec<_> = (0..6).map(|_| (cycle(command).position - at).abs()).collect();
         let count = std::f64::consts::TAU / 4000.0;
         let first = moved.iter().position(|moved| *moved > 1.5 * count);
         assert_eq!(first, Some(group.delay()), "{control:?}: {moved:?}");

@@ -34,10 +34,7 @@ fn the_loops_of_every_family_are_shaped_as_documented() {
             }
         })
     };
-    let (velocity, torque) = (
-        by_host(0, DriveControl::Velocity),
-        by_host(1, DriveControl::Torque),
-    );
+    let (velocity, torque) = (by_host(0, DriveControl::Velocity), by_host(1, DriveControl::Torque));
     // Crossover, Hz, and phase margin, degrees: values of the table in `servo::identify`.
     let cases = [
         (example("irb6-serial"), "irb6/column", 16.4, 48.0),
@@ -59,17 +56,10 @@ fn shaped(cell: &Path, axis: &[&str], (crossover, margin): (f64, f64), within: (
         let run = identify(cell, &arguments);
         assert_eq!(run.status.code(), Some(0), "{run:?}");
         let report = run.json();
-        let number = |key: &str| {
-            report[key]
-                .as_f64()
-                .unwrap_or_else(|| panic!("{key}: {run:?}"))
-        };
+        let number = |key: &str| report[key].as_f64().unwrap_or_else(|| panic!("{key}: {run:?}"));
         let found = (number("crossover_hz"), number("phase_margin_deg"));
         println!("{axis:?} {}, {excitation}: {found:?}", report["closed_by"]);
-        assert!(
-            (found.0 / crossover - 1.0).abs() < within.0,
-            "{axis:?}: {found:?}"
-        );
+        assert!((found.0 / crossover - 1.0).abs() < within.0, "{axis:?}: {found:?}");
         assert!((found.1 - margin).abs() < within.1, "{axis:?}: {found:?}");
         assert!(number("coherence") > 0.95, "{run:?}");
     }
@@ -101,13 +91,7 @@ fn seen_inside(kind: Irp6Axis) -> (f64, f64) {
                 added = 0.05 * (TAU * frequency * time).sin();
                 axis.set_torque_offset(added);
             }
-            axis.advance(
-                1,
-                Demand::Position {
-                    counts: velocity * time,
-                    velocity,
-                },
-            );
+            axis.advance(1, Demand::Position { counts: velocity * time, velocity });
             if step >= STEPS / 3 {
                 let turn = Complex::new(0.0, -TAU * frequency * time).exp();
                 sums[0] += turn * added;
@@ -130,10 +114,7 @@ fn seen_inside(kind: Irp6Axis) -> (f64, f64) {
     let between = |low: f64, high: f64| low + share * (high - low);
     // The phase margin is the angle of minus the open loop relative to the positive real axis.
     let margin = |point: &Complex<f64>| (-point).arg().to_degrees();
-    (
-        between(below.0, above.0),
-        between(margin(&below.1), margin(&above.1)),
-    )
+    (between(below.0, above.0), between(margin(&below.1), margin(&above.1)))
 }
 
 #[test]
@@ -145,17 +126,10 @@ fn a_command_is_followed_from_command_to_sample() {
     assert_eq!(report["crossover_hz"], Value::Null);
     // Positions are rounded to counts. With this small excitation, a single point has an error of up to 15 %.
     let points = report["points"].as_array().unwrap();
-    let low = points
-        .iter()
-        .filter(|point| point["frequency_hz"].as_f64().unwrap() < 8.0);
-    let low: Vec<_> = low
-        .map(|point| point["magnitude"].as_f64().unwrap())
-        .collect();
+    let low = points.iter().filter(|point| point["frequency_hz"].as_f64().unwrap() < 8.0);
+    let low: Vec<_> = low.map(|point| point["magnitude"].as_f64().unwrap()).collect();
     let mean = low.iter().sum::<f64>() / low.len() as f64;
-    assert!(
-        low.len() >= 5 && (mean - 1.0).abs() < 0.1,
-        "{mean}: {run:?}"
-    );
+    assert!(low.len() >= 5 && (mean - 1.0).abs() < 0.1, "{mean}: {run:?}");
 }
 
 #[test]
@@ -171,21 +145,9 @@ fn the_files_hold_what_the_report_says_and_the_same_each_time() {
     });
     assert_eq!(written[0], written[1]);
     let [(stdout, csv, svg), _] = written;
-    assert!(
-        csv.starts_with("frequency_hz,magnitude,phase_deg,coherence\n") && csv.lines().count() > 20
-    );
-    let verdict = stdout
-        .lines()
-        .nth(1)
-        .unwrap()
-        .split(['(', ':', ';'])
-        .nth(1)
-        .unwrap()
-        .trim();
-    assert!(
-        verdict.starts_with("crossover ") && svg.contains(verdict),
-        "{verdict}: {svg}"
-    );
+    assert!(csv.starts_with("frequency_hz,magnitude,phase_deg,coherence\n") && csv.lines().count() > 20);
+    let verdict = stdout.lines().nth(1).unwrap().split(['(', ':', ';']).nth(1).unwrap().trim();
+    assert!(verdict.starts_with("crossover ") && svg.contains(verdict), "{verdict}: {svg}");
     assert!(!svg.contains("NaN") && svg.ends_with("</svg>\n"));
 }
 
@@ -199,10 +161,7 @@ fn in_the_end(measure: impl Fn() -> Output, bench: &str, is_right: impl Fn(&Valu
         }
         assert_eq!(run.status.code(), Some(0), "{run:?}");
         let report = run.json();
-        println!(
-            "{bench}: {}, {}",
-            report["crossover_hz"], report["phase_margin_deg"]
-        );
+        println!("{bench}: {}, {}", report["crossover_hz"], report["phase_margin_deg"]);
         report["bench"] == bench && is_right(&report)
     };
     let mut runs = iter::repeat_with(measure).take(8);
@@ -212,8 +171,7 @@ fn in_the_end(measure: impl Fn() -> Output, bench: &str, is_right: impl Fn(&Valu
 /// Whether the report approximately describes the loop of the example.
 fn is_serial_column(report: &Value) -> bool {
     let [crossover, margin] = ["crossover_hz", "phase_margin_deg"].map(|key| report[key].as_f64());
-    crossover.is_some_and(|it| (it / 16.6).ln().abs() < 0.25)
-        && margin.is_some_and(|it| (it - 48.5).abs() < 15.0)
+    crossover.is_some_and(|it| (it / 16.6).ln().abs() < 0.25) && margin.is_some_and(|it| (it - 48.5).abs() < 15.0)
 }
 
 /// An emulator on pseudo-terminals is homed without further options. A device that may be hardware is neither homed nor
@@ -233,17 +191,13 @@ fn a_loop_is_measured_over_the_ttys_of_another_process() {
     let _emulator = emulate(&cell, &ttys);
     let on = |bench, more: &[&str]| {
         let ttys = ttys.to_str().unwrap();
-        let arguments = [
-            "--axis", "column", "--json", "--bench", bench, "--serial", ttys,
-        ];
+        let arguments = ["--axis", "column", "--json", "--bench", bench, "--serial", ttys];
         identify(&cell, &[&arguments, more].concat())
     };
     let hardware = || on("card", &["--moves-hardware"]);
     refused(&on("card", &[]), &["--moves-hardware"]);
     let unhomed = iter::repeat_with(hardware).take(20);
-    let unhomed = unhomed
-        .map(|run| run.stderr)
-        .find(|said| !said.contains("took more than a period"));
+    let unhomed = unhomed.map(|run| run.stderr).find(|said| !said.contains("took more than a period"));
     assert!(unhomed.is_some_and(|said| said.contains("irb6/column: the robot is not homed")));
     in_the_end(|| on("vcan", &[]), "vcan", is_serial_column);
     in_the_end(hardware, "card", is_serial_column);
@@ -270,47 +224,17 @@ fn an_axis_is_measured_over_vcan() {
 #[test]
 fn what_cannot_be_measured_is_refused_before_anything_moves() {
     let cases: [(&[&str], &[&str]); 11] = [
-        (
-            &["--axis", "nobody"],
-            &["no axis is called \"nobody\"", "irb6/column"],
-        ),
-        (
-            &["--axis", "column", "--amplitude", "0.2"],
-            &["--amplitude 0.2", "at most 0.1050"],
-        ),
-        (
-            &["--axis", "column", "--amplitude", "NaN"],
-            &["--amplitude NaN"],
-        ),
-        (
-            &["--axis", "column", "--at=command", "--amplitude", "0.4"],
-            &["rad/s² is beyond the limit of 1500"],
-        ),
-        (
-            &["--axis", "column", "--velocity", "251"],
-            &["--velocity 251", "250"],
-        ),
-        (
-            &["--axis", "irb6/lower-arm", "--velocity", "100"],
-            &["has room for", "lower --velocity"],
-        ),
-        (
-            &["--axis", "column", "--drive-period", "2001"],
-            &["--drive-period 2001", "at most the 2000 µs"],
-        ),
-        (
-            &["--axis", "column", "--from", "1"],
-            &["the lowest frequency is 2 Hz"],
-        ),
+        (&["--axis", "nobody"], &["no axis is called \"nobody\"", "irb6/column"]),
+        (&["--axis", "column", "--amplitude", "0.2"], &["--amplitude 0.2", "at most 0.1050"]),
+        (&["--axis", "column", "--amplitude", "NaN"], &["--amplitude NaN"]),
+        (&["--axis", "column", "--at=command", "--amplitude", "0.4"], &["rad/s² is beyond the limit of 1500"]),
+        (&["--axis", "column", "--velocity", "251"], &["--velocity 251", "250"]),
+        (&["--axis", "irb6/lower-arm", "--velocity", "100"], &["has room for", "lower --velocity"]),
+        (&["--axis", "column", "--drive-period", "2001"], &["--drive-period 2001", "at most the 2000 µs"]),
+        (&["--axis", "column", "--from", "1"], &["the lowest frequency is 2 Hz"]),
         (&["--axis", "column", "--periods", "1"], &["two at least"]),
-        (
-            &["--axis", "column", "--bench", "card"],
-            &["--moves-hardware"],
-        ),
-        (
-            &["--axis", "column", "--can", "vcan0"],
-            &["--can and --serial need --bench vcan"],
-        ),
+        (&["--axis", "column", "--bench", "card"], &["--moves-hardware"]),
+        (&["--axis", "column", "--can", "vcan0"], &["--can and --serial need --bench vcan"]),
     ];
     for (arguments, needles) in cases {
         refused(&identify(&example("irb6"), arguments), needles);
@@ -347,17 +271,9 @@ fn a_place_that_cannot_be_written_to_is_refused_before_anything_moves() {
     let file = directory.write("file", "");
     let taken = directory.path("taken");
     fs::create_dir_all(taken.join("bode.csv")).unwrap();
-    for place in [
-        file.join("below"),
-        file,
-        taken.clone(),
-        "/proc/mrroc".into(),
-    ] {
+    for place in [file.join("below"), file, taken.clone(), "/proc/mrroc".into()] {
         let out = place.to_str().unwrap();
-        let run = identify(
-            &example("irb6"),
-            &["--axis=column", "--out", out, "--bench=vcan"],
-        );
+        let run = identify(&example("irb6"), &["--axis=column", "--out", out, "--bench=vcan"]);
         // The interface for the vcan bench is missing here. The command is refused before the bench is opened.
         refused(&run, &["--out", out]);
     }
@@ -370,13 +286,7 @@ fn a_measurement_that_is_stopped_ends_with_status_1_and_brakes() {
     let directory = Directory::new();
     let cell = directory.cell("irb6-serial", shorten);
     let out = directory.path("out");
-    let words = [
-        "identify",
-        "--axis=column",
-        "--bench=emulated",
-        "--periods=40",
-        "--out",
-    ];
+    let words = ["identify", "--axis=column", "--bench=emulated", "--periods=40", "--out"];
     let words = words.iter().map(AsRef::as_ref);
     let run = Running::start(words.chain([out.as_os_str(), cell.as_os_str()]));
     run.wait_for(&out.join("bode.csv"), |_| true);

@@ -27,22 +27,11 @@ fn a_cell_that_is_no_regular_file_is_refused_at_once_by_every_command() {
         &["urdf", "--robot", "irb6", "--cell"],
         &["jitter", "--cell"],
         &["identify", "--axis", "column"],
-        &[
-            "kinematics",
-            "fk",
-            "--robot",
-            "irb6",
-            "--joints",
-            "0",
-            "--cell",
-        ],
+        &["kinematics", "fk", "--robot", "irb6", "--joints", "0", "--cell"],
     ];
     for command in commands {
         let run = mrroc(command.iter().chain([&pipe]));
-        refused(
-            &run,
-            &["cell.toml: is a FIFO or a pipe, must be a regular file"],
-        );
+        refused(&run, &["cell.toml: is a FIFO or a pipe, must be a regular file"]);
         let run = mrroc(command.iter().chain([&"/dev/zero"]));
         refused(&run, &["/dev/zero: is a device, must be a regular file"]);
         let run = mrroc(command.iter().chain([&here.to_str().unwrap()]));
@@ -65,16 +54,7 @@ fn data_sheets_and_records_that_are_no_regular_files_are_refused_at_once() {
         refused(&check, &[&place, "robot[0].axis[0].drive.dcf: ", &said]);
         let path = directory.path(file);
         let eds = path.to_str().unwrap();
-        let sdo = [
-            "sdo",
-            "read",
-            "--can",
-            "nosuch0",
-            "--eds",
-            eds,
-            "1",
-            "0x1018:01",
-        ];
+        let sdo = ["sdo", "read", "--can", "nosuch0", "--eds", eds, "1", "0x1018:01"];
         refused(&mrroc(sdo), &[&said]);
         let state = ["doctor", "--undo", "--state", eds];
         let doctor = mrroc(state);
@@ -95,10 +75,7 @@ fn a_file_beyond_its_limit_is_refused_without_being_read_whole() {
         cell.robot[0].axis[0].drive.as_mut().unwrap().dcf = Some("endless".into());
     });
     let check = mrroc(["check".as_ref(), cell.as_os_str()]);
-    refused(
-        &check,
-        &["drive.dcf: ", "endless: has more than 4194304 bytes"],
-    );
+    refused(&check, &["drive.dcf: ", "endless: has more than 4194304 bytes"]);
     let doctor = ["doctor", "--undo", "--state", endless.to_str().unwrap()];
     refused(&mrroc(doctor), &["endless: has more than 1048576 bytes"]);
 }
@@ -106,19 +83,9 @@ fn a_file_beyond_its_limit_is_refused_without_being_read_whole() {
 /// Checks a cell in an address space of 200 MB, and returns the message.
 fn check_in_little_memory(cell: &Path) -> String {
     let script = "ulimit -v 204800 && exec \"$0\" check \"$1\"";
-    let output = Command::new("sh")
-        .args(["-c", script])
-        .arg(binary())
-        .arg(cell)
-        .output()
-        .unwrap();
+    let output = Command::new("sh").args(["-c", script]).arg(binary()).arg(cell).output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(
-        output.status.code(),
-        Some(2),
-        "{}: {said:.300}",
-        cell.display()
-    );
+    assert_eq!(output.status.code(), Some(2), "{}: {said:.300}", cell.display());
     assert!(said.len() < 1000, "{said:.1000}");
     said
 }
@@ -135,11 +102,7 @@ fn a_check_takes_less_than_200_mb_whatever_the_file() {
         let elements = unit.matches(['.', ',', '=', '[', '{']).count();
         format!("{begin}{}{end}", unit.repeat(65_000 / elements))
     };
-    let numbered = |unit: &str| {
-        (0..16_000)
-            .map(|at| unit.replace('#', &at.to_string()))
-            .collect()
-    };
+    let numbered = |unit: &str| (0..16_000).map(|at| unit.replace('#', &at.to_string())).collect();
     let tables: String = numbered("[t#]\na = 1\n");
     let dotted: String = numbered("a#.b.c = 1\n");
     let programs = few("", "[[robot.program]]\nmeet = \"a\"\n", "");
@@ -167,11 +130,8 @@ fn a_check_takes_less_than_200_mb_whatever_the_file() {
         assert!(said.contains("large.toml:"), "{what}: {said}");
     }
     let most = 4 << 20;
-    let object =
-        "[#]\nParameterName=x\nObjectType=9\nCompactSubObj=254\nDataType=7\nAccessType=rw\n";
-    let objects: String = (0x2000..0x6000)
-        .map(|at| object.replace('#', &format!("{at:04X}")))
-        .collect();
+    let object = "[#]\nParameterName=x\nObjectType=9\nCompactSubObj=254\nDataType=7\nAccessType=rw\n";
+    let objects: String = (0x2000..0x6000).map(|at| object.replace('#', &format!("{at:04X}"))).collect();
     let sections: String = (0..500_000).map(|at| format!("[{at:x}]\n")).collect();
     let keys: String = (0..500_000).map(|at| format!("{at:x}=\n")).collect();
     let sheets = [
@@ -200,11 +160,7 @@ fn nothing_of_a_file_acts_on_the_terminal() {
         cell.replacen("name = \"column\"", "name = \"\\u001b[2J\\u0007\"", 1),
         cell.replacen("node = 1", "\"\\u001b]0;title\\u0007\" = 1", 1),
         cell.replacen("node = 1", "node = \u{1b}[31m", 1),
-        cell.replacen(
-            "vendor = 0xFB",
-            "vendor = 0xFB, dcf = \"\\u202Ecfd.rotom\"",
-            1,
-        ),
+        cell.replacen("vendor = 0xFB", "vendor = 0xFB, dcf = \"\\u202Ecfd.rotom\"", 1),
         cell.replacen("interface = \"can0\"", "interface = \"\\u009b2J\"", 1),
         format!("# \u{1b}[2J\n{cell}").replacen("period_us = 2000", "period_us = 0", 1),
     ];
@@ -212,8 +168,7 @@ fn nothing_of_a_file_acts_on_the_terminal() {
         let file = directory.write("cell.toml", &text);
         let check = mrroc(["check".as_ref(), file.as_os_str()]);
         refused(&check, &["cell.toml:"]);
-        let acts =
-            |c: char| c != '\n' && (c.is_control() || ('\u{202a}'..='\u{202e}').contains(&c));
+        let acts = |c: char| c != '\n' && (c.is_control() || ('\u{202a}'..='\u{202e}').contains(&c));
         assert!(!check.stderr.contains(acts), "{:?}", check.stderr);
     }
     let check = mrroc(["check", "\u{1b}[2Jno-such-cell.toml"]);

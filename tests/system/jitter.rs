@@ -36,15 +36,9 @@ fn a_measurement_ends_with_one_object_that_compares_both_sides() {
         let ratio = report["ratio"][key].as_f64().unwrap();
         assert!((ratio * peer - ours).abs() < 1e-6 * peer, "{report}");
     }
-    assert!(
-        report["ours"]["spin_percent"].as_f64().unwrap() > 0.0,
-        "{report}"
-    );
+    assert!(report["ours"]["spin_percent"].as_f64().unwrap() > 0.0, "{report}");
     assert!(report["causes"]["preempted"].is_u64(), "{report}");
-    assert!(
-        report["verdict"].as_str().unwrap().contains("2000 µs"),
-        "{report}"
-    );
+    assert!(report["verdict"].as_str().unwrap().contains("2000 µs"), "{report}");
     for key in KEYS {
         let part = |whose: &str| report["tail"][whose][key].as_f64().unwrap();
         let ours = report["ours"][key].as_f64().unwrap();
@@ -79,26 +73,13 @@ fn numbers_are_in_microseconds() {
 fn the_cycle_of_a_cell_is_measured_with_its_drives_on() {
     let _turn = turn();
     let cell = example("irb6");
-    let words = [
-        "jitter",
-        "--duration=2s",
-        "--against=plain",
-        "--load=bus",
-        "--json",
-        "--cell",
-    ];
-    let words = words
-        .map(AsRef::as_ref)
-        .into_iter()
-        .chain([cell.as_os_str()]);
+    let words = ["jitter", "--duration=2s", "--against=plain", "--load=bus", "--json", "--cell"];
+    let words = words.map(AsRef::as_ref).into_iter().chain([cell.as_os_str()]);
     let run = mrroc(words);
     assert_eq!(run.status.code(), Some(0), "{run:?}");
     let report = run.json();
     assert_eq!(report["period_us"], 2000.0, "{report}");
-    assert_eq!(
-        report["cell"]["state"], "power on, holding position, not homed",
-        "{report}"
-    );
+    assert_eq!(report["cell"]["state"], "power on, holding position, not homed", "{report}");
     let nodes = report["cell"]["wire"][0]["nodes"].as_array().unwrap();
     for (node, answer) in nodes.iter().zip([123.0, 245.0, 365.0, 487.0, 609.0]) {
         let median = node["sync_to_tpdo_us"]["p50"].as_f64().unwrap();
@@ -107,10 +88,7 @@ fn the_cycle_of_a_cell_is_measured_with_its_drives_on() {
     assert_eq!(nodes.len(), 5);
     for (part, least) in [("step_us", 0.5), ("bus_us", 300.0), ("wake_us", 0.0)] {
         let values = KEYS.map(|key| report["cell"][part][key].as_f64().unwrap());
-        assert!(
-            values.is_sorted() && values[0] > least && values[0] < 2000.0,
-            "{report}"
-        );
+        assert!(values.is_sorted() && values[0] > least && values[0] < 2000.0, "{report}");
     }
     let late = report["causes"].as_object().unwrap().values();
     let late: u64 = late.map(|count| count.as_u64().unwrap()).sum();
@@ -131,42 +109,21 @@ fn what_is_no_cell_to_measure_is_refused() {
     let serial = example("irb6-serial");
     let serial = serial.to_str().unwrap();
     for (arguments, needles) in [
-        (
-            &["--cell", cell, "--period", "1500us"][..],
-            ["--period", "a multiple of 1ms"],
-        ),
-        (
-            &["--cell", cell, "--period", "2s"],
-            ["--period", "50us and 1s"],
-        ),
-        (
-            &["--cell", cell, "--priority", "0"],
-            ["--priority", "between 1 and 99"],
-        ),
+        (&["--cell", cell, "--period", "1500us"][..], ["--period", "a multiple of 1ms"]),
+        (&["--cell", cell, "--period", "2s"], ["--period", "50us and 1s"]),
+        (&["--cell", cell, "--priority", "0"], ["--priority", "between 1 and 99"]),
         (&["--cell", "/none.toml"], ["/none.toml", "No such file"]),
         (&["--bench", "vcan"], ["--bench", "--cell"]),
         (&["--load", "bus"], ["--load bus", "--cell"]),
         (&["--can", "vcan0"], ["--can", "--bench vcan"]),
-        (
-            &["--cell", cell, "--can", "vcan0"],
-            ["--can", "--bench vcan"],
-        ),
-        (
-            &["--cell", cell, "--bench", "vcan"],
-            ["virtual interface for bus arm", "the cell's own, can0"],
-        ),
-        (
-            &["--cell", cell, "--bench", "vcan", "--can", "lo"],
-            ["--can lo", "CAN"],
-        ),
+        (&["--cell", cell, "--can", "vcan0"], ["--can", "--bench vcan"]),
+        (&["--cell", cell, "--bench", "vcan"], ["virtual interface for bus arm", "the cell's own, can0"]),
+        (&["--cell", cell, "--bench", "vcan", "--can", "lo"], ["--can lo", "CAN"]),
         (
             &["--cell", cell, "--bench=vcan", "--can=slcan:/dev/ttyACM0"],
             ["--can slcan:/dev/ttyACM0", "may be an arm's"],
         ),
-        (
-            &["--cell", serial, "--bench", "vcan"],
-            ["serial lines", "--bench emulated"],
-        ),
+        (&["--cell", serial, "--bench", "vcan"], ["serial lines", "--bench emulated"]),
     ] {
         refused(&mrroc(["jitter"].iter().chain(arguments)), &needles);
     }
@@ -175,56 +132,43 @@ fn what_is_no_cell_to_measure_is_refused() {
 #[test]
 fn a_cell_is_measured_on_a_virtual_interface_and_never_on_a_card() {
     let _turn = turn();
-    on_vcan(
-        "jitter::a_cell_is_measured_on_a_virtual_interface_and_never_on_a_card",
-        |interface| {
-            let directory = Directory::new();
-            let cell = directory.cell("irb6", |cell| {
-                cell.period_us = 10_000;
-                cell.max_missed_in_row = 300;
-                cell.bus[0].tolerated_missing = 50;
-                cell.bus[0].heartbeat_ms = 1000;
-                cell.bus[0].boot_timeout_ms = 10_000;
-            });
-            let cell = cell.to_str().unwrap();
-            let jitter = |can: &str, more: &[&str]| {
-                let words = ["jitter", "--cell", cell, "--bench", "vcan", "--can", can];
-                mrroc(words.iter().chain(more))
-            };
-            let loaded = jitter(interface, &["--load", "bus"]);
-            refused(&loaded, &["--load bus", "cangen"]);
-            let adapters = Adapters::with(1, &[]);
-            let _card = Attached::card(&adapters, "jitter0");
-            sh("ip link set jitter0 type can bitrate 1000000 && ip link set jitter0 up");
-            refused(&jitter("jitter0", &[]), &["--can jitter0: a card"]);
-            sh("ip link set jitter0 down");
+    on_vcan("jitter::a_cell_is_measured_on_a_virtual_interface_and_never_on_a_card", |interface| {
+        let directory = Directory::new();
+        let cell = directory.cell("irb6", |cell| {
+            cell.period_us = 10_000;
+            cell.max_missed_in_row = 300;
+            cell.bus[0].tolerated_missing = 50;
+            cell.bus[0].heartbeat_ms = 1000;
+            cell.bus[0].boot_timeout_ms = 10_000;
+        });
+        let cell = cell.to_str().unwrap();
+        let jitter = |can: &str, more: &[&str]| {
+            let words = ["jitter", "--cell", cell, "--bench", "vcan", "--can", can];
+            mrroc(words.iter().chain(more))
+        };
+        let loaded = jitter(interface, &["--load", "bus"]);
+        refused(&loaded, &["--load bus", "cangen"]);
+        let adapters = Adapters::with(1, &[]);
+        let _card = Attached::card(&adapters, "jitter0");
+        sh("ip link set jitter0 type can bitrate 1000000 && ip link set jitter0 up");
+        refused(&jitter("jitter0", &[]), &["--can jitter0: a card"]);
+        sh("ip link set jitter0 down");
 
-            let emulators = started(|| Running::start(["emulate", cell, "--can", interface]));
-            let run = jitter(interface, &["--duration", "2s", "--json"]);
-            assert_eq!(run.status.code(), Some(0), "{run:?}");
-            assert_eq!(run.json()["cell"]["bench"], "vcan", "{run:?}");
-            emulators.signal("INT");
-            assert_eq!(emulators.output().status.code(), Some(0));
-        },
-    );
+        let emulators = started(|| Running::start(["emulate", cell, "--can", interface]));
+        let run = jitter(interface, &["--duration", "2s", "--json"]);
+        assert_eq!(run.status.code(), Some(0), "{run:?}");
+        assert_eq!(run.json()["cell"]["bench"], "vcan", "{run:?}");
+        emulators.signal("INT");
+        assert_eq!(emulators.output().status.code(), Some(0));
+    });
 }
 
 #[test]
 fn an_interrupt_ends_it_early_with_what_was_measured() {
     let scratch = Directory::new();
     let directory = scratch.path("out");
-    let words = [
-        "jitter",
-        "--duration=1h",
-        "--json",
-        "--against=plain",
-        "--load=fork",
-        "--out",
-    ];
-    let words = words
-        .map(AsRef::as_ref)
-        .into_iter()
-        .chain([directory.as_os_str()]);
+    let words = ["jitter", "--duration=1h", "--json", "--against=plain", "--load=fork", "--out"];
+    let words = words.map(AsRef::as_ref).into_iter().chain([directory.as_os_str()]);
     let run = Running::start(words);
     let intervals = |text: &str| text.lines().filter(|line| !line.starts_with('#')).count();
     run.wait_for(&directory.join("ours.hlog"), |text| intervals(text) >= 2);
@@ -233,15 +177,9 @@ fn an_interrupt_ends_it_early_with_what_was_measured() {
     assert_eq!(run.status.code(), Some(1), "{run:?}");
     let report = run.json();
     assert_eq!(report["ended_early"], true, "{report}");
-    assert!(
-        report["ours"]["cycles"].as_u64().unwrap() > 1000,
-        "{report}"
-    );
+    assert!(report["ours"]["cycles"].as_u64().unwrap() > 1000, "{report}");
     let written = std::fs::read_to_string(directory.join("ours.hgrm")).unwrap();
-    assert!(
-        written.contains(&report["ours"]["cycles"].to_string()),
-        "{written}"
-    );
+    assert!(written.contains(&report["ours"]["cycles"].to_string()), "{written}");
 }
 
 /// A quarter of a million cycles at the highest allowed rate: the memory does not grow with the number of cycles.
@@ -251,18 +189,9 @@ fn a_long_measurement_keeps_no_more_than_a_short_one() {
     let resident = |duration: &str| {
         let scratch = Directory::new();
         let directory = scratch.path("out");
-        let options = [
-            "jitter",
-            "--period=50us",
-            "--wait=plain",
-            "--against=plain",
-            "--out",
-        ];
+        let options = ["jitter", "--period=50us", "--wait=plain", "--against=plain", "--out"];
         let mut child = Command::new(binary());
-        child
-            .args(options)
-            .arg(&directory)
-            .args(["--duration", duration]);
+        child.args(options).arg(&directory).args(["--duration", duration]);
         let mut child = child.stdout(Stdio::null()).spawn().unwrap();
         let status = format!("/proc/{}/status", child.id());
         let mut most = 0;
@@ -284,10 +213,7 @@ fn a_long_measurement_keeps_no_more_than_a_short_one() {
 #[test]
 fn alone_and_by_sleep_it_has_no_peer_and_does_not_spin() {
     let report = measured(&["--wait", "plain"]);
-    assert!(
-        report["peer"].is_null() && report["ratio"].is_null(),
-        "{report}"
-    );
+    assert!(report["peer"].is_null() && report["ratio"].is_null(), "{report}");
     assert_eq!(report["ours"]["spin_percent"], 0.0, "{report}");
 }
 
@@ -300,10 +226,7 @@ fn what_cannot_be_measured_is_refused() {
         (["--duration", "0s"], ["--duration", "ten periods"]),
         (["--priority", "0"], ["--priority", "between 1 and 99"]),
         (["--priority", "100"], ["--priority", "between 1 and 99"]),
-        (
-            ["--cpu", "1023"],
-            ["CPU 1023", "/sys/devices/system/cpu/online"],
-        ),
+        (["--cpu", "1023"], ["CPU 1023", "/sys/devices/system/cpu/online"]),
     ] {
         refused(&mrroc(["jitter"].iter().chain(&arguments)), &needles);
     }
@@ -323,35 +246,13 @@ fn a_directory_that_cannot_be_written_is_refused_before_anything_is_measured() {
 #[test]
 fn programs_that_are_not_installed_are_refused_with_their_package() {
     for (arguments, needles) in [
-        (
-            ["--against", "cyclictest"],
-            ["cyclictest", "apt install rt-tests"],
-        ),
-        (
-            ["--load", "hackbench"],
-            ["hackbench", "apt install rt-tests"],
-        ),
-        (
-            ["--load", "stress-ng"],
-            ["stress-ng", "apt install stress-ng"],
-        ),
+        (["--against", "cyclictest"], ["cyclictest", "apt install rt-tests"]),
+        (["--load", "hackbench"], ["hackbench", "apt install rt-tests"]),
+        (["--load", "stress-ng"], ["stress-ng", "apt install stress-ng"]),
     ] {
-        let run = Command::new(binary())
-            .arg("jitter")
-            .args(arguments)
-            .env("PATH", "")
-            .output()
-            .unwrap();
-        let [stdout, stderr] =
-            [run.stdout, run.stderr].map(|said| String::from_utf8(said).unwrap());
-        refused(
-            &Output {
-                status: run.status,
-                stdout,
-                stderr,
-            },
-            &needles,
-        );
+        let run = Command::new(binary()).arg("jitter").args(arguments).env("PATH", "").output().unwrap();
+        let [stdout, stderr] = [run.stdout, run.stderr].map(|said| String::from_utf8(said).unwrap());
+        refused(&Output { status: run.status, stdout, stderr }, &needles);
     }
 }
 
@@ -360,19 +261,15 @@ fn programs_that_are_not_installed_are_refused_with_their_package() {
 fn programs_of_a_load_end_with_the_command_however_that_ends() {
     for killed in [false, true] {
         let scratch = Directory::new();
-        let script = scratch.write(
-            "hackbench",
-            "#!/bin/sh\n[ \"$1\" = --help ] && exit\necho $$ > \"$0.pid\"\nexec sleep 600\n",
-        );
+        let script = scratch
+            .write("hackbench", "#!/bin/sh\n[ \"$1\" = --help ] && exit\necho $$ > \"$0.pid\"\nexec sleep 600\n");
         let executable = Command::new("chmod").arg("+x").arg(&script).status();
         assert!(executable.unwrap().success());
         let directory = script.parent().unwrap().display();
         let path = format!("{directory}:{}", std::env::var("PATH").unwrap());
         let mut command = Command::new(binary());
         command.args(["jitter", "--load=hackbench", "--json", "--duration"]);
-        command
-            .arg(if killed { "1h" } else { "1s" })
-            .env("PATH", path);
+        command.arg(if killed { "1h" } else { "1s" }).env("PATH", path);
         let mut command = command.stdout(Stdio::null()).spawn().unwrap();
         let pid = patiently(|| {
             let pid = std::fs::read_to_string(scratch.path("hackbench.pid")).ok()?;
@@ -386,9 +283,7 @@ fn programs_of_a_load_end_with_the_command_however_that_ends() {
         patiently(|| {
             let stat = std::fs::read_to_string(format!("/proc/{pid}/stat"));
             // The process that inherits the child may not have waited for it yet.
-            stat.is_ok_and(|stat| !stat.contains(") Z "))
-                .then_some(())
-                .xor(Some(()))
+            stat.is_ok_and(|stat| !stat.contains(") Z ")).then_some(()).xor(Some(()))
         });
     }
 }

@@ -23,9 +23,7 @@ fn answer(words: &str) -> Value {
 }
 
 fn numbers(value: &Value) -> Vec<f64> {
-    let list = value
-        .as_array()
-        .unwrap_or_else(|| panic!("{value} is no list"));
+    let list = value.as_array().unwrap_or_else(|| panic!("{value} is no list"));
     list.iter().map(|number| number.as_f64().unwrap()).collect()
 }
 
@@ -33,10 +31,7 @@ fn close(value: &Value, expected: &[f64], tolerance: f64) {
     let found = numbers(value);
     assert_eq!(found.len(), expected.len(), "{value}");
     for (found, expected) in found.iter().zip(expected) {
-        assert!(
-            (found - expected).abs() < tolerance,
-            "{value} is not {expected}"
-        );
+        assert!((found - expected).abs() < tolerance, "{value} is not {expected}");
     }
 }
 
@@ -50,16 +45,8 @@ fn forward_gives_the_golden_positions_and_motors() {
     let legs = [0.953705712, 0.960914436, 0.842363921, 0.0, 50.0, 0.0];
     let irp6 = [-15.9, -5.0, -8.526944, 151.31, 314.612842, 791.0];
     let cases: [(&str, [f64; 3], &[f64]); 2] = [
-        (
-            "fk --robot rnt --joints 0.2,-0.1,0.9,0,0.5,0",
-            [-0.109816758, -0.217444493, 1.072687360],
-            &legs,
-        ),
-        (
-            "fk --robot irp6 --joints 0,-1.5707963267948966,0,0,1.5707963267948966,0",
-            [0.86, 0.0, 0.455],
-            &irp6,
-        ),
+        ("fk --robot rnt --joints 0.2,-0.1,0.9,0,0.5,0", [-0.109816758, -0.217444493, 1.072687360], &legs),
+        ("fk --robot irp6 --joints 0,-1.5707963267948966,0,0,1.5707963267948966,0", [0.86, 0.0, 0.455], &irp6),
     ];
     for (words, position, motors) in cases {
         let found = answer(words);
@@ -70,19 +57,13 @@ fn forward_gives_the_golden_positions_and_motors() {
     close(&rnt["motors"], &legs, 1e-9);
     let turns = (legs[0] - 0.75) / 0.005;
     let angle = rnt["motor_angles"][0].as_f64().unwrap();
-    assert!(
-        (angle - std::f64::consts::TAU * turns).abs() < 1e-5,
-        "{angle}"
-    );
+    assert!((angle - std::f64::consts::TAU * turns).abs() < 1e-5, "{angle}");
 }
 
 #[test]
 fn forward_inverse_and_motors_agree_for_every_robot() {
     for robot in ROBOTS {
-        let count = answer(&format!("limits --robot {robot}"))["joints"]
-            .as_array()
-            .unwrap()
-            .len();
+        let count = answer(&format!("limits --robot {robot}"))["joints"].as_array().unwrap().len();
         let joints = match robot {
             "rnt" => vec![-0.2, 0.1, 0.9, 0.3, -0.6, 0.2],
             "polycrank" => vec![0.3, 1.1, -0.4, 0.2, 0.9, -0.3, 0.5],
@@ -102,22 +83,12 @@ fn forward_inverse_and_motors_agree_for_every_robot() {
             list(&position),
             list(&quaternion)
         ));
-        assert!(
-            !solved["solutions"].as_array().unwrap().is_empty(),
-            "{solved}"
-        );
+        assert!(!solved["solutions"].as_array().unwrap().is_empty(), "{solved}");
         for solution in solved["solutions"].as_array().unwrap() {
-            let again = answer(&format!(
-                "fk --robot {robot} --joints {}",
-                list(&numbers(solution))
-            ));
+            let again = answer(&format!("fk --robot {robot} --joints {}", list(&numbers(solution))));
             close(&again["position"], &position, 1e-9);
             for row in 0..3 {
-                close(
-                    &again["rotation"][row],
-                    &numbers(&found["rotation"][row]),
-                    1e-9,
-                );
+                close(&again["rotation"][row], &numbers(&found["rotation"][row]), 1e-9);
             }
         }
         close(&solved["solutions"][0], &joints, 1e-6);
@@ -125,15 +96,8 @@ fn forward_inverse_and_motors_agree_for_every_robot() {
         let jacobian = answer(&format!("jacobian --robot {robot} --joints {near}"));
         let rows = jacobian["jacobian"].as_array().unwrap();
         assert_eq!(rows.len(), 6, "{jacobian}");
-        assert!(
-            rows.iter()
-                .all(|row| row.as_array().unwrap().len() == count),
-            "{jacobian}"
-        );
-        assert!(
-            jacobian["singularity"]["margin"].as_f64().unwrap() > 1e-3,
-            "{jacobian}"
-        );
+        assert!(rows.iter().all(|row| row.as_array().unwrap().len() == count), "{jacobian}");
+        assert!(jacobian["singularity"]["margin"].as_f64().unwrap() > 1e-3, "{jacobian}");
         for question in ["fk --joints", "jacobian --joints"] {
             let text = ask(&format!("{question} {near} --robot {robot}"));
             assert!(text.stdout.lines().count() > 5, "{text:?}");
@@ -144,10 +108,7 @@ fn forward_inverse_and_motors_agree_for_every_robot() {
 #[test]
 fn forward_answers_beyond_a_limit_without_motors_and_says_which() {
     let found = answer("fk --robot rnt --joints 0.2,-0.1,1.3,0,0.5,0");
-    assert!(
-        found["motors"].is_null() && !found["position"].is_null(),
-        "{found}"
-    );
+    assert!(found["motors"].is_null() && !found["position"].is_null(), "{found}");
     let note = "no motors: axis 2: joint at 1.300000 is beyond its limit 1.200000";
     let notes = found["notes"].as_array().unwrap();
     assert!(notes.iter().any(|found| found == note), "{notes:?}");
@@ -156,11 +117,7 @@ fn forward_answers_beyond_a_limit_without_motors_and_says_which() {
 #[test]
 fn nominal_figures_are_called_so_wherever_they_are_told() {
     let asked = "--robot rnt --joints 0,0,0.9,0,0.5,0";
-    for words in [
-        format!("fk {asked}"),
-        format!("jacobian {asked}"),
-        "limits --robot rnt".into(),
-    ] {
+    for words in [format!("fk {asked}"), format!("jacobian {asked}"), "limits --robot rnt".into()] {
         let note = answer(&words)["notes"][0].to_string();
         assert!(note.contains("nominal"), "{words}: {note}");
         let text = ask(&words).stdout;
@@ -184,13 +141,9 @@ fn a_cell_brings_its_own_parameters() {
         robot.program.clear();
     });
     let cell = cell.display();
-    let found = answer(&format!(
-        "fk --cell {cell} --robot mill --joints 0,0,0.9,0,0.5,0"
-    ));
+    let found = answer(&format!("fk --cell {cell} --robot mill --joints 0,0,0.9,0,0.5,0"));
     close(&found["position"], &[0.0, 0.0, 1.2], 1e-12);
-    let other = ask(&format!(
-        "fk --cell {cell} --robot rnt --joints 0,0,0.9,0,0.5,0"
-    ));
+    let other = ask(&format!("fk --cell {cell} --robot rnt --joints 0,0,0.9,0,0.5,0"));
     refused(&other, &["has no robot \"rnt\", only mill"]);
 }
 
@@ -203,31 +156,18 @@ fn golden_vectors_come_back_to_a_nanometre() {
     let cases: [(&str, [f64; 3]); 4] = [
         (&upright, [0.86, 0.0, 0.455]),
         (turned, reached),
-        (
-            "--robot rnt --joints 0.2,-0.1,0.9,0,0.5,0",
-            [-0.109816758, -0.217444493, 1.072687360],
-        ),
-        (
-            "--robot polycrank --joints 0,0,0,0,0,0,0",
-            [0.183, -0.296, 0.664],
-        ),
+        ("--robot rnt --joints 0.2,-0.1,0.9,0,0.5,0", [-0.109816758, -0.217444493, 1.072687360]),
+        ("--robot polycrank --joints 0,0,0,0,0,0,0", [0.183, -0.296, 0.664]),
     ];
     for (words, position) in cases {
         close(&answer(&format!("fk {words}"))["position"], &position, 1e-9);
     }
     let found = answer(&format!("fk {turned}"));
-    close(
-        &found["rotation"][0],
-        &[0.612201, 0.676525, -0.409296],
-        1e-6,
-    );
+    close(&found["rotation"][0], &[0.612201, 0.676525, -0.409296], 1e-6);
     let motors = [-63.3, -27.601462, 3.904375, 193.44807, 392.90807, 964.3307];
     close(&found["motors"], &motors, 1e-6);
     let polycrank = answer(&format!("fk {}", cases[3].0));
-    for (row, axis) in [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
-        .iter()
-        .enumerate()
-    {
+    for (row, axis) in [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]].iter().enumerate() {
         close(&polycrank["rotation"][row], axis, 1e-9);
     }
     let solved = answer(&format!(
@@ -243,20 +183,8 @@ fn golden_vectors_come_back_to_a_nanometre() {
 #[test]
 fn lists_are_read_with_a_sign_in_front_and_spaces_between() {
     let expected = answer("fk --robot irb6 --joints=-0.3,-1.5,0.1,0.2,1.1");
-    for list in [
-        "-0.3, -1.5, 0.1, 0.2, 1.1",
-        " -0.3 ,-1.5,0.1,0.2,1.1 ",
-        "-3e-1,-1.5,.1,+0.2,1.1",
-    ] {
-        let output = mrroc([
-            "kinematics",
-            "fk",
-            "--json",
-            "--robot",
-            "irb6",
-            "--joints",
-            list,
-        ]);
+    for list in ["-0.3, -1.5, 0.1, 0.2, 1.1", " -0.3 ,-1.5,0.1,0.2,1.1 ", "-3e-1,-1.5,.1,+0.2,1.1"] {
+        let output = mrroc(["kinematics", "fk", "--json", "--robot", "irb6", "--joints", list]);
         assert_eq!(output.status.code(), Some(0), "{output:?}");
         assert_eq!(output.json(), expected, "{list}");
     }
@@ -265,30 +193,12 @@ fn lists_are_read_with_a_sign_in_front_and_spaces_between() {
 #[test]
 fn wrong_words_are_refused_in_one_line() {
     let cases: [(&str, &[&str]); 6] = [
-        (
-            "fk --robot irp6",
-            &["not provided: <--joints <JOINTS>|--motors <MOTORS>>; usage: mrroc"],
-        ),
-        (
-            "fk --joints 1",
-            &["not provided: --robot <ROBOT>; usage: mrroc kinematics fk"],
-        ),
-        (
-            "fk --robot irp6 --joints 1 --motors 1",
-            &["'--joints <JOINTS>' cannot be used with '--motors"],
-        ),
-        (
-            "ik --robot irp6 --position 1,2,3",
-            &["not provided: --quaternion <QUATERNION>"],
-        ),
-        (
-            "fk --robot irp6 --jonts 1",
-            &["unexpected argument '--jonts' found; tip: ", "'--joints'"],
-        ),
-        (
-            "forward --robot irp6",
-            &["unrecognized subcommand 'forward'"],
-        ),
+        ("fk --robot irp6", &["not provided: <--joints <JOINTS>|--motors <MOTORS>>; usage: mrroc"]),
+        ("fk --joints 1", &["not provided: --robot <ROBOT>; usage: mrroc kinematics fk"]),
+        ("fk --robot irp6 --joints 1 --motors 1", &["'--joints <JOINTS>' cannot be used with '--motors"]),
+        ("ik --robot irp6 --position 1,2,3", &["not provided: --quaternion <QUATERNION>"]),
+        ("fk --robot irp6 --jonts 1", &["unexpected argument '--jonts' found; tip: ", "'--joints'"]),
+        ("forward --robot irp6", &["unrecognized subcommand 'forward'"]),
     ];
     for (words, needles) in cases {
         refused(&ask(words), needles);
@@ -298,32 +208,21 @@ fn wrong_words_are_refused_in_one_line() {
 
 #[test]
 fn joints_in_degrees_are_answered_with_a_word_about_radians() {
-    let notes =
-        |joints: &str| answer(&format!("fk --robot irp6 --joints {joints}"))["notes"].to_string();
+    let notes = |joints: &str| answer(&format!("fk --robot irp6 --joints {joints}"))["notes"].to_string();
     assert!(notes("0,-90,0,0,90,0").contains("rad and m, not degrees"));
     for within_reason in ["0,-1,0,0,20,0", "0,-1.5,0,0,-9,0"] {
         let notes = notes(within_reason);
-        assert!(
-            notes.contains("beyond its limit") && !notes.contains("degrees"),
-            "{notes}"
-        );
+        assert!(notes.contains("beyond its limit") && !notes.contains("degrees"), "{notes}");
     }
     let free = answer("fk --robot polycrank --joints 90,0,0,0,0,0,0")["notes"].to_string();
-    assert!(
-        !free.contains("degrees"),
-        "a joint without end may turn: {free}"
-    );
+    assert!(!free.contains("degrees"), "a joint without end may turn: {free}");
 }
 
 #[test]
 fn the_polycranks_description_stands_on_the_floor_with_axis_1_level() {
     let text = mrroc(["urdf", "--robot", "polycrank"]).stdout;
     let read = urdf_rs::read_from_string(&text).unwrap();
-    let mounting = read
-        .joints
-        .iter()
-        .find(|joint| joint.name == "mounting")
-        .unwrap();
+    let mounting = read.joints.iter().find(|joint| joint.name == "mounting").unwrap();
     assert_eq!(mounting.parent.link, "floor");
     assert_eq!(mounting.origin.xyz.0, [0.0, 0.0, 0.925]);
     let [roll, pitch, yaw] = mounting.origin.rpy.0;
@@ -336,10 +235,7 @@ fn the_polycranks_description_stands_on_the_floor_with_axis_1_level() {
     for (found, expected) in z.into_iter().zip([0.0, 1.0, 0.0]) {
         assert!((found - expected).abs() < 1e-12, "{z:?}");
     }
-    assert!(
-        (-pitch.sin() - 1.0).abs() < 1e-12,
-        "x of the base points up: {pitch}"
-    );
+    assert!((-pitch.sin() - 1.0).abs() < 1e-12, "x of the base points up: {pitch}");
 }
 
 #[test]
@@ -350,96 +246,33 @@ fn questions_without_an_answer_are_refused_in_one_line() {
             "fk --robot nosuch --joints 1",
             "\"nosuch\", only irb6, irp6, irp6-calibrated, irp6-track, irp6-track-calibrated, rnt, polycrank, gripper, conveyor",
         ),
-        (
-            "fk --robot irb6 --joints 1,2",
-            "--joints: 2 positions, and irb6 has 5 axes",
-        ),
-        (
-            "fk --robot polycrank --joints 1,2,3,4,5,6,7,8,9",
-            "--joints: 9 positions",
-        ),
-        (
-            "fk --robot irb6 --joints 1,2,x,4,5",
-            "--joints: \"x\" is not a number, as in a list separated by commas",
-        ),
-        (
-            "fk --robot irb6 --joints 1,2,nan,4,5",
-            "--joints: \"nan\" is not finite",
-        ),
-        (
-            "jacobian --robot irb6 --joints -inf,2,3,4,5",
-            "--joints: \"-inf\" is not finite",
-        ),
+        ("fk --robot irb6 --joints 1,2", "--joints: 2 positions, and irb6 has 5 axes"),
+        ("fk --robot polycrank --joints 1,2,3,4,5,6,7,8,9", "--joints: 9 positions"),
+        ("fk --robot irb6 --joints 1,2,x,4,5", "--joints: \"x\" is not a number, as in a list separated by commas"),
+        ("fk --robot irb6 --joints 1,2,nan,4,5", "--joints: \"nan\" is not finite"),
+        ("jacobian --robot irb6 --joints -inf,2,3,4,5", "--joints: \"-inf\" is not finite"),
         ("fk --robot irb6 --motors 1,2,3,4", "--motors: 4 positions"),
-        (
-            "fk --robot rnt --motors 0.55,1.38,0.55,0,0,0",
-            "the legs do not close: leg ",
-        ),
-        (
-            "ik --robot irp6 --position 0.8,0 --quaternion 1,0,0,0",
-            "--position: 2 numbers, not the 3",
-        ),
-        (
-            "ik --robot irp6 --position 0.8,0,0 --quaternion 0,0,0,0",
-            "--quaternion: its norm is 0.000000",
-        ),
-        (
-            "ik --robot irp6 --position 0.8,0,0 --quaternion 1,1,0,0",
-            "--quaternion: its norm is 1.414214",
-        ),
-        (
-            "ik --robot irp6 --position 0.8,0,0 --quaternion 1,0,0,inf",
-            "\"inf\" is not finite",
-        ),
+        ("fk --robot rnt --motors 0.55,1.38,0.55,0,0,0", "the legs do not close: leg "),
+        ("ik --robot irp6 --position 0.8,0 --quaternion 1,0,0,0", "--position: 2 numbers, not the 3"),
+        ("ik --robot irp6 --position 0.8,0,0 --quaternion 0,0,0,0", "--quaternion: its norm is 0.000000"),
+        ("ik --robot irp6 --position 0.8,0,0 --quaternion 1,1,0,0", "--quaternion: its norm is 1.414214"),
+        ("ik --robot irp6 --position 0.8,0,0 --quaternion 1,0,0,inf", "\"inf\" is not finite"),
         ("ik --robot irp6 --position 3,0,0", "out of reach"),
-        (
-            "ik --robot rnt --position 0,0,3",
-            "axis 2: joint at 2.800000 is beyond its limit 1.200000",
-        ),
-        (
-            "ik --robot rnt --position 0,0,1.1",
-            "axis 3 is undetermined 0.0e0",
-        ),
-        (
-            "ik --robot irb6 --position 3,0,0.5 --quaternion 0,1,0,0",
-            "1.876837 m out of reach",
-        ),
-        (
-            "ik --robot irb6 --position 0,0,1 --quaternion 0,1,0,0",
-            "axis 0 is undetermined 0.0e0 from a singular pose",
-        ),
-        (
-            "ik --robot irp6-calibrated --position 3,0,0.5 --quaternion 0,1,0,0",
-            "1.721342 m out of reach",
-        ),
-        (
-            "ik --robot irp6-track --position 0,3,0.5 --quaternion 0,1,0,0",
-            "m out of reach",
-        ),
-        (
-            "ik --robot irp6-track-calibrated --position 0,3,0.5 --quaternion 0,1,0,0",
-            "m out of reach",
-        ),
-        (
-            "ik --robot polycrank --position 3,0.2,0.8 --quaternion 0.9,0.1,0.3,0.3",
-            "m out of reach",
-        ),
+        ("ik --robot rnt --position 0,0,3", "axis 2: joint at 2.800000 is beyond its limit 1.200000"),
+        ("ik --robot rnt --position 0,0,1.1", "axis 3 is undetermined 0.0e0"),
+        ("ik --robot irb6 --position 3,0,0.5 --quaternion 0,1,0,0", "1.876837 m out of reach"),
+        ("ik --robot irb6 --position 0,0,1 --quaternion 0,1,0,0", "axis 0 is undetermined 0.0e0 from a singular pose"),
+        ("ik --robot irp6-calibrated --position 3,0,0.5 --quaternion 0,1,0,0", "1.721342 m out of reach"),
+        ("ik --robot irp6-track --position 0,3,0.5 --quaternion 0,1,0,0", "m out of reach"),
+        ("ik --robot irp6-track-calibrated --position 0,3,0.5 --quaternion 0,1,0,0", "m out of reach"),
+        ("ik --robot polycrank --position 3,0.2,0.8 --quaternion 0.9,0.1,0.3,0.3", "m out of reach"),
         (
             "ik --robot polycrank --position 3,0,0.5 --quaternion 0,1,0,0",
             "axis 2 is undetermined 0.0e0 from a singular pose",
         ),
-        (
-            "ik --robot gripper --position 0.2,0,0",
-            "axis 0: joint at 0.200000 is beyond its limit 0.091000",
-        ),
-        (
-            "ik --robot conveyor --position 0.2,0.1,0",
-            "0.100000 m and 0.000000 rad off the only axis",
-        ),
-        (
-            "fk --robot conveyor --joints nan",
-            "--joints: \"nan\" is not finite",
-        ),
+        ("ik --robot gripper --position 0.2,0,0", "axis 0: joint at 0.200000 is beyond its limit 0.091000"),
+        ("ik --robot conveyor --position 0.2,0.1,0", "0.100000 m and 0.000000 rad off the only axis"),
+        ("fk --robot conveyor --joints nan", "--joints: \"nan\" is not finite"),
     ];
     for (words, needle) in cases {
         let words = if words.starts_with("ik") && !words.contains("quaternion") {
@@ -472,10 +305,7 @@ fn a_description_is_what_urdf_rs_reads_and_reaches_the_flange() {
         let read = urdf_rs::read_from_string(&output.stdout)
             .unwrap_or_else(|error| panic!("{robot}: {error}\n{}", output.stdout));
         assert_eq!(read.name, robot);
-        let axes = answer(&format!("limits --robot {robot}"))["joints"]
-            .as_array()
-            .unwrap()
-            .len();
+        let axes = answer(&format!("limits --robot {robot}"))["joints"].as_array().unwrap().len();
         let mounted = usize::from(robot == "polycrank");
         assert_eq!(read.joints.len(), axes + 1 + mounted, "{robot}");
         let root = if mounted == 1 { "floor" } else { "base_link" };
@@ -483,19 +313,9 @@ fn a_description_is_what_urdf_rs_reads_and_reaches_the_flange() {
         for joint in &read.joints {
             assert_eq!(joint.parent.link, parent, "{robot}: one chain");
             parent.clone_from(&joint.child.link);
-            assert!(
-                read.links.iter().any(|link| link.name == parent),
-                "{robot}: {parent}"
-            );
+            assert!(read.links.iter().any(|link| link.name == parent), "{robot}: {parent}");
         }
         assert_eq!(parent, "flange", "{robot}");
-        assert!(
-            read.links
-                .iter()
-                .filter(|link| !link.visual.is_empty())
-                .count()
-                >= axes,
-            "{robot}"
-        );
+        assert!(read.links.iter().filter(|link| !link.visual.is_empty()).count() >= axes, "{robot}");
     }
 }

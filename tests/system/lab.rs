@@ -13,14 +13,8 @@ use crate::cli_refusals::refused;
 use crate::mrroc::{Directory, example, mrroc, text};
 
 /// An axis of each robot.
-const AXES: [&str; 6] = [
-    "irb6.column",
-    "irp6-track.track",
-    "rnt.leg-1",
-    "polycrank.q1",
-    "gripper.jaws",
-    "conveyor.belt",
-];
+const AXES: [&str; 6] =
+    ["irb6.column", "irp6-track.track", "rnt.leg-1", "polycrank.q1", "gripper.jaws", "conveyor.belt"];
 
 /// Entry of one axis in a record: cycle, phase, commanded motor position, counts.
 pub(crate) type Row = (u64, String, f64, i64);
@@ -90,10 +84,7 @@ fn check_homing(reports: &[Value]) {
             Some(_) => 1.0 + axis.homing.zero_velocity * 2e-3 * counts / TAU,
             None => 2.0,
         };
-        assert!(
-            (found - expected).abs() <= within,
-            "{report}, expected {expected}"
-        );
+        assert!((found - expected).abs() <= within, "{report}, expected {expected}");
     }
 }
 
@@ -123,10 +114,8 @@ fn robots_that_meet_go_on_and_arrive_in_the_same_cycle() {
     check_homing(report["axes"].as_array().unwrap());
     let rows = met(&log);
     // The robots do not arrive at the first meeting at the same time.
-    let homed: BTreeSet<_> = rows
-        .values()
-        .map(|rows| rows.iter().rfind(|row| row.1 == "Homing").map(|row| row.0))
-        .collect();
+    let homed: BTreeSet<_> =
+        rows.values().map(|rows| rows.iter().rfind(|row| row.1 == "Homing").map(|row| row.0)).collect();
     assert!(homed.len() >= 4, "{homed:?}");
 }
 
@@ -148,10 +137,7 @@ fn a_gripper_homes_from_the_far_end_of_its_travel() {
     let report = run(&path, &directory.path("gripper.csv"));
     let found = report["axes"][0]["homing_offset_counts"].as_f64().unwrap();
     let expected = (4830.0 - start) / TAU * 128.0;
-    assert!(
-        (found - expected).abs() <= 2.0,
-        "{report}, expected {expected}"
-    );
+    assert!((found - expected).abs() <= 2.0, "{report}, expected {expected}");
 }
 
 #[test]
@@ -195,12 +181,7 @@ fn a_joint_without_end_comes_back_to_its_count_from_twenty_turns() {
 }
 
 /// A cell, a text in it, the replacement of the text, and the required parts of the refusal.
-type Case = (
-    &'static str,
-    &'static str,
-    &'static str,
-    &'static [&'static str],
-);
+type Case = (&'static str, &'static str, &'static str, &'static [&'static str]);
 
 const REFUSED: &[Case] = &[
     // The tool axis would have to pass close to the direction of axis 1, which requires an instant half turn of axis 3.
@@ -217,39 +198,15 @@ const REFUSED: &[Case] = &[
         "position = [2.0, 0.2, 0.8]",
         &["robot[0].program[1].line", "out of reach"],
     ),
-    (
-        "rnt",
-        "[[0.1, -0.1, 0.9,",
-        "[[0.1, -0.1, 1.9,",
-        &["robot[0].program[0].joints.poses[0]", "beyond its limit"],
-    ),
-    (
-        "rnt",
-        "model = \"rnt\"\n",
-        "model = \"rnt\"\nparameters = { rnt = RNT }\n",
-        &["robot[0].parameters", "leg"],
-    ),
-    (
-        "irp6-track",
-        "[[0.3, 0.4,",
-        "[[0.3,",
-        &["robot[0].program[0].joints.poses[0]", "6 joint values", "7"],
-    ),
-    (
-        "polycrank",
-        "[[0.4, 1.2,",
-        "[[nan, 1.2,",
-        &["robot[0].program[0].joints.poses[0][0]", "finite"],
-    ),
+    ("rnt", "[[0.1, -0.1, 0.9,", "[[0.1, -0.1, 1.9,", &["robot[0].program[0].joints.poses[0]", "beyond its limit"]),
+    ("rnt", "model = \"rnt\"\n", "model = \"rnt\"\nparameters = { rnt = RNT }\n", &["robot[0].parameters", "leg"]),
+    ("irp6-track", "[[0.3, 0.4,", "[[0.3,", &["robot[0].program[0].joints.poses[0]", "6 joint values", "7"]),
+    ("polycrank", "[[0.4, 1.2,", "[[nan, 1.2,", &["robot[0].program[0].joints.poses[0][0]", "finite"]),
     (
         "lab",
         "poses = [[0.08]]",
         "poses = [[0.2]]",
-        &[
-            "robot[4].program[1].joints.poses[0]",
-            "jaws",
-            "at 0.200000 is beyond its limit 0.091",
-        ],
+        &["robot[4].program[1].joints.poses[0]", "jaws", "at 0.200000 is beyond its limit 0.091"],
     ),
     (
         "lab",
@@ -257,16 +214,7 @@ const REFUSED: &[Case] = &[
         "poses = [[0.25, 0.3]]",
         &["robot[5].program[3].joints.poses[0]", "2 joint values", "1"],
     ),
-    (
-        "lab",
-        "meet = \"end\"",
-        "meet = \"never\"",
-        &[
-            "robot[0].program[4].meet",
-            "no robot but \"irb6\"",
-            "\"never\"",
-        ],
-    ),
+    ("lab", "meet = \"end\"", "meet = \"never\"", &["robot[0].program[4].meet", "no robot but \"irb6\"", "\"never\""]),
 ];
 
 #[test]
@@ -282,10 +230,7 @@ fn what_a_robot_of_the_laboratory_cannot_do_is_refused_before_anything_moves() {
         let spoilt = text.replacen(good, &bad.replace("RNT", &rnt), 1);
         let cell = directory.write("wrong.toml", &spoilt);
         let log = directory.path("wrong.log");
-        for run in [
-            crate::cli_refusals::run_in_lockstep(&cell, &log),
-            mrroc(["check".as_ref(), cell.as_os_str()]),
-        ] {
+        for run in [crate::cli_refusals::run_in_lockstep(&cell, &log), mrroc(["check".as_ref(), cell.as_os_str()])] {
             refused(&run, needles);
             assert!(!log.exists(), "{name}, {bad}: a bus was opened");
         }
@@ -300,66 +245,36 @@ const ARMS: &[Arm] = &[
     // Above the column, the pose does not determine the position of the column axis.
     (
         "irb6",
-        &[
-            "joints = { poses = [[0.0, -1.57, 0.0, 1.57, 0.0]] }",
-            "line = { position = [0.0, 0.0, 1.0] }",
-        ],
+        &["joints = { poses = [[0.0, -1.57, 0.0, 1.57, 0.0]] }", "line = { position = [0.0, 0.0, 1.0] }"],
         "axis column is undetermined 0.0e0 from a singular pose",
     ),
     (
         "irb6-serial",
-        &[
-            "joints = { poses = [[0.0, -1.57, 0.0, 0.0, 0.0]] }",
-            "line = { position = [3.0, 0.0, 1.0] }",
-        ],
+        &["joints = { poses = [[0.0, -1.57, 0.0, 0.0, 0.0]] }", "line = { position = [3.0, 0.0, 1.0] }"],
         "1.795449 m out of reach",
     ),
     // The wrists of both IRp-6 are singular at home.
+    ("irp6", &["line = { position = [0.8, 0.15, 0.4] }"], "at 0.0286 of the path: axis lower-arm jumps by "),
     (
         "irp6",
-        &["line = { position = [0.8, 0.15, 0.4] }"],
-        "at 0.0286 of the path: axis lower-arm jumps by ",
-    ),
-    (
-        "irp6",
-        &[
-            "joints = { poses = [[0.0, -1.57, 0.0, 0.0, 1.57, 0.0]] }",
-            "line = { position = [3.0, 0.0, 0.3] }",
-        ],
+        &["joints = { poses = [[0.0, -1.57, 0.0, 0.0, 1.57, 0.0]] }", "line = { position = [3.0, 0.0, 0.3] }"],
         "1.700969 m out of reach",
     ),
+    ("irp6-track", &["line = { position = [0.8, 0.15, 0.4] }"], "at 0.0286 of the path: axis lower-arm jumps by "),
     (
         "irp6-track",
-        &["line = { position = [0.8, 0.15, 0.4] }"],
-        "at 0.0286 of the path: axis lower-arm jumps by ",
-    ),
-    (
-        "irp6-track",
-        &[
-            "joints = { poses = [[0.2, 0.0, -1.57, 0.0, 0.0, 1.57, 0.0]] }",
-            "line = { position = [0.8, 3.0, 0.3] }",
-        ],
+        &["joints = { poses = [[0.2, 0.0, -1.57, 0.0, 0.0, 1.57, 0.0]] }", "line = { position = [0.8, 3.0, 0.3] }"],
         "0.671276 m out of reach",
     ),
+    ("rnt", &["line = { position = [0.1, 0.0, 1.1] }"], "axis wrist-roll is undetermined 6.8e-7 from a singular pose"),
     (
         "rnt",
-        &["line = { position = [0.1, 0.0, 1.1] }"],
-        "axis wrist-roll is undetermined 6.8e-7 from a singular pose",
-    ),
-    (
-        "rnt",
-        &[
-            "joints = { poses = [[0.1, -0.1, 0.9, 0.0, 0.5, 0.0]] }",
-            "line = { position = [0.0, 0.0, 5.1] }",
-        ],
+        &["joints = { poses = [[0.1, -0.1, 0.9, 0.0, 0.5, 0.0]] }", "line = { position = [0.0, 0.0, 5.1] }"],
         "axis leg-3: joint at 4.900000 is beyond its limit 1.200000",
     ),
     (
         "polycrank",
-        &[
-            "joints = { poses = [[0.4, 1.2, -1.2, 0.2, 1.2, 0.3, 0.1]] }",
-            "line = { position = [3.1, 0.0, 1.1] }",
-        ],
+        &["joints = { poses = [[0.4, 1.2, -1.2, 0.2, 1.2, 0.3, 0.1]] }", "line = { position = [3.1, 0.0, 1.1] }"],
         "0.085460 m out of reach",
     ),
 ];
@@ -370,17 +285,11 @@ fn a_line_out_of_reach_or_past_a_singular_pose_is_refused_with_the_axis_or_the_m
     for &(name, instructions, needle) in ARMS {
         let text = text(name);
         let begins = text.find("[[robot.program]]").expect("it has a program");
-        let program: String = instructions
-            .iter()
-            .map(|it| format!("[[robot.program]]\n{it}\n"))
-            .collect();
+        let program: String = instructions.iter().map(|it| format!("[[robot.program]]\n{it}\n")).collect();
         let cell = directory.write("line.toml", &format!("{}{program}", &text[..begins]));
         let last = format!("robot[0].program[{}]", instructions.len() - 1);
         let log = directory.path("line.log");
-        for run in [
-            crate::cli_refusals::run_in_lockstep(&cell, &log),
-            mrroc(["check".as_ref(), cell.as_os_str()]),
-        ] {
+        for run in [crate::cli_refusals::run_in_lockstep(&cell, &log), mrroc(["check".as_ref(), cell.as_os_str()])] {
             refused(&run, &[&last, needle]);
             assert!(!log.exists(), "{name}: a bus was opened");
         }
@@ -393,30 +302,15 @@ fn every_robot_refuses_poses_of_another_length_and_poses_that_are_no_numbers() {
     let lab = Cell::parse(&text("lab")).unwrap();
     for (number, robot) in lab.robot.iter().enumerate() {
         let axes = robot.axis.len();
-        let instruction = robot
-            .program
-            .iter()
-            .position(|it| matches!(it, Instruction::Joints(_)));
-        let place = format!(
-            "robot[{number}].program[{}].joints.poses[0]",
-            instruction.unwrap()
-        );
+        let instruction = robot.program.iter().position(|it| matches!(it, Instruction::Joints(_)));
+        let place = format!("robot[{number}].program[{}].joints.poses[0]", instruction.unwrap());
         let mut wrong = vec![vec![0.0; axes + 1], vec![f64::NAN; axes]];
         // An empty pose is refused as well.
         wrong.push(vec![0.0; axes - 1]);
         for pose in wrong {
-            let needles = [
-                place.as_str(),
-                if pose.len() == axes {
-                    "finite"
-                } else {
-                    "joint values"
-                },
-            ];
+            let needles = [place.as_str(), if pose.len() == axes { "finite" } else { "joint values" }];
             let cell = directory.cell("lab", |cell| {
-                let Some(Instruction::Joints(motion)) =
-                    cell.robot[number].program.get_mut(instruction.unwrap())
-                else {
+                let Some(Instruction::Joints(motion)) = cell.robot[number].program.get_mut(instruction.unwrap()) else {
                     panic!("{place} is a motion of joints");
                 };
                 motion.poses[0].clone_from(&pose);

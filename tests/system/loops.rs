@@ -14,17 +14,14 @@ use std::task::Poll;
 use std::time::Duration;
 
 use can::Instant;
-use drive::{
-    AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Increments, Power,
-    Setpoint,
-};
+use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Increments, Power, Setpoint};
 use hil::AxisConfig;
 use hil::plant::{Irp6Axis, WutConfig};
 use servo::identify::{self, Run, Trace};
 use servo::regulator::IRP6;
 use servo::{
-    EffectorConfig, FeedForward, HostLoop, Law, MAX_AXES, Macrostep, Order, Output, Phase,
-    PositionLoop, Record, Servo, ServoAxisConfig, ServoConfig,
+    EffectorConfig, FeedForward, HostLoop, Law, MAX_AXES, Macrostep, Order, Output, Phase, PositionLoop, Record, Servo,
+    ServoAxisConfig, ServoConfig,
 };
 
 use crate::regression::{LARGE, MOTION, SMALL, Trapezoid};
@@ -130,10 +127,7 @@ struct Running {
 }
 
 /// A servo with one effector that has `axes`.
-fn servo(
-    axes: Vec<ServoAxisConfig>,
-    groups: Vec<Box<dyn DriveGroup>>,
-) -> (Servo, servo::EffectorLink) {
+fn servo(axes: Vec<ServoAxisConfig>, groups: Vec<Box<dyn DriveGroup>>) -> (Servo, servo::EffectorLink) {
     let config = ServoConfig {
         period: PERIOD,
         max_missed_in_row: 0,
@@ -179,13 +173,7 @@ impl Rig {
         let start = group.motor.angle();
         let (mut servo, link) = servo(vec![self.axis_config()], vec![Box::new(group)]);
         let records = servo.record(RECORDS);
-        let mut running = Running {
-            servo,
-            link,
-            records,
-            now: Instant::ZERO,
-            start,
-        };
+        let mut running = Running { servo, link, records, now: Instant::ZERO, start };
         running.link.orders.push(Order::Enable).unwrap();
         running.run(500);
         assert_eq!(running.phase(), Phase::Standing);
@@ -217,9 +205,8 @@ impl Rig {
         while let Ok(record) = running.records.pop() {
             trace.take(&record, 0);
         }
-        let (_, points) = trace
-            .response(&run, &self.axis_config(), self.delay, &lines)
-            .expect("the run came to its end");
+        let (_, points) =
+            trace.response(&run, &self.axis_config(), self.delay, &lines).expect("the run came to its end");
         let margin = identify::margin(&points).expect("it crosses over");
         (margin.crossover, margin.phase.to_degrees())
     }
@@ -243,11 +230,7 @@ impl Running {
         let steps = (motion.duration() / (10.0 * DT)).ceil() as u64;
         for number in 1..=steps {
             let t = number as f64 * 10.0 * DT;
-            let velocity = if number == steps {
-                0.0
-            } else {
-                motion.velocity_at(t)
-            };
+            let velocity = if number == steps { 0.0 } else { motion.velocity_at(t) };
             let macrostep = Macrostep {
                 number,
                 steps: 10,
@@ -296,40 +279,19 @@ fn regression_motor(axis: Irp6Axis) -> &'static WutConfig {
 
 #[test]
 fn the_robots_own_loops_have_the_margins_of_their_table() {
-    let table = [
-        (53.6, 47.7),
-        (22.9, 78.1),
-        (34.8, 77.5),
-        (21.9, 82.3),
-        (74.6, 8.4),
-        (7.3, 52.9),
-    ];
+    let table = [(53.6, 47.7), (22.9, 78.1), (34.8, 77.5), (21.9, 82.3), (74.6, 8.4), (7.3, 52.9)];
     println!("axis       crossover, Hz   margin, degrees");
     for (axis, (crossover, margin)) in Irp6Axis::ALL.into_iter().zip(table) {
         let found = original(axis, fine).margin(0.0);
-        println!(
-            "{axis:10?} {:8.1} {crossover:6.1} {:8.1} {margin:6.1}",
-            found.0, found.1
-        );
-        assert!(
-            (found.0 / crossover - 1.0).abs() < 0.1,
-            "{axis:?}: {} Hz",
-            found.0
-        );
-        assert!(
-            (found.1 / margin - 1.0).abs() < 0.1,
-            "{axis:?}: {} degrees",
-            found.1
-        );
+        println!("{axis:10?} {:8.1} {crossover:6.1} {:8.1} {margin:6.1}", found.0, found.1);
+        assert!((found.0 / crossover - 1.0).abs() < 0.1, "{axis:?}: {} Hz", found.0);
+        assert!((found.1 / margin - 1.0).abs() < 0.1, "{axis:?}: {} degrees", found.1);
     }
 }
 
 #[test]
 fn one_more_sample_of_delay_leaves_the_column_nine_degrees() {
-    let rig = Rig {
-        delay: 2,
-        ..original(Irp6Axis::Column, fine)
-    };
+    let rig = Rig { delay: 2, ..original(Irp6Axis::Column, fine) };
     let (crossover, margin) = rig.margin(0.0);
     println!("column with one more sample: {crossover:.1} Hz, {margin:.1} degrees");
     assert!((crossover / 53.6 - 1.0).abs() < 0.1, "{crossover} Hz");
@@ -345,12 +307,7 @@ fn every_axis_follows_by_the_servo_as_it_does_by_the_bare_law() {
         let mut running = rig.enable();
         running.follow(MOTION);
         running.run(2000);
-        assert_eq!(
-            running.phase(),
-            Phase::Standing,
-            "{:?}",
-            running.servo.fault(0)
-        );
+        assert_eq!(running.phase(), Phase::Standing, "{:?}", running.servo.fault(0));
         let peak = running.servo.tracking(0).next().unwrap().peak() * rig.counts / TAU;
         assert!((peak - expected).abs() < 3.0, "{axis:?}: {peak} counts");
     }

@@ -28,20 +28,11 @@ impl Bench {
         let port = world.host_port(bus, 64);
         for &(node, serial) in drives {
             let axis = AxisConfig::wut(Irp6Axis::ALL[0]);
-            let config = Epos4Config {
-                node: node.and_then(NodeId::new),
-                serial,
-                ..Epos4Config::new(NodeId::MAX, axis)
-            };
+            let config =
+                Epos4Config { node: node.and_then(NodeId::new), serial, ..Epos4Config::new(NodeId::MAX, axis) };
             world.add_device(bus, Box::new(Epos4::new(config)));
         }
-        let mut bench = Self {
-            world,
-            port,
-            master: Master::default(),
-            now: Instant::ZERO,
-            heard: Vec::new(),
-        };
+        let mut bench = Self { world, port, master: Master::default(), now: Instant::ZERO, heard: Vec::new() };
         bench.run(100);
         bench
     }
@@ -54,10 +45,7 @@ impl Bench {
             self.now += TICK;
             self.world.advance(self.now);
             let filler = Frame::new(StandardId::MAX, &[]).unwrap();
-            let mut received = [Received {
-                frame: filler,
-                at: Instant::ZERO,
-            }; 64];
+            let mut received = [Received { frame: filler, at: Instant::ZERO }; 64];
             let count = self.port.receive(self.now, &mut received).unwrap();
             for Received { frame, at } in &received[..count] {
                 self.master.handle(frame, *at);
@@ -86,12 +74,7 @@ impl Bench {
 }
 
 fn identity(serial: u32) -> Identity {
-    Identity {
-        vendor: 0x0000_00FB,
-        product: 0x6150_0000,
-        revision: 0x0170_0000,
-        serial,
-    }
+    Identity { vendor: 0x0000_00FB, product: 0x6150_0000, revision: 0x0170_0000, serial }
 }
 
 #[test]
@@ -103,11 +86,9 @@ fn drives_without_node_ids_are_found_one_by_one_and_boot_under_new_ones() {
         assert_eq!(unconfigured, Ok(Answer::Unconfigured(true)));
         let found = bench.ask(Service::Fastscan);
         assert_eq!(found, Ok(Answer::Found(Some(identity(serial)))));
-        for service in [
-            Service::ConfigureNodeId(NodeId::new(node)),
-            Service::Store,
-            Service::SwitchGlobal(Mode::Waiting),
-        ] {
+        for service in
+            [Service::ConfigureNodeId(NodeId::new(node)), Service::Store, Service::SwitchGlobal(Mode::Waiting)]
+        {
             assert_eq!(bench.ask(service), Ok(Answer::Done), "{service}");
         }
         bench.run(100);
@@ -129,8 +110,5 @@ fn a_drive_is_selected_by_its_identity_and_says_who_it_is() {
     assert_eq!(said, Ok(Answer::NodeId(NodeId::new(4))));
     bench.ask(Service::SwitchGlobal(Mode::Waiting)).unwrap();
     let nobody = bench.ask(Service::SwitchSelective(identity(3)));
-    assert!(
-        matches!(nobody, Err(LssError::TimedOut { .. })),
-        "{nobody:?}"
-    );
+    assert!(matches!(nobody, Err(LssError::TimedOut { .. })), "{nobody:?}");
 }

@@ -1,9 +1,6 @@
 //! System tests: whole cells, on the bench that `HIL_CAN` names.
 
-#![allow(
-    clippy::disallowed_methods,
-    reason = "tests keep pace with other processes"
-)]
+#![allow(clippy::disallowed_methods, reason = "tests keep pace with other processes")]
 #![expect(clippy::unwrap_used, reason = "in a test it is a verdict")]
 
 mod adapter;

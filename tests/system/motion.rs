@@ -46,11 +46,7 @@ impl Motion {
     pub(crate) fn next(&mut self, period: Duration) -> Macrostep {
         self.sent += 1;
         let t = self.sent as f64 * period.as_secs_f64() * f64::from(Self::STEPS);
-        let (way, velocity) = if self.sent == self.macrosteps {
-            (self.distance, 0.0)
-        } else {
-            self.at(t)
-        };
+        let (way, velocity) = if self.sent == self.macrosteps { (self.distance, 0.0) } else { self.at(t) };
         Macrostep {
             number: self.first + self.sent,
             steps: Self::STEPS,

@@ -27,9 +27,7 @@ pub(crate) const SERIAL_CELLS: [&str; 2] = ["irb6-serial", "irb6-hi-moxa"];
 
 /// The root of the workspace.
 pub(crate) fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .expect("the tests' room is inside the workspace")
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the tests' room is inside the workspace")
 }
 
 /// The file of an example cell.
@@ -58,10 +56,7 @@ pub(crate) fn example_program(name: &str) -> PathBuf {
 /// from the same libraries as the tests of the whole workspace.
 fn built(place: &str) -> PathBuf {
     let test = std::env::current_exe().expect("a test binary knows its own path");
-    let profile = test
-        .ancestors()
-        .nth(2)
-        .expect("cargo puts tests into target/<profile>/deps");
+    let profile = test.ancestors().nth(2).expect("cargo puts tests into target/<profile>/deps");
     let program = profile.join(place);
     if std::env::var_os("MRROC_OUT").is_some() {
         return program;
@@ -79,10 +74,7 @@ fn built(place: &str) -> PathBuf {
             .arg(target)
             .current_dir(root())
             .status();
-        assert!(
-            built.expect("cargo runs").success(),
-            "the programs do not build"
-        );
+        assert!(built.expect("cargo runs").success(), "the programs do not build");
     });
     program
 }
@@ -125,11 +117,7 @@ impl Running {
 
     /// `program` under `strace`, which writes every system call of every thread to `log`. If the host permits it,
     /// `strace` runs at real-time priority and `program` does not, because each of its calls waits for `strace`.
-    pub(crate) fn under_strace(
-        log: &Path,
-        program: &Path,
-        arguments: impl IntoIterator<Item: AsRef<OsStr>>,
-    ) -> Self {
+    pub(crate) fn under_strace(log: &Path, program: &Path, arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Self {
         let script = "chrt --reset-on-fork --fifo --pid 70 $$ 2>/dev/null; exec strace -f -qq -e signal=none -o \"$@\"";
         let mut strace = Command::new("sh");
         strace.args(["-c", script, "sh"]);
@@ -138,10 +126,7 @@ impl Running {
 
     /// A copy of `mrroc` in `directory`, run by a user without privileges. If this test runs as root, the user is
     /// "nobody".
-    pub(crate) fn unprivileged(
-        directory: &Directory,
-        arguments: impl IntoIterator<Item: AsRef<OsStr>>,
-    ) -> Self {
+    pub(crate) fn unprivileged(directory: &Directory, arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Self {
         let copy = directory.path("mrroc");
         if !copy.exists() {
             // The user "nobody" may have no access to the directory of the original.
@@ -167,10 +152,7 @@ impl Running {
     }
 
     /// Starts `mrroc` with the standard output `stdout`. No output is captured.
-    pub(crate) fn with_stdout(
-        stdout: impl Into<Stdio>,
-        arguments: impl IntoIterator<Item: AsRef<OsStr>>,
-    ) -> Self {
+    pub(crate) fn with_stdout(stdout: impl Into<Stdio>, arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Self {
         Self::spawn(Command::new(binary()).args(arguments).stdout(stdout))
     }
 
@@ -186,11 +168,7 @@ impl Running {
             .unwrap_or_else(|error| panic!("{command:?} does not start: {error}"));
         let stdout = child.stdout.take().map(read);
         let stderr = read(child.stderr.take().expect("stderr is piped"));
-        Self {
-            child,
-            stdout,
-            stderr,
-        }
+        Self { child, stdout, stderr }
     }
 
     /// Process ID of the command.
@@ -224,11 +202,7 @@ impl Running {
 
     /// Waits until `file` satisfies `wanted`. Returns the outputs of the command if it ends before. Panics at the
     /// deadline.
-    pub(crate) fn ended_before(
-        &self,
-        file: &Path,
-        wanted: impl Fn(&str) -> bool,
-    ) -> Result<(), String> {
+    pub(crate) fn ended_before(&self, file: &Path, wanted: impl Fn(&str) -> bool) -> Result<(), String> {
         const LOOK: Duration = Duration::from_millis(20);
         for _ in 0..DEADLINE.as_millis() / LOOK.as_millis() {
             if fs::read_to_string(file).is_ok_and(|text| wanted(&text)) {
@@ -267,11 +241,7 @@ impl Running {
         let stdout = stdout.recv_timeout(DEADLINE).expect(closed);
         let stderr = self.stderr.recv_timeout(DEADLINE).expect(closed);
         let status = self.child.wait().expect("mrroc can be waited for");
-        Output {
-            status,
-            stdout,
-            stderr,
-        }
+        Output { status, stdout, stderr }
     }
 }
 
@@ -341,11 +311,7 @@ pub(crate) fn text(example_cell: &str) -> String {
 /// Starts every axis close to its index pulse and homes all axes together. Homing then takes one second instead of ten.
 pub(crate) fn shorten(cell: &mut Cell) {
     for robot in &mut cell.robot {
-        let home = robot
-            .arm()
-            .expect("a parsed cell has an arm")
-            .robot()
-            .home();
+        let home = robot.arm().expect("a parsed cell has an arm").robot().home();
         for (number, axis) in robot.axis.iter_mut().enumerate() {
             axis.emulator.start = Some(home[number] - 2.5);
             axis.homing.order = 0;
@@ -356,9 +322,7 @@ pub(crate) fn shorten(cell: &mut Cell) {
 /// Reads a trace written by `--trace`.
 pub(crate) fn trace(path: &Path) -> Vec<candump::Entry> {
     let text = fs::read_to_string(path).expect("the trace is there");
-    text.lines()
-        .map(|line| candump::Entry::parse(line.as_bytes()).expect("a trace is a candump log"))
-        .collect()
+    text.lines().map(|line| candump::Entry::parse(line.as_bytes()).expect("a trace is a candump log")).collect()
 }
 
 /// Number of RPDOs in a trace with a controlword that enables operation.
@@ -368,11 +332,7 @@ pub(crate) fn enables(trace: &[candump::Entry]) -> usize {
             return false;
         };
         let rpdo = matches!(id.raw() & 0x780, 0x200 | 0x300 | 0x400 | 0x500);
-        rpdo && entry
-            .frame
-            .data()
-            .first()
-            .is_some_and(|low| low & 0x0F == 0x0F)
+        rpdo && entry.frame.data().first().is_some_and(|low| low & 0x0F == 0x0F)
     };
     trace.iter().filter(enables).count()
 }

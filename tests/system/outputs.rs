@@ -27,13 +27,7 @@ fn no_output_replaces_the_cell_file_or_what_it_names() {
     symlink(&cell, place("link")).unwrap();
     fs::hard_link(&cell, place("hard")).unwrap();
     let run = ["run".as_ref(), cell.as_os_str()];
-    let others = [
-        place("link"),
-        place("hard"),
-        place("sub/../cell.toml"),
-        place("motor.dcf"),
-        cell.clone(),
-    ];
+    let others = [place("link"), place("hard"), place("sub/../cell.toml"), place("motor.dcf"), cell.clone()];
     for file in &others {
         for option in ["trace", "record", "spikes"] {
             refused(&with(&run, option, file), &[option]);
@@ -50,10 +44,7 @@ fn no_output_replaces_the_cell_file_or_what_it_names() {
     symlink(&cell, place("out/bode.csv")).unwrap();
     let identify = ["identify", "--axis=column", "--force"].map(AsRef::as_ref);
     let identify = [&identify[..], &[cell.as_os_str()]].concat();
-    refused(
-        &with(&identify, "out", &place("out")),
-        &["the cell file is"],
-    );
+    refused(&with(&identify, "out", &place("out")), &["the cell file is"]);
     assert_eq!(fs::read_to_string(&cell).unwrap(), words);
     assert_eq!(fs::read_to_string(place("motor.dcf")).unwrap(), dcf);
     assert!(!place("out/bode.svg").exists());
@@ -92,11 +83,7 @@ fn two_outputs_are_never_one_file() {
     assert!(said.contains("standard output is the same file"), "{said}");
     let piped = with(&both, "record", Path::new("/dev/stdout"));
     assert_eq!(piped.status.code(), Some(0), "{piped:?}");
-    assert!(
-        piped.stdout.starts_with("cycle,time_s,axis,"),
-        "{}",
-        &piped.stdout[..100]
-    );
+    assert!(piped.stdout.starts_with("cycle,time_s,axis,"), "{}", &piped.stdout[..100]);
     assert!(piped.stdout.contains("completed"));
 }
 
@@ -122,11 +109,7 @@ fn what_is_there_is_replaced_by_force_alone() {
         (&measure, "out", "bode.svg", "<svg"),
     ] {
         fs::write(place(file), &old).unwrap();
-        let given = if option == "out" {
-            place(".")
-        } else {
-            place(file)
-        };
+        let given = if option == "out" { place(".") } else { place(file) };
         let again = with(words, option, &given);
         refused(&again, &[option, file, "--force"]);
         assert_eq!(fs::read_to_string(place(file)).unwrap(), old, "{file}");
@@ -179,10 +162,7 @@ fn manual_pages_that_do_not_fit_are_refused_by_name() {
     let said = String::from_utf8(run.stderr).unwrap();
     assert_eq!(said.lines().count(), 1, "{said}");
     let name = pages.join("mrroc.bash");
-    assert!(
-        said.contains(name.to_str().unwrap()) && said.contains("File too large"),
-        "{said}"
-    );
+    assert!(said.contains(name.to_str().unwrap()) && said.contains("File too large"), "{said}");
     assert_eq!(limited("unlimited").status.code(), Some(0));
     assert!(fs::metadata(pages.join("mrroc-run.1")).unwrap().len() > 1000);
     let again = mrroc(["manual".as_ref(), pages.as_os_str()]);

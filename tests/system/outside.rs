@@ -24,17 +24,10 @@ fn the_example_generator_swings_out_and_comes_back_to_where_it_began() {
     });
     let commanded: Vec<_> = moving.collect();
     // 200 macrosteps of ten periods.
-    assert!(
-        (1990..=2000).contains(&commanded.len()),
-        "{}",
-        commanded.len()
-    );
+    assert!((1990..=2000).contains(&commanded.len()), "{}", commanded.len());
     let (first, last) = (commanded[0], commanded[commanded.len() - 1]);
     assert!((first - last).abs() < 1e-3, "{first} {last}");
-    let farthest = commanded
-        .iter()
-        .map(|it| (it - first).abs())
-        .fold(0.0, f64::max);
+    let farthest = commanded.iter().map(|it| (it - first).abs()).fold(0.0, f64::max);
     // 0.5 rad of the joint, by a gear of 158.
     assert!((70.0..90.0).contains(&farthest), "{farthest}");
 }
@@ -69,15 +62,8 @@ fn a_program_outside_the_workspace_runs_its_own_generator_in_lockstep() {
 #[test]
 fn such_a_program_has_one_dependency_of_ours_and_forty_lines() {
     let package = root().join("tests/outside");
-    let manifest: toml::Table = fs::read_to_string(package.join("Cargo.toml"))
-        .unwrap()
-        .parse()
-        .unwrap();
-    let dependencies: Vec<_> = manifest["dependencies"]
-        .as_table()
-        .unwrap()
-        .keys()
-        .collect();
+    let manifest: toml::Table = fs::read_to_string(package.join("Cargo.toml")).unwrap().parse().unwrap();
+    let dependencies: Vec<_> = manifest["dependencies"].as_table().unwrap().keys().collect();
     assert_eq!(dependencies, ["mrroc"]);
     let program = fs::read_to_string(package.join("src/main.rs")).unwrap();
     assert!(program.lines().count() <= 40, "{}", program.lines().count());

@@ -13,12 +13,7 @@ use crate::uml::{Scratch, processes_of};
 const OUT: &str = "o\"u,t's $x";
 
 /// Runs a shell script. Returns its result and its output.
-fn shell(
-    kernel: &Kernel,
-    scratch: &Scratch,
-    timeout: Duration,
-    script: &str,
-) -> (Result<u8, QemuError>, String) {
+fn shell(kernel: &Kernel, scratch: &Scratch, timeout: Duration, script: &str) -> (Result<u8, QemuError>, String) {
     let options = Options {
         env: vec![("WORD".into(), "it's $HOME".into())],
         directory: scratch.0.clone(),
@@ -46,10 +41,7 @@ fn the_machine_has_cards_and_the_files_of_the_host_read_only() {
     assert_eq!(outcome, Ok(7), "{output}");
     assert_eq!(output, "seen\nit's $HOME\n1\n2\nend");
     let left: Vec<_> = fs::read_dir(scratch.0.join(OUT)).unwrap().collect();
-    assert!(
-        left.len() == 1 && scratch.0.join(OUT).join("kept").exists(),
-        "{left:?}"
-    );
+    assert!(left.len() == 1 && scratch.0.join(OUT).join("kept").exists(), "{left:?}");
     for place in ["/", "/usr", "/tmp", "/run", "/dev"] {
         assert!(!Path::new(place).join("lost").exists());
     }
@@ -62,16 +54,10 @@ fn a_machine_that_does_not_end_by_itself_is_told_from_one_that_dies() {
     // Longer than any boot, so the command exceeds the time limit.
     let timeout = Duration::from_secs(40);
     let (outcome, output) = shell(&kernel, &scratch, timeout, "echo begun; sleep 1000");
-    assert_eq!(
-        (outcome, &*output),
-        (Err(MachineError::TimedOut(timeout).into()), "begun\n")
-    );
+    assert_eq!((outcome, &*output), (Err(MachineError::TimedOut(timeout).into()), "begun\n"));
     let panic = "echo begun; sleep 1; echo c >/proc/sysrq-trigger";
     let (outcome, output) = shell(&kernel, &scratch, Duration::from_secs(120), panic);
-    assert_eq!(
-        (outcome, &*output),
-        (Err(MachineError::Died.into()), "begun\n")
-    );
+    assert_eq!((outcome, &*output), (Err(MachineError::Died.into()), "begun\n"));
     assert_eq!(fs::read_dir(scratch.0.join(OUT)).unwrap().count(), 0);
     assert_eq!(scratch.names(), [OUT]);
 }

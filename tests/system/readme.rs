@@ -22,13 +22,7 @@ fn programs(metadata: &Value) -> Vec<&Value> {
 #[test]
 fn cargo_run_has_one_program_to_choose_from() {
     let metadata = Command::new(env!("CARGO"))
-        .args([
-            "metadata",
-            "--no-deps",
-            "--format-version=1",
-            "--locked",
-            "--offline",
-        ])
+        .args(["metadata", "--no-deps", "--format-version=1", "--locked", "--offline"])
         .current_dir(root())
         .output()
         .unwrap();
@@ -41,9 +35,7 @@ fn excerpts(page: &str) -> Vec<&str> {
     let blocks = page.split("```toml\n").skip(1);
     let blocks = blocks.map(|rest| rest.split("```").next().unwrap());
     // Excerpts of a Cargo.toml are no cell files.
-    blocks
-        .filter(|it| !it.starts_with("[dependencies]"))
-        .collect()
+    blocks.filter(|it| !it.starts_with("[dependencies]")).collect()
 }
 
 #[test]

@@ -58,8 +58,7 @@ fn has_been(record: &Path, phase: &str) -> bool {
 fn completed(run: &Output) -> bool {
     let report = run.json();
     let count = |value: &serde_json::Value| value.as_u64().expect("a count");
-    let kept_back =
-        count(&report["buses"][0]["missed_answers"]) + count(&report["cycle"]["missed"]) > 0;
+    let kept_back = count(&report["buses"][0]["missed_answers"]) + count(&report["cycle"]["missed"]) > 0;
     let completed = run.status.code() == Some(0);
     assert!(completed || kept_back, "{run:?}");
     if !completed {
@@ -94,10 +93,7 @@ fn a_program_is_rehearsed_again_from_where_a_referenced_arm_stands() {
     let place = format!("cell.toml:{number}: robot[0].program[0]: ");
     let said = faults[0]["what"].as_str().expect("a text");
     assert_eq!(faults.as_array().map(Vec::len), Some(1), "{faults}");
-    assert!(
-        said.contains(&place) && said.contains("out of the arm's plane"),
-        "{faults}"
-    );
+    assert!(said.contains(&place) && said.contains("out of the arm's plane"), "{faults}");
     assert!(!has_been(&record, "Homing") && !has_been(&record, "Moving"));
 
     // A motion of the joints is possible from everywhere. The line after it is possible from home.

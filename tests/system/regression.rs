@@ -22,11 +22,7 @@ pub(crate) struct Trapezoid {
 
 impl Trapezoid {
     pub(crate) fn at(self, t: f64) -> f64 {
-        let Self {
-            distance,
-            velocity,
-            acceleration,
-        } = self;
+        let Self { distance, velocity, acceleration } = self;
         let ramp = velocity / acceleration;
         let end = self.duration();
         match t {
@@ -52,12 +48,7 @@ impl Trapezoid {
 type Sample = (f64, i32);
 
 /// The motion and two seconds of rest after it.
-fn run(
-    regulator: IncrementalConfig,
-    motor_config: WutConfig,
-    counts: f64,
-    motion: Trapezoid,
-) -> Vec<Sample> {
+fn run(regulator: IncrementalConfig, motor_config: WutConfig, counts: f64, motion: Trapezoid) -> Vec<Sample> {
     let per_radian = counts / TAU;
     let mut regulator = Incremental::new(regulator);
     let mut motor = Wut::new(&motor_config, 0.0);
@@ -79,10 +70,7 @@ fn run(
 }
 
 fn worst(samples: &[Sample]) -> f64 {
-    samples
-        .iter()
-        .map(|(error, _)| error.abs())
-        .fold(0.0, f64::max)
+    samples.iter().map(|(error, _)| error.abs()).fold(0.0, f64::max)
 }
 
 fn end(samples: &[Sample]) -> f64 {
@@ -90,11 +78,7 @@ fn end(samples: &[Sample]) -> f64 {
 }
 
 fn peak_current(samples: &[Sample]) -> i32 {
-    samples
-        .iter()
-        .map(|(_, current)| current.abs())
-        .max()
-        .expect("a run has samples")
+    samples.iter().map(|(_, current)| current.abs()).max().expect("a run has samples")
 }
 
 pub(crate) const LARGE: WutConfig = WutConfig {
@@ -104,16 +88,8 @@ pub(crate) const LARGE: WutConfig = WutConfig {
     friction: FrictionConfig::NONE,
     resistance: 0.6,
 };
-pub(crate) const SMALL: WutConfig = WutConfig {
-    inertia: 1.5e-5,
-    viscous: 2e-4,
-    ..LARGE
-};
-pub(crate) const MOTION: Trapezoid = Trapezoid {
-    distance: 100.0,
-    velocity: 50.0,
-    acceleration: 150.0,
-};
+pub(crate) const SMALL: WutConfig = WutConfig { inertia: 1.5e-5, viscous: 2e-4, ..LARGE };
+pub(crate) const MOTION: Trapezoid = Trapezoid { distance: 100.0, velocity: 50.0, acceleration: 150.0 };
 
 #[test]
 fn every_axis_follows_as_the_original_emulator_does() {
@@ -128,96 +104,41 @@ fn every_axis_follows_as_the_original_emulator_does() {
         (SMALL, 2000.0, 81.0, 0.64, 0.0, 117, (97, 5)),
     ];
     for (axis, (regulator, row)) in IRP6.into_iter().zip(table).enumerate() {
-        let (motor, counts, error, cruise_error, end_error, current, (cruise_current, tolerance)) =
-            row;
+        let (motor, counts, error, cruise_error, end_error, current, (cruise_current, tolerance)) = row;
         let samples = run(regulator, motor, counts, MOTION);
         let cruise = &samples[550..600];
         let mean = cruise.iter().map(|(error, _)| error).sum::<f64>() / 50.0;
         let axis = axis + 1;
-        assert!(
-            (worst(&samples) - error).abs() < 1.0,
-            "axis {axis}: largest error {}",
-            worst(&samples)
-        );
-        assert!(
-            (mean - cruise_error).abs() < 0.006,
-            "axis {axis}: cruise error {mean}"
-        );
-        assert!(
-            (end(&samples) - end_error).abs() < 1.0,
-            "axis {axis}: end error {}",
-            end(&samples)
-        );
-        assert!(
-            (peak_current(&samples) - current).abs() <= 1,
-            "axis {axis}: {} mA",
-            peak_current(&samples)
-        );
+        assert!((worst(&samples) - error).abs() < 1.0, "axis {axis}: largest error {}", worst(&samples));
+        assert!((mean - cruise_error).abs() < 0.006, "axis {axis}: cruise error {mean}");
+        assert!((end(&samples) - end_error).abs() < 1.0, "axis {axis}: end error {}", end(&samples));
+        assert!((peak_current(&samples) - current).abs() <= 1, "axis {axis}: {} mA", peak_current(&samples));
         let last = samples[600].1;
-        assert!(
-            (last - cruise_current).abs() <= tolerance,
-            "axis {axis}: {last} mA in cruise"
-        );
+        assert!((last - cruise_current).abs() <= tolerance, "axis {axis}: {last} mA in cruise");
     }
 }
 
 #[test]
 fn column_at_twice_the_speed_all_but_needs_its_whole_current() {
-    let samples = run(
-        IRP6[0],
-        LARGE,
-        4000.0,
-        Trapezoid {
-            velocity: 100.0,
-            ..MOTION
-        },
-    );
-    assert!(
-        (worst(&samples) - 156.0).abs() < 1.0,
-        "{} counts",
-        worst(&samples)
-    );
-    assert!(
-        (19_450..=19_550).contains(&peak_current(&samples)),
-        "{} mA",
-        peak_current(&samples)
-    );
+    let samples = run(IRP6[0], LARGE, 4000.0, Trapezoid { velocity: 100.0, ..MOTION });
+    assert!((worst(&samples) - 156.0).abs() < 1.0, "{} counts", worst(&samples));
+    assert!((19_450..=19_550).contains(&peak_current(&samples)), "{} mA", peak_current(&samples));
 }
 
 #[test]
 fn dry_friction_costs_the_column_four_counts_and_no_limit_cycle() {
-    let friction = FrictionConfig {
-        coulomb: 0.1,
-        stiction: 0.15,
-        stribeck_velocity: 5.0,
-    };
+    let friction = FrictionConfig { coulomb: 0.1, stiction: 0.15, stribeck_velocity: 5.0 };
     let samples = run(IRP6[0], WutConfig { friction, ..LARGE }, 4000.0, MOTION);
-    assert!(
-        (worst(&samples) - 151.0).abs() < 1.0,
-        "{} counts",
-        worst(&samples)
-    );
+    assert!((worst(&samples) - 151.0).abs() < 1.0, "{} counts", worst(&samples));
     let resting = &samples[samples.len() - 500..];
     let error = resting[0].0;
     assert!(error.abs() < 1.0, "rests {error} counts off");
-    assert!(
-        resting.iter().all(|sample| sample.0 == error),
-        "limit cycle"
-    );
+    assert!(resting.iter().all(|sample| sample.0 == error), "limit cycle");
 
-    let slow = Trapezoid {
-        distance: 3.0,
-        velocity: 1.0,
-        ..MOTION
-    };
+    let slow = Trapezoid { distance: 3.0, velocity: 1.0, ..MOTION };
     let samples = run(IRP6[0], WutConfig { friction, ..LARGE }, 4000.0, slow);
-    assert!(
-        (worst(&samples) - 41.0).abs() < 1.0,
-        "{} counts at break-away",
-        worst(&samples)
-    );
+    assert!((worst(&samples) - 41.0).abs() < 1.0, "{} counts at break-away", worst(&samples));
     let cruise = &samples[500..1400];
-    let rms =
-        (cruise.iter().map(|(error, _)| error * error).sum::<f64>() / cruise.len() as f64).sqrt();
+    let rms = (cruise.iter().map(|(error, _)| error * error).sum::<f64>() / cruise.len() as f64).sqrt();
     assert!((rms - 0.4).abs() < 0.1, "{rms} counts rms");
 }

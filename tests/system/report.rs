@@ -12,11 +12,7 @@ use crate::mrroc::{Directory, Output, example, mrroc, root, shorten};
 /// A lockstep run of an example cell with `words`.
 fn lockstep(cell: &str, words: &[&str]) -> Output {
     let cell = example(cell);
-    let run = [
-        "run".as_ref(),
-        cell.as_os_str(),
-        "--bench=lockstep".as_ref(),
-    ];
+    let run = ["run".as_ref(), cell.as_os_str(), "--bench=lockstep".as_ref()];
     let words = words.iter().map(|word| word.as_ref());
     let run = mrroc(run.into_iter().chain(words));
     assert_eq!(run.status.code(), Some(0), "{run:?}");
@@ -32,10 +28,7 @@ fn page(cell: &str) -> String {
 }
 
 fn parse(page: &str) -> Document<'_> {
-    let options = ParsingOptions {
-        allow_dtd: true,
-        ..ParsingOptions::default()
-    };
+    let options = ParsingOptions { allow_dtd: true, ..ParsingOptions::default() };
     Document::parse_with_options(page, options).expect("the page is well formed")
 }
 
@@ -44,10 +37,7 @@ fn the_report_begins_with_the_tool_path_error_of_each_robot() {
     let run = lockstep("irb6", &[]);
     let first = run.stdout.lines().next().unwrap();
     assert!(first.starts_with("irb6  tool 0.0"), "{first}");
-    assert!(
-        first.contains(" mm rms, 0.") && first.ends_with("° peak"),
-        "{first}"
-    );
+    assert!(first.contains(" mm rms, 0.") && first.ends_with("° peak"), "{first}");
     let report = lockstep("lab", &["--json"]).json();
     let robots = report["robots"].as_array().unwrap();
     assert_eq!(report["lost_records"], 0);
@@ -80,9 +70,7 @@ fn a_robot_by_the_clock_has_its_error_and_loses_no_record() {
 #[test]
 fn the_page_of_a_run_is_one_file_that_loads_nothing() {
     let page = page("irb6");
-    for reference in [
-        "http:", "https:", "src=", "href=", "<link", "<script", "url(", "@import", "<!ENTITY",
-    ] {
+    for reference in ["http:", "https:", "src=", "href=", "<link", "<script", "url(", "@import", "<!ENTITY"] {
         assert!(!page.contains(reference), "{reference}");
     }
     assert!(!page.contains("NaN"));
@@ -96,9 +84,7 @@ fn the_page_of_a_run_is_one_file_that_loads_nothing() {
         assert!(cells.contains(&text), "{text}: {cells:?}");
     }
     let title = |svg: roxmltree::Node| {
-        let title = svg
-            .first_element_child()
-            .filter(|it| it.has_tag_name("title"));
+        let title = svg.first_element_child().filter(|it| it.has_tag_name("title"));
         title.and_then(|title| title.text()).map(str::to_owned)
     };
     let titles: Vec<_> = named("svg").map(title).collect();

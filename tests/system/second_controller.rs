@@ -36,8 +36,7 @@ fn beside_a_master(stage: &Stage, frame: Frame, period: Duration, body: impl FnO
 
 #[test]
 fn a_second_controller_on_an_interface_is_refused_and_told_of_the_first() {
-    const TEST: &str =
-        "second_controller::a_second_controller_on_an_interface_is_refused_and_told_of_the_first";
+    const TEST: &str = "second_controller::a_second_controller_on_an_interface_is_refused_and_told_of_the_first";
     on_stage(TEST, |stage| {
         // Motion that outlasts all commands below.
         stage.change(|cell| {
@@ -47,20 +46,10 @@ fn a_second_controller_on_an_interface_is_refused_and_told_of_the_first() {
         let (_emulators, first) = stage.start_moving();
         let cell = stage.directory.path("cell.toml").display().to_string();
         let on = ["--bench=vcan", "--can", stage.interface];
-        let holder = format!(
-            "bus arm: {}: another controller is at work: process {}",
-            stage.interface,
-            first.id()
-        );
+        let holder = format!("bus arm: {}: another controller is at work: process {}", stage.interface, first.id());
         for command in [
             &["run", &cell][..],
-            &[
-                "identify",
-                &cell,
-                "--axis=column",
-                "--at=command",
-                "--to=16",
-            ],
+            &["identify", &cell, "--axis=column", "--at=command", "--to=16"],
             &["jitter", "--cell", &cell, "--duration=100ms"],
         ] {
             refused(&mrroc(command.iter().chain(&on)), &[&holder]);
@@ -74,14 +63,9 @@ fn a_second_controller_on_an_interface_is_refused_and_told_of_the_first() {
         for object in ["0x1016:1", "0x1010:1", "0x30B0"] {
             let write = ["sdo", "write", "1", object, "0", "--type", "u32", "--can"];
             let write = mrroc(write.iter().chain(&[stage.interface]));
-            refused(
-                &write,
-                &["belongs to the driver", &holder, "end that process"],
-            );
+            refused(&write, &["belongs to the driver", &holder, "end that process"]);
         }
-        let tuning = [
-            "sdo", "write", "1", "0x6067", "4000", "--type", "u32", "--can",
-        ];
+        let tuning = ["sdo", "write", "1", "0x6067", "4000", "--type", "u32", "--can"];
         let tuning = mrroc(tuning.iter().chain(&[stage.interface]));
         assert_eq!(tuning.status.code(), Some(0), "{tuning:?}");
         first.signal("INT");
@@ -110,20 +94,16 @@ fn a_controller_that_was_killed_leaves_the_interface_free() {
 
 #[test]
 fn a_master_in_another_computer_refuses_the_start_before_a_frame_is_sent() {
-    const TEST: &str =
-        "second_controller::a_master_in_another_computer_refuses_the_start_before_a_frame_is_sent";
+    const TEST: &str = "second_controller::a_master_in_another_computer_refuses_the_start_before_a_frame_is_sent";
     on_stage(TEST, |stage| {
         let _emulators = stage.start_emulators();
-        let host = Heartbeat {
-            node: NodeId::new(stage.cell.bus[0].host_node).unwrap(),
-            state: nmt::NmtState::Operational,
-        };
+        let host =
+            Heartbeat { node: NodeId::new(stage.cell.bus[0].host_node).unwrap(), state: nmt::NmtState::Operational };
         let heartbeat = Duration::from_millis(stage.cell.bus[0].heartbeat_ms.into());
         let cycle = Duration::from_micros(stage.cell.period_us.into());
-        for (frame, period, sign) in [
-            (Sync::default().encode(), cycle, "SYNC"),
-            (host.encode(), heartbeat, "the heartbeat of node 127"),
-        ] {
+        for (frame, period, sign) in
+            [(Sync::default().encode(), cycle, "SYNC"), (host.encode(), heartbeat, "the heartbeat of node 127")]
+        {
             beside_a_master(stage, frame, period, || {
                 let output = stage.start_controller().output();
                 let sign = format!("bus arm: another controller is at work: it sent {sign}");
@@ -141,8 +121,7 @@ fn a_master_in_another_computer_refuses_the_start_before_a_frame_is_sent() {
 
 #[test]
 fn a_master_that_comes_in_operation_stops_the_robot_and_is_named() {
-    const TEST: &str =
-        "second_controller::a_master_that_comes_in_operation_stops_the_robot_and_is_named";
+    const TEST: &str = "second_controller::a_master_that_comes_in_operation_stops_the_robot_and_is_named";
     on_stage(TEST, |stage| {
         let (_emulators, controller) = stage.start_moving();
         let cycle = Duration::from_micros(stage.cell.period_us.into());
@@ -160,11 +139,7 @@ fn a_node_is_emulated_once_on_an_interface() {
         let first = stage.start_emulators();
         let cell = stage.directory.path("cell.toml").display().to_string();
         let again = mrroc(["emulate", &cell, "--can", stage.interface]);
-        let holder = format!(
-            "bus arm: {}: node 1 is emulated already: process {}",
-            stage.interface,
-            first.id()
-        );
+        let holder = format!("bus arm: {}: node 1 is emulated already: process {}", stage.interface, first.id());
         refused(&again, &[&holder]);
         // The first emulator does not serve the other nodes.
         stage.change(|cell| {

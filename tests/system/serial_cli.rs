@@ -91,12 +91,7 @@ pub(crate) fn patient(cell: &mut Cell) {
 
 /// Starts `mrroc emulate --serial` and waits until all its ttys exist.
 pub(crate) fn emulate(cell: &Path, ttys: &Path) -> Running {
-    let emulator = Running::start([
-        "emulate".as_ref(),
-        cell.as_os_str(),
-        "--serial".as_ref(),
-        ttys.as_os_str(),
-    ]);
+    let emulator = Running::start(["emulate".as_ref(), cell.as_os_str(), "--serial".as_ref(), ttys.as_os_str()]);
     emulated(emulator, ttys)
 }
 
@@ -116,11 +111,7 @@ pub(crate) fn run_on(cell: &Path, ttys: &Path, record: &Path) -> Running {
     Running::start(run_arguments(cell, ttys, record))
 }
 
-pub(crate) fn run_arguments<'a>(
-    cell: &'a Path,
-    ttys: &'a Path,
-    record: &'a Path,
-) -> [&'a OsStr; 8] {
+pub(crate) fn run_arguments<'a>(cell: &'a Path, ttys: &'a Path, record: &'a Path) -> [&'a OsStr; 8] {
     [
         "run".as_ref(),
         cell.as_os_str(),
@@ -135,12 +126,7 @@ pub(crate) fn run_arguments<'a>(
 
 /// The output of a run on the ttys of another process, which `follow` follows. A run is started again if it was refused
 /// because the host delayed the answers.
-pub(crate) fn output_on(
-    cell: &Path,
-    ttys: &Path,
-    record: &Path,
-    follow: impl Fn(&Running),
-) -> Output {
+pub(crate) fn output_on(cell: &Path, ttys: &Path, record: &Path, follow: impl Fn(&Running)) -> Output {
     for _ in 0..5 {
         let _ = fs::remove_file(record);
         let run = run_on(cell, ttys, record);
@@ -196,8 +182,7 @@ fn an_emulator_in_another_process_outlives_runs() {
     let report = output_on(&cell, &ttys, &record, |_| {}).json();
     // If another process delays answers, or the host delays cycles, the loops are disturbed, and the run reports it.
     let count = |value: &Value| value.as_u64().expect("a count");
-    let kept_back =
-        count(&report["buses"][0]["missed_answers"]) + count(&report["cycle"]["missed"]) > 0;
+    let kept_back = count(&report["buses"][0]["missed_answers"]) + count(&report["cycle"]["missed"]) > 0;
     let named = !report["faults"].as_array().expect("a list").is_empty();
     let excused = named && kept_back;
     assert!(report["outcome"] == "completed" || excused, "{report}");
@@ -207,8 +192,5 @@ fn an_emulator_in_another_process_outlives_runs() {
     let second = rows(&record);
     assert!(second.iter().all(|(phase, _)| phase != "Homing"), "{name}");
     let way = (second[0].1 - left_at).abs();
-    assert!(
-        way < STILL,
-        "{name}: found {way:.3} rad from where it was left"
-    );
+    assert!(way < STILL, "{name}: found {way:.3} rad from where it was left");
 }

@@ -18,18 +18,11 @@ const RUN_OUT: f64 = 12.0;
 
 /// Line faults in both directions.
 fn both(wire: WireFaults) -> LineFaults {
-    LineFaults {
-        seed: 1,
-        to_device: wire,
-        to_host: wire,
-    }
+    LineFaults { seed: 1, to_device: wire, to_host: wire }
 }
 
 fn stuck(how: Stuck) -> WireFaults {
-    WireFaults {
-        stuck: Some(how),
-        ..WireFaults::default()
-    }
+    WireFaults { stuck: Some(how), ..WireFaults::default() }
 }
 
 fn of_line(cause: StopCause) -> Option<(u8, AxisControllerFault)> {
@@ -62,11 +55,7 @@ fn a_line_that_hangs_in_motion_stops_the_arm_by_the_name_of_its_axis() {
                 assert_eq!(axis, Some(2), "{cell}, {how:?}, {direction}");
                 let cycles = tolerated + 1;
                 let silent = AxisControllerFault::Silent { cycles };
-                assert_eq!(
-                    of_line(cause),
-                    Some((2, silent)),
-                    "{cell}, {how:?}, {direction}"
-                );
+                assert_eq!(of_line(cause), Some((2, silent)), "{cell}, {how:?}, {direction}");
             }
         }
     }
@@ -166,15 +155,9 @@ fn bit_errors_on_every_line_never_move_a_motor_elsewhere() {
         for seed in 0..6 {
             let mut rig = Setup::of(cell).bring_up();
             let start: Vec<f64> = rig.angles();
-            let wire = WireFaults {
-                bit_error_rate: 1e-4,
-                ..WireFaults::default()
-            };
+            let wire = WireFaults { bit_error_rate: 1e-4, ..WireFaults::default() };
             for axis in 0..start.len() {
-                let faults = LineFaults {
-                    seed: seed * 100 + axis as u64,
-                    ..both(wire)
-                };
+                let faults = LineFaults { seed: seed * 100 + axis as u64, ..both(wire) };
                 rig.set_line_faults(axis, &faults);
             }
             let mut before = start;
@@ -186,10 +169,7 @@ fn bit_errors_on_every_line_never_move_a_motor_elsewhere() {
                     let velocity = (angle - *before) / rig.period.as_secs_f64();
                     *before = angle;
                     let limit = rig.cell.robot[0].axis[axis].max_velocity;
-                    assert!(
-                        velocity.abs() < limit,
-                        "{cell}, seed {seed}, axis {axis}: {velocity:.1} rad/s"
-                    );
+                    assert!(velocity.abs() < limit, "{cell}, seed {seed}, axis {axis}: {velocity:.1} rad/s");
                     let homed = record.homing == drive::Homing::Attained;
                     let error = (record.commanded - angle).abs();
                     if homed && rig.phase() == Phase::Moving && !fault {
@@ -233,29 +213,21 @@ fn a_loop_of_the_wrong_sign_loses_its_power_within_a_turn() {
             if rig.servo.fault(0).is_none() {
                 rig.order(Order::Home);
             }
-            rig.until(Duration::from_secs(60), "a fault", |rig| {
-                rig.servo.fault(0).is_some()
-            });
+            rig.until(Duration::from_secs(60), "a fault", |rig| rig.servo.fault(0).is_some());
             let latched = (rig.angle(swapped) - start).abs();
             let cause = rig.servo.fault(0).unwrap().cause;
-            rig.until(Duration::from_secs(10), "off", |rig| {
-                rig.phase() == Phase::Faulted
-            });
+            rig.until(Duration::from_secs(10), "off", |rig| rig.phase() == Phase::Faulted);
             for _ in 0..1500 {
                 rig.cycle();
             }
             let way = (rig.angle(swapped) - start).abs();
-            println!(
-                "{cell}, axis {swapped}: {cause}, {latched:.2} rad, at rest after {way:.2} rad"
-            );
+            println!("{cell}, axis {swapped}: {cause}, {latched:.2} rad, at rest after {way:.2} rad");
             assert_eq!(rig.servo.fault(0).unwrap().axis, Some(swapped as u8));
             assert!(
                 matches!(
                     (cause, of_line(cause)),
-                    (
-                        StopCause::Runaway { .. } | StopCause::FollowingError { .. },
-                        _
-                    ) | (_, Some((_, AxisControllerFault::Overcurrent)))
+                    (StopCause::Runaway { .. } | StopCause::FollowingError { .. }, _)
+                        | (_, Some((_, AxisControllerFault::Overcurrent)))
                 ),
                 "{cell}, axis {swapped}: {cause}"
             );

@@ -51,10 +51,7 @@ impl Relay {
         let ended = over.clone();
         let thread = std::thread::spawn(move || {
             const LOOK: Duration = Duration::from_millis(20);
-            let interest = Interest {
-                read: true,
-                write: false,
-            };
+            let interest = Interest { read: true, write: false };
             let mut bytes = [0; 4096];
             while !ended.load(Ordering::Relaxed) {
                 let ends = [(host.as_fd(), interest), (device.as_fd(), interest)];
@@ -98,17 +95,10 @@ fn rows(record: &Path, axis: &str) -> Vec<(String, String, f64)> {
 
 /// Runs a cell until it moves, then calls `hang_up`. Returns the report and the record; `None` if delays of the host
 /// had stopped the run before.
-fn run_until_hung_up(
-    cell: &Path,
-    ttys: &Path,
-    record: &Path,
-    hang_up: impl FnOnce(),
-) -> Option<Value> {
+fn run_until_hung_up(cell: &Path, ttys: &Path, record: &Path, hang_up: impl FnOnce()) -> Option<Value> {
     let stopped = |text: &str| text.contains(",Stopping,") || text.contains(",Faulted,");
     let run = run_on(cell, ttys, record);
-    let moved = run.ended_before(record, |text| {
-        text.matches(",wrist-roll,Moving,").count() > 50 || stopped(text)
-    });
+    let moved = run.ended_before(record, |text| text.matches(",wrist-roll,Moving,").count() > 50 || stopped(text));
     let spoilt = moved.is_err() || stopped(&fs::read_to_string(record).expect("the record"));
     hang_up();
     if spoilt {
@@ -133,19 +123,12 @@ fn ended_by_the_cause(report: &Value, record: &Path) -> String {
     let what = first["what"].as_str().expect("a text");
     assert!(what.contains("line is gone"), "{report}");
     let named = first["axis"].as_str().expect("an axis is named");
-    assert!(
-        !report["faults"].to_string().contains("Stopping"),
-        "{report}"
-    );
+    assert!(!report["faults"].to_string().contains("Stopping"), "{report}");
     let rows = rows(record, named);
     let (_, last, _) = rows.last().expect("the record has rows");
     assert_eq!(last, "Off", "{named}");
     let stop: Vec<_> = rows.iter().filter(|row| row.0 == "Stopping").collect();
-    assert!(
-        stop.len() <= LONGEST_STOP,
-        "{} cycles of stopping",
-        stop.len()
-    );
+    assert!(stop.len() <= LONGEST_STOP, "{} cycles of stopping", stop.len());
     let (_, _, believed) = stop[0];
     for (phase, command, commanded) in rows.iter().skip_while(|row| row.0 != "Stopping") {
         assert_eq!(commanded, believed, "{named}: {phase}, {command}");
@@ -205,12 +188,7 @@ fn an_unprivileged_user_goes_on_after_a_run_and_an_emulator_were_killed() {
     let cell = directory.cell("irb6-serial", cell_of);
     let ttys = directory.path("ttys");
     let emulate = || {
-        let arguments = [
-            "emulate".as_ref(),
-            cell.as_os_str(),
-            "--serial".as_ref(),
-            ttys.as_os_str(),
-        ];
+        let arguments = ["emulate".as_ref(), cell.as_os_str(), "--serial".as_ref(), ttys.as_os_str()];
         emulated(Running::unprivileged(&directory, arguments), &ttys)
     };
     // Runs until the drives are up, so that all lines are open.

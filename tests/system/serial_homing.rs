@@ -24,11 +24,7 @@ fn rig(cell: &str, start: f64) -> Rig {
     }
     setup
         .with_plant(move |axis, plant| {
-            plant.home_switch = Some(Switch {
-                from: homes[axis] - 20.0,
-                to: homes[axis] - 2.0,
-                bounce: 5,
-            });
+            plant.home_switch = Some(Switch { from: homes[axis] - 20.0, to: homes[axis] - 2.0, bounce: 5 });
         })
         .bring_up()
 }
@@ -50,10 +46,7 @@ fn every_axis_finds_its_reference_from_any_start() {
             }
             for axis in 0..rig.scales.len() {
                 let error = (rig.last.axis[axis].measured - rig.angle(axis)) / COUNT;
-                assert!(
-                    error.abs() <= 1.0,
-                    "{cell}, axis {axis} from {start}: off by {error:.2} counts"
-                );
+                assert!(error.abs() <= 1.0, "{cell}, axis {axis} from {start}: off by {error:.2} counts");
             }
         }
     }
@@ -77,21 +70,14 @@ fn an_axis_that_runs_onto_its_limit_switch_goes_no_further() {
             while rig.phase() == Phase::Homing {
                 rig.cycle();
                 let angle = rig.angle(0);
-                assert!(
-                    angle > low - 1.0,
-                    "{cell}, axis {axis}: {:.2} rad",
-                    angle - low
-                );
+                assert!(angle > low - 1.0, "{cell}, axis {axis}: {:.2} rad", angle - low);
             }
             for _ in 0..100 {
                 rig.cycle();
             }
             let error = (rig.last.axis[0].measured - rig.angle(0)) / COUNT;
             match rig.servo.fault(0) {
-                None => assert!(
-                    error.abs() <= 1.0,
-                    "{cell}, axis {axis}: off by {error:.2} counts"
-                ),
+                None => assert!(error.abs() <= 1.0, "{cell}, axis {axis}: off by {error:.2} counts"),
                 Some(fault) => {
                     println!("{cell}, axis {axis}: {}", fault.cause);
                     assert_eq!(fault.axis, Some(0), "{cell}, axis {axis}");

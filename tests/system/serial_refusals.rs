@@ -12,12 +12,7 @@ use crate::cli_refusals::refused;
 use crate::mrroc::{Directory, mrroc, text};
 
 /// A name, a text in the cell, the replacement of the text, and the required parts of the refusal.
-type Case = (
-    &'static str,
-    &'static str,
-    &'static str,
-    &'static [&'static str],
-);
+type Case = (&'static str, &'static str, &'static str, &'static [&'static str]);
 
 /// Cells with internal errors, and cells that do not match their drives.
 const CELLS: &[Case] = &[
@@ -37,10 +32,7 @@ const CELLS: &[Case] = &[
         "a limit that no current reaches",
         "limit = 2.1",
         "limit = 2.7",
-        &[
-            "loop.law.cascade.limit: is 2.7",
-            "max_current * torque_constant at the most",
-        ],
+        &["loop.law.cascade.limit: is 2.7", "max_current * torque_constant at the most"],
     ),
     (
         "more than the full pulse width",
@@ -54,12 +46,7 @@ const CELLS: &[Case] = &[
         "homing = { method = 37, order",
         &["axis[0].homing.method: ", "homed by the host"],
     ),
-    (
-        "two axes on one line",
-        "/dev/ttyMI9",
-        "/dev/ttyMI8",
-        &["axis[1].controller: line \"/dev/ttyMI8\" is used twice"],
-    ),
+    ("two axes on one line", "/dev/ttyMI9", "/dev/ttyMI8", &["axis[1].controller: line \"/dev/ttyMI8\" is used twice"]),
     (
         "a slow line",
         "protocol = \"nfv2\"",
@@ -76,31 +63,19 @@ const CELLS: &[Case] = &[
         "nobody there",
         "node = 2",
         "node = 2\nemulator = { absent = true }",
-        &[
-            "bus arm, axis upper-arm: ",
-            "no answer",
-            "cabinet is on",
-            "cable",
-            "baud rate",
-        ],
+        &["bus arm, axis upper-arm: ", "no answer", "cabinet is on", "cable", "baud rate"],
     ),
     (
         "another protocol",
         "node = 2",
         "node = 2\nemulator = { protocol = \"hi-moxa\" }",
-        &[
-            "bus arm, axis upper-arm: ",
-            "speaks HiMoxa, the cell says Nfv2",
-        ],
+        &["bus arm, axis upper-arm: ", "speaks HiMoxa, the cell says Nfv2"],
     ),
     (
         "another axis",
         "node = 2",
         "node = 2\nemulator = { address = 3 }",
-        &[
-            "bus arm, axis upper-arm: ",
-            "answers as address 3, the cell says 2",
-        ],
+        &["bus arm, axis upper-arm: ", "answers as address 3, the cell says 2"],
     ),
 ];
 
@@ -133,11 +108,7 @@ fn an_adapter_with_a_latency_of_eight_periods_is_named() {
     for name in crate::mrroc::SERIAL_CELLS {
         let directory = Directory::new();
         let cell = directory.cell(name, |cell| cell.serial[0].emulated_latency_ms = Some(16));
-        let run = mrroc([
-            "run".as_ref(),
-            cell.as_os_str(),
-            "--bench=lockstep".as_ref(),
-        ]);
+        let run = mrroc(["run".as_ref(), cell.as_os_str(), "--bench=lockstep".as_ref()]);
         assert_ne!(run.status.code(), Some(0), "{run:?}");
         let said = format!("{}{}", run.stdout, run.stderr);
         assert!(said.contains("latency timer"), "{said}");
@@ -148,33 +119,17 @@ fn an_adapter_with_a_latency_of_eight_periods_is_named() {
 fn a_line_that_cannot_be_used_is_refused_by_its_axis() {
     let directory = Directory::new();
     let cell = directory.write("cell.toml", &text("irb6-serial"));
-    let axes = [
-        "column",
-        "lower-arm",
-        "upper-arm",
-        "wrist-pitch",
-        "wrist-roll",
-    ];
+    let axes = ["column", "lower-arm", "upper-arm", "wrist-pitch", "wrist-roll"];
     let ptys: Vec<Pty> = axes.iter().map(|_| Pty::open().unwrap()).collect();
     let ttys = directory.path("ttys");
     fs::create_dir(&ttys).unwrap();
     for (axis, pty) in axes.iter().zip(&ptys) {
         symlink(pty.path(), ttys.join(axis)).unwrap();
     }
-    let run = |bench: &str| {
-        mrroc([
-            "run".as_ref(),
-            cell.as_os_str(),
-            bench.as_ref(),
-            "--serial".as_ref(),
-            ttys.as_os_str(),
-        ])
-    };
+    let run =
+        |bench: &str| mrroc(["run".as_ref(), cell.as_os_str(), bench.as_ref(), "--serial".as_ref(), ttys.as_os_str()]);
     // No emulator serves the other ends.
-    refused(
-        &run("--bench=card"),
-        &["bus arm, axis column: ", "no answer", "baud rate"],
-    );
+    refused(&run("--bench=card"), &["bus arm, axis column: ", "no answer", "baud rate"]);
     // Root may open a tty that another process uses exclusively.
     let held = Tty::open(ttys.join("column"), Settings::AXIS_CONTROLLER).unwrap();
     let busy = run("--bench=card");
@@ -183,15 +138,9 @@ fn a_line_that_cannot_be_used_is_refused_by_its_axis() {
     }
     drop(held);
     fs::remove_file(ttys.join("lower-arm")).unwrap();
-    refused(
-        &run("--bench=card"),
-        &["axis lower-arm: ", "no such device"],
-    );
+    refused(&run("--bench=card"), &["axis lower-arm: ", "no such device"]);
     fs::write(ttys.join("lower-arm"), "no tty").unwrap();
     refused(&run("--bench=card"), &["axis lower-arm: ", "not a tty"]);
     // On a bench of pseudo-terminals, a real tty is refused before it is opened.
-    refused(
-        &run("--bench=vcan"),
-        &["lower-arm may be hardware", "--bench card"],
-    );
+    refused(&run("--bench=vcan"), &["lower-arm may be hardware", "--bench card"]);
 }

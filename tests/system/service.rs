@@ -25,12 +25,7 @@ fn on_stage(test: &str, body: impl FnOnce(&Stage)) {
         let directory = Directory::new();
         let cell = directory.cell("irb6", |_| {}).display().to_string();
         let emulators = Running::start(["emulate", &cell, "--can", interface]);
-        let stage = Stage {
-            interface,
-            cell,
-            _directory: directory,
-            _emulators: emulators,
-        };
+        let stage = Stage { interface, cell, _directory: directory, _emulators: emulators };
         let listening = clock::now() + PATIENCE;
         while !stage.run("sdo read 1 0x1000").status.success() {
             assert!(clock::now() < listening, "the emulators do not listen");
@@ -61,10 +56,7 @@ impl Stage<'_> {
         assert_eq!(output.stdout, "", "{words}: {output:?}");
         assert_eq!(output.stderr.lines().count(), 1, "{words}: {output:?}");
         for needle in needles {
-            assert!(
-                output.stderr.contains(needle),
-                "{words}: {needle:?} is not in {output:?}"
-            );
+            assert!(output.stderr.contains(needle), "{words}: {needle:?} is not in {output:?}");
         }
     }
 }
@@ -74,10 +66,7 @@ fn a_bus_is_looked_at_asked_and_told() {
     on_stage("service::a_bus_is_looked_at_asked_and_told", |stage| {
         let found = stage.says(&format!("scan --cell {}", stage.cell));
         assert_eq!(found.lines().count(), 5, "{found}");
-        assert!(
-            found.starts_with("node 1 (column): CiA 402, servo drive, "),
-            "{found}"
-        );
+        assert!(found.starts_with("node 1 (column): CiA 402, servo drive, "), "{found}");
         assert!(found.contains(", maxon, product 0x"), "{found}");
         let scanned = stage.run("scan --json").json();
         assert_eq!(scanned["nodes"][4]["node"], 5, "{scanned}");
@@ -87,42 +76,24 @@ fn a_bus_is_looked_at_asked_and_told() {
         assert!(said.starts_with("0x6041:00 statusword = 0x"), "{said}");
         assert!(said.contains("(switch on disabled"), "{said}");
         let read = stage.run("sdo read 1 1018:1 --json").json();
-        assert_eq!(
-            (&read["value"], &read["name"]),
-            (&0xFB.into(), &"vendor-ID".into())
-        );
+        assert_eq!((&read["value"], &read["name"]), (&0xFB.into(), &"vendor-ID".into()));
         let wrote = stage.says("sdo write 1 0x1017:0 --type u16 150");
         assert_eq!(wrote, "0x1017:00 heartbeat producer time = 0x0096, 150\n");
-        assert_eq!(
-            stage.says("sdo write 1 0x607a --type i32 -5 --no-read-back"),
-            ""
-        );
+        assert_eq!(stage.says("sdo write 1 0x607a --type i32 -5 --no-read-back"), "");
 
         stage.refused("sdo write 1 0x6041 --type u16 0", &["node 1", "read-only"]);
-        stage.refused(
-            "sdo read 1 0x5fff",
-            &["object does not exist", "wrong index"],
-        );
+        stage.refused("sdo read 1 0x5fff", &["object does not exist", "wrong index"]);
         stage.refused("sdo write 1 0x1017 --type u32 1", &["0x1017:00", "--type"]);
-        stage.refused(
-            "sdo write 1 0x1017 --type u16 65536",
-            &["u16", "0 to 65535"],
-        );
+        stage.refused("sdo write 1 0x1017 --type u16 65536", &["u16", "0 to 65535"]);
         // Other frames arrive: the heartbeat of node 1.
         let silence = "sdo read 99 0x1000 --timeout 200";
         stage.refused(silence, &["node 99", "timed out", "its bit rate is right"]);
 
         assert_eq!(stage.says("nmt start 1"), "node 1: operational\n");
-        assert_eq!(
-            stage.says("nmt pre-operational 1"),
-            "node 1: pre-operational\n"
-        );
+        assert_eq!(stage.says("nmt pre-operational 1"), "node 1: pre-operational\n");
         assert_eq!(stage.says("nmt reset-node 1"), "node 1: booted\n");
         let all = stage.says("nmt reset-communication all");
-        assert_eq!(
-            all,
-            "node 1: booted\nnode 2: booted\nnode 3: booted\nnode 4: booted\nnode 5: booted\n"
-        );
+        assert_eq!(all, "node 1: booted\nnode 2: booted\nnode 3: booted\nnode 4: booted\nnode 5: booted\n");
         let absent = stage.run("nmt reset-node 99 --timeout 300");
         assert_eq!(absent.status.code(), Some(1), "{absent:?}");
         assert_eq!(absent.stdout, "node 99: told, and did not boot\n");
@@ -141,10 +112,7 @@ fn a_monitor_shows_what_passes_and_ends_when_it_is_told_or_nobody_reads() {
             assert!(line.contains("702#7F"), "{shown}");
             assert!(line.ends_with("node 2: pre-operational"), "{shown}");
         }
-        let shown = stage.says(&format!(
-            "monitor --map --cell {} --json --count 1",
-            stage.cell
-        ));
+        let shown = stage.says(&format!("monitor --map --cell {} --json --count 1", stage.cell));
         let line: serde_json::Value = serde_json::from_str(&shown).unwrap();
         assert_eq!(line["kind"], "heartbeat", "{shown}");
 
@@ -175,10 +143,7 @@ fn an_interface_that_is_not_there_is_refused_in_one_line() {
         (&["scan", "--can", "nosuch0"], "nosuch0"),
         (&["monitor", "--can", "nosuch0"], "nosuch0"),
         (&["nmt", "stop", "all", "--can", "nosuch0"], "nosuch0"),
-        (
-            &["sdo", "read", "1", "0x1000", "--can", "a/b"],
-            "interface name",
-        ),
+        (&["sdo", "read", "1", "0x1000", "--can", "a/b"], "interface name"),
     ];
     for (words, needle) in cases {
         let output = mrroc(words);

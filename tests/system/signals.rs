@@ -11,8 +11,8 @@ use crate::mrroc::{Directory, Running, example, shorten};
 /// Signals that end or suspend a process by default. Not included: INT and TERM, which `cli_run` sends, and the signals
 /// that `mrroc/src/signals.rs` ignores.
 const ENDING: [&str; 19] = [
-    "HUP", "QUIT", "TRAP", "ABRT", "USR2", "ALRM", "16", "XCPU", "XFSZ", "VTALRM", "PROF", "29",
-    "PWR", "SYS", "TSTP", "34", "35", "63", "64",
+    "HUP", "QUIT", "TRAP", "ABRT", "USR2", "ALRM", "16", "XCPU", "XFSZ", "VTALRM", "PROF", "29", "PWR", "SYS", "TSTP",
+    "34", "35", "63", "64",
 ];
 
 #[test]
@@ -32,13 +32,8 @@ fn a_run_in_the_background_is_not_suspended_by_its_terminal() {
     let directory = Directory::new();
     let cell = directory.cell("irb6", shorten);
     let record = directory.path("axes.csv");
-    let run = Running::start([
-        "run".as_ref(),
-        cell.as_os_str(),
-        "--json".as_ref(),
-        "--record".as_ref(),
-        record.as_os_str(),
-    ]);
+    let run =
+        Running::start(["run".as_ref(), cell.as_os_str(), "--json".as_ref(), "--record".as_ref(), record.as_os_str()]);
     let lines = |text: &str| text.lines().count();
     run.wait_for(&record, |text| lines(text) > 200);
     for signal in ["TTOU", "TTIN", "PIPE"] {
@@ -100,13 +95,7 @@ fn the_third_request_ends_an_emulated_run_whose_report_nobody_reads() {
     full.write_all(&[b'x'; 65536]).unwrap();
     let run = Running::with_stdout(
         full,
-        [
-            "run".as_ref(),
-            cell.as_os_str(),
-            "--json".as_ref(),
-            "--record".as_ref(),
-            record.as_os_str(),
-        ],
+        ["run".as_ref(), cell.as_os_str(), "--json".as_ref(), "--record".as_ref(), record.as_os_str()],
     );
     run.wait_until_stalled(&record, |text| {
         let last = text.lines().last();

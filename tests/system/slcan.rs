@@ -34,11 +34,7 @@ impl Adapters {
         let unplugged = Arc::new(AtomicBool::new(false));
         let (flag, nodes) = (unplugged.clone(), nodes.to_vec());
         let thread = thread::spawn(move || serve(ptys, &nodes, &flag));
-        Self {
-            interfaces,
-            unplugged,
-            thread: Some(thread),
-        }
+        Self { interfaces, unplugged, thread: Some(thread) }
     }
 
     fn run(&self, words: &str) -> Output {
@@ -72,17 +68,11 @@ fn serve(mut ptys: Vec<Pty>, nodes: &[u8], unplugged: &AtomicBool) -> Vec<SlcanC
     let power_on = clock::now();
     for &raw in nodes {
         let node = NodeId::new(raw).unwrap();
-        let config = Epos4Config {
-            power_on,
-            ..Epos4Config::new(node, AxisConfig::irp6(Irp6Axis::ALL[0]))
-        };
+        let config = Epos4Config { power_on, ..Epos4Config::new(node, AxisConfig::irp6(Irp6Axis::ALL[0])) };
         world.add_device(bus, Box::new(Epos4::new(config)));
     }
     let adapter = || Box::new(SlcanDevice::new(Bitrate::KBPS_1000));
-    let adapters: Vec<_> = ptys
-        .iter()
-        .map(|_| world.add_device(bus, adapter()))
-        .collect();
+    let adapters: Vec<_> = ptys.iter().map(|_| world.add_device(bus, adapter())).collect();
     let mut bytes = [0; 4096];
     while !unplugged.load(Ordering::Relaxed) {
         let now = clock::now();
@@ -117,25 +107,13 @@ fn service_commands_reach_drives_behind_an_adapter() {
     let wrote = adapter.says("sdo write 7 0x1017 --type u16 50");
     assert_eq!(wrote, "0x1017:00 heartbeat producer time = 0x0032, 50\n");
     // Segmented transfer.
-    assert!(
-        adapter
-            .says("sdo read 3 0x1008 --type string")
-            .contains('"')
-    );
+    assert!(adapter.says("sdo read 3 0x1008 --type string").contains('"'));
     assert_eq!(adapter.says("nmt start 7"), "node 7: operational\n");
     let shown = adapter.says("monitor --count 2 --only heartbeat");
-    assert!(
-        shown
-            .lines()
-            .all(|line| line.ends_with("node 7: operational")),
-        "{shown}"
-    );
+    assert!(shown.lines().all(|line| line.ends_with("node 7: operational")), "{shown}");
     let silent = adapter.run("sdo read 9 0x1000 --timeout 100");
     assert_eq!(silent.status.code(), Some(2), "{silent:?}");
-    assert!(
-        silent.stderr.contains("its bit rate is right"),
-        "{silent:?}"
-    );
+    assert!(silent.stderr.contains("its bit rate is right"), "{silent:?}");
 }
 
 #[test]
@@ -145,10 +123,7 @@ fn a_data_sheet_names_types_and_refuses_before_anything_is_sent() {
     let cell = mrroc::example("irb6").display().to_string();
     let sheet = mrroc(["eds", &cell, "column"]);
     assert_eq!(sheet.status.code(), Some(0), "{sheet:?}");
-    let sheet = directory
-        .write("drive.eds", &sheet.stdout)
-        .display()
-        .to_string();
+    let sheet = directory.write("drive.eds", &sheet.stdout).display().to_string();
     let with_sheet = |words: &str| adapter.run(&format!("{words} --eds {sheet}"));
 
     // The type is not given.
@@ -173,16 +148,10 @@ fn a_bit_rate_that_is_not_the_buss_is_silence_and_one_that_slcan_lacks_is_refuse
     let adapter = Adapters::with(1, &[3]);
     let wrong = adapter.run("scan --bitrate-kbps 500");
     assert_eq!(wrong.status.code(), Some(2), "{wrong:?}");
-    assert!(
-        wrong.stderr.to_lowercase().contains("wrong bit rate"),
-        "{wrong:?}"
-    );
+    assert!(wrong.stderr.to_lowercase().contains("wrong bit rate"), "{wrong:?}");
     let lacking = adapter.run("scan --bitrate-kbps 40");
     assert_eq!(lacking.status.code(), Some(2), "{lacking:?}");
-    assert!(
-        lacking.stderr.contains("slcan has no 40 kbit/s"),
-        "{lacking:?}"
-    );
+    assert!(lacking.stderr.contains("slcan has no 40 kbit/s"), "{lacking:?}");
     // The adapter works again at the correct bit rate.
     assert!(adapter.says("scan").starts_with("node 3: "));
 }
@@ -222,10 +191,7 @@ fn a_broken_off_layer_setting_service_sends_all_slaves_back_to_waiting_mode() {
     let heard = monitor.output().stdout;
     let mode = |line: &&str| line.contains("7E5#04");
     assert_eq!(heard.lines().filter(mode).count(), 2, "{heard}");
-    assert!(
-        heard.lines().next_back().is_some_and(|line| mode(&line)),
-        "{heard}"
-    );
+    assert!(heard.lines().next_back().is_some_and(|line| mode(&line)), "{heard}");
 }
 
 #[test]
@@ -239,10 +205,7 @@ fn an_adapter_that_is_unplugged_ends_a_monitor() {
     let ended = monitor.output();
     assert_eq!(ended.status.code(), Some(2), "{ended:?}");
     assert!(ended.stderr.contains("removed"), "{ended:?}");
-    assert!(
-        ended.stdout.contains("node 3: pre-operational"),
-        "{ended:?}"
-    );
+    assert!(ended.stdout.contains("node 3: pre-operational"), "{ended:?}");
 }
 
 #[test]
@@ -269,18 +232,13 @@ fn an_arm_runs_over_one_adapter_with_its_drives_emulated_behind_another() {
     let cell = cell.display().to_string();
     let emulators = Running::start(["emulate", &cell, "--can", there]);
     let trace = directory.path("trace.log").display().to_string();
-    let run = [
-        "run", &cell, "--bench", "card", "--can", here, "--json", "--trace", &trace,
-    ];
+    let run = ["run", &cell, "--bench", "card", "--can", here, "--json", "--trace", &trace];
     let run = mrroc(run);
     assert_eq!(run.status.code(), Some(0), "{run:?}");
     let report = run.json();
     assert_eq!(report["outcome"], "completed", "{report}");
     let wire = &report["wire"][0];
-    assert!(
-        wire["source"].is_null() && wire["sync_to_sync_us"].is_null(),
-        "{wire}"
-    );
+    assert!(wire["source"].is_null() && wire["sync_to_sync_us"].is_null(), "{wire}");
     assert!(mrroc::enables(&mrroc::trace(&directory.path("trace.log"))) > 100);
     emulators.signal("INT");
     assert_eq!(emulators.output().status.code(), Some(0));
@@ -290,10 +248,7 @@ fn an_arm_runs_over_one_adapter_with_its_drives_emulated_behind_another() {
     };
     // Closing an adapter loses the frames that are on the bus: at most the frames of one cycle.
     for (sent, received) in [(here.sent, there.received), (there.sent, here.received)] {
-        assert!(
-            (received..received + 8).contains(&sent),
-            "{sent} {received}"
-        );
+        assert!((received..received + 8).contains(&sent), "{sent} {received}");
     }
     for counts in [here, there] {
         assert_eq!((counts.refused, counts.lost, counts.unsaid), (0, 0, 0));

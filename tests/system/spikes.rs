@@ -23,9 +23,7 @@ fn processes(file: &Path) -> Vec<String> {
     let named = |name: &'static str| events.iter().filter(move |event| event["name"] == name);
     for process in named("process_name").map(|event| &event["pid"]) {
         let of = |category: &'static str| {
-            events
-                .iter()
-                .filter(move |event| event["pid"] == *process && event["cat"] == category)
+            events.iter().filter(move |event| event["pid"] == *process && event["cat"] == category)
         };
         let mut phases = of("phase");
         let (mut number, mut end) = (None, None);
@@ -47,9 +45,7 @@ fn processes(file: &Path) -> Vec<String> {
         assert!(number.is_some() && phases.next().is_none(), "{process}");
         assert!(of("deadline").count() >= of("cycle").count(), "{process}");
     }
-    named("process_name")
-        .map(|event| event["args"]["name"].as_str().expect("a name").to_owned())
-        .collect()
+    named("process_name").map(|event| event["args"]["name"].as_str().expect("a name").to_owned()).collect()
 }
 
 /// SIGSTOP delays a cycle by a large amount.
@@ -135,14 +131,7 @@ fn a_measurement_shows_its_late_wake_ups() {
     let cell = example("irb6");
     let cell = ["--cell".as_ref(), cell.as_os_str()];
     for more in [&[][..], &cell] {
-        let words = [
-            "jitter",
-            "--duration=1s",
-            "--wait=plain",
-            "--json",
-            "--force",
-            "--spikes",
-        ];
+        let words = ["jitter", "--duration=1s", "--wait=plain", "--json", "--force", "--spikes"];
         let words = words.iter().map(AsRef::as_ref);
         let words = words.chain([file.as_os_str()]).chain(more.iter().copied());
         let output = mrroc(words);

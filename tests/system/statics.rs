@@ -9,19 +9,11 @@ use hil::plant::{Irp6Axis, Mechanism, MechanismConfig, PlantAxis};
 /// Joint positions in the middle of their ranges, different for each `number`. All are within the range of every
 /// mechanism.
 fn joints(robot: &dyn Robot, number: u32) -> Joints {
-    let shares = robot
-        .joint_limits()
-        .iter()
-        .enumerate()
-        .map(|(axis, limits)| {
-            let share = 0.5 + 0.4 * (f64::from(number) * (1.3 + axis as f64)).sin();
-            let (low, high) = if limits.is_continuous() {
-                (-7.0, 7.0)
-            } else {
-                (limits.low, limits.high)
-            };
-            low + share * (high - low)
-        });
+    let shares = robot.joint_limits().iter().enumerate().map(|(axis, limits)| {
+        let share = 0.5 + 0.4 * (f64::from(number) * (1.3 + axis as f64)).sin();
+        let (low, high) = if limits.is_continuous() { (-7.0, 7.0) } else { (limits.low, limits.high) };
+        low + share * (high - low)
+    });
     Joints::new(&shares.collect::<Vec<_>>()).unwrap()
 }
 
@@ -33,10 +25,7 @@ fn posed(config: MechanismConfig, motors: &[f64], zero: &Motors) -> Mechanism {
     for step in 1..=STEPS {
         let share = f64::from(step) / f64::from(STEPS);
         for (number, (&angle, &zero)) in motors.iter().zip(zero.iter()).enumerate() {
-            let axis = AxisConfig {
-                start_angle: zero + share * (angle - zero),
-                ..AxisConfig::wut(Irp6Axis::Column)
-            };
+            let axis = AxisConfig { start_angle: zero + share * (angle - zero), ..AxisConfig::wut(Irp6Axis::Column) };
             let mount = mechanism.mount(number, zero).unwrap();
             PlantAxis::mounted(&axis, 1, Some(&mount));
         }
@@ -46,34 +35,19 @@ fn posed(config: MechanismConfig, motors: &[f64], zero: &Motors) -> Mechanism {
 
 #[test]
 fn links_weigh_on_motors_what_they_weigh_in_the_emulators() {
-    let coupled = PolycrankParameters {
-        coupled: true,
-        ..PolycrankParameters::polycrank()
-    };
-    let rnt = MechanismConfig::Rnt {
-        home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3],
-    };
-    let cranks = |coupled| MechanismConfig::Polycrank {
-        coupled,
-        at_home: [0.0; 7],
-    };
+    let coupled = PolycrankParameters { coupled: true, ..PolycrankParameters::polycrank() };
+    let rnt = MechanismConfig::Rnt { home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3] };
+    let cranks = |coupled| MechanismConfig::Polycrank { coupled, at_home: [0.0; 7] };
     let cases = [
         (Model::Irb6, None, MechanismConfig::Irb6),
         (Model::Irp6, None, MechanismConfig::Irp6),
         (Model::Irp6Track, None, MechanismConfig::Irp6OnTrack),
         (Model::Rnt, None, rnt),
         (Model::Polycrank, None, cranks(false)),
-        (
-            Model::Polycrank,
-            Some(Parameters::Polycrank(coupled)),
-            cranks(true),
-        ),
+        (Model::Polycrank, Some(Parameters::Polycrank(coupled)), cranks(true)),
     ];
     for (model, parameters, config) in cases {
-        let robot = parameters
-            .unwrap_or(model.parameters())
-            .kinematics()
-            .unwrap();
+        let robot = parameters.unwrap_or(model.parameters()).kinematics().unwrap();
         let zero = match config {
             MechanismConfig::Polycrank { .. } => {
                 let zero = Joints::new(&[0.0; 7]).unwrap();
@@ -81,10 +55,7 @@ fn links_weigh_on_motors_what_they_weigh_in_the_emulators() {
             }
             _ => robot.home(),
         };
-        let load = Mass {
-            mass: 3.0,
-            centre: [0.02, -0.03, 0.1],
-        };
+        let load = Mass { mass: 3.0, centre: [0.02, -0.03, 0.1] };
         // The emulated flange of the RNT is 100 mm beyond the centre of the wrist. The robot's own flange is at the
         // centre.
         let mut carried = load.centre;

@@ -30,9 +30,7 @@ impl Scratch {
 
     pub(crate) fn names(&self) -> Vec<String> {
         let entries = fs::read_dir(&self.0).unwrap();
-        entries
-            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-            .collect()
+        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
     }
 }
 
@@ -45,11 +43,8 @@ impl Drop for Scratch {
 /// Number of processes with `word` on their command line.
 pub(crate) fn processes_of(word: &str) -> usize {
     let processes = fs::read_dir("/proc").unwrap().flatten();
-    let command_lines =
-        processes.filter_map(|process| fs::read(process.path().join("cmdline")).ok());
-    command_lines
-        .filter(|line| String::from_utf8_lossy(line).contains(word))
-        .count()
+    let command_lines = processes.filter_map(|process| fs::read(process.path().join("cmdline")).ok());
+    command_lines.filter(|line| String::from_utf8_lossy(line).contains(word)).count()
 }
 
 #[test]
@@ -64,10 +59,7 @@ fn the_command_gets_its_surroundings_and_its_status_and_output_come_out() {
     };
     let mut output = Vec::new();
     assert_eq!(run(&options, &mut output), Ok(7));
-    assert_eq!(
-        String::from_utf8(output).unwrap(),
-        "/usr\nit's $HOME\n1\nend"
-    );
+    assert_eq!(String::from_utf8(output).unwrap(), "/usr\nit's $HOME\n1\nend");
 }
 
 #[test]
@@ -82,17 +74,9 @@ fn only_the_output_directory_can_be_written_to() {
          touch /tmp/lost /run/lost /dev/lost",
         home.display()
     );
-    let options = Options {
-        output: Some(scratch.0.clone()),
-        ..shell(&script)
-    };
+    let options = Options { output: Some(scratch.0.clone()), ..shell(&script) };
     let mut output = Vec::new();
-    assert_eq!(
-        run(&options, &mut output),
-        Ok(0),
-        "{}",
-        String::from_utf8_lossy(&output)
-    );
+    assert_eq!(run(&options, &mut output), Ok(0), "{}", String::from_utf8_lossy(&output));
     assert_eq!(scratch.names(), ["kept"]);
     for place in ["/", "/usr", "/tmp", "/run", "/dev"] {
         assert!(!Path::new(place).join("lost").exists());
@@ -116,18 +100,12 @@ fn a_machine_out_of_time_is_killed_with_all_its_processes() {
             ..shell("echo begun; sleep 1000 & sleep 1000")
         };
         let mut output = Vec::new();
-        assert_eq!(
-            run(&options, &mut output),
-            Err(MachineError::TimedOut(timeout).into())
-        );
+        assert_eq!(run(&options, &mut output), Err(MachineError::TimedOut(timeout).into()));
         assert_eq!(processes_of("mem=259M"), 0);
         String::from_utf8(output).unwrap()
     };
     // On a busy host the boot alone takes longer than the first limits.
-    let begun = [8, 20, 60]
-        .into_iter()
-        .map(timed_out)
-        .find(|output| !output.is_empty());
+    let begun = [8, 20, 60].into_iter().map(timed_out).find(|output| !output.is_empty());
     assert_eq!(begun.as_deref(), Some("begun\n"));
     assert!(scratch.names().is_empty());
 }
@@ -168,8 +146,7 @@ fn the_command_of_the_readme_runs_where_it_is_called() {
     }
     let scratch = Scratch::new("vm");
     fs::write(scratch.0.join("here"), "").unwrap();
-    let script =
-        "test -e here && mrroc --version && ip link show vcan0 >\"$MRROC_OUT/link\"; exit 7";
+    let script = "test -e here && mrroc --version && ip link show vcan0 >\"$MRROC_OUT/link\"; exit 7";
     let vm = Command::new(mrroc::binary())
         .args(["vm", "uml", "--out", "out", "--", "sh", "-c", script])
         .current_dir(&scratch.0)

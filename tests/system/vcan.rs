@@ -46,11 +46,7 @@ pub(crate) fn on_stage(test: &str, body: impl FnOnce(&mut Stage)) {
     let _turn = turn();
     on_vcan(test, |interface| {
         let directory = Directory::new();
-        let mut stage = Stage {
-            interface,
-            cell: Cell::parse(&mrroc::text("irb6")).unwrap(),
-            directory,
-        };
+        let mut stage = Stage { interface, cell: Cell::parse(&mrroc::text("irb6")).unwrap(), directory };
         stage.change(shorten);
         body(&mut stage);
     });
@@ -129,9 +125,7 @@ impl Stage<'_> {
         let emulators = self.start_emulators();
         let controller = self.start_controller();
         let moving = 20 * self.cell.robot[0].axis.len();
-        controller.wait_for(&self.directory.path("states.csv"), |states| {
-            states.matches(",Moving,").count() > moving
-        });
+        controller.wait_for(&self.directory.path("states.csv"), |states| states.matches(",Moving,").count() > moving);
         (emulators, controller)
     }
 
@@ -182,13 +176,8 @@ pub(crate) fn frames_of(path: &Path) -> Vec<Received> {
     if whole.starts_with("The socket") {
         whole.drain(..=whole.find('\n').unwrap_or(0));
     }
-    let entries = whole
-        .lines()
-        .map(|line| Entry::parse(line.as_bytes()).unwrap());
-    let received = entries.map(|entry| Received {
-        frame: entry.frame,
-        at: entry.at,
-    });
+    let entries = whole.lines().map(|line| Entry::parse(line.as_bytes()).unwrap());
+    let received = entries.map(|entry| Received { frame: entry.frame, at: entry.at });
     received.collect()
 }
 
@@ -232,9 +221,7 @@ impl Row {
                 "Off" => AxisCommand::Off,
                 "Stand" => AxisCommand::Stand,
                 "Home" => AxisCommand::Home,
-                "Follow" => {
-                    AxisCommand::Follow(Setpoint::Position(Finite::new(number(5)).unwrap()))
-                }
+                "Follow" => AxisCommand::Follow(Setpoint::Position(Finite::new(number(5)).unwrap())),
                 other => panic!("{other}"),
             },
             state: AxisState {
@@ -296,17 +283,10 @@ fn replays(recording: &Recording, cell: &Cell, states: &str, tolerance: f64) {
     let live = by_identifier(recording.from_host().map(|received| received.frame));
     for (id, live) in &live {
         let replayed = replayed.get(id).map_or(&[][..], Vec::as_slice);
-        let equal = live
-            .iter()
-            .zip(replayed)
-            .take_while(|(a, b)| a == b)
-            .count();
+        let equal = live.iter().zip(replayed).take_while(|(a, b)| a == b).count();
         let rest = |frames: &[String]| frames[equal..].iter().take(8).cloned().collect::<Vec<_>>();
         let (live, replayed) = (rest(live), rest(replayed));
-        assert!(
-            live == replayed,
-            "{id:03X}, frame {equal} and on: {live:?} replayed as {replayed:?}"
-        );
+        assert!(live == replayed, "{id:03X}, frame {equal} and on: {live:?} replayed as {replayed:?}");
     }
 }
 
@@ -324,32 +304,27 @@ fn by_identifier(frames: impl Iterator<Item = Frame>) -> BTreeMap<u16, Vec<Strin
 
 #[test]
 fn a_recorded_run_replays_into_the_same_axis_states() {
-    on_stage(
-        "vcan::a_recorded_run_replays_into_the_same_axis_states",
-        |stage| {
-            stage.change(|cell| cell.robot[0].program.truncate(1));
-            let _candump = stage.start_candump();
-            let _emulators = stage.start_emulators();
-            let output = stage.start_controller().output();
-            let report = output.json();
-            assert_eq!(output.status.code(), Some(0), "{output:?}");
-            assert_eq!(report["outcome"], "completed", "{report}");
-            assert_eq!(report["faults"], serde_json::json!([]), "{report}");
+    on_stage("vcan::a_recorded_run_replays_into_the_same_axis_states", |stage| {
+        stage.change(|cell| cell.robot[0].program.truncate(1));
+        let _candump = stage.start_candump();
+        let _emulators = stage.start_emulators();
+        let output = stage.start_controller().output();
+        let report = output.json();
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        assert_eq!(report["outcome"], "completed", "{report}");
+        assert_eq!(report["faults"], serde_json::json!([]), "{report}");
 
-            let states = fs::read_to_string(stage.directory.path("states.csv")).unwrap();
-            let sent = |name| stage.recording(name).from_host().count();
-            wait_until("candump has written all", || {
-                sent("bus.log") == sent("trace.log")
-            });
-            // candump records the kernel's times of the SYNCs, which include delays of the kernel. The trace records
-            // the times of the run with a resolution of a microsecond.
-            replays(&stage.recording("bus.log"), &stage.cell, &states, f64::MAX);
-            replays(&stage.recording("trace.log"), &stage.cell, &states, 1e-3);
-            // candump, as a separate process, received the same time stamps.
-            let bus = frames_of(&stage.directory.path("bus.log"));
-            wire::agrees(&report["wire"], &stage.cell, &bus);
-        },
-    );
+        let states = fs::read_to_string(stage.directory.path("states.csv")).unwrap();
+        let sent = |name| stage.recording(name).from_host().count();
+        wait_until("candump has written all", || sent("bus.log") == sent("trace.log"));
+        // candump records the kernel's times of the SYNCs, which include delays of the kernel. The trace records
+        // the times of the run with a resolution of a microsecond.
+        replays(&stage.recording("bus.log"), &stage.cell, &states, f64::MAX);
+        replays(&stage.recording("trace.log"), &stage.cell, &states, 1e-3);
+        // candump, as a separate process, received the same time stamps.
+        let bus = frames_of(&stage.directory.path("bus.log"));
+        wire::agrees(&report["wire"], &stage.cell, &bus);
+    });
 }
 
 #[test]
@@ -357,61 +332,47 @@ fn drives_that_vanish_in_motion_are_a_fault() {
     on_stage("vcan::drives_that_vanish_in_motion_are_a_fault", |stage| {
         let (emulators, controller) = stage.start_moving();
         emulators.signal("KILL");
-        faulted(
-            &controller.output(),
-            &["no answer for 51 cycles", "no heartbeat"],
-        );
+        faulted(&controller.output(), &["no answer for 51 cycles", "no heartbeat"]);
     });
 }
 
 #[test]
 fn an_interface_that_goes_down_in_motion_is_a_fault() {
-    on_stage(
-        "vcan::an_interface_that_goes_down_in_motion_is_a_fault",
-        |stage| {
-            let (_emulators, controller) = stage.start_moving();
-            let down = ["link", "set", stage.interface, "down"];
-            assert!(Command::new("ip").args(down).status().unwrap().success());
-            let output = controller.output();
-            let up = ["link", "set", stage.interface, "up"];
-            assert!(Command::new("ip").args(up).status().unwrap().success());
-            faulted(&output, &["bus arm: interface is down"]);
-        },
-    );
+    on_stage("vcan::an_interface_that_goes_down_in_motion_is_a_fault", |stage| {
+        let (_emulators, controller) = stage.start_moving();
+        let down = ["link", "set", stage.interface, "down"];
+        assert!(Command::new("ip").args(down).status().unwrap().success());
+        let output = controller.output();
+        let up = ["link", "set", stage.interface, "up"];
+        assert!(Command::new("ip").args(up).status().unwrap().success());
+        faulted(&output, &["bus arm: interface is down"]);
+    });
 }
 
 #[test]
 fn drives_brake_by_themselves_when_the_controller_vanishes() {
-    on_stage(
-        "vcan::drives_brake_by_themselves_when_the_controller_vanishes",
-        |stage| {
-            stage.change(|cell| cell.bus[0].heartbeat_ms = 300);
-            let _candump = stage.start_candump();
-            let (_emulators, controller) = stage.start_moving();
-            controller.signal("KILL");
-            let host = NodeId::new(stage.cell.bus[0].host_node).unwrap();
-            let said = || frames_of(&stage.directory.path("bus.log"));
-            wait_until("every drive has told how it stands", || {
-                ask_how_it_stands(stage.interface, &stage.cell, stage.heartbeat());
-                let frames = said();
-                let mut axes = stage.cell.robot[0].axis.iter();
-                axes.all(|axis| {
-                    lost(&frames, host, axis).is_some_and(|lost| lost.told(&frames, axis))
-                })
-            });
-            stopped(&said(), &stage.cell);
-        },
-    );
+    on_stage("vcan::drives_brake_by_themselves_when_the_controller_vanishes", |stage| {
+        stage.change(|cell| cell.bus[0].heartbeat_ms = 300);
+        let _candump = stage.start_candump();
+        let (_emulators, controller) = stage.start_moving();
+        controller.signal("KILL");
+        let host = NodeId::new(stage.cell.bus[0].host_node).unwrap();
+        let said = || frames_of(&stage.directory.path("bus.log"));
+        wait_until("every drive has told how it stands", || {
+            ask_how_it_stands(stage.interface, &stage.cell, stage.heartbeat());
+            let frames = said();
+            let mut axes = stage.cell.robot[0].axis.iter();
+            axes.all(|axis| lost(&frames, host, axis).is_some_and(|lost| lost.told(&frames, axis)))
+        });
+        stopped(&said(), &stage.cell);
+    });
 }
 
 /// Values of `object` that `node` reported after `after`.
 fn uploaded(frames: &[Received], node: NodeId, object: Object, after: Instant) -> Vec<i32> {
     let later = frames.iter().filter(|received| received.at > after);
     let value = |received: &Received| match Response::decode(&received.frame, node)? {
-        Response::InitiateUpload {
-            object: found,
-            initiate: Initiate::Expedited(data),
-        } if found == object => {
+        Response::InitiateUpload { object: found, initiate: Initiate::Expedited(data) } if found == object => {
             let mut bytes = [0; 4];
             bytes[..data.data().len()].copy_from_slice(data.data());
             Some(i32::from_le_bytes(bytes))
@@ -447,10 +408,7 @@ fn lost(frames: &[Received], host: NodeId, axis: &Axis) -> Option<Lost> {
     };
     let last = beats(host).next_back().unwrap();
     let waited = beats(node).filter(|beat| (last..at).contains(beat));
-    Some(Lost {
-        waited: waited.count(),
-        standing: beats(node).filter(|beat| *beat > at).nth(1),
-    })
+    Some(Lost { waited: waited.count(), standing: beats(node).filter(|beat| *beat > at).nth(1) })
 }
 
 impl Lost {
@@ -458,8 +416,7 @@ impl Lost {
     fn told(&self, frames: &[Received], axis: &Axis) -> bool {
         let node = NodeId::new(axis.node).unwrap();
         let answers = |object, at| uploaded(frames, node, object, at).len();
-        self.standing
-            .is_some_and(|at| answers(STATUSWORD, at).min(answers(POSITION_ACTUAL, at)) > 5)
+        self.standing.is_some_and(|at| answers(STATUSWORD, at).min(answers(POSITION_ACTUAL, at)) > 5)
     }
 }
 
@@ -471,12 +428,7 @@ fn stopped(frames: &[Received], cell: &Cell) {
         let lost = lost(frames, host, axis).expect("every drive lost the host");
         let periods = LOST as usize;
         // The heartbeats of drive and host are not synchronised.
-        assert!(
-            (periods - 1..=periods + 1).contains(&lost.waited),
-            "{}: {} periods",
-            axis.name,
-            lost.waited
-        );
+        assert!((periods - 1..=periods + 1).contains(&lost.waited), "{}: {} periods", axis.name, lost.waited);
         stands(frames, axis, lost.standing.expect("it goes on beating"));
     }
 }
@@ -505,9 +457,7 @@ fn ask_how_it_stands(interface: &str, cell: &Cell, duration: Duration) {
     let end = now + duration;
     let objects = [STATUSWORD, POSITION_ACTUAL].into_iter().cycle();
     for object in objects.take_while(|_| clock::now() < end) {
-        let ask = |axis: &Axis| {
-            Request::InitiateUpload { object }.encode(NodeId::new(axis.node).unwrap())
-        };
+        let ask = |axis: &Axis| Request::InitiateUpload { object }.encode(NodeId::new(axis.node).unwrap());
         let requests: Vec<_> = cell.robot[0].axis.iter().map(ask).collect();
         assert_eq!(port.send(now, &requests), Ok(requests.len()));
         now += Duration::from_millis(20);
@@ -537,35 +487,32 @@ pub(crate) fn stand_without_power(interface: &str, directory: &Directory, cell: 
 
 #[test]
 fn an_error_that_is_no_fault_is_in_the_report() {
-    on_stage(
-        "vcan::an_error_that_is_no_fault_is_in_the_report",
-        |stage| {
-            stage.change(|cell| cell.robot[0].program.truncate(1));
-            let (_emulators, controller) = stage.start_moving();
-            let port = SocketCanPort::open(stage.interface, &SocketCanOptions::default());
-            let temperature = Emergency {
-                node: NodeId::new(1).unwrap(),
-                code: 0x4210,
-                error_register: ErrorRegister::TEMPERATURE,
-                vendor: [0; 5],
-            };
-            let frames = [temperature.encode(); 2];
-            assert_eq!(port.unwrap().send(clock::now(), &frames), Ok(2));
-            let output = controller.output();
-            assert_eq!(output.status.code(), Some(0), "{output:?}");
-            let report = output.json();
-            let warnings = report["warnings"].as_array().unwrap();
-            let [warning] = warnings.as_slice() else {
-                panic!("{report}");
-            };
-            assert_eq!(warning["axis"], "column", "{report}");
-            for (key, value) in [("node", 1), ("code", 0x4210), ("register", 8), ("count", 2)] {
-                assert_eq!(warning[key], value, "{report}");
-            }
-            assert!(warning["time_s"].as_f64().unwrap() > 0.0, "{report}");
-            assert_eq!(report["more_warnings"], 0, "{report}");
-        },
-    );
+    on_stage("vcan::an_error_that_is_no_fault_is_in_the_report", |stage| {
+        stage.change(|cell| cell.robot[0].program.truncate(1));
+        let (_emulators, controller) = stage.start_moving();
+        let port = SocketCanPort::open(stage.interface, &SocketCanOptions::default());
+        let temperature = Emergency {
+            node: NodeId::new(1).unwrap(),
+            code: 0x4210,
+            error_register: ErrorRegister::TEMPERATURE,
+            vendor: [0; 5],
+        };
+        let frames = [temperature.encode(); 2];
+        assert_eq!(port.unwrap().send(clock::now(), &frames), Ok(2));
+        let output = controller.output();
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        let report = output.json();
+        let warnings = report["warnings"].as_array().unwrap();
+        let [warning] = warnings.as_slice() else {
+            panic!("{report}");
+        };
+        assert_eq!(warning["axis"], "column", "{report}");
+        for (key, value) in [("node", 1), ("code", 0x4210), ("register", 8), ("count", 2)] {
+            assert_eq!(warning[key], value, "{report}");
+        }
+        assert!(warning["time_s"].as_f64().unwrap() > 0.0, "{report}");
+        assert_eq!(report["more_warnings"], 0, "{report}");
+    });
 }
 
 #[test]
@@ -574,11 +521,6 @@ fn a_bus_without_drives_is_refused() {
         stage.change(|cell| cell.bus[0].boot_timeout_ms = 1000);
         let output = stage.start_controller().output();
         assert_eq!(output.status.code(), Some(2), "{output:?}");
-        assert!(
-            output
-                .stderr
-                .contains("bus arm, axis column: node 1: never booted"),
-            "{output:?}"
-        );
+        assert!(output.stderr.contains("bus arm, axis column: node 1: never booted"), "{output:?}");
     });
 }

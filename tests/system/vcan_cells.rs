@@ -63,10 +63,7 @@ fn ip(arguments: &[&str]) {
 /// `loops/cascades.rs`.
 fn slow_down(cell: &mut Cell, times: f64) {
     for axis in cell.robot.iter_mut().flat_map(|robot| &mut robot.axis) {
-        let by_duty = axis
-            .controller
-            .as_ref()
-            .is_some_and(|controller| controller.control == Control::Pwm);
+        let by_duty = axis.controller.as_ref().is_some_and(|controller| controller.control == Control::Pwm);
         let of_line = axis.controller.as_mut().map(|it| &mut it.r#loop);
         let of_drive = axis.drive.as_mut().and_then(|it| it.r#loop.as_mut());
         match of_line.or(of_drive).map(|it| &mut it.law) {

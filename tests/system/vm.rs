@@ -34,11 +34,7 @@ impl Begun {
         vm.args(["--", "sh", "-c", "echo begun; sleep 1000 & sleep 1000"]);
         let mut mrroc = vm.process_group(0).stdout(Stdio::piped()).spawn().unwrap();
         let output = BufReader::new(mrroc.stdout.take().unwrap());
-        Self {
-            scratch,
-            mrroc,
-            output,
-        }
+        Self { scratch, mrroc, output }
     }
 
     fn wait_for_the_command(&mut self) {
@@ -50,13 +46,7 @@ impl Begun {
     /// Sends a signal to the whole process group, as a terminal does.
     fn signal(&self, name: &str) {
         let kill = format!("kill -s {name} -- -{}", self.mrroc.id());
-        assert!(
-            Command::new("sh")
-                .args(["-c", &kill])
-                .status()
-                .unwrap()
-                .success()
-        );
+        assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
     }
 }
 
@@ -73,13 +63,7 @@ fn no_process_and_no_directory_stays_however_the_command_is_ended() {
     if left_out("vm") {
         return;
     }
-    let ends = [
-        ("HUP", 1),
-        ("INT", 2),
-        ("QUIT", 3),
-        ("KILL", 9),
-        ("TERM", 15),
-    ];
+    let ends = [("HUP", 1), ("INT", 2), ("QUIT", 3), ("KILL", 9), ("TERM", 15)];
     let mut begun = ends.map(|(name, number)| (name, number, Begun::new(&format!("vm-{name}"))));
     for (name, number, machine) in &mut begun {
         machine.wait_for_the_command();
@@ -87,8 +71,7 @@ fn no_process_and_no_directory_stays_however_the_command_is_ended() {
         assert_eq!(machine.scratch.names().len(), 1);
         machine.signal(name);
         let status = machine.mrroc.wait().unwrap();
-        let gone =
-            || processes_of(machine.scratch.path()) == 0 && machine.scratch.names().is_empty();
+        let gone = || processes_of(machine.scratch.path()) == 0 && machine.scratch.names().is_empty();
         if *name == "KILL" {
             assert_eq!(status.signal(), Some(*number));
             wait_until("the machine of a command that was killed is gone", gone);
@@ -110,9 +93,7 @@ fn the_directory_of_a_machine_is_its_users_alone_and_has_no_name_to_be_guessed()
     let mut begun = Begun::new("vm-private");
     begun.wait_for_the_command();
     let names = begun.scratch.names();
-    let [name] = &names[..] else {
-        panic!("{names:?}")
-    };
+    let [name] = &names[..] else { panic!("{names:?}") };
     let directory = fs::symlink_metadata(begun.scratch.0.join(name)).unwrap();
     assert!(directory.is_dir());
     assert_eq!(directory.permissions().mode() & 0o7777, 0o700);
@@ -144,12 +125,7 @@ fn a_planted_link_is_not_followed() {
 }
 
 fn refused_out(scratch: &Scratch, out: &Path) -> Output {
-    let output = vm(scratch)
-        .arg("--out")
-        .arg(out)
-        .args(["--", "true"])
-        .output()
-        .unwrap();
+    let output = vm(scratch).arg("--out").arg(out).args(["--", "true"]).output().unwrap();
     assert_eq!(output.status.code(), Some(2), "{output:?}");
     output
 }
@@ -167,10 +143,7 @@ fn a_directory_that_other_users_can_change_is_refused() {
     for out in ["shared", "shared/out", "shared/new", "shared/../shared/out"] {
         let said = refused_out(&scratch, &place(out)).stderr;
         let said = String::from_utf8(said).unwrap();
-        assert!(
-            said.contains("output directory") && said.contains("other users"),
-            "{said}"
-        );
+        assert!(said.contains("output directory") && said.contains("other users"), "{said}");
     }
     symlink(place("own"), place("shared/link")).unwrap();
     refused_out(&scratch, &place("shared/link/out"));
@@ -196,12 +169,7 @@ fn directories_of_any_name_are_seen_and_written_to() {
     let output = vm(&scratch)
         .args(["--timeout", "60", "--out"])
         .arg(place(out))
-        .args([
-            "--",
-            "sh",
-            "-c",
-            "test -e here && touch \"$MRROC_OUT/kept\"",
-        ])
+        .args(["--", "sh", "-c", "test -e here && touch \"$MRROC_OUT/kept\""])
         .current_dir(place(work))
         .output()
         .unwrap();

@@ -46,10 +46,7 @@ impl Watcher {
 
     /// Wraps another port.
     pub(crate) fn wrap(&self, port: impl Port + 'static) -> Box<dyn Port> {
-        Box::new(Watched {
-            port,
-            watch: self.clone(),
-        })
+        Box::new(Watched { port, watch: self.clone() })
     }
 
     /// Locks the observations.
@@ -69,9 +66,7 @@ impl<P: Port> Port for Watched<P> {
         for frame in watch.foreign.drain(..) {
             self.port.send(now, &[frame])?;
         }
-        let taken = self
-            .port
-            .send(now, &frames[..frames.len().min(watch.room)])?;
+        let taken = self.port.send(now, &frames[..frames.len().min(watch.room)])?;
         watch.sends += 1;
         watch.taken.clear();
         watch.taken.extend(&frames[..taken]);

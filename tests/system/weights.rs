@@ -21,13 +21,7 @@ type Alteration = fn(&mut Cell);
 const AS_IT_IS: Alteration = |_| {};
 
 /// Moves through the poses in order. Every motion lasts 4 s.
-fn run(
-    example: &str,
-    alter: Alteration,
-    axis: &str,
-    poses: &[Vec<f64>],
-    payloads: &[EmulatedPayload],
-) -> Vec<Row> {
+fn run(example: &str, alter: Alteration, axis: &str, poses: &[Vec<f64>], payloads: &[EmulatedPayload]) -> Vec<Row> {
     let directory = Directory::new();
     let cell = directory.cell(example, |cell| {
         alter(cell);
@@ -45,24 +39,14 @@ fn run(
         cell.robot[0].emulated_payload = payloads.to_vec();
     });
     let record = directory.path("weights.csv");
-    let run = mrroc([
-        "run".as_ref(),
-        cell.as_os_str(),
-        "--bench=lockstep".as_ref(),
-        "--record".as_ref(),
-        record.as_os_str(),
-    ]);
+    let run =
+        mrroc(["run".as_ref(), cell.as_os_str(), "--bench=lockstep".as_ref(), "--record".as_ref(), record.as_os_str()]);
     assert_eq!(run.status.code(), Some(0), "{run:?}");
     let record = fs::read_to_string(record).unwrap();
     let mut lines = record.lines();
     let columns: Vec<_> = lines.next().unwrap().split(',').collect();
     let column = |name| columns.iter().position(|it| *it == name).unwrap();
-    let (time, name, phase, torque) = (
-        column("time_s"),
-        column("axis"),
-        column("phase"),
-        column("torque_nm"),
-    );
+    let (time, name, phase, torque) = (column("time_s"), column("axis"), column("phase"), column("torque_nm"));
     let rows = lines.map(|line| line.split(',').collect::<Vec<_>>());
     rows.filter(|row| row[name] == axis)
         .map(|row| {
@@ -74,9 +58,7 @@ fn run(
 
 /// Torque that holds the weight, N·m: the mean over the middle halves of two motions, forward and back.
 fn held(there_and_back: &[&[Row]]) -> f64 {
-    let [there, back] = there_and_back else {
-        panic!("{} motions", there_and_back.len())
-    };
+    let [there, back] = there_and_back else { panic!("{} motions", there_and_back.len()) };
     let mean = |rows: &[Row]| {
         let middle = &rows[rows.len() / 4..rows.len() - rows.len() / 4];
         middle.iter().map(|row| row.2).sum::<f64>() / middle.len() as f64
@@ -86,18 +68,13 @@ fn held(there_and_back: &[&[Row]]) -> f64 {
 
 /// The motions of an axis.
 fn motions(rows: &[Row]) -> Vec<&[Row]> {
-    rows.chunk_by(|one, next| one.1 == next.1)
-        .filter(|rows| rows[0].1)
-        .collect()
+    rows.chunk_by(|one, next| one.1 == next.1).filter(|rows| rows[0].1).collect()
 }
 
 fn check(found: f64, expected: f64, what: &str) {
     let near = 0.002 + 0.015 * expected.abs();
     println!("{what}: {found:.4} N·m for {expected:.4}");
-    assert!(
-        (found - expected).abs() < near,
-        "{what}: {found} N·m for {expected}"
-    );
+    assert!((found - expected).abs() < near, "{what}: {found} N·m for {expected}");
 }
 
 /// Ratio of motor angle to joint angle for a ball screw, from the constants of its length, mm: L² = s + c cos + n sin.
@@ -149,50 +126,14 @@ fn axes_of_every_robot_hold_what_its_masses_weigh() {
         cell.robot[0].parameters = Some(Parameters::Rnt(rnt));
     };
     let cases = [
-        (
-            "irb6",
-            AS_IT_IS,
-            "lower-arm",
-            [leaning(-by), leaning(by)],
-            lower,
-        ),
-        (
-            "irb6",
-            AS_IT_IS,
-            "upper-arm",
-            [level(-by), level(by)],
-            upper,
-        ),
-        (
-            "irp6",
-            AS_IT_IS,
-            "lower-arm",
-            [leaning(-by), leaning(by)].map(six),
-            lower,
-        ),
-        (
-            "irp6-track",
-            AS_IT_IS,
-            "upper-arm",
-            [level(-by), level(by)].map(on_track),
-            upper,
-        ),
+        ("irb6", AS_IT_IS, "lower-arm", [leaning(-by), leaning(by)], lower),
+        ("irb6", AS_IT_IS, "upper-arm", [level(-by), level(by)], upper),
+        ("irp6", AS_IT_IS, "lower-arm", [leaning(-by), leaning(by)].map(six), lower),
+        ("irp6-track", AS_IT_IS, "upper-arm", [level(-by), level(by)].map(on_track), upper),
         ("rnt", AS_IT_IS, "leg-2", [down(-by), down(by)], leg),
         ("rnt", unequal, "leg-2", [down(-by), down(by)], leg),
-        (
-            "rnt",
-            AS_IT_IS,
-            "wrist-pitch",
-            [aside(-by), aside(by)],
-            bent,
-        ),
-        (
-            "polycrank",
-            AS_IT_IS,
-            "q3",
-            [turned(-by), turned(by)],
-            crank,
-        ),
+        ("rnt", AS_IT_IS, "wrist-pitch", [aside(-by), aside(by)], bent),
+        ("polycrank", AS_IT_IS, "q3", [turned(-by), turned(by)], crank),
     ];
     for (example, alter, axis, [from, to], expected) in cases {
         let rows = run(example, alter, axis, &[from.clone(), to, from], &[]);
@@ -209,29 +150,16 @@ fn an_arm_holds_a_payload_from_when_it_takes_it_up_until_it_puts_it_down() {
     let by = 0.03;
     let mut poses = vec![pose(-by, 0.0)];
     for flange in [0.1, 0.2, 0.3] {
-        poses.extend([
-            pose(by, flange - 0.1),
-            pose(-by, flange - 0.1),
-            pose(-by, flange),
-        ]);
+        poses.extend([pose(by, flange - 0.1), pose(-by, flange - 0.1), pose(-by, flange)]);
     }
     let empty = run("irp6-track", AS_IT_IS, "upper-arm", &poses, &[]);
     let begins = |motion: usize| motions(&empty)[motion][0].0;
     let (up, down) = (begins(3) + 0.5, begins(6) + 0.5);
-    let payload = |at_s, mass| EmulatedPayload {
-        at_s,
-        mass,
-        centre: [0.0, 0.0, 0.1],
-    };
+    let payload = |at_s, mass| EmulatedPayload { at_s, mass, centre: [0.0, 0.0, 0.1] };
     // The payloads may be listed in any order.
     let payloads = [payload(down, 0.0), payload(up, 6.0)];
     let carried = run("irp6-track", AS_IT_IS, "upper-arm", &poses, &payloads);
-    let earlier = |rows: &[Row]| {
-        rows.iter()
-            .filter(|row| row.0 <= up)
-            .copied()
-            .collect::<Vec<_>>()
-    };
+    let earlier = |rows: &[Row]| rows.iter().filter(|row| row.0 <= up).copied().collect::<Vec<_>>();
     assert_eq!(earlier(&carried), earlier(&empty));
     // The rods of the parallelogram keep the wrist horizontal. Only the distance to the pitch axis has an effect, not
     // the distance beyond it.
@@ -245,36 +173,12 @@ fn an_arm_holds_a_payload_from_when_it_takes_it_up_until_it_puts_it_down() {
 
 #[test]
 fn payloads_that_nobody_can_carry_are_refused_with_the_line() {
-    let payload = |at_s, mass, centre| EmulatedPayload {
-        at_s,
-        mass,
-        centre: [0.0, 0.0, centre],
-    };
+    let payload = |at_s, mass, centre| EmulatedPayload { at_s, mass, centre: [0.0, 0.0, centre] };
     let cases = [
-        (
-            "irp6-track",
-            0,
-            payload(-1.0, 1.0, 0.0),
-            "robot[0].emulated_payload[0].at_s",
-        ),
-        (
-            "irp6-track",
-            0,
-            payload(1.0, -1.0, 0.0),
-            "robot[0].emulated_payload[0].mass",
-        ),
-        (
-            "irp6-track",
-            0,
-            payload(1.0, 1.0, 20.0),
-            "robot[0].emulated_payload[0].centre[2]",
-        ),
-        (
-            "lab",
-            5,
-            payload(1.0, 1.0, 0.0),
-            "conveyor, whose emulation carries nothing",
-        ),
+        ("irp6-track", 0, payload(-1.0, 1.0, 0.0), "robot[0].emulated_payload[0].at_s"),
+        ("irp6-track", 0, payload(1.0, -1.0, 0.0), "robot[0].emulated_payload[0].mass"),
+        ("irp6-track", 0, payload(1.0, 1.0, 20.0), "robot[0].emulated_payload[0].centre[2]"),
+        ("lab", 5, payload(1.0, 1.0, 0.0), "conveyor, whose emulation carries nothing"),
     ];
     for (example, robot, payload, needle) in cases {
         let directory = Directory::new();

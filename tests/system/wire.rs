@@ -13,10 +13,7 @@ use crate::mrroc::{Directory, example, mrroc, text, trace};
 /// `frames`, a complete recording. The answers to the last SYNC are left out.
 fn times(cell: &Cell, frames: &[Received]) -> (Vec<f64>, Vec<Vec<f64>>) {
     let is = |received: &Received, id| received.frame.standard_data_id() == Some(id);
-    let cycles: Vec<&[Received]> = frames
-        .split_inclusive(|received| is(received, cob::SYNC))
-        .skip(1)
-        .collect();
+    let cycles: Vec<&[Received]> = frames.split_inclusive(|received| is(received, cob::SYNC)).skip(1).collect();
     let micros = |from: Instant, to: Instant| to.since(from).as_nanos() as f64 / 1e3;
     let syncs = frames.iter().filter(|received| is(received, cob::SYNC));
     let syncs: Vec<_> = syncs.map(|received| received.at).collect();
@@ -110,25 +107,15 @@ fn answers_on_the_virtual_bus_take_what_their_bits_take() {
     let cycles: Vec<_> = syncs.collect();
     let mut nodes: Vec<u8> = cell.robot[0].axis.iter().map(|axis| axis.node).collect();
     nodes.sort_unstable();
-    for (axis, node) in cell.robot[0]
-        .axis
-        .iter()
-        .zip(wire["nodes"].as_array().unwrap())
-    {
+    for (axis, node) in cell.robot[0].axis.iter().zip(wire["nodes"].as_array().unwrap()) {
         let before = nodes.iter().filter(|&&node| node <= axis.node);
-        let ids: Vec<_> = before
-            .map(|&node| cob::tpdo(PdoNumber::One, NodeId::new(node).unwrap()))
-            .collect();
+        let ids: Vec<_> = before.map(|&node| cob::tpdo(PdoNumber::One, NodeId::new(node).unwrap())).collect();
         let judged = &cycles[..cycles.len() - 1];
         let mut after: Vec<f64> = judged
             .iter()
             .map(|cycle| {
-                let answers = cycle
-                    .iter()
-                    .filter(|entry| ids.iter().any(|&id| is(&entry.frame, id)));
-                answers
-                    .map(|entry| f64::from(bits_on_wire(&entry.frame)))
-                    .sum()
+                let answers = cycle.iter().filter(|entry| ids.iter().any(|&id| is(&entry.frame, id)));
+                answers.map(|entry| f64::from(bits_on_wire(&entry.frame))).sum()
             })
             .collect();
         after.sort_by(f64::total_cmp);
@@ -142,15 +129,8 @@ fn answers_on_the_virtual_bus_take_what_their_bits_take() {
 #[test]
 fn serial_lines_report_telegrams_and_no_times_on_the_wire() {
     let example = example("irb6-serial");
-    let run = mrroc([
-        "run".as_ref(),
-        example.as_os_str(),
-        "--bench=lockstep".as_ref(),
-    ]);
-    for line in [
-        "telegrams on 5 lines, load",
-        "bus arm: times on the wire not measured",
-    ] {
+    let run = mrroc(["run".as_ref(), example.as_os_str(), "--bench=lockstep".as_ref()]);
+    for line in ["telegrams on 5 lines, load", "bus arm: times on the wire not measured"] {
         assert!(run.stdout.contains(line), "{line}: {}", run.stdout);
     }
     assert!(!run.stdout.contains("SYNC to"), "{}", run.stdout);

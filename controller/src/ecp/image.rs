@@ -3,9 +3,7 @@
 use can::Instant;
 use servo::ServoReport;
 
-use crate::generator::{
-    Axes, AxesState, EffectorImage, EffectorState, GeneratorError, ImageSource, Pose, Setpoint,
-};
+use crate::generator::{Axes, AxesState, EffectorImage, EffectorState, GeneratorError, ImageSource, Pose, Setpoint};
 use crate::robot::{Arm, KinematicsError};
 
 /// Step of the differences by which velocities are converted, rad or m of the fastest axis or of the tool.
@@ -26,22 +24,13 @@ pub(super) struct Effector {
 
 impl Effector {
     pub(super) fn new(arm: Arm) -> Self {
-        Self {
-            arm,
-            at: Instant::ZERO,
-            macrostep: 0,
-            measured: AxesState::default(),
-            commanded: AxesState::default(),
-        }
+        Self { arm, at: Instant::ZERO, macrostep: 0, measured: AxesState::default(), commanded: AxesState::default() }
     }
 
     pub(super) fn measure(&mut self, report: &ServoReport) {
         self.at = report.at;
         self.macrostep = report.macrostep;
-        self.measured = AxesState {
-            position: report.measured,
-            velocity: report.velocity,
-        };
+        self.measured = AxesState { position: report.measured, velocity: report.velocity };
     }
 
     fn state(&self, motors: &AxesState) -> Result<EffectorState, KinematicsError> {
@@ -65,19 +54,13 @@ impl Effector {
                 let position = moved(&here, &by.position, 1.0);
                 AxesState { position, ..by }
             }
-            Some(Setpoint::Pose {
-                pose,
-                linear,
-                angular,
-            }) => {
+            Some(Setpoint::Pose { pose, linear, angular }) => {
                 let near = self.arm.joints(&self.commanded.position)?;
                 let position = self.arm.inverse(&pose, &near)?;
                 let at = |t: f64| {
-                    let turned =
-                        nalgebra::UnitQuaternion::from_scaled_axis(angular * t) * pose.rotation;
+                    let turned = nalgebra::UnitQuaternion::from_scaled_axis(angular * t) * pose.rotation;
                     let shifted = pose.translation.vector + linear * t;
-                    self.arm
-                        .inverse(&Pose::from_parts(shifted.into(), turned), &position)
+                    self.arm.inverse(&Pose::from_parts(shifted.into(), turned), &position)
                 };
                 let velocity = difference(linear.norm().max(angular.norm()), &position, at)?;
                 AxesState { position, velocity }
@@ -109,9 +92,7 @@ fn slope(
 ) -> Result<Axes, KinematicsError> {
     let speeds = from.velocity.map(f64::abs);
     let fastest = speeds.into_iter().fold(0.0, f64::max);
-    difference(fastest, value, |t| {
-        map(&moved(&from.position, &from.velocity, t))
-    })
+    difference(fastest, value, |t| map(&moved(&from.position, &from.velocity, t)))
 }
 
 /// Time derivative of `at(t)` at t = 0. `value` is `at(0)`; `speed` is that of the fastest axis or of the tool.
@@ -128,8 +109,7 @@ fn difference(
         return Ok(Axes::default());
     }
     let dt = STEP / speed;
-    let over =
-        |from: &Axes, to: &Axes, dt: f64| std::array::from_fn(|axis| (to[axis] - from[axis]) / dt);
+    let over = |from: &Axes, to: &Axes, dt: f64| std::array::from_fn(|axis| (to[axis] - from[axis]) / dt);
     match (at(-dt), at(dt)) {
         (Ok(behind), Ok(ahead)) => Ok(over(&behind, &ahead, 2.0 * dt)),
         (Err(_), Ok(ahead)) => Ok(over(value, &ahead, dt)),

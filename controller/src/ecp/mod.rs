@@ -195,10 +195,7 @@ impl Ecp {
     /// The present state.
     pub fn status(&self) -> Status {
         let busy = !matches!(self.activity, Activity::Idle) || !self.task.is_empty();
-        Status {
-            phase: self.phase(),
-            instruction: busy.then_some(self.instruction),
-        }
+        Status { phase: self.phase(), instruction: busy.then_some(self.instruction) }
     }
 
     /// The meeting at which the process waits for its partners.
@@ -262,17 +259,12 @@ impl Ecp {
 
     /// The fault of the last report, or `consequence` if there is none.
     fn cause_of(&self, consequence: EcpError) -> EcpError {
-        self.report
-            .and_then(|report| report.fault)
-            .map_or(consequence, EcpError::Servo)
+        self.report.and_then(|report| report.fault).map_or(consequence, EcpError::Servo)
     }
 
     fn end(&mut self, outcome: Result<(), EcpError>) -> EcpEvent {
         self.activity = Activity::Idle;
-        let event = EcpEvent {
-            instruction: self.instruction,
-            outcome,
-        };
+        let event = EcpEvent { instruction: self.instruction, outcome };
         self.instruction += 1;
         if outcome.is_err() {
             self.task.instructions.clear();
@@ -288,11 +280,7 @@ impl Ecp {
             return;
         }
         let stopping = self.outbox.front() == Some(&Order::Stop);
-        let room = self
-            .link
-            .orders
-            .write_chunk_uninit(count)
-            .expect("the queue has this many slots");
+        let room = self.link.orders.write_chunk_uninit(count).expect("the queue has this many slots");
         room.fill_from_iter(self.outbox.drain(..count));
         self.heard = now;
         if let (true, Activity::Stopping { since, .. }) = (stopping, &mut self.activity) {
@@ -302,10 +290,7 @@ impl Ecp {
 
     /// Drops the waiting orders. The numbers of their macrosteps are used again.
     fn clear_outbox(&mut self) {
-        let moves = self
-            .outbox
-            .iter()
-            .filter(|order| matches!(order, Order::Move(_)));
+        let moves = self.outbox.iter().filter(|order| matches!(order, Order::Move(_)));
         self.sent -= moves.count() as u64;
         self.outbox.clear();
     }
@@ -321,11 +306,7 @@ impl Ecp {
             _ if phase != Phase::Standing => return Some(Err(EcpError::NotStanding { phase })),
             Instruction::Home => Order::Home,
             Instruction::Meet(meeting) => {
-                self.activity = Activity::Meeting {
-                    meeting,
-                    since: now,
-                    admitted: false,
-                };
+                self.activity = Activity::Meeting { meeting, since: now, admitted: false };
                 return None;
             }
             Instruction::Run(_) if !self.homed() => return Some(Err(EcpError::NotHomed)),
@@ -368,13 +349,7 @@ impl Ecp {
 
     fn advance(&mut self, now: Instant) -> Option<Result<(), EcpError>> {
         let phase = self.phase();
-        let clearing = matches!(
-            self.activity,
-            Activity::Switching {
-                order: Order::ResetFault,
-                ..
-            }
-        );
+        let clearing = matches!(self.activity, Activity::Switching { order: Order::ResetFault, .. });
         if phase == Phase::Faulted && !clearing {
             self.clear_outbox();
             return Some(Err(self.cause_of(EcpError::Faulted)));
@@ -383,11 +358,7 @@ impl Ecp {
             Activity::Idle => None,
             Activity::Switching { order, since } => {
                 let waited = now.since(since);
-                let patience = if order == Order::Home {
-                    self.config.homing
-                } else {
-                    self.config.switching
-                };
+                let patience = if order == Order::Home { self.config.homing } else { self.config.switching };
                 if self.outbox.is_empty() && self.is_done(order) {
                     return Some(Ok(()));
                 }
@@ -400,14 +371,8 @@ impl Ecp {
                 }
                 None
             }
-            Activity::Meeting { .. } if phase != Phase::Standing => {
-                Some(Err(EcpError::BrokenOff { phase }))
-            }
-            Activity::Meeting {
-                meeting,
-                admitted: true,
-                ..
-            } => {
+            Activity::Meeting { .. } if phase != Phase::Standing => Some(Err(EcpError::BrokenOff { phase })),
+            Activity::Meeting { meeting, admitted: true, .. } => {
                 self.outbox.push_back(Order::Gate(meeting));
                 Some(Ok(()))
             }
@@ -415,18 +380,12 @@ impl Ecp {
                 let waited = now.since(since);
                 (waited > self.config.meeting).then_some(Err(EcpError::Unmet { waited }))
             }
-            Activity::Running { .. } | Activity::Arriving | Activity::RunningOut => {
-                self.advance_motion(now)
-            }
+            Activity::Running { .. } | Activity::Arriving | Activity::RunningOut => self.advance_motion(now),
             Activity::Stopping { since: None, .. } => {
                 let waited = now.since(self.heard);
-                (waited > self.config.switching)
-                    .then(|| Err(self.cause_of(EcpError::Silent { waited })))
+                (waited > self.config.switching).then(|| Err(self.cause_of(EcpError::Silent { waited })))
             }
-            Activity::Stopping {
-                since: Some(since),
-                outcome,
-            } => {
+            Activity::Stopping { since: Some(since), outcome } => {
                 let waited = now.since(since);
                 // A standstill from before the stop does not count: the servo may still start an earlier order. Two
                 // macrosteps are enough, because the servo takes orders each period and reports each change.
@@ -434,8 +393,7 @@ impl Ecp {
                 if settled && matches!(phase, Phase::Standing | Phase::Off) {
                     Some(outcome)
                 } else {
-                    (waited > self.config.switching)
-                        .then(|| Err(self.cause_of(EcpError::TimedOut { phase, waited })))
+                    (waited > self.config.switching).then(|| Err(self.cause_of(EcpError::TimedOut { phase, waited })))
                 }
             }
         }
@@ -468,10 +426,7 @@ impl Ecp {
         let phase = self.phase();
         let outcome = Err(self.cause_of(EcpError::BrokenOff { phase }));
         self.clear_outbox();
-        self.activity = Activity::Stopping {
-            since: Some(now),
-            outcome,
-        };
+        self.activity = Activity::Stopping { since: Some(now), outcome };
     }
 
     /// Requests the next macrostep from the generator if the macrostep is due.
@@ -480,11 +435,7 @@ impl Ecp {
         let Activity::Running { run } = &mut self.activity else {
             return;
         };
-        let ahead = if run.runs_ahead() {
-            u64::from(self.config.macrosteps_ahead.max(1))
-        } else {
-            1
-        };
+        let ahead = if run.runs_ahead() { u64::from(self.config.macrosteps_ahead.max(1)) } else { 1 };
         if outstanding >= ahead {
             return;
         }
@@ -498,10 +449,7 @@ impl Ecp {
                 self.activity = Activity::RunningOut;
             }
             Ok(Step::Ended) => self.activity = Activity::Arriving,
-            Err(error) => self.brake(Err(EcpError::Generator {
-                step: self.sent - self.base,
-                error,
-            })),
+            Err(error) => self.brake(Err(EcpError::Generator { step: self.sent - self.base, error })),
         }
     }
 
@@ -540,9 +488,6 @@ impl Ecp {
     fn brake(&mut self, outcome: Result<(), EcpError>) {
         self.clear_outbox();
         self.outbox.push_back(Order::Stop);
-        self.activity = Activity::Stopping {
-            since: None,
-            outcome,
-        };
+        self.activity = Activity::Stopping { since: None, outcome };
     }
 }

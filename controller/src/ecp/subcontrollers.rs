@@ -65,14 +65,8 @@ enum Progress {
 impl Meetings {
     /// Meetings of partners, at most [`Gates::COUNT`]. Partners are given by the indices of their processes.
     pub fn new(partners: impl IntoIterator<Item = Vec<usize>>, gates: Gates) -> Self {
-        let meeting = |partners| Meeting {
-            partners,
-            progress: Progress::Gathering,
-        };
-        Self {
-            meetings: partners.into_iter().map(meeting).collect(),
-            gates,
-        }
+        let meeting = |partners| Meeting { partners, progress: Progress::Gathering };
+        Self { meetings: partners.into_iter().map(meeting).collect(), gates }
     }
 
     /// Holds the meetings whose partners have all come. The processes were polled until they returned no more events.

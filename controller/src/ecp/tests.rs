@@ -12,12 +12,10 @@ use servo::{Gates, MAX_AXES, ServoFault, StopCause};
 
 use super::*;
 use crate::generator::{
-    EffectorImage, Generator, GeneratorError, ImageSource, JerkLimited, MotionLimits, Newsmooth,
-    Next, Pose, SmoothPose, Wait,
+    EffectorImage, Generator, GeneratorError, ImageSource, JerkLimited, MotionLimits, Newsmooth, Next, Pose,
+    SmoothPose, Wait,
 };
-use crate::robot::{
-    Arm, Jacobian, Joints, KinematicsError, Limits, Link, Motors, Robot, Solutions, Space,
-};
+use crate::robot::{Arm, Jacobian, Joints, KinematicsError, Limits, Link, Motors, Robot, Solutions, Space};
 
 const PERIOD: Duration = Duration::from_millis(2);
 const CONFIG: EcpConfig = EcpConfig {
@@ -35,14 +33,8 @@ const CONFIG: EcpConfig = EcpConfig {
 #[derive(Debug)]
 struct Gantry;
 
-const RANGE: [Limits; 3] = [Limits {
-    low: -5.0,
-    high: 5.0,
-}; 3];
-const MOTOR_RANGE: [Limits; 3] = [Limits {
-    low: -8_000.0,
-    high: 8_000.0,
-}; 3];
+const RANGE: [Limits; 3] = [Limits { low: -5.0, high: 5.0 }; 3];
+const MOTOR_RANGE: [Limits; 3] = [Limits { low: -8_000.0, high: 8_000.0 }; 3];
 
 impl Robot for Gantry {
     fn axes(&self) -> usize {
@@ -71,18 +63,10 @@ impl Robot for Gantry {
                 return Err(beyond(axis as u8, *value, limit));
             }
         }
-        Ok(Motors::from([
-            100.0 * q[0],
-            100.0 * q[1].sinh(),
-            100.0 * q[2],
-        ]))
+        Ok(Motors::from([100.0 * q[0], 100.0 * q[1].sinh(), 100.0 * q[2]]))
     }
     fn joints_from_motors(&self, m: &Motors) -> Result<Joints, KinematicsError> {
-        Ok(Joints::from([
-            m[0] / 100.0,
-            (m[1] / 100.0).asinh(),
-            m[2] / 100.0,
-        ]))
+        Ok(Joints::from([m[0] / 100.0, (m[1] / 100.0).asinh(), m[2] / 100.0]))
     }
     fn jacobian(&self, _: &Joints) -> Result<Jacobian, KinematicsError> {
         Ok(Jacobian::identity())
@@ -93,12 +77,7 @@ impl Robot for Gantry {
 }
 
 fn beyond(axis: u8, value: f64, limit: f64) -> KinematicsError {
-    KinematicsError::BeyondLimit {
-        space: Space::Joint,
-        axis,
-        value,
-        limit,
-    }
+    KinematicsError::BeyondLimit { space: Space::Joint, axis, value, limit }
 }
 
 /// The servo's end of the link: executes orders one period at a time, and jumps to the end of each macrostep.
@@ -125,9 +104,7 @@ impl Script {
 
     fn say(&mut self) {
         self.report.measured = self.report.commanded;
-        self.reports
-            .push(self.report)
-            .expect("the ECP reads reports");
+        self.reports.push(self.report).expect("the ECP reads reports");
     }
 
     fn fail(&mut self, fault: ServoFault) {
@@ -156,8 +133,7 @@ impl Script {
                         self.phase(Phase::Standing);
                     }
                 }
-                Order::Move(_) if !matches!(self.report.phase, Phase::Standing | Phase::Moving) => {
-                }
+                Order::Move(_) if !matches!(self.report.phase, Phase::Standing | Phase::Moving) => {}
                 Order::Move(macrostep) => self.queue.push_back(macrostep),
                 Order::Stop => {
                     self.queue.clear();
@@ -179,12 +155,7 @@ impl Script {
         }
         let Some(macrostep) = self.queue.front().copied() else {
             if self.moving != [0.0; MAX_AXES] {
-                self.fail(ServoFault {
-                    axis: Some(0),
-                    cause: StopCause::Starved {
-                        last: self.report.macrostep,
-                    },
-                });
+                self.fail(ServoFault { axis: Some(0), cause: StopCause::Starved { last: self.report.macrostep } });
             } else if self.report.phase == Phase::Moving {
                 self.phase(Phase::Standing);
             }
@@ -209,13 +180,7 @@ impl Script {
     }
 
     fn moves(&self) -> impl Iterator<Item = &Macrostep> {
-        self.log.iter().filter_map(|order| {
-            if let Order::Move(macrostep) = order {
-                Some(macrostep)
-            } else {
-                None
-            }
-        })
+        self.log.iter().filter_map(|order| if let Order::Move(macrostep) = order { Some(macrostep) } else { None })
     }
 }
 
@@ -258,12 +223,7 @@ impl Bench {
             fault: None,
         };
         let ecp = Ecp::new(arm, EffectorLink { orders, reports }, CONFIG);
-        Self {
-            ecp,
-            servo,
-            now: Instant::ZERO,
-            poll_every: 1,
-        }
+        Self { ecp, servo, now: Instant::ZERO, poll_every: 1 }
     }
 
     /// Runs until the end of the task, 100 s at most, and returns its events.
@@ -298,19 +258,11 @@ impl Bench {
 }
 
 fn finished(count: usize) -> Vec<EcpEvent> {
-    (0..count)
-        .map(|instruction| EcpEvent {
-            instruction,
-            outcome: Ok(()),
-        })
-        .collect()
+    (0..count).map(|instruction| EcpEvent { instruction, outcome: Ok(()) }).collect()
 }
 
 fn failed(error: EcpError) -> Vec<EcpEvent> {
-    vec![EcpEvent {
-        instruction: 0,
-        outcome: Err(error),
-    }]
+    vec![EcpEvent { instruction: 0, outcome: Err(error) }]
 }
 
 fn limits() -> MotionLimits {
@@ -338,10 +290,7 @@ impl Generator for Push {
         e.measured.joints.position[0] > self.until
     }
     fn next_step(&self, steps: &u32, _: &EffectorImage) -> Result<Next<u32>, GeneratorError> {
-        let by = AxesState {
-            position: axis_0(0.01),
-            velocity: axis_0(0.5),
-        };
+        let by = AxesState { position: axis_0(0.01), velocity: axis_0(0.5) };
         Ok(Next::command(Setpoint::JointsBy(by), steps + 1))
     }
 }
@@ -360,11 +309,7 @@ impl Generator for Ask {
         false
     }
     fn next_step(&self, step: &u16, _: &()) -> Result<Next<u16>, GeneratorError> {
-        if *step == 3 {
-            Err(GeneratorError::User(7))
-        } else {
-            Ok(Next::command(self.0, step + 1))
-        }
+        if *step == 3 { Err(GeneratorError::User(7)) } else { Ok(Next::command(self.0, step + 1)) }
     }
 }
 
@@ -376,33 +321,15 @@ fn axis_0(value: f64) -> Axes {
 fn a_task_runs_in_order_and_each_motion_begins_where_the_last_one_ended() {
     let mut bench = Bench::new(16);
     let back = JerkLimited::new(Space::Joint, 3, limits(), &[[0.0; MAX_AXES]]).unwrap();
-    let wait = Wait {
-        duration: Duration::from_millis(50),
-    };
-    let task = Task::new()
-        .enable()
-        .home()
-        .run(to(0.5, 0.3, -0.2))
-        .run(wait)
-        .run(back)
-        .disable();
+    let wait = Wait { duration: Duration::from_millis(50) };
+    let task = Task::new().enable().home().run(to(0.5, 0.3, -0.2)).run(wait).run(back).disable();
     assert_eq!(bench.run(task), finished(6));
 
     let moves: Vec<_> = bench.servo.moves().copied().collect();
-    assert!(
-        moves
-            .windows(2)
-            .all(|pair| pair[1].number == pair[0].number + 1)
-    );
-    let turn = moves
-        .iter()
-        .position(|m| (m.position[0] - 50.0).abs() < 1e-9)
-        .unwrap();
+    assert!(moves.windows(2).all(|pair| pair[1].number == pair[0].number + 1));
+    let turn = moves.iter().position(|m| (m.position[0] - 50.0).abs() < 1e-9).unwrap();
     for standing in &moves[turn..turn + 4] {
-        assert_eq!(
-            (standing.position, standing.velocity),
-            (moves[turn].position, [0.0; MAX_AXES])
-        );
+        assert_eq!((standing.position, standing.velocity), (moves[turn].position, [0.0; MAX_AXES]));
     }
     assert_eq!(moves.last().unwrap().position, [0.0; MAX_AXES]);
     assert_eq!(bench.ecp.status().phase, Phase::Off);
@@ -424,10 +351,7 @@ fn motor_velocities_are_the_derivative_of_motor_positions() {
         // d/dt 100 sinh y = 100 cosh y · dy/dt, and y moves together with z.
         let ratio = (macrostep.position[1] / 100.0).hypot(1.0);
         let (y, z) = (macrostep.velocity[1], macrostep.velocity[2]);
-        assert!(
-            (y - ratio * z).abs() < 1e-8 * y.abs() + 1e-9,
-            "{y} {z} {ratio}"
-        );
+        assert!((y - ratio * z).abs() < 1e-8 * y.abs() + 1e-9, "{y} {z} {ratio}");
     }
 }
 
@@ -441,10 +365,7 @@ fn an_open_loop_generator_survives_a_controller_that_is_three_macrosteps_late() 
 #[test]
 fn nothing_is_sent_further_ahead_than_configured() {
     let mut bench = Bench::ready();
-    bench
-        .ecp
-        .execute(Task::new().run(to(1.0, 0.0, 0.0)))
-        .unwrap();
+    bench.ecp.execute(Task::new().run(to(1.0, 0.0, 0.0))).unwrap();
     let mut most = 0;
     let events = bench.go_on(|bench| {
         most = most.max(bench.ecp.sent - bench.ecp.executed);
@@ -456,39 +377,22 @@ fn nothing_is_sent_further_ahead_than_configured() {
 #[test]
 fn a_generator_that_reads_the_effector_gets_one_macrostep_per_report_and_stops_on_it() {
     let mut bench = Bench::ready();
-    bench
-        .ecp
-        .execute(Task::new().run(Push { until: 0.1 }))
-        .unwrap();
+    bench.ecp.execute(Task::new().run(Push { until: 0.1 })).unwrap();
     let mut most = 0;
     let events = bench.go_on(|bench| {
         most = most.max(bench.ecp.sent - bench.ecp.executed);
     });
     assert_eq!(events, finished(1));
     assert_eq!(most, 1);
-    assert_eq!(
-        bench.servo.log.last(),
-        Some(&Order::Stop),
-        "it ended in motion, so it was braked"
-    );
-    let measured = bench
-        .ecp
-        .effector
-        .effector()
-        .unwrap()
-        .measured
-        .joints
-        .position[0];
+    assert_eq!(bench.servo.log.last(), Some(&Order::Stop), "it ended in motion, so it was braked");
+    let measured = bench.ecp.effector.effector().unwrap().measured.joints.position[0];
     assert!((0.1..0.13).contains(&measured), "{measured}");
 }
 
 #[test]
 fn a_full_queue_delays_orders_and_loses_none() {
     let mut bench = Bench::new(1);
-    assert_eq!(
-        bench.run(Task::new().enable().home().run(to(1.0, 0.0, 0.0))),
-        finished(3)
-    );
+    assert_eq!(bench.run(Task::new().enable().home().run(to(1.0, 0.0, 0.0))), finished(3));
     let numbers: Vec<u64> = bench.servo.moves().map(|m| m.number).collect();
     assert_eq!(numbers, (1..=numbers.len() as u64).collect::<Vec<_>>());
     assert_eq!(bench.servo.report.commanded[0], 100.0);
@@ -498,10 +402,7 @@ fn a_full_queue_delays_orders_and_loses_none() {
 fn a_second_task_is_refused_while_one_is_under_way() {
     let mut bench = Bench::new(16);
     bench.ecp.execute(Task::new().enable()).unwrap();
-    assert_eq!(
-        bench.ecp.execute(Task::new().disable()),
-        Err(Busy { instruction: 0 })
-    );
+    assert_eq!(bench.ecp.execute(Task::new().disable()), Err(Busy { instruction: 0 }));
 }
 
 #[test]
@@ -513,15 +414,9 @@ fn an_ecp_can_be_given_to_a_thread() {
 #[test]
 fn the_first_macrosteps_of_a_motion_reach_the_servo_at_once() {
     let mut bench = Bench::ready();
-    bench
-        .ecp
-        .execute(Task::new().run(to(0.5, 0.0, 0.0)))
-        .unwrap();
+    bench.ecp.execute(Task::new().run(to(0.5, 0.0, 0.0))).unwrap();
     assert_eq!(bench.ecp.poll(bench.now), None);
-    assert_eq!(
-        bench.servo.orders.slots(),
-        usize::from(CONFIG.macrosteps_ahead)
-    );
+    assert_eq!(bench.servo.orders.slots(), usize::from(CONFIG.macrosteps_ahead));
     assert_eq!(bench.go_on(|_| {}), finished(1));
 }
 
@@ -535,10 +430,7 @@ fn meet(late: u64) -> [u64; 2] {
         for _ in 0..wait {
             task = task.enable();
         }
-        bench
-            .ecp
-            .execute(task.meet(0).run(to(0.1, 0.0, 0.0)))
-            .unwrap();
+        bench.ecp.execute(task.meet(0).run(to(0.1, 0.0, 0.0))).unwrap();
     }
     let mut began = [None; 2];
     for period in 0..200 {
@@ -551,13 +443,7 @@ fn meet(late: u64) -> [u64; 2] {
         let mut ecps = [one.ecp, other.ecp];
         meetings.poll(&mut ecps);
         let [first, second] = ecps;
-        benches = [
-            Bench { ecp: first, ..one },
-            Bench {
-                ecp: second,
-                ..other
-            },
-        ];
+        benches = [Bench { ecp: first, ..one }, Bench { ecp: second, ..other }];
         for (bench, began) in benches.iter_mut().zip(&mut began) {
             bench.servo.period(now);
             bench.now += PERIOD;
@@ -586,18 +472,9 @@ fn who_waits_in_vain_at_a_meeting_fails_in_time() {
     config.meeting = Duration::from_secs(3);
     bench.ecp.config = config;
     let events = bench.run(task);
-    let [
-        EcpEvent {
-            outcome: Err(EcpError::Unmet { waited }),
-            ..
-        },
-    ] = events[..]
-    else {
+    let [EcpEvent { outcome: Err(EcpError::Unmet { waited }), .. }] = events[..] else {
         panic!("{events:?}");
     };
-    assert!(
-        waited > config.meeting && waited < config.meeting + 2 * PERIOD,
-        "{waited:?}"
-    );
+    assert!(waited > config.meeting && waited < config.meeting + 2 * PERIOD, "{waited:?}");
     assert_eq!(bench.servo.moves().count(), 0);
 }

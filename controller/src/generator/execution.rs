@@ -16,11 +16,7 @@ pub enum Step {
 /// A motion instruction in progress: a generator of any class with its memory.
 pub trait Execution {
     /// The first operational block of the chart.
-    fn first_step(
-        &mut self,
-        source: &dyn ImageSource,
-        macrostep: Duration,
-    ) -> Result<Step, GeneratorError>;
+    fn first_step(&mut self, source: &dyn ImageSource, macrostep: Duration) -> Result<Step, GeneratorError>;
 
     /// The dashed box of the chart. One snapshot is taken for the terminal condition and for (5) to (8). The results
     /// are committed together.
@@ -38,19 +34,12 @@ pub(crate) struct Run<G: Generator> {
 
 impl<G: Generator> Run<G> {
     pub(crate) const fn new(generator: G) -> Self {
-        Self {
-            generator,
-            memory: None,
-        }
+        Self { generator, memory: None }
     }
 }
 
 impl<G: Generator> Execution for Run<G> {
-    fn first_step(
-        &mut self,
-        source: &dyn ImageSource,
-        macrostep: Duration,
-    ) -> Result<Step, GeneratorError> {
+    fn first_step(&mut self, source: &dyn ImageSource, macrostep: Duration) -> Result<Step, GeneratorError> {
         let images = G::First::fetch(source)?;
         if macrostep.is_zero() {
             return Err(GeneratorError::NoMacrostep);

@@ -17,10 +17,7 @@ pub struct AxesState {
 impl AxesState {
     /// Standstill at `position`.
     pub const fn at_rest(position: Axes) -> Self {
-        Self {
-            position,
-            velocity: [0.0; MAX_AXES],
-        }
+        Self { position, velocity: [0.0; MAX_AXES] }
     }
 }
 
@@ -77,11 +74,7 @@ impl Setpoint {
             Self::Motors(state) | Self::Joints(state) | Self::JointsBy(state) => {
                 first(&state.position).or_else(|| first(&state.velocity))
             }
-            Self::Pose {
-                pose,
-                linear,
-                angular,
-            } => first(pose.translation.vector.as_slice())
+            Self::Pose { pose, linear, angular } => first(pose.translation.vector.as_slice())
                 .or_else(|| first(pose.rotation.coords.as_slice()))
                 .or_else(|| first(linear.as_slice()))
                 .or_else(|| first(angular.as_slice())),

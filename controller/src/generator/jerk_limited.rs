@@ -30,30 +30,20 @@ pub struct JerkLimited {
 
 impl JerkLimited {
     /// A motion from the effector's position through `poses`, for its first `axes` axes.
-    pub fn new(
-        space: Space,
-        axes: usize,
-        limits: MotionLimits,
-        poses: &[Axes],
-    ) -> Result<Self, GeneratorError> {
+    pub fn new(space: Space, axes: usize, limits: MotionLimits, poses: &[Axes]) -> Result<Self, GeneratorError> {
         limits.check(axes)?;
         let Some((&target, on_the_way)) = poses.split_last() else {
             return Err(GeneratorError::NoPoses);
         };
         for (pose, position) in poses.iter().enumerate() {
             if let Some(axis) = position[..axes].iter().position(|p| !p.is_finite()) {
-                return Err(GeneratorError::NotFinite {
-                    pose,
-                    axis: axis as u8,
-                });
+                return Err(GeneratorError::NotFinite { pose, axis: axis as u8 });
             }
         }
         let mut plan = Plan::new(on_the_way.len());
         let input = &mut plan.input;
         for pose in on_the_way {
-            input
-                .intermediate_positions
-                .push(DataArrayOrVec::Stack(masked(pose, axes)));
+            input.intermediate_positions.push(DataArrayOrVec::Stack(masked(pose, axes)));
         }
         let target = masked(&target, axes);
         input.target_position = DataArrayOrVec::Stack(target);
@@ -65,23 +55,14 @@ impl JerkLimited {
             input.max_acceleration[axis] = limit(&limits.max_acceleration);
             input.max_jerk[axis] = limit(&limits.max_jerk);
         }
-        Ok(Self {
-            space,
-            axes,
-            plan,
-            target,
-            duration: None,
-        })
+        Ok(Self { space, axes, plan, target, duration: None })
     }
 
     /// The same motion, stretched to `duration` and then to the end of a macrostep. Its first step refuses a time
     /// that is too short.
     #[must_use]
     pub fn lasting(self, duration: Duration) -> Self {
-        Self {
-            duration: Some(duration),
-            ..self
-        }
+        Self { duration: Some(duration), ..self }
     }
 }
 
@@ -97,11 +78,7 @@ impl Generator for JerkLimited {
     /// Number of macrosteps done.
     type Memory = u32;
 
-    fn first_step(
-        &mut self,
-        e: &EffectorImage,
-        macrostep: Duration,
-    ) -> Result<Next<u32>, GeneratorError> {
+    fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<u32>, GeneratorError> {
         let from = self.space.commanded(e);
         for axis in 0..self.axes {
             self.plan.input.current_position[axis] = from.position[axis];
@@ -118,16 +95,10 @@ impl Generator for JerkLimited {
     fn next_step(&self, done: &u32, _: &()) -> Result<Next<u32>, GeneratorError> {
         let done = done + 1;
         if done == self.plan.macrosteps {
-            return Ok(Next::command(
-                self.space.setpoint(AxesState::at_rest(self.target)),
-                done,
-            ));
+            return Ok(Next::command(self.space.setpoint(AxesState::at_rest(self.target)), done));
         }
         let (position, velocity) = self.plan.at(done);
-        let state = AxesState {
-            position: masked(&position, self.axes),
-            velocity: masked(&velocity, self.axes),
-        };
+        let state = AxesState { position: masked(&position, self.axes), velocity: masked(&velocity, self.axes) };
         Ok(Next::command(self.space.setpoint(state), done))
     }
 }

@@ -6,8 +6,8 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use super::plan::Plan;
 use super::{
-    Axes, AxesState, EffectorImage, EffectorState, Generator, GeneratorError, MotionLimits, Next,
-    Pose, Setpoint, is_limit,
+    Axes, AxesState, EffectorImage, EffectorState, Generator, GeneratorError, MotionLimits, Next, Pose, Setpoint,
+    is_limit,
 };
 use crate::robot::Arm;
 
@@ -122,12 +122,7 @@ impl Path {
     fn between(from: &Pose, to: &Pose) -> Self {
         let displacement = to.translation.vector - from.translation.vector;
         let turn = (from.rotation.inverse() * to.rotation).scaled_axis();
-        Self {
-            from: *from,
-            to: *to,
-            displacement,
-            turn,
-        }
+        Self { from: *from, to: *to, displacement, turn }
     }
 
     fn at(&self, s: f64) -> Pose {
@@ -141,9 +136,7 @@ impl Path {
 
     /// Number of checks that gives the required spacing.
     fn checks(&self) -> usize {
-        let count = (self.displacement.norm() / CHECK_DISTANCE)
-            .max(self.turn.norm() / CHECK_ANGLE)
-            .ceil();
+        let count = (self.displacement.norm() / CHECK_DISTANCE).max(self.turn.norm() / CHECK_ANGLE).ceil();
         (count as usize).clamp(CHECKS.0, CHECKS.1)
     }
 }
@@ -162,12 +155,7 @@ pub struct LineMemory {
 
 impl StraightLine {
     /// A line from the effector's position to `target`, the pose of the tool in the base frame.
-    pub fn new(
-        arm: Arm,
-        target: Pose,
-        limits: LineLimits,
-        joint_limits: MotionLimits,
-    ) -> Result<Self, GeneratorError> {
+    pub fn new(arm: Arm, target: Pose, limits: LineLimits, joint_limits: MotionLimits) -> Result<Self, GeneratorError> {
         joint_limits.check(arm.axes())?;
         if !limits.pairs().into_iter().flatten().all(is_limit) {
             return Err(GeneratorError::PathLimit);
@@ -175,10 +163,7 @@ impl StraightLine {
         let position = target.translation.vector.iter();
         let mut coordinates = position.chain(target.rotation.coords.iter());
         if let Some(axis) = coordinates.position(|c| !c.is_finite()) {
-            return Err(GeneratorError::NotFinite {
-                pose: 0,
-                axis: axis as u8,
-            });
+            return Err(GeneratorError::NotFinite { pose: 0, axis: axis as u8 });
         }
         Ok(Self {
             arm,
@@ -196,20 +181,13 @@ impl StraightLine {
     /// position.
     #[must_use]
     pub fn beginning_at(self, start: PlannedStart) -> Self {
-        Self {
-            start: Some(start),
-            ..self
-        }
+        Self { start: Some(start), ..self }
     }
 
     /// Sets the path, from the planned start if the arm stands there. Returns the joint positions at the start of the
     /// path.
     fn lay(&mut self, e: &EffectorImage) -> Result<Axes, GeneratorError> {
-        let EffectorState {
-            motors,
-            joints,
-            pose,
-        } = &e.commanded;
+        let EffectorState { motors, joints, pose } = &e.commanded;
         self.remainder = Axes::default();
         let start = self.start.filter(|start| start.admits(&motors.position));
         let Some(start) = start else {
@@ -237,11 +215,7 @@ impl StraightLine {
     }
 
     /// Checks the whole line. Returns the factor by which the line must be slowed down, at least 1.
-    fn slowdown(
-        &self,
-        start: &Axes,
-        [cruise, acceleration, _]: Rates,
-    ) -> Result<f64, GeneratorError> {
+    fn slowdown(&self, start: &Axes, [cruise, acceleration, _]: Rates) -> Result<f64, GeneratorError> {
         let checks = self.path.checks();
         let ds = 1.0 / checks as f64;
         let axes = self.arm.axes();
@@ -249,11 +223,7 @@ impl StraightLine {
         let mut joints = *start;
         let mut slopes: Option<Axes> = None;
         for check in 1..=checks {
-            let s = if check == checks {
-                1.0
-            } else {
-                check as f64 * ds
-            };
+            let s = if check == checks { 1.0 } else { check as f64 * ds };
             let ahead = self.inverse(s, &joints)?;
             self.on_the_way(s, &ahead)?;
             let mut slope = [0.0; servo::MAX_AXES];
@@ -263,11 +233,7 @@ impl StraightLine {
             for axis in 0..axes {
                 let by = (ahead[axis] - joints[axis]).abs();
                 if by > JUMP {
-                    return Err(GeneratorError::Jump {
-                        s,
-                        axis: axis as u8,
-                        by,
-                    });
+                    return Err(GeneratorError::Jump { s, axis: axis as u8, by });
                 }
                 slope[axis] = (ahead[axis] - joints[axis]) / ds - self.remainder[axis];
                 let bend = slopes.map_or(0.0, |last| (slope[axis] - last[axis]) / ds);
@@ -276,11 +242,7 @@ impl StraightLine {
                     / self.joint_limits.max_acceleration[axis];
                 let times = speed.max(push.sqrt());
                 if times > SLOWEST {
-                    return Err(GeneratorError::Singular {
-                        s,
-                        axis: axis as u8,
-                        times,
-                    });
+                    return Err(GeneratorError::Singular { s, axis: axis as u8, times });
                 }
                 slowdown = slowdown.max(times);
             }
@@ -304,9 +266,7 @@ impl StraightLine {
     }
 
     fn inverse(&self, s: f64, near: &Axes) -> Result<Axes, GeneratorError> {
-        self.arm
-            .inverse(&self.path.at(s), near)
-            .map_err(|cause| GeneratorError::Path { s, cause })
+        self.arm.inverse(&self.path.at(s), near).map_err(|cause| GeneratorError::Path { s, cause })
     }
 }
 
@@ -315,15 +275,8 @@ impl Generator for StraightLine {
     type Every = ();
     type Memory = LineMemory;
 
-    fn first_step(
-        &mut self,
-        e: &EffectorImage,
-        macrostep: Duration,
-    ) -> Result<Next<LineMemory>, GeneratorError> {
-        let memory = LineMemory {
-            done: 0,
-            joints: self.lay(e)?,
-        };
+    fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<LineMemory>, GeneratorError> {
+        let memory = LineMemory { done: 0, joints: self.lay(e)? };
         self.plan.macrosteps = 0;
         let Some(rates) = self.tool_rates(&e.commanded.pose) else {
             return Ok(Next::remember(memory));
@@ -348,28 +301,19 @@ impl Generator for StraightLine {
         let done = memory.done + 1;
         if done == self.plan.macrosteps {
             let joints = self.inverse(1.0, &memory.joints)?;
-            return Ok(Next::command(
-                Setpoint::Joints(AxesState::at_rest(joints)),
-                LineMemory { done, joints },
-            ));
+            return Ok(Next::command(Setpoint::Joints(AxesState::at_rest(joints)), LineMemory { done, joints }));
         }
         let ([s], [rate]) = self.plan.at(done);
         let s = s.clamp(0.0, 1.0);
 
         let joints = self.inverse(s, &memory.joints)?;
         let (before, after) = ((s - EPSILON).max(0.0), (s + EPSILON).min(1.0));
-        let (behind, ahead) = (
-            self.inverse(before, &joints)?,
-            self.inverse(after, &joints)?,
-        );
+        let (behind, ahead) = (self.inverse(before, &joints)?, self.inverse(after, &joints)?);
         let mut state = AxesState::at_rest(self.on_the_way(s, &joints)?);
         for axis in 0..self.arm.axes() {
             let slope = (ahead[axis] - behind[axis]) / (after - before);
             state.velocity[axis] = (slope - self.remainder[axis]) * rate;
         }
-        Ok(Next::command(
-            Setpoint::Joints(state),
-            LineMemory { done, joints },
-        ))
+        Ok(Next::command(Setpoint::Joints(state), LineMemory { done, joints }))
     }
 }

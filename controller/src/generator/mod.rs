@@ -132,10 +132,7 @@ impl MotionLimits {
     /// Refuses an impossible number of axes, and limits that are not positive and finite for one of these axes.
     fn check(&self, axes: usize) -> Result<(), GeneratorError> {
         if axes == 0 || axes > MAX_AXES {
-            return Err(GeneratorError::Axes {
-                axes,
-                max: MAX_AXES,
-            });
+            return Err(GeneratorError::Axes { axes, max: MAX_AXES });
         }
         for axis in 0..axes {
             let limits = [self.max_velocity, self.max_acceleration, self.max_jerk];
@@ -167,21 +164,13 @@ pub trait Generator {
 
     /// Plans the motion and returns the first outputs and memory. The effector stands. The macrostep is not zero. Only
     /// this function may take longer than a macrostep.
-    fn first_step(
-        &mut self,
-        images: &Self::First,
-        macrostep: Duration,
-    ) -> Result<Next<Self::Memory>, GeneratorError>;
+    fn first_step(&mut self, images: &Self::First, macrostep: Duration) -> Result<Next<Self::Memory>, GeneratorError>;
 
     /// `fT`: whether the instruction ends. Evaluated on each new snapshot before [`next_step`](Self::next_step).
     fn terminal(&self, memory: &Self::Memory, images: &Self::Every) -> bool;
 
     /// (5) to (8): the outputs and the memory of the next step.
-    fn next_step(
-        &self,
-        memory: &Self::Memory,
-        images: &Self::Every,
-    ) -> Result<Next<Self::Memory>, GeneratorError>;
+    fn next_step(&self, memory: &Self::Memory, images: &Self::Every) -> Result<Next<Self::Memory>, GeneratorError>;
 }
 
 /// Result of one step, committed as a whole.
@@ -198,17 +187,11 @@ pub struct Next<M> {
 impl<M> Next<M> {
     /// A result with a command to the effector.
     pub const fn command(effector: Setpoint, memory: M) -> Self {
-        Self {
-            effector: Some(effector),
-            memory,
-        }
+        Self { effector: Some(effector), memory }
     }
 
     /// A result without a command to the effector.
     pub const fn remember(memory: M) -> Self {
-        Self {
-            effector: None,
-            memory,
-        }
+        Self { effector: None, memory }
     }
 }

@@ -5,9 +5,7 @@ use std::time::Duration;
 use servo::MAX_AXES;
 
 use super::profile::{Course, Trapezoid};
-use super::{
-    Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Setpoint,
-};
+use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Setpoint};
 use crate::robot::Space;
 
 /// Maximum number of macrosteps of one motion: almost six hours with macrosteps of 20 ms.
@@ -43,11 +41,7 @@ pub struct SmoothPose {
 impl SmoothPose {
     /// A pose whose segment uses the full velocity and acceleration limits.
     pub const fn fast(position: Axes) -> Self {
-        Self {
-            position,
-            velocity: [1.0; MAX_AXES],
-            acceleration: [1.0; MAX_AXES],
-        }
+        Self { position, velocity: [1.0; MAX_AXES], acceleration: [1.0; MAX_AXES] }
     }
 }
 
@@ -105,31 +99,17 @@ impl Newsmooth {
         for (index, pose) in poses.iter().enumerate() {
             for axis in 0..axes {
                 if !pose.position[axis].is_finite() {
-                    return Err(GeneratorError::NotFinite {
-                        pose: index,
-                        axis: axis as u8,
-                    });
+                    return Err(GeneratorError::NotFinite { pose: index, axis: axis as u8 });
                 }
                 for value in [pose.velocity[axis], pose.acceleration[axis]] {
                     if !(value > 0.0 && value <= 1.0) {
-                        return Err(GeneratorError::Fraction {
-                            pose: index,
-                            axis: axis as u8,
-                            value,
-                        });
+                        return Err(GeneratorError::Fraction { pose: index, axis: axis as u8, value });
                     }
                 }
             }
         }
         let segments = Vec::with_capacity(poses.len());
-        Ok(Self {
-            space,
-            axes,
-            limits,
-            poses,
-            macrostep: 0.0,
-            segments,
-        })
+        Ok(Self { space, axes, limits, poses, macrostep: 0.0, segments })
     }
 
     /// Signed distance of one axis in the segment to pose `index`; zero beyond the last pose.
@@ -137,11 +117,7 @@ impl Newsmooth {
         let Some(pose) = self.poses.get(index) else {
             return 0.0;
         };
-        let from = if index == 0 {
-            start
-        } else {
-            &self.poses[index - 1].position
-        };
+        let from = if index == 0 { start } else { &self.poses[index - 1].position };
         pose.position[axis] - from[axis]
     }
 
@@ -202,16 +178,13 @@ impl Newsmooth {
                 end_velocity: exit[axis],
                 acceleration: pose.acceleration[axis] * self.limits.max_acceleration[axis],
             };
-            let times = (0..self.axes).map(|axis| {
-                course(axis).shortest(pose.velocity[axis] * self.limits.max_velocity[axis])
-            });
+            let times =
+                (0..self.axes).map(|axis| course(axis).shortest(pose.velocity[axis] * self.limits.max_velocity[axis]));
             let shortest = times.fold(0.0, f64::max);
             let macrosteps = whole_macrosteps(shortest, self.macrostep)?;
             total = total.saturating_add(macrosteps);
             if total > MAX_MACROSTEPS {
-                return Err(GeneratorError::TooLong {
-                    limit: MAX_MACROSTEPS,
-                });
+                return Err(GeneratorError::TooLong { limit: MAX_MACROSTEPS });
             }
             if macrosteps > 0 {
                 let duration = f64::from(macrosteps) * self.macrostep;
@@ -219,12 +192,7 @@ impl Newsmooth {
                 for (axis, profile) in profiles.iter_mut().enumerate().take(self.axes) {
                     *profile = course(axis).lasting(duration);
                 }
-                self.segments.push(Segment {
-                    macrosteps,
-                    start: from,
-                    end: pose.position,
-                    profiles,
-                });
+                self.segments.push(Segment { macrosteps, start: from, end: pose.position, profiles });
             }
             from = pose.position;
             entry = exit;
@@ -239,9 +207,7 @@ pub(super) fn whole_macrosteps(seconds: f64, macrostep: f64) -> Result<u32, Gene
     if count <= f64::from(MAX_MACROSTEPS) {
         Ok(count as u32)
     } else {
-        Err(GeneratorError::TooLong {
-            limit: MAX_MACROSTEPS,
-        })
+        Err(GeneratorError::TooLong { limit: MAX_MACROSTEPS })
     }
 }
 
@@ -250,11 +216,7 @@ impl Generator for Newsmooth {
     type Every = ();
     type Memory = Progress;
 
-    fn first_step(
-        &mut self,
-        e: &EffectorImage,
-        macrostep: Duration,
-    ) -> Result<Next<Progress>, GeneratorError> {
+    fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<Progress>, GeneratorError> {
         self.macrostep = macrostep.as_secs_f64();
         self.plan(&self.space.commanded(e).position)?;
         Ok(Next::remember(Progress::default()))
@@ -275,23 +237,13 @@ impl Generator for Newsmooth {
             let (from, to) = (segment.start[axis], segment.end[axis]);
             let direction = if to < from { -1.0 } else { 1.0 };
             let (distance, speed) = profile.at(t);
-            state.position[axis] = if last {
-                to
-            } else {
-                from + direction * distance
-            };
+            state.position[axis] = if last { to } else { from + direction * distance };
             state.velocity[axis] = direction * if last { profile.end_velocity } else { speed };
         }
         let progress = if last {
-            Progress {
-                segment: progress.segment + 1,
-                macrostep: 0,
-            }
+            Progress { segment: progress.segment + 1, macrostep: 0 }
         } else {
-            Progress {
-                macrostep,
-                ..*progress
-            }
+            Progress { macrostep, ..*progress }
         };
         Ok(Next::command(self.space.setpoint(state), progress))
     }

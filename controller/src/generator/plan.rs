@@ -1,8 +1,6 @@
 //! Jerk-limited trajectory by Ruckig, slowed to last a whole number of macrosteps.
 
-use rsruckig::prelude::{
-    DataArrayOrVec, InputParameter, Ruckig, RuckigResult, ThrowErrorHandler, Trajectory,
-};
+use rsruckig::prelude::{DataArrayOrVec, InputParameter, Ruckig, RuckigResult, ThrowErrorHandler, Trajectory};
 
 use super::GeneratorError;
 use super::newsmooth::whole_macrosteps;
@@ -39,11 +37,7 @@ impl<const N: usize> Plan<N> {
 
     /// Solves the plan for the duration `given`, s, or for the shortest duration within the limits. The duration is
     /// then rounded up to a multiple of `macrostep`, s.
-    pub(super) fn solve(
-        &mut self,
-        given: Option<f64>,
-        macrostep: f64,
-    ) -> Result<(), GeneratorError> {
+    pub(super) fn solve(&mut self, given: Option<f64>, macrostep: f64) -> Result<(), GeneratorError> {
         match self.solver.calculate(&self.input, &mut self.trajectory) {
             Ok(RuckigResult::Working | RuckigResult::Finished) => {}
             Ok(_) | Err(_) => return Err(GeneratorError::NoProfile),

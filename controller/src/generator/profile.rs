@@ -34,21 +34,12 @@ pub(super) struct Course {
 impl Course {
     /// The shortest time with at most `max_velocity`, s.
     pub(super) fn shortest(&self, max_velocity: f64) -> f64 {
-        let Self {
-            distance: s,
-            start_velocity: vp,
-            end_velocity: vk,
-            acceleration: a,
-        } = *self;
+        let Self { distance: s, start_velocity: vp, end_velocity: vk, acceleration: a } = *self;
         if s <= 0.0 {
             return 0.0;
         }
         // Acceleration to `peak` and braking from `peak` use the whole distance when (2 peak² − vp² − vk²) / 2a = s.
-        let peak = (a * s + (vp * vp + vk * vk) / 2.0)
-            .sqrt()
-            .min(max_velocity)
-            .max(vp)
-            .max(vk);
+        let peak = (a * s + (vp * vp + vk * vk) / 2.0).sqrt().min(max_velocity).max(vp).max(vk);
         let ramps = (2.0 * peak * peak - vp * vp - vk * vk) / (2.0 * a);
         (2.0 * peak - vp - vk) / a + (s - ramps).max(0.0) / peak
     }
@@ -56,12 +47,7 @@ impl Course {
     /// The profile with exactly this `duration`, which is at least the shortest time.
     pub(super) fn lasting(&self, duration: f64) -> Trapezoid {
         let cruise = self.cruise(duration);
-        let Self {
-            distance,
-            start_velocity,
-            end_velocity,
-            acceleration,
-        } = *self;
+        let Self { distance, start_velocity, end_velocity, acceleration } = *self;
         let mut first = (cruise - start_velocity).abs() / acceleration;
         let mut last = (end_velocity - cruise).abs() / acceleration;
         let ramps = first + last;
@@ -85,12 +71,7 @@ impl Course {
     /// `c t − sgn(c − vp) (c − vp)² / 2a − sgn(c − vk) (c − vk)² / 2a`.
     /// The distance grows with `c`. Each of the three ranges of `c` has a closed solution.
     fn cruise(&self, t: f64) -> f64 {
-        let Self {
-            distance: s,
-            start_velocity: vp,
-            end_velocity: vk,
-            acceleration: a,
-        } = *self;
+        let Self { distance: s, start_velocity: vp, end_velocity: vk, acceleration: a } = *self;
         let (low, high) = (vp.min(vk), vp.max(vk));
         let squares = (vp * vp + vk * vk) / 2.0;
         let gap = high - low;
@@ -104,11 +85,7 @@ impl Course {
             let b = a * t - vp - vk;
             let c = (a * s - squares).max(0.0);
             let root = (b * b + 4.0 * c).sqrt();
-            if b > 0.0 {
-                2.0 * c / (b + root)
-            } else {
-                (root - b) / 2.0
-            }
+            if b > 0.0 { 2.0 * c / (b + root) } else { (root - b) / 2.0 }
         }
     }
 }
@@ -119,19 +96,13 @@ impl Trapezoid {
         let rest = self.first + self.middle + self.last - t;
         if t < self.first {
             let a = (self.cruise - self.start_velocity) / self.first;
-            (
-                t * (self.start_velocity + a * t / 2.0),
-                self.start_velocity + a * t,
-            )
+            (t * (self.start_velocity + a * t / 2.0), self.start_velocity + a * t)
         } else if rest <= 0.0 {
             (self.distance, self.end_velocity)
         } else if rest < self.last {
             // Time is counted back from the end, so that the end is met exactly.
             let a = (self.end_velocity - self.cruise) / self.last;
-            (
-                self.distance - rest * (self.end_velocity - a * rest / 2.0),
-                self.end_velocity - a * rest,
-            )
+            (self.distance - rest * (self.end_velocity - a * rest / 2.0), self.end_velocity - a * rest)
         } else {
             let ramp = self.first * (self.start_velocity + self.cruise) / 2.0;
             (ramp + self.cruise * (t - self.first), self.cruise)

@@ -19,10 +19,7 @@ impl Generator for Wait {
     type Memory = u64;
 
     fn first_step(&mut self, _: &(), macrostep: Duration) -> Result<Next<u64>, GeneratorError> {
-        let steps = self
-            .duration
-            .as_nanos()
-            .div_ceil(macrostep.as_nanos().max(1));
+        let steps = self.duration.as_nanos().div_ceil(macrostep.as_nanos().max(1));
         Ok(Next::remember(u64::try_from(steps).unwrap_or(u64::MAX)))
     }
 

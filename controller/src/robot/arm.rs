@@ -26,10 +26,7 @@ pub(super) struct Posture {
 impl Posture {
     pub(super) fn new(th1: f64, th2: f64, th3: f64, th4: f64) -> Self {
         let both = [th1, th2, th3, th4].map(f64::sin_cos);
-        Self {
-            sin: both.map(|(sin, _)| sin),
-            cos: both.map(|(_, cos)| cos),
-        }
+        Self { sin: both.map(|(sin, _)| sin), cos: both.map(|(_, cos)| cos) }
     }
 
     /// Orientation of the wrist before its roll.
@@ -82,16 +79,11 @@ pub(super) fn regular(axis: usize, margin: f64, least: f64) -> Result<(), Kinema
 /// A pose given by the axes of its frame as columns.
 pub(super) fn pose(origin: Vector3<f64>, axes: Matrix3<f64>) -> Isometry3<f64> {
     let rotation = Rotation3::from_matrix_unchecked(axes);
-    Isometry3::from_parts(
-        Translation3::from(origin),
-        UnitQuaternion::from_rotation_matrix(&rotation),
-    )
+    Isometry3::from_parts(Translation3::from(origin), UnitQuaternion::from_rotation_matrix(&rotation))
 }
 
 /// Origin and axes of a pose. Refuses values that are not finite.
-pub(super) fn parts(
-    pose: &Isometry3<f64>,
-) -> Result<(Vector3<f64>, Matrix3<f64>), KinematicsError> {
+pub(super) fn parts(pose: &Isometry3<f64>) -> Result<(Vector3<f64>, Matrix3<f64>), KinematicsError> {
     let finite = |value: &f64| value.is_finite();
     let (origin, rotation) = (&pose.translation.vector, &pose.rotation);
     if origin.iter().all(finite) && rotation.coords.iter().all(finite) {
@@ -104,11 +96,7 @@ pub(super) fn parts(
 impl ArmParameters {
     /// The links in the arm's plane: length, and the axis that sets the inclination.
     fn lengths(&self) -> [(usize, f64); 3] {
-        [
-            (SHOULDER, self.lower_arm_length),
-            (ELBOW, self.upper_arm_length),
-            (PITCH, self.wrist_length),
-        ]
+        [(SHOULDER, self.lower_arm_length), (ELBOW, self.upper_arm_length), (PITCH, self.wrist_length)]
     }
 
     /// The flange origin in the base frame.
@@ -126,9 +114,7 @@ impl ArmParameters {
         let mut jacobian = Jacobian::zeros();
         let Posture { sin, cos } = posture;
         let origin = self.origin(posture);
-        jacobian
-            .fixed_view_mut::<3, 1>(0, 0)
-            .copy_from(&Vector3::new(-origin.y, origin.x, 0.0));
+        jacobian.fixed_view_mut::<3, 1>(0, 0).copy_from(&Vector3::new(-origin.y, origin.x, 0.0));
         jacobian[(5, 0)] = 1.0;
         for (axis, length) in self.lengths() {
             let (s, c) = (length * sin[axis], length * cos[axis]);
@@ -137,12 +123,8 @@ impl ArmParameters {
         }
         // Parallelograms keep the flange's orientation while lower and upper arm move.
         let wrist = posture.wrist();
-        jacobian
-            .fixed_view_mut::<3, 1>(3, PITCH)
-            .copy_from(&-wrist.column(1));
-        jacobian
-            .fixed_view_mut::<3, 1>(3, ROLL)
-            .copy_from(&wrist.column(2));
+        jacobian.fixed_view_mut::<3, 1>(3, PITCH).copy_from(&-wrist.column(1));
+        jacobian.fixed_view_mut::<3, 1>(3, ROLL).copy_from(&wrist.column(2));
         jacobian
     }
 
@@ -212,12 +194,7 @@ impl ArmParameters {
         // The angle at the shoulder between the lower arm and the line to the pitch axis.
         let cos = (square + lower * lower - upper * upper) / (2.0 * lower * span);
         let sin = (1.0 - cos * cos).max(0.0).sqrt();
-        let th2 = |sin: f64| {
-            (
-                (drop * cos + reach * sin) / span,
-                (reach * cos - drop * sin) / span,
-            )
-        };
+        let th2 = |sin: f64| ((drop * cos + reach * sin) / span, (reach * cos - drop * sin) / span);
         Ok([th2(sin), th2(-sin)])
     }
 }

@@ -10,8 +10,7 @@ use super::drive_train::check;
 use super::parameters::{finite as finite_parameter, room};
 use super::room::room as room_at_home;
 use super::{
-    Jacobian, Joints, KinematicsError, Limits, Motors, ParameterError, Robot, RobotParameters,
-    Solutions, Space,
+    Jacobian, Joints, KinematicsError, Limits, Motors, ParameterError, Robot, RobotParameters, Solutions, Space,
 };
 
 /// Tolerance for rounding errors in the distance of a pose from the path of such a device, m and rad.
@@ -72,8 +71,7 @@ impl GripperParameters {
         if (closes - near).abs() < (opens - near).abs() {
             ways.swap(0, 1);
         }
-        let [first, second] =
-            ways.map(|motor| within(&self.motor_limits, motor, Space::Motor).map(|()| motor));
+        let [first, second] = ways.map(|motor| within(&self.motor_limits, motor, Space::Motor).map(|()| motor));
         first.or_else(|refusal| second.map_err(|_| refusal))
     }
 }
@@ -94,11 +92,7 @@ impl ConveyorParameters {
     /// The conveyor of the WUT laboratory (public code). With 4000 counts per revolution, one count is 0.70 µm.
     /// Derived: a 32-bit counter of these counts covers the motor's range, ±1489 m of belt.
     pub const fn belt() -> Self {
-        Self {
-            ratio: 2250.0,
-            motor_at_home: 0.0,
-            motor_limits: Limits::new(-3.35e6, 3.35e6),
-        }
+        Self { ratio: 2250.0, motor_at_home: 0.0, motor_limits: Limits::new(-3.35e6, 3.35e6) }
     }
 }
 
@@ -127,14 +121,8 @@ impl LinearDevice {
     /// its joint has the range of that side.
     pub fn gripper(parameters: &GripperParameters) -> Result<Self, ParameterError> {
         let name = "jaws";
-        let GripperParameters {
-            square,
-            linear,
-            constant,
-            motor_at_home,
-            mut motor_limits,
-            opening_limits,
-        } = *parameters;
+        let GripperParameters { square, linear, constant, motor_at_home, mut motor_limits, opening_limits } =
+            *parameters;
         for value in [square, linear, constant, motor_at_home] {
             finite_parameter(name, value)?;
         }
@@ -154,10 +142,7 @@ impl LinearDevice {
         let joint_limits = opening_limits.within(motor_limits.map(opening));
         room(name, joint_limits)?;
         Ok(Self {
-            map: AxisMap::Gripper(GripperParameters {
-                motor_limits,
-                ..*parameters
-            }),
+            map: AxisMap::Gripper(GripperParameters { motor_limits, ..*parameters }),
             joint_limits,
             motor_limits,
             motor_at_home,
@@ -223,11 +208,7 @@ impl Robot for LinearDevice {
         Ok(Isometry3::translation(x, 0.0, 0.0))
     }
 
-    fn inverse(
-        &self,
-        base_from_flange: &Isometry3<f64>,
-        near: &Joints,
-    ) -> Result<Solutions, KinematicsError> {
+    fn inverse(&self, base_from_flange: &Isometry3<f64>, near: &Joints) -> Result<Solutions, KinematicsError> {
         near.exactly::<1>()?;
         let at = base_from_flange.translation.vector;
         let x = finite(at.x)?;
@@ -259,11 +240,7 @@ impl Robot for LinearDevice {
 }
 
 fn finite(value: f64) -> Result<f64, KinematicsError> {
-    if value.is_finite() {
-        Ok(value)
-    } else {
-        Err(KinematicsError::NotFinite)
-    }
+    if value.is_finite() { Ok(value) } else { Err(KinematicsError::NotFinite) }
 }
 
 fn within(limits: &Limits, value: f64, space: Space) -> Result<(), KinematicsError> {
@@ -280,9 +257,7 @@ impl RobotParameters for GripperParameters {
     fn with_room_at_home(mut self, motors: &[f64]) -> Self {
         let motor = room_at_home(motors, 0);
         let opening = |motor| self.opening(motor).ok();
-        self.opening_limits =
-            self.opening_limits
-                .with_room_through(opening, self.motor_at_home, motor);
+        self.opening_limits = self.opening_limits.with_room_through(opening, self.motor_at_home, motor);
         self.motor_limits = self.motor_limits.with_room(self.motor_at_home, motor);
         self
     }
@@ -296,9 +271,7 @@ impl RobotParameters for ConveyorParameters {
     }
 
     fn with_room_at_home(mut self, motors: &[f64]) -> Self {
-        self.motor_limits = self
-            .motor_limits
-            .with_room(self.motor_at_home, room_at_home(motors, 0));
+        self.motor_limits = self.motor_limits.with_room(self.motor_at_home, room_at_home(motors, 0));
         self
     }
 }
@@ -330,12 +303,7 @@ mod tests {
     fn an_opening_the_jaws_do_not_have_is_refused() {
         let gripper = GripperParameters::two_finger();
         for (opening, limit) in [(0.05, 0.053), (0.0915, 0.091)] {
-            let beyond = KinematicsError::BeyondLimit {
-                space: Space::Joint,
-                axis: 0,
-                value: opening,
-                limit,
-            };
+            let beyond = KinematicsError::BeyondLimit { space: Space::Joint, axis: 0, value: opening, limit };
             assert_eq!(gripper.motor(opening, 0.0), Err(beyond));
         }
         let mut narrow = gripper;
@@ -364,15 +332,11 @@ mod tests {
         let pose = gripper.forward(&home).unwrap();
         assert_eq!(*gripper.inverse(&pose, &home).unwrap().preferred(), home);
         // Only motor positions on the other side of the vertex have this opening.
-        let narrow = gripper
-            .motors_from_joints(&Joints::from([0.06]))
-            .unwrap_err();
+        let narrow = gripper.motors_from_joints(&Joints::from([0.06])).unwrap_err();
         assert_eq!(narrow.axis(), Some(0));
         let mut other = GripperParameters::two_finger();
         other.motor_at_home = 0.0;
-        let motors = LinearDevice::gripper(&other)
-            .unwrap()
-            .motors_from_joints(&Joints::from([0.06]));
+        let motors = LinearDevice::gripper(&other).unwrap().motors_from_joints(&Joints::from([0.06]));
         assert!(motors.unwrap()[0] < 0.0);
     }
 
@@ -383,12 +347,8 @@ mod tests {
         let there = belt.inverse(&Isometry3::translation(12.5, 0.0, 0.0), &near);
         assert_eq!(*there.unwrap().preferred(), Joints::from([12.5]));
         let turned = Isometry3::rotation(nalgebra::Vector3::z() * 0.1);
-        for (pose, off) in [
-            (Isometry3::translation(0.5, 0.3, 0.4), (0.5, 0.0)),
-            (turned, (0.0, 0.1)),
-        ] {
-            let Err(KinematicsError::OffAxis { distance, angle }) = belt.inverse(&pose, &near)
-            else {
+        for (pose, off) in [(Isometry3::translation(0.5, 0.3, 0.4), (0.5, 0.0)), (turned, (0.0, 0.1))] {
+            let Err(KinematicsError::OffAxis { distance, angle }) = belt.inverse(&pose, &near) else {
                 panic!("{pose} was not refused");
             };
             assert!((distance - off.0).abs() < 1e-12 && (angle - off.1).abs() < 1e-12);

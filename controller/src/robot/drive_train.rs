@@ -87,12 +87,7 @@ impl ScrewAxis {
         let Limits { low, high } = self.joint_limits;
         let shortest = self.squared - self.cosine.hypot(self.sine);
         let (at_low, at_high) = (self.slope(low), self.slope(high));
-        shortest > 0.0
-            && at_low > 0.0
-            && at_high > 0.0
-            && low >= -PI
-            && high <= PI
-            && high - low < PI
+        shortest > 0.0 && at_low > 0.0 && at_high > 0.0 && low >= -PI && high <= PI && high - low < PI
     }
 }
 
@@ -135,8 +130,7 @@ impl TrainAxis {
         let Transmission::Gear(gear) = &self.transmission else {
             return self.limits(Space::Joint);
         };
-        let joint =
-            |motor| (motor - gear.motor_at_home - carried) / gear.ratio + gear.joint_at_home;
+        let joint = |motor| (motor - gear.motor_at_home - carried) / gear.ratio + gear.joint_at_home;
         gear.joint_limits.within(gear.motor_limits.map(joint))
     }
 
@@ -144,9 +138,7 @@ impl TrainAxis {
     fn travel(&self, joint: f64) -> f64 {
         match &self.transmission {
             Transmission::Gear(gear) => gear.ratio * (joint - gear.joint_at_home),
-            Transmission::Screw(screw) => {
-                (screw.length(joint) - screw.length_at_home) * (TAU / screw.lead)
-            }
+            Transmission::Screw(screw) => (screw.length(joint) - screw.length_at_home) * (TAU / screw.lead),
         }
     }
 
@@ -197,9 +189,7 @@ impl<const N: usize> DriveTrain<N> {
         }
         let mut motors = [0.0; N];
         for (index, axis) in self.axes.iter().enumerate() {
-            let carried = axis
-                .carried_by
-                .map_or(0.0, |by| motors[by] - self.axes[by].motor_at_home());
+            let carried = axis.carried_by.map_or(0.0, |by| motors[by] - self.axes[by].motor_at_home());
             motors[index] = axis.motor_at_home() + axis.travel(joints[index]) + carried;
         }
         for (axis, &motor) in motors.iter().enumerate() {
@@ -212,18 +202,11 @@ impl<const N: usize> DriveTrain<N> {
     pub(super) fn joints_from_motors(&self, motors: &[f64; N]) -> Result<Joints, KinematicsError> {
         let mut joints = [0.0; N];
         for (index, axis) in self.axes.iter().enumerate() {
-            let carried = axis
-                .carried_by
-                .map_or(0.0, |by| motors[by] - self.axes[by].motor_at_home());
+            let carried = axis.carried_by.map_or(0.0, |by| motors[by] - self.axes[by].motor_at_home());
             let home = axis.motor_at_home() + carried;
             joints[index] = axis.joint(motors[index] - home).map_err(|travel| {
                 let (value, limit) = (motors[index], home + travel);
-                KinematicsError::BeyondLimit {
-                    space: Space::Motor,
-                    axis: index as u8,
-                    value,
-                    limit,
-                }
+                KinematicsError::BeyondLimit { space: Space::Motor, axis: index as u8, value, limit }
             })?;
         }
         Ok(joints.into())
@@ -246,11 +229,7 @@ impl<const N: usize> DriveTrain<N> {
             Some(limit) if limit == range.low => nearest + TAU * ((limit - nearest) / TAU).ceil(),
             Some(limit) => nearest - TAU * ((nearest - limit) / TAU).ceil(),
         };
-        if range.exceeded_by(inside).is_none() {
-            inside
-        } else {
-            nearest
-        }
+        if range.exceeded_by(inside).is_none() { inside } else { nearest }
     }
 
     /// Sum of the motor angles of an axis and of the axes that carry the axis, rad.
@@ -261,19 +240,9 @@ impl<const N: usize> DriveTrain<N> {
 }
 
 /// Refuses a position beyond its limit.
-pub(super) fn check(
-    limits: &Limits,
-    value: f64,
-    axis: usize,
-    space: Space,
-) -> Result<(), KinematicsError> {
+pub(super) fn check(limits: &Limits, value: f64, axis: usize, space: Space) -> Result<(), KinematicsError> {
     match limits.exceeded_by(value) {
-        Some(limit) => Err(KinematicsError::BeyondLimit {
-            space,
-            axis: axis as u8,
-            value,
-            limit,
-        }),
+        Some(limit) => Err(KinematicsError::BeyondLimit { space, axis: axis as u8, value, limit }),
         None => Ok(()),
     }
 }

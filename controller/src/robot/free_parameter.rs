@@ -20,21 +20,12 @@ impl Ring {
 
     /// The two pieces, lower first. An empty piece ends before it begins.
     pub(super) fn pieces(&self) -> [(f64, f64); 2] {
-        let Self {
-            centre,
-            inner,
-            outer,
-            low,
-            high,
-        } = *self;
+        let Self { centre, inner, outer, low, high } = *self;
         let (from, to) = ((centre - outer).max(low), (centre + outer).min(high));
         if inner <= 0.0 {
             return [(from, to), (1.0, 0.0)];
         }
-        [
-            (from, to.min(centre - inner)),
-            (from.max(centre + inner), to),
-        ]
+        [(from, to.min(centre - inner)), (from.max(centre + inner), to)]
     }
 
     /// The point of the ring nearest to `wish`. Fails with the distance by which the ring is empty.
@@ -68,10 +59,7 @@ impl Ring {
     pub(super) fn middle(&self, point: f64) -> f64 {
         let pieces = self.pieces();
         let within = |&&(from, to): &&(f64, f64)| point >= from && point <= to;
-        pieces
-            .iter()
-            .find(within)
-            .map_or(point, |(from, to)| 0.5 * (from + to))
+        pieces.iter().find(within).map_or(point, |(from, to)| 0.5 * (from + to))
     }
 }
 
@@ -92,13 +80,7 @@ mod tests {
 
     #[test]
     fn the_nearest_point_of_a_ring_is_on_the_side_of_the_wish() {
-        let ring = |inner, outer| Ring {
-            centre: 1.0,
-            inner,
-            outer,
-            low: -0.5,
-            high: 2.5,
-        };
+        let ring = |inner, outer| Ring { centre: 1.0, inner, outer, low: -0.5, high: 2.5 };
         for (inner, outer, wish, expected) in [
             (0.0, 1.0, 1.2, Ok(1.2)),
             (0.0, 1.0, 3.0, Ok(2.0)),

@@ -7,8 +7,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ArmParameters, Jacobian, Joints, KinematicsError, Limits, Link, Mass, Motors, ParameterError,
-    Robot, RobotParameters, Solutions,
+    ArmParameters, Jacobian, Joints, KinematicsError, Limits, Link, Mass, Motors, ParameterError, Robot,
+    RobotParameters, Solutions,
     arm::{self, Facing, Posture, ROLL},
     drive_train::DriveTrain,
     parameters,
@@ -39,10 +39,7 @@ impl Irb6Parameters {
         arm.shoulder_height = 0.7;
         arm.wrist_length = 0.095;
         arm.roll.motor_at_home = 314.665;
-        Self {
-            arm,
-            tool_plane_tolerance: 1e-6,
-        }
+        Self { arm, tool_plane_tolerance: 1e-6 }
     }
 }
 
@@ -67,10 +64,7 @@ impl Irb6 {
     pub fn new(parameters: &Irb6Parameters) -> Result<Self, ParameterError> {
         let drive_train = DriveTrain::new(parameters.arm.axes()?);
         parameters::positive("tool_plane_tolerance", parameters.tool_plane_tolerance)?;
-        Ok(Self {
-            parameters: *parameters,
-            drive_train,
-        })
+        Ok(Self { parameters: *parameters, drive_train })
     }
 }
 
@@ -93,22 +87,11 @@ impl Robot for Irb6 {
         let (s5, c5) = th5.sin_cos();
         let wrist = posture.wrist();
         let (ahead, across, along) = (wrist.column(0), wrist.column(1), wrist.column(2));
-        let axes = [
-            ahead * c5 + across * s5,
-            across * c5 - ahead * s5,
-            along.into_owned(),
-        ];
-        Ok(arm::pose(
-            self.parameters.arm.origin(&posture),
-            Matrix3::from_columns(&axes),
-        ))
+        let axes = [ahead * c5 + across * s5, across * c5 - ahead * s5, along.into_owned()];
+        Ok(arm::pose(self.parameters.arm.origin(&posture), Matrix3::from_columns(&axes)))
     }
 
-    fn inverse(
-        &self,
-        base_from_flange: &Isometry3<f64>,
-        near: &Joints,
-    ) -> Result<Solutions, KinematicsError> {
+    fn inverse(&self, base_from_flange: &Isometry3<f64>, near: &Joints) -> Result<Solutions, KinematicsError> {
         let near = near.exactly::<AXES>()?;
         let (origin, axes) = arm::parts(base_from_flange)?;
         let (normal, approach) = (axes.column(0), axes.column(2));
@@ -123,17 +106,10 @@ impl Robot for Irb6 {
                 let level = c1 * approach.x + s1 * approach.y;
                 let in_plane = (level * level + approach.z * approach.z).sqrt();
                 let pitch = (-approach.z / in_plane, level / in_plane);
-                let at = Facing {
-                    th1: (s1, c1),
-                    pitch,
-                    reach: facing * radius,
-                    height: origin.z,
-                };
+                let at = Facing { th1: (s1, c1), pitch, reach: facing * radius, height: origin.z };
                 let arm = &self.parameters.arm;
                 arm.branches(search, &at, |search, joints, wrist| {
-                    let roll = normal
-                        .dot(&wrist.column(1))
-                        .atan2(normal.dot(&wrist.column(0)));
+                    let roll = normal.dot(&wrist.column(1)).atan2(normal.dot(&wrist.column(0)));
                     search.turn(joints, ROLL, [roll]);
                 });
             }
@@ -150,10 +126,7 @@ impl Robot for Irb6 {
 
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
         let &[th1, th2, th3, th4, _] = joints.exactly()?;
-        Ok(self
-            .parameters
-            .arm
-            .jacobian(&Posture::new(th1, th2, th3, th4)))
+        Ok(self.parameters.arm.jacobian(&Posture::new(th1, th2, th3, th4)))
     }
 
     fn links(&self) -> Vec<Link> {
@@ -169,10 +142,7 @@ impl RobotParameters for Irb6Parameters {
     }
 
     fn with_room_at_home(self, motors: &[f64]) -> Self {
-        Self {
-            arm: self.arm.with_room_at_home(motors),
-            ..self
-        }
+        Self { arm: self.arm.with_room_at_home(motors), ..self }
     }
 
     // With a gripper along the roll axis.

@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::room::room;
 use super::{
-    ArmParameters, GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Mass, Motors,
-    ParameterError, Robot, RobotParameters, Solutions,
+    ArmParameters, GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Mass, Motors, ParameterError, Robot,
+    RobotParameters, Solutions,
     arm::{self, Facing, PARALLEL, PITCH, Posture, ROLL},
     drive_train::DriveTrain,
     parameters,
@@ -99,10 +99,7 @@ impl Irp6 {
         let [column, lower_arm, upper_arm, pitch, roll] = parameters.arm.axes()?;
         let hand = parameters::gear("hand", &parameters.hand)?;
         let axes = [column, lower_arm, upper_arm, pitch, roll, hand];
-        Ok(Self {
-            arm: parameters.arm,
-            drive_train: DriveTrain::new(axes),
-        })
+        Ok(Self { arm: parameters.arm, drive_train: DriveTrain::new(axes) })
     }
 }
 
@@ -126,22 +123,11 @@ impl Robot for Irp6 {
         let wrist = posture.wrist();
         let (ahead, across, along) = (wrist.column(0), wrist.column(1), wrist.column(2));
         let rolled = ahead * c5 + across * s5;
-        let axes = [
-            rolled * c6 + along * s6,
-            along * c6 - rolled * s6,
-            ahead * s5 - across * c5,
-        ];
-        Ok(arm::pose(
-            self.arm.origin(&posture),
-            Matrix3::from_columns(&axes),
-        ))
+        let axes = [rolled * c6 + along * s6, along * c6 - rolled * s6, ahead * s5 - across * c5];
+        Ok(arm::pose(self.arm.origin(&posture), Matrix3::from_columns(&axes)))
     }
 
-    fn inverse(
-        &self,
-        base_from_flange: &Isometry3<f64>,
-        near: &Joints,
-    ) -> Result<Solutions, KinematicsError> {
+    fn inverse(&self, base_from_flange: &Isometry3<f64>, near: &Joints) -> Result<Solutions, KinematicsError> {
         let near = near.exactly::<AXES>()?;
         let (origin, axes) = arm::parts(base_from_flange)?;
         let (normal, orientation, approach) = (axes.column(0), axes.column(1), axes.column(2));
@@ -159,17 +145,11 @@ impl Robot for Irp6 {
                     [Some((s4, c4)), Some((-s4, -c4))]
                 };
                 for pitch in pitches.into_iter().flatten() {
-                    let at = Facing {
-                        th1: (s1, c1),
-                        pitch,
-                        reach: facing * radius,
-                        height: origin.z,
-                    };
+                    let at = Facing { th1: (s1, c1), pitch, reach: facing * radius, height: origin.z };
                     // Roll and hand follow from the chosen pitch. The three angles therefore belong to one branch,
                     // and near the singularity their errors cancel.
                     self.arm.branches(search, &at, |search, joints, wrist| {
-                        let (ahead, across, along) =
-                            (wrist.column(0), wrist.column(1), wrist.column(2));
+                        let (ahead, across, along) = (wrist.column(0), wrist.column(1), wrist.column(2));
                         let roll = approach.dot(&ahead).atan2(-approach.dot(&across));
                         let hand = normal.dot(&along).atan2(orientation.dot(&along));
                         search.turn(joints, ROLL, [roll, hand]);
@@ -193,9 +173,7 @@ impl Robot for Irp6 {
         let mut jacobian = self.arm.jacobian(&posture);
         let (wrist, (s5, c5)) = (posture.wrist(), th5.sin_cos());
         let approach = wrist.column(0) * s5 - wrist.column(1) * c5;
-        jacobian
-            .fixed_view_mut::<3, 1>(3, HAND)
-            .copy_from(&approach);
+        jacobian.fixed_view_mut::<3, 1>(3, HAND).copy_from(&approach);
         Ok(jacobian)
     }
 
@@ -228,10 +206,7 @@ impl RobotParameters for Irp6Parameters {
     }
 
     fn with_room_at_home(self, motors: &[f64]) -> Self {
-        Self {
-            arm: self.arm.with_room_at_home(motors),
-            hand: self.hand.with_room(room(motors, 5), 0.0),
-        }
+        Self { arm: self.arm.with_room_at_home(motors), hand: self.hand.with_room(room(motors, 5), 0.0) }
     }
 
     fn masses(&self) -> &'static [Mass] {

@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::room::room;
 use super::{
-    GearAxis, Irp6, Irp6Parameters, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind,
-    Mass, Motors, ParameterError, Robot, RobotParameters, Solutions,
+    GearAxis, Irp6, Irp6Parameters, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Mass, Motors,
+    ParameterError, Robot, RobotParameters, Solutions,
     drive_train::DriveTrain,
     free_parameter::{self, Ring},
     parameters,
@@ -175,22 +175,9 @@ impl Irp6Track {
         let (near, far) = COMFORT;
         let beside = |radius: f64| (radius * radius - flange.x * flange.x).max(0.0).sqrt();
         let inner = beside(near).max(-flange.x * BEHIND);
-        let ring = Ring {
-            centre: flange.y,
-            inner,
-            outer: beside(far).max(inner),
-            low,
-            high,
-        };
-        let anywhere = Ring {
-            low: f64::NEG_INFINITY,
-            high: f64::INFINITY,
-            ..ring
-        };
-        ring.nearest(carriage)
-            .or_else(|_| anywhere.nearest(carriage))
-            .unwrap_or(carriage)
-            .clamp(low, high)
+        let ring = Ring { centre: flange.y, inner, outer: beside(far).max(inner), low, high };
+        let anywhere = Ring { low: f64::NEG_INFINITY, high: f64::INFINITY, ..ring };
+        ring.nearest(carriage).or_else(|_| anywhere.nearest(carriage)).unwrap_or(carriage).clamp(low, high)
     }
 }
 
@@ -212,19 +199,15 @@ impl Robot for Irp6Track {
         Ok(Translation3::new(0.0, carriage, 0.0) * self.robot.forward(&arm)?)
     }
 
-    fn inverse(
-        &self,
-        base_from_flange: &Isometry3<f64>,
-        near: &Joints,
-    ) -> Result<Solutions, KinematicsError> {
+    fn inverse(&self, base_from_flange: &Isometry3<f64>, near: &Joints) -> Result<Solutions, KinematicsError> {
         let here = self.forward(near)?;
         let (carriage, _) = parted(near)?;
         let flange = base_from_flange.translation.vector;
         if !flange.iter().all(|value| value.is_finite()) {
             return Err(KinematicsError::NotFinite);
         }
-        let way = (flange - here.translation.vector).norm()
-            + LEVER * here.rotation.angle_to(&base_from_flange.rotation);
+        let way =
+            (flange - here.translation.vector).norm() + LEVER * here.rotation.angle_to(&base_from_flange.rotation);
         let comfort = self.comfort(&flange, carriage);
         let place = free_parameter::drift(carriage, comfort, way, BAND);
         let at = |place| self.inverse_at(base_from_flange, near, place);
@@ -269,9 +252,7 @@ impl Robot for Irp6Track {
         let arm = self.robot.jacobian(&arm)?;
         let mut jacobian = Jacobian::zeros();
         jacobian[(1, 0)] = 1.0;
-        jacobian
-            .fixed_columns_mut::<ARM>(1)
-            .copy_from(&arm.fixed_columns::<ARM>(0));
+        jacobian.fixed_columns_mut::<ARM>(1).copy_from(&arm.fixed_columns::<ARM>(0));
         Ok(jacobian)
     }
 

@@ -51,10 +51,7 @@ impl Legs {
                 Vector3::new(radius * cos, radius * sin, 0.0)
             })
         };
-        Self {
-            base: circle(base_radius),
-            platform: circle(platform_radius),
-        }
+        Self { base: circle(base_radius), platform: circle(platform_radius) }
     }
 
     /// End points of each leg on the base and on the platform.
@@ -115,10 +112,7 @@ impl Legs {
             }
         }
         let (_, leg, residual) = closest;
-        Err(Gap {
-            leg: leg as u8,
-            residual,
-        })
+        Err(Gap { leg: leg as u8, residual })
     }
 }
 
@@ -151,12 +145,7 @@ struct Platform {
 fn platform(&[alpha, beta, rho]: &Posture) -> Platform {
     let base_from_central = central(alpha, beta);
     let central = base_from_central * Vector3::z();
-    Platform {
-        base_from_central,
-        beta_axis: base_from_central * Vector3::y(),
-        central,
-        middle: central * rho,
-    }
+    Platform { base_from_central, beta_axis: base_from_central * Vector3::y(), central, middle: central * rho }
 }
 
 impl Platform {

@@ -53,11 +53,7 @@ impl Link {
         }
         Self {
             name,
-            kind: if limits.is_continuous() {
-                LinkKind::Continuous
-            } else {
-                LinkKind::Revolute
-            },
+            kind: if limits.is_continuous() { LinkKind::Continuous } else { LinkKind::Revolute },
             parent_from_link,
             axis: Vector3::z_axis(),
             coupling: factors,

@@ -136,11 +136,7 @@ pub trait Robot: fmt::Debug + Send + Sync {
     /// At a wrist singularity the pose leaves an axis open. Some robots then keep the value of `near`, and say so.
     /// The other robots return [`KinematicsError::Singular`]. If branches exist but none lies within the limits,
     /// [`KinematicsError::BeyondLimit`] describes the branch nearest to `near`.
-    fn inverse(
-        &self,
-        base_from_flange: &Isometry3<f64>,
-        near: &Joints,
-    ) -> Result<Solutions, KinematicsError>;
+    fn inverse(&self, base_from_flange: &Isometry3<f64>, near: &Joints) -> Result<Solutions, KinematicsError>;
 
     /// Motor positions for these joints, both within their limits. Every commanded position passes this check.
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError>;

@@ -118,10 +118,7 @@ impl ArmParameters {
             screw("lower_arm", &self.lower_arm)?,
             screw("upper_arm", &self.upper_arm)?,
             gear("pitch", &self.pitch)?,
-            TrainAxis {
-                carried_by: Some(PITCH),
-                ..gear("roll", &self.roll)?
-            },
+            TrainAxis { carried_by: Some(PITCH), ..gear("roll", &self.roll)? },
         ])
     }
 }
@@ -174,9 +171,7 @@ pub enum ParameterError {
         tilt: f64,
     },
     /// A leg is too short or too long for the geometry. Legs are counted from 0.
-    #[error(
-        "leg {leg} is {length:.6} m long amid the workspace, outside its range {low} .. {high} m"
-    )]
+    #[error("leg {leg} is {length:.6} m long amid the workspace, outside its range {low} .. {high} m")]
     LegReach {
         /// The leg.
         leg: u8,
@@ -188,9 +183,7 @@ pub enum ParameterError {
         high: f64,
     },
     /// The legs cannot have their home lengths at the same time. Legs are counted from 0.
-    #[error(
-        "the legs do not close at home: leg {leg} misses its length by {residual:.6} m at the least"
-    )]
+    #[error("the legs do not close at home: leg {leg} misses its length by {residual:.6} m at the least")]
     OpenAtHome {
         /// The leg with the largest error.
         leg: u8,
@@ -201,9 +194,7 @@ pub enum ParameterError {
     #[error("{0}")]
     Weight(super::WeightError),
     /// The legs do not determine the pose of the platform in the whole workspace.
-    #[error(
-        "the legs lose hold of the platform before alpha {alpha:.6}, beta {beta:.6} rad, rho {rho:.6} m"
-    )]
+    #[error("the legs lose hold of the platform before alpha {alpha:.6}, beta {beta:.6} rad, rho {rho:.6} m")]
     NoHold {
         /// Tilt about x, rad.
         alpha: f64,
@@ -226,23 +217,12 @@ pub(super) fn gear(name: &'static str, gear: &GearAxis) -> Result<TrainAxis, Par
         room(name, gear.joint_limits)?;
     }
     room(name, gear.motor_limits)?;
-    Ok(TrainAxis {
-        transmission: Transmission::Gear(*gear),
-        carried_by: None,
-    })
+    Ok(TrainAxis { transmission: Transmission::Gear(*gear), carried_by: None })
 }
 
 /// The axis of a screw, after a check of its parameters.
 fn screw(name: &'static str, screw: &ScrewAxis) -> Result<TrainAxis, ParameterError> {
-    let ScrewAxis {
-        lead,
-        squared,
-        cosine,
-        sine,
-        length_at_home,
-        motor_at_home,
-        ..
-    } = *screw;
+    let ScrewAxis { lead, squared, cosine, sine, length_at_home, motor_at_home, .. } = *screw;
     for value in [lead, squared, cosine, sine, length_at_home, motor_at_home] {
         finite(name, value)?;
     }
@@ -254,40 +234,25 @@ fn screw(name: &'static str, screw: &ScrewAxis) -> Result<TrainAxis, ParameterEr
     if !screw.is_unambiguous() {
         return Err(ParameterError::AmbiguousScrew { name });
     }
-    Ok(TrainAxis {
-        transmission: Transmission::Screw(*screw),
-        carried_by: None,
-    })
+    Ok(TrainAxis { transmission: Transmission::Screw(*screw), carried_by: None })
 }
 
 /// Refuses a NaN or an infinity.
 pub(super) fn finite(name: &'static str, value: f64) -> Result<(), ParameterError> {
-    if value.is_finite() {
-        Ok(())
-    } else {
-        Err(ParameterError::NotFinite { name })
-    }
+    if value.is_finite() { Ok(()) } else { Err(ParameterError::NotFinite { name }) }
 }
 
 /// Refuses a value that is not above zero.
 pub(super) fn positive(name: &'static str, value: f64) -> Result<(), ParameterError> {
     finite(name, value)?;
-    if value > 0.0 {
-        Ok(())
-    } else {
-        Err(ParameterError::NotPositive { name, value })
-    }
+    if value > 0.0 { Ok(()) } else { Err(ParameterError::NotPositive { name, value }) }
 }
 
 /// Refuses limits whose lower limit is not below the upper limit.
 pub(super) fn room(name: &'static str, Limits { low, high }: Limits) -> Result<(), ParameterError> {
     finite(name, low)?;
     finite(name, high)?;
-    if low < high {
-        Ok(())
-    } else {
-        Err(ParameterError::EmptyRange { name, low, high })
-    }
+    if low < high { Ok(()) } else { Err(ParameterError::EmptyRange { name, low, high }) }
 }
 
 pub(super) const fn degrees(low: f64, high: f64) -> Limits {

@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 
 use super::room::room;
 use super::{
-    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Mass, Motors, ParameterError, Robot,
-    RobotParameters, Solutions,
+    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Mass, Motors, ParameterError, Robot, RobotParameters,
+    Solutions,
     arm::{self, PARALLEL},
     drive_train::{DriveTrain, TrainAxis},
     free_parameter, parameters,
@@ -163,10 +163,7 @@ impl Polycrank {
         }
         let mut drives = Vec::with_capacity(AXES);
         for (axis, (gear, name)) in parameters.axes.iter().zip(NAMES).enumerate() {
-            drives.push(TrainAxis {
-                carried_by: parameters.carrier(axis),
-                ..parameters::gear(name, gear)?
-            });
+            drives.push(TrainAxis { carried_by: parameters.carrier(axis), ..parameters::gear(name, gear)? });
         }
         let drives = drives.try_into().expect("every axis has a drive");
         Ok(Self {
@@ -221,19 +218,14 @@ impl Polycrank {
             let solutions = self.inverse_at(base_from_flange, near, reach);
             solutions.map_or(f64::NEG_INFINITY, |solutions| {
                 let margins = solutions.iter().map(|joints| self.singularity(joints));
-                margins
-                    .flatten()
-                    .map(|singularity| singularity.margin)
-                    .fold(0.0, f64::max)
+                margins.flatten().map(|singularity| singularity.margin).fold(0.0, f64::max)
             })
         };
         let longest = 2.0 * self.cranks.forearm;
         let step = 2.0 * longest / SAMPLES as f64;
         let samples = (0..SAMPLES).map(|sample| (sample as f64 + 0.5) * step - longest);
         let better = |a: (f64, f64), b: (f64, f64)| if b.1 > a.1 { b } else { a };
-        let mut best = samples
-            .map(|reach| (reach, margin(reach)))
-            .fold((own, margin(own)), better);
+        let mut best = samples.map(|reach| (reach, margin(reach))).fold((own, margin(own)), better);
         let (mut low, mut high) = (best.0 - step, best.0 + step);
         for _ in 0..REFINEMENTS {
             let part = (high - low) * GOLDEN;
@@ -302,13 +294,7 @@ impl Polycrank {
         let comfort = inside
             .map(|ring| self.cranks.ahead_of_the_hole(facing, ring))
             // The arm cannot move across a hole of the range.
-            .map(|ring| {
-                if admitted.inner > 0.0 {
-                    ring.half(nearest)
-                } else {
-                    ring
-                }
-            })
+            .map(|ring| if admitted.inner > 0.0 { ring.half(nearest) } else { ring })
             .and_then(|ring| ring.nearest(here.reach))
             .unwrap_or_else(|_| admitted.middle(nearest));
         let way = here.way_to(facing);
@@ -334,11 +320,7 @@ impl Robot for Polycrank {
         Ok(self.cranks.forward(joints))
     }
 
-    fn inverse(
-        &self,
-        base_from_flange: &Isometry3<f64>,
-        near: &Joints,
-    ) -> Result<Solutions, KinematicsError> {
+    fn inverse(&self, base_from_flange: &Isometry3<f64>, near: &Joints) -> Result<Solutions, KinematicsError> {
         let near = near.exactly()?;
         let here = self.cranks.stand(near);
         self.solve(base_from_flange, near, |facing| self.choose(facing, &here))

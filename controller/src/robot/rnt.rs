@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 
 use super::room::room;
 use super::{
-    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Mass, Motors,
-    ParameterError, Robot, RobotParameters, Solutions, Space,
+    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Mass, Motors, ParameterError, Robot,
+    RobotParameters, Solutions, Space,
     arm::{self, PARALLEL},
     drive_train::{self, DriveTrain, TrainAxis},
     legs::{self, Gap, Legs, Posture},
@@ -74,12 +74,8 @@ impl RntParameters {
     /// of a tripod with a 0.70 m base, directly driven ball screws of 5 mm, and harmonic drives of 100:1 in the
     /// wrist. The data of the real machine are to be set in the cell file.
     pub const fn nominal() -> Self {
-        let leg = LegAxis {
-            lead: 0.005,
-            length_at_home: 0.75,
-            motor_at_home: 0.0,
-            length_limits: Limits::new(0.55, 1.38),
-        };
+        let leg =
+            LegAxis { lead: 0.005, length_at_home: 0.75, motor_at_home: 0.0, length_limits: Limits::new(0.55, 1.38) };
         let tilt = parameters::degrees(-30.0, 30.0);
         Self {
             base_radius: 0.350,
@@ -153,10 +149,7 @@ impl Rnt {
         let extension = parameters.extension;
         parameters::room("extension", extension)?;
         parameters::positive("extension", extension.low)?;
-        parameters::positive(
-            "extension with wrist_offset",
-            extension.low + parameters.wrist_offset,
-        )?;
+        parameters::positive("extension with wrist_offset", extension.low + parameters.wrist_offset)?;
         let [first, second, third] = parameters.legs;
         let axes = [
             first.axis()?,
@@ -169,12 +162,7 @@ impl Rnt {
         let drive_train = DriveTrain::new(axes);
         let mut joint_limits = drive_train.joint_limits;
         joint_limits[..3].copy_from_slice(&[parameters.alpha, parameters.beta, extension]);
-        let robot = Self {
-            parameters: *parameters,
-            legs: parameters.geometry(),
-            drive_train,
-            joint_limits,
-        };
+        let robot = Self { parameters: *parameters, legs: parameters.geometry(), drive_train, joint_limits };
         robot.closes()?;
         Ok(robot)
     }
@@ -187,12 +175,7 @@ impl Rnt {
         for (leg, (length, axis)) in lengths.into_iter().zip(&self.parameters.legs).enumerate() {
             let Limits { low, high } = axis.length_limits;
             if axis.length_limits.exceeded_by(length).is_some() {
-                return Err(ParameterError::LegReach {
-                    leg: leg as u8,
-                    length,
-                    low,
-                    high,
-                });
+                return Err(ParameterError::LegReach { leg: leg as u8, length, low, high });
             }
         }
         let home = self.parameters.legs.map(|leg| leg.length_at_home);
@@ -241,11 +224,7 @@ impl Rnt {
         let lengths = self.legs.lengths(&[alpha, beta, rho]);
         for (leg, (&length, axis)) in lengths.iter().zip(&self.parameters.legs).enumerate() {
             if let Some(limit) = axis.length_limits.exceeded_by(length) {
-                return Err(KinematicsError::LegLimit {
-                    leg: leg as u8,
-                    length,
-                    limit,
-                });
+                return Err(KinematicsError::LegLimit { leg: leg as u8, length, limit });
             }
         }
         driven[..3].copy_from_slice(&lengths);
@@ -285,17 +264,10 @@ impl Robot for Rnt {
             * about(Vector3::z_axis(), roll)
             * about(Vector3::y_axis(), pitch)
             * about(Vector3::z_axis(), spin);
-        Ok(arm::pose(
-            self.wrist_centre(joints),
-            base_from_flange.into_inner(),
-        ))
+        Ok(arm::pose(self.wrist_centre(joints), base_from_flange.into_inner()))
     }
 
-    fn inverse(
-        &self,
-        base_from_flange: &Isometry3<f64>,
-        near: &Joints,
-    ) -> Result<Solutions, KinematicsError> {
+    fn inverse(&self, base_from_flange: &Isometry3<f64>, near: &Joints) -> Result<Solutions, KinematicsError> {
         let near = near.exactly::<AXES>()?;
         let (centre, axes) = arm::parts(base_from_flange)?;
         let reach = centre.norm();
@@ -343,8 +315,7 @@ impl Robot for Rnt {
         let &[alpha, beta, _, roll, pitch, _] = joints;
         let centre = self.wrist_centre(joints);
         let base_from_central = legs::central(alpha, beta);
-        let base_from_roll =
-            base_from_central * Rotation3::from_axis_angle(&Vector3::z_axis(), roll);
+        let base_from_roll = base_from_central * Rotation3::from_axis_angle(&Vector3::z_axis(), roll);
         let (sin, cos) = pitch.sin_cos();
         let central = base_from_central * Vector3::z();
         let mut jacobian = Jacobian::zeros();
@@ -372,17 +343,8 @@ impl Robot for Rnt {
         let (x, y, z) = (Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis());
         let link = |name, axis, index, offset| Link {
             axis,
-            kind: if index == RHO {
-                LinkKind::Prismatic
-            } else {
-                LinkKind::Revolute
-            },
-            ..Link::turning(
-                name,
-                Isometry3::translation(0.0, 0.0, offset),
-                &[(index, 1.0)],
-                &self.joint_limits,
-            )
+            kind: if index == RHO { LinkKind::Prismatic } else { LinkKind::Revolute },
+            ..Link::turning(name, Isometry3::translation(0.0, 0.0, offset), &[(index, 1.0)], &self.joint_limits)
         };
         vec![
             link("alpha", x, ALPHA, 0.0),

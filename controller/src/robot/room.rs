@@ -21,12 +21,7 @@ impl Limits {
     }
 
     /// With room for the values of `function` up to `by` beside `home`. Where `function` has no value, no room is added.
-    pub(super) fn with_room_through(
-        self,
-        function: impl Fn(f64) -> Option<f64>,
-        home: f64,
-        by: f64,
-    ) -> Self {
+    pub(super) fn with_room_through(self, function: impl Fn(f64) -> Option<f64>, home: f64, by: f64) -> Self {
         let Some(value) = function(home) else {
             return self;
         };
@@ -55,9 +50,7 @@ impl ScrewAxis {
     pub(super) fn with_room(mut self, motor: f64) -> Self {
         let screw = motor * self.lead / TAU;
         let joint = |length| self.joint(length).ok();
-        self.joint_limits = self
-            .joint_limits
-            .with_room_through(joint, self.length_at_home, screw);
+        self.joint_limits = self.joint_limits.with_room_through(joint, self.length_at_home, screw);
         self.motor_limits = self.motor_limits.with_room(self.motor_at_home, motor);
         self
     }
@@ -66,9 +59,7 @@ impl ScrewAxis {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::robot::{
-        ConveyorParameters, Irb6Parameters, Irp6TrackParameters, RobotParameters as _,
-    };
+    use crate::robot::{ConveyorParameters, Irb6Parameters, Irp6TrackParameters, RobotParameters as _};
 
     #[test]
     fn a_range_that_ends_at_home_gets_room_there_and_no_other_does() {
@@ -101,9 +92,7 @@ mod tests {
         let home = arm.upper_arm.joint(arm.upper_arm.length_at_home).unwrap();
         arm.upper_arm.joint_limits.low = home;
         let roomy = arm.with_room_at_home(&[0.08; 5]).upper_arm;
-        let lowest = arm
-            .upper_arm
-            .joint(arm.upper_arm.length_at_home - 0.08 * 0.005 / TAU);
+        let lowest = arm.upper_arm.joint(arm.upper_arm.length_at_home - 0.08 * 0.005 / TAU);
         assert!(roomy.joint_limits.low <= lowest.unwrap());
         assert!(roomy.joint_limits.low > home - 2.0 * (home - lowest.unwrap()));
     }

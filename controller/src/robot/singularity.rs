@@ -22,20 +22,12 @@ impl Singularity {
     /// Singularity of a Jacobian whose first `axes` columns belong to a robot. For an arm of fewer than six axes,
     /// only its own motions count.
     pub fn of(jacobian: &Jacobian, axes: usize) -> Result<Self, KinematicsError> {
-        let decomposed = jacobian
-            .try_svd(false, true, f64::EPSILON, Self::MOST_SWEEPS)
-            .ok_or(KinematicsError::NotFinite)?;
+        let decomposed =
+            jacobian.try_svd(false, true, f64::EPSILON, Self::MOST_SWEEPS).ok_or(KinematicsError::NotFinite)?;
         let slowest = axes.clamp(1, 6) - 1;
-        let motion = decomposed
-            .v_t
-            .as_ref()
-            .map(|rows| rows.row(slowest).abs())
-            .ok_or(KinematicsError::NotFinite)?;
+        let motion = decomposed.v_t.as_ref().map(|rows| rows.row(slowest).abs()).ok_or(KinematicsError::NotFinite)?;
         let most = motion.max();
         let axis = motion.iter().position(|&share| share > 0.9 * most);
-        Ok(Self {
-            axis: axis.unwrap_or(0) as u8,
-            margin: decomposed.singular_values[slowest],
-        })
+        Ok(Self { axis: axis.unwrap_or(0) as u8, margin: decomposed.singular_values[slowest] })
     }
 }

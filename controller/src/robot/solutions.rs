@@ -32,10 +32,7 @@ impl Solutions {
 /// The branch of a robot with a single branch.
 impl From<Joints> for Solutions {
     fn from(joints: Joints) -> Self {
-        Self {
-            joints: [joints; Self::MOST],
-            count: 1,
-        }
+        Self { joints: [joints; Self::MOST], count: 1 }
     }
 }
 
@@ -73,10 +70,7 @@ impl<'a, const N: usize> Search<'a, N> {
             drive_train,
             near,
             hasty: true,
-            found: Solutions {
-                joints: [Joints::from([0.0; N]); Solutions::MOST],
-                count: 0,
-            },
+            found: Solutions { joints: [Joints::from([0.0; N]); Solutions::MOST], count: 0 },
             distances: [f64::INFINITY; Solutions::MOST],
             refused: None,
             margin: f64::INFINITY,
@@ -89,19 +83,12 @@ impl<'a, const N: usize> Search<'a, N> {
         if search.found.count > 0 {
             return Ok(search.found);
         }
-        let unreachable = KinematicsError::Unreachable {
-            margin: search.margin,
-        };
+        let unreachable = KinematicsError::Unreachable { margin: search.margin };
         Err(search.refused.map_or(unreachable, |(_, error)| error))
     }
 
     /// Sets the joints of a branch from `first` on, each in the turn nearest to the present posture.
-    pub(super) fn turn<const K: usize>(
-        &self,
-        joints: &mut [f64; N],
-        first: usize,
-        angles: [f64; K],
-    ) {
+    pub(super) fn turn<const K: usize>(&self, joints: &mut [f64; N], first: usize, angles: [f64; K]) {
         for (axis, angle) in (first..).zip(angles) {
             joints[axis] = self.drive_train.turn(axis, angle, joints, self.near[axis]);
         }
@@ -140,10 +127,7 @@ impl<'a, const N: usize> Search<'a, N> {
             }
             return;
         }
-        let Solutions {
-            joints: list,
-            count,
-        } = &mut self.found;
+        let Solutions { joints: list, count } = &mut self.found;
         if *count == Solutions::MOST {
             return;
         }

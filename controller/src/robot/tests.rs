@@ -33,19 +33,12 @@ fn polycrank() -> Polycrank {
 /// The robots whose poses leave no parameter open.
 fn determined() -> [(&'static str, Box<dyn Robot>); 3] {
     let calibrated = Irp6::new(&Irp6Parameters::irp6p_calibrated()).unwrap();
-    [
-        ("irp6p", Box::new(irp6p())),
-        ("calibrated", Box::new(calibrated)),
-        ("irb6", Box::new(irb6())),
-    ]
+    [("irp6p", Box::new(irp6p())), ("calibrated", Box::new(calibrated)), ("irb6", Box::new(irb6()))]
 }
 
 fn robots() -> Vec<(&'static str, Box<dyn Robot>)> {
     let calibrated = Irp6Track::new(&Irp6TrackParameters::irp6ot_calibrated()).unwrap();
-    let coupled = PolycrankParameters {
-        coupled: true,
-        ..PolycrankParameters::polycrank()
-    };
+    let coupled = PolycrankParameters { coupled: true, ..PolycrankParameters::polycrank() };
     let mut robots = Vec::from(determined());
     robots.push(("irp6ot", Box::new(irp6ot())));
     robots.push(("irp6ot calibrated", Box::new(calibrated)));
@@ -72,11 +65,8 @@ impl Random {
         loop {
             let mut joints = Joints::new(&[0.0; MAX_AXES][..robot.axes()]).unwrap();
             for (joint, limits) in joints.iter_mut().zip(robot.joint_limits()) {
-                *joint = if limits.is_continuous() {
-                    self.within(-9.0, 9.0)
-                } else {
-                    self.within(limits.low, limits.high)
-                };
+                *joint =
+                    if limits.is_continuous() { self.within(-9.0, 9.0) } else { self.within(limits.low, limits.high) };
             }
             if robot.motors_from_joints(&joints).is_ok() {
                 return joints;
@@ -87,10 +77,7 @@ impl Random {
 
 fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
     assert_eq!(a.len(), b.len());
-    a.iter()
-        .zip(b)
-        .map(|(a, b)| (a - b).abs())
-        .fold(0.0, f64::max)
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
 /// Distance, m, and angle, rad, between two poses.
@@ -128,27 +115,13 @@ fn irp6p_golden_vectors_hold() {
     let cases = [
         (
             [0.0, -FRAC_PI_2, 0.0, 0.0, FRAC_PI_2, 0.0],
-            [
-                -15.9,
-                -4.999999540205,
-                -8.526944258538,
-                151.31,
-                314.612842102152,
-                791.0,
-            ],
+            [-15.9, -4.999999540205, -8.526944258538, 151.31, 314.612842102152, 791.0],
             [0.86, 0.0, 0.455],
             [0.0, 1.0, 0.0],
         ),
         (
             [0.3, -1.7, th3, th3 - 0.4, 1.1, 0.6],
-            [
-                -63.3,
-                -27.601461824511,
-                3.90437469094,
-                193.448070170253,
-                392.908070170253,
-                964.3307,
-            ],
+            [-63.3, -27.601461824511, 3.90437469094, 193.448070170253, 392.908070170253, 964.3307],
             [0.75423282049035, 0.23331155202297, 0.46523858134258],
             [0.61220102655464, 0.67652515109609, -0.40929649768823],
         ),
@@ -162,10 +135,7 @@ fn irp6p_golden_vectors_hold() {
         assert!(largest_difference(&back, &joints) < 1e-11, "{back:?}");
 
         let pose = robot.forward(&joints).unwrap();
-        assert!(
-            (pose.translation.vector - Vector3::from(origin)).norm() < 1e-13,
-            "{pose}"
-        );
+        assert!((pose.translation.vector - Vector3::from(origin)).norm() < 1e-13, "{pose}");
         let rotation = pose.rotation.to_rotation_matrix();
         let row = rotation.matrix().row(0).transpose();
         assert!((row - Vector3::from(first_row)).norm() < 1e-13, "{pose}");
@@ -173,68 +143,25 @@ fn irp6p_golden_vectors_hold() {
         let near = robot.joints_from_motors(&robot.home()).unwrap();
         let solutions = robot.inverse(&pose, &near).unwrap();
         assert_eq!(solutions.len(), 1);
-        assert!(
-            largest_difference(solutions.preferred(), &joints) < 1e-9,
-            "{solutions:?}"
-        );
+        assert!(largest_difference(solutions.preferred(), &joints) < 1e-9, "{solutions:?}");
     }
 }
 
 #[test]
 fn home_is_where_homing_leaves_the_robot() {
     let upright = [0.0, -FRAC_PI_2, 0.0, 0.0, 0.0, 0.0];
-    let calibrated = [
-        0.0111,
-        -1.588573912192473,
-        -0.005679824080331,
-        0.0,
-        0.0903,
-        0.0209,
-    ];
+    let calibrated = [0.0111, -1.588573912192473, -0.005679824080331, 0.0, 0.0903, 0.0209];
     let carriage = [0.0, 0.0, -FRAC_PI_2, 0.0, 0.0, 0.0, 0.0];
-    let off = [
-        0.0,
-        0.004989,
-        -1.680291789180402,
-        0.011874705954631,
-        0.0,
-        0.000898,
-        0.005605,
-    ];
+    let off = [0.0, 0.004989, -1.680291789180402, 0.011874705954631, 0.0, 0.000898, 0.005605];
     let bent = [0.0, FRAC_PI_2, -FRAC_PI_2, 0.0, FRAC_PI_2, 0.0, 0.0];
-    let level = [
-        0.0,
-        0.0,
-        f64::sqrt(0.75 * 0.75 - 0.19 * 0.19),
-        0.0,
-        0.0,
-        0.0,
-    ];
+    let level = [0.0, 0.0, f64::sqrt(0.75 * 0.75 - 0.19 * 0.19), 0.0, 0.0, 0.0];
     // The nominal screw lengths at home are published to 0.1 µm.
     let cases: [(&[f64], &[f64], f64); 8] = [
-        (
-            &[-15.9, -5.0, -8.527, 151.31, 435.25, 791.0],
-            &upright,
-            1e-6,
-        ),
-        (
-            &[-7.7597, -8.7537, -7.5355, 153.1366, 309.5910, 796.0265],
-            &calibrated,
-            1e-12,
-        ),
+        (&[-15.9, -5.0, -8.527, 151.31, 435.25, 791.0], &upright, 1e-6),
+        (&[-7.7597, -8.7537, -7.5355, 153.1366, 309.5910, 796.0265], &calibrated, 1e-12),
         (&[-15.9, -5.0, -8.527, 151.31, 314.665], &upright[..5], 1e-6),
-        (
-            &[0.0, -10.819, -4.012, -6.219, 158.997, 479.5, 769.7],
-            &carriage,
-            1e-6,
-        ),
-        (
-            &[
-                -0.0117, -7.185, -23.7333, -4.0065, 153.6764, 356.0929, 791.4409,
-            ],
-            &off,
-            1e-12,
-        ),
+        (&[0.0, -10.819, -4.012, -6.219, 158.997, 479.5, 769.7], &carriage, 1e-6),
+        (&[-0.0117, -7.185, -23.7333, -4.0065, 153.6764, 356.0929, 791.4409], &off, 1e-12),
         (&[0.0; 7], &bent, 1e-12),
         (&[0.0; 7], &bent, 1e-12),
         (&[0.0; 6], &level, 1e-12),
@@ -272,22 +199,15 @@ fn inverse_finds_every_pose_of_the_workspace_on_its_only_branch() {
             let joints = random.joints(&*robot);
             let near = random.joints(&*robot);
             let pose = robot.forward(&joints).unwrap();
-            let solutions = robot
-                .inverse(&pose, &near)
-                .unwrap_or_else(|error| panic!("{name} {joints:?} near {near:?}: {error}"));
+            let solutions =
+                robot.inverse(&pose, &near).unwrap_or_else(|error| panic!("{name} {joints:?} near {near:?}: {error}"));
             assert_eq!(solutions.len(), 1, "{name} {joints:?}: {solutions:?}");
             let solved = solutions.preferred();
             let (distance, angle) = apart(&robot.forward(solved).unwrap(), &pose);
-            assert!(
-                distance < 1e-9 && angle < 1e-9,
-                "{name} {joints:?} {distance} {angle}"
-            );
+            assert!(distance < 1e-9 && angle < 1e-9, "{name} {joints:?} {distance} {angle}");
             let mut turned = *solved;
             turned[4] -= TAU * ((turned[4] - joints[4]) / TAU).round();
-            assert!(
-                largest_difference(&turned, &joints) < 1e-8,
-                "{name} {joints:?} {solved:?}"
-            );
+            assert!(largest_difference(&turned, &joints) < 1e-8, "{name} {joints:?} {solved:?}");
         }
     }
 }
@@ -306,10 +226,7 @@ fn roll_stays_in_the_turn_of_the_robot_unless_a_limit_forbids_it() {
     ] {
         let pose = robot.forward(&at(asked)).unwrap();
         let solved = *robot.inverse(&pose, &at(near)).unwrap().preferred();
-        assert!(
-            (solved[4] - expected).abs() < 1e-9,
-            "{asked} near {near}: {solved:?}"
-        );
+        assert!((solved[4] - expected).abs() < 1e-9, "{asked} near {near}: {solved:?}");
     }
 }
 
@@ -336,10 +253,7 @@ fn orientation_stays_exact_beside_the_wrist_singularity() {
         let pose = robot.forward(&joints).unwrap();
         let solved = *robot.inverse(&pose, &near).unwrap().preferred();
         let (distance, angle) = apart(&robot.forward(&solved).unwrap(), &pose);
-        assert!(
-            distance < 1e-12 && angle < 2e-10,
-            "1e-{exponent}: {distance} {angle}"
-        );
+        assert!(distance < 1e-12 && angle < 2e-10, "1e-{exponent}: {distance} {angle}");
     }
 }
 
@@ -347,10 +261,7 @@ fn orientation_stays_exact_beside_the_wrist_singularity() {
 fn solutions_come_nearest_first() {
     // Without the limits of the real robot all eight branches remain.
     let mut parameters = Irp6Parameters::irp6p();
-    let wide = Limits {
-        low: -1e6,
-        high: 1e6,
-    };
+    let wide = Limits { low: -1e6, high: 1e6 };
     parameters.arm.column.joint_limits = wide;
     parameters.arm.column.motor_limits = wide;
     parameters.arm.pitch.joint_limits = wide;
@@ -365,13 +276,8 @@ fn solutions_come_nearest_first() {
         let pose = robot.forward(&joints).unwrap();
         let solutions = robot.inverse(&pose, &joints).unwrap();
         most = most.max(solutions.len());
-        assert!(
-            largest_difference(solutions.preferred(), &joints) < 1e-8,
-            "{joints:?}"
-        );
-        let travels = solutions
-            .iter()
-            .map(|solution| largest_difference(solution, &joints));
+        assert!(largest_difference(solutions.preferred(), &joints) < 1e-8, "{joints:?}");
+        let travels = solutions.iter().map(|solution| largest_difference(solution, &joints));
         assert!(travels.is_sorted(), "{solutions:?}");
         for solution in solutions.iter() {
             let (distance, angle) = apart(&robot.forward(solution).unwrap(), &pose);
@@ -389,10 +295,7 @@ fn motors_and_joints_are_each_others_inverse() {
             let joints = random.joints(&*robot);
             let motors = robot.motors_from_joints(&joints).unwrap();
             let back = robot.joints_from_motors(&motors).unwrap();
-            assert!(
-                largest_difference(&back, &joints) < 1e-11,
-                "{name} {joints:?} {back:?}"
-            );
+            assert!(largest_difference(&back, &joints) < 1e-11, "{name} {joints:?} {back:?}");
         }
     }
 }
@@ -400,12 +303,8 @@ fn motors_and_joints_are_each_others_inverse() {
 #[test]
 fn pitch_motor_carries_the_roll_motor() {
     let robot = irb6();
-    let level = robot
-        .motors_from_joints(&Joints::from([0.0, -1.5, 0.0, 0.0, 1.0]))
-        .unwrap();
-    let pitched = robot
-        .motors_from_joints(&Joints::from([0.0, -1.5, 0.0, 0.5, 1.0]))
-        .unwrap();
+    let level = robot.motors_from_joints(&Joints::from([0.0, -1.5, 0.0, 0.0, 1.0])).unwrap();
+    let pitched = robot.motors_from_joints(&Joints::from([0.0, -1.5, 0.0, 0.5, 1.0])).unwrap();
     assert!((pitched[3] - level[3] + 64.0).abs() < 1e-9);
     assert!((pitched[4] - level[4] + 64.0).abs() < 1e-9);
     assert_eq!(pitched[..3], level[..3]);
@@ -414,11 +313,7 @@ fn pitch_motor_carries_the_roll_motor() {
 #[test]
 fn ball_screw_constants_are_one_rigid_geometry() {
     let (crank, near, far) = (0.140, 0.1575, 0.183);
-    let ArmParameters {
-        lower_arm,
-        upper_arm,
-        ..
-    } = Irp6Parameters::irp6p().arm;
+    let ArmParameters { lower_arm, upper_arm, .. } = Irp6Parameters::irp6p().arm;
     for screw in [lower_arm, upper_arm] {
         assert!((screw.squared - (crank * crank + near * near + far * far)).abs() < 1e-15);
     }
@@ -453,13 +348,9 @@ fn jacobian_is_the_derivative_of_forward_kinematics() {
                 });
                 let linear = after.translation.vector - before.translation.vector;
                 let angular = (after.rotation * before.rotation.inverse()).scaled_axis();
-                let measured = nalgebra::Vector6::new(
-                    linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
-                ) / (2.0 * step);
-                assert!(
-                    (measured - column).amax() < 1e-8,
-                    "{name} {joints:?} axis {axis}"
-                );
+                let measured = nalgebra::Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+                    / (2.0 * step);
+                assert!((measured - column).amax() < 1e-8, "{name} {joints:?} axis {axis}");
             }
         }
     }
@@ -476,10 +367,7 @@ fn product_of_the_links_is_forward_kinematics() {
             let placed = links.iter().map(|link| link.placed(&joints));
             let product = placed.fold(Isometry3::identity(), |base, link| base * link);
             let (distance, angle) = apart(&product, &robot.forward(&joints).unwrap());
-            assert!(
-                distance < 1e-12 && angle < 1e-12,
-                "{name} {joints:?} {distance} {angle}"
-            );
+            assert!(distance < 1e-12 && angle < 1e-12, "{name} {joints:?} {distance} {angle}");
             for link in &links {
                 let sum = joints.iter().zip(link.coupling).map(|(q, k)| q * k).sum();
                 assert_eq!(link.limits.exceeded_by(sum), None, "{name} {}", link.name);
@@ -524,21 +412,15 @@ fn only_the_wrist_makes_the_jacobian_singular() {
             + arm.upper_arm_length * joints[2].cos()
             + arm.wrist_length * joints[3].cos();
         let elbow = (joints[2] - joints[1]).sin();
-        let expected =
-            arm.lower_arm_length * arm.upper_arm_length * elbow * reach * joints[4].sin();
-        assert!(
-            (square.determinant().abs() - expected.abs()).abs() < 1e-12,
-            "{joints:?}"
-        );
+        let expected = arm.lower_arm_length * arm.upper_arm_length * elbow * reach * joints[4].sin();
+        assert!((square.determinant().abs() - expected.abs()).abs() < 1e-12, "{joints:?}");
         assert!(reach > 0.2 && elbow > 0.17, "{joints:?}");
     }
 }
 
 #[test]
 fn flange_frame_of_the_five_axis_arm_points_ahead() {
-    let pose = irb6()
-        .forward(&Joints::from([0.0, -FRAC_PI_2, 0.0, 0.0, 0.0]))
-        .unwrap();
+    let pose = irb6().forward(&Joints::from([0.0, -FRAC_PI_2, 0.0, 0.0, 0.0])).unwrap();
     let expected = Matrix3::new(0.0, 0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 0.0, 0.0);
     assert!((pose.rotation.to_rotation_matrix().matrix() - expected).amax() < 1e-15);
     assert!((pose.translation.vector - Vector3::new(0.765, 0.0, 1.155)).norm() < 1e-15);

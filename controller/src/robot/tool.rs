@@ -23,19 +23,12 @@ pub struct Arm {
 impl Arm {
     /// The robot with a tool; the identity means no tool.
     pub fn new(robot: Arc<dyn Robot>, flange_from_tool: Pose) -> Self {
-        Self {
-            robot,
-            flange_from_tool,
-            weight: None,
-        }
+        Self { robot, flange_from_tool, weight: None }
     }
 
     /// The same arm with the masses of links and load. Without masses, [`torques`](Self::torques) returns zeros.
     pub fn weighing(self, weight: Weight) -> Self {
-        Self {
-            weight: Some(weight),
-            ..self
-        }
+        Self { weight: Some(weight), ..self }
     }
 
     /// The robot without its tool.

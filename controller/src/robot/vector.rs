@@ -39,11 +39,7 @@ impl<Space> Vector<Space> {
     pub fn new(values: &[f64]) -> Option<Self> {
         let mut padded = [0.0; MAX_AXES];
         padded.get_mut(..values.len())?.copy_from_slice(values);
-        Some(Self {
-            values: padded,
-            axes: values.len() as u8,
-            space: PhantomData,
-        })
+        Some(Self { values: padded, axes: values.len() as u8, space: PhantomData })
     }
 
     /// The positions, padded with zeros to [`MAX_AXES`] as in a [`servo::Macrostep`].
@@ -53,17 +49,9 @@ impl<Space> Vector<Space> {
 
     /// The positions as an array. Fails if the number of axes is not `N`, or if a position is not finite.
     pub(super) fn exactly<const N: usize>(&self) -> Result<&[f64; N], KinematicsError> {
-        let values: &[f64; N] = (**self)
-            .try_into()
-            .map_err(|_| KinematicsError::AxisCount {
-                axes: N as u8,
-                given: self.axes,
-            })?;
-        if values.iter().all(|value| value.is_finite()) {
-            Ok(values)
-        } else {
-            Err(KinematicsError::NotFinite)
-        }
+        let values: &[f64; N] =
+            (**self).try_into().map_err(|_| KinematicsError::AxisCount { axes: N as u8, given: self.axes })?;
+        if values.iter().all(|value| value.is_finite()) { Ok(values) } else { Err(KinematicsError::NotFinite) }
     }
 }
 
@@ -115,10 +103,7 @@ mod tests {
     fn a_robot_takes_finite_numbers_of_its_own_count() {
         let joints = Joints::from([0.0, 1.0]);
         assert_eq!(joints.exactly::<2>(), Ok(&[0.0, 1.0]));
-        assert_eq!(
-            joints.exactly::<3>(),
-            Err(KinematicsError::AxisCount { axes: 3, given: 2 })
-        );
+        assert_eq!(joints.exactly::<3>(), Err(KinematicsError::AxisCount { axes: 3, given: 2 }));
         let spoilt = Joints::from([0.0, f64::NAN]);
         assert_eq!(spoilt.exactly::<2>(), Err(KinematicsError::NotFinite));
     }

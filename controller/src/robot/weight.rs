@@ -72,10 +72,7 @@ pub enum WeightError {
         mass: f64,
     },
     /// A coordinate of a centre of mass exceeds [`Mass::FARTHEST`], or is not finite.
-    #[error(
-        "a centre of mass at {coordinate} m is not within {} m of its frame",
-        Mass::FARTHEST
-    )]
+    #[error("a centre of mass at {coordinate} m is not within {} m of its frame", Mass::FARTHEST)]
     Centre {
         /// Index of the link; for the load, the number of links.
         link: usize,
@@ -90,21 +87,13 @@ pub enum WeightError {
 impl Weight {
     /// Gravity model of `robot`, with one mass per link of [`Robot::links`]. `load` is in the flange frame. `up` is in
     /// the base frame and need not be a unit vector.
-    pub fn new(
-        robot: &dyn Robot,
-        masses: &[Mass],
-        load: Mass,
-        up: [f64; 3],
-    ) -> Result<Self, WeightError> {
+    pub fn new(robot: &dyn Robot, masses: &[Mass], load: Mass, up: [f64; 3]) -> Result<Self, WeightError> {
         let links = robot.links();
         if links.is_empty() {
             return Err(WeightError::NoLinks);
         }
         if links.len() != masses.len() {
-            return Err(WeightError::Count {
-                links: links.len(),
-                given: masses.len(),
-            });
+            return Err(WeightError::Count { links: links.len(), given: masses.len() });
         }
         for (link, &Mass { mass, centre }) in masses.iter().chain([&load]).enumerate() {
             if !(0.0..=Mass::MOST).contains(&mass) {
@@ -130,11 +119,7 @@ impl Weight {
     /// Principle of virtual work: the torque of a motor is the partial derivative of the potential energy with respect
     /// to the motor angle. The principle covers gears, screws, couplings and parallel legs. Gear losses are neglected.
     /// The potential energy is computed twice per motor: about 5 µs for six axes.
-    pub fn torque(
-        &self,
-        robot: &dyn Robot,
-        motors: &Motors,
-    ) -> Result<[f64; MAX_AXES], KinematicsError> {
+    pub fn torque(&self, robot: &dyn Robot, motors: &Motors) -> Result<[f64; MAX_AXES], KinematicsError> {
         let mut torques = [0.0; MAX_AXES];
         for axis in 0..motors.len() {
             let at = |step: f64| {
@@ -152,11 +137,7 @@ impl Weight {
     }
 
     /// Potential energy of links and load, J; zero for masses at the height of the base origin.
-    pub(super) fn potential(
-        &self,
-        robot: &dyn Robot,
-        motors: &Motors,
-    ) -> Result<f64, KinematicsError> {
+    pub(super) fn potential(&self, robot: &dyn Robot, motors: &Motors) -> Result<f64, KinematicsError> {
         let joints = robot.joints_from_motors(motors)?;
         let moment_of = |body: &Mass| Vector3::from(body.centre) * body.mass;
         // The loop runs from flange to base, and adds up mass and first moment in the frame of the current link.

@@ -56,10 +56,7 @@ fn recording(criterion: &mut Criterion) {
 fn virtual_round_trip(criterion: &mut Criterion) {
     let (mut port, mut peer) = virtual_port(64);
     let frames = [upload(); 8];
-    let mut into = [Received {
-        frame: upload(),
-        at: Instant::ZERO,
-    }; 8];
+    let mut into = [Received { frame: upload(), at: Instant::ZERO }; 8];
     let mut group = criterion.benchmark_group("virtual_port");
     group.throughput(Throughput::Elements(8));
     group.bench_function("there and back", |bencher| {

@@ -67,10 +67,7 @@ impl Entry {
         }
         Ok(Self {
             at: parse_time(time).ok_or(LineError::Time)?,
-            interface: str::from_utf8(interface)
-                .ok()
-                .and_then(InterfaceName::new)
-                .ok_or(LineError::Interface)?,
+            interface: str::from_utf8(interface).ok().and_then(InterfaceName::new).ok_or(LineError::Interface)?,
             frame: parse_frame(frame)?,
             direction,
         })
@@ -174,26 +171,14 @@ mod tests {
         let extended = ExtendedId::new(0x0000_0001).unwrap();
         let error = Frame::from_raw(0x2000_0204, 8, [0, 0x0C, 0, 0, 0, 0, 96, 0]);
         let cases = [
-            (
-                Frame::new(standard(0x601), &upload),
-                None,
-                "601#4041600000000000",
-            ),
+            (Frame::new(standard(0x601), &upload), None, "601#4041600000000000"),
             (Frame::new(standard(0x080), &[]), None, "080#"),
             (Frame::new(extended, &[0xAB]), None, "00000001#AB"),
             (Frame::remote(standard(0x701), 1), None, "701#R1"),
             (Frame::remote(extended, 0), None, "00000001#R0"),
             (error, None, "20000204#000C000000006000"),
-            (
-                Frame::new(standard(0x080), &[]),
-                Some(Direction::Sent),
-                "080# T",
-            ),
-            (
-                Frame::new(standard(0x7FF), &[1]),
-                Some(Direction::Received),
-                "7FF#01 R",
-            ),
+            (Frame::new(standard(0x080), &[]), Some(Direction::Sent), "080# T"),
+            (Frame::new(standard(0x7FF), &[1]), Some(Direction::Received), "7FF#01 R"),
         ];
         for (frame, direction, text) in cases {
             let entry = entry(frame.unwrap(), direction);
@@ -209,11 +194,7 @@ mod tests {
         let remote = Frame::remote(StandardId::new(0x080).unwrap(), 0).unwrap();
         for (text, frame) in [("080#0a", sync), ("080#0A\r\n", sync), ("080#R  ", remote)] {
             let line = format!("(1795242630.522011) vcan0 {text}");
-            assert_eq!(
-                Entry::parse(line.as_bytes()),
-                Ok(entry(frame, None)),
-                "{line}"
-            );
+            assert_eq!(Entry::parse(line.as_bytes()), Ok(entry(frame, None)), "{line}");
         }
     }
 

@@ -51,26 +51,16 @@ pub enum CardError {
         "{interface}: setting the bit rate needs CAP_NET_ADMIN: run as root, or run `ip link set {interface} down` and \
          `ip link set {interface} up type can bitrate {bitrate}` before"
     )]
-    Denied {
-        interface: InterfaceName,
-        bitrate: u32,
-    },
+    Denied { interface: InterfaceName, bitrate: u32 },
     /// The card's clock cannot be divided to this rate.
     #[error("{interface}: the card cannot be set to {bitrate} bit/s")]
-    Unreachable {
-        interface: InterfaceName,
-        bitrate: u32,
-    },
+    Unreachable { interface: InterfaceName, bitrate: u32 },
     /// The rate is set, and its driver does not bring it up.
     #[error("{0}: the card does not come up: `dmesg` may say why")]
     StaysDown(InterfaceName),
     /// The card runs at another rate than was set.
     #[error("{interface}: set to {wanted} bit/s, the card is at {found} bit/s")]
-    Otherwise {
-        interface: InterfaceName,
-        wanted: u32,
-        found: u32,
-    },
+    Otherwise { interface: InterfaceName, wanted: u32, found: u32 },
     /// The kernel refuses the change, and `socketcan` loses its reason.
     #[error(
         "{0}: the kernel refuses, and its reason is lost: CAP_NET_ADMIN is missing, no bit rate was set before the \
@@ -79,10 +69,7 @@ pub enum CardError {
     Refused(InterfaceName),
     /// Anything else that the kernel said.
     #[error("{interface}: netlink says errno {errno}")]
-    Os {
-        interface: InterfaceName,
-        errno: i32,
-    },
+    Os { interface: InterfaceName, errno: i32 },
 }
 
 /// Reads what the card `interface` is set to.
@@ -106,33 +93,19 @@ pub fn set_bitrate(interface: &str, bitrate: Bitrate) -> Result<Card, CardError>
     if before.up && before.bitrate == Some(wanted) && before.state == CardState::Running {
         return Ok(before);
     }
-    let to = Change {
-        timing: Some((wanted, None)),
-        up: Some(true),
-        ..Change::default()
-    };
+    let to = Change { timing: Some((wanted, None)), up: Some(true), ..Change::default() };
     // `socketcan` does not pass on the kernel's reason. The refused step tells the reason: a process that may take an
     // interface down may do the other steps as well.
     make(&link, &to, before.up).map_err(|(step, error)| match (errno(&error), step) {
         (Some(errno), _) => os(name, errno),
-        (None, Step::Down) => CardError::Denied {
-            interface: name,
-            bitrate: wanted,
-        },
-        (None, Step::Set) => CardError::Unreachable {
-            interface: name,
-            bitrate: wanted,
-        },
+        (None, Step::Down) => CardError::Denied { interface: name, bitrate: wanted },
+        (None, Step::Set) => CardError::Unreachable { interface: name, bitrate: wanted },
         (None, Step::Up) => CardError::StaysDown(name),
     })?;
     let after = read_link(name, &link)?;
     match after.bitrate {
         Some(found) if found == wanted => Ok(after),
-        found => Err(CardError::Otherwise {
-            interface: name,
-            wanted,
-            found: found.unwrap_or(0),
-        }),
+        found => Err(CardError::Otherwise { interface: name, wanted, found: found.unwrap_or(0) }),
     }
 }
 
@@ -164,19 +137,15 @@ pub fn change(interface: &str, change: &Change) -> Result<(), CardError> {
     if let Some((bitrate, _)) = change.timing
         && !(1..=1_000_000).contains(&bitrate)
     {
-        return Err(CardError::Unreachable {
-            interface: name,
-            bitrate,
-        });
+        return Err(CardError::Unreachable { interface: name, bitrate });
     }
     let was_up = link.details().map_err(|error| unread(name, &error))?.is_up;
     let on_card = change.timing.is_some() || change.restart_ms.is_some();
     if on_card {
         read_link(name, &link)?;
     }
-    make(&link, change, was_up).map_err(|(_, error)| {
-        errno(&error).map_or(CardError::Refused(name), |errno| os(name, errno))
-    })
+    make(&link, change, was_up)
+        .map_err(|(_, error)| errno(&error).map_or(CardError::Refused(name), |errno| os(name, errno)))
 }
 
 /// What is done to a card, one after the other.
@@ -199,8 +168,7 @@ fn make(link: &CanInterface, change: &Change, was_up: bool) -> Result<(), (Step,
                 .map_err(|error| (Step::Set, error))?;
         }
         if let Some(restart_ms) = change.restart_ms {
-            link.set_restart_ms(restart_ms)
-                .map_err(|error| (Step::Set, error))?;
+            link.set_restart_ms(restart_ms).map_err(|error| (Step::Set, error))?;
         }
         Ok(())
     };
@@ -234,9 +202,7 @@ fn read_link(interface: InterfaceName, link: &CanInterface) -> Result<Card, Card
         sample_point: timing.map(|timing| timing.sample_point),
         // Every card's driver says it, and no virtual interface does.
         state: match details.can.state.ok_or(CardError::NotCard(interface))? {
-            CanState::ErrorActive | CanState::ErrorWarning | CanState::ErrorPassive => {
-                CardState::Running
-            }
+            CanState::ErrorActive | CanState::ErrorWarning | CanState::ErrorPassive => CardState::Running,
             CanState::BusOff => CardState::BusOff,
             CanState::Stopped | CanState::Sleeping => CardState::Stopped,
         },

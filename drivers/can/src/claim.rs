@@ -36,16 +36,10 @@ pub enum ClaimError {
     Interface(#[from] OpenError),
     /// Another process plays the part.
     #[error("{interface}: in use by {}", Holder(*.holder))]
-    Taken {
-        interface: InterfaceName,
-        holder: Option<u32>,
-    },
+    Taken { interface: InterfaceName, holder: Option<u32> },
     /// Anything else that the operating system said.
     #[error("{interface}: cannot be claimed: errno {errno}")]
-    Os {
-        interface: InterfaceName,
-        errno: i32,
-    },
+    Os { interface: InterfaceName, errno: i32 },
 }
 
 /// A process that plays a part; without its ID where the process hides it or ended meanwhile.
@@ -67,19 +61,10 @@ impl Claim {
     pub fn take(interface: &str, part: &str) -> Result<Self, ClaimError> {
         let (name, part) = full_name(interface, part)?;
         let claimed = bind(&part).map_err(|error| match error.raw_os_error() {
-            Some(libc::EADDRINUSE) => ClaimError::Taken {
-                interface: name,
-                holder: holder(&part),
-            },
-            errno => ClaimError::Os {
-                interface: name,
-                errno: errno.unwrap_or(libc::EIO),
-            },
+            Some(libc::EADDRINUSE) => ClaimError::Taken { interface: name, holder: holder(&part) },
+            errno => ClaimError::Os { interface: name, errno: errno.unwrap_or(libc::EIO) },
         })?;
-        Ok(Self {
-            _part: claimed,
-            _holder: bind(&format!("{part}/{}", std::process::id())).ok(),
-        })
+        Ok(Self { _part: claimed, _holder: bind(&format!("{part}/{}", std::process::id())).ok() })
     }
 
     /// Who plays `part` of `interface` at this moment; `None` if no process does. Nothing is claimed.
@@ -92,10 +77,7 @@ impl Claim {
         match played() {
             Ok(()) => Ok(Some(Holder(holder(&part)))),
             Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => Ok(None),
-            Err(error) => Err(ClaimError::Os {
-                interface: name,
-                errno: error.raw_os_error().unwrap_or(libc::EIO),
-            }),
+            Err(error) => Err(ClaimError::Os { interface: name, errno: error.raw_os_error().unwrap_or(libc::EIO) }),
         }
     }
 }
@@ -149,15 +131,9 @@ mod tests {
         let first = Claim::take(INTERFACE, &part).unwrap();
         let refusal = Claim::take(INTERFACE, &part).unwrap_err();
         let process = std::process::id();
-        let expected = ClaimError::Taken {
-            interface: InterfaceName::new(INTERFACE).unwrap(),
-            holder: Some(process),
-        };
+        let expected = ClaimError::Taken { interface: InterfaceName::new(INTERFACE).unwrap(), holder: Some(process) };
         assert_eq!(refusal, expected);
-        assert_eq!(
-            refusal.to_string(),
-            format!("lo: in use by process {process}")
-        );
+        assert_eq!(refusal.to_string(), format!("lo: in use by process {process}"));
         drop(first);
         assert!(Claim::take(INTERFACE, &part).is_ok());
     }
@@ -168,10 +144,7 @@ mod tests {
         assert_eq!(Claim::player(INTERFACE, &part), Ok(None));
         let claim = Claim::take(INTERFACE, &part).unwrap();
         let player = Claim::player(INTERFACE, &part).unwrap().unwrap();
-        assert_eq!(
-            player.to_string(),
-            format!("process {}", std::process::id())
-        );
+        assert_eq!(player.to_string(), format!("process {}", std::process::id()));
         drop(claim);
         assert_eq!(Claim::player(INTERFACE, &part), Ok(None));
         assert!(Claim::player("nosuch0", &part).is_err());

@@ -25,12 +25,7 @@ pub fn sleep_until(deadline: Instant) {
     };
     // SAFETY: `time` is valid for the call to read, and no remaining time is asked for.
     while unsafe {
-        libc::clock_nanosleep(
-            libc::CLOCK_MONOTONIC,
-            libc::TIMER_ABSTIME,
-            &raw const time,
-            std::ptr::null_mut(),
-        )
+        libc::clock_nanosleep(libc::CLOCK_MONOTONIC, libc::TIMER_ABSTIME, &raw const time, std::ptr::null_mut())
     } == libc::EINTR
     {}
 }
@@ -41,11 +36,7 @@ pub fn sleep_until(deadline: Instant) {
 /// `true` also when there is an error or a hang-up to read. Signals do not shorten it. Wakes some 50 µs late on an
 /// ordinary thread.
 pub fn wait_readable(end: BorrowedFd<'_>, until: Instant) -> Result<bool, i32> {
-    let end = libc::pollfd {
-        fd: end.as_raw_fd(),
-        events: libc::POLLIN,
-        revents: 0,
-    };
+    let end = libc::pollfd { fd: end.as_raw_fd(), events: libc::POLLIN, revents: 0 };
     wait(&mut [end], until)
 }
 
@@ -82,19 +73,13 @@ pub(crate) fn realtime_offset(known: u64) -> u64 {
     let before = nanos(libc::CLOCK_MONOTONIC);
     let realtime = nanos(libc::CLOCK_REALTIME);
     let after = nanos(libc::CLOCK_MONOTONIC);
-    let (least, most) = (
-        realtime.saturating_sub(after),
-        realtime.saturating_sub(before),
-    );
+    let (least, most) = (realtime.saturating_sub(after), realtime.saturating_sub(before));
     known.clamp(least, most)
 }
 
 #[expect(unsafe_code, reason = "libc has no safe interface to this call")]
 fn nanos(clock: libc::clockid_t) -> u64 {
-    let mut time = libc::timespec {
-        tv_sec: 0,
-        tv_nsec: 0,
-    };
+    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
     // SAFETY: `time` is a valid timespec for the call to fill.
     let result = unsafe { libc::clock_gettime(clock, &mut time) };
     assert_eq!(result, 0, "both clocks exist on every Linux");

@@ -70,21 +70,14 @@ mod tests {
         ];
         for (classes, flags, before, after) in cases {
             let frame = error(classes, [0, flags, 0, 0, 0, 0, 0, 0]);
-            assert_eq!(
-                state_after(&frame, before),
-                Some(after),
-                "{classes:#05x}, {flags:#04x}"
-            );
+            assert_eq!(state_after(&frame, before), Some(after), "{classes:#05x}, {flags:#04x}");
         }
     }
 
     #[test]
     fn the_kernel_of_a_serial_adapter_reports_a_warning_so() {
         let frame = error(0x204, [0, 0x0C, 0, 0, 0, 0, 96, 0]);
-        assert_eq!(
-            state_after(&frame, ControllerState::Active),
-            Some(ControllerState::Warning)
-        );
+        assert_eq!(state_after(&frame, ControllerState::Active), Some(ControllerState::Warning));
     }
 
     #[test]

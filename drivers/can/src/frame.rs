@@ -27,22 +27,12 @@ impl Frame {
     pub fn new(id: impl Into<Id>, data: &[u8]) -> Option<Self> {
         let mut bytes = [0; 8];
         bytes.get_mut(..data.len())?.copy_from_slice(data);
-        Some(Self {
-            id_and_flags: id_bits(id.into()),
-            len: data.len() as u8,
-            padding: [0; 3],
-            data: bytes,
-        })
+        Some(Self { id_and_flags: id_bits(id.into()), len: data.len() as u8, padding: [0; 3], data: bytes })
     }
 
     /// A remote frame asking for `len` bytes; `None` above 8.
     pub fn remote(id: impl Into<Id>, len: u8) -> Option<Self> {
-        (len <= 8).then(|| Self {
-            id_and_flags: id_bits(id.into()) | REMOTE,
-            len,
-            padding: [0; 3],
-            data: [0; 8],
-        })
+        (len <= 8).then(|| Self { id_and_flags: id_bits(id.into()) | REMOTE, len, padding: [0; 3], data: [0; 8] })
     }
 
     /// A frame from the kernel's words; `None` if its length is above 8.
@@ -52,20 +42,11 @@ impl Frame {
         if len > 8 {
             return None;
         }
-        let mut frame = Self {
-            id_and_flags,
-            len,
-            padding: [0; 3],
-            data,
-        };
+        let mut frame = Self { id_and_flags, len, padding: [0; 3], data };
         if id_and_flags & (EXTENDED | ERROR) == 0 {
             frame.id_and_flags &= REMOTE | 0x7FF;
         }
-        let kept = if frame.is_remote() {
-            0
-        } else {
-            usize::from(len)
-        };
+        let kept = if frame.is_remote() { 0 } else { usize::from(len) };
         frame.data[kept..].fill(0);
         Some(frame)
     }
@@ -91,11 +72,7 @@ impl Frame {
 
     /// The payload; empty for a remote frame.
     pub fn data(&self) -> &[u8] {
-        let len = if self.is_remote() {
-            0
-        } else {
-            usize::from(self.len)
-        };
+        let len = if self.is_remote() { 0 } else { usize::from(self.len) };
         &self.data[..len]
     }
 
@@ -138,9 +115,7 @@ impl fmt::Display for Frame {
         if self.is_remote() {
             return write!(f, "R{}", self.len);
         }
-        self.data()
-            .iter()
-            .try_for_each(|byte| write!(f, "{byte:02X}"))
+        self.data().iter().try_for_each(|byte| write!(f, "{byte:02X}"))
     }
 }
 

@@ -26,11 +26,7 @@ pub struct ExtendedId(u32);
 impl ExtendedId {
     /// `None` above 0x1FFF_FFFF.
     pub const fn new(raw: u32) -> Option<Self> {
-        if raw <= 0x1FFF_FFFF {
-            Some(Self(raw))
-        } else {
-            None
-        }
+        if raw <= 0x1FFF_FFFF { Some(Self(raw)) } else { None }
     }
 
     /// The identifier's bits.

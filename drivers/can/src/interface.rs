@@ -18,13 +18,8 @@ impl InterfaceName {
             return None;
         }
         let mut bytes = [0; 15];
-        bytes
-            .get_mut(..name.len())?
-            .copy_from_slice(name.as_bytes());
-        Some(Self {
-            bytes,
-            len: name.len() as u8,
-        })
+        bytes.get_mut(..name.len())?.copy_from_slice(name.as_bytes());
+        Some(Self { bytes, len: name.len() as u8 })
     }
 
     /// The name.
@@ -54,20 +49,8 @@ mod tests {
         for name in ["can0", "vcan-1", "a.b", "a=b", "fifteen-bytes-1"] {
             assert_eq!(InterfaceName::new(name).unwrap().as_str(), name);
         }
-        let bad = [
-            "",
-            ".",
-            "..",
-            "a b",
-            "a/b",
-            "can0:1",
-            "a\tb",
-            "a\0b",
-            "a\nb",
-            "\u{1b}[m",
-            "\u{9b}m",
-            "sixteen-bytes-16",
-        ];
+        let bad =
+            ["", ".", "..", "a b", "a/b", "can0:1", "a\tb", "a\0b", "a\nb", "\u{1b}[m", "\u{9b}m", "sixteen-bytes-16"];
         for name in bad {
             assert_eq!(InterfaceName::new(name), None, "{name:?}");
         }

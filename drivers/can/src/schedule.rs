@@ -59,30 +59,18 @@ pub struct Analysis {
 
 /// Worst-case load and response times of `messages` on a bus with this cycle time.
 pub fn analyse(bitrate: Bitrate, cycle: Duration, messages: &[Message]) -> Analysis {
-    let time =
-        |message: &Message| bitrate.duration(worst_case_bits(Format::Standard, message.bytes));
+    let time = |message: &Message| bitrate.duration(worst_case_bits(Format::Standard, message.bytes));
     let rate = |message: &Message| match message.every {
         Every::Cycle => 1.0 / cycle.as_secs_f64(),
         Every::Interval(interval) => 1.0 / interval.as_secs_f64(),
     };
     let responses: Vec<Duration> = (0..messages.len())
-        .map(|index| {
-            before(messages, index).map(time).sum::<Duration>() + blocking(messages, index, time)
-        })
+        .map(|index| before(messages, index).map(time).sum::<Duration>() + blocking(messages, index, time))
         .collect();
-    let cyclic = messages
-        .iter()
-        .zip(&responses)
-        .filter(|(message, _)| message.every == Every::Cycle);
+    let cyclic = messages.iter().zip(&responses).filter(|(message, _)| message.every == Every::Cycle);
     Analysis {
-        load: messages
-            .iter()
-            .map(|message| time(message).as_secs_f64() * rate(message))
-            .sum(),
-        busy: cyclic
-            .map(|(_, response)| *response)
-            .max()
-            .unwrap_or_default(),
+        load: messages.iter().map(|message| time(message).as_secs_f64() * rate(message)).sum(),
+        busy: cyclic.map(|(_, response)| *response).max().unwrap_or_default(),
         responses,
     }
 }
@@ -91,16 +79,10 @@ pub fn analyse(bitrate: Bitrate, cycle: Duration, messages: &[Message]) -> Analy
 fn before(messages: &[Message], index: usize) -> impl Iterator<Item = &Message> {
     let own = messages[index];
     // The message waits for the frames before it in the queue, so frames with priority over any of these count too.
-    let queued = messages[..=index]
-        .iter()
-        .filter(|message| message.sender == own.sender);
+    let queued = messages[..=index].iter().filter(|message| message.sender == own.sender);
     let weakest = queued.map(|message| message.id).max().unwrap_or(own.id);
     let before = move |(position, message): &(usize, &Message)| {
-        if message.sender == own.sender {
-            *position <= index
-        } else {
-            message.id < weakest
-        }
+        if message.sender == own.sender { *position <= index } else { message.id < weakest }
     };
     let messages = messages.iter().enumerate().filter(before);
     messages.map(|(_, message)| message)
@@ -109,12 +91,7 @@ fn before(messages: &[Message], index: usize) -> impl Iterator<Item = &Message> 
 /// Time of the longest frame not counted by [`before`] that can occupy the wire when the message at `index` is queued.
 fn blocking(messages: &[Message], index: usize, time: impl Fn(&Message) -> Duration) -> Duration {
     let ahead: Vec<StandardId> = before(messages, index).map(|message| message.id).collect();
-    messages
-        .iter()
-        .filter(|message| !ahead.contains(&message.id))
-        .map(time)
-        .max()
-        .unwrap_or_default()
+    messages.iter().filter(|message| !ahead.contains(&message.id)).map(time).max().unwrap_or_default()
 }
 
 #[cfg(test)]
@@ -124,12 +101,7 @@ mod tests {
     /// SYNC; per axis an RPDO of 6 bytes, a TPDO of 8 bytes and a heartbeat.
     fn axes(count: u8) -> Vec<Message> {
         let id = |raw| StandardId::new(raw).unwrap();
-        let cyclic = |raw, bytes, sender| Message {
-            id: id(raw),
-            bytes,
-            sender,
-            every: Every::Cycle,
-        };
+        let cyclic = |raw, bytes, sender| Message { id: id(raw), bytes, sender, every: Every::Cycle };
         let mut messages = vec![cyclic(0x080, 0, Sender::Host)];
         for node in 1..=count {
             messages.push(cyclic(0x200 + u16::from(node), 6, Sender::Host));
@@ -137,12 +109,7 @@ mod tests {
         }
         for node in 1..=count {
             let every = Every::Interval(Duration::from_millis(100));
-            messages.push(Message {
-                id: id(0x700 + u16::from(node)),
-                bytes: 1,
-                sender: Sender::Node(node),
-                every,
-            });
+            messages.push(Message { id: id(0x700 + u16::from(node)), bytes: 1, sender: Sender::Node(node), every });
         }
         messages
     }
@@ -152,11 +119,7 @@ mod tests {
         let microseconds = |axes: u64| 55 + 250 * axes + 65;
         for count in [1, 2, 3, 6, 7] {
             let analysis = analyse(Bitrate::KBPS_1000, Duration::from_millis(2), &axes(count));
-            assert_eq!(
-                analysis.busy,
-                Duration::from_micros(microseconds(u64::from(count))),
-                "{count} axes"
-            );
+            assert_eq!(analysis.busy, Duration::from_micros(microseconds(u64::from(count))), "{count} axes");
         }
     }
 
@@ -164,11 +127,7 @@ mod tests {
     fn load_is_the_share_of_the_cycle() {
         let analysis = analyse(Bitrate::KBPS_1000, Duration::from_millis(2), &axes(6));
         let heartbeats = 6.0 * 65e-6 / 0.1;
-        assert!(
-            (analysis.load - (1555e-6 / 2e-3 + heartbeats)).abs() < 1e-12,
-            "{}",
-            analysis.load
-        );
+        assert!((analysis.load - (1555e-6 / 2e-3 + heartbeats)).abs() < 1e-12, "{}", analysis.load);
     }
 
     #[test]
@@ -180,17 +139,9 @@ mod tests {
     #[test]
     fn a_message_behind_a_weaker_one_in_its_queue_is_overtaken_with_it() {
         let id = |raw| StandardId::new(raw).unwrap();
-        let cyclic = |raw, bytes, sender| Message {
-            id: id(raw),
-            bytes,
-            sender,
-            every: Every::Cycle,
-        };
-        let messages = [
-            cyclic(0x300, 0, Sender::Host),
-            cyclic(0x100, 0, Sender::Host),
-            cyclic(0x200, 8, Sender::Node(1)),
-        ];
+        let cyclic = |raw, bytes, sender| Message { id: id(raw), bytes, sender, every: Every::Cycle };
+        let messages =
+            [cyclic(0x300, 0, Sender::Host), cyclic(0x100, 0, Sender::Host), cyclic(0x200, 8, Sender::Node(1))];
         let analysis = analyse(Bitrate::KBPS_1000, Duration::from_millis(1), &messages);
         assert_eq!(analysis.responses[1], Duration::from_micros(55 + 55 + 135));
     }

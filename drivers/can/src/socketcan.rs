@@ -19,10 +19,7 @@ use socketcan::{CanAddr, CanFilter, CanSocket, Socket, SocketOptions};
 use thiserror::Error;
 
 use crate::error_frame::state_after;
-use crate::{
-    ControllerState, Counters, Frame, Instant, InterfaceName, Port, PortError, Received,
-    StandardId, clock,
-};
+use crate::{ControllerState, Counters, Frame, Instant, InterfaceName, Port, PortError, Received, StandardId, clock};
 
 /// Frames that one system call moves at most. The rest of a longer send is refused.
 ///
@@ -50,12 +47,7 @@ pub struct SocketCanOptions {
 /// Eight set-points and a SYNC may wait for the bus; more than a second of a full bus of 1 Mbit/s for us.
 impl Default for SocketCanOptions {
     fn default() -> Self {
-        Self {
-            accept: Vec::new(),
-            receive_queue: 10_000,
-            send_queue: 9,
-            card_stamps: false,
-        }
+        Self { accept: Vec::new(), receive_queue: 10_000, send_queue: 9, card_stamps: false }
     }
 }
 
@@ -89,16 +81,10 @@ pub enum OpenError {
     Down(InterfaceName),
     /// More identifiers to accept than the kernel filters.
     #[error("{interface}: {given} identifiers to accept, the kernel takes 512")]
-    TooManyFilters {
-        interface: InterfaceName,
-        given: usize,
-    },
+    TooManyFilters { interface: InterfaceName, given: usize },
     /// Anything else the operating system said.
     #[error("{interface}: errno {errno}")]
-    Os {
-        interface: InterfaceName,
-        errno: i32,
-    },
+    Os { interface: InterfaceName, errno: i32 },
 }
 
 /// A raw socket on one CAN interface.
@@ -130,8 +116,7 @@ impl SocketCanPort {
             let given = options.accept.len();
             return Err(OpenError::TooManyFilters { interface, given });
         }
-        let socket = CanSocket::open(interface.as_str())
-            .map_err(|error| why_not_opened(interface, &error))?;
+        let socket = CanSocket::open(interface.as_str()).map_err(|error| why_not_opened(interface, &error))?;
         set_up(&socket, options).map_err(|error| os(interface, &error))?;
         // A socket may be bound to an interface that is down; the kernel then leaves this word.
         match socket.as_raw_socket().take_error() {
@@ -141,9 +126,8 @@ impl SocketCanPort {
             Ok(Some(error)) | Err(error) => return Err(os(interface, &error)),
             Ok(None) => {}
         }
-        let receive_buffer = socket
-            .get_socket_option_int(libc::SOL_SOCKET, libc::SO_RCVBUF)
-            .map_err(|error| os(interface, &error))?;
+        let receive_buffer =
+            socket.get_socket_option_int(libc::SOL_SOCKET, libc::SO_RCVBUF).map_err(|error| os(interface, &error))?;
         // Between binding and set-up any frame came in. A full bus takes a second to fill this many.
         let mut batch = Batch::new();
         for _ in 0..32 {
@@ -226,8 +210,7 @@ impl SocketCanPort {
             }
             // The stamp is of CLOCK_REALTIME, which may have been set since it was taken.
             let at = ancillary.realtime_nanos.map_or(read_at, |nanos| {
-                Instant::from_nanos(nanos.saturating_sub(self.realtime_offset))
-                    .clamp(self.last_received, read_at)
+                Instant::from_nanos(nanos.saturating_sub(self.realtime_offset)).clamp(self.last_received, read_at)
             });
             self.last_received = at;
             into[kept] = Received { frame, at };
@@ -290,9 +273,7 @@ impl Port for SocketCanPort {
 /// The CAN interface called `interface`, up or down.
 pub(crate) fn find(interface: &str) -> Result<InterfaceName, OpenError> {
     let name = InterfaceName::new(interface).ok_or(OpenError::BadName)?;
-    CanSocket::open(interface)
-        .map(|_| name)
-        .map_err(|error| why_not_opened(name, &error))
+    CanSocket::open(interface).map(|_| name).map_err(|error| why_not_opened(name, &error))
 }
 
 fn set_up(socket: &CanSocket, options: &SocketCanOptions) -> io::Result<()> {
@@ -302,11 +283,7 @@ fn set_up(socket: &CanSocket, options: &SocketCanOptions) -> io::Result<()> {
     socket.set_nonblocking(true)?;
     socket.set_error_filter_accept_all()?;
     if !options.accept.is_empty() {
-        let filters: Vec<_> = options
-            .accept
-            .iter()
-            .map(|id| CanFilter::new(u32::from(id.raw()), EXACT))
-            .collect();
+        let filters: Vec<_> = options.accept.iter().map(|id| CanFilter::new(u32::from(id.raw()), EXACT)).collect();
         socket.set_filters(&filters)?;
     }
     // The kernel doubles what it is asked for.
@@ -337,9 +314,7 @@ fn why_not_opened(interface: InterfaceName, error: &io::Error) -> OpenError {
     match error.raw_os_error() {
         Some(libc::EAFNOSUPPORT) => OpenError::NoCan(interface),
         Some(libc::ENODEV) if kernel_lacks_can() => OpenError::NoCan(interface),
-        Some(libc::ENODEV) if CanAddr::from_iface(interface.as_str()).is_ok() => {
-            OpenError::NotCan(interface)
-        }
+        Some(libc::ENODEV) if CanAddr::from_iface(interface.as_str()).is_ok() => OpenError::NotCan(interface),
         Some(libc::ENODEV) => OpenError::Absent(interface),
         _ => os(interface, error),
     }
@@ -355,32 +330,21 @@ mod tests {
     use super::*;
 
     fn refusal(interface: &str, options: &SocketCanOptions) -> OpenError {
-        SocketCanPort::open(interface, options)
-            .err()
-            .expect("a refusal")
+        SocketCanPort::open(interface, options).err().expect("a refusal")
     }
 
     #[test]
     fn impossible_names_are_refused_before_the_kernel_is_asked() {
         for name in ["", "sixteen-letters-", "can 0", "can/0", "can\0"] {
-            assert_eq!(
-                refusal(name, &SocketCanOptions::default()),
-                OpenError::BadName
-            );
+            assert_eq!(refusal(name, &SocketCanOptions::default()), OpenError::BadName);
         }
     }
 
     #[test]
     fn more_filters_than_the_kernel_has_are_refused() {
-        let options = SocketCanOptions {
-            accept: vec![StandardId::MAX; 513],
-            ..SocketCanOptions::default()
-        };
+        let options = SocketCanOptions { accept: vec![StandardId::MAX; 513], ..SocketCanOptions::default() };
         let interface = InterfaceName::new("can0").unwrap();
-        let expected = OpenError::TooManyFilters {
-            interface,
-            given: 513,
-        };
+        let expected = OpenError::TooManyFilters { interface, given: 513 };
         assert_eq!(refusal("can0", &options), expected);
     }
 
@@ -415,10 +379,7 @@ mod tests {
             (OpenError::Down(name), "ip link set can7 up"),
         ] {
             let text = error.to_string();
-            assert!(
-                text.starts_with("can7: ") && text.contains(advice),
-                "{text}"
-            );
+            assert!(text.starts_with("can7: ") && text.contains(advice), "{text}");
         }
     }
 }

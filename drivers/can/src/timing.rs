@@ -40,11 +40,7 @@ impl Bitrate {
     /// `None` outside 10 to 1000 kbit/s, and for rates such as 83 kbit/s whose bit time is not a
     /// whole number of nanoseconds.
     pub const fn from_kbps(kbps: u32) -> Option<Self> {
-        if kbps >= 10 && kbps <= 1000 && 1_000_000 % kbps == 0 {
-            Some(Self { kbps })
-        } else {
-            None
-        }
+        if kbps >= 10 && kbps <= 1000 && 1_000_000 % kbps == 0 { Some(Self { kbps }) } else { None }
     }
 
     /// The rate, kbit/s.
@@ -154,10 +150,7 @@ impl Run {
     }
 
     const fn from_index(index: usize) -> Self {
-        Self {
-            ones: index & 1 == 1,
-            len: (index >> 1) as u8 + 1,
-        }
+        Self { ones: index & 1 == 1, len: (index >> 1) as u8 + 1 }
     }
 }
 
@@ -218,9 +211,7 @@ mod tests {
 
     #[test]
     fn the_crc_is_the_one_of_the_catalogue() {
-        let content = b"123456789"
-            .iter()
-            .fold(0, |content, &byte| content << 8 | u128::from(byte));
+        let content = b"123456789".iter().fold(0, |content, &byte| content << 8 | u128::from(byte));
         assert_eq!(crc15(content, 72), 0x059E);
     }
 
@@ -247,10 +238,7 @@ mod tests {
             let (format, payload) = (format_of(&frame), frame.data().len() as u8);
             let bits = bits_on_wire(&frame);
             assert_eq!(bits, reference_bits(&frame), "round {round}: {frame}");
-            assert!(
-                bits >= format.stuffable() + 8 * u32::from(payload) + TAIL,
-                "{frame}"
-            );
+            assert!(bits >= format.stuffable() + 8 * u32::from(payload) + TAIL, "{frame}");
             assert!(bits <= worst_case_bits(format, payload), "{frame}");
         }
     }
@@ -326,13 +314,9 @@ mod tests {
 
         fn frame(&mut self) -> Frame {
             let id: Id = if self.next() & 1 == 0 {
-                StandardId::new((self.next() & self.next() & 0x7FF) as u16)
-                    .unwrap()
-                    .into()
+                StandardId::new((self.next() & self.next() & 0x7FF) as u16).unwrap().into()
             } else {
-                ExtendedId::new((self.next() & self.next() & 0x1FFF_FFFF) as u32)
-                    .unwrap()
-                    .into()
+                ExtendedId::new((self.next() & self.next() & 0x1FFF_FFFF) as u32).unwrap().into()
             };
             let len = (self.next() % 9) as usize;
             if self.next().is_multiple_of(8) {

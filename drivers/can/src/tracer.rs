@@ -36,19 +36,12 @@ impl<P: Port> Tracer<P> {
     pub fn new(port: P, capacity: usize) -> (Self, TraceReader) {
         let (trace, entries) = RingBuffer::new(capacity);
         let lost = Arc::new(AtomicU64::new(0));
-        let reader = TraceReader {
-            entries,
-            lost: Arc::clone(&lost),
-        };
+        let reader = TraceReader { entries, lost: Arc::clone(&lost) };
         (Self { port, trace, lost }, reader)
     }
 
     fn record(&mut self, at: Instant, frame: Frame, direction: Direction) {
-        let traced = Traced {
-            at,
-            frame,
-            direction,
-        };
+        let traced = Traced { at, frame, direction };
         if self.trace.push(traced).is_err() {
             self.lost.fetch_add(1, Ordering::Relaxed);
         }
@@ -113,10 +106,7 @@ mod tests {
     }
 
     fn received(id: u16, nanos: u64) -> Received {
-        Received {
-            frame: frame(id),
-            at: at(nanos),
-        }
+        Received { frame: frame(id), at: at(nanos) }
     }
 
     fn receive(port: &mut impl Port, now: u64) -> Vec<Received> {
@@ -132,13 +122,7 @@ mod tests {
         assert_eq!(port.send(at(1), &[frame(1), frame(2), frame(3)]), Ok(2));
         peer.deliver(received(4, 5), 47);
         assert_eq!(receive(&mut port, 9), [received(4, 5)]);
-        let traced = |id, nanos, direction| {
-            Some(Traced {
-                at: at(nanos),
-                frame: frame(id),
-                direction,
-            })
-        };
+        let traced = |id, nanos, direction| Some(Traced { at: at(nanos), frame: frame(id), direction });
         assert_eq!(trace.read(), traced(1, 1, Direction::Sent));
         assert_eq!(trace.read(), traced(2, 1, Direction::Sent));
         assert_eq!(trace.read(), traced(4, 5, Direction::Received));

@@ -26,11 +26,7 @@ pub fn virtual_port(capacity: usize) -> (VirtualPort, VirtualPeer) {
         counters: Counters::default(),
         state: ControllerState::Active,
     };
-    let peer = VirtualPeer {
-        sent,
-        to_host,
-        dropped,
-    };
+    let peer = VirtualPeer { sent, to_host, dropped };
     (port, peer)
 }
 
@@ -96,10 +92,7 @@ impl Port for VirtualPort {
     }
 
     fn counters(&self) -> Counters {
-        Counters {
-            dropped: self.dropped.load(Ordering::Relaxed),
-            ..self.counters
-        }
+        Counters { dropped: self.dropped.load(Ordering::Relaxed), ..self.counters }
     }
 
     fn state(&self) -> ControllerState {
@@ -161,16 +154,12 @@ mod tests {
     }
 
     fn received(id: u16, nanos: u64) -> Received {
-        Received {
-            frame: frame(id),
-            at: at(nanos),
-        }
+        Received { frame: frame(id), at: at(nanos) }
     }
 
     fn receive(port: &mut VirtualPort, now: u64) -> Result<Vec<Received>, PortError> {
         let mut into = [received(0, 0); 4];
-        port.receive(at(now), &mut into)
-            .map(|count| into[..count].to_vec())
+        port.receive(at(now), &mut into).map(|count| into[..count].to_vec())
     }
 
     #[test]
@@ -187,10 +176,7 @@ mod tests {
         let expected = Counters {
             sent: 3,
             refused: 2,
-            bits: [1, 2, 3]
-                .map(|id| u64::from(bits_on_wire(&frame(id))))
-                .iter()
-                .sum(),
+            bits: [1, 2, 3].map(|id| u64::from(bits_on_wire(&frame(id)))).iter().sum(),
             ..Counters::default()
         };
         assert_eq!(port.counters(), expected);

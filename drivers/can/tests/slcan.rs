@@ -1,8 +1,6 @@
 //! Whatever comes over a serial line, reading it does not panic; what was written reads back.
 
-use can::slcan::{
-    AdapterReport, BITRATES_KBPS, BusErrors, Command, LONGEST, Piece, Splitter, StatusFlags,
-};
+use can::slcan::{AdapterReport, BITRATES_KBPS, BusErrors, Command, LONGEST, Piece, Splitter, StatusFlags};
 use can::timing::{Bitrate, Format};
 use can::{ControllerState, Frame};
 use mrroc_can as can;
@@ -10,10 +8,7 @@ use proptest::prelude::*;
 
 fn frames() -> impl Strategy<Value = Frame> {
     // Standard and extended, data and remote; no error frames.
-    let id = prop_oneof![
-        0..0x800_u32,
-        (0..0x2000_0000_u32).prop_map(|id| id | 0x8000_0000)
-    ];
+    let id = prop_oneof![0..0x800_u32, (0..0x2000_0000_u32).prop_map(|id| id | 0x8000_0000)];
     (id, any::<bool>(), 0..=8_u8, any::<[u8; 8]>()).prop_map(|(id, remote, len, data)| {
         let id = id | u32::from(remote) << 30;
         Frame::from_raw(id, len, data).expect("at most 8 bytes")
@@ -39,19 +34,12 @@ fn reports() -> impl Strategy<Value = AdapterReport> {
     use ControllerState::{Active, BusOff, Passive, Warning};
     let states = proptest::sample::select(&[Active, Warning, Passive, BusOff][..]);
     prop_oneof![
-        (frames(), any::<Option<u16>>())
-            .prop_map(|(frame, stamp)| AdapterReport::Received { frame, stamp }),
-        (states, 0..=999_u16, 0..=999_u16).prop_map(|(state, receive, transmit)| {
-            AdapterReport::State {
-                state,
-                receive,
-                transmit,
-            }
-        }),
+        (frames(), any::<Option<u16>>()).prop_map(|(frame, stamp)| AdapterReport::Received { frame, stamp }),
+        (states, 0..=999_u16, 0..=999_u16)
+            .prop_map(|(state, receive, transmit)| { AdapterReport::State { state, receive, transmit } }),
         any::<u8>().prop_map(|flags| AdapterReport::Flags(StatusFlags(flags))),
-        "[0-9A-Za-z]{4}".prop_map(|number| {
-            AdapterReport::SerialNumber(number.into_bytes().try_into().expect("four letters"))
-        }),
+        "[0-9A-Za-z]{4}"
+            .prop_map(|number| { AdapterReport::SerialNumber(number.into_bytes().try_into().expect("four letters")) }),
         Just(AdapterReport::Done),
         Just(AdapterReport::Refused),
         Just(AdapterReport::Transmitted(Format::Extended)),

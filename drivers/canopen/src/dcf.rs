@@ -44,23 +44,13 @@ pub enum DownloadError {
     )]
     ReadOnly { line: u32, object: Object },
     /// A value of a type without known layout.
-    #[error(
-        "{line}: {object} has data type {code:#06x}, whose values cannot be written; remove its ParameterValue"
-    )]
-    DataType {
-        line: u32,
-        object: Object,
-        code: u16,
-    },
+    #[error("{line}: {object} has data type {code:#06x}, whose values cannot be written; remove its ParameterValue")]
+    DataType { line: u32, object: Object, code: u16 },
     /// A value in another file.
-    #[error(
-        "{line}: {object} is to be written from a file, which is not supported; remove its DownloadFile"
-    )]
+    #[error("{line}: {object} is to be written from a file, which is not supported; remove its DownloadFile")]
     File { line: u32, object: Object },
     /// A PDO that cannot be switched off and on.
-    #[error(
-        "{line}: a PDO is changed whose {object} has neither ParameterValue nor DefaultValue; state it"
-    )]
+    #[error("{line}: a PDO is changed whose {object} has neither ParameterValue nor DefaultValue; state it")]
     NoPdoState { line: u32, object: Object },
 }
 
@@ -142,20 +132,14 @@ fn remap(
     let cob_id = Object::new(communication, 1);
     let on = take(dcf, node, &mut stated, cob_id, DataType::Unsigned32, line)?;
     let off = PdoCobId(number(&on.data)).invalid();
-    let off = ObjectWrite {
-        data: off.0.to_le_bytes().to_vec(),
-        ..on.clone()
-    };
+    let off = ObjectWrite { data: off.0.to_le_bytes().to_vec(), ..on.clone() };
     let stays_off = off == on;
     writes.push(off);
     if stated.keys().any(|object| object.index == mapping) {
         let count = Object::new(mapping, 0);
         let full = take(dcf, node, &mut stated, count, DataType::Unsigned8, line)?;
         let entries = number(&full.data);
-        writes.push(ObjectWrite {
-            data: vec![0],
-            ..full.clone()
-        });
+        writes.push(ObjectWrite { data: vec![0], ..full.clone() });
         let effective = |object: &Object| u32::from(object.subindex) <= entries;
         let mapped = stated.iter().filter(|(object, _)| object.index == mapping);
         let mapped = mapped.filter(|(object, _)| effective(object));
@@ -182,12 +166,7 @@ fn take(
 ) -> Result<ObjectWrite, DownloadError> {
     let default = || {
         let value = dcf.variable(object)?.default.as_ref()?;
-        Some(ObjectWrite {
-            object,
-            data: value.encode(data_type, node)?,
-            readable: true,
-            line,
-        })
+        Some(ObjectWrite { object, data: value.encode(data_type, node)?, readable: true, line })
     };
     let write = stated.remove(&object).or_else(default);
     let right_size = |write: &ObjectWrite| Some(write.data.len()) == data_type.size();
@@ -264,11 +243,7 @@ AccessType=rw
         for value in values {
             let (name, value) = value.split_once('=').unwrap();
             let section = format!("[{name}]\n");
-            let key = if value.contains('.') {
-                "DownloadFile"
-            } else {
-                "ParameterValue"
-            };
+            let key = if value.contains('.') { "DownloadFile" } else { "ParameterValue" };
             assert!(text.contains(&section));
             text = text.replace(&section, &format!("{section}{key}={value}\n"));
         }
@@ -278,11 +253,7 @@ AccessType=rw
     fn writes(values: &[&str]) -> Result<Vec<String>, DownloadError> {
         let written = download(&dcf(values), NodeId::new(2).unwrap())?.writes;
         let write = |write: &ObjectWrite| {
-            let data: String = write
-                .data
-                .iter()
-                .map(|byte| format!("{byte:02X}"))
-                .collect();
+            let data: String = write.data.iter().map(|byte| format!("{byte:02X}")).collect();
             format!("{} {data}", write.object)
         };
         Ok(written.iter().map(write).collect())
@@ -293,11 +264,7 @@ AccessType=rw
         let expected = ["0x1017:00 6400", "0x2000:00 4142", "0x6065:00 FFFFFFFF"];
         let asked = ["6065=0xFFFFFFFF", "1017=100", "2000=AB"];
         assert_eq!(writes(&asked).unwrap(), expected);
-        assert_eq!(
-            writes(&["1017=0"]).unwrap(),
-            ["0x1017:00 0000"],
-            "the default"
-        );
+        assert_eq!(writes(&["1017=0"]).unwrap(), ["0x1017:00 0000"], "the default");
         assert_eq!(writes(&[]).unwrap(), [""; 0]);
         let readable = |name| {
             let asked = dcf(&[name]);
@@ -337,21 +304,14 @@ AccessType=rw
         // Off by default: it stays so, and is told once.
         let expected = ["0x1801:01 820200C0", "0x1801:02 01"];
         assert_eq!(writes(&["1801sub2=1"]).unwrap(), expected);
-        let expected = [
-            "0x1801:01 820200C0",
-            "0x1a01:00 00",
-            "0x1a01:01 10004160",
-            "0x1a01:00 01",
-        ];
+        let expected = ["0x1801:01 820200C0", "0x1a01:00 00", "0x1a01:01 10004160", "0x1a01:00 01"];
         assert_eq!(writes(&["1A01sub1=0x60410010"]).unwrap(), expected);
         let mut unknown = dcf(&["1801sub2=1"]);
         let entry = unknown.objects.get_mut(&0x1801).unwrap();
         entry.variables.get_mut(&1).unwrap().default = None;
         let error = download(&unknown, NodeId::MIN).unwrap_err();
         let object = Object::new(0x1801, 1);
-        assert!(
-            matches!(error, DownloadError::NoPdoState { object: found, .. } if found == object)
-        );
+        assert!(matches!(error, DownloadError::NoPdoState { object: found, .. } if found == object));
     }
 
     #[test]
@@ -364,11 +324,7 @@ AccessType=rw
         let error = DownloadError::ReadOnly { line, object };
         assert_eq!(writes(&["1019=1"]), Err(error));
         let (line, object) = (line_of("[7000]"), Object::new(0x7000, 0));
-        let error = DownloadError::DataType {
-            line,
-            object,
-            code: 0x40,
-        };
+        let error = DownloadError::DataType { line, object, code: 0x40 };
         assert_eq!(writes(&["7000=1"]), Err(error));
         let error = DownloadError::File { line, object };
         assert_eq!(writes(&["7000=table.bin"]), Err(error));

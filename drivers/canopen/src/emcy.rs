@@ -22,10 +22,7 @@ impl Emergency {
     pub fn encode(self) -> Frame {
         let [low, high] = self.code.to_le_bytes();
         let [a, b, c, d, e] = self.vendor;
-        frame(
-            cob::emcy(self.node),
-            [low, high, self.error_register.0, a, b, c, d, e],
-        )
+        frame(cob::emcy(self.node), [low, high, self.error_register.0, a, b, c, d, e])
     }
 
     /// `None` for other frames and lengths other than 8.
@@ -95,27 +92,17 @@ mod tests {
         };
         assert_eq!(emergency.encode().to_string(), "083#1186210102030405");
         assert_eq!(Emergency::decode(&emergency.encode()), Some(emergency));
-        assert!(
-            emergency
-                .error_register
-                .contains(ErrorRegister::DEVICE_PROFILE)
-        );
+        assert!(emergency.error_register.contains(ErrorRegister::DEVICE_PROFILE));
         assert!(!emergency.error_register.contains(ErrorRegister::VOLTAGE));
         assert!(!emergency.is_reset());
     }
 
     #[test]
     fn sync_and_short_frames_are_no_emergencies() {
-        assert_eq!(
-            Emergency::decode(&Frame::new(cob::SYNC, &[0; 8]).unwrap()),
-            None
-        );
+        assert_eq!(Emergency::decode(&Frame::new(cob::SYNC, &[0; 8]).unwrap()), None);
         let id = cob::emcy(NodeId::new(3).unwrap());
         for length in 0..8 {
-            assert_eq!(
-                Emergency::decode(&Frame::new(id, &[0; 8][..length]).unwrap()),
-                None
-            );
+            assert_eq!(Emergency::decode(&Frame::new(id, &[0; 8][..length]).unwrap()), None);
         }
     }
 }

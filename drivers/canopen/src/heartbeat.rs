@@ -30,10 +30,7 @@ impl Heartbeat {
             return None;
         };
         let &[state] = frame.data() else { return None };
-        Some(Self {
-            node,
-            state: NmtState::from_raw(state),
-        })
+        Some(Self { node, state: NmtState::from_raw(state) })
     }
 
     /// The frame read as an answer to node guarding: the NMT state of bits 0 to 6, and the toggle bit. The toggle bit, bit
@@ -64,10 +61,7 @@ mod tests {
             (NmtState::Unknown(0x85), "702#85"),
         ];
         for (state, bytes) in table {
-            let heartbeat = Heartbeat {
-                node: node(2),
-                state,
-            };
+            let heartbeat = Heartbeat { node: node(2), state };
             assert_eq!(heartbeat.encode().to_string(), bytes);
             assert_eq!(Heartbeat::decode(&heartbeat.encode()), Some(heartbeat));
         }
@@ -95,9 +89,6 @@ mod tests {
         assert_eq!(Heartbeat::decode(&Frame::remote(id, 1).unwrap()), None);
         assert_eq!(Heartbeat::decode(&Frame::new(id, &[]).unwrap()), None);
         assert_eq!(Heartbeat::decode(&Frame::new(id, &[5, 0]).unwrap()), None);
-        assert_eq!(
-            Heartbeat::decode(&Frame::new(cob::SYNC, &[5]).unwrap()),
-            None
-        );
+        assert_eq!(Heartbeat::decode(&Frame::new(cob::SYNC, &[5]).unwrap()), None);
     }
 }

@@ -219,14 +219,8 @@ pub enum Bound {
 
 impl Bound {
     /// All of them, in order.
-    pub const ALL: [Self; 6] = [
-        Self::Vendor,
-        Self::Product,
-        Self::RevisionLow,
-        Self::RevisionHigh,
-        Self::SerialLow,
-        Self::SerialHigh,
-    ];
+    pub const ALL: [Self; 6] =
+        [Self::Vendor, Self::Product, Self::RevisionLow, Self::RevisionHigh, Self::SerialLow, Self::SerialHigh];
 }
 
 /// The [`Fastscan::bit`] that every slave without a node-ID answers, and which begins the scan.
@@ -281,12 +275,7 @@ impl Request {
             Self::InquireNodeId => long(0x5E, 0),
             Self::Identify { bound, value } => long(0x46 + bound as u8, value),
             Self::IdentifyUnconfigured => long(0x4C, 0),
-            Self::Fastscan(Fastscan {
-                number,
-                bit,
-                sub,
-                next,
-            }) => {
+            Self::Fastscan(Fastscan { number, bit, sub, next }) => {
                 let [a, b, c, d] = number.to_le_bytes();
                 [0x51, a, b, c, d, bit, sub, next]
             }
@@ -307,29 +296,13 @@ impl Request {
                 _ => return None,
             }),
             0x11 => Self::ConfigureNodeId { node_id: first },
-            0x13 => Self::ConfigureBitTiming {
-                table: first,
-                index: second,
-            },
-            0x15 => Self::ActivateBitTiming {
-                delay_ms: u16::from_le_bytes([first, second]),
-            },
+            0x13 => Self::ConfigureBitTiming { table: first, index: second },
+            0x15 => Self::ActivateBitTiming { delay_ms: u16::from_le_bytes([first, second]) },
             0x17 => Self::Store,
-            0x40..=0x43 => Self::SwitchSelective {
-                part: Part::ALL[usize::from(specifier - 0x40)],
-                value,
-            },
-            0x46..=0x4B => Self::Identify {
-                bound: Bound::ALL[usize::from(specifier - 0x46)],
-                value,
-            },
+            0x40..=0x43 => Self::SwitchSelective { part: Part::ALL[usize::from(specifier - 0x40)], value },
+            0x46..=0x4B => Self::Identify { bound: Bound::ALL[usize::from(specifier - 0x46)], value },
             0x4C => Self::IdentifyUnconfigured,
-            0x51 => Self::Fastscan(Fastscan {
-                number: value,
-                bit: bytes[5],
-                sub: bytes[6],
-                next: bytes[7],
-            }),
+            0x51 => Self::Fastscan(Fastscan { number: value, bit: bytes[5], sub: bytes[6], next: bytes[7] }),
             0x5A..=0x5D => Self::Inquire(Part::ALL[usize::from(specifier - 0x5A)]),
             0x5E => Self::InquireNodeId,
             _ => return None,
@@ -365,10 +338,7 @@ impl Response {
             0x44 => Self::Selected,
             0x4F => Self::Identified,
             0x50 => Self::Unconfigured,
-            0x5A..=0x5D => Self::Inquired {
-                part: Part::ALL[usize::from(specifier - 0x5A)],
-                value: value(bytes),
-            },
+            0x5A..=0x5D => Self::Inquired { part: Part::ALL[usize::from(specifier - 0x5A)], value: value(bytes) },
             0x5E => Self::NodeId { node_id: bytes[1] },
             _ => return None,
         })
@@ -407,27 +377,15 @@ mod tests {
         let identify = |bound, value| Request::Identify { bound, value };
         let table = [
             (Request::SwitchGlobal(Mode::Waiting), "0400000000000000"),
-            (
-                Request::SwitchGlobal(Mode::Configuration),
-                "0401000000000000",
-            ),
+            (Request::SwitchGlobal(Mode::Configuration), "0401000000000000"),
             (select(Part::Vendor, 0xFB), "40FB000000000000"),
             (select(Part::Product, VALUE), "4101020304000000"),
             (select(Part::Revision, VALUE), "4201020304000000"),
             (select(Part::Serial, u32::MAX), "43FFFFFFFF000000"),
             (Request::ConfigureNodeId { node_id: 5 }, "1105000000000000"),
-            (
-                Request::ConfigureNodeId { node_id: 0xFF },
-                "11FF000000000000",
-            ),
-            (
-                Request::ConfigureBitTiming { table: 0, index: 2 },
-                "1300020000000000",
-            ),
-            (
-                Request::ActivateBitTiming { delay_ms: 0x03E8 },
-                "15E8030000000000",
-            ),
+            (Request::ConfigureNodeId { node_id: 0xFF }, "11FF000000000000"),
+            (Request::ConfigureBitTiming { table: 0, index: 2 }, "1300020000000000"),
+            (Request::ActivateBitTiming { delay_ms: 0x03E8 }, "15E8030000000000"),
             (Request::Store, "1700000000000000"),
             (Request::Inquire(Part::Vendor), "5A00000000000000"),
             (Request::Inquire(Part::Product), "5B00000000000000"),
@@ -441,24 +399,8 @@ mod tests {
             (identify(Bound::SerialLow, 3), "4A03000000000000"),
             (identify(Bound::SerialHigh, VALUE), "4B01020304000000"),
             (Request::IdentifyUnconfigured, "4C00000000000000"),
-            (
-                Request::Fastscan(Fastscan {
-                    number: VALUE,
-                    bit: 31,
-                    sub: 2,
-                    next: 3,
-                }),
-                "51010203041F0203",
-            ),
-            (
-                Request::Fastscan(Fastscan {
-                    number: 0,
-                    bit: FASTSCAN_RESET,
-                    sub: 0,
-                    next: 0,
-                }),
-                "5100000000800000",
-            ),
+            (Request::Fastscan(Fastscan { number: VALUE, bit: 31, sub: 2, next: 3 }), "51010203041F0203"),
+            (Request::Fastscan(Fastscan { number: 0, bit: FASTSCAN_RESET, sub: 0, next: 0 }), "5100000000800000"),
         ];
         for (request, bytes) in table {
             let text = format!("7E5#{bytes}");
@@ -473,22 +415,10 @@ mod tests {
         let inquired = |part, value| Response::Inquired { part, value };
         let table = [
             (Response::Selected, "4400000000000000"),
-            (
-                Response::NodeIdConfigured(outcome(Outcome::SUCCESS, 0)),
-                "1100000000000000",
-            ),
-            (
-                Response::NodeIdConfigured(outcome(Outcome::OUT_OF_RANGE, 0)),
-                "1101000000000000",
-            ),
-            (
-                Response::BitTimingConfigured(outcome(Outcome::VENDOR, 7)),
-                "13FF070000000000",
-            ),
-            (
-                Response::Stored(outcome(Outcome::STORAGE, 0)),
-                "1702000000000000",
-            ),
+            (Response::NodeIdConfigured(outcome(Outcome::SUCCESS, 0)), "1100000000000000"),
+            (Response::NodeIdConfigured(outcome(Outcome::OUT_OF_RANGE, 0)), "1101000000000000"),
+            (Response::BitTimingConfigured(outcome(Outcome::VENDOR, 7)), "13FF070000000000"),
+            (Response::Stored(outcome(Outcome::STORAGE, 0)), "1702000000000000"),
             (inquired(Part::Vendor, 0xFB), "5AFB000000000000"),
             (inquired(Part::Product, VALUE), "5B01020304000000"),
             (inquired(Part::Revision, VALUE), "5C01020304000000"),
@@ -521,12 +451,7 @@ mod tests {
         for text in table {
             assert_eq!(Request::decode(&parse(text)), None, "{text}");
         }
-        let table = [
-            "7E4#4000000000000000",
-            "7E4#5100000000000000",
-            "7E4#4F000000000000",
-            "7E5#4F00000000000000",
-        ];
+        let table = ["7E4#4000000000000000", "7E4#5100000000000000", "7E4#4F000000000000", "7E5#4F00000000000000"];
         for text in table {
             assert_eq!(Response::decode(&parse(text)), None, "{text}");
         }

@@ -25,28 +25,17 @@ pub enum Command {
 }
 
 impl Command {
-    const ALL: [Self; 5] = [
-        Self::Start,
-        Self::Stop,
-        Self::EnterPreOperational,
-        Self::ResetNode,
-        Self::ResetCommunication,
-    ];
+    const ALL: [Self; 5] =
+        [Self::Start, Self::Stop, Self::EnterPreOperational, Self::ResetNode, Self::ResetCommunication];
 
     /// To all nodes.
     pub const fn to_all(self) -> Request {
-        Request {
-            command: self,
-            target: Target::All,
-        }
+        Request { command: self, target: Target::All }
     }
 
     /// To one node.
     pub const fn to(self, node: NodeId) -> Request {
-        Request {
-            command: self,
-            target: Target::Node(node),
-        }
+        Request { command: self, target: Target::Node(node) }
     }
 }
 
@@ -96,10 +85,7 @@ impl Request {
             raw => Target::Node(NodeId::new(raw)?),
         };
         let mut commands = Command::ALL.into_iter();
-        Some(Self {
-            command: commands.find(|command| *command as u8 == specifier)?,
-            target,
-        })
+        Some(Self { command: commands.find(|command| *command as u8 == specifier)?, target })
     }
 }
 
@@ -180,13 +166,7 @@ mod tests {
 
     #[test]
     fn malformed_commands_are_nobodys() {
-        let cases: [&[u8]; 5] = [
-            &[],
-            &[0x01],
-            &[0x01, 0x02, 0x00],
-            &[0x03, 0x02],
-            &[0x01, 0x80],
-        ];
+        let cases: [&[u8]; 5] = [&[], &[0x01], &[0x01, 0x02, 0x00], &[0x03, 0x02], &[0x01, 0x80]];
         for data in cases {
             let frame = Frame::new(cob::NMT, data).unwrap();
             assert_eq!(Request::decode(&frame), None, "{frame}");

@@ -14,11 +14,7 @@ impl NodeId {
 
     /// `None` for 0 and above 127.
     pub const fn new(raw: u8) -> Option<Self> {
-        if raw >= 1 && raw <= 127 {
-            Some(Self(raw))
-        } else {
-            None
-        }
+        if raw >= 1 && raw <= 127 { Some(Self(raw)) } else { None }
     }
 
     /// The number.
@@ -45,10 +41,7 @@ mod tests {
     #[test]
     fn only_1_to_127_is_a_node() {
         for raw in 0..=u8::MAX {
-            assert_eq!(
-                NodeId::new(raw).map(NodeId::raw),
-                (1..=127).contains(&raw).then_some(raw)
-            );
+            assert_eq!(NodeId::new(raw).map(NodeId::raw), (1..=127).contains(&raw).then_some(raw));
         }
         assert_eq!(NodeId::all().count(), 127);
     }

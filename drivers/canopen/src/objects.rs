@@ -21,10 +21,7 @@ impl Object {
 
     /// The name of an object of [`TABLE`].
     pub fn name(self) -> Option<&'static str> {
-        TABLE
-            .iter()
-            .find(|(object, _)| *object == self)
-            .map(|(_, name)| *name)
+        TABLE.iter().find(|(object, _)| *object == self).map(|(_, name)| *name)
     }
 }
 

@@ -93,11 +93,7 @@ impl PdoCobId {
 
     /// The identifier; `None` for a 29-bit one.
     pub const fn id(self) -> Option<StandardId> {
-        if self.0 & Self::EXTENDED != 0 {
-            None
-        } else {
-            StandardId::new((self.0 & 0x7FF) as u16)
-        }
+        if self.0 & Self::EXTENDED != 0 { None } else { StandardId::new((self.0 & 0x7FF) as u16) }
     }
 }
 
@@ -147,10 +143,7 @@ impl Entry {
 
     /// From the value in the mapping parameter.
     pub const fn from_raw(raw: u32) -> Self {
-        Self {
-            object: Object::new((raw >> 16) as u16, (raw >> 8) as u8),
-            bits: raw as u8,
-        }
+        Self { object: Object::new((raw >> 16) as u16, (raw >> 8) as u8), bits: raw as u8 }
     }
 }
 
@@ -178,10 +171,7 @@ pub struct PdoMapping {
 
 impl PdoMapping {
     /// Nothing mapped.
-    pub const EMPTY: Self = Self {
-        entries: [Entry::new(Object::new(0, 0), 0); 8],
-        count: 0,
-    };
+    pub const EMPTY: Self = Self { entries: [Entry::new(Object::new(0, 0), 0); 8], count: 0 };
 
     /// The entries in the order of the frame.
     pub fn new(entries: &[Entry]) -> Result<Self, MappingError> {
@@ -189,13 +179,9 @@ impl PdoMapping {
         mapping
             .entries
             .get_mut(..entries.len())
-            .ok_or(MappingError::TooMany {
-                found: entries.len(),
-            })?
+            .ok_or(MappingError::TooMany { found: entries.len() })?
             .copy_from_slice(entries);
-        let odd = entries
-            .iter()
-            .find(|entry| entry.bits == 0 || entry.bits % 8 != 0);
+        let odd = entries.iter().find(|entry| entry.bits == 0 || entry.bits % 8 != 0);
         if let Some(&Entry { object, bits }) = odd {
             return Err(MappingError::NotBytes { object, bits });
         }
@@ -265,10 +251,7 @@ mod tests {
         let entry = Entry::new(POSITION_ACTUAL, 32);
         assert_eq!(entry.raw(), 0x6064_0020);
         assert_eq!(Entry::from_raw(0x6064_0020), entry);
-        assert_eq!(
-            Entry::from_raw(0x20C1_0040).object,
-            EPOS2_INTERPOLATION_DATA
-        );
+        assert_eq!(Entry::from_raw(0x20C1_0040).object, EPOS2_INTERPOLATION_DATA);
     }
 
     #[test]
@@ -279,19 +262,10 @@ mod tests {
         let empty = Entry::new(DIGITAL_INPUTS, 0);
         assert!(PdoMapping::new(&[]).is_ok());
         assert!(PdoMapping::new(&[byte; 8]).is_ok());
-        assert_eq!(
-            PdoMapping::new(&[byte; 9]),
-            Err(MappingError::TooMany { found: 9 })
-        );
-        assert_eq!(
-            PdoMapping::new(&[long; 3]),
-            Err(MappingError::TooLong { bits: 96 })
-        );
+        assert_eq!(PdoMapping::new(&[byte; 9]), Err(MappingError::TooMany { found: 9 }));
+        assert_eq!(PdoMapping::new(&[long; 3]), Err(MappingError::TooLong { bits: 96 }));
         for entry in [bit, empty] {
-            let refused = MappingError::NotBytes {
-                object: DIGITAL_INPUTS,
-                bits: entry.bits,
-            };
+            let refused = MappingError::NotBytes { object: DIGITAL_INPUTS, bits: entry.bits };
             assert_eq!(PdoMapping::new(&[entry]), Err(refused));
         }
     }

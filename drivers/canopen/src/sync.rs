@@ -24,9 +24,7 @@ impl Sync {
     pub fn decode(frame: &Frame) -> Option<Self> {
         match payload(frame, cob::SYNC)? {
             [] => Some(Self { counter: None }),
-            &[counter] => Some(Self {
-                counter: Some(counter),
-            }),
+            &[counter] => Some(Self { counter: Some(counter) }),
             _ => None,
         }
     }
@@ -38,10 +36,7 @@ mod tests {
 
     #[test]
     fn sync_is_empty_or_one_counter_byte() {
-        for (sync, bytes) in [
-            (Sync { counter: None }, "080#"),
-            (Sync { counter: Some(240) }, "080#F0"),
-        ] {
+        for (sync, bytes) in [(Sync { counter: None }, "080#"), (Sync { counter: Some(240) }, "080#F0")] {
             assert_eq!(sync.encode().to_string(), bytes);
             assert_eq!(Sync::decode(&sync.encode()), Some(sync));
         }

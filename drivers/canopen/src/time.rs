@@ -30,10 +30,7 @@ impl TimeOfDay {
         let &[a, b, c, d, low, high] = payload(frame, cob::TIME)? else {
             return None;
         };
-        Some(Self {
-            days: u16::from_le_bytes([low, high]),
-            millis: u32::from_le_bytes([a, b, c, d]) & MILLIS,
-        })
+        Some(Self { days: u16::from_le_bytes([low, high]), millis: u32::from_le_bytes([a, b, c, d]) & MILLIS })
     }
 }
 

@@ -74,10 +74,7 @@ impl WireTiming {
             owed: None,
             counts: AnswerCounts::default(),
         });
-        Self {
-            last_sync: None,
-            answers: answers.collect(),
-        }
+        Self { last_sync: None, answers: answers.collect() }
     }
 
     /// Takes a frame of the bus with its time, in the order of the bus. At each SYNC `sample` receives the distance
@@ -93,10 +90,7 @@ impl WireTiming {
             }
             return;
         }
-        let Some(id) = frame
-            .standard_data_id()
-            .filter(|_| self.last_sync.is_some())
-        else {
+        let Some(id) = frame.standard_data_id().filter(|_| self.last_sync.is_some()) else {
             return;
         };
         if let Some(answers) = self.answers.iter_mut().find(|answers| answers.id == id) {
@@ -172,12 +166,7 @@ mod tests {
         let id = cob::tpdo(PdoNumber::One, NodeId::new(1).unwrap());
         let mut timing = WireTiming::new([id]);
         let mut samples = 0;
-        for (micros, frame) in [
-            (0, "080#"),
-            (100, "181#00"),
-            (2000, "080#"),
-            (2100, "181#00"),
-        ] {
+        for (micros, frame) in [(0, "080#"), (100, "181#00"), (2000, "080#"), (2100, "181#00")] {
             let at = Instant::from_nanos(micros * 1000);
             timing.observe(at, &parse(frame), |_| samples += 1);
         }
@@ -189,12 +178,8 @@ mod tests {
     }
 
     fn check(what: &str, frames: &[(u64, &str)], samples: &[Sample], counts: [[u64; 4]; 2]) {
-        let counts = counts.map(|[answered, unanswered, late, surplus]| AnswerCounts {
-            answered,
-            unanswered,
-            late,
-            surplus,
-        });
+        let counts =
+            counts.map(|[answered, unanswered, late, surplus]| AnswerCounts { answered, unanswered, late, surplus });
         let expected = (samples.to_vec(), counts.to_vec());
         assert_eq!(observed(frames), expected, "{what}");
     }
@@ -246,68 +231,26 @@ mod tests {
         );
         check(
             "duplicates",
-            &[
-                (0, SYNC),
-                (100, ONE),
-                (200, ONE),
-                (300, ONE),
-                (400, TWO),
-                (1000, SYNC),
-            ],
+            &[(0, SYNC), (100, ONE), (200, ONE), (300, ONE), (400, TWO), (1000, SYNC)],
             &[apart(1000), answer(0, 100), answer(1, 400)],
             [[1, 0, 0, 2], [1, 0, 0, 0]],
         );
         check(
             "two in a row without an answer, then one",
-            &[
-                (0, SYNC),
-                (1000, SYNC),
-                (2000, SYNC),
-                (2100, ONE),
-                (3000, SYNC),
-            ],
+            &[(0, SYNC), (1000, SYNC), (2000, SYNC), (2100, ONE), (3000, SYNC)],
             &[apart(1000), apart(1000), apart(1000), answer(0, 100)],
             [[1, 2, 0, 0], [0, 3, 0, 0]],
         );
         check(
             "the answer of the cycle before behind the next SYNC",
-            &[
-                (0, SYNC),
-                (100, TWO),
-                (1000, SYNC),
-                (1050, ONE),
-                (1100, TWO),
-                (1200, ONE),
-                (2000, SYNC),
-            ],
-            &[
-                apart(1000),
-                answer(1, 100),
-                apart(1000),
-                answer(0, 1050),
-                answer(0, 200),
-                answer(1, 100),
-            ],
+            &[(0, SYNC), (100, TWO), (1000, SYNC), (1050, ONE), (1100, TWO), (1200, ONE), (2000, SYNC)],
+            &[apart(1000), answer(1, 100), apart(1000), answer(0, 1050), answer(0, 200), answer(1, 100)],
             [[2, 0, 1, 0], [2, 0, 0, 0]],
         );
         check(
             "a second answer is nobody's once the debt was a cycle ago",
-            &[
-                (0, SYNC),
-                (1000, SYNC),
-                (1100, ONE),
-                (2000, SYNC),
-                (2100, ONE),
-                (2200, ONE),
-                (3000, SYNC),
-            ],
-            &[
-                apart(1000),
-                apart(1000),
-                answer(0, 100),
-                apart(1000),
-                answer(0, 100),
-            ],
+            &[(0, SYNC), (1000, SYNC), (1100, ONE), (2000, SYNC), (2100, ONE), (2200, ONE), (3000, SYNC)],
+            &[apart(1000), apart(1000), answer(0, 100), apart(1000), answer(0, 100)],
             [[2, 1, 0, 1], [0, 3, 0, 0]],
         );
     }
@@ -315,19 +258,9 @@ mod tests {
     #[test]
     fn frames_of_others_are_passed_over() {
         let mut frames = vec![(0, SYNC), (100, ONE), (110, TWO)];
-        frames.extend([
-            (120, "183#00"),
-            (130, "281#00"),
-            (140, "080#0102"),
-            (150, "701#05"),
-        ]);
+        frames.extend([(120, "183#00"), (130, "281#00"), (140, "080#0102"), (150, "701#05")]);
         frames.push((1000, SYNC));
-        check(
-            "others",
-            &frames,
-            &[apart(1000), answer(0, 100), answer(1, 110)],
-            [[1, 0, 0, 0]; 2],
-        );
+        check("others", &frames, &[apart(1000), answer(0, 100), answer(1, 110)], [[1, 0, 0, 0]; 2]);
         let remote = Frame::remote(StandardId::new(0x181).unwrap(), 8).unwrap();
         let mut timing = WireTiming::new([StandardId::new(0x181).unwrap()]);
         for (micros, frame) in [(0, parse(SYNC)), (1, remote), (2, parse(SYNC))] {

@@ -24,27 +24,10 @@ fn frames() -> impl Strategy<Value = Frame> {
         1 => 0..0x800_u32,
         1 => any::<u32>(),
     ];
-    let lss = prop_oneof![
-        Just(0x11),
-        Just(0x13),
-        Just(0x17),
-        Just(0x44),
-        Just(0x4F),
-        Just(0x50),
-        0x5A..=0x5E_u8
-    ];
+    let lss = prop_oneof![Just(0x11), Just(0x13), Just(0x17), Just(0x44), Just(0x4F), Just(0x50), 0x5A..=0x5E_u8];
     let block = prop_oneof![Just(0xA2), Just(0xA4), Just(0xC6), Just(0xC1), Just(0xA1)];
     let data = prop_oneof![
-        (lss, any::<[u8; 2]>()).prop_map(|(specifier, [a, b])| [
-            specifier,
-            a & 1,
-            b,
-            0,
-            0,
-            0,
-            0,
-            0
-        ]),
+        (lss, any::<[u8; 2]>()).prop_map(|(specifier, [a, b])| [specifier, a & 1, b, 0, 0, 0, 0, 0]),
         (block, any::<[u8; 4]>()).prop_map(|(specifier, [a, b, c, d])| [
             specifier,
             0x08,
@@ -55,17 +38,13 @@ fn frames() -> impl Strategy<Value = Frame> {
             c & 1,
             d & 1
         ]),
-        (0..6_u8, any::<[u8; 6]>())
-            .prop_map(|(number, [a, b, c, d, e, f])| [number, a, b, c, d, e, f, 0]),
+        (0..6_u8, any::<[u8; 6]>()).prop_map(|(number, [a, b, c, d, e, f])| [number, a, b, c, d, e, f, 0]),
         any::<[u8; 8]>(),
-        (any::<u8>(), any::<[u8; 4]>())
-            .prop_map(|(specifier, [a, b, c, d])| [specifier, 0x08, 0x10, 0, a, b, c, d]),
-        (0..=1_u8, any::<[u8; 6]>())
-            .prop_map(|(toggle, [a, b, c, d, e, f])| { [toggle << 4, a, b, c, d, e, f, 0] }),
+        (any::<u8>(), any::<[u8; 4]>()).prop_map(|(specifier, [a, b, c, d])| [specifier, 0x08, 0x10, 0, a, b, c, d]),
+        (0..=1_u8, any::<[u8; 6]>()).prop_map(|(toggle, [a, b, c, d, e, f])| { [toggle << 4, a, b, c, d, e, f, 0] }),
     ];
     let length = prop_oneof![4 => Just(8_u8), 1 => 0..=8_u8];
-    (id, length, data)
-        .prop_map(|(id, length, data)| Frame::from_raw(id, length, data).expect("at most 8 bytes"))
+    (id, length, data).prop_map(|(id, length, data)| Frame::from_raw(id, length, data).expect("at most 8 bytes"))
 }
 
 fn objects() -> impl Strategy<Value = Object> {
@@ -82,14 +61,8 @@ fn initiates() -> impl Strategy<Value = Initiate> {
 }
 
 fn segments() -> impl Strategy<Value = Segment> {
-    (
-        proptest::collection::vec(any::<u8>(), 0..=7),
-        any::<bool>(),
-        any::<bool>(),
-    )
-        .prop_map(|(data, toggle, last)| {
-            Segment::new(&data, toggle, last).expect("at most 7 bytes")
-        })
+    (proptest::collection::vec(any::<u8>(), 0..=7), any::<bool>(), any::<bool>())
+        .prop_map(|(data, toggle, last)| Segment::new(&data, toggle, last).expect("at most 7 bytes"))
 }
 
 proptest! {

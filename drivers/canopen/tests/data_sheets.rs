@@ -1,9 +1,7 @@
 //! Data sheets as they are found: every trait of the format, every refusal at its line, and bytes that are none.
 
 use mrroc_canopen::dcf;
-use mrroc_canopen::eds::{
-    Access, DataType, Eds, EdsCause, EdsError, MAX_SECTIONS, ObjectType, ParameterValue, Value,
-};
+use mrroc_canopen::eds::{Access, DataType, Eds, EdsCause, EdsError, MAX_SECTIONS, ObjectType, ParameterValue, Value};
 use mrroc_canopen::{NodeId, Object};
 use proptest::prelude::*;
 
@@ -136,9 +134,7 @@ fn spoilt(good: &str, bad: &str) -> (String, u32) {
 /// The line, from 1, that an error names.
 fn line_of(error: &EdsError) -> u32 {
     let text = error.to_string();
-    let (line, _) = text
-        .split_once(": ")
-        .expect("an error begins with its line");
+    let (line, _) = text.split_once(": ").expect("an error begins with its line");
     line.parse().expect("an error begins with its line")
 }
 
@@ -164,10 +160,7 @@ fn a_sheet_says_what_the_device_is() {
         assert_eq!((eds.device.granularity, eds.device.rpdos), (8, 4));
         assert!(eds.device.lss && !eds.device.simple_boot_up_slave);
         assert_eq!(eds.comments, ["first", "second"]);
-        assert_eq!(
-            eds.dummies,
-            [false, false, false, false, true, false, false]
-        );
+        assert_eq!(eds.dummies, [false, false, false, false, true, false, false]);
         let place = eds.commissioning.as_ref().unwrap();
         assert_eq!(place.node, NodeId::new(5));
         assert_eq!(place.baud_rate, None, "0 is no bit rate");
@@ -190,10 +183,7 @@ fn a_sheet_says_what_objects_there_are() {
         let variable = eds.variable(object(0x1003, subindex)).unwrap();
         variable.name.as_str()
     });
-    assert_eq!(
-        names,
-        ["Number of entries", "Error1", "Older error", "Error3"]
-    );
+    assert_eq!(names, ["Number of entries", "Error1", "Older error", "Error3"]);
     assert_eq!(eds.objects[&0x1003].object_type, ObjectType::Array);
     assert_eq!(eds.variable(object(0x1003, 4)), None);
 
@@ -201,10 +191,7 @@ fn a_sheet_says_what_objects_there_are() {
     let line = SHEET.lines().position(|line| line == "1=0x7F012C").unwrap() + 1;
     let parameter = consumer.parameter.as_ref().unwrap();
     assert_eq!(parameter.line as usize, line);
-    assert_eq!(
-        parameter.value,
-        ParameterValue::Value(Value::number(0x007F_012C))
-    );
+    assert_eq!(parameter.value, ParameterValue::Value(Value::number(0x007F_012C)));
     assert_eq!(eds.variable(object(0x1016, 2)).unwrap().parameter, None);
 
     let serial = eds.variable(object(0x1018, 4)).unwrap();
@@ -213,10 +200,7 @@ fn a_sheet_says_what_objects_there_are() {
     let node = NodeId::new(5).unwrap();
     assert_eq!(cob_id.default.as_ref().unwrap().integer(node), Some(0x205));
     let domain = eds.variable(object(0x1F50, 0)).unwrap();
-    assert_eq!(
-        (domain.data_type, domain.name.as_str()),
-        (DataType::Domain, "1F50")
-    );
+    assert_eq!((domain.data_type, domain.name.as_str()), (DataType::Domain, "1F50"));
     let limit = eds.variable(object(0x607D, 0)).unwrap();
     assert_eq!(limit.low, Some(Value::number(i32::MIN.into())));
     assert_eq!((&limit.high, &limit.default), (&None, &None));
@@ -229,10 +213,7 @@ fn letters_beyond_ascii_are_iso_8859_1_or_utf_8() {
     let name = |bytes: &[u8]| Eds::read(bytes).map(|eds| eds.device.vendor_name);
     let sheet: &[u8] = b"[DeviceInfo]\nVendorName=Stra\xDFe\n";
     assert_eq!(name(sheet).unwrap(), "Straße");
-    assert_eq!(
-        name("\u{FEFF}[DeviceInfo]\nVendorName=Straße".as_bytes()).unwrap(),
-        "Straße"
-    );
+    assert_eq!(name("\u{FEFF}[DeviceInfo]\nVendorName=Straße".as_bytes()).unwrap(), "Straße");
 }
 
 #[test]
@@ -266,149 +247,47 @@ fn texts_that_a_line_cannot_hold_do_not_break_the_file() {
 type Case = (&'static str, &'static str, u32, fn(u32) -> EdsError);
 
 const REFUSALS: &[Case] = &[
-    ("VendorName=Example", "VendorName", 0, |line| {
-        EdsCause::Line.at(line)
-    }),
-    ("[DeviceInfo]", "[DeviceInfo", 0, |line| {
-        EdsCause::Line.at(line)
-    }),
+    ("VendorName=Example", "VendorName", 0, |line| EdsCause::Line.at(line)),
+    ("[DeviceInfo]", "[DeviceInfo", 0, |line| EdsCause::Line.at(line)),
     ("; a comment", "a=1", 0, |line| EdsCause::NoSection.at(line)),
-    ("[ToolInfos]", "[fileinfo]", 0, |line| {
-        EdsCause::DuplicateSection { first: 2 }.at(line)
+    ("[ToolInfos]", "[fileinfo]", 0, |line| EdsCause::DuplicateSection { first: 2 }.at(line)),
+    ("ParameterName=Identity", "ObjectType=9", 1, |line| EdsCause::DuplicateKey { first: line - 1 }.at(line)),
+    ("[1018SUB1]", "[1018sub100]", 0, |line| EdsCause::NotAnObject.at(line)),
+    ("[1018SUB1]", "[1018x1]", 0, |line| EdsCause::NotAnObject.at(line)),
+    ("[1018SUB1]", "[1018sub]", 0, |line| EdsCause::NotAnObject.at(line)),
+    ("[1018SUB1]", "[1018sub00]", 0, |line| EdsCause::NotAnObject.at(line)),
+    ("[607d]", "[0x607D]", 0, |line| EdsCause::NotAnObject.at(line)),
+    ("[607d]", "[60700]", 0, |line| EdsCause::NotAnObject.at(line)),
+    ("[607d]", "[1000sub1]", 0, |line| EdsCause::Orphan { index: 0x1000 }.at(line)),
+    ("[607d]", "[2000sub1]", 0, |line| EdsCause::Orphan { index: 0x2000 }.at(line)),
+    ("[607d]", "[1003sub1]", 0, |line| EdsCause::Orphan { index: 0x1003 }.at(line)),
+    ("[1003Name]", "[1018Name]", 0, |line| EdsCause::Orphan { index: 0x1018 }.at(line)),
+    ("ParameterName=Limit\nDataType=4", "ParameterName=Limit", 0, |line| {
+        EdsCause::Missing { key: "DataType" }.at(line - 1)
     }),
-    ("ParameterName=Identity", "ObjectType=9", 1, |line| {
-        EdsCause::DuplicateKey { first: line - 1 }.at(line)
+    ("AccessType=rww", "AccessType=", 0, |line| EdsCause::Missing { key: "AccessType" }.at(line - 3)),
+    ("2=4120", "2=0x6060", 0, |line| EdsCause::Undescribed { index: 0x6060 }.at(line)),
+    ("SubNumber=3", "SubNumber=4", 0, |line| EdsCause::Count { key: "SubNumber", said: 4, found: 3 }.at(line)),
+    ("CompactSubObj=3", "CompactSubObj=3\nSubNumber=3", 1, |line| {
+        EdsCause::Count { key: "SubNumber", said: 3, found: 4 }.at(line)
     }),
-    ("[1018SUB1]", "[1018sub100]", 0, |line| {
-        EdsCause::NotAnObject.at(line)
+    ("NrOfEntries=2\n2=Older", "NrOfEntries=3\n2=Older", 0, |line| {
+        EdsCause::Count { key: "NrOfEntries", said: 3, found: 2 }.at(line)
     }),
-    ("[1018SUB1]", "[1018x1]", 0, |line| {
-        EdsCause::NotAnObject.at(line)
-    }),
-    ("[1018SUB1]", "[1018sub]", 0, |line| {
-        EdsCause::NotAnObject.at(line)
-    }),
-    ("[1018SUB1]", "[1018sub00]", 0, |line| {
-        EdsCause::NotAnObject.at(line)
-    }),
-    ("[607d]", "[0x607D]", 0, |line| {
-        EdsCause::NotAnObject.at(line)
-    }),
-    ("[607d]", "[60700]", 0, |line| {
-        EdsCause::NotAnObject.at(line)
-    }),
-    ("[607d]", "[1000sub1]", 0, |line| {
-        EdsCause::Orphan { index: 0x1000 }.at(line)
-    }),
-    ("[607d]", "[2000sub1]", 0, |line| {
-        EdsCause::Orphan { index: 0x2000 }.at(line)
-    }),
-    ("[607d]", "[1003sub1]", 0, |line| {
-        EdsCause::Orphan { index: 0x1003 }.at(line)
-    }),
-    ("[1003Name]", "[1018Name]", 0, |line| {
-        EdsCause::Orphan { index: 0x1018 }.at(line)
-    }),
-    (
-        "ParameterName=Limit\nDataType=4",
-        "ParameterName=Limit",
-        0,
-        |line| EdsCause::Missing { key: "DataType" }.at(line - 1),
-    ),
-    ("AccessType=rww", "AccessType=", 0, |line| {
-        EdsCause::Missing { key: "AccessType" }.at(line - 3)
-    }),
-    ("2=4120", "2=0x6060", 0, |line| {
-        EdsCause::Undescribed { index: 0x6060 }.at(line)
-    }),
-    ("SubNumber=3", "SubNumber=4", 0, |line| {
-        EdsCause::Count {
-            key: "SubNumber",
-            said: 4,
-            found: 3,
-        }
-        .at(line)
-    }),
-    (
-        "CompactSubObj=3",
-        "CompactSubObj=3\nSubNumber=3",
-        1,
-        |line| {
-            EdsCause::Count {
-                key: "SubNumber",
-                said: 3,
-                found: 4,
-            }
-            .at(line)
-        },
-    ),
-    (
-        "NrOfEntries=2\n2=Older",
-        "NrOfEntries=3\n2=Older",
-        0,
-        |line| {
-            EdsCause::Count {
-                key: "NrOfEntries",
-                said: 3,
-                found: 2,
-            }
-            .at(line)
-        },
-    ),
-    ("2=Older error", "4=Older error", 0, |line| {
-        EdsCause::Range { low: 1, high: 3 }.at(line)
-    }),
-    ("Granularity=010", "Granularity=eight", 0, |line| {
-        EdsCause::Number.at(line)
-    }),
+    ("2=Older error", "4=Older error", 0, |line| EdsCause::Range { low: 1, high: 3 }.at(line)),
+    ("Granularity=010", "Granularity=eight", 0, |line| EdsCause::Number.at(line)),
     ("2=4120", "2=beyond", 0, |line| EdsCause::Number.at(line)),
-    ("2=4120", "2=0x11018", 0, |line| {
-        EdsCause::Range {
-            low: 0,
-            high: 0xFFFF,
-        }
-        .at(line)
+    ("2=4120", "2=0x11018", 0, |line| EdsCause::Range { low: 0, high: 0xFFFF }.at(line)),
+    ("NodeID=0x05", "NodeID=128", 0, |line| EdsCause::Range { low: 0, high: 127 }.at(line)),
+    ("NodeID=0x05", "NodeID=0", 0, |line| EdsCause::Range { low: 1, high: 127 }.at(line)),
+    ("DefaultValue=0x00020192", "DefaultValue=0x100020192", 0, |line| {
+        EdsCause::Range { low: 0, high: 0xFFFF_FFFF }.at(line)
     }),
-    ("NodeID=0x05", "NodeID=128", 0, |line| {
-        EdsCause::Range { low: 0, high: 127 }.at(line)
-    }),
-    ("NodeID=0x05", "NodeID=0", 0, |line| {
-        EdsCause::Range { low: 1, high: 127 }.at(line)
-    }),
-    (
-        "DefaultValue=0x00020192",
-        "DefaultValue=0x100020192",
-        0,
-        |line| {
-            EdsCause::Range {
-                low: 0,
-                high: 0xFFFF_FFFF,
-            }
-            .at(line)
-        },
-    ),
-    (
-        "ParameterValue=0xFB",
-        "ParameterValue=251 or so",
-        0,
-        |line| EdsCause::Number.at(line),
-    ),
-    ("HighLimit=", "HighLimit=-6", 3, |line| {
-        EdsCause::Limits {
-            low: -0x8000_0000,
-            high: -6,
-        }
-        .at(line)
-    }),
-    ("AccessType=rww", "AccessType=writable", 0, |line| {
-        EdsCause::Access.at(line)
-    }),
-    ("ObjectType=9", "ObjectType=3", 0, |line| {
-        EdsCause::ObjectType { found: 3 }.at(line)
-    }),
-    ("ObjectType=0x8", "ObjectType=0x7", 3, |line| {
-        EdsCause::ObjectType { found: 7 }.at(line)
-    }),
+    ("ParameterValue=0xFB", "ParameterValue=251 or so", 0, |line| EdsCause::Number.at(line)),
+    ("HighLimit=", "HighLimit=-6", 3, |line| EdsCause::Limits { low: -0x8000_0000, high: -6 }.at(line)),
+    ("AccessType=rww", "AccessType=writable", 0, |line| EdsCause::Access.at(line)),
+    ("ObjectType=9", "ObjectType=3", 0, |line| EdsCause::ObjectType { found: 3 }.at(line)),
+    ("ObjectType=0x8", "ObjectType=0x7", 3, |line| EdsCause::ObjectType { found: 7 }.at(line)),
 ];
 
 #[test]
@@ -423,9 +302,7 @@ fn what_is_wrong_is_refused_at_its_line() {
 
 #[test]
 fn a_file_that_unfolds_without_end_is_refused() {
-    let section = |index: u16| {
-        format!("[{index:04X}]\nObjectType=8\nDataType=5\nAccessType=rw\nCompactSubObj=254\n")
-    };
+    let section = |index: u16| format!("[{index:04X}]\nObjectType=8\nDataType=5\nAccessType=rw\nCompactSubObj=254\n");
     let bomb: String = (0x2000..0x6000).map(section).collect();
     let error = Eds::read(bomb.as_bytes()).unwrap_err();
     assert!(error.cause == EdsCause::TooMany, "{error}");
@@ -436,13 +313,8 @@ fn a_file_that_unfolds_without_end_is_refused() {
 fn large_files_are_read_in_time() {
     const COUNT: usize = 200_000;
     let keys: String = (0..COUNT).map(|key| format!("{key}=0x1000\n")).collect();
-    let sections: String = (0..MAX_SECTIONS)
-        .map(|section| format!("[M{section}]\n"))
-        .collect();
-    let dollars = format!(
-        "[1000]\nDataType=7\nAccessType=rw\nDefaultValue={}",
-        "$NODEID+".repeat(COUNT)
-    );
+    let sections: String = (0..MAX_SECTIONS).map(|section| format!("[M{section}]\n")).collect();
+    let dollars = format!("[1000]\nDataType=7\nAccessType=rw\nDefaultValue={}", "$NODEID+".repeat(COUNT));
     let comments = format!("[Comments]\nLine1={}", "a;".repeat(COUNT));
     assert!(Eds::read(format!("[M1]\n{keys}").as_bytes()).is_ok());
     assert!(Eds::read(sections.as_bytes()).is_ok());
@@ -454,18 +326,7 @@ fn large_files_are_read_in_time() {
 
 /// Lines that are nearly right, so that random files come far.
 fn line() -> impl Strategy<Value = String> {
-    let names = [
-        "1000",
-        "1018",
-        "1018sub0",
-        "1018sub1",
-        "1003",
-        "1003Name",
-        "1003Value",
-        "DeviceInfo",
-        "M1",
-        "10G0",
-    ];
+    let names = ["1000", "1018", "1018sub0", "1018sub1", "1003", "1003Name", "1003Value", "DeviceInfo", "M1", "10G0"];
     let keys = [
         "ParameterName",
         "DataType",
@@ -484,29 +345,10 @@ fn line() -> impl Strategy<Value = String> {
         "2",
         "NodeID",
     ];
-    let values = [
-        "",
-        "0",
-        "1",
-        "3",
-        "7",
-        "8",
-        "9",
-        "254",
-        "0xFF",
-        "-1",
-        "rw",
-        "ro",
-        "$NODEID+0x80",
-        "$NODEID",
-        "\u{e4};",
-        " ;",
-    ];
+    let values =
+        ["", "0", "1", "3", "7", "8", "9", "254", "0xFF", "-1", "rw", "ro", "$NODEID+0x80", "$NODEID", "\u{e4};", " ;"];
     let section = prop::sample::select(names.to_vec()).prop_map(|name| format!("[{name}]"));
-    let pair = (
-        prop::sample::select(keys.to_vec()),
-        prop::sample::select(values.to_vec()),
-    );
+    let pair = (prop::sample::select(keys.to_vec()), prop::sample::select(values.to_vec()));
     prop_oneof![
         1 => section,
         4 => pair.prop_map(|(key, value)| format!("{key}={value}")),
@@ -559,13 +401,8 @@ fn sections_of_a_vendor_may_begin_with_hex_letters() {
 
 #[test]
 fn a_file_of_more_sections_than_any_device_has_is_refused() {
-    let sections: String = (0..MAX_SECTIONS + 1)
-        .map(|at| format!("[s{at}]\n"))
-        .collect();
+    let sections: String = (0..MAX_SECTIONS + 1).map(|at| format!("[s{at}]\n")).collect();
     let error = Eds::read(sections.as_bytes()).unwrap_err();
     assert_eq!(line_of(&error) as usize, MAX_SECTIONS + 1);
-    assert!(
-        error.to_string().contains("more than 110000 sections"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("more than 110000 sections"), "{error}");
 }

@@ -1,9 +1,6 @@
 //! Processor time of the servo thread for six axis controllers on pseudo-terminals in a cycle of 2 ms, system calls
 //! included. `cargo bench -p mrroc-drive --bench lines`
-#![allow(
-    unsafe_code,
-    reason = "opening and polling pseudo-terminals takes system calls"
-)]
+#![allow(unsafe_code, reason = "opening and polling pseudo-terminals takes system calls")]
 #![allow(clippy::disallowed_methods, reason = "this measures time")]
 #![allow(clippy::unwrap_used, reason = "a bench")]
 
@@ -16,9 +13,7 @@ use std::os::fd::{AsRawFd, FromRawFd};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use mrroc_drive::axis_controller::{
-    AxisConfig, AxisControllerGroup, Control, GroupConfig, Protocol,
-};
+use mrroc_drive::axis_controller::{AxisConfig, AxisControllerGroup, Control, GroupConfig, Protocol};
 use mrroc_drive::{AxisCommand, AxisState, DriveGroup, Finite, Scale, Setpoint};
 use serial::{Line, Settings, Tty};
 
@@ -39,16 +34,10 @@ fn pty() -> (File, PathBuf) {
 
 /// Answers requests until the host's end is closed.
 fn emulate(mut masters: Vec<File>, protocol: Protocol) {
-    let mut drives: Vec<scripted::Shared> = (0..AXES)
-        .map(|_| scripted::Drive::new(protocol, 8).shared())
-        .collect();
+    let mut drives: Vec<scripted::Shared> = (0..AXES).map(|_| scripted::Drive::new(protocol, 8).shared()).collect();
     let mut polls: Vec<libc::pollfd> = masters
         .iter()
-        .map(|master| libc::pollfd {
-            fd: master.as_raw_fd(),
-            events: libc::POLLIN,
-            revents: 0,
-        })
+        .map(|master| libc::pollfd { fd: master.as_raw_fd(), events: libc::POLLIN, revents: 0 })
         .collect();
     let mut bytes = [0; 256];
     loop {
@@ -86,10 +75,7 @@ fn measure(protocol: Protocol, cycles: usize) {
         max_velocity: 100.0,
         max_acceleration: 10_000.0,
     };
-    let config = GroupConfig {
-        tolerated_missing: 100,
-        ..GroupConfig::new(protocol)
-    };
+    let config = GroupConfig { tolerated_missing: 100, ..GroupConfig::new(protocol) };
     let mut group = AxisControllerGroup::new(lines, config, &[axis; AXES]).unwrap();
     let began = Instant::now();
     let now = || can::Instant::from_nanos(1_000_000_000 + began.elapsed().as_nanos() as u64);
@@ -134,10 +120,7 @@ fn measure(protocol: Protocol, cycles: usize) {
 
 /// Processor time of this thread, independent of the load of the machine.
 fn spent() -> Duration {
-    let mut time = libc::timespec {
-        tv_sec: 0,
-        tv_nsec: 0,
-    };
+    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
     // SAFETY: the call fills a timespec.
     unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &raw mut time) };
     Duration::new(time.tv_sec as u64, time.tv_nsec as u32)

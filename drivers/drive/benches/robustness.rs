@@ -9,22 +9,12 @@ use mrroc_drive::axis_controller::Protocol;
 fn main() {
     let mut arguments = std::env::args().skip(1);
     let benched = std::env::args().any(|argument| argument == "--bench");
-    let cycles = arguments
-        .find_map(|argument| argument.parse().ok())
-        .unwrap_or(if benched { 10_000_000 } else { 1_000 });
+    let cycles =
+        arguments.find_map(|argument| argument.parse().ok()).unwrap_or(if benched { 10_000_000 } else { 1_000 });
     println!("{cycles} cycles each");
     println!(
         "{:<8} {:<17} {:>10} {:>10} {:>15} {:>8} {:>6} {:>5} {:>7} {:>7}",
-        "",
-        "",
-        "damaged",
-        "believed",
-        "wrong position",
-        "by up to",
-        "beyond",
-        "found",
-        "believed",
-        "faults"
+        "", "", "damaged", "believed", "wrong position", "by up to", "beyond", "found", "believed", "faults"
     );
     for protocol in [Protocol::Nfv2, Protocol::HiMoxa] {
         for (name, damage) in study::DAMAGES {

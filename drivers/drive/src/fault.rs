@@ -47,29 +47,14 @@ pub enum Fault {
         "node {node}: position jumped by {moved} increments within {within:.1?}; the motor cannot have turned by more than \
          {most}"
     )]
-    Implausible {
-        node: u8,
-        moved: i32,
-        most: u32,
-        within: Duration,
-    },
+    Implausible { node: u8, moved: i32, most: u32, within: Duration },
     /// Another controller changed the drive's mode of operation from the commanded one (object 0x6060) to the reported
     /// one (object 0x6061).
     #[error("node {node}: mode of operation is {found}, commanded was {expected}")]
-    ModeChanged {
-        node: u8,
-        expected: ModeOfOperation,
-        found: ModeOfOperation,
-    },
+    ModeChanged { node: u8, expected: ModeOfOperation, found: ModeOfOperation },
     /// The drive did not reach the commanded state in time (object 0x6041).
-    #[error(
-        "node {node}: did not reach the asked state within {waited:.1?} (statusword {statusword:#06x})"
-    )]
-    Stuck {
-        node: u8,
-        statusword: u16,
-        waited: Duration,
-    },
+    #[error("node {node}: did not reach the asked state within {waited:.1?} (statusword {statusword:#06x})")]
+    Stuck { node: u8, statusword: u16, waited: Duration },
     /// The drive refused a service request with an SDO abort code, or did not answer it in time (0x0504_0000).
     #[error("node {node}: {object} failed: {abort}", abort = AbortCode(*.code))]
     Aborted { node: u8, object: Object, code: u32 },
@@ -78,10 +63,7 @@ pub enum Fault {
     Refused { node: u8, refusal: Refusal },
     /// A fault of an axis controller on a serial line. `line` is the index of its axis in the group.
     #[error("line {line}: {fault}")]
-    AxisController {
-        line: u8,
-        fault: AxisControllerFault,
-    },
+    AxisController { line: u8, fault: AxisControllerFault },
     /// A second controller commands the drives of the bus.
     #[error("bus: another controller is at work: it sent {sign}")]
     OtherController { sign: Sign },
@@ -121,15 +103,8 @@ pub enum BringUpError {
     #[error("node {node}: not operational, waited {waited:.1?}")]
     NotOperational { node: u8, waited: Duration },
     /// Object 0x1018 differs from the cell file: sub-index 1 vendor, 2 product, 3 revision, 4 serial number.
-    #[error(
-        "node {node}: identity 0x1018:{subindex:02x} is {found:#010x}, the cell expects {expected:#010x}"
-    )]
-    WrongIdentity {
-        node: u8,
-        subindex: u8,
-        expected: u32,
-        found: u32,
-    },
+    #[error("node {node}: identity 0x1018:{subindex:02x} is {found:#010x}, the cell expects {expected:#010x}")]
+    WrongIdentity { node: u8, subindex: u8, expected: u32, found: u32 },
     /// The scale of the drive's positions or torques differs from the cell, whose value is in the drive's unit. The scale
     /// is `found` / `per`, values of `object` and of its divisor; `per` is 1 without a divisor.
     #[error(
@@ -150,39 +125,19 @@ pub enum BringUpError {
     Aborted { node: u8, object: Object, code: u32 },
     /// The drive accepted a parameter but reads back another value.
     #[error("node {node}: {object} reads back {found:#x}, wrote {written:#x}")]
-    ReadBack {
-        node: u8,
-        object: Object,
-        written: u32,
-        found: u32,
-    },
+    ReadBack { node: u8, object: Object, written: u32, found: u32 },
     /// The drive accepted data but reads back other data.
-    #[error(
-        "node {node}: {object} reads back {found} bytes, wrote {written}, the first {same} are equal"
-    )]
-    ReadBackBytes {
-        node: u8,
-        object: Object,
-        written: usize,
-        found: usize,
-        same: usize,
-    },
+    #[error("node {node}: {object} reads back {found} bytes, wrote {written}, the first {same} are equal")]
+    ReadBackBytes { node: u8, object: Object, written: usize, found: usize, same: usize },
     /// The drive did not answer a service request in time.
     #[error("node {node}: {object} timed out after {waited:.1?}")]
-    TimedOut {
-        node: u8,
-        object: Object,
-        waited: Duration,
-    },
+    TimedOut { node: u8, object: Object, waited: Duration },
     /// The drive does not support the mode of operation, a value of object 0x6060 (object 0x6502).
     #[error("node {node}: mode {mode} is not supported (0x6502 is {supported:#010x})")]
     ModeUnsupported { node: u8, mode: i8, supported: u32 },
     /// An axis controller on a serial line could not be brought up. `line` is the index of its axis in the group.
     #[error("line {line}: {error}")]
-    AxisController {
-        line: u8,
-        error: AxisControllerError,
-    },
+    AxisController { line: u8, error: AxisControllerError },
     /// A second controller commands the drives of the bus.
     #[error("another controller is at work: it sent {sign}; end it before this one is started")]
     OtherController { sign: Sign },

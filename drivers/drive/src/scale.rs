@@ -40,10 +40,8 @@ impl Scale {
     /// counts per motor turn, negative if the count falls while the motor turns in its positive direction.
     /// `home_position` is the motor position, rad, at which the homed counter reads zero.
     pub fn new(counts_per_revolution: i32, home_position: f64) -> Option<Self> {
-        (counts_per_revolution != 0 && home_position.is_finite()).then(|| Self {
-            increments_per_radian: f64::from(counts_per_revolution) / TAU,
-            home_position,
-        })
+        (counts_per_revolution != 0 && home_position.is_finite())
+            .then(|| Self { increments_per_radian: f64::from(counts_per_revolution) / TAU, home_position })
     }
 
     /// Motor position, rad.
@@ -71,9 +69,7 @@ impl Scale {
     /// The device torque nearest to `torque`, N·m, for a motor of `rated_torque`, N·m; `None` beyond 16 bits.
     pub(crate) fn permille(&self, torque: f64, rated_torque: f64) -> Option<Permille> {
         let permille = torque / rated_torque * 1_000.0 * self.increments_per_radian.signum();
-        nearest_i32(permille)
-            .and_then(|n| i16::try_from(n).ok())
-            .map(Permille)
+        nearest_i32(permille).and_then(|n| i16::try_from(n).ok()).map(Permille)
     }
 
     /// Motor torque, N·m, of a motor of `rated_torque`, N·m.
@@ -84,9 +80,7 @@ impl Scale {
     /// The nearest current for `torque`, N·m, of a motor of `torque_constant`, N·m/A; `None` beyond 16 bits.
     pub(crate) fn milliamperes(&self, torque: f64, torque_constant: f64) -> Option<Milliamperes> {
         let current = torque / torque_constant * self.increments_per_radian.signum();
-        nearest_i32(current * 1_000.0)
-            .and_then(|n| i16::try_from(n).ok())
-            .map(Milliamperes)
+        nearest_i32(current * 1_000.0).and_then(|n| i16::try_from(n).ok()).map(Milliamperes)
     }
 
     /// Motor torque, N·m, of a current in a motor of `torque_constant`, N·m/A.
@@ -96,9 +90,9 @@ impl Scale {
 
     /// The pulse width nearest to `duty`, -1 to 1; `None` beyond.
     pub(crate) fn pulse_width(&self, duty: f64) -> Option<PulseWidth> {
-        (-1.0..=1.0).contains(&duty).then(|| {
-            PulseWidth((duty * 1_000.0 * self.increments_per_radian.signum()).round() as i16)
-        })
+        (-1.0..=1.0)
+            .contains(&duty)
+            .then(|| PulseWidth((duty * 1_000.0 * self.increments_per_radian.signum()).round() as i16))
     }
 
     /// The number of increments in `distance`, rad, regardless of direction; `None` beyond 32 bits.
@@ -115,16 +109,12 @@ pub(crate) fn rpm_magnitude(value: f64) -> Option<u32> {
 
 fn nearest_i32(value: f64) -> Option<i32> {
     let nearest = value.round();
-    (f64::from(i32::MIN)..=f64::from(i32::MAX))
-        .contains(&nearest)
-        .then_some(nearest as i32)
+    (f64::from(i32::MIN)..=f64::from(i32::MAX)).contains(&nearest).then_some(nearest as i32)
 }
 
 fn nearest_u32(value: f64) -> Option<u32> {
     let nearest = value.round();
-    (0.0..=f64::from(u32::MAX))
-        .contains(&nearest)
-        .then_some(nearest as u32)
+    (0.0..=f64::from(u32::MAX)).contains(&nearest).then_some(nearest as u32)
 }
 
 #[cfg(test)]
@@ -133,10 +123,7 @@ mod tests {
 
     /// One scale of 2000 counts per turn rising with the motor, and one falling against the motor, with home at 1 rad.
     fn scales() -> (Scale, Scale) {
-        (
-            Scale::new(2_000, 0.0).unwrap(),
-            Scale::new(-2_000, 1.0).unwrap(),
-        )
+        (Scale::new(2_000, 0.0).unwrap(), Scale::new(-2_000, 1.0).unwrap())
     }
 
     #[test]
@@ -158,10 +145,7 @@ mod tests {
     fn currents_and_pulse_widths_have_the_sign_of_the_counter() {
         let (rising, falling) = scales();
         assert_eq!(rising.milliamperes(0.105, 0.105), Some(Milliamperes(1_000)));
-        assert_eq!(
-            falling.milliamperes(0.105, 0.105),
-            Some(Milliamperes(-1_000))
-        );
+        assert_eq!(falling.milliamperes(0.105, 0.105), Some(Milliamperes(-1_000)));
         assert_eq!(falling.torque_of(Milliamperes(-2_000), 0.105), 0.21);
         assert_eq!(rising.pulse_width(-1.0), Some(PulseWidth(-1_000)));
         assert_eq!(falling.pulse_width(0.7451), Some(PulseWidth(-745)));

@@ -36,17 +36,11 @@ impl Warnings {
     pub const KEPT: usize = 32;
 
     /// No warning.
-    pub(crate) const NONE: Self = Self {
-        kept: Vec::new(),
-        omitted: 0,
-    };
+    pub(crate) const NONE: Self = Self { kept: Vec::new(), omitted: 0 };
 
     /// No warning, with reserved room for later ones.
     pub(crate) fn with_room() -> Self {
-        Self {
-            kept: Vec::with_capacity(Self::KEPT),
-            omitted: 0,
-        }
+        Self { kept: Vec::with_capacity(Self::KEPT), omitted: 0 }
     }
 
     pub(crate) fn clear(&mut self) {

@@ -1,8 +1,5 @@
 //! The cycle does not allocate, whatever the drives report: enabling, following, homing, faults.
-#![allow(
-    unsafe_code,
-    reason = "a counting allocator implements an unsafe trait"
-)]
+#![allow(unsafe_code, reason = "a counting allocator implements an unsafe trait")]
 #![allow(clippy::unwrap_used, reason = "a test")]
 
 mod scripted;
@@ -17,9 +14,7 @@ use std::time::Duration;
 use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received, StandardId};
 use canopen::NodeId;
 use mrroc_drive::axis_controller::{self, AxisControllerGroup, Control, Protocol};
-use mrroc_drive::cia402::{
-    AxisConfig, Cia402Group, CyclicMode, GroupConfig, HomingConfig, Identity,
-};
+use mrroc_drive::cia402::{AxisConfig, Cia402Group, CyclicMode, GroupConfig, HomingConfig, Identity};
 use mrroc_drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Power, Scale, Setpoint};
 
 struct Counting;
@@ -70,10 +65,7 @@ struct Drives {
 impl Drives {
     fn reply(&mut self, id: u16, data: &[u8], at: Instant) {
         let id = StandardId::new(id).unwrap();
-        self.inbox.push_back(Received {
-            frame: Frame::new(id, data).unwrap(),
-            at,
-        });
+        self.inbox.push_back(Received { frame: Frame::new(id, data).unwrap(), at });
     }
 
     fn hear(&mut self, frame: &Frame, at: Instant) {
@@ -96,11 +88,7 @@ impl Drives {
                     0x6061 => 0x6060,
                     index => index,
                 };
-                let first = self
-                    .objects
-                    .get(&(0, index, subindex))
-                    .copied()
-                    .unwrap_or_default();
+                let first = self.objects.get(&(0, index, subindex)).copied().unwrap_or_default();
                 let stored = self.objects.entry((id, index, subindex)).or_insert(first);
                 let (specifier, [a, b, c, d]) = if specifier == 0x40 {
                     (0x42, *stored)
@@ -117,16 +105,12 @@ impl Drives {
 
 impl Port for Drives {
     fn send(&mut self, now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
-        frames
-            .iter()
-            .for_each(|frame| self.hear(frame, now + PERIOD / 2));
+        frames.iter().for_each(|frame| self.hear(frame, now + PERIOD / 2));
         Ok(frames.len())
     }
     fn receive(&mut self, _now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
         let count = into.len().min(self.inbox.len());
-        into.iter_mut()
-            .zip(self.inbox.drain(..count))
-            .for_each(|(to, from)| *to = from);
+        into.iter_mut().zip(self.inbox.drain(..count)).for_each(|(to, from)| *to = from);
         Ok(count)
     }
     fn counters(&self) -> Counters {
@@ -158,20 +142,11 @@ impl Port for Shared {
 fn axis(raw: u8) -> AxisConfig {
     AxisConfig {
         node: NodeId::new(raw).unwrap(),
-        identity: Identity {
-            vendor: 0xFB,
-            product: None,
-            revision: None,
-        },
+        identity: Identity { vendor: 0xFB, product: None, revision: None },
         mode: CyclicMode::Csp,
         scale: Scale::new(2_000, 0.0).unwrap(),
         rated_torque: 0.1,
-        homing: HomingConfig {
-            method: 37,
-            search_speed: TAU,
-            zero_speed: TAU,
-            acceleration: TAU,
-        },
+        homing: HomingConfig { method: 37, search_speed: TAU, zero_speed: TAU, acceleration: TAU },
         plausible_velocity: 100.0 * TAU,
         following_error: TAU,
         quick_stop_deceleration: TAU,
@@ -209,12 +184,7 @@ fn no_cycle_allocates() {
         ((0, 0x6092, 2), 1_u32.to_le_bytes()),
     ]);
     let inbox = VecDeque::with_capacity(1_024);
-    let drives = Drives {
-        objects,
-        statusword: 0x0740,
-        emergencies: 0,
-        inbox,
-    };
+    let drives = Drives { objects, statusword: 0x0740, emergencies: 0, inbox };
     let drives = std::sync::Arc::new(std::sync::Mutex::new(drives));
     let mut group = Cia402Group::new(Shared(drives.clone()), config, &axes).unwrap();
 
@@ -254,11 +224,7 @@ fn no_cycle_allocates() {
             group.read(now, &mut states);
             group.write(now, &[command; AXES]);
             group.send(now);
-            assert_eq!(
-                ALLOCATIONS.get() - before,
-                0,
-                "{statusword:#06x} {command:?}"
-            );
+            assert_eq!(ALLOCATIONS.get() - before, 0, "{statusword:#06x} {command:?}");
             followed |= states[0].following && command == follow;
             homed |= states[0].homing == Homing::Attained;
             faulted |= states[0].fault.is_some();
@@ -302,25 +268,16 @@ fn no_cycle_of_serial_lines_allocates() {
             (nothing, AxisCommand::Off),
             (|drive| drive.velocity = 1, AxisCommand::Stand),
             (nothing, follow),
-            (
-                |drive| (drive.velocity, drive.index) = (9, Some(1_200)),
-                seek,
-            ),
+            (|drive| (drive.velocity, drive.index) = (9, Some(1_200)), seek),
             (|drive| drive.outbox.extend([0x23, 0x12, 0xED, 8]), follow),
             (|drive| drive.mute = 2, follow),
             (nothing, wrong),
             (nothing, AxisCommand::ResetFault),
             (|drive| drive.position = 90_000, AxisCommand::Stand),
             (nothing, AxisCommand::ResetFault),
-            (
-                |drive| drive.status = Status::OVERCURRENT,
-                AxisCommand::Stand,
-            ),
+            (|drive| drive.status = Status::OVERCURRENT, AxisCommand::Stand),
             (|drive| drive.full = true, AxisCommand::Stand),
-            (
-                |drive| (drive.full, drive.mute) = (false, 5),
-                AxisCommand::Off,
-            ),
+            (|drive| (drive.full, drive.mute) = (false, 5), AxisCommand::Off),
             (|drive| drive.status = 0, AxisCommand::ResetFault),
         ];
         let mut states = [AxisState::default(); AXES];

@@ -24,14 +24,10 @@ fn machines(c: &mut Criterion) {
     let mut client = Client::new(NODE, Duration::from_millis(500), 2);
     group.bench_function("upload", |b| {
         b.iter(|| {
-            client
-                .upload(objects::STATUSWORD, Instant::ZERO)
-                .expect("the last result was taken");
+            client.upload(objects::STATUSWORD, Instant::ZERO).expect("the last result was taken");
             black_box(client.poll_transmit(Instant::ZERO));
             client.handle(black_box(&frame), Instant::ZERO);
-            client
-                .poll()
-                .and_then(|result| result.ok()?.number::<u16>().ok())
+            client.poll().and_then(|result| result.ok()?.number::<u16>().ok())
         });
     });
     let mut machine = PowerStateMachine::default();

@@ -175,9 +175,9 @@ impl Master {
         let request = match service {
             Service::SwitchGlobal(mode) => Request::SwitchGlobal(mode),
             Service::SwitchSelective(identity) => select(identity, Part::Vendor),
-            Service::ConfigureNodeId(node) => Request::ConfigureNodeId {
-                node_id: node.map_or(UNCONFIGURED, NodeId::raw),
-            },
+            Service::ConfigureNodeId(node) => {
+                Request::ConfigureNodeId { node_id: node.map_or(UNCONFIGURED, NodeId::raw) }
+            }
             Service::Store => Request::Store,
             Service::InquireIdentity => Request::Inquire(Part::Vendor),
             Service::InquireNodeId => Request::InquireNodeId,
@@ -207,9 +207,7 @@ impl Master {
                     Err(LssError::Refused { service, outcome })
                 }
             }
-            (Service::InquireIdentity, Response::Inquired { part: told, value })
-                if told == progress.part =>
-            {
+            (Service::InquireIdentity, Response::Inquired { part: told, value }) if told == progress.part => {
                 *progress.identity.get_mut(told) = value;
                 if let Some(next) = told.next() {
                     progress.part = next;
@@ -217,18 +215,13 @@ impl Master {
                 }
                 Ok(Answer::Identity(progress.identity))
             }
-            (Service::InquireNodeId, Response::NodeId { node_id }) => {
-                match (node_id, NodeId::new(node_id)) {
-                    (UNCONFIGURED, _) => Ok(Answer::NodeId(None)),
-                    (_, Some(node)) => Ok(Answer::NodeId(Some(node))),
-                    (_, None) => Err(LssError::NodeId { node_id }),
-                }
-            }
+            (Service::InquireNodeId, Response::NodeId { node_id }) => match (node_id, NodeId::new(node_id)) {
+                (UNCONFIGURED, _) => Ok(Answer::NodeId(None)),
+                (_, Some(node)) => Ok(Answer::NodeId(Some(node))),
+                (_, None) => Err(LssError::NodeId { node_id }),
+            },
             (Service::IdentifyUnconfigured, Response::Unconfigured)
-            | (
-                Service::IdentifyUnconfigured | Service::Fastscan | Service::FastscanAbove(_),
-                Response::Identified,
-            ) => {
+            | (Service::IdentifyUnconfigured | Service::Fastscan | Service::FastscanAbove(_), Response::Identified) => {
                 progress.heard = true;
                 return;
             }
@@ -285,10 +278,7 @@ impl Master {
                     Next::Untrue => Err(LssError::Untrue),
                 }
             }
-            _ => Err(LssError::TimedOut {
-                service,
-                waited: now.since(self.started),
-            }),
+            _ => Err(LssError::TimedOut { service, waited: now.since(self.started) }),
         };
         self.request = None;
         self.state = ServiceState::Finished(result);
@@ -310,10 +300,7 @@ impl Master {
 }
 
 fn select(identity: Identity, part: Part) -> Request {
-    Request::SwitchSelective {
-        part,
-        value: identity.get(part),
-    }
+    Request::SwitchSelective { part, value: identity.get(part) }
 }
 
 #[cfg(test)]

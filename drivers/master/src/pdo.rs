@@ -28,15 +28,7 @@ pub struct PdoSetup {
 ///
 /// Devices abort writes in another order.
 pub fn remap(setup: &PdoSetup) -> impl Iterator<Item = Write> + use<> {
-    let PdoSetup {
-        kind,
-        number,
-        cob_id,
-        mapping,
-        transmission,
-        inhibit_time,
-        event_timer,
-    } = *setup;
+    let PdoSetup { kind, number, cob_id, mapping, transmission, inhibit_time, event_timer } = *setup;
     let communication = move |subindex| kind.communication(number, subindex);
     let count = kind.mapping(number, 0);
     // At most 8.
@@ -45,19 +37,13 @@ pub fn remap(setup: &PdoSetup) -> impl Iterator<Item = Write> + use<> {
         let entry = mapping.entries()[usize::from(subindex) - 1];
         Write::new(kind.mapping(number, subindex), entry.raw())
     });
-    [
-        Write::new(communication(1), cob_id.invalid().0),
-        Write::new(count, 0u8),
-    ]
-    .into_iter()
-    .chain(entries)
-    .chain([
-        Write::new(count, length),
-        Write::new(communication(2), transmission.0),
-    ])
-    .chain(inhibit_time.map(|time| Write::new(communication(3), time)))
-    .chain(event_timer.map(|time| Write::new(communication(5), time)))
-    .chain([Write::new(communication(1), cob_id.0)])
+    [Write::new(communication(1), cob_id.invalid().0), Write::new(count, 0u8)]
+        .into_iter()
+        .chain(entries)
+        .chain([Write::new(count, length), Write::new(communication(2), transmission.0)])
+        .chain(inhibit_time.map(|time| Write::new(communication(3), time)))
+        .chain(event_timer.map(|time| Write::new(communication(5), time)))
+        .chain([Write::new(communication(1), cob_id.0)])
 }
 
 #[cfg(test)]
@@ -75,11 +61,7 @@ mod tests {
             kind: PdoKind::Rpdo,
             number: PdoNumber::One,
             cob_id: PdoCobId::new(cob::rpdo(PdoNumber::One, node)),
-            mapping: PdoMapping::new(&[
-                Entry::new(CONTROLWORD, 16),
-                Entry::new(TARGET_POSITION, 32),
-            ])
-            .unwrap(),
+            mapping: PdoMapping::new(&[Entry::new(CONTROLWORD, 16), Entry::new(TARGET_POSITION, 32)]).unwrap(),
             transmission: TransmissionType::EVERY_SYNC,
             inhibit_time: None,
             event_timer: None,
@@ -99,9 +81,7 @@ mod tests {
         let tpdo = PdoSetup {
             kind: PdoKind::Tpdo,
             number: PdoNumber::Two,
-            cob_id: PdoCobId::new(cob::tpdo(PdoNumber::Two, node))
-                .without_rtr()
-                .invalid(),
+            cob_id: PdoCobId::new(cob::tpdo(PdoNumber::Two, node)).without_rtr().invalid(),
             mapping: PdoMapping::EMPTY,
             transmission: TransmissionType::EVENT_PROFILE,
             inhibit_time: Some(10),
@@ -126,9 +106,7 @@ mod tests {
             .map(|Write { object, data }| {
                 let initiate = Initiate::Expedited(data);
                 let node = NodeId::new(2).unwrap();
-                Request::InitiateDownload { object, initiate }
-                    .encode(node)
-                    .to_string()
+                Request::InitiateDownload { object, initiate }.encode(node).to_string()
             })
             .collect();
         assert_eq!(sent, frames);

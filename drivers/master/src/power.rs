@@ -57,12 +57,8 @@ pub const fn next_controlword(status: Statusword, goal: Goal) -> Controlword {
         (Goal::Off | Goal::ResetFault, _) => Controlword::DISABLE_VOLTAGE,
         (Goal::On, PowerState::SwitchOnDisabled) => Controlword::SHUTDOWN,
         (Goal::On, PowerState::ReadyToSwitchOn) => Controlword::SWITCH_ON,
-        (Goal::On, PowerState::SwitchedOn | PowerState::OperationEnabled) => {
-            Controlword::ENABLE_OPERATION
-        }
-        (Goal::On, PowerState::QuickStopActive) if !status.target_reached() => {
-            Controlword::QUICK_STOP
-        }
+        (Goal::On, PowerState::SwitchedOn | PowerState::OperationEnabled) => Controlword::ENABLE_OPERATION,
+        (Goal::On, PowerState::QuickStopActive) if !status.target_reached() => Controlword::QUICK_STOP,
         (
             Goal::On,
             PowerState::NotReadyToSwitchOn
@@ -128,29 +124,16 @@ mod tests {
             for noise in [0x0000, 0x0110, 0x0A80, 0x4100, 0x8200] {
                 let status = status.with(noise, true);
                 assert_eq!(status.power_state(), state);
-                assert_eq!(
-                    GOALS.map(|goal| next_controlword(status, goal).0),
-                    words,
-                    "{state} {status:?}"
-                );
+                assert_eq!(GOALS.map(|goal| next_controlword(status, goal).0), words, "{state} {status:?}");
             }
         }
     }
 
     #[test]
     fn a_quick_stop_is_left_to_brake_and_then_left() {
-        assert_eq!(
-            next_controlword(Statusword(0x0117), Goal::On),
-            Controlword::QUICK_STOP
-        );
-        assert_eq!(
-            next_controlword(Statusword(0x0517), Goal::On),
-            Controlword::DISABLE_VOLTAGE
-        );
-        assert_eq!(
-            next_controlword(Statusword(0x0117), Goal::Off),
-            Controlword::DISABLE_VOLTAGE
-        );
+        assert_eq!(next_controlword(Statusword(0x0117), Goal::On), Controlword::QUICK_STOP);
+        assert_eq!(next_controlword(Statusword(0x0517), Goal::On), Controlword::DISABLE_VOLTAGE);
+        assert_eq!(next_controlword(Statusword(0x0117), Goal::Off), Controlword::DISABLE_VOLTAGE);
     }
 
     /// Statuswords as a drive sent them, each with the controlword that must follow.
@@ -159,26 +142,18 @@ mod tests {
         let mut machine = PowerStateMachine::default();
         for (seen, sent) in trace {
             let status = parse(seen);
-            assert_eq!(
-                status.standard_data_id(),
-                Some(cob::tpdo(PdoNumber::One, node))
-            );
+            assert_eq!(status.standard_data_id(), Some(cob::tpdo(PdoNumber::One, node)));
             let status = u16::from_le_bytes(status.data().try_into().unwrap());
             let word = machine.step(Statusword(status), goal);
-            let command =
-                Frame::new(cob::rpdo(PdoNumber::One, node), &word.0.to_le_bytes()).unwrap();
+            let command = Frame::new(cob::rpdo(PdoNumber::One, node), &word.0.to_le_bytes()).unwrap();
             assert_eq!(command.to_string(), *sent, "after {seen}");
         }
     }
 
     #[test]
     fn epos_is_enabled_by_these_frames() {
-        let trace = [
-            ("182#4007", "202#0600"),
-            ("182#2107", "202#0700"),
-            ("182#2307", "202#0F00"),
-            ("182#3707", "202#0F00"),
-        ];
+        let trace =
+            [("182#4007", "202#0600"), ("182#2107", "202#0700"), ("182#2307", "202#0F00"), ("182#3707", "202#0F00")];
         check(Goal::On, &trace);
     }
 
@@ -206,10 +181,7 @@ mod tests {
         ];
         check(Goal::ResetFault, &trace);
         // A controller before us may have left bit 7 set.
-        check(
-            Goal::ResetFault,
-            &[("182#0801", "202#0000"), ("182#0801", "202#8000")],
-        );
+        check(Goal::ResetFault, &[("182#0801", "202#0000"), ("182#0801", "202#8000")]);
     }
 
     #[test]

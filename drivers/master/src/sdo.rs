@@ -144,12 +144,7 @@ impl Client {
     }
 
     /// Starts to write `data` to `object`: expedited if it has 1 to 4 bytes, else segmented.
-    pub fn download(
-        &mut self,
-        object: Object,
-        data: &[u8],
-        now: Instant,
-    ) -> Result<(), StartError> {
+    pub fn download(&mut self, object: Object, data: &[u8], now: Instant) -> Result<(), StartError> {
         self.begin(object, Start::Download, data, now)
     }
 
@@ -159,17 +154,8 @@ impl Client {
     }
 
     /// Starts to write `data` to `object` by block transfer.
-    pub fn block_download(
-        &mut self,
-        object: Object,
-        data: &[u8],
-        now: Instant,
-    ) -> Result<(), StartError> {
-        let start = if data.len() <= block::THRESHOLD {
-            Start::Download
-        } else {
-            Start::BlockDownload
-        };
+    pub fn block_download(&mut self, object: Object, data: &[u8], now: Instant) -> Result<(), StartError> {
+        let start = if data.len() <= block::THRESHOLD { Start::Download } else { Start::BlockDownload };
         self.begin(object, start, data, now)
     }
 
@@ -192,10 +178,7 @@ impl Client {
 
     /// The next frame to send, if any: what ends a transfer before what begins the next.
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
-        self.ending
-            .take()
-            .or_else(|| self.request.take())
-            .or_else(|| self.next_block_segment(now))
+        self.ending.take().or_else(|| self.request.take()).or_else(|| self.next_block_segment(now))
     }
 
     /// When the answer is due that it waits for, or the next segment of a sub-block is to be sent.
@@ -229,36 +212,16 @@ impl Client {
             return None;
         };
         self.state = TransferState::Idle;
-        let transfer = Transfer {
-            object: self.object,
-            data: &self.buffer[..self.length],
-            exact: self.exact,
-        };
-        Some(
-            result
-                .map(|()| transfer)
-                .map_err(|cause| cause.of(self.object)),
-        )
+        let transfer = Transfer { object: self.object, data: &self.buffer[..self.length], exact: self.exact };
+        Some(result.map(|()| transfer).map_err(|cause| cause.of(self.object)))
     }
 
-    fn begin(
-        &mut self,
-        object: Object,
-        start: Start,
-        data: &[u8],
-        now: Instant,
-    ) -> Result<(), StartError> {
+    fn begin(&mut self, object: Object, start: Start, data: &[u8], now: Instant) -> Result<(), StartError> {
         if self.state != TransferState::Idle {
-            return Err(StartError::Busy {
-                object: self.object,
-            });
+            return Err(StartError::Busy { object: self.object });
         }
         if data.len() > self.capacity {
-            return Err(StartError::TooLarge {
-                object,
-                size: data.len(),
-                capacity: self.capacity,
-            });
+            return Err(StartError::TooLarge { object, size: data.len(), capacity: self.capacity });
         }
         self.object = object;
         self.start = start;
@@ -283,9 +246,7 @@ impl Client {
             Start::Download => {
                 let initiate = match self.expedited() {
                     Some(data) => Initiate::Expedited(data),
-                    None => Initiate::Segmented {
-                        size: u32::try_from(self.length).ok(),
-                    },
+                    None => Initiate::Segmented { size: u32::try_from(self.length).ok() },
                 };
                 self.state = TransferState::DownloadInitiated;
                 self.send(Request::InitiateDownload { object, initiate }, now);
@@ -320,25 +281,17 @@ impl Client {
             {
                 self.upload_initiated(initiate, now);
             }
-            (
-                TransferState::UploadSegments { toggle, announced },
-                Response::UploadSegment(segment),
-            ) => {
+            (TransferState::UploadSegments { toggle, announced }, Response::UploadSegment(segment)) => {
                 self.segment_received(&segment, toggle, announced, now);
             }
-            (TransferState::DownloadInitiated, Response::InitiateDownload { object })
-                if object == self.object =>
-            {
+            (TransferState::DownloadInitiated, Response::InitiateDownload { object }) if object == self.object => {
                 if self.expedited().is_some() {
                     self.finish(Ok(()));
                 } else {
                     self.send_segment(0, false, now);
                 }
             }
-            (
-                TransferState::DownloadSegments { toggle, sent },
-                Response::DownloadSegment { toggle: taken },
-            ) => {
+            (TransferState::DownloadSegments { toggle, sent }, Response::DownloadSegment { toggle: taken }) => {
                 if taken != toggle {
                     self.fail(SdoCause::Toggle);
                 } else if sent == self.length {
@@ -376,10 +329,7 @@ impl Client {
             Initiate::Expedited(data) => self.too_large(data.data().len()),
             Initiate::Segmented { size } => {
                 if let Ok(announced) = self.announced(size) {
-                    self.state = TransferState::UploadSegments {
-                        toggle: false,
-                        announced,
-                    };
+                    self.state = TransferState::UploadSegments { toggle: false, announced };
                     self.send(Request::UploadSegment { toggle: false }, now);
                 }
             }
@@ -398,13 +348,7 @@ impl Client {
         }
     }
 
-    fn segment_received(
-        &mut self,
-        segment: &Segment,
-        toggle: bool,
-        announced: Option<usize>,
-        now: Instant,
-    ) {
+    fn segment_received(&mut self, segment: &Segment, toggle: bool, announced: Option<usize>, now: Instant) {
         let found = self.length + segment.data().len();
         if segment.toggle != toggle {
             self.fail(SdoCause::Toggle);
@@ -421,10 +365,7 @@ impl Client {
             if segment.last {
                 self.finish(Ok(()));
             } else {
-                self.state = TransferState::UploadSegments {
-                    toggle: !toggle,
-                    announced,
-                };
+                self.state = TransferState::UploadSegments { toggle: !toggle, announced };
                 self.send(Request::UploadSegment { toggle: !toggle }, now);
             }
         }
@@ -435,10 +376,7 @@ impl Client {
         let sent = self.length.min(from + SEGMENT);
         let segment = Segment::new(&self.buffer[from..sent], toggle, sent == self.length);
         self.state = TransferState::DownloadSegments { toggle, sent };
-        self.send(
-            Request::DownloadSegment(segment.expect("at most 7 bytes were taken")),
-            now,
-        );
+        self.send(Request::DownloadSegment(segment.expect("at most 7 bytes were taken")), now);
     }
 
     /// Keeps data that were found to fit.

@@ -49,27 +49,13 @@ enum State {
 
 fn xmodem(data: &[u8]) -> u16 {
     data.iter().fold(0, |crc, byte| {
-        (0..8).fold(crc ^ u16::from(*byte) << 8, |crc, _| {
-            if crc & 0x8000 == 0 {
-                crc << 1
-            } else {
-                crc << 1 ^ 0x1021
-            }
-        })
+        (0..8).fold(crc ^ u16::from(*byte) << 8, |crc, _| if crc & 0x8000 == 0 { crc << 1 } else { crc << 1 ^ 0x1021 })
     })
 }
 
 impl Peer {
     fn new(object: Vec<u8>, crc: bool, tells_size: bool, block_sizes: Vec<u8>) -> Self {
-        Self {
-            object,
-            crc,
-            tells_size,
-            block_sizes,
-            asked: 0,
-            state: State::Idle,
-            out: VecDeque::new(),
-        }
+        Self { object, crc, tells_size, block_sizes, asked: 0, state: State::Idle, out: VecDeque::new() }
     }
 
     fn block_size(&mut self) -> u8 {
@@ -99,12 +85,7 @@ impl Peer {
             self.out.clear();
             return;
         }
-        if let State::Receiving {
-            data,
-            block_size,
-            in_order,
-        } = &mut self.state
-        {
+        if let State::Receiving { data, block_size, in_order } = &mut self.state {
             let (number, last) = (first & 0x7F, first & 0x80 != 0);
             let fits = number == *in_order + 1;
             if fits {
@@ -114,16 +95,11 @@ impl Peer {
             if last || number == *block_size {
                 let (data, in_order) = (std::mem::take(data), *in_order);
                 let block_size = self.block_size();
-                self.out
-                    .push_back([0xA2, in_order, block_size, 0, 0, 0, 0, 0]);
+                self.out.push_back([0xA2, in_order, block_size, 0, 0, 0, 0, 0]);
                 self.state = if last && fits {
                     State::Received { data }
                 } else {
-                    State::Receiving {
-                        data,
-                        block_size,
-                        in_order: 0,
-                    }
+                    State::Receiving { data, block_size, in_order: 0 }
                 };
             }
             return;
@@ -131,19 +107,12 @@ impl Peer {
         let crc_bit = if self.crc { 4 } else { 0 };
         match first {
             0xA0 | 0xA4 => {
-                let size = if self.tells_size {
-                    self.object.len() as u32
-                } else {
-                    0
-                };
+                let size = if self.tells_size { self.object.len() as u32 } else { 0 };
                 let [a, b, c, d] = size.to_le_bytes();
                 let [i, j, k] = index_and_sub;
                 let first = 0xC0 | crc_bit | if self.tells_size { 2 } else { 0 };
                 self.out.push_back([first, i, j, k, a, b, c, d]);
-                self.state = State::Sending {
-                    base: 0,
-                    segments: usize::from(bytes[4]),
-                };
+                self.state = State::Sending { base: 0, segments: usize::from(bytes[4]) };
             }
             0xA3 => {
                 if let State::Sending { base, segments } = self.state {
@@ -171,13 +140,8 @@ impl Peer {
             0xC0 | 0xC2 | 0xC4 | 0xC6 => {
                 let block_size = self.block_size();
                 let [i, j, k] = index_and_sub;
-                self.out
-                    .push_back([0xA0 | crc_bit, i, j, k, block_size, 0, 0, 0]);
-                self.state = State::Receiving {
-                    data: vec![],
-                    block_size,
-                    in_order: 0,
-                };
+                self.out.push_back([0xA0 | crc_bit, i, j, k, block_size, 0, 0, 0]);
+                self.state = State::Receiving { data: vec![], block_size, in_order: 0 };
             }
             first if first & 0b1110_0011 == 0xC1 => {
                 if let State::Received { data } = &mut self.state {
@@ -215,11 +179,7 @@ type Outcome = (Result<Vec<u8>, SdoError>, usize);
 
 /// Runs the transfer to its end over a wire that does to each frame what `fate` says: the frame, or
 /// another, or none.
-fn run(
-    client: &mut Client,
-    peer: &mut Peer,
-    mut fate: impl FnMut(Carried) -> Option<[u8; 8]>,
-) -> Outcome {
+fn run(client: &mut Client, peer: &mut Peer, mut fate: impl FnMut(Carried) -> Option<[u8; 8]>) -> Outcome {
     let mut now = Instant::ZERO;
     let mut carried = 0;
     loop {
@@ -230,11 +190,7 @@ fn run(
             carried += 1;
             assert_eq!(frame.standard_data_id(), StandardId::new(0x602));
             let bytes = frame.data().try_into().expect("requests have eight bytes");
-            if let Some(bytes) = fate(Carried {
-                at: carried,
-                to_server: true,
-                bytes,
-            }) {
+            if let Some(bytes) = fate(Carried { at: carried, to_server: true, bytes }) {
                 peer.take(bytes);
             }
         }
@@ -242,11 +198,7 @@ fn run(
             if let Some(bytes) = peer.out.pop_front() {
                 silent = false;
                 carried += 1;
-                if let Some(bytes) = fate(Carried {
-                    at: carried,
-                    to_server: false,
-                    bytes,
-                }) {
+                if let Some(bytes) = fate(Carried { at: carried, to_server: false, bytes }) {
                     let id = StandardId::new(0x582).expect("11 bits");
                     client.handle(&Frame::new(id, &bytes).expect("8 bytes"), now);
                 }
@@ -257,9 +209,7 @@ fn run(
             if let Some(result) = client.poll() {
                 return (result.map(|transfer| transfer.data.to_vec()), carried);
             }
-            now = client
-                .poll_timeout()
-                .expect("a transfer under way has a deadline");
+            now = client.poll_timeout().expect("a transfer under way has a deadline");
             client.handle_timeout(now);
         }
     }
@@ -275,22 +225,14 @@ fn upload(retries: u8, peer: &mut Peer, fate: impl FnMut(Carried) -> Option<[u8;
     run(&mut client, peer, fate)
 }
 
-fn download(
-    retries: u8,
-    peer: &mut Peer,
-    data: &[u8],
-    fate: impl FnMut(Carried) -> Option<[u8; 8]>,
-) -> Outcome {
+fn download(retries: u8, peer: &mut Peer, data: &[u8], fate: impl FnMut(Carried) -> Option<[u8; 8]>) -> Outcome {
     let mut client = client(retries);
-    client
-        .block_download(OBJECT, data, Instant::ZERO)
-        .expect("idle");
+    client.block_download(OBJECT, data, Instant::ZERO).expect("idle");
     run(&mut client, peer, fate)
 }
 
 fn objects() -> impl Strategy<Value = Vec<u8>> {
-    prop_oneof![29..=200_usize, 201..=CAPACITY]
-        .prop_flat_map(|size| proptest::collection::vec(any::<u8>(), size))
+    prop_oneof![29..=200_usize, 201..=CAPACITY].prop_flat_map(|size| proptest::collection::vec(any::<u8>(), size))
 }
 
 fn block_sizes() -> impl Strategy<Value = Vec<u8>> {
@@ -365,10 +307,7 @@ fn a_queue_of_ten_frames_on_the_way_is_found_by_halving() {
         (burst <= 10).then_some(carried.bytes)
     });
     assert!(read == Ok(object), "the object came whole");
-    assert!(
-        (300..800).contains(&frames),
-        "{frames} frames for 300 segments"
-    );
+    assert!((300..800).contains(&frames), "{frames} frames for 300 segments");
 }
 
 #[test]
@@ -376,12 +315,6 @@ fn an_upload_by_blocks_takes_little_more_frames_than_segments() {
     let object = vec![7; 2800];
     let mut peer = Peer::new(object.clone(), true, true, vec![127]);
     let lossless = |carried: Carried| Some(carried.bytes);
-    assert_eq!(
-        upload(0, &mut peer, lossless),
-        (Ok(object.clone()), 3 + 400 + 4 + 2)
-    );
-    assert_eq!(
-        download(0, &mut peer, &object, lossless),
-        (Ok(object), 2 + 400 + 4 + 2)
-    );
+    assert_eq!(upload(0, &mut peer, lossless), (Ok(object.clone()), 3 + 400 + 4 + 2));
+    assert_eq!(download(0, &mut peer, &object, lossless), (Ok(object), 2 + 400 + 4 + 2));
 }

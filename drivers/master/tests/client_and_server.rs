@@ -13,11 +13,7 @@ const TIME_OUT: Duration = Duration::from_millis(500);
 /// A server does not give up before its client has.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// The longest object that both ends can transfer.
-const LONGEST: usize = if CAPACITY < MAX_SIZE {
-    CAPACITY
-} else {
-    MAX_SIZE
-};
+const LONGEST: usize = if CAPACITY < MAX_SIZE { CAPACITY } else { MAX_SIZE };
 const OBJECT: Object = Object::new(0x1008, 0);
 
 /// One object of any length.
@@ -47,12 +43,7 @@ impl Dictionary for Single {
 
 /// Runs the transfer to its end. The wire loses the frames whose numbers are listed, both directions
 /// counted together.
-fn run(
-    client: &mut Client,
-    server: &mut Server,
-    objects: &mut Single,
-    lost: &[usize],
-) -> Result<Vec<u8>, SdoError> {
+fn run(client: &mut Client, server: &mut Server, objects: &mut Single, lost: &[usize]) -> Result<Vec<u8>, SdoError> {
     let mut now = Instant::ZERO;
     let mut carried = 0;
     let mut arrives = || {
@@ -160,22 +151,8 @@ fn refusals_reach_the_client_with_their_code() {
     let mut objects = Single(vec![]);
     client.upload(object, Instant::ZERO).expect("idle");
     let read = run(&mut client, &mut server, &mut objects, &[]);
-    assert_eq!(
-        read,
-        Err(SdoCause::Aborted {
-            code: AbortCode::NO_OBJECT
-        }
-        .of(object))
-    );
-    client
-        .download(object, &[0; 20], Instant::ZERO)
-        .expect("idle");
+    assert_eq!(read, Err(SdoCause::Aborted { code: AbortCode::NO_OBJECT }.of(object)));
+    client.download(object, &[0; 20], Instant::ZERO).expect("idle");
     let written = run(&mut client, &mut server, &mut objects, &[]);
-    assert_eq!(
-        written,
-        Err(SdoCause::Aborted {
-            code: AbortCode::READ_ONLY
-        }
-        .of(object))
-    );
+    assert_eq!(written, Err(SdoCause::Aborted { code: AbortCode::READ_ONLY }.of(object)));
 }

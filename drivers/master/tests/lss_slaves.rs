@@ -100,12 +100,7 @@ impl Slave {
 }
 
 /// Runs a service to its end.
-fn run(
-    master: &mut Master,
-    slaves: &mut [Slave],
-    service: Service,
-    now: &mut Instant,
-) -> Result<Answer, LssError> {
+fn run(master: &mut Master, slaves: &mut [Slave], service: Service, now: &mut Instant) -> Result<Answer, LssError> {
     master.start(service, TIME_OUT, *now).expect("idle");
     let mut answers = vec![];
     loop {
@@ -124,9 +119,7 @@ fn run(
         if let Some(result) = master.poll() {
             return result;
         }
-        let deadline = master
-            .poll_timeout()
-            .expect("a service under way has a deadline");
+        let deadline = master.poll_timeout().expect("a service under way has a deadline");
         match answers.first() {
             Some(&(due, frame)) if due < deadline => {
                 answers.remove(0);
@@ -142,12 +135,7 @@ fn run(
 }
 
 fn identity([vendor, product, revision, serial]: [u32; 4]) -> Identity {
-    Identity {
-        vendor,
-        product,
-        revision,
-        serial,
-    }
+    Identity { vendor, product, revision, serial }
 }
 
 /// Numbers that often agree in their upper bits, and often altogether.
@@ -161,17 +149,15 @@ fn slaves() -> impl Strategy<Value = Vec<Slave>> {
     proptest::collection::vec(slave, 0..5).prop_map(|slaves| {
         let mut slaves: Vec<_> = slaves
             .into_iter()
-            .map(
-                |((vendor, product, revision, serial), delay, configured)| Slave {
-                    identity: [vendor, product, revision, serial],
-                    node_id: if configured { 100 } else { 0xFF },
-                    delay,
-                    configuring: false,
-                    position: 0,
-                    selected: 0,
-                    oddity: Oddity::None,
-                },
-            )
+            .map(|((vendor, product, revision, serial), delay, configured)| Slave {
+                identity: [vendor, product, revision, serial],
+                node_id: if configured { 100 } else { 0xFF },
+                delay,
+                configuring: false,
+                position: 0,
+                selected: 0,
+                oddity: Oddity::None,
+            })
             .collect();
         slaves.sort_by_key(|slave| slave.identity);
         slaves.dedup_by_key(|slave| slave.identity);
@@ -275,12 +261,7 @@ fn a_fastscan_takes_134_time_outs() {
         oddity: Oddity::None,
     };
     let mut now = Instant::ZERO;
-    let found = run(
-        &mut Master::default(),
-        &mut [slave.clone()],
-        Service::Fastscan,
-        &mut now,
-    );
+    let found = run(&mut Master::default(), &mut [slave.clone()], Service::Fastscan, &mut now);
     assert_eq!(found, Ok(Answer::Found(Some(identity(slave.identity)))));
     assert_eq!(now.since(Instant::ZERO), 134 * TIME_OUT);
 }

@@ -64,9 +64,7 @@ pub(crate) fn crc(head: [u8; 2], words: &[u8]) -> u16 {
     let mut digest = TABLE.digest();
     digest.update(&head);
     let (words, _) = words.as_chunks::<2>();
-    words
-        .iter()
-        .for_each(|&[low, high]| digest.update(&[high, low]));
+    words.iter().for_each(|&[low, high]| digest.update(&[high, low]));
     digest.finalize()
 }
 
@@ -89,11 +87,7 @@ impl Telegram {
         body[1..=data.len()].copy_from_slice(data);
         let crc = crc([opcode, body[0]], data).to_le_bytes();
         body[data.len() + 1..data.len() + 3].copy_from_slice(&crc);
-        Self {
-            opcode,
-            body,
-            length: data.len() + 3,
-        }
+        Self { opcode, body, length: data.len() + 3 }
     }
 
     /// The opcode, sent before the ready acknowledgement.
@@ -167,18 +161,13 @@ impl Request {
     pub fn decode(opcode: u8, body: &[u8]) -> Result<Self, Malformed> {
         match (opcode, data(opcode, body)?) {
             (0x10, &[i, j, k, l]) => Ok(Self::Read(decode([i, j, k, l]))),
-            (0x11, &[i, j, k, l, a, b, c, d]) => Ok(Self::Write(
-                decode([i, j, k, l]),
-                u32::from_le_bytes([a, b, c, d]),
-            )),
-            (0x0E, &[n0, n1, c0, c1]) => Ok(Self::Nmt {
-                node: u16::from_le_bytes([n0, n1]),
-                command: u16::from_le_bytes([c0, c1]),
-            }),
-            (opcode, data) => Err(Malformed::Unknown {
-                opcode,
-                words: data.len() / 2,
-            }),
+            (0x11, &[i, j, k, l, a, b, c, d]) => {
+                Ok(Self::Write(decode([i, j, k, l]), u32::from_le_bytes([a, b, c, d])))
+            }
+            (0x0E, &[n0, n1, c0, c1]) => {
+                Ok(Self::Nmt { node: u16::from_le_bytes([n0, n1]), command: u16::from_le_bytes([c0, c1]) })
+            }
+            (opcode, data) => Err(Malformed::Unknown { opcode, words: data.len() / 2 }),
         }
     }
 
@@ -194,11 +183,7 @@ fn encode(address: Address) -> [u8; 4] {
 }
 
 fn decode([low, high, subindex, node]: [u8; 4]) -> Address {
-    Address {
-        node,
-        index: u16::from_le_bytes([low, high]),
-        subindex,
-    }
+    Address { node, index: u16::from_le_bytes([low, high]), subindex }
 }
 
 /// Answer of a device.
@@ -232,13 +217,8 @@ impl Answer {
         match *data(ANSWER, body)? {
             [0, 0, 0, 0] => Ok(Self::Done),
             [0, 0, 0, 0, a, b, c, d] => Ok(Self::Value(u32::from_le_bytes([a, b, c, d]))),
-            [a, b, c, d] | [a, b, c, d, _, _, _, _] => {
-                Ok(Self::Refused(u32::from_le_bytes([a, b, c, d])))
-            }
-            ref data => Err(Malformed::Unknown {
-                opcode: ANSWER,
-                words: data.len() / 2,
-            }),
+            [a, b, c, d] | [a, b, c, d, _, _, _, _] => Ok(Self::Refused(u32::from_le_bytes([a, b, c, d]))),
+            ref data => Err(Malformed::Unknown { opcode: ANSWER, words: data.len() / 2 }),
         }
     }
 }
@@ -253,19 +233,10 @@ mod tests {
 
     #[test]
     fn requests_are_the_bytes_of_the_line() {
-        let nmt = Request::Nmt {
-            node: 1,
-            command: 0x81,
-        };
+        let nmt = Request::Nmt { node: 1, command: 0x81 };
         let cases: [(Request, u8, &[u8]); 3] = [
             (READ, 0x10, &[0x01, 0x41, 0x60, 0x00, 0x01, 0xAB, 0xF0]),
-            (
-                WRITE,
-                0x11,
-                &[
-                    0x03, 0x40, 0x60, 0x00, 0x01, 0x0F, 0x00, 0x00, 0x00, 0x52, 0xEF,
-                ],
-            ),
+            (WRITE, 0x11, &[0x03, 0x40, 0x60, 0x00, 0x01, 0x0F, 0x00, 0x00, 0x00, 0x52, 0xEF]),
             (nmt, 0x0E, &[0x01, 0x01, 0x00, 0x81, 0x00, 0x6B, 0x9C]),
         ];
         for (request, opcode, body) in cases {
@@ -279,22 +250,10 @@ mod tests {
     #[test]
     fn answers_are_the_bytes_of_the_line() {
         let cases: [(Request, Answer, &[u8]); 4] = [
-            (
-                READ,
-                Answer::Value(0x0137),
-                &[0x03, 0, 0, 0, 0, 0x37, 0x01, 0, 0, 0xC5, 0x1B],
-            ),
+            (READ, Answer::Value(0x0137), &[0x03, 0, 0, 0, 0, 0x37, 0x01, 0, 0, 0xC5, 0x1B]),
             (WRITE, Answer::Done, &[0x01, 0, 0, 0, 0, 0x51, 0xAA]),
-            (
-                READ,
-                Answer::Refused(0x0602_0000),
-                &[0x03, 0, 0, 0x02, 0x06, 0, 0, 0, 0, 0x26, 0xE4],
-            ),
-            (
-                WRITE,
-                Answer::Refused(0x0601_0002),
-                &[0x01, 0x02, 0, 0x01, 0x06, 0xB6, 0x7E],
-            ),
+            (READ, Answer::Refused(0x0602_0000), &[0x03, 0, 0, 0x02, 0x06, 0, 0, 0, 0, 0x26, 0xE4]),
+            (WRITE, Answer::Refused(0x0601_0002), &[0x01, 0x02, 0, 0x01, 0x06, 0xB6, 0x7E]),
         ];
         for (request, answer, body) in cases {
             let telegram = answer.encode(&request);
@@ -324,14 +283,8 @@ mod tests {
     #[test]
     fn what_arrived_whole_and_means_nothing_is_said_so() {
         let unknown = Telegram::new(0x12, &[1, 2, 3, 4]);
-        let expected = Malformed::Unknown {
-            opcode: 0x12,
-            words: 2,
-        };
-        assert_eq!(
-            Request::decode(unknown.opcode(), unknown.body()),
-            Err(expected)
-        );
+        let expected = Malformed::Unknown { opcode: 0x12, words: 2 };
+        assert_eq!(Request::decode(unknown.opcode(), unknown.body()), Err(expected));
         let short = Telegram::new(0x10, &[1, 2]);
         assert!(Request::decode(0x10, short.body()).is_err());
         let long = Telegram::new(ANSWER, &[0; 12]);

@@ -60,11 +60,7 @@ impl Address {
     }
 
     fn decode([node, low, high, subindex]: [u8; 4]) -> Self {
-        Self {
-            node,
-            index: u16::from_le_bytes([low, high]),
-            subindex,
-        }
+        Self { node, index: u16::from_le_bytes([low, high]), subindex }
     }
 }
 
@@ -114,9 +110,7 @@ impl<'a> Request<'a> {
     pub fn encode(self) -> Frame {
         match self {
             Self::Read(address) => Frame::of(0x60, &[&address.encode()]),
-            Self::Write(address, value) => {
-                Frame::of(0x68, &[&address.encode(), &value.to_le_bytes()])
-            }
+            Self::Write(address, value) => Frame::of(0x68, &[&address.encode(), &value.to_le_bytes()]),
             Self::InitiateSegmentedRead(address) => Frame::of(0x81, &[&address.encode()]),
             Self::SegmentRead { toggle } => Frame::of(0x62, &[&[control(toggle, false), 0]]),
             Self::InitiateSegmentedWrite(address, length) => {
@@ -126,9 +120,7 @@ impl<'a> Request<'a> {
                 let data = &data[..data.len().min(MAX_SEGMENT)];
                 Frame::of(0x6A, &[&[data.len() as u8, control(toggle, last)], data])
             }
-            Self::Nmt { node, command } => {
-                Frame::of(0x70, &[&node.to_le_bytes(), &command.to_le_bytes()])
-            }
+            Self::Nmt { node, command } => Frame::of(0x70, &[&node.to_le_bytes(), &command.to_le_bytes()]),
         }
     }
 
@@ -136,27 +128,22 @@ impl<'a> Request<'a> {
     pub fn decode(frame: &'a Frame) -> Option<Self> {
         Some(match (frame.opcode(), frame.data()) {
             (0x60, &[a, b, c, d]) => Self::Read(Address::decode([a, b, c, d])),
-            (0x68, &[a, b, c, d, e, f, g, h]) => Self::Write(
-                Address::decode([a, b, c, d]),
-                u32::from_le_bytes([e, f, g, h]),
-            ),
+            (0x68, &[a, b, c, d, e, f, g, h]) => {
+                Self::Write(Address::decode([a, b, c, d]), u32::from_le_bytes([e, f, g, h]))
+            }
             (0x81, &[a, b, c, d]) => Self::InitiateSegmentedRead(Address::decode([a, b, c, d])),
-            (0x62, &[control, _]) => Self::SegmentRead {
-                toggle: control & TOGGLE != 0,
-            },
-            (0x69, &[a, b, c, d, e, f, g, h]) => Self::InitiateSegmentedWrite(
-                Address::decode([a, b, c, d]),
-                u32::from_le_bytes([e, f, g, h]),
-            ),
+            (0x62, &[control, _]) => Self::SegmentRead { toggle: control & TOGGLE != 0 },
+            (0x69, &[a, b, c, d, e, f, g, h]) => {
+                Self::InitiateSegmentedWrite(Address::decode([a, b, c, d]), u32::from_le_bytes([e, f, g, h]))
+            }
             (0x6A, [length, control, rest @ ..]) => Self::SegmentWrite {
                 toggle: control & TOGGLE != 0,
                 last: control & LAST != 0,
                 data: unpadded(*length, rest)?,
             },
-            (0x70, &[n0, n1, c0, c1]) => Self::Nmt {
-                node: u16::from_le_bytes([n0, n1]),
-                command: u16::from_le_bytes([c0, c1]),
-            },
+            (0x70, &[n0, n1, c0, c1]) => {
+                Self::Nmt { node: u16::from_le_bytes([n0, n1]), command: u16::from_le_bytes([c0, c1]) }
+            }
             _ => return None,
         })
     }
@@ -215,9 +202,7 @@ impl<'a> Answer<'a> {
                 let head = [data.len() as u8, control(toggle, last)];
                 Frame::of(ANSWER, &[okay, &head, data])
             }
-            Self::Taken { toggle, length } => {
-                Frame::of(ANSWER, &[okay, &[length, control(toggle, false)]])
-            }
+            Self::Taken { toggle, length } => Frame::of(ANSWER, &[okay, &[length, control(toggle, false)]]),
             Self::Refused(code) => Frame::of(ANSWER, &[&code.to_le_bytes()]),
         }
     }
@@ -238,23 +223,16 @@ impl<'a> Answer<'a> {
         }
         Some(match (to, rest) {
             (Request::Read(_), &[a, b, c, d]) => Self::Value(u32::from_le_bytes([a, b, c, d])),
-            (
-                Request::Write(..) | Request::InitiateSegmentedWrite(..) | Request::Nmt { .. },
-                [],
-            ) => Self::Done,
-            (Request::InitiateSegmentedRead(_), [a, b, c, d, length, rest @ ..]) => Self::Started(
-                u32::from_le_bytes([*a, *b, *c, *d]),
-                unpadded(*length, rest)?,
-            ),
+            (Request::Write(..) | Request::InitiateSegmentedWrite(..) | Request::Nmt { .. }, []) => Self::Done,
+            (Request::InitiateSegmentedRead(_), [a, b, c, d, length, rest @ ..]) => {
+                Self::Started(u32::from_le_bytes([*a, *b, *c, *d]), unpadded(*length, rest)?)
+            }
             (Request::SegmentRead { .. }, [length, control, rest @ ..]) => Self::Segment {
                 toggle: control & TOGGLE != 0,
                 last: control & LAST != 0,
                 data: unpadded(*length, rest)?,
             },
-            (Request::SegmentWrite { .. }, &[length, control]) => Self::Taken {
-                toggle: control & TOGGLE != 0,
-                length,
-            },
+            (Request::SegmentWrite { .. }, &[length, control]) => Self::Taken { toggle: control & TOGGLE != 0, length },
             _ => return None,
         })
     }

@@ -104,11 +104,7 @@ impl Request {
     /// The request in wire format, without the spaces after a cyclic request.
     pub fn encode(self) -> [u8; REQUEST] {
         let (code, [low, high]) = match self {
-            Self::Drive {
-                mode,
-                value,
-                latch_index,
-            } => {
+            Self::Drive { mode, value, latch_index } => {
                 let latch = if latch_index { LATCH_INDEX } else { 0 };
                 (mode as u8 | latch, value.to_le_bytes())
             }
@@ -116,12 +112,8 @@ impl Request {
                 let (id, data) = match parameter {
                     Parameter::Synchronized(on) => (0x10, [u8::from(on), 0]),
                     Parameter::MaxCurrent(current) => (0x20, current.to_le_bytes()),
-                    Parameter::PositionGain(gain, value) => {
-                        (0x30 + 0x10 * gain as u8, value.to_le_bytes())
-                    }
-                    Parameter::CurrentGain(gain, value) => {
-                        (0x60 + 0x10 * gain as u8, value.to_le_bytes())
-                    }
+                    Parameter::PositionGain(gain, value) => (0x30 + 0x10 * gain as u8, value.to_le_bytes()),
+                    Parameter::CurrentGain(gain, value) => (0x60 + 0x10 * gain as u8, value.to_le_bytes()),
                     Parameter::DriverMode(mode) => (0x90, [mode as u8, 0]),
                 };
                 (id | SET_PARAMETER, data)
@@ -235,42 +227,19 @@ mod tests {
 
     #[test]
     fn requests_are_the_bytes_of_the_line() {
-        let pwm = |value, latch_index| Request::Drive {
-            mode: Mode::Pwm,
-            value,
-            latch_index,
-        };
+        let pwm = |value, latch_index| Request::Drive { mode: Mode::Pwm, value, latch_index };
         let cases: [(Request, [u8; REQUEST]); 8] = [
             (pwm(745, false), [0, 0, 0, 0, 0x23, 0x00, 0xE9, 0x02, 0, 0]),
             (pwm(-1, true), [0, 0, 0, 0, 0x23, 0x10, 0xFF, 0xFF, 0, 0]),
             (
-                Request::Drive {
-                    mode: Mode::Position,
-                    value: 2,
-                    latch_index: false,
-                },
+                Request::Drive { mode: Mode::Position, value: 2, latch_index: false },
                 [0, 0, 0, 0, 0x23, 0x02, 0x02, 0x00, 0, 0],
             ),
-            (
-                Request::Set(Parameter::Synchronized(true)),
-                [0, 0, 0, 0, 0x23, 0x1F, 0x01, 0x00, 0, 0],
-            ),
-            (
-                Request::Set(Parameter::MaxCurrent(18_000)),
-                [0, 0, 0, 0, 0x23, 0x2F, 0x50, 0x46, 0, 0],
-            ),
-            (
-                Request::Set(Parameter::PositionGain(Gain::D, 5)),
-                [0, 0, 0, 0, 0x23, 0x5F, 0x05, 0x00, 0, 0],
-            ),
-            (
-                Request::Set(Parameter::CurrentGain(Gain::P, -2)),
-                [0, 0, 0, 0, 0x23, 0x6F, 0xFE, 0xFF, 0, 0],
-            ),
-            (
-                Request::Set(Parameter::DriverMode(DriverMode::Error)),
-                [0, 0, 0, 0, 0x23, 0x9F, 0x04, 0x00, 0, 0],
-            ),
+            (Request::Set(Parameter::Synchronized(true)), [0, 0, 0, 0, 0x23, 0x1F, 0x01, 0x00, 0, 0]),
+            (Request::Set(Parameter::MaxCurrent(18_000)), [0, 0, 0, 0, 0x23, 0x2F, 0x50, 0x46, 0, 0]),
+            (Request::Set(Parameter::PositionGain(Gain::D, 5)), [0, 0, 0, 0, 0x23, 0x5F, 0x05, 0x00, 0, 0]),
+            (Request::Set(Parameter::CurrentGain(Gain::P, -2)), [0, 0, 0, 0, 0x23, 0x6F, 0xFE, 0xFF, 0, 0]),
+            (Request::Set(Parameter::DriverMode(DriverMode::Error)), [0, 0, 0, 0, 0x23, 0x9F, 0x04, 0x00, 0, 0]),
         ];
         for (request, bytes) in cases {
             assert_eq!(request.encode(), bytes, "{request:?}");

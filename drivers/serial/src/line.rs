@@ -81,16 +81,10 @@ pub struct Settings {
 
 impl Settings {
     /// Axis controllers of the IRb-6 and IRp-6: 921600 8N2.
-    pub const AXIS_CONTROLLER: Self = Self {
-        baud: 921_600,
-        stop_bits: StopBits::Two,
-    };
+    pub const AXIS_CONTROLLER: Self = Self { baud: 921_600, stop_bits: StopBits::Two };
 
     /// Factory setting of maxon EPOS2 and EPOS4: 115200 8N1.
-    pub const EPOS: Self = Self {
-        baud: 115_200,
-        stop_bits: StopBits::One,
-    };
+    pub const EPOS: Self = Self { baud: 115_200, stop_bits: StopBits::One };
 
     /// Bits of a byte on the line, start and stop bits included.
     pub const fn bits_per_byte(self) -> u64 {

@@ -102,12 +102,7 @@ pub struct Gains {
 
 impl Gains {
     /// Gains of the current regulator after power-on: p 0.06, i 0.05.
-    pub const POWER_ON: Self = Self {
-        p: 1966,
-        i: 1638,
-        d: 0,
-        t: 0,
-    };
+    pub const POWER_ON: Self = Self { p: 1966, i: 1638, d: 0, t: 0 };
 }
 
 /// One command of a frame from the host.
@@ -203,11 +198,7 @@ impl FrameBuilder {
         let mut bytes = [0; LONGEST];
         bytes[0] = START;
         bytes[3] = address;
-        Self {
-            bytes,
-            length: HEADER,
-            fits: true,
-        }
+        Self { bytes, length: HEADER, fits: true }
     }
 
     /// Appends a command of the host.
@@ -290,10 +281,7 @@ impl<'a> Frame<'a> {
         if bytes.len() != last + 1 || crc8(&bytes[3..last]) != bytes[last] {
             return None;
         }
-        Some(Self {
-            address: bytes[3],
-            items: &bytes[HEADER..last],
-        })
+        Some(Self { address: bytes[3], items: &bytes[HEADER..last] })
     }
 
     /// Items of the frame: code and data. An item that claims more data than available ends the sequence with an `Err`.
@@ -329,8 +317,7 @@ impl<'a> Frame<'a> {
                 (0x1E, &[a, b, c, d]) => Command::SetMisc(u32::from_le_bytes([a, b, c, d])),
                 (0x1F, []) => Command::ReadStatus,
                 (0x40, &[p0, p1, i0, i1, d0, d1, t0, t1]) => {
-                    let [p, i, d, t] =
-                        [[p0, p1], [i0, i1], [d0, d1], [t0, t1]].map(u16::from_le_bytes);
+                    let [p, i, d, t] = [[p0, p1], [i0, i1], [d0, d1], [t0, t1]].map(u16::from_le_bytes);
                     Command::SetCurrentRegulator(Gains { p, i, d, t })
                 }
                 _ => return Err(Malformed),
@@ -360,34 +347,26 @@ pub struct Malformed;
 mod tests {
     use super::*;
 
-    const CYCLIC: [u8; 15] = [
-        0x23, 0x0E, 0xF1, 0x08, 0x14, 0x02, 0x64, 0x00, 0x1A, 0x00, 0x1B, 0x00, 0x1F, 0x00, 0xE0,
-    ];
+    const CYCLIC: [u8; 15] = [0x23, 0x0E, 0xF1, 0x08, 0x14, 0x02, 0x64, 0x00, 0x1A, 0x00, 0x1B, 0x00, 0x1F, 0x00, 0xE0];
     const ANSWER: [u8; 19] = [
-        0x23, 0x12, 0xED, 0x08, 0x1A, 0x04, 0x2E, 0xFB, 0xFF, 0xFF, 0x1B, 0x02, 0xFA, 0x00, 0x1F,
-        0x02, 0x10, 0x00, 0x38,
+        0x23, 0x12, 0xED, 0x08, 0x1A, 0x04, 0x2E, 0xFB, 0xFF, 0xFF, 0x1B, 0x02, 0xFA, 0x00, 0x1F, 0x02, 0x10, 0x00,
+        0x38,
     ];
 
     #[test]
     fn the_crc_has_its_check_value_and_only_five_bits() {
         assert_eq!(crc8(b"123456789"), 0xF8);
-        let values: std::collections::BTreeSet<u8> =
-            (0..=u8::MAX).map(|byte| crc8(&[byte])).collect();
+        let values: std::collections::BTreeSet<u8> = (0..=u8::MAX).map(|byte| crc8(&[byte])).collect();
         assert_eq!(values.len(), 32);
     }
 
     #[test]
     fn commands_are_the_bytes_of_the_line() {
         use Command::{
-            ReadCurrent, ReadPosition, ReadStatus, SetCurrent, SetCurrentRegulator, SetMaxCurrent,
-            SetMisc, SetMode, SetPosition, SetPwm, SetSpeed,
+            ReadCurrent, ReadPosition, ReadStatus, SetCurrent, SetCurrentRegulator, SetMaxCurrent, SetMisc, SetMode,
+            SetPosition, SetPwm, SetSpeed,
         };
-        let gains = Gains {
-            p: 1,
-            i: 0x203,
-            d: 4,
-            t: 5,
-        };
+        let gains = Gains { p: 1, i: 0x203, d: 4, t: 5 };
         let all = [
             SetSpeed(-1),
             SetCurrent(-250),
@@ -396,30 +375,20 @@ mod tests {
             SetCurrentRegulator(gains),
         ];
         let cases: [(u8, &[Command], &[u8]); 4] = [
-            (
-                8,
-                &[SetPwm(100), ReadPosition, ReadCurrent, ReadStatus],
-                &CYCLIC,
-            ),
-            (
-                0,
-                &[SetMode(Mode::Manual), ReadStatus],
-                &[0x23, 0x09, 0xF6, 0x00, 0x10, 0x01, 0x01, 0x1F, 0x00, 0xF8],
-            ),
+            (8, &[SetPwm(100), ReadPosition, ReadCurrent, ReadStatus], &CYCLIC),
+            (0, &[SetMode(Mode::Manual), ReadStatus], &[0x23, 0x09, 0xF6, 0x00, 0x10, 0x01, 0x01, 0x1F, 0x00, 0xF8]),
             (
                 1,
                 &[SetMaxCurrent(18_000), ReadStatus],
-                &[
-                    0x23, 0x0A, 0xF5, 0x01, 0x15, 0x02, 0x50, 0x46, 0x1F, 0x00, 0xF8,
-                ],
+                &[0x23, 0x0A, 0xF5, 0x01, 0x15, 0x02, 0x50, 0x46, 0x1F, 0x00, 0xF8],
             ),
             (
                 15,
                 &all,
                 &[
-                    0x23, 0x24, 0xDB, 0x0F, 0x11, 0x04, 0xFF, 0xFF, 0xFF, 0xFF, 0x12, 0x02, 0x06,
-                    0xFF, 0x13, 0x04, 0x70, 0x11, 0x01, 0x00, 0x1E, 0x04, 0x02, 0x00, 0x00, 0x00,
-                    0x40, 0x08, 0x01, 0x00, 0x03, 0x02, 0x04, 0x00, 0x05, 0x00, 0xE8,
+                    0x23, 0x24, 0xDB, 0x0F, 0x11, 0x04, 0xFF, 0xFF, 0xFF, 0xFF, 0x12, 0x02, 0x06, 0xFF, 0x13, 0x04,
+                    0x70, 0x11, 0x01, 0x00, 0x1E, 0x04, 0x02, 0x00, 0x00, 0x00, 0x40, 0x08, 0x01, 0x00, 0x03, 0x02,
+                    0x04, 0x00, 0x05, 0x00, 0xE8,
                 ],
             ),
         ];
@@ -436,14 +405,8 @@ mod tests {
 
     #[test]
     fn answers_are_the_bytes_of_the_line() {
-        let answers = [
-            Answer::Position(-1234),
-            Answer::Current(250),
-            Answer::Status(Status(Status::SYNCHRONIZED)),
-        ];
-        let mut builder = answers
-            .into_iter()
-            .fold(FrameBuilder::new(8), FrameBuilder::answer);
+        let answers = [Answer::Position(-1234), Answer::Current(250), Answer::Status(Status(Status::SYNCHRONIZED))];
+        let mut builder = answers.into_iter().fold(FrameBuilder::new(8), FrameBuilder::answer);
         assert_eq!(builder.finish(), Some(&ANSWER[..]));
         let parsed: Result<Vec<_>, _> = Frame::parse(&ANSWER).unwrap().answers().collect();
         assert_eq!(parsed, Ok(answers.to_vec()));
@@ -454,8 +417,7 @@ mod tests {
         for length in 0..CYCLIC.len() {
             assert_eq!(Frame::parse(&CYCLIC[..length]), None);
         }
-        for (index, bit) in (0..CYCLIC.len()).flat_map(|index| (0..8).map(move |bit| (index, bit)))
-        {
+        for (index, bit) in (0..CYCLIC.len()).flat_map(|index| (0..8).map(move |bit| (index, bit))) {
             let mut bytes = CYCLIC;
             bytes[index] ^= 1 << bit;
             let seen = Frame::parse(&bytes);
@@ -472,13 +434,7 @@ mod tests {
             let frame = Frame { address: 0, items };
             frame.commands().collect()
         };
-        for items in [
-            &[0x14, 2, 1][..],
-            &[0x14],
-            &[0x14, 1, 1],
-            &[0x99, 0],
-            &[0x10, 1, 9],
-        ] {
+        for items in [&[0x14, 2, 1][..], &[0x14], &[0x14, 1, 1], &[0x99, 0], &[0x10, 1, 9]] {
             assert_eq!(item(items), Err(Malformed), "{items:x?}");
         }
         assert_eq!(item(&[0x1F, 0]), Ok(vec![Command::ReadStatus]));
@@ -487,9 +443,7 @@ mod tests {
     #[test]
     fn what_does_not_fit_makes_no_frame() {
         let full = |count: usize| {
-            let mut builder = (0..count).fold(FrameBuilder::new(0), |frame, _| {
-                frame.command(Command::SetMisc(0))
-            });
+            let mut builder = (0..count).fold(FrameBuilder::new(0), |frame, _| frame.command(Command::SetMisc(0)));
             builder.finish().map(<[u8]>::len)
         };
         assert_eq!(full(0), None);

@@ -55,13 +55,7 @@ pub struct Config {
 impl Config {
     /// Time-out of the factory setting, one repetition, and objects of up to 4096 bytes.
     pub const fn new(dialect: Dialect, settings: Settings) -> Self {
-        Self {
-            dialect,
-            settings,
-            time_out: TIME_OUT,
-            retries: 1,
-            capacity: 4096,
-        }
+        Self { dialect, settings, time_out: TIME_OUT, retries: 1, capacity: 4096 }
     }
 }
 
@@ -186,10 +180,7 @@ impl Client {
             config,
             wire: Wire::new(config.dialect),
             state: ExchangeState::Idle,
-            operation: Request::Nmt {
-                node: 0,
-                command: 0,
-            },
+            operation: Request::Nmt { node: 0, command: 0 },
             step: Step::Start,
             object: Vec::with_capacity(config.capacity),
             output: [0; _],
@@ -221,12 +212,7 @@ impl Client {
     }
 
     /// Writes a whole object in segments: [`Reply::Done`]. Only the device on the line can be addressed.
-    pub fn write_segmented(
-        &mut self,
-        address: Address,
-        data: &[u8],
-        now: Instant,
-    ) -> Result<(), StartError> {
+    pub fn write_segmented(&mut self, address: Address, data: &[u8], now: Instant) -> Result<(), StartError> {
         self.check_segments(data.len())?;
         self.check_idle()?;
         self.object.clear();
@@ -387,29 +373,17 @@ impl Client {
             (
                 Request::InitiateSegmentedRead(_),
                 Step::Segment { toggle, total, .. },
-                Answer::Segment {
-                    toggle: of,
-                    last,
-                    data,
-                },
+                Answer::Segment { toggle: of, last, data },
             ) if of == toggle && (last || !data.is_empty()) => {
                 self.append(data, total, !toggle, last, now);
             }
             (Request::InitiateSegmentedWrite(..), Step::Start, Answer::Done) => {
-                self.step = Step::Segment {
-                    toggle: false,
-                    done: 0,
-                    total: self.object.len(),
-                };
+                self.step = Step::Segment { toggle: false, done: 0, total: self.object.len() };
                 self.ask(now);
             }
             (
                 Request::InitiateSegmentedWrite(..),
-                Step::Segment {
-                    toggle,
-                    done,
-                    total,
-                },
+                Step::Segment { toggle, done, total },
                 Answer::Taken { toggle: of, length },
             ) if of == toggle && usize::from(length) == (total - done).min(MAX_SEGMENT) => {
                 let done = done + usize::from(length);
@@ -417,11 +391,7 @@ impl Client {
                     self.finish(Ok(Brought::Done), now);
                 } else {
                     let toggle = !toggle;
-                    self.step = Step::Segment {
-                        toggle,
-                        done,
-                        total,
-                    };
+                    self.step = Step::Segment { toggle, done, total };
                     self.ask(now);
                 }
             }
@@ -439,11 +409,7 @@ impl Client {
         if done == total {
             return self.finish(Ok(Brought::Object), now);
         }
-        self.step = Step::Segment {
-            toggle,
-            done,
-            total,
-        };
+        self.step = Step::Segment { toggle, done, total };
         self.ask(now);
     }
 
@@ -537,10 +503,7 @@ impl Client {
                 let waited = now.since(self.started);
                 self.fail(ServiceError::TimedOut { waited }, now);
             }
-            ExchangeState::Idle
-            | ExchangeState::Waiting
-            | ExchangeState::Exchanging
-            | ExchangeState::Finished(_) => {}
+            ExchangeState::Idle | ExchangeState::Waiting | ExchangeState::Exchanging | ExchangeState::Finished(_) => {}
         }
     }
 

@@ -120,12 +120,7 @@ impl<L: Line> SlcanPort<L> {
         Self::opened_by(Command::ListenOnly, line, bitrate, now)
     }
 
-    fn opened_by(
-        how: Command,
-        line: L,
-        bitrate: Bitrate,
-        now: Instant,
-    ) -> Result<Self, SlcanError> {
+    fn opened_by(how: Command, line: L, bitrate: Bitrate, now: Instant) -> Result<Self, SlcanError> {
         let kbps = bitrate.kbps();
         if !BITRATES_KBPS.contains(&kbps) {
             return Err(SlcanError::NoSuchBitrate { kbps });
@@ -161,11 +156,9 @@ impl<L: Line> SlcanPort<L> {
         match self.stage {
             Stage::Open => Poll::Ready(Ok(())),
             Stage::Refused(error) => Poll::Ready(Err(error)),
-            Stage::Settling
-            | Stage::SettingUp
-            | Stage::AcceptingAll { .. }
-            | Stage::Opening
-            | Stage::Probing => Poll::Pending,
+            Stage::Settling | Stage::SettingUp | Stage::AcceptingAll { .. } | Stage::Opening | Stage::Probing => {
+                Poll::Pending
+            }
         }
     }
 
@@ -213,10 +206,7 @@ impl<L: Line> SlcanPort<L> {
             (Stage::Opening, Some(AdapterReport::Refused)) => return Err(SlcanError::OpenRefused),
             (Stage::SettingUp, Some(AdapterReport::Done)) => self.accept_all(now)?,
             // Both commands are answered, possibly by a bell.
-            (
-                Stage::AcceptingAll { answers },
-                Some(AdapterReport::Done | AdapterReport::Refused),
-            ) => {
+            (Stage::AcceptingAll { answers }, Some(AdapterReport::Done | AdapterReport::Refused)) => {
                 let answers = answers + 1;
                 self.stage = Stage::AcceptingAll { answers };
                 if answers == 2 {
@@ -226,11 +216,7 @@ impl<L: Line> SlcanPort<L> {
             // A frame, a state line or a version line shows an open channel.
             (
                 Stage::Opening,
-                Some(
-                    AdapterReport::Done
-                    | AdapterReport::Received { .. }
-                    | AdapterReport::State { .. },
-                ),
+                Some(AdapterReport::Done | AdapterReport::Received { .. } | AdapterReport::State { .. }),
             )
             | (Stage::Probing, _) => self.stage = Stage::Open,
             // Answers to earlier commands, and frames from before the opening.
@@ -361,11 +347,7 @@ impl<L: Line> Port for SlcanPort<L> {
                 ends += 1;
             }
         }
-        let result = if self.output.is_empty() {
-            Ok(0)
-        } else {
-            self.line.write(now, &self.output)
-        };
+        let result = if self.output.is_empty() { Ok(0) } else { self.line.write(now, &self.output) };
         self.last = now;
         let written = result.unwrap_or(0);
         // A frame of which a byte was sent counts as sent, and its remaining bytes are kept. The frames after it are
@@ -373,10 +355,7 @@ impl<L: Line> Port for SlcanPort<L> {
         let mut kept = rest;
         let mut taken = 0;
         while taken < ends && kept < written {
-            let length = self.output[kept..]
-                .iter()
-                .position(|byte| *byte == b'\r')
-                .expect("every line has its end");
+            let length = self.output[kept..].iter().position(|byte| *byte == b'\r').expect("every line has its end");
             kept += length + 1;
             taken += 1;
         }

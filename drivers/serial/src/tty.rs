@@ -4,10 +4,7 @@
 //! opens and configures the device, without a reactor. Afterwards only the file descriptor is used. This file makes
 //! system calls. Read [`Tty::open`] first.
 
-#![expect(
-    unsafe_code,
-    reason = "system calls that no safe wrapper offers without a second one before them"
-)]
+#![expect(unsafe_code, reason = "system calls that no safe wrapper offers without a second one before them")]
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -44,11 +41,7 @@ pub enum OpenError {
     NotATty(Box<Path>),
     /// The device cannot run at the requested baud rate.
     #[error("{path}: cannot do {asked} baud, the nearest is {nearest}")]
-    Baud {
-        path: Box<Path>,
-        asked: u32,
-        nearest: u32,
-    },
+    Baud { path: Box<Path>, asked: u32, nearest: u32 },
     /// Any other error of the operating system.
     #[error("{path}: errno {errno}")]
     Os { path: Box<Path>, errno: i32 },
@@ -78,19 +71,12 @@ impl Tty {
             .flow_control(FlowControl::None)
             .open_native()
             .map_err(|error| why_not_opened(path, &error))?;
-        let os = |error: &io::Error| OpenError::Os {
-            path: path.into(),
-            errno: errno(error),
-        };
+        let os = |error: &io::Error| OpenError::Os { path: path.into(), errno: errno(error) };
         let nearest = port.baud_rate().map_err(|error| os(&error.into()))?;
         // A receiver that samples in the middle of a bit tolerates a deviation of 4 % over ten bits.
         if nearest.abs_diff(settings.baud) > settings.baud / 25 {
             let (path, asked) = (path.into(), settings.baud);
-            return Err(OpenError::Baud {
-                path,
-                asked,
-                nearest,
-            });
+            return Err(OpenError::Baud { path, asked, nearest });
         }
         // SAFETY: the port released the descriptor, which has no other owner.
         let device = unsafe { File::from_raw_fd(port.into_raw_fd()) };
@@ -101,18 +87,12 @@ impl Tty {
         }
         ask_for_low_latency(fd);
         // SAFETY: the descriptor is open, and both calls take plain integers.
-        let set = unsafe {
-            libc::fcntl(fd, libc::F_SETFL, libc::O_NONBLOCK) >= 0
-                && libc::tcflush(fd, libc::TCIOFLUSH) >= 0
-        };
+        let set =
+            unsafe { libc::fcntl(fd, libc::F_SETFL, libc::O_NONBLOCK) >= 0 && libc::tcflush(fd, libc::TCIOFLUSH) >= 0 };
         if !set {
             return Err(os(&io::Error::last_os_error()));
         }
-        Ok(Self {
-            device,
-            gone: false,
-            counters: LineCounters::default(),
-        })
+        Ok(Self { device, gone: false, counters: LineCounters::default() })
     }
 
     /// Number of bytes that a call moved.
@@ -196,11 +176,7 @@ fn errno(error: &io::Error) -> i32 {
 /// The opener does not return an error number, so this function repeats the call to obtain it.
 fn why_not_opened(path: &Path, error: &tokio_serial::Error) -> OpenError {
     use tokio_serial::ErrorKind;
-    let again = OpenOptions::new()
-        .read(true)
-        .write(true)
-        .custom_flags(libc::O_NOCTTY | libc::O_NONBLOCK)
-        .open(path);
+    let again = OpenOptions::new().read(true).write(true).custom_flags(libc::O_NOCTTY | libc::O_NONBLOCK).open(path);
     let reason = match again {
         // SAFETY: the descriptor is open.
         Ok(file) if unsafe { libc::isatty(file.as_raw_fd()) } == 0 => libc::ENOTTY,
@@ -303,11 +279,7 @@ mod tests {
     }
 
     fn wait(device: &impl AsFd) {
-        let mut poll = libc::pollfd {
-            fd: device.as_fd().as_raw_fd(),
-            events: libc::POLLIN,
-            revents: 0,
-        };
+        let mut poll = libc::pollfd { fd: device.as_fd().as_raw_fd(), events: libc::POLLIN, revents: 0 };
         // SAFETY: one valid pollfd.
         let ready = unsafe { libc::poll(&raw mut poll, 1, 2_000) };
         assert_eq!(ready, 1, "nothing came within two seconds");
@@ -347,13 +319,7 @@ mod tests {
         let framing = libc::CSIZE | libc::CSTOPB | libc::PARENB | libc::CRTSCTS;
         assert_eq!(set.c_cflag & framing, libc::CS8 | libc::CSTOPB);
         assert_eq!(set.c_lflag & (libc::ECHO | libc::ICANON), 0);
-        assert_eq!(
-            (
-                set.c_iflag & (libc::IXON | libc::ICRNL),
-                set.c_oflag & libc::OPOST
-            ),
-            (0, 0)
-        );
+        assert_eq!((set.c_iflag & (libc::IXON | libc::ICRNL), set.c_oflag & libc::OPOST), (0, 0));
     }
 
     #[test]
@@ -392,11 +358,7 @@ mod tests {
         // Boxed, as in the drivers.
         let mut tty: Box<dyn Line> = Box::new(tty);
         tty.discard_unsent();
-        assert_eq!(
-            tty.write(NOW, &[0]),
-            Ok(1),
-            "there is room for the last word"
-        );
+        assert_eq!(tty.write(NOW, &[0]), Ok(1), "there is room for the last word");
     }
 
     #[test]
@@ -407,18 +369,12 @@ mod tests {
             Err(error) => error.to_string(),
         };
         let held = open(&path).unwrap();
-        assert!(
-            text(&path).contains("in use by another process"),
-            "{}",
-            text(&path)
-        );
+        assert!(text(&path).contains("in use by another process"), "{}", text(&path));
         drop(held);
         assert_eq!(text(&path), "opened");
-        for (path, word) in [
-            ("/dev/serial/by-id/none", "no such device"),
-            ("/dev/null", "not a tty"),
-            ("/dev", "not a tty"),
-        ] {
+        for (path, word) in
+            [("/dev/serial/by-id/none", "no such device"), ("/dev/null", "not a tty"), ("/dev", "not a tty")]
+        {
             let text = text(Path::new(path));
             assert!(text.starts_with(path) && text.contains(word), "{text}");
         }
@@ -430,8 +386,7 @@ mod tests {
     fn is_exclusive(terminal: &File) -> bool {
         let mut exclusive: libc::c_int = 0;
         // SAFETY: the request stores one int.
-        let asked =
-            unsafe { libc::ioctl(terminal.as_raw_fd(), libc::TIOCGEXCL, &raw mut exclusive) };
+        let asked = unsafe { libc::ioctl(terminal.as_raw_fd(), libc::TIOCGEXCL, &raw mut exclusive) };
         assert_eq!(asked, 0);
         exclusive != 0
     }
@@ -441,12 +396,7 @@ mod tests {
     #[test]
     fn a_host_that_is_killed_leaves_a_pseudo_terminal_to_the_next() {
         let (_master, path) = pty();
-        let emulators = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .custom_flags(libc::O_NOCTTY)
-            .open(&path)
-            .unwrap();
+        let emulators = OpenOptions::new().read(true).write(true).custom_flags(libc::O_NOCTTY).open(&path).unwrap();
         let held = mem::ManuallyDrop::new(open(&path).unwrap());
         assert!(!is_exclusive(&emulators));
         // The kernel closes the descriptors of a killed process, and does nothing else.

@@ -25,17 +25,8 @@ pub fn virtual_line(capacity: usize) -> (VirtualLine, VirtualLinePeer) {
     let (to_device, written) = RingBuffer::new(capacity);
     let (to_host, arrived) = RingBuffer::new(capacity);
     let dropped = Arc::new(AtomicU64::new(0));
-    let line = VirtualLine {
-        to_device,
-        arrived,
-        dropped: Arc::clone(&dropped),
-        counters: LineCounters::default(),
-    };
-    let peer = VirtualLinePeer {
-        written,
-        to_host,
-        dropped,
-    };
+    let line = VirtualLine { to_device, arrived, dropped: Arc::clone(&dropped), counters: LineCounters::default() };
+    let peer = VirtualLinePeer { written, to_host, dropped };
     (line, peer)
 }
 
@@ -84,10 +75,7 @@ impl Line for VirtualLine {
     }
 
     fn counters(&self) -> LineCounters {
-        LineCounters {
-            dropped: self.dropped.load(Ordering::Relaxed),
-            ..self.counters
-        }
+        LineCounters { dropped: self.dropped.load(Ordering::Relaxed), ..self.counters }
     }
 }
 
@@ -140,12 +128,7 @@ mod tests {
         assert_eq!(line.read(at(4), &mut into), Ok(0));
         assert_eq!(line.read(at(6), &mut into), Ok(1));
         assert_eq!(into[0], b'x');
-        let expected = LineCounters {
-            sent: 4,
-            received: 1,
-            refused: 1,
-            dropped: 0,
-        };
+        let expected = LineCounters { sent: 4, received: 1, refused: 1, dropped: 0 };
         assert_eq!(line.counters(), expected);
     }
 

@@ -94,8 +94,7 @@ impl Drive {
                 return;
             }
             // A power stage that loses its supply while in use stays off. The stop is checked once per chunk.
-            self.faults.power_stage |=
-                self.mode != Mode::Manual && self.cabinet.is_open(self.inner);
+            self.faults.power_stage |= self.mode != Mode::Manual && self.cabinet.is_open(self.inner);
             self.axis.advance(steps, self.demand());
             self.inner += steps * SUB_STEP;
             self.feedback = self.axis.feedback();
@@ -201,9 +200,6 @@ impl Drive {
 
     /// The faults that both protocols report. An open stop is shown as a fault of the power stage.
     pub(super) fn faults(&self) -> Faults {
-        Faults {
-            power_stage: self.faults.power_stage || self.cabinet.is_open(self.inner),
-            ..self.faults
-        }
+        Faults { power_stage: self.faults.power_stage || self.cabinet.is_open(self.inner), ..self.faults }
     }
 }

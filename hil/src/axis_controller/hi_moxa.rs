@@ -1,9 +1,7 @@
 //! The older hi_moxa telegrams of an emulated axis controller.
 
 use can::Instant;
-use serial::hi_moxa::{
-    Answer, DriverMode, Flags, Mode as Follows, PREAMBLE, Parameter, REQUEST, Request,
-};
+use serial::hi_moxa::{Answer, DriverMode, Flags, Mode as Follows, PREAMBLE, Parameter, REQUEST, Request};
 
 use super::GAP;
 use super::drive::{Drive, Mode, Search};
@@ -24,21 +22,11 @@ pub(super) struct HiMoxa {
 
 impl HiMoxa {
     pub(super) fn new() -> Self {
-        Self {
-            window: NOTHING,
-            since: None,
-            last: Instant::ZERO,
-        }
+        Self { window: NOTHING, since: None, last: Instant::ZERO }
     }
 
     /// Takes a byte. Executes the request that ends with the byte, and passes the answer on.
-    pub(super) fn receive(
-        &mut self,
-        byte: u8,
-        now: Instant,
-        drive: &mut Drive,
-        mut send: impl FnMut(&[u8]),
-    ) {
+    pub(super) fn receive(&mut self, byte: u8, now: Instant, drive: &mut Drive, mut send: impl FnMut(&[u8])) {
         if now.since(self.last) > GAP {
             self.window = NOTHING;
             self.since = None;
@@ -66,20 +54,9 @@ impl HiMoxa {
 /// Executes a request. Returns `false` if the drive does not support the request.
 fn obey(drive: &mut Drive, request: Request) -> bool {
     match request {
-        Request::Drive {
-            mode: Follows::Position,
-            ..
-        } => return false,
-        Request::Drive {
-            mode,
-            value,
-            latch_index,
-        } => {
-            let mode = if mode == Follows::Pwm {
-                Mode::Pwm
-            } else {
-                Mode::Current
-            };
+        Request::Drive { mode: Follows::Position, .. } => return false,
+        Request::Drive { mode, value, latch_index } => {
+            let mode = if mode == Follows::Pwm { Mode::Pwm } else { Mode::Current };
             // The host sends no other command to leave manual mode.
             drive.set_mode(mode);
             drive.search_index(latch_index);

@@ -1,9 +1,7 @@
 //! NFv2 telegrams of an emulated axis controller.
 
 use can::Instant;
-use serial::nfv2::{
-    Answer, BROADCAST, Command, Frame, FrameBuilder, LONGEST, Malformed, START, Status,
-};
+use serial::nfv2::{Answer, BROADCAST, Command, Frame, FrameBuilder, LONGEST, Malformed, START, Status};
 
 use super::GAP;
 use super::drive::{Drive, Mode, Search};
@@ -15,23 +13,12 @@ pub(super) struct Nfv2 {
 
 impl Nfv2 {
     pub(super) fn new(address: u8) -> Self {
-        let stream = Stream {
-            bytes: [0; LONGEST],
-            count: 0,
-            used: 0,
-            last: Instant::ZERO,
-        };
+        let stream = Stream { bytes: [0; LONGEST], count: 0, used: 0, last: Instant::ZERO };
         Self { address, stream }
     }
 
     /// Takes a byte. Executes the frame that ends with the byte, and passes the answer on.
-    pub(super) fn receive(
-        &mut self,
-        byte: u8,
-        now: Instant,
-        drive: &mut Drive,
-        mut send: impl FnMut(&[u8]),
-    ) {
+    pub(super) fn receive(&mut self, byte: u8, now: Instant, drive: &mut Drive, mut send: impl FnMut(&[u8])) {
         self.stream.push(byte, now);
         while let Some(frame) = self.stream.next() {
             let own = frame.address == self.address;
@@ -56,9 +43,7 @@ fn possible(command: Command) -> bool {
     use serial::nfv2::Mode as M;
     !matches!(
         command,
-        Command::SetSpeed(_)
-            | Command::SetPosition(_)
-            | Command::SetMode(M::Speed | M::Position | M::SyncPosition)
+        Command::SetSpeed(_) | Command::SetPosition(_) | Command::SetMode(M::Speed | M::Position | M::SyncPosition)
     )
 }
 

@@ -15,11 +15,7 @@ use crate::{AxisConfig, Irp6Axis, LineDevice, LineId, World};
 
 const PERIOD: Duration = Duration::from_millis(2);
 const ADDRESS: u8 = 8;
-const READS: [Command; 3] = [
-    Command::ReadPosition,
-    Command::ReadCurrent,
-    Command::ReadStatus,
-];
+const READS: [Command; 3] = [Command::ReadPosition, Command::ReadCurrent, Command::ReadStatus];
 
 struct Rig {
     world: World,
@@ -33,12 +29,7 @@ impl Rig {
         let mut world = World::new();
         let line = world.add_line(Settings::AXIS_CONTROLLER, None, device);
         let host = world.host_line(line, 4096);
-        Self {
-            world,
-            line,
-            host,
-            now: Instant::ZERO,
-        }
+        Self { world, line, host, now: Instant::ZERO }
     }
 
     fn nfv2(config: &AxisControllerConfig) -> Self {
@@ -66,17 +57,9 @@ impl Rig {
         assert_eq!(frame.address, ADDRESS);
         let answers: Result<Vec<_>, _> = frame.answers().collect();
         match answers.as_deref() {
-            Ok(
-                &[
-                    Answer::Position(position),
-                    Answer::Current(current),
-                    Answer::Status(status),
-                ],
-            ) => Reading {
-                position,
-                current,
-                status,
-            },
+            Ok(&[Answer::Position(position), Answer::Current(current), Answer::Status(status)]) => {
+                Reading { position, current, status }
+            }
             other => panic!("{other:?}"),
         }
     }
@@ -107,9 +90,7 @@ impl Reading {
 
 fn frame(address: u8, commands: &[Command]) -> Vec<u8> {
     let all = commands.iter().chain(&READS);
-    let mut builder = all.fold(FrameBuilder::new(address), |frame, command| {
-        frame.command(*command)
-    });
+    let mut builder = all.fold(FrameBuilder::new(address), |frame, command| frame.command(*command));
     builder.finish().expect("it fits").to_vec()
 }
 

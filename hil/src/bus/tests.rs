@@ -26,10 +26,7 @@ fn hosts(ports: usize) -> (VirtualBus, Vec<VirtualPort>) {
 }
 
 fn heard(port: &mut VirtualPort) -> Vec<(String, u64)> {
-    let mut into = [Received {
-        frame: standard(0, &[]),
-        at: Instant::ZERO,
-    }; 64];
+    let mut into = [Received { frame: standard(0, &[]), at: Instant::ZERO }; 64];
     let count = port.receive(Instant::FAR_FUTURE, &mut into).unwrap();
     let nanos = |received: &Received| (received.frame.to_string(), received.at.as_nanos());
     into[..count].iter().map(nanos).collect()
@@ -58,10 +55,7 @@ fn the_strongest_identifier_goes_first_whoever_sends_it() {
         assert_eq!(port.send(at(10), &[*frame]), Ok(1));
     }
     bus.advance(at(10_000));
-    let frames: Vec<_> = heard(ports.last_mut().unwrap())
-        .into_iter()
-        .map(|(frame, _)| frame)
-        .collect();
+    let frames: Vec<_> = heard(ports.last_mut().unwrap()).into_iter().map(|(frame, _)| frame).collect();
     assert_eq!(frames, order.map(|frame| frame.to_string()));
 }
 
@@ -74,10 +68,7 @@ fn frames_end_after_exactly_their_bits_and_follow_each_other_without_a_gap() {
     // Pending while the request is on the wire: the frame cannot interrupt the request, but is sent next.
     ports[1].send(at(50), &[standard(0x080, &[])]).unwrap();
     bus.advance(at(1000));
-    let expected = [
-        ("601#4041600000000000".to_owned(), 120_000),
-        ("080#".to_owned(), 123_000 + 48_000),
-    ];
+    let expected = [("601#4041600000000000".to_owned(), 120_000), ("080#".to_owned(), 123_000 + 48_000)];
     assert_eq!(heard(&mut ports[2]), expected);
     // No node receives its own frames.
     assert_eq!(heard(&mut ports[0]), expected[1..]);
@@ -99,17 +90,10 @@ fn slower_rates_stretch_every_bit() {
 #[test]
 fn a_host_keeps_its_own_order_whatever_the_identifiers() {
     let (mut bus, mut ports) = hosts(1);
-    let frames = [
-        standard(0x700, &[]),
-        standard(0x001, &[]),
-        standard(0x300, &[]),
-    ];
+    let frames = [standard(0x700, &[]), standard(0x001, &[]), standard(0x300, &[])];
     ports[0].send(at(0), &frames).unwrap();
     bus.advance(at(1000));
-    let order: Vec<_> = heard(&mut ports[1])
-        .into_iter()
-        .map(|(frame, _)| frame)
-        .collect();
+    let order: Vec<_> = heard(&mut ports[1]).into_iter().map(|(frame, _)| frame).collect();
     assert_eq!(order, ["700#", "001#", "300#"]);
 }
 
@@ -143,19 +127,14 @@ struct Echo {
 
 impl Echo {
     fn new(answers: &[u16]) -> Box<Self> {
-        Box::new(Self {
-            answers: answers.to_vec(),
-            queue: VecDeque::new(),
-            next: at(1000),
-        })
+        Box::new(Self { answers: answers.to_vec(), queue: VecDeque::new(), next: at(1000) })
     }
 }
 
 impl Device for Echo {
     fn handle(&mut self, frame: &Frame, _now: Instant) {
         if frame.standard_data_id() == StandardId::new(0x080) {
-            self.queue
-                .extend(self.answers.iter().map(|&id| standard(id, &[])));
+            self.queue.extend(self.answers.iter().map(|&id| standard(id, &[])));
         }
     }
     fn poll_transmit(&mut self, _now: Instant) -> Option<Frame> {
@@ -178,10 +157,7 @@ fn devices_queue_in_their_own_order_and_compete_with_their_heads() {
     bus.attach_device(Echo::new(&[0x200, 0x400]));
     ports[0].send(at(0), &[standard(0x080, &[])]).unwrap();
     bus.advance(at(999));
-    let order: Vec<_> = heard(&mut ports[1])
-        .into_iter()
-        .map(|(frame, _)| frame)
-        .collect();
+    let order: Vec<_> = heard(&mut ports[1]).into_iter().map(|(frame, _)| frame).collect();
     assert_eq!(order, ["080#", "200#", "300#", "100#", "400#"]);
 }
 
@@ -190,14 +166,8 @@ fn time_outs_fall_between_the_frames_at_their_instant() {
     let (mut bus, mut ports) = hosts(1);
     bus.attach_device(Echo::new(&[]));
     bus.advance(at(3500));
-    let times: Vec<_> = heard(&mut ports[1])
-        .iter()
-        .map(|(frame, at)| (frame.clone(), at / 1_000_000))
-        .collect();
-    assert_eq!(
-        times,
-        [1, 2, 3].map(|millis| ("77F#".to_owned(), millis)).to_vec()
-    );
+    let times: Vec<_> = heard(&mut ports[1]).iter().map(|(frame, at)| (frame.clone(), at / 1_000_000)).collect();
+    assert_eq!(times, [1, 2, 3].map(|millis| ("77F#".to_owned(), millis)).to_vec());
 }
 
 #[test]

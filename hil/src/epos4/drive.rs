@@ -132,18 +132,13 @@ impl Drive {
     pub(super) fn powered(&self) -> bool {
         matches!(
             self.power,
-            PowerState::OperationEnabled
-                | PowerState::QuickStopActive
-                | PowerState::FaultReactionActive
+            PowerState::OperationEnabled | PowerState::QuickStopActive | PowerState::FaultReactionActive
         )
     }
 
     /// Whether a fault is latched, or the axis is braking because of a fault.
     pub(super) fn faulted(&self) -> bool {
-        matches!(
-            self.power,
-            PowerState::FaultReactionActive | PowerState::Fault
-        )
+        matches!(self.power, PowerState::FaultReactionActive | PowerState::Fault)
     }
 
     /// Whether set-points of a cyclic mode are being followed.
@@ -153,9 +148,7 @@ impl Drive {
             && self.braking.is_none()
             && matches!(
                 self.mode,
-                M::CyclicSynchronousPosition
-                    | M::CyclicSynchronousVelocity
-                    | M::CyclicSynchronousTorque
+                M::CyclicSynchronousPosition | M::CyclicSynchronousVelocity | M::CyclicSynchronousTorque
             )
     }
 
@@ -190,8 +183,7 @@ impl Drive {
         }
         // One controlword can lead from ready to switch on through switched on to operation enabled.
         for _ in 0..2 {
-            let Some(transition) = on_command(self.power, word.power_command(), &options(objects))
-            else {
+            let Some(transition) = on_command(self.power, word.power_command(), &options(objects)) else {
                 break;
             };
             self.perform(transition);
@@ -277,10 +269,7 @@ impl Drive {
 
     fn demands_velocity(&self) -> bool {
         use ModeOfOperation as M;
-        matches!(
-            self.mode,
-            M::ProfileVelocity | M::CyclicSynchronousVelocity | M::CyclicSynchronousTorque
-        )
+        matches!(self.mode, M::ProfileVelocity | M::CyclicSynchronousVelocity | M::CyclicSynchronousTorque)
     }
 
     /// Activates the set-points of the cyclic modes. Called at SYNC, or for a set-point outside SYNC.
@@ -332,12 +321,7 @@ impl Drive {
         error
     }
 
-    fn check(
-        &mut self,
-        demand: &Demand,
-        (negative, positive): (bool, bool),
-        objects: &Objects,
-    ) -> Option<Error> {
+    fn check(&mut self, demand: &Demand, (negative, positive): (bool, bool), objects: &Objects) -> Option<Error> {
         if !self.powered() {
             return None;
         }
@@ -365,8 +349,7 @@ impl Drive {
             return None;
         }
         let target = self.profile.active?;
-        self.beyond_limits(target, objects)
-            .then_some(errors::SOFTWARE_LIMIT)
+        self.beyond_limits(target, objects).then_some(errors::SOFTWARE_LIMIT)
     }
 }
 

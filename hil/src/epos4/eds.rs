@@ -2,9 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use canopen::eds::{
-    Access, DataType, DeviceInfo, Eds, Entry, FileInfo, ObjectType, Value, Variable,
-};
+use canopen::eds::{Access, DataType, DeviceInfo, Eds, Entry, FileInfo, ObjectType, Value, Variable};
 use canopen::objects as named;
 
 use super::objects::DUMMIES;
@@ -106,18 +104,10 @@ const NAMES: &[(u16, u8, &str)] = &[
 ];
 
 /// Objects of type RECORD apart from the parameters of PDOs. Any other object with sub-indices is an ARRAY.
-const RECORDS: [u16; 10] = [
-    0x1018, 0x1200, 0x2200, 0x2FF0, 0x3000, 0x3001, 0x30D1, 0x30E0, 0x3141, 0x60C2,
-];
+const RECORDS: [u16; 10] = [0x1018, 0x1200, 0x2200, 0x2FF0, 0x3000, 0x3001, 0x30D1, 0x30E0, 0x3141, 0x60C2];
 
 /// The names of a PDO's communication parameters, from sub-index 1.
-const COMMUNICATION: [&str; 5] = [
-    "COB-ID used by",
-    "Transmission type",
-    "Inhibit time",
-    "Reserved",
-    "Event timer",
-];
+const COMMUNICATION: [&str; 5] = ["COB-ID used by", "Transmission type", "Inhibit time", "Reserved", "Event timer"];
 
 impl Epos4 {
     /// The electronic data sheet of a unit. Units of one kind differ only in the ratings of the motor.
@@ -248,17 +238,11 @@ fn variable(entry: &table::Entry, stated: Option<u32>) -> Variable {
     let stored = stated.unwrap_or(entry.default);
     let number = |value: i64| Value::number(value.into());
     // A measured value has no default. The data that differ from unit to unit have none either.
-    let measured = !entry.writable && entry.transmit
-        || matches!(
-            entry.object,
-            named::SERIAL_NUMBER | named::MOTOR_RATED_TORQUE
-        );
+    let measured =
+        !entry.writable && entry.transmit || matches!(entry.object, named::SERIAL_NUMBER | named::MOTOR_RATED_TORQUE);
     let default = match entry.data_type {
         DataType::VisibleString => Value::Text(entry.text.to_owned()),
-        _ => Value::Integer {
-            value: entry.number(stored).into(),
-            plus_node: entry.plus_node,
-        },
+        _ => Value::Integer { value: entry.number(stored).into(), plus_node: entry.plus_node },
     };
     Variable {
         name: variable_name(entry),

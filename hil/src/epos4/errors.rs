@@ -34,34 +34,21 @@ pub(super) struct Error {
 impl Error {
     /// The same error with another cause. Each cause begins and ends independently.
     pub(super) const fn of(self, source: usize) -> Self {
-        Self {
-            source: source as u8,
-            ..self
-        }
+        Self { source: source as u8, ..self }
     }
 }
 
 const fn error(code: u16, register: ErrorRegister, reaction: Reaction) -> Error {
-    Error {
-        code,
-        register,
-        reaction,
-        source: 0,
-    }
+    Error { code, register, reaction, source: 0 }
 }
 
 /// An error of communication, to which the abort connection option applies.
 const fn communication(code: u16) -> Error {
-    error(
-        code,
-        ErrorRegister::COMMUNICATION,
-        Reaction::AbortConnection,
-    )
+    error(code, ErrorRegister::COMMUNICATION, Reaction::AbortConnection)
 }
 
 pub(super) const OVER_CURRENT: Error = error(0x2310, ErrorRegister::CURRENT, Reaction::Disable);
-pub(super) const MOTOR_TEMPERATURE: Error =
-    error(0x4380, ErrorRegister::TEMPERATURE, Reaction::Disable);
+pub(super) const MOTOR_TEMPERATURE: Error = error(0x4380, ErrorRegister::TEMPERATURE, Reaction::Disable);
 /// NMT stop or a reset of the communication, if object 0x6007 makes a fault of either.
 pub(super) const CONNECTION_ENDED: Error = communication(0x8100);
 pub(super) const HEARTBEAT: Error = communication(0x8130);
@@ -145,22 +132,14 @@ impl Errors {
     }
 
     fn write_register(&self, objects: &mut Objects) {
-        let register = self
-            .errors()
-            .fold(ErrorRegister::default(), |register, error| {
-                register.with(ErrorRegister::GENERIC).with(error.register)
-            });
+        let register = self.errors().fold(ErrorRegister::default(), |register, error| {
+            register.with(ErrorRegister::GENERIC).with(error.register)
+        });
         objects.set(REGISTER, u32::from(register.0));
     }
 }
 
 /// The EMCY with this `code`; 0 means no error.
 pub(super) fn emergency(node: NodeId, code: u16, objects: &Objects) -> Frame {
-    Emergency {
-        node,
-        code,
-        error_register: ErrorRegister(objects.u(REGISTER) as u8),
-        vendor: [0; 5],
-    }
-    .encode()
+    Emergency { node, code, error_register: ErrorRegister(objects.u(REGISTER) as u8), vendor: [0; 5] }.encode()
 }

@@ -47,10 +47,7 @@ impl Consumers {
                 return false;
             }
             let ended = consumer.lost;
-            *consumer = Consumer {
-                watched,
-                ..Consumer::default()
-            };
+            *consumer = Consumer { watched, ..Consumer::default() };
             ended
         })
     }

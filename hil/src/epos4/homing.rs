@@ -111,21 +111,10 @@ impl Search {
         };
         let phase = match (sought, index) {
             (Sought::Nothing, false) => Phase::Here,
-            (Sought::Nothing, true) => Phase::Index {
-                direction: initial,
-                begun_at: None,
-            },
-            _ => Phase::Seek {
-                direction: initial,
-                pressing: 0.0,
-            },
+            (Sought::Nothing, true) => Phase::Index { direction: initial, begun_at: None },
+            _ => Phase::Seek { direction: initial, pressing: 0.0 },
         };
-        Some(Self {
-            sought,
-            index,
-            initial,
-            phase,
-        })
+        Some(Self { sought, index, initial, phase })
     }
 
     /// Whether the search drives the axis against a stop, so that the axis falls behind its set-points.
@@ -137,15 +126,8 @@ impl Search {
     pub(super) fn step(&mut self, feedback: &Feedback, around: &Surroundings) -> Progress {
         match &mut self.phase {
             Phase::Here => Progress::Found(feedback.counts),
-            Phase::Seek {
-                direction,
-                pressing,
-            } => {
-                *pressing = if feedback.torque.abs() > around.stop_torque {
-                    *pressing + around.dt
-                } else {
-                    0.0
-                };
+            Phase::Seek { direction, pressing } => {
+                *pressing = if feedback.torque.abs() > around.stop_torque { *pressing + around.dt } else { 0.0 };
                 let limit = limit_ahead(feedback, *direction);
                 let found = match self.sought {
                     Sought::Home => feedback.home_switch,
@@ -159,10 +141,7 @@ impl Search {
                 if found {
                     // The switch of a standing axis does not bounce.
                     let stands = around.velocity == 0.0;
-                    self.phase = Phase::Leave {
-                        closed_for: if stands { SETTLING } else { 0.0 },
-                        open_for: 0.0,
-                    };
+                    self.phase = Phase::Leave { closed_for: if stands { SETTLING } else { 0.0 }, open_for: 0.0 };
                     return Progress::Slow(-self.initial);
                 }
                 if limit && self.sought == Sought::Home {
@@ -173,10 +152,7 @@ impl Search {
                 }
                 Progress::Fast(*direction)
             }
-            Phase::Leave {
-                closed_for,
-                open_for,
-            } => {
+            Phase::Leave { closed_for, open_for } => {
                 let direction = -self.initial;
                 let closed = match self.sought {
                     Sought::Home => feedback.home_switch,
@@ -195,10 +171,7 @@ impl Search {
                 }
                 if *open_for >= SETTLING {
                     // The axis turned round on the edge of the switch.
-                    self.phase = Phase::Seek {
-                        direction: self.initial,
-                        pressing: 0.0,
-                    };
+                    self.phase = Phase::Seek { direction: self.initial, pressing: 0.0 };
                     Progress::Fast(self.initial)
                 } else if leaving && limit_ahead(feedback, direction) {
                     Progress::Failed
@@ -206,17 +179,11 @@ impl Search {
                     Progress::Slow(direction)
                 }
             }
-            Phase::Index {
-                direction,
-                begun_at: begun_at @ None,
-            } => {
+            Phase::Index { direction, begun_at: begun_at @ None } => {
                 *begun_at = Some(feedback.counts);
                 Progress::ArmIndex(*direction)
             }
-            Phase::Index {
-                direction,
-                begun_at: Some(begun_at),
-            } => {
+            Phase::Index { direction, begun_at: Some(begun_at) } => {
                 let way = f64::from(feedback.counts.wrapping_sub(*begun_at)).abs();
                 match feedback.index {
                     Some(index) => Progress::Found(index),
@@ -233,20 +200,13 @@ impl Search {
         if !self.index {
             return Progress::Found(counts);
         }
-        self.phase = Phase::Index {
-            direction: -self.initial,
-            begun_at: Some(counts),
-        };
+        self.phase = Phase::Index { direction: -self.initial, begun_at: Some(counts) };
         Progress::ArmIndex(-self.initial)
     }
 }
 
 fn limit_ahead(feedback: &Feedback, direction: f64) -> bool {
-    if direction > 0.0 {
-        feedback.positive_limit
-    } else {
-        feedback.negative_limit
-    }
+    if direction > 0.0 { feedback.positive_limit } else { feedback.negative_limit }
 }
 
 #[cfg(test)]
@@ -269,16 +229,7 @@ mod tests {
 
     impl Scripted {
         fn at(counts: f64) -> Self {
-            Self {
-                counts,
-                velocity: 0.0,
-                latched: None,
-                home: true,
-                limits: true,
-                index: true,
-                bounce: 0,
-                since: 100,
-            }
+            Self { counts, velocity: 0.0, latched: None, home: true, limits: true, index: true, bounce: 0, since: 100 }
         }
 
         fn pressed(&self) -> bool {
@@ -289,15 +240,10 @@ mod tests {
             Feedback {
                 counts: self.counts as i32,
                 velocity: self.velocity,
-                torque: if self.counts.abs() >= 6000.0 {
-                    1.0
-                } else {
-                    0.1
-                },
+                torque: if self.counts.abs() >= 6000.0 { 1.0 } else { 0.1 },
                 current: 0.0,
                 index: self.latched,
-                home_switch: self.pressed()
-                    && (self.since >= self.bounce || self.since.is_multiple_of(2)),
+                home_switch: self.pressed() && (self.since >= self.bounce || self.since.is_multiple_of(2)),
                 negative_limit: self.limits && self.counts <= -5000.0,
                 positive_limit: self.limits && self.counts >= 5000.0,
                 trip: None,
@@ -314,23 +260,14 @@ mod tests {
             if self.index && passed > before.min(after) {
                 self.latched = Some(passed as i32 * 1000 + 300);
             }
-            self.since = if self.pressed() == pressed {
-                self.since + 1
-            } else {
-                0
-            };
+            self.since = if self.pressed() == pressed { self.since + 1 } else { 0 };
         }
 
         /// The reference that a method finds; `None` if the method fails.
         fn home(mut self, method: i8) -> Option<i32> {
             let mut search = Search::new(HomingMethod(method)).unwrap();
             for _ in 0..100_000 {
-                let around = Surroundings {
-                    velocity: self.velocity,
-                    stop_torque: 0.5,
-                    turn: 1000.0,
-                    dt: 1e-3,
-                };
+                let around = Surroundings { velocity: self.velocity, stop_torque: 0.5, turn: 1000.0, dt: 1e-3 };
                 match search.step(&self.feedback(), &around) {
                     Progress::Fast(direction) => self.go(20.0 * direction),
                     Progress::Slow(direction) => self.go(direction),
@@ -379,24 +316,16 @@ mod tests {
         for (method, start, expected) in table {
             let mut axis = Scripted::at(start);
             axis.limits = method > 0;
-            assert_eq!(
-                axis.home(method),
-                Some(expected),
-                "method {method} from {start}"
-            );
+            assert_eq!(axis.home(method), Some(expected), "method {method} from {start}");
         }
     }
 
     #[test]
     fn a_chattering_switch_leads_to_the_same_reference_from_either_side() {
         for bounce in [0, 2, 4] {
-            for (method, start, expected) in [
-                (11, 3000.0, 2300),
-                (11, 2010.0, 2300),
-                (11, 1500.0, 2300),
-                (11, 0.0, 2300),
-                (7, 4000.0, 300),
-            ] {
+            for (method, start, expected) in
+                [(11, 3000.0, 2300), (11, 2010.0, 2300), (11, 1500.0, 2300), (11, 0.0, 2300), (7, 4000.0, 300)]
+            {
                 let mut axis = Scripted::at(start);
                 axis.bounce = bounce;
                 let found = axis.home(method);

@@ -13,10 +13,7 @@
 //! stored. Activating the bit rate has no effect: the unit stays at the bit rate of the bus.
 
 use canopen::NodeId;
-use canopen::lss::{
-    BitRate, Bound, CIA_TABLE, FASTSCAN_RESET, Fastscan, Mode, Outcome, Part, Response,
-    UNCONFIGURED,
-};
+use canopen::lss::{BitRate, Bound, CIA_TABLE, FASTSCAN_RESET, Fastscan, Mode, Outcome, Part, Response, UNCONFIGURED};
 pub(super) use canopen::lss::{Identity, Request};
 
 /// State of the slave, without the node-ID in use.
@@ -55,11 +52,7 @@ impl Lss {
 
     /// Handles a reset of the communication.
     pub(super) fn wait(&mut self) {
-        *self = Self {
-            pending: self.pending,
-            stored: self.stored,
-            ..Self::new(None, self.identity)
-        };
+        *self = Self { pending: self.pending, stored: self.stored, ..Self::new(None, self.identity) };
     }
 
     /// Handles a reset of the node: unstored settings are lost.
@@ -123,13 +116,10 @@ impl Lss {
                 self.stored = self.pending;
                 Some(Response::Stored(outcome(true)))
             }
-            Request::Inquire(part) if configures => Some(Response::Inquired {
-                part,
-                value: self.identity.get(part),
-            }),
-            Request::InquireNodeId if configures => Some(Response::NodeId {
-                node_id: active.map_or(UNCONFIGURED, NodeId::raw),
-            }),
+            Request::Inquire(part) if configures => Some(Response::Inquired { part, value: self.identity.get(part) }),
+            Request::InquireNodeId if configures => {
+                Some(Response::NodeId { node_id: active.map_or(UNCONFIGURED, NodeId::raw) })
+            }
             Request::SwitchSelective { .. }
             | Request::ConfigureNodeId { .. }
             | Request::ConfigureBitTiming { .. }
@@ -164,18 +154,10 @@ impl Lss {
 
 /// Number of steps completed in order after step `step`. `taken` is the number before that step.
 fn in_order(taken: u8, step: u8, succeeds: bool) -> u8 {
-    if succeeds && (step == taken || step == 0) {
-        step + 1
-    } else {
-        0
-    }
+    if succeeds && (step == taken || step == 0) { step + 1 } else { 0 }
 }
 
 fn outcome(success: bool) -> Outcome {
-    let error = if success {
-        Outcome::SUCCESS
-    } else {
-        Outcome::OUT_OF_RANGE
-    };
+    let error = if success { Outcome::SUCCESS } else { Outcome::OUT_OF_RANGE };
     Outcome { error, specific: 0 }
 }

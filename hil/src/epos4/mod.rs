@@ -77,15 +77,9 @@ fn identity(config: &Epos4Config) -> [(Slot, u32); 8] {
         (Slot::of(named::PRODUCT_CODE), config.product),
         (Slot::of(named::REVISION), config.revision),
         (Slot::of(named::SERIAL_NUMBER), config.serial),
-        (
-            Slot::of(named::EPOS4_MAIN_SENSOR_RESOLUTION),
-            config.main_sensor_resolution.unwrap_or(counts),
-        ),
+        (Slot::of(named::EPOS4_MAIN_SENSOR_RESOLUTION), config.main_sensor_resolution.unwrap_or(counts)),
         (Slot::of(named::EPOS4_NOMINAL_CURRENT), nominal),
-        (
-            Slot::of(named::EPOS4_NOMINAL_CURRENT).plus(1),
-            milliamps(amps),
-        ),
+        (Slot::of(named::EPOS4_NOMINAL_CURRENT).plus(1), milliamps(amps)),
         (Slot::of(named::EPOS4_TORQUE_CONSTANT), torque_constant),
     ]
 }
@@ -179,10 +173,7 @@ impl Epos4 {
 
     /// Whether the device provides services other than NMT and error control.
     fn serving(&self) -> bool {
-        matches!(
-            self.objects.nmt,
-            nmt::NmtState::PreOperational | nmt::NmtState::Operational
-        )
+        matches!(self.objects.nmt, nmt::NmtState::PreOperational | nmt::NmtState::Operational)
     }
 
     fn enter(&mut self, state: nmt::NmtState, now: Instant) {
@@ -345,9 +336,7 @@ impl Epos4 {
 
     /// Latest time at which the axis has to be advanced.
     fn next_control(&self) -> Instant {
-        let synchronised = self
-            .last_sync
-            .is_some_and(|at| self.inner.since(at) < LAZIEST);
+        let synchronised = self.last_sync.is_some_and(|at| self.inner.since(at) < LAZIEST);
         let alone = self.pdos.event_driven() || self.drive.powered() && !synchronised;
         self.inner + if alone { CHUNK * SUB_STEP } else { LAZIEST }
     }
@@ -424,9 +413,7 @@ impl Device for Epos4 {
             None => self.server.poll_transmit(node, now),
             Some(_) => None,
         };
-        self.queue
-            .pop_front()
-            .or_else(|| self.node.and_then(segment))
+        self.queue.pop_front().or_else(|| self.node.and_then(segment))
     }
 
     fn poll_timeout(&self) -> Option<Instant> {

@@ -88,11 +88,7 @@ impl Objects {
 
     /// Recalculates the COB-IDs for a node-ID, except COB-IDs that were stored otherwise.
     pub(super) fn rename(&mut self, node: NodeId) {
-        for (row, entry) in TABLE
-            .iter()
-            .enumerate()
-            .filter(|(_, entry)| entry.plus_node)
-        {
+        for (row, entry) in TABLE.iter().enumerate().filter(|(_, entry)| entry.plus_node) {
             let factory = entry.default + u32::from(node.raw());
             if self.stored[row] == self.factory[row] {
                 self.stored[row] = factory;
@@ -173,15 +169,12 @@ impl Objects {
             named::STORE_ALL | named::RESTORE_ALL => self.store_or_restore(object, value),
             Object { index: 0x1016, .. } => self.refuse_consumer(slot, value),
             named::MODE_OF_OPERATION if !supported(value) => Err(AbortCode::VALUE_RANGE),
-            named::HOMING_METHOD
-                if !HomingMethod::EPOS4.contains(&HomingMethod(value as i32 as i8)) =>
-            {
+            named::HOMING_METHOD if !HomingMethod::EPOS4.contains(&HomingMethod(value as i32 as i8)) => {
                 Err(AbortCode::VALUE_RANGE)
             }
             // Revolutions per minute, from 1 down to 1e-6.
             named::VELOCITY_UNIT
-                if value & 0x00FF_FFFF != 0x00B4_4700
-                    || !(-6..=0).contains(&((value >> 24) as u8 as i8)) =>
+                if value & 0x00FF_FFFF != 0x00B4_4700 || !(-6..=0).contains(&((value >> 24) as u8 as i8)) =>
             {
                 Err(AbortCode::VALUE_RANGE)
             }
@@ -197,11 +190,8 @@ impl Objects {
         let Some((node, _)) = watched(value) else {
             return Ok(());
         };
-        let others =
-            (0..ENTRIES).map(|number| Slot::of(named::CONSUMER_HEARTBEAT_1).plus(number as u16));
-        let mut others = others
-            .filter(|other| *other != slot)
-            .map(|other| watched(self.u(other)));
+        let others = (0..ENTRIES).map(|number| Slot::of(named::CONSUMER_HEARTBEAT_1).plus(number as u16));
+        let mut others = others.filter(|other| *other != slot).map(|other| watched(self.u(other)));
         if others.any(|other| other.is_some_and(|(other, _)| other == node)) {
             return Err(AbortCode::PARAMETER_INCOMPATIBLE);
         }
@@ -240,8 +230,7 @@ impl Objects {
                 }
                 let changed = (value ^ existing.0) & 0x3FFF_FFFF != 0;
                 let free = wanted.id().is_some_and(|id| !cob::reserved(id));
-                if existing.is_valid() && wanted.is_valid() && changed || wanted.is_valid() && !free
-                {
+                if existing.is_valid() && wanted.is_valid() && changed || wanted.is_valid() && !free {
                     return Err(AbortCode::VALUE_RANGE);
                 }
             }
@@ -293,9 +282,7 @@ pub(super) const DUMMIES: [u8; 7] = [0, 8, 16, 32, 8, 16, 32];
 
 /// The slot of a mapping entry; `None` for a dummy of an RPDO.
 pub(super) fn mappable(kind: PdoKind, entry: MapEntry) -> Result<Option<Slot>, AbortCode> {
-    let dummy = usize::from(entry.object.index)
-        .checked_sub(1)
-        .and_then(|at| DUMMIES.get(at));
+    let dummy = usize::from(entry.object.index).checked_sub(1).and_then(|at| DUMMIES.get(at));
     if let (PdoKind::Rpdo, Some(&bits)) = (kind, dummy) {
         let fills = bits > 0 && bits == entry.bits && entry.object.subindex == 0;
         return fills.then_some(None).ok_or(AbortCode::NOT_MAPPABLE);
@@ -306,11 +293,7 @@ pub(super) fn mappable(kind: PdoKind, entry: MapEntry) -> Result<Option<Slot>, A
         PdoKind::Rpdo => row.receive,
         PdoKind::Tpdo => row.transmit,
     };
-    if allowed && usize::from(entry.bits) == 8 * row.size() {
-        Ok(Some(slot))
-    } else {
-        Err(AbortCode::NOT_MAPPABLE)
-    }
+    if allowed && usize::from(entry.bits) == 8 * row.size() { Ok(Some(slot)) } else { Err(AbortCode::NOT_MAPPABLE) }
 }
 
 /// A byte pattern in which a displaced byte is visible.
@@ -393,11 +376,7 @@ impl Dictionary for Objects {
         }
         let size = entry.size();
         if data.len() != size {
-            return Err(if data.len() > size {
-                AbortCode::LENGTH_MISMATCH
-            } else {
-                AbortCode::TOO_SHORT
-            });
+            return Err(if data.len() > size { AbortCode::LENGTH_MISMATCH } else { AbortCode::TOO_SHORT });
         }
         let mut bytes = [0; 4];
         bytes[..size].copy_from_slice(data);

@@ -24,11 +24,7 @@ struct Mapping {
 }
 
 impl Mapping {
-    const EMPTY: Self = Self {
-        entries: [(None, 0); MAPPED as usize],
-        count: 0,
-        bytes: 0,
-    };
+    const EMPTY: Self = Self { entries: [(None, 0); MAPPED as usize], count: 0, bytes: 0 };
 
     fn read(kind: PdoKind, number: PdoNumber, objects: &Objects) -> Self {
         let mut mapping = Self::EMPTY;
@@ -80,10 +76,7 @@ fn identifier(kind: PdoKind, number: PdoNumber, objects: &Objects) -> Option<Sta
 /// Whether an RPDO is switched on, and whether its event timer runs.
 pub(super) fn watched(number: PdoNumber, objects: &Objects) -> (bool, bool) {
     let rpdo = Rpdo::read(number, objects);
-    (
-        rpdo.is_some(),
-        rpdo.is_some_and(|rpdo| !rpdo.within.is_zero()),
-    )
+    (rpdo.is_some(), rpdo.is_some_and(|rpdo| !rpdo.within.is_zero()))
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -134,10 +127,7 @@ pub(super) struct Pdos {
 }
 
 impl Pdos {
-    pub(super) const NONE: Self = Self {
-        received: [None; 4],
-        transmitted: [None; 4],
-    };
+    pub(super) const NONE: Self = Self { received: [None; 4], transmitted: [None; 4] };
 
     /// PDOs with the parameters of the dictionary, without waiting data and before the first transmission.
     pub(super) fn read(objects: &Objects) -> Self {
@@ -166,12 +156,9 @@ impl Pdos {
             PdoKind::Tpdo => {
                 let tpdo = Tpdo::read(number, objects);
                 self.transmitted[at] = match (self.transmitted[at], tpdo) {
-                    (Some(before), Some(now)) if before.id == now.id => Some(Tpdo {
-                        syncs: before.syncs,
-                        sent: before.sent,
-                        inhibited: before.inhibited,
-                        ..now
-                    }),
+                    (Some(before), Some(now)) if before.id == now.id => {
+                        Some(Tpdo { syncs: before.syncs, sent: before.sent, inhibited: before.inhibited, ..now })
+                    }
                     _ => tpdo,
                 };
             }
@@ -179,13 +166,7 @@ impl Pdos {
     }
 
     /// Takes a frame if the frame is an RPDO of this node.
-    pub(super) fn receive(
-        &mut self,
-        id: StandardId,
-        data: &[u8],
-        objects: &mut Objects,
-        now: Instant,
-    ) -> Reception {
+    pub(super) fn receive(&mut self, id: StandardId, data: &[u8], objects: &mut Objects, now: Instant) -> Reception {
         let Some((number, rpdo)) = self.rpdos().find(|(_, rpdo)| rpdo.id == id) else {
             return Reception::Foreign;
         };
@@ -317,11 +298,7 @@ impl Tpdo {
     /// Due time of the PDO, last sent `at`: after a change or by the event timer, and never within the inhibit time.
     fn due(&self, at: Instant) -> Option<Instant> {
         let timer = (!self.period.is_zero()).then_some(self.period);
-        let event = if self.inhibited {
-            Some(Duration::ZERO)
-        } else {
-            timer
-        };
+        let event = if self.inhibited { Some(Duration::ZERO) } else { timer };
         Some(at + event?.max(self.inhibit))
     }
 

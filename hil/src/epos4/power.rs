@@ -49,40 +49,24 @@ pub(super) struct Transition {
 
 impl Transition {
     const fn to(state: PowerState) -> Self {
-        Self {
-            now: state,
-            brake: None,
-            then: state,
-        }
+        Self { now: state, brake: None, then: state }
     }
 
     const fn braking(now: PowerState, brake: Brake, then: PowerState) -> Self {
-        Self {
-            now,
-            brake: Some(brake),
-            then,
-        }
+        Self { now, brake: Some(brake), then }
     }
 }
 
 /// The transition for a controlword's command (CiA 402-2 §8.4.1), if any.
-pub(super) fn on_command(
-    state: PowerState,
-    command: PowerCommand,
-    options: &Options,
-) -> Option<Transition> {
+pub(super) fn on_command(state: PowerState, command: PowerCommand, options: &Options) -> Option<Transition> {
     use PowerState::*;
     let disabled = Transition::to(SwitchOnDisabled);
     Some(match (state, command) {
         (ReadyToSwitchOn | SwitchedOn, PowerCommand::DisableVoltage | PowerCommand::QuickStop)
         | (OperationEnabled | QuickStopActive, PowerCommand::DisableVoltage) => disabled,
         (SwitchOnDisabled | SwitchedOn, PowerCommand::Shutdown) => Transition::to(ReadyToSwitchOn),
-        (ReadyToSwitchOn, PowerCommand::SwitchOn | PowerCommand::EnableOperation) => {
-            Transition::to(SwitchedOn)
-        }
-        (SwitchedOn | OperationEnabled, PowerCommand::EnableOperation) => {
-            Transition::to(OperationEnabled)
-        }
+        (ReadyToSwitchOn, PowerCommand::SwitchOn | PowerCommand::EnableOperation) => Transition::to(SwitchedOn),
+        (SwitchedOn | OperationEnabled, PowerCommand::EnableOperation) => Transition::to(OperationEnabled),
         (OperationEnabled, PowerCommand::Shutdown) => match options.shutdown {
             1 => Transition::braking(OperationEnabled, Brake::SlowDown, ReadyToSwitchOn),
             _ => Transition::to(ReadyToSwitchOn),
@@ -100,9 +84,7 @@ pub(super) fn on_command(
             7 | 8 => Transition::braking(QuickStopActive, Brake::AtLimits, QuickStopActive),
             _ => disabled,
         },
-        (QuickStopActive, PowerCommand::EnableOperation) if options.quick_stop >= 5 => {
-            Transition::to(OperationEnabled)
-        }
+        (QuickStopActive, PowerCommand::EnableOperation) if options.quick_stop >= 5 => Transition::to(OperationEnabled),
         _ => return None,
     })
 }
@@ -131,51 +113,19 @@ mod tests {
     use PowerCommand as C;
     use PowerState::*;
 
-    const OPTIONS: Options = Options {
-        quick_stop: 6,
-        shutdown: 0,
-        disable_operation: 1,
-        fault_reaction: 2,
-    };
+    const OPTIONS: Options = Options { quick_stop: 6, shutdown: 0, disable_operation: 1, fault_reaction: 2 };
 
     #[test]
     fn every_state_answers_every_command_by_this_table() {
         // Immediate state and state after standstill, by command: disable voltage, quick stop, shutdown, switch on,
         // enable operation.
-        let commands = [
-            C::DisableVoltage,
-            C::QuickStop,
-            C::Shutdown,
-            C::SwitchOn,
-            C::EnableOperation,
-        ];
+        let commands = [C::DisableVoltage, C::QuickStop, C::Shutdown, C::SwitchOn, C::EnableOperation];
         let to = |state| Some((state, state));
         let table = [
             (NotReadyToSwitchOn, [None; 5]),
-            (
-                SwitchOnDisabled,
-                [None, None, to(ReadyToSwitchOn), None, None],
-            ),
-            (
-                ReadyToSwitchOn,
-                [
-                    to(SwitchOnDisabled),
-                    to(SwitchOnDisabled),
-                    None,
-                    to(SwitchedOn),
-                    to(SwitchedOn),
-                ],
-            ),
-            (
-                SwitchedOn,
-                [
-                    to(SwitchOnDisabled),
-                    to(SwitchOnDisabled),
-                    to(ReadyToSwitchOn),
-                    None,
-                    to(OperationEnabled),
-                ],
-            ),
+            (SwitchOnDisabled, [None, None, to(ReadyToSwitchOn), None, None]),
+            (ReadyToSwitchOn, [to(SwitchOnDisabled), to(SwitchOnDisabled), None, to(SwitchedOn), to(SwitchedOn)]),
+            (SwitchedOn, [to(SwitchOnDisabled), to(SwitchOnDisabled), to(ReadyToSwitchOn), None, to(OperationEnabled)]),
             (
                 OperationEnabled,
                 [
@@ -186,10 +136,7 @@ mod tests {
                     to(OperationEnabled),
                 ],
             ),
-            (
-                QuickStopActive,
-                [to(SwitchOnDisabled), None, None, None, to(OperationEnabled)],
-            ),
+            (QuickStopActive, [to(SwitchOnDisabled), None, None, None, to(OperationEnabled)]),
             (FaultReactionActive, [None; 5]),
             (Fault, [None; 5]),
         ];
@@ -216,26 +163,15 @@ mod tests {
             (8, Some(Brake::AtLimits), QuickStopActive),
         ];
         for (option, brake, then) in quick_stop {
-            let options = Options {
-                quick_stop: option,
-                ..OPTIONS
-            };
+            let options = Options { quick_stop: option, ..OPTIONS };
             let found = on_command(OperationEnabled, C::QuickStop, &options).unwrap();
-            assert_eq!(
-                (found.brake, found.then),
-                (brake, then),
-                "0x605A = {option}"
-            );
+            assert_eq!((found.brake, found.then), (brake, then), "0x605A = {option}");
             // Operation can be enabled again only if the axis stays in quick stop active.
             let back = on_command(QuickStopActive, C::EnableOperation, &options);
             assert_eq!(back.is_some(), option >= 5);
         }
         for (option, brake) in [(0, None), (1, Some(Brake::SlowDown))] {
-            let options = Options {
-                shutdown: option,
-                disable_operation: option,
-                ..OPTIONS
-            };
+            let options = Options { shutdown: option, disable_operation: option, ..OPTIONS };
             for command in [C::Shutdown, C::SwitchOn] {
                 let found = on_command(OperationEnabled, command, &options).unwrap();
                 assert_eq!(found.brake, brake, "{command:?} = {option}");
@@ -252,10 +188,7 @@ mod tests {
             (2, true, None, Fault),
         ];
         for (fault_reaction, at_once, brake, now) in reactions {
-            let options = Options {
-                fault_reaction,
-                ..OPTIONS
-            };
+            let options = Options { fault_reaction, ..OPTIONS };
             let found = on_fault(OperationEnabled, at_once, &options);
             assert_eq!((found.brake, found.now, found.then), (brake, now, Fault));
             for state in [SwitchOnDisabled, ReadyToSwitchOn, SwitchedOn, Fault] {

@@ -18,10 +18,7 @@ pub(super) struct Motion {
 impl Motion {
     /// Standstill at `position`.
     pub(super) const fn at(position: f64) -> Self {
-        Self {
-            position,
-            velocity: 0.0,
-        }
+        Self { position, velocity: 0.0 }
     }
 
     /// One step of `dt` towards standstill at `target`. Returns whether the target is reached.
@@ -37,8 +34,7 @@ impl Motion {
         // w²/2a + (v + w) dt/2 = s.
         let sign = way.signum();
         let rest = (way.abs() - 0.5 * sign * self.velocity * dt).max(0.0);
-        let fastest = limits.deceleration
-            * ((0.25 * dt * dt + 2.0 * rest / limits.deceleration).sqrt() - 0.5 * dt);
+        let fastest = limits.deceleration * ((0.25 * dt * dt + 2.0 * rest / limits.deceleration).sqrt() - 0.5 * dt);
         self.ramp(sign * fastest.min(limits.velocity), limits, dt);
         false
     }
@@ -46,11 +42,7 @@ impl Motion {
     /// One step of `dt` towards a velocity. Returns whether the velocity is reached.
     pub(super) fn ramp(&mut self, velocity: f64, limits: &Limits, dt: f64) -> bool {
         let slowing = self.velocity * velocity < 0.0 || velocity.abs() < self.velocity.abs();
-        let rate = if slowing {
-            limits.deceleration
-        } else {
-            limits.acceleration
-        };
+        let rate = if slowing { limits.deceleration } else { limits.acceleration };
         let change = (velocity - self.velocity).clamp(-rate * dt, rate * dt);
         self.position += (self.velocity + 0.5 * change) * dt;
         self.velocity += change;
@@ -66,11 +58,7 @@ mod tests {
 
     #[test]
     fn every_profile_reaches_its_target_within_its_limits() {
-        let limits = Limits {
-            velocity: 5_000.0,
-            acceleration: 20_000.0,
-            deceleration: 30_000.0,
-        };
+        let limits = Limits { velocity: 5_000.0, acceleration: 20_000.0, deceleration: 30_000.0 };
         let starts = [(0.0, 0.0), (0.0, 3_000.0), (0.0, -4_000.0)];
         for (position, velocity) in starts {
             for target in [0.0, 0.4, 3.0, -7.0, 250.0, 9_999.5, -40_000.0] {
@@ -95,11 +83,7 @@ mod tests {
 
     #[test]
     fn a_long_move_takes_the_time_of_its_trapezoid() {
-        let limits = Limits {
-            velocity: 5_000.0,
-            acceleration: 20_000.0,
-            deceleration: 30_000.0,
-        };
+        let limits = Limits { velocity: 5_000.0, acceleration: 20_000.0, deceleration: 30_000.0 };
         let mut motion = Motion::default();
         let mut steps = 0.0;
         while !motion.approach(20_000.0, &limits, DT) {

@@ -34,22 +34,12 @@ impl Epos4 {
     }
 
     /// Writes a whole object and applies the change.
-    pub(crate) fn write(
-        &mut self,
-        address: Address,
-        data: &[u8],
-        now: Instant,
-    ) -> Result<(), AbortCode> {
+    pub(crate) fn write(&mut self, address: Address, data: &[u8], now: Instant) -> Result<(), AbortCode> {
         self.access(address, now, |objects, object| objects.write(object, data))
     }
 
     /// Writes the low bytes of `value`. The size of the object determines their number.
-    pub(crate) fn write_value(
-        &mut self,
-        address: Address,
-        value: u32,
-        now: Instant,
-    ) -> Result<(), AbortCode> {
+    pub(crate) fn write_value(&mut self, address: Address, value: u32, now: Instant) -> Result<(), AbortCode> {
         self.access(address, now, |objects, object| {
             let size = objects.size(object).map_or(4, |size| size.min(4));
             objects.write(object, &value.to_le_bytes()[..size])
@@ -78,12 +68,7 @@ impl Epos4 {
     }
 
     /// Executes an NMT command for this node or for all nodes. Ignores other bytes.
-    pub(crate) fn command_nmt(
-        &mut self,
-        command: u16,
-        node: u16,
-        now: Instant,
-    ) -> Result<(), AbortCode> {
+    pub(crate) fn command_nmt(&mut self, command: u16, node: u16, now: Instant) -> Result<(), AbortCode> {
         let (Ok(command), Ok(node)) = (u8::try_from(command), u8::try_from(node)) else {
             return Err(AbortCode::MAXON_ILLEGAL_COMMAND);
         };

@@ -60,8 +60,7 @@ impl Epos4 {
     /// Fault reset: ends every error except the loss of a node that still sends no heartbeat.
     pub(super) fn reset_fault(&mut self) {
         let consumers = self.consumers;
-        let silent =
-            |error, number| consumers.lost(number) && error == errors::HEARTBEAT.of(number);
+        let silent = |error, number| consumers.lost(number) && error == errors::HEARTBEAT.of(number);
         self.clear(|error| !(0..heartbeats::ENTRIES).any(|number| silent(error, number)));
     }
 

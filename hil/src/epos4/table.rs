@@ -5,8 +5,8 @@
 
 use canopen::Object;
 use canopen::eds::DataType::{
-    self, Domain, Integer8 as I8, Integer16 as I16, Integer32 as I32, Unsigned8 as U8,
-    Unsigned16 as U16, Unsigned32 as U32, VisibleString,
+    self, Domain, Integer8 as I8, Integer16 as I16, Integer32 as I32, Unsigned8 as U8, Unsigned16 as U16,
+    Unsigned32 as U32, VisibleString,
 };
 
 /// Mapping entries per PDO, as in an EPOS4.
@@ -46,20 +46,12 @@ impl Entry {
     pub(super) fn decode(&self, bytes: [u8; 4]) -> u32 {
         let unused = 32 - 8 * self.data_type.size().unwrap_or(4);
         let value = u32::from_le_bytes(bytes) << unused;
-        if self.is_signed() {
-            (value as i32 >> unused) as u32
-        } else {
-            value >> unused
-        }
+        if self.is_signed() { (value as i32 >> unused) as u32 } else { value >> unused }
     }
 
     /// The number that a stored value represents.
     pub(super) fn number(&self, stored: u32) -> i64 {
-        if self.is_signed() {
-            i64::from(stored as i32)
-        } else {
-            i64::from(stored)
-        }
+        if self.is_signed() { i64::from(stored as i32) } else { i64::from(stored) }
     }
 
     pub(super) fn allows(&self, stored: u32) -> bool {
@@ -110,17 +102,11 @@ const fn ro(index: u16, subindex: u8, data_type: DataType, default: i64) -> Entr
 }
 
 const fn text(index: u16, subindex: u8, text: &'static str) -> Entry {
-    Entry {
-        text,
-        ..ro(index, subindex, VisibleString, 0)
-    }
+    Entry { text, ..ro(index, subindex, VisibleString, 0) }
 }
 
 const fn rw(index: u16, subindex: u8, data_type: DataType, default: i64) -> Entry {
-    Entry {
-        writable: true,
-        ..ro(index, subindex, data_type, default)
-    }
+    Entry { writable: true, ..ro(index, subindex, data_type, default) }
 }
 
 /// Communication objects below the PDO parameters.
@@ -162,11 +148,7 @@ const APPLICATION: &[Entry] = &[
     ro(0x2200, 1, U16, 480).tx(),
     // Not an object of EPOS4: a long object for tests of transfers.
     ro(0x2FF0, 0, U8, 2),
-    text(
-        0x2FF0,
-        1,
-        "a record of the emulator, which no EPOS4 has: sub-index 2 takes any bytes",
-    ),
+    text(0x2FF0, 1, "a record of the emulator, which no EPOS4 has: sub-index 2 takes any bytes"),
     rw(0x2FF0, 2, Domain, 0),
     ro(0x3000, 0, U8, 5),
     ro(0x3000, 5, U32, 0),
@@ -245,18 +227,10 @@ const APPLICATION: &[Entry] = &[
 ];
 
 /// Default mappings, as index << 16 | sub-index << 8 | bits, by PDO.
-const RECEIVED: [&[u32]; 4] = [
-    &[0x6040_0010],
-    &[0x6040_0010, 0x6060_0008],
-    &[0x6040_0010, 0x607A_0020],
-    &[0x6040_0010, 0x60FF_0020],
-];
-const TRANSMITTED: [&[u32]; 4] = [
-    &[0x6041_0010],
-    &[0x6041_0010, 0x6061_0008],
-    &[0x6041_0010, 0x6064_0020],
-    &[0x6041_0010, 0x606C_0020],
-];
+const RECEIVED: [&[u32]; 4] =
+    [&[0x6040_0010], &[0x6040_0010, 0x6060_0008], &[0x6040_0010, 0x607A_0020], &[0x6040_0010, 0x60FF_0020]];
+const TRANSMITTED: [&[u32]; 4] =
+    [&[0x6041_0010], &[0x6041_0010, 0x6061_0008], &[0x6041_0010, 0x6064_0020], &[0x6041_0010, 0x606C_0020]];
 /// COB-IDs before the node-ID is added: only the first of each kind exists (bit 31 clear).
 const RECEIVED_COB: [u32; 4] = [0x0000_0200, 0x8000_0300, 0x8000_0400, 0x8000_0500];
 const TRANSMITTED_COB: [u32; 4] = [0x4000_0180, 0xC000_0280, 0xC000_0380, 0xC000_0480];
@@ -315,11 +289,7 @@ const fn with_pdos(
         at += 1;
         let mut sub = 0;
         while sub < MAPPED as usize {
-            let default = if sub < mapping[n].len() {
-                mapping[n][sub]
-            } else {
-                0
-            };
+            let default = if sub < mapping[n].len() { mapping[n][sub] } else { 0 };
             table[at] = rw(index, sub as u8 + 1, U32, default as i64);
             at += 1;
             sub += 1;
@@ -349,9 +319,7 @@ impl Slot {
 
     /// The slot of an object received in a frame.
     pub(super) fn find(object: Object) -> Option<Self> {
-        let at = TABLE
-            .binary_search_by_key(&object, |entry| entry.object)
-            .ok()?;
+        let at = TABLE.binary_search_by_key(&object, |entry| entry.object).ok()?;
         Some(Self(at as u16))
     }
 

@@ -25,14 +25,9 @@ struct Bench {
 
 fn parse(text: &str) -> Frame {
     let (id, data) = text.split_once('#').unwrap();
-    let bytes: Vec<u8> = (0..data.len() / 2)
-        .map(|at| u8::from_str_radix(&data[2 * at..2 * at + 2], 16).unwrap())
-        .collect();
-    Frame::new(
-        StandardId::new(u16::from_str_radix(id, 16).unwrap()).unwrap(),
-        &bytes,
-    )
-    .unwrap()
+    let bytes: Vec<u8> =
+        (0..data.len() / 2).map(|at| u8::from_str_radix(&data[2 * at..2 * at + 2], 16).unwrap()).collect();
+    Frame::new(StandardId::new(u16::from_str_radix(id, 16).unwrap()).unwrap(), &bytes).unwrap()
 }
 
 fn config() -> Epos4Config {
@@ -47,12 +42,7 @@ impl Bench {
         let bus = world.add_bus(Bitrate::KBPS_1000);
         let port = world.host_port(bus, 256);
         let device = world.add_device(bus, Box::new(Epos4::new(config)));
-        Self {
-            world,
-            port,
-            device,
-            now: Instant::ZERO,
-        }
+        Self { world, port, device, now: Instant::ZERO }
     }
 
     /// A booted device, with its boot-up frame already read.
@@ -64,19 +54,13 @@ impl Bench {
 
     /// Advances time and returns the frames of the device.
     fn run(&mut self, millis: u64) -> Vec<String> {
-        self.run_micros(millis * 1000)
-            .into_iter()
-            .map(|received| received.frame.to_string())
-            .collect()
+        self.run_micros(millis * 1000).into_iter().map(|received| received.frame.to_string()).collect()
     }
 
     fn run_micros(&mut self, micros: u64) -> Vec<Received> {
         self.now += Duration::from_micros(micros);
         self.world.advance(self.now);
-        let mut into = [Received {
-            frame: parse("000#"),
-            at: Instant::ZERO,
-        }; 256];
+        let mut into = [Received { frame: parse("000#"), at: Instant::ZERO }; 256];
         let count = self.port.receive(self.now, &mut into).unwrap();
         into[..count].to_vec()
     }
@@ -90,9 +74,7 @@ impl Bench {
     /// Sends an SDO request and returns its answer, payloads only.
     fn ask(&mut self, request: &str) -> String {
         let answers = self.say(&format!("602#{request}"));
-        let answer = answers
-            .iter()
-            .find_map(|answer| answer.strip_prefix("582#"));
+        let answer = answers.iter().find_map(|answer| answer.strip_prefix("582#"));
         answer.unwrap_or("nothing").to_owned()
     }
 
@@ -128,10 +110,7 @@ impl Bench {
     /// The abort code of a refused write, or zero for an accepted write.
     fn refusal(&mut self, object: &str, value: u32, bytes: usize) -> u32 {
         let specifier = 0x23 | (4 - bytes as u8) << 2;
-        let data: String = value
-            .to_le_bytes()
-            .map(|byte| format!("{byte:02X}"))
-            .concat();
+        let data: String = value.to_le_bytes().map(|byte| format!("{byte:02X}")).concat();
         let answer = self.ask(&format!("{specifier:02X}{object}{data}"));
         if answer == format!("60{object}00000000") {
             return 0;
@@ -157,11 +136,7 @@ impl Bench {
     fn follow(&mut self, cycles: u32, mut target: impl FnMut(u32) -> i32) -> Vec<String> {
         let mut heard = Vec::new();
         for cycle in 0..cycles {
-            let bytes: String = target(cycle)
-                .to_le_bytes()
-                .iter()
-                .map(|byte| format!("{byte:02X}"))
-                .collect();
+            let bytes: String = target(cycle).to_le_bytes().iter().map(|byte| format!("{byte:02X}")).collect();
             let batch = [parse("080#"), parse(&format!("402#0F00{bytes}"))];
             self.port.send(self.now, &batch).unwrap();
             heard.extend(self.run(2));

@@ -2,9 +2,7 @@
 
 use can::Instant;
 use canopen::sdo::AbortCode;
-use serial::epos2::{
-    ANSWER, Acknowledge, Answer, MAX_WORDS, Malformed, Request, Telegram, body_length,
-};
+use serial::epos2::{ANSWER, Acknowledge, Answer, MAX_WORDS, Malformed, Request, Telegram, body_length};
 
 use super::{Protocol, Service};
 
@@ -48,20 +46,14 @@ impl Protocol for Exchange {
 
 impl Exchange {
     pub(super) fn new() -> Self {
-        Self {
-            state: TelegramState::Idle,
-            body: [0; body_length(MAX_WORDS)],
-        }
+        Self { state: TelegramState::Idle, body: [0; body_length(MAX_WORDS)] }
     }
 
     fn take(&mut self, byte: u8, service: &mut Service, now: Instant) -> TelegramState {
         match self.state {
             TelegramState::Idle => {
                 service.send(&[Acknowledge::Okay.byte()], now);
-                TelegramState::Body {
-                    opcode: byte,
-                    count: 0,
-                }
+                TelegramState::Body { opcode: byte, count: 0 }
             }
             TelegramState::Body { opcode, count } => {
                 self.body[count] = byte;
@@ -84,13 +76,7 @@ impl Exchange {
         }
     }
 
-    fn finish(
-        &self,
-        opcode: u8,
-        count: usize,
-        service: &mut Service,
-        now: Instant,
-    ) -> TelegramState {
+    fn finish(&self, opcode: u8, count: usize, service: &mut Service, now: Instant) -> TelegramState {
         let request = Request::decode(opcode, &self.body[..count]);
         if request == Err(Malformed::Damaged) {
             service.send(&[Acknowledge::Failed.byte()], now);
@@ -103,10 +89,7 @@ impl Exchange {
                 request.is_answered().then(|| answer.encode(&request))
             }
             Err(_) => {
-                let shape = Request::Nmt {
-                    node: 0,
-                    command: 0,
-                };
+                let shape = Request::Nmt { node: 0, command: 0 };
                 Some(Answer::Refused(AbortCode::MAXON_ILLEGAL_COMMAND.0).encode(&shape))
             }
         };

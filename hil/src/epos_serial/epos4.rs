@@ -31,9 +31,7 @@ impl Protocol for Frames {
     fn receive(&mut self, byte: u8, service: &mut Service, now: Instant) {
         let answer = match self.deframer.take(byte) {
             Some(Ok(frame)) => self.serve(&frame, service, now),
-            Some(Err(FrameError::Crc | FrameError::TooLong(_))) => {
-                Answer::Refused(AbortCode::CRC.0).encode()
-            }
+            Some(Err(FrameError::Crc | FrameError::TooLong(_))) => Answer::Refused(AbortCode::CRC.0).encode(),
             Some(Err(FrameError::Torn)) | None => return,
         };
         let mut bytes = [0; LONGEST];
@@ -44,11 +42,7 @@ impl Protocol for Frames {
 
 impl Frames {
     pub(super) fn new(segment: u8) -> Self {
-        Self {
-            deframer: Deframer::new(),
-            transfer: None,
-            segment,
-        }
+        Self { deframer: Deframer::new(), transfer: None, segment }
     }
 
     fn serve(&mut self, frame: &Frame, service: &mut Service, now: Instant) -> Frame {
@@ -119,10 +113,7 @@ impl Frames {
                     let data = &transfer.object[..transfer.size];
                     service.epos.write(transfer.address, data, now)?;
                 }
-                Ok(Answer::Taken {
-                    toggle,
-                    length: data.len() as u8,
-                })
+                Ok(Answer::Taken { toggle, length: data.len() as u8 })
             }
         }
     }
@@ -144,14 +135,7 @@ impl Frames {
 
 impl Transfer {
     fn new(address: Address, writing: bool) -> Self {
-        Self {
-            address,
-            writing,
-            object: [0; MAX_SIZE],
-            size: 0,
-            done: 0,
-            toggle: false,
-        }
+        Self { address, writing, object: [0; MAX_SIZE], size: 0, done: 0, toggle: false }
     }
 
     fn is_complete(&self) -> bool {

@@ -89,11 +89,7 @@ impl Rig {
 }
 
 const fn object(index: u16, subindex: u8) -> Address {
-    Address {
-        node: 0,
-        index,
-        subindex,
-    }
+    Address { node: 0, index, subindex }
 }
 
 #[test]
@@ -104,21 +100,15 @@ fn epos4_exchanges_are_the_bytes_of_the_line() {
         // reached.
         (
             &[0x90, 0x02, 0x60, 0x02, 0x01, 0x41, 0x60, 0x00, 0x22, 0xD1],
-            &[
-                0x90, 0x02, 0x00, 0x04, 0x00, 0x00, 0x00, 0x00, 0x40, 0x04, 0x00, 0x00,
-            ],
+            &[0x90, 0x02, 0x00, 0x04, 0x00, 0x00, 0x00, 0x00, 0x40, 0x04, 0x00, 0x00],
         ),
         (
-            &[
-                0x90, 0x02, 0x68, 0x04, 0x01, 0x40, 0x60, 0x00, 0x0F, 0x00, 0x00, 0x00, 0xB3, 0x07,
-            ],
+            &[0x90, 0x02, 0x68, 0x04, 0x01, 0x40, 0x60, 0x00, 0x0F, 0x00, 0x00, 0x00, 0xB3, 0x07],
             &[0x90, 0x02, 0x00, 0x02, 0x00, 0x00, 0x00, 0x00, 0x40, 0x8B],
         ),
         // The same with a wrong CRC.
         (
-            &[
-                0x90, 0x02, 0x68, 0x04, 0x01, 0x40, 0x60, 0x00, 0x0F, 0x00, 0x00, 0x00, 0xB3, 0x08,
-            ],
+            &[0x90, 0x02, 0x68, 0x04, 0x01, 0x40, 0x60, 0x00, 0x0F, 0x00, 0x00, 0x00, 0xB3, 0x08],
             &[0x90, 0x02, 0x00, 0x02, 0x04, 0x00, 0x04, 0x05],
         ),
     ];
@@ -143,19 +133,13 @@ fn epos2_exchanges_are_the_bytes_of_the_line() {
     assert_eq!(rig.send(b"O"), [0_u8; 0]);
     // Controlword.
     assert_eq!(rig.send(&[0x11]), b"O");
-    let write = [
-        0x03, 0x40, 0x60, 0x00, 0x01, 0x0F, 0x00, 0x00, 0x00, 0x52, 0xEF,
-    ];
+    let write = [0x03, 0x40, 0x60, 0x00, 0x01, 0x0F, 0x00, 0x00, 0x00, 0x52, 0xEF];
     assert_eq!(rig.send(&write), b"O\x00");
     assert_eq!(rig.send(b"O"), [0x01, 0, 0, 0, 0, 0x51, 0xAA]);
     assert_eq!(rig.send(b"O"), [0_u8; 0]);
     // An object that does not exist.
     assert_eq!(rig.send(&[0x10]), b"O");
-    let missing = epos2::Request::Read(Address {
-        node: 1,
-        index: 0x5FFF,
-        subindex: 0,
-    });
+    let missing = epos2::Request::Read(Address { node: 1, index: 0x5FFF, subindex: 0 });
     assert_eq!(rig.send(missing.encode().body()), b"O\x00");
     let refused = [0x03, 0, 0, 0x02, 0x06, 0, 0, 0, 0, 0x26, 0xE4];
     assert_eq!(rig.send(b"O"), refused);
@@ -180,12 +164,7 @@ fn an_answer_takes_its_turn_around_and_its_line_time() {
 fn an_object_over_rs232_costs_an_epos2_more_than_two_milliseconds() {
     let mut rig = Rig::epos2(config());
     let begin = rig.now;
-    let telegram = epos2::Request::Read(Address {
-        node: 0,
-        index: 0x6041,
-        subindex: 0,
-    })
-    .encode();
+    let telegram = epos2::Request::Read(Address { node: 0, index: 0x6041, subindex: 0 }).encode();
     let steps: [(&[u8], usize); 3] = [(&[telegram.opcode()], 1), (telegram.body(), 2), (b"O", 11)];
     for (bytes, answer) in steps {
         rig.host.write(rig.now, bytes).unwrap();
@@ -200,22 +179,13 @@ fn an_object_over_rs232_costs_an_epos2_more_than_two_milliseconds() {
     let took = rig.now.since(begin);
     // 23 bytes and three turn-arounds of 100 µs.
     let expected = Settings::EPOS.line_time(23) + Duration::from_micros(300);
-    assert!(
-        took.abs_diff(expected) < Duration::from_micros(1),
-        "{took:?}"
-    );
+    assert!(took.abs_diff(expected) < Duration::from_micros(1), "{took:?}");
 }
 
 #[test]
 fn both_ports_enable_and_move_the_axis() {
     // Profile velocity of 60 revolutions per minute: the value written, and the value read back 2 s later.
-    let writes = [
-        (0x6060, 3),
-        (0x6040, 0x06),
-        (0x6040, 0x0F),
-        (0x60FF, 60),
-        (0x6040, 0x0F),
-    ];
+    let writes = [(0x6060, 3), (0x6040, 0x06), (0x6040, 0x0F), (0x60FF, 60), (0x6040, 0x0F)];
     let moved = |from: i32, to: i32| (to - from) as f64 / 4000.0;
     let mut rig = Rig::epos4(config());
     for (index, value) in writes {
@@ -237,22 +207,11 @@ fn both_ports_enable_and_move_the_axis() {
 
     let mut rig = Rig::epos2(config());
     for (index, value) in writes {
-        let written = rig.epos2_exchange(epos2::Request::Write(
-            Address {
-                node: 0,
-                index,
-                subindex: 0,
-            },
-            value,
-        ));
+        let written = rig.epos2_exchange(epos2::Request::Write(Address { node: 0, index, subindex: 0 }, value));
         assert_eq!(written, Some(epos2::Answer::Done));
     }
     let position = |rig: &mut Rig| {
-        let read = rig.epos2_exchange(epos2::Request::Read(Address {
-            node: 0,
-            index: 0x6064,
-            subindex: 0,
-        }));
+        let read = rig.epos2_exchange(epos2::Request::Read(Address { node: 0, index: 0x6064, subindex: 0 }));
         match read {
             Some(epos2::Answer::Value(value)) => value as i32,
             other => panic!("{other:?}"),
@@ -267,10 +226,7 @@ fn both_ports_enable_and_move_the_axis() {
 
 #[test]
 fn refusals_carry_the_code_of_an_abort() {
-    let other_node = |index| Address {
-        node: 2,
-        ..object(index, 0)
-    };
+    let other_node = |index| Address { node: 2, ..object(index, 0) };
     let cases = [
         (Request::Read(object(0x5FFF, 0)), 0x0602_0000),
         (Request::Read(object(0x607D, 9)), 0x0609_0011),
@@ -279,24 +235,9 @@ fn refusals_carry_the_code_of_an_abort() {
         (Request::Write(object(0x6041, 0), 1), 0x0601_0002),
         (Request::Write(object(0x6060, 0), 99), 0x0609_0030),
         (Request::SegmentRead { toggle: false }, 0x0F00_FFBF),
-        (
-            Request::InitiateSegmentedWrite(object(0x6040, 0), 10_000),
-            0x0504_0005,
-        ),
-        (
-            Request::Nmt {
-                node: 0,
-                command: 77,
-            },
-            0x0F00_FFBF,
-        ),
-        (
-            Request::Nmt {
-                node: 5,
-                command: 1,
-            },
-            0x0F00_FFB9,
-        ),
+        (Request::InitiateSegmentedWrite(object(0x6040, 0), 10_000), 0x0504_0005),
+        (Request::Nmt { node: 0, command: 77 }, 0x0F00_FFBF),
+        (Request::Nmt { node: 5, command: 1 }, 0x0F00_FFB9),
     ];
     let mut rig = Rig::epos4(config());
     for (request, code) in cases {
@@ -326,16 +267,9 @@ fn nmt_commands_are_obeyed_and_a_stopped_node_refuses_its_objects() {
     rig.epos4_exchange(nmt(0x80), Answer::Done);
     rig.epos4_exchange(read, Answer::Value(0x0440));
     let mut rig = Rig::epos2(config());
-    let stop = epos2::Request::Nmt {
-        node: 0,
-        command: 2,
-    };
+    let stop = epos2::Request::Nmt { node: 0, command: 2 };
     assert_eq!(rig.epos2_exchange(stop), None);
-    let read = epos2::Request::Read(Address {
-        node: 0,
-        index: 0x6041,
-        subindex: 0,
-    });
+    let read = epos2::Request::Read(Address { node: 0, index: 0x6041, subindex: 0 });
     let refused = epos2::Answer::Refused(0x0F00_FFC0);
     assert_eq!(rig.epos2_exchange(read), Some(refused));
 }
@@ -344,18 +278,12 @@ fn nmt_commands_are_obeyed_and_a_stopped_node_refuses_its_objects() {
 fn a_restarting_device_is_silent_until_it_has_booted() {
     let mut rig = Rig::epos4(config());
     let read = [0x90, 0x02, 0x60, 0x02, 0x01, 0x41, 0x60, 0x00, 0x22, 0xD1];
-    let reset = Request::Nmt {
-        node: 0,
-        command: 0x81,
-    };
+    let reset = Request::Nmt { node: 0, command: 0x81 };
     rig.epos4_exchange(reset, Answer::Done);
     assert_eq!(rig.send(&read), [0_u8; 0], "40 ms of 50 have gone by");
     assert_eq!(rig.send(&read).len(), 14);
     let mut rig = Rig::epos4(EposSerialConfig {
-        epos: Epos4Config {
-            boot_delay: Duration::from_millis(300),
-            ..config().epos
-        },
+        epos: Epos4Config { boot_delay: Duration::from_millis(300), ..config().epos },
         ..config()
     });
     assert_eq!(rig.send(&read), [0_u8; 0]);
@@ -369,20 +297,14 @@ fn objects_are_read_and_written_in_segments() {
     config.segment = 2;
     let mut rig = Rig::epos4(config);
     let name = object(0x1008, 0);
-    rig.epos4_exchange(
-        Request::InitiateSegmentedRead(name),
-        Answer::Started(5, b"EP"),
-    );
+    rig.epos4_exchange(Request::InitiateSegmentedRead(name), Answer::Started(5, b"EP"));
     let segment = |toggle, last, data| Answer::Segment { toggle, last, data };
     let next = |toggle| Request::SegmentRead { toggle };
     rig.epos4_exchange(next(false), segment(false, false, b"OS"));
     rig.epos4_exchange(next(true), segment(true, true, b"4"));
     rig.epos4_exchange(next(false), Answer::Refused(0x0F00_FFBF));
     // A toggle bit that does not alternate ends the transfer.
-    rig.epos4_exchange(
-        Request::InitiateSegmentedRead(name),
-        Answer::Started(5, b"EP"),
-    );
+    rig.epos4_exchange(Request::InitiateSegmentedRead(name), Answer::Started(5, b"EP"));
     rig.epos4_exchange(next(true), Answer::Refused(0x0503_0000));
     rig.epos4_exchange(next(false), Answer::Refused(0x0F00_FFBF));
 
@@ -403,21 +325,12 @@ fn objects_are_read_and_written_in_segments() {
 
 #[test]
 fn after_the_frame_time_out_a_torn_exchange_is_over() {
-    let read = epos2::Request::Read(Address {
-        node: 0,
-        index: 0x6041,
-        subindex: 0,
-    });
+    let read = epos2::Request::Read(Address { node: 0, index: 0x6041, subindex: 0 });
     let telegram = read.encode();
     // Points at which the host stops sending: after the opcode, within the telegram, before its acknowledgements.
     let body = telegram.body();
-    let scripts: [&[&[u8]]; 5] = [
-        &[&[0x10]],
-        &[&[0x10], &body[..3]],
-        &[&[0x10], body],
-        &[&[0x10], body, b"O"],
-        &[&[0x11], body],
-    ];
+    let scripts: [&[&[u8]]; 5] =
+        [&[&[0x10]], &[&[0x10], &body[..3]], &[&[0x10], body], &[&[0x10], body, b"O"], &[&[0x11], body]];
     for script in scripts {
         let mut rig = Rig::epos2(config());
         for bytes in script {
@@ -426,11 +339,7 @@ fn after_the_frame_time_out_a_torn_exchange_is_over() {
         // Before the time-out the next opcode is taken for the rest of the telegram. After the time-out it begins a
         // new telegram.
         rig.wait(Duration::from_millis(501));
-        assert_eq!(
-            rig.epos2_exchange(read),
-            Some(epos2::Answer::Value(0x0440)),
-            "{script:02x?}"
-        );
+        assert_eq!(rig.epos2_exchange(read), Some(epos2::Answer::Value(0x0440)), "{script:02x?}");
     }
     let mut rig = Rig::epos2(config());
     rig.send(&[0x10]);
@@ -450,15 +359,9 @@ fn after_the_frame_time_out_a_torn_exchange_is_over() {
 fn a_damaged_telegram_is_acknowledged_as_failed_and_not_obeyed() {
     let mut rig = Rig::epos2(config());
     assert_eq!(rig.send(&[0x11]), b"O");
-    let damaged = [
-        0x03, 0x40, 0x60, 0x00, 0x01, 0x0F, 0x00, 0x00, 0x00, 0x52, 0xEE,
-    ];
+    let damaged = [0x03, 0x40, 0x60, 0x00, 0x01, 0x0F, 0x00, 0x00, 0x00, 0x52, 0xEE];
     assert_eq!(rig.send(&damaged), b"F");
-    let read = epos2::Request::Read(Address {
-        node: 0,
-        index: 0x6040,
-        subindex: 0,
-    });
+    let read = epos2::Request::Read(Address { node: 0, index: 0x6040, subindex: 0 });
     assert_eq!(rig.epos2_exchange(read), Some(epos2::Answer::Value(0)));
     // A host that does not acknowledge the answer also ends the exchange.
     assert_eq!(rig.send(&[0x10]), b"O");
@@ -479,11 +382,7 @@ fn what_comes_before_the_answer_is_not_heard() {
 #[test]
 fn after_any_noise_and_the_time_out_a_port_works() {
     let read = [0x90, 0x02, 0x60, 0x02, 0x01, 0x41, 0x60, 0x00, 0x22, 0xD1];
-    let statusword = epos2::Request::Read(Address {
-        node: 0,
-        index: 0x6041,
-        subindex: 0,
-    });
+    let statusword = epos2::Request::Read(Address { node: 0, index: 0x6041, subindex: 0 });
     for seed in 0..50 {
         let mut noise = crate::plant::Noise::new(seed);
         // Random bytes with many opcodes, stuffing bytes and acknowledgements.

@@ -69,9 +69,8 @@ impl Wire {
             _ if self.torn => None,
             Some(Stuck::At(level)) => Some(level),
             None => {
-                let flipped = (0..8).fold(0, |flipped, bit| {
-                    flipped | u8::from(self.happens(self.faults.bit_error_rate)) << bit
-                });
+                let flipped =
+                    (0..8).fold(0, |flipped, bit| flipped | u8::from(self.happens(self.faults.bit_error_rate)) << bit);
                 Some(byte ^ flipped)
             }
         };

@@ -39,11 +39,7 @@ struct Rig {
 }
 
 fn rig(latency: Option<Duration>, delay: Duration) -> Rig {
-    let echo = Echo {
-        delay,
-        heard: Vec::new(),
-        pending: VecDeque::new(),
-    };
+    let echo = Echo { delay, heard: Vec::new(), pending: VecDeque::new() };
     let mut line = SerialLine::new(SETTINGS, latency, Box::new(echo));
     let (host, peer) = virtual_line(1024);
     line.attach_host(peer);
@@ -83,13 +79,7 @@ fn bytes_take_their_line_times_both_ways() {
     rig.host.write(at(1000), b"abc").unwrap();
     let reads = rig.reads(at(5000));
     let expected = [1, 2, 3].map(|count| 1_000_000 + nanos(count));
-    assert_eq!(
-        rig.heard()
-            .iter()
-            .map(|&(_, at)| at.as_nanos())
-            .collect::<Vec<_>>(),
-        expected
-    );
+    assert_eq!(rig.heard().iter().map(|&(_, at)| at.as_nanos()).collect::<Vec<_>>(), expected);
     // Each byte returns one delay after its arrival. The returned bytes follow each other without a gap, apart from
     // rounding.
     let first = 1_000_000 + nanos(1) + 300_000;
@@ -112,10 +102,7 @@ fn both_directions_carry_at_once() {
     rig.host.write(at(0), &[7; 100]).unwrap();
     let reads = rig.reads(at(5000));
     let (last, _) = *reads.last().unwrap();
-    assert!(
-        last <= nanos(101) + 100,
-        "one byte behind the request, not after all of it: {last}"
-    );
+    assert!(last <= nanos(101) + 100, "one byte behind the request, not after all of it: {last}");
 }
 
 #[test]
@@ -186,52 +173,17 @@ fn faults_damage_their_direction_at_their_rate_and_are_counted() {
     type Check = fn(&LineStatistics) -> u64;
     let cases: [(WireFaults, Check, std::ops::Range<f64>); 6] = [
         (wire, |s| s.corrupted + s.lost + s.duplicated, 0.0..0.5),
-        (
-            WireFaults {
-                bit_error_rate: 0.05,
-                ..wire
-            },
-            |s| s.corrupted,
-            some(1.0 - 0.95_f64.powi(8)),
-        ),
-        (
-            WireFaults {
-                duplicate: 0.2,
-                ..wire
-            },
-            |s| s.duplicated,
-            some(0.2),
-        ),
+        (WireFaults { bit_error_rate: 0.05, ..wire }, |s| s.corrupted, some(1.0 - 0.95_f64.powi(8))),
+        (WireFaults { duplicate: 0.2, ..wire }, |s| s.duplicated, some(0.2)),
         // Bursts of ten bytes: the bytes that follow the lost byte are lost as well.
-        (
-            WireFaults { tear: 0.1, ..wire },
-            |s| s.lost,
-            some(1.0 - (0.9 - 0.9_f64.powi(11)) / 0.1 / 10.0),
-        ),
-        (
-            WireFaults {
-                stuck: Some(Stuck::Silent),
-                ..wire
-            },
-            |s| s.lost,
-            some(1.0),
-        ),
-        (
-            WireFaults {
-                stuck: Some(Stuck::At(0xFF)),
-                ..wire
-            },
-            |s| s.corrupted,
-            some(1.0),
-        ),
+        (WireFaults { tear: 0.1, ..wire }, |s| s.lost, some(1.0 - (0.9 - 0.9_f64.powi(11)) / 0.1 / 10.0)),
+        (WireFaults { stuck: Some(Stuck::Silent), ..wire }, |s| s.lost, some(1.0)),
+        (WireFaults { stuck: Some(Stuck::At(0xFF)), ..wire }, |s| s.corrupted, some(1.0)),
     ];
     for (faults, count, expected) in cases {
         for towards_device in [true, false] {
             let mut rig = rig(None, Duration::ZERO);
-            let mut both = LineFaults {
-                seed: 5,
-                ..LineFaults::default()
-            };
+            let mut both = LineFaults { seed: 5, ..LineFaults::default() };
             if towards_device {
                 both.to_device = faults;
             } else {
@@ -246,17 +198,11 @@ fn faults_damage_their_direction_at_their_rate_and_are_counted() {
             }
             let statistics = rig.line.statistics();
             let counted = count(&statistics);
-            assert!(
-                expected.contains(&(counted as f64)),
-                "{faults:?}: {counted}"
-            );
+            assert!(expected.contains(&(counted as f64)), "{faults:?}: {counted}");
             assert_eq!(statistics.to_device, COUNT as u64);
             let arrived = COUNT as u64 + statistics.duplicated - statistics.lost;
             assert_eq!(read as u64, arrived);
-            assert_eq!(
-                rig.heard().len() as u64 == arrived,
-                towards_device || arrived == 1000
-            );
+            assert_eq!(rig.heard().len() as u64 == arrived, towards_device || arrived == 1000);
         }
     }
 }

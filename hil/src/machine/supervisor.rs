@@ -64,10 +64,7 @@ impl Supervisor {
             .stdout(stdout.into())
             .stderr(stderr.into())
             .spawn()?;
-        let supervisor = Self {
-            shell,
-            cancellation: cancellation.clone(),
-        };
+        let supervisor = Self { shell, cancellation: cancellation.clone() };
         let mut state = cancellation.state();
         state.pipe = Some(pipe).filter(|_| !state.requested);
         drop(state);
@@ -77,10 +74,7 @@ impl Supervisor {
     /// Starts the machine, unless the machine was cancelled.
     pub(super) fn start(&self) -> io::Result<()> {
         let mut state = self.cancellation.state();
-        state
-            .pipe
-            .as_mut()
-            .map_or(Ok(()), |pipe| pipe.write_all(b"start\n"))
+        state.pipe.as_mut().map_or(Ok(()), |pipe| pipe.write_all(b"start\n"))
     }
 
     pub(super) fn kill(&self) {
@@ -118,8 +112,7 @@ mod tests {
 
     #[test]
     fn the_end_of_the_program_kills_every_process_and_removes_the_directory() {
-        let (supervisor, mut output, directory) =
-            supervised("sleep 1000 & trap '' HUP INT TERM; echo up; sleep 1000");
+        let (supervisor, mut output, directory) = supervised("sleep 1000 & trap '' HUP INT TERM; echo up; sleep 1000");
         supervisor.start().unwrap();
         let mut said = String::new();
         output.read_line(&mut said).unwrap();

@@ -47,9 +47,7 @@ fn resolve_within(path: &Path, user: u32, links: &mut u32) -> Result<PathBuf, Di
                 let found = fs::symlink_metadata(&next)?;
                 let_pass(&found, user)?;
                 if found.is_symlink() {
-                    *links = links
-                        .checked_sub(1)
-                        .ok_or_else(|| io::Error::from_raw_os_error(libc::ELOOP))?;
+                    *links = links.checked_sub(1).ok_or_else(|| io::Error::from_raw_os_error(libc::ELOOP))?;
                     let target = reached.join(fs::read_link(&next)?);
                     reached = resolve_within(&target, user, links)?;
                 } else {
@@ -65,12 +63,7 @@ fn resolve_within(path: &Path, user: u32, links: &mut u32) -> Result<PathBuf, Di
 
 /// Checks that only `user` and the superuser can replace a directory or link of a path.
 fn let_pass(found: &Metadata, user: u32) -> Result<(), Distrust> {
-    passes(
-        found.uid(),
-        mode_of_others(found, user),
-        found.is_dir(),
-        user,
-    )
+    passes(found.uid(), mode_of_others(found, user), found.is_dir(), user)
 }
 
 /// The mode, without the write permission of a group that has no other user.
@@ -99,8 +92,7 @@ fn is_private(gid: u32, user: u32, passwd: &str, group: &str) -> bool {
     let name = &of_user[0];
     let mut members = of_group.iter().skip(3).flat_map(|list| list.split(','));
     let mut primary = users.iter().filter(|fields| number(fields, 3) == Some(gid));
-    members.all(|member| member.is_empty() || member == name)
-        && primary.all(|fields| number(fields, 2) == Some(user))
+    members.all(|member| member.is_empty() || member == name) && primary.all(|fields| number(fields, 2) == Some(user))
 }
 
 fn passes(owner: u32, mode: u32, is_directory: bool, user: u32) -> Result<(), Distrust> {
@@ -108,11 +100,7 @@ fn passes(owner: u32, mode: u32, is_directory: bool, user: u32) -> Result<(), Di
         return Err(Distrust::Foreign(owner));
     }
     let writable = mode & (GROUP_WRITES | OTHERS_WRITE) != 0;
-    if is_directory && writable && mode & STICKY == 0 {
-        Err(Distrust::Shared)
-    } else {
-        Ok(())
-    }
+    if is_directory && writable && mode & STICKY == 0 { Err(Distrust::Shared) } else { Ok(()) }
 }
 
 /// Resolves `directory`, made first if missing. Fails if anybody but `user` can write to the directory.
@@ -181,11 +169,7 @@ mod tests {
             (77, 1000, false),
             (1000, 77, false),
         ] {
-            assert_eq!(
-                is_private(gid, user, passwd, group),
-                expected,
-                "{gid} {user}"
-            );
+            assert_eq!(is_private(gid, user, passwd, group), expected, "{gid} {user}");
         }
         assert!(!is_private(1000, 1000, "", ""));
     }
@@ -200,11 +184,7 @@ mod tests {
         let private = is_private(found.gid(), found.uid(), &passwd, &group);
         fs::create_dir(top.join("there")).unwrap();
         fs::set_permissions(top.join("there"), Permissions::from_mode(0o775)).unwrap();
-        let expected = if private {
-            Ok(top.join("there"))
-        } else {
-            Err(Distrust::Shared)
-        };
+        let expected = if private { Ok(top.join("there")) } else { Err(Distrust::Shared) };
         assert_eq!(own(&top.join("there"), found.uid()), expected);
         assert_eq!(resolve(&top.join("there"), found.uid()), expected);
     }
@@ -220,17 +200,11 @@ mod tests {
         assert_eq!(resolve(&top.join("link"), user), Ok(top.join("there")));
         let made = own(&top.join("link/a/b"), user);
         assert_eq!(made, Ok(top.join("there/a/b")));
-        assert_eq!(
-            resolve(&top.join("loop"), user),
-            Err(io::Error::from_raw_os_error(libc::ELOOP).into())
-        );
+        assert_eq!(resolve(&top.join("loop"), user), Err(io::Error::from_raw_os_error(libc::ELOOP).into()));
 
         fs::set_permissions(top.join("there"), Permissions::from_mode(0o1777)).unwrap();
         assert_eq!(own(&top.join("link"), user), Err(Distrust::Shared));
         assert_eq!(own(&top.join("link/c"), user), Ok(top.join("there/c")));
-        assert_eq!(
-            own(&top.join("link/c"), user + 1),
-            Err(Distrust::Foreign(user))
-        );
+        assert_eq!(own(&top.join("link/c"), user + 1), Err(Distrust::Foreign(user)));
     }
 }

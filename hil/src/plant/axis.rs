@@ -148,11 +148,7 @@ impl PlantAxis {
         }
         let mut noise = Noise::new(seed);
         let angle = config.start_angle;
-        let switches = [
-            config.home_switch,
-            config.negative_limit,
-            config.positive_limit,
-        ];
+        let switches = [config.home_switch, config.negative_limit, config.positive_limit];
         Self {
             plant: match &config.plant {
                 PlantConfig::Wut(wut) => Plant::Wut(Box::new(Wut::new(wut, angle))),
@@ -163,12 +159,7 @@ impl PlantAxis {
             },
             mount: mount.cloned(),
             amplifier: Amplifier::new(config),
-            encoder: Encoder::new(
-                config.counts_per_revolution,
-                config.index_angle,
-                config.edge_jitter,
-                angle,
-            ),
+            encoder: Encoder::new(config.counts_per_revolution, config.index_angle, config.edge_jitter, angle),
             brake: config.brake,
             contacts: switches.map(|switch| Some(Contact::new(&switch?, angle))),
             noise,

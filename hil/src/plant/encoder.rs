@@ -27,12 +27,7 @@ pub(crate) struct Encoder {
 }
 
 impl Encoder {
-    pub(crate) fn new(
-        counts_per_revolution: u32,
-        index_angle: f64,
-        jitter: f64,
-        angle: f64,
-    ) -> Self {
+    pub(crate) fn new(counts_per_revolution: u32, index_angle: f64, jitter: f64, angle: f64) -> Self {
         let counts_per_radian = f64::from(counts_per_revolution) / TAU;
         let counts_per_revolution = i64::from(counts_per_revolution);
         let counts = floor(angle * counts_per_radian);
@@ -161,10 +156,7 @@ mod tests {
             }
         }
         assert_eq!(before, 100, "no count is lost");
-        assert!(
-            (-1e-9..0.02).contains(&low) && (low..=0.041).contains(&high),
-            "{low} to {high}"
-        );
+        assert!((-1e-9..0.02).contains(&low) && (low..=0.041).contains(&high), "{low} to {high}");
         assert!(high - low > 0.01, "{low} to {high}");
     }
 
@@ -200,20 +192,8 @@ mod tests {
     fn taken_index_comes_back_only_with_the_next_pulse() {
         let mut noise = Noise::new(0);
         let mut encoder = Encoder::new(4000, middle(10), 0.0, middle(10));
-        assert_eq!(
-            encoder.latched.take(),
-            None,
-            "standing on the index at power-on is no passing"
-        );
-        let steps = [
-            (11, None),
-            (10, Some(0)),
-            (10, None),
-            (9, None),
-            (10, Some(0)),
-            (3, None),
-            (15, Some(0)),
-        ];
+        assert_eq!(encoder.latched.take(), None, "standing on the index at power-on is no passing");
+        let steps = [(11, None), (10, Some(0)), (10, None), (9, None), (10, Some(0)), (3, None), (15, Some(0))];
         for (count, expected) in steps {
             encoder.read(middle(count), &mut noise);
             assert_eq!(encoder.latched.take(), expected, "at {count}");

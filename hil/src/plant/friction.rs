@@ -13,11 +13,7 @@ pub struct FrictionConfig {
 
 impl FrictionConfig {
     /// No dry friction.
-    pub const NONE: Self = Self {
-        coulomb: 0.0,
-        stiction: 0.0,
-        stribeck_velocity: 1.0,
-    };
+    pub const NONE: Self = Self { coulomb: 0.0, stiction: 0.0, stribeck_velocity: 1.0 };
 }
 
 /// Entries per Stribeck velocity. The error of linear interpolation is then within 0.1 % of the excess over
@@ -67,11 +63,7 @@ impl Friction {
     /// The motor then stays at standstill until the torque exceeds the break-away level.
     pub(crate) fn apply(&self, before: f64, free: f64, gain: f64, extra: f64) -> f64 {
         let most = (self.level(before.abs()) + extra) * gain;
-        if free.abs() <= most {
-            0.0
-        } else {
-            free - most.copysign(free)
-        }
+        if free.abs() <= most { 0.0 } else { free - most.copysign(free) }
     }
 }
 
@@ -79,11 +71,7 @@ impl Friction {
 mod tests {
     use super::{Friction, FrictionConfig};
 
-    const CONFIG: FrictionConfig = FrictionConfig {
-        coulomb: 0.08,
-        stiction: 0.12,
-        stribeck_velocity: 5.0,
-    };
+    const CONFIG: FrictionConfig = FrictionConfig { coulomb: 0.08, stiction: 0.12, stribeck_velocity: 5.0 };
 
     #[test]
     fn level_is_the_stribeck_curve() {
@@ -103,16 +91,9 @@ mod tests {
         let cases = [(0.119, 0.0), (-0.119, 0.0), (0.13, 0.01), (-0.13, -0.01)];
         for (torque, over) in cases {
             let velocity = friction.apply(0.0, torque * gain, gain, 0.0);
-            assert!(
-                (velocity - over * gain).abs() < 1e-12,
-                "{torque} N·m gives {velocity}"
-            );
+            assert!((velocity - over * gain).abs() < 1e-12, "{torque} N·m gives {velocity}");
         }
-        assert_eq!(
-            friction.apply(0.0, 1.0 * gain, gain, 1.0),
-            0.0,
-            "a brake adds to it"
-        );
+        assert_eq!(friction.apply(0.0, 1.0 * gain, gain, 1.0), 0.0, "a brake adds to it");
     }
 
     #[test]

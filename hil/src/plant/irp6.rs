@@ -24,14 +24,7 @@ pub enum Irp6Axis {
 
 impl Irp6Axis {
     /// All axes, in order.
-    pub const ALL: [Self; 6] = [
-        Self::Column,
-        Self::LowerArm,
-        Self::UpperArm,
-        Self::Pitch,
-        Self::Roll,
-        Self::Flange,
-    ];
+    pub const ALL: [Self; 6] = [Self::Column, Self::LowerArm, Self::UpperArm, Self::Pitch, Self::Roll, Self::Flange];
 }
 
 const QUARTER: f64 = std::f64::consts::FRAC_PI_2;
@@ -60,10 +53,7 @@ pub(super) const COLUMN: MotorData = MotorData {
 };
 
 /// The motors of the wrist, as far as they are alike.
-const WRIST: MotorData = MotorData {
-    friction: (2e-4, 0.01, 0.015),
-    ..COLUMN
-};
+const WRIST: MotorData = MotorData { friction: (2e-4, 0.01, 0.015), ..COLUMN };
 
 /// Home, travel, counts, currents, ratios and angles at home are from public code. The over-current threshold of the
 /// upper arm is nominal, since the public code contains 15 A twice. The inertia of each load, at home, and the weights
@@ -187,14 +177,9 @@ mod tests {
         ];
         for (axis, from_home, torque) in cases {
             let config = AxisConfig::irp6(axis);
-            let PlantConfig::Physical(motor) = config.plant else {
-                unreachable!("the preset is physical")
-            };
+            let PlantConfig::Physical(motor) = config.plant else { unreachable!("the preset is physical") };
             let found = motor.gravity.torque(config.index_angle + from_home);
-            assert!(
-                (found - torque).abs() < 1e-3,
-                "{axis:?} at {from_home}: {found} N·m"
-            );
+            assert!((found - torque).abs() < 1e-3, "{axis:?} at {from_home}: {found} N·m");
         }
     }
 }

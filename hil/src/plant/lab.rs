@@ -70,16 +70,8 @@ impl MotorData {
                 inductance: self.winding.1,
                 inertia: self.inertia,
                 viscous,
-                friction: FrictionConfig {
-                    coulomb,
-                    stiction,
-                    stribeck_velocity: 5.0,
-                },
-                gravity: Gravity {
-                    amplitude,
-                    ratio,
-                    phase: at_home - self.home / ratio,
-                },
+                friction: FrictionConfig { coulomb, stiction, stribeck_velocity: 5.0 },
+                gravity: Gravity { amplitude, ratio, phase: at_home - self.home / ratio },
                 end_stops: self.travel.map(|(negative, positive)| EndStops {
                     negative: negative - 3.0,
                     positive: positive + 3.0,
@@ -117,11 +109,7 @@ impl AxisConfig {
     pub fn with_home(mut self, home: f64) -> Self {
         let shift = home - self.index_angle;
         let moved = |switch: Option<Switch>| {
-            switch.map(|switch| Switch {
-                from: switch.from + shift,
-                to: switch.to + shift,
-                ..switch
-            })
+            switch.map(|switch| Switch { from: switch.from + shift, to: switch.to + shift, ..switch })
         };
         self.index_angle = home;
         self.start_angle += shift;
@@ -172,9 +160,7 @@ impl AxisConfig {
     /// of 100:1 and turns to ±180°, ±110° and ±180°. The home switch is closed over all of the travel below home.
     pub fn rnt(number: usize) -> Option<Self> {
         use std::f64::consts::{PI, TAU};
-        let mechanism = MechanismConfig::Rnt {
-            home_lengths: [Self::RNT_HOME_LENGTH; 3],
-        };
+        let mechanism = MechanismConfig::Rnt { home_lengths: [Self::RNT_HOME_LENGTH; 3] };
         let leg = |length: f64| (length - Self::RNT_HOME_LENGTH) * TAU / 5e-3;
         let travel = match number {
             0..=2 => (leg(0.55), leg(1.38)),
@@ -211,10 +197,7 @@ impl AxisConfig {
     /// emulated switch stays open. Windings are sized for 6 rad/s (axes 0 to 2) and 10 rad/s, each with 40 rad/s² in
     /// the worst pose.
     pub fn polycrank(number: usize) -> Option<Self> {
-        let mechanism = MechanismConfig::Polycrank {
-            coupled: false,
-            at_home: [0.0; 7],
-        };
+        let mechanism = MechanismConfig::Polycrank { coupled: false, at_home: [0.0; 7] };
         let (torque_constant, winding, max_current) = match number {
             0..=2 => (0.4, (0.5, 2.0e-3), 24.0),
             3..=5 => (0.2, (1.0, 2.0e-3), 10.0),
@@ -268,18 +251,9 @@ impl AxisConfig {
     /// friction. The 0.01 N·m·s/rad of its own emulator would take 21 A at 0.1 m/s and burn a real winding. As with
     /// the arm's motors, a tenth of that friction is used here.
     pub fn conveyor() -> Self {
-        let motor = MotorData {
-            inertia: 1.5e-4,
-            friction: (1e-3, 0.05, 0.08),
-            max_voltage: 60.0,
-            brake: 0.0,
-            ..COLUMN
-        };
-        Self {
-            home_switch: None,
-            start_angle: 0.0,
-            ..motor.config(f64::NEG_INFINITY)
-        }
+        let motor =
+            MotorData { inertia: 1.5e-4, friction: (1e-3, 0.05, 0.08), max_voltage: 60.0, brake: 0.0, ..COLUMN };
+        Self { home_switch: None, start_angle: 0.0, ..motor.config(f64::NEG_INFINITY) }
     }
 }
 
@@ -294,9 +268,7 @@ mod tests {
         let mut presets = Vec::new();
         let mut add = |name: String, config: AxisConfig, turns: f64| {
             let (low, high) = match (config.negative_limit, config.positive_limit) {
-                (Some(low), Some(high)) => {
-                    (low.to - config.index_angle, high.from - config.index_angle)
-                }
+                (Some(low), Some(high)) => (low.to - config.index_angle, high.from - config.index_angle),
                 _ => (-turns * TAU, turns * TAU),
             };
             presets.push((name, config, low, high));
@@ -321,11 +293,7 @@ mod tests {
             let home = config.index_angle;
             let begins = (0..=40).map(|k| low + (high - low) * f64::from(k) / 40.0);
             for begin in begins {
-                let config = AxisConfig {
-                    start_angle: home + begin,
-                    edge_jitter: 0.0,
-                    ..config
-                };
+                let config = AxisConfig { start_angle: home + begin, edge_jitter: 0.0, ..config };
                 let closed = PlantAxis::new(&config, 1).feedback().home_switch;
                 // The only edge lies half a motor turn below home. The switch tells on which side of the edge the
                 // axis is.
@@ -350,10 +318,7 @@ mod tests {
 
     #[test]
     fn contacts_chatter_and_the_first_edge_is_where_it_should_be() {
-        let config = AxisConfig {
-            start_angle: 0.0,
-            ..AxisConfig::polycrank(0).expect("it has the axis")
-        };
+        let config = AxisConfig { start_angle: 0.0, ..AxisConfig::polycrank(0).expect("it has the axis") };
         let mut axis = PlantAxis::new(&config, 1);
         let mut changes = Vec::new();
         let mut before = axis.feedback().home_switch;
@@ -367,10 +332,7 @@ mod tests {
         assert!(before, "it ends up closed");
         assert!(changes.len() >= 3, "chatters: {changes:?}");
         for angle in changes {
-            assert!(
-                (-3.17..=-TAU / 2.0).contains(&angle),
-                "an edge at {angle} rad"
-            );
+            assert!((-3.17..=-TAU / 2.0).contains(&angle), "an edge at {angle} rad");
         }
     }
 
@@ -407,13 +369,7 @@ mod tests {
         for k in 0..3000 {
             let to = -100.0 * (1.0 - (f64::from(k + 1) * 2e-3).cos()) * per_radian;
             let velocity = (to - from) / 2e-3;
-            axis.advance(
-                20,
-                Demand::Position {
-                    counts: from,
-                    velocity,
-                },
-            );
+            axis.advance(20, Demand::Position { counts: from, velocity });
             from = to;
             let off = to - f64::from(axis.feedback().counts);
             assert!(off.abs() <= 3.0, "{off} counts off at {k}");

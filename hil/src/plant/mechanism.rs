@@ -115,16 +115,9 @@ impl Mechanism {
             MechanismConfig::Irp6 => (Links::Irp6(Irp6::new(false)), 6),
             MechanismConfig::Irp6OnTrack => (Links::Irp6(Irp6::new(true)), 7),
             MechanismConfig::Rnt { home_lengths } => (Links::Rnt(Rnt::new(home_lengths)), 6),
-            MechanismConfig::Polycrank { coupled, at_home } => {
-                (Links::Polycrank(Polycrank::new(coupled, at_home)), 7)
-            }
+            MechanismConfig::Polycrank { coupled, at_home } => (Links::Polycrank(Polycrank::new(coupled, at_home)), 7),
         };
-        Self(Arc::new(Mutex::new(Robot {
-            links,
-            count,
-            homes: [0.0; AXES],
-            motors: [0.0; AXES],
-        })))
+        Self(Arc::new(Mutex::new(Robot { links, count, homes: [0.0; AXES], motors: [0.0; AXES] })))
     }
 
     /// Number of axes of the robot.
@@ -140,10 +133,7 @@ impl Mechanism {
             return None;
         }
         robot.homes[number] = home;
-        Some(Mount {
-            mechanism: self.clone(),
-            number,
-        })
+        Some(Mount { mechanism: self.clone(), number })
     }
 
     /// Sets the payload, in place of the previous payload: `mass`, kg, with its centre at `centre`, m, in the flange
@@ -170,10 +160,7 @@ impl Mechanism {
             return Load::default();
         }
         let loaded = robot.load(number);
-        Load {
-            torque: loaded.links.torque,
-            inertia: loaded.inertia(),
-        }
+        Load { torque: loaded.links.torque, inertia: loaded.inertia() }
     }
 
     fn lock(&self) -> MutexGuard<'_, Robot> {

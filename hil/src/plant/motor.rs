@@ -45,11 +45,7 @@ pub struct Gravity {
 
 impl Gravity {
     /// A balanced load.
-    pub const NONE: Self = Self {
-        amplitude: 0.0,
-        ratio: 1.0,
-        phase: 0.0,
-    };
+    pub const NONE: Self = Self { amplitude: 0.0, ratio: 1.0, phase: 0.0 };
 
     /// Torque on the motor at `angle`, rad.
     pub(crate) fn torque(&self, angle: f64) -> f64 {
@@ -124,12 +120,7 @@ pub(crate) struct Motor {
 
 impl Motor {
     /// A cold motor at standstill at `angle`, rad.
-    pub(crate) fn new(
-        config: &MotorConfig,
-        mount: Option<&Mount>,
-        angle: f64,
-        noise: Noise,
-    ) -> Self {
+    pub(crate) fn new(config: &MotorConfig, mount: Option<&Mount>, angle: f64, noise: Noise) -> Self {
         Self {
             config: *config,
             mounted: mount.map(|mount| (mount.clone(), mount.load(angle))),
@@ -165,8 +156,7 @@ impl Motor {
             settled + (self.current - settled) * self.decay
         });
         self.heat += self.current * self.current;
-        let mut torque = self.torque_per_current * self.current + self.gravity
-            - self.config.viscous * self.velocity;
+        let mut torque = self.torque_per_current * self.current + self.gravity - self.config.viscous * self.velocity;
         if let Some(stops) = &self.config.end_stops {
             torque += stops.torque(self.angle, self.velocity);
         }
@@ -179,15 +169,12 @@ impl Motor {
     fn update(&mut self) {
         if self.sub_step == 0 {
             let seconds = f64::from(SLOW) * SUB_STEP;
-            let resistance =
-                self.config.resistance * (1.0 + COPPER * (self.thermal.winding - 25.0));
-            self.thermal
-                .step(resistance * self.heat / f64::from(SLOW), seconds);
+            let resistance = self.config.resistance * (1.0 + COPPER * (self.thermal.winding - 25.0));
+            self.thermal.step(resistance * self.heat / f64::from(SLOW), seconds);
             self.heat = 0.0;
             self.conductance = 1.0 / resistance;
             self.decay = (-resistance * SUB_STEP / self.config.inductance).exp();
-            self.torque_constant =
-                self.config.torque_constant * (1.0 - FERRITE * (self.thermal.housing - 25.0));
+            self.torque_constant = self.config.torque_constant * (1.0 - FERRITE * (self.thermal.housing - 25.0));
         }
         self.gravity = match &mut self.mounted {
             None => self.config.gravity.torque(self.angle),
@@ -199,11 +186,8 @@ impl Motor {
                 next.links.torque
             }
         };
-        let ripple = if self.config.torque_ripple > 0.0 {
-            self.config.torque_ripple * self.noise.symmetric()
-        } else {
-            0.0
-        };
+        let ripple =
+            if self.config.torque_ripple > 0.0 { self.config.torque_ripple * self.noise.symmetric() } else { 0.0 };
         self.torque_per_current = self.torque_constant * (1.0 + ripple);
     }
 }
@@ -221,11 +205,7 @@ mod tests {
         inductance: 0.5e-3,
         inertia: 4e-4,
         viscous: 1e-3,
-        friction: FrictionConfig {
-            coulomb: 0.08,
-            stiction: 0.08,
-            stribeck_velocity: 5.0,
-        },
+        friction: FrictionConfig { coulomb: 0.08, stiction: 0.08, stribeck_velocity: 5.0 },
         gravity: Gravity::NONE,
         end_stops: None,
         thermal: ThermalConfig {
@@ -240,10 +220,7 @@ mod tests {
     };
 
     fn motor(config: &MotorConfig, velocity: f64) -> Motor {
-        Motor {
-            velocity,
-            ..Motor::new(config, None, 0.0, Noise::new(1))
-        }
+        Motor { velocity, ..Motor::new(config, None, 0.0, Noise::new(1)) }
     }
 
     #[test]
@@ -252,30 +229,18 @@ mod tests {
         for k in 1..=50 {
             motor.step(Some(6.0), 100.0);
             let exact = 10.0 * (1.0 - (-0.6 * SUB_STEP * f64::from(k) / 0.5e-3).exp());
-            assert!(
-                (motor.current - exact).abs() < 1e-9,
-                "{} A for {exact}",
-                motor.current
-            );
+            assert!((motor.current - exact).abs() < 1e-9, "{} A for {exact}", motor.current);
         }
     }
 
     #[test]
     fn unloaded_motor_runs_at_voltage_over_back_emf() {
-        let config = MotorConfig {
-            viscous: 0.0,
-            friction: FrictionConfig::NONE,
-            ..CONFIG
-        };
+        let config = MotorConfig { viscous: 0.0, friction: FrictionConfig::NONE, ..CONFIG };
         let mut motor = motor(&config, 0.0);
         for _ in 0..20_000 {
             motor.step(Some(35.8), 0.0);
         }
-        assert!(
-            (motor.velocity - 341.0).abs() < 0.1,
-            "{} rad/s",
-            motor.velocity
-        );
+        assert!((motor.velocity - 341.0).abs() < 0.1, "{} rad/s", motor.velocity);
     }
 
     #[test]
@@ -289,16 +254,8 @@ mod tests {
             motor.step(None, 0.0);
             assert!(motor.velocity <= before, "gains speed at {k}");
             let t = f64::from(k) * SUB_STEP;
-            let exact = if t < rest {
-                (50.0 + sag) * (-t / tau).exp() - sag
-            } else {
-                0.0
-            };
-            assert!(
-                (motor.velocity - exact).abs() < 0.05,
-                "at {t}: {} for {exact}",
-                motor.velocity
-            );
+            let exact = if t < rest { (50.0 + sag) * (-t / tau).exp() - sag } else { 0.0 };
+            assert!((motor.velocity - exact).abs() < 0.05, "at {t}: {} for {exact}", motor.velocity);
         }
         assert_eq!(motor.velocity, 0.0);
     }
@@ -310,35 +267,20 @@ mod tests {
         for _ in 0..3_000 {
             let (current, velocity) = (motor.current, motor.velocity);
             motor.step(Some(12.0), 0.0);
-            let (i, w) = (
-                0.5 * (current + motor.current),
-                0.5 * (velocity + motor.velocity),
-            );
+            let (i, w) = (0.5 * (current + motor.current), 0.5 * (velocity + motor.velocity));
             supplied += 12.0 * i * SUB_STEP;
             lost += (0.6 * i * i + 1e-3 * w * w + 0.08 * w.abs()) * SUB_STEP;
         }
         let stored = 0.5 * 4e-4 * motor.velocity.powi(2) + 0.5 * 0.5e-3 * motor.current.powi(2);
         assert!(supplied > 3.0, "{supplied} J");
-        assert!(
-            (supplied - lost - stored).abs() < 0.01 * supplied,
-            "{supplied} J in, {lost} lost, {stored} stored"
-        );
+        assert!((supplied - lost - stored).abs() < 0.01 * supplied, "{supplied} J in, {lost} lost, {stored} stored");
     }
 
     #[test]
     fn weight_follows_the_joint() {
         // A horizontal arm at motor angle 0, which hangs down after a quarter turn of the joint.
-        let gravity = Gravity {
-            amplitude: 0.5,
-            ratio: 100.0,
-            phase: 0.0,
-        };
-        let cases = [
-            (0.0, 0.5),
-            (100.0 * FRAC_PI_3, 0.25),
-            (100.0 * FRAC_PI_2, 0.0),
-            (100.0 * PI, -0.5),
-        ];
+        let gravity = Gravity { amplitude: 0.5, ratio: 100.0, phase: 0.0 };
+        let cases = [(0.0, 0.5), (100.0 * FRAC_PI_3, 0.25), (100.0 * FRAC_PI_2, 0.0), (100.0 * PI, -0.5)];
         for (angle, torque) in cases {
             assert!((gravity.torque(angle) - torque).abs() < 1e-12, "at {angle}");
         }
@@ -353,27 +295,15 @@ mod tests {
         let (winding, housing) = (motor.thermal.winding - 25.0, motor.thermal.housing - 25.0);
         assert!(winding > 50.0 && housing > 8.0, "{winding} K, {housing} K");
         let current = 10.0 / (1.0 + 0.0039 * winding);
-        assert!(
-            (motor.current - current).abs() < 0.01,
-            "{} A",
-            motor.current
-        );
+        assert!((motor.current - current).abs() < 0.01, "{} A", motor.current);
         let torque = 0.105 * (1.0 - 0.002 * housing) * motor.current;
         let found = motor.torque_per_current * motor.current;
-        assert!(
-            (found - torque).abs() < 1e-3 * torque,
-            "{found} N·m for {torque}"
-        );
+        assert!((found - torque).abs() < 1e-3 * torque, "{found} N·m for {torque}");
     }
 
     #[test]
     fn buffers_push_back_and_never_pull() {
-        let stops = EndStops {
-            negative: -1.0,
-            positive: 2.0,
-            stiffness: 50.0,
-            damping: 0.1,
-        };
+        let stops = EndStops { negative: -1.0, positive: 2.0, stiffness: 50.0, damping: 0.1 };
         let cases = [
             (0.0, 10.0, 0.0),
             (-1.1, 0.0, 5.0),
@@ -385,10 +315,7 @@ mod tests {
         ];
         for (angle, velocity, torque) in cases {
             let found = stops.torque(angle, velocity);
-            assert!(
-                (found - torque).abs() < 1e-9,
-                "{found} at {angle}, {velocity}"
-            );
+            assert!((found - torque).abs() < 1e-9, "{found} at {angle}, {velocity}");
         }
     }
 }

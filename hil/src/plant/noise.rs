@@ -36,14 +36,7 @@ mod tests {
     fn bits_are_the_published_sequence() {
         let mut noise = Noise::new(1_234_567);
         let bits = [0; 3].map(|_: u64| noise.bits());
-        assert_eq!(
-            bits,
-            [
-                6_457_827_717_110_365_317,
-                3_203_168_211_198_807_973,
-                9_817_491_932_198_370_423
-            ]
-        );
+        assert_eq!(bits, [6_457_827_717_110_365_317, 3_203_168_211_198_807_973, 9_817_491_932_198_370_423]);
     }
 
     #[test]

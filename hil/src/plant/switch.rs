@@ -24,12 +24,7 @@ pub(crate) struct Contact {
 impl Contact {
     pub(crate) fn new(switch: &Switch, angle: f64) -> Self {
         let pressed = (switch.from..=switch.to).contains(&angle);
-        Self {
-            switch: *switch,
-            pressed,
-            chatter: 0,
-            closed: pressed,
-        }
+        Self { switch: *switch, pressed, chatter: 0, closed: pressed }
     }
 
     /// Reads the shaft angle. `elapsed` counts the sub-steps since the last reading.
@@ -41,11 +36,7 @@ impl Contact {
             self.pressed = pressed;
             self.chatter = self.switch.bounce;
         }
-        self.closed = if self.chatter > 0 {
-            noise.bits() & 1 == 1
-        } else {
-            self.pressed
-        };
+        self.closed = if self.chatter > 0 { noise.bits() & 1 == 1 } else { self.pressed };
     }
 }
 
@@ -56,19 +47,9 @@ mod tests {
 
     #[test]
     fn switch_is_closed_exactly_between_its_edges() {
-        let switch = Switch {
-            from: -1.0,
-            to: 2.0,
-            bounce: 0,
-        };
+        let switch = Switch { from: -1.0, to: 2.0, bounce: 0 };
         let mut contact = Contact::new(&switch, -5.0);
-        for (angle, closed) in [
-            (-1.001, false),
-            (-1.0, true),
-            (0.0, true),
-            (2.0, true),
-            (2.001, false),
-        ] {
+        for (angle, closed) in [(-1.001, false), (-1.0, true), (0.0, true), (2.0, true), (2.001, false)] {
             contact.advance(angle, 10, &mut Noise::new(0));
             assert_eq!(contact.closed, closed, "at {angle}");
         }
@@ -77,11 +58,7 @@ mod tests {
 
     #[test]
     fn contact_chatters_for_its_bounce_and_then_settles() {
-        let switch = Switch {
-            from: 0.0,
-            to: 1.0,
-            bounce: 30,
-        };
+        let switch = Switch { from: 0.0, to: 1.0, bounce: 30 };
         let mut noise = Noise::new(3);
         let mut contact = Contact::new(&switch, -1.0);
         let readings: Vec<bool> = (0..60)
@@ -90,20 +67,13 @@ mod tests {
                 contact.closed
             })
             .collect();
-        assert!(
-            readings[..30].contains(&false) && readings[..30].contains(&true),
-            "{readings:?}"
-        );
+        assert!(readings[..30].contains(&false) && readings[..30].contains(&true), "{readings:?}");
         assert!(readings[30..].iter().all(|closed| *closed), "{readings:?}");
     }
 
     #[test]
     fn chatter_lasts_as_long_however_often_it_is_looked_at() {
-        let switch = Switch {
-            from: 0.0,
-            to: 1.0,
-            bounce: 30,
-        };
+        let switch = Switch { from: 0.0, to: 1.0, bounce: 30 };
         for elapsed in [1, 10, 20] {
             let settled = |seed| {
                 let mut contact = Contact::new(&switch, -1.0);

@@ -2,9 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use super::{
-    AxisConfig, Demand, Gravity, Irp6Axis, MotorConfig, PlantAxis, PlantConfig, Switch, Trip,
-};
+use super::{AxisConfig, Demand, Gravity, Irp6Axis, MotorConfig, PlantAxis, PlantConfig, Switch, Trip};
 
 const TORQUE_CONSTANT: f64 = 0.105;
 
@@ -34,26 +32,14 @@ fn trapezoid(t: f64) -> f64 {
 /// drive interpolates.
 fn following_error(config: &AxisConfig, period: u32) -> (i32, i32) {
     let mut axis = PlantAxis::new(config, 1);
-    axis.advance(
-        5_000,
-        Demand::Position {
-            counts: 0.0,
-            velocity: 0.0,
-        },
-    );
+    axis.advance(5_000, Demand::Position { counts: 0.0, velocity: 0.0 });
     let scale = f64::from(config.counts_per_revolution) / TAU;
     let seconds = f64::from(period) * super::SUB_STEP;
     let target = |k: u32| (trapezoid(f64::from(k) * seconds) * scale).round();
     let (mut worst, mut last) = (0, 0);
     for k in 0..(3.0 / seconds) as u32 {
         let (from, to) = (target(k), target(k + 1));
-        axis.advance(
-            period,
-            Demand::Position {
-                counts: from,
-                velocity: (to - from) / seconds,
-            },
-        );
+        axis.advance(period, Demand::Position { counts: from, velocity: (to - from) / seconds });
         last = to as i32 - axis.feedback().counts;
         worst = worst.max(last.abs());
     }
@@ -73,31 +59,14 @@ fn every_axis_follows_the_trapezoid_within_few_counts() {
         (Irp6Axis::Flange, 7, 3),
     ];
     for (axis, physical, wut) in table {
-        for (config, bound) in [
-            (AxisConfig::irp6(axis), physical),
-            (AxisConfig::wut(axis), wut),
-        ] {
-            let PlantConfig::Physical(motor) = AxisConfig::irp6(axis).plant else {
-                unreachable!()
-            };
+        for (config, bound) in [(AxisConfig::irp6(axis), physical), (AxisConfig::wut(axis), wut)] {
+            let PlantConfig::Physical(motor) = AxisConfig::irp6(axis).plant else { unreachable!() };
             let stops = motor.end_stops.expect("the preset has buffers");
             let start_angle = 0.5 * (stops.negative + stops.positive) - 50.0;
             for period in [10, 20] {
-                let (worst, last) = following_error(
-                    &AxisConfig {
-                        start_angle,
-                        ..config
-                    },
-                    period,
-                );
-                assert!(
-                    worst <= bound,
-                    "{axis:?} at {period}: {worst} counts, not {bound}"
-                );
-                assert!(
-                    last.abs() <= 1,
-                    "{axis:?} at {period}: ends {last} counts off"
-                );
+                let (worst, last) = following_error(&AxisConfig { start_angle, ..config }, period);
+                assert!(worst <= bound, "{axis:?} at {period}: {worst} counts, not {bound}");
+                assert!(last.abs() <= 1, "{axis:?} at {period}: ends {last} counts off");
             }
         }
     }
@@ -110,30 +79,14 @@ fn loops_stay_stable_with_up_to_four_times_the_inertia() {
             let mut axis_at_work = PlantAxis::new(&irp6(axis, |motor| motor.inertia *= factor), 1);
             let errors: Vec<i32> = (0..1000)
                 .map(|_| {
-                    axis_at_work.advance(
-                        10,
-                        Demand::Position {
-                            counts: 200.0,
-                            velocity: 0.0,
-                        },
-                    );
+                    axis_at_work.advance(10, Demand::Position { counts: 200.0, velocity: 0.0 });
                     200 - axis_at_work.feedback().counts
                 })
                 .collect();
             let overshoot = -errors.iter().min().expect("not empty");
-            let late = errors[700..]
-                .iter()
-                .map(|error| error.abs())
-                .max()
-                .expect("not empty");
-            assert!(
-                overshoot <= 70,
-                "{axis:?} ×{factor}: overshoots by {overshoot} of 200"
-            );
-            assert!(
-                late <= 1,
-                "{axis:?} ×{factor}: still {late} off after 0.7 s"
-            );
+            let late = errors[700..].iter().map(|error| error.abs()).max().expect("not empty");
+            assert!(overshoot <= 70, "{axis:?} ×{factor}: overshoots by {overshoot} of 200");
+            assert!(late <= 1, "{axis:?} ×{factor}: still {late} off after 0.7 s");
         }
     }
 }
@@ -147,33 +100,19 @@ fn velocity_and_torque_demands_are_met() {
         axis_at_work.advance(10_000, Demand::Velocity(-20_000.0));
         let moved = axis_at_work.feedback().counts - before;
         // The weight torque of the arms changes during the motion, and the integral lags behind it.
-        assert!(
-            (moved + 20_000).abs() <= 20,
-            "{axis:?}: {moved} counts in a second"
-        );
+        assert!((moved + 20_000).abs() <= 20, "{axis:?}: {moved} counts in a second");
     }
     let mut axis = PlantAxis::new(&AxisConfig::irp6(Irp6Axis::Column), 1);
     axis.advance(50, Demand::Torque(-0.5));
-    assert!(
-        (axis.feedback().torque + 0.5).abs() < 0.005,
-        "{} N·m",
-        axis.feedback().torque
-    );
+    assert!((axis.feedback().torque + 0.5).abs() < 0.005, "{} N·m", axis.feedback().torque);
 }
 
 #[test]
 fn standing_axis_does_not_creep() {
     // The weight torque is greatest where the axis starts.
-    let heavy = |amplitude| Gravity {
-        amplitude,
-        ratio: 1e3,
-        phase: -15e-3,
-    };
+    let heavy = |amplitude| Gravity { amplitude, ratio: 1e3, phase: -15e-3 };
     let off = Demand::Off;
-    let hold = Demand::Position {
-        counts: 0.0,
-        velocity: 0.0,
-    };
+    let hold = Demand::Position { counts: 0.0, velocity: 0.0 };
     // Weight, N·m; brake; demand; and whether the axis stays at standstill. Stiction is 0.12 N·m.
     let cases = [
         (0.11, 0.0, off, true),
@@ -185,37 +124,19 @@ fn standing_axis_does_not_creep() {
     ];
     for (amplitude, brake, demand, stays) in cases {
         let config = irp6(Irp6Axis::LowerArm, |motor| motor.gravity = heavy(amplitude));
-        let config = AxisConfig {
-            brake,
-            edge_jitter: 0.0,
-            ..config
-        };
+        let config = AxisConfig { brake, edge_jitter: 0.0, ..config };
         let mut axis = PlantAxis::new(&config, 1);
         axis.advance(100_000, demand);
         let stayed = axis.angle() == config.start_angle;
-        assert_eq!(
-            stayed,
-            stays,
-            "{amplitude} N·m, brake {brake}, {demand:?}: {}",
-            axis.angle()
-        );
+        assert_eq!(stayed, stays, "{amplitude} N·m, brake {brake}, {demand:?}: {}", axis.angle());
     }
 }
 
 #[test]
 fn powered_axis_settles_on_its_count_under_its_weight() {
     for axis in Irp6Axis::ALL {
-        let mut axis_at_work = PlantAxis::new(
-            &AxisConfig {
-                edge_jitter: 0.0,
-                ..AxisConfig::irp6(axis)
-            },
-            1,
-        );
-        let hold = Demand::Position {
-            counts: 777.0,
-            velocity: 0.0,
-        };
+        let mut axis_at_work = PlantAxis::new(&AxisConfig { edge_jitter: 0.0, ..AxisConfig::irp6(axis) }, 1);
+        let hold = Demand::Position { counts: 777.0, velocity: 0.0 };
         axis_at_work.advance(20_000, hold);
         let angle = axis_at_work.angle();
         assert_eq!(axis_at_work.feedback().counts, 777, "{axis:?}");
@@ -227,10 +148,7 @@ fn powered_axis_settles_on_its_count_under_its_weight() {
 /// Largest deviation, counts, of an axis that is told to hold its present position.
 fn bump(mut axis: PlantAxis) -> i32 {
     let here = axis.feedback().counts;
-    let hold = Demand::Position {
-        counts: f64::from(here),
-        velocity: 0.0,
-    };
+    let hold = Demand::Position { counts: f64::from(here), velocity: 0.0 };
     let strays = (0..500).map(|_| {
         axis.advance(10, hold);
         (axis.feedback().counts - here).abs()
@@ -242,11 +160,7 @@ fn bump(mut axis: PlantAxis) -> i32 {
 fn position_loop_takes_over_without_a_bump() {
     // The position loop takes over from a torque that carries the weight.
     let config = irp6(Irp6Axis::UpperArm, |motor| {
-        motor.gravity = Gravity {
-            amplitude: 0.4,
-            ratio: 1e9,
-            phase: 0.0,
-        };
+        motor.gravity = Gravity { amplitude: 0.4, ratio: 1e9, phase: 0.0 };
     });
     let mut axis = PlantAxis::new(&config, 1);
     axis.advance(1_000, Demand::Torque(-0.4));
@@ -264,45 +178,26 @@ fn position_loop_takes_over_without_a_bump() {
 #[test]
 fn index_marks_home_and_the_switch_is_closed_below_it() {
     for axis in Irp6Axis::ALL {
-        let config = AxisConfig {
-            edge_jitter: 0.0,
-            ..AxisConfig::irp6(axis)
-        };
+        let config = AxisConfig { edge_jitter: 0.0, ..AxisConfig::irp6(axis) };
         let per_radian = f64::from(config.counts_per_revolution) / TAU;
-        let home =
-            (config.index_angle * per_radian).floor() - (config.start_angle * per_radian).floor();
-        let Some(Switch { to, .. }) = config.home_switch else {
-            unreachable!("the preset has one")
-        };
+        let home = (config.index_angle * per_radian).floor() - (config.start_angle * per_radian).floor();
+        let Some(Switch { to, .. }) = config.home_switch else { unreachable!("the preset has one") };
         let mut axis_at_work = PlantAxis::new(&config, 1);
         let (mut indices, mut edge) = (Vec::new(), None);
         for _ in 0..4_000 {
             axis_at_work.advance(10, Demand::Velocity(-15.0 * per_radian));
             indices.extend(axis_at_work.take_index());
             let closed = axis_at_work.feedback().home_switch;
-            assert_eq!(
-                closed,
-                (to - 18.0..=to).contains(&axis_at_work.angle()),
-                "{axis:?}"
-            );
+            assert_eq!(closed, (to - 18.0..=to).contains(&axis_at_work.angle()), "{axis:?}");
             if closed {
                 edge.get_or_insert(axis_at_work.angle());
             }
         }
         let turn = config.counts_per_revolution as i32;
-        assert!(
-            indices.contains(&(home as i32)),
-            "{axis:?}: no {home} in {indices:?}"
-        );
-        assert!(
-            indices.windows(2).all(|pair| pair[0] - pair[1] == turn),
-            "{indices:?}"
-        );
+        assert!(indices.contains(&(home as i32)), "{axis:?}: no {home} in {indices:?}");
+        assert!(indices.windows(2).all(|pair| pair[0] - pair[1] == turn), "{indices:?}");
         let edge = edge.expect("the switch was passed");
-        assert!(
-            (to - 0.02..=to).contains(&edge),
-            "{axis:?}: closed at {edge}, not {to}"
-        );
+        assert!((to - 0.02..=to).contains(&edge), "{axis:?}: closed at {edge}, not {to}");
     }
 }
 
@@ -320,19 +215,12 @@ fn limit_switches_close_before_the_buffers_stop_the_axis() {
         axis.advance(10_000, push);
         let feedback = axis.feedback();
         assert_eq!(feedback.trip, None);
-        assert_eq!(
-            (feedback.negative_limit, feedback.positive_limit),
-            (end < 0.0, end > 0.0)
-        );
+        assert_eq!((feedback.negative_limit, feedback.positive_limit), (end < 0.0, end > 0.0));
         let into_buffer = (axis.angle() - end) * direction - 3.0;
         assert!((0.05..0.1).contains(&into_buffer), "{into_buffer} rad");
         let before = axis.angle();
         axis.advance(10_000, push);
-        assert!(
-            (axis.angle() - before).abs() < 2e-3,
-            "moves by {}",
-            axis.angle() - before
-        );
+        assert!((axis.angle() - before).abs() < 2e-3, "moves by {}", axis.angle() - before);
     }
 }
 
@@ -355,11 +243,7 @@ fn current_and_voltage_have_their_limits() {
     assert!((310.0..341.0).contains(&speed), "{speed} rad/s");
     // Anti-windup: after the voltage limit the loops settle at once.
     axis.advance(3_000, Demand::Velocity(0.0));
-    assert!(
-        axis.feedback().velocity.abs() < 200.0,
-        "{} counts/s",
-        axis.feedback().velocity
-    );
+    assert!(axis.feedback().velocity.abs() < 200.0, "{} counts/s", axis.feedback().velocity);
 }
 
 #[test]
@@ -372,10 +256,7 @@ fn over_current_trips_until_power_is_taken_off() {
     axis.advance(50, Demand::Torque(1.0));
     assert_eq!(axis.feedback().trip, Some(Trip::OverCurrent));
     axis.advance(50, Demand::Torque(0.1));
-    assert_eq!(
-        (axis.feedback().trip, axis.feedback().torque),
-        (Some(Trip::OverCurrent), 0.0)
-    );
+    assert_eq!((axis.feedback().trip, axis.feedback().torque), (Some(Trip::OverCurrent), 0.0));
     axis.advance(1, Demand::Off);
     axis.advance(50, Demand::Torque(0.1));
     assert_eq!(axis.feedback().trip, None);
@@ -398,11 +279,7 @@ fn stalled_motor_overheats_and_recovers_when_it_has_cooled() {
     axis.advance(1, stall);
     assert_eq!(axis.feedback().torque, 0.0);
     axis.advance(1, Demand::Off);
-    assert_eq!(
-        axis.feedback().trip,
-        Some(Trip::OverTemperature),
-        "off does not cool it"
-    );
+    assert_eq!(axis.feedback().trip, Some(Trip::OverTemperature), "off does not cool it");
     axis.advance(100_000, Demand::Off);
     assert_eq!(axis.feedback().trip, None);
 }
@@ -410,11 +287,7 @@ fn stalled_motor_overheats_and_recovers_when_it_has_cooled() {
 /// Exercises all random parts.
 fn wander(seed: u64, chunks: &[u32]) -> (u64, i32) {
     let mut config = AxisConfig::irp6(Irp6Axis::Roll);
-    config.home_switch = Some(Switch {
-        from: 440.0,
-        to: 450.0,
-        bounce: 50,
-    });
+    config.home_switch = Some(Switch { from: 440.0, to: 450.0, bounce: 50 });
     let mut axis = PlantAxis::new(&config, seed);
     for velocity in [-20_000.0, 10_000.0, -30_000.0] {
         for chunk in chunks {
@@ -436,22 +309,12 @@ fn ripple_and_jitter_are_what_seeds_differ_in() {
         let config = irp6(Irp6Axis::Column, |motor| {
             motor.torque_ripple = torque_ripple;
         });
-        let mut axis = PlantAxis::new(
-            &AxisConfig {
-                edge_jitter,
-                ..config
-            },
-            seed,
-        );
+        let mut axis = PlantAxis::new(&AxisConfig { edge_jitter, ..config }, seed);
         axis.advance(5_000, Demand::Velocity(-31_000.0));
         axis.angle().to_bits()
     };
     for (ripple, jitter, differ) in [(0.0, 0.0, false), (0.01, 0.0, true), (0.0, 0.1, true)] {
-        assert_eq!(
-            run(1, ripple, jitter) != run(2, ripple, jitter),
-            differ,
-            "{ripple}, {jitter}"
-        );
+        assert_eq!(run(1, ripple, jitter) != run(2, ripple, jitter), differ, "{ripple}, {jitter}");
     }
 }
 
@@ -503,10 +366,7 @@ fn voltages_and_currents_act_from_their_first_sub_step() {
 
 #[test]
 fn an_axis_trips_beyond_the_current_it_was_set_to() {
-    for config in [
-        AxisConfig::irp6(Irp6Axis::Column),
-        AxisConfig::wut(Irp6Axis::Column),
-    ] {
+    for config in [AxisConfig::irp6(Irp6Axis::Column), AxisConfig::wut(Irp6Axis::Column)] {
         for (limit, trips) in [(4.0, true), (6.0, false)] {
             let mut axis = PlantAxis::new(&config, 1);
             axis.amplifier.config.trip_current = limit;

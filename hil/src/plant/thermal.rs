@@ -33,12 +33,7 @@ const HYSTERESIS: f64 = 5.0;
 
 impl Thermal {
     pub(crate) fn new(config: &ThermalConfig) -> Self {
-        Self {
-            config: *config,
-            winding: config.air,
-            housing: config.air,
-            tripped: false,
-        }
+        Self { config: *config, winding: config.air, housing: config.air, tripped: false }
     }
 
     /// Takes the mean loss of the last `dt` seconds, W. Explicit Euler: `dt` must be far below the product of the
@@ -85,10 +80,7 @@ mod tests {
         let mut thermal = Thermal::new(&CONFIG);
         after(&mut thermal, 50.0, 60.0);
         let rise = (thermal.winding - 25.0) / 50.0;
-        assert!(
-            (0.6..0.66).contains(&rise),
-            "{rise} of the final rise over the housing"
-        );
+        assert!((0.6..0.66).contains(&rise), "{rise} of the final rise over the housing");
         assert!(thermal.housing < 27.5);
     }
 
@@ -108,13 +100,7 @@ mod tests {
             was = thermal.tripped;
             assert!(thermal.winding < 155.1, "at tick {tick}");
         }
-        assert!(
-            trips.len() > 1 && trips.iter().all(|t| *t >= 155.0),
-            "{trips:?}"
-        );
-        assert!(
-            !clears.is_empty() && clears.iter().all(|t| *t < 150.0),
-            "{clears:?}"
-        );
+        assert!(trips.len() > 1 && trips.iter().all(|t| *t >= 155.0), "{trips:?}");
+        assert!(!clears.is_empty() && clears.iter().all(|t| *t < 150.0), "{clears:?}");
     }
 }

@@ -40,21 +40,14 @@ pub struct Wut {
 impl Wut {
     /// A motor at standstill at `angle`, rad.
     pub fn new(config: &WutConfig, angle: f64) -> Self {
-        Self {
-            config: *config,
-            friction: Friction::new(&config.friction),
-            angle,
-            velocity: 0.0,
-        }
+        Self { config: *config, friction: Friction::new(&config.friction), angle, velocity: 0.0 }
     }
 
     /// Integrates one step of `dt` seconds under a constant current, A, with a brake that resists by up to `brake` N·m.
     pub fn step(&mut self, current: f64, dt: f64, brake: f64) {
         let torque = self.config.torque_constant * current - self.config.viscous * self.velocity;
         let gain = dt / self.config.inertia;
-        self.velocity =
-            self.friction
-                .apply(self.velocity, self.velocity + torque * gain, gain, brake);
+        self.velocity = self.friction.apply(self.velocity, self.velocity + torque * gain, gain, brake);
         self.angle += self.velocity * dt;
     }
 
@@ -99,19 +92,12 @@ mod tests {
             wut.step(0.0, 1e-5, 0.0);
             steps += 1;
         }
-        assert!(
-            (f64::from(steps) * 1e-5 - 7.5e-3).abs() < 2e-5,
-            "{steps} steps of 10 µs"
-        );
+        assert!((f64::from(steps) * 1e-5 - 7.5e-3).abs() < 2e-5, "{steps} steps of 10 µs");
     }
 
     #[test]
     fn dry_friction_brings_it_to_rest_for_good() {
-        let friction = FrictionConfig {
-            coulomb: 0.1,
-            stiction: 0.15,
-            stribeck_velocity: 5.0,
-        };
+        let friction = FrictionConfig { coulomb: 0.1, stiction: 0.15, stribeck_velocity: 5.0 };
         let mut wut = spun_up(&WutConfig { friction, ..COLUMN }, 10.0);
         for _ in 0..10_000 {
             wut.step(0.0, 1e-4, 0.0);
@@ -120,10 +106,6 @@ mod tests {
         for _ in 0..10_000 {
             wut.step(1.4, 1e-4, 0.0);
         }
-        assert_eq!(
-            (wut.velocity, wut.angle),
-            (0.0, angle),
-            "0.147 N·m is below stiction"
-        );
+        assert_eq!((wut.velocity, wut.angle), (0.0, angle), "0.147 N·m is below stiction");
     }
 }

@@ -36,9 +36,7 @@ fn tell(device: &mut SlcanDevice, text: &str) -> String {
 }
 
 fn sent(device: &mut SlcanDevice) -> Vec<String> {
-    std::iter::from_fn(|| device.poll_transmit(Instant::ZERO))
-        .map(|frame| frame.to_string())
-        .collect()
+    std::iter::from_fn(|| device.poll_transmit(Instant::ZERO)).map(|frame| frame.to_string()).collect()
 }
 
 #[test]
@@ -86,16 +84,9 @@ fn frames_go_out_in_order_and_come_in_as_lines() {
     assert_eq!(tell(&mut device, "S8.O.t0800.T000000011AB.r7011."), ".....");
     assert_eq!(sent(&mut device), ["080#", "00000001#AB", "701#R1"]);
     device.handle(&standard(0x581, &[0x60, 0x40]), at(1));
-    device.handle(
-        &Frame::new(ExtendedId::new(1).unwrap(), &[]).unwrap(),
-        at(2),
-    );
+    device.handle(&Frame::new(ExtendedId::new(1).unwrap(), &[]).unwrap(), at(2));
     assert_eq!(said(&mut device), "t58126040.T000000010.");
-    let counts = SlcanCounts {
-        sent: 3,
-        received: 2,
-        ..SlcanCounts::default()
-    };
+    let counts = SlcanCounts { sent: 3, received: 2, ..SlcanCounts::default() };
     assert_eq!(device.counts(), counts);
 }
 
@@ -145,10 +136,7 @@ fn without_auto_poll_frames_wait_to_be_asked_for() {
     }
     assert_eq!(tell(&mut device, "P.P."), "t0010.t0020.");
     let rest = tell(&mut device, "A.");
-    assert_eq!(
-        (rest.matches('t').count(), rest.ends_with("t0400.A.")),
-        (62, true)
-    );
+    assert_eq!((rest.matches('t').count(), rest.ends_with("t0400.A.")), (62, true));
     assert_eq!(tell(&mut device, "P.F.F."), ".F01.F00.");
     assert_eq!((device.counts().received, device.counts().lost), (64, 6));
 }
@@ -221,11 +209,7 @@ fn acceptance_is_that_of_an_sja1000_with_two_filters() {
         let mut device = adapter();
         tell(&mut device, &format!("M{code:08X}.m{mask:08X}.S8.O."));
         device.handle(&frame, at(1));
-        assert_eq!(
-            !said(&mut device).is_empty(),
-            passes,
-            "{code:08X} {mask:08X} {frame}"
-        );
+        assert_eq!(!said(&mut device).is_empty(), passes, "{code:08X} {mask:08X} {frame}");
     }
 }
 
@@ -269,18 +253,10 @@ fn bus_off_ends_when_the_channel_is_opened_anew() {
 #[test]
 fn a_wrong_bit_rate_is_bus_off_for_who_speaks_and_errors_for_who_listens() {
     // A bit rate, and whether the bus has the same bit rate.
-    for (set, right) in [
-        ("S8.", true),
-        ("s0014.", true),
-        ("S6.", false),
-        ("s031C.", false),
-    ] {
+    for (set, right) in [("S8.", true), ("s0014.", true), ("S6.", false), ("s031C.", false)] {
         let mut device = adapter();
         tell(&mut device, &format!("{set}O."));
-        assert_eq!(
-            tell(&mut device, "t0800."),
-            if right { "." } else { "sb000256.." }
-        );
+        assert_eq!(tell(&mut device, "t0800."), if right { "." } else { "sb000256.." });
         assert_eq!(sent(&mut device).len(), usize::from(right));
     }
     let mut device = adapter();
@@ -305,19 +281,14 @@ fn two_adapters_and_a_port_share_a_bus_with_its_bit_times() {
     // at least 47 bits.
     let start = at(2);
     let hand = |world: &mut World, id, text: &str, now| {
-        world
-            .change(id, now, |device: &mut SlcanDevice| tell(device, text))
-            .unwrap()
+        world.change(id, now, |device: &mut SlcanDevice| tell(device, text)).unwrap()
     };
     assert_eq!(hand(&mut world, ids[0], "t7FF0.", start), ".");
     assert_eq!(world.next_event(), Some(start));
     let later = Instant::from_nanos(start.as_nanos() + 10_000);
     assert_eq!(hand(&mut world, ids[1], "t0010.", later), ".");
     world.advance(at(3));
-    let mut received = [Received {
-        frame: standard(0, &[]),
-        at: Instant::ZERO,
-    }; 8];
+    let mut received = [Received { frame: standard(0, &[]), at: Instant::ZERO }; 8];
     assert_eq!(port.receive(at(3), &mut received), Ok(2));
     let arrivals = received[..2].iter().map(|received| {
         let micros = received.at.since(start).as_micros();
@@ -325,21 +296,14 @@ fn two_adapters_and_a_port_share_a_bus_with_its_bit_times() {
     });
     let first = u128::from(can::timing::bits_on_wire(&standard(0x7FF, &[])));
     let second = u128::from(can::timing::bits_on_wire(&standard(0x001, &[])));
-    let expected = [
-        ("7FF#".to_owned(), first - 3),
-        ("001#".to_owned(), first + second - 3),
-    ];
+    let expected = [("7FF#".to_owned(), first - 3), ("001#".to_owned(), first + second - 3)];
     assert!(arrivals.eq(expected));
     for (id, heard) in ids.into_iter().zip(["t0010.", "t7FF0."]) {
         let found = world.change(id, at(3), |device: &mut SlcanDevice| said(device));
         assert_eq!(found.unwrap(), heard);
     }
     assert_eq!(world.next_event(), None);
-    assert!(
-        world
-            .change(ids[0], at(3), |_: &mut crate::Epos4| ())
-            .is_none()
-    );
+    assert!(world.change(ids[0], at(3), |_: &mut crate::Epos4| ()).is_none());
 }
 
 #[test]

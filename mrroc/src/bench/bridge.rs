@@ -24,10 +24,7 @@ const KERNEL: Duration = Duration::from_millis(50);
 const LOOK: Duration = Duration::from_micros(20);
 
 /// Events that a bridge waits for.
-const READ: Interest = Interest {
-    read: true,
-    write: false,
-};
+const READ: Interest = Interest { read: true, write: false };
 
 /// Greatest number of bytes transferred at a time.
 const CHUNK: usize = 4096;
@@ -60,13 +57,7 @@ impl Bridge {
         let pty = Pty::open()?;
         let tty = Tty::open(pty.path(), settings).context("a pseudo-terminal")?;
         let passed = Arc::new(Passed::default());
-        let bridge = Self {
-            pty,
-            line,
-            host: passed.clone(),
-            taken: 0,
-            delivered: 0,
-        };
+        let bridge = Self { pty, line, host: passed.clone(), taken: 0, delivered: 0 };
         Ok((bridge, BridgedTty { tty, passed }))
     }
 
@@ -100,8 +91,7 @@ impl Bridge {
         }
         let give_up = clock::now() + KERNEL;
         let unread = self.delivered - self.host.read.load(Ordering::Relaxed).min(self.delivered);
-        while self.pty.readable().is_ok_and(|held| (held as u64) < unread) && clock::now() < give_up
-        {
+        while self.pty.readable().is_ok_and(|held| (held as u64) < unread) && clock::now() < give_up {
             clock::sleep_until(clock::now() + LOOK);
         }
     }
@@ -110,9 +100,7 @@ impl Bridge {
 impl Line for BridgedTty {
     fn write(&mut self, now: Instant, bytes: &[u8]) -> Result<usize, LineError> {
         let count = self.tty.write(now, bytes)?;
-        self.passed
-            .written
-            .fetch_add(count as u64, Ordering::Relaxed);
+        self.passed.written.fetch_add(count as u64, Ordering::Relaxed);
         Ok(count)
     }
 

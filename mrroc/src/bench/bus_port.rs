@@ -9,8 +9,7 @@ use anyhow::{Context, bail};
 use can::card::{self, Card, CardError, CardState};
 use can::timing::Bitrate;
 use can::{
-    Claim, ControllerState, Counters, Frame, Instant, Port, PortError, Received, SocketCanOptions,
-    SocketCanPort, clock,
+    Claim, ControllerState, Counters, Frame, Instant, Port, PortError, Received, SocketCanOptions, SocketCanPort, clock,
 };
 use serial::{Settings, SlcanError, SlcanPort, StopBits, Tty};
 
@@ -41,11 +40,7 @@ impl BusPort {
     }
 
     /// Opens an interface with `options` for SocketCAN. An slcan adapter gets 0.9 s to answer.
-    pub fn with_options(
-        interface: &Interface,
-        kbps: u32,
-        options: &SocketCanOptions,
-    ) -> anyhow::Result<Self> {
+    pub fn with_options(interface: &Interface, kbps: u32, options: &SocketCanOptions) -> anyhow::Result<Self> {
         match interface {
             Interface::SocketCan(name) => {
                 let port = SocketCanPort::open(name, options)?;
@@ -78,9 +73,7 @@ impl BusPort {
     pub fn wait_readable(&self, until: Instant) -> Result<bool, PortError> {
         match self {
             Self::SocketCan(port, _) => port.wait_readable(until),
-            Self::Slcan(port) => {
-                clock::wait_readable(port.line().as_fd(), until).map_err(PortError::Os)
-            }
+            Self::Slcan(port) => clock::wait_readable(port.line().as_fd(), until).map_err(PortError::Os),
         }
     }
 
@@ -113,9 +106,7 @@ fn open_slcan(tty: Tty, kbps: u32, begin: Begin) -> anyhow::Result<SlcanPort<Tty
         if let Poll::Ready(result) = port.poll_open(clock::now()) {
             return result.map(|()| port).map_err(Into::into);
         }
-        let until = port
-            .poll_timeout()
-            .expect("it has a deadline while it is being opened");
+        let until = port.poll_timeout().expect("it has a deadline while it is being opened");
         clock::wait_readable(port.line().as_fd(), until).map_err(PortError::Os)?;
     }
 }

@@ -10,10 +10,7 @@ use servo::{NotUp, Servo, lockstep};
 use crate::bench::emulation::Emulation;
 
 /// Brings the drives up. Emulated drives come up in their own time, as fast as possible. Returns that time.
-pub fn bring_up(
-    servo: &mut Servo,
-    emulation: &mut Option<Emulation>,
-) -> Result<Option<Instant>, NotUp> {
+pub fn bring_up(servo: &mut Servo, emulation: &mut Option<Emulation>) -> Result<Option<Instant>, NotUp> {
     match emulation {
         None => thread::bring_up(servo, |_| {}).map(|()| None),
         Some(emulation) => {

@@ -93,10 +93,7 @@ impl EmulatedLines {
             let wake = time.clock(due.max(passed + GRAIN));
             let wake = wake.min(clock::now() + LOOK);
             let ends = self.lines.iter().map(|line| {
-                let interest = Interest {
-                    read: line.end.room(&self.world) > 0,
-                    write: line.full,
-                };
+                let interest = Interest { read: line.end.room(&self.world) > 0, write: line.full };
                 (line.pty.as_fd(), interest)
             });
             let readable = pty::wait(ends, wake)?;

@@ -6,8 +6,8 @@ use can::timing::Bitrate;
 use can::{Frame, Instant, Port, StandardId, VirtualPort};
 use canopen::NodeId;
 use hil::{
-    AxisController, AxisControllerConfig, BusId, Cabinet, Device, Epos4, Epos4Config, EposSerial,
-    EposSerialConfig, LineDevice, World,
+    AxisController, AxisControllerConfig, BusId, Cabinet, Device, Epos4, Epos4Config, EposSerial, EposSerialConfig,
+    LineDevice, World,
 };
 use serial::{Settings, VirtualLine};
 
@@ -58,9 +58,7 @@ impl Emulation {
         let mut world = World::new();
         let emulated = EmulatedCell::of(file);
         let buses = 0..file.cell.bus.len();
-        let buses: Vec<_> = buses
-            .map(|index| emulated.add_bus(&mut world, index))
-            .collect();
+        let buses: Vec<_> = buses.map(|index| emulated.add_bus(&mut world, index)).collect();
         let mut ends = |queue| -> Vec<_> {
             let buses = buses.iter();
             buses.map(|&bus| world.host_port(bus, queue)).collect()
@@ -71,14 +69,9 @@ impl Emulation {
         let lines = (0..file.cell.serial.len()).map(|bundle| {
             let cabinet = Cabinet::default();
             let axes = file.cell.axes_on(file.cell.bus.len() + bundle);
-            axes.map(|axis| emulated.add_line(&mut world, bundle, axis, &cabinet))
-                .collect()
+            axes.map(|axis| emulated.add_line(&mut world, bundle, axis, &cabinet)).collect()
         });
-        let ends = HostEnds {
-            lines: lines.collect(),
-            ports,
-            listeners,
-        };
+        let ends = HostEnds { lines: lines.collect(), ports, listeners };
         let emulation = Self {
             world,
             buses,
@@ -100,8 +93,7 @@ impl Emulation {
     pub fn add_traffic(&mut self) {
         for &bus in &self.buses {
             let next = Instant::ZERO;
-            self.world
-                .add_device(bus, Box::new(Chatter { next, due: false }));
+            self.world.add_device(bus, Box::new(Chatter { next, due: false }));
         }
     }
 
@@ -177,13 +169,7 @@ impl EmulatedCell<'_> {
 
     /// Adds the line of an axis of bundle `bundle`, with its axis controller in `cabinet`, switched on at
     /// [`Instant::ZERO`]. Returns the host's end.
-    pub fn add_line(
-        &self,
-        world: &mut World,
-        bundle: usize,
-        axis: (usize, usize),
-        cabinet: &Cabinet,
-    ) -> VirtualLine {
+    pub fn add_line(&self, world: &mut World, bundle: usize, axis: (usize, usize), cabinet: &Cabinet) -> VirtualLine {
         let bundle = &self.file.cell.serial[bundle];
         let latency = bundle.emulated_latency_ms;
         let latency = latency.map(|latency| Duration::from_millis(u64::from(latency)));
@@ -220,17 +206,12 @@ impl EmulatedCell<'_> {
 
 /// The bit rate of bus `bus`.
 pub fn bitrate(file: &CellFile, bus: usize) -> Bitrate {
-    Bitrate::from_kbps(file.cell.bus[bus].bitrate_kbps)
-        .expect("a parsed cell has possible bit rates")
+    Bitrate::from_kbps(file.cell.bus[bus].bitrate_kbps).expect("a parsed cell has possible bit rates")
 }
 
 /// Adds the service port of a drive like the drive of a CAN axis, switched on at [`Instant::ZERO`]. This drive is on
 /// no bus. Returns the host's end.
-pub fn add_service_port(
-    world: &mut World,
-    file: &CellFile,
-    (robot, number): (usize, usize),
-) -> VirtualLine {
+pub fn add_service_port(world: &mut World, file: &CellFile, (robot, number): (usize, usize)) -> VirtualLine {
     let config = EposSerialConfig::new(config(file, robot, number, Instant::ZERO));
     let device = Box::new(EposSerial::epos4(config));
     let line = world.add_line(Settings::EPOS, None, device);
@@ -253,8 +234,7 @@ impl LineDevice for Absent {
 
 /// The axes on bus `bus` that have a drive, as pairs of robot and axis number.
 pub fn axes_present(file: &CellFile, bus: usize) -> impl Iterator<Item = (usize, usize)> {
-    let present =
-        |&(robot, axis): &(usize, usize)| !file.cell.robot[robot].axis[axis].emulator.absent;
+    let present = |&(robot, axis): &(usize, usize)| !file.cell.robot[robot].axis[axis].emulator.absent;
     file.cell.axes_on(bus).filter(present)
 }
 
@@ -270,10 +250,7 @@ pub fn config(file: &CellFile, robot: usize, number: usize, power_on: Instant) -
         product: identity.product.unwrap_or(usual.product),
         revision: revision.unwrap_or(usual.revision),
         main_sensor_resolution: axis.emulator.counts_per_revolution,
-        rated_torque: axis
-            .emulator
-            .rated_torque
-            .or(Some(axis.cia402().rated_torque)),
+        rated_torque: axis.emulator.rated_torque.or(Some(axis.cia402().rated_torque)),
         seed: seed(file, robot, number),
         power_on,
         ..usual

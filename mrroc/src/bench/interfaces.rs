@@ -53,11 +53,7 @@ impl Interface {
         for (prefix, dialect) in EPOS {
             if let Some(tty) = name.strip_prefix(prefix) {
                 let (path, baud) = tty_of(tty);
-                return Self::Epos {
-                    dialect,
-                    path,
-                    baud,
-                };
+                return Self::Epos { dialect, path, baud };
             }
         }
         Self::SocketCan(name.to_owned())
@@ -129,11 +125,7 @@ impl fmt::Display for Interface {
         let (prefix, path, baud) = match self {
             Self::SocketCan(name) => return f.write_str(name),
             Self::Slcan { path, baud } => (SLCAN, path, *baud),
-            Self::Epos {
-                dialect,
-                path,
-                baud,
-            } => match dialect {
+            Self::Epos { dialect, path, baud } => match dialect {
                 Dialect::Epos2 => (EPOS[0].0, path, *baud),
                 Dialect::Epos4 => (EPOS[1].0, path, *baud),
             },
@@ -148,9 +140,7 @@ impl fmt::Display for Interface {
 /// `PATH` or `PATH@BAUD`.
 fn tty_of(text: &str) -> (String, u32) {
     let with_baud = text.rsplit_once('@');
-    let (path, baud) = with_baud
-        .and_then(|(path, baud)| Some((path, baud.parse().ok()?)))
-        .unwrap_or((text, BAUD));
+    let (path, baud) = with_baud.and_then(|(path, baud)| Some((path, baud.parse().ok()?))).unwrap_or((text, BAUD));
     (path.to_owned(), baud)
 }
 
@@ -168,29 +158,21 @@ pub fn resolve(cell: &Cell, overrides: &[String]) -> anyhow::Result<Vec<Interfac
             bail!("--can {given}: the bus is already given another by --can {first}");
         }
         let interface = Interface::parse(interface);
-        interface
-            .check()
-            .with_context(|| format!("--can {given}"))?;
+        interface.check().with_context(|| format!("--can {given}"))?;
         interfaces[index] = interface;
     }
     Ok(interfaces)
 }
 
 /// Refuses buses that share an interface. Buses without an interface share none.
-pub fn all_differ<'a>(
-    cell: &Cell,
-    interfaces: impl IntoIterator<Item = Option<&'a Interface>>,
-) -> anyhow::Result<()> {
+pub fn all_differ<'a>(cell: &Cell, interfaces: impl IntoIterator<Item = Option<&'a Interface>>) -> anyhow::Result<()> {
     let mut taken = Vec::<(&Interface, &str)>::new();
     for (interface, bus) in interfaces.into_iter().zip(&cell.bus) {
         let Some(interface) = interface else {
             continue;
         };
         if let Some((_, first)) = taken.iter().find(|(other, _)| *other == interface) {
-            bail!(
-                "bus {}: {interface} is that of bus {first}: give each its own, --can BUS=IFACE",
-                bus.name
-            );
+            bail!("bus {}: {interface} is that of bus {first}: give each its own, --can BUS=IFACE", bus.name);
         }
         taken.push((interface, &bus.name));
     }
@@ -202,21 +184,15 @@ pub fn bus_of<'a>(cell: &Cell, option: &str, given: &'a str) -> anyhow::Result<(
     match given.split_once('=') {
         Some((name, value)) => {
             let index = cell.bus.iter().position(|bus| bus.name == name);
-            let index = index.with_context(|| {
-                format!(
-                    "{option} {given}: the cell has no bus {name:?}, only {}",
-                    names(cell)
-                )
-            })?;
+            let index = index
+                .with_context(|| format!("{option} {given}: the cell has no bus {name:?}, only {}", names(cell)))?;
             Ok((index, value))
         }
         None if cell.bus.len() == 1 => Ok((0, given)),
         None if cell.bus.is_empty() => bail!("{option} {given}: the cell has no CAN bus"),
-        None => bail!(
-            "{option} {given}: the cell has {} buses, say which as BUS={given}: {}",
-            cell.bus.len(),
-            names(cell)
-        ),
+        None => {
+            bail!("{option} {given}: the cell has {} buses, say which as BUS={given}: {}", cell.bus.len(), names(cell))
+        }
     }
 }
 
@@ -231,13 +207,7 @@ mod tests {
 
     #[test]
     fn what_the_kernel_takes_for_no_name_is_no_interface() {
-        let good = [
-            "can0",
-            "vcan-7",
-            "a.b",
-            "slcan:/dev/ttyACM0",
-            "epos4:/dev/a@9600",
-        ];
+        let good = ["can0", "vcan-7", "a.b", "slcan:/dev/ttyACM0", "epos4:/dev/a@9600"];
         for name in good {
             assert!(Interface::parse(name).check().is_ok(), "{name}");
         }
@@ -265,22 +235,12 @@ mod tests {
 
     #[test]
     fn adapters_and_service_ports_are_named_by_their_tty_and_its_speed() {
-        let slcan = |path: &str, baud| Interface::Slcan {
-            path: path.to_owned(),
-            baud,
-        };
-        let epos = |dialect, path: &str, baud| Interface::Epos {
-            dialect,
-            path: path.to_owned(),
-            baud,
-        };
+        let slcan = |path: &str, baud| Interface::Slcan { path: path.to_owned(), baud };
+        let epos = |dialect, path: &str, baud| Interface::Epos { dialect, path: path.to_owned(), baud };
         let table = [
             ("epos4:/dev/a", epos(Dialect::Epos4, "/dev/a", 115_200)),
             ("epos2:/dev/b@9600", epos(Dialect::Epos2, "/dev/b", 9600)),
-            (
-                "epos3:/dev/b",
-                Interface::SocketCan("epos3:/dev/b".to_owned()),
-            ),
+            ("epos3:/dev/b", Interface::SocketCan("epos3:/dev/b".to_owned())),
             ("can0", Interface::SocketCan("can0".to_owned())),
             ("slcan0", Interface::SocketCan("slcan0".to_owned())),
             ("slcan:/dev/ttyACM0", slcan("/dev/ttyACM0", 115_200)),

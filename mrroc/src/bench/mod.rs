@@ -74,20 +74,14 @@ impl Places {
         if kind != BenchKind::Vcan {
             return Ok(());
         }
-        let is_device = |path: &Path| {
-            path.canonicalize()
-                .is_ok_and(|it| !it.starts_with("/dev/pts"))
-        };
+        let is_device = |path: &Path| path.canonicalize().is_ok_and(|it| !it.starts_with("/dev/pts"));
         let interfaces = interfaces::resolve(&file.cell, &self.can)?;
         let may_be_hardware = |interface: &&Interface| match interface {
             Interface::SocketCan(name) => can::card::read(name).is_ok(),
-            Interface::Slcan { path, .. } | Interface::Epos { path, .. } => {
-                is_device(path.as_ref())
-            }
+            Interface::Slcan { path, .. } | Interface::Epos { path, .. } => is_device(path.as_ref()),
         };
         let bus = interfaces.iter().find(may_be_hardware);
-        let mut ttys = (0..file.cell.serial.len())
-            .flat_map(|bundle| tty_paths(file, bundle, self.serial.as_deref()));
+        let mut ttys = (0..file.cell.serial.len()).flat_map(|bundle| tty_paths(file, bundle, self.serial.as_deref()));
         let tty = ttys.find(|(_, path)| is_device(path));
         let names = bus.map(Interface::to_string);
         if let Some(name) = names.or(tty.map(|(_, path)| path.display().to_string())) {
@@ -115,12 +109,7 @@ pub struct Bench {
 
 impl Bench {
     /// Opens the bench `kind` for a cell.
-    pub fn open(
-        file: &CellFile,
-        kind: BenchKind,
-        places: &Places,
-        trace: bool,
-    ) -> anyhow::Result<Self> {
+    pub fn open(file: &CellFile, kind: BenchKind, places: &Places, trace: bool) -> anyhow::Result<Self> {
         let (can, serial) = (&places.can, places.serial.as_deref());
         if places.set_bitrate && kind != BenchKind::Card {
             bail!("--set-bitrate needs --bench card");
@@ -176,14 +165,7 @@ impl Bench {
         } else {
             (ports, Vec::new())
         };
-        Ok(Self {
-            ports,
-            lines,
-            interfaces,
-            traces,
-            wire: Wire::new(file, listeners),
-            emulation,
-        })
+        Ok(Self { ports, lines, interfaces, traces, wire: Wire::new(file, listeners), emulation })
     }
 }
 

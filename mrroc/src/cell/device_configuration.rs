@@ -53,20 +53,14 @@ impl DeviceConfiguration {
         if let Some(rate) = rate.filter(|rate| *rate != bitrate) {
             return refuse(format!("is for {rate} kbit/s, the bus has {bitrate}"));
         }
-        let identity = [
-            (VENDOR_ID, Some(drive.vendor)),
-            (PRODUCT_CODE, drive.product),
-            (REVISION, drive.revision),
-        ];
+        let identity = [(VENDOR_ID, Some(drive.vendor)), (PRODUCT_CODE, drive.product), (REVISION, drive.revision)];
         for (object, expected) in identity {
             let stated = dcf.identity(object.subindex);
             if let (Some(stated), Some(expected)) = (stated, expected)
                 && stated != expected
             {
                 let name = object.name().unwrap_or("identity");
-                return refuse(format!(
-                    "is of {name} {stated:#010x} ({object}), the cell says {expected:#010x}"
-                ));
+                return refuse(format!("is of {name} {stated:#010x} ({object}), the cell says {expected:#010x}"));
             }
         }
 
@@ -78,15 +72,12 @@ impl DeviceConfiguration {
         check_reserved(&download, drive.vendor).map_err(at_line)?;
         if download.writes.len() > MOST_WRITES {
             let writes = download.writes.len();
-            return refuse(format!(
-                "asks for {writes} writes, more than the {MOST_WRITES} that a drive may be given"
-            ));
+            return refuse(format!("asks for {writes} writes, more than the {MOST_WRITES} that a drive may be given"));
         }
         for write in &download.writes {
             let (line, object, size) = (write.line, write.object, write.data.len());
             if size > CAPACITY {
-                let problem =
-                    format!("{object} takes {size} bytes, at most {CAPACITY} are transferred");
+                let problem = format!("{object} takes {size} bytes, at most {CAPACITY} are transferred");
                 return Err(at_line((line, problem)));
             }
         }
@@ -122,9 +113,7 @@ fn check_reserved(download: &Download, vendor: u32) -> Result<(), (u32, String)>
     let Some((line, first)) = found.next() else {
         return Ok(());
     };
-    let mut problem = format!(
-        "{first}; remove its ParameterValue, or set bit 0 of its ObjFlags to keep it as a note"
-    );
+    let mut problem = format!("{first}; remove its ParameterValue, or set bit 0 of its ObjFlags to keep it as a note");
     let others: Vec<_> = found.map(|(line, _)| line.to_string()).collect();
     if !others.is_empty() {
         let (count, lines) = (others.len(), others.join(", "));
@@ -140,8 +129,7 @@ fn check_scale(download: &Download, counts: u32) -> Result<(), (u32, String)> {
     let ratio = |index: u16| {
         let written = |subindex: u8| {
             let mut writes = download.writes.iter();
-            let write =
-                writes.find(|it| it.object.index == index && it.object.subindex == subindex)?;
+            let write = writes.find(|it| it.object.index == index && it.object.subindex == subindex)?;
             let value = <[u8; 4]>::try_from(write.data.as_slice()).ok()?;
             Some((write.line, u32::from_le_bytes(value)))
         };

@@ -7,10 +7,7 @@ use drive::axis_controller::{self, Settings, StopBits};
 use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, NodeId};
 use servo::{FeedForward, HomingLeg, HostHoming, HostLoop, Output, PositionLoop, ServoAxisConfig};
 
-use super::{
-    Axis, AxisController, Cell, Control, Direction, Drive, DriveControl, Homing, Loop, Robot,
-    Serial,
-};
+use super::{Axis, AxisController, Cell, Control, Direction, Drive, DriveControl, Homing, Loop, Robot, Serial};
 use controller::robot::Limits;
 
 /// Longest way back from the home switch to its index pulse, rad: five turns of the motor. A switch may take up most
@@ -49,8 +46,7 @@ impl Cell {
     pub fn axes_on(&self, group: usize) -> impl Iterator<Item = (usize, usize)> {
         let name = self.groups().nth(group);
         let robots = self.robot.iter().enumerate();
-        let axes =
-            robots.flat_map(|(robot, value)| (0..value.axis.len()).map(move |axis| (robot, axis)));
+        let axes = robots.flat_map(|(robot, value)| (0..value.axis.len()).map(move |axis| (robot, axis)));
         axes.filter(move |&(robot, axis)| Some(self.robot[robot].axis[axis].bus.as_str()) == name)
     }
 
@@ -74,10 +70,7 @@ impl Cell {
 impl Serial {
     /// Settings of the serial lines.
     pub fn settings(&self) -> Settings {
-        Settings {
-            baud: self.baud,
-            stop_bits: StopBits::Two,
-        }
+        Settings { baud: self.baud, stop_bits: StopBits::Two }
     }
 
     /// Settings common to the axis controllers, at the servo period `period`.
@@ -126,11 +119,7 @@ impl Axis {
         let drive = self.cia402();
         AxisConfig {
             node: node(self.node),
-            identity: Identity {
-                vendor: drive.vendor,
-                product: drive.product,
-                revision: drive.revision,
-            },
+            identity: Identity { vendor: drive.vendor, product: drive.product, revision: drive.revision },
             mode: match drive.control {
                 DriveControl::Position => CyclicMode::Csp,
                 DriveControl::Velocity => CyclicMode::Csv,
@@ -217,10 +206,7 @@ impl Axis {
         PositionLoop::Host(HostLoop {
             law: given.law,
             output,
-            feed_forward: FeedForward {
-                weight,
-                ..given.feed_forward
-            },
+            feed_forward: FeedForward { weight, ..given.feed_forward },
             runaway_velocity: self.runaway_velocity(),
         })
     }
@@ -229,13 +215,7 @@ impl Axis {
 impl Robot {
     /// Servo configuration of axis `number`, within the `limits` of its motor. The axis is axis `index_in_group` of
     /// drive group `group`.
-    pub fn servo_config(
-        &self,
-        number: usize,
-        group: usize,
-        index_in_group: usize,
-        limits: Limits,
-    ) -> ServoAxisConfig {
+    pub fn servo_config(&self, number: usize, group: usize, index_in_group: usize, limits: Limits) -> ServoAxisConfig {
         let axis = &self.axis[number];
         let by_host = axis.controller.is_some();
         ServoAxisConfig {
@@ -262,8 +242,7 @@ impl Homing {
             velocity,
             distance,
             // Twice the ideal time for ramps and for a loop that lags.
-            timeout: Duration::try_from_secs_f64(2.0 * distance / velocity + 2.0)
-                .unwrap_or(Duration::MAX),
+            timeout: Duration::try_from_secs_f64(2.0 * distance / velocity + 2.0).unwrap_or(Duration::MAX),
         };
         HostHoming {
             direction: self.direction.unwrap_or(Direction::Negative),

@@ -25,20 +25,12 @@ pub struct CellError {
 impl CellError {
     /// The problem of the value at `path`.
     pub fn at(text: &str, path: &Path, problem: impl Display) -> Self {
-        Self {
-            line: line_of(text, path),
-            key: path.to_string(),
-            problem: problem.to_string(),
-        }
+        Self { line: line_of(text, path), key: path.to_string(), problem: problem.to_string() }
     }
 
     /// The problem of a text that is no TOML.
     pub(super) fn of_text(line: usize, problem: String) -> Self {
-        Self {
-            line,
-            key: String::new(),
-            problem,
-        }
+        Self { line, key: String::new(), problem }
     }
 }
 

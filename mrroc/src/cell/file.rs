@@ -38,13 +38,7 @@ impl CellFile {
         let arms = (0..cell.robot.len()).map(|robot| cell.arm(robot));
         let arms = arms.collect::<Result<_, _>>();
         let arms = arms.expect("a parsed cell has sound parameters");
-        let mut file = Self {
-            path: path.to_owned(),
-            text,
-            cell,
-            arms,
-            configurations: Vec::new(),
-        };
+        let mut file = Self { path: path.to_owned(), text, cell, arms, configurations: Vec::new() };
         for robot in 0..file.cell.robot.len() {
             let axes = 0..file.cell.robot[robot].axis.len();
             let read = axes.map(|axis| DeviceConfiguration::read(&file, robot, axis));
@@ -117,13 +111,8 @@ impl CellFile {
         if axes.is_empty() {
             bail!("{}: the cell has no drive on CAN", self.path.display());
         }
-        let all = axes
-            .iter()
-            .map(|(_, full, axis)| format!("{full} (node {})", axis.node));
-        bail!(
-            "{what} called {wanted:?} with a drive on CAN; there are {}",
-            all.collect::<Vec<_>>().join(", ")
-        )
+        let all = axes.iter().map(|(_, full, axis)| format!("{full} (node {})", axis.node));
+        bail!("{what} called {wanted:?} with a drive on CAN; there are {}", all.collect::<Vec<_>>().join(", "))
     }
 
     /// Name of axis `axis` of robot `robot` in reports.

@@ -28,10 +28,7 @@ impl Cell {
 
     /// The home position of robot `robot`, and the tolerance of each motor after homing.
     pub fn home(&self, robot: usize, arm: &Arm) -> PlannedStart {
-        PlannedStart {
-            motors: arm.robot().home().padded(),
-            tolerance: self.home_tolerances(robot),
-        }
+        PlannedStart { motors: arm.robot().home().padded(), tolerance: self.home_tolerances(robot) }
     }
 
     fn home_tolerances(&self, robot: usize) -> Axes {

@@ -25,11 +25,7 @@ impl Cell {
                 let same = |it: &&mut Meeting| it.name == name && it.occurrence == occurrence;
                 match meetings.iter_mut().find(same) {
                     Some(meeting) => meeting.robots.push(number),
-                    None => meetings.push(Meeting {
-                        name: name.to_owned(),
-                        occurrence,
-                        robots: vec![number],
-                    }),
+                    None => meetings.push(Meeting { name: name.to_owned(), occurrence, robots: vec![number] }),
                 }
             }
         }

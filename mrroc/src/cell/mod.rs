@@ -143,10 +143,7 @@ impl Robot {
     /// Kinematics, tool and weight of the robot, or the error in its parameters.
     pub fn arm(&self) -> Result<Arm, ParameterError> {
         let robot = self.kinematics()?;
-        let weight = self
-            .weight
-            .as_ref()
-            .map(|weights| weights.of(self.model, &*robot));
+        let weight = self.weight.as_ref().map(|weights| weights.of(self.model, &*robot));
         let tool = Pose::translation(self.tool[0], self.tool[1], self.tool[2]);
         let arm = Arm::new(robot, tool);
         Ok(match weight.transpose().map_err(ParameterError::Weight)? {
@@ -168,9 +165,7 @@ impl Robot {
             }
             // A name in front of the message is not repeated.
             let name = &axis.name;
-            let in_front = before
-                .strip_suffix(", ")
-                .is_some_and(|it| it.ends_with(name));
+            let in_front = before.strip_suffix(", ").is_some_and(|it| it.ends_with(name));
             let before = if in_front { "" } else { before };
             // An error concerns one axis.
             return format!("{before}axis {name}{behind}");

@@ -10,8 +10,7 @@ use thiserror::Error;
 use super::{Cell, Instruction, JointGenerator, Joints, LineInstruction, Path, Robot};
 use controller::ecp::Task;
 use controller::generator::{
-    self, Axes, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, PlannedStart,
-    Pose, SmoothPose,
+    self, Axes, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, PlannedStart, Pose, SmoothPose,
 };
 use controller::robot::{Arm, KinematicsError, Limits, Space};
 
@@ -50,9 +49,7 @@ impl ProgramError {
     /// The axis concerned.
     pub fn axis(&self) -> Option<usize> {
         match *self {
-            Self::Kinematics(cause) | Self::Generator(GeneratorError::Path { cause, .. }) => {
-                cause.axis()
-            }
+            Self::Kinematics(cause) | Self::Generator(GeneratorError::Path { cause, .. }) => cause.axis(),
             Self::Generator(_) => None,
         }
     }
@@ -72,22 +69,18 @@ impl Cell {
         let (given, home) = (&self.robot[robot], self.home(robot, arm));
         let meetings = self.meetings();
         let mut task = Task::new().enable().home();
-        let mut joints = arm
-            .joints(&home.motors)
-            .map_err(|error| (instruction_path(robot, 0), error.into()))?;
+        let mut joints = arm.joints(&home.motors).map_err(|error| (instruction_path(robot, 0), error.into()))?;
         let mut start = Some(home);
         for (index, instruction) in given.program.iter().enumerate() {
             let key = instruction_path(robot, index);
             let (next, end) = match instruction {
                 Instruction::Joints(motion) => {
                     let key = key.then("joints").then("poses");
-                    given
-                        .joint_motion(arm, motion, task)
-                        .map_err(|(pose, error)| (key.then(pose), error))
+                    given.joint_motion(arm, motion, task).map_err(|(pose, error)| (key.then(pose), error))
                 }
-                Instruction::Line(line) => given
-                    .line(arm, line, &joints, start, task)
-                    .map_err(|error| (key.then("line"), error)),
+                Instruction::Line(line) => {
+                    given.line(arm, line, &joints, start, task).map_err(|error| (key.then("line"), error))
+                }
                 Instruction::Meet(_) => {
                     let meeting = given.meeting_at(index, &meetings);
                     let meeting = meeting.expect("a parsed cell has few enough meetings");
@@ -116,12 +109,7 @@ impl Robot {
     }
 
     /// Converts a joint motion. An error comes with the number of its pose.
-    fn joint_motion(
-        &self,
-        arm: &Arm,
-        motion: &Joints,
-        task: Task,
-    ) -> Result<(Task, Axes), (usize, ProgramError)> {
+    fn joint_motion(&self, arm: &Arm, motion: &Joints, task: Task) -> Result<(Task, Axes), (usize, ProgramError)> {
         let poses: Vec<Axes> = motion.poses.iter().map(|pose| padded(pose)).collect();
         for (number, pose) in poses.iter().enumerate() {
             arm.motors(pose).map_err(|error| (number, error.into()))?;
@@ -180,8 +168,7 @@ impl Robot {
             max_angular_acceleration: line.acceleration * TURN_PER_METRE,
             max_angular_jerk: line.acceleration * TURN_PER_METRE / LINE_RISE,
         };
-        let generator =
-            generator::StraightLine::new(arm.clone(), target, limits, self.motion_limits(arm))?;
+        let generator = generator::StraightLine::new(arm.clone(), target, limits, self.motion_limits(arm))?;
         let generator = match start {
             Some(start) => generator.beginning_at(start),
             None => generator,
@@ -198,10 +185,7 @@ impl Robot {
         let gains = steepest_gains(arm);
         for (motor, gains) in gains.iter().enumerate().take(arm.axes()) {
             let axis = &self.axis[motor];
-            let planned = [
-                axis.max_velocity * PLANNED.0,
-                axis.max_acceleration * PLANNED.1,
-            ];
+            let planned = [axis.max_velocity * PLANNED.0, axis.max_acceleration * PLANNED.1];
             slow(&mut limits.max_velocity, gains, planned[0]);
             slow(&mut limits.max_acceleration, gains, planned[1]);
         }
@@ -215,11 +199,7 @@ impl Robot {
 /// Number of instructions of a task for one instruction of a program.
 fn moves(instruction: &Instruction) -> usize {
     match instruction {
-        Instruction::Joints(Joints {
-            generator: JointGenerator::JerkLimited,
-            poses,
-            ..
-        }) => poses.len(),
+        Instruction::Joints(Joints { generator: JointGenerator::JerkLimited, poses, .. }) => poses.len(),
         Instruction::Joints(_) | Instruction::Line(_) | Instruction::Meet(_) => 1,
     }
 }
@@ -243,14 +223,8 @@ fn steepest_gains(arm: &Arm) -> [Axes; MAX_AXES] {
     };
     for (joint, range) in arm.robot().joint_limits().iter().enumerate() {
         // The drive train of a joint without end repeats with every turn.
-        let range = if range.is_continuous() {
-            Limits {
-                low: home[joint] - PI,
-                high: home[joint] + PI,
-            }
-        } else {
-            *range
-        };
+        let range =
+            if range.is_continuous() { Limits { low: home[joint] - PI, high: home[joint] + PI } } else { *range };
         let step = (range.high - range.low) / SAMPLES as f64;
         let at = |sample: usize| {
             let mut joints = home;
@@ -272,11 +246,7 @@ fn steepest_gains(arm: &Arm) -> [Axes; MAX_AXES] {
 
 /// A pose of a synchronised trapezoid, reached with these fractions of the limits.
 pub(crate) fn smooth_pose(pose: &[f64], velocity: f64, acceleration: f64) -> SmoothPose {
-    SmoothPose {
-        position: padded(pose),
-        velocity: [velocity; MAX_AXES],
-        acceleration: [acceleration; MAX_AXES],
-    }
+    SmoothPose { position: padded(pose), velocity: [velocity; MAX_AXES], acceleration: [acceleration; MAX_AXES] }
 }
 
 fn padded(pose: &[f64]) -> Axes {

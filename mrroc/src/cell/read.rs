@@ -9,8 +9,7 @@ use std::fmt::Display;
 use serde::Deserialize;
 use serde::de::value::StrDeserializer;
 use serde::de::{
-    self, DeserializeSeed, Deserializer, EnumAccess, IntoDeserializer, MapAccess, SeqAccess,
-    VariantAccess, Visitor,
+    self, DeserializeSeed, Deserializer, EnumAccess, IntoDeserializer, MapAccess, SeqAccess, VariantAccess, Visitor,
 };
 use serde::forward_to_deserialize_any;
 use thiserror::Error;
@@ -38,13 +37,9 @@ pub(super) fn parse(text: &str) -> Result<DeValue<'_>, CellError> {
     let elements = |byte: &u8| matches!(byte, b'.' | b',' | b'=' | b'[' | b'{');
     let mut excess = text.bytes().enumerate().filter(|(_, byte)| elements(byte));
     if let Some((offset, _)) = excess.nth(MOST_ELEMENTS) {
-        let problem = format!(
-            "the file has too many elements: it may have {MOST_ELEMENTS} of the characters . , = [ and {{"
-        );
-        return Err(CellError::of_text(
-            line_at(text.as_bytes(), offset),
-            problem,
-        ));
+        let problem =
+            format!("the file has too many elements: it may have {MOST_ELEMENTS} of the characters . , = [ and {{");
+        return Err(CellError::of_text(line_at(text.as_bytes(), offset), problem));
     }
     let document = DeTable::parse(text).map_err(|error| {
         let span = error.span().unwrap_or_default();
@@ -60,14 +55,8 @@ pub(super) fn parse(text: &str) -> Result<DeValue<'_>, CellError> {
     Ok(DeValue::Table(document.into_inner()))
 }
 
-pub(super) fn read<'de, T: Deserialize<'de>>(
-    text: &str,
-    document: &'de DeValue<'de>,
-) -> Result<T, CellError> {
-    let whole = Value {
-        value: document,
-        offset: 0,
-    };
+pub(super) fn read<'de, T: Deserialize<'de>>(text: &str, document: &'de DeValue<'de>) -> Result<T, CellError> {
+    let whole = Value { value: document, offset: 0 };
     T::deserialize(whole).map_err(|refusal| {
         let steps = refusal.steps.into_iter().rev();
         CellError {
@@ -91,11 +80,7 @@ struct ValueError {
 
 impl ValueError {
     fn new(problem: impl Into<String>) -> Self {
-        Self {
-            steps: Vec::new(),
-            offset: None,
-            problem: problem.into(),
-        }
+        Self { steps: Vec::new(), offset: None, problem: problem.into() }
     }
 
     /// The refusal at this offset, unless it has an offset already.
@@ -140,24 +125,16 @@ struct Entries<'de> {
 impl<'de> MapAccess<'de> for Entries<'de> {
     type Error = ValueError;
 
-    fn next_key_seed<K: DeserializeSeed<'de>>(
-        &mut self,
-        seed: K,
-    ) -> Result<Option<K::Value>, ValueError> {
+    fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, ValueError> {
         let Some((key, value)) = self.left.next() else {
             return Ok(None);
         };
         self.value = Some((key.get_ref(), value));
         let name: StrDeserializer<'_, ValueError> = key.get_ref().as_ref().into_deserializer();
-        seed.deserialize(name)
-            .map(Some)
-            .map_err(|error| error.from(key.span().start))
+        seed.deserialize(name).map(Some).map_err(|error| error.from(key.span().start))
     }
 
-    fn next_value_seed<S: DeserializeSeed<'de>>(
-        &mut self,
-        seed: S,
-    ) -> Result<S::Value, ValueError> {
+    fn next_value_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<S::Value, ValueError> {
         let found = self.value.take();
         let (name, value) = found.expect("serde asks for a key before its value");
         let value = Value::of(value, self.offset);
@@ -177,10 +154,7 @@ impl<'de> Value<'de> {
     /// A table of dotted keys alone has no offset in the text, and gets the offset of the enclosing table.
     fn of(value: &'de Spanned<DeValue<'de>>, around: usize) -> Self {
         let span = value.span();
-        Self {
-            value: value.get_ref(),
-            offset: if span.is_empty() { around } else { span.start },
-        }
+        Self { value: value.get_ref(), offset: if span.is_empty() { around } else { span.start } }
     }
 
     /// The refusal of a value that differs from `expected`.
@@ -232,21 +206,13 @@ impl<'de> Value<'de> {
         let DeValue::Table(table) = self.value else {
             return Err(self.wrong("a table"));
         };
-        let entries = Entries {
-            left: table.iter(),
-            value: None,
-            offset: self.offset,
-        };
+        let entries = Entries { left: table.iter(), value: None, offset: self.offset };
         let read = visitor.visit_map(entries);
         read.map_err(|error| error.from(self.offset))
     }
 
     /// Passes an array to `visitor`, which must take all elements.
-    fn array<V: Visitor<'de>>(
-        &self,
-        length: Option<usize>,
-        visitor: V,
-    ) -> Result<V::Value, ValueError> {
+    fn array<V: Visitor<'de>>(&self, length: Option<usize>, visitor: V) -> Result<V::Value, ValueError> {
         let DeValue::Array(array) = self.value else {
             return Err(match length {
                 Some(length) => self.wrong(format!("an array of {length} elements")),
@@ -261,11 +227,7 @@ impl<'de> Value<'de> {
         if let Some(expected) = length.filter(|length| *length != array.len()) {
             return Err(count(expected));
         }
-        let mut elements = Elements {
-            array,
-            next: 0,
-            offset: self.offset,
-        };
+        let mut elements = Elements { array, next: 0, offset: self.offset };
         let value = visitor.visit_seq(&mut elements)?;
         if elements.next < array.len() {
             return Err(count(elements.next));
@@ -342,11 +304,7 @@ impl<'de> Deserializer<'de> for Value<'de> {
         self.array(None, visitor)
     }
 
-    fn deserialize_tuple<V: Visitor<'de>>(
-        self,
-        length: usize,
-        visitor: V,
-    ) -> Result<V::Value, ValueError> {
+    fn deserialize_tuple<V: Visitor<'de>>(self, length: usize, visitor: V) -> Result<V::Value, ValueError> {
         self.array(Some(length), visitor)
     }
 
@@ -371,11 +329,7 @@ impl<'de> Deserializer<'de> for Value<'de> {
     ) -> Result<V::Value, ValueError> {
         match self.value {
             DeValue::String(text) if variants.contains(&text.as_ref()) => {
-                let chosen = Variant {
-                    name: text,
-                    whole: self,
-                    content: None,
-                };
+                let chosen = Variant { name: text, whole: self, content: None };
                 visitor.visit_enum(chosen)
             }
             DeValue::Table(table) => {
@@ -390,11 +344,7 @@ impl<'de> Deserializer<'de> for Value<'de> {
                     let unknown = <ValueError as de::Error>::unknown_field(name, variants);
                     return Err(unknown.from(key.span().start));
                 }
-                let chosen = Variant {
-                    name,
-                    whole: self,
-                    content: Some(Self::of(content, self.offset)),
-                };
+                let chosen = Variant { name, whole: self, content: Some(Self::of(content, self.offset)) };
                 let visited = visitor.visit_enum(chosen);
                 visited.map_err(|error| error.below(step(name)))
             }
@@ -416,10 +366,7 @@ struct Elements<'de> {
 impl<'de> SeqAccess<'de> for &mut Elements<'de> {
     type Error = ValueError;
 
-    fn next_element_seed<S: DeserializeSeed<'de>>(
-        &mut self,
-        seed: S,
-    ) -> Result<Option<S::Value>, ValueError> {
+    fn next_element_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<Option<S::Value>, ValueError> {
         let Some(value) = self.array.get(self.next) else {
             return Ok(None);
         };
@@ -450,10 +397,7 @@ impl<'de> EnumAccess<'de> for Variant<'de> {
     type Error = ValueError;
     type Variant = Self;
 
-    fn variant_seed<S: DeserializeSeed<'de>>(
-        self,
-        seed: S,
-    ) -> Result<(S::Value, Self), ValueError> {
+    fn variant_seed<S: DeserializeSeed<'de>>(self, seed: S) -> Result<(S::Value, Self), ValueError> {
         let name: StrDeserializer<'_, ValueError> = self.name.into_deserializer();
         Ok((seed.deserialize(name)?, self))
     }
@@ -469,20 +413,13 @@ impl<'de> VariantAccess<'de> for Variant<'de> {
         }
     }
 
-    fn newtype_variant_seed<S: DeserializeSeed<'de>>(
-        self,
-        seed: S,
-    ) -> Result<S::Value, ValueError> {
+    fn newtype_variant_seed<S: DeserializeSeed<'de>>(self, seed: S) -> Result<S::Value, ValueError> {
         let content = self.content()?;
         let value = seed.deserialize(content);
         value.map_err(|error| error.from(content.offset))
     }
 
-    fn tuple_variant<V: Visitor<'de>>(
-        self,
-        length: usize,
-        visitor: V,
-    ) -> Result<V::Value, ValueError> {
+    fn tuple_variant<V: Visitor<'de>>(self, length: usize, visitor: V) -> Result<V::Value, ValueError> {
         self.content()?.array(Some(length), visitor)
     }
 

@@ -18,10 +18,7 @@ const SERIAL: &str = include_str!("../../../cells/irb6-serial.toml");
 
 /// The line, counted from 1, of the first occurrence of `needle`.
 fn line_of(text: &str, needle: &str) -> usize {
-    text[..text.find(needle).expect("the needle is in the text")]
-        .matches('\n')
-        .count()
-        + 1
+    text[..text.find(needle).expect("the needle is in the text")].matches('\n').count() + 1
 }
 
 #[test]
@@ -53,30 +50,15 @@ fn a_refusal_names_line_key_and_reason() {
             "robot[0].axis[0].emulator.rated_torque",
             "between 1e-6 and 4294",
         ),
-        (
-            "method = 11",
-            "method = 12",
-            "robot[0].axis[0].homing.method",
-            "must be 37, 34,",
-        ),
+        ("method = 11", "method = 12", "robot[0].axis[0].homing.method", "must be 37, 34,"),
         (
             "search_velocity = 15.0",
             "search_velocity = 1500.0",
             "robot[0].axis[0].homing.search_velocity",
             "is 1500, must be between 0.7667 and 250 (rad/s of the motor",
         ),
-        (
-            "period_us = 2000",
-            "period_us = 0",
-            "period_us",
-            "must be between 1000 and 100000 (µs)",
-        ),
-        (
-            "period_us = 2000",
-            "period_us = 2500",
-            "period_us",
-            "must be a multiple of 1000",
-        ),
+        ("period_us = 2000", "period_us = 0", "period_us", "must be between 1000 and 100000 (µs)"),
+        ("period_us = 2000", "period_us = 2500", "period_us", "must be a multiple of 1000"),
         (
             "period_us = 2000",
             "period_us = \"fast\"",
@@ -90,24 +72,9 @@ fn a_refusal_names_line_key_and_reason() {
             "priod_us",
             "is an unknown key, must be \"name\", \"period_us\", \"macrostep\"",
         ),
-        (
-            "macrostep = 10",
-            "macrostep = 0",
-            "macrostep",
-            "must be between 1 and 1000",
-        ),
-        (
-            "priority = 80",
-            "priority = 100",
-            "realtime.priority",
-            "must be between 1 and 99",
-        ),
-        (
-            "priority = 80",
-            "spin_share = 0.6\npriority = 80",
-            "realtime.spin_share",
-            "must be between 0 and 0.5",
-        ),
+        ("macrostep = 10", "macrostep = 0", "macrostep", "must be between 1 and 1000"),
+        ("priority = 80", "priority = 100", "realtime.priority", "must be between 1 and 99"),
+        ("priority = 80", "spin_share = 0.6\npriority = 80", "realtime.spin_share", "must be between 0 and 0.5"),
         (
             "priority = 80",
             "margin_us = 401\npriority = 80",
@@ -126,48 +93,13 @@ fn a_refusal_names_line_key_and_reason() {
             "realtime.wait",
             "is \"spin\", must be \"plain\" or \"hybrid\"",
         ),
-        (
-            "bitrate_kbps = 1000",
-            "bitrate_kbps = 83",
-            "bus[0].bitrate_kbps",
-            "bit time of whole nanoseconds",
-        ),
-        (
-            "model = \"irb6\"",
-            "model = \"irp6\"",
-            "robot[0].axis",
-            "has 5 axes, must have 6",
-        ),
-        (
-            "bus = \"arm\"",
-            "bus = \"leg\"",
-            "robot[0].axis[0].bus",
-            "no bus is called \"leg\"",
-        ),
-        (
-            "node = 2",
-            "node = 1",
-            "robot[0].axis[1].node",
-            "used twice, first by robot[0].axis[0]",
-        ),
-        (
-            "node = 2",
-            "node = 127",
-            "robot[0].axis[1].node",
-            "used twice, first by the host",
-        ),
-        (
-            "node = 2",
-            "node = 128",
-            "robot[0].axis[1].node",
-            "must be between 1 and 127",
-        ),
-        (
-            "max_velocity = 250.0",
-            "max_velocity = nan",
-            "robot[0].axis[0].max_velocity",
-            "must be a finite number",
-        ),
+        ("bitrate_kbps = 1000", "bitrate_kbps = 83", "bus[0].bitrate_kbps", "bit time of whole nanoseconds"),
+        ("model = \"irb6\"", "model = \"irp6\"", "robot[0].axis", "has 5 axes, must have 6"),
+        ("bus = \"arm\"", "bus = \"leg\"", "robot[0].axis[0].bus", "no bus is called \"leg\""),
+        ("node = 2", "node = 1", "robot[0].axis[1].node", "used twice, first by robot[0].axis[0]"),
+        ("node = 2", "node = 127", "robot[0].axis[1].node", "used twice, first by the host"),
+        ("node = 2", "node = 128", "robot[0].axis[1].node", "must be between 1 and 127"),
+        ("max_velocity = 250.0", "max_velocity = nan", "robot[0].axis[0].max_velocity", "must be a finite number"),
         (
             "max_velocity = 250.0",
             "max_velocity = -1.0",
@@ -222,18 +154,8 @@ fn a_refusal_names_line_key_and_reason() {
             "robot[0].axis[1].name",
             "axis \"column\" is used twice, first by robot[0].axis[0]",
         ),
-        (
-            "[[0.4, ",
-            "[[inf, ",
-            "robot[0].program[0].joints.poses[0][0]",
-            "must be a finite number",
-        ),
-        (
-            "[[0.4, ",
-            "[[",
-            "robot[0].program[0].joints.poses[0]",
-            "has 4 joint values, must have 5",
-        ),
+        ("[[0.4, ", "[[inf, ", "robot[0].program[0].joints.poses[0][0]", "must be a finite number"),
+        ("[[0.4, ", "[[", "robot[0].program[0].joints.poses[0]", "has 4 joint values, must have 5"),
         (
             "velocity = 0.2",
             "velocity = 0.0",
@@ -248,11 +170,7 @@ fn a_refusal_names_line_key_and_reason() {
         assert!(shown.contains(reason), "{bad}: {shown}");
         assert_eq!(error.key, key, "{bad}");
         // A list is located at its first element; any other value is located at the replacement.
-        let place = if key.ends_with(".axis") {
-            "[[robot.axis]]"
-        } else {
-            good
-        };
+        let place = if key.ends_with(".axis") { "[[robot.axis]]" } else { good };
         assert_eq!(error.line, line_of(IRB6, place), "{bad}: {shown}");
         assert!(!shown.contains('\n'), "{bad}: {shown}");
     }
@@ -261,10 +179,7 @@ fn a_refusal_names_line_key_and_reason() {
 #[test]
 fn a_loop_that_may_ask_for_more_current_than_the_drive_has_is_refused() {
     // The column: 25 A at 0.105 N·m/A are 2.625 N·m.
-    for (good, bad) in [
-        ("limit = 2.1 ", "limit = 2.63 "),
-        ("max_current = 25.0", "max_current = 19.9"),
-    ] {
+    for (good, bad) in [("limit = 2.1 ", "limit = 2.63 "), ("max_current = 25.0", "max_current = 19.9")] {
         let error = Cell::parse(&SERIAL.replacen(good, bad, 1)).unwrap_err();
         assert_eq!(error.line, line_of(SERIAL, good), "{error}");
         let key = "robot[0].axis[0].controller.loop.law.cascade.limit";
@@ -289,11 +204,7 @@ fn a_drive_by_velocity_or_torque_has_a_loop_that_suits_it_and_no_other_has_one()
         ("position", Some(cascade), "loop: is for control"),
         ("velocity", None, "loop: is missing"),
         ("torque", None, "loop: is missing"),
-        (
-            "torque",
-            Some(velocity),
-            "loop.law.proportional: is for control = \"velocity\"",
-        ),
+        ("torque", Some(velocity), "loop.law.proportional: is for control = \"velocity\""),
         ("velocity", Some(over), "runaway_velocity at the most"),
         ("torque", Some(strong), "32 * rated_torque at the most"),
     ];
@@ -304,25 +215,14 @@ fn a_drive_by_velocity_or_torque_has_a_loop_that_suits_it_and_no_other_has_one()
         match parsed {
             Ok(cell) => {
                 assert_eq!(refusal, "", "{drive}");
-                let config = cell.robot[0].servo_config(
-                    0,
-                    0,
-                    0,
-                    Limits {
-                        low: -1.0,
-                        high: 1.0,
-                    },
-                );
+                let config = cell.robot[0].servo_config(0, 0, 0, Limits { low: -1.0, high: 1.0 });
                 let by_host = config.position_loop != servo::PositionLoop::Drive;
                 assert_eq!(by_host, control != "position");
                 assert_eq!(config.homing, None, "the drive homes it");
             }
             Err(error) => {
                 let text = error.to_string();
-                assert!(
-                    !refusal.is_empty() && text.contains(refusal),
-                    "{drive}: {text}"
-                );
+                assert!(!refusal.is_empty() && text.contains(refusal), "{drive}: {text}");
                 assert_eq!(error.line, line_of(IRB6, "rated_torque"), "{text}");
             }
         }
@@ -333,10 +233,7 @@ fn a_drive_by_velocity_or_torque_has_a_loop_that_suits_it_and_no_other_has_one()
         1,
     );
     let text = Cell::parse(&of_line).unwrap_err().to_string();
-    assert!(
-        text.contains("proportional: is for a drive that closes"),
-        "{text}"
-    );
+    assert!(text.contains("proportional: is for a drive that closes"), "{text}");
 }
 
 #[test]
@@ -381,18 +278,8 @@ fn torque_of_the_example_cell_leaves_a_tenth_to_the_overshoot_of_the_current_loo
 #[test]
 fn a_pose_that_the_arm_cannot_take_names_its_instruction() {
     let cases = [
-        (
-            "[[0.4, -1.8,",
-            "[[0.4, -0.5,",
-            "robot[0].program[0].joints.poses[0]",
-            "axis 1",
-        ),
-        (
-            "position = [0.85, 0.0, 0.85]",
-            "position = [3.0, 0.0, 0.85]",
-            "robot[0].program[1].line",
-            "out of reach",
-        ),
+        ("[[0.4, -1.8,", "[[0.4, -0.5,", "robot[0].program[0].joints.poses[0]", "axis 1"),
+        ("position = [0.85, 0.0, 0.85]", "position = [3.0, 0.0, 0.85]", "robot[0].program[1].line", "out of reach"),
         (
             "position = [0.85, 0.0, 0.85]",
             "position = [0.85, 0.3, 0.85]",
@@ -436,19 +323,13 @@ fn each_instruction_of_a_task_is_of_one_of_the_program() {
     let cell = Cell::parse(&two_poses).unwrap();
     let robot = &cell.robot[0];
     let expected = [None, None, Some(0), Some(1), Some(2), Some(2), None, None];
-    assert_eq!(
-        std::array::from_fn(|index| robot.instruction_of(index)),
-        expected
-    );
+    assert_eq!(std::array::from_fn(|index| robot.instruction_of(index)), expected);
 }
 
 #[test]
 fn a_model_has_one_name_and_the_axes_of_its_robot() {
     for model in Model::ALL {
-        assert_eq!(
-            toml::Value::try_from(model).unwrap().as_str(),
-            Some(model.name())
-        );
+        assert_eq!(toml::Value::try_from(model).unwrap().as_str(), Some(model.name()));
         let robot = model.parameters().kinematics().unwrap();
         assert_eq!(robot.axes(), model.axes(), "{}", model.name());
     }
@@ -466,14 +347,7 @@ fn meetings_that_cannot_be_held_are_refused_at_their_line() {
     let swapped = swapped
         .match_indices("meet = \"half-way\"")
         .nth(2)
-        .map(|(at, it)| {
-            format!(
-                "{}{}{}",
-                &swapped[..at],
-                meet("start"),
-                &swapped[at + it.len()..]
-            )
-        });
+        .map(|(at, it)| format!("{}{}{}", &swapped[..at], meet("start"), &swapped[at + it.len()..]));
     let swapped = swapped.unwrap().replacen("\"tmp\"", "\"half-way\"", 1);
     let cases = [
         (
@@ -490,15 +364,8 @@ fn meetings_that_cannot_be_held_are_refused_at_their_line() {
              which waits at \"half-way\"",
         ),
         (
-            LAB.replacen(
-                "[[robot.program]]",
-                "[[robot.program]]\nmeet = \"many\"\n\n",
-                1,
-            )
-            .replace(
-                "meet = \"many\"\n\n",
-                &"meet = \"many\"\n\n[[robot.program]]\n".repeat(62),
-            ),
+            LAB.replacen("[[robot.program]]", "[[robot.program]]\nmeet = \"many\"\n\n", 1)
+                .replace("meet = \"many\"\n\n", &"meet = \"many\"\n\n[[robot.program]]\n".repeat(62)),
             "robot[0].program[66].meet: is one of 65 meetings of the robot, which may have 64",
         ),
         (
@@ -513,13 +380,7 @@ fn meetings_that_cannot_be_held_are_refused_at_their_line() {
     for (text, refusal) in cases {
         let error = Cell::parse(&text).unwrap_err().to_string();
         assert!(error.contains(refusal), "{error}");
-        let key = refusal
-            .split(": ")
-            .next()
-            .unwrap()
-            .rsplit('.')
-            .next()
-            .unwrap();
+        let key = refusal.split(": ").next().unwrap().rsplit('.').next().unwrap();
         let line: usize = error.split(':').next().unwrap().parse().unwrap();
         assert!(text.lines().nth(line - 1).unwrap().contains(key), "{error}");
     }

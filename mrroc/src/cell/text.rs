@@ -47,11 +47,7 @@ pub fn quoted(text: &str) -> String {
 fn beginning(text: &str, shown: impl Fn(&str) -> String) -> String {
     match text.char_indices().nth(LONGEST) {
         None => shown(text),
-        Some((end, _)) => format!(
-            "{}… ({} characters)",
-            shown(&text[..end]),
-            text.chars().count()
-        ),
+        Some((end, _)) => format!("{}… ({} characters)", shown(&text[..end]), text.chars().count()),
     }
 }
 

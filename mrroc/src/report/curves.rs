@@ -37,10 +37,7 @@ impl Bucket {
 
 impl Curve {
     pub(crate) fn push(&mut self, time: f64, value: f64) {
-        let sample = Bucket {
-            least: (time, value),
-            greatest: (time, value),
-        };
+        let sample = Bucket { least: (time, value), greatest: (time, value) };
         if self.filled < 1 << self.doublings
             && let Some(last) = self.buckets.last_mut()
         {

@@ -112,8 +112,7 @@ impl RunReport {
             name: budget.name.clone(),
             lines: (index >= file.cell.bus.len()).then(|| file.cell.axes_on(index).count()),
             frames: group.port.sent + group.port.received,
-            load_percent: 100.0 * group.port.bits as f64
-                / (budget.bits_per_second * end.cell_time.as_secs_f64()),
+            load_percent: 100.0 * group.port.bits as f64 / (budget.bits_per_second * end.cell_time.as_secs_f64()),
             worst_case_percent: budget.worst_case_percent,
             dropped_setpoints: group.dropped_setpoints,
             missed_answers: group.missed_answers,
@@ -121,11 +120,8 @@ impl RunReport {
         let timing = &end.timing;
         let causes = timing.late.causes();
         let groups = end.servo.warnings().enumerate();
-        let warnings = groups.flat_map(|(group, warnings)| {
-            warnings
-                .iter()
-                .map(move |warning| WarningReport::of(file, group, warning))
-        });
+        let warnings = groups
+            .flat_map(|(group, warnings)| warnings.iter().map(move |warning| WarningReport::of(file, group, warning)));
         Self {
             cell: file.cell.name.clone(),
             bench,
@@ -190,12 +186,7 @@ pub struct FaultReport {
 
 impl FaultReport {
     /// A fault of robot `robot`, or of one of its axes.
-    pub(crate) fn of_robot(
-        file: &CellFile,
-        robot: usize,
-        axis: Option<usize>,
-        what: String,
-    ) -> Self {
+    pub(crate) fn of_robot(file: &CellFile, robot: usize, axis: Option<usize>, what: String) -> Self {
         Self {
             robot: Some(file.cell.robot[robot].name.clone()),
             axis: axis.map(|axis| file.axis_name(robot, axis)),
@@ -205,11 +196,7 @@ impl FaultReport {
 
     /// A fault of the run itself.
     pub fn of_run(what: impl fmt::Display) -> Self {
-        Self {
-            robot: None,
-            axis: None,
-            what: format!("{what:#}"),
-        }
+        Self { robot: None, axis: None, what: format!("{what:#}") }
     }
 }
 
@@ -249,9 +236,7 @@ pub struct WarningReport {
 impl WarningReport {
     /// A warning of drive group `group`.
     pub fn of(file: &CellFile, group: usize, warning: &Warning) -> Self {
-        let node = |&(robot, axis): &(usize, usize)| {
-            file.cell.robot[robot].axis[axis].node == warning.node
-        };
+        let node = |&(robot, axis): &(usize, usize)| file.cell.robot[robot].axis[axis].node == warning.node;
         let axis = file.cell.axes_on(group).find(node);
         Self {
             bus: file.cell.groups().nth(group).unwrap_or_default().to_owned(),
@@ -350,12 +335,7 @@ pub struct CycleReport {
 impl CycleReport {
     /// The times of the cycle with their names in tables.
     fn times(&self) -> [(&'static str, Percentiles); 4] {
-        [
-            ("wake-up", self.wake_us),
-            ("SYNC", self.sync_us),
-            ("step", self.step_us),
-            ("bus", self.bus_us),
-        ]
+        [("wake-up", self.wake_us), ("SYNC", self.sync_us), ("step", self.step_us), ("bus", self.bus_us)]
     }
 
     /// Causes of late cycles that occurred, and the lateness from which a cycle counts as late, µs.
@@ -435,24 +415,14 @@ impl Percentiles {
 
     /// The points of a distribution with these quantiles and this maximum, µs.
     pub fn of(quantile: impl Fn(f64) -> f64, max: f64) -> Self {
-        Self {
-            p50: quantile(0.5),
-            p99: quantile(0.99),
-            p999: quantile(0.999),
-            max,
-        }
+        Self { p50: quantile(0.5), p99: quantile(0.99), p999: quantile(0.999), max }
     }
 }
 
 /// The four points in columns of 10 characters, µs.
 impl fmt::Display for Percentiles {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            p50,
-            p99,
-            p999,
-            max,
-        } = self;
+        let Self { p50, p99, p999, max } = self;
         write!(f, "{p50:>10.1} {p99:>10.1} {p999:>10.1} {max:>10.1}")
     }
 }

@@ -12,11 +12,7 @@ use crate::charts::{ChartError, escaped};
 const STYLE: &str = include_str!("page.css");
 
 /// The page of a run. It is well-formed XML as well.
-pub(crate) fn page(
-    report: &RunReport,
-    tracks: &Tracks,
-    timing: &Timing,
-) -> Result<String, ChartError> {
+pub(crate) fn page(report: &RunReport, tracks: &Tracks, timing: &Timing) -> Result<String, ChartError> {
     let title = format!("{} {}", report.cell, report.outcome);
     let mut page = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n\
@@ -35,10 +31,7 @@ pub(crate) fn page(
     if report.lost_records > 0 {
         paragraph(
             &mut page,
-            format_args!(
-                "{} records of cycles were lost: errors of robots and plots lack them.",
-                report.lost_records
-            ),
+            format_args!("{} records of cycles were lost: errors of robots and plots lack them.", report.lost_records),
         );
     }
     list(&mut page, "Faults", &report.faults);
@@ -111,9 +104,7 @@ fn table<const COLUMNS: usize>(
 
 fn robots(page: &mut String, report: &RunReport) {
     let errors = |error: Option<Deviation>| {
-        error.map_or(["–".to_owned(), "–".to_owned()], |error| {
-            [error.rms, error.peak].map(rounded)
-        })
+        error.map_or(["–".to_owned(), "–".to_owned()], |error| [error.rms, error.peak].map(rounded))
     };
     let row = |robot: &super::RobotReport| {
         let [position_rms, position_peak] = errors(robot.position_mm);
@@ -132,9 +123,7 @@ fn robots(page: &mut String, report: &RunReport) {
     table(
         page,
         "Distance from the commanded path, while the robot moved or stood with power and a reference",
-        [
-            "robot", "error of", "mm rms", "mm peak", "° rms", "° peak", "cycles", "no pose",
-        ],
+        ["robot", "error of", "mm rms", "mm peak", "° rms", "° peak", "cycles", "no pose"],
         report.robots.iter().map(row),
     );
 }
@@ -143,15 +132,7 @@ fn motors(page: &mut String, report: &RunReport) {
     table(
         page,
         "Tracking error of the motor shaft while moving, and counter at the reference",
-        [
-            "axis",
-            "rad rms",
-            "rad peak",
-            "counts rms",
-            "counts peak",
-            "homing, counts",
-            "faults",
-        ],
+        ["axis", "rad rms", "rad peak", "counts rms", "counts peak", "homing, counts", "faults"],
         report.axis_rows("–"),
     );
 }
@@ -228,16 +209,9 @@ mod tests {
         let tasks = |cell: &CellFile| Tasks::new(cell).give("irb6", Task::new().enable().disable());
         let mut report = crate::run(&file, BenchKind::Lockstep, &tasks).unwrap();
         let mut tracks = Tracks::new(&file, true);
-        let mut record = Record {
-            axes: 5,
-            ..Record::default()
-        };
+        let mut record = Record { axes: 5, ..Record::default() };
         for (axis, home) in record.axis.iter_mut().zip(&*file.arms[0].robot().home()) {
-            *axis = AxisRecord {
-                expected: Some(*home),
-                measured: *home,
-                ..AxisRecord::default()
-            };
+            *axis = AxisRecord { expected: Some(*home), measured: *home, ..AxisRecord::default() };
         }
         tracks.observe(&record);
         let planted = "<script>a & b</script> \u{7}]]>\"'";
@@ -252,15 +226,9 @@ mod tests {
         assert!(report.to_string().contains("3 records of cycles were lost"));
         tracks.robots[0].name = planted.into();
         let page = page(&report, &tracks, &Timing::default()).unwrap();
-        assert!(
-            !page.contains("<script") && !page.contains('\u{7}'),
-            "{page}"
-        );
+        assert!(!page.contains("<script") && !page.contains('\u{7}'), "{page}");
         assert!(page.contains("<p>3 records of cycles were lost"), "{page}");
-        let options = ParsingOptions {
-            allow_dtd: true,
-            ..ParsingOptions::default()
-        };
+        let options = ParsingOptions { allow_dtd: true, ..ParsingOptions::default() };
         let read = Document::parse_with_options(&page, options).unwrap();
         let shown = printable(planted);
         let texts = read.descendants().filter(|node| node.is_text());

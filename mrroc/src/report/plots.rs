@@ -71,44 +71,18 @@ fn tool(name: &str, curves: &Curves) -> Result<String, ChartError> {
         key(&names.margin(0, 0, px(72), 0), [120, 0], both)?;
         let left = left.split_evenly((2, 1));
         let right = right.split_evenly((2, 1));
-        path(
-            &left[0],
-            "Tool path from above",
-            curves,
-            [("x, mm", 0), ("y, mm", 1)],
-        )?;
-        path(
-            &left[1],
-            "Tool path from the side",
-            curves,
-            [("x, mm", 0), ("z, mm", 2)],
-        )?;
-        error(
-            &right[0],
-            "Distance from the commanded position",
-            "mm",
-            &curves.position,
-        )?;
-        error(
-            &right[1],
-            "Angle from the commanded orientation",
-            "degrees",
-            &curves.orientation,
-        )
+        path(&left[0], "Tool path from above", curves, [("x, mm", 0), ("y, mm", 1)])?;
+        path(&left[1], "Tool path from the side", curves, [("x, mm", 0), ("z, mm", 2)])?;
+        error(&right[0], "Distance from the commanded position", "mm", &curves.position)?;
+        error(&right[1], "Angle from the commanded orientation", "degrees", &curves.orientation)
     })
 }
 
 /// The path along two directions, to one scale.
-fn path(
-    area: &Area,
-    title: &str,
-    curves: &Curves,
-    [across, up]: [(&str, usize); 2],
-) -> Result<(), ChartError> {
+fn path(area: &Area, title: &str, curves: &Curves, [across, up]: [(&str, usize); 2]) -> Result<(), ChartError> {
     let (width, height) = area.dim_in_pixel();
     let room = [(width, AXES[0]), (height, AXES[1])];
-    let room =
-        room.map(|(size, axes)| f64::from(size) / f64::from(charts::UNITS) - f64::from(axes));
+    let room = room.map(|(size, axes)| f64::from(size) / f64::from(charts::UNITS) - f64::from(axes));
     let paths = [&curves.commanded, &curves.measured];
     let ends = |direction: usize| {
         let points = paths.iter().flat_map(|path| path.points());
@@ -164,9 +138,7 @@ fn over_time(title: &str, unit: &str, curves: &[(usize, &Curve)]) -> Result<Stri
         for (joint, curve) in curves {
             line(&mut panel, colour(*joint), curve.points())?;
         }
-        let named = curves
-            .iter()
-            .map(|(joint, _)| (format!("joint {joint}"), colour(*joint)));
+        let named = curves.iter().map(|(joint, _)| (format!("joint {joint}"), colour(*joint)));
         key(&names, [0, 20], named)
     })
 }
@@ -188,9 +160,7 @@ pub(super) fn timing(timing: &Timing) -> Result<Vec<String>, ChartError> {
         ("Last answer after SYNC", &timing.bus),
     ];
     let measured = named.into_iter().filter(|(_, times)| times.count() > 0);
-    measured
-        .map(|(title, times)| histogram(title, times))
-        .collect()
+    measured.map(|(title, times)| histogram(title, times)).collect()
 }
 
 /// Counts over classes of equal width on the axis, which is linear for times close to each other and logarithmic
@@ -214,15 +184,9 @@ fn histogram(title: &str, times: &Histogram) -> Result<String, ChartError> {
         counts[class.min(BARS as usize)] += count;
     }
     let ends = [edge(0), edge(BARS + 1)];
-    let x = if wide {
-        Scale::octaves("µs", ends)
-    } else {
-        Scale::exact("µs", ends)
-    };
+    let x = if wide { Scale::octaves("µs", ends) } else { Scale::exact("µs", ends) };
     let most = counts.iter().max().copied().unwrap_or(1);
-    let y = Scale::decades("cycles", [0.5, most as f64], |decade| {
-        10f64.powi(decade).to_string()
-    });
+    let y = Scale::decades("cycles", [0.5, most as f64], |decade| 10f64.powi(decade).to_string());
     sheet(WIDE, title, |area| {
         let mut panel = panel(area, title, &x, &y)?;
         let bars = (0..).zip(counts).filter(|(_, count)| *count > 0);

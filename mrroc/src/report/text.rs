@@ -67,11 +67,7 @@ impl fmt::Display for RunReport {
         for (name, times) in rows {
             writeln!(f, "{name:9} {times}")?;
         }
-        writeln!(
-            f,
-            "\n{} cycles of {} µs, {} missed",
-            cycle.cycles, cycle.period_us, cycle.missed
-        )?;
+        writeln!(f, "\n{} cycles of {} µs, {} missed", cycle.cycles, cycle.period_us, cycle.missed)?;
         if cycle.wait.spin_percent > 0.0 {
             writeln!(
                 f,
@@ -82,9 +78,7 @@ impl fmt::Display for RunReport {
         let (causes, limit) = cycle.late();
         if !causes.is_empty() {
             let causes = causes.iter();
-            let causes: Vec<_> = causes
-                .map(|(cause, count)| format!("{cause} {count}"))
-                .collect();
+            let causes: Vec<_> = causes.map(|(cause, count)| format!("{cause} {count}")).collect();
             writeln!(f, "more than {limit} µs late: {}", causes.join(", "))?;
             let worst = cycle.worst.iter().map(|worst| {
                 let (late, time) = (worst.late_us, worst.time_s);
@@ -104,11 +98,7 @@ impl fmt::Display for RunReport {
                 bus.name, bus.load_percent, bus.worst_case_percent
             )?;
             if bus.dropped_setpoints + bus.missed_answers > 0 {
-                write!(
-                    f,
-                    ", {} set-points dropped, {} answers missed",
-                    bus.dropped_setpoints, bus.missed_answers
-                )?;
+                write!(f, ", {} set-points dropped, {} answers missed", bus.dropped_setpoints, bus.missed_answers)?;
             }
             writeln!(f)?;
         }
@@ -122,20 +112,12 @@ impl fmt::Display for RunReport {
             writeln!(f, "warning: {warning}")?;
         }
         if self.more_warnings > 0 {
-            writeln!(
-                f,
-                "warning: {} further reports of drives",
-                self.more_warnings
-            )?;
+            writeln!(f, "warning: {} further reports of drives", self.more_warnings)?;
         }
         for fault in &self.faults {
             writeln!(f, "fault: {fault}")?;
         }
-        write!(
-            f,
-            "{} {}, {:.1} times real time",
-            self.cell, self.outcome, self.realtime_factor
-        )
+        write!(f, "{} {}, {:.1} times real time", self.cell, self.outcome, self.realtime_factor)
     }
 }
 
@@ -155,28 +137,10 @@ mod tests {
             position_mm: error(0.12, 12.345),
             orientation_deg: error(0.01, 0.00068),
         };
-        assert_eq!(
-            tool.to_string(),
-            "irb6  tool 0.12 mm rms, 12.35 mm peak; 0.010° rms, 0.0007° peak"
-        );
-        let joint = RobotReport {
-            subject: Subject::Joint,
-            orientation_deg: None,
-            unsolved: 3,
-            ..tool
-        };
-        assert_eq!(
-            joint.to_string(),
-            "irb6  joint 0.12 mm rms, 12.35 mm peak; no pose in 3 cycles"
-        );
-        let unknown = RobotReport {
-            position_mm: None,
-            unsolved: 0,
-            ..joint
-        };
-        assert_eq!(
-            unknown.to_string(),
-            "irb6  joint error unknown: no cycle with power and a reference"
-        );
+        assert_eq!(tool.to_string(), "irb6  tool 0.12 mm rms, 12.35 mm peak; 0.010° rms, 0.0007° peak");
+        let joint = RobotReport { subject: Subject::Joint, orientation_deg: None, unsolved: 3, ..tool };
+        assert_eq!(joint.to_string(), "irb6  joint 0.12 mm rms, 12.35 mm peak; no pose in 3 cycles");
+        let unknown = RobotReport { position_mm: None, unsolved: 0, ..joint };
+        assert_eq!(unknown.to_string(), "irb6  joint error unknown: no cycle with power and a reference");
     }
 }

@@ -63,10 +63,7 @@ pub struct RobotReport {
 impl Deviation {
     /// `None` without a cycle that counts.
     fn of(error: &TrackingError) -> Option<Self> {
-        (error.samples() > 0).then(|| Self {
-            rms: error.rms(),
-            peak: error.peak(),
-        })
+        (error.samples() > 0).then(|| Self { rms: error.rms(), peak: error.peak() })
     }
 }
 
@@ -88,10 +85,7 @@ impl Tracks {
             };
             Track::new(&robot.name, arm.clone(), subject, plotted)
         };
-        Self {
-            robots: robots.map(track).collect(),
-            first: None,
-        }
+        Self { robots: robots.map(track).collect(), first: None }
     }
 
     /// Takes the next record of the servo.
@@ -140,10 +134,7 @@ struct Place {
 impl Track {
     fn new(name: &str, arm: Arm, subject: Subject, plotted: bool) -> Self {
         let joints = 0..arm.axes();
-        let curves = || Curves {
-            joints: joints.clone().map(|_| Default::default()).collect(),
-            ..Curves::default()
-        };
+        let curves = || Curves { joints: joints.clone().map(|_| Default::default()).collect(), ..Curves::default() };
         Self {
             name: name.to_owned(),
             subject,
@@ -183,11 +174,7 @@ impl Track {
             }
             Subject::Joint => {
                 let error = units[0] * (measured.joints[0] - commanded.joints[0]);
-                if self.linear[0] {
-                    [error, 0.0]
-                } else {
-                    [0.0, error]
-                }
+                if self.linear[0] { [error, 0.0] } else { [0.0, error] }
             }
         };
         self.position.record(position);
@@ -196,8 +183,7 @@ impl Track {
             curves.position.push(time, position);
             curves.orientation.push(time, orientation);
             for (joint, [positions, errors]) in curves.joints.iter_mut().enumerate() {
-                let [asked, found] =
-                    [&commanded, &measured].map(|it| units[joint] * it.joints[joint]);
+                let [asked, found] = [&commanded, &measured].map(|it| units[joint] * it.joints[joint]);
                 positions.push(time, found);
                 errors.push(time, found - asked);
             }
@@ -284,13 +270,9 @@ mod tests {
         }
         let report = &tracks.reports()[0];
         assert_eq!((report.cycles, report.unsolved), (4, 0));
-        let (position, orientation) =
-            (report.position_mm.unwrap(), report.orientation_deg.unwrap());
+        let (position, orientation) = (report.position_mm.unwrap(), report.orientation_deg.unwrap());
         let close = |found: f64, expected: f64| (found - expected).abs() < 1e-6;
-        assert!(
-            close(position.peak, 0.5) && close(position.rms, 0.25),
-            "{position:?}"
-        );
+        assert!(close(position.peak, 0.5) && close(position.rms, 0.25), "{position:?}");
         assert!(close(orientation.peak, 0.1), "{orientation:?}");
         assert!(close(orientation.rms, 0.05), "{orientation:?}");
     }
@@ -303,27 +285,20 @@ mod tests {
             let told = arm.robot().home().padded();
             let mut found = told;
             if robot.name == "conveyor" {
-                found[0] += 0.001 * arm.motors(&[1.0; MAX_AXES]).unwrap()[0]
-                    - 0.001 * arm.motors(&[0.0; MAX_AXES]).unwrap()[0];
+                found[0] +=
+                    0.001 * arm.motors(&[1.0; MAX_AXES]).unwrap()[0] - 0.001 * arm.motors(&[0.0; MAX_AXES]).unwrap()[0];
             }
             tracks.observe(&record(number, &told, &found, arm.axes()));
         }
         let reports = tracks.reports();
         let conveyor = reports.iter().find(|it| it.name == "conveyor").unwrap();
-        assert_eq!(
-            (conveyor.subject, conveyor.orientation_deg),
-            (Subject::Joint, None)
-        );
+        assert_eq!((conveyor.subject, conveyor.orientation_deg), (Subject::Joint, None));
         let peak = conveyor.position_mm.unwrap().peak;
         assert!((peak - 1.0).abs() < 1e-6, "{peak} mm");
         let tools = reports.iter().filter(|it| it.subject == Subject::Tool);
         assert_eq!(tools.clone().count(), reports.len() - 2);
         for tool in tools {
-            assert_eq!(
-                tool.position_mm.map(|error| error.peak),
-                Some(0.0),
-                "{tool:?}"
-            );
+            assert_eq!(tool.position_mm.map(|error| error.peak), Some(0.0), "{tool:?}");
             assert!(tool.orientation_deg.is_some());
         }
     }

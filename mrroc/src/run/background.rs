@@ -40,11 +40,7 @@ impl<T: Send + 'static> Background<T> {
         };
         let builder = Builder::new().name(name.to_owned());
         let thread = builder.stack_size(SMALL_STACK).spawn(body)?;
-        Ok(Self {
-            over,
-            told,
-            thread: thread.thread().clone(),
-        })
+        Ok(Self { over, told, thread: thread.thread().clone() })
     }
 
     /// Ends the thread. The result is `None` if the thread does not end within `wait`.

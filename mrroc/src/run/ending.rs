@@ -51,10 +51,7 @@ pub struct Turning {
 impl Turning {
     /// A servo thread that ends once `over` is set.
     pub fn of(running: Running, over: Arc<AtomicBool>) -> Self {
-        Self {
-            running: Some(running),
-            over,
-        }
+        Self { running: Some(running), over }
     }
 
     /// Whether the servo thread has ended.

@@ -34,9 +34,7 @@ impl Logs {
     /// the run all the same.
     pub(super) fn drain(&mut self) -> bool {
         let mut written = match &mut self.frames {
-            Some(frames) if self.failed.is_none() => {
-                frames.drain().context("the trace cannot be written")
-            }
+            Some(frames) if self.failed.is_none() => frames.drain().context("the trace cannot be written"),
             _ => Ok(()),
         };
         let mut axes = self.axes.as_mut().filter(|_| self.failed.is_none());
@@ -65,9 +63,7 @@ impl Logs {
         let written = match (self.failed, finished) {
             (Some(error), _) => Err(error),
             (None, Err(error)) => Err(error).context("the trace cannot be written"),
-            (None, Ok(Some(lost @ 1..))) => Err(anyhow!(
-                "the trace lacks {lost} frames: the file was too slow"
-            )),
+            (None, Ok(Some(lost @ 1..))) => Err(anyhow!("the trace lacks {lost} frames: the file was too slow")),
             (None, Ok(_)) => Ok(()),
         };
         (written, self.tracks)

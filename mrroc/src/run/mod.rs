@@ -101,10 +101,7 @@ pub struct RunOptions {
 impl RunOptions {
     /// A run on `bench` that writes no files.
     pub fn on(bench: BenchKind) -> Self {
-        Self {
-            bench,
-            ..Self::default()
-        }
+        Self { bench, ..Self::default() }
     }
 }
 
@@ -154,14 +151,9 @@ pub fn run(
     requests.stop_through(servo.stop_request());
 
     let began = clock::now();
-    let buses = Buses {
-        wire: bench.wire,
-        emulation: bench.emulation,
-    };
+    let buses = Buses { wire: bench.wire, emulation: bench.emulation };
     let mut end = match options.bench {
-        BenchKind::Lockstep => {
-            in_lockstep(file, servo, tasks, logs, buses, &requests.stop, progress)?
-        }
+        BenchKind::Lockstep => in_lockstep(file, servo, tasks, logs, buses, &requests.stop, progress)?,
         _ => by_the_clock(file, servo, tasks, logs, buses, requests, progress)?,
     };
     let interrupted = requests.is_stopped();
@@ -310,10 +302,7 @@ fn by_the_clock(
     mut servo: Servo,
     mut tasks: RunningTasks,
     logs: Logs,
-    Buses {
-        wire,
-        mut emulation,
-    }: Buses,
+    Buses { wire, mut emulation }: Buses,
     requests: &Requests,
     progress: &mut dyn FnMut(Progress),
 ) -> anyhow::Result<RunEnd> {
@@ -357,8 +346,7 @@ fn by_the_clock(
     });
     let ended = turning.end();
     // An emulated cell's time stands still while the host misses deadlines.
-    let cycles =
-        |first: Instant| first + ended.servo.period() * ended.servo.counters().cycles as u32;
+    let cycles = |first: Instant| first + ended.servo.period() * ended.servo.counters().cycles as u32;
     let cell_time = match since {
         Some(first) => cycles(first).since(Instant::ZERO),
         None => clock::now().since(began),

@@ -70,9 +70,7 @@ impl<'a> RunningTasks<'a> {
                 // The cause of the stop has been reported.
                 Err(EcpError::Stopped) => None,
                 Err(error) => Some(describe(file, robot, &error)),
-                Ok(()) if self.homings[robot] == Some(event.instruction) => {
-                    refused_from_here(file, tasks, robot, ecp)
-                }
+                Ok(()) if self.homings[robot] == Some(event.instruction) => refused_from_here(file, tasks, robot, ecp),
                 Ok(()) => None,
             };
             if let Some(fault) = fault {
@@ -85,11 +83,7 @@ impl<'a> RunningTasks<'a> {
         for (robot, ((status, phase), &ended)) in news.zip(&self.ended).enumerate() {
             if ended > 0 || status.phase != *phase {
                 *phase = status.phase;
-                tell(Progress {
-                    robot,
-                    phase: status.phase,
-                    ended,
-                });
+                tell(Progress { robot, phase: status.phase, ended });
             }
         }
         busy
@@ -99,20 +93,14 @@ impl<'a> RunningTasks<'a> {
 /// Checks whether a robot may continue after its homing instruction from its present position. Drives that kept their
 /// reference may stand away from home, where no rehearsal began. The program is then rehearsed from this position, and
 /// a refusal is returned as a fault.
-fn refused_from_here(
-    file: &CellFile,
-    tasks: &MakeTasks,
-    robot: usize,
-    ecp: &Ecp,
-) -> Option<FaultReport> {
+fn refused_from_here(file: &CellFile, tasks: &MakeTasks, robot: usize, ecp: &Ecp) -> Option<FaultReport> {
     let motors = ecp.commanded()?;
     let home = file.cell.home(robot, &file.arms[robot]);
     if home.admits(&motors) {
         return None;
     }
     let error = rehearsal::rehearse_from(file, tasks, robot, motors).err()?;
-    let what =
-        format!("was referenced and stands away from its home position, from where {error:#}");
+    let what = format!("was referenced and stands away from its home position, from where {error:#}");
     Some(FaultReport::of_robot(file, robot, None, what))
 }
 

@@ -19,9 +19,7 @@ mod report;
 use std::time::Duration;
 
 use anyhow::Context;
-use can::{
-    Frame, Instant, Port, Received, SocketCanOptions, SocketCanPort, StandardId, VirtualPort,
-};
+use can::{Frame, Instant, Port, Received, SocketCanOptions, SocketCanPort, StandardId, VirtualPort};
 use canopen::cob;
 use canopen::pdo::PdoKind;
 use canopen::wire_timing::{Sample, WireTiming};
@@ -150,10 +148,7 @@ impl Wire {
         let before = before.into_iter().flat_map(|wire| wire.0);
         for (bus, before) in self.0.iter_mut().zip(before) {
             (bus.times, bus.card) = (before.times, before.card);
-            for times in [Some(&mut bus.times), bus.card.as_mut()]
-                .into_iter()
-                .flatten()
-            {
+            for times in [Some(&mut bus.times), bus.card.as_mut()].into_iter().flatten() {
                 times.timing.pause();
             }
         }
@@ -184,10 +179,7 @@ impl Wire {
 
 impl BusWire {
     fn look(&mut self) {
-        let nothing = Received {
-            frame: canopen::sync::Sync::default().encode(),
-            at: Instant::ZERO,
-        };
+        let nothing = Received { frame: canopen::sync::Sync::default().encode(), at: Instant::ZERO };
         let mut frames = [nothing; BATCH];
         for _ in 0..BATCHES {
             // The servo reports a failed bus, which may recover.

@@ -68,10 +68,7 @@ impl fmt::Display for WireReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Some(source) = self.source else {
             let bus = &self.bus;
-            return writeln!(
-                f,
-                "\nbus {bus}: times on the wire not measured, nothing here tells them"
-            );
+            return writeln!(f, "\nbus {bus}: times on the wire not measured, nothing here tells them");
         };
         let by = match source {
             Source::Virtual => "on the virtual bus",
@@ -85,15 +82,9 @@ impl fmt::Display for WireReport {
             _ => format!("bus {} {by}, µs", self.bus),
         };
         let answers = self.nodes.iter().map(|node| {
-            let counts = [
-                (node.unanswered, "unanswered"),
-                (node.late, "late"),
-                (node.surplus, "surplus"),
-            ];
+            let counts = [(node.unanswered, "unanswered"), (node.late, "late"), (node.surplus, "surplus")];
             let counts = counts.iter().filter(|(count, _)| *count > 0);
-            let counts: String = counts
-                .map(|(count, what)| format!("  {count} {what}"))
-                .collect();
+            let counts: String = counts.map(|(count, what)| format!("  {count} {what}")).collect();
             let name = format!("SYNC to {}", node.axis);
             (name, node.sync_to_tpdo_us, counts)
         });
@@ -123,23 +114,15 @@ mod tests {
     use super::*;
 
     fn bus(source: Option<Source>, sync_stamp: Option<SyncStamp>) -> WireReport {
-        let times = |us: f64| {
-            Some(Percentiles {
-                p50: us,
-                p99: us + 1.0,
-                p999: us + 2.0,
-                max: us + 3.0,
-            })
+        let times = |us: f64| Some(Percentiles { p50: us, p99: us + 1.0, p999: us + 2.0, max: us + 3.0 });
+        let node = |axis: &str, sync_to_tpdo_us, [unanswered, late, surplus]: [u64; 3]| NodeReport {
+            axis: axis.to_owned(),
+            node: 1,
+            sync_to_tpdo_us,
+            unanswered,
+            late,
+            surplus,
         };
-        let node =
-            |axis: &str, sync_to_tpdo_us, [unanswered, late, surplus]: [u64; 3]| NodeReport {
-                axis: axis.to_owned(),
-                node: 1,
-                sync_to_tpdo_us,
-                unanswered,
-                late,
-                surplus,
-            };
         WireReport {
             bus: "arm".to_owned(),
             source,
@@ -174,32 +157,14 @@ mod tests {
     fn whose_stamps_they_are_is_in_the_title() {
         for (source, stamp, title) in [
             (Source::Virtual, SyncStamp::Sent, "on the virtual bus, µs"),
-            (
-                Source::Kernel,
-                SyncStamp::Sent,
-                "by the kernel's stamps, µs",
-            ),
-            (
-                Source::Kernel,
-                SyncStamp::HandedOver,
-                "by the kernel's stamps, SYNC as handed over, µs",
-            ),
+            (Source::Kernel, SyncStamp::Sent, "by the kernel's stamps, µs"),
+            (Source::Kernel, SyncStamp::HandedOver, "by the kernel's stamps, SYNC as handed over, µs"),
         ] {
             let table = bus(Some(source), Some(stamp)).to_string();
             assert!(table.starts_with(&format!("\nbus arm {title} ")), "{table}");
         }
-        let lost = WireReport {
-            lost_frames: 7,
-            ..bus(Some(Source::Kernel), Some(SyncStamp::Sent))
-        };
-        assert!(
-            lost.to_string()
-                .ends_with("7 frames were lost to this table\n")
-        );
-        assert!(
-            bus(None, None)
-                .to_string()
-                .contains("bus arm: times on the wire not measured")
-        );
+        let lost = WireReport { lost_frames: 7, ..bus(Some(Source::Kernel), Some(SyncStamp::Sent)) };
+        assert!(lost.to_string().ends_with("7 frames were lost to this table\n"));
+        assert!(bus(None, None).to_string().contains("bus arm: times on the wire not measured"));
     }
 }

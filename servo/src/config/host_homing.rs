@@ -53,11 +53,7 @@ pub enum Direction {
 
 impl HostHoming {
     /// The first field that makes no sense.
-    pub(super) fn nonsense(
-        &self,
-        max_velocity: f64,
-        max_acceleration: f64,
-    ) -> Option<&'static str> {
+    pub(super) fn nonsense(&self, max_velocity: f64, max_acceleration: f64) -> Option<&'static str> {
         let within = |value: f64, limit: f64| value > 0.0 && value <= limit;
         let distance = |value: f64| value.is_finite() && value > 0.0;
         if !within(self.search.velocity, max_velocity) {

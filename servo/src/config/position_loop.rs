@@ -124,15 +124,8 @@ impl HostLoop {
         if field.is_some() {
             return field;
         }
-        let FeedForward {
-            velocity,
-            acceleration,
-            coulomb,
-            stiction,
-            stribeck_velocity,
-            weight,
-            constant,
-        } = self.feed_forward;
+        let FeedForward { velocity, acceleration, coulomb, stiction, stribeck_velocity, weight, constant } =
+            self.feed_forward;
         let not_negative = |value: f64| value.is_finite() && value >= 0.0;
         let [stiction, stribeck_velocity, weight] =
             [stiction, stribeck_velocity, weight].map(|given| given.unwrap_or(0.0));
@@ -148,8 +141,7 @@ impl HostLoop {
             Some("feed_forward.coulomb")
         } else if !not_negative(stiction) || stiction > 0.0 && stiction < coulomb {
             Some("feed_forward.stiction")
-        } else if !not_negative(stribeck_velocity) || stiction > coulomb && stribeck_velocity == 0.0
-        {
+        } else if !not_negative(stribeck_velocity) || stiction > coulomb && stribeck_velocity == 0.0 {
             Some("feed_forward.stribeck_velocity")
         } else if !not_negative(weight) {
             Some("feed_forward.weight")

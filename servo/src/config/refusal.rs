@@ -46,11 +46,7 @@ pub(crate) fn within(key: &'static str, value: f64, range: Range) -> Result<(), 
 }
 
 /// Refuses a key that is given where it means nothing.
-pub(crate) fn no_effect(
-    key: &'static str,
-    given: bool,
-    because: &'static str,
-) -> Result<(), KeyError> {
+pub(crate) fn no_effect(key: &'static str, given: bool, because: &'static str) -> Result<(), KeyError> {
     if !given {
         return Ok(());
     }
@@ -71,11 +67,7 @@ pub struct Figure(pub f64);
 impl fmt::Display for Figure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self(value) = *self;
-        if value == 0.0 || (1e-4..1e15).contains(&value.abs()) {
-            write!(f, "{value}")
-        } else {
-            write!(f, "{value:e}")
-        }
+        if value == 0.0 || (1e-4..1e15).contains(&value.abs()) { write!(f, "{value}") } else { write!(f, "{value:e}") }
     }
 }
 
@@ -116,11 +108,7 @@ impl fmt::Display for Range {
             (false, false, false) if self.low == self.high => write!(f, "{low}"),
             (false, false, false) => write!(f, "between {low} and {high}"),
         }?;
-        if self.of.is_empty() {
-            Ok(())
-        } else {
-            write!(f, " ({})", self.of)
-        }
+        if self.of.is_empty() { Ok(()) } else { write!(f, " ({})", self.of) }
     }
 }
 

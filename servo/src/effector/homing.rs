@@ -34,9 +34,8 @@ impl Effector {
         } else if self.homing_order().is_none() && self.settle() {
             self.apply(tick, ServoEvent::Done);
         } else if waited > self.homing_timeout {
-            let late = self.first(|axis| {
-                axis.needs_homing() && order.is_none_or(|order| axis.config.homing_order == order)
-            });
+            let late =
+                self.first(|axis| axis.needs_homing() && order.is_none_or(|order| axis.config.homing_order == order));
             self.fail(tick, late, StopCause::HomingFailed);
         }
     }
@@ -59,8 +58,6 @@ impl Effector {
     /// The homing order whose turn it is; `None` once all axes are homed.
     pub(super) fn homing_order(&self) -> Option<u8> {
         let missing = self.axes.iter().filter(|axis| axis.needs_homing());
-        missing
-            .map(|axis: &ServoAxis| axis.config.homing_order)
-            .min()
+        missing.map(|axis: &ServoAxis| axis.config.homing_order).min()
     }
 }

@@ -26,8 +26,7 @@ impl Effector {
         let mut knots = [Knot::default(); MAX_AXES];
         for (index, axis) in self.axes.iter().enumerate() {
             let knot = segment.at(index);
-            axis.vet(knot.position, tick.dt)
-                .map_err(|cause| (Some(index), cause))?;
+            axis.vet(knot.position, tick.dt).map_err(|cause| (Some(index), cause))?;
             knots[index] = knot;
         }
         // The set-points are taken only after all were checked. An effector is never commanded in part.
@@ -43,17 +42,11 @@ impl Effector {
         self.segment = None;
         if !matches!(self.orders.peek(), Ok(Order::Move(_))) {
             if let Some(axis) = self.axes.iter().position(|axis| axis.knot.velocity != 0.0) {
-                return Err((
-                    Some(axis),
-                    StopCause::Starved {
-                        last: self.macrostep,
-                    },
-                ));
+                return Err((Some(axis), StopCause::Starved { last: self.macrostep }));
             }
             // A macrostep may end with zero velocity and still arrive with a last step that is too fast.
             for (index, axis) in self.axes.iter().enumerate() {
-                axis.vet(axis.knot.position, tick.dt)
-                    .map_err(|cause| (Some(index), cause))?;
+                axis.vet(axis.knot.position, tick.dt).map_err(|cause| (Some(index), cause))?;
             }
             self.apply(tick, ServoEvent::Done);
             return Ok(None);
@@ -87,12 +80,7 @@ impl Effector {
             return Err((None, StopCause::Malformed { number }));
         }
         for (index, axis) in self.axes.iter().enumerate() {
-            let Macrostep {
-                position,
-                velocity,
-                torque,
-                ..
-            } = macrostep;
+            let Macrostep { position, velocity, torque, .. } = macrostep;
             let asked = [position[index], velocity[index], torque[index]];
             if !asked.iter().all(|value| value.is_finite()) {
                 return Err((Some(index), StopCause::NotFinite));

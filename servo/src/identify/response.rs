@@ -49,9 +49,7 @@ pub fn respond(
     let periods = input.len().min(output.len()) / length;
     let starts = (1..periods).map(|block| (block - 1) * length);
     let block = |start| start..start + 2 * length;
-    let blocks: Vec<_> = starts
-        .map(|start| (&input[block(start)], &output[block(start)]))
-        .collect();
+    let blocks: Vec<_> = starts.map(|start| (&input[block(start)], &output[block(start)])).collect();
     // Initial value for the phase: about half a turn behind for an open loop, zero otherwise.
     let mut near = match response {
         Response::Open => -TAU / 2.0,
@@ -118,10 +116,7 @@ fn continued(near: &mut f64, angle: f64) -> f64 {
 /// Crossover and margin of an open loop; `None` if its magnitude does not pass 1 between two points.
 pub fn margin(open: &[Point]) -> Option<Margin> {
     let (crossover, phase) = last_fall(open, 1.0)?;
-    Some(Margin {
-        crossover,
-        phase: phase + TAU / 2.0,
-    })
+    Some(Margin { crossover, phase: phase + TAU / 2.0 })
 }
 
 /// Frequency at which a closed loop finally falls below -3 dB, Hz; `None` if no two points enclose it.
@@ -137,10 +132,7 @@ fn last_fall(points: &[Point], level: f64) -> Option<(f64, f64)> {
     let [before, after] = [pair[0], pair[1]];
     let share = (before.magnitude / level).ln() / (before.magnitude / after.magnitude).ln();
     let frequency = before.frequency * (after.frequency / before.frequency).powf(share);
-    Some((
-        frequency,
-        before.phase + share * (after.phase - before.phase),
-    ))
+    Some((frequency, before.phase + share * (after.phase - before.phase)))
 }
 
 /// One line of the spectrum of a block under a Hann window.

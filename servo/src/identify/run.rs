@@ -39,10 +39,7 @@ pub struct Run {
 impl Run {
     /// The excitation for [`Servo::excite`](crate::Servo::excite).
     pub fn excitation(&self) -> Excitation {
-        Excitation {
-            period: self.excitation.clone(),
-            macrosteps: self.excited(),
-        }
+        Excitation { period: self.excitation.clone(), macrosteps: self.excited() }
     }
 
     /// The macrostep with this number, counted from 1; `None` for 0 and after the last.
@@ -138,33 +135,22 @@ impl Trace {
                 let samples = self.records.get(shown)?;
                 let input: Vec<_> = records.iter().map(|record| record.excitation).collect();
                 let left: Vec<_> = samples.iter().map(|sample| sample.torque).collect();
-                let taken: Vec<_> = input
-                    .iter()
-                    .zip(&left)
-                    .map(|(all, left)| all - left)
-                    .collect();
-                let [taken, left] = [taken, left].map(|output| {
-                    respond(&input, &output, length, lines, run.dt, Response::Closed)
-                });
-                return Some((
-                    Response::Open,
-                    opened(&taken, &left, run.dt, run.drive_period),
-                ));
+                let taken: Vec<_> = input.iter().zip(&left).map(|(all, left)| all - left).collect();
+                let [taken, left] =
+                    [taken, left].map(|output| respond(&input, &output, length, lines, run.dt, Response::Closed));
+                return Some((Response::Open, opened(&taken, &left, run.dt, run.drive_period)));
             }
             PositionLoop::Drive => {
                 let samples = self.records.get(shown)?;
-                let beyond = records
-                    .iter()
-                    .zip(samples)
-                    .map(|(record, sample)| sample.measured - record.commanded);
+                let beyond = records.iter().zip(samples).map(|(record, sample)| sample.measured - record.commanded);
                 let input = records.iter().map(|record| record.excitation);
                 (Response::Closed, input.collect(), beyond.collect())
             }
             PositionLoop::Host(_) => {
                 let sent = |record: &crate::AxisRecord| match record.command {
-                    AxisCommand::Follow(
-                        Setpoint::Velocity(it) | Setpoint::Torque(it) | Setpoint::Duty(it),
-                    ) => Some(it.get()),
+                    AxisCommand::Follow(Setpoint::Velocity(it) | Setpoint::Torque(it) | Setpoint::Duty(it)) => {
+                        Some(it.get())
+                    }
                     _ => None,
                 };
                 let input = records.iter().map(sent).collect::<Option<Vec<_>>>()?;

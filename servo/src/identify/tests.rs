@@ -38,10 +38,7 @@ fn an_integrator_with_a_delay_is_measured_as_it_is_calculated() {
             // gain DT z / (z - 1) over one more than `delay`: |z - 1| = 2 sin(w DT / 2).
             let w = 2.0 / DT * (gain * DT / 2.0).asin();
             let phase = TAU / 4.0 - w * DT * (0.5 + delay as f64);
-            assert!(
-                (found.crossover * TAU / w - 1.0).abs() < 0.02,
-                "{found:?}, {w}"
-            );
+            assert!((found.crossover * TAU / w - 1.0).abs() < 0.02, "{found:?}, {w}");
             assert!((found.phase - phase).abs() < 0.03, "{found:?}, {phase}");
             assert!(points.iter().all(|it| it.coherence > 0.99), "{points:?}");
         }
@@ -77,20 +74,12 @@ fn the_loop_of_a_drive_is_that_of_its_own_period_not_of_the_bus() {
     for (crossover, tenths) in [(45.0, 1), (45.0, 4), (45.0, 10), (20.0, 10)] {
         let period = 1e-4 * tenths as f64;
         let (added, shown) = drive(TAU * crossover, tenths, &excitation, 3);
-        let taken: Vec<_> = added
-            .iter()
-            .zip(&shown)
-            .map(|(all, left)| all - left)
-            .collect();
-        let [taken, left] = [taken, shown]
-            .map(|output| respond(&added, &output, LENGTH, &lines, DT, Response::Closed));
+        let taken: Vec<_> = added.iter().zip(&shown).map(|(all, left)| all - left).collect();
+        let [taken, left] = [taken, shown].map(|output| respond(&added, &output, LENGTH, &lines, DT, Response::Closed));
         let points = response::opened(&taken, &left, DT, period);
         let found = margin(&points).unwrap();
         let phase = TAU / 4.0 - TAU * crossover * period / 2.0;
-        assert!(
-            (found.crossover / crossover - 1.0).abs() < 0.02,
-            "{found:?}"
-        );
+        assert!((found.crossover / crossover - 1.0).abs() < 0.02, "{found:?}");
         // The images of a held torque that the loop passes fold back: 0.04 rad at 45 Hz.
         assert!((found.phase - phase).abs() < 0.05, "{found:?}, {phase}");
         assert!(points.iter().all(|it| it.coherence > 0.99), "{points:?}");
@@ -119,10 +108,7 @@ fn lines_differ_and_are_within_their_range() {
         let lines = lines(LENGTH, DT, range, count);
         assert!(lines.len() > 5, "{lines:?}");
         assert!(lines.windows(2).all(|pair| pair[1] > pair[0]), "{lines:?}");
-        assert!(
-            lines[0] >= 2 && *lines.last().unwrap() < LENGTH / 2,
-            "{lines:?}"
-        );
+        assert!(lines[0] >= 2 && *lines.last().unwrap() < LENGTH / 2, "{lines:?}");
         assert!(*lines.last().unwrap() as f64 / (LENGTH as f64 * DT) <= range[1] + 0.3);
     }
 }

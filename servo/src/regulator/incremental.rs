@@ -57,14 +57,7 @@ pub const IRP6_DUTY: [IncrementalConfig; 6] = {
 /// Torque per current of the IRp-6's motors, N·m/mA.
 const TORQUE_CONSTANT: f64 = 0.105e-3;
 
-const fn by_current(
-    a: f64,
-    b0: f64,
-    b1: f64,
-    eps: f64,
-    gain_ma: f64,
-    max_current_ma: f64,
-) -> IncrementalConfig {
+const fn by_current(a: f64, b0: f64, b1: f64, eps: f64, gain_ma: f64, max_current_ma: f64) -> IncrementalConfig {
     IncrementalConfig {
         a,
         b0,
@@ -123,12 +116,7 @@ pub struct Incremental {
 impl Incremental {
     /// At rest: no error, no output.
     pub fn new(config: IncrementalConfig) -> Self {
-        Self {
-            config,
-            error: 0.0,
-            filtered: 0.0,
-            output: [0.0; 2],
-        }
+        Self { config, error: 0.0, filtered: 0.0, output: [0.0; 2] }
     }
 
     /// One period: by how much the position error grew in it gives the output for the next, to which
@@ -136,22 +124,9 @@ impl Incremental {
     ///
     /// An input that is not finite resets the law, and the output is zero.
     pub fn step(&mut self, error: f64, feed_forward: f64) -> f64 {
-        let IncrementalConfig {
-            a,
-            b0,
-            b1,
-            eps,
-            integral,
-            gain,
-            limit,
-        } = self.config;
-        let filtered = if integral {
-            self.filtered + (1.0 + eps) * error - (1.0 - eps) * self.error
-        } else {
-            error
-        };
-        let wanted =
-            (1.0 + a) * self.output[0] - a * self.output[1] + b0 * filtered - b1 * self.filtered;
+        let IncrementalConfig { a, b0, b1, eps, integral, gain, limit } = self.config;
+        let filtered = if integral { self.filtered + (1.0 + eps) * error - (1.0 - eps) * self.error } else { error };
+        let wanted = (1.0 + a) * self.output[0] - a * self.output[1] + b0 * filtered - b1 * self.filtered;
         let output = gain * wanted + feed_forward;
         if !output.is_finite() {
             self.reset();
@@ -186,10 +161,7 @@ mod tests {
 
     fn outputs(config: IncrementalConfig, errors: &[f64]) -> Vec<f64> {
         let mut regulator = Incremental::new(config);
-        errors
-            .iter()
-            .map(|error| regulator.step(*error, 0.0))
-            .collect()
+        errors.iter().map(|error| regulator.step(*error, 0.0)).collect()
     }
 
     /// The first of `length` increments of an error that steps to `error`.
@@ -202,19 +174,10 @@ mod tests {
     #[test]
     fn response_is_that_of_the_transfer_function() {
         for integral in [true, false] {
-            let config = IncrementalConfig {
-                integral,
-                gain: 1.0,
-                limit: 1e9,
-                ..IRP6[0]
-            };
+            let config = IncrementalConfig { integral, gain: 1.0, limit: 1e9, ..IRP6[0] };
             let IncrementalConfig { a, b0, b1, eps, .. } = config;
             let (numerator, denominator) = if integral {
-                let zeros = [
-                    b0 * (1.0 + eps),
-                    -b0 * (1.0 - eps) - b1 * (1.0 + eps),
-                    b1 * (1.0 - eps),
-                ];
+                let zeros = [b0 * (1.0 + eps), -b0 * (1.0 - eps) - b1 * (1.0 + eps), b1 * (1.0 - eps)];
                 (zeros, [1.0 + a, -a])
             } else {
                 ([b0, -b1, 0.0], [a, 0.0])
@@ -240,10 +203,7 @@ mod tests {
         let risen = (torque[399] - torque[199]) / TORQUE_CONSTANT;
         // 200 mA · (b0 - b1) · 2 eps / (1 - a) in each of 200 periods.
         assert!((73.0..=75.0).contains(&risen), "{risen} mA");
-        let lead = IncrementalConfig {
-            integral: false,
-            ..IRP6[0]
-        };
+        let lead = IncrementalConfig { integral: false, ..IRP6[0] };
         let torque = outputs(lead, &step_of(1.0, 400));
         let settled = 200.0 * TORQUE_CONSTANT * (lead.b0 - lead.b1) / (1.0 - lead.a);
         assert!((torque[399] - settled).abs() < 1e-9);

@@ -64,11 +64,7 @@ impl CascadeConfig {
 
     /// The law of the velocity loop below the proportional position loop. It acts on the velocity error in rad/s.
     pub(crate) fn velocity_loop(&self) -> ProportionalConfig {
-        ProportionalConfig {
-            position_gain: self.velocity_gain,
-            integral_rate: self.integral_rate,
-            limit: self.limit,
-        }
+        ProportionalConfig { position_gain: self.velocity_gain, integral_rate: self.integral_rate, limit: self.limit }
     }
 }
 
@@ -91,10 +87,7 @@ pub struct Proportional {
 impl Proportional {
     /// At rest: no output.
     pub fn new(config: ProportionalConfig) -> Self {
-        Self {
-            config,
-            integral: 0.0,
-        }
+        Self { config, integral: 0.0 }
     }
 
     /// One period of `dt` seconds: the position error, rad, gives the velocity for the next, rad/s, to which
@@ -102,11 +95,7 @@ impl Proportional {
     ///
     /// An input that is not finite resets the law, and the output is zero.
     pub fn step(&mut self, error: f64, feed_forward: f64, dt: f64) -> f64 {
-        let ProportionalConfig {
-            position_gain,
-            integral_rate,
-            limit,
-        } = self.config;
+        let ProportionalConfig { position_gain, integral_rate, limit } = self.config;
         let proportional = position_gain * error;
         let output = proportional + self.integral + feed_forward;
         if !output.is_finite() {
@@ -141,11 +130,7 @@ mod tests {
     const DT: f64 = 0.002;
 
     fn law() -> Proportional {
-        Proportional::new(ProportionalConfig {
-            position_gain: 50.0,
-            integral_rate: 5.0,
-            limit: 250.0,
-        })
+        Proportional::new(ProportionalConfig { position_gain: 50.0, integral_rate: 5.0, limit: 250.0 })
     }
 
     #[test]

@@ -17,9 +17,7 @@ use drive::{AxisCommand, Homing, Power, Setpoint};
 use proptest::prelude::*;
 
 use crate::scripted::{self, FAULT, MAX_ACCELERATION, MAX_VELOCITY, PERIOD, World};
-use crate::{
-    EffectorLink, MAX_AXES, Macrostep, Order, Phase, Servo, ServoConfig, ServoReport, StopCause,
-};
+use crate::{EffectorLink, MAX_AXES, Macrostep, Order, Phase, Servo, ServoConfig, ServoReport, StopCause};
 
 const DT: f64 = 1e-3;
 
@@ -40,13 +38,7 @@ impl Rig {
         let axes = config.effectors[0].axes.len();
         let (group, world) = scripted::group(axes);
         let (servo, mut links) = Servo::new(config, vec![group]).unwrap();
-        Self {
-            servo,
-            link: links.remove(0),
-            world,
-            now: Instant::ZERO,
-            axes,
-        }
+        Self { servo, link: links.remove(0), world, now: Instant::ZERO, axes }
     }
 
     /// Homed and standing at zero, with an empty log.
@@ -136,14 +128,7 @@ impl Rig {
 
 fn macrostep(number: u64, steps: u16, position: f64, velocity: f64) -> Macrostep {
     let (position, velocity) = ([position; MAX_AXES], [velocity; MAX_AXES]);
-    Macrostep {
-        number,
-        steps,
-        report_at: steps,
-        position,
-        velocity,
-        torque: [0.0; MAX_AXES],
-    }
+    Macrostep { number, steps, report_at: steps, position, velocity, torque: [0.0; MAX_AXES] }
 }
 
 /// Checks that the first and second difference of a sequence exceed the limits by at most a thousandth.
@@ -151,14 +136,8 @@ fn keeps_limits(positions: &[f64]) -> Result<(), TestCaseError> {
     for (at, three) in positions.windows(3).enumerate() {
         let velocity = (three[2] - three[1]) / DT;
         let acceleration = (three[2] - 2.0 * three[1] + three[0]) / (DT * DT);
-        prop_assert!(
-            velocity.abs() <= MAX_VELOCITY * 1.0011,
-            "{velocity} rad/s at {at}"
-        );
-        prop_assert!(
-            acceleration.abs() <= MAX_ACCELERATION * 1.0011,
-            "{acceleration} at {at}"
-        );
+        prop_assert!(velocity.abs() <= MAX_VELOCITY * 1.0011, "{velocity} rad/s at {at}");
+        prop_assert!(acceleration.abs() <= MAX_ACCELERATION * 1.0011, "{acceleration} at {at}");
     }
     Ok(())
 }
@@ -199,10 +178,6 @@ fn control_sees_the_nominal_period_and_records_have_the_real_one() {
     assert!(punctual.iter().any(|record| record.phase == Phase::Moving));
     assert_eq!(punctual[0].dt, Duration::ZERO);
     assert!(punctual[1..].iter().all(|record| record.dt == PERIOD));
-    assert!(
-        wavering
-            .windows(2)
-            .all(|two| two[1].dt == two[1].at.since(two[0].at))
-    );
+    assert!(wavering.windows(2).all(|two| two[1].dt == two[1].at.since(two[0].at)));
     assert!(wavering[1..].iter().any(|record| record.dt != PERIOD));
 }

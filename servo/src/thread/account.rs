@@ -43,10 +43,7 @@ pub struct Account {
 impl Account {
     /// An account of the calling thread, starting now.
     pub fn open() -> Self {
-        let mut account = Self {
-            schedstat: File::open("/proc/thread-self/schedstat").ok(),
-            ..Self::default()
-        };
+        let mut account = Self { schedstat: File::open("/proc/thread-self/schedstat").ok(), ..Self::default() };
         account.begin();
         account
     }
@@ -59,10 +56,7 @@ impl Account {
 
     /// Starts counting: two system calls.
     fn begin(&mut self) {
-        self.last = Usage {
-            delay: self.delay(),
-            ..Usage::of_this_thread()
-        };
+        self.last = Usage { delay: self.delay(), ..Usage::of_this_thread() };
         (self.quiet, self.cycles) = (Duration::ZERO, 0);
     }
 
@@ -115,10 +109,7 @@ fn of_last(counted: Usage, late: Duration, quiet: Duration, cycles: u32) -> Usag
 
 /// The second number in `text`.
 fn parse(text: &[u8]) -> Option<Duration> {
-    let field = std::str::from_utf8(text)
-        .ok()?
-        .split_ascii_whitespace()
-        .nth(1)?;
+    let field = std::str::from_utf8(text).ok()?.split_ascii_whitespace().nth(1)?;
     field.parse().ok().map(Duration::from_nanos)
 }
 
@@ -154,18 +145,10 @@ mod tests {
 
     #[test]
     fn the_delay_is_the_second_number() {
-        for (text, expected) in [
-            ("0 51155 1\n", Some(51_155)),
-            ("7 0 1", Some(0)),
-            ("7", None),
-            ("", None),
-            ("7 x 1", None),
-        ] {
-            assert_eq!(
-                parse(text.as_bytes()),
-                expected.map(Duration::from_nanos),
-                "{text}"
-            );
+        for (text, expected) in
+            [("0 51155 1\n", Some(51_155)), ("7 0 1", Some(0)), ("7", None), ("", None), ("7 x 1", None)]
+        {
+            assert_eq!(parse(text.as_bytes()), expected.map(Duration::from_nanos), "{text}");
         }
     }
 }

@@ -26,15 +26,8 @@ pub enum Cause {
 
 impl Cause {
     /// All causes, ordered from the servo's own work to the host.
-    pub const ALL: [Self; 7] = [
-        Self::OwnStep,
-        Self::Bus,
-        Self::BetweenCycles,
-        Self::PageFault,
-        Self::Preempted,
-        Self::LateWakeUp,
-        Self::Host,
-    ];
+    pub const ALL: [Self; 7] =
+        [Self::OwnStep, Self::Bus, Self::BetweenCycles, Self::PageFault, Self::Preempted, Self::LateWakeUp, Self::Host];
 
     /// Name of the cause.
     pub fn name(self) -> &'static str {
@@ -97,14 +90,8 @@ impl Spent {
     /// The times up to the end of a wait. The times `before` the wait count only if they left no time to sleep.
     pub fn waiting(awake: &Awake, before: Self) -> Self {
         let (gap, slept) = (awake.gap, awake.wake_up_latency());
-        let of_wait = |wake_up| Self {
-            wake_up,
-            ..Self::default()
-        };
-        Self {
-            gap,
-            ..slept.map_or(before, of_wait)
-        }
+        let of_wait = |wake_up| Self { wake_up, ..Self::default() };
+        Self { gap, ..slept.map_or(before, of_wait) }
     }
 }
 
@@ -121,10 +108,7 @@ pub struct Usage {
 
 impl Usage {
     /// Counts of the calling thread since its start: one system call.
-    #[expect(
-        unsafe_code,
-        reason = "getrusage has no safe wrapper among our dependencies"
-    )]
+    #[expect(unsafe_code, reason = "getrusage has no safe wrapper among our dependencies")]
     pub fn of_this_thread() -> Self {
         // SAFETY: a rusage consists of plain numbers, and the call fills `usage`.
         let usage = unsafe {
@@ -132,11 +116,7 @@ impl Usage {
             libc::getrusage(libc::RUSAGE_THREAD, &raw mut usage);
             usage
         };
-        Self {
-            faults: (usage.ru_minflt + usage.ru_majflt) as u64,
-            switches: usage.ru_nivcsw as u64,
-            delay: None,
-        }
+        Self { faults: (usage.ru_minflt + usage.ru_majflt) as u64, switches: usage.ru_nivcsw as u64, delay: None }
     }
 
     /// Counts since `earlier`.
@@ -144,10 +124,7 @@ impl Usage {
         Self {
             faults: self.faults.saturating_sub(earlier.faults),
             switches: self.switches.saturating_sub(earlier.switches),
-            delay: self
-                .delay
-                .zip(earlier.delay)
-                .map(|(delay, earlier)| delay.saturating_sub(earlier)),
+            delay: self.delay.zip(earlier.delay).map(|(delay, earlier)| delay.saturating_sub(earlier)),
         }
     }
 }
@@ -162,11 +139,7 @@ mod tests {
     fn a_late_wait_is_attributed_by_where_its_time_went() {
         let micros = Duration::from_micros;
         let none = Usage::default();
-        let [fault, switch] = [(1, 0), (0, 1)].map(|(faults, switches)| Usage {
-            faults,
-            switches,
-            delay: None,
-        });
+        let [fault, switch] = [(1, 0), (0, 1)].map(|(faults, switches)| Usage { faults, switches, delay: None });
         // Late by, work before the wait, time left to sleep, wake-up latency, gap; µs.
         let cases = [
             ((90, 5, 800, 290, 0), none, Cause::LateWakeUp),
@@ -183,23 +156,11 @@ mod tests {
             let asked_at = Instant::from_nanos(1_000_000);
             let wake_up = asked_at + micros(left);
             let woken = wake_up + micros(latency);
-            let awake = Awake {
-                asked_at,
-                wake_up,
-                woken,
-                at: woken + micros(gap),
-                gap: micros(gap),
-            };
-            let before = Spent {
-                own: micros(worked),
-                ..Spent::default()
-            };
+            let awake = Awake { asked_at, wake_up, woken, at: woken + micros(gap), gap: micros(gap) };
+            let before = Spent { own: micros(worked), ..Spent::default() };
             let spent = Spent::waiting(&awake, before);
             let found = Cause::of_cycle(micros(late), &spent, counted);
-            assert_eq!(
-                found, expected,
-                "{late} {worked} {left} {latency} {gap} {counted:?}"
-            );
+            assert_eq!(found, expected, "{late} {worked} {left} {latency} {gap} {counted:?}");
         }
     }
 
@@ -229,19 +190,9 @@ mod tests {
         ];
         for ((own, bus, between, wake_up, gap), (faults, switches, delay), expected) in cases {
             let [own, bus, between, wake_up, gap] = [own, bus, between, wake_up, gap].map(micros);
-            let spent = Spent {
-                own,
-                bus,
-                between,
-                wake_up,
-                gap,
-            };
+            let spent = Spent { own, bus, between, wake_up, gap };
             let delay = delay.map(micros);
-            let counted = Usage {
-                faults,
-                switches,
-                delay,
-            };
+            let counted = Usage { faults, switches, delay };
             let found = Cause::of_cycle(micros(400), &spent, counted);
             assert_eq!(found, expected, "{spent:?} {counted:?}");
         }

@@ -26,12 +26,7 @@ pub(super) struct Before {
 impl Run {
     /// Finds the causes of a late cycle and of the slots skipped before it. The kernel's counts are read only after
     /// something unusual. Returns the one with the greater lateness.
-    pub(super) fn explain(
-        &mut self,
-        late: Duration,
-        spent: &Spent,
-        step: Duration,
-    ) -> Option<LateCycle> {
+    pub(super) fn explain(&mut self, late: Duration, spent: &Spent, step: Duration) -> Option<LateCycle> {
         let is_late = late > self.period / LATE;
         let long = step > self.usual.get();
         self.usual.observe(step);
@@ -63,9 +58,7 @@ impl Run {
     /// Use of the time up to the end of a wait. `begun` is the time at which the caller was done. A wait without a
     /// sleep after skipped slots belongs to their delay, because the time since the previous SYNC is already explained.
     pub(super) fn waited(&self, begun: Instant, awake: &Awake) -> Spent {
-        let Before {
-            sync, done, called, ..
-        } = self.before;
+        let Before { sync, done, called, .. } = self.before;
         let before = Spent {
             own: called.since(done) + awake.asked_at.since(begun),
             bus: done.since(sync),

@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use thiserror::Error;
 use thread_priority::{
-    DeadlineFlags, RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue,
-    ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
+    DeadlineFlags, RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
+    set_thread_priority_and_policy, thread_native_id,
 };
 
 use super::realtime::{Realtime, Scheduler};
@@ -20,16 +20,12 @@ const PREFAULTED: usize = 128 * 1024;
 
 /// Keeps all CPUs out of idle states with an exit latency, as long as the value exists.
 #[derive(Debug)]
-pub struct CpuLatency(
-    #[expect(dead_code, reason = "the request lasts as long as the file is open")] File,
-);
+pub struct CpuLatency(#[expect(dead_code, reason = "the request lasts as long as the file is open")] File);
 
 impl CpuLatency {
     /// Requests a latency of 0 µs from the kernel's power management; usually granted to root only.
     pub fn hold() -> io::Result<Self> {
-        let mut file = OpenOptions::new()
-            .write(true)
-            .open("/dev/cpu_dma_latency")?;
+        let mut file = OpenOptions::new().write(true).open("/dev/cpu_dma_latency")?;
         file.write_all(&0i32.to_ne_bytes())?;
         Ok(Self(file))
     }
@@ -39,9 +35,7 @@ impl CpuLatency {
         match Self::hold() {
             Ok(held) => Ok(Some(held)),
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-            Err(error) => Err(Denial::CpuLatency {
-                errno: error.raw_os_error().unwrap_or(0),
-            }),
+            Err(error) => Err(Denial::CpuLatency { errno: error.raw_os_error().unwrap_or(0) }),
         }
     }
 }
@@ -136,10 +130,7 @@ pub enum Denial {
         errno: i32,
     },
     /// `mlockall`.
-    #[error(
-        "locking memory was denied (errno {errno}); {}",
-        Grant(Limit::LockedMemory)
-    )]
+    #[error("locking memory was denied (errno {errno}); {}", Grant(Limit::LockedMemory))]
     LockMemory {
         /// Error of the system.
         errno: i32,
@@ -156,9 +147,7 @@ pub enum Denial {
         errno: i32,
     },
     /// `prctl(PR_SET_TIMERSLACK)`.
-    #[error(
-        "a timer slack of 1 ns was denied (errno {errno}); no privilege is needed, so a seccomp filter denies it"
-    )]
+    #[error("a timer slack of 1 ns was denied (errno {errno}); no privilege is needed, so a seccomp filter denies it")]
     TimerSlack {
         /// Error of the system.
         errno: i32,
@@ -228,41 +217,26 @@ pub fn set_fifo(priority: u8) -> Result<(), Denial> {
 }
 
 /// Keeps threads and processes started by this thread from inheriting SCHED_FIFO.
-#[expect(
-    unsafe_code,
-    reason = "sched_setscheduler has no safe wrapper among our dependencies"
-)]
+#[expect(unsafe_code, reason = "sched_setscheduler has no safe wrapper among our dependencies")]
 fn reset_on_fork(priority: u8) -> Result<(), i32> {
     let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
-    let param = libc::sched_param {
-        sched_priority: priority.into(),
-    };
+    let param = libc::sched_param { sched_priority: priority.into() };
     // SAFETY: 0 means this thread, and `param` outlives the call. The function of libc may refuse the flag.
-    let result =
-        unsafe { libc::syscall(libc::SYS_sched_setscheduler, 0, policy, &raw const param) };
+    let result = unsafe { libc::syscall(libc::SYS_sched_setscheduler, 0, policy, &raw const param) };
     check(result as libc::c_int)
 }
 
-#[expect(
-    unsafe_code,
-    reason = "mlockall has no safe wrapper among our dependencies"
-)]
+#[expect(unsafe_code, reason = "mlockall has no safe wrapper among our dependencies")]
 fn lock_memory() -> Result<(), Denial> {
     // SAFETY: the call changes where pages are kept, not their content.
     let result = unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE) };
     check(result).map_err(|errno| Denial::LockMemory { errno })
 }
 
-#[expect(
-    unsafe_code,
-    reason = "sched_setaffinity has no safe wrapper among our dependencies"
-)]
+#[expect(unsafe_code, reason = "sched_setaffinity has no safe wrapper among our dependencies")]
 fn stay_on(cpu: usize) -> Result<(), Denial> {
     if cpu >= libc::CPU_SETSIZE as usize {
-        return Err(Denial::Cpu {
-            cpu,
-            errno: libc::EINVAL,
-        });
+        return Err(Denial::Cpu { cpu, errno: libc::EINVAL });
     }
     // SAFETY: a cpu_set_t consists of plain bits, `cpu` is below its size, and 0 means this thread.
     let result = unsafe {
@@ -273,10 +247,7 @@ fn stay_on(cpu: usize) -> Result<(), Denial> {
     check(result).map_err(|errno| Denial::Cpu { cpu, errno })
 }
 
-#[expect(
-    unsafe_code,
-    reason = "prctl has no safe wrapper among our dependencies"
-)]
+#[expect(unsafe_code, reason = "prctl has no safe wrapper among our dependencies")]
 fn set_timer_slack() -> Result<(), Denial> {
     // SAFETY: this operation takes one number and touches no memory.
     let result = unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1 as libc::c_ulong) };

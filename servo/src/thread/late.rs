@@ -84,26 +84,11 @@ mod tests {
         }
         let [mut late, more] = parts;
         late.add(&more);
-        let kept = late
-            .worst()
-            .map(|worst| (worst.late.as_micros(), worst.cycle));
-        let expected = [
-            (9, 1),
-            (9, 6),
-            (8, 4),
-            (7, 3),
-            (6, 9),
-            (5, 8),
-            (4, 7),
-            (3, 0),
-        ];
+        let kept = late.worst().map(|worst| (worst.late.as_micros(), worst.cycle));
+        let expected = [(9, 1), (9, 6), (8, 4), (7, 3), (6, 9), (5, 8), (4, 7), (3, 0)];
         assert!(kept.eq(expected), "{late:?}");
         assert_eq!(late.count(), 11);
-        assert!(
-            late.causes()
-                .map(|(_, count)| count)
-                .eq([2, 2, 2, 2, 1, 1, 1])
-        );
+        assert!(late.causes().map(|(_, count)| count).eq([2, 2, 2, 2, 1, 1, 1]));
         for (place, cause) in Cause::ALL.into_iter().enumerate() {
             assert_eq!(cause as usize, place, "counts go by the place of a cause");
         }

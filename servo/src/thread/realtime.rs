@@ -69,10 +69,7 @@ pub enum Wait {
 
 impl Default for Realtime {
     fn default() -> Self {
-        Self {
-            wait: Wait::Hybrid,
-            ..Self::PLAIN
-        }
+        Self { wait: Wait::Hybrid, ..Self::PLAIN }
     }
 }
 
@@ -128,16 +125,11 @@ mod microseconds {
     use super::{Deserialize, Duration, Serialize};
     use serde::{Deserializer, Serializer};
 
-    pub(super) fn serialize<S: Serializer>(
-        time: &Option<Duration>,
-        to: S,
-    ) -> Result<S::Ok, S::Error> {
+    pub(super) fn serialize<S: Serializer>(time: &Option<Duration>, to: S) -> Result<S::Ok, S::Error> {
         time.map(|time| time.as_micros() as u32).serialize(to)
     }
 
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
-        from: D,
-    ) -> Result<Option<Duration>, D::Error> {
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Duration>, D::Error> {
         let time = Option::<u32>::deserialize(from)?;
         Ok(time.map(|time| Duration::from_micros(time.into())))
     }
@@ -154,24 +146,12 @@ mod tests {
             (|_| {}, None),
             (|it| it.priority = 0, Some("priority")),
             (|it| it.cpu = Some(1024), Some("cpu")),
-            (
-                |it| (it.scheduler, it.cpu) = (Scheduler::Deadline, Some(0)),
-                Some("cpu"),
-            ),
+            (|it| (it.scheduler, it.cpu) = (Scheduler::Deadline, Some(0)), Some("cpu")),
             (|it| it.spin_share = Some(f64::NAN), Some("spin_share")),
-            (
-                |it| it.margin = Some(Duration::from_nanos(200_001)),
-                Some("margin_us"),
-            ),
+            (|it| it.margin = Some(Duration::from_nanos(200_001)), Some("margin_us")),
             (|it| it.margin = Some(Duration::from_micros(200)), None),
-            (
-                |it| (it.wait, it.margin) = (Wait::Plain, Some(Duration::ZERO)),
-                Some("margin_us"),
-            ),
-            (
-                |it| (it.wait, it.spin_share) = (Wait::Plain, Some(0.2)),
-                Some("spin_share"),
-            ),
+            (|it| (it.wait, it.margin) = (Wait::Plain, Some(Duration::ZERO)), Some("margin_us")),
+            (|it| (it.wait, it.spin_share) = (Wait::Plain, Some(0.2)), Some("spin_share")),
         ];
         for (number, (change, key)) in cases.into_iter().enumerate() {
             let mut realtime = Realtime::default();

@@ -25,13 +25,8 @@ fn is_standing(servo: &Servo) -> bool {
 }
 
 fn has_power(world: &Arc<Mutex<World>>) -> bool {
-    let world = world
-        .lock()
-        .unwrap_or_else(|poisoned| poisoned.into_inner());
-    world
-        .axes
-        .iter()
-        .any(|drive| drive.state.power != Power::Off)
+    let world = world.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+    world.axes.iter().any(|drive| drive.state.power != Power::Off)
 }
 
 #[test]
@@ -63,10 +58,7 @@ fn with_a_hybrid_wait_sync_leaves_at_the_deadline_however_long_preparing_takes()
     let (servo, _link, world) = rig();
     let work = Duration::from_micros(30);
     world.lock().unwrap().work = work;
-    let realtime = Realtime {
-        spin_share: Some(0.5),
-        ..Realtime::default()
-    };
+    let realtime = Realtime { spin_share: Some(0.5), ..Realtime::default() };
     let mut cycles = 0;
     let until = move |_: &Servo| {
         cycles += 1;
@@ -84,11 +76,7 @@ fn with_a_hybrid_wait_sync_leaves_at_the_deadline_however_long_preparing_takes()
 fn a_panic_of_the_caller_brakes_and_switches_off() {
     let (servo, _link, world) = rig();
     let until = |servo: &Servo| {
-        if is_standing(servo) {
-            panic!("scripted")
-        } else {
-            false
-        }
+        if is_standing(servo) { panic!("scripted") } else { false }
     };
     let finished = run(servo, Realtime::PLAIN, CellTime::Wall, |_| {}, until).unwrap();
     assert_eq!(finished.panicked, Some(Panicked::Caller));
@@ -155,25 +143,9 @@ fn what_is_required_and_denied_is_named_before_any_cycle() {
     // No host has this priority or these CPUs.
     for (priority, cpu) in [(100, None), (80, Some(1023)), (80, Some(usize::MAX))] {
         let (servo, _link, world) = rig();
-        let realtime = Realtime {
-            policy: Policy::Require,
-            priority,
-            cpu,
-            lock_memory: false,
-            ..Realtime::PLAIN
-        };
-        let refused = start(
-            servo,
-            realtime,
-            CellTime::Wall,
-            Arc::default(),
-            |_| {},
-            |_| true,
-        )
-        .unwrap_err();
-        let StartError::Denied(denial) = refused else {
-            panic!("{refused}")
-        };
+        let realtime = Realtime { policy: Policy::Require, priority, cpu, lock_memory: false, ..Realtime::PLAIN };
+        let refused = start(servo, realtime, CellTime::Wall, Arc::default(), |_| {}, |_| true).unwrap_err();
+        let StartError::Denied(denial) = refused else { panic!("{refused}") };
         assert!(world.lock().unwrap().sent.is_empty());
         match denial {
             Denial::Cpu { cpu: denied, .. } => assert_eq!(Some(denied), cpu),
@@ -191,12 +163,7 @@ fn what_is_required_and_denied_is_named_before_any_cycle() {
 fn a_thread_really_has_what_was_not_denied() {
     let has = || {
         // SAFETY: both calls concern this thread, take numbers and touch no memory.
-        let (scheduler, slack) = unsafe {
-            (
-                libc::sched_getscheduler(0),
-                libc::prctl(libc::PR_GET_TIMERSLACK),
-            )
-        };
+        let (scheduler, slack) = unsafe { (libc::sched_getscheduler(0), libc::prctl(libc::PR_GET_TIMERSLACK)) };
         let status = std::fs::read_to_string("/proc/thread-self/status").unwrap();
         let field = |name: &str| {
             let line = status.lines().find_map(|line| line.strip_prefix(name));
@@ -207,13 +174,7 @@ fn a_thread_really_has_what_was_not_denied() {
         let priority = stat.rsplit(')').next().unwrap().split_whitespace().nth(37);
         let priority = priority.unwrap().parse::<u8>().unwrap();
         let locked = field("VmLck:") != "0 kB";
-        (
-            scheduler,
-            priority,
-            slack,
-            field("Cpus_allowed_list:"),
-            locked,
-        )
+        (scheduler, priority, slack, field("Cpus_allowed_list:"), locked)
     };
     let (tell, told) = mpsc::channel();
     let until = move |_: &Servo| {
@@ -221,33 +182,18 @@ fn a_thread_really_has_what_was_not_denied() {
         let _ = tell.send((has(), child.0));
         true
     };
-    let realtime = Realtime {
-        priority: 42,
-        cpu: Some(0),
-        ..Realtime::PLAIN
-    };
+    let realtime = Realtime { priority: 42, cpu: Some(0), ..Realtime::PLAIN };
     let (servo, _link, _world) = rig();
     let finished = run(servo, realtime, CellTime::Wall, |_| {}, until).unwrap();
     let ((scheduler, priority, slack, cpus, locked), child) = told.recv().unwrap();
     let granted = |which: fn(&Denial) -> bool| !finished.denied.iter().any(which);
     let fifo = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
     let is_fifo = (scheduler, priority) == (fifo, 42);
-    assert_eq!(
-        is_fifo,
-        granted(|one| matches!(one, Denial::Fifo { .. })),
-        "{scheduler:#x} {priority}"
-    );
+    assert_eq!(is_fifo, granted(|one| matches!(one, Denial::Fifo { .. })), "{scheduler:#x} {priority}");
     assert_eq!(child, libc::SCHED_OTHER, "a child does not inherit it");
     // Linux 6.13 and later give a real-time thread no timer slack.
-    assert_eq!(
-        slack <= 1,
-        granted(|one| matches!(one, Denial::TimerSlack { .. }))
-    );
-    assert_eq!(
-        cpus == "0",
-        granted(|one| matches!(one, Denial::Cpu { .. })),
-        "{cpus}"
-    );
+    assert_eq!(slack <= 1, granted(|one| matches!(one, Denial::TimerSlack { .. })));
+    assert_eq!(cpus == "0", granted(|one| matches!(one, Denial::Cpu { .. })), "{cpus}");
     assert!(locked || !granted(|one| matches!(one, Denial::LockMemory { .. })));
 }
 
@@ -274,10 +220,7 @@ fn a_deadline_thread_has_its_budget_and_starts_others_without_it() {
         cycles += 1;
         cycles == 5
     };
-    let realtime = Realtime {
-        scheduler: Scheduler::Deadline,
-        ..Realtime::default()
-    };
+    let realtime = Realtime { scheduler: Scheduler::Deadline, ..Realtime::default() };
     let (servo, _link, _world) = rig();
     let finished = run(servo, realtime, CellTime::Wall, |_| {}, until).unwrap();
     let (found, child) = told.recv().unwrap();
@@ -288,22 +231,13 @@ fn a_deadline_thread_has_its_budget_and_starts_others_without_it() {
         None => {
             assert_eq!(found.sched_policy, libc::SCHED_DEADLINE as u32);
             assert_eq!(found.sched_flags, libc::SCHED_FLAG_RESET_ON_FORK as u64);
-            let times = [
-                found.sched_runtime,
-                found.sched_deadline,
-                found.sched_period,
-            ];
+            let times = [found.sched_runtime, found.sched_deadline, found.sched_period];
             assert_eq!(times, [nanos / 10 * 9, nanos, nanos]);
         }
         Some(denial) => {
             assert_eq!(found.sched_policy, libc::SCHED_OTHER as u32);
             let said = denial.to_string();
-            assert!(
-                ["cap_sys_nice", "have reserved", "seccomp"]
-                    .iter()
-                    .any(|way| said.contains(way)),
-                "{said}"
-            );
+            assert!(["cap_sys_nice", "have reserved", "seccomp"].iter().any(|way| said.contains(way)), "{said}");
         }
     }
 }
@@ -311,36 +245,17 @@ fn a_deadline_thread_has_its_budget_and_starts_others_without_it() {
 #[test]
 fn a_denied_deadline_says_what_would_grant_it() {
     // A thread on one CPU of several is refused like one without the capability; no host has a period of 1 h.
-    let on_one_cpu = Realtime {
-        scheduler: Scheduler::Deadline,
-        cpu: Some(0),
-        lock_memory: false,
-        ..Realtime::PLAIN
-    };
-    let on_any = Realtime {
-        cpu: None,
-        ..on_one_cpu
-    };
+    let on_one_cpu = Realtime { scheduler: Scheduler::Deadline, cpu: Some(0), lock_memory: false, ..Realtime::PLAIN };
+    let on_any = Realtime { cpu: None, ..on_one_cpu };
     let too_long = Duration::from_secs(3600);
-    let several = std::fs::read_to_string("/sys/devices/system/cpu/online")
-        .unwrap()
-        .trim()
-        != "0";
+    let several = std::fs::read_to_string("/sys/devices/system/cpu/online").unwrap().trim() != "0";
     for (policy, period, needles) in [
         (on_one_cpu, PERIOD, ["cap_sys_nice+ep", "cap_sys_nice+ep"]),
         // The kernel looks at the capability after the period, and a filter before both.
-        (
-            on_any,
-            too_long,
-            ["sched_deadline_period_min_us", "seccomp"],
-        ),
+        (on_any, too_long, ["sched_deadline_period_min_us", "seccomp"]),
     ] {
-        let denied = std::thread::spawn(move || demand(&policy, period))
-            .join()
-            .unwrap();
-        let said = denied
-            .iter()
-            .find(|one| matches!(one, Denial::Deadline { .. }));
+        let denied = std::thread::spawn(move || demand(&policy, period)).join().unwrap();
+        let said = denied.iter().find(|one| matches!(one, Denial::Deadline { .. }));
         match said.map(ToString::to_string) {
             Some(said) => assert!(needles.iter().any(|needle| said.contains(needle)), "{said}"),
             None => assert!(!several && policy.cpu.is_some(), "{policy:?}"),

@@ -130,11 +130,7 @@ impl Tracer {
 
     /// An empty tracer. Setting `request` stores the cycles around that moment.
     pub fn new(request: Arc<AtomicBool>) -> Self {
-        let free = || Spike {
-            late: None,
-            cycle: 0,
-            cycles: touched(),
-        };
+        let free = || Spike { late: None, cycle: 0, cycles: touched() };
         Self {
             ring: touched().into(),
             late: None,
@@ -151,13 +147,7 @@ impl Tracer {
             self.ring.pop_front();
         }
         self.ring.push_back(stamps);
-        let pending = |late| {
-            Some(Pending {
-                late,
-                cycle: stamps.cycle,
-                left: AFTER,
-            })
-        };
+        let pending = |late| Some(Pending { late, cycle: stamps.cycle, left: AFTER });
         let later = |before: Option<Pending>| before.and_then(|one| one.late).map(|one| one.late);
         if self.request.load(Ordering::Relaxed) {
             self.request.store(false, Ordering::Relaxed);
@@ -198,8 +188,7 @@ impl Tracer {
         self.freeze(|_| true);
         self.spikes.push(self.on_request);
         self.spikes.retain(|spike| !spike.is_free());
-        self.spikes
-            .sort_by_key(|spike| std::cmp::Reverse(spike.lateness()));
+        self.spikes.sort_by_key(|spike| std::cmp::Reverse(spike.lateness()));
         self.spikes
     }
 }
@@ -245,13 +234,8 @@ mod tests {
                 late: Duration::from_micros(micros),
                 cause: Cause::Host,
             });
-            let awake = Awake {
-                asked_at: deadline,
-                wake_up: deadline,
-                woken: deadline,
-                at: deadline,
-                gap: Duration::ZERO,
-            };
+            let awake =
+                Awake { asked_at: deadline, wake_up: deadline, woken: deadline, at: deadline, gap: Duration::ZERO };
             request.fetch_or(asked.contains(&cycle), Ordering::Relaxed);
             tracer.record(Stamps::of_wait(cycle, deadline, awake, late));
         }
@@ -261,12 +245,7 @@ mod tests {
     #[test]
     fn a_spike_is_kept_with_the_cycles_before_and_after_it() {
         // Number of cycles, late cycles and µs, requests; expected spikes: cycle, first and last cycle shown.
-        type Case<'a> = (
-            u64,
-            &'a [(u64, u64)],
-            &'a [u64],
-            &'a [(u64, std::ops::RangeInclusive<u64>)],
-        );
+        type Case<'a> = (u64, &'a [(u64, u64)], &'a [u64], &'a [(u64, std::ops::RangeInclusive<u64>)]);
         let cases: [Case; 9] = [
             (200, &[], &[], &[]),
             (200, &[(100, 30)], &[], &[(100, 53..=116)]),
@@ -278,12 +257,7 @@ mod tests {
             (200, &[(100, 30), (110, 20)], &[], &[(100, 53..=116)]),
             (200, &[(100, 20), (110, 30)], &[], &[(110, 63..=126)]),
             // The worst spike comes first, a requested one last.
-            (
-                200,
-                &[(50, 20), (100, 30)],
-                &[],
-                &[(100, 53..=116), (50, 3..=66)],
-            ),
+            (200, &[(50, 20), (100, 30)], &[], &[(100, 53..=116), (50, 3..=66)]),
             (200, &[(90, 20)], &[95], &[(90, 43..=106), (95, 48..=111)]),
             (200, &[], &[30, 120], &[(120, 73..=136)]),
         ];
@@ -303,9 +277,7 @@ mod tests {
 
     #[test]
     fn of_many_spikes_the_latest_are_kept() {
-        let late: Vec<_> = (0..20)
-            .map(|spike| (100 * spike, 7 * spike % 20 + 1))
-            .collect();
+        let late: Vec<_> = (0..20).map(|spike| (100 * spike, 7 * spike % 20 + 1)).collect();
         let kept = traced(2100, &late, &[]);
         let kept = kept.iter().map(|spike| spike.lateness().as_micros());
         assert!(kept.eq((13..=20).rev()));

@@ -95,13 +95,7 @@ impl Waiter {
         let wake_up = due - self.margin.allowed(asked_at.since(last), reserved);
         sleep_until(wake_up);
         let woken = now();
-        let mut awake = Awake {
-            asked_at,
-            wake_up,
-            woken,
-            at: woken,
-            gap: Duration::ZERO,
-        };
+        let mut awake = Awake { asked_at, wake_up, woken, at: woken, gap: Duration::ZERO };
         if let Some(latency) = awake.wake_up_latency() {
             self.margin.observe(latency);
         }
@@ -135,11 +129,7 @@ impl Waiter {
         WaitReport {
             margin: self.margin.get(),
             preparation: Duration::ZERO,
-            spin_share: if self.elapsed.is_zero() {
-                0.0
-            } else {
-                self.spun.as_secs_f64() / self.elapsed.as_secs_f64()
-            },
+            spin_share: if self.elapsed.is_zero() { 0.0 } else { self.spun.as_secs_f64() / self.elapsed.as_secs_f64() },
         }
     }
 }
@@ -171,18 +161,12 @@ impl Margin {
             Wait::Plain => (Some(Duration::ZERO), 0.0),
             Wait::Hybrid => (realtime.margin, realtime.spin_share()),
         };
-        let share = if share.is_finite() {
-            share.clamp(0.0, 1.0)
-        } else {
-            0.0
-        };
+        let share = if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 };
         let spin = period.mul_f64(share);
         Self {
             // Starting from the greatest value makes the first wake-ups no worse than later ones.
-            kind: margin.map_or_else(
-                || Kind::Learnt(LearntQuantile::new(spin, spin)),
-                |margin| Kind::Fixed(margin.min(spin)),
-            ),
+            kind: margin
+                .map_or_else(|| Kind::Learnt(LearntQuantile::new(spin, spin)), |margin| Kind::Fixed(margin.min(spin))),
             share,
             spin,
             busy: period.mul_f64(BUSY_SHARE),
@@ -232,9 +216,7 @@ impl Margin {
             }
         };
         let wanted = if self.alert > 0 { self.longest } else { learnt };
-        wanted
-            .min(spin.saturating_sub(reserved))
-            .min(self.busy.saturating_sub(busy))
+        wanted.min(spin.saturating_sub(reserved)).min(self.busy.saturating_sub(busy))
     }
 }
 
@@ -255,10 +237,7 @@ mod tests {
             spin_share: Some(spin_share),
             ..Realtime::default()
         };
-        let plain = Realtime {
-            wait: Wait::Plain,
-            ..Realtime::default()
-        };
+        let plain = Realtime { wait: Wait::Plain, ..Realtime::default() };
         // Wait, work so far, reserved spin time, expected margin; in µs of a period of 1000.
         let cases = [
             (plain, 0, 0, 0),
@@ -312,10 +291,7 @@ mod tests {
     fn in_no_second_do_spins_take_more_than_their_share_and_a_twentieth_or_trip_throttling() {
         let cycles = 1000;
         for (spin_share, seed) in [(0.05, 1), (0.2, 2), (0.5, 3)] {
-            let wait = Realtime {
-                spin_share: Some(spin_share),
-                ..Realtime::default()
-            };
+            let wait = Realtime { spin_share: Some(spin_share), ..Realtime::default() };
             let mut margin = Margin::new(&wait, PERIOD);
             let mut seed: u64 = seed;
             let mut random = |below: u64| {
@@ -345,10 +321,7 @@ mod tests {
             }
             let bound = (Duration::from_secs(1) + CREDIT + PERIOD).mul_f64(spin_share);
             assert!(most <= bound, "{spin_share}: {most:?}");
-            assert!(
-                busiest <= Duration::from_secs(1).mul_f64(BUSY_SHARE),
-                "{busiest:?}"
-            );
+            assert!(busiest <= Duration::from_secs(1).mul_f64(BUSY_SHARE), "{busiest:?}");
         }
     }
 
@@ -371,14 +344,9 @@ mod tests {
     #[test]
     fn an_alert_wait_spends_what_was_saved_and_no_more() {
         // Credit, reserved spin time, expected margin; in µs of a period of 1000 with a share of 0.2.
-        for (saved, reserved, expected) in [
-            (0, 0, 200),
-            (100, 0, 300),
-            (100, 50, 250),
-            (10_000, 0, 500),
-            (-150, 0, 50),
-            (-300, 0, 0),
-        ] {
+        for (saved, reserved, expected) in
+            [(0, 0, 200), (100, 0, 300), (100, 50, 250), (10_000, 0, 500), (-150, 0, 50), (-300, 0, 0)]
+        {
             let mut margin = Margin::new(&Realtime::default(), PERIOD);
             margin.observe(micros(900));
             margin.credit = 1000 * saved;

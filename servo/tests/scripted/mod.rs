@@ -1,9 +1,6 @@
 //! A drive group without a bus: ideal drives that latch at SYNC, and a script for their faults.
 
-#![allow(
-    clippy::disallowed_methods,
-    reason = "tests keep pace with other processes"
-)]
+#![allow(clippy::disallowed_methods, reason = "tests keep pace with other processes")]
 #![allow(dead_code, reason = "each test binary uses its part of it")]
 #![allow(unreachable_pub, reason = "unit tests and test binaries share it")]
 
@@ -13,14 +10,11 @@ use std::time::Duration;
 
 use can::{Instant, clock};
 use drive::{
-    AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Homing, Increments,
-    Power, Setpoint,
+    AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Homing, Increments, Power, Setpoint,
 };
 
 use super::regulator::CascadeConfig;
-use super::{
-    EffectorConfig, FeedForward, HostLoop, Law, Output, PositionLoop, ServoAxisConfig, ServoConfig,
-};
+use super::{EffectorConfig, FeedForward, HostLoop, Law, Output, PositionLoop, ServoAxisConfig, ServoConfig};
 
 pub const PERIOD: Duration = Duration::from_millis(1);
 pub const MAX_VELOCITY: f64 = 100.0;
@@ -72,10 +66,7 @@ pub fn host_config(axes: usize) -> ServoConfig {
                 limit: 2.0,
             }),
             output: Output::Torque,
-            feed_forward: FeedForward {
-                acceleration: INERTIA,
-                ..FeedForward::default()
-            },
+            feed_forward: FeedForward { acceleration: INERTIA, ..FeedForward::default() },
             runaway_velocity: 120.0,
         });
     }
@@ -176,8 +167,7 @@ impl Drive {
     fn sync(&mut self, dt: f64) {
         let state = &mut self.state;
         let before = state.position;
-        let powered = state.fault.is_none()
-            && !matches!(self.pending, AxisCommand::Off | AxisCommand::ResetFault);
+        let powered = state.fault.is_none() && !matches!(self.pending, AxisCommand::Off | AxisCommand::ResetFault);
         self.enabling = if powered { self.enabling + 1 } else { 0 };
         state.power = match self.enabling {
             0 => Power::Off,
@@ -204,32 +194,21 @@ impl Drive {
                     true => Homing::Attained,
                 };
             }
-            AxisCommand::Follow(Setpoint::Torque(torque))
-            | AxisCommand::Seek(Setpoint::Torque(torque))
+            AxisCommand::Follow(Setpoint::Torque(torque)) | AxisCommand::Seek(Setpoint::Torque(torque))
                 if state.following =>
             {
                 let sense = if self.backwards { -1.0 } else { 1.0 };
                 let torque = sense * torque.get();
-                let kept = state.switches.lower_limit && torque < 0.0
-                    || state.switches.upper_limit && torque > 0.0;
-                let torque = if self.guards && kept {
-                    -self.spin * INERTIA / BRAKING_TIME
-                } else {
-                    torque
-                };
+                let kept = state.switches.lower_limit && torque < 0.0 || state.switches.upper_limit && torque > 0.0;
+                let torque = if self.guards && kept { -self.spin * INERTIA / BRAKING_TIME } else { torque };
                 self.spin += (torque + self.load) / INERTIA * dt;
                 state.position += self.spin * dt;
             }
-            AxisCommand::Follow(Setpoint::Position(position))
-            | AxisCommand::Seek(Setpoint::Position(position))
+            AxisCommand::Follow(Setpoint::Position(position)) | AxisCommand::Seek(Setpoint::Position(position))
                 if state.following =>
             {
                 let target = self.target.replace(position.get());
-                let position = if self.lags {
-                    target.unwrap_or(state.position)
-                } else {
-                    position.get()
-                };
+                let position = if self.lags { target.unwrap_or(state.position) } else { position.get() };
                 if !self.blocked {
                     state.position = position;
                 }
@@ -264,11 +243,7 @@ impl Drive {
         }
         state.switches.lower_limit = closed(self.limit_below);
         state.switches.upper_limit = self.limit_above.is_some_and(|above| state.position > above);
-        let moved = if state.following {
-            (before_jump - before) / dt
-        } else {
-            0.0
-        };
+        let moved = if state.following { (before_jump - before) / dt } else { 0.0 };
         state.velocity = self.drifts_at.unwrap_or(moved);
         state.increments = Increments((state.position * 1000.0).round() as i32);
         let set = homing != state.homing && state.homing == Homing::Attained;
@@ -301,32 +276,16 @@ pub struct Scripted {
 }
 
 pub fn group(axes: usize) -> (Box<dyn DriveGroup>, Arc<Mutex<World>>) {
-    let drive = Drive {
-        homing_takes: 10,
-        ..Drive::default()
-    };
-    let world = World {
-        axes: vec![drive; axes],
-        log: true,
-        ..World::default()
-    };
+    let drive = Drive { homing_takes: 10, ..Drive::default() };
+    let world = World { axes: vec![drive; axes], log: true, ..World::default() };
     let world = Arc::new(Mutex::new(world));
     let written = vec![AxisCommand::Off; axes];
-    (
-        Box::new(Scripted {
-            world: Arc::clone(&world),
-            axes,
-            written,
-        }),
-        world,
-    )
+    (Box::new(Scripted { world: Arc::clone(&world), axes, written }), world)
 }
 
 impl Scripted {
     fn world(&self) -> MutexGuard<'_, World> {
-        self.world
-            .lock()
-            .unwrap_or_else(|poisoned| poisoned.into_inner())
+        self.world.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 }
 
@@ -399,19 +358,10 @@ impl DriveGroup for Scripted {
     }
 
     fn counters(&self) -> GroupCounters {
-        GroupCounters {
-            last_bus_time: Duration::from_micros(300),
-            ..GroupCounters::default()
-        }
+        GroupCounters { last_bus_time: Duration::from_micros(300), ..GroupCounters::default() }
     }
 }
 
-pub const NEVER_BOOTED: BringUpError = BringUpError::NeverBooted {
-    node: 1,
-    waited: Duration::from_secs(1),
-};
+pub const NEVER_BOOTED: BringUpError = BringUpError::NeverBooted { node: 1, waited: Duration::from_secs(1) };
 
-pub const FAULT: Fault = Fault::Drive {
-    node: 1,
-    code: 0x2310,
-};
+pub const FAULT: Fault = Fault::Drive { node: 1, code: 0x2310 };

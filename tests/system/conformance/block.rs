@@ -1,8 +1,6 @@
 //! Claims about SDO block transfers, whose data are a text and a domain of the emulator.
 
-use super::rig::{
-    Deviation, Rig, SDO_ANSWER, SDO_REQUEST, Verdict, aborted, ensure, hex, multiplexer, request,
-};
+use super::rig::{Deviation, Rig, SDO_ANSWER, SDO_REQUEST, Verdict, aborted, ensure, hex, multiplexer, request};
 use super::sdo::upload_segments;
 use super::{CIA_301, Row};
 
@@ -143,11 +141,7 @@ pub(super) fn crc(bytes: &[u8]) -> u16 {
     bytes.iter().fold(0, |crc: u16, &byte| {
         (0..8).fold(crc ^ u16::from(byte) << 8, |crc, _| {
             let shifted = crc << 1;
-            if crc & 0x8000 != 0 {
-                shifted ^ 0x1021
-            } else {
-                shifted
-            }
+            if crc & 0x8000 != 0 { shifted ^ 0x1021 } else { shifted }
         })
     })
 }
@@ -167,20 +161,10 @@ fn initiate_upload(
     size: u8,
     threshold: u8,
 ) -> Result<[u8; 8], Deviation> {
-    rig.transfer(request(
-        0xA0 | u8::from(client_crc) << 2,
-        index,
-        subindex,
-        [size, threshold, 0, 0],
-    ))
+    rig.transfer(request(0xA0 | u8::from(client_crc) << 2, index, subindex, [size, threshold, 0, 0]))
 }
 
-fn begin_upload(
-    rig: &mut Rig,
-    address: (u16, u8),
-    client_crc: bool,
-    size: u8,
-) -> Result<Upload, Deviation> {
+fn begin_upload(rig: &mut Rig, address: (u16, u8), client_crc: bool, size: u8) -> Result<Upload, Deviation> {
     let answer = initiate_upload(rig, address, client_crc, size, 0)?;
     ensure!(
         answer[0] & 0xF9 == 0xC0 && answer[1..4] == multiplexer(address.0, address.1),
@@ -188,11 +172,7 @@ fn begin_upload(
         hex(&answer)
     );
     let announced = u32::from_le_bytes([answer[4], answer[5], answer[6], answer[7]]) as usize;
-    Ok(Upload {
-        bytes: Vec::new(),
-        size: (answer[0] & 2 != 0).then_some(announced),
-        server_crc: answer[0] & 4 != 0,
-    })
+    Ok(Upload { bytes: Vec::new(), size: (answer[0] & 2 != 0).then_some(announced), server_crc: answer[0] & 4 != 0 })
 }
 
 /// Sends a request, and collects the segments of the sub-block that follows.
@@ -200,10 +180,7 @@ fn sub_block(rig: &mut Rig, go: [u8; 8]) -> Vec<Vec<u8>> {
     let mark = rig.mark();
     rig.send(SDO_REQUEST, &go);
     rig.pass(60);
-    rig.heard(mark, SDO_ANSWER)
-        .into_iter()
-        .map(|heard| heard.data)
-        .collect()
+    rig.heard(mark, SDO_ANSWER).into_iter().map(|heard| heard.data).collect()
 }
 
 const GO: [u8; 8] = [0xA3, 0, 0, 0, 0, 0, 0, 0];
@@ -227,21 +204,12 @@ fn collect(
             segments.len()
         );
         for (at, segment) in segments.iter().enumerate() {
-            ensure!(
-                usize::from(segment[0] & 0x7F) == at + 1,
-                "sequence number {:02X} at {at}",
-                segment[0]
-            );
+            ensure!(usize::from(segment[0] & 0x7F) == at + 1, "sequence number {:02X} at {at}", segment[0]);
             upload.bytes.extend(&segment[1..]);
         }
         let count = segments.len() as u8;
-        let last = segments
-            .last()
-            .is_some_and(|segment| segment[0] & 0x80 != 0);
-        ensure!(
-            last || count == size,
-            "{count} segments in a sub-block of {size}, which is not the last"
-        );
+        let last = segments.last().is_some_and(|segment| segment[0] & 0x80 != 0);
+        ensure!(last || count == size, "{count} segments in a sub-block of {size}, which is not the last");
         size = next_size(size);
         segments = sub_block(rig, acknowledge(count, size));
         if last {
@@ -262,28 +230,16 @@ fn end_upload(rig: &mut Rig) -> Verdict {
     let mark = rig.mark();
     rig.send(SDO_REQUEST, &[0xA1, 0, 0, 0, 0, 0, 0, 0]);
     rig.pass(10);
-    ensure!(
-        rig.heard(mark, SDO_ANSWER).is_empty(),
-        "an answer to the end of a block upload"
-    );
+    ensure!(rig.heard(mark, SDO_ANSWER).is_empty(), "an answer to the end of a block upload");
     Ok(())
 }
 
-fn whole_upload(
-    rig: &mut Rig,
-    address: (u16, u8),
-    client_crc: bool,
-    size: u8,
-) -> Result<Upload, Deviation> {
+fn whole_upload(rig: &mut Rig, address: (u16, u8), client_crc: bool, size: u8) -> Result<Upload, Deviation> {
     let mut upload = begin_upload(rig, address, client_crc, size)?;
     let end = collect(rig, &mut upload, size, |size| size)?;
     if client_crc && upload.server_crc {
         let sent = u16::from_le_bytes([end[1], end[2]]);
-        ensure!(
-            sent == crc(&upload.bytes),
-            "CRC {sent:#06x}, expected {:#06x}",
-            crc(&upload.bytes)
-        );
+        ensure!(sent == crc(&upload.bytes), "CRC {sent:#06x}, expected {:#06x}", crc(&upload.bytes));
     }
     end_upload(rig)?;
     Ok(upload)
@@ -291,18 +247,9 @@ fn whole_upload(
 
 fn expect_text(rig: &mut Rig, upload: &Upload) -> Verdict {
     let text = upload_segments(rig, TEXT)?;
-    ensure!(
-        upload.bytes == text,
-        "{} by blocks, {} by segments",
-        hex(&upload.bytes),
-        hex(&text)
-    );
+    ensure!(upload.bytes == text, "{} by blocks, {} by segments", hex(&upload.bytes), hex(&text));
     let size = upload.size;
-    ensure!(
-        size.is_none_or(|size| size == text.len()),
-        "{size:?} bytes announced, {} sent",
-        text.len()
-    );
+    ensure!(size.is_none_or(|size| size == text.len()), "{size:?} bytes announced, {} sent", text.len());
     Ok(())
 }
 
@@ -326,27 +273,17 @@ fn upload_repeated(rig: &mut Rig) -> Verdict {
     // Acknowledges only the first two segments.
     let second = sub_block(rig, acknowledge(2, 4));
     ensure!(
-        second.len() == 4
-            && second[0][0] == 1
-            && second[0][1..] == first[2][1..]
-            && second[1][1..] == first[3][1..],
+        second.len() == 4 && second[0][0] == 1 && second[0][1..] == first[2][1..] && second[1][1..] == first[3][1..],
         "segments 3 and 4 were not sent again: {second:?}"
     );
     // Acknowledges no segment of the next sub-block.
     let third = sub_block(rig, acknowledge(0, 4));
-    ensure!(
-        third == second,
-        "an unacknowledged sub-block was not sent again: {third:?}"
-    );
+    ensure!(third == second, "an unacknowledged sub-block was not sent again: {third:?}");
     for segment in first[..2].iter().chain(&third) {
         upload.bytes.extend(&segment[1..]);
     }
     let text = upload_segments(rig, TEXT)?;
-    ensure!(
-        text.starts_with(&upload.bytes),
-        "{} does not begin the text",
-        hex(&upload.bytes)
-    );
+    ensure!(text.starts_with(&upload.bytes), "{} does not begin the text", hex(&upload.bytes));
     Ok(())
 }
 
@@ -376,12 +313,7 @@ fn upload_bad_size(rig: &mut Rig) -> Verdict {
     begin_upload(rig, TEXT, true, 4)?;
     sub_block(rig, GO);
     let answer = rig.transfer(acknowledge(4, 0))?;
-    aborted(
-        &answer,
-        TEXT,
-        &[0x0504_0002],
-        "block size 0 in an acknowledgement",
-    )
+    aborted(&answer, TEXT, &[0x0504_0002], "block size 0 in an acknowledgement")
 }
 
 fn upload_no_object(rig: &mut Rig) -> Verdict {
@@ -394,11 +326,7 @@ fn upload_no_object(rig: &mut Rig) -> Verdict {
 
 fn upload_no_switch(rig: &mut Rig) -> Verdict {
     let upload = whole_upload(rig, (0x1000, 0), true, 10)?;
-    ensure!(
-        upload.bytes == [0x92, 0x01, 0x02, 0x00],
-        "{}",
-        hex(&upload.bytes)
-    );
+    ensure!(upload.bytes == [0x92, 0x01, 0x02, 0x00], "{}", hex(&upload.bytes));
     // The protocol switch threshold exceeds the size of the object, so the server may answer with an ordinary upload.
     let answer = initiate_upload(rig, (0x1000, 0), true, 10, 100)?;
     let normal = answer == request(0x43, 0x1000, 0, [0x92, 0x01, 0x02, 0x00]);
@@ -412,10 +340,7 @@ fn upload_abort(rig: &mut Rig) -> Verdict {
     let mark = rig.mark();
     rig.send(SDO_REQUEST, &request(0x80, TEXT.0, TEXT.1, [0, 0, 0, 8]));
     rig.pass(30);
-    ensure!(
-        rig.heard(mark, SDO_ANSWER).is_empty(),
-        "an abort was answered"
-    );
+    ensure!(rig.heard(mark, SDO_ANSWER).is_empty(), "an abort was answered");
     let upload = whole_upload(rig, TEXT, true, 127)?;
     expect_text(rig, &upload)
 }
@@ -465,26 +390,16 @@ fn block_download(
             rig.send(SDO_REQUEST, &segment);
             rig.pass(1);
         }
-        let answer = rig
-            .answer_after(mark)
-            .ok_or_else(|| Deviation(format!("no answer to a sub-block of {count}")))?;
+        let answer = rig.answer_after(mark).ok_or_else(|| Deviation(format!("no answer to a sub-block of {count}")))?;
         ensure!(answer[0] == 0xA2, "answer to a sub-block: {}", hex(&answer));
         let good = lost.take().unwrap_or(count);
-        ensure!(
-            usize::from(answer[1]) == good,
-            "segment {} acknowledged, expected {good}",
-            answer[1]
-        );
+        ensure!(usize::from(answer[1]) == good, "segment {} acknowledged, expected {good}", answer[1]);
         sent += good;
         block = usize::from(answer[2]);
     }
     let unused = (7 - bytes.len() % 7) % 7;
     let sum = crc(bytes) ^ u16::from(how.wrong_crc);
-    let [low, high] = if how.without_crc {
-        [0, 0]
-    } else {
-        sum.to_le_bytes()
-    };
+    let [low, high] = if how.without_crc { [0, 0] } else { sum.to_le_bytes() };
     rig.transfer([0xC1 | (unused as u8) << 2, low, high, 0, 0, 0, 0, 0])
 }
 
@@ -494,19 +409,9 @@ fn pattern(length: usize) -> Vec<u8> {
 
 fn expect_downloaded(rig: &mut Rig, bytes: &[u8], how: Download) -> Verdict {
     let answer = block_download(rig, DOMAIN, bytes, how)?;
-    ensure!(
-        answer[0] == 0xA1,
-        "end of {} bytes: {}",
-        bytes.len(),
-        hex(&answer)
-    );
+    ensure!(answer[0] == 0xA1, "end of {} bytes: {}", bytes.len(), hex(&answer));
     let upload = whole_upload(rig, DOMAIN, true, 127)?;
-    ensure!(
-        upload.bytes == bytes,
-        "{} of {} bytes read back",
-        upload.bytes.len(),
-        bytes.len()
-    );
+    ensure!(upload.bytes == bytes, "{} of {} bytes read back", upload.bytes.len(), bytes.len());
     Ok(())
 }
 
@@ -524,10 +429,7 @@ fn download_short(rig: &mut Rig) -> Verdict {
 fn download_lost_segment(rig: &mut Rig) -> Verdict {
     // The first, a middle and the last but one of 20 segments are lost.
     for lost in [0, 7, 18] {
-        let how = Download {
-            lost: Some(lost),
-            ..Download::default()
-        };
+        let how = Download { lost: Some(lost), ..Download::default() };
         expect_downloaded(rig, &pattern(140), how)?;
     }
     Ok(())
@@ -535,10 +437,7 @@ fn download_lost_segment(rig: &mut Rig) -> Verdict {
 
 fn download_bad_crc(rig: &mut Rig) -> Verdict {
     expect_downloaded(rig, &pattern(20), Download::default())?;
-    let how = Download {
-        wrong_crc: true,
-        ..Download::default()
-    };
+    let how = Download { wrong_crc: true, ..Download::default() };
     let answer = block_download(rig, DOMAIN, &pattern(30), how)?;
     aborted(&answer, DOMAIN, &[0x0504_0004], "a wrong CRC")?;
     let upload = whole_upload(rig, DOMAIN, true, 127)?;
@@ -547,44 +446,23 @@ fn download_bad_crc(rig: &mut Rig) -> Verdict {
 }
 
 fn download_without_crc(rig: &mut Rig) -> Verdict {
-    let how = Download {
-        without_crc: true,
-        ..Download::default()
-    };
+    let how = Download { without_crc: true, ..Download::default() };
     expect_downloaded(rig, &pattern(50), how)
 }
 
 fn download_read_only(rig: &mut Rig) -> Verdict {
     let answer = rig.transfer(request(0xC6, 0x1008, 0, [5, 0, 0, 0]))?;
-    aborted(
-        &answer,
-        (0x1008, 0),
-        &[0x0601_0002],
-        "block download to a constant",
-    )
+    aborted(&answer, (0x1008, 0), &[0x0601_0002], "block download to a constant")
 }
 
 fn download_wrong_size(rig: &mut Rig) -> Verdict {
-    let how = Download {
-        size: Some(40),
-        ..Download::default()
-    };
+    let how = Download { size: Some(40), ..Download::default() };
     let answer = block_download(rig, DOMAIN, &pattern(30), how)?;
-    aborted(
-        &answer,
-        DOMAIN,
-        &[0x0607_0010, 0x0607_0013],
-        "30 bytes after 40 were announced",
-    )
+    aborted(&answer, DOMAIN, &[0x0607_0010, 0x0607_0013], "30 bytes after 40 were announced")
 }
 
 fn download_number(rig: &mut Rig) -> Verdict {
-    let answer = block_download(
-        rig,
-        (0x6081, 0),
-        &0x0001_2345_u32.to_le_bytes(),
-        Download::default(),
-    )?;
+    let answer = block_download(rig, (0x6081, 0), &0x0001_2345_u32.to_le_bytes(), Download::default())?;
     ensure!(answer[0] == 0xA1, "{}", hex(&answer));
     rig.expect(0x6081, 0, 0x0001_2345)
 }

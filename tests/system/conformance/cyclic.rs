@@ -13,20 +13,8 @@ pub(super) const ROWS: &[Row] = &[
         "the axis follows positions that come by RPDO with each SYNC",
         csp_follows,
     ),
-    CIA_402_2.row(
-        "csp-demand",
-        "",
-        ("Position demand value", &[0x6062]),
-        "is the target position",
-        csp_demand,
-    ),
-    CIA_402_2.row(
-        "csp-offset",
-        "",
-        ("Position offset", &[0x60B0]),
-        "is added to the target position",
-        csp_offset,
-    ),
+    CIA_402_2.row("csp-demand", "", ("Position demand value", &[0x6062]), "is the target position", csp_demand),
+    CIA_402_2.row("csp-offset", "", ("Position offset", &[0x60B0]), "is added to the target position", csp_offset),
     CIA_402_2.row(
         "csp-velocity-offset",
         "",
@@ -76,13 +64,7 @@ pub(super) const ROWS: &[Row] = &[
         "the axis follows velocities without a profile",
         csv_follows,
     ),
-    CIA_402_2.row(
-        "csv-offset",
-        "",
-        ("Velocity offset", &[0x60B1]),
-        "is added to the target velocity",
-        csv_offset,
-    ),
+    CIA_402_2.row("csv-offset", "", ("Velocity offset", &[0x60B1]), "is added to the target velocity", csv_offset),
     CIA_402_2.row(
         "csv-bit",
         "",
@@ -90,13 +72,7 @@ pub(super) const ROWS: &[Row] = &[
         "stands while the drive follows the command",
         csv_bit,
     ),
-    CIA_402_2.row(
-        "csv-limit",
-        "",
-        ("Max motor speed", &[0x6080]),
-        "limits the target velocity",
-        csv_limit,
-    ),
+    CIA_402_2.row("csv-limit", "", ("Max motor speed", &[0x6080]), "limits the target velocity", csv_limit),
     CIA_402_2.row(
         "cst-follows",
         "",
@@ -104,13 +80,7 @@ pub(super) const ROWS: &[Row] = &[
         "a torque in thousandths of 0x6076 accelerates the inertia, and is shown in 0x6077",
         cst_follows,
     ),
-    CIA_402_2.row(
-        "cst-offset",
-        "",
-        ("Torque offset", &[0x60B2]),
-        "is added to the target torque",
-        cst_offset,
-    ),
+    CIA_402_2.row("cst-offset", "", ("Torque offset", &[0x60B2]), "is added to the target torque", cst_offset),
     CIA_402_2.row(
         "cst-bit",
         "",
@@ -127,12 +97,7 @@ const INERTIA: f64 = 1.5e-4;
 fn exchange(rig: &mut Rig, target: u32, actual: u32) -> Verdict {
     for (communication, mapping, id, entries) in [
         (0x1402, 0x1602, i64::from(RPDO[2]), [0x6040_0010, target]),
-        (
-            0x1802,
-            0x1A02,
-            0x4000_0000 | i64::from(TPDO[2]),
-            [0x6041_0010, actual],
-        ),
+        (0x1802, 0x1A02, 0x4000_0000 | i64::from(TPDO[2]), [0x6041_0010, actual]),
     ] {
         rig.write(communication, 1, 0x8000_0000 | id, 4)?;
         rig.write(mapping, 0, 0, 1)?;
@@ -197,11 +162,7 @@ fn csp_demand(rig: &mut Rig) -> Verdict {
         cycle(rig, start + 490)?;
     }
     let demand = rig.read_signed(0x6062, 0)?;
-    ensure!(
-        demand == start + 490,
-        "demand {demand}, target {}",
-        start + 490
-    );
+    ensure!(demand == start + 490, "demand {demand}, target {}", start + 490);
     Ok(())
 }
 
@@ -216,11 +177,7 @@ fn csp_offset(rig: &mut Rig) -> Verdict {
     }
     rig.expect_position(start + 500, 3)?;
     let demand = rig.read_signed(0x6062, 0)?;
-    ensure!(
-        demand == start + 500,
-        "demand {demand}, expected {}",
-        start + 500
-    );
+    ensure!(demand == start + 500, "demand {demand}, expected {}", start + 500);
     Ok(())
 }
 
@@ -283,10 +240,7 @@ fn csp_limits(rig: &mut Rig) -> Verdict {
         for _ in 0..100 {
             target += 20 * direction;
             let actual = cycle(rig, target)?;
-            ensure!(
-                (-630..=930).contains(&actual),
-                "position {actual} beyond the limit {limit}"
-            );
+            ensure!((-630..=930).contains(&actual), "position {actual} beyond the limit {limit}");
         }
         // A drive may also react to such a target with a fault.
         if rig.power()? == Fault {
@@ -320,10 +274,7 @@ fn csp_period(rig: &mut Rig) -> Verdict {
     let count = std::f64::consts::TAU / f64::from(TURN);
     for pair in positions.windows(2) {
         let step = (pair[1] - pair[0]) / count;
-        ensure!(
-            (step - 10.0).abs() <= 3.0,
-            "{step:.1} counts in 1 ms, expected 10"
-        );
+        ensure!((step - 10.0).abs() <= 3.0, "{step:.1} counts in 1 ms, expected 10");
     }
     Ok(())
 }
@@ -339,10 +290,7 @@ fn csv_follows(rig: &mut Rig) -> Verdict {
         for _ in 0..100 {
             actual = cycle(rig, speed)?;
         }
-        ensure!(
-            (actual - speed).abs() <= 20,
-            "velocity {actual} rpm, expected {speed}"
-        );
+        ensure!((actual - speed).abs() <= 20, "velocity {actual} rpm, expected {speed}");
     }
     Ok(())
 }
@@ -390,15 +338,9 @@ fn expect_torque(rig: &mut Rig, thousandths: i32) -> Verdict {
     rig.pass(10);
     let expected = f64::from(thousandths) / 1000.0 * rated / INERTIA;
     let found = measured_acceleration(rig)?;
-    ensure!(
-        (found - expected).abs() <= 0.05 * expected.abs() + 5.0,
-        "{found:.0} rad/s², expected {expected:.0}"
-    );
+    ensure!((found - expected).abs() <= 0.05 * expected.abs() + 5.0, "{found:.0} rad/s², expected {expected:.0}");
     let shown = rig.read_signed(0x6077, 0)?;
-    ensure!(
-        (shown - thousandths).abs() <= 2,
-        "torque {shown} is shown, expected {thousandths}"
-    );
+    ensure!((shown - thousandths).abs() <= 2, "torque {shown} is shown, expected {thousandths}");
     Ok(())
 }
 

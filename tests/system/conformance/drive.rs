@@ -16,8 +16,8 @@ pub(super) enum Power {
 }
 
 use Power::{
-    Fault, FaultReactionActive, NotReadyToSwitchOn, OperationEnabled, QuickStopActive,
-    ReadyToSwitchOn, SwitchOnDisabled, SwitchedOn,
+    Fault, FaultReactionActive, NotReadyToSwitchOn, OperationEnabled, QuickStopActive, ReadyToSwitchOn,
+    SwitchOnDisabled, SwitchedOn,
 };
 
 /// Masks, patterns of the statusword and their states.
@@ -45,10 +45,7 @@ const PRODUCER: u16 = 0x7E;
 
 impl Power {
     pub(super) fn decode(statusword: u32) -> Option<Self> {
-        PATTERNS
-            .iter()
-            .find(|(mask, pattern, _)| statusword & mask == *pattern)
-            .map(|(.., power)| *power)
+        PATTERNS.iter().find(|(mask, pattern, _)| statusword & mask == *pattern).map(|(.., power)| *power)
     }
 }
 
@@ -59,16 +56,12 @@ impl Rig {
 
     pub(super) fn power(&mut self) -> Result<Power, Deviation> {
         let word = self.statusword()?;
-        Power::decode(word)
-            .ok_or_else(|| Deviation(format!("statusword {word:#06x} is no state of CiA 402")))
+        Power::decode(word).ok_or_else(|| Deviation(format!("statusword {word:#06x} is no state of CiA 402")))
     }
 
     pub(super) fn expect_power(&mut self, expected: Power, after: &str) -> Verdict {
         let found = self.power()?;
-        ensure!(
-            found == expected,
-            "{found:?} after {after}, expected {expected:?}"
-        );
+        ensure!(found == expected, "{found:?} after {after}, expected {expected:?}");
         Ok(())
     }
 
@@ -82,20 +75,12 @@ impl Rig {
     /// Expects bits of the statusword: (mask, value).
     pub(super) fn expect_bits(&mut self, (mask, value): (u32, u32), when: &str) -> Verdict {
         let word = self.statusword()?;
-        ensure!(
-            word & mask == value,
-            "statusword {word:#06x} {when}, expected {value:#06x} in {mask:#06x}"
-        );
+        ensure!(word & mask == value, "statusword {word:#06x} {when}, expected {value:#06x} in {mask:#06x}");
         Ok(())
     }
 
     /// Waits until bits of the statusword have the expected values, for at most `millis` milliseconds.
-    pub(super) fn wait_bits(
-        &mut self,
-        (mask, value): (u32, u32),
-        millis: u64,
-        what: &str,
-    ) -> Verdict {
+    pub(super) fn wait_bits(&mut self, (mask, value): (u32, u32), millis: u64, what: &str) -> Verdict {
         let begin = self.now();
         loop {
             let word = self.statusword()?;
@@ -115,10 +100,7 @@ impl Rig {
         self.write(0x6060, 0, mode, 1)?;
         self.pass(5);
         let shown = self.read_signed(0x6061, 0)?;
-        ensure!(
-            i64::from(shown) == mode,
-            "mode {shown} is shown, expected {mode}"
-        );
+        ensure!(i64::from(shown) == mode, "mode {shown} is shown, expected {mode}");
         Ok(())
     }
 
@@ -175,19 +157,13 @@ impl Rig {
 
     pub(super) fn expect_position(&mut self, expected: i32, tolerance: i32) -> Verdict {
         let found = self.position()?;
-        ensure!(
-            (found - expected).abs() <= tolerance,
-            "position {found}, expected {expected} within {tolerance}"
-        );
+        ensure!((found - expected).abs() <= tolerance, "position {found}, expected {expected} within {tolerance}");
         Ok(())
     }
 
     pub(super) fn expect_velocity(&mut self, expected: i32, tolerance: i32) -> Verdict {
         let found = self.velocity()?;
-        ensure!(
-            (found - expected).abs() <= tolerance,
-            "velocity {found} rpm, expected {expected} within {tolerance}"
-        );
+        ensure!((found - expected).abs() <= tolerance, "velocity {found} rpm, expected {expected} within {tolerance}");
         Ok(())
     }
 
@@ -219,10 +195,7 @@ impl Rig {
     pub(super) fn expect_stop(&mut self, millis: f64, why: &str) -> Verdict {
         let found = self.stop_time(2_000)?;
         let near = |found: f64| (found - millis).abs() <= millis / 10.0 + 15.0;
-        ensure!(
-            found.is_some_and(near),
-            "stopped after {found:.0?} ms, expected {millis:.0} ms: {why}"
-        );
+        ensure!(found.is_some_and(near), "stopped after {found:.0?} ms, expected {millis:.0} ms: {why}");
         Ok(())
     }
 
@@ -230,10 +203,7 @@ impl Rig {
     pub(super) fn expect_coasting(&mut self, speed: i32, why: &str) -> Verdict {
         self.pass(100);
         let found = self.velocity()?;
-        ensure!(
-            (found - speed).abs() <= speed.abs() / 10,
-            "velocity {found} rpm, expected to coast at {speed}: {why}"
-        );
+        ensure!((found - speed).abs() <= speed.abs() / 10, "velocity {found} rpm, expected to coast at {speed}: {why}");
         Ok(())
     }
 

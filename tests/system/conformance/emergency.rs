@@ -11,20 +11,8 @@ pub(super) const ROWS: &[Row] = &[
         "0x80 + node-ID, 8 bytes: code, error register, five bytes of the manufacturer",
         frame,
     ),
-    CIA_301.row(
-        "emcy-once",
-        "7.2.7",
-        ("EMCY", &[]),
-        "is sent once for each error that occurs",
-        once,
-    ),
-    CIA_301.row(
-        "emcy-reset",
-        "7.2.7",
-        ("EMCY", &[0x1001]),
-        "code 0000 tells the end of the last error",
-        reset,
-    ),
+    CIA_301.row("emcy-once", "7.2.7", ("EMCY", &[]), "is sent once for each error that occurs", once),
+    CIA_301.row("emcy-reset", "7.2.7", ("EMCY", &[0x1001]), "code 0000 tells the end of the last error", reset),
     CIA_301.row(
         "emcy-register",
         "7.5.2.2",
@@ -113,10 +101,7 @@ fn lose(rig: &mut Rig) {
 }
 
 fn sent(rig: &Rig, mark: Mark) -> Vec<Vec<u8>> {
-    rig.heard(mark, EMCY)
-        .into_iter()
-        .map(|heard| heard.data)
-        .collect()
+    rig.heard(mark, EMCY).into_iter().map(|heard| heard.data).collect()
 }
 
 fn frame(rig: &mut Rig) -> Verdict {
@@ -195,10 +180,7 @@ fn expect_history(rig: &mut Rig, codes: &[u32]) -> Verdict {
     rig.expect(0x1003, 0, codes.len() as u32)?;
     for (subindex, &code) in (1..).zip(codes) {
         let entry = rig.read(0x1003, subindex)?;
-        ensure!(
-            entry & 0xFFFF == code,
-            "0x1003:{subindex:02x} is {entry:#x}, expected {code:#x}"
-        );
+        ensure!(entry & 0xFFFF == code, "0x1003:{subindex:02x} is {entry:#x}, expected {code:#x}");
     }
     for subindex in codes.len() as u8 + 1..=5 {
         expect_no_entry(rig, subindex)?;

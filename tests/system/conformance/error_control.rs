@@ -68,13 +68,7 @@ pub(super) const ROWS: &[Row] = &[
         "heartbeats within the consumer time cause no event",
         in_time,
     ),
-    CIA_301.row(
-        "hbc-once",
-        "7.2.8.2.2",
-        ("Heartbeat consumer", &[0x1016]),
-        "one loss is one event",
-        once,
-    ),
+    CIA_301.row("hbc-once", "7.2.8.2.2", ("Heartbeat consumer", &[0x1016]), "one loss is one event", once),
     CIA_301.row(
         "hbc-two-producers",
         "7.5.2.19",
@@ -145,13 +139,7 @@ pub(super) const ROWS: &[Row] = &[
         "0 leaves pre-operational and stopped as they are",
         stays_outside_operational,
     ),
-    CIA_301.row(
-        "eb-no-change",
-        "7.5.2.32",
-        ("Error behaviour", &[0x1029]),
-        "1 changes no state",
-        no_change,
-    ),
+    CIA_301.row("eb-no-change", "7.5.2.32", ("Error behaviour", &[0x1029]), "1 changes no state", no_change),
     CIA_301.row(
         "eb-stopped",
         "7.5.2.32",
@@ -188,10 +176,7 @@ fn losses(rig: &Rig, mark: super::rig::Mark) -> Vec<Heard> {
 
 /// Milliseconds between frames.
 fn gaps(heard: &[Heard]) -> Vec<f64> {
-    heard
-        .windows(2)
-        .map(|pair| pair[1].at.since(pair[0].at).as_secs_f64() * 1e3)
-        .collect()
+    heard.windows(2).map(|pair| pair[1].at.since(pair[0].at).as_secs_f64() * 1e3).collect()
 }
 
 fn expect_gaps(heard: &[Heard], millis: f64) -> Verdict {
@@ -218,19 +203,12 @@ fn immediate(rig: &mut Rig) -> Verdict {
     let mark = rig.mark();
     rig.write(0x1017, 0, 20, 2)?;
     rig.pass(22);
-    ensure!(
-        !rig.heard(mark, HEARTBEAT).is_empty(),
-        "no heartbeat within one period"
-    );
+    ensure!(!rig.heard(mark, HEARTBEAT).is_empty(), "no heartbeat within one period");
     rig.write(0x1017, 0, 0, 2)?;
     let mark = rig.mark();
     rig.pass(200);
     let heard = rig.heard(mark, HEARTBEAT);
-    ensure!(
-        heard.is_empty(),
-        "{} heartbeats with producer time 0",
-        heard.len()
-    );
+    ensure!(heard.is_empty(), "{} heartbeats with producer time 0", heard.len());
     Ok(())
 }
 
@@ -241,11 +219,7 @@ fn changed(rig: &mut Rig) -> Verdict {
     rig.write(0x1017, 0, 25, 2)?;
     rig.pass(200);
     let heard = rig.heard(mark, HEARTBEAT);
-    ensure!(
-        heard.len() >= 7,
-        "{} heartbeats within 200 ms at 25 ms",
-        heard.len()
-    );
+    ensure!(heard.len() >= 7, "{} heartbeats within 200 ms at 25 ms", heard.len());
     expect_gaps(&heard[1..], 25.0)
 }
 
@@ -257,11 +231,7 @@ fn content(rig: &mut Rig) -> Verdict {
         let mark = rig.mark();
         rig.pass(50);
         for heartbeat in rig.heard(mark, HEARTBEAT) {
-            ensure!(
-                heartbeat.data == [state],
-                "{} in state {state:#04x}",
-                hex(&heartbeat.data)
-            );
+            ensure!(heartbeat.data == [state], "{} in state {state:#04x}", hex(&heartbeat.data));
         }
     }
     Ok(())
@@ -277,10 +247,7 @@ fn boot_up_first(rig: &mut Rig) -> Verdict {
     let heard = rig.heard(mark, HEARTBEAT);
     let from = heard.iter().position(|heard| heard.data == [0]);
     ensure!(from == Some(0), "{heard:?}");
-    ensure!(
-        heard[1..].iter().all(|heard| heard.data == [0x7F]),
-        "{heard:?}"
-    );
+    ensure!(heard[1..].iter().all(|heard| heard.data == [0x7F]), "{heard:?}");
     expect_gaps(&heard, 40.0)
 }
 
@@ -298,16 +265,10 @@ fn waits_for_first(rig: &mut Rig) -> Verdict {
     watch(rig, 1, PRODUCER, 20)?;
     let mark = rig.mark();
     rig.pass(300);
-    ensure!(
-        rig.heard(mark, EMCY).is_empty(),
-        "EMCY before the first heartbeat"
-    );
+    ensure!(rig.heard(mark, EMCY).is_empty(), "EMCY before the first heartbeat");
     beat(rig, PRODUCER);
     rig.pass(60);
-    ensure!(
-        losses(rig, mark).len() == 1,
-        "no EMCY 8130 after the first heartbeat"
-    );
+    ensure!(losses(rig, mark).len() == 1, "no EMCY 8130 after the first heartbeat");
     Ok(())
 }
 
@@ -323,10 +284,7 @@ fn lost(rig: &mut Rig) -> Verdict {
         let heard = losses(rig, mark);
         ensure!(heard.len() == 1, "{} EMCY 8130 at {millis} ms", heard.len());
         let after = heard[0].at.since(begin).as_secs_f64() * 1e3;
-        ensure!(
-            (millis as f64..=millis as f64 + 5.0).contains(&after),
-            "EMCY after {after:.1} ms, expected {millis}"
-        );
+        ensure!((millis as f64..=millis as f64 + 5.0).contains(&after), "EMCY after {after:.1} ms, expected {millis}");
     }
     Ok(())
 }
@@ -365,34 +323,20 @@ fn two_producers(rig: &mut Rig) -> Verdict {
         beat(rig, PRODUCER - 1);
         rig.pass(20);
     }
-    ensure!(
-        losses(rig, mark).is_empty(),
-        "a loss while both producers send"
-    );
+    ensure!(losses(rig, mark).is_empty(), "a loss while both producers send");
     // The first producer falls silent, then the second.
     for _ in 0..10 {
         beat(rig, PRODUCER - 1);
         rig.pass(20);
     }
-    ensure!(
-        losses(rig, mark).len() == 1,
-        "{} losses with the first producer silent",
-        losses(rig, mark).len()
-    );
+    ensure!(losses(rig, mark).len() == 1, "{} losses with the first producer silent", losses(rig, mark).len());
     rig.pass(60);
-    ensure!(
-        losses(rig, mark).len() == 1,
-        "the second producer is lost before its time"
-    );
+    ensure!(losses(rig, mark).len() == 1, "the second producer is lost before its time");
     for _ in 0..3 {
         beat(rig, PRODUCER);
         rig.pass(20);
     }
-    ensure!(
-        losses(rig, mark).len() == 2,
-        "{} losses with both producers silent",
-        losses(rig, mark).len()
-    );
+    ensure!(losses(rig, mark).len() == 2, "{} losses with both producers silent", losses(rig, mark).len());
     Ok(())
 }
 
@@ -408,10 +352,7 @@ fn other_node(rig: &mut Rig) -> Verdict {
         rig.pass(10);
         beat(rig, PRODUCER - 1);
     }
-    ensure!(
-        losses(rig, mark).len() == 1,
-        "a third node served the entry"
-    );
+    ensure!(losses(rig, mark).len() == 1, "a third node served the entry");
     Ok(())
 }
 
@@ -434,10 +375,7 @@ fn unused(rig: &mut Rig) -> Verdict {
         beat(rig, node);
         beat(rig, PRODUCER);
         rig.pass(100);
-        ensure!(
-            rig.heard(mark, EMCY).is_empty(),
-            "node {node}, {millis} ms is watched"
-        );
+        ensure!(rig.heard(mark, EMCY).is_empty(), "node {node}, {millis} ms is watched");
     }
     Ok(())
 }
@@ -450,11 +388,7 @@ fn reserved_bits(rig: &mut Rig) -> Verdict {
         beat(rig, PRODUCER);
         rig.pass(60);
         let watched = !rig.heard(mark, EMCY).is_empty();
-        ensure!(
-            !watched && matches!(answer[0], 0x60 | 0x80),
-            "{value:#010x}: {}, watched: {watched}",
-            hex(&answer)
-        );
+        ensure!(!watched && matches!(answer[0], 0x60 | 0x80), "{value:#010x}: {}, watched: {watched}", hex(&answer));
     }
     Ok(())
 }
@@ -466,18 +400,11 @@ fn rewritten(rig: &mut Rig) -> Verdict {
         let mark = rig.mark();
         beat(rig, PRODUCER);
         rig.pass(60);
-        ensure!(
-            losses(rig, mark).len() == 1,
-            "{} losses in round {round}",
-            losses(rig, mark).len()
-        );
+        ensure!(losses(rig, mark).len() == 1, "{} losses in round {round}", losses(rig, mark).len());
         watch(rig, 1, PRODUCER, 20)?;
         let mark = rig.mark();
         rig.pass(60);
-        ensure!(
-            losses(rig, mark).is_empty(),
-            "a loss before the next heartbeat in round {round}"
-        );
+        ensure!(losses(rig, mark).is_empty(), "a loss before the next heartbeat in round {round}");
     }
     Ok(())
 }
@@ -490,21 +417,10 @@ fn again(rig: &mut Rig) -> Verdict {
         beat(rig, PRODUCER);
         rig.pass(60);
         let heard = rig.heard(mark, EMCY);
-        ensure!(
-            losses(rig, mark).len() == 1,
-            "{} losses in round {round}",
-            losses(rig, mark).len()
-        );
-        ensure!(
-            rig.read(0x1001, 0)? & 0x11 == 0x11,
-            "error register after the loss"
-        );
+        ensure!(losses(rig, mark).len() == 1, "{} losses in round {round}", losses(rig, mark).len());
+        ensure!(rig.read(0x1001, 0)? & 0x11 == 0x11, "error register after the loss");
         if round > 1 {
-            ensure!(
-                heard[0].data[..3] == [0, 0, 0],
-                "{} as the heartbeat came back",
-                hex(&heard[0].data)
-            );
+            ensure!(heard[0].data[..3] == [0, 0, 0], "{} as the heartbeat came back", hex(&heard[0].data));
         }
     }
     Ok(())
@@ -525,11 +441,7 @@ fn ends_at_reset(rig: &mut Rig) -> Verdict {
 }
 
 /// NMT state after a loss that occurs in the state reached by `command`.
-fn state_after_loss(
-    rig: &mut Rig,
-    behaviour: i64,
-    command: u8,
-) -> Result<u8, super::rig::Deviation> {
+fn state_after_loss(rig: &mut Rig, behaviour: i64, command: u8) -> Result<u8, super::rig::Deviation> {
     rig.boot(unit());
     rig.write(0x6007, 0, 0, 2)?;
     rig.write(0x1029, 1, behaviour, 1)?;
@@ -544,10 +456,7 @@ fn state_after_loss(
 fn expect_states(rig: &mut Rig, behaviour: i64, cases: &[(u8, u8)]) -> Verdict {
     for &(command, state) in cases {
         let found = state_after_loss(rig, behaviour, command)?;
-        ensure!(
-            found == state,
-            "state {found:#04x} after {command:02X} and a loss, expected {state:#04x}"
-        );
+        ensure!(found == state, "state {found:#04x} after {command:02X} and a loss, expected {state:#04x}");
     }
     Ok(())
 }

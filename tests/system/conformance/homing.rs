@@ -113,13 +113,7 @@ pub(super) const ROWS: &[Row] = &[
         "the zero position is the home position plus the home offset",
         offset,
     ),
-    CIA_402_2.row(
-        "hm-again",
-        "",
-        ("Homing operation start", &[0x6040]),
-        "a second start homes anew",
-        again,
-    ),
+    CIA_402_2.row("hm-again", "", ("Homing operation start", &[0x6040]), "a second start homes anew", again),
     CIA_402_2.row(
         "hm-not-enabled",
         "",
@@ -219,11 +213,7 @@ fn edge(rig: &mut Rig) -> Verdict {
     let angle = rig.angle();
     rig.control(0x1F)?;
     rig.pass(300);
-    ensure!(
-        (rig.angle() - angle).abs() < 0.05,
-        "the axis moved from {angle:.3} to {:.3} rad",
-        rig.angle()
-    );
+    ensure!((rig.angle() - angle).abs() < 0.05, "the axis moved from {angle:.3} to {:.3} rad", rig.angle());
     Ok(())
 }
 
@@ -265,11 +255,7 @@ fn method_37(rig: &mut Rig) -> Verdict {
     start(rig)?;
     attain(rig)?;
     rig.expect_position(0, 3)?;
-    ensure!(
-        (rig.angle() - angle).abs() < 0.01,
-        "the axis moved by {:.3} rad",
-        rig.angle() - angle
-    );
+    ensure!((rig.angle() - angle).abs() < 0.01, "the axis moved by {:.3} rad", rig.angle() - angle);
     Ok(())
 }
 
@@ -283,32 +269,13 @@ fn methods_1_and_2(rig: &mut Rig) -> Verdict {
 fn home_switch(above: bool) -> AxisConfig {
     let axis = switched_axis();
     let mut switch = axis.home_switch.expect("the axis has a home switch");
-    (switch.from, switch.to) = if above {
-        (START + 4.0, START + 30.0)
-    } else {
-        (START - 30.0, START - 4.0)
-    };
-    AxisConfig {
-        home_switch: Some(switch),
-        ..axis
-    }
+    (switch.from, switch.to) = if above { (START + 4.0, START + 30.0) } else { (START - 30.0, START - 4.0) };
+    AxisConfig { home_switch: Some(switch), ..axis }
 }
 
 fn methods_7_and_11(rig: &mut Rig) -> Verdict {
-    home(
-        rig,
-        home_switch(true),
-        7,
-        index_after(START + 4.0, false),
-        2.0 * COUNT,
-    )?;
-    home(
-        rig,
-        home_switch(false),
-        11,
-        index_after(START - 4.0, true),
-        2.0 * COUNT,
-    )
+    home(rig, home_switch(true), 7, index_after(START + 4.0, false), 2.0 * COUNT)?;
+    home(rig, home_switch(false), 11, index_after(START - 4.0, true), 2.0 * COUNT)
 }
 
 fn methods_17_and_18(rig: &mut Rig) -> Verdict {
@@ -338,10 +305,7 @@ fn unknown_method(rig: &mut Rig) -> Verdict {
         start(rig)?;
         rig.pass(100);
         let word = rig.statusword()?;
-        ensure!(
-            word & 0x1000 == 0 && word & 0x2000 != 0,
-            "method {method}: statusword {word:#06x}"
-        );
+        ensure!(word & 0x1000 == 0 && word & 0x2000 != 0, "method {method}: statusword {word:#06x}");
     }
     Ok(())
 }
@@ -371,10 +335,7 @@ fn speeds(rig: &mut Rig) -> Verdict {
     }
     rig.pass(200);
     let zero = mean_speed(rig, 100);
-    ensure!(
-        (zero - ZERO as f64).abs() <= ZERO as f64 / 20.0,
-        "{zero:.1} rpm off the switch, expected {ZERO}"
-    );
+    ensure!((zero - ZERO as f64).abs() <= ZERO as f64 / 20.0, "{zero:.1} rpm off the switch, expected {ZERO}");
     Ok(())
 }
 
@@ -388,10 +349,7 @@ fn acceleration(rig: &mut Rig) -> Verdict {
         if i64::from(velocity.abs()) >= SEARCH * 9 / 10 {
             let found = rig.now().since(begin).as_secs_f64() * 1e3;
             // 216 rpm at 1000 rpm/s.
-            ensure!(
-                (found - 216.0).abs() <= 30.0,
-                "{found:.0} ms to 216 rpm, expected 216"
-            );
+            ensure!((found - 216.0).abs() <= 30.0, "{found:.0} ms to 216 rpm, expected 216");
             return Ok(());
         }
     }
@@ -399,13 +357,7 @@ fn acceleration(rig: &mut Rig) -> Verdict {
 }
 
 fn offset(rig: &mut Rig) -> Verdict {
-    home(
-        rig,
-        switched_axis(),
-        34,
-        index_after(START, true),
-        2.0 * COUNT,
-    )?;
+    home(rig, switched_axis(), 34, index_after(START, true), 2.0 * COUNT)?;
     begin(rig, switched_axis(), 34)?;
     rig.write(0x607C, 0, 1_000, 4)?;
     start(rig)?;
@@ -415,13 +367,7 @@ fn offset(rig: &mut Rig) -> Verdict {
 }
 
 fn again(rig: &mut Rig) -> Verdict {
-    home(
-        rig,
-        switched_axis(),
-        34,
-        index_after(START, true),
-        2.0 * COUNT,
-    )?;
+    home(rig, switched_axis(), 34, index_after(START, true), 2.0 * COUNT)?;
     rig.control(0x0F)?;
     rig.write(0x6098, 0, 33, 1)?;
     start(rig)?;
@@ -430,12 +376,7 @@ fn again(rig: &mut Rig) -> Verdict {
     attain(rig)?;
     rig.pass(50);
     let angle = rig.angle();
-    expect_zero(
-        rig,
-        index_after(angle, true).min(index_after(angle + 0.5, false)),
-        2.0 * COUNT,
-        "the second homing",
-    )
+    expect_zero(rig, index_after(angle, true).min(index_after(angle + 0.5, false)), 2.0 * COUNT, "the second homing")
 }
 
 fn not_enabled(rig: &mut Rig) -> Verdict {

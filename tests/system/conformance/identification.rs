@@ -82,10 +82,7 @@ fn inquire_node_id(rig: &mut Rig) -> Verdict {
 
 /// Vendor-ID, product code, and ranges of revision and serial numbers.
 fn identify_range(rig: &mut Rig, numbers: [u32; 6]) -> Vec<Vec<u8>> {
-    (0x46..=0x4B)
-        .zip(numbers)
-        .flat_map(|(command, number)| ask(rig, &numbered(command, number)))
-        .collect()
+    (0x46..=0x4B).zip(numbers).flat_map(|(command, number)| ask(rig, &numbered(command, number))).collect()
 }
 
 fn identify(rig: &mut Rig) -> Verdict {
@@ -98,10 +95,7 @@ fn identify(rig: &mut Rig) -> Verdict {
         ] {
             let [a, b, c, d] = ranges;
             let answers = identify_range(rig, [vendor, product, a, b, c, d]);
-            ensure!(
-                answers == [[0x4F, 0, 0, 0, 0, 0, 0, 0]],
-                "ranges {ranges:#x?}: {answers:02X?}"
-            );
+            ensure!(answers == [[0x4F, 0, 0, 0, 0, 0, 0, 0]], "ranges {ranges:#x?}: {answers:02X?}");
         }
         to_configuration(rig)?;
     }
@@ -142,10 +136,7 @@ fn scan(rig: &mut Rig, number: u32, bit: u8, sub: u8, next: u8) -> bool {
 
 fn fastscan(rig: &mut Rig) -> Verdict {
     unconfigured(rig);
-    ensure!(
-        scan(rig, 0, 0x80, 0, 0),
-        "no answer to the begin of the scan"
-    );
+    ensure!(scan(rig, 0, 0x80, 0, 0), "no answer to the begin of the scan");
     for (sub, expected) in (0..4).zip(numbers()) {
         let mut number = 0;
         for bit in (0..32).rev() {
@@ -154,14 +145,8 @@ fn fastscan(rig: &mut Rig) -> Verdict {
                 number |= 1 << bit;
             }
         }
-        ensure!(
-            number == expected,
-            "number {sub} is {number:#x}, expected {expected:#x}"
-        );
-        ensure!(
-            scan(rig, number, 0, sub, (sub + 1) % 4),
-            "number {sub} was not confirmed"
-        );
+        ensure!(number == expected, "number {sub} is {number:#x}, expected {expected:#x}");
+        ensure!(scan(rig, number, 0, sub, (sub + 1) % 4), "number {sub} was not confirmed");
     }
     expect(rig, &[0x5E], &[0x5E, 0xFF])
 }

@@ -134,10 +134,7 @@ pub(super) fn ask(rig: &mut Rig, bytes: &[u8]) -> Vec<Vec<u8>> {
 }
 
 fn answers(rig: &Rig, mark: Mark) -> Vec<Vec<u8>> {
-    rig.heard(mark, ANSWER)
-        .into_iter()
-        .map(|heard| heard.data)
-        .collect()
+    rig.heard(mark, ANSWER).into_iter().map(|heard| heard.data).collect()
 }
 
 /// Expects one answer that begins with these bytes and is filled with zeros.
@@ -145,22 +142,13 @@ pub(super) fn expect(rig: &mut Rig, bytes: &[u8], answer: &[u8]) -> Verdict {
     let answers = ask(rig, bytes);
     let mut expected = [0; 8];
     expected[..answer.len()].copy_from_slice(answer);
-    ensure!(
-        answers == [expected],
-        "{}: {answers:02X?}, expected {}",
-        hex(bytes),
-        hex(&expected)
-    );
+    ensure!(answers == [expected], "{}: {answers:02X?}, expected {}", hex(bytes), hex(&expected));
     Ok(())
 }
 
 pub(super) fn expect_silence(rig: &mut Rig, bytes: &[u8]) -> Verdict {
     let answers = ask(rig, bytes);
-    ensure!(
-        answers.is_empty(),
-        "{}: {answers:02X?}, expected silence",
-        hex(bytes)
-    );
+    ensure!(answers.is_empty(), "{}: {answers:02X?}, expected silence", hex(bytes));
     Ok(())
 }
 
@@ -180,22 +168,13 @@ pub(super) fn numbered(command: u8, number: u32) -> [u8; 5] {
 
 /// Vendor-ID, product code, revision number, serial number.
 pub(super) fn numbers() -> [u32; 4] {
-    let Epos4Config {
-        vendor,
-        product,
-        revision,
-        serial,
-        ..
-    } = unit();
+    let Epos4Config { vendor, product, revision, serial, .. } = unit();
     [vendor, product, revision, serial]
 }
 
 /// A drive without a node-ID, switched on 100 ms ago.
 pub(super) fn unconfigured(rig: &mut Rig) {
-    rig.power_on(Epos4Config {
-        node: None,
-        ..unit()
-    });
+    rig.power_on(Epos4Config { node: None, ..unit() });
     rig.pass(100);
 }
 
@@ -205,9 +184,7 @@ fn in_configuration(rig: &mut Rig) -> bool {
 
 /// Whether the boot-up message of a node was received after `mark`.
 fn booted(rig: &Rig, mark: Mark, node: u8) -> bool {
-    rig.heard(mark, 0x700 + u16::from(node))
-        .iter()
-        .any(|heard| heard.data == [0])
+    rig.heard(mark, 0x700 + u16::from(node)).iter().any(|heard| heard.data == [0])
 }
 
 /// Uploads the device type from a node, and returns whether the node answers.
@@ -230,11 +207,7 @@ fn global(rig: &mut Rig) -> Verdict {
 }
 
 fn select(rig: &mut Rig, numbers: [u32; 4], commands: [u8; 4]) -> Vec<Vec<u8>> {
-    commands
-        .into_iter()
-        .zip(numbers)
-        .flat_map(|(command, number)| ask(rig, &numbered(command, number)))
-        .collect()
+    commands.into_iter().zip(numbers).flat_map(|(command, number)| ask(rig, &numbered(command, number))).collect()
 }
 
 const SELECT: [u8; 4] = [0x40, 0x41, 0x42, 0x43];
@@ -251,10 +224,7 @@ fn selective_other(rig: &mut Rig) -> Verdict {
         let mut other = numbers();
         other[at] ^= 0x0100;
         let answers = select(rig, other, SELECT);
-        ensure!(
-            answers.is_empty() && !in_configuration(rig),
-            "number {at} of another device: {answers:02X?}"
-        );
+        ensure!(answers.is_empty() && !in_configuration(rig), "number {at} of another device: {answers:02X?}");
     }
     selective(rig)
 }
@@ -262,48 +232,26 @@ fn selective_other(rig: &mut Rig) -> Verdict {
 fn selective_order(rig: &mut Rig) -> Verdict {
     let [vendor, product, revision, serial] = numbers();
     for (commands, numbers) in [
-        (
-            [0x41, 0x40, 0x42, 0x43],
-            [product, vendor, revision, serial],
-        ),
-        (
-            [0x40, 0x42, 0x41, 0x43],
-            [vendor, revision, product, serial],
-        ),
+        ([0x41, 0x40, 0x42, 0x43], [product, vendor, revision, serial]),
+        ([0x40, 0x42, 0x41, 0x43], [vendor, revision, product, serial]),
         ([0x40, 0x41, 0x41, 0x43], [vendor, product, product, serial]),
         ([0x43, 0x43, 0x43, 0x43], [serial; 4]),
     ] {
         let answers = select(rig, numbers, commands);
-        ensure!(
-            answers.is_empty() && !in_configuration(rig),
-            "{}: {answers:02X?}",
-            hex(&commands)
-        );
+        ensure!(answers.is_empty() && !in_configuration(rig), "{}: {answers:02X?}", hex(&commands));
     }
     selective(rig)
 }
 
 fn waiting(rig: &mut Rig) -> Verdict {
-    let requests: [&[u8]; 9] = [
-        &[0x11, 0x05],
-        &[0x13, 0x00, 0x02],
-        &[0x15, 0x01],
-        &[0x17],
-        &[0x5A],
-        &[0x5B],
-        &[0x5C],
-        &[0x5D],
-        &[0x5E],
-    ];
+    let requests: [&[u8]; 9] =
+        [&[0x11, 0x05], &[0x13, 0x00, 0x02], &[0x15, 0x01], &[0x17], &[0x5A], &[0x5B], &[0x5C], &[0x5D], &[0x5E]];
     for bytes in requests {
         expect_silence(rig, bytes)?;
     }
     let mark = rig.mark();
     rig.reset(0x82);
-    ensure!(
-        booted(rig, mark, NODE),
-        "another node-ID was taken in waiting"
-    );
+    ensure!(booted(rig, mark, NODE), "another node-ID was taken in waiting");
     Ok(())
 }
 
@@ -336,37 +284,21 @@ fn configure(rig: &mut Rig, id: u8) -> Verdict {
 fn node_id_pending(rig: &mut Rig) -> Verdict {
     configure(rig, 9)?;
     rig.pass(100);
-    ensure!(
-        answers_as(rig, NODE) && !answers_as(rig, 9),
-        "the node-ID took effect at once"
-    );
+    ensure!(answers_as(rig, NODE) && !answers_as(rig, 9), "the node-ID took effect at once");
     let mark = rig.mark();
     rig.reset(0x82);
-    ensure!(
-        booted(rig, mark, 9) && !booted(rig, mark, NODE),
-        "no boot-up under the new node-ID"
-    );
-    ensure!(
-        answers_as(rig, 9) && !answers_as(rig, NODE),
-        "SDO under the old node-ID"
-    );
+    ensure!(booted(rig, mark, 9) && !booted(rig, mark, NODE), "no boot-up under the new node-ID");
+    ensure!(answers_as(rig, 9) && !answers_as(rig, NODE), "SDO under the old node-ID");
     Ok(())
 }
 
 fn read_from(rig: &mut Rig, node: u8, index: u16, subindex: u8) -> Result<u32, Deviation> {
     let mark = rig.mark();
-    rig.send(
-        0x600 + u16::from(node),
-        &request(0x40, index, subindex, [0; 4]),
-    );
+    rig.send(0x600 + u16::from(node), &request(0x40, index, subindex, [0; 4]));
     rig.pass(10);
     let answer = rig.heard(mark, 0x580 + u16::from(node)).pop();
     let data = answer.map(|heard| heard.data).unwrap_or_default();
-    ensure!(
-        data.len() == 8 && data[0] == 0x43,
-        "upload of {index:#06x} from node {node}: {}",
-        hex(&data)
-    );
+    ensure!(data.len() == 8 && data[0] == 0x43, "upload of {index:#06x} from node {node}: {}", hex(&data));
     Ok(u32::from_le_bytes([data[4], data[5], data[6], data[7]]))
 }
 
@@ -383,20 +315,14 @@ fn node_id_cob_ids(rig: &mut Rig) -> Verdict {
         (0x1803, 1, 0xC000_0489),
     ] {
         let found = read_from(rig, 9, index, subindex)?;
-        ensure!(
-            found == value,
-            "{index:#06x}:{subindex:02x} is {found:#x}, expected {value:#x}"
-        );
+        ensure!(found == value, "{index:#06x}:{subindex:02x} is {found:#x}, expected {value:#x}");
     }
     let mark = rig.mark();
     rig.send(0x000, &[0x01, 9]);
     rig.pass(10);
     rig.send(0x209, &[0x06, 0x00]);
     rig.pass(20);
-    ensure!(
-        !rig.heard(mark, 0x189).is_empty(),
-        "PDOs do not work under the new node-ID"
-    );
+    ensure!(!rig.heard(mark, 0x189).is_empty(), "PDOs do not work under the new node-ID");
     Ok(())
 }
 
@@ -416,10 +342,7 @@ fn node_id_unstored(rig: &mut Rig) -> Verdict {
     let mark = rig.mark();
     rig.send(0x000, &[0x81, 9]);
     rig.pass(80);
-    ensure!(
-        booted(rig, mark, NODE) && !booted(rig, mark, 9),
-        "the node-ID was stored unasked"
-    );
+    ensure!(booted(rig, mark, NODE) && !booted(rig, mark, 9), "the node-ID was stored unasked");
     Ok(())
 }
 
@@ -442,36 +365,20 @@ fn bit_timing(rig: &mut Rig) -> Verdict {
     to_configuration(rig)?;
     // Table 0: 1000, 800, 500, 250, 125, reserved, 50, 20, 10 kbit/s, automatic. The data sheet has all bit rates
     // except 10 kbit/s.
-    for (index, supported) in [
-        (0, true),
-        (1, true),
-        (2, true),
-        (3, true),
-        (4, true),
-        (5, false),
-        (6, true),
-        (7, true),
-        (8, false),
-    ] {
+    for (index, supported) in
+        [(0, true), (1, true), (2, true), (3, true), (4, true), (5, false), (6, true), (7, true), (8, false)]
+    {
         let error = u8::from(!supported);
         expect(rig, &[0x13, 0x00, index], &[0x13, error])?;
     }
-    for bytes in [
-        [0x13, 0x00, 10],
-        [0x13, 0x00, 255],
-        [0x13, 0x01, 0],
-        [0x13, 0x7F, 0],
-    ] {
+    for bytes in [[0x13, 0x00, 10], [0x13, 0x00, 255], [0x13, 0x01, 0], [0x13, 0x7F, 0]] {
         expect(rig, &bytes, &[0x13, 1])?;
     }
     Ok(())
 }
 
 fn unconfigured_silent(rig: &mut Rig) -> Verdict {
-    rig.power_on(Epos4Config {
-        node: None,
-        ..unit()
-    });
+    rig.power_on(Epos4Config { node: None, ..unit() });
     let mark = rig.mark();
     rig.pass(200);
     for command in [0x01, 0x81, 0x82] {
@@ -504,16 +411,9 @@ fn frames(rig: &mut Rig) -> Verdict {
     let mark = rig.mark();
     for bytes in [[0x5E, 0], [0x5A, 0], [0x11, 0]] {
         let answers = ask(rig, &bytes);
-        ensure!(
-            answers.len() == 1 && answers[0].len() == 8,
-            "{}: {answers:02X?}",
-            hex(&bytes)
-        );
+        ensure!(answers.len() == 1 && answers[0].len() == 8, "{}: {answers:02X?}", hex(&bytes));
     }
-    ensure!(
-        rig.heard(mark, SDO_ANSWER).is_empty(),
-        "an SDO answer to LSS"
-    );
+    ensure!(rig.heard(mark, SDO_ANSWER).is_empty(), "an SDO answer to LSS");
     for command in [0x00, 0x10, 0x12, 0x44, 0x4F, 0x50, 0x5F, 0xFF] {
         expect_silence(rig, &[command])?;
     }

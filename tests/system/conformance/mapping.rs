@@ -24,12 +24,7 @@ pub(super) const ROWS: &[Row] = &[
     CIA_402_3.row(
         "pdo-default-mapping",
         "",
-        (
-            "PDO mapping",
-            &[
-                0x1600, 0x1601, 0x1602, 0x1603, 0x1A00, 0x1A01, 0x1A02, 0x1A03,
-            ],
-        ),
+        ("PDO mapping", &[0x1600, 0x1601, 0x1602, 0x1603, 0x1A00, 0x1A01, 0x1A02, 0x1A03]),
         "the generic mapping of drives: words, modes, positions, velocities",
         default_mapping,
     ),
@@ -120,18 +115,10 @@ pub(super) const ROWS: &[Row] = &[
 ];
 
 fn default_mapping(rig: &mut Rig) -> Verdict {
-    let received: [&[u32]; 4] = [
-        &[0x6040_0010],
-        &[0x6040_0010, 0x6060_0008],
-        &[0x6040_0010, 0x607A_0020],
-        &[0x6040_0010, 0x60FF_0020],
-    ];
-    let sent: [&[u32]; 4] = [
-        &[0x6041_0010],
-        &[0x6041_0010, 0x6061_0008],
-        &[0x6041_0010, 0x6064_0020],
-        &[0x6041_0010, 0x606C_0020],
-    ];
+    let received: [&[u32]; 4] =
+        [&[0x6040_0010], &[0x6040_0010, 0x6060_0008], &[0x6040_0010, 0x607A_0020], &[0x6040_0010, 0x60FF_0020]];
+    let sent: [&[u32]; 4] =
+        [&[0x6041_0010], &[0x6041_0010, 0x6061_0008], &[0x6041_0010, 0x6064_0020], &[0x6041_0010, 0x606C_0020]];
     for number in 1..=4_u16 {
         let at = usize::from(number) - 1;
         for (pdo, entries) in [(rpdo(number), received[at]), (tpdo(number), sent[at])] {
@@ -161,10 +148,7 @@ fn map_tpdo(rig: &mut Rig) -> Verdict {
             expected.extend(rig.upload(index, subindex)?);
         }
         let sent = pdo.sent(rig, mark);
-        ensure!(
-            sent == [expected.clone()],
-            "{sent:02X?}, expected {expected:02X?}"
-        );
+        ensure!(sent == [expected.clone()], "{sent:02X?}, expected {expected:02X?}");
         rig.nmt(0x80);
     }
     Ok(())
@@ -176,10 +160,7 @@ fn map_rpdo(rig: &mut Rig) -> Verdict {
         pdo.map(rig, &[0x6071_0010, 0x60FF_0020, 0x6060_0008])?;
         rig.nmt(0x01);
         let mode = if number % 2 == 0 { 3 } else { 8 };
-        rig.send(
-            pdo.id,
-            &[0x10 + number as u8, 0x00, 0x78, 0x56, 0x34, 0x12, mode],
-        );
+        rig.send(pdo.id, &[0x10 + number as u8, 0x00, 0x78, 0x56, 0x34, 0x12, mode]);
         rig.pass(5);
         rig.expect(0x6071, 0, 0x10 + u32::from(number))?;
         rig.expect(0x60FF, 0, 0x1234_5678)?;
@@ -231,12 +212,7 @@ fn count_first(rig: &mut Rig) -> Verdict {
 }
 
 /// Expects that entries are refused with one of these codes, at the latest when the count is written.
-fn refuse_entries(
-    rig: &mut Rig,
-    kinds: &[fn(u16) -> Pdo],
-    entries: &[u32],
-    codes: &[u32],
-) -> Verdict {
+fn refuse_entries(rig: &mut Rig, kinds: &[fn(u16) -> Pdo], entries: &[u32], codes: &[u32]) -> Verdict {
     for pdo in kinds.iter().map(|kind| kind(2)) {
         pdo.open(rig)?;
         for &entry in entries {
@@ -256,42 +232,20 @@ fn map_no_object(rig: &mut Rig) -> Verdict {
 }
 
 fn unmappable(rig: &mut Rig) -> Verdict {
-    refuse_entries(
-        rig,
-        &SECOND,
-        &[
-            0x1017_0010,
-            0x1018_0120,
-            0x6502_0020,
-            0x605A_0010,
-            0x1A00_0008,
-        ],
-        &[0x0604_0041],
-    )
+    refuse_entries(rig, &SECOND, &[0x1017_0010, 0x1018_0120, 0x6502_0020, 0x605A_0010, 0x1A00_0008], &[0x0604_0041])
 }
 
 fn direction(rig: &mut Rig) -> Verdict {
-    refuse_entries(
-        rig,
-        &[rpdo],
-        &[0x6041_0010, 0x6064_0020, 0x6061_0008, 0x1001_0008],
-        &[0x0604_0041, 0x0601_0002],
-    )
+    refuse_entries(rig, &[rpdo], &[0x6041_0010, 0x6064_0020, 0x6061_0008, 0x1001_0008], &[0x0604_0041, 0x0601_0002])
 }
 
 fn width(rig: &mut Rig) -> Verdict {
-    for (kind, object, right) in [
-        (SECOND[0], 0x6040, 16),
-        (SECOND[0], 0x607A, 32),
-        (SECOND[1], 0x6041, 16),
-        (SECOND[1], 0x6064, 32),
-    ] {
+    for (kind, object, right) in
+        [(SECOND[0], 0x6040, 16), (SECOND[0], 0x607A, 32), (SECOND[1], 0x6041, 16), (SECOND[1], 0x6064, 32)]
+    {
         let pdo = kind(2);
         pdo.open(rig)?;
-        for bits in [0, 8, 15, 16, 24, 32, 64]
-            .into_iter()
-            .filter(|&bits| bits != right)
-        {
+        for bits in [0, 8, 15, 16, 24, 32, 64].into_iter().filter(|&bits| bits != right) {
             rig.refuse(
                 (pdo.mapping, 1),
                 object << 16 | bits,
@@ -306,20 +260,12 @@ fn width(rig: &mut Rig) -> Verdict {
 fn too_long(rig: &mut Rig) -> Verdict {
     for (pdo, long) in [(rpdo(2), 0x607A_0020_u32), (tpdo(2), 0x6064_0020)] {
         pdo.open(rig)?;
-        let short = if pdo.mapping < 0x1A00 {
-            0x6040_0010
-        } else {
-            0x6041_0010
-        };
+        let short = if pdo.mapping < 0x1A00 { 0x6040_0010 } else { 0x6041_0010 };
         let mut refused = false;
         for (subindex, entry) in (1..).zip([long, short, long]) {
             let answer = rig.download(pdo.mapping, subindex, i64::from(entry), 4)?;
             if answer[0] == 0x80 {
-                ensure!(
-                    subindex == 3 && answer[4..] == [0x42, 0x00, 0x04, 0x06],
-                    "{}",
-                    hex(&answer)
-                );
+                ensure!(subindex == 3 && answer[4..] == [0x42, 0x00, 0x04, 0x06], "{}", hex(&answer));
                 refused = true;
             }
         }
@@ -337,19 +283,9 @@ fn count_too_high(rig: &mut Rig) -> Verdict {
     for pdo in SECOND.map(|kind| kind(2)) {
         pdo.open(rig)?;
         // Entries 3 to 8 map nothing.
-        rig.refuse(
-            (pdo.mapping, 0),
-            3,
-            1,
-            &[0x0602_0000, 0x0604_0041, 0x0604_0042, 0x0609_0030],
-        )?;
+        rig.refuse((pdo.mapping, 0), 3, 1, &[0x0602_0000, 0x0604_0041, 0x0604_0042, 0x0609_0030])?;
         for count in [9, 64, 65, 255] {
-            rig.refuse(
-                (pdo.mapping, 0),
-                count,
-                1,
-                &[0x0604_0042, 0x0609_0030, 0x0609_0031],
-            )?;
+            rig.refuse((pdo.mapping, 0), count, 1, &[0x0604_0042, 0x0609_0030, 0x0609_0031])?;
         }
         rig.expect(pdo.mapping, 0, 0)?;
     }
@@ -377,10 +313,7 @@ fn as_the_data_sheet_says(rig: &mut Rig) -> Verdict {
         };
         let entry = i64::from(object.index) << 16 | i64::from(object.subindex) << 8;
         let entry = entry | (8 * bytes as i64);
-        let writable = matches!(
-            variable.access,
-            Access::ReadWrite | Access::ReadWriteOutput | Access::WriteOnly
-        );
+        let writable = matches!(variable.access, Access::ReadWrite | Access::ReadWriteOutput | Access::WriteOnly);
         let readable = !matches!(variable.access, Access::ReadWriteOutput | Access::WriteOnly);
         for (pdo, direction) in [(received, writable), (sent, readable)] {
             let answer = rig.download(pdo.mapping, 1, entry, 4)?;

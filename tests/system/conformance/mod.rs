@@ -42,22 +42,10 @@ struct Standard {
     version: &'static str,
 }
 
-const CIA_301: Standard = Standard {
-    name: "CiA 301",
-    version: "4.2.0",
-};
-const CIA_305: Standard = Standard {
-    name: "CiA 305",
-    version: "3.0.0",
-};
-const CIA_402_2: Standard = Standard {
-    name: "CiA 402-2",
-    version: "4",
-};
-const CIA_402_3: Standard = Standard {
-    name: "CiA 402-3",
-    version: "4",
-};
+const CIA_301: Standard = Standard { name: "CiA 301", version: "4.2.0" };
+const CIA_305: Standard = Standard { name: "CiA 305", version: "3.0.0" };
+const CIA_402_2: Standard = Standard { name: "CiA 402-2", version: "4" };
+const CIA_402_3: Standard = Standard { name: "CiA 402-3", version: "4" };
 
 /// One claim.
 struct Row {
@@ -80,15 +68,7 @@ impl Standard {
         claim: &'static str,
         check: fn(&mut Rig) -> Verdict,
     ) -> Row {
-        Row {
-            id,
-            standard: self,
-            section,
-            service,
-            objects,
-            claim,
-            check,
-        }
+        Row { id, standard: self, section, service, objects, claim, check }
     }
 }
 
@@ -132,9 +112,7 @@ fn run(bench: Bench) -> Vec<Outcome> {
     rows()
         .map(|row| {
             let mut rig = Rig::new(bench);
-            let deviation = (row.check)(&mut rig)
-                .err()
-                .map(|deviation| format!("{}\n{}", deviation.0, rig.tail()));
+            let deviation = (row.check)(&mut rig).err().map(|deviation| format!("{}\n{}", deviation.0, rig.tail()));
             Outcome { row, deviation }
         })
         .collect()
@@ -163,10 +141,7 @@ fn json(outcomes: &[Outcome]) -> String {
 /// The page of the table.
 fn page(outcomes: &[Outcome]) -> String {
     let mut text = String::from(HEADING);
-    let holding = outcomes
-        .iter()
-        .filter(|outcome| outcome.deviation.is_none())
-        .count();
+    let holding = outcomes.iter().filter(|outcome| outcome.deviation.is_none()).count();
     let _ = writeln!(text, "\n{holding} of {} claims hold.", outcomes.len());
     let mut outcomes = outcomes.iter();
     for (subject, rows) in TABLE {
@@ -180,21 +155,13 @@ fn page(outcomes: &[Outcome]) -> String {
                 table if table.starts_with("Table") => format!(", {table}"),
                 number => format!(" §{number}"),
             };
-            let objects: Vec<_> = row
-                .objects
-                .iter()
-                .map(|index| format!("0x{index:04X}"))
-                .collect();
+            let objects: Vec<_> = row.objects.iter().map(|index| format!("0x{index:04X}")).collect();
             let subject = match (row.service, objects.join(", ")) {
                 (service, objects) if objects.is_empty() => service.to_owned(),
                 ("", objects) => objects,
                 (service, objects) => format!("{service}: {objects}"),
             };
-            let result = if deviation.is_none() {
-                "holds"
-            } else {
-                "fails"
-            };
+            let result = if deviation.is_none() { "holds" } else { "fails" };
             let _ = writeln!(
                 text,
                 "| {} | {}{section} | {subject} | {} | {result} |",
@@ -231,28 +198,16 @@ fn every_claim_of_the_emulated_drive_holds() {
         .iter()
         .filter_map(|outcome| Some((outcome.row, outcome.deviation.as_ref()?)))
         .map(|(row, deviation)| {
-            format!(
-                "{} ({} {}): {}\n  {deviation}",
-                row.id, row.standard.name, row.section, row.claim
-            )
+            format!("{} ({} {}): {}\n  {deviation}", row.id, row.standard.name, row.section, row.claim)
         })
         .collect();
-    assert!(
-        failures.is_empty(),
-        "{} of {} claims fail:\n{}",
-        failures.len(),
-        outcomes.len(),
-        failures.join("\n")
-    );
+    assert!(failures.is_empty(), "{} of {} claims fail:\n{}", failures.len(), outcomes.len(), failures.join("\n"));
 }
 
 #[test]
 fn no_claim_holds_on_a_bus_without_the_drive() {
-    let holding: Vec<_> = run(Bench::Empty)
-        .iter()
-        .filter(|outcome| outcome.deviation.is_none())
-        .map(|outcome| outcome.row.id)
-        .collect();
+    let holding: Vec<_> =
+        run(Bench::Empty).iter().filter(|outcome| outcome.deviation.is_none()).map(|outcome| outcome.row.id).collect();
     assert_eq!(holding, [""; 0]);
 }
 
@@ -264,11 +219,7 @@ fn the_page_of_the_claims_is_current() {
         fs::write(&path, &page).unwrap();
     }
     let kept = fs::read_to_string(&path).unwrap_or_default();
-    assert!(
-        kept == page,
-        "{} is out of date: run this test with MRROC_WRITE_DOCS=1",
-        path.display()
-    );
+    assert!(kept == page, "{} is out of date: run this test with MRROC_WRITE_DOCS=1", path.display());
 }
 
 #[test]
@@ -283,21 +234,13 @@ fn every_object_of_the_profiles_is_claimed_by_a_row() {
         .filter(|index| profiles(index) && !claimed.contains(index))
         .map(|index| format!("{index:#06x}"))
         .collect();
-    assert!(
-        unclaimed.is_empty(),
-        "no row names {}",
-        unclaimed.join(", ")
-    );
+    assert!(unclaimed.is_empty(), "no row names {}", unclaimed.join(", "));
     let unknown: Vec<_> = claimed
         .iter()
         .filter(|index| !sheet.objects.contains_key(index))
         .map(|index| format!("{index:#06x}"))
         .collect();
-    assert!(
-        unknown.is_empty(),
-        "the data sheet lacks {}",
-        unknown.join(", ")
-    );
+    assert!(unknown.is_empty(), "the data sheet lacks {}", unknown.join(", "));
 }
 
 #[test]

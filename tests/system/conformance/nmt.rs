@@ -1,9 +1,6 @@
 //! Claims about NMT: boot-up, states, commands, and the services available in each state.
 
-use super::rig::{
-    Deviation, EMCY, HEARTBEAT, NODE, RPDO, Rig, SDO_ANSWER, TPDO, Verdict, ensure, hex, request,
-    unit,
-};
+use super::rig::{Deviation, EMCY, HEARTBEAT, NODE, RPDO, Rig, SDO_ANSWER, TPDO, Verdict, ensure, hex, request, unit};
 use super::{CIA_301, Row};
 
 pub(super) const ROWS: &[Row] = &[
@@ -21,20 +18,8 @@ pub(super) const ROWS: &[Row] = &[
         "the drive enters pre-operational by itself after the boot-up",
         pre_operational,
     ),
-    CIA_301.row(
-        "nmt-start",
-        "7.2.8.3.1",
-        ("Start remote node", &[]),
-        "leads from every state to operational",
-        start,
-    ),
-    CIA_301.row(
-        "nmt-stop",
-        "7.2.8.3.1",
-        ("Stop remote node", &[]),
-        "leads from every state to stopped",
-        stop,
-    ),
+    CIA_301.row("nmt-start", "7.2.8.3.1", ("Start remote node", &[]), "leads from every state to operational", start),
+    CIA_301.row("nmt-stop", "7.2.8.3.1", ("Stop remote node", &[]), "leads from every state to stopped", stop),
     CIA_301.row(
         "nmt-enter-pre-operational",
         "7.2.8.3.1",
@@ -98,20 +83,8 @@ pub(super) const ROWS: &[Row] = &[
         "works in pre-operational and operational, not in stopped",
         sdo_states,
     ),
-    CIA_301.row(
-        "nmt-pdo-states",
-        "Table 37",
-        ("PDO", &[]),
-        "TPDOs and RPDOs work in operational alone",
-        pdo_states,
-    ),
-    CIA_301.row(
-        "nmt-sync-states",
-        "Table 37",
-        ("SYNC", &[]),
-        "SYNC triggers PDOs in operational alone",
-        sync_states,
-    ),
+    CIA_301.row("nmt-pdo-states", "Table 37", ("PDO", &[]), "TPDOs and RPDOs work in operational alone", pdo_states),
+    CIA_301.row("nmt-sync-states", "Table 37", ("SYNC", &[]), "SYNC triggers PDOs in operational alone", sync_states),
     CIA_301.row(
         "nmt-emcy-states",
         "Table 37",
@@ -154,11 +127,7 @@ const OPERATIONAL: u8 = 0x05;
 const STOPPED: u8 = 0x04;
 
 /// NMT commands and the states that they lead to.
-const STATES: [(u8, u8); 3] = [
-    (0x80, PRE_OPERATIONAL),
-    (0x01, OPERATIONAL),
-    (0x02, STOPPED),
-];
+const STATES: [(u8, u8); 3] = [(0x80, PRE_OPERATIONAL), (0x01, OPERATIONAL), (0x02, STOPPED)];
 
 /// Enables a heartbeat of 10 ms, which shows the state.
 fn show_state(rig: &mut Rig) -> Verdict {
@@ -167,10 +136,7 @@ fn show_state(rig: &mut Rig) -> Verdict {
 
 fn expect_state(rig: &mut Rig, state: u8, after: &str) -> Verdict {
     let found = rig.nmt_state()?;
-    ensure!(
-        found == state,
-        "NMT state {found:#04x} after {after}, expected {state:#04x}"
-    );
+    ensure!(found == state, "NMT state {found:#04x} after {after}, expected {state:#04x}");
     Ok(())
 }
 
@@ -215,15 +181,8 @@ fn resets_from_every_state(rig: &mut Rig, command: u8) -> Verdict {
         rig.nmt(from);
         let mark = rig.mark();
         rig.reset(command);
-        let heard: Vec<_> = rig
-            .heard(mark, HEARTBEAT)
-            .into_iter()
-            .map(|heard| heard.data)
-            .collect();
-        ensure!(
-            heard == [[0x00]],
-            "after {from:02X} and {command:02X}: {heard:?}"
-        );
+        let heard: Vec<_> = rig.heard(mark, HEARTBEAT).into_iter().map(|heard| heard.data).collect();
+        ensure!(heard == [[0x00]], "after {from:02X} and {command:02X}: {heard:?}");
         show_state(rig)?;
         expect_state(rig, PRE_OPERATIONAL, "the reset")?;
     }
@@ -250,10 +209,7 @@ fn broadcast(rig: &mut Rig) -> Verdict {
         rig.send(0x000, &[command, 0]);
         rig.pass(80);
         let heard = rig.heard(mark, HEARTBEAT);
-        ensure!(
-            heard.iter().any(|heard| heard.data == [0]),
-            "no boot-up after {command:02X} to all"
-        );
+        ensure!(heard.iter().any(|heard| heard.data == [0]), "no boot-up after {command:02X} to all");
     }
     Ok(())
 }
@@ -296,11 +252,7 @@ fn no_answer(rig: &mut Rig) -> Verdict {
         let answers: Vec<_> = rig
             .all_heard(mark)
             .into_iter()
-            .filter(|text| {
-                !TPDO
-                    .iter()
-                    .any(|id| text.starts_with(&format!("{id:03X}#")))
-            })
+            .filter(|text| !TPDO.iter().any(|id| text.starts_with(&format!("{id:03X}#"))))
             .collect();
         ensure!(answers.is_empty(), "answers to {command:02X}: {answers:?}");
     }
@@ -314,10 +266,7 @@ fn sdo_states(rig: &mut Rig) -> Verdict {
     for (command, state) in STATES {
         rig.nmt(command);
         let answered = rig.ask(upload).is_some();
-        ensure!(
-            answered == (state != STOPPED),
-            "answered in state {state:#04x}: {answered}"
-        );
+        ensure!(answered == (state != STOPPED), "answered in state {state:#04x}: {answered}");
     }
     // A request that arrives in the state stopped is not answered later.
     let mark = rig.mark();
@@ -347,10 +296,7 @@ fn pdo_states(rig: &mut Rig) -> Verdict {
         rig.nmt(0x80);
         let ready = rig.read(0x6041, 0)? & 0x6F == 0x21;
         let active = state == OPERATIONAL;
-        ensure!(
-            ready == active,
-            "RPDO1 took effect in state {state:#04x}: {ready}"
-        );
+        ensure!(ready == active, "RPDO1 took effect in state {state:#04x}: {ready}");
         ensure!((sent > 0) == active, "{sent} TPDOs in state {state:#04x}");
     }
     Ok(())
@@ -369,10 +315,7 @@ fn sync_states(rig: &mut Rig) -> Verdict {
         }
         let sent = rig.heard(mark, TPDO[1]).len();
         let expected = if state == OPERATIONAL { 3 } else { 0 };
-        ensure!(
-            sent == expected,
-            "{sent} answers to 3 SYNCs in state {state:#04x}"
-        );
+        ensure!(sent == expected, "{sent} answers to 3 SYNCs in state {state:#04x}");
     }
     Ok(())
 }
@@ -449,10 +392,7 @@ fn silent_restart(rig: &mut Rig) -> Verdict {
         rig.pass(80);
         let heard = rig.all_heard(mark);
         let boot_up = format!("{HEARTBEAT:03X}#00");
-        ensure!(
-            heard.first() == Some(&boot_up),
-            "first frame after {command:02X}: {heard:?}"
-        );
+        ensure!(heard.first() == Some(&boot_up), "first frame after {command:02X}: {heard:?}");
         if heard.len() > 1 {
             return Err(Deviation(format!("more than the boot-up: {heard:?}")));
         }

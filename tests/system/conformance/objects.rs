@@ -22,13 +22,7 @@ pub(super) const ROWS: &[Row] = &[
         "a fresh drive has the declared default",
         defaults,
     ),
-    CIA_301.row(
-        "od-read-only",
-        "7.4",
-        ("Every ro entry", &[]),
-        "a download is refused with 06010002",
-        read_only,
-    ),
+    CIA_301.row("od-read-only", "7.4", ("Every ro entry", &[]), "a download is refused with 06010002", read_only),
     CIA_301.row(
         "od-writable",
         "7.4",
@@ -92,13 +86,7 @@ pub(super) const ROWS: &[Row] = &[
         "0 in a drive without errors, and read-only",
         error_register,
     ),
-    CIA_301.row(
-        "od-sync-cob-id",
-        "7.5.2.5",
-        ("COB-ID SYNC", &[0x1005]),
-        "0x80, no producer, constant",
-        sync_cob_id,
-    ),
+    CIA_301.row("od-sync-cob-id", "7.5.2.5", ("COB-ID SYNC", &[0x1005]), "0x80, no producer, constant", sync_cob_id),
     CIA_301.row(
         "od-device-name",
         "7.5.2.8",
@@ -141,27 +129,18 @@ pub(super) const ROWS: &[Row] = &[
         "increments, revolutions per minute, revolutions per minute and second",
         units,
     ),
-    CIA_402_2.row(
-        "od-profile-type",
-        "",
-        ("Motion profile type", &[0x6086]),
-        "the linear ramp alone",
-        profile_type,
-    ),
+    CIA_402_2.row("od-profile-type", "", ("Motion profile type", &[0x6086]), "the linear ramp alone", profile_type),
 ];
 
 /// The data sheet with the claims.
 pub(super) fn sheet() -> Eds {
-    let sheet =
-        std::fs::read(root().join("cells/epos4-emulated.eds")).expect("the data sheet is there");
+    let sheet = std::fs::read(root().join("cells/epos4-emulated.eds")).expect("the data sheet is there");
     Eds::read(&sheet).expect("the data sheet is readable")
 }
 
 /// Entries with a fixed length, and the length in bytes.
 fn sized(sheet: &Eds) -> impl Iterator<Item = (Object, &Variable, usize)> {
-    sheet
-        .variables()
-        .filter_map(|(object, variable)| Some((object, variable, variable.data_type.size()?)))
+    sheet.variables().filter_map(|(object, variable)| Some((object, variable, variable.data_type.size()?)))
 }
 
 fn is_pdo_parameter(index: u16) -> bool {
@@ -182,24 +161,13 @@ fn uploads(rig: &mut Rig) -> Verdict {
         match variable.data_type.size() {
             Some(size) => {
                 let value = rig.upload(index, subindex)?;
-                ensure!(
-                    value.len() == size,
-                    "{index:#06x}:{subindex:02x} has {} bytes, expected {size}",
-                    value.len()
-                );
+                ensure!(value.len() == size, "{index:#06x}:{subindex:02x} has {} bytes, expected {size}", value.len());
             }
             None => {
                 let answer = rig.transfer(request(0x40, index, subindex, [0; 4]))?;
-                ensure!(
-                    answer[0] >> 5 == 2,
-                    "{index:#06x}:{subindex:02x}: {}",
-                    hex(&answer)
-                );
+                ensure!(answer[0] >> 5 == 2, "{index:#06x}:{subindex:02x}: {}", hex(&answer));
                 // Ends the segmented upload.
-                rig.send(
-                    0x600 + u16::from(NODE),
-                    &request(0x80, index, subindex, [0, 0, 4, 5]),
-                );
+                rig.send(0x600 + u16::from(NODE), &request(0x80, index, subindex, [0, 0, 4, 5]));
                 rig.pass(2);
             }
         }
@@ -222,12 +190,7 @@ fn defaults(rig: &mut Rig) -> Verdict {
             .encode(variable.data_type, node)
             .ok_or_else(|| Deviation(format!("{object}: the default does not fit its type")))?;
         let found = rig.upload(object.index, object.subindex)?;
-        ensure!(
-            found == expected,
-            "{object} is {}, expected {}",
-            hex(&found),
-            hex(&expected)
-        );
+        ensure!(found == expected, "{object} is {}, expected {}", hex(&found), hex(&expected));
         compared += 1;
     }
     ensure!(compared > 150, "{compared} defaults compared");
@@ -246,10 +209,7 @@ fn read_only(rig: &mut Rig) -> Verdict {
 fn writable(rig: &mut Rig) -> Verdict {
     for (object, variable, size) in sized(&sheet()) {
         let commands = matches!(object.index, 0x1003 | 0x1010 | 0x1011);
-        if matches!(variable.access, Access::ReadOnly | Access::Const)
-            || commands
-            || is_pdo_parameter(object.index)
-        {
+        if matches!(variable.access, Access::ReadOnly | Access::Const) || commands || is_pdo_parameter(object.index) {
             continue;
         }
         let value = rig.read(object.index, object.subindex)?;
@@ -270,24 +230,10 @@ fn wrong_length(rig: &mut Rig, length: impl Fn(usize) -> usize, codes: &[u32]) -
         if (1..=4).contains(&wrong) {
             rig.refuse(address, 0, wrong, codes)?;
         } else if wrong > 4 {
-            let answer = rig.transfer(request(
-                0x21,
-                object.index,
-                object.subindex,
-                [wrong as u8, 0, 0, 0],
-            ))?;
+            let answer = rig.transfer(request(0x21, object.index, object.subindex, [wrong as u8, 0, 0, 0]))?;
             // A server may also detect the excess length in the segments.
-            let answer = if answer[0] == 0x60 {
-                rig.transfer([0x05, 0, 0, 0, 0, 0, 0, 0])?
-            } else {
-                answer
-            };
-            aborted(
-                &answer,
-                address,
-                codes,
-                &format!("segmented download of {wrong} bytes to {object}"),
-            )?;
+            let answer = if answer[0] == 0x60 { rig.transfer([0x05, 0, 0, 0, 0, 0, 0, 0])? } else { answer };
+            aborted(&answer, address, codes, &format!("segmented download of {wrong} bytes to {object}"))?;
         }
         let after = rig.ask(request(0x40, object.index, object.subindex, [0; 4]));
         ensure!(before == after, "{object} changed by a refused download");
@@ -312,19 +258,9 @@ fn limits(rig: &mut Rig) -> Verdict {
             continue;
         }
         let range = 1_i128 << (8 * size);
-        let signed = matches!(
-            variable.data_type,
-            DataType::Integer8 | DataType::Integer16 | DataType::Integer32
-        );
-        let (least, most) = if signed {
-            (-range / 2, range / 2 - 1)
-        } else {
-            (0, range - 1)
-        };
-        let beyond = [
-            (&variable.low, -1, 0x0609_0032),
-            (&variable.high, 1, 0x0609_0031),
-        ];
+        let signed = matches!(variable.data_type, DataType::Integer8 | DataType::Integer16 | DataType::Integer32);
+        let (least, most) = if signed { (-range / 2, range / 2 - 1) } else { (0, range - 1) };
+        let beyond = [(&variable.low, -1, 0x0609_0032), (&variable.high, 1, 0x0609_0031)];
         for (limit, step, code) in beyond {
             let Some(limit) = limit.as_ref().and_then(|limit| limit.integer(node)) else {
                 continue;
@@ -334,12 +270,7 @@ fn limits(rig: &mut Rig) -> Verdict {
                 continue;
             }
             let value = i64::try_from(value).expect("at most 32 bits");
-            rig.refuse(
-                (object.index, object.subindex),
-                value,
-                size,
-                &[0x0609_0030, code],
-            )?;
+            rig.refuse((object.index, object.subindex), value, size, &[0x0609_0030, code])?;
             tried += 1;
         }
     }
@@ -348,29 +279,12 @@ fn limits(rig: &mut Rig) -> Verdict {
 }
 
 fn no_object(rig: &mut Rig) -> Verdict {
-    for index in [
-        0x0000_u16,
-        0x1002,
-        0x1007,
-        0x100C,
-        0x1012,
-        0x1019,
-        0x1404,
-        0x1804,
-        0x2001,
-        0x6001,
-        0x6042,
-        0x6502 + 1,
-        0xFFFF,
-    ] {
+    for index in
+        [0x0000_u16, 0x1002, 0x1007, 0x100C, 0x1012, 0x1019, 0x1404, 0x1804, 0x2001, 0x6001, 0x6042, 0x6502 + 1, 0xFFFF]
+    {
         for subindex in [0, 1] {
             let answer = rig.transfer(request(0x40, index, subindex, [0; 4]))?;
-            aborted(
-                &answer,
-                (index, subindex),
-                &[0x0602_0000],
-                &format!("upload of {index:#06x}:{subindex:02x}"),
-            )?;
+            aborted(&answer, (index, subindex), &[0x0602_0000], &format!("upload of {index:#06x}:{subindex:02x}"))?;
             rig.refuse((index, subindex), 0, 1, &[0x0602_0000])?;
         }
     }
@@ -379,20 +293,11 @@ fn no_object(rig: &mut Rig) -> Verdict {
 
 fn no_subindex(rig: &mut Rig) -> Verdict {
     for (&index, entry) in &sheet().objects {
-        let highest = *entry
-            .variables
-            .keys()
-            .last()
-            .expect("an object has an entry");
+        let highest = *entry.variables.keys().last().expect("an object has an entry");
         let absent = (1..=highest).filter(|subindex| !entry.variables.contains_key(subindex));
         for subindex in absent.chain([highest + 1, 0xFE]) {
             let answer = rig.transfer(request(0x40, index, subindex, [0; 4]))?;
-            aborted(
-                &answer,
-                (index, subindex),
-                &[0x0609_0011],
-                &format!("upload of {index:#06x}:{subindex:02x}"),
-            )?;
+            aborted(&answer, (index, subindex), &[0x0609_0011], &format!("upload of {index:#06x}:{subindex:02x}"))?;
             rig.refuse((index, subindex), 0, 1, &[0x0609_0011])?;
         }
     }
@@ -402,15 +307,9 @@ fn no_subindex(rig: &mut Rig) -> Verdict {
 fn highest_subindex(rig: &mut Rig) -> Verdict {
     for (&index, entry) in &sheet().objects {
         // 0x1003:00 counts errors, 0x16xx:00 and 0x1Axx:00 count mapped objects.
-        let counts = index == 0x1003
-            || (0x1600..0x1800).contains(&index)
-            || (0x1A00..0x1C00).contains(&index);
+        let counts = index == 0x1003 || (0x1600..0x1800).contains(&index) || (0x1A00..0x1C00).contains(&index);
         if entry.variables.len() > 1 && !counts {
-            let highest = *entry
-                .variables
-                .keys()
-                .last()
-                .expect("an object has an entry");
+            let highest = *entry.variables.keys().last().expect("an object has an entry");
             rig.expect(index, 0, u32::from(highest))?;
         }
     }
@@ -427,11 +326,7 @@ fn constant(rig: &mut Rig, index: u16, subindex: u8, value: u32) -> Verdict {
 fn device_type(rig: &mut Rig) -> Verdict {
     let value = rig.read(0x1000, 0)?;
     ensure!(value & 0xFFFF == 402, "device profile {}", value & 0xFFFF);
-    ensure!(
-        value >> 16 & 0xFF == 0x02,
-        "type {:#04x}, expected a servo drive",
-        value >> 16 & 0xFF
-    );
+    ensure!(value >> 16 & 0xFF == 0x02, "type {:#04x}, expected a servo drive", value >> 16 & 0xFF);
     constant(rig, 0x1000, 0, value)
 }
 
@@ -456,12 +351,7 @@ fn device_name(rig: &mut Rig) -> Verdict {
         hex(&segment)
     );
     let answer = rig.transfer(download_request(0x1008, 0, 0x4141, 2))?;
-    aborted(
-        &answer,
-        (0x1008, 0),
-        &[0x0601_0002],
-        "download of a device name",
-    )
+    aborted(&answer, (0x1008, 0), &[0x0601_0002], "download of a device name")
 }
 
 fn emcy_cob_id(rig: &mut Rig) -> Verdict {
@@ -487,12 +377,7 @@ fn sdo_server(rig: &mut Rig) -> Verdict {
 
 fn supported_modes(rig: &mut Rig) -> Verdict {
     // Bits 0 pp, 2 pv, 5 hm, 7 csp, 8 csv, 9 cst.
-    constant(
-        rig,
-        0x6502,
-        0,
-        1 | 1 << 2 | 1 << 5 | 1 << 7 | 1 << 8 | 1 << 9,
-    )
+    constant(rig, 0x6502, 0, 1 | 1 << 2 | 1 << 5 | 1 << 7 | 1 << 8 | 1 << 9)
 }
 
 fn units(rig: &mut Rig) -> Verdict {
@@ -506,12 +391,7 @@ fn units(rig: &mut Rig) -> Verdict {
 fn profile_type(rig: &mut Rig) -> Verdict {
     rig.write(0x6086, 0, 0, 2)?;
     for value in [1, 2, 3, -1] {
-        rig.refuse(
-            (0x6086, 0),
-            value,
-            2,
-            &[0x0609_0030, 0x0609_0031, 0x0609_0032],
-        )?;
+        rig.refuse((0x6086, 0), value, 2, &[0x0609_0030, 0x0609_0031, 0x0609_0032])?;
     }
     rig.expect(0x6086, 0, 0)
 }

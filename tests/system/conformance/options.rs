@@ -91,13 +91,7 @@ pub(super) const ROWS: &[Row] = &[
         "1 brakes with 0x6084, 2 with 0x6085; the drive stays in operation enabled",
         halt,
     ),
-    CIA_402_2.row(
-        "halt-ends",
-        "",
-        ("Halt", &[0x6040]),
-        "bit 8 cleared lets the motion go on",
-        halt_ends,
-    ),
+    CIA_402_2.row("halt-ends", "", ("Halt", &[0x6040]), "bit 8 cleared lets the motion go on", halt_ends),
     CIA_402_2.row(
         "fault-option",
         "",
@@ -187,13 +181,7 @@ fn expect_stop(rig: &mut Rig, stop: Stop, why: &str) -> Verdict {
 }
 
 /// Gives a command to the turning axis with an option set, and checks the stop.
-fn stops(
-    rig: &mut Rig,
-    (option, value): (u16, i64),
-    command: u16,
-    stop: Stop,
-    state: Power,
-) -> Verdict {
+fn stops(rig: &mut Rig, (option, value): (u16, i64), command: u16, stop: Stop, state: Power) -> Verdict {
     turning(rig)?;
     rig.write(option, 0, value, 2)?;
     rig.write(0x6040, 0, i64::from(command), 2)?;
@@ -244,10 +232,7 @@ fn quick_stop_while_braking(rig: &mut Rig) -> Verdict {
         rig.write(0x605A, 0, option, 2)?;
         rig.control(0x02)?;
         rig.pass(30);
-        rig.expect_power(
-            QuickStopActive,
-            &format!("35 ms of braking with option {option}"),
-        )?;
+        rig.expect_power(QuickStopActive, &format!("35 ms of braking with option {option}"))?;
         let velocity = rig.velocity()?;
         ensure!(velocity > 500, "{velocity} rpm");
     }
@@ -327,11 +312,9 @@ fn abort_2(rig: &mut Rig) -> Verdict {
 }
 
 fn abort_3(rig: &mut Rig) -> Verdict {
-    for (option, stop, state) in [
-        (6, Stop::Quick, QuickStopActive),
-        (2, Stop::Quick, SwitchOnDisabled),
-        (1, Stop::Profile, SwitchOnDisabled),
-    ] {
+    for (option, stop, state) in
+        [(6, Stop::Quick, QuickStopActive), (2, Stop::Quick, SwitchOnDisabled), (1, Stop::Profile, SwitchOnDisabled)]
+    {
         turning(rig)?;
         rig.write(0x605A, 0, option, 2)?;
         lose_host(rig, 3)?;
@@ -344,12 +327,7 @@ fn abort_3(rig: &mut Rig) -> Verdict {
 }
 
 fn abort_by_nmt_stop(rig: &mut Rig) -> Verdict {
-    for (abort, state) in [
-        (0, OperationEnabled),
-        (1, Fault),
-        (2, SwitchOnDisabled),
-        (3, QuickStopActive),
-    ] {
+    for (abort, state) in [(0, OperationEnabled), (1, Fault), (2, SwitchOnDisabled), (3, QuickStopActive)] {
         turning(rig)?;
         rig.nmt(0x01);
         rig.write(0x6007, 0, abort, 2)?;

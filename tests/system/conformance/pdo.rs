@@ -7,12 +7,7 @@ pub(super) const ROWS: &[Row] = &[
     CIA_301.row(
         "pdo-default-cob-ids",
         "7.3.3",
-        (
-            "Pre-defined connection set",
-            &[
-                0x1400, 0x1401, 0x1402, 0x1403, 0x1800, 0x1801, 0x1802, 0x1803,
-            ],
-        ),
+        ("Pre-defined connection set", &[0x1400, 0x1401, 0x1402, 0x1403, 0x1800, 0x1801, 0x1802, 0x1803]),
         "the PDOs have the COB-IDs of the node-ID; the first of each kind is valid",
         default_cob_ids,
     ),
@@ -90,29 +85,17 @@ pub(super) struct Pdo {
 }
 
 pub(super) fn tpdo(number: u16) -> Pdo {
-    Pdo {
-        communication: 0x1800 + number - 1,
-        mapping: 0x1A00 + number - 1,
-        id: TPDO[usize::from(number) - 1],
-    }
+    Pdo { communication: 0x1800 + number - 1, mapping: 0x1A00 + number - 1, id: TPDO[usize::from(number) - 1] }
 }
 
 pub(super) fn rpdo(number: u16) -> Pdo {
-    Pdo {
-        communication: 0x1400 + number - 1,
-        mapping: 0x1600 + number - 1,
-        id: RPDO[usize::from(number) - 1],
-    }
+    Pdo { communication: 0x1400 + number - 1, mapping: 0x1600 + number - 1, id: RPDO[usize::from(number) - 1] }
 }
 
 impl Pdo {
     /// COB-ID, with bit 30 set for TPDOs, because the drive answers no remote frames.
     pub(super) fn word(self) -> i64 {
-        let rtr = if self.communication >= 0x1800 {
-            0x4000_0000
-        } else {
-            0
-        };
+        let rtr = if self.communication >= 0x1800 { 0x4000_0000 } else { 0 };
         rtr | i64::from(self.id)
     }
 
@@ -146,10 +129,7 @@ impl Pdo {
     }
 
     pub(super) fn sent(self, rig: &Rig, mark: Mark) -> Vec<Vec<u8>> {
-        rig.heard(mark, self.id)
-            .into_iter()
-            .map(|heard| heard.data)
-            .collect()
+        rig.heard(mark, self.id).into_iter().map(|heard| heard.data).collect()
     }
 }
 
@@ -159,16 +139,8 @@ fn default_cob_ids(rig: &mut Rig) -> Verdict {
     for number in 1..=4 {
         for pdo in [rpdo(number), tpdo(number)] {
             let word = rig.read(pdo.communication, 1)?;
-            ensure!(
-                word & 0x3FFF_FFFF == u32::from(pdo.id),
-                "{:#06x}:01 is {word:#010x}",
-                pdo.communication
-            );
-            ensure!(
-                (word >> 31 == 0) == (number == 1),
-                "{:#06x}:01 is {word:#010x}",
-                pdo.communication
-            );
+            ensure!(word & 0x3FFF_FFFF == u32::from(pdo.id), "{:#06x}:01 is {word:#010x}", pdo.communication);
+            ensure!((word >> 31 == 0) == (number == 1), "{:#06x}:01 is {word:#010x}", pdo.communication);
         }
     }
     Ok(())
@@ -204,10 +176,7 @@ fn disable(rig: &mut Rig) -> Verdict {
             }
         }
         let found = (reacts(rig, RPDO[0])?, reports(rig, TPDO[0])?);
-        ensure!(
-            found == (works, works),
-            "(RPDO1, TPDO1) work: {found:?}, expected {works}"
-        );
+        ensure!(found == (works, works), "(RPDO1, TPDO1) work: {found:?}, expected {works}");
     }
     Ok(())
 }
@@ -255,15 +224,13 @@ fn extended_cob_id(rig: &mut Rig) -> Verdict {
 }
 
 fn high_bits(rig: &mut Rig) -> Verdict {
-    refuse_words(rig, |pdo| {
-        (11..=28).map(|bit| pdo.word() | 1 << bit).collect()
-    })
+    refuse_words(rig, |pdo| (11..=28).map(|bit| pdo.word() | 1 << bit).collect())
 }
 
 fn restricted(rig: &mut Rig) -> Verdict {
     let ids = [
-        0x000, 0x001, 0x07F, 0x101, 0x180, 0x581, 0x5FF, 0x601, 0x67F, 0x6E0, 0x6FF, 0x701, 0x77F,
-        0x780, 0x7E4, 0x7E5, 0x7FF,
+        0x000, 0x001, 0x07F, 0x101, 0x180, 0x581, 0x5FF, 0x601, 0x67F, 0x6E0, 0x6FF, 0x701, 0x77F, 0x780, 0x7E4, 0x7E5,
+        0x7FF,
     ];
     for pdo in SECOND.map(|kind| kind(2)) {
         let rtr = pdo.word() & 0x4000_0000;
@@ -287,15 +254,9 @@ fn no_rtr(rig: &mut Rig) -> Verdict {
 }
 
 fn reserved_subindices(rig: &mut Rig) -> Verdict {
-    for index in [
-        0x1400, 0x1401, 0x1402, 0x1403, 0x1800, 0x1801, 0x1802, 0x1803,
-    ] {
+    for index in [0x1400, 0x1401, 0x1402, 0x1403, 0x1800, 0x1801, 0x1802, 0x1803] {
         let answer = rig.transfer(request(0x40, index, 4, [0; 4]))?;
-        ensure!(
-            answer == request(0x80, index, 4, [0x11, 0x00, 0x09, 0x06]),
-            "{index:#06x}:04: {}",
-            hex(&answer)
-        );
+        ensure!(answer == request(0x80, index, 4, [0x11, 0x00, 0x09, 0x06]), "{index:#06x}:04: {}", hex(&answer));
         rig.refuse((index, 4), 0, 1, &[0x0609_0011])?;
     }
     Ok(())

@@ -180,10 +180,7 @@ fn immediately(rig: &mut Rig) -> Verdict {
     rig.pass(100);
     rig.set_point(-TARGET, 0x20)?;
     let highest = highest(rig, 2_000)?;
-    ensure!(
-        highest < 5 * TARGET - 1_000,
-        "{highest} was passed on the way back"
-    );
+    ensure!(highest < 5 * TARGET - 1_000, "{highest} was passed on the way back");
     rig.expect_position(-TARGET, 10)
 }
 
@@ -199,11 +196,7 @@ fn afterwards(rig: &mut Rig) -> Verdict {
         highest = highest.max(rig.position()?);
         rig.pass(2);
     }
-    ensure!(
-        (highest - 3 * TARGET).abs() < 20,
-        "the first target is {}, the axis came to {highest}",
-        3 * TARGET
-    );
+    ensure!((highest - 3 * TARGET).abs() < 20, "the first target is {}, the axis came to {highest}", 3 * TARGET);
     rig.expect_position(0, 10)
 }
 
@@ -280,17 +273,11 @@ fn following_error(rig: &mut Rig) -> Verdict {
         rig.send(0x080, &[]);
         rig.pass(5);
         let (positions, errors) = (rig.heard(mark, 0x282), rig.heard(mark, 0x382));
-        ensure!(
-            positions.len() == 1 && errors.len() == 1,
-            "no TPDOs after SYNC"
-        );
+        ensure!(positions.len() == 1 && errors.len() == 1, "no TPDOs after SYNC");
         let number = |bytes: &[u8]| i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
         let (demand, actual) = (number(&positions[0].data), number(&positions[0].data[4..]));
         let error = number(&errors[0].data);
-        ensure!(
-            (demand - actual - error).abs() <= 1,
-            "demand {demand}, actual {actual}, following error {error}"
-        );
+        ensure!((demand - actual - error).abs() <= 1, "demand {demand}, actual {actual}, following error {error}");
         greatest = greatest.max(error.abs());
     }
     ensure!(greatest > 1, "no following error in motion");
@@ -319,11 +306,7 @@ fn position_window(rig: &mut Rig) -> Verdict {
     rig.write(0x6081, 0, 300, 4)?;
     for window_time in [20, 100] {
         rig.write(0x6068, 0, window_time, 2)?;
-        let target = if rig.position()? > TARGET / 2 {
-            0
-        } else {
-            TARGET
-        };
+        let target = if rig.position()? > TARGET / 2 { 0 } else { TARGET };
         rig.set_point(target, 0)?;
         let mut inside = None;
         loop {

@@ -2,10 +2,7 @@
 
 use super::drive::{
     CSP, CST, CSV, HM, PP, PV,
-    Power::{
-        self, Fault, OperationEnabled, QuickStopActive, ReadyToSwitchOn, SwitchOnDisabled,
-        SwitchedOn,
-    },
+    Power::{self, Fault, OperationEnabled, QuickStopActive, ReadyToSwitchOn, SwitchOnDisabled, SwitchedOn},
 };
 use super::rig::{Deviation, EMCY, RPDO, Rig, TPDO, Verdict, ensure, hex};
 use super::{CIA_402_2, Row};
@@ -273,12 +270,7 @@ fn transition_6(rig: &mut Rig) -> Verdict {
 }
 
 fn transition_7(rig: &mut Rig) -> Verdict {
-    transition(
-        rig,
-        ReadyToSwitchOn,
-        &[0x00, 0x0D, 0x02, 0x0B],
-        SwitchOnDisabled,
-    )
+    transition(rig, ReadyToSwitchOn, &[0x00, 0x0D, 0x02, 0x0B], SwitchOnDisabled)
 }
 
 fn transition_8(rig: &mut Rig) -> Verdict {
@@ -310,13 +302,7 @@ fn clear(rig: &mut Rig) -> Verdict {
 }
 
 fn transitions_13_and_14(rig: &mut Rig) -> Verdict {
-    for from in [
-        SwitchOnDisabled,
-        ReadyToSwitchOn,
-        SwitchedOn,
-        OperationEnabled,
-        QuickStopActive,
-    ] {
+    for from in [SwitchOnDisabled, ReadyToSwitchOn, SwitchedOn, OperationEnabled, QuickStopActive] {
         rig.bring(from)?;
         rig.bring(Fault)?;
         clear(rig)?;
@@ -350,10 +336,7 @@ fn transition_16(rig: &mut Rig) -> Verdict {
         rig.write(0x605A, 0, option, 2)?;
         rig.bring(QuickStopActive)?;
         rig.control(0x0F)?;
-        rig.expect_power(
-            OperationEnabled,
-            &format!("quick stop with option {option} and 0x0f"),
-        )?;
+        rig.expect_power(OperationEnabled, &format!("quick stop with option {option} and 0x0f"))?;
         rig.control(0x00)?;
     }
     Ok(())
@@ -437,12 +420,7 @@ fn remote(rig: &mut Rig) -> Verdict {
 }
 
 fn no_warning(rig: &mut Rig) -> Verdict {
-    for power in [
-        SwitchOnDisabled,
-        ReadyToSwitchOn,
-        SwitchedOn,
-        OperationEnabled,
-    ] {
+    for power in [SwitchOnDisabled, ReadyToSwitchOn, SwitchedOn, OperationEnabled] {
         rig.bring(power)?;
         rig.expect_bits((0x80, 0), &format!("in {power:?}"))?;
     }
@@ -465,15 +443,8 @@ fn fault_code(rig: &mut Rig) -> Verdict {
     following_error(rig)?;
     rig.expect(0x603F, 0, 0x8611)?;
     let sent = rig.heard(mark, EMCY);
-    ensure!(
-        sent.len() == 1 && sent[0].data[..2] == [0x11, 0x86],
-        "{sent:02X?}"
-    );
-    ensure!(
-        sent[0].data[2] & 1 == 1,
-        "error register {:02X}",
-        sent[0].data[2]
-    );
+    ensure!(sent.len() == 1 && sent[0].data[..2] == [0x11, 0x86], "{sent:02X?}");
+    ensure!(sent[0].data[2] & 1 == 1, "error register {:02X}", sent[0].data[2]);
     let entry = rig.read(0x1003, 1)?;
     ensure!(entry & 0xFFFF == 0x8611, "history {entry:#x}");
     Ok(())
@@ -485,10 +456,7 @@ fn reset_emcy(rig: &mut Rig) -> Verdict {
     let mark = rig.mark();
     clear(rig)?;
     let sent = rig.heard(mark, EMCY);
-    ensure!(
-        sent.len() == 1 && sent[0].data[..3] == [0, 0, 0],
-        "{sent:02X?}"
-    );
+    ensure!(sent.len() == 1 && sent[0].data[..3] == [0, 0, 0], "{sent:02X?}");
     rig.expect(0x1001, 0, 0)
 }
 
@@ -512,10 +480,7 @@ fn fault_over_reset_communication(rig: &mut Rig) -> Verdict {
     let before = error_state(rig)?;
     rig.reset(0x82);
     let after = error_state(rig)?;
-    ensure!(
-        after == before,
-        "{after:02x?} after the reset, {before:02x?} before"
-    );
+    ensure!(after == before, "{after:02x?} after the reset, {before:02x?} before");
     clear(rig)?;
     rig.expect(0x1001, 0, 0)
 }
@@ -551,11 +516,7 @@ fn mode_unsupported(rig: &mut Rig) -> Verdict {
         rig.pass(5);
         let shown = i64::from(rig.read_signed(0x6061, 0)?);
         let bit = supported >> (mode - 1) & 1 == 1;
-        ensure!(
-            (shown == mode) == bit,
-            "mode {mode}: {}, mode {shown} is shown",
-            hex(&answer)
-        );
+        ensure!((shown == mode) == bit, "mode {mode}: {}, mode {shown} is shown", hex(&answer));
     }
     Ok(())
 }

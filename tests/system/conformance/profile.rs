@@ -13,20 +13,8 @@ pub(super) const ROWS: &[Row] = &[
         "is the speed of the motion, and is not exceeded",
         profile_velocity,
     ),
-    CIA_402_2.row(
-        "pp-max-velocity",
-        "",
-        ("Max profile velocity", &[0x607F]),
-        "limits 0x6081",
-        max_profile_velocity,
-    ),
-    CIA_402_2.row(
-        "pp-max-motor-speed",
-        "",
-        ("Max motor speed", &[0x6080]),
-        "limits 0x6081",
-        max_motor_speed,
-    ),
+    CIA_402_2.row("pp-max-velocity", "", ("Max profile velocity", &[0x607F]), "limits 0x6081", max_profile_velocity),
+    CIA_402_2.row("pp-max-motor-speed", "", ("Max motor speed", &[0x6080]), "limits 0x6081", max_motor_speed),
     CIA_402_2.row(
         "pp-acceleration",
         "",
@@ -41,13 +29,7 @@ pub(super) const ROWS: &[Row] = &[
         "is the slope down to the target",
         deceleration,
     ),
-    CIA_402_2.row(
-        "pp-max-acceleration",
-        "",
-        ("Max acceleration", &[0x60C5]),
-        "limits 0x6083",
-        max_acceleration,
-    ),
+    CIA_402_2.row("pp-max-acceleration", "", ("Max acceleration", &[0x60C5]), "limits 0x6083", max_acceleration),
     CIA_402_2.row(
         "pp-demand",
         "",
@@ -88,10 +70,7 @@ fn greatest_speed(rig: &mut Rig) -> Result<i32, Deviation> {
 
 fn expect_speed(rig: &mut Rig, speed: i32) -> Verdict {
     let found = greatest_speed(rig)?;
-    ensure!(
-        (found - speed).abs() <= speed / 50 + 20,
-        "greatest speed {found} rpm, expected {speed}"
-    );
+    ensure!((found - speed).abs() <= speed / 50 + 20, "greatest speed {found} rpm, expected {speed}");
     Ok(())
 }
 
@@ -137,10 +116,7 @@ fn rise_time(rig: &mut Rig) -> Result<f64, Deviation> {
 
 fn expect_rise(rig: &mut Rig, millis: f64) -> Verdict {
     let found = rise_time(rig)?;
-    ensure!(
-        (found - millis).abs() <= millis / 10.0 + 4.0,
-        "from 500 to 2500 rpm in {found:.0} ms, expected {millis}"
-    );
+    ensure!((found - millis).abs() <= millis / 10.0 + 4.0, "from 500 to 2500 rpm in {found:.0} ms, expected {millis}");
     Ok(())
 }
 
@@ -171,10 +147,7 @@ fn deceleration(rig: &mut Rig) -> Verdict {
             && velocity <= 500
         {
             let found = rig.now().since(begin).as_secs_f64() * 1e3;
-            ensure!(
-                (found - 200.0).abs() <= 24.0,
-                "from 2500 to 500 rpm in {found:.0} ms, expected 200"
-            );
+            ensure!((found - 200.0).abs() <= 24.0, "from 2500 to 500 rpm in {found:.0} ms, expected 200");
             return Ok(());
         }
     }
@@ -190,16 +163,10 @@ fn demand(rig: &mut Rig) -> Verdict {
         let demand = rig.read_signed(0x6062, 0)?;
         let span = rig.now().since(at).as_secs_f64() + 2e-3;
         let most = counts_per_second(3_000.0) * span + 2.0;
-        ensure!(
-            f64::from((demand - last).abs()) <= most,
-            "the demand jumps from {last} to {demand}"
-        );
+        ensure!(f64::from((demand - last).abs()) <= most, "the demand jumps from {last} to {demand}");
         (last, at) = (demand, rig.now());
     }
-    ensure!(
-        last == TARGET,
-        "the demand ends at {last}, expected {TARGET}"
-    );
+    ensure!(last == TARGET, "the demand ends at {last}, expected {TARGET}");
     Ok(())
 }
 
@@ -221,10 +188,7 @@ fn software_limits(rig: &mut Rig) -> Verdict {
         rig.control(0x0F)?;
         for _ in 0..400 {
             let position = rig.position()?;
-            ensure!(
-                (-3_030..=12_030).contains(&position),
-                "position {position} beyond the limit {limit}"
-            );
+            ensure!((-3_030..=12_030).contains(&position), "position {position} beyond the limit {limit}");
         }
         // A drive may also refuse such a target with a fault.
         let fault = rig.statusword()? & 0x08 != 0;
@@ -248,19 +212,13 @@ fn velocity_actual(rig: &mut Rig) -> Verdict {
         rig.pass(200);
         rig.expect_velocity(speed, 40)?;
         let demand = rig.read_signed(0x606B, 0)?;
-        ensure!(
-            (demand - speed).abs() <= 40,
-            "demand velocity {demand} rpm, expected {speed}"
-        );
+        ensure!((demand - speed).abs() <= 40, "demand velocity {demand} rpm, expected {speed}");
         let first = (rig.position()?, rig.now());
         rig.pass(50);
         let second = (rig.position()?, rig.now());
         let measured = f64::from(second.0 - first.0) / second.1.since(first.1).as_secs_f64();
         let expected = counts_per_second(f64::from(speed));
-        ensure!(
-            (measured - expected).abs() <= 0.03 * expected.abs(),
-            "{measured:.0} counts/s at {speed} rpm"
-        );
+        ensure!((measured - expected).abs() <= 0.03 * expected.abs(), "{measured:.0} counts/s at {speed} rpm");
         rig.reach(2_000)?;
     }
     Ok(())

@@ -100,13 +100,7 @@ pub(super) fn free_axis() -> AxisConfig {
 
 /// A free axis with limit switches 10 rad from the start and a home switch from 4 rad to 6 rad below the start.
 pub(super) fn switched_axis() -> AxisConfig {
-    let switch = |from: f64, to: f64| {
-        Some(Switch {
-            from,
-            to,
-            bounce: 0,
-        })
-    };
+    let switch = |from: f64, to: f64| Some(Switch { from, to, bounce: 0 });
     AxisConfig {
         home_switch: switch(START - 6.0, START - 4.0),
         negative_limit: switch(f64::NEG_INFINITY, START - 10.0),
@@ -146,13 +140,7 @@ impl Rig {
             Bench::Drive => Some(world.add_device(bus, Box::new(Epos4::new(config)))),
             Bench::Empty => None,
         };
-        Self {
-            world,
-            port,
-            device,
-            now: Instant::ZERO,
-            trace: Vec::new(),
-        }
+        Self { world, port, device, now: Instant::ZERO, trace: Vec::new() }
     }
 
     /// Replaces the drive by another one that is switched on now. Time and trace start again.
@@ -197,21 +185,11 @@ impl Rig {
         self.now += Duration::from_micros(micros);
         self.world.advance(self.now);
         let filler = Frame::new(StandardId::MAX, &[]).expect("an empty frame");
-        let mut into = [Received {
-            frame: filler,
-            at: Instant::ZERO,
-        }; 64];
+        let mut into = [Received { frame: filler, at: Instant::ZERO }; 64];
         loop {
-            let count = self
-                .port
-                .receive(self.now, &mut into)
-                .expect("a virtual port receives");
+            let count = self.port.receive(self.now, &mut into).expect("a virtual port receives");
             for Received { frame, at } in &into[..count] {
-                self.trace.push(Line {
-                    at: *at,
-                    sent: false,
-                    frame: *frame,
-                });
+                self.trace.push(Line { at: *at, sent: false, frame: *frame });
             }
             if count < into.len() {
                 break;
@@ -240,11 +218,7 @@ impl Rig {
     fn put(&mut self, frame: Frame) {
         let taken = self.port.send(self.now, &[frame]);
         assert_eq!(taken, Ok(1), "the virtual port has room");
-        self.trace.push(Line {
-            at: self.now,
-            sent: true,
-            frame,
-        });
+        self.trace.push(Line { at: self.now, sent: true, frame });
     }
 
     /// Present end of the trace.
@@ -256,18 +230,13 @@ impl Rig {
     pub(super) fn heard(&self, mark: Mark, id: u16) -> Vec<Heard> {
         self.lines_after(mark)
             .filter(|line| line.frame.standard_data_id().map(StandardId::raw) == Some(id))
-            .map(|line| Heard {
-                at: line.at,
-                data: line.frame.data().to_vec(),
-            })
+            .map(|line| Heard { at: line.at, data: line.frame.data().to_vec() })
             .collect()
     }
 
     /// All frames that the drive sent after `mark`, in the notation of candump.
     pub(super) fn all_heard(&self, mark: Mark) -> Vec<String> {
-        self.lines_after(mark)
-            .map(|line| line.frame.to_string())
-            .collect()
+        self.lines_after(mark).map(|line| line.frame.to_string()).collect()
     }
 
     fn lines_after(&self, mark: Mark) -> impl Iterator<Item = &Line> {
@@ -277,13 +246,11 @@ impl Rig {
     /// The last frames of the trace, one per line: `>` to the drive, `<` from the drive.
     pub(super) fn tail(&self) -> String {
         let from = self.trace.len().saturating_sub(SHOWN);
-        self.trace[from..]
-            .iter()
-            .fold(String::new(), |mut text, line| {
-                let arrow = if line.sent { '>' } else { '<' };
-                let _ = writeln!(text, "    {} {arrow} {}", line.at, line.frame);
-                text
-            })
+        self.trace[from..].iter().fold(String::new(), |mut text, line| {
+            let arrow = if line.sent { '>' } else { '<' };
+            let _ = writeln!(text, "    {} {arrow} {}", line.at, line.frame);
+            text
+        })
     }
 
     /// Sends an NMT command to the drive and waits 5 ms.
@@ -303,12 +270,8 @@ impl Rig {
         let mark = self.mark();
         self.pass(25);
         let heartbeats = self.heard(mark, HEARTBEAT);
-        let last = heartbeats
-            .last()
-            .and_then(|heartbeat| heartbeat.data.first());
-        last.copied().ok_or_else(|| {
-            Deviation("no heartbeat within 25 ms at a producer time of 10 ms".to_owned())
-        })
+        let last = heartbeats.last().and_then(|heartbeat| heartbeat.data.first());
+        last.copied().ok_or_else(|| Deviation("no heartbeat within 25 ms at a producer time of 10 ms".to_owned()))
     }
 
     /// Sends one SDO request. Returns the answer, if any.
@@ -332,8 +295,7 @@ impl Rig {
 
     /// Sends one SDO request and returns its answer of eight bytes.
     pub(super) fn transfer(&mut self, request: [u8; 8]) -> Result<[u8; 8], Deviation> {
-        self.ask(request)
-            .ok_or_else(|| Deviation(format!("no SDO answer to {}", hex(&request))))
+        self.ask(request).ok_or_else(|| Deviation(format!("no SDO answer to {}", hex(&request))))
     }
 
     /// Makes an expedited upload and returns the bytes of the value.
@@ -368,10 +330,7 @@ impl Rig {
     /// Expects the value of an object.
     pub(super) fn expect(&mut self, index: u16, subindex: u8, value: u32) -> Verdict {
         let found = self.read(index, subindex)?;
-        ensure!(
-            found == value,
-            "{index:#06x}:{subindex:02x} is {found:#x}, expected {value:#x}"
-        );
+        ensure!(found == value, "{index:#06x}:{subindex:02x} is {found:#x}, expected {value:#x}");
         Ok(())
     }
 
@@ -398,13 +357,7 @@ impl Rig {
     }
 
     /// Makes an expedited download that must be refused with one of these abort codes.
-    pub(super) fn refuse(
-        &mut self,
-        (index, subindex): (u16, u8),
-        value: i64,
-        bytes: usize,
-        codes: &[u32],
-    ) -> Verdict {
+    pub(super) fn refuse(&mut self, (index, subindex): (u16, u8), value: i64, bytes: usize, codes: &[u32]) -> Verdict {
         let answer = self.download(index, subindex, value, bytes)?;
         let what = format!("download of {value:#x} to {index:#06x}:{subindex:02x}");
         aborted(&answer, (index, subindex), codes, &what)
@@ -412,12 +365,7 @@ impl Rig {
 }
 
 /// Expects an SDO abort for this object with one of these codes. An empty list accepts any code.
-pub(super) fn aborted(
-    answer: &[u8; 8],
-    (index, subindex): (u16, u8),
-    codes: &[u32],
-    what: &str,
-) -> Verdict {
+pub(super) fn aborted(answer: &[u8; 8], (index, subindex): (u16, u8), codes: &[u32], what: &str) -> Verdict {
     let code = u32::from_le_bytes([answer[4], answer[5], answer[6], answer[7]]);
     ensure!(
         answer[0] == 0x80 && answer[1..4] == multiplexer(index, subindex),
@@ -427,11 +375,7 @@ pub(super) fn aborted(
     ensure!(
         codes.is_empty() || codes.contains(&code),
         "{what}: abort {code:#010x}, expected {}",
-        codes
-            .iter()
-            .map(|code| format!("{code:#010x}"))
-            .collect::<Vec<_>>()
-            .join(" or ")
+        codes.iter().map(|code| format!("{code:#010x}")).collect::<Vec<_>>().join(" or ")
     );
     Ok(())
 }

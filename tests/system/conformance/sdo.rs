@@ -1,8 +1,8 @@
 //! Claims about the SDO server: expedited and segmented transfers, aborts, and frames that are not requests.
 
 use super::rig::{
-    Deviation, NODE, Rig, SDO_ANSWER, SDO_REQUEST, Verdict, aborted, download_request, ensure, hex,
-    multiplexer, request,
+    Deviation, NODE, Rig, SDO_ANSWER, SDO_REQUEST, Verdict, aborted, download_request, ensure, hex, multiplexer,
+    request,
 };
 use super::{CIA_301, Row};
 
@@ -176,10 +176,7 @@ const TEXT: (u16, u8) = (0x2FF0, 1);
 const DOMAIN: (u16, u8) = (0x2FF0, 2);
 
 /// Makes a segmented upload and returns the bytes.
-pub(super) fn upload_segments(
-    rig: &mut Rig,
-    (index, subindex): (u16, u8),
-) -> Result<Vec<u8>, Deviation> {
+pub(super) fn upload_segments(rig: &mut Rig, (index, subindex): (u16, u8)) -> Result<Vec<u8>, Deviation> {
     let answer = rig.transfer(request(0x40, index, subindex, [0; 4]))?;
     ensure!(
         answer[0] == 0x41 && answer[1..4] == multiplexer(index, subindex),
@@ -191,25 +188,14 @@ pub(super) fn upload_segments(
     for round in 0..1000 {
         let toggle = (round as u8 & 1) << 4;
         let segment = rig.transfer([0x60 | toggle, 0, 0, 0, 0, 0, 0, 0])?;
-        ensure!(
-            segment[0] & 0xF0 == toggle,
-            "segment {round}: {}",
-            hex(&segment)
-        );
+        ensure!(segment[0] & 0xF0 == toggle, "segment {round}: {}", hex(&segment));
         let unused = usize::from(segment[0] >> 1 & 7);
         bytes.extend(&segment[1..8 - unused]);
         if segment[0] & 1 == 1 {
-            ensure!(
-                bytes.len() == size,
-                "{} bytes in segments, {size} announced",
-                bytes.len()
-            );
+            ensure!(bytes.len() == size, "{} bytes in segments, {size} announced", bytes.len());
             return Ok(bytes);
         }
-        ensure!(
-            unused == 0,
-            "unused bytes in segment {round}, which is not the last"
-        );
+        ensure!(unused == 0, "unused bytes in segment {round}, which is not the last");
     }
     Err(Deviation("no last segment".to_owned()))
 }
@@ -230,24 +216,10 @@ fn segments(bytes: &[u8]) -> Vec<[u8; 8]> {
         .collect()
 }
 
-fn download_segments(
-    rig: &mut Rig,
-    (index, subindex): (u16, u8),
-    bytes: &[u8],
-    sized: bool,
-) -> Verdict {
+fn download_segments(rig: &mut Rig, (index, subindex): (u16, u8), bytes: &[u8], sized: bool) -> Verdict {
     let size = if sized { bytes.len() as u32 } else { 0 };
-    let answer = rig.transfer(request(
-        0x20 | u8::from(sized),
-        index,
-        subindex,
-        size.to_le_bytes(),
-    ))?;
-    ensure!(
-        answer == request(0x60, index, subindex, [0; 4]),
-        "initiate: {}",
-        hex(&answer)
-    );
+    let answer = rig.transfer(request(0x20 | u8::from(sized), index, subindex, size.to_le_bytes()))?;
+    ensure!(answer == request(0x60, index, subindex, [0; 4]), "initiate: {}", hex(&answer));
     for (at, segment) in segments(bytes).into_iter().enumerate() {
         let answer = rig.transfer(segment)?;
         let expected = [0x20 | (at as u8 & 1) << 4, 0, 0, 0, 0, 0, 0, 0];
@@ -268,22 +240,14 @@ fn upload_expedited(rig: &mut Rig) -> Verdict {
         (0x1018, 1, "43181001FB000000"),
     ] {
         let found = rig.transfer(request(0x40, index, subindex, [0; 4]))?;
-        ensure!(
-            hex(&found).starts_with(answer),
-            "{index:#06x}: {}, expected {answer}",
-            hex(&found)
-        );
+        ensure!(hex(&found).starts_with(answer), "{index:#06x}: {}, expected {answer}", hex(&found));
     }
     Ok(())
 }
 
 fn upload_segmented(rig: &mut Rig) -> Verdict {
     let bytes = upload_segments(rig, TEXT)?;
-    ensure!(
-        bytes.len() > 14 && bytes.iter().all(|byte| (0x20..0x7F).contains(byte)),
-        "{}",
-        hex(&bytes)
-    );
+    ensure!(bytes.len() > 14 && bytes.iter().all(|byte| (0x20..0x7F).contains(byte)), "{}", hex(&bytes));
     Ok(())
 }
 
@@ -294,35 +258,20 @@ fn upload_one_segment(rig: &mut Rig) -> Verdict {
 }
 
 fn download_expedited(rig: &mut Rig) -> Verdict {
-    for (index, subindex, value, bytes) in [
-        (0x60C2, 1, 7, 1),
-        (0x1017, 0, 0x1234, 2),
-        (0x6081, 0, 0x1234, 4),
-        (0x607A, 0, -7, 4),
-    ] {
+    for (index, subindex, value, bytes) in
+        [(0x60C2, 1, 7, 1), (0x1017, 0, 0x1234, 2), (0x6081, 0, 0x1234, 4), (0x607A, 0, -7, 4)]
+    {
         rig.write(index, subindex, value, bytes)?;
         let found = rig.upload(index, subindex)?;
-        ensure!(
-            found == value.to_le_bytes()[..bytes],
-            "{index:#06x} is {}",
-            hex(&found)
-        );
+        ensure!(found == value.to_le_bytes()[..bytes], "{index:#06x} is {}", hex(&found));
     }
     Ok(())
 }
 
 fn download_unsized(rig: &mut Rig) -> Verdict {
-    for (index, subindex, value) in [
-        (0x60C2, 1, 9),
-        (0x1017, 0, 0x0123),
-        (0x6081, 0, 0x0001_2345_u32),
-    ] {
+    for (index, subindex, value) in [(0x60C2, 1, 9), (0x1017, 0, 0x0123), (0x6081, 0, 0x0001_2345_u32)] {
         let answer = rig.transfer(request(0x22, index, subindex, value.to_le_bytes()))?;
-        ensure!(
-            answer == request(0x60, index, subindex, [0; 4]),
-            "{index:#06x}: {}",
-            hex(&answer)
-        );
+        ensure!(answer == request(0x60, index, subindex, [0; 4]), "{index:#06x}: {}", hex(&answer));
         rig.expect(index, subindex, value)?;
     }
     Ok(())
@@ -339,12 +288,7 @@ fn download_segmented(rig: &mut Rig) -> Verdict {
         let bytes = pattern(length);
         download_segments(rig, DOMAIN, &bytes, true)?;
         let found = upload_segments(rig, DOMAIN)?;
-        ensure!(
-            found == bytes,
-            "{} read back, expected {}",
-            hex(&found),
-            hex(&bytes)
-        );
+        ensure!(found == bytes, "{} read back, expected {}", hex(&found), hex(&bytes));
     }
     Ok(())
 }
@@ -371,11 +315,7 @@ fn effect_at_the_end(rig: &mut Rig) -> Verdict {
     rig.send(SDO_REQUEST, &request(0x80, index, subindex, [0, 0, 0, 8]));
     rig.pass(5);
     let found = upload_segments(rig, DOMAIN)?;
-    ensure!(
-        found == b"as it was before",
-        "{} after an aborted download",
-        hex(&found)
-    );
+    ensure!(found == b"as it was before", "{} after an aborted download", hex(&found));
     Ok(())
 }
 
@@ -390,11 +330,7 @@ fn toggle_upload(rig: &mut Rig) -> Verdict {
         aborted(&answer, TEXT, &[0x0503_0000], "repeated toggle")?;
         // The transfer has ended.
         let answer = rig.transfer([0x70, 0, 0, 0, 0, 0, 0, 0])?;
-        ensure!(
-            answer[0] == 0x80,
-            "the transfer goes on after its abort: {}",
-            hex(&answer)
-        );
+        ensure!(answer[0] == 0x80, "the transfer goes on after its abort: {}", hex(&answer));
     }
     Ok(())
 }
@@ -425,24 +361,14 @@ fn excess(rig: &mut Rig) -> Verdict {
     rig.transfer(request(0x21, index, subindex, [8, 0, 0, 0]))?;
     rig.transfer([0x00, 1, 2, 3, 4, 5, 6, 7])?;
     let answer = rig.transfer([0x10 | 1, 1, 2, 3, 4, 5, 6, 7])?;
-    aborted(
-        &answer,
-        DOMAIN,
-        &[0x0607_0010, 0x0607_0012],
-        "14 bytes after 8 were announced",
-    )
+    aborted(&answer, DOMAIN, &[0x0607_0010, 0x0607_0012], "14 bytes after 8 were announced")
 }
 
 fn shortfall(rig: &mut Rig) -> Verdict {
     let (index, subindex) = DOMAIN;
     rig.transfer(request(0x21, index, subindex, [20, 0, 0, 0]))?;
     let answer = rig.transfer([0x01, 1, 2, 3, 4, 5, 6, 7])?;
-    aborted(
-        &answer,
-        DOMAIN,
-        &[0x0607_0010, 0x0607_0013],
-        "7 bytes after 20 were announced",
-    )
+    aborted(&answer, DOMAIN, &[0x0607_0010, 0x0607_0013], "7 bytes after 20 were announced")
 }
 
 fn unknown_command(rig: &mut Rig) -> Verdict {
@@ -456,11 +382,7 @@ fn stray_segment(rig: &mut Rig) -> Verdict {
     for command in [0x60, 0x70, 0x00, 0x11] {
         let answer = rig.transfer([command, 0, 0, 0, 0, 0, 0, 0])?;
         let code = u32::from_le_bytes([answer[4], answer[5], answer[6], answer[7]]);
-        ensure!(
-            answer[0] == 0x80 && code == 0x0504_0001,
-            "{command:02X}: {}",
-            hex(&answer)
-        );
+        ensure!(answer[0] == 0x80 && code == 0x0504_0001, "{command:02X}: {}", hex(&answer));
     }
     Ok(())
 }
@@ -471,16 +393,9 @@ fn client_abort(rig: &mut Rig) -> Verdict {
     let mark = rig.mark();
     rig.send(SDO_REQUEST, &request(0x80, index, subindex, [0, 0, 0, 8]));
     rig.pass(20);
-    ensure!(
-        rig.heard(mark, SDO_ANSWER).is_empty(),
-        "an abort was answered"
-    );
+    ensure!(rig.heard(mark, SDO_ANSWER).is_empty(), "an abort was answered");
     let answer = rig.transfer([0x60, 0, 0, 0, 0, 0, 0, 0])?;
-    ensure!(
-        answer[0] == 0x80,
-        "the transfer goes on after its abort: {}",
-        hex(&answer)
-    );
+    ensure!(answer[0] == 0x80, "the transfer goes on after its abort: {}", hex(&answer));
     upload_segments(rig, TEXT).map(drop)
 }
 
@@ -502,11 +417,9 @@ fn refused_unchanged(rig: &mut Rig) -> Verdict {
 }
 
 fn answer_frame(rig: &mut Rig) -> Verdict {
-    for request in [
-        request(0x40, 0x1000, 0, [0; 4]),
-        request(0x40, 0x1002, 0, [0; 4]),
-        download_request(0x1017, 0, 0, 2),
-    ] {
+    for request in
+        [request(0x40, 0x1000, 0, [0; 4]), request(0x40, 0x1002, 0, [0; 4]), download_request(0x1017, 0, 0, 2)]
+    {
         let mark = rig.mark();
         rig.send(SDO_REQUEST, &request);
         rig.pass(50);

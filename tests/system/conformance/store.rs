@@ -146,12 +146,7 @@ fn refuse_signatures(rig: &mut Rig, index: u16, right: i64) -> Verdict {
     let reversed = i64::from((right as u32).swap_bytes());
     for value in [reversed, right ^ 1, SAVE + LOAD - right, 0, 1] {
         let answer = rig.download(index, 1, value, 4)?;
-        aborted(
-            &answer,
-            (index, 1),
-            REFUSALS,
-            &format!("signature {value:#010x}"),
-        )?;
+        aborted(&answer, (index, 1), REFUSALS, &format!("signature {value:#010x}"))?;
     }
     Ok(())
 }
@@ -191,10 +186,7 @@ fn store_pdo(rig: &mut Rig) -> Verdict {
     let sent = rig.heard(mark, 0x2A2);
     ensure!(sent.len() == 1 && sent[0].data.len() == 4, "{sent:02X?}");
     let word = rig.read(0x6041, 0)?;
-    ensure!(
-        word & 0x6F == 0x21,
-        "statusword {word:#06x} after the stored RPDO"
-    );
+    ensure!(word & 0x6F == 0x21, "statusword {word:#06x} after the stored RPDO");
     Ok(())
 }
 
@@ -215,11 +207,7 @@ fn store_no_history(rig: &mut Rig) -> Verdict {
     for command in [0x82, 0x81] {
         rig.reset(command);
         let count = rig.read(0x1003, 0)?;
-        ensure!(
-            count == 0,
-            "{count} errors in the history after the reset {}",
-            hex(&[command])
-        );
+        ensure!(count == 0, "{count} errors in the history after the reset {}", hex(&[command]));
     }
     Ok(())
 }

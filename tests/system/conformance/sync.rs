@@ -160,10 +160,7 @@ fn every_nth(rig: &mut Rig) -> Verdict {
             }
         }
         let spaced = at.windows(2).all(|pair| pair[1] - pair[0] == n);
-        ensure!(
-            spaced && at.len() == 3,
-            "type {n}: sent after SYNC number {at:?}"
-        );
+        ensure!(spaced && at.len() == 3, "type {n}: sent after SYNC number {at:?}");
     }
     Ok(())
 }
@@ -185,18 +182,10 @@ fn acyclic(rig: &mut Rig) -> Verdict {
         rig.pass(10);
         ensure!(sent(rig, mark, 2) == 0, "sent before the SYNC");
         sync(rig);
-        ensure!(
-            sent(rig, mark, 2) == 1,
-            "{} sent after event and SYNC",
-            sent(rig, mark, 2)
-        );
+        ensure!(sent(rig, mark, 2) == 1, "{} sent after event and SYNC", sent(rig, mark, 2));
         sync(rig);
         sync(rig);
-        ensure!(
-            sent(rig, mark, 2) == 1,
-            "{} sent after SYNCs without an event",
-            sent(rig, mark, 2)
-        );
+        ensure!(sent(rig, mark, 2) == 1, "{} sent after SYNCs without an event", sent(rig, mark, 2));
     }
     Ok(())
 }
@@ -208,11 +197,7 @@ fn no_event(rig: &mut Rig) -> Verdict {
     let mark = rig.mark();
     event(rig, 0x06)?;
     rig.pass(100);
-    ensure!(
-        sent(rig, mark, 2) == 0,
-        "{} sent without SYNC",
-        sent(rig, mark, 2)
-    );
+    ensure!(sent(rig, mark, 2) == 0, "{} sent without SYNC", sent(rig, mark, 2));
     Ok(())
 }
 
@@ -228,10 +213,7 @@ fn rpdo_waits(rig: &mut Rig) -> Verdict {
         rig.nmt(0x01);
         rig.send(RPDO[0], &[0x06, 0x00]);
         rig.pass(20);
-        ensure!(
-            state(rig)? & 0x4F == 0x40,
-            "type {kind}: effect before the SYNC"
-        );
+        ensure!(state(rig)? & 0x4F == 0x40, "type {kind}: effect before the SYNC");
         sync(rig);
         ensure!(state(rig)? == 0x21, "type {kind}: no effect after the SYNC");
     }
@@ -321,11 +303,7 @@ fn rtr_types(rig: &mut Rig) -> Verdict {
         rig.write(0x1801, 1, 0x8000_0000 | id, 4)?;
         let answer = rig.download(0x1801, 2, kind, 1)?;
         if answer[0] == 0x80 {
-            ensure!(
-                answer[4..] == [0x30, 0x00, 0x09, 0x06],
-                "type {kind}: {}",
-                hex(&answer)
-            );
+            ensure!(answer[4..] == [0x30, 0x00, 0x09, 0x06], "type {kind}: {}", hex(&answer));
             continue;
         }
         rig.write(0x1801, 1, id, 4)?;
@@ -334,11 +312,7 @@ fn rtr_types(rig: &mut Rig) -> Verdict {
         let mark = rig.mark();
         rig.send_remote(TPDO[1], 3);
         rig.pass(5);
-        ensure!(
-            sent(rig, mark, 2) == 1,
-            "type {kind}: {} answers to a remote frame",
-            sent(rig, mark, 2)
-        );
+        ensure!(sent(rig, mark, 2) == 1, "type {kind}: {} answers to a remote frame", sent(rig, mark, 2));
     }
     Ok(())
 }

@@ -117,11 +117,7 @@ fn event_driven(rig: &mut Rig) -> Verdict {
         let mark = rig.mark();
         rig.pass(300);
         let idle = tpdo(1).sent(rig, mark);
-        ensure!(
-            idle.is_empty(),
-            "type {kind}: {} TPDOs without an event",
-            idle.len()
-        );
+        ensure!(idle.is_empty(), "type {kind}: {} TPDOs without an event", idle.len());
         let mark = rig.mark();
         rig.write(0x6040, 0, 0x06, 2)?;
         rig.pass(50);
@@ -138,10 +134,7 @@ fn event_driven(rig: &mut Rig) -> Verdict {
 /// Milliseconds between frames of a TPDO.
 fn gaps(rig: &Rig, mark: Mark, pdo: Pdo) -> Vec<f64> {
     let heard = rig.heard(mark, pdo.id);
-    heard
-        .windows(2)
-        .map(|pair| pair[1].at.since(pair[0].at).as_secs_f64() * 1e3)
-        .collect()
+    heard.windows(2).map(|pair| pair[1].at.since(pair[0].at).as_secs_f64() * 1e3).collect()
 }
 
 /// Configures TPDO2, which carries statusword and mode, with its timers.
@@ -193,16 +186,10 @@ fn inhibit(rig: &mut Rig) -> Verdict {
     rig.write(0x6040, 0, 0x06, 2)?;
     rig.pass(100);
     let gaps = gaps(rig, mark, tpdo(2));
-    ensure!(
-        gaps.len() >= 3 && gaps.iter().all(|&gap| gap >= 39.9),
-        "{gaps:.1?} ms apart at an inhibit time of 40 ms"
-    );
+    ensure!(gaps.len() >= 3 && gaps.iter().all(|&gap| gap >= 39.9), "{gaps:.1?} ms apart at an inhibit time of 40 ms");
     let last = tpdo(2).sent(rig, mark).pop().unwrap_or_default();
     let word = rig.upload(0x6041, 0)?;
-    ensure!(
-        last.starts_with(&word),
-        "{last:02X?} sent last, the statusword is {word:02X?}"
-    );
+    ensure!(last.starts_with(&word), "{last:02X?} sent last, the statusword is {word:02X?}");
     Ok(())
 }
 
@@ -211,10 +198,7 @@ fn inhibit_over_timer(rig: &mut Rig) -> Verdict {
     let mark = rig.mark();
     rig.pass(600);
     let gaps = gaps(rig, mark, tpdo(2));
-    ensure!(
-        gaps.len() >= 5 && gaps.iter().all(|&gap| gap >= 49.9),
-        "{gaps:.1?} ms apart at an inhibit time of 50 ms"
-    );
+    ensure!(gaps.len() >= 5 && gaps.iter().all(|&gap| gap >= 49.9), "{gaps:.1?} ms apart at an inhibit time of 50 ms");
     Ok(())
 }
 
@@ -243,10 +227,7 @@ fn immediate(rig: &mut Rig) -> Verdict {
 
 /// EMCY codes since `mark`.
 fn codes(rig: &Rig, mark: Mark) -> Vec<u16> {
-    rig.heard(mark, EMCY)
-        .iter()
-        .map(|heard| u16::from_le_bytes([heard.data[0], heard.data[1]]))
-        .collect()
+    rig.heard(mark, EMCY).iter().map(|heard| u16::from_le_bytes([heard.data[0], heard.data[1]])).collect()
 }
 
 fn too_few_bytes(rig: &mut Rig) -> Verdict {
@@ -258,17 +239,10 @@ fn too_few_bytes(rig: &mut Rig) -> Verdict {
     let mark = rig.mark();
     rig.send(RPDO[2], &[0x06, 0x00, 0x11, 0x22, 0x33]);
     rig.pass(10);
-    ensure!(
-        codes(rig, mark) == [0x8210],
-        "EMCY {:04X?}",
-        codes(rig, mark)
-    );
+    ensure!(codes(rig, mark) == [0x8210], "EMCY {:04X?}", codes(rig, mark));
     rig.expect(0x607A, 0, 5)?;
     let word = rig.read(0x6041, 0)?;
-    ensure!(
-        word & 0x6F != 0x21,
-        "the controlword of a short RPDO was processed"
-    );
+    ensure!(word & 0x6F != 0x21, "the controlword of a short RPDO was processed");
     Ok(())
 }
 
@@ -301,17 +275,9 @@ fn deadline(rig: &mut Rig) -> Verdict {
         rig.send(RPDO[2], &COMMAND);
         rig.pass(25);
     }
-    ensure!(
-        codes(rig, mark).is_empty(),
-        "EMCY {:04X?} while the RPDO comes in time",
-        codes(rig, mark)
-    );
+    ensure!(codes(rig, mark).is_empty(), "EMCY {:04X?} while the RPDO comes in time", codes(rig, mark));
     rig.pass(40);
-    ensure!(
-        codes(rig, mark) == [0x8250],
-        "EMCY {:04X?}",
-        codes(rig, mark)
-    );
+    ensure!(codes(rig, mark) == [0x8250], "EMCY {:04X?}", codes(rig, mark));
     Ok(())
 }
 
@@ -319,11 +285,7 @@ fn deadline_waits(rig: &mut Rig) -> Verdict {
     with_deadlines(rig, 30, 30)?;
     let mark = rig.mark();
     rig.pass(300);
-    ensure!(
-        codes(rig, mark).is_empty(),
-        "EMCY {:04X?}",
-        codes(rig, mark)
-    );
+    ensure!(codes(rig, mark).is_empty(), "EMCY {:04X?}", codes(rig, mark));
     Ok(())
 }
 
@@ -334,18 +296,10 @@ fn deadline_configured(rig: &mut Rig) -> Verdict {
     let mark = rig.mark();
     rig.write(0x1402, 5, 30, 2)?;
     rig.pass(100);
-    ensure!(
-        codes(rig, mark).is_empty(),
-        "EMCY {:04X?} for an RPDO of before",
-        codes(rig, mark)
-    );
+    ensure!(codes(rig, mark).is_empty(), "EMCY {:04X?} for an RPDO of before", codes(rig, mark));
     rig.send(RPDO[2], &COMMAND);
     rig.pass(40);
-    ensure!(
-        codes(rig, mark) == [0x8250],
-        "EMCY {:04X?} after the next reception",
-        codes(rig, mark)
-    );
+    ensure!(codes(rig, mark) == [0x8250], "EMCY {:04X?} after the next reception", codes(rig, mark));
     Ok(())
 }
 
@@ -355,24 +309,13 @@ fn own_deadlines(rig: &mut Rig) -> Verdict {
     rig.send(RPDO[2], &COMMAND);
     rig.send(RPDO[3], &COMMAND);
     rig.pass(45);
-    ensure!(
-        codes(rig, mark) == [0x8250],
-        "EMCY {:04X?} after the first deadline",
-        codes(rig, mark)
-    );
+    ensure!(codes(rig, mark) == [0x8250], "EMCY {:04X?} after the first deadline", codes(rig, mark));
     rig.pass(40);
-    ensure!(
-        codes(rig, mark) == [0x8250, 0x8250],
-        "EMCY {:04X?} after both deadlines",
-        codes(rig, mark)
-    );
+    ensure!(codes(rig, mark) == [0x8250, 0x8250], "EMCY {:04X?} after both deadlines", codes(rig, mark));
     // RPDO3 is received again; RPDO4 is still missing.
     rig.send(RPDO[2], &COMMAND);
     rig.pass(5);
-    ensure!(
-        rig.read(0x1001, 0)? & 0x10 != 0,
-        "the error of RPDO4 ended with RPDO3"
-    );
+    ensure!(rig.read(0x1001, 0)? & 0x10 != 0, "the error of RPDO4 ended with RPDO3");
     rig.send(RPDO[2], &COMMAND);
     rig.send(RPDO[3], &COMMAND);
     rig.pass(5);

@@ -55,13 +55,7 @@ pub(super) const ROWS: &[Row] = &[
         "is the slope of a falling speed",
         deceleration,
     ),
-    CIA_402_2.row(
-        "pv-demand",
-        "",
-        ("Velocity demand value", &[0x606B]),
-        "is the ramp that the axis follows",
-        demand,
-    ),
+    CIA_402_2.row("pv-demand", "", ("Velocity demand value", &[0x606B]), "is the ramp that the axis follows", demand),
     CIA_402_2.row(
         "pv-max-velocity",
         "",
@@ -76,13 +70,7 @@ pub(super) const ROWS: &[Row] = &[
         "limits the target velocity",
         max_motor_speed,
     ),
-    CIA_402_2.row(
-        "pv-max-acceleration",
-        "",
-        ("Max acceleration", &[0x60C5]),
-        "limits 0x6083",
-        max_acceleration,
-    ),
+    CIA_402_2.row("pv-max-acceleration", "", ("Max acceleration", &[0x60C5]), "limits 0x6083", max_acceleration),
     CIA_402_2.row(
         "pv-halt",
         "",
@@ -133,10 +121,7 @@ fn target(rig: &mut Rig) -> Verdict {
         let second = (rig.position()?, rig.now());
         let measured = f64::from(second.0 - first.0) / second.1.since(first.1).as_secs_f64();
         let expected = counts_per_second(f64::from(speed));
-        ensure!(
-            (measured - expected).abs() <= 0.03 * expected.abs() + 50.0,
-            "{measured:.0} counts/s at {speed} rpm"
-        );
+        ensure!((measured - expected).abs() <= 0.03 * expected.abs() + 50.0, "{measured:.0} counts/s at {speed} rpm");
     }
     Ok(())
 }
@@ -183,11 +168,9 @@ fn speed_zero(rig: &mut Rig) -> Verdict {
 /// Configures a motor with friction and gravity, and an encoder that jitters at rest.
 fn steady_at_rest(rig: &mut Rig) -> Verdict {
     use hil::Irp6Axis;
-    for axis in [
-        AxisConfig::irp6(Irp6Axis::Column),
-        AxisConfig::irp6(Irp6Axis::UpperArm),
-        AxisConfig::wut(Irp6Axis::Column),
-    ] {
+    for axis in
+        [AxisConfig::irp6(Irp6Axis::Column), AxisConfig::irp6(Irp6Axis::UpperArm), AxisConfig::wut(Irp6Axis::Column)]
+    {
         rig.boot_on(axis);
         rig.write(0x60FF, 0, 0, 4)?;
         rig.enable(PV)?;
@@ -196,10 +179,7 @@ fn steady_at_rest(rig: &mut Rig) -> Verdict {
         ensure!(first & 0x1400 == 0x1400, "statusword {first:#06x} at rest");
         for _ in 0..500 {
             let word = rig.statusword()?;
-            ensure!(
-                word == first,
-                "statusword {word:#06x} at rest, before {first:#06x}"
-            );
+            ensure!(word == first, "statusword {word:#06x} at rest, before {first:#06x}");
         }
     }
     Ok(())
@@ -209,11 +189,7 @@ fn steady_at_rest(rig: &mut Rig) -> Verdict {
 fn ramp(rig: &mut Rig, speed: i32, (from, to): (i32, i32)) -> Result<f64, Deviation> {
     rig.write(0x60FF, 0, i64::from(speed), 4)?;
     let passed = |velocity: i32, mark: i32| {
-        if to > from {
-            velocity >= mark
-        } else {
-            velocity <= mark
-        }
+        if to > from { velocity >= mark } else { velocity <= mark }
     };
     let mut begin = None;
     for _ in 0..2_000 {
@@ -327,37 +303,20 @@ fn units(rig: &mut Rig) -> Verdict {
     rig.enable(PV)?;
     rig.pass(400);
     let velocity = rig.velocity()?;
-    ensure!(
-        (velocity - 1_000_000).abs() <= 15_000,
-        "velocity {velocity} thousandths of rpm"
-    );
+    ensure!((velocity - 1_000_000).abs() <= 15_000, "velocity {velocity} thousandths of rpm");
     let first = (rig.position()?, rig.now());
     rig.pass(50);
     let second = (rig.position()?, rig.now());
     let measured = f64::from(second.0 - first.0) / second.1.since(first.1).as_secs_f64();
-    ensure!(
-        (measured - counts_per_second(1_000.0)).abs() <= 2_000.0,
-        "{measured:.0} counts/s at 1000 rpm"
-    );
+    ensure!((measured - counts_per_second(1_000.0)).abs() <= 2_000.0, "{measured:.0} counts/s at 1000 rpm");
     Ok(())
 }
 
 fn inputs(rig: &mut Rig) -> Verdict {
-    for (angle, expected) in [
-        (START, 0b000),
-        (START - 11.0, 0b001),
-        (START + 11.0, 0b010),
-        (START - 5.0, 0b100),
-    ] {
-        rig.boot_on(AxisConfig {
-            start_angle: angle,
-            ..switched_axis()
-        });
+    for (angle, expected) in [(START, 0b000), (START - 11.0, 0b001), (START + 11.0, 0b010), (START - 5.0, 0b100)] {
+        rig.boot_on(AxisConfig { start_angle: angle, ..switched_axis() });
         let inputs = rig.read(0x60FD, 0)?;
-        ensure!(
-            inputs & 0b111 == expected,
-            "inputs {inputs:#x} at {angle} rad, expected {expected:#05b}"
-        );
+        ensure!(inputs & 0b111 == expected, "inputs {inputs:#x} at {angle} rad, expected {expected:#05b}");
     }
     Ok(())
 }

@@ -67,13 +67,7 @@ pub(super) fn serial(axis: Irp6Axis, output: Output) -> Rig {
         Output::Duty => (by_duty(axis), |axis| Box::new(ByPulseWidth::new(axis))),
         Output::Velocity => unreachable!("no axis controller on a line closes a velocity loop"),
     };
-    Rig {
-        host,
-        counts: f64::from(AxisConfig::irp6(axis).counts_per_revolution),
-        delay: 2,
-        motor,
-        axis,
-    }
+    Rig { host, counts: f64::from(AxisConfig::irp6(axis).counts_per_revolution), delay: 2, motor, axis }
 }
 
 #[test]
@@ -84,10 +78,7 @@ fn cascades_over_a_serial_line_are_well_damped() {
             let rig = serial(axis, output);
             let (crossover, margin) = rig.margin(15.0);
             println!("{axis:10?} {crossover:6.1} {margin:6.1} {:?}", rig.host);
-            assert!(
-                (12.0..22.0).contains(&crossover),
-                "{axis:?}: {crossover} Hz"
-            );
+            assert!((12.0..22.0).contains(&crossover), "{axis:?}: {crossover} Hz");
             assert!(margin > 40.0, "{axis:?}: {margin} degrees");
         }
     }
@@ -95,29 +86,16 @@ fn cascades_over_a_serial_line_are_well_damped() {
 
 #[test]
 fn a_fast_move_keeps_within_a_fifth_of_a_radian() {
-    let motion = Trapezoid {
-        distance: 80.0,
-        velocity: 250.0,
-        acceleration: 1500.0,
-    };
+    let motion = Trapezoid { distance: 80.0, velocity: 250.0, acceleration: 1500.0 };
     for output in [Output::Torque, Output::Duty] {
         for axis in Irp6Axis::ALL {
             let mut running = serial(axis, output).enable();
             running.follow(motion);
             running.run(1000);
             let phase = running.phase();
-            assert_eq!(
-                phase,
-                Phase::Standing,
-                "{axis:?}: {:?}",
-                running.servo.fault(0)
-            );
+            assert_eq!(phase, Phase::Standing, "{axis:?}: {:?}", running.servo.fault(0));
             let tracking = running.servo.tracking(0).next().unwrap();
-            println!(
-                "{output:?} {axis:10?} peak {:.3} rad, rms {:.3}",
-                tracking.peak(),
-                tracking.rms()
-            );
+            println!("{output:?} {axis:10?} peak {:.3} rad, rms {:.3}", tracking.peak(), tracking.rms());
             assert!(tracking.peak() < 0.2, "{axis:?}: {} rad", tracking.peak());
         }
     }

@@ -7,8 +7,7 @@ use std::time::Duration;
 
 use can::Instant;
 use drive::{
-    AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Increments, Power,
-    Setpoint, Switches,
+    AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Increments, Power, Setpoint, Switches,
 };
 use hil::AxisConfig;
 use hil::plant::{self, Demand, Irp6Axis};
@@ -57,10 +56,7 @@ impl DriveGroup for Latching {
 
     fn read(&mut self, now: Instant, states: &mut [AxisState]) {
         for (state, latch) in states.iter_mut().zip(&self.axes) {
-            *state = AxisState {
-                at: now,
-                ..latch.state
-            };
+            *state = AxisState { at: now, ..latch.state };
         }
     }
 
@@ -130,8 +126,8 @@ impl Latch {
         if !seeks {
             self.axis.take_index();
         }
-        let (AxisCommand::Follow(Setpoint::Torque(torque))
-        | AxisCommand::Seek(Setpoint::Torque(torque))) = self.command
+        let (AxisCommand::Follow(Setpoint::Torque(torque)) | AxisCommand::Seek(Setpoint::Torque(torque))) =
+            self.command
         else {
             let idle = match power {
                 Power::On => Demand::Torque(0.0),
@@ -148,16 +144,8 @@ impl Latch {
 /// Homing parameters of the robot's own software, with ramps.
 const HOMING: HostHoming = HostHoming {
     direction: Direction::Negative,
-    search: HomingLeg {
-        velocity: 15.0,
-        distance: 100.0,
-        timeout: Duration::from_secs(10),
-    },
-    zero: HomingLeg {
-        velocity: 3.5,
-        distance: 10.0,
-        timeout: Duration::from_secs(5),
-    },
+    search: HomingLeg { velocity: 15.0, distance: 100.0, timeout: Duration::from_secs(10) },
+    zero: HomingLeg { velocity: 3.5, distance: 10.0, timeout: Duration::from_secs(5) },
     acceleration: 150.0,
     pause: Duration::from_millis(200),
     debounce: 3,
@@ -178,14 +166,8 @@ fn six_physical_axes_find_their_references_at_once_and_without_a_kick() {
     };
     let configs = Irp6Axis::ALL.map(bouncing);
     let trace = Arc::new(Mutex::new(Trace::default()));
-    let latches = configs
-        .iter()
-        .zip(1..)
-        .map(|(config, seed)| Latch::new(config, seed));
-    let group = Latching {
-        axes: latches.collect(),
-        trace: Arc::clone(&trace),
-    };
+    let latches = configs.iter().zip(1..).map(|(config, seed)| Latch::new(config, seed));
+    let group = Latching { axes: latches.collect(), trace: Arc::clone(&trace) };
     let axes = Irp6Axis::ALL.into_iter().enumerate().map(|(index, axis)| {
         let rig: Rig = serial(axis, Output::Torque);
         let mut config = rig.axis_config();
@@ -203,21 +185,11 @@ fn six_physical_axes_find_their_references_at_once_and_without_a_kick() {
     };
     link.orders.push(Order::Enable).unwrap();
     run(&mut servo, 250);
-    assert_eq!(
-        servo.state(0).unwrap().phase(),
-        Phase::Standing,
-        "{:?}",
-        servo.fault(0)
-    );
+    assert_eq!(servo.state(0).unwrap().phase(), Phase::Standing, "{:?}", servo.fault(0));
     let begin = trace.lock().unwrap().torques.len();
     link.orders.push(Order::Home).unwrap();
     run(&mut servo, 5000);
-    assert_eq!(
-        servo.state(0).unwrap().phase(),
-        Phase::Standing,
-        "{:?}",
-        servo.fault(0)
-    );
+    assert_eq!(servo.state(0).unwrap().phase(), Phase::Standing, "{:?}", servo.fault(0));
 
     let trace = trace.lock().unwrap();
     let offsets: Vec<i64> = servo.homing_offsets(0).map(Option::unwrap).collect();
@@ -227,20 +199,10 @@ fn six_physical_axes_find_their_references_at_once_and_without_a_kick() {
         // The counter was zero at power-on.
         let way = (config.index_angle - config.start_angle) / TAU * counts;
         // A count for each of the two roundings, and the motion in the period by which the latch sample may be late.
-        assert!(
-            (offsets[axis] as f64 - way).abs() < 8.0,
-            "{name:?}: {} for {way}",
-            offsets[axis]
-        );
+        assert!((offsets[axis] as f64 - way).abs() < 8.0, "{name:?}: {} for {way}", offsets[axis]);
         let rest = trace.angles.last().unwrap()[axis] - config.index_angle;
-        assert!(
-            (0.0..0.3).contains(&rest),
-            "{name:?} rests {rest} rad from its reference"
-        );
-        let angles: Vec<f64> = trace.angles[begin..]
-            .iter()
-            .map(|angles| angles[axis])
-            .collect();
+        assert!((0.0..0.3).contains(&rest), "{name:?} rests {rest} rad from its reference");
+        let angles: Vec<f64> = trace.angles[begin..].iter().map(|angles| angles[axis]).collect();
         let speed = |two: &[f64]| (two[1] - two[0]).abs() / DT;
         let fastest = angles.windows(2).map(speed).fold(0.0, f64::max);
         assert!(fastest < 17.5, "{name:?}: {fastest} rad/s");

@@ -56,12 +56,7 @@ impl Letter {
         let last = POINTS - 1;
         for (row, [a, b, c], before, after) in [
             (0, [0, 1, 2], chords[0], chords[1]),
-            (
-                last,
-                [last - 2, last - 1, last],
-                chords[last - 2],
-                chords[last - 1],
-            ),
+            (last, [last - 2, last - 1, last], chords[last - 2], chords[last - 1]),
         ] {
             matrix[(row, a)] = after;
             matrix[(row, b)] = -(before + after);
@@ -78,14 +73,8 @@ impl Letter {
             let first = usize::from(i > 0);
             for k in first..=each {
                 let (at, velocity, bend) = self.at(i, chord, k as f64 / each as f64);
-                let way = samples
-                    .last()
-                    .map_or(0.0, |last: &Sample| last.way + (at - last.at).norm());
-                samples.push(Sample {
-                    at,
-                    curvature: velocity.perp(&bend).abs() / velocity.norm().powi(3),
-                    way,
-                });
+                let way = samples.last().map_or(0.0, |last: &Sample| last.way + (at - last.at).norm());
+                samples.push(Sample { at, curvature: velocity.perp(&bend).abs() / velocity.norm().powi(3), way });
             }
         }
         samples
@@ -99,8 +88,7 @@ impl Letter {
         let sixth = chord * chord / 6.0;
         (
             v * from + w * to + sixth * ((v.powi(3) - v) * before + (w.powi(3) - w) * after),
-            (to - from) / chord
-                + sixth / chord * ((1.0 - 3.0 * v * v) * before + (3.0 * w * w - 1.0) * after),
+            (to - from) / chord + sixth / chord * ((1.0 - 3.0 * v * v) * before + (3.0 * w * w - 1.0) * after),
             v * before + w * after,
         )
     }
@@ -110,10 +98,8 @@ impl Letter {
 /// Tangential and normal acceleration are each limited to `acceleration`, m/s².
 pub(super) fn points(feed: f64, acceleration: f64, dt: f64) -> Vec<Vector2<f64>> {
     let samples = Letter::new().samples();
-    let mut squared: Vec<f64> = samples
-        .iter()
-        .map(|sample| (feed * feed).min(acceleration / sample.curvature))
-        .collect();
+    let mut squared: Vec<f64> =
+        samples.iter().map(|sample| (feed * feed).min(acceleration / sample.curvature)).collect();
     let last = samples.len() - 1;
     (squared[0], squared[last]) = (0.0, 0.0);
     let gain = |i: usize| 2.0 * acceleration * (samples[i + 1].way - samples[i].way);

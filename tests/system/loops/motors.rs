@@ -2,8 +2,7 @@
 
 use hil::AxisConfig;
 use hil::plant::{
-    self, Demand, FrictionConfig, Gravity, Irp6Axis, Mechanism, MotorConfig, PlantConfig, Wut,
-    WutConfig,
+    self, Demand, FrictionConfig, Gravity, Irp6Axis, Mechanism, MotorConfig, PlantConfig, Wut, WutConfig,
 };
 
 use super::DT;
@@ -29,11 +28,7 @@ pub(super) struct Regression {
 
 impl Regression {
     pub(super) fn new(config: &WutConfig, steps: u32, angle: f64) -> Self {
-        Self {
-            steps,
-            motor: Wut::new(config, angle),
-            torque_constant: config.torque_constant,
-        }
+        Self { steps, motor: Wut::new(config, angle), torque_constant: config.torque_constant }
     }
 }
 
@@ -61,10 +56,7 @@ pub(super) fn physical(axis: Irp6Axis) -> MotorConfig {
 /// An axis that starts 40 rad below its home position and therefore has room to run.
 fn axis_config(axis: Irp6Axis) -> AxisConfig {
     let config = AxisConfig::irp6(axis);
-    AxisConfig {
-        start_angle: config.index_angle - 40.0,
-        ..config
-    }
+    AxisConfig { start_angle: config.index_angle - 40.0, ..config }
 }
 
 /// The physical axis with a drive that controls its current.
@@ -77,10 +69,7 @@ impl ByCurrent {
 
     /// The axis at `angle`, rad, with the load of the arm's links.
     pub(super) fn mounted(axis: Irp6Axis, angle: f64, arm: &Mechanism) -> Self {
-        let config = AxisConfig {
-            start_angle: angle,
-            ..AxisConfig::irp6(axis)
-        };
+        let config = AxisConfig { start_angle: angle, ..AxisConfig::irp6(axis) };
         let mount = arm.mount(axis as usize, config.index_angle);
         let seed = 7 + axis as u64;
         Self(plant::PlantAxis::mounted(&config, seed, mount.as_ref()))
@@ -88,16 +77,8 @@ impl ByCurrent {
 
     /// The axis at `angle`, rad, without weight and dry friction.
     pub(super) fn weightless(axis: Irp6Axis, angle: f64) -> Self {
-        let motor = MotorConfig {
-            gravity: Gravity::NONE,
-            friction: FrictionConfig::NONE,
-            ..physical(axis)
-        };
-        let config = AxisConfig {
-            plant: PlantConfig::Physical(motor),
-            start_angle: angle,
-            ..AxisConfig::irp6(axis)
-        };
+        let motor = MotorConfig { gravity: Gravity::NONE, friction: FrictionConfig::NONE, ..physical(axis) };
+        let config = AxisConfig { plant: PlantConfig::Physical(motor), start_angle: angle, ..AxisConfig::irp6(axis) };
         Self(plant::PlantAxis::new(&config, 7 + axis as u64))
     }
 }
@@ -124,12 +105,7 @@ impl ByPulseWidth {
     const STEP: f64 = 1e-5;
 
     pub(super) fn new(axis: Irp6Axis) -> Self {
-        Self {
-            config: physical(axis),
-            angle: axis_config(axis).start_angle,
-            velocity: 0.0,
-            current: 0.0,
-        }
+        Self { config: physical(axis), angle: axis_config(axis).start_angle, velocity: 0.0, current: 0.0 }
     }
 }
 
@@ -143,8 +119,7 @@ impl Motor for ByPulseWidth {
         for _ in 0..(DT / Self::STEP).round() as u32 {
             let voltage = input * SUPPLY - c.torque_constant * self.velocity;
             self.current += (voltage - c.resistance * self.current) / c.inductance * Self::STEP;
-            let weight =
-                c.gravity.amplitude * (self.angle / c.gravity.ratio + c.gravity.phase).cos();
+            let weight = c.gravity.amplitude * (self.angle / c.gravity.ratio + c.gravity.phase).cos();
             let torque = c.torque_constant * self.current + weight - c.viscous * self.velocity;
             let free = self.velocity + torque / c.inertia * Self::STEP;
             let slowing = c.friction.coulomb / c.inertia * Self::STEP;

@@ -68,10 +68,7 @@ struct Figures {
 impl Figures {
     fn of(errors: impl ExactSizeIterator<Item = f64> + Clone) -> Self {
         let count = errors.len() as f64;
-        Self {
-            rms: (errors.clone().map(|e| e * e).sum::<f64>() / count).sqrt(),
-            max: errors.fold(0.0, f64::max),
-        }
+        Self { rms: (errors.clone().map(|e| e * e).sum::<f64>() / count).sqrt(), max: errors.fold(0.0, f64::max) }
     }
 }
 
@@ -102,8 +99,7 @@ fn at_the_limits() -> Vec<Motors> {
     let robot = robot();
     let from = [-0.6, -1.9, -0.2, -0.4, 1.0, -0.5];
     let to = [0.6, -1.2, 0.4, 0.5, 2.2, 0.6];
-    let joints =
-        |s: f64| -> [f64; AXES] { std::array::from_fn(|i| from[i] + s * (to[i] - from[i])) };
+    let joints = |s: f64| -> [f64; AXES] { std::array::from_fn(|i| from[i] + s * (to[i] - from[i])) };
     let motors = |s: f64| {
         let joints = Joints::new(&joints(s)).unwrap();
         robot.motors_from_joints(&joints).unwrap()
@@ -119,17 +115,11 @@ fn at_the_limits() -> Vec<Motors> {
             acceleration = acceleration.min(7.0 / joint).min(150.0 / motor);
         }
     }
-    let motion = Trapezoid {
-        distance: 1.0,
-        velocity,
-        acceleration,
-    };
+    let motion = Trapezoid { distance: 1.0, velocity, acceleration };
     let velocity = velocity.min(acceleration.sqrt());
     let motion = Trapezoid { velocity, ..motion };
     let count = (motion.duration() / DT).ceil() as u32;
-    (0..=count)
-        .map(|k| motors(motion.at(f64::from(k) * DT)))
-        .collect()
+    (0..=count).map(|k| motors(motion.at(f64::from(k) * DT))).collect()
 }
 
 fn flange(motors: &[f64; AXES]) -> Point3<f64> {
@@ -152,16 +142,12 @@ impl Plant {
     fn feed_forward(self, axis: Irp6Axis, arm: &Mechanism) -> FeedForward {
         let (wut, motor) = (regression_motor(axis), physical(axis));
         match self {
-            Self::Regression => FeedForward {
-                velocity: wut.viscous,
-                acceleration: wut.inertia,
-                ..FeedForward::default()
-            },
-            Self::Weightless => FeedForward {
-                velocity: motor.viscous,
-                acceleration: motor.inertia,
-                ..FeedForward::default()
-            },
+            Self::Regression => {
+                FeedForward { velocity: wut.viscous, acceleration: wut.inertia, ..FeedForward::default() }
+            }
+            Self::Weightless => {
+                FeedForward { velocity: motor.viscous, acceleration: motor.inertia, ..FeedForward::default() }
+            }
             Self::Physical | Self::Misjudged => {
                 let load = arm.load(axis as usize);
                 FeedForward {
@@ -180,10 +166,7 @@ impl Plant {
     /// Torques that hold the links along `path`, N·m.
     fn torques(self, path: &[Motors]) -> Vec<[f64; MAX_AXES]> {
         let robot = robot();
-        let masses = Mass::IRP6.map(|link| Mass {
-            mass: self.known() * link.mass,
-            ..link
-        });
+        let masses = Mass::IRP6.map(|link| Mass { mass: self.known() * link.mass, ..link });
         let weight = Weight::new(&robot, &masses, Mass::default(), [0.0, 0.0, 1.0]).unwrap();
         let torque = |motors: &Motors| match self {
             Self::Physical | Self::Misjudged => weight.torque(&robot, motors).unwrap(),
@@ -220,10 +203,7 @@ fn track(plant: Plant, fed_forward: bool, path: &[Motors]) -> Errors {
         let (sender, receiver) = mpsc::channel();
         angles.push(receiver);
         groups.push(Box::new(Group {
-            motor: Box::new(Watched {
-                motor,
-                angles: sender,
-            }),
+            motor: Box::new(Watched { motor, angles: sender }),
             counts: rig.counts,
             delay: rig.delay,
             sample: 0,
@@ -232,11 +212,7 @@ fn track(plant: Plant, fed_forward: bool, path: &[Motors]) -> Errors {
         }));
     }
     let (servo, link) = servo(configs, groups);
-    let torques = if fed_forward {
-        plant.torques(path)
-    } else {
-        vec![[0.0; MAX_AXES]; path.len()]
-    };
+    let torques = if fed_forward { plant.torques(path) } else { vec![[0.0; MAX_AXES]; path.len()] };
     run(servo, link, &angles, path, &torques)
 }
 
@@ -248,19 +224,11 @@ fn run(
     torques: &[[f64; MAX_AXES]],
 ) -> Errors {
     let records = servo.record(1);
-    let mut running = Running {
-        servo,
-        link,
-        records,
-        now: Instant::ZERO,
-        start: 0.0,
-    };
+    let mut running = Running { servo, link, records, now: Instant::ZERO, start: 0.0 };
     running.link.orders.push(Order::Enable).unwrap();
     running.run(REST);
     assert_eq!(running.phase(), Phase::Standing);
-    angles
-        .iter()
-        .for_each(|angles| angles.try_iter().for_each(drop));
+    angles.iter().for_each(|angles| angles.try_iter().for_each(drop));
     let point = |k: usize| k.saturating_sub(REST).min(path.len() - 1);
     let at = |k: usize| path[point(k)].padded();
     let length = path.len() + 2 * REST;
@@ -293,10 +261,7 @@ fn run(
             .fold(f64::INFINITY, f64::min);
         errors.push((contour, timed));
     }
-    Errors {
-        contour: Figures::of(errors.iter().map(|e| e.0)),
-        timed: Figures::of(errors.iter().map(|e| e.1)),
-    }
+    Errors { contour: Figures::of(errors.iter().map(|e| e.0)), timed: Figures::of(errors.iter().map(|e| e.1)) }
 }
 
 /// Distance from a point to the line through two others, m.
@@ -320,22 +285,15 @@ fn both(name: &str, plant: Plant, path: &[Motors]) -> [Errors; 2] {
 #[test]
 fn the_letter_is_drawn_as_by_the_original_loops_and_fed_forward_three_times_as_well() {
     // Feed, m/s; acceleration, m/s²; rms and largest contour error on the emulator of the original software, µm.
-    let table = [
-        (0.005, 0.05, 16.0, 67.0),
-        (0.01, 0.05, 43.0, 121.0),
-        (0.02, 0.1, 115.0, 243.0),
-        (0.05, 0.5, 290.0, 573.0),
-    ];
+    let table =
+        [(0.005, 0.05, 16.0, 67.0), (0.01, 0.05, 43.0, 121.0), (0.02, 0.1, 115.0, 243.0), (0.05, 0.5, 290.0, 573.0)];
     println!("µm: contour rms, largest, timed rms, largest");
     for (feed, acceleration, rms, max) in table {
         let path = letter(feed, acceleration);
         let [own, fed] = both(&format!("{feed} m/s"), Plant::Regression, &path);
         for (found, expected) in [(own.contour.rms, rms), (own.contour.max, max)] {
             let found = found * 1e6;
-            assert!(
-                (found / expected - 1.0).abs() < 0.1,
-                "{feed} m/s: {found:.1} for {expected} µm"
-            );
+            assert!((found / expected - 1.0).abs() < 0.1, "{feed} m/s: {found:.1} for {expected} µm");
         }
         assert!(fed.contour.rms < own.contour.rms / 3.0, "{feed} m/s");
         assert!(fed.contour.max < own.contour.max / 3.0, "{feed} m/s");

@@ -13,9 +13,7 @@ fn pinocchio_finds_the_same_flange_and_jacobian_for_every_robot() {
     for robot in ROBOTS {
         let mut script = Command::new("timeout");
         script.args(["--signal=KILL", PATIENCE]).arg(&python);
-        script
-            .arg("-B")
-            .arg(mrroc::root().join("tests/peers/bodies.py"));
+        script.arg("-B").arg(mrroc::root().join("tests/peers/bodies.py"));
         script.arg("--mrroc").arg(mrroc::binary());
         judged(script.args(["--robot", robot]));
     }

@@ -84,10 +84,7 @@ impl Host {
     }
 
     fn receive(&mut self) -> Vec<Received> {
-        let nothing = Received {
-            frame: Sync::default().encode(),
-            at: Instant::ZERO,
-        };
+        let nothing = Received { frame: Sync::default().encode(), at: Instant::ZERO };
         let mut received = [nothing; 32];
         let count = self.port.receive(clock::now(), &mut received).unwrap();
         received[..count].to_vec()
@@ -114,9 +111,7 @@ impl Host {
 
     /// Waits for a frame for which `found` returns a value, and discards earlier frames.
     pub(super) fn frame<T>(&mut self, what: &str, found: impl Fn(&Frame) -> Option<T>) -> T {
-        self.until(what, |host| {
-            std::iter::from_fn(|| host.frames.pop_front()).find_map(|frame| found(&frame))
-        })
+        self.until(what, |host| std::iter::from_fn(|| host.frames.pop_front()).find_map(|frame| found(&frame)))
     }
 
     pub(super) fn command(&mut self, command: Command) {
@@ -126,9 +121,7 @@ impl Host {
 
     /// Waits for a heartbeat or boot-up of the node with this state, and forgets those before.
     pub(super) fn hears(&mut self, state: NmtState) {
-        self.until(&format!("{state}"), |host| {
-            std::iter::from_fn(|| host.states.pop_front()).find(|it| *it == state)
-        });
+        self.until(&format!("{state}"), |host| std::iter::from_fn(|| host.states.pop_front()).find(|it| *it == state));
     }
 
     pub(super) fn transfer(
@@ -149,26 +142,13 @@ impl Host {
     /// Uploads after a reset of the node. durand opens its SDO server some time after the boot-up message, and loses
     /// requests until then.
     pub(super) fn upload_after_reset(&mut self, object: Object) -> Result<Vec<u8>, SdoError> {
-        let lost = |result: &Result<_, _>| {
-            matches!(
-                result,
-                Err(SdoError {
-                    cause: SdoCause::TimedOut { .. },
-                    ..
-                })
-            )
-        };
+        let lost = |result: &Result<_, _>| matches!(result, Err(SdoError { cause: SdoCause::TimedOut { .. }, .. }));
         let first = self.upload(object);
-        if lost(&first) {
-            self.upload(object)
-        } else {
-            first
-        }
+        if lost(&first) { self.upload(object) } else { first }
     }
 
     pub(super) fn download(&mut self, object: Object, data: &[u8]) -> Result<(), SdoError> {
-        self.transfer(|client, now| client.download(object, data, now))
-            .map(|_| ())
+        self.transfer(|client, now| client.download(object, data, now)).map(|_| ())
     }
 
     pub(super) fn block_upload(&mut self, object: Object) -> Result<Vec<u8>, SdoError> {
@@ -176,8 +156,7 @@ impl Host {
     }
 
     pub(super) fn block_download(&mut self, object: Object, data: &[u8]) -> Result<(), SdoError> {
-        self.transfer(|client, now| client.block_download(object, data, now))
-            .map(|_| ())
+        self.transfer(|client, now| client.block_download(object, data, now)).map(|_| ())
     }
 
     pub(super) fn writes(&mut self, writes: impl IntoIterator<Item = Write>) {

@@ -14,17 +14,8 @@ fn histograms_of_a_measurement_read_as_the_report_says() {
     };
     let scratch = Directory::new();
     let directory = scratch.path("histograms");
-    let words = [
-        "jitter",
-        "--duration=3s",
-        "--against=plain",
-        "--json",
-        "--out",
-    ];
-    let words = words
-        .map(AsRef::as_ref)
-        .into_iter()
-        .chain([directory.as_os_str()]);
+    let words = ["jitter", "--duration=3s", "--against=plain", "--json", "--out"];
+    let words = words.map(AsRef::as_ref).into_iter().chain([directory.as_os_str()]);
     let run = mrroc(words);
     assert_eq!(run.status.code(), Some(0), "{run:?}");
     let mut judge = Command::new("timeout")
@@ -45,13 +36,7 @@ fn histograms_of_a_measurement_read_as_the_report_says() {
     let complained = String::from_utf8_lossy(&judged.stderr);
     assert!(judged.status.success(), "{complained}\n{run:?}");
     let chart = fs::read_to_string(directory.join("jitter.svg")).unwrap();
-    for said in [
-        "mrroc, ",
-        "plain probe, ",
-        "late by, µs",
-        "percentile of cycles, %",
-        "</svg>",
-    ] {
+    for said in ["mrroc, ", "plain probe, ", "late by, µs", "percentile of cycles, %", "</svg>"] {
         assert!(chart.contains(said), "{said:?} is not in the chart");
     }
 }

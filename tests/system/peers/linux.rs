@@ -5,9 +5,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use can::candump::Direction;
-use can::{
-    Frame, Instant, Port, Received, SocketCanOptions, SocketCanPort, StandardId, Tracer, clock,
-};
+use can::{Frame, Instant, Port, Received, SocketCanOptions, SocketCanPort, StandardId, Tracer, clock};
 
 use crate::bench::on_vcan;
 use crate::socketcan::{Vcan, sh};
@@ -23,10 +21,7 @@ pub(super) fn open(interface: &str) -> SocketCanPort {
 /// Receives until there are `count` frames.
 fn receive(port: &mut (impl Port + ?Sized), count: usize) -> Vec<Frame> {
     let end = clock::now() + PATIENCE;
-    let mut into = [Received {
-        frame: sequence(0),
-        at: Instant::ZERO,
-    }; 64];
+    let mut into = [Received { frame: sequence(0), at: Instant::ZERO }; 64];
     let mut all = Vec::new();
     while all.len() < count && clock::now() < end {
         let some = port.receive(clock::now(), &mut into).unwrap();
@@ -63,9 +58,7 @@ fn cansend_asks_a_drive_and_canplayer_plays_the_session_back() {
         let logged = || fs::read_to_string(&log).unwrap();
         // Each drive boots once after its start. A reset before that boot, and the answer to it, could not be
         // distinguished from it.
-        wait_until("every drive boots", || {
-            (1..=5).all(|node| logged().contains(&format!(" 70{node}#00")))
-        });
+        wait_until("every drive boots", || (1..=5).all(|node| logged().contains(&format!(" 70{node}#00"))));
         for (said, answer) in [
             ("000#8101", " 701#00"),
             ("601#4000100000000000", " 581#4300100092010200"),
@@ -101,10 +94,7 @@ fn cansequence_counts_our_frames_and_we_count_its_own() {
     let test = "peers::linux::cansequence_counts_our_frames_and_we_count_its_own";
     on_vcan(test, |_| {
         let bus = Vcan::new("vcansequence");
-        sh(&format!(
-            "tc qdisc add dev {} root tbf rate 1mbit burst 200 limit 1600",
-            bus.0
-        ));
+        sh(&format!("tc qdisc add dev {} root tbf rate 1mbit burst 200 limit 1600", bus.0));
         let mut port = open(bus.0);
         let sender = Command::new("cansequence")
             .args([bus.0, "--poll", &format!("--loop={COUNT}")])
@@ -113,11 +103,7 @@ fn cansequence_counts_our_frames_and_we_count_its_own() {
         let sender = Killed(sender.unwrap());
         let received = receive(&mut port, COUNT);
         let expected: Vec<_> = (0..COUNT).map(sequence).collect();
-        assert!(
-            received == expected,
-            "{} of {COUNT} in order",
-            received.len()
-        );
+        assert!(received == expected, "{} of {COUNT} in order", received.len());
         assert_eq!(port.counters().dropped, 0);
         drop(sender);
 
@@ -146,8 +132,6 @@ fn cansequence_counts_our_frames_and_we_count_its_own() {
         clock::sleep_until(clock::now() + Duration::from_millis(100));
         assert_eq!(receiver.0.try_wait().unwrap(), None, "it missed a frame");
         assert_eq!(port.send(clock::now(), &[sequence(COUNT + 1)]), Ok(1));
-        wait_until("cansequence ends", || {
-            receiver.0.try_wait().unwrap().is_some()
-        });
+        wait_until("cansequence ends", || receiver.0.try_wait().unwrap().is_some());
     });
 }

@@ -25,11 +25,7 @@ impl Emulated {
         let slcan = [OsStr::new("--slcan"), link.as_os_str()];
         let emulators = Running::start(arguments.into_iter().chain(slcan));
         wait_until("the link to the tty is there", || link.exists());
-        Self {
-            link,
-            _emulators: emulators,
-            _directory: directory,
-        }
+        Self { link, _emulators: emulators, _directory: directory }
     }
 }
 

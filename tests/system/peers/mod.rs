@@ -57,17 +57,11 @@ struct Bus<'a> {
 
 impl<'a> Bus<'a> {
     fn socketcan(interface: &'a str) -> Self {
-        Self {
-            interface: "socketcan",
-            channel: Path::new(interface),
-        }
+        Self { interface: "socketcan", channel: Path::new(interface) }
     }
 
     fn slcan(tty: &'a Path) -> Self {
-        Self {
-            interface: "slcan",
-            channel: tty,
-        }
+        Self { interface: "slcan", channel: tty }
     }
 
     /// A script on this bus, with the emulator's data sheet.
@@ -89,10 +83,7 @@ impl<'a> Bus<'a> {
 /// Runs a script to its end and asserts success.
 fn judged(script: &mut Command) {
     let output = script.output().expect("timeout runs");
-    let (said, complained) = (
-        String::from_utf8_lossy(&output.stdout),
-        String::from_utf8_lossy(&output.stderr),
-    );
+    let (said, complained) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert!(output.status.success(), "{said}\n{complained}");
     print!("{said}");
 }

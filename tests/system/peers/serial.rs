@@ -29,10 +29,7 @@ pub(super) fn attach(tty: &Path, interface: &'static str) -> Attached {
     wait_until("the interface is there", || is_there(interface));
     // The default of ten frames overflows when python-canopen searches the bus.
     sh(&format!("ip link set {interface} txqueuelen 100 up"));
-    Attached {
-        interface,
-        _slcand: slcand,
-    }
+    Attached { interface, _slcand: slcand }
 }
 
 fn start_slcand(tty: &Path, interface: &str) -> Killed {
@@ -75,9 +72,7 @@ fn the_kernels_driver_takes_frames_states_and_errors_of_an_adapter() {
 
         // Every length and both frame formats, in both directions.
         let frames: Vec<_> = (0..=8)
-            .map(|length| {
-                Frame::new(StandardId::new(0x123).unwrap(), &[0xA5; 8][..length]).unwrap()
-            })
+            .map(|length| Frame::new(StandardId::new(0x123).unwrap(), &[0xA5; 8][..length]).unwrap())
             .chain([
                 Frame::new(can::ExtendedId::new(0x1234_5678).unwrap(), &[1, 2]).unwrap(),
                 Frame::remote(StandardId::new(0x701).unwrap(), 1).unwrap(),
@@ -102,9 +97,7 @@ fn the_kernels_driver_takes_frames_states_and_errors_of_an_adapter() {
         assert_eq!(received, frames);
 
         let errors = port.counters().errors;
-        adapter
-            .device
-            .report_errors(BusErrors::CRC | BusErrors::STUFF);
+        adapter.device.report_errors(BusErrors::CRC | BusErrors::STUFF);
         assert!(adapter.serve(PATIENCE, |_| {
             receive(&mut port, &mut received);
             port.counters().errors > errors
@@ -123,20 +116,13 @@ fn the_kernels_driver_takes_frames_states_and_errors_of_an_adapter() {
                 port.counters().errors > errors && port.state() == state
             });
             assert!(seen, "{state:?}: {:?}\n{}", port.state(), printed(&log));
-            assert!(
-                adapter.serve(PATIENCE, |_| printed(&log).contains(line)),
-                "{line}: {}",
-                printed(&log)
-            );
+            assert!(adapter.serve(PATIENCE, |_| printed(&log).contains(line)), "{line}: {}", printed(&log));
         }
     });
 }
 
 fn receive(port: &mut SocketCanPort, all: &mut Vec<Frame>) {
-    let mut into = [Received {
-        frame: sequence(0),
-        at: can::Instant::ZERO,
-    }; 32];
+    let mut into = [Received { frame: sequence(0), at: can::Instant::ZERO }; 32];
     let count = port.receive(clock::now(), &mut into).unwrap();
     all.extend(into[..count].iter().map(|received| received.frame));
 }

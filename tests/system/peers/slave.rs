@@ -1,9 +1,7 @@
 //! python-canopen as a drive, commanded by this project's SDO client, NMT master and drive group.
 
 use canopen::nmt::{Command, NmtState};
-use canopen::objects::{
-    DEVICE_NAME, DEVICE_TYPE, PRODUCER_HEARTBEAT, PROFILE_VELOCITY, STATUSWORD,
-};
+use canopen::objects::{DEVICE_NAME, DEVICE_TYPE, PRODUCER_HEARTBEAT, PROFILE_VELOCITY, STATUSWORD};
 use canopen::sdo::AbortCode;
 use canopen::{NodeId, Object};
 use master::sdo::Client;
@@ -32,15 +30,11 @@ fn beside_a_local_node(test: &str, body: impl FnOnce(&Stage, Host)) {
 fn the_service_client_reads_and_writes_a_local_node() {
     let test = "peers::slave::the_service_client_reads_and_writes_a_local_node";
     beside_a_local_node(test, |_, mut host| {
-        assert_eq!(
-            host.upload(DEVICE_TYPE),
-            Ok(0x0002_0192_u32.to_le_bytes().into())
-        );
+        assert_eq!(host.upload(DEVICE_TYPE), Ok(0x0002_0192_u32.to_le_bytes().into()));
         assert_eq!(host.upload(DEVICE_NAME).as_deref(), Ok(&b"EPOS4"[..]));
-        for (object, data) in [
-            (PROFILE_VELOCITY, &0x1234_5678_u32.to_le_bytes()[..]),
-            (PRODUCER_HEARTBEAT, &0_u16.to_le_bytes()),
-        ] {
+        for (object, data) in
+            [(PROFILE_VELOCITY, &0x1234_5678_u32.to_le_bytes()[..]), (PRODUCER_HEARTBEAT, &0_u16.to_le_bytes())]
+        {
             assert_eq!(host.download(object, data), Ok(()));
             assert_eq!(host.upload(object).as_deref(), Ok(data));
         }
@@ -49,10 +43,7 @@ fn the_service_client_reads_and_writes_a_local_node() {
         host.refuses(Object::new(0x1018, 9), &[0], AbortCode::NO_SUBINDEX);
         // The value is longer than a frame, so it is sent in segments. The refusal answers the last segment.
         host.refuses(PROFILE_VELOCITY, &[0; 20], AbortCode::LENGTH_MISMATCH);
-        assert_eq!(
-            host.upload(PROFILE_VELOCITY),
-            Ok(0x1234_5678_u32.to_le_bytes().into())
-        );
+        assert_eq!(host.upload(PROFILE_VELOCITY), Ok(0x1234_5678_u32.to_le_bytes().into()));
         // LocalNode refuses block download, and answers block upload with an ordinary transfer.
         let domain = Object::new(0x2F00, 0);
         let long: Vec<_> = (0..200).collect();

@@ -18,36 +18,17 @@ struct Exception {
     why: &'static str,
 }
 
-const fn refused(
-    key: &'static str,
-    words: &'static [&'static str],
-    why: &'static str,
-) -> Exception {
+const fn refused(key: &'static str, words: &'static [&'static str], why: &'static str) -> Exception {
     let kind = Kind::RefusedByRun;
-    Exception {
-        key,
-        kind,
-        words,
-        why,
-    }
+    Exception { key, kind, words, why }
 }
 
-const fn faulted(
-    key: &'static str,
-    words: &'static [&'static str],
-    why: &'static str,
-) -> Exception {
+const fn faulted(key: &'static str, words: &'static [&'static str], why: &'static str) -> Exception {
     let kind = Kind::Faulted;
-    Exception {
-        key,
-        kind,
-        words,
-        why,
-    }
+    Exception { key, kind, words, why }
 }
 
-const OTHER_DRIVE: &str =
-    "the emulated drive is another one than the cell expects, as the run finds out";
+const OTHER_DRIVE: &str = "the emulated drive is another one than the cell expects, as the run finds out";
 const NO_LOOP: &str = "the rehearsal closes no loop";
 const LATE: &str = "the run finds out how late a device answers";
 
@@ -55,57 +36,21 @@ const LATE: &str = "the run finds out how late a device answers";
 const OF_A_LOOP: &[&str] = &["following error", "overcurrent protection acted"];
 
 const EXCEPTIONS: &[Exception] = &[
-    refused(
-        "robot.axis.emulator.vendor",
-        &["identity 0x1018:01"],
-        OTHER_DRIVE,
-    ),
-    refused(
-        "robot.axis.emulator.revision",
-        &["identity 0x1018:03"],
-        OTHER_DRIVE,
-    ),
-    refused(
-        "robot.axis.emulator.rated_torque",
-        &["of rated torque, the cell says"],
-        OTHER_DRIVE,
-    ),
+    refused("robot.axis.emulator.vendor", &["identity 0x1018:01"], OTHER_DRIVE),
+    refused("robot.axis.emulator.revision", &["identity 0x1018:03"], OTHER_DRIVE),
+    refused("robot.axis.emulator.rated_torque", &["of rated torque, the cell says"], OTHER_DRIVE),
     refused(
         "robot.axis.emulator.counts_per_revolution",
         &["quadrature counts per revolution, the cell says"],
         OTHER_DRIVE,
     ),
-    refused(
-        "robot.axis.emulator.address",
-        &["answers as address"],
-        OTHER_DRIVE,
-    ),
-    refused(
-        "robot.axis.emulator.absent",
-        &["never booted", "no answer"],
-        OTHER_DRIVE,
-    ),
-    refused(
-        "robot.axis.drive.vendor",
-        &["identity 0x1018:01"],
-        OTHER_DRIVE,
-    ),
-    refused(
-        "robot.axis.drive.product",
-        &["identity 0x1018:02"],
-        OTHER_DRIVE,
-    ),
-    refused(
-        "robot.axis.drive.revision",
-        &["identity 0x1018:03"],
-        OTHER_DRIVE,
-    ),
+    refused("robot.axis.emulator.address", &["answers as address"], OTHER_DRIVE),
+    refused("robot.axis.emulator.absent", &["never booted", "no answer"], OTHER_DRIVE),
+    refused("robot.axis.drive.vendor", &["identity 0x1018:01"], OTHER_DRIVE),
+    refused("robot.axis.drive.product", &["identity 0x1018:02"], OTHER_DRIVE),
+    refused("robot.axis.drive.revision", &["identity 0x1018:03"], OTHER_DRIVE),
     refused("robot.axis.node", &["answers as address"], OTHER_DRIVE),
-    refused(
-        "robot.axis.drive.rated_torque",
-        &["of rated torque, the cell says"],
-        OTHER_DRIVE,
-    ),
+    refused("robot.axis.drive.rated_torque", &["of rated torque, the cell says"], OTHER_DRIVE),
     refused(
         "robot.axis.drive.counts_per_revolution",
         &["quadrature counts per revolution, the cell says"],
@@ -132,11 +77,7 @@ const EXCEPTIONS: &[Exception] = &[
     faulted("bus.sdo_timeout_ms", &["SDO protocol timed out"], LATE),
     refused("bus.sdo_timeout_ms", &["timed out"], LATE),
     refused("bus.boot_timeout_ms", &["never booted"], LATE),
-    refused(
-        "serial.emulated_latency_ms",
-        &["answers took more than a period"],
-        LATE,
-    ),
+    refused("serial.emulated_latency_ms", &["answers took more than a period"], LATE),
 ];
 
 impl Exception {

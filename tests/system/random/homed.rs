@@ -44,9 +44,7 @@ fn in_the_plane(draw: &mut Draw) -> (f64, f64) {
 #[track_caller]
 fn completed(count: u64, of: impl Fn(u64) -> String + Sync) -> u64 {
     let verdicts = judge_all(count, of);
-    let ready = verdicts
-        .iter()
-        .filter(|verdict| **verdict == Verdict::Ready);
+    let ready = verdicts.iter().filter(|verdict| **verdict == Verdict::Ready);
     ready.count() as u64
 }
 
@@ -59,10 +57,7 @@ fn an_irb6_leaves_its_home_by_every_line_that_is_called_ready() {
         one_line("irb6", &mut draw, [reach + 0.095, 0.0, 0.7 + height])
     };
     let completed = completed(PROGRAMS, cell);
-    assert!(
-        completed > 170,
-        "{completed} of {PROGRAMS} are called ready"
-    );
+    assert!(completed > 170, "{completed} of {PROGRAMS} are called ready");
 }
 
 #[test]
@@ -71,20 +66,13 @@ fn an_irp6_leaves_its_singular_home_by_every_line_that_is_called_ready() {
         let mut draw = Draw::of(2, number);
         let (reach, height) = in_the_plane(&mut draw);
         // Outside the plane of the arm, the wrist would have to turn over at once. One line in four leads there.
-        let beside = if draw.one_in(4) {
-            draw.within(-0.2, 0.2)
-        } else {
-            0.0
-        };
+        let beside = if draw.one_in(4) { draw.within(-0.2, 0.2) } else { 0.0 };
         one_line("irp6", &mut draw, [reach + 0.19, beside, height])
     };
     let count = PROGRAMS / 3;
     let completed = completed(count, cell);
     let about = count / 2..count * 7 / 8;
-    assert!(
-        about.contains(&completed),
-        "{completed} of {count} are called ready"
-    );
+    assert!(about.contains(&completed), "{completed} of {count} are called ready");
 }
 
 /// Motor positions at the end of homing in a record, rad, with the names of their axes.
@@ -105,16 +93,7 @@ fn homed(record: &str) -> Vec<(String, f64)> {
 
 #[test]
 fn homing_leaves_every_axis_of_the_example_cells_within_its_tolerance() {
-    for name in [
-        "irb6",
-        "irp6",
-        "irb6-serial",
-        "irb6-hi-moxa",
-        "irp6-track",
-        "rnt",
-        "polycrank",
-        "lab",
-    ] {
+    for name in ["irb6", "irp6", "irb6-serial", "irb6-hi-moxa", "irp6-track", "rnt", "polycrank", "lab"] {
         let directory = Directory::new();
         let mut tolerances = BTreeMap::new();
         let path = directory.cell(name, |cell| {
@@ -131,13 +110,7 @@ fn homing_leaves_every_axis_of_the_example_cells_within_its_tolerance() {
         });
         let record = directory.path("record.csv");
         let [path, record_path] = [&path, &record].map(|path| path.as_os_str());
-        let run = mrroc([
-            "run".as_ref(),
-            path,
-            "--bench=lockstep".as_ref(),
-            "--record".as_ref(),
-            record_path,
-        ]);
+        let run = mrroc(["run".as_ref(), path, "--bench=lockstep".as_ref(), "--record".as_ref(), record_path]);
         assert_eq!(run.status.code(), Some(0), "{run:?}");
         let record = fs::read_to_string(&record).expect("the record is there");
         let homed = homed(&record);
@@ -147,10 +120,7 @@ fn homing_leaves_every_axis_of_the_example_cells_within_its_tolerance() {
             let key = tolerances.keys().find(named).expect("an axis of the cell");
             let (home, tolerance) = tolerances[key];
             let distance = (at - home).abs();
-            assert!(
-                distance <= tolerance,
-                "{name}, {axis}: {distance} rad, not {tolerance}"
-            );
+            assert!(distance <= tolerance, "{name}, {axis}: {distance} rad, not {tolerance}");
             // An excessive tolerance would refuse programs without need.
             assert!(tolerance < 0.7, "{name}, {axis}: {tolerance} rad");
         }
@@ -161,12 +131,7 @@ fn homing_leaves_every_axis_of_the_example_cells_within_its_tolerance() {
 fn an_arm_goes_to_the_end_of_each_motor_range_and_touches_no_limit_switch() {
     // The axes of each cell, in both directions. The legs of the RNT are left out, because no leg reaches an end of its
     // range alone.
-    for (name, axes) in [
-        ("irb6", 0..5),
-        ("rnt", 3..6),
-        ("irp6-track", 0..7),
-        ("irb6-serial", 0..5),
-    ] {
+    for (name, axes) in [("irb6", 0..5), ("rnt", 3..6), ("irp6-track", 0..7), ("irb6-serial", 0..5)] {
         let cell = |number: u64| {
             let mut cell = Cell::parse(&text(name)).expect("the example cells are sound");
             shorten(&mut cell);
@@ -176,11 +141,7 @@ fn an_arm_goes_to_the_end_of_each_motor_range_and_touches_no_limit_switch() {
             let limits = arm.robot().motor_limits()[axis];
             let home = arm.robot().home().padded();
             let mut motors = home;
-            motors[axis] = if number.is_multiple_of(2) {
-                limits.low
-            } else {
-                limits.high
-            };
+            motors[axis] = if number.is_multiple_of(2) { limits.low } else { limits.high };
             // The remaining distance of homing could move another motor beyond its limit by the coupling of the axes.
             let poses = [home, motors].map(|motors| arm.joints(&motors).expect("a posture"));
             robot.program = vec![Instruction::Joints(Joints {
@@ -194,9 +155,7 @@ fn an_arm_goes_to_the_end_of_each_motor_range_and_touches_no_limit_switch() {
         };
         let verdicts = judge_all(2 * axes.len() as u64, cell);
         // Ends of motor ranges at which the joint is beyond its own limit.
-        let refused = verdicts
-            .iter()
-            .filter(|verdict| **verdict != Verdict::Ready);
+        let refused = verdicts.iter().filter(|verdict| **verdict != Verdict::Ready);
         for verdict in refused.clone() {
             let Verdict::Refused(why) = verdict else {
                 continue;
@@ -233,11 +192,7 @@ fn an_arm_that_is_homed_at_the_end_of_its_range_leaves_it_by_every_motion() {
         let mut draw = Draw::of(3, number);
         let sign = if number.is_multiple_of(2) { 1.0 } else { -1.0 };
         // The column stays at its limit, or moves away from it.
-        let column = if draw.one_in(2) {
-            0.0
-        } else {
-            -sign * draw.within(0.0, 0.3)
-        };
+        let column = if draw.one_in(2) { 0.0 } else { -sign * draw.within(0.0, 0.3) };
         let line = Instruction::Line(LineInstruction {
             position: [0.7, 0.0, 1.1],
             quaternion: None,
@@ -261,8 +216,5 @@ fn an_arm_that_is_homed_at_the_end_of_its_range_leaves_it_by_every_motion() {
         at_the_end(sign, first, &mut draw)
     };
     let verdicts = judge_all(24, cell);
-    assert!(
-        verdicts.iter().all(|verdict| *verdict == Verdict::Ready),
-        "{verdicts:#?}"
-    );
+    assert!(verdicts.iter().all(|verdict| *verdict == Verdict::Ready), "{verdicts:#?}");
 }

@@ -31,17 +31,12 @@ fn variable(name: &str, usual: u64) -> u64 {
     let Ok(given) = std::env::var(name) else {
         return usual;
     };
-    given
-        .parse()
-        .unwrap_or_else(|error| panic!("{name}={given}: {error}"))
+    given.parse().unwrap_or_else(|error| panic!("{name}={given}: {error}"))
 }
 
 /// Seed of the cases, and the multiple of their default number.
 fn extent() -> (u64, u64) {
-    let extent = (
-        variable("MRROC_RANDOM_SEED", 1),
-        variable("MRROC_RANDOM_TIMES", 1),
-    );
+    let extent = (variable("MRROC_RANDOM_SEED", 1), variable("MRROC_RANDOM_TIMES", 1));
     println!("seed {}, {} times the usual cases", extent.0, extent.1);
     extent
 }
@@ -70,18 +65,11 @@ fn a_cell_altered_in_one_line_is_run_to_its_end_or_refused() {
     let allowed = |number, disagreement: &Disagreement| {
         let reason = exceptions::reason(mutations.key(number), disagreement);
         if let Some(reason) = reason {
-            println!(
-                "case {number}: {} {disagreement}: {reason}",
-                case(number).what
-            );
+            println!("case {number}: {} {disagreement}: {reason}", case(number).what);
         }
         reason.is_some()
     };
     let verdicts = judge_but(count, case, allowed, |cell| cell);
     let ready = verdicts.iter().filter(|it| **it == Verdict::Ready).count();
-    assert!(
-        ready > verdicts.len() / 20,
-        "{ready} of {} cells are ready",
-        verdicts.len()
-    );
+    assert!(ready > verdicts.len() / 20, "{ready} of {} cells are ready", verdicts.len());
 }

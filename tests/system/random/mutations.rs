@@ -45,16 +45,9 @@ impl Mutations {
                 lines.entry(number).or_default().push(line);
             }
         }
-        let keys: Vec<_> = names
-            .into_iter()
-            .map(|(name, lines)| Key { name, lines })
-            .collect();
+        let keys: Vec<_> = names.into_iter().map(|(name, lines)| Key { name, lines }).collect();
         let mutations = in_turns(seed, &cells, &keys);
-        Self {
-            cells,
-            keys,
-            mutations,
-        }
+        Self { cells, keys, mutations }
     }
 
     /// The unaltered cells.
@@ -89,19 +82,13 @@ impl Mutations {
     /// Case `case` of a seed.
     pub(super) fn case(&self, seed: u64, case: u64) -> Case {
         let mut draw = Draw::of(seed, case);
-        let Mutation {
-            key,
-            cell,
-            operator,
-        } = self.mutation(case);
+        let Mutation { key, cell, operator } = self.mutation(case);
         let Key { name, lines } = &self.keys[key];
         let places: Vec<_> = lines[&cell].clone();
         let cell = &self.cells[cell];
         let mut lines: Vec<_> = cell.lines().map(str::to_owned).collect();
         // Some of the lines with this key may be arrays and others not.
-        let fitting = places
-            .into_iter()
-            .filter(|&line| Operator::all(&lines[line]).contains(&operator));
+        let fitting = places.into_iter().filter(|&line| Operator::all(&lines[line]).contains(&operator));
         let number = draw.among(&fitting.collect::<Vec<_>>());
         let before = lines[number].clone();
         let after = operator.apply(&mut draw, &before, cell);
@@ -121,17 +108,10 @@ fn in_turns(seed: u64, cells: &[String], keys: &[Key]) -> Vec<Mutation> {
         let mut of_key = Vec::new();
         for (&cell, lines) in &key.lines {
             let texts: Vec<_> = cells[cell].lines().collect();
-            let mut operators: Vec<_> = lines
-                .iter()
-                .flat_map(|&line| Operator::all(texts[line]))
-                .collect();
+            let mut operators: Vec<_> = lines.iter().flat_map(|&line| Operator::all(texts[line])).collect();
             operators.sort_unstable();
             operators.dedup();
-            of_key.extend(operators.into_iter().map(|operator| Mutation {
-                key: number,
-                cell,
-                operator,
-            }));
+            of_key.extend(operators.into_iter().map(|operator| Mutation { key: number, cell, operator }));
         }
         let mut draw = Draw::of(seed ^ u64::MAX, number as u64);
         for place in (1..of_key.len()).rev() {
@@ -153,11 +133,7 @@ fn keys(cell: &str) -> Vec<(usize, String)> {
             table = name.trim_matches(['[', ']']).to_owned();
             keys.push((number, format!("[{table}]")));
         } else if let Some((key, _)) = line.split_once(" = ") {
-            let path = if table.is_empty() {
-                key.to_owned()
-            } else {
-                format!("{table}.{key}")
-            };
+            let path = if table.is_empty() { key.to_owned() } else { format!("{table}.{key}") };
             keys.push((number, path));
         }
     }
@@ -166,15 +142,8 @@ fn keys(cell: &str) -> Vec<(usize, String)> {
 
 /// Paths of all keys with a value under a schema, prefixed by `path`. A name that occurs once in a cell is sufficient
 /// if the schema uses the same definition in several places.
-fn of_schema(
-    schema: &serde_json::Value,
-    root: &serde_json::Value,
-    path: &str,
-    keys: &mut Vec<String>,
-) {
-    let reference = schema["$ref"]
-        .as_str()
-        .and_then(|it| it.strip_prefix("#/$defs/"));
+fn of_schema(schema: &serde_json::Value, root: &serde_json::Value, path: &str, keys: &mut Vec<String>) {
+    let reference = schema["$ref"].as_str().and_then(|it| it.strip_prefix("#/$defs/"));
     if let Some(name) = reference {
         return of_schema(&root["$defs"][name], root, path, keys);
     }
@@ -193,11 +162,7 @@ fn of_schema(
     }
     for (name, of_name) in schema["properties"].as_object().into_iter().flatten() {
         leaf = false;
-        let path = if path.is_empty() {
-            name.clone()
-        } else {
-            format!("{path}.{name}")
-        };
+        let path = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
         of_schema(of_name, root, &path, keys);
     }
     if leaf {
@@ -222,10 +187,7 @@ fn every_key_that_a_cell_file_can_have_is_altered_in_every_way() {
         let line = format!("model = \"{model}\"");
         !mutations.cells.iter().any(|cell| cell.contains(&line))
     });
-    assert!(
-        models.iter().all(|model| model.ends_with("calibrated")),
-        "{models:?}"
-    );
+    assert!(models.iter().all(|model| model.ends_with("calibrated")), "{models:?}");
     let all = 0..mutations.complete() as u64;
     let all = all.map(|case| (mutations.key(case), mutations.operator(case)));
     for key in &mutations.keys {

@@ -56,22 +56,15 @@ const OF_A_HEADER: [Operator; 4] = [Deleted, Doubled, Renamed, Nested];
 
 /// Operators for a line with a key, independent of its value.
 const OF_ANY_KEY: [Operator; 17] = [
-    Deleted, Doubled, Renamed, Nested, TruthValue, Text, LongText, Borrowed, Array, DeepArray,
-    Table, Malformed, Zero, Negative, Small, Large, NotFinite,
+    Deleted, Doubled, Renamed, Nested, TruthValue, Text, LongText, Borrowed, Array, DeepArray, Table, Malformed, Zero,
+    Negative, Small, Large, NotFinite,
 ];
 
 /// Additional operators for an array.
 const OF_AN_ARRAY: [Operator; 3] = [ElementDeleted, ElementDoubled, ElementAltered];
 
 const ZEROS: [&str; 3] = ["0", "0.0", "-0.0"];
-const NEGATIVES: [&str; 6] = [
-    "-1",
-    "-1.0",
-    "-0.001",
-    "-1e300",
-    "-1000.0",
-    "-9223372036854775808",
-];
+const NEGATIVES: [&str; 6] = ["-1", "-1.0", "-0.001", "-1e300", "-1000.0", "-9223372036854775808"];
 const SMALL: [&str; 5] = ["1", "0.5", "0.001", "1e-9", "1e-300"];
 const LARGE: [&str; 13] = [
     "2",
@@ -92,31 +85,9 @@ const NOT_FINITE: [&str; 3] = ["nan", "inf", "-inf"];
 const TRUTH_VALUES: [&str; 2] = ["true", "false"];
 const ARRAYS: [&str; 4] = ["[]", "[0]", "[[]]", "[1e300, nan]"];
 const TABLES: [&str; 3] = ["{}", "{ a = 1 }", "{ a = { b = [] } }"];
-const MALFORMED: [&str; 7] = [
-    "1979-05-27",
-    "9223372036854775808",
-    "1e999",
-    "",
-    "=",
-    "\"open",
-    "[1, 2",
-];
-const TEXTS: [&str; 14] = [
-    "",
-    " ",
-    "a",
-    "0",
-    "nan",
-    "a b",
-    "Ünïcödé",
-    "\\u0000",
-    "\\n",
-    "\\u001b[2J",
-    "\\\"",
-    "../../..",
-    "/dev/zero",
-    "/",
-];
+const MALFORMED: [&str; 7] = ["1979-05-27", "9223372036854775808", "1e999", "", "=", "\"open", "[1, 2"];
+const TEXTS: [&str; 14] =
+    ["", " ", "a", "0", "nan", "a b", "Ünïcödé", "\\u0000", "\\n", "\\u001b[2J", "\\\"", "../../..", "/dev/zero", "/"];
 const FACTORS: [f64; 7] = [-1.0, 0.1, 0.5, 0.99, 1.01, 2.0, 10.0];
 
 impl Operator {
@@ -159,11 +130,7 @@ impl Operator {
                 Renamed => (format!("{name}x"), line.starts_with("[[")),
                 _ => (name.to_owned(), !line.starts_with("[[")),
             };
-            return if array {
-                format!("[[{name}]]")
-            } else {
-                format!("[{name}]")
-            };
+            return if array { format!("[[{name}]]") } else { format!("[{name}]") };
         }
         let (key, before) = line.split_once(" = ").expect("a line with a key");
         match self {
@@ -235,11 +202,7 @@ fn scaled(draw: &mut Draw, before: &str) -> String {
         1 => number - 1.0,
         factor => number * FACTORS[factor - 2],
     };
-    if before.contains(['.', 'e', 'n']) {
-        format!("{number:?}")
-    } else {
-        format!("{}", number.round() as i64)
-    }
+    if before.contains(['.', 'e', 'n']) { format!("{number:?}") } else { format!("{}", number.round() as i64) }
 }
 
 /// The elements of an array on one line.

@@ -1,8 +1,6 @@
 //! Random programs from random start positions, on the robots of the example cells.
 
-use ::mrroc::cell::{
-    Cell, EmulatedPayload, Instruction, JointGenerator, Joints, LineInstruction, Robot,
-};
+use ::mrroc::cell::{Cell, EmulatedPayload, Instruction, JointGenerator, Joints, LineInstruction, Robot};
 use controller::generator::Axes;
 use controller::robot::Arm;
 use controller::robot::Limits;
@@ -43,11 +41,7 @@ pub(super) fn cell(draw: &mut Draw) -> String {
             axis.emulator.start = Some(start + draw.within(-10.0, 15.0));
             axis.homing.zero_velocity = draw.within(0.5, 6.0);
             axis.max_acceleration *= draw.within(0.5, 1.5);
-            if axis
-                .drive
-                .as_ref()
-                .is_some_and(|drive| drive.r#loop.is_none())
-            {
+            if axis.drive.as_ref().is_some_and(|drive| drive.r#loop.is_none()) {
                 axis.max_velocity *= draw.within(0.5, 1.0);
             }
         }
@@ -74,11 +68,7 @@ fn program(draw: &mut Draw, arm: &Arm) -> Vec<Instruction> {
     let mut here = home.expect("home is a posture of the arm");
     let count = 1 + draw.below(4);
     let mut instruction = |_| {
-        if draw.one_in(3) {
-            line(draw, arm, &mut here)
-        } else {
-            joints(draw, arm, &mut here)
-        }
+        if draw.one_in(3) { line(draw, arm, &mut here) } else { joints(draw, arm, &mut here) }
     };
     (0..count).map(&mut instruction).collect()
 }
@@ -94,11 +84,7 @@ fn joints(draw: &mut Draw, arm: &Arm, here: &mut Axes) -> Instruction {
     let jerk_limited = draw.one_in(2);
     Instruction::Joints(Joints {
         poses,
-        generator: if jerk_limited {
-            JointGenerator::JerkLimited
-        } else {
-            JointGenerator::Newsmooth
-        },
+        generator: if jerk_limited { JointGenerator::JerkLimited } else { JointGenerator::Newsmooth },
         velocity: draw.within(0.3, 1.0),
         acceleration: draw.within(0.1, 1.0),
         duration: (jerk_limited && draw.one_in(3)).then(|| draw.within(0.05, 6.0)),
@@ -156,9 +142,7 @@ fn line(draw: &mut Draw, arm: &Arm, here: &mut Axes) -> Instruction {
 pub(super) fn shrunk(mut cell: String) -> String {
     let fewer: [fn(&mut Robot, usize) -> bool; 2] = [
         |robot, index| index < robot.program.len() && drop_at(&mut robot.program, index),
-        |robot, index| {
-            index < robot.emulated_payload.len() && drop_at(&mut robot.emulated_payload, index)
-        },
+        |robot, index| index < robot.emulated_payload.len() && drop_at(&mut robot.emulated_payload, index),
     ];
     for drop in fewer {
         let mut index = 0;

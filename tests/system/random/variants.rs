@@ -1,8 +1,8 @@
 //! Example cells with short programs, and with every key that a cell file can have.
 
 use ::mrroc::cell::{
-    Cell, Direction, DriveControl, EmulatedPayload, Instruction, JointGenerator, Joints, Law,
-    LineInstruction, Parameter, Parameters, Protocol, Weights,
+    Cell, Direction, DriveControl, EmulatedPayload, Instruction, JointGenerator, Joints, Law, LineInstruction,
+    Parameter, Parameters, Protocol, Weights,
 };
 use controller::robot::Mass;
 use hil::plant::Irp6Axis;
@@ -34,9 +34,7 @@ fn written(example: &str, change: impl FnOnce(&mut Cell)) -> String {
     shorten(&mut cell);
     for robot in &mut cell.robot {
         let arm = robot.arm().expect("the example cells are sound");
-        let mut pose = arm
-            .joints(&arm.robot().home().padded())
-            .expect("home is a posture");
+        let mut pose = arm.joints(&arm.robot().home().padded()).expect("home is a posture");
         pose[0] += if arm.axes() > 1 { 0.002 } else { 0.0001 };
         robot.parameters = Some(finite(robot.model.parameters()));
         robot.program = vec![Instruction::Joints(Joints {
@@ -66,18 +64,10 @@ fn on_can(cell: &mut Cell) {
     let drive = axis.drive.as_mut().expect("a drive on CAN");
     (drive.product, drive.revision) = (Some(0x6150_0000), Some(0x0170_0000));
     drive.dcf = Some(DCF.into());
-    drive.parameter = vec![Parameter {
-        index: 0x6081,
-        subindex: 0,
-        value: 1_000,
-        bytes: 4,
-    }];
+    drive.parameter = vec![Parameter { index: 0x6081, subindex: 0, value: 1_000, bytes: 4 }];
     axis.emulator.revision = Some(0x0170_0000);
     robot.program.push(Instruction::Joints(Joints {
-        poses: vec![
-            vec![0.01, -1.57, 0.01, 0.0, 0.0],
-            vec![0.0, -1.58, 0.0, 0.01, 0.01],
-        ],
+        poses: vec![vec![0.01, -1.57, 0.01, 0.0, 0.0], vec![0.0, -1.58, 0.0, 0.01, 0.01]],
         generator: JointGenerator::Newsmooth,
         velocity: 1.0,
         acceleration: 1.0,
@@ -93,18 +83,8 @@ fn on_can(cell: &mut Cell) {
         velocity: 0.2,
         acceleration: 1.0,
     }));
-    let payload = EmulatedPayload {
-        at_s: 0.5,
-        mass: 1.0,
-        centre: [0.0, 0.0, 0.1],
-    };
-    robot.emulated_payload = vec![
-        payload,
-        EmulatedPayload {
-            mass: 0.0,
-            ..payload
-        },
-    ];
+    let payload = EmulatedPayload { at_s: 0.5, mass: 1.0, centre: [0.0, 0.0, 0.1] };
+    robot.emulated_payload = vec![payload, EmulatedPayload { mass: 0.0, ..payload }];
 }
 
 /// The parameters with finite joint limits, because a cell file cannot contain infinite limits.
@@ -147,25 +127,15 @@ fn other_law(cell: &mut Cell) {
 
 /// The law of an IRp-6, with a smaller limit if necessary.
 fn incremental(law: &IncrementalConfig, limit: f64) -> Law {
-    Law::Incremental(IncrementalConfig {
-        limit: law.limit.min(limit),
-        ..*law
-    })
+    Law::Incremental(IncrementalConfig { limit: law.limit.min(limit), ..*law })
 }
 
 /// Adds every key that an arm on serial lines may have.
 fn on_lines(cell: &mut Cell) {
     cell.serial[0].emulated_latency_ms = Some(1);
     let robot = &mut cell.robot[0];
-    let load = Mass {
-        mass: 1.0,
-        centre: [0.0, 0.0, 0.1],
-    };
-    robot.weight = Some(Weights {
-        masses: Some(robot.model.masses().to_vec()),
-        load,
-        up: Some(robot.model.up()),
-    });
+    let load = Mass { mass: 1.0, centre: [0.0, 0.0, 0.1] };
+    robot.weight = Some(Weights { masses: Some(robot.model.masses().to_vec()), load, up: Some(robot.model.up()) });
     robot.axis[0].homing.direction = Some(Direction::Negative);
     robot.axis[0].homing.reverse_at_limit = Some(true);
     robot.axis[1].emulator.address = Some(robot.axis[1].node);

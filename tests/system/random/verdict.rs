@@ -68,10 +68,7 @@ pub(super) fn judge(cell: &str) -> Result<Verdict, Disagreement> {
         let run = ask(&path, &["run", "--bench=lockstep", "--json"])?;
         Ok((checked, run))
     });
-    let (checked, run) = asked.map_err(|said| Disagreement {
-        kind: Kind::Hung,
-        said,
-    })?;
+    let (checked, run) = asked.map_err(|said| Disagreement { kind: Kind::Hung, said })?;
     let panicked = |it: &Output| it.stderr.contains("panicked at");
     let kind = match (checked.status.code(), run.status.code()) {
         _ if panicked(&checked) || panicked(&run) => Kind::Broken,
@@ -87,12 +84,7 @@ pub(super) fn judge(cell: &str) -> Result<Verdict, Disagreement> {
         _ => Kind::Broken,
     };
     let said = |it: &Output| format!("{}: {:.2000}", it.status, it.stderr.trim());
-    let said = format!(
-        "check {}; run {} {}",
-        said(&checked),
-        said(&run),
-        faults(&run)
-    );
+    let said = format!("check {}; run {} {}", said(&checked), said(&run), faults(&run));
     Err(Disagreement { kind, said })
 }
 
@@ -105,10 +97,7 @@ fn faults(run: &Output) -> String {
 /// Runs `mrroc` on a cell within limits of time and memory. The error names the arguments if the command does not end.
 fn ask(path: &Path, arguments: &[&str]) -> Result<Output, String> {
     let _turn = Turn::take();
-    let running = arguments
-        .iter()
-        .map(AsRef::as_ref)
-        .chain([path.as_os_str()]);
+    let running = arguments.iter().map(AsRef::as_ref).chain([path.as_os_str()]);
     let running = Running::within(MEMORY, running);
     // The panic at the deadline does not name the cell.
     let output = catch_unwind(AssertUnwindSafe(|| running.output()));
@@ -134,9 +123,7 @@ impl Turn {
     fn take() -> Self {
         let taken = TURNS.lock().expect("no thread panics with it");
         let full = |taken: &mut usize| *taken >= processors();
-        let mut taken = GIVEN_BACK
-            .wait_while(taken, full)
-            .expect("no thread panics with it");
+        let mut taken = GIVEN_BACK.wait_while(taken, full).expect("no thread panics with it");
         *taken += 1;
         Self
     }
@@ -169,12 +156,7 @@ impl From<String> for Case {
 /// The verdicts on cells `0..count` in order. Panics as [`judge_but`].
 #[track_caller]
 pub(super) fn judge_all(count: u64, cell: impl Fn(u64) -> String + Sync) -> Vec<Verdict> {
-    judge_but(
-        count,
-        |number| cell(number).into(),
-        |_, _| false,
-        |cell| cell,
-    )
+    judge_but(count, |number| cell(number).into(), |_, _| false, |cell| cell)
 }
 
 /// The verdicts on cells `0..count`, without the disagreements for which `allowed` gives a reason.
@@ -202,10 +184,7 @@ pub(super) fn judge_but(
                 // Results of a long run are inspected before its end.
                 println!("case {number}: {} {disagreement}", case.what);
             }
-            judged
-                .lock()
-                .expect("no thread panics with it")
-                .push((number, verdict));
+            judged.lock().expect("no thread panics with it").push((number, verdict));
         }
     };
     thread::scope(|scope| {

@@ -17,11 +17,7 @@ const DEFINITIONS: &str = "#/$defs/";
 /// The reference: one table for the cell, then one for each type in the order of first mention.
 pub fn reference() -> String {
     let schema = Cell::schema().to_value();
-    let mut pages = Pages {
-        definitions: &schema["$defs"],
-        queue: VecDeque::new(),
-        seen: Vec::new(),
-    };
+    let mut pages = Pages { definitions: &schema["$defs"], queue: VecDeque::new(), seen: Vec::new() };
     let mut text = HEAD.to_owned();
     pages.write(&mut text, "Cell", &schema);
     while let Some(name) = pages.queue.pop_front() {
@@ -42,10 +38,7 @@ impl<'a> Pages<'a> {
     fn write(&mut self, text: &mut String, name: &str, schema: &'a Value) {
         let _ = write!(text, "\n## {name}\n\n{}\n", described(schema));
         if let Some(properties) = schema["properties"].as_object() {
-            let _ = write!(
-                text,
-                "\n| key | type | default | meaning |\n|---|---|---|---|\n"
-            );
+            let _ = write!(text, "\n| key | type | default | meaning |\n|---|---|---|---|\n");
             for (key, value) in properties {
                 self.row(text, key, value, is_required(schema, key));
             }
@@ -72,11 +65,7 @@ impl<'a> Pages<'a> {
             default => format!("`{default}`"),
         };
         let kind = self.name(value);
-        let _ = writeln!(
-            text,
-            "| `{key}` | {kind} | {default} | {} |",
-            described(value)
-        );
+        let _ = writeln!(text, "| `{key}` | {kind} | {default} | {} |", described(value));
     }
 
     /// A table with these keys in the inline notation of TOML.
@@ -90,10 +79,7 @@ impl<'a> Pages<'a> {
 
     /// Name of the type of a value. A type with a table of its own is queued.
     fn name(&mut self, value: &'a Value) -> String {
-        if let Some(name) = value["$ref"]
-            .as_str()
-            .and_then(|it| it.strip_prefix(DEFINITIONS))
-        {
+        if let Some(name) = value["$ref"].as_str().and_then(|it| it.strip_prefix(DEFINITIONS)) {
             if !self.seen.contains(&name) {
                 self.seen.push(name);
                 self.queue.push_back(name);

@@ -30,9 +30,7 @@ pub fn datasheet(options: &Options) -> anyhow::Result<String> {
     let described = described(&machine.parameters);
     Ok(match (options.figure, described.drawing) {
         (false, _) => tables::sheet(&machine),
-        (true, Drawing::Arm(views)) => {
-            figure::figure(&machine, described.symbols, &views(&machine))
-        }
+        (true, Drawing::Arm(views)) => figure::figure(&machine, described.symbols, &views(&machine)),
         (true, Drawing::Gripper(gripper)) => devices::gripper(gripper),
         (true, Drawing::Conveyor(conveyor)) => devices::conveyor(conveyor),
     })
@@ -59,12 +57,7 @@ mod tests {
             };
             for view in views(&machine) {
                 let motors = machine.robot.motors_from_joints(&view.joints);
-                assert!(
-                    motors.is_ok(),
-                    "{}, {}: {motors:?}",
-                    model.name(),
-                    view.title
-                );
+                assert!(motors.is_ok(), "{}, {}: {motors:?}", model.name(), view.title);
             }
         }
     }

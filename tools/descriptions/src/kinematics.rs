@@ -104,25 +104,17 @@ pub fn kinematics(question: &Question) -> anyhow::Result<Answer> {
             };
             Answer::forward(machine, &joints)
         }
-        Question::Ik {
-            position,
-            quaternion,
-            near,
-            ..
-        } => {
+        Question::Ik { position, quaternion, near, .. } => {
             let pose = machine::pose(position, quaternion)?;
             let near = match near {
                 Some(near) => machine.vector("--near", near)?,
                 None => (machine.robot).joints_from_motors(&machine.robot.home())?,
             };
             let solutions = machine.robot.inverse(&pose, &near);
-            let solutions =
-                solutions.with_context(|| format!("{}: no joints for this pose", machine.name))?;
+            let solutions = solutions.with_context(|| format!("{}: no joints for this pose", machine.name))?;
             Ok(Answer::inverse(machine, &solutions))
         }
-        Question::Jacobian { joints, .. } => {
-            Answer::jacobian(machine, &machine.vector("--joints", joints)?)
-        }
+        Question::Jacobian { joints, .. } => Answer::jacobian(machine, &machine.vector("--joints", joints)?),
         Question::Limits { .. } => Ok(Answer::limits(machine)),
     }
 }

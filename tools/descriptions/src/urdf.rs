@@ -21,11 +21,7 @@ const DRUM: (f64, f64) = (0.045, 0.09);
 pub fn urdf(which: &Which) -> anyhow::Result<String> {
     let machine = Machine::find(which)?;
     let links = machine.robot.links();
-    ensure!(
-        !links.is_empty(),
-        "{}: no serial arm, and no description of one",
-        machine.name
-    );
+    ensure!(!links.is_empty(), "{}: no serial arm, and no description of one", machine.name);
     let mut text = String::new();
     write(&mut text, &machine, &links).context("the description cannot be written")?;
     Ok(text)
@@ -55,14 +51,10 @@ fn write(text: &mut String, machine: &Machine, links: &[Link]) -> fmt::Result {
     if let Parameters::Polycrank(_) = machine.parameters {
         mounting(text)?;
     }
-    let rods = links
-        .first()
-        .map(|link| rod(&link.parent_from_link.translation.vector));
+    let rods = links.first().map(|link| rod(&link.parent_from_link.translation.vector));
     body(text, "base_link", &[rods.flatten()])?;
     for (number, link) in links.iter().enumerate() {
-        let onwards = links
-            .get(number + 1)
-            .map(|next| rod(&next.parent_from_link.translation.vector));
+        let onwards = links.get(number + 1).map(|next| rod(&next.parent_from_link.translation.vector));
         let visuals = [Some(drum(link)), onwards.flatten(), slide(link)];
         body(text, &format!("{}_link", link.name), &visuals)?;
     }
@@ -73,10 +65,7 @@ fn write(text: &mut String, machine: &Machine, links: &[Link]) -> fmt::Result {
         parent = format!("{}_link", link.name);
     }
     writeln!(text, "  <joint name=\"flange_joint\" type=\"fixed\">")?;
-    writeln!(
-        text,
-        "    <parent link=\"{parent}\"/>\n    <child link=\"flange\"/>\n  </joint>\n</robot>"
-    )
+    writeln!(text, "    <parent link=\"{parent}\"/>\n    <child link=\"flange\"/>\n  </joint>\n</robot>")
 }
 
 /// The floor under a base whose z axis is horizontal. The x axis of the base points up, and its z axis lies along the y
@@ -90,15 +79,10 @@ fn mounting(text: &mut String) -> fmt::Result {
         1.0, 0.0, 0.0,
     );
     let rotation = Rotation3::from_matrix_unchecked(floor_from_base);
-    let floor_from_base = Isometry3::from_parts(
-        Translation3::new(0.0, 0.0, HEIGHT),
-        UnitQuaternion::from_rotation_matrix(&rotation),
-    );
+    let floor_from_base =
+        Isometry3::from_parts(Translation3::new(0.0, 0.0, HEIGHT), UnitQuaternion::from_rotation_matrix(&rotation));
     body(text, "floor", &[])?;
-    writeln!(
-        text,
-        "  <!-- Axis 1 is level, along y of the floor; base_link is the frame of base_from_flange. -->"
-    )?;
+    writeln!(text, "  <!-- Axis 1 is level, along y of the floor; base_link is the frame of base_from_flange. -->")?;
     writeln!(text, "  <joint name=\"mounting\" type=\"fixed\">")?;
     writeln!(
         text,
@@ -133,10 +117,7 @@ fn joint(text: &mut String, link: &Link, parent: &str) -> fmt::Result {
     )?;
     if link.kind != LinkKind::Continuous {
         let (low, high) = (link.limits.low, link.limits.high);
-        writeln!(
-            text,
-            "    <limit lower=\"{low}\" upper=\"{high}\" effort=\"0\" velocity=\"0\"/>"
-        )?;
+        writeln!(text, "    <limit lower=\"{low}\" upper=\"{high}\" effort=\"0\" velocity=\"0\"/>")?;
     }
     writeln!(text, "  </joint>")
 }
@@ -150,12 +131,7 @@ struct Cylinder {
 
 fn body(text: &mut String, name: &str, visuals: &[Option<Cylinder>]) -> fmt::Result {
     writeln!(text, "  <link name=\"{name}\">")?;
-    for Cylinder {
-        link_from_cylinder,
-        radius,
-        length,
-    } in visuals.iter().flatten()
-    {
+    for Cylinder { link_from_cylinder, radius, length } in visuals.iter().flatten() {
         writeln!(
             text,
             "    <visual>\n      {}\n      \
@@ -180,11 +156,7 @@ fn rod(end: &Vector3<f64>) -> Option<Cylinder> {
 /// A drum about the axis of a link.
 fn drum(link: &Link) -> Cylinder {
     let (radius, length) = DRUM;
-    Cylinder {
-        link_from_cylinder: Isometry3::from_parts(Translation3::identity(), along(&link.axis)),
-        radius,
-        length,
-    }
+    Cylinder { link_from_cylinder: Isometry3::from_parts(Translation3::identity(), along(&link.axis)), radius, length }
 }
 
 /// The part of a sliding link that stays inside the previous link at every position.
@@ -195,18 +167,13 @@ fn slide(link: &Link) -> Option<Cylinder> {
 
 /// The smallest rotation of the z axis to `direction`.
 fn along(direction: &Vector3<f64>) -> UnitQuaternion<f64> {
-    UnitQuaternion::rotation_between(&Vector3::z(), direction).unwrap_or_else(|| {
-        UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
-    })
+    UnitQuaternion::rotation_between(&Vector3::z(), direction)
+        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI))
 }
 
 fn origin(pose: &Isometry3<f64>) -> String {
     let rpy = roll_pitch_yaw(&pose.rotation.to_rotation_matrix());
-    format!(
-        "<origin xyz=\"{}\" rpy=\"{}\"/>",
-        triple(&pose.translation.vector),
-        triple(&rpy)
-    )
+    format!("<origin xyz=\"{}\" rpy=\"{}\"/>", triple(&pose.translation.vector), triple(&rpy))
 }
 
 fn triple(vector: &Vector3<f64>) -> String {
@@ -224,18 +191,12 @@ fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> Vector3<f64> {
         let roll = rotation[(2, 1)].atan2(rotation[(2, 2)]);
         return Vector3::new(roll, pitch, rotation[(1, 0)].atan2(rotation[(0, 0)]));
     }
-    Vector3::new(
-        (rotation[(0, 1)] * pitch.signum()).atan2(rotation[(1, 1)]),
-        pitch,
-        0.0,
-    )
+    Vector3::new((rotation[(0, 1)] * pitch.signum()).atan2(rotation[(1, 1)]), pitch, 0.0)
 }
 
 /// Text of a name for an XML attribute.
 fn escaped(name: &str) -> String {
-    name.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('"', "&quot;")
+    name.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
 }
 
 #[cfg(test)]
@@ -246,15 +207,7 @@ mod tests {
 
     #[test]
     fn roll_pitch_and_yaw_are_the_rotation_even_upright() {
-        for pitch in [
-            0.0,
-            0.7,
-            -1.2,
-            FRAC_PI_2,
-            -FRAC_PI_2,
-            FRAC_PI_2 - 1e-7,
-            1e-8 - FRAC_PI_2,
-        ] {
+        for pitch in [0.0, 0.7, -1.2, FRAC_PI_2, -FRAC_PI_2, FRAC_PI_2 - 1e-7, 1e-8 - FRAC_PI_2] {
             for (roll, yaw) in [(0.0, 0.0), (0.3, -2.0), (-3.0, 1.0), (FRAC_PI_2, FRAC_PI_2)] {
                 let rotation = Rotation3::from_euler_angles(roll, pitch, yaw);
                 let found = roll_pitch_yaw(&rotation);
@@ -267,15 +220,10 @@ mod tests {
 
     #[test]
     fn a_rod_reaches_from_the_origin_to_its_end() {
-        for end in [
-            Vector3::z() * 0.5,
-            Vector3::z() * -0.5,
-            Vector3::new(0.1, -0.2, 0.3),
-        ] {
+        for end in [Vector3::z() * 0.5, Vector3::z() * -0.5, Vector3::new(0.1, -0.2, 0.3)] {
             let rod = rod(&end).expect("it is long enough");
             for (side, expected) in [(-0.5, Vector3::zeros()), (0.5, end)] {
-                let tip =
-                    rod.link_from_cylinder * nalgebra::Point3::new(0.0, 0.0, side * rod.length);
+                let tip = rod.link_from_cylinder * nalgebra::Point3::new(0.0, 0.0, side * rod.length);
                 assert!((tip.coords - expected).norm() < 1e-15, "{end} {tip}");
             }
         }

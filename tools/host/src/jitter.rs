@@ -116,30 +116,19 @@ pub struct Options {
 }
 
 /// The values of `--scheduler`.
-const SCHEDULERS: [(&str, &str); 2] = [
-    ("fifo", "SCHED_FIFO"),
-    (
-        "deadline",
-        "SCHED_DEADLINE, with nine tenths of each period",
-    ),
-];
+const SCHEDULERS: [(&str, &str); 2] =
+    [("fifo", "SCHED_FIFO"), ("deadline", "SCHED_DEADLINE, with nine tenths of each period")];
 
 /// The values of `--wait`.
-const WAITS: [(&str, &str); 2] = [
-    ("plain", "Sleep until the deadline"),
-    (
-        "hybrid",
-        "Sleep to a learnt margin before the deadline, then spin",
-    ),
-];
+const WAITS: [(&str, &str); 2] =
+    [("plain", "Sleep until the deadline"), ("hybrid", "Sleep to a learnt margin before the deadline, then spin")];
 
 /// A parser of words that cell files have, each with its help.
 fn words<T: DeserializeOwned + Clone + Send + Sync + 'static>(
     words: [(&'static str, &'static str); 2],
 ) -> impl TypedValueParser<Value = T> {
     let words = words.map(|(word, help)| PossibleValue::new(word).help(help));
-    PossibleValuesParser::new(words)
-        .try_map(|word| T::deserialize(StringDeserializer::<value::Error>::new(word)))
+    PossibleValuesParser::new(words).try_map(|word| T::deserialize(StringDeserializer::<value::Error>::new(word)))
 }
 
 /// The peer.
@@ -196,9 +185,7 @@ impl Course<'_> {
         who: &str,
         mut body: impl FnMut(&mut Wakeups) + Send,
     ) -> anyhow::Result<Vec<Denial>> {
-        let Plan {
-            realtime, period, ..
-        } = self.plan;
+        let Plan { realtime, period, .. } = self.plan;
         let look = || self.look(ledger, who);
         let denied = probe::on_thread(realtime, *period, || body(wakeups), look)?;
         // The last interval of a turn; all others are free by now.
@@ -222,13 +209,9 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     let traffic = options.load.contains(&load::Kind::Bus);
     let buses = file.as_ref().map_or(0, |file| file.cell.bus.len());
     if traffic && (buses == 0 || bench != CellBench::Emulated) {
-        bail!(
-            "--load bus needs the virtual CAN bus of --cell with --bench emulated; `cangen` loads an interface"
-        );
+        bail!("--load bus needs the virtual CAN bus of --cell with --bench emulated; `cangen` loads an interface");
     }
-    let mut cell = file
-        .as_ref()
-        .map(|file| MeasuredCell::new(file, bench, &options.can, traffic));
+    let mut cell = file.as_ref().map(|file| MeasuredCell::new(file, bench, &options.can, traffic));
     if options.against == Some(Peer::Cyclictest) {
         cyclictest::find()?;
     }
@@ -240,16 +223,13 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     let mut outputs = Outputs::new(options.replacement);
     file.iter().for_each(|cell| outputs.reads(cell));
     let files = options.out.as_deref();
-    let files =
-        files.map(|directory| Files::open(&mut outputs, directory, options.against.is_some()));
+    let files = files.map(|directory| Files::open(&mut outputs, directory, options.against.is_some()));
     let (files, mut log) = files.transpose()?.unzip();
     let spikes = outputs.open_if("--spikes", options.spikes.as_deref())?;
     outputs.begin()?;
     let mut serializer = V2DeflateSerializer::new();
     let log = (log.as_mut()).map(|log| IntervalLog::begin(log, &mut serializer));
-    let log = log
-        .transpose()
-        .context("--out: ours.hlog cannot be written")?;
+    let log = log.transpose().context("--out: ours.hlog cannot be written")?;
     let over = signals::ending_flag()?;
     let _load = Load::start(&options.load)?;
     let latency = CpuLatency::hold();
@@ -277,11 +257,7 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
             true => (&mut warming, &mut unheard),
             false => (&mut ours, &mut ledger),
         };
-        let turn = Turn {
-            period: plan.period,
-            time: if warm_up { plan.warm_up } else { plan.turn },
-            over: &over,
-        };
+        let turn = Turn { period: plan.period, time: if warm_up { plan.warm_up } else { plan.turn }, over: &over };
         denied = match &mut cell {
             None => course.thread(wakeups, into, "ours", |to| {
                 probe::wait(&mut waiter, to, turn);

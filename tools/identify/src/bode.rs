@@ -1,8 +1,7 @@
 //! `bode.svg`: magnitude and phase over frequency, crossover and margin marked.
 
 use mrroc::charts::{
-    COLOURS, ChartError, Panel, RGBColor, Scale, dashed, dots, label, line, panel, segments, sheet,
-    titled,
+    COLOURS, ChartError, Panel, RGBColor, Scale, dashed, dots, label, line, panel, segments, sheet, titled,
 };
 
 use super::report::{IdentifyReport, PointReport};
@@ -23,11 +22,7 @@ pub(super) fn chart(report: &IdentifyReport) -> Result<String, ChartError> {
     let degrees = |it: &PointReport| it.phase_deg;
     let values = points.iter().map(decibels);
     let magnitude = Scale::in_steps("magnitude, dB", values, [-10.0, 10.0], 10.0);
-    let least = if report.open_loop {
-        [-180.0, -90.0]
-    } else {
-        [-90.0, 0.0]
-    };
+    let least = if report.open_loop { [-180.0, -90.0] } else { [-90.0, 0.0] };
     let phase = Scale::in_steps("phase, degrees", points.iter().map(degrees), least, 45.0);
     let title = format!("{}: {}", report.axis, report.verdict());
     sheet(SIZE, &title, |area| {
@@ -45,12 +40,7 @@ pub(super) fn chart(report: &IdentifyReport) -> Result<String, ChartError> {
             segments(&mut lower, MARK, [[(crossover, -180.0), reached]])?;
             let middle = (crossover, margin / 2.0 - 180.0);
             label(&mut lower, MARK, middle, &format!("{margin:.1}°"))?;
-            named(
-                &mut upper,
-                &magnitude,
-                crossover,
-                &format!("{crossover:.1} Hz"),
-            )?;
+            named(&mut upper, &magnitude, crossover, &format!("{crossover:.1} Hz"))?;
         } else if let Some(bandwidth) = report.bandwidth_hz {
             upright(&mut upper, &magnitude, bandwidth)?;
             upright(&mut lower, &phase, bandwidth)?;
@@ -63,11 +53,7 @@ pub(super) fn chart(report: &IdentifyReport) -> Result<String, ChartError> {
 }
 
 /// A curve with its points; hollow ones whose coherence is below 0.9.
-fn curve(
-    panel: &mut Panel,
-    points: &[PointReport],
-    value: impl Fn(&PointReport) -> f64,
-) -> Result<(), ChartError> {
+fn curve(panel: &mut Panel, points: &[PointReport], value: impl Fn(&PointReport) -> f64) -> Result<(), ChartError> {
     let place = |it: &PointReport| (it.frequency_hz, value(it));
     line(panel, CURVE, points.iter().map(place))?;
     for coherent in [false, true] {

@@ -22,9 +22,7 @@ use anyhow::{Context, anyhow, bail};
 use can::{Instant, clock};
 use clap::{Args, ValueEnum};
 use servo::identify::{self as measure, Run};
-use servo::{
-    ExcitationError, MAX_AXES, NotUp, Output, PositionLoop, Servo, ServoAxisConfig, lockstep,
-};
+use servo::{ExcitationError, MAX_AXES, NotUp, Output, PositionLoop, Servo, ServoAxisConfig, lockstep};
 
 use mrroc::bench::clockwork;
 use mrroc::bench::emulation::Emulation;
@@ -144,10 +142,7 @@ pub fn identify(options: &Options) -> anyhow::Result<ExitCode> {
     let axis = &mut config.effectors[place.0].axes[place.1];
     let by_drive = axis.position_loop == PositionLoop::Drive;
     if !by_drive && options.at == At::Command {
-        bail!(
-            "--at command: the host closes the position loop of {}, and is excited there",
-            options.axis
-        );
+        bail!("--at command: the host closes the position loop of {}, and is excited there", options.axis);
     }
     let with_torque = Some(place).filter(|_| by_drive && options.at == At::Torque);
     if with_torque.is_some() {
@@ -172,25 +167,13 @@ pub fn identify(options: &Options) -> anyhow::Result<ExitCode> {
     let files = options.out.as_deref();
     let files = files.map(|directory| open(&mut outputs, directory));
     let files = files.transpose()?;
-    let Bench {
-        ports,
-        lines: ttys,
-        emulation,
-        ..
-    } = Bench::open(&file, options.bench, &options.places, false)?;
+    let Bench { ports, lines: ttys, emulation, .. } = Bench::open(&file, options.bench, &options.places, false)?;
     let groups = setup::drive_groups(&file, ports, ttys, with_torque)?;
     let delay = groups[axis.group].delay();
     let (mut servo, mut links) = Servo::new(&config, groups)?;
     let plan = excite(&mut servo, place, plan, options.amplitude.is_some())?;
     let records = servo.record(RECORDS * file.cell.robot.len());
-    let session = Session::new(
-        place.0,
-        plan,
-        axis,
-        links.swap_remove(place.0),
-        records,
-        !hardware,
-    );
+    let session = Session::new(place.0, plan, axis, links.swap_remove(place.0), records, !hardware);
     let motion = Motion::on(options.bench);
     let stop = servo.stop_request();
     signals::on_ending_of_motion(motion.clone(), move |_| stop.request())?;
@@ -207,14 +190,7 @@ pub fn identify(options: &Options) -> anyhow::Result<ExitCode> {
             .response(&run, &axis, delay, &lines)
             .ok_or_else(|| Unmeasured::Stopped("the measurement was broken off".into()))?;
         let bench = options.bench.name();
-        Ok(IdentifyReport::of(
-            name.clone(),
-            bench,
-            &axis,
-            &run,
-            kind,
-            &points,
-        ))
+        Ok(IdentifyReport::of(name.clone(), bench, &axis, &run, kind, &points))
     });
     // The axis has moved, so a refusal would be too late.
     let told = match report {
@@ -302,10 +278,7 @@ fn plan(
     };
     let velocity = in_counts(options.velocity.unwrap_or(usual), count, axis);
     if !(velocity > 0.0 && velocity <= axis.max_velocity) {
-        bail!(
-            "--velocity {velocity}: it is above 0 and at most the {} rad/s of the axis",
-            axis.max_velocity
-        );
+        bail!("--velocity {velocity}: it is above 0 and at most the {} rad/s of the axis", axis.max_velocity);
     }
     if options.periods < 2 {
         bail!("--periods {}: two at least are measured", options.periods);
@@ -346,11 +319,7 @@ fn plan(
 /// otherwise be rounded away.
 fn in_counts(velocity: f64, count: f64, axis: &ServoAxisConfig) -> f64 {
     let whole = (velocity / count).round().max(1.0) * count;
-    if axis.torque_offset.is_some() && velocity > 0.0 && whole <= axis.max_velocity {
-        whole
-    } else {
-        velocity
-    }
+    if axis.torque_offset.is_some() && velocity > 0.0 && whole <= axis.max_velocity { whole } else { velocity }
 }
 
 /// Velocity of a run from `position` towards the farther end of the range; an error if the distance is too short.
@@ -367,17 +336,9 @@ fn direct(run: &Run, axis: &ServoAxisConfig, position: f64) -> Result<f64, Strin
 }
 
 /// Starts the excitation. A default amplitude is reduced if it exceeds the acceleration limit of the axis.
-fn excite(
-    servo: &mut Servo,
-    (robot, axis): (usize, usize),
-    mut run: Run,
-    given: bool,
-) -> anyhow::Result<Run> {
+fn excite(servo: &mut Servo, (robot, axis): (usize, usize), mut run: Run, given: bool) -> anyhow::Result<Run> {
     match servo.excite(robot, axis, run.excitation()) {
-        Err(ExcitationError::Acceleration {
-            acceleration,
-            limit,
-        }) if !given => {
+        Err(ExcitationError::Acceleration { acceleration, limit }) if !given => {
             let share = 0.5 * limit / acceleration;
             run.excitation.iter_mut().for_each(|it| *it *= share);
             servo.excite(robot, axis, run.excitation())?;
@@ -394,11 +355,7 @@ fn not_up(error: NotUp) -> Unmeasured {
     }
 }
 
-fn in_lockstep(
-    mut servo: Servo,
-    session: Session,
-    emulation: Option<Emulation>,
-) -> Result<Session, Unmeasured> {
+fn in_lockstep(mut servo: Servo, session: Session, emulation: Option<Emulation>) -> Result<Session, Unmeasured> {
     let emulation = RefCell::new(emulation.expect("lockstep has emulated drives"));
     let between = |next| emulation.borrow_mut().advance(next);
     let start = lockstep::bring_up(&mut servo, Instant::ZERO, between).map_err(not_up)?;
@@ -433,9 +390,7 @@ fn by_the_clock(
     }
     let ended = turning.end();
     match ended.panicked {
-        Some(panicked) => Err(Unmeasured::Stopped(format!(
-            "the servo thread panicked: {panicked:?}"
-        ))),
+        Some(panicked) => Err(Unmeasured::Stopped(format!("the servo thread panicked: {panicked:?}"))),
         None => Ok(session),
     }
 }

@@ -71,10 +71,7 @@ impl IdentifyReport {
                 match host.output {
                     Output::Velocity => (format!("the host, {law} by velocity"), "rad/s"),
                     Output::Torque => (format!("the host, {law} by torque"), "N·m"),
-                    Output::Duty => (
-                        format!("the host, {law} by pulse width"),
-                        "of the pulse width",
-                    ),
+                    Output::Duty => (format!("the host, {law} by pulse width"), "of the pulse width"),
                 }
             }
         };
@@ -83,9 +80,7 @@ impl IdentifyReport {
         let bandwidth = bandwidth(points).filter(|_| !open);
         let peak = points.iter().map(|it| it.magnitude).fold(0.0, f64::max);
         let middle = margin.map(|it| it.crossover).or(bandwidth);
-        let judged = points
-            .iter()
-            .filter(|it| middle.is_none_or(|middle| (it.frequency / middle).log2().abs() <= 0.5));
+        let judged = points.iter().filter(|it| middle.is_none_or(|middle| (it.frequency / middle).log2().abs() <= 0.5));
         let most = |most: f64, value: &f64| most.max(value.abs());
         Self {
             axis,
@@ -115,12 +110,8 @@ impl IdentifyReport {
     /// The frequency response in CSV.
     pub(crate) fn csv(&self) -> String {
         let head = "frequency_hz,magnitude,phase_deg,coherence\n".to_owned();
-        let row = |it: &PointReport| {
-            format!(
-                "{},{},{},{}\n",
-                it.frequency_hz, it.magnitude, it.phase_deg, it.coherence
-            )
-        };
+        let row =
+            |it: &PointReport| format!("{},{},{},{}\n", it.frequency_hz, it.magnitude, it.phase_deg, it.coherence);
         head + &self.points.iter().map(row).collect::<String>()
     }
 
@@ -151,17 +142,8 @@ impl IdentifyReport {
 impl fmt::Display for IdentifyReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "{}: {}", self.axis, self.setting())?;
-        let what = if self.open_loop {
-            "open loop"
-        } else {
-            "from command to sample"
-        };
-        write!(
-            f,
-            "{what}: {}; coherence {:.3} or more around there",
-            self.verdict(),
-            self.coherence
-        )?;
+        let what = if self.open_loop { "open loop" } else { "from command to sample" };
+        write!(f, "{what}: {}; coherence {:.3} or more around there", self.verdict(), self.coherence)?;
         if self.coherence < SURE {
             write!(
                 f,

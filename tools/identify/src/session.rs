@@ -94,8 +94,7 @@ impl Session {
                     self.begin(report.commanded);
                 }
                 (Stage::Moving, Phase::Standing)
-                    if self.run.macrostep(self.next).is_none()
-                        && report.macrostep == self.run.macrosteps() =>
+                    if self.run.macrostep(self.next).is_none() && report.macrostep == self.run.macrosteps() =>
                 {
                     self.outcome = Some(Ok(()));
                 }

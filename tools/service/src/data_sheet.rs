@@ -30,8 +30,7 @@ impl DataSheet {
     }
 
     fn of(eds: &Eds, object: Object, path: String) -> anyhow::Result<Self> {
-        let (Some(entry), Some(variable)) = (eds.objects.get(&object.index), eds.variable(object))
-        else {
+        let (Some(entry), Some(variable)) = (eds.objects.get(&object.index), eds.variable(object)) else {
             bail!("{path} has no object {object}");
         };
         let name = if entry.object_type.has_subindices() {
@@ -39,12 +38,7 @@ impl DataSheet {
         } else {
             variable.name.clone()
         };
-        Ok(Self {
-            path,
-            object,
-            name: printable(&name),
-            variable: variable.clone(),
-        })
+        Ok(Self { path, object, name: printable(&name), variable: variable.clone() })
     }
 
     /// Data type of the object's values; `None` for a type that has no name on the command line.
@@ -79,9 +73,7 @@ impl DataSheet {
     /// Refuses to write a read-only object. Also refuses a value of a wrong length, and a value outside the limits that
     /// the data sheet states for `node`.
     pub(super) fn check_write(&self, node: NodeId, data: &[u8]) -> anyhow::Result<()> {
-        let Self {
-            object, name, path, ..
-        } = self;
+        let Self { object, name, path, .. } = self;
         if !self.variable.access.writable() {
             bail!("{object} {name} is read-only by {path}");
         }
@@ -127,9 +119,7 @@ mod tests {
     }
 
     fn text<T>(result: anyhow::Result<T>) -> String {
-        result
-            .err()
-            .map_or(String::new(), |error| error.to_string())
+        result.err().map_or(String::new(), |error| error.to_string())
     }
 
     #[test]
@@ -157,13 +147,8 @@ mod tests {
     #[test]
     fn what_the_data_sheet_does_not_allow_is_refused_before_it_is_sent() {
         let node = NodeId::new(1).unwrap();
-        let write = |index, subindex, data: &[u8]| {
-            text(sheet(index, subindex).unwrap().check_write(node, data))
-        };
-        assert_eq!(
-            write(0x1000, 0, &[0; 4]),
-            "0x1000:00 Device type is read-only by drive.eds"
-        );
+        let write = |index, subindex, data: &[u8]| text(sheet(index, subindex).unwrap().check_write(node, data));
+        assert_eq!(write(0x1000, 0, &[0; 4]), "0x1000:00 Device type is read-only by drive.eds");
         let least = "0x1017:00 Heartbeat takes no less than 10 by drive.eds";
         assert_eq!(write(0x1017, 0, &[9, 0]), least);
         let most = "0x1017:00 Heartbeat takes no more than 500 by drive.eds";
@@ -174,9 +159,7 @@ mod tests {
         assert_eq!(write(0x2000, 1, &[0xFB, 0xFF]), "");
         for data in [&[][..], &[0], &[0; 4], &[0; 9]] {
             let given = data.len();
-            let length = format!(
-                "0x2000:01 Gains: P takes 2 bytes by drive.eds, not {given}: leave out --type"
-            );
+            let length = format!("0x2000:01 Gains: P takes 2 bytes by drive.eds, not {given}: leave out --type");
             assert_eq!(write(0x2000, 1, data), length);
         }
         let signed = "0x2000:01 Gains: P takes no less than -5 by drive.eds";
@@ -189,10 +172,7 @@ mod tests {
     #[test]
     fn a_file_that_is_no_data_sheet_is_refused_by_file_and_line() {
         // The first line of this file is already invalid.
-        let refused = text(DataSheet::read(
-            Path::new("src/lib.rs"),
-            Object::new(0x1000, 0),
-        ));
+        let refused = text(DataSheet::read(Path::new("src/lib.rs"), Object::new(0x1000, 0)));
         let rest = refused.strip_prefix("src/lib.rs:").unwrap_or_default();
         assert!(rest.starts_with(|c: char| c.is_ascii_digit()), "{refused}");
     }

@@ -129,8 +129,7 @@ impl Decoder {
     /// Text of a frame that arrived at `at`.
     pub fn describe(&mut self, frame: &Frame, at: Instant) -> Described {
         let (kind, node, text) = self.read(frame, at);
-        let text =
-            text.unwrap_or_else(|| format!("malformed {}: {}", kind.name(), bytes(frame.data())));
+        let text = text.unwrap_or_else(|| format!("malformed {}: {}", kind.name(), bytes(frame.data())));
         Described { kind, node, text }
     }
 
@@ -141,11 +140,7 @@ impl Decoder {
             (Kind::Other, None, Some(text))
         };
         let Some(id) = frame.standard_data_id() else {
-            return other(if frame.is_remote() {
-                "remote frame"
-            } else {
-                "29-bit identifier: "
-            });
+            return other(if frame.is_remote() { "remote frame" } else { "29-bit identifier: " });
         };
         if let Some(pdo) = self.pdos.get(&id.raw()) {
             let text = self.mapped(pdo, frame.data());
@@ -168,12 +163,8 @@ impl Decoder {
             cob::Function::Time => (Kind::Time, None, time(frame)),
             cob::Function::Emcy(node) => (Kind::Emcy, Some(node), self.emcy(frame)),
             cob::Function::Heartbeat(node) => (Kind::Heartbeat, Some(node), heartbeat(frame)),
-            cob::Function::SdoRequest(node) => {
-                (Kind::Sdo, Some(node), self.request(frame, node, at))
-            }
-            cob::Function::SdoResponse(node) => {
-                (Kind::Sdo, Some(node), self.response(frame, node, at))
-            }
+            cob::Function::SdoRequest(node) => (Kind::Sdo, Some(node), self.request(frame, node, at)),
+            cob::Function::SdoResponse(node) => (Kind::Sdo, Some(node), self.response(frame, node, at)),
             cob::Function::Tpdo(number, node) => (Kind::Pdo, Some(node), pdo("TPDO", number)),
             cob::Function::Rpdo(number, node) => (Kind::Pdo, Some(node), pdo("RPDO", number)),
         }
@@ -269,9 +260,7 @@ impl Decoder {
             Reading::Unknown => return Some(block::unknown(frame, "an answer")),
         };
         Some(match response {
-            Response::InitiateUpload { object, initiate } => {
-                self.initiated(object, &initiate, ":", node)
-            }
+            Response::InitiateUpload { object, initiate } => self.initiated(object, &initiate, ":", node),
             Response::InitiateDownload { object } => format!("{} taken", named(object)),
             Response::UploadSegment(segment) => segment_text(&segment, transferred),
             Response::DownloadSegment { .. } => "segment taken".to_owned(),
@@ -334,21 +323,10 @@ fn odd(data: &[u8]) -> String {
 }
 
 fn segment_text(segment: &Segment, object: Option<Object>) -> String {
-    let last = if segment.last {
-        "last segment"
-    } else {
-        "segment"
-    };
+    let last = if segment.last { "last segment" } else { "segment" };
     let of = object.map_or(String::new(), |object| format!(" of {}:", named(object)));
-    let printable = segment
-        .data()
-        .iter()
-        .all(|byte| matches!(byte, b' '..=b'~'));
-    let text = if printable {
-        format!(" {:?}", String::from_utf8_lossy(segment.data()))
-    } else {
-        String::new()
-    };
+    let printable = segment.data().iter().all(|byte| matches!(byte, b' '..=b'~'));
+    let text = if printable { format!(" {:?}", String::from_utf8_lossy(segment.data())) } else { String::new() };
     format!("{last}{of} {}{text}", bytes(segment.data()))
 }
 
@@ -400,9 +378,7 @@ fn time(frame: &Frame) -> Option<String> {
 fn date(days: u16) -> (u32, u32, u32) {
     let mut rest = u32::from(days);
     let mut year = 1984;
-    let leap = |year: u32| {
-        year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400))
-    };
+    let leap = |year: u32| year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400));
     while rest >= 365 + u32::from(leap(year)) {
         rest -= 365 + u32::from(leap(year));
         year += 1;

@@ -36,24 +36,11 @@ type Brought = Result<Vec<u8>, SdoError>;
 
 impl ServicePort {
     /// Opens a tty. `timeout` limits the time to an answer, and is at least the frame time-out of the drive.
-    pub(super) fn open(
-        dialect: Dialect,
-        path: &str,
-        baud: u32,
-        timeout: Duration,
-    ) -> anyhow::Result<Self> {
+    pub(super) fn open(dialect: Dialect, path: &str, baud: u32, timeout: Duration) -> anyhow::Result<Self> {
         let stop_bits = StopBits::One;
         let settings = Settings { baud, stop_bits };
-        let config = Config {
-            time_out: timeout.max(TIME_OUT),
-            capacity: CAPACITY,
-            ..Config::new(dialect, settings)
-        };
-        Ok(Self {
-            tty: Tty::open(path, settings)?,
-            client: Client::new(config),
-            dialect,
-        })
+        let config = Config { time_out: timeout.max(TIME_OUT), capacity: CAPACITY, ..Config::new(dialect, settings) };
+        Ok(Self { tty: Tty::open(path, settings)?, client: Client::new(config), dialect })
     }
 
     /// Whether any byte was received.
@@ -75,11 +62,7 @@ impl ServicePort {
         stop: &AtomicBool,
     ) -> anyhow::Result<Brought> {
         let Object { index, subindex } = object;
-        let address = Address {
-            node,
-            index,
-            subindex,
-        };
+        let address = Address { node, index, subindex };
         if let Some(data) = data {
             return self.ask(object, stop, |client, now| {
                 if data.len() > 4 {
@@ -92,8 +75,7 @@ impl ServicePort {
         }
         let bytes = ty.map(Type::bytes);
         let segments = self.dialect == Dialect::Epos4;
-        let read_segmented =
-            |client: &mut Client, now: Instant| client.read_segmented(address, now);
+        let read_segmented = |client: &mut Client, now: Instant| client.read_segmented(address, now);
         if matches!(bytes, Some(Some(5..))) || segments && bytes == Some(None) {
             return self.ask(object, stop, read_segmented);
         }
@@ -104,10 +86,7 @@ impl ServicePort {
                 Ok(Ok(data))
             }
             Err(SdoError {
-                cause:
-                    SdoCause::Aborted {
-                        code: AbortCode::TOO_LONG | AbortCode::LENGTH_MISMATCH,
-                    },
+                cause: SdoCause::Aborted { code: AbortCode::TOO_LONG | AbortCode::LENGTH_MISMATCH },
                 ..
             }) if segments && bytes.is_none() => self.ask(object, stop, read_segmented),
             other => Ok(other),
@@ -115,15 +94,9 @@ impl ServicePort {
     }
 
     /// Sends an NMT command.
-    pub(super) fn nmt(
-        &mut self,
-        request: Request,
-        stop: &AtomicBool,
-    ) -> anyhow::Result<Result<(), SdoError>> {
+    pub(super) fn nmt(&mut self, request: Request, stop: &AtomicBool) -> anyhow::Result<Result<(), SdoError>> {
         let frame = request.encode();
-        let &[command, node] = frame.data() else {
-            unreachable!("an NMT command has two bytes")
-        };
+        let &[command, node] = frame.data() else { unreachable!("an NMT command has two bytes") };
         // An NMT command addresses no object. A refusal concerns the command.
         let nothing = Object::new(0, 0);
         let told = self.ask(nothing, stop, |client, now| client.nmt(node, command, now))?;
@@ -163,11 +136,7 @@ impl ServicePort {
                 Some(Err(other)) => return Err(anyhow!(other)),
             }
             let due = self.client.poll_timeout().context("the request is lost")?;
-            let again = if self.client.bytes().is_empty() {
-                LOOK
-            } else {
-                AGAIN
-            };
+            let again = if self.client.bytes().is_empty() { LOOK } else { AGAIN };
             let until = due.min(now + again);
             clock::wait_readable(self.tty.as_fd(), until).map_err(serial::LineError::Os)?;
             self.receive()?;

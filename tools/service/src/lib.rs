@@ -108,32 +108,18 @@ impl BusArgs {
         self.open_by(BusPort::listen)
     }
 
-    fn open_by<P>(
-        &self,
-        open: impl FnOnce(&Interface, u32) -> anyhow::Result<P>,
-    ) -> anyhow::Result<Open<P>> {
+    fn open_by<P>(&self, open: impl FnOnce(&Interface, u32) -> anyhow::Result<P>) -> anyhow::Result<Open<P>> {
         let (interface, kbps, cell) = self.resolve()?;
-        Ok(Open {
-            interrupted: signals::ending_flag()?,
-            port: open(&interface, kbps)?,
-            interface,
-            cell,
-        })
+        Ok(Open { interrupted: signals::ending_flag()?, port: open(&interface, kbps)?, interface, cell })
     }
 
     /// Opens the bus or the service port. On a service port, `timeout` limits the time to an answer.
     fn open_channel(&self, timeout: Duration) -> anyhow::Result<Channel> {
         let (interface, ..) = self.resolve()?;
-        let Interface::Epos {
-            dialect,
-            path,
-            baud,
-        } = interface
-        else {
+        let Interface::Epos { dialect, path, baud } = interface else {
             return self.open().map(Channel::Bus);
         };
-        self.open_by(|_, _| ServicePort::open(dialect, &path, baud, timeout))
-            .map(Channel::Drive)
+        self.open_by(|_, _| ServicePort::open(dialect, &path, baud, timeout)).map(Channel::Drive)
     }
 
     /// The interface to open, its bit rate, kbit/s, and the cell.
@@ -153,10 +139,7 @@ impl BusArgs {
             (None, None) => bail!("--can or --cell must say which bus"),
         };
         let interface = Interface::parse(interface);
-        let kbps = self
-            .bitrate_kbps
-            .or(of_cell.map(|bus| bus.bitrate_kbps))
-            .unwrap_or(1000);
+        let kbps = self.bitrate_kbps.or(of_cell.map(|bus| bus.bitrate_kbps)).unwrap_or(1000);
         Ok((interface, kbps, cell))
     }
 
@@ -179,9 +162,7 @@ impl<P> Open<P> {
     fn name_of(&self, node: NodeId) -> String {
         let axis = self.cell.as_ref().and_then(|(file, bus)| {
             let mut axes = file.cell.axes_on(*bus);
-            let is_node = |&(robot, axis): &(usize, usize)| {
-                file.cell.robot[robot].axis[axis].node == node.raw()
-            };
+            let is_node = |&(robot, axis): &(usize, usize)| file.cell.robot[robot].axis[axis].node == node.raw();
             let (robot, axis) = axes.find(is_node)?;
             Some(format!(" ({})", file.axis_name(robot, axis)))
         });
@@ -192,8 +173,8 @@ impl<P> Open<P> {
 impl Bus {
     /// Runs a conversation until its end. The error after Ctrl-C is [`Interrupted`].
     fn hold(&mut self, conversation: &mut impl Conversation) -> anyhow::Result<()> {
-        let ended = talk::hold(&mut self.port, conversation, &self.interrupted)
-            .with_context(|| self.interface.to_string())?;
+        let ended =
+            talk::hold(&mut self.port, conversation, &self.interrupted).with_context(|| self.interface.to_string())?;
         Ok(ended?)
     }
 
@@ -228,9 +209,7 @@ impl Drive {
         data: Option<&[u8]>,
         ty: Option<Type>,
     ) -> anyhow::Result<Result<Vec<u8>, SdoError>> {
-        self.port
-            .transfer(node, object, data, ty, &self.interrupted)
-            .with_context(|| self.interface.to_string())
+        self.port.transfer(node, object, data, ty, &self.interrupted).with_context(|| self.interface.to_string())
     }
 
     /// Possible reasons why the drive did not answer.

@@ -109,15 +109,8 @@ fn identity(text: &str) -> Result<Identity, String> {
     let number = |text| value::number(text).and_then(|number| u32::try_from(number).ok());
     let numbers: Option<Vec<u32>> = text.split(':').map(number).collect();
     match numbers.as_deref() {
-        Some(&[vendor, product, revision, serial]) => Ok(Identity {
-            vendor,
-            product,
-            revision,
-            serial,
-        }),
-        _ => {
-            Err("an identity is four numbers, such as 0xfb:0x61500000:0x1700000:0x12345678".into())
-        }
+        Some(&[vendor, product, revision, serial]) => Ok(Identity { vendor, product, revision, serial }),
+        _ => Err("an identity is four numbers, such as 0xfb:0x61500000:0x1700000:0x12345678".into()),
     }
 }
 
@@ -217,10 +210,7 @@ fn scan(bus: &BusArgs, timeout: Option<Duration>, json: bool) -> anyhow::Result<
 
 fn inquire(slave: &Slave, json: bool) -> anyhow::Result<ExitCode> {
     let timeout = Duration::from_millis(slave.timeout);
-    let services = [
-        (Service::InquireIdentity, timeout),
-        (Service::InquireNodeId, timeout),
-    ];
+    let services = [(Service::InquireIdentity, timeout), (Service::InquireNodeId, timeout)];
     let (answers, _) = slave.ask(&services, None)?;
     let found = answers.windows(2).find_map(|pair| match pair {
         [Answer::Identity(identity), Answer::NodeId(node)] => Some(Found::of(identity, *node)),
@@ -230,10 +220,7 @@ fn inquire(slave: &Slave, json: bool) -> anyhow::Result<ExitCode> {
 }
 
 fn set_node_id(slave: &Slave, node: Option<NodeId>, store: bool) -> anyhow::Result<ExitCode> {
-    let mut services = vec![(
-        Service::ConfigureNodeId(node),
-        Duration::from_millis(slave.timeout),
-    )];
+    let mut services = vec![(Service::ConfigureNodeId(node), Duration::from_millis(slave.timeout))];
     if store {
         services.push((Service::Store, STORING));
     }
@@ -253,18 +240,9 @@ fn set_node_id(slave: &Slave, node: Option<NodeId>, store: bool) -> anyhow::Resu
 
 impl Slave {
     /// Answers of the slave, and whether node `expected` boots afterwards.
-    fn ask(
-        &self,
-        services: &[(Service, Duration)],
-        expected: Option<NodeId>,
-    ) -> anyhow::Result<(Vec<Answer>, bool)> {
+    fn ask(&self, services: &[(Service, Duration)], expected: Option<NodeId>) -> anyhow::Result<(Vec<Answer>, bool)> {
         let mut bus = self.bus.open()?;
-        let mut dialogue = Dialogue::with(
-            self.identity,
-            services,
-            expected,
-            Duration::from_millis(self.timeout),
-        );
+        let mut dialogue = Dialogue::with(self.identity, services, expected, Duration::from_millis(self.timeout));
         bus.hold(&mut dialogue)?;
         let booted = dialogue.booted;
         Ok((dialogue.result()?, booted))
@@ -322,29 +300,17 @@ impl Dialogue {
             Some(identity) => Service::SwitchSelective(identity),
             None => Service::SwitchGlobal(Mode::Configuration),
         };
-        let begin = [
-            (Service::SwitchGlobal(Mode::Waiting), SWITCHING),
-            (select, timeout),
-        ];
+        let begin = [(Service::SwitchGlobal(Mode::Waiting), SWITCHING), (select, timeout)];
         let services = begin.into_iter().chain(services.iter().copied());
-        Self {
-            expected,
-            ..Self::of(services.collect(), None)
-        }
+        Self { expected, ..Self::of(services.collect(), None) }
     }
 
     /// Scan for every slave without a node-ID. A slave that was found is in configuration mode and should be silent
     /// from then on. If such a slave is not silent, the scan continues with all slaves in waiting mode. Each pass then
     /// begins above the identity found last.
     pub(super) fn scan(timeout: Duration) -> Self {
-        let services = [
-            (Service::SwitchGlobal(Mode::Waiting), SWITCHING),
-            (Service::Fastscan, timeout),
-        ];
-        let scanning = Scanning {
-            timeout,
-            above: false,
-        };
+        let services = [(Service::SwitchGlobal(Mode::Waiting), SWITCHING), (Service::Fastscan, timeout)];
+        let scanning = Scanning { timeout, above: false };
         Self::of(services.into(), Some(scanning))
     }
 
@@ -467,9 +433,7 @@ impl Conversation for Dialogue {
     fn poll_timeout(&self) -> Option<Instant> {
         match self.ending {
             // A dialogue that has not started is due at once.
-            Ending::NotYet | Ending::Waiting => {
-                Some(self.master.poll_timeout().unwrap_or(Instant::ZERO))
-            }
+            Ending::NotYet | Ending::Waiting => Some(self.master.poll_timeout().unwrap_or(Instant::ZERO)),
             Ending::Booting { until } => Some(until),
             Ending::Over => None,
         }

@@ -38,13 +38,7 @@ pub struct Options {
     #[arg(long, value_name = "KIND", value_enum, value_delimiter = ',')]
     only: Vec<Kind>,
     /// Do not show frames of these kinds.
-    #[arg(
-        long,
-        value_name = "KIND",
-        value_enum,
-        value_delimiter = ',',
-        conflicts_with = "only"
-    )]
+    #[arg(long, value_name = "KIND", value_enum, value_delimiter = ',', conflicts_with = "only")]
     without: Vec<Kind>,
     /// Print one JSON object per frame.
     #[arg(long)]
@@ -60,11 +54,7 @@ impl Options {
 /// Shows frames until Ctrl-C, until `--count` frames were shown, or until the reader of the output closes it. The exit
 /// status is 0 in all three cases.
 pub fn monitor(options: &Options) -> anyhow::Result<ExitCode> {
-    let mut bus = if options.map {
-        options.bus.open()?
-    } else {
-        options.bus.listen()?
-    };
+    let mut bus = if options.map { options.bus.open()? } else { options.bus.listen()? };
     let mut decoder = of_cell(&bus);
     if options.map {
         let nodes = NodeId::all().map(|node| (node, MappingQuestions::of(node)));
@@ -121,14 +111,9 @@ fn watch(bus: &mut Bus, decoder: &mut Decoder, options: &Options) -> anyhow::Res
     let mut health = Health::default();
     while left > 0 && !bus.interrupted.load(Ordering::Relaxed) {
         let on = || bus.interface.to_string();
-        bus.port
-            .wait_readable(clock::now() + talk::LOOK)
-            .with_context(on)?;
+        bus.port.wait_readable(clock::now() + talk::LOOK).with_context(on)?;
         let on = || bus.interface.to_string();
-        let count = bus
-            .port
-            .receive(clock::now(), &mut received)
-            .with_context(on)?;
+        let count = bus.port.receive(clock::now(), &mut received).with_context(on)?;
         if health.has_lost(bus) {
             // The position of the loss among the received frames is not known.
             decoder.begin(clock::now());
@@ -139,18 +124,11 @@ fn watch(bus: &mut Bus, decoder: &mut Decoder, options: &Options) -> anyhow::Res
                 continue;
             }
             left -= 1;
-            let shown = MonitorLine {
-                at_s: at.since(began).as_secs_f64(),
-                frame: frame.to_string(),
-                described,
-            };
+            let shown = MonitorLine { at_s: at.since(began).as_secs_f64(), frame: frame.to_string(), described };
             if options.json {
                 writeln!(out, "{}", serde_json::to_string(&shown)?)?;
             } else {
-                let name = shown
-                    .described
-                    .node
-                    .map(|node| format!("{}: ", bus.name_of(node)));
+                let name = shown.described.node.map(|node| format!("{}: ", bus.name_of(node)));
                 let (frame, text) = (&shown.frame, &shown.described.text);
                 let name = name.unwrap_or_default();
                 writeln!(out, "{:12.6}  {frame:<20}  {name}{text}", shown.at_s)?;

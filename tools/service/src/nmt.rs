@@ -70,10 +70,7 @@ impl CommandName {
 
 /// Sends an NMT command and reports the states of the nodes after it.
 pub fn nmt(options: &Options) -> anyhow::Result<ExitCode> {
-    let request = Request {
-        command: options.order.command(),
-        target: options.target,
-    };
+    let request = Request { command: options.order.command(), target: options.target };
     let timeout = Duration::from_millis(options.timeout);
     let mut bus = match options.bus.open_channel(timeout)? {
         Channel::Bus(bus) => bus,
@@ -184,19 +181,12 @@ impl Told {
 
     pub(super) fn report(self) -> NodeReport {
         let heard = |node: NodeId| Some((node, self.heard[usize::from(node.raw())]?));
-        let heard: Vec<_> = NodeId::all()
-            .filter(|node| self.request.concerns(*node))
-            .filter_map(heard)
-            .collect();
+        let heard: Vec<_> = NodeId::all().filter(|node| self.request.concerns(*node)).filter_map(heard).collect();
         let silent = match self.request.target {
             Target::Node(node) if heard.is_empty() => Some((node, self.answer)),
             Target::Node(_) | Target::All => None,
         };
-        NodeReport {
-            wanted: self.wanted,
-            heard,
-            silent,
-        }
+        NodeReport { wanted: self.wanted, heard, silent }
     }
 }
 
@@ -225,9 +215,7 @@ impl Conversation for Told {
 
     fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
         let client = &mut self.client;
-        self.frame
-            .take()
-            .or_else(|| client.as_mut()?.poll_transmit(now))
+        self.frame.take().or_else(|| client.as_mut()?.poll_transmit(now))
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
@@ -272,20 +260,11 @@ impl NodeReport {
         if let Some((node, answer)) = &self.silent {
             let what: &str = match (answer, self.wanted) {
                 (_, NmtState::Initialising) => "told, and did not boot",
-                (Some(Ok(0)), NmtState::Stopped) => {
-                    "told, and still answers SDO, so it did not stop"
-                }
-                (Some(Ok(0)), _) => {
-                    "told; it sends no heartbeat (0x1017 is 0 or missing), and is not stopped"
-                }
+                (Some(Ok(0)), NmtState::Stopped) => "told, and still answers SDO, so it did not stop",
+                (Some(Ok(0)), _) => "told; it sends no heartbeat (0x1017 is 0 or missing), and is not stopped",
                 (Some(Ok(ms)), _) => &format!("told, and its heartbeat of {ms} ms was not heard"),
-                (_, NmtState::Stopped) => {
-                    "told; neither heartbeat nor SDO answer: stopped, or not there"
-                }
-                _ => &format!(
-                    "told, and neither a heartbeat nor an SDO answer came: {}",
-                    bus.silence()
-                ),
+                (_, NmtState::Stopped) => "told; neither heartbeat nor SDO answer: stopped, or not there",
+                _ => &format!("told, and neither a heartbeat nor an SDO answer came: {}", bus.silence()),
             };
             lines.push(format!("{}: {what}", bus.name_of(*node)));
         } else if self.heard.is_empty() {

@@ -115,12 +115,7 @@ impl Questions for MappingQuestions {
                 if self.entries.len() as u64 == self.count
                     && let Some(&(kind, number)) = self.pdos.front()
                 {
-                    let pdo = Pdo {
-                        node: self.node,
-                        kind,
-                        number,
-                        entries: self.entries.clone(),
-                    };
+                    let pdo = Pdo { node: self.node, kind, number, entries: self.entries.clone() };
                     self.map.insert(self.id, pdo);
                     self.next_pdo();
                 }

@@ -34,15 +34,8 @@ const LSS_ANSWER: Duration = Duration::from_millis(100);
 const ON_THE_LINE: u8 = 0;
 
 /// Objects that are read from a node, in this order.
-const ASKED: [Object; 7] = [
-    DEVICE_TYPE,
-    VENDOR_ID,
-    PRODUCT_CODE,
-    REVISION,
-    SERIAL_NUMBER,
-    PRODUCER_HEARTBEAT,
-    DEVICE_NAME,
-];
+const ASKED: [Object; 7] =
+    [DEVICE_TYPE, VENDOR_ID, PRODUCT_CODE, REVISION, SERIAL_NUMBER, PRODUCER_HEARTBEAT, DEVICE_NAME];
 
 /// Options of `mrroc scan`.
 #[derive(Args)]
@@ -59,10 +52,7 @@ pub struct Options {
 
 /// Requests the identity of every node-ID.
 pub fn scan(options: &Options) -> anyhow::Result<Scanned> {
-    let mut bus = match options
-        .bus
-        .open_channel(Duration::from_millis(options.timeout))?
-    {
+    let mut bus = match options.bus.open_channel(Duration::from_millis(options.timeout))? {
         Channel::Bus(bus) => bus,
         Channel::Drive(mut drive) => return identify(&mut drive),
     };
@@ -76,11 +66,7 @@ pub fn scan(options: &Options) -> anyhow::Result<Scanned> {
         bail!("no node answers: {}", bus.silence());
     }
     let name = |node: &Node| NodeId::new(node.node).map(|id| bus.name_of(id));
-    Ok(Scanned {
-        names: nodes.iter().filter_map(name).collect(),
-        nodes,
-        unconfigured,
-    })
+    Ok(Scanned { names: nodes.iter().filter_map(name).collect(), nodes, unconfigured })
 }
 
 /// Requests the identity of the drive on a service port.
@@ -94,11 +80,7 @@ fn identify(drive: &mut Drive) -> anyhow::Result<Scanned> {
     let Some(node) = identity.into_node(ON_THE_LINE) else {
         bail!("no drive answers: {}", drive.silence());
     };
-    Ok(Scanned {
-        nodes: vec![node],
-        unconfigured: false,
-        names: vec![drive.interface.to_string()],
-    })
+    Ok(Scanned { nodes: vec![node], unconfigured: false, names: vec![drive.interface.to_string()] })
 }
 
 /// Result of a scan.
@@ -115,10 +97,7 @@ pub struct Scanned {
 impl fmt::Display for Scanned {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.unconfigured {
-            writeln!(
-                f,
-                "there are nodes without a node-ID: `mrroc lss scan` finds them"
-            )?;
+            writeln!(f, "there are nodes without a node-ID: `mrroc lss scan` finds them")?;
         }
         let mut nodes = self.names.iter().zip(&self.nodes);
         nodes.try_for_each(|(name, node)| writeln!(f, "{name}: {node}"))
@@ -135,11 +114,7 @@ pub(super) struct Scan {
 impl Scan {
     pub(super) fn new(timeout: Duration, now: Instant) -> Self {
         let nodes = NodeId::all().map(|node| (node, Identity::default()));
-        Self {
-            survey: Survey::new(nodes, timeout),
-            began: now,
-            now,
-        }
+        Self { survey: Survey::new(nodes, timeout), began: now, now }
     }
 
     /// Nodes that answered or sent a heartbeat, in ascending order.
@@ -285,11 +260,7 @@ impl fmt::Display for Node {
             (None, Some(id)) => write!(f, ", vendor {id:#010x}")?,
             (None, None) => {}
         }
-        let numbers = [
-            ("product", self.product),
-            ("revision", self.revision),
-            ("serial number", self.serial),
-        ];
+        let numbers = [("product", self.product), ("revision", self.revision), ("serial number", self.serial)];
         for (what, number) in numbers {
             if let Some(number) = number {
                 write!(f, ", {what} {number:#010x}")?;

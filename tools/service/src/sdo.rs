@@ -108,7 +108,8 @@ impl Target {
 
 /// Parses an object on the command line.
 fn object(text: &str) -> Result<Object, String> {
-    const NOTATION: &str = "an object is INDEX:SUB in hexadecimal, such as 0x6041:0, or 6041:0 with all four digits of the index";
+    const NOTATION: &str =
+        "an object is INDEX:SUB in hexadecimal, such as 0x6041:0, or 6041:0 with all four digits of the index";
     let (index, subindex) = text.split_once(':').unwrap_or((text, "0"));
     let marked = index.starts_with("0x") || index.starts_with("0X");
     let index = hexadecimal(index, 4).filter(|_| marked || index.len() == 4);
@@ -131,12 +132,7 @@ fn hexadecimal(text: &str, most: usize) -> Option<u16> {
 pub fn sdo(action: &Action) -> anyhow::Result<ExitCode> {
     match action {
         Action::Read { target, ty } => read(target, *ty),
-        Action::Write {
-            target,
-            value,
-            ty,
-            no_read_back,
-        } => write(target, value, *ty, !no_read_back),
+        Action::Write { target, value, ty, no_read_back } => write(target, value, *ty, !no_read_back),
     }
 }
 
@@ -192,12 +188,7 @@ fn vendor(channel: &mut Channel, target: &Target) -> anyhow::Result<Option<u32>>
     Ok(raw.map(|raw| raw as u32))
 }
 
-fn write(
-    target: &Target,
-    text: &str,
-    ty: Option<Type>,
-    read_back: bool,
-) -> anyhow::Result<ExitCode> {
+fn write(target: &Target, text: &str, ty: Option<Type>, read_back: bool) -> anyhow::Result<ExitCode> {
     let sheet = target.data_sheet()?;
     let ty = ty.or_else(|| sheet.as_ref()?.value_type());
     let ty = ty.with_context(|| format!("{}: say its --type, such as hex", target.object))?;
@@ -205,10 +196,7 @@ fn write(
     if let Some(sheet) = &sheet {
         sheet.check_write(target.node, &data)?;
     }
-    let read_back = read_back
-        && sheet
-            .as_ref()
-            .is_none_or(|sheet| sheet.check_read().is_ok());
+    let read_back = read_back && sheet.as_ref().is_none_or(|sheet| sheet.check_read().is_ok());
     let mut channel = target.open()?;
     check_kept(&mut channel, target)?;
     let written = transfer(&mut channel, target, target.object, Some(&data), Some(ty))?;

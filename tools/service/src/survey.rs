@@ -37,14 +37,9 @@ struct Asked<Q> {
 impl<Q: Questions> Survey<Q> {
     /// Queries `nodes`. Each node has `timeout` for every answer.
     pub(super) fn new(nodes: impl Iterator<Item = (NodeId, Q)>, timeout: Duration) -> Self {
-        let asked = |(node, questions)| Asked {
-            client: sdo::Client::new(node, timeout, RETRIES),
-            questions,
-            asking: false,
-        };
-        Self {
-            nodes: nodes.map(asked).collect(),
-        }
+        let asked =
+            |(node, questions)| Asked { client: sdo::Client::new(node, timeout, RETRIES), questions, asking: false };
+        Self { nodes: nodes.map(asked).collect() }
     }
 
     /// Results of the requests, node by node.

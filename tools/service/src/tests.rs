@@ -55,13 +55,7 @@ impl Stage {
             let config = Epos4Config::new(node(raw), AxisConfig::irp6(Irp6Axis::ALL[0]));
             world.add_device(bus, Box::new(Epos4::new(config)));
         }
-        let mut stage = Self {
-            world,
-            bus,
-            port,
-            now: Instant::ZERO,
-            sent: Vec::new(),
-        };
+        let mut stage = Self { world, bus, port, now: Instant::ZERO, sent: Vec::new() };
         // The drives boot.
         stage.pass(Duration::from_secs(1));
         stage
@@ -75,10 +69,7 @@ impl Stage {
 
     fn receive(&mut self) -> Vec<Received> {
         let frame = Sync::default().encode();
-        let mut received = [Received {
-            frame,
-            at: Instant::ZERO,
-        }; 64];
+        let mut received = [Received { frame, at: Instant::ZERO }; 64];
         let count = self.port.receive(self.now, &mut received).unwrap();
         received[..count].to_vec()
     }
@@ -89,10 +80,7 @@ impl Stage {
         let mut untaken = None;
         loop {
             conversation.handle_timeout(self.now);
-            while let Some(frame) = untaken
-                .take()
-                .or_else(|| conversation.poll_transmit(self.now))
-            {
+            while let Some(frame) = untaken.take().or_else(|| conversation.poll_transmit(self.now)) {
                 if self.port.send(self.now, &[frame]).unwrap() == 0 {
                     untaken = Some(frame);
                     break;
@@ -115,12 +103,7 @@ impl Stage {
         self.transfer(from, object, None)
     }
 
-    fn transfer(
-        &mut self,
-        with: u8,
-        object: Object,
-        data: Option<&[u8]>,
-    ) -> Result<Vec<u8>, SdoError> {
+    fn transfer(&mut self, with: u8, object: Object, data: Option<&[u8]>) -> Result<Vec<u8>, SdoError> {
         self.transfer_by(false, with, object, data)
     }
 
@@ -168,34 +151,21 @@ fn a_scan_of_a_whole_bus_takes_about_a_second_and_finds_everybody() {
 #[test]
 fn a_scan_tells_who_a_node_is_and_what_its_heartbeat_says() {
     let mut stage = Stage::with(&[3, 5]);
-    stage
-        .transfer(5, PRODUCER_HEARTBEAT, Some(&700_u16.to_le_bytes()))
-        .unwrap();
+    stage.transfer(5, PRODUCER_HEARTBEAT, Some(&700_u16.to_le_bytes())).unwrap();
     let (found, _) = stage.scan();
     assert!(found[0].starts_with("CiA 402, servo drive"), "{found:?}");
     assert!(found[0].contains(", maxon, product 0x"), "{found:?}");
-    assert!(
-        found[0].ends_with("NMT state unknown, sends no heartbeat"),
-        "{found:?}"
-    );
-    assert!(
-        found[1].ends_with("pre-operational, heartbeat each 700 ms"),
-        "{found:?}"
-    );
+    assert!(found[0].ends_with("NMT state unknown, sends no heartbeat"), "{found:?}");
+    assert!(found[1].ends_with("pre-operational, heartbeat each 700 ms"), "{found:?}");
 }
 
 #[test]
 fn a_stopped_node_is_found_by_its_heartbeat() {
     let mut stage = Stage::with(&[3]);
-    stage
-        .transfer(3, PRODUCER_HEARTBEAT, Some(&300_u16.to_le_bytes()))
-        .unwrap();
+    stage.transfer(3, PRODUCER_HEARTBEAT, Some(&300_u16.to_le_bytes())).unwrap();
     assert!(stage.tell(Command::Stop.to(node(3))).confirmed());
     let (found, _) = stage.scan();
-    assert_eq!(
-        found,
-        ["is heard and answers no SDO, stopped, heard each 300 ms"]
-    );
+    assert_eq!(found, ["is heard and answers no SDO, stopped, heard each 300 ms"]);
 }
 
 #[test]
@@ -219,10 +189,7 @@ fn a_refusal_ends_a_transfer_and_silence_does() {
         Err(error) => assert_eq!(error.cause, SdoCause::Aborted { code: expected }),
         other => panic!("{other:?}"),
     };
-    refused(
-        stage.transfer(3, STATUSWORD, Some(&[0, 0])),
-        AbortCode::READ_ONLY,
-    );
+    refused(stage.transfer(3, STATUSWORD, Some(&[0, 0])), AbortCode::READ_ONLY);
     refused(stage.read(3, Object::new(0x5FFF, 0)), AbortCode::NO_OBJECT);
     let silent = stage.read(4, STATUSWORD);
     let cause = silent.map_err(|error| error.cause);
@@ -246,9 +213,7 @@ fn commands_are_confirmed_by_what_the_node_says_next() {
     assert_eq!(told.heard, [(node(3), NmtState::Initialising)]);
 
     stage.pass(Duration::from_secs(1));
-    stage
-        .transfer(5, PRODUCER_HEARTBEAT, Some(&100_u16.to_le_bytes()))
-        .unwrap();
+    stage.transfer(5, PRODUCER_HEARTBEAT, Some(&100_u16.to_le_bytes())).unwrap();
     let cases = [
         (Command::Start, NmtState::Operational),
         (Command::Stop, NmtState::Stopped),
@@ -280,11 +245,7 @@ fn a_node_that_another_master_guards_is_read_by_its_state_without_the_toggle_bit
 
 #[test]
 fn a_node_that_still_answers_sdo_did_not_stop() {
-    let told = NodeReport {
-        wanted: NmtState::Stopped,
-        heard: Vec::new(),
-        silent: Some((node(3), Some(Ok(0)))),
-    };
+    let told = NodeReport { wanted: NmtState::Stopped, heard: Vec::new(), silent: Some((node(3), Some(Ok(0)))) };
     assert!(!told.confirmed());
 }
 
@@ -306,21 +267,12 @@ fn an_abort_is_an_answer_of_a_node_without_heartbeat() {
 #[test]
 fn a_node_that_is_not_there_confirms_nothing() {
     let mut stage = Stage::with(&[3]);
-    let commands = [
-        Command::Start,
-        Command::Stop,
-        Command::EnterPreOperational,
-        Command::ResetNode,
-        Command::ResetCommunication,
-    ];
+    let commands =
+        [Command::Start, Command::Stop, Command::EnterPreOperational, Command::ResetNode, Command::ResetCommunication];
     for command in commands {
         assert!(!stage.tell(command.to(node(4))).confirmed(), "{command:?}");
     }
-    assert!(
-        !Stage::with(&[])
-            .tell(Command::ResetNode.to_all())
-            .confirmed()
-    );
+    assert!(!Stage::with(&[]).tell(Command::ResetNode.to_all()).confirmed());
 }
 
 #[test]
@@ -328,10 +280,7 @@ fn all_nodes_are_told_at_once_and_each_is_heard() {
     let mut stage = Stage::with(&[3, 5]);
     let told = stage.tell(Command::ResetNode.to_all());
     assert!(told.confirmed(), "{told:?}");
-    let booted = [
-        (node(3), NmtState::Initialising),
-        (node(5), NmtState::Initialising),
-    ];
+    let booted = [(node(3), NmtState::Initialising), (node(5), NmtState::Initialising)];
     assert_eq!(told.heard, booted);
 }
 
@@ -386,16 +335,8 @@ fn parse(text: &str) -> Frame {
 
 #[test]
 fn a_node_is_given_its_node_id_by_these_frames_and_boots() {
-    let identity = Identity {
-        vendor: 0xFB,
-        product: 0x6150_0000,
-        revision: 0x0170_0000,
-        serial: 0x1234_5678,
-    };
-    let services = [
-        (Service::ConfigureNodeId(Some(node(5))), TIMEOUT),
-        (Service::Store, TIMEOUT),
-    ];
+    let identity = Identity { vendor: 0xFB, product: 0x6150_0000, revision: 0x0170_0000, serial: 0x1234_5678 };
+    let services = [(Service::ConfigureNodeId(Some(node(5))), TIMEOUT), (Service::Store, TIMEOUT)];
     let mut dialogue = Dialogue::with(Some(identity), &services, Some(node(5)), TIMEOUT);
     let mut modes = 0;
     let (said, _) = answered(&mut dialogue, |said| match &said[..6] {
@@ -434,22 +375,14 @@ fn a_dialogue_that_is_broken_off_sends_all_slaves_back_to_waiting_mode() {
 
 #[test]
 fn whatever_fails_all_slaves_are_back_in_waiting_mode_at_the_end() {
-    let services = [
-        (Service::ConfigureNodeId(Some(node(5))), TIMEOUT),
-        (Service::Store, TIMEOUT),
-    ];
+    let services = [(Service::ConfigureNodeId(Some(node(5))), TIMEOUT), (Service::Store, TIMEOUT)];
     for answer in [None, Some("7E4#1101000000000000")] {
         let mut dialogue = Dialogue::with(None, &services, Some(node(5)), TIMEOUT);
         let (said, took) = answered(&mut dialogue, |said| match &said[..6] {
             "7E5#11" => answer.into_iter().collect(),
             _ => vec![],
         });
-        let expected = [
-            "7E5#0400000000000000",
-            "7E5#0401000000000000",
-            "7E5#1105000000000000",
-            "7E5#0400000000000000",
-        ];
+        let expected = ["7E5#0400000000000000", "7E5#0401000000000000", "7E5#1105000000000000", "7E5#0400000000000000"];
         assert_eq!(said, expected);
         assert!(took <= 2 * TIMEOUT, "{took:?}");
         let (booted, result) = (dialogue.booted, dialogue.result());
@@ -469,10 +402,5 @@ fn a_bus_on_which_nobody_answers_has_no_node_without_a_node_id() {
         _ => vec![],
     };
     answered(&mut anybody, unconfigured);
-    assert!(
-        anybody
-            .result()
-            .unwrap()
-            .contains(&Answer::Unconfigured(true))
-    );
+    assert!(anybody.result().unwrap().contains(&Answer::Unconfigured(true)));
 }

@@ -42,12 +42,7 @@ pub enum Type {
 pub(super) enum ValueError {
     /// Not a number, or a number outside the range of the type.
     #[error("{text:?} is no {ty}: {least} to {most}, decimal or 0x…")]
-    Number {
-        text: String,
-        ty: String,
-        least: i128,
-        most: i128,
-    },
+    Number { text: String, ty: String, least: i128, most: i128 },
     #[error("{0:?} is no real number")]
     Real(String),
     #[error("{0:?} are no bytes: two hexadecimal digits each, such as 7f00")]
@@ -112,12 +107,7 @@ impl Type {
             let as_bits = *hexadecimal && self.is_signed() && (0..1_i128 << bits).contains(value);
             (least..=most).contains(value) || as_bits
         };
-        let refused = || ValueError::Number {
-            text: text.to_owned(),
-            ty: self.name(),
-            least,
-            most,
-        };
+        let refused = || ValueError::Number { text: text.to_owned(), ty: self.name(), least, most };
         let (value, _) = integer(text).filter(fits).ok_or_else(refused)?;
         Ok(value.to_le_bytes()[..size].to_vec())
     }
@@ -131,9 +121,7 @@ fn integer(text: &str) -> Option<(i128, bool)> {
         Some(rest) => (true, rest),
         None => (false, digits.as_str()),
     };
-    let hexadecimal = digits
-        .strip_prefix("0x")
-        .or_else(|| digits.strip_prefix("0X"));
+    let hexadecimal = digits.strip_prefix("0x").or_else(|| digits.strip_prefix("0X"));
     // A second sign is refused.
     if digits.starts_with(['+', '-']) || hexadecimal.is_some_and(|digits| digits.starts_with('+')) {
         return None;
@@ -158,9 +146,7 @@ fn bytes(text: &str) -> Option<Vec<u8>> {
     let digits: Vec<u8> = text.bytes().filter(|byte| *byte != b' ').collect();
     let pairs = digits.chunks(2).map(|pair| {
         let pair = str::from_utf8(pair).ok().filter(|pair| pair.len() == 2)?;
-        pair.bytes()
-            .all(|digit| digit.is_ascii_hexdigit())
-            .then(|| u8::from_str_radix(pair, 16).ok())?
+        pair.bytes().all(|digit| digit.is_ascii_hexdigit()).then(|| u8::from_str_radix(pair, 16).ok())?
     });
     pairs.collect()
 }
@@ -204,24 +190,16 @@ impl Shown {
     ///
     /// `is_signed` says whether an object without a type is known to hold a signed number.
     pub(super) fn of(data: &[u8], ty: Option<Type>, is_signed: bool) -> Self {
-        let sized = ty.map_or(matches!(data.len(), 1 | 2 | 4 | 8), |ty| {
-            ty.bytes() == Some(data.len())
-        });
+        let sized = ty.map_or(matches!(data.len(), 1 | 2 | 4 | 8), |ty| ty.bytes() == Some(data.len()));
         let real = match (ty, data) {
             (Some(Type::F32), &[a, b, c, d]) => Some(f64::from(f32::from_le_bytes([a, b, c, d]))),
-            (Some(Type::F64), &[a, b, c, d, e, f, g, h]) => {
-                Some(f64::from_le_bytes([a, b, c, d, e, f, g, h]))
-            }
+            (Some(Type::F64), &[a, b, c, d, e, f, g, h]) => Some(f64::from_le_bytes([a, b, c, d, e, f, g, h])),
             _ => None,
         };
         let raw = unsigned(data).filter(|_| sized && real.is_none());
         let as_signed = raw.and_then(|_| signed(data));
         let is_signed = ty.map_or(is_signed, Type::is_signed);
-        let value = if is_signed {
-            as_signed.map(i128::from)
-        } else {
-            raw.map(i128::from)
-        };
+        let value = if is_signed { as_signed.map(i128::from) } else { raw.map(i128::from) };
         let text = match ty {
             Some(Type::String) => Some(String::from_utf8_lossy(data)),
             None if data.len() >= 4 => printable(data),
@@ -246,13 +224,7 @@ impl Shown {
             Some(text) => line += &format!(", {text:?}"),
             None => {}
         }
-        Self {
-            bytes,
-            value,
-            real,
-            text,
-            line,
-        }
+        Self { bytes, value, real, text, line }
     }
 }
 
@@ -265,9 +237,7 @@ impl fmt::Display for Shown {
 fn printable(data: &[u8]) -> Option<std::borrow::Cow<'_, str>> {
     let end = data.iter().rposition(|byte| *byte != 0)? + 1;
     let text = &data[..end];
-    text.iter()
-        .all(|byte| matches!(byte, b' '..=b'~'))
-        .then(|| String::from_utf8_lossy(text))
+    text.iter().all(|byte| matches!(byte, b' '..=b'~')).then(|| String::from_utf8_lossy(text))
 }
 
 #[cfg(test)]
@@ -287,11 +257,7 @@ mod tests {
             (Type::I32, "-2", &[0xFE, 0xFF, 0xFF, 0xFF]),
             (Type::I32, "0xFFFFFFFE", &[0xFE, 0xFF, 0xFF, 0xFF]),
             (Type::U64, "0xFFFFFFFFFFFFFFFF", &[0xFF; 8]),
-            (
-                Type::I64,
-                "-9223372036854775808",
-                &[0, 0, 0, 0, 0, 0, 0, 0x80],
-            ),
+            (Type::I64, "-9223372036854775808", &[0, 0, 0, 0, 0, 0, 0, 0x80]),
             (Type::Bool, "1", &[1]),
             (Type::F32, "1.5", &[0x00, 0x00, 0xC0, 0x3F]),
             (Type::F64, "-2", &[0, 0, 0, 0, 0, 0, 0x00, 0xC0]),
@@ -338,10 +304,7 @@ mod tests {
             assert!(ty.encode(text).is_err(), "{ty:?} {text}");
         }
         let error = Type::I8.encode("200").unwrap_err();
-        assert_eq!(
-            error.to_string(),
-            "\"200\" is no i8: -128 to 127, decimal or 0x…"
-        );
+        assert_eq!(error.to_string(), "\"200\" is no i8: -128 to 127, decimal or 0x…");
     }
 
     #[test]
@@ -353,12 +316,7 @@ mod tests {
             (&[0xFE, 0xFF], Some(Type::U16), false, "0xfffe, 65534"),
             (&[0xFE, 0xFF], Some(Type::I16), false, "0xfffe, -2"),
             (b"save", None, false, "0x65766173, 1702257011, \"save\""),
-            (
-                b"EPOS4\0\0",
-                None,
-                false,
-                "7 bytes 45504f53340000, \"EPOS4\"",
-            ),
+            (b"EPOS4\0\0", None, false, "7 bytes 45504f53340000, \"EPOS4\""),
             (b"EPOS4", Some(Type::String), false, "\"EPOS4\""),
             (&[1, 2, 3], None, false, "3 bytes 010203"),
             (&[1, 2, 3], Some(Type::U16), false, "3 bytes 010203"),

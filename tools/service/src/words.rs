@@ -123,9 +123,7 @@ pub(super) fn meaning(object: Object, raw: u64, faults: FaultTable) -> Option<St
     Some(match object {
         STATUSWORD => statusword(Statusword(low)),
         CONTROLWORD => controlword(Controlword(low)).to_owned(),
-        MODE_OF_OPERATION | MODE_OF_OPERATION_DISPLAY => {
-            ModeOfOperation::from_raw(raw as i8).to_string()
-        }
+        MODE_OF_OPERATION | MODE_OF_OPERATION_DISPLAY => ModeOfOperation::from_raw(raw as i8).to_string(),
         ERROR_CODE | ERROR_HISTORY_NEWEST => faults.text(low).to_owned(),
         ERROR_REGISTER => error_register(ErrorRegister(raw as u8)),
         DEVICE_TYPE => device_type(raw as u32),
@@ -172,11 +170,7 @@ pub(super) fn error_register(register: ErrorRegister) -> String {
         (ErrorRegister::DEVICE_PROFILE, "device profile"),
         (ErrorRegister::VENDOR, "vendor"),
     ];
-    let set: Vec<_> = bits
-        .iter()
-        .filter(|(bit, _)| register.contains(*bit))
-        .map(|(_, name)| *name)
-        .collect();
+    let set: Vec<_> = bits.iter().filter(|(bit, _)| register.contains(*bit)).map(|(_, name)| *name).collect();
     match (set.is_empty(), register.0 & 1 != 0) {
         (false, _) => set.join(", "),
         (true, true) => "generic".to_owned(),

@@ -33,10 +33,7 @@ impl Generator for Ramp {
 fn a_generator_that_ends_in_motion_is_braked_in_its_last_macrostep() {
     for last in [0.0, -2.4e-16, 0.02] {
         let mut bench = Bench::ready();
-        let ramp = Ramp {
-            distance: 0.02,
-            last,
-        };
+        let ramp = Ramp { distance: 0.02, last };
         assert_eq!(bench.run(Task::new().run(ramp)), finished(1), "{last}");
         assert_eq!(bench.servo.moves().count(), 50, "{last}");
         let braked = bench.servo.log.last() == Some(&Order::Stop);
@@ -50,10 +47,7 @@ fn a_generator_that_ends_in_motion_is_braked_in_its_last_macrostep() {
 #[test]
 fn a_stop_while_the_end_of_a_motion_is_braked_drops_the_rest() {
     let mut bench = Bench::ready();
-    let ramp = Ramp {
-        distance: 0.02,
-        last: 0.02,
-    };
+    let ramp = Ramp { distance: 0.02, last: 0.02 };
     let task = Task::new().run(ramp).run(to(1.0, 0.0, 0.0));
     bench.ecp.execute(task).unwrap();
     let events = bench.go_on(|bench| {

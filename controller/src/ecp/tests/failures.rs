@@ -4,10 +4,7 @@ use super::*;
 
 #[test]
 fn what_a_generator_must_not_ask_for_is_refused_with_everything_at_rest() {
-    let there = |x: f64, v: f64| AxesState {
-        position: axis_0(x),
-        velocity: axis_0(v),
-    };
+    let there = |x: f64, v: f64| AxesState { position: axis_0(x), velocity: axis_0(v) };
     let pose = |x: f64| Setpoint::Pose {
         pose: Pose::translation(x, 0.0, 0.0),
         linear: Vector3::x(),
@@ -15,42 +12,12 @@ fn what_a_generator_must_not_ask_for_is_refused_with_everything_at_rest() {
     };
     let limit = beyond(0, 6.0, 5.0);
     let cases = [
-        (
-            Setpoint::Joints(there(6.0, 0.0)),
-            EcpError::OutOfReach {
-                step: 0,
-                error: limit,
-            },
-        ),
-        (
-            pose(6.0),
-            EcpError::OutOfReach {
-                step: 0,
-                error: limit,
-            },
-        ),
-        (
-            Setpoint::Motors(there(f64::NAN, 0.0)),
-            EcpError::NotFinite { step: 0, axis: 0 },
-        ),
-        (
-            Setpoint::Joints(there(0.0, f64::INFINITY)),
-            EcpError::NotFinite { step: 0, axis: 0 },
-        ),
-        (
-            Setpoint::Joints(there(1.0, 1.0)),
-            EcpError::Generator {
-                step: 3,
-                error: GeneratorError::User(7),
-            },
-        ),
-        (
-            pose(1.0),
-            EcpError::Generator {
-                step: 3,
-                error: GeneratorError::User(7),
-            },
-        ),
+        (Setpoint::Joints(there(6.0, 0.0)), EcpError::OutOfReach { step: 0, error: limit }),
+        (pose(6.0), EcpError::OutOfReach { step: 0, error: limit }),
+        (Setpoint::Motors(there(f64::NAN, 0.0)), EcpError::NotFinite { step: 0, axis: 0 }),
+        (Setpoint::Joints(there(0.0, f64::INFINITY)), EcpError::NotFinite { step: 0, axis: 0 }),
+        (Setpoint::Joints(there(1.0, 1.0)), EcpError::Generator { step: 3, error: GeneratorError::User(7) }),
+        (pose(1.0), EcpError::Generator { step: 3, error: GeneratorError::User(7) }),
     ];
     for (setpoint, error) in cases {
         let mut bench = Bench::ready();
@@ -58,28 +25,15 @@ fn what_a_generator_must_not_ask_for_is_refused_with_everything_at_rest() {
         assert_eq!(bench.run(task), failed(error), "{setpoint:?}");
         assert_eq!(bench.servo.log.last(), Some(&Order::Stop), "{setpoint:?}");
         assert_eq!(bench.ecp.status().phase, Phase::Standing, "{setpoint:?}");
-        assert_eq!(
-            bench.run(Task::new().run(to(0.5, 0.0, 0.0))),
-            finished(1),
-            "{setpoint:?}"
-        );
+        assert_eq!(bench.run(Task::new().run(to(0.5, 0.0, 0.0))), finished(1), "{setpoint:?}");
     }
 }
 
 #[test]
 fn a_servo_fault_ends_the_task_and_is_passed_on() {
-    let fault = ServoFault {
-        axis: Some(1),
-        cause: StopCause::FollowingError {
-            error: 2.0,
-            limit: 1.5,
-        },
-    };
+    let fault = ServoFault { axis: Some(1), cause: StopCause::FollowingError { error: 2.0, limit: 1.5 } };
     let mut bench = Bench::ready();
-    bench
-        .ecp
-        .execute(Task::new().run(to(1.0, 0.0, 0.0)).run(to(0.0, 0.0, 0.0)))
-        .unwrap();
+    bench.ecp.execute(Task::new().run(to(1.0, 0.0, 0.0)).run(to(0.0, 0.0, 0.0))).unwrap();
     let events = bench.go_on(|bench| {
         if bench.ecp.executed == 10 {
             bench.servo.fault.get_or_insert(fault);
@@ -87,26 +41,13 @@ fn a_servo_fault_ends_the_task_and_is_passed_on() {
     });
     assert_eq!(events, failed(EcpError::Servo(fault)));
     bench.servo.fault = None;
-    assert_eq!(
-        bench.run(Task::new().enable()),
-        failed(EcpError::Servo(fault)),
-        "latched"
-    );
-    assert_eq!(
-        bench.run(Task::new().reset_fault().enable().run(to(0.0, 0.0, 0.0))),
-        finished(3)
-    );
+    assert_eq!(bench.run(Task::new().enable()), failed(EcpError::Servo(fault)), "latched");
+    assert_eq!(bench.run(Task::new().reset_fault().enable().run(to(0.0, 0.0, 0.0))), finished(3));
 }
 
 #[test]
 fn a_stop_that_does_not_end_is_reported_by_the_fault_that_began_it() {
-    let fault = ServoFault {
-        axis: Some(1),
-        cause: StopCause::Runaway {
-            velocity: 300.0,
-            limit: 250.0,
-        },
-    };
+    let fault = ServoFault { axis: Some(1), cause: StopCause::Runaway { velocity: 300.0, limit: 250.0 } };
     let mut bench = Bench::ready();
     let task = Task::new().run(to(1.0, 0.0, 0.0));
     bench.ecp.execute(task).unwrap();
@@ -126,10 +67,7 @@ fn a_stop_that_does_not_end_is_reported_by_the_fault_that_began_it() {
 #[test]
 fn stop_brakes_and_drops_the_rest() {
     let mut bench = Bench::ready();
-    bench
-        .ecp
-        .execute(Task::new().run(to(1.0, 0.0, 0.0)).run(to(0.0, 0.0, 0.0)))
-        .unwrap();
+    bench.ecp.execute(Task::new().run(to(1.0, 0.0, 0.0)).run(to(0.0, 0.0, 0.0))).unwrap();
     let events = bench.go_on(|bench| {
         if bench.ecp.executed == 10 {
             bench.ecp.stop();
@@ -139,40 +77,19 @@ fn stop_brakes_and_drops_the_rest() {
     assert_eq!(bench.servo.log.last(), Some(&Order::Stop));
     let stood = bench.servo.report.commanded[0];
     assert!(stood > 0.0 && stood < 100.0);
-    assert_eq!(
-        bench.run(Task::new().run(to(1.0, 0.0, 0.0))),
-        finished(1),
-        "goes on from where it stands"
-    );
-    let numbers: Vec<u64> = bench
-        .servo
-        .moves()
-        .map(|macrostep| macrostep.number)
-        .collect();
-    assert_eq!(
-        numbers,
-        (1..=numbers.len() as u64).collect::<Vec<_>>(),
-        "none is used twice"
-    );
+    assert_eq!(bench.run(Task::new().run(to(1.0, 0.0, 0.0))), finished(1), "goes on from where it stands");
+    let numbers: Vec<u64> = bench.servo.moves().map(|macrostep| macrostep.number).collect();
+    assert_eq!(numbers, (1..=numbers.len() as u64).collect::<Vec<_>>(), "none is used twice");
     assert_eq!(bench.servo.report.commanded[0], 100.0);
 }
 
 #[test]
 fn a_motion_needs_drives_on_and_homed_axes() {
     let mut bench = Bench::new(16);
-    assert_eq!(
-        bench.run(Task::new().run(to(1.0, 0.0, 0.0))),
-        failed(EcpError::NotStanding { phase: Phase::Off })
-    );
-    assert_eq!(
-        bench.run(Task::new().home()),
-        failed(EcpError::NotStanding { phase: Phase::Off })
-    );
+    assert_eq!(bench.run(Task::new().run(to(1.0, 0.0, 0.0))), failed(EcpError::NotStanding { phase: Phase::Off }));
+    assert_eq!(bench.run(Task::new().home()), failed(EcpError::NotStanding { phase: Phase::Off }));
     assert_eq!(bench.run(Task::new().enable()), finished(1));
-    assert_eq!(
-        bench.run(Task::new().run(to(1.0, 0.0, 0.0))),
-        failed(EcpError::NotHomed)
-    );
+    assert_eq!(bench.run(Task::new().run(to(1.0, 0.0, 0.0))), failed(EcpError::NotHomed));
     assert_eq!(bench.servo.moves().count(), 0);
 }
 
@@ -181,27 +98,12 @@ fn a_servo_that_takes_no_orders_is_reported_in_time() {
     let mut bench = Bench::new(16);
     bench.servo.deaf = true;
     let waited = CONFIG.switching + PERIOD;
-    assert_eq!(
-        bench.run(Task::new().enable()),
-        failed(EcpError::TimedOut {
-            phase: Phase::Off,
-            waited
-        })
-    );
+    assert_eq!(bench.run(Task::new().enable()), failed(EcpError::TimedOut { phase: Phase::Off, waited }));
 
     let mut bench = Bench::ready();
     bench.servo.deaf = true;
     let events = bench.run(Task::new().run(to(1.0, 0.0, 0.0)));
-    assert!(
-        matches!(
-            events[..],
-            [EcpEvent {
-                instruction: 0,
-                outcome: Err(EcpError::Silent { .. })
-            }]
-        ),
-        "{events:?}"
-    );
+    assert!(matches!(events[..], [EcpEvent { instruction: 0, outcome: Err(EcpError::Silent { .. }) }]), "{events:?}");
 }
 
 #[test]
@@ -210,23 +112,8 @@ fn homing_that_takes_too_long_is_stopped() {
     bench.servo.lost = true;
     let events = bench.run(Task::new().enable().home().run(to(1.0, 0.0, 0.0)));
     let waited = CONFIG.homing + PERIOD;
-    let outcome = Err(EcpError::TimedOut {
-        phase: Phase::Homing,
-        waited,
-    });
-    assert_eq!(
-        events,
-        [
-            EcpEvent {
-                instruction: 0,
-                outcome: Ok(())
-            },
-            EcpEvent {
-                instruction: 1,
-                outcome
-            }
-        ]
-    );
+    let outcome = Err(EcpError::TimedOut { phase: Phase::Homing, waited });
+    assert_eq!(events, [EcpEvent { instruction: 0, outcome: Ok(()) }, EcpEvent { instruction: 1, outcome }]);
     assert_eq!(bench.servo.log.last(), Some(&Order::Stop));
     assert_eq!(bench.ecp.status().phase, Phase::Standing);
 }
@@ -243,13 +130,7 @@ fn homing_that_the_servo_broke_off_is_not_waited_for() {
         }
     });
     let outcome = Err(EcpError::BrokenOff { phase: Phase::Off });
-    assert_eq!(
-        events.last().copied(),
-        Some(EcpEvent {
-            instruction: 1,
-            outcome
-        })
-    );
+    assert_eq!(events.last().copied(), Some(EcpEvent { instruction: 1, outcome }));
     let took = bench.now.since(Instant::ZERO);
     assert!(took < CONFIG.homing, "{took:?}");
 }

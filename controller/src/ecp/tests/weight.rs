@@ -21,10 +21,7 @@ pub(super) fn links() -> Vec<Link> {
 
 /// The gantry on its side: the slide behind the lever lifts itself, the next slide and the load.
 fn lying() -> Arm {
-    let mass = |mass| Mass {
-        mass,
-        ..Mass::default()
-    };
+    let mass = |mass| Mass { mass, ..Mass::default() };
     let masses = [mass(50.0), mass(3.0), mass(2.0)];
     let weight = Weight::new(&Gantry, &masses, mass(1.0), [0.0, 2.0, 0.0]).unwrap();
     Arm::new(Arc::new(Gantry), Pose::identity()).weighing(weight)
@@ -40,10 +37,7 @@ fn every_macrostep_tells_what_holds_the_weight_at_its_end() {
         let lever = (macrostep.position[1] / 100.0).asinh();
         let expected = 9.81 * 6.0 / (100.0 * lever.cosh());
         let mut torque = macrostep.torque;
-        assert!(
-            (torque[1] - expected).abs() < 1e-8,
-            "{torque:?} N·m for {expected} at {lever} m"
-        );
+        assert!((torque[1] - expected).abs() < 1e-8, "{torque:?} N·m for {expected} at {lever} m");
         torque[1] = 0.0;
         assert!(torque.iter().all(|t| t.abs() < 1e-12), "{torque:?}");
         seen.push(expected);

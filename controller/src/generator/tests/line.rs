@@ -54,17 +54,9 @@ fn aside(arm: &Arm, joints: &Axes, from: &Pose, to: &Pose) -> f64 {
 /// Largest distance from the line while motors follow cubics between the macrostep ends.
 fn chord_error(arm: &Arm, states: &[AxesState], from: &Pose, to: &Pose) -> f64 {
     let motors = |state: &AxesState| {
-        let at = |t: f64| {
-            arm.motors(&std::array::from_fn(|i| {
-                state.position[i] + state.velocity[i] * t
-            }))
-            .unwrap()
-        };
+        let at = |t: f64| arm.motors(&std::array::from_fn(|i| state.position[i] + state.velocity[i] * t)).unwrap();
         let (behind, here, ahead) = (at(-1e-6), at(0.0), at(1e-6));
-        (
-            here,
-            Axes::from(std::array::from_fn(|i| (ahead[i] - behind[i]) / 2e-6)),
-        )
+        (here, Axes::from(std::array::from_fn(|i| (ahead[i] - behind[i]) / 2e-6)))
     };
     let mut worst: f64 = 0.0;
     for pair in states.windows(2) {
@@ -73,9 +65,7 @@ fn chord_error(arm: &Arm, states: &[AxesState], from: &Pose, to: &Pose) -> f64 {
             let u = f64::from(period) / 10.0;
             let (h1, h2) = (u * u * (3.0 - 2.0 * u), MC * u * u * (u - 1.0));
             let (h0, h3) = (1.0 - h1, MC * u * (1.0 - u) * (1.0 - u));
-            let between = std::array::from_fn(|i| {
-                h0 * start.0[i] + h1 * end.0[i] + h3 * start.1[i] + h2 * end.1[i]
-            });
+            let between = std::array::from_fn(|i| h0 * start.0[i] + h1 * end.0[i] + h3 * start.1[i] + h2 * end.1[i]);
             worst = worst.max(aside(arm, &arm.joints(&between).unwrap(), from, to));
         }
     }
@@ -88,15 +78,9 @@ fn check_limits(states: &[AxesState], limits: &MotionLimits, seed: u64) {
             let from = (pair[0].position[axis], pair[0].velocity[axis]);
             let to = (pair[1].position[axis], pair[1].velocity[axis]);
             let (first, second) = cubic_accelerations(from, to);
-            assert!(
-                cubic_speed(from, to) <= limits.max_velocity[axis] * 1.02,
-                "seed {seed} {from:?} {to:?}"
-            );
+            assert!(cubic_speed(from, to) <= limits.max_velocity[axis] * 1.02, "seed {seed} {from:?} {to:?}");
             let most = limits.max_acceleration[axis] * 1.05;
-            assert!(
-                first.abs().max(second.abs()) <= most,
-                "seed {seed} axis {axis} {first} {second}"
-            );
+            assert!(first.abs().max(second.abs()) <= most, "seed {seed} axis {axis} {first} {second}");
         }
     }
 }
@@ -105,16 +89,8 @@ fn check_limits(states: &[AxesState], limits: &MotionLimits, seed: u64) {
 fn a_line_is_straight_turns_the_shortest_way_and_ends_exactly() {
     let arm = irp6();
     let start = standing(&arm, BENT);
-    let target = beside(
-        &start.1,
-        Vector3::new(0.1, -0.15, 0.05),
-        Vector3::new(0.0, 0.0, 0.4),
-    );
-    let states = walk(
-        StraightLine::new(arm.clone(), target, LIMITS, joint_limits()).unwrap(),
-        &start,
-    )
-    .unwrap();
+    let target = beside(&start.1, Vector3::new(0.1, -0.15, 0.05), Vector3::new(0.0, 0.0, 0.4));
+    let states = walk(StraightLine::new(arm.clone(), target, LIMITS, joint_limits()).unwrap(), &start).unwrap();
 
     let length = (target.translation.vector - start.1.translation.vector).norm();
     let angle = start.1.rotation.angle_to(&target.rotation);
@@ -123,18 +99,12 @@ fn a_line_is_straight_turns_the_shortest_way_and_ends_exactly() {
         let pose = arm.forward(&state.position).unwrap();
         assert!(aside(&arm, &state.position, &start.1, &target) < 1e-9);
         let s = (pose.translation.vector - start.1.translation.vector).norm() / length;
-        assert!(
-            (start.1.rotation.angle_to(&pose.rotation) - s * angle).abs() < 1e-7,
-            "turns along with the way"
-        );
+        assert!((start.1.rotation.angle_to(&pose.rotation) - s * angle).abs() < 1e-7, "turns along with the way");
         assert!((pose.rotation.angle_to(&target.rotation) - (1.0 - s) * angle).abs() < 1e-7);
     }
     let end = states.last().unwrap();
     assert_eq!(end.velocity, Axes::default());
-    assert!(
-        (arm.forward(&end.position).unwrap().translation.vector - target.translation.vector).norm()
-            < 1e-12
-    );
+    assert!((arm.forward(&end.position).unwrap().translation.vector - target.translation.vector).norm() < 1e-12);
     // D/v + v/a + a/j with both plateaus, rounded up.
     let time: f64 = length / 0.25 + 0.25 / 1.0 + 1.0 / 10.0;
     assert_eq!(states.len() - 1, (time / MC).ceil() as usize);
@@ -153,28 +123,16 @@ fn joints_never_exceed_their_limits_on_a_line_and_motors_leave_it_by_nanometres(
             *joint += random.within(-0.3, 0.3);
         }
         let start = standing(&arm, joints);
-        let mut direction = || {
-            Vector3::new(
-                random.within(-1.0, 1.0),
-                random.within(-1.0, 1.0),
-                random.within(-1.0, 1.0),
-            )
-        };
+        let mut direction =
+            || Vector3::new(random.within(-1.0, 1.0), random.within(-1.0, 1.0), random.within(-1.0, 1.0));
         let target = beside(&start.1, direction() * 0.3, direction() * 0.4);
-        match walk(
-            StraightLine::new(arm.clone(), target, LIMITS, weak).unwrap(),
-            &start,
-        ) {
+        match walk(StraightLine::new(arm.clone(), target, LIMITS, weak).unwrap(), &start) {
             Ok(states) => {
                 walked += 1;
                 check_limits(&states, &weak, seed);
                 worst = worst.max(chord_error(&arm, &states, &start.1, &target));
             }
-            Err(
-                GeneratorError::Path { .. }
-                | GeneratorError::Singular { .. }
-                | GeneratorError::Jump { .. },
-            ) => {}
+            Err(GeneratorError::Path { .. } | GeneratorError::Singular { .. } | GeneratorError::Jump { .. }) => {}
             Err(error) => panic!("seed {seed}: {error}"),
         }
     }
@@ -191,11 +149,7 @@ fn a_line_past_a_singular_wrist_is_walked_slower() {
         joints[4] = roll;
         let start = standing(&arm, joints);
         let target = beside(&start.1, Vector3::new(0.0, 0.1, 0.05), Vector3::zeros());
-        walk(
-            StraightLine::new(arm.clone(), target, LIMITS, joint_limits()).unwrap(),
-            &start,
-        )
-        .unwrap()
+        walk(StraightLine::new(arm.clone(), target, LIMITS, joint_limits()).unwrap(), &start).unwrap()
     };
     let (near, far) = (walk_up(0.1), walk_up(1.2));
     println!("{} macrosteps near, {} far from it", near.len(), far.len());
@@ -207,24 +161,11 @@ fn a_line_past_a_singular_wrist_is_walked_slower() {
 fn what_lies_out_of_reach_is_found_before_the_motion_begins() {
     let arm = irp6();
     let start = standing(&arm, BENT);
-    let plan = |target: Pose| {
-        walk(
-            StraightLine::new(arm.clone(), target, LIMITS, joint_limits()).unwrap(),
-            &start,
-        )
-    };
+    let plan = |target: Pose| walk(StraightLine::new(arm.clone(), target, LIMITS, joint_limits()).unwrap(), &start);
     let far = beside(&start.1, Vector3::new(2.0, 0.0, 0.0), Vector3::zeros());
-    let Err(GeneratorError::Path { s, cause }) = plan(far) else {
-        panic!("two metres further")
-    };
+    let Err(GeneratorError::Path { s, cause }) = plan(far) else { panic!("two metres further") };
     assert!(s > 0.05 && s < 0.5, "{s}");
-    assert!(
-        matches!(
-            cause,
-            KinematicsError::BeyondLimit { .. } | KinematicsError::Unreachable { .. }
-        ),
-        "{cause}"
-    );
+    assert!(matches!(cause, KinematicsError::BeyondLimit { .. } | KinematicsError::Unreachable { .. }), "{cause}");
 }
 
 #[test]
@@ -234,10 +175,7 @@ fn five_axes_walk_a_line_with_the_tool_down_and_refuse_one_with_it_aslant() {
     let start = standing(&arm, joints);
     let across = |start: &Standing| {
         let target = beside(&start.1, Vector3::new(-0.1, 0.2, 0.05), Vector3::zeros());
-        walk(
-            StraightLine::new(irb6(), target, LIMITS, joint_limits()).unwrap(),
-            start,
-        )
+        walk(StraightLine::new(irb6(), target, LIMITS, joint_limits()).unwrap(), start)
     };
     let states = across(&start).unwrap();
     let target = beside(&start.1, Vector3::new(-0.1, 0.2, 0.05), Vector3::zeros());
@@ -246,11 +184,7 @@ fn five_axes_walk_a_line_with_the_tool_down_and_refuse_one_with_it_aslant() {
     assert!(chord < 100e-9, "{chord}");
 
     let aslant = standing(&arm, [0.3, -FRAC_PI_2, 0.1, 0.8, 0.5, 0.0, 0.0, 0.0]);
-    let Err(GeneratorError::Path {
-        cause: KinematicsError::ToolPlane { .. },
-        ..
-    }) = across(&aslant)
-    else {
+    let Err(GeneratorError::Path { cause: KinematicsError::ToolPlane { .. }, .. }) = across(&aslant) else {
         panic!("the tool would leave the arm's plane")
     };
 }
@@ -259,26 +193,15 @@ fn five_axes_walk_a_line_with_the_tool_down_and_refuse_one_with_it_aslant() {
 fn a_line_to_where_the_tool_is_ends_at_once() {
     let arm = irp6();
     let start = standing(&arm, BENT);
-    let states = walk(
-        StraightLine::new(arm, start.1, LIMITS, joint_limits()).unwrap(),
-        &start,
-    )
-    .unwrap();
+    let states = walk(StraightLine::new(arm, start.1, LIMITS, joint_limits()).unwrap(), &start).unwrap();
     assert_eq!(states.len(), 1);
 }
 
 #[test]
 fn lines_with_senseless_limits_are_refused() {
-    let new =
-        |target, limits| StraightLine::new(irp6(), target, limits, joint_limits()).map(|_| ());
-    let still = LineLimits {
-        max_velocity: 0.0,
-        ..LIMITS
-    };
+    let new = |target, limits| StraightLine::new(irp6(), target, limits, joint_limits()).map(|_| ());
+    let still = LineLimits { max_velocity: 0.0, ..LIMITS };
     assert_eq!(new(Pose::identity(), still), Err(GeneratorError::PathLimit));
     let nowhere = Pose::translation(0.0, f64::NAN, 0.0);
-    assert_eq!(
-        new(nowhere, LIMITS),
-        Err(GeneratorError::NotFinite { pose: 0, axis: 1 })
-    );
+    assert_eq!(new(nowhere, LIMITS), Err(GeneratorError::NotFinite { pose: 0, axis: 1 }));
 }

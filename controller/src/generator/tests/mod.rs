@@ -49,17 +49,8 @@ impl Standing {
 
 impl ImageSource for Standing {
     fn effector(&self) -> Result<EffectorImage, GeneratorError> {
-        let state = EffectorState {
-            motors: self.0,
-            joints: self.0,
-            pose: self.1,
-        };
-        Ok(EffectorImage {
-            at: Instant::ZERO,
-            macrostep: 0,
-            measured: state,
-            commanded: state,
-        })
+        let state = EffectorState { motors: self.0, joints: self.0, pose: self.1 };
+        Ok(EffectorImage { at: Instant::ZERO, macrostep: 0, measured: state, commanded: state })
     }
 }
 
@@ -123,11 +114,7 @@ fn newsmooth_keeps_its_limits_meets_every_pose_and_never_jumps() {
                 acceleration: random.axes(0.1, 1.0),
             };
             // Axes that rest, and very short distances.
-            let last = if index == 0 {
-                start
-            } else {
-                poses.last().map_or(start, |p: &SmoothPose| p.position)
-            };
+            let last = if index == 0 { start } else { poses.last().map_or(start, |p: &SmoothPose| p.position) };
             for (axis, last) in last.iter().enumerate().take(axes) {
                 match random.below(6) {
                     0 => pose.position[axis] = *last,
@@ -143,9 +130,7 @@ fn newsmooth_keeps_its_limits_meets_every_pose_and_never_jumps() {
         let mut next_pose = 0;
         for pair in states.windows(2) {
             // A pose is reached at the end of a macrostep. A pose at zero distance takes no macrostep.
-            let met = |pose: &SmoothPose, state: &AxesState| {
-                pose.position[..axes] == state.position[..axes]
-            };
+            let met = |pose: &SmoothPose, state: &AxesState| pose.position[..axes] == state.position[..axes];
             while next_pose + 1 < poses.len() && met(&poses[next_pose], &pair[0]) {
                 next_pose += 1;
             }
@@ -157,14 +142,8 @@ fn newsmooth_keeps_its_limits_meets_every_pose_and_never_jumps() {
                 let to = (pair[1].position[axis], pair[1].velocity[axis]);
                 let case = (seed, axis, from, to, v, a);
                 assert!(to.1.abs() <= v * (1.0 + 1e-7), "speed: {case:?}");
-                assert!(
-                    (to.1 - from.1).abs() <= a * MC * (1.0 + 1e-6) + 1e-12,
-                    "acceleration: {case:?}"
-                );
-                assert!(
-                    (to.0 - from.0).abs() <= v.max(from.1.abs()) * MC * (1.0 + 1e-7) + 1e-12,
-                    "jump: {case:?}"
-                );
+                assert!((to.1 - from.1).abs() <= a * MC * (1.0 + 1e-6) + 1e-12, "acceleration: {case:?}");
+                assert!((to.0 - from.0).abs() <= v.max(from.1.abs()) * MC * (1.0 + 1e-7) + 1e-12, "jump: {case:?}");
                 let (first, second) = cubic_accelerations(from, to);
                 assert!(
                     first.abs().max(second.abs()) <= a * (5.0 / 3.0 + 1e-6) + 1e-9,
@@ -174,23 +153,14 @@ fn newsmooth_keeps_its_limits_meets_every_pose_and_never_jumps() {
             }
         }
         let end = states.last().unwrap();
-        assert_eq!(
-            end.position[..axes],
-            poses.last().unwrap().position[..axes],
-            "seed {seed}"
-        );
+        assert_eq!(end.position[..axes], poses.last().unwrap().position[..axes], "seed {seed}");
         assert_eq!(end.velocity, Axes::default(), "seed {seed}");
         assert!(
-            poses[next_pose..]
-                .iter()
-                .all(|pose| pose.position[..axes] == end.position[..axes]),
+            poses[next_pose..].iter().all(|pose| pose.position[..axes] == end.position[..axes]),
             "pose {next_pose} missed, seed {seed}"
         );
     }
-    assert!(
-        worst_speed < 0.1,
-        "cubics overshoot the speed by {worst_speed} of a macrostep's acceleration"
-    );
+    assert!(worst_speed < 0.1, "cubics overshoot the speed by {worst_speed} of a macrostep's acceleration");
 }
 
 #[test]
@@ -202,25 +172,13 @@ fn newsmooth_takes_the_closed_form_time_rounded_up_to_a_macrostep() {
         let (start, target) = (random.axes(-2.0, 2.0), random.axes(-2.0, 2.0));
         let mut time: f64 = 0.0;
         for axis in 0..axes {
-            let (d, v, a) = (
-                (target[axis] - start[axis]).abs(),
-                limits.max_velocity[axis],
-                limits.max_acceleration[axis],
-            );
-            time = time.max(if d > v * v / a {
-                d / v + v / a
-            } else {
-                2.0 * (d / a).sqrt()
-            });
+            let (d, v, a) =
+                ((target[axis] - start[axis]).abs(), limits.max_velocity[axis], limits.max_acceleration[axis]);
+            time = time.max(if d > v * v / a { d / v + v / a } else { 2.0 * (d / a).sqrt() });
         }
-        let generator =
-            Newsmooth::new(Space::Joint, axes, limits, vec![SmoothPose::fast(target)]).unwrap();
+        let generator = Newsmooth::new(Space::Joint, axes, limits, vec![SmoothPose::fast(target)]).unwrap();
         let states = walk(generator, &Standing::at(start)).unwrap();
-        assert_eq!(
-            states.len() - 1,
-            (time / MC - 1e-9).ceil() as usize,
-            "seed {seed}"
-        );
+        assert_eq!(states.len() - 1, (time / MC - 1e-9).ceil() as usize, "seed {seed}");
     }
 }
 
@@ -230,11 +188,7 @@ fn newsmooth_times_of_one_axis_are_the_known_ones() {
     for (distance, time) in [(0.1, 0.2390), (0.5, 0.5476), (1.0, 0.8810), (2.0, 1.5476)] {
         let limits = MotionLimits::uniform(1.5, 7.0, 70.0);
         let poses = vec![SmoothPose::fast([distance; 8])];
-        let states = walk(
-            Newsmooth::new(Space::Joint, 1, limits, poses).unwrap(),
-            &Standing::at([0.0; 8]),
-        )
-        .unwrap();
+        let states = walk(Newsmooth::new(Space::Joint, 1, limits, poses).unwrap(), &Standing::at([0.0; 8])).unwrap();
         assert_eq!(states.len() - 1, (time / MC).ceil() as usize, "{distance}");
     }
 }
@@ -244,22 +198,10 @@ fn newsmooth_passes_a_pose_on_the_way_without_a_stop_and_stands_where_an_axis_tu
     let limits = MotionLimits::uniform(1.0, 5.0, 50.0);
     let pose = |a: f64, b: f64| SmoothPose::fast([a, b, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
     let poses = vec![pose(1.0, 1.0), pose(2.0, 0.0), pose(3.0, 0.0)];
-    let states = walk(
-        Newsmooth::new(Space::Joint, 2, limits, poses.clone()).unwrap(),
-        &Standing::at([0.0; 8]),
-    )
-    .unwrap();
-    let at = |pose: &SmoothPose| {
-        states
-            .iter()
-            .find(|state| state.position == pose.position)
-            .unwrap()
-            .velocity
-    };
-    assert!(
-        (at(&poses[0])[0] - 1.0).abs() < 1e-9,
-        "axis 0 goes on at full speed"
-    );
+    let states =
+        walk(Newsmooth::new(Space::Joint, 2, limits, poses.clone()).unwrap(), &Standing::at([0.0; 8])).unwrap();
+    let at = |pose: &SmoothPose| states.iter().find(|state| state.position == pose.position).unwrap().velocity;
+    assert!((at(&poses[0])[0] - 1.0).abs() < 1e-9, "axis 0 goes on at full speed");
     assert_eq!(at(&poses[0])[1], 0.0, "axis 1 turns back");
     assert!((at(&poses[1])[0] - 1.0).abs() < 1e-9);
     assert_eq!(at(&poses[1])[1], 0.0, "axis 1 rests next");
@@ -274,27 +216,16 @@ fn jerk_limited_keeps_its_limits_and_ends_exactly() {
         let limits = random_limits(&mut random);
         let start = random.axes(-2.0, 2.0);
         // Solving motions through poses takes milliseconds, so there are fewer of them.
-        let count = if seed % 400 == 0 {
-            2 + random.below(3)
-        } else {
-            1
-        };
+        let count = if seed % 400 == 0 { 2 + random.below(3) } else { 1 };
         let poses: Vec<Axes> = (0..count).map(|_| random.axes(-2.0, 2.0)).collect();
-        let states = walk(
-            JerkLimited::new(Space::Joint, axes, limits, &poses).unwrap(),
-            &Standing::at(start),
-        )
-        .unwrap();
+        let states = walk(JerkLimited::new(Space::Joint, axes, limits, &poses).unwrap(), &Standing::at(start)).unwrap();
         for pair in states.windows(2) {
             for axis in 0..axes {
                 let (v, a) = (limits.max_velocity[axis], limits.max_acceleration[axis]);
                 let from = (pair[0].position[axis], pair[0].velocity[axis]);
                 let to = (pair[1].position[axis], pair[1].velocity[axis]);
                 assert!(to.1.abs() <= v * (1.0 + 1e-9), "speed: seed {seed}");
-                assert!(
-                    (to.1 - from.1).abs() <= a * MC * (1.0 + 1e-9) + 1e-9,
-                    "acceleration: seed {seed}"
-                );
+                assert!((to.1 - from.1).abs() <= a * MC * (1.0 + 1e-9) + 1e-9, "acceleration: seed {seed}");
                 let (first, second) = cubic_accelerations(from, to);
                 assert!(
                     first.abs().max(second.abs()) <= a * 5.0 / 3.0 + 1e-6,
@@ -303,18 +234,13 @@ fn jerk_limited_keeps_its_limits_and_ends_exactly() {
             }
         }
         let end = states.last().unwrap();
-        assert_eq!(
-            end.position[..axes],
-            poses.last().unwrap()[..axes],
-            "seed {seed}"
-        );
+        assert_eq!(end.position[..axes], poses.last().unwrap()[..axes], "seed {seed}");
         assert_eq!(end.velocity, Axes::default());
         // The last computed state leads to the exact end without a jump.
         let before = &states[states.len() - 2];
         for axis in 0..axes {
             assert!(
-                (end.position[axis] - before.position[axis]).abs()
-                    <= limits.max_acceleration[axis] * MC * MC,
+                (end.position[axis] - before.position[axis]).abs() <= limits.max_acceleration[axis] * MC * MC,
                 "seed {seed}"
             );
         }
@@ -325,13 +251,8 @@ fn jerk_limited_keeps_its_limits_and_ends_exactly() {
 fn jerk_limited_takes_the_known_times() {
     // Distance and time at 1.5 rad/s, 7 rad/s² and 70 rad/s³.
     for (distance, time) in [(0.1, 0.3576), (0.5, 0.6476), (1.0, 0.9810), (2.0, 1.6476)] {
-        let generator = JerkLimited::new(
-            Space::Motor,
-            1,
-            MotionLimits::uniform(1.5, 7.0, 70.0),
-            &[[distance; 8]],
-        )
-        .unwrap();
+        let generator =
+            JerkLimited::new(Space::Motor, 1, MotionLimits::uniform(1.5, 7.0, 70.0), &[[distance; 8]]).unwrap();
         let states = walk(generator, &Standing::at([0.0; 8])).unwrap();
         assert_eq!(states.len() - 1, (time / MC).ceil() as usize, "{distance}");
     }
@@ -340,17 +261,11 @@ fn jerk_limited_takes_the_known_times() {
 #[test]
 fn wait_stands_for_its_time_rounded_up_to_a_macrostep() {
     for (millis, macrosteps) in [(0, 0), (1, 1), (20, 1), (21, 2), (1_000, 50)] {
-        let mut run = Run::new(Wait {
-            duration: Duration::from_millis(millis),
-        });
+        let mut run = Run::new(Wait { duration: Duration::from_millis(millis) });
         let source = Standing::at([0.0; 8]);
         assert_eq!(run.first_step(&source, MACROSTEP), Ok(Step::Continue(None)));
         for _ in 0..macrosteps {
-            assert_eq!(
-                run.next_step(&source),
-                Ok(Step::Continue(None)),
-                "{millis} ms"
-            );
+            assert_eq!(run.next_step(&source), Ok(Step::Continue(None)), "{millis} ms");
         }
         assert_eq!(run.next_step(&source), Ok(Step::Ended), "{millis} ms");
     }
@@ -359,8 +274,7 @@ fn wait_stands_for_its_time_rounded_up_to_a_macrostep() {
 #[test]
 fn what_cannot_be_planned_is_refused() {
     let limits = MotionLimits::uniform(1.0, 1.0, 1.0);
-    let newsmooth =
-        |axes, limits, poses| Newsmooth::new(Space::Joint, axes, limits, poses).map(|_| ());
+    let newsmooth = |axes, limits, poses| Newsmooth::new(Space::Joint, axes, limits, poses).map(|_| ());
     let mut lame = limits;
     lame.max_acceleration[2] = 0.0;
     let mut lost = SmoothPose::fast([0.0; 8]);
@@ -369,53 +283,22 @@ fn what_cannot_be_planned_is_refused() {
     greedy.velocity[0] = 1.1;
     let fast = vec![SmoothPose::fast([1.0; 8])];
     assert_eq!(newsmooth(6, limits, vec![]), Err(GeneratorError::NoPoses));
-    assert_eq!(
-        newsmooth(0, limits, fast.clone()),
-        Err(GeneratorError::Axes { axes: 0, max: 8 })
-    );
-    assert_eq!(
-        newsmooth(9, limits, fast.clone()),
-        Err(GeneratorError::Axes { axes: 9, max: 8 })
-    );
-    assert_eq!(
-        newsmooth(6, lame, fast.clone()),
-        Err(GeneratorError::Limit { axis: 2 })
-    );
-    assert_eq!(
-        newsmooth(6, limits, vec![fast[0], lost]),
-        Err(GeneratorError::NotFinite { pose: 1, axis: 1 })
-    );
-    assert_eq!(
-        newsmooth(6, limits, vec![greedy]),
-        Err(GeneratorError::Fraction {
-            pose: 0,
-            axis: 0,
-            value: 1.1
-        })
-    );
+    assert_eq!(newsmooth(0, limits, fast.clone()), Err(GeneratorError::Axes { axes: 0, max: 8 }));
+    assert_eq!(newsmooth(9, limits, fast.clone()), Err(GeneratorError::Axes { axes: 9, max: 8 }));
+    assert_eq!(newsmooth(6, lame, fast.clone()), Err(GeneratorError::Limit { axis: 2 }));
+    assert_eq!(newsmooth(6, limits, vec![fast[0], lost]), Err(GeneratorError::NotFinite { pose: 1, axis: 1 }));
+    assert_eq!(newsmooth(6, limits, vec![greedy]), Err(GeneratorError::Fraction { pose: 0, axis: 0, value: 1.1 }));
 
-    let jerk_limited =
-        |axes, poses: &[Axes]| JerkLimited::new(Space::Joint, axes, limits, poses).map(|_| ());
+    let jerk_limited = |axes, poses: &[Axes]| JerkLimited::new(Space::Joint, axes, limits, poses).map(|_| ());
     assert_eq!(jerk_limited(6, &[]), Err(GeneratorError::NoPoses));
-    assert_eq!(
-        jerk_limited(6, &[[0.0; 8], lost.position]),
-        Err(GeneratorError::NotFinite { pose: 1, axis: 1 })
-    );
+    assert_eq!(jerk_limited(6, &[[0.0; 8], lost.position]), Err(GeneratorError::NotFinite { pose: 1, axis: 1 }));
 
     let mut slow = limits;
     slow.max_velocity[0] = 1e-9;
     let endless = Newsmooth::new(Space::Joint, 1, slow, fast).unwrap();
-    assert_eq!(
-        walk(endless, &Standing::at([0.0; 8])),
-        Err(GeneratorError::TooLong { limit: 1 << 20 })
-    );
-    let mut run = Run::new(Wait {
-        duration: MACROSTEP,
-    });
-    assert_eq!(
-        run.first_step(&Standing::at([0.0; 8]), Duration::ZERO),
-        Err(GeneratorError::NoMacrostep)
-    );
+    assert_eq!(walk(endless, &Standing::at([0.0; 8])), Err(GeneratorError::TooLong { limit: 1 << 20 }));
+    let mut run = Run::new(Wait { duration: MACROSTEP });
+    assert_eq!(run.first_step(&Standing::at([0.0; 8]), Duration::ZERO), Err(GeneratorError::NoMacrostep));
 }
 
 /// Makes three steps, independent of its images.

@@ -37,11 +37,7 @@ impl AtMotors {
     fn beside_home(arm: &Arm, signs: usize, distance: f64) -> Self {
         let mut motors: Axes = arm.robot().home().padded();
         for (axis, motor) in motors.iter_mut().enumerate().take(arm.axes()) {
-            *motor += if signs >> axis & 1 == 1 {
-                -distance
-            } else {
-                distance
-            };
+            *motor += if signs >> axis & 1 == 1 { -distance } else { distance };
         }
         Self::of(arm, motors)
     }
@@ -49,12 +45,7 @@ impl AtMotors {
 
 impl ImageSource for AtMotors {
     fn effector(&self) -> Result<EffectorImage, GeneratorError> {
-        Ok(EffectorImage {
-            at: Instant::ZERO,
-            macrostep: 0,
-            measured: self.0,
-            commanded: self.0,
-        })
+        Ok(EffectorImage { at: Instant::ZERO, macrostep: 0, measured: self.0, commanded: self.0 })
     }
 }
 
@@ -71,17 +62,12 @@ fn irp6() -> Arm {
 fn home(arm: &Arm) -> PlannedStart {
     let mut tolerance = Axes::default();
     tolerance[..arm.axes()].fill(BESIDE);
-    PlannedStart {
-        motors: arm.robot().home().padded(),
-        tolerance,
-    }
+    PlannedStart { motors: arm.robot().home().padded(), tolerance }
 }
 
 /// The pose of the arm at home, displaced by `by`, m.
 fn from_home(arm: &Arm, by: [f64; 3]) -> Pose {
-    let mut pose = arm
-        .forward(&arm.joints(&home(arm).motors).unwrap())
-        .unwrap();
+    let mut pose = arm.forward(&arm.joints(&home(arm).motors).unwrap()).unwrap();
     pose.translation.vector += Vector3::from(by);
     pose
 }
@@ -97,9 +83,7 @@ fn walk(line: StraightLine, start: &AtMotors) -> Result<Vec<AxesState>, Generato
     let mut states = vec![start.0.joints];
     run.first_step(start, MACROSTEP)?;
     while let Step::Continue(setpoint) = run.next_step(start)? {
-        let Some(Setpoint::Joints(state)) = setpoint else {
-            panic!("{setpoint:?} from a line")
-        };
+        let Some(Setpoint::Joints(state)) = setpoint else { panic!("{setpoint:?} from a line") };
         states.push(state);
     }
     Ok(states)
@@ -144,17 +128,10 @@ fn five_axes_beside_their_planned_start_follow_the_line_of_that_start() {
         let Err(GeneratorError::Path { cause, .. }) = straight else {
             panic!("the arm reaches no pose beside its plane")
         };
-        assert!(
-            matches!(cause, KinematicsError::ToolPlane { .. }),
-            "{cause}"
-        );
+        assert!(matches!(cause, KinematicsError::ToolPlane { .. }), "{cause}");
         let states = walk(line(&arm, target).beginning_at(home(&arm)), &start).unwrap();
         is_smooth(&arm, &states);
-        assert_eq!(
-            *states.last().unwrap(),
-            end,
-            "the end does not depend on the start"
-        );
+        assert_eq!(*states.last().unwrap(), end, "the end does not depend on the start");
         worst = worst.max(bow(&arm, &states));
     }
     println!("{worst:.2e} m off the straight line");
@@ -177,10 +154,7 @@ fn an_arm_beside_a_singular_start_keeps_to_the_branch_of_the_line() {
         is_smooth(&arm, &states);
         assert_eq!(*states.last().unwrap(), end);
     }
-    assert!(
-        jumps > 10,
-        "a straight line from beside a singular pose: {jumps} jumps"
-    );
+    assert!(jumps > 10, "a straight line from beside a singular pose: {jumps} jumps");
 }
 
 #[test]
@@ -197,10 +171,7 @@ fn an_arm_elsewhere_goes_straight_from_where_it_stands() {
     let arm = irb6();
     let target = from_home(&arm, [-0.1, 0.0, -0.05]);
     // All axes except the column.
-    let mut motors = AtMotors::beside_home(&arm, 0, 2.0 * BESIDE)
-        .0
-        .motors
-        .position;
+    let mut motors = AtMotors::beside_home(&arm, 0, 2.0 * BESIDE).0.motors.position;
     motors[0] = arm.robot().home()[0];
     let start = AtMotors::of(&arm, motors);
     let states = walk(line(&arm, target).beginning_at(home(&arm)), &start).unwrap();

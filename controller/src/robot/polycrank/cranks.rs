@@ -59,11 +59,7 @@ impl Stand {
 /// Both pairs of crank angles for which the end of two cranks lies at a point, and the sine of the bend. The first
 /// angle of a pair belongs to the first crank. The second angle is relative to the first crank. A point out of reach
 /// is replaced by the nearest point within reach. For a point on the axis itself, the first angle is `kept`.
-pub(super) fn angles(
-    [inner, outer]: [f64; 2],
-    (x, y): (f64, f64),
-    kept: f64,
-) -> ([(f64, f64); 2], f64) {
+pub(super) fn angles([inner, outer]: [f64; 2], (x, y): (f64, f64), kept: f64) -> ([(f64, f64); 2], f64) {
     let square = x * x + y * y;
     let (sum, difference) = (inner + outer, inner - outer);
     // Sine and cosine of half the bend, by the law of cosines.
@@ -109,11 +105,7 @@ impl Cranks {
     pub(super) fn stand(&self, q: &[f64; AXES]) -> Stand {
         let ([_, (x, y)], [_, (reach, height)]) = (self.upper_ends(q), self.forearm_ends(q));
         let (ahead, _) = plane(q[0] + q[1] + q[2]);
-        Stand {
-            reach,
-            ahead,
-            end: Vector3::new(x, y, height) + ahead * reach,
-        }
+        Stand { reach, ahead, end: Vector3::new(x, y, height) + ahead * reach }
     }
 
     pub(super) fn forward(&self, q: &[f64; AXES]) -> Isometry3<f64> {
@@ -139,9 +131,7 @@ impl Cranks {
         let mut turn = |axis: usize, direction: &Vector3<f64>, lever: Vector3<f64>| {
             let linear = direction.cross(&lever);
             jacobian.fixed_view_mut::<3, 1>(0, axis).copy_from(&linear);
-            jacobian
-                .fixed_view_mut::<3, 1>(3, axis)
-                .copy_from(direction);
+            jacobian.fixed_view_mut::<3, 1>(3, axis).copy_from(direction);
         };
         // An offset along an axis does not move about the same axis, and is left out.
         let flange = approach * self.flange_offset;
@@ -158,12 +148,7 @@ impl Cranks {
     }
 
     /// Both facings of a pose. `tilt` is the sine of the angle between axis 1 and tool axis, above zero.
-    pub(super) fn facings(
-        &self,
-        origin: &Vector3<f64>,
-        axes: &Matrix3<f64>,
-        tilt: f64,
-    ) -> [Facing; 2] {
+    pub(super) fn facings(&self, origin: &Vector3<f64>, axes: &Matrix3<f64>, tilt: f64) -> [Facing; 2] {
         let (normal, approach) = (axes.column(0), axes.column(2));
         let (c, s) = (approach.x / tilt, approach.y / tilt);
         let ahead = Vector3::new(c, s, 0.0);
@@ -174,20 +159,8 @@ impl Cranks {
         let middle = origin - approach * self.flange_offset - Vector3::z() * self.upper_offset;
         let offset = along * self.forearm_offset;
         [
-            Facing {
-                phi,
-                psi,
-                roll,
-                ahead,
-                end: middle - offset,
-            },
-            Facing {
-                phi: phi + PI,
-                psi: -psi,
-                roll: roll + PI,
-                ahead: -ahead,
-                end: middle + offset,
-            },
+            Facing { phi, psi, roll, ahead, end: middle - offset },
+            Facing { phi: phi + PI, psi: -psi, roll: roll + PI, ahead: -ahead, end: middle + offset },
         ]
     }
 
@@ -217,10 +190,7 @@ impl Cranks {
         let across = (end.y * ahead.x - end.x * ahead.y).abs();
         let folded = (inner - outer).abs();
         let early = (folded + EARLY - across).clamp(0.0, EARLY);
-        Ring {
-            inner: early + half_chord(folded, across).unwrap_or(0.0),
-            ..ring
-        }
+        Ring { inner: early + half_chord(folded, across).unwrap_or(0.0), ..ring }
     }
 }
 

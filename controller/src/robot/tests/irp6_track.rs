@@ -5,22 +5,12 @@ use super::*;
 #[test]
 fn golden_vectors_of_the_pedestal_hold_on_the_carriage() {
     let (robot, arm) = (irp6ot(), irp6p());
-    let th = [
-        0.3,
-        -1.7,
-        0.07079632679489656,
-        -0.3292036732051034,
-        1.1,
-        0.6,
-    ];
+    let th = [0.3, -1.7, 0.07079632679489656, -0.3292036732051034, 1.1, 0.6];
     let joints = Joints::from([0.4, th[0], th[1], th[2], th[3], th[4], th[5]]);
     let pose = robot.forward(&joints).unwrap();
     let origin = Vector3::new(0.75423282049035, 0.63331155202297, 0.46523858134258);
     assert!((pose.translation.vector - origin).norm() < 1e-13, "{pose}");
-    assert_eq!(
-        pose.rotation,
-        arm.forward(&Joints::from(th)).unwrap().rotation
-    );
+    assert_eq!(pose.rotation, arm.forward(&Joints::from(th)).unwrap().rotation);
     // Motor positions of the robot on the pedestal, each shifted by the difference of the two homes. The track
     // follows from its ratio.
     let motors = robot.motors_from_joints(&joints).unwrap();
@@ -90,13 +80,8 @@ fn carriage_stays_while_the_arm_reaches_comfortably_and_moves_the_least_otherwis
     ] {
         let pose = Isometry3::from_parts(
             Vector3::new(x, y, at.translation.z - 0.1).into(),
-            nalgebra::UnitQuaternion::from_axis_angle(
-                &Vector3::z_axis(),
-                f64::atan2(y - expected, x),
-            ) * irp6p()
-                .forward(&Joints::from([0.0, -1.6, 0.1, 0.2, 1.2, 0.3]))
-                .unwrap()
-                .rotation,
+            nalgebra::UnitQuaternion::from_axis_angle(&Vector3::z_axis(), f64::atan2(y - expected, x))
+                * irp6p().forward(&Joints::from([0.0, -1.6, 0.1, 0.2, 1.2, 0.3])).unwrap().rotation,
         );
         match robot.inverse(&pose, &near) {
             Ok(solutions) => {
@@ -131,8 +116,7 @@ fn carriage_does_not_jump_along_straight_lines() {
         let steps = 10_000;
         let mut near = start;
         for step in 1..=steps {
-            let Some(pose) = from.try_lerp_slerp(&to, f64::from(step) / f64::from(steps), 1e-9)
-            else {
+            let Some(pose) = from.try_lerp_slerp(&to, f64::from(step) / f64::from(steps), 1e-9) else {
                 break;
             };
             let Ok(solutions) = robot.inverse(&pose, &near) else {
@@ -162,25 +146,9 @@ fn refusals_of_the_arm_name_the_axis_counted_from_the_track() {
     let mut over = pose;
     over.translation.vector.x = 0.0;
     over.translation.vector.y = 0.4;
-    assert_eq!(
-        robot.inverse_at(&over, &near, 0.4),
-        Err(KinematicsError::Singular {
-            axis: 1,
-            margin: 0.0
-        })
-    );
-    let beyond = |axis, value, limit| KinematicsError::BeyondLimit {
-        space: Space::Joint,
-        axis,
-        value,
-        limit,
-    };
-    for (axis, value, limit) in [
-        (0, 1.3, 1.21),
-        (0, -0.2, -0.125),
-        (2, -2.5, -130_f64.to_radians()),
-        (6, 3.0, 2.93),
-    ] {
+    assert_eq!(robot.inverse_at(&over, &near, 0.4), Err(KinematicsError::Singular { axis: 1, margin: 0.0 }));
+    let beyond = |axis, value, limit| KinematicsError::BeyondLimit { space: Space::Joint, axis, value, limit };
+    for (axis, value, limit) in [(0, 1.3, 1.21), (0, -0.2, -0.125), (2, -2.5, -130_f64.to_radians()), (6, 3.0, 2.93)] {
         let mut joints = near;
         joints[axis] = value;
         let error = robot.motors_from_joints(&joints).unwrap_err();
@@ -199,8 +167,5 @@ fn refusals_of_the_arm_name_the_axis_counted_from_the_track() {
     assert_eq!(robot.inverse(&lost, &near), Err(KinematicsError::NotFinite));
     let mut parameters = Irp6TrackParameters::irp6ot();
     parameters.track.ratio = 0.0;
-    assert_eq!(
-        Irp6Track::new(&parameters),
-        Err(ParameterError::NoRatio { name: "track" })
-    );
+    assert_eq!(Irp6Track::new(&parameters), Err(ParameterError::NoRatio { name: "track" }));
 }

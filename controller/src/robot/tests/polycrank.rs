@@ -7,10 +7,7 @@ use super::*;
 /// Values of counters with 4000 counts per revolution.
 fn counts(robot: &dyn Robot, joints: &Joints) -> Vec<i32> {
     let motors = robot.motors_from_joints(joints).unwrap();
-    motors
-        .iter()
-        .map(|motor| (motor * 4000.0 / TAU).round() as i32)
-        .collect()
+    motors.iter().map(|motor| (motor * 4000.0 / TAU).round() as i32).collect()
 }
 
 /// The arm by its published table.
@@ -122,8 +119,7 @@ fn joints_do_not_jump_along_straight_lines() {
         let mut near = *robot.inverse(&from, &end).unwrap().preferred();
         let steps = 20_000;
         for step in 1..=steps {
-            let Some(pose) = from.try_lerp_slerp(&to, f64::from(step) / f64::from(steps), 1e-9)
-            else {
+            let Some(pose) = from.try_lerp_slerp(&to, f64::from(step) / f64::from(steps), 1e-9) else {
                 break;
             };
             let Ok(solutions) = robot.inverse(&pose, &near) else {
@@ -145,10 +141,7 @@ fn joints_do_not_jump_along_straight_lines() {
 
 #[test]
 fn twenty_turns_there_and_back_return_every_count() {
-    let coupled = PolycrankParameters {
-        coupled: true,
-        ..PolycrankParameters::polycrank()
-    };
+    let coupled = PolycrankParameters { coupled: true, ..PolycrankParameters::polycrank() };
     for parameters in [PolycrankParameters::polycrank(), coupled] {
         let robot = Polycrank::new(&parameters).unwrap();
         let start = robot.joints_from_motors(&robot.home()).unwrap();
@@ -156,9 +149,7 @@ fn twenty_turns_there_and_back_return_every_count() {
         for axis in [0, 6] {
             let mut near = start;
             let there = (0..=20_000).map(|step| TAU * f64::from(step) / 1_000.0);
-            let back = (0..20_000)
-                .rev()
-                .map(|step| TAU * f64::from(step) / 1_000.0);
+            let back = (0..20_000).rev().map(|step| TAU * f64::from(step) / 1_000.0);
             let mut most = 0.0_f64;
             for angle in there.chain(back) {
                 let mut joints = start;
@@ -177,10 +168,7 @@ fn twenty_turns_there_and_back_return_every_count() {
 
 #[test]
 fn cumulative_cranks_add_the_motors_of_their_group() {
-    let coupled = PolycrankParameters {
-        coupled: true,
-        ..PolycrankParameters::polycrank()
-    };
+    let coupled = PolycrankParameters { coupled: true, ..PolycrankParameters::polycrank() };
     let robot = Polycrank::new(&coupled).unwrap();
     let home = robot.joints_from_motors(&robot.home()).unwrap();
     for (axis, expected) in [
@@ -202,9 +190,7 @@ fn the_most_dexterous_reach_is_no_worse_than_any_other() {
     let robot = polycrank();
     let mut random = Random(SEED);
     let best = |solutions: &Solutions| {
-        let margins = solutions
-            .iter()
-            .map(|s| robot.singularity(s).unwrap().margin);
+        let margins = solutions.iter().map(|s| robot.singularity(s).unwrap().margin);
         margins.fold(0.0, f64::max)
     };
     for _ in 0..20 {
@@ -257,10 +243,7 @@ fn what_no_branch_reaches_and_what_every_branch_leaves_open_is_refused() {
         let measured = robot.singularity(&joints).unwrap();
         assert!(measured.margin < 1e-9, "{joints:?} {measured:?}");
         match robot.inverse_at(&pose, &joints, robot.reach(&joints).unwrap()) {
-            Err(KinematicsError::Singular {
-                axis: named,
-                margin,
-            }) => {
+            Err(KinematicsError::Singular { axis: named, margin }) => {
                 assert_eq!(named, axis, "{joints:?}");
                 assert!(margin < within, "{margin}");
             }
@@ -282,27 +265,10 @@ fn parameters_come_through_the_cell_file_and_unsound_ones_are_refused() {
     assert_eq!(toml::from_str(&text), Ok(parameters));
     type Change = fn(&mut PolycrankParameters);
     let cases: [(Change, ParameterError); 4] = [
-        (
-            |p| p.upper_cranks[1] = 0.0,
-            ParameterError::NotPositive {
-                name: "upper_cranks",
-                value: 0.0,
-            },
-        ),
-        (
-            |p| p.forearm_offsets[1] = f64::NAN,
-            ParameterError::NotFinite {
-                name: "forearm_offsets",
-            },
-        ),
-        (
-            |p| p.axes[3].ratio = 0.0,
-            ParameterError::NoRatio { name: "q4" },
-        ),
-        (
-            |p| p.axes[2].joint_limits.high = 1.0,
-            ParameterError::NotFinite { name: "q3" },
-        ),
+        (|p| p.upper_cranks[1] = 0.0, ParameterError::NotPositive { name: "upper_cranks", value: 0.0 }),
+        (|p| p.forearm_offsets[1] = f64::NAN, ParameterError::NotFinite { name: "forearm_offsets" }),
+        (|p| p.axes[3].ratio = 0.0, ParameterError::NoRatio { name: "q4" }),
+        (|p| p.axes[2].joint_limits.high = 1.0, ParameterError::NotFinite { name: "q3" }),
     ];
     for (change, error) in cases {
         let mut parameters = PolycrankParameters::polycrank();
@@ -315,14 +281,8 @@ fn parameters_come_through_the_cell_file_and_unsound_ones_are_refused() {
 
 #[test]
 fn a_turn_is_chosen_within_the_range_of_a_motor_that_two_cranks_carry() {
-    let mut parameters = PolycrankParameters {
-        coupled: true,
-        ..PolycrankParameters::polycrank()
-    };
-    parameters.axes[2].motor_limits = Limits {
-        low: -500.0,
-        high: 500.0,
-    };
+    let mut parameters = PolycrankParameters { coupled: true, ..PolycrankParameters::polycrank() };
+    parameters.axes[2].motor_limits = Limits { low: -500.0, high: 500.0 };
     let robot = Polycrank::new(&parameters).unwrap();
     let mut joints = robot.joints_from_motors(&robot.home()).unwrap();
     joints[0] += 8.0;

@@ -24,20 +24,14 @@ fn a_pose_out_of_reach_names_what_is_missing() {
         let pose = Isometry3::from_parts(Vector3::new(x, 0.0, z).into(), level);
         match refusal(robot, &pose, &near) {
             KinematicsError::Unreachable { margin: found } => {
-                assert!(
-                    (found - margin).abs() < 1e-12,
-                    "{found} instead of {margin}"
-                );
+                assert!((found - margin).abs() < 1e-12, "{found} instead of {margin}");
             }
             other => panic!("{other}"),
         }
         let mut elsewhere = near;
         elsewhere[0] = -2.9;
         elsewhere[3] = 1.5;
-        assert_eq!(
-            refusal(robot, &pose, &elsewhere),
-            refusal(robot, &pose, &near)
-        );
+        assert_eq!(refusal(robot, &pose, &elsewhere), refusal(robot, &pose, &near));
     }
 }
 
@@ -50,25 +44,14 @@ fn numbers_that_place_no_robot_are_refused() {
         let mut spoilt = home;
         spoilt[1] = f64::NAN;
         let short = Joints::from([0.0; 3]);
-        let count = AxisCount {
-            axes: axes as u8,
-            given: 3,
-        };
+        let count = AxisCount { axes: axes as u8, given: 3 };
         for (joints, error) in [(spoilt, NotFinite), (short, count)] {
             let motors = Motors::new(&joints).unwrap();
             assert_eq!(robot.forward(&joints).unwrap_err(), error, "{name}");
             assert_eq!(robot.jacobian(&joints).unwrap_err(), error, "{name}");
             assert_eq!(robot.singularity(&joints).unwrap_err(), error, "{name}");
-            assert_eq!(
-                robot.motors_from_joints(&joints).unwrap_err(),
-                error,
-                "{name}"
-            );
-            assert_eq!(
-                robot.joints_from_motors(&motors).unwrap_err(),
-                error,
-                "{name}"
-            );
+            assert_eq!(robot.motors_from_joints(&joints).unwrap_err(), error, "{name}");
+            assert_eq!(robot.joints_from_motors(&motors).unwrap_err(), error, "{name}");
             assert_eq!(refusal(&*robot, &pose, &joints), error, "{name}");
         }
         let mut lost = pose;
@@ -82,14 +65,7 @@ fn numbers_that_place_no_robot_are_refused() {
         let mut over = robot.forward(&home).unwrap();
         over.translation.vector.x = 0.0;
         over.translation.vector.y = 0.0;
-        assert_eq!(
-            refusal(&*robot, &over, &home),
-            Singular {
-                axis: 0,
-                margin: 0.0
-            },
-            "{name}"
-        );
+        assert_eq!(refusal(&*robot, &over, &home), Singular { axis: 0, margin: 0.0 }, "{name}");
     }
 }
 
@@ -100,13 +76,8 @@ fn a_tool_axis_out_of_the_arms_plane_is_refused_with_its_lean() {
     for angle in [0.1, -0.1_f64, 1e-5] {
         let lean = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::z() * angle);
         let leaning = Isometry3::from_parts(pose.translation, lean * pose.rotation);
-        let ToolPlane { residual } = refusal(&robot, &leaning, &near) else {
-            panic!("{angle}")
-        };
-        assert!(
-            (residual - angle.sin() * 0.2_f64.cos()).abs() < 1e-12,
-            "{residual}"
-        );
+        let ToolPlane { residual } = refusal(&robot, &leaning, &near) else { panic!("{angle}") };
+        assert!((residual - angle.sin() * 0.2_f64.cos()).abs() < 1e-12, "{residual}");
     }
 }
 
@@ -135,12 +106,7 @@ fn joints_and_motors_past_a_limit_are_named() {
         let mut joints = Joints::from(stand);
         joints[axis] = value;
         match robot.motors_from_joints(&joints) {
-            Err(BeyondLimit {
-                space: found,
-                axis: named,
-                value: told,
-                limit: passed,
-            }) => {
+            Err(BeyondLimit { space: found, axis: named, value: told, limit: passed }) => {
                 assert_eq!((found, usize::from(named)), (space, axis), "{value}");
                 assert!((passed - limit).abs() < 1e-12, "{axis} {value}: {passed}");
                 if space == Space::Joint {
@@ -173,12 +139,7 @@ fn a_screw_no_triangle_can_have_is_refused() {
         let mut motors = robot.home();
         motors[1] = motor;
         match robot.joints_from_motors(&motors) {
-            Err(BeyondLimit {
-                space: Space::Motor,
-                axis: 1,
-                value,
-                limit,
-            }) => {
+            Err(BeyondLimit { space: Space::Motor, axis: 1, value, limit }) => {
                 assert_eq!(value, motor);
                 motors[1] = limit - limit.signum() * 1e-6;
                 assert!(robot.joints_from_motors(&motors).is_ok(), "{limit}");
@@ -209,16 +170,10 @@ fn limits_themselves_can_be_reached() {
                 reached += 1;
                 let pose = robot.forward(&joints).unwrap();
                 let solved = robot.inverse(&pose, &joints).unwrap();
-                assert!(
-                    largest_difference(solved.preferred(), &joints) < 1e-9,
-                    "{axis} {end}"
-                );
+                assert!(largest_difference(solved.preferred(), &joints) < 1e-9, "{axis} {end}");
             }
         }
-        assert_eq!(
-            reached, 2,
-            "of the ends of axis {axis} one on each side is the tighter"
-        );
+        assert_eq!(reached, 2, "of the ends of axis {axis} one on each side is the tighter");
     }
 }
 
@@ -227,48 +182,16 @@ fn parameters_that_make_no_robot_are_refused() {
     use ParameterError::{AmbiguousScrew, EmptyRange, NoRatio, NotFinite, NotPositive};
     type Change = fn(&mut Irp6Parameters);
     let cases: [(Change, ParameterError); 8] = [
-        (
-            |p| p.arm.shoulder_height = f64::NAN,
-            NotFinite {
-                name: "shoulder_height",
-            },
-        ),
-        (
-            |p| p.arm.wrist_length = 0.0,
-            NotPositive {
-                name: "wrist_length",
-                value: 0.0,
-            },
-        ),
+        (|p| p.arm.shoulder_height = f64::NAN, NotFinite { name: "shoulder_height" }),
+        (|p| p.arm.wrist_length = 0.0, NotPositive { name: "wrist_length", value: 0.0 }),
         (|p| p.arm.column.ratio = 0.0, NoRatio { name: "column" }),
+        (|p| p.hand.motor_at_home = f64::INFINITY, NotFinite { name: "hand" }),
+        (|p| p.arm.lower_arm.lead = 0.0, NoRatio { name: "lower_arm" }),
+        (|p| p.arm.lower_arm.squared = 0.01, AmbiguousScrew { name: "lower_arm" }),
+        (|p| p.arm.upper_arm.joint_limits.high = 2.5, AmbiguousScrew { name: "upper_arm" }),
         (
-            |p| p.hand.motor_at_home = f64::INFINITY,
-            NotFinite { name: "hand" },
-        ),
-        (
-            |p| p.arm.lower_arm.lead = 0.0,
-            NoRatio { name: "lower_arm" },
-        ),
-        (
-            |p| p.arm.lower_arm.squared = 0.01,
-            AmbiguousScrew { name: "lower_arm" },
-        ),
-        (
-            |p| p.arm.upper_arm.joint_limits.high = 2.5,
-            AmbiguousScrew { name: "upper_arm" },
-        ),
-        (
-            |p| {
-                p.arm.pitch.motor_limits = Limits {
-                    low: 1.0,
-                    high: 1.0,
-                }
-            },
-            EmptyRange {
-                name: "pitch",
-                low: 1.0,
-                high: 1.0,
-            },
+            |p| p.arm.pitch.motor_limits = Limits { low: 1.0, high: 1.0 },
+            EmptyRange { name: "pitch", low: 1.0, high: 1.0 },
         ),
     ];
     for (change, error) in cases {
@@ -276,24 +199,15 @@ fn parameters_that_make_no_robot_are_refused() {
         change(&mut parameters);
         assert_eq!(Irp6::new(&parameters), Err(error));
     }
-    let slack = Irb6Parameters {
-        tool_plane_tolerance: 0.0,
-        ..Irb6Parameters::irb6()
-    };
-    let error = NotPositive {
-        name: "tool_plane_tolerance",
-        value: 0.0,
-    };
+    let slack = Irb6Parameters { tool_plane_tolerance: 0.0, ..Irb6Parameters::irb6() };
+    let error = NotPositive { name: "tool_plane_tolerance", value: 0.0 };
     assert_eq!(Irb6::new(&slack), Err(error));
 }
 
 #[test]
 fn parameters_survive_the_cell_file_and_refuse_unknown_names() {
     let text = toml::to_string(&Irp6Parameters::irp6p_calibrated()).unwrap();
-    assert_eq!(
-        toml::from_str(&text),
-        Ok(Irp6Parameters::irp6p_calibrated())
-    );
+    assert_eq!(toml::from_str(&text), Ok(Irp6Parameters::irp6p_calibrated()));
     let text = text.replace("wrist_length", "wirst_length");
     assert!(toml::from_str::<Irp6Parameters>(&text).is_err());
 }

@@ -14,10 +14,7 @@ fn rnt_golden_vector_holds() {
     let joints = Joints::from([0.2, -0.1, 0.9, 0.0, 0.5, 0.0]);
     let lengths = robot.leg_lengths(&joints).unwrap();
     let expected = [0.953705712, 0.960914436, 0.842363921];
-    assert!(
-        largest_difference(&lengths, &expected) < 1e-9,
-        "{lengths:?}"
-    );
+    assert!(largest_difference(&lengths, &expected) < 1e-9, "{lengths:?}");
     let centre = robot.forward(&joints).unwrap().translation.vector;
     let expected = Vector3::new(-0.109816758, -0.217444493, 1.072687360);
     assert!((centre - expected).amax() < 1e-9, "{centre}");
@@ -56,20 +53,14 @@ fn every_pose_of_the_workspace_is_found_on_both_sides_of_the_wrist() {
         assert_eq!(solutions.len(), 2, "{joints:?}");
         for solution in solutions.iter() {
             let (distance, angle) = apart(&robot.forward(solution).unwrap(), &pose);
-            assert!(
-                distance < 1e-9 && angle < 1e-9,
-                "{joints:?} {solution:?}: {distance} {angle}"
-            );
+            assert!(distance < 1e-9 && angle < 1e-9, "{joints:?} {solution:?}: {distance} {angle}");
             robot.motors_from_joints(solution).unwrap();
         }
         let from_joints = |solution: &Joints| largest_difference(solution, &joints);
         let nearest = solutions.iter().map(from_joints).fold(PI, f64::min);
         assert!(nearest < 1e-9, "{joints:?} {solutions:?}");
         let from_near = |solution: &Joints| largest_difference(solution, &near);
-        assert!(
-            solutions.iter().map(from_near).is_sorted(),
-            "{near:?} {solutions:?}"
-        );
+        assert!(solutions.iter().map(from_near).is_sorted(), "{near:?} {solutions:?}");
         let [one, other] = [&solutions[0], &solutions[1]];
         assert!((one[4] + other[4]).abs() < 1e-9, "{solutions:?}");
     }
@@ -85,20 +76,14 @@ fn legs_close_within_six_steps_all_over_the_workspace() {
         let posture = [joints[0], joints[1], joints[2]];
         let lengths = robot.legs.lengths(&posture);
         let found = robot.legs.close(&lengths, &[0.0, 0.0, 0.95]).unwrap();
-        assert!(
-            largest_difference(&found.posture, &posture) < 1e-12,
-            "{joints:?} {found:?}"
-        );
+        assert!(largest_difference(&found.posture, &posture) < 1e-12, "{joints:?} {found:?}");
         most = most.max(found.steps);
         let near = posture.map(|value| value + random.within(-0.01, 0.01));
         warm = warm.max(robot.legs.close(&lengths, &near).unwrap().steps);
 
         let motors = robot.motors_from_joints(&joints).unwrap();
         let back = robot.joints_from_motors(&motors).unwrap();
-        assert!(
-            largest_difference(&back, &joints) < 1e-12,
-            "{joints:?} {back:?}"
-        );
+        assert!(largest_difference(&back, &joints) < 1e-12, "{joints:?} {back:?}");
     }
     assert!(most <= 6 && warm <= 3, "{most} steps, {warm} from beside");
 }
@@ -127,10 +112,7 @@ fn only_a_straight_wrist_makes_its_jacobian_singular() {
         let square = DMatrix::from_fn(6, 6, |row, column| jacobian[(row, column)]);
         let reach = joints[2] + 0.2;
         let expected = reach * reach * joints[1].cos() * joints[4].sin();
-        assert!(
-            (square.determinant().abs() - expected.abs()).abs() < 1e-12,
-            "{joints:?}"
-        );
+        assert!((square.determinant().abs() - expected.abs()).abs() < 1e-12, "{joints:?}");
     }
 }
 
@@ -168,12 +150,7 @@ fn poses_past_tilts_extension_and_legs_are_refused_by_name() {
         let gate = robot.motors_from_joints(&Joints::from(joints)).unwrap_err();
         for refusal in [gate, robot.inverse(&at(joints), &near).unwrap_err()] {
             match refusal {
-                KinematicsError::BeyondLimit {
-                    space: Space::Joint,
-                    axis: named,
-                    value: told,
-                    ..
-                } => {
+                KinematicsError::BeyondLimit { space: Space::Joint, axis: named, value: told, .. } => {
                     assert_eq!(usize::from(named), axis);
                     assert!((told - value).abs() < 1e-12, "{told} instead of {value}");
                 }
@@ -187,23 +164,15 @@ fn poses_past_tilts_extension_and_legs_are_refused_by_name() {
     let gate = robot.motors_from_joints(&Joints::from(tilted)).unwrap_err();
     for refusal in [gate, robot.inverse(&at(tilted), &near).unwrap_err()] {
         match refusal {
-            KinematicsError::LegLimit {
-                leg: 0,
-                length,
-                limit: 1.38,
-            } => assert!((1.38..1.42).contains(&length), "{length}"),
+            KinematicsError::LegLimit { leg: 0, length, limit: 1.38 } => {
+                assert!((1.38..1.42).contains(&length), "{length}")
+            }
             other => panic!("{other}"),
         }
         assert_eq!(refusal.axis(), Some(0));
     }
     let origin = Isometry3::identity();
-    assert_eq!(
-        robot.inverse(&origin, &near),
-        Err(KinematicsError::Singular {
-            axis: 0,
-            margin: 0.0
-        })
-    );
+    assert_eq!(robot.inverse(&origin, &near), Err(KinematicsError::Singular { axis: 0, margin: 0.0 }));
 }
 
 #[test]
@@ -219,10 +188,7 @@ fn legs_that_cannot_close_are_named_with_what_they_miss() {
         let mut lengths = [0.55; 3];
         lengths[leg] = 1.38;
         match robot.joints_from_motors(&motors(lengths)) {
-            Err(KinematicsError::Open {
-                leg: named,
-                residual,
-            }) => {
+            Err(KinematicsError::Open { leg: named, residual }) => {
                 assert!(residual.abs() > 0.01, "{residual}");
                 assert!(usize::from(named) < 3);
             }
@@ -237,10 +203,7 @@ fn legs_that_cannot_close_are_named_with_what_they_miss() {
     for rho in [0.45, 1.6] {
         let lengths = robot.legs.lengths(&[0.7, -0.7, rho]);
         let joints = robot.joints_from_motors(&motors(lengths)).unwrap();
-        assert!(
-            largest_difference(&joints[..3], &[0.7, -0.7, rho]) < 1e-9,
-            "{joints:?}"
-        );
+        assert!(largest_difference(&joints[..3], &[0.7, -0.7, rho]) < 1e-9, "{joints:?}");
     }
 }
 
@@ -249,9 +212,7 @@ fn numbers_that_place_no_rnt_are_refused() {
     use KinematicsError::{AxisCount, NotFinite};
     let robot = rnt();
     let home = robot.joints_from_motors(&robot.home()).unwrap();
-    let pose = robot
-        .forward(&Joints::from([0.1, 0.1, 0.9, 0.0, 0.5, 0.0]))
-        .unwrap();
+    let pose = robot.forward(&Joints::from([0.1, 0.1, 0.9, 0.0, 0.5, 0.0])).unwrap();
     let mut spoilt = home;
     spoilt[1] = f64::NAN;
     let count = AxisCount { axes: 6, given: 3 };
@@ -274,27 +235,12 @@ fn a_geometry_that_cannot_close_is_refused_with_its_numbers() {
     type Case = (fn(&mut RntParameters), &'static str);
     let cases: [Case; 13] = [
         (|p| p.base_radius = 0.0, "base_radius is 0, not above zero"),
-        (
-            |p| p.platform_radius = -0.1,
-            "platform_radius is -0.1, not above zero",
-        ),
-        (
-            |p| p.wrist_offset = f64::NAN,
-            "wrist_offset has a number that is not finite",
-        ),
-        (
-            |p| p.wrist_offset = -0.8,
-            "extension with wrist_offset is -0.1",
-        ),
-        (
-            |p| p.extension = limits(0.9, 0.9),
-            "extension has limits 0.9 .. 0.9",
-        ),
+        (|p| p.platform_radius = -0.1, "platform_radius is -0.1, not above zero"),
+        (|p| p.wrist_offset = f64::NAN, "wrist_offset has a number that is not finite"),
+        (|p| p.wrist_offset = -0.8, "extension with wrist_offset is -0.1"),
+        (|p| p.extension = limits(0.9, 0.9), "extension has limits 0.9 .. 0.9"),
         (|p| p.extension.low = 0.0, "extension is 0, not above zero"),
-        (
-            |p| p.alpha = limits(-1.6, 0.5),
-            "alpha tilts by 1.600000 rad, more than 1.5 rad",
-        ),
+        (|p| p.alpha = limits(-1.6, 0.5), "alpha tilts by 1.600000 rad, more than 1.5 rad"),
         (|p| p.beta.high = 1.51, "beta tilts by 1.510000 rad"),
         (|p| p.legs[1].lead = 0.0, "legs has a ratio of zero"),
         (
@@ -302,14 +248,8 @@ fn a_geometry_that_cannot_close_is_refused_with_its_numbers() {
             "leg 2 is 0.968814 m long amid the workspace, outside its range 0.1 .. 0.5 m",
         ),
         (|p| p.base_radius = 3.0, "leg 0 is 2.994679 m long"),
-        (
-            |p| p.legs[0].length_at_home = 1.38,
-            "the legs do not close at home: leg 0 misses its length by",
-        ),
-        (
-            |p| p.extension.low = 0.05,
-            "the legs lose hold of the platform before alpha",
-        ),
+        (|p| p.legs[0].length_at_home = 1.38, "the legs do not close at home: leg 0 misses its length by"),
+        (|p| p.extension.low = 0.05, "the legs lose hold of the platform before alpha"),
     ];
     for (number, (spoil, expected)) in cases.into_iter().enumerate() {
         let mut parameters = RntParameters::nominal();

@@ -25,11 +25,7 @@ fn irp6_at_home_weighs_what_levers_say() {
     let pitch = G * (4.0 * 0.095 + (1.35 + 6.0) * 0.19) / 128.0 + across;
     let expected = [0.0, 0.0, upper_arm, pitch, -across, 0.0];
     for (axis, expected) in expected.into_iter().enumerate() {
-        assert!(
-            (found[axis] - expected).abs() < 2e-4,
-            "axis {axis}: {} for {expected} N·m",
-            found[axis]
-        );
+        assert!((found[axis] - expected).abs() < 2e-4, "axis {axis}: {} for {expected} N·m", found[axis]);
     }
 }
 
@@ -52,15 +48,8 @@ fn torque_is_what_energy_says_in_every_pose_of_every_robot() {
     // The work along a straight motion of all motors equals the difference of the potential energies at its ends.
     for (name, robot) in robots() {
         let mut random = Random(SEED);
-        let masses: Vec<_> = (0..robot.axes())
-            .map(|link| load(2.0 + link as f64, [0.1, -0.05, 0.2]))
-            .collect();
-        let weight = Weight::new(
-            &*robot,
-            &masses,
-            load(1.0, [0.0, 0.1, 0.1]),
-            [0.3, 0.1, 1.0],
-        );
+        let masses: Vec<_> = (0..robot.axes()).map(|link| load(2.0 + link as f64, [0.1, -0.05, 0.2])).collect();
+        let weight = Weight::new(&*robot, &masses, load(1.0, [0.0, 0.1, 0.1]), [0.3, 0.1, 1.0]);
         let weight = weight.unwrap();
         for _ in 0..50 {
             let joints = random.joints(&*robot);
@@ -74,15 +63,9 @@ fn torque_is_what_energy_says_in_every_pose_of_every_robot() {
                 to[axis] += 0.1 * (axis as f64 - 2.0);
             }
             let torque = weight.torque(&*robot, &middle).unwrap();
-            let work: f64 = (0..robot.axes())
-                .map(|axis| torque[axis] * (to[axis] - from[axis]))
-                .sum();
-            let gained =
-                weight.potential(&*robot, &to).unwrap() - weight.potential(&*robot, &from).unwrap();
-            assert!(
-                (work - gained).abs() < 1e-5,
-                "{name}: {work} for {gained} J"
-            );
+            let work: f64 = (0..robot.axes()).map(|axis| torque[axis] * (to[axis] - from[axis])).sum();
+            let gained = weight.potential(&*robot, &to).unwrap() - weight.potential(&*robot, &from).unwrap();
+            assert!((work - gained).abs() < 1e-5, "{name}: {work} for {gained} J");
         }
     }
 }
@@ -100,33 +83,18 @@ fn masses_of_no_such_robot_are_refused() {
     assert_eq!(with(|_, _, _| {}), None);
     assert_eq!(with(|m, _, _| m[2].mass = -1.0), mass(2, -1.0));
     assert_eq!(with(|m, _, _| m[5].mass = 1001.0), mass(5, 1001.0));
-    assert_eq!(
-        with(|_, c, _| c.mass = f64::INFINITY),
-        mass(6, f64::INFINITY)
-    );
-    assert!(matches!(
-        with(|m, _, _| m[0].mass = f64::NAN),
-        Some(WeightError::Mass { link: 0, .. })
-    ));
+    assert_eq!(with(|_, c, _| c.mass = f64::INFINITY), mass(6, f64::INFINITY));
+    assert!(matches!(with(|m, _, _| m[0].mass = f64::NAN), Some(WeightError::Mass { link: 0, .. })));
     assert_eq!(with(|m, _, _| m[1].centre[2] = -11.0), centre(1, -11.0));
-    assert!(matches!(
-        with(|_, c, _| c.centre[0] = f64::NAN),
-        Some(WeightError::Centre { link: 6, .. })
-    ));
+    assert!(matches!(with(|_, c, _| c.centre[0] = f64::NAN), Some(WeightError::Centre { link: 6, .. })));
     for up in [0.0, 1e200, f64::NAN, f64::INFINITY] {
         let found = Weight::new(&robot, &Mass::IRP6, Mass::default(), [up; 3]);
         assert_eq!(found, Err(WeightError::Up), "{up}");
     }
     let count = WeightError::Count { links: 6, given: 5 };
-    assert_eq!(
-        Weight::new(&robot, &Mass::IRP6[..5], Mass::default(), UP),
-        Err(count)
-    );
+    assert_eq!(Weight::new(&robot, &Mass::IRP6[..5], Mass::default(), UP), Err(count));
     let belt = LinearDevice::conveyor(&ConveyorParameters::belt()).unwrap();
-    assert_eq!(
-        Weight::new(&belt, &[], Mass::default(), UP),
-        Err(WeightError::NoLinks)
-    );
+    assert_eq!(Weight::new(&belt, &[], Mass::default(), UP), Err(WeightError::NoLinks));
 }
 
 #[test]
@@ -135,10 +103,7 @@ fn motors_that_are_nowhere_weigh_no_number() {
     let weight = Weight::new(&robot, &Mass::IRP6, Mass::default(), UP).unwrap();
     let mut motors = robot.home();
     motors[3] = f64::NAN;
-    assert_eq!(
-        weight.torque(&robot, &motors),
-        Err(KinematicsError::NotFinite)
-    );
+    assert_eq!(weight.torque(&robot, &motors), Err(KinematicsError::NotFinite));
     // A screw longer than its triangle.
     motors = robot.home();
     motors[1] = 1e4;

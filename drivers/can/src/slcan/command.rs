@@ -69,9 +69,7 @@ impl Command {
                 let number = rates.position(|&kbps| kbps == bitrate.kbps())?;
                 TextLine::new(b"S").hex(number as u32, 1)
             }
-            Self::BitTiming { btr0, btr1 } => TextLine::new(b"s")
-                .hex(u32::from(btr0), 2)
-                .hex(u32::from(btr1), 2),
+            Self::BitTiming { btr0, btr1 } => TextLine::new(b"s").hex(u32::from(btr0), 2).hex(u32::from(btr1), 2),
             Self::Open => TextLine::new(b"O"),
             Self::ListenOnly => TextLine::new(b"L"),
             Self::Loopback => TextLine::new(b"l"),
@@ -105,10 +103,7 @@ impl Command {
                 let bitrate = kbps.and_then(|&kbps| Bitrate::from_kbps(kbps));
                 Self::Bitrate(bitrate.ok_or(LineError::Character)?)
             }
-            b's' => Self::BitTiming {
-                btr0: rest.hex(2)? as u8,
-                btr1: rest.hex(2)? as u8,
-            },
+            b's' => Self::BitTiming { btr0: rest.hex(2)? as u8, btr1: rest.hex(2)? as u8 },
             b'O' => Self::Open,
             b'L' => Self::ListenOnly,
             b'l' => Self::Loopback,
@@ -152,26 +147,14 @@ mod tests {
             (Command::Bitrate(Bitrate::from_kbps(10).unwrap()), "S0\r"),
             (Command::Bitrate(Bitrate::from_kbps(800).unwrap()), "S7\r"),
             (Command::Bitrate(Bitrate::KBPS_1000), "S8\r"),
-            (
-                Command::BitTiming {
-                    btr0: 0x03,
-                    btr1: 0x1C,
-                },
-                "s031C\r",
-            ),
+            (Command::BitTiming { btr0: 0x03, btr1: 0x1C }, "s031C\r"),
             (Command::Open, "O\r"),
             (Command::ListenOnly, "L\r"),
             (Command::Loopback, "l\r"),
             (Command::Close, "C\r"),
-            (
-                send(Frame::new(standard(0x601), &upload)),
-                "t60184041600000000000\r",
-            ),
+            (send(Frame::new(standard(0x601), &upload)), "t60184041600000000000\r"),
             (send(Frame::new(standard(0x080), &[])), "t0800\r"),
-            (
-                send(Frame::new(extended(0x12AB_CDEF), &[0xAA, 0x55])),
-                "T12ABCDEF2AA55\r",
-            ),
+            (send(Frame::new(extended(0x12AB_CDEF), &[0xAA, 0x55])), "T12ABCDEF2AA55\r"),
             (send(Frame::remote(standard(0x701), 1)), "r7011\r"),
             (send(Frame::remote(extended(1), 8)), "R000000018\r"),
             (Command::Version, "V\r"),
@@ -190,11 +173,7 @@ mod tests {
         for (command, text) in cases {
             let line = command.encode().unwrap();
             assert_eq!(str::from_utf8(&line).unwrap(), text);
-            assert_eq!(
-                Command::parse(&line[..line.len() - 1]),
-                Ok(command),
-                "{text:?}"
-            );
+            assert_eq!(Command::parse(&line[..line.len() - 1]), Ok(command), "{text:?}");
         }
     }
 
@@ -208,11 +187,7 @@ mod tests {
     fn what_no_line_can_say_is_not_encoded() {
         let error = Frame::from_raw(0x2000_0004, 8, [0; 8]).unwrap();
         let odd = Bitrate::from_kbps(40).unwrap();
-        for command in [
-            Command::Transmit(error),
-            Command::Bitrate(odd),
-            Command::LineSpeed(7),
-        ] {
+        for command in [Command::Transmit(error), Command::Bitrate(odd), Command::LineSpeed(7)] {
             assert_eq!(command.encode(), None, "{command:?}");
         }
     }

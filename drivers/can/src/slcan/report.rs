@@ -68,11 +68,7 @@ impl AdapterReport {
                 Some(stamp) => TextLine::frame(&frame)?.hex(u32::from(stamp), 4),
                 None => TextLine::frame(&frame)?,
             },
-            Self::State {
-                state,
-                receive,
-                transmit,
-            } => {
+            Self::State { state, receive, transmit } => {
                 let [a, b, c] = decimals(receive);
                 let [d, e, f] = decimals(transmit);
                 TextLine::new(&[b's', state_letter(state), a, b, c, d, e, f])
@@ -82,12 +78,10 @@ impl AdapterReport {
                 errors.letters().for_each(|letter| line.push(letter));
                 line
             }
-            Self::Version { hardware, software } => TextLine::new(b"V")
-                .hex(u32::from(hardware), 2)
-                .hex(u32::from(software), 2),
-            Self::Firmware { major, minor } => TextLine::new(b"v")
-                .hex(u32::from(major), 2)
-                .hex(u32::from(minor), 2),
+            Self::Version { hardware, software } => {
+                TextLine::new(b"V").hex(u32::from(hardware), 2).hex(u32::from(software), 2)
+            }
+            Self::Firmware { major, minor } => TextLine::new(b"v").hex(u32::from(major), 2).hex(u32::from(minor), 2),
             Self::SerialNumber(number) => {
                 if !number.iter().all(u8::is_ascii_alphanumeric) {
                     return None;
@@ -135,14 +129,8 @@ impl AdapterReport {
                 })?;
                 Self::Errors(errors)
             }
-            b'V' => Self::Version {
-                hardware: rest.hex(2)? as u8,
-                software: rest.hex(2)? as u8,
-            },
-            b'v' => Self::Firmware {
-                major: rest.hex(2)? as u8,
-                minor: rest.hex(2)? as u8,
-            },
+            b'V' => Self::Version { hardware: rest.hex(2)? as u8, software: rest.hex(2)? as u8 },
+            b'v' => Self::Firmware { major: rest.hex(2)? as u8, minor: rest.hex(2)? as u8 },
             b'N' => {
                 let number = [rest.byte()?, rest.byte()?, rest.byte()?, rest.byte()?];
                 if !number.iter().all(u8::is_ascii_alphanumeric) {
@@ -176,9 +164,7 @@ fn state_letter(state: ControllerState) -> u8 {
 
 fn state_of(letter: u8) -> Option<ControllerState> {
     use ControllerState::{Active, BusOff, Passive, Warning};
-    [Active, Warning, Passive, BusOff]
-        .into_iter()
-        .find(|&state| state_letter(state) == letter)
+    [Active, Warning, Passive, BusOff].into_iter().find(|&state| state_letter(state) == letter)
 }
 
 /// Kinds of errors seen on the bus; a line names each at most once.
@@ -261,22 +247,12 @@ mod tests {
     #[test]
     fn reports_are_written_and_read_as_on_the_line() {
         use ControllerState::{Active, BusOff, Passive, Warning};
-        let received = |frame: Option<Frame>, stamp| AdapterReport::Received {
-            frame: frame.unwrap(),
-            stamp,
-        };
-        let state = |state, receive, transmit| AdapterReport::State {
-            state,
-            receive,
-            transmit,
-        };
+        let received = |frame: Option<Frame>, stamp| AdapterReport::Received { frame: frame.unwrap(), stamp };
+        let state = |state, receive, transmit| AdapterReport::State { state, receive, transmit };
         let standard = |raw| StandardId::new(raw).unwrap();
         let extended = |raw| ExtendedId::new(raw).unwrap();
         let full = [0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 0x77, 0x88];
-        let version = AdapterReport::Version {
-            hardware: 0x10,
-            software: 0x13,
-        };
+        let version = AdapterReport::Version { hardware: 0x10, software: 0x13 };
         let firmware = AdapterReport::Firmware { major: 1, minor: 8 };
         let three = BusErrors::BIT_0 | BusErrors::CRC | BusErrors::TRANSMIT_OVERRUN;
         let cases = [
@@ -284,26 +260,11 @@ mod tests {
             (AdapterReport::Refused, "\x07"),
             (AdapterReport::Transmitted(Format::Standard), "z\r"),
             (AdapterReport::Transmitted(Format::Extended), "Z\r"),
-            (
-                received(Frame::new(standard(0x701), &[0x7F]), None),
-                "t70117F\r",
-            ),
-            (
-                received(Frame::new(standard(0x080), &[]), Some(59_999)),
-                "t0800EA5F\r",
-            ),
-            (
-                received(Frame::new(extended(0x1111_2222), &full), Some(0xEA5F)),
-                "T1111222281122334455667788EA5F\r",
-            ),
-            (
-                received(Frame::remote(standard(0x701), 1), Some(0)),
-                "r70110000\r",
-            ),
-            (
-                received(Frame::remote(extended(0x1FFF_FFFF), 0), None),
-                "R1FFFFFFF0\r",
-            ),
+            (received(Frame::new(standard(0x701), &[0x7F]), None), "t70117F\r"),
+            (received(Frame::new(standard(0x080), &[]), Some(59_999)), "t0800EA5F\r"),
+            (received(Frame::new(extended(0x1111_2222), &full), Some(0xEA5F)), "T1111222281122334455667788EA5F\r"),
+            (received(Frame::remote(standard(0x701), 1), Some(0)), "r70110000\r"),
+            (received(Frame::remote(extended(0x1FFF_FFFF), 0), None), "R1FFFFFFF0\r"),
             (state(Active, 57, 33), "sa057033\r"),
             (state(Warning, 0, 96), "sw000096\r"),
             (state(Passive, 128, 0), "sp128000\r"),
@@ -326,11 +287,7 @@ mod tests {
 
     #[test]
     fn counters_above_999_are_written_as_999() {
-        let state = AdapterReport::State {
-            state: ControllerState::BusOff,
-            receive: 1000,
-            transmit: u16::MAX,
-        };
+        let state = AdapterReport::State { state: ControllerState::BusOff, receive: 1000, transmit: u16::MAX };
         assert_eq!(*state.encode().unwrap(), *b"sb999999\r");
     }
 

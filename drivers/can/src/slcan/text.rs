@@ -20,10 +20,7 @@ pub struct TextLine {
 impl TextLine {
     /// A line that begins with `text`, to be ended by [`TextLine::end`].
     pub(super) fn new(text: &[u8]) -> Self {
-        let mut line = Self {
-            bytes: [0; LONGEST],
-            len: 0,
-        };
+        let mut line = Self { bytes: [0; LONGEST], len: 0 };
         text.iter().for_each(|&byte| line.push(byte));
         line
     }
@@ -49,9 +46,7 @@ impl TextLine {
             (Id::Extended(id), false) => (b'T', id.raw(), 8),
             (Id::Extended(id), true) => (b'R', id.raw(), 8),
         };
-        let head = Self::new(&[letter])
-            .hex(id, digits)
-            .hex(u32::from(frame.len_code()), 1);
+        let head = Self::new(&[letter]).hex(id, digits).hex(u32::from(frame.len_code()), 1);
         let data = frame.data().iter();
         Some(data.fold(head, |line, &byte| line.hex(u32::from(byte), 2)))
     }
@@ -138,9 +133,7 @@ impl Rest<'_> {
     /// The frame whose kind `letter` gave: one of `t`, `T`, `r`, `R`.
     pub(super) fn frame(&mut self, letter: u8) -> Result<Frame, LineError> {
         let id: Id = if letter.is_ascii_lowercase() {
-            StandardId::new(self.hex(3)? as u16)
-                .ok_or(LineError::Id)?
-                .into()
+            StandardId::new(self.hex(3)? as u16).ok_or(LineError::Id)?.into()
         } else {
             ExtendedId::new(self.hex(8)?).ok_or(LineError::Id)?.into()
         };
@@ -149,9 +142,7 @@ impl Rest<'_> {
             return Frame::remote(id, len).ok_or(LineError::DataLength);
         }
         let mut data = [0; 8];
-        let data = data
-            .get_mut(..usize::from(len))
-            .ok_or(LineError::DataLength)?;
+        let data = data.get_mut(..usize::from(len)).ok_or(LineError::DataLength)?;
         for byte in &mut *data {
             *byte = self.hex(2)? as u8;
         }

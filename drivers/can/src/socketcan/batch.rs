@@ -1,9 +1,6 @@
 //! Many frames in one system call, with what the kernel says beside each.
 
-#![expect(
-    unsafe_code,
-    reason = "batched system calls that no safe wrapper offers"
-)]
+#![expect(unsafe_code, reason = "batched system calls that no safe wrapper offers")]
 
 use std::io;
 use std::mem;
@@ -61,14 +58,7 @@ impl Batch {
         }
         let headers = self.headers.as_mut_ptr();
         // SAFETY: the first `count` headers point to valid slices, those to frames that outlive the call.
-        let taken = unsafe {
-            libc::sendmmsg(
-                socket.as_raw_fd(),
-                headers,
-                count as u32,
-                libc::MSG_DONTWAIT,
-            )
-        };
+        let taken = unsafe { libc::sendmmsg(socket.as_raw_fd(), headers, count as u32, libc::MSG_DONTWAIT) };
         usize::try_from(taken).map_err(|_| errno())
     }
 
@@ -85,15 +75,8 @@ impl Batch {
         }
         let headers = self.headers.as_mut_ptr();
         // SAFETY: the first `count` headers point to valid slices, frames and controls of this batch.
-        let received = unsafe {
-            libc::recvmmsg(
-                socket.as_raw_fd(),
-                headers,
-                count as u32,
-                libc::MSG_DONTWAIT,
-                ptr::null_mut(),
-            )
-        };
+        let received =
+            unsafe { libc::recvmmsg(socket.as_raw_fd(), headers, count as u32, libc::MSG_DONTWAIT, ptr::null_mut()) };
         usize::try_from(received).map_err(|_| errno())
     }
 
@@ -111,10 +94,7 @@ impl Batch {
         let control = ptr::from_ref(&self.controls[index]).cast_mut().cast();
         let header = libc::msghdr {
             msg_control: control,
-            msg_controllen: self.headers[index]
-                .msg_hdr
-                .msg_controllen
-                .min(size_of::<Control>()),
+            msg_controllen: self.headers[index].msg_hdr.msg_controllen.min(size_of::<Control>()),
             ..self.headers[index].msg_hdr
         };
         // SAFETY: `msg_controllen` bytes of the control buffer are there, and these macros walk the messages in them.
@@ -163,9 +143,7 @@ unsafe fn payload<'a>(header: &libc::msghdr, message: *const libc::cmsghdr) -> &
 }
 
 fn errno() -> i32 {
-    io::Error::last_os_error()
-        .raw_os_error()
-        .unwrap_or(libc::EIO)
+    io::Error::last_os_error().raw_os_error().unwrap_or(libc::EIO)
 }
 
 /// Bytes of a `struct timespec`.

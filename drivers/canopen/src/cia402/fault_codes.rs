@@ -23,16 +23,12 @@ impl FaultTable {
                 _ => None,
             }),
         };
-        vendor
-            .or_else(|| find(CIA, code))
-            .unwrap_or_else(|| class(code))
+        vendor.or_else(|| find(CIA, code)).unwrap_or_else(|| class(code))
     }
 }
 
 fn find(table: &[(u16, &'static str)], code: u16) -> Option<&'static str> {
-    let at = table
-        .binary_search_by_key(&code, |(listed, _)| *listed)
-        .ok()?;
+    let at = table.binary_search_by_key(&code, |(listed, _)| *listed).ok()?;
     Some(table[at].1)
 }
 
@@ -184,10 +180,7 @@ const EPOS4: &[(u16, &str)] = &[
     (0x4380, "thermal overload of the motor"),
     (0x5113, "logic supply too low"),
     (0x5280, "hardware defect"),
-    (
-        0x5281,
-        "hardware incompatible; maxon knows of units built from 03/2025 to 04/2026",
-    ),
+    (0x5281, "hardware incompatible; maxon knows of units built from 03/2025 to 04/2026"),
     (0x5282, "STO card not detected"),
     (0x6080, "sign of life error"),
     (0x6081, "watchdog of extension 1"),

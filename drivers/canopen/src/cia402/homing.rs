@@ -199,88 +199,21 @@ mod tests {
         let table = [
             (37, none),
             (35, none),
-            (
-                33,
-                References {
-                    index: true,
-                    ..none
-                },
-            ),
-            (
-                17,
-                References {
-                    negative_limit: true,
-                    ..none
-                },
-            ),
-            (
-                1,
-                References {
-                    negative_limit: true,
-                    index: true,
-                    ..none
-                },
-            ),
-            (
-                2,
-                References {
-                    positive_limit: true,
-                    index: true,
-                    ..none
-                },
-            ),
-            (
-                23,
-                References {
-                    positive_limit: true,
-                    home_switch: true,
-                    ..none
-                },
-            ),
-            (
-                7,
-                References {
-                    positive_limit: true,
-                    home_switch: true,
-                    index: true,
-                    ..none
-                },
-            ),
-            (
-                11,
-                References {
-                    negative_limit: true,
-                    home_switch: true,
-                    index: true,
-                    ..none
-                },
-            ),
-            (
-                27,
-                References {
-                    negative_limit: true,
-                    home_switch: true,
-                    ..none
-                },
-            ),
-            (
-                -1,
-                References {
-                    stop: true,
-                    index: true,
-                    ..none
-                },
-            ),
+            (33, References { index: true, ..none }),
+            (17, References { negative_limit: true, ..none }),
+            (1, References { negative_limit: true, index: true, ..none }),
+            (2, References { positive_limit: true, index: true, ..none }),
+            (23, References { positive_limit: true, home_switch: true, ..none }),
+            (7, References { positive_limit: true, home_switch: true, index: true, ..none }),
+            (11, References { negative_limit: true, home_switch: true, index: true, ..none }),
+            (27, References { negative_limit: true, home_switch: true, ..none }),
+            (-1, References { stop: true, index: true, ..none }),
             (-4, References { stop: true, ..none }),
         ];
         for (raw, needs) in table {
             assert_eq!(HomingMethod(raw).references(), Some(needs), "method {raw}");
         }
         assert_eq!(HomingMethod(0).references(), None);
-        assert!(
-            HomingMethod::EPOS4
-                .iter()
-                .all(|method| method.references().is_some())
-        );
+        assert!(HomingMethod::EPOS4.iter().all(|method| method.references().is_some()));
     }
 }

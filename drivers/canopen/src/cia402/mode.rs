@@ -130,14 +130,7 @@ mod tests {
         for mode in modes {
             assert!(SupportedModes::EPOS4.contains(mode));
         }
-        for mode in [
-            None,
-            Velocity,
-            ProfileTorque,
-            InterpolatedPosition,
-            Other(-1),
-            Other(5),
-        ] {
+        for mode in [None, Velocity, ProfileTorque, InterpolatedPosition, Other(-1), Other(5)] {
             assert!(!SupportedModes::EPOS4.contains(mode), "{mode}");
         }
     }

@@ -42,21 +42,13 @@ pub enum EdsCause {
     #[error("the section lacks {key}; add it")]
     Missing { key: &'static str },
     /// An object that is only listed.
-    #[error(
-        "object {index:#06x} is listed and not described; add its section or take it from the list"
-    )]
+    #[error("object {index:#06x} is listed and not described; add its section or take it from the list")]
     Undescribed { index: u16 },
     /// The declared count differs from the number of entries.
     #[error("{key} says {said} and {found} are there; correct it")]
-    Count {
-        key: &'static str,
-        said: i128,
-        found: usize,
-    },
+    Count { key: &'static str, said: i128, found: usize },
     /// Not a number.
-    #[error(
-        "not a number; write decimal, hex as 0x1F or octal as 017; a value adds the node-ID as $NODEID+0x80"
-    )]
+    #[error("not a number; write decimal, hex as 0x1F or octal as 017; a value adds the node-ID as $NODEID+0x80")]
     Number,
     /// Neither a decimal fraction nor the 0x… bits of one, or not finite.
     #[error("not a finite real number")]

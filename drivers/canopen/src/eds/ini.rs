@@ -28,9 +28,7 @@ impl<'a> Section<'a> {
 
     /// The keys that are numbers, with their values.
     pub(super) fn numbered(&self) -> impl Iterator<Item = (u32, Text<'a>)> {
-        self.keys
-            .iter()
-            .filter_map(|(key, value)| Some((key.parse().ok()?, *value)))
+        self.keys.iter().filter_map(|(key, value)| Some((key.parse().ok()?, *value)))
     }
 }
 
@@ -46,12 +44,8 @@ pub(super) fn decode(bytes: &[u8]) -> Cow<'_, str> {
 
 /// What stands before a comment at the end of a line.
 pub(super) fn uncommented(line: &str) -> &str {
-    let comment = line.match_indices(';').find(|(at, _)| {
-        line[..*at]
-            .chars()
-            .next_back()
-            .is_none_or(char::is_whitespace)
-    });
+    let comment =
+        line.match_indices(';').find(|(at, _)| line[..*at].chars().next_back().is_none_or(char::is_whitespace));
     comment.map_or(line, |(at, _)| &line[..at]).trim()
 }
 
@@ -77,21 +71,14 @@ pub(super) fn sections(text: &str) -> Result<Vec<Section<'_>>, EdsError> {
             if sections.len() == MAX_SECTIONS {
                 return Err(EdsCause::TooManySections.at(number));
             }
-            sections.push(Section {
-                name,
-                line: number,
-                keys: BTreeMap::new(),
-            });
+            sections.push(Section { name, line: number, keys: BTreeMap::new() });
             continue;
         }
         let Some((key, value)) = line.split_once('=') else {
             return Err(EdsCause::Line.at(number));
         };
         let section = sections.last_mut().ok_or(EdsCause::NoSection.at(number))?;
-        let value = Text {
-            line: number,
-            text: value.trim(),
-        };
+        let value = Text { line: number, text: value.trim() };
         let earlier = section.keys.insert(key.trim().to_ascii_lowercase(), value);
         if let Some(Text { line: first, .. }) = earlier {
             return Err(EdsCause::DuplicateKey { first }.at(number));

@@ -328,11 +328,7 @@ impl DataType {
             return None;
         };
         let span = 1_i128 << (8 * bytes);
-        Some(if signed {
-            (-span / 2, span / 2 - 1)
-        } else {
-            (0, span - 1)
-        })
+        Some(if signed { (-span / 2, span / 2 - 1) } else { (0, span - 1) })
     }
 }
 
@@ -362,10 +358,7 @@ impl Eds {
     pub fn identity(&self, subindex: u8) -> Option<u32> {
         let variable = self.variable(Object::new(0x1018, subindex));
         let stated = variable.and_then(|variable| match &variable.parameter {
-            Some(Parameter {
-                value: ParameterValue::Value(value),
-                ..
-            }) => Some(value),
+            Some(Parameter { value: ParameterValue::Value(value), .. }) => Some(value),
             _ => variable.default.as_ref(),
         });
         let number = |value: &Value| u32::try_from(value.integer(NodeId::MAX)?).ok();

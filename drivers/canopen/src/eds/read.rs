@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use super::ini::{self, Section, Text};
 use super::value::number;
 use super::{
-    Access, BAUD_RATES, Commissioning, DataType, DeviceInfo, Eds, EdsCause, EdsError, Entry,
-    FileInfo, MAX_VARIABLES, ObjectType, Parameter, ParameterValue, Value, Variable,
+    Access, BAUD_RATES, Commissioning, DataType, DeviceInfo, Eds, EdsCause, EdsError, Entry, FileInfo, MAX_VARIABLES,
+    ObjectType, Parameter, ParameterValue, Value, Variable,
 };
 use crate::NodeId;
 
@@ -27,11 +27,7 @@ fn kind(section: &Section<'_>) -> Result<Kind, EdsError> {
     let index = name.get(..4).and_then(hex);
     let Some(index) = index.and_then(|index| u16::try_from(index).ok()) else {
         // `[60400]` is meant as an object and `[FileInfo]` is not.
-        return if name.starts_with(|first: char| first.is_ascii_digit()) {
-            Err(error)
-        } else {
-            Ok(Kind::Other)
-        };
+        return if name.starts_with(|first: char| first.is_ascii_digit()) { Err(error) } else { Ok(Kind::Other) };
     };
     let rest = name[4..].to_ascii_lowercase();
     match rest.as_str() {
@@ -42,10 +38,7 @@ fn kind(section: &Section<'_>) -> Result<Kind, EdsError> {
         rest => {
             let Some(digits) = rest.strip_prefix("sub") else {
                 // `[Feedback]` is a vendor's own, although its first letters are digits.
-                return name
-                    .starts_with(|first: char| first.is_ascii_alphabetic())
-                    .then_some(Kind::Other)
-                    .ok_or(error);
+                return name.starts_with(|first: char| first.is_ascii_alphabetic()).then_some(Kind::Other).ok_or(error);
             };
             let subindex = hex(digits).and_then(|subindex| u8::try_from(subindex).ok());
             Ok(Kind::Sub(index, subindex.ok_or(error)?))
@@ -116,8 +109,7 @@ pub(super) fn read(text: &str) -> Result<Eds, EdsError> {
             }
             Kind::Names(index) => {
                 for (subindex, text) in compact_lines(section, index, &compact)? {
-                    text.text
-                        .clone_into(&mut compact_variable(&mut eds, index, subindex).name);
+                    text.text.clone_into(&mut compact_variable(&mut eds, index, subindex).name);
                 }
             }
             Kind::Values(index) => {
@@ -150,8 +142,7 @@ fn unsigned<T: TryFrom<i128>>(value: Text<'_>, high: i128) -> Result<T, EdsError
 
 impl Section<'_> {
     fn text(&self, key: &str) -> String {
-        self.get(key)
-            .map_or_else(String::new, |value| value.text.to_owned())
+        self.get(key).map_or_else(String::new, |value| value.text.to_owned())
     }
 
     /// The name of an object; its address where it has none.
@@ -174,11 +165,7 @@ impl Section<'_> {
             return Ok(());
         };
         let said: i128 = unsigned(value, u32::MAX.into())?;
-        if said == found as i128 {
-            Ok(())
-        } else {
-            Err(EdsCause::Count { key, said, found }.at(value.line))
-        }
+        if said == found as i128 { Ok(()) } else { Err(EdsCause::Count { key, said, found }.at(value.line)) }
     }
 }
 
@@ -188,18 +175,12 @@ fn entry(section: &Section<'_>) -> Result<(Entry, Option<u8>), EdsError> {
         None => ObjectType::Variable,
         Some(value) => {
             let found: i128 = unsigned(value, u32::MAX.into())?;
-            let known = ObjectType::ALL
-                .into_iter()
-                .find(|kind| *kind as i128 == found);
+            let known = ObjectType::ALL.into_iter().find(|kind| *kind as i128 == found);
             let line = value.line;
             known.ok_or(EdsCause::ObjectType { found }.at(line))?
         }
     };
-    let mut entry = Entry {
-        name: section.parameter_name(),
-        object_type,
-        variables: BTreeMap::new(),
-    };
+    let mut entry = Entry { name: section.parameter_name(), object_type, variables: BTreeMap::new() };
     let compact = section.number::<u8>("CompactSubObj", 254)?;
     let compact = compact.filter(|&count| count > 0);
     if let (Some(count), Some(value)) = (compact, section.get("CompactSubObj")) {
@@ -279,10 +260,7 @@ fn variable(section: &Section<'_>) -> Result<Variable, EdsError> {
     };
     variable.parameter = match (section.get("ParameterValue"), section.get("DownloadFile")) {
         (Some(text), _) => Some(parameter(&variable, text)?),
-        (None, Some(Text { line, text })) => Some(Parameter {
-            value: ParameterValue::File(text.to_owned()),
-            line,
-        }),
+        (None, Some(Text { line, text })) => Some(Parameter { value: ParameterValue::File(text.to_owned()), line }),
         (None, None) => None,
     };
     Ok(variable)
@@ -300,14 +278,8 @@ fn parameter(variable: &Variable, text: Text<'_>) -> Result<Parameter, EdsError>
             limit.unwrap_or(open)
         };
         for node in nodes {
-            let (low, high) = (
-                limit(&variable.low, node, least),
-                limit(&variable.high, node, most),
-            );
-            if value
-                .integer(node)
-                .is_some_and(|value| value < low || value > high)
-            {
+            let (low, high) = (limit(&variable.low, node, least), limit(&variable.high, node, most));
+            if value.integer(node).is_some_and(|value| value < low || value > high) {
                 return Err(EdsCause::Limits { low, high }.at(line));
             }
         }
@@ -321,10 +293,7 @@ fn parameter(variable: &Variable, text: Text<'_>) -> Result<Parameter, EdsError>
 fn sub_number(section: &Section<'_>, entry: &Entry) -> Result<(), EdsError> {
     let described = entry.variables.keys().filter(|&&subindex| subindex != 0xFF);
     let has_subindices = entry.object_type.has_subindices();
-    section.count(
-        "SubNumber",
-        if has_subindices { described.count() } else { 0 },
-    )
+    section.count("SubNumber", if has_subindices { described.count() } else { 0 })
 }
 
 /// The numbered lines of `[1003Name]` or `[1003Value]` that are not empty, by sub-index.
@@ -334,19 +303,13 @@ fn compact_lines<'a>(
     compact: &BTreeMap<u16, u8>,
 ) -> Result<Vec<(u8, Text<'a>)>, EdsError> {
     let line = section.line;
-    let count = *compact
-        .get(&index)
-        .ok_or(EdsCause::Orphan { index }.at(line))?;
+    let count = *compact.get(&index).ok_or(EdsCause::Orphan { index }.at(line))?;
     let lines: Vec<_> = section.numbered().collect();
     section.count("NrOfEntries", lines.len())?;
     let subindex = |(subindex, text): (u32, Text<'a>)| {
         let known = u8::try_from(subindex).ok();
         let known = known.filter(|subindex| (1..=count).contains(subindex));
-        let range = EdsCause::Range {
-            low: 1,
-            high: count.into(),
-        }
-        .at(text.line);
+        let range = EdsCause::Range { low: 1, high: count.into() }.at(text.line);
         Ok((known.ok_or(range)?, text))
     };
     let mut lines: Vec<_> = lines.into_iter().map(subindex).collect::<Result<_, _>>()?;
@@ -415,14 +378,10 @@ fn commissioning(section: &Section<'_>) -> Result<Commissioning, EdsError> {
     });
     Ok(Commissioning {
         node: node.transpose()?,
-        baud_rate: section
-            .number("Baudrate", u16::MAX.into())?
-            .filter(|rate| *rate != 0),
+        baud_rate: section.number("Baudrate", u16::MAX.into())?.filter(|rate| *rate != 0),
         net_number: section.number("NetNumber", u32::MAX.into())?,
         manager: section.flag("CANopenManager")?,
-        serial_number: section
-            .number("LSS_SerialNumber", u32::MAX.into())?
-            .filter(|number| *number != 0),
+        serial_number: section.number("LSS_SerialNumber", u32::MAX.into())?.filter(|number| *number != 0),
     })
 }
 

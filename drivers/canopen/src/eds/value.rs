@@ -27,18 +27,13 @@ pub enum Value {
 impl Value {
     /// A plain number.
     pub const fn number(value: i128) -> Self {
-        Self::Integer {
-            value,
-            plus_node: false,
-        }
+        Self::Integer { value, plus_node: false }
     }
 
     /// The number, at a device with this node-ID; `None` if it is none.
     pub fn integer(&self, node: NodeId) -> Option<i128> {
         match self {
-            Self::Integer { value, plus_node } => {
-                Some(value + i128::from(*plus_node) * i128::from(node.raw()))
-            }
+            Self::Integer { value, plus_node } => Some(value + i128::from(*plus_node) * i128::from(node.raw())),
             Self::Real(_) | Self::Text(_) | Self::Bytes(_) => None,
         }
     }
@@ -58,10 +53,9 @@ impl Value {
                 _ => None,
             },
             // ISO 8859-1, one byte each.
-            Self::Text(text) if data_type == DataType::VisibleString => text
-                .chars()
-                .map(|letter| u8::try_from(u32::from(letter)).ok())
-                .collect(),
+            Self::Text(text) if data_type == DataType::VisibleString => {
+                text.chars().map(|letter| u8::try_from(u32::from(letter)).ok()).collect()
+            }
             Self::Text(text) if data_type == DataType::UnicodeString => {
                 Some(text.encode_utf16().flat_map(u16::to_le_bytes).collect())
             }
@@ -73,9 +67,7 @@ impl Value {
     pub(super) fn parse(data_type: DataType, text: Text<'_>) -> Result<Self, EdsError> {
         let Text { line, text } = text;
         match data_type {
-            DataType::Real32 | DataType::Real64 => real(data_type, text)
-                .map(Self::Real)
-                .ok_or(EdsCause::Real.at(line)),
+            DataType::Real32 | DataType::Real64 => real(data_type, text).map(Self::Real).ok_or(EdsCause::Real.at(line)),
             DataType::OctetString => bytes(text).map(Self::Bytes).ok_or(EdsCause::Bytes.at(line)),
             _ => match data_type.range() {
                 Some(range) => integer(range, line, text),
@@ -90,18 +82,9 @@ impl fmt::Display for Value {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             // A number of this size is a COB-ID, a mapping, an identity or a mask.
-            Self::Integer {
-                value: value @ 0x1_0000..,
-                plus_node: false,
-            } => write!(f, "{value:#010x}"),
-            Self::Integer {
-                value,
-                plus_node: false,
-            } => write!(f, "{value}"),
-            Self::Integer {
-                value,
-                plus_node: true,
-            } => write!(f, "$NODEID+{value:#x}"),
+            Self::Integer { value: value @ 0x1_0000.., plus_node: false } => write!(f, "{value:#010x}"),
+            Self::Integer { value, plus_node: false } => write!(f, "{value}"),
+            Self::Integer { value, plus_node: true } => write!(f, "$NODEID+{value:#x}"),
             Self::Real(value) => write!(f, "{value:?}"),
             Self::Text(text) => f.write_str(text),
             Self::Bytes(bytes) => bytes.iter().try_for_each(|byte| write!(f, "{byte:02X}")),
@@ -131,23 +114,11 @@ pub(super) fn number(text: &str) -> Option<i128> {
 fn integer((low, high): (i128, i128), line: u32, text: &str) -> Result<Value, EdsError> {
     let error = EdsCause::Number.at(line);
     let (text, plus_node) = without_node_id(text).ok_or(error)?;
-    let value = if text.is_empty() && plus_node {
-        0
-    } else {
-        number(text).ok_or(error)?
-    };
+    let value = if text.is_empty() && plus_node { 0 } else { number(text).ok_or(error)? };
     // The bits of a negative number.
     let bits = text.starts_with("0x") || text.starts_with("0X");
-    let value = if bits && low < 0 && value > high && value <= high - low {
-        value + low - high - 1
-    } else {
-        value
-    };
-    let room = if plus_node {
-        i128::from(NodeId::MAX.raw())
-    } else {
-        0
-    };
+    let value = if bits && low < 0 && value > high && value <= high - low { value + low - high - 1 } else { value };
+    let room = if plus_node { i128::from(NodeId::MAX.raw()) } else { 0 };
     let high = high - room;
     if (low..=high).contains(&value) {
         Ok(Value::Integer { value, plus_node })
@@ -183,9 +154,7 @@ fn without_node_id(text: &str) -> Option<(&str, bool)> {
 fn real(data_type: DataType, text: &str) -> Option<f64> {
     let bits = text.strip_prefix("0x").or_else(|| text.strip_prefix("0X"));
     let value = match (bits, data_type) {
-        (Some(bits), DataType::Real32) => {
-            f64::from(f32::from_bits(u32::from_str_radix(bits, 16).ok()?))
-        }
+        (Some(bits), DataType::Real32) => f64::from(f32::from_bits(u32::from_str_radix(bits, 16).ok()?)),
         (Some(bits), _) => f64::from_bits(u64::from_str_radix(bits, 16).ok()?),
         (None, _) => text.parse().ok()?,
     };
@@ -204,10 +173,7 @@ fn bytes(text: &str) -> Option<Vec<u8>> {
         .map(|byte| Some(char::from(byte).to_digit(16)? as u8))
         .collect::<Option<_>>()?;
     let pairs = digits.chunks_exact(2);
-    pairs
-        .remainder()
-        .is_empty()
-        .then(|| pairs.map(|pair| pair[0] << 4 | pair[1]).collect())
+    pairs.remainder().is_empty().then(|| pairs.map(|pair| pair[0] << 4 | pair[1]).collect())
 }
 
 #[cfg(test)]
@@ -219,17 +185,12 @@ mod tests {
     }
 
     fn plus_node(value: i128) -> Value {
-        Value::Integer {
-            value,
-            plus_node: true,
-        }
+        Value::Integer { value, plus_node: true }
     }
 
     #[test]
     fn numbers_are_decimal_hex_or_octal_and_may_add_the_node_id() {
-        use DataType::{
-            Boolean, Integer8, Integer32, Integer64, Unsigned8, Unsigned32, Unsigned64,
-        };
+        use DataType::{Boolean, Integer8, Integer32, Integer64, Unsigned8, Unsigned32, Unsigned64};
         let table = [
             (Unsigned32, "42", Value::number(42)),
             (Unsigned32, "0x2a", Value::number(42)),
@@ -244,16 +205,8 @@ mod tests {
             (Integer8, "0xFD", Value::number(-3)),
             (Integer32, "0x80000000", Value::number(-0x8000_0000)),
             (Integer32, "0x7FFFFFFF", Value::number(0x7FFF_FFFF)),
-            (
-                Unsigned64,
-                "0xFFFFFFFFFFFFFFFF",
-                Value::number(u64::MAX.into()),
-            ),
-            (
-                Integer64,
-                "-9223372036854775808",
-                Value::number(i64::MIN.into()),
-            ),
+            (Unsigned64, "0xFFFFFFFFFFFFFFFF", Value::number(u64::MAX.into())),
+            (Integer64, "-9223372036854775808", Value::number(i64::MIN.into())),
             (Unsigned32, "$NODEID+0x40000180", plus_node(0x4000_0180)),
             (Unsigned32, "$nodeid + 384", plus_node(384)),
             (Unsigned32, "0x600+$NODEID", plus_node(0x600)),
@@ -294,10 +247,7 @@ mod tests {
             assert_eq!(parse(DataType::Real32, text), Err(EdsCause::Real.at(7)));
         }
         for text in ["1", "1G", "é1"] {
-            assert_eq!(
-                parse(DataType::OctetString, text),
-                Err(EdsCause::Bytes.at(7))
-            );
+            assert_eq!(parse(DataType::OctetString, text), Err(EdsCause::Bytes.at(7)));
         }
     }
 
@@ -308,16 +258,8 @@ mod tests {
             (DataType::Boolean, "1", &[1]),
             (DataType::Integer16, "-2", &[0xFE, 0xFF]),
             (DataType::Unsigned24, "0x123456", &[0x56, 0x34, 0x12]),
-            (
-                DataType::Unsigned32,
-                "$NODEID+0x80000200",
-                &[0x05, 0x02, 0x00, 0x80],
-            ),
-            (
-                DataType::Integer64,
-                "-2",
-                &[0xFE, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF],
-            ),
+            (DataType::Unsigned32, "$NODEID+0x80000200", &[0x05, 0x02, 0x00, 0x80]),
+            (DataType::Integer64, "-2", &[0xFE, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF]),
             (DataType::Real32, "1.5", &[0, 0, 0xC0, 0x3F]),
             (DataType::Real32, "0x3FC00000", &[0, 0, 0xC0, 0x3F]),
             (DataType::Real64, "-2", &[0, 0, 0, 0, 0, 0, 0, 0xC0]),
@@ -327,11 +269,7 @@ mod tests {
         ];
         for (data_type, text, bytes) in table {
             let value = parse(data_type, text).unwrap();
-            assert_eq!(
-                value.encode(data_type, node).as_deref(),
-                Some(bytes),
-                "{text}"
-            );
+            assert_eq!(value.encode(data_type, node).as_deref(), Some(bytes), "{text}");
             let again = parse(data_type, &value.to_string());
             assert_eq!(again.as_ref(), Ok(&value), "{text}");
         }

@@ -4,8 +4,7 @@ use std::fmt::{self, Display, Formatter};
 
 use super::ini::uncommented;
 use super::{
-    Access, BAUD_RATES, Commissioning, DeviceInfo, Eds, Entry, FileInfo, ObjectType,
-    ParameterValue, Variable,
+    Access, BAUD_RATES, Commissioning, DeviceInfo, Eds, Entry, FileInfo, ObjectType, ParameterValue, Variable,
 };
 
 /// The file, without empty values, which some readers refuse. Texts are reduced to what a line can hold: control
@@ -42,9 +41,7 @@ impl Display for Eds {
                 key(f, number, format_args!("{index:#06x}"))?;
             }
         }
-        self.objects
-            .iter()
-            .try_for_each(|(&index, entry)| entry.write(f, index))
+        self.objects.iter().try_for_each(|(&index, entry)| entry.write(f, index))
     }
 }
 
@@ -181,11 +178,7 @@ impl Variable {
         let code = self.data_type.code();
         key(f, "DataType", format_args!("{code:#06x}"))?;
         key(f, "AccessType", self.access.name())?;
-        let values = [
-            ("DefaultValue", &self.default),
-            ("LowLimit", &self.low),
-            ("HighLimit", &self.high),
-        ];
+        let values = [("DefaultValue", &self.default), ("LowLimit", &self.low), ("HighLimit", &self.high)];
         for (name, value) in values {
             if let Some(value) = value {
                 text(f, name, &value.to_string())?;

@@ -80,19 +80,9 @@ mod tests {
     fn every_named_code_has_its_own_text() {
         for (index, code) in AbortCode::ALL.iter().enumerate() {
             assert_ne!(code.text(), "unknown abort code");
-            assert!(
-                AbortCode::ALL[..index]
-                    .iter()
-                    .all(|other| other.text() != code.text())
-            );
+            assert!(AbortCode::ALL[..index].iter().all(|other| other.text() != code.text()));
         }
-        assert_eq!(
-            AbortCode(0x1234_5678).to_string(),
-            "0x12345678 (unknown abort code)"
-        );
-        assert_eq!(
-            AbortCode::NO_OBJECT.to_string(),
-            "0x06020000 (object does not exist)"
-        );
+        assert_eq!(AbortCode(0x1234_5678).to_string(), "0x12345678 (unknown abort code)");
+        assert_eq!(AbortCode::NO_OBJECT.to_string(), "0x06020000 (object does not exist)");
     }
 }

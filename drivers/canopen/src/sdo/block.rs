@@ -122,11 +122,7 @@ impl End {
     /// The end of `size` bytes. No bytes at all travel as one segment that is all unused.
     pub const fn of(size: usize, crc: u16) -> Self {
         let used = size % SEGMENT;
-        let unused = if size > 0 && used == 0 {
-            0
-        } else {
-            (SEGMENT - used) as u8
-        };
+        let unused = if size > 0 && used == 0 { 0 } else { (SEGMENT - used) as u8 };
         Self { unused, crc }
     }
 
@@ -141,10 +137,7 @@ impl End {
     }
 
     fn decode(bytes: [u8; 8]) -> Self {
-        Self {
-            unused: bytes[0] >> 2 & 0b111,
-            crc: u16::from_le_bytes([bytes[1], bytes[2]]),
-        }
+        Self { unused: bytes[0] >> 2 & 0b111, crc: u16::from_le_bytes([bytes[1], bytes[2]]) }
     }
 }
 
@@ -162,11 +155,7 @@ impl Segment {
     /// `None` for a sequence number outside 1 ..= 127.
     pub const fn new(sequence: u8, last: bool, data: [u8; SEGMENT]) -> Option<Self> {
         match sequence {
-            1..=MAX_BLOCK_SIZE => Some(Self {
-                sequence,
-                last,
-                data,
-            }),
+            1..=MAX_BLOCK_SIZE => Some(Self { sequence, last, data }),
             _ => None,
         }
     }
@@ -202,12 +191,9 @@ impl Request {
         match self {
             Self::InitiateDownload { object, crc, size } => initiate(object, crc, size),
             Self::EndDownload(end) => end.encode(),
-            Self::InitiateUpload {
-                object,
-                crc,
-                block_size,
-                threshold,
-            } => addressed(0xA0 | crc_bit(crc), object, [block_size, threshold, 0, 0]),
+            Self::InitiateUpload { object, crc, block_size, threshold } => {
+                addressed(0xA0 | crc_bit(crc), object, [block_size, threshold, 0, 0])
+            }
             Self::StartUpload => [0xA3, 0, 0, 0, 0, 0, 0, 0],
             Self::Acknowledge(acknowledge) => acknowledge.encode(),
             Self::EndUpload => [0xA1, 0, 0, 0, 0, 0, 0, 0],
@@ -218,12 +204,7 @@ impl Request {
     pub(super) fn decode(bytes: [u8; 8]) -> Option<Self> {
         let (object, crc, size) = (object(bytes), has_crc(bytes), size(bytes));
         Some(match bytes[0] {
-            0xA0 | 0xA4 => Self::InitiateUpload {
-                object,
-                crc,
-                block_size: bytes[4],
-                threshold: bytes[5],
-            },
+            0xA0 | 0xA4 => Self::InitiateUpload { object, crc, block_size: bytes[4], threshold: bytes[5] },
             0xA1 => Self::EndUpload,
             0xA2 => Self::Acknowledge(Acknowledge::decode(bytes)),
             0xA3 => Self::StartUpload,
@@ -237,11 +218,9 @@ impl Request {
 impl Response {
     pub(super) fn encode(self) -> [u8; 8] {
         match self {
-            Self::InitiateDownload {
-                object,
-                crc,
-                block_size,
-            } => addressed(0xA0 | crc_bit(crc), object, [block_size, 0, 0, 0]),
+            Self::InitiateDownload { object, crc, block_size } => {
+                addressed(0xA0 | crc_bit(crc), object, [block_size, 0, 0, 0])
+            }
             Self::Acknowledge(acknowledge) => acknowledge.encode(),
             Self::EndDownload => [0xA1, 0, 0, 0, 0, 0, 0, 0],
             Self::InitiateUpload { object, crc, size } => initiate(object, crc, size),
@@ -253,11 +232,7 @@ impl Response {
     pub(super) fn decode(bytes: [u8; 8]) -> Option<Self> {
         let (object, crc, size) = (object(bytes), has_crc(bytes), size(bytes));
         Some(match bytes[0] {
-            0xA0 | 0xA4 => Self::InitiateDownload {
-                object,
-                crc,
-                block_size: bytes[4],
-            },
+            0xA0 | 0xA4 => Self::InitiateDownload { object, crc, block_size: bytes[4] },
             0xA1 => Self::EndDownload,
             0xA2 => Self::Acknowledge(Acknowledge::decode(bytes)),
             0xC0 | 0xC2 | 0xC4 | 0xC6 => Self::InitiateUpload { object, crc, size },
@@ -273,10 +248,7 @@ impl Acknowledge {
     }
 
     fn decode(bytes: [u8; 8]) -> Self {
-        Self {
-            sequence: bytes[1],
-            block_size: bytes[2],
-        }
+        Self { sequence: bytes[1], block_size: bytes[2] }
     }
 }
 
@@ -316,33 +288,18 @@ mod tests {
     use crate::{NodeId, cob, sdo};
 
     const NODE: NodeId = NodeId::new(2).unwrap();
-    const ACKNOWLEDGE: Acknowledge = Acknowledge {
-        sequence: 126,
-        block_size: 4,
-    };
+    const ACKNOWLEDGE: Acknowledge = Acknowledge { sequence: 126, block_size: 4 };
 
     fn end(unused: u8) -> End {
-        End {
-            unused,
-            crc: 0x31C3,
-        }
+        End { unused, crc: 0x31C3 }
     }
 
     fn download(crc: bool, size: Option<u32>) -> Request {
-        Request::InitiateDownload {
-            object: DEVICE_NAME,
-            crc,
-            size,
-        }
+        Request::InitiateDownload { object: DEVICE_NAME, crc, size }
     }
 
     fn upload(crc: bool, block_size: u8, threshold: u8) -> Request {
-        Request::InitiateUpload {
-            object: DEVICE_NAME,
-            crc,
-            block_size,
-            threshold,
-        }
+        Request::InitiateUpload { object: DEVICE_NAME, crc, block_size, threshold }
     }
 
     #[test]
@@ -370,16 +327,8 @@ mod tests {
 
     #[test]
     fn responses_are_these_bytes() {
-        let initiated = |crc, block_size| Response::InitiateDownload {
-            object: DEVICE_NAME,
-            crc,
-            block_size,
-        };
-        let upload = |crc, size| Response::InitiateUpload {
-            object: DEVICE_NAME,
-            crc,
-            size,
-        };
+        let initiated = |crc, block_size| Response::InitiateDownload { object: DEVICE_NAME, crc, block_size };
+        let upload = |crc, size| Response::InitiateUpload { object: DEVICE_NAME, crc, size };
         let table = [
             (initiated(true, 127), "582#A40810007F000000"),
             (initiated(false, 4), "582#A008100004000000"),
@@ -421,18 +370,11 @@ mod tests {
 
     #[test]
     fn no_abort_is_a_segment_though_every_other_request_could_be() {
-        let abort = sdo::Request::Abort {
-            object: DEVICE_NAME,
-            code: sdo::AbortCode::CRC,
-        };
+        let abort = sdo::Request::Abort { object: DEVICE_NAME, code: sdo::AbortCode::CRC };
         let id = cob::sdo_request(NODE);
         assert_eq!(Segment::decode(&abort.encode(NODE), id), None);
         assert_eq!(Segment::decode(&parse("602#0001020304050607"), id), None);
-        for request in [
-            download(true, None),
-            Request::StartUpload,
-            Request::EndUpload,
-        ] {
+        for request in [download(true, None), Request::StartUpload, Request::EndUpload] {
             let frame = sdo::Request::Block(request).encode(NODE);
             assert!(Segment::decode(&frame, id).is_some());
         }

@@ -101,18 +101,12 @@ impl Expedited {
     pub fn new(data: &[u8]) -> Option<Self> {
         let mut bytes = [0; 4];
         bytes.get_mut(..data.len())?.copy_from_slice(data);
-        (!data.is_empty()).then_some(Self {
-            bytes,
-            length: Some(data.len() as u8),
-        })
+        (!data.is_empty()).then_some(Self { bytes, length: Some(data.len() as u8) })
     }
 
     /// Data whose size is known to the receiver alone; unused bytes come last.
     pub const fn without_size(bytes: [u8; 4]) -> Self {
-        Self {
-            bytes,
-            length: None,
-        }
+        Self { bytes, length: None }
     }
 
     /// The data; all four bytes if the size was not given.
@@ -149,10 +143,7 @@ pub struct Write {
 impl Write {
     /// The type of `number` is the type of the object.
     pub fn new(object: Object, number: impl Into<Expedited>) -> Self {
-        Self {
-            object,
-            data: number.into(),
-        }
+        Self { object, data: number.into() }
     }
 }
 
@@ -172,12 +163,7 @@ impl Segment {
     pub fn new(data: &[u8], toggle: bool, last: bool) -> Option<Self> {
         let mut bytes = [0; 7];
         bytes.get_mut(..data.len())?.copy_from_slice(data);
-        Some(Self {
-            bytes,
-            length: data.len() as u8,
-            toggle,
-            last,
-        })
+        Some(Self { bytes, length: data.len() as u8, toggle, last })
     }
 
     /// The data.
@@ -194,12 +180,8 @@ impl Segment {
     fn decode(bytes: [u8; 8]) -> Self {
         let [specifier, data @ ..] = bytes;
         let length = 7 - (specifier >> 1 & 0b111);
-        Self::new(
-            &data[..usize::from(length)],
-            toggled(specifier),
-            specifier & 1 != 0,
-        )
-        .expect("a length of three bits is at most 7")
+        Self::new(&data[..usize::from(length)], toggled(specifier), specifier & 1 != 0)
+            .expect("a length of three bits is at most 7")
     }
 }
 
@@ -277,22 +259,12 @@ const SIZE_GIVEN: u8 = 0b01;
 impl Initiate {
     fn encode(self, command: u8, object: Object) -> [u8; 8] {
         match self {
-            Self::Expedited(Expedited {
-                bytes,
-                length: None,
-            }) => addressed(command | EXPEDITED, object, bytes),
-            Self::Expedited(Expedited {
-                bytes,
-                length: Some(length),
-            }) => addressed(
-                command | (4 - length) << 2 | EXPEDITED | SIZE_GIVEN,
-                object,
-                bytes,
-            ),
-            Self::Segmented { size: None } => addressed(command, object, [0; 4]),
-            Self::Segmented { size: Some(size) } => {
-                addressed(command | SIZE_GIVEN, object, size.to_le_bytes())
+            Self::Expedited(Expedited { bytes, length: None }) => addressed(command | EXPEDITED, object, bytes),
+            Self::Expedited(Expedited { bytes, length: Some(length) }) => {
+                addressed(command | (4 - length) << 2 | EXPEDITED | SIZE_GIVEN, object, bytes)
             }
+            Self::Segmented { size: None } => addressed(command, object, [0; 4]),
+            Self::Segmented { size: Some(size) } => addressed(command | SIZE_GIVEN, object, size.to_le_bytes()),
         }
     }
 
@@ -305,9 +277,7 @@ impl Initiate {
                 Self::Expedited(expedited.expect("4 minus two bits is 1 to 4"))
             }
             (true, false) => Self::Expedited(Expedited::without_size(data)),
-            (false, true) => Self::Segmented {
-                size: Some(u32::from_le_bytes(data)),
-            },
+            (false, true) => Self::Segmented { size: Some(u32::from_le_bytes(data)) },
             (false, false) => Self::Segmented { size: None },
         }
     }
@@ -355,10 +325,7 @@ mod tests {
     #[test]
     fn requests_are_these_bytes() {
         let table = [
-            (
-                download(ABORT_CONNECTION_OPTION, &[1]),
-                "602#2F07600001000000",
-            ),
+            (download(ABORT_CONNECTION_OPTION, &[1]), "602#2F07600001000000"),
             (download(CONTROLWORD, &[0x0F, 0x00]), "602#2B4060000F000000"),
             (download(CONTROLWORD, &[1, 2, 3]), "602#2740600001020300"),
             (download(CONTROLWORD, &[1, 2, 3, 4]), "602#2340600001020304"),
@@ -370,52 +337,23 @@ mod tests {
                 "602#2240600001020304",
             ),
             (
-                Request::InitiateDownload {
-                    object: DEVICE_NAME,
-                    initiate: Initiate::Segmented { size: Some(0x0102) },
-                },
+                Request::InitiateDownload { object: DEVICE_NAME, initiate: Initiate::Segmented { size: Some(0x0102) } },
                 "602#2108100002010000",
             ),
             (
-                Request::InitiateDownload {
-                    object: DEVICE_NAME,
-                    initiate: Initiate::Segmented { size: None },
-                },
+                Request::InitiateDownload { object: DEVICE_NAME, initiate: Initiate::Segmented { size: None } },
                 "602#2008100000000000",
             ),
             (
-                Request::DownloadSegment(
-                    Segment::new(&[1, 2, 3, 4, 5, 6, 7], false, false).unwrap(),
-                ),
+                Request::DownloadSegment(Segment::new(&[1, 2, 3, 4, 5, 6, 7], false, false).unwrap()),
                 "602#0001020304050607",
             ),
-            (
-                Request::DownloadSegment(Segment::new(&[9], true, true).unwrap()),
-                "602#1D09000000000000",
-            ),
-            (
-                Request::InitiateUpload { object: STATUSWORD },
-                "602#4041600000000000",
-            ),
-            (
-                Request::UploadSegment { toggle: false },
-                "602#6000000000000000",
-            ),
-            (
-                Request::UploadSegment { toggle: true },
-                "602#7000000000000000",
-            ),
-            (
-                Request::Abort {
-                    object: STATUSWORD,
-                    code: AbortCode::TIME_OUT,
-                },
-                "602#8041600000000405",
-            ),
-            (
-                Request::Unsupported([0xE6, 0x08, 0x10, 0, 7, 0, 0, 0]),
-                "602#E608100007000000",
-            ),
+            (Request::DownloadSegment(Segment::new(&[9], true, true).unwrap()), "602#1D09000000000000"),
+            (Request::InitiateUpload { object: STATUSWORD }, "602#4041600000000000"),
+            (Request::UploadSegment { toggle: false }, "602#6000000000000000"),
+            (Request::UploadSegment { toggle: true }, "602#7000000000000000"),
+            (Request::Abort { object: STATUSWORD, code: AbortCode::TIME_OUT }, "602#8041600000000405"),
+            (Request::Unsupported([0xE6, 0x08, 0x10, 0, 7, 0, 0, 0]), "602#E608100007000000"),
         ];
         for (request, bytes) in table {
             assert_eq!(request.encode(NODE).to_string(), bytes);
@@ -438,64 +376,29 @@ mod tests {
                 "582#4241600001020304",
             ),
             (
-                Response::InitiateUpload {
-                    object: DEVICE_NAME,
-                    initiate: Initiate::Segmented { size: Some(5) },
-                },
+                Response::InitiateUpload { object: DEVICE_NAME, initiate: Initiate::Segmented { size: Some(5) } },
                 "582#4108100005000000",
             ),
             (
-                Response::InitiateUpload {
-                    object: DEVICE_NAME,
-                    initiate: Initiate::Segmented { size: None },
-                },
+                Response::InitiateUpload { object: DEVICE_NAME, initiate: Initiate::Segmented { size: None } },
                 "582#4008100000000000",
             ),
-            (
-                Response::InitiateDownload {
-                    object: CONTROLWORD,
-                },
-                "582#6040600000000000",
-            ),
-            (
-                Response::DownloadSegment { toggle: false },
-                "582#2000000000000000",
-            ),
-            (
-                Response::DownloadSegment { toggle: true },
-                "582#3000000000000000",
-            ),
-            (
-                Response::UploadSegment(Segment::new(b"EPOS4", true, true).unwrap()),
-                "582#1545504F53340000",
-            ),
-            (
-                Response::UploadSegment(Segment::new(&[], false, true).unwrap()),
-                "582#0F00000000000000",
-            ),
-            (
-                Response::Abort {
-                    object: STATUSWORD,
-                    code: AbortCode::NO_OBJECT,
-                },
-                "582#8041600000000206",
-            ),
+            (Response::InitiateDownload { object: CONTROLWORD }, "582#6040600000000000"),
+            (Response::DownloadSegment { toggle: false }, "582#2000000000000000"),
+            (Response::DownloadSegment { toggle: true }, "582#3000000000000000"),
+            (Response::UploadSegment(Segment::new(b"EPOS4", true, true).unwrap()), "582#1545504F53340000"),
+            (Response::UploadSegment(Segment::new(&[], false, true).unwrap()), "582#0F00000000000000"),
+            (Response::Abort { object: STATUSWORD, code: AbortCode::NO_OBJECT }, "582#8041600000000206"),
         ];
         for (response, bytes) in table {
             assert_eq!(response.encode(NODE).to_string(), bytes);
-            assert_eq!(
-                Response::decode(&response.encode(NODE), NODE),
-                Some(response)
-            );
+            assert_eq!(Response::decode(&response.encode(NODE), NODE), Some(response));
         }
     }
 
     #[test]
     fn bytes_past_the_given_size_are_ignored() {
-        let frame = Frame::new(
-            cob::sdo_response(NODE),
-            &[0x4B, 0x41, 0x60, 0, 0x37, 0x07, 0xAA, 0x55],
-        );
+        let frame = Frame::new(cob::sdo_response(NODE), &[0x4B, 0x41, 0x60, 0, 0x37, 0x07, 0xAA, 0x55]);
         let decoded = Response::decode(&frame.unwrap(), NODE);
         assert_eq!(decoded, Some(uploaded(STATUSWORD, &[0x37, 0x07])));
     }
@@ -518,15 +421,9 @@ mod tests {
         for specifier in [0x50, 0x90, 0xA5, 0xC3, 0xE0, 0xFF] {
             let bytes = [specifier, 0x08, 0x10, 0x03, 1, 2, 3, 4];
             let frame = Frame::new(cob::sdo_request(NODE), &bytes).unwrap();
-            assert_eq!(
-                Request::decode(&frame, NODE),
-                Some(Request::Unsupported(bytes))
-            );
+            assert_eq!(Request::decode(&frame, NODE), Some(Request::Unsupported(bytes)));
             let frame = Frame::new(cob::sdo_response(NODE), &bytes).unwrap();
-            assert_eq!(
-                Response::decode(&frame, NODE),
-                Some(Response::Unsupported(bytes))
-            );
+            assert_eq!(Response::decode(&frame, NODE), Some(Response::Unsupported(bytes)));
         }
     }
 

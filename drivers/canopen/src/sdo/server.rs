@@ -66,12 +66,7 @@ enum Direction {
 impl Server {
     /// A server with the greatest block size. It ends a transfer `time_out` after the last request of the client.
     pub fn new(time_out: Duration) -> Self {
-        Self {
-            time_out,
-            block_size: MAX_BLOCK_SIZE,
-            transfer: None,
-            buffer: [0; MAX_SIZE],
-        }
+        Self { time_out, block_size: MAX_BLOCK_SIZE, transfer: None, buffer: [0; MAX_SIZE] }
     }
 
     /// The same server, but it takes blocks of `block_size` segments, 1 ..= 127.
@@ -106,12 +101,7 @@ impl Server {
     }
 
     /// Takes a request and answers it. An abort has no answer.
-    fn handle<D: Dictionary>(
-        &mut self,
-        request: Request,
-        dictionary: &mut D,
-        now: Instant,
-    ) -> Option<Response> {
+    fn handle<D: Dictionary>(&mut self, request: Request, dictionary: &mut D, now: Instant) -> Option<Response> {
         let (object, answer) = match request {
             Request::Abort { .. } => {
                 self.transfer = None;
@@ -121,9 +111,7 @@ impl Server {
                 let answer = self.download(object, initiate, dictionary, now);
                 (object, answer.map(Some))
             }
-            Request::InitiateUpload { object } => {
-                (object, self.upload(object, dictionary, now).map(Some))
-            }
+            Request::InitiateUpload { object } => (object, self.upload(object, dictionary, now).map(Some)),
             Request::DownloadSegment(segment) => {
                 let answer = self.take(segment, dictionary, now);
                 (self.object(), answer.map(Some))
@@ -140,11 +128,7 @@ impl Server {
     }
 
     /// The answer to a request about `object`. An error ends the transfer.
-    fn answer(
-        &mut self,
-        object: Object,
-        answer: Result<Option<Response>, AbortCode>,
-    ) -> Option<Response> {
+    fn answer(&mut self, object: Object, answer: Result<Option<Response>, AbortCode>) -> Option<Response> {
         answer.unwrap_or_else(|code| {
             self.transfer = None;
             Some(Response::Abort { object, code })
@@ -159,26 +143,16 @@ impl Server {
     /// Ends a transfer whose time is over.
     pub fn handle_timeout(&mut self, now: Instant) -> Option<Response> {
         let transfer = self.transfer.take_if(|transfer| transfer.deadline <= now)?;
-        Some(Response::Abort {
-            object: transfer.object,
-            code: AbortCode::TIME_OUT,
-        })
+        Some(Response::Abort { object: transfer.object, code: AbortCode::TIME_OUT })
     }
 
     /// The object of the transfer in progress, for an abort.
     fn object(&self) -> Object {
-        self.transfer
-            .map_or(Object::new(0, 0), |transfer| transfer.object)
+        self.transfer.map_or(Object::new(0, 0), |transfer| transfer.object)
     }
 
     fn begin(&mut self, object: Object, direction: Direction, now: Instant) {
-        self.transfer = Some(Transfer {
-            object,
-            direction,
-            done: 0,
-            toggle: false,
-            deadline: now + self.time_out,
-        });
+        self.transfer = Some(Transfer { object, direction, done: 0, toggle: false, deadline: now + self.time_out });
     }
 
     fn download<D: Dictionary>(
@@ -191,11 +165,8 @@ impl Server {
         self.transfer = None;
         match initiate {
             Initiate::Expedited(data) => {
-                let size = if data.size_given() {
-                    data.data().len()
-                } else {
-                    dictionary.size(object).unwrap_or(4).min(4)
-                };
+                let size =
+                    if data.size_given() { data.data().len() } else { dictionary.size(object).unwrap_or(4).min(4) };
                 dictionary.write(object, &data.data()[..size])?;
             }
             Initiate::Segmented { size } => {
@@ -218,9 +189,7 @@ impl Server {
             Some(data) => Initiate::Expedited(data),
             None => {
                 self.begin(object, Direction::Upload { size }, now);
-                Initiate::Segmented {
-                    size: Some(size as u32),
-                }
+                Initiate::Segmented { size: Some(size as u32) }
             }
         };
         Ok(Response::InitiateUpload { object, initiate })
@@ -243,10 +212,7 @@ impl Server {
         if size.is_some_and(|size| end > size) {
             return Err(AbortCode::TOO_LONG);
         }
-        self.buffer
-            .get_mut(transfer.done..end)
-            .ok_or(AbortCode::OUT_OF_MEMORY)?
-            .copy_from_slice(segment.data());
+        self.buffer.get_mut(transfer.done..end).ok_or(AbortCode::OUT_OF_MEMORY)?.copy_from_slice(segment.data());
         transfer.done = end;
         transfer.toggle = !transfer.toggle;
         transfer.deadline = now + self.time_out;
@@ -257,9 +223,7 @@ impl Server {
             dictionary.write(transfer.object, &self.buffer[..end])?;
             self.transfer = None;
         }
-        Ok(Response::DownloadSegment {
-            toggle: segment.toggle,
-        })
+        Ok(Response::DownloadSegment { toggle: segment.toggle })
     }
 
     fn give(&mut self, toggle: bool, now: Instant) -> Result<Response, AbortCode> {
@@ -272,8 +236,8 @@ impl Server {
         }
         let end = size.min(transfer.done + 7);
         let last = end == size;
-        let segment = Segment::new(&self.buffer[transfer.done..end], toggle, last)
-            .expect("at most 7 bytes were cut off");
+        let segment =
+            Segment::new(&self.buffer[transfer.done..end], toggle, last).expect("at most 7 bytes were cut off");
         transfer.done = end;
         transfer.toggle = !toggle;
         transfer.deadline = now + self.time_out;
@@ -343,20 +307,14 @@ mod tests {
     /// Plays requests against a fresh server and compares its answers; "" is none.
     fn check(dialogue: &[(&str, &str)]) -> Two {
         let mut server = Server::new(TIME_OUT);
-        let mut objects = Two {
-            text: b"EPOS4 50/5".to_vec(),
-            word: 0x0737,
-        };
+        let mut objects = Two { text: b"EPOS4 50/5".to_vec(), word: 0x0737 };
         for (step, &(request, expected)) in dialogue.iter().enumerate() {
-            let bytes: Vec<u8> = (0..8)
-                .map(|at| u8::from_str_radix(&request[2 * at..2 * at + 2], 16).unwrap())
-                .collect();
+            let bytes: Vec<u8> =
+                (0..8).map(|at| u8::from_str_radix(&request[2 * at..2 * at + 2], 16).unwrap()).collect();
             let frame = Frame::new(cob::sdo_request(NODE), &bytes).unwrap();
             let request = Request::decode(&frame, NODE).unwrap();
             let answer = server.handle(request, &mut objects, Instant::ZERO);
-            let answer = answer.map_or(String::new(), |answer| {
-                answer.encode(NODE).to_string()[4..].to_owned()
-            });
+            let answer = answer.map_or(String::new(), |answer| answer.encode(NODE).to_string()[4..].to_owned());
             assert_eq!(answer, expected, "step {step}");
         }
         objects
@@ -404,24 +362,15 @@ mod tests {
                 ("6000000000000000", "8000000001000405"),
             ],
             // The toggle bit begins with 0 and alternates.
-            &[
-                ("4008100000000000", "410810000A000000"),
-                ("7000000000000000", "8008100000000305"),
-            ],
+            &[("4008100000000000", "410810000A000000"), ("7000000000000000", "8008100000000305")],
             &[
                 ("2008100000000000", "6008100000000000"),
                 ("0041424344454647", "2000000000000000"),
                 ("0041424344454647", "8008100000000305"),
             ],
             // More and fewer bytes than announced, and more than there is room for.
-            &[
-                ("2108100003000000", "6008100000000000"),
-                ("0141424344454647", "8008100012000706"),
-            ],
-            &[
-                ("2108100009000000", "6008100000000000"),
-                ("0141424344454647", "8008100013000706"),
-            ],
+            &[("2108100003000000", "6008100000000000"), ("0141424344454647", "8008100012000706")],
+            &[("2108100009000000", "6008100000000000"), ("0141424344454647", "8008100013000706")],
             &[("21081000FF030000", "8008100005000405")],
             // An unknown specifier.
             &[("E008100007000000", "8008100001000405")],
@@ -449,25 +398,15 @@ mod tests {
     #[test]
     fn a_transfer_whose_client_falls_silent_is_aborted() {
         let mut server = Server::new(TIME_OUT);
-        let mut objects = Two {
-            text: vec![0; 20],
-            word: 0,
-        };
+        let mut objects = Two { text: vec![0; 20], word: 0 };
         assert_eq!(server.poll_timeout(), None);
         let upload = Request::InitiateUpload { object: TEXT };
         server.handle(upload, &mut objects, Instant::ZERO);
         let later = Instant::ZERO + Duration::from_millis(400);
-        server.handle(
-            Request::UploadSegment { toggle: false },
-            &mut objects,
-            later,
-        );
+        server.handle(Request::UploadSegment { toggle: false }, &mut objects, later);
         assert_eq!(server.poll_timeout(), Some(later + TIME_OUT));
         assert_eq!(server.handle_timeout(Instant::ZERO + TIME_OUT), None);
-        let abort = Response::Abort {
-            object: TEXT,
-            code: AbortCode::TIME_OUT,
-        };
+        let abort = Response::Abort { object: TEXT, code: AbortCode::TIME_OUT };
         assert_eq!(server.handle_timeout(later + TIME_OUT), Some(abort));
         assert_eq!(server.poll_timeout(), None);
     }

@@ -11,9 +11,7 @@ use std::task::Poll;
 use std::time::Duration;
 
 use can::Instant;
-use mrroc_drive::axis_controller::{
-    AxisConfig, AxisControllerGroup, Control, GroupConfig, Protocol,
-};
+use mrroc_drive::axis_controller::{AxisConfig, AxisControllerGroup, Control, GroupConfig, Protocol};
 use mrroc_drive::{AxisCommand, AxisState, DriveGroup, Increments, Scale};
 use serial::nfv2::{Answer, FrameBuilder, Status};
 use serial::{Line, LineCounters, LineError, hi_moxa};
@@ -124,11 +122,7 @@ impl World {
     fn answer(&mut self) {
         let (position, current) = self.motion();
         self.position = position;
-        let switch = if self.cycle % 64 < 10 {
-            Status::HOME_SWITCH
-        } else {
-            0
-        };
+        let switch = if self.cycle % 64 < 10 { Status::HOME_SWITCH } else { 0 };
         let mut bytes = match self.protocol {
             Protocol::Nfv2 => FrameBuilder::new(8)
                 .answer(Answer::Position(position))
@@ -193,8 +187,7 @@ impl World {
                 if self.burst == 0 {
                     self.in_burst = !self.in_burst;
                     self.burst = 1 + self.random.below(20);
-                    self.stuck =
-                        [0x00, 0xFF, 0x23, 0x55, self.random.byte()][self.random.below(5) as usize];
+                    self.stuck = [0x00, 0xFF, 0x23, 0x55, self.random.byte()][self.random.below(5) as usize];
                 }
                 self.burst -= 1;
                 if !self.in_burst {
@@ -229,9 +222,7 @@ impl Line for Channel {
     fn read(&mut self, _now: Instant, into: &mut [u8]) -> Result<usize, LineError> {
         let mut world = self.0.lock().expect("one thread has it");
         let count = into.len().min(world.outbox.len());
-        into.iter_mut()
-            .zip(world.outbox.drain(..count))
-            .for_each(|(to, from)| *to = from);
+        into.iter_mut().zip(world.outbox.drain(..count)).for_each(|(to, from)| *to = from);
         Ok(count)
     }
 
@@ -272,10 +263,7 @@ pub(crate) fn run(protocol: Protocol, damage: Damage, cycles: u64, seed: u64) ->
         max_velocity: MAX_VELOCITY,
         max_acceleration: 10_000.0,
     };
-    let config = GroupConfig {
-        tolerated_missing: u32::MAX,
-        ..GroupConfig::new(protocol)
-    };
+    let config = GroupConfig { tolerated_missing: u32::MAX, ..GroupConfig::new(protocol) };
     let mut group = AxisControllerGroup::new(vec![Channel(Arc::clone(&world))], config, &[axis])
         .expect("the configuration is right");
     let mut now = Instant::ZERO;

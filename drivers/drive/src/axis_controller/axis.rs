@@ -11,9 +11,7 @@ use super::phase::{Acknowledgement, Phase, PhaseEvent};
 use super::plausibility::{FreezeCheck, PositionCheck, Verdict};
 use super::stream::{Answer, Stream};
 use super::telegram::{ControllerMode, Dialect, Telegram};
-use crate::{
-    AxisCommand, AxisState, Homing, Milliamperes, Power, Refusal, Scale, Setpoint, Switches,
-};
+use crate::{AxisCommand, AxisState, Homing, Milliamperes, Power, Refusal, Scale, Setpoint, Switches};
 
 /// Cycles in a row that a drive may need to forget its reference, damaged answers included.
 const CYCLES_TO_UNREFERENCE: u32 = 25;
@@ -99,11 +97,7 @@ pub(super) struct Learnt {
 impl SerialAxis {
     pub(super) fn new(group: &GroupConfig, config: &AxisConfig, line: u8) -> Self {
         let limit = config.limit().map_or(0, |Milliamperes(limit)| limit);
-        let dialect = Dialect {
-            protocol: group.protocol,
-            address: config.address,
-            control: config.control,
-        };
+        let dialect = Dialect { protocol: group.protocol, address: config.address, control: config.control };
         let setup = Setup {
             dialect,
             scale: config.scale,
@@ -146,18 +140,12 @@ impl SerialAxis {
         self.stream = stream;
         self.position_check.begin(answer.position.0, at);
         self.freeze_check = FreezeCheck::new(setup.full_scale);
-        self.status = DebouncedStatus {
-            confirmed: answer.status,
-            last: answer.status,
-        };
+        self.status = DebouncedStatus { confirmed: answer.status, last: answer.status };
         self.reference = match answer.status.any(Status::SYNCHRONIZED) {
             true => Reference::Known,
             false => Reference::Unknown,
         };
-        self.state = AxisState {
-            at,
-            ..AxisState::default()
-        };
+        self.state = AxisState { at, ..AxisState::default() };
         self.setpoint = 0;
         self.telegram = self.encode();
         self.measure(answer);
@@ -180,8 +168,7 @@ impl SerialAxis {
             self.counters.implausible += 1;
             return;
         }
-        let may_index =
-            self.phase.mode() == ControllerMode::Index || self.acknowledgement.may_index();
+        let may_index = self.phase.mode() == ControllerMode::Index || self.acknowledgement.may_index();
         let sent_at = self.exchange.sent_at;
         match self.position_check.judge(answer, sent_at, may_index) {
             Verdict::Plausible => {}
@@ -312,9 +299,7 @@ impl SerialAxis {
                 .milliamperes(torque.get(), setup.torque_constant)
                 .map(|current| current.0)
                 .filter(|current| current.unsigned_abs() <= setup.full_scale.unsigned_abs()),
-            (Control::Pwm, Setpoint::Duty(duty)) => {
-                setup.scale.pulse_width(duty.get()).map(|width| width.0)
-            }
+            (Control::Pwm, Setpoint::Duty(duty)) => setup.scale.pulse_width(duty.get()).map(|width| width.0),
             (
                 Control::Current | Control::Pwm,
                 Setpoint::Position(_)
@@ -378,14 +363,10 @@ impl SerialAxis {
 
     fn encode(&self) -> Telegram {
         let (dialect, mode) = (self.setup.dialect, self.phase.mode());
-        let Acknowledgement {
-            telegrams, answers, ..
-        } = self.acknowledgement;
+        let Acknowledgement { telegrams, answers, .. } = self.acknowledgement;
         let tell = !self.acknowledgement.is_complete();
         match self.phase {
-            Phase::Off | Phase::EmergencyStop => {
-                dialect.rest(mode, telegrams, self.reference == Reference::Invalid)
-            }
+            Phase::Off | Phase::EmergencyStop => dialect.rest(mode, telegrams, self.reference == Reference::Invalid),
             Phase::SwitchingOn => dialect.switch_on(answers),
             Phase::Unreferencing { cycles } => {
                 let unreference = dialect.may_unreference(cycles);
@@ -421,11 +402,7 @@ impl SerialAxis {
 
     /// The last telegram to a drive whose group ends.
     pub(super) fn farewell(&self) -> Telegram {
-        let mode = if self.faults.is_emergency_stop() {
-            ControllerMode::Error
-        } else {
-            ControllerMode::Manual
-        };
+        let mode = if self.faults.is_emergency_stop() { ControllerMode::Error } else { ControllerMode::Manual };
         let dialect = self.setup.dialect;
         dialect.farewell(mode, self.reference == Reference::Invalid)
     }

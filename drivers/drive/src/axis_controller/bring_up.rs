@@ -72,16 +72,9 @@ enum Stage {
 
 impl BringUp {
     /// Begins at `now`. The configuration is checked.
-    pub(super) fn new(
-        group: &GroupConfig,
-        config: &AxisConfig,
-        dialect: Dialect,
-        now: Instant,
-    ) -> Self {
+    pub(super) fn new(group: &GroupConfig, config: &AxisConfig, dialect: Dialect, now: Instant) -> Self {
         let manual = dialect.rest(ControllerMode::Manual, 1, false);
-        let limit = config
-            .limit()
-            .expect("an axis without a current is refused");
+        let limit = config.limit().expect("an axis without a current is refused");
         let limit = dialect.max_current(limit.0);
         Self {
             dialect,
@@ -105,11 +98,7 @@ impl BringUp {
     /// Start of operation, once the drive is ready.
     pub(super) fn learnt(self) -> Option<Learnt> {
         let answer = self.last.filter(|_| self.stage == Stage::Ready)?;
-        Some(Learnt {
-            answer,
-            at: self.asked_at,
-            stream: self.stream,
-        })
+        Some(Learnt { answer, at: self.asked_at, stream: self.stream })
     }
 
     /// Reads the line and sends the next request. Returns whether the drive is ready.
@@ -154,11 +143,7 @@ impl BringUp {
                     None
                 } else {
                     self.attempts += 1;
-                    Some(if self.attempts < ATTEMPTS {
-                        self.stage
-                    } else {
-                        self.unanswered()?
-                    })
+                    Some(if self.attempts < ATTEMPTS { self.stage } else { self.unanswered()? })
                 }
             }
             Stage::Settling(step) => late.then(|| self.step(step)),
@@ -184,8 +169,7 @@ impl BringUp {
         if self.stage != Stage::Ready {
             (self.asked_at, self.calls) = (now, 0);
             // What the line does not take is not answered either.
-            line.write(now, telegram.bytes())
-                .map_err(AxisControllerError::Line)?;
+            line.write(now, telegram.bytes()).map_err(AxisControllerError::Line)?;
         }
         Ok(self.stage == Stage::Ready)
     }
@@ -198,19 +182,15 @@ impl BringUp {
         self.stream.learn(bytes);
         let before = self.last.map(|last| last.position.0);
         self.objection = match self.position_check.judge(answer, self.asked_at, false) {
-            Verdict::Implausible
-            | Verdict::Unconfirmed
-            | Verdict::Jumped(_)
-            | Verdict::Indexed(_) => {
+            Verdict::Implausible | Verdict::Unconfirmed | Verdict::Jumped(_) | Verdict::Indexed(_) => {
                 let to = answer.position.0;
                 let from = before.unwrap_or(to);
                 Some(AxisControllerError::Unsteady { from, to })
             }
             Verdict::Plausible if step + 1 < self.script.len() => None,
-            Verdict::Plausible => answer
-                .status
-                .any(Status::POWER_STAGE_FAULT)
-                .then_some(AxisControllerError::PowerStage),
+            Verdict::Plausible => {
+                answer.status.any(Status::POWER_STAGE_FAULT).then_some(AxisControllerError::PowerStage)
+            }
         };
         if self.objection.is_none() {
             self.last = Some(answer);
@@ -220,11 +200,7 @@ impl BringUp {
 
     /// The stage of a step of the script, or of its end.
     fn step(&self, step: usize) -> Stage {
-        if step < self.script.len() {
-            Stage::Asking(step)
-        } else {
-            Stage::Ready
-        }
+        if step < self.script.len() { Stage::Asking(step) } else { Stage::Ready }
     }
 
     /// The probe after `address` did not answer. NFv2 addresses are probed one by one, as drives obey a broadcast
@@ -259,13 +235,8 @@ impl BringUp {
         }
         if address == self.dialect.address || found == Protocol::HiMoxa {
             // It answers late.
-            return AxisControllerError::Silent {
-                waited: self.asked_at.since(self.since),
-            };
+            return AxisControllerError::Silent { waited: self.asked_at.since(self.since) };
         }
-        AxisControllerError::OtherAddress {
-            expected: self.dialect.address,
-            found: address,
-        }
+        AxisControllerError::OtherAddress { expected: self.dialect.address, found: address }
     }
 }

@@ -128,10 +128,7 @@ pub enum ConfigError {
     Lines { axes: usize, lines: usize },
     /// A request and its answer do not fit into the period.
     #[error("a period of {period:?} is too short for {exchange:?} of bytes on the line")]
-    Period {
-        period: Duration,
-        exchange: Duration,
-    },
+    Period { period: Duration, exchange: Duration },
     /// [`GroupConfig::tolerated_missing`] is 0.
     #[error("the number of tolerated missing answers must be at least 1")]
     ToleratedMissing,
@@ -205,19 +202,10 @@ fn check_axis(config: &GroupConfig, axis: &AxisConfig, line: u8) -> Result<(), C
     let reach = axis.max_velocity * config.period.as_secs_f64();
     let counts = |distance: f64| distance * axis.scale.increments_per_radian().abs();
     for (quantity, right) in [
-        (
-            Quantity::Address,
-            config.protocol == Protocol::HiMoxa || axis.address < nfv2::MASTER,
-        ),
+        (Quantity::Address, config.protocol == Protocol::HiMoxa || axis.address < nfv2::MASTER),
         (Quantity::TorqueConstant, positive(axis.torque_constant)),
-        (
-            Quantity::MaxCurrent,
-            axis.max_current > 0.0 && axis.limit().is_some(),
-        ),
-        (
-            Quantity::MaxVelocity,
-            positive(axis.max_velocity) && (1.0..FARTHEST).contains(&counts(reach)),
-        ),
+        (Quantity::MaxCurrent, axis.max_current > 0.0 && axis.limit().is_some()),
+        (Quantity::MaxVelocity, positive(axis.max_velocity) && (1.0..FARTHEST).contains(&counts(reach))),
         (Quantity::MaxAcceleration, positive(axis.max_acceleration)),
     ] {
         if !right {

@@ -91,14 +91,10 @@ impl Exchange {
         }
         let missing = due && reading == Reading::Missing;
         let tolerated = self.tolerated_missing;
-        let not_sent = AxisControllerFault::NotSent {
-            cycles: self.unsent,
-        };
+        let not_sent = AxisControllerFault::NotSent { cycles: self.unsent };
         let silent = AxisControllerFault::Silent { cycles: self.age };
         // Short gaps are tolerated one by one, and a loop on old samples is still unsafe.
-        let late = (tolerated < MISSING_IN_WINDOW)
-            .then(|| self.window.count(due, missing))
-            .flatten();
+        let late = (tolerated < MISSING_IN_WINDOW).then(|| self.window.count(due, missing)).flatten();
         EndOfReading {
             age: self.age,
             missing,
@@ -134,10 +130,7 @@ impl Window {
     fn count(&mut self, due: bool, missing: bool) -> Option<AxisControllerFault> {
         self.due += u32::from(due);
         self.missing += u32::from(missing);
-        let Self {
-            due: cycles,
-            missing,
-        } = *self;
+        let Self { due: cycles, missing } = *self;
         let late = missing > MISSING_IN_WINDOW;
         if late || cycles >= WINDOW {
             *self = Self::default();

@@ -13,9 +13,7 @@ use crate::{Fault, Refusal};
 #[expect(missing_docs, reason = "every field is in the message")]
 pub enum AxisControllerFault {
     /// Answers were missing, damaged or implausible for more cycles than the cell allows. An emergency stop.
-    #[error(
-        "no answer to be believed for {cycles} cycles: check cable, power and a USB adapter's latency timer"
-    )]
+    #[error("no answer to be believed for {cycles} cycles: check cable, power and a USB adapter's latency timer")]
     Silent { cycles: u32 },
     /// More than a quarter of the answers due, 200 at most, were missing or refused, in gaps that are tolerated one by one.
     #[error(
@@ -29,9 +27,7 @@ pub enum AxisControllerFault {
     #[error("{0}: open it anew")]
     Line(LineError),
     /// The counter changed by more than the motor can move, and stays there (increments). An emergency stop.
-    #[error(
-        "counter went from {from} to {to}, farther than the motor can move: home the axis again"
-    )]
+    #[error("counter went from {from} to {to}, farther than the motor can move: home the axis again")]
     Jumped { from: i32, to: i32 },
     /// The answers stayed the same in every bit while the set-points changed. An emergency stop.
     #[error("the same answer for {cycles} cycles after the set-points changed")]
@@ -40,14 +36,10 @@ pub enum AxisControllerFault {
     #[error("restarted: home the axis again")]
     Restarted,
     /// The drive keeps a reference that it was told to forget before the search for the index pulse.
-    #[error(
-        "kept its reference though told to forget it for {cycles} cycles: switch it off and on"
-    )]
+    #[error("kept its reference though told to forget it for {cycles} cycles: switch it off and on")]
     KeepsReference { cycles: u32 },
     /// The drive reports that its power stage is off or has failed.
-    #[error(
-        "power stage is off or has failed: check the emergency stop and the power of the cabinet"
-    )]
+    #[error("power stage is off or has failed: check the emergency stop and the power of the cabinet")]
     PowerStage,
     /// The drive reports that its overcurrent protection acted.
     #[error("overcurrent protection acted")]
@@ -70,11 +62,9 @@ impl AxisControllerFault {
     #[doc(alias = "is_panic")]
     pub fn is_emergency_stop(self) -> bool {
         match self {
-            Self::Silent { .. }
-            | Self::NotSent { .. }
-            | Self::Line(_)
-            | Self::Jumped { .. }
-            | Self::Frozen { .. } => true,
+            Self::Silent { .. } | Self::NotSent { .. } | Self::Line(_) | Self::Jumped { .. } | Self::Frozen { .. } => {
+                true
+            }
             Self::Restarted
             | Self::Late { .. }
             | Self::KeepsReference { .. }
@@ -107,11 +97,7 @@ enum Origin {
 
 impl FaultLatch {
     pub(super) fn new(line: u8) -> Self {
-        Self {
-            line,
-            first: None,
-            emergency_stop: None,
-        }
+        Self { line, first: None, emergency_stop: None }
     }
 
     pub(super) fn latch(&mut self, fault: AxisControllerFault) {
@@ -136,8 +122,7 @@ impl FaultLatch {
 
     pub(super) fn first(&self) -> Option<Fault> {
         let line = self.line;
-        self.first
-            .map(|fault| Fault::AxisController { line, fault })
+        self.first.map(|fault| Fault::AxisController { line, fault })
     }
 
     /// Whether a fault is latched: the drive follows no set-point.
@@ -161,9 +146,7 @@ impl FaultLatch {
 #[expect(missing_docs, reason = "every field is in the message")]
 pub enum AxisControllerError {
     /// No byte came.
-    #[error(
-        "no answer, waited {waited:.1?}: check that the cabinet is on, the cable, the baud rate, and the address"
-    )]
+    #[error("no answer, waited {waited:.1?}: check that the cabinet is on, the cable, the baud rate, and the address")]
     Silent { waited: Duration },
     /// Bytes came, and no answer among them.
     #[error(

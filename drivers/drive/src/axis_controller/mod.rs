@@ -143,11 +143,7 @@ pub struct AxisCounters {
 impl<L: Line> AxisControllerGroup<L> {
     /// A group that has sent nothing yet; states and commands come in the order of `axes`, and so do
     /// the lines.
-    pub fn new(
-        lines: Vec<L>,
-        config: GroupConfig,
-        axes: &[AxisConfig],
-    ) -> Result<Self, ConfigError> {
+    pub fn new(lines: Vec<L>, config: GroupConfig, axes: &[AxisConfig]) -> Result<Self, ConfigError> {
         config.check(axes, lines.len())?;
         let controllers = lines.into_iter().zip(axes).zip(0..);
         let controllers = controllers.map(|((line, &of_axis), index)| Controller {
@@ -169,18 +165,15 @@ impl<L: Line> AxisControllerGroup<L> {
 
     /// What was counted of each axis.
     pub fn axis_counters(&self) -> impl Iterator<Item = AxisCounters> {
-        self.controllers
-            .iter()
-            .map(|controller| controller.axis.counters)
+        self.controllers.iter().map(|controller| controller.axis.counters)
     }
 
     fn advance_bring_up(&mut self, now: Instant) -> Result<bool, BringUpError> {
         let mut ready = true;
         for (line, controller) in (0..).zip(&mut self.controllers) {
             let Controller { axis, config, .. } = controller;
-            let bring_up = controller
-                .bring_up
-                .get_or_insert_with(|| BringUp::new(&self.config, config, axis.setup.dialect, now));
+            let bring_up =
+                controller.bring_up.get_or_insert_with(|| BringUp::new(&self.config, config, axis.setup.dialect, now));
             let buffer = &mut self.buffer[..];
             ready &= bring_up
                 .advance(&mut controller.line, buffer, &mut axis.counters, now)
@@ -240,9 +233,8 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
             }
         }
         // The reading came before: so states show the cause a cycle before the axes that stop with it.
-        let cause = (0..)
-            .zip(&self.controllers)
-            .find(|(_, controller)| controller.axis.faults.requires_emergency_stop());
+        let cause =
+            (0..).zip(&self.controllers).find(|(_, controller)| controller.axis.faults.requires_emergency_stop());
         if let Some((line, _)) = cause {
             for (controller, &command) in self.controllers.iter_mut().zip(commands) {
                 if command != AxisCommand::ResetFault {

@@ -97,29 +97,17 @@ impl Phase {
             (Self::Off, PhaseEvent::Follow | PhaseEvent::Seek { .. }) => Self::SwitchingOn,
             (Self::SwitchingOn, PhaseEvent::SwitchedOn) => Self::Following,
             (
-                Self::Following
-                | Self::Unreferencing { .. }
-                | Self::SearchingIndex
-                | Self::IndexFound,
+                Self::Following | Self::Unreferencing { .. } | Self::SearchingIndex | Self::IndexFound,
                 PhaseEvent::Follow,
             ) => Self::Following,
 
-            (
-                Self::Following,
-                PhaseEvent::Seek {
-                    drive_referenced, ..
-                },
-            ) => match drive_referenced {
+            (Self::Following, PhaseEvent::Seek { drive_referenced, .. }) => match drive_referenced {
                 true => Self::Unreferencing { cycles: 1 },
                 false => Self::SearchingIndex,
             },
-            (
-                Self::Unreferencing { cycles },
-                PhaseEvent::Seek {
-                    drive_referenced: true,
-                    ..
-                },
-            ) => Self::Unreferencing { cycles: cycles + 1 },
+            (Self::Unreferencing { cycles }, PhaseEvent::Seek { drive_referenced: true, .. }) => {
+                Self::Unreferencing { cycles: cycles + 1 }
+            }
             (
                 Self::Unreferencing { .. } | Self::SearchingIndex | Self::IndexFound,
                 PhaseEvent::Seek { index_found, .. },
@@ -129,22 +117,16 @@ impl Phase {
             },
 
             (Self::SwitchingOn, PhaseEvent::Fault) => Self::FaultReaction(Interrupted::SwitchingOn),
-            (
-                Self::Following | Self::Unreferencing { .. } | Self::IndexFound,
-                PhaseEvent::Fault,
-            ) => Self::FaultReaction(Interrupted::Following),
-            (Self::SearchingIndex, PhaseEvent::Fault) => {
-                Self::FaultReaction(Interrupted::SearchingIndex)
+            (Self::Following | Self::Unreferencing { .. } | Self::IndexFound, PhaseEvent::Fault) => {
+                Self::FaultReaction(Interrupted::Following)
             }
+            (Self::SearchingIndex, PhaseEvent::Fault) => Self::FaultReaction(Interrupted::SearchingIndex),
 
             (Self::FaultReaction(_) | Self::EmergencyStop, _)
             | (Self::Off, PhaseEvent::Fault | PhaseEvent::SwitchedOn)
             | (Self::SwitchingOn, PhaseEvent::Follow | PhaseEvent::Seek { .. })
             | (
-                Self::Following
-                | Self::Unreferencing { .. }
-                | Self::SearchingIndex
-                | Self::IndexFound,
+                Self::Following | Self::Unreferencing { .. } | Self::SearchingIndex | Self::IndexFound,
                 PhaseEvent::SwitchedOn,
             ) => self,
         }
@@ -155,16 +137,12 @@ impl Phase {
         match self {
             Self::Off => ControllerMode::Manual,
             Self::EmergencyStop => ControllerMode::Error,
-            Self::SearchingIndex | Self::FaultReaction(Interrupted::SearchingIndex) => {
-                ControllerMode::Index
-            }
+            Self::SearchingIndex | Self::FaultReaction(Interrupted::SearchingIndex) => ControllerMode::Index,
             Self::SwitchingOn
             | Self::Following
             | Self::Unreferencing { .. }
             | Self::IndexFound
-            | Self::FaultReaction(Interrupted::SwitchingOn | Interrupted::Following) => {
-                ControllerMode::Drive
-            }
+            | Self::FaultReaction(Interrupted::SwitchingOn | Interrupted::Following) => ControllerMode::Drive,
         }
     }
 
@@ -175,19 +153,12 @@ impl Phase {
 
     /// Whether a search for a reference is commanded.
     pub(super) fn searches(self) -> bool {
-        matches!(
-            self,
-            Self::Unreferencing { .. } | Self::SearchingIndex | Self::IndexFound
-        )
+        matches!(self, Self::Unreferencing { .. } | Self::SearchingIndex | Self::IndexFound)
     }
 
     /// Whether the drive is known to have torque.
     pub(super) fn has_torque(self) -> bool {
-        self.follows()
-            || matches!(
-                self,
-                Self::FaultReaction(Interrupted::Following | Interrupted::SearchingIndex)
-            )
+        self.follows() || matches!(self, Self::FaultReaction(Interrupted::Following | Interrupted::SearchingIndex))
     }
 
     /// Whether the drive is told to have no torque.
@@ -209,19 +180,11 @@ pub(super) struct Acknowledgement {
 
 impl Acknowledgement {
     /// After bring-up, which left the drive in manual mode.
-    pub(super) const BROUGHT_UP: Self = Self {
-        telegrams: 1,
-        answers: ANSWERS_TO_EFFECT,
-        after_index: false,
-    };
+    pub(super) const BROUGHT_UP: Self = Self { telegrams: 1, answers: ANSWERS_TO_EFFECT, after_index: false };
 
     /// For a new mode that takes the place of `before`.
     pub(super) fn pending(before: ControllerMode) -> Self {
-        Self {
-            telegrams: 0,
-            answers: 0,
-            after_index: before == ControllerMode::Index,
-        }
+        Self { telegrams: 0, answers: 0, after_index: before == ControllerMode::Index }
     }
 
     /// Whether the drive is in its new mode.
@@ -252,10 +215,7 @@ mod tests {
     const STOP: Phase = Phase::EmergencyStop;
 
     const fn seek(drive_referenced: bool, index_found: bool) -> PhaseEvent {
-        PhaseEvent::Seek {
-            drive_referenced,
-            index_found,
-        }
+        PhaseEvent::Seek { drive_referenced, index_found }
     }
 
     const EVENTS: [PhaseEvent; 9] = [

@@ -90,10 +90,7 @@ impl PositionCheck {
 
     /// Judges an answer whose request left at `at`. `may_index` says that the index pulse may have zeroed the counter.
     pub(super) fn judge(&mut self, answer: Answer, at: Instant, may_index: bool) -> Verdict {
-        let new = Sample {
-            position: answer.position.0,
-            at,
-        };
+        let new = Sample { position: answer.position.0, at };
         let Some(last) = self.last else {
             self.begin(new.position, at);
             return Verdict::Plausible;
@@ -113,18 +110,10 @@ impl PositionCheck {
         let near_zero = f64::from(new.position).abs() <= self.reach(dt);
         let referenced = |status: Status| status.any(Status::SYNCHRONIZED);
         let index = may_index && !within_reach && near_zero && referenced(answer.status);
-        self.candidate = Some(Candidate {
-            last: new,
-            status: answer.status,
-            answers,
-            beyond_reach: !within_reach && !index,
-        });
+        self.candidate =
+            Some(Candidate { last: new, status: answer.status, answers, beyond_reach: !within_reach && !index });
         let Some(before) = agree.filter(|_| answers >= ANSWERS_TO_CONFIRM) else {
-            return if index {
-                Verdict::Unconfirmed
-            } else {
-                Verdict::Implausible
-            };
+            return if index { Verdict::Unconfirmed } else { Verdict::Implausible };
         };
         if within_reach {
             self.accept(new, Some(moved / dt), dt);
@@ -149,8 +138,7 @@ impl PositionCheck {
 
     /// Whether the position of the last answer was beyond reach, which the next answers may confirm.
     pub(super) fn is_beyond_reach(&self) -> bool {
-        self.candidate
-            .is_some_and(|candidate| candidate.beyond_reach)
+        self.candidate.is_some_and(|candidate| candidate.beyond_reach)
     }
 
     fn accept(&mut self, new: Sample, velocity: Option<f64>, dt: f64) {
@@ -209,12 +197,7 @@ impl FreezeCheck {
     /// react to set-points. Returns the number of equal answers once there are too many.
     pub(super) fn judge(&mut self, answer: Answer, setpoint: i16, responsive: bool) -> Option<u32> {
         if answer != self.answer || !responsive {
-            *self = Self {
-                answer,
-                answers: 0,
-                setpoints: (setpoint, setpoint),
-                ..*self
-            };
+            *self = Self { answer, answers: 0, setpoints: (setpoint, setpoint), ..*self };
             return None;
         }
         let (low, high) = self.setpoints;

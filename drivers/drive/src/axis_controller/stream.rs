@@ -60,14 +60,7 @@ pub(super) struct Found {
 
 impl Stream {
     pub(super) fn new(protocol: Protocol, address: u8) -> Self {
-        Self {
-            protocol,
-            address,
-            held: [0; NFV2_ANSWER],
-            length: 0,
-            start: StartByte::Unknown,
-            foreign: None,
-        }
+        Self { protocol, address, held: [0; NFV2_ANSWER], length: 0, start: StartByte::Unknown, foreign: None }
     }
 
     /// Address of frames from another drive since the stream was new.
@@ -149,10 +142,7 @@ impl Stream {
                 counters.damaged += 1;
                 return Found::default();
             }
-            return Found {
-                answer: Some(translated(answer)),
-                count: count as u32,
-            };
+            return Found { answer: Some(translated(answer)), count: count as u32 };
         }
         counters.damaged += 1;
         if bytes.len() < hi_moxa::ANSWER {
@@ -177,10 +167,7 @@ impl Stream {
 /// Whether bytes may be the beginning of an answer to a request of this driver, from any drive.
 fn begins_answer(bytes: &[u8]) -> bool {
     const INDEX: u8 = NFV2_ANSWER as u8 - 1;
-    bytes
-        .iter()
-        .zip([nfv2::START, INDEX, !INDEX])
-        .all(|(byte, right)| *byte == right)
+    bytes.iter().zip([nfv2::START, INDEX, !INDEX]).all(|(byte, right)| *byte == right)
 }
 
 /// Position, current and status, each once and nothing else.
@@ -196,11 +183,7 @@ fn items(frame: Frame) -> Option<Answer> {
             return None;
         }
     }
-    Some(Answer {
-        position: position?,
-        current: current?,
-        status: status?,
-    })
+    Some(Answer { position: position?, current: current?, status: status? })
 }
 
 fn translated(answer: hi_moxa::Answer) -> Answer {
@@ -225,10 +208,9 @@ fn translated(answer: hi_moxa::Answer) -> Answer {
 /// Address of the drive that answered `bytes` to a request in `protocol`; `None` if `bytes` are no answer.
 pub(super) fn speaks(protocol: Protocol, bytes: &[u8]) -> Option<u8> {
     match protocol {
-        Protocol::Nfv2 => bytes
-            .windows(NFV2_ANSWER)
-            .filter_map(Frame::parse)
-            .find_map(|frame| items(frame).map(|_| frame.address)),
+        Protocol::Nfv2 => {
+            bytes.windows(NFV2_ANSWER).filter_map(Frame::parse).find_map(|frame| items(frame).map(|_| frame.address))
+        }
         Protocol::HiMoxa => (bytes.len() == hi_moxa::ANSWER).then_some(0),
     }
 }

@@ -43,10 +43,7 @@ pub(super) struct Telegram {
 }
 
 impl Telegram {
-    pub(super) const NONE: Self = Self {
-        bytes: [0; LONGEST],
-        length: 0,
-    };
+    pub(super) const NONE: Self = Self { bytes: [0; LONGEST], length: 0 };
 
     pub(super) fn bytes(&self) -> &[u8] {
         &self.bytes[..self.length]
@@ -65,13 +62,7 @@ impl Dialect {
     ///
     /// One NFv2 frame carries all of them. In the older protocol a flag of every set-point carries the mode. A parameter
     /// has a telegram of its own there, so the drive follows its last set-point meanwhile.
-    pub(super) fn follow(
-        self,
-        mode: ControllerMode,
-        setpoint: i16,
-        tell: bool,
-        unreference: bool,
-    ) -> Telegram {
+    pub(super) fn follow(self, mode: ControllerMode, setpoint: i16, tell: bool, unreference: bool) -> Telegram {
         match self.protocol {
             Protocol::Nfv2 => {
                 let mut frame = self.frame(setpoint);
@@ -131,12 +122,8 @@ impl Dialect {
     pub(super) fn rest(self, mode: ControllerMode, told: u32, unreference: bool) -> Telegram {
         match (self.protocol, mode) {
             (Protocol::Nfv2, _) => prefixed(self.follow(mode, 0, true, unreference)),
-            (Protocol::HiMoxa, _) if unreference && told % 2 == 1 => {
-                set(Parameter::Synchronized(false))
-            }
-            (Protocol::HiMoxa, ControllerMode::Error) => {
-                set(Parameter::DriverMode(DriverMode::Error))
-            }
+            (Protocol::HiMoxa, _) if unreference && told % 2 == 1 => set(Parameter::Synchronized(false)),
+            (Protocol::HiMoxa, ControllerMode::Error) => set(Parameter::DriverMode(DriverMode::Error)),
             (Protocol::HiMoxa, _) if told == 0 => self.zero(),
             (Protocol::HiMoxa, _) => set(Parameter::DriverMode(DriverMode::Manual)),
         }
@@ -148,11 +135,7 @@ impl Dialect {
             Protocol::Nfv2 => self.rest(mode, 0, unreference),
             Protocol::HiMoxa => {
                 let off = self.zero().append(self.rest(mode, 1, false).bytes());
-                if unreference {
-                    off.append(set(Parameter::Synchronized(false)).bytes())
-                } else {
-                    off
-                }
+                if unreference { off.append(set(Parameter::Synchronized(false)).bytes()) } else { off }
             }
         }
     }
@@ -160,9 +143,7 @@ impl Dialect {
     /// A request to set the greatest current, mA.
     pub(super) fn max_current(self, current: i16) -> Telegram {
         match self.protocol {
-            Protocol::Nfv2 => {
-                prefixed(read(self.frame(0).command(Command::SetMaxCurrent(current))))
-            }
+            Protocol::Nfv2 => prefixed(read(self.frame(0).command(Command::SetMaxCurrent(current)))),
             Protocol::HiMoxa => set(Parameter::MaxCurrent(current)),
         }
     }
@@ -179,11 +160,7 @@ impl Dialect {
 
     /// Tells the drive with `address` to be in manual mode, in `protocol`.
     pub(super) fn probe(self, protocol: Protocol, address: u8) -> Telegram {
-        let dialect = Self {
-            protocol,
-            address,
-            ..self
-        };
+        let dialect = Self { protocol, address, ..self };
         match protocol {
             Protocol::Nfv2 => dialect.opening(),
             Protocol::HiMoxa => dialect.rest(ControllerMode::Manual, 1, false),
@@ -210,13 +187,8 @@ impl Dialect {
 }
 
 fn read(frame: FrameBuilder) -> Telegram {
-    let mut frame = frame
-        .command(Command::ReadPosition)
-        .command(Command::ReadCurrent)
-        .command(Command::ReadStatus);
-    let bytes = frame
-        .finish()
-        .expect("a frame of some commands fits 256 bytes");
+    let mut frame = frame.command(Command::ReadPosition).command(Command::ReadCurrent).command(Command::ReadStatus);
+    let bytes = frame.finish().expect("a frame of some commands fits 256 bytes");
     Telegram::NONE.append(bytes)
 }
 
@@ -231,11 +203,7 @@ fn set(parameter: Parameter) -> Telegram {
 }
 
 fn moxa_setpoint(value: i16, latch_index: bool) -> Telegram {
-    let request = Request::Drive {
-        mode: hi_moxa::Mode::Pwm,
-        value,
-        latch_index,
-    };
+    let request = Request::Drive { mode: hi_moxa::Mode::Pwm, value, latch_index };
     Telegram::NONE.append(&request.encode_cyclic())
 }
 
@@ -244,11 +212,7 @@ mod tests {
     use super::*;
 
     fn dialect(protocol: Protocol, control: Control) -> Dialect {
-        Dialect {
-            protocol,
-            address: 8,
-            control,
-        }
+        Dialect { protocol, address: 8, control }
     }
 
     #[test]
@@ -258,10 +222,7 @@ mod tests {
         let cases: [(Telegram, &[u8]); 8] = [
             (
                 nfv2.follow(ControllerMode::Drive, 100, false, false),
-                &[
-                    0x23, 0x0E, 0xF1, 0x08, 0x14, 0x02, 0x64, 0x00, 0x1A, 0x00, 0x1B, 0x00, 0x1F,
-                    0x00, 0xE0,
-                ],
+                &[0x23, 0x0E, 0xF1, 0x08, 0x14, 0x02, 0x64, 0x00, 0x1A, 0x00, 0x1B, 0x00, 0x1F, 0x00, 0xE0],
             ),
             (
                 moxa.follow(ControllerMode::Drive, 745, true, false),
@@ -271,38 +232,19 @@ mod tests {
                 moxa.follow(ControllerMode::Index, -1, true, false),
                 &[0, 0, 0, 0, 0x23, 0x10, 0xFF, 0xFF, 0, 0, 0x20, 0x20],
             ),
-            (
-                moxa.follow(ControllerMode::Drive, 5, true, true),
-                &[0, 0, 0, 0, 0x23, 0x1F, 0x00, 0x00, 0, 0],
-            ),
-            (
-                moxa.rest(ControllerMode::Manual, 1, false),
-                &[0, 0, 0, 0, 0x23, 0x9F, 0x00, 0x00, 0, 0],
-            ),
-            (
-                moxa.rest(ControllerMode::Error, 0, false),
-                &[0, 0, 0, 0, 0x23, 0x9F, 0x04, 0x00, 0, 0],
-            ),
-            (
-                moxa.switch_on(2),
-                &[0, 0, 0, 0, 0x23, 0x9F, 0x03, 0x00, 0, 0],
-            ),
+            (moxa.follow(ControllerMode::Drive, 5, true, true), &[0, 0, 0, 0, 0x23, 0x1F, 0x00, 0x00, 0, 0]),
+            (moxa.rest(ControllerMode::Manual, 1, false), &[0, 0, 0, 0, 0x23, 0x9F, 0x00, 0x00, 0, 0]),
+            (moxa.rest(ControllerMode::Error, 0, false), &[0, 0, 0, 0, 0x23, 0x9F, 0x04, 0x00, 0, 0]),
+            (moxa.switch_on(2), &[0, 0, 0, 0, 0x23, 0x9F, 0x03, 0x00, 0, 0]),
             (
                 moxa.farewell(ControllerMode::Manual, false),
-                &[
-                    0, 0, 0, 0, 0x23, 0x00, 0, 0, 0, 0, 0x20, 0x20, 0, 0, 0, 0, 0x23, 0x9F, 0, 0,
-                    0, 0,
-                ],
+                &[0, 0, 0, 0, 0x23, 0x00, 0, 0, 0, 0, 0x20, 0x20, 0, 0, 0, 0, 0x23, 0x9F, 0, 0, 0, 0],
             ),
         ];
         for (telegram, bytes) in cases {
             assert_eq!(telegram.bytes(), bytes);
         }
-        for first in [
-            moxa.switch_on(0),
-            moxa.switch_on(1),
-            moxa.rest(ControllerMode::Manual, 0, false),
-        ] {
+        for first in [moxa.switch_on(0), moxa.switch_on(1), moxa.rest(ControllerMode::Manual, 0, false)] {
             assert_eq!(first.bytes(), moxa.zero().bytes());
         }
     }
@@ -318,9 +260,7 @@ mod tests {
         // 12 set-point, 1E forget the reference, 10 mode, then the reads.
         assert_eq!(
             items(nfv2.follow(ControllerMode::Index, -250, true, true)),
-            [
-                0x12, 2, 0x06, 0xFF, 0x1E, 4, 2, 0, 0, 0, 0x10, 1, 0x11, 0x1A, 0, 0x1B, 0, 0x1F, 0
-            ]
+            [0x12, 2, 0x06, 0xFF, 0x1E, 4, 2, 0, 0, 0, 0x10, 1, 0x11, 0x1A, 0, 0x1B, 0, 0x1F, 0]
         );
         let off = [0x12, 2, 0, 0, 0x10, 1, 0x01, 0x1A, 0, 0x1B, 0, 0x1F, 0];
         assert_eq!(items(nfv2.rest(ControllerMode::Manual, 0, false)), off);

@@ -87,17 +87,8 @@ pub(super) fn of(axis: &AxisConfig) -> Vec<Agreement> {
             "motor revolutions per shaft revolution",
             CORRECT_GEAR,
         ),
-        ratio(
-            FEED,
-            Some(FEED_SHAFT_REVOLUTIONS),
-            counts,
-            "position units per shaft revolution",
-            CORRECT_COUNTS,
-        ),
-        Agreement {
-            instead: true,
-            ..encoder
-        },
+        ratio(FEED, Some(FEED_SHAFT_REVOLUTIONS), counts, "position units per shaft revolution", CORRECT_COUNTS),
+        Agreement { instead: true, ..encoder },
     ];
     if axis.identity.vendor == MAXON {
         agreements.push(ratio(

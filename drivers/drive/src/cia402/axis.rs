@@ -92,11 +92,7 @@ pub(super) struct Learnt {
 
 impl CanAxis {
     pub(super) fn new(group: &GroupConfig, axis: &AxisConfig) -> Self {
-        let config = AxisConfig {
-            configuration: Vec::new(),
-            parameters: Vec::new(),
-            ..axis.clone()
-        };
+        let config = AxisConfig { configuration: Vec::new(), parameters: Vec::new(), ..axis.clone() };
         Self::started(*group, config, Instant::ZERO, Learnt::default())
     }
 
@@ -115,10 +111,7 @@ impl CanAxis {
     fn started(group: GroupConfig, config: AxisConfig, now: Instant, learnt: Learnt) -> Self {
         let mut axis = Self {
             group,
-            state: AxisState {
-                at: now,
-                ..AxisState::default()
-            },
+            state: AxisState { at: now, ..AxisState::default() },
             statusword: learnt.statusword,
             measurement: Measurement::new(&group, &config, learnt.position),
             answered: false,
@@ -189,18 +182,14 @@ impl CanAxis {
         }
         self.measurement.tell(&mut self.state);
         self.state.at = at;
-        self.state.torque = self
-            .config
-            .scale
-            .torque(answer.torque, self.config.rated_torque);
+        self.state.torque = self.config.scale.torque(answer.torque, self.config.rated_torque);
         self.judge_power(before);
     }
 
     fn judge_power(&mut self, before: PowerState) {
         let node = self.config.node.raw();
-        let dropped = before == PowerState::OperationEnabled
-            && self.goal == Goal::On
-            && self.answers > ANSWERS_TO_EFFECT;
+        let dropped =
+            before == PowerState::OperationEnabled && self.goal == Goal::On && self.answers > ANSWERS_TO_EFFECT;
         match self.statusword.power_state() {
             PowerState::FaultReactionActive | PowerState::Fault => {
                 self.latch(self.drive_fault(self.error_code));
@@ -217,10 +206,7 @@ impl CanAxis {
                 if dropped && self.error_code != 0 {
                     self.latch(self.drive_fault(self.error_code));
                 } else if dropped {
-                    self.latch(Fault::PowerLost {
-                        node,
-                        statusword: self.statusword.0,
-                    });
+                    self.latch(Fault::PowerLost { node, statusword: self.statusword.0 });
                 }
             }
         }
@@ -242,11 +228,7 @@ impl CanAxis {
         let settled = self.modes.settled_in().filter(|_| !self.telling);
         if let Some(expected) = settled.filter(|expected| *expected != found) {
             self.modes = ModeSwitch::settled(found);
-            self.latch(Fault::ModeChanged {
-                node: self.config.node.raw(),
-                expected,
-                found,
-            });
+            self.latch(Fault::ModeChanged { node: self.config.node.raw(), expected, found });
         }
     }
 
@@ -290,16 +272,10 @@ impl CanAxis {
         }
         // Checked before silence, because dropped set-points may cause the silence.
         if self.not_sent > self.group.tolerated_missing {
-            self.latch(Fault::NotSent {
-                node,
-                cycles: self.not_sent,
-            });
+            self.latch(Fault::NotSent { node, cycles: self.not_sent });
         }
         if self.state.age > self.group.tolerated_missing {
-            self.latch(Fault::Silent {
-                node,
-                cycles: self.state.age,
-            });
+            self.latch(Fault::Silent { node, cycles: self.state.age });
         }
         if waited > self.group.heartbeat_lost_after() {
             self.latch(Fault::HeartbeatLost { node, waited });
@@ -312,14 +288,10 @@ impl CanAxis {
 
     fn power(&self) -> Power {
         match self.statusword.power_state() {
-            PowerState::OperationEnabled
-                if self.goal == Goal::On && self.answers > ANSWERS_TO_EFFECT =>
-            {
-                Power::On
+            PowerState::OperationEnabled if self.goal == Goal::On && self.answers > ANSWERS_TO_EFFECT => Power::On,
+            PowerState::OperationEnabled | PowerState::QuickStopActive | PowerState::FaultReactionActive => {
+                Power::Changing
             }
-            PowerState::OperationEnabled
-            | PowerState::QuickStopActive
-            | PowerState::FaultReactionActive => Power::Changing,
             PowerState::SwitchOnDisabled | PowerState::ReadyToSwitchOn | PowerState::SwitchedOn
                 if self.goal == Goal::On =>
             {
@@ -370,10 +342,7 @@ impl CanAxis {
     }
 
     pub(super) fn refuse(&mut self, refusal: Refusal) {
-        self.latch(Fault::Refused {
-            node: self.config.node.raw(),
-            refusal,
-        });
+        self.latch(Fault::Refused { node: self.config.node.raw(), refusal });
     }
 
     /// Takes the command of this cycle. `setpoint` is the result of [`check`](Self::check). `hold` keeps the target of
@@ -411,16 +380,14 @@ impl CanAxis {
             Goal::On => power::Goal::On,
         };
         let word = match self.statusword.power_state() {
-            PowerState::OperationEnabled | PowerState::QuickStopActive
-                if self.goal == Goal::Stopped =>
-            {
+            PowerState::OperationEnabled | PowerState::QuickStopActive if self.goal == Goal::Stopped => {
                 Controlword::QUICK_STOP
             }
             // The drive would not miss us before it has heard us.
             PowerState::SwitchedOn if self.goal == Goal::On && !watched => Controlword::SWITCH_ON,
-            PowerState::OperationEnabled if self.goal == Goal::On => self
-                .search
-                .controlword(self.power.step(self.statusword, goal)),
+            PowerState::OperationEnabled if self.goal == Goal::On => {
+                self.search.controlword(self.power.step(self.statusword, goal))
+            }
             _ => self.power.step(self.statusword, goal),
         };
         process_data::encode(self.config.node, self.config.mode, word, self.target)
@@ -428,20 +395,13 @@ impl CanAxis {
 
     /// Notes whether the port took the frame from [`command`](Self::command) and the SYNC before it.
     pub(super) fn handed_over(&mut self, taken: bool) {
-        self.not_sent = if taken {
-            0
-        } else {
-            self.not_sent.saturating_add(1)
-        };
+        self.not_sent = if taken { 0 } else { self.not_sent.saturating_add(1) };
     }
 
     /// Clears the fault, unless the drive itself is in its fault state. A cause that persists is latched again at the
     /// next reading.
     fn reset(&mut self) {
-        let faulted = matches!(
-            self.statusword.power_state(),
-            PowerState::Fault | PowerState::FaultReactionActive
-        );
+        let faulted = matches!(self.statusword.power_state(), PowerState::Fault | PowerState::FaultReactionActive);
         if !faulted {
             self.state.fault = None;
             self.error_code = 0;
@@ -453,15 +413,8 @@ impl CanAxis {
         match command {
             AxisCommand::Off => Goal::Off,
             AxisCommand::ResetFault => Goal::ResetFault,
-            AxisCommand::Stand
-            | AxisCommand::Home
-            | AxisCommand::Follow(_)
-            | AxisCommand::Seek(_) => {
-                if self.state.fault.is_some() {
-                    Goal::Stopped
-                } else {
-                    Goal::On
-                }
+            AxisCommand::Stand | AxisCommand::Home | AxisCommand::Follow(_) | AxisCommand::Seek(_) => {
+                if self.state.fault.is_some() { Goal::Stopped } else { Goal::On }
             }
         }
     }
@@ -487,11 +440,7 @@ impl CanAxis {
     }
 
     fn resting_target(&self) -> i32 {
-        if self.rests_at_zero() {
-            0
-        } else {
-            self.measurement.reported.0
-        }
+        if self.rests_at_zero() { 0 } else { self.measurement.reported.0 }
     }
 
     /// Whether the axis stands by a velocity or torque of zero instead of a held position.
@@ -503,30 +452,18 @@ impl CanAxis {
     }
 
     fn wanted_mode(&self) -> ModeOfOperation {
-        if self.search.needs_homing_mode() {
-            ModeOfOperation::Homing
-        } else {
-            self.config.mode.of_operation()
-        }
+        if self.search.needs_homing_mode() { ModeOfOperation::Homing } else { self.config.mode.of_operation() }
     }
 
     fn judge_progress(&mut self, now: Instant) {
         let torque = matches!(
             self.statusword.power_state(),
-            PowerState::OperationEnabled
-                | PowerState::QuickStopActive
-                | PowerState::FaultReactionActive
+            PowerState::OperationEnabled | PowerState::QuickStopActive | PowerState::FaultReactionActive
         );
         let settled = match self.goal {
             Goal::Off | Goal::ResetFault => !torque,
-            Goal::Stopped => {
-                !torque || self.statusword.power_state() == PowerState::QuickStopActive
-            }
-            Goal::On => {
-                self.state.power == Power::On
-                    && !self.search.halting()
-                    && self.modes.is(self.wanted_mode())
-            }
+            Goal::Stopped => !torque || self.statusword.power_state() == PowerState::QuickStopActive,
+            Goal::On => self.state.power == Power::On && !self.search.halting() && self.modes.is(self.wanted_mode()),
         };
         if settled {
             self.unsettled_since = None;
@@ -535,11 +472,7 @@ impl CanAxis {
         let waited = now.since(*self.unsettled_since.get_or_insert(now));
         if waited > self.group.transition_timeout {
             let (node, statusword) = (self.config.node.raw(), self.statusword.0);
-            self.latch(Fault::Stuck {
-                node,
-                statusword,
-                waited,
-            });
+            self.latch(Fault::Stuck { node, statusword, waited });
         }
     }
 
@@ -558,10 +491,7 @@ impl CanAxis {
         let request = self.modes.next(self.wanted_mode())?;
         let tells = matches!(request, Service::Tell(_));
         let braking = self.goal == Goal::Stopped
-            && matches!(
-                self.statusword.power_state(),
-                PowerState::OperationEnabled | PowerState::QuickStopActive
-            );
+            && matches!(self.statusword.power_state(), PowerState::OperationEnabled | PowerState::QuickStopActive);
         // CiA 402 leaves open what a change of mode does to a drive that brakes.
         if braking && tells {
             return None;
@@ -582,11 +512,7 @@ impl CanAxis {
             (Service::ErrorCode, Ok(0)) => self.unserved = true,
             (_, Err(code)) => {
                 self.unserved = true;
-                self.latch(Fault::Aborted {
-                    node: self.config.node.raw(),
-                    object: service.object(),
-                    code,
-                });
+                self.latch(Fault::Aborted { node: self.config.node.raw(), object: service.object(), code });
             }
         }
         self.telling = false;

@@ -73,12 +73,7 @@ struct Progress {
 
 impl Progress {
     fn at(step: usize, now: Instant) -> Self {
-        Self {
-            step,
-            reading_back: false,
-            asked: false,
-            since: now,
-        }
+        Self { step, reading_back: false, asked: false, since: now }
     }
 }
 
@@ -100,11 +95,7 @@ impl NodeBringUp {
 
     /// Restarts bring-up. The caller sends the reset.
     pub(super) fn reset(&mut self, now: Instant) {
-        self.phase = Phase::Booting {
-            since: now,
-            booted: false,
-            asked: false,
-        };
+        self.phase = Phase::Booting { since: now, booted: false, asked: false };
         self.boots = 0;
         self.learnt = Learnt::default();
     }
@@ -137,10 +128,7 @@ impl NodeBringUp {
             (Phase::Operational, state) if state != nmt::NmtState::Operational => {
                 self.phase = Phase::Starting { since: now };
             }
-            (
-                Phase::Booting { .. } | Phase::Configuring(_) | Phase::Configured,
-                nmt::NmtState::Initialising,
-            ) => {
+            (Phase::Booting { .. } | Phase::Configuring(_) | Phase::Configured, nmt::NmtState::Initialising) => {
                 sdo.reset();
                 let since = if let Phase::Booting { since, .. } = self.phase {
                     since
@@ -148,11 +136,7 @@ impl NodeBringUp {
                     self.boots += 1;
                     now
                 };
-                self.phase = Phase::Booting {
-                    since,
-                    booted: true,
-                    asked: false,
-                };
+                self.phase = Phase::Booting { since, booted: true, asked: false };
             }
             _ => {}
         }
@@ -167,11 +151,7 @@ impl NodeBringUp {
         let node = self.node.raw();
         sdo.handle_timeout(now);
         match self.phase {
-            Phase::Booting {
-                since,
-                booted,
-                ref mut asked,
-            } => {
+            Phase::Booting { since, booted, ref mut asked } => {
                 let waited = now.since(since);
                 if waited > self.group.boot_timeout || self.boots > BOOTS {
                     return Err(BringUpError::NeverBooted { node, waited });
@@ -196,18 +176,13 @@ impl NodeBringUp {
                 Ok(())
             }
             Phase::Configuring(progress) => {
-                let Progress {
-                    step,
-                    reading_back,
-                    asked,
-                    since,
-                } = progress;
+                let Progress { step, reading_back, asked, since } = progress;
                 let Some(current) = self.program.get(step).copied() else {
                     self.phase = Phase::Configured;
                     return Ok(());
                 };
-                let left_out = self.agreed && current.instead()
-                    || self.unwatched && matches!(current, Step::Set(_, Need::Watch));
+                let left_out =
+                    self.agreed && current.instead() || self.unwatched && matches!(current, Step::Set(_, Need::Watch));
                 if !asked && left_out {
                     self.phase = Phase::Configuring(Progress::at(step + 1, now));
                     return self.advance(sdo, now);
@@ -224,10 +199,7 @@ impl NodeBringUp {
                         }
                         _ => begin(sdo, current.object(), None, now),
                     }
-                    self.phase = Phase::Configuring(Progress {
-                        asked: true,
-                        ..progress
-                    });
+                    self.phase = Phase::Configuring(Progress { asked: true, ..progress });
                     return Ok(());
                 }
                 let Some(result) = sdo.poll() else {
@@ -235,15 +207,8 @@ impl NodeBringUp {
                 };
                 let next = self.judge(current, reading_back, result, now.since(since))?;
                 self.phase = Phase::Configuring(match next {
-                    Next::ReadBack => Progress {
-                        reading_back: true,
-                        asked: false,
-                        ..progress
-                    },
-                    Next::Again => Progress {
-                        asked: false,
-                        ..progress
-                    },
+                    Next::ReadBack => Progress { reading_back: true, asked: false, ..progress },
+                    Next::Again => Progress { asked: false, ..progress },
                     Next::Step => Progress::at(step + 1, now),
                 });
                 self.advance(sdo, now)
@@ -269,10 +234,7 @@ impl NodeBringUp {
     ) -> Result<Next, BringUpError> {
         let node = self.node.raw();
         let abort = match &result {
-            Err(SdoError {
-                cause: SdoCause::Aborted { code },
-                ..
-            }) => Some(*code),
+            Err(SdoError { cause: SdoCause::Aborted { code }, .. }) => Some(*code),
             _ => None,
         };
         let absent = matches!(abort, Some(AbortCode::NO_OBJECT | AbortCode::NO_SUBINDEX));
@@ -315,25 +277,14 @@ impl NodeBringUp {
                 let found = transfer.number().map_err(error)?;
                 if found != expected {
                     let subindex = object.subindex;
-                    return Err(BringUpError::WrongIdentity {
-                        node,
-                        subindex,
-                        expected,
-                        found,
-                    });
+                    return Err(BringUpError::WrongIdentity { node, subindex, expected, found });
                 }
             }
             Step::Modes(modes) => {
                 let supported = transfer.number().map_err(error)?;
-                let lacking = modes
-                    .into_iter()
-                    .find(|&mode| !SupportedModes(supported).contains(mode));
+                let lacking = modes.into_iter().find(|&mode| !SupportedModes(supported).contains(mode));
                 if let Some(mode) = lacking {
-                    return Err(BringUpError::ModeUnsupported {
-                        node,
-                        mode: mode.raw(),
-                        supported,
-                    });
+                    return Err(BringUpError::ModeUnsupported { node, mode: mode.raw(), supported });
                 }
             }
             Step::Value(_) => self.value = Some(transfer.number().map_err(error)?),
@@ -351,19 +302,10 @@ impl NodeBringUp {
             }
             Step::Set(..) if !reading_back => return Ok(Next::ReadBack),
             Step::Configure(_, number) if !reading_back => {
-                return Ok(if self.configuration[number].readable {
-                    Next::ReadBack
-                } else {
-                    Next::Step
-                });
+                return Ok(if self.configuration[number].readable { Next::ReadBack } else { Next::Step });
             }
             Step::Configure(object, number) => {
-                compare(
-                    self.node,
-                    object,
-                    &self.configuration[number].data,
-                    transfer,
-                )?;
+                compare(self.node, object, &self.configuration[number].data, transfer)?;
             }
             Step::Set(write, _) => {
                 compare(self.node, write.object, write.data.data(), transfer)?;
@@ -375,12 +317,7 @@ impl NodeBringUp {
                         return Ok(Next::Again);
                     }
                     let [written, found] = [mode.raw(), found].map(|mode| u32::from(mode as u8));
-                    return Err(BringUpError::ReadBack {
-                        node,
-                        object: MODE_OF_OPERATION_DISPLAY,
-                        written,
-                        found,
-                    });
+                    return Err(BringUpError::ReadBack { node, object: MODE_OF_OPERATION_DISPLAY, written, found });
                 }
             }
             Step::Statusword => {
@@ -409,21 +346,10 @@ fn compare(node: NodeId, object: Object, wrote: &[u8], read: Transfer) -> Result
         Ok(())
     } else if number_like {
         let (written, found) = (number(wrote), number(found));
-        Err(BringUpError::ReadBack {
-            node,
-            object,
-            written,
-            found,
-        })
+        Err(BringUpError::ReadBack { node, object, written, found })
     } else {
         let same = wrote.iter().zip(found).take_while(|(a, b)| a == b).count();
-        Err(BringUpError::ReadBackBytes {
-            node,
-            object,
-            written: wrote.len(),
-            found: found.len(),
-            same,
-        })
+        Err(BringUpError::ReadBackBytes { node, object, written: wrote.len(), found: found.len(), same })
     }
 }
 
@@ -446,19 +372,12 @@ fn error_of(node: NodeId, error: SdoError) -> BringUpError {
     let (object, AbortCode(code)) = (error.object, error.cause.abort_code());
     let node = node.raw();
     match error.cause {
-        SdoCause::TimedOut { waited } => BringUpError::TimedOut {
-            node,
-            object,
-            waited,
-        },
+        SdoCause::TimedOut { waited } => BringUpError::TimedOut { node, object, waited },
         _ => BringUpError::Aborted { node, object, code },
     }
 }
 
 /// Up to four bytes as a number.
 pub(super) fn number(data: &[u8]) -> u32 {
-    data.iter()
-        .take(4)
-        .rev()
-        .fold(0, |number, &byte| number << 8 | u32::from(byte))
+    data.iter().take(4).rev().fold(0, |number, &byte| number << 8 | u32::from(byte))
 }

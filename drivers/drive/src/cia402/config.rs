@@ -168,11 +168,7 @@ pub enum ConfigError {
     HeartbeatPeriod(Duration),
     /// A setting that cannot or must not be written.
     #[error("node {node}: {object} cannot be configured: {why}")]
-    Setting {
-        node: u8,
-        object: Object,
-        why: &'static str,
-    },
+    Setting { node: u8, object: Object, why: &'static str },
     /// A quantity of an axis is zero, negative, not finite, or out of the drive's range.
     #[error("node {node}: {quantity} is out of range")]
     OutOfRange { node: u8, quantity: Quantity },
@@ -226,10 +222,7 @@ impl GroupConfig {
         }
         for (i, axis) in axes.iter().enumerate() {
             let earlier = axes[..i].iter().map(|axis| axis.node);
-            if earlier
-                .chain([self.host_node])
-                .any(|node| node == axis.node)
-            {
+            if earlier.chain([self.host_node]).any(|node| node == axis.node) {
                 return Err(ConfigError::DuplicateNode(axis.node.raw()));
             }
             axis.drive_units()?;
@@ -257,11 +250,7 @@ impl GroupConfig {
         let nanos = self.heartbeat_period.as_nanos();
         let period = u16::try_from(nanos / 1_000_000).map_err(|_| error)?;
         let lost = period.checked_mul(HEARTBEATS_TO_LOSE as u16).ok_or(error)?;
-        if period == 0 || !nanos.is_multiple_of(1_000_000) {
-            Err(error)
-        } else {
-            Ok((period, lost))
-        }
+        if period == 0 || !nanos.is_multiple_of(1_000_000) { Err(error) } else { Ok((period, lost)) }
     }
 
     /// How long the group listens to the bus before its first frame: three periods of the heartbeat or of SYNC,
@@ -296,11 +285,7 @@ pub(super) struct DriveUnits {
 impl AxisConfig {
     /// Refuses settings and parameters that cannot or must not be written.
     fn check_writes(&self) -> Result<(), ConfigError> {
-        let refusal = |object: Object, why| ConfigError::Setting {
-            node: self.node.raw(),
-            object,
-            why,
-        };
+        let refusal = |object: Object, why| ConfigError::Setting { node: self.node.raw(), object, why };
         let settings = self.configuration.iter().map(|setting| setting.object);
         let parameters = self.parameters.iter().map(Parameter::object);
         for object in settings.chain(parameters) {
@@ -310,25 +295,19 @@ impl AxisConfig {
         }
         let mut settings = self.configuration.iter();
         let long = settings.find(|setting| setting.data.len() > CAPACITY);
-        long.map_or(Ok(()), |long| {
-            Err(refusal(long.object, "256 bytes at most are transferred"))
-        })
+        long.map_or(Ok(()), |long| Err(refusal(long.object, "256 bytes at most are transferred")))
     }
 
     pub(super) fn drive_units(&self) -> Result<DriveUnits, ConfigError> {
-        let out_of_range = |quantity| ConfigError::OutOfRange {
-            node: self.node.raw(),
-            quantity,
-        };
+        let out_of_range = |quantity| ConfigError::OutOfRange { node: self.node.raw(), quantity };
         let positive = |quantity, value: Option<u32>| {
             let value = value.filter(|value| *value > 0);
             value.ok_or(out_of_range(quantity))
         };
         let rpm = |quantity, value| positive(quantity, rpm_magnitude(value));
-        for (quantity, value) in [
-            (Quantity::RatedTorque, self.rated_torque),
-            (Quantity::PlausibleVelocity, self.plausible_velocity),
-        ] {
+        for (quantity, value) in
+            [(Quantity::RatedTorque, self.rated_torque), (Quantity::PlausibleVelocity, self.plausible_velocity)]
+        {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(out_of_range(quantity));
             }
@@ -339,14 +318,8 @@ impl AxisConfig {
         }
         let homing = &self.homing;
         Ok(DriveUnits {
-            following_error: positive(
-                Quantity::FollowingError,
-                self.scale.distance(self.following_error),
-            )?,
-            quick_stop_deceleration: rpm(
-                Quantity::QuickStopDeceleration,
-                self.quick_stop_deceleration,
-            )?,
+            following_error: positive(Quantity::FollowingError, self.scale.distance(self.following_error))?,
+            quick_stop_deceleration: rpm(Quantity::QuickStopDeceleration, self.quick_stop_deceleration)?,
             search_speed: rpm(Quantity::SearchSpeed, homing.search_speed)?,
             zero_speed: rpm(Quantity::ZeroSpeed, homing.zero_speed)?,
             homing_acceleration: rpm(Quantity::HomingAcceleration, homing.acceleration)?,

@@ -58,14 +58,9 @@ impl Search {
             Step::Preparing if !wanted => Step::Idle,
             Step::Preparing if in_homing_mode => {
                 self.attained = false;
-                Step::Searching {
-                    answers: 0,
-                    begun: false,
-                }
+                Step::Searching { answers: 0, begun: false }
             }
-            Step::Searching { .. } | Step::Ended { attained: false } if !wanted => {
-                Step::Halting { answers: 0 }
-            }
+            Step::Searching { .. } | Step::Ended { attained: false } if !wanted => Step::Halting { answers: 0 },
             Step::Ended { attained: true } if !wanted => Step::Idle,
             step => step,
         };
@@ -82,11 +77,8 @@ impl Search {
             self.attained = false;
         }
         self.kept = word.has(Statusword::EPOS_REFERENCED);
-        self.may_set_counter = if self.needs_homing_mode() {
-            ANSWERS_TO_EFFECT + 1
-        } else {
-            self.may_set_counter.saturating_sub(1)
-        };
+        self.may_set_counter =
+            if self.needs_homing_mode() { ANSWERS_TO_EFFECT + 1 } else { self.may_set_counter.saturating_sub(1) };
         match &mut self.step {
             Step::Idle | Step::Preparing | Step::Ended { .. } => {}
             Step::Searching { answers, begun } => {
@@ -101,9 +93,9 @@ impl Search {
                     HomingStatus::Attained => None,
                     HomingStatus::Done => timely.then_some(true),
                     HomingStatus::Interrupted => (*begun && had_time).then_some(false),
-                    HomingStatus::ErrorMoving
-                    | HomingStatus::ErrorStanding
-                    | HomingStatus::Reserved => timely.then_some(false),
+                    HomingStatus::ErrorMoving | HomingStatus::ErrorStanding | HomingStatus::Reserved => {
+                        timely.then_some(false)
+                    }
                 };
                 if let Some(attained) = attained {
                     self.step = Step::Ended { attained };
@@ -145,8 +137,7 @@ impl Search {
     /// Adds the start bit (bit 4) or the halt bit to a controlword.
     pub(super) fn controlword(&self, word: Controlword) -> Controlword {
         let started = matches!(self.step, Step::Searching { .. } | Step::Ended { .. });
-        word.with(Controlword::START, started)
-            .with(Controlword::HALT, self.halting())
+        word.with(Controlword::START, started).with(Controlword::HALT, self.halting())
     }
 
     pub(super) fn state(&self) -> Homing {
@@ -204,9 +195,7 @@ mod tests {
         ];
         for (words, state) in table {
             let mut search = begun();
-            words
-                .iter()
-                .for_each(|&word| search.answered(Statusword(word)));
+            words.iter().for_each(|&word| search.answered(Statusword(word)));
             assert_eq!(search.state(), *state, "{words:04X?}");
             assert_eq!(word(&search), 0x001F);
         }
@@ -223,11 +212,7 @@ mod tests {
             // Mode HM has just begun, and no search was commanded yet.
             (&[SEARCHING, INTERRUPTED], SEARCHING, Homing::InProgress),
             // Method 37 ends before any answer shows a search.
-            (
-                &[INTERRUPTED, INTERRUPTED, DONE, DONE],
-                DONE,
-                Homing::Attained,
-            ),
+            (&[INTERRUPTED, INTERRUPTED, DONE, DONE], DONE, Homing::Attained),
         ];
         for (words, last, state) in table {
             let mut search = searching();
@@ -259,10 +244,7 @@ mod tests {
     fn a_loss_of_power_ends_the_search() {
         let mut search = searching();
         search.command(true, false, true);
-        assert_eq!(
-            (search.needs_homing_mode(), search.state()),
-            (false, Homing::NotHomed)
-        );
+        assert_eq!((search.needs_homing_mode(), search.state()), (false, Homing::NotHomed));
     }
 
     #[test]
@@ -271,10 +253,7 @@ mod tests {
         search.answered(Statusword(SEARCHING));
         search.answered(Statusword(DONE_AND_KEPT));
         search.command(false, true, true);
-        assert_eq!(
-            (search.needs_homing_mode(), search.state()),
-            (false, Homing::Attained)
-        );
+        assert_eq!((search.needs_homing_mode(), search.state()), (false, Homing::Attained));
         search.answered(Statusword(0x8637));
         assert_eq!(search.state(), Homing::Attained);
         search.answered(Statusword(0x0637));

@@ -74,17 +74,12 @@ impl Measurement {
             let most = self.fastest * within.as_secs_f64() + ROUNDING;
             // During a search, the drive sets the counter.
             if search_speed.is_none() && f64::from(moved).abs() > most {
-                return Err(Fault::Implausible {
-                    node: self.node,
-                    moved,
-                    most: most as u32,
-                    within,
-                });
+                return Err(Fault::Implausible { node: self.node, moved, most: most as u32, within });
             }
             let per_radian = self.scale.increments_per_radian();
             let way = f64::from(moved) / per_radian;
-            let recounted = search_speed
-                .is_some_and(|speed| way.abs() > 4.0 * speed * dt + ROUNDING / per_radian.abs());
+            let recounted =
+                search_speed.is_some_and(|speed| way.abs() > 4.0 * speed * dt + ROUNDING / per_radian.abs());
             if dt > 0.0 && !recounted {
                 self.velocity = way / dt;
             }

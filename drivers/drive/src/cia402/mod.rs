@@ -76,8 +76,7 @@ use master::sdo::Client;
 
 pub use canopen::NodeId;
 pub use config::{
-    AxisConfig, ConfigError, CyclicMode, GroupConfig, HomingConfig, Identity, Parameter, Quantity,
-    Setting,
+    AxisConfig, ConfigError, CyclicMode, GroupConfig, HomingConfig, Identity, Parameter, Quantity, Setting,
 };
 pub use other_controller::Sign;
 pub use process_data::pdo_setups;
@@ -87,9 +86,7 @@ pub use traffic::{Traffic, traffic};
 
 #[cfg(doc)]
 use crate::Power;
-use crate::{
-    AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Warning, Warnings,
-};
+use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Warning, Warnings};
 use axis::CanAxis;
 use bring_up::NodeBringUp;
 use own_heartbeat::OwnHeartbeat;
@@ -165,10 +162,7 @@ impl Syncs {
     /// The SYNC that an answer received at `at` belongs to: the last one sent before the answer. `None` if the answer
     /// is older than the last two SYNCs.
     fn of_answer(&self, at: Instant) -> Option<Instant> {
-        [self.last, self.before]
-            .into_iter()
-            .flatten()
-            .find(|sync| at >= *sync)
+        [self.last, self.before].into_iter().flatten().find(|sync| at >= *sync)
     }
 
     fn send(&mut self, now: Instant, sent: bool) {
@@ -191,19 +185,9 @@ impl<P: Port> Cia402Group<P> {
             let bring_up = NodeBringUp::new(&config, axis)?;
             let sdo = bring_up.client();
             let axis = CanAxis::new(&config, axis);
-            nodes.push(Node {
-                bring_up,
-                axis,
-                sdo,
-                service: None,
-                setpoint: None,
-                fault: None,
-            });
+            nodes.push(Node { bring_up, axis, sdo, service: None, setpoint: None, fault: None });
         }
-        let nothing = Received {
-            frame: Sync::default().encode(),
-            at: Instant::ZERO,
-        };
+        let nothing = Received { frame: Sync::default().encode(), at: Instant::ZERO };
         Ok(Self {
             port,
             config,
@@ -295,9 +279,7 @@ impl<P: Port> Cia402Group<P> {
     }
 
     fn latch_all(&mut self, fault: Fault) {
-        self.nodes
-            .iter_mut()
-            .for_each(|node| node.axis.latch(fault));
+        self.nodes.iter_mut().for_each(|node| node.axis.latch(fault));
     }
 
     /// The next service frame; the nodes take turns.
@@ -312,10 +294,7 @@ impl<P: Port> Cia402Group<P> {
     }
 
     fn order(&mut self, command: nmt::Command) {
-        let nodes = self
-            .nodes
-            .iter()
-            .map(|node| command.to(node.axis.node()).encode());
+        let nodes = self.nodes.iter().map(|node| command.to(node.axis.node()).encode());
         self.batch.extend(nodes);
     }
 
@@ -371,13 +350,9 @@ impl<P: Port> Cia402Group<P> {
         for node in &mut self.nodes {
             node.bring_up.advance(&mut node.sdo, now)?;
         }
-        if self.stage == Stage::Configuring
-            && self.nodes.iter().all(|node| node.bring_up.configured())
-        {
+        if self.stage == Stage::Configuring && self.nodes.iter().all(|node| node.bring_up.configured()) {
             self.stage = Stage::Starting;
-            self.nodes
-                .iter_mut()
-                .for_each(|node| node.bring_up.start(now));
+            self.nodes.iter_mut().for_each(|node| node.bring_up.start(now));
             self.order(nmt::Command::Start);
         }
         if self.batch.is_empty() {
@@ -391,8 +366,7 @@ impl<P: Port> Cia402Group<P> {
             let taken = self.port.send(now, &self.batch)?;
             self.batch.drain(..taken.min(self.batch.len()));
         }
-        Ok(self.stage == Stage::Starting
-            && self.nodes.iter().all(|node| node.bring_up.operational()))
+        Ok(self.stage == Stage::Starting && self.nodes.iter().all(|node| node.bring_up.operational()))
     }
 }
 
@@ -491,9 +465,7 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
         self.batch.push(Sync::default().encode());
         let watched = self.heartbeat.watched;
         for (node, &command) in self.nodes.iter_mut().zip(commands) {
-            let frame = node
-                .axis
-                .command(command, node.setpoint, refused, watched, now);
+            let frame = node.axis.command(command, node.setpoint, refused, watched, now);
             self.batch.push(frame);
             node.start_service(now);
         }
@@ -541,10 +513,7 @@ impl<P: Port> DriveGroup for Cia402Group<P> {
     }
 
     fn counters(&self) -> GroupCounters {
-        GroupCounters {
-            port: self.port.counters(),
-            ..self.counters
-        }
+        GroupCounters { port: self.port.counters(), ..self.counters }
     }
 
     fn warnings(&self) -> &Warnings {
@@ -572,9 +541,7 @@ impl Node {
         let Some(service) = self.service.take() else {
             return;
         };
-        let value = result
-            .map(|transfer| bring_up::number(transfer.data))
-            .map_err(|error| error.cause.abort_code().0);
+        let value = result.map(|transfer| bring_up::number(transfer.data)).map_err(|error| error.cause.abort_code().0);
         self.axis.served(service, value);
     }
 }

@@ -25,19 +25,11 @@ pub enum Sign {
 impl Sign {
     /// The sign in a received frame, if any. `host` is the host's node-ID, and `is_ours`
     /// returns whether a node is a drive of the group.
-    pub(super) fn of(
-        frame: &Frame,
-        host: NodeId,
-        is_ours: impl FnOnce(NodeId) -> bool,
-    ) -> Option<Self> {
+    pub(super) fn of(frame: &Frame, host: NodeId, is_ours: impl FnOnce(NodeId) -> bool) -> Option<Self> {
         match cob::Function::of(frame.standard_data_id()?)? {
             cob::Function::Sync => Some(Self::Sync),
-            cob::Function::Heartbeat(node) if node == host => {
-                Some(Self::Heartbeat { node: node.raw() })
-            }
-            cob::Function::Rpdo(_, node) if is_ours(node) => {
-                Some(Self::Setpoint { node: node.raw() })
-            }
+            cob::Function::Heartbeat(node) if node == host => Some(Self::Heartbeat { node: node.raw() }),
+            cob::Function::Rpdo(_, node) if is_ours(node) => Some(Self::Setpoint { node: node.raw() }),
             cob::Function::Heartbeat(_)
             | cob::Function::Rpdo(..)
             | cob::Function::Nmt

@@ -17,11 +17,7 @@ pub(super) struct OwnHeartbeat {
 impl OwnHeartbeat {
     /// None was sent, and the first one is due at `now`.
     pub(super) fn due_at(now: Instant) -> Self {
-        Self {
-            due: now,
-            since: None,
-            watched: false,
-        }
+        Self { due: now, since: None, watched: false }
     }
 
     pub(super) fn is_due(&self, now: Instant) -> bool {

@@ -5,8 +5,8 @@ use std::time::Duration;
 use can::Frame;
 use canopen::cia402::{Controlword, ModeOfOperation, Statusword};
 use canopen::objects::{
-    CONTROLWORD, MODE_OF_OPERATION_DISPLAY, POSITION_ACTUAL, STATUSWORD, TARGET_POSITION,
-    TARGET_TORQUE, TARGET_VELOCITY, TORQUE_ACTUAL, TORQUE_OFFSET,
+    CONTROLWORD, MODE_OF_OPERATION_DISPLAY, POSITION_ACTUAL, STATUSWORD, TARGET_POSITION, TARGET_TORQUE,
+    TARGET_VELOCITY, TORQUE_ACTUAL, TORQUE_OFFSET,
 };
 use canopen::pdo::{Entry, PdoCobId, PdoKind, PdoMapping, PdoNumber, TransmissionType};
 use canopen::sdo::Write;
@@ -18,11 +18,8 @@ use super::target::Target;
 use crate::{Increments, Permille};
 
 /// Content of TPDO 1: statusword, position and torque.
-pub(super) const ANSWER: [Entry; 3] = [
-    Entry::new(STATUSWORD, 16),
-    Entry::new(POSITION_ACTUAL, 32),
-    Entry::new(TORQUE_ACTUAL, 16),
-];
+pub(super) const ANSWER: [Entry; 3] =
+    [Entry::new(STATUSWORD, 16), Entry::new(POSITION_ACTUAL, 32), Entry::new(TORQUE_ACTUAL, 16)];
 
 /// Content of TPDO 2: the mode of operation that the drive is in.
 const SHOWN: [Entry; 1] = [Entry::new(MODE_OF_OPERATION_DISPLAY, 8)];
@@ -92,9 +89,7 @@ pub(super) fn mapping_writes(node: NodeId, mode: CyclicMode) -> impl Iterator<It
     use PdoNumber::{Four, Three, Two};
     let rpdo = |number| PdoCobId::new(cob::rpdo(number, node));
     let tpdo = |number| PdoCobId::new(cob::tpdo(number, node)).without_rtr();
-    let off = |kind: PdoKind, number, cob_id: PdoCobId| {
-        Write::new(kind.communication(number, 1), cob_id.invalid().0)
-    };
+    let off = |kind: PdoKind, number, cob_id: PdoCobId| Write::new(kind.communication(number, 1), cob_id.invalid().0);
     let setups = pdo_setups(node, mode);
     [Two, Three, Four]
         .map(|number| off(PdoKind::Rpdo, number, rpdo(number)))
@@ -132,8 +127,7 @@ pub(super) fn encode(node: NodeId, mode: CyclicMode, word: Controlword, target: 
     bytes[..2].copy_from_slice(&word.0.to_le_bytes());
     bytes[2..6].copy_from_slice(&target.value.to_le_bytes());
     bytes[6..].copy_from_slice(&target.torque.0.to_le_bytes());
-    Frame::new(cob::rpdo(PdoNumber::One, node), &bytes[..request_len(mode)])
-        .expect("eight bytes fit a frame")
+    Frame::new(cob::rpdo(PdoNumber::One, node), &bytes[..request_len(mode)]).expect("eight bytes fit a frame")
 }
 
 /// TPDO 1.
@@ -174,10 +168,7 @@ mod tests {
         for (mode, target, bytes) in table {
             assert_eq!(encode(node, mode, word, target.into()).to_string(), bytes);
         }
-        let both = Target {
-            value: -2,
-            torque: Permille(0x0102),
-        };
+        let both = Target { value: -2, torque: Permille(0x0102) };
         let frame = encode(node, CyclicMode::CspWithTorque, word, both);
         assert_eq!(frame.to_string(), "202#0F00FEFFFFFF0201");
     }
@@ -185,11 +176,7 @@ mod tests {
     #[test]
     fn answers_are_eight_bytes_or_none() {
         let answer = Answer::decode(&[0x37, 0x07, 0xFE, 0xFF, 0xFF, 0xFF, 0x0C, 0xFE]);
-        let expected = Answer {
-            statusword: Statusword(0x0737),
-            position: Increments(-2),
-            torque: Permille(-500),
-        };
+        let expected = Answer { statusword: Statusword(0x0737), position: Increments(-2), torque: Permille(-500) };
         assert_eq!(answer, Some(expected));
         for length in 0..8 {
             assert_eq!(Answer::decode(&[0; 8][..length]), None);

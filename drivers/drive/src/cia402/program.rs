@@ -68,9 +68,7 @@ pub(super) enum Need {
 impl Step {
     pub(super) fn object(&self) -> Object {
         match self {
-            Self::Identity(object, _) | Self::Configure(object, _) | Self::AtLeast(object, _) => {
-                *object
-            }
+            Self::Identity(object, _) | Self::Configure(object, _) | Self::AtLeast(object, _) => *object,
             Self::Modes(_) => SUPPORTED_MODES,
             Self::Value(agreement) => agreement.object,
             Self::Agree(agreement) => agreement.divisor.unwrap_or(agreement.object),
@@ -95,10 +93,7 @@ impl Step {
 impl Parameter {
     fn write(&self) -> Option<Write> {
         let data = Expedited::new(self.value.to_le_bytes().get(..usize::from(self.bytes))?)?;
-        Some(Write {
-            object: self.object(),
-            data,
-        })
+        Some(Write { object: self.object(), data })
     }
 }
 
@@ -117,21 +112,14 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         (REVISION, axis.identity.revision),
     ];
 
-    let mut steps: Vec<Step> = identity
-        .into_iter()
-        .filter_map(|(object, expected)| Some(Step::Identity(object, expected?)))
-        .collect();
+    let mut steps: Vec<Step> =
+        identity.into_iter().filter_map(|(object, expected)| Some(Step::Identity(object, expected?))).collect();
     steps.push(Step::Modes([mode, ModeOfOperation::Homing]));
     // A previous controller may have left the drive enabled.
     steps.push(required(Write::new(CONTROLWORD, 0_u16)));
     let settings = axis.configuration.iter().enumerate();
     steps.extend(settings.map(|(number, setting)| Step::Configure(setting.object, number)));
-    steps.extend(
-        axis.parameters
-            .iter()
-            .filter_map(Parameter::write)
-            .map(required),
-    );
+    steps.extend(axis.parameters.iter().filter_map(Parameter::write).map(required));
     // Behind the cell's own objects, whose writing may change others in the drive. First the limits of the ramps.
     let ramp = units.quick_stop_deceleration.max(units.homing_acceleration);
     for object in [MAX_ACCELERATION, MAX_DECELERATION] {
@@ -181,10 +169,7 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         .map(optional),
     );
     if axis.identity.vendor == MAXON {
-        steps.extend(
-            [EPOS4_HOME_POSITION, EPOS4_HOME_OFFSET_MOVE]
-                .map(|object| optional(Write::new(object, 0_i32))),
-        );
+        steps.extend([EPOS4_HOME_POSITION, EPOS4_HOME_OFFSET_MOVE].map(|object| optional(Write::new(object, 0_i32))));
     }
     // After all writes that may change these objects.
     for agreement in agreement::of(axis) {
@@ -202,11 +187,6 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         });
     }
     steps.push(required(Write::new(MODE_OF_OPERATION, mode.raw())));
-    steps.extend([
-        Step::Shown(mode),
-        Step::Statusword,
-        Step::Position,
-        Step::ErrorCode,
-    ]);
+    steps.extend([Step::Shown(mode), Step::Statusword, Step::Position, Step::ErrorCode]);
     Ok(steps)
 }

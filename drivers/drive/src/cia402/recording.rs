@@ -37,18 +37,13 @@ impl Recording {
     /// the host was not listening yet.
     pub fn new(frames: impl IntoIterator<Item = Received>, host_node: NodeId) -> Self {
         let from_host = |received: &Received| is_from_host(&received.frame, host_node);
-        let frames = frames
-            .into_iter()
-            .skip_while(|received| !from_host(received));
+        let frames = frames.into_iter().skip_while(|received| !from_host(received));
         // The times of a recording are rounded, and only the order is reliable.
         let next = |last: &mut Instant, Received { frame, at }| {
             *last = at.max(*last + Duration::from_nanos(1));
             Some(Received { frame, at: *last })
         };
-        Self {
-            frames: frames.scan(Instant::ZERO, next).collect(),
-            host_node,
-        }
+        Self { frames: frames.scan(Instant::ZERO, next).collect(), host_node }
     }
 
     /// A port that delivers the frames of the drives at their times, and its other end, at which the frames of the
@@ -76,18 +71,12 @@ impl Recording {
 
     /// Brings up a group on [`Self::port`]. `Pending` means that the first SYNC came before the end of bring-up.
     pub fn bring_up(&self, group: &mut dyn DriveGroup) -> Poll<Result<(), BringUpError>> {
-        let before = self
-            .frames
-            .iter()
-            .take_while(|received| !is_sync(&received.frame));
+        let before = self.frames.iter().take_while(|received| !is_sync(&received.frame));
         // The run listened long enough before its first frame.
         if let Poll::Ready(ended) = group.bring_up(Instant::ZERO) {
             return Poll::Ready(ended);
         }
-        before
-            .map(|received| group.bring_up(received.at))
-            .find(Poll::is_ready)
-            .unwrap_or(Poll::Pending)
+        before.map(|received| group.bring_up(received.at)).find(Poll::is_ready).unwrap_or(Poll::Pending)
     }
 }
 
@@ -100,9 +89,7 @@ fn is_from_host(frame: &Frame, host_node: NodeId) -> bool {
     match frame.standard_data_id().and_then(Function::of) {
         Some(Function::Nmt | Function::Sync | Function::Time) => true,
         Some(Function::Rpdo(..) | Function::SdoRequest(_)) => true,
-        Some(Function::Heartbeat(_)) => {
-            Heartbeat::decode(frame).is_some_and(|heartbeat| heartbeat.node == host_node)
-        }
+        Some(Function::Heartbeat(_)) => Heartbeat::decode(frame).is_some_and(|heartbeat| heartbeat.node == host_node),
         Some(Function::Tpdo(..) | Function::SdoResponse(_) | Function::Emcy(_)) | None => false,
     }
 }
@@ -145,10 +132,7 @@ mod tests {
         ]);
         let host = [(5, 0x000), (7, 0x601), (9, 0x080), (20, 0x201), (21, 0x77F)];
         assert_eq!(ids(recording.from_host()), host);
-        assert_eq!(
-            recording.syncs().collect::<Vec<_>>(),
-            [Instant::from_nanos(9)]
-        );
+        assert_eq!(recording.syncs().collect::<Vec<_>>(), [Instant::from_nanos(9)]);
         let mut into = [recording.frames[0]; 8];
         let (mut port, _peer) = recording.port();
         let count = can::Port::receive(&mut port, Instant::from_nanos(100), &mut into).unwrap();

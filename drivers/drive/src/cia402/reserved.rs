@@ -79,8 +79,7 @@ const RESERVED: &[(RangeInclusive<u16>, &str)] = &[
 const FREE: [u16; 4] = [0x1003, 0x1013, 0x1015, 0x1020];
 
 /// Reserved objects of maxon drives: node-ID and bit rate, home position and home offset.
-const OF_MAXON: &[(RangeInclusive<u16>, &str)] =
-    &[(0x2000..=0x2001, IDENTITY), (0x30B0..=0x30B1, REFERENCE)];
+const OF_MAXON: &[(RangeInclusive<u16>, &str)] = &[(0x2000..=0x2001, IDENTITY), (0x30B0..=0x30B1, REFERENCE)];
 
 /// Axis configuration of maxon drives, whose bit 0 is the polarity. The rest of its record is free.
 const AXIS_CONFIGURATION_OF_MAXON: Object = Object::new(0x3000, 4);

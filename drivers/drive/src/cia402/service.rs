@@ -47,10 +47,7 @@ pub(super) struct ModeSwitch {
 impl ModeSwitch {
     /// The state after bring-up in `mode`.
     pub(super) fn settled(mode: ModeOfOperation) -> Self {
-        Self {
-            told: mode,
-            shown: Some(mode),
-        }
+        Self { told: mode, shown: Some(mode) }
     }
 
     /// Whether the drive is known to be in `mode`.
@@ -71,10 +68,7 @@ impl ModeSwitch {
 
     /// Notes that the drive accepted the write of object 0x6060.
     pub(super) fn taken(&mut self, mode: ModeOfOperation) {
-        *self = Self {
-            told: mode,
-            shown: None,
-        };
+        *self = Self { told: mode, shown: None };
     }
 
     /// The mode that the drive is known to be in; `None` during a change.

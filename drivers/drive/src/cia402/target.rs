@@ -24,14 +24,9 @@ impl Target {
             }
             (CyclicMode::CspWithTorque, Setpoint::PositionWithTorque { position, torque }) => {
                 let both = at(position).zip(permille(torque));
-                both.map(|(increments, torque)| Self {
-                    value: increments.0,
-                    torque,
-                })
+                both.map(|(increments, torque)| Self { value: increments.0, torque })
             }
-            (CyclicMode::Csv, Setpoint::Velocity(velocity)) => {
-                scale.rpm(velocity.get()).map(|rpm| rpm.0.into())
-            }
+            (CyclicMode::Csv, Setpoint::Velocity(velocity)) => scale.rpm(velocity.get()).map(|rpm| rpm.0.into()),
             (CyclicMode::Cst, Setpoint::Torque(torque)) => {
                 permille(torque).map(|permille| i32::from(permille.0).into())
             }
@@ -49,9 +44,6 @@ impl Target {
 
 impl From<i32> for Target {
     fn from(value: i32) -> Self {
-        Self {
-            value,
-            torque: Permille(0),
-        }
+        Self { value, torque: Permille(0) }
     }
 }

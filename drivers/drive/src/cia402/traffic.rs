@@ -25,22 +25,13 @@ pub struct Traffic {
 /// All traffic of a group during operation, except EMCY. Service frames occur only during a change of mode. The
 /// result counts them at their greatest rate: one request and one answer per cycle.
 pub fn traffic(config: &GroupConfig, axes: &[AxisConfig]) -> Vec<Traffic> {
-    let frame = |cob_id, bytes, period, what| Traffic {
-        cob_id,
-        bytes,
-        period,
-        what,
-    };
+    let frame = |cob_id, bytes, period, what| Traffic { cob_id, bytes, period, what };
     let (cycle, heartbeat) = (config.period, config.heartbeat_period);
     let host = cob::heartbeat(config.host_node);
-    let mut traffic = vec![
-        frame(cob::SYNC, 0, cycle, "SYNC"),
-        frame(host, 1, heartbeat, "host heartbeat"),
-    ];
+    let mut traffic = vec![frame(cob::SYNC, 0, cycle, "SYNC"), frame(host, 1, heartbeat, "host heartbeat")];
     for &AxisConfig { node, mode, .. } in axes {
         let length = process_data::request_len(mode) as u8;
-        let [answer, shown] =
-            [PdoNumber::One, PdoNumber::Two].map(|number| cob::tpdo(number, node));
+        let [answer, shown] = [PdoNumber::One, PdoNumber::Two].map(|number| cob::tpdo(number, node));
         traffic.extend([
             frame(cob::rpdo(PdoNumber::One, node), length, cycle, "set-point"),
             frame(answer, 8, cycle, "answer"),

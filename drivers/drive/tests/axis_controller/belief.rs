@@ -66,16 +66,11 @@ fn torn_and_surplus_bytes_cost_two_answers_at_most() {
         }
         for surplus in 1..2 * length {
             rig.cycle(AxisCommand::Stand);
-            rig.drive()
-                .outbox
-                .extend((0..surplus).map(|n| [0x23, 0x12, 0xED, 8][n % 4]));
+            rig.drive().outbox.extend((0..surplus).map(|n| [0x23, 0x12, 0xED, 8][n % 4]));
             let ages: Vec<u32> = (0..3).map(|_| rig.cycle(AxisCommand::Stand).age).collect();
             assert_eq!(ages[2], 0, "{protocol:?} {surplus}: {ages:?}");
             // Bytes that look like a header hide no answer behind them.
-            assert!(
-                protocol == Protocol::HiMoxa || ages == [0; 3],
-                "{surplus}: {ages:?}"
-            );
+            assert!(protocol == Protocol::HiMoxa || ages == [0; 3], "{surplus}: {ages:?}");
             assert_eq!(rig.states[0].increments.0, 1_000);
         }
         assert_eq!(rig.fault(), None);
@@ -137,10 +132,7 @@ fn an_answer_that_was_read_in_two_parts_is_put_together() {
 #[test]
 fn an_answer_that_comes_a_cycle_late_is_passed_over_for_the_one_behind_it() {
     for protocol in BOTH {
-        let mut rig = Rig::on(Drive {
-            velocity: 40,
-            ..Drive::new(protocol, 8)
-        });
+        let mut rig = Rig::on(Drive { velocity: 40, ..Drive::new(protocol, 8) });
         rig.run(3, AxisCommand::Stand);
         let held: Vec<u8> = rig.drive().outbox.drain(..).collect();
         assert_eq!(rig.cycle(AxisCommand::Stand).age, 1);
@@ -148,11 +140,7 @@ fn an_answer_that_comes_a_cycle_late_is_passed_over_for_the_one_behind_it() {
         let position = rig.drive().position - 40;
         rig.drive().outbox.extend(held.into_iter().chain(newer));
         let state = rig.cycle(AxisCommand::Stand);
-        assert_eq!(
-            (state.age, state.increments.0),
-            (0, position),
-            "{protocol:?}"
-        );
+        assert_eq!((state.age, state.increments.0), (0, position), "{protocol:?}");
         assert_eq!((rig.counters().late, rig.counters().surplus), (1, 0));
     }
 }

@@ -5,27 +5,17 @@ use super::*;
 #[test]
 fn a_drive_is_brought_up_in_manual_mode_with_its_limits_set() {
     for protocol in BOTH {
-        let mut rig = Rig::of(Drive {
-            mode: Mode::Pwm,
-            setpoint: 500,
-            status: Status::OVERCURRENT,
-            ..Drive::new(protocol, 8)
-        });
+        let mut rig =
+            Rig::of(Drive { mode: Mode::Pwm, setpoint: 500, status: Status::OVERCURRENT, ..Drive::new(protocol, 8) });
         rig.drive().outbox.extend(b"left over from before");
         assert_eq!(rig.bring_up(), Ok(()), "{protocol:?}");
         {
             let drive = rig.drive();
-            assert_eq!(
-                (drive.mode, drive.setpoint, drive.max_current, drive.status),
-                (Mode::Manual, 0, 15_000, 0)
-            );
+            assert_eq!((drive.mode, drive.setpoint, drive.max_current, drive.status), (Mode::Manual, 0, 15_000, 0));
         }
         let state = rig.run(2, AxisCommand::Off);
         assert_eq!((state.age, state.power, state.fault), (0, Power::Off, None));
-        assert_eq!(
-            (state.increments.0, state.homing),
-            (1_000, Homing::NotHomed)
-        );
+        assert_eq!((state.increments.0, state.homing), (1_000, Homing::NotHomed));
     }
 }
 
@@ -33,10 +23,7 @@ fn a_drive_is_brought_up_in_manual_mode_with_its_limits_set() {
 fn a_question_that_gets_no_answer_is_asked_thrice() {
     for protocol in BOTH {
         for (mute, right) in [(2, true), (3, false)] {
-            let mut rig = Rig::of(Drive {
-                mute,
-                ..Drive::new(protocol, 8)
-            });
+            let mut rig = Rig::of(Drive { mute, ..Drive::new(protocol, 8) });
             let result = rig.bring_up();
             assert_eq!(result.is_ok(), right, "{protocol:?} {mute}: {result:?}");
         }
@@ -71,11 +58,7 @@ fn a_late_answer_to_a_repeated_question_is_not_that_to_the_next() {
 #[test]
 fn a_drive_that_a_dead_host_left_with_torque_is_off_by_the_first_telegram_that_can_say_so() {
     for (protocol, telegrams) in [(Protocol::Nfv2, 1), (Protocol::HiMoxa, 2)] {
-        let mut rig = Rig::of(Drive {
-            mode: Mode::Pwm,
-            setpoint: 500,
-            ..Drive::new(protocol, 8)
-        });
+        let mut rig = Rig::of(Drive { mode: Mode::Pwm, setpoint: 500, ..Drive::new(protocol, 8) });
         while rig.drive().heard.len() < telegrams {
             assert!(rig.group.bring_up(rig.now).is_pending());
             rig.now += PERIOD;
@@ -104,10 +87,7 @@ fn a_line_whose_answers_take_longer_than_a_period_is_refused() {
             });
             let late = matches!(
                 result,
-                Some(Err(BringUpError::AxisController {
-                    error: AxisControllerError::Late { .. },
-                    ..
-                }))
+                Some(Err(BringUpError::AxisController { error: AxisControllerError::Late { .. }, .. }))
             );
             assert_eq!(result == Some(Ok(())), right, "{protocol:?} {delay}");
             assert_eq!(late, !right, "{protocol:?} {delay}: {result:?}");
@@ -147,28 +127,13 @@ fn bring_up_says_who_is_at_the_other_end() {
             Protocol::HiMoxa => Protocol::Nfv2,
         };
         let alone = |drive| Rig::with(GroupConfig::new(expected), &[axis(expected)], vec![drive]);
-        assert_eq!(
-            error(&mut alone(Drive::new(found, 8))),
-            AxisControllerError::OtherProtocol { expected, found }
-        );
-        let mut silent = alone(Drive {
-            deaf: true,
-            ..Drive::new(expected, 8)
-        });
+        assert_eq!(error(&mut alone(Drive::new(found, 8))), AxisControllerError::OtherProtocol { expected, found });
+        let mut silent = alone(Drive { deaf: true, ..Drive::new(expected, 8) });
         let silence = error(&mut silent);
-        assert!(
-            matches!(silence, AxisControllerError::Silent { .. }),
-            "{silence:?}"
-        );
-        let mut gone = alone(Drive {
-            gone: true,
-            ..Drive::new(expected, 8)
-        });
+        assert!(matches!(silence, AxisControllerError::Silent { .. }), "{silence:?}");
+        let mut gone = alone(Drive { gone: true, ..Drive::new(expected, 8) });
         assert_eq!(error(&mut gone), AxisControllerError::Line(LineError::Gone));
-        let mut dark = alone(Drive {
-            status: Status::POWER_STAGE_FAULT,
-            ..Drive::new(expected, 8)
-        });
+        let mut dark = alone(Drive { status: Status::POWER_STAGE_FAULT, ..Drive::new(expected, 8) });
         assert_eq!(error(&mut dark), AxisControllerError::PowerStage);
         // After the drive is switched on, the same group comes up.
         dark.drive().status = 0;
@@ -179,54 +144,31 @@ fn bring_up_says_who_is_at_the_other_end() {
         let other = AxisControllerError::OtherAddress { expected: 8, found };
         assert_eq!(error(&mut swapped), other);
     }
-    let other = AxisControllerError::OtherAddress {
-        expected: 8,
-        found: 9,
-    };
+    let other = AxisControllerError::OtherAddress { expected: 8, found: 9 };
     // A device that answers regardless of the request.
-    let mut shouting = Rig::of(Drive {
-        deaf: true,
-        ..Drive::new(Protocol::Nfv2, 8)
-    });
-    let frame = [
-        0x23, 0x12, 0xED, 0x09, 0x1A, 0x04, 0x2E, 0xFB, 0xFF, 0xFF, 0x1B, 0x02, 0xFA, 0x00, 0x1F,
-        0x02, 0x10, 0x00,
-    ];
+    let mut shouting = Rig::of(Drive { deaf: true, ..Drive::new(Protocol::Nfv2, 8) });
+    let frame =
+        [0x23, 0x12, 0xED, 0x09, 0x1A, 0x04, 0x2E, 0xFB, 0xFF, 0xFF, 0x1B, 0x02, 0xFA, 0x00, 0x1F, 0x02, 0x10, 0x00];
     let crc = serial::nfv2::crc8(&frame[3..]);
     let result = (0..1_000).find_map(|_| {
-        shouting
-            .drive()
-            .outbox
-            .extend(frame.into_iter().chain([crc]));
+        shouting.drive().outbox.extend(frame.into_iter().chain([crc]));
         shouting.now += PERIOD;
         match shouting.group.bring_up(shouting.now) {
             Poll::Ready(result) => Some(result),
             Poll::Pending => None,
         }
     });
-    let error = BringUpError::AxisController {
-        line: 0,
-        error: other,
-    };
+    let error = BringUpError::AxisController { line: 0, error: other };
     assert_eq!(result, Some(Err(error)));
-    let text = BringUpError::AxisController {
-        line: 2,
-        error: other,
-    };
-    assert_eq!(
-        text.to_string(),
-        "line 2: answers as address 9, the cell says 8: check which line goes where"
-    );
+    let text = BringUpError::AxisController { line: 2, error: other };
+    assert_eq!(text.to_string(), "line 2: answers as address 9, the cell says 8: check which line goes where");
     assert_eq!((text.line(), text.node()), (Some(2), None));
 }
 
 #[test]
 fn noise_is_no_drive() {
     for protocol in BOTH {
-        let mut rig = Rig::of(Drive {
-            deaf: true,
-            ..Drive::new(protocol, 8)
-        });
+        let mut rig = Rig::of(Drive { deaf: true, ..Drive::new(protocol, 8) });
         let result = (0..1_000).find_map(|n| {
             rig.drive().outbox.extend([0x55; 11]);
             rig.now += PERIOD;
@@ -238,20 +180,14 @@ fn noise_is_no_drive() {
         let Some((_, Err(BringUpError::AxisController { error, .. }))) = result else {
             panic!("{result:?}");
         };
-        assert!(
-            matches!(error, AxisControllerError::Garbled { .. }),
-            "{error:?}"
-        );
+        assert!(matches!(error, AxisControllerError::Garbled { .. }), "{error:?}");
     }
 }
 
 #[test]
 fn a_drive_that_kept_its_reference_is_homed_at_once() {
     for protocol in BOTH {
-        let mut rig = Rig::up(Drive {
-            status: Status::SYNCHRONIZED,
-            ..Drive::new(protocol, 8)
-        });
+        let mut rig = Rig::up(Drive { status: Status::SYNCHRONIZED, ..Drive::new(protocol, 8) });
         assert_eq!(rig.cycle(AxisCommand::Off).homing, Homing::Attained);
     }
 }
@@ -261,46 +197,14 @@ fn what_cannot_work_is_refused_before_a_byte_is_sent() {
     type Change = fn(&mut GroupConfig, &mut AxisConfig);
     let cases: [(Protocol, Change, &str); 9] = [
         (Protocol::Nfv2, |_, axis| axis.address = 0xFE, "address"),
-        (
-            Protocol::Nfv2,
-            |_, axis| axis.max_current = 40.0,
-            "greatest current",
-        ),
-        (
-            Protocol::Nfv2,
-            |_, axis| axis.max_current = f64::NAN,
-            "greatest current",
-        ),
-        (
-            Protocol::Nfv2,
-            |_, axis| axis.torque_constant = 0.0,
-            "torque constant",
-        ),
-        (
-            Protocol::Nfv2,
-            |_, axis| axis.max_velocity = 0.0,
-            "greatest velocity",
-        ),
-        (
-            Protocol::Nfv2,
-            |_, axis| axis.max_acceleration = f64::INFINITY,
-            "acceleration",
-        ),
-        (
-            Protocol::HiMoxa,
-            |_, axis| axis.control = Control::Current,
-            "takes protocol nfv2",
-        ),
-        (
-            Protocol::Nfv2,
-            |group, _| group.period = Duration::from_micros(400),
-            "too short",
-        ),
-        (
-            Protocol::Nfv2,
-            |group, _| group.tolerated_missing = 0,
-            "at least 1",
-        ),
+        (Protocol::Nfv2, |_, axis| axis.max_current = 40.0, "greatest current"),
+        (Protocol::Nfv2, |_, axis| axis.max_current = f64::NAN, "greatest current"),
+        (Protocol::Nfv2, |_, axis| axis.torque_constant = 0.0, "torque constant"),
+        (Protocol::Nfv2, |_, axis| axis.max_velocity = 0.0, "greatest velocity"),
+        (Protocol::Nfv2, |_, axis| axis.max_acceleration = f64::INFINITY, "acceleration"),
+        (Protocol::HiMoxa, |_, axis| axis.control = Control::Current, "takes protocol nfv2"),
+        (Protocol::Nfv2, |group, _| group.period = Duration::from_micros(400), "too short"),
+        (Protocol::Nfv2, |group, _| group.tolerated_missing = 0, "at least 1"),
     ];
     for (protocol, change, word) in cases {
         let (mut group, mut axis) = (GroupConfig::new(protocol), axis(protocol));

@@ -5,15 +5,10 @@ use super::*;
 #[test]
 fn a_sample_is_taken_before_the_set_point_that_came_with_its_request() {
     for protocol in BOTH {
-        let mut rig = Rig::on(Drive {
-            follows: true,
-            ..Drive::new(protocol, 8)
-        });
+        let mut rig = Rig::on(Drive { follows: true, ..Drive::new(protocol, 8) });
         let before = rig.states[0].increments.0;
         rig.cycle(AxisCommand::Follow(raw(protocol, 7)));
-        let seen: Vec<i32> = (0..3)
-            .map(|_| rig.cycle(AxisCommand::Stand).increments.0 - before)
-            .collect();
+        let seen: Vec<i32> = (0..3).map(|_| rig.cycle(AxisCommand::Stand).increments.0 - before).collect();
         let first = 1 + seen.iter().position(|moved| *moved == 7).unwrap();
         assert_eq!((first, rig.group.delay()), (2, 2), "{protocol:?}: {seen:?}");
     }
@@ -46,10 +41,7 @@ fn torque_comes_and_goes_with_a_zero_set_point_first() {
             modes.push(drive.mode);
             assert_eq!(drive.setpoint, 0);
         }
-        assert!(
-            modes[1..].iter().all(|mode| *mode == Mode::Manual),
-            "{modes:?}"
-        );
+        assert!(modes[1..].iter().all(|mode| *mode == Mode::Manual), "{modes:?}");
         assert_eq!(rig.states[0].power, Power::Off);
     }
 }
@@ -63,11 +55,7 @@ fn the_last_thing_a_drive_hears_is_to_be_off() {
         assert_eq!(line.drive().setpoint, 500);
         drop(rig.group);
         let drive = line.drive();
-        assert_eq!(
-            (drive.setpoint, drive.mode),
-            (0, Mode::Manual),
-            "{protocol:?}"
-        );
+        assert_eq!((drive.setpoint, drive.mode), (0, Mode::Manual), "{protocol:?}");
     }
 }
 
@@ -75,11 +63,7 @@ fn the_last_thing_a_drive_hears_is_to_be_off() {
 fn no_old_set_point_goes_before_what_takes_torque_away() {
     for protocol in BOTH {
         // Switched off, by an emergency stop, and when the group is dropped.
-        for (cycles, command) in [
-            (2, Some(AxisCommand::Off)),
-            (8, Some(AxisCommand::Stand)),
-            (2, None),
-        ] {
+        for (cycles, command) in [(2, Some(AxisCommand::Off)), (8, Some(AxisCommand::Stand)), (2, None)] {
             let mut rig = Rig::on(Drive::new(protocol, 8));
             let follow = AxisCommand::Follow(raw(protocol, 500));
             rig.run(2, follow);
@@ -132,16 +116,10 @@ fn what_cannot_be_followed_is_refused_and_never_clamped() {
     }
     let mut off = Rig::up(Drive::new(Protocol::Nfv2, 8));
     off.run(2, AxisCommand::Follow(torque(0.0)));
-    assert_eq!(
-        off.fault(),
-        Some(AxisControllerFault::Refused(Refusal::NotOn))
-    );
+    assert_eq!(off.fault(), Some(AxisControllerFault::Refused(Refusal::NotOn)));
     let mut home = Rig::on(Drive::new(Protocol::Nfv2, 8));
     home.run(2, AxisCommand::Home);
-    assert_eq!(
-        home.fault(),
-        Some(AxisControllerFault::Refused(Refusal::WrongKind))
-    );
+    assert_eq!(home.fault(), Some(AxisControllerFault::Refused(Refusal::WrongKind)));
 }
 
 #[test]
@@ -162,16 +140,8 @@ fn a_refusal_holds_the_set_points_of_the_other_axes() {
 fn the_index_pulse_sets_the_counter_while_seeking() {
     for protocol in BOTH {
         for referenced_before in [false, true] {
-            let status = if referenced_before {
-                Status::SYNCHRONIZED
-            } else {
-                0
-            };
-            let mut rig = Rig::on(Drive {
-                velocity: 20,
-                status,
-                ..Drive::new(protocol, 8)
-            });
+            let status = if referenced_before { Status::SYNCHRONIZED } else { 0 };
+            let mut rig = Rig::on(Drive { velocity: 20, status, ..Drive::new(protocol, 8) });
             let homing = rig.states[0].homing;
             assert_eq!(homing == Homing::Attained, referenced_before);
             let index = rig.drive().position + 213;
@@ -182,31 +152,17 @@ fn the_index_pulse_sets_the_counter_while_seeking() {
                 let state = rig.cycle(seek);
                 assert_eq!(state.fault, None, "{protocol:?} {seen:?}");
                 let velocity = TAU * 20.0 / 4_000.0 / 0.002;
-                assert!(
-                    (state.velocity - velocity).abs() < 1e-6,
-                    "{}",
-                    state.velocity
-                );
+                assert!((state.velocity - velocity).abs() < 1e-6, "{}", state.velocity);
                 if seen.last() != Some(&state.homing) {
                     seen.push(state.homing);
                 }
             }
-            let from = if referenced_before {
-                seen.remove(0)
-            } else {
-                seen[0]
-            };
+            let from = if referenced_before { seen.remove(0) } else { seen[0] };
             assert!(matches!(from, Homing::Attained | Homing::NotHomed));
-            assert!(
-                seen.ends_with(&[Homing::InProgress, Homing::Attained]),
-                "{seen:?}"
-            );
+            assert!(seen.ends_with(&[Homing::InProgress, Homing::Attained]), "{seen:?}");
             assert_eq!(rig.drive().index, None);
             assert_eq!(rig.drive().setpoint, 3);
-            assert!(
-                matches!(rig.drive().mode, Mode::Pwm | Mode::Current),
-                "no second pulse"
-            );
+            assert!(matches!(rig.drive().mode, Mode::Pwm | Mode::Current), "no second pulse");
             let far = rig.drive().position - 20 - rig.states[0].increments.0;
             assert!(far.abs() <= 20, "{far}");
             assert_eq!(rig.counters().indexed, 1);
@@ -221,31 +177,21 @@ fn the_index_pulse_sets_the_counter_while_seeking() {
 #[test]
 fn an_index_pulse_in_the_last_cycle_of_a_search_counts() {
     for protocol in BOTH {
-        let mut rig = Rig::on(Drive {
-            velocity: 20,
-            ..Drive::new(protocol, 8)
-        });
+        let mut rig = Rig::on(Drive { velocity: 20, ..Drive::new(protocol, 8) });
         rig.run(5, AxisCommand::Seek(raw(protocol, 3)));
         let index = rig.drive().position + 10;
         rig.drive().index = Some(index);
         rig.cycle(AxisCommand::Seek(raw(protocol, 3)));
         assert_eq!(rig.drive().index, None);
         let state = rig.run(4, AxisCommand::Stand);
-        assert_eq!(
-            (state.homing, state.fault),
-            (Homing::Attained, None),
-            "{protocol:?}"
-        );
+        assert_eq!((state.homing, state.fault), (Homing::Attained, None), "{protocol:?}");
     }
 }
 
 #[test]
 fn a_search_that_begins_again_after_an_index_pulse_is_no_restart() {
     for (protocol, pause) in BOTH.into_iter().flat_map(|p| [1, 2, 3].map(|n| (p, n))) {
-        let mut rig = Rig::on(Drive {
-            velocity: 20,
-            ..Drive::new(protocol, 8)
-        });
+        let mut rig = Rig::on(Drive { velocity: 20, ..Drive::new(protocol, 8) });
         let seek = AxisCommand::Seek(raw(protocol, 3));
         rig.run(5, seek);
         let index = rig.drive().position + 10;
@@ -262,10 +208,7 @@ fn a_search_that_begins_again_after_an_index_pulse_is_no_restart() {
 #[test]
 fn a_status_bit_that_is_lost_in_one_answer_makes_no_reference_found() {
     for protocol in BOTH {
-        let mut rig = Rig::on(Drive {
-            status: Status::SYNCHRONIZED,
-            ..Drive::new(protocol, 8)
-        });
+        let mut rig = Rig::on(Drive { status: Status::SYNCHRONIZED, ..Drive::new(protocol, 8) });
         let seek = AxisCommand::Seek(raw(protocol, 3));
         // The answer to the first cycle shows no reference, and the search begins with its reading.
         rig.drive().status = 0;
@@ -287,10 +230,6 @@ fn a_drive_that_is_mute_is_told_to_be_off_all_the_same() {
         rig.drive().mute = u32::MAX;
         rig.run(2, AxisCommand::Off);
         let drive = rig.drive();
-        assert_eq!(
-            (drive.mode, drive.setpoint),
-            (Mode::Manual, 0),
-            "{protocol:?}"
-        );
+        assert_eq!((drive.mode, drive.setpoint), (Mode::Manual, 0), "{protocol:?}");
     }
 }

@@ -16,11 +16,7 @@ fn missing_answers_are_ridden_through_and_then_stop_the_cabinet() {
         // The drive may receive telegrams although its answers are lost.
         assert_eq!(rig.drive().mode, Mode::Error);
         rig.run(3, AxisCommand::Off);
-        assert_eq!(
-            rig.drive().mode,
-            Mode::Error,
-            "an emergency stop ends by a reset alone"
-        );
+        assert_eq!(rig.drive().mode, Mode::Error, "an emergency stop ends by a reset alone");
         rig.run(6, AxisCommand::ResetFault);
         assert_eq!((rig.drive().mode, rig.fault()), (Mode::Manual, None));
     }
@@ -53,23 +49,15 @@ fn an_emergency_stop_of_one_axis_tells_every_drive_to_open_the_cabinet() {
             }
             assert!(rig.states[failing].fault.is_some(), "{protocol:?} {name}");
             for line in others() {
-                assert_eq!(
-                    rig.states[line].fault, None,
-                    "whoever failed is named first"
-                );
+                assert_eq!(rig.states[line].fault, None, "whoever failed is named first");
                 let mode = rig.lines[line].drive().mode;
                 assert_eq!(mode, Mode::Error, "{protocol:?} {name}: in the same cycle");
             }
             // For every command, and when the group is dropped.
             rig.run(10, AxisCommand::Off);
-            let with = AxisControllerFault::Cabinet {
-                line: failing as u8,
-            };
+            let with = AxisControllerFault::Cabinet { line: failing as u8 };
             for line in others() {
-                let fault = Fault::AxisController {
-                    line: line as u8,
-                    fault: with,
-                };
+                let fault = Fault::AxisController { line: line as u8, fault: with };
                 assert_eq!(rig.states[line].fault, Some(fault), "{protocol:?} {name}");
                 assert_eq!(rig.states[line].power, Power::Off);
                 assert_eq!(rig.lines[line].drive().mode, Mode::Error);
@@ -81,11 +69,7 @@ fn an_emergency_stop_of_one_axis_tells_every_drive_to_open_the_cabinet() {
             rig.cycle_all(&commands);
             commands[one] = AxisCommand::Off;
             rig.cycle_all(&commands);
-            assert_eq!(
-                rig.lines[one].drive().mode,
-                Mode::Error,
-                "{protocol:?} {name}"
-            );
+            assert_eq!(rig.lines[one].drive().mode, Mode::Error, "{protocol:?} {name}");
             let lines = rig.lines.clone();
             drop(rig.group);
             for line in others() {
@@ -107,11 +91,7 @@ fn a_reset_ends_an_emergency_stop_of_the_group() {
         rig.run(6, AxisCommand::ResetFault);
         rig.run(6, AxisCommand::Stand);
         for (line, state) in rig.lines.iter().zip(&rig.states) {
-            assert_eq!(
-                (state.fault, state.power),
-                (None, Power::On),
-                "{protocol:?}"
-            );
+            assert_eq!((state.fault, state.power), (None, Power::On), "{protocol:?}");
             assert!(matches!(line.drive().mode, Mode::Pwm | Mode::Current));
         }
     }
@@ -123,15 +103,9 @@ fn a_set_point_that_the_line_does_not_take_is_counted_and_then_a_fault() {
         let mut rig = Rig::on(Drive::new(protocol, 8));
         rig.drive().full = true;
         rig.run(4, AxisCommand::Stand);
-        assert_eq!(
-            rig.fault(),
-            Some(AxisControllerFault::NotSent { cycles: 3 })
-        );
+        assert_eq!(rig.fault(), Some(AxisControllerFault::NotSent { cycles: 3 }));
         let counters = rig.group.counters();
-        assert_eq!(
-            (counters.dropped_setpoints, counters.missed_answers),
-            (4, 0)
-        );
+        assert_eq!((counters.dropped_setpoints, counters.missed_answers), (4, 0));
     }
 }
 
@@ -157,10 +131,7 @@ fn a_counter_that_jumps_stops_the_cabinet_and_is_never_followed() {
 fn a_counter_that_jumped_is_no_reference_for_whoever_comes_after() {
     for protocol in BOTH {
         for cycles in [0, 4] {
-            let mut rig = Rig::on(Drive {
-                status: Status::SYNCHRONIZED,
-                ..Drive::new(protocol, 8)
-            });
+            let mut rig = Rig::on(Drive { status: Status::SYNCHRONIZED, ..Drive::new(protocol, 8) });
             rig.drive().position = 90_000;
             // Until the fault, and no cycle later.
             while rig.fault().is_none() {
@@ -185,18 +156,10 @@ fn answers_that_never_change_while_set_points_do_stop_the_cabinet() {
         rig.run(2, follow(500));
         rig.drive().current = 500;
         rig.run(200, follow(500));
-        assert_eq!(
-            rig.fault(),
-            None,
-            "a stalled motor may say the same for ever"
-        );
+        assert_eq!(rig.fault(), None, "a stalled motor may say the same for ever");
         rig.run(60, follow(900));
         rig.run(60, follow(100));
-        assert!(
-            matches!(rig.fault(), Some(AxisControllerFault::Frozen { .. })),
-            "{protocol:?} {:?}",
-            rig.fault()
-        );
+        assert!(matches!(rig.fault(), Some(AxisControllerFault::Frozen { .. })), "{protocol:?} {:?}", rig.fault());
     }
 }
 
@@ -206,10 +169,7 @@ fn a_line_that_is_gone_is_said_at_once() {
         let mut rig = Rig::on(Drive::new(protocol, 8));
         rig.drive().gone = true;
         rig.cycle(AxisCommand::Stand);
-        assert_eq!(
-            rig.fault(),
-            Some(AxisControllerFault::Line(LineError::Gone))
-        );
+        assert_eq!(rig.fault(), Some(AxisControllerFault::Line(LineError::Gone)));
     }
 }
 
@@ -239,19 +199,13 @@ fn a_counter_that_is_set_anew_without_being_asked_to_stops_the_cabinet() {
 fn a_counter_that_jumped_during_a_search_never_counts_as_referenced() {
     for protocol in BOTH {
         for keeps_reference in [false, true] {
-            let mut rig = Rig::on(Drive {
-                keeps_reference,
-                ..Drive::new(protocol, 8)
-            });
+            let mut rig = Rig::on(Drive { keeps_reference, ..Drive::new(protocol, 8) });
             let seek = AxisCommand::Seek(raw(protocol, 1));
             rig.run(5, seek);
             (rig.drive().position, rig.drive().status) = (50_000, Status::SYNCHRONIZED);
-            for (cycles, command) in [
-                (6, seek),
-                (4, AxisCommand::Off),
-                (6, AxisCommand::ResetFault),
-                (10, AxisCommand::Off),
-            ] {
+            for (cycles, command) in
+                [(6, seek), (4, AxisCommand::Off), (6, AxisCommand::ResetFault), (10, AxisCommand::Off)]
+            {
                 for _ in 0..cycles {
                     let state = rig.cycle(command);
                     let what = format!("{protocol:?} {keeps_reference} {command:?}");

@@ -32,11 +32,7 @@ fn answers_that_come_in_heaps_are_a_fault_and_rare_gaps_are_none() {
                 rig.drive().outbox.extend(held.into_iter().chain(newer));
             }
             let late = matches!(rig.fault(), Some(AxisControllerFault::Late { .. }));
-            assert_eq!(
-                (late, rig.fault().is_none()),
-                (!right, right),
-                "{protocol:?} {every}"
-            );
+            assert_eq!((late, rig.fault().is_none()), (!right, right), "{protocol:?} {every}");
         }
     }
 }
@@ -72,24 +68,12 @@ fn what_a_drive_reports_counts_when_two_answers_show_it() {
 fn a_restarted_drive_is_a_fault_and_stays_off() {
     for protocol in BOTH {
         for position in [1_000, 0] {
-            let mut rig = Rig::on(Drive {
-                position,
-                status: Status::SYNCHRONIZED,
-                ..Drive::new(protocol, 8)
-            });
+            let mut rig = Rig::on(Drive { position, status: Status::SYNCHRONIZED, ..Drive::new(protocol, 8) });
             rig.drive().restart();
             let state = rig.run(5, AxisCommand::Stand);
-            assert_eq!(
-                rig.fault(),
-                Some(AxisControllerFault::Restarted),
-                "{protocol:?}"
-            );
+            assert_eq!(rig.fault(), Some(AxisControllerFault::Restarted), "{protocol:?}");
             assert_eq!(state.homing, Homing::NotHomed);
-            assert_eq!(
-                rig.drive().mode,
-                Mode::Manual,
-                "nobody gave it torque again"
-            );
+            assert_eq!(rig.drive().mode, Mode::Manual, "nobody gave it torque again");
         }
     }
 }
@@ -98,11 +82,7 @@ fn a_restarted_drive_is_a_fault_and_stays_off() {
 fn no_set_point_follows_what_may_be_a_restart() {
     let follow = AxisCommand::Follow(raw(Protocol::HiMoxa, 300));
     for position in [1_000, 0] {
-        let mut rig = Rig::on(Drive {
-            position,
-            status: Status::SYNCHRONIZED,
-            ..Drive::new(Protocol::HiMoxa, 8)
-        });
+        let mut rig = Rig::on(Drive { position, status: Status::SYNCHRONIZED, ..Drive::new(Protocol::HiMoxa, 8) });
         rig.run(3, follow);
         rig.drive().restart();
         // This cycle requests the first answer after the restart.

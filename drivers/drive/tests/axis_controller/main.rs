@@ -15,12 +15,11 @@ use std::time::Duration;
 
 use can::Instant;
 use mrroc_drive::axis_controller::{
-    AxisConfig, AxisControllerError, AxisControllerFault, AxisControllerGroup, AxisCounters,
-    ConfigError, Control, GroupConfig, Protocol,
+    AxisConfig, AxisControllerError, AxisControllerFault, AxisControllerGroup, AxisCounters, ConfigError, Control,
+    GroupConfig, Protocol,
 };
 use mrroc_drive::{
-    AxisCommand, AxisState, BringUpError, DriveGroup, Fault, Finite, Homing, Power, Refusal, Scale,
-    Setpoint,
+    AxisCommand, AxisState, BringUpError, DriveGroup, Fault, Finite, Homing, Power, Refusal, Scale, Setpoint,
 };
 use scripted::{Drive, Shared};
 use serial::LineError;

@@ -162,16 +162,10 @@ impl Drive {
             position: self.position,
         };
         match request {
-            Request::Drive {
-                value, latch_index, ..
-            } => {
+            Request::Drive { value, latch_index, .. } => {
                 self.setpoint = value;
                 if self.mode != Mode::Manual && self.mode != Mode::Error {
-                    self.set_mode(if latch_index {
-                        Mode::SyncPwm
-                    } else {
-                        Mode::Pwm
-                    });
+                    self.set_mode(if latch_index { Mode::SyncPwm } else { Mode::Pwm });
                 }
             }
             Request::Set(Parameter::MaxCurrent(value)) => self.max_current = value,
@@ -275,9 +269,7 @@ impl Line for Shared {
             return Err(LineError::Gone);
         }
         let count = into.len().min(drive.outbox.len());
-        into.iter_mut()
-            .zip(drive.outbox.drain(..count))
-            .for_each(|(to, from)| *to = from);
+        into.iter_mut().zip(drive.outbox.drain(..count)).for_each(|(to, from)| *to = from);
         Ok(count)
     }
 

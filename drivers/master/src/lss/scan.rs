@@ -67,42 +67,26 @@ pub(super) enum Next {
 
 impl Scan {
     pub(super) fn new() -> Self {
-        Self {
-            found: Identity::default(),
-            part: Part::Vendor,
-            step: Step::Reset { first: true },
-            above: None,
-        }
+        Self { found: Identity::default(), part: Part::Vendor, step: Step::Reset { first: true }, above: None }
     }
 
     /// A scan for the smallest identity above `identity`.
     pub(super) fn above(identity: Identity) -> Self {
         let part = Part::Serial;
-        Self {
-            above: Some(Above { identity, part }),
-            ..Self::new()
-        }
+        Self { above: Some(Above { identity, part }), ..Self::new() }
     }
 
     /// The question that is to be asked.
     pub(super) fn question(&self) -> Fastscan {
         let sub = self.part.index();
-        let ask = |number, bit, next| Fastscan {
-            number,
-            bit,
-            sub,
-            next,
-        };
+        let ask = |number, bit, next| Fastscan { number, bit, sub, next };
         let found = self.found.get(self.part);
         let confirmed = self.part.next().map_or(0, Part::index);
         match self.step {
             Step::Reset { .. } => ask(found, FASTSCAN_RESET, sub),
-            Step::Nonsense(number) => Fastscan {
-                number,
-                bit: 0,
-                sub: Part::Serial.index(),
-                next: Part::Serial.index(),
-            },
+            Step::Nonsense(number) => {
+                Fastscan { number, bit: 0, sub: Part::Serial.index(), next: Part::Serial.index() }
+            }
             Step::Greater(bit) => ask(greater(found, bit), bit, sub),
             Step::Bit(bit) => ask(found, bit, sub),
             Step::Same | Step::Confirm => ask(found, 0, confirmed),
@@ -137,10 +121,7 @@ impl Scan {
                 self.step = bit.checked_sub(1).map_or(Step::Confirm, Step::Bit);
             }
             (Step::Confirm, false) => {
-                return Next::Vanished {
-                    part: self.part,
-                    number: self.found.get(self.part),
-                };
+                return Next::Vanished { part: self.part, number: self.found.get(self.part) };
             }
             (Step::Confirm, true) => match self.part.next() {
                 None => return Next::Found(Some(self.found)),

@@ -4,12 +4,7 @@ use super::*;
 use crate::parse;
 
 const TIME_OUT: Duration = Duration::from_millis(100);
-const IDENTITY: Identity = Identity {
-    vendor: 0xFB,
-    product: 0x6552_0000,
-    revision: 0x0170_0000,
-    serial: 0x1234_5678,
-};
+const IDENTITY: Identity = Identity { vendor: 0xFB, product: 0x6552_0000, revision: 0x0170_0000, serial: 0x1234_5678 };
 
 fn at(millis: u64) -> Instant {
     Instant::from_nanos(millis * 1_000_000)
@@ -39,48 +34,24 @@ fn play(master: &mut Master, now: Instant, dialogue: &str) {
 fn each_service_sends_these_frames_and_takes_these_answers() {
     let node = NodeId::new(5);
     let table = [
-        (
-            Service::SwitchGlobal(Mode::Configuration),
-            "7E5#0401000000000000",
-            Answer::Done,
-        ),
+        (Service::SwitchGlobal(Mode::Configuration), "7E5#0401000000000000", Answer::Done),
         (
             Service::SwitchSelective(IDENTITY),
             "7E5#40FB000000000000 7E5#4100005265000000 7E5#4200007001000000
              7E5#4378563412000000 7E4#4400000000000000",
             Answer::Done,
         ),
-        (
-            Service::ConfigureNodeId(node),
-            "7E5#1105000000000000 7E4#1100000000000000",
-            Answer::Done,
-        ),
-        (
-            Service::ConfigureNodeId(None),
-            "7E5#11FF000000000000 7E4#1100000000000000",
-            Answer::Done,
-        ),
-        (
-            Service::Store,
-            "7E5#1700000000000000 7E4#1700000000000000",
-            Answer::Done,
-        ),
+        (Service::ConfigureNodeId(node), "7E5#1105000000000000 7E4#1100000000000000", Answer::Done),
+        (Service::ConfigureNodeId(None), "7E5#11FF000000000000 7E4#1100000000000000", Answer::Done),
+        (Service::Store, "7E5#1700000000000000 7E4#1700000000000000", Answer::Done),
         (
             Service::InquireIdentity,
             "7E5#5A00000000000000 7E4#5AFB000000000000 7E5#5B00000000000000 7E4#5B00005265000000
              7E5#5C00000000000000 7E4#5C00007001000000 7E5#5D00000000000000 7E4#5D78563412000000",
             Answer::Identity(IDENTITY),
         ),
-        (
-            Service::InquireNodeId,
-            "7E5#5E00000000000000 7E4#5E05000000000000",
-            Answer::NodeId(node),
-        ),
-        (
-            Service::InquireNodeId,
-            "7E5#5E00000000000000 7E4#5EFF000000000000",
-            Answer::NodeId(None),
-        ),
+        (Service::InquireNodeId, "7E5#5E00000000000000 7E4#5E05000000000000", Answer::NodeId(node)),
+        (Service::InquireNodeId, "7E5#5E00000000000000 7E4#5EFF000000000000", Answer::NodeId(None)),
     ];
     for (service, dialogue, answer) in table {
         let mut master = started(service);
@@ -93,10 +64,7 @@ fn each_service_sends_these_frames_and_takes_these_answers() {
 
 #[test]
 fn refusals_say_why() {
-    let refused = |service, error, specific| LssError::Refused {
-        service,
-        outcome: Outcome { error, specific },
-    };
+    let refused = |service, error, specific| LssError::Refused { service, outcome: Outcome { error, specific } };
     let table = [
         (Service::ConfigureNodeId(None), "7E4#1101000000000000", 1, 0),
         (Service::Store, "7E4#17FF070000000000", 0xFF, 7),
@@ -109,11 +77,7 @@ fn refusals_say_why() {
         assert_eq!(master.poll(), Some(Err(refused(service, error, specific))));
     }
     let mut master = started(Service::InquireNodeId);
-    play(
-        &mut master,
-        at(0),
-        "7E5#5E00000000000000 7E4#5E80000000000000",
-    );
+    play(&mut master, at(0), "7E5#5E00000000000000 7E4#5E80000000000000");
     assert_eq!(master.poll(), Some(Err(LssError::NodeId { node_id: 128 })));
     assert_eq!(
         refused(Service::Store, 2, 0).to_string(),
@@ -145,10 +109,7 @@ fn an_answer_that_does_not_come_in_time_fails_the_service() {
         let answers = "7E4#1100000000000000 7E4#1300000000000000 7E4#1700000000000000
              7E4#4400000000000000 7E4#4F00000000000000 7E4#5000000000000000 7E4#5A00000000000000
              7E4#5D00000000000000 7E4#5E05000000000000 582#4F60600008000000";
-        for late in answers
-            .split_whitespace()
-            .filter(|line| !line.starts_with(own))
-        {
+        for late in answers.split_whitespace().filter(|line| !line.starts_with(own)) {
             play(&mut master, at(60), late);
         }
         assert_eq!(master.poll_timeout(), Some(at(150)), "{service}");
@@ -156,10 +117,7 @@ fn an_answer_that_does_not_come_in_time_fails_the_service() {
         assert_eq!(master.poll(), None);
         master.handle_timeout(at(150));
         let waited = Duration::from_millis(150);
-        assert_eq!(
-            master.poll(),
-            Some(Err(LssError::TimedOut { service, waited }))
-        );
+        assert_eq!(master.poll(), Some(Err(LssError::TimedOut { service, waited })));
     }
 }
 
@@ -176,10 +134,7 @@ fn a_request_that_was_never_sent_times_out_and_is_not_sent_later() {
         master.handle(&parse("7E4#1700000000000000"), at(0));
         master.handle_timeout(at(100));
         let waited = Duration::from_millis(100);
-        assert_eq!(
-            master.poll(),
-            Some(Err(LssError::TimedOut { service, waited }))
-        );
+        assert_eq!(master.poll(), Some(Err(LssError::TimedOut { service, waited })));
         assert_eq!(master.poll_transmit(at(100)), None);
     }
 }
@@ -188,11 +143,7 @@ fn a_request_that_was_never_sent_times_out_and_is_not_sent_later() {
 fn all_slaves_have_the_whole_time_to_say_that_they_have_no_node_id() {
     let mut master = started(Service::IdentifyUnconfigured);
     play(&mut master, at(0), "7E5#4C00000000000000");
-    play(
-        &mut master,
-        at(5),
-        "7E4#5000000000000000 7E4#5000000000000000",
-    );
+    play(&mut master, at(5), "7E4#5000000000000000 7E4#5000000000000000");
     assert_eq!(master.poll(), None);
     master.handle_timeout(at(100));
     assert_eq!(master.poll(), Some(Ok(Answer::Unconfigured(true))));
@@ -200,10 +151,7 @@ fn all_slaves_have_the_whole_time_to_say_that_they_have_no_node_id() {
 
 #[test]
 fn slaves_that_know_only_fastscan_are_asked_for_by_its_first_question() {
-    for (answers, any) in [
-        ("", false),
-        ("7E4#4F00000000000000 7E4#4F00000000000000", true),
-    ] {
+    for (answers, any) in [("", false), ("7E4#4F00000000000000 7E4#4F00000000000000", true)] {
         let mut master = started(Service::IdentifyUnconfigured);
         play(&mut master, at(0), "7E5#4C00000000000000");
         master.handle_timeout(at(100));
@@ -219,11 +167,7 @@ fn slaves_that_know_only_fastscan_are_asked_for_by_its_first_question() {
 #[test]
 fn a_scan_that_nobody_owns_up_to_fails() {
     let mut master = started(Service::Fastscan);
-    play(
-        &mut master,
-        at(0),
-        "7E5#5100000000800000 7E4#4F00000000000000",
-    );
+    play(&mut master, at(0), "7E5#5100000000800000 7E4#4F00000000000000");
     let mut millis = 0;
     // A question out of turn, 32 bits and their confirmation.
     for _ in 0..34 {
@@ -232,10 +176,7 @@ fn a_scan_that_nobody_owns_up_to_fails() {
         assert!(master.poll_transmit(at(millis)).is_some());
     }
     master.handle_timeout(at(millis + 100));
-    let error = LssError::Vanished {
-        part: Part::Vendor,
-        number: u32::MAX,
-    };
+    let error = LssError::Vanished { part: Part::Vendor, number: u32::MAX };
     assert_eq!(master.poll(), Some(Err(error)));
 }
 
@@ -245,11 +186,7 @@ fn one_service_at_a_time() {
     let busy = |service| Err(Busy { service });
     let inquire = Service::InquireNodeId;
     assert_eq!(master.start(inquire, TIME_OUT, at(0)), busy(Service::Store));
-    play(
-        &mut master,
-        at(0),
-        "7E5#1700000000000000 7E4#1700000000000000",
-    );
+    play(&mut master, at(0), "7E5#1700000000000000 7E4#1700000000000000");
     assert_eq!(master.start(inquire, TIME_OUT, at(0)), busy(inquire));
     assert_eq!(master.poll(), Some(Ok(Answer::Done)));
     assert_eq!(master.start(inquire, TIME_OUT, at(0)), Ok(()));

@@ -4,9 +4,7 @@ use can::{Frame, Instant};
 
 use super::{Client, SdoCause, Start, TransferState};
 use canopen::cob;
-use canopen::sdo::block::{
-    Acknowledge, End, MAX_BLOCK_SIZE, Request, Response, SEGMENT, Segment, checksum,
-};
+use canopen::sdo::block::{Acknowledge, End, MAX_BLOCK_SIZE, Request, Response, SEGMENT, Segment, checksum};
 use canopen::sdo::{self, AbortCode};
 
 /// Objects of up to this size take no more frames as an ordinary transfer, bytes: m segments are
@@ -80,11 +78,8 @@ impl Client {
     /// Sends the first frame of a download.
     pub(super) fn initiate_block_download(&mut self, now: Instant) {
         self.state = TransferState::Block(BlockState::DownloadInitiated);
-        let request = Request::InitiateDownload {
-            object: self.object,
-            crc: true,
-            size: u32::try_from(self.length).ok(),
-        };
+        let request =
+            Request::InitiateDownload { object: self.object, crc: true, size: u32::try_from(self.length).ok() };
         self.send(sdo::Request::Block(request), now);
     }
 
@@ -102,10 +97,9 @@ impl Client {
             (_, Some(sdo::Response::Abort { object, code })) if object == self.object => {
                 self.aborted(state, code, now);
             }
-            (
-                BlockState::UploadInitiated,
-                Some(sdo::Response::InitiateUpload { object, initiate }),
-            ) if object == self.object => {
+            (BlockState::UploadInitiated, Some(sdo::Response::InitiateUpload { object, initiate }))
+                if object == self.object =>
+            {
                 self.upload_initiated(initiate, now);
             }
             (_, Some(sdo::Response::Block(response))) => {
@@ -125,10 +119,9 @@ impl Client {
             (BlockState::DownloadInitiated, AbortCode::COMMAND_SPECIFIER) => {
                 self.start = Start::Download;
             }
-            (
-                BlockState::UploadInitiated | BlockState::DownloadInitiated,
-                AbortCode::SEQUENCE_NUMBER,
-            ) if self.retries_left > 0 => {
+            (BlockState::UploadInitiated | BlockState::DownloadInitiated, AbortCode::SEQUENCE_NUMBER)
+                if self.retries_left > 0 =>
+            {
                 self.retries_left -= 1;
             }
             _ => return self.finish(Err(SdoCause::Aborted { code })),
@@ -138,9 +131,7 @@ impl Client {
 
     fn handle_block_response(&mut self, state: BlockState, response: Response, now: Instant) {
         match (state, response) {
-            (BlockState::UploadInitiated, Response::InitiateUpload { object, crc, size })
-                if object == self.object =>
-            {
+            (BlockState::UploadInitiated, Response::InitiateUpload { object, crc, size }) if object == self.object => {
                 if let Ok(announced) = self.announced(size) {
                     self.state = TransferState::Block(BlockState::Upload(Receiving {
                         crc,
@@ -156,26 +147,13 @@ impl Client {
             (BlockState::UploadEnd(receiving), Response::EndUpload(end)) => {
                 self.block_upload_ended(receiving, end);
             }
-            (
-                BlockState::DownloadInitiated,
-                Response::InitiateDownload {
-                    object,
-                    crc,
-                    block_size,
-                },
-            ) if object == self.object => {
-                let sending = Sending {
-                    crc,
-                    block_size,
-                    from: 0,
-                    sent: 0,
-                    stalls: 0,
-                };
+            (BlockState::DownloadInitiated, Response::InitiateDownload { object, crc, block_size })
+                if object == self.object =>
+            {
+                let sending = Sending { crc, block_size, from: 0, sent: 0, stalls: 0 };
                 self.send_sub_block(sending, now);
             }
-            (BlockState::Download(sending), Response::Acknowledge(acknowledge))
-                if sending.sent > 0 =>
-            {
+            (BlockState::Download(sending), Response::Acknowledge(acknowledge)) if sending.sent > 0 => {
                 self.sub_block_acknowledged(sending, acknowledge, now);
             }
             (BlockState::DownloadEnd, Response::EndDownload) => self.finish(Ok(())),
@@ -250,21 +228,10 @@ impl Client {
     }
 
     fn acknowledge(&mut self, receiving: Receiving, lost: bool, now: Instant) {
-        let block_size = if lost {
-            receiving.block_size.div_ceil(2)
-        } else {
-            receiving.block_size
-        };
-        self.state = TransferState::Block(BlockState::Upload(Receiving {
-            block_size,
-            in_order: 0,
-            highest: 0,
-            ..receiving
-        }));
-        let acknowledge = Acknowledge {
-            sequence: receiving.in_order,
-            block_size,
-        };
+        let block_size = if lost { receiving.block_size.div_ceil(2) } else { receiving.block_size };
+        self.state =
+            TransferState::Block(BlockState::Upload(Receiving { block_size, in_order: 0, highest: 0, ..receiving }));
+        let acknowledge = Acknowledge { sequence: receiving.in_order, block_size };
         self.send(sdo::Request::Block(Request::Acknowledge(acknowledge)), now);
     }
 
@@ -276,10 +243,7 @@ impl Client {
                 self.fail(SdoCause::Length { expected, found });
             }
             _ if found > self.capacity => self.too_large(found),
-            _ if receiving.crc && sum != end.crc => self.fail(SdoCause::Crc {
-                expected: end.crc,
-                found: sum,
-            }),
+            _ if receiving.crc && sum != end.crc => self.fail(SdoCause::Crc { expected: end.crc, found: sum }),
             _ => {
                 self.length = found;
                 self.finish(Ok(()));
@@ -314,8 +278,8 @@ impl Client {
         let data = &self.buffer[from..self.length.min(from + SEGMENT)];
         let mut bytes = [0; SEGMENT];
         bytes[..data.len()].copy_from_slice(data);
-        let segment = Segment::new(sending.sent, from + SEGMENT >= self.length, bytes)
-            .expect("a block size is at most 127");
+        let segment =
+            Segment::new(sending.sent, from + SEGMENT >= self.length, bytes).expect("a block size is at most 127");
         Some(segment.encode(cob::sdo_request(self.node)))
     }
 
@@ -331,19 +295,10 @@ impl Client {
             let data = &self.buffer[..self.length];
             let crc = if sending.crc { checksum(data) } else { 0 };
             self.state = TransferState::Block(BlockState::DownloadEnd);
-            self.send(
-                sdo::Request::Block(Request::EndDownload(End::of(self.length, crc))),
-                now,
-            );
+            self.send(sdo::Request::Block(Request::EndDownload(End::of(self.length, crc))), now);
         } else if sequence > 0 || sending.stalls < self.retries {
             let stalls = if sequence > 0 { 0 } else { sending.stalls + 1 };
-            let sending = Sending {
-                block_size: acknowledge.block_size,
-                from,
-                sent: 0,
-                stalls,
-                ..sending
-            };
+            let sending = Sending { block_size: acknowledge.block_size, from, sent: 0, stalls, ..sending };
             self.send_sub_block(sending, now);
         } else {
             self.start_anew(now);

@@ -16,11 +16,7 @@ pub enum StartError {
     Busy { object: Object },
     /// More data than the client has room for.
     #[error("{object} would take {size} bytes, at most {capacity} are transferred")]
-    TooLarge {
-        object: Object,
-        size: usize,
-        capacity: usize,
-    },
+    TooLarge { object: Object, size: usize, capacity: usize },
 }
 
 /// Why the transfer of an object failed.

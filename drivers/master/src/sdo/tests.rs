@@ -34,10 +34,7 @@ fn read(object: Object, dialogue: &[&str]) -> Result<Vec<u8>, SdoError> {
     let mut client = client(0);
     client.upload(object, at(0)).unwrap();
     play(&mut client, at(0), dialogue);
-    let result = client
-        .poll()
-        .unwrap()
-        .map(|transfer| transfer.data.to_vec());
+    let result = client.poll().unwrap().map(|transfer| transfer.data.to_vec());
     assert_eq!(client.poll(), None);
     assert_eq!(client.poll_timeout(), None);
     result
@@ -47,10 +44,7 @@ fn write(object: Object, data: &[u8], dialogue: &[&str]) -> Result<(), SdoError>
     let mut client = client(0);
     client.download(object, data, at(0)).unwrap();
     play(&mut client, at(0), dialogue);
-    client
-        .poll()
-        .unwrap()
-        .map(|transfer| assert_eq!(transfer.data, data))
+    client.poll().unwrap().map(|transfer| assert_eq!(transfer.data, data))
 }
 
 #[test]
@@ -62,10 +56,7 @@ fn short_objects_are_read_in_one_exchange() {
         ("582#4241600001020304", &[1, 2, 3, 4]),
     ];
     for (answer, data) in table {
-        assert_eq!(
-            read(STATUSWORD, &["602#4041600000000000", answer]).as_deref(),
-            Ok(data)
-        );
+        assert_eq!(read(STATUSWORD, &["602#4041600000000000", answer]).as_deref(), Ok(data));
     }
 }
 
@@ -80,64 +71,27 @@ fn long_objects_are_read_by_segments() {
             "602#7000000000000000",
             "582#19302F3500000000",
         ];
-        assert_eq!(
-            read(DEVICE_NAME, &dialogue).as_deref(),
-            Ok(b"EPOS4 50/5".as_slice())
-        );
+        assert_eq!(read(DEVICE_NAME, &dialogue).as_deref(), Ok(b"EPOS4 50/5".as_slice()));
     }
 }
 
 #[test]
 fn an_empty_object_is_one_empty_last_segment() {
-    let upload = [
-        "602#4008100000000000",
-        "582#4108100000000000",
-        "602#6000000000000000",
-        "582#0F00000000000000",
-    ];
+    let upload = ["602#4008100000000000", "582#4108100000000000", "602#6000000000000000", "582#0F00000000000000"];
     assert_eq!(read(DEVICE_NAME, &upload), Ok(vec![]));
-    let download = [
-        "602#2108100000000000",
-        "582#6008100000000000",
-        "602#0F00000000000000",
-        "582#2000000000000000",
-    ];
+    let download = ["602#2108100000000000", "582#6008100000000000", "602#0F00000000000000", "582#2000000000000000"];
     assert_eq!(write(DEVICE_NAME, &[], &download), Ok(()));
 }
 
 #[test]
 fn numbers_are_written_in_the_size_of_their_type() {
     let table = [
-        (
-            Write::new(MODE_OF_OPERATION, -3i8),
-            "602#2F606000FD000000",
-            "582#6060600000000000",
-        ),
-        (
-            Write::new(MODE_OF_OPERATION, 8u8),
-            "602#2F60600008000000",
-            "582#6060600000000000",
-        ),
-        (
-            Write::new(CONTROLWORD, 0x000Fu16),
-            "602#2B4060000F000000",
-            "582#6040600000000000",
-        ),
-        (
-            Write::new(CONTROLWORD, -2i16),
-            "602#2B406000FEFF0000",
-            "582#6040600000000000",
-        ),
-        (
-            Write::new(HOME_OFFSET, -2i32),
-            "602#237C6000FEFFFFFF",
-            "582#607C600000000000",
-        ),
-        (
-            Write::new(HOME_OFFSET, 5u32),
-            "602#237C600005000000",
-            "582#607C600000000000",
-        ),
+        (Write::new(MODE_OF_OPERATION, -3i8), "602#2F606000FD000000", "582#6060600000000000"),
+        (Write::new(MODE_OF_OPERATION, 8u8), "602#2F60600008000000", "582#6060600000000000"),
+        (Write::new(CONTROLWORD, 0x000Fu16), "602#2B4060000F000000", "582#6040600000000000"),
+        (Write::new(CONTROLWORD, -2i16), "602#2B406000FEFF0000", "582#6040600000000000"),
+        (Write::new(HOME_OFFSET, -2i32), "602#237C6000FEFFFFFF", "582#607C600000000000"),
+        (Write::new(HOME_OFFSET, 5u32), "602#237C600005000000", "582#607C600000000000"),
     ];
     for (write, request, answer) in table {
         let mut client = client(0);
@@ -167,75 +121,22 @@ fn a_broken_upload_is_aborted() {
     let second = "602#7000000000000000";
     let announced = "582#410810000A000000";
     let table: [(&[&str], SdoError); 7] = [
+        (&[ask, announced, first, "582#1045504F53342035", "602#8008100000000305"], SdoCause::Toggle.of(object)),
         (
-            &[
-                ask,
-                announced,
-                first,
-                "582#1045504F53342035",
-                "602#8008100000000305",
-            ],
-            SdoCause::Toggle.of(object),
+            &[ask, announced, first, "582#0145504F53342035", "602#8008100010000706"],
+            SdoCause::Length { expected: 10, found: 7 }.of(object),
         ),
         (
-            &[
-                ask,
-                announced,
-                first,
-                "582#0145504F53342035",
-                "602#8008100010000706",
-            ],
-            SdoCause::Length {
-                expected: 10,
-                found: 7,
-            }
-            .of(object),
+            &[ask, announced, first, "582#0045504F53342035", second, "582#1745504F53000000", "602#8008100010000706"],
+            SdoCause::Length { expected: 10, found: 11 }.of(object),
         ),
-        (
-            &[
-                ask,
-                announced,
-                first,
-                "582#0045504F53342035",
-                second,
-                "582#1745504F53000000",
-                "602#8008100010000706",
-            ],
-            SdoCause::Length {
-                expected: 10,
-                found: 11,
-            }
-            .of(object),
-        ),
-        (
-            &[
-                ask,
-                announced,
-                first,
-                "582#0E00000000000000",
-                "602#8008100000000008",
-            ],
-            SdoCause::EmptySegment.of(object),
-        ),
+        (&[ask, announced, first, "582#0E00000000000000", "602#8008100000000008"], SdoCause::EmptySegment.of(object)),
         (
             &[ask, "582#4108100001010000", "602#8008100005000405"],
-            SdoCause::TooLarge {
-                size: 257,
-                capacity: CAPACITY,
-            }
-            .of(object),
+            SdoCause::TooLarge { size: 257, capacity: CAPACITY }.of(object),
         ),
-        (
-            &[ask, "582#C20810000A000000", "602#8008100001000405"],
-            SdoCause::Specifier { specifier: 0xC2 }.of(object),
-        ),
-        (
-            &[ask, "582#8008100000000206"],
-            SdoCause::Aborted {
-                code: AbortCode::NO_OBJECT,
-            }
-            .of(object),
-        ),
+        (&[ask, "582#C20810000A000000", "602#8008100001000405"], SdoCause::Specifier { specifier: 0xC2 }.of(object)),
+        (&[ask, "582#8008100000000206"], SdoCause::Aborted { code: AbortCode::NO_OBJECT }.of(object)),
     ];
     for (dialogue, error) in table {
         assert_eq!(read(object, dialogue), Err(error));
@@ -255,11 +156,7 @@ fn an_upload_of_unknown_size_is_bounded() {
     }
     let frame = Response::UploadSegment(Segment::new(&[7; 7], false, false).unwrap());
     client.handle(&frame.encode(NODE), at(0));
-    let error = SdoCause::TooLarge {
-        size: 259,
-        capacity: CAPACITY,
-    }
-    .of(DEVICE_NAME);
+    let error = SdoCause::TooLarge { size: 259, capacity: CAPACITY }.of(DEVICE_NAME);
     assert_eq!(client.poll(), Some(Err(error)));
 }
 
@@ -293,10 +190,7 @@ fn a_silent_server_is_asked_again_a_counted_number_of_times() {
     client.handle_timeout(at(1500));
     play(&mut client, at(1500), &[abort]);
     let waited = Duration::from_millis(1500);
-    assert_eq!(
-        client.poll(),
-        Some(Err(SdoCause::TimedOut { waited }.of(STATUSWORD)))
-    );
+    assert_eq!(client.poll(), Some(Err(SdoCause::TimedOut { waited }.of(STATUSWORD))));
     assert_eq!(client.poll_timeout(), None);
 }
 
@@ -304,26 +198,11 @@ fn a_silent_server_is_asked_again_a_counted_number_of_times() {
 fn a_transfer_that_times_out_in_its_middle_starts_anew() {
     let mut client = client(1);
     client.download(DEVICE_NAME, b"EPOS4 50/5", at(0)).unwrap();
-    let begin = [
-        "602#210810000A000000",
-        "582#6008100000000000",
-        "602#0045504F53342035",
-    ];
+    let begin = ["602#210810000A000000", "582#6008100000000000", "602#0045504F53342035"];
     play(&mut client, at(0), &begin);
     client.handle_timeout(at(500));
-    play(
-        &mut client,
-        at(500),
-        &["602#8008100000000405"]
-            .into_iter()
-            .chain(begin)
-            .collect::<Vec<_>>(),
-    );
-    let end = [
-        "582#2000000000000000",
-        "602#19302F3500000000",
-        "582#3000000000000000",
-    ];
+    play(&mut client, at(500), &["602#8008100000000405"].into_iter().chain(begin).collect::<Vec<_>>());
+    let end = ["582#2000000000000000", "602#19302F3500000000", "582#3000000000000000"];
     play(&mut client, at(501), &end);
     assert_eq!(client.poll().unwrap().unwrap().data, b"EPOS4 50/5");
 }
@@ -377,15 +256,8 @@ fn one_transfer_at_a_time() {
     assert_eq!(client.download(CONTROLWORD, &[6, 0], at(0)), busy);
     assert!(client.poll().is_some());
     let size = CAPACITY + 1;
-    let too_large = Err(StartError::TooLarge {
-        object: DEVICE_NAME,
-        size,
-        capacity: CAPACITY,
-    });
-    assert_eq!(
-        client.download(DEVICE_NAME, &[0; CAPACITY + 1], at(0)),
-        too_large
-    );
+    let too_large = Err(StartError::TooLarge { object: DEVICE_NAME, size, capacity: CAPACITY });
+    assert_eq!(client.download(DEVICE_NAME, &[0; CAPACITY + 1], at(0)), too_large);
     assert_eq!(client.download(DEVICE_NAME, &[0; CAPACITY], at(0)), Ok(()));
 }
 
@@ -416,24 +288,11 @@ fn errors_name_the_object_and_both_sides() {
     let object = STATUSWORD;
     let table = [
         (
-            SdoCause::Aborted {
-                code: AbortCode::NO_OBJECT,
-            }
-            .of(object),
+            SdoCause::Aborted { code: AbortCode::NO_OBJECT }.of(object),
             "0x6041:00 aborted by the server: 0x06020000 (object does not exist)",
         ),
-        (
-            SdoCause::TimedOut { waited: TIME_OUT }.of(object),
-            "0x6041:00 timed out after 500.0ms",
-        ),
-        (
-            SdoCause::Length {
-                expected: 4,
-                found: 2,
-            }
-            .of(object),
-            "0x6041:00 has 2 bytes, expected 4",
-        ),
+        (SdoCause::TimedOut { waited: TIME_OUT }.of(object), "0x6041:00 timed out after 500.0ms"),
+        (SdoCause::Length { expected: 4, found: 2 }.of(object), "0x6041:00 has 2 bytes, expected 4"),
     ];
     for (error, text) in table {
         assert_eq!(error.to_string(), text);

@@ -20,11 +20,7 @@ impl Transfer<'_> {
     /// Lengths must agree. From a server that does not give sizes the first bytes of four are taken.
     pub fn number<T: Number>(&self) -> Result<T, SdoError> {
         let longer = !self.exact && self.data.len() > T::BYTES;
-        let data = if longer {
-            &self.data[..T::BYTES]
-        } else {
-            self.data
-        };
+        let data = if longer { &self.data[..T::BYTES] } else { self.data };
         let (expected, found) = (T::BYTES, data.len());
         T::from_le(data).ok_or(SdoCause::Length { expected, found }.of(self.object))
     }
@@ -75,11 +71,7 @@ mod tests {
         ];
         for (wrote, data, exact, agrees) in table {
             let object = Object::new(0x1017, 0);
-            let read = Transfer {
-                object,
-                data,
-                exact,
-            };
+            let read = Transfer { object, data, exact };
             assert_eq!(read.agrees_with(wrote), agrees, "{wrote:?} {read:?}");
         }
     }

@@ -28,11 +28,7 @@ impl Frame {
             data[length..length + part.len()].copy_from_slice(part);
             length += part.len();
         }
-        Self {
-            opcode,
-            data,
-            length: length.next_multiple_of(2),
-        }
+        Self { opcode, data, length: length.next_multiple_of(2) }
     }
 
     /// Opcode of the request, or [`ANSWER`](super::ANSWER).
@@ -108,11 +104,7 @@ impl Default for Deframer {
 impl Deframer {
     /// A deframer outside any frame.
     pub fn new() -> Self {
-        Self {
-            bytes: [0; _],
-            count: 0,
-            state: Deframing::Outside,
-        }
+        Self { bytes: [0; _], count: 0, state: Deframing::Outside }
     }
 
     /// Discards the start of a frame.
@@ -172,10 +164,6 @@ impl Deframer {
         let right = crc(opcode, data).to_le_bytes() == [rest[0], rest[1]];
         let frame = Frame::of(opcode, &[data]);
         self.reset();
-        Some(if right {
-            Ok(frame)
-        } else {
-            Err(FrameError::Crc)
-        })
+        Some(if right { Ok(frame) } else { Err(FrameError::Crc) })
     }
 }

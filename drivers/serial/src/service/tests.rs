@@ -15,10 +15,7 @@ struct Host {
 
 impl Host {
     fn new(dialect: Dialect) -> Self {
-        Self {
-            client: Client::new(Config::new(dialect, Settings::EPOS)),
-            now: Instant::from_nanos(1_000_000_000),
-        }
+        Self { client: Client::new(Config::new(dialect, Settings::EPOS)), now: Instant::from_nanos(1_000_000_000) }
     }
 
     fn read(dialect: Dialect) -> Self {
@@ -62,9 +59,7 @@ impl Host {
 
 fn hex(text: &str) -> Vec<u8> {
     let bytes = text.split_whitespace();
-    bytes
-        .map(|byte| u8::from_str_radix(byte, 16).unwrap())
-        .collect()
+    bytes.map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect()
 }
 
 fn epos4(answer: Answer<'_>) -> Vec<u8> {
@@ -86,80 +81,35 @@ fn exchanges_are_the_bytes_of_the_line() {
         (
             Dialect::Epos4,
             home,
-            &[
-                "90 02 60 02 01 B0 30 00 2E 62",
-                "90 02 00 04 00 00 00 00 01 90 90 00 00 9A 5C",
-            ],
+            &["90 02 60 02 01 B0 30 00 2E 62", "90 02 00 04 00 00 00 00 01 90 90 00 00 9A 5C"],
             Ok((Some(0x9001), vec![])),
         ),
-        (
-            Dialect::Epos4,
-            write,
-            &[WRITE, "90 02 00 02 00 00 00 00 40 8B"],
-            Ok((None, vec![])),
-        ),
+        (Dialect::Epos4, write, &[WRITE, "90 02 00 02 00 00 00 00 40 8B"], Ok((None, vec![]))),
         (
             Dialect::Epos2,
             read,
-            &[
-                "10",
-                "4F",
-                "01 41 60 00 01 AB F0",
-                "4F 00",
-                "4F",
-                "03 00 00 00 00 37 01 00 00 C5 1B",
-                "4F",
-            ],
+            &["10", "4F", "01 41 60 00 01 AB F0", "4F 00", "4F", "03 00 00 00 00 37 01 00 00 C5 1B", "4F"],
             Ok((Some(0x0137), vec![])),
         ),
         (
             Dialect::Epos2,
             write,
-            &[
-                "11",
-                "4F",
-                "03 40 60 00 01 0F 00 00 00 52 EF",
-                "4F 00",
-                "4F",
-                "01 00 00 00 00 51 AA",
-                "4F",
-            ],
+            &["11", "4F", "03 40 60 00 01 0F 00 00 00 52 EF", "4F 00", "4F", "01 00 00 00 00 51 AA", "4F"],
             Ok((None, vec![])),
         ),
         (
             Dialect::Epos2,
             read,
-            &[
-                "10",
-                "4F",
-                "01 41 60 00 01 AB F0",
-                "4F 00",
-                "4F",
-                "03 00 00 02 06 00 00 00 00 26 E4",
-                "4F",
-            ],
+            &["10", "4F", "01 41 60 00 01 AB F0", "4F 00", "4F", "03 00 00 02 06 00 00 00 00 26 E4", "4F"],
             Err(ServiceError::Refused(0x0602_0000)),
         ),
         (
             Dialect::Epos2,
             write,
-            &[
-                "11",
-                "4F",
-                "03 40 60 00 01 0F 00 00 00 52 EF",
-                "4F 00",
-                "4F",
-                "01 02 00 01 06 B6 7E",
-                "4F",
-            ],
+            &["11", "4F", "03 40 60 00 01 0F 00 00 00 52 EF", "4F 00", "4F", "01 02 00 01 06 B6 7E", "4F"],
             Err(ServiceError::Refused(0x0601_0002)),
         ),
-        (
-            Dialect::Epos2,
-            reset,
-            &["0E", "4F", "01 01 00 81 00 6B 9C", "4F"],
-            Ok((None, vec![])),
-        ),
+        (Dialect::Epos2, reset, &["0E", "4F", "01 01 00 81 00 6B 9C", "4F"], Ok((None, vec![]))),
     ];
     for (number, (dialect, start, line, expected)) in cases.into_iter().enumerate() {
         let mut host = Host::new(dialect);
@@ -195,9 +145,7 @@ fn objects_cross_in_segments_of_any_length() {
     assert_eq!(host.result(), Some(Ok((None, object.clone()))));
 
     let mut wrote = Vec::new();
-    host.client
-        .write_segmented(NAME, &object, host.now)
-        .unwrap();
+    host.client.write_segmented(NAME, &object, host.now).unwrap();
     host.says();
     host.hears(&epos4(Answer::Done));
     for toggle in [false, true, false] {
@@ -205,12 +153,7 @@ fn objects_cross_in_segments_of_any_length() {
         let mut deframer = epos4::Deframer::new();
         let mut frames = bytes.iter().filter_map(|byte| deframer.take(*byte));
         let frame = frames.next().unwrap().unwrap();
-        let Some(Request::SegmentWrite {
-            toggle: of,
-            last,
-            data,
-        }) = Request::decode(&frame)
-        else {
+        let Some(Request::SegmentWrite { toggle: of, last, data }) = Request::decode(&frame) else {
             panic!("{frame:?}");
         };
         wrote.extend_from_slice(data);
@@ -227,10 +170,7 @@ fn what_does_not_fit_or_exist_is_refused_at_once() {
     let mut host = Host::new(Dialect::Epos2);
     let now = host.now;
     let client = &mut host.client;
-    assert_eq!(
-        client.read_segmented(NAME, now),
-        Err(StartError::NoSegments)
-    );
+    assert_eq!(client.read_segmented(NAME, now), Err(StartError::NoSegments));
     let mut host = Host::new(Dialect::Epos4);
     let (size, capacity) = (4097, 4096);
     let large = host.client.write_segmented(NAME, &[0; 4097], now);
@@ -259,10 +199,7 @@ fn silence_is_borne_twice_and_nothing_is_sent_meanwhile() {
     assert_eq!(host.says(), hex(READ), "once more");
     host.wait();
     let waited = host.now.since(Instant::from_nanos(1_000_000_000));
-    assert!(
-        waited < 2 * patience() + Duration::from_millis(1),
-        "{waited:?}"
-    );
+    assert!(waited < 2 * patience() + Duration::from_millis(1), "{waited:?}");
     assert_eq!(host.result(), Some(Err(ServiceError::TimedOut { waited })));
     assert_eq!((host.says(), host.client.poll_timeout()), (vec![], None));
 }
@@ -274,16 +211,8 @@ fn after_an_error_the_frame_time_out_is_waited_out_and_the_request_sent_anew() {
     damaged[8] ^= 0x10;
     let cases = [
         (Dialect::Epos4, damaged, ServiceError::Damaged),
-        (
-            Dialect::Epos4,
-            epos4(Answer::Refused(CRC)),
-            ServiceError::NotAcknowledged,
-        ),
-        (
-            Dialect::Epos4,
-            epos4(Answer::Done),
-            ServiceError::Unexpected,
-        ),
+        (Dialect::Epos4, epos4(Answer::Refused(CRC)), ServiceError::NotAcknowledged),
+        (Dialect::Epos4, epos4(Answer::Done), ServiceError::Unexpected),
         (Dialect::Epos2, b"F".to_vec(), ServiceError::NotAcknowledged),
         (Dialect::Epos2, b"x".to_vec(), ServiceError::Damaged),
     ];

@@ -9,10 +9,7 @@ const ANSWER_WORDS: usize = 4;
 
 /// State of the telegram on the line.
 #[derive(Clone, Debug)]
-#[expect(
-    clippy::large_enum_variant,
-    reason = "there is one in each client, and it is made anew for each telegram"
-)]
+#[expect(clippy::large_enum_variant, reason = "there is one in each client, and it is made anew for each telegram")]
 pub(super) enum Wire {
     Epos2(Exchange),
     Epos4(Deframer),
@@ -21,10 +18,7 @@ pub(super) enum Wire {
 impl Wire {
     pub(super) fn new(dialect: Dialect) -> Self {
         match dialect {
-            Dialect::Epos2 => Self::Epos2(Exchange::new(Request::Nmt {
-                node: 0,
-                command: 0,
-            })),
+            Dialect::Epos2 => Self::Epos2(Exchange::new(Request::Nmt { node: 0, command: 0 })),
             Dialect::Epos4 => Self::Epos4(Deframer::new()),
         }
     }
@@ -65,11 +59,7 @@ pub(super) enum Seen {
 
 impl Exchange {
     pub(super) fn new(request: Request) -> Self {
-        Self {
-            request,
-            stage: Stage::Ready,
-            body: [0; _],
-        }
+        Self { request, stage: Stage::Ready, body: [0; _] }
     }
 
     pub(super) fn take(&mut self, byte: u8) -> Seen {

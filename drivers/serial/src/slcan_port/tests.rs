@@ -26,15 +26,7 @@ impl Stage {
     /// A port whose adapter answered each command with an empty line.
     fn open(capacity: usize) -> Self {
         let mut stage = Self::new(capacity);
-        assert_eq!(
-            stage.open_with(&[
-                ("\rC\r", "\r\r"),
-                ("S8\r", "\r"),
-                (FILTER, "\r\r"),
-                ("O\r", "\r")
-            ]),
-            Ok(())
-        );
+        assert_eq!(stage.open_with(&[("\rC\r", "\r\r"), ("S8\r", "\r"), (FILTER, "\r\r"), ("O\r", "\r")]), Ok(()));
         stage
     }
 
@@ -79,18 +71,10 @@ impl Stage {
     }
 
     fn receive(&mut self, most: usize) -> Result<Vec<String>, PortError> {
-        let mut into = vec![
-            Received {
-                frame: frame(0, &[]),
-                at: Instant::ZERO,
-            };
-            most
-        ];
+        let mut into = vec![Received { frame: frame(0, &[]), at: Instant::ZERO }; most];
         let count = self.port.receive(self.now, &mut into)?;
         let received = into[..count].iter();
-        Ok(received
-            .map(|received| received.frame.to_string())
-            .collect())
+        Ok(received.map(|received| received.frame.to_string()).collect())
     }
 }
 
@@ -103,31 +87,10 @@ fn it_opens_by_close_bit_rate_and_open_whatever_the_answers_look_like() {
     // Four adapters. The first was left open by an earlier host. The second was closed, and answers `C` with a bell.
     // The third acknowledges nothing but reports a version. The fourth is recognised by its frames only.
     let scripts: [&[(&str, &str)]; 4] = [
-        &[
-            ("\rC\r", "t0800\rz\r\r\r"),
-            ("S8\r", "\r"),
-            (FILTER, "\r\r"),
-            ("O\r", "\r"),
-        ],
-        &[
-            ("\rC\r", "\x07\x07"),
-            ("S8\r", "\r"),
-            (FILTER, "\x07\x07"),
-            ("O\r", "\r"),
-        ],
-        &[
-            ("\rC\r", ""),
-            ("S8\r", ""),
-            (FILTER, ""),
-            ("O\r", ""),
-            ("V\r", "version 8\r"),
-        ],
-        &[
-            ("\rC\r", ""),
-            ("S8\r", ""),
-            (FILTER, ""),
-            ("O\r", "t70117F\r"),
-        ],
+        &[("\rC\r", "t0800\rz\r\r\r"), ("S8\r", "\r"), (FILTER, "\r\r"), ("O\r", "\r")],
+        &[("\rC\r", "\x07\x07"), ("S8\r", "\r"), (FILTER, "\x07\x07"), ("O\r", "\r")],
+        &[("\rC\r", ""), ("S8\r", ""), (FILTER, ""), ("O\r", ""), ("V\r", "version 8\r")],
+        &[("\rC\r", ""), ("S8\r", ""), (FILTER, ""), ("O\r", "t70117F\r")],
     ];
     for script in scripts {
         let mut stage = Stage::new(256);
@@ -145,40 +108,11 @@ fn it_opens_by_close_bit_rate_and_open_whatever_the_answers_look_like() {
 fn an_adapter_that_refuses_or_says_nothing_is_not_opened() {
     let kbps = 1000;
     let scripts: [(&[(&str, &str)], SlcanError); 5] = [
-        (
-            &[("\rC\r", "\r"), ("S8\r", "\x07")],
-            SlcanError::BitrateRefused { kbps },
-        ),
-        (
-            &[
-                ("\rC\r", "\r"),
-                ("S8\r", "\r"),
-                (FILTER, "\r\x07"),
-                ("O\r", "\x07"),
-            ],
-            SlcanError::OpenRefused,
-        ),
-        (
-            &[
-                ("\rC\r", ""),
-                ("S8\r", ""),
-                (FILTER, ""),
-                ("O\r", ""),
-                ("V\r", ""),
-            ],
-            SlcanError::Silent,
-        ),
+        (&[("\rC\r", "\r"), ("S8\r", "\x07")], SlcanError::BitrateRefused { kbps }),
+        (&[("\rC\r", "\r"), ("S8\r", "\r"), (FILTER, "\r\x07"), ("O\r", "\x07")], SlcanError::OpenRefused),
+        (&[("\rC\r", ""), ("S8\r", ""), (FILTER, ""), ("O\r", ""), ("V\r", "")], SlcanError::Silent),
         // A line that echoes, and a device with another baud rate.
-        (
-            &[
-                ("\rC\r", "\rC\r"),
-                ("S8\r", "S8\r"),
-                (FILTER, FILTER),
-                ("O\r", "O\r"),
-                ("V\r", "V\r"),
-            ],
-            SlcanError::Silent,
-        ),
+        (&[("\rC\r", "\rC\r"), ("S8\r", "S8\r"), (FILTER, FILTER), ("O\r", "O\r"), ("V\r", "V\r")], SlcanError::Silent),
         (
             &[
                 ("\rC\r", "\x1f\r"),
@@ -200,10 +134,7 @@ fn an_adapter_that_refuses_or_says_nothing_is_not_opened() {
     let (line, _peer) = virtual_line(256);
     let odd = Bitrate::from_kbps(40).unwrap();
     let refused = SlcanPort::new(line, odd, Instant::ZERO);
-    assert!(matches!(
-        refused,
-        Err(SlcanError::NoSuchBitrate { kbps: 40 })
-    ));
+    assert!(matches!(refused, Err(SlcanError::NoSuchBitrate { kbps: 40 })));
     let (line, peer) = virtual_line(256);
     drop(peer);
     let refused = SlcanPort::new(line, Bitrate::KBPS_500, Instant::ZERO);
@@ -216,12 +147,7 @@ fn one_that_listens_is_opened_so() {
     let (line, peer) = virtual_line(256);
     stage.port = SlcanPort::listening(line, Bitrate::KBPS_500, Instant::ZERO).unwrap();
     stage.peer = peer;
-    let script = [
-        ("\rC\r", "\r\r"),
-        ("S6\r", "\r"),
-        (FILTER, "\r\r"),
-        ("L\r", "\r"),
-    ];
+    let script = [("\rC\r", "\r\r"), ("S6\r", "\r"), (FILTER, "\r\r"), ("L\r", "\r")];
     assert_eq!(stage.open_with(&script), Ok(()));
     stage.answer(b"t70117F\r");
     assert_eq!(stage.receive(8), Ok(vec!["701#7F".to_owned()]));
@@ -241,28 +167,17 @@ fn nothing_is_sent_or_received_before_it_is_open() {
 #[test]
 fn frames_go_out_as_text_in_one_write() {
     let mut stage = Stage::open(256);
-    let frames = [
-        frame(0x080, &[]),
-        frame(0x601, &[0x40, 0x41, 0x60, 0, 0, 0, 0, 0]),
-    ];
+    let frames = [frame(0x080, &[]), frame(0x601, &[0x40, 0x41, 0x60, 0, 0, 0, 0, 0])];
     assert_eq!(stage.port.send(stage.now, &frames), Ok(2));
     assert_eq!(stage.said(), "t0800\rt60184041600000000000\r");
-    assert_eq!(
-        (stage.port.counters().sent, stage.port.counters().refused),
-        (2, 0)
-    );
+    assert_eq!((stage.port.counters().sent, stage.port.counters().refused), (2, 0));
 }
 
 #[test]
 fn a_frame_of_which_the_line_took_a_part_is_finished_before_anything_else() {
     // Room for "t0800\rt0811AB\r" (15 bytes) and a part of the next frame.
     let mut stage = Stage::open(18);
-    let frames = [
-        frame(0x080, &[]),
-        frame(0x081, &[0xAB]),
-        frame(0x082, &[0xCD]),
-        frame(0x083, &[]),
-    ];
+    let frames = [frame(0x080, &[]), frame(0x081, &[0xAB]), frame(0x082, &[0xCD]), frame(0x083, &[])];
     assert_eq!(stage.port.send(stage.now, &frames), Ok(3));
     assert_eq!(stage.port.send(stage.now, &frames[3..]), Ok(0));
     assert_eq!(stage.said(), "t0800\rt0811AB\rt082");
@@ -271,10 +186,7 @@ fn a_frame_of_which_the_line_took_a_part_is_finished_before_anything_else() {
     assert_eq!(stage.said(), "1CD\r");
     assert_eq!(stage.port.send(stage.now, &frames[3..]), Ok(1));
     assert_eq!(stage.said(), "t0830\r");
-    assert_eq!(
-        (stage.port.counters().sent, stage.port.counters().refused),
-        (4, 1)
-    );
+    assert_eq!((stage.port.counters().sent, stage.port.counters().refused), (4, 1));
 }
 
 #[test]
@@ -297,9 +209,7 @@ fn however_little_the_line_takes_the_stream_is_that_of_the_frames_taken() {
     for capacity in 3..60 {
         let mut stage = Stage::open(capacity);
         let (mut taken, mut said) = (0, String::new());
-        let frames: Vec<_> = (0..40)
-            .map(|id| frame(id, &[0; 8][..usize::from(id % 9)]))
-            .collect();
+        let frames: Vec<_> = (0..40).map(|id| frame(id, &[0; 8][..usize::from(id % 9)])).collect();
         // Each call sends at least a byte of a frame, or a part of its remaining bytes.
         for _ in 0..frames.len() * LONGEST {
             taken += stage.port.send(stage.now, &frames[taken..]).unwrap();
@@ -311,9 +221,8 @@ fn however_little_the_line_takes_the_stream_is_that_of_the_frames_taken() {
             stage.receive(1).unwrap();
             said += &stage.said();
         }
-        let lines = frames.iter().map(|frame| {
-            String::from_utf8(Command::Transmit(*frame).encode().unwrap().to_vec()).unwrap()
-        });
+        let lines =
+            frames.iter().map(|frame| String::from_utf8(Command::Transmit(*frame).encode().unwrap().to_vec()).unwrap());
         assert_eq!(said, lines.collect::<String>(), "capacity {capacity}");
     }
 }
@@ -332,10 +241,7 @@ fn frames_are_found_between_garbage_which_is_counted() {
     let mut stage = Stage::open(256);
     stage.now += Duration::from_millis(1);
     stage.answer(b"\xFF\x00\rt70117F\rt7011\rZ\rnonsense\rt08\x07\rt0800EA5F\r\r");
-    assert_eq!(
-        stage.receive(8),
-        Ok(vec!["701#7F".to_owned(), "080#".to_owned()])
-    );
+    assert_eq!(stage.receive(8), Ok(vec!["701#7F".to_owned(), "080#".to_owned()]));
     let counters = stage.port.counters();
     // Unreadable lines: noise, a frame that is too short, a word, and the frame that a bell interrupted.
     assert_eq!((counters.received, counters.dropped), (2, 4));
@@ -346,15 +252,9 @@ fn frames_are_found_between_garbage_which_is_counted() {
 fn what_finds_no_room_waits_for_the_next_call() {
     let mut stage = Stage::open(256);
     stage.answer(b"t0010\rt0020\rt0030\rt00");
-    assert_eq!(
-        stage.receive(2),
-        Ok(vec!["001#".to_owned(), "002#".to_owned()])
-    );
+    assert_eq!(stage.receive(2), Ok(vec!["001#".to_owned(), "002#".to_owned()]));
     stage.answer(b"40\r");
-    assert_eq!(
-        stage.receive(2),
-        Ok(vec!["003#".to_owned(), "004#".to_owned()])
-    );
+    assert_eq!(stage.receive(2), Ok(vec!["003#".to_owned(), "004#".to_owned()]));
     assert_eq!(stage.receive(0), Ok(vec![]));
 }
 
@@ -362,12 +262,9 @@ fn what_finds_no_room_waits_for_the_next_call() {
 fn state_lines_and_error_lines_show_in_state_and_counters() {
     use ControllerState::{Active, BusOff, Passive, Warning};
     let mut stage = Stage::open(256);
-    for (line, state) in [
-        ("sw096000\r", Warning),
-        ("sp000128\r", Passive),
-        ("sb000256\r", BusOff),
-        ("sa000000\r", Active),
-    ] {
+    for (line, state) in
+        [("sw096000\r", Warning), ("sp000128\r", Passive), ("sb000256\r", BusOff), ("sa000000\r", Active)]
+    {
         stage.answer(line.as_bytes());
         assert_eq!(stage.receive(1), Ok(vec![]));
         assert_eq!(stage.port.state(), state);
@@ -375,10 +272,7 @@ fn state_lines_and_error_lines_show_in_state_and_counters() {
     stage.answer(b"e1a\re2oO\r");
     assert_eq!(stage.receive(1), Ok(vec![]));
     let counters = stage.port.counters();
-    assert_eq!(
-        (counters.errors, counters.dropped, counters.refused),
-        (2, 1, 1)
-    );
+    assert_eq!((counters.errors, counters.dropped, counters.refused), (2, 1, 1));
 }
 
 #[test]
@@ -386,16 +280,9 @@ fn an_adapter_that_was_unplugged_is_gone_after_its_last_frame() {
     let mut stage = Stage::open(256);
     stage.answer(b"t0010\rt0020\rt0800\r");
     assert_eq!(stage.receive(1), Ok(vec!["001#".to_owned()]));
-    let Stage {
-        mut port,
-        peer,
-        now,
-    } = stage;
+    let Stage { mut port, peer, now } = stage;
     drop(peer);
-    let mut into = [Received {
-        frame: frame(0, &[]),
-        at: now,
-    }; 4];
+    let mut into = [Received { frame: frame(0, &[]), at: now }; 4];
     assert_eq!(port.receive(now, &mut into), Ok(2));
     assert_eq!(port.receive(now, &mut into), Err(PortError::Gone));
     assert_eq!(port.send(now, &[frame(0x080, &[])]), Err(PortError::Gone));
@@ -408,8 +295,6 @@ fn dropping_it_closes_the_channel_even_behind_half_a_frame() {
     assert_eq!(stage.port.send(stage.now, &[frame(0x080, &[])]), Ok(1));
     let Stage { port, mut peer, .. } = stage;
     drop(port);
-    let said: Vec<u8> = std::iter::from_fn(|| peer.take())
-        .map(|timed| timed.byte)
-        .collect();
+    let said: Vec<u8> = std::iter::from_fn(|| peer.take()).map(|timed| timed.byte).collect();
     assert_eq!(said, b"t0800\r\rC\r");
 }

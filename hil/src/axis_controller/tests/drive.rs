@@ -32,11 +32,7 @@ fn pulse_widths_and_currents_drive_the_motor_only_in_their_modes() {
             rig.cycle(&[]);
         }
         let after = rig.cycle(&[]);
-        assert_eq!(
-            after.position - before > 20,
-            moves,
-            "{mode:?} {set_point:?}"
-        );
+        assert_eq!(after.position - before > 20, moves, "{mode:?} {set_point:?}");
         assert_eq!(after.is(Status::ERROR), mode == Mode::Error);
     }
 }
@@ -63,10 +59,7 @@ fn a_pulse_width_is_its_share_of_48_volts() {
     let speed = turns * std::f64::consts::TAU;
     // 4.8 V less the voltage drop of the winding, divided by 0.105 V·s/rad.
     let expected = (4.8 - 0.6 * current) / 0.105;
-    assert!(
-        (speed - expected).abs() < 0.02 * expected,
-        "{speed} {expected}"
-    );
+    assert!((speed - expected).abs() < 0.02 * expected, "{speed} {expected}");
 }
 
 #[test]
@@ -91,17 +84,8 @@ fn the_drives_own_loop_settles_on_the_current_within_two_milliseconds() {
 #[test]
 fn other_gains_make_another_loop() {
     let mut rig = Rig::nfv2(&column());
-    let weak = Gains {
-        p: 3,
-        i: 3,
-        d: 0,
-        t: 0,
-    };
-    rig.cycle(&[
-        Command::SetCurrentRegulator(weak),
-        Command::SetMode(Mode::Current),
-        Command::SetCurrent(5000),
-    ]);
+    let weak = Gains { p: 3, i: 3, d: 0, t: 0 };
+    rig.cycle(&[Command::SetCurrentRegulator(weak), Command::SetMode(Mode::Current), Command::SetCurrent(5000)]);
     let read = rig.cycle(&[]).current;
     assert!((0..1000).contains(&read), "{read} mA after 2 ms");
 }
@@ -129,20 +113,13 @@ fn over_current_is_latched_until_manual_mode() {
 
 #[test]
 fn a_limit_switch_stops_what_runs_into_it_and_lets_it_out() {
-    for (start, sign, bit) in [
-        (449.0, 1, Status::UPPER_LIMIT),
-        (-469.0, -1, Status::LOWER_LIMIT),
-    ] {
+    for (start, sign, bit) in [(449.0, 1, Status::UPPER_LIMIT), (-469.0, -1, Status::LOWER_LIMIT)] {
         for current in [false, true] {
             let mut config = column();
             config.axis.start_angle = start;
             let mut rig = Rig::nfv2(&config);
             let set = |value: i16| {
-                if current {
-                    Command::SetCurrent(sign * 15 * value)
-                } else {
-                    Command::SetPwm(sign * value)
-                }
+                if current { Command::SetCurrent(sign * 15 * value) } else { Command::SetPwm(sign * value) }
             };
             let mode = if current { Mode::Current } else { Mode::Pwm };
             rig.cycle(&[Command::SetMode(mode), set(100)]);
@@ -180,15 +157,9 @@ fn a_set_point_stays_when_the_host_stops_sending() {
 fn a_drive_in_error_takes_the_power_from_its_cabinet_alone() {
     for shared in [true, false] {
         let cabinet = Cabinet::default();
-        let config = AxisControllerConfig {
-            cabinet: cabinet.clone(),
-            ..column()
-        };
+        let config = AxisControllerConfig { cabinet: cabinet.clone(), ..column() };
         let mut rig = Rig::nfv2(&config);
-        let other = AxisControllerConfig {
-            cabinet: if shared { cabinet } else { Cabinet::default() },
-            ..column()
-        };
+        let other = AxisControllerConfig { cabinet: if shared { cabinet } else { Cabinet::default() }, ..column() };
         let device = Box::new(AxisController::nfv2(ADDRESS, &other));
         let line = rig.world.add_line(Settings::AXIS_CONTROLLER, None, device);
         let mut other = rig.world.host_line(line, 4096);
@@ -217,10 +188,7 @@ fn a_drive_in_error_takes_the_power_from_its_cabinet_alone() {
 /// switch is closed, whether the index pulse came, and the counter.
 fn home(mut step: impl FnMut(i16, bool) -> (bool, bool, i32)) {
     let mut until = |pwm, armed, done: fn((bool, bool, i32)) -> bool| {
-        (0..5000)
-            .map(|_| step(pwm, armed))
-            .find(|&seen| done(seen))
-            .expect("it gets there")
+        (0..5000).map(|_| step(pwm, armed)).find(|&seen| done(seen)).expect("it gets there")
     };
     let (_, index, _) = until(-60, false, |(switch, ..)| switch);
     assert!(!index);
@@ -241,22 +209,14 @@ fn homing_by_hand_zeroes_the_counter_at_the_index() {
     home(|pwm, armed| {
         let mode = if armed { Mode::SyncPwm } else { Mode::Pwm };
         let reading = rig.cycle(&[Command::SetMode(mode), Command::SetPwm(pwm)]);
-        (
-            reading.is(Status::HOME_SWITCH),
-            reading.is(Status::INDEX),
-            reading.position,
-        )
+        (reading.is(Status::HOME_SWITCH), reading.is(Status::INDEX), reading.position)
     });
     let referenced = |rig: &mut Rig| {
         let reading = rig.cycle(&[Command::SetPwm(0)]);
         assert!(reading.is(Status::SYNCHRONIZED));
         // The true angle of the simulated axis: the index lies at -15.9 rad.
         let truth = (rig.device().axis().angle() + 15.9) * 4000.0 / std::f64::consts::TAU;
-        assert!(
-            (f64::from(reading.position) - truth).abs() < 2.0,
-            "{} for {truth}",
-            reading.position
-        );
+        assert!((f64::from(reading.position) - truth).abs() < 2.0, "{} for {truth}", reading.position);
     };
     for _ in 0..100 {
         rig.cycle(&[Command::SetPwm(0)]);
@@ -271,21 +231,11 @@ fn homing_by_hand_zeroes_the_counter_at_the_index() {
 fn homing_by_hand_works_with_the_older_telegrams() {
     let mut rig = Rig::hi_moxa(&column());
     home(|value, latch_index| {
-        let answer = rig.old_cycle(hi_moxa::Request::Drive {
-            mode: hi_moxa::Mode::Pwm,
-            value,
-            latch_index,
-        });
+        let answer = rig.old_cycle(hi_moxa::Request::Drive { mode: hi_moxa::Mode::Pwm, value, latch_index });
         let is = |bit| answer.flags.any(bit);
-        (
-            is(hi_moxa::Flags::HOME_SWITCH),
-            is(hi_moxa::Flags::INDEX),
-            answer.position,
-        )
+        (is(hi_moxa::Flags::HOME_SWITCH), is(hi_moxa::Flags::INDEX), answer.position)
     });
-    let state = rig.old_cycle(hi_moxa::Request::Set(hi_moxa::Parameter::DriverMode(
-        hi_moxa::DriverMode::Manual,
-    )));
+    let state = rig.old_cycle(hi_moxa::Request::Set(hi_moxa::Parameter::DriverMode(hi_moxa::DriverMode::Manual)));
     assert_eq!(state.flags.0, hi_moxa::Flags::SYNCHRONIZED);
 }
 

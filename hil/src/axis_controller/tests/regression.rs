@@ -19,23 +19,12 @@ struct Original {
 
 impl Original {
     fn new([a, b0, b1, epsilon, gain, limit]: [f64; 6]) -> Self {
-        Self {
-            a,
-            b0,
-            b1,
-            epsilon,
-            gain,
-            limit,
-            outputs: [0.0; 2],
-            errors: [0.0; 2],
-        }
+        Self { a, b0, b1, epsilon, gain, limit, outputs: [0.0; 2], errors: [0.0; 2] }
     }
 
     /// The current, mA, for the position increment missed in one period, counts.
     fn turn(&mut self, missed: f64) -> i16 {
-        let Self {
-            a, b0, b1, epsilon, ..
-        } = *self;
+        let Self { a, b0, b1, epsilon, .. } = *self;
         let [before, sum] = self.errors;
         let error = sum + (1.0 + epsilon) * missed - (1.0 - epsilon) * before;
         let [last, older] = self.outputs;
@@ -65,31 +54,11 @@ fn the_original_regulators_follow_as_they_do_on_the_original_emulator() {
     // answer is one period old when the current computed from it arrives. The roll axis is left out: its phase margin
     // of 8° does not tolerate the delay.
     let table = [
-        (
-            Irp6Axis::Column,
-            [0.412429378531, 1.5569592, 1.5028614, 0.010, 200.0, 20_000.0],
-            (147.0, 9978.0),
-        ),
-        (
-            Irp6Axis::LowerArm,
-            [0.655629139073, 0.6181068, 0.5916852, 0.008, 150.0, 15_000.0],
-            (287.0, 9922.0),
-        ),
-        (
-            Irp6Axis::UpperArm,
-            [0.315789473684, 1.1984784, 1.1424828, 0.008, 180.0, 15_000.0],
-            (224.0, 9970.0),
-        ),
-        (
-            Irp6Axis::Pitch,
-            [0.548946716233, 0.6305064, 0.5874396, 0.010, 170.0, 15_000.0],
-            (172.0, 9890.0),
-        ),
-        (
-            Irp6Axis::Flange,
-            [0.3, 0.5456, 0.5056, 0.005, 11.0, 1_000.0],
-            (81.0, 117.0),
-        ),
+        (Irp6Axis::Column, [0.412429378531, 1.5569592, 1.5028614, 0.010, 200.0, 20_000.0], (147.0, 9978.0)),
+        (Irp6Axis::LowerArm, [0.655629139073, 0.6181068, 0.5916852, 0.008, 150.0, 15_000.0], (287.0, 9922.0)),
+        (Irp6Axis::UpperArm, [0.315789473684, 1.1984784, 1.1424828, 0.008, 180.0, 15_000.0], (224.0, 9970.0)),
+        (Irp6Axis::Pitch, [0.548946716233, 0.6305064, 0.5874396, 0.010, 170.0, 15_000.0], (172.0, 9890.0)),
+        (Irp6Axis::Flange, [0.3, 0.5456, 0.5056, 0.005, 11.0, 1_000.0], (81.0, 117.0)),
     ];
     for (axis, numbers, (error, current)) in table {
         let mut config = AxisControllerConfig::new(AxisConfig::wut(axis));

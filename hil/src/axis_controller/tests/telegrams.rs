@@ -11,33 +11,23 @@ fn nfv2_answers_are_the_bytes_of_the_line() {
     // Requests and answers. No request powers the drive.
     let cases: [(&[u8], &[u8]); 4] = [
         (
+            &[0x23, 0x0E, 0xF1, 0x08, 0x14, 0x02, 0x64, 0x00, 0x1A, 0x00, 0x1B, 0x00, 0x1F, 0x00, 0xE0],
             &[
-                0x23, 0x0E, 0xF1, 0x08, 0x14, 0x02, 0x64, 0x00, 0x1A, 0x00, 0x1B, 0x00, 0x1F, 0x00,
-                0xE0,
-            ],
-            &[
-                0x23, 0x12, 0xED, 0x08, 0x1A, 0x04, 0x2E, 0xFB, 0xFF, 0xFF, 0x1B, 0x02, 0x00, 0x00,
-                0x1F, 0x02, 0x10, 0x00,
+                0x23, 0x12, 0xED, 0x08, 0x1A, 0x04, 0x2E, 0xFB, 0xFF, 0xFF, 0x1B, 0x02, 0x00, 0x00, 0x1F, 0x02, 0x10,
+                0x00,
             ],
         ),
         // Five bytes of prefix, followed by the requested status alone.
         (
-            &[
-                0, 0, 0, 0, 0, 0x23, 0x09, 0xF6, 0x08, 0x10, 0x01, 0x00, 0x1F, 0x00, 0,
-            ],
+            &[0, 0, 0, 0, 0, 0x23, 0x09, 0xF6, 0x08, 0x10, 0x01, 0x00, 0x1F, 0x00, 0],
             &[0x23, 0x08, 0xF7, 0x08, 0x1F, 0x02, 0x10, 0xC0],
         ),
         // Reset of the synchronised flag in error mode: executed, and the drive stays in error.
         (
-            &[
-                0x23, 0x0C, 0xF3, 0x08, 0x1E, 0x04, 0x02, 0x00, 0x00, 0x00, 0x1F, 0x00, 0,
-            ],
+            &[0x23, 0x0C, 0xF3, 0x08, 0x1E, 0x04, 0x02, 0x00, 0x00, 0x00, 0x1F, 0x00, 0],
             &[0x23, 0x08, 0xF7, 0x08, 0x1F, 0x02, 0x00, 0xC0],
         ),
-        (
-            &[0x23, 0x09, 0xF6, 0x08, 0x10, 0x01, 0x01, 0x1F, 0x00, 0],
-            &[0x23, 0x08, 0xF7, 0x08, 0x1F, 0x02, 0x00, 0x00],
-        ),
+        (&[0x23, 0x09, 0xF6, 0x08, 0x10, 0x01, 0x01, 0x1F, 0x00, 0], &[0x23, 0x08, 0xF7, 0x08, 0x1F, 0x02, 0x00, 0x00]),
     ];
     let mut rig = Rig::nfv2(&kept);
     for (request, answer) in cases {
@@ -62,22 +52,10 @@ fn hi_moxa_answers_are_the_bytes_of_the_line() {
     let mut rig = Rig::hi_moxa(&kept);
     let cases: [(&[u8], [u8; 8]); 4] = [
         // Manual mode, with trailing garbage.
-        (
-            &[0, 0, 0, 0, 0x23, 0x9F, 0, 0, 0xAA, 0x55],
-            [0x23, 0x80, 0, 0, 0x70, 0x11, 0x01, 0],
-        ),
-        (
-            &[0, 0, 0, 0, 0x23, 0x2F, 0x50, 0x46, 0, 0],
-            [0x23, 0x80, 0, 0, 0x70, 0x11, 0x01, 0],
-        ),
-        (
-            &[0, 0, 0, 0, 0x23, 0x1F, 0, 0, 0, 0],
-            [0x23, 0x00, 0, 0, 0x70, 0x11, 0x01, 0],
-        ),
-        (
-            &[0, 0, 0, 0, 0x23, 0x9F, 4, 0, 0, 0],
-            [0x23, 0x50, 0, 0, 0x70, 0x11, 0x01, 0],
-        ),
+        (&[0, 0, 0, 0, 0x23, 0x9F, 0, 0, 0xAA, 0x55], [0x23, 0x80, 0, 0, 0x70, 0x11, 0x01, 0]),
+        (&[0, 0, 0, 0, 0x23, 0x2F, 0x50, 0x46, 0, 0], [0x23, 0x80, 0, 0, 0x70, 0x11, 0x01, 0]),
+        (&[0, 0, 0, 0, 0x23, 0x1F, 0, 0, 0, 0], [0x23, 0x00, 0, 0, 0x70, 0x11, 0x01, 0]),
+        (&[0, 0, 0, 0, 0x23, 0x9F, 4, 0, 0, 0], [0x23, 0x50, 0, 0, 0x70, 0x11, 0x01, 0]),
     ];
     for (request, answer) in cases {
         assert_eq!(rig.exchange(request), answer, "{request:02x?}");
@@ -91,17 +69,11 @@ fn an_answer_ends_after_both_line_times_and_the_delay() {
     config.answer_delay = Duration::from_micros(70);
     let old = hi_moxa::Request::Set(hi_moxa::Parameter::Synchronized(true)).encode();
     let new = frame(ADDRESS, &[Command::SetPwm(0)]);
-    let cases = [
-        (Rig::nfv2(&config.clone()), new, 19),
-        (Rig::hi_moxa(&config), old.to_vec(), 8),
-    ];
+    let cases = [(Rig::nfv2(&config.clone()), new, 19), (Rig::hi_moxa(&config), old.to_vec(), 8)];
     for (mut rig, request, length) in cases {
         for written in [0, 5_123_456, 13_000_001].map(Instant::from_nanos) {
             rig.host.write(written, &request).unwrap();
-            let due = written
-                + line.line_time(request.len())
-                + Duration::from_micros(70)
-                + line.line_time(length);
+            let due = written + line.line_time(request.len()) + Duration::from_micros(70) + line.line_time(length);
             rig.world.advance(written + PERIOD);
             let mut into = [0; 64];
             let early = due - Duration::from_nanos(1);
@@ -140,10 +112,7 @@ fn what_it_does_not_understand_it_does_not_answer() {
         ("unknown code beside a known one", unknown),
         ("damaged", damaged),
         ("speed", frame(ADDRESS, &[Command::SetSpeed(5)])),
-        (
-            "position",
-            frame(ADDRESS, &[Command::SetMode(Mode::Position)]),
-        ),
+        ("position", frame(ADDRESS, &[Command::SetMode(Mode::Position)])),
         ("other address", frame(9, &[])),
         ("the older telegram", old.encode_cyclic().to_vec()),
         ("zeros", vec![0; 300]),
@@ -163,10 +132,8 @@ fn random_noise_is_never_answered_without_a_frame_in_it() {
     let mut rig = Rig::nfv2(&column());
     for _ in 0..200 {
         // Without the start byte the bytes contain no frame.
-        let bytes: Vec<u8> = std::iter::repeat_with(|| noise.bits() as u8)
-            .filter(|&byte| byte != 0x23)
-            .take(100)
-            .collect();
+        let bytes: Vec<u8> =
+            std::iter::repeat_with(|| noise.bits() as u8).filter(|&byte| byte != 0x23).take(100).collect();
         assert_eq!(rig.exchange(&bytes), [0_u8; 0]);
     }
     assert_eq!(rig.cycle(&[]).status, Status(0));
@@ -219,9 +186,7 @@ fn the_same_run_gives_the_same_bytes() {
     let run = || {
         let mut rig = Rig::nfv2(&column());
         rig.cycle(&[Command::SetMode(Mode::Pwm)]);
-        (0..300_i16)
-            .flat_map(|k| rig.exchange(&frame(ADDRESS, &[Command::SetPwm(k % 97 - 30)])))
-            .collect::<Vec<u8>>()
+        (0..300_i16).flat_map(|k| rig.exchange(&frame(ADDRESS, &[Command::SetPwm(k % 97 - 30)]))).collect::<Vec<u8>>()
     };
     assert_eq!(run(), run());
 }
@@ -229,11 +194,7 @@ fn the_same_run_gives_the_same_bytes() {
 #[test]
 fn the_older_drive_does_not_answer_what_is_no_request() {
     let good = hi_moxa::Request::Set(hi_moxa::Parameter::Synchronized(true)).encode();
-    let position = hi_moxa::Request::Drive {
-        mode: hi_moxa::Mode::Position,
-        value: 5,
-        latch_index: false,
-    };
+    let position = hi_moxa::Request::Drive { mode: hi_moxa::Mode::Position, value: 5, latch_index: false };
     let newer = [&[0; 5][..], &frame(ADDRESS, &[Command::SetPwm(100)])].concat();
     let cases: [(&str, &[u8]); 6] = [
         ("the newer telegram", &newer),
@@ -252,29 +213,16 @@ fn the_older_drive_does_not_answer_what_is_no_request() {
 
 #[test]
 fn a_bad_line_costs_telegrams_and_not_the_drive() {
-    let wire = WireFaults {
-        bit_error_rate: 0.002,
-        tear: 0.005,
-        duplicate: 0.005,
-        stuck: None,
-    };
+    let wire = WireFaults { bit_error_rate: 0.002, tear: 0.005, duplicate: 0.005, stuck: None };
     for seed in 0..4 {
-        let faults = LineFaults {
-            seed,
-            to_device: wire,
-            to_host: WireFaults::default(),
-        };
+        let faults = LineFaults { seed, to_device: wire, to_host: WireFaults::default() };
         let mut rig = Rig::nfv2(&column());
         let request = frame(ADDRESS, &[Command::SetMisc(Command::SET_SYNCHRONIZED)]);
         rig.world.line_mut(rig.line).set_faults(&faults);
-        let answered = (0..1000)
-            .filter(|_| !rig.exchange(&request).is_empty())
-            .count();
+        let answered = (0..1000).filter(|_| !rig.exchange(&request).is_empty()).count();
         // 21 bytes of 8 bits in each of two directions: about a third of the exchanges is lost.
         assert!((500..800).contains(&answered), "seed {seed}: {answered}");
-        rig.world
-            .line_mut(rig.line)
-            .set_faults(&LineFaults::default());
+        rig.world.line_mut(rig.line).set_faults(&LineFaults::default());
         for _ in 0..10 {
             assert_eq!(rig.exchange(&request).len(), 19, "seed {seed}");
         }
@@ -285,10 +233,7 @@ fn a_bad_line_costs_telegrams_and_not_the_drive() {
 fn a_stuck_line_is_silence() {
     use Stuck::{At, Silent};
     for stuck in [Silent, At(0x00), At(0xFF)].map(Some) {
-        let hangs = WireFaults {
-            stuck,
-            ..WireFaults::default()
-        };
+        let hangs = WireFaults { stuck, ..WireFaults::default() };
         for to_device in [true, false] {
             let mut faults = LineFaults::default();
             if to_device {
@@ -329,8 +274,6 @@ fn after_any_noise_and_a_pause_a_drive_works() {
         rig.exchange(&bytes);
         rig.now += 10 * PERIOD;
         rig.exchange(&[]);
-        rig.old_cycle(hi_moxa::Request::Set(hi_moxa::Parameter::Synchronized(
-            true,
-        )));
+        rig.old_cycle(hi_moxa::Request::Set(hi_moxa::Parameter::Synchronized(true)));
     }
 }

@@ -20,11 +20,7 @@ impl Drive {
         if started && profile.next.is_none() {
             let base = profile.active.unwrap_or(self.motion.position);
             let target = f64::from(objects.i(TARGET_POSITION));
-            let target = if word.has(Controlword::RELATIVE) {
-                base + target
-            } else {
-                target
-            };
+            let target = if word.has(Controlword::RELATIVE) { base + target } else { target };
             let waits = profile.active.is_some() && !word.has(Controlword::CHANGE_IMMEDIATELY);
             if waits {
                 profile.next = Some(target);
@@ -56,8 +52,7 @@ impl Drive {
     /// Whether the position has been in its window for its time. 0xFFFF_FFFF disables the check (CiA 402-2 §12).
     pub(super) fn settled(&self, objects: &Objects) -> bool {
         let time = objects.f(POSITION_WINDOW_TIME);
-        objects.u(POSITION_WINDOW) == u32::MAX
-            || self.in_window.is_some_and(|passed| passed * 1e3 >= time)
+        objects.u(POSITION_WINDOW) == u32::MAX || self.in_window.is_some_and(|passed| passed * 1e3 >= time)
     }
 
     /// The straight ramp from `start` to the present demand.
@@ -72,9 +67,7 @@ impl Drive {
         let top = objects.f(MAX_ACCELERATION);
         let rpm = self.counts_per_turn / 60.0;
         Limits {
-            velocity: objects
-                .f(MAX_PROFILE_VELOCITY)
-                .min(objects.f(MAX_MOTOR_SPEED))
+            velocity: objects.f(MAX_PROFILE_VELOCITY).min(objects.f(MAX_MOTOR_SPEED))
                 * self.counts_per_velocity(objects),
             acceleration: objects.f(PROFILE_ACCELERATION).min(top).max(1.0) * rpm,
             deceleration: objects.f(PROFILE_DECELERATION).min(top).max(1.0) * rpm,
@@ -99,8 +92,7 @@ impl Drive {
         let standing = if brake == Brake::AtLimits {
             self.brake_at_limits()
         } else {
-            self.motion
-                .ramp(0.0, &self.braking_limits(brake, limits, objects), dt)
+            self.motion.ramp(0.0, &self.braking_limits(brake, limits, objects), dt)
         };
         let demand = if brake == Brake::AtLimits {
             Demand::Velocity(0.0)
@@ -123,31 +115,18 @@ impl Drive {
     /// Demands zero velocity with the velocity loop at its output limits. Returns whether the axis stands.
     fn brake_at_limits(&mut self) -> bool {
         let before = self.motion.velocity;
-        self.motion = Motion {
-            position: self.position(),
-            velocity: self.feedback.velocity,
-        };
+        self.motion = Motion { position: self.position(), velocity: self.feedback.velocity };
         let slow = self.feedback.velocity.abs() < self.counts_per_turn * STANDING;
         slow || before * self.feedback.velocity < 0.0
     }
 
-    pub(super) fn braking_limits(
-        &self,
-        brake: Brake,
-        limits: &Limits,
-        objects: &Objects,
-    ) -> Limits {
+    pub(super) fn braking_limits(&self, brake: Brake, limits: &Limits, objects: &Objects) -> Limits {
         let deceleration = match brake {
             Brake::SlowDown => limits.deceleration,
-            Brake::QuickStop => {
-                objects.f(QUICK_STOP_DECELERATION).max(1.0) * self.counts_per_turn / 60.0
-            }
+            Brake::QuickStop => objects.f(QUICK_STOP_DECELERATION).max(1.0) * self.counts_per_turn / 60.0,
             Brake::AtLimits => f64::INFINITY,
         };
-        Limits {
-            deceleration,
-            ..*limits
-        }
+        Limits { deceleration, ..*limits }
     }
 
     /// One chunk of the mode of operation.
@@ -166,10 +145,7 @@ impl Drive {
                 self.motion.ramp(0.0, &limits, dt);
             }
             M::ProfilePosition => {
-                let limits = Limits {
-                    velocity: limits.velocity.min(objects.f(PROFILE_VELOCITY) * unit),
-                    ..*limits
-                };
+                let limits = Limits { velocity: limits.velocity.min(objects.f(PROFILE_VELOCITY) * unit), ..*limits };
                 match self.profile.active {
                     Some(target) => {
                         if self.motion.approach(target, &limits, dt) {
@@ -186,8 +162,7 @@ impl Drive {
                 }
             }
             M::ProfileVelocity => {
-                let target =
-                    (objects.f(TARGET_VELOCITY) * unit).clamp(-limits.velocity, limits.velocity);
+                let target = (objects.f(TARGET_VELOCITY) * unit).clamp(-limits.velocity, limits.velocity);
                 self.motion.ramp(target, limits, dt);
             }
             M::Homing => start = self.home(objects, dt),
@@ -206,11 +181,7 @@ impl Drive {
             }
             _ => {}
         }
-        if self.demands_velocity() {
-            Demand::Velocity(self.motion.velocity)
-        } else {
-            self.ramp_demand(start, dt)
-        }
+        if self.demands_velocity() { Demand::Velocity(self.motion.velocity) } else { self.ramp_demand(start, dt) }
     }
 
     /// The torque that object 0x60B2 adds to the output of the velocity loop, N·m: in CSP and CSV (CiA 402-2
@@ -245,11 +216,7 @@ impl Drive {
     pub(super) fn home(&mut self, objects: &Objects, dt: f64) -> Motion {
         let unit = self.counts_per_velocity(objects);
         let acceleration = objects.f(HOMING_ACCELERATION).max(1.0) * self.counts_per_turn / 60.0;
-        let limits = Limits {
-            velocity: objects.f(HOMING_ZERO_SPEED) * unit,
-            acceleration,
-            deceleration: acceleration,
-        };
+        let limits = Limits { velocity: objects.f(HOMING_ZERO_SPEED) * unit, acceleration, deceleration: acceleration };
         let mut start = self.motion;
         match self.homing {
             Homing::Idle | Homing::Done | Homing::Failed { .. } => {

@@ -62,7 +62,6 @@ pub(in crate::epos4) const OUTPUT_CURRENT_LIMIT: Slot = Slot::of(canopen::Object
 pub(in crate::epos4) const INPUT_STATES: Slot = Slot::of(canopen::Object::new(0x3141, 1));
 pub(in crate::epos4) const STANDSTILL_WINDOW: Slot = Slot::of(canopen::Object::new(0x30E0, 1));
 pub(in crate::epos4) const STANDSTILL_WINDOW_TIME: Slot = Slot::of(canopen::Object::new(0x30E0, 2));
-pub(in crate::epos4) const STANDSTILL_WINDOW_TIME_OUT: Slot =
-    Slot::of(canopen::Object::new(0x30E0, 3));
+pub(in crate::epos4) const STANDSTILL_WINDOW_TIME_OUT: Slot = Slot::of(canopen::Object::new(0x30E0, 3));
 pub(in crate::epos4) const POSITION_WINDOW: Slot = Slot::of(canopen::Object::new(0x6067, 0));
 pub(in crate::epos4) const POSITION_WINDOW_TIME: Slot = Slot::of(canopen::Object::new(0x6068, 0));

@@ -27,11 +27,7 @@ pub(super) struct Standstill {
 
 impl Standstill {
     /// The state of a standing axis.
-    pub(super) const REACHED: Self = Self {
-        reached: true,
-        contradicted: 0.0,
-        told: 0.0,
-    };
+    pub(super) const REACHED: Self = Self { reached: true, contradicted: 0.0, told: 0.0 };
 
     /// Advances by `dt`, s, at a velocity in counts/s. `told`: the demanded velocity is zero.
     pub(super) fn advance(&mut self, velocity: f64, told: bool, window: &Window, dt: f64) {
@@ -54,11 +50,7 @@ impl Standstill {
 mod tests {
     use super::{Standstill, Window};
 
-    const WINDOW: Window = Window {
-        velocity: 10.0,
-        time: 2.0,
-        time_out: 10.0,
-    };
+    const WINDOW: Window = Window { velocity: 10.0, time: 2.0, time_out: 10.0 };
 
     /// Whether the axis stands after each second at these velocities.
     fn check(velocities: &[f64], told: bool, expected: &str) {

@@ -30,8 +30,7 @@ impl Drive {
             time: objects.f(STANDSTILL_WINDOW_TIME) * 1e-3,
             time_out: objects.f(STANDSTILL_WINDOW_TIME_OUT) * 1e-3,
         };
-        self.standstill
-            .advance(self.feedback.velocity, told, &window, dt);
+        self.standstill.advance(self.feedback.velocity, told, &window, dt);
         let signed = |value: f64| value.round() as i32 as u32;
         objects.set(POSITION_ACTUAL, position as u32);
         objects.set(POSITION_DEMAND, demand as u32);
@@ -83,16 +82,13 @@ impl Drive {
             M::ProfileVelocity => {
                 let target = objects.f(TARGET_VELOCITY) * self.counts_per_velocity(objects);
                 let arrived = (self.motion.velocity - target).abs() < 0.5;
-                word.with(REACHED, if halted { standing } else { arrived })
-                    .with(BIT_12, self.standstill.reached)
+                word.with(REACHED, if halted { standing } else { arrived }).with(BIT_12, self.standstill.reached)
             }
             M::Homing => {
                 let halted = self.controlword.has(Controlword::HALT);
                 let status = match self.homing {
                     Homing::Idle if standing => HomingStatus::Interrupted,
-                    Homing::Searching(_) | Homing::Resting(_) if halted && standing => {
-                        HomingStatus::Interrupted
-                    }
+                    Homing::Searching(_) | Homing::Resting(_) if halted && standing => HomingStatus::Interrupted,
                     Homing::Idle | Homing::Searching(_) => HomingStatus::InProgress,
                     Homing::Resting(_) => HomingStatus::Attained,
                     Homing::Done => HomingStatus::Done,
@@ -101,9 +97,9 @@ impl Drive {
                 };
                 word.with(status.bits(), true)
             }
-            M::CyclicSynchronousPosition
-            | M::CyclicSynchronousVelocity
-            | M::CyclicSynchronousTorque => word.with(BIT_12, self.follows()),
+            M::CyclicSynchronousPosition | M::CyclicSynchronousVelocity | M::CyclicSynchronousTorque => {
+                word.with(BIT_12, self.follows())
+            }
             _ => word,
         };
         word.0

@@ -4,10 +4,7 @@ use super::*;
 
 #[test]
 fn an_enabled_epos_says_what_a_real_one_said() {
-    let mut bench = Bench::booted(Epos4Config {
-        vendor_bits: 1 << 8,
-        ..config()
-    });
+    let mut bench = Bench::booted(Epos4Config { vendor_bits: 1 << 8, ..config() });
     assert_eq!(bench.say("000#0102"), ["182#4007"]);
     assert_eq!(bench.say("202#0600"), ["182#2107"]);
     assert_eq!(bench.say("202#0700"), ["182#2307"]);
@@ -24,11 +21,7 @@ fn the_table_ascends_and_every_default_is_within_its_limits() {
     }
     for entry in &TABLE {
         let number = entry.number(entry.default);
-        assert!(
-            (entry.min..=entry.max).contains(&number),
-            "{}",
-            entry.object
-        );
+        assert!((entry.min..=entry.max).contains(&number), "{}", entry.object);
         let bytes = entry.default.to_le_bytes();
         if entry.data_type != DataType::VisibleString {
             let size = entry.size();
@@ -196,15 +189,9 @@ fn heartbeats_come_at_their_period_and_say_the_state() {
 
 #[test]
 fn answers_take_their_delay() {
-    let mut bench = Bench::booted(Epos4Config {
-        answer_delay: Duration::from_micros(700),
-        ..config()
-    });
+    let mut bench = Bench::booted(Epos4Config { answer_delay: Duration::from_micros(700), ..config() });
     let begun = bench.now;
-    bench
-        .port
-        .send(bench.now, &[parse("602#4041600000000000")])
-        .unwrap();
+    bench.port.send(bench.now, &[parse("602#4041600000000000")]).unwrap();
     let answer = bench.run_micros(2000)[0];
     // 120 bits of the request, the delay, and the answer.
     let spent = answer.at.since(begun).as_micros();
@@ -251,10 +238,7 @@ fn a_missing_rpdo_is_a_time_out() {
     // An RPDO that is too short is reported and not processed. A complete RPDO ends both errors.
     assert_eq!(bench.say("402#0F00"), ["082#1082110000000000"]);
     let heard = bench.follow(1, |_| start);
-    assert!(
-        heard.contains(&"082#0000000000000000".to_owned()),
-        "{heard:?}"
-    );
+    assert!(heard.contains(&"082#0000000000000000".to_owned()), "{heard:?}");
 }
 
 #[test]
@@ -316,13 +300,7 @@ fn transmission_types_decide_when_a_pdo_is_sent() {
 fn other_nodes_frames_change_nothing() {
     let mut bench = Bench::booted(config());
     bench.say("000#0102");
-    for frame in [
-        "203#0600",
-        "603#4041600000000000",
-        "183#4006",
-        "000#0203",
-        "703#05",
-    ] {
+    for frame in ["203#0600", "603#4041600000000000", "183#4006", "000#0203", "703#05"] {
         assert_eq!(bench.say(frame), [""; 0], "{frame}");
     }
     assert_eq!(bench.statusword(), 0x0640);
@@ -339,9 +317,7 @@ fn a_storm_of_arbitrary_frames_leaves_a_device_that_a_reset_revives() {
         state
     };
     let mut bench = Bench::booted(config());
-    let ids = [
-        0x000, 0x080, 0x202, 0x302, 0x402, 0x502, 0x602, 0x602, 0x602, 0x602, 0x77F,
-    ];
+    let ids = [0x000, 0x080, 0x202, 0x302, 0x402, 0x502, 0x602, 0x602, 0x602, 0x602, 0x77F];
     for round in 0..20_000 {
         let id = ids[random() as usize % ids.len()];
         let mut data = random().to_le_bytes();

@@ -18,31 +18,18 @@ fn check(bench: &mut Bench, dialogue: &[(&str, &[&str])]) {
 }
 
 fn unconfigured() -> Bench {
-    let mut bench = Bench::new(Epos4Config {
-        node: None,
-        ..config()
-    });
+    let mut bench = Bench::new(Epos4Config { node: None, ..config() });
     assert_eq!(bench.run(200), [""; 0]);
     bench
 }
 
-const SELECT: [(&str, &[&str]); 4] = [
-    ("40FB000000", &[]),
-    ("4100005061", &[]),
-    ("4200007001", &[]),
-    ("4302000010", &["44"]),
-];
+const SELECT: [(&str, &[&str]); 4] =
+    [("40FB000000", &[]), ("4100005061", &[]), ("4200007001", &[]), ("4302000010", &["44"])];
 
 #[test]
 fn a_unit_without_a_node_id_answers_nothing_but_lss() {
     let mut bench = unconfigured();
-    for text in [
-        "000#0100",
-        "000#8100",
-        "000#8200",
-        "080#",
-        "602#4000100000000000",
-    ] {
+    for text in ["000#0100", "000#8100", "000#8200", "080#", "602#4000100000000000"] {
         assert_eq!(bench.say(text), [""; 0], "{text}");
     }
     assert_eq!(bench.run(200), [""; 0]);
@@ -81,10 +68,7 @@ fn a_unit_without_a_node_id_boots_when_it_was_given_one() {
 #[test]
 fn a_new_node_id_waits_for_a_reset_of_the_communication() {
     let mut bench = Bench::booted(config());
-    check(
-        &mut bench,
-        &[("0401", &[]), ("1107", &["11"]), ("0400", &[])],
-    );
+    check(&mut bench, &[("0401", &[]), ("1107", &["11"]), ("0400", &[])]);
     assert_eq!(bench.run(60), [""; 0]);
     assert_eq!(bench.say("602#4017100000000000"), ["582#4B17100000000000"]);
     bench.say("000#8202");
@@ -103,10 +87,7 @@ fn a_new_node_id_waits_for_a_reset_of_the_communication() {
 #[test]
 fn a_unit_can_be_robbed_of_its_node_id() {
     let mut bench = Bench::booted(config());
-    check(
-        &mut bench,
-        &[("0401", &[]), ("11FF", &["11"]), ("4C", &[]), ("0400", &[])],
-    );
+    check(&mut bench, &[("0401", &[]), ("11FF", &["11"]), ("4C", &[]), ("0400", &[])]);
     bench.say("000#8202");
     assert_eq!(bench.run(60), [""; 0]);
     check(&mut bench, &[("4C", &["50"])]);
@@ -123,29 +104,10 @@ fn what_a_unit_is_not_asked_it_does_not_answer() {
     let another: (&str, &[&str]) = ("4303000010", &[]);
     let [vendor, product, revision, serial] = SELECT;
     let silent = |(request, _)| (request, &[] as &[&str]);
-    check(
-        &mut bench,
-        &[
-            vendor,
-            product,
-            revision,
-            another,
-            silent(serial),
-            ("5E", &[]),
-        ],
-    );
-    check(
-        &mut bench,
-        &[vendor, revision, product, silent(serial), ("5E", &[])],
-    );
-    check(
-        &mut bench,
-        &[product, revision, silent(serial), ("5E", &[])],
-    );
-    check(
-        &mut bench,
-        &[vendor, product, revision, serial, ("5E", &["5E02"])],
-    );
+    check(&mut bench, &[vendor, product, revision, another, silent(serial), ("5E", &[])]);
+    check(&mut bench, &[vendor, revision, product, silent(serial), ("5E", &[])]);
+    check(&mut bench, &[product, revision, silent(serial), ("5E", &[])]);
+    check(&mut bench, &[vendor, product, revision, serial, ("5E", &["5E02"])]);
     // Invalid node-IDs and bit rates.
     let refused = [
         ("1100", &["1101"][..]),
@@ -166,30 +128,12 @@ fn what_a_unit_is_not_asked_it_does_not_answer() {
 fn a_unit_is_identified_by_ranges() {
     // Revision 0x0170_0000, serial 0x1000_0002: the bounds, and whether the unit lies within them.
     let cases = [
-        (
-            ["4800007001", "4900007001", "4A02000010", "4B02000010"],
-            true,
-        ),
-        (
-            ["4800000000", "49FFFFFFFF", "4A00000000", "4BFFFFFFFF"],
-            true,
-        ),
-        (
-            ["4801007001", "49FFFFFFFF", "4A00000000", "4BFFFFFFFF"],
-            false,
-        ),
-        (
-            ["4800000000", "49FFFF6F01", "4A00000000", "4BFFFFFFFF"],
-            false,
-        ),
-        (
-            ["4800000000", "49FFFFFFFF", "4A03000010", "4BFFFFFFFF"],
-            false,
-        ),
-        (
-            ["4800000000", "49FFFFFFFF", "4A00000000", "4B01000010"],
-            false,
-        ),
+        (["4800007001", "4900007001", "4A02000010", "4B02000010"], true),
+        (["4800000000", "49FFFFFFFF", "4A00000000", "4BFFFFFFFF"], true),
+        (["4801007001", "49FFFFFFFF", "4A00000000", "4BFFFFFFFF"], false),
+        (["4800000000", "49FFFF6F01", "4A00000000", "4BFFFFFFFF"], false),
+        (["4800000000", "49FFFFFFFF", "4A03000010", "4BFFFFFFFF"], false),
+        (["4800000000", "49FFFFFFFF", "4A00000000", "4B01000010"], false),
     ];
     let mut bench = Bench::booted(config());
     for (bounds, within) in cases {
@@ -205,10 +149,7 @@ fn a_unit_is_identified_by_ranges() {
 fn a_fastscan_finds_the_identity_bit_by_bit() {
     let mut bench = unconfigured();
     let mut scan = |number: u32, bit: u8, sub: u8, next: u8| {
-        let bytes: Vec<_> = number
-            .to_le_bytes()
-            .map(|byte| format!("{byte:02X}"))
-            .to_vec();
+        let bytes: Vec<_> = number.to_le_bytes().map(|byte| format!("{byte:02X}")).to_vec();
         let request = format!("51{}{bit:02X}{sub:02X}{next:02X}", bytes.concat());
         match ask(&mut bench, &request).as_slice() {
             [] => false,
@@ -248,10 +189,7 @@ fn a_short_object_goes_by_blocks() {
 fn a_long_object_goes_by_blocks_as_fast_as_the_bus_takes_it() {
     let mut bench = Bench::booted(config());
     assert_eq!(bench.ask("A4F02F027F000000"), "C6F02F02E8030000");
-    bench
-        .port
-        .send(bench.now, &[parse("602#A300000000000000")])
-        .unwrap();
+    bench.port.send(bench.now, &[parse("602#A300000000000000")]).unwrap();
     let asked = bench.now;
     let first = bench.run_micros(30_000);
     assert_eq!(first.len(), 127);
@@ -265,10 +203,7 @@ fn a_long_object_goes_by_blocks_as_fast_as_the_bus_takes_it() {
     let expected: u32 = first.iter().skip(1).map(bits).sum();
     let lasted = first[126].at.since(first[0].at);
     assert_eq!(lasted, Bitrate::KBPS_1000.duration(expected));
-    bench
-        .port
-        .send(bench.now, &[parse("602#A27F7F0000000000")])
-        .unwrap();
+    bench.port.send(bench.now, &[parse("602#A27F7F0000000000")]).unwrap();
     let second = bench.run(30);
     assert_eq!(second.len(), 16);
     assert!(second[15].starts_with("582#90"), "{}", second[15]);
@@ -294,18 +229,11 @@ fn the_rated_torque_is_the_one_that_the_motor_was_given_in_the_unit_of_the_maker
         (1, 0.42, 420),
         (1, 0.001, 1),
     ] {
-        let mut bench = Bench::booted(Epos4Config {
-            vendor,
-            rated_torque: Some(rated),
-            ..config()
-        });
+        let mut bench = Bench::booted(Epos4Config { vendor, rated_torque: Some(rated), ..config() });
         let answers = bench.say("602#4076600000000000");
         let value = answers[0].strip_prefix("582#43766000").unwrap();
         let value = u32::from_str_radix(value, 16).unwrap().swap_bytes();
         // The nominal current and the torque constant are rounded to whole numbers.
-        assert!(
-            value.abs_diff(expected) <= 1 + expected / 10_000,
-            "{rated} N·m: {value}"
-        );
+        assert!(value.abs_diff(expected) <= 1 + expected / 10_000, "{rated} N·m: {value}");
     }
 }

@@ -13,10 +13,7 @@ fn the_device_is_what_its_data_sheet_says() {
         let [low, high] = object.index.to_le_bytes();
         let address = format!("{low:02X}{high:02X}{:02X}", object.subindex);
         let answer = bench.ask(&format!("40{address}00000000"));
-        if matches!(
-            variable.data_type,
-            DataType::VisibleString | DataType::Domain
-        ) {
+        if matches!(variable.data_type, DataType::VisibleString | DataType::Domain) {
             assert!(answer.starts_with("41"), "{object}: {answer}");
             continue;
         }
@@ -30,9 +27,7 @@ fn the_device_is_what_its_data_sheet_says() {
         if let Some(default) = &variable.default
             && answer[..2] == specifier
         {
-            let bytes = default
-                .encode(variable.data_type, config().node.unwrap())
-                .unwrap();
+            let bytes = default.encode(variable.data_type, config().node.unwrap()).unwrap();
             let bytes: String = bytes.iter().map(|byte| format!("{byte:02X}")).collect();
             assert_eq!(answer[8..8 + 2 * size], bytes, "{object}");
             defaults += 1;
@@ -48,11 +43,7 @@ fn the_device_is_what_its_data_sheet_says() {
         let specifier = 0x23 | (4 - size) << 2;
         let refused = bench.ask(&format!("{specifier:02X}{address}FFFFFFFF"));
         let read_only = refused == format!("80{address}02000106");
-        assert_eq!(
-            read_only,
-            variable.access == Access::ReadOnly,
-            "{object}: {refused}"
-        );
+        assert_eq!(read_only, variable.access == Access::ReadOnly, "{object}: {refused}");
     }
 }
 
@@ -64,10 +55,7 @@ fn the_data_sheet_reads_back_whole_and_every_object_has_a_name() {
         assert!(!variable.name.starts_with("Object "), "{object}");
     }
     let identity = [1, 2, 3, 4].map(|subindex| sheet.identity(subindex));
-    assert_eq!(
-        identity,
-        [Some(0xFB), Some(0x6150_0000), Some(0x0170_0000), None]
-    );
+    assert_eq!(identity, [Some(0xFB), Some(0x6150_0000), Some(0x0170_0000), None]);
 }
 
 #[test]

@@ -61,11 +61,7 @@ fn a_reset_of_the_node_ends_every_error() {
     bench.follow(5, |_| start);
     bench.follow(50, |_| start + 100_000);
     bench.run(500);
-    assert_eq!(
-        bench.statusword() & 0x204F,
-        0x2008,
-        "fault and following error"
-    );
+    assert_eq!(bench.statusword() & 0x204F, 0x2008, "fault and following error");
     bench.say("000#8102");
     assert_eq!(bench.run(60), ["702#00"]);
     assert_eq!(bench.statusword() & 0x204F, 0x0040);

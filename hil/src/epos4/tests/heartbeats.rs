@@ -73,14 +73,9 @@ fn a_watch_that_ends_takes_its_error_along() {
     for entry in [0, watch(126, 50), watch(200, 50)] {
         let mut bench = watched();
         assert_eq!(bench.run(100), [LOST]);
-        let data = (entry as u32)
-            .to_le_bytes()
-            .map(|byte| format!("{byte:02X}"));
+        let data = (entry as u32).to_le_bytes().map(|byte| format!("{byte:02X}"));
         let answers = bench.say(&format!("602#23161001{}", data.concat()));
-        assert!(
-            answers.contains(&RECOVERED.to_owned()),
-            "{entry:#x}: {answers:?}"
-        );
+        assert!(answers.contains(&RECOVERED.to_owned()), "{entry:#x}: {answers:?}");
         assert_eq!(bench.read("011000"), 0, "{entry:#x}");
         assert_eq!(bench.read("3F6000"), 0, "{entry:#x}");
     }

@@ -10,17 +10,10 @@ fn a_set_point_takes_effect_at_the_sync_after_it() {
     bench.follow(3, |_| start);
     // Demand 0x6062. Two set-points arrive before one SYNC. The second set-point takes effect, at SYNC.
     let set = |target: i32| {
-        let bytes: String = target
-            .to_le_bytes()
-            .iter()
-            .map(|b| format!("{b:02X}"))
-            .collect();
+        let bytes: String = target.to_le_bytes().iter().map(|b| format!("{b:02X}")).collect();
         parse(&format!("402#0F00{bytes}"))
     };
-    bench
-        .port
-        .send(bench.now, &[set(start + 400), set(start + 20)])
-        .unwrap();
+    bench.port.send(bench.now, &[set(start + 400), set(start + 20)]).unwrap();
     bench.run(2);
     assert_eq!(bench.read("626000"), start);
     bench.port.send(bench.now, &[parse("080#")]).unwrap();
@@ -35,16 +28,9 @@ fn cyclic_positions_are_followed_and_answered_at_every_sync() {
     let start = bench.read("646000");
     let heard = bench.follow(500, |cycle| start + 4 * cycle as i32);
     assert_eq!(heard.len(), 500);
-    assert!(
-        heard.iter().all(|frame| frame.starts_with("382#")),
-        "{heard:?}"
-    );
+    assert!(heard.iter().all(|frame| frame.starts_with("382#")), "{heard:?}");
     // Operation enabled, remote, and bit 12: set-points are followed.
-    assert!(
-        heard.last().unwrap().starts_with("382#3712"),
-        "{:?}",
-        heard.last()
-    );
+    assert!(heard.last().unwrap().starts_with("382#3712"), "{:?}", heard.last());
     let reached = bench.read("646000");
     let expected = start + 4 * 499;
     assert!((reached - expected).abs() < 20, "{reached} {expected}");
@@ -60,10 +46,7 @@ fn a_torque_offset_is_added_in_the_cyclic_modes_of_position_and_velocity() {
             let torque = i64::from(bench.read("776000") as i16);
             // The loops have already begun to compensate the offset.
             let expected = if added { 20..=100 } else { 0..=2 };
-            assert!(
-                expected.contains(&(torque * offset.signum())),
-                "mode {mode}: {torque}"
-            );
+            assert!(expected.contains(&(torque * offset.signum())), "mode {mode}: {torque}");
             bench.run(500);
             let torque = i64::from(bench.read("776000") as i16);
             assert!(torque.abs() < 20, "mode {mode}: {torque}");
@@ -92,10 +75,7 @@ fn a_jump_of_the_set_point_is_a_following_error() {
     bench.write("406000", 0x0F, 2);
     assert_eq!(bench.statusword() & 0x6F, 0x08);
     let answers = bench.say("602#2B40600080000000");
-    assert!(
-        answers.contains(&"082#0000000000000000".to_owned()),
-        "{answers:?}"
-    );
+    assert!(answers.contains(&"082#0000000000000000".to_owned()), "{answers:?}");
     assert_eq!(bench.statusword() & 0x4F, 0x40);
     assert_eq!(bench.read("011000"), 0);
 }
@@ -117,11 +97,7 @@ fn profile_position_acknowledges_a_set_point_and_reaches_it() {
     bench.write("7A6000", i64::from(start + 3000), 4);
     bench.write("406000", 0x1F, 2);
     let word = bench.statusword();
-    assert_eq!(
-        word & 0x1400,
-        0x1000,
-        "acknowledged, not reached: {word:#06x}"
-    );
+    assert_eq!(word & 0x1400, 0x1000, "acknowledged, not reached: {word:#06x}");
     // Another set-point waits behind the first. Its acknowledge bit stays set until there is room again.
     bench.write("406000", 0x0F, 2);
     assert_eq!(bench.statusword() & 0x1000, 0);
@@ -290,15 +266,8 @@ fn stopping_or_resetting_a_node_in_motion_stops_its_axis() {
 #[test]
 fn a_limit_switch_is_a_fault_from_which_one_can_drive_away() {
     let mut axis = AxisConfig::wut(Irp6Axis::ALL[0]);
-    axis.positive_limit = Some(crate::plant::Switch {
-        from: axis.start_angle + 3.0,
-        to: f64::INFINITY,
-        bounce: 0,
-    });
-    let mut bench = Bench::booted(Epos4Config {
-        axis,
-        ..Epos4Config::new(NodeId::new(2).unwrap(), axis)
-    });
+    axis.positive_limit = Some(crate::plant::Switch { from: axis.start_angle + 3.0, to: f64::INFINITY, bounce: 0 });
+    let mut bench = Bench::booted(Epos4Config { axis, ..Epos4Config::new(NodeId::new(2).unwrap(), axis) });
     bench.enable(3);
     bench.write("FF6000", 100, 4);
     assert_eq!(bench.run(1000), ["082#818A810000000000"]);
@@ -337,11 +306,7 @@ fn homing_sets_the_counter_and_the_referenced_bit() {
     bench.run(5000);
     let word = bench.statusword();
     assert_eq!(word & 0xB400, 0x9400, "done: {word:#06x}");
-    assert!(
-        (bench.read("646000") - 500).abs() <= 2,
-        "{}",
-        bench.read("646000")
-    );
+    assert!((bench.read("646000") - 500).abs() <= 2, "{}", bench.read("646000"));
     // Leaving homing mode keeps the reference. A reset of the node clears the reference.
     bench.write("606000", 8, 1);
     assert_eq!(bench.statusword() & 0x8000, 0x8000);
@@ -355,10 +320,7 @@ fn homing_sets_the_counter_and_the_referenced_bit() {
 fn each_axis_of_an_irp6_is_homed_to_its_index() {
     for which in Irp6Axis::ALL {
         let axis = AxisConfig::irp6(which);
-        let mut bench = Bench::booted(Epos4Config {
-            axis,
-            ..Epos4Config::new(NodeId::new(2).unwrap(), axis)
-        });
+        let mut bench = Bench::booted(Epos4Config { axis, ..Epos4Config::new(NodeId::new(2).unwrap(), axis) });
         bench.write("986000", 11, 1);
         bench.write("996001", 143, 4);
         bench.write("996002", 33, 4);
@@ -371,10 +333,7 @@ fn each_axis_of_an_irp6_is_homed_to_its_index() {
         let device: &Epos4 = bench.world.device(bench.device).unwrap();
         let count = std::f64::consts::TAU / f64::from(axis.counts_per_revolution);
         let angle = (device.axis().angle() - axis.index_angle) / count;
-        assert!(
-            (counts - angle).abs() <= 1.5,
-            "{which:?}: {counts} at {angle}"
-        );
+        assert!((counts - angle).abs() <= 1.5, "{which:?}: {counts} at {angle}");
         assert!(counts.abs() <= 5.0, "{which:?} rests at {counts}");
     }
 }
@@ -405,10 +364,7 @@ fn software_limits_hold_once_the_position_is_referenced() {
     bench.write("606000", 1, 1);
     bench.write("7A6000", 1001, 4);
     let answers = bench.say("602#2B4060001F000000");
-    assert!(
-        answers.contains(&"082#828A810000000000".to_owned()),
-        "{answers:?}"
-    );
+    assert!(answers.contains(&"082#828A810000000000".to_owned()), "{answers:?}");
 }
 
 #[test]
@@ -419,11 +375,8 @@ fn the_same_input_gives_the_same_frames_at_the_same_times() {
         let start = bench.read("646000");
         let mut all = Vec::new();
         for cycle in 0..500_i32 {
-            let bytes: String = (start + cycle * cycle / 50)
-                .to_le_bytes()
-                .iter()
-                .map(|byte| format!("{byte:02X}"))
-                .collect();
+            let bytes: String =
+                (start + cycle * cycle / 50).to_le_bytes().iter().map(|byte| format!("{byte:02X}")).collect();
             let batch = [parse("080#"), parse(&format!("402#0F00{bytes}"))];
             bench.port.send(bench.now, &batch).unwrap();
             all.extend(bench.run_micros(2000));
@@ -440,11 +393,7 @@ fn payload_handed_over_in_a_world_is_felt_by_the_drive_that_holds_it() {
     let mut axis = AxisConfig::irp6(Irp6Axis::UpperArm);
     axis.start_angle = axis.index_angle;
     let mechanism = crate::Mechanism::new(crate::MechanismConfig::Irp6);
-    let mut bench = Bench::booted(Epos4Config {
-        axis,
-        mount: mechanism.mount(2, axis.index_angle),
-        ..config()
-    });
+    let mut bench = Bench::booted(Epos4Config { axis, mount: mechanism.mount(2, axis.index_angle), ..config() });
     bench.enable(1);
     let mut held = |mass: f64| {
         mechanism.set_payload(mass, [0.0; 3]);

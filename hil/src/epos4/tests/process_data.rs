@@ -93,10 +93,7 @@ fn an_rpdo_that_is_not_watched_any_more_is_not_overdue() {
         let specifier = 0x23 | (4 - bytes as u8) << 2;
         let data = value.to_le_bytes().map(|byte| format!("{byte:02X}"));
         let answers = bench.say(&format!("602#{specifier:02X}{object}{}", data.concat()));
-        assert!(
-            answers.contains(&NO_ERROR.to_owned()),
-            "{object}: {answers:?}"
-        );
+        assert!(answers.contains(&NO_ERROR.to_owned()), "{object}: {answers:?}");
         assert_eq!(bench.read("011000"), 0, "{object}");
     }
 }
@@ -122,11 +119,7 @@ fn an_identifier_of_11_bits_has_no_further_bits() {
         for invalid in [0, 0x8000_0000_u32] {
             for bit in 11..=29 {
                 let value = invalid | 1 << bit | own;
-                assert_eq!(
-                    bench.refusal(object, value, 4),
-                    RANGE,
-                    "{object} {value:#010x}"
-                );
+                assert_eq!(bench.refusal(object, value, 4), RANGE, "{object} {value:#010x}");
             }
         }
         assert_eq!(bench.refusal(object, 0x8000_0000 | own, 4), 0, "{object}");
@@ -148,11 +141,7 @@ fn writing_one_pdo_leaves_the_others_as_they_are() {
         assert_eq!(bench.say("080#"), [""; 0]);
         assert_eq!(bench.say("402#060044332211"), [""; 0]);
         let answers = bench.say(&format!("602#2F{object}01000000"));
-        assert_eq!(
-            answers,
-            [format!("582#60{object}00000000")],
-            "no other PDO is sent"
-        );
+        assert_eq!(answers, [format!("582#60{object}00000000")], "no other PDO is sent");
         let heard = bench.say("080#");
         assert_eq!(count(&heard, "182#"), 1, "{object}: {heard:?}");
         assert_eq!(bench.read("7A6000"), 0x1122_3344, "{object}");

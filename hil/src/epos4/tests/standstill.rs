@@ -4,9 +4,7 @@ use super::*;
 
 /// Each kind of axis, by its name.
 fn axes() -> Vec<(String, AxisConfig)> {
-    let mut axes: Vec<_> = Irp6Axis::ALL
-        .map(|which| (format!("{which:?}"), AxisConfig::irp6(which)))
-        .to_vec();
+    let mut axes: Vec<_> = Irp6Axis::ALL.map(|which| (format!("{which:?}"), AxisConfig::irp6(which))).to_vec();
     axes.extend(Irp6Axis::ALL.map(|which| (format!("WUT {which:?}"), AxisConfig::wut(which))));
     let track = AxisConfig::irp6_track(0).unwrap();
     axes.push(("track".into(), track));
@@ -22,10 +20,7 @@ fn axes() -> Vec<(String, AxisConfig)> {
 
 /// A device that sends statusword, position and velocity whenever one of them changes.
 fn talkative(axis: AxisConfig) -> Bench {
-    let mut bench = Bench::booted(Epos4Config {
-        axis,
-        ..Epos4Config::new(NodeId::new(2).unwrap(), axis)
-    });
+    let mut bench = Bench::booted(Epos4Config { axis, ..Epos4Config::new(NodeId::new(2).unwrap(), axis) });
     bench.write("021801", 0x4000_0382, 4);
     bench.write("031801", 0x4000_0482, 4);
     bench
@@ -39,10 +34,7 @@ fn a_drive_without_power_is_silent_at_rest() {
         let edge = (axis.start_angle / count).floor() * count;
         for start_angle in [axis.start_angle, edge, edge + count] {
             for mode in [1, 3, 6, 8, 9, 10] {
-                let mut bench = talkative(AxisConfig {
-                    start_angle,
-                    ..axis
-                });
+                let mut bench = talkative(AxisConfig { start_angle, ..axis });
                 bench.write("606000", mode, 1);
                 assert_eq!(bench.say("000#0102").len(), 3);
                 let heard = bench.run(1000);
@@ -69,12 +61,7 @@ fn an_enabled_drive_is_quiet_at_rest() {
 #[test]
 fn standstill_has_a_window_and_a_time() {
     let mut bench = Bench::booted(config());
-    let table = [
-        ("E03000", 3),
-        ("E03001", 30),
-        ("E03002", 2),
-        ("E03003", 1000),
-    ];
+    let table = [("E03000", 3), ("E03001", 30), ("E03002", 2), ("E03003", 1000)];
     for (object, factory) in table {
         assert_eq!(bench.read(object), factory, "{object}");
     }

@@ -54,15 +54,10 @@ fn what_is_no_parameter_is_not_stored() {
 fn what_is_not_stored_is_what_the_data_sheet_keeps_from_downloads() {
     use crate::epos4::table::TABLE;
     let sheet = Epos4::eds(&config());
-    let kept: Vec<_> = sheet
-        .variables()
-        .filter(|(_, variable)| variable.refuses_download)
-        .map(|(object, _)| object)
-        .collect();
+    let kept: Vec<_> =
+        sheet.variables().filter(|(_, variable)| variable.refuses_download).map(|(object, _)| object).collect();
     let volatile = TABLE.iter().filter(|entry| entry.volatile);
-    let volatile: Vec<_> = volatile
-        .inspect(|entry| assert!(entry.writable, "{}", entry.object))
-        .map(|entry| entry.object)
-        .collect();
+    let volatile: Vec<_> =
+        volatile.inspect(|entry| assert!(entry.writable, "{}", entry.object)).map(|entry| entry.object).collect();
     assert_eq!(kept, volatile);
 }

@@ -23,20 +23,12 @@ impl Body {
     pub(super) const NONE: Self = Self::point(0.0, [0.0; 3]);
 
     pub(super) const fn point(mass: f64, [x, y, z]: [f64; 3]) -> Self {
-        Self {
-            mass,
-            centre: Vector::new(x, y, z),
-            spread: Vector::new(0.0, 0.0, 0.0),
-        }
+        Self { mass, centre: Vector::new(x, y, z), spread: Vector::new(0.0, 0.0, 0.0) }
     }
 
     /// A uniform rod from the origin of its frame to `end`.
     pub(super) fn rod(mass: f64, end: Vector) -> Self {
-        Self {
-            mass,
-            centre: 0.5 * end,
-            spread: end / 12_f64.sqrt(),
-        }
+        Self { mass, centre: 0.5 * end, spread: end / 12_f64.sqrt() }
     }
 
     /// Load on a motor that moves the body's frame with `motion`.
@@ -64,11 +56,7 @@ pub(super) struct Motion {
 impl Motion {
     /// A frame at rest.
     pub(super) fn standing(up: Vector) -> Self {
-        Self {
-            up,
-            spin: Vector::zeros(),
-            velocity: Vector::zeros(),
-        }
+        Self { up, spin: Vector::zeros(), velocity: Vector::zeros() }
     }
 }
 
@@ -83,10 +71,7 @@ pub struct Load {
 
 impl Load {
     pub(super) fn and(self, other: Self) -> Self {
-        Self {
-            torque: self.torque + other.torque,
-            inertia: self.inertia + other.inertia,
-        }
+        Self { torque: self.torque + other.torque, inertia: self.inertia + other.inertia }
     }
 }
 
@@ -112,12 +97,7 @@ impl Link {
             -1 => (-1.0, 0.0),
             _ => (0.0, 1.0),
         };
-        Self {
-            twist,
-            reach: Vector::new(a, d * twist.0, d * twist.1),
-            body,
-            turn: (0.0, (0.0, 1.0)),
-        }
+        Self { twist, reach: Vector::new(a, d * twist.0, d * twist.1), body, turn: (0.0, (0.0, 1.0)) }
     }
 
     /// A link with a uniform rod from the previous frame to this frame.

@@ -54,10 +54,7 @@ impl Irp6 {
             spread: Vector::new(length / 12_f64.sqrt(), 0.0, 0.0),
             ..Body::point(mass, [centre - length, 0.0, 0.0])
         };
-        let column = Body {
-            spread: Vector::new(0.2, 0.0, 0.0),
-            ..Body::point(45.0, [0.0; 3])
-        };
+        let column = Body { spread: Vector::new(0.2, 0.0, 0.0), ..Body::point(45.0, [0.0; 3]) };
         let wrist = Body::point(4.0, [0.0, -0.095, 0.0]);
         let (lower, upper) = screws();
         Self {
@@ -94,14 +91,7 @@ impl Irp6 {
         let roll = (arm(4) - arm(3)) / ROLL;
         // Parallelogram and rods keep each link's angle to the horizontal. The angles of the chain are relative to
         // the previous link.
-        let angles = [
-            arm(0) / COLUMN,
-            lower,
-            upper - lower,
-            pitch - upper - FRAC_PI_2,
-            roll,
-            arm(5) / FLANGE,
-        ];
+        let angles = [arm(0) / COLUMN, lower, upper - lower, pitch - upper - FRAC_PI_2, roll, arm(5) / FLANGE];
         let mut base = Motion::standing(UP);
         let mut rates = [0.0; 6];
         let mut ratio = 1.0;
@@ -133,10 +123,6 @@ impl Irp6 {
                 TURNING[axis.min(5)]
             }
         };
-        Loaded {
-            links: self.chain.load(&base, &angles, &rates),
-            turning,
-            ratio,
-        }
+        Loaded { links: self.chain.load(&base, &angles, &rates), turning, ratio }
     }
 }

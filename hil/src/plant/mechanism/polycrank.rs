@@ -57,10 +57,6 @@ impl Polycrank {
         for (angle, at_home) in angles.iter_mut().zip(self.at_home) {
             *angle += at_home;
         }
-        Loaded {
-            links: self.chain.load(&Motion::standing(UP), &angles, &rates),
-            turning: TURNING,
-            ratio: 1.0,
-        }
+        Loaded { links: self.chain.load(&Motion::standing(UP), &angles, &rates), turning: TURNING, ratio: 1.0 }
     }
 }

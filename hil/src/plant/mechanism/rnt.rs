@@ -49,17 +49,11 @@ const STEPS: usize = 12;
 impl Rnt {
     pub(super) fn new(home_lengths: [f64; 3]) -> Self {
         let disc = PLATFORM_RADIUS / 2.0;
-        let half = |spread| Body {
-            spread,
-            ..Body::point(15.0, [0.0; 3])
-        };
+        let half = |spread| Body { spread, ..Body::point(15.0, [0.0; 3]) };
         let reach = BASE_RADIUS - PLATFORM_RADIUS;
         let length = home_lengths.iter().sum::<f64>() / 3.0;
         let mut rnt = Self {
-            platform: [
-                half(Vector::new(disc, 0.0, 0.0)),
-                half(Vector::new(0.0, disc, 0.0)),
-            ],
+            platform: [half(Vector::new(disc, 0.0, 0.0)), half(Vector::new(0.0, disc, 0.0))],
             wrist: Chain {
                 links: [
                     Link::new(0.0, 0.0, -1, Body::point(5.0, [0.0; 3])),
@@ -72,9 +66,7 @@ impl Rnt {
             pose: Pose {
                 alpha: 0.0,
                 beta: 0.0,
-                extension: (length * length - reach * reach)
-                    .max(SHORTEST * SHORTEST)
-                    .sqrt(),
+                extension: (length * length - reach * reach).max(SHORTEST * SHORTEST).sqrt(),
             },
         };
         rnt.settle(&[0.0; AXES]);
@@ -133,11 +125,7 @@ impl Rnt {
             rates[number - 3] = 1.0 / GEAR;
             (TURNING.1, Load::default())
         };
-        Loaded {
-            links: load.and(self.wrist.load(&base, &angles, &rates)),
-            turning,
-            ratio: 1.0,
-        }
+        Loaded { links: load.and(self.wrist.load(&base, &angles, &rates)), turning, ratio: 1.0 }
     }
 }
 
@@ -151,11 +139,7 @@ impl Pose {
     fn axes(&self) -> [Vector; 3] {
         let (sa, ca) = self.alpha.sin_cos();
         let (sb, cb) = self.beta.sin_cos();
-        [
-            Vector::new(cb, sa * sb, -ca * sb),
-            Vector::new(0.0, ca, sa),
-            Vector::new(sb, -sa * cb, ca * cb),
-        ]
+        [Vector::new(cb, sa * sb, -ca * sb), Vector::new(0.0, ca, sa), Vector::new(sb, -sa * cb, ca * cb)]
     }
 
     fn into_platform(self, vector: Vector) -> Vector {
@@ -167,11 +151,7 @@ impl Pose {
         let spin = rates[0] * Vector::x() + rates[1] * self.axes()[1];
         let spin = self.into_platform(spin);
         let along = self.extension * Vector::z();
-        Motion {
-            up,
-            spin,
-            velocity: rates[2] * Vector::z() + spin.cross(&along),
-        }
+        Motion { up, spin, velocity: rates[2] * Vector::z() + spin.cross(&along) }
     }
 
     /// For each leg: its length, m, and the change of the pose per metre of its length, other lengths being constant.
@@ -184,11 +164,7 @@ impl Pose {
             let length = leg.dot(&leg).sqrt();
             let along = leg / length;
             // Change of the leg length with the pose.
-            let slope = [
-                along.dot(&Vector::x().cross(&joint)),
-                along.dot(&y.cross(&joint)),
-                along.dot(&z),
-            ];
+            let slope = [along.dot(&Vector::x().cross(&joint)), along.dot(&y.cross(&joint)), along.dot(&z)];
             (length, slope)
         });
         let slopes = legs.map(|(_, slope)| Vector::from(slope));
@@ -201,11 +177,7 @@ impl Pose {
 }
 
 /// Cosine and sine of 0°, 120° and 240°.
-const CIRCLE: [[f64; 2]; 3] = [
-    [1.0, 0.0],
-    [-0.5, 0.866_025_403_784_438_6],
-    [-0.5, -0.866_025_403_784_438_6],
-];
+const CIRCLE: [[f64; 2]; 3] = [[1.0, 0.0], [-0.5, 0.866_025_403_784_438_6], [-0.5, -0.866_025_403_784_438_6]];
 
 #[cfg(test)]
 mod tests {
@@ -213,11 +185,7 @@ mod tests {
 
     #[test]
     fn platform_is_where_its_legs_hold_it() {
-        let pose = Pose {
-            alpha: 0.2,
-            beta: -0.1,
-            extension: 0.9,
-        };
+        let pose = Pose { alpha: 0.2, beta: -0.1, extension: 0.9 };
         let golden = [0.953_705_712, 0.960_914_436, 0.842_363_921];
         for ((length, _), expected) in pose.legs().iter().zip(golden) {
             assert!((length - expected).abs() < 1e-9, "{length} for {expected}");
@@ -266,15 +234,9 @@ mod tests {
                 *motor = (length - 0.75) * LEG;
             }
             rnt.settle(&motors);
-            let Pose {
-                alpha,
-                beta,
-                extension,
-            } = rnt.pose;
-            let moment = 30.0 * extension
-                + 5.0 * (extension + 0.2)
-                + 4.0 * (extension + 0.25)
-                + 3.0 * (extension + 0.375);
+            let Pose { alpha, beta, extension } = rnt.pose;
+            let moment =
+                30.0 * extension + 5.0 * (extension + 0.2) + 4.0 * (extension + 0.25) + 3.0 * (extension + 0.375);
             (rnt, motors, -9.81 * moment * alpha.cos() * beta.cos())
         };
         let lengths = [0.953_705_712, 0.960_914_436, 0.842_363_921];
@@ -287,10 +249,7 @@ mod tests {
             let expected = -(moved(1e-5) - moved(-1e-5)) / 2e-5 / LEG;
             let (mut rnt, motors, _) = potential(lengths);
             let found = rnt.load(leg, &motors).links.torque;
-            assert!(
-                (found - expected).abs() < 1e-7,
-                "leg {leg}: {found} for {expected}"
-            );
+            assert!((found - expected).abs() < 1e-7, "leg {leg}: {found} for {expected}");
         }
     }
 

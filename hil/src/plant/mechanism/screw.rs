@@ -75,15 +75,9 @@ mod tests {
             for (degrees, length, within, per_radian, gear) in rows {
                 let angle = f64::to_radians(degrees);
                 let found = screw.length(angle);
-                assert!(
-                    (found * 1e3 - length).abs() < within,
-                    "{degrees}°: {found} m"
-                );
+                assert!((found * 1e3 - length).abs() < within, "{degrees}°: {found} m");
                 let slope = (screw.length(angle + 1e-6) - screw.length(angle - 1e-6)) / 2e-6;
-                assert!(
-                    (slope * 1e3 - per_radian).abs() < 0.06,
-                    "{degrees}°: {slope} m/rad"
-                );
+                assert!((slope * 1e3 - per_radian).abs() < 0.06, "{degrees}°: {slope} m/rad");
                 let motor = (found - at_home) * std::f64::consts::TAU / 5e-3;
                 let (back, ratio) = screw.joint(motor);
                 assert!((back - angle).abs() < 1e-12, "{degrees}°: back at {back}");

@@ -3,14 +3,10 @@
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 use super::{Load, Loaded, Mechanism, MechanismConfig};
-use crate::plant::{
-    AxisConfig, Demand, FrictionConfig, Irp6Axis, MotorConfig, Noise, PlantAxis, PlantConfig,
-};
+use crate::plant::{AxisConfig, Demand, FrictionConfig, Irp6Axis, MotorConfig, Noise, PlantAxis, PlantConfig};
 
 const G: f64 = 9.81;
-const RNT: MechanismConfig = MechanismConfig::Rnt {
-    home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3],
-};
+const RNT: MechanismConfig = MechanismConfig::Rnt { home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3] };
 const ROBOTS: [MechanismConfig; 6] = [
     MechanismConfig::Irb6,
     MechanismConfig::Irp6,
@@ -22,10 +18,7 @@ const ROBOTS: [MechanismConfig; 6] = [
 
 /// Polycrank with all joint angles zero at home.
 const fn polycrank(coupled: bool) -> MechanismConfig {
-    MechanismConfig::Polycrank {
-        coupled,
-        at_home: [0.0; 7],
-    }
+    MechanismConfig::Polycrank { coupled, at_home: [0.0; 7] }
 }
 
 /// A mechanism with its motors at these angles from home.
@@ -40,10 +33,7 @@ fn posed(config: MechanismConfig, motors: &[f64]) -> Mechanism {
 
 fn check(found: f64, expected: f64, what: &str) {
     let near = 1e-9 + 1e-5 * expected.abs();
-    assert!(
-        (found - expected).abs() < near,
-        "{what}: {found} for {expected}"
-    );
+    assert!((found - expected).abs() < near, "{what}: {found} for {expected}");
 }
 
 /// Length of the lower arm's screw, mm, and motor angle per joint angle, by the published constants.
@@ -111,20 +101,10 @@ fn irb6_holds_its_gripper_along_the_roll_axis() {
 fn irp6_is_as_inert_as_its_masses_say() {
     let home = posed(MechanismConfig::Irp6, &[0.0; 6]);
     let lower = 12.0 * (0.04 + 0.455 * 0.455 / 12.0) + 19.35 * 0.455 * 0.455;
-    check(
-        home.load(1).inertia,
-        1.8e-4 + lower / lower_screw(-FRAC_PI_2).1.powi(2),
-        "lower arm",
-    );
-    let column = 45.0 * 0.04
-        + 14.0 * (0.0625 + 0.67 * 0.67 / 12.0)
-        + 4.0 * 0.765 * 0.765
-        + 1.35 * (0.86 * 0.86 + 0.15 * 0.15);
-    check(
-        home.load(0).inertia,
-        1.7e-4 + column / 158.0_f64.powi(2),
-        "column",
-    );
+    check(home.load(1).inertia, 1.8e-4 + lower / lower_screw(-FRAC_PI_2).1.powi(2), "lower arm");
+    let column =
+        45.0 * 0.04 + 14.0 * (0.0625 + 0.67 * 0.67 / 12.0) + 4.0 * 0.765 * 0.765 + 1.35 * (0.86 * 0.86 + 0.15 * 0.15);
+    check(home.load(0).inertia, 1.7e-4 + column / 158.0_f64.powi(2), "column");
     let track = posed(MechanismConfig::Irp6OnTrack, &[300.0, 20.0, 30.0]).load(0);
     let mass = 60.0 + 45.0 + 12.0 + 14.0 + 4.0 + 1.35;
     check(track.inertia, 4.5e-4 + mass / 1570.796_f64.powi(2), "track");
@@ -135,27 +115,15 @@ fn irp6_is_as_inert_as_its_masses_say() {
 fn pitch_of_the_wrist_takes_its_roll_along() {
     let quarter = 76.8 * FRAC_PI_2;
     let lowered = (quarter / 128.0).cos();
-    let roll = |pitch, roll| {
-        posed(MechanismConfig::Irp6, &[0.0, 0.0, 0.0, pitch, roll])
-            .load(4)
-            .torque
-    };
+    let roll = |pitch, roll| posed(MechanismConfig::Irp6, &[0.0, 0.0, 0.0, pitch, roll]).load(4).torque;
     // When the pitch motor turns and the roll motor stands, the gripper turns upright.
     check(roll(quarter, 0.0), 0.0, "left behind");
-    check(
-        roll(quarter, quarter),
-        G * 1.35 * 0.15 * lowered / 76.8,
-        "taken along",
-    );
+    check(roll(quarter, quarter), G * 1.35 * 0.15 * lowered / 76.8, "taken along");
     // Conversely, a level gripper also loads the pitch motor, with the opposite sign.
     let without = posed(MechanismConfig::Irp6, &[0.0, 0.0, 0.0, quarter]);
     let with = posed(MechanismConfig::Irp6, &[0.0, 0.0, 0.0, quarter, quarter]);
     let straight = -G * (4.0 * 0.095 + 1.35 * 0.19) * lowered / 128.0;
-    check(
-        with.load(3).torque,
-        straight - with.load(4).torque,
-        "pitch with the gripper level",
-    );
+    check(with.load(3).torque, straight - with.load(4).torque, "pitch with the gripper level");
     // The raised wrist carries the gripper upright, so that the gripper leans back over the pitch axis. Its weight
     // then helps to lift the wrist.
     let upright = straight + G * 1.35 * 0.15 * (quarter / 128.0).sin() / 128.0;
@@ -177,22 +145,14 @@ fn polycrank_weighs_what_its_masses_say() {
     for (number, arm) in arms.into_iter().enumerate() {
         check(single.load(number).torque, G * arm / 50.0, "joint");
         let next = arms.get(number + 1).copied().unwrap_or(0.0);
-        check(
-            coupled.load(number).torque,
-            G * (arm - next) / 50.0,
-            "coupled",
-        );
+        check(coupled.load(number).torque, G * (arm - next) / 50.0, "coupled");
     }
     // At home the second group also turns about a level axis. Only the tool lies beside that axis, by 21.5 mm.
     let home = posed(polycrank(false), &[]);
     for number in 0..3 {
         let arm = 4.0 * -0.06 + 3.5 * -0.178 + 1.5 * -0.266 + 0.6 * -0.296;
         check(home.load(number).torque, G * arm / 50.0, "home");
-        check(
-            home.load(3 + number).torque,
-            G * 0.6 * -0.0215 / 50.0,
-            "home",
-        );
+        check(home.load(3 + number).torque, G * 0.6 * -0.0215 / 50.0, "home");
     }
     check(home.load(6).torque, 0.0, "roll");
     // A machine with another home posture carries, at home, the load that the first machine has in the same posture.
@@ -207,11 +167,7 @@ fn polycrank_weighs_what_its_masses_say() {
         let away = posed(polycrank(coupled), &motors);
         let home = Mechanism::new(MechanismConfig::Polycrank { coupled, at_home });
         for number in 0..7 {
-            check(
-                home.load(number).torque,
-                away.load(number).torque,
-                "at home",
-            );
+            check(home.load(number).torque, away.load(number).torque, "at home");
         }
     }
 }
@@ -288,9 +244,7 @@ fn payload_weighs_on_every_axis_that_lifts_it() {
 
 /// The motor of an axis without friction and ripple.
 fn smooth(mut config: AxisConfig, change: impl FnOnce(&mut MotorConfig)) -> AxisConfig {
-    let PlantConfig::Physical(motor) = &mut config.plant else {
-        unreachable!("the presets are physical")
-    };
+    let PlantConfig::Physical(motor) = &mut config.plant else { unreachable!("the presets are physical") };
     motor.friction = FrictionConfig::NONE;
     motor.viscous = 0.0;
     motor.torque_ripple = 0.0;
@@ -305,10 +259,7 @@ fn falling_arm_turns_its_height_into_speed() {
     let mechanism = Mechanism::new(MechanismConfig::Irp6);
     let config = AxisConfig {
         start_angle: 20.0,
-        ..smooth(
-            AxisConfig::irp6(Irp6Axis::LowerArm).with_home(0.0),
-            |motor| motor.end_stops = None,
-        )
+        ..smooth(AxisConfig::irp6(Irp6Axis::LowerArm).with_home(0.0), |motor| motor.end_stops = None)
     };
     let mount = mechanism.mount(1, 0.0);
     let mut axis = PlantAxis::mounted(&config, 1, mount.as_ref());
@@ -330,16 +281,10 @@ fn falling_arm_turns_its_height_into_speed() {
     while axis.angle() < 150.0 {
         let before = axis.angle();
         axis.advance(10, Demand::Off);
-        let (speed, middle) = (
-            (axis.angle() - before) / 1e-3,
-            0.5 * (axis.angle() + before),
-        );
+        let (speed, middle) = ((axis.angle() - before) / 1e-3, 0.5 * (axis.angle() + before));
         let moving = 0.5 * mechanism.load(1).inertia * speed * speed;
         let fallen = top - height(middle);
-        assert!(
-            (moving - fallen).abs() < 0.02 * fallen + 0.02,
-            "{moving} J of {fallen} at {middle} rad"
-        );
+        assert!((moving - fallen).abs() < 0.02 * fallen + 0.02, "{moving} J of {fallen} at {middle} rad");
         fastest = fastest.max(speed);
     }
     // On the way the inertia has changed by a tenth because of the ratio. The assertion above covers this effect.
@@ -348,14 +293,7 @@ fn falling_arm_turns_its_height_into_speed() {
 
 #[test]
 fn changing_gears_keep_energy_and_folding_arms_momentum() {
-    let load = |reflected, ratio| Loaded {
-        links: Load {
-            torque: 0.0,
-            inertia: reflected,
-        },
-        turning: 2.0,
-        ratio,
-    };
+    let load = |reflected, ratio| Loaded { links: Load { torque: 0.0, inertia: reflected }, turning: 2.0, ratio };
     let cases = [
         ((6.0, 1.0), (6.0, 1.0), 1.0),
         // Half the ratio gives four times the reflected inertia: 26 in place of 8 in total.
@@ -373,18 +311,12 @@ fn changing_gears_keep_energy_and_folding_arms_momentum() {
 fn payload_taken_up_is_held_with_the_torque_it_weighs() {
     let home = AxisConfig::irp6(Irp6Axis::UpperArm).index_angle;
     let mechanism = Mechanism::new(MechanismConfig::Irp6);
-    let config = AxisConfig {
-        start_angle: home,
-        ..smooth(AxisConfig::irp6(Irp6Axis::UpperArm), |_| {})
-    };
+    let config = AxisConfig { start_angle: home, ..smooth(AxisConfig::irp6(Irp6Axis::UpperArm), |_| {}) };
     let mount = mechanism.mount(2, home);
     let mut axis = PlantAxis::mounted(&config, 1, mount.as_ref());
     let mut held = |mass| {
         mechanism.set_payload(mass, [0.0, 0.0, 0.1]);
-        let hold = Demand::Position {
-            counts: 0.5,
-            velocity: 0.0,
-        };
+        let hold = Demand::Position { counts: 0.5, velocity: 0.0 };
         axis.advance(20_000, hold);
         let torques = (0..1000).map(|_| {
             axis.advance(10, hold);
@@ -396,20 +328,14 @@ fn payload_taken_up_is_held_with_the_torque_it_weighs() {
     let more = -G * 6.0 * 0.67 / upper_gear();
     let empty = -G * (14.0 * 0.25 + 5.35 * 0.67) / upper_gear();
     assert!((before - empty).abs() < 0.005, "{before} N·m for {empty}");
-    assert!(
-        (with - before - more).abs() < 0.005,
-        "{} N·m more, not {more}",
-        with - before
-    );
+    assert!((with - before - more).abs() < 0.005, "{} N·m more, not {more}", with - before);
     assert!((after - before).abs() < 0.005, "{after} N·m after {before}");
 }
 
 /// All axes of a robot with its presets, mounted.
 fn axes(config: MechanismConfig, seed: u64) -> (Mechanism, Vec<AxisConfig>, Vec<PlantAxis>) {
     let mechanism = Mechanism::new(config);
-    let configs: Vec<_> = (0..mechanism.axes())
-        .filter_map(|number| preset(config, number))
-        .collect();
+    let configs: Vec<_> = (0..mechanism.axes()).filter_map(|number| preset(config, number)).collect();
     let mounted = configs.iter().enumerate().map(|(number, config)| {
         let mount = mechanism.mount(number, config.index_angle);
         PlantAxis::mounted(config, seed + number as u64, mount.as_ref())
@@ -420,9 +346,7 @@ fn axes(config: MechanismConfig, seed: u64) -> (Mechanism, Vec<AxisConfig>, Vec<
 
 fn preset(config: MechanismConfig, number: usize) -> Option<AxisConfig> {
     match config {
-        MechanismConfig::Irb6 | MechanismConfig::Irp6 => {
-            Some(AxisConfig::irp6(Irp6Axis::ALL[number]))
-        }
+        MechanismConfig::Irb6 | MechanismConfig::Irp6 => Some(AxisConfig::irp6(Irp6Axis::ALL[number])),
         MechanismConfig::Irp6OnTrack => AxisConfig::irp6_track(number),
         MechanismConfig::Rnt { .. } => AxisConfig::rnt(number),
         MechanismConfig::Polycrank { .. } => AxisConfig::polycrank(number),
@@ -445,21 +369,14 @@ fn every_axis_of_every_robot_moves_with_all_others() {
                 let counts = from[number];
                 axis.advance(20, Demand::Position { counts, velocity });
                 from[number] = to;
-                assert_eq!(
-                    axis.feedback().trip,
-                    None,
-                    "{robot:?} axis {number} at {t} s"
-                );
+                assert_eq!(axis.feedback().trip, None, "{robot:?} axis {number} at {t} s");
                 let error = (to - f64::from(axis.feedback().counts)) as i32;
                 if k > 250 {
                     worst[number] = worst[number].max(error.abs());
                 }
             }
         }
-        assert!(
-            worst.iter().all(|worst| *worst <= 20),
-            "{robot:?}: {worst:?} counts"
-        );
+        assert!(worst.iter().all(|worst| *worst <= 20), "{robot:?}: {worst:?} counts");
     }
 }
 
@@ -488,10 +405,7 @@ fn loops_are_tuned_to_inertias_that_poses_keep_to() {
             for number in 0..mechanism.axes() {
                 let config = preset(robot, number).expect("it has the axis");
                 let times = mechanism.load(number).inertia / config.amplifier.inertia;
-                assert!(
-                    (0.4..4.0).contains(&times),
-                    "{robot:?} axis {number}: {times} times what it is tuned for"
-                );
+                assert!((0.4..4.0).contains(&times), "{robot:?} axis {number}: {times} times what it is tuned for");
             }
         }
     }
@@ -511,9 +425,7 @@ fn one_seed_and_one_order_are_one_run_bit_for_bit() {
                     axes[number].advance(20, Demand::Velocity(20_000.0));
                 }
             }
-            axes.iter()
-                .map(|axis| axis.angle().to_bits())
-                .collect::<Vec<_>>()
+            axes.iter().map(|axis| axis.angle().to_bits()).collect::<Vec<_>>()
         };
         assert_eq!(run(5, false), run(5, false), "{robot:?}");
         assert_ne!(run(5, false), run(6, false), "{robot:?}");

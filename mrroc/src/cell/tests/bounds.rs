@@ -25,14 +25,8 @@ fn what_a_drive_cannot_hold_is_refused_at_its_key() {
         ("torque_constant = 0.105", "controller.torque_constant"),
         ("max_current = 25.0", "controller.max_current"),
         ("rated_torque = 0.42", "drive.rated_torque"),
-        (
-            "position_gain = 25.0",
-            "controller.loop.law.cascade.position_gain",
-        ),
-        (
-            "velocity_gain = 0.043",
-            "controller.loop.law.cascade.velocity_gain",
-        ),
+        ("position_gain = 25.0", "controller.loop.law.cascade.position_gain"),
+        ("velocity_gain = 0.043", "controller.loop.law.cascade.velocity_gain"),
         ("limit = 2.1", "controller.loop.law.cascade.limit"),
     ];
     let mut seen = 0;
@@ -61,8 +55,7 @@ fn numbers_that_may_be_nothing_are_refused_beyond_all_use() {
     ];
     for (good, key) in keys {
         let name = good.split(' ').next().unwrap();
-        let given =
-            |value: &str| good.replacen(good.split([' ', '}']).nth(2).unwrap_or(""), value, 1);
+        let given = |value: &str| good.replacen(good.split([' ', '}']).nth(2).unwrap_or(""), value, 1);
         for value in ["-1.0", "1e6", "1e300"] {
             let found = refusing(SERIAL, good, &given(value));
             assert_eq!(found, format!("robot[0].axis[0].{key}"), "{name} = {value}");
@@ -157,21 +150,12 @@ fn an_emulated_axis_stands_within_its_travel_or_beside_a_limit_switch() {
 fn positions_that_a_counter_of_32_bits_does_not_reach_are_refused() {
     // 3.35e6 rad in both directions are 2.13e9 increments at 4000 counts, of 2.147e9.
     let finer = |given: &str| {
-        let text = POLYCRANK.replacen(
-            "counts_per_revolution = 4000",
-            "counts_per_revolution = 4096",
-            1,
-        );
+        let text = POLYCRANK.replacen("counts_per_revolution = 4000", "counts_per_revolution = 4096", 1);
         Cell::parse(&text.replacen("max_velocity", &format!("{given}max_velocity"), 1))
     };
     let error = finer("").unwrap_err();
     assert_eq!(error.key, "robot[0].axis[0].min_position");
-    assert!(
-        error
-            .to_string()
-            .contains("a counter of 32 bits reaches at 4096"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("a counter of 32 bits reaches at 4096"), "{error}");
     assert!(finer("min_position = -3000.0\nmax_position = 3000.0\n").is_ok());
 }
 
@@ -179,14 +163,8 @@ fn positions_that_a_counter_of_32_bits_does_not_reach_are_refused() {
 fn a_bus_without_axes_and_a_period_beyond_the_drives_are_refused() {
     let bus = "[[bus]]\nname = \"spare\"\ninterface = \"can1\"\n\n[[robot]]";
     let error = Cell::parse(&IRB6.replacen("[[robot]]", bus, 1)).unwrap_err();
-    assert_eq!(
-        (error.key.as_str(), error.line),
-        ("bus[1]", line_of(IRB6, "[[robot]]"))
-    );
-    assert!(
-        error.to_string().contains("no axis has bus = \"spare\""),
-        "{error}"
-    );
+    assert_eq!((error.key.as_str(), error.line), ("bus[1]", line_of(IRB6, "[[robot]]")));
+    assert!(error.to_string().contains("no axis has bus = \"spare\""), "{error}");
     let bundle = "[[serial]]\nname = \"spare\"\n\n[[robot]]";
     let error = Cell::parse(&IRB6.replacen("[[robot]]", bundle, 1)).unwrap_err();
     assert_eq!(error.key, "serial[0]");
@@ -203,10 +181,7 @@ fn a_message_gives_both_ends_of_a_range_and_counts_none_in_words() {
             "max_missed_in_row = 1000001\nperiod_us = 2000",
             "max_missed_in_row: is 1000001, must be between 1 and 1000000 (periods)",
         ),
-        (
-            "robot = []\nperiod_us = 2000",
-            "robot: has no robots, must have at least one",
-        ),
+        ("robot = []\nperiod_us = 2000", "robot: has no robots, must have at least one"),
     ];
     let head = &IRB6[..IRB6.find("[[robot]]").unwrap()];
     for (given, expected) in cases {
@@ -217,34 +192,19 @@ fn a_message_gives_both_ends_of_a_range_and_counts_none_in_words() {
         let error = Cell::parse(&text).unwrap_err().to_string();
         assert!(error.ends_with(expected), "{error}");
     }
-    let text = IRB6.replacen(
-        "poses = [[0.4, -1.8, 0.1, 0.5, 0.3], [0.0, -1.5, 0.2, 0.8, 0.0]]",
-        "poses = []",
-        1,
-    );
+    let text = IRB6.replacen("poses = [[0.4, -1.8, 0.1, 0.5, 0.3], [0.0, -1.5, 0.2, 0.8, 0.0]]", "poses = []", 1);
     let error = Cell::parse(&text).unwrap_err().to_string();
-    assert!(
-        error.ends_with("joints.poses: has no poses, must have at least one"),
-        "{error}"
-    );
-    let without = IRB6.replacen(
-        "[[bus]]\nname = \"arm\"\nbitrate_kbps = 1000\ninterface = \"can0\"\n",
-        "",
-        1,
-    );
+    assert!(error.ends_with("joints.poses: has no poses, must have at least one"), "{error}");
+    let without = IRB6.replacen("[[bus]]\nname = \"arm\"\nbitrate_kbps = 1000\ninterface = \"can0\"\n", "", 1);
     let error = Cell::parse(&without).unwrap_err().to_string();
-    assert!(
-        error.ends_with("bus: has no buses, and no serial lines either, must have at least one"),
-        "{error}"
-    );
+    assert!(error.ends_with("bus: has no buses, and no serial lines either, must have at least one"), "{error}");
 }
 
 #[test]
 fn a_parameter_is_refused_that_its_bytes_do_not_hold() {
     let given = |value: &str, bytes: u8| {
-        let parameter = format!(
-            "drive = {{ parameter = [{{ index = 0x6081, value = {value}, bytes = {bytes} }}], vendor"
-        );
+        let parameter =
+            format!("drive = {{ parameter = [{{ index = 0x6081, value = {value}, bytes = {bytes} }}], vendor");
         Cell::parse(&IRB6.replacen("drive = { vendor", &parameter, 1))
     };
     for (value, bytes, possible) in [

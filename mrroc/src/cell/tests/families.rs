@@ -24,60 +24,21 @@ fn a_key_without_effect_on_its_family_is_refused() {
     let cases = [
         (IRB6, homing, "direction = \"positive\"", "homing.direction"),
         (IRB6, homing, "direction = \"negative\"", "homing.direction"),
-        (
-            IRB6,
-            homing,
-            "reverse_at_limit = true",
-            "homing.reverse_at_limit",
-        ),
-        (
-            IRB6,
-            homing,
-            "reverse_at_limit = false",
-            "homing.reverse_at_limit",
-        ),
+        (IRB6, homing, "reverse_at_limit = true", "homing.reverse_at_limit"),
+        (IRB6, homing, "reverse_at_limit = false", "homing.reverse_at_limit"),
         (IRB6, None, "emulator = { address = 1 }", "emulator.address"),
-        (
-            IRB6,
-            None,
-            "emulator = { protocol = \"nfv2\" }",
-            "emulator.protocol",
-        ),
+        (IRB6, None, "emulator = { protocol = \"nfv2\" }", "emulator.protocol"),
         (SERIAL, None, "emulator = { vendor = 1 }", "emulator.vendor"),
-        (
-            SERIAL,
-            None,
-            "emulator = { revision = 1 }",
-            "emulator.revision",
-        ),
-        (
-            SERIAL,
-            None,
-            "emulator = { counts_per_revolution = 4000 }",
-            "emulator.counts_per_revolution",
-        ),
-        (
-            SERIAL,
-            None,
-            "emulator = { rated_torque = 1.0 }",
-            "emulator.rated_torque",
-        ),
-        (
-            HI_MOXA,
-            None,
-            "emulator = { address = 1 }",
-            "emulator.address",
-        ),
+        (SERIAL, None, "emulator = { revision = 1 }", "emulator.revision"),
+        (SERIAL, None, "emulator = { counts_per_revolution = 4000 }", "emulator.counts_per_revolution"),
+        (SERIAL, None, "emulator = { rated_torque = 1.0 }", "emulator.rated_torque"),
+        (HI_MOXA, None, "emulator = { address = 1 }", "emulator.address"),
         (HI_MOXA, None, "node = 1", "node"),
     ];
     for (text, table, given, key) in cases {
         let (spoilt, line) = with(text, table, given);
         let error = Cell::parse(&spoilt).expect_err(given);
-        assert_eq!(
-            (error.key, error.line),
-            (format!("robot[0].axis[0].{key}"), line),
-            "{given}"
-        );
+        assert_eq!((error.key, error.line), (format!("robot[0].axis[0].{key}"), line), "{given}");
         let shown = error.problem.to_string();
         assert!(shown.starts_with("has no effect "), "{given}: {shown}");
         assert!(shown.ends_with(": leave it out"), "{given}: {shown}");
@@ -87,16 +48,8 @@ fn a_key_without_effect_on_its_family_is_refused() {
         (SERIAL, homing, "reverse_at_limit = false"),
         (SERIAL, None, "emulator = { address = 1 }"),
         (SERIAL, None, "emulator = { protocol = \"hi-moxa\" }"),
-        (
-            HI_MOXA,
-            None,
-            "emulator = { protocol = \"nfv2\", address = 1 }",
-        ),
-        (
-            IRB6,
-            None,
-            "emulator = { vendor = 1, revision = 1, rated_torque = 1.0 }",
-        ),
+        (HI_MOXA, None, "emulator = { protocol = \"nfv2\", address = 1 }"),
+        (IRB6, None, "emulator = { vendor = 1, revision = 1, rated_torque = 1.0 }"),
     ];
     for (text, table, given) in taken {
         let (text, _) = with(text, table, given);
@@ -110,12 +63,7 @@ fn a_wait_that_does_not_spin_takes_no_margin_and_no_share() {
         let text = format!("wait = \"plain\"\n{given}\npriority = 80");
         let error = Cell::parse(&IRB6.replacen("priority = 80", &text, 1)).unwrap_err();
         assert_eq!(error.line, line_of(IRB6, "priority = 80") + 1, "{error}");
-        assert!(
-            error
-                .to_string()
-                .contains("has no effect with wait = \"plain\""),
-            "{error}"
-        );
+        assert!(error.to_string().contains("has no effect with wait = \"plain\""), "{error}");
     }
 }
 
@@ -136,10 +84,7 @@ fn parameters_of_another_robot_are_refused() {
     let error = Cell::parse(&text).unwrap_err();
     assert_eq!(error.key, "robot[0].parameters");
     let shown = error.to_string();
-    assert!(
-        shown.contains("is of an rnt, must be { irp6 = … }"),
-        "{shown}"
-    );
+    assert!(shown.contains("is of an rnt, must be { irp6 = … }"), "{shown}");
     let own = toml::Value::try_from(Model::Irp6Calibrated.parameters()).unwrap();
     let parameters = format!("model = \"irp6\"\nparameters = {own}\n");
     let text = IRP6.replacen("model = \"irp6\"\n", &parameters, 1);
@@ -166,39 +111,21 @@ fn a_homing_method_that_finds_an_end_of_the_travel_needs_home_to_be_there() {
         (-4, "mechanical stop", "lower"),
     ] {
         let error = method(IRB6, given).unwrap_err();
-        let expected = format!(
-            "robot[0].axis[0].homing.method: is {given}, which takes the {by} at the {end} end"
-        );
+        let expected = format!("robot[0].axis[0].homing.method: is {given}, which takes the {by} at the {end} end");
         assert!(error.contains(&expected), "{error}");
-        assert!(
-            error.contains("use a method with a home switch (7, 11, 23, 27)"),
-            "{error}"
-        );
+        assert!(error.contains("use a method with a home switch (7, 11, 23, 27)"), "{error}");
         assert!(method(POLYCRANK, given).is_err(), "{given}");
     }
     // The column of a robot whose home position is the lower end of its travel, -15.9 rad.
-    let parameters = toml::Value::try_from(Model::Irb6.parameters())
-        .unwrap()
-        .to_string();
+    let parameters = toml::Value::try_from(Model::Irb6.parameters()).unwrap().to_string();
     let parameters = parameters.replacen("low = -470.0", "low = -20.0", 1);
     let given = format!("model = \"irb6\"\nparameters = {parameters}\n");
     let at_end = IRB6.replacen("model = \"irb6\"\n", &given, 1);
     assert_ne!(parameters.matches("low = -20.0").count(), 0, "{parameters}");
-    for (given, possible) in [
-        (1, true),
-        (17, true),
-        (-4, true),
-        (2, false),
-        (18, false),
-        (-3, false),
-    ] {
+    for (given, possible) in [(1, true), (17, true), (-4, true), (2, false), (18, false), (-3, false)] {
         assert_eq!(method(&at_end, given).is_ok(), possible, "{given}");
         // The counter of a reversed drive falls towards the upper end.
         let reversed = at_end.replacen("drive = { vendor", "drive = { reversed = true, vendor", 1);
-        assert_eq!(
-            method(&reversed, given).is_ok(),
-            !possible,
-            "{given}, reversed"
-        );
+        assert_eq!(method(&reversed, given).is_ok(), !possible, "{given}, reversed");
     }
 }

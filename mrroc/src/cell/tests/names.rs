@@ -5,30 +5,10 @@ use super::*;
 const NAMES: [(&str, &str, &str, &str); 6] = [
     ("cell", "name = \"lab\"", "name = NAME", "name"),
     ("bus", "name = \"track-base\"", "name = NAME", "bus[0].name"),
-    (
-        "bundle",
-        "name = \"irb6\"\nprotocol",
-        "name = NAME\nprotocol",
-        "serial[0].name",
-    ),
-    (
-        "robot",
-        "name = \"irb6\"\nmodel",
-        "name = NAME\nmodel",
-        "robot[0].name",
-    ),
-    (
-        "axis",
-        "name = \"column\"",
-        "name = NAME",
-        "robot[0].axis[0].name",
-    ),
-    (
-        "meeting",
-        "meet = \"start\"",
-        "meet = NAME",
-        "robot[0].program[0].meet",
-    ),
+    ("bundle", "name = \"irb6\"\nprotocol", "name = NAME\nprotocol", "serial[0].name"),
+    ("robot", "name = \"irb6\"\nmodel", "name = NAME\nmodel", "robot[0].name"),
+    ("axis", "name = \"column\"", "name = NAME", "robot[0].axis[0].name"),
+    ("meeting", "meet = \"start\"", "meet = NAME", "robot[0].program[0].meet"),
 ];
 
 #[test]
@@ -80,32 +60,14 @@ fn the_names_of_the_schema_are_those_that_are_read() {
 #[test]
 fn an_interface_or_a_line_is_a_text_without_control_characters() {
     let cases = [
-        (
-            IRB6,
-            "interface = \"can0\"",
-            "interface = ",
-            "bus[0].interface",
-        ),
-        (
-            SERIAL,
-            "line = \"/dev/ttyMI8\"",
-            "line = ",
-            "robot[0].axis[0].controller.line",
-        ),
-        (
-            IRB6,
-            "drive = { vendor",
-            "drive = { revision = 1, dcf = ",
-            "robot[0].axis[0].drive.dcf",
-        ),
+        (IRB6, "interface = \"can0\"", "interface = ", "bus[0].interface"),
+        (SERIAL, "line = \"/dev/ttyMI8\"", "line = ", "robot[0].axis[0].controller.line"),
+        (IRB6, "drive = { vendor", "drive = { revision = 1, dcf = ", "robot[0].axis[0].drive.dcf"),
     ];
     for (text, good, key, path) in cases {
         for (bad, expected) in [
             ("\"\"", "is empty"),
-            (
-                "\"a\\u0000b\"",
-                "is \"a\\0b\", must have no control characters",
-            ),
+            ("\"a\\u0000b\"", "is \"a\\0b\", must have no control characters"),
             ("\"a\\nb\"", "is \"a\\nb\", must have no control characters"),
             ("\"\\u001b[2J\"", "must have no control characters"),
         ] {
@@ -114,11 +76,7 @@ fn an_interface_or_a_line_is_a_text_without_control_characters() {
                 false => format!("{key}{bad}"),
             };
             let error = Cell::parse(&text.replacen(good, &given, 1)).expect_err(&given);
-            assert_eq!(
-                (error.key.as_str(), error.line),
-                (path, line_of(text, good)),
-                "{error}"
-            );
+            assert_eq!((error.key.as_str(), error.line), (path, line_of(text, good)), "{error}");
             assert!(error.to_string().contains(expected), "{error}");
         }
     }
@@ -129,19 +87,10 @@ fn an_error_of_an_axis_says_its_name() {
     let cell = Cell::parse(IRB6).unwrap();
     let robot = &cell.robot[0];
     let table = [
-        (
-            "step 3: axis 4: set-point",
-            "step 3: axis wrist-roll: set-point",
-        ),
+        ("step 3: axis 4: set-point", "step 3: axis wrist-roll: set-point"),
         ("axis 1: joint at 3", "axis lower-arm: joint at 3"),
-        (
-            "lower-arm, axis 1: joint at 3",
-            "axis lower-arm: joint at 3",
-        ),
-        (
-            "irb6.lower-arm, axis 1: joint at 3",
-            "axis lower-arm: joint at 3",
-        ),
+        ("lower-arm, axis 1: joint at 3", "axis lower-arm: joint at 3"),
+        ("irb6.lower-arm, axis 1: joint at 3", "axis lower-arm: joint at 3"),
         ("axis 14: none of these", "axis 14: none of these"),
         ("leg 1 of none", "leg 1 of none"),
     ];

@@ -9,9 +9,7 @@ fn refused(text: &str, good: &str, bad: &str, expected: &str) {
     let error = Cell::parse(&text.replacen(good, bad, 1)).expect_err(bad);
     let shown = error.to_string();
     let line = format!("{}: ", line_of(text, good));
-    let said = shown
-        .strip_prefix(&line)
-        .unwrap_or_else(|| panic!("{bad}: {shown}"));
+    let said = shown.strip_prefix(&line).unwrap_or_else(|| panic!("{bad}: {shown}"));
     assert!(said.starts_with(expected), "{bad}: {shown}");
 }
 
@@ -29,12 +27,7 @@ fn surplus_elements_are_refused_at_their_array() {
         let expected = format!("{line}.position: has 4 elements, must have 3");
         refused(IRB6, position, bad, &expected);
     }
-    refused(
-        IRB6,
-        position,
-        "position = [0.85, 0.0]",
-        &format!("{line}.position: has 2 elements, must have 3"),
-    );
+    refused(IRB6, position, "position = [0.85, 0.0]", &format!("{line}.position: has 2 elements, must have 3"));
     refused(
         IRB6,
         position,
@@ -49,22 +42,14 @@ fn surplus_elements_are_refused_at_their_array() {
             "emulated_payload = [{ at_s = 1.0, mass = 1.0, centre = [0, 0, 0, 0] }]",
             ".emulated_payload[0].centre: has 4 elements, must have 3",
         ),
-        (
-            "weight = { up = [0, 0, 1, 0] }",
-            ".weight.up: has 4 elements, must have 3",
-        ),
+        ("weight = { up = [0, 0, 1, 0] }", ".weight.up: has 4 elements, must have 3"),
         (
             "weight = { load = { mass = 1.0, centre = [0, 0, 0, 0] } }",
             ".weight.load.centre: has 4 elements, must have 3",
         ),
     ];
     for (bad, expected) in arrays {
-        refused(
-            IRB6,
-            robot,
-            &format!("{bad}\n{robot}"),
-            &format!("{key}{expected}"),
-        );
+        refused(IRB6, robot, &format!("{bad}\n{robot}"), &format!("{key}{expected}"));
     }
 }
 
@@ -81,8 +66,7 @@ fn a_choice_of_two_is_refused() {
     let error = Cell::parse(&IRB6.replacen("line = {", "meet = \"x\"\nline = {", 1)).unwrap_err();
     // The error belongs to the table, which begins a line before.
     assert_eq!(error.line, line_of(IRB6, "line = {") - 1);
-    let expected =
-        "robot[0].program[1]: has 2 keys, must have one: \"joints\", \"line\" or \"meet\"";
+    let expected = "robot[0].program[1]: has 2 keys, must have one: \"joints\", \"line\" or \"meet\"";
     assert!(error.to_string().ends_with(expected), "{error}");
 }
 
@@ -90,66 +74,18 @@ fn a_choice_of_two_is_refused() {
 fn a_value_of_the_wrong_type_says_what_it_must_be() {
     let axis = "robot[0].axis[0]";
     let cases = [
-        (
-            "node = 1",
-            "node = 256",
-            ".node: is 256, must be a whole number from 0 to 255",
-        ),
-        (
-            "node = 1",
-            "node = -1",
-            ".node: is -1, must be a whole number from 0 to 255",
-        ),
-        (
-            "node = 1",
-            "node = 1.0",
-            ".node: is 1.0, must be a whole number from 0 to 255",
-        ),
-        (
-            "node = 1",
-            "node = \"1\"",
-            ".node: is \"1\", must be a whole number from 0 to 255",
-        ),
-        (
-            "node = 1",
-            "node = 1979-05-27",
-            ".node: is a date or time, must be a whole",
-        ),
-        (
-            "name = \"column\"",
-            "name = 7",
-            ".name: is 7, must be a string in quotes",
-        ),
-        (
-            "name = \"column\"",
-            "name = [\"column\"]",
-            ".name: is an array, must be a string",
-        ),
-        (
-            "max_velocity = 250.0",
-            "max_velocity = \"250\"",
-            ".max_velocity: is \"250\", must be a number",
-        ),
-        (
-            "max_velocity = 250.0",
-            "max_velocity = 1e300",
-            ".max_velocity: is 1e300, must be between -1e12 and 1e12",
-        ),
-        (
-            "max_velocity = 250.0",
-            "max_velocity = 1e400",
-            ".max_velocity: must be a finite number",
-        ),
-        (
-            "homing = {",
-            "homing = 3 #{",
-            ".homing: is 3, must be a table",
-        ),
-        (
-            "homing = {",
-            "homing = [11, 4] #{",
-            ".homing: is an array, must be a table",
-        ),
+        ("node = 1", "node = 256", ".node: is 256, must be a whole number from 0 to 255"),
+        ("node = 1", "node = -1", ".node: is -1, must be a whole number from 0 to 255"),
+        ("node = 1", "node = 1.0", ".node: is 1.0, must be a whole number from 0 to 255"),
+        ("node = 1", "node = \"1\"", ".node: is \"1\", must be a whole number from 0 to 255"),
+        ("node = 1", "node = 1979-05-27", ".node: is a date or time, must be a whole"),
+        ("name = \"column\"", "name = 7", ".name: is 7, must be a string in quotes"),
+        ("name = \"column\"", "name = [\"column\"]", ".name: is an array, must be a string"),
+        ("max_velocity = 250.0", "max_velocity = \"250\"", ".max_velocity: is \"250\", must be a number"),
+        ("max_velocity = 250.0", "max_velocity = 1e300", ".max_velocity: is 1e300, must be between -1e12 and 1e12"),
+        ("max_velocity = 250.0", "max_velocity = 1e400", ".max_velocity: must be a finite number"),
+        ("homing = {", "homing = 3 #{", ".homing: is 3, must be a table"),
+        ("homing = {", "homing = [11, 4] #{", ".homing: is an array, must be a table"),
         (
             "homing = { method = 11",
             "homing = { method = 200",
@@ -202,24 +138,9 @@ fn keys_that_are_unknown_missing_or_given_twice_are_named() {
         "homing = { method = 11, order = 4,",
         "robot[0].axis[0].homing.search_velocity: is missing",
     );
-    refused(
-        IRB6,
-        "max_velocity = 250.0",
-        "node = 2",
-        "node: is given twice",
-    );
-    refused(
-        IRB6,
-        "homing = { method = 11",
-        "homing = { method = 11, method = 12",
-        "method: is given twice",
-    );
-    refused(
-        IRB6,
-        "period_us = 2000",
-        "name = \"a\"",
-        "name: is given twice",
-    );
+    refused(IRB6, "max_velocity = 250.0", "node = 2", "node: is given twice");
+    refused(IRB6, "homing = { method = 11", "homing = { method = 11, method = 12", "method: is given twice");
+    refused(IRB6, "period_us = 2000", "name = \"a\"", "name: is given twice");
     let text = IRB6.replacen("name = \"irb6\"\nperiod", "period", 1);
     let error = Cell::parse(&text).unwrap_err().to_string();
     assert_eq!(error, "1: name: is missing");
@@ -232,10 +153,7 @@ fn what_a_message_quotes_is_short_and_does_nothing_to_a_terminal() {
     let cases = [
         ("node = 1", format!("node = {long}")),
         ("max_velocity = 250.0", format!("max_velocity = {long}")),
-        (
-            "max_velocity = 250.0",
-            format!("max_velocity = 0.{long}e200"),
-        ),
+        ("max_velocity = 250.0", format!("max_velocity = 0.{long}e200")),
         ("name = \"column\"", format!("name = \"{long}\"")),
         ("bus = \"arm\"", format!("bus = \"{long}\"")),
         ("model = \"irb6\"", format!("model = \"{long}\"")),
@@ -255,11 +173,7 @@ fn what_a_message_quotes_is_short_and_does_nothing_to_a_terminal() {
     for (good, bad) in cases {
         let error = Cell::parse(&IRB6.replacen(good, &bad, 1)).expect_err(&bad);
         let shown = error.to_string();
-        assert_eq!(
-            error.line,
-            line_of(IRB6, good) + bad.matches('\n').count(),
-            "{shown}"
-        );
+        assert_eq!(error.line, line_of(IRB6, good) + bad.matches('\n').count(), "{shown}");
         assert!(shown.len() < 400, "{shown}");
         assert!(!shown.contains(&"9".repeat(100)), "{shown}");
         assert!(!shown.chars().any(char::is_control), "{shown:?}");
@@ -281,26 +195,11 @@ fn bytes_that_are_no_text_are_refused_at_their_line() {
 #[test]
 fn a_file_beyond_any_cell_is_refused_before_it_is_parsed() {
     let cases = [
-        (
-            " ".repeat(LARGEST + 1),
-            "1: the file has 1048577 bytes, a cell file may have 1048576",
-        ),
-        (
-            format!("x = [\n{}]", "1,".repeat(70_000)),
-            "2: the file has too many elements",
-        ),
-        (
-            format!("x = {}{}", "[".repeat(70_000), "]".repeat(70_000)),
-            "1: the file has too many",
-        ),
-        (
-            format!("x{} = 1", ".x".repeat(70_000)),
-            "1: the file has too many elements",
-        ),
-        (
-            format!("x = {}{}", "[".repeat(1000), "]".repeat(1000)),
-            "1: cannot recurse further",
-        ),
+        (" ".repeat(LARGEST + 1), "1: the file has 1048577 bytes, a cell file may have 1048576"),
+        (format!("x = [\n{}]", "1,".repeat(70_000)), "2: the file has too many elements"),
+        (format!("x = {}{}", "[".repeat(70_000), "]".repeat(70_000)), "1: the file has too many"),
+        (format!("x{} = 1", ".x".repeat(70_000)), "1: the file has too many elements"),
+        (format!("x = {}{}", "[".repeat(1000), "]".repeat(1000)), "1: cannot recurse further"),
         (format!("x{} = 1", ".x".repeat(1000)), "1: "),
         (format!("[x{}]", ".x".repeat(1000)), "1: "),
     ];

@@ -23,9 +23,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     for index in 0..cell.bus.len() {
         let axes: Vec<_> = cell.axes_on(index).collect();
         let configs = axes.iter().map(given);
-        let configs: Vec<_> = configs
-            .map(|(axis, home)| axis.drive_config(home))
-            .collect();
+        let configs: Vec<_> = configs.map(|(axis, home)| axis.drive_config(home)).collect();
         let checked = cell.group_config(index).check(&configs);
         checked.map_err(|error| {
             let bus = Path::to("bus").then(index);
@@ -35,9 +33,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     for (index, bundle) in cell.serial.iter().enumerate() {
         let axes: Vec<_> = cell.axes_on(cell.bus.len() + index).collect();
         let configs = axes.iter().map(given);
-        let configs: Vec<_> = configs
-            .map(|(axis, home)| axis.controller_config(home))
-            .collect();
+        let configs: Vec<_> = configs.map(|(axis, home)| axis.controller_config(home)).collect();
         let group = bundle.group_config(cell.period());
         match group.check(&configs, axes.len()) {
             // The budget of the line refuses such a period and proposes one that fits.
@@ -62,18 +58,11 @@ pub(super) fn check(cell: &Cell) -> Checked {
 }
 
 /// The key for an error of a drive group on `bus`.
-fn place_of_drive(
-    cell: &Cell,
-    bus: &Path,
-    axes: &[(usize, usize)],
-    error: cia402::ConfigError,
-) -> Path {
+fn place_of_drive(cell: &Cell, bus: &Path, axes: &[(usize, usize)], error: cia402::ConfigError) -> Path {
     use cia402::{ConfigError, Quantity};
     let of_node = |node: u8| {
         let axis = |&&(robot, axis): &&(usize, usize)| cell.robot[robot].axis[axis].node == node;
-        axes.iter()
-            .find(axis)
-            .map_or(bus.clone(), |&(robot, axis)| Path::axis(robot, axis))
+        axes.iter().find(axis).map_or(bus.clone(), |&(robot, axis)| Path::axis(robot, axis))
     };
     match error {
         ConfigError::Axes(_) => bus.clone(),
@@ -127,16 +116,10 @@ fn place_of_controller(
                 Quantity::Address => path.then("node"),
                 Quantity::TorqueConstant => controller.then("torque_constant"),
                 Quantity::MaxCurrent => controller.then("max_current"),
-                Quantity::MaxVelocity => plausible(
-                    "plausible_velocity",
-                    given.plausible_velocity,
-                    "max_velocity",
-                ),
-                Quantity::MaxAcceleration => plausible(
-                    "plausible_acceleration",
-                    given.plausible_acceleration,
-                    "max_acceleration",
-                ),
+                Quantity::MaxVelocity => plausible("plausible_velocity", given.plausible_velocity, "max_velocity"),
+                Quantity::MaxAcceleration => {
+                    plausible("plausible_acceleration", given.plausible_acceleration, "max_acceleration")
+                }
             }
         }
     }

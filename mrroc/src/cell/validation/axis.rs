@@ -6,9 +6,7 @@ use std::time::Duration;
 use drive::cia402::reserved;
 
 use super::{Checked, buses, homing, no_effect, position_loop, refused, within};
-use crate::cell::{
-    Axis, AxisController, Bus, Cell, Control, Drive, Figure, Path, Plant, Protocol, Range, Serial,
-};
+use crate::cell::{Axis, AxisController, Bus, Cell, Control, Drive, Figure, Path, Plant, Protocol, Range, Serial};
 use controller::robot::Limits;
 
 /// Least limit of the following error, encoder counts: a working loop has an error of some counts.
@@ -48,14 +46,7 @@ impl<'a> Place<'a> {
 
 /// Checks an axis. `model` holds the limits of the motor from the model, which the axis may narrow. `home` is its home
 /// position, rad.
-pub(super) fn check(
-    path: &Path,
-    period: Duration,
-    axis: &Axis,
-    place: Place<'_>,
-    model: Limits,
-    home: f64,
-) -> Checked {
+pub(super) fn check(path: &Path, period: Duration, axis: &Axis, place: Place<'_>, model: Limits, home: f64) -> Checked {
     let node = match place {
         Place::Bus(_) => Range::new(1.0, 127.0, ""),
         Place::Serial(_) => Range::new(0.0, 253.0, ""),
@@ -87,9 +78,7 @@ pub(super) fn check(
     within(path, "following_error", axis.following_error, error)?;
     match place {
         Place::Bus(_) => check_drive(&family, period, axis.cia402(), axis),
-        Place::Serial(serial) => {
-            check_controller(&family, period, axis.axis_controller(), serial, axis)
-        }
+        Place::Serial(serial) => check_controller(&family, period, axis.axis_controller(), serial, axis),
     }?;
     check_emulator(&path.then("emulator"), axis, place, model, home)?;
     homing::check(&path.then("homing"), axis, place, model, home)
@@ -97,10 +86,7 @@ pub(super) fn check(
 
 /// Positions lie within those of the model and fit a 32-bit counter.
 fn check_positions(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checked {
-    let given = [
-        ("min_position", axis.min_position),
-        ("max_position", axis.max_position),
-    ];
+    let given = [("min_position", axis.min_position), ("max_position", axis.max_position)];
     for (key, value) in given {
         let Some(value) = value else { continue };
         if !(model.low..=model.high).contains(&value) {
@@ -114,14 +100,8 @@ fn check_positions(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checke
     if low >= high {
         let [low, high] = [low, high].map(Figure);
         let (key, why) = match axis.min_position {
-            Some(_) => (
-                "min_position",
-                format!("is {low}, not below the upper limit {high}"),
-            ),
-            None => (
-                "max_position",
-                format!("is {high}, not above the lower limit {low}"),
-            ),
+            Some(_) => ("min_position", format!("is {low}, not below the upper limit {high}")),
+            None => ("max_position", format!("is {high}, not above the lower limit {low}")),
         };
         return refused(path, key, why);
     }
@@ -145,17 +125,9 @@ fn check_family(path: &Path, axis: &Axis, place: Place<'_>) -> Checked {
     let (key, why) = match (place, &axis.drive, &axis.controller) {
         (Place::Bus(_), Some(_), None) | (Place::Serial(_), None, Some(_)) => return Ok(()),
         (Place::Bus(_), None, _) => ("drive", "is missing: an axis on a CAN bus has a drive"),
-        (Place::Bus(_), _, Some(_)) => (
-            "controller",
-            "is for an axis on a serial line, not on a CAN bus",
-        ),
-        (Place::Serial(_), _, None) => (
-            "controller",
-            "is missing: an axis on a serial line has an axis controller",
-        ),
-        (Place::Serial(_), Some(_), _) => {
-            ("drive", "is for an axis on a CAN bus, not on a serial line")
-        }
+        (Place::Bus(_), _, Some(_)) => ("controller", "is for an axis on a serial line, not on a CAN bus"),
+        (Place::Serial(_), _, None) => ("controller", "is missing: an axis on a serial line has an axis controller"),
+        (Place::Serial(_), Some(_), _) => ("drive", "is for an axis on a CAN bus, not on a serial line"),
     };
     refused(path, key, why)
 }

@@ -20,8 +20,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
 pub(super) fn check_used(cell: &Cell) -> Checked {
     for (group, group_name) in cell.groups().enumerate() {
         if cell.axes_on(group).next().is_none() {
-            let why =
-                format!("no axis has bus = {group_name:?}: leave it out, or name it in an axis");
+            let why = format!("no axis has bus = {group_name:?}: leave it out, or name it in an axis");
             let top = Path::default();
             return match group.checked_sub(cell.bus.len()) {
                 None => refused(&top.then("bus"), group, why),
@@ -39,9 +38,9 @@ pub(super) fn check_interfaces(cell: &Cell) -> Checked {
         let interface = Interface::parse(&bus.interface);
         let problem = match interface.check() {
             Err(problem) => Some(problem.to_string()),
-            Ok(()) if matches!(interface, Interface::Epos { .. }) => Some(format!(
-                "{interface} is the service port of a drive, which is no CAN bus"
-            )),
+            Ok(()) if matches!(interface, Interface::Epos { .. }) => {
+                Some(format!("{interface} is the service port of a drive, which is no CAN bus"))
+            }
             Ok(()) => (taken.iter().position(|other| *other == interface))
                 .map(|first| format!("{interface} is that of bus[{first}]: give each its own")),
         };
@@ -62,14 +61,10 @@ fn check_buses(cell: &Cell) -> Checked {
         unique(&buses, "name", index, names, |name| format!("bus {name:?}"))?;
         text(&path, "interface", &bus.interface)?;
         let interfaces = cell.bus.iter().map(|it| &it.interface);
-        unique(&buses, "interface", index, interfaces, |interface| {
-            format!("interface {}", quoted(interface))
-        })?;
+        unique(&buses, "interface", index, interfaces, |interface| format!("interface {}", quoted(interface)))?;
         let kbps = bus.bitrate_kbps;
         if can::timing::Bitrate::from_kbps(kbps).is_none() {
-            let why = format!(
-                "is {kbps}, must be 10 to 1000 (kbit/s) with a bit time of whole nanoseconds"
-            );
+            let why = format!("is {kbps}, must be 10 to 1000 (kbit/s) with a bit time of whole nanoseconds");
             return refused(&path, "bitrate_kbps", why);
         }
         let node = Range::new(1.0, 127.0, "");
@@ -97,10 +92,7 @@ fn check_serial(cell: &Cell) -> Checked {
         let names = cell.serial.iter().map(|it| &it.name);
         unique(&bundles, "name", index, names, |name| what(name))?;
         let latency = bundle.emulated_latency_ms.unwrap_or(1);
-        let (bauds, cycles) = (
-            Range::new(9_600.0, 4e6, "bit/s"),
-            Range::new(1.0, 10.0, "cycles"),
-        );
+        let (bauds, cycles) = (Range::new(9_600.0, 4e6, "bit/s"), Range::new(1.0, 10.0, "cycles"));
         let [second, timer] = [1000.0, 255.0].map(|most| Range::new(1.0, most, "ms"));
         within(&path, "baud", bundle.baud, bauds)?;
         within(&path, "tolerated_missing", bundle.tolerated_missing, cycles)?;

@@ -41,22 +41,12 @@ pub(super) fn is_endless(limits: Limits) -> bool {
 
 /// The least homing velocity for an axis with these limits, rad/s.
 pub(super) fn slowest(limits: Limits) -> f64 {
-    if is_endless(limits) {
-        ENDLESS_SEARCH.0 / ENDLESS_SEARCH.1
-    } else {
-        (limits.high - limits.low) / CROSSING
-    }
+    if is_endless(limits) { ENDLESS_SEARCH.0 / ENDLESS_SEARCH.1 } else { (limits.high - limits.low) / CROSSING }
 }
 
 /// Checks the homing of an axis. `model` holds the limits of the motor from the model, and `home` is the home
 /// position, rad.
-pub(super) fn check(
-    path: &Path,
-    axis: &Axis,
-    place: Place<'_>,
-    model: Limits,
-    home: f64,
-) -> Checked {
+pub(super) fn check(path: &Path, axis: &Axis, place: Place<'_>, model: Limits, home: f64) -> Checked {
     let homing = axis.homing;
     match place {
         Place::Bus(_) => {
@@ -105,8 +95,7 @@ fn check_method(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checked {
         return refused(path, "method", why);
     };
     if !METHODS.contains(&method) {
-        let why =
-            format!("is {method}, must be 37, 34, 33, 27, 23, 18, 17, 11, 7, 2, 1 or -1 to -4");
+        let why = format!("is {method}, must be 37, 34, 33, 27, 23, 18, 17, 11, 7, 2, 1 or -1 to -4");
         return refused(path, "method", why);
     }
     let reversed = axis.drive.as_ref().is_some_and(|drive| drive.reversed);
@@ -114,19 +103,11 @@ fn check_method(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checked {
     if !negative && !POSITIVE_END.contains(&method) {
         return Ok(());
     }
-    let (end, distance) = if negative == reversed {
-        ("upper", model.high - home)
-    } else {
-        ("lower", home - model.low)
-    };
+    let (end, distance) = if negative == reversed { ("upper", model.high - home) } else { ("lower", home - model.low) };
     if distance <= NEAR_END {
         return Ok(());
     }
-    let by = if method > 0 {
-        "limit switch"
-    } else {
-        "mechanical stop"
-    };
+    let by = if method > 0 { "limit switch" } else { "mechanical stop" };
     let why = format!(
         "is {method}, which takes the {by} at the {end} end of the travel for home, and the home of this axis is \
          {distance:.0} rad from there: use a method with a home switch (7, 11, 23, 27)"

@@ -29,9 +29,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     within(top, "period_us", cell.period_us, period)?;
     if !cell.period_us.is_multiple_of(1000) {
         let period = cell.period_us;
-        let why = format!(
-            "is {period}, must be a multiple of 1000 (µs), the drives' unit of the interpolation period"
-        );
+        let why = format!("is {period}, must be a multiple of 1000 (µs), the drives' unit of the interpolation period");
         return refused(top, "period_us", why);
     }
     let macrostep = Range::new(1.0, 1000.0, "periods");

@@ -44,9 +44,7 @@ pub(super) fn check(path: &Path, period: Duration, axis: &Axis) -> Checked {
             (axis.runaway_velocity(), of, 0.0)
         }
         (_, Some(_)) if is_proportional => {
-            return proportional(
-                "is for control = \"velocity\": by torque nothing would damp it, use cascade",
-            );
+            return proportional("is for control = \"velocity\": by torque nothing would damp it, use cascade");
         }
         (_, None) if is_proportional => {
             return proportional(

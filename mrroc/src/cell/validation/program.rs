@@ -1,9 +1,7 @@
 //! Checks of the instructions of a program that do not depend on the arm.
 
 use super::{Checked, count, name, refused, some, within};
-use crate::cell::{
-    Figure, Instruction, JointGenerator, Joints, LineInstruction, Path, Range, Robot,
-};
+use crate::cell::{Figure, Instruction, JointGenerator, Joints, LineInstruction, Path, Range, Robot};
 
 /// Greatest number of instructions of a program, and of poses of an instruction.
 const MOST: usize = 10_000;

@@ -15,13 +15,10 @@ pub(super) fn check(cell: &Cell) -> Checked {
         let path = robots.then(index);
         name(&path, "name", &robot.name)?;
         let names = cell.robot.iter().map(|it| &it.name);
-        unique(&robots, "name", index, names, |name| {
-            format!("robot {name:?}")
-        })?;
+        unique(&robots, "name", index, names, |name| format!("robot {name:?}"))?;
         check_parameters(&path, robot)?;
         let kinematics = robot.kinematics();
-        let kinematics =
-            kinematics.map_err(|error| (path.then("parameters"), error.to_string()))?;
+        let kinematics = kinematics.map_err(|error| (path.then("parameters"), error.to_string()))?;
         let axes = path.then("axis");
         count(axes.clone(), robot.axis.len(), robot.model.axes(), "axes")?;
         let (limits, home) = (kinematics.motor_limits(), kinematics.home());
@@ -29,9 +26,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
             let path = axes.then(number);
             name(&path, "name", &axis.name)?;
             let names = robot.axis.iter().map(|it| &it.name);
-            unique(&axes, "name", number, names, |name| {
-                format!("axis {name:?}")
-            })?;
+            unique(&axes, "name", number, names, |name| format!("axis {name:?}"))?;
             let Some(place) = Place::of(cell, &axis.bus) else {
                 let why = format!("no bus is called {}", quoted(&axis.bus));
                 return refused(&path, "bus", why);
@@ -60,11 +55,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
 }
 
 /// The bus or bundle of an axis, and the key that names it.
-fn place_of(
-    path: &Path,
-    axis: &Axis,
-    place: Place<'_>,
-) -> Result<(&'static str, String), (Path, String)> {
+fn place_of(path: &Path, axis: &Axis, place: Place<'_>) -> Result<(&'static str, String), (Path, String)> {
     match place {
         Place::Bus(bus) => {
             let what = format!("node {} of bus {:?}", axis.node, bus.name);
@@ -102,8 +93,7 @@ fn check_payloads(payloads: &Path, robot: &Robot) -> Checked {
         }
         if let Some(axis) = robot.axis.iter().find(|it| it.emulator.plant == Plant::Wut) {
             let name = &axis.name;
-            let why =
-                format!("would not be felt by axis {name:?}, whose plant is wut: use physical");
+            let why = format!("would not be felt by axis {name:?}, whose plant is wut: use physical");
             return refused(payloads, number, why);
         }
         within(&path, "at_s", payload.at_s, Range::new(0.0, 1e6, "s"))?;

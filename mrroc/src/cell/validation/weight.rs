@@ -6,27 +6,17 @@ use super::{Checked, refused};
 use crate::cell::{Axis, FeedForward, Path, Robot};
 use controller::robot::WeightError;
 
-pub(super) fn check(
-    robot: &Path,
-    given: &Robot,
-    kinematics: &dyn controller::robot::Robot,
-) -> Checked {
+pub(super) fn check(robot: &Path, given: &Robot, kinematics: &dyn controller::robot::Robot) -> Checked {
     let mut axes = given.axis.iter().enumerate();
     let Some(weights) = &given.weight else {
-        return axes.try_for_each(|(number, axis)| {
-            check_weightless(&robot.then("axis").then(number), axis)
-        });
+        return axes.try_for_each(|(number, axis)| check_weightless(&robot.then("axis").then(number), axis));
     };
     let path = robot.then("weight");
     let at = |error: WeightError| {
         let masses = path.then("masses");
         let links = kinematics.axes();
         let body = |link: usize| {
-            if link < links {
-                masses.then(link)
-            } else {
-                path.then("load")
-            }
+            if link < links { masses.then(link) } else { path.then("load") }
         };
         let place = match error {
             WeightError::NoLinks => path.clone(),
@@ -122,11 +112,7 @@ mod tests {
     fn weighing(cell: &str, weight: &str, roll: &str) -> String {
         let robot = "model = \"irb6\"\n";
         let cell = cell.replacen(robot, &format!("{robot}weight = {weight}\n"), 1);
-        cell.replacen(
-            "coulomb = 0.002381",
-            &format!("coulomb = 0.002381{roll}"),
-            1,
-        )
+        cell.replacen("coulomb = 0.002381", &format!("coulomb = 0.002381{roll}"), 1)
     }
 
     #[test]
@@ -142,24 +128,9 @@ mod tests {
         let cases = [
             (SERIAL, "{}", roll, ""),
             (SERIAL, good.as_str(), roll, ""),
-            (
-                SERIAL,
-                "{ load = { mass = 6.0, centre = [0.0, 0.0, 0.2] } }",
-                ", weight = 0.0",
-                "",
-            ),
-            (
-                SERIAL,
-                &negative,
-                roll,
-                "robot[0].weight.masses[4].mass: a mass of -1 kg",
-            ),
-            (
-                SERIAL,
-                &heavy,
-                roll,
-                "robot[0].weight.masses[4].mass: a mass of 1000.5 kg",
-            ),
+            (SERIAL, "{ load = { mass = 6.0, centre = [0.0, 0.0, 0.2] } }", ", weight = 0.0", ""),
+            (SERIAL, &negative, roll, "robot[0].weight.masses[4].mass: a mass of -1 kg"),
+            (SERIAL, &heavy, roll, "robot[0].weight.masses[4].mass: a mass of 1000.5 kg"),
             (SERIAL, &typed, roll, "feed_forward: is to hold "),
             (
                 SERIAL,
@@ -167,62 +138,24 @@ mod tests {
                 ", weight = 0.119, constant = 0.01",
                 "robot[0].axis[4].controller.loop.feed_forward.constant: is the mean of a weight",
             ),
-            (
-                SERIAL,
-                &four,
-                roll,
-                "robot[0].weight.masses: 4 masses for 5 links",
-            ),
+            (SERIAL, &four, roll, "robot[0].weight.masses: 4 masses for 5 links"),
             (
                 SERIAL,
                 "{ load = { mass = 6.0, centre = [0.0, 20.0, 0.2] } }",
                 roll,
                 "robot[0].weight.load.centre: a centre of mass at 20 m",
             ),
-            (
-                SERIAL,
-                "{ load = { mass = nan, centre = [0.0, 0.0, 0.2] } }",
-                roll,
-                "must be a finite number",
-            ),
-            (
-                SERIAL,
-                "{ up = [0.0, 0.0, 0.0] }",
-                roll,
-                "robot[0].weight.up: up has no direction",
-            ),
-            (
-                SERIAL,
-                "{ mass = [] }",
-                roll,
-                "robot[0].weight.mass: is an unknown key",
-            ),
-            (
-                SERIAL,
-                "{}",
-                "",
-                "robot[0].axis[4].controller.loop.feed_forward: lacks weight",
-            ),
-            (
-                SERIAL,
-                "{}",
-                ", weight = -0.1",
-                "feed_forward.weight: is -0.1",
-            ),
-            (
-                IRB6,
-                "{}",
-                "",
-                "robot[0].axis[0].drive.control: is position, by which the drive's own loop holds",
-            ),
+            (SERIAL, "{ load = { mass = nan, centre = [0.0, 0.0, 0.2] } }", roll, "must be a finite number"),
+            (SERIAL, "{ up = [0.0, 0.0, 0.0] }", roll, "robot[0].weight.up: up has no direction"),
+            (SERIAL, "{ mass = [] }", roll, "robot[0].weight.mass: is an unknown key"),
+            (SERIAL, "{}", "", "robot[0].axis[4].controller.loop.feed_forward: lacks weight"),
+            (SERIAL, "{}", ", weight = -0.1", "feed_forward.weight: is -0.1"),
+            (IRB6, "{}", "", "robot[0].axis[0].drive.control: is position, by which the drive's own loop holds"),
         ];
         for (cell, weight, roll, refusal) in cases {
             let found = Cell::parse(&weighing(cell, weight, roll));
             let shown = found.map_or_else(|error| error.to_string(), |_| String::new());
-            assert!(
-                shown.contains(refusal) && shown.is_empty() == refusal.is_empty(),
-                "{weight}{roll}: {shown}"
-            );
+            assert!(shown.contains(refusal) && shown.is_empty() == refusal.is_empty(), "{weight}{roll}: {shown}");
             assert!(!shown.contains('\n'), "{shown}");
         }
     }
@@ -232,21 +165,12 @@ mod tests {
         let roll = "coulomb = 0.002381";
         for (weight, refusal) in [
             (0.0, None),
-            (
-                0.119,
-                Some(
-                    "robot[0].axis[4].controller.loop.feed_forward.weight: is for a robot that says",
-                ),
-            ),
+            (0.119, Some("robot[0].axis[4].controller.loop.feed_forward.weight: is for a robot that says")),
         ] {
             let cell = SERIAL.replacen(roll, &format!("{roll}, weight = {weight}"), 1);
             let found = Cell::parse(&cell).err().map(|error| error.to_string());
             assert_eq!(found.is_some(), refusal.is_some(), "{found:?}");
-            assert!(
-                found
-                    .iter()
-                    .all(|it| refusal.is_some_and(|why| it.contains(why)))
-            );
+            assert!(found.iter().all(|it| refusal.is_some_and(|why| it.contains(why))));
         }
     }
 
@@ -256,18 +180,12 @@ mod tests {
             let cell = Cell::parse(text).unwrap();
             let robot = &cell.robot[0];
             let limits = robot.kinematics().unwrap().motor_limits().to_vec();
-            let factor = |axis: usize| match robot
-                .servo_config(axis, 0, axis, limits[axis])
-                .position_loop
-            {
+            let factor = |axis: usize| match robot.servo_config(axis, 0, axis, limits[axis]).position_loop {
                 servo::PositionLoop::Host(host) => host.feed_forward.weight,
                 servo::PositionLoop::Drive => unreachable!("all of them are the host's"),
             };
             let factors: Vec<_> = (0..5).map(factor).collect();
-            let torques = robot
-                .arm()
-                .unwrap()
-                .torques(&robot.kinematics().unwrap().home().padded());
+            let torques = robot.arm().unwrap().torques(&robot.kinematics().unwrap().home().padded());
             (factors, torques.unwrap()[2])
         };
         assert_eq!(factors(SERIAL), (vec![None; 5], 0.0));
@@ -280,22 +198,13 @@ mod tests {
     fn friction_at_break_away_is_refused_unless_it_is_greater_and_falls_somehow() {
         let good = "coulomb = 0.08 }";
         let cases = [
-            (
-                "coulomb = 0.08, stiction = 0.12, stribeck_velocity = 5.0",
-                "",
-            ),
+            ("coulomb = 0.08, stiction = 0.12, stribeck_velocity = 5.0", ""),
             (
                 "coulomb = 0.08, stiction = 0.07, stribeck_velocity = 5.0",
                 "feed_forward.stiction: is 0.07, must be between 0.08 and 2.1 (coulomb at the least",
             ),
-            (
-                "coulomb = 0.08, stiction = 0.12",
-                "feed_forward.stiction: needs the velocity",
-            ),
-            (
-                "coulomb = 0.08, stribeck_velocity = 5.0",
-                "feed_forward.stribeck_velocity: is for a friction",
-            ),
+            ("coulomb = 0.08, stiction = 0.12", "feed_forward.stiction: needs the velocity"),
+            ("coulomb = 0.08, stribeck_velocity = 5.0", "feed_forward.stribeck_velocity: is for a friction"),
             (
                 "coulomb = 0.08, stiction = 0.12, stribeck_velocity = 0.0",
                 "feed_forward.stribeck_velocity: is 0, must be between 0.001 and",
@@ -304,10 +213,7 @@ mod tests {
         for (bad, refusal) in cases {
             let found = Cell::parse(&SERIAL.replacen(good, &format!("{bad} }}"), 1));
             let shown = found.map_or_else(|error| error.to_string(), |_| String::new());
-            assert!(
-                shown.contains(refusal) && shown.is_empty() == refusal.is_empty(),
-                "{bad}: {shown}"
-            );
+            assert!(shown.contains(refusal) && shown.is_empty() == refusal.is_empty(), "{bad}: {shown}");
         }
     }
 }

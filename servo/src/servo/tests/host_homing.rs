@@ -5,16 +5,8 @@ use crate::{Direction, HomingFailure, HomingLeg, HostHoming};
 
 const HOMING: HostHoming = HostHoming {
     direction: Direction::Negative,
-    search: HomingLeg {
-        velocity: 15.0,
-        distance: 20.0,
-        timeout: Duration::from_secs(3),
-    },
-    zero: HomingLeg {
-        velocity: 3.5,
-        distance: 8.0,
-        timeout: Duration::from_secs(4),
-    },
+    search: HomingLeg { velocity: 15.0, distance: 20.0, timeout: Duration::from_secs(3) },
+    zero: HomingLeg { velocity: 3.5, distance: 8.0, timeout: Duration::from_secs(4) },
     acceleration: 300.0,
     pause: Duration::from_millis(50),
     debounce: 3,
@@ -69,8 +61,7 @@ fn home(rig: &mut Rig) -> (f64, Vec<f64>) {
         }
     }
     let torque = |batch: &Vec<AxisCommand>| match batch[0] {
-        AxisCommand::Follow(Setpoint::Torque(torque))
-        | AxisCommand::Seek(Setpoint::Torque(torque)) => torque.get(),
+        AxisCommand::Follow(Setpoint::Torque(torque)) | AxisCommand::Seek(Setpoint::Torque(torque)) => torque.get(),
         _ => 0.0,
     };
     let torques: Vec<f64> = rig.world().sent.iter().map(torque).collect();
@@ -111,21 +102,10 @@ fn the_servo_finds_switch_and_index_without_a_kick() {
         let offset = offset(&rig).unwrap();
         assert!((1995..=2005).contains(&offset), "{offset}");
         let world = rig.world();
-        assert!(
-            world
-                .sent
-                .iter()
-                .any(|batch| matches!(batch[0], AxisCommand::Seek(_)))
-        );
-        assert!(matches!(
-            world.sent.last().unwrap()[0],
-            AxisCommand::Follow(_)
-        ));
+        assert!(world.sent.iter().any(|batch| matches!(batch[0], AxisCommand::Seek(_))));
+        assert!(matches!(world.sent.last().unwrap()[0], AxisCommand::Follow(_)));
         let rests = world.axes[0].state.position;
-        assert!(
-            (0.0..0.2).contains(&rests),
-            "at {rests} rad from the reference"
-        );
+        assert!((0.0..0.2).contains(&rests), "at {rests} rad from the reference");
         drop(world);
         rig.order(Order::Move(macrostep(1, 100, 1.0, 0.0)));
         rig.run(150);
@@ -141,12 +121,7 @@ fn no_order_of_counter_and_word_kicks_the_motor_nor_do_missing_answers() {
             let mut rig = rig(&config);
             rig.world().axes[0].at_index = at_index;
             let (kick, _) = home(&mut rig);
-            assert_eq!(
-                rig.phase(),
-                Phase::Standing,
-                "{at_index:?}: {:?}",
-                rig.cause()
-            );
+            assert_eq!(rig.phase(), Phase::Standing, "{at_index:?}: {:?}", rig.cause());
             assert!(kick < 0.25, "{at_index:?}: {kick} N·m in one cycle");
             let offset = offset(&rig).unwrap();
             assert!((1980..=2020).contains(&offset), "{at_index:?}: {offset}");
@@ -190,10 +165,7 @@ fn an_index_pulse_on_the_switch_is_passed_wherever_the_axis_rested_there() {
             rig.run(10_000);
             let cause = rig.cause();
             assert!(
-                matches!(
-                    cause,
-                    Some(StopCause::NoReference(HomingFailure::NoIndex { .. }))
-                ),
+                matches!(cause, Some(StopCause::NoReference(HomingFailure::NoIndex { .. }))),
                 "from {start}: {cause:?}, offset {:?}",
                 offset(&rig)
             );
@@ -218,22 +190,14 @@ fn a_limit_switch_turns_the_search_round_once_or_ends_it() {
         reversing.order(Order::Enable);
         reversing.run(20);
         let (_, way) = home(&mut reversing);
-        assert_eq!(
-            reversing.phase(),
-            Phase::Standing,
-            "{:?}",
-            reversing.cause()
-        );
+        assert_eq!(reversing.phase(), Phase::Standing, "{:?}", reversing.cause());
         let lowest = way.iter().copied().fold(f64::MAX, f64::min);
         assert!((-6.25..-6.0).contains(&lowest), "{lowest}");
         let offset = offset(&reversing).unwrap();
         assert!((1995..=2005).contains(&offset), "{offset}");
 
         let mut refusing = config.clone();
-        refusing.effectors[0].axes[0].homing = Some(HostHoming {
-            reverse_at_limit: false,
-            ..HOMING
-        });
+        refusing.effectors[0].axes[0].homing = Some(HostHoming { reverse_at_limit: false, ..HOMING });
         let mut rig = rig(&refusing);
         rig.world().axes[0].home_below = None;
         rig.order(Order::Home);
@@ -310,8 +274,7 @@ fn what_is_not_found_is_named_in_every_leg() {
                     break;
                 }
             }
-            let Some(StopCause::NoReference(HomingFailure::TimedOut { waited })) = rig.cause()
-            else {
+            let Some(StopCause::NoReference(HomingFailure::TimedOut { waited })) = rig.cause() else {
                 panic!("leg {leg}: {:?}", rig.cause());
             };
             assert_eq!(waited, timeout + PERIOD);
@@ -348,11 +311,7 @@ fn axes_of_one_order_search_together_and_orders_one_after_the_other() {
         for _ in 0..20_000 {
             rig.run(1);
             let world = rig.world();
-            let homed: Vec<bool> = world
-                .axes
-                .iter()
-                .map(|axis| axis.state.homing == Homing::Attained)
-                .collect();
+            let homed: Vec<bool> = world.axes.iter().map(|axis| axis.state.homing == Homing::Attained).collect();
             waited &= homed[1] && homed[2] || (world.axes[0].state.position - 10.0).abs() < 0.05;
             drop(world);
             if rig.phase() != Phase::Homing {
@@ -362,10 +321,7 @@ fn axes_of_one_order_search_together_and_orders_one_after_the_other() {
         assert_eq!(rig.phase(), Phase::Standing, "{:?}", rig.cause());
         assert!(waited, "axis 0 moved before its turn");
         let all: Vec<_> = rig.servo.homing_offsets(0).map(Option::unwrap).collect();
-        assert!(
-            all.iter().all(|offset| (1995..=2005).contains(offset)),
-            "{all:?}"
-        );
+        assert!(all.iter().all(|offset| (1995..=2005).contains(offset)), "{all:?}");
     }
 }
 
@@ -407,10 +363,7 @@ fn a_stop_anywhere_in_the_search_is_a_ramp() {
             assert_eq!(rig.phase(), Phase::Standing, "{:?}", rig.cause());
             for three in way.windows(3) {
                 let acceleration = (three[2] - 2.0 * three[1] + three[0]) / (DT * DT);
-                assert!(
-                    acceleration.abs() < 1000.0,
-                    "{acceleration} rad/s² after {after}"
-                );
+                assert!(acceleration.abs() < 1000.0, "{acceleration} rad/s² after {after}");
             }
             let rest = &way[2000..];
             assert!(rest.iter().all(|at| (at - rest[0]).abs() < 0.01));
@@ -425,10 +378,7 @@ fn a_stop_anywhere_in_the_search_is_a_ramp() {
 #[test]
 fn power_stays_on_while_a_search_brakes_however_slowly() {
     for mut config in configs(1) {
-        config.effectors[0].axes[0].homing = Some(HostHoming {
-            acceleration: 10.0,
-            ..HOMING
-        });
+        config.effectors[0].axes[0].homing = Some(HostHoming { acceleration: 10.0, ..HOMING });
         let mut rig = rig(&config);
         rig.order(Order::Home);
         rig.run(1000);
@@ -436,11 +386,7 @@ fn power_stays_on_while_a_search_brakes_however_slowly() {
         rig.run_until_off();
         assert_eq!(rig.cause(), None);
         let drive = rig.world().axes[0].clone();
-        assert!(
-            drive.state.velocity.abs() < 1.0,
-            "{} rad/s",
-            drive.state.velocity
-        );
+        assert!(drive.state.velocity.abs() < 1.0, "{} rad/s", drive.state.velocity);
     }
 }
 

@@ -25,9 +25,7 @@ pub(super) fn laws(axes: usize) -> [ServoConfig; 2] {
 }
 
 pub(super) fn change(axis: &mut crate::ServoAxisConfig, how: impl FnOnce(&mut HostLoop)) {
-    let PositionLoop::Host(host) = &mut axis.position_loop else {
-        unreachable!("made by host_config")
-    };
+    let PositionLoop::Host(host) = &mut axis.position_loop else { unreachable!("made by host_config") };
     how(host);
 }
 
@@ -70,15 +68,9 @@ fn an_axis_is_held_against_its_weight_from_its_first_power_to_its_last() {
         assert_eq!(rig.phase(), Phase::Standing, "{:?}", rig.cause());
         for axis in 0..2 {
             let world = rig.world();
-            let first = world
-                .sent
-                .iter()
-                .position(|batch| matches!(batch[axis], AxisCommand::Follow(_)))
-                .unwrap();
+            let first = world.sent.iter().position(|batch| matches!(batch[axis], AxisCommand::Follow(_))).unwrap();
             assert!(
-                world.sent[first..]
-                    .iter()
-                    .all(|batch| matches!(batch[axis], AxisCommand::Follow(_))),
+                world.sent[first..].iter().all(|batch| matches!(batch[axis], AxisCommand::Follow(_))),
                 "axis {axis} was let go"
             );
             let held = world.axes[axis].state.position;
@@ -120,10 +112,7 @@ fn missing_answers_cost_no_kick_and_no_fault() {
             let torques = rig.torques(0);
             let away = |torque: &f64| (torque - steady).abs();
             let worst = torques.iter().map(away).fold(0.0, f64::max);
-            assert!(
-                worst < 0.05,
-                "{missing} missing: {worst} N·m of {torques:?}"
-            );
+            assert!(worst < 0.05, "{missing} missing: {worst} N·m of {torques:?}");
         }
         assert_eq!(rig.phase(), Phase::Moving, "{:?}", rig.cause());
     }
@@ -137,10 +126,7 @@ fn a_motor_that_never_answers_again_gets_bounded_torque() {
         rig.world().sent.clear();
         rig.run(200);
         let torques = rig.torques(0);
-        assert!(
-            torques.iter().all(|torque| torque.abs() < 0.3),
-            "{torques:?}"
-        );
+        assert!(torques.iter().all(|torque| torque.abs() < 0.3), "{torques:?}");
     }
 }
 
@@ -233,15 +219,8 @@ fn a_stop_after_an_overrun_begins_from_the_motion_measured() {
         assert_eq!(rig.cause(), Some(StopCause::Overrun { missed: 4 }));
         // 50 rad/s at 1000 rad/s² take some 50 ms, without a step of the torque.
         let torques = rig.torques(0);
-        assert!(
-            (45..200).contains(&torques.len()),
-            "{} cycles",
-            torques.len()
-        );
-        assert!(
-            torques.iter().all(|torque| torque.abs() < 1.2),
-            "{torques:?}"
-        );
+        assert!((45..200).contains(&torques.len()), "{} cycles", torques.len());
+        assert!(torques.iter().all(|torque| torque.abs() < 1.2), "{torques:?}");
     }
 }
 

@@ -27,12 +27,7 @@ fn cruising(config: &ServoConfig, sense: f64) -> Rig {
 /// One macrostep of a second, from rest to rest, for axis 1.
 fn go(rig: &mut Rig, to: f64) {
     let mut step = macrostep(100, 1000, 0.0, 0.0);
-    let here = rig
-        .world()
-        .axes
-        .iter()
-        .map(|drive| drive.state.position)
-        .collect::<Vec<_>>();
+    let here = rig.world().axes.iter().map(|drive| drive.state.position).collect::<Vec<_>>();
     step.position[0] = here[0];
     step.position[1] = to;
     rig.order(Order::Move(step));
@@ -65,10 +60,7 @@ fn a_limit_switch_brakes_the_effector_and_is_named_and_can_be_left() {
 
             // The axis rests on the switch and holds. Motion away from the switch is allowed, motion towards it is
             // not.
-            rig.world()
-                .axes
-                .iter_mut()
-                .for_each(|drive| drive.spin = 0.0);
+            rig.world().axes.iter_mut().for_each(|drive| drive.spin = 0.0);
             rig.order(Order::ResetFault);
             rig.order(Order::Enable);
             rig.run(500);
@@ -134,10 +126,7 @@ fn an_axis_without_a_reference_is_not_judged_by_its_switches() {
     }
     rig.run_until(Phase::Faulted);
     let cause = rig.cause();
-    assert!(
-        matches!(cause, Some(StopCause::FollowingError { .. })),
-        "{cause:?}"
-    );
+    assert!(matches!(cause, Some(StopCause::FollowingError { .. })), "{cause:?}");
 }
 
 #[test]

@@ -6,35 +6,17 @@ use crate::{AxisRecord, Record};
 #[test]
 fn macrosteps_are_met_and_reported_and_end_in_standing() {
     let mut rig = Rig::standing(2);
-    rig.order(Order::Move(Macrostep {
-        report_at: 4,
-        ..macrostep(1, 10, 0.01, 1.0)
-    }));
+    rig.order(Order::Move(Macrostep { report_at: 4, ..macrostep(1, 10, 0.01, 1.0) }));
     rig.order(Order::Move(macrostep(2, 10, 0.02, 0.0)));
     rig.run(25);
     let reports = rig.reports();
-    let seen: Vec<_> = reports
-        .iter()
-        .map(|report| (report.phase, report.macrostep))
-        .collect();
+    let seen: Vec<_> = reports.iter().map(|report| (report.phase, report.macrostep)).collect();
     let moving = Phase::Moving;
-    assert_eq!(
-        seen,
-        [(moving, 1), (moving, 1), (moving, 2), (Phase::Standing, 2)]
-    );
+    assert_eq!(seen, [(moving, 1), (moving, 1), (moving, 2), (Phase::Standing, 2)]);
     let positions = rig.positions(0);
-    assert_eq!(
-        (positions[9], positions[19], positions[24]),
-        (0.01, 0.02, 0.02)
-    );
+    assert_eq!((positions[9], positions[19], positions[24]), (0.01, 0.02, 0.02));
     assert_eq!(rig.servo.counters().macrosteps, 2);
-    assert_eq!(
-        rig.servo
-            .tracking(0)
-            .map(|error| error.peak())
-            .collect::<Vec<_>>(),
-        [0.0; 2]
-    );
+    assert_eq!(rig.servo.tracking(0).map(|error| error.peak()).collect::<Vec<_>>(), [0.0; 2]);
 }
 
 #[test]
@@ -64,13 +46,7 @@ fn a_bad_macrostep_is_never_sent() {
         (with(|m| m.position[1] = f64::NAN), "NotFinite"),
         (with(|m| m.velocity[1] = f64::INFINITY), "NotFinite"),
         (with(|m| m.torque[1] = f64::NAN), "NotFinite"),
-        (
-            Macrostep {
-                velocity: [f64::NAN; MAX_AXES],
-                ..macrostep(1, 1, 0.0, 0.0)
-            },
-            "NotFinite",
-        ),
+        (Macrostep { velocity: [f64::NAN; MAX_AXES], ..macrostep(1, 1, 0.0, 0.0) }, "NotFinite"),
         (with(|m| m.velocity[1] = f64::MAX), "PositionLimit"),
         (with(|m| m.position[1] = 0.1), "AccelerationLimit"),
         (with(|m| m.position[1] = -1e6), "PositionLimit"),
@@ -84,16 +60,10 @@ fn a_bad_macrostep_is_never_sent() {
         rig.order(Order::Move(bad));
         rig.run(150);
         let cause = format!("{:?}", rig.cause().unwrap());
-        assert!(
-            cause.starts_with(expected),
-            "{cause} instead of {expected} for {bad:?}"
-        );
+        assert!(cause.starts_with(expected), "{cause} instead of {expected} for {bad:?}");
         assert_eq!(rig.phase(), Phase::Faulted);
         for axis in 0..2 {
-            assert!(
-                rig.positions(axis).iter().all(|&position| position == 0.0),
-                "{expected}"
-            );
+            assert!(rig.positions(axis).iter().all(|&position| position == 0.0), "{expected}");
         }
     }
 }
@@ -104,11 +74,7 @@ fn a_bad_macrostep_in_motion_brakes_from_the_last_good_set_point() {
     let (position, velocity) = rig.accelerate(500.0, 4, 0);
     rig.order(Order::Move(macrostep(5, 10, position + 0.3, velocity)));
     rig.run_until(Phase::Faulted);
-    assert!(
-        matches!(rig.cause(), Some(StopCause::AccelerationLimit { .. })),
-        "{:?}",
-        rig.cause()
-    );
+    assert!(matches!(rig.cause(), Some(StopCause::AccelerationLimit { .. })), "{:?}", rig.cause());
     keeps_limits(&rig.positions(0)).unwrap();
 }
 
@@ -121,10 +87,7 @@ fn a_macrostep_that_claims_rest_and_arrives_with_speed_brakes() {
         rig.order(Order::Move(macrostep(number, 1, position, 0.0)));
     }
     rig.run_until(Phase::Faulted);
-    assert!(matches!(
-        rig.cause(),
-        Some(StopCause::AccelerationLimit { .. })
-    ));
+    assert!(matches!(rig.cause(), Some(StopCause::AccelerationLimit { .. })));
     let positions = rig.positions(0);
     assert!(positions.contains(&position));
     keeps_limits(&positions).unwrap();
@@ -151,22 +114,13 @@ fn the_following_error_is_that_of_the_command_the_drive_had_latched() {
     rig.run(55);
     assert_eq!((rig.phase(), rig.cause()), (Phase::Moving, None));
     let tracking = rig.servo.tracking(0).next().unwrap();
-    assert!(
-        tracking.samples() > 40 && tracking.peak() < 1e-12,
-        "{tracking:?}"
-    );
+    assert!(tracking.samples() > 40 && tracking.peak() < 1e-12, "{tracking:?}");
 
     let mut rig = Rig::with(&config).stand();
     rig.world().axes[0].lags = true;
     rig.accelerate(500.0, 4, 2);
     rig.run(55);
-    let Some(StopCause::FollowingError {
-        error,
-        limit: 0.019,
-    }) = rig.cause()
-    else {
-        panic!("{:?}", rig.cause())
-    };
+    let Some(StopCause::FollowingError { error, limit: 0.019 }) = rig.cause() else { panic!("{:?}", rig.cause()) };
     assert!(error > 0.019 && error < 0.0201, "{error}");
 }
 
@@ -204,14 +158,8 @@ fn every_cycle_is_recorded_and_what_does_not_fit_is_counted() {
     assert_eq!((kept.len(), rig.servo.counters().dropped_records), (20, 10));
     assert!(kept.windows(2).all(|two| two[1].cycle == two[0].cycle + 1));
     let last = kept[19];
-    assert_eq!(
-        (last.axes, last.phase, last.axis[1].commanded),
-        (2, Phase::Standing, 0.01)
-    );
-    assert_eq!(
-        (last.axis[1].measured, last.axis[1].increments.0),
-        (0.01, 10)
-    );
+    assert_eq!((last.axes, last.phase, last.axis[1].commanded), (2, Phase::Standing, 0.01));
+    assert_eq!((last.axis[1].measured, last.axis[1].increments.0), (0.01, 10));
 }
 
 proptest! {
@@ -252,14 +200,9 @@ proptest! {
 #[test]
 fn effectors_at_a_gate_go_on_in_the_cycle_that_finds_it_open() {
     let mut config = scripted::config(2);
-    config
-        .effectors
-        .push(scripted::config(2).effectors.remove(0));
+    config.effectors.push(scripted::config(2).effectors.remove(0));
     for (effector, config) in config.effectors.iter_mut().enumerate() {
-        config
-            .axes
-            .iter_mut()
-            .for_each(|axis| axis.group = effector);
+        config.axes.iter_mut().for_each(|axis| axis.group = effector);
     }
     let (groups, worlds): (Vec<_>, Vec<_>) = (0..2).map(|_| scripted::group(2)).unzip();
     for world in &worlds {
@@ -323,15 +266,10 @@ fn a_record_has_the_command_that_its_sample_answers_wherever_the_error_counts() 
     let kept: Vec<_> = std::iter::from_fn(|| records.pop().ok()).collect();
     let moving = kept.iter().filter(|kept| kept.phase == Phase::Moving);
     let apart = |kept: &&Record| (kept.axis[0].commanded - kept.axis[0].measured).abs() > 1e-4;
-    assert!(
-        moving.filter(apart).count() > 5,
-        "the sample is cycles behind"
-    );
+    assert!(moving.filter(apart).count() > 5, "the sample is cycles behind");
     for record in &kept {
         if matches!(record.phase, Phase::Moving | Phase::Standing) {
-            let AxisRecord {
-                expected, measured, ..
-            } = record.axis[0];
+            let AxisRecord { expected, measured, .. } = record.axis[0];
             assert_eq!(expected, Some(measured), "{record:?}");
         }
     }

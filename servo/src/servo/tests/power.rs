@@ -86,11 +86,7 @@ fn following_begins_only_after_every_drive_has_power() {
     assert!(rig.positions(0).is_empty());
     assert_eq!(rig.last_sent(), [AxisCommand::Stand; 2]);
     rig.run(20);
-    assert!(
-        matches!(rig.cause(), Some(StopCause::NotReady { .. })),
-        "{:?}",
-        rig.cause()
-    );
+    assert!(matches!(rig.cause(), Some(StopCause::NotReady { .. })), "{:?}", rig.cause());
     assert_eq!(rig.servo.fault(0).unwrap().axis, Some(0));
     assert_eq!(rig.last_sent(), [AxisCommand::Off; 2]);
 }
@@ -113,24 +109,12 @@ fn axes_home_in_ascending_order_and_homed_ones_are_skipped() {
     rig.order(Order::Enable);
     rig.order(Order::Home);
     rig.run(60);
-    assert_eq!(
-        rig.phases(),
-        [
-            Phase::Enabling,
-            Phase::Standing,
-            Phase::Homing,
-            Phase::Standing
-        ]
-    );
+    assert_eq!(rig.phases(), [Phase::Enabling, Phase::Standing, Phase::Homing, Phase::Standing]);
     let homing: Vec<usize> = rig
         .world()
         .sent
         .iter()
-        .flat_map(|batch| {
-            batch
-                .iter()
-                .position(|command| *command == AxisCommand::Home)
-        })
+        .flat_map(|batch| batch.iter().position(|command| *command == AxisCommand::Home))
         .collect();
     assert!(homing.is_sorted_by(|a, b| a >= b), "{homing:?}");
     assert!(homing.contains(&2) && homing.contains(&0) && !homing.contains(&1));

@@ -5,11 +5,8 @@ use super::*;
 #[test]
 fn stop_and_disable_overtake_the_queue_and_brake() {
     // After 31 cycles, a macrostep was taken since the last search of the queue.
-    let cases = [
-        (Order::Stop, 30, Phase::Standing),
-        (Order::Disable, 30, Phase::Off),
-        (Order::Stop, 31, Phase::Standing),
-    ];
+    let cases =
+        [(Order::Stop, 30, Phase::Standing), (Order::Disable, 30, Phase::Off), (Order::Stop, 31, Phase::Standing)];
     for (order, cycles, end) in cases {
         let mut rig = Rig::standing(2);
         rig.accelerate(500.0, 2, 20);
@@ -32,10 +29,7 @@ fn a_drive_that_stops_following_stops_the_effector() {
     rig.run(50);
     rig.world().axes[1].deaf = true;
     rig.run_until(Phase::Faulted);
-    assert!(matches!(
-        rig.cause(),
-        Some(StopCause::FollowingError { .. })
-    ));
+    assert!(matches!(rig.cause(), Some(StopCause::FollowingError { .. })));
     assert_eq!(rig.servo.fault(0).unwrap().axis, Some(1));
 }
 
@@ -52,19 +46,14 @@ fn power_stays_on_until_the_motors_are_still_or_have_had_their_time() {
         let before = rig.now;
         rig.run_until(Phase::Off);
         let waited = rig.now.since(before).as_millis();
-        assert!(
-            cycles.contains(&waited),
-            "{waited} periods at {velocity} rad/s"
-        );
+        assert!(cycles.contains(&waited), "{waited} periods at {velocity} rad/s");
     }
 }
 
 #[test]
 fn effectors_stop_each_for_itself_and_for_overruns_together() {
     let mut config = scripted::config(2);
-    config
-        .effectors
-        .push(scripted::config(2).effectors.remove(0));
+    config.effectors.push(scripted::config(2).effectors.remove(0));
     for (group, axes) in [(1, 0), (0, 1)] {
         // Each effector has one axis on either group.
         config.effectors[0].axes[axes].group = group;
@@ -73,10 +62,7 @@ fn effectors_stop_each_for_itself_and_for_overruns_together() {
     let (groups, worlds): (Vec<_>, Vec<_>) = (0..2).map(|_| scripted::group(2)).unzip();
     for world in &worlds {
         let mut world = world.lock().unwrap();
-        world
-            .axes
-            .iter_mut()
-            .for_each(|drive| drive.state.homing = Homing::Attained);
+        world.axes.iter_mut().for_each(|drive| drive.state.homing = Homing::Attained);
     }
     let (mut servo, mut links) = Servo::new(&config, groups).unwrap();
     let mut now = Instant::ZERO;
@@ -90,9 +76,7 @@ fn effectors_stop_each_for_itself_and_for_overruns_together() {
         link.orders.push(Order::Enable).unwrap();
         (0..20).for_each(|number| {
             let position = 0.01 * (number % 2) as f64;
-            link.orders
-                .push(Order::Move(macrostep(number, 10, position, 0.0)))
-                .unwrap();
+            link.orders.push(Order::Move(macrostep(number, 10, position, 0.0))).unwrap();
         });
     }
     let phases = |servo: &Servo| [0, 1].map(|index| servo.state(index).unwrap().phase());
@@ -107,10 +91,7 @@ fn effectors_stop_each_for_itself_and_for_overruns_together() {
     run(&mut servo, 50);
     assert_eq!(phases(&servo), [Phase::Faulted; 2]);
     assert_eq!(servo.fault(0).unwrap().cause, StopCause::Drive(FAULT));
-    assert_eq!(
-        servo.fault(1).unwrap().cause,
-        StopCause::Overrun { missed: 3 }
-    );
+    assert_eq!(servo.fault(1).unwrap().cause, StopCause::Overrun { missed: 3 });
 }
 
 #[test]
@@ -120,10 +101,7 @@ fn a_blocked_motor_stops_the_effector() {
     rig.run(50);
     rig.world().axes[1].blocked = true;
     rig.run_until(Phase::Faulted);
-    assert!(matches!(
-        rig.cause(),
-        Some(StopCause::FollowingError { .. })
-    ));
+    assert!(matches!(rig.cause(), Some(StopCause::FollowingError { .. })));
     assert_eq!(rig.servo.fault(0).unwrap().axis, Some(1));
     keeps_limits(&rig.positions(0)).unwrap();
 }
@@ -137,11 +115,7 @@ fn a_drive_fault_brakes_the_other_axes_before_power_goes() {
     rig.run_until(Phase::Stopping);
     let sent = rig.last_sent();
     assert_eq!(sent[1], AxisCommand::Stand, "its group brakes it");
-    assert!(
-        [0, 2]
-            .iter()
-            .all(|&axis| matches!(sent[axis], AxisCommand::Follow(_)))
-    );
+    assert!([0, 2].iter().all(|&axis| matches!(sent[axis], AxisCommand::Follow(_))));
     rig.run_until(Phase::Faulted);
     assert_eq!(rig.cause(), Some(StopCause::Drive(FAULT)));
     assert_eq!(rig.last_sent(), [AxisCommand::Off; 3]);
@@ -152,10 +126,7 @@ fn a_drive_fault_brakes_the_other_axes_before_power_goes() {
     rig.order(Order::Enable);
     rig.order(Order::Home);
     rig.run(5);
-    assert_eq!(
-        (rig.phase(), rig.last_sent()),
-        (Phase::Faulted, vec![AxisCommand::Off; 3])
-    );
+    assert_eq!((rig.phase(), rig.last_sent()), (Phase::Faulted, vec![AxisCommand::Off; 3]));
     rig.order(Order::ResetFault);
     rig.order(Order::Enable);
     rig.run(30);
@@ -199,17 +170,9 @@ fn a_stop_request_brakes_switches_off_and_holds() {
     rig.run(5);
     let off = |command: &AxisCommand| *command == AxisCommand::Off;
     assert!(rig.world().sent.iter().flatten().all(off));
-    assert_eq!(
-        (rig.phase(), rig.last_sent()),
-        (Phase::Off, vec![AxisCommand::Off; 2])
-    );
+    assert_eq!((rig.phase(), rig.last_sent()), (Phase::Off, vec![AxisCommand::Off; 2]));
     assert!(rig.servo.is_off());
-    assert!(
-        rig.world()
-            .axes
-            .iter()
-            .all(|drive| drive.state.power == Power::Off)
-    );
+    assert!(rig.world().axes.iter().all(|drive| drive.state.power == Power::Off));
 }
 
 #[test]
@@ -232,15 +195,8 @@ fn missed_cycles_stop_the_effector_only_beyond_the_allowed_row() {
         }
         let cause = expected.map(|missed| StopCause::Overrun { missed });
         assert_eq!(rig.cause(), cause, "{missed:?}");
-        assert_eq!(
-            rig.phase() == Phase::Stopping,
-            expected.is_some(),
-            "{missed:?}"
-        );
-        assert_eq!(
-            rig.servo.counters().missed_cycles,
-            u64::from(missed.iter().sum::<u32>())
-        );
+        assert_eq!(rig.phase() == Phase::Stopping, expected.is_some(), "{missed:?}");
+        assert_eq!(rig.servo.counters().missed_cycles, u64::from(missed.iter().sum::<u32>()));
         if expected.is_none() {
             keeps_limits(&rig.positions(0)).unwrap();
         }
@@ -262,12 +218,7 @@ fn no_drive_is_handed_two_steps_at_once_after_a_batch_was_refused() {
         rig.world().refuses = refused;
         rig.run(100);
         assert_eq!(rig.world().refuses, 0);
-        assert_eq!(
-            rig.phase(),
-            Phase::Moving,
-            "{refused} refused: {:?}",
-            rig.cause()
-        );
+        assert_eq!(rig.phase(), Phase::Moving, "{refused} refused: {:?}", rig.cause());
         keeps_limits(&rig.positions(0)).unwrap();
     }
 }
@@ -317,11 +268,7 @@ fn two_in_motion(config: &ServoConfig) -> (Servo, Vec<EffectorLink>, Vec<Arc<Mut
                     // Acceleration to 10 rad/s in 20 ms, then constant speed.
                     let time = 0.01 * number as f64;
                     let velocity = (500.0 * time).min(10.0);
-                    let position = if number <= 2 {
-                        250.0 * time * time
-                    } else {
-                        0.1 + 10.0 * (time - 0.02)
-                    };
+                    let position = if number <= 2 { 250.0 * time * time } else { 0.1 + 10.0 * (time - 0.02) };
                     let next = macrostep(number, 10, position, velocity);
                     link.orders.push(Order::Move(next)).unwrap();
                 }
@@ -356,10 +303,7 @@ fn a_bus_that_is_gone_or_full_holds_up_no_effector_of_another() {
         let positions: Vec<f64> = other.sent.iter().map(|batch| set_point(batch)).collect();
         assert_eq!(positions.len(), 300);
         let way = positions[299] - positions[0];
-        assert!(
-            (way - 2.99).abs() < 1e-9,
-            "gone: {gone}: {way} rad in 299 periods"
-        );
+        assert!((way - 2.99).abs() < 1e-9, "gone: {gone}: {way} rad in 299 periods");
         keeps_limits(&positions).unwrap();
     }
 }
@@ -400,8 +344,7 @@ fn a_stop_ends_in_time_though_its_bus_is_gone_or_takes_nothing() {
             let lost = &records[101..];
             for record in lost {
                 for axis in 0..2 {
-                    let way =
-                        (record.axis[axis].commanded - records[100].axis[axis].commanded).abs();
+                    let way = (record.axis[axis].commanded - records[100].axis[axis].commanded).abs();
                     // Full speed until the stop begins, and the stop itself.
                     let most = if gone { 0.0 } else { 20.0 * 0.03 };
                     assert!(way <= most, "gone: {gone}: commanded {way} rad on");

@@ -49,10 +49,7 @@ fn what_the_loop_has_come_to_hold_changes_hands_without_a_step() {
         let mut rig = loaded(&config, 0.0);
         told(&mut rig, WEIGHT, 1..=3);
         let torques = rig.torques(0);
-        assert!(
-            torques.iter().all(|torque| (torque - WEIGHT).abs() < 0.01),
-            "{torques:?}"
-        );
+        assert!(torques.iter().all(|torque| (torque - WEIGHT).abs() < 0.01), "{torques:?}");
     }
 }
 
@@ -96,10 +93,7 @@ fn a_stop_keeps_the_torque_and_the_next_power_begins_with_it() {
         rig.order(Order::Stop);
         rig.run(50);
         let torques = rig.torques(0);
-        assert!(
-            torques.iter().all(|torque| (torque - WEIGHT).abs() < 0.01),
-            "{torques:?}"
-        );
+        assert!(torques.iter().all(|torque| (torque - WEIGHT).abs() < 0.01), "{torques:?}");
         // Off, with the brake on; then on again at the same position, and once more after the arm was moved by hand.
         for (moved, expected) in [(0.0, WEIGHT), (10.0, 0.0)] {
             rig.order(Order::Disable);
@@ -117,10 +111,7 @@ fn a_stop_keeps_the_torque_and_the_next_power_begins_with_it() {
             };
             rig.run(100);
             let first = rig.world().sent.iter().find_map(begun).unwrap();
-            assert!(
-                (first - expected).abs() < 0.02,
-                "{first} for {expected} N·m"
-            );
+            assert!((first - expected).abs() < 0.02, "{first} for {expected} N·m");
             rig.run_until(Phase::Standing);
         }
     }

@@ -20,9 +20,7 @@ pub type Outcome = Result<(), String>;
 /// Arguments of a master: a network interface and a node-ID.
 pub fn arguments() -> (String, u8) {
     let mut arguments = env::args().skip(1);
-    let interface = arguments
-        .next()
-        .expect("the first argument is a network interface");
+    let interface = arguments.next().expect("the first argument is a network interface");
     let node = arguments.next().and_then(|node| node.parse().ok());
     (interface, node.expect("the second argument is a node-ID"))
 }
@@ -31,11 +29,7 @@ pub fn arguments() -> (String, u8) {
 pub fn node_arguments() -> (String, u8, u32) {
     let (interface, node) = arguments();
     let serial = env::args().nth(3).and_then(|serial| serial.parse().ok());
-    (
-        interface,
-        node,
-        serial.expect("the third argument is a serial number"),
-    )
+    (interface, node, serial.expect("the third argument is a serial number"))
 }
 
 /// A recorded frame.
@@ -120,11 +114,7 @@ pub struct Checks {
 
 impl Checks {
     pub fn new(wire: Wire) -> Self {
-        Self {
-            wire,
-            ran: 0,
-            failed: 0,
-        }
+        Self { wire, ran: 0, failed: 0 }
     }
 
     pub fn check(&mut self, name: &str, check: impl FnOnce() -> Outcome) {
@@ -154,20 +144,12 @@ impl Checks {
 /// Asserts that both values are equal.
 pub fn same<T: Debug + PartialEq>(what: &str, found: T, expected: T) -> Outcome {
     let wrong = || format!("{what}: {found:02x?}, expected {expected:02x?}");
-    if found == expected {
-        Ok(())
-    } else {
-        Err(wrong())
-    }
+    if found == expected { Ok(()) } else { Err(wrong()) }
 }
 
 /// Asserts that the condition is true.
 pub fn holds(what: &str, condition: bool) -> Outcome {
-    if condition {
-        Ok(())
-    } else {
-        Err(what.to_owned())
-    }
+    if condition { Ok(()) } else { Err(what.to_owned()) }
 }
 
 /// Test data: neighbouring bytes differ, and so do data of different lengths.

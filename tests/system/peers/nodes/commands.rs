@@ -47,30 +47,10 @@ fn meanwhile(stage: &Stage, words: &str, mut happens: impl FnMut()) -> String {
 fn scan(stage: &Stage, nodes: [NodeId; 3]) {
     let known = |peer: &Peer, node: NodeId| {
         let [vendor, product, revision] = peer.identity;
-        json!([
-            node.raw(),
-            peer.device_type,
-            peer.own_name(),
-            vendor,
-            product,
-            revision,
-            peer.serial
-        ])
+        json!([node.raw(), peer.device_type, peer.own_name(), vendor, product, revision, peer.serial])
     };
-    let expected: Vec<_> = PEERS
-        .iter()
-        .zip(nodes)
-        .map(|(peer, node)| known(peer, node))
-        .collect();
-    let keys = [
-        "node",
-        "device_type",
-        "name",
-        "vendor",
-        "product",
-        "revision",
-        "serial",
-    ];
+    let expected: Vec<_> = PEERS.iter().zip(nodes).map(|(peer, node)| known(peer, node)).collect();
+    let keys = ["node", "device_type", "name", "vendor", "product", "revision", "serial"];
     let end = clock::now() + SCANS;
     loop {
         let scanned = run(stage, "scan --json").json();
@@ -92,19 +72,13 @@ pub(super) fn service_commands(stage: &Stage, hosts: &mut [Host]) {
     let shown = meanwhile(stage, words, || hosts[0].send(&Sync::default().encode()));
     for peer in &PEERS {
         let node = peer.node;
-        let line = format!(
-            "node {node}: TPDO 1: 0x2000:00 0x030201{:02x}; 0x2001:00 0x8504",
-            node.raw()
-        );
+        let line = format!("node {node}: TPDO 1: 0x2000:00 0x030201{:02x}; 0x2001:00 0x8504", node.raw());
         assert!(shown.contains(&line), "{line} is not in {shown}");
     }
     for peer in &PEERS {
         println!("{}: mrroc sdo and nmt", peer.name);
         let node = peer.node;
-        let wrote = says(
-            stage,
-            &format!("sdo write {node} 0x2000 --type u32 305419896"),
-        );
+        let wrote = says(stage, &format!("sdo write {node} 0x2000 --type u32 305419896"));
         assert!(wrote.starts_with("0x2000:00 = 0x12345678"), "{wrote}");
         let refused = run(stage, &format!("sdo read {node} 0x5fff"));
         assert_eq!(refused.status.code(), Some(2), "{refused:?}");
@@ -113,19 +87,12 @@ pub(super) fn service_commands(stage: &Stage, hosts: &mut [Host]) {
         if peer.constant_heartbeat.is_none() {
             says(stage, &format!("sdo write {node} 0x1017 --type u16 50"));
         }
-        for (order, state) in [
-            ("pre-operational", "pre-operational"),
-            ("stop", "stopped"),
-            ("start", "operational"),
-        ] {
+        for (order, state) in [("pre-operational", "pre-operational"), ("stop", "stopped"), ("start", "operational")] {
             let told = says(stage, &format!("nmt {order} {node}"));
             assert_eq!(told, format!("node {node}: {state}\n"));
         }
         for reset in ["reset-node", "reset-communication"] {
-            let told = run(
-                stage,
-                &format!("nmt {reset} {node} --timeout {}", peer.boot_ms()),
-            );
+            let told = run(stage, &format!("nmt {reset} {node} --timeout {}", peer.boot_ms()));
             let line = format!("node {node}: booted\n");
             let booted = told.status.success() && told.stdout == line;
             assert!(booted || !peer.boots(), "{told:?}");
@@ -157,9 +124,7 @@ pub(super) fn layer_settings(stage: &Stage, programs: &Programs) {
     // These two peers answer fastscan, but not "identify non-configured slaves".
     let _started = [zencan, canopen_rs].map(start);
     let end = clock::now() + SCANS;
-    while run(stage, "scan").stdout
-        != "there are nodes without a node-ID: `mrroc lss scan` finds them\n"
-    {
+    while run(stage, "scan").stdout != "there are nodes without a node-ID: `mrroc lss scan` finds them\n" {
         assert!(clock::now() < end, "`mrroc scan` does not know of them");
     }
     let _durand = start(durand);
@@ -200,10 +165,7 @@ fn renumber(stage: &Stage, peer: &Peer, node: NodeId) {
 fn configure(stage: &Stage, peer: &Peer, node: NodeId) {
     println!("{}: mrroc lss set-node-id", peer.name);
     let identity = peer.written();
-    let told = says(
-        stage,
-        &format!("lss set-node-id --identity {identity} {node}"),
-    );
+    let told = says(stage, &format!("lss set-node-id --identity {identity} {node}"));
     let line = format!("node {node}: configured, and booted\n");
     assert!(told == line || !peer.boots(), "{told}");
     let told = says(stage, &format!("lss inquire --identity {identity}"));

@@ -33,12 +33,8 @@ fn zencan_canopen_rs_and_durand_obey_our_host_side() {
         return;
     };
     on_stage(test, |stage| {
-        let mut hosts = PEERS
-            .each_ref()
-            .map(|peer| Host::new(stage.interface, peer.node));
-        let started = PEERS
-            .each_ref()
-            .map(|peer| programs.start(stage, peer, Some(peer.node)));
+        let mut hosts = PEERS.each_ref().map(|peer| Host::new(stage.interface, peer.node));
+        let started = PEERS.each_ref().map(|peer| programs.start(stage, peer, Some(peer.node)));
         for (host, peer) in hosts.iter_mut().zip(&PEERS) {
             host.hears(peer.boots_as);
         }
@@ -67,10 +63,7 @@ fn process_data(hosts: &mut [Host]) {
         let (number, node) = (PdoNumber::One, host.node);
         for (kind, cob_id) in [
             (PdoKind::Rpdo, PdoCobId::new(cob::rpdo(number, node))),
-            (
-                PdoKind::Tpdo,
-                PdoCobId::new(cob::tpdo(number, node)).without_rtr(),
-            ),
+            (PdoKind::Tpdo, PdoCobId::new(cob::tpdo(number, node)).without_rtr()),
         ] {
             host.writes(remap(&PdoSetup {
                 kind,
@@ -105,9 +98,7 @@ fn process_data(hosts: &mut [Host]) {
 /// Runs the peers that can act as drives in one drive group.
 fn drive_group(stage: &Stage, programs: &Programs) {
     let drives = || PEERS.iter().filter(|peer| peer.drive);
-    let mut hosts: Vec<_> = drives()
-        .map(|peer| Host::new(stage.interface, peer.node))
-        .collect();
+    let mut hosts: Vec<_> = drives().map(|peer| Host::new(stage.interface, peer.node)).collect();
     let start = |peer: &Peer| programs.start(stage, peer, Some(peer.node));
     let _started: Vec<_> = drives().map(start).collect();
     for (host, peer) in hosts.iter_mut().zip(drives()) {
@@ -122,10 +113,7 @@ fn drive_group(stage: &Stage, programs: &Programs) {
         }
     };
     let changes: Vec<_> = drives().map(change).collect();
-    let changes: Vec<_> = changes
-        .iter()
-        .map(|change| change as &dyn Fn(&mut _))
-        .collect();
+    let changes: Vec<_> = changes.iter().map(|change| change as &dyn Fn(&mut _)).collect();
     println!("a drive group runs {} of them", changes.len());
     run_as_drives(stage, &changes);
 }

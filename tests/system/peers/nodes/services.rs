@@ -72,12 +72,9 @@ fn network_management(host: &mut Host, peer: &Peer) {
 }
 
 fn numbers(host: &mut Host, _: &Peer) {
-    for (object, data) in [
-        (BYTE, &[0xA5][..]),
-        (SHORT, &[0xFE, 0xFF]),
-        (NUMBER, &[0x78, 0x56, 0x34, 0x12]),
-        (NUMBER, &[0, 0, 0, 0x80]),
-    ] {
+    for (object, data) in
+        [(BYTE, &[0xA5][..]), (SHORT, &[0xFE, 0xFF]), (NUMBER, &[0x78, 0x56, 0x34, 0x12]), (NUMBER, &[0, 0, 0, 0x80])]
+    {
         assert_eq!(host.download(object, data), Ok(()));
         assert_eq!(host.upload(object).as_deref(), Ok(data));
     }

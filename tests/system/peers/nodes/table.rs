@@ -137,11 +137,7 @@ impl Programs {
     pub(super) fn find(test: &str) -> Option<Self> {
         let [zencan, canopen_rs] = rust(test, ["zencan-node", "canopen-rs-node"])?;
         let python = python(test)?;
-        Some(Self {
-            zencan,
-            canopen_rs,
-            python,
-        })
+        Some(Self { zencan, canopen_rs, python })
     }
 
     /// Starts a peer; without a node-ID if `node` is `None`.

@@ -31,10 +31,7 @@ pub(super) fn gripper(gripper: &GripperParameters) -> String {
         let said = millimetres.to_string();
         svg.text([left - 10.0, y + 4.5], "end", "", &said);
     }
-    for (limit, said) in [
-        (gripper.opening_limits.low, "narrowest"),
-        (gripper.opening_limits.high, "widest"),
-    ] {
+    for (limit, said) in [(gripper.opening_limits.low, "narrowest"), (gripper.opening_limits.high, "widest")] {
         let y = y(limit);
         let style = stroke("#d9731a", 1.5) + " stroke-dasharray=\"6 4\"";
         svg.line([left, y], [right, y], &style);
@@ -48,10 +45,7 @@ pub(super) fn gripper(gripper: &GripperParameters) -> String {
         .collect();
     svg.path(&points, &curve(ACCENT, 2.5));
     let vertex = -gripper.linear / (2.0 * gripper.square);
-    for (motor, said, up) in [
-        (vertex, "vertex", -12.0),
-        (gripper.motor_at_home, "home", 22.0),
-    ] {
+    for (motor, said, up) in [(vertex, "vertex", -12.0), (gripper.motor_at_home, "home", 22.0)] {
         let at = [x(motor), y(value(motor))];
         svg.circle(at, 4.5, BODY);
         let beside = [at[0].min(right - 52.0), at[1] + up];
@@ -79,10 +73,7 @@ pub(super) fn conveyor(conveyor: &ConveyorParameters) -> String {
     for (roller, sense) in rollers.into_iter().zip([1.0, -1.0]) {
         let arc = (0..=24).map(|step| {
             let angle = std::f64::consts::PI * (0.5 + f64::from(step) / 24.0);
-            [
-                roller + sense * radius * angle.cos(),
-                y + radius * angle.sin(),
-            ]
+            [roller + sense * radius * angle.cos(), y + radius * angle.sin()]
         });
         let arc: Vec<_> = arc.collect();
         svg.path(&arc, &curve("#8a939e", 7.0));
@@ -96,16 +87,7 @@ pub(super) fn conveyor(conveyor: &ConveyorParameters) -> String {
     svg.text([478.0, y - 96.0], "middle", style, "belt position, m");
     svg.line([220.0, y + 40.0], [220.0, y + 104.0], CENTRE);
     let [left, right, upper, lower] = [176.0, 264.0, y + 104.0, y + 146.0];
-    svg.path(
-        &[
-            [left, upper],
-            [right, upper],
-            [right, lower],
-            [left, lower],
-            [left, upper],
-        ],
-        BODY,
-    );
+    svg.path(&[[left, upper], [right, upper], [right, lower], [left, lower], [left, upper]], BODY);
     svg.text([220.0, y + 130.0], "middle", "fill=\"#111\"", "motor");
     let ratio = conveyor.ratio;
     let said = format!(

@@ -17,13 +17,7 @@ pub(crate) fn gear(joint: &str, name: &str, gear: &GearAxis, tag: Tag) -> Row {
 }
 
 /// A gear with another relation of motor and joint.
-pub(crate) fn geared(
-    joint: &str,
-    name: &str,
-    transmission: &str,
-    gear: &GearAxis,
-    tag: Tag,
-) -> Row {
+pub(crate) fn geared(joint: &str, name: &str, transmission: &str, gear: &GearAxis, tag: Tag) -> Row {
     let [at_joint, at_motor] = [gear.joint_at_home, gear.motor_at_home].map(signed);
     let home = format!("{at_joint} at m {at_motor}");
     let [joints, motors] = [gear.joint_limits, gear.motor_limits].map(|limits| range(&limits));
@@ -51,11 +45,7 @@ pub(crate) fn length_at_home(length: f64, motor: f64) -> String {
 /// A number with at most six decimal places and a true minus sign.
 pub(crate) fn signed(value: f64) -> String {
     let rounded = (value * 1e8).round() / 1e8 + 0.0;
-    let text = if rounded.abs() < 1.0 {
-        rounded.to_string()
-    } else {
-        ((value * 1e6).round() / 1e6).to_string()
-    };
+    let text = if rounded.abs() < 1.0 { rounded.to_string() } else { ((value * 1e6).round() / 1e6).to_string() };
     text.replace('-', "\u{2212}")
 }
 

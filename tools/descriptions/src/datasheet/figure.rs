@@ -40,14 +40,7 @@ pub(crate) struct Other {
 impl View {
     /// A view of the robot alone, with its directions to the right and upwards.
     pub(crate) fn of(title: &'static str, joints: Joints, [right, up]: [Vector3<f64>; 2]) -> Self {
-        Self {
-            title,
-            joints,
-            right,
-            up,
-            reach: None,
-            others: Vec::new(),
-        }
+        Self { title, joints, right, up, reach: None, others: Vec::new() }
     }
 }
 
@@ -99,25 +92,12 @@ fn at(joints: &Joints, symbols: &[&str], links: &[Link]) -> String {
 }
 
 /// Draws a view. Adds the dimensioned lengths to `told`: number of the joint and number of the segment before it.
-fn panel(
-    svg: &mut Svg,
-    left: f64,
-    symbols: &[&str],
-    view: &View,
-    stands: &[Stand],
-    told: &mut Vec<(usize, usize)>,
-) {
-    let flange = stands
-        .last()
-        .map_or_else(Vector3::zeros, |stand| stand.frame.translation.vector);
+fn panel(svg: &mut Svg, left: f64, symbols: &[&str], view: &View, stands: &[Stand], told: &mut Vec<(usize, usize)>) {
+    let flange = stands.last().map_or_else(Vector3::zeros, |stand| stand.frame.translation.vector);
     let mut seen: Vec<Vector3<f64>> = vec![Vector3::zeros(), flange];
     seen.extend(stands.iter().flat_map(|stand| stand.way.iter().flatten()));
     seen.extend(view.others.iter().flat_map(|other| &other.points));
-    seen.extend(
-        view.reach
-            .iter()
-            .flat_map(|(outlines, _)| outlines.iter().flatten()),
-    );
+    seen.extend(view.reach.iter().flat_map(|(outlines, _)| outlines.iter().flatten()));
     let mut sheet = Sheet::fit(svg, [view.right, view.up], &seen, [left, TOP], PANEL);
 
     if let Some((outlines, _)) = &view.reach {
@@ -165,11 +145,7 @@ fn panel(
             let along = (to - from).normalize();
             let variable = stand.kind == LinkKind::Prismatic && along.dot(&stand.axis).abs() > 0.99;
             let length = (to - from).norm() * 1e3;
-            let said = if variable {
-                (*symbol).to_owned()
-            } else {
-                ink::millimetres(length)
-            };
+            let said = if variable { (*symbol).to_owned() } else { ink::millimetres(length) };
             if sheet.dimension([*from, *to], &said) {
                 told.push((joint, part));
             }

@@ -12,8 +12,7 @@ const THIN: &str = "stroke=\"#98a1ab\" stroke-width=\"1\"";
 /// Axes x, y and z of a frame, with their colours.
 const AXES: [(&str, &str); 3] = [("x", "#c62828"), ("y", "#2e7d32"), ("z", "#1546a0")];
 /// White outline that keeps a text legible on lines.
-const HALO: &str =
-    "paint-order=\"stroke\" stroke=\"#fff\" stroke-width=\"4\" stroke-linejoin=\"round\"";
+const HALO: &str = "paint-order=\"stroke\" stroke=\"#fff\" stroke-width=\"4\" stroke-linejoin=\"round\"";
 
 /// Text of a length in mm, without trailing zeros.
 pub(super) fn millimetres(length: f64) -> String {
@@ -45,23 +44,17 @@ impl<'a> Sheet<'a> {
         const MARGIN: f64 = 62.0;
         let ends = |direction: &Vector3<f64>| {
             let along = seen.iter().map(|point| point.dot(direction));
-            along.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| {
-                [low.min(value), high.max(value)]
-            })
+            along.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
         };
         let (across, upwards) = (ends(&right), ends(&up));
-        let room =
-            |size: f64, [low, high]: [f64; 2]| (size - 2.0 * MARGIN) / (high - low).max(1e-3);
+        let room = |size: f64, [low, high]: [f64; 2]| (size - 2.0 * MARGIN) / (high - low).max(1e-3);
         let scale = room(size[0], across).min(room(size[1], upwards));
         let middle = |[low, high]: [f64; 2]| f64::midpoint(low, high) * scale;
         Self {
             svg,
             right,
             up,
-            origin: Point::new(
-                corner[0] + size[0] / 2.0 - middle(across),
-                corner[1] + size[1] / 2.0 + middle(upwards),
-            ),
+            origin: Point::new(corner[0] + size[0] / 2.0 - middle(across), corner[1] + size[1] / 2.0 + middle(upwards)),
             scale,
             taken: Vec::new(),
         }
@@ -94,19 +87,12 @@ impl<'a> Sheet<'a> {
     fn occupy_line(&mut self, from: Point, to: Point) {
         let steps = ((to - from).norm() / 5.0).ceil().max(1.0);
         let places = (0..=steps as u32).map(|step| f64::from(step) / steps);
-        self.taken
-            .extend(places.map(|share| from + (to - from) * share));
+        self.taken.extend(places.map(|share| from + (to - from) * share));
     }
 
     /// Marks a square as an obstacle for texts.
     pub(super) fn block(&mut self, at: Point, half: f64) {
-        let corners = [
-            (-1.0, -1.0),
-            (1.0, -1.0),
-            (1.0, 1.0),
-            (-1.0, 1.0),
-            (0.0, 0.0),
-        ];
+        let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (0.0, 0.0)];
         let corners = corners.map(|(x, y)| at + Point::new(x, y) * half);
         self.taken.extend(corners);
         for side in [Point::x() * half, Point::y() * half] {
@@ -118,27 +104,17 @@ impl<'a> Sheet<'a> {
     fn crowd(&self, at: Point, said: &str, size: f64) -> usize {
         let wide = 0.30 * size * said.chars().count() as f64 + 3.0;
         let high = 0.55 * size + 2.0;
-        let covered =
-            |other: &&Point| (other.x - at.x).abs() < wide && (other.y - at.y).abs() < high;
+        let covered = |other: &&Point| (other.x - at.x).abs() < wide && (other.y - at.y).abs() < high;
         self.taken.iter().filter(covered).count()
     }
 
     /// Adds a text at the position with the fewest obstacles; among equals, at the first.
-    fn text(
-        &mut self,
-        places: impl IntoIterator<Item = Point>,
-        size: f64,
-        style: &str,
-        said: &str,
-    ) {
+    fn text(&mut self, places: impl IntoIterator<Item = Point>, size: f64, style: &str, said: &str) {
         let places: Vec<_> = places.into_iter().collect();
-        let best = places
-            .iter()
-            .min_by_key(|place| self.crowd(**place, said, size));
+        let best = places.iter().min_by_key(|place| self.crowd(**place, said, size));
         let Some(&at) = best else { return };
         let style = format!("font-size=\"{size}\" {style} {HALO}");
-        self.svg
-            .text(at + Point::y() * (0.36 * size), "middle", &style, said);
+        self.svg.text(at + Point::y() * (0.36 * size), "middle", &style, said);
         let half = Point::x() * (0.29 * size * said.chars().count() as f64);
         for down in [-0.4 * size, 0.0, 0.4 * size] {
             let line = at + Point::y() * down;
@@ -159,9 +135,7 @@ impl<'a> Sheet<'a> {
     pub(super) fn area_name(&mut self, outlines: &[Vec<Vector3<f64>>], said: &str) {
         let points = outlines.iter().flatten().map(|point| self.at(*point));
         let nothing = [f64::INFINITY, f64::NEG_INFINITY].map(Point::repeat);
-        let [low, high] = points.fold(nothing, |[low, high], point| {
-            [low.inf(&point), high.sup(&point)]
-        });
+        let [low, high] = points.fold(nothing, |[low, high], point| [low.inf(&point), high.sup(&point)]);
         let middle = f64::midpoint(low.x, high.x);
         let heights = [high.y + 14.0, low.y - 12.0, high.y + 28.0, low.y - 26.0];
         let places = heights.map(|height| Point::new(middle, height));
@@ -304,8 +278,7 @@ impl<'a> Sheet<'a> {
             beside(offset + further, middle)
         };
         let crowd = |offset: &f64| {
-            let seen_from =
-                |end: Point, other: Point| [along, across].map(|axis| axis.dot(&(other - end)));
+            let seen_from = |end: Point, other: Point| [along, across].map(|axis| axis.dot(&(other - end)));
             let on_line = |other: &&Point| {
                 let [x, y] = seen_from(middle, **other);
                 x.abs() < seen / 2.0 && (y - offset).abs() < 7.0
@@ -369,17 +342,7 @@ impl<'a> Sheet<'a> {
     pub(super) fn scale(&mut self, [x, y]: [f64; 2]) {
         let end = x + 0.2 * self.scale;
         let [low, middle, high] = [y + 4.0, y, y - 4.0];
-        self.svg.path(
-            &[
-                [x, high],
-                [x, low],
-                [x, middle],
-                [end, middle],
-                [end, high],
-                [end, low],
-            ],
-            &curve("#666", 1.5),
-        );
+        self.svg.path(&[[x, high], [x, low], [x, middle], [end, middle], [end, high], [end, low]], &curve("#666", 1.5));
         self.svg.text([end + 8.0, low], "start", NOTE, "200 mm");
     }
 }

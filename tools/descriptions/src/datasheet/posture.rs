@@ -43,17 +43,12 @@ pub(crate) fn stands(links: &[Link], all: &Joints) -> Vec<Stand> {
             (across.norm() > LEAST).then(|| across.normalize())
         };
         let at_zero = self::frames(links, &zeroed);
-        let turned = (link.kind != LinkKind::Prismatic)
-            .then(|| Some([behind(&at_zero)?, behind(&frames)?]))
-            .flatten();
+        let turned = (link.kind != LinkKind::Prismatic).then(|| Some([behind(&at_zero)?, behind(&frames)?])).flatten();
         stands.push(Stand {
             kind: link.kind,
             frame: *frame,
             axis,
-            way: way
-                .into_iter()
-                .filter(|[from, to]| (to - from).norm() > LEAST)
-                .collect(),
+            way: way.into_iter().filter(|[from, to]| (to - from).norm() > LEAST).collect(),
             turned,
         });
         (before, axis_before) = (*frame, axis);

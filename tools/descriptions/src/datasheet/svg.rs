@@ -45,10 +45,7 @@ impl Svg {
     pub(super) fn text(&mut self, at: impl Into<[f64; 2]>, anchor: &str, style: &str, said: &str) {
         let [x, y] = at.into();
         let said = said.replace('&', "&amp;").replace('<', "&lt;");
-        let _ = writeln!(
-            self.0,
-            "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" {style}>{said}</text>"
-        );
+        let _ = writeln!(self.0, "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" {style}>{said}</text>");
     }
 
     pub(super) fn line(&mut self, from: impl Into<[f64; 2]>, to: impl Into<[f64; 2]>, style: &str) {
@@ -75,20 +72,11 @@ impl Svg {
 
     pub(super) fn circle(&mut self, at: impl Into<[f64; 2]>, radius: f64, style: &str) {
         let [x, y] = at.into();
-        let _ = writeln!(
-            self.0,
-            "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius:.1}\" {style}/>"
-        );
+        let _ = writeln!(self.0, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius:.1}\" {style}/>");
     }
 
     /// Adds an arrowhead with its tip at `tip`. The arrow points along `direction`, which may have any length.
-    pub(super) fn arrowhead(
-        &mut self,
-        tip: impl Into<Point>,
-        direction: Point,
-        size: f64,
-        colour: &str,
-    ) {
+    pub(super) fn arrowhead(&mut self, tip: impl Into<Point>, direction: Point, size: f64, colour: &str) {
         let (tip, along) = (tip.into(), unit(direction));
         let back = |side: f64| tip - (along + across(along) * (0.38 * side)) * size;
         let corners = [tip, back(1.0), back(-1.0), tip];

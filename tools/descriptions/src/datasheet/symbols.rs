@@ -44,11 +44,7 @@ impl Svg {
             return self.circle([x, y], 2.8, &format!("fill=\"{COLOUR}\""));
         }
         for side in [-5.0, 5.0] {
-            self.line(
-                [x - 5.0, y - side],
-                [x + 5.0, y + side],
-                &stroke(COLOUR, 1.6),
-            );
+            self.line([x - 5.0, y - side], [x + 5.0, y + side], &stroke(COLOUR, 1.6));
         }
     }
 

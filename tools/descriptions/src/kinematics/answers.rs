@@ -65,11 +65,7 @@ enum Values {
 
 impl Answer {
     fn of(machine: &Machine, values: Values) -> Self {
-        Self {
-            robot: machine.name.clone(),
-            values,
-            notes: machine.caution.map(str::to_owned).into_iter().collect(),
-        }
+        Self { robot: machine.name.clone(), values, notes: machine.caution.map(str::to_owned).into_iter().collect() }
     }
 
     /// Pose of the flange at these joints.
@@ -81,11 +77,7 @@ impl Answer {
             Ok(motors) => Some(motors.to_vec()),
             Err(error) => {
                 notes.push(format!("no motors: {error}"));
-                if let KinematicsError::BeyondLimit {
-                    space: Space::Joint,
-                    value,
-                    ..
-                } = error
+                if let KinematicsError::BeyondLimit { space: Space::Joint, value, .. } = error
                     && value.abs() > DEGREES
                 {
                     notes.push("positions of joints are in rad and m, not degrees and mm".into());
@@ -109,9 +101,7 @@ impl Answer {
         let values = Values::Forward {
             joints: joints.to_vec(),
             position: pose.translation.vector.into(),
-            rotation: std::array::from_fn(|row| {
-                std::array::from_fn(|column| rotation[(row, column)])
-            }),
+            rotation: std::array::from_fn(|row| std::array::from_fn(|column| rotation[(row, column)])),
             quaternion: [q.w, q.i, q.j, q.k],
             motors,
             motor_angles: angles.filter(|_| lengths.is_some()),
@@ -136,10 +126,8 @@ impl Answer {
             let columns = columns.clone();
             columns.map(|column| jacobian[(row, column)]).collect()
         };
-        let values = Values::Jacobian {
-            jacobian: std::array::from_fn(row),
-            singularity: machine.robot.singularity(joints)?,
-        };
+        let values =
+            Values::Jacobian { jacobian: std::array::from_fn(row), singularity: machine.robot.singularity(joints)? };
         Ok(Self::of(machine, values))
     }
 
@@ -163,15 +151,7 @@ impl Answer {
 impl fmt::Display for Answer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.values {
-            Values::Forward {
-                joints,
-                position,
-                rotation,
-                quaternion,
-                motors,
-                motor_angles,
-                ..
-            } => {
+            Values::Forward { joints, position, rotation, quaternion, motors, motor_angles, .. } => {
                 writeln!(f, "joints      {}", row(joints))?;
                 writeln!(f, "position    {} m", row(position))?;
                 for (number, values) in rotation.iter().enumerate() {
@@ -191,21 +171,14 @@ impl fmt::Display for Answer {
                     writeln!(f, "joints      {}", row(solution))?;
                 }
             }
-            Values::Jacobian {
-                jacobian,
-                singularity: Singularity { axis, margin },
-            } => {
+            Values::Jacobian { jacobian, singularity: Singularity { axis, margin } } => {
                 let names = ["vx", "vy", "vz", "wx", "wy", "wz"];
                 for (name, values) in names.into_iter().zip(jacobian) {
                     writeln!(f, "{name}          {}", row(values))?;
                 }
                 writeln!(f, "smallest singular value {margin:.9}, of axis {axis}")?;
             }
-            Values::Limits {
-                joints,
-                motors,
-                motor_angles,
-            } => {
+            Values::Limits { joints, motors, motor_angles } => {
                 ranges(f, "joint", "", joints)?;
                 if motor_angles.is_some() {
                     ranges(f, "leg", "m", &motors[..3])?;
@@ -230,9 +203,6 @@ fn ranges(f: &mut fmt::Formatter<'_>, what: &str, unit: &str, limits: &[Limits])
 
 /// Formats values in columns of equal width.
 fn row(values: &[f64]) -> String {
-    let columns: Vec<_> = values
-        .iter()
-        .map(|value| format!("{value:>14.9}"))
-        .collect();
+    let columns: Vec<_> = values.iter().map(|value| format!("{value:>14.9}")).collect();
     columns.join(" ")
 }

@@ -66,10 +66,7 @@ impl Machine {
     /// lengths.
     pub(super) fn joints_from_motors(&self, list: &str) -> anyhow::Result<Joints> {
         let mut motors: Motors = self.vector("--motors", list)?;
-        for (motor, leg) in motors
-            .iter_mut()
-            .zip(self.rnt().iter().flat_map(|rnt| &rnt.legs))
-        {
+        for (motor, leg) in motors.iter_mut().zip(self.rnt().iter().flat_map(|rnt| &rnt.legs)) {
             *motor = leg.motor(*motor);
         }
         let joints = self.robot.joints_from_motors(&motors);
@@ -105,12 +102,7 @@ impl Machine {
         let numbers = list(option, text)?;
         let (given, axes) = (numbers.len(), self.robot.axes());
         let vector = Vector::new(&numbers).filter(|_| given == axes);
-        vector.ok_or_else(|| {
-            anyhow!(
-                "{option}: {given} positions, and {} has {axes} axes",
-                self.name
-            )
-        })
+        vector.ok_or_else(|| anyhow!("{option}: {given} positions, and {} has {axes} axes", self.name))
     }
 }
 
@@ -123,18 +115,16 @@ fn preset(name: &str) -> anyhow::Result<Parameters> {
 }
 
 fn unknown<'a>(what: &str, name: &str, known: impl Iterator<Item = &'a str>) -> anyhow::Error {
-    anyhow!(
-        "{what} {name:?}, only {}",
-        known.collect::<Vec<_>>().join(", ")
-    )
+    anyhow!("{what} {name:?}, only {}", known.collect::<Vec<_>>().join(", "))
 }
 
 /// Parses a list of finite numbers, separated by commas.
 fn list(option: &str, text: &str) -> anyhow::Result<Vec<f64>> {
     let number = |part: &str| {
-        let value: f64 = part.trim().parse().map_err(|_| {
-            anyhow!("{option}: {part:?} is not a number, as in a list separated by commas")
-        })?;
+        let value: f64 = part
+            .trim()
+            .parse()
+            .map_err(|_| anyhow!("{option}: {part:?} is not a number, as in a list separated by commas"))?;
         ensure!(value.is_finite(), "{option}: {part:?} is not finite");
         Ok(value)
     };
@@ -144,9 +134,7 @@ fn list(option: &str, text: &str) -> anyhow::Result<Vec<f64>> {
 fn exactly<const N: usize>(option: &str, text: &str, form: &str) -> anyhow::Result<[f64; N]> {
     let numbers = list(option, text)?;
     let count = numbers.len();
-    numbers
-        .try_into()
-        .map_err(|_| anyhow!("{option}: {count} numbers, not the {N} of {form}"))
+    numbers.try_into().map_err(|_| anyhow!("{option}: {count} numbers, not the {N} of {form}"))
 }
 
 /// Parses a pose from its position and its quaternion.
@@ -155,12 +143,6 @@ pub(super) fn pose(position: &str, quaternion: &str) -> anyhow::Result<Isometry3
     let [w, x, y, z] = exactly("--quaternion", quaternion, "w,x,y,z")?;
     let quaternion = Quaternion::new(w, x, y, z);
     let norm = quaternion.norm();
-    ensure!(
-        (norm - 1.0).abs() <= NORM,
-        "--quaternion: its norm is {norm:.6}, and that of a rotation is 1"
-    );
-    Ok(Isometry3::from_parts(
-        Translation3::from(position),
-        UnitQuaternion::from_quaternion(quaternion),
-    ))
+    ensure!((norm - 1.0).abs() <= NORM, "--quaternion: its norm is {norm:.6}, and that of a rotation is 1");
+    Ok(Isometry3::from_parts(Translation3::from(position), UnitQuaternion::from_quaternion(quaternion)))
 }

@@ -1,8 +1,6 @@
 //! Data sheets of the IRb-6 and of the IRp-6, on its pedestal and on its track.
 
-use controller::robot::{
-    ArmParameters, Irb6Parameters, Irp6Parameters, Irp6TrackParameters, Joints,
-};
+use controller::robot::{ArmParameters, Irb6Parameters, Irp6Parameters, Irp6TrackParameters, Joints};
 use nalgebra::Vector3;
 
 use super::{Described, Description, Drawing};
@@ -91,9 +89,7 @@ impl Described for Irp6Parameters {
 impl Described for Irp6TrackParameters {
     fn description(&self) -> Description<'_> {
         let symbols = &["d0", "th1", "th2", "th3", "th4", "th5", "th6"];
-        let ratio = Tag::Derived(
-            "a screw of 8 mm behind a belt of 2:1; ptroja/mrrocpp, src/robot/irp6ot_m",
-        );
+        let ratio = Tag::Derived("a screw of 8 mm behind a belt of 2:1; ptroja/mrrocpp, src/robot/irp6ot_m");
         let mut drives = vec![gear("d0", "track", &self.track, ratio)];
         drives.extend(irp6_drives(&self.robot, &symbols[1..], "robot.", WUT_TRACK));
         Description {
@@ -140,10 +136,7 @@ fn arm_rows(arm: &ArmParameters, path: &str, shoulder: Tag, source: &'static str
 fn arm_drives(arm: &ArmParameters, symbols: &[&str], path: &str, source: &'static str) -> Vec<Row> {
     let code = Tag::PublicCode(source);
     let name = |axis: &str| format!("{path}{axis}");
-    let roll = format!(
-        "m = {} th, turned with the pitch motor",
-        signed(arm.roll.ratio)
-    );
+    let roll = format!("m = {} th, turned with the pitch motor", signed(arm.roll.ratio));
     vec![
         gear(symbols[0], &name("column"), &arm.column, code),
         screw(symbols[1], &name("lower_arm"), &arm.lower_arm, code),
@@ -153,12 +146,7 @@ fn arm_drives(arm: &ArmParameters, symbols: &[&str], path: &str, source: &'stati
     ]
 }
 
-fn irp6_drives(
-    robot: &Irp6Parameters,
-    symbols: &[&str],
-    path: &str,
-    source: &'static str,
-) -> Vec<Row> {
+fn irp6_drives(robot: &Irp6Parameters, symbols: &[&str], path: &str, source: &'static str) -> Vec<Row> {
     let mut drives = arm_drives(&robot.arm, symbols, &format!("{path}arm."), source);
     // Public code has 92°, where some poses have a second branch.
     drives[3].tag = Tag::Derived("as th4 of irb6, to 90° so that one branch remains");
@@ -179,11 +167,7 @@ fn arm(machine: &Machine, degrees: &[f64]) -> [View; 2] {
     let links = machine.robot.links();
     let pitch_axis = |joints: &Joints| frames(&links, joints)[column + 3].translation.vector;
     let area = outline(machine, &joints, [column + 1, column + 2], pitch_axis);
-    let radii = area
-        .iter()
-        .fold([f64::INFINITY, 0.0_f64], |[low, high], point| {
-            [low.min(point.x), high.max(point.x)]
-        });
+    let radii = area.iter().fold([f64::INFINITY, 0.0_f64], |[low, high], point| [low.min(point.x), high.max(point.x)]);
     let mut turned = joints;
     turned[column] = 35.0_f64.to_radians();
     let (mut others, mut above) = (Vec::new(), None);
@@ -191,11 +175,7 @@ fn arm(machine: &Machine, degrees: &[f64]) -> [View; 2] {
         turned[0] = 0.9;
         let ends = range(machine, &joints, 0).map(|end| Vector3::y() * end);
         let travel = format!("{:.0}", (ends[1] - ends[0]).norm() * 1e3);
-        others.push(Other {
-            points: ends.to_vec(),
-            part: Part::Solid,
-            said: Some(travel),
-        });
+        others.push(Other { points: ends.to_vec(), part: Part::Solid, said: Some(travel) });
     } else {
         let ends = range(machine, &joints, column);
         above = Some((sector(radii, ends), "reach of the pitch axis"));

@@ -33,11 +33,8 @@ impl Described for PolycrankParameters {
         let length = |(name, meaning, value)| row(name, meaning, value, "m", code);
         let symbols = &["q1", "q2", "q3", "q4", "q5", "q6", "q7"];
         let axes = symbols.iter().zip(&self.axes).enumerate();
-        let drives = axes.map(|(number, (joint, axis))| {
-            gear(joint, &format!("axes[{number}]"), axis, Tag::Nominal)
-        });
-        let nominal =
-            "drives and home of the Polycrank are nominal: none was measured or published";
+        let drives = axes.map(|(number, (joint, axis))| gear(joint, &format!("axes[{number}]"), axis, Tag::Nominal));
+        let nominal = "drives and home of the Polycrank are nominal: none was measured or published";
         let radii = [(a1.abs() - a2.abs()).abs(), a1.abs() + a2.abs()];
         Description {
             about: "Polycrank, seven axes without end: axes 1, 2, 3 are parallel and carry two cranks, axes 4, 5, 6 \

@@ -12,8 +12,7 @@ use crate::kinematics::Machine;
 
 impl Described for RntParameters {
     fn description(&self) -> Description<'_> {
-        let nominal =
-            "geometry, drives and limits of the RNT are nominal: none was measured or published";
+        let nominal = "geometry, drives and limits of the RNT are nominal: none was measured or published";
         let begin = "circle on which the legs begin, at 0°, 120°, 240°";
         let end = "circle on which the legs end";
         let wrist = "platform to wrist centre along the central leg";
@@ -23,22 +22,15 @@ impl Described for RntParameters {
             ("wrist_offset", wrist, self.wrist_offset),
         ];
         let length = |(name, meaning, value)| row(name, meaning, value, "m", Tag::Nominal);
-        let platform = [
-            ("alpha", "alpha", self.alpha),
-            ("beta", "beta", self.beta),
-            ("rho", "extension", self.extension),
-        ];
+        let platform =
+            [("alpha", "alpha", self.alpha), ("beta", "beta", self.beta), ("rho", "extension", self.extension)];
         let by_legs = |(joint, name, limits)| {
             let numbers = ["by the legs", "", &span(&limits), ""];
             drive(joint, name, numbers, Tag::Nominal)
         };
         let mut drives: Vec<_> = platform.map(by_legs).into();
         drives.extend(self.legs.iter().enumerate().map(leg_drive));
-        let wrist = [
-            ("roll", self.roll),
-            ("pitch", self.pitch),
-            ("spin", self.spin),
-        ];
+        let wrist = [("roll", self.roll), ("pitch", self.pitch), ("spin", self.spin)];
         drives.extend(wrist.map(|(joint, axis)| gear(joint, joint, &axis, Tag::Nominal)));
         Description {
             about: "RNT, serial-parallel, six axes: three driven legs around a passive central one hold a platform, \
@@ -73,10 +65,7 @@ impl Described for RntParameters {
 fn leg_drive((number, leg): (usize, &LegAxis)) -> Row {
     let transmission = format!("screw of {} m per turn", signed(leg.lead));
     let home = length_at_home(leg.length_at_home, leg.motor_at_home);
-    let motors = span(&Limits {
-        low: leg.motor(leg.length_limits.low),
-        high: leg.motor(leg.length_limits.high),
-    });
+    let motors = span(&Limits { low: leg.motor(leg.length_limits.low), high: leg.motor(leg.length_limits.high) });
     let numbers = [&*transmission, &home, &span(&leg.length_limits), &motors];
     let (joint, name) = (format!("leg {number}"), format!("legs[{number}]"));
     drive(&joint, &name, numbers, Tag::Nominal)
@@ -95,11 +84,7 @@ fn views(machine: &Machine) -> [View; 2] {
     let legs = machine.leg_ends().unwrap_or_default();
     let legs = legs.map(|[base, end]| [base, (platform * nalgebra::Point3::from(end)).coords]);
     let legs_and_rings = || {
-        let beams = legs.iter().map(|ends| Other {
-            points: ends.to_vec(),
-            part: Part::Leg,
-            said: None,
-        });
+        let beams = legs.iter().map(|ends| Other { points: ends.to_vec(), part: Part::Leg, said: None });
         let rings = [0, 1].map(|end| Other {
             points: [0, 1, 2, 0].map(|leg: usize| legs[leg][end]).into(),
             part: Part::Solid,

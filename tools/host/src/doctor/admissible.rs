@@ -31,27 +31,12 @@ enum Takes {
 
 /// The files of the kernel that `--fix` sets. A `%` stands for a number, a `*` for the name of an interface or tty.
 const FILES: [(&str, Takes); 6] = [
-    (
-        "/proc/sys/kernel/sched_rt_runtime_us",
-        Takes::Integer(-1, i32::MAX as i64),
-    ),
-    (
-        "/sys/devices/system/cpu/cpu%/cpufreq/scaling_governor",
-        Takes::Governor,
-    ),
-    (
-        "/sys/devices/system/cpu/cpu%/cpuidle/state%/disable",
-        Takes::Integer(0, 1),
-    ),
+    ("/proc/sys/kernel/sched_rt_runtime_us", Takes::Integer(-1, i32::MAX as i64)),
+    ("/sys/devices/system/cpu/cpu%/cpufreq/scaling_governor", Takes::Governor),
+    ("/sys/devices/system/cpu/cpu%/cpuidle/state%/disable", Takes::Integer(0, 1)),
     ("/proc/irq/%/smp_affinity_list", Takes::Cpus),
-    (
-        "/sys/class/net/*/tx_queue_len",
-        Takes::Integer(0, u32::MAX as i64),
-    ),
-    (
-        "/sys/bus/usb-serial/devices/*/latency_timer",
-        Takes::Integer(0, 255),
-    ),
+    ("/sys/class/net/*/tx_queue_len", Takes::Integer(0, u32::MAX as i64)),
+    ("/sys/bus/usb-serial/devices/*/latency_timer", Takes::Integer(0, 255)),
 ];
 
 /// Reason why `--fix` cannot have made a change.
@@ -163,8 +148,7 @@ fn is_numbered(pattern: &str, part: &str) -> bool {
     match pattern.strip_suffix('%') {
         None => pattern != "*" && pattern == part,
         Some(name) => part.strip_prefix(name).is_some_and(|number| {
-            (1..=LONGEST_NAME).contains(&number.len())
-                && number.bytes().all(|byte| byte.is_ascii_digit())
+            (1..=LONGEST_NAME).contains(&number.len()) && number.bytes().all(|byte| byte.is_ascii_digit())
         }),
     }
 }
@@ -212,16 +196,9 @@ mod tests {
     }
 
     #[track_caller]
-    fn check(
-        admissible: bool,
-        table: impl IntoIterator<Item = (Knob, Option<&'static str>, &'static str)>,
-    ) {
+    fn check(admissible: bool, table: impl IntoIterator<Item = (Knob, Option<&'static str>, &'static str)>) {
         for (knob, before, after) in table {
-            let change = Change {
-                knob,
-                before: before.map(str::to_owned),
-                after: after.to_owned(),
-            };
+            let change = Change { knob, before: before.map(str::to_owned), after: after.to_owned() };
             assert_eq!(change.check().is_ok(), admissible, "{change:?}");
         }
     }
@@ -233,57 +210,17 @@ mod tests {
         check(
             true,
             [
-                (
-                    kernel("/proc/sys/kernel/sched_rt_runtime_us"),
-                    Some("0"),
-                    "950000",
-                ),
-                (
-                    kernel("/proc/sys/kernel/sched_rt_runtime_us"),
-                    Some("-1"),
-                    "950000",
-                ),
-                (
-                    kernel("/sys/devices/system/cpu/cpu11/cpufreq/scaling_governor"),
-                    Some("schedutil"),
-                    "performance",
-                ),
-                (
-                    kernel("/sys/devices/system/cpu/cpu0/cpuidle/state2/disable"),
-                    Some("0"),
-                    "1",
-                ),
-                (
-                    kernel("/proc/irq/130/smp_affinity_list"),
-                    Some("3"),
-                    "0-2,4",
-                ),
-                (
-                    kernel("/sys/class/net/can0/tx_queue_len"),
-                    Some("10"),
-                    "128",
-                ),
-                (
-                    kernel("/sys/class/net/vcan-arm.1/tx_queue_len"),
-                    Some("10"),
-                    "128",
-                ),
-                (
-                    kernel("/sys/bus/usb-serial/devices/ttyUSB0/latency_timer"),
-                    Some("16"),
-                    "1",
-                ),
-                (
-                    limits(),
-                    None,
-                    "@realtime - rtprio 80\n@realtime - memlock unlimited\n",
-                ),
+                (kernel("/proc/sys/kernel/sched_rt_runtime_us"), Some("0"), "950000"),
+                (kernel("/proc/sys/kernel/sched_rt_runtime_us"), Some("-1"), "950000"),
+                (kernel("/sys/devices/system/cpu/cpu11/cpufreq/scaling_governor"), Some("schedutil"), "performance"),
+                (kernel("/sys/devices/system/cpu/cpu0/cpuidle/state2/disable"), Some("0"), "1"),
+                (kernel("/proc/irq/130/smp_affinity_list"), Some("3"), "0-2,4"),
+                (kernel("/sys/class/net/can0/tx_queue_len"), Some("10"), "128"),
+                (kernel("/sys/class/net/vcan-arm.1/tx_queue_len"), Some("10"), "128"),
+                (kernel("/sys/bus/usb-serial/devices/ttyUSB0/latency_timer"), Some("16"), "1"),
+                (limits(), None, "@realtime - rtprio 80\n@realtime - memlock unlimited\n"),
                 (limits(), Some("# ours"), "# ours\n@realtime - rtprio 80\n"),
-                (
-                    limits(),
-                    Some("# ours\n"),
-                    "# ours\n@realtime - memlock unlimited\n",
-                ),
+                (limits(), Some("# ours\n"), "# ours\n@realtime - memlock unlimited\n"),
                 (Knob::BitTiming(can0()), None, "500000 0.875"),
                 (Knob::BitTiming(can0()), Some("125000 0.000"), "1000000"),
                 (Knob::RestartMs(can0()), Some("0"), "100"),
@@ -315,22 +252,10 @@ mod tests {
         ];
         check(false, paths.map(|path| (kernel(path), Some("0"), "1")));
         let grant = "@realtime - rtprio 80\n";
-        for path in [
-            "/etc/cron.d/mrroc",
-            "/etc/security/limits.d/../../passwd",
-            "",
-        ] {
+        for path in ["/etc/cron.d/mrroc", "/etc/security/limits.d/../../passwd", ""] {
             check(false, [(Knob::File(path.to_owned()), None, grant)]);
         }
-        for name in [
-            "",
-            "..",
-            "a/b",
-            "can\u{1b}[2J",
-            "sixteen-letters-x",
-            "a b",
-            "can\u{9b}0",
-        ] {
+        for name in ["", "..", "a/b", "can\u{1b}[2J", "sixteen-letters-x", "a b", "can\u{9b}0"] {
             check(
                 false,
                 [

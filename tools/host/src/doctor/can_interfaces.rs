@@ -43,9 +43,7 @@ pub(super) fn findings(
 ) -> Vec<Finding> {
     let name = wanted.interface.as_str();
     let driver = tree.resolved_name(&format!("{NET}/{name}/device/driver"));
-    let kind = link
-        .map(|link| &*link.info.kind)
-        .filter(|kind| !kind.is_empty());
+    let kind = link.map(|link| &*link.info.kind).filter(|kind| !kind.is_empty());
     let presence = Finding::new(
         &wanted.of,
         "interface",
@@ -57,10 +55,7 @@ pub(super) fn findings(
         "the drives of the bus are reached through it and no other",
     );
     let wrong = |read: &str, mend: String| {
-        let absent = Finding {
-            read: read.to_owned(),
-            ..presence.clone()
-        };
+        let absent = Finding { read: read.to_owned(), ..presence.clone() };
         vec![absent.judged(Verdict::NotUsable, mend)]
     };
     let up = match opened {
@@ -94,9 +89,7 @@ pub(super) fn findings(
     };
     // The bit timing can be changed only while the interface is down.
     let set = |settings: &str| {
-        format!(
-            "ip link set {name} down; ip link set {name} type can {settings}; ip link set {name} up"
-        )
+        format!("ip link set {name} down; ip link set {name} type can {settings}; ip link set {name} up")
     };
 
     let mut findings = vec![presence];
@@ -159,10 +152,7 @@ fn frame_order(tree: &Tree, of: &str, driver: Option<&str>) -> Option<Finding> {
         (numbers.next(), numbers.next()),
         (Some(Ok(major)), Some(Ok(minor))) if (major, minor) >= (6, 6)
     );
-    Some(finding.judged(
-        Verdict::Warning.when(!ordered),
-        "a kernel of 6.6 or later, such as that of Debian 13",
-    ))
+    Some(finding.judged(Verdict::Warning.when(!ordered), "a kernel of 6.6 or later, such as that of Debian 13"))
 }
 
 /// Sets a bit rate, bit/s, and a sample point, as a share of the bit time.
@@ -174,9 +164,7 @@ fn fix_timing(name: &str, bitrate: u32, point: Option<f64>) -> Fix {
 fn bit_timing(wanted: &Wanted, link: &Link, set: impl Fn(&str) -> String) -> Vec<Finding> {
     let (of, name, wanted_kbps) = (&*wanted.of, &*wanted.interface, wanted.bitrate_kbps);
     let bitrate = link.bitrate();
-    let told = bitrate.map_or("not set".to_owned(), |rate| {
-        format!("{} kbit/s", f64::from(rate) / 1000.0)
-    });
+    let told = bitrate.map_or("not set".to_owned(), |rate| format!("{} kbit/s", f64::from(rate) / 1000.0));
     let finding = Finding::new(
         of,
         "bit rate",
@@ -216,9 +204,8 @@ fn errors(of: &str, up: bool, link: &Link) -> Option<Finding> {
     let controller = &link.info.controller;
     let state = controller.state.as_deref().filter(|_| up)?;
     let (counters, statistics) = (controller.error_counters, link.info.statistics);
-    let counted = counters.map_or("no error counters".to_owned(), |counters| {
-        format!("errors tx {} rx {}", counters.tx, counters.rx)
-    });
+    let counted = counters
+        .map_or("no error counters".to_owned(), |counters| format!("errors tx {} rx {}", counters.tx, counters.rx));
     let finding = Finding::new(
         of,
         "bus state",
@@ -229,8 +216,7 @@ fn errors(of: &str, up: bool, link: &Link) -> Option<Finding> {
         "errors on an idle bus are wiring: both ends terminated with 120 Ω, one bit rate, another node that is \
          switched on and acknowledges",
     );
-    let cabling =
-        "the cable, its two terminators, and the drives' supply; then `ip link set` down and up";
+    let cabling = "the cable, its two terminators, and the drives' supply; then `ip link set` down and up";
     let counting = counters.is_some_and(|counters| counters.tx > 0 || counters.rx > 0);
     let verdict = match state {
         "BUS-OFF" | "STOPPED" | "SLEEPING" => Verdict::NotUsable,
@@ -242,8 +228,7 @@ fn errors(of: &str, up: bool, link: &Link) -> Option<Finding> {
 
 fn restart(wanted: &Wanted, link: &Link, set: impl Fn(&str) -> String) -> Finding {
     let after = link.info.controller.restart_ms;
-    let why =
-        "after bus-off the card stays silent until it is restarted; 0 leaves that to a person";
+    let why = "after bus-off the card stays silent until it is restarted; 0 leaves that to a person";
     Finding::new(&wanted.of, "restart-ms", after.to_string(), why)
         .judged(Verdict::Warning.when(after == 0), set("restart-ms 100"))
         .fixed_by([Knob::RestartMs(wanted.interface.clone()).to("100")])

@@ -37,36 +37,20 @@ pub(super) fn findings(tree: &Tree, realtime: &Realtime) -> Vec<Finding> {
 }
 
 fn governors(tree: &Tree, online: &BTreeSet<usize>) -> Finding {
-    let files = online
-        .iter()
-        .map(|cpu| format!("{CPUS}/cpu{cpu}/cpufreq/scaling_governor"));
-    let files: Vec<_> = files
-        .filter_map(|file| Some((tree.text(&file)?, file)))
-        .collect();
-    let named: BTreeSet<_> = files
-        .iter()
-        .map(|(governor, _)| governor.as_str())
-        .collect();
+    let files = online.iter().map(|cpu| format!("{CPUS}/cpu{cpu}/cpufreq/scaling_governor"));
+    let files: Vec<_> = files.filter_map(|file| Some((tree.text(&file)?, file))).collect();
+    let named: BTreeSet<_> = files.iter().map(|(governor, _)| governor.as_str()).collect();
     let named: Vec<_> = named.into_iter().collect();
-    let slow = files
-        .iter()
-        .filter(|(governor, _)| governor != "performance");
+    let slow = files.iter().filter(|(governor, _)| governor != "performance");
     let fixes = slow.map(|(_, file)| Knob::Kernel(file.clone()).to("performance"));
     let fixes: Vec<_> = fixes.collect();
     Finding::new(
         OF,
         "governor",
-        if named.is_empty() {
-            "none: the kernel does not change the clock".to_owned()
-        } else {
-            named.join(", ")
-        },
+        if named.is_empty() { "none: the kernel does not change the clock".to_owned() } else { named.join(", ") },
         "a processor that slowed down while it waited steps the next cycle at a fraction of its speed",
     )
-    .judged(
-        Verdict::Warning.when(!fixes.is_empty()),
-        "cpupower frequency-set -g performance",
-    )
+    .judged(Verdict::Warning.when(!fixes.is_empty()), "cpupower frequency-set -g performance")
     .fixed_by(fixes)
 }
 
@@ -103,10 +87,7 @@ fn cpu_latency(writable: Option<bool>, policy: Policy) -> Finding {
         read,
         "while a servo thread runs it keeps all processors from idle states that take time to leave",
     )
-    .judged(
-        denied(policy).when(writable == Some(false)),
-        denial.to_string(),
-    )
+    .judged(denied(policy).when(writable == Some(false)), denial.to_string())
 }
 
 fn idle_states(enabled: &[IdleState]) -> Finding {
@@ -115,9 +96,7 @@ fn idle_states(enabled: &[IdleState]) -> Finding {
         None => (0, "none".to_owned()),
         Some((latency, name, _)) => (*latency, format!("down to {name}, {latency} µs to leave")),
     };
-    let deep = enabled
-        .iter()
-        .filter(|(latency, ..)| *latency > BEARABLE_US);
+    let deep = enabled.iter().filter(|(latency, ..)| *latency > BEARABLE_US);
     let fixes = deep.map(|(.., directory)| Knob::Kernel(format!("{directory}/disable")).to("1"));
     Finding::new(
         OF,
@@ -153,33 +132,23 @@ fn placement(
     let finding = Finding::new(
         OF,
         "isolated CPUs",
-        format!(
-            "online {}, isolated {}, servo thread {servo}",
-            list(online),
-            list(isolated)
-        ),
+        format!("online {}, isolated {}, servo thread {servo}", list(online), list(isolated)),
         "on an isolated CPU nothing but the servo thread runs; on any other it waits for the kernel's own work",
     );
     let (verdict, mend) = match pinned {
-        Some(cpu) if !online.contains(&cpu) || !allowed.contains(&cpu) => (
-            denied(realtime.policy),
-            format!("realtime.cpu in the cell: one of {}", list(allowed)),
-        ),
-        Some(cpu) if !isolated.contains(&cpu) => (
-            Verdict::Warning,
-            format!("isolcpus={cpu} nohz_full={cpu} rcu_nocbs={cpu} on the kernel's command line"),
-        ),
+        Some(cpu) if !online.contains(&cpu) || !allowed.contains(&cpu) => {
+            (denied(realtime.policy), format!("realtime.cpu in the cell: one of {}", list(allowed)))
+        }
+        Some(cpu) if !isolated.contains(&cpu) => {
+            (Verdict::Warning, format!("isolcpus={cpu} nohz_full={cpu} rcu_nocbs={cpu} on the kernel's command line"))
+        }
         None if !isolated.is_empty() => (
             Verdict::Warning,
-            format!(
-                "realtime.cpu in the cell: one of {}, which nobody uses otherwise",
-                list(isolated)
-            ),
+            format!("realtime.cpu in the cell: one of {}, which nobody uses otherwise", list(isolated)),
         ),
-        None if online.len() < 2 => (
-            Verdict::Warning,
-            "a second processor: everything else shares the servo's".to_owned(),
-        ),
+        None if online.len() < 2 => {
+            (Verdict::Warning, "a second processor: everything else shares the servo's".to_owned())
+        }
         _ => return finding,
     };
     finding.judged(verdict, mend)
@@ -192,18 +161,11 @@ pub(super) fn steal(cpuinfo: &str, before: &str, after: &str) -> Finding {
         flags.any(|flag| flag == "hypervisor")
     });
     let stolen = stolen_ticks(after).saturating_sub(stolen_ticks(before));
-    let host = if virtual_machine {
-        "virtual machine"
-    } else {
-        "no hypervisor"
-    };
+    let host = if virtual_machine { "virtual machine" } else { "no hypervisor" };
     Finding::new(
         OF,
         "steal time",
-        format!(
-            "{host}, {stolen} ticks of 10 ms stolen while this looked, {} since the boot",
-            stolen_ticks(after)
-        ),
+        format!("{host}, {stolen} ticks of 10 ms stolen while this looked, {} since the boot", stolen_ticks(after)),
         "a hypervisor stops the whole machine whenever it likes, and no setting inside can prevent that",
     )
     .judged(
@@ -237,38 +199,14 @@ mod tests {
         let lazy = "sys/devices/system/cpu/cpu1/cpufreq/scaling_governor";
         let online = "sys/devices/system/cpu/online";
         let table: [(&[_], _, _); 4] = [
+            (&[(online, "0-1\n")], Verdict::Ok, "none: the kernel does not change the clock"),
             (
-                &[(online, "0-1\n")],
-                Verdict::Ok,
-                "none: the kernel does not change the clock",
-            ),
-            (
-                &[
-                    (online, "0-1\n"),
-                    (quiet, "performance\n"),
-                    (lazy, "powersave\n"),
-                ],
+                &[(online, "0-1\n"), (quiet, "performance\n"), (lazy, "powersave\n")],
                 Verdict::Warning,
                 "performance, powersave",
             ),
-            (
-                &[
-                    (online, "0-1\n"),
-                    (quiet, "performance\n"),
-                    (lazy, "performance\n"),
-                ],
-                Verdict::Ok,
-                "performance",
-            ),
-            (
-                &[
-                    (online, "0\n"),
-                    (quiet, "performance\n"),
-                    (lazy, "powersave\n"),
-                ],
-                Verdict::Ok,
-                "performance",
-            ),
+            (&[(online, "0-1\n"), (quiet, "performance\n"), (lazy, "performance\n")], Verdict::Ok, "performance"),
+            (&[(online, "0\n"), (quiet, "performance\n"), (lazy, "powersave\n")], Verdict::Ok, "performance"),
         ];
         for (files, verdict, read) in table {
             let finding = &host(files)[0];
@@ -289,10 +227,7 @@ mod tests {
                 ("sys/devices/system/cpu/cpu0/cpuidle/state0/disable", "0"),
                 ("sys/devices/system/cpu/cpu0/cpuidle/state1/name", "C6"),
                 ("sys/devices/system/cpu/cpu0/cpuidle/state1/latency", "133"),
-                (
-                    "sys/devices/system/cpu/cpu0/cpuidle/state1/disable",
-                    disable,
-                ),
+                ("sys/devices/system/cpu/cpu0/cpuidle/state1/disable", disable),
             ]
         };
         let deep = &host(&files("0"))[1];
@@ -330,19 +265,12 @@ mod tests {
             (Some(4), "0-3", "3", Verdict::NotUsable),
         ];
         for (cpu, online, isolated, verdict) in table {
-            let realtime = Realtime {
-                cpu,
-                policy: Policy::Require,
-                ..Realtime::default()
-            };
+            let realtime = Realtime { cpu, policy: Policy::Require, ..Realtime::default() };
             let online = cpu_list(online);
             let finding = placement(&realtime, &online, &cpu_list(isolated), &online);
             assert_eq!(finding.verdict, verdict, "{}", finding.read);
         }
-        let realtime = Realtime {
-            cpu: Some(1),
-            ..Realtime::default()
-        };
+        let realtime = Realtime { cpu: Some(1), ..Realtime::default() };
         let (online, allowed) = (cpu_list("0-1"), cpu_list("0"));
         let finding = placement(&realtime, &online, &online, &allowed);
         assert_eq!(finding.verdict, Verdict::Warning, "not in its cgroup");

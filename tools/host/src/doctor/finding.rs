@@ -44,21 +44,8 @@ pub(super) struct Finding {
 
 impl Finding {
     /// A finding with verdict [`Verdict::Ok`]; [`judged`](Self::judged) changes the verdict.
-    pub(super) fn new(
-        of: &str,
-        what: &'static str,
-        read: impl Into<String>,
-        why: &'static str,
-    ) -> Self {
-        Self {
-            of: of.to_owned(),
-            what,
-            read: read.into(),
-            verdict: Verdict::Ok,
-            why,
-            mend: None,
-            fixes: Vec::new(),
-        }
+    pub(super) fn new(of: &str, what: &'static str, read: impl Into<String>, why: &'static str) -> Self {
+        Self { of: of.to_owned(), what, read: read.into(), verdict: Verdict::Ok, why, mend: None, fixes: Vec::new() }
     }
 
     /// Sets the verdict, and the correction that any verdict but [`Verdict::Ok`] asks for.

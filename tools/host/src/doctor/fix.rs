@@ -66,10 +66,7 @@ impl Knob {
     }
 
     pub(super) fn to(self, after: impl Into<String>) -> Fix {
-        Fix {
-            knob: self,
-            after: after.into(),
-        }
+        Fix { knob: self, after: after.into() }
     }
 
     /// Present setting; `None` for a file that does not exist, and for a bit rate that was never set.
@@ -182,9 +179,7 @@ fn is_heard(tree: &Tree, interface: &str) -> bool {
     // The line of a receiver begins with its interface. The other lines are headings or name an interface without
     // receivers.
     texts.any(|text| {
-        let mut devices = text
-            .lines()
-            .filter_map(|line| line.split_whitespace().next());
+        let mut devices = text.lines().filter_map(|line| line.split_whitespace().next());
         devices.any(|device| [interface, "any"].contains(&device))
     })
 }
@@ -196,9 +191,7 @@ fn of_host(tree: &Tree) -> anyhow::Result<()> {
 
 /// Text of a setting in one line.
 pub(super) fn shown(value: Option<&str>) -> String {
-    value.map_or("nothing".to_owned(), |value| {
-        value.trim_end().replace('\n', "; ")
-    })
+    value.map_or("nothing".to_owned(), |value| value.trim_end().replace('\n', "; "))
 }
 
 /// Applies `fix` and verifies the result by reading it back. Returns the change, or `None` if the knob had the setting
@@ -220,11 +213,7 @@ fn turn(
     if knob.stands_at(Some(after), before.as_deref()) {
         return Ok(None);
     }
-    let change = Change {
-        knob: knob.clone(),
-        before,
-        after: after.clone(),
-    };
+    let change = Change { knob: knob.clone(), before, after: after.clone() };
     check(&change).context("--undo could not put back the value found")?;
     record.push(change.clone())?;
     let written = knob.write(tree, Some(after));
@@ -245,33 +234,19 @@ fn turn(
 
 /// Puts back the setting from before `change`. Returns a remark if the setting cannot be restored completely.
 pub(super) fn put_back(tree: &Tree, change: &Change) -> anyhow::Result<Option<&'static str>> {
-    let Change {
-        knob,
-        before,
-        after,
-    } = change;
+    let Change { knob, before, after } = change;
     let (before, found) = (before.as_deref(), knob.read(tree)?);
     // The change was never made, or a restart of the host undid it.
     if knob.stands_at(before, found.as_deref()) {
         return Ok(None);
     }
-    ensure!(
-        knob.stands_at(Some(after), found.as_deref()),
-        "changed by somebody since, to {}",
-        shown(found.as_deref())
-    );
+    ensure!(knob.stands_at(Some(after), found.as_deref()), "changed by somebody since, to {}", shown(found.as_deref()));
     knob.write(tree, before)?;
     if let (Knob::BitTiming(_), None) = (knob, before) {
-        return Ok(Some(
-            "the card is down, and keeps its bit rate until its driver is loaded anew",
-        ));
+        return Ok(Some("the card is down, and keeps its bit rate until its driver is loaded anew"));
     }
     let found = knob.read(tree)?;
-    ensure!(
-        knob.stands_at(before, found.as_deref()),
-        "it reads {}",
-        shown(found.as_deref())
-    );
+    ensure!(knob.stands_at(before, found.as_deref()), "it reads {}", shown(found.as_deref()));
     Ok(None)
 }
 

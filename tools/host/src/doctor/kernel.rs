@@ -18,19 +18,14 @@ pub(super) fn findings(tree: &Tree, period_us: Option<u32>, fifo: bool) -> Vec<F
         tree.text("/sys/kernel/realtime").as_deref() == Some("1"),
     )];
     findings.push(timers(config, period_us));
-    findings.extend(throttling(
-        tree.number(RUNTIME),
-        tree.number("/proc/sys/kernel/sched_rt_period_us"),
-    ));
+    findings.extend(throttling(tree.number(RUNTIME), tree.number("/proc/sys/kernel/sched_rt_period_us")));
     let groups = tree.text("/proc/self/cgroup").unwrap_or_default();
     let group = cpu_group(&groups);
     let runtime = group.and_then(|group| {
         let controllers = ["cpu", "cpu,cpuacct", "cpuacct,cpu"];
-        controllers.iter().find_map(|controller| {
-            tree.number(&format!(
-                "/sys/fs/cgroup/{controller}{group}/cpu.rt_runtime_us"
-            ))
-        })
+        controllers
+            .iter()
+            .find_map(|controller| tree.number(&format!("/sys/fs/cgroup/{controller}{group}/cpu.rt_runtime_us")))
     });
     // The single hierarchy of cgroup version 2 has number 0 and no controllers.
     let unified = groups.lines().find_map(|line| line.strip_prefix("0::"));
@@ -40,10 +35,7 @@ pub(super) fn findings(tree: &Tree, period_us: Option<u32>, fifo: bool) -> Vec<F
 }
 
 fn preemption(version: &str, realtime: bool) -> Finding {
-    let model = version
-        .split_whitespace()
-        .find(|word| word.starts_with("PREEMPT"))
-        .unwrap_or("no preemption");
+    let model = version.split_whitespace().find(|word| word.starts_with("PREEMPT")).unwrap_or("no preemption");
     let release = version.split_whitespace().nth(2).unwrap_or("unknown");
     Finding::new(
         OF,
@@ -60,9 +52,7 @@ fn preemption(version: &str, realtime: bool) -> Finding {
 
 /// Value of an option in the configuration of the kernel; `None` if the option is not set.
 fn option<'a>(config: &'a str, name: &str) -> Option<&'a str> {
-    config
-        .lines()
-        .find_map(|line| line.strip_prefix(name)?.strip_prefix('='))
+    config.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix('='))
 }
 
 fn timers(config: Option<&str>, period_us: Option<u32>) -> Finding {
@@ -70,10 +60,8 @@ fn timers(config: Option<&str>, period_us: Option<u32>) -> Finding {
                sockets only";
     let finding = |read| Finding::new(OF, "timers", read, why);
     let Some(config) = config else {
-        return finding("the kernel does not tell its configuration".to_owned()).judged(
-            Verdict::Warning,
-            "read HZ and HIGH_RES_TIMERS where the kernel was built",
-        );
+        return finding("the kernel does not tell its configuration".to_owned())
+            .judged(Verdict::Warning, "read HZ and HIGH_RES_TIMERS where the kernel was built");
     };
     let hz: Option<u32> = option(config, "CONFIG_HZ").and_then(|hz| hz.parse().ok());
     let fine = option(config, "CONFIG_HIGH_RES_TIMERS") == Some("y");
@@ -116,10 +104,7 @@ fn cpu_group(groups: &str) -> Option<&str> {
         let mut parts = line.splitn(3, ':');
         let controllers = parts.nth(1)?;
         let group = parts.next()?;
-        controllers
-            .split(',')
-            .any(|controller| controller == "cpu")
-            .then_some(group)
+        controllers.split(',').any(|controller| controller == "cpu").then_some(group)
     })
 }
 
@@ -169,8 +154,7 @@ mod tests {
     use super::super::finding::Verdict::{self, NotUsable, Ok, Warning};
     use super::*;
 
-    const RT: &str =
-        "Linux version 6.1.0-56-rt-amd64 (debian-kernel@lists.debian.org) #1 SMP PREEMPT_RT Debian";
+    const RT: &str = "Linux version 6.1.0-56-rt-amd64 (debian-kernel@lists.debian.org) #1 SMP PREEMPT_RT Debian";
 
     #[test]
     fn only_a_preempt_rt_kernel_is_without_a_warning() {
@@ -178,18 +162,8 @@ mod tests {
         let table = [
             (RT, false, Ok, "6.1.0-56-rt-amd64, PREEMPT_RT"),
             (dynamic, false, Warning, "6.1.0-56-amd64, PREEMPT_DYNAMIC"),
-            (
-                "Linux version 6.1.176 (x) #1",
-                false,
-                Warning,
-                "6.1.176, no preemption",
-            ),
-            (
-                "Linux version 4.19.0 (x) #1 SMP PREEMPT RT",
-                true,
-                Ok,
-                "4.19.0, PREEMPT",
-            ),
+            ("Linux version 6.1.176 (x) #1", false, Warning, "6.1.176, no preemption"),
+            ("Linux version 4.19.0 (x) #1 SMP PREEMPT RT", true, Ok, "4.19.0, PREEMPT"),
             ("", false, Warning, "unknown, no preemption"),
         ];
         for (version, realtime, verdict, read) in table {
@@ -211,11 +185,7 @@ mod tests {
             (None, Some(1000), Warning),
         ];
         for (config, period, verdict) in table {
-            assert_eq!(
-                timers(config, period).verdict,
-                verdict,
-                "{config:?} {period:?}"
-            );
+            assert_eq!(timers(config, period).verdict, verdict, "{config:?} {period:?}");
         }
         assert_eq!(timers(Some(fine), None).read, "HZ 250, high resolution");
     }
@@ -243,21 +213,9 @@ mod tests {
     fn a_group_without_real_time_run_time_is_not_usable() {
         let built = Some("CONFIG_RT_GROUP_SCHED=y");
         let table: [(_, _, _, Verdict, &str); 4] = [
-            (
-                built,
-                Some("/lab"),
-                Some(0),
-                NotUsable,
-                "group /lab has 0 µs",
-            ),
+            (built, Some("/lab"), Some(0), NotUsable, "group /lab has 0 µs"),
             (built, Some("/"), Some(950_000), Ok, "group / has 950000 µs"),
-            (
-                built,
-                None,
-                None,
-                Ok,
-                "built in, no group of the CPU controller",
-            ),
+            (built, None, None, Ok, "built in, no group of the CPU controller"),
             (None, None, None, Ok, "not in use"),
         ];
         for (config, group, runtime, verdict, read) in table {

@@ -34,21 +34,14 @@ impl Identity {
     }
 
     fn parse(status: &str) -> Self {
-        let words = |name| {
-            field(status, name)
-                .unwrap_or_default()
-                .split_whitespace()
-                .filter_map(|word| word.parse().ok())
-        };
+        let words =
+            |name| field(status, name).unwrap_or_default().split_whitespace().filter_map(|word| word.parse().ok());
         let effective = |name| words(name).nth(1);
         let capabilities = field(status, "CapEff").unwrap_or_default();
         Self {
             // The uid of the user "nobody", if the kernel does not report the uid.
             uid: effective("Uid").unwrap_or(65_534),
-            groups: effective("Gid")
-                .into_iter()
-                .chain(words("Groups"))
-                .collect(),
+            groups: effective("Gid").into_iter().chain(words("Groups")).collect(),
             capabilities: u64::from_str_radix(capabilities, 16).unwrap_or(0),
         }
     }
@@ -76,11 +69,7 @@ impl Identity {
 }
 
 /// Findings for a servo thread that runs under `realtime`. `tried` is the result of starting such a thread.
-pub(super) fn findings(
-    tree: &Tree,
-    realtime: &Realtime,
-    tried: Result<(), Denial>,
-) -> Vec<Finding> {
+pub(super) fn findings(tree: &Tree, realtime: &Realtime, tried: Result<(), Denial>) -> Vec<Finding> {
     let identity = Identity::of(tree);
     let limits = tree.text("/proc/self/limits").unwrap_or_default();
     let beyond_limits = matches!(tried, Err(Denial::Deadline { .. }));
@@ -88,10 +77,7 @@ pub(super) fn findings(
     if realtime.lock_memory {
         findings.push(memory(&limits, &identity, realtime.policy));
     }
-    let denied = findings
-        .iter_mut()
-        .skip(usize::from(beyond_limits))
-        .filter(|finding| finding.mend.is_some());
+    let denied = findings.iter_mut().skip(usize::from(beyond_limits)).filter(|finding| finding.mend.is_some());
     let fix = granting(tree, realtime);
     for finding in denied {
         match &fix {
@@ -99,9 +85,7 @@ pub(super) fn findings(
             None => {
                 let why = "to this user, who is not in it or was logged in before: `usermod -aG realtime USER`, then log \
                            in again";
-                finding.mend = Some(format!(
-                    "{LIMITS} grants it to group realtime and not {why}"
-                ));
+                finding.mend = Some(format!("{LIMITS} grants it to group realtime and not {why}"));
             }
         }
     }
@@ -168,22 +152,13 @@ pub(super) fn denied(policy: Policy) -> Verdict {
     }
 }
 
-fn scheduling(
-    limits: &str,
-    identity: &Identity,
-    realtime: &Realtime,
-    tried: Result<(), Denial>,
-) -> Finding {
+fn scheduling(limits: &str, identity: &Identity, realtime: &Realtime, tried: Result<(), Denial>) -> Finding {
     let asked = match realtime.scheduler {
         Scheduler::Fifo => format!("SCHED_FIFO {}", realtime.priority),
         Scheduler::Deadline => "SCHED_DEADLINE".to_owned(),
     };
     let limit = told(soft_limit(limits, "Max realtime priority"));
-    let capability = if identity.can(CAP_SYS_NICE) {
-        ", CAP_SYS_NICE"
-    } else {
-        ""
-    };
+    let capability = if identity.can(CAP_SYS_NICE) { ", CAP_SYS_NICE" } else { "" };
     let answer = if tried.is_ok() { "granted" } else { "denied" };
     let finding = Finding::new(
         OF,
@@ -193,10 +168,7 @@ fn scheduling(
     );
     match tried {
         Ok(()) => finding,
-        Err(denial) => finding.judged(
-            denied(realtime.policy),
-            format!("{denial}; in a container --cap-add SYS_NICE"),
-        ),
+        Err(denial) => finding.judged(denied(realtime.policy), format!("{denial}; in a container --cap-add SYS_NICE")),
     }
 }
 
@@ -212,10 +184,7 @@ fn memory(limits: &str, identity: &Identity, policy: Policy) -> Finding {
          every page, stacks of later threads too",
     );
     let enough = free || limit.is_some_and(|limit| limit >= LOCKED);
-    finding.judged(
-        denied(policy).when(!enough),
-        Grant(Limit::LockedMemory).to_string(),
-    )
+    finding.judged(denied(policy).when(!enough), Grant(Limit::LockedMemory).to_string())
 }
 
 #[cfg(test)]
@@ -223,18 +192,13 @@ mod tests {
     use super::super::tests::Fake;
     use super::*;
 
-    const OF_PROCESS: &str =
-        "Limit                     Soft Limit           Hard Limit           Units     
+    const OF_PROCESS: &str = "Limit                     Soft Limit           Hard Limit           Units     
 Max locked memory         8388608              8388608              bytes     
 Max realtime priority     0                    0                    
 Max realtime timeout      unlimited            unlimited            us        ";
 
     fn identity(capabilities: u64) -> Identity {
-        Identity {
-            uid: 1000,
-            groups: vec![1000, 20],
-            capabilities,
-        }
+        Identity { uid: 1000, groups: vec![1000, 20], capabilities }
     }
 
     #[test]
@@ -265,24 +229,13 @@ Max realtime timeout      unlimited            unlimited            us        ";
 
     #[test]
     fn what_is_denied_stops_a_cell_that_requires_it() {
-        let realtime = |policy| Realtime {
-            policy,
-            ..Realtime::default()
-        };
-        let denial = Denial::Fifo {
-            priority: 80,
-            errno: 1,
-        };
+        let realtime = |policy| Realtime { policy, ..Realtime::default() };
+        let denial = Denial::Fifo { priority: 80, errno: 1 };
         let table = [
             (Policy::BestEffort, 0, Err(denial), [Verdict::Warning; 2]),
             (Policy::Require, 0, Err(denial), [Verdict::NotUsable; 2]),
             (Policy::Require, u64::MAX, Ok(()), [Verdict::Ok; 2]),
-            (
-                Policy::Require,
-                1 << CAP_IPC_LOCK,
-                Err(denial),
-                [Verdict::NotUsable, Verdict::Ok],
-            ),
+            (Policy::Require, 1 << CAP_IPC_LOCK, Err(denial), [Verdict::NotUsable, Verdict::Ok]),
         ];
         for (policy, capabilities, tried, verdicts) in table {
             let identity = identity(capabilities);
@@ -300,15 +253,9 @@ Max realtime timeout      unlimited            unlimited            us        ";
         let ours = "@realtime - rtprio 80\n@realtime - memlock unlimited\n";
         let table = [
             (None, ours.to_owned()),
-            (
-                Some("# lab\n@realtime - nice -20"),
-                format!("# lab\n@realtime - nice -20\n{ours}"),
-            ),
+            (Some("# lab\n@realtime - nice -20"), format!("# lab\n@realtime - nice -20\n{ours}")),
             // A later line would lower the limit.
-            (
-                Some("@realtime - rtprio 99\n"),
-                "@realtime - rtprio 99\n@realtime - memlock unlimited\n".to_owned(),
-            ),
+            (Some("@realtime - rtprio 99\n"), "@realtime - rtprio 99\n@realtime - memlock unlimited\n".to_owned()),
             (
                 Some("@realtime - rtprio 99\n@realtime - memlock unlimited\n@realtime - rtprio 79\n"),
                 "@realtime - rtprio 99\n@realtime - memlock unlimited\n@realtime - rtprio 79\n@realtime - rtprio 80\n"
@@ -318,18 +265,9 @@ Max realtime timeout      unlimited            unlimited            us        ";
         ];
         for (before, after) in table {
             let files: Vec<_> = before.map(|text| (path, text)).into_iter().collect();
-            let denial = Denial::Fifo {
-                priority: 80,
-                errno: 1,
-            };
+            let denial = Denial::Fifo { priority: 80, errno: 1 };
             let found = findings(&Fake::new(&files).tree(), &Realtime::default(), Err(denial));
-            assert!(
-                found[0]
-                    .mend
-                    .as_ref()
-                    .unwrap()
-                    .starts_with(&denial.to_string())
-            );
+            assert!(found[0].mend.as_ref().unwrap().starts_with(&denial.to_string()));
             for finding in found {
                 let fix = Knob::File(LIMITS.to_owned()).to(after.as_str());
                 assert_eq!(finding.fixes, [fix], "{before:?}");
@@ -341,30 +279,21 @@ Max realtime timeout      unlimited            unlimited            us        ";
     fn who_is_granted_it_by_the_packages_file_is_told_of_the_group() {
         let path = LIMITS.trim_start_matches('/');
         let packaged = include_str!("../../../../packaging/limits.conf");
-        let denial = Denial::Fifo {
-            priority: 80,
-            errno: 1,
-        };
+        let denial = Denial::Fifo { priority: 80, errno: 1 };
         let exact = "@realtime  -  rtprio\t80 # ours\n@realtime - memlock -1\n";
         for text in [packaged, exact] {
             let tree = Fake::new(&[(path, text)]);
             for finding in findings(&tree.tree(), &Realtime::default(), Err(denial)) {
                 assert_eq!(finding.fixes, [], "{text}");
                 let mend = finding.mend.unwrap();
-                assert!(
-                    mend.contains("`usermod -aG realtime USER`, then log in again"),
-                    "{mend}"
-                );
+                assert!(mend.contains("`usermod -aG realtime USER`, then log in again"), "{mend}");
             }
         }
     }
 
     #[test]
     fn no_limit_is_offered_for_a_denied_deadline() {
-        let realtime = Realtime {
-            scheduler: Scheduler::Deadline,
-            ..Realtime::default()
-        };
+        let realtime = Realtime { scheduler: Scheduler::Deadline, ..Realtime::default() };
         let denial = Denial::Deadline {
             runtime: std::time::Duration::from_micros(900),
             period: std::time::Duration::from_millis(1),
@@ -372,13 +301,7 @@ Max realtime timeout      unlimited            unlimited            us        ";
         };
         let found = findings(&Fake::new(&[]).tree(), &realtime, Err(denial));
         assert!(found[0].read.starts_with("SCHED_DEADLINE denied"));
-        assert!(
-            found[0]
-                .mend
-                .as_ref()
-                .unwrap()
-                .contains("setcap cap_sys_nice+ep")
-        );
+        assert!(found[0].mend.as_ref().unwrap().contains("setcap cap_sys_nice+ep"));
         assert_eq!(found[0].fixes, []);
         assert_eq!(found[1].fixes.len(), 1);
     }
@@ -387,16 +310,11 @@ Max realtime timeout      unlimited            unlimited            us        ";
     fn limits_are_told_as_they_are_set() {
         assert_eq!(soft_limit(OF_PROCESS, "Max locked memory"), Some(8_388_608));
         assert_eq!(soft_limit(OF_PROCESS, "Max realtime priority"), Some(0));
-        assert_eq!(
-            soft_limit(OF_PROCESS, "Max realtime timeout"),
-            Some(u64::MAX)
-        );
+        assert_eq!(soft_limit(OF_PROCESS, "Max realtime timeout"), Some(u64::MAX));
         assert_eq!(soft_limit(OF_PROCESS, "Max open files"), None);
-        for (limit, verdict) in [
-            ("unlimited", Verdict::Ok),
-            ("1073741824", Verdict::Ok),
-            ("67108864", Verdict::NotUsable),
-        ] {
+        for (limit, verdict) in
+            [("unlimited", Verdict::Ok), ("1073741824", Verdict::Ok), ("67108864", Verdict::NotUsable)]
+        {
             let limits = OF_PROCESS.replace("8388608", limit);
             let finding = memory(&limits, &identity(0), Policy::Require);
             assert_eq!((finding.verdict, &*finding.read), (verdict, limit));

@@ -27,10 +27,7 @@ pub(super) fn fix(
             match apply(tree, fix, record) {
                 Ok(None) => {}
                 Ok(Some(change)) => {
-                    streams::warn(format_args!(
-                        "set {fix}, before {}",
-                        shown(change.before.as_deref())
-                    ));
+                    streams::warn(format_args!("set {fix}, before {}", shown(change.before.as_deref())));
                 }
                 Err(error) => streams::warn(format_args!("not set: {fix}: {error:#}")),
             }
@@ -38,9 +35,7 @@ pub(super) fn fix(
     }
     if record.changes().len() > before {
         let path = record.path().display();
-        streams::warn(format_args!(
-            "`mrroc doctor --undo --state {path}` puts it back"
-        ));
+        streams::warn(format_args!("`mrroc doctor --undo --state {path}` puts it back"));
     }
     Ok(())
 }
@@ -55,22 +50,13 @@ pub(super) fn asked(finding: &Finding) -> io::Result<bool> {
 }
 
 fn question(finding: &Finding) -> String {
-    let Finding {
-        of,
-        what,
-        read,
-        why,
-        fixes,
-        ..
-    } = finding;
+    let Finding { of, what, read, why, fixes, .. } = finding;
     let sets = fixes.iter().map(|fix| format!("  set: {fix}\n"));
     let sets = sets.collect::<String>();
-    let mut down = fixes
-        .iter()
-        .filter_map(|fix| fix.knob.takes_down(&fix.after));
-    let down = down.next().map_or(String::new(), |interface| {
-        format!("  {interface} goes down for it: nothing may run on its bus\n")
-    });
+    let mut down = fixes.iter().filter_map(|fix| fix.knob.takes_down(&fix.after));
+    let down = down
+        .next()
+        .map_or(String::new(), |interface| format!("  {interface} goes down for it: nothing may run on its bus\n"));
     format!("\n{of}: {what}: {read}\n  why: {why}\n{sets}{down}Set it? [y/N] ")
 }
 
@@ -89,10 +75,7 @@ pub(super) fn undo(tree: &Tree, record: &mut Record) -> anyhow::Result<usize> {
             }
             Err(error) => {
                 left += 1;
-                streams::say(format_args!(
-                    "left {}, which was {before}: {error:#}",
-                    change.knob
-                ))?;
+                streams::say(format_args!("left {}, which was {before}: {error:#}", change.knob))?;
             }
         }
     }
@@ -113,10 +96,7 @@ mod tests {
             (Knob::RestartMs(can()).to("100"), true),
             (Knob::State(can()).to("down"), true),
             (Knob::State(can()).to("up"), false),
-            (
-                Knob::Kernel("/sys/class/net/can0/tx_queue_len".into()).to("128"),
-                false,
-            ),
+            (Knob::Kernel("/sys/class/net/can0/tx_queue_len".into()).to("128"), false),
         ];
         for (fix, down) in table {
             let finding = Finding::new("bus", "x", "y", "z").judged(Verdict::Warning, "m");

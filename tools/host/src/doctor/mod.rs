@@ -51,8 +51,7 @@ pub use cpu::stolen_ticks;
 const WATCH: Duration = Duration::from_secs(1);
 
 /// Exit status in the help text of the command.
-const EXIT_STATUS: &str =
-    "Exit status: 0 ready; 1 usable with warnings; 2 not usable, or the cell file is refused.";
+const EXIT_STATUS: &str = "Exit status: 0 ready; 1 usable with warnings; 2 not usable, or the cell file is refused.";
 
 /// Options of `mrroc doctor`.
 #[derive(Args)]
@@ -93,11 +92,7 @@ pub fn examine_host(file: Option<&CellFile>) -> anyhow::Result<Examined> {
     let cell = file.map(|file| &file.cell);
     let findings = examine(&Tree::new("/"), cell)?;
     let worst = findings.iter().map(|finding| finding.verdict).max();
-    Ok(Examined {
-        cell: cell.map(|cell| cell.name.clone()),
-        verdict: worst.unwrap_or(Verdict::Ok),
-        findings,
-    })
+    Ok(Examined { cell: cell.map(|cell| cell.name.clone()), verdict: worst.unwrap_or(Verdict::Ok), findings })
 }
 
 /// Examines the host and prints the findings.
@@ -152,11 +147,7 @@ fn state(tree: &Tree, options: &Options) -> anyhow::Result<PathBuf> {
     if limits::Identity::of(tree).is_root() {
         return Ok(PathBuf::from("/var/lib/mrroc").join(NAME));
     }
-    let absolute = |name| {
-        env::var_os(name)
-            .map(PathBuf::from)
-            .filter(|path| path.is_absolute())
-    };
+    let absolute = |name| env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let home = || Some(absolute("HOME")?.join(".local/state"));
     let directory = absolute("XDG_STATE_HOME").or_else(home);
     let directory = directory.context("no HOME for the record of changes: --state FILE")?;
@@ -192,10 +183,7 @@ fn examine(tree: &Tree, cell: Option<&Cell>) -> anyhow::Result<Vec<Finding>> {
 }
 
 /// Interfaces and ttys of the cell; without a cell, the CAN interfaces of the host.
-fn wanted(
-    tree: &Tree,
-    cell: Option<&Cell>,
-) -> (Vec<can_interfaces::Wanted>, Vec<serial_lines::Wanted>) {
+fn wanted(tree: &Tree, cell: Option<&Cell>) -> (Vec<can_interfaces::Wanted>, Vec<serial_lines::Wanted>) {
     let (mut interfaces, mut lines) = (Vec::new(), Vec::new());
     let Some(cell) = cell else {
         let present = can_interfaces::present(tree).into_iter();
@@ -218,10 +206,7 @@ fn wanted(
                 servo_cpu: cell.realtime.cpu,
             }),
             Interface::Slcan { path, .. } | Interface::Epos { path, .. } => {
-                lines.push(serial_lines::Wanted {
-                    of: format!("bus {}, {path}", bus.name),
-                    path,
-                });
+                lines.push(serial_lines::Wanted { of: format!("bus {}, {path}", bus.name), path });
             }
         }
     }
@@ -230,10 +215,7 @@ fn wanted(
         lines.extend(axes.map(|(robot, axis)| {
             let (robot, axis) = (&cell.robot[robot], &cell.robot[robot].axis[axis]);
             let path = &axis.axis_controller().line;
-            serial_lines::Wanted {
-                of: format!("axis {}.{}, {path}", robot.name, axis.name),
-                path: path.clone(),
-            }
+            serial_lines::Wanted { of: format!("axis {}.{}, {path}", robot.name, axis.name), path: path.clone() }
         }));
     }
     (interfaces, lines)
@@ -242,11 +224,7 @@ fn wanted(
 /// Starts a thread with the scheduling of the servo thread, and returns the answer of the host. The thread ends at
 /// once.
 fn try_scheduler(realtime: &Realtime, period: Duration) -> anyhow::Result<Result<(), Denial>> {
-    let Realtime {
-        scheduler,
-        priority,
-        ..
-    } = *realtime;
+    let Realtime { scheduler, priority, .. } = *realtime;
     let asking = thread::Builder::new().spawn(move || match scheduler {
         Scheduler::Fifo => set_fifo(priority),
         Scheduler::Deadline => set_deadline(period),
@@ -258,13 +236,7 @@ fn try_scheduler(realtime: &Realtime, period: Duration) -> anyhow::Result<Result
 impl fmt::Display for Examined {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for finding in &self.findings {
-            let Finding {
-                of,
-                what,
-                read,
-                why,
-                ..
-            } = finding;
+            let Finding { of, what, read, why, .. } = finding;
             let verdict = match finding.verdict {
                 Verdict::Ok => "ok",
                 Verdict::Warning => "warning",
@@ -286,11 +258,9 @@ impl fmt::Display for Examined {
         match self.verdict {
             Verdict::Ok => writeln!(f, "\nready{whose}"),
             Verdict::Warning => writeln!(f, "\nusable{whose}, with warnings: {warnings}"),
-            Verdict::NotUsable => writeln!(
-                f,
-                "\nnot usable{whose}: {} in the way, warnings: {warnings}",
-                count(Verdict::NotUsable)
-            ),
+            Verdict::NotUsable => {
+                writeln!(f, "\nnot usable{whose}: {} in the way, warnings: {warnings}", count(Verdict::NotUsable))
+            }
         }
     }
 }

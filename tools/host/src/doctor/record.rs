@@ -55,11 +55,7 @@ impl Record {
             bail!("{}: another doctor is at work with it", shown());
         }
         let changes = read(&path).with_context(shown)?;
-        Ok(Self {
-            path,
-            changes,
-            _lock: lock,
-        })
+        Ok(Self { path, changes, _lock: lock })
     }
 
     pub(super) fn path(&self) -> &Path {
@@ -102,8 +98,7 @@ impl Record {
     fn store(&self) -> anyhow::Result<()> {
         let text = serde_json::to_string_pretty(&self.changes)?;
         let text = (!self.changes.is_empty()).then_some(text.as_str());
-        tree::replace(&self.path, text, MODE)
-            .with_context(|| format!("{}: cannot be written", self.path.display()))
+        tree::replace(&self.path, text, MODE).with_context(|| format!("{}: cannot be written", self.path.display()))
     }
 }
 
@@ -143,11 +138,7 @@ impl<'de> Visitor<'de> for AdmissibleChange {
             after: String,
         }
         let raw = Raw::deserialize(MapAccessDeserializer::new(map))?;
-        let change = Change {
-            knob: raw.knob,
-            before: raw.before,
-            after: raw.after,
-        };
+        let change = Change { knob: raw.knob, before: raw.before, after: raw.after };
         change.check().map_err(A::Error::custom)?;
         Ok(change)
     }
@@ -172,10 +163,7 @@ mod tests {
         symlink("record.json", fake.path("link")).unwrap();
         let all = fs::Permissions::from_mode(0o666);
         fs::set_permissions(fake.path("open.json"), all).unwrap();
-        for (name, why) in [
-            ("link", "symbolic link"),
-            ("open.json", "can be written by others"),
-        ] {
+        for (name, why) in [("link", "symbolic link"), ("open.json", "can be written by others")] {
             let refusal = refusal(&fake.path(name));
             assert!(refusal.contains(why) && refusal.contains(name), "{refusal}");
         }
@@ -191,23 +179,15 @@ mod tests {
             )
         };
         let runtime = "/proc/sys/kernel/sched_rt_runtime_us";
-        for (path, before, why) in [
-            ("/etc/passwd", "0", "--fix does not set /etc/passwd"),
-            (runtime, "all", "--fix cannot have found all"),
-        ] {
-            let text = format!(
-                "[\n{},\n{},\n{}\n]\n",
-                kernel(runtime, "0"),
-                kernel(path, before),
-                kernel(runtime, "0")
-            );
+        for (path, before, why) in
+            [("/etc/passwd", "0", "--fix does not set /etc/passwd"), (runtime, "all", "--fix cannot have found all")]
+        {
+            let text =
+                format!("[\n{},\n{},\n{}\n]\n", kernel(runtime, "0"), kernel(path, before), kernel(runtime, "0"));
             let fake = Fake::new(&[("record.json", &text)]);
             let refusal = refusal(&fake.path("record.json"));
             // The line on which the object of the change ends.
-            assert!(
-                refusal.contains("record.json") && refusal.contains("at line 15 "),
-                "{refusal}"
-            );
+            assert!(refusal.contains("record.json") && refusal.contains("at line 15 "), "{refusal}");
             assert!(refusal.contains(why), "{refusal}");
         }
     }
@@ -220,11 +200,7 @@ mod tests {
         let mut record = Record::open(&path).unwrap();
         let knob = Knob::Kernel("/proc/sys/kernel/sched_rt_runtime_us".into());
         let (before, after) = (Some("0".into()), "950000".into());
-        let change = Change {
-            knob,
-            before,
-            after,
-        };
+        let change = Change { knob, before, after };
         record.push(change.clone()).unwrap();
         assert_eq!(fake.text("victim").as_deref(), Some("precious"));
         assert_eq!(fs::metadata(&path).unwrap().mode() & 0o777, MODE);

@@ -40,10 +40,10 @@ pub(super) fn findings(tree: &Tree, wanted: &Wanted) -> Vec<Finding> {
     };
     // Drivers of serial ports create ttys for ports that the machine does not have: PORT_UNKNOWN of linux/serial.h.
     if tree.number(&format!("{class}/type")) == Some(0) {
-        return vec![presence(format!("{present}, no port behind it")).judged(
-            Verdict::NotUsable,
-            "the line's path in the cell: a tty that has a port",
-        )];
+        return vec![
+            presence(format!("{present}, no port behind it"))
+                .judged(Verdict::NotUsable, "the line's path in the cell: a tty that has a port"),
+        ];
     }
     let mut findings = vec![presence(present)];
     findings.extend(permission(tree, wanted));
@@ -59,11 +59,7 @@ fn flag(tree: &Tree, of: &str, name: &str) -> Option<Finding> {
     const LOW_LATENCY: u32 = 1 << 13;
     let flags = tree.text(&format!("/sys/class/tty/{name}/flags"))?;
     let flags = u32::from_str_radix(flags.strip_prefix("0x")?, 16).ok()?;
-    let read = if flags & LOW_LATENCY != 0 {
-        "set"
-    } else {
-        "not set yet; opening the line sets it"
-    };
+    let read = if flags & LOW_LATENCY != 0 { "set" } else { "not set yet; opening the line sets it" };
     let why = "without it a driver may gather bytes before it hands them over";
     Some(Finding::new(of, "low latency", read, why))
 }
@@ -73,18 +69,16 @@ fn permission(tree: &Tree, wanted: &Wanted) -> Option<Finding> {
     let granted = Identity::of(tree).may(0o6, access);
     let read = if granted { "granted" } else { "denied" };
     let why = "it is opened for reading and writing";
-    Some(Finding::new(&wanted.of, "permission", read, why).judged(
-        Verdict::NotUsable.when(!granted),
-        "usermod -aG dialout USER, then a new login",
-    ))
+    Some(
+        Finding::new(&wanted.of, "permission", read, why)
+            .judged(Verdict::NotUsable.when(!granted), "usermod -aG dialout USER, then a new login"),
+    )
 }
 
 /// Persistent names of the USB adapters, which do not depend on the order of plugging.
 fn persistent(tree: &Tree) -> Vec<String> {
     let names = tree.names("/dev/serial/by-id").into_iter();
-    names
-        .map(|name| format!("/dev/serial/by-id/{name}"))
-        .collect()
+    names.map(|name| format!("/dev/serial/by-id/{name}")).collect()
 }
 
 /// Finding about the name of a tty. Only ttys of USB adapters are numbered in the order of plugging.
@@ -122,9 +116,7 @@ fn latency(tree: &Tree, of: &str, name: &str) -> Option<Finding> {
         "the adapter holds an answer back for as long; opening a line asks for low latency, which not every driver \
          grants",
     );
-    let mend = format!(
-        "echo 1 > {file}; for good ATTR{{latency_timer}}=\"1\" in a rule of /etc/udev/rules.d"
-    );
+    let mend = format!("echo 1 > {file}; for good ATTR{{latency_timer}}=\"1\" in a rule of /etc/udev/rules.d");
     let finding = finding.judged(Verdict::Warning.when(timer > 1), mend);
     Some(finding.fixed_by([Knob::Kernel(file).to("1")]))
 }
@@ -136,10 +128,7 @@ mod tests {
     use super::*;
 
     fn wanted(path: &str) -> Wanted {
-        Wanted {
-            of: "line".into(),
-            path: path.into(),
-        }
+        Wanted { of: "line".into(), path: path.into() }
     }
 
     fn judged(fake: &Fake, path: &str) -> Vec<(&'static str, Verdict)> {
@@ -155,10 +144,7 @@ mod tests {
             ("sys/bus/usb-serial/drivers/ftdi_sio/bind", ""),
             ("proc/self/status", "CapEff:\t2"),
         ]);
-        fake.link(
-            "sys/class/tty/ttyUSB3/device/driver",
-            "../../../../bus/usb-serial/drivers/ftdi_sio",
-        );
+        fake.link("sys/class/tty/ttyUSB3/device/driver", "../../../../bus/usb-serial/drivers/ftdi_sio");
         fake.link("dev/serial/by-id/usb-FTDI_A1-if00", "../../ttyUSB3");
         fake.link("dev/column", "ttyUSB3");
         fake
@@ -171,10 +157,7 @@ mod tests {
         assert_eq!(found[0].verdict, Verdict::NotUsable);
         assert_eq!(found[0].read, "not there; /dev/serial/by-id lists none");
         let found = findings(&adapter("1").tree(), &wanted("/dev/ttyUSB0"));
-        assert_eq!(
-            found[0].read,
-            "not there; there are /dev/serial/by-id/usb-FTDI_A1-if00"
-        );
+        assert_eq!(found[0].read, "not there; there are /dev/serial/by-id/usb-FTDI_A1-if00");
     }
 
     #[test]
@@ -207,19 +190,12 @@ mod tests {
             ("dev/ttyS0", ""),
             ("sys/class/tty/ttyS0/type", "4\n"),
             ("sys/class/tty/ttyS0/flags", "0x10002040\n"),
-            (
-                "proc/self/status",
-                "Uid:\t99999\t99999\t99999\t99999\nCapEff:\t0",
-            ),
+            ("proc/self/status", "Uid:\t99999\t99999\t99999\t99999\nCapEff:\t0"),
         ]);
         assert_eq!(judged(&fake, "/dev/ttyS1"), [("tty", Verdict::NotUsable)]);
         assert_eq!(
             judged(&fake, "/dev/ttyS0"),
-            [
-                ("tty", Verdict::Ok),
-                ("permission", Verdict::NotUsable),
-                ("low latency", Verdict::Ok)
-            ]
+            [("tty", Verdict::Ok), ("permission", Verdict::NotUsable), ("low latency", Verdict::Ok)]
         );
         for (flags, read) in [("0x2000", Some("set")), ("0x40", Some("not")), ("x", None)] {
             let fake = Fake::new(&[("sys/class/tty/ttyS0/flags", flags)]);

@@ -67,10 +67,7 @@ impl Drop for Fake {
 
 /// All findings in a tree. The cell names can0 and ttyUSB0, and pins its servo thread.
 fn all(tree: &Tree, link: Option<&Link>) -> Vec<Finding> {
-    let realtime = Realtime {
-        cpu: Some(1),
-        ..Realtime::default()
-    };
+    let realtime = Realtime { cpu: Some(1), ..Realtime::default() };
     let interface = can_interfaces::Wanted {
         of: "bus".into(),
         interface: "can0".into(),
@@ -78,10 +75,7 @@ fn all(tree: &Tree, link: Option<&Link>) -> Vec<Finding> {
         send_queue: 9,
         servo_cpu: Some(1),
     };
-    let line = serial_lines::Wanted {
-        of: "axis".into(),
-        path: "/dev/ttyUSB0".into(),
-    };
+    let line = serial_lines::Wanted { of: "axis".into(), path: "/dev/ttyUSB0".into() };
     let stat = tree.text("/proc/stat").unwrap_or_default();
     let down = Err(OpenError::Down(can::InterfaceName::new("can0").unwrap()));
     let mut found = kernel::findings(tree, Some(0), false);

@@ -47,9 +47,7 @@ impl Tree {
     /// Names in a directory, sorted; empty if there is no such directory.
     pub(super) fn names(&self, path: &str) -> Vec<String> {
         let entries = fs::read_dir(self.at(path)).into_iter().flatten().flatten();
-        let mut names: Vec<_> = entries
-            .filter_map(|entry| entry.file_name().into_string().ok())
-            .collect();
+        let mut names: Vec<_> = entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
         names.sort();
         names
     }
@@ -69,11 +67,7 @@ impl Tree {
 
     pub(super) fn access(&self, path: &str) -> Option<Access> {
         let metadata = fs::metadata(self.at(path)).ok()?;
-        Some(Access {
-            mode: metadata.mode(),
-            uid: metadata.uid(),
-            gid: metadata.gid(),
-        })
+        Some(Access { mode: metadata.mode(), uid: metadata.uid(), gid: metadata.gid() })
     }
 
     /// Whether this tree belongs to the running host. Only then may data that is in no file be read from the kernel.
@@ -95,10 +89,7 @@ impl Tree {
         if self.resolved(path).is_none() {
             return Err(ErrorKind::NotFound.into());
         }
-        let mut file = OpenOptions::new()
-            .write(true)
-            .truncate(true)
-            .open(self.at(path))?;
+        let mut file = OpenOptions::new().write(true).truncate(true).open(self.at(path))?;
         file.write_all(text.as_bytes())
     }
 
@@ -223,11 +214,7 @@ mod tests {
         let mut echo = Command::new("echo");
         assert_eq!(output_of(echo.arg("told")).as_deref(), Some("told\n"));
         let mut sleep = Command::new("sleep");
-        for program in [
-            &mut Command::new("false"),
-            &mut Command::new("no-such-program"),
-            sleep.arg("60"),
-        ] {
+        for program in [&mut Command::new("false"), &mut Command::new("no-such-program"), sleep.arg("60")] {
             assert_eq!(output_of(program), None, "{program:?}");
         }
     }

@@ -21,11 +21,7 @@ pub(super) enum CellBench {
 }
 
 /// Refuses a bench that is not allowed or not available. `can` holds the values of `--can`.
-pub(super) fn check(
-    file: Option<&CellFile>,
-    bench: CellBench,
-    can: &[String],
-) -> anyhow::Result<()> {
+pub(super) fn check(file: Option<&CellFile>, bench: CellBench, can: &[String]) -> anyhow::Result<()> {
     let (Some(file), CellBench::Vcan) = (file, bench) else {
         if !can.is_empty() {
             bail!("--can needs --cell with --bench vcan");
@@ -34,9 +30,7 @@ pub(super) fn check(
     };
     let cell = &file.cell;
     if !cell.serial.is_empty() {
-        bail!(
-            "--bench vcan has no serial lines, and those of the cell may be an arm's: --bench emulated measures it"
-        );
+        bail!("--bench vcan has no serial lines, and those of the cell may be an arm's: --bench emulated measures it");
     }
     let mut given = vec![None; cell.bus.len()];
     for option in can {

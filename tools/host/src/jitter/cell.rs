@@ -47,12 +47,7 @@ pub(super) struct MeasuredCell<'a> {
 }
 
 impl<'a> MeasuredCell<'a> {
-    pub(super) fn new(
-        file: &'a CellFile,
-        bench: CellBench,
-        can: &'a [String],
-        traffic: bool,
-    ) -> Self {
+    pub(super) fn new(file: &'a CellFile, bench: CellBench, can: &'a [String], traffic: bool) -> Self {
         Self {
             file,
             bench,
@@ -89,10 +84,7 @@ impl<'a> MeasuredCell<'a> {
             CellBench::Emulated => BenchKind::Emulated,
             CellBench::Vcan => BenchKind::Vcan,
         };
-        let places = Places {
-            can: self.can.to_vec(),
-            ..Places::default()
-        };
+        let places = Places { can: self.can.to_vec(), ..Places::default() };
         let bench = Bench::open(file, kind, &places, false)?;
         let mut wire = bench.wire.continuing(self.wire.take());
         let groups = setup::drive_groups(file, bench.ports, bench.lines, None)?;
@@ -101,16 +93,15 @@ impl<'a> MeasuredCell<'a> {
         if let Some(emulation) = emulation.as_mut().filter(|_| self.traffic) {
             emulation.add_traffic();
         }
-        let since = clockwork::bring_up(&mut servo, &mut emulation)
-            .map_err(|error| mrroc::run::why_not_up(file, error))?;
+        let since =
+            clockwork::bring_up(&mut servo, &mut emulation).map_err(|error| mrroc::run::why_not_up(file, error))?;
         for link in &mut links {
             let ordered = link.orders.push(Order::Enable);
             ordered.map_err(|_| anyhow!("no order could be given"))?;
         }
         let (begun, over) = (now(), turn.over.clone());
         let end = begun + turn.time;
-        let until =
-            move |_: &Servo| now() >= end || over.load(std::sync::atomic::Ordering::Relaxed);
+        let until = move |_: &Servo| now() >= end || over.load(std::sync::atomic::Ordering::Relaxed);
         let running = clockwork::start(servo, emulation, since, realtime, Arc::default(), until)?;
         let mut stood = vec![false; links.len()];
         while !running.is_finished() {
@@ -135,26 +126,19 @@ impl<'a> MeasuredCell<'a> {
             bail!("the servo thread panicked: {panicked:?}");
         }
         let timing = &finished.timing;
-        for (all, of_turn) in [
-            (&mut self.step, &timing.step),
-            (&mut self.bus, &timing.bus),
-            (&mut self.wake_up, &timing.wake_up),
-        ] {
+        for (all, of_turn) in
+            [(&mut self.step, &timing.step), (&mut self.bus, &timing.bus), (&mut self.wake_up, &timing.wake_up)]
+        {
             all.add(counts_of(of_turn))?;
         }
         self.missed += finished.servo.counters().missed_cycles;
         self.wait = timing.wait;
         self.late.add(&timing.late);
         self.spikes.extend(finished.spikes);
-        self.spikes
-            .sort_by_key(|spike| std::cmp::Reverse(spike.lateness()));
+        self.spikes.sort_by_key(|spike| std::cmp::Reverse(spike.lateness()));
         self.spikes.truncate(Tracer::KEPT);
         self.stood &= stood.into_iter().all(|stood| stood);
-        ledger.add(&Interval {
-            begun,
-            ended: now(),
-            late: counts_of(&timing.sync),
-        })?;
+        ledger.add(&Interval { begun, ended: now(), late: counts_of(&timing.sync) })?;
         Ok(finished.denied)
     }
 

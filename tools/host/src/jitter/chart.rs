@@ -1,8 +1,6 @@
 //! `jitter.svg`: latency by percentile on an axis of nines, and the worst of each interval over time.
 
-use mrroc::charts::{
-    COLOURS, ChartError, RGBColor, Scale, key, line, panel, px, segments, sheet, titled,
-};
+use mrroc::charts::{COLOURS, ChartError, RGBColor, Scale, key, line, panel, px, segments, sheet, titled};
 
 use super::interval::{Counts, Ledger};
 
@@ -31,26 +29,18 @@ pub(super) fn chart(setting: &str, ours: Curve, peer: Option<Curve>) -> Result<S
     let worst = curves().map(|((_, curve), _)| curve.total.max()).max();
     let count = curves().map(|((_, curve), _)| curve.total.len()).max();
     let worst = worst.unwrap_or(0) as f64 / 1e3;
-    let late = Scale::decades("late by, µs", [EARLIEST, worst], |decade| {
-        10f64.powi(decade).to_string()
-    });
+    let late = Scale::decades("late by, µs", [EARLIEST, worst], |decade| 10f64.powi(decade).to_string());
     let count = count.unwrap_or(0) as f64;
     let nines = Scale::decades("percentile of cycles, %", [1.0, count], percent);
     let end = curves().flat_map(|((_, curve), _)| curve.series.times.last().map(|last| last[1]));
     let seconds = end.fold(0.0, f64::max).max(1e-3);
     let time = Scale::exact("time since the beginning, s", [0.0, seconds]);
     let said = |(name, curve): Curve| format!("{name}, {} cycles", curve.total.len());
-    let named: Vec<_> = curves()
-        .map(|(curve, colour)| (said(curve), colour))
-        .collect();
+    let named: Vec<_> = curves().map(|(curve, colour)| (said(curve), colour)).collect();
     sheet(SIZE, "Wake-up error", |area| {
         let (beside, area) = titled(area, "Wake-up error", setting)?;
         let names = named.iter().rev();
-        key(
-            &beside,
-            [0, 22],
-            names.map(|(said, colour)| (said.as_str(), *colour)),
-        )?;
+        key(&beside, [0, 22], names.map(|(said, colour)| (said.as_str(), *colour)))?;
         let (upper, lower) = area.split_vertically(px(DISTRIBUTION));
         let mut upper = panel(&upper, "", &nines, &late)?;
         for ((_, curve), colour) in curves() {
@@ -109,10 +99,7 @@ mod tests {
         let (_, mut ledger) = recording(Instant::ZERO, None);
         for _ in 0..2 {
             let svg = chart("1 ms", ("a & b", &ledger), None).unwrap();
-            assert!(
-                !svg.contains("NaN") && !svg.contains("inf") && svg.contains("a &amp; b"),
-                "{svg}"
-            );
+            assert!(!svg.contains("NaN") && !svg.contains("inf") && svg.contains("a &amp; b"), "{svg}");
             ledger.total.saturating_record(5);
         }
     }

@@ -35,10 +35,7 @@ pub(super) fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::R
         .arg("--default-system")
         .arg(format!("--priority={priority}"))
         .arg(format!("--interval={}", turn.period.as_micros()))
-        .arg(format!(
-            "--loops={}",
-            turn.time.as_nanos() / turn.period.as_nanos()
-        ))
+        .arg(format!("--loops={}", turn.time.as_nanos() / turn.period.as_nanos()))
         .arg(format!("--histogram={BINS}"))
         .args(cpu.map(|cpu| format!("--affinity={cpu}")));
     let begun = now();
@@ -55,10 +52,7 @@ pub(super) fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::R
         let out = scope.spawn(move || out.map(io::read_to_string));
         let err = scope.spawn(move || err.map(io::read_to_string));
         let status = loop {
-            if let Some(status) = child
-                .try_wait()
-                .context("cyclictest cannot be waited for")?
-            {
+            if let Some(status) = child.try_wait().context("cyclictest cannot be waited for")? {
                 break Some(status);
             }
             if turn.is_over() && !told {
@@ -85,13 +79,8 @@ pub(super) fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::R
                 bail!("cyclictest failed ({status}): {}", said.unwrap_or(""))
             }
             Some(_) => {
-                let late = parse(&out)
-                    .ok_or_else(|| anyhow!("cyclictest printed no histogram that can be read"))?;
-                Ok(Interval {
-                    begun,
-                    ended: now(),
-                    late,
-                })
+                let late = parse(&out).ok_or_else(|| anyhow!("cyclictest printed no histogram that can be read"))?;
+                Ok(Interval { begun, ended: now(), late })
             }
         }
     })
@@ -107,9 +96,7 @@ fn parse(text: &str) -> Option<Counts> {
     let overflows = total("# Histogram Overflows:")?;
     let max = total("# Max Latencies:")?;
     let mut counted = 0;
-    let bins = text
-        .lines()
-        .filter(|line| line.starts_with(|first: char| first.is_ascii_digit()));
+    let bins = text.lines().filter(|line| line.starts_with(|first: char| first.is_ascii_digit()));
     for line in bins {
         let (bin, count) = line.split_once(char::is_whitespace)?;
         let (bin, count): (u64, u64) = (bin.parse().ok()?, count.trim().parse().ok()?);

@@ -11,9 +11,7 @@ use std::time::SystemTime;
 use anyhow::Context;
 use can::Instant;
 use hdrhistogram::serialization::V2DeflateSerializer;
-use hdrhistogram::serialization::interval_log::{
-    IntervalLogWriter, IntervalLogWriterBuilder, IntervalLogWriterError,
-};
+use hdrhistogram::serialization::interval_log::{IntervalLogWriter, IntervalLogWriterBuilder, IntervalLogWriterError};
 
 use super::interval::{Counts, Interval};
 use mrroc::outputs::Outputs;
@@ -67,14 +65,8 @@ pub(super) struct IntervalLog<'a>(IntervalLogWriter<'a, 'a, LineWriter<File>, V2
 
 impl<'a> IntervalLog<'a> {
     /// Starts the log now.
-    pub(super) fn begin(
-        file: &'a mut LineWriter<File>,
-        serializer: &'a mut V2DeflateSerializer,
-    ) -> io::Result<Self> {
-        #[expect(
-            clippy::disallowed_methods,
-            reason = "the log names the day of its zero"
-        )]
+    pub(super) fn begin(file: &'a mut LineWriter<File>, serializer: &'a mut V2DeflateSerializer) -> io::Result<Self> {
+        #[expect(clippy::disallowed_methods, reason = "the log names the day of its zero")]
         let now = SystemTime::now();
         let log = IntervalLogWriterBuilder::new()
             .add_comment("[Histogram log format version 1.3]")
@@ -88,10 +80,7 @@ impl<'a> IntervalLog<'a> {
 
     /// Writes one interval. Times are relative to `began`.
     pub(super) fn write(&mut self, interval: &Interval, began: Instant) -> io::Result<()> {
-        let (begun, lasted) = (
-            interval.begun.since(began),
-            interval.ended.since(interval.begun),
-        );
+        let (begun, lasted) = (interval.begun.since(began), interval.ended.since(interval.begun));
         let written = self.0.write_histogram(&interval.late, begun, lasted, None);
         written.map_err(|error| match error {
             IntervalLogWriterError::IoError(error) => error,
@@ -102,10 +91,7 @@ impl<'a> IntervalLog<'a> {
 
 /// Writes `counts` as a percentile distribution in the format of the HdrHistogram tools, in µs.
 fn percentile_distribution(counts: &Counts, to: &mut impl Write) -> io::Result<()> {
-    let mut text = format!(
-        "{:>12} {:>14} {:>10} {:>14}\n\n",
-        "Value", "Percentile", "TotalCount", "1/(1-Percentile)"
-    );
+    let mut text = format!("{:>12} {:>14} {:>10} {:>14}\n\n", "Value", "Percentile", "TotalCount", "1/(1-Percentile)");
     let mut reached = 0;
     for step in counts.iter_quantiles(TICKS) {
         reached += step.count_since_last_iteration();
@@ -153,14 +139,8 @@ mod tests {
                 "       1.000 0.000000000000          1           1.00",
             ]
         );
-        assert!(
-            lines.contains(&"     500.223 0.500000000000        500           2.00"),
-            "{text}"
-        );
-        let last = lines
-            .iter()
-            .rposition(|line| !line.starts_with('#'))
-            .unwrap();
+        assert!(lines.contains(&"     500.223 0.500000000000        500           2.00"), "{text}");
+        let last = lines.iter().rposition(|line| !line.starts_with('#')).unwrap();
         assert_eq!(lines[last], "    1000.447 1.000000000000       1000");
         assert_eq!(
             lines[last + 2..],
@@ -176,9 +156,6 @@ mod tests {
         let mut text = Vec::new();
         percentile_distribution(&counts(), &mut text).unwrap();
         let text = String::from_utf8(text).unwrap();
-        assert!(
-            text.contains("Total count    =            0]") && !text.contains("NaN"),
-            "{text}"
-        );
+        assert!(text.contains("Total count    =            0]") && !text.contains("NaN"), "{text}");
     }
 }

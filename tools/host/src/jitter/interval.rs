@@ -31,8 +31,7 @@ const TIMES: usize = 2048;
 
 /// An empty histogram from 1 ns to 10 s with three significant digits, as [`servo::Histogram`].
 pub(super) fn counts() -> Counts {
-    Counts::new_with_bounds(1, LATEST, 3)
-        .expect("the bounds are constants that the library accepts")
+    Counts::new_with_bounds(1, LATEST, 3).expect("the bounds are constants that the library accepts")
 }
 
 /// Copy of the counts of `histogram`, which has the same bins.
@@ -53,11 +52,7 @@ pub(super) struct Interval {
 
 impl Interval {
     fn empty() -> Box<Self> {
-        Box::new(Self {
-            begun: Instant::ZERO,
-            ended: Instant::ZERO,
-            late: counts(),
-        })
+        Box::new(Self { begun: Instant::ZERO, ended: Instant::ZERO, late: counts() })
     }
 }
 
@@ -117,18 +112,8 @@ pub(super) fn recording(began: Instant, log: Option<IntervalLog<'_>>) -> (Record
     for _ in 0..SPARE {
         let _ = emptied.push(Interval::empty());
     }
-    let recorder = Recorder {
-        filling: Interval::empty(),
-        full,
-        empty,
-    };
-    let ledger = Ledger {
-        full: filled,
-        empty: emptied,
-        total: counts(),
-        series: Series::new(began),
-        log,
-    };
+    let recorder = Recorder { filling: Interval::empty(), full, empty };
+    let ledger = Ledger { full: filled, empty: emptied, total: counts(), series: Series::new(began), log };
     (recorder, ledger)
 }
 
@@ -148,9 +133,7 @@ impl Ledger<'_> {
         if interval.late.is_empty() {
             return Ok(());
         }
-        (self.total)
-            .add(&interval.late)
-            .expect("all histograms have the same bounds");
+        (self.total).add(&interval.late).expect("all histograms have the same bounds");
         self.series.add(interval);
         match &mut self.log {
             Some(log) => log.write(interval, self.series.began),
@@ -168,10 +151,7 @@ pub(super) struct Series {
 
 impl Series {
     pub(super) fn new(began: Instant) -> Self {
-        Self {
-            began,
-            times: Vec::with_capacity(TIMES),
-        }
+        Self { began, times: Vec::with_capacity(TIMES) }
     }
 
     fn add(&mut self, interval: &Interval) {
@@ -183,10 +163,8 @@ impl Series {
             });
             self.times = joined.collect();
         }
-        let [from, to] =
-            [interval.begun, interval.ended].map(|at| at.since(self.began).as_secs_f64());
-        self.times
-            .push([from, to, interval.late.max() as f64 / 1e3]);
+        let [from, to] = [interval.begun, interval.ended].map(|at| at.since(self.began).as_secs_f64());
+        self.times.push([from, to, interval.late.max() as f64 / 1e3]);
     }
 }
 
@@ -210,9 +188,7 @@ mod tests {
         recorder.hand_over();
         ledger.drain().unwrap();
         assert_eq!(ledger.total.len(), 2000);
-        let spans: Vec<_> = (ledger.series.times.iter())
-            .map(|[from, to, _]| (to - from).round() as u32)
-            .collect();
+        let spans: Vec<_> = (ledger.series.times.iter()).map(|[from, to, _]| (to - from).round() as u32).collect();
         assert_eq!(spans, [1, 1, 1, 17]);
         assert!((ledger.total.value_at_quantile(0.5) as f64 / 50e3 - 1.0).abs() < 2e-3);
     }
@@ -230,15 +206,8 @@ mod tests {
             series.add(&interval);
         }
         assert!(series.times.len() <= TIMES && series.times.len() > TIMES / 4);
-        let worst = series
-            .times
-            .iter()
-            .max_by(|a, b| a[2].total_cmp(&b[2]))
-            .unwrap();
-        assert!(
-            worst[2] >= 5000.0 && (worst[0]..worst[1]).contains(&777.5),
-            "{worst:?}"
-        );
+        let worst = series.times.iter().max_by(|a, b| a[2].total_cmp(&b[2])).unwrap();
+        assert!(worst[2] >= 5000.0 && (worst[0]..worst[1]).contains(&777.5), "{worst:?}");
     }
 
     #[test]

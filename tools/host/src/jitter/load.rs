@@ -77,12 +77,8 @@ impl Kind {
 
 /// Refuses a program of a Debian package that is not installed. `otherwise` says how to do without the program.
 pub(super) fn find(name: &str, package: &str, otherwise: &str) -> anyhow::Result<()> {
-    let found = Command::new(name)
-        .arg("--help")
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .status();
+    let found =
+        Command::new(name).arg("--help").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).status();
     match found {
         Err(error) if error.kind() == ErrorKind::NotFound => {
             bail!("{name} is not installed; `apt install {package}` installs it{otherwise}")
@@ -107,10 +103,7 @@ impl Load {
 
     /// Starts a thread per CPU for each of `kinds`; a kind that is a program is started once.
     pub(super) fn start(kinds: &[Kind]) -> anyhow::Result<Self> {
-        let mut load = Self {
-            over: Arc::default(),
-            threads: Vec::new(),
-        };
+        let mut load = Self { over: Arc::default(), threads: Vec::new() };
         let cpus = std::thread::available_parallelism().map_or(1, usize::from);
         for (kind, number) in kinds.iter().flat_map(|&kind| {
             let threads = match kind {
@@ -122,12 +115,8 @@ impl Load {
             let mut turn = turn(kind, number)?;
             let over = load.over.clone();
             let body = move || while !over.load(Ordering::Relaxed) && turn() {};
-            let thread = Builder::new()
-                .name("load".into())
-                .stack_size(STACK)
-                .spawn(body);
-            load.threads
-                .push(thread.context("no thread for the load can be made")?);
+            let thread = Builder::new().name("load".into()).stack_size(STACK).spawn(body);
+            load.threads.push(thread.context("no thread for the load can be made")?);
         }
         Ok(load)
     }
@@ -194,10 +183,7 @@ fn turn(kind: Kind, number: usize) -> anyhow::Result<Box<dyn FnMut() -> bool + S
                     0 => file.seek(SeekFrom::Start(0)).map(|_| ()),
                     _ => Ok(()),
                 };
-                rewound
-                    .and_then(|()| file.write_all(&block))
-                    .and_then(|()| file.sync_data())
-                    .is_ok()
+                rewound.and_then(|()| file.write_all(&block)).and_then(|()| file.sync_data()).is_ok()
             })
         }
     })

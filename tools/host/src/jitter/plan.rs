@@ -53,10 +53,7 @@ impl Plan {
         };
         let time = duration("duration", &options.duration)?;
         if !(10 * period..=LONGEST).contains(&time) {
-            bail!(
-                "--duration is {}, must be between ten periods and a week",
-                options.duration
-            );
+            bail!("--duration is {}, must be between ten periods and a week", options.duration);
         }
         let usual = cell.map_or_else(Realtime::default, |cell| cell.realtime);
         let given = options.priority.unwrap_or(usual.priority.into());
@@ -102,21 +99,15 @@ fn waiting(options: &Options, usual: Realtime, period: Duration) -> anyhow::Resu
     }
     let given = options.margin.as_deref();
     let given = given.map(|text| duration("margin", text)).transpose()?;
-    let realtime = Realtime {
-        wait,
-        margin: given.or(usual.margin),
-        spin_share: options.spin_share.or(usual.spin_share),
-        ..usual
-    };
+    let realtime =
+        Realtime { wait, margin: given.or(usual.margin), spin_share: options.spin_share.or(usual.spin_share), ..usual };
     let spin_share = realtime.spin_share();
     if !(0.0..=0.5).contains(&spin_share) {
         bail!("--spin-share is {spin_share}, must be between 0 and 0.5 (of a core)");
     }
     let longest = period.mul_f64(spin_share);
     if let Some(margin) = realtime.margin.filter(|&margin| margin > longest) {
-        bail!(
-            "--margin is {margin:?}, must be at most the share of the period to spin in, {longest:?}"
-        );
+        bail!("--margin is {margin:?}, must be at most the share of the period to spin in, {longest:?}");
     }
     Ok(realtime)
 }
@@ -154,9 +145,7 @@ fn duration(option: &str, text: &str) -> anyhow::Result<Duration> {
         .ok()
         .zip(seconds)
         .and_then(|(number, seconds)| Duration::try_from_secs_f64(number * seconds).ok())
-        .ok_or_else(|| {
-            anyhow!("--{option} is {text:?}, must be a number and us, ms, s, m or h, such as 250us")
-        })
+        .ok_or_else(|| anyhow!("--{option} is {text:?}, must be a number and us, ms, s, m or h, such as 250us"))
 }
 
 #[cfg(test)]
@@ -187,15 +176,9 @@ mod tests {
             ("2m", 120_000_000),
             ("1h", 3_600_000_000),
         ] {
-            assert_eq!(
-                duration("period", text).unwrap().as_micros(),
-                micros,
-                "{text}"
-            );
+            assert_eq!(duration("period", text).unwrap().as_micros(), micros, "{text}");
         }
-        for text in [
-            "", "1", "ms", "1 ms", "-1ms", "1.2.3s", "1d", "9e99s", "nans",
-        ] {
+        for text in ["", "1", "ms", "1 ms", "-1ms", "1.2.3s", "1d", "9e99s", "nans"] {
             assert!(duration("period", text).is_err(), "{text:?}");
         }
     }
@@ -203,10 +186,7 @@ mod tests {
     #[test]
     fn what_cannot_be_measured_is_refused_in_one_line() {
         for (line, needle) in [
-            (
-                "--period 0ms",
-                "--period is 0ms, must be between 50us and 1s",
-            ),
+            ("--period 0ms", "--period is 0ms, must be between 50us and 1s"),
             ("--period 1001ms", "--period"),
             ("--period 49us", "--period"),
             ("--period 100.5us", "whole microseconds"),
@@ -216,19 +196,10 @@ mod tests {
             ("--priority 0", "--priority is 0, must be between 1 and 99"),
             ("--priority 100", "--priority"),
             ("--priority 336", "--priority"),
-            (
-                "--scheduler deadline --cpu 1",
-                "CPU 1 cannot be had with --scheduler deadline",
-            ),
-            (
-                "--spin-share 0.6",
-                "--spin-share is 0.6, must be between 0 and 0.5",
-            ),
+            ("--scheduler deadline --cpu 1", "CPU 1 cannot be had with --scheduler deadline"),
+            ("--spin-share 0.6", "--spin-share is 0.6, must be between 0 and 0.5"),
             ("--spin-share nan", "--spin-share"),
-            (
-                "--margin 201us",
-                "--margin is 201µs, must be at most the share of the period to spin in, 200µs",
-            ),
+            ("--margin 201us", "--margin is 201µs, must be at most the share of the period to spin in, 200µs"),
             ("--margin 200", "--margin is \"200\", must be a number"),
             ("--wait plain --margin 9us", "need --wait hybrid"),
             ("--wait plain --spin-share 0.1", "need --wait hybrid"),
@@ -242,29 +213,16 @@ mod tests {
     #[test]
     fn the_thread_is_scheduled_and_waits_as_the_options_say() {
         let usual = Realtime::default();
-        let deadline = Realtime {
-            scheduler: Scheduler::Deadline,
-            ..usual
-        };
+        let deadline = Realtime { scheduler: Scheduler::Deadline, ..usual };
         for (line, realtime) in [
             ("", usual),
             ("--scheduler fifo --wait plain", Realtime::PLAIN),
             ("--scheduler deadline", deadline),
             (
                 "--scheduler deadline --period 2ms --margin 800us --spin-share 0.4",
-                Realtime {
-                    margin: Some(Duration::from_micros(800)),
-                    spin_share: Some(0.4),
-                    ..deadline
-                },
+                Realtime { margin: Some(Duration::from_micros(800)), spin_share: Some(0.4), ..deadline },
             ),
-            (
-                "--wait hybrid --spin-share 0",
-                Realtime {
-                    spin_share: Some(0.0),
-                    ..usual
-                },
-            ),
+            ("--wait hybrid --spin-share 0", Realtime { spin_share: Some(0.0), ..usual }),
         ] {
             assert_eq!(plan(line).unwrap().realtime, realtime, "{line}");
         }
@@ -272,12 +230,7 @@ mod tests {
 
     #[test]
     fn turns_make_up_the_time() {
-        for (duration, rounds, turn) in [
-            ("10ms", 1, 10),
-            ("3s", 3, 1000),
-            ("60s", 10, 6000),
-            ("1h", 120, 30_000),
-        ] {
+        for (duration, rounds, turn) in [("10ms", 1, 10), ("3s", 3, 1000), ("60s", 10, 6000), ("1h", 120, 30_000)] {
             let plan = plan(&format!("--duration {duration}")).unwrap();
             let expected = (rounds, Duration::from_millis(turn));
             assert_eq!((plan.rounds, plan.turn), expected, "{duration}");

@@ -8,8 +8,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow};
 use can::clock::{now, sleep_until};
 use servo::thread::{
-    self, Account, Cause, Denial, GAP, LateCycle, LateCycles, Realtime, Spent, Stamps, Tracer,
-    Waiter,
+    self, Account, Cause, Denial, GAP, LateCycle, LateCycles, Realtime, Spent, Stamps, Tracer, Waiter,
 };
 
 use super::interval::Recorder;
@@ -51,13 +50,7 @@ pub(super) struct Wakeups {
 
 impl Wakeups {
     pub(super) fn new(late: Recorder) -> Self {
-        Self {
-            cycles: 0,
-            late,
-            missed: 0,
-            causes: LateCycles::default(),
-            spikes: Tracer::new(Arc::default()),
-        }
+        Self { cycles: 0, late, missed: 0, causes: LateCycles::default(), spikes: Tracer::new(Arc::default()) }
     }
 }
 
@@ -73,10 +66,7 @@ pub(super) fn wait(waiter: &mut Waiter, wakeups: &mut Wakeups, turn: Turn) {
         let awake = waiter.wait(due, Duration::ZERO);
         let late = awake.at.since(due);
         wakeups.late.record(late, awake.at);
-        let before = Spent {
-            own: awake.asked_at.since(ended),
-            ..Spent::default()
-        };
+        let before = Spent { own: awake.asked_at.since(ended), ..Spent::default() };
         let spent = Spent::waiting(&awake, before);
         let is_late = late > turn.period / 100;
         let counted = if is_late || awake.gap > GAP {
@@ -91,12 +81,8 @@ pub(super) fn wait(waiter: &mut Waiter, wakeups: &mut Wakeups, turn: Turn) {
             late,
             cause: Cause::of_cycle(late, &spent, counted),
         });
-        of_cycle
-            .into_iter()
-            .for_each(|late| wakeups.causes.record(late));
-        wakeups
-            .spikes
-            .record(Stamps::of_wait(wakeups.cycles, due, awake, of_cycle));
+        of_cycle.into_iter().for_each(|late| wakeups.causes.record(late));
+        wakeups.spikes.record(Stamps::of_wait(wakeups.cycles, due, awake, of_cycle));
         ended = awake.at;
         wakeups.cycles += 1;
         due += turn.period;
@@ -147,9 +133,7 @@ pub(super) fn on_thread(
             meanwhile();
             sleep_until(now() + LOOK);
         }
-        thread
-            .join()
-            .map_err(|_| anyhow!("the measuring thread panicked"))
+        thread.join().map_err(|_| anyhow!("the measuring thread panicked"))
     })
 }
 
@@ -161,18 +145,10 @@ mod tests {
     #[test]
     fn every_deadline_is_met_or_counted() {
         let over = Arc::default();
-        let turn = Turn {
-            period: Duration::from_micros(500),
-            time: Duration::from_millis(50),
-            over: &over,
-        };
+        let turn = Turn { period: Duration::from_micros(500), time: Duration::from_millis(50), over: &over };
         for probe in [
             |wakeups: &mut Wakeups, turn: Turn| {
-                wait(
-                    &mut Waiter::new(&Realtime::default(), turn.period),
-                    wakeups,
-                    turn,
-                );
+                wait(&mut Waiter::new(&Realtime::default(), turn.period), wakeups, turn);
             },
             probe,
         ] {
@@ -191,17 +167,8 @@ mod tests {
     /// A thread of higher priority takes the CPU of a measuring thread for longer than a period, every 20 ms.
     fn starved() -> Vec<LateCycle> {
         let over = Arc::default();
-        let turn = Turn {
-            period: Duration::from_millis(1),
-            time: Duration::from_millis(400),
-            over: &over,
-        };
-        let realtime = |priority| Realtime {
-            priority,
-            cpu: Some(0),
-            lock_memory: false,
-            ..Realtime::PLAIN
-        };
+        let turn = Turn { period: Duration::from_millis(1), time: Duration::from_millis(400), over: &over };
+        let realtime = |priority| Realtime { priority, cpu: Some(0), lock_memory: false, ..Realtime::PLAIN };
         let end = now() + turn.time;
         let hog = std::thread::spawn(move || {
             let denied = thread::demand(&realtime(90), turn.period);
@@ -217,11 +184,7 @@ mod tests {
         let mut waiter = Waiter::new(&Realtime::PLAIN, turn.period);
         let measure = || wait(&mut waiter, &mut wakeups, turn);
         let denied = on_thread(&realtime(80), turn.period, measure, || {}).unwrap();
-        assert_eq!(
-            denied,
-            [],
-            "grant it, or leave it out: MRROC_LEAVE_OUT=realtime"
-        );
+        assert_eq!(denied, [], "grant it, or leave it out: MRROC_LEAVE_OUT=realtime");
         assert_eq!(hog.join().unwrap(), []);
         wakeups.causes.worst().collect()
     }

@@ -52,11 +52,7 @@ impl fmt::Display for Setting {
             Wait::Plain => "plain",
             Wait::Hybrid => "hybrid",
         };
-        let Self {
-            period_us,
-            priority,
-            ..
-        } = self;
+        let Self { period_us, priority, .. } = self;
         write!(f, "period {period_us} µs, {wait} wait, ")?;
         match self.scheduler {
             Scheduler::Fifo => write!(f, "SCHED_FIFO {priority}, ")?,
@@ -116,12 +112,7 @@ pub(super) struct Side {
 
 impl Side {
     pub(super) fn of(late: &Counts, missed: Option<u64>, cost: Option<WaitReport>) -> Self {
-        Self {
-            late: percentiles(late),
-            cycles: late.len(),
-            missed,
-            cost: cost.map(WaitCost::from),
-        }
+        Self { late: percentiles(late), cycles: late.len(), missed, cost: cost.map(WaitCost::from) }
     }
 }
 
@@ -154,10 +145,7 @@ impl JitterReport {
         let fits = verdict::fits(&ours.late, setting.period_us, ours.cycles, skipped);
         let tail = (peer.as_ref()).map(|peer| verdict::tail(&ours.late, &peer.late));
         let causes = late.causes();
-        let worst = late.worst().map(|worst| Late {
-            late_us: microseconds(worst.late),
-            cause: worst.cause.name(),
-        });
+        let worst = late.worst().map(|worst| Late { late_us: microseconds(worst.late), cause: worst.cause.name() });
         Self {
             verdict: verdict::words(&fits, tail.as_ref(), ours.cycles, !setting.load.is_empty()),
             fits,
@@ -186,12 +174,8 @@ impl fmt::Display for JitterReport {
             "late by, µs", "p50", "p99", "p99.9", "max", "cycles", "missed"
         )?;
         let mut side = |name: &str, side: &Side| {
-            let missed = side
-                .missed
-                .map_or("-".to_owned(), |missed| missed.to_string());
-            let late = columns(&side.late)
-                .map(|late| format!("{late:>10.3}"))
-                .join(" ");
+            let missed = side.missed.map_or("-".to_owned(), |missed| missed.to_string());
+            let late = columns(&side.late).map(|late| format!("{late:>10.3}")).join(" ");
             writeln!(f, "{name:11} {late} {:>10} {missed:>8}", side.cycles)
         };
         side("ours", &self.ours)?;
@@ -207,56 +191,32 @@ impl fmt::Display for JitterReport {
             writeln!(f, "{:11} {}", "ratio", ratio.join(" "))?;
         }
         if let Some(cell) = &self.cell {
-            let times = [
-                ("wake-up", cell.wake_us),
-                ("step", cell.step_us),
-                ("bus", cell.bus_us),
-            ];
+            let times = [("wake-up", cell.wake_us), ("step", cell.step_us), ("bus", cell.bus_us)];
             // The time of an answer is unknown for a tty.
             for (name, times) in times.into_iter().filter(|(_, times)| times.max > 0.0) {
                 let times = columns(&times).map(|time| format!("{time:>10.3}"));
                 writeln!(f, "{name:11} {}", times.join(" "))?;
             }
-            writeln!(
-                f,
-                "\nours is from deadline to SYNC; cell {}: {}",
-                cell.name, cell.state
-            )?;
+            writeln!(f, "\nours is from deadline to SYNC; cell {}: {}", cell.name, cell.state)?;
             for wire in &cell.wire {
                 write!(f, "{wire}")?;
             }
         }
         writeln!(f)?;
         if let Some(cost) = self.ours.cost.filter(|cost| cost.spin_percent > 0.0) {
-            writeln!(
-                f,
-                "woken {:.0} µs early, {:.1} % of a core spent spinning",
-                cost.margin_us, cost.spin_percent
-            )?;
+            writeln!(f, "woken {:.0} µs early, {:.1} % of a core spent spinning", cost.margin_us, cost.spin_percent)?;
         }
         let causes = self.causes.iter().filter(|(_, count)| **count > 0);
-        let causes: Vec<_> = causes
-            .map(|(cause, count)| format!("{cause} {count}"))
-            .collect();
+        let causes: Vec<_> = causes.map(|(cause, count)| format!("{cause} {count}")).collect();
         if !causes.is_empty() {
-            writeln!(
-                f,
-                "more than {} µs late: {}",
-                self.setting.period_us / 100.0,
-                causes.join(", ")
-            )?;
+            writeln!(f, "more than {} µs late: {}", self.setting.period_us / 100.0, causes.join(", "))?;
             let worst = self.worst.iter();
-            let worst: Vec<_> = worst
-                .map(|late| format!("{:.0} µs {}", late.late_us, late.cause))
-                .collect();
+            let worst: Vec<_> = worst.map(|late| format!("{:.0} µs {}", late.late_us, late.cause)).collect();
             writeln!(f, "the worst: {}", worst.join(", "))?;
         }
         if self.setting.stolen_ms > 0 {
             let stolen = self.setting.stolen_ms;
-            writeln!(
-                f,
-                "the hypervisor took {stolen} ms from all processors meanwhile"
-            )?;
+            writeln!(f, "the hypervisor took {stolen} ms from all processors meanwhile")?;
         }
         for denied in &self.setting.denied {
             writeln!(f, "denied: {denied}")?;

@@ -56,12 +56,8 @@ impl Grade {
     fn words(self) -> &'static str {
         match self {
             Self::Good => "good, every wake-up within a twentieth of it",
-            Self::GoodEnough => {
-                "good enough, 999 of 1000 within a twentieth of it and all within half"
-            }
-            Self::SkipsCycles => {
-                "only where a late cycle does no harm, some are later than half of it"
-            }
+            Self::GoodEnough => "good enough, 999 of 1000 within a twentieth of it and all within half",
+            Self::SkipsCycles => "only where a late cycle does no harm, some are later than half of it",
             Self::NotFit => "not fit, more than one in 1000 is later than half of it",
         }
     }
@@ -92,19 +88,13 @@ pub(super) fn fits(late: &Percentiles, period: f64, cycles: u64, skipped: u64) -
     }
     let own = Some(period).filter(|own| !USUAL.contains(own));
     let periods = USUAL.into_iter().chain(own);
-    let fit = |period_us| Fit {
-        period_us,
-        grade: Grade::of(late, period_us, cycles, skipped),
-    };
+    let fit = |period_us| Fit { period_us, grade: Grade::of(late, period_us, cycles, skipped) };
     periods.map(fit).collect()
 }
 
 /// Splits the latency tail into the share that the peer suffered in the same run and the share of our thread.
 pub(super) fn tail(ours: &Percentiles, peer: &Percentiles) -> Tail {
-    Tail {
-        host: each(ours, peer, f64::min),
-        own: each(ours, peer, |ours, peer| (ours - peer).max(0.0)),
-    }
+    Tail { host: each(ours, peer, f64::min), own: each(ours, peer, |ours, peer| (ours - peer).max(0.0)) }
 }
 
 /// Combines our percentiles with those of the peer, one by one.
@@ -138,10 +128,7 @@ pub(super) fn words(fits: &[Fit], tail: Option<&Tail>, cycles: u64, loaded: bool
     }
     match (cycles < ENOUGH, loaded) {
         (true, _) => {
-            let _ = write!(
-                said,
-                "; provisional: {cycles} cycles, {ENOUGH} say something of p99.9"
-            );
+            let _ = write!(said, "; provisional: {cycles} cycles, {ENOUGH} say something of p99.9");
         }
         (false, false) => said += "; provisional: the host was not loaded (--load)",
         (false, true) => {}
@@ -154,12 +141,7 @@ mod tests {
     use super::*;
 
     fn late(p50: f64, p99: f64, p999: f64, max: f64) -> Percentiles {
-        Percentiles {
-            p50,
-            p99,
-            p999,
-            max,
-        }
+        Percentiles { p50, p99, p999, max }
     }
 
     #[test]
@@ -168,26 +150,16 @@ mod tests {
             (late(0.1, 0.2, 10.0, 50.0), [Grade::Good, Grade::Good]),
             (late(0.1, 0.2, 10.0, 90.0), [Grade::GoodEnough, Grade::Good]),
             (late(0.1, 0.2, 50.0, 500.0), [Grade::GoodEnough; 2]),
-            (
-                late(0.1, 0.2, 51.0, 900.0),
-                [Grade::SkipsCycles, Grade::GoodEnough],
-            ),
+            (late(0.1, 0.2, 51.0, 900.0), [Grade::SkipsCycles, Grade::GoodEnough]),
             (late(0.1, 0.2, 50.0, 1001.0), [Grade::SkipsCycles; 2]),
-            (
-                late(0.1, 9.0, 501.0, 502.0),
-                [Grade::NotFit, Grade::SkipsCycles],
-            ),
+            (late(0.1, 9.0, 501.0, 502.0), [Grade::NotFit, Grade::SkipsCycles]),
             (late(0.1, 9.0, 1001.0, 5000.0), [Grade::NotFit; 2]),
         ] {
-            let found: Vec<_> = fits(&late, 1000.0, ENOUGH, 0)
-                .iter()
-                .map(|fit| fit.grade)
-                .collect();
+            let found: Vec<_> = fits(&late, 1000.0, ENOUGH, 0).iter().map(|fit| fit.grade).collect();
             assert_eq!(found, grades, "{late:?}");
         }
-        let periods: Vec<_> = (fits(&late(0.0, 0.0, 0.0, 0.0), 250.0, ENOUGH, 0).iter())
-            .map(|fit| fit.period_us)
-            .collect();
+        let periods: Vec<_> =
+            (fits(&late(0.0, 0.0, 0.0, 0.0), 250.0, ENOUGH, 0).iter()).map(|fit| fit.period_us).collect();
         assert_eq!(periods, [1000.0, 2000.0, 250.0]);
     }
 
@@ -202,11 +174,7 @@ mod tests {
             (0, 5, None),
         ] {
             let fits = fits(&calm, 1000.0, cycles, skipped);
-            assert_eq!(
-                fits.first().map(|fit| fit.grade),
-                expected,
-                "{cycles} {skipped}"
-            );
+            assert_eq!(fits.first().map(|fit| fit.grade), expected, "{cycles} {skipped}");
         }
         assert_eq!(words(&[], None, 0, true), "nothing was measured");
     }
@@ -218,12 +186,7 @@ mod tests {
         assert_eq!((tail.host.p999, tail.own.p999), (280.0, 20.0));
         assert_eq!((tail.host.max, tail.own.max), (5000.0, 0.0));
         let said = words(&fits(&ours, 1000.0, ENOUGH, 0), Some(&tail), ENOUGH, true);
-        for needle in [
-            "1000 µs: only where",
-            "2000 µs:",
-            "280.0 µs at p99.9",
-            "20.0 and 0.0",
-        ] {
+        for needle in ["1000 µs: only where", "2000 µs:", "280.0 µs at p99.9", "20.0 and 0.0"] {
             assert!(said.contains(needle), "{said}");
         }
         assert!(!said.contains("provisional"));
@@ -231,15 +194,11 @@ mod tests {
 
     #[test]
     fn a_short_or_an_idle_run_is_provisional_and_says_why() {
-        for (cycles, loaded, needle) in [
-            (ENOUGH - 1, true, "provisional: 99999 cycles"),
-            (ENOUGH, false, "provisional: the host was not loaded"),
-        ] {
+        for (cycles, loaded, needle) in
+            [(ENOUGH - 1, true, "provisional: 99999 cycles"), (ENOUGH, false, "provisional: the host was not loaded")]
+        {
             let said = words(&[], None, cycles, loaded);
-            assert!(
-                said.contains(needle) && said.contains("--against"),
-                "{said}"
-            );
+            assert!(said.contains(needle) && said.contains("--against"), "{said}");
         }
     }
 }

@@ -12,9 +12,7 @@ pub(super) fn request(frame: &Frame) -> Option<String> {
         lss::Request::SwitchSelective { part, value } => {
             format!("select {part} {value:#010x}")
         }
-        lss::Request::ConfigureNodeId {
-            node_id: lss::UNCONFIGURED,
-        } => "take the node-ID away".to_owned(),
+        lss::Request::ConfigureNodeId { node_id: lss::UNCONFIGURED } => "take the node-ID away".to_owned(),
         lss::Request::ConfigureNodeId { node_id } => format!("configure node-ID {node_id}"),
         lss::Request::ConfigureBitTiming { table, index } => {
             let rate = BitRate::from_index(index).filter(|_| table == lss::CIA_TABLE);
@@ -34,16 +32,11 @@ pub(super) fn request(frame: &Frame) -> Option<String> {
             format!("identify, {bound:?} {value:#010x}")
         }
         lss::Request::IdentifyUnconfigured => "identify unconfigured nodes".to_owned(),
-        lss::Request::Fastscan(scan) if scan.bit == lss::FASTSCAN_RESET => {
-            "fastscan, who is unconfigured".to_owned()
-        }
+        lss::Request::Fastscan(scan) if scan.bit == lss::FASTSCAN_RESET => "fastscan, who is unconfigured".to_owned(),
         lss::Request::Fastscan(scan) => {
             let part = Part::ALL.into_iter().find(|part| part.index() == scan.sub);
             let part = part.map_or("number".to_owned(), |part| part.to_string());
-            format!(
-                "fastscan {part} {:#010x} down to bit {}",
-                scan.number, scan.bit
-            )
+            format!("fastscan {part} {:#010x} down to bit {}", scan.number, scan.bit)
         }
     };
     Some(format!("LSS {text}"))
@@ -62,9 +55,7 @@ pub(super) fn response(frame: &Frame) -> Option<String> {
         lss::Response::Inquired { part, value } => {
             format!("{part} {value:#010x}")
         }
-        lss::Response::NodeId {
-            node_id: lss::UNCONFIGURED,
-        } => "no node-ID".to_owned(),
+        lss::Response::NodeId { node_id: lss::UNCONFIGURED } => "no node-ID".to_owned(),
         lss::Response::NodeId { node_id } => format!("node-ID {node_id}"),
         lss::Response::Identified => "identified".to_owned(),
         lss::Response::Unconfigured => "unconfigured".to_owned(),

@@ -12,10 +12,8 @@ mod transfers;
 fn parse(text: &str) -> Frame {
     let (id, data) = text.split_once('#').unwrap();
     let raw = u32::from_str_radix(id, 16).unwrap();
-    let bytes: Vec<u8> = (0..data.len())
-        .step_by(2)
-        .map(|at| u8::from_str_radix(&data[at..at + 2], 16).unwrap())
-        .collect();
+    let bytes: Vec<u8> =
+        (0..data.len()).step_by(2).map(|at| u8::from_str_radix(&data[at..at + 2], 16).unwrap()).collect();
     match id.len() {
         3 => Frame::new(StandardId::new(raw as u16).unwrap(), &bytes).unwrap(),
         _ => Frame::new(ExtendedId::new(raw).unwrap(), &bytes).unwrap(),
@@ -24,11 +22,7 @@ fn parse(text: &str) -> Frame {
 
 fn check(decoder: &Decoder, table: &[(&str, Kind, Option<u8>, &str)]) {
     for (frame, kind, node, text) in table {
-        let expected = Described {
-            kind: *kind,
-            node: node.and_then(NodeId::new),
-            text: (*text).to_owned(),
-        };
+        let expected = Described { kind: *kind, node: node.and_then(NodeId::new), text: (*text).to_owned() };
         // Each frame is described by a fresh copy of the decoder.
         let described = decoder.clone().describe(&parse(frame), Instant::ZERO);
         assert_eq!(described, expected, "{frame}");
@@ -51,25 +45,10 @@ fn network_management_is_told_in_words() {
             ("702#7F", Heartbeat, Some(2), "pre-operational"),
             ("702#05", Heartbeat, Some(2), "operational"),
             ("702#85", Heartbeat, Some(2), "operational, toggle bit set"),
-            (
-                "702#FF",
-                Heartbeat,
-                Some(2),
-                "pre-operational, toggle bit set",
-            ),
+            ("702#FF", Heartbeat, Some(2), "pre-operational, toggle bit set"),
             ("702#", Heartbeat, Some(2), "malformed heartbeat: "),
-            (
-                "100#952CB302313D",
-                Time,
-                None,
-                "TIME 2026-11-21 12:34:56.789",
-            ),
-            (
-                "100#000000003C00",
-                Time,
-                None,
-                "TIME 1984-03-01 00:00:00.000",
-            ),
+            ("100#952CB302313D", Time, None, "TIME 2026-11-21 12:34:56.789"),
+            ("100#000000003C00", Time, None, "TIME 1984-03-01 00:00:00.000"),
             ("100#00", Time, None, "malformed TIME: 00"),
         ],
     );
@@ -83,12 +62,7 @@ fn emergencies_are_told_by_the_vendors_own_texts() {
         &decoder,
         &[
             ("082#1023030000000000", Kind::Emcy, Some(2), over_current),
-            (
-                "082#0000000000000000",
-                Kind::Emcy,
-                Some(2),
-                "error gone; still present: none",
-            ),
+            ("082#0000000000000000", Kind::Emcy, Some(2), "error gone; still present: none"),
             (
                 "082#0CFF800102030405",
                 Kind::Emcy,
@@ -111,61 +85,26 @@ fn sdo_transfers_are_told_by_object_and_value() {
     check(
         &Decoder::default(),
         &[
-            (
-                "602#4041600000000000",
-                Sdo,
-                Some(2),
-                "read 0x6041:00 statusword",
-            ),
+            ("602#4041600000000000", Sdo, Some(2), "read 0x6041:00 statusword"),
             (
                 "582#4B41600037070000",
                 Sdo,
                 Some(2),
                 "0x6041:00 statusword = 0x0737, 1847 (operation enabled, target reached)",
             ),
-            (
-                "602#2B4060000F000000",
-                Sdo,
-                Some(2),
-                "write 0x6040:00 controlword = 0x000f, 15 (enable operation)",
-            ),
-            (
-                "582#6040600000000000",
-                Sdo,
-                Some(2),
-                "0x6040:00 controlword taken",
-            ),
-            (
-                "602#237A6000FEFFFFFF",
-                Sdo,
-                Some(2),
-                "write 0x607a:00 target position = 0xfffffffe, -2",
-            ),
+            ("602#2B4060000F000000", Sdo, Some(2), "write 0x6040:00 controlword = 0x000f, 15 (enable operation)"),
+            ("582#6040600000000000", Sdo, Some(2), "0x6040:00 controlword taken"),
+            ("602#237A6000FEFFFFFF", Sdo, Some(2), "write 0x607a:00 target position = 0xfffffffe, -2"),
             (
                 "582#8041600002000106",
                 Sdo,
                 Some(2),
                 "aborts 0x6041:00 statusword: 0x06010002 (attempt to write a read-only object)",
             ),
-            (
-                "602#80FF5F0000000405",
-                Sdo,
-                Some(2),
-                "client aborts 0x5fff:00: 0x05040000 (SDO protocol timed out)",
-            ),
-            (
-                "582#4108100005000000",
-                Sdo,
-                Some(2),
-                "0x1008:00 manufacturer device name: 5 bytes in segments",
-            ),
+            ("602#80FF5F0000000405", Sdo, Some(2), "client aborts 0x5fff:00: 0x05040000 (SDO protocol timed out)"),
+            ("582#4108100005000000", Sdo, Some(2), "0x1008:00 manufacturer device name: 5 bytes in segments"),
             ("602#6000000000000000", Sdo, Some(2), "next segment, please"),
-            (
-                "582#0545504F53340000",
-                Sdo,
-                Some(2),
-                "last segment 45 50 4f 53 34 \"EPOS4\"",
-            ),
+            ("582#0545504F53340000", Sdo, Some(2), "last segment 45 50 4f 53 34 \"EPOS4\""),
             ("602#40", Sdo, Some(2), "malformed SDO: 40"),
         ],
     );
@@ -176,35 +115,20 @@ fn pdos_are_told_by_their_mapping_where_it_is_known() {
     let node = NodeId::new(2).unwrap();
     let mut decoder = Decoder::default();
     let tpdo = |entries: &[Entry]| {
-        let pdo = Pdo {
-            node,
-            kind: PdoKind::Tpdo,
-            number: PdoNumber::One,
-            entries: entries.to_vec(),
-        };
+        let pdo = Pdo { node, kind: PdoKind::Tpdo, number: PdoNumber::One, entries: entries.to_vec() };
         PdoMap::from([(0x182, pdo)])
     };
-    check(
-        &decoder,
-        &[
-            ("182#3702", Kind::Pdo, Some(2), "TPDO 1: 37 02"),
-            ("302#", Kind::Pdo, Some(2), "RPDO 2: "),
-        ],
-    );
+    check(&decoder, &[("182#3702", Kind::Pdo, Some(2), "TPDO 1: 37 02"), ("302#", Kind::Pdo, Some(2), "RPDO 2: ")]);
     decoder.add_pdos(tpdo(&[
         Entry::new(STATUSWORD, 16),
         Entry::new(POSITION_ACTUAL, 32),
         Entry::new(TORQUE_ACTUAL, 16),
     ]));
     let whole = "TPDO 1: statusword 0x0237 (operation enabled); position actual value -2; torque actual value 12";
-    let short =
-        "TPDO 1: statusword 0x0237 (operation enabled); too short for its mapping; and fe ff";
+    let short = "TPDO 1: statusword 0x0237 (operation enabled); too short for its mapping; and fe ff";
     check(
         &decoder,
-        &[
-            ("182#3702FEFFFFFF0C00", Kind::Pdo, Some(2), whole),
-            ("182#3702FEFF", Kind::Pdo, Some(2), short),
-        ],
+        &[("182#3702FEFFFFFF0C00", Kind::Pdo, Some(2), whole), ("182#3702FEFF", Kind::Pdo, Some(2), short)],
     );
     // Single bits, dummy entries, an object without a name, and a PDO with more bytes than are mapped.
     decoder.add_pdos(tpdo(&[
@@ -224,57 +148,17 @@ fn layer_setting_services_are_told_in_words() {
     check(
         &Decoder::default(),
         &[
-            (
-                "7E5#0401000000000000",
-                Lss,
-                None,
-                "LSS all nodes to configuration",
-            ),
-            (
-                "7E5#0400000000000000",
-                Lss,
-                None,
-                "LSS all nodes to waiting",
-            ),
-            (
-                "7E5#40FB000000000000",
-                Lss,
-                None,
-                "LSS select vendor-ID 0x000000fb",
-            ),
+            ("7E5#0401000000000000", Lss, None, "LSS all nodes to configuration"),
+            ("7E5#0400000000000000", Lss, None, "LSS all nodes to waiting"),
+            ("7E5#40FB000000000000", Lss, None, "LSS select vendor-ID 0x000000fb"),
             ("7E4#4400000000000000", Lss, None, "LSS selected"),
             ("7E5#1105000000000000", Lss, None, "LSS configure node-ID 5"),
-            (
-                "7E5#11FF000000000000",
-                Lss,
-                None,
-                "LSS take the node-ID away",
-            ),
-            (
-                "7E4#1101000000000000",
-                Lss,
-                None,
-                "LSS node-ID: refused, out of range or not supported",
-            ),
+            ("7E5#11FF000000000000", Lss, None, "LSS take the node-ID away"),
+            ("7E4#1101000000000000", Lss, None, "LSS node-ID: refused, out of range or not supported"),
             ("7E4#1700000000000000", Lss, None, "LSS store: done"),
-            (
-                "7E4#5D78563412000000",
-                Lss,
-                None,
-                "LSS serial number 0x12345678",
-            ),
-            (
-                "7E5#5100000000800000",
-                Lss,
-                None,
-                "LSS fastscan, who is unconfigured",
-            ),
-            (
-                "7E5#51FB0000001F0000",
-                Lss,
-                None,
-                "LSS fastscan vendor-ID 0x000000fb down to bit 31",
-            ),
+            ("7E4#5D78563412000000", Lss, None, "LSS serial number 0x12345678"),
+            ("7E5#5100000000800000", Lss, None, "LSS fastscan, who is unconfigured"),
+            ("7E5#51FB0000001F0000", Lss, None, "LSS fastscan vendor-ID 0x000000fb down to bit 31"),
             ("7E4#4F00000000000000", Lss, None, "LSS identified"),
             ("7E4#04", Lss, None, "malformed LSS: 04"),
         ],
@@ -303,9 +187,7 @@ fn no_frame_is_too_odd_to_be_told() {
         node: NodeId::MAX,
         kind: PdoKind::Rpdo,
         number: PdoNumber::Four,
-        entries: (0..=u8::MAX)
-            .map(|bits| Entry::new(Object::new(0x6064, 0), bits))
-            .collect(),
+        entries: (0..=u8::MAX).map(|bits| Entry::new(Object::new(0x6064, 0), bits)).collect(),
     };
     decoder.add_pdos(PdoMap::from([(0x57F, pdo)]));
     // A random walk with a fixed seed over identifiers, lengths and bytes.

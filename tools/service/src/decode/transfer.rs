@@ -114,20 +114,12 @@ pub(super) struct Channel {
 impl Channel {
     /// A channel without a transfer under way.
     pub(super) fn idle(node: NodeId) -> Self {
-        Self {
-            node,
-            state: SessionState::Idle,
-            last: Instant::ZERO,
-        }
+        Self { node, state: SessionState::Idle, last: Instant::ZERO }
     }
 
     /// A channel that is observed since `began`, possibly from the middle of a transfer on.
     pub(super) fn listened_to_since(node: NodeId, began: Instant) -> Self {
-        Self {
-            node,
-            state: SessionState::Unknown(None),
-            last: began,
-        }
+        Self { node, state: SessionState::Unknown(None), last: began }
     }
 
     /// Processes a frame.
@@ -140,12 +132,10 @@ impl Channel {
         self.resolve(side, frame, quiet);
         match self.state {
             SessionState::Unknown(_) => self.unknown(side, frame),
-            SessionState::Block(block) if block.expects(side) => {
-                match Asked::of(frame, self.node).filter(|_| quiet) {
-                    Some(asked) if !block.is_next(frame) => self.ask(asked),
-                    _ => self.segment(block, side, frame, quiet),
-                }
-            }
+            SessionState::Block(block) if block.expects(side) => match Asked::of(frame, self.node).filter(|_| quiet) {
+                Some(asked) if !block.is_next(frame) => self.ask(asked),
+                _ => self.segment(block, side, frame, quiet),
+            },
             _ => self.command(side, frame),
         }
     }
@@ -178,14 +168,11 @@ impl Channel {
             return Some(SessionState::Asked(asked));
         }
         match (sender, first(frame), first(answer)) {
-            (Side::Client, 0x00..=0x1F, 0x20 | 0x30) => Some(SessionState::DownloadSegments {
-                object: None,
-                last: is_last_of_segments(frame),
-            }),
-            (Side::Client, 0x60 | 0x70, 0x00..=0x1F) => Some(SessionState::UploadSegments(None)),
-            (Side::Client, 0xA3, 0x01 | 0x81) => {
-                Some(Block::at(Side::Server, Stage::Segments, MAX_BLOCK_SIZE))
+            (Side::Client, 0x00..=0x1F, 0x20 | 0x30) => {
+                Some(SessionState::DownloadSegments { object: None, last: is_last_of_segments(frame) })
             }
+            (Side::Client, 0x60 | 0x70, 0x00..=0x1F) => Some(SessionState::UploadSegments(None)),
+            (Side::Client, 0xA3, 0x01 | 0x81) => Some(Block::at(Side::Server, Stage::Segments, MAX_BLOCK_SIZE)),
             (_, _, ACKNOWLEDGE) => Block::complete(sender, frame, answer),
             (_, end, 0xA1) if is_end(end) => Some(Block::at(sender, Stage::Ended, 0)),
             _ => None,
@@ -195,11 +182,7 @@ impl Channel {
     fn unknown(&mut self, side: Side, frame: &Frame) -> Reading {
         self.state = SessionState::Unknown(Some((side, *frame)));
         // The segments of a block transfer are numbered from 1.
-        if first(frame) == 0 {
-            Reading::Command(None)
-        } else {
-            Reading::Unknown
-        }
+        if first(frame) == 0 { Reading::Command(None) } else { Reading::Unknown }
     }
 
     /// Processes a frame within a sub-block from the side that sends the data.
@@ -243,24 +226,18 @@ impl Channel {
             (SessionState::DownloadSegments { object, last: true }, Side::Server, 0x20 | 0x30) => {
                 (Some(SessionState::Idle), object)
             }
-            (SessionState::UploadSegments(object), Side::Server, 0x00..=0x1F)
-                if is_last_of_segments(frame) =>
-            {
+            (SessionState::UploadSegments(object), Side::Server, 0x00..=0x1F) if is_last_of_segments(frame) => {
                 (Some(SessionState::Idle), object)
             }
-            (
-                SessionState::DownloadSegments { object, .. }
-                | SessionState::UploadSegments(object),
-                ..,
-            ) => (None, object),
+            (SessionState::DownloadSegments { object, .. } | SessionState::UploadSegments(object), ..) => {
+                (None, object)
+            }
             (SessionState::Block(block), ..) => match (block.commanded(side, frame), side) {
                 (None, Side::Client) => return self.unknown(side, frame),
                 (state, _) => (state, block.object),
             },
             // An answer to a client that has already given up.
-            (SessionState::Unknown(_) | SessionState::Idle | SessionState::Asked(_), ..) => {
-                (None, None)
-            }
+            (SessionState::Unknown(_) | SessionState::Idle | SessionState::Asked(_), ..) => (None, None),
         };
         self.state = state.unwrap_or(self.state);
         Reading::Command(object)
@@ -276,15 +253,10 @@ impl Asked {
                 Initiate::Segmented { .. } => Self::DownloadSegments(object),
             },
             Request::InitiateUpload { object } => Self::UploadSegments(object),
-            Request::Block(block::Request::InitiateDownload { object, .. }) => {
-                Self::BlockDownload(object)
+            Request::Block(block::Request::InitiateDownload { object, .. }) => Self::BlockDownload(object),
+            Request::Block(block::Request::InitiateUpload { object, block_size, .. }) => {
+                Self::BlockUpload { object, size: block_size.min(MAX_BLOCK_SIZE) }
             }
-            Request::Block(block::Request::InitiateUpload {
-                object, block_size, ..
-            }) => Self::BlockUpload {
-                object,
-                size: block_size.min(MAX_BLOCK_SIZE),
-            },
             _ => return None,
         })
     }
@@ -292,14 +264,9 @@ impl Asked {
     /// State of the channel after `answer`; `None` if the frame of the server does not answer this request.
     fn begun(self, answer: &Frame, node: NodeId) -> Option<SessionState> {
         let (asked, object, state) = match (self, Response::decode(answer, node)?) {
-            (Self::Expedited(asked), Response::InitiateDownload { object }) => {
-                (asked, object, SessionState::Idle)
-            }
+            (Self::Expedited(asked), Response::InitiateDownload { object }) => (asked, object, SessionState::Idle),
             (Self::DownloadSegments(asked), Response::InitiateDownload { object }) => {
-                let state = SessionState::DownloadSegments {
-                    object: Some(object),
-                    last: false,
-                };
+                let state = SessionState::DownloadSegments { object: Some(object), last: false };
                 (asked, object, state)
             }
             // A server may answer a request for a block upload with an expedited or segmented upload.
@@ -308,40 +275,23 @@ impl Asked {
                 Response::InitiateUpload { object, initiate },
             ) => match initiate {
                 Initiate::Expedited(_) => (asked, object, SessionState::Idle),
-                Initiate::Segmented { .. } => {
-                    (asked, object, SessionState::UploadSegments(Some(object)))
-                }
+                Initiate::Segmented { .. } => (asked, object, SessionState::UploadSegments(Some(object))),
             },
             (
                 Self::BlockDownload(asked),
-                Response::Block(block::Response::InitiateDownload {
-                    object, block_size, ..
-                }),
+                Response::Block(block::Response::InitiateDownload { object, block_size, .. }),
             ) => {
-                let block = Block {
-                    stage: Stage::Segments,
-                    size: block_size,
-                    ..Block::new(Side::Client, Some(object))
-                };
+                let block =
+                    Block { stage: Stage::Segments, size: block_size, ..Block::new(Side::Client, Some(object)) };
                 let valid = (1..=MAX_BLOCK_SIZE).contains(&block_size);
-                let state = if valid {
-                    SessionState::Block(block)
-                } else {
-                    SessionState::Idle
-                };
+                let state = if valid { SessionState::Block(block) } else { SessionState::Idle };
                 (asked, object, state)
             }
             (
-                Self::BlockUpload {
-                    object: asked,
-                    size,
-                },
+                Self::BlockUpload { object: asked, size },
                 Response::Block(block::Response::InitiateUpload { object, .. }),
             ) => {
-                let block = Block {
-                    size,
-                    ..Block::new(Side::Server, Some(object))
-                };
+                let block = Block { size, ..Block::new(Side::Server, Some(object)) };
                 (asked, object, SessionState::Block(block))
             }
             _ => return None,
@@ -352,23 +302,12 @@ impl Asked {
 
 impl Block {
     const fn new(sender: Side, object: Option<Object>) -> Self {
-        Self {
-            sender,
-            object,
-            stage: Stage::Start,
-            size: 0,
-            sent: 0,
-            last: false,
-        }
+        Self { sender, object, stage: Stage::Start, size: 0, sent: 0, last: false }
     }
 
     /// A transfer of an unknown object at this stage, with sub-blocks of `size` segments.
     const fn at(sender: Side, stage: Stage, size: u8) -> SessionState {
-        SessionState::Block(Self {
-            stage,
-            size,
-            ..Self::new(sender, None)
-        })
+        SessionState::Block(Self { stage, size, ..Self::new(sender, None) })
     }
 
     /// Whether segments of `side` are due.
@@ -402,9 +341,7 @@ impl Block {
         let to = |stage| Some(SessionState::Block(Self { stage, ..self }));
         match (self.stage, side == self.sender, first(frame)) {
             (Stage::Start, false, 0xA3) => to(Stage::Segments),
-            (Stage::Segments | Stage::Acknowledge, false, ACKNOWLEDGE) => {
-                Some(self.acknowledged(frame))
-            }
+            (Stage::Segments | Stage::Acknowledge, false, ACKNOWLEDGE) => Some(self.acknowledged(frame)),
             (Stage::End, true, specifier) if is_end(specifier) => to(Stage::Ended),
             (Stage::Ended, false, 0xA1) => Some(SessionState::Idle),
             // The client ends an upload, although the checksum was not seen.
@@ -419,21 +356,12 @@ impl Block {
             return SessionState::Unknown(None);
         };
         if sequence == self.sent && self.last {
-            return SessionState::Block(Self {
-                stage: Stage::End,
-                ..self
-            });
+            return SessionState::Block(Self { stage: Stage::End, ..self });
         }
         if sequence > self.sent || !(1..=MAX_BLOCK_SIZE).contains(&size) {
             return SessionState::Unknown(None);
         }
-        SessionState::Block(Self {
-            stage: Stage::Segments,
-            size,
-            sent: 0,
-            last: false,
-            ..self
-        })
+        SessionState::Block(Self { stage: Stage::Segments, size, sent: 0, last: false, ..self })
     }
 }
 

@@ -36,12 +36,7 @@ struct Slave {
 
 impl Slave {
     fn agrees(&mut self, question: Fastscan) -> bool {
-        let Fastscan {
-            number,
-            bit,
-            sub,
-            next,
-        } = question;
+        let Fastscan { number, bit, sub, next } = question;
         match (self.oddity, self.mode) {
             (Oddity::AnswersAlways, _) | (Oddity::AnswersConfigured, Mode::Configuration) => {
                 return true;
@@ -88,35 +83,20 @@ impl Device for Slave {
 }
 
 fn identity(serial: u32) -> Identity {
-    Identity {
-        vendor: 0x0000_0388,
-        product: 1,
-        revision: 0xFFFF_FFFF,
-        serial,
-    }
+    Identity { vendor: 0x0000_0388, product: 1, revision: 0xFFFF_FFFF, serial }
 }
 
 /// Nodes that a scan of these slaves finds, in the order of the scan, and the error that ends it.
 fn scan(slaves: &[(u32, Oddity)]) -> (Vec<Identity>, Option<LssError>) {
     let mut stage = Stage::with(&[3]);
     for &(serial, oddity) in slaves {
-        let slave = Slave {
-            serial,
-            oddity,
-            mode: Mode::Configuration,
-            position: 0,
-            answers: VecDeque::new(),
-        };
+        let slave = Slave { serial, oddity, mode: Mode::Configuration, position: 0, answers: VecDeque::new() };
         stage.world.add_device(stage.bus, Box::new(slave));
     }
     let mut dialogue = Dialogue::scan(QUESTION);
     stage.hold(&mut dialogue);
     let last = stage.sent.last().map(|frame| frame.to_string());
-    assert_eq!(
-        last.as_deref(),
-        Some("7E5#0400000000000000"),
-        "all slaves are back in waiting mode"
-    );
+    assert_eq!(last.as_deref(), Some("7E5#0400000000000000"), "all slaves are back in waiting mode");
     dialogue.found()
 }
 
@@ -125,13 +105,7 @@ fn every_node_is_found_once_though_some_answer_everything_once_they_are_found() 
     use Oddity::{AnswersConfigured, None, StaysWaiting};
     for oddity in [None, AnswersConfigured, StaysWaiting] {
         for other in [None, AnswersConfigured, StaysWaiting] {
-            let table: [&[u32]; 5] = [
-                &[],
-                &[5],
-                &[5, 6],
-                &[u32::MAX, 0],
-                &[0x80, 0x7F, 0xC0, 0x8000_0000],
-            ];
+            let table: [&[u32]; 5] = [&[], &[5], &[5, 6], &[u32::MAX, 0], &[0x80, 0x7F, 0xC0, 0x8000_0000]];
             for serials in table {
                 let oddities = [oddity, other].into_iter().cycle();
                 let slaves: Vec<_> = serials.iter().copied().zip(oddities).collect();

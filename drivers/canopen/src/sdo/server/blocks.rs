@@ -92,29 +92,14 @@ impl Server {
                 let answer = self.begin_download(object, crc, size, dictionary, now);
                 (object, answer.map(Some))
             }
-            block::Request::InitiateUpload {
-                object,
-                crc,
-                block_size,
-                threshold,
-            } => {
-                let upload = Upload {
-                    size: 0,
-                    crc,
-                    block_size,
-                    sent: 0,
-                    phase: Phase::Offered,
-                };
+            block::Request::InitiateUpload { object, crc, block_size, threshold } => {
+                let upload = Upload { size: 0, crc, block_size, sent: 0, phase: Phase::Offered };
                 let answer = self.begin_upload(object, upload, threshold, dictionary, now);
                 (object, answer.map(Some))
             }
-            block::Request::EndDownload(end) => {
-                (transferred, self.end_download(end, dictionary).map(Some))
-            }
+            block::Request::EndDownload(end) => (transferred, self.end_download(end, dictionary).map(Some)),
             block::Request::StartUpload => (transferred, self.start_upload(now).map(|()| None)),
-            block::Request::Acknowledge(acknowledge) => {
-                (transferred, self.acknowledged(acknowledge, now))
-            }
+            block::Request::Acknowledge(acknowledge) => (transferred, self.acknowledged(acknowledge, now)),
             block::Request::EndUpload => (transferred, self.end_upload().map(|()| None)),
         }
     }
@@ -128,26 +113,13 @@ impl Server {
         now: Instant,
     ) -> Result<Response, AbortCode> {
         self.transfer = None;
-        let download = Download {
-            size: check_download(object, size, dictionary)?,
-            crc,
-            sequence: 0,
-            complete: false,
-        };
+        let download = Download { size: check_download(object, size, dictionary)?, crc, sequence: 0, complete: false };
         self.begin(object, Direction::BlockDownload(download), now);
-        Ok(Response::Block(block::Response::InitiateDownload {
-            object,
-            crc: true,
-            block_size: self.block_size,
-        }))
+        Ok(Response::Block(block::Response::InitiateDownload { object, crc: true, block_size: self.block_size }))
     }
 
     /// Takes a segment that comes in order, and acknowledges the segments at the end of the sub-block.
-    pub(super) fn append(
-        &mut self,
-        segment: Segment,
-        now: Instant,
-    ) -> Result<Option<Response>, AbortCode> {
+    pub(super) fn append(&mut self, segment: Segment, now: Instant) -> Result<Option<Response>, AbortCode> {
         let transfer = self.transfer.as_mut().ok_or(AbortCode::COMMAND_SPECIFIER)?;
         let Direction::BlockDownload(download) = &mut transfer.direction else {
             return Err(AbortCode::COMMAND_SPECIFIER);
@@ -158,33 +130,21 @@ impl Server {
         transfer.deadline = now + self.time_out;
         if segment.sequence() == download.sequence + 1 {
             let end = transfer.done + SEGMENT;
-            if download
-                .size
-                .is_some_and(|size| end >= size + SEGMENT && end > SEGMENT)
-            {
+            if download.size.is_some_and(|size| end >= size + SEGMENT && end > SEGMENT) {
                 return Err(AbortCode::TOO_LONG);
             }
-            self.buffer
-                .get_mut(transfer.done..end)
-                .ok_or(AbortCode::OUT_OF_MEMORY)?
-                .copy_from_slice(&segment.data);
+            self.buffer.get_mut(transfer.done..end).ok_or(AbortCode::OUT_OF_MEMORY)?.copy_from_slice(&segment.data);
             transfer.done = end;
             download.sequence += 1;
             download.complete = segment.last;
         }
         let ends = segment.last || segment.sequence() == self.block_size;
-        let acknowledge = ends.then(|| Acknowledge {
-            sequence: std::mem::take(&mut download.sequence),
-            block_size: self.block_size,
-        });
+        let acknowledge =
+            ends.then(|| Acknowledge { sequence: std::mem::take(&mut download.sequence), block_size: self.block_size });
         Ok(acknowledge.map(|taken| Response::Block(block::Response::Acknowledge(taken))))
     }
 
-    fn end_download<D: Dictionary>(
-        &mut self,
-        end: End,
-        dictionary: &mut D,
-    ) -> Result<Response, AbortCode> {
+    fn end_download<D: Dictionary>(&mut self, end: End, dictionary: &mut D) -> Result<Response, AbortCode> {
         let transfer = self.transfer.ok_or(AbortCode::COMMAND_SPECIFIER)?;
         let download = match transfer.direction {
             Direction::BlockDownload(download) if download.complete => download,
@@ -249,15 +209,8 @@ impl Server {
     }
 
     /// Goes on behind what came in order, or ends.
-    fn acknowledged(
-        &mut self,
-        acknowledge: Acknowledge,
-        now: Instant,
-    ) -> Result<Option<Response>, AbortCode> {
-        let Acknowledge {
-            sequence,
-            block_size,
-        } = acknowledge;
+    fn acknowledged(&mut self, acknowledge: Acknowledge, now: Instant) -> Result<Option<Response>, AbortCode> {
+        let Acknowledge { sequence, block_size } = acknowledge;
         let (upload, done) = self.upload_by_blocks(now)?;
         if !matches!(upload.phase, Phase::Sending | Phase::Sent) {
             return Err(AbortCode::COMMAND_SPECIFIER);
@@ -294,11 +247,7 @@ impl Server {
 }
 
 fn check_block_size(block_size: u8) -> Result<(), AbortCode> {
-    if (1..=MAX_BLOCK_SIZE).contains(&block_size) {
-        Ok(())
-    } else {
-        Err(AbortCode::BLOCK_SIZE)
-    }
+    if (1..=MAX_BLOCK_SIZE).contains(&block_size) { Ok(()) } else { Err(AbortCode::BLOCK_SIZE) }
 }
 
 #[cfg(test)]

@@ -17,19 +17,8 @@ fn a_drive_that_scales_as_the_cell_or_does_not_say_comes_up_and_another_is_refus
         (maxon(&[(0x6091, 1, 7), (0x6091, 2, 7)]), None),
         (maxon(&[(0x6092, 1, 2_000), (0x6092, 2, 1)]), None),
         // An encoder finer than the position units, with a feed constant that agrees with the cell.
-        (
-            maxon(&[
-                (0x608F, 1, 524_288),
-                (0x608F, 2, 1),
-                (0x6092, 1, 4_000),
-                (0x6092, 2, 2),
-            ]),
-            None,
-        ),
-        (
-            maxon(&[(0x608F, 1, 2_000), (0x6092, 1, 360)]),
-            Some((0x6092, "is 360 position units")),
-        ),
+        (maxon(&[(0x608F, 1, 524_288), (0x608F, 2, 1), (0x6092, 1, 4_000), (0x6092, 2, 2)]), None),
+        (maxon(&[(0x608F, 1, 2_000), (0x6092, 1, 360)]), Some((0x6092, "is 360 position units"))),
         (maxon(&[(0x608F, 1, 524_288)]), Some((0x608F, "is 524288 "))),
         (maxon(&[(0x3000, 5, 2_000)]), None),
         (maxon(&[(0x6076, 0, 100_000)]), None),
@@ -39,54 +28,25 @@ fn a_drive_that_scales_as_the_cell_or_does_not_say_comes_up_and_another_is_refus
         (another(&[(0x3000, 5, 1), (0x6076, 0, 101)]), None),
         (
             maxon(&[(0x608F, 1, 4_000), (0x608F, 2, 1)]),
-            Some((
-                0x608F,
-                "0x608f:01 is 4000 encoder increments per motor revolution, the cell says 2000",
-            )),
+            Some((0x608F, "0x608f:01 is 4000 encoder increments per motor revolution, the cell says 2000")),
         ),
-        (
-            maxon(&[(0x608F, 1, 2_000), (0x608F, 2, 2)]),
-            Some((0x608F, "is 2000/2 ")),
-        ),
-        (
-            maxon(&[(0x608F, 1, 0), (0x608F, 2, 0)]),
-            Some((0x608F, "is 0/0 ")),
-        ),
+        (maxon(&[(0x608F, 1, 2_000), (0x608F, 2, 2)]), Some((0x608F, "is 2000/2 "))),
+        (maxon(&[(0x608F, 1, 0), (0x608F, 2, 0)]), Some((0x608F, "is 0/0 "))),
         (maxon(&[(0x608F, 1, 500)]), Some((0x608F, "is 500 "))),
         (
             maxon(&[(0x6091, 1, 26), (0x6091, 2, 1)]),
-            Some((
-                0x6091,
-                "0x6091:01 is 26 motor revolutions per shaft revolution, the cell says 1: set 1/1",
-            )),
+            Some((0x6091, "0x6091:01 is 26 motor revolutions per shaft revolution, the cell says 1: set 1/1")),
         ),
-        (
-            maxon(&[(0x6092, 1, 360), (0x6092, 2, 1)]),
-            Some((0x6092, "is 360 position units per shaft revolution")),
-        ),
-        (
-            maxon(&[(0x3000, 5, 2_048)]),
-            Some((0x3000, "0x3000:05 is 2048 quadrature counts")),
-        ),
+        (maxon(&[(0x6092, 1, 360), (0x6092, 2, 1)]), Some((0x6092, "is 360 position units per shaft revolution"))),
+        (maxon(&[(0x3000, 5, 2_048)]), Some((0x3000, "0x3000:05 is 2048 quadrature counts"))),
         (
             maxon(&[(0x6076, 0, 101_001)]),
-            Some((
-                0x6076,
-                "101001 µN·m of rated torque, the cell says 100000: correct drive.rated_torque",
-            )),
+            Some((0x6076, "101001 µN·m of rated torque, the cell says 100000: correct drive.rated_torque")),
         ),
         (maxon(&[(0x6076, 0, 100)]), Some((0x6076, "is 100 µN·m"))),
-        (
-            another(&[(0x6076, 0, 100_000)]),
-            Some((0x6076, "100000 mN·m of rated torque, the cell says 100:")),
-        ),
+        (another(&[(0x6076, 0, 100_000)]), Some((0x6076, "100000 mN·m of rated torque, the cell says 100:"))),
     ];
-    for mode in [
-        CyclicMode::Csp,
-        CyclicMode::CspWithTorque,
-        CyclicMode::Csv,
-        CyclicMode::Cst,
-    ] {
+    for mode in [CyclicMode::Csp, CyclicMode::CspWithTorque, CyclicMode::Csv, CyclicMode::Cst] {
         for ((vendor, says), refusal) in table {
             let mut axis = axis_config(2);
             axis.mode = mode;

@@ -35,30 +35,16 @@ pub(super) fn axis_config(raw: u8) -> AxisConfig {
     let tau = std::f64::consts::TAU;
     AxisConfig {
         node: node(raw),
-        identity: Identity {
-            vendor: 0xFB,
-            product: Some(0x6050_0000),
-            revision: None,
-        },
+        identity: Identity { vendor: 0xFB, product: Some(0x6050_0000), revision: None },
         mode: CyclicMode::Csp,
         scale: Scale::new(2_000, 0.0).unwrap(),
         rated_torque: 0.1,
-        homing: HomingConfig {
-            method: 37,
-            search_speed: tau,
-            zero_speed: tau / 6.0,
-            acceleration: tau * 10.0,
-        },
+        homing: HomingConfig { method: 37, search_speed: tau, zero_speed: tau / 6.0, acceleration: tau * 10.0 },
         plausible_velocity: tau * 1_000.0,
         following_error: tau / 2.0,
         quick_stop_deceleration: tau * 100.0,
         configuration: Vec::new(),
-        parameters: vec![Parameter {
-            index: 0x3001,
-            subindex: 1,
-            value: 2_000,
-            bytes: 4,
-        }],
+        parameters: vec![Parameter { index: 0x3001, subindex: 1, value: 2_000, bytes: 4 }],
     }
 }
 
@@ -92,9 +78,7 @@ impl Port for BusEnd {
             return Err(error);
         }
         let count = into.len().min(bus.inbox.len());
-        into.iter_mut()
-            .zip(bus.inbox.drain(..count))
-            .for_each(|(to, from)| *to = from);
+        into.iter_mut().zip(bus.inbox.drain(..count)).for_each(|(to, from)| *to = from);
         Ok(count)
     }
 
@@ -120,10 +104,7 @@ pub(super) fn frame(text: &str) -> Frame {
 pub(super) fn answer(raw: u8, statusword: u16, position: i32) -> String {
     let [s0, s1] = statusword.to_le_bytes();
     let [a, b, c, d] = position.to_le_bytes();
-    format!(
-        "{:03X}#{s0:02X}{s1:02X}{a:02X}{b:02X}{c:02X}{d:02X}0000",
-        0x180 + u16::from(raw)
-    )
+    format!("{:03X}#{s0:02X}{s1:02X}{a:02X}{b:02X}{c:02X}{d:02X}0000", 0x180 + u16::from(raw))
 }
 
 /// The service side of a node: an object store that answers service requests only.
@@ -150,8 +131,7 @@ impl Store {
     /// An EPOS4 that is switched off and stands at 1000 increments.
     pub(super) fn epos4(raw: u8) -> Self {
         let mut objects = BTreeMap::new();
-        let mut put =
-            |index, subindex, bytes: &[u8]| objects.insert((index, subindex), bytes.to_vec());
+        let mut put = |index, subindex, bytes: &[u8]| objects.insert((index, subindex), bytes.to_vec());
         put(0x1000, 0, &[0x92, 0x01, 0x02, 0x00]);
         put(0x1016, 1, &[0; 4]);
         put(0x1017, 0, &[0; 2]);
@@ -217,21 +197,14 @@ impl Store {
         match (id, frame.data()) {
             (0, &[0x82, raw]) if raw == self.raw && self.boots => new(heartbeat, &[0]),
             (0, &[0x01, raw]) if raw == self.raw && self.starts => new(heartbeat, &[5]),
-            (id, &[specifier @ (0x00..0x20 | 0x60..0x80), ref data @ ..])
-                if id == 0x600 + u16::from(self.raw) =>
-            {
+            (id, &[specifier @ (0x00..0x20 | 0x60..0x80), ref data @ ..]) if id == 0x600 + u16::from(self.raw) => {
                 new(0x580 + u16::from(self.raw), &self.segment(specifier, data))
             }
-            (id, &[specifier, low, high, subindex, ref data @ ..])
-                if id == 0x600 + u16::from(self.raw) =>
-            {
+            (id, &[specifier, low, high, subindex, ref data @ ..]) if id == 0x600 + u16::from(self.raw) => {
                 let index = u16::from_le_bytes([low, high]);
                 let reply = self.serve(specifier, (index, subindex), data)?;
                 let [a, b, c, d] = reply.1;
-                new(
-                    0x580 + u16::from(self.raw),
-                    &[reply.0, low, high, subindex, a, b, c, d],
-                )
+                new(0x580 + u16::from(self.raw), &[reply.0, low, high, subindex, a, b, c, d])
             }
             _ => None,
         }
@@ -283,11 +256,7 @@ impl Store {
             bytes[..stored.len()].copy_from_slice(stored);
             return Some((0x43 | (4 - stored.len() as u8) << 2, bytes));
         }
-        assert_eq!(
-            specifier,
-            0x23 | (4 - stored.len() as u8) << 2,
-            "length of {object:04x?}"
-        );
+        assert_eq!(specifier, 0x23 | (4 - stored.len() as u8) << 2, "length of {object:04x?}");
         if self.forgetful != Some(object) {
             let length = stored.len();
             stored.copy_from_slice(&data[..length]);
@@ -319,10 +288,7 @@ impl Bench {
         Self {
             group: Cia402Group::new(bus.clone(), config, axes).unwrap(),
             bus,
-            stores: axes
-                .iter()
-                .map(|axis| Store::epos4(axis.node.raw()))
-                .collect(),
+            stores: axes.iter().map(|axis| Store::epos4(axis.node.raw())).collect(),
             now: Instant::ZERO,
             states: vec![AxisState::default(); axes.len()],
             seen: 0,
@@ -360,29 +326,18 @@ impl Bench {
         let at = self.now + PERIOD / 2;
         for i in self.seen..bus.sent.len() {
             let frame = bus.sent[i];
-            let replies = self
-                .stores
-                .iter_mut()
-                .filter_map(|store| store.handle(&frame));
-            bus.inbox
-                .extend(replies.map(|frame| Received { frame, at }));
+            let replies = self.stores.iter_mut().filter_map(|store| store.handle(&frame));
+            bus.inbox.extend(replies.map(|frame| Received { frame, at }));
         }
         self.seen = bus.sent.len();
     }
 
     /// One cycle: `answers` arrived half a period ago. Returns the frames sent.
-    pub(super) fn cycle<T: AsRef<str>>(
-        &mut self,
-        answers: &[T],
-        commands: &[AxisCommand],
-    ) -> Vec<String> {
+    pub(super) fn cycle<T: AsRef<str>>(&mut self, answers: &[T], commands: &[AxisCommand]) -> Vec<String> {
         self.now += PERIOD;
         let at = self.now - PERIOD / 2;
         let mut bus = self.bus.0.lock().unwrap();
-        let frames = answers.iter().map(|text| Received {
-            frame: frame(text.as_ref()),
-            at,
-        });
+        let frames = answers.iter().map(|text| Received { frame: frame(text.as_ref()), at });
         bus.inbox.extend(frames);
         let before = bus.sent.len();
         drop(bus);
@@ -400,18 +355,11 @@ impl Bench {
         for statusword in [0x0740, 0x0721, 0x0723, 0x0737, 0x0737, 0x0737, 0x0737] {
             self.cycle(&self.answers(statusword, 1_000), &commands);
         }
-        assert!(
-            self.states
-                .iter()
-                .all(|state| state.power == Power::On && state.following)
-        );
+        assert!(self.states.iter().all(|state| state.power == Power::On && state.following));
     }
 
     pub(super) fn answers(&self, statusword: u16, position: i32) -> Vec<String> {
-        self.stores
-            .iter()
-            .map(|store| answer(store.raw, statusword, position))
-            .collect()
+        self.stores.iter().map(|store| answer(store.raw, statusword, position)).collect()
     }
 }
 
@@ -425,13 +373,5 @@ pub(super) const NONE: &[&str] = &[];
 
 /// The frames sent, in the format of `candump`.
 pub(crate) fn sent(bench: &Bench) -> Vec<String> {
-    bench
-        .bus
-        .0
-        .lock()
-        .unwrap()
-        .sent
-        .iter()
-        .map(Frame::to_string)
-        .collect()
+    bench.bus.0.lock().unwrap().sent.iter().map(Frame::to_string).collect()
 }

@@ -113,9 +113,7 @@ fn an_epos4_is_asked_and_told_this_frame_by_frame() {
         if told.starts_with("602#23B13000") {
             // Objects that must agree with the cell, none of which this store has: gear, feed, encoder, main sensor,
             // rated torque.
-            for object in [
-                "916001", "916002", "926001", "926002", "8F6001", "8F6002", "003005", "766000",
-            ] {
+            for object in ["916001", "916002", "926001", "926002", "8F6001", "8F6002", "003005", "766000"] {
                 expected.push(format!("602#40{object}00000000"));
             }
         }
@@ -131,30 +129,12 @@ fn an_epos4_is_asked_and_told_this_frame_by_frame() {
 #[test]
 fn velocity_and_torque_drives_get_their_own_target() {
     let table = [
-        (
-            CyclicMode::Csv,
-            "602#230016022000FF60",
-            "602#2F60600009000000",
-        ),
-        (
-            CyclicMode::CspWithTorque,
-            "602#230016031000B260",
-            "602#2F60600008000000",
-        ),
-        (
-            CyclicMode::Cst,
-            "602#2300160210007160",
-            "602#2F6060000A000000",
-        ),
+        (CyclicMode::Csv, "602#230016022000FF60", "602#2F60600009000000"),
+        (CyclicMode::CspWithTorque, "602#230016031000B260", "602#2F60600008000000"),
+        (CyclicMode::Cst, "602#2300160210007160", "602#2F6060000A000000"),
     ];
     for (mode, mapped, told) in table {
-        let mut bench = Bench::new(
-            group_config(),
-            &[AxisConfig {
-                mode,
-                ..axis_config(2)
-            }],
-        );
+        let mut bench = Bench::new(group_config(), &[AxisConfig { mode, ..axis_config(2) }]);
         assert_eq!(bench.bring_up(), Ok(()));
         let sent = sent(&bench);
         assert!(sent.iter().any(|frame| frame == mapped));
@@ -167,15 +147,9 @@ fn after_it_nothing_is_enabled_and_the_position_is_known() {
     let mut bench = Bench::new(group_config(), &[axis_config(2)]);
     bench.stores[0].put(0x6041, 0, &[0x40, 0x86]);
     assert_eq!(bench.bring_up(), Ok(()));
-    assert_eq!(
-        bench.cycle(NONE, &[AxisCommand::Off])[1],
-        "202#0000E8030000"
-    );
+    assert_eq!(bench.cycle(NONE, &[AxisCommand::Off])[1], "202#0000E8030000");
     let state = bench.states[0];
-    assert_eq!(
-        (state.power, state.fault, state.increments.0),
-        (Power::Off, None, 1_000)
-    );
+    assert_eq!((state.power, state.fault, state.increments.0), (Power::Off, None, 1_000));
     // Bit 15: the drive kept its reference.
     assert_eq!(state.homing, Homing::Attained);
 }
@@ -187,23 +161,12 @@ fn a_drive_in_fault_comes_up_with_the_fault_latched() {
     bench.stores[0].put(0x603F, 0, &[0x20, 0x73]);
     assert_eq!(bench.bring_up(), Ok(()));
     bench.cycle(NONE, &[AxisCommand::Off]);
-    assert_eq!(
-        bench.states[0].fault,
-        Some(Fault::Drive {
-            node: 2,
-            code: 0x7320
-        })
-    );
+    assert_eq!(bench.states[0].fault, Some(Fault::Drive { node: 2, code: 0x7320 }));
 }
 
 #[test]
 fn offsets_that_a_host_before_left_are_taken_away_in_every_mode() {
-    for mode in [
-        CyclicMode::Csp,
-        CyclicMode::CspWithTorque,
-        CyclicMode::Csv,
-        CyclicMode::Cst,
-    ] {
+    for mode in [CyclicMode::Csp, CyclicMode::CspWithTorque, CyclicMode::Csv, CyclicMode::Cst] {
         let mut axis = axis_config(2);
         axis.mode = mode;
         let mut bench = Bench::new(group_config(), &[axis]);
@@ -239,22 +202,13 @@ fn a_node_that_boots_again_is_configured_again_and_not_for_ever() {
             bench.now += PERIOD;
             calls += u32::from(sent(&bench) != NONE);
             if calls > 0 && calls % 20 == 0 && calls / 20 <= boots {
-                let booted = Received {
-                    frame: frame("702#00"),
-                    at: bench.now,
-                };
+                let booted = Received { frame: frame("702#00"), at: bench.now };
                 bench.bus.0.lock().unwrap().inbox.push_back(booted);
             }
         };
         assert_eq!(ended.map_err(|_| ()), result);
-        assert!(matches!(
-            ended,
-            Ok(()) | Err(BringUpError::NeverBooted { node: 2, .. })
-        ));
-        let vendor = sent(&bench)
-            .iter()
-            .filter(|frame| **frame == "602#4018100100000000")
-            .count();
+        assert!(matches!(ended, Ok(()) | Err(BringUpError::NeverBooted { node: 2, .. })));
+        let vendor = sent(&bench).iter().filter(|frame| **frame == "602#4018100100000000").count();
         assert_eq!(vendor, if boots == 1 { 2 } else { 4 });
     }
 }
@@ -269,10 +223,7 @@ fn drives_come_up_side_by_side_with_few_frames_a_call() {
         loop {
             let before = sent(&bench).len();
             let ended = bench.group.bring_up(bench.now);
-            let sdo = sent(&bench)[before..]
-                .iter()
-                .filter(|frame| frame.starts_with('6'))
-                .count();
+            let sdo = sent(&bench)[before..].iter().filter(|frame| frame.starts_with('6')).count();
             most = most.max(sdo);
             if ended.is_ready() {
                 assert_eq!(ended, Poll::Ready(Ok(())));
@@ -296,101 +247,50 @@ fn every_failure_names_the_node_and_what_it_said() {
     let table: &[(Break, BringUpError)] = &[
         (
             |store| (store.boots, store.mute) = (false, Some((0x1000, 0))),
-            BringUpError::NeverBooted {
-                node,
-                waited: Duration::from_millis(1_002),
-            },
+            BringUpError::NeverBooted { node, waited: Duration::from_millis(1_002) },
         ),
         (
             |store| store.put(0x1000, 0, &[0x91, 0x01, 0x0F, 0x00]),
-            BringUpError::NotADrive {
-                node,
-                device_type: 0x000F_0191,
-            },
+            BringUpError::NotADrive { node, device_type: 0x000F_0191 },
         ),
         (
             |store| store.put(0x1018, 1, &[0xFC, 0, 0, 0]),
-            BringUpError::WrongIdentity {
-                node,
-                subindex: 1,
-                expected: 0xFB,
-                found: 0xFC,
-            },
+            BringUpError::WrongIdentity { node, subindex: 1, expected: 0xFB, found: 0xFC },
         ),
         (
             |store| store.put(0x1018, 2, &[0, 0, 0x50, 0x61]),
-            BringUpError::WrongIdentity {
-                node,
-                subindex: 2,
-                expected: 0x6050_0000,
-                found: 0x6150_0000,
-            },
+            BringUpError::WrongIdentity { node, subindex: 2, expected: 0x6050_0000, found: 0x6150_0000 },
         ),
         (
             |store| store.put(0x6502, 0, &[0x25, 0x03, 0, 0]),
-            BringUpError::ModeUnsupported {
-                node,
-                mode: 8,
-                supported: 0x325,
-            },
+            BringUpError::ModeUnsupported { node, mode: 8, supported: 0x325 },
         ),
         (
             |store| store.put(0x6502, 0, &[0x85, 0x03, 0, 0]),
-            BringUpError::ModeUnsupported {
-                node,
-                mode: 6,
-                supported: 0x385,
-            },
+            BringUpError::ModeUnsupported { node, mode: 6, supported: 0x385 },
         ),
         (
             |store| store.put(0x1018, 1, &[0xFB, 0]),
-            BringUpError::Aborted {
-                node,
-                object: Object::new(0x1018, 1),
-                code: 0x0607_0010,
-            },
+            BringUpError::Aborted { node, object: Object::new(0x1018, 1), code: 0x0607_0010 },
         ),
         (
             |store| _ = store.aborts.insert((0x60C2, 1), 0x0609_0030),
-            BringUpError::Aborted {
-                node,
-                object: Object::new(0x60C2, 1),
-                code: 0x0609_0030,
-            },
+            BringUpError::Aborted { node, object: Object::new(0x60C2, 1), code: 0x0609_0030 },
         ),
         (
             |store| _ = store.objects.remove(&(0x6007, 0)),
-            BringUpError::Aborted {
-                node,
-                object: Object::new(0x6007, 0),
-                code: 0x0602_0000,
-            },
+            BringUpError::Aborted { node, object: Object::new(0x6007, 0), code: 0x0602_0000 },
         ),
         (
             |store| store.forgetful = Some((0x6007, 0)),
-            BringUpError::ReadBack {
-                node,
-                object: Object::new(0x6007, 0),
-                written: 3,
-                found: 1,
-            },
+            BringUpError::ReadBack { node, object: Object::new(0x6007, 0), written: 3, found: 1 },
         ),
         (
             |store| store.mute = Some((0x6085, 0)),
             // Two requests, 100 ms each.
-            BringUpError::TimedOut {
-                node,
-                object: Object::new(0x6085, 0),
-                waited: Duration::from_millis(200),
-            },
+            BringUpError::TimedOut { node, object: Object::new(0x6085, 0), waited: Duration::from_millis(200) },
         ),
-        (
-            |store| store.starts = false,
-            BringUpError::NotOperational {
-                node,
-                waited: Duration::from_millis(3_002),
-            },
-        ),
+        (|store| store.starts = false, BringUpError::NotOperational { node, waited: Duration::from_millis(3_002) }),
     ];
     for (break_it, error) in table {
         let mut bench = Bench::new(group_config(), &[axis_config(1), axis_config(node)]);
@@ -398,21 +298,10 @@ fn every_failure_names_the_node_and_what_it_said() {
         assert_eq!(bench.bring_up(), Err(*error));
         let sent = sent(&bench);
         let started = matches!(error, BringUpError::NotOperational { .. });
-        assert_eq!(
-            sent.iter().any(|frame| frame.starts_with("000#01")),
-            started,
-            "{error}"
-        );
+        assert_eq!(sent.iter().any(|frame| frame.starts_with("000#01")), started, "{error}");
         // No RPDO, and no controlword except the one that removes the voltage.
-        assert!(
-            sent.iter()
-                .all(|frame| frame.starts_with("000") || frame.starts_with('6'))
-        );
-        assert!(
-            !sent
-                .iter()
-                .any(|frame| frame.contains("#2B406000") && !frame.ends_with("00000000"))
-        );
+        assert!(sent.iter().all(|frame| frame.starts_with("000") || frame.starts_with('6')));
+        assert!(!sent.iter().any(|frame| frame.contains("#2B406000") && !frame.ends_with("00000000")));
         // Once repaired, the group comes up from the start.
         bench.stores[1] = Store::epos4(node);
         assert_eq!(bench.bring_up(), Ok(()), "{error}");
@@ -423,12 +312,7 @@ fn every_failure_names_the_node_and_what_it_said() {
 fn a_mode_that_never_shows_ends_the_wait() {
     let mut bench = Bench::new(group_config(), &[axis_config(2)]);
     bench.stores[0].shows_modes = false;
-    let error = BringUpError::ReadBack {
-        node: 2,
-        object: Object::new(0x6061, 0),
-        written: 8,
-        found: 1,
-    };
+    let error = BringUpError::ReadBack { node: 2, object: Object::new(0x6061, 0), written: 8, found: 1 };
     assert_eq!(bench.bring_up(), Err(error));
     let waited = bench.now.since(Instant::ZERO + group_config().listening());
     assert!(waited < Duration::from_secs(1));
@@ -451,28 +335,16 @@ fn configurations_that_cannot_work_are_refused() {
     };
     let out_of_range = |quantity| Some(ConfigError::OutOfRange { node: 2, quantity });
     assert_eq!(with(|_, _| {}), None);
-    assert_eq!(
-        with(|config, _| config.period = Duration::from_micros(2_500)),
-        None
-    );
+    assert_eq!(with(|config, _| config.period = Duration::from_micros(2_500)), None);
     let table = [
         (with(|_, axes| axes.clear()), Some(ConfigError::Axes(0))),
-        (
-            with(|_, axes| axes[1].node = node(1)),
-            Some(ConfigError::DuplicateNode(1)),
-        ),
-        (
-            with(|config, _| config.host_node = node(2)),
-            Some(ConfigError::DuplicateNode(2)),
-        ),
+        (with(|_, axes| axes[1].node = node(1)), Some(ConfigError::DuplicateNode(1))),
+        (with(|config, _| config.host_node = node(2)), Some(ConfigError::DuplicateNode(2))),
         (
             with(|config, _| config.period = Duration::from_micros(1_001)),
             Some(ConfigError::Period(Duration::from_micros(1_001))),
         ),
-        (
-            with(|config, _| config.period = Duration::ZERO),
-            Some(ConfigError::Period(Duration::ZERO)),
-        ),
+        (with(|config, _| config.period = Duration::ZERO), Some(ConfigError::Period(Duration::ZERO))),
         (
             with(|config, _| config.heartbeat_period = Duration::from_millis(21_846)),
             Some(ConfigError::HeartbeatPeriod(ms(21_846))),
@@ -481,26 +353,11 @@ fn configurations_that_cannot_work_are_refused() {
             with(|config, _| config.heartbeat_period = Duration::from_micros(1_500)),
             Some(ConfigError::HeartbeatPeriod(Duration::from_micros(1_500))),
         ),
-        (
-            with(|_, axes| axes[1].rated_torque = 0.0),
-            out_of_range(Quantity::RatedTorque),
-        ),
-        (
-            with(|_, axes| axes[1].following_error = f64::NAN),
-            out_of_range(Quantity::FollowingError),
-        ),
-        (
-            with(|_, axes| axes[1].quick_stop_deceleration = -1.0),
-            out_of_range(Quantity::QuickStopDeceleration),
-        ),
-        (
-            with(|_, axes| axes[1].homing.zero_speed = 0.01),
-            out_of_range(Quantity::ZeroSpeed),
-        ),
-        (
-            with(|_, axes| axes[1].parameters[0].bytes = 3),
-            out_of_range(Quantity::ParameterSize),
-        ),
+        (with(|_, axes| axes[1].rated_torque = 0.0), out_of_range(Quantity::RatedTorque)),
+        (with(|_, axes| axes[1].following_error = f64::NAN), out_of_range(Quantity::FollowingError)),
+        (with(|_, axes| axes[1].quick_stop_deceleration = -1.0), out_of_range(Quantity::QuickStopDeceleration)),
+        (with(|_, axes| axes[1].homing.zero_speed = 0.01), out_of_range(Quantity::ZeroSpeed)),
+        (with(|_, axes| axes[1].parameters[0].bytes = 3), out_of_range(Quantity::ParameterSize)),
     ];
     for (found, expected) in table {
         assert_eq!(found, expected);
@@ -527,17 +384,8 @@ fn a_node_that_boots_while_others_still_start_fails_it() {
             5 => "703#05",
             _ => return None,
         };
-        bus.inbox.push_back(Received {
-            frame: frame(heard),
-            at,
-        });
+        bus.inbox.push_back(Received { frame: frame(heard), at });
         None
     });
-    assert!(
-        matches!(
-            result,
-            Some(Err(BringUpError::NotOperational { node: 2, .. }))
-        ),
-        "{result:?}"
-    );
+    assert!(matches!(result, Some(Err(BringUpError::NotOperational { node: 2, .. }))), "{result:?}");
 }

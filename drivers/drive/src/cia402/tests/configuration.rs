@@ -8,18 +8,11 @@ use crate::BringUpError;
 use crate::cia402::*;
 
 fn setting(index: u16, subindex: u8, data: &[u8]) -> Setting {
-    Setting {
-        object: Object::new(index, subindex),
-        data: data.to_vec(),
-        readable: true,
-    }
+    Setting { object: Object::new(index, subindex), data: data.to_vec(), readable: true }
 }
 
 fn configured(settings: Vec<Setting>) -> AxisConfig {
-    AxisConfig {
-        configuration: settings,
-        ..axis_config(2)
-    }
+    AxisConfig { configuration: settings, ..axis_config(2) }
 }
 
 fn bench(settings: Vec<Setting>) -> Bench {
@@ -41,11 +34,7 @@ fn position(bench: &Bench, prefix: &str) -> Option<usize> {
 fn settings_of_any_length_are_written_and_read_back() {
     let text = b"elbow motor!";
     let long = [1, 2, 3, 4, 5, 6, 7, 8];
-    let mut bench = bench(vec![
-        setting(0x2100, 0, text),
-        setting(0x2101, 0, &[7]),
-        setting(0x2102, 0, &long),
-    ]);
+    let mut bench = bench(vec![setting(0x2100, 0, text), setting(0x2101, 0, &[7]), setting(0x2102, 0, &long)]);
     assert_eq!(bench.bring_up(), Ok(()));
     let objects = &bench.stores[0].objects;
     assert_eq!(objects[&(0x2100, 0)], text);
@@ -61,12 +50,7 @@ fn settings_come_first_then_parameters_then_what_the_group_sets_itself() {
     let mut bench = bench(vec![setting(0x3001, 1, &[1, 0, 0, 0])]);
     assert_eq!(bench.bring_up(), Ok(()));
     // Voltage off, the setting, the parameter of the same object, then the heartbeat.
-    let order = [
-        "602#2B406000",
-        "602#2301300101000000",
-        "602#23013001D0070000",
-        "602#2B171000D007",
-    ];
+    let order = ["602#2B406000", "602#2301300101000000", "602#23013001D0070000", "602#2B171000D007"];
     let order = order.map(|frame| position(&bench, frame).unwrap());
     assert!(order.is_sorted(), "{order:?}");
     assert_eq!(bench.stores[0].objects[&(0x3001, 1)], [0xD0, 0x07, 0, 0]);
@@ -74,10 +58,7 @@ fn settings_come_first_then_parameters_then_what_the_group_sets_itself() {
 
 #[test]
 fn an_object_that_cannot_be_read_is_not_read_back() {
-    let mut bench = bench(vec![Setting {
-        readable: false,
-        ..setting(0x2101, 0, &[7])
-    }]);
+    let mut bench = bench(vec![Setting { readable: false, ..setting(0x2101, 0, &[7]) }]);
     assert_eq!(bench.bring_up(), Ok(()));
     assert!(position(&bench, "602#2F0121").is_some());
     assert_eq!(position(&bench, "602#400121"), None);
@@ -87,23 +68,12 @@ fn an_object_that_cannot_be_read_is_not_read_back() {
 fn a_drive_that_forgets_a_setting_does_not_come_up() {
     let mut forgetful = bench(vec![setting(0x2101, 0, &[7])]);
     forgetful.stores[0].forgetful = Some((0x2101, 0));
-    let error = BringUpError::ReadBack {
-        node: 2,
-        object: Object::new(0x2101, 0),
-        written: 7,
-        found: 0,
-    };
+    let error = BringUpError::ReadBack { node: 2, object: Object::new(0x2101, 0), written: 7, found: 0 };
     assert_eq!(forgetful.bring_up(), Err(error));
 
     let mut forgetful = bench(vec![setting(0x2102, 0, &[0, 0, 3, 4, 5])]);
     forgetful.stores[0].forgetful = Some((0x2102, 0));
-    let error = BringUpError::ReadBackBytes {
-        node: 2,
-        object: Object::new(0x2102, 0),
-        written: 5,
-        found: 8,
-        same: 2,
-    };
+    let error = BringUpError::ReadBackBytes { node: 2, object: Object::new(0x2102, 0), written: 5, found: 8, same: 2 };
     assert_eq!(forgetful.bring_up(), Err(error));
 }
 
@@ -111,22 +81,11 @@ fn a_drive_that_forgets_a_setting_does_not_come_up() {
 fn settings_that_must_not_or_cannot_be_written_are_refused_before_a_frame() {
     let table = [
         (setting(0x6040, 0, &[0x0F, 0]), "it commands the drive"),
-        (
-            setting(0x2100, 0, &[0; 257]),
-            "256 bytes at most are transferred",
-        ),
+        (setting(0x2100, 0, &[0; 257]), "256 bytes at most are transferred"),
     ];
     for (setting, why) in table {
-        let error = ConfigError::Setting {
-            node: 2,
-            object: setting.object,
-            why,
-        };
-        let group = Cia402Group::new(
-            BusEnd::default(),
-            group_config(),
-            &[configured(vec![setting])],
-        );
+        let error = ConfigError::Setting { node: 2, object: setting.object, why };
+        let group = Cia402Group::new(BusEnd::default(), group_config(), &[configured(vec![setting])]);
         assert_eq!(group.map(|_| ()), Err(error));
     }
 }

@@ -82,13 +82,7 @@ fn an_answer_that_is_late_belongs_to_the_sync_before() {
     let late = [(sync - PERIOD / 4, 1_010), (sync + PERIOD / 2, 1_020)];
     for (at, position) in late {
         let frame = frame(&answer(2, 0x0737, position));
-        bench
-            .bus
-            .0
-            .lock()
-            .unwrap()
-            .inbox
-            .push_back(Received { frame, at });
+        bench.bus.0.lock().unwrap().inbox.push_back(Received { frame, at });
     }
     bench.cycle(NONE, &[AxisCommand::Stand]);
     let expected = 10.0 / 2_000.0 * TAU / 0.002;
@@ -109,36 +103,17 @@ fn the_last_set_point_is_held_when_following_ends() {
 fn velocity_and_torque_go_out_in_the_drives_units_and_rest_at_zero() {
     let finite = |value| Finite::new(value).unwrap();
     let table = [
-        (
-            CyclicMode::Csv,
-            Setpoint::Velocity(finite(-TAU)),
-            "202#0F00C4FFFFFF",
-            "202#0F0000000000",
-        ),
+        (CyclicMode::Csv, Setpoint::Velocity(finite(-TAU)), "202#0F00C4FFFFFF", "202#0F0000000000"),
         (
             CyclicMode::CspWithTorque,
-            Setpoint::PositionWithTorque {
-                position: finite(TAU / 2.0),
-                torque: finite(-0.05),
-            },
+            Setpoint::PositionWithTorque { position: finite(TAU / 2.0), torque: finite(-0.05) },
             "202#0F00E80300000CFE",
             "202#0F00E80300000000",
         ),
-        (
-            CyclicMode::Cst,
-            Setpoint::Torque(finite(0.05)),
-            "202#0F00F401",
-            "202#0F000000",
-        ),
+        (CyclicMode::Cst, Setpoint::Torque(finite(0.05)), "202#0F00F401", "202#0F000000"),
     ];
     for (mode, setpoint, following, standing) in table {
-        let mut bench = Bench::up_with(
-            group_config(),
-            &[AxisConfig {
-                mode,
-                ..axis_config(2)
-            }],
-        );
+        let mut bench = Bench::up_with(group_config(), &[AxisConfig { mode, ..axis_config(2) }]);
         bench.enable();
         let command = AxisCommand::Follow(setpoint);
         let answers = bench.answers(0x0737, 1_000);
@@ -165,10 +140,7 @@ fn one_refused_set_point_keeps_every_axis_where_it_was_told_before() {
         let frames = bench.cycle(&answers, &[follow(1_003.0), follow(1_004.0)]);
         assert_eq!(frames[1..], ["201#0F00EB030000", "202#0200E8030000"]);
         assert_eq!(bench.states[0].fault, None);
-        assert_eq!(
-            bench.states[1].fault,
-            Some(Fault::Refused { node, refusal })
-        );
+        assert_eq!(bench.states[1].fault, Some(Fault::Refused { node, refusal }));
         assert!(!bench.states[1].following);
     }
 }
@@ -180,10 +152,7 @@ fn a_set_point_for_a_drive_without_torque_is_refused() {
     bench.cycle(&answers, &[AxisCommand::Off]);
     assert_eq!(bench.cycle(&answers, &[follow(5.0)])[1], "202#0000E8030000");
     bench.cycle(&answers, &[AxisCommand::Off]);
-    let fault = Fault::Refused {
-        node: 2,
-        refusal: Refusal::NotOn,
-    };
+    let fault = Fault::Refused { node: 2, refusal: Refusal::NotOn };
     assert_eq!(bench.states[0].fault, Some(fault));
 }
 
@@ -204,10 +173,7 @@ fn what_the_port_does_not_take_is_counted_and_never_sent_later() {
     assert_eq!(frames, ["080#", "201#0F00E9030000"]);
     assert_eq!(bench.group.counters().dropped_setpoints, 1);
     bench.bus.0.lock().unwrap().takes = Some(0);
-    assert_eq!(
-        bench.cycle(&answers, &[follow(1_002.0), follow(1_002.0)]),
-        NONE
-    );
+    assert_eq!(bench.cycle(&answers, &[follow(1_002.0), follow(1_002.0)]), NONE);
     assert_eq!(bench.group.counters().dropped_setpoints, 3);
     assert_eq!(bench.group.counters().dropped_syncs, 1);
     bench.bus.0.lock().unwrap().takes = None;
@@ -241,10 +207,7 @@ fn a_batch_that_was_not_sent_is_replaced() {
 
 #[test]
 fn our_heartbeat_is_sent_each_period_and_offered_again_if_not_taken() {
-    let config = GroupConfig {
-        heartbeat_period: Duration::from_millis(10),
-        ..group_config()
-    };
+    let config = GroupConfig { heartbeat_period: Duration::from_millis(10), ..group_config() };
     let mut bench = Bench::up_with(config, &[axis_config(2)]);
     let mut beats = Vec::new();
     for i in 0..12 {
@@ -262,14 +225,7 @@ fn our_heartbeat_is_sent_each_period_and_offered_again_if_not_taken() {
 fn frames_of_nobody_here_are_counted() {
     let mut bench = Bench::up(&[2]);
     bench.cycle(NONE, &[AxisCommand::Off]);
-    let strange = [
-        "183#4007E80300000000",
-        "182#4007",
-        "282#0000",
-        "382#00",
-        "000#0102",
-        "7E5#04",
-    ];
+    let strange = ["183#4007E80300000000", "182#4007", "282#0000", "382#00", "000#0102", "7E5#04"];
     bench.cycle(&strange, &[AxisCommand::Off]);
     assert_eq!(bench.group.counters().unexpected, strange.len() as u64);
 }
@@ -277,24 +233,10 @@ fn frames_of_nobody_here_are_counted() {
 #[test]
 fn traffic_lists_every_frame_of_a_cycle() {
     let config = group_config();
-    let axes = [
-        axis_config(1),
-        AxisConfig {
-            mode: CyclicMode::Cst,
-            ..axis_config(2)
-        },
-    ];
+    let axes = [axis_config(1), AxisConfig { mode: CyclicMode::Cst, ..axis_config(2) }];
     let traffic = traffic(&config, &axes);
-    let frames: Vec<(u16, u8, u64)> = traffic
-        .iter()
-        .map(|frame| {
-            (
-                frame.cob_id.raw(),
-                frame.bytes,
-                frame.period.as_millis() as u64,
-            )
-        })
-        .collect();
+    let frames: Vec<(u16, u8, u64)> =
+        traffic.iter().map(|frame| (frame.cob_id.raw(), frame.bytes, frame.period.as_millis() as u64)).collect();
     let expected = [
         (0x080, 0, 2),
         (0x77F, 1, 2_000),

@@ -19,9 +19,7 @@ fn enabled() -> Bench {
 }
 
 fn stand(bench: &mut Bench, statusword: u16) -> String {
-    bench
-        .cycle(&[answer(2, statusword, 1_000)], STAND)
-        .swap_remove(1)
+    bench.cycle(&[answer(2, statusword, 1_000)], STAND).swap_remove(1)
 }
 
 #[test]
@@ -38,10 +36,7 @@ fn missing_answers_are_ridden_through_and_then_the_drive_is_silent() {
         bench.cycle(NONE, STAND);
     }
     let frames = bench.cycle(NONE, STAND);
-    assert_eq!(
-        bench.states[0].fault,
-        Some(Fault::Silent { node: 2, cycles: 3 })
-    );
+    assert_eq!(bench.states[0].fault, Some(Fault::Silent { node: 2, cycles: 3 }));
     assert!(!bench.states[0].following);
     // A silent drive may still receive frames.
     assert_eq!(frames[1], "202#0200E8030000");
@@ -49,10 +44,7 @@ fn missing_answers_are_ridden_through_and_then_the_drive_is_silent() {
     // A reset does not clear silence; an answer allows it.
     bench.cycle(NONE, RESET);
     bench.cycle(NONE, RESET);
-    assert_eq!(
-        bench.states[0].fault,
-        Some(Fault::Silent { node: 2, cycles: 5 })
-    );
+    assert_eq!(bench.states[0].fault, Some(Fault::Silent { node: 2, cycles: 5 }));
     bench.cycle(&[answer(2, 0x0740, 1_000)], RESET);
     bench.cycle(&[answer(2, 0x0740, 1_000)], RESET);
     assert_eq!(bench.states[0].fault, None);
@@ -109,10 +101,7 @@ fn answers_to_an_older_sync_are_missing_ones() {
     stand(&mut bench, 0x0737);
     for age in 1..=3 {
         // Each answer came shortly before the last SYNC and belongs to the SYNC before.
-        let (frame, at) = (
-            frame(&answer(2, 0x0737, 1_000 + age)),
-            bench.now - PERIOD / 4,
-        );
+        let (frame, at) = (frame(&answer(2, 0x0737, 1_000 + age)), bench.now - PERIOD / 4);
         let late = Received { frame, at };
         bench.bus.0.lock().unwrap().inbox.push_back(late);
         bench.cycle(NONE, STAND);
@@ -129,19 +118,13 @@ fn answers_to_an_older_sync_are_missing_ones() {
     let old = Received { frame, at };
     bench.bus.0.lock().unwrap().inbox.push_back(old);
     bench.cycle(NONE, STAND);
-    assert_eq!(
-        (bench.states[0].age, bench.states[0].increments.0),
-        (4, 1_003)
-    );
+    assert_eq!((bench.states[0].age, bench.states[0].increments.0), (4, 1_003));
     assert_eq!(bench.group.counters().unexpected, unexpected + 1);
 }
 
 #[test]
 fn a_lost_heartbeat_stops_the_axis() {
-    let config = GroupConfig {
-        heartbeat_period: Duration::from_millis(10),
-        ..group_config()
-    };
+    let config = GroupConfig { heartbeat_period: Duration::from_millis(10), ..group_config() };
     let mut bench = Bench::up_with(config, &[axis_config(2)]);
     bench.cycle(&["702#05".to_owned()], STAND);
     let heard = bench.now - PERIOD / 2;
@@ -150,10 +133,7 @@ fn a_lost_heartbeat_stops_the_axis() {
         assert!(bench.now.since(heard) < Duration::from_millis(40));
     }
     let waited = Duration::from_millis(31);
-    assert_eq!(
-        bench.states[0].fault,
-        Some(Fault::HeartbeatLost { node: 2, waited })
-    );
+    assert_eq!(bench.states[0].fault, Some(Fault::HeartbeatLost { node: 2, waited }));
 }
 
 #[test]
@@ -178,10 +158,7 @@ fn a_node_that_booted_needs_bring_up() {
     bench.cycle(&["702#00"], STAND);
     bench.cycle(&[answer(2, 0x0740, 0), "702#05".to_owned()], RESET);
     bench.cycle(&bench.answers(0x0740, 0), RESET);
-    assert_eq!(
-        bench.states[0].fault,
-        Some(Fault::LeftOperational { node: 2 })
-    );
+    assert_eq!(bench.states[0].fault, Some(Fault::LeftOperational { node: 2 }));
     assert_eq!(bench.bring_up(), Ok(()));
     bench.cycle(NONE, OFF);
     assert_eq!(bench.states[0].fault, None);
@@ -189,19 +166,10 @@ fn a_node_that_booted_needs_bring_up() {
 
 #[test]
 fn a_drive_fault_carries_the_code_of_its_emcy_whichever_comes_first() {
-    let (emcy, fault) = (
-        "082#1186800000000000",
-        Some(Fault::Drive {
-            node: 2,
-            code: 0x8611,
-        }),
-    );
+    let (emcy, fault) = ("082#1186800000000000", Some(Fault::Drive { node: 2, code: 0x8611 }));
     let statusword = answer(2, 0x020F, 1_000);
-    let orders: [&[&[&str]]; 3] = [
-        &[&[emcy, &statusword]],
-        &[&[&statusword, emcy]],
-        &[&[&statusword], &[&statusword, emcy]],
-    ];
+    let orders: [&[&[&str]]; 3] =
+        [&[&[emcy, &statusword]], &[&[&statusword, emcy]], &[&[&statusword], &[&statusword, emcy]]];
     for cycles in orders {
         let mut bench = enabled();
         for answers in cycles {
@@ -222,13 +190,7 @@ fn a_fault_whose_emcy_was_lost_is_asked_for() {
     let frames = bench.cycle(&[answer(2, 0x0208, 1_000)], STAND);
     assert_eq!(frames[2], "602#403F600000000000");
     bench.cycle(&[answer(2, 0x0208, 1_000)], STAND);
-    assert_eq!(
-        bench.states[0].fault,
-        Some(Fault::Drive {
-            node: 2,
-            code: 0x2310
-        })
-    );
+    assert_eq!(bench.states[0].fault, Some(Fault::Drive { node: 2, code: 0x2310 }));
 }
 
 #[test]
@@ -241,31 +203,18 @@ fn a_drive_that_does_not_tell_its_error_code_is_asked_once() {
         let cycles = (0..20).map(|_| bench.cycle(&[answer(2, 0x0208, 1_000)], STAND));
         let asked = cycles.filter(|frames| frames.len() > 2).count();
         assert_eq!(asked, 1);
-        assert_eq!(
-            bench.states[0].fault,
-            Some(Fault::Drive { node: 2, code: 0 })
-        );
+        assert_eq!(bench.states[0].fault, Some(Fault::Drive { node: 2, code: 0 }));
     }
 }
 
 #[test]
 fn a_drive_fault_is_reset_by_an_edge_and_leaves_when_the_drive_says_so() {
     let mut bench = enabled();
-    let fault = Some(Fault::Drive {
-        node: 2,
-        code: 0x2310,
-    });
-    bench.cycle(
-        &["082#1023020000000000".to_owned(), answer(2, 0x0208, 1_000)],
-        STAND,
-    );
-    let words: Vec<String> = (0..4)
-        .map(|_| bench.cycle(&[answer(2, 0x0208, 1_000)], RESET)[1][4..8].to_owned())
-        .collect();
-    assert!(
-        words.windows(2).any(|pair| pair == ["0000", "8000"]),
-        "{words:?}"
-    );
+    let fault = Some(Fault::Drive { node: 2, code: 0x2310 });
+    bench.cycle(&["082#1023020000000000".to_owned(), answer(2, 0x0208, 1_000)], STAND);
+    let words: Vec<String> =
+        (0..4).map(|_| bench.cycle(&[answer(2, 0x0208, 1_000)], RESET)[1][4..8].to_owned()).collect();
+    assert!(words.windows(2).any(|pair| pair == ["0000", "8000"]), "{words:?}");
     assert_eq!(bench.states[0].fault, fault);
     bench.cycle(&[answer(2, 0x0240, 1_000)], RESET);
     bench.cycle(&[answer(2, 0x0240, 1_000)], OFF);
@@ -277,42 +226,21 @@ fn power_lost_unasked_is_a_fault_and_power_given_up_is_not() {
     for statusword in [0x0740, 0x0721, 0x0723, 0x0707] {
         let mut bench = enabled();
         stand(&mut bench, statusword);
-        assert_eq!(
-            bench.states[0].fault,
-            Some(Fault::PowerLost {
-                node: 2,
-                statusword
-            })
-        );
+        assert_eq!(bench.states[0].fault, Some(Fault::PowerLost { node: 2, statusword }));
     }
     let mut bench = enabled();
-    assert_eq!(
-        bench.cycle(&bench.answers(0x0737, 1_000), OFF)[1],
-        "202#0000E8030000"
-    );
+    assert_eq!(bench.cycle(&bench.answers(0x0737, 1_000), OFF)[1], "202#0000E8030000");
     bench.cycle(&bench.answers(0x0737, 1_000), OFF);
     assert_eq!(bench.states[0].power, Power::Changing);
     bench.cycle(&bench.answers(0x0740, 1_000), OFF);
-    assert_eq!(
-        (bench.states[0].power, bench.states[0].fault),
-        (Power::Off, None)
-    );
+    assert_eq!((bench.states[0].power, bench.states[0].fault), (Power::Off, None));
 }
 
 #[test]
 fn a_drive_that_stopped_because_it_lost_us_says_why() {
     let mut bench = enabled();
-    bench.cycle(
-        &["082#3081110000000000".to_owned(), answer(2, 0x0707, 1_000)],
-        STAND,
-    );
-    assert_eq!(
-        bench.states[0].fault,
-        Some(Fault::Drive {
-            node: 2,
-            code: 0x8130
-        })
-    );
+    bench.cycle(&["082#3081110000000000".to_owned(), answer(2, 0x0707, 1_000)], STAND);
+    assert_eq!(bench.states[0].fault, Some(Fault::Drive { node: 2, code: 0x8130 }));
 }
 
 #[test]
@@ -337,22 +265,14 @@ fn a_transition_that_takes_too_long_is_a_fault() {
         assert!(cycles < 300);
     }
     let waited = Duration::from_millis(502);
-    let stuck = Fault::Stuck {
-        node: 2,
-        statusword: 0x0721,
-        waited,
-    };
+    let stuck = Fault::Stuck { node: 2, statusword: 0x0721, waited };
     assert_eq!(bench.states[0].fault, Some(stuck));
     // The same while the power is being switched off.
     let mut bench = enabled();
     while bench.states[0].fault.is_none() {
         bench.cycle(&bench.answers(0x0737, 1_000), OFF);
     }
-    let stuck = Fault::Stuck {
-        node: 2,
-        statusword: 0x0737,
-        waited,
-    };
+    let stuck = Fault::Stuck { node: 2, statusword: 0x0737, waited };
     assert_eq!(bench.states[0].fault, Some(stuck));
 }
 
@@ -403,10 +323,7 @@ fn a_controller_that_left_the_bus_faults_every_axis_until_it_is_back() {
 fn the_first_fault_stays_and_enabling_waits_for_its_reset() {
     let mut bench = enabled();
     stand(&mut bench, 0x0740);
-    let lost = Some(Fault::PowerLost {
-        node: 2,
-        statusword: 0x0740,
-    });
+    let lost = Some(Fault::PowerLost { node: 2, statusword: 0x0740 });
     for _ in 0..5 {
         bench.cycle(NONE, STAND);
         assert_eq!(bench.states[0].fault, lost);
@@ -425,8 +342,5 @@ fn after_we_were_silent_too_long_no_drive_is_enabled_blindly() {
     bench.now += 4 * group_config().heartbeat_period;
     let frames = bench.cycle(&["702#05"], STAND);
     assert_eq!(&frames[1][..8], "202#0200");
-    assert!(matches!(
-        bench.states[0].fault,
-        Some(Fault::HostLate { node: 2, .. })
-    ));
+    assert!(matches!(bench.states[0].fault, Some(Fault::HostLate { node: 2, .. })));
 }

@@ -9,16 +9,8 @@ const HOME: &[AxisCommand] = &[AxisCommand::Home];
 const STAND: &[AxisCommand] = &[AxisCommand::Stand];
 
 /// One cycle of the only axis. Returns RPDO and service frame.
-fn cycle(
-    bench: &mut Bench,
-    statusword: u16,
-    position: i32,
-    command: &[AxisCommand],
-) -> [String; 2] {
-    let mut frames = bench
-        .cycle(&[answer(2, statusword, position)], command)
-        .into_iter()
-        .skip(1);
+fn cycle(bench: &mut Bench, statusword: u16, position: i32, command: &[AxisCommand]) -> [String; 2] {
+    let mut frames = bench.cycle(&[answer(2, statusword, position)], command).into_iter().skip(1);
     [frames.next().unwrap(), frames.next().unwrap_or_default()]
 }
 
@@ -30,106 +22,21 @@ fn homing_runs_in_its_own_mode_and_comes_back_where_the_axis_stands() {
     type Step<'a> = (u16, i32, &'a [AxisCommand], &'a str, &'a str, Homing, bool);
     let steps: &[Step<'_>] = &[
         // Mode HM is commanded, then reported, while the axis stands.
-        (
-            0x0737,
-            1_000,
-            HOME,
-            "202#0F00E8030000",
-            "602#2F60600006000000",
-            Homing::NotHomed,
-            true,
-        ),
-        (
-            0x0737,
-            1_000,
-            HOME,
-            "202#0F00E8030000",
-            "602#4061600000000000",
-            Homing::InProgress,
-            false,
-        ),
-        (
-            0x0737,
-            1_000,
-            HOME,
-            "202#1F00E8030000",
-            "",
-            Homing::InProgress,
-            false,
-        ),
+        (0x0737, 1_000, HOME, "202#0F00E8030000", "602#2F60600006000000", Homing::NotHomed, true),
+        (0x0737, 1_000, HOME, "202#0F00E8030000", "602#4061600000000000", Homing::InProgress, false),
+        (0x0737, 1_000, HOME, "202#1F00E8030000", "", Homing::InProgress, false),
         // The drive searches and finally sets its counter to zero.
-        (
-            0x0237,
-            1_002,
-            HOME,
-            "202#1F00EA030000",
-            "",
-            Homing::InProgress,
-            false,
-        ),
-        (
-            0x1237,
-            0,
-            HOME,
-            "202#1F0000000000",
-            "",
-            Homing::InProgress,
-            false,
-        ),
-        (
-            0x9637,
-            0,
-            HOME,
-            "202#1F0000000000",
-            "",
-            Homing::Attained,
-            false,
-        ),
+        (0x0237, 1_002, HOME, "202#1F00EA030000", "", Homing::InProgress, false),
+        (0x1237, 0, HOME, "202#1F0000000000", "", Homing::InProgress, false),
+        (0x9637, 0, HOME, "202#1F0000000000", "", Homing::Attained, false),
         // Return to CSP with the present position as target.
-        (
-            0x9637,
-            1,
-            STAND,
-            "202#0F0001000000",
-            "602#2F60600008000000",
-            Homing::Attained,
-            false,
-        ),
-        (
-            0x9637,
-            2,
-            STAND,
-            "202#0F0002000000",
-            "602#4061600000000000",
-            Homing::Attained,
-            false,
-        ),
-        (
-            0x8737,
-            3,
-            STAND,
-            "202#0F0003000000",
-            "",
-            Homing::Attained,
-            true,
-        ),
-        (
-            0x8737,
-            9,
-            STAND,
-            "202#0F0003000000",
-            "",
-            Homing::Attained,
-            true,
-        ),
+        (0x9637, 1, STAND, "202#0F0001000000", "602#2F60600008000000", Homing::Attained, false),
+        (0x9637, 2, STAND, "202#0F0002000000", "602#4061600000000000", Homing::Attained, false),
+        (0x8737, 3, STAND, "202#0F0003000000", "", Homing::Attained, true),
+        (0x8737, 9, STAND, "202#0F0003000000", "", Homing::Attained, true),
     ];
-    for (i, &(statusword, position, command, rpdo, service, homing, following)) in
-        steps.iter().enumerate()
-    {
-        assert_eq!(
-            (i, cycle(&mut bench, statusword, position, command)),
-            (i, [rpdo, service].map(String::from))
-        );
+    for (i, &(statusword, position, command, rpdo, service, homing, following)) in steps.iter().enumerate() {
+        assert_eq!((i, cycle(&mut bench, statusword, position, command)), (i, [rpdo, service].map(String::from)));
         let state = bench.states[0];
         assert_eq!((i, state.homing, state.following), (i, homing, following));
         assert_eq!((state.power, state.fault), (Power::On, None));
@@ -164,21 +71,12 @@ fn a_failed_search_says_so_and_may_be_tried_again() {
     }
     assert_eq!(bench.states[0].homing, Homing::Failed);
     // Halted, and back to CSP after standstill.
-    assert_eq!(
-        cycle(&mut bench, 0x2637, 1_000, STAND)[0],
-        "202#0F01E8030000"
-    );
+    assert_eq!(cycle(&mut bench, 0x2637, 1_000, STAND)[0], "202#0F01E8030000");
     for _ in 0..8 {
         cycle(&mut bench, 0x0737, 1_000, STAND);
     }
-    assert_eq!(
-        (bench.states[0].homing, bench.states[0].following),
-        (Homing::NotHomed, true)
-    );
-    assert_eq!(
-        cycle(&mut bench, 0x0737, 1_000, HOME)[1],
-        "602#2F60600006000000"
-    );
+    assert_eq!((bench.states[0].homing, bench.states[0].following), (Homing::NotHomed, true));
+    assert_eq!(cycle(&mut bench, 0x0737, 1_000, HOME)[1], "602#2F60600006000000");
 }
 
 #[test]
@@ -189,19 +87,10 @@ fn a_drive_that_lost_power_while_homing_is_taken_back_to_its_cyclic_mode() {
         cycle(&mut bench, statusword, 1_000, HOME);
     }
     let frames = cycle(&mut bench, 0x0240, 1_000, HOME);
-    let fault = Fault::PowerLost {
-        node: 2,
-        statusword: 0x0240,
-    };
-    assert_eq!(
-        (bench.states[0].fault, bench.states[0].homing),
-        (Some(fault), Homing::InProgress)
-    );
+    let fault = Fault::PowerLost { node: 2, statusword: 0x0240 };
+    assert_eq!((bench.states[0].fault, bench.states[0].homing), (Some(fault), Homing::InProgress));
     assert_eq!(frames, ["202#0000E8030000", "602#2F60600008000000"]);
-    assert_eq!(
-        cycle(&mut bench, 0x0240, 1_000, HOME)[1],
-        "602#4061600000000000"
-    );
+    assert_eq!(cycle(&mut bench, 0x0240, 1_000, HOME)[1], "602#4061600000000000");
     assert_eq!(bench.states[0].homing, Homing::NotHomed);
 }
 
@@ -230,20 +119,13 @@ fn a_service_frame_that_was_not_taken_is_offered_again() {
     bench.bus.0.lock().unwrap().takes = Some(2);
     assert_eq!(cycle(&mut bench, 0x0737, 1_000, HOME)[1], "");
     bench.bus.0.lock().unwrap().takes = None;
-    assert_eq!(
-        cycle(&mut bench, 0x0737, 1_000, HOME)[1],
-        "602#2F60600006000000"
-    );
+    assert_eq!(cycle(&mut bench, 0x0737, 1_000, HOME)[1], "602#2F60600006000000");
     assert_eq!(bench.group.counters().dropped_setpoints, 0);
 }
 
 #[test]
 fn a_drive_that_refuses_the_mode_or_does_not_answer_is_faulted() {
-    let abort = |code| Fault::Aborted {
-        node: 2,
-        object: Object::new(0x6060, 0),
-        code,
-    };
+    let abort = |code| Fault::Aborted { node: 2, object: Object::new(0x6060, 0), code };
     for code in [0x0800_0022, 0x0504_0000] {
         let mut bench = Bench::up(&[2]);
         bench.enable();
@@ -271,14 +153,10 @@ fn a_drive_that_cannot_come_back_is_asked_again_after_the_reset() {
     }
     bench.stores[0].aborts.insert((0x6060, 0), 0x0800_0022);
     let told = |service: &str| service == "602#2F60600008000000";
-    let asked = (0..20)
-        .filter(|_| told(&cycle(&mut bench, 0x9637, 0, STAND)[1]))
-        .count();
+    let asked = (0..20).filter(|_| told(&cycle(&mut bench, 0x9637, 0, STAND)[1])).count();
     assert_eq!(asked, 1);
     bench.stores[0].aborts.clear();
-    assert!(told(
-        &cycle(&mut bench, 0x9640, 0, &[AxisCommand::ResetFault])[1]
-    ));
+    assert!(told(&cycle(&mut bench, 0x9640, 0, &[AxisCommand::ResetFault])[1]));
     cycle(&mut bench, 0x9640, 0, &[AxisCommand::Off]);
     cycle(&mut bench, 0x9640, 0, &[AxisCommand::Off]);
     assert_eq!(bench.states[0].fault, None);
@@ -296,21 +174,12 @@ fn a_mode_on_its_way_is_none_to_follow_in() {
     let mut services = Vec::new();
     for _ in 0..100 {
         let [rpdo, service] = cycle(&mut bench, 0x0737, 1_000, &[follow(1_100.0)]);
-        let set_point = if bench.states[0].following {
-            "4C040000"
-        } else {
-            "E8030000"
-        };
+        let set_point = if bench.states[0].following { "4C040000" } else { "E8030000" };
         assert_eq!(rpdo, format!("202#0F00{set_point}"));
         services.extend((!service.is_empty()).then_some(service));
     }
     let times_out = "602#8060600000000405";
-    let expected = [
-        times_out,
-        "602#2F60600006000000",
-        "602#2F60600008000000",
-        "602#4061600000000000",
-    ];
+    let expected = [times_out, "602#2F60600006000000", "602#2F60600008000000", "602#4061600000000000"];
     assert_eq!(services, expected);
     assert_eq!(bench.states[0].fault, None);
 }
@@ -323,33 +192,20 @@ fn a_mode_that_never_shows_is_a_fault() {
     for _ in 0..300 {
         cycle(&mut bench, 0x0737, 1_000, HOME);
     }
-    assert!(matches!(
-        bench.states[0].fault,
-        Some(Fault::Stuck { node: 2, .. })
-    ));
+    assert!(matches!(bench.states[0].fault, Some(Fault::Stuck { node: 2, .. })));
 }
 
 #[test]
 fn drives_that_follow_velocity_or_torque_home_as_well() {
     for (mode, told) in [(CyclicMode::Csv, "09"), (CyclicMode::Cst, "0A")] {
-        let mut bench = Bench::up_with(
-            group_config(),
-            &[AxisConfig {
-                mode,
-                ..axis_config(2)
-            }],
-        );
+        let mut bench = Bench::up_with(group_config(), &[AxisConfig { mode, ..axis_config(2) }]);
         bench.enable();
         for statusword in [0x0737, 0x0737, 0x0737, 0x0237, 0x9637] {
             cycle(&mut bench, statusword, 0, HOME);
         }
         assert_eq!(bench.states[0].homing, Homing::Attained);
         let zero = Finite::ZERO;
-        let setpoint = if mode == CyclicMode::Csv {
-            Setpoint::Velocity(zero)
-        } else {
-            Setpoint::Torque(zero)
-        };
+        let setpoint = if mode == CyclicMode::Csv { Setpoint::Velocity(zero) } else { Setpoint::Torque(zero) };
         let service = cycle(&mut bench, 0x9637, 0, &[AxisCommand::Follow(setpoint)])[1].clone();
         assert_eq!(service, format!("602#2F606000{told}000000"));
         cycle(&mut bench, 0x9637, 0, STAND);
@@ -362,11 +218,7 @@ fn drives_that_follow_velocity_or_torque_home_as_well() {
 fn bit_15_is_a_reference_only_where_maxon_says_so() {
     for (vendor, homing) in [(0xFB, Homing::Attained), (0x1234, Homing::NotHomed)] {
         let mut axis = axis_config(2);
-        axis.identity = Identity {
-            vendor,
-            product: None,
-            revision: None,
-        };
+        axis.identity = Identity { vendor, product: None, revision: None };
         let mut bench = Bench::new(group_config(), &[axis]);
         bench.stores[0].put(0x1018, 1, &vendor.to_le_bytes());
         assert_eq!(bench.bring_up(), Ok(()));

@@ -26,11 +26,7 @@ fn cycle(bench: &mut Bench, frames: &[&str], command: &[AxisCommand]) -> Vec<Str
 
 fn changed(found: ModeOfOperation, expected: ModeOfOperation) -> Option<Fault> {
     let node = 2;
-    Some(Fault::ModeChanged {
-        node,
-        expected,
-        found,
-    })
+    Some(Fault::ModeChanged { node, expected, found })
 }
 
 #[test]
@@ -52,11 +48,8 @@ fn a_foreign_change_of_mode_is_a_fault_that_names_both_modes() {
         assert_eq!(frames, ["080#", "202#0200E8030000"]);
         assert_eq!(bench.group.counters().unexpected, unexpected);
     }
-    let text = changed(ModeOfOperation::ProfileVelocity, CSP)
-        .unwrap()
-        .to_string();
-    let expected =
-        "node 2: mode of operation is profile velocity, commanded was cyclic synchronous position";
+    let text = changed(ModeOfOperation::ProfileVelocity, CSP).unwrap().to_string();
+    let expected = "node 2: mode of operation is profile velocity, commanded was cyclic synchronous position";
     assert_eq!(text, expected);
 }
 
@@ -72,10 +65,7 @@ fn after_a_reset_the_drive_is_told_its_mode_again() {
     assert_eq!(bench.states[0].fault, None);
     assert_eq!(told, ["602#2F60600008000000", "602#4061600000000000"]);
     bench.enable();
-    assert_eq!(
-        (bench.states[0].power, bench.states[0].fault),
-        (Power::On, None)
-    );
+    assert_eq!((bench.states[0].power, bench.states[0].fault), (Power::On, None));
 }
 
 /// CiA 402 leaves open what a drive does that changes its mode while it brakes.
@@ -99,10 +89,7 @@ fn a_drive_that_is_braked_is_told_no_mode() {
     for statusword in [0x0717, 0x0740, 0x0740, 0x0740] {
         sent.extend(bench.cycle(&bench.answers(statusword, 1_000), &[AxisCommand::Off]));
     }
-    assert!(
-        sent.contains(&"602#2F60600008000000".to_owned()),
-        "{sent:?}"
-    );
+    assert!(sent.contains(&"602#2F60600008000000".to_owned()), "{sent:?}");
 }
 
 #[test]
@@ -119,8 +106,7 @@ fn the_groups_own_changes_of_mode_are_none_whenever_they_show() {
             cycle(&mut bench, &["282#06"], HOME);
             let done = |frames: &[&str]| -> Vec<String> {
                 let own = [answer(2, 0x9637, 0)].into_iter();
-                own.chain(frames.iter().map(|text| (*text).to_owned()))
-                    .collect()
+                own.chain(frames.iter().map(|text| (*text).to_owned())).collect()
             };
             for _ in 0..6 {
                 bench.cycle(&done(&["282#06"]), HOME);
@@ -164,10 +150,7 @@ fn modes_of_another_length_are_counted_and_not_believed() {
 /// The mode that a drive reports on becoming operational arrives before the first cycle.
 #[test]
 fn a_change_between_bring_up_and_operation_is_a_fault_of_the_first_cycle() {
-    for (text, fault) in [
-        ("282#08", None),
-        ("282#03", changed(ModeOfOperation::ProfileVelocity, CSP)),
-    ] {
+    for (text, fault) in [("282#08", None), ("282#03", changed(ModeOfOperation::ProfileVelocity, CSP))] {
         let mut bench = Bench::new(group_config(), &[axis_config(2), axis_config(3)]);
         bench.stores[1].starts = false;
         let mut started = false;

@@ -71,14 +71,7 @@ fn a_second_master_refuses_the_start() {
 
 #[test]
 fn the_first_frame_waits_for_three_periods_of_the_heartbeat_and_of_sync_and_for_a_second() {
-    let table = [
-        (2_000, 2, 6_000),
-        (334, 2, 1_002),
-        (100, 2, 1_000),
-        (1, 20, 1_000),
-        (5, 1, 1_000),
-        (1, 1, 1_000),
-    ];
+    let table = [(2_000, 2, 6_000), (334, 2, 1_002), (100, 2, 1_000), (1, 20, 1_000), (5, 1, 1_000), (1, 1, 1_000)];
     for (heartbeat, period, listening) in table {
         let config = GroupConfig {
             heartbeat_period: Duration::from_millis(heartbeat),
@@ -132,9 +125,7 @@ fn a_master_that_comes_in_operation_stops_every_axis() {
         // The quick stop of each drive.
         assert!(frames[1].starts_with("201#0200") && frames[2].starts_with("202#0200"));
     }
-    let fault = Fault::OtherController {
-        sign: Sign::Heartbeat { node: 127 },
-    };
+    let fault = Fault::OtherController { sign: Sign::Heartbeat { node: 127 } };
     let text = "bus: another controller is at work: it sent the heartbeat of node 127";
     assert_eq!(fault.to_string(), text);
 }

@@ -7,10 +7,7 @@ use crate::cia402::*;
 
 /// A heartbeat every fifth cycle; it is lost after 15.
 fn short() -> GroupConfig {
-    GroupConfig {
-        heartbeat_period: 5 * PERIOD,
-        ..group_config()
-    }
+    GroupConfig { heartbeat_period: 5 * PERIOD, ..group_config() }
 }
 
 /// The drives answer, and their own heartbeats come.
@@ -71,13 +68,8 @@ fn a_heartbeat_that_is_late_by_less_than_three_periods_is_no_fault() {
 
 #[test]
 fn no_drive_gets_torque_before_a_heartbeat_was_sent() {
-    let mut bench = Bench::up_with(
-        GroupConfig {
-            heartbeat_period: Duration::from_secs(2),
-            ..short()
-        },
-        &[axis_config(2)],
-    );
+    let mut bench =
+        Bench::up_with(GroupConfig { heartbeat_period: Duration::from_secs(2), ..short() }, &[axis_config(2)]);
     bench.bus.0.lock().unwrap().takes = Some(2);
     for statusword in [0x0740, 0x0721, 0x0723, 0x0723, 0x0723] {
         let sent = cycle(&mut bench, statusword, AxisCommand::Stand);

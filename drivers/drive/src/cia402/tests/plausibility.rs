@@ -15,10 +15,7 @@ const FASTEST: f64 = 10.0 * TAU;
 
 /// The drive stands enabled at 1000 increments.
 fn enabled() -> Bench {
-    let axis = AxisConfig {
-        plausible_velocity: FASTEST,
-        ..axis_config(2)
-    };
+    let axis = AxisConfig { plausible_velocity: FASTEST, ..axis_config(2) };
     let mut bench = Bench::up_with(group_config(), &[axis]);
     bench.enable();
     bench
@@ -40,24 +37,14 @@ fn a_jump_that_the_motor_cannot_have_made_is_a_fault_and_not_believed() {
             assert_eq!((state.increments.0, state.fault), (1_000 + moved, None));
             continue;
         }
-        let fault = Fault::Implausible {
-            node: 2,
-            moved,
-            most: 82,
-            within: 2 * PERIOD,
-        };
+        let fault = Fault::Implausible { node: 2, moved, most: 82, within: 2 * PERIOD };
         assert_eq!(state.fault, Some(fault));
         assert_eq!(state.increments, before.increments);
         assert_eq!(state.position, before.position);
         assert_eq!(state.velocity, before.velocity);
         assert!(!state.following);
     }
-    let fault = Fault::Implausible {
-        node: 2,
-        moved: -83,
-        most: 82,
-        within: Duration::from_millis(4),
-    };
+    let fault = Fault::Implausible { node: 2, moved: -83, most: 82, within: Duration::from_millis(4) };
     let text = "node 2: position jumped by -83 increments within 4.0ms; the motor cannot have turned by more than 82";
     assert_eq!(fault.to_string(), text);
 }
@@ -76,10 +63,7 @@ fn a_counter_that_wraps_does_not_jump() {
         position = position.wrapping_add(40);
         bench.cycle(&[answer(2, 0x0740, position)], &[AxisCommand::Off]);
         assert_eq!(bench.states[0].increments.0, position);
-        assert!(!matches!(
-            bench.states[0].fault,
-            Some(Fault::Implausible { .. })
-        ));
+        assert!(!matches!(bench.states[0].fault, Some(Fault::Implausible { .. })));
     }
     assert!(position < 0);
 }
@@ -94,10 +78,7 @@ fn a_way_that_missed_answers_leave_time_for_is_believed() {
     bench.cycle(NONE, STAND);
     bench.cycle(NONE, STAND);
     at(&mut bench, 1_140 + 143);
-    assert!(matches!(
-        bench.states[0].fault,
-        Some(Fault::Implausible { .. })
-    ));
+    assert!(matches!(bench.states[0].fault, Some(Fault::Implausible { .. })));
 }
 
 /// A bus or an adapter that delayed answers delivers all of them after the last SYNC.
@@ -115,20 +96,12 @@ fn answers_that_come_in_a_burst_are_no_jump() {
 /// The counter at the end of a search, and of an aborted search, in answers after the last answer of the search.
 #[test]
 fn a_counter_that_a_search_sets_anew_late_does_not_jump() {
-    for (command, late) in [
-        (AxisCommand::Stand, true),
-        (AxisCommand::Off, true),
-        (AxisCommand::Stand, false),
-    ] {
+    for (command, late) in [(AxisCommand::Stand, true), (AxisCommand::Off, true), (AxisCommand::Stand, false)] {
         let mut bench = enabled();
         for statusword in [0x0737, 0x0737, 0x0737, 0x0237, 0x0237, 0x0237, 0x0237] {
             bench.cycle(&[answer(2, statusword, 1_000)], &[AxisCommand::Home]);
         }
-        let end = if command == AxisCommand::Off {
-            0x0237
-        } else {
-            0x9637
-        };
+        let end = if command == AxisCommand::Off { 0x0237 } else { 0x9637 };
         bench.cycle(&[answer(2, end, 1_000)], &[command]);
         for _ in 0..if late { 3 } else { 10 } {
             bench.cycle(&[answer(2, 0x9637, 1_000)], &[command]);
@@ -137,11 +110,7 @@ fn a_counter_that_a_search_sets_anew_late_does_not_jump() {
         let state = bench.states[0];
         let jumped = matches!(state.fault, Some(Fault::Implausible { moved: -1_000, .. }));
         assert_eq!(jumped, !late, "{:?}", state.fault);
-        let homing = if late {
-            Homing::Attained
-        } else {
-            Homing::NotHomed
-        };
+        let homing = if late { Homing::Attained } else { Homing::NotHomed };
         assert_eq!(state.homing, homing);
     }
 }
@@ -199,9 +168,7 @@ fn a_counter_that_jumped_is_no_reference_until_the_axis_is_homed_again() {
     }
     let state = bench.states[0];
     assert_eq!((state.fault, state.homing), (None, Homing::NotHomed));
-    for statusword in [
-        0x8740, 0x8721, 0x8723, 0x8737, 0x8737, 0x8737, 0x8737, 0x8737,
-    ] {
+    for statusword in [0x8740, 0x8721, 0x8723, 0x8737, 0x8737, 0x8737, 0x8737, 0x8737] {
         bench.cycle(&[answer(2, statusword, 2_000)], STAND);
     }
     // The drive is in mode HM after two cycles. The search shows some cycles later, and the drive sets its counter.
@@ -219,15 +186,9 @@ fn a_counter_that_jumped_is_no_reference_until_the_axis_is_homed_again() {
 #[test]
 fn an_axis_without_a_plausible_velocity_is_refused() {
     for plausible_velocity in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        let axis = AxisConfig {
-            plausible_velocity,
-            ..axis_config(2)
-        };
+        let axis = AxisConfig { plausible_velocity, ..axis_config(2) };
         let group = Cia402Group::new(BusEnd::default(), group_config(), &[axis]);
         let (node, quantity) = (2, Quantity::PlausibleVelocity);
-        assert_eq!(
-            group.err(),
-            Some(ConfigError::OutOfRange { node, quantity })
-        );
+        assert_eq!(group.err(), Some(ConfigError::OutOfRange { node, quantity }));
     }
 }

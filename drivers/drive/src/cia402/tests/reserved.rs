@@ -5,12 +5,7 @@ use crate::cia402::program::{MAXON, Step, program};
 use crate::cia402::*;
 use canopen::Object;
 
-const MODES: [CyclicMode; 4] = [
-    CyclicMode::Csp,
-    CyclicMode::CspWithTorque,
-    CyclicMode::Csv,
-    CyclicMode::Cst,
-];
+const MODES: [CyclicMode; 4] = [CyclicMode::Csp, CyclicMode::CspWithTorque, CyclicMode::Csv, CyclicMode::Cst];
 
 #[test]
 fn everything_that_bring_up_writes_is_reserved() {
@@ -99,13 +94,7 @@ fn what_undoes_or_commands_is_reserved_and_tuning_is_not() {
         assert_eq!(reserved(MAXON, index, subindex), None);
     }
     // Bit 0 of 0x3000:04 is the polarity of the axis.
-    for (index, subindex) in [
-        (0x2000, 0),
-        (0x2001, 0),
-        (0x3000, 4),
-        (0x30B0, 0),
-        (0x30B1, 0),
-    ] {
+    for (index, subindex) in [(0x2000, 0), (0x2001, 0), (0x3000, 4), (0x30B0, 0), (0x30B1, 0)] {
         let found = reserved(MAXON, index, subindex);
         assert!(found.is_some(), "{index:#06x}:{subindex:02x}");
         assert_eq!(reserved(0x1234, index, subindex), None);
@@ -118,26 +107,12 @@ fn what_undoes_or_commands_is_reserved_and_tuning_is_not() {
 
 #[test]
 fn reserved_objects_are_refused_before_a_frame_whoever_asks_for_them() {
-    for (index, subindex) in [
-        (0x1016, 1),
-        (0x6007, 0),
-        (0x6040, 0),
-        (0x60C2, 1),
-        (0x1A02, 1),
-    ] {
+    for (index, subindex) in [(0x1016, 1), (0x6007, 0), (0x6040, 0), (0x60C2, 1), (0x1A02, 1)] {
         let mut by_parameter = axis_config(2);
-        by_parameter.parameters = vec![Parameter {
-            index,
-            subindex,
-            value: 0,
-            bytes: 4,
-        }];
+        by_parameter.parameters = vec![Parameter { index, subindex, value: 0, bytes: 4 }];
         let mut by_setting = axis_config(2);
-        by_setting.configuration = vec![Setting {
-            object: Object::new(index, subindex),
-            data: vec![0; 4],
-            readable: true,
-        }];
+        by_setting.configuration =
+            vec![Setting { object: Object::new(index, subindex), data: vec![0; 4], readable: true }];
         let error = ConfigError::Setting {
             node: 2,
             object: Object::new(index, subindex),
@@ -155,18 +130,10 @@ fn reserved_objects_are_refused_before_a_frame_whoever_asks_for_them() {
 fn what_a_setting_or_a_parameter_changes_elsewhere_is_set_and_read_back_afterwards() {
     let (trigger, changed) = ((0x2101, 0), [(0x6007, 0), (0x1016, 1), (0x6085, 0)]);
     let mut by_setting = axis_config(2);
-    by_setting.configuration = vec![Setting {
-        object: Object::new(trigger.0, trigger.1),
-        data: vec![7],
-        readable: true,
-    }];
+    by_setting.configuration =
+        vec![Setting { object: Object::new(trigger.0, trigger.1), data: vec![7], readable: true }];
     let mut by_parameter = axis_config(2);
-    by_parameter.parameters.push(Parameter {
-        index: trigger.0,
-        subindex: trigger.1,
-        value: 7,
-        bytes: 1,
-    });
+    by_parameter.parameters.push(Parameter { index: trigger.0, subindex: trigger.1, value: 7, bytes: 1 });
     let mut untouched = Bench::new(group_config(), &[axis_config(2)]);
     assert_eq!(untouched.bring_up(), Ok(()));
     for axis in [by_setting, by_parameter] {

@@ -27,9 +27,7 @@ fn identifier(bench: &Bench) -> Option<u32> {
 #[test]
 fn a_drive_without_inhibit_times_and_event_timers_is_brought_up_and_watched() {
     let bench = enabled(|store| {
-        store
-            .objects
-            .retain(|(index, subindex), _| !matches!((index, subindex), (0x1400..=0x19FF, 3 | 5)));
+        store.objects.retain(|(index, subindex), _| !matches!((index, subindex), (0x1400..=0x19FF, 3 | 5)));
     });
     assert_eq!(identifier(&bench), Some(0x4000_0282));
 }
@@ -42,9 +40,7 @@ fn a_drive_that_cannot_map_its_mode_is_brought_up_without_the_watch() {
         assert_eq!(identifier(&bench), Some(0xC000_0282), "{code:#x}");
     }
     let bench = enabled(|store| {
-        store
-            .objects
-            .retain(|(index, _), _| !matches!(index, 0x1801 | 0x1A01));
+        store.objects.retain(|(index, _), _| !matches!(index, 0x1801 | 0x1A01));
     });
     assert_eq!(identifier(&bench), None);
 }
@@ -54,10 +50,6 @@ fn a_drive_that_cannot_map_its_answer_is_refused() {
     let mut bench = Bench::new(group_config(), &[axis_config(2)]);
     bench.stores[0].aborts.insert((0x1A00, 1), NOT_MAPPABLE);
     let error = bench.bring_up().unwrap_err();
-    let expected = BringUpError::Aborted {
-        node: 2,
-        object: Object::new(0x1A00, 1),
-        code: NOT_MAPPABLE,
-    };
+    let expected = BringUpError::Aborted { node: 2, object: Object::new(0x1A00, 1), code: NOT_MAPPABLE };
     assert_eq!(error, expected);
 }

@@ -44,10 +44,7 @@ fn a_drive_that_does_not_take_them_is_refused() {
         bench.stores[0].forgetful = Some((index, subindex));
         let error = bench.bring_up().unwrap_err();
         let expected = Object::new(index, subindex);
-        assert!(
-            matches!(error, BringUpError::ReadBack { object, .. } if object == expected),
-            "{error}"
-        );
+        assert!(matches!(error, BringUpError::ReadBack { object, .. } if object == expected), "{error}");
     }
 }
 
@@ -55,15 +52,7 @@ fn a_drive_that_does_not_take_them_is_refused() {
 fn an_object_that_cannot_be_written_is_compared() {
     for (stored, result) in [
         (0_u16, Ok(())),
-        (
-            65_535,
-            Err(BringUpError::ReadBack {
-                node: 2,
-                object: Object::new(0x6066, 0),
-                written: 0,
-                found: 65_535,
-            }),
-        ),
+        (65_535, Err(BringUpError::ReadBack { node: 2, object: Object::new(0x6066, 0), written: 0, found: 65_535 })),
     ] {
         let mut bench = Bench::new(group_config(), &[axis_config(2)]);
         bench.stores[0].put(0x6066, 0, &stored.to_le_bytes());
@@ -75,12 +64,7 @@ fn an_object_that_cannot_be_written_is_compared() {
 #[test]
 fn limits_of_acceleration_are_raised_to_the_ramps_and_never_lowered() {
     for index in [0x60C5, 0x60C6] {
-        for (stored, left) in [
-            (0, 6_000),
-            (5_999, 6_000),
-            (6_000, 6_000),
-            (u32::MAX, u32::MAX),
-        ] {
+        for (stored, left) in [(0, 6_000), (5_999, 6_000), (6_000, 6_000), (u32::MAX, u32::MAX)] {
             let mut bench = Bench::new(group_config(), &[axis_config(2)]);
             bench.stores[0].put(index, 0, &u32::to_le_bytes(stored));
             assert_eq!(bench.bring_up(), Ok(()));

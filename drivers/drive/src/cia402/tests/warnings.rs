@@ -30,24 +30,12 @@ fn an_emcy_without_a_fault_is_a_warning_with_its_time_and_count() {
     let mut bench = enabled();
     let up = bench.now;
     reports(&mut bench, &["082#1042080000000000"]);
-    reports(
-        &mut bench,
-        &["082#1042080000000000", "082#1042090000000000"],
-    );
+    reports(&mut bench, &["082#1042080000000000", "082#1042090000000000"]);
     // The end of an error, and an EMCY of another node.
-    reports(
-        &mut bench,
-        &["082#0000000000000000", "083#1042080000000000"],
-    );
+    reports(&mut bench, &["082#0000000000000000", "083#1042080000000000"]);
     // Enabling took seven cycles, and the EMCY arrives half a period before its cycle.
     let first = bench.now.since(up) + 7 * PERIOD - 3 * PERIOD + PERIOD / 2;
-    let warning = |register, count, after| Warning {
-        after,
-        node: 2,
-        code: 0x4210,
-        register,
-        count,
-    };
+    let warning = |register, count, after| Warning { after, node: 2, code: 0x4210, register, count };
     let expected = [warning(8, 2, first), warning(9, 1, first + PERIOD)];
     assert_eq!(warnings(&bench), expected);
     assert_eq!(bench.states[0].fault, None);
@@ -127,11 +115,7 @@ fn an_old_warning_does_not_name_a_later_fault() {
         (0..age).for_each(|_| reports(&mut bench, &[]));
         bench.cycle(&[answer(2, 0x0740, 1_000)], STAND);
         let (node, code, statusword) = (2, 0x4210, 0x0740);
-        let fault = if is_named {
-            Fault::Drive { node, code }
-        } else {
-            Fault::PowerLost { node, statusword }
-        };
+        let fault = if is_named { Fault::Drive { node, code } } else { Fault::PowerLost { node, statusword } };
         assert_eq!(bench.states[0].fault, Some(fault), "{age}");
     }
 }

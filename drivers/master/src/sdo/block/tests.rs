@@ -72,11 +72,7 @@ fn data_are_written_in_sub_blocks() {
 
 #[test]
 fn data_are_read_in_sub_blocks() {
-    let dialogue = [
-        BEGIN_UPLOAD,
-        ALL_SEGMENTS,
-        "582#D521010000000000 602#A100000000000000",
-    ];
+    let dialogue = [BEGIN_UPLOAD, ALL_SEGMENTS, "582#D521010000000000 602#A100000000000000"];
     assert_eq!(upload(&dialogue.join(" ")), Ok(data()));
 }
 
@@ -101,10 +97,7 @@ fn what_was_not_acknowledged_is_sent_again() {
          582#A2047F0000000000 582#A2047F0000000000 602#811D1E0000000000 582#A2017F0000000000",
     ];
     for dialogue in table {
-        assert_eq!(
-            download(&[BEGIN_DOWNLOAD, dialogue, end].join(" ")),
-            Ok(data())
-        );
+        assert_eq!(download(&[BEGIN_DOWNLOAD, dialogue, end].join(" ")), Ok(data()));
     }
 }
 
@@ -131,11 +124,7 @@ fn what_did_not_come_in_order_is_asked_for_again_in_shorter_sub_blocks() {
 fn a_sub_block_whose_end_is_lost_is_acknowledged_as_far_as_it_came() {
     let mut client = uploading(1);
     say(&mut client, 0, BEGIN_UPLOAD);
-    say(
-        &mut client,
-        100,
-        "582#0101020304050607 582#0208090A0B0C0D0E",
-    );
+    say(&mut client, 100, "582#0101020304050607 582#0208090A0B0C0D0E");
     assert_eq!(client.poll_timeout(), Some(at(600)));
     client.handle_timeout(at(600));
     // The rest of the old sub-block is late.
@@ -185,10 +174,7 @@ fn short_objects_take_the_ordinary_transfer() {
     let ask = "602#A40810007F1C0000 ";
     let expedited = upload(&[ask, "582#4B08100037070000"].concat());
     assert_eq!(expedited, Ok(vec![0x37, 0x07]));
-    let segmented = [
-        ask,
-        "582#4108100005000000 602#6000000000000000 582#0545504F53340000",
-    ];
+    let segmented = [ask, "582#4108100005000000 602#6000000000000000 582#0545504F53340000"];
     assert_eq!(upload(&segmented.concat()), Ok(b"EPOS4".to_vec()));
 }
 
@@ -222,17 +208,10 @@ fn a_server_that_refuses_block_transfer_is_asked_for_an_ordinary_one() {
 #[test]
 fn a_server_that_missed_the_abort_and_takes_the_request_for_a_segment_is_asked_again() {
     let refused = "582#8008100003000405 ";
-    for (mut client, ask) in [
-        (uploading(2), "602#A40810007F1C0000 "),
-        (downloading(2), "602#C60810001E000000 "),
-    ] {
+    for (mut client, ask) in [(uploading(2), "602#A40810007F1C0000 "), (downloading(2), "602#C60810001E000000 ")] {
         say(&mut client, 0, ask);
         client.handle_timeout(at(500));
-        say(
-            &mut client,
-            500,
-            &[ABORT_TIME_OUT, ask, refused, ask].concat(),
-        );
+        say(&mut client, 500, &[ABORT_TIME_OUT, ask, refused, ask].concat());
         say(&mut client, 500, refused);
         let (object, code) = (OBJECT, AbortCode::SEQUENCE_NUMBER);
         assert_eq!(result(client), Err(SdoCause::Aborted { code }.of(object)));
@@ -243,18 +222,9 @@ fn a_server_that_missed_the_abort_and_takes_the_request_for_a_segment_is_asked_a
 fn every_other_abort_ends_the_transfer() {
     let aborted = |code| Err(SdoCause::Aborted { code }.of(OBJECT));
     let table = [
-        (
-            "602#A40810007F1C0000 582#8008100000000206",
-            AbortCode::NO_OBJECT,
-        ),
-        (
-            &[BEGIN_UPLOAD, "582#0101020304050607 582#8008100000000008"].concat(),
-            AbortCode::GENERAL,
-        ),
-        (
-            &[BEGIN_UPLOAD, ALL_SEGMENTS, "582#8008100001000405"].concat(),
-            AbortCode::COMMAND_SPECIFIER,
-        ),
+        ("602#A40810007F1C0000 582#8008100000000206", AbortCode::NO_OBJECT),
+        (&[BEGIN_UPLOAD, "582#0101020304050607 582#8008100000000008"].concat(), AbortCode::GENERAL),
+        (&[BEGIN_UPLOAD, ALL_SEGMENTS, "582#8008100001000405"].concat(), AbortCode::COMMAND_SPECIFIER),
     ];
     for (dialogue, code) in table {
         assert_eq!(upload(dialogue), aborted(code));
@@ -272,42 +242,17 @@ fn every_other_abort_ends_the_transfer() {
 fn a_broken_upload_is_aborted() {
     let object = OBJECT;
     let unsized_ = "602#A40810007F1C0000 582#C408100000000000 602#A300000000000000 ";
-    let length = |found| {
-        SdoCause::Length {
-            expected: 30,
-            found,
-        }
-        .of(object)
-    };
+    let length = |found| SdoCause::Length { expected: 30, found }.of(object);
     let table = [
         (
-            [
-                BEGIN_UPLOAD,
-                ALL_SEGMENTS,
-                "582#D522010000000000 602#8008100004000405",
-            ]
-            .concat(),
-            SdoCause::Crc {
-                expected: 0x0122,
-                found: 0x0121,
-            }
-            .of(object),
+            [BEGIN_UPLOAD, ALL_SEGMENTS, "582#D522010000000000 602#8008100004000405"].concat(),
+            SdoCause::Crc { expected: 0x0122, found: 0x0121 }.of(object),
         ),
+        ([BEGIN_UPLOAD, ALL_SEGMENTS, "582#C521010000000000 602#8008100010000706"].concat(), length(34)),
         (
             [
                 BEGIN_UPLOAD,
-                ALL_SEGMENTS,
-                "582#C521010000000000 602#8008100010000706",
-            ]
-            .concat(),
-            length(34),
-        ),
-        (
-            [
-                BEGIN_UPLOAD,
-                &ALL_SEGMENTS
-                    .replace("582#85", "582#05")
-                    .replace("602#A2057F0000000000", ""),
+                &ALL_SEGMENTS.replace("582#85", "582#05").replace("602#A2057F0000000000", ""),
                 "582#0600000000000000 602#8008100010000706",
             ]
             .concat(),
@@ -315,19 +260,11 @@ fn a_broken_upload_is_aborted() {
         ),
         (
             "602#A40810007F1C0000 582#C608100001010000 602#8008100005000405".to_string(),
-            SdoCause::TooLarge {
-                size: 257,
-                capacity: 256,
-            }
-            .of(object),
+            SdoCause::TooLarge { size: 257, capacity: 256 }.of(object),
         ),
         (
             [unsized_, &segments(1, 38), "602#8008100005000405"].concat(),
-            SdoCause::TooLarge {
-                size: 266,
-                capacity: 256,
-            }
-            .of(object),
+            SdoCause::TooLarge { size: 266, capacity: 256 }.of(object),
         ),
         (
             [
@@ -337,11 +274,7 @@ fn a_broken_upload_is_aborted() {
                  582#C500000000000000 602#8008100005000405",
             ]
             .concat(),
-            SdoCause::TooLarge {
-                size: 258,
-                capacity: 256,
-            }
-            .of(object),
+            SdoCause::TooLarge { size: 258, capacity: 256 }.of(object),
         ),
     ];
     for (dialogue, error) in table {
@@ -368,40 +301,16 @@ fn an_object_as_large_as_the_room_for_it_is_read() {
 #[test]
 fn a_server_that_breaks_a_download_is_told_so() {
     let object = OBJECT;
-    let four =
-        "602#0101020304050607 602#0208090A0B0C0D0E 602#030F101112131415 602#04161718191A1B1C ";
+    let four = "602#0101020304050607 602#0208090A0B0C0D0E 602#030F101112131415 602#04161718191A1B1C ";
     let block_size = |block_size| SdoCause::BlockSize { block_size }.of(object);
     let begin = BEGIN_DOWNLOAD.split_once(' ').unwrap().0;
     let table = [
+        ([begin, " 582#A408100000000000 602#8008100002000405"].concat(), block_size(0)),
+        ([begin, " 582#A408100080000000 602#8008100002000405"].concat(), block_size(128)),
+        ([BEGIN_DOWNLOAD, four, "582#A204000000000000 602#8008100002000405"].concat(), block_size(0)),
         (
-            [begin, " 582#A408100000000000 602#8008100002000405"].concat(),
-            block_size(0),
-        ),
-        (
-            [begin, " 582#A408100080000000 602#8008100002000405"].concat(),
-            block_size(128),
-        ),
-        (
-            [
-                BEGIN_DOWNLOAD,
-                four,
-                "582#A204000000000000 602#8008100002000405",
-            ]
-            .concat(),
-            block_size(0),
-        ),
-        (
-            [
-                BEGIN_DOWNLOAD,
-                four,
-                "582#A205040000000000 602#8008100003000405",
-            ]
-            .concat(),
-            SdoCause::Sequence {
-                sequence: 5,
-                sent: 4,
-            }
-            .of(object),
+            [BEGIN_DOWNLOAD, four, "582#A205040000000000 602#8008100003000405"].concat(),
+            SdoCause::Sequence { sequence: 5, sent: 4 }.of(object),
         ),
     ];
     for (dialogue, error) in table {
@@ -411,8 +320,7 @@ fn a_server_that_breaks_a_download_is_told_so() {
 
 #[test]
 fn silence_in_any_state_starts_anew_and_late_frames_disturb_nothing() {
-    let four =
-        "602#0101020304050607 602#0208090A0B0C0D0E 602#030F101112131415 602#04161718191A1B1C ";
+    let four = "602#0101020304050607 602#0208090A0B0C0D0E 602#030F101112131415 602#04161718191A1B1C ";
     let ask = "602#A40810007F1C0000 ";
     let uploads = [
         [ask, "", ""],
@@ -421,8 +329,7 @@ fn silence_in_any_state_starts_anew_and_late_frames_disturb_nothing() {
         [BEGIN_UPLOAD, ALL_SEGMENTS, ""],
     ];
     // All that might still come of the transfer given up, but an answer that begins one.
-    let late =
-        " 582#0208090A0B0C0D0E 582#850102030405060A 582#D521010000000000 582#A2047F0000000000
+    let late = " 582#0208090A0B0C0D0E 582#850102030405060A 582#D521010000000000 582#A2047F0000000000
          582#5000000000000000 582#2000000000000000 582#A100000000000000 582#8000600000000206 ";
     for dialogue in uploads {
         let mut client = uploading(1);
@@ -437,10 +344,7 @@ fn silence_in_any_state_starts_anew_and_late_frames_disturb_nothing() {
         say(&mut client, 1100, ABORT_TIME_OUT);
         let waited = Duration::from_millis(1100);
         let object = OBJECT;
-        assert_eq!(
-            result(client),
-            Err(SdoCause::TimedOut { waited }.of(object))
-        );
+        assert_eq!(result(client), Err(SdoCause::TimedOut { waited }.of(object)));
     }
     let begin = BEGIN_DOWNLOAD.split_once(' ').unwrap().0;
     let last = "582#A2047F0000000000 602#811D1E0000000000 ";
@@ -448,13 +352,7 @@ fn silence_in_any_state_starts_anew_and_late_frames_disturb_nothing() {
         begin.to_string(),
         [BEGIN_DOWNLOAD, four].concat(),
         [BEGIN_DOWNLOAD, four, last].concat(),
-        [
-            BEGIN_DOWNLOAD,
-            four,
-            last,
-            "582#A2017F0000000000 602#D521010000000000",
-        ]
-        .concat(),
+        [BEGIN_DOWNLOAD, four, last, "582#A2017F0000000000 602#D521010000000000"].concat(),
     ];
     for dialogue in downloads {
         let mut client = downloading(1);
@@ -480,8 +378,7 @@ fn sub_blocks_of_which_nothing_comes_are_borne_a_counted_number_of_times() {
     say(&mut reader, 0, &["582#851D1E0000000000 ", &anew].concat());
 
     let mut writer = downloading(2);
-    let four =
-        "602#0101020304050607 602#0208090A0B0C0D0E 602#030F101112131415 602#04161718191A1B1C ";
+    let four = "602#0101020304050607 602#0208090A0B0C0D0E 602#030F101112131415 602#04161718191A1B1C ";
     let nothing = "582#A200040000000000 ";
     let thrice = [four, nothing].concat().repeat(3);
     let anew = [ABORT_TIME_OUT, "602#C60810001E000000"].concat();
@@ -498,10 +395,8 @@ fn only_sub_blocks_in_a_row_of_which_nothing_comes_count() {
     say(&mut reader, 0, dialogue);
 
     let mut writer = downloading(1);
-    let four =
-        "602#0101020304050607 602#0208090A0B0C0D0E 602#030F101112131415 602#04161718191A1B1C ";
-    let rest =
-        "602#0108090A0B0C0D0E 602#020F101112131415 602#03161718191A1B1C 602#841D1E0000000000 ";
+    let four = "602#0101020304050607 602#0208090A0B0C0D0E 602#030F101112131415 602#04161718191A1B1C ";
+    let rest = "602#0108090A0B0C0D0E 602#020F101112131415 602#03161718191A1B1C 602#841D1E0000000000 ";
     let dialogue = [
         BEGIN_DOWNLOAD,
         four,

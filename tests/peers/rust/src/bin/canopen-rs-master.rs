@@ -15,9 +15,7 @@ use canopen_rs::lss::{self, FASTSCAN_INIT, FastscanMaster, LssAddress, LssFrame}
 use canopen_rs::pdo::{self, MappingEntry, PdoKind, PdoMapping, default_cob_id};
 use canopen_rs::sdo::block::{self, BlockReceiver, BlockWriter};
 use canopen_rs::sdo::{decode_abort, request_cob_id, response_cob_id};
-use canopen_rs::{
-    Address, ByteString, DataType, Entry, NmtCommand, NmtState, NodeId, ObjectDictionary, Value,
-};
+use canopen_rs::{Address, ByteString, DataType, Entry, NmtCommand, NmtState, NodeId, ObjectDictionary, Value};
 use mrroc_peers::{Checks, Outcome, PATIENCE, Wire, arguments, bytes, holds, same};
 
 /// Identity of the emulated drive.
@@ -48,21 +46,13 @@ fn main() {
     let (interface, node) = arguments();
     let wire = Wire::new(&interface);
     let bus = SocketCan::open(&interface).expect("the interface is there");
-    bus.set_read_timeout(PATIENCE)
-        .expect("the socket takes a time-out");
+    bus.set_read_timeout(PATIENCE).expect("the socket takes a time-out");
     let mut checks = Checks::new(wire.clone());
-    let m = Master {
-        bus,
-        wire,
-        node: id(node),
-        heard: RefCell::new(HeartbeatMonitor::new(PATIENCE)),
-    };
+    let m = Master { bus, wire, node: id(node), heard: RefCell::new(HeartbeatMonitor::new(PATIENCE)) };
     checks.check("a_reset_drive_boots_and_beats", || m.boots());
     checks.check("nmt_commands_are_obeyed", || m.commands());
     checks.check("the_identity_is_read", || m.identity().map(|_| ()));
-    checks.check("numbers_of_every_size_are_written_and_read_back", || {
-        m.numbers()
-    });
+    checks.check("numbers_of_every_size_are_written_and_read_back", || m.numbers());
     checks.check("a_text_is_uploaded_in_segments", || m.text());
     checks.check("segments_carry_every_length_both_ways", || m.segments());
     checks.check("blocks_carry_every_length_both_ways", || m.blocks());
@@ -70,9 +60,7 @@ fn main() {
     checks.check("an_emergency_is_understood", || m.emergency());
     checks.check("pdos_are_configured_and_pass_with_sync", || m.pdos());
     checks.check("layer_settings_renumber_the_drive", || m.renumbers());
-    checks.check("a_fastscan_finds_a_drive_without_a_node_id", || {
-        m.fastscan()
-    });
+    checks.check("a_fastscan_finds_a_drive_without_a_node_id", || m.fastscan());
     exit(checks.finish());
 }
 
@@ -100,13 +88,11 @@ fn aborted<T>(result: Result<T, SdoError>, expected: u32) -> Outcome {
 
 impl Master {
     fn read(&self, index: u16, subindex: u8, data_type: DataType) -> Result<Value, SdoError> {
-        self.bus
-            .sdo_read(self.node, Address::new(index, subindex), data_type)
+        self.bus.sdo_read(self.node, Address::new(index, subindex), data_type)
     }
 
     fn write(&self, index: u16, subindex: u8, value: Value) -> Result<(), SdoError> {
-        self.bus
-            .sdo_write(self.node, Address::new(index, subindex), value)
+        self.bus.sdo_write(self.node, Address::new(index, subindex), value)
     }
 
     fn reads(&self, index: u16, subindex: u8, expected: Value) -> Outcome {
@@ -147,10 +133,7 @@ impl Master {
                 return Ok(());
             }
             let last = heard.state(node);
-            holds(
-                &format!("heard {last:?}, expected {state:?}"),
-                Instant::now() < end,
-            )?;
+            holds(&format!("heard {last:?}, expected {state:?}"), Instant::now() < end)?;
         }
     }
 
@@ -235,9 +218,7 @@ impl Master {
     }
 
     fn request(&self, frame: &[u8; 8]) -> Outcome {
-        self.bus
-            .send(request_cob_id(self.node), frame)
-            .map_err(said)
+        self.bus.send(request_cob_id(self.node), frame).map_err(said)
     }
 
     fn response(&self) -> Result<[u8; 8], String> {
@@ -251,8 +232,7 @@ impl Master {
     fn block_download(&self, object: Address, data: &[u8], crc: bool) -> Outcome {
         let size = u32::try_from(data.len()).ok();
         self.request(&block::encode_download_initiate(object, size, crc))?;
-        let agreed =
-            block::decode_download_initiate_response(&self.response()?).map_err(library)?;
+        let agreed = block::decode_download_initiate_response(&self.response()?).map_err(library)?;
         same("object", agreed.address, object)?;
         let mut writer = BlockWriter::new(data, agreed.blksize);
         while !writer.is_done() {
@@ -261,8 +241,7 @@ impl Master {
                 self.request(&segment)?;
                 sent += 1;
             }
-            let (acknowledged, size) =
-                block::decode_sub_response(&self.response()?).map_err(library)?;
+            let (acknowledged, size) = block::decode_sub_response(&self.response()?).map_err(library)?;
             same("acknowledged", acknowledged, sent)?;
             writer.start_sub_block(size);
         }
@@ -271,11 +250,7 @@ impl Master {
     }
 
     fn block_upload(&self, object: Address, crc: bool) -> Result<Vec<u8>, String> {
-        self.request(&block::encode_upload_initiate(
-            object,
-            block::MAX_BLKSIZE,
-            crc,
-        ))?;
+        self.request(&block::encode_upload_initiate(object, block::MAX_BLKSIZE, crc))?;
         let begun = block::decode_upload_initiate_response(&self.response()?).map_err(library)?;
         same("object", begun.address, object)?;
         self.request(&block::encode_upload_start())?;
@@ -285,16 +260,11 @@ impl Master {
             let segment = block::decode_sub_segment(&frame);
             receiver.push(&segment).map_err(library)?;
             if segment.last || segment.seqno == block::MAX_BLKSIZE {
-                self.request(&block::encode_sub_response(
-                    segment.seqno,
-                    block::MAX_BLKSIZE,
-                ))?;
+                self.request(&block::encode_sub_response(segment.seqno, block::MAX_BLKSIZE))?;
             }
         }
         let (unused, sum) = block::decode_end(&self.response()?).map_err(library)?;
-        let data = receiver
-            .finish(unused, sum, crc && begun.crc_support)
-            .map_err(library)?;
+        let data = receiver.finish(unused, sum, crc && begun.crc_support).map_err(library)?;
         let size = begun.size.map(|size| size as usize);
         same("announced size", size, Some(data.len()))?;
         self.request(&block::encode_end_response())?;
@@ -345,12 +315,8 @@ impl Master {
     }
 
     fn pdos(&self) -> Outcome {
-        let identifier =
-            |kind, number| default_cob_id(kind, number, self.node).ok_or("no identifier");
-        let (tpdo, rpdo) = (
-            identifier(PdoKind::Transmit, 1)?,
-            identifier(PdoKind::Receive, 2)?,
-        );
+        let identifier = |kind, number| default_cob_id(kind, number, self.node).ok_or("no identifier");
+        let (tpdo, rpdo) = (identifier(PdoKind::Transmit, 1)?, identifier(PdoKind::Receive, 2)?);
         let mut image = ObjectDictionary::<4>::new();
         let mut transmitted = PdoMapping::<8>::new();
         let mut received = PdoMapping::<8>::new();
@@ -360,9 +326,7 @@ impl Master {
             (0x607A, Value::Integer32(0)),
             (0x60FF, Value::Integer32(-7)),
         ] {
-            image
-                .insert(Address::new(index, 0), Entry::rw(value))
-                .map_err(library)?;
+            image.insert(Address::new(index, 0), Entry::rw(value)).map_err(library)?;
             let entry = MappingEntry::new(index, 0, value.size() as u8 * 8);
             let mapping = match index {
                 0x6041 | 0x6064 => &mut transmitted,
@@ -377,27 +341,19 @@ impl Master {
         let length = pdo::pack(&received, &image, &mut data).map_err(library)?;
         self.bus.send(rpdo, &data[..length]).map_err(said)?;
         self.reads(0x60FF, 0, Value::Integer32(0))?;
-        self.bus
-            .send(canopen_rs::sync::SYNC_COB_ID, &[])
-            .map_err(said)?;
+        self.bus.send(canopen_rs::sync::SYNC_COB_ID, &[]).map_err(said)?;
         let frame = self.receive(tpdo)?;
         pdo::unpack(&transmitted, &mut image, frame.data()).map_err(library)?;
         self.reads(0x60FF, 0, Value::Integer32(-7))?;
         for index in [0x6041, 0x6064] {
-            self.reads(
-                index,
-                0,
-                image.read(Address::new(index, 0)).map_err(library)?,
-            )?;
+            self.reads(index, 0, image.read(Address::new(index, 0)).map_err(library)?)?;
         }
         self.boots_by(NmtCommand::ResetNode, self.node, self.node)
     }
 
     /// Sends an LSS request and waits for its answer.
     fn ask(&self, request: &LssFrame) -> Result<LssFrame, String> {
-        self.bus
-            .send(lss::LSS_MASTER_COB_ID, request)
-            .map_err(said)?;
+        self.bus.send(lss::LSS_MASTER_COB_ID, request).map_err(said)?;
         loop {
             let answer = *self.receive(lss::LSS_SLAVE_COB_ID)?.payload();
             // Answers to the fastscan were checked on the wire.
@@ -416,27 +372,13 @@ impl Master {
         let selected = self.ask(&serial)?;
         holds("not selected", lss::is_switch_selective_response(&selected))?;
         let told = self.ask(&lss::encode_inquire_node_id())?;
-        same(
-            "node-ID",
-            lss::decode_inquire_node_id_response(&told),
-            Some(present),
-        )?;
+        same("node-ID", lss::decode_inquire_node_id_response(&told), Some(present))?;
         let refused = self.ask(&lss::encode_configure_node_id(200))?;
-        same(
-            "node-ID 200",
-            lss::decode_configure_node_id_response(&refused),
-            Some(Err(1)),
-        )?;
+        same("node-ID 200", lss::decode_configure_node_id_response(&refused), Some(Err(1)))?;
         let taken = self.ask(&lss::encode_configure_node_id(node))?;
-        same(
-            "node-ID",
-            lss::decode_configure_node_id_response(&taken),
-            Some(Ok(())),
-        )?;
+        same("node-ID", lss::decode_configure_node_id_response(&taken), Some(Ok(())))?;
         let waiting = lss::encode_switch_global(false);
-        self.bus
-            .send(lss::LSS_MASTER_COB_ID, &waiting)
-            .map_err(said)
+        self.bus.send(lss::LSS_MASTER_COB_ID, &waiting).map_err(said)
     }
 
     fn renumbers(&self) -> Outcome {
@@ -452,14 +394,11 @@ impl Master {
     /// Whether any drive answers within the time limit of the scan.
     fn answered(&self, request: &LssFrame, silence: Duration) -> Result<bool, String> {
         let mark = self.wire.mark();
-        self.bus
-            .send(lss::LSS_MASTER_COB_ID, request)
-            .map_err(said)?;
+        self.bus.send(lss::LSS_MASTER_COB_ID, request).map_err(said)?;
         std::thread::sleep(silence);
         Ok(self.wire.any(mark, |seen| {
             let frame: Option<LssFrame> = seen.data.clone().try_into().ok();
-            seen.id == lss::LSS_SLAVE_COB_ID
-                && frame.is_some_and(|it| lss::is_identify_slave_response(&it))
+            seen.id == lss::LSS_SLAVE_COB_ID && frame.is_some_and(|it| lss::is_identify_slave_response(&it))
         }))
     }
 
@@ -469,17 +408,12 @@ impl Master {
         let address = self.identity()?;
         self.set(&address, self.node.raw(), lss::UNCONFIGURED_NODE_ID)?;
         self.tell(NmtCommand::ResetCommunication, self.node)?;
-        let first = FastscanMaster::new()
-            .next_request()
-            .ok_or("no first frame")?;
+        let first = FastscanMaster::new().next_request().ok_or("no first frame")?;
         same("bit number of the first frame", first[5], FASTSCAN_INIT)?;
         let mut found = None;
         let mut silence = SILENCE;
         for _ in 0..ATTEMPTS {
-            holds(
-                "the library's first frame was answered",
-                !self.answered(&first, silence)?,
-            )?;
+            holds("the library's first frame was answered", !self.answered(&first, silence)?)?;
             let mut master = FastscanMaster::new();
             while let Some(mut request) = master.next_request() {
                 if request == first {
@@ -497,15 +431,9 @@ impl Master {
         same("found", found, Some(address))?;
         // The scan left the drive in configuration mode.
         let taken = self.ask(&lss::encode_configure_node_id(self.node.raw()))?;
-        same(
-            "node-ID",
-            lss::decode_configure_node_id_response(&taken),
-            Some(Ok(())),
-        )?;
+        same("node-ID", lss::decode_configure_node_id_response(&taken), Some(Ok(())))?;
         let waiting = lss::encode_switch_global(false);
-        self.bus
-            .send(lss::LSS_MASTER_COB_ID, &waiting)
-            .map_err(said)?;
+        self.bus.send(lss::LSS_MASTER_COB_ID, &waiting).map_err(said)?;
         self.hears(NmtState::Initialising, self.node)
     }
 }

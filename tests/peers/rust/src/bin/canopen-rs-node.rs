@@ -16,8 +16,7 @@ use canopen_rs::nmt::{NMT_COMMAND_COB_ID, NmtState};
 use canopen_rs::pdo::{PdoKind, default_cob_id};
 use canopen_rs::sync::SYNC_COB_ID;
 use canopen_rs::{
-    Address, ByteString, Entry, LssAddress, LssState, Node, NodeId, ObjectDictionary,
-    StandardObjects, TxFrame, Value,
+    Address, ByteString, Entry, LssAddress, LssState, Node, NodeId, ObjectDictionary, StandardObjects, TxFrame, Value,
 };
 use mrroc_peers::drive::{DEVICE_TYPE, Drive, Objects};
 
@@ -52,39 +51,21 @@ impl Objects for Dictionary<'_> {
 
 fn dictionary(node: NodeId, identity: LssAddress) -> ObjectDictionary<OBJECTS> {
     let mut objects = ObjectDictionary::new();
-    let standard = StandardObjects::new(DEVICE_TYPE, identity)
-        .with_error_history(4)
-        .with_device_name("canopen-rs");
+    let standard = StandardObjects::new(DEVICE_TYPE, identity).with_error_history(4).with_device_name("canopen-rs");
     standard.insert_into(&mut objects).expect("there is room");
     let mut put = |index, subindex, entry| {
         let put = objects.insert(Address::new(index, subindex), entry);
         put.expect("there is room");
     };
-    let consumers = [
-        Value::Unsigned8(2),
-        Value::Unsigned32(0),
-        Value::Unsigned32(0),
-    ];
+    let consumers = [Value::Unsigned8(2), Value::Unsigned32(0), Value::Unsigned32(0)];
     for (value, sub) in consumers.into_iter().zip(0..) {
-        put(
-            0x1016,
-            sub,
-            if sub == 0 {
-                Entry::constant(value)
-            } else {
-                Entry::rw(value)
-            },
-        );
+        put(0x1016, sub, if sub == 0 { Entry::constant(value) } else { Entry::rw(value) });
     }
     for number in 0..4 {
         for (kind, at) in [(PdoKind::Receive, 0x1400), (PdoKind::Transmit, 0x1800)] {
             let cob_id = default_cob_id(kind, number as u8 + 1, node).expect("one of four");
             put(at + number, 0, Entry::constant(Value::Unsigned8(3)));
-            put(
-                at + number,
-                1,
-                Entry::rw(Value::Unsigned32(0x8000_0000 | u32::from(cob_id))),
-            );
+            put(at + number, 1, Entry::rw(Value::Unsigned32(0x8000_0000 | u32::from(cob_id))));
             put(at + number, 2, Entry::rw(Value::Unsigned8(255)));
             put(at + number, 3, Entry::rw(Value::Unsigned16(0)));
             put(at + 0x200 + number, 0, Entry::rw(Value::Unsigned8(0)));
@@ -97,11 +78,7 @@ fn dictionary(node: NodeId, identity: LssAddress) -> ObjectDictionary<OBJECTS> {
     put(0x2001, 0, Entry::rw(Value::Integer16(0)));
     put(0x2002, 0, Entry::rw(Value::Unsigned8(0)));
     put(0x2F00, 0, Entry::rw(Value::Domain(ByteString::new())));
-    put(
-        EMERGENCY.index,
-        EMERGENCY.subindex,
-        Entry::rw(Value::Unsigned16(0)),
-    );
+    put(EMERGENCY.index, EMERGENCY.subindex, Entry::rw(Value::Unsigned16(0)));
     put(0x603F, 0, Entry::ro(Value::Unsigned16(0)));
     put(0x6040, 0, Entry::rw(Value::Unsigned16(0)));
     put(0x6041, 0, Entry::ro(Value::Unsigned16(0)));
@@ -137,13 +114,8 @@ struct Device {
 
 impl Device {
     fn new(bus: SocketCan, node: u8, identity: LssAddress) -> Self {
-        let mut device = Self {
-            bus,
-            node: Self::fresh(node, identity),
-            identity,
-            drive: Drive::default(),
-            heartbeat: None,
-        };
+        let mut device =
+            Self { bus, node: Self::fresh(node, identity), identity, drive: Drive::default(), heartbeat: None };
         device.boot(node);
         device
     }
@@ -160,9 +132,7 @@ impl Device {
     }
 
     fn send(&self, frame: &TxFrame) {
-        self.bus
-            .send(frame.cob_id, frame.data())
-            .expect("the interface takes frames");
+        self.bus.send(frame.cob_id, frame.data()).expect("the interface takes frames");
     }
 
     fn boot(&mut self, node: u8) {
@@ -176,8 +146,7 @@ impl Device {
 
     fn show(&mut self) {
         let operational = self.node.state() == NmtState::Operational;
-        self.drive
-            .step(&mut Dictionary(self.node.od_mut()), operational);
+        self.drive.step(&mut Dictionary(self.node.od_mut()), operational);
     }
 
     /// A reset of the node clears everything except the node-ID. A reset of communication clears the objects below
@@ -209,10 +178,7 @@ impl Device {
             self.written(written);
         }
         if cob_id == NMT_COMMAND_COB_ID && self.node.state() == NmtState::Initialising {
-            let configured = self
-                .node
-                .lss()
-                .is_some_and(|lss| lss.node_id() != UNCONFIGURED_NODE_ID);
+            let configured = self.node.lss().is_some_and(|lss| lss.node_id() != UNCONFIGURED_NODE_ID);
             if configured {
                 self.reset(data.first() == Some(&0x81));
             }
@@ -221,10 +187,7 @@ impl Device {
         // A node without a node-ID adopts the new node-ID when it returns to waiting mode (CiA 305).
         let lss = self.node.lss().expect("it was enabled");
         let given = lss.pending_node_id();
-        if lss.node_id() == UNCONFIGURED_NODE_ID
-            && given != UNCONFIGURED_NODE_ID
-            && lss.state() == LssState::Waiting
-        {
+        if lss.node_id() == UNCONFIGURED_NODE_ID && given != UNCONFIGURED_NODE_ID && lss.state() == LssState::Waiting {
             self.reset(false);
         }
         if cob_id == SYNC_COB_ID && self.node.state() == NmtState::Operational {
@@ -246,9 +209,7 @@ impl Device {
             (index, Ok(Value::Unsigned16(code))) if index == EMERGENCY.index => {
                 let frame = match code {
                     0 => self.node.clear_errors(),
-                    _ => self
-                        .node
-                        .raise_emergency(code, ErrorRegister(0x20), [1, 2, 3, 4, 5]),
+                    _ => self.node.raise_emergency(code, ErrorRegister(0x20), [1, 2, 3, 4, 5]),
                 };
                 let payload = frame.data().try_into().expect("eight bytes");
                 assert!(EmergencyMessage::decode(payload).is_ok());
@@ -259,9 +220,7 @@ impl Device {
     }
 
     fn serve(&mut self) -> ! {
-        self.bus
-            .set_read_timeout(LOOK)
-            .expect("the socket takes a time-out");
+        self.bus.set_read_timeout(LOOK).expect("the socket takes a time-out");
         loop {
             if let Ok(frame) = self.bus.recv() {
                 self.take(frame.cob_id, frame.data());

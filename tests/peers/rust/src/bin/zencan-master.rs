@@ -14,9 +14,7 @@ use zencan_client::common::node_configuration::PdoConfig;
 use zencan_client::common::pdo::{PdoCommParameter, PdoMapping};
 use zencan_client::common::traits::{AsyncCanReceiver, AsyncCanSender};
 use zencan_client::common::{CanId, NodeId};
-use zencan_client::{
-    BusManager, LssError, RawAbortCode, SdoClient, SdoClientError, open_socketcan,
-};
+use zencan_client::{BusManager, LssError, RawAbortCode, SdoClient, SdoClientError, open_socketcan};
 
 /// Identity of the emulated drive.
 const IDENTITY: (u32, u32, u32) = (0x0000_00FB, 0x6150_0000, 0x0170_0000);
@@ -49,41 +47,26 @@ struct Master<S: AsyncCanSender + Send + Sync> {
 fn main() {
     let (interface, node) = arguments();
     let wire = Wire::new(&interface);
-    let threads = Builder::new_multi_thread()
-        .worker_threads(1)
-        .enable_all()
-        .build();
+    let threads = Builder::new_multi_thread().worker_threads(1).enable_all().build();
     let runtime = threads.expect("a thread");
     let entered = runtime.enter();
     let (sender, receiver) = open_socketcan(&interface).expect("the interface is there");
     let bus = BusManager::new(sender.clone(), receiver);
     drop(entered);
     let mut checks = Checks::new(wire.clone());
-    let mut master = Master {
-        runtime,
-        bus,
-        sender,
-        wire,
-        interface,
-        node,
-        settled: false,
-    };
+    let mut master = Master { runtime, bus, sender, wire, interface, node, settled: false };
     let m = &mut master;
     checks.check("a_reset_drive_boots_and_beats", || m.boots());
     checks.check("nmt_commands_are_obeyed", || m.commands());
     checks.check("a_scan_finds_the_drive_and_its_identity", || m.scans());
-    checks.check("numbers_of_every_size_are_written_and_read_back", || {
-        m.numbers()
-    });
+    checks.check("numbers_of_every_size_are_written_and_read_back", || m.numbers());
     checks.check("a_text_is_uploaded_in_segments", || m.text());
     checks.check("segments_carry_every_length_both_ways", || m.segments());
     checks.check("blocks_carry_every_length_to_the_drive", || m.blocks());
     checks.check("refusals_have_the_codes_of_cia_301", || m.refusals());
     checks.check("pdos_are_configured_and_pass_with_sync", || m.pdos());
     checks.check("layer_settings_renumber_the_drive", || m.renumbers());
-    checks.check("a_fastscan_finds_a_drive_without_a_node_id", || {
-        m.fastscan()
-    });
+    checks.check("a_fastscan_finds_a_drive_without_a_node_id", || m.fastscan());
     exit(checks.finish());
 }
 
@@ -93,10 +76,7 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
         self.client_of(self.node)
     }
 
-    fn client_of(
-        &self,
-        node: u8,
-    ) -> SdoClient<impl AsyncCanSender + use<S>, impl AsyncCanReceiver + use<S>> {
+    fn client_of(&self, node: u8) -> SdoClient<impl AsyncCanSender + use<S>, impl AsyncCanReceiver + use<S>> {
         let _entered = self.runtime.enter();
         let (sender, receiver) = open_socketcan(&self.interface).expect("the interface is there");
         let mut client = SdoClient::new_std(node, sender, receiver);
@@ -116,8 +96,7 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
     }
 
     fn boot_since(&self, mark: usize, node: u8) -> bool {
-        let boot =
-            |seen: &mrroc_peers::Seen| seen.id == 0x700 + u16::from(node) && seen.data == [0];
+        let boot = |seen: &mrroc_peers::Seen| seen.id == 0x700 + u16::from(node) && seen.data == [0];
         self.wire.since(mark, boot).is_some()
     }
 
@@ -140,10 +119,7 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
             if heard == Some(state) {
                 return Ok(());
             }
-            holds(
-                &format!("heard {heard:?}, expected {state:?}"),
-                Instant::now() < end,
-            )?;
+            holds(&format!("heard {heard:?}, expected {state:?}"), Instant::now() < end)?;
             std::thread::sleep(Duration::from_millis(2));
         }
     }
@@ -151,9 +127,7 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
     fn boots(&mut self) -> Outcome {
         self.boots_by(NmtCommandSpecifier::ResetApp, self.node, self.node)?;
         let mut client = self.client();
-        self.runtime
-            .block_on(client.write_u16(0x1017, 0, 20))
-            .map_err(said)?;
+        self.runtime.block_on(client.write_u16(0x1017, 0, 20)).map_err(said)?;
         self.hears(NmtState::PreOperational)
     }
 
@@ -188,18 +162,12 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
             read.map_err(said)?;
         }
         self.settled = !self.settled;
-        let (state, byte) = if self.settled {
-            (NmtState::Operational, 5)
-        } else {
-            (NmtState::Stopped, 4)
-        };
+        let (state, byte) = if self.settled { (NmtState::Operational, 5) } else { (NmtState::Stopped, 4) };
         // The frame is sent from another socket, because the manager does not receive frames of its own socket. The
         // first frame of a node does not set a state.
         let mut sender = {
             let _entered = self.runtime.enter();
-            open_socketcan(&self.interface)
-                .expect("the interface is there")
-                .0
+            open_socketcan(&self.interface).expect("the interface is there").0
         };
         for _ in 0..2 {
             let beat = CanMessage::new(CanId::std(0x700 + u16::from(NOBODY)), &[byte]);
@@ -251,14 +219,8 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
         let mut c = self.client();
         let name = self.runtime.block_on(c.read_device_name());
         same("name", name.as_deref(), Ok("EPOS4"))?;
-        let long = self
-            .runtime
-            .block_on(c.read_visible_string(0x2FF0, 1))
-            .map_err(said)?;
-        holds(
-            &long,
-            long.starts_with("a record of the emulator") && long.len() > 70,
-        )
+        let long = self.runtime.block_on(c.read_visible_string(0x2FF0, 1)).map_err(said)?;
+        holds(&long, long.starts_with("a record of the emulator") && long.len() > 70)
     }
 
     fn segments(&mut self) -> Outcome {
@@ -308,10 +270,7 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
             aborted(c.download(0x6081, 0, &[0; 20]).await, 0x0607_0010)?;
             aborted(c.write_u8(0x60C2, 1, 200).await, 0x0609_0030)?;
             aborted(c.download(index, sub, &bytes(1023)).await, 0x0504_0005)?;
-            aborted(
-                c.block_download(index, sub, &bytes(1023)).await,
-                0x0504_0005,
-            )?;
+            aborted(c.block_download(index, sub, &bytes(1023)).await, 0x0504_0005)?;
             aborted(c.block_upload(0x5FFF, 0).await, 0x0602_0000)?;
             aborted(c.block_download(0x1000, 0, &bytes(29)).await, 0x0601_0002)?;
             // The next transfer succeeds.
@@ -331,15 +290,11 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
             same("RPDO 2", c.read_rpdo_config(1).await, Ok(rpdo))
         })?;
         self.runtime.block_on(self.bus.nmt_start(self.node));
-        let velocity =
-            |client: &mut SdoClient<_, _>| self.runtime.block_on(client.read_i32(0x60FF, 0));
+        let velocity = |client: &mut SdoClient<_, _>| self.runtime.block_on(client.read_i32(0x60FF, 0));
         same("before", velocity(&mut c), Ok(0))?;
         let data = [0, 0, 0, 0, 0xF9, 0xFF, 0xFF, 0xFF];
         self.runtime
-            .block_on(
-                self.sender
-                    .send(CanMessage::new(CanId::std(0x300 + node), &data)),
-            )
+            .block_on(self.sender.send(CanMessage::new(CanId::std(0x300 + node), &data)))
             .map_err(|_| "not sent")?;
         same("before SYNC", velocity(&mut c), Ok(0))?;
         let mark = self.wire.mark();
@@ -372,8 +327,7 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
             }
         }
         last.map_err(said)?;
-        self.runtime
-            .block_on(self.bus.lss_set_global_mode(LssState::Waiting));
+        self.runtime.block_on(self.bus.lss_set_global_mode(LssState::Waiting));
         Ok(())
     }
 
@@ -401,30 +355,15 @@ impl<S: AsyncCanSender + Clone + Send + Sync> Master<S> {
         same("found", found, Some(vec![identity]))?;
         let mark = self.wire.mark();
         self.set(identity, NodeId::new(self.node).map_err(|_| "no node-ID")?)?;
-        holds(
-            "no boot-up with the new node-ID",
-            self.boot_since(mark, self.node),
-        )
+        holds("no boot-up with the new node-ID", self.boot_since(mark, self.node))
     }
 }
 
 /// Configuration of a synchronous PDO.
 fn config(cob_id: u16, rtr_disabled: bool, objects: &[(u16, u8)]) -> PdoConfig {
     PdoConfig {
-        comm: PdoCommParameter {
-            valid: true,
-            rtr_disabled,
-            cob_id: CanId::std(cob_id),
-            transmission_type: 1,
-        },
-        mappings: objects
-            .iter()
-            .map(|&(index, size)| PdoMapping {
-                index,
-                sub: 0,
-                size,
-            })
-            .collect(),
+        comm: PdoCommParameter { valid: true, rtr_disabled, cob_id: CanId::std(cob_id), transmission_type: 1 },
+        mappings: objects.iter().map(|&(index, size)| PdoMapping { index, sub: 0, size }).collect(),
     }
 }
 

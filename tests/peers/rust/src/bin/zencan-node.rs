@@ -88,9 +88,7 @@ fn main() {
     zencan::OBJECT1018.set_serial(serial);
     zencan::OBJECT2F00.value.register_handler(&STORE);
     let socket = CanSocket::open(&interface).expect("the interface is there");
-    socket
-        .set_read_timeout(LOOK)
-        .expect("the socket takes a time-out");
+    socket.set_read_timeout(LOOK).expect("the socket takes a time-out");
     let id = NodeId::new(node).expect("a node-ID, or 255");
     let (mailbox, state) = (&zencan::NODE_MBOX, &zencan::NODE_STATE);
     let mut node = Node::new(id, Callbacks::new(), mailbox, state, &zencan::OD_TABLE);
@@ -104,9 +102,7 @@ fn main() {
         while let Some(message) = mailbox.next_transmit_message() {
             let id = StandardId::new(message.id().raw() as u16).expect("eleven bits");
             let frame = CanFrame::new(id, message.data()).expect("eight bytes");
-            socket
-                .write_frame(&frame)
-                .expect("the interface takes frames");
+            socket.write_frame(&frame).expect("the interface takes frames");
         }
     }
 }

@@ -16,8 +16,7 @@ const CARD: &str = r#"[{"ifindex":3,"ifname":"can0","flags":["NOARP","UP"],"mtu"
 const SLCAN: &str = r#"[{"ifname":"can0","qdisc":"noop","txqlen":10,"linkinfo":{"info_kind":"can","info_data":
 {"state":"STOPPED","restart_ms":0,"bittiming_bitrate":500000,"bitrate_const":[500000,1000000],"clock":0}}}]"#;
 
-const VCAN: &str =
-    r#"[{"ifname":"can0","qdisc":"noqueue","txqlen":1000,"linkinfo":{"info_kind":"vcan"}}]"#;
+const VCAN: &str = r#"[{"ifname":"can0","qdisc":"noqueue","txqlen":1000,"linkinfo":{"info_kind":"vcan"}}]"#;
 
 /// A host whose can0 is a card on a USB host controller with interrupt 17.
 fn host(driver: &str, release: &str, affinity: &str) -> Fake {
@@ -33,14 +32,8 @@ fn host(driver: &str, release: &str, affinity: &str) -> Fake {
         ("proc/irq/17/smp_affinity_list", affinity),
         ("proc/sys/kernel/osrelease", release),
     ]);
-    fake.link(
-        "sys/class/net/can0/device",
-        &format!("../../../../{adapter}"),
-    );
-    fake.link(
-        &format!("{adapter}/driver"),
-        &format!("../../../../../../bus/usb/drivers/{driver}"),
-    );
+    fake.link("sys/class/net/can0/device", &format!("../../../../{adapter}"));
+    fake.link(&format!("{adapter}/driver"), &format!("../../../../../../bus/usb/drivers/{driver}"));
     fake
 }
 
@@ -62,12 +55,7 @@ fn name() -> InterfaceName {
 fn found(link: &str) -> Vec<Finding> {
     let opened = Ok(());
     let link = Link::parse(link).unwrap();
-    findings(
-        &host("kvaser_usb", "6.1.0", "0-3").tree(),
-        &wanted(),
-        opened,
-        Some(&link),
-    )
+    findings(&host("kvaser_usb", "6.1.0", "0-3").tree(), &wanted(), opened, Some(&link))
 }
 
 fn of<'a>(findings: &'a [Finding], what: &str) -> &'a Finding {
@@ -83,79 +71,27 @@ fn a_card_as_it_should_be_leaves_nothing_to_mend() {
         ("up", "yes"),
         ("bit rate", "1000 kbit/s, the cell says 1000 kbit/s"),
         ("sample point", "75.0 %"),
-        (
-            "bus state",
-            "ERROR-ACTIVE, errors tx 0 rx 0; error-passive 0 times, bus-off 0 times, restarted 0 times",
-        ),
+        ("bus state", "ERROR-ACTIVE, errors tx 0 rx 0; error-passive 0 times, bus-off 0 times, restarted 0 times"),
         ("restart-ms", "100"),
         ("txqueuelen", "10, pfifo_fast; a cycle queues up to 9"),
         ("interrupt", "17 on CPU 0-3"),
     ];
-    let read: Vec<_> = found
-        .iter()
-        .map(|found| (found.what, &*found.read))
-        .collect();
+    let read: Vec<_> = found.iter().map(|found| (found.what, &*found.read)).collect();
     assert_eq!(read, expected);
-    assert!(
-        found
-            .iter()
-            .all(|found| found.verdict == Fine && found.mend.is_none())
-    );
+    assert!(found.iter().all(|found| found.verdict == Fine && found.mend.is_none()));
 }
 
 #[test]
 fn what_a_card_lacks_is_found_and_mended_by_a_command() {
     let table = [
-        (
-            "\"bitrate\":1000000",
-            "\"bitrate\":500000",
-            "bit rate",
-            NotUsable,
-            "type can bitrate 1000000",
-        ),
-        (
-            "\"0.750\"",
-            "\"0.500\"",
-            "sample point",
-            Warning,
-            "sample-point 0.875",
-        ),
-        (
-            "\"0.750\"",
-            "0.95",
-            "sample point",
-            Warning,
-            "bitrate 1000000 sample-point",
-        ),
-        (
-            "\"restart_ms\":100",
-            "\"restart_ms\":0",
-            "restart-ms",
-            Warning,
-            "restart-ms 100",
-        ),
+        ("\"bitrate\":1000000", "\"bitrate\":500000", "bit rate", NotUsable, "type can bitrate 1000000"),
+        ("\"0.750\"", "\"0.500\"", "sample point", Warning, "sample-point 0.875"),
+        ("\"0.750\"", "0.95", "sample point", Warning, "bitrate 1000000 sample-point"),
+        ("\"restart_ms\":100", "\"restart_ms\":0", "restart-ms", Warning, "restart-ms 100"),
         ("\"tx\":0", "\"tx\":8", "bus state", Warning, "terminators"),
-        (
-            "ERROR-ACTIVE",
-            "ERROR-PASSIVE",
-            "bus state",
-            Warning,
-            "terminators",
-        ),
-        (
-            "ERROR-ACTIVE",
-            "BUS-OFF",
-            "bus state",
-            NotUsable,
-            "terminators",
-        ),
-        (
-            "\"bus_off\":0",
-            "\"bus_off\":3",
-            "bus state",
-            Warning,
-            "terminators",
-        ),
+        ("ERROR-ACTIVE", "ERROR-PASSIVE", "bus state", Warning, "terminators"),
+        ("ERROR-ACTIVE", "BUS-OFF", "bus state", NotUsable, "terminators"),
+        ("\"bus_off\":0", "\"bus_off\":3", "bus state", Warning, "terminators"),
     ];
     for (right, wrong, what, verdict, mend) in table {
         assert!(CARD.contains(right), "{right}");
@@ -173,21 +109,9 @@ fn what_a_card_lacks_is_found_and_mended_by_a_command() {
 fn what_a_card_lacks_is_set_knob_by_knob() {
     let knob = || "can0".to_owned();
     let table = [
-        (
-            ("\"bitrate\":1000000", "\"bitrate\":500000"),
-            "bit rate",
-            Some(Knob::BitTiming(knob()).to("1000000")),
-        ),
-        (
-            ("\"0.750\"", "\"0.500\""),
-            "sample point",
-            Some(Knob::BitTiming(knob()).to("1000000 0.875")),
-        ),
-        (
-            ("\"restart_ms\":100", "\"restart_ms\":0"),
-            "restart-ms",
-            Some(Knob::RestartMs(knob()).to("100")),
-        ),
+        (("\"bitrate\":1000000", "\"bitrate\":500000"), "bit rate", Some(Knob::BitTiming(knob()).to("1000000"))),
+        (("\"0.750\"", "\"0.500\""), "sample point", Some(Knob::BitTiming(knob()).to("1000000 0.875"))),
+        (("\"restart_ms\":100", "\"restart_ms\":0"), "restart-ms", Some(Knob::RestartMs(knob()).to("100"))),
         // No setting repairs an error of the wiring.
         (("ERROR-ACTIVE", "BUS-OFF"), "bus state", None),
     ];
@@ -206,10 +130,7 @@ fn what_a_card_lacks_is_set_knob_by_knob() {
         (None, &link, vec![timing("1000000"), up]),
         (None, &Link::parse(&bare).unwrap(), vec![]),
     ] {
-        let wanted = Wanted {
-            bitrate_kbps,
-            ..wanted()
-        };
+        let wanted = Wanted { bitrate_kbps, ..wanted() };
         let tree = host("kvaser_usb", "6.1.0", "0").tree();
         let found = findings(&tree, &wanted, down, Some(link));
         assert_eq!(of(&found, "up").fixes, fixes, "{bitrate_kbps:?}");
@@ -220,21 +141,9 @@ fn what_a_card_lacks_is_set_knob_by_knob() {
 fn an_interface_that_cannot_be_opened_says_why() {
     let tree = host("kvaser_usb", "6.1.0", "0");
     let table = [
-        (
-            OpenError::NoCan(name()),
-            "this kernel has no CAN",
-            "modprobe can-raw",
-        ),
-        (
-            OpenError::Absent(name()),
-            "not there; there are can0",
-            "dmesg",
-        ),
-        (
-            OpenError::NotCan(name()),
-            "not a CAN interface",
-            "bus.interface",
-        ),
+        (OpenError::NoCan(name()), "this kernel has no CAN", "modprobe can-raw"),
+        (OpenError::Absent(name()), "not there; there are can0", "dmesg"),
+        (OpenError::NotCan(name()), "not a CAN interface", "bus.interface"),
         (OpenError::BadName, "1 to 15 bytes", "bus.interface"),
     ];
     for (error, read, mend) in table {
@@ -251,25 +160,14 @@ fn an_interface_that_is_down_is_set_as_the_cell_says() {
     let fake = Fake::new(&[("sys/class/net/can0/tx_queue_len", "10")]);
     let down = Err(OpenError::Down(name()));
     let found = findings(&fake.tree(), &wanted(), down, Some(&link));
-    let judged: Vec<_> = found
-        .iter()
-        .map(|found| (found.what, found.verdict))
-        .collect();
+    let judged: Vec<_> = found.iter().map(|found| (found.what, found.verdict)).collect();
     // An slcan interface has neither a sample point nor an automatic restart.
-    let expected = [
-        ("interface", Fine),
-        ("up", NotUsable),
-        ("bit rate", NotUsable),
-        ("txqueuelen", Fine),
-    ];
+    let expected = [("interface", Fine), ("up", NotUsable), ("bit rate", NotUsable), ("txqueuelen", Fine)];
     assert_eq!(judged, expected);
     let rate = &of(&found, "bit rate").read;
     assert_eq!(rate, "500 kbit/s, the cell says 1000 kbit/s");
     let mend = of(&found, "up").mend.as_deref().unwrap();
-    assert!(
-        mend.contains("type can bitrate 1000000 restart-ms 100"),
-        "{mend}"
-    );
+    assert!(mend.contains("type can bitrate 1000000 restart-ms 100"), "{mend}");
 }
 
 #[test]
@@ -277,18 +175,12 @@ fn a_virtual_bus_has_neither_bit_rate_nor_queue() {
     let fake = Fake::new(&[("sys/class/net/can0/tx_queue_len", "0")]);
     for link in [Link::parse(VCAN), None] {
         let found = findings(&fake.tree(), &wanted(), Ok(()), link.as_ref());
-        let judged: Vec<_> = found
-            .iter()
-            .map(|found| (found.what, found.verdict))
-            .collect();
+        let judged: Vec<_> = found.iter().map(|found| (found.what, found.verdict)).collect();
         let expected = [("interface", Fine), ("up", Fine), ("txqueuelen", Fine)];
         assert_eq!(judged, expected, "{link:?}");
         let down = Err(OpenError::Down(name()));
         let found = findings(&fake.tree(), &wanted(), down, link.as_ref());
-        assert_eq!(
-            of(&found, "up").mend.as_deref(),
-            Some("ip link set can0 up")
-        );
+        assert_eq!(of(&found, "up").mend.as_deref(), Some("ip link set can0 up"));
     }
 }
 
@@ -315,23 +207,14 @@ fn gs_usb_mixes_frames_up_before_kernel_6_6() {
     for (driver, release, verdict) in table {
         let fake = host(driver, release, "0");
         let found = frame_order(&fake.tree(), "can0", Some(driver));
-        assert_eq!(
-            found.map(|found| found.verdict),
-            verdict,
-            "{driver} {release}"
-        );
+        assert_eq!(found.map(|found| found.verdict), verdict, "{driver} {release}");
     }
 }
 
 #[test]
 fn a_queue_that_one_cycle_fills_is_too_short() {
     let link = Link::parse(CARD).unwrap();
-    for (length, verdict) in [
-        ("9", Warning),
-        ("10", Fine),
-        ("1000", Fine),
-        ("65536", Warning),
-    ] {
+    for (length, verdict) in [("9", Warning), ("10", Fine), ("1000", Fine), ("65536", Warning)] {
         let fake = Fake::new(&[("sys/class/net/can0/tx_queue_len", length)]);
         let found = queue(&fake.tree(), &wanted(), Some(&link), false).unwrap();
         assert_eq!(found.verdict, verdict, "{length}");
@@ -340,17 +223,9 @@ fn a_queue_that_one_cycle_fills_is_too_short() {
 
 #[test]
 fn interrupts_of_the_card_stay_off_the_servos_cpu_or_have_it_alone() {
-    let table = [
-        (None, "0-3", Fine),
-        (Some(3), "0-3", Warning),
-        (Some(3), "0-2", Fine),
-        (Some(3), "3", Fine),
-    ];
+    let table = [(None, "0-3", Fine), (Some(3), "0-3", Warning), (Some(3), "0-2", Fine), (Some(3), "3", Fine)];
     for (servo_cpu, affinity, verdict) in table {
-        let wanted = Wanted {
-            servo_cpu,
-            ..wanted()
-        };
+        let wanted = Wanted { servo_cpu, ..wanted() };
         let found = interrupt(&host("kvaser_usb", "6.1.0", affinity).tree(), &wanted).unwrap();
         assert_eq!(found.verdict, verdict, "{servo_cpu:?} {affinity}");
         let irq = Knob::Kernel("/proc/irq/17/smp_affinity_list".to_owned());

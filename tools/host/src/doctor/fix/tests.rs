@@ -89,11 +89,7 @@ fn a_change_that_cannot_be_recorded_is_not_made() {
 #[test]
 fn a_crash_before_or_behind_a_change_leaves_what_undo_needs() {
     let fake = Fake::new(&[(RUNTIME, "400000\n")]);
-    let change = Change {
-        knob: runtime("").knob,
-        before: Some("400000".into()),
-        after: "950000".into(),
-    };
+    let change = Change { knob: runtime("").knob, before: Some("400000".into()), after: "950000".into() };
     for (reached, left) in [("400000\n", 0), ("950000", 0), ("700000", 1)] {
         record(&fake).push(change.clone()).unwrap();
         fake.write(RUNTIME, reached);
@@ -177,10 +173,8 @@ fn a_record_that_names_anything_a_fix_does_not_set_changes_nothing() {
     ] {
         for before in ["null", "\"evil\""] {
             let fake = Fake::new(&[(victim, "root\n"), (RUNTIME, "950000\n")]);
-            let harmless = format!(
-                "{{\"knob\":{},\"before\":\"400000\",\"after\":\"950000\"}}",
-                kernel(&format!("/{RUNTIME}"))
-            );
+            let harmless =
+                format!("{{\"knob\":{},\"before\":\"400000\",\"after\":\"950000\"}}", kernel(&format!("/{RUNTIME}")));
             let evil = format!("{{\"knob\":{knob},\"before\":{before},\"after\":\"root\\n\"}}");
             fake.write(RECORD, &format!("[{harmless},{evil}]"));
             let refused = Record::existing(&fake.path(RECORD)).err();
@@ -218,11 +212,7 @@ fn a_bit_rate_stands_where_its_sample_point_is_near() {
         (Some("fast"), Some("faster"), false),
     ];
     for (wanted, found, stands) in table {
-        assert_eq!(
-            knob.stands_at(wanted, found),
-            stands,
-            "{wanted:?} {found:?}"
-        );
+        assert_eq!(knob.stands_at(wanted, found), stands, "{wanted:?} {found:?}");
     }
 }
 
@@ -230,15 +220,10 @@ fn a_bit_rate_stands_where_its_sample_point_is_near() {
 fn no_interface_is_touched_that_somebody_receives_on() {
     let head = "receive list 'rx_fil':\n";
     let columns = "  device   can_id   can_mask  function  userdata   matches  ident\n";
-    let receiver = |device| {
-        format!("{columns}   {device}      201    c00007ff  00000000  00000000         7  raw\n")
-    };
+    let receiver = |device| format!("{columns}   {device}      201    c00007ff  00000000  00000000         7  raw\n");
     let table = [
         (String::new(), false),
-        (
-            format!("{head}  (any: no entry)\n  (can0: no entry)\n"),
-            false,
-        ),
+        (format!("{head}  (any: no entry)\n  (can0: no entry)\n"), false),
         (format!("{head}{}", receiver("can0")), true),
         (format!("{head}{}", receiver("can01")), false),
         (format!("{head}{}", receiver("any")), true),

@@ -32,10 +32,7 @@ fn tell(decoder: &mut Decoder, table: &[(u64, &str, &str)]) {
 fn download(decoder: &mut Decoder, segments: u8) -> u64 {
     tell(
         decoder,
-        &[
-            (0, "606#C008100000000000", "write NAME in blocks"),
-            (1, "586#A40810007F000000", "NAME, in blocks of 127"),
-        ],
+        &[(0, "606#C008100000000000", "write NAME in blocks"), (1, "586#A40810007F000000", "NAME, in blocks of 127")],
     );
     for number in 1..=segments {
         let frame = format!("606#{number:02X}40600006000000");
@@ -57,16 +54,8 @@ fn the_segments_of_a_block_download_are_no_commands() {
         &mut decoder,
         &[
             (at, CONTROLWORD, "segment 43 of NAME: 40 60 00 06 00 00 00"),
-            (
-                at,
-                "606#AC18191A1B1C1D1E",
-                "last segment 44 of NAME: 18 19 1a 1b 1c 1d 1e",
-            ),
-            (
-                at,
-                "586#A22C7F0000000000",
-                "block taken up to segment 44, next of 127",
-            ),
+            (at, "606#AC18191A1B1C1D1E", "last segment 44 of NAME: 18 19 1a 1b 1c 1d 1e"),
+            (at, "586#A22C7F0000000000", "block taken up to segment 44, next of 127"),
             (at, "606#C131C30000000000", "end of blocks, checksum 0xc331"),
             (at, "586#A100000000000000", "end of blocks taken"),
             (at, CONTROLWORD, WRITTEN),
@@ -82,47 +71,15 @@ fn a_sub_block_ends_with_its_last_segment_or_its_size_and_lost_segments_come_aga
         &[
             (0, "606#C60810000F000000", "write NAME in blocks, 15 bytes"),
             (1, "586#A408100002000000", "NAME, in blocks of 2"),
-            (
-                2,
-                "606#0145504F53342D45",
-                "segment 1 of NAME: 45 50 4f 53 34 2d 45",
-            ),
-            (
-                3,
-                "606#022B406000060000",
-                "segment 2 of NAME: 2b 40 60 00 06 00 00",
-            ),
-            (
-                4,
-                "586#A201030000000000",
-                "block taken up to segment 1, next of 3",
-            ),
-            (
-                5,
-                "606#012B406000060000",
-                "segment 1 of NAME: 2b 40 60 00 06 00 00",
-            ),
-            (
-                6,
-                "606#8241000000000000",
-                "last segment 2 of NAME: 41 00 00 00 00 00 00",
-            ),
+            (2, "606#0145504F53342D45", "segment 1 of NAME: 45 50 4f 53 34 2d 45"),
+            (3, "606#022B406000060000", "segment 2 of NAME: 2b 40 60 00 06 00 00"),
+            (4, "586#A201030000000000", "block taken up to segment 1, next of 3"),
+            (5, "606#012B406000060000", "segment 1 of NAME: 2b 40 60 00 06 00 00"),
+            (6, "606#8241000000000000", "last segment 2 of NAME: 41 00 00 00 00 00 00"),
             // The last segment was lost.
-            (
-                7,
-                "586#A2017F0000000000",
-                "block taken up to segment 1, next of 127",
-            ),
-            (
-                8,
-                "606#8141000000000000",
-                "last segment 1 of NAME: 41 00 00 00 00 00 00",
-            ),
-            (
-                9,
-                "586#A2017F0000000000",
-                "block taken up to segment 1, next of 127",
-            ),
+            (7, "586#A2017F0000000000", "block taken up to segment 1, next of 127"),
+            (8, "606#8141000000000000", "last segment 1 of NAME: 41 00 00 00 00 00 00"),
+            (9, "586#A2017F0000000000", "block taken up to segment 1, next of 127"),
             (10, "606#D931C30000000000", "end of blocks, checksum 0xc331"),
             (11, "586#A100000000000000", "end of blocks taken"),
             (12, CONTROLWORD, WRITTEN),
@@ -150,34 +107,14 @@ fn the_segments_of_a_block_upload_are_no_answers() {
     tell(
         &mut decoder,
         &[
-            (
-                4,
-                "606#A243020000000000",
-                "block taken up to segment 67, next of 2",
-            ),
-            (
-                5,
-                "586#0102030405060708",
-                "segment 1 of NAME: 02 03 04 05 06 07 08",
-            ),
-            (
-                6,
-                "586#8209000000000000",
-                "last segment 2 of NAME: 09 00 00 00 00 00 00",
-            ),
-            (
-                7,
-                "606#A2027F0000000000",
-                "block taken up to segment 2, next of 127",
-            ),
+            (4, "606#A243020000000000", "block taken up to segment 67, next of 2"),
+            (5, "586#0102030405060708", "segment 1 of NAME: 02 03 04 05 06 07 08"),
+            (6, "586#8209000000000000", "last segment 2 of NAME: 09 00 00 00 00 00 00"),
+            (7, "606#A2027F0000000000", "block taken up to segment 2, next of 127"),
             (8, "586#D931C30000000000", "end of blocks, checksum 0xc331"),
             (9, "606#A100000000000000", "end of blocks taken"),
             (10, "606#4041600000000000", "read 0x6041:00 statusword"),
-            (
-                11,
-                "586#4341600037060000",
-                "0x6041:00 statusword = 0x00000637, 1591 (operation enabled, target reached)",
-            ),
+            (11, "586#4341600037060000", "0x6041:00 statusword = 0x00000637, 1591 (operation enabled, target reached)"),
         ],
     );
 }
@@ -190,16 +127,8 @@ fn a_short_object_may_be_uploaded_without_blocks() {
             (0, "606#A40810007F150000", "read NAME in blocks of 127"),
             (1, "586#4108100005000000", "NAME: 5 bytes in segments"),
             (2, "606#6000000000000000", "next segment, please"),
-            (
-                3,
-                "586#0545504F53340000",
-                "last segment of NAME: 45 50 4f 53 34 \"EPOS4\"",
-            ),
-            (
-                4,
-                "586#0545504F53340000",
-                "last segment 45 50 4f 53 34 \"EPOS4\"",
-            ),
+            (3, "586#0545504F53340000", "last segment of NAME: 45 50 4f 53 34 \"EPOS4\""),
+            (4, "586#0545504F53340000", "last segment 45 50 4f 53 34 \"EPOS4\""),
         ],
     );
 }
@@ -209,24 +138,12 @@ fn ordinary_segments_are_told_with_their_object() {
     tell(
         &mut Decoder::default(),
         &[
-            (
-                0,
-                "606#210810000A000000",
-                "write NAME, 10 bytes in segments",
-            ),
+            (0, "606#210810000A000000", "write NAME, 10 bytes in segments"),
             (1, "586#6008100000000000", "NAME taken"),
-            (
-                2,
-                "606#0045504F532B4060",
-                "segment of NAME: 45 50 4f 53 2b 40 60 \"EPOS+@`\"",
-            ),
+            (2, "606#0045504F532B4060", "segment of NAME: 45 50 4f 53 2b 40 60 \"EPOS+@`\""),
             (3, "586#2000000000000000", "segment taken"),
             // The client repeats the request, because the answer was late.
-            (
-                4,
-                "606#0045504F532B4060",
-                "segment of NAME: 45 50 4f 53 2b 40 60 \"EPOS+@`\"",
-            ),
+            (4, "606#0045504F532B4060", "segment of NAME: 45 50 4f 53 2b 40 60 \"EPOS+@`\""),
             (5, "586#2000000000000000", "segment taken"),
             (6, "606#1900010200000000", "last segment of NAME: 00 01 02"),
             (7, "586#3000000000000000", "segment taken"),
@@ -238,32 +155,20 @@ fn ordinary_segments_are_told_with_their_object() {
     download(&mut decoder, 42);
     tell(
         &mut decoder,
-        &[
-            (50, "607#2B40600006000000", WRITTEN),
-            (51, "586#6040600000000000", "0x6040:00 controlword taken"),
-        ],
+        &[(50, "607#2B40600006000000", WRITTEN), (51, "586#6040600000000000", "0x6040:00 controlword taken")],
     );
 }
 
 #[test]
 fn an_abort_of_either_side_ends_a_transfer() {
     let aborts = [
-        (
-            "606#8008100000000405",
-            "client aborts NAME: 0x05040000 (SDO protocol timed out)",
-        ),
-        (
-            "586#8008100004000405",
-            "aborts NAME: 0x05040004 (CRC error)",
-        ),
+        ("606#8008100000000405", "client aborts NAME: 0x05040000 (SDO protocol timed out)"),
+        ("586#8008100004000405", "aborts NAME: 0x05040004 (CRC error)"),
     ];
     for (frame, text) in aborts {
         let mut decoder = Decoder::default();
         let at = download(&mut decoder, 42);
-        tell(
-            &mut decoder,
-            &[(at, frame, text), (at, CONTROLWORD, WRITTEN)],
-        );
+        tell(&mut decoder, &[(at, frame, text), (at, CONTROLWORD, WRITTEN)]);
     }
 }
 
@@ -271,33 +176,15 @@ fn an_abort_of_either_side_ends_a_transfer() {
 fn steps_of_a_block_transfer_are_told_without_their_beginning() {
     let name = "0x1008:00 manufacturer device name";
     let cases = [
-        (
-            "602#C60810000A000000",
-            format!("write {name} in blocks, 10 bytes"),
-        ),
+        ("602#C60810000A000000", format!("write {name} in blocks, 10 bytes")),
         ("582#A408100007000000", format!("{name}, in blocks of 7")),
-        (
-            "582#A2037F0000000000",
-            "block taken up to segment 3, next of 127".to_owned(),
-        ),
-        (
-            "602#C931C30000000000",
-            "end of blocks, checksum 0xc331".to_owned(),
-        ),
+        ("582#A2037F0000000000", "block taken up to segment 3, next of 127".to_owned()),
+        ("602#C931C30000000000", "end of blocks, checksum 0xc331".to_owned()),
         ("582#A100000000000000", "end of blocks taken".to_owned()),
-        (
-            "602#A40810007F000000",
-            format!("read {name} in blocks of 127"),
-        ),
-        (
-            "582#C60810000A000000",
-            format!("{name} in blocks, 10 bytes"),
-        ),
+        ("602#A40810007F000000", format!("read {name} in blocks of 127")),
+        ("582#C60810000A000000", format!("{name} in blocks, 10 bytes")),
         ("602#A300000000000000", "first block, please".to_owned()),
-        (
-            "582#E445504F53340000",
-            "unknown command specifier: e4 45 50 4f 53 34 00 00".to_owned(),
-        ),
+        ("582#E445504F53340000", "unknown command specifier: e4 45 50 4f 53 34 00 00".to_owned()),
     ];
     for (frame, text) in &cases {
         check(&Decoder::default(), &[(frame, Kind::Sdo, Some(2), text)]);
@@ -366,45 +253,19 @@ fn every_frame_of_a_client_and_a_server_is_told_for_what_it_is() {
                 if upload {
                     client.block_upload(DEVICE_NAME, Instant::ZERO).unwrap();
                 } else {
-                    client
-                        .block_download(DEVICE_NAME, &object.0, Instant::ZERO)
-                        .unwrap();
+                    client.block_download(DEVICE_NAME, &object.0, Instant::ZERO).unwrap();
                 }
                 let texts = told(&mut client, &mut server, &mut object);
-                let of_name =
-                    |text: &&String| text.contains("segment ") && text.contains(" of 0x1008");
+                let of_name = |text: &&String| text.contains("segment ") && text.contains(" of 0x1008");
                 let segments = texts.iter().filter(of_name).count();
-                assert_eq!(
-                    segments,
-                    size.div_ceil(7),
-                    "{size} in {block_size}, {upload}"
-                );
+                assert_eq!(segments, size.div_ceil(7), "{size} in {block_size}, {upload}");
                 let expected = if upload {
-                    [
-                        "read",
-                        "0x1008",
-                        "first",
-                        "block taken",
-                        "end of blocks",
-                        "end of blocks taken",
-                    ]
+                    ["read", "0x1008", "first", "block taken", "end of blocks", "end of blocks taken"]
                 } else {
-                    [
-                        "write",
-                        "0x1008",
-                        "block taken",
-                        "end of blocks",
-                        "end of blocks taken",
-                        "",
-                    ]
+                    ["write", "0x1008", "block taken", "end of blocks", "end of blocks taken", ""]
                 };
-                let mut others = texts
-                    .iter()
-                    .filter(|text| !of_name(text))
-                    .collect::<Vec<_>>();
-                others.dedup_by(|one, other| {
-                    one.starts_with("block taken") && other.starts_with("block taken")
-                });
+                let mut others = texts.iter().filter(|text| !of_name(text)).collect::<Vec<_>>();
+                others.dedup_by(|one, other| one.starts_with("block taken") && other.starts_with("block taken"));
                 let expected = expected.iter().filter(|text| !text.is_empty());
                 assert_eq!(others.len(), expected.clone().count(), "{others:?}");
                 for (text, expected) in others.iter().zip(expected) {

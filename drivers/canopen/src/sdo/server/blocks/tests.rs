@@ -50,10 +50,7 @@ fn check(dialogue: &[(&str, &[&str])]) -> Text {
     for (step, &(bytes, expected)) in dialogue.iter().enumerate() {
         let sent = sent(&mut server, &request(bytes), &mut objects, Instant::ZERO);
         let sent: Vec<_> = sent.iter().map(|frame| frame.to_string()).collect();
-        let expected: Vec<_> = expected
-            .iter()
-            .map(|bytes| format!("582#{bytes}"))
-            .collect();
+        let expected: Vec<_> = expected.iter().map(|bytes| format!("582#{bytes}")).collect();
         assert_eq!(sent, expected, "step {step}");
     }
     objects
@@ -133,10 +130,7 @@ fn segments_that_were_lost_on_the_way_down_are_asked_for_again() {
     let first: (&str, &[&str]) = ("0141424344454647", &[]);
     let second: (&str, &[&str]) = ("8248490000000000", &["A202020000000000"]);
     let alone: (&str, &[&str]) = ("8248490000000000", &["A200020000000000"]);
-    for dialogue in [
-        [TAKE, alone, first, second, end],
-        [TAKE, first, first, second, end],
-    ] {
+    for dialogue in [[TAKE, alone, first, second, end], [TAKE, first, first, second, end]] {
         assert_eq!(check(&dialogue).0, b"ABCDEFGHI");
     }
 }
@@ -178,11 +172,7 @@ fn refusals_name_their_reason() {
             ("0141424344454647", &[]),
             ("8248494A4B4C4D4E", &["8008100012000706"]),
         ],
-        &[
-            TAKE,
-            ("8141424344454647", &["A201020000000000"]),
-            ("C1DC1A0000000000", &["8008100013000706"]),
-        ],
+        &[TAKE, ("8141424344454647", &["A201020000000000"]), ("C1DC1A0000000000", &["8008100013000706"])],
         // A segment past the block size, and a checksum that is wrong.
         &[TAKE, ("0341424344454647", &["8008100003000405"])],
         &[
@@ -192,18 +182,8 @@ fn refusals_name_their_reason() {
             ("D5DC1B0000000000", &["8008100004000405"]),
         ],
         // An abort in the middle of either is not answered.
-        &[
-            OFFER,
-            START,
-            ("8008100000000405", &[]),
-            ("A2027F0000000000", &["8000000001000405"]),
-        ],
-        &[
-            TAKE,
-            ("0141424344454647", &[]),
-            ("8008100000000405", &[]),
-            ("4008100000000000", &["410810000A000000"]),
-        ],
+        &[OFFER, START, ("8008100000000405", &[]), ("A2027F0000000000", &["8000000001000405"])],
+        &[TAKE, ("0141424344454647", &[]), ("8008100000000405", &[]), ("4008100000000000", &["410810000A000000"])],
         // In between sub-blocks another transfer may begin.
         &[OFFER, START, ("4008100000000000", &["410810000A000000"])],
     ];
@@ -223,10 +203,7 @@ fn a_client_that_falls_silent_is_given_up() {
             sent(&mut server, &request(bytes), &mut objects, now);
         }
         assert_eq!(server.poll_timeout(), Some(now + TIME_OUT));
-        let abort = Response::Abort {
-            object: TEXT,
-            code: AbortCode::TIME_OUT,
-        };
+        let abort = Response::Abort { object: TEXT, code: AbortCode::TIME_OUT };
         assert_eq!(server.handle_timeout(now + TIME_OUT), Some(abort));
         assert!(!server.transmits() && !server.receives_blocks());
     }
@@ -252,27 +229,12 @@ fn every_size_comes_whole_through_a_wire_that_loses_segments() {
         let crc = block::checksum(&data);
 
         let mut objects = Text(data.clone());
-        let initiate = block::Request::InitiateUpload {
-            object: TEXT,
-            crc: true,
-            block_size,
-            threshold: 0,
-        };
-        sent(
-            &mut server,
-            &Request::Block(initiate).encode(NODE),
-            &mut objects,
-            now,
-        );
+        let initiate = block::Request::InitiateUpload { object: TEXT, crc: true, block_size, threshold: 0 };
+        sent(&mut server, &Request::Block(initiate).encode(NODE), &mut objects, now);
         let mut next = block::Request::StartUpload;
         let mut got = Vec::new();
         let end = loop {
-            let frames = sent(
-                &mut server,
-                &Request::Block(next).encode(NODE),
-                &mut objects,
-                now,
-            );
+            let frames = sent(&mut server, &Request::Block(next).encode(NODE), &mut objects, now);
             if let Some(Response::Block(block::Response::EndUpload(end))) =
                 Response::decode(&frames[0], NODE).filter(|_| frames.len() == 1)
                 && got.len() >= size.max(1)
@@ -299,17 +261,8 @@ fn every_size_comes_whole_through_a_wire_that_loses_segments() {
         assert_eq!(sent(&mut server, &done, &mut objects, now), []);
 
         let mut objects = Text(Vec::new());
-        let initiate = block::Request::InitiateDownload {
-            object: TEXT,
-            crc: true,
-            size: Some(size as u32),
-        };
-        sent(
-            &mut server,
-            &Request::Block(initiate).encode(NODE),
-            &mut objects,
-            now,
-        );
+        let initiate = block::Request::InitiateDownload { object: TEXT, crc: true, size: Some(size as u32) };
+        sent(&mut server, &Request::Block(initiate).encode(NODE), &mut objects, now);
         let mut from = 0;
         let segments = size.div_ceil(SEGMENT).max(1);
         while from < segments {
@@ -340,11 +293,7 @@ fn every_size_comes_whole_through_a_wire_that_loses_segments() {
         }
         let end = Request::Block(block::Request::EndDownload(End::of(size, crc))).encode(NODE);
         let answer = sent(&mut server, &end, &mut objects, now);
-        assert_eq!(
-            answer,
-            [Response::Block(block::Response::EndDownload).encode(NODE)],
-            "download of {size}"
-        );
+        assert_eq!(answer, [Response::Block(block::Response::EndDownload).encode(NODE)], "download of {size}");
         assert_eq!(objects.0, data);
     }
 }
