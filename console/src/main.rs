@@ -10,13 +10,17 @@ mod manual;
 mod usage;
 mod vm;
 
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
+use indicatif::{ProgressBar, ProgressStyle};
 use mrroc::Tasks;
 use mrroc::cell::{Cell, CellFile};
+use mrroc::outputs::Measured;
 use mrroc::streams;
+use serde::Serialize;
 
 /// Exit status in the help text: scripts may rely on it.
 const EXIT_STATUS: &str = "Exit status: 0 done; 1 stopped by a fault or by a signal such as Ctrl-C, or a node was told and did not do \
@@ -135,8 +139,8 @@ fn main() -> ExitCode {
         Command::Lss { action } => service::lss::lss(&action),
         Command::Monitor(options) => service::monitor::monitor(&options),
         Command::Eds { cell, axis } => descriptions::eds::eds(&cell, &axis).and_then(streams::print),
-        Command::Identify(options) => identify::identify(&options),
-        Command::Jitter(options) => host::jitter::jitter(&options),
+        Command::Identify(options) => identify::identify(&options).map(|measured| measurement(measured, options.json)),
+        Command::Jitter(options) => jitter(&options),
         Command::Kinematics { question } => {
             descriptions::kinematics::kinematics(&question).and_then(|answer| streams::answer(&answer, question.json()))
         }
@@ -164,6 +168,28 @@ fn check(cell: &Path, json: bool) -> anyhow::Result<ExitCode> {
         ));
     }
     streams::answer(&checked, json)
+}
+
+/// Measures the jitter behind a progress bar, and prints the report.
+fn jitter(options: &host::jitter::Options) -> anyhow::Result<ExitCode> {
+    let bar = ProgressBar::new(0).with_style(ProgressStyle::with_template("turn {pos}/{len}, {msg}")?);
+    let measured = host::jitter::jitter(options, &|progress| {
+        bar.set_length(progress.turns.into());
+        bar.set_position(progress.turn.into());
+        bar.set_message(progress.results);
+    });
+    bar.finish_and_clear();
+    Ok(measurement(measured?, options.json))
+}
+
+/// Prints what a measurement gave.
+fn measurement<R: Serialize + Display>(measured: Measured<R>, json: bool) -> ExitCode {
+    let Measured { report, complete, mut failures } = measured;
+    failures.extend(report.and_then(|report| streams::answer(&report, json).err()));
+    for failure in &failures {
+        streams::warn(format_args!("mrroc: {failure:#}"));
+    }
+    ExitCode::from(u8::from(!complete || !failures.is_empty()))
 }
 
 /// Prints the JSON schema of cell files, or their reference.

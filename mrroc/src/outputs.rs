@@ -22,6 +22,16 @@ pub struct Replacement {
     pub force: bool,
 }
 
+/// What a measurement gave. After its motion, a failure is no refusal.
+pub struct Measured<R> {
+    /// `None` if the measurement was broken off.
+    pub report: Option<R>,
+    /// False if the measurement ended before its time.
+    pub complete: bool,
+    /// Failures of the measurement or of its files.
+    pub failures: Vec<anyhow::Error>,
+}
+
 /// The output files of a command. Before [`Self::begin`], no existing file has changed, and new files are removed on
 /// drop.
 pub struct Outputs {

@@ -26,8 +26,9 @@ mod probe;
 mod report;
 mod verdict;
 
+pub use report::JitterReport;
+
 use std::path::PathBuf;
-use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -36,7 +37,6 @@ use can::clock;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 use hdrhistogram::serialization::V2DeflateSerializer;
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde::de::value::{self, StringDeserializer};
@@ -49,11 +49,11 @@ use interval::{Ledger, recording};
 use load::Load;
 use plan::Plan;
 use probe::{Turn, Wakeups};
-use report::{JitterReport, Setting, Side};
+use report::{Setting, Side};
 
 use crate::doctor::stolen_ticks;
 use mrroc::cell::CellFile;
-use mrroc::outputs::{Outputs, Replacement};
+use mrroc::outputs::{Measured, Outputs, Replacement};
 use mrroc::signals;
 use mrroc::spikes;
 
@@ -112,7 +112,7 @@ pub struct Options {
     replacement: Replacement,
     /// Print one JSON object.
     #[arg(long)]
-    json: bool,
+    pub json: bool,
 }
 
 /// The values of `--scheduler`.
@@ -150,11 +150,22 @@ impl Peer {
     }
 }
 
-/// Plan, progress display and state of a measurement.
+/// Progress of a measurement.
+pub struct Progress {
+    /// Number of turns that have ended.
+    pub turn: u32,
+    /// Number of turns of the whole measurement.
+    pub turns: u32,
+    /// The results of the turn under way.
+    pub results: String,
+}
+
+/// Plan, progress and state of a measurement.
 struct Course<'a> {
     plan: &'a Plan,
     over: &'a Arc<AtomicBool>,
-    progress: ProgressBar,
+    show: &'a dyn Fn(Progress),
+    turn: u32,
     /// The first failure to write the interval log. The failure ends the measurement.
     failed: Option<std::io::Error>,
 }
@@ -167,14 +178,15 @@ impl Course<'_> {
             self.failed.get_or_insert(error);
         }
         let late = report::percentiles(&ledger.total);
-        self.progress.set_message(format!(
+        let results = format!(
             "{who}: {} cycles, late by p50 {:.3} p99 {:.3} p99.9 {:.3} max {:.1} µs",
             ledger.total.len(),
             late.p50,
             late.p99,
             late.p999,
             late.max
-        ));
+        );
+        (self.show)(Progress { turn: self.turn, turns: self.plan.rounds, results });
     }
 
     /// One turn of a thread of this process, whose wake-ups are recorded in `ledger`.
@@ -196,8 +208,8 @@ impl Course<'_> {
     }
 }
 
-/// Measures and prints the report.
-pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
+/// Measures, and writes the files of the options. `show` receives intermediate results.
+pub fn jitter(options: &Options, show: &dyn Fn(Progress)) -> anyhow::Result<Measured<JitterReport>> {
     let mut file = options.cell.as_deref().map(CellFile::read).transpose()?;
     let plan = Plan::of(options, file.as_ref().map(|file| &file.cell))?;
     if let Some(file) = &mut file {
@@ -241,13 +253,7 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
     let (recorder, mut peers) = recording(began, None);
     let mut peer = Wakeups::new(recorder);
     let mut waiter = Waiter::new(&plan.realtime, plan.period);
-    let style = ProgressStyle::with_template("turn {pos}/{len}, {msg}")?;
-    let mut course = Course {
-        plan: &plan,
-        over: &over,
-        progress: ProgressBar::new(plan.rounds.into()).with_style(style),
-        failed: None,
-    };
+    let mut course = Course { plan: &plan, over: &over, show, turn: 0, failed: None };
     for round in 0..=plan.rounds {
         // The first turn of each side warms up caches, clocks and the margin, and is not counted.
         let (recorder, mut unheard) = recording(began, None);
@@ -293,9 +299,8 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         if turn.is_over() {
             break;
         }
-        course.progress.set_position(round.into());
+        course.turn = round;
     }
-    course.progress.finish_and_clear();
     let failed = course.failed.take();
 
     let setting = Setting {
@@ -329,7 +334,6 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         cell.as_ref().map_or(&ours.causes, |cell| &cell.late),
         cell.as_ref().map(MeasuredCell::report),
     );
-    let answered = mrroc::streams::answer(&report, options.json);
     let written = match (files, failed) {
         (_, Some(error)) => Err(error).context("ours.hlog cannot be written"),
         (None, None) => Ok(()),
@@ -344,13 +348,7 @@ pub fn jitter(options: &Options) -> anyhow::Result<ExitCode> {
         None => spikes::write(file, "jitter", ours.spikes.finish()),
         Some(cell) => spikes::write(file, "servo", cell.spikes),
     }));
-    let failures = [answered.map(|_| ()), written];
-    for error in failures.iter().filter_map(|it| it.as_ref().err()) {
-        // The measurement has been made, so a refusal would be too late.
-        mrroc::streams::warn(format_args!("mrroc: {error:#}"));
-    }
-    let failed = failures.iter().any(Result::is_err);
-    Ok(ExitCode::from(u8::from(ended_early || failed)))
+    Ok(Measured { report: Some(report), complete: !ended_early, failures: written.err().into_iter().collect() })
 }
 
 /// Time that a hypervisor took from all processors since the boot, ms.

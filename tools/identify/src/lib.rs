@@ -9,11 +9,12 @@ mod bode;
 mod report;
 mod session;
 
+pub use report::{IdentifyReport, PointReport};
+
 use std::cell::RefCell;
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -28,10 +29,9 @@ use mrroc::bench::clockwork;
 use mrroc::bench::emulation::Emulation;
 use mrroc::bench::{Bench, BenchKind, Places};
 use mrroc::cell::CellFile;
-use mrroc::outputs::{Outputs, Replacement};
+use mrroc::outputs::{Measured, Outputs, Replacement};
 use mrroc::signals::Motion;
 use mrroc::{setup, signals};
-use report::IdentifyReport;
 use session::Session;
 
 /// Capacity of the queue of records from the servo, per effector: some seconds.
@@ -111,7 +111,7 @@ pub struct Options {
     replacement: Replacement,
     /// Print one JSON object.
     #[arg(long)]
-    json: bool,
+    pub json: bool,
 }
 
 /// Form of the excitation.
@@ -133,8 +133,8 @@ enum At {
     Command,
 }
 
-/// Measures one axis.
-pub fn identify(options: &Options) -> anyhow::Result<ExitCode> {
+/// Measures one axis, and writes the files of the options.
+pub fn identify(options: &Options) -> anyhow::Result<Measured<IdentifyReport>> {
     signals::block_suspension()?;
     let file = CellFile::read(&options.cell)?;
     let place = file.find_axis(&options.axis, false)?;
@@ -192,22 +192,15 @@ pub fn identify(options: &Options) -> anyhow::Result<ExitCode> {
         let bench = options.bench.name();
         Ok(IdentifyReport::of(name.clone(), bench, &axis, &run, kind, &points))
     });
-    // The axis has moved, so a refusal would be too late.
-    let told = match report {
+    let (report, failure) = match report {
         Err(Unmeasured::Refused(why)) => return Err(why.context(name)),
-        Err(Unmeasured::Stopped(why)) => Err(anyhow!("{name}: {why}")),
+        Err(Unmeasured::Stopped(why)) => (None, Some(anyhow!("{name}: {why}"))),
         Ok(report) => {
             let written = files.map_or(Ok(()), |files| write(files, &report));
-            written.and(mrroc::streams::answer(&report, options.json).map(|_| ()))
+            (Some(report), written.err())
         }
     };
-    Ok(match told {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            mrroc::streams::warn(format_args!("mrroc: {error:#}"));
-            ExitCode::from(1)
-        }
-    })
+    Ok(Measured { complete: report.is_some(), report, failures: failure.into_iter().collect() })
 }
 
 /// Reason why there is no measurement.

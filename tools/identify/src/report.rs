@@ -11,7 +11,7 @@ const SURE: f64 = 0.9;
 
 /// The report of one axis.
 #[derive(Debug, Serialize)]
-pub(crate) struct IdentifyReport {
+pub struct IdentifyReport {
     /// ROBOT/AXIS.
     pub axis: String,
     /// The bench of the measurement.
@@ -43,7 +43,7 @@ pub(crate) struct IdentifyReport {
 
 /// One frequency of a response.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub(crate) struct PointReport {
+pub struct PointReport {
     pub frequency_hz: f64,
     pub magnitude: f64,
     pub phase_deg: f64,

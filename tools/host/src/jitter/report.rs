@@ -72,7 +72,7 @@ impl fmt::Display for Setting {
 
 /// The report.
 #[derive(Debug, Serialize)]
-pub(super) struct JitterReport {
+pub struct JitterReport {
     #[serde(flatten)]
     setting: Setting,
     /// Measurements of the cycle of the cell, if a cell was measured. The latency of our side then runs from the
