@@ -44,9 +44,13 @@ pub struct IdentifyReport {
 /// One frequency of a response.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct PointReport {
+    /// Frequency, Hz.
     pub frequency_hz: f64,
+    /// Magnitude, a ratio of equal units.
     pub magnitude: f64,
+    /// Phase, degrees.
     pub phase_deg: f64,
+    /// Coherence, 0 to 1.
     pub coherence: f64,
 }
 
