@@ -96,9 +96,7 @@ fn check_axes(name: &str, reports: &[Value]) {
 #[test]
 fn the_wall_clock_bench_completes_without_a_fault() {
     let _turn = turn();
-    let directory = Directory::new();
-    let cell = directory.cell("irp6", shorten);
-    let run = mrroc(["run".as_ref(), cell.as_os_str(), "--json".as_ref()]);
+    let run = mrroc(["run".as_ref(), example("irp6").as_os_str(), "--json".as_ref()]);
     assert_eq!(run.status.code(), Some(0), "{run:?}");
     let report = run.json();
     assert_eq!(report["outcome"], "completed");

@@ -22,6 +22,7 @@ use std::fs;
 use std::path::Path;
 
 use serde_json::Value;
+use servo::thread::Wait;
 
 use crate::bench::turn;
 use crate::mrroc::{self, Directory, Output, Running, shorten};
@@ -171,15 +172,13 @@ fn run(directory: &Directory, cell: &Path, more: &[&str]) -> (std::path::PathBuf
 fn a_cycle_on_an_emulated_bus_makes_no_call_but_the_wait() {
     let _turn = turn();
     let directory = Directory::new();
-    for wait in ["plain", "hybrid"] {
-        let cell = directory.cell("irb6", shorten);
-        let cell = fs::read_to_string(cell).expect("the cell is there");
-        let waiting = format!("priority = 80\nwait = \"{wait}\"");
-        let cell = cell.replace("priority = 80", &waiting);
-        assert!(cell.contains(&waiting), "{cell}");
-        let cell = directory.write("irb6.toml", &cell);
+    for (name, wait) in [("plain", Wait::Plain), ("hybrid", Wait::Hybrid)] {
+        let cell = directory.cell("irb6", |cell| {
+            shorten(cell);
+            cell.realtime.wait = wait;
+        });
         let (log, output) = run(&directory, &cell, &[]);
-        check(wait, &log, &output, &[]);
+        check(name, &log, &output, &[]);
     }
 }
 

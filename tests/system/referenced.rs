@@ -44,7 +44,7 @@ fn line() -> Instruction {
 }
 
 fn run_on(cell: &Path, ttys: &Path, record: &Path) -> Output {
-    output_on(cell, ttys, record, |_| {})
+    output_on(cell, ttys, record, |_| Ok(()))
 }
 
 /// Whether the arm was in this phase.

@@ -98,7 +98,7 @@ pub(crate) fn emulate(cell: &Path, ttys: &Path) -> Running {
 /// Waits until all ttys of an emulator exist. The last tty must belong to this process, not to an earlier one.
 pub(crate) fn emulated(emulator: Running, ttys: &Path) -> Running {
     let last = ttys.join("wrist-roll");
-    for _ in 0..500 {
+    for _ in 0..3000 {
         if emulator.has_open(&last) {
             return emulator;
         }
@@ -124,16 +124,26 @@ pub(crate) fn run_arguments<'a>(cell: &'a Path, ttys: &'a Path, record: &'a Path
     ]
 }
 
-/// The output of a run on the ttys of another process, which `follow` follows. A run is started again if it was refused
-/// because the host delayed the answers.
-pub(crate) fn output_on(cell: &Path, ttys: &Path, record: &Path, follow: impl Fn(&Running)) -> Output {
+/// The output of a run on the ttys of another process. `follow` follows the run, and returns the outputs of a run that
+/// ended too early. A run is started again if it was refused because the host delayed the answers.
+pub(crate) fn output_on(
+    cell: &Path,
+    ttys: &Path,
+    record: &Path,
+    follow: impl Fn(&Running) -> Result<(), String>,
+) -> Output {
+    const DELAYED: &str = "took more than a period";
     for _ in 0..5 {
         let _ = fs::remove_file(record);
         let run = run_on(cell, ttys, record);
-        follow(&run);
-        let run = run.output();
-        if !run.stderr.contains("took more than a period") {
-            return run;
+        match follow(&run) {
+            Err(said) => assert!(said.contains(DELAYED), "{said}"),
+            Ok(()) => {
+                let run = run.output();
+                if !run.stderr.contains(DELAYED) {
+                    return run;
+                }
+            }
         }
     }
     panic!("the host delays answers at every start");
@@ -164,9 +174,9 @@ fn an_emulator_in_another_process_outlives_runs() {
     let record = directory.path("first.csv");
     let moving = |text: &str| text.matches(",wrist-roll,Moving,").count() > 50;
     let run = output_on(&cell, &ttys, &record, |run| {
-        if run.ended_before(&record, moving).is_ok() {
-            run.signal("INT");
-        }
+        run.ended_before(&record, moving)?;
+        run.signal("INT");
+        Ok(())
     });
     assert_eq!(run.status.code(), Some(1), "{run:?}");
     let report = run.json();
@@ -179,7 +189,7 @@ fn an_emulator_in_another_process_outlives_runs() {
 
     // The drives kept their counters and references.
     let record = directory.path("second.csv");
-    let report = output_on(&cell, &ttys, &record, |_| {}).json();
+    let report = output_on(&cell, &ttys, &record, |_| Ok(())).json();
     // If another process delays answers, or the host delays cycles, the loops are disturbed, and the run reports it.
     let count = |value: &Value| value.as_u64().expect("a count");
     let kept_back = count(&report["buses"][0]["missed_answers"]) + count(&report["cycle"]["missed"]) > 0;
