@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Builder;
 
 use anyhow::Context;
+use libc::{SIGPWR, SIGSTKFLT};
 use nix::sys::signal::{SigSet, Signal};
 use signal_hook::consts::{
     SIGABRT, SIGALRM, SIGHUP, SIGINT, SIGIO, SIGPROF, SIGQUIT, SIGSYS, SIGTERM, SIGTRAP, SIGTSTP, SIGUSR1, SIGUSR2,
@@ -21,23 +22,8 @@ use crate::run::SMALL_STACK;
 
 /// Signals that end a process, except the real-time signals.
 const ENDING: [c_int; 17] = [
-    SIGHUP,
-    SIGINT,
-    SIGQUIT,
-    SIGTRAP,
-    SIGABRT,
-    SIGUSR1,
-    SIGUSR2,
-    SIGALRM,
-    SIGTERM,
-    libc::SIGSTKFLT,
-    SIGXCPU,
-    SIGXFSZ,
-    SIGVTALRM,
-    SIGPROF,
-    SIGIO,
-    libc::SIGPWR,
-    SIGSYS,
+    SIGHUP, SIGINT, SIGQUIT, SIGTRAP, SIGABRT, SIGUSR1, SIGUSR2, SIGALRM, SIGTERM, SIGSTKFLT, SIGXCPU, SIGXFSZ,
+    SIGVTALRM, SIGPROF, SIGIO, SIGPWR, SIGSYS,
 ];
 
 /// Number of signals after which a command is ended at once, if nothing can be in motion.
@@ -115,7 +101,6 @@ fn on(
             }
         }
     };
-    let thread = Builder::new().name("signals".into()).stack_size(SMALL_STACK);
-    thread.spawn(listen).context(refused)?;
+    Builder::new().name("signals".into()).stack_size(SMALL_STACK).spawn(listen).context(refused)?;
     Ok(())
 }
