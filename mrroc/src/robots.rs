@@ -198,11 +198,6 @@ impl Model {
         self.parameters().axes()
     }
 
-    /// Whether it carries a tool; a gripper and a conveyor are devices of one axis.
-    pub fn has_tool(self) -> bool {
-        self.axes() > 1
-    }
-
     /// Nominal masses of its links.
     pub fn masses(self) -> &'static [Mass] {
         each_robot!(self.parameters(), it => it.masses())

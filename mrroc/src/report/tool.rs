@@ -6,8 +6,7 @@
 
 use can::Instant;
 use controller::generator::{Axes, Pose};
-use controller::robot::Arm;
-use controller::robot::{KinematicsError, LinkKind};
+use controller::robot::{Arm, KinematicsError, LinkKind};
 use serde::Serialize;
 use servo::{Record, TrackingError};
 
@@ -79,10 +78,8 @@ impl Tracks {
     pub(crate) fn new(file: &CellFile, plotted: bool) -> Self {
         let robots = file.cell.robot.iter().zip(&file.arms);
         let track = |(robot, arm): (&crate::cell::Robot, &Arm)| {
-            let subject = match robot.model.has_tool() {
-                true => Subject::Tool,
-                false => Subject::Joint,
-            };
+            // A gripper and a conveyor have one axis and carry no tool.
+            let subject = if robot.model.axes() > 1 { Subject::Tool } else { Subject::Joint };
             Track::new(&robot.name, arm.clone(), subject, plotted)
         };
         Self { robots: robots.map(track).collect(), first: None }
