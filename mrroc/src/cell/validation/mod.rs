@@ -25,22 +25,17 @@ pub(super) fn check(cell: &Cell) -> Checked {
     let top = &Path::default();
     name(top, "name", &cell.name)?;
     // The range of object 0x60C2 of an EPOS4 in its usual unit.
-    let period = Range::new(1_000.0, 100_000.0, "µs");
-    within(top, "period_us", cell.period_us, period)?;
+    within(top, "period_us", cell.period_us, Range::new(1_000.0, 100_000.0, "µs"))?;
     if !cell.period_us.is_multiple_of(1000) {
         let period = cell.period_us;
         let why = format!("is {period}, must be a multiple of 1000 (µs), the drives' unit of the interpolation period");
         return refused(top, "period_us", why);
     }
-    let macrostep = Range::new(1.0, 1000.0, "periods");
-    within(top, "macrostep", cell.macrostep, macrostep)?;
-    let missed = Range::new(1.0, 1e6, "periods");
-    within(top, "max_missed_in_row", cell.max_missed_in_row, missed)?;
-    let realtime = cell.realtime.check(cell.period());
-    realtime.map_err(|refusal| by_servo(&top.then("realtime"), refusal))?;
+    within(top, "macrostep", cell.macrostep, Range::new(1.0, 1000.0, "periods"))?;
+    within(top, "max_missed_in_row", cell.max_missed_in_row, Range::new(1.0, 1e6, "periods"))?;
+    cell.realtime.check(cell.period()).map_err(|refusal| by_servo(&top.then("realtime"), refusal))?;
     buses::check(cell)?;
-    let timeout = Range::new(1.0, 86_400.0, "s");
-    within(top, "meeting_timeout_s", cell.meeting_timeout_s, timeout)?;
+    within(top, "meeting_timeout_s", cell.meeting_timeout_s, Range::new(1.0, 86_400.0, "s"))?;
     robots::check(cell)?;
     buses::check_used(cell)?;
     meetings::check(cell)?;
@@ -50,8 +45,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
 
 /// What the servo refuses of a table at `path`.
 fn by_servo(path: &Path, refusal: KeyError) -> (Path, String) {
-    let keys = refusal.key.split('.');
-    let path = keys.fold(path.clone(), |path, key| path.then(key));
+    let path = refusal.key.split('.').fold(path.clone(), |path, key| path.then(key));
     (path, refusal.reason.to_string())
 }
 
@@ -117,11 +111,9 @@ fn unique<T: PartialEq>(
     what: impl FnOnce(&T) -> String,
 ) -> Checked {
     let values: Vec<_> = values.into_iter().take(index + 1).collect();
-    let same = |value: &T| *value == values[index];
-    match values.iter().position(same) {
+    match values.iter().position(|value| *value == values[index]) {
         Some(first) if first < index => {
-            let why = twice(&what(&values[index]), &list.then(first));
-            refused(&list.then(index), key, why)
+            refused(&list.then(index), key, twice(&what(&values[index]), &list.then(first)))
         }
         _ => Ok(()),
     }
