@@ -119,8 +119,7 @@ pub fn line(
     colour: RGBColor,
     points: impl IntoIterator<Item = (f64, f64)>,
 ) -> Result<(), ChartError> {
-    let series = LineSeries::new(points, stroke(colour));
-    panel.draw_series(series).map(|_| ())
+    panel.draw_series(LineSeries::new(points, stroke(colour))).map(|_| ())
 }
 
 /// Draws points, hollow or filled.
@@ -151,8 +150,7 @@ pub fn segments(
 
 /// Draws a dashed straight line.
 pub fn dashed(panel: &mut Panel, colour: RGBColor, ends: [(f64, f64); 2]) -> Result<(), ChartError> {
-    let series = DashedLineSeries::new(ends, px(5), px(4), stroke(colour));
-    panel.draw_series(series).map(|_| ())
+    panel.draw_series(DashedLineSeries::new(ends, px(5), px(4), stroke(colour))).map(|_| ())
 }
 
 /// Writes a text beside a point, on the side that has room.
@@ -212,8 +210,7 @@ impl Scale {
     /// A linear axis over `values` and `least`, widened to whole ticks.
     pub fn linear(name: &str, values: impl IntoIterator<Item = f64>, least: [f64; 2]) -> Self {
         let ends = over(values, least);
-        let step = round_step((ends[1] - ends[0]).max(1e-12));
-        Self::in_steps(name, ends, ends, step)
+        Self::in_steps(name, ends, ends, round_step((ends[1] - ends[0]).max(1e-12)))
     }
 
     /// A linear axis over `values` and `least` in whole steps.
@@ -292,8 +289,7 @@ impl Ranged for Scale {
 
 impl ValueFormatter<f64> for Scale {
     fn format_ext(&self, value: &f64) -> String {
-        let tick = self.ticks.iter().find(|tick| tick.0 == *value);
-        tick.map_or_else(String::new, |tick| tick.1.clone())
+        self.ticks.iter().find(|tick| tick.0 == *value).map_or_else(String::new, |tick| tick.1.clone())
     }
 }
 

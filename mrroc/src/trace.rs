@@ -26,8 +26,7 @@ impl FrameLog {
             let name = interface.log_name(bus);
             can::InterfaceName::new(&name).with_context(|| format!("{name:?} is no interface name"))
         };
-        let interfaces = interfaces.iter().enumerate();
-        let names = interfaces.map(name).collect::<anyhow::Result<_>>()?;
+        let names = interfaces.iter().enumerate().map(name).collect::<anyhow::Result<_>>()?;
         Ok(Self { readers, names, writer: BufWriter::new(file) })
     }
 

@@ -67,13 +67,11 @@ impl EmulatedLines {
 
     /// Adds a line of the world on `pty`.
     pub fn add_line(&mut self, line: VirtualLine, pty: Pty) {
-        let arrived = Vec::new();
-        self.add(pty, End::Line { line, arrived });
+        self.add(pty, End::Line { line, arrived: Vec::new() });
     }
 
     fn add(&mut self, pty: Pty, end: End) {
-        let full = false;
-        self.lines.push(EmulatedLine { pty, end, full });
+        self.lines.push(EmulatedLine { pty, end, full: false });
     }
 
     /// Whether there are no lines.
@@ -90,8 +88,7 @@ impl EmulatedLines {
         let mut passed = Instant::ZERO;
         while !stop.load(Ordering::Relaxed) {
             let due = self.world.next_event().unwrap_or(Instant::FAR_FUTURE);
-            let wake = time.clock(due.max(passed + GRAIN));
-            let wake = wake.min(clock::now() + LOOK);
+            let wake = time.clock(due.max(passed + GRAIN)).min(clock::now() + LOOK);
             let ends = self.lines.iter().map(|line| {
                 let interest = Interest { read: line.end.room(&self.world) > 0, write: line.full };
                 (line.pty.as_fd(), interest)
@@ -187,6 +184,5 @@ fn adapter(world: &World, id: DeviceId) -> &SlcanDevice {
 }
 
 fn change(world: &mut World, id: DeviceId, now: Instant, change: impl FnOnce(&mut SlcanDevice)) {
-    let changed = world.change(id, now, change);
-    changed.expect("it was added as an adapter");
+    world.change(id, now, change).expect("it was added as an adapter");
 }

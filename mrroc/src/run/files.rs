@@ -89,8 +89,7 @@ impl Writing {
             failed.fetch_or(!logs.drain(), Ordering::Relaxed);
         };
         let thread = Background::start("files", DRAIN, logs, drain, Logs::finish);
-        let thread = thread.context("no thread to write the files can be made")?;
-        Ok(Self { what, thread })
+        Ok(Self { what, thread: thread.context("no thread to write the files can be made")? })
     }
 
     /// Writes the rest, unless that takes too long: then nothing is known of the robots either.

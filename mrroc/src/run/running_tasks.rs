@@ -95,8 +95,7 @@ impl<'a> RunningTasks<'a> {
 /// a refusal is returned as a fault.
 fn refused_from_here(file: &CellFile, tasks: &MakeTasks, robot: usize, ecp: &Ecp) -> Option<FaultReport> {
     let motors = ecp.commanded()?;
-    let home = file.cell.home(robot, &file.arms[robot]);
-    if home.admits(&motors) {
+    if file.cell.home(robot, &file.arms[robot]).admits(&motors) {
         return None;
     }
     let error = rehearsal::rehearse_from(file, tasks, robot, motors).err()?;
@@ -108,10 +107,7 @@ fn refused_from_here(file: &CellFile, tasks: &MakeTasks, robot: usize, ecp: &Ecp
 fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
     match error {
         EcpError::Servo(fault) => describe_fault(file, robot, fault),
-        error => {
-            let what = file.cell.robot[robot].naming_axes(error);
-            FaultReport::of_robot(file, robot, None, what)
-        }
+        error => FaultReport::of_robot(file, robot, None, file.cell.robot[robot].naming_axes(error)),
     }
 }
 
