@@ -155,7 +155,6 @@ fn main() -> ExitCode {
     })
 }
 
-/// Checks a cell file, its programs and its buses.
 fn check(cell: &Path, json: bool) -> anyhow::Result<ExitCode> {
     let checked = mrroc::check(&CellFile::read(cell)?, &Tasks::programs)?;
     for problem in &checked.problems {
@@ -166,7 +165,6 @@ fn check(cell: &Path, json: bool) -> anyhow::Result<ExitCode> {
     streams::answer(&checked, json)
 }
 
-/// Prints the JSON schema of cell files, or their reference.
 fn schema(reference: bool) -> anyhow::Result<ExitCode> {
     streams::print(match reference {
         true => descriptions::cell_reference::reference(),

@@ -34,7 +34,6 @@ struct CheckedRobot {
     configurations: Vec<CheckedConfiguration>,
 }
 
-/// Summary of a device configuration file.
 #[derive(Debug, Serialize)]
 struct CheckedConfiguration {
     axis: String,

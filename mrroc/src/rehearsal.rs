@@ -143,7 +143,6 @@ fn of_task(file: &CellFile, robot: usize, instruction: usize, why: String) -> an
 }
 
 impl Extent {
-    /// The reason why an instruction is refused.
     fn refusal(self, error: &EcpError) -> String {
         match self {
             Self::Tasks => error.to_string(),

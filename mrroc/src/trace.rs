@@ -14,13 +14,11 @@ use crate::cell::CellFile;
 /// A candump log of every frame that passed the ports of a run.
 pub(crate) struct FrameLog {
     readers: Vec<TraceReader>,
-    /// What the log calls each bus.
     names: Vec<can::InterfaceName>,
     writer: BufWriter<File>,
 }
 
 impl FrameLog {
-    /// Begins the log. `interfaces` are what the buses run on.
     pub(crate) fn new(file: File, interfaces: &[Interface], readers: Vec<TraceReader>) -> anyhow::Result<Self> {
         let name = |(bus, interface): (usize, &Interface)| {
             let name = interface.log_name(bus);
@@ -91,7 +89,6 @@ impl AxisLog {
         Ok(())
     }
 
-    /// Hands what was written to the file.
     pub(crate) fn flush(&mut self) -> io::Result<()> {
         self.writer.flush()
     }

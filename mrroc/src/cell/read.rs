@@ -31,7 +31,6 @@ const MOST_ELEMENTS: usize = 1 << 16;
 /// Range of all numbers of a cell. No SI quantity of a robot is beyond it, and squares and products stay finite.
 const MOST: Range = Range::new(-1e12, 1e12, "");
 
-/// The document of a text.
 pub(super) fn parse(text: &str) -> Result<DeValue<'_>, CellError> {
     Cell::text(text.as_bytes())?;
     let elements = |byte: &u8| matches!(byte, b'.' | b',' | b'=' | b'[' | b'{');
@@ -63,7 +62,6 @@ pub(super) fn read<'de, T: Deserialize<'de>>(text: &str, document: &'de DeValue<
     })
 }
 
-/// A problem and its location.
 #[derive(Debug, Error)]
 #[error("{problem}")]
 struct ValueError {
@@ -136,7 +134,6 @@ impl<'de> MapAccess<'de> for Entries<'de> {
     }
 }
 
-/// A value at an offset.
 #[derive(Clone, Copy)]
 struct Value<'de> {
     value: &'de DeValue<'de>,

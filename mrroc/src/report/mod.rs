@@ -207,11 +207,9 @@ impl fmt::Display for FaultReport {
 /// One error of one drive, and how often the drive reported the error.
 #[derive(Debug, Serialize)]
 pub struct WarningReport {
-    /// The bus.
     bus: String,
     /// The axis, as in [`AxisReport::name`].
     axis: Option<String>,
-    /// Node-ID.
     node: u8,
     /// Error code of the EMCY.
     code: u16,
@@ -219,9 +217,7 @@ pub struct WarningReport {
     register: u8,
     /// Time of the first report, from the end of bring-up, s.
     time_s: f64,
-    /// How often the drive reported it.
     count: u64,
-    /// Description of the error.
     what: String,
 }
 

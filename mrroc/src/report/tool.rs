@@ -85,7 +85,6 @@ impl Tracks {
         Self { robots: robots.map(track).collect(), first: None }
     }
 
-    /// Takes the next record of the servo.
     pub(crate) fn observe(&mut self, record: &Record) {
         let first = *self.first.get_or_insert(record.at);
         if let Some(track) = self.robots.get_mut(usize::from(record.effector)) {
@@ -98,7 +97,6 @@ impl Tracks {
     }
 }
 
-/// One robot, followed record by record.
 pub(crate) struct Track {
     pub(crate) name: String,
     pub(crate) subject: Subject,

@@ -69,7 +69,8 @@ impl<'a> RunningTasks<'a> {
             let fault = match event.outcome {
                 // The cause of the stop has been reported.
                 Err(EcpError::Stopped) => None,
-                Err(error) => Some(describe(file, robot, &error)),
+                Err(EcpError::Servo(fault)) => Some(describe_fault(file, robot, &fault)),
+                Err(error) => Some(FaultReport::of_robot(file, robot, None, file.cell.robot[robot].naming_axes(error))),
                 Ok(()) if self.homings[robot] == Some(event.instruction) => refused_from_here(file, tasks, robot, ecp),
                 Ok(()) => None,
             };
@@ -103,14 +104,7 @@ fn refused_from_here(file: &CellFile, tasks: &MakeTasks, robot: usize, ecp: &Ecp
     Some(FaultReport::of_robot(file, robot, None, what))
 }
 
-/// The failure of an instruction, with the names of the cell.
-fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
-    match error {
-        EcpError::Servo(fault) => describe_fault(file, robot, fault),
-        error => FaultReport::of_robot(file, robot, None, file.cell.robot[robot].naming_axes(error)),
-    }
-}
-
+/// A fault of the servo, with the names of the cell.
 fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultReport {
     let axis = fault.axis.map(usize::from);
     // Some faults concern the bus and all axes on it.
