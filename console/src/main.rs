@@ -14,9 +14,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
-use mrroc::Tasks;
 use mrroc::cell::{Cell, CellFile};
-use mrroc::streams;
+use mrroc::{Tasks, streams};
 
 /// Exit status in the help text: scripts may rely on it.
 const EXIT_STATUS: &str = "Exit status: 0 done; 1 stopped by a fault or by a signal such as Ctrl-C, or a node was told and did not do \

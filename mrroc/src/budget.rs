@@ -3,16 +3,14 @@
 use std::time::Duration;
 
 use anyhow::anyhow;
-use can::StandardId;
 use can::schedule::{self, Every, Message, Sender};
-use can::timing::Bitrate;
+use can::{StandardId, timing::Bitrate};
 use canopen::cob;
 use drive::cia402::{self, Traffic};
 use serde::Serialize;
 
-use crate::bench::emulation;
 use crate::cell::{CellFile, Path, Protocol};
-use crate::setup;
+use crate::{bench::emulation, setup};
 
 /// Budget of one bus.
 #[derive(Debug, Serialize)]

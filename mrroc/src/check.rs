@@ -9,9 +9,7 @@ use crate::bench::emulation::{self, Emulation};
 use crate::bench::{BenchKind, emulated_lines};
 use crate::budget::{self, Bundle, BusBudget};
 use crate::cell::{CellFile, printable};
-use crate::run::RunningTasks;
-use crate::tasks::MakeTasks;
-use crate::{rehearsal, setup};
+use crate::{rehearsal, run::RunningTasks, setup, tasks::MakeTasks};
 
 /// The result of a successful check.
 #[derive(Debug, Serialize)]

@@ -7,8 +7,7 @@ use anyhow::Context;
 use clap::{Args, Parser};
 use indicatif::{ProgressBar, ProgressStyle};
 use servo::Phase;
-use signal_hook::consts::SIGUSR1;
-use signal_hook::flag;
+use signal_hook::{consts::SIGUSR1, flag};
 
 use crate::cell::CellFile;
 use crate::report::Outcome;

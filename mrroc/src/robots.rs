@@ -11,8 +11,7 @@ use controller::robot::{
     ConveyorParameters, GripperParameters, Irb6Parameters, Irp6Parameters, Irp6TrackParameters, Mass, ParameterError,
     PolycrankParameters, RntParameters, Robot, RobotParameters,
 };
-use hil::plant::Switch;
-use hil::{AxisConfig, Irp6Axis, MechanismConfig};
+use hil::{AxisConfig, Irp6Axis, MechanismConfig, plant::Switch};
 
 use crate::cell::Plant;
 

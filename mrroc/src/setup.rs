@@ -6,9 +6,8 @@ use std::time::Duration;
 use can::Port;
 use controller::ecp::{Ecp, EcpConfig, Meetings, Subcontrollers, Task};
 use controller::robot::Limits;
-use drive::DriveGroup;
-use drive::axis_controller::AxisControllerGroup;
 use drive::cia402::{AxisConfig, Cia402Group, CyclicMode};
+use drive::{DriveGroup, axis_controller::AxisControllerGroup};
 use serial::Line;
 use servo::{EffectorConfig, EffectorLink, Gates, HostHoming, ServoAxisConfig, ServoConfig};
 

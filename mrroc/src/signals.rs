@@ -17,8 +17,7 @@ use signal_hook::consts::{
 };
 use signal_hook::iterator::Signals;
 
-use crate::bench::BenchKind;
-use crate::run::SMALL_STACK;
+use crate::{bench::BenchKind, run::SMALL_STACK};
 
 /// Signals that end a process, except the real-time signals.
 const ENDING: [c_int; 17] = [

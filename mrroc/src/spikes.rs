@@ -13,8 +13,7 @@ use can::Instant;
 use serde_json::{Value, json};
 use servo::thread::{Spike, Stamps};
 
-use crate::report::microseconds;
-use crate::run::Background;
+use crate::{report::microseconds, run::Background};
 
 /// Longest wait for writing the file, limited because the disk of a host may block.
 const WRITE_WAIT: Duration = Duration::from_secs(2);

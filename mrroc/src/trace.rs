@@ -8,8 +8,7 @@ use can::{TraceReader, candump};
 use drive::AxisCommand;
 use servo::Record;
 
-use crate::bench::interfaces::Interface;
-use crate::cell::CellFile;
+use crate::{bench::interfaces::Interface, cell::CellFile};
 
 /// A candump log of every frame that passed the ports of a run.
 pub(crate) struct FrameLog {

@@ -13,8 +13,7 @@ use can::{
 };
 use serial::{Settings, SlcanError, SlcanPort, StopBits, Tty};
 
-use crate::bench::interfaces::Interface;
-use crate::cell::Bus;
+use crate::{bench::interfaces::Interface, cell::Bus};
 
 /// A port that supports waiting.
 pub enum BusPort {

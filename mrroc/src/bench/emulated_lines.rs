@@ -14,9 +14,7 @@ use hil::{DeviceId, Pty, SlcanDevice, World};
 use serial::{Line, VirtualLine};
 use servo::thread::set_fifo;
 
-use crate::bench::emulated_time::EmulatedTime;
-use crate::bench::emulation;
-use crate::bench::plants::EmulatedCell;
+use crate::bench::{emulated_time::EmulatedTime, emulation, plants::EmulatedCell};
 
 /// Longest time between two checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);

@@ -2,8 +2,7 @@
 
 use std::time::Duration;
 
-use can::timing::Bitrate;
-use can::{Frame, Instant, Port, StandardId, VirtualPort};
+use can::{Frame, Instant, Port, StandardId, VirtualPort, timing::Bitrate};
 use canopen::NodeId;
 use hil::{
     AxisController, AxisControllerConfig, BusId, Cabinet, Device, Epos4, Epos4Config, EposSerial, EposSerialConfig,

@@ -18,8 +18,7 @@ use drive::cia402;
 use serial::{Line, Tty, VirtualLine};
 
 use crate::bench::bus_port::{BusPort, prepare_card};
-use crate::bench::emulation::Emulation;
-use crate::bench::interfaces::Interface;
+use crate::bench::{emulation::Emulation, interfaces::Interface};
 use crate::cell::{CellFile, Serial};
 use crate::wire::{Listener, Wire};
 

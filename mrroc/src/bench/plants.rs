@@ -6,8 +6,7 @@ use std::time::Duration;
 use can::Instant;
 use canopen::cia402::HomingMethod;
 use controller::robot::Limits;
-use hil::plant::PlantConfig;
-use hil::{AxisConfig, Mechanism, Mount};
+use hil::{AxisConfig, Mechanism, Mount, plant::PlantConfig};
 
 use crate::cell::{CellFile, EmulatedPayload, Path, Robot};
 

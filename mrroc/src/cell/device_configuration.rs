@@ -5,9 +5,8 @@ use std::path::PathBuf;
 
 use anyhow::{Context, anyhow};
 use canopen::dcf::{self, Download};
-use canopen::eds::Eds;
 use canopen::objects::{PRODUCT_CODE, REVISION, VENDOR_ID};
-use canopen::{NodeId, Object};
+use canopen::{NodeId, Object, eds::Eds};
 use drive::cia402::{Setting, reserved};
 use master::sdo::CAPACITY;
 

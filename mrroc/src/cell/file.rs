@@ -9,8 +9,7 @@ use drive::cia402::Identity;
 
 use crate::input;
 
-use super::device_configuration::DeviceConfiguration;
-use super::{Cell, CellError, LARGEST};
+use super::{Cell, CellError, LARGEST, device_configuration::DeviceConfiguration};
 
 /// A cell with the arms of its robots, and the text of its file.
 pub struct CellFile {

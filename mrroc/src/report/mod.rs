@@ -19,9 +19,7 @@ use serde::Serialize;
 use servo::thread::{AccountReads, LateCycle, Spike, WaitReport};
 use servo::{Histogram, Servo, Timing};
 
-use crate::budget::BusBudget;
-use crate::cell::CellFile;
-use crate::wire::WireReport;
+use crate::{budget::BusBudget, cell::CellFile, wire::WireReport};
 
 pub(crate) use page::page;
 pub(crate) use tool::Tracks;

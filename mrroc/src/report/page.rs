@@ -4,8 +4,7 @@ use std::fmt::{Display, Write as _};
 
 use servo::Timing;
 
-use super::text::rounded;
-use super::{Deviation, RunReport, Tracks, plots};
+use super::{Deviation, RunReport, Tracks, plots, text::rounded};
 use crate::cell::printable;
 use crate::charts::{ChartError, escaped};
 

@@ -9,9 +9,8 @@ use anyhow::{Context, anyhow};
 use servo::Record;
 
 use super::Background;
-use crate::cell::CellFile;
-use crate::report::Tracks;
 use crate::trace::{AxisLog, FrameLog};
+use crate::{cell::CellFile, report::Tracks};
 
 /// Longest wait for the files of a run once it has ended.
 const FILES_WAIT: Duration = Duration::from_secs(2);

@@ -5,10 +5,7 @@ use controller::ecp::{Ecp, EcpError, Subcontrollers, Task};
 use drive::Fault;
 use servo::{EffectorLink, Phase, Servo, ServoFault, StopCause, StopRequest};
 
-use crate::cell::CellFile;
-use crate::report::FaultReport;
-use crate::tasks::MakeTasks;
-use crate::{rehearsal, setup};
+use crate::{cell::CellFile, rehearsal, report::FaultReport, setup, tasks::MakeTasks};
 
 /// All tasks of a run. The first failure stops every robot.
 pub(crate) struct RunningTasks<'a> {

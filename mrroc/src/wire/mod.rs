@@ -20,17 +20,13 @@ use std::time::Duration;
 
 use anyhow::Context;
 use can::{Frame, Instant, Port, Received, SocketCanOptions, SocketCanPort, StandardId, VirtualPort};
-use canopen::cob;
-use canopen::pdo::PdoKind;
 use canopen::wire_timing::{Sample, WireTiming};
+use canopen::{cob, pdo::PdoKind};
 use drive::cia402::pdo_setups;
 use hdrhistogram::Histogram;
 
-use crate::bench::interfaces::Interface;
-use crate::cell::CellFile;
 use crate::report::{Percentiles, microseconds};
-use crate::run::Background;
-use crate::setup;
+use crate::{bench::interfaces::Interface, cell::CellFile, run::Background, setup};
 
 pub use report::{NodeReport, Source, SyncStamp, WireReport};
 

@@ -1,9 +1,8 @@
 //! Checks of buses and bundles of serial lines.
 
 use super::{Checked, MOST, name, refused, some, twice, unique, within};
-use crate::bench::interfaces::Interface;
-use crate::cell::text::quoted;
 use crate::cell::{Cell, Path, Range};
+use crate::{bench::interfaces::Interface, cell::text::quoted};
 
 pub(super) fn check(cell: &Cell) -> Checked {
     let groups = cell.bus.len() + cell.serial.len();

@@ -1,7 +1,6 @@
 //! Checks of the homing of an axis: the method must find home, and the search must end.
 
-use super::axis::Place;
-use super::{Checked, no_effect, refused, within};
+use super::{Checked, axis::Place, no_effect, refused, within};
 use crate::cell::drives::FARTHEST_INDEX;
 use crate::cell::{Axis, Path, Range};
 use controller::robot::Limits;
