@@ -131,8 +131,7 @@ pub fn dots(
 ) -> Result<(), ChartError> {
     let fill = if filled { colour } else { WHITE };
     for at in points {
-        let both = [fill.filled(), stroke(colour)];
-        panel.draw_series(both.map(|style| Circle::new(at, px(3), style)))?;
+        panel.draw_series([fill.filled(), stroke(colour)].map(|style| Circle::new(at, px(3), style)))?;
     }
     Ok(())
 }
@@ -157,10 +156,7 @@ pub fn dashed(panel: &mut Panel, colour: RGBColor, ends: [(f64, f64); 2]) -> Res
 pub fn label(panel: &mut Panel, colour: RGBColor, at: (f64, f64), said: &str) -> Result<(), ChartError> {
     let area = panel.plotting_area();
     let room = area.get_pixel_range().0.end - area.map_coordinate(&at).0;
-    let (side, away) = match room > px(120) as i32 {
-        true => (HPos::Left, 8),
-        false => (HPos::Right, -8),
-    };
+    let (side, away) = if room > px(120) as i32 { (HPos::Left, 8) } else { (HPos::Right, -8) };
     let style = font(13).color(&colour).pos(Pos::new(side, VPos::Center));
     let text = Text::new(said.to_owned(), (away * px(1) as i32, 0), style);
     let label = EmptyElement::at(at) + text;
@@ -173,8 +169,7 @@ pub fn titled<'a>(area: &Area<'a>, title: &str, setting: &str) -> Result<(Area<'
     let place = |y: u32| (px(62) as i32, px(y) as i32);
     head.draw(&Text::new(title.to_owned(), place(10), font(19)))?;
     head.draw(&Text::new(setting.to_owned(), place(40), font(13)))?;
-    let width = head.dim_in_pixel().0;
-    let (_, beside) = head.split_horizontally(width.saturating_sub(px(220)));
+    let (_, beside) = head.split_horizontally(head.dim_in_pixel().0.saturating_sub(px(220)));
     Ok((beside, rest))
 }
 

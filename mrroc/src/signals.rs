@@ -62,8 +62,7 @@ pub fn on_ending(motion: Motion, ask: impl FnMut(c_int) + Send + 'static) -> any
 /// Like [`on_ending`], for a command that moves an arm. SIGTSTP (Ctrl-Z) also ends such a command, because a suspended
 /// controller cannot monitor its arm. SIGUSR1 is left to the command.
 pub fn on_ending_of_motion(motion: Motion, ask: impl FnMut(c_int) + Send + 'static) -> anyhow::Result<()> {
-    let signals = ending().into_iter().filter(|signal| *signal != SIGUSR1);
-    on(signals.chain([SIGTSTP]), motion, ask)
+    on(ending().into_iter().filter(|signal| *signal != SIGUSR1).chain([SIGTSTP]), motion, ask)
 }
 
 /// A flag set by the signals that end a process.

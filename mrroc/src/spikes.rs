@@ -39,10 +39,7 @@ pub fn write(file: File, thread: &'static str, spikes: Vec<Spike>) -> anyhow::Re
 
 fn trace(thread: &str, spikes: &[Spike]) -> Value {
     // Longest time from the first cycle of a spike to its late deadline.
-    let before = spikes.iter().filter_map(|spike| {
-        let first = spike.cycles.first()?;
-        Some(anchor(spike)?.since(first.begun))
-    });
+    let before = spikes.iter().filter_map(|spike| Some(anchor(spike)?.since(spike.cycles.first()?.begun)));
     let before = before.max().unwrap_or_default();
     let events = (1..).zip(spikes).filter_map(|(process, spike)| {
         let anchor = anchor(spike)?;

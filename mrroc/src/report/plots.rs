@@ -138,8 +138,7 @@ fn over_time(title: &str, unit: &str, curves: &[(usize, &Curve)]) -> Result<Stri
 
 /// The axis of the time in which curves have values.
 fn time<'a>(curves: impl IntoIterator<Item = &'a Curve>) -> Scale {
-    let times = curves.into_iter().flat_map(Curve::points);
-    let [first, last] = over(times.map(|(time, _)| time), NOTHING);
+    let [first, last] = over(curves.into_iter().flat_map(Curve::points).map(|(time, _)| time), NOTHING);
     Scale::exact("time since the first cycle, s", [first, last.max(first + 1e-3)])
 }
 
