@@ -385,10 +385,10 @@ pub struct Joints {
     #[serde(default)]
     pub generator: JointGenerator,
     /// Fraction of the greatest joint velocity to use.
-    #[serde(default = "defaults::fraction")]
+    #[serde(default = "defaults::hundredths::<50>")]
     pub velocity: f64,
     /// Fraction of the greatest joint acceleration to use.
-    #[serde(default = "defaults::fraction")]
+    #[serde(default = "defaults::hundredths::<50>")]
     pub acceleration: f64,
     /// Duration of the motion to each pose, s, rounded up to a macrostep; the shortest within the limits where absent.
     /// Only for jerk-limited motions.
@@ -415,10 +415,10 @@ pub struct LineInstruction {
     /// Target orientation of the tool as w, x, y, z; unchanged where absent.
     pub quaternion: Option<[f64; 4]>,
     /// Greatest tool velocity, m/s.
-    #[serde(default = "defaults::line_velocity")]
+    #[serde(default = "defaults::hundredths::<20>")]
     pub velocity: f64,
     /// Greatest tool acceleration, m/s².
-    #[serde(default = "defaults::line_acceleration")]
+    #[serde(default = "defaults::hundredths::<50>")]
     pub acceleration: f64,
 }
 
@@ -461,13 +461,8 @@ mod defaults {
         let count = T::try_from(COUNT).ok();
         count.expect("a key has room for its default")
     }
-    pub(super) fn fraction() -> f64 {
-        0.5
-    }
-    pub(super) fn line_velocity() -> f64 {
-        0.2
-    }
-    pub(super) fn line_acceleration() -> f64 {
-        0.5
+    /// The default of a number, in hundredths.
+    pub(super) fn hundredths<const COUNT: u8>() -> f64 {
+        f64::from(COUNT) / 100.0
     }
 }
