@@ -118,10 +118,7 @@ impl EmulatedLine {
     fn take(&mut self, world: &mut World, now: Instant) -> io::Result<()> {
         let mut bytes = [0; CHUNK];
         let room = self.end.room(world).min(CHUNK);
-        let count = match room {
-            0 => 0,
-            room => self.pty.read(&mut bytes[..room])?,
-        };
+        let count = if room == 0 { 0 } else { self.pty.read(&mut bytes[..room])? };
         match &mut self.end {
             _ if count == 0 => {}
             End::Adapter(id) => change(world, *id, now, |adapter| {

@@ -218,8 +218,7 @@ impl LineDevice for Absent {
 
 /// The axes on bus `bus` that have a drive, as pairs of robot and axis number.
 pub fn axes_present(file: &CellFile, bus: usize) -> impl Iterator<Item = (usize, usize)> {
-    let present = |&(robot, axis): &(usize, usize)| !file.cell.robot[robot].axis[axis].emulator.absent;
-    file.cell.axes_on(bus).filter(present)
+    file.cell.axes_on(bus).filter(|&(robot, axis)| !file.cell.robot[robot].axis[axis].emulator.absent)
 }
 
 /// The configuration of the emulated drive of an axis, with its motor on no mechanism.

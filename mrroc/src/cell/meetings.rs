@@ -22,8 +22,7 @@ impl Cell {
             for (_, name) in robot.meetings() {
                 let occurrence = names.iter().filter(|before| **before == name).count();
                 names.push(name);
-                let same = |it: &&mut Meeting| it.name == name && it.occurrence == occurrence;
-                match meetings.iter_mut().find(same) {
+                match meetings.iter_mut().find(|it| it.name == name && it.occurrence == occurrence) {
                     Some(meeting) => meeting.robots.push(number),
                     None => meetings.push(Meeting { name: name.to_owned(), occurrence, robots: vec![number] }),
                 }
@@ -46,7 +45,6 @@ impl Robot {
     pub(super) fn meeting_at(&self, index: usize, meetings: &[Meeting]) -> Option<u8> {
         let (_, name) = self.meetings().find(|(at, _)| *at == index)?;
         let occurrence = self.meetings().take_while(|(at, _)| *at < index).filter(|(_, other)| *other == name).count();
-        let same = |it: &Meeting| it.name == name && it.occurrence == occurrence;
-        u8::try_from(meetings.iter().position(same)?).ok()
+        u8::try_from(meetings.iter().position(|it| it.name == name && it.occurrence == occurrence)?).ok()
     }
 }

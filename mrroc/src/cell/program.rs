@@ -117,8 +117,7 @@ impl Robot {
         let limits = self.motion_limits(arm);
         let task = match motion.generator {
             JointGenerator::Newsmooth => {
-                let smooth = |pose: &Axes| smooth_pose(pose, motion.velocity, motion.acceleration);
-                let poses = poses.iter().map(smooth).collect();
+                let poses = poses.iter().map(|pose| smooth_pose(pose, motion.velocity, motion.acceleration)).collect();
                 let generator = Newsmooth::new(Space::Joint, arm.axes(), limits, poses);
                 task.run(generator.map_err(|error| (0, error.into()))?)
             }

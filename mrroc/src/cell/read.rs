@@ -202,10 +202,8 @@ impl<'de> Value<'de> {
     /// Passes an array to `visitor`, which must take all elements.
     fn array<V: Visitor<'de>>(&self, length: Option<usize>, visitor: V) -> Result<V::Value, ValueError> {
         let DeValue::Array(array) = self.value else {
-            return Err(match length {
-                Some(length) => self.wrong(format!("an array of {length} elements")),
-                None => self.wrong("an array"),
-            });
+            let elements = length.map_or(String::new(), |length| format!(" of {length} elements"));
+            return Err(self.wrong(format!("an array{elements}")));
         };
         let count =
             |expected| ValueError::new(format!("has {} elements, must have {expected}", array.len())).from(self.offset);

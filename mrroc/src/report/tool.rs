@@ -157,10 +157,8 @@ impl Track {
             return;
         };
         // mm per m of a linear joint, degrees per rad of another.
-        let units: Axes = std::array::from_fn(|joint| match self.linear.get(joint) {
-            Some(true) => 1e3,
-            _ => 1f64.to_degrees(),
-        });
+        let slides = |joint| self.linear.get(joint) == Some(&true);
+        let units: Axes = std::array::from_fn(|joint| if slides(joint) { 1e3 } else { 1f64.to_degrees() });
         let [position, orientation] = match self.subject {
             Subject::Tool => {
                 let apart = commanded.tool.translation.vector - measured.tool.translation.vector;

@@ -73,10 +73,7 @@ impl Listener {
 fn sync_stamp(interface: &str) -> SyncStamp {
     let flags = std::fs::read_to_string(format!("/sys/class/net/{interface}/flags"));
     let flags = flags.ok().and_then(|flags| u32::from_str_radix(flags.trim().trim_start_matches("0x"), 16).ok());
-    match flags {
-        Some(flags) if flags & ECHO != 0 => SyncStamp::Sent,
-        _ => SyncStamp::HandedOver,
-    }
+    if flags.is_some_and(|flags| flags & ECHO != 0) { SyncStamp::Sent } else { SyncStamp::HandedOver }
 }
 
 /// The TPDOs with which the drives of bus `bus` answer SYNC, in the order of [`Cell::axes_on`].

@@ -47,10 +47,11 @@ impl<'a> Place<'a> {
 /// Checks an axis. `model` holds the limits of the motor from the model, which the axis may narrow. `home` is its home
 /// position, rad.
 pub(super) fn check(path: &Path, period: Duration, axis: &Axis, place: Place<'_>, model: Limits, home: f64) -> Checked {
-    let node = match place {
-        Place::Bus(_) => Range::new(1.0, 127.0, ""),
-        Place::Serial(_) => Range::new(0.0, 253.0, ""),
+    let (family, node) = match place {
+        Place::Bus(_) => ("drive", Range::new(1.0, 127.0, "")),
+        Place::Serial(_) => ("controller", Range::new(0.0, 253.0, "")),
     };
+    let family = path.then(family);
     within(path, "node", axis.node, node)?;
     if let Place::Serial(serial) = place {
         let given = serial.protocol == Protocol::HiMoxa && axis.node != 0;
@@ -62,10 +63,6 @@ pub(super) fn check(path: &Path, period: Duration, axis: &Axis, place: Place<'_>
     let of = "rad/s² of the motor; the least brakes from max_velocity in 60 s";
     let range = Range::new(axis.max_velocity / LONGEST_STOP, FASTEST.1, of);
     within(path, "max_acceleration", axis.max_acceleration, range)?;
-    let family = path.then(match place {
-        Place::Bus(_) => "drive",
-        Place::Serial(_) => "controller",
-    });
     check_counts(&family, axis.counts_per_revolution())?;
     check_positions(path, axis, model, home)?;
     let count = TAU / f64::from(axis.counts_per_revolution());

@@ -6,10 +6,7 @@ use crate::{bench::interfaces::Interface, cell::text::quoted};
 
 pub(super) fn check(cell: &Cell) -> Checked {
     let groups = cell.bus.len() + cell.serial.len();
-    let what = match groups {
-        0 => "buses, and no serial lines either",
-        _ => "buses and bundles of serial lines",
-    };
+    let what = if groups == 0 { "buses, and no serial lines either" } else { "buses and bundles of serial lines" };
     some(&Path::default(), "bus", groups, MOST, what)?;
     check_buses(cell)?;
     check_serial(cell)

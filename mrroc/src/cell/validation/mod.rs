@@ -57,10 +57,7 @@ fn refused(path: &Path, key: impl Into<Step>, why: impl Into<String>) -> Checked
 /// Checks that the value of `key` is in `range`.
 fn within(path: &Path, key: impl Into<Step>, value: impl Into<f64>, range: Range) -> Checked {
     let value = value.into();
-    if range.has(value) {
-        return Ok(());
-    }
-    refused(path, key, out_of_range(value, range))
+    if range.has(value) { Ok(()) } else { refused(path, key, out_of_range(value, range)) }
 }
 
 /// Checks that a text is a name: without characters that are special in a path, a table, a line of CSV or an option.
@@ -79,10 +76,7 @@ fn name(path: &Path, key: &'static str, name: &str) -> Checked {
 
 /// Refuses a key that has no effect at its place.
 fn no_effect(path: &Path, key: &'static str, given: bool, because: &str) -> Checked {
-    if !given {
-        return Ok(());
-    }
-    refused(path, key, format!("has no effect {because}: leave it out"))
+    if given { refused(path, key, format!("has no effect {because}: leave it out")) } else { Ok(()) }
 }
 
 /// Refuses an empty list, and a list of more than `most` elements.
@@ -96,10 +90,7 @@ fn some(path: &Path, key: &'static str, found: usize, most: usize, what: &str) -
 
 /// Refuses a list of another length than `expected`.
 fn count(path: Path, found: usize, expected: usize, what: &str) -> Checked {
-    if found == expected {
-        return Ok(());
-    }
-    Err((path, format!("has {found} {what}, must have {expected}")))
+    if found == expected { Ok(()) } else { Err((path, format!("has {found} {what}, must have {expected}"))) }
 }
 
 /// Refuses a `what` for the value of `key` in element `index` of the list at `list`, if an earlier element has the same.
