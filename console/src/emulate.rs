@@ -63,8 +63,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         }
         links[index] = Some(link);
     }
-    let on_interfaces = interfaces.iter().zip(&links);
-    let on_interfaces = on_interfaces.map(|(interface, link)| link.is_none().then_some(interface));
+    let on_interfaces = interfaces.iter().zip(&links).map(|(interface, link)| link.is_none().then_some(interface));
     interfaces::all_differ(&file.cell, on_interfaces)?;
     emulation::problems(&file).next().map_or(Ok(()), Err)?;
     let emulated = EmulatedCell::of(&file);
@@ -81,8 +80,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
             let interface = &interfaces[index];
             let on_bus = || format!("bus {}", bus.name);
             let claim = |(robot, axis): (usize, usize)| interface.claim_as_node(file.cell.robot[robot].axis[axis].node);
-            let claims = emulation::axes_present(&file, index).map(claim);
-            let claims: anyhow::Result<Vec<_>> = claims.collect();
+            let claims: anyhow::Result<Vec<_>> = emulation::axes_present(&file, index).map(claim).collect();
             let claims = claims.with_context(on_bus)?;
             let port = BusPort::open(interface, bus.bitrate_kbps).with_context(on_bus)?;
             let port = port.holding(claims.into_iter().flatten());
@@ -99,8 +97,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     }
     for (bundle, serial) in file.cell.serial.iter().enumerate() {
         let Some(directory) = &options.serial else {
-            let name = &serial.name;
-            bail!("--serial DIR is missing: it is where the ttys of {name} are to be linked");
+            bail!("--serial DIR is missing: it is where the ttys of {} are to be linked", serial.name);
         };
         let cabinet = Cabinet::default();
         for axis in file.cell.axes_on(file.cell.bus.len() + bundle) {
@@ -180,8 +177,7 @@ impl EmulatedBus {
         let mut received = [Received { frame: Sync::default().encode(), at: Instant::ZERO }; 64];
         while !stop.load(Ordering::Relaxed) {
             let look = clock::now() + LOOK;
-            let due = self.due().map(|due| self.time.clock(due));
-            let wake = due.map_or(look, |due| due.min(look));
+            let wake = self.due().map(|due| self.time.clock(due)).map_or(look, |due| due.min(look));
             self.port.wait_readable(wake)?;
             let count = self.port.receive(clock::now(), &mut received)?;
             // The clock is read after the frames arrived, so that no frame has a later time.
@@ -202,8 +198,7 @@ impl EmulatedBus {
 
     /// Time of the next event of a device.
     fn due(&self) -> Option<Instant> {
-        let devices = self.devices.iter();
-        devices.filter_map(|device| device.poll_timeout()).min()
+        self.devices.iter().filter_map(|device| device.poll_timeout()).min()
     }
 
     /// Advances the devices to `to`. A frame is processed at its time of arrival, even if this program reads it late.
@@ -223,8 +218,7 @@ impl EmulatedBus {
     fn transmit(&mut self, now: Instant) -> anyhow::Result<()> {
         for sender in 0..self.devices.len() {
             while let Some(frame) = self.devices[sender].poll_transmit(self.passed) {
-                let devices = self.devices.iter_mut().enumerate();
-                let others = devices.filter(|(number, _)| *number != sender);
+                let others = self.devices.iter_mut().enumerate().filter(|(number, _)| *number != sender);
                 others.for_each(|(_, device)| device.handle(&frame, self.passed));
                 self.outgoing.push(frame);
             }

@@ -16,10 +16,9 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
-use mrroc::Tasks;
 use mrroc::cell::{Cell, CellFile};
 use mrroc::outputs::Measured;
-use mrroc::streams;
+use mrroc::{Tasks, streams};
 use serde::Serialize;
 
 /// Exit status in the help text: scripts may rely on it.
@@ -159,7 +158,6 @@ fn main() -> ExitCode {
     })
 }
 
-/// Checks a cell file, its programs and its buses.
 fn check(cell: &Path, json: bool) -> anyhow::Result<ExitCode> {
     let checked = mrroc::check(&CellFile::read(cell)?, &Tasks::programs)?;
     for problem in &checked.problems {
@@ -192,7 +190,6 @@ fn measurement<R: Serialize + Display>(measured: Measured<R>, json: bool) -> Exi
     ExitCode::from(u8::from(!complete || !failures.is_empty()))
 }
 
-/// Prints the JSON schema of cell files, or their reference.
 fn schema(reference: bool) -> anyhow::Result<ExitCode> {
     streams::print(match reference {
         true => descriptions::cell_reference::reference(),

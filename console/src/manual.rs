@@ -29,16 +29,14 @@ pub(crate) fn write(mut command: Command, directory: &Path, replacement: Replace
         clap_complete::generate(shell, &mut command, "mrroc", &mut text);
         (shell.file_name("mrroc"), text)
     });
-    let pages = pages(command).into_iter();
-    let pages = pages.map(|(name, page)| (format!("{name}.1"), page));
+    let pages = pages(command).into_iter().map(|(name, page)| (format!("{name}.1"), page));
     for (name, text) in completions.into_iter().chain(pages) {
         let path = directory.join(name);
         files.push((outputs.open("manual", &path)?, path, text));
     }
     outputs.begin()?;
     for (mut file, path, text) in files {
-        let written = file.write_all(&text);
-        written.with_context(|| format!("{} cannot be written", path.display()))?;
+        file.write_all(&text).with_context(|| format!("{} cannot be written", path.display()))?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -50,10 +48,8 @@ fn pages(command: Command) -> Vec<(String, Vec<u8>)> {
     let mut pages = Vec::new();
     let mut below = vec![command];
     while let Some(command) = below.pop() {
-        let shown = command.get_subcommands().filter(|it| !it.is_hide_set());
-        below.extend(shown.cloned());
-        let name = command.get_display_name();
-        let name = name.unwrap_or(command.get_name()).to_owned();
+        below.extend(command.get_subcommands().filter(|it| !it.is_hide_set()).cloned());
+        let name = command.get_display_name().unwrap_or(command.get_name()).to_owned();
         let mut page = Vec::new();
         render(command, &mut page).expect("a vector takes what is written");
         pages.push((name, page));

@@ -2,8 +2,7 @@
 
 use std::process::ExitCode;
 
-use clap::Error;
-use clap::error::ErrorKind;
+use clap::{Error, error::ErrorKind};
 
 /// Prints help, the version or a one-line error. Returns exit status 0 for requested help or version, otherwise 2.
 pub(crate) fn answer(error: &Error) -> ExitCode {

@@ -3,16 +3,14 @@
 use std::time::Duration;
 
 use anyhow::anyhow;
-use can::StandardId;
 use can::schedule::{self, Every, Message, Sender};
-use can::timing::Bitrate;
+use can::{StandardId, timing::Bitrate};
 use canopen::cob;
 use drive::cia402::{self, Traffic};
 use serde::Serialize;
 
-use crate::bench::emulation;
 use crate::cell::{CellFile, Path, Protocol};
-use crate::setup;
+use crate::{bench::emulation, setup};
 
 /// Budget of one bus.
 #[derive(Debug, Serialize)]
@@ -88,8 +86,7 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     let analysis = schedule::analyse(bitrate, period, &messages);
     let share = |time: Duration| 100.0 * time.as_secs_f64() / period.as_secs_f64();
     let timed = messages.iter().zip(&analysis.responses);
-    let rows = traffic.iter().zip(timed);
-    let rows = rows.map(|(traffic, (message, response))| MessageBudget {
+    let rows = traffic.iter().zip(timed).map(|(traffic, (message, response))| MessageBudget {
         what: traffic.what,
         cob_id: Some(traffic.cob_id.raw()),
         bytes: traffic.bytes,
@@ -213,10 +210,8 @@ fn what_fits(bitrate: Bitrate, period: Duration, messages: &[Message], axes: usi
         let kept = |message: &&Message| message.id == cob::SYNC || !gone.contains(&((message.id.raw() & 0x7F) as u8));
         messages.iter().filter(kept).copied().collect()
     };
-    let most = (0..axes).rev().find(|&count| fits(&without(count), period));
-    let most = most.unwrap_or(0);
-    let mut periods = (1..=1000).map(Duration::from_millis);
-    let shortest = periods.find(|&period| fits(messages, period));
+    let most = (0..axes).rev().find(|&count| fits(&without(count), period)).unwrap_or(0);
+    let shortest = (1..=1000).map(Duration::from_millis).find(|&period| fits(messages, period));
     let period = shortest.map_or(String::new(), |period| format!(", or a period of {} ms", period.as_millis()));
     format!("{most} axes would fit{period}, or more buses")
 }

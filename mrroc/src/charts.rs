@@ -119,8 +119,7 @@ pub fn line(
     colour: RGBColor,
     points: impl IntoIterator<Item = (f64, f64)>,
 ) -> Result<(), ChartError> {
-    let series = LineSeries::new(points, stroke(colour));
-    panel.draw_series(series).map(|_| ())
+    panel.draw_series(LineSeries::new(points, stroke(colour))).map(|_| ())
 }
 
 /// Draws points, hollow or filled.
@@ -132,8 +131,7 @@ pub fn dots(
 ) -> Result<(), ChartError> {
     let fill = if filled { colour } else { WHITE };
     for at in points {
-        let both = [fill.filled(), stroke(colour)];
-        panel.draw_series(both.map(|style| Circle::new(at, px(3), style)))?;
+        panel.draw_series([fill.filled(), stroke(colour)].map(|style| Circle::new(at, px(3), style)))?;
     }
     Ok(())
 }
@@ -151,18 +149,14 @@ pub fn segments(
 
 /// Draws a dashed straight line.
 pub fn dashed(panel: &mut Panel, colour: RGBColor, ends: [(f64, f64); 2]) -> Result<(), ChartError> {
-    let series = DashedLineSeries::new(ends, px(5), px(4), stroke(colour));
-    panel.draw_series(series).map(|_| ())
+    panel.draw_series(DashedLineSeries::new(ends, px(5), px(4), stroke(colour))).map(|_| ())
 }
 
 /// Writes a text beside a point, on the side that has room.
 pub fn label(panel: &mut Panel, colour: RGBColor, at: (f64, f64), said: &str) -> Result<(), ChartError> {
     let area = panel.plotting_area();
     let room = area.get_pixel_range().0.end - area.map_coordinate(&at).0;
-    let (side, away) = match room > px(120) as i32 {
-        true => (HPos::Left, 8),
-        false => (HPos::Right, -8),
-    };
+    let (side, away) = if room > px(120) as i32 { (HPos::Left, 8) } else { (HPos::Right, -8) };
     let style = font(13).color(&colour).pos(Pos::new(side, VPos::Center));
     let text = Text::new(said.to_owned(), (away * px(1) as i32, 0), style);
     let label = EmptyElement::at(at) + text;
@@ -175,8 +169,7 @@ pub fn titled<'a>(area: &Area<'a>, title: &str, setting: &str) -> Result<(Area<'
     let place = |y: u32| (px(62) as i32, px(y) as i32);
     head.draw(&Text::new(title.to_owned(), place(10), font(19)))?;
     head.draw(&Text::new(setting.to_owned(), place(40), font(13)))?;
-    let width = head.dim_in_pixel().0;
-    let (_, beside) = head.split_horizontally(width.saturating_sub(px(220)));
+    let (_, beside) = head.split_horizontally(head.dim_in_pixel().0.saturating_sub(px(220)));
     Ok((beside, rest))
 }
 
@@ -212,8 +205,7 @@ impl Scale {
     /// A linear axis over `values` and `least`, widened to whole ticks.
     pub fn linear(name: &str, values: impl IntoIterator<Item = f64>, least: [f64; 2]) -> Self {
         let ends = over(values, least);
-        let step = round_step((ends[1] - ends[0]).max(1e-12));
-        Self::in_steps(name, ends, ends, step)
+        Self::in_steps(name, ends, ends, round_step((ends[1] - ends[0]).max(1e-12)))
     }
 
     /// A linear axis over `values` and `least` in whole steps.
@@ -292,8 +284,7 @@ impl Ranged for Scale {
 
 impl ValueFormatter<f64> for Scale {
     fn format_ext(&self, value: &f64) -> String {
-        let tick = self.ticks.iter().find(|tick| tick.0 == *value);
-        tick.map_or_else(String::new, |tick| tick.1.clone())
+        self.ticks.iter().find(|tick| tick.0 == *value).map_or_else(String::new, |tick| tick.1.clone())
     }
 }
 

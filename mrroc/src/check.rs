@@ -9,9 +9,7 @@ use crate::bench::emulation::{self, Emulation};
 use crate::bench::{BenchKind, emulated_lines};
 use crate::budget::{self, Bundle, BusBudget};
 use crate::cell::{CellFile, printable};
-use crate::run::RunningTasks;
-use crate::tasks::MakeTasks;
-use crate::{rehearsal, setup};
+use crate::{rehearsal, run::RunningTasks, setup, tasks::MakeTasks};
 
 /// The result of a successful check.
 #[derive(Debug, Serialize)]
@@ -34,7 +32,6 @@ struct CheckedRobot {
     configurations: Vec<CheckedConfiguration>,
 }
 
-/// Summary of a device configuration file.
 #[derive(Debug, Serialize)]
 struct CheckedConfiguration {
     axis: String,
@@ -49,8 +46,7 @@ pub fn check(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<CheckReport> 
     let buses = budget::check(file)?;
     let program = rehearsal::rehearse(file, tasks)?;
     assemble(file, tasks)?;
-    let robots = file.cell.robot.iter().enumerate();
-    let robots = robots.map(|(number, robot)| CheckedRobot {
+    let robots = file.cell.robot.iter().enumerate().map(|(number, robot)| CheckedRobot {
         name: robot.name.clone(),
         axes: robot.axis.len(),
         instructions: robot.program.len(),
@@ -76,8 +72,7 @@ fn assemble(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<()> {
 }
 
 fn configurations(file: &CellFile, robot: usize) -> Vec<CheckedConfiguration> {
-    let axes = file.cell.robot[robot].axis.iter().enumerate();
-    let configured = axes.filter_map(|(number, axis)| {
+    let configured = file.cell.robot[robot].axis.iter().enumerate().filter_map(|(number, axis)| {
         let configuration = file.configuration(robot, number)?;
         Some(CheckedConfiguration {
             axis: axis.name.clone(),
@@ -128,8 +123,7 @@ impl CheckReport {
                     self.period_us
                 )?;
                 for budget in lines {
-                    let address = budget.address.map(|address| format!(", address {address}"));
-                    let address = address.unwrap_or_default();
+                    let address = budget.address.map(|address| format!(", address {address}")).unwrap_or_default();
                     writeln!(f, "  axis {}: {}{address}", budget.axis, budget.line)?;
                 }
             }

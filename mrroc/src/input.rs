@@ -54,16 +54,12 @@ pub fn read(path: &Path, limit: usize) -> Result<Vec<u8>, InputError> {
 /// Opens a file for examination. The file that is examined is the one that is read, whatever the path leads to by then.
 /// Neither opening nor reading it waits for another program.
 fn open(path: &Path, flags: c_int) -> io::Result<File> {
-    let mut options = OpenOptions::new();
-    options.read(true);
-    options.custom_flags(flags | libc::O_NONBLOCK | libc::O_NOCTTY);
-    options.open(path)
+    OpenOptions::new().read(true).custom_flags(flags | libc::O_NONBLOCK | libc::O_NOCTTY).open(path)
 }
 
 /// The bytes of the regular file at `path`, at most `limit`, which nobody but the user of this process can have written.
 pub fn read_own(path: &Path, limit: usize) -> Result<Vec<u8>, InputError> {
-    let opened = open(path, libc::O_NOFOLLOW);
-    let file = opened.map_err(|error| match error.raw_os_error() {
+    let file = open(path, libc::O_NOFOLLOW).map_err(|error| match error.raw_os_error() {
         Some(libc::ELOOP) => InputError::Link,
         _ => error.into(),
     })?;

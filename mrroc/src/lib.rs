@@ -55,8 +55,7 @@ pub type Error = anyhow::Error;
 /// This function catches no signal. If a signal ends the process, only the drives' own watchdogs stop the robots.
 /// [`program`], and [`run::run`] with [`Requests`], brake first.
 pub fn run(cell: &CellFile, bench: BenchKind, tasks: &MakeTasks) -> Result<RunReport, Error> {
-    let options = RunOptions::on(bench);
-    run::run(cell, &options, &Requests::default(), tasks, &mut |_| {})
+    run::run(cell, &RunOptions::on(bench), &Requests::default(), tasks, &mut |_| {})
 }
 
 /// All items that a robot program needs, for one `use`.

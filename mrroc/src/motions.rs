@@ -2,8 +2,7 @@
 
 use anyhow::{Context, bail};
 use controller::generator::{MotionLimits, Newsmooth};
-use controller::robot::Arm;
-use controller::robot::Space;
+use controller::robot::{Arm, Space};
 
 use crate::cell::{CellFile, smooth_pose};
 
@@ -17,8 +16,7 @@ pub struct Motions {
 impl Motions {
     /// Motions of the robot called `name`. An unknown name is refused.
     pub fn of(cell: &CellFile, name: &str) -> anyhow::Result<Self> {
-        let mut robots = cell.cell.robot.iter();
-        let Some(robot) = robots.position(|robot| robot.name == name) else {
+        let Some(robot) = cell.cell.robot.iter().position(|robot| robot.name == name) else {
             bail!("{}: the cell has no robot {name:?}", cell.path.display());
         };
         let arm = cell.arms[robot].clone();
@@ -44,8 +42,7 @@ impl Motions {
         if AXES != axes {
             bail!("a pose has {AXES} joints, and the robot has {axes}");
         }
-        let pose = |pose: &[f64; AXES]| smooth_pose(pose, share, share);
-        let poses = poses.iter().map(pose).collect();
+        let poses = poses.iter().map(|pose| smooth_pose(pose, share, share)).collect();
         let motion = Newsmooth::new(Space::Joint, axes, self.limits, poses);
         motion.context("the joint motion cannot be planned")
     }

@@ -58,8 +58,7 @@ impl Outputs {
         let (stdout, stderr) = (io::stdout(), io::stderr());
         let standard = [("standard output", stdout.as_fd()), ("standard error", stderr.as_fd())];
         let known = standard.into_iter().filter_map(|(what, end)| {
-            let found = end.try_clone_to_owned().map(File::from);
-            let found = found.and_then(|file| file.metadata()).ok()?;
+            let found = end.try_clone_to_owned().map(File::from).and_then(|file| file.metadata()).ok()?;
             // All writers of a pipe, a terminal or a device share one end.
             found.is_file().then(|| (what, identity(&found)))
         });
@@ -83,9 +82,7 @@ impl Outputs {
 
     /// Opens the output file of the option `what`.
     pub fn open(&mut self, what: impl Display, path: &Path) -> anyhow::Result<File> {
-        let shown = path.display();
-        let opened = self.open_as(what.to_string(), path);
-        opened.with_context(|| format!("{what}: {shown}"))
+        self.open_as(what.to_string(), path).with_context(|| format!("{what}: {}", path.display()))
     }
 
     /// Opens an optional output file.
@@ -110,14 +107,12 @@ impl Outputs {
             file: file.try_clone()?,
             made,
         };
-        let mut known = self.known.iter();
-        if let Some((what, _)) = known.find(|(_, identity)| *identity == opened.identity) {
+        if let Some((what, _)) = self.known.iter().find(|(_, identity)| *identity == opened.identity) {
             bail!("{what} is the same file: name another");
         }
         // A device such as /dev/null keeps writers apart; a pipe or a terminal mixes their bytes.
         let mixes = !found.file_type().is_char_device() || file.is_terminal();
-        let mut before = self.opened.iter();
-        if let Some(other) = before.find(|other| mixes && other.identity == opened.identity) {
+        if let Some(other) = self.opened.iter().find(|other| mixes && other.identity == opened.identity) {
             bail!("{} has the same file: name two", other.what);
         }
         if found.is_file() && !made && !self.replacement.force {
@@ -173,8 +168,7 @@ impl Outputs {
 impl Drop for Outputs {
     fn drop(&mut self) {
         for opened in self.opened.iter().filter(|opened| opened.made) {
-            let there = fs::symlink_metadata(&opened.path);
-            if there.is_ok_and(|there| identity(&there) == opened.identity) {
+            if fs::symlink_metadata(&opened.path).is_ok_and(|there| identity(&there) == opened.identity) {
                 // The refusal is reported; an error of the removal is ignored.
                 let _ = fs::remove_file(&opened.path);
             }

@@ -7,8 +7,7 @@ use anyhow::Context;
 use clap::{Args, Parser};
 use indicatif::{ProgressBar, ProgressStyle};
 use servo::Phase;
-use signal_hook::consts::SIGUSR1;
-use signal_hook::flag;
+use signal_hook::{consts::SIGUSR1, flag};
 
 use crate::cell::CellFile;
 use crate::report::Outcome;
@@ -45,9 +44,7 @@ struct Arguments {
 pub fn program(cell: &str, tasks: impl Fn(&CellFile) -> anyhow::Result<Tasks> + Sync) -> ExitCode {
     let Arguments { cell: given, options } = Arguments::parse();
     let cell = given.unwrap_or_else(|| cell.into());
-    let file = CellFile::read(&cell);
-    let result = file.and_then(|file| run_program(&file, &options, &tasks));
-    result.unwrap_or_else(|refusal| {
+    CellFile::read(&cell).and_then(|file| run_program(&file, &options, &tasks)).unwrap_or_else(|refusal| {
         streams::refuse(&refusal);
         ExitCode::from(2)
     })
@@ -61,9 +58,7 @@ pub fn run_program(file: &CellFile, options: &ProgramOptions, tasks: &MakeTasks)
     let (asked, motion) = (requests.clone(), Motion::on(options.run.bench));
     signals::on_ending_of_motion(motion.clone(), move |_| asked.stop())?;
     let mut bar = Bar::new(file, tasks(file)?.instructions() as u64, !options.json)?;
-    let report = run(file, &options.run, &requests, tasks, &mut |news| {
-        bar.show(news);
-    });
+    let report = run(file, &options.run, &requests, tasks, &mut |news| bar.show(news));
     motion.is_over();
     bar.bar.finish_and_clear();
     let report = report?;
@@ -87,10 +82,7 @@ struct Bar {
 impl Bar {
     /// A bar for all instructions of all robots, or no bar.
     fn new(file: &CellFile, instructions: u64, shown: bool) -> anyhow::Result<Self> {
-        let bar = match shown {
-            true => ProgressBar::new(instructions),
-            false => ProgressBar::hidden(),
-        };
+        let bar = if shown { ProgressBar::new(instructions) } else { ProgressBar::hidden() };
         let style = ProgressStyle::with_template("{elapsed:>4} [{bar:30}] {pos}/{len} {msg}")?;
         bar.set_style(style.progress_chars("=> "));
         let names = file.cell.robot.iter().map(|robot| robot.name.clone());

@@ -55,9 +55,7 @@ pub(crate) fn rehearse_from(file: &CellFile, tasks: &MakeTasks, robot: usize, mo
 }
 
 fn homes(file: &CellFile) -> Vec<PlannedStart> {
-    let homes = file.arms.iter().enumerate();
-    let homes = homes.map(|(robot, arm)| file.cell.home(robot, arm));
-    homes.collect()
+    file.arms.iter().enumerate().map(|(robot, arm)| file.cell.home(robot, arm)).collect()
 }
 
 /// The motor positions of start `number` of [`STARTS`].
@@ -102,9 +100,9 @@ fn run(file: &CellFile, tasks: Tasks, starts: &[Axes], extent: Extent) -> anyhow
     let mut subcontrollers = setup::subcontrollers(file, links, servo.gates(), tasks);
     let mut ended = vec![0; needed.len()];
     let mut failure = None;
-    let start = lockstep::bring_up(&mut servo, Instant::ZERO, |_| {});
-    let start = start.expect("ideal drives come up");
+    let start = lockstep::bring_up(&mut servo, Instant::ZERO, |_| {}).expect("ideal drives come up");
     let over = Cell::new(false);
+    let longest = if extent == Extent::Tasks { LONGEST } else { BEGINNING };
     lockstep::run(
         &mut servo,
         start,
@@ -115,12 +113,11 @@ fn run(file: &CellFile, tasks: Tasks, starts: &[Axes], extent: Extent) -> anyhow
                     failure.get_or_insert_with(|| refuse(file, robot, event.instruction, extent.refusal(&error)));
                 }
             });
-            let mut robots = ended.iter().zip(&needed);
-            let all_ended = robots.all(|(ended, needed)| ended >= needed);
+            let all_ended = ended.iter().zip(&needed).all(|(ended, needed)| ended >= needed);
             over.set(failure.is_some() || all_ended);
         },
         |_| {},
-        |_, now| over.get() || now.since(start) > extent.longest(),
+        |_, now| over.get() || now.since(start) > longest,
     );
     match failure {
         Some(failure) => Err(failure),
@@ -134,8 +131,7 @@ fn run(file: &CellFile, tasks: Tasks, starts: &[Axes], extent: Extent) -> anyhow
 
 /// The refusal of an instruction of the cell file's program.
 fn of_program(file: &CellFile, robot: usize, instruction: usize, why: String) -> anyhow::Error {
-    let place = file.cell.robot[robot].instruction_of(instruction);
-    let place = place.map(|index| instruction_path(robot, index));
+    let place = file.cell.robot[robot].instruction_of(instruction).map(|index| instruction_path(robot, index));
     file.refuse(&place.unwrap_or(Path::to("robot").then(robot)), why)
 }
 
@@ -147,14 +143,6 @@ fn of_task(file: &CellFile, robot: usize, instruction: usize, why: String) -> an
 }
 
 impl Extent {
-    fn longest(self) -> Duration {
-        match self {
-            Self::Tasks => LONGEST,
-            Self::FirstMotions => BEGINNING,
-        }
-    }
-
-    /// The reason why an instruction is refused.
     fn refusal(self, error: &EcpError) -> String {
         match self {
             Self::Tasks => error.to_string(),

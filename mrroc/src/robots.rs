@@ -11,8 +11,7 @@ use controller::robot::{
     ConveyorParameters, GripperParameters, Irb6Parameters, Irp6Parameters, Irp6TrackParameters, Mass, ParameterError,
     PolycrankParameters, RntParameters, Robot, RobotParameters,
 };
-use hil::plant::Switch;
-use hil::{AxisConfig, Irp6Axis, MechanismConfig};
+use hil::{AxisConfig, Irp6Axis, MechanismConfig, plant::Switch};
 
 use crate::cell::Plant;
 
@@ -196,11 +195,6 @@ impl Model {
     /// How many axes it has.
     pub fn axes(self) -> usize {
         self.parameters().axes()
-    }
-
-    /// Whether it carries a tool; a gripper and a conveyor are devices of one axis.
-    pub fn has_tool(self) -> bool {
-        self.axes() > 1
     }
 
     /// Nominal masses of its links.

@@ -6,9 +6,8 @@ use std::time::Duration;
 use can::Port;
 use controller::ecp::{Ecp, EcpConfig, Meetings, Subcontrollers, Task};
 use controller::robot::Limits;
-use drive::DriveGroup;
-use drive::axis_controller::AxisControllerGroup;
 use drive::cia402::{AxisConfig, Cia402Group, CyclicMode};
+use drive::{DriveGroup, axis_controller::AxisControllerGroup};
 use serial::Line;
 use servo::{EffectorConfig, EffectorLink, Gates, HostHoming, ServoAxisConfig, ServoConfig};
 
@@ -51,8 +50,7 @@ pub fn drive_groups(
 ) -> anyhow::Result<Vec<Box<dyn DriveGroup>>> {
     let group = |((index, _), port): ((usize, &Bus), _)| {
         let mut axes = axis_configs(file, index);
-        let places = file.cell.axes_on(index);
-        for (axis, place) in axes.iter_mut().zip(places) {
+        for (axis, place) in axes.iter_mut().zip(file.cell.axes_on(index)) {
             if Some(place) == with_torque {
                 axis.mode = CyclicMode::CspWithTorque;
             }
@@ -66,8 +64,7 @@ pub fn drive_groups(
             let axis = &file.cell.robot[robot].axis[number];
             axis.controller_config(file.arms[robot].robot().home()[number])
         };
-        let axes = file.cell.axes_on(file.cell.bus.len() + index);
-        let axes: Vec<_> = axes.map(config).collect();
+        let axes: Vec<_> = file.cell.axes_on(file.cell.bus.len() + index).map(config).collect();
         let group = AxisControllerGroup::new(lines, bundle.group_config(file.cell.period()), &axes);
         let refused = |error| file.refuse(&Path::to("serial").then(index), error);
         Ok(Box::new(group.map_err(refused)?) as Box<dyn DriveGroup>)
@@ -105,8 +102,7 @@ pub fn subcontrollers(file: &CellFile, links: Vec<EffectorLink>, gates: Gates, t
         ecp
     };
     let ecps = links.into_iter().zip(tasks.tasks).enumerate().map(ecp);
-    let meetings = file.cell.meetings().into_iter();
-    let meetings = Meetings::new(meetings.map(|meeting| meeting.robots), gates);
+    let meetings = Meetings::new(file.cell.meetings().into_iter().map(|meeting| meeting.robots), gates);
     Subcontrollers::new(ecps.collect(), meetings)
 }
 
@@ -115,10 +111,8 @@ fn servo_axes(file: &CellFile, robot: usize) -> Vec<ServoAxisConfig> {
     let axis = |number: usize| {
         let axis = &cell.robot[robot].axis[number];
         let limits = file.arms[robot].robot().motor_limits()[number];
-        let group = cell.groups().position(|name| name == axis.bus);
-        let group = group.expect("a parsed cell has the bus");
-        let index = cell.axes_on(group).position(|it| it == (robot, number));
-        let index_in_group = index.expect("the axis is on its bus");
+        let group = cell.groups().position(|name| name == axis.bus).expect("a parsed cell has the bus");
+        let index_in_group = cell.axes_on(group).position(|it| it == (robot, number)).expect("the axis is on its bus");
         cell.robot[robot].servo_config(number, group, index_in_group, limits)
     };
     (0..cell.robot[robot].axis.len()).map(axis).collect()
@@ -138,8 +132,7 @@ fn homing_timeout(file: &CellFile, robot: usize, axes: &[ServoAxisConfig]) -> Du
         };
         *longest = search.max(*longest);
     }
-    let searches = orders.into_values();
-    let sum = searches.fold(Duration::ZERO, Duration::saturating_add);
+    let sum = orders.into_values().fold(Duration::ZERO, Duration::saturating_add);
     sum.max(HOMING).min(LONGEST_HOMING)
 }
 

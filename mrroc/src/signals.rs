@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Builder;
 
 use anyhow::Context;
+use libc::{SIGPWR, SIGSTKFLT};
 use nix::sys::signal::{SigSet, Signal};
 use signal_hook::consts::{
     SIGABRT, SIGALRM, SIGHUP, SIGINT, SIGIO, SIGPROF, SIGQUIT, SIGSYS, SIGTERM, SIGTRAP, SIGTSTP, SIGUSR1, SIGUSR2,
@@ -16,28 +17,12 @@ use signal_hook::consts::{
 };
 use signal_hook::iterator::Signals;
 
-use crate::bench::BenchKind;
-use crate::run::SMALL_STACK;
+use crate::{bench::BenchKind, run::SMALL_STACK};
 
 /// Signals that end a process, except the real-time signals.
 const ENDING: [c_int; 17] = [
-    SIGHUP,
-    SIGINT,
-    SIGQUIT,
-    SIGTRAP,
-    SIGABRT,
-    SIGUSR1,
-    SIGUSR2,
-    SIGALRM,
-    SIGTERM,
-    libc::SIGSTKFLT,
-    SIGXCPU,
-    SIGXFSZ,
-    SIGVTALRM,
-    SIGPROF,
-    SIGIO,
-    libc::SIGPWR,
-    SIGSYS,
+    SIGHUP, SIGINT, SIGQUIT, SIGTRAP, SIGABRT, SIGUSR1, SIGUSR2, SIGALRM, SIGTERM, SIGSTKFLT, SIGXCPU, SIGXFSZ,
+    SIGVTALRM, SIGPROF, SIGIO, SIGPWR, SIGSYS,
 ];
 
 /// Number of signals after which a command is ended at once, if nothing can be in motion.
@@ -77,8 +62,7 @@ pub fn on_ending(motion: Motion, ask: impl FnMut(c_int) + Send + 'static) -> any
 /// Like [`on_ending`], for a command that moves an arm. SIGTSTP (Ctrl-Z) also ends such a command, because a suspended
 /// controller cannot monitor its arm. SIGUSR1 is left to the command.
 pub fn on_ending_of_motion(motion: Motion, ask: impl FnMut(c_int) + Send + 'static) -> anyhow::Result<()> {
-    let signals = ending().into_iter().filter(|signal| *signal != SIGUSR1);
-    on(signals.chain([SIGTSTP]), motion, ask)
+    on(ending().into_iter().filter(|signal| *signal != SIGUSR1).chain([SIGTSTP]), motion, ask)
 }
 
 /// A flag set by the signals that end a process.
@@ -115,7 +99,6 @@ fn on(
             }
         }
     };
-    let thread = Builder::new().name("signals".into()).stack_size(SMALL_STACK);
-    thread.spawn(listen).context(refused)?;
+    Builder::new().name("signals".into()).stack_size(SMALL_STACK).spawn(listen).context(refused)?;
     Ok(())
 }

@@ -13,8 +13,7 @@ use can::Instant;
 use serde_json::{Value, json};
 use servo::thread::{Spike, Stamps};
 
-use crate::report::microseconds;
-use crate::run::Background;
+use crate::{report::microseconds, run::Background};
 
 /// Longest wait for writing the file, limited because the disk of a host may block.
 const WRITE_WAIT: Duration = Duration::from_secs(2);
@@ -32,8 +31,7 @@ pub fn write(file: File, thread: &'static str, spikes: Vec<Spike>) -> anyhow::Re
     };
     let file = BufWriter::new(file);
     let writing = Background::start("spikes", WRITE_WAIT, file, |_| {}, write);
-    let writing = writing.context("no thread to write the spikes can be made")?;
-    match writing.finish(WRITE_WAIT) {
+    match writing.context("no thread to write the spikes can be made")?.finish(WRITE_WAIT) {
         Some(written) => written.context("the spikes cannot be written"),
         None => Err(anyhow!("the spikes cannot be written in time")),
     }
@@ -41,26 +39,18 @@ pub fn write(file: File, thread: &'static str, spikes: Vec<Spike>) -> anyhow::Re
 
 fn trace(thread: &str, spikes: &[Spike]) -> Value {
     // Longest time from the first cycle of a spike to its late deadline.
-    let before = spikes.iter().filter_map(|spike| {
-        let first = spike.cycles.first()?;
-        Some(anchor(spike)?.since(first.begun))
-    });
+    let before = spikes.iter().filter_map(|spike| Some(anchor(spike)?.since(spike.cycles.first()?.begun)));
     let before = before.max().unwrap_or_default();
-    let processes = (1..).zip(spikes);
-    let events = processes.filter_map(|(process, spike)| {
+    let events = (1..).zip(spikes).filter_map(|(process, spike)| {
         let anchor = anchor(spike)?;
         Some(events(process, thread, spike, anchor, before))
     });
-    json!({
-        "displayTimeUnit": "ns",
-        "traceEvents": events.flatten().collect::<Vec<_>>(),
-    })
+    json!({"displayTimeUnit": "ns", "traceEvents": events.flatten().collect::<Vec<_>>()})
 }
 
 /// The late deadline of a spike.
 fn anchor(spike: &Spike) -> Option<Instant> {
-    let named = spike.cycles.iter().find(|one| one.cycle == spike.cycle);
-    named.or(spike.cycles.first()).map(|one| one.deadline)
+    spike.cycles.iter().find(|one| one.cycle == spike.cycle).or(spike.cycles.first()).map(|one| one.deadline)
 }
 
 fn events(process: u32, thread: &str, spike: &Spike, anchor: Instant, before: Duration) -> Vec<Value> {
@@ -101,8 +91,7 @@ fn events(process: u32, thread: &str, spike: &Spike, anchor: Instant, before: Du
         })
     };
     for (index, cycle) in spike.cycles.iter().enumerate() {
-        let next = spike.cycles.get(index + 1);
-        let [called, end] = next.map_or([cycle.done; 2], |next| [next.called, next.begun]);
+        let [called, end] = spike.cycles.get(index + 1).map_or([cycle.done; 2], |next| [next.called, next.begun]);
         let name = format!("cycle {}", cycle.cycle);
         events.push(slice(&name, "cycle", cycle.begun, end, details(cycle)));
         let mut from = cycle.begun;
@@ -116,8 +105,7 @@ fn events(process: u32, thread: &str, spike: &Spike, anchor: Instant, before: Du
         events.push(instant("deadline".to_owned(), cycle.deadline));
         if let Some(late) = cycle.late {
             let by = microseconds(late.late);
-            let words = format!("late by {by:.0} µs: {}", late.cause.name());
-            events.push(instant(words, cycle.sending));
+            events.push(instant(format!("late by {by:.0} µs: {}", late.cause.name()), cycle.sending));
         }
     }
     events

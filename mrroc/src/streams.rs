@@ -47,8 +47,7 @@ pub fn plain(text: impl Display) -> String {
 
 /// Prints why a command was refused, in one line. Text quoted from a file has no effect on the terminal.
 pub fn refuse(refusal: &anyhow::Error) {
-    let said = crate::cell::printable(&format!("{refusal:#}"));
-    warn(format_args!("mrroc: {said}"));
+    warn(format_args!("mrroc: {}", crate::cell::printable(&format!("{refusal:#}"))));
 }
 
 fn write(text: impl Display) -> anyhow::Result<bool> {

@@ -30,10 +30,8 @@ impl Tasks {
         let mut tasks = Self::new(file);
         tasks.programs = true;
         for (robot, place) in tasks.tasks.iter_mut().enumerate() {
-            let task = file.cell.task(robot, &file.arms[robot]);
-            let task = task.map_err(|(key, error)| {
-                let axis = error.axis().map(|axis| file.axis_name(robot, axis));
-                let axis = axis.map_or(String::new(), |name| name + ", ");
+            let task = file.cell.task(robot, &file.arms[robot]).map_err(|(key, error)| {
+                let axis = error.axis().map_or(String::new(), |axis| file.axis_name(robot, axis) + ", ");
                 file.refuse(&key, format_args!("{axis}{error}"))
             })?;
             *place = Some(task);

@@ -8,26 +8,22 @@ use can::{TraceReader, candump};
 use drive::AxisCommand;
 use servo::Record;
 
-use crate::bench::interfaces::Interface;
-use crate::cell::CellFile;
+use crate::{bench::interfaces::Interface, cell::CellFile};
 
 /// A candump log of every frame that passed the ports of a run.
 pub(crate) struct FrameLog {
     readers: Vec<TraceReader>,
-    /// What the log calls each bus.
     names: Vec<can::InterfaceName>,
     writer: BufWriter<File>,
 }
 
 impl FrameLog {
-    /// Begins the log. `interfaces` are what the buses run on.
     pub(crate) fn new(file: File, interfaces: &[Interface], readers: Vec<TraceReader>) -> anyhow::Result<Self> {
         let name = |(bus, interface): (usize, &Interface)| {
             let name = interface.log_name(bus);
             can::InterfaceName::new(&name).with_context(|| format!("{name:?} is no interface name"))
         };
-        let interfaces = interfaces.iter().enumerate();
-        let names = interfaces.map(name).collect::<anyhow::Result<_>>()?;
+        let names = interfaces.iter().enumerate().map(name).collect::<anyhow::Result<_>>()?;
         Ok(Self { readers, names, writer: BufWriter::new(file) })
     }
 
@@ -92,7 +88,6 @@ impl AxisLog {
         Ok(())
     }
 
-    /// Hands what was written to the file.
     pub(crate) fn flush(&mut self) -> io::Result<()> {
         self.writer.flush()
     }

@@ -13,8 +13,7 @@ use can::{
 };
 use serial::{Settings, SlcanError, SlcanPort, StopBits, Tty};
 
-use crate::bench::interfaces::Interface;
-use crate::cell::Bus;
+use crate::{bench::interfaces::Interface, cell::Bus};
 
 /// A port that supports waiting.
 pub enum BusPort {
@@ -42,10 +41,7 @@ impl BusPort {
     /// Opens an interface with `options` for SocketCAN. An slcan adapter gets 0.9 s to answer.
     pub fn with_options(interface: &Interface, kbps: u32, options: &SocketCanOptions) -> anyhow::Result<Self> {
         match interface {
-            Interface::SocketCan(name) => {
-                let port = SocketCanPort::open(name, options)?;
-                Ok(Self::SocketCan(port, Vec::new()))
-            }
+            Interface::SocketCan(name) => Ok(Self::SocketCan(SocketCanPort::open(name, options)?, Vec::new())),
             Interface::Slcan { path, baud } => Self::slcan(path, *baud, kbps, SlcanPort::new),
             Interface::Epos { .. } => bail!(
                 "{interface}: the service port of a drive is no CAN bus; `mrroc sdo`, `mrroc nmt` and `mrroc scan` \
@@ -63,10 +59,8 @@ impl BusPort {
     }
 
     fn slcan(path: &str, baud: u32, kbps: u32, begin: Begin) -> anyhow::Result<Self> {
-        let stop_bits = StopBits::One;
-        let tty = Tty::open(path, Settings { baud, stop_bits })?;
-        let opened = open_slcan(tty, kbps, begin);
-        opened.map(Self::Slcan).context(path.to_owned())
+        let tty = Tty::open(path, Settings { baud, stop_bits: StopBits::One })?;
+        open_slcan(tty, kbps, begin).map(Self::Slcan).context(path.to_owned())
     }
 
     /// Waits until a frame can be received or the clock shows `until`. Returns whether a frame can be received.
@@ -96,8 +90,7 @@ impl BusPort {
 type Begin = fn(Tty, Bitrate, Instant) -> Result<SlcanPort<Tty>, SlcanError>;
 
 fn bitrate(kbps: u32) -> anyhow::Result<Bitrate> {
-    let bitrate = Bitrate::from_kbps(kbps);
-    bitrate.with_context(|| format!("{kbps} kbit/s is no bit rate of CAN, 10 to 1000 kbit/s"))
+    Bitrate::from_kbps(kbps).with_context(|| format!("{kbps} kbit/s is no bit rate of CAN, 10 to 1000 kbit/s"))
 }
 
 fn open_slcan(tty: Tty, kbps: u32, begin: Begin) -> anyhow::Result<SlcanPort<Tty>> {
@@ -136,8 +129,7 @@ pub(super) fn prepare_card(interface: &Interface, bus: &Bus, set: bool) -> anyho
     let kbps = bus.bitrate_kbps;
     if set {
         let card = card::set_bitrate(name, bitrate(kbps)?)?;
-        let described = described(&card);
-        crate::streams::warn(format_args!("bus {}: {name} {described}", bus.name));
+        crate::streams::warn(format_args!("bus {}: {name} {}", bus.name, described(&card)));
         return Ok(());
     }
     let card = match card::read(name) {

@@ -14,9 +14,7 @@ use hil::{DeviceId, Pty, SlcanDevice, World};
 use serial::{Line, VirtualLine};
 use servo::thread::set_fifo;
 
-use crate::bench::emulated_time::EmulatedTime;
-use crate::bench::emulation;
-use crate::bench::plants::EmulatedCell;
+use crate::bench::{emulated_time::EmulatedTime, emulation, plants::EmulatedCell};
 
 /// Longest time between two checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
@@ -67,13 +65,11 @@ impl EmulatedLines {
 
     /// Adds a line of the world on `pty`.
     pub fn add_line(&mut self, line: VirtualLine, pty: Pty) {
-        let arrived = Vec::new();
-        self.add(pty, End::Line { line, arrived });
+        self.add(pty, End::Line { line, arrived: Vec::new() });
     }
 
     fn add(&mut self, pty: Pty, end: End) {
-        let full = false;
-        self.lines.push(EmulatedLine { pty, end, full });
+        self.lines.push(EmulatedLine { pty, end, full: false });
     }
 
     /// Whether there are no lines.
@@ -90,8 +86,7 @@ impl EmulatedLines {
         let mut passed = Instant::ZERO;
         while !stop.load(Ordering::Relaxed) {
             let due = self.world.next_event().unwrap_or(Instant::FAR_FUTURE);
-            let wake = time.clock(due.max(passed + GRAIN));
-            let wake = wake.min(clock::now() + LOOK);
+            let wake = time.clock(due.max(passed + GRAIN)).min(clock::now() + LOOK);
             let ends = self.lines.iter().map(|line| {
                 let interest = Interest { read: line.end.room(&self.world) > 0, write: line.full };
                 (line.pty.as_fd(), interest)
@@ -123,10 +118,7 @@ impl EmulatedLine {
     fn take(&mut self, world: &mut World, now: Instant) -> io::Result<()> {
         let mut bytes = [0; CHUNK];
         let room = self.end.room(world).min(CHUNK);
-        let count = match room {
-            0 => 0,
-            room => self.pty.read(&mut bytes[..room])?,
-        };
+        let count = if room == 0 { 0 } else { self.pty.read(&mut bytes[..room])? };
         match &mut self.end {
             _ if count == 0 => {}
             End::Adapter(id) => change(world, *id, now, |adapter| {
@@ -187,6 +179,5 @@ fn adapter(world: &World, id: DeviceId) -> &SlcanDevice {
 }
 
 fn change(world: &mut World, id: DeviceId, now: Instant, change: impl FnOnce(&mut SlcanDevice)) {
-    let changed = world.change(id, now, change);
-    changed.expect("it was added as an adapter");
+    world.change(id, now, change).expect("it was added as an adapter");
 }

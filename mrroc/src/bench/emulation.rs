@@ -2,8 +2,7 @@
 
 use std::time::Duration;
 
-use can::timing::Bitrate;
-use can::{Frame, Instant, Port, StandardId, VirtualPort};
+use can::{Frame, Instant, Port, StandardId, VirtualPort, timing::Bitrate};
 use canopen::NodeId;
 use hil::{
     AxisController, AxisControllerConfig, BusId, Cabinet, Device, Epos4, Epos4Config, EposSerial, EposSerialConfig,
@@ -57,14 +56,9 @@ impl Emulation {
     pub fn of(file: &CellFile) -> (Self, HostEnds) {
         let mut world = World::new();
         let emulated = EmulatedCell::of(file);
-        let buses = 0..file.cell.bus.len();
-        let buses: Vec<_> = buses.map(|index| emulated.add_bus(&mut world, index)).collect();
-        let mut ends = |queue| -> Vec<_> {
-            let buses = buses.iter();
-            buses.map(|&bus| world.host_port(bus, queue)).collect()
-        };
-        let ports = ends(QUEUE).into_iter().map(|port| Box::new(port) as _);
-        let ports = ports.collect();
+        let buses: Vec<_> = (0..file.cell.bus.len()).map(|index| emulated.add_bus(&mut world, index)).collect();
+        let mut ends = |queue| -> Vec<_> { buses.iter().map(|&bus| world.host_port(bus, queue)).collect() };
+        let ports = ends(QUEUE).into_iter().map(|port| Box::new(port) as _).collect();
         let listeners = ends(HEARD);
         let lines = (0..file.cell.serial.len()).map(|bundle| {
             let cabinet = Cabinet::default();
@@ -92,8 +86,7 @@ impl Emulation {
     /// Adds background traffic to every bus: a node that sends frames of the lowest priority.
     pub fn add_traffic(&mut self) {
         for &bus in &self.buses {
-            let next = Instant::ZERO;
-            self.world.add_device(bus, Box::new(Chatter { next, due: false }));
+            self.world.add_device(bus, Box::new(Chatter { next: Instant::ZERO, due: false }));
         }
     }
 
@@ -141,8 +134,7 @@ impl Device for Chatter {
 /// Functions that the cell needs and its emulation lacks. Real robots may have them.
 pub fn problems(file: &CellFile) -> impl Iterator<Item = anyhow::Error> {
     let axes = (0..file.cell.bus.len()).flat_map(|bus| file.cell.axes_on(bus));
-    let problems = axes.filter_map(|axis| homing_problem(file, axis));
-    problems.map(|(key, problem)| file.refuse(&key, problem))
+    axes.filter_map(|axis| homing_problem(file, axis)).map(|(key, problem)| file.refuse(&key, problem))
 }
 
 impl EmulatedCell<'_> {
@@ -158,11 +150,8 @@ impl EmulatedCell<'_> {
     /// The devices on bus `bus`, switched on at `power_on`.
     pub fn devices(&self, bus: usize, power_on: Instant) -> Vec<Box<dyn Device>> {
         let device = |(robot, number): (usize, usize)| {
-            let drive = Epos4::new(Epos4Config {
-                mount: self.mount(robot, number),
-                ..config(self.file, robot, number, power_on)
-            });
-            Box::new(drive) as _
+            let config = config(self.file, robot, number, power_on);
+            Box::new(Epos4::new(Epos4Config { mount: self.mount(robot, number), ..config })) as _
         };
         axes_present(self.file, bus).map(device).collect()
     }
@@ -171,8 +160,7 @@ impl EmulatedCell<'_> {
     /// [`Instant::ZERO`]. Returns the host's end.
     pub fn add_line(&self, world: &mut World, bundle: usize, axis: (usize, usize), cabinet: &Cabinet) -> VirtualLine {
         let bundle = &self.file.cell.serial[bundle];
-        let latency = bundle.emulated_latency_ms;
-        let latency = latency.map(|latency| Duration::from_millis(u64::from(latency)));
+        let latency = bundle.emulated_latency_ms.map(|latency| Duration::from_millis(u64::from(latency)));
         let device = self.axis_controller(bundle.protocol, axis, cabinet);
         let line = world.add_line(bundle.settings(), latency, device);
         world.host_line(line, LINE)
@@ -195,10 +183,7 @@ impl EmulatedCell<'_> {
             ..AxisControllerConfig::new(plant(self.file, robot, number))
         };
         match axis.emulator.protocol.unwrap_or(protocol) {
-            Protocol::Nfv2 => {
-                let address = axis.emulator.address.unwrap_or(axis.node);
-                Box::new(AxisController::nfv2(address, &config))
-            }
+            Protocol::Nfv2 => Box::new(AxisController::nfv2(axis.emulator.address.unwrap_or(axis.node), &config)),
             Protocol::HiMoxa => Box::new(AxisController::hi_moxa(&config)),
         }
     }
@@ -213,8 +198,7 @@ pub fn bitrate(file: &CellFile, bus: usize) -> Bitrate {
 /// no bus. Returns the host's end.
 pub fn add_service_port(world: &mut World, file: &CellFile, (robot, number): (usize, usize)) -> VirtualLine {
     let config = EposSerialConfig::new(config(file, robot, number, Instant::ZERO));
-    let device = Box::new(EposSerial::epos4(config));
-    let line = world.add_line(Settings::EPOS, None, device);
+    let line = world.add_line(Settings::EPOS, None, Box::new(EposSerial::epos4(config)));
     world.host_line(line, LINE)
 }
 
@@ -234,8 +218,7 @@ impl LineDevice for Absent {
 
 /// The axes on bus `bus` that have a drive, as pairs of robot and axis number.
 pub fn axes_present(file: &CellFile, bus: usize) -> impl Iterator<Item = (usize, usize)> {
-    let present = |&(robot, axis): &(usize, usize)| !file.cell.robot[robot].axis[axis].emulator.absent;
-    file.cell.axes_on(bus).filter(present)
+    file.cell.axes_on(bus).filter(|&(robot, axis)| !file.cell.robot[robot].axis[axis].emulator.absent)
 }
 
 /// The configuration of the emulated drive of an axis, with its motor on no mechanism.
@@ -244,11 +227,10 @@ pub fn config(file: &CellFile, robot: usize, number: usize, power_on: Instant) -
     let node = NodeId::new(axis.node).expect("a parsed cell has valid node-IDs");
     let identity = file.identity(robot, number);
     let usual = Epos4Config::new(node, plant(file, robot, number));
-    let revision = axis.emulator.revision.or(identity.revision);
     Epos4Config {
         vendor: axis.emulator.vendor.unwrap_or(identity.vendor),
         product: identity.product.unwrap_or(usual.product),
-        revision: revision.unwrap_or(usual.revision),
+        revision: axis.emulator.revision.or(identity.revision).unwrap_or(usual.revision),
         main_sensor_resolution: axis.emulator.counts_per_revolution,
         rated_torque: axis.emulator.rated_torque.or(Some(axis.cia402().rated_torque)),
         seed: seed(file, robot, number),
@@ -258,6 +240,5 @@ pub fn config(file: &CellFile, robot: usize, number: usize, power_on: Instant) -
 }
 
 fn seed(file: &CellFile, robot: usize, number: usize) -> u64 {
-    let axis = (robot * 16 + number) as u64;
-    file.cell.seed.wrapping_mul(1000).wrapping_add(axis)
+    file.cell.seed.wrapping_mul(1000).wrapping_add((robot * 16 + number) as u64)
 }

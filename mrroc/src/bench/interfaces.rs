@@ -149,8 +149,7 @@ fn tty_of(text: &str) -> (String, u32) {
 ///
 /// An override is `IFACE` for a cell with one bus, or `BUS=IFACE`.
 pub fn resolve(cell: &Cell, overrides: &[String]) -> anyhow::Result<Vec<Interface>> {
-    let of_cell = cell.bus.iter().map(|bus| Interface::parse(&bus.interface));
-    let mut interfaces: Vec<_> = of_cell.collect();
+    let mut interfaces: Vec<_> = cell.bus.iter().map(|bus| Interface::parse(&bus.interface)).collect();
     let mut by = vec![None; interfaces.len()];
     for given in overrides {
         let (index, interface) = bus_of(cell, "--can", given)?;
@@ -183,10 +182,8 @@ pub fn all_differ<'a>(cell: &Cell, interfaces: impl IntoIterator<Item = Option<&
 pub fn bus_of<'a>(cell: &Cell, option: &str, given: &'a str) -> anyhow::Result<(usize, &'a str)> {
     match given.split_once('=') {
         Some((name, value)) => {
-            let index = cell.bus.iter().position(|bus| bus.name == name);
-            let index = index
-                .with_context(|| format!("{option} {given}: the cell has no bus {name:?}, only {}", names(cell)))?;
-            Ok((index, value))
+            let missing = || format!("{option} {given}: the cell has no bus {name:?}, only {}", names(cell));
+            Ok((cell.bus.iter().position(|bus| bus.name == name).with_context(missing)?, value))
         }
         None if cell.bus.len() == 1 => Ok((0, given)),
         None if cell.bus.is_empty() => bail!("{option} {given}: the cell has no CAN bus"),

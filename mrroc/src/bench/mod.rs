@@ -18,8 +18,7 @@ use drive::cia402;
 use serial::{Line, Tty, VirtualLine};
 
 use crate::bench::bus_port::{BusPort, prepare_card};
-use crate::bench::emulation::Emulation;
-use crate::bench::interfaces::Interface;
+use crate::bench::{emulation::Emulation, interfaces::Interface};
 use crate::cell::{CellFile, Serial};
 use crate::wire::{Listener, Wire};
 
@@ -83,8 +82,7 @@ impl Places {
         let bus = interfaces.iter().find(may_be_hardware);
         let mut ttys = (0..file.cell.serial.len()).flat_map(|bundle| tty_paths(file, bundle, self.serial.as_deref()));
         let tty = ttys.find(|(_, path)| is_device(path));
-        let names = bus.map(Interface::to_string);
-        if let Some(name) = names.or(tty.map(|(_, path)| path.display().to_string())) {
+        if let Some(name) = bus.map(Interface::to_string).or(tty.map(|(_, path)| path.display().to_string())) {
             bail!("--bench vcan: {name} may be hardware, which takes --bench card");
         }
         Ok(())
@@ -145,14 +143,11 @@ impl Bench {
                     let port = BusPort::with_options(interface, bus.bitrate_kbps, &options);
                     Ok(Box::new(port.with_context(on_bus)?.holding(claim)) as _)
                 };
-                let ports = interfaces.iter().enumerate().map(open);
-                let ports = ports.collect::<anyhow::Result<_>>()?;
+                let ports = interfaces.iter().enumerate().map(open).collect::<anyhow::Result<_>>()?;
                 let listen = |(index, interface): (usize, &Interface)| {
-                    let listener = Listener::open(file, index, interface);
-                    listener.with_context(|| format!("bus {}", file.cell.bus[index].name))
+                    Listener::open(file, index, interface).with_context(|| format!("bus {}", file.cell.bus[index].name))
                 };
-                let listeners = interfaces.iter().enumerate().map(listen);
-                let listeners = listeners.collect::<anyhow::Result<_>>()?;
+                let listeners = interfaces.iter().enumerate().map(listen).collect::<anyhow::Result<_>>()?;
                 (ports, ttys(file, serial)?, listeners, None)
             }
         };
@@ -176,7 +171,6 @@ pub(crate) fn emulated_lines(
     emulation: &mut Emulation,
     lines: Vec<Vec<VirtualLine>>,
 ) -> anyhow::Result<Vec<Vec<Box<dyn Line>>>> {
-    let bundles = lines.into_iter().zip(&file.cell.serial);
     let bundle = |(lines, bundle): (Vec<VirtualLine>, &Serial)| {
         let line = |line| -> anyhow::Result<Box<dyn Line>> {
             Ok(match kind {
@@ -186,20 +180,18 @@ pub(crate) fn emulated_lines(
         };
         lines.into_iter().map(line).collect()
     };
-    bundles.map(bundle).collect()
+    lines.into_iter().zip(&file.cell.serial).map(bundle).collect()
 }
 
 fn ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<Vec<Box<dyn Line>>>> {
-    let bundles = file.cell.serial.iter().enumerate();
     let bundle = |(index, bundle): (usize, &Serial)| {
         let open = |(axis, path): (String, PathBuf)| {
             let tty = Tty::open(&path, bundle.settings());
             Ok(Box::new(tty.with_context(|| format!("axis {axis}"))?) as Box<dyn Line>)
         };
-        let paths = tty_paths(file, index, directory);
-        paths.into_iter().map(open).collect()
+        tty_paths(file, index, directory).into_iter().map(open).collect()
     };
-    bundles.map(bundle).collect()
+    file.cell.serial.iter().enumerate().map(bundle).collect()
 }
 
 /// The axes of bundle `bundle` and their ttys. The ttys are named in the cell, or `mrroc emulate --serial` made them
@@ -211,6 +203,5 @@ fn tty_paths(file: &CellFile, bundle: usize, directory: Option<&Path>) -> Vec<(S
         let path = directory.map_or_else(own, |directory| directory.join(&axis));
         (axis, path)
     };
-    let axes = file.cell.axes_on(file.cell.bus.len() + bundle);
-    axes.map(path).collect()
+    file.cell.axes_on(file.cell.bus.len() + bundle).map(path).collect()
 }

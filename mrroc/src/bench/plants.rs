@@ -6,8 +6,7 @@ use std::time::Duration;
 use can::Instant;
 use canopen::cia402::HomingMethod;
 use controller::robot::Limits;
-use hil::plant::PlantConfig;
-use hil::{AxisConfig, Mechanism, Mount};
+use hil::{AxisConfig, Mechanism, Mount, plant::PlantConfig};
 
 use crate::cell::{CellFile, EmulatedPayload, Path, Robot};
 
@@ -22,10 +21,8 @@ pub struct EmulatedCell<'a> {
 impl<'a> EmulatedCell<'a> {
     /// All mechanisms at home and without payloads.
     pub fn of(file: &'a CellFile) -> Self {
-        let mechanism = |robot: &Robot| {
-            let parameters = robot.parameters.unwrap_or(robot.model.parameters());
-            parameters.mechanism().map(Mechanism::new)
-        };
+        let mechanism =
+            |robot: &Robot| robot.parameters.unwrap_or(robot.model.parameters()).mechanism().map(Mechanism::new);
         let mechanisms = file.cell.robot.iter().map(mechanism).collect();
         Self { file, mechanisms }
     }
@@ -46,10 +43,8 @@ impl Payloads {
         let robots = emulated.file.cell.robot.iter().zip(&emulated.mechanisms);
         let payloads = robots.filter_map(|(robot, mechanism)| Some((robot, mechanism.as_ref()?)));
         let payloads = payloads.flat_map(|(robot, mechanism)| {
-            robot.emulated_payload.iter().map(|payload| {
-                let due = power_on + Duration::from_secs_f64(payload.at_s);
-                (due, mechanism.clone(), *payload)
-            })
+            let due = move |payload: &EmulatedPayload| power_on + Duration::from_secs_f64(payload.at_s);
+            robot.emulated_payload.iter().map(move |payload| (due(payload), mechanism.clone(), *payload))
         });
         let mut payloads: Vec<_> = payloads.collect();
         payloads.sort_by_key(|(due, ..)| *due);
@@ -81,8 +76,7 @@ pub fn homing_problem(file: &CellFile, (robot, number): (usize, usize)) -> Optio
         return None;
     }
     let plant = plant(file, robot, number);
-    let limit = plant.negative_limit;
-    let lowest = limit.map_or(f64::NEG_INFINITY, |limit| limit.to);
+    let lowest = plant.negative_limit.map_or(f64::NEG_INFINITY, |limit| limit.to);
     let why = match plant.home_switch {
         None => "needs a home switch, which the emulated axis does not have: use 33, 34 or 37",
         Some(_) if needed.positive_limit && plant.positive_limit.is_none() => {
@@ -102,8 +96,7 @@ pub fn homing_problem(file: &CellFile, (robot, number): (usize, usize)) -> Optio
 pub fn plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
     let axis = &file.cell.robot[robot].axis[number];
     let home = file.arms[robot].robot().home()[number];
-    let parameters = file.cell.robot[robot].model.parameters();
-    let preset = parameters.plant(axis.emulator.plant, number, home);
+    let preset = file.cell.robot[robot].model.parameters().plant(axis.emulator.plant, number, home);
     let plant = AxisConfig {
         counts_per_revolution: axis.counts_per_revolution(),
         start_angle: axis.emulator.start.unwrap_or(preset.start_angle),

@@ -5,9 +5,8 @@ use std::path::PathBuf;
 
 use anyhow::{Context, anyhow};
 use canopen::dcf::{self, Download};
-use canopen::eds::Eds;
 use canopen::objects::{PRODUCT_CODE, REVISION, VENDOR_ID};
-use canopen::{NodeId, Object};
+use canopen::{NodeId, Object, eds::Eds};
 use drive::cia402::{Setting, reserved};
 use master::sdo::CAPACITY;
 
@@ -30,8 +29,7 @@ impl DeviceConfiguration {
     pub fn read(file: &CellFile, robot: usize, axis: usize) -> anyhow::Result<Option<Self>> {
         let key = Path::axis(robot, axis).then("drive").then("dcf");
         let axis = &file.cell.robot[robot].axis[axis];
-        let drive = axis.drive.as_ref();
-        let Some((drive, name)) = drive.and_then(|drive| Some((drive, drive.dcf.as_ref()?))) else {
+        let Some((drive, name)) = axis.drive.as_ref().and_then(|drive| Some((drive, drive.dcf.as_ref()?))) else {
             return Ok(None);
         };
         let path = file.path.parent().unwrap_or(&file.path).join(name);
@@ -128,8 +126,7 @@ fn check_reserved(download: &Download, vendor: u32) -> Result<(), (u32, String)>
 fn check_scale(download: &Download, counts: u32) -> Result<(), (u32, String)> {
     let ratio = |index: u16| {
         let written = |subindex: u8| {
-            let mut writes = download.writes.iter();
-            let write = writes.find(|it| it.object.index == index && it.object.subindex == subindex)?;
+            let write = download.writes.iter().find(|it| it.object.index == index && it.object.subindex == subindex)?;
             let value = <[u8; 4]>::try_from(write.data.as_slice()).ok()?;
             Some((write.line, u32::from_le_bytes(value)))
         };
@@ -148,12 +145,8 @@ fn check_scale(download: &Download, counts: u32) -> Result<(), (u32, String)> {
             continue;
         };
         if u64::from(above) != u64::from(expected) * u64::from(below) {
-            let ratio = match below {
-                1 => above.to_string(),
-                _ => format!("{above}/{below}"),
-            };
-            let problem = format!("{index:#06x} sets {ratio} {what}, the cell says {expected}");
-            return Err((line, problem));
+            let ratio = if below == 1 { above.to_string() } else { format!("{above}/{below}") };
+            return Err((line, format!("{index:#06x} sets {ratio} {what}, the cell says {expected}")));
         }
     }
     Ok(())

@@ -37,8 +37,7 @@ impl Cell {
 
     /// The names of the drive groups: every CAN bus, then every bundle of serial lines.
     pub fn groups(&self) -> impl Iterator<Item = &str> {
-        let buses = self.bus.iter().map(|bus| bus.name.as_str());
-        buses.chain(self.serial.iter().map(|serial| serial.name.as_str()))
+        self.bus.iter().map(|bus| bus.name.as_str()).chain(self.serial.iter().map(|serial| serial.name.as_str()))
     }
 
     /// The axes of drive group `group` of [`groups`](Self::groups), as pairs of robot and axis number, in their order
@@ -144,9 +143,7 @@ impl Axis {
     /// Motor velocity, rad/s, beyond which a position loop closed by the host counts as a runaway loop. The same bound
     /// applies to a drive that closes its own loop.
     pub(super) fn runaway_velocity(&self) -> f64 {
-        let given = self.host_loop();
-        let given = given.and_then(|(_, given, _)| given.runaway_velocity);
-        given.unwrap_or(RUNAWAY * self.max_velocity)
+        self.host_loop().and_then(|(_, given, _)| given.runaway_velocity).unwrap_or(RUNAWAY * self.max_velocity)
     }
 
     /// The axis controller on a serial line. Not for an axis on a CAN bus.
@@ -157,16 +154,14 @@ impl Axis {
     /// Configuration of the axis controller on a serial line, homed at the motor position `home`, rad.
     pub fn controller_config(&self, home: f64) -> axis_controller::AxisConfig {
         let controller = self.axis_controller();
-        let max_velocity = controller.plausible_velocity;
-        let max_acceleration = controller.plausible_acceleration;
         axis_controller::AxisConfig {
             address: self.node,
             scale: self.scale(home),
             torque_constant: controller.torque_constant,
             control: controller.control,
             max_current: controller.max_current,
-            max_velocity: max_velocity.unwrap_or(4.0 / 3.0 * self.max_velocity),
-            max_acceleration: max_acceleration.unwrap_or(20.0 * self.max_acceleration),
+            max_velocity: controller.plausible_velocity.unwrap_or(4.0 / 3.0 * self.max_velocity),
+            max_acceleration: controller.plausible_acceleration.unwrap_or(20.0 * self.max_acceleration),
         }
     }
 
@@ -217,7 +212,6 @@ impl Robot {
     /// drive group `group`.
     pub fn servo_config(&self, number: usize, group: usize, index_in_group: usize, limits: Limits) -> ServoAxisConfig {
         let axis = &self.axis[number];
-        let by_host = axis.controller.is_some();
         ServoAxisConfig {
             group,
             index_in_group,
@@ -230,7 +224,7 @@ impl Robot {
             increments_per_radian: axis.scale(0.0).increments_per_radian(),
             position_loop: axis.position_loop(self.weight.is_some()),
             torque_offset: None,
-            homing: by_host.then(|| axis.homing.by_host(limits)),
+            homing: axis.controller.is_some().then(|| axis.homing.by_host(limits)),
         }
     }
 }
@@ -257,9 +251,7 @@ impl Homing {
 }
 
 const HAS_DRIVE: &str = "a parsed cell's axes have the drive that their bus needs";
-
 const HAS_METHOD: &str = "a parsed cell's drives have homing methods";
-
 const HAS_LOOP: &str = "a parsed cell's drives by velocity or torque have a loop";
 
 fn node(raw: u8) -> NodeId {

@@ -9,8 +9,7 @@ use drive::cia402::Identity;
 
 use crate::input;
 
-use super::device_configuration::DeviceConfiguration;
-use super::{Cell, CellError, LARGEST};
+use super::{Cell, CellError, LARGEST, device_configuration::DeviceConfiguration};
 
 /// A cell with the arms of its robots, and the text of its file.
 pub struct CellFile {
@@ -30,19 +29,15 @@ impl CellFile {
     /// Reads and checks a cell file. The motions of its programs are checked by a rehearsal.
     pub fn read(path: impl AsRef<Path>) -> anyhow::Result<Self> {
         let path = path.as_ref();
-        let bytes = input::read(path, LARGEST);
-        let bytes = bytes.with_context(|| path.display().to_string())?;
-        let text = Cell::text(&bytes).map_err(|error| refusal(path, &error))?;
-        let text = text.to_owned();
+        let bytes = input::read(path, LARGEST).with_context(|| path.display().to_string())?;
+        let text = Cell::text(&bytes).map_err(|error| refusal(path, &error))?.to_owned();
         let cell = Cell::parse(&text).map_err(|error| refusal(path, &error))?;
-        let arms = (0..cell.robot.len()).map(|robot| cell.arm(robot));
-        let arms = arms.collect::<Result<_, _>>();
+        let arms = (0..cell.robot.len()).map(|robot| cell.arm(robot)).collect::<Result<_, _>>();
         let arms = arms.expect("a parsed cell has sound parameters");
         let mut file = Self { path: path.to_owned(), text, cell, arms, configurations: Vec::new() };
         for robot in 0..file.cell.robot.len() {
             let axes = 0..file.cell.robot[robot].axis.len();
-            let read = axes.map(|axis| DeviceConfiguration::read(&file, robot, axis));
-            let read = read.collect::<anyhow::Result<_>>()?;
+            let read = axes.map(|axis| DeviceConfiguration::read(&file, robot, axis)).collect::<anyhow::Result<_>>()?;
             file.configurations.push(read);
         }
         Ok(file)
@@ -55,16 +50,14 @@ impl CellFile {
 
     /// The device configuration files of all axes that have one.
     pub fn configuration_files(&self) -> impl Iterator<Item = &Path> {
-        let configurations = self.configurations.iter().flatten().flatten();
-        configurations.map(|configuration| configuration.path.as_path())
+        self.configurations.iter().flatten().flatten().map(|configuration| configuration.path.as_path())
     }
 
     /// Expected identity of the drive of an axis: from the cell, or from the device configuration file where the cell
     /// gives none.
     pub fn identity(&self, robot: usize, axis: usize) -> Identity {
         let drive = self.cell.robot[robot].axis[axis].cia402();
-        let configured = self.configuration(robot, axis);
-        let configured = |of: fn(&DeviceConfiguration) -> Option<u32>| configured.and_then(of);
+        let configured = |of: fn(&DeviceConfiguration) -> Option<u32>| self.configuration(robot, axis).and_then(of);
         Identity {
             vendor: drive.vendor,
             product: drive.product.or(configured(|dcf| dcf.product)),
@@ -74,8 +67,7 @@ impl CellFile {
 
     /// The error of the value at `key`, with its line. The message gives the name of an axis in place of its number.
     pub fn refuse(&self, key: &super::Path, problem: impl std::fmt::Display) -> anyhow::Error {
-        let robot = key.robot().and_then(|robot| self.cell.robot.get(robot));
-        let problem = match robot {
+        let problem = match key.robot().and_then(|robot| self.cell.robot.get(robot)) {
             Some(robot) => robot.naming_axes(problem),
             None => problem.to_string(),
         };
@@ -85,14 +77,9 @@ impl CellFile {
     /// Finds the axis with this name, as robot and axis: ROBOT/AXIS, or an axis name that is unique in the cell. With
     /// `on_can`, only axes with a drive on CAN are considered, and a node-ID is a name too.
     pub fn find_axis(&self, wanted: &str, on_can: bool) -> anyhow::Result<(usize, usize)> {
-        let robots = self.cell.robot.iter().enumerate();
-        let axes = robots.flat_map(|(number, robot)| {
-            let axes = robot.axis.iter().enumerate();
-            let axes = axes.filter(|(_, axis)| !on_can || axis.drive.is_some());
-            axes.map(move |(place, axis)| {
-                let full = format!("{}/{}", robot.name, axis.name);
-                ((number, place), full, axis)
-            })
+        let axes = self.cell.robot.iter().enumerate().flat_map(|(number, robot)| {
+            let axes = robot.axis.iter().enumerate().filter(|(_, axis)| !on_can || axis.drive.is_some());
+            axes.map(move |(place, axis)| ((number, place), format!("{}/{}", robot.name, axis.name), axis))
         });
         let axes: Vec<_> = axes.collect();
         let mut found = axes.iter().filter(|(_, full, axis)| {

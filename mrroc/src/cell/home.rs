@@ -4,8 +4,7 @@ use std::f64::consts::TAU;
 
 use super::{Axis, Cell};
 use controller::generator::{Axes, PlannedStart};
-use controller::robot::Arm;
-use controller::robot::ParameterError;
+use controller::robot::{Arm, ParameterError};
 
 /// Periods from a motor's reference to the start of its braking. The reference appears in the next sample, the command
 /// takes effect a period later, and a group has a delay of up to two periods.
@@ -33,8 +32,7 @@ impl Cell {
 
     fn home_tolerances(&self, robot: usize) -> Axes {
         let axes = &self.robot[robot].axis;
-        let tolerance = |axis| self.home_tolerance(axis);
-        std::array::from_fn(|number| axes.get(number).map_or(0.0, tolerance))
+        std::array::from_fn(|number| axes.get(number).map_or(0.0, |axis| self.home_tolerance(axis)))
     }
 
     /// Greatest distance of a homed motor from its home position, rad.

@@ -22,8 +22,7 @@ impl Cell {
             for (_, name) in robot.meetings() {
                 let occurrence = names.iter().filter(|before| **before == name).count();
                 names.push(name);
-                let same = |it: &&mut Meeting| it.name == name && it.occurrence == occurrence;
-                match meetings.iter_mut().find(same) {
+                match meetings.iter_mut().find(|it| it.name == name && it.occurrence == occurrence) {
                     Some(meeting) => meeting.robots.push(number),
                     None => meetings.push(Meeting { name: name.to_owned(), occurrence, robots: vec![number] }),
                 }
@@ -36,8 +35,7 @@ impl Cell {
 impl Robot {
     /// The meetings of the robot's program in order, each with the index of its instruction.
     pub(super) fn meetings(&self) -> impl Iterator<Item = (usize, &str)> {
-        let program = self.program.iter().enumerate();
-        program.filter_map(|(index, instruction)| match instruction {
+        self.program.iter().enumerate().filter_map(|(index, instruction)| match instruction {
             Instruction::Meet(name) => Some((index, name.as_str())),
             Instruction::Joints(_) | Instruction::Line(_) => None,
         })
@@ -46,9 +44,7 @@ impl Robot {
     /// The index in `meetings` of the meeting at instruction `index` of this robot's program.
     pub(super) fn meeting_at(&self, index: usize, meetings: &[Meeting]) -> Option<u8> {
         let (_, name) = self.meetings().find(|(at, _)| *at == index)?;
-        let before = self.meetings().take_while(|(at, _)| *at < index);
-        let occurrence = before.filter(|(_, other)| *other == name).count();
-        let same = |it: &Meeting| it.name == name && it.occurrence == occurrence;
-        u8::try_from(meetings.iter().position(same)?).ok()
+        let occurrence = self.meetings().take_while(|(at, _)| *at < index).filter(|(_, other)| *other == name).count();
+        u8::try_from(meetings.iter().position(|it| it.name == name && it.occurrence == occurrence)?).ok()
     }
 }

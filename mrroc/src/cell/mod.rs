@@ -144,8 +144,7 @@ impl Robot {
     pub fn arm(&self) -> Result<Arm, ParameterError> {
         let robot = self.kinematics()?;
         let weight = self.weight.as_ref().map(|weights| weights.of(self.model, &*robot));
-        let tool = Pose::translation(self.tool[0], self.tool[1], self.tool[2]);
-        let arm = Arm::new(robot, tool);
+        let arm = Arm::new(robot, Pose::translation(self.tool[0], self.tool[1], self.tool[2]));
         Ok(match weight.transpose().map_err(ParameterError::Weight)? {
             Some(weight) => arm.weighing(weight),
             None => arm,
@@ -175,8 +174,7 @@ impl Robot {
 
     /// Kinematics and drive train, or the error in the parameters.
     pub fn kinematics(&self) -> Result<Arc<dyn robot::Robot>, ParameterError> {
-        let usual = || self.model.parameters();
-        self.parameters.unwrap_or_else(usual).kinematics()
+        self.parameters.unwrap_or(self.model.parameters()).kinematics()
     }
 }
 
@@ -387,10 +385,10 @@ pub struct Joints {
     #[serde(default)]
     pub generator: JointGenerator,
     /// Fraction of the greatest joint velocity to use.
-    #[serde(default = "defaults::fraction")]
+    #[serde(default = "defaults::hundredths::<50>")]
     pub velocity: f64,
     /// Fraction of the greatest joint acceleration to use.
-    #[serde(default = "defaults::fraction")]
+    #[serde(default = "defaults::hundredths::<50>")]
     pub acceleration: f64,
     /// Duration of the motion to each pose, s, rounded up to a macrostep; the shortest within the limits where absent.
     /// Only for jerk-limited motions.
@@ -417,10 +415,10 @@ pub struct LineInstruction {
     /// Target orientation of the tool as w, x, y, z; unchanged where absent.
     pub quaternion: Option<[f64; 4]>,
     /// Greatest tool velocity, m/s.
-    #[serde(default = "defaults::line_velocity")]
+    #[serde(default = "defaults::hundredths::<20>")]
     pub velocity: f64,
     /// Greatest tool acceleration, m/s².
-    #[serde(default = "defaults::line_acceleration")]
+    #[serde(default = "defaults::hundredths::<50>")]
     pub acceleration: f64,
 }
 
@@ -433,14 +431,12 @@ impl Cell {
     /// The text of a cell file. Bytes that are not UTF-8 or more than [`LARGEST`] are refused.
     pub fn text(bytes: &[u8]) -> Result<&str, CellError> {
         if bytes.len() > LARGEST {
-            let length = bytes.len();
-            let problem = format!("the file has {length} bytes, a cell file may have {LARGEST}");
+            let problem = format!("the file has {} bytes, a cell file may have {LARGEST}", bytes.len());
             return Err(CellError::of_text(1, problem));
         }
         str::from_utf8(bytes).map_err(|error| {
             let end = error.valid_up_to();
-            let byte = bytes[end];
-            let problem = format!("the byte {byte:#04x} is no UTF-8 text: save the file as UTF-8");
+            let problem = format!("the byte {:#04x} is no UTF-8 text: save the file as UTF-8", bytes[end]);
             CellError::of_text(error::line_at(bytes, end), problem)
         })
     }
@@ -465,13 +461,8 @@ mod defaults {
         let count = T::try_from(COUNT).ok();
         count.expect("a key has room for its default")
     }
-    pub(super) fn fraction() -> f64 {
-        0.5
-    }
-    pub(super) fn line_velocity() -> f64 {
-        0.2
-    }
-    pub(super) fn line_acceleration() -> f64 {
-        0.5
+    /// The default of a number, in hundredths.
+    pub(super) fn hundredths<const COUNT: u8>() -> f64 {
+        f64::from(COUNT) / 100.0
     }
 }

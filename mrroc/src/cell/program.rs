@@ -82,8 +82,7 @@ impl Cell {
                     given.line(arm, line, &joints, start, task).map_err(|error| (key.then("line"), error))
                 }
                 Instruction::Meet(_) => {
-                    let meeting = given.meeting_at(index, &meetings);
-                    let meeting = meeting.expect("a parsed cell has few enough meetings");
+                    let meeting = given.meeting_at(index, &meetings).expect("a parsed cell has few enough meetings");
                     Ok((task.meet(meeting), joints))
                 }
             }?;
@@ -114,14 +113,11 @@ impl Robot {
         for (number, pose) in poses.iter().enumerate() {
             arm.motors(pose).map_err(|error| (number, error.into()))?;
         }
-        let no_pose = (0, GeneratorError::NoPoses.into());
-        let end = *poses.last().ok_or(no_pose)?;
+        let end = *poses.last().ok_or((0, GeneratorError::NoPoses.into()))?;
         let limits = self.motion_limits(arm);
         let task = match motion.generator {
             JointGenerator::Newsmooth => {
-                let (velocity, acceleration) = (motion.velocity, motion.acceleration);
-                let smooth = |pose: &Axes| smooth_pose(pose, velocity, acceleration);
-                let poses = poses.iter().map(smooth).collect();
+                let poses = poses.iter().map(|pose| smooth_pose(pose, motion.velocity, motion.acceleration)).collect();
                 let generator = Newsmooth::new(Space::Joint, arm.axes(), limits, poses);
                 task.run(generator.map_err(|error| (0, error.into()))?)
             }
@@ -185,9 +181,8 @@ impl Robot {
         let gains = steepest_gains(arm);
         for (motor, gains) in gains.iter().enumerate().take(arm.axes()) {
             let axis = &self.axis[motor];
-            let planned = [axis.max_velocity * PLANNED.0, axis.max_acceleration * PLANNED.1];
-            slow(&mut limits.max_velocity, gains, planned[0]);
-            slow(&mut limits.max_acceleration, gains, planned[1]);
+            slow(&mut limits.max_velocity, gains, axis.max_velocity * PLANNED.0);
+            slow(&mut limits.max_acceleration, gains, axis.max_acceleration * PLANNED.1);
         }
         for joint in 0..arm.axes() {
             limits.max_jerk[joint] = jerk * limits.max_acceleration[joint] / acceleration;
@@ -206,8 +201,7 @@ fn moves(instruction: &Instruction) -> usize {
 
 /// Reduces the `rates` of the joints that turn a motor until their sum is within `limit`.
 fn slow(rates: &mut Axes, gains: &Axes, limit: f64) {
-    let turned = rates.iter().zip(gains).map(|(rate, gain)| rate * gain);
-    let sum: f64 = turned.sum();
+    let sum: f64 = rates.iter().zip(gains).map(|(rate, gain)| rate * gain).sum();
     if sum > limit {
         for (rate, _) in rates.iter_mut().zip(gains).filter(|(_, gain)| **gain > 0.0) {
             *rate *= limit / sum;

@@ -31,12 +31,10 @@ const MOST_ELEMENTS: usize = 1 << 16;
 /// Range of all numbers of a cell. No SI quantity of a robot is beyond it, and squares and products stay finite.
 const MOST: Range = Range::new(-1e12, 1e12, "");
 
-/// The document of a text.
 pub(super) fn parse(text: &str) -> Result<DeValue<'_>, CellError> {
     Cell::text(text.as_bytes())?;
     let elements = |byte: &u8| matches!(byte, b'.' | b',' | b'=' | b'[' | b'{');
-    let mut excess = text.bytes().enumerate().filter(|(_, byte)| elements(byte));
-    if let Some((offset, _)) = excess.nth(MOST_ELEMENTS) {
+    if let Some((offset, _)) = text.bytes().enumerate().filter(|(_, byte)| elements(byte)).nth(MOST_ELEMENTS) {
         let problem =
             format!("the file has too many elements: it may have {MOST_ELEMENTS} of the characters . , = [ and {{");
         return Err(CellError::of_text(line_at(text.as_bytes(), offset), problem));
@@ -57,17 +55,13 @@ pub(super) fn parse(text: &str) -> Result<DeValue<'_>, CellError> {
 
 pub(super) fn read<'de, T: Deserialize<'de>>(text: &str, document: &'de DeValue<'de>) -> Result<T, CellError> {
     let whole = Value { value: document, offset: 0 };
-    T::deserialize(whole).map_err(|refusal| {
-        let steps = refusal.steps.into_iter().rev();
-        CellError {
-            line: line_at(text.as_bytes(), refusal.offset.unwrap_or(0)),
-            key: Path(steps.collect()).to_string(),
-            problem: refusal.problem,
-        }
+    T::deserialize(whole).map_err(|refusal| CellError {
+        line: line_at(text.as_bytes(), refusal.offset.unwrap_or(0)),
+        key: Path(refusal.steps.into_iter().rev().collect()).to_string(),
+        problem: refusal.problem,
     })
 }
 
-/// A problem and its location.
 #[derive(Debug, Error)]
 #[error("{problem}")]
 struct ValueError {
@@ -102,8 +96,7 @@ impl de::Error for ValueError {
     }
 
     fn unknown_field(field: &str, expected: &'static [&'static str]) -> Self {
-        let expected = one_of(expected);
-        Self::new(format!("is an unknown key, must be {expected}")).below(step(field))
+        Self::new(format!("is an unknown key, must be {}", one_of(expected))).below(step(field))
     }
 
     fn missing_field(field: &'static str) -> Self {
@@ -135,15 +128,12 @@ impl<'de> MapAccess<'de> for Entries<'de> {
     }
 
     fn next_value_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<S::Value, ValueError> {
-        let found = self.value.take();
-        let (name, value) = found.expect("serde asks for a key before its value");
+        let (name, value) = self.value.take().expect("serde asks for a key before its value");
         let value = Value::of(value, self.offset);
-        let value_read = seed.deserialize(value);
-        value_read.map_err(|error| error.from(value.offset).below(step(name)))
+        seed.deserialize(value).map_err(|error| error.from(value.offset).below(step(name)))
     }
 }
 
-/// A value at an offset.
 #[derive(Clone, Copy)]
 struct Value<'de> {
     value: &'de DeValue<'de>,
@@ -188,8 +178,7 @@ impl<'de> Value<'de> {
             DeValue::Float(number) => number.as_str().parse().ok(),
             DeValue::Integer(number) if number.radix() == 10 => number.as_str().parse().ok(),
             DeValue::Integer(number) => {
-                let number = i128::from_str_radix(number.as_str(), number.radix());
-                number.ok().map(|number| number as f64)
+                i128::from_str_radix(number.as_str(), number.radix()).ok().map(|number| number as f64)
             }
             _ => None,
         };
@@ -207,23 +196,17 @@ impl<'de> Value<'de> {
             return Err(self.wrong("a table"));
         };
         let entries = Entries { left: table.iter(), value: None, offset: self.offset };
-        let read = visitor.visit_map(entries);
-        read.map_err(|error| error.from(self.offset))
+        visitor.visit_map(entries).map_err(|error| error.from(self.offset))
     }
 
     /// Passes an array to `visitor`, which must take all elements.
     fn array<V: Visitor<'de>>(&self, length: Option<usize>, visitor: V) -> Result<V::Value, ValueError> {
         let DeValue::Array(array) = self.value else {
-            return Err(match length {
-                Some(length) => self.wrong(format!("an array of {length} elements")),
-                None => self.wrong("an array"),
-            });
+            let elements = length.map_or(String::new(), |length| format!(" of {length} elements"));
+            return Err(self.wrong(format!("an array{elements}")));
         };
-        let count = |expected| {
-            let found = array.len();
-            let problem = format!("has {found} elements, must have {expected}");
-            ValueError::new(problem).from(self.offset)
-        };
+        let count =
+            |expected| ValueError::new(format!("has {} elements, must have {expected}", array.len())).from(self.offset);
         if let Some(expected) = length.filter(|length| *length != array.len()) {
             return Err(count(expected));
         }
@@ -329,14 +312,12 @@ impl<'de> Deserializer<'de> for Value<'de> {
     ) -> Result<V::Value, ValueError> {
         match self.value {
             DeValue::String(text) if variants.contains(&text.as_ref()) => {
-                let chosen = Variant { name: text, whole: self, content: None };
-                visitor.visit_enum(chosen)
+                visitor.visit_enum(Variant { name: text, whole: self, content: None })
             }
             DeValue::Table(table) => {
                 let mut entries = table.iter();
                 let (Some((key, content)), None) = (entries.next(), entries.next()) else {
-                    let found = table.len();
-                    let problem = format!("has {found} keys, must have one: {}", one_of(variants));
+                    let problem = format!("has {} keys, must have one: {}", table.len(), one_of(variants));
                     return Err(ValueError::new(problem).from(self.offset));
                 };
                 let name = key.get_ref().as_ref();
@@ -345,8 +326,7 @@ impl<'de> Deserializer<'de> for Value<'de> {
                     return Err(unknown.from(key.span().start));
                 }
                 let chosen = Variant { name, whole: self, content: Some(Self::of(content, self.offset)) };
-                let visited = visitor.visit_enum(chosen);
-                visited.map_err(|error| error.below(step(name)))
+                visitor.visit_enum(chosen).map_err(|error| error.below(step(name)))
             }
             _ => Err(self.wrong(one_of(variants))),
         }
@@ -373,8 +353,7 @@ impl<'de> SeqAccess<'de> for &mut Elements<'de> {
         let index = self.next;
         self.next += 1;
         let value = Value::of(value, self.offset);
-        let element = seed.deserialize(value).map(Some);
-        element.map_err(|error| error.from(value.offset).below(Step::At(index)))
+        seed.deserialize(value).map(Some).map_err(|error| error.from(value.offset).below(Step::At(index)))
     }
 }
 
@@ -388,8 +367,7 @@ struct Variant<'de> {
 impl<'de> Variant<'de> {
     /// The content of a variant that is not given by its name alone.
     fn content(&self) -> Result<Value<'de>, ValueError> {
-        let expected = || format!("a table with the key {}", self.name);
-        self.content.ok_or_else(|| self.whole.wrong(expected()))
+        self.content.ok_or_else(|| self.whole.wrong(format!("a table with the key {}", self.name)))
     }
 }
 
@@ -415,8 +393,7 @@ impl<'de> VariantAccess<'de> for Variant<'de> {
 
     fn newtype_variant_seed<S: DeserializeSeed<'de>>(self, seed: S) -> Result<S::Value, ValueError> {
         let content = self.content()?;
-        let value = seed.deserialize(content);
-        value.map_err(|error| error.from(content.offset))
+        seed.deserialize(content).map_err(|error| error.from(content.offset))
     }
 
     fn tuple_variant<V: Visitor<'de>>(self, length: usize, visitor: V) -> Result<V::Value, ValueError> {

@@ -19,9 +19,7 @@ use serde::Serialize;
 use servo::thread::{AccountReads, LateCycle, Spike, WaitReport};
 use servo::{Histogram, Servo, Timing};
 
-use crate::budget::BusBudget;
-use crate::cell::CellFile;
-use crate::wire::WireReport;
+use crate::{budget::BusBudget, cell::CellFile, wire::WireReport};
 
 pub(crate) use page::page;
 pub(crate) use tool::Tracks;
@@ -31,9 +29,7 @@ pub use tool::{Deviation, RobotReport, Subject};
 pub(crate) struct RunEnd {
     /// The servo, its robots switched off.
     pub servo: Servo,
-    /// How far the robots were from their commanded paths.
     pub tracks: Tracks,
-    /// Times of the cycles.
     pub timing: Timing,
     /// The cycles around the latest ones.
     pub spikes: Vec<Spike>,
@@ -41,7 +37,6 @@ pub(crate) struct RunEnd {
     pub denied: Vec<String>,
     /// Faults of the run, the first cause first.
     pub faults: Vec<FaultReport>,
-    /// Times on the wire of each bus.
     pub wire: Vec<WireReport>,
     /// Time that passed in the cell.
     pub cell_time: Duration,
@@ -118,7 +113,6 @@ impl RunReport {
             missed_answers: group.missed_answers,
         });
         let timing = &end.timing;
-        let causes = timing.late.causes();
         let groups = end.servo.warnings().enumerate();
         let warnings = groups
             .flat_map(|(group, warnings)| warnings.iter().map(move |warning| WarningReport::of(file, group, warning)));
@@ -139,7 +133,7 @@ impl RunReport {
                 step_us: Percentiles::from(&timing.step),
                 bus_us: Percentiles::from(&timing.bus),
                 wait: WaitCost::from(timing.wait),
-                causes: causes.map(|(cause, count)| (cause.name(), count)).collect(),
+                causes: timing.late.causes().map(|(cause, count)| (cause.name(), count)).collect(),
                 worst: timing.late.worst().map(WorstCycle::from).collect(),
                 account: timing.account,
             },
@@ -151,22 +145,18 @@ impl RunReport {
             outcome,
         }
     }
-}
 
-impl RunReport {
     /// Rows on the axes, each with its name, tracking errors, homing offset and faults; `none` stands for no offset.
     fn axis_rows(&self, none: &str) -> impl Iterator<Item = [String; 7]> {
         self.axes.iter().map(move |axis| {
-            let faults = self.faults.iter();
-            let faults = faults.filter(|fault| fault.axis.as_ref() == Some(&axis.name));
-            let offset = axis.homing_offset_counts;
+            let faults = self.faults.iter().filter(|fault| fault.axis.as_ref() == Some(&axis.name));
             [
                 axis.name.clone(),
                 format!("{:.6}", axis.tracking_rms_rad),
                 format!("{:.6}", axis.tracking_peak_rad),
                 format!("{:.2}", axis.tracking_rms_counts),
                 format!("{:.1}", axis.tracking_peak_counts),
-                offset.map_or(none.to_owned(), |counts| counts.to_string()),
+                axis.homing_offset_counts.map_or(none.to_owned(), |counts| counts.to_string()),
                 faults.count().to_string(),
             ]
         })
@@ -215,11 +205,9 @@ impl fmt::Display for FaultReport {
 /// One error of one drive, and how often the drive reported the error.
 #[derive(Debug, Serialize)]
 pub struct WarningReport {
-    /// The bus.
     bus: String,
     /// The axis, as in [`AxisReport::name`].
     axis: Option<String>,
-    /// Node-ID.
     node: u8,
     /// Error code of the EMCY.
     code: u16,
@@ -227,9 +215,7 @@ pub struct WarningReport {
     register: u8,
     /// Time of the first report, from the end of bring-up, s.
     time_s: f64,
-    /// How often the drive reported it.
     count: u64,
-    /// Description of the error.
     what: String,
 }
 
@@ -340,8 +326,7 @@ impl CycleReport {
 
     /// Causes of late cycles that occurred, and the lateness from which a cycle counts as late, µs.
     fn late(&self) -> (Vec<(&'static str, u64)>, f64) {
-        let causes = self.causes.iter().map(|(cause, count)| (*cause, *count));
-        let occurred = causes.filter(|(_, count)| *count > 0);
+        let occurred = self.causes.iter().map(|(cause, count)| (*cause, *count)).filter(|(_, count)| *count > 0);
         (occurred.collect(), f64::from(self.period_us) / 100.0)
     }
 }

@@ -4,8 +4,7 @@ use std::fmt::{Display, Write as _};
 
 use servo::Timing;
 
-use super::text::rounded;
-use super::{Deviation, RunReport, Tracks, plots};
+use super::{Deviation, RunReport, Tracks, plots, text::rounded};
 use crate::cell::printable;
 use crate::charts::{ChartError, escaped};
 
@@ -50,11 +49,15 @@ pub(crate) fn page(report: &RunReport, tracks: &Tracks, timing: &Timing) -> Resu
         drawn.iter().for_each(|svg| figure(&mut page, svg));
     }
     let _ = writeln!(page, "<h2>Motors</h2>");
-    motors(&mut page, report);
+    table(
+        &mut page,
+        "Tracking error of the motor shaft while moving, and counter at the reference",
+        ["axis", "rad rms", "rad peak", "counts rms", "counts peak", "homing, counts", "faults"],
+        report.axis_rows("–"),
+    );
     let _ = writeln!(page, "<h2>Timing</h2>");
     times(&mut page, report);
-    let drawn = plots::timing(timing)?;
-    drawn.iter().for_each(|svg| figure(&mut page, svg));
+    plots::timing(timing)?.iter().for_each(|svg| figure(&mut page, svg));
     buses(&mut page, report);
     page.push_str("</body>\n</html>\n");
     Ok(page)
@@ -128,29 +131,17 @@ fn robots(page: &mut String, report: &RunReport) {
     );
 }
 
-fn motors(page: &mut String, report: &RunReport) {
-    table(
-        page,
-        "Tracking error of the motor shaft while moving, and counter at the reference",
-        ["axis", "rad rms", "rad peak", "counts rms", "counts peak", "homing, counts", "faults"],
-        report.axis_rows("–"),
-    );
-}
-
 fn times(page: &mut String, report: &RunReport) {
     let cycle = &report.cycle;
     let rows = cycle.times().map(|(name, times)| {
-        let points = [times.p50, times.p99, times.p999, times.max];
-        let [p50, p99, p999, max] = points.map(|time| format!("{time:.1}"));
+        let [p50, p99, p999, max] = [times.p50, times.p99, times.p999, times.max].map(|time| format!("{time:.1}"));
         [name.to_owned(), p50, p99, p999, max]
     });
-    let caption = "Servo cycle, µs";
-    table(page, caption, ["", "p50", "p99", "p99.9", "max"], rows);
+    table(page, "Servo cycle, µs", ["", "p50", "p99", "p99.9", "max"], rows);
     let (causes, limit) = cycle.late();
     if !causes.is_empty() {
         let caption = format!("Cycles more than {limit} µs late");
-        let rows = causes.into_iter();
-        let rows = rows.map(|(cause, count)| [cause.to_owned(), count.to_string()]);
+        let rows = causes.into_iter().map(|(cause, count)| [cause.to_owned(), count.to_string()]);
         table(page, &caption, ["cause", "cycles"], rows);
     }
 }
@@ -182,8 +173,7 @@ fn buses(page: &mut String, report: &RunReport) {
     );
     for wire in &report.wire {
         // Lines of a table in columns.
-        let lines = wire.to_string();
-        let lines: Vec<_> = lines.lines().map(text).collect();
+        let lines: Vec<_> = wire.to_string().lines().map(text).collect();
         let _ = writeln!(page, "<pre>{}</pre>", lines.join("\n").trim_matches('\n'));
     }
 }

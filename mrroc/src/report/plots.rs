@@ -33,20 +33,16 @@ const NOTHING: [f64; 2] = [f64::INFINITY, f64::NEG_INFINITY];
 
 /// The plots of a robot; none without a cycle that counts.
 pub(super) fn robot(track: &Track) -> Result<Vec<String>, ChartError> {
-    let Some(curves) = &track.curves else {
+    let Some(curves) = track.curves.as_ref().filter(|curves| !curves.commanded.points().is_empty()) else {
         return Ok(Vec::new());
     };
-    if curves.commanded.points().is_empty() {
-        return Ok(Vec::new());
-    }
     let name = printable(&track.name);
     let mut drawn = Vec::new();
     if track.subject == Subject::Tool {
         drawn.push(tool(&name, curves)?);
     }
     for (slides, unit) in [(false, "degrees"), (true, "mm")] {
-        let joints = curves.joints.iter().zip(&track.linear).enumerate();
-        let joints = joints.filter(|(_, (_, linear))| **linear == slides);
+        let joints = curves.joints.iter().zip(&track.linear).enumerate().filter(|(_, (_, linear))| **linear == slides);
         let joints: Vec<_> = joints.map(|(joint, (curves, _))| (joint, curves)).collect();
         if joints.is_empty() {
             continue;
@@ -84,11 +80,10 @@ fn path(area: &Area, title: &str, curves: &Curves, [across, up]: [(&str, usize);
     let room = [(width, AXES[0]), (height, AXES[1])];
     let room = room.map(|(size, axes)| f64::from(size) / f64::from(charts::UNITS) - f64::from(axes));
     let paths = [&curves.commanded, &curves.measured];
-    let ends = |direction: usize| {
+    let ends = [across, up].map(|(_, direction)| {
         let points = paths.iter().flat_map(|path| path.points());
         over(points.map(|point| point[direction]), NOTHING)
-    };
-    let ends = [across, up].map(|(_, direction)| ends(direction));
+    });
     // mm per px, with some room around; a robot that stands has a path without extent.
     let scales = [0, 1].map(|it| 1.1 * (ends[it][1] - ends[it][0]) / room[it]);
     let scale = scales[0].max(scales[1]).max(0.05);
@@ -117,16 +112,14 @@ fn path(area: &Area, title: &str, curves: &Curves, [across, up]: [(&str, usize);
 }
 
 fn error(area: &Area, title: &str, unit: &str, curve: &Curve) -> Result<(), ChartError> {
-    let values = curve.points().map(|point| point.1);
-    let y = Scale::linear(unit, values, [0.0, 1e-6]);
+    let y = Scale::linear(unit, curve.points().map(|point| point.1), [0.0, 1e-6]);
     let mut panel = panel(area, title, &time([curve]), &y)?;
     line(&mut panel, COLOURS[0], curve.points())
 }
 
 /// Curves of joints over time.
 fn over_time(title: &str, unit: &str, curves: &[(usize, &Curve)]) -> Result<String, ChartError> {
-    let values = curves.iter().flat_map(|(_, curve)| curve.points());
-    let values: Vec<_> = values.map(|point| point.1).collect();
+    let values: Vec<_> = curves.iter().flat_map(|(_, curve)| curve.points()).map(|point| point.1).collect();
     let first = values.first().copied().unwrap_or(0.0);
     let y = Scale::linear(unit, values, [first - 1e-6, first + 1e-6]);
     sheet(WIDE, title, |area| {
@@ -145,10 +138,8 @@ fn over_time(title: &str, unit: &str, curves: &[(usize, &Curve)]) -> Result<Stri
 
 /// The axis of the time in which curves have values.
 fn time<'a>(curves: impl IntoIterator<Item = &'a Curve>) -> Scale {
-    let times = curves.into_iter().flat_map(Curve::points);
-    let [first, last] = over(times.map(|(time, _)| time), NOTHING);
-    let ends = [first, last.max(first + 1e-3)];
-    Scale::exact("time since the first cycle, s", ends)
+    let [first, last] = over(curves.into_iter().flat_map(Curve::points).map(|(time, _)| time), NOTHING);
+    Scale::exact("time since the first cycle, s", [first, last.max(first + 1e-3)])
 }
 
 /// The histograms of the cycle that have values.
@@ -159,16 +150,14 @@ pub(super) fn timing(timing: &Timing) -> Result<Vec<String>, ChartError> {
         ("Duration of the step", &timing.step),
         ("Last answer after SYNC", &timing.bus),
     ];
-    let measured = named.into_iter().filter(|(_, times)| times.count() > 0);
-    measured.map(|(title, times)| histogram(title, times)).collect()
+    named.into_iter().filter(|(_, times)| times.count() > 0).map(|(title, times)| histogram(title, times)).collect()
 }
 
 /// Counts over classes of equal width on the axis, which is linear for times close to each other and logarithmic
 /// otherwise.
 fn histogram(title: &str, times: &Histogram) -> Result<String, ChartError> {
     let micros = |time| super::microseconds(time).max(1e-2);
-    let bins = times.bins().map(|(time, count)| (micros(time), count));
-    let bins: Vec<_> = bins.collect();
+    let bins: Vec<_> = times.bins().map(|(time, count)| (micros(time), count)).collect();
     let first = bins.first().map_or(1.0, |bin| bin.0);
     let last = bins.last().map_or(1.0, |bin| bin.0);
     let wide = last > 5.0 * first;
@@ -189,8 +178,7 @@ fn histogram(title: &str, times: &Histogram) -> Result<String, ChartError> {
     let y = Scale::decades("cycles", [0.5, most as f64], |decade| 10f64.powi(decade).to_string());
     sheet(WIDE, title, |area| {
         let mut panel = panel(area, title, &x, &y)?;
-        let bars = (0..).zip(counts).filter(|(_, count)| *count > 0);
-        let bars = bars.map(|(class, count)| {
+        let bars = (0..).zip(counts).filter(|(_, count)| *count > 0).map(|(class, count)| {
             let corners = [(edge(class), y.ends[0]), (edge(class + 1), count as f64)];
             Rectangle::new(corners, COLOURS[0].filled())
         });

@@ -7,8 +7,7 @@ use super::{Deviation, Percentiles, RobotReport, RunReport};
 /// `irb6  tool 0.12 mm rms, 0.45 mm peak; 0.01° rms, 0.05° peak`
 impl fmt::Display for RobotReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let errors = [(self.position_mm, " mm"), (self.orientation_deg, "°")];
-        let said = errors.into_iter().filter_map(|(error, unit)| {
+        let said = [(self.position_mm, " mm"), (self.orientation_deg, "°")].into_iter().filter_map(|(error, unit)| {
             let Deviation { rms, peak } = error?;
             let [rms, peak] = [rms, peak].map(rounded);
             Some(format!("{rms}{unit} rms, {peak}{unit} peak"))
@@ -44,8 +43,7 @@ impl fmt::Display for RunReport {
         if self.lost_records > 0 {
             writeln!(f, "{} records of cycles were lost", self.lost_records)?;
         }
-        let names = self.axes.iter().map(|axis| axis.name.len());
-        let names = names.max().unwrap_or(0).max(4);
+        let names = self.axes.iter().map(|axis| axis.name.len()).max().unwrap_or(0).max(4);
         writeln!(
             f,
             "\n{:names$}  {:>12} {:>12} {:>10} {:>10} {:>10} {:>7}",
@@ -77,8 +75,7 @@ impl fmt::Display for RunReport {
         }
         let (causes, limit) = cycle.late();
         if !causes.is_empty() {
-            let causes = causes.iter();
-            let causes: Vec<_> = causes.map(|(cause, count)| format!("{cause} {count}")).collect();
+            let causes: Vec<_> = causes.iter().map(|(cause, count)| format!("{cause} {count}")).collect();
             writeln!(f, "more than {limit} µs late: {}", causes.join(", "))?;
             let worst = cycle.worst.iter().map(|worst| {
                 let (late, time) = (worst.late_us, worst.time_s);

@@ -6,8 +6,7 @@
 
 use can::Instant;
 use controller::generator::{Axes, Pose};
-use controller::robot::Arm;
-use controller::robot::{KinematicsError, LinkKind};
+use controller::robot::{Arm, KinematicsError, LinkKind};
 use serde::Serialize;
 use servo::{Record, TrackingError};
 
@@ -79,16 +78,13 @@ impl Tracks {
     pub(crate) fn new(file: &CellFile, plotted: bool) -> Self {
         let robots = file.cell.robot.iter().zip(&file.arms);
         let track = |(robot, arm): (&crate::cell::Robot, &Arm)| {
-            let subject = match robot.model.has_tool() {
-                true => Subject::Tool,
-                false => Subject::Joint,
-            };
+            // A gripper and a conveyor have one axis and carry no tool.
+            let subject = if robot.model.axes() > 1 { Subject::Tool } else { Subject::Joint };
             Track::new(&robot.name, arm.clone(), subject, plotted)
         };
         Self { robots: robots.map(track).collect(), first: None }
     }
 
-    /// Takes the next record of the servo.
     pub(crate) fn observe(&mut self, record: &Record) {
         let first = *self.first.get_or_insert(record.at);
         if let Some(track) = self.robots.get_mut(usize::from(record.effector)) {
@@ -101,7 +97,6 @@ impl Tracks {
     }
 }
 
-/// One robot, followed record by record.
 pub(crate) struct Track {
     pub(crate) name: String,
     pub(crate) subject: Subject,
@@ -162,10 +157,8 @@ impl Track {
             return;
         };
         // mm per m of a linear joint, degrees per rad of another.
-        let units: Axes = std::array::from_fn(|joint| match self.linear.get(joint) {
-            Some(true) => 1e3,
-            _ => 1f64.to_degrees(),
-        });
+        let slides = |joint| self.linear.get(joint) == Some(&true);
+        let units: Axes = std::array::from_fn(|joint| if slides(joint) { 1e3 } else { 1f64.to_degrees() });
         let [position, orientation] = match self.subject {
             Subject::Tool => {
                 let apart = commanded.tool.translation.vector - measured.tool.translation.vector;

@@ -38,8 +38,7 @@ impl<T: Send + 'static> Background<T> {
             // The receiver may have stopped waiting.
             let _ = tell.send(finish(state));
         };
-        let builder = Builder::new().name(name.to_owned());
-        let thread = builder.stack_size(SMALL_STACK).spawn(body)?;
+        let thread = Builder::new().name(name.to_owned()).stack_size(SMALL_STACK).spawn(body)?;
         Ok(Self { over, told, thread: thread.thread().clone() })
     }
 

@@ -9,9 +9,8 @@ use anyhow::{Context, anyhow};
 use servo::Record;
 
 use super::Background;
-use crate::cell::CellFile;
-use crate::report::Tracks;
 use crate::trace::{AxisLog, FrameLog};
+use crate::{cell::CellFile, report::Tracks};
 
 /// Longest wait for the files of a run once it has ended.
 const FILES_WAIT: Duration = Duration::from_secs(2);
@@ -89,8 +88,7 @@ impl Writing {
             failed.fetch_or(!logs.drain(), Ordering::Relaxed);
         };
         let thread = Background::start("files", DRAIN, logs, drain, Logs::finish);
-        let thread = thread.context("no thread to write the files can be made")?;
-        Ok(Self { what, thread })
+        Ok(Self { what, thread: thread.context("no thread to write the files can be made")? })
     }
 
     /// Writes the rest, unless that takes too long: then nothing is known of the robots either.

@@ -25,8 +25,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail};
 use can::{Instant, clock};
 use clap::Args;
-use servo::thread;
-use servo::{NotUp, Servo, Timing, lockstep};
+use servo::{NotUp, Servo, Timing, lockstep, thread};
 
 use crate::bench::clockwork;
 use crate::bench::emulation::Emulation;
@@ -129,11 +128,8 @@ pub fn run(
     let trace = outputs.open_if("--trace", options.trace.as_deref())?;
     let record = outputs.open_if("--record", options.record.as_deref())?;
     let spikes = outputs.open_if("--spikes", options.spikes.as_deref())?;
-    let directory = options.out.as_deref();
-    let page = directory.map(|directory| outputs.open_in("--out", directory, REPORT));
-    let page = page.transpose()?;
-    let traced = options.trace.is_some();
-    let bench = Bench::open(file, options.bench, &options.places, traced)?;
+    let page = options.out.as_deref().map(|directory| outputs.open_in("--out", directory, REPORT)).transpose()?;
+    let bench = Bench::open(file, options.bench, &options.places, options.trace.is_some())?;
     let groups = setup::drive_groups(file, bench.ports, bench.lines, None)?;
     let (mut servo, links) = Servo::new(&setup::servo_config(file), groups)?;
     outputs.begin()?;
@@ -166,8 +162,7 @@ pub fn run(
             end.faults.push(fault);
         }
     }
-    let written = spikes.map(|file| spikes::write(file, "servo", take(&mut end.spikes)));
-    if let Some(Err(error)) = written {
+    if let Some(Err(error)) = spikes.map(|file| spikes::write(file, "servo", take(&mut end.spikes))) {
         end.faults.push(FaultReport::of_run(error));
     }
     let outcome = match (interrupted, end.faults.is_empty()) {
@@ -178,11 +173,9 @@ pub fn run(
     let (bench, wall) = (options.bench.name(), clock::now().since(began));
     let mut report = RunReport::of(file, bench, &mut end, &budget, wall, outcome);
     if let Some(mut file) = page {
-        let drawn = report::page(&report, &end.tracks, &end.timing).context(REPORT);
-        let written = drawn.and_then(|page| {
-            let written = file.write_all(page.as_bytes());
-            written.with_context(|| format!("{REPORT} cannot be written"))
-        });
+        let written = report::page(&report, &end.tracks, &end.timing)
+            .context(REPORT)
+            .and_then(|page| file.write_all(page.as_bytes()).with_context(|| format!("{REPORT} cannot be written")));
         if let Err(error) = written {
             report.faults.push(FaultReport::of_run(error));
             report.outcome = Outcome::Faulted;
@@ -227,14 +220,12 @@ pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
     let NotUp::Group(bus, error) = why else {
         return anyhow!("stopped on request");
     };
-    let mut axes = file.cell.axes_on(bus).enumerate();
-    let axis = axes.find(|&(index, (robot, axis))| match error.line() {
+    let axis = file.cell.axes_on(bus).enumerate().find(|&(index, (robot, axis))| match error.line() {
         Some(line) => index == line,
         None => error.node() == Some(file.cell.robot[robot].axis[axis].node),
     });
     let axis = axis.map(|(_, (robot, axis))| format!(", axis {}", file.axis_name(robot, axis)));
-    let name = file.cell.groups().nth(bus);
-    let name = name.expect("the servo has the groups of the cell");
+    let name = file.cell.groups().nth(bus).expect("the servo has the groups of the cell");
     anyhow!("bus {name}{}: {error}", axis.unwrap_or_default())
 }
 
@@ -261,8 +252,7 @@ fn in_lockstep(
     let start = match up {
         Ok(start) => start,
         Err(error) => {
-            let cell_time = reached.since(Instant::ZERO);
-            return not_up(file, servo, cell_time, logs.finish(), error);
+            return not_up(file, servo, reached.since(Instant::ZERO), logs.finish(), error);
         }
     };
     let done = Shared::new(false);
@@ -315,8 +305,7 @@ fn by_the_clock(
     let since = match clockwork::bring_up(&mut servo, &mut emulation) {
         Ok(first) => first,
         Err(error) => {
-            let cell_time = clock::now().since(began);
-            return not_up(file, servo, cell_time, writing.finish(file), error);
+            return not_up(file, servo, clock::now().since(began), writing.finish(file), error);
         }
     };
     let trace = requests.spikes.clone();
@@ -330,8 +319,7 @@ fn by_the_clock(
         let _over = Over(done.clone());
         scope.spawn(|| {
             // Below the servo and above everything else; a host that denies this was named by the servo thread.
-            let priority = realtime.priority.saturating_sub(BELOW_SERVO);
-            let _ = thread::set_fifo(priority.max(1));
+            let _ = thread::set_fifo(realtime.priority.saturating_sub(BELOW_SERVO).max(1));
             let show = |seen| _ = tell.try_send(seen);
             while !done.load(Ordering::Relaxed)
                 && tasks.poll(clock::now(), show)
@@ -355,8 +343,7 @@ fn by_the_clock(
     let (written, tracks) = writing.finish(file);
     faults.extend(written.err().map(FaultReport::of_run));
     if let Some(panicked) = ended.panicked {
-        let what = format!("the servo thread panicked: {panicked:?}");
-        faults.push(FaultReport::of_run(what));
+        faults.push(FaultReport::of_run(format!("the servo thread panicked: {panicked:?}")));
     }
     Ok(RunEnd {
         servo: ended.servo,

@@ -5,10 +5,7 @@ use controller::ecp::{Ecp, EcpError, Subcontrollers, Task};
 use drive::Fault;
 use servo::{EffectorLink, Phase, Servo, ServoFault, StopCause, StopRequest};
 
-use crate::cell::CellFile;
-use crate::report::FaultReport;
-use crate::tasks::MakeTasks;
-use crate::{rehearsal, setup};
+use crate::{cell::CellFile, rehearsal, report::FaultReport, setup, tasks::MakeTasks};
 
 /// All tasks of a run. The first failure stops every robot.
 pub(crate) struct RunningTasks<'a> {
@@ -69,7 +66,8 @@ impl<'a> RunningTasks<'a> {
             let fault = match event.outcome {
                 // The cause of the stop has been reported.
                 Err(EcpError::Stopped) => None,
-                Err(error) => Some(describe(file, robot, &error)),
+                Err(EcpError::Servo(fault)) => Some(describe_fault(file, robot, &fault)),
+                Err(error) => Some(FaultReport::of_robot(file, robot, None, file.cell.robot[robot].naming_axes(error))),
                 Ok(()) if self.homings[robot] == Some(event.instruction) => refused_from_here(file, tasks, robot, ecp),
                 Ok(()) => None,
             };
@@ -95,8 +93,7 @@ impl<'a> RunningTasks<'a> {
 /// a refusal is returned as a fault.
 fn refused_from_here(file: &CellFile, tasks: &MakeTasks, robot: usize, ecp: &Ecp) -> Option<FaultReport> {
     let motors = ecp.commanded()?;
-    let home = file.cell.home(robot, &file.arms[robot]);
-    if home.admits(&motors) {
+    if file.cell.home(robot, &file.arms[robot]).admits(&motors) {
         return None;
     }
     let error = rehearsal::rehearse_from(file, tasks, robot, motors).err()?;
@@ -104,17 +101,7 @@ fn refused_from_here(file: &CellFile, tasks: &MakeTasks, robot: usize, ecp: &Ecp
     Some(FaultReport::of_robot(file, robot, None, what))
 }
 
-/// The failure of an instruction, with the names of the cell.
-fn describe(file: &CellFile, robot: usize, error: &EcpError) -> FaultReport {
-    match error {
-        EcpError::Servo(fault) => describe_fault(file, robot, fault),
-        error => {
-            let what = file.cell.robot[robot].naming_axes(error);
-            FaultReport::of_robot(file, robot, None, what)
-        }
-    }
-}
-
+/// A fault of the servo, with the names of the cell.
 fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultReport {
     let axis = fault.axis.map(usize::from);
     // Some faults concern the bus and all axes on it.

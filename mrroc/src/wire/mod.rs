@@ -20,17 +20,13 @@ use std::time::Duration;
 
 use anyhow::Context;
 use can::{Frame, Instant, Port, Received, SocketCanOptions, SocketCanPort, StandardId, VirtualPort};
-use canopen::cob;
-use canopen::pdo::PdoKind;
 use canopen::wire_timing::{Sample, WireTiming};
+use canopen::{cob, pdo::PdoKind};
 use drive::cia402::pdo_setups;
 use hdrhistogram::Histogram;
 
-use crate::bench::interfaces::Interface;
-use crate::cell::CellFile;
 use crate::report::{Percentiles, microseconds};
-use crate::run::Background;
-use crate::setup;
+use crate::{bench::interfaces::Interface, cell::CellFile, run::Background, setup};
 
 pub use report::{NodeReport, Source, SyncStamp, WireReport};
 
@@ -68,8 +64,7 @@ impl Listener {
             card_stamps: true,
             ..SocketCanOptions::default()
         };
-        let port = SocketCanPort::open(name, &options);
-        let port = port.context("a second socket to listen")?;
+        let port = SocketCanPort::open(name, &options).context("a second socket to listen")?;
         Ok(Self::SocketCan(port, sync_stamp(name)))
     }
 }
@@ -77,26 +72,17 @@ impl Listener {
 /// The moment at which a frame of this host on `interface` is stamped, according to the driver's flag `IFF_ECHO`.
 fn sync_stamp(interface: &str) -> SyncStamp {
     let flags = std::fs::read_to_string(format!("/sys/class/net/{interface}/flags"));
-    let flags = flags.ok().and_then(|flags| {
-        let digits = flags.trim().trim_start_matches("0x");
-        u32::from_str_radix(digits, 16).ok()
-    });
-    match flags {
-        Some(flags) if flags & ECHO != 0 => SyncStamp::Sent,
-        _ => SyncStamp::HandedOver,
-    }
+    let flags = flags.ok().and_then(|flags| u32::from_str_radix(flags.trim().trim_start_matches("0x"), 16).ok());
+    if flags.is_some_and(|flags| flags & ECHO != 0) { SyncStamp::Sent } else { SyncStamp::HandedOver }
 }
 
 /// The TPDOs with which the drives of bus `bus` answer SYNC, in the order of [`Cell::axes_on`].
 ///
 /// [`Cell::axes_on`]: crate::cell::Cell::axes_on
 fn answers(file: &CellFile, bus: usize) -> impl Iterator<Item = StandardId> {
-    let configs = setup::axis_configs(file, bus).into_iter();
-    configs.map(|axis| {
-        let mut setups = pdo_setups(axis.node, axis.mode).into_iter();
-        let answer = setups.find(|setup| setup.kind == PdoKind::Tpdo);
-        let id = answer.and_then(|setup| setup.cob_id.id());
-        id.expect("every axis answers under an 11-bit identifier")
+    setup::axis_configs(file, bus).into_iter().map(|axis| {
+        let answer = pdo_setups(axis.node, axis.mode).into_iter().find(|setup| setup.kind == PdoKind::Tpdo);
+        answer.and_then(|setup| setup.cob_id.id()).expect("every axis answers under an 11-bit identifier")
     })
 }
 
@@ -117,10 +103,8 @@ struct BusWire {
 impl Wire {
     /// One listener for each CAN bus of the cell, in its order.
     pub fn new(file: &CellFile, listeners: Vec<Listener>) -> Self {
-        let listeners = listeners.into_iter();
-        let listeners = listeners.chain(std::iter::repeat_with(|| Listener::None));
-        let groups = file.cell.groups().enumerate().zip(listeners);
-        let bus = groups.map(|((group, name), listener)| {
+        let listeners = listeners.into_iter().chain(std::iter::repeat_with(|| Listener::None));
+        let bus = file.cell.groups().enumerate().zip(listeners).map(|((group, name), listener)| {
             let axes = file.cell.axes_on(group).map(|(robot, axis)| {
                 let node = file.cell.robot[robot].axis[axis].node;
                 (file.axis_name(robot, axis), node)
@@ -196,11 +180,11 @@ impl BusWire {
                 self.times.record(received.at, &received.frame);
             }
             if let (Some(card), Listener::SocketCan(port, _)) = (&mut self.card, &self.listener) {
-                let mut stamps = port.card_stamps().iter().zip(&frames);
-                let all = stamps.all(|(stamp, received)| {
-                    let stamped = stamp.map(|at| card.record(at, &received.frame));
-                    stamped.is_some()
-                });
+                let all = port
+                    .card_stamps()
+                    .iter()
+                    .zip(&frames)
+                    .all(|(stamp, received)| stamp.map(|at| card.record(at, &received.frame)).is_some());
                 if !all {
                     self.card = None;
                 }
@@ -212,10 +196,7 @@ impl BusWire {
         let heard_by_card = self.card.as_ref().filter(|card| !card.sync.0.is_empty());
         let times = heard_by_card.unwrap_or(&self.times);
         let (source, sync_stamp, lost_frames) = match &self.listener {
-            Listener::Virtual(port) => {
-                let stamp = Some(SyncStamp::Sent);
-                (Some(Source::Virtual), stamp, port.counters().dropped)
-            }
+            Listener::Virtual(port) => (Some(Source::Virtual), Some(SyncStamp::Sent), port.counters().dropped),
             Listener::SocketCan(port, stamp) => {
                 let source = heard_by_card.map_or(Source::Kernel, |_| Source::Hardware);
                 (Some(source), Some(*stamp), port.counters().dropped)
@@ -223,8 +204,7 @@ impl BusWire {
             Listener::None => (None, None, 0),
         };
         let answers = times.answers.iter().zip(times.timing.counts());
-        let nodes = self.axes.iter().zip(answers);
-        let nodes = nodes.map(|((axis, node), (after, counts))| NodeReport {
+        let nodes = self.axes.iter().zip(answers).map(|((axis, node), (after, counts))| NodeReport {
             axis: axis.clone(),
             node: *node,
             sync_to_tpdo_us: after.percentiles(),
@@ -283,14 +263,12 @@ struct Spread(Histogram<u32>, Duration);
 
 impl Spread {
     fn new() -> Self {
-        let histogram = Histogram::new(4).expect("the library takes up to five digits");
-        Self(histogram, Duration::ZERO)
+        Self(Histogram::new(4).expect("the library takes up to five digits"), Duration::ZERO)
     }
 
     fn record(&mut self, duration: Duration) {
         let nanos = u64::try_from(duration.as_nanos()).unwrap_or(LONGEST);
-        let recorded = self.0.record(nanos.min(LONGEST));
-        recorded.expect("it grows up to any length");
+        self.0.record(nanos.min(LONGEST)).expect("it grows up to any length");
         self.1 = self.1.max(duration);
     }
 

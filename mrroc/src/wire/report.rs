@@ -76,9 +76,7 @@ impl fmt::Display for WireReport {
             Source::Hardware => "by the card's stamps",
         };
         let title = match self.sync_stamp {
-            Some(SyncStamp::HandedOver) => {
-                format!("bus {} {by}, SYNC as handed over, µs", self.bus)
-            }
+            Some(SyncStamp::HandedOver) => format!("bus {} {by}, SYNC as handed over, µs", self.bus),
             _ => format!("bus {} {by}, µs", self.bus),
         };
         let answers = self.nodes.iter().map(|node| {
@@ -92,8 +90,7 @@ impl fmt::Display for WireReport {
             ("SYNC to SYNC".to_owned(), self.sync_to_sync_us),
             ("SYNC off the period".to_owned(), self.sync_off_period_us),
         ];
-        let syncs = syncs.map(|(name, times)| (name, times, String::new()));
-        let rows: Vec<_> = syncs.into_iter().chain(answers).collect();
+        let rows: Vec<_> = syncs.map(|(name, times)| (name, times, String::new())).into_iter().chain(answers).collect();
         let names = rows.iter().map(|(name, ..)| name).chain([&title]);
         let names = names.map(|name| name.chars().count()).max().unwrap_or(0);
         writeln!(f, "\n{title:names$} {}", Percentiles::HEAD)?;

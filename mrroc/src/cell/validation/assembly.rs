@@ -16,40 +16,30 @@ pub(super) fn check(cell: &Cell) -> Checked {
     });
     let homes: Result<Vec<_>, ParameterError> = homes.collect();
     let homes = homes.map_err(|error| (Path::to("robot"), error.to_string()))?;
-    let given = |&(robot, axis): &(usize, usize)| {
-        let home = homes[robot].0[axis];
-        (&cell.robot[robot].axis[axis], home)
-    };
+    let given = |&(robot, axis): &(usize, usize)| (&cell.robot[robot].axis[axis], homes[robot].0[axis]);
     for index in 0..cell.bus.len() {
         let axes: Vec<_> = cell.axes_on(index).collect();
-        let configs = axes.iter().map(given);
-        let configs: Vec<_> = configs.map(|(axis, home)| axis.drive_config(home)).collect();
-        let checked = cell.group_config(index).check(&configs);
-        checked.map_err(|error| {
+        let configs: Vec<_> = axes.iter().map(given).map(|(axis, home)| axis.drive_config(home)).collect();
+        cell.group_config(index).check(&configs).map_err(|error| {
             let bus = Path::to("bus").then(index);
             (place_of_drive(cell, &bus, &axes, error), error.to_string())
         })?;
     }
     for (index, bundle) in cell.serial.iter().enumerate() {
         let axes: Vec<_> = cell.axes_on(cell.bus.len() + index).collect();
-        let configs = axes.iter().map(given);
-        let configs: Vec<_> = configs.map(|(axis, home)| axis.controller_config(home)).collect();
-        let group = bundle.group_config(cell.period());
-        match group.check(&configs, axes.len()) {
+        let configs: Vec<_> = axes.iter().map(given).map(|(axis, home)| axis.controller_config(home)).collect();
+        match bundle.group_config(cell.period()).check(&configs, axes.len()) {
             // The budget of the line refuses such a period and proposes one that fits.
             Ok(()) | Err(axis_controller::ConfigError::Period { .. }) => {}
             Err(error) => {
                 let bundle = Path::to("serial").then(index);
-                let place = place_of_controller(cell, &bundle, &axes, error);
-                return Err((place, error.to_string()));
+                return Err((place_of_controller(cell, &bundle, &axes, error), error.to_string()));
             }
         }
     }
     for (number, robot) in cell.robot.iter().enumerate() {
         for axis in 0..robot.axis.len() {
-            let limits = homes[number].1[axis];
-            let config = robot.servo_config(axis, 0, 0, limits);
-            if let Some(field) = config.nonsense() {
+            if let Some(field) = robot.servo_config(axis, 0, 0, homes[number].1[axis]).nonsense() {
                 return Err((Path::axis(number, axis), format!("{field} makes no sense")));
             }
         }

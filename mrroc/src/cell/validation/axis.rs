@@ -47,34 +47,28 @@ impl<'a> Place<'a> {
 /// Checks an axis. `model` holds the limits of the motor from the model, which the axis may narrow. `home` is its home
 /// position, rad.
 pub(super) fn check(path: &Path, period: Duration, axis: &Axis, place: Place<'_>, model: Limits, home: f64) -> Checked {
-    let node = match place {
-        Place::Bus(_) => Range::new(1.0, 127.0, ""),
-        Place::Serial(_) => Range::new(0.0, 253.0, ""),
+    let (family, node) = match place {
+        Place::Bus(_) => ("drive", Range::new(1.0, 127.0, "")),
+        Place::Serial(_) => ("controller", Range::new(0.0, 253.0, "")),
     };
+    let family = path.then(family);
     within(path, "node", axis.node, node)?;
     if let Place::Serial(serial) = place {
         let given = serial.protocol == Protocol::HiMoxa && axis.node != 0;
         no_effect(path, "node", given, NO_ADDRESSES)?;
     }
     check_family(path, axis, place)?;
-    let slowest = homing::slowest(model);
     let of = "rad/s of the motor; the least crosses the travel in 20 min";
-    let velocity = Range::new(slowest, FASTEST.0, of);
-    within(path, "max_velocity", axis.max_velocity, velocity)?;
+    within(path, "max_velocity", axis.max_velocity, Range::new(homing::slowest(model), FASTEST.0, of))?;
     let of = "rad/s² of the motor; the least brakes from max_velocity in 60 s";
     let range = Range::new(axis.max_velocity / LONGEST_STOP, FASTEST.1, of);
     within(path, "max_acceleration", axis.max_acceleration, range)?;
-    let family = path.then(match place {
-        Place::Bus(_) => "drive",
-        Place::Serial(_) => "controller",
-    });
     check_counts(&family, axis.counts_per_revolution())?;
     check_positions(path, axis, model, home)?;
     let count = TAU / f64::from(axis.counts_per_revolution());
     let least = LEAST_ERROR * count;
     let most = (model.high - model.low).min(f64::from(u32::MAX) * count);
-    let of = "rad of the motor: 10 counts to all of its travel";
-    let error = Range::new(least, most.max(least), of);
+    let error = Range::new(least, most.max(least), "rad of the motor: 10 counts to all of its travel");
     within(path, "following_error", axis.following_error, error)?;
     match place {
         Place::Bus(_) => check_drive(&family, period, axis.cia402(), axis),
@@ -91,8 +85,7 @@ fn check_positions(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checke
         let Some(value) = value else { continue };
         if !(model.low..=model.high).contains(&value) {
             let [value, low, high] = [value, model.low, model.high].map(Figure);
-            let why = format!("is {value}, must lie within the model's limits {low} and {high}");
-            return refused(path, key, why);
+            return refused(path, key, format!("is {value}, must lie within the model's limits {low} and {high}"));
         }
     }
     let low = axis.min_position.unwrap_or(model.low);
@@ -158,29 +151,25 @@ fn check_emulator(path: &Path, axis: &Axis, place: Place<'_>, model: Limits, hom
     }
     if let Some(start) = emulator.start {
         let range = if homing::is_endless(model) {
-            let of = "rad of the motor: 1000 rad from home";
-            Range::new(home - FARTHEST_START, home + FARTHEST_START, of)
+            Range::new(home - FARTHEST_START, home + FARTHEST_START, "rad of the motor: 1000 rad from home")
         } else {
             // The emulated limit switches are beyond the travel.
-            let of = "rad of the motor: its travel and half a turn beyond";
-            Range::new(model.low - PI, model.high + PI, of)
+            Range::new(model.low - PI, model.high + PI, "rad of the motor: its travel and half a turn beyond")
         };
         within(path, "start", start, range)?;
     }
     if let Some(counts) = counts {
         check_counts(path, counts)?;
     }
-    let torque = Range::new(1e-6, STRONGEST, "N·m");
     match emulator.rated_torque {
-        Some(rated) => within(path, "rated_torque", rated, torque),
+        Some(rated) => within(path, "rated_torque", rated, Range::new(1e-6, STRONGEST, "N·m")),
         None => Ok(()),
     }
 }
 
 fn check_drive(path: &Path, period: Duration, drive: &Drive, axis: &Axis) -> Checked {
     // The unit of object 0x6076 is 1 mN·m, for maxon's drives 1 µN·m.
-    let torque = Range::new(1e-3, STRONGEST, "N·m");
-    within(path, "rated_torque", drive.rated_torque, torque)?;
+    within(path, "rated_torque", drive.rated_torque, Range::new(1e-3, STRONGEST, "N·m"))?;
     if let Some(dcf) = &drive.dcf {
         buses::text(path, "dcf", dcf)?;
     }
@@ -191,25 +180,21 @@ fn check_drive(path: &Path, period: Duration, drive: &Drive, axis: &Axis) -> Che
             return refused(&path, "index", found.to_string());
         }
         if !matches!(parameter.bytes, 1 | 2 | 4) {
-            let why = format!("is {}, must be 1, 2 or 4", parameter.bytes);
-            return refused(&path, "bytes", why);
+            return refused(&path, "bytes", format!("is {}, must be 1, 2 or 4", parameter.bytes));
         }
         // As an unsigned number, or as the two's complement of a signed number.
         let unused = 32 - 8 * u32::from(parameter.bytes);
         let value = parameter.value;
         let extended = ((value << unused) as i32 >> unused) as u32;
         if value << unused >> unused != value && extended != value {
-            let bytes = parameter.bytes;
-            let why = format!("is {value:#x}, more than {bytes} bytes hold");
-            return refused(&path, "value", why);
+            return refused(&path, "value", format!("is {value:#x}, more than {} bytes hold", parameter.bytes));
         }
     }
     Ok(())
 }
 
 fn check_counts(path: &Path, counts: u32) -> Checked {
-    let range = Range::new(4.0, 1e7, "quadrature counts");
-    within(path, "counts_per_revolution", counts, range)
+    within(path, "counts_per_revolution", counts, Range::new(4.0, 1e7, "quadrature counts"))
 }
 
 fn check_controller(
@@ -220,19 +205,15 @@ fn check_controller(
     axis: &Axis,
 ) -> Checked {
     buses::text(path, "line", &controller.line)?;
-    let range = Range::new(1e-4, STRONGEST, "N·m/A");
-    within(path, "torque_constant", controller.torque_constant, range)?;
+    within(path, "torque_constant", controller.torque_constant, Range::new(1e-4, STRONGEST, "N·m/A"))?;
     // The telegrams hold 16 bits of milliamperes.
-    let current = Range::new(1e-3, 32.767, "A");
-    within(path, "max_current", controller.max_current, current)?;
+    within(path, "max_current", controller.max_current, Range::new(1e-3, 32.767, "A"))?;
     position_loop::check(path, period, axis)?;
-    let least = axis.max_velocity;
-    let velocity = Range::new(least, 1e9, "rad/s; max_velocity at the least");
-    let given = controller.plausible_velocity.unwrap_or(least);
+    let velocity = Range::new(axis.max_velocity, 1e9, "rad/s; max_velocity at the least");
+    let given = controller.plausible_velocity.unwrap_or(axis.max_velocity);
     within(path, "plausible_velocity", given, velocity)?;
-    let least = axis.max_acceleration;
-    let acceleration = Range::new(least, 1e9, "rad/s²; max_acceleration at the least");
-    let given = controller.plausible_acceleration.unwrap_or(least);
+    let acceleration = Range::new(axis.max_acceleration, 1e9, "rad/s²; max_acceleration at the least");
+    let given = controller.plausible_acceleration.unwrap_or(axis.max_acceleration);
     within(path, "plausible_acceleration", given, acceleration)?;
     let why = match (controller.control, serial.protocol, axis.emulator.plant) {
         (Control::Current, Protocol::HiMoxa, _) => {

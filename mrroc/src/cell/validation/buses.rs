@@ -1,16 +1,12 @@
 //! Checks of buses and bundles of serial lines.
 
 use super::{Checked, MOST, name, refused, some, twice, unique, within};
-use crate::bench::interfaces::Interface;
-use crate::cell::text::quoted;
 use crate::cell::{Cell, Path, Range};
+use crate::{bench::interfaces::Interface, cell::text::quoted};
 
 pub(super) fn check(cell: &Cell) -> Checked {
     let groups = cell.bus.len() + cell.serial.len();
-    let what = match groups {
-        0 => "buses, and no serial lines either",
-        _ => "buses and bundles of serial lines",
-    };
+    let what = if groups == 0 { "buses, and no serial lines either" } else { "buses and bundles of serial lines" };
     some(&Path::default(), "bus", groups, MOST, what)?;
     check_buses(cell)?;
     check_serial(cell)
@@ -57,8 +53,7 @@ fn check_buses(cell: &Cell) -> Checked {
     for (index, bus) in cell.bus.iter().enumerate() {
         let path = buses.then(index);
         name(&path, "name", &bus.name)?;
-        let names = cell.bus.iter().map(|it| &it.name);
-        unique(&buses, "name", index, names, |name| format!("bus {name:?}"))?;
+        unique(&buses, "name", index, cell.bus.iter().map(|it| &it.name), |name| format!("bus {name:?}"))?;
         text(&path, "interface", &bus.interface)?;
         let interfaces = cell.bus.iter().map(|it| &it.interface);
         unique(&buses, "interface", index, interfaces, |interface| format!("interface {}", quoted(interface)))?;
@@ -89,8 +84,7 @@ fn check_serial(cell: &Cell) -> Checked {
             let first = Path::to("bus").then(first);
             return refused(&path, "name", twice(&what(&bundle.name), &first));
         }
-        let names = cell.serial.iter().map(|it| &it.name);
-        unique(&bundles, "name", index, names, |name| what(name))?;
+        unique(&bundles, "name", index, cell.serial.iter().map(|it| &it.name), |name| what(name))?;
         let latency = bundle.emulated_latency_ms.unwrap_or(1);
         let (bauds, cycles) = (Range::new(9_600.0, 4e6, "bit/s"), Range::new(1.0, 10.0, "cycles"));
         let [second, timer] = [1000.0, 255.0].map(|most| Range::new(1.0, most, "ms"));

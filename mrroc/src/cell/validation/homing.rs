@@ -1,7 +1,6 @@
 //! Checks of the homing of an axis: the method must find home, and the search must end.
 
-use super::axis::Place;
-use super::{Checked, no_effect, refused, within};
+use super::{Checked, axis::Place, no_effect, refused, within};
 use crate::cell::drives::FARTHEST_INDEX;
 use crate::cell::{Axis, Path, Range};
 use controller::robot::Limits;
@@ -52,13 +51,11 @@ pub(super) fn check(path: &Path, axis: &Axis, place: Place<'_>, model: Limits, h
         Place::Bus(_) => {
             let because = "on a CAN bus: the drive's homing method decides";
             no_effect(path, "direction", homing.direction.is_some(), because)?;
-            let given = homing.reverse_at_limit.is_some();
-            no_effect(path, "reverse_at_limit", given, because)?;
+            no_effect(path, "reverse_at_limit", homing.reverse_at_limit.is_some(), because)?;
             check_method(path, axis, model, home)?;
         }
         Place::Serial(_) if homing.method.is_some() => {
-            let why = "is a drive's: an axis on a serial line is homed by the host";
-            return refused(path, "method", why);
+            return refused(path, "method", "is a drive's: an axis on a serial line is homed by the host");
         }
         Place::Serial(_) => {}
     }
@@ -77,22 +74,19 @@ pub(super) fn check(path: &Path, axis: &Axis, place: Place<'_>, model: Limits, h
     let fastest = homing.search_velocity.max(homing.zero_velocity);
     let most = axis.max_acceleration;
     let of = "rad/s² of the motor: from reaching the search velocity in 10 s to max_acceleration";
-    let acceleration = Range::new((fastest / RAMP).min(most), most, of);
-    within(path, "acceleration", homing.acceleration, acceleration)?;
+    within(path, "acceleration", homing.acceleration, Range::new((fastest / RAMP).min(most), most, of))?;
     let Place::Serial(_) = place else {
         return Ok(());
     };
     let most = (2.0 * homing.acceleration * FARTHEST_INDEX).sqrt();
     let of = "rad/s of the motor: a search by the host brakes within five turns behind the switch";
-    let search = Range::new(0.0, most, of);
-    within(path, "search_velocity", homing.search_velocity, search)
+    within(path, "search_velocity", homing.search_velocity, Range::new(0.0, most, of))
 }
 
 /// The reference of the method must be at the robot's home position, because a homed counter reads zero there.
 fn check_method(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checked {
     let Some(method) = axis.homing.method else {
-        let why = "is missing: a drive homes by one of its methods";
-        return refused(path, "method", why);
+        return refused(path, "method", "is missing: a drive homes by one of its methods");
     };
     if !METHODS.contains(&method) {
         let why = format!("is {method}, must be 37, 34, 33, 27, 23, 18, 17, 11, 7, 2, 1 or -1 to -4");

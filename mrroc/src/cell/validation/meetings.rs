@@ -24,8 +24,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
         let (index, _) = cell.robot[robot].meetings().next().unwrap_or_default();
         return Err((instruction_path(robot, index).then("meet"), why));
     }
-    let mut unmet = meetings.iter().filter_map(|it| lonely(cell, &meetings, it));
-    unmet.next().or_else(|| hold(cell)).map_or(Ok(()), Err)
+    meetings.iter().find_map(|it| lonely(cell, &meetings, it)).or_else(|| hold(cell)).map_or(Ok(()), Err)
 }
 
 /// The error of a meeting with a wrong number of robots.
@@ -38,11 +37,9 @@ fn lonely(cell: &Cell, meetings: &[Meeting], meeting: &Meeting) -> Option<(Path,
     let path = instruction_path(robot, index).then("meet");
     let called = |robot: usize| &cell.robot[robot].name;
     if first.robots.len() < 2 {
-        let why = format!("no robot but {:?} comes to meeting {name:?}", called(robot));
-        return Some((path, why));
+        return Some((path, format!("no robot but {:?} comes to meeting {name:?}", called(robot))));
     }
-    let mut others = first.robots.iter();
-    let other = *others.find(|it| !meeting.robots.contains(it))?;
+    let other = *first.robots.iter().find(|it| !meeting.robots.contains(it))?;
     let why = format!(
         "robot {:?} comes {} times to meeting {name:?}, robot {:?} {} times",
         called(robot),
@@ -55,27 +52,23 @@ fn lonely(cell: &Cell, meetings: &[Meeting], meeting: &Meeting) -> Option<(Path,
 
 /// Holds meetings in order, until all were held or the remaining robots wait for each other.
 fn hold(cell: &Cell) -> Option<(Path, String)> {
-    let programs = cell.robot.iter().map(|it| it.meetings().peekable());
-    let mut programs: Vec<_> = programs.collect();
+    let mut programs: Vec<_> = cell.robot.iter().map(|it| it.meetings().peekable()).collect();
     let comers = |name: &str| {
-        let robots = cell.robot.iter().enumerate();
-        let comes = robots.filter(move |(_, robot)| robot.meetings().any(|it| it.1 == name));
+        let comes = cell.robot.iter().enumerate().filter(move |(_, robot)| robot.meetings().any(|it| it.1 == name));
         comes.map(|(number, _)| number).collect::<Vec<_>>()
     };
     loop {
         let waiting: Vec<_> = programs.iter_mut().map(|it| it.peek().copied()).collect();
         let at = |robot: usize| waiting[robot].map(|(_, name)| name);
-        let names = waiting.iter().flatten().map(|(_, name)| *name);
+        let mut names = waiting.iter().flatten().map(|(_, name)| *name);
         let is_at = |name, robot: &usize| at(*robot) == Some(name);
-        let mut complete = names.filter(|name| comers(name).iter().all(|it| is_at(*name, it)));
-        if let Some(name) = complete.next() {
+        if let Some(name) = names.find(|name| comers(name).iter().all(|it| is_at(name, it))) {
             for robot in comers(name) {
                 programs[robot].next();
             }
             continue;
         }
-        let mut robots = waiting.iter().enumerate();
-        let (robot, (index, name)) = robots.find_map(|(robot, it)| Some((robot, (*it)?)))?;
+        let (robot, (index, name)) = waiting.iter().enumerate().find_map(|(robot, it)| Some((robot, (*it)?)))?;
         let other = comers(name).into_iter().find(|it| !is_at(name, it))?;
         let why = format!(
             "meeting {name:?} is never held: robot {:?} waits for robot {:?} there, which waits at {:?}",

@@ -25,22 +25,17 @@ pub(super) fn check(cell: &Cell) -> Checked {
     let top = &Path::default();
     name(top, "name", &cell.name)?;
     // The range of object 0x60C2 of an EPOS4 in its usual unit.
-    let period = Range::new(1_000.0, 100_000.0, "µs");
-    within(top, "period_us", cell.period_us, period)?;
+    within(top, "period_us", cell.period_us, Range::new(1_000.0, 100_000.0, "µs"))?;
     if !cell.period_us.is_multiple_of(1000) {
         let period = cell.period_us;
         let why = format!("is {period}, must be a multiple of 1000 (µs), the drives' unit of the interpolation period");
         return refused(top, "period_us", why);
     }
-    let macrostep = Range::new(1.0, 1000.0, "periods");
-    within(top, "macrostep", cell.macrostep, macrostep)?;
-    let missed = Range::new(1.0, 1e6, "periods");
-    within(top, "max_missed_in_row", cell.max_missed_in_row, missed)?;
-    let realtime = cell.realtime.check(cell.period());
-    realtime.map_err(|refusal| by_servo(&top.then("realtime"), refusal))?;
+    within(top, "macrostep", cell.macrostep, Range::new(1.0, 1000.0, "periods"))?;
+    within(top, "max_missed_in_row", cell.max_missed_in_row, Range::new(1.0, 1e6, "periods"))?;
+    cell.realtime.check(cell.period()).map_err(|refusal| by_servo(&top.then("realtime"), refusal))?;
     buses::check(cell)?;
-    let timeout = Range::new(1.0, 86_400.0, "s");
-    within(top, "meeting_timeout_s", cell.meeting_timeout_s, timeout)?;
+    within(top, "meeting_timeout_s", cell.meeting_timeout_s, Range::new(1.0, 86_400.0, "s"))?;
     robots::check(cell)?;
     buses::check_used(cell)?;
     meetings::check(cell)?;
@@ -50,8 +45,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
 
 /// What the servo refuses of a table at `path`.
 fn by_servo(path: &Path, refusal: KeyError) -> (Path, String) {
-    let keys = refusal.key.split('.');
-    let path = keys.fold(path.clone(), |path, key| path.then(key));
+    let path = refusal.key.split('.').fold(path.clone(), |path, key| path.then(key));
     (path, refusal.reason.to_string())
 }
 
@@ -63,10 +57,7 @@ fn refused(path: &Path, key: impl Into<Step>, why: impl Into<String>) -> Checked
 /// Checks that the value of `key` is in `range`.
 fn within(path: &Path, key: impl Into<Step>, value: impl Into<f64>, range: Range) -> Checked {
     let value = value.into();
-    if range.has(value) {
-        return Ok(());
-    }
-    refused(path, key, out_of_range(value, range))
+    if range.has(value) { Ok(()) } else { refused(path, key, out_of_range(value, range)) }
 }
 
 /// Checks that a text is a name: without characters that are special in a path, a table, a line of CSV or an option.
@@ -85,10 +76,7 @@ fn name(path: &Path, key: &'static str, name: &str) -> Checked {
 
 /// Refuses a key that has no effect at its place.
 fn no_effect(path: &Path, key: &'static str, given: bool, because: &str) -> Checked {
-    if !given {
-        return Ok(());
-    }
-    refused(path, key, format!("has no effect {because}: leave it out"))
+    if given { refused(path, key, format!("has no effect {because}: leave it out")) } else { Ok(()) }
 }
 
 /// Refuses an empty list, and a list of more than `most` elements.
@@ -102,10 +90,7 @@ fn some(path: &Path, key: &'static str, found: usize, most: usize, what: &str) -
 
 /// Refuses a list of another length than `expected`.
 fn count(path: Path, found: usize, expected: usize, what: &str) -> Checked {
-    if found == expected {
-        return Ok(());
-    }
-    Err((path, format!("has {found} {what}, must have {expected}")))
+    if found == expected { Ok(()) } else { Err((path, format!("has {found} {what}, must have {expected}"))) }
 }
 
 /// Refuses a `what` for the value of `key` in element `index` of the list at `list`, if an earlier element has the same.
@@ -117,11 +102,9 @@ fn unique<T: PartialEq>(
     what: impl FnOnce(&T) -> String,
 ) -> Checked {
     let values: Vec<_> = values.into_iter().take(index + 1).collect();
-    let same = |value: &T| *value == values[index];
-    match values.iter().position(same) {
+    match values.iter().position(|value| *value == values[index]) {
         Some(first) if first < index => {
-            let why = twice(&what(&values[index]), &list.then(first));
-            refused(&list.then(index), key, why)
+            refused(&list.then(index), key, twice(&what(&values[index]), &list.then(first)))
         }
         _ => Ok(()),
     }

@@ -40,8 +40,7 @@ pub(super) fn check(path: &Path, period: Duration, axis: &Axis) -> Checked {
                 return refused(&path.then("feed_forward"), "weight", why);
             }
             // A loop at its limit must not look like a runaway loop.
-            let of = "rad/s of the motor; runaway_velocity at the most";
-            (axis.runaway_velocity(), of, 0.0)
+            (axis.runaway_velocity(), "rad/s of the motor; runaway_velocity at the most", 0.0)
         }
         (_, Some(_)) if is_proportional => {
             return proportional("is for control = \"velocity\": by torque nothing would damp it, use cascade");
@@ -53,8 +52,7 @@ pub(super) fn check(path: &Path, period: Duration, axis: &Axis) -> Checked {
         }
         (_, Some(drive)) => {
             // Object 0x6071 holds 16 bits of thousandths.
-            let most = 32.0 * drive.rated_torque;
-            (most, "N·m; 32 * rated_torque at the most", 10.0)
+            (32.0 * drive.rated_torque, "N·m; 32 * rated_torque at the most", 10.0)
         }
         (Output::Torque, None) => {
             // A greater output is refused during motion, and the axis would stop by a fault where the torque is needed
@@ -66,8 +64,7 @@ pub(super) fn check(path: &Path, period: Duration, axis: &Axis) -> Checked {
         (Output::Duty, None) => (1.0, "of the full pulse width", 1000.0),
     };
     if let Some(runaway) = given.runaway_velocity {
-        let of = "rad/s of the motor; above max_velocity";
-        let range = Range::new(axis.max_velocity * (1.0 + 1e-9), 1e6, of);
+        let range = Range::new(axis.max_velocity * (1.0 + 1e-9), 1e6, "rad/s of the motor; above max_velocity");
         within(path, "runaway_velocity", runaway, range)?;
     }
     let bounds = LoopBounds {
@@ -80,8 +77,7 @@ pub(super) fn check(path: &Path, period: Duration, axis: &Axis) -> Checked {
         of,
         weight,
     };
-    let law = given.law.check(&bounds);
-    law.map_err(|refusal| by_servo(&path.then("law"), refusal))?;
+    given.law.check(&bounds).map_err(|refusal| by_servo(&path.then("law"), refusal))?;
     let feed_forward = given.feed_forward.check(given.law.limit(), &bounds);
     feed_forward.map_err(|refusal| by_servo(&path.then("feed_forward"), refusal))
 }

@@ -44,8 +44,7 @@ fn check_joints(path: &Path, joints: &Joints, robot: &Robot) -> Checked {
         return Ok(());
     };
     if joints.generator != JointGenerator::JerkLimited {
-        let why = "is for jerk-limited motions: use generator = \"jerk-limited\"";
-        return refused(path, "duration", why);
+        return refused(path, "duration", "is for jerk-limited motions: use generator = \"jerk-limited\"");
     }
     within(path, "duration", duration, Range::new(1e-3, 86_400.0, "s"))
 }
@@ -54,18 +53,14 @@ fn check_line(path: &Path, line: &LineInstruction) -> Checked {
     for (number, part) in line.position.into_iter().enumerate() {
         within(&path.then("position"), number, part, FARTHEST)?;
     }
-    let velocity = Range::new(1e-4, 100.0, "m/s");
-    within(path, "velocity", line.velocity, velocity)?;
-    let acceleration = Range::new(1e-4, 1000.0, "m/s²");
-    within(path, "acceleration", line.acceleration, acceleration)?;
+    within(path, "velocity", line.velocity, Range::new(1e-4, 100.0, "m/s"))?;
+    within(path, "acceleration", line.acceleration, Range::new(1e-4, 1000.0, "m/s²"))?;
     let Some(quaternion) = line.quaternion else {
         return Ok(());
     };
-    let squares = quaternion.iter().map(|part| part * part);
-    let norm = squares.sum::<f64>().sqrt();
+    let norm = quaternion.iter().map(|part| part * part).sum::<f64>().sqrt();
     if (norm - 1.0).abs() > 1e-3 {
-        let norm = Figure(norm);
-        let why = format!("is {norm}, must be of length 1, as every orientation");
+        let why = format!("is {}, must be of length 1, as every orientation", Figure(norm));
         return refused(path, "quaternion", why);
     }
     Ok(())

@@ -14,27 +14,21 @@ pub(super) fn check(cell: &Cell) -> Checked {
     for (index, robot) in cell.robot.iter().enumerate() {
         let path = robots.then(index);
         name(&path, "name", &robot.name)?;
-        let names = cell.robot.iter().map(|it| &it.name);
-        unique(&robots, "name", index, names, |name| format!("robot {name:?}"))?;
+        unique(&robots, "name", index, cell.robot.iter().map(|it| &it.name), |name| format!("robot {name:?}"))?;
         check_parameters(&path, robot)?;
-        let kinematics = robot.kinematics();
-        let kinematics = kinematics.map_err(|error| (path.then("parameters"), error.to_string()))?;
+        let kinematics = robot.kinematics().map_err(|error| (path.then("parameters"), error.to_string()))?;
         let axes = path.then("axis");
         count(axes.clone(), robot.axis.len(), robot.model.axes(), "axes")?;
         let (limits, home) = (kinematics.motor_limits(), kinematics.home());
         for (number, axis) in robot.axis.iter().enumerate() {
             let path = axes.then(number);
             name(&path, "name", &axis.name)?;
-            let names = robot.axis.iter().map(|it| &it.name);
-            unique(&axes, "name", number, names, |name| format!("axis {name:?}"))?;
+            unique(&axes, "name", number, robot.axis.iter().map(|it| &it.name), |name| format!("axis {name:?}"))?;
             let Some(place) = Place::of(cell, &axis.bus) else {
-                let why = format!("no bus is called {}", quoted(&axis.bus));
-                return refused(&path, "bus", why);
+                return refused(&path, "bus", format!("no bus is called {}", quoted(&axis.bus)));
             };
-            let (limits, home) = (limits[number], home[number]);
-            axis::check(&path, cell.period(), axis, place, limits, home)?;
-            let plants = robot.model.parameters().plants();
-            if !plants.contains(&axis.emulator.plant) {
+            axis::check(&path, cell.period(), axis, place, limits[number], home[number])?;
+            if !robot.model.parameters().plants().contains(&axis.emulator.plant) {
                 let why = "is wut, which is known of the robots on pedestals only: use physical";
                 return refused(&path.then("emulator"), "plant", why);
             }
@@ -77,8 +71,7 @@ fn check_parameters(path: &Path, robot: &Robot) -> Checked {
     match &robot.parameters {
         Some(given) if given.name() != usual.name() => {
             let (found, expected) = (given.name(), usual.name());
-            let why = format!("is of an {found}, must be {{ {expected} = … }} for this model");
-            refused(path, "parameters", why)
+            refused(path, "parameters", format!("is of an {found}, must be {{ {expected} = … }} for this model"))
         }
         _ => Ok(()),
     }
@@ -92,8 +85,7 @@ fn check_payloads(payloads: &Path, robot: &Robot) -> Checked {
             return refused(payloads, number, why);
         }
         if let Some(axis) = robot.axis.iter().find(|it| it.emulator.plant == Plant::Wut) {
-            let name = &axis.name;
-            let why = format!("would not be felt by axis {name:?}, whose plant is wut: use physical");
+            let why = format!("would not be felt by axis {:?}, whose plant is wut: use physical", axis.name);
             return refused(payloads, number, why);
         }
         within(&path, "at_s", payload.at_s, Range::new(0.0, 1e6, "s"))?;

@@ -29,10 +29,7 @@ pub(super) fn check(robot: &Path, given: &Robot, kinematics: &dyn controller::ro
     };
     let weight = weights.of(given.model, kinematics).map_err(at)?;
     let torques = weight.torque(kinematics, &kinematics.home());
-    let torques = torques.map_err(|error| {
-        let why = format!("at home: {}", given.naming_axes(error));
-        (path.clone(), why)
-    })?;
+    let torques = torques.map_err(|error| (path.clone(), format!("at home: {}", given.naming_axes(error))))?;
     axes.try_for_each(|(number, axis)| {
         let path = robot.then("axis").then(number);
         check_axis(&path, axis)?;
