@@ -41,7 +41,7 @@ use std::time::Duration;
 use can::{Frame, Instant};
 use canopen::heartbeat::Heartbeat;
 use canopen::pdo::{PdoKind, PdoNumber};
-use canopen::{NodeId, cob, nmt, objects as named, sdo};
+use canopen::{NodeId, cob, nmt, sdo};
 
 use crate::{Device, PlantAxis};
 pub use config::Epos4Config;
@@ -51,7 +51,7 @@ use heartbeats::Consumers;
 use lss::Lss;
 use objects::Objects;
 use pdo::Pdos;
-use table::Slot;
+use table::{Slot, slot};
 
 const SUB_STEP: Duration = Duration::from_micros(100);
 /// Longest interval between two advances of the drive.
@@ -73,14 +73,14 @@ fn identity(config: &Epos4Config) -> [(Slot, u32); 8] {
     let torque_constant = (rated / f64::from(nominal) * 1e9).round() as u32;
     let counts = config.axis.counts_per_revolution;
     [
-        (Slot::of(named::VENDOR_ID), config.vendor),
-        (Slot::of(named::PRODUCT_CODE), config.product),
-        (Slot::of(named::REVISION), config.revision),
-        (Slot::of(named::SERIAL_NUMBER), config.serial),
-        (Slot::of(named::EPOS4_MAIN_SENSOR_RESOLUTION), config.main_sensor_resolution.unwrap_or(counts)),
-        (Slot::of(named::EPOS4_NOMINAL_CURRENT), nominal),
-        (Slot::of(named::EPOS4_NOMINAL_CURRENT).plus(1), milliamps(amps)),
-        (Slot::of(named::EPOS4_TORQUE_CONSTANT), torque_constant),
+        (slot!(VENDOR_ID), config.vendor),
+        (slot!(PRODUCT_CODE), config.product),
+        (slot!(REVISION), config.revision),
+        (slot!(SERIAL_NUMBER), config.serial),
+        (slot!(EPOS4_MAIN_SENSOR_RESOLUTION), config.main_sensor_resolution.unwrap_or(counts)),
+        (slot!(EPOS4_NOMINAL_CURRENT), nominal),
+        (slot!(EPOS4_NOMINAL_CURRENT).plus(1), milliamps(amps)),
+        (slot!(EPOS4_TORQUE_CONSTANT), torque_constant),
     ]
 }
 

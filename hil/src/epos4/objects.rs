@@ -12,7 +12,7 @@ use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE};
 use canopen::{NodeId, Object, cob, nmt};
 
 use super::heartbeats::{ENTRIES, watched};
-use super::table::{ROWS, Slot, TABLE};
+use super::table::{ROWS, Slot, TABLE, slot};
 
 /// "save", the password of object 0x1010.
 const SAVE: u32 = 0x6576_6173;
@@ -128,7 +128,7 @@ impl Objects {
 
     /// Stores an error as the newest entry of the history.
     pub(super) fn push_history(&mut self, code: u16) {
-        const COUNT: Slot = Slot::of(named::ERROR_HISTORY_COUNT);
+        const COUNT: Slot = slot!(ERROR_HISTORY_COUNT);
         for sub in (1..HISTORY).rev() {
             let older = self.u(COUNT.plus(sub));
             self.set(COUNT.plus(sub + 1), older);
@@ -149,8 +149,8 @@ impl Objects {
                 changes.setpoint = true;
             }
             // One object has two addresses, CiA's and maxon's.
-            named::HOME_OFFSET => self.set(Slot::of(named::EPOS4_HOME_OFFSET_MOVE), value),
-            named::EPOS4_HOME_OFFSET_MOVE => self.set(Slot::of(named::HOME_OFFSET), value),
+            named::HOME_OFFSET => self.set(slot!(EPOS4_HOME_OFFSET_MOVE), value),
+            named::EPOS4_HOME_OFFSET_MOVE => self.set(slot!(HOME_OFFSET), value),
             _ => match object.index {
                 0x1400..=0x17FF => changes.received[usize::from(object.index & 3)] = true,
                 0x1800..=0x1BFF => changes.transmitted[usize::from(object.index & 3)] = true,
@@ -190,7 +190,7 @@ impl Objects {
         let Some((node, _)) = watched(value) else {
             return Ok(());
         };
-        let others = (0..ENTRIES).map(|number| Slot::of(named::CONSUMER_HEARTBEAT_1).plus(number as u16));
+        let others = (0..ENTRIES).map(|number| slot!(CONSUMER_HEARTBEAT_1).plus(number as u16));
         let mut others = others.filter(|other| *other != slot).map(|other| watched(self.u(other)));
         if others.any(|other| other.is_some_and(|(other, _)| other == node)) {
             return Err(AbortCode::PARAMETER_INCOMPATIBLE);
@@ -356,7 +356,7 @@ impl Dictionary for Objects {
             into[..self.domain.len()].copy_from_slice(&self.domain);
             return Ok(self.domain.len());
         }
-        let count = self.u(Slot::of(named::ERROR_HISTORY_COUNT));
+        let count = self.u(slot!(ERROR_HISTORY_COUNT));
         if object.index == named::ERROR_HISTORY_COUNT.index && u32::from(object.subindex) > count {
             return Err(AbortCode::NO_DATA);
         }

@@ -5,16 +5,12 @@ use std::time::Duration;
 use can::{Frame, Instant};
 use canopen::heartbeat::Heartbeat;
 use canopen::nmt;
-use canopen::objects as named;
 use canopen::pdo::{PdoKind, PdoNumber};
 
-use super::drive::ABORT_CONNECTION_OPTION;
 use super::errors::{self, Error};
 use super::pdo::{self, Reception};
-use super::table::Slot;
+use super::table::slot;
 use super::{Epos4, heartbeats};
-
-const PRODUCER: Slot = Slot::of(named::PRODUCER_HEARTBEAT);
 
 impl Epos4 {
     /// Handles an error. The drive reacts each time. EMCY announces an error once while the error is present.
@@ -27,7 +23,7 @@ impl Epos4 {
 
     /// Handles the end of the connection by the master, which is an error if object 0x6007 makes a fault of it.
     pub(super) fn end_connection(&mut self) {
-        if self.objects.i(ABORT_CONNECTION_OPTION) == 1 && !self.drive.faulted() {
+        if self.objects.i(slot!(ABORT_CONNECTION_OPTION)) == 1 && !self.drive.faulted() {
             self.fail(errors::CONNECTION_ENDED);
         } else {
             self.drive.abort_connection(&self.objects);
@@ -37,7 +33,7 @@ impl Epos4 {
     /// Handles a communication error. Object 0x1029 determines the change of the NMT state.
     pub(super) fn lose_contact(&mut self, error: Error, now: Instant) {
         self.fail(error);
-        let to = match self.objects.u(Slot::of(named::ERROR_BEHAVIOUR)) {
+        let to = match self.objects.u(slot!(ERROR_BEHAVIOUR)) {
             0 if self.objects.nmt == nmt::NmtState::Operational => nmt::NmtState::PreOperational,
             2 => nmt::NmtState::Stopped,
             _ => return,
@@ -75,7 +71,7 @@ impl Epos4 {
     }
 
     pub(super) fn heartbeat_period(&self) -> Option<Duration> {
-        let period = Duration::from_millis(u64::from(self.objects.u(PRODUCER)));
+        let period = Duration::from_millis(u64::from(self.objects.u(slot!(PRODUCER_HEARTBEAT))));
         (!period.is_zero()).then_some(period)
     }
 
