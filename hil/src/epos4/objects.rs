@@ -306,13 +306,13 @@ fn supported(mode: u32) -> bool {
 }
 
 /// A sub-index of a PDO's parameters.
-enum Place {
+pub(super) enum Place {
     Communication(u8),
     Mapping(u8),
 }
 
 /// The parameter of a PDO that an object holds, if any.
-fn pdo_parameter(object: Object) -> Option<(PdoKind, PdoNumber, Place)> {
+pub(super) fn pdo_parameter(object: Object) -> Option<(PdoKind, PdoNumber, Place)> {
     let number = *PdoNumber::ALL.get(usize::from(object.index & 0xFF))?;
     let sub = object.subindex;
     match object.index & 0xFF00 {
