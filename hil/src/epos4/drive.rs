@@ -274,8 +274,7 @@ impl Drive {
 
     /// Activates the set-points of the cyclic modes. Called at SYNC, or for a set-point outside SYNC.
     pub(super) fn latch(&mut self, objects: &Objects) -> Option<Error> {
-        let position = self.mode == ModeOfOperation::CyclicSynchronousPosition;
-        if !position || !self.follows() {
+        if self.mode != ModeOfOperation::CyclicSynchronousPosition || !self.follows() {
             return None;
         }
         let target = objects.f(slot!(TARGET_POSITION)) + objects.f(slot!(POSITION_OFFSET));
@@ -345,10 +344,7 @@ impl Drive {
             self.following_error = true;
             return Some(errors::FOLLOWING);
         }
-        if homing || !matches!(self.mode, ModeOfOperation::ProfilePosition) {
-            return None;
-        }
-        let target = self.profile.active?;
+        let target = self.profile.active.filter(|_| self.mode == ModeOfOperation::ProfilePosition)?;
         self.beyond_limits(target, objects).then_some(errors::SOFTWARE_LIMIT)
     }
 }

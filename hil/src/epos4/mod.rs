@@ -350,12 +350,9 @@ impl Epos4 {
             self.block_at,
             self.server.poll_timeout(),
             self.pdos.poll_timeout(),
+            Some(self.next_control()),
         ];
-        let mut first = self.next_control();
-        for timer in timers {
-            first = timer.map_or(first, |at| first.min(at));
-        }
-        self.wake_at = Some(first);
+        self.wake_at = timers.into_iter().flatten().min();
     }
 }
 
@@ -368,12 +365,9 @@ fn append(queue: &mut VecDeque<Frame>, frame: Frame) {
 
 impl Device for Epos4 {
     fn handle(&mut self, frame: &Frame, now: Instant) {
-        let Some(id) = frame.standard_data_id() else {
+        let Some(id) = frame.standard_data_id().filter(|_| self.boots_at.is_none()) else {
             return;
         };
-        if self.boots_at.is_some() {
-            return;
-        }
         if id == cob::LSS_REQUEST {
             self.configure(frame, now);
             self.schedule();
@@ -398,7 +392,7 @@ impl Device for Epos4 {
                 return;
             }
             self.serve(frame, node, now);
-        } else if !self.receive_pdo(frame, now) {
+        } else if !self.receive_pdo(id, frame.data(), now) {
             // All other frames are ignored, except heartbeats of monitored nodes.
             let Some(heartbeat) = Heartbeat::decode(frame) else {
                 return;
@@ -425,9 +419,7 @@ impl Device for Epos4 {
         if self.boots_at.is_some_and(|at| at <= now) {
             self.boot(now);
         }
-        if self.answer.is_some_and(|(at, _)| at <= now)
-            && let Some((_, frame)) = self.answer.take()
-        {
+        if let Some((_, frame)) = self.answer.take_if(|(at, _)| *at <= now) {
             self.send(frame);
         }
         self.block_at = self.block_at.filter(|at| *at > now);

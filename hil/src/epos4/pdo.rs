@@ -24,11 +24,9 @@ struct Mapping {
 }
 
 impl Mapping {
-    const EMPTY: Self = Self { entries: [(None, 0); MAPPED as usize], count: 0, bytes: 0 };
-
     fn read(kind: PdoKind, number: PdoNumber, objects: &Objects) -> Self {
-        let mut mapping = Self::EMPTY;
-        mapping.count = objects.u(map(kind, number, 0)) as usize;
+        let count = objects.u(map(kind, number, 0)) as usize;
+        let mut mapping = Self { entries: [(None, 0); MAPPED as usize], count, bytes: 0 };
         for sub in 1..=mapping.count {
             let entry = Entry::from_raw(objects.u(map(kind, number, sub as u8)));
             let slot = mappable(kind, entry).unwrap_or(None);

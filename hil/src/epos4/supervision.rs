@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use can::{Frame, Instant};
+use can::{Frame, Instant, StandardId};
 use canopen::heartbeat::Heartbeat;
 use canopen::nmt;
 use canopen::pdo::{PdoKind, PdoNumber};
@@ -113,11 +113,8 @@ impl Epos4 {
         }
     }
 
-    pub(super) fn receive_pdo(&mut self, frame: &Frame, now: Instant) -> bool {
-        let Some(id) = frame.standard_data_id() else {
-            return false;
-        };
-        match self.pdos.receive(id, frame.data(), &mut self.objects, now) {
+    pub(super) fn receive_pdo(&mut self, id: StandardId, data: &[u8], now: Instant) -> bool {
+        match self.pdos.receive(id, data, &mut self.objects, now) {
             Reception::Foreign => return false,
             Reception::Waiting(number) => self.regain_pdo(number),
             Reception::Effective(number) => {

@@ -141,10 +141,7 @@ impl Drive {
         let unit = self.counts_per_velocity(objects);
         match self.mode {
             M::ProfilePosition | M::ProfileVelocity | M::Homing if halted => {
-                let brake = match objects.i(slot!(HALT_OPTION)) {
-                    2 => Brake::QuickStop,
-                    _ => Brake::SlowDown,
-                };
+                let brake = if objects.i(slot!(HALT_OPTION)) == 2 { Brake::QuickStop } else { Brake::SlowDown };
                 let limits = self.braking_limits(brake, limits, objects);
                 self.motion.ramp(0.0, &limits, dt);
             }
