@@ -261,8 +261,7 @@ impl SerialLine {
 
     /// Time of the next event known now: the instant up to which a waiting test bench can advance.
     pub fn next_event(&self) -> Option<Instant> {
-        let (at, _) = self.next()?;
-        Some(at)
+        self.next().map(|(at, _)| at)
     }
 
     fn next(&self) -> Option<(Instant, LineEvent)> {
