@@ -43,9 +43,8 @@ use std::time::Duration;
 
 use can::Instant;
 
-use crate::outbox::Outbox;
 use crate::plant::{AxisConfig, Mount};
-use crate::{LineDevice, PlantAxis};
+use crate::{LineDevice, PlantAxis, outbox::Outbox};
 use drive::Drive;
 use hi_moxa::HiMoxa;
 use nfv2::Nfv2;

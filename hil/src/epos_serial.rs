@@ -22,8 +22,7 @@ use std::time::Duration;
 
 use can::Instant;
 
-use crate::outbox::Outbox;
-use crate::{Device, Epos4, Epos4Config, LineDevice};
+use crate::{Device, Epos4, Epos4Config, LineDevice, outbox::Outbox};
 use epos2::Exchange;
 use epos4::Frames;
 

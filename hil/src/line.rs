@@ -18,8 +18,7 @@ mod tests;
 
 pub use faults::{LineFaults, Stuck, WireFaults};
 
-use std::any::Any;
-use std::time::Duration;
+use std::{any::Any, time::Duration};
 
 use can::Instant;
 use serial::{Settings, TimedByte, VirtualLinePeer};

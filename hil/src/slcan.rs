@@ -19,8 +19,7 @@
 use std::collections::VecDeque;
 
 use can::slcan::{AdapterReport, BusErrors, Command, Piece, Splitter, StatusFlags};
-use can::timing::Bitrate;
-use can::{ControllerState, Frame, Id, Instant};
+use can::{ControllerState, Frame, Id, Instant, timing::Bitrate};
 
 use crate::Device;
 

@@ -18,15 +18,11 @@ mod status;
 use canopen::Object;
 use canopen::cia402::{Controlword, ModeOfOperation, PowerCommand, PowerState};
 
-use super::Epos4Config;
 use super::errors::{self, Error, Reaction};
-use super::homing::Search;
-use super::objects::Objects;
 use super::power::{Brake, Options, Transition, on_command, on_fault};
-use super::profile::Motion;
 use super::table::{Slot, slot};
-use crate::plant::SUB_STEP;
-use crate::{Demand, Feedback, PlantAxis, Trip};
+use super::{Epos4Config, homing::Search, objects::Objects, profile::Motion};
+use crate::{Demand, Feedback, PlantAxis, Trip, plant::SUB_STEP};
 use standstill::Standstill;
 
 const POSITION_WINDOW: Slot = Slot::of(Object::new(0x6067, 0));

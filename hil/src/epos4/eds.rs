@@ -3,8 +3,7 @@
 use std::collections::BTreeMap;
 
 use canopen::eds::{Access, DataType, DeviceInfo, Eds, Entry, FileInfo, ObjectType, Value, Variable};
-use canopen::objects as named;
-use canopen::pdo::PdoKind;
+use canopen::{objects as named, pdo::PdoKind};
 
 use super::objects::{DUMMIES, Place, pdo_parameter};
 use super::table::{self, TABLE};

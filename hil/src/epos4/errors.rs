@@ -7,8 +7,7 @@ use can::Frame;
 use canopen::NodeId;
 use canopen::emcy::{Emergency, ErrorRegister};
 
-use super::objects::Objects;
-use super::table::slot;
+use super::{objects::Objects, table::slot};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Reaction {

@@ -9,8 +9,7 @@ use std::time::Duration;
 use can::Instant;
 use canopen::NodeId;
 
-use super::objects::Objects;
-use super::table::slot;
+use super::{objects::Objects, table::slot};
 
 /// Number of entries of the object.
 pub(super) const ENTRIES: usize = 2;

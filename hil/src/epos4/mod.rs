@@ -35,13 +35,11 @@ mod table;
 #[cfg(test)]
 mod tests;
 
-use std::collections::VecDeque;
-use std::time::Duration;
+use std::{collections::VecDeque, time::Duration};
 
 use can::{Frame, Instant};
-use canopen::heartbeat::Heartbeat;
 use canopen::pdo::{PdoKind, PdoNumber};
-use canopen::{NodeId, cob, nmt, sdo};
+use canopen::{NodeId, cob, heartbeat::Heartbeat, nmt, sdo};
 
 use crate::{Device, PlantAxis};
 pub use config::Epos4Config;

@@ -5,11 +5,9 @@
 //! COB-ID off (bit 31), count to 0, entries, count, COB-ID on. Stored values live as long as the emulator.
 
 use canopen::cia402::{HomingMethod, ModeOfOperation, SupportedModes};
-use canopen::eds::DataType;
-use canopen::objects as named;
 use canopen::pdo::{Entry as MapEntry, PdoCobId, PdoKind, PdoNumber};
 use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE};
-use canopen::{NodeId, Object, cob, nmt};
+use canopen::{NodeId, Object, cob, eds::DataType, nmt, objects as named};
 
 use super::heartbeats::{ENTRIES, watched};
 use super::table::{ROWS, Slot, TABLE, slot};

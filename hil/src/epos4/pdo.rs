@@ -4,9 +4,7 @@
 //! reads the parameters of that PDO again. No other access to the parameters takes place. A synchronous RPDO waits
 //! for the next SYNC; a second RPDO before that SYNC replaces the first. A synchronous TPDO is sampled at SYNC.
 
-use std::collections::VecDeque;
-use std::ops::Range;
-use std::time::Duration;
+use std::{collections::VecDeque, ops::Range, time::Duration};
 
 use can::{Frame, Instant, StandardId};
 use canopen::pdo::{Entry, PdoCobId, PdoKind, PdoNumber, TransmissionType};

@@ -3,14 +3,12 @@
 use std::time::Duration;
 
 use can::{Frame, Instant, StandardId};
-use canopen::heartbeat::Heartbeat;
-use canopen::nmt;
 use canopen::pdo::{PdoKind, PdoNumber};
+use canopen::{heartbeat::Heartbeat, nmt};
 
 use super::errors::{self, Error};
 use super::pdo::{self, Reception};
-use super::table::slot;
-use super::{Epos4, heartbeats};
+use super::{Epos4, heartbeats, table::slot};
 
 impl Epos4 {
     /// Handles an error. The drive reacts each time. EMCY announces an error once while the error is present.

@@ -3,9 +3,7 @@
 use canopen::Object;
 use canopen::cia402::{Controlword, HomingStatus, ModeOfOperation, Statusword};
 
-use super::modes::rated_torque;
-use super::standstill::Window;
-use super::{Drive, Homing, POSITION_WINDOW};
+use super::{Drive, Homing, POSITION_WINDOW, modes::rated_torque, standstill::Window};
 use crate::epos4::objects::Objects;
 use crate::epos4::table::{Slot, slot};
 
