@@ -33,8 +33,7 @@ impl From<io::Error> for Distrust {
 
 /// Resolves an absolute, existing `path`. Fails if anybody but `user` and the superuser can change the result.
 pub(super) fn resolve(path: &Path, user: u32) -> Result<PathBuf, Distrust> {
-    let mut links = LINKS;
-    resolve_within(path, user, &mut links)
+    resolve_within(path, user, &mut { LINKS })
 }
 
 fn resolve_within(path: &Path, user: u32, links: &mut u32) -> Result<PathBuf, Distrust> {
