@@ -108,9 +108,7 @@ impl LineDevice for AxisController {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let moves = self.drive.poll_timeout();
-        let answers = self.outbox.poll_timeout();
-        Some(answers.map_or(moves, |at| at.min(moves)))
+        self.outbox.poll_timeout().into_iter().chain([self.drive.poll_timeout()]).min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {

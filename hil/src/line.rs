@@ -95,7 +95,7 @@ impl Direction {
 
     fn start(&mut self, byte: u8, at: Instant) {
         if at > self.free_at {
-            self.wire.pause();
+            self.wire.torn = false;
         }
         (self.free_at, self.burst, self.count) = self.end(at);
         self.on_wire = Some(TimedByte { byte, at: self.free_at });

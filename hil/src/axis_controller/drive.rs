@@ -6,7 +6,7 @@ use can::Instant;
 use serial::nfv2::Gains;
 
 use super::{AxisControllerConfig, Cabinet};
-use crate::{Demand, Feedback, PlantAxis};
+use crate::{Demand, Feedback, PlantAxis, Trip};
 
 const SUB_STEP: Duration = Duration::from_micros(100);
 /// Number of sub-steps between checks of the switches and the index pulse: 1 ms.
@@ -98,11 +98,8 @@ impl Drive {
             self.axis.advance(steps, self.demand());
             self.inner += steps * SUB_STEP;
             self.feedback = self.axis.feedback();
-            match self.feedback.trip {
-                Some(crate::Trip::OverCurrent) => self.faults.over_current = true,
-                Some(crate::Trip::OverTemperature) => self.faults.power_stage = true,
-                None => {}
-            }
+            self.faults.over_current |= self.feedback.trip == Some(Trip::OverCurrent);
+            self.faults.power_stage |= self.feedback.trip == Some(Trip::OverTemperature);
             if self.search == Search::Armed
                 && let Some(at) = self.axis.take_index()
             {
@@ -165,13 +162,11 @@ impl Drive {
 
     /// Starts or ends the index search. During the search the next index pulse zeroes the counter.
     pub(super) fn search_index(&mut self, on: bool) {
-        match (on, self.search) {
-            (true, Search::Off) => {
-                self.axis.take_index();
-                self.search = Search::Armed;
-            }
-            (false, _) => self.search = Search::Off,
-            (true, Search::Armed | Search::Found) => {}
+        if !on {
+            self.search = Search::Off;
+        } else if self.search == Search::Off {
+            self.axis.take_index();
+            self.search = Search::Armed;
         }
     }
 

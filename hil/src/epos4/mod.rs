@@ -179,10 +179,7 @@ impl Epos4 {
             return;
         }
         self.objects.nmt = state;
-        self.pdos = match state {
-            nmt::NmtState::Operational => Pdos::read(&self.objects),
-            _ => Pdos::NONE,
-        };
+        self.pdos = if state == nmt::NmtState::Operational { Pdos::read(&self.objects) } else { Pdos::NONE };
         if state == nmt::NmtState::Stopped {
             self.server.reset();
             self.answer = None;
@@ -395,7 +392,9 @@ impl Device for Epos4 {
             let Some(heartbeat) = Heartbeat::decode(frame) else {
                 return;
             };
-            self.hear(heartbeat, now);
+            if let Some(number) = self.consumers.hear(heartbeat.node, now) {
+                self.regain(errors::HEARTBEAT.of(number));
+            }
         }
         self.schedule();
     }

@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use can::{Frame, Instant, StandardId};
+use canopen::nmt;
 use canopen::pdo::{PdoKind, PdoNumber};
-use canopen::{heartbeat::Heartbeat, nmt};
 
 use super::errors::{self, Error};
 use super::pdo::{self, Reception};
@@ -90,12 +90,6 @@ impl Epos4 {
     pub(super) fn read_consumers(&mut self) {
         let ended = self.consumers.read(&self.objects);
         for (number, _) in ended.into_iter().enumerate().filter(|(_, ended)| *ended) {
-            self.regain(errors::HEARTBEAT.of(number));
-        }
-    }
-
-    pub(super) fn hear(&mut self, heartbeat: Heartbeat, now: Instant) {
-        if let Some(number) = self.consumers.hear(heartbeat.node, now) {
             self.regain(errors::HEARTBEAT.of(number));
         }
     }

@@ -240,7 +240,7 @@ impl PlantAxis {
         Feedback {
             counts: self.encoder.counts(),
             velocity: self.amplifier.observed_velocity,
-            torque: self.amplifier.torque(current),
+            torque: current * self.amplifier.torque_constant,
             current,
             index: self.encoder.latched,
             home_switch,
