@@ -30,14 +30,13 @@
 //! While the stop is open, manual mode shows the fault but does not latch it. Drives can therefore leave error one
 //! after the other. A drive that trips stops only itself.
 
-mod cabinet;
 mod drive;
 mod hi_moxa;
 mod nfv2;
 #[cfg(test)]
 mod tests;
 
-pub use cabinet::Cabinet;
+pub use drive::Cabinet;
 
 use std::time::Duration;
 
