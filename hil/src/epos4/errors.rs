@@ -3,9 +3,7 @@
 //! EMCY announces an error once: when the error occurs, or later when the node may send EMCY. EMCY 0x0000 announces
 //! the end of the last error (CiA 301 §7.2.7).
 
-use can::Frame;
-use canopen::NodeId;
-use canopen::emcy::{Emergency, ErrorRegister};
+use canopen::emcy::ErrorRegister;
 
 use super::{objects::Objects, table::slot};
 
@@ -133,10 +131,4 @@ impl Errors {
         });
         objects.set(slot!(ERROR_REGISTER), u32::from(register.0));
     }
-}
-
-/// The EMCY with this `code`; 0 means no error.
-pub(super) fn emergency(node: NodeId, code: u16, objects: &Objects) -> Frame {
-    Emergency { node, code, error_register: ErrorRegister(objects.u(slot!(ERROR_REGISTER)) as u8), vendor: [0; 5] }
-        .encode()
 }

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use can::{Frame, Instant, StandardId};
+use canopen::emcy::{Emergency, ErrorRegister};
 use canopen::nmt;
 use canopen::pdo::{PdoKind, PdoNumber};
 
@@ -64,7 +65,8 @@ impl Epos4 {
             return;
         };
         while let Some(code) = self.errors.announce() {
-            self.send(errors::emergency(node, code, &self.objects));
+            let error_register = ErrorRegister(self.objects.u(slot!(ERROR_REGISTER)) as u8);
+            self.send(Emergency { node, code, error_register, vendor: [0; 5] }.encode());
         }
     }
 

@@ -12,7 +12,6 @@ const LINKS: u32 = 40;
 const GROUP_WRITES: u32 = 0o020;
 const OTHERS_WRITE: u32 = 0o002;
 const STICKY: u32 = 0o1000;
-
 const ROOT: u32 = 0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
