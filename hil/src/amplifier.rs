@@ -95,7 +95,7 @@ impl Gains {
 pub(crate) struct Amplifier {
     pub(crate) config: AmplifierConfig,
     gains: Gains,
-    torque_constant: f64,
+    pub(crate) torque_constant: f64,
     radians_per_count: f64,
     /// The counter at the last reading, and the lead of the observer over the counter, counts.
     counts: i32,
@@ -260,10 +260,5 @@ impl Amplifier {
     /// Whether a measured current exceeds the over-current threshold.
     pub(crate) fn overloaded(&self, measured: f64) -> bool {
         measured.abs() > self.config.trip_current
-    }
-
-    /// The drive's torque estimate for a measured current, N·m.
-    pub(crate) fn torque(&self, measured: f64) -> f64 {
-        measured * self.torque_constant
     }
 }

@@ -30,22 +30,20 @@
 //! While the stop is open, manual mode shows the fault but does not latch it. Drives can therefore leave error one
 //! after the other. A drive that trips stops only itself.
 
-mod cabinet;
 mod drive;
 mod hi_moxa;
 mod nfv2;
 #[cfg(test)]
 mod tests;
 
-pub use cabinet::Cabinet;
+pub use drive::Cabinet;
 
 use std::time::Duration;
 
 use can::Instant;
 
-use crate::outbox::Outbox;
 use crate::plant::{AxisConfig, Mount};
-use crate::{LineDevice, PlantAxis};
+use crate::{LineDevice, PlantAxis, outbox::Outbox};
 use drive::Drive;
 use hi_moxa::HiMoxa;
 use nfv2::Nfv2;
@@ -109,9 +107,7 @@ impl LineDevice for AxisController {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let moves = self.drive.poll_timeout();
-        let answers = self.outbox.poll_timeout();
-        Some(answers.map_or(moves, |at| at.min(moves)))
+        self.outbox.poll_timeout().into_iter().chain([self.drive.poll_timeout()]).min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {

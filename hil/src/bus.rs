@@ -118,8 +118,7 @@ impl VirtualBus {
 
     /// Time of the next event known now: the instant up to which a waiting test bench can advance.
     pub fn next_event(&self) -> Option<Instant> {
-        let (at, _) = self.next()?;
-        Some(at)
+        self.next().map(|(at, _)| at)
     }
 
     fn next(&self) -> Option<(Instant, BusEvent)> {
@@ -128,10 +127,9 @@ impl VirtualBus {
             Some(transmission) => Some((transmission.ends, BusEvent::FrameEnd)),
             None => self.heads().map(|(_, head)| head.at).min().map(|at| (at.max(self.free_at), BusEvent::FrameStart)),
         };
-        match (time_out, wire) {
-            (Some(at), Some((wire_at, _))) if at <= wire_at => Some((at, BusEvent::TimeOut)),
-            (Some(at), None) => Some((at, BusEvent::TimeOut)),
-            (_, wire) => wire,
+        match time_out {
+            Some(at) if wire.as_ref().is_none_or(|(wire_at, _)| at <= *wire_at) => Some((at, BusEvent::TimeOut)),
+            _ => wire,
         }
     }
 
@@ -200,12 +198,8 @@ impl VirtualBus {
 
     fn remove(&mut self, sender: End) {
         match sender {
-            End::Host(at) => {
-                self.hosts[at].take_sent();
-            }
-            End::Device(at) => {
-                self.devices[at].pending.pop_front();
-            }
+            End::Host(at) => _ = self.hosts[at].take_sent(),
+            End::Device(at) => _ = self.devices[at].pending.pop_front(),
         }
     }
 }

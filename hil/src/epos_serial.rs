@@ -22,8 +22,7 @@ use std::time::Duration;
 
 use can::Instant;
 
-use crate::outbox::Outbox;
-use crate::{Device, Epos4, Epos4Config, LineDevice};
+use crate::{Device, Epos4, Epos4Config, LineDevice, outbox::Outbox};
 use epos2::Exchange;
 use epos4::Frames;
 
@@ -90,7 +89,8 @@ impl LineDevice for EposSerial {
             self.protocol.reset();
         }
         self.last = now;
-        if self.service.listens() {
+        // Bytes are lost during boot, and while an answer is being sent.
+        if self.service.epos.has_booted() && self.service.outbox.is_empty() {
             self.protocol.receive(byte, &mut self.service, now);
         }
     }
@@ -119,11 +119,6 @@ impl Service {
     /// Sends `bytes` after the turn-around.
     fn send(&mut self, bytes: &[u8], now: Instant) {
         self.outbox.put(now + TURN_AROUND, bytes);
-    }
-
-    /// Whether received bytes are accepted: not during boot, and not while an answer is being sent.
-    fn listens(&self) -> bool {
-        self.epos.has_booted() && self.outbox.is_empty()
     }
 
     /// Runs the device to `now`. Its CAN frames are dropped.

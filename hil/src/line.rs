@@ -18,8 +18,7 @@ mod tests;
 
 pub use faults::{LineFaults, Stuck, WireFaults};
 
-use std::any::Any;
-use std::time::Duration;
+use std::{any::Any, time::Duration};
 
 use can::Instant;
 use serial::{Settings, TimedByte, VirtualLinePeer};
@@ -96,7 +95,7 @@ impl Direction {
 
     fn start(&mut self, byte: u8, at: Instant) {
         if at > self.free_at {
-            self.wire.pause();
+            self.wire.torn = false;
         }
         (self.free_at, self.burst, self.count) = self.end(at);
         self.on_wire = Some(TimedByte { byte, at: self.free_at });
@@ -261,8 +260,7 @@ impl SerialLine {
 
     /// Time of the next event known now: the instant up to which a waiting test bench can advance.
     pub fn next_event(&self) -> Option<Instant> {
-        let (at, _) = self.next()?;
-        Some(at)
+        self.next().map(|(at, _)| at)
     }
 
     fn next(&self) -> Option<(Instant, LineEvent)> {

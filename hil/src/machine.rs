@@ -26,15 +26,14 @@ use trust::Distrust;
 
 /// Paths at which a machine has file systems of its own.
 const HIDDEN: [&str; 4] = ["/tmp", "/var/tmp", "/run", "/dev"];
-
 /// Capacity of the queue of output pieces. A full queue stops the machine's writer.
 const OUTPUT_PIECES: usize = 256;
-
 /// Time allowed for the output of a killed machine to end.
 const GRACE: Duration = Duration::from_secs(5);
 
 /// Reasons why a test machine delivered no exit status of its command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum MachineError {
     /// The machine ended before the command began. The output contains the boot messages.
     #[error("the test machine did not boot")]
@@ -42,7 +41,6 @@ pub enum MachineError {
     /// The machine ended without the command's exit status: the kernel crashed, or the machine was killed.
     #[error("the test machine ended before its command did")]
     Died,
-    /// The machine was killed at the end of its time.
     #[error("the test machine was killed after {0:?}")]
     TimedOut(Duration),
     /// The machine was killed because its [`Cancellation`] was requested.
@@ -50,29 +48,16 @@ pub enum MachineError {
     Cancelled,
     /// Another user can replace files of the machine.
     #[error("{directory}, or one above it, belongs to user {user}, who can change what lies there: name another")]
-    Foreign {
-        /// The directory in question.
-        directory: Directory,
-        /// The other user.
-        user: u32,
-    },
+    Foreign { directory: Directory, user: u32 },
     /// Other users can put other files in the place of the machine's.
     #[error("{directory}, or one above it, can be changed by other users: name another, or `chmod go-w` it")]
-    Shared {
-        /// The directory in question.
-        directory: Directory,
-    },
+    Shared { directory: Directory },
     /// The kernel's command line cannot carry the name.
     #[error("{0} has a name of other signs than letters, digits and ./_-: name another")]
     Name(Directory),
     /// The host refused an operation.
     #[error("cannot {doing}: {kind}")]
-    Host {
-        /// The operation.
-        doing: &'static str,
-        /// The kind of the failure.
-        kind: io::ErrorKind,
-    },
+    Host { doing: &'static str, kind: io::ErrorKind },
 }
 
 /// A directory that a machine works with.
@@ -142,12 +127,10 @@ impl Options {
 
     /// Visible paths that lie below file systems of the machine's own.
     pub(crate) fn hidden(&self) -> Vec<PathBuf> {
-        let program = self.command.first();
-        let program = program.filter(|program| program.as_bytes().contains(&b'/'));
+        let program = self.command.first().filter(|program| program.as_bytes().contains(&b'/'));
         let program = program.map(|program| self.directory.join(program));
         let program = program.as_deref().and_then(Path::parent);
-        let directories = self.visible.iter().map(PathBuf::as_path);
-        let directories = directories.chain([self.directory.as_path()]).chain(program);
+        let directories = self.visible.iter().map(PathBuf::as_path).chain([self.directory.as_path()]).chain(program);
         let is_hidden = |place: &&Path| HIDDEN.iter().any(|hidden| place.starts_with(hidden));
         directories.filter(is_hidden).map(Path::to_owned).collect()
     }
@@ -266,10 +249,7 @@ pub(crate) fn command_script(options: &Options, output: &Path) -> Vec<u8> {
     let output = ("MRROC_OUT".into(), output.as_os_str().to_owned());
     for (name, value) in [&output].into_iter().chain(&options.env) {
         script.push(b' ');
-        let mut setting = name.clone();
-        setting.push("=");
-        setting.push(value);
-        script.extend(quoted(&setting));
+        script.extend(quoted(&[name.as_os_str(), value].join(OsStr::new("="))));
     }
     for word in &options.command {
         script.push(b' ');

@@ -30,20 +30,18 @@ pub struct Pty {
 
 /// Reasons why a pseudo-terminal could not be opened, or not under the requested name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "the message says it")]
 pub enum PtyError {
-    /// The system has no free pseudo-terminal.
     #[error("no pseudo-terminal can be opened (errno {0})")]
     Open(i32),
     /// The name belongs to a file that is no symbolic link. The file was left unchanged.
     #[error("the name is taken by something that is no symbolic link")]
     NameTaken,
-    /// The name links to the terminal of another emulator.
     #[error("the name links to a terminal that is in use; end the emulator it belongs to, or remove the link")]
     InUse,
     /// The name links to a target other than a pseudo-terminal. The link was left unchanged.
     #[error("the name is a link that no emulator made; remove the link, or choose another name")]
     ForeignLink,
-    /// The symbolic link could not be made.
     #[error("the symbolic link cannot be made (errno {0})")]
     Link(i32),
 }
@@ -182,16 +180,14 @@ fn make_raw(slave: &File) -> io::Result<()> {
     // SAFETY: a valid termios to be changed.
     unsafe { libc::cfmakeraw(&raw mut settings) };
     // SAFETY: a valid termios to be read.
-    checked(unsafe { libc::tcsetattr(fd, libc::TCSANOW, &raw const settings) })?;
-    Ok(())
+    checked(unsafe { libc::tcsetattr(fd, libc::TCSANOW, &raw const settings) }).map(drop)
 }
 
 /// Marks the terminal as used by an emulator while `slave` is open. The `flock` of hosts is another lock.
 fn hold(slave: &File) -> io::Result<()> {
     let lock = write_lock();
     // SAFETY: a valid lock to be read.
-    checked(unsafe { libc::fcntl(slave.as_raw_fd(), libc::F_OFD_SETLK, &raw const lock) })?;
-    Ok(())
+    checked(unsafe { libc::fcntl(slave.as_raw_fd(), libc::F_OFD_SETLK, &raw const lock) }).map(drop)
 }
 
 /// The target of `link`, if no running emulator uses that terminal. `found` is the metadata of the link itself.

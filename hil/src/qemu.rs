@@ -45,23 +45,20 @@ const MODULES: [&str; 17] = [
 
 /// Reasons why a test machine did not deliver the exit status of its command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "the message says it")]
 pub enum QemuError {
-    /// QEMU is not installed.
     #[error("{QEMU} is missing: `apt-get install qemu-system-x86`")]
     QemuMissing,
     /// BusyBox is not installed, or needs shared libraries, which the booting machine does not have.
     #[error("no static {BUSYBOX}: `apt-get install busybox-static`")]
     BusyboxMissing,
-    /// The directory contains no kernel.
     #[error(
         "no PREEMPT_RT kernel: `apt-get download` the package that linux-image-rt-amd64 depends on and unpack \
          it with `dpkg -x PACKAGE target/qemu`"
     )]
     KernelMissing,
-    /// The kernel lacks one of the modules that the machine needs.
     #[error("the PREEMPT_RT kernel has no module {0}.ko: that of Debian 12 has it")]
     ModuleMissing(&'static str),
-    /// The machine did not run to its end.
     #[error(transparent)]
     Machine(#[from] MachineError),
 }
@@ -113,11 +110,7 @@ impl Kernel {
     }
 }
 
-/// Boots a test machine, runs the command in it and returns the exit status of the command (128 + n if signal n ended
-/// the command).
-///
-/// Both output streams of the command go to `stdout` as they arrive. If the boot fails, the boot messages also go to
-/// `stdout`.
+/// Runs the command as [`uml::run`](crate::uml::run) does. The output of the command goes to `stdout` as it arrives.
 pub fn run(kernel: &Kernel, options: &Options, stdout: &mut dyn Write) -> Result<u8, QemuError> {
     let control = Control::new("qemu", options.output.as_deref())?;
     let machine = machine(control, kernel, options).map_err(host("start the test machine"))?;
@@ -158,16 +151,13 @@ fn machine(control: Control, kernel: &Kernel, options: &Options) -> io::Result<M
     let log = boot_log(&control);
     let words = |words: &str| words.split(' ').map(OsString::from).collect::<Vec<_>>();
     let option = |name: &str, value: OsString| vec![name.into(), value];
-    let image = kernel.image.clone().into_os_string();
-    let initramfs = control.path.join("initramfs").into_os_string();
-    let kernel_command = "console=ttyS0 quiet panic=-1 mitigations=off";
     let command = [
         vec![QEMU.into()],
         words("-accel tcg -smp 1 -nodefaults -no-reboot -display none -monitor none"),
         option("-m", options.memory_mib.to_string().into()),
-        option("-kernel", image),
-        option("-initrd", initramfs),
-        option("-append", kernel_command.into()),
+        option("-kernel", kernel.image.clone().into()),
+        option("-initrd", control.path.join("initramfs").into()),
+        option("-append", "console=ttyS0 quiet panic=-1 mitigations=off".into()),
         words("-object can-bus,id=bus -device kvaser_pci,canbus=bus -device kvaser_pci,canbus=bus"),
         option("-chardev", setting("file,id=log,append=on,path=", &log, "")),
         words("-serial chardev:log -chardev stdio,id=output,signal=off"),
@@ -178,8 +168,7 @@ fn machine(control: Control, kernel: &Kernel, options: &Options) -> io::Result<M
     ]
     .concat();
     let log = File::options().create(true).append(true).open(&log)?;
-    let cancellation = &options.cancellation;
-    Machine::new(control, command, Some(log), read_pieces, cancellation)
+    Machine::new(control, command, Some(log), read_pieces, &options.cancellation)
 }
 
 fn read_pieces(mut output: PipeReader, take: &mut dyn FnMut(Vec<u8>) -> bool) {

@@ -19,8 +19,7 @@
 use std::collections::VecDeque;
 
 use can::slcan::{AdapterReport, BusErrors, Command, Piece, Splitter, StatusFlags};
-use can::timing::Bitrate;
-use can::{ControllerState, Frame, Id, Instant};
+use can::{ControllerState, Frame, Id, Instant, timing::Bitrate};
 
 use crate::Device;
 
@@ -128,19 +127,17 @@ impl SlcanDevice {
         {
             let dropped = self.splitter.dropped();
             let command = match self.splitter.push(byte) {
-                Some(Piece::Line(line)) => Some(Command::parse(line)),
-                Some(Piece::Bell) | None => None,
-            };
-            let command = match command {
-                Some(parsed) => parsed.ok(),
-                None if self.splitter.dropped() != dropped => None,
-                None => continue,
+                Some(Piece::Line(line)) => Command::parse(line).ok(),
+                Some(Piece::Bell) | None => {
+                    if self.splitter.dropped() == dropped {
+                        continue;
+                    }
+                    None
+                }
             };
             let answer = command.map_or(AdapterReport::Refused, |command| self.obey(command, now));
             self.counts.refused += u64::from(answer == AdapterReport::Refused);
-            if !self.say(&answer, TO_HOST) {
-                self.counts.unsaid += 1;
-            }
+            self.counts.unsaid += u64::from(!self.say(&answer, TO_HOST));
         }
     }
 
@@ -184,8 +181,7 @@ impl SlcanDevice {
             self.to_bus.clear();
         }
         if self.state != before {
-            let state = AdapterReport::State { state: self.state, receive, transmit };
-            self.volunteer(&state);
+            self.volunteer(&AdapterReport::State { state: self.state, receive, transmit });
         }
     }
 
@@ -201,9 +197,7 @@ impl SlcanDevice {
         let closed = self.channel == Channel::Closed;
         match command {
             Command::Empty | Command::LineSpeed(_) => {}
-            Command::Bitrate(bitrate) if closed => {
-                self.in_tune = Some(bitrate == self.bus);
-            }
+            Command::Bitrate(bitrate) if closed => self.in_tune = Some(bitrate == self.bus),
             Command::BitTiming { btr0, btr1 } if closed => {
                 self.in_tune = Some(nanos_per_bit(btr0, btr1) == 1_000_000 / self.bus.kbps());
             }
@@ -222,15 +216,11 @@ impl SlcanDevice {
             Command::Loopback => return self.open(Channel::Loopback),
             Command::Close => self.close(),
             Command::Transmit(frame) => return self.transmit(frame, now),
-            Command::Version => {
-                return AdapterReport::Version { hardware: 0x10, software: 0x10 };
-            }
+            Command::Version => return AdapterReport::Version { hardware: 0x10, software: 0x10 },
             Command::Firmware => return AdapterReport::Firmware { major: 1, minor: 0 },
             Command::SerialNumber => return AdapterReport::SerialNumber(*b"HIL1"),
             Command::Flags => return AdapterReport::Flags(std::mem::take(&mut self.flags)),
-            Command::Poll | Command::PollAll if closed || self.auto_poll => {
-                return AdapterReport::Refused;
-            }
+            Command::Poll | Command::PollAll if closed || self.auto_poll => return AdapterReport::Refused,
             Command::Poll => return self.to_poll.pop_front().unwrap_or(AdapterReport::Done),
             Command::PollAll => {
                 while let Some(&report) = self.to_poll.front()
@@ -268,9 +258,7 @@ impl SlcanDevice {
             _ if self.state == ControllerState::BusOff => return AdapterReport::Refused,
             Channel::Closed | Channel::ListenOnly => return AdapterReport::Refused,
             Channel::Loopback => self.report(frame, now),
-            Channel::Open if self.in_tune == Some(false) => {
-                self.set_error_counters(self.receive_errors, 256);
-            }
+            Channel::Open if self.in_tune == Some(false) => self.set_error_counters(self.receive_errors, 256),
             Channel::Open => self.to_bus.push_back(frame),
         }
         self.counts.sent += 1;
@@ -283,9 +271,7 @@ impl SlcanDevice {
         let stamp = self.time_stamps.then_some(millis as u16);
         let report = AdapterReport::Received { frame, stamp };
         if self.auto_poll {
-            if self.volunteer(&report) {
-                self.counts.received += 1;
-            }
+            self.counts.received += u64::from(self.volunteer(&report));
         } else if self.to_poll.len() < TO_POLL {
             self.to_poll.push_back(report);
             self.counts.received += 1;

@@ -34,14 +34,12 @@ const BOOT_LOG_BYTES: usize = 64 << 10;
 
 /// Reasons why a test machine did not deliver the exit status of its command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "the message says it")]
 pub enum UmlError {
-    /// The kernel is not installed.
     #[error("{KERNEL} is missing: `apt-get install user-mode-linux`")]
     KernelMissing,
-    /// The kernel's CAN modules are not installed.
     #[error("no CAN modules in {MODULES}: `apt-get install user-mode-linux`")]
     ModulesMissing,
-    /// The machine did not run to its end.
     #[error(transparent)]
     Machine(#[from] MachineError),
 }

@@ -24,16 +24,12 @@
 //! deadline. No frame of the host is sent before that deadline. The port holds received frames back until their own
 //! times.
 
-use std::any::Any;
-use std::time::Duration;
+use std::{any::Any, time::Duration};
 
-use can::timing::Bitrate;
-use can::{Instant, VirtualPort, virtual_port};
+use can::{Instant, VirtualPort, timing::Bitrate, virtual_port};
 use serial::{Settings, VirtualLine, virtual_line};
 
-use crate::bus::VirtualBus;
-use crate::line::SerialLine;
-use crate::{Device, LineDevice};
+use crate::{Device, LineDevice, bus::VirtualBus, line::SerialLine};
 
 /// Buses and lines with their devices, advanced together. Buses and lines do not influence each other.
 #[derive(Default)]

@@ -1,12 +1,14 @@
-//! The drive that both protocols share.
+//! The drive that both protocols share, and the cabinet of several drives.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::time::Duration;
 
 use can::Instant;
 use serial::nfv2::Gains;
 
-use super::{AxisControllerConfig, Cabinet};
-use crate::{Demand, Feedback, PlantAxis};
+use super::AxisControllerConfig;
+use crate::{Demand, Feedback, PlantAxis, Trip};
 
 const SUB_STEP: Duration = Duration::from_micros(100);
 /// Number of sub-steps between checks of the switches and the index pulse: 1 ms.
@@ -98,11 +100,8 @@ impl Drive {
             self.axis.advance(steps, self.demand());
             self.inner += steps * SUB_STEP;
             self.feedback = self.axis.feedback();
-            match self.feedback.trip {
-                Some(crate::Trip::OverCurrent) => self.faults.over_current = true,
-                Some(crate::Trip::OverTemperature) => self.faults.power_stage = true,
-                None => {}
-            }
+            self.faults.over_current |= self.feedback.trip == Some(Trip::OverCurrent);
+            self.faults.power_stage |= self.feedback.trip == Some(Trip::OverTemperature);
             if self.search == Search::Armed
                 && let Some(at) = self.axis.take_index()
             {
@@ -165,13 +164,11 @@ impl Drive {
 
     /// Starts or ends the index search. During the search the next index pulse zeroes the counter.
     pub(super) fn search_index(&mut self, on: bool) {
-        match (on, self.search) {
-            (true, Search::Off) => {
-                self.axis.take_index();
-                self.search = Search::Armed;
-            }
-            (false, _) => self.search = Search::Off,
-            (true, Search::Armed | Search::Found) => {}
+        if !on {
+            self.search = Search::Off;
+        } else if self.search == Search::Off {
+            self.axis.take_index();
+            self.search = Search::Armed;
         }
     }
 
@@ -201,5 +198,43 @@ impl Drive {
     /// The faults that both protocols report. An open stop is shown as a fault of the power stage.
     pub(super) fn faults(&self) -> Faults {
         Faults { power_stage: self.faults.power_stage || self.cabinet.is_open(self.inner), ..self.faults }
+    }
+}
+
+/// Drives that share one emergency stop. The stop is open while any of the drives is in error. Clones refer to the
+/// same cabinet. All drives of a cabinet belong to one world.
+#[derive(Clone, Debug, Default)]
+pub struct Cabinet(Arc<Stop>);
+
+/// The order of the two atomics does not matter: one thread moves all drives of a world.
+#[derive(Debug, Default)]
+struct Stop {
+    in_error: AtomicU32,
+    /// Time of the last opening or closing, ns.
+    changed: AtomicU64,
+}
+
+impl Cabinet {
+    fn enter_error(&self, now: Instant) {
+        if self.0.in_error.fetch_add(1, Ordering::Relaxed) == 0 {
+            self.change(now);
+        }
+    }
+
+    fn leave_error(&self, now: Instant) {
+        if self.0.in_error.fetch_sub(1, Ordering::Relaxed) == 1 {
+            self.change(now);
+        }
+    }
+
+    fn change(&self, now: Instant) {
+        self.0.changed.store(now.as_nanos(), Ordering::Relaxed);
+    }
+
+    /// Whether the stop is open at `at`, which may be past for a lagging drive, back to the last change but one.
+    fn is_open(&self, at: Instant) -> bool {
+        let open = self.0.in_error.load(Ordering::Relaxed) > 0;
+        let changed = self.0.changed.load(Ordering::Relaxed);
+        open == (at.as_nanos() >= changed)
     }
 }

@@ -65,12 +65,8 @@ fn obey(drive: &mut Drive, command: Command, answer: FrameBuilder) -> FrameBuild
         Command::SetSpeed(_) | Command::SetPosition(_) => {}
         Command::SetMaxCurrent(current) => drive.set_max_current(current),
         Command::SetMisc(bits) => {
-            if bits & Command::SET_SYNCHRONIZED != 0 {
-                drive.synchronized = true;
-            }
-            if bits & Command::RESET_SYNCHRONIZED != 0 {
-                drive.synchronized = false;
-            }
+            drive.synchronized |= bits & Command::SET_SYNCHRONIZED != 0;
+            drive.synchronized &= bits & Command::RESET_SYNCHRONIZED == 0;
         }
         Command::SetCurrentRegulator(gains) => drive.set_current_gains(gains),
         Command::ReadPosition => return answer.answer(Answer::Position(drive.position())),

@@ -12,24 +12,20 @@
 //! * Cyclic modes ignore halt.
 
 mod modes;
-mod slots;
 mod standstill;
 mod status;
 
-pub(super) use slots::ABORT_CONNECTION_OPTION;
-
+use canopen::Object;
 use canopen::cia402::{Controlword, ModeOfOperation, PowerCommand, PowerState};
 
-use super::Epos4Config;
 use super::errors::{self, Error, Reaction};
-use super::homing::Search;
-use super::objects::Objects;
 use super::power::{Brake, Options, Transition, on_command, on_fault};
-use super::profile::Motion;
-use crate::plant::SUB_STEP;
-use crate::{Demand, Feedback, PlantAxis, Trip};
-use slots::*;
+use super::table::{Slot, slot};
+use super::{Epos4Config, homing::Search, objects::Objects, profile::Motion};
+use crate::{Demand, Feedback, PlantAxis, Trip, plant::SUB_STEP};
 use standstill::Standstill;
+
+const POSITION_WINDOW: Slot = Slot::of(Object::new(0x6067, 0));
 
 /// Sub-steps of a whole chunk: 1 ms.
 pub(super) const CHUNK: u32 = 10;
@@ -154,7 +150,7 @@ impl Drive {
 
     /// Applies object 0x6060.
     pub(super) fn change_mode(&mut self, objects: &mut Objects) {
-        let mode = ModeOfOperation::from_raw(objects.i(MODE_OF_OPERATION) as i8);
+        let mode = ModeOfOperation::from_raw(objects.i(slot!(MODE_OF_OPERATION)) as i8);
         if mode == self.mode {
             return;
         }
@@ -170,7 +166,7 @@ impl Drive {
     /// Applies object 0x6040. Returns `true` after a successful fault reset.
     pub(super) fn command(&mut self, objects: &mut Objects) -> bool {
         let before = self.controlword;
-        let word = Controlword(objects.u(CONTROLWORD) as u16);
+        let word = Controlword(objects.u(slot!(CONTROLWORD)) as u16);
         self.controlword = word;
         if self.power == PowerState::Fault {
             let edge = word.has(Controlword::RESET) && !before.has(Controlword::RESET);
@@ -213,7 +209,7 @@ impl Drive {
     /// Object 0x6007: the reaction to a lost connection to the host.
     pub(super) fn abort_connection(&mut self, objects: &Objects) {
         let options = options(objects);
-        let transition = match objects.i(ABORT_CONNECTION_OPTION) {
+        let transition = match objects.i(slot!(ABORT_CONNECTION_OPTION)) {
             1 => Some(on_fault(self.power, false, &options)),
             2 => on_command(self.power, PowerCommand::DisableVoltage, &options),
             3 => on_command(self.power, PowerCommand::QuickStop, &options),
@@ -274,11 +270,10 @@ impl Drive {
 
     /// Activates the set-points of the cyclic modes. Called at SYNC, or for a set-point outside SYNC.
     pub(super) fn latch(&mut self, objects: &Objects) -> Option<Error> {
-        let position = self.mode == ModeOfOperation::CyclicSynchronousPosition;
-        if !position || !self.follows() {
+        if self.mode != ModeOfOperation::CyclicSynchronousPosition || !self.follows() {
             return None;
         }
-        let target = objects.f(TARGET_POSITION) + objects.f(POSITION_OFFSET);
+        let target = objects.f(slot!(TARGET_POSITION)) + objects.f(slot!(POSITION_OFFSET));
         if self.beyond_limits(target, objects) {
             return Some(errors::SOFTWARE_LIMIT);
         }
@@ -287,7 +282,7 @@ impl Drive {
     }
 
     fn beyond_limits(&self, target: f64, objects: &Objects) -> bool {
-        let (min, max) = (objects.f(MIN_POSITION_LIMIT), objects.f(MAX_POSITION_LIMIT));
+        let (min, max) = (objects.f(slot!(MIN_POSITION_LIMIT)), objects.f(slot!(MAX_POSITION_LIMIT)));
         self.referenced && (min != 0.0 || max != 0.0) && !(min..=max).contains(&target)
     }
 
@@ -340,24 +335,21 @@ impl Drive {
         }
         let felt = matches!(self.homing, Homing::Searching(search) if search.feels_for_stop());
         let late = (self.motion.position - self.position()).abs();
-        let window = objects.f(FOLLOWING_ERROR_WINDOW);
+        let window = objects.f(slot!(FOLLOWING_ERROR_WINDOW));
         if matches!(demand, Demand::Position { .. }) && !felt && late > window {
             self.following_error = true;
             return Some(errors::FOLLOWING);
         }
-        if homing || !matches!(self.mode, ModeOfOperation::ProfilePosition) {
-            return None;
-        }
-        let target = self.profile.active?;
+        let target = self.profile.active.filter(|_| self.mode == ModeOfOperation::ProfilePosition)?;
         self.beyond_limits(target, objects).then_some(errors::SOFTWARE_LIMIT)
     }
 }
 
 fn options(objects: &Objects) -> Options {
     Options {
-        quick_stop: objects.i(QUICK_STOP_OPTION),
-        shutdown: objects.i(SHUTDOWN_OPTION),
-        disable_operation: objects.i(DISABLE_OPERATION_OPTION),
-        fault_reaction: objects.i(FAULT_REACTION_OPTION),
+        quick_stop: objects.i(slot!(QUICK_STOP_OPTION)),
+        shutdown: objects.i(slot!(SHUTDOWN_OPTION)),
+        disable_operation: objects.i(slot!(DISABLE_OPERATION_OPTION)),
+        fault_reaction: objects.i(slot!(FAULT_REACTION_OPTION)),
     }
 }

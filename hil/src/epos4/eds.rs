@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use canopen::eds::{Access, DataType, DeviceInfo, Eds, Entry, FileInfo, ObjectType, Value, Variable};
-use canopen::objects as named;
+use canopen::{objects as named, pdo::PdoKind};
 
-use super::objects::DUMMIES;
+use super::objects::{DUMMIES, Place, pdo_parameter};
 use super::table::{self, TABLE};
 use super::{Epos4, Epos4Config, identity};
 
@@ -44,18 +44,15 @@ const STATEMENTS: &[&str] = &[
 /// Names of objects, at sub-index 0, and of their sub-indices, as far as [`named::TABLE`] does not give them.
 const NAMES: &[(u16, u8, &str)] = &[
     (0x1003, 0, "Error history"),
+    (0x1003, 1, "Error history 1"),
     (0x1010, 0, "Store parameters"),
     (0x1010, 1, "Save all parameters"),
     (0x1011, 0, "Restore default parameters"),
-    (0x1011, 1, "Restore all default parameters"),
     (0x1016, 0, "Consumer heartbeat time"),
     (0x1016, 1, "Consumer 1 heartbeat time"),
     (0x1016, 2, "Consumer 2 heartbeat time"),
     (0x1018, 0, "Identity object"),
     (0x1018, 1, "Vendor ID"),
-    (0x1018, 2, "Product code"),
-    (0x1018, 3, "Revision number"),
-    (0x1018, 4, "Serial number"),
     (0x1029, 0, "Error behavior"),
     (0x1029, 1, "Communication error"),
     (0x1200, 0, "SDO server parameter"),
@@ -67,15 +64,11 @@ const NAMES: &[(u16, u8, &str)] = &[
     (0x2FF0, 1, "Text of the emulator"),
     (0x2FF0, 2, "Bytes for the emulator"),
     (0x3000, 0, "Axis configuration"),
-    (0x3000, 5, "Main sensor resolution"),
     (0x3001, 0, "Motor data"),
-    (0x3001, 1, "Nominal current"),
     (0x3001, 2, "Output current limit"),
-    (0x3001, 5, "Torque constant"),
     (0x30B2, 0, "Current threshold for homing mode"),
     (0x30D1, 0, "Current actual values"),
     (0x30D1, 1, "Current actual value averaged"),
-    (0x30D1, 2, "Current actual value"),
     (0x30E0, 0, "Standstill window configuration"),
     (0x30E0, 1, "Standstill window"),
     (0x30E0, 2, "Standstill window time"),
@@ -89,17 +82,13 @@ const NAMES: &[(u16, u8, &str)] = &[
     (0x607D, 0, "Software position limit"),
     (0x607D, 1, "Min position limit"),
     (0x607D, 2, "Max position limit"),
-    (0x6086, 0, "Motion profile type"),
     (0x6099, 0, "Homing speeds"),
     (0x6099, 1, "Speed for switch search"),
     (0x6099, 2, "Speed for zero search"),
     (0x60A8, 0, "SI unit position"),
     (0x60AA, 0, "SI unit acceleration"),
     (0x60C2, 0, "Interpolation time period"),
-    (0x60C2, 1, "Interpolation time period value"),
-    (0x60C2, 2, "Interpolation time index"),
     (0x60FE, 0, "Digital outputs"),
-    (0x60FE, 1, "Physical outputs"),
     (0x60FE, 2, "Bit mask"),
 ];
 
@@ -167,33 +156,21 @@ fn object_type(index: u16) -> ObjectType {
     let mut objects = TABLE.iter().map(|entry| entry.object);
     if !objects.any(|object| object.index == index && object.subindex > 0) {
         ObjectType::Variable
-    } else if RECORDS.contains(&index) || pdo(index).is_some() {
+    } else if RECORDS.contains(&index) || (0x1400..0x1C00).contains(&index) {
         ObjectType::Record
     } else {
         ObjectType::Array
     }
 }
 
-/// Direction, number from 1, and whether the index is that of the mapping.
-fn pdo(index: u16) -> Option<(&'static str, u16, bool)> {
-    let number = (index & 0x1FF) + 1;
-    match index {
-        0x1400..=0x15FF => Some(("Rx", number, false)),
-        0x1600..=0x17FF => Some(("Rx", number, true)),
-        0x1800..=0x19FF => Some(("Tx", number, false)),
-        0x1A00..=0x1BFF => Some(("Tx", number, true)),
-        _ => None,
-    }
-}
-
 fn object_name(entry: &table::Entry) -> String {
     let index = entry.object.index;
-    match (known(index, 0), pdo(index)) {
+    match (known(index, 0), pdo_parameter(entry.object)) {
         (Some(name), _) => name.to_owned(),
-        (None, Some((kind, number, mapping))) => {
-            let way = if kind == "Rx" { "Receive" } else { "Transmit" };
-            let what = if mapping { "mapping" } else { "parameter" };
-            format!("{way} PDO {number} {what}")
+        (None, Some((kind, number, place))) => {
+            let way = if kind == PdoKind::Rpdo { "Receive" } else { "Transmit" };
+            let what = if matches!(place, Place::Mapping(_)) { "mapping" } else { "parameter" };
+            format!("{way} PDO {} {what}", number.offset() + 1)
         }
         (None, None) => named_object(entry),
     }
@@ -214,21 +191,21 @@ fn variable_name(entry: &table::Entry) -> String {
     if object_type(index) == ObjectType::Variable {
         return object_name(entry);
     }
-    if let Some((kind, number, mapping)) = pdo(index) {
-        return match (mapping, subindex) {
-            (false, 0) => "Highest sub-index supported".to_owned(),
-            (false, _) => {
-                let what = COMMUNICATION.get(usize::from(subindex) - 1);
-                format!("{} {kind}PDO {number}", what.unwrap_or(&"Parameter of"))
-            }
-            (true, 0) => format!("Number of mapped objects in {kind}PDO {number}"),
-            (true, _) => format!("Mapped object {subindex} in {kind}PDO {number}"),
+    if let Some((kind, number, place)) = pdo_parameter(entry.object) {
+        let kind = if kind == PdoKind::Rpdo { "Rx" } else { "Tx" };
+        let number = number.offset() + 1;
+        return match place {
+            Place::Communication(0) => "Highest sub-index supported".to_owned(),
+            Place::Communication(at) => format!("{} {kind}PDO {number}", COMMUNICATION[usize::from(at) - 1]),
+            Place::Mapping(0) => format!("Number of mapped objects in {kind}PDO {number}"),
+            Place::Mapping(at) => format!("Mapped object {at} in {kind}PDO {number}"),
         };
     }
     match (entry.object, known(index, subindex)) {
         (named::ERROR_HISTORY_COUNT, _) => "Number of errors".to_owned(),
         _ if subindex == 0 => "Highest sub-index supported".to_owned(),
         (_, Some(name)) => name.to_owned(),
+        (object, None) if object.name().is_some() => named_object(entry),
         (_, None) => format!("{} {subindex}", object_name(entry)),
     }
 }

@@ -3,12 +3,9 @@
 //! EMCY announces an error once: when the error occurs, or later when the node may send EMCY. EMCY 0x0000 announces
 //! the end of the last error (CiA 301 §7.2.7).
 
-use can::Frame;
-use canopen::emcy::{Emergency, ErrorRegister};
-use canopen::{NodeId, objects as named};
+use canopen::emcy::ErrorRegister;
 
-use super::objects::Objects;
-use super::table::Slot;
+use super::{objects::Objects, table::slot};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Reaction {
@@ -72,9 +69,6 @@ pub(super) struct Errors {
     announced: bool,
 }
 
-const REGISTER: Slot = Slot::of(named::ERROR_REGISTER);
-const LAST_CODE: Slot = Slot::of(named::ERROR_CODE);
-
 impl Errors {
     /// Adds an error, unless the error is already present.
     pub(super) fn raise(&mut self, error: Error, objects: &mut Objects) {
@@ -85,7 +79,7 @@ impl Errors {
             *place = Some((error, false));
         }
         objects.push_history(error.code);
-        objects.set(LAST_CODE, u32::from(error.code));
+        objects.set(slot!(ERROR_CODE), u32::from(error.code));
         self.write_register(objects);
     }
 
@@ -95,7 +89,7 @@ impl Errors {
         }
         self.write_register(objects);
         if !self.any() {
-            objects.set(LAST_CODE, 0);
+            objects.set(slot!(ERROR_CODE), 0);
         }
     }
 
@@ -109,7 +103,7 @@ impl Errors {
         for (error, announced) in self.present.iter_mut().flatten() {
             *announced = false;
             objects.push_history(error.code);
-            objects.set(LAST_CODE, u32::from(error.code));
+            objects.set(slot!(ERROR_CODE), u32::from(error.code));
         }
         self.write_register(objects);
     }
@@ -135,11 +129,6 @@ impl Errors {
         let register = self.errors().fold(ErrorRegister::default(), |register, error| {
             register.with(ErrorRegister::GENERIC).with(error.register)
         });
-        objects.set(REGISTER, u32::from(register.0));
+        objects.set(slot!(ERROR_REGISTER), u32::from(register.0));
     }
-}
-
-/// The EMCY with this `code`; 0 means no error.
-pub(super) fn emergency(node: NodeId, code: u16, objects: &Objects) -> Frame {
-    Emergency { node, code, error_register: ErrorRegister(objects.u(REGISTER) as u8), vendor: [0; 5] }.encode()
 }

@@ -7,15 +7,12 @@
 use std::time::Duration;
 
 use can::Instant;
-use canopen::{NodeId, objects as named};
+use canopen::NodeId;
 
-use super::objects::Objects;
-use super::table::Slot;
+use super::{objects::Objects, table::slot};
 
 /// Number of entries of the object.
 pub(super) const ENTRIES: usize = 2;
-
-const FIRST: Slot = Slot::of(named::CONSUMER_HEARTBEAT_1);
 
 /// The node-ID and the time of an entry; `None` for an unused entry.
 pub(super) fn watched(entry: u32) -> Option<(NodeId, Duration)> {
@@ -40,7 +37,7 @@ impl Consumers {
     pub(super) fn read(&mut self, objects: &Objects) -> [bool; ENTRIES] {
         std::array::from_fn(|number| {
             let consumer = &mut self.0[number];
-            let watched = watched(objects.u(FIRST.plus(number as u16)));
+            let watched = watched(objects.u(slot!(CONSUMER_HEARTBEAT_1).plus(number as u16)));
             let same = |node: Option<(NodeId, Duration)>| node.map(|(node, _)| node);
             if same(consumer.watched) == same(watched) {
                 consumer.watched = watched;

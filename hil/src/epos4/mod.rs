@@ -35,13 +35,11 @@ mod table;
 #[cfg(test)]
 mod tests;
 
-use std::collections::VecDeque;
-use std::time::Duration;
+use std::{collections::VecDeque, time::Duration};
 
 use can::{Frame, Instant};
-use canopen::heartbeat::Heartbeat;
 use canopen::pdo::{PdoKind, PdoNumber};
-use canopen::{NodeId, cob, nmt, objects as named, sdo};
+use canopen::{NodeId, cob, heartbeat::Heartbeat, nmt, sdo};
 
 use crate::{Device, PlantAxis};
 pub use config::Epos4Config;
@@ -51,7 +49,7 @@ use heartbeats::Consumers;
 use lss::Lss;
 use objects::Objects;
 use pdo::Pdos;
-use table::Slot;
+use table::{Slot, slot};
 
 const SUB_STEP: Duration = Duration::from_micros(100);
 /// Longest interval between two advances of the drive.
@@ -73,14 +71,14 @@ fn identity(config: &Epos4Config) -> [(Slot, u32); 8] {
     let torque_constant = (rated / f64::from(nominal) * 1e9).round() as u32;
     let counts = config.axis.counts_per_revolution;
     [
-        (Slot::of(named::VENDOR_ID), config.vendor),
-        (Slot::of(named::PRODUCT_CODE), config.product),
-        (Slot::of(named::REVISION), config.revision),
-        (Slot::of(named::SERIAL_NUMBER), config.serial),
-        (Slot::of(named::EPOS4_MAIN_SENSOR_RESOLUTION), config.main_sensor_resolution.unwrap_or(counts)),
-        (Slot::of(named::EPOS4_NOMINAL_CURRENT), nominal),
-        (Slot::of(named::EPOS4_NOMINAL_CURRENT).plus(1), milliamps(amps)),
-        (Slot::of(named::EPOS4_TORQUE_CONSTANT), torque_constant),
+        (slot!(VENDOR_ID), config.vendor),
+        (slot!(PRODUCT_CODE), config.product),
+        (slot!(REVISION), config.revision),
+        (slot!(SERIAL_NUMBER), config.serial),
+        (slot!(EPOS4_MAIN_SENSOR_RESOLUTION), config.main_sensor_resolution.unwrap_or(counts)),
+        (slot!(EPOS4_NOMINAL_CURRENT), nominal),
+        (slot!(EPOS4_NOMINAL_CURRENT).plus(1), milliamps(amps)),
+        (slot!(EPOS4_TORQUE_CONSTANT), torque_constant),
     ]
 }
 
@@ -181,10 +179,7 @@ impl Epos4 {
             return;
         }
         self.objects.nmt = state;
-        self.pdos = match state {
-            nmt::NmtState::Operational => Pdos::read(&self.objects),
-            _ => Pdos::NONE,
-        };
+        self.pdos = if state == nmt::NmtState::Operational { Pdos::read(&self.objects) } else { Pdos::NONE };
         if state == nmt::NmtState::Stopped {
             self.server.reset();
             self.answer = None;
@@ -350,12 +345,9 @@ impl Epos4 {
             self.block_at,
             self.server.poll_timeout(),
             self.pdos.poll_timeout(),
+            Some(self.next_control()),
         ];
-        let mut first = self.next_control();
-        for timer in timers {
-            first = timer.map_or(first, |at| first.min(at));
-        }
-        self.wake_at = Some(first);
+        self.wake_at = timers.into_iter().flatten().min();
     }
 }
 
@@ -368,12 +360,9 @@ fn append(queue: &mut VecDeque<Frame>, frame: Frame) {
 
 impl Device for Epos4 {
     fn handle(&mut self, frame: &Frame, now: Instant) {
-        let Some(id) = frame.standard_data_id() else {
+        let Some(id) = frame.standard_data_id().filter(|_| self.boots_at.is_none()) else {
             return;
         };
-        if self.boots_at.is_some() {
-            return;
-        }
         if id == cob::LSS_REQUEST {
             self.configure(frame, now);
             self.schedule();
@@ -398,12 +387,14 @@ impl Device for Epos4 {
                 return;
             }
             self.serve(frame, node, now);
-        } else if !self.receive_pdo(frame, now) {
+        } else if !self.receive_pdo(id, frame.data(), now) {
             // All other frames are ignored, except heartbeats of monitored nodes.
             let Some(heartbeat) = Heartbeat::decode(frame) else {
                 return;
             };
-            self.hear(heartbeat, now);
+            if let Some(number) = self.consumers.hear(heartbeat.node, now) {
+                self.regain(errors::HEARTBEAT.of(number));
+            }
         }
         self.schedule();
     }
@@ -425,9 +416,7 @@ impl Device for Epos4 {
         if self.boots_at.is_some_and(|at| at <= now) {
             self.boot(now);
         }
-        if self.answer.is_some_and(|(at, _)| at <= now)
-            && let Some((_, frame)) = self.answer.take()
-        {
+        if let Some((_, frame)) = self.answer.take_if(|(at, _)| *at <= now) {
             self.send(frame);
         }
         self.block_at = self.block_at.filter(|at| *at > now);

@@ -5,14 +5,12 @@
 //! COB-ID off (bit 31), count to 0, entries, count, COB-ID on. Stored values live as long as the emulator.
 
 use canopen::cia402::{HomingMethod, ModeOfOperation, SupportedModes};
-use canopen::eds::DataType;
-use canopen::objects as named;
 use canopen::pdo::{Entry as MapEntry, PdoCobId, PdoKind, PdoNumber};
 use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE};
-use canopen::{NodeId, Object, cob, nmt};
+use canopen::{NodeId, Object, cob, eds::DataType, nmt, objects as named};
 
 use super::heartbeats::{ENTRIES, watched};
-use super::table::{ROWS, Slot, TABLE};
+use super::table::{ROWS, Slot, TABLE, slot};
 
 /// "save", the password of object 0x1010.
 const SAVE: u32 = 0x6576_6173;
@@ -128,7 +126,7 @@ impl Objects {
 
     /// Stores an error as the newest entry of the history.
     pub(super) fn push_history(&mut self, code: u16) {
-        const COUNT: Slot = Slot::of(named::ERROR_HISTORY_COUNT);
+        const COUNT: Slot = slot!(ERROR_HISTORY_COUNT);
         for sub in (1..HISTORY).rev() {
             let older = self.u(COUNT.plus(sub));
             self.set(COUNT.plus(sub + 1), older);
@@ -149,8 +147,8 @@ impl Objects {
                 changes.setpoint = true;
             }
             // One object has two addresses, CiA's and maxon's.
-            named::HOME_OFFSET => self.set(Slot::of(named::EPOS4_HOME_OFFSET_MOVE), value),
-            named::EPOS4_HOME_OFFSET_MOVE => self.set(Slot::of(named::HOME_OFFSET), value),
+            named::HOME_OFFSET => self.set(slot!(EPOS4_HOME_OFFSET_MOVE), value),
+            named::EPOS4_HOME_OFFSET_MOVE => self.set(slot!(HOME_OFFSET), value),
             _ => match object.index {
                 0x1400..=0x17FF => changes.received[usize::from(object.index & 3)] = true,
                 0x1800..=0x1BFF => changes.transmitted[usize::from(object.index & 3)] = true,
@@ -164,24 +162,23 @@ impl Objects {
     /// Checks that forbid writing `value`, beyond access, length and limits.
     fn refuse(&mut self, slot: Slot, value: u32) -> Result<(), AbortCode> {
         let object = slot.entry().object;
+        let in_range = match object {
+            named::ERROR_HISTORY_COUNT => value == 0,
+            named::MODE_OF_OPERATION => supported(value),
+            named::HOMING_METHOD => HomingMethod::EPOS4.contains(&HomingMethod(value as i32 as i8)),
+            // Revolutions per minute, from 1 down to 1e-6.
+            named::VELOCITY_UNIT => {
+                value & 0x00FF_FFFF == 0x00B4_4700 && (-6..=0).contains(&((value >> 24) as u8 as i8))
+            }
+            _ => true,
+        };
+        if !in_range {
+            return Err(AbortCode::VALUE_RANGE);
+        }
         match object {
-            named::ERROR_HISTORY_COUNT if value != 0 => Err(AbortCode::VALUE_RANGE),
             named::STORE_ALL | named::RESTORE_ALL => self.store_or_restore(object, value),
             Object { index: 0x1016, .. } => self.refuse_consumer(slot, value),
-            named::MODE_OF_OPERATION if !supported(value) => Err(AbortCode::VALUE_RANGE),
-            named::HOMING_METHOD if !HomingMethod::EPOS4.contains(&HomingMethod(value as i32 as i8)) => {
-                Err(AbortCode::VALUE_RANGE)
-            }
-            // Revolutions per minute, from 1 down to 1e-6.
-            named::VELOCITY_UNIT
-                if value & 0x00FF_FFFF != 0x00B4_4700 || !(-6..=0).contains(&((value >> 24) as u8 as i8)) =>
-            {
-                Err(AbortCode::VALUE_RANGE)
-            }
-            _ => match pdo_parameter(object) {
-                Some(parameter) => self.refuse_pdo(parameter, slot, value),
-                None => Ok(()),
-            },
+            _ => pdo_parameter(object).map_or(Ok(()), |parameter| self.refuse_pdo(parameter, slot, value)),
         }
     }
 
@@ -190,7 +187,7 @@ impl Objects {
         let Some((node, _)) = watched(value) else {
             return Ok(());
         };
-        let others = (0..ENTRIES).map(|number| Slot::of(named::CONSUMER_HEARTBEAT_1).plus(number as u16));
+        let others = (0..ENTRIES).map(|number| slot!(CONSUMER_HEARTBEAT_1).plus(number as u16));
         let mut others = others.filter(|other| *other != slot).map(|other| watched(self.u(other)));
         if others.any(|other| other.is_some_and(|(other, _)| other == node)) {
             return Err(AbortCode::PARAMETER_INCOMPATIBLE);
@@ -221,31 +218,22 @@ impl Objects {
         value: u32,
     ) -> Result<(), AbortCode> {
         let existing = PdoCobId(self.u(cob_id(kind, number)));
-        let count = self.u(map(kind, number, 0)) as u16;
         match place {
             Place::Communication(1) => {
                 let wanted = PdoCobId(value);
-                if !wanted.is_standard() {
-                    return Err(AbortCode::VALUE_RANGE);
-                }
-                let changed = (value ^ existing.0) & 0x3FFF_FFFF != 0;
+                let changed = existing.is_valid() && (value ^ existing.0) & 0x3FFF_FFFF != 0;
                 let free = wanted.id().is_some_and(|id| !cob::reserved(id));
-                if existing.is_valid() && wanted.is_valid() && changed || wanted.is_valid() && !free {
-                    return Err(AbortCode::VALUE_RANGE);
-                }
+                let allowed = wanted.is_standard() && (!wanted.is_valid() || free && !changed);
+                allowed.then_some(()).ok_or(AbortCode::VALUE_RANGE)
             }
-            Place::Communication(2) if (241..=253).contains(&value) => {
-                return Err(AbortCode::VALUE_RANGE);
-            }
-            Place::Communication(3) if existing.is_valid() => {
-                return Err(AbortCode::DEVICE_STATE);
-            }
-            Place::Communication(_) => {}
+            Place::Communication(2) if (241..=253).contains(&value) => Err(AbortCode::VALUE_RANGE),
+            Place::Communication(3) if existing.is_valid() => Err(AbortCode::DEVICE_STATE),
+            Place::Communication(_) => Ok(()),
             Place::Mapping(_) if existing.is_valid() || self.nmt == nmt::NmtState::Operational => {
-                return Err(AbortCode::DEVICE_STATE);
+                Err(AbortCode::DEVICE_STATE)
             }
             // Every object takes at least one byte.
-            Place::Mapping(0) if value > 8 => return Err(AbortCode::PDO_LENGTH),
+            Place::Mapping(0) if value > 8 => Err(AbortCode::PDO_LENGTH),
             Place::Mapping(0) => {
                 let mut bits = 0;
                 for sub in 1..=value as u16 {
@@ -253,16 +241,11 @@ impl Objects {
                     mappable(kind, entry)?;
                     bits += u32::from(entry.bits);
                 }
-                if bits > 64 {
-                    return Err(AbortCode::PDO_LENGTH);
-                }
+                if bits > 64 { Err(AbortCode::PDO_LENGTH) } else { Ok(()) }
             }
-            Place::Mapping(_) if count != 0 => return Err(AbortCode::SUBINDEX_LOCKED),
-            Place::Mapping(_) => {
-                mappable(kind, MapEntry::from_raw(value))?;
-            }
+            Place::Mapping(_) if self.u(map(kind, number, 0)) != 0 => Err(AbortCode::SUBINDEX_LOCKED),
+            Place::Mapping(_) => mappable(kind, MapEntry::from_raw(value)).map(|_| ()),
         }
-        Ok(())
     }
 }
 
@@ -306,13 +289,13 @@ fn supported(mode: u32) -> bool {
 }
 
 /// A sub-index of a PDO's parameters.
-enum Place {
+pub(super) enum Place {
     Communication(u8),
     Mapping(u8),
 }
 
 /// The parameter of a PDO that an object holds, if any.
-fn pdo_parameter(object: Object) -> Option<(PdoKind, PdoNumber, Place)> {
+pub(super) fn pdo_parameter(object: Object) -> Option<(PdoKind, PdoNumber, Place)> {
     let number = *PdoNumber::ALL.get(usize::from(object.index & 0xFF))?;
     let sub = object.subindex;
     match object.index & 0xFF00 {
@@ -348,21 +331,18 @@ impl Dictionary for Objects {
     fn read(&mut self, object: Object, into: &mut [u8; MAX_SIZE]) -> Result<usize, AbortCode> {
         let slot = find(object)?;
         let entry = slot.entry();
-        if entry.data_type == DataType::VisibleString {
-            into[..entry.size()].copy_from_slice(entry.text.as_bytes());
-            return Ok(entry.size());
-        }
-        if entry.data_type == DataType::Domain {
-            into[..self.domain.len()].copy_from_slice(&self.domain);
-            return Ok(self.domain.len());
-        }
-        let count = self.u(Slot::of(named::ERROR_HISTORY_COUNT));
+        let count = self.u(slot!(ERROR_HISTORY_COUNT));
         if object.index == named::ERROR_HISTORY_COUNT.index && u32::from(object.subindex) > count {
             return Err(AbortCode::NO_DATA);
         }
-        let size = entry.size();
-        into[..size].copy_from_slice(&self.u(slot).to_le_bytes()[..size]);
-        Ok(size)
+        let number = self.u(slot).to_le_bytes();
+        let bytes = match entry.data_type {
+            DataType::VisibleString => entry.text.as_bytes(),
+            DataType::Domain => &self.domain,
+            _ => &number[..entry.size()],
+        };
+        into[..bytes.len()].copy_from_slice(bytes);
+        Ok(bytes.len())
     }
 
     fn write(&mut self, object: Object, data: &[u8]) -> Result<(), AbortCode> {

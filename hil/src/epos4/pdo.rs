@@ -4,9 +4,7 @@
 //! reads the parameters of that PDO again. No other access to the parameters takes place. A synchronous RPDO waits
 //! for the next SYNC; a second RPDO before that SYNC replaces the first. A synchronous TPDO is sampled at SYNC.
 
-use std::collections::VecDeque;
-use std::ops::Range;
-use std::time::Duration;
+use std::{collections::VecDeque, ops::Range, time::Duration};
 
 use can::{Frame, Instant, StandardId};
 use canopen::pdo::{Entry, PdoCobId, PdoKind, PdoNumber, TransmissionType};
@@ -24,11 +22,9 @@ struct Mapping {
 }
 
 impl Mapping {
-    const EMPTY: Self = Self { entries: [(None, 0); MAPPED as usize], count: 0, bytes: 0 };
-
     fn read(kind: PdoKind, number: PdoNumber, objects: &Objects) -> Self {
-        let mut mapping = Self::EMPTY;
-        mapping.count = objects.u(map(kind, number, 0)) as usize;
+        let count = objects.u(map(kind, number, 0)) as usize;
+        let mut mapping = Self { entries: [(None, 0); MAPPED as usize], count, bytes: 0 };
         for sub in 1..=mapping.count {
             let entry = Entry::from_raw(objects.u(map(kind, number, sub as u8)));
             let slot = mappable(kind, entry).unwrap_or(None);

@@ -91,10 +91,7 @@ pub(super) fn on_command(state: PowerState, command: PowerCommand, options: &Opt
 
 /// The transition for a fault. `at_once` omits the braking.
 pub(super) fn on_fault(state: PowerState, at_once: bool, options: &Options) -> Transition {
-    let brake = match options.fault_reaction {
-        1 => Brake::SlowDown,
-        _ => Brake::QuickStop,
-    };
+    let brake = if options.fault_reaction == 1 { Brake::SlowDown } else { Brake::QuickStop };
     let braking = match state {
         PowerState::OperationEnabled | PowerState::QuickStopActive => options.fault_reaction != 0,
         PowerState::FaultReactionActive => true,

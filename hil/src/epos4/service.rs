@@ -5,8 +5,7 @@ use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE};
 use canopen::{Object, cob, nmt};
 use serial::epos4::Address;
 
-use super::Epos4;
-use super::objects::Objects;
+use super::{Epos4, objects::Objects};
 
 impl Epos4 {
     /// Whether the device has booted and answers requests.

@@ -2,19 +2,14 @@
 
 use std::time::Duration;
 
-use can::{Frame, Instant};
-use canopen::heartbeat::Heartbeat;
+use can::{Frame, Instant, StandardId};
+use canopen::emcy::{Emergency, ErrorRegister};
 use canopen::nmt;
-use canopen::objects as named;
 use canopen::pdo::{PdoKind, PdoNumber};
 
-use super::drive::ABORT_CONNECTION_OPTION;
 use super::errors::{self, Error};
 use super::pdo::{self, Reception};
-use super::table::Slot;
-use super::{Epos4, heartbeats};
-
-const PRODUCER: Slot = Slot::of(named::PRODUCER_HEARTBEAT);
+use super::{Epos4, heartbeats, table::slot};
 
 impl Epos4 {
     /// Handles an error. The drive reacts each time. EMCY announces an error once while the error is present.
@@ -27,7 +22,7 @@ impl Epos4 {
 
     /// Handles the end of the connection by the master, which is an error if object 0x6007 makes a fault of it.
     pub(super) fn end_connection(&mut self) {
-        if self.objects.i(ABORT_CONNECTION_OPTION) == 1 && !self.drive.faulted() {
+        if self.objects.i(slot!(ABORT_CONNECTION_OPTION)) == 1 && !self.drive.faulted() {
             self.fail(errors::CONNECTION_ENDED);
         } else {
             self.drive.abort_connection(&self.objects);
@@ -37,7 +32,7 @@ impl Epos4 {
     /// Handles a communication error. Object 0x1029 determines the change of the NMT state.
     pub(super) fn lose_contact(&mut self, error: Error, now: Instant) {
         self.fail(error);
-        let to = match self.objects.u(Slot::of(named::ERROR_BEHAVIOUR)) {
+        let to = match self.objects.u(slot!(ERROR_BEHAVIOUR)) {
             0 if self.objects.nmt == nmt::NmtState::Operational => nmt::NmtState::PreOperational,
             2 => nmt::NmtState::Stopped,
             _ => return,
@@ -70,12 +65,13 @@ impl Epos4 {
             return;
         };
         while let Some(code) = self.errors.announce() {
-            self.send(errors::emergency(node, code, &self.objects));
+            let error_register = ErrorRegister(self.objects.u(slot!(ERROR_REGISTER)) as u8);
+            self.send(Emergency { node, code, error_register, vendor: [0; 5] }.encode());
         }
     }
 
     pub(super) fn heartbeat_period(&self) -> Option<Duration> {
-        let period = Duration::from_millis(u64::from(self.objects.u(PRODUCER)));
+        let period = Duration::from_millis(u64::from(self.objects.u(slot!(PRODUCER_HEARTBEAT))));
         (!period.is_zero()).then_some(period)
     }
 
@@ -100,12 +96,6 @@ impl Epos4 {
         }
     }
 
-    pub(super) fn hear(&mut self, heartbeat: Heartbeat, now: Instant) {
-        if let Some(number) = self.consumers.hear(heartbeat.node, now) {
-            self.regain(errors::HEARTBEAT.of(number));
-        }
-    }
-
     /// A SYNC has no data, since there is no object 0x1019 (CiA 301 §7.5.2.22).
     pub(super) fn hear_sync(&mut self, frame: &Frame, now: Instant) {
         if frame.data().is_empty() {
@@ -117,11 +107,8 @@ impl Epos4 {
         }
     }
 
-    pub(super) fn receive_pdo(&mut self, frame: &Frame, now: Instant) -> bool {
-        let Some(id) = frame.standard_data_id() else {
-            return false;
-        };
-        match self.pdos.receive(id, frame.data(), &mut self.objects, now) {
+    pub(super) fn receive_pdo(&mut self, id: StandardId, data: &[u8], now: Instant) -> bool {
+        match self.pdos.receive(id, data, &mut self.objects, now) {
             Reception::Foreign => return false,
             Reception::Waiting(number) => self.regain_pdo(number),
             Reception::Effective(number) => {

@@ -299,6 +299,14 @@ const fn with_pdos(
     (table, at)
 }
 
+/// The slot of an object of [`canopen::objects`], found at compile time.
+macro_rules! slot {
+    ($name:ident) => {
+        const { $crate::epos4::table::Slot::of(canopen::objects::$name) }
+    };
+}
+pub(super) use slot;
+
 /// The row of an object in the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Slot(u16);

@@ -98,9 +98,7 @@ impl Frames {
                 if size > MAX_SIZE {
                     return Err(AbortCode::OUT_OF_MEMORY);
                 }
-                let mut transfer = Transfer::new(address, true);
-                transfer.size = size;
-                self.transfer = Some(transfer);
+                self.transfer = Some(Transfer { size, ..Transfer::new(address, true) });
                 Ok(Answer::Done)
             }
             Request::SegmentWrite { toggle, last, data } => {

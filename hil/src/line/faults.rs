@@ -40,7 +40,7 @@ pub(super) struct Wire {
     faults: WireFaults,
     noise: Noise,
     /// Whether the rest of the burst is lost.
-    torn: bool,
+    pub(super) torn: bool,
     pub(super) corrupted: u64,
     pub(super) lost: u64,
     pub(super) duplicated: u64,
@@ -50,11 +50,6 @@ impl Wire {
     pub(super) fn set(&mut self, faults: WireFaults, seed: u64) {
         self.faults = faults;
         self.noise = Noise::new(seed);
-        self.torn = false;
-    }
-
-    /// Ends the burst: the line was idle for a while.
-    pub(super) fn pause(&mut self) {
         self.torn = false;
     }
 

@@ -12,7 +12,6 @@ const LINKS: u32 = 40;
 const GROUP_WRITES: u32 = 0o020;
 const OTHERS_WRITE: u32 = 0o002;
 const STICKY: u32 = 0o1000;
-
 const ROOT: u32 = 0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,8 +32,7 @@ impl From<io::Error> for Distrust {
 
 /// Resolves an absolute, existing `path`. Fails if anybody but `user` and the superuser can change the result.
 pub(super) fn resolve(path: &Path, user: u32) -> Result<PathBuf, Distrust> {
-    let mut links = LINKS;
-    resolve_within(path, user, &mut links)
+    resolve_within(path, user, &mut { LINKS })
 }
 
 fn resolve_within(path: &Path, user: u32, links: &mut u32) -> Result<PathBuf, Distrust> {

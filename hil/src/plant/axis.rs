@@ -2,13 +2,10 @@
 
 use thiserror::Error;
 
-use super::SUB_STEP;
-use super::encoder::Encoder;
-use super::mechanism::Mount;
 use super::motor::{Motor, MotorConfig};
-use super::noise::Noise;
 use super::switch::{Contact, Switch};
 use super::wut::{Wut, WutConfig};
+use super::{SUB_STEP, encoder::Encoder, mechanism::Mount, noise::Noise};
 use crate::amplifier::{Amplifier, AmplifierConfig, OUTER};
 
 /// Configuration of an axis.
@@ -243,7 +240,7 @@ impl PlantAxis {
         Feedback {
             counts: self.encoder.counts(),
             velocity: self.amplifier.observed_velocity,
-            torque: self.amplifier.torque(current),
+            torque: current * self.amplifier.torque_constant,
             current,
             index: self.encoder.latched,
             home_switch,

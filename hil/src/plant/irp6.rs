@@ -1,9 +1,7 @@
 //! Plants of the IRp-6 on a pedestal.
 
 use super::axis::{AxisConfig, PlantConfig};
-use super::friction::FrictionConfig;
-use super::lab::MotorData;
-use super::wut::WutConfig;
+use super::{friction::FrictionConfig, lab::MotorData, wut::WutConfig};
 
 /// The axes of the IRp-6 robot on a pedestal, in the order of its software. The robot is an IRb-6 with a sixth axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,12 +1,10 @@
 //! Plants of the IRp-6 on its track, of RNT, of Polycrank, of the gripper and of the conveyor.
 
 use super::axis::{AxisConfig, PlantConfig};
-use super::friction::FrictionConfig;
 use super::irp6::{COLUMN, Irp6Axis};
 use super::mechanism::{Mechanism, MechanismConfig};
 use super::motor::{EndStops, Gravity, MotorConfig};
-use super::switch::Switch;
-use super::thermal::ThermalConfig;
+use super::{friction::FrictionConfig, switch::Switch, thermal::ThermalConfig};
 use crate::amplifier::AmplifierConfig;
 
 /// Motor angles of the synchronisation position of the arm on the track, rad (public code).

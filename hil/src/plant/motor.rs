@@ -1,10 +1,9 @@
 //! Motor with load.
 
-use super::SUB_STEP;
 use super::friction::{Friction, FrictionConfig};
 use super::mechanism::{Loaded, Mount};
-use super::noise::Noise;
 use super::thermal::{Thermal, ThermalConfig};
+use super::{SUB_STEP, noise::Noise};
 
 /// A permanent-magnet motor with its load, with all quantities at the motor shaft. For a mounted axis, inertia and weight
 /// of the mechanism replace those of the load.

@@ -1,14 +1,18 @@
 //! The modes of operation: from set-points and profiles to the demand on the axis.
 
+use canopen::Object;
 use canopen::cia402::{Controlword, HomingMethod, ModeOfOperation, PowerState};
 
-use super::slots::*;
-use super::{Drive, Homing};
+use super::{Drive, Homing, POSITION_WINDOW};
 use crate::Demand;
 use crate::epos4::homing::{Progress, Search, Surroundings};
 use crate::epos4::objects::Objects;
 use crate::epos4::power::Brake;
 use crate::epos4::profile::{Limits, Motion};
+use crate::epos4::table::{Slot, slot};
+
+const OUTPUT_CURRENT_LIMIT: Slot = Slot::of(Object::new(0x3001, 2));
+const POSITION_WINDOW_TIME: Slot = Slot::of(Object::new(0x6068, 0));
 
 /// Speed, revolutions/s, below which an axis that brakes at its limits counts as standing.
 const STANDING: f64 = 0.1;
@@ -19,7 +23,7 @@ impl Drive {
         let profile = &mut self.profile;
         if started && profile.next.is_none() {
             let base = profile.active.unwrap_or(self.motion.position);
-            let target = f64::from(objects.i(TARGET_POSITION));
+            let target = f64::from(objects.i(slot!(TARGET_POSITION)));
             let target = if word.has(Controlword::RELATIVE) { base + target } else { target };
             let waits = profile.active.is_some() && !word.has(Controlword::CHANGE_IMMEDIATELY);
             if waits {
@@ -36,7 +40,7 @@ impl Drive {
 
     pub(super) fn start_or_stop_homing(&mut self, started: bool, objects: &Objects) {
         if started {
-            let method = HomingMethod(objects.i(HOMING_METHOD) as i8);
+            let method = HomingMethod(objects.i(slot!(HOMING_METHOD)) as i8);
             self.referenced = false;
             self.homing = match Search::new(method) {
                 Some(search) => Homing::Searching(search),
@@ -64,19 +68,19 @@ impl Drive {
     }
 
     pub(super) fn limits(&self, objects: &Objects) -> Limits {
-        let top = objects.f(MAX_ACCELERATION);
+        let top = objects.f(slot!(MAX_ACCELERATION));
         let rpm = self.counts_per_turn / 60.0;
         Limits {
-            velocity: objects.f(MAX_PROFILE_VELOCITY).min(objects.f(MAX_MOTOR_SPEED))
+            velocity: objects.f(slot!(MAX_PROFILE_VELOCITY)).min(objects.f(slot!(MAX_MOTOR_SPEED)))
                 * self.counts_per_velocity(objects),
-            acceleration: objects.f(PROFILE_ACCELERATION).min(top).max(1.0) * rpm,
-            deceleration: objects.f(PROFILE_DECELERATION).min(top).max(1.0) * rpm,
+            acceleration: objects.f(slot!(PROFILE_ACCELERATION)).min(top).max(1.0) * rpm,
+            deceleration: objects.f(slot!(PROFILE_DECELERATION)).min(top).max(1.0) * rpm,
         }
     }
 
     /// Counts/s per velocity unit (0x60A9). The unit is revolutions per minute times a power of ten.
     pub(super) fn counts_per_velocity(&self, objects: &Objects) -> f64 {
-        let exponent = (objects.u(VELOCITY_UNIT) >> 24) as u8 as i8;
+        let exponent = (objects.u(slot!(VELOCITY_UNIT)) >> 24) as u8 as i8;
         self.counts_per_turn / 60.0 * POWERS_OF_TEN[usize::from(exponent.unsigned_abs().min(6))]
     }
 
@@ -123,7 +127,7 @@ impl Drive {
     pub(super) fn braking_limits(&self, brake: Brake, limits: &Limits, objects: &Objects) -> Limits {
         let deceleration = match brake {
             Brake::SlowDown => limits.deceleration,
-            Brake::QuickStop => objects.f(QUICK_STOP_DECELERATION).max(1.0) * self.counts_per_turn / 60.0,
+            Brake::QuickStop => objects.f(slot!(QUICK_STOP_DECELERATION)).max(1.0) * self.counts_per_turn / 60.0,
             Brake::AtLimits => f64::INFINITY,
         };
         Limits { deceleration, ..*limits }
@@ -137,15 +141,13 @@ impl Drive {
         let unit = self.counts_per_velocity(objects);
         match self.mode {
             M::ProfilePosition | M::ProfileVelocity | M::Homing if halted => {
-                let brake = match objects.i(HALT_OPTION) {
-                    2 => Brake::QuickStop,
-                    _ => Brake::SlowDown,
-                };
+                let brake = if objects.i(slot!(HALT_OPTION)) == 2 { Brake::QuickStop } else { Brake::SlowDown };
                 let limits = self.braking_limits(brake, limits, objects);
                 self.motion.ramp(0.0, &limits, dt);
             }
             M::ProfilePosition => {
-                let limits = Limits { velocity: limits.velocity.min(objects.f(PROFILE_VELOCITY) * unit), ..*limits };
+                let limits =
+                    Limits { velocity: limits.velocity.min(objects.f(slot!(PROFILE_VELOCITY)) * unit), ..*limits };
                 match self.profile.active {
                     Some(target) => {
                         if self.motion.approach(target, &limits, dt) {
@@ -162,20 +164,20 @@ impl Drive {
                 }
             }
             M::ProfileVelocity => {
-                let target = (objects.f(TARGET_VELOCITY) * unit).clamp(-limits.velocity, limits.velocity);
+                let target = (objects.f(slot!(TARGET_VELOCITY)) * unit).clamp(-limits.velocity, limits.velocity);
                 self.motion.ramp(target, limits, dt);
             }
             M::Homing => start = self.home(objects, dt),
             M::CyclicSynchronousPosition => self.interpolate(dt),
             M::CyclicSynchronousVelocity => {
-                let top = objects.f(MAX_MOTOR_SPEED) * unit;
-                let target = objects.f(TARGET_VELOCITY) + objects.f(VELOCITY_OFFSET);
+                let top = objects.f(slot!(MAX_MOTOR_SPEED)) * unit;
+                let target = objects.f(slot!(TARGET_VELOCITY)) + objects.f(slot!(VELOCITY_OFFSET));
                 self.motion.velocity = (target * unit).clamp(-top, top);
             }
             M::CyclicSynchronousTorque => {
-                let constant = objects.f(EPOS4_TORQUE_CONSTANT) * 1e-6;
+                let constant = objects.f(slot!(EPOS4_TORQUE_CONSTANT)) * 1e-6;
                 let top = objects.f(OUTPUT_CURRENT_LIMIT) * 1e-3 * constant;
-                let share = objects.f(TARGET_TORQUE) + objects.f(TORQUE_OFFSET);
+                let share = objects.f(slot!(TARGET_TORQUE)) + objects.f(slot!(TORQUE_OFFSET));
                 let torque = share * 1e-3 * rated_torque(objects);
                 return Demand::Torque(torque.clamp(-top, top));
             }
@@ -191,7 +193,7 @@ impl Drive {
         use ModeOfOperation as M;
         match self.mode {
             M::CyclicSynchronousPosition | M::CyclicSynchronousVelocity if self.follows() => {
-                objects.f(TORQUE_OFFSET) * 1e-3 * rated_torque(objects)
+                objects.f(slot!(TORQUE_OFFSET)) * 1e-3 * rated_torque(objects)
             }
             _ => 0.0,
         }
@@ -215,8 +217,9 @@ impl Drive {
     /// Returns the start of this chunk, which is not the end of the last chunk if homing has set the counter.
     pub(super) fn home(&mut self, objects: &Objects, dt: f64) -> Motion {
         let unit = self.counts_per_velocity(objects);
-        let acceleration = objects.f(HOMING_ACCELERATION).max(1.0) * self.counts_per_turn / 60.0;
-        let limits = Limits { velocity: objects.f(HOMING_ZERO_SPEED) * unit, acceleration, deceleration: acceleration };
+        let acceleration = objects.f(slot!(HOMING_ACCELERATION)).max(1.0) * self.counts_per_turn / 60.0;
+        let limits =
+            Limits { velocity: objects.f(slot!(HOMING_ZERO_SPEED)) * unit, acceleration, deceleration: acceleration };
         let mut start = self.motion;
         match self.homing {
             Homing::Idle | Homing::Done | Homing::Failed { .. } => {
@@ -233,15 +236,15 @@ impl Drive {
             Homing::Searching(mut search) => {
                 let around = Surroundings {
                     velocity: self.motion.velocity,
-                    stop_torque: objects.f(EPOS4_HOMING_CURRENT_THRESHOLD)
+                    stop_torque: objects.f(slot!(EPOS4_HOMING_CURRENT_THRESHOLD))
                         * 1e-3
-                        * (objects.f(EPOS4_TORQUE_CONSTANT) * 1e-6),
+                        * (objects.f(slot!(EPOS4_TORQUE_CONSTANT)) * 1e-6),
                     turn: self.counts_per_turn,
                     dt,
                 };
                 let progress = search.step(&self.feedback, &around);
                 self.homing = Homing::Searching(search);
-                let fast = objects.f(HOMING_SWITCH_SPEED) * unit;
+                let fast = objects.f(slot!(HOMING_SWITCH_SPEED)) * unit;
                 let velocity = match progress {
                     Progress::Fast(direction) => direction * fast,
                     Progress::Slow(direction) => direction * limits.velocity,
@@ -273,8 +276,8 @@ impl Drive {
             // The stop held the axis back, so that the demanded position is far ahead of the actual position.
             self.motion.position = self.position();
         }
-        let home = objects.i(EPOS4_HOME_POSITION);
-        let zero = counts.wrapping_add(objects.i(EPOS4_HOME_OFFSET_MOVE));
+        let home = objects.i(slot!(EPOS4_HOME_POSITION));
+        let zero = counts.wrapping_add(objects.i(slot!(EPOS4_HOME_OFFSET_MOVE)));
         let offset = home.wrapping_sub(zero);
         let shift = f64::from(offset.wrapping_sub(self.offset));
         self.offset = offset;
@@ -289,11 +292,11 @@ const POWERS_OF_TEN: [f64; 7] = [1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6];
 
 /// The interpolation period 0x60C2 (CiA 402-2 §13.5.3), s; zero disables interpolation.
 pub(super) fn interpolation_period(objects: &Objects) -> f64 {
-    let index = objects.i(INTERPOLATION_PERIOD_INDEX).unsigned_abs();
-    objects.f(INTERPOLATION_PERIOD_VALUE) * POWERS_OF_TEN[(index as usize).min(6)]
+    let index = objects.i(slot!(INTERPOLATION_PERIOD_INDEX)).unsigned_abs();
+    objects.f(slot!(INTERPOLATION_PERIOD_VALUE)) * POWERS_OF_TEN[(index as usize).min(6)]
 }
 
 /// Nominal current times torque constant, N·m.
 pub(super) fn rated_torque(objects: &Objects) -> f64 {
-    objects.f(EPOS4_NOMINAL_CURRENT) * 1e-3 * (objects.f(EPOS4_TORQUE_CONSTANT) * 1e-6)
+    objects.f(slot!(EPOS4_NOMINAL_CURRENT)) * 1e-3 * (objects.f(slot!(EPOS4_TORQUE_CONSTANT)) * 1e-6)
 }

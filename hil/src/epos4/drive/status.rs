@@ -1,14 +1,19 @@
 //! Status of the drive: the objects that can be read or mapped to TPDOs.
 
+use canopen::Object;
 use canopen::cia402::{Controlword, HomingStatus, ModeOfOperation, Statusword};
-use canopen::objects::VENDOR_ID;
 
-use super::modes::rated_torque;
-use super::slots::*;
-use super::standstill::Window;
-use super::{Drive, Homing};
+use super::{Drive, Homing, POSITION_WINDOW, modes::rated_torque, standstill::Window};
 use crate::epos4::objects::Objects;
-use crate::epos4::table::Slot;
+use crate::epos4::table::{Slot, slot};
+
+const POSITION_DEMAND: Slot = Slot::of(Object::new(0x6062, 0));
+const VELOCITY_DEMAND: Slot = Slot::of(Object::new(0x606B, 0));
+const CURRENT_AVERAGE: Slot = Slot::of(Object::new(0x30D1, 1));
+const INPUT_STATES: Slot = Slot::of(Object::new(0x3141, 1));
+const STANDSTILL_WINDOW: Slot = Slot::of(Object::new(0x30E0, 1));
+const STANDSTILL_WINDOW_TIME: Slot = Slot::of(Object::new(0x30E0, 2));
+const STANDSTILL_WINDOW_TIME_OUT: Slot = Slot::of(Object::new(0x30E0, 3));
 
 impl Drive {
     /// Writes the readable values to the dictionary.
@@ -16,7 +21,7 @@ impl Drive {
         let unit = self.counts_per_velocity(objects);
         let position = self.feedback.counts.wrapping_add(self.offset);
         let demand = self.motion.position.round() as i64 as i32;
-        let per_amp = objects.f(EPOS4_TORQUE_CONSTANT) * 1e-9;
+        let per_amp = objects.f(slot!(EPOS4_TORQUE_CONSTANT)) * 1e-9;
         let current = self.feedback.torque / per_amp.max(1e-12);
         let rated = rated_torque(objects);
         self.average_current += (current - self.average_current) * (dt / 0.01).min(1.0);
@@ -32,27 +37,27 @@ impl Drive {
         };
         self.standstill.advance(self.feedback.velocity, told, &window, dt);
         let signed = |value: f64| value.round() as i32 as u32;
-        objects.set(POSITION_ACTUAL, position as u32);
+        objects.set(slot!(POSITION_ACTUAL), position as u32);
         objects.set(POSITION_DEMAND, demand as u32);
-        objects.set(FOLLOWING_ERROR_ACTUAL, late as u32);
-        objects.set(VELOCITY_ACTUAL, signed(self.feedback.velocity / unit));
+        objects.set(slot!(FOLLOWING_ERROR_ACTUAL), late as u32);
+        objects.set(slot!(VELOCITY_ACTUAL), signed(self.feedback.velocity / unit));
         objects.set(VELOCITY_DEMAND, signed(self.motion.velocity / unit));
         let share = (self.feedback.torque / rated.max(1e-12) * 1e3).clamp(-32_768.0, 32_767.0);
-        objects.set(TORQUE_ACTUAL, signed(share));
-        objects.set(EPOS4_CURRENT_ACTUAL, signed(current));
+        objects.set(slot!(TORQUE_ACTUAL), signed(share));
+        objects.set(slot!(EPOS4_CURRENT_ACTUAL), signed(current));
         objects.set(CURRENT_AVERAGE, signed(self.average_current));
         // maxon counts µN·m. With the vendor-ID of another maker the drive counts mN·m, as in CiA 402.
-        let of_maxon = objects.u(const { Slot::of(VENDOR_ID) }) == 0x0000_00FB;
+        let of_maxon = objects.u(slot!(VENDOR_ID)) == 0x0000_00FB;
         let unit = if of_maxon { 1e6 } else { 1e3 };
-        objects.set(MOTOR_RATED_TORQUE, (rated * unit).round() as u32);
-        objects.set(MODE_OF_OPERATION_DISPLAY, i32::from(self.mode.raw()) as u32);
+        objects.set(slot!(MOTOR_RATED_TORQUE), (rated * unit).round() as u32);
+        objects.set(slot!(MODE_OF_OPERATION_DISPLAY), i32::from(self.mode.raw()) as u32);
         let inputs = u32::from(self.feedback.negative_limit)
             | u32::from(self.feedback.positive_limit) << 1
             | u32::from(self.feedback.home_switch) << 2;
-        objects.set(DIGITAL_INPUTS, inputs);
+        objects.set(slot!(DIGITAL_INPUTS), inputs);
         objects.set(INPUT_STATES, inputs);
         let word = self.statusword(objects);
-        objects.set(STATUSWORD, u32::from(word));
+        objects.set(slot!(STATUSWORD), u32::from(word));
     }
 
     fn statusword(&self, objects: &Objects) -> u16 {
@@ -80,7 +85,7 @@ impl Drive {
                     .with(BIT_12, profile.acknowledged || profile.next.is_some())
             }
             M::ProfileVelocity => {
-                let target = objects.f(TARGET_VELOCITY) * self.counts_per_velocity(objects);
+                let target = objects.f(slot!(TARGET_VELOCITY)) * self.counts_per_velocity(objects);
                 let arrived = (self.motion.velocity - target).abs() < 0.5;
                 word.with(REACHED, if halted { standing } else { arrived }).with(BIT_12, self.standstill.reached)
             }

@@ -4,8 +4,7 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::chain::{Body, Chain, Link, Motion, Vector};
-use super::screw::Screw;
-use super::{AXES, Loaded};
+use super::{AXES, Loaded, screw::Screw};
 
 /// Constant ratios of motor angle to joint angle (public code). The roll of the wrist is driven through its pitch.
 const COLUMN: f64 = -158.0;

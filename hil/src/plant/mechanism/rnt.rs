@@ -42,7 +42,6 @@ struct Pose {
 
 /// Distance of the platform below which its joints jam, m.
 const SHORTEST: f64 = 0.3;
-
 /// Steps of Newton's method for the first pose. Each later pose takes one step.
 const STEPS: usize = 12;
 
