@@ -96,9 +96,7 @@ impl<'a> Pages<'a> {
             kind => Some(kind),
         };
         match kind.and_then(Value::as_str) {
-            Some("array") if value["items"].is_object() => {
-                format!("array of {}", self.name(&value["items"]))
-            }
+            Some("array") if value["items"].is_object() => format!("array of {}", self.name(&value["items"])),
             Some("number") => "float".to_owned(),
             Some(kind) => kind.to_owned(),
             None => "value".to_owned(),

@@ -274,12 +274,8 @@ impl Decoder {
     fn initiated(&self, object: Object, initiate: &Initiate, colon: &str, node: NodeId) -> String {
         let name = named(object);
         match initiate {
-            Initiate::Expedited(data) => {
-                format!("{name} = {}", self.value(object, data.data(), node))
-            }
-            Initiate::Segmented { size: Some(size) } => {
-                format!("{name}{colon} {size} bytes in segments")
-            }
+            Initiate::Expedited(data) => format!("{name} = {}", self.value(object, data.data(), node)),
+            Initiate::Segmented { size: Some(size) } => format!("{name}{colon} {size} bytes in segments"),
             Initiate::Segmented { size: None } => format!("{name} in segments"),
         }
     }

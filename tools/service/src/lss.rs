@@ -227,9 +227,7 @@ fn set_node_id(slave: &Slave, node: Option<NodeId>, store: bool) -> anyhow::Resu
     let (_, booted) = slave.ask(&services, node)?;
     let stored = if store { " and stored" } else { "" };
     say(match (node, booted) {
-        (None, _) => {
-            format!("node-ID taken away{stored}, from the next reset of communication on")
-        }
+        (None, _) => format!("node-ID taken away{stored}, from the next reset of communication on"),
         (Some(node), true) => format!("node {node}: configured{stored}, and booted"),
         (Some(node), false) => format!(
             "node {node}: configured{stored}; a node that had another node-ID takes it at its next reset of communication"

@@ -170,9 +170,7 @@ impl Health {
 /// Text about lost frames. An unreadable line of an slcan adapter may or may not have been a frame.
 fn loss(interface: &Interface, count: u64) -> String {
     match interface {
-        Interface::SocketCan(_) | Interface::Epos { .. } => {
-            format!("{count} frames lost, this host did not keep up")
-        }
+        Interface::SocketCan(_) | Interface::Epos { .. } => format!("{count} frames lost, this host did not keep up"),
         Interface::Slcan { .. } => format!("{count} frames lost or unreadable"),
     }
 }

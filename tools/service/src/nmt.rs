@@ -96,9 +96,7 @@ fn tell(drive: &mut Drive, request: Request) -> anyhow::Result<ExitCode> {
         Ok(()) => {}
         Err(error) => match error.cause {
             SdoCause::Aborted { code } => bail!("{whom}: refused: {code}"),
-            SdoCause::TimedOut { waited } => {
-                bail!("{whom}: timed out after {waited:?}: {}", drive.silence())
-            }
+            SdoCause::TimedOut { waited } => bail!("{whom}: timed out after {waited:?}: {}", drive.silence()),
             _ => return Err(error).context(whom),
         },
     }

@@ -208,9 +208,7 @@ impl Shown {
         let text = text.map(|text| text.trim_end_matches('\0').to_owned());
         let bytes: String = data.iter().map(|byte| format!("{byte:02x}")).collect();
         let mut line = match (raw, value, real) {
-            (Some(raw), Some(value), _) => {
-                format!("{raw:#0width$x}, {value}", width = 2 + 2 * data.len())
-            }
+            (Some(raw), Some(value), _) => format!("{raw:#0width$x}, {value}", width = 2 + 2 * data.len()),
             (_, _, Some(real)) => real.to_string(),
             _ if data.is_empty() => "no bytes".to_owned(),
             _ => format!("{} bytes {bytes}", data.len()),

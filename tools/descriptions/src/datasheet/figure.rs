@@ -83,9 +83,7 @@ fn at(joints: &Joints, symbols: &[&str], links: &[Link]) -> String {
     let values: Vec<_> = values
         .map(|((joint, symbol), link)| match link.kind {
             LinkKind::Prismatic => format!("{symbol} {:.0} mm", joint * 1e3),
-            LinkKind::Revolute | LinkKind::Continuous => {
-                format!("{symbol} {:.0}°", joint.to_degrees())
-            }
+            LinkKind::Revolute | LinkKind::Continuous => format!("{symbol} {:.0}°", joint.to_degrees()),
         })
         .collect();
     values.join(", ").replace('-', "\u{2212}")

@@ -127,9 +127,7 @@ impl Knob {
                 let up = Some(false);
                 (interface, card::Change { up, ..none })
             }
-            (Self::Kernel(_) | Self::RestartMs(_) | Self::State(_), None) => {
-                bail!("it cannot be without a value")
-            }
+            (Self::Kernel(_) | Self::RestartMs(_) | Self::State(_), None) => bail!("it cannot be without a value"),
         };
         unheard(tree, interface)?;
         of_host(tree)?;
