@@ -80,16 +80,14 @@ impl Type {
             Self::String if text.is_ascii() => Ok(text.as_bytes().to_owned()),
             Self::String => Err(ValueError::Text(text.to_owned())),
             Self::Hex => bytes(text).ok_or_else(|| ValueError::Bytes(text.to_owned())),
-            Self::F32 => {
-                let real = text.parse::<f32>().ok().filter(|real| real.is_finite());
-                let bytes = real.map(|real| real.to_le_bytes().to_vec());
-                bytes.ok_or_else(|| ValueError::Real(text.to_owned()))
-            }
-            Self::F64 => {
-                let real = text.parse::<f64>().ok().filter(|real| real.is_finite());
-                let bytes = real.map(|real| real.to_le_bytes().to_vec());
-                bytes.ok_or_else(|| ValueError::Real(text.to_owned()))
-            }
+            Self::F32 => match text.parse::<f32>() {
+                Ok(real) if real.is_finite() => Ok(real.to_le_bytes().to_vec()),
+                _ => Err(ValueError::Real(text.to_owned())),
+            },
+            Self::F64 => match text.parse::<f64>() {
+                Ok(real) if real.is_finite() => Ok(real.to_le_bytes().to_vec()),
+                _ => Err(ValueError::Real(text.to_owned())),
+            },
             Self::Bool | Self::U8 | Self::U16 | Self::U32 | Self::U64 => self.integer(text),
             Self::I8 | Self::I16 | Self::I32 | Self::I64 => self.integer(text),
         }
