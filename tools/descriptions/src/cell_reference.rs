@@ -70,11 +70,8 @@ impl<'a> Pages<'a> {
 
     /// A table with these keys in the inline notation of TOML.
     fn table(&mut self, keys: &'a Map<String, Value>) -> String {
-        let keys = keys.iter().map(|(key, value)| {
-            let kind = self.name(value);
-            format!("`{key}` = {kind}")
-        });
-        keys.collect::<Vec<_>>().join(", ")
+        let keys: Vec<_> = keys.iter().map(|(key, value)| format!("`{key}` = {}", self.name(value))).collect();
+        keys.join(", ")
     }
 
     /// Name of the type of a value. A type with a table of its own is queued.
@@ -96,9 +93,7 @@ impl<'a> Pages<'a> {
             kind => Some(kind),
         };
         match kind.and_then(Value::as_str) {
-            Some("array") if value["items"].is_object() => {
-                format!("array of {}", self.name(&value["items"]))
-            }
+            Some("array") if value["items"].is_object() => format!("array of {}", self.name(&value["items"])),
             Some("number") => "float".to_owned(),
             Some(kind) => kind.to_owned(),
             None => "value".to_owned(),
@@ -107,12 +102,10 @@ impl<'a> Pages<'a> {
 }
 
 fn is_required(schema: &Value, key: &str) -> bool {
-    let required = schema["required"].as_array();
-    required.is_some_and(|keys| keys.iter().any(|it| it == key))
+    schema["required"].as_array().is_some_and(|keys| keys.iter().any(|it| it == key))
 }
 
 /// Description in one line for a table cell.
 fn described(schema: &Value) -> String {
-    let text = schema["description"].as_str().unwrap_or_default();
-    text.replace('\n', " ").replace('|', "\\|")
+    schema["description"].as_str().unwrap_or_default().replace('\n', " ").replace('|', "\\|")
 }

@@ -12,6 +12,5 @@ use mrroc::cell::CellFile;
 pub fn eds(cell: &Path, axis: &str) -> anyhow::Result<String> {
     let file = CellFile::read(cell)?;
     let (robot, number) = file.find_axis(axis, true)?;
-    let config = emulation::config(&file, robot, number, Instant::ZERO);
-    Ok(Epos4::eds(&config).to_string())
+    Ok(Epos4::eds(&emulation::config(&file, robot, number, Instant::ZERO)).to_string())
 }

@@ -98,14 +98,10 @@ fn joint(text: &mut String, link: &Link, parent: &str) -> fmt::Result {
         LinkKind::Prismatic => "prismatic",
     };
     let name = link.name;
-    let terms = link.coupling.iter().enumerate();
-    let terms: Vec<_> = terms
-        .filter(|(_, factor)| **factor != 0.0)
-        .map(|(axis, factor)| format!("{factor:+} x joint {axis}"))
-        .collect();
+    let terms = link.coupling.iter().enumerate().filter(|(_, factor)| **factor != 0.0);
+    let terms: Vec<_> = terms.map(|(axis, factor)| format!("{factor:+} x joint {axis}")).collect();
     if terms.len() > 1 {
-        let terms = terms.join(" ");
-        writeln!(text, "  <!-- {name} is {terms} of the robot's joints. -->")?;
+        writeln!(text, "  <!-- {name} is {} of the robot's joints. -->", terms.join(" "))?;
     }
     writeln!(
         text,
@@ -161,8 +157,7 @@ fn drum(link: &Link) -> Cylinder {
 
 /// The part of a sliding link that stays inside the previous link at every position.
 fn slide(link: &Link) -> Option<Cylinder> {
-    let sliding = link.kind == LinkKind::Prismatic;
-    sliding.then(|| rod(&(link.axis.as_ref() * -link.limits.low)))?
+    (link.kind == LinkKind::Prismatic).then(|| rod(&(link.axis.as_ref() * -link.limits.low)))?
 }
 
 /// The smallest rotation of the z axis to `direction`.

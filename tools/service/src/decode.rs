@@ -135,28 +135,20 @@ impl Decoder {
 
     /// Kind and node of a frame, and its text unless the frame is malformed.
     fn read(&mut self, frame: &Frame, at: Instant) -> (Kind, Option<NodeId>, Option<String>) {
-        let other = |what: &str| {
-            let text = format!("{what}{}", bytes(frame.data()));
-            (Kind::Other, None, Some(text))
-        };
+        let other = |what: &str| (Kind::Other, None, Some(format!("{what}{}", bytes(frame.data()))));
         let Some(id) = frame.standard_data_id() else {
             return other(if frame.is_remote() { "remote frame" } else { "29-bit identifier: " });
         };
         if let Some(pdo) = self.pdos.get(&id.raw()) {
-            let text = self.mapped(pdo, frame.data());
-            return (Kind::Pdo, Some(pdo.node), Some(text));
+            return (Kind::Pdo, Some(pdo.node), Some(self.mapped(pdo, frame.data())));
         }
         if matches!(id, cob::LSS_REQUEST | cob::LSS_RESPONSE) {
-            let text = lss::request(frame).or_else(|| lss::response(frame));
-            return (Kind::Lss, None, text);
+            return (Kind::Lss, None, lss::request(frame).or_else(|| lss::response(frame)));
         }
         let Some(function) = cob::Function::of(id) else {
             return other("unknown identifier: ");
         };
-        let pdo = |name, number: PdoNumber| {
-            let number = number.offset() + 1;
-            Some(format!("{name} {number}: {}", bytes(frame.data())))
-        };
+        let pdo = |name, number: PdoNumber| Some(format!("{name} {}: {}", number.offset() + 1, bytes(frame.data())));
         match function {
             cob::Function::Nmt => (Kind::Nmt, None, nmt(frame)),
             cob::Function::Sync => (Kind::Sync, None, sync(frame)),
@@ -274,12 +266,8 @@ impl Decoder {
     fn initiated(&self, object: Object, initiate: &Initiate, colon: &str, node: NodeId) -> String {
         let name = named(object);
         match initiate {
-            Initiate::Expedited(data) => {
-                format!("{name} = {}", self.value(object, data.data(), node))
-            }
-            Initiate::Segmented { size: Some(size) } => {
-                format!("{name}{colon} {size} bytes in segments")
-            }
+            Initiate::Expedited(data) => format!("{name} = {}", self.value(object, data.data(), node)),
+            Initiate::Segmented { size: Some(size) } => format!("{name}{colon} {size} bytes in segments"),
             Initiate::Segmented { size: None } => format!("{name} in segments"),
         }
     }

@@ -37,8 +37,7 @@ type Brought = Result<Vec<u8>, SdoError>;
 impl ServicePort {
     /// Opens a tty. `timeout` limits the time to an answer, and is at least the frame time-out of the drive.
     pub(super) fn open(dialect: Dialect, path: &str, baud: u32, timeout: Duration) -> anyhow::Result<Self> {
-        let stop_bits = StopBits::One;
-        let settings = Settings { baud, stop_bits };
+        let settings = Settings { baud, stop_bits: StopBits::One };
         let config = Config { time_out: timeout.max(TIME_OUT), capacity: CAPACITY, ..Config::new(dialect, settings) };
         Ok(Self { tty: Tty::open(path, settings)?, client: Client::new(config), dialect })
     }
@@ -99,8 +98,7 @@ impl ServicePort {
         let &[command, node] = frame.data() else { unreachable!("an NMT command has two bytes") };
         // An NMT command addresses no object. A refusal concerns the command.
         let nothing = Object::new(0, 0);
-        let told = self.ask(nothing, stop, |client, now| client.nmt(node, command, now))?;
-        Ok(told.map(|_| ()))
+        Ok(self.ask(nothing, stop, |client, now| client.nmt(node, command, now))?.map(|_| ()))
     }
 
     /// Makes a request and waits for its end. The deadlines of the request bound the wait. The error after Ctrl-C is
@@ -127,8 +125,7 @@ impl ServicePort {
                 Some(Ok(Reply::Object(object))) => return Ok(Ok(object.to_owned())),
                 Some(Ok(Reply::Done)) => return Ok(Ok(Vec::new())),
                 Some(Err(ServiceError::Refused(code))) => {
-                    let code = AbortCode(code);
-                    return Ok(Err(SdoCause::Aborted { code }.of(object)));
+                    return Ok(Err(SdoCause::Aborted { code: AbortCode(code) }.of(object)));
                 }
                 Some(Err(ServiceError::TimedOut { waited })) => {
                     return Ok(Err(SdoCause::TimedOut { waited }.of(object)));
@@ -137,8 +134,7 @@ impl ServicePort {
             }
             let due = self.client.poll_timeout().context("the request is lost")?;
             let again = if self.client.bytes().is_empty() { LOOK } else { AGAIN };
-            let until = due.min(now + again);
-            clock::wait_readable(self.tty.as_fd(), until).map_err(serial::LineError::Os)?;
+            clock::wait_readable(self.tty.as_fd(), due.min(now + again)).map_err(serial::LineError::Os)?;
             self.receive()?;
         }
         Err(Interrupted.into())

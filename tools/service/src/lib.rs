@@ -124,21 +124,15 @@ impl BusArgs {
 
     /// The interface to open, its bit rate, kbit/s, and the cell.
     fn resolve(&self) -> anyhow::Result<(Interface, u32, OfCell)> {
-        let cell = match &self.cell {
-            Some(path) => {
-                let file = CellFile::read(path)?;
-                let index = self.index_in(&file)?;
-                Some((file, index))
-            }
-            None => None,
+        let read = |path: &PathBuf| {
+            let file = CellFile::read(path)?;
+            let index = self.index_in(&file)?;
+            anyhow::Ok((file, index))
         };
+        let cell = self.cell.as_ref().map(read).transpose()?;
         let of_cell = cell.as_ref().map(|(file, index)| &file.cell.bus[*index]);
-        let interface = match (&self.can, of_cell) {
-            (Some(given), _) => given,
-            (None, Some(bus)) => &bus.interface,
-            (None, None) => bail!("--can or --cell must say which bus"),
-        };
-        let interface = Interface::parse(interface);
+        let interface = self.can.as_ref().or(of_cell.map(|bus| &bus.interface));
+        let interface = Interface::parse(interface.context("--can or --cell must say which bus")?);
         let kbps = self.bitrate_kbps.or(of_cell.map(|bus| bus.bitrate_kbps)).unwrap_or(1000);
         Ok((interface, kbps, cell))
     }
@@ -161,9 +155,8 @@ impl<P> Open<P> {
     /// Name of `node` in reports, with the name of its axis if the cell has one.
     fn name_of(&self, node: NodeId) -> String {
         let axis = self.cell.as_ref().and_then(|(file, bus)| {
-            let mut axes = file.cell.axes_on(*bus);
             let is_node = |&(robot, axis): &(usize, usize)| file.cell.robot[robot].axis[axis].node == node.raw();
-            let (robot, axis) = axes.find(is_node)?;
+            let (robot, axis) = file.cell.axes_on(*bus).find(is_node)?;
             Some(format!(" ({})", file.axis_name(robot, axis)))
         });
         format!("node {node}{}", axis.unwrap_or_default())

@@ -25,8 +25,8 @@ const STORING: Duration = Duration::from_secs(2);
 /// Time that a node has to boot with its new node-ID.
 const BOOTING: Duration = Duration::from_secs(2);
 
-/// Longest time until a command without an answer is sent.
-const SWITCHING: Duration = Duration::from_millis(200);
+/// Switches all slaves to waiting mode. The command has no answer, and the time limits its sending.
+const TO_WAITING: (Service, Duration) = (Service::SwitchGlobal(Mode::Waiting), Duration::from_millis(200));
 
 /// Maximum number of nodes on a bus.
 const MOST_FOUND: usize = 127;
@@ -99,10 +99,8 @@ pub struct Slave {
 pub struct NewNodeId(Option<NodeId>);
 
 fn new_node_id(text: &str) -> Result<NewNodeId, String> {
-    if text == "none" {
-        return Ok(NewNodeId(None));
-    }
-    node_id(text).map(|node| NewNodeId(Some(node)))
+    let node = (text != "none").then(|| node_id(text)).transpose()?;
+    Ok(NewNodeId(node))
 }
 
 fn identity(text: &str) -> Result<Identity, String> {
@@ -112,11 +110,6 @@ fn identity(text: &str) -> Result<Identity, String> {
         Some(&[vendor, product, revision, serial]) => Ok(Identity { vendor, product, revision, serial }),
         _ => Err("an identity is four numbers, such as 0xfb:0x61500000:0x1700000:0x12345678".into()),
     }
-}
-
-fn written(identity: &Identity) -> String {
-    let numbers = Part::ALL.map(|part| format!("{:#010x}", identity.get(part)));
-    numbers.join(":")
 }
 
 /// Runs the action.
@@ -149,7 +142,7 @@ struct Found {
 impl Found {
     fn of(identity: &Identity, node: Option<NodeId>) -> Self {
         Self {
-            identity: written(identity),
+            identity: Part::ALL.map(|part| format!("{:#010x}", identity.get(part))).join(":"),
             vendor: identity.vendor,
             vendor_name: words::vendor(identity.vendor),
             product: identity.product,
@@ -227,9 +220,7 @@ fn set_node_id(slave: &Slave, node: Option<NodeId>, store: bool) -> anyhow::Resu
     let (_, booted) = slave.ask(&services, node)?;
     let stored = if store { " and stored" } else { "" };
     say(match (node, booted) {
-        (None, _) => {
-            format!("node-ID taken away{stored}, from the next reset of communication on")
-        }
+        (None, _) => format!("node-ID taken away{stored}, from the next reset of communication on"),
         (Some(node), true) => format!("node {node}: configured{stored}, and booted"),
         (Some(node), false) => format!(
             "node {node}: configured{stored}; a node that had another node-ID takes it at its next reset of communication"
@@ -250,6 +241,7 @@ impl Slave {
 }
 
 /// A sequence of LSS services. All slaves are back in waiting mode at its end, also after an error.
+#[derive(Default)]
 pub(super) struct Dialogue {
     master: Master,
     services: VecDeque<(Service, Duration)>,
@@ -275,9 +267,10 @@ struct Scanning {
     above: bool,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Ending {
     /// Services are still to be performed.
+    #[default]
     NotYet,
     /// All slaves are being switched to waiting mode.
     Waiting,
@@ -300,38 +293,21 @@ impl Dialogue {
             Some(identity) => Service::SwitchSelective(identity),
             None => Service::SwitchGlobal(Mode::Configuration),
         };
-        let begin = [(Service::SwitchGlobal(Mode::Waiting), SWITCHING), (select, timeout)];
-        let services = begin.into_iter().chain(services.iter().copied());
-        Self { expected, ..Self::of(services.collect(), None) }
+        let services = [TO_WAITING, (select, timeout)].into_iter().chain(services.iter().copied()).collect();
+        Self { services, expected, ..Self::default() }
     }
 
     /// Scan for every slave without a node-ID. A slave that was found is in configuration mode and should be silent
     /// from then on. If such a slave is not silent, the scan continues with all slaves in waiting mode. Each pass then
     /// begins above the identity found last.
     pub(super) fn scan(timeout: Duration) -> Self {
-        let services = [(Service::SwitchGlobal(Mode::Waiting), SWITCHING), (Service::Fastscan, timeout)];
-        let scanning = Scanning { timeout, above: false };
-        Self::of(services.into(), Some(scanning))
+        let services = [TO_WAITING, (Service::Fastscan, timeout)].into();
+        Self { services, scanning: Some(Scanning { timeout, above: false }), ..Self::default() }
     }
 
     /// Query whether any slave has no node-ID.
     pub(super) fn anybody(timeout: Duration) -> Self {
-        Self::of([(Service::IdentifyUnconfigured, timeout)].into(), None)
-    }
-
-    fn of(services: VecDeque<(Service, Duration)>, scanning: Option<Scanning>) -> Self {
-        Self {
-            master: Master::default(),
-            services,
-            answers: Vec::new(),
-            found: Vec::new(),
-            failed: None,
-            scanning,
-            expected: None,
-            booted: false,
-            busy: false,
-            ending: Ending::NotYet,
-        }
+        Self { services: [(Service::IdentifyUnconfigured, timeout)].into(), ..Self::default() }
     }
 
     /// Answers in the order of the services.
@@ -356,19 +332,16 @@ impl Dialogue {
         }
         match self.ending {
             Ending::NotYet => {
-                let last = (Service::SwitchGlobal(Mode::Waiting), SWITCHING);
                 let next = self.services.pop_front();
                 if next.is_none() {
                     self.ending = Ending::Waiting;
                 }
-                let (service, timeout) = next.unwrap_or(last);
-                let started = self.master.start(service, timeout, now);
-                started.expect("the result of the service before was taken");
+                let (service, timeout) = next.unwrap_or(TO_WAITING);
+                self.master.start(service, timeout, now).expect("the result of the service before was taken");
                 self.busy = true;
             }
             Ending::Waiting if self.expected.is_some() && self.failed.is_none() && !self.booted => {
-                let until = now + BOOTING;
-                self.ending = Ending::Booting { until };
+                self.ending = Ending::Booting { until: now + BOOTING };
             }
             Ending::Waiting => self.ending = Ending::Over,
             Ending::Booting { .. } | Ending::Over => {}
@@ -388,14 +361,10 @@ impl Dialogue {
             other => return self.keep(other),
         }
         // The scan for the next slave.
-        let above = self.found.last().filter(|_| scanning.above);
-        match above {
+        match self.found.last().filter(|_| scanning.above) {
             _ if self.found.len() >= MOST_FOUND => {}
-            Some(last) => self.services.extend([
-                (Service::SwitchGlobal(Mode::Waiting), SWITCHING),
-                (Service::FastscanAbove(*last), scanning.timeout),
-            ]),
-            None => (self.services).push_back((Service::Fastscan, scanning.timeout)),
+            Some(last) => self.services.extend([TO_WAITING, (Service::FastscanAbove(*last), scanning.timeout)]),
+            None => self.services.push_back((Service::Fastscan, scanning.timeout)),
         }
     }
 

@@ -74,8 +74,7 @@ pub fn monitor(options: &Options) -> anyhow::Result<ExitCode> {
 }
 
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
-    let io = error.downcast_ref::<std::io::Error>();
-    io.is_some_and(|error| error.kind() == ErrorKind::BrokenPipe)
+    error.downcast_ref::<std::io::Error>().is_some_and(|error| error.kind() == ErrorKind::BrokenPipe)
 }
 
 /// PDO mapping that a run of the cell configures in its drives.
@@ -112,7 +111,6 @@ fn watch(bus: &mut Bus, decoder: &mut Decoder, options: &Options) -> anyhow::Res
     while left > 0 && !bus.interrupted.load(Ordering::Relaxed) {
         let on = || bus.interface.to_string();
         bus.port.wait_readable(clock::now() + talk::LOOK).with_context(on)?;
-        let on = || bus.interface.to_string();
         let count = bus.port.receive(clock::now(), &mut received).with_context(on)?;
         if health.has_lost(bus) {
             // The position of the loss among the received frames is not known.
@@ -128,9 +126,8 @@ fn watch(bus: &mut Bus, decoder: &mut Decoder, options: &Options) -> anyhow::Res
             if options.json {
                 writeln!(out, "{}", serde_json::to_string(&shown)?)?;
             } else {
-                let name = shown.described.node.map(|node| format!("{}: ", bus.name_of(node)));
+                let name = shown.described.node.map(|node| format!("{}: ", bus.name_of(node))).unwrap_or_default();
                 let (frame, text) = (&shown.frame, &shown.described.text);
-                let name = name.unwrap_or_default();
                 writeln!(out, "{:12.6}  {frame:<20}  {name}{text}", shown.at_s)?;
             }
         }
@@ -170,9 +167,7 @@ impl Health {
 /// Text about lost frames. An unreadable line of an slcan adapter may or may not have been a frame.
 fn loss(interface: &Interface, count: u64) -> String {
     match interface {
-        Interface::SocketCan(_) | Interface::Epos { .. } => {
-            format!("{count} frames lost, this host did not keep up")
-        }
+        Interface::SocketCan(_) | Interface::Epos { .. } => format!("{count} frames lost, this host did not keep up"),
         Interface::Slcan { .. } => format!("{count} frames lost or unreadable"),
     }
 }

@@ -96,9 +96,7 @@ fn tell(drive: &mut Drive, request: Request) -> anyhow::Result<ExitCode> {
         Ok(()) => {}
         Err(error) => match error.cause {
             SdoCause::Aborted { code } => bail!("{whom}: refused: {code}"),
-            SdoCause::TimedOut { waited } => {
-                bail!("{whom}: timed out after {waited:?}: {}", drive.silence())
-            }
+            SdoCause::TimedOut { waited } => bail!("{whom}: timed out after {waited:?}: {}", drive.silence()),
             _ => return Err(error).context(whom),
         },
     }
@@ -147,8 +145,7 @@ impl Told {
             (Target::All, _) | (_, NmtState::Initialising) => None,
             (Target::Node(node), _) => {
                 let mut client = sdo::Client::new(node, ANSWER, 1);
-                let started = client.upload(PRODUCER_HEARTBEAT, now);
-                started.expect("nothing is being transferred yet");
+                client.upload(PRODUCER_HEARTBEAT, now).expect("nothing is being transferred yet");
                 Some(client)
             }
         };
@@ -204,8 +201,7 @@ impl Conversation for Told {
             if *heard != Some(self.wanted) || self.wanted != NmtState::Initialising {
                 *heard = Some(state);
             }
-            let is_it = self.request.target == Target::Node(node);
-            self.over |= is_it && state == self.wanted;
+            self.over |= self.request.target == Target::Node(node) && state == self.wanted;
         }
         if let Some(client) = &mut self.client {
             client.handle(frame, now);
@@ -240,10 +236,7 @@ impl NodeReport {
         match self.silent {
             Some((_, Some(Ok(0)))) => self.wanted != NmtState::Stopped,
             Some(_) => false,
-            None => {
-                let obeyed = |(_, state): &(NodeId, NmtState)| *state == self.wanted;
-                !self.heard.is_empty() && self.heard.iter().all(obeyed)
-            }
+            None => !self.heard.is_empty() && self.heard.iter().all(|(_, state)| *state == self.wanted),
         }
     }
 

@@ -119,8 +119,7 @@ impl Scan {
 
     /// Nodes that answered or sent a heartbeat, in ascending order.
     pub(super) fn into_nodes(self) -> impl Iterator<Item = Node> {
-        let nodes = self.survey.into_answers();
-        nodes.filter_map(|(node, identity)| identity.into_node(node.raw()))
+        self.survey.into_answers().filter_map(|(node, identity)| identity.into_node(node.raw()))
     }
 }
 
@@ -128,9 +127,9 @@ impl Conversation for Scan {
     fn handle(&mut self, frame: &Frame, now: Instant) {
         // An answer to node guarding carries the state with a toggle bit.
         if let Some(heartbeat) = Heartbeat::decode(frame)
-            && let Some(identity) = self.survey.questions(heartbeat.node)
+            && let Some(asked) = self.survey.nodes.get_mut(&heartbeat.node)
         {
-            identity.heard(heartbeat.guarded().0, now);
+            asked.questions.heard(heartbeat.guarded().0, now);
         }
         self.survey.handle(frame, now);
     }
@@ -140,12 +139,11 @@ impl Conversation for Scan {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let waited_for = self.survey.nodes_seen().any(Identity::owes_a_heartbeat);
+        let waited_for = self.survey.nodes.values().any(|asked| asked.questions.owes_a_heartbeat());
         let listen = self.began + if waited_for { LONGEST_LISTEN } else { LISTEN };
         let listening = (self.now < listen).then_some(listen);
         // The announced heartbeat ends the wait when it arrives.
-        let due = self.survey.poll_timeout().into_iter();
-        due.chain(listening).min()
+        self.survey.poll_timeout().into_iter().chain(listening).min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
@@ -167,8 +165,7 @@ struct Identity {
 
 impl Identity {
     fn heard(&mut self, state: nmt::NmtState, now: Instant) {
-        let interval = self.heard.map(|before| now.since(before).as_millis());
-        self.node.heard_every_ms = interval;
+        self.node.heard_every_ms = self.heard.map(|before| now.since(before).as_millis());
         self.node.state = Some(state.to_string());
         self.heard = Some(now);
     }
@@ -178,17 +175,13 @@ impl Identity {
     }
 
     fn into_node(self, node: u8) -> Option<Node> {
-        let found = self.node.answers_sdo || self.heard.is_some();
-        found.then_some(Node { node, ..self.node })
+        (self.node.answers_sdo || self.heard.is_some()).then_some(Node { node, ..self.node })
     }
 }
 
 impl Questions for Identity {
     fn next(&self) -> Option<Object> {
-        if self.silent {
-            return None;
-        }
-        ASKED.get(self.asked).copied()
+        ASKED.get(self.asked).copied().filter(|_| !self.silent)
     }
 
     fn answer(&mut self, answer: Result<&[u8], SdoCause>) {
@@ -215,10 +208,7 @@ impl Questions for Identity {
             REVISION => node.revision = number,
             SERIAL_NUMBER => node.serial = number,
             PRODUCER_HEARTBEAT => node.heartbeat_ms = number,
-            _ => {
-                let text = String::from_utf8_lossy(data);
-                node.name = Some(text.trim_end_matches('\0').to_owned());
-            }
+            _ => node.name = Some(String::from_utf8_lossy(data).trim_end_matches('\0').to_owned()),
         }
     }
 }
@@ -266,10 +256,7 @@ impl fmt::Display for Node {
                 write!(f, ", {what} {number:#010x}")?;
             }
         }
-        match &self.state {
-            Some(state) => write!(f, ", {state}")?,
-            None => f.write_str(", NMT state unknown")?,
-        }
+        write!(f, ", {}", self.state.as_deref().unwrap_or("NMT state unknown"))?;
         match (self.heartbeat_ms, self.heard_every_ms) {
             (Some(0), _) => f.write_str(", sends no heartbeat"),
             (Some(ms), _) => write!(f, ", heartbeat each {ms} ms"),

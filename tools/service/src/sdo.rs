@@ -101,8 +101,7 @@ impl Target {
     }
 
     fn data_sheet(&self) -> anyhow::Result<Option<DataSheet>> {
-        let read = |path: &PathBuf| DataSheet::read(path, self.object);
-        self.eds.as_ref().map(read).transpose()
+        self.eds.as_deref().map(|path| DataSheet::read(path, self.object)).transpose()
     }
 }
 
@@ -150,8 +149,7 @@ fn read(target: &Target, ty: Option<Type>) -> anyhow::Result<ExitCode> {
         ERROR_CODE | ERROR_HISTORY_NEWEST => vendor(&mut channel, target)?,
         _ => None,
     };
-    show(target, &data, ty, sheet.as_ref(), vendor)?;
-    Ok(ExitCode::SUCCESS)
+    show(target, &data, ty, sheet.as_ref(), vendor)
 }
 
 /// Refuses an object that belongs to the driver while a controller is at work, which would not notice the change.
@@ -169,10 +167,7 @@ fn check_kept(channel: &mut Channel, target: &Target) -> anyhow::Result<()> {
     };
     let Object { index, subindex } = target.object;
     let kept = match reserved(0, index, subindex) {
-        None => {
-            let vendor = vendor(channel, target)?;
-            vendor.and_then(|vendor| reserved(vendor, index, subindex))
-        }
+        None => vendor(channel, target)?.and_then(|vendor| reserved(vendor, index, subindex)),
         kept => kept,
     };
     match kept {
@@ -184,8 +179,7 @@ fn check_kept(channel: &mut Channel, target: &Target) -> anyhow::Result<()> {
 /// Vendor-ID of the node, if the node tells it.
 fn vendor(channel: &mut Channel, target: &Target) -> anyhow::Result<Option<u32>> {
     let answer = transfer(channel, target, VENDOR_ID, None, None)?;
-    let raw = answer.ok().and_then(|data| value::unsigned(&data));
-    Ok(raw.map(|raw| raw as u32))
+    Ok(answer.ok().and_then(|data| value::unsigned(&data)).map(|raw| raw as u32))
 }
 
 fn write(target: &Target, text: &str, ty: Option<Type>, read_back: bool) -> anyhow::Result<ExitCode> {
@@ -207,22 +201,17 @@ fn write(target: &Target, text: &str, ty: Option<Type>, read_back: bool) -> anyh
     let object = target.object;
     let (problem, code) = match read_back_of(&mut channel, target, &data, ty)? {
         Ok((found, agrees)) => {
-            show(target, &found, Some(ty), sheet.as_ref(), None)?;
+            let shown = show(target, &found, Some(ty), sheet.as_ref(), None)?;
             if agrees {
-                return Ok(ExitCode::SUCCESS);
+                return Ok(shown);
             }
             let [wrote, found] = [&data, &found].map(|data| Shown::of(data, Some(ty), false));
-            let problem = format!("{object} was written as {wrote} and reads back as {found}");
-            (problem, ExitCode::from(1))
+            (format!("{object} was written as {wrote} and reads back as {found}"), ExitCode::from(1))
         }
         Err(error) if error.cause.abort_code() == AbortCode::WRITE_ONLY => {
-            let problem = format!("{object} is written; it cannot be read back");
-            (problem, ExitCode::SUCCESS)
+            (format!("{object} is written; it cannot be read back"), ExitCode::SUCCESS)
         }
-        Err(error) => {
-            let problem = format!("{object} is written; reading it back failed: {error}");
-            (problem, ExitCode::from(1))
-        }
+        Err(error) => (format!("{object} is written; reading it back failed: {error}"), ExitCode::from(1)),
     };
     streams::warn(format_args!("mrroc: {problem}"));
     Ok(code)
@@ -320,21 +309,19 @@ fn show(
     ty: Option<Type>,
     sheet: Option<&DataSheet>,
     vendor: Option<u32>,
-) -> anyhow::Result<()> {
+) -> anyhow::Result<ExitCode> {
     let object = target.object;
     let ty = ty.or_else(|| sheet?.value_type());
-    let shown = Shown::of(data, ty, words::is_signed(object));
-    let raw = value::unsigned(data);
-    let faults = words::fault_table(vendor);
+    let meaning = |raw| words::meaning(object, raw, words::fault_table(vendor));
     let answer = Answer {
         node: target.node.raw(),
         index: object.index,
         subindex: object.subindex,
         name: sheet.map_or_else(|| words::object(object), |sheet| Some(sheet.name.clone())),
-        meaning: raw.and_then(|raw| words::meaning(object, raw, faults)),
-        shown,
+        shown: Shown::of(data, ty, words::is_signed(object)),
+        meaning: value::unsigned(data).and_then(meaning),
     };
-    streams::answer(&answer, target.json).map(|_| ())
+    streams::answer(&answer, target.json)
 }
 
 impl fmt::Display for Answer {

@@ -1,5 +1,6 @@
 //! Sequences of SDO requests to many nodes in parallel.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use can::{Frame, Instant};
@@ -25,44 +26,32 @@ pub(super) trait Questions {
 
 /// Many nodes and the requests to each of them.
 pub(super) struct Survey<Q> {
-    nodes: Vec<Asked<Q>>,
+    pub(super) nodes: BTreeMap<NodeId, Asked<Q>>,
 }
 
-struct Asked<Q> {
+pub(super) struct Asked<Q> {
     client: sdo::Client,
-    questions: Q,
+    /// Present knowledge about the node.
+    pub(super) questions: Q,
     asking: bool,
 }
 
 impl<Q: Questions> Survey<Q> {
     /// Queries `nodes`. Each node has `timeout` for every answer.
     pub(super) fn new(nodes: impl Iterator<Item = (NodeId, Q)>, timeout: Duration) -> Self {
-        let asked =
-            |(node, questions)| Asked { client: sdo::Client::new(node, timeout, RETRIES), questions, asking: false };
+        let client = |node| sdo::Client::new(node, timeout, RETRIES);
+        let asked = |(node, questions)| (node, Asked { client: client(node), questions, asking: false });
         Self { nodes: nodes.map(asked).collect() }
     }
 
     /// Results of the requests, node by node.
     pub(super) fn into_answers(self) -> impl Iterator<Item = (NodeId, Q)> {
-        let nodes = self.nodes.into_iter();
-        nodes.map(|asked| (asked.client.node(), asked.questions))
-    }
-
-    /// Present knowledge about one node, for modification.
-    pub(super) fn questions(&mut self, node: NodeId) -> Option<&mut Q> {
-        let mut nodes = self.nodes.iter_mut();
-        let asked = nodes.find(|asked| asked.client.node() == node)?;
-        Some(&mut asked.questions)
-    }
-
-    /// Present knowledge about the nodes.
-    pub(super) fn nodes_seen(&self) -> impl Iterator<Item = &Q> {
-        self.nodes.iter().map(|asked| &asked.questions)
+        self.nodes.into_iter().map(|(node, asked)| (node, asked.questions))
     }
 
     fn ask_next(&mut self, now: Instant) {
-        let free = AT_ONCE - self.nodes.iter().filter(|asked| asked.asking).count();
-        let idle = self.nodes.iter_mut().filter(|asked| !asked.asking);
+        let free = AT_ONCE - self.nodes.values().filter(|asked| asked.asking).count();
+        let idle = self.nodes.values_mut().filter(|asked| !asked.asking);
         let asked = idle.filter(|asked| asked.questions.next().is_some());
         asked.take(free).for_each(|asked| asked.ask(now));
     }
@@ -71,8 +60,7 @@ impl<Q: Questions> Survey<Q> {
 impl<Q: Questions> Asked<Q> {
     fn ask(&mut self, now: Instant) {
         if let Some(object) = self.questions.next() {
-            let started = self.client.upload(object, now);
-            started.expect("the result of the transfer before was taken");
+            self.client.upload(object, now).expect("the result of the transfer before was taken");
             self.asking = true;
         }
     }
@@ -92,24 +80,22 @@ impl<Q: Questions> Asked<Q> {
 
 impl<Q: Questions> Conversation for Survey<Q> {
     fn handle(&mut self, frame: &Frame, now: Instant) {
-        for asked in &mut self.nodes {
+        for asked in self.nodes.values_mut() {
             asked.client.handle(frame, now);
             asked.take_result(now);
         }
     }
 
     fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
-        let mut nodes = self.nodes.iter_mut();
-        nodes.find_map(|asked| asked.client.poll_transmit(now))
+        self.nodes.values_mut().find_map(|asked| asked.client.poll_transmit(now))
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let nodes = self.nodes.iter();
-        nodes.filter_map(|asked| asked.client.poll_timeout()).min()
+        self.nodes.values().filter_map(|asked| asked.client.poll_timeout()).min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        for asked in &mut self.nodes {
+        for asked in self.nodes.values_mut() {
             asked.client.handle_timeout(now);
             asked.take_result(now);
         }

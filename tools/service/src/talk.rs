@@ -44,9 +44,7 @@ pub(super) trait Conversation {
 
 /// Places for the frames that are read from the port at once.
 pub(super) fn batch() -> [Received; 256] {
-    let frame = Sync::default().encode();
-    let at = Instant::ZERO;
-    [Received { frame, at }; 256]
+    [Received { frame: Sync::default().encode(), at: Instant::ZERO }; 256]
 }
 
 /// Runs `conversation` until it is over or `stop` is set. The deadlines of the conversation bound its duration.

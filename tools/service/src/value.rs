@@ -80,16 +80,14 @@ impl Type {
             Self::String if text.is_ascii() => Ok(text.as_bytes().to_owned()),
             Self::String => Err(ValueError::Text(text.to_owned())),
             Self::Hex => bytes(text).ok_or_else(|| ValueError::Bytes(text.to_owned())),
-            Self::F32 => {
-                let real = text.parse::<f32>().ok().filter(|real| real.is_finite());
-                let bytes = real.map(|real| real.to_le_bytes().to_vec());
-                bytes.ok_or_else(|| ValueError::Real(text.to_owned()))
-            }
-            Self::F64 => {
-                let real = text.parse::<f64>().ok().filter(|real| real.is_finite());
-                let bytes = real.map(|real| real.to_le_bytes().to_vec());
-                bytes.ok_or_else(|| ValueError::Real(text.to_owned()))
-            }
+            Self::F32 => match text.parse::<f32>() {
+                Ok(real) if real.is_finite() => Ok(real.to_le_bytes().to_vec()),
+                _ => Err(ValueError::Real(text.to_owned())),
+            },
+            Self::F64 => match text.parse::<f64>() {
+                Ok(real) if real.is_finite() => Ok(real.to_le_bytes().to_vec()),
+                _ => Err(ValueError::Real(text.to_owned())),
+            },
             Self::Bool | Self::U8 | Self::U16 | Self::U32 | Self::U64 => self.integer(text),
             Self::I8 | Self::I16 | Self::I32 | Self::I64 => self.integer(text),
         }
@@ -208,9 +206,7 @@ impl Shown {
         let text = text.map(|text| text.trim_end_matches('\0').to_owned());
         let bytes: String = data.iter().map(|byte| format!("{byte:02x}")).collect();
         let mut line = match (raw, value, real) {
-            (Some(raw), Some(value), _) => {
-                format!("{raw:#0width$x}, {value}", width = 2 + 2 * data.len())
-            }
+            (Some(raw), Some(value), _) => format!("{raw:#0width$x}, {value}", width = 2 + 2 * data.len()),
             (_, _, Some(real)) => real.to_string(),
             _ if data.is_empty() => "no bytes".to_owned(),
             _ => format!("{} bytes {bytes}", data.len()),

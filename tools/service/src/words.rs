@@ -30,8 +30,7 @@ const VENDORS: &[(u32, &str)] = &[
 
 /// Name of the manufacturer, if known.
 pub(super) fn vendor(id: u32) -> Option<&'static str> {
-    let (_, name) = VENDORS.iter().find(|(known, _)| *known == id)?;
-    Some(name)
+    VENDORS.iter().find(|(known, _)| *known == id).map(|(_, name)| *name)
 }
 
 /// Text of object 0x1000 (CiA 301). The drive types are from CiA 402.

@@ -6,14 +6,12 @@ use controller::robot::{GearAxis, Limits, ScrewAxis};
 /// Transmission of one axis between joint and motor. `numbers` are the relation of both, the home and the ranges of
 /// joint and motor.
 pub(crate) fn drive(joint: &str, name: &str, numbers: [&str; 4], tag: Tag) -> Row {
-    let cells = format!("{joint} | `{name}` | {}", numbers.join(" | "));
-    Row { cells, tag }
+    Row { cells: format!("{joint} | `{name}` | {}", numbers.join(" | ")), tag }
 }
 
 pub(crate) fn gear(joint: &str, name: &str, gear: &GearAxis, tag: Tag) -> Row {
     let symbol = if joint == "d0" { "d0" } else { "th" };
-    let transmission = format!("m = {} {symbol}", signed(gear.ratio));
-    geared(joint, name, &transmission, gear, tag)
+    geared(joint, name, &format!("m = {} {symbol}", signed(gear.ratio)), gear, tag)
 }
 
 /// A gear with another relation of motor and joint.

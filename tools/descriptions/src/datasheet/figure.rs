@@ -59,19 +59,15 @@ pub(crate) enum Part {
 pub(crate) fn figure(machine: &Machine, symbols: &[&str], views: &[View; 2]) -> String {
     let links = machine.robot.links();
     let mut svg = Svg::open([WIDTH, HEIGHT]);
-    let title = format!("{}: geometry in mm", machine.name);
-    svg.text([LEFT[0], 34.0], "start", TITLE, &title);
+    svg.text([LEFT[0], 34.0], "start", TITLE, &format!("{}: geometry in mm", machine.name));
     if let Some(caution) = machine.caution {
         svg.text([LEFT[0], 55.0], "start", ink::SECONDARY, caution);
     }
     let mut told = Vec::new();
     for (view, left) in views.iter().zip(LEFT) {
-        let style = "font-size=\"15\" fill=\"#111\"";
-        svg.text([left, TOP - 28.0], "start", style, view.title);
-        let posture = at(&view.joints, symbols, &links);
-        svg.text([left, TOP - 10.0], "start", NOTE, &posture);
-        let stands = stands(&links, &view.joints);
-        panel(&mut svg, left, symbols, view, &stands, &mut told);
+        svg.text([left, TOP - 28.0], "start", "font-size=\"15\" fill=\"#111\"", view.title);
+        svg.text([left, TOP - 10.0], "start", NOTE, &at(&view.joints, symbols, &links));
+        panel(&mut svg, left, symbols, view, &stands(&links, &view.joints), &mut told);
     }
     svg.legend([LEFT[0], HEIGHT - 22.0]);
     svg.close()
@@ -79,16 +75,11 @@ pub(crate) fn figure(machine: &Machine, symbols: &[&str], views: &[View; 2]) -> 
 
 /// Text of the posture.
 fn at(joints: &Joints, symbols: &[&str], links: &[Link]) -> String {
-    let values = joints.iter().zip(symbols).zip(links);
-    let values: Vec<_> = values
-        .map(|((joint, symbol), link)| match link.kind {
-            LinkKind::Prismatic => format!("{symbol} {:.0} mm", joint * 1e3),
-            LinkKind::Revolute | LinkKind::Continuous => {
-                format!("{symbol} {:.0}°", joint.to_degrees())
-            }
-        })
-        .collect();
-    values.join(", ").replace('-', "\u{2212}")
+    let values = joints.iter().zip(symbols).zip(links).map(|((joint, symbol), link)| match link.kind {
+        LinkKind::Prismatic => format!("{symbol} {:.0} mm", joint * 1e3),
+        LinkKind::Revolute | LinkKind::Continuous => format!("{symbol} {:.0}°", joint.to_degrees()),
+    });
+    values.collect::<Vec<_>>().join(", ").replace('-', "\u{2212}")
 }
 
 /// Draws a view. Adds the dimensioned lengths to `told`: number of the joint and number of the segment before it.
@@ -110,10 +101,8 @@ fn panel(svg: &mut Svg, left: f64, symbols: &[&str], view: &View, stands: &[Stan
     // A base frame below the first joint is drawn on the ground.
     let stands_on_it = stands.first().is_some_and(|stand| !stand.way.is_empty());
     sheet.ground(if stands_on_it { 4.0 } else { 44.0 });
-    for other in &view.others {
-        if other.part != Part::Measure {
-            sheet.other(&other.points, other.part == Part::Leg);
-        }
+    for other in view.others.iter().filter(|other| other.part != Part::Measure) {
+        sheet.other(&other.points, other.part == Part::Leg);
     }
     for [from, to] in ways() {
         sheet.link(*from, *to);
@@ -191,15 +180,10 @@ fn place(sheet: &Sheet, stand: &Stand, [first, last]: [bool; 2], taken: &[Point]
         let share = if first { 0.65 } else { 0.5 };
         (along && long).then(|| a + (b - a) * share)
     });
-    let is_free = |place: &Point| {
-        let near = |other: &Point| (other - place).norm() < 27.0;
-        !taken.iter().any(near)
-    };
+    let is_free = |place: &Point| !taken.iter().any(|other| (other - place).norm() < 27.0);
     // Symbols are moved towards the base, and the symbol of the last joint towards the flange.
     let towards = unit(sheet.direction(if last { stand.axis } else { -stand.axis }));
     let beside = [30.0, -30.0, 56.0, -56.0].map(|away| own + towards * away);
-    let seen_along = sheet.is_seen_along(&stand.axis);
-    let aside = beside.into_iter().filter(|_| !seen_along);
-    let mut places = on_way.into_iter().chain([own]).chain(aside);
-    places.find(is_free).unwrap_or(own)
+    let aside = beside.into_iter().filter(|_| !sheet.is_seen_along(&stand.axis));
+    on_way.into_iter().chain([own]).chain(aside).find(is_free).unwrap_or(own)
 }

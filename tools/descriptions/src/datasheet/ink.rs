@@ -16,8 +16,7 @@ const HALO: &str = "paint-order=\"stroke\" stroke=\"#fff\" stroke-width=\"4\" st
 
 /// Text of a length in mm, without trailing zeros.
 pub(super) fn millimetres(length: f64) -> String {
-    let rounded = (length * 10.0).round() / 10.0;
-    format!("{rounded}")
+    ((length * 10.0).round() / 10.0).to_string()
 }
 
 /// Projection of a view onto the sheet.
@@ -93,8 +92,7 @@ impl<'a> Sheet<'a> {
     /// Marks a square as an obstacle for texts.
     pub(super) fn block(&mut self, at: Point, half: f64) {
         let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (0.0, 0.0)];
-        let corners = corners.map(|(x, y)| at + Point::new(x, y) * half);
-        self.taken.extend(corners);
+        self.taken.extend(corners.map(|(x, y)| at + Point::new(x, y) * half));
         for side in [Point::x() * half, Point::y() * half] {
             self.occupy_line(at - side, at + side);
         }
@@ -111,8 +109,7 @@ impl<'a> Sheet<'a> {
     /// Adds a text at the position with the fewest obstacles; among equals, at the first.
     fn text(&mut self, places: impl IntoIterator<Item = Point>, size: f64, style: &str, said: &str) {
         let places: Vec<_> = places.into_iter().collect();
-        let best = places.iter().min_by_key(|place| self.crowd(**place, said, size));
-        let Some(&at) = best else { return };
+        let Some(&at) = places.iter().min_by_key(|place| self.crowd(**place, said, size)) else { return };
         let style = format!("font-size=\"{size}\" {style} {HALO}");
         self.svg.text(at + Point::y() * (0.36 * size), "middle", &style, said);
         let half = Point::x() * (0.29 * size * said.chars().count() as f64);
@@ -138,8 +135,7 @@ impl<'a> Sheet<'a> {
         let [low, high] = points.fold(nothing, |[low, high], point| [low.inf(&point), high.sup(&point)]);
         let middle = f64::midpoint(low.x, high.x);
         let heights = [high.y + 14.0, low.y - 12.0, high.y + 28.0, low.y - 26.0];
-        let places = heights.map(|height| Point::new(middle, height));
-        self.text(places, 12.0, "fill=\"#4a86c5\"", said);
+        self.text(heights.map(|height| Point::new(middle, height)), 12.0, "fill=\"#4a86c5\"", said);
     }
 
     /// Hatched base, `depth` px below the base frame, drawn only in a side view. The base carries axis 1 along the z
@@ -156,8 +152,7 @@ impl<'a> Sheet<'a> {
         self.svg.line(top[0], top[1], &stroke("#222", 2.0));
         for step in 0..9 {
             let from = -40.0 + 10.0 * f64::from(step);
-            let to = place(from - 8.0, depth + 9.0);
-            self.svg.line(place(from, depth), to, &stroke("#222", 1.0));
+            self.svg.line(place(from, depth), place(from - 8.0, depth + 9.0), &stroke("#222", 1.0));
         }
         self.occupy_line(top[0], top[1]);
         self.occupy_line(origin, place(0.0, depth));
@@ -173,8 +168,7 @@ impl<'a> Sheet<'a> {
     /// A rail, a leg or a platform. A part whose length is driven carries a box.
     pub(super) fn other(&mut self, points: &[Vector3<f64>], slides: bool) {
         let points: Vec<_> = points.iter().map(|point| self.at(*point)).collect();
-        let style = curve("#5b6570", 3.0) + " stroke-linejoin=\"round\"";
-        self.svg.path(&points, &style);
+        self.svg.path(&points, &(curve("#5b6570", 3.0) + " stroke-linejoin=\"round\""));
         for ends in points.windows(2) {
             self.occupy_line(ends[0], ends[1]);
         }
@@ -233,9 +227,7 @@ impl<'a> Sheet<'a> {
         let mut swept = now - zero;
         swept -= std::f64::consts::TAU * (swept / std::f64::consts::TAU).round();
         let arc = |radius: f64, from: f64, sweep: f64| -> Vec<Point> {
-            let steps = 24;
-            let angle = move |step: i32| from + sweep * f64::from(step) / f64::from(steps);
-            (0..=steps).map(|step| place(radius, angle(step))).collect()
+            (0..=24).map(|step| place(radius, from + sweep * f64::from(step) / 24.0)).collect()
         };
         if swept.abs() > 0.05 {
             let points = arc(40.0, zero, swept);
@@ -252,8 +244,7 @@ impl<'a> Sheet<'a> {
     /// are horizontal or vertical, so the name is placed diagonally.
     pub(super) fn name(&mut self, at: Point, symbol: &str, axis: &Vector3<f64>) {
         let round = |radius: f64| around(at, radius, 1.15, [3, 5, 1, 7, 4, 0, 2, 6]);
-        let askew = if self.is_seen_along(axis) { 2 } else { 0 };
-        let askew = round(34.0).into_iter().take(askew);
+        let askew = round(34.0).into_iter().take(if self.is_seen_along(axis) { 2 } else { 0 });
         let places = askew.chain([26.0, 34.0, 46.0].into_iter().flat_map(round));
         self.text(places, 14.0, "fill=\"#111\" font-weight=\"bold\"", symbol);
     }
@@ -273,10 +264,7 @@ impl<'a> Sheet<'a> {
         let offsets = [30.0, -30.0, 48.0, -48.0, 66.0, -66.0, 84.0, -84.0];
         // A text wider than its line is placed farther away.
         let wide = 0.6 * size * said.chars().count() as f64 > seen - 4.0;
-        let place = |offset: f64| {
-            let further = if wide { 12.0 * offset.signum() } else { 0.0 };
-            beside(offset + further, middle)
-        };
+        let place = |offset: f64| beside(offset + if wide { 12.0 * offset.signum() } else { 0.0 }, middle);
         let crowd = |offset: &f64| {
             let seen_from = |end: Point, other: Point| [along, across].map(|axis| axis.dot(&(other - end)));
             let on_line = |other: &&Point| {
@@ -325,8 +313,7 @@ impl<'a> Sheet<'a> {
             self.svg.line(origin, tip, &stroke(colour, 2.0));
             self.svg.arrowhead(tip, direction, 9.0, colour);
             self.occupy_line(origin, tip);
-            let beyond = tip + unit(direction) * 9.0;
-            self.text([beyond], 13.0, &format!("fill=\"{colour}\""), name);
+            self.text([tip + unit(direction) * 9.0], 13.0, &format!("fill=\"{colour}\""), name);
         }
     }
 

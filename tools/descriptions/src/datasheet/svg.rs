@@ -54,8 +54,7 @@ impl Svg {
 
     /// Adds a line through points, or an area if `style` fills it.
     pub(super) fn path(&mut self, points: &[impl Copy + Into<[f64; 2]>], style: &str) {
-        let way = way(points);
-        let _ = writeln!(self.0, "<path d=\"{way}\" {style}/>");
+        let _ = writeln!(self.0, "<path d=\"{}\" {style}/>", way(points));
     }
 
     /// Adds an area inside closed outlines.
@@ -65,8 +64,7 @@ impl Svg {
     }
 
     pub(super) fn polygon(&mut self, corners: [Point; 4], style: &str) {
-        let corners = corners.map(|at| format!("{:.1},{:.1} ", at.x, at.y));
-        let corners = corners.concat();
+        let corners = corners.map(|at| format!("{:.1},{:.1} ", at.x, at.y)).concat();
         let _ = writeln!(self.0, "<polygon points=\"{corners}\" {style}/>");
     }
 
@@ -79,8 +77,7 @@ impl Svg {
     pub(super) fn arrowhead(&mut self, tip: impl Into<Point>, direction: Point, size: f64, colour: &str) {
         let (tip, along) = (tip.into(), unit(direction));
         let back = |side: f64| tip - (along + across(along) * (0.38 * side)) * size;
-        let corners = [tip, back(1.0), back(-1.0), tip];
-        self.path(&corners, &format!("fill=\"{colour}\""));
+        self.path(&[tip, back(1.0), back(-1.0), tip], &format!("fill=\"{colour}\""));
     }
 }
 

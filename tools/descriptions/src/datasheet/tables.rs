@@ -105,8 +105,7 @@ fn lines<'a>(
     table: fn(&'a Description) -> &'a Vec<Row>,
 ) {
     for (number, Row { cells, tag }) in table(machine).iter().enumerate() {
-        let mut presets = presets.iter().map(|preset| &table(preset)[number]);
-        let known = presets.any(|preset| preset.cells == *cells);
+        let known = presets.iter().any(|preset| table(preset)[number].cells == *cells);
         let tag = if known { *tag } else { Tag::CellFile };
         let _ = writeln!(page, "| {cells} | {} |", tag.cells());
     }
@@ -115,6 +114,5 @@ fn lines<'a>(
 
 /// A row whose value is a number.
 pub(crate) fn row(name: &str, meaning: &str, value: f64, unit: &str, tag: Tag) -> Row {
-    let cells = format!("`{name}` | {meaning} | {value} | {unit}");
-    Row { cells, tag }
+    Row { cells: format!("`{name}` | {meaning} | {value} | {unit}"), tag }
 }

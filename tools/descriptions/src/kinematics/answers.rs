@@ -93,10 +93,8 @@ impl Answer {
             motors
         });
         let links = machine.robot.links();
-        let position = |link: &Link| {
-            let terms = joints.iter().zip(link.coupling);
-            (link.name, terms.map(|(joint, factor)| factor * joint).sum())
-        };
+        let position =
+            |link: &Link| (link.name, joints.iter().zip(link.coupling).map(|(joint, factor)| factor * joint).sum());
         let q = pose.rotation;
         let values = Values::Forward {
             joints: joints.to_vec(),
@@ -121,11 +119,7 @@ impl Answer {
     /// Jacobian and distance from a singularity at these joints.
     pub(super) fn jacobian(machine: &Machine, joints: &Joints) -> anyhow::Result<Self> {
         let jacobian = machine.robot.jacobian(joints)?;
-        let columns = 0..machine.robot.axes();
-        let row = |row| {
-            let columns = columns.clone();
-            columns.map(|column| jacobian[(row, column)]).collect()
-        };
+        let row = |row| (0..machine.robot.axes()).map(|column| jacobian[(row, column)]).collect();
         let values =
             Values::Jacobian { jacobian: std::array::from_fn(row), singularity: machine.robot.singularity(joints)? };
         Ok(Self::of(machine, values))

@@ -44,14 +44,12 @@ impl Machine {
             None => preset(robot)?,
             Some(cell) => {
                 let file = CellFile::read(cell)?;
-                let mut robots = file.cell.robot.iter();
-                let found = robots.find(|candidate| candidate.name == *robot);
+                let found = file.cell.robot.iter().find(|candidate| candidate.name == *robot);
                 let found = found.ok_or_else(|| {
                     let names = file.cell.robot.iter().map(|robot| robot.name.as_str());
                     unknown(&format!("{} has no robot", cell.display()), robot, names)
                 })?;
-                let model = found.model;
-                found.parameters.unwrap_or_else(|| model.parameters())
+                found.parameters.unwrap_or_else(|| found.model.parameters())
             }
         };
         Ok(Self {
@@ -107,11 +105,9 @@ impl Machine {
 }
 
 fn preset(name: &str) -> anyhow::Result<Parameters> {
-    let mut models = Model::ALL.into_iter();
-    let found = models.find(|model| model.name() == name);
-    let names = Model::ALL.into_iter().map(Model::name);
-    let model = found.ok_or_else(|| unknown("there is no robot", name, names))?;
-    Ok(model.parameters())
+    let found = Model::ALL.into_iter().find(|model| model.name() == name);
+    let unknown = || unknown("there is no robot", name, Model::ALL.into_iter().map(Model::name));
+    Ok(found.ok_or_else(unknown)?.parameters())
 }
 
 fn unknown<'a>(what: &str, name: &str, known: impl Iterator<Item = &'a str>) -> anyhow::Error {
@@ -121,10 +117,8 @@ fn unknown<'a>(what: &str, name: &str, known: impl Iterator<Item = &'a str>) -> 
 /// Parses a list of finite numbers, separated by commas.
 fn list(option: &str, text: &str) -> anyhow::Result<Vec<f64>> {
     let number = |part: &str| {
-        let value: f64 = part
-            .trim()
-            .parse()
-            .map_err(|_| anyhow!("{option}: {part:?} is not a number, as in a list separated by commas"))?;
+        let refused = |_| anyhow!("{option}: {part:?} is not a number, as in a list separated by commas");
+        let value: f64 = part.trim().parse().map_err(refused)?;
         ensure!(value.is_finite(), "{option}: {part:?} is not finite");
         Ok(value)
     };

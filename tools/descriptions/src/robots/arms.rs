@@ -15,9 +15,7 @@ impl Described for Irb6Parameters {
         let symbols = &["th1", "th2", "th3", "th4", "th5"];
         let mut lengths = arm_rows(&self.arm, "arm.", Tag::PublicCode(WUT), WUT);
         let meaning = "sine by which a pose's tool axis may lean out of the arm's plane";
-        let tolerance = self.tool_plane_tolerance;
-        let name = "tool_plane_tolerance";
-        lengths.push(row(name, meaning, tolerance, "1", Tag::Nominal));
+        lengths.push(row("tool_plane_tolerance", meaning, self.tool_plane_tolerance, "1", Tag::Nominal));
         Description {
             about: "ASEA IRb-6, five axes. The base frame is on the floor under the column. th2, th3 and th4 are \
                     inclinations to the horizontal, positive down, as the drives set them: the upper arm keeps its \
@@ -115,21 +113,13 @@ impl Described for Irp6TrackParameters {
 const AT_SHOULDER: Tag = Tag::Derived("the controller's base frame is at the shoulder");
 
 fn arm_rows(arm: &ArmParameters, path: &str, shoulder: Tag, source: &'static str) -> Vec<Row> {
-    let length = |name: &str, meaning: &str, value: f64| {
-        let tag = Tag::PublicCode(source);
-        row(&format!("{path}{name}"), meaning, value, "m", tag)
-    };
-    let to_shoulder = "base frame to shoulder axis, up";
-    let to_elbow = "shoulder axis to elbow axis";
-    let to_pitch = "elbow axis to pitch axis";
-    let to_flange = "pitch axis to flange along the roll axis";
-    let mut height = length("shoulder_height", to_shoulder, arm.shoulder_height);
-    height.tag = shoulder;
+    let length = |name, meaning, value, tag| row(&format!("{path}{name}"), meaning, value, "m", tag);
+    let code = Tag::PublicCode(source);
     vec![
-        height,
-        length("lower_arm_length", to_elbow, arm.lower_arm_length),
-        length("upper_arm_length", to_pitch, arm.upper_arm_length),
-        length("wrist_length", to_flange, arm.wrist_length),
+        length("shoulder_height", "base frame to shoulder axis, up", arm.shoulder_height, shoulder),
+        length("lower_arm_length", "shoulder axis to elbow axis", arm.lower_arm_length, code),
+        length("upper_arm_length", "elbow axis to pitch axis", arm.upper_arm_length, code),
+        length("wrist_length", "pitch axis to flange along the roll axis", arm.wrist_length, code),
     ]
 }
 
@@ -150,8 +140,7 @@ fn irp6_drives(robot: &Irp6Parameters, symbols: &[&str], path: &str, source: &'s
     let mut drives = arm_drives(&robot.arm, symbols, &format!("{path}arm."), source);
     // Public code has 92°, where some poses have a second branch.
     drives[3].tag = Tag::Derived("as th4 of irb6, to 90° so that one branch remains");
-    let hand = format!("{path}hand");
-    drives.push(gear("th6", &hand, &robot.hand, Tag::PublicCode(source)));
+    drives.push(gear("th6", &format!("{path}hand"), &robot.hand, Tag::PublicCode(source)));
     drives
 }
 
@@ -177,8 +166,7 @@ fn arm(machine: &Machine, degrees: &[f64]) -> [View; 2] {
         let travel = format!("{:.0}", (ends[1] - ends[0]).norm() * 1e3);
         others.push(Other { points: ends.to_vec(), part: Part::Solid, said: Some(travel) });
     } else {
-        let ends = range(machine, &joints, column);
-        above = Some((sector(radii, ends), "reach of the pitch axis"));
+        above = Some((sector(radii, range(machine, &joints, column)), "reach of the pitch axis"));
     }
     let mut side = View::of("From the side", joints, [Vector3::x(), Vector3::z()]);
     side.reach = Some((vec![area], "reach of the pitch axis"));

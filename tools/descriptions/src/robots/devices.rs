@@ -13,9 +13,6 @@ impl Described for GripperParameters {
                  openings: the code has the other, by which it is not",
         );
         let code = Tag::PublicCode("ptroja/mrrocpp, src/robot/irp6ot_tfg");
-        let per_square = "opening per square of the motor's position";
-        let home = "motor position at home";
-        let (low, high) = ("lowest motor position", "highest motor position");
         Description {
             about: "The two-finger gripper of the WUT robots: one motor, two jaws. The opening is a polynomial of \
                     the motor's position; past its vertex the jaws close again.",
@@ -23,12 +20,12 @@ impl Described for GripperParameters {
             caution: None,
             title: "Parameters",
             lengths: vec![
-                row("square", per_square, self.square, "m/rad²", code),
+                row("square", "opening per square of the motor's position", self.square, "m/rad²", code),
                 row("linear", "opening per motor position", self.linear, "m/rad", sign),
                 row("constant", "opening at motor position 0", self.constant, "m", code),
-                row("motor_at_home", home, self.motor_at_home, "rad", code),
-                row("motor_limits.low", low, motors.low, "rad", code),
-                row("motor_limits.high", high, motors.high, "rad", code),
+                row("motor_at_home", "motor position at home", self.motor_at_home, "rad", code),
+                row("motor_limits.low", "lowest motor position", motors.low, "rad", code),
+                row("motor_limits.high", "highest motor position", motors.high, "rad", code),
                 row("opening_limits.low", "narrowest opening", openings.low, "m", code),
                 row("opening_limits.high", "widest opening", openings.high, "m", code),
             ],
@@ -50,19 +47,16 @@ impl Described for ConveyorParameters {
         let counter = Tag::Derived("what a 32-bit counter of 4000 counts per turn holds");
         let code = Tag::PublicCode("ptroja/mrrocpp, src/robot/conveyor");
         let motors = self.motor_limits;
-        let ratio = "motor position per position of the belt";
-        let home = "motor position at home";
-        let (low, high) = ("lowest motor position", "highest motor position");
         Description {
             about: "The conveyor of the WUT laboratory: a belt behind a gear, without limits.",
             symbols: &[],
             caution: None,
             title: "Parameters",
             lengths: vec![
-                row("ratio", ratio, self.ratio, "rad/m", code),
-                row("motor_at_home", home, self.motor_at_home, "rad", code),
-                row("motor_limits.low", low, motors.low, "rad", counter),
-                row("motor_limits.high", high, motors.high, "rad", counter),
+                row("ratio", "motor position per position of the belt", self.ratio, "rad/m", code),
+                row("motor_at_home", "motor position at home", self.motor_at_home, "rad", code),
+                row("motor_limits.low", "lowest motor position", motors.low, "rad", counter),
+                row("motor_limits.high", "highest motor position", motors.high, "rad", counter),
             ],
             drives: Vec::new(),
             loops: vec![["`cells/lab.toml`", BY_DRIVE, "45.9", "39.1°"]],

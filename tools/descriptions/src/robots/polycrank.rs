@@ -14,19 +14,16 @@ impl Described for PolycrankParameters {
         let [a1, a2] = self.upper_cranks;
         let [d1, d2, d3] = self.upper_offsets;
         let [d4, d5, d6] = self.forearm_offsets;
-        let first = "axis 1 to axis 2; at zero it points along -x";
-        let forearm = "axis 4 to axis 5, and axis 5 to axis 6";
-        let last = "joint 6 to axis 7; 0.062 in another published copy";
         let lengths = [
-            ("upper_cranks[0]", first, a1),
+            ("upper_cranks[0]", "axis 1 to axis 2; at zero it points along -x", a1),
             ("upper_cranks[1]", "axis 2 to axis 3", a2),
             ("upper_offsets[0]", "joint 1 to joint 2 along axis 1", d1),
             ("upper_offsets[1]", "joint 2 to joint 3 along axis 2", d2),
             ("upper_offsets[2]", "joint 3 to axis 4 along axis 3", d3),
-            ("forearm_crank", forearm, self.forearm_crank),
+            ("forearm_crank", "axis 4 to axis 5, and axis 5 to axis 6", self.forearm_crank),
             ("forearm_offsets[0]", "joint 4 to joint 5 along axis 4", d4),
             ("forearm_offsets[1]", "joint 5 to joint 6 along axis 5", d5),
-            ("forearm_offsets[2]", last, d6),
+            ("forearm_offsets[2]", "joint 6 to axis 7; 0.062 in another published copy", d6),
             ("flange_offset", "flange along axis 7", self.flange_offset),
         ];
         let code = Tag::PublicCode("mzbikows/Graspit, Polycrank");

@@ -13,21 +13,15 @@ use crate::kinematics::Machine;
 impl Described for RntParameters {
     fn description(&self) -> Description<'_> {
         let nominal = "geometry, drives and limits of the RNT are nominal: none was measured or published";
-        let begin = "circle on which the legs begin, at 0°, 120°, 240°";
-        let end = "circle on which the legs end";
-        let wrist = "platform to wrist centre along the central leg";
         let lengths = [
-            ("base_radius", begin, self.base_radius),
-            ("platform_radius", end, self.platform_radius),
-            ("wrist_offset", wrist, self.wrist_offset),
+            ("base_radius", "circle on which the legs begin, at 0°, 120°, 240°", self.base_radius),
+            ("platform_radius", "circle on which the legs end", self.platform_radius),
+            ("wrist_offset", "platform to wrist centre along the central leg", self.wrist_offset),
         ];
         let length = |(name, meaning, value)| row(name, meaning, value, "m", Tag::Nominal);
         let platform =
             [("alpha", "alpha", self.alpha), ("beta", "beta", self.beta), ("rho", "extension", self.extension)];
-        let by_legs = |(joint, name, limits)| {
-            let numbers = ["by the legs", "", &span(&limits), ""];
-            drive(joint, name, numbers, Tag::Nominal)
-        };
+        let by_legs = |(joint, name, limits)| drive(joint, name, ["by the legs", "", &span(&limits), ""], Tag::Nominal);
         let mut drives: Vec<_> = platform.map(by_legs).into();
         drives.extend(self.legs.iter().enumerate().map(leg_drive));
         let wrist = [("roll", self.roll), ("pitch", self.pitch), ("spin", self.spin)];
@@ -67,8 +61,7 @@ fn leg_drive((number, leg): (usize, &LegAxis)) -> Row {
     let home = length_at_home(leg.length_at_home, leg.motor_at_home);
     let motors = span(&Limits { low: leg.motor(leg.length_limits.low), high: leg.motor(leg.length_limits.high) });
     let numbers = [&*transmission, &home, &span(&leg.length_limits), &motors];
-    let (joint, name) = (format!("leg {number}"), format!("legs[{number}]"));
-    drive(&joint, &name, numbers, Tag::Nominal)
+    drive(&format!("leg {number}"), &format!("legs[{number}]"), numbers, Tag::Nominal)
 }
 
 fn views(machine: &Machine) -> [View; 2] {

@@ -5,7 +5,7 @@
 use servo::thread::{LIMITS, Limit};
 use thiserror::Error;
 
-use super::fix::{Knob, shown};
+use super::fix::{Knob, shown, timing};
 use super::record::Change;
 use super::tree::cpu_list;
 
@@ -17,15 +17,11 @@ const LONGEST_NAME: usize = 15;
 enum Takes {
     /// An integer of this range.
     Integer(i64, i64),
-    /// The name of a governor.
     Governor,
-    /// A set of processors.
     Cpus,
     /// The file of limits: any text, to which lines are appended.
     Limits,
-    /// A bit rate, and an optional sample point.
     BitTiming,
-    /// The state of an interface.
     UpOrDown,
 }
 
@@ -47,20 +43,9 @@ pub(super) enum Inadmissible {
     Knob(Knob),
     /// A value before the change that the knob never has.
     #[error("--fix cannot have found {} in {knob}", shown(before.as_deref()))]
-    Before {
-        /// The knob of the change.
-        knob: Knob,
-        /// Value before the change.
-        before: Option<String>,
-    },
-    /// A value after the change that `--fix` does not set.
+    Before { knob: Knob, before: Option<String> },
     #[error("--fix does not set {knob} to {}", shown(Some(after)))]
-    After {
-        /// The knob of the change.
-        knob: Knob,
-        /// Value after the change.
-        after: String,
-    },
+    After { knob: Knob, after: String },
 }
 
 impl Change {
@@ -91,10 +76,7 @@ impl Knob {
     fn takes(&self) -> Option<Takes> {
         let card = |interface: &str, takes| is_name(interface).then_some(takes);
         match self {
-            Self::Kernel(path) => {
-                let file = FILES.iter().find(|(pattern, _)| matches(pattern, path));
-                file.map(|(_, takes)| *takes)
-            }
+            Self::Kernel(path) => FILES.iter().find(|(pattern, _)| matches(pattern, path)).map(|(_, takes)| *takes),
             Self::File(path) => (path == LIMITS).then_some(Takes::Limits),
             Self::BitTiming(interface) => card(interface, Takes::BitTiming),
             Self::RestartMs(interface) => card(interface, Takes::Integer(0, u32::MAX as i64)),
@@ -111,10 +93,7 @@ impl Takes {
 
     fn admits(self, value: &str) -> bool {
         match self {
-            Self::Integer(least, most) => {
-                let number = value.parse::<i64>();
-                number.is_ok_and(|number| (least..=most).contains(&number))
-            }
+            Self::Integer(least, most) => value.parse().is_ok_and(|number| (least..=most).contains(&number)),
             Self::Governor => {
                 let word = |byte: u8| byte.is_ascii_lowercase() || byte == b'_';
                 (1..=LONGEST_NAME).contains(&value.len()) && value.bytes().all(word)
@@ -124,7 +103,7 @@ impl Takes {
                 value.bytes().all(list) && !cpu_list(value).is_empty()
             }
             Self::Limits => true,
-            Self::BitTiming => is_timing(value),
+            Self::BitTiming => timing(value).is_some_and(|(bitrate, _)| (1..=1_000_000).contains(&bitrate)),
             Self::UpOrDown => matches!(value, "up" | "down"),
         }
     }
@@ -156,18 +135,7 @@ fn is_numbered(pattern: &str, part: &str) -> bool {
 /// Whether an interface or a tty may have this name. Path separators and control characters of a terminal are refused.
 fn is_name(name: &str) -> bool {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"._-+@".contains(&byte);
-    let length = (1..=LONGEST_NAME).contains(&name.len());
-    length && name.bytes().all(plain) && !matches!(name, "." | "..")
-}
-
-/// Whether `value` is a bit rate with an optional sample point.
-fn is_timing(value: &str) -> bool {
-    let mut words = value.split(' ');
-    let bitrate = words.next().and_then(|word| word.parse::<u32>().ok());
-    let point = words.next().map(str::parse::<f64>);
-    bitrate.is_some_and(|bitrate| (1..=1_000_000).contains(&bitrate))
-        && point.is_none_or(|point| point.is_ok_and(|point| (0.0..1.0).contains(&point)))
-        && words.next().is_none()
+    (1..=LONGEST_NAME).contains(&name.len()) && name.bytes().all(plain) && !matches!(name, "." | "..")
 }
 
 /// Whether the file of limits `after` is `before` with appended lines, each of which grants a limit.
@@ -180,8 +148,7 @@ fn is_granted(before: &str, after: &str) -> bool {
         true => Some(added),
     };
     let grants = |line: &str| {
-        let priorities = (1..=99).map(Limit::Priority);
-        let mut limits = priorities.chain([Limit::LockedMemory]);
+        let mut limits = (1..=99).map(Limit::Priority).chain([Limit::LockedMemory]);
         limits.any(|limit| limit.to_string() == line)
     };
     added.is_some_and(|added| added.ends_with('\n') && added.lines().all(grants))

@@ -102,14 +102,12 @@ pub(super) fn findings(
             Some(kbps) => kbps.checked_mul(1000),
             None => link.and_then(Link::bitrate),
         };
-        let timing = rate.map(|rate| fix_timing(name, rate, None));
-        let fixes = timing.map_or(Vec::new(), |timing| vec![timing, fix_up]);
+        let fixes = rate.map_or(Vec::new(), |rate| vec![fix_timing(name, rate, None), fix_up]);
         (set(&format!("bitrate {bitrate} restart-ms 100")), fixes)
     };
     let read = if up { "yes" } else { "no" };
-    let why = "an interface that is down sends nothing";
-    let state = Finding::new(&wanted.of, "up", read, why);
-    findings.push((state.judged(Verdict::NotUsable.when(!up), mend)).fixed_by(fixes));
+    let state = Finding::new(&wanted.of, "up", read, "an interface that is down sends nothing");
+    findings.push(state.judged(Verdict::NotUsable.when(!up), mend).fixed_by(fixes));
     match link {
         _ if virtual_bus => {}
         None => findings.push(
@@ -148,10 +146,8 @@ fn frame_order(tree: &Tree, of: &str, driver: Option<&str>) -> Option<Finding> {
          after a newer one",
     );
     let mut numbers = release.split(['.', '-']).map(str::parse::<u32>);
-    let ordered = matches!(
-        (numbers.next(), numbers.next()),
-        (Some(Ok(major)), Some(Ok(minor))) if (major, minor) >= (6, 6)
-    );
+    let version = (numbers.next(), numbers.next());
+    let ordered = matches!(version, (Some(Ok(major)), Some(Ok(minor))) if (major, minor) >= (6, 6));
     Some(finding.judged(Verdict::Warning.when(!ordered), "a kernel of 6.6 or later, such as that of Debian 13"))
 }
 
@@ -204,8 +200,8 @@ fn errors(of: &str, up: bool, link: &Link) -> Option<Finding> {
     let controller = &link.info.controller;
     let state = controller.state.as_deref().filter(|_| up)?;
     let (counters, statistics) = (controller.error_counters, link.info.statistics);
-    let counted = counters
-        .map_or("no error counters".to_owned(), |counters| format!("errors tx {} rx {}", counters.tx, counters.rx));
+    let counted = counters.map(|counters| format!("errors tx {} rx {}", counters.tx, counters.rx));
+    let counted = counted.as_deref().unwrap_or("no error counters");
     let finding = Finding::new(
         of,
         "bus state",
@@ -255,8 +251,8 @@ fn queue(tree: &Tree, wanted: &Wanted, link: Option<&Link>, virtual_bus: bool) -
     let fits = unqueued || (length > needed && length <= 1000);
     let long_enough = 128.max(wanted.send_queue + 1);
     let mend = format!("ip link set {name} txqueuelen {long_enough}");
-    let finding = finding.judged(Verdict::Warning.when(!fits), mend);
-    Some(finding.fixed_by([Knob::Kernel(file).to(long_enough.to_string())]))
+    let fix = Knob::Kernel(file).to(long_enough.to_string());
+    Some(finding.judged(Verdict::Warning.when(!fits), mend).fixed_by([fix]))
 }
 
 /// Finding about the CPUs that serve the interrupt of the card, or of the USB host controller of the adapter.
@@ -289,16 +285,13 @@ fn interrupt(tree: &Tree, wanted: &Wanted) -> Option<Finding> {
         let only = lists.clone().all(|list| list.iter().eq([&servo]));
         !only && lists.any(|list| list.contains(&servo))
     });
-    let list = numbers.iter();
-    let list = list.map(|number| format!("/proc/irq/{number}/smp_affinity_list"));
-    let list: Vec<_> = list.collect();
-    let online = tree.text("/sys/devices/system/cpu/online");
-    let mut others = cpu_list(&online.unwrap_or_default());
+    let files: Vec<_> = numbers.iter().map(|number| format!("/proc/irq/{number}/smp_affinity_list")).collect();
+    let mut others = cpu_list(&tree.text("/sys/devices/system/cpu/online").unwrap_or_default());
     others.retain(|cpu| Some(*cpu) != wanted.servo_cpu);
-    let mend = format!("echo another CPU > {}", list.join(" "));
-    let elsewhere = list.into_iter().filter(|_| !others.is_empty());
-    let finding = finding.judged(Verdict::Warning.when(delays), mend);
-    Some(finding.fixed_by(elsewhere.map(|file| Knob::Kernel(file).to(cpu_ranges(&others)))))
+    let mend = format!("echo another CPU > {}", files.join(" "));
+    let files = files.into_iter().filter(|_| !others.is_empty());
+    let fixes = files.map(|file| Knob::Kernel(file).to(cpu_ranges(&others)));
+    Some(finding.judged(Verdict::Warning.when(delays), mend).fixed_by(fixes))
 }
 
 #[cfg(test)]

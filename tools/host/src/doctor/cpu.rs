@@ -25,9 +25,7 @@ pub(super) fn findings(tree: &Tree, realtime: &Realtime) -> Vec<Finding> {
     let isolated = cpu_list(&tree.text(&format!("{CPUS}/isolated")).unwrap_or_default());
     let status = tree.text("/proc/self/status").unwrap_or_default();
     let allowed = cpu_list(field(&status, "Cpus_allowed_list").unwrap_or_default());
-    let latency = tree.access("/dev/cpu_dma_latency");
-    let identity = Identity::of(tree);
-    let writable = latency.map(|access| identity.may(0o2, access));
+    let writable = tree.access("/dev/cpu_dma_latency").map(|access| Identity::of(tree).may(0o2, access));
     vec![
         governors(tree, &online),
         idle_states(&enabled(tree, &online)),
@@ -42,8 +40,7 @@ fn governors(tree: &Tree, online: &BTreeSet<usize>) -> Finding {
     let named: BTreeSet<_> = files.iter().map(|(governor, _)| governor.as_str()).collect();
     let named: Vec<_> = named.into_iter().collect();
     let slow = files.iter().filter(|(governor, _)| governor != "performance");
-    let fixes = slow.map(|(_, file)| Knob::Kernel(file.clone()).to("performance"));
-    let fixes: Vec<_> = fixes.collect();
+    let fixes: Vec<_> = slow.map(|(_, file)| Knob::Kernel(file.clone()).to("performance")).collect();
     Finding::new(
         OF,
         "governor",
@@ -60,8 +57,7 @@ type IdleState = (i64, String, String);
 fn enabled(tree: &Tree, online: &BTreeSet<usize>) -> Vec<IdleState> {
     let directories = online.iter().flat_map(|cpu| {
         let directory = format!("{CPUS}/cpu{cpu}/cpuidle");
-        let states = tree.names(&directory).into_iter();
-        states.map(move |state| format!("{directory}/{state}"))
+        tree.names(&directory).into_iter().map(move |state| format!("{directory}/{state}"))
     });
     let enabled = directories.filter_map(|directory| {
         let disabled = tree.number(&format!("{directory}/disable"))? != 0;
@@ -80,19 +76,13 @@ fn cpu_latency(writable: Option<bool>, policy: Policy) -> Finding {
         Some(false) => "/dev/cpu_dma_latency is not this user's to write",
         Some(true) => "/dev/cpu_dma_latency is writable",
     };
-    let denial = Denial::CpuLatency { errno: EACCES };
-    Finding::new(
-        OF,
-        "CPU latency",
-        read,
-        "while a servo thread runs it keeps all processors from idle states that take time to leave",
-    )
-    .judged(denied(policy).when(writable == Some(false)), denial.to_string())
+    let why = "while a servo thread runs it keeps all processors from idle states that take time to leave";
+    let mend = Denial::CpuLatency { errno: EACCES }.to_string();
+    Finding::new(OF, "CPU latency", read, why).judged(denied(policy).when(writable == Some(false)), mend)
 }
 
 fn idle_states(enabled: &[IdleState]) -> Finding {
-    let deepest = enabled.iter().max_by_key(|(latency, ..)| latency);
-    let (latency, read) = match deepest {
+    let (latency, read) = match enabled.iter().max_by_key(|(latency, ..)| latency) {
         None => (0, "none".to_owned()),
         Some((latency, name, _)) => (*latency, format!("down to {name}, {latency} µs to leave")),
     };
@@ -120,12 +110,9 @@ fn placement(
     isolated: &BTreeSet<usize>,
     allowed: &BTreeSet<usize>,
 ) -> Finding {
-    let list = |cpus: &BTreeSet<usize>| {
-        let cpus: Vec<_> = cpus.iter().map(usize::to_string).collect();
-        match cpus.join(",") {
-            none if none.is_empty() => "none".to_owned(),
-            cpus => cpus,
-        }
+    let list = |cpus: &BTreeSet<usize>| match &*cpus.iter().map(usize::to_string).collect::<Vec<_>>() {
+        [] => "none".to_owned(),
+        cpus => cpus.join(","),
     };
     let pinned = realtime.cpu;
     let servo = pinned.map_or("not pinned".to_owned(), |cpu| format!("on CPU {cpu}"));
@@ -156,10 +143,8 @@ fn placement(
 
 /// Time that a hypervisor took from the processors of this virtual machine between two readings of `/proc/stat`.
 pub(super) fn steal(cpuinfo: &str, before: &str, after: &str) -> Finding {
-    let virtual_machine = field(cpuinfo, "flags").is_some_and(|flags| {
-        let mut flags = flags.split_whitespace();
-        flags.any(|flag| flag == "hypervisor")
-    });
+    let flags = field(cpuinfo, "flags").unwrap_or_default();
+    let virtual_machine = flags.split_whitespace().any(|flag| flag == "hypervisor");
     let stolen = stolen_ticks(after).saturating_sub(stolen_ticks(before));
     let host = if virtual_machine { "virtual machine" } else { "no hypervisor" };
     Finding::new(

@@ -100,12 +100,8 @@ impl Knob {
     fn write(&self, tree: &Tree, value: Option<&str>) -> anyhow::Result<()> {
         let none = card::Change::default();
         let (interface, change) = match (self, value) {
-            (Self::File(path), value) => {
-                return tree.replace(path, value).with_context(|| path.clone());
-            }
-            (Self::Kernel(path), Some(value)) => {
-                return tree.set(path, value).with_context(|| path.clone());
-            }
+            (Self::File(path), value) => return tree.replace(path, value).with_context(|| path.clone()),
+            (Self::Kernel(path), Some(value)) => return tree.set(path, value).with_context(|| path.clone()),
             (Self::BitTiming(interface), Some(value)) => {
                 let (bitrate, point) = timing(value).context("no bit rate")?;
                 // Sample point in tenths of a percent, below 1000.
@@ -114,24 +110,19 @@ impl Knob {
                 (interface, card::Change { timing, ..none })
             }
             (Self::RestartMs(interface), Some(value)) => {
-                let number = value.parse().with_context(|| format!("{value}: no number"));
-                let restart_ms = Some(number?);
+                let restart_ms = Some(value.parse().with_context(|| format!("{value}: no number"))?);
                 (interface, card::Change { restart_ms, ..none })
             }
-            (Self::State(interface), Some(value)) => {
-                let up = Some(value == "up");
-                (interface, card::Change { up, ..none })
-            }
+            (Self::State(interface), Some(value)) => (interface, card::Change { up: Some(value == "up"), ..none }),
             // An interface without a bit rate was down. The bit rate cannot be removed, so only the state is put back.
-            (Self::BitTiming(interface), None) => {
-                let up = Some(false);
-                (interface, card::Change { up, ..none })
-            }
-            (Self::Kernel(_) | Self::RestartMs(_) | Self::State(_), None) => {
-                bail!("it cannot be without a value")
-            }
+            (Self::BitTiming(interface), None) => (interface, card::Change { up: Some(false), ..none }),
+            (Self::Kernel(_) | Self::RestartMs(_) | Self::State(_), None) => bail!("it cannot be without a value"),
         };
-        unheard(tree, interface)?;
+        // The receiver may be the controller of an arm.
+        ensure!(
+            !is_heard(tree, interface),
+            "somebody receives on {interface} and would lose the bus: end what runs on it first"
+        );
         of_host(tree)?;
         Ok(card::change(interface, &change)?)
     }
@@ -152,29 +143,19 @@ impl Knob {
     }
 }
 
-/// Bit rate and sample point of a [`Knob::BitTiming`].
-fn timing(value: &str) -> Option<(u32, Option<f64>)> {
+/// Bit rate, bit/s, and sample point of a [`Knob::BitTiming`]. A sample point of 0 is not set.
+pub(super) fn timing(value: &str) -> Option<(u32, Option<f64>)> {
     let mut words = value.split(' ');
     let bitrate = words.next()?.parse().ok()?;
     let point = words.next().map(str::parse).transpose().ok()?;
-    let point = point.filter(|&point| point > 0.0 && point < 1.0);
-    Some((bitrate, point))
-}
-
-/// Refuses an interface on which another process receives frames, such as the controller of an arm.
-fn unheard(tree: &Tree, interface: &str) -> anyhow::Result<()> {
-    ensure!(
-        !is_heard(tree, interface),
-        "somebody receives on {interface} and would lose the bus: end what runs on it first"
-    );
-    Ok(())
+    let valid = point.is_none_or(|point| (0.0..1.0).contains(&point)) && words.next().is_none();
+    valid.then(|| (bitrate, point.filter(|&point| point > 0.0)))
 }
 
 /// Whether a socket receives on `interface`, or on all interfaces.
 fn is_heard(tree: &Tree, interface: &str) -> bool {
     const LISTS: &str = "/proc/net/can";
-    let names = tree.names(LISTS).into_iter();
-    let lists = names.filter(|name| name.starts_with("rcvlist_"));
+    let lists = tree.names(LISTS).into_iter().filter(|name| name.starts_with("rcvlist_"));
     let mut texts = lists.filter_map(|name| tree.text(&format!("{LISTS}/{name}")));
     // The line of a receiver begins with its interface. The other lines are headings or name an interface without
     // receivers.

@@ -13,19 +13,16 @@ const RUNTIME: &str = "/proc/sys/kernel/sched_rt_runtime_us";
 pub(super) fn findings(tree: &Tree, period_us: Option<u32>, fifo: bool) -> Vec<Finding> {
     let config = tree.kernel_config();
     let config = config.as_deref();
-    let mut findings = vec![preemption(
-        &tree.text("/proc/version").unwrap_or_default(),
-        tree.text("/sys/kernel/realtime").as_deref() == Some("1"),
-    )];
-    findings.push(timers(config, period_us));
+    let version = tree.text("/proc/version").unwrap_or_default();
+    let realtime = tree.text("/sys/kernel/realtime").as_deref() == Some("1");
+    let mut findings = vec![preemption(&version, realtime), timers(config, period_us)];
     findings.extend(throttling(tree.number(RUNTIME), tree.number("/proc/sys/kernel/sched_rt_period_us")));
     let groups = tree.text("/proc/self/cgroup").unwrap_or_default();
     let group = cpu_group(&groups);
     let runtime = group.and_then(|group| {
-        let controllers = ["cpu", "cpu,cpuacct", "cpuacct,cpu"];
-        controllers
-            .iter()
-            .find_map(|controller| tree.number(&format!("/sys/fs/cgroup/{controller}{group}/cpu.rt_runtime_us")))
+        let files = ["cpu", "cpu,cpuacct", "cpuacct,cpu"]
+            .map(|controller| format!("/sys/fs/cgroup/{controller}{group}/cpu.rt_runtime_us"));
+        files.iter().find_map(|file| tree.number(file))
     });
     // The single hierarchy of cgroup version 2 has number 0 and no controllers.
     let unified = groups.lines().find_map(|line| line.strip_prefix("0::"));
@@ -137,16 +134,12 @@ fn group_scheduling(
              CONFIG_RT_GROUP_SCHED, as Debian's are",
         );
     }
-    match (group, runtime_us) {
-        (Some(group), Some(0)) => finding.judged(
-            Verdict::NotUsable,
-            format!(
-                "echo 800000 > /sys/fs/cgroup/cpu{group}/cpu.rt_runtime_us, its parents first; or start from the root \
-                 group"
-            ),
-        ),
-        _ => finding,
-    }
+    let (Some(group), Some(0)) = (group, runtime_us) else {
+        return finding;
+    };
+    let file = format!("/sys/fs/cgroup/cpu{group}/cpu.rt_runtime_us");
+    let mend = format!("echo 800000 > {file}, its parents first; or start from the root group");
+    finding.judged(Verdict::NotUsable, mend)
 }
 
 #[cfg(test)]

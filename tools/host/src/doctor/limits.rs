@@ -1,7 +1,6 @@
 //! Limits of the user of this process: scheduling priority and locked memory.
 
 use mrroc::cell::{Policy, Realtime, Scheduler};
-
 use servo::thread::{Denial, Grant, LIMITS, Limit};
 
 use super::finding::{Finding, Verdict};
@@ -96,27 +95,17 @@ pub(super) fn findings(tree: &Tree, realtime: &Realtime, tried: Result<(), Denia
 fn granting(tree: &Tree, realtime: &Realtime) -> Option<Fix> {
     let mut text = tree.whole(LIMITS).ok().flatten().unwrap_or_default();
     let limits = [Limit::Priority(realtime.priority), Limit::LockedMemory];
-    let lines = limits.map(|limit| limit.to_string());
-    let mut missing = lines.iter().filter(|line| !grants(&text, line)).peekable();
-    missing.peek()?;
-    let missing: Vec<_> = missing.collect();
+    let missing = limits.map(|limit| limit.to_string()).into_iter().filter(|line| !grants(&text, line));
+    let missing: String = missing.map(|line| line + "\n").collect();
     if !text.is_empty() && !text.ends_with('\n') {
         text.push('\n');
     }
-    for line in missing {
-        text += line;
-        text.push('\n');
-    }
-    Some(Knob::File(LIMITS.to_owned()).to(text))
+    (!missing.is_empty()).then(|| Knob::File(LIMITS.to_owned()).to(text + &missing))
 }
 
 /// Whether the file of limits `text` grants at least as much as `line`. The last line with the same domain, type and
 /// item counts.
 fn grants(text: &str, line: &str) -> bool {
-    let amount = |value: &str| match value {
-        "unlimited" | "infinity" | "-1" => Some(u64::MAX),
-        number => number.parse().ok(),
-    };
     let (what, value) = line.rsplit_once(' ').unwrap_or((line, ""));
     let mut present = text.lines().rev().filter_map(|present| {
         let present = present.split('#').next().unwrap_or_default();
@@ -127,13 +116,17 @@ fn grants(text: &str, line: &str) -> bool {
     present.next().flatten() >= amount(value)
 }
 
-/// Soft limit in a line of `/proc/self/limits`. The word `unlimited` is the greatest number.
-fn soft_limit(limits: &str, name: &str) -> Option<u64> {
-    let line = limits.lines().find_map(|line| line.strip_prefix(name))?;
-    match line.split_whitespace().next()? {
-        "unlimited" => Some(u64::MAX),
+/// Value of a limit; the greatest number if there is no limit.
+fn amount(value: &str) -> Option<u64> {
+    match value {
+        "unlimited" | "infinity" | "-1" => Some(u64::MAX),
         number => number.parse().ok(),
     }
+}
+
+/// Soft limit in a line of `/proc/self/limits`.
+fn soft_limit(limits: &str, name: &str) -> Option<u64> {
+    amount(limits.lines().find_map(|line| line.strip_prefix(name))?.split_whitespace().next()?)
 }
 
 fn told(limit: Option<u64>) -> String {

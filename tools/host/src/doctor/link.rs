@@ -89,16 +89,14 @@ impl Link {
     pub fn of(interface: &str) -> Option<Self> {
         // The PATH of an ordinary user may lack the directories of the administrator.
         let programs = ["ip", "/usr/sbin/ip", "/sbin/ip"];
-        programs.into_iter().find_map(|program| {
-            let told = output_of(Command::new(program).args(ARGUMENTS).arg(interface))?;
-            Self::parse(&told)
-        })
+        programs
+            .into_iter()
+            .find_map(|program| Self::parse(&output_of(Command::new(program).args(ARGUMENTS).arg(interface))?))
     }
 
     /// Parses the output of `ip`; `None` if the text does not describe exactly one interface.
     pub fn parse(json: &str) -> Option<Self> {
-        let links: Vec<Self> = serde_json::from_str(json).ok()?;
-        links.into_iter().next()
+        serde_json::from_str::<Vec<Self>>(json).ok()?.into_iter().next()
     }
 
     /// Bit rate, bit/s; `None` if no bit rate is set.

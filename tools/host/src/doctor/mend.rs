@@ -51,12 +51,10 @@ pub(super) fn asked(finding: &Finding) -> io::Result<bool> {
 
 fn question(finding: &Finding) -> String {
     let Finding { of, what, read, why, fixes, .. } = finding;
-    let sets = fixes.iter().map(|fix| format!("  set: {fix}\n"));
-    let sets = sets.collect::<String>();
-    let mut down = fixes.iter().filter_map(|fix| fix.knob.takes_down(&fix.after));
-    let down = down
-        .next()
-        .map_or(String::new(), |interface| format!("  {interface} goes down for it: nothing may run on its bus\n"));
+    let sets: String = fixes.iter().map(|fix| format!("  set: {fix}\n")).collect();
+    let down = fixes.iter().find_map(|fix| fix.knob.takes_down(&fix.after));
+    let down = down.map(|interface| format!("  {interface} goes down for it: nothing may run on its bus\n"));
+    let down = down.unwrap_or_default();
     format!("\n{of}: {what}: {read}\n  why: {why}\n{sets}{down}Set it? [y/N] ")
 }
 

@@ -126,16 +126,12 @@ pub fn doctor(options: &Options) -> anyhow::Result<ExitCode> {
 
 fn undo(tree: &Tree, options: &Options) -> anyhow::Result<ExitCode> {
     let path = state(tree, options)?;
-    let record = match path.try_exists().unwrap_or(true) {
-        true => Some(Record::existing(&path)?),
-        false => None,
-    };
+    let record = path.try_exists().unwrap_or(true).then(|| Record::existing(&path)).transpose()?;
     let Some(mut record) = record.filter(|record| !record.changes().is_empty()) else {
         streams::say(format_args!("{}: nothing to put back", path.display()))?;
         return Ok(ExitCode::SUCCESS);
     };
-    let left = mend::undo(tree, &mut record)?;
-    Ok(ExitCode::from(u8::from(left > 0)))
+    Ok(ExitCode::from(u8::from(mend::undo(tree, &mut record)? > 0)))
 }
 
 /// Path of the record of changes.
@@ -148,10 +144,8 @@ fn state(tree: &Tree, options: &Options) -> anyhow::Result<PathBuf> {
         return Ok(PathBuf::from("/var/lib/mrroc").join(NAME));
     }
     let absolute = |name| env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
-    let home = || Some(absolute("HOME")?.join(".local/state"));
-    let directory = absolute("XDG_STATE_HOME").or_else(home);
-    let directory = directory.context("no HOME for the record of changes: --state FILE")?;
-    Ok(directory.join("mrroc").join(NAME))
+    let directory = absolute("XDG_STATE_HOME").or_else(|| Some(absolute("HOME")?.join(".local/state")));
+    Ok(directory.context("no HOME for the record of changes: --state FILE")?.join("mrroc").join(NAME))
 }
 
 fn examine(tree: &Tree, cell: Option<&Cell>) -> anyhow::Result<Vec<Finding>> {
@@ -169,8 +163,7 @@ fn examine(tree: &Tree, cell: Option<&Cell>) -> anyhow::Result<Vec<Finding>> {
         let link = Link::of(&wanted.interface);
         // Sends nothing; the socket is closed at once.
         let opened = SocketCanPort::open(&wanted.interface, &SocketCanOptions::default());
-        let found = can_interfaces::findings(tree, &wanted, opened.map(drop), link.as_ref());
-        findings.extend(found);
+        findings.extend(can_interfaces::findings(tree, &wanted, opened.map(drop), link.as_ref()));
     }
     for wanted in lines {
         findings.extend(serial_lines::findings(tree, &wanted));
@@ -186,8 +179,7 @@ fn examine(tree: &Tree, cell: Option<&Cell>) -> anyhow::Result<Vec<Finding>> {
 fn wanted(tree: &Tree, cell: Option<&Cell>) -> (Vec<can_interfaces::Wanted>, Vec<serial_lines::Wanted>) {
     let (mut interfaces, mut lines) = (Vec::new(), Vec::new());
     let Some(cell) = cell else {
-        let present = can_interfaces::present(tree).into_iter();
-        let of_host = present.map(|interface| can_interfaces::Wanted {
+        let of_host = can_interfaces::present(tree).into_iter().map(|interface| can_interfaces::Wanted {
             of: interface.clone(),
             interface,
             bitrate_kbps: None,
@@ -211,8 +203,7 @@ fn wanted(tree: &Tree, cell: Option<&Cell>) -> (Vec<can_interfaces::Wanted>, Vec
         }
     }
     for bundle in cell.bus.len()..cell.groups().count() {
-        let axes = cell.axes_on(bundle);
-        lines.extend(axes.map(|(robot, axis)| {
+        lines.extend(cell.axes_on(bundle).map(|(robot, axis)| {
             let (robot, axis) = (&cell.robot[robot], &cell.robot[robot].axis[axis]);
             let path = &axis.axis_controller().line;
             serial_lines::Wanted { of: format!("axis {}.{}, {path}", robot.name, axis.name), path: path.clone() }
@@ -250,10 +241,8 @@ impl fmt::Display for Examined {
                 writeln!(f, "{:12}--fix: {fix}", "")?;
             }
         }
-        let verdicts = || self.findings.iter().map(|finding| finding.verdict);
-        let count = |wanted| verdicts().filter(|verdict| *verdict == wanted).count();
-        let whose = self.cell.as_deref().map(|cell| format!(" for {cell}"));
-        let whose = whose.unwrap_or_default();
+        let count = |verdict| self.findings.iter().filter(|finding| finding.verdict == verdict).count();
+        let whose = self.cell.as_deref().map(|cell| format!(" for {cell}")).unwrap_or_default();
         let warnings = count(Verdict::Warning);
         match self.verdict {
             Verdict::Ok => writeln!(f, "\nready{whose}"),

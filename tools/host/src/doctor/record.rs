@@ -40,8 +40,7 @@ impl Record {
     pub(super) fn open(path: &Path) -> anyhow::Result<Self> {
         let shown = || path.display().to_string();
         let path = std::path::absolute(path).with_context(shown)?;
-        let directory = path.parent().context("a record is a file")?;
-        fs::create_dir_all(directory).with_context(shown)?;
+        fs::create_dir_all(path.parent().context("a record is a file")?).with_context(shown)?;
         Self::existing(&path)
     }
 
@@ -49,13 +48,11 @@ impl Record {
     pub(super) fn existing(path: &Path) -> anyhow::Result<Self> {
         let shown = || path.display().to_string();
         let path = std::path::absolute(path).with_context(shown)?;
-        let directory = path.parent().context("a record is a file")?;
-        let lock = File::open(directory).with_context(shown)?;
+        let lock = File::open(path.parent().context("a record is a file")?).with_context(shown)?;
         if lock.try_lock().is_err() {
             bail!("{}: another doctor is at work with it", shown());
         }
-        let changes = read(&path).with_context(shown)?;
-        Ok(Self { path, changes, _lock: lock })
+        Ok(Self { changes: read(&path).with_context(shown)?, path, _lock: lock })
     }
 
     pub(super) fn path(&self) -> &Path {

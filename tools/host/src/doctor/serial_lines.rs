@@ -16,10 +16,8 @@ pub(super) struct Wanted {
 /// Findings about one tty. The tty is not opened, because opening a tty raises its control lines.
 pub(super) fn findings(tree: &Tree, wanted: &Wanted) -> Vec<Finding> {
     let of = wanted.of.as_str();
-    let presence = |read: String| {
-        let why = "the axis controller or adapter behind it is reached through it and no other";
-        Finding::new(of, "tty", read, why)
-    };
+    let why = "the axis controller or adapter behind it is reached through it and no other";
+    let presence = |read: String| Finding::new(of, "tty", read, why);
     let Some(name) = tree.resolved_name(&wanted.path) else {
         let others = persistent(tree);
         let others = if others.is_empty() {
@@ -34,16 +32,11 @@ pub(super) fn findings(tree: &Tree, wanted: &Wanted) -> Vec<Finding> {
     };
     let class = format!("/sys/class/tty/{name}");
     let driver = tree.resolved_name(&format!("{class}/device/driver"));
-    let present = match &driver {
-        Some(driver) => format!("{name}, driver {driver}"),
-        None => name.clone(),
-    };
+    let present = driver.map_or(name.clone(), |driver| format!("{name}, driver {driver}"));
     // Drivers of serial ports create ttys for ports that the machine does not have: PORT_UNKNOWN of linux/serial.h.
     if tree.number(&format!("{class}/type")) == Some(0) {
-        return vec![
-            presence(format!("{present}, no port behind it"))
-                .judged(Verdict::NotUsable, "the line's path in the cell: a tty that has a port"),
-        ];
+        let mend = "the line's path in the cell: a tty that has a port";
+        return vec![presence(format!("{present}, no port behind it")).judged(Verdict::NotUsable, mend)];
     }
     let mut findings = vec![presence(present)];
     findings.extend(permission(tree, wanted));
@@ -65,20 +58,15 @@ fn flag(tree: &Tree, of: &str, name: &str) -> Option<Finding> {
 }
 
 fn permission(tree: &Tree, wanted: &Wanted) -> Option<Finding> {
-    let access = tree.access(&wanted.path)?;
-    let granted = Identity::of(tree).may(0o6, access);
+    let granted = Identity::of(tree).may(0o6, tree.access(&wanted.path)?);
     let read = if granted { "granted" } else { "denied" };
-    let why = "it is opened for reading and writing";
-    Some(
-        Finding::new(&wanted.of, "permission", read, why)
-            .judged(Verdict::NotUsable.when(!granted), "usermod -aG dialout USER, then a new login"),
-    )
+    let finding = Finding::new(&wanted.of, "permission", read, "it is opened for reading and writing");
+    Some(finding.judged(Verdict::NotUsable.when(!granted), "usermod -aG dialout USER, then a new login"))
 }
 
 /// Persistent names of the USB adapters, which do not depend on the order of plugging.
 fn persistent(tree: &Tree) -> Vec<String> {
-    let names = tree.names("/dev/serial/by-id").into_iter();
-    names.map(|name| format!("/dev/serial/by-id/{name}")).collect()
+    tree.names("/dev/serial/by-id").into_iter().map(|name| format!("/dev/serial/by-id/{name}")).collect()
 }
 
 /// Finding about the name of a tty. Only ttys of USB adapters are numbered in the order of plugging.
@@ -96,9 +84,8 @@ fn naming(tree: &Tree, wanted: &Wanted, name: &str) -> Option<Finding> {
     if wanted.path != format!("/dev/{name}") {
         return Some(finding);
     }
-    let lasting = persistent(tree).into_iter();
-    let mut lasting = lasting.filter(|path| tree.resolved_name(path).as_deref() == Some(name));
-    let mend = match lasting.next() {
+    let lasting = persistent(tree).into_iter().find(|path| tree.resolved_name(path).as_deref() == Some(name));
+    let mend = match lasting {
         Some(path) => format!("the line's path in the cell: {path}"),
         None => "a udev rule that gives it a name by its serial number or its place".to_owned(),
     };
@@ -117,8 +104,7 @@ fn latency(tree: &Tree, of: &str, name: &str) -> Option<Finding> {
          grants",
     );
     let mend = format!("echo 1 > {file}; for good ATTR{{latency_timer}}=\"1\" in a rule of /etc/udev/rules.d");
-    let finding = finding.judged(Verdict::Warning.when(timer > 1), mend);
-    Some(finding.fixed_by([Knob::Kernel(file).to("1")]))
+    Some(finding.judged(Verdict::Warning.when(timer > 1), mend).fixed_by([Knob::Kernel(file).to("1")]))
 }
 
 #[cfg(test)]

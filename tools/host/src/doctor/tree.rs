@@ -35,8 +35,7 @@ impl Tree {
 
     /// Text of a file without surrounding white space; `None` if the file cannot be read.
     pub(super) fn text(&self, path: &str) -> Option<String> {
-        let text = fs::read_to_string(self.at(path)).ok()?;
-        Some(text.trim().to_owned())
+        Some(fs::read_to_string(self.at(path)).ok()?.trim().to_owned())
     }
 
     /// Number in a file.
@@ -55,14 +54,12 @@ impl Tree {
     /// Destination of a path after all links, relative to the root of the tree.
     pub(super) fn resolved(&self, path: &str) -> Option<PathBuf> {
         let path = self.at(path).canonicalize().ok()?;
-        let below = path.strip_prefix(&self.root).ok()?;
-        Some(Path::new("/").join(below))
+        Some(Path::new("/").join(path.strip_prefix(&self.root).ok()?))
     }
 
     /// The last part of [`resolved`](Self::resolved).
     pub(super) fn resolved_name(&self, path: &str) -> Option<String> {
-        let path = self.resolved(path)?;
-        Some(path.file_name()?.to_str()?.to_owned())
+        Some(self.resolved(path)?.file_name()?.to_str()?.to_owned())
     }
 
     pub(super) fn access(&self, path: &str) -> Option<Access> {
@@ -102,10 +99,8 @@ impl Tree {
     /// Build configuration of the running kernel, if available.
     pub(super) fn kernel_config(&self) -> Option<String> {
         let release = self.text("/proc/sys/kernel/osrelease")?;
-        self.text(&format!("/boot/config-{release}")).or_else(|| {
-            let packed = self.at("/proc/config.gz");
-            output_of(Command::new("gzip").arg("-dc").arg(packed))
-        })
+        let packed = || output_of(Command::new("gzip").arg("-dc").arg(self.at("/proc/config.gz")));
+        self.text(&format!("/boot/config-{release}")).or_else(packed)
     }
 }
 
@@ -123,9 +118,7 @@ pub(super) fn replace(path: &Path, text: Option<&str>, mode: u32) -> io::Result<
             Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
             _ => {}
         }
-        let mut options = OpenOptions::new();
-        options.write(true).create_new(true).mode(mode);
-        let mut file = options.open(&new)?;
+        let mut file = OpenOptions::new().write(true).create_new(true).mode(mode).open(&new)?;
         if let Ok(old) = fs::metadata(path) {
             file.set_permissions(old.permissions())?;
         }

@@ -9,9 +9,7 @@ use super::{bytes, named, transfer};
 pub(super) fn request(request: block::Request) -> String {
     use block::Request::{Acknowledge, EndDownload, EndUpload, InitiateDownload, InitiateUpload, StartUpload};
     match request {
-        InitiateDownload { object, size, .. } => {
-            format!("write {} in blocks{}", named(object), of_size(size))
-        }
+        InitiateDownload { object, size, .. } => format!("write {} in blocks{}", named(object), of_size(size)),
         InitiateUpload { object, block_size, .. } => format!("read {} in blocks of {block_size}", named(object)),
         StartUpload => "first block, please".to_owned(),
         Acknowledge(taken) => acknowledged(&taken),
@@ -24,9 +22,7 @@ pub(super) fn response(response: block::Response) -> String {
     use block::Response::{Acknowledge, EndDownload, EndUpload, InitiateDownload, InitiateUpload};
     match response {
         InitiateDownload { object, block_size, .. } => format!("{}, in blocks of {block_size}", named(object)),
-        InitiateUpload { object, size, .. } => {
-            format!("{} in blocks{}", named(object), of_size(size))
-        }
+        InitiateUpload { object, size, .. } => format!("{} in blocks{}", named(object), of_size(size)),
         Acknowledge(taken) => acknowledged(&taken),
         EndUpload(end) => format!("end of blocks, checksum {:#06x}", end.crc),
         EndDownload => "end of blocks taken".to_owned(),

@@ -219,9 +219,7 @@ impl Channel {
         let (state, object) = match (self.state, side, first(frame)) {
             (SessionState::Asked(asked), Side::Server, _) => (asked.begun(frame, self.node), None),
             (SessionState::DownloadSegments { object, .. }, Side::Client, 0x00..=0x1F) => {
-                let last = is_last_of_segments(frame);
-                let state = SessionState::DownloadSegments { object, last };
-                (Some(state), object)
+                (Some(SessionState::DownloadSegments { object, last: is_last_of_segments(frame) }), object)
             }
             (SessionState::DownloadSegments { object, last: true }, Side::Server, 0x20 | 0x30) => {
                 (Some(SessionState::Idle), object)
@@ -266,8 +264,7 @@ impl Asked {
         let (asked, object, state) = match (self, Response::decode(answer, node)?) {
             (Self::Expedited(asked), Response::InitiateDownload { object }) => (asked, object, SessionState::Idle),
             (Self::DownloadSegments(asked), Response::InitiateDownload { object }) => {
-                let state = SessionState::DownloadSegments { object: Some(object), last: false };
-                (asked, object, state)
+                (asked, object, SessionState::DownloadSegments { object: Some(object), last: false })
             }
             // A server may answer a request for a block upload with an expedited or segmented upload.
             (
@@ -290,10 +287,7 @@ impl Asked {
             (
                 Self::BlockUpload { object: asked, size },
                 Response::Block(block::Response::InitiateUpload { object, .. }),
-            ) => {
-                let block = Block { size, ..Block::new(Side::Server, Some(object)) };
-                (asked, object, SessionState::Block(block))
-            }
+            ) => (asked, object, SessionState::Block(Block { size, ..Block::new(Side::Server, Some(object)) })),
             _ => return None,
         };
         (asked == object).then_some(state)
