@@ -36,20 +36,16 @@ pub struct ObjectWrite {
 
 /// Why a DCF cannot be downloaded: the line, what is wrong there, what to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum DownloadError {
-    /// A value for what cannot be written.
     #[error(
         "{line}: {object} is read-only; remove its ParameterValue, or set bit 0 of its ObjFlags to keep it as a note"
     )]
     ReadOnly { line: u32, object: Object },
-    /// A value of a type without known layout.
     #[error("{line}: {object} has data type {code:#06x}, whose values cannot be written; remove its ParameterValue")]
     DataType { line: u32, object: Object, code: u16 },
-    /// A value in another file.
     #[error("{line}: {object} is to be written from a file, which is not supported; remove its DownloadFile")]
     File { line: u32, object: Object },
-    /// A PDO that cannot be switched off and on.
     #[error("{line}: a PDO is changed whose {object} has neither ParameterValue nor DefaultValue; state it")]
     NoPdoState { line: u32, object: Object },
 }

@@ -152,12 +152,11 @@ pub struct Setting {
 
 /// Why a configuration is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum ConfigError {
     /// No axis, or more axes than node-IDs.
     #[error("a group has 1 to 126 axes, not {0}")]
     Axes(usize),
-    /// Two nodes of one bus share a node-ID.
     #[error("node {0} occurs twice")]
     DuplicateNode(u8),
     /// Object 0x60C2 cannot represent this period exactly.
@@ -169,36 +168,29 @@ pub enum ConfigError {
     /// A setting that cannot or must not be written.
     #[error("node {node}: {object} cannot be configured: {why}")]
     Setting { node: u8, object: Object, why: &'static str },
-    /// A quantity of an axis is zero, negative, not finite, or out of the drive's range.
     #[error("node {node}: {quantity} is out of range")]
     OutOfRange { node: u8, quantity: Quantity },
 }
 
 /// A quantity of an axis that the drive holds in its own unit and integer size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum Quantity {
-    /// [`AxisConfig::rated_torque`].
     #[error("rated torque")]
     RatedTorque,
-    /// [`AxisConfig::plausible_velocity`].
     #[error("plausible velocity")]
     PlausibleVelocity,
     /// [`Parameter::bytes`].
     #[error("parameter size")]
     ParameterSize,
-    /// [`AxisConfig::following_error`].
     #[error("following error")]
     FollowingError,
-    /// [`AxisConfig::quick_stop_deceleration`].
     #[error("quick stop deceleration")]
     QuickStopDeceleration,
-    /// [`HomingConfig::search_speed`].
     #[error("homing search speed")]
     SearchSpeed,
-    /// [`HomingConfig::zero_speed`].
     #[error("homing zero speed")]
     ZeroSpeed,
-    /// [`HomingConfig::acceleration`].
     #[error("homing acceleration")]
     HomingAcceleration,
 }
