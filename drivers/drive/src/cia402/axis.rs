@@ -92,7 +92,7 @@ pub(super) struct Learnt {
 
 impl CanAxis {
     pub(super) fn new(group: &GroupConfig, axis: &AxisConfig) -> Self {
-        let config = AxisConfig { configuration: Vec::new(), parameters: Vec::new(), ..axis.clone() };
+        let config = AxisConfig { configuration: Vec::new(), ..axis.clone() };
         Self::started(*group, config, Instant::ZERO, Learnt::default())
     }
 

@@ -5,8 +5,6 @@ use std::time::Duration;
 use canopen::cia402::ModeOfOperation;
 use canopen::{NodeId, Object};
 use master::sdo::CAPACITY;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::reserved::reserved;
@@ -66,12 +64,9 @@ pub struct AxisConfig {
     pub following_error: f64,
     /// Deceleration of a quick stop, rad/s² (object 0x6085).
     pub quick_stop_deceleration: f64,
-    /// The objects of the device configuration file, in order, downloaded before `parameters`. None of them may be
-    /// [`reserved`](super::reserved).
+    /// The objects of the device configuration file and of the cell, downloaded in order before the settings of this
+    /// driver. None of them may be [`reserved`](super::reserved).
     pub configuration: Vec<Setting>,
-    /// Further objects, downloaded in order before the settings of this driver. None of them may be
-    /// [`reserved`](super::reserved).
-    pub parameters: Vec<Parameter>,
 }
 
 /// Expected identity of a drive (object 0x1018); `None` accepts any value.
@@ -118,27 +113,6 @@ pub struct HomingConfig {
     pub acceleration: f64,
 }
 
-/// An object written to a drive before operation and read back.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Parameter {
-    /// Index.
-    pub index: u16,
-    /// Sub-index.
-    #[serde(default)]
-    pub subindex: u8,
-    /// Value; two's complement for a signed object.
-    pub value: u32,
-    /// Size of the object, bytes: 1, 2 or 4.
-    pub bytes: u8,
-}
-
-impl Parameter {
-    pub(super) const fn object(&self) -> Object {
-        Object::new(self.index, self.subindex)
-    }
-}
-
 /// A value of any length of an object of a drive.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Setting {
@@ -180,9 +154,6 @@ pub enum Quantity {
     RatedTorque,
     #[error("plausible velocity")]
     PlausibleVelocity,
-    /// [`Parameter::bytes`].
-    #[error("parameter size")]
-    ParameterSize,
     #[error("following error")]
     FollowingError,
     #[error("quick stop deceleration")]
@@ -275,12 +246,10 @@ pub(super) struct DriveUnits {
 }
 
 impl AxisConfig {
-    /// Refuses settings and parameters that cannot or must not be written.
+    /// Refuses settings that cannot or must not be written.
     fn check_writes(&self) -> Result<(), ConfigError> {
         let refusal = |object: Object, why| ConfigError::Setting { node: self.node.raw(), object, why };
-        let settings = self.configuration.iter().map(|setting| setting.object);
-        let parameters = self.parameters.iter().map(Parameter::object);
-        for object in settings.chain(parameters) {
+        for &Setting { object, .. } in &self.configuration {
             if let Some(found) = reserved(self.identity.vendor, object.index, object.subindex) {
                 return Err(refusal(object, found.why));
             }
@@ -303,10 +272,6 @@ impl AxisConfig {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(out_of_range(quantity));
             }
-        }
-        let possible = |parameter: &Parameter| matches!(parameter.bytes, 1 | 2 | 4);
-        if !self.parameters.iter().all(possible) {
-            return Err(out_of_range(Quantity::ParameterSize));
         }
         let homing = &self.homing;
         Ok(DriveUnits {
