@@ -141,7 +141,6 @@ pub fn change(interface: &str, change: &Change) -> Result<(), CardError> {
         .map_err(|(_, error)| errno(&error).map_or(CardError::Refused(name), |errno| os(name, errno)))
 }
 
-/// What is done to a card, one after the other.
 #[derive(Clone, Copy)]
 enum Step {
     Down,

@@ -37,7 +37,6 @@ enum ServiceState {
     Finished(Result<Answer, LssError>),
 }
 
-/// How far a service is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Progress {
     service: Service,

@@ -21,10 +21,8 @@ pub use frame::{Deframer, Frame, FrameError};
 
 use std::time::Duration;
 
-/// First byte of a frame. Within the data, this byte is doubled.
+/// First two bytes of a frame. Within the data, the first one is doubled.
 const DLE: u8 = 0x90;
-
-/// Second byte of a frame.
 const STX: u8 = 0x02;
 
 /// Opcode of every answer.

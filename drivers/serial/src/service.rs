@@ -157,16 +157,11 @@ enum Brought {
     Done,
 }
 
-/// Progress of a segmented transfer.
+/// Progress of a segmented transfer, of which the first `done` of `total` bytes were transferred.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Step {
     Start,
-    /// The first `done` of `total` bytes were transferred.
-    Segment {
-        toggle: bool,
-        done: usize,
-        total: usize,
-    },
+    Segment { toggle: bool, done: usize, total: usize },
 }
 
 impl Client {

@@ -73,7 +73,6 @@ pub struct SlcanPort<L: Line> {
     last: Instant,
 }
 
-/// Progress of the opening.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     Settling,
@@ -269,7 +268,6 @@ impl<L: Line> SlcanPort<L> {
         self.output.extend_from_slice(&line);
     }
 
-    /// Writes the bytes that the line accepts.
     fn flush(&mut self, now: Instant) -> Result<(), LineError> {
         self.last = now;
         if !self.output.is_empty() {

@@ -89,7 +89,6 @@ impl Tty {
         Ok(Self { device, gone: false, counters: LineCounters::default() })
     }
 
-    /// Number of bytes that a call moved.
     fn moved(&mut self, result: io::Result<usize>) -> Result<usize, LineError> {
         result.or_else(|error| match errno(&error) {
             libc::EAGAIN | libc::EINTR => Ok(0),

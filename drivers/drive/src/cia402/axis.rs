@@ -79,7 +79,6 @@ enum Goal {
     Stopped,
 }
 
-/// State of a drive as bring-up read it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Learnt {
     pub(super) statusword: Statusword,
@@ -154,7 +153,6 @@ impl CanAxis {
         self.state.fault
     }
 
-    /// A fault of the drive itself.
     pub(super) fn drive_fault(&self, code: u16) -> Fault {
         let node = self.config.node.raw();
         Fault::Drive { node, code }

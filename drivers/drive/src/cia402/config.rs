@@ -230,18 +230,13 @@ impl GroupConfig {
     }
 }
 
-/// Quantities of an axis in the drive's units.
+/// Quantities of an axis in the drive's units: increments, rpm and rpm/s.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct DriveUnits {
-    /// Increments.
     pub(super) following_error: u32,
-    /// rpm/s.
     pub(super) quick_stop_deceleration: u32,
-    /// rpm.
     pub(super) search_speed: u32,
-    /// rpm.
     pub(super) zero_speed: u32,
-    /// rpm/s.
     pub(super) homing_acceleration: u32,
 }
 
