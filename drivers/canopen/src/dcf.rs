@@ -9,7 +9,7 @@ use thiserror::Error;
 use crate::eds::{DataType, Eds, Parameter, ParameterValue, Variable};
 use crate::objects::VENDOR_ID;
 use crate::pdo::PdoCobId;
-use crate::{NodeId, Object};
+use crate::{NodeId, Object, number};
 
 /// The writes of a DCF.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -168,12 +168,6 @@ fn take(
     let right_size = |write: &ObjectWrite| Some(write.data.len()) == data_type.size();
     let error = DownloadError::NoPdoState { line, object };
     write.filter(right_size).ok_or(error)
-}
-
-/// Up to four bytes as a number.
-fn number(data: &[u8]) -> u32 {
-    let bytes = data.iter().take(4).rev();
-    bytes.fold(0, |number, &byte| number << 8 | u32::from(byte))
 }
 
 #[cfg(test)]

@@ -133,13 +133,11 @@ struct Node {
     fault: Option<Fault>,
 }
 
+/// While the group listens, nothing is sent, and frames of another controller are detected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     Down,
-    /// Nothing is sent, and frames of another controller are detected.
-    Listening {
-        until: Instant,
-    },
+    Listening { until: Instant },
     Configuring,
     Starting,
     Up,
@@ -539,7 +537,7 @@ impl Node {
         let Some(service) = self.service.take() else {
             return;
         };
-        let value = result.map(|transfer| bring_up::number(transfer.data)).map_err(|error| error.cause.abort_code().0);
+        let value = result.map(|transfer| canopen::number(transfer.data)).map_err(|error| error.cause.abort_code().0);
         self.axis.served(service, value);
     }
 }
