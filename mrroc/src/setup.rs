@@ -30,12 +30,11 @@ const MACROSTEPS_AHEAD: u16 = 100;
 pub fn axis_configs(file: &CellFile, bus: usize) -> Vec<AxisConfig> {
     let config = |(robot, number): (usize, usize)| {
         let axis = &file.cell.robot[robot].axis[number];
-        let configuration = file.configuration(robot, number);
-        AxisConfig {
-            identity: file.identity(robot, number),
-            configuration: configuration.map_or_else(Vec::new, DeviceConfiguration::settings),
-            ..axis.drive_config(file.arms[robot].robot().home()[number])
-        }
+        let mut config = axis.drive_config(file.arms[robot].robot().home()[number]);
+        config.identity = file.identity(robot, number);
+        let first = file.configuration(robot, number).map_or_else(Vec::new, DeviceConfiguration::settings);
+        config.configuration.splice(..0, first);
+        config
     };
     file.cell.axes_on(bus).map(config).collect()
 }

@@ -76,23 +76,18 @@ impl Entry {
 
 /// What is wrong with a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum LineError {
-    /// No time as in `(1795242630.522011)`, of seconds and six decimals.
     #[error("expected a time such as (1795242630.522011)")]
     Time,
-    /// No interface name.
     #[error("expected an interface name of 1 to 15 bytes")]
     Interface,
-    /// No identifier, or one out of range.
     #[error("expected an identifier of 3 or 8 hexadecimal digits and a #")]
     Id,
-    /// A CAN FD frame.
     #[error("a CAN FD frame, which is not supported")]
     Fd,
-    /// Payload that is not 0 to 8 pairs of hexadecimal digits, nor R and a length.
     #[error("expected 0 to 8 bytes in hexadecimal, or R and a length of 0 to 8")]
     Data,
-    /// Something behind the frame that is no direction.
     #[error("expected nothing, T or R behind the frame")]
     Direction,
 }

@@ -38,15 +38,12 @@ pub enum CardState {
 
 /// Why a card could not be read or set, and what to do about it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum CardError {
-    /// There is no such CAN interface.
     #[error(transparent)]
     Interface(#[from] OpenError),
-    /// It is a CAN interface without a bit rate.
     #[error("{0}: no CAN card: a virtual interface has no bit rate")]
     NotCard(InterfaceName),
-    /// CAP_NET_ADMIN is missing.
     #[error(
         "{interface}: setting the bit rate needs CAP_NET_ADMIN: run as root, or run `ip link set {interface} down` and \
          `ip link set {interface} up type can bitrate {bitrate}` before"
@@ -55,19 +52,15 @@ pub enum CardError {
     /// The card's clock cannot be divided to this rate.
     #[error("{interface}: the card cannot be set to {bitrate} bit/s")]
     Unreachable { interface: InterfaceName, bitrate: u32 },
-    /// The rate is set, and its driver does not bring it up.
     #[error("{0}: the card does not come up: `dmesg` may say why")]
     StaysDown(InterfaceName),
-    /// The card runs at another rate than was set.
     #[error("{interface}: set to {wanted} bit/s, the card is at {found} bit/s")]
     Otherwise { interface: InterfaceName, wanted: u32, found: u32 },
-    /// The kernel refuses the change, and `socketcan` loses its reason.
     #[error(
         "{0}: the kernel refuses, and its reason is lost: CAP_NET_ADMIN is missing, no bit rate was set before the \
          interface came up, or the card cannot reach this rate"
     )]
     Refused(InterfaceName),
-    /// Anything else that the kernel said.
     #[error("{interface}: netlink says errno {errno}")]
     Os { interface: InterfaceName, errno: i32 },
 }
@@ -148,7 +141,6 @@ pub fn change(interface: &str, change: &Change) -> Result<(), CardError> {
         .map_err(|(_, error)| errno(&error).map_or(CardError::Refused(name), |errno| os(name, errno)))
 }
 
-/// What is done to a card, one after the other.
 #[derive(Clone, Copy)]
 enum Step {
     Down,

@@ -29,15 +29,12 @@ pub struct Claim {
 
 /// Why a part could not be claimed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum ClaimError {
-    /// There is no such interface.
     #[error(transparent)]
     Interface(#[from] OpenError),
-    /// Another process plays the part.
     #[error("{interface}: in use by {}", Holder(*.holder))]
     Taken { interface: InterfaceName, holder: Option<u32> },
-    /// Anything else that the operating system said.
     #[error("{interface}: cannot be claimed: errno {errno}")]
     Os { interface: InterfaceName, errno: i32 },
 }

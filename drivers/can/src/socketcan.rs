@@ -56,33 +56,26 @@ const FRAME_CHARGE: usize = 768;
 
 /// Why a port could not be opened, and what to do about it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum OpenError {
-    /// No interface can have such a name.
     #[error("an interface name has 1 to 15 bytes, none of them blank or a slash")]
     BadName,
-    /// The running kernel was built or booted without CAN.
     #[error("{0}: this kernel has no CAN: load its module `can-raw`, or run inside `mrroc vm uml`")]
     NoCan(InterfaceName),
-    /// There is no such interface.
     #[error(
         "{0}: no such interface: plug the card in and load its driver, or make a virtual one with \
          `ip link add dev {0} type vcan`"
     )]
     Absent(InterfaceName),
-    /// The interface exists and is not a CAN interface.
     #[error("{0}: not a CAN interface: `ip -d link show type can` lists those that are")]
     NotCan(InterfaceName),
-    /// The interface is down.
     #[error(
         "{0}: interface is down: `ip link set {0} type can bitrate 1000000` on a card, then \
          `ip link set {0} up`"
     )]
     Down(InterfaceName),
-    /// More identifiers to accept than the kernel filters.
     #[error("{interface}: {given} identifiers to accept, the kernel takes 512")]
     TooManyFilters { interface: InterfaceName, given: usize },
-    /// Anything else the operating system said.
     #[error("{interface}: errno {errno}")]
     Os { interface: InterfaceName, errno: i32 },
 }

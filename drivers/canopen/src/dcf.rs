@@ -9,7 +9,7 @@ use thiserror::Error;
 use crate::eds::{DataType, Eds, Parameter, ParameterValue, Variable};
 use crate::objects::VENDOR_ID;
 use crate::pdo::PdoCobId;
-use crate::{NodeId, Object};
+use crate::{NodeId, Object, number};
 
 /// The writes of a DCF.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -36,20 +36,16 @@ pub struct ObjectWrite {
 
 /// Why a DCF cannot be downloaded: the line, what is wrong there, what to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum DownloadError {
-    /// A value for what cannot be written.
     #[error(
         "{line}: {object} is read-only; remove its ParameterValue, or set bit 0 of its ObjFlags to keep it as a note"
     )]
     ReadOnly { line: u32, object: Object },
-    /// A value of a type without known layout.
     #[error("{line}: {object} has data type {code:#06x}, whose values cannot be written; remove its ParameterValue")]
     DataType { line: u32, object: Object, code: u16 },
-    /// A value in another file.
     #[error("{line}: {object} is to be written from a file, which is not supported; remove its DownloadFile")]
     File { line: u32, object: Object },
-    /// A PDO that cannot be switched off and on.
     #[error("{line}: a PDO is changed whose {object} has neither ParameterValue nor DefaultValue; state it")]
     NoPdoState { line: u32, object: Object },
 }
@@ -172,12 +168,6 @@ fn take(
     let right_size = |write: &ObjectWrite| Some(write.data.len()) == data_type.size();
     let error = DownloadError::NoPdoState { line, object };
     write.filter(right_size).ok_or(error)
-}
-
-/// Up to four bytes as a number.
-fn number(data: &[u8]) -> u32 {
-    let bytes = data.iter().take(4).rev();
-    bytes.fold(0, |number, &byte| number << 8 | u32::from(byte))
 }
 
 #[cfg(test)]

@@ -45,6 +45,11 @@ fn payload(frame: &Frame, id: StandardId) -> Option<&[u8]> {
     (frame.standard_data_id() == Some(id)).then(|| frame.data())
 }
 
+/// The first four bytes of little-endian data as a number; missing bytes are zero.
+pub fn number(data: &[u8]) -> u32 {
+    data.iter().take(4).rev().fold(0, |number, &byte| number << 8 | u32::from(byte))
+}
+
 /// The frame that candump prints as `text`.
 #[cfg(test)]
 fn parse(text: &str) -> Frame {

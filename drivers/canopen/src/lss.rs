@@ -75,48 +75,30 @@ impl BitRate {
 
 /// A request of the master, on 0x7E5.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the variants document their fields")]
 pub enum Request {
     /// All slaves enter this mode (CiA 305 §6.3.2). Not answered.
     SwitchGlobal(Mode),
     /// One of four frames (CiA 305 §6.3.3). The slave with this [identity](Identity) enters configuration mode and
     /// answers [`Response::Selected`] after the fourth frame.
-    SwitchSelective {
-        /// The number of the identity.
-        part: Part,
-        /// Its required value.
-        value: u32,
-    },
-    /// Take this node-ID at the next reset of the communication (CiA 305 §6.4.2).
-    ConfigureNodeId {
-        /// 1 ..= 127 or [`UNCONFIGURED`]; a slave refuses the others.
-        node_id: u8,
-    },
-    /// Take this bit rate at its activation or at the next power-on (CiA 305 §6.4.3).
-    ConfigureBitTiming {
-        /// [`CIA_TABLE`], or a table of the vendor.
-        table: u8,
-        /// See [`BitRate::from_index`].
-        index: u8,
-    },
-    /// Be silent for the delay, change to the configured bit rate, and be silent for the delay again. Not
-    /// answered.
-    ActivateBitTiming {
-        /// ms.
-        delay_ms: u16,
-    },
+    SwitchSelective { part: Part, value: u32 },
+    /// Take this node-ID at the next reset of the communication (CiA 305 §6.4.2): 1 ..= 127 or [`UNCONFIGURED`]. A
+    /// slave refuses others.
+    ConfigureNodeId { node_id: u8 },
+    /// Take this bit rate at its activation or at the next power-on (CiA 305 §6.4.3): an index of the [`CIA_TABLE`]
+    /// ([`BitRate::from_index`]), or of a table of the vendor.
+    ConfigureBitTiming { table: u8, index: u8 },
+    /// Be silent for the delay, change to the configured bit rate, and be silent for the delay again. Not answered.
+    ActivateBitTiming { delay_ms: u16 },
     /// Keep node-ID and bit rate over power-off (CiA 305 §6.4.5).
     Store,
     /// Ask for one number of the identity (CiA 305 §6.5.2).
     Inquire(Part),
     /// Ask for the node-ID (CiA 305 §6.5.3).
     InquireNodeId,
-    /// One of six bounds (CiA 305 §6.6.2). Every slave within all bounds answers [`Response::Identified`] after the last.
-    Identify {
-        /// The bound.
-        bound: Bound,
-        /// Its value, which belongs to the range.
-        value: u32,
-    },
+    /// One of six inclusive bounds (CiA 305 §6.6.2). Every slave within all bounds answers [`Response::Identified`]
+    /// after the last.
+    Identify { bound: Bound, value: u32 },
     /// Every slave without a node-ID answers [`Response::Unconfigured`] (CiA 305 §6.6.4).
     IdentifyUnconfigured,
     /// Every slave without a node-ID whose identity agrees so far answers [`Response::Identified`] (CiA 305 §6.7).
@@ -125,6 +107,7 @@ pub enum Request {
 
 /// An answer of a slave, on 0x7E4. Equal answers of several slaves at the same time are one frame on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the variants document their fields")]
 pub enum Response {
     /// Its identity was named; it is in configuration mode.
     Selected,
@@ -135,17 +118,9 @@ pub enum Response {
     /// To [`Request::Store`].
     Stored(Outcome),
     /// To [`Request::Inquire`].
-    Inquired {
-        /// The number of the identity.
-        part: Part,
-        /// Its value.
-        value: u32,
-    },
-    /// To [`Request::InquireNodeId`].
-    NodeId {
-        /// 1 ..= 127 or [`UNCONFIGURED`].
-        node_id: u8,
-    },
+    Inquired { part: Part, value: u32 },
+    /// To [`Request::InquireNodeId`]: 1 ..= 127 or [`UNCONFIGURED`].
+    NodeId { node_id: u8 },
     /// To [`Request::Identify`] and [`Request::Fastscan`].
     Identified,
     /// To [`Request::IdentifyUnconfigured`].

@@ -149,15 +149,12 @@ impl Entry {
 
 /// Reason that entries are no mapping.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum MappingError {
-    /// More entries than bytes.
     #[error("{found} entries, at most 8 fit")]
     TooMany { found: usize },
-    /// An entry that does not take whole bytes.
     #[error("{object} takes {bits} bits, which are not whole bytes")]
     NotBytes { object: Object, bits: u8 },
-    /// More than 64 bits together.
     #[error("{bits} bits, at most 64 fit")]
     TooLong { bits: u32 },
 }

@@ -15,16 +15,12 @@ use crate::sync::Sync;
 
 /// A time between two frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the variants document their fields")]
 pub enum Sample {
     /// From one SYNC to the next.
     SyncToSync(Duration),
-    /// From a SYNC to the TPDO that answered it.
-    SyncToAnswer {
-        /// Which of the identifiers that [`WireTiming::new`] was given.
-        index: usize,
-        /// How long it took.
-        after: Duration,
-    },
+    /// From a SYNC to the TPDO that answered it: `index` is that of the identifier given to [`WireTiming::new`].
+    SyncToAnswer { index: usize, after: Duration },
 }
 
 /// How the SYNCs that were judged were answered under one identifier.

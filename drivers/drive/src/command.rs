@@ -21,17 +21,13 @@ impl Finite {
 
 /// Set-point of a drive for one cycle, at the motor shaft.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[expect(missing_docs, reason = "the variants document their fields")]
 pub enum Setpoint {
     /// Motor position, rad. The drive closes the position loop (CSP).
     Position(Finite),
     /// Motor position, rad, and a torque, N·m, that the drive adds to the output of its loops
     /// ([`CyclicMode::CspWithTorque`](crate::cia402::CyclicMode::CspWithTorque)).
-    PositionWithTorque {
-        /// Motor position, rad.
-        position: Finite,
-        /// The torque, N·m.
-        torque: Finite,
-    },
+    PositionWithTorque { position: Finite, torque: Finite },
     /// Motor velocity, rad/s. The host closes the position loop (CSV).
     Velocity(Finite),
     /// Motor torque, N·m. The host closes every other loop (CST, and axis controllers by current).

@@ -12,7 +12,7 @@ use crate::cia402::Sign;
 
 /// A latched condition of one axis, cleared by [`AxisCommand::ResetFault`](crate::AxisCommand::ResetFault).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum Fault {
     /// The drive reported a fault (EMCY and object 0x603F, CiA 402-2 §8.4.3), with a code of CiA 402-2 §7.1 or of the
     /// vendor.
@@ -25,7 +25,6 @@ pub enum Fault {
     /// drive continues with an old set-point.
     #[error("node {node}: set-point not taken by the bus for {cycles} cycles")]
     NotSent { node: u8, cycles: u32 },
-    /// The node's heartbeat stopped.
     #[error("node {node}: no heartbeat for {waited:.1?}")]
     HeartbeatLost { node: u8, waited: Duration },
     /// The host sent no SYNC for longer than the drives' heartbeat time-out. The drives have stopped by themselves.
@@ -64,10 +63,8 @@ pub enum Fault {
     /// A fault of an axis controller on a serial line. `line` is the index of its axis in the group.
     #[error("line {line}: {fault}")]
     AxisController { line: u8, fault: AxisControllerFault },
-    /// A second controller commands the drives of the bus.
     #[error("bus: another controller is at work: it sent {sign}")]
     OtherController { sign: Sign },
-    /// The port cannot send or receive.
     #[error("bus: {0}")]
     Port(can::PortError),
     /// The host's CAN controller counted too many errors and left the bus. No drive receives the host's frames.
@@ -77,26 +74,23 @@ pub enum Fault {
 
 /// Reason for refusing a set-point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum Refusal {
-    /// The drive's mode of operation follows another kind of set-point.
     #[error("is of another kind than the drive's mode of operation follows")]
     WrongKind,
-    /// The drive has no torque.
     #[error("came while the drive was not on")]
     NotOn,
-    /// The set-point is beyond the range of the drive's units.
     #[error("does not fit the drive's units")]
     OutOfRange,
 }
 
 /// Failure of the bring-up of a group. Nothing has moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum BringUpError {
     /// Neither a boot-up message nor an answer was received.
     #[error("node {node}: never booted, waited {waited:.1?}")]
     NeverBooted { node: u8, waited: Duration },
-    /// The node answers, but its device profile is not CiA 402.
     #[error("node {node}: not a CiA 402 drive (0x1000 is {device_type:#010x})")]
     NotADrive { node: u8, device_type: u32 },
     /// The node was started, but no heartbeat showed the state operational.
@@ -120,16 +114,12 @@ pub enum BringUpError {
         what: &'static str,
         remedy: &'static str,
     },
-    /// The drive refused a parameter.
     #[error("node {node}: {object} refused: {abort}", abort = AbortCode(*.code))]
     Aborted { node: u8, object: Object, code: u32 },
-    /// The drive accepted a parameter but reads back another value.
     #[error("node {node}: {object} reads back {found:#x}, wrote {written:#x}")]
     ReadBack { node: u8, object: Object, written: u32, found: u32 },
-    /// The drive accepted data but reads back other data.
     #[error("node {node}: {object} reads back {found} bytes, wrote {written}, the first {same} are equal")]
     ReadBackBytes { node: u8, object: Object, written: usize, found: usize, same: usize },
-    /// The drive did not answer a service request in time.
     #[error("node {node}: {object} timed out after {waited:.1?}")]
     TimedOut { node: u8, object: Object, waited: Duration },
     /// The drive does not support the mode of operation, a value of object 0x6060 (object 0x6502).
@@ -138,10 +128,8 @@ pub enum BringUpError {
     /// An axis controller on a serial line could not be brought up. `line` is the index of its axis in the group.
     #[error("line {line}: {error}")]
     AxisController { line: u8, error: AxisControllerError },
-    /// A second controller commands the drives of the bus.
     #[error("another controller is at work: it sent {sign}; end it before this one is started")]
     OtherController { sign: Sign },
-    /// The port cannot send or receive.
     #[error("bus: {0}")]
     Port(#[from] can::PortError),
 }

@@ -35,7 +35,6 @@ impl Warnings {
     /// Greatest number of different warnings.
     pub const KEPT: usize = 32;
 
-    /// No warning.
     pub(crate) const NONE: Self = Self { kept: Vec::new(), omitted: 0 };
 
     /// No warning, with reserved room for later ones.

@@ -151,7 +151,6 @@ fn axis(raw: u8) -> AxisConfig {
         following_error: TAU,
         quick_stop_deceleration: TAU,
         configuration: Vec::new(),
-        parameters: Vec::new(),
     }
 }
 

@@ -37,7 +37,6 @@ enum ServiceState {
     Finished(Result<Answer, LssError>),
 }
 
-/// How far a service is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Progress {
     service: Service,
@@ -108,27 +107,22 @@ pub struct Busy {
 
 /// Reason that a service failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum LssError {
-    /// No answer.
     #[error(
         "no slave answered {service} for {waited:?}; is the one meant on the bus, and alone in configuration mode?"
     )]
     TimedOut { service: Service, waited: Duration },
-    /// The slave did not do it.
     #[error(
         "the slave refused {service}: error {}, vendor code {}",
         outcome.error,
         outcome.specific
     )]
     Refused { service: Service, outcome: Outcome },
-    /// The slave says it has a node-ID that cannot be.
     #[error("the slave says that its node-ID is {node_id}")]
     NodeId { node_id: u8 },
-    /// No slave has the number that the answers to a fastscan make.
     #[error("no slave has the {part} {number:#010x} that the scan found; try a longer time-out")]
     Vanished { part: Part, number: u32 },
-    /// A slave answers questions that exclude each other.
     #[error(
         "a slave answers every question of a fastscan, so that no other slave can be found: take it off the bus, or give it a node-ID"
     )]

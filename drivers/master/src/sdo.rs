@@ -82,21 +82,15 @@ enum Start {
     BlockDownload,
 }
 
+/// `toggle` is the toggle bit of the segment asked for or in flight, `announced` the size that the server gave, and `sent`
+/// the number of bytes up to the end of the segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum TransferState {
     Idle,
     UploadInitiated,
-    /// `toggle` is that of the segment asked for, `announced` the size the server gave.
-    UploadSegments {
-        toggle: bool,
-        announced: Option<usize>,
-    },
+    UploadSegments { toggle: bool, announced: Option<usize> },
     DownloadInitiated,
-    /// `toggle` is the toggle bit of the segment in flight, `sent` the number of bytes up to its end.
-    DownloadSegments {
-        toggle: bool,
-        sent: usize,
-    },
+    DownloadSegments { toggle: bool, sent: usize },
     Block(block::BlockState),
     Finished(Result<(), SdoCause>),
 }
@@ -266,7 +260,6 @@ impl Client {
         }
     }
 
-    /// Takes an answer of an ordinary transfer.
     fn handle_response(&mut self, response: Response, now: Instant) {
         match (self.state, response) {
             (_, Response::Abort { object, code }) if object == self.object => {
@@ -371,7 +364,6 @@ impl Client {
         }
     }
 
-    /// Sends the segment that begins at byte `from`.
     fn send_segment(&mut self, from: usize, toggle: bool, now: Instant) {
         let sent = self.length.min(from + SEGMENT);
         let segment = Segment::new(&self.buffer[from..sent], toggle, sent == self.length);

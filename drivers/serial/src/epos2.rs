@@ -127,18 +127,14 @@ fn data(opcode: u8, body: &[u8]) -> Result<&[u8], Malformed> {
 
 /// Request of the host. Node 0 is the device on the line. The device forwards requests for other nodes to its CAN bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the variants document their fields")]
 pub enum Request {
     /// Reads an object of up to four bytes.
     Read(Address),
     /// Writes an object of up to four bytes, given by the low bytes of the value.
     Write(Address, u32),
-    /// Sends an NMT command, which is not answered.
-    Nmt {
-        /// Node-ID, 0 for all nodes.
-        node: u16,
-        /// Command specifier (CiA 301 §7.2.8.3.1).
-        command: u16,
-    },
+    /// Sends an NMT command specifier (CiA 301 §7.2.8.3.1) to a node, 0 for all nodes. The command is not answered.
+    Nmt { node: u16, command: u16 },
 }
 
 impl Request {

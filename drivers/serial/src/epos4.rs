@@ -21,10 +21,8 @@ pub use frame::{Deframer, Frame, FrameError};
 
 use std::time::Duration;
 
-/// First byte of a frame. Within the data, this byte is doubled.
+/// First two bytes of a frame. Within the data, the first one is doubled.
 const DLE: u8 = 0x90;
-
-/// Second byte of a frame.
 const STX: u8 = 0x02;
 
 /// Opcode of every answer.
@@ -66,6 +64,7 @@ impl Address {
 
 /// Request of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the variants document their fields")]
 pub enum Request<'a> {
     /// Reads an object of up to four bytes: [`Answer::Value`].
     Read(Address),
@@ -73,29 +72,15 @@ pub enum Request<'a> {
     Write(Address, u32),
     /// Starts to read an object in segments: [`Answer::Started`].
     InitiateSegmentedRead(Address),
-    /// Reads the next segment: [`Answer::Segment`].
-    SegmentRead {
-        /// Alternates from segment to segment; `false` in the first.
-        toggle: bool,
-    },
+    /// Reads the next segment: [`Answer::Segment`]. `toggle` alternates from segment to segment, starting with `false`.
+    SegmentRead { toggle: bool },
     /// Starts to write an object of this length, bytes, in segments: [`Answer::Done`].
     InitiateSegmentedWrite(Address, u32),
-    /// Writes the next segment of up to [`MAX_SEGMENT`] bytes: [`Answer::Taken`].
-    SegmentWrite {
-        /// Alternates from segment to segment; `false` in the first.
-        toggle: bool,
-        /// Whether this segment completes the object.
-        last: bool,
-        /// The segment.
-        data: &'a [u8],
-    },
-    /// Sends an NMT command: [`Answer::Done`].
-    Nmt {
-        /// Node-ID, 0 for all nodes.
-        node: u16,
-        /// Command specifier (CiA 301 §7.2.8.3.1).
-        command: u16,
-    },
+    /// Writes the next segment of up to [`MAX_SEGMENT`] bytes: [`Answer::Taken`]. `toggle` alternates from segment to
+    /// segment, starting with `false`; `last` completes the object.
+    SegmentWrite { toggle: bool, last: bool, data: &'a [u8] },
+    /// Sends an NMT command specifier (CiA 301 §7.2.8.3.1) to a node, 0 for all nodes: [`Answer::Done`].
+    Nmt { node: u16, command: u16 },
 }
 
 const TOGGLE: u8 = 0x01;
@@ -157,6 +142,7 @@ fn unpadded(length: u8, data: &[u8]) -> Option<&[u8]> {
 
 /// Answer of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the variants document their fields")]
 pub enum Answer<'a> {
     /// The value read. Bytes beyond the length of the object are zero.
     Value(u32),
@@ -164,22 +150,10 @@ pub enum Answer<'a> {
     Done,
     /// Length of the object, bytes, and its first segment.
     Started(u32, &'a [u8]),
-    /// A further segment.
-    Segment {
-        /// Toggle bit of the request.
-        toggle: bool,
-        /// Whether this segment completes the object.
-        last: bool,
-        /// The segment.
-        data: &'a [u8],
-    },
-    /// A segment was accepted.
-    Taken {
-        /// Toggle bit of the request.
-        toggle: bool,
-        /// Number of accepted bytes.
-        length: u8,
-    },
+    /// A further segment, with the toggle bit of the request; `last` completes the object.
+    Segment { toggle: bool, last: bool, data: &'a [u8] },
+    /// This many bytes of a segment were accepted. `toggle` is that of the request.
+    Taken { toggle: bool, length: u8 },
     /// The request was refused with the code of an SDO abort or a code of maxon, 0x0F00_FFxx. The code is not 0.
     Refused(u32),
 }

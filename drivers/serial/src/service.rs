@@ -75,22 +75,20 @@ pub enum Reply<'a> {
 
 /// Reason why a request did not start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum StartError {
-    /// Another request is under way.
     #[error("an earlier request is not over")]
     Busy,
     /// No source describes the segmented transfer of EPOS2.
     #[error("no transfer in segments with an EPOS2: only objects of up to 4 bytes")]
     NoSegments,
-    /// The object is longer than the capacity of the client.
     #[error("{size} bytes are too many, at most {capacity} are transferred")]
     TooLarge { size: usize, capacity: usize },
 }
 
 /// Reason why a request failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum ServiceError {
     /// The device refused the request with the code of an SDO abort or a code of maxon, 0x0F00_FFxx.
     #[error("refused with code {0:#010x}")]
@@ -104,10 +102,8 @@ pub enum ServiceError {
     /// The CRC of the answer was wrong, or the answer was incomplete.
     #[error("the answer came damaged")]
     Damaged,
-    /// A correct answer to another request.
     #[error("the answer does not belong to the request")]
     Unexpected,
-    /// The object is longer than the capacity of the client.
     #[error("the object has {size} bytes, at most {capacity} are transferred")]
     TooLarge { size: usize, capacity: usize },
 }
@@ -161,16 +157,11 @@ enum Brought {
     Done,
 }
 
-/// Progress of a segmented transfer.
+/// Progress of a segmented transfer, of which the first `done` of `total` bytes were transferred.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Step {
     Start,
-    /// The first `done` of `total` bytes were transferred.
-    Segment {
-        toggle: bool,
-        done: usize,
-        total: usize,
-    },
+    Segment { toggle: bool, done: usize, total: usize },
 }
 
 impl Client {

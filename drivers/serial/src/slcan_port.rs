@@ -73,7 +73,6 @@ pub struct SlcanPort<L: Line> {
     last: Instant,
 }
 
-/// Progress of the opening.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     Settling,
@@ -87,23 +86,18 @@ enum Stage {
 
 /// Reason why an adapter was not opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum SlcanError {
-    /// The bit rate is not one of the nine bit rates of slcan.
     #[error("slcan has no {kbps} kbit/s: 10, 20, 50, 100, 125, 250, 500, 800 or 1000")]
     NoSuchBitrate { kbps: u32 },
-    /// The adapter refused the bit rate.
     #[error("the adapter refuses {kbps} kbit/s")]
     BitrateRefused { kbps: u32 },
-    /// The adapter refused to open the channel.
     #[error("the adapter refuses to open its channel: unplug it and plug it in again")]
     OpenRefused,
-    /// No answer arrived.
     #[error(
         "no answer: there is no slcan adapter on this tty, it needs another firmware, or it speaks at another baud rate"
     )]
     Silent,
-    /// The line failed.
     #[error(transparent)]
     Line(#[from] LineError),
 }
@@ -274,7 +268,6 @@ impl<L: Line> SlcanPort<L> {
         self.output.extend_from_slice(&line);
     }
 
-    /// Writes the bytes that the line accepts.
     fn flush(&mut self, now: Instant) -> Result<(), LineError> {
         self.last = now;
         if !self.output.is_empty() {

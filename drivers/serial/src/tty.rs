@@ -21,28 +21,22 @@ use crate::{Line, LineCounters, LineError, Settings};
 
 /// Reason why a tty could not be opened, and the remedy.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum OpenError {
-    /// The file or the device behind it does not exist.
     #[error(
         "{0}: no such device: plug the adapter in and load its driver; `ls /dev/serial/by-id` lists those there are"
     )]
     Absent(Box<Path>),
-    /// This user has no permission.
     #[error(
         "{0}: permission denied: join the group that owns it, `sudo usermod -aG dialout $USER` on Debian, and log in again"
     )]
     Denied(Box<Path>),
-    /// Another process uses the tty.
     #[error("{0}: in use by another process: `fuser -v {0}` says which")]
     Busy(Box<Path>),
-    /// The file is not a serial line.
     #[error("{0}: not a tty")]
     NotATty(Box<Path>),
-    /// The device cannot run at the requested baud rate.
     #[error("{path}: cannot do {asked} baud, the nearest is {nearest}")]
     Baud { path: Box<Path>, asked: u32, nearest: u32 },
-    /// Any other error of the operating system.
     #[error("{path}: errno {errno}")]
     Os { path: Box<Path>, errno: i32 },
 }
@@ -95,7 +89,6 @@ impl Tty {
         Ok(Self { device, gone: false, counters: LineCounters::default() })
     }
 
-    /// Number of bytes that a call moved.
     fn moved(&mut self, result: io::Result<usize>) -> Result<usize, LineError> {
         result.or_else(|error| match errno(&error) {
             libc::EAGAIN | libc::EINTR => Ok(0),

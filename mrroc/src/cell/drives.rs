@@ -4,10 +4,13 @@ use std::time::Duration;
 
 use drive::Scale;
 use drive::axis_controller::{self, Settings, StopBits};
-use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, NodeId};
+use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, NodeId, Setting};
 use servo::{FeedForward, HomingLeg, HostHoming, HostLoop, Output, PositionLoop, ServoAxisConfig};
 
-use super::{Axis, AxisController, Cell, Control, Direction, Drive, DriveControl, Homing, Loop, Robot, Serial};
+use super::{
+    Axis, AxisController, Cell, Control, Direction, Drive, DriveControl, Homing, Loop, Parameter, Robot, Serial,
+};
+use canopen::Object;
 use controller::robot::Limits;
 
 /// Longest way back from the home switch to its index pulse, rad: five turns of the motor. A switch may take up most
@@ -84,6 +87,13 @@ impl Serial {
     }
 }
 
+impl Parameter {
+    fn setting(&self) -> Setting {
+        let data = self.value.to_le_bytes().into_iter().take(self.bytes.into()).collect();
+        Setting { object: Object::new(self.index, self.subindex), data, readable: true }
+    }
+}
+
 impl Axis {
     /// Scale between motor positions, rad, and the counts of the drive. The homed counter reads zero at the motor
     /// position `home`, rad.
@@ -113,7 +123,8 @@ impl Axis {
         self.drive.as_ref().expect(HAS_DRIVE)
     }
 
-    /// Configuration of the drive on a CAN bus, homed at the motor position `home`, rad.
+    /// Configuration of the drive on a CAN bus without its device configuration file, homed at the motor position
+    /// `home`, rad.
     pub fn drive_config(&self, home: f64) -> AxisConfig {
         let drive = self.cia402();
         AxisConfig {
@@ -135,8 +146,7 @@ impl Axis {
             plausible_velocity: PLAUSIBLE * self.runaway_velocity(),
             following_error: self.following_error,
             quick_stop_deceleration: self.max_acceleration,
-            configuration: Vec::new(),
-            parameters: drive.parameter.clone(),
+            configuration: drive.parameter.iter().map(Parameter::setting).collect(),
         }
     }
 

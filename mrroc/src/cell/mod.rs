@@ -33,7 +33,6 @@ pub use crate::robots::{Model, Parameters};
 pub use axis_controller::{AxisController, Loop, Serial};
 pub(crate) use device_configuration::DeviceConfiguration;
 pub use drive::axis_controller::{Control, Protocol};
-pub use drive::cia402::Parameter;
 pub use drives::ENABLING;
 pub use error::{CellError, Path, Step};
 pub use file::CellFile;
@@ -242,6 +241,21 @@ pub struct Drive {
     /// Further objects to write before operation.
     #[serde(default)]
     pub parameter: Vec<Parameter>,
+}
+
+/// An object written to a drive before operation and read back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Parameter {
+    /// Index.
+    pub index: u16,
+    /// Sub-index.
+    #[serde(default)]
+    pub subindex: u8,
+    /// Value; two's complement for a signed object.
+    pub value: u32,
+    /// Size of the object, bytes: 1, 2 or 4.
+    pub bytes: u8,
 }
 
 /// The quantity commanded to a drive on CAN at every SYNC.

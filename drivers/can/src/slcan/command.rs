@@ -12,18 +12,15 @@ pub const BITRATES_KBPS: [u32; 9] = [10, 20, 50, 100, 125, 250, 500, 800, 1000];
 
 /// What a host says to an adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the variants document their fields")]
 pub enum Command {
     /// An empty line: asks for nothing, ends what noise may stand in the adapter's buffer.
     Empty,
     /// `S0` to `S8`: one of [`BITRATES_KBPS`]; while the channel is closed.
     Bitrate(Bitrate),
-    /// `sxxyy`: the registers BTR0 and BTR1 of an SJA1000 at 16 MHz; while the channel is closed.
-    BitTiming {
-        /// Synchronisation jump width and prescaler.
-        btr0: u8,
-        /// Sampling and time segments.
-        btr1: u8,
-    },
+    /// `sxxyy`: the registers BTR0 (synchronisation jump width and prescaler) and BTR1 (sampling and time segments) of
+    /// an SJA1000 at 16 MHz; while the channel is closed.
+    BitTiming { btr0: u8, btr1: u8 },
     /// `O`: opens the channel.
     Open,
     /// `L`: opens the channel to listen: nothing is sent, not even acknowledge bits.

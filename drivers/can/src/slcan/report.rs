@@ -8,6 +8,7 @@ use super::text::{LineError, Rest, TextLine};
 
 /// What an adapter says to its host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the variants document their fields")]
 pub enum AdapterReport {
     /// An empty line: a command was done.
     Done,
@@ -15,38 +16,17 @@ pub enum AdapterReport {
     Refused,
     /// `z`, `Z`: a frame of that format was taken for sending; some adapters say [`AdapterReport::Done`].
     Transmitted(Format),
-    /// `t`, `T`, `r`, `R`: a frame came from the bus.
-    Received {
-        /// The frame.
-        frame: Frame,
-        /// When it came, ms since the adapter's minute began, 0 to 59 999; if time stamps are on.
-        stamp: Option<u16>,
-    },
-    /// `s`: what the controller says of its own health.
-    State {
-        /// Its fault confinement state.
-        state: ControllerState,
-        /// Receive error counter; three decimals, so 999 stands for more.
-        receive: u16,
-        /// Transmit error counter; three decimals, so 999 stands for more.
-        transmit: u16,
-    },
+    /// `t`, `T`, `r`, `R`: a frame came from the bus. `stamp`, where time stamps are on, is the time since the
+    /// adapter's minute began, ms, 0 to 59 999.
+    Received { frame: Frame, stamp: Option<u16> },
+    /// `s`: fault confinement state, and receive and transmit error counters of three decimals, so 999 stands for more.
+    State { state: ControllerState, receive: u16, transmit: u16 },
     /// `e`: errors seen on the bus.
     Errors(BusErrors),
-    /// `Vxxyy`: two decimals each, read as hexadecimal digits.
-    Version {
-        /// Version of the hardware.
-        hardware: u8,
-        /// Version of the software.
-        software: u8,
-    },
-    /// `vxxyy`: version of the firmware.
-    Firmware {
-        /// Major version.
-        major: u8,
-        /// Minor version.
-        minor: u8,
-    },
+    /// `Vxxyy`: two decimals each for hardware and software, read as hexadecimal digits.
+    Version { hardware: u8, software: u8 },
+    /// `vxxyy`: major and minor version of the firmware.
+    Firmware { major: u8, minor: u8 },
     /// `Nxxxx`: four letters or digits.
     SerialNumber([u8; 4]),
     /// `Fxx`: what happened since flags were last asked for.

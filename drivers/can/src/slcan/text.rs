@@ -73,23 +73,18 @@ impl fmt::Debug for TextLine {
 
 /// Why a line is not understood.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum LineError {
-    /// The first letter stands for nothing in this direction.
     #[error("no line begins with {:?}", char::from(*.0))]
     Unknown(u8),
-    /// A CAN FD frame.
     #[error("a CAN FD frame, which is not supported")]
     Fd,
-    /// Fewer or more characters than the first one asks for.
     #[error("too short or too long for its kind")]
     Length,
-    /// A character that is no digit, no letter or no number of those that may stand there.
     #[error("a character that may not stand there")]
     Character,
-    /// A 29-bit identifier, or an 11-bit one, with further bits.
     #[error("an identifier out of range")]
     Id,
-    /// A frame of more than 8 bytes.
     #[error("a frame of more than 8 bytes")]
     DataLength,
 }

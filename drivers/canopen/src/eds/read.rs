@@ -131,7 +131,6 @@ pub(super) fn read(text: &str) -> Result<Eds, EdsError> {
     Ok(eds)
 }
 
-/// A number of an unsigned type.
 fn unsigned<T: TryFrom<i128>>(value: Text<'_>, high: i128) -> Result<T, EdsError> {
     let Text { line, text } = value;
     let found = number(text).ok_or(EdsCause::Number.at(line))?;

@@ -8,14 +8,10 @@ use crate::NodeId;
 
 /// A default, a limit or a parameter value of a variable.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(missing_docs, reason = "the variants document their fields")]
 pub enum Value {
-    /// Of the integer types and BOOLEAN.
-    Integer {
-        /// The number, without the node-ID.
-        value: i128,
-        /// Whether the node-ID is added (`$NODEID`).
-        plus_node: bool,
-    },
+    /// Of the integer types and BOOLEAN: a number, to which the node-ID is added where the file says `$NODEID`.
+    Integer { value: i128, plus_node: bool },
     /// Of REAL32 and REAL64: finite.
     Real(f64),
     /// Of VISIBLE_STRING and UNICODE_STRING, and of the types that have no value syntax, as it stands in the file.

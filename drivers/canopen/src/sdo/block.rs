@@ -40,30 +40,15 @@ pub const SEGMENT: usize = 7;
 
 /// A request of the client in [`super::Request::Block`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the variants document their fields")]
 pub enum Request {
-    /// Begin to write an object.
-    InitiateDownload {
-        /// The object to write.
-        object: Object,
-        /// Whether the client can make the checksum.
-        crc: bool,
-        /// Number of bytes, if the client gives it.
-        size: Option<u32>,
-    },
+    /// Begin to write an object of `size` bytes, if the client gives its size. `crc`: the client can make the checksum.
+    InitiateDownload { object: Object, crc: bool, size: Option<u32> },
     /// All segments were acknowledged.
     EndDownload(End),
-    /// Read an object.
-    InitiateUpload {
-        /// The object to read.
-        object: Object,
-        /// Whether the client can check the checksum.
-        crc: bool,
-        /// Segments of the first sub-block.
-        block_size: u8,
-        /// Protocol switch threshold, bytes: a server may answer an object of this size or
-        /// less as an ordinary upload. 0 forbids that.
-        threshold: u8,
-    },
+    /// Read an object, with `block_size` segments in the first sub-block. `crc`: the client can check the checksum. A
+    /// server may answer an object of `threshold` bytes or less as an ordinary upload; 0 forbids that.
+    InitiateUpload { object: Object, crc: bool, block_size: u8, threshold: u8 },
     /// Send the first sub-block.
     StartUpload,
     /// A sub-block of an upload came to its end.
@@ -74,29 +59,16 @@ pub enum Request {
 
 /// An answer of the server in [`super::Response::Block`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the variants document their fields")]
 pub enum Response {
-    /// Send the first sub-block.
-    InitiateDownload {
-        /// The object being written.
-        object: Object,
-        /// Whether the server can check the checksum.
-        crc: bool,
-        /// Segments of the first sub-block.
-        block_size: u8,
-    },
+    /// Send the first sub-block, of `block_size` segments. `crc`: the server can check the checksum.
+    InitiateDownload { object: Object, crc: bool, block_size: u8 },
     /// A sub-block of a download came to its end.
     Acknowledge(Acknowledge),
     /// The download is complete.
     EndDownload,
-    /// The upload may start.
-    InitiateUpload {
-        /// The object being read.
-        object: Object,
-        /// Whether the server can make the checksum.
-        crc: bool,
-        /// Number of bytes, if the server gives it.
-        size: Option<u32>,
-    },
+    /// The upload may start. `crc`: the server can make the checksum. `size`: number of bytes, if the server gives it.
+    InitiateUpload { object: Object, crc: bool, size: Option<u32> },
     /// All segments were acknowledged.
     EndUpload(End),
 }

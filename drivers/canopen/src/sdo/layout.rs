@@ -8,33 +8,18 @@ use crate::{NodeId, Object, cob, frame, payload};
 
 /// A request of the client, on `0x600 + node`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the variants document their fields")]
 pub enum Request {
     /// Begin to write an object, or write all of it where expedited.
-    InitiateDownload {
-        /// The object to write.
-        object: Object,
-        /// The data, or the size of the data.
-        initiate: Initiate,
-    },
+    InitiateDownload { object: Object, initiate: Initiate },
     /// The next segment of a segmented download.
     DownloadSegment(Segment),
     /// Read an object.
-    InitiateUpload {
-        /// The object to read.
-        object: Object,
-    },
-    /// Ask for the next segment of a segmented upload.
-    UploadSegment {
-        /// Alternates, starting with `false`.
-        toggle: bool,
-    },
+    InitiateUpload { object: Object },
+    /// Ask for the next segment of a segmented upload. `toggle` alternates, starting with `false`.
+    UploadSegment { toggle: bool },
     /// End the transfer.
-    Abort {
-        /// The object being transferred.
-        object: Object,
-        /// The reason.
-        code: AbortCode,
-    },
+    Abort { object: Object, code: AbortCode },
     /// Of block transfer. In the middle of a sub-block the frame may be a [`block::Segment`] all the same.
     Block(block::Request),
     /// Any other command specifier, kept byte for byte.
@@ -43,33 +28,18 @@ pub enum Request {
 
 /// An answer of the server, on `0x580 + node`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the variants document their fields")]
 pub enum Response {
     /// The download was taken, or its segments may follow.
-    InitiateDownload {
-        /// The object being written.
-        object: Object,
-    },
-    /// The segment was taken.
-    DownloadSegment {
-        /// The toggle bit of the segment.
-        toggle: bool,
-    },
+    InitiateDownload { object: Object },
+    /// The segment with this toggle bit was taken.
+    DownloadSegment { toggle: bool },
     /// The object's data where expedited, else its segments may be asked for.
-    InitiateUpload {
-        /// The object being read.
-        object: Object,
-        /// The data, or the size of the data.
-        initiate: Initiate,
-    },
+    InitiateUpload { object: Object, initiate: Initiate },
     /// The next segment of a segmented upload.
     UploadSegment(Segment),
     /// End the transfer.
-    Abort {
-        /// The object being transferred.
-        object: Object,
-        /// The reason.
-        code: AbortCode,
-    },
+    Abort { object: Object, code: AbortCode },
     /// Of block transfer. In the middle of a sub-block the frame may be a [`block::Segment`] all the same.
     Block(block::Response),
     /// Any other command specifier, kept byte for byte.
@@ -78,14 +48,12 @@ pub enum Response {
 
 /// Contents of the first frame of a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the variants document their fields")]
 pub enum Initiate {
     /// All the data.
     Expedited(Expedited),
-    /// Nothing yet; segments follow.
-    Segmented {
-        /// Bytes to come, where the sender says.
-        size: Option<u32>,
-    },
+    /// Nothing yet; segments follow, of this many bytes together where the sender says.
+    Segmented { size: Option<u32> },
 }
 
 /// One to four bytes that travel in the first frame.

@@ -86,7 +86,6 @@ enum Reference {
     Invalid,
 }
 
-/// What bring-up learnt of a drive.
 #[derive(Clone, Debug)]
 pub(super) struct Learnt {
     pub(super) answer: Answer,
@@ -151,7 +150,6 @@ impl SerialAxis {
         self.measure(answer);
     }
 
-    /// Takes the bytes of one reading of the line.
     pub(super) fn take(&mut self, bytes: &[u8], now: Instant) {
         let pending = self.exchange.pending;
         let found = self.stream.take(bytes, pending, &mut self.counters);

@@ -38,7 +38,6 @@ pub(super) struct BringUp {
     dialect: Dialect,
     period: Duration,
     answer_timeout: Duration,
-    /// Requests in their order.
     script: [Telegram; 5],
 
     stage: Stage,

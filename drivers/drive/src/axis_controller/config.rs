@@ -118,44 +118,35 @@ pub enum Control {
 
 /// Why a group cannot be configured so.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum ConfigError {
-    /// No axis at all, or more than a line index holds.
     #[error("a group has 1 to 255 axes, not {0}")]
     Axes(usize),
-    /// Each axis has a line of its own.
     #[error("{axes} axes need as many lines, not {lines}")]
     Lines { axes: usize, lines: usize },
-    /// A request and its answer do not fit into the period.
     #[error("a period of {period:?} is too short for {exchange:?} of bytes on the line")]
     Period { period: Duration, exchange: Duration },
-    /// [`GroupConfig::tolerated_missing`] is 0.
     #[error("the number of tolerated missing answers must be at least 1")]
     ToleratedMissing,
-    /// A quantity of an axis that is zero, negative, not finite, or beyond what the drive can hold.
     #[error("line {line}: {quantity} is out of range")]
     OutOfRange { line: u8, quantity: Quantity },
-    /// Control by current, which only the later protocol has.
     #[error("line {line}: control by current takes protocol nfv2; hi_moxa has pulse widths only")]
     NeedsNfv2 { line: u8 },
 }
 
 /// A quantity of an axis that has bounds in the drive or in the plausibility check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum Quantity {
-    /// [`AxisConfig::address`].
     #[error("address")]
     Address,
-    /// [`AxisConfig::torque_constant`].
     #[error("torque constant")]
     TorqueConstant,
-    /// [`AxisConfig::max_current`].
     #[error("greatest current")]
     MaxCurrent,
     /// [`AxisConfig::max_velocity`]: a count to half of the counter per period.
     #[error("greatest velocity")]
     MaxVelocity,
-    /// [`AxisConfig::max_acceleration`].
     #[error("greatest acceleration")]
     MaxAcceleration,
 }

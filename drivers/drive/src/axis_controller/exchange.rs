@@ -25,7 +25,6 @@ pub(super) struct Exchange {
     window: Window,
 }
 
-/// Result of the reading of one cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Reading {
     /// No answer, or a refused one.
@@ -33,7 +32,6 @@ pub(super) enum Reading {
     Missing,
     /// An answer that the next one has to confirm.
     Unconfirmed,
-    /// An accepted answer.
     Accepted,
 }
 
@@ -44,7 +42,6 @@ struct Window {
     missing: u32,
 }
 
-/// The end of a reading.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EndOfReading {
     /// Cycles in a row without an accepted answer.

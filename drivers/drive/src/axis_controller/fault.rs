@@ -10,7 +10,7 @@ use crate::{Fault, Refusal};
 
 /// A latched condition of an axis controller on a serial line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum AxisControllerFault {
     /// Answers were missing, damaged or implausible for more cycles than the cell allows. An emergency stop.
     #[error("no answer to be believed for {cycles} cycles: check cable, power and a USB adapter's latency timer")]
@@ -38,13 +38,10 @@ pub enum AxisControllerFault {
     /// The drive keeps a reference that it was told to forget before the search for the index pulse.
     #[error("kept its reference though told to forget it for {cycles} cycles: switch it off and on")]
     KeepsReference { cycles: u32 },
-    /// The drive reports that its power stage is off or has failed.
     #[error("power stage is off or has failed: check the emergency stop and the power of the cabinet")]
     PowerStage,
-    /// The drive reports that its overcurrent protection acted.
     #[error("overcurrent protection acted")]
     Overcurrent,
-    /// The drive reports its error state.
     #[error("drive is in its error state")]
     Error,
     /// Another axis required an emergency stop: this drive is told to open the circuit of their cabinet too. `line` is the
@@ -143,20 +140,16 @@ impl FaultLatch {
 
 /// Why an axis controller could not be brought up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum AxisControllerError {
-    /// No byte came.
     #[error("no answer, waited {waited:.1?}: check that the cabinet is on, the cable, the baud rate, and the address")]
     Silent { waited: Duration },
-    /// Bytes came, and no answer among them.
     #[error(
         "{bytes} bytes and no answer among them: check the baud rate, a USB adapter's latency timer, and what is on the line"
     )]
     Garbled { bytes: u32 },
-    /// The drive answers in the other protocol.
     #[error("speaks {found:?}, the cell says {expected:?}")]
     OtherProtocol { expected: Protocol, found: Protocol },
-    /// The drive answers for another axis.
     #[error("answers as address {found}, the cell says {expected}: check which line goes where")]
     OtherAddress { expected: u8, found: u8 },
     /// The drive answers, and its counter is elsewhere in each answer (increments).
@@ -167,10 +160,8 @@ pub enum AxisControllerError {
         "{late} of {answers} answers took more than a period: set the adapter's latency timer to 1 ms, or take a card"
     )]
     Late { late: usize, answers: usize },
-    /// The drive answers, and has no power.
     #[error("power stage is off: switch the cabinet on and release its emergency stop")]
     PowerStage,
-    /// The line cannot be read or written.
     #[error("{0}")]
     Line(LineError),
 }

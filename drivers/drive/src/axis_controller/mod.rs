@@ -106,12 +106,10 @@ pub struct AxisControllerGroup<L: Line> {
     now: Instant,
 }
 
-/// One drive and its line.
 struct Controller<L> {
     line: L,
     config: AxisConfig,
     axis: SerialAxis,
-    /// Bring-up, while it is under way.
     bring_up: Option<BringUp>,
     setpoint: Option<i16>,
 }

@@ -39,11 +39,9 @@ pub(super) enum Phase {
     SwitchingOn,
     /// Torque on: the drive follows set-points.
     Following,
-    /// Torque on: the drive follows set-points and is told to forget its reference.
-    Unreferencing {
-        /// Cycles in this phase, the current one included.
-        cycles: u32,
-    },
+    /// Torque on: the drive follows set-points and is told to forget its reference. `cycles` counts the cycles in this
+    /// phase, the current one included.
+    Unreferencing { cycles: u32 },
     /// Torque on: the drive follows set-points and zeroes its counter at the next index pulse.
     SearchingIndex,
     /// Torque on: the index pulse has come, and the search is still commanded.
@@ -76,13 +74,9 @@ pub(super) enum PhaseEvent {
     Fault,
     /// Torque is commanded without a search for a reference.
     Follow,
-    /// A search for a reference is commanded.
-    Seek {
-        /// The drive reports a reference.
-        drive_referenced: bool,
-        /// The host knows the reference: the index pulse came in this search.
-        index_found: bool,
-    },
+    /// A search for a reference is commanded. `drive_referenced`: the drive reports a reference. `index_found`: the host
+    /// knows the reference, because the index pulse came in this search.
+    Seek { drive_referenced: bool, index_found: bool },
     /// The drive has acknowledged the mode with torque.
     SwitchedOn,
 }
@@ -132,7 +126,6 @@ impl Phase {
         }
     }
 
-    /// The mode that the drive is told.
     pub(super) fn mode(self) -> ControllerMode {
         match self {
             Self::Off => ControllerMode::Manual,
@@ -146,12 +139,10 @@ impl Phase {
         }
     }
 
-    /// Whether the drive follows the set-points of commands.
     pub(super) fn follows(self) -> bool {
         self == Self::Following || self.searches()
     }
 
-    /// Whether a search for a reference is commanded.
     pub(super) fn searches(self) -> bool {
         matches!(self, Self::Unreferencing { .. } | Self::SearchingIndex | Self::IndexFound)
     }

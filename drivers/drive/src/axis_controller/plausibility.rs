@@ -56,9 +56,7 @@ struct Candidate {
 /// Result of a plausibility check of a position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Verdict {
-    /// The position is accepted.
     Plausible,
-    /// The position is refused.
     Implausible,
     /// The position looks like the index pulse: the next answer decides.
     Unconfirmed,

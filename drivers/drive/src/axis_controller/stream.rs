@@ -52,9 +52,7 @@ enum StartByte {
 /// Answers in one reading of a line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Found {
-    /// The last answer.
     pub(super) answer: Option<Answer>,
-    /// Number of answers.
     pub(super) count: u32,
 }
 

@@ -35,7 +35,6 @@ pub(super) struct Dialect {
     pub(super) control: Control,
 }
 
-/// Bytes to write.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Telegram {
     bytes: [u8; LONGEST],

@@ -79,7 +79,6 @@ enum Goal {
     Stopped,
 }
 
-/// State of a drive as bring-up read it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Learnt {
     pub(super) statusword: Statusword,
@@ -92,7 +91,7 @@ pub(super) struct Learnt {
 
 impl CanAxis {
     pub(super) fn new(group: &GroupConfig, axis: &AxisConfig) -> Self {
-        let config = AxisConfig { configuration: Vec::new(), parameters: Vec::new(), ..axis.clone() };
+        let config = AxisConfig { configuration: Vec::new(), ..axis.clone() };
         Self::started(*group, config, Instant::ZERO, Learnt::default())
     }
 
@@ -154,7 +153,6 @@ impl CanAxis {
         self.state.fault
     }
 
-    /// A fault of the drive itself.
     pub(super) fn drive_fault(&self, code: u16) -> Fault {
         let node = self.config.node.raw();
         Fault::Drive { node, code }

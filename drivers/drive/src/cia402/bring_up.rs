@@ -4,7 +4,7 @@ use can::Instant;
 use canopen::cia402::{ModeOfOperation, PowerState, Statusword, SupportedModes};
 use canopen::objects::{DEVICE_TYPE, MODE_OF_OPERATION_DISPLAY};
 use canopen::sdo::{AbortCode, Write};
-use canopen::{NodeId, Object, nmt};
+use canopen::{NodeId, Object, nmt, number};
 use master::sdo::{Client, SdoCause, SdoError, Transfer};
 
 use super::axis::Learnt;
@@ -44,30 +44,22 @@ pub(super) struct NodeBringUp {
     unwatched: bool,
 }
 
+/// A booting node was sent the reset at `since`. Its boot-up message or an answer to object 0x1000 is awaited.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
-    /// The reset was sent at `since`. The boot-up message or an answer to object 0x1000 is awaited.
-    Booting {
-        since: Instant,
-        booted: bool,
-        asked: bool,
-    },
+    Booting { since: Instant, booted: bool, asked: bool },
     Configuring(Progress),
     Configured,
-    Starting {
-        since: Instant,
-    },
+    Starting { since: Instant },
     Operational,
 }
 
-/// Progress through the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Progress {
     step: usize,
     reading_back: bool,
     /// The request of this step is under way.
     asked: bool,
-    /// When this step began.
     since: Instant,
 }
 
@@ -375,9 +367,4 @@ fn error_of(node: NodeId, error: SdoError) -> BringUpError {
         SdoCause::TimedOut { waited } => BringUpError::TimedOut { node, object, waited },
         _ => BringUpError::Aborted { node, object, code },
     }
-}
-
-/// Up to four bytes as a number.
-pub(super) fn number(data: &[u8]) -> u32 {
-    data.iter().take(4).rev().fold(0, |number, &byte| number << 8 | u32::from(byte))
 }

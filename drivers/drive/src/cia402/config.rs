@@ -5,8 +5,6 @@ use std::time::Duration;
 use canopen::cia402::ModeOfOperation;
 use canopen::{NodeId, Object};
 use master::sdo::CAPACITY;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::reserved::reserved;
@@ -66,12 +64,9 @@ pub struct AxisConfig {
     pub following_error: f64,
     /// Deceleration of a quick stop, rad/s² (object 0x6085).
     pub quick_stop_deceleration: f64,
-    /// The objects of the device configuration file, in order, downloaded before `parameters`. None of them may be
-    /// [`reserved`](super::reserved).
+    /// The objects of the device configuration file and of the cell, downloaded in order before the settings of this
+    /// driver. None of them may be [`reserved`](super::reserved).
     pub configuration: Vec<Setting>,
-    /// Further objects, downloaded in order before the settings of this driver. None of them may be
-    /// [`reserved`](super::reserved).
-    pub parameters: Vec<Parameter>,
 }
 
 /// Expected identity of a drive (object 0x1018); `None` accepts any value.
@@ -118,27 +113,6 @@ pub struct HomingConfig {
     pub acceleration: f64,
 }
 
-/// An object written to a drive before operation and read back.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Parameter {
-    /// Index.
-    pub index: u16,
-    /// Sub-index.
-    #[serde(default)]
-    pub subindex: u8,
-    /// Value; two's complement for a signed object.
-    pub value: u32,
-    /// Size of the object, bytes: 1, 2 or 4.
-    pub bytes: u8,
-}
-
-impl Parameter {
-    pub(super) const fn object(&self) -> Object {
-        Object::new(self.index, self.subindex)
-    }
-}
-
 /// A value of any length of an object of a drive.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Setting {
@@ -152,12 +126,11 @@ pub struct Setting {
 
 /// Why a configuration is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum ConfigError {
     /// No axis, or more axes than node-IDs.
     #[error("a group has 1 to 126 axes, not {0}")]
     Axes(usize),
-    /// Two nodes of one bus share a node-ID.
     #[error("node {0} occurs twice")]
     DuplicateNode(u8),
     /// Object 0x60C2 cannot represent this period exactly.
@@ -169,36 +142,26 @@ pub enum ConfigError {
     /// A setting that cannot or must not be written.
     #[error("node {node}: {object} cannot be configured: {why}")]
     Setting { node: u8, object: Object, why: &'static str },
-    /// A quantity of an axis is zero, negative, not finite, or out of the drive's range.
     #[error("node {node}: {quantity} is out of range")]
     OutOfRange { node: u8, quantity: Quantity },
 }
 
 /// A quantity of an axis that the drive holds in its own unit and integer size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum Quantity {
-    /// [`AxisConfig::rated_torque`].
     #[error("rated torque")]
     RatedTorque,
-    /// [`AxisConfig::plausible_velocity`].
     #[error("plausible velocity")]
     PlausibleVelocity,
-    /// [`Parameter::bytes`].
-    #[error("parameter size")]
-    ParameterSize,
-    /// [`AxisConfig::following_error`].
     #[error("following error")]
     FollowingError,
-    /// [`AxisConfig::quick_stop_deceleration`].
     #[error("quick stop deceleration")]
     QuickStopDeceleration,
-    /// [`HomingConfig::search_speed`].
     #[error("homing search speed")]
     SearchSpeed,
-    /// [`HomingConfig::zero_speed`].
     #[error("homing zero speed")]
     ZeroSpeed,
-    /// [`HomingConfig::acceleration`].
     #[error("homing acceleration")]
     HomingAcceleration,
 }
@@ -267,28 +230,21 @@ impl GroupConfig {
     }
 }
 
-/// Quantities of an axis in the drive's units.
+/// Quantities of an axis in the drive's units: increments, rpm and rpm/s.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct DriveUnits {
-    /// Increments.
     pub(super) following_error: u32,
-    /// rpm/s.
     pub(super) quick_stop_deceleration: u32,
-    /// rpm.
     pub(super) search_speed: u32,
-    /// rpm.
     pub(super) zero_speed: u32,
-    /// rpm/s.
     pub(super) homing_acceleration: u32,
 }
 
 impl AxisConfig {
-    /// Refuses settings and parameters that cannot or must not be written.
+    /// Refuses settings that cannot or must not be written.
     fn check_writes(&self) -> Result<(), ConfigError> {
         let refusal = |object: Object, why| ConfigError::Setting { node: self.node.raw(), object, why };
-        let settings = self.configuration.iter().map(|setting| setting.object);
-        let parameters = self.parameters.iter().map(Parameter::object);
-        for object in settings.chain(parameters) {
+        for &Setting { object, .. } in &self.configuration {
             if let Some(found) = reserved(self.identity.vendor, object.index, object.subindex) {
                 return Err(refusal(object, found.why));
             }
@@ -311,10 +267,6 @@ impl AxisConfig {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(out_of_range(quantity));
             }
-        }
-        let possible = |parameter: &Parameter| matches!(parameter.bytes, 1 | 2 | 4);
-        if !self.parameters.iter().all(possible) {
-            return Err(out_of_range(Quantity::ParameterSize));
         }
         let homing = &self.homing;
         Ok(DriveUnits {

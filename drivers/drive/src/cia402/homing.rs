@@ -34,19 +34,14 @@ pub(super) struct Search {
 enum Step {
     #[default]
     Idle,
+    /// Object 0x6061 must come to show mode HM.
     Preparing,
     /// Controlword bit 4 is set. `begun`: the drive has reported that it searches.
-    Searching {
-        answers: u32,
-        begun: bool,
-    },
-    Ended {
-        attained: bool,
-    },
+    Searching { answers: u32, begun: bool },
+    /// The search has ended, with or without a reference.
+    Ended { attained: bool },
     /// Controlword bit 4 is clear and the halt bit is set.
-    Halting {
-        answers: u32,
-    },
+    Halting { answers: u32 },
 }
 
 impl Search {
@@ -124,12 +119,10 @@ impl Search {
         *self = Self::default();
     }
 
-    /// Whether the drive has to be in mode HM.
     pub(super) fn needs_homing_mode(&self) -> bool {
         self.step != Step::Idle
     }
 
-    /// Whether the drive is still stopping.
     pub(super) fn halting(&self) -> bool {
         matches!(self.step, Step::Halting { .. })
     }

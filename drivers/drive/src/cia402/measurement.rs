@@ -19,7 +19,6 @@ const SHORTEST: u32 = 2;
 /// Position and velocity of the last plausible sample.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Measurement {
-    /// Node-ID of the drive.
     node: u8,
     scale: Scale,
     /// Greatest possible speed of the motor, increments/s.
@@ -89,7 +88,6 @@ impl Measurement {
         Ok(())
     }
 
-    /// Copies position and velocity to `state`.
     pub(super) fn tell(&self, state: &mut AxisState) {
         state.increments = self.increments;
         state.position = self.scale.position(self.increments);

@@ -30,8 +30,8 @@
 //!
 //! # Which objects are written
 //!
-//! [`AxisConfig::configuration`] is written first, then [`AxisConfig::parameters`]. Neither may hold a [`reserved`]
-//! object. Those objects belong to this driver, which writes and reads back the following last, before operation:
+//! [`AxisConfig::configuration`] is written first, and may hold no [`reserved`] object. Those objects belong to this
+//! driver, which writes and reads back the following last, before operation:
 //! - heartbeats (0x1016:01, 0x1017);
 //! - reactions (0x1029:01, 0x6007, 0x605A, 0x6085);
 //! - interpolation period (0x60C2);
@@ -75,9 +75,7 @@ use canopen::{cob, nmt};
 use master::sdo::Client;
 
 pub use canopen::NodeId;
-pub use config::{
-    AxisConfig, ConfigError, CyclicMode, GroupConfig, HomingConfig, Identity, Parameter, Quantity, Setting,
-};
+pub use config::{AxisConfig, ConfigError, CyclicMode, GroupConfig, HomingConfig, Identity, Quantity, Setting};
 pub use other_controller::Sign;
 pub use process_data::pdo_setups;
 pub use recording::Recording;
@@ -135,13 +133,11 @@ struct Node {
     fault: Option<Fault>,
 }
 
+/// While the group listens, nothing is sent, and frames of another controller are detected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     Down,
-    /// Nothing is sent, and frames of another controller are detected.
-    Listening {
-        until: Instant,
-    },
+    Listening { until: Instant },
     Configuring,
     Starting,
     Up,
@@ -541,7 +537,7 @@ impl Node {
         let Some(service) = self.service.take() else {
             return;
         };
-        let value = result.map(|transfer| bring_up::number(transfer.data)).map_err(|error| error.cause.abort_code().0);
+        let value = result.map(|transfer| canopen::number(transfer.data)).map_err(|error| error.cause.abort_code().0);
         self.axis.served(service, value);
     }
 }

@@ -43,7 +43,6 @@ pub(super) const fn request(mode: CyclicMode) -> &'static [Entry] {
     }
 }
 
-/// Length of RPDO 1, bytes.
 pub(super) fn request_len(mode: CyclicMode) -> usize {
     let bits = request(mode).iter().map(|entry| usize::from(entry.bits));
     bits.sum::<usize>() / 8
@@ -104,7 +103,6 @@ pub(super) fn may_be_absent(object: Object) -> bool {
     is_timer(object) || object == PdoKind::Tpdo.communication(PdoNumber::Two, 1)
 }
 
-/// Whether this is an inhibit time or an event timer.
 pub(super) fn is_timer(object: Object) -> bool {
     let communication = matches!(object.index, 0x1400..=0x15FF | 0x1800..=0x19FF);
     communication && matches!(object.subindex, 3 | 5)

@@ -3,10 +3,10 @@
 use canopen::Object;
 use canopen::cia402::{HomingMethod, ModeOfOperation};
 use canopen::objects::*;
-use canopen::sdo::{Expedited, Write};
+use canopen::sdo::Write;
 
 use super::agreement::{self, Agreement};
-use super::config::{AxisConfig, ConfigError, GroupConfig, Parameter};
+use super::config::{AxisConfig, ConfigError, GroupConfig};
 use super::process_data;
 
 /// Vendor-ID of maxon.
@@ -90,13 +90,6 @@ impl Step {
     }
 }
 
-impl Parameter {
-    fn write(&self) -> Option<Write> {
-        let data = Expedited::new(self.value.to_le_bytes().get(..usize::from(self.bytes))?)?;
-        Some(Write { object: self.object(), data })
-    }
-}
-
 /// All steps before a drive is started.
 pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step>, ConfigError> {
     let required = |write| Step::Set(write, Need::Required);
@@ -119,7 +112,6 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
     steps.push(required(Write::new(CONTROLWORD, 0_u16)));
     let settings = axis.configuration.iter().enumerate();
     steps.extend(settings.map(|(number, setting)| Step::Configure(setting.object, number)));
-    steps.extend(axis.parameters.iter().filter_map(Parameter::write).map(required));
     // Behind the cell's own objects, whose writing may change others in the drive. First the limits of the ramps.
     let ramp = units.quick_stop_deceleration.max(units.homing_acceleration);
     for object in [MAX_ACCELERATION, MAX_DECELERATION] {

@@ -5,7 +5,6 @@ use canopen::cia402::ModeOfOperation;
 use canopen::objects::{ERROR_CODE, MODE_OF_OPERATION, MODE_OF_OPERATION_DISPLAY};
 use canopen::sdo::Write;
 
-/// One service request during operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Service {
     /// Write object 0x6060.

@@ -52,16 +52,12 @@ enum Step {
     Confirm,
 }
 
-/// What follows from an answer.
+/// What follows from an answer. `Untrue`: a slave answers any question.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Next {
     Ask(Fastscan),
     Found(Option<Identity>),
-    Vanished {
-        part: Part,
-        number: u32,
-    },
-    /// Somebody answers any question.
+    Vanished { part: Part, number: u32 },
     Untrue,
 }
 

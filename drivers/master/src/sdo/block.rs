@@ -34,9 +34,7 @@ pub(super) enum BlockState {
 pub(super) struct Receiving {
     /// Whether the server sends a checksum.
     crc: bool,
-    /// Bytes the server said it would send.
     announced: Option<usize>,
-    /// Segments of this sub-block.
     block_size: u8,
     /// The last that came in order.
     in_order: u8,
@@ -62,7 +60,6 @@ pub(super) struct Sending {
 }
 
 impl Client {
-    /// Sends the first frame of an upload.
     pub(super) fn initiate_block_upload(&mut self, now: Instant) {
         self.length = 0;
         self.state = TransferState::Block(BlockState::UploadInitiated);
@@ -75,7 +72,6 @@ impl Client {
         self.send(sdo::Request::Block(request), now);
     }
 
-    /// Sends the first frame of a download.
     pub(super) fn initiate_block_download(&mut self, now: Instant) {
         self.state = TransferState::Block(BlockState::DownloadInitiated);
         let request =

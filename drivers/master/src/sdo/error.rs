@@ -9,12 +9,11 @@ use canopen::sdo::AbortCode;
 
 /// Why a transfer was not started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum StartError {
     /// A transfer is under way, or its result was not taken.
     #[error("{object} is being transferred")]
     Busy { object: Object },
-    /// More data than the client has room for.
     #[error("{object} would take {size} bytes, at most {capacity} are transferred")]
     TooLarge { object: Object, size: usize, capacity: usize },
 }
@@ -31,9 +30,8 @@ pub struct SdoError {
 
 /// What ended a transfer. The text continues the address of the object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum SdoCause {
-    /// The server aborted.
     #[error(" aborted by the server: {code}")]
     Aborted { code: AbortCode },
     /// No answer, or none that brought the transfer on, for all the retries. `waited` counts from the start of
@@ -49,7 +47,6 @@ pub enum SdoCause {
     /// An answer that is none of expedited and segmented transfer.
     #[error(": unexpected command specifier {specifier:#04x}")]
     Specifier { specifier: u8 },
-    /// The object is longer than the client has room for.
     #[error(" has at least {size} bytes, at most {capacity} are transferred")]
     TooLarge { size: usize, capacity: usize },
     /// The server sent more or fewer bytes than it announced, or than the reader's type has.
@@ -61,7 +58,6 @@ pub enum SdoCause {
     /// A sub-block of no segments, or of more than 127.
     #[error(": the server asks for a sub-block of {block_size} segments, 1 to 127 are possible")]
     BlockSize { block_size: u8 },
-    /// The data were corrupted on their way.
     #[error(": checksum {found:#06x}, the server says {expected:#06x}")]
     Crc { expected: u16, found: u16 },
 }

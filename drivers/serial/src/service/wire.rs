@@ -7,7 +7,6 @@ use crate::epos4::Deframer;
 /// Maximum number of data words of an answer that is understood.
 const ANSWER_WORDS: usize = 4;
 
-/// State of the telegram on the line.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "there is one in each client, and it is made anew for each telegram")]
 pub(super) enum Wire {
@@ -47,7 +46,6 @@ pub(super) enum Seen {
     Nothing,
     /// The device is ready for the rest of this telegram.
     Ready(Telegram),
-    /// The device offers an answer.
     Offered,
     /// The device has accepted a request that is not answered.
     Sent,

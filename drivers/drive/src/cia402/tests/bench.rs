@@ -6,7 +6,7 @@ use std::task::Poll;
 use std::time::Duration;
 
 use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received, StandardId};
-use canopen::NodeId;
+use canopen::{NodeId, Object};
 
 use crate::cia402::*;
 use crate::{Finite, Power, Scale, Setpoint};
@@ -30,6 +30,10 @@ pub(super) fn group_config() -> GroupConfig {
     }
 }
 
+pub(super) fn setting(index: u16, subindex: u8, data: &[u8]) -> Setting {
+    Setting { object: Object::new(index, subindex), data: data.to_vec(), readable: true }
+}
+
 /// 2000 increments per turn; an increment is TAU / 2000 rad.
 pub(super) fn axis_config(raw: u8) -> AxisConfig {
     let tau = std::f64::consts::TAU;
@@ -43,8 +47,7 @@ pub(super) fn axis_config(raw: u8) -> AxisConfig {
         plausible_velocity: tau * 1_000.0,
         following_error: tau / 2.0,
         quick_stop_deceleration: tau * 100.0,
-        configuration: Vec::new(),
-        parameters: vec![Parameter { index: 0x3001, subindex: 1, value: 2_000, bytes: 4 }],
+        configuration: vec![setting(0x3001, 1, &2_000_u32.to_le_bytes())],
     }
 }
 

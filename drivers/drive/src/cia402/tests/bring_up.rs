@@ -357,7 +357,6 @@ fn configurations_that_cannot_work_are_refused() {
         (with(|_, axes| axes[1].following_error = f64::NAN), out_of_range(Quantity::FollowingError)),
         (with(|_, axes| axes[1].quick_stop_deceleration = -1.0), out_of_range(Quantity::QuickStopDeceleration)),
         (with(|_, axes| axes[1].homing.zero_speed = 0.01), out_of_range(Quantity::ZeroSpeed)),
-        (with(|_, axes| axes[1].parameters[0].bytes = 3), out_of_range(Quantity::ParameterSize)),
     ];
     for (found, expected) in table {
         assert_eq!(found, expected);

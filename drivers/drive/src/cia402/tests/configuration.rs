@@ -7,12 +7,9 @@ use super::bench::*;
 use crate::BringUpError;
 use crate::cia402::*;
 
-fn setting(index: u16, subindex: u8, data: &[u8]) -> Setting {
-    Setting { object: Object::new(index, subindex), data: data.to_vec(), readable: true }
-}
-
 fn configured(settings: Vec<Setting>) -> AxisConfig {
-    AxisConfig { configuration: settings, ..axis_config(2) }
+    let axis = axis_config(2);
+    AxisConfig { configuration: [settings, axis.configuration].concat(), ..axis }
 }
 
 fn bench(settings: Vec<Setting>) -> Bench {
@@ -46,10 +43,10 @@ fn settings_of_any_length_are_written_and_read_back() {
 }
 
 #[test]
-fn settings_come_first_then_parameters_then_what_the_group_sets_itself() {
+fn settings_come_first_in_their_order_then_what_the_group_sets_itself() {
     let mut bench = bench(vec![setting(0x3001, 1, &[1, 0, 0, 0])]);
     assert_eq!(bench.bring_up(), Ok(()));
-    // Voltage off, the setting, the parameter of the same object, then the heartbeat.
+    // Voltage off, two settings of the same object, then the heartbeat.
     let order = ["602#2B406000", "602#2301300101000000", "602#23013001D0070000", "602#2B171000D007"];
     let order = order.map(|frame| position(&bench, frame).unwrap());
     assert!(order.is_sorted(), "{order:?}");

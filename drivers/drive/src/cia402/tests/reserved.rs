@@ -12,7 +12,7 @@ fn everything_that_bring_up_writes_is_reserved() {
     for mode in MODES {
         let mut axis = axis_config(2);
         axis.mode = mode;
-        axis.parameters.clear();
+        axis.configuration.clear();
         let program = program(&group_config(), &axis).unwrap();
         let write = |step: &Step| match *step {
             Step::Set(write, _) => Some(write),
@@ -106,44 +106,33 @@ fn what_undoes_or_commands_is_reserved_and_tuning_is_not() {
 }
 
 #[test]
-fn reserved_objects_are_refused_before_a_frame_whoever_asks_for_them() {
+fn reserved_objects_are_refused_before_a_frame() {
     for (index, subindex) in [(0x1016, 1), (0x6007, 0), (0x6040, 0), (0x60C2, 1), (0x1A02, 1)] {
-        let mut by_parameter = axis_config(2);
-        by_parameter.parameters = vec![Parameter { index, subindex, value: 0, bytes: 4 }];
-        let mut by_setting = axis_config(2);
-        by_setting.configuration =
-            vec![Setting { object: Object::new(index, subindex), data: vec![0; 4], readable: true }];
+        let axis = AxisConfig { configuration: vec![setting(index, subindex, &[0; 4])], ..axis_config(2) };
         let error = ConfigError::Setting {
             node: 2,
             object: Object::new(index, subindex),
             why: reserved(MAXON, index, subindex).unwrap().why,
         };
-        for axis in [by_parameter, by_setting] {
-            let group = Cia402Group::new(BusEnd::default(), group_config(), &[axis]);
-            assert_eq!(group.map(|_| ()), Err(error));
-        }
+        let group = Cia402Group::new(BusEnd::default(), group_config(), &[axis]);
+        assert_eq!(group.map(|_| ()), Err(error));
     }
 }
 
 /// Writing a vendor's object may change other objects.
 #[test]
-fn what_a_setting_or_a_parameter_changes_elsewhere_is_set_and_read_back_afterwards() {
+fn what_a_setting_changes_elsewhere_is_set_and_read_back_afterwards() {
     let (trigger, changed) = ((0x2101, 0), [(0x6007, 0), (0x1016, 1), (0x6085, 0)]);
-    let mut by_setting = axis_config(2);
-    by_setting.configuration =
-        vec![Setting { object: Object::new(trigger.0, trigger.1), data: vec![7], readable: true }];
-    let mut by_parameter = axis_config(2);
-    by_parameter.parameters.push(Parameter { index: trigger.0, subindex: trigger.1, value: 7, bytes: 1 });
+    let mut axis = axis_config(2);
+    axis.configuration.push(setting(trigger.0, trigger.1, &[7]));
     let mut untouched = Bench::new(group_config(), &[axis_config(2)]);
     assert_eq!(untouched.bring_up(), Ok(()));
-    for axis in [by_setting, by_parameter] {
-        for object in changed {
-            let mut bench = Bench::new(group_config(), std::slice::from_ref(&axis));
-            bench.stores[0].put(trigger.0, trigger.1, &[0]);
-            bench.stores[0].clears = Some((trigger, object));
-            assert_eq!(bench.bring_up(), Ok(()));
-            let expected = &untouched.stores[0].objects[&object];
-            assert_eq!(&bench.stores[0].objects[&object], expected, "{object:04x?}");
-        }
+    for object in changed {
+        let mut bench = Bench::new(group_config(), std::slice::from_ref(&axis));
+        bench.stores[0].put(trigger.0, trigger.1, &[0]);
+        bench.stores[0].clears = Some((trigger, object));
+        assert_eq!(bench.bring_up(), Ok(()));
+        let expected = &untouched.stores[0].objects[&object];
+        assert_eq!(&bench.stores[0].objects[&object], expected, "{object:04x?}");
     }
 }
