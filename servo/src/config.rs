@@ -83,72 +83,30 @@ pub struct ServoAxisConfig {
 
 /// Error in the configuration of a [`Servo`](crate::Servo). Indices count from zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum ServoError {
     /// The period is zero.
     #[error("the period is zero")]
     ZeroPeriod,
     /// An effector has no axis or too many.
     #[error("effector {effector} has {axes} axes, 1 to {max} are possible", max = MAX_AXES)]
-    AxisCount {
-        /// The effector.
-        effector: usize,
-        /// Its axes.
-        axes: usize,
-    },
+    AxisCount { effector: usize, axes: usize },
     /// The queue of an effector has no capacity.
     #[error("effector {effector} has a queue of zero orders")]
-    EmptyQueue {
-        /// The effector.
-        effector: usize,
-    },
+    EmptyQueue { effector: usize },
     /// An axis is in a group that does not exist.
     #[error("effector {effector} axis {axis} is in group {group}, there are {groups} groups")]
-    NoSuchGroup {
-        /// The effector.
-        effector: usize,
-        /// The axis within it.
-        axis: usize,
-        /// The group asked for.
-        group: usize,
-        /// Groups given.
-        groups: usize,
-    },
+    NoSuchGroup { effector: usize, axis: usize, group: usize, groups: usize },
     /// A group does not have that axis.
     #[error("effector {effector} axis {axis} is axis {index} of group {group}, which has {axes} axes")]
-    NoSuchAxis {
-        /// The effector.
-        effector: usize,
-        /// The axis within it.
-        axis: usize,
-        /// The group.
-        group: usize,
-        /// The index asked for.
-        index: usize,
-        /// Axes of the group.
-        axes: usize,
-    },
+    NoSuchAxis { effector: usize, axis: usize, group: usize, index: usize, axes: usize },
     /// One drive serves two axes.
     #[error("effector {effector} axis {axis} is axis {index} of group {group}, which is taken already")]
-    MappedTwice {
-        /// The effector that came second.
-        effector: usize,
-        /// The axis within it.
-        axis: usize,
-        /// The group.
-        group: usize,
-        /// The index within the group.
-        index: usize,
-    },
-    /// A limit is not a number, not positive, or the lowest position is not below the highest.
+    MappedTwice { effector: usize, axis: usize, group: usize, index: usize },
+    /// A limit is not a number, not positive, or the lowest position is not below the highest. `limit` names the field
+    /// of [`ServoAxisConfig`].
     #[error("effector {effector} axis {axis}: {limit} makes no sense")]
-    BadLimit {
-        /// The effector.
-        effector: usize,
-        /// The axis within it.
-        axis: usize,
-        /// Name of the field of [`ServoAxisConfig`].
-        limit: &'static str,
-    },
+    BadLimit { effector: usize, axis: usize, limit: &'static str },
 }
 
 impl ServoConfig {

@@ -25,37 +25,23 @@ pub struct Excitation {
 
 /// Why an excitation is refused. Indices count from zero.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum ExcitationError {
     /// There is no such axis.
     #[error("effector {effector} has no axis {axis}")]
-    NoSuchAxis {
-        /// The effector.
-        effector: usize,
-        /// The axis.
-        axis: usize,
-    },
+    NoSuchAxis { effector: usize, axis: usize },
     /// The sequence is empty, or has a value that is not finite.
     #[error("an excitation of no value, or of one that is not a number")]
     NotFinite,
     /// The amplitude exceeds a quarter of the loop's output limit, of the rated torque, or of the following error.
     #[error("an amplitude of {amplitude} is beyond the limit of {limit} at this axis; ask for less")]
-    Amplitude {
-        /// Greatest value.
-        amplitude: f64,
-        /// The permitted amplitude.
-        limit: f64,
-    },
+    Amplitude { amplitude: f64, limit: f64 },
     /// The excitation of the position needs more acceleration than the axis permits.
     #[error(
         "an excitation that needs {acceleration:.0} rad/s² is beyond the limit of {limit:.0} rad/s² at this axis; \
          ask for a lower amplitude or frequency"
     )]
-    Acceleration {
-        /// Greatest acceleration of the excitation, rad/s².
-        acceleration: f64,
-        /// The permitted acceleration, rad/s².
-        limit: f64,
-    },
+    Acceleration { acceleration: f64, limit: f64 },
 }
 
 impl Excitation {

@@ -51,40 +51,26 @@ enum Next {
 /// Why the servo did not find the reference of an axis. The servo then stops the axis within its homing acceleration
 /// and switches it off.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum HomingFailure {
     /// The home switch never closed.
     #[error("no home switch within {distance:.1} rad")]
-    NoSwitch {
-        /// Searched distance, rad.
-        distance: f64,
-    },
+    NoSwitch { distance: f64 },
     /// The home switch did not open again, or did not close on the way back from a limit switch.
     #[error("the home switch was not left within {distance:.1} rad")]
-    SwitchNotLeft {
-        /// Travelled distance, rad.
-        distance: f64,
-    },
+    SwitchNotLeft { distance: f64 },
     /// The axis came to rest beyond the home switch.
     #[error("stopped beyond the home switch; search slower, or brake harder")]
     SwitchPassed,
     /// No index pulse was found.
     #[error("no index pulse within {distance:.1} rad")]
-    NoIndex {
-        /// Searched distance, rad.
-        distance: f64,
-    },
+    NoIndex { distance: f64 },
     /// A phase of the search took too long.
     #[error("nothing found within {waited:?}")]
-    TimedOut {
-        /// Duration of the phase.
-        waited: Duration,
-    },
-    /// The axis reached a limit switch.
+    TimedOut { waited: Duration },
+    /// The axis reached a limit switch: the upper one is at the upper end of the counter's travel.
     #[error("ran onto the {} limit switch", if *.upper { "upper" } else { "lower" })]
-    LimitSwitch {
-        /// True at the upper end of the counter's travel, false at the lower end.
-        upper: bool,
-    },
+    LimitSwitch { upper: bool },
 }
 
 /// A search under way. Its velocity never changes faster than the configured acceleration, except at a limit switch.
