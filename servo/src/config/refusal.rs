@@ -60,6 +60,19 @@ pub(crate) fn conflict(key: &'static str, why: &'static str) -> Result<(), KeyEr
     Err(KeyError { key, reason })
 }
 
+/// The first field of a table whose condition does not hold.
+pub(crate) fn first_wrong<const N: usize>(fields: [(bool, &'static str); N]) -> Option<&'static str> {
+    fields.into_iter().find(|(is_right, _)| !is_right).map(|(_, field)| field)
+}
+
+pub(crate) const fn is_positive(value: f64) -> bool {
+    value.is_finite() && value > 0.0
+}
+
+pub(crate) const fn is_not_negative(value: f64) -> bool {
+    value.is_finite() && value >= 0.0
+}
+
 /// A number as a message shows it: 1000001, 0.25, 1e300.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Figure(pub f64);
