@@ -21,19 +21,13 @@ use crate::{Direction, HomingLeg, HostHoming, Knot};
 enum Phase {
     /// Waits until the drive follows and the states of the switches are known.
     Look,
-    /// Moves away from the home switch.
-    Leave {
-        /// The home switch was closed in this phase or before.
-        seen: bool,
-    },
+    /// Moves away from the home switch. `seen`: the switch was closed in this phase or before.
+    Leave { seen: bool },
     /// Moves towards the home switch.
     Switch,
-    /// Moves off the home switch to the index pulse.
-    Zero {
-        /// The home switch has opened in this phase. Only later index pulses count, because the point where the axis
-        /// rested on the switch depends on the speed of the axis.
-        open: bool,
-    },
+    /// Moves off the home switch to the index pulse. `open`: the switch has opened in this phase. Only later index
+    /// pulses count, because the point where the axis rested on the switch depends on the speed of the axis.
+    Zero { open: bool },
     /// Brakes and then pauses, from the given time on, before the next phase.
     Rest(Option<Instant>, Next),
     /// The counter is set and the motor is at rest.

@@ -16,21 +16,14 @@ pub struct KeyError {
 
 /// Why a configuration is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum KeyProblem {
     /// A number outside its range.
     #[error("is {}, must be {range}", Figure(*value))]
-    OutOfRange {
-        /// The number.
-        value: f64,
-        /// The range.
-        range: Range,
-    },
-    /// A key that means nothing where it stands.
+    OutOfRange { value: f64, range: Range },
+    /// A key that means nothing where it stands, with the reason as the rest of a sentence.
     #[error("has no effect {because}: leave it out")]
-    NoEffect {
-        /// Why, as the rest of a sentence.
-        because: &'static str,
-    },
+    NoEffect { because: &'static str },
     /// A key that contradicts or lacks another.
     #[error("{0}")]
     Conflict(&'static str),
@@ -41,8 +34,7 @@ pub(crate) fn within(key: &'static str, value: f64, range: Range) -> Result<(), 
     if range.has(value) {
         return Ok(());
     }
-    let reason = KeyProblem::OutOfRange { value, range };
-    Err(KeyError { key, reason })
+    Err(KeyError { key, reason: KeyProblem::OutOfRange { value, range } })
 }
 
 /// Refuses a key that is given where it means nothing.
@@ -50,14 +42,12 @@ pub(crate) fn no_effect(key: &'static str, given: bool, because: &'static str) -
     if !given {
         return Ok(());
     }
-    let reason = KeyProblem::NoEffect { because };
-    Err(KeyError { key, reason })
+    Err(KeyError { key, reason: KeyProblem::NoEffect { because } })
 }
 
 /// Refuses a key that contradicts or lacks another.
 pub(crate) fn conflict(key: &'static str, why: &'static str) -> Result<(), KeyError> {
-    let reason = KeyProblem::Conflict(why);
-    Err(KeyError { key, reason })
+    Err(KeyError { key, reason: KeyProblem::Conflict(why) })
 }
 
 /// The first field of a table whose condition does not hold.
