@@ -13,7 +13,7 @@ use super::{
     RobotParameters, Solutions, Space,
     arm::{self, PARALLEL},
     drive_train::{self, DriveTrain, TrainAxis},
-    legs::{self, Gap, Legs, Posture},
+    legs::{self, Legs, Posture},
     parameters,
     solutions::Search,
 };
@@ -179,7 +179,7 @@ impl Rnt {
             }
         }
         let home = self.parameters.legs.map(|leg| leg.length_at_home);
-        let open = |Gap { leg, residual }| ParameterError::OpenAtHome { leg, residual };
+        let open = |(leg, residual)| ParameterError::OpenAtHome { leg, residual };
         self.legs.close(&home, &middle).map_err(open)?;
         let [alpha, beta, rho] = [ALPHA, BETA, RHO].map(|axis| {
             let Limits { low, high } = self.joint_limits[axis];
@@ -304,9 +304,9 @@ impl Robot for Rnt {
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
         let mut joints = self.drive_train.joints_from_motors(motors.exactly()?)?;
         let lengths = [joints[0], joints[1], joints[2]];
-        let open = |Gap { leg, residual }| KinematicsError::Open { leg, residual };
-        let closure = self.legs.close(&lengths, &self.middle()).map_err(open)?;
-        joints[..3].copy_from_slice(&closure.posture);
+        let open = |(leg, residual)| KinematicsError::Open { leg, residual };
+        let (posture, _) = self.legs.close(&lengths, &self.middle()).map_err(open)?;
+        joints[..3].copy_from_slice(&posture);
         Ok(joints)
     }
 

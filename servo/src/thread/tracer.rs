@@ -94,10 +94,6 @@ impl Spike {
     pub fn lateness(&self) -> Duration {
         self.late.map_or(Duration::ZERO, |late| late.late)
     }
-
-    fn is_free(&self) -> bool {
-        self.cycles.is_empty()
-    }
 }
 
 /// A spike that is stored after `left` more cycles.
@@ -187,7 +183,7 @@ impl Tracer {
     pub fn finish(mut self) -> Vec<Spike> {
         self.freeze(|_| true);
         self.spikes.push(self.on_request);
-        self.spikes.retain(|spike| !spike.is_free());
+        self.spikes.retain(|spike| !spike.cycles.is_empty());
         self.spikes.sort_by_key(|spike| std::cmp::Reverse(spike.lateness()));
         self.spikes
     }
