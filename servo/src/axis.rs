@@ -14,12 +14,10 @@ pub(crate) const REMEMBERED: usize = 16;
 /// Fraction of the greatest velocity below which a motor counts as still.
 const STILL: f64 = 0.01;
 
-/// An axis.
 pub(crate) struct ServoAxis {
     pub(crate) config: ServoAxisConfig,
     /// [`DriveGroup::delay`](drive::DriveGroup::delay) of its group.
     delay: usize,
-    /// Last state reported by the drive.
     pub(crate) state: AxisState,
     /// The set-point of this cycle.
     pub(crate) knot: Knot,
@@ -39,7 +37,6 @@ pub(crate) struct ServoAxis {
     pub(crate) playing: Option<Playing>,
     pub(crate) excitation: f64,
     reference: ReferenceWatch,
-    /// The position loop, if the servo closes it.
     host: Option<Loop>,
     /// The search of this homing, if the servo homes the axis.
     search: Option<Search>,
@@ -110,7 +107,6 @@ impl ServoAxis {
         }
     }
 
-    /// Starts the search for the reference.
     pub(crate) fn begin_homing(&mut self) {
         self.searched = false;
         self.reference = ReferenceWatch::default();
@@ -134,7 +130,6 @@ impl ServoAxis {
         !self.is_homed() || self.search.is_some_and(|search| !search.is_done())
     }
 
-    /// Advances the search by one period.
     pub(crate) fn advance_search(&mut self, now: Instant, dt: f64) -> Result<(), HomingFailure> {
         let follows = self.follows();
         let Some(mut search) = self.search else {
@@ -207,7 +202,6 @@ impl ServoAxis {
         host.follow(self.commanded, velocity);
     }
 
-    /// Whether the servo closes the position loop.
     pub(crate) fn is_host_closed(&self) -> bool {
         self.host.is_some()
     }

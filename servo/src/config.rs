@@ -84,24 +84,18 @@ pub struct ServoAxisConfig {
 
 /// Error in the configuration of a [`Servo`](crate::Servo). Indices count from zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum ServoError {
-    /// The period is zero.
     #[error("the period is zero")]
     ZeroPeriod,
-    /// An effector has no axis or too many.
     #[error("effector {effector} has {axes} axes, 1 to {max} are possible", max = MAX_AXES)]
     AxisCount { effector: usize, axes: usize },
-    /// The queue of an effector has no capacity.
     #[error("effector {effector} has a queue of zero orders")]
     EmptyQueue { effector: usize },
-    /// An axis is in a group that does not exist.
     #[error("effector {effector} axis {axis} is in group {group}, there are {groups} groups")]
     NoSuchGroup { effector: usize, axis: usize, group: usize, groups: usize },
-    /// A group does not have that axis.
     #[error("effector {effector} axis {axis} is axis {index} of group {group}, which has {axes} axes")]
     NoSuchAxis { effector: usize, axis: usize, group: usize, index: usize, axes: usize },
-    /// One drive serves two axes.
     #[error("effector {effector} axis {axis} is axis {index} of group {group}, which is taken already")]
     MappedTwice { effector: usize, axis: usize, group: usize, index: usize },
     /// A limit is not a number, not positive, or the lowest position is not below the highest. `limit` names the field

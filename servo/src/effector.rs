@@ -8,13 +8,11 @@ use std::time::Duration;
 use can::Instant;
 use drive::{AxisCommand, AxisState, Power};
 
-use crate::axis::ServoAxis;
-use crate::interpolate::Segment;
-use crate::servo::OpenGates;
 use crate::{
     After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, MAX_AXES, Order, Record, ServoAxisConfig,
     ServoEvent, ServoFault, ServoReport, ServoState, StopCause, StraightStop,
 };
+use crate::{axis::ServoAxis, interpolate::Segment, servo::OpenGates};
 
 /// Longest wait for standstill after the last set-point of a stop. The power is then switched off.
 const STANDSTILL_WAIT: Duration = Duration::from_millis(100);
@@ -46,7 +44,6 @@ pub(crate) struct Tick {
     pub(crate) refused: u32,
 }
 
-/// State of one effector.
 pub(crate) struct Effector {
     index: u8,
     pub(crate) axes: Vec<ServoAxis>,
@@ -117,7 +114,6 @@ impl Effector {
         }
     }
 
-    /// The command of each axis, with its group and its index within the group.
     pub(crate) fn commands(&self) -> impl Iterator<Item = (usize, usize, AxisCommand)> {
         let command = |axis: &ServoAxis| (axis.config.group, axis.config.index_in_group, axis.command);
         self.axes.iter().map(command)
@@ -297,7 +293,6 @@ impl Effector {
         true
     }
 
-    /// Prepares and enters a state.
     fn enter(&mut self, tick: &Tick, next: ServoState) {
         let last = self.state;
         if next == last {
@@ -477,7 +472,6 @@ impl Effector {
         self.counters.dropped_reports += u64::from(self.reports.push(report).is_err());
     }
 
-    /// The record of this cycle.
     pub(crate) fn record(&self, tick: &Tick) -> Record {
         let mut record = Record {
             cycle: tick.number,

@@ -25,9 +25,8 @@ pub struct Excitation {
 
 /// Why an excitation is refused. Indices count from zero.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum ExcitationError {
-    /// There is no such axis.
     #[error("effector {effector} has no axis {axis}")]
     NoSuchAxis { effector: usize, axis: usize },
     /// The sequence is empty, or has a value that is not finite.
@@ -79,7 +78,6 @@ pub fn most(axis: &ServoAxisConfig) -> f64 {
         }
 }
 
-/// An excitation under way.
 #[derive(Clone, Debug)]
 pub(crate) struct Playing {
     excitation: Excitation,

@@ -1,7 +1,6 @@
 //! Histogram of durations.
 
-use std::fmt;
-use std::time::Duration;
+use std::{fmt, time::Duration};
 
 /// A histogram of durations from 1 ns to 10 s in three significant digits.
 ///

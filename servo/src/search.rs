@@ -34,7 +34,6 @@ enum Phase {
     Done,
 }
 
-/// The phase after a rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Next {
     Switch,
@@ -45,7 +44,7 @@ enum Next {
 /// Why the servo did not find the reference of an axis. The servo then stops the axis within its homing acceleration
 /// and switches it off.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum HomingFailure {
     /// The home switch never closed.
     #[error("no home switch within {distance:.1} rad")]
@@ -56,7 +55,6 @@ pub enum HomingFailure {
     /// The axis came to rest beyond the home switch.
     #[error("stopped beyond the home switch; search slower, or brake harder")]
     SwitchPassed,
-    /// No index pulse was found.
     #[error("no index pulse within {distance:.1} rad")]
     NoIndex { distance: f64 },
     /// A phase of the search took too long.
@@ -247,7 +245,6 @@ impl Search {
         Ok(sense * leg.velocity)
     }
 
-    /// Direction of the home switch: +1 or -1.
     fn sense(&self) -> f64 {
         match self.config.direction {
             Direction::Negative => -1.0,

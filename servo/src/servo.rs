@@ -2,20 +2,18 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::task::Poll;
-use std::time::Duration;
+use std::{task::Poll, time::Duration};
 
 use can::Instant;
 use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Power, Warnings};
 
 use crate::axis::ServoAxis;
 use crate::effector::{Effector, Tick};
-use crate::excitation::Playing;
-use crate::recorder::Recorder;
 use crate::{
     Counters, EffectorLink, Excitation, ExcitationError, Record, ServoConfig, ServoError, ServoFault, ServoState,
     TrackingError,
 };
+use crate::{excitation::Playing, recorder::Recorder};
 
 /// Steps every effector of a cell on one tick grid.
 ///
@@ -96,7 +94,6 @@ impl Gates {
     }
 }
 
-/// The gates that are open in a cycle.
 #[derive(Clone, Copy)]
 pub(crate) struct OpenGates(u64);
 

@@ -96,7 +96,7 @@ pub enum CellTime {
 
 /// Why a servo thread did not start. No cycle ran.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum StartError {
     /// The policy requires a setting that the host denies.
     #[error("{0}")]
@@ -297,7 +297,6 @@ impl Run {
         self.timing.wait = WaitReport { preparation: self.preparation(), ..self.waiter.report() };
     }
 
-    /// Time from the start of preparing to the deadline.
     fn preparation(&self) -> Duration {
         self.preparation.map_or(Duration::ZERO, |learnt| learnt.get())
     }

@@ -5,8 +5,7 @@ use std::time::Duration;
 use servo::{Phase, ServoFault};
 use thiserror::Error;
 
-use crate::generator::GeneratorError;
-use crate::robot::KinematicsError;
+use crate::{generator::GeneratorError, robot::KinematicsError};
 
 /// Reasons why an instruction failed. When an error is reported, the effector already stands or is faulted. `step`
 /// counts the macrosteps of the instruction that were sent before.

@@ -13,7 +13,6 @@ const STEP: f64 = 1e-4;
 #[derive(Debug)]
 pub(super) struct Effector {
     pub(super) arm: Arm,
-    /// Time of the last report.
     pub(super) at: Instant,
     pub(super) macrostep: u64,
     /// Motor positions and velocities measured, from the last report.

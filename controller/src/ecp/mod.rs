@@ -23,8 +23,7 @@ mod task;
 #[cfg(test)]
 mod tests;
 
-use std::collections::VecDeque;
-use std::time::Duration;
+use std::{collections::VecDeque, time::Duration};
 
 use can::Instant;
 use servo::{EffectorLink, Macrostep, Order, Phase, ServoReport};

@@ -1,11 +1,9 @@
 //! Tasks: the instructions of one effector control process.
 
-use std::collections::VecDeque;
-use std::fmt;
+use std::{collections::VecDeque, fmt};
 
 use crate::generator::{Execution, Generator, Run};
 
-/// One instruction of a task.
 pub(super) enum Instruction {
     Enable,
     Home,

@@ -6,15 +6,13 @@ use crate::robot::KinematicsError;
 
 /// Reasons why a generator refuses a motion or gives it up.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum GeneratorError {
-    /// The list of poses is empty.
     #[error("no poses")]
     NoPoses,
     /// The number of axes is zero or above [`servo::MAX_AXES`].
     #[error("{axes} axes, supported are 1 to {max}")]
     Axes { axes: usize, max: usize },
-    /// A coordinate is NaN or infinite.
     #[error("pose {pose}, axis {axis}: not a finite number")]
     NotFinite { pose: usize, axis: u8 },
     /// A limit is not positive and finite.
@@ -23,19 +21,14 @@ pub enum GeneratorError {
     /// A speed or acceleration of a path is not positive and finite.
     #[error("path limit is not positive")]
     PathLimit,
-    /// A fraction of a limit lies outside (0, 1].
     #[error("pose {pose}, axis {axis}: fraction {value} is not in (0, 1]")]
     Fraction { pose: usize, axis: u8, value: f64 },
-    /// The macrostep has zero length.
     #[error("macrostep has no length")]
     NoMacrostep,
-    /// The motion would take more macrosteps than the limit.
     #[error("motion takes more than {limit} macrosteps")]
     TooLong { limit: u32 },
-    /// The motion cannot be completed in the given time.
     #[error("takes {needed:.3} s at the least, not {given:.3} s")]
     TooShort { needed: f64, given: f64 },
-    /// No profile within the limits was found.
     #[error("no profile within the limits")]
     NoProfile,
     /// The arm cannot take a pose of the path, at parameter `s` from 0 at the start to 1 at the end. The pose was found

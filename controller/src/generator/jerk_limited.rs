@@ -5,8 +5,7 @@ use std::time::Duration;
 use rsruckig::prelude::DataArrayOrVec;
 use servo::MAX_AXES;
 
-use super::plan::Plan;
-use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next};
+use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, plan::Plan};
 use crate::robot::Space;
 
 /// A jerk-limited, time-synchronised motion through intermediate poses to a final pose. Class 1, sporadic feedback.

@@ -99,7 +99,6 @@ impl ArmParameters {
         [(SHOULDER, self.lower_arm_length), (ELBOW, self.upper_arm_length), (PITCH, self.wrist_length)]
     }
 
-    /// The flange origin in the base frame.
     pub(super) fn origin(&self, Posture { sin, cos }: &Posture) -> Vector3<f64> {
         let (mut reach, mut drop) = (0.0, 0.0);
         for (axis, length) in self.lengths() {

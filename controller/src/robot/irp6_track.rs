@@ -16,7 +16,6 @@ use super::{
 };
 
 const AXES: usize = 7;
-/// Number of axes of the robot on the carriage.
 const ARM: usize = 6;
 
 /// Distances of the flange from the column axis between which the carriage stays at its position, m.
@@ -276,7 +275,6 @@ impl Robot for Irp6Track {
     }
 }
 
-/// The carriage's position and the arm's positions.
 fn parted<S>(all: &super::Vector<S>) -> Result<(f64, super::Vector<S>), KinematicsError> {
     let &[carriage, ref arm @ ..] = all.exactly::<AXES>()?;
     Ok((carriage, super::Vector::from(*arm)))

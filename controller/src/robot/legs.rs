@@ -118,7 +118,6 @@ pub(super) fn central(alpha: f64, beta: f64) -> Rotation3<f64> {
     ))
 }
 
-/// The platform in the base frame.
 struct Platform {
     base_from_central: Rotation3<f64>,
     /// Rotation axis of beta.

@@ -50,8 +50,7 @@ mod weight;
 #[cfg(test)]
 mod tests;
 
-use std::fmt;
-use std::sync::Arc;
+use std::{fmt, sync::Arc};
 
 use nalgebra::{Isometry3, SMatrix};
 use schemars::JsonSchema;

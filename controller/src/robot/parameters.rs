@@ -125,15 +125,12 @@ impl ArmParameters {
 
 /// Reasons why a set of parameters describes no robot.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum ParameterError {
-    /// A NaN or an infinity.
     #[error("{name} has a number that is not finite")]
     NotFinite { name: &'static str },
-    /// A length or a tolerance is not above zero.
     #[error("{name} is {value}, not above zero")]
     NotPositive { name: &'static str, value: f64 },
-    /// A gear or a screw has no usable ratio.
     #[error("{name} has a ratio of zero")]
     NoRatio { name: &'static str },
     /// The lower limit is not below the upper limit.
@@ -192,12 +189,10 @@ fn screw(name: &'static str, screw: &ScrewAxis) -> Result<TrainAxis, ParameterEr
     Ok(TrainAxis { transmission: Transmission::Screw(*screw), carried_by: None })
 }
 
-/// Refuses a NaN or an infinity.
 pub(super) fn finite(name: &'static str, value: f64) -> Result<(), ParameterError> {
     if value.is_finite() { Ok(()) } else { Err(ParameterError::NotFinite { name }) }
 }
 
-/// Refuses a value that is not above zero.
 pub(super) fn positive(name: &'static str, value: f64) -> Result<(), ParameterError> {
     finite(name, value)?;
     if value > 0.0 { Ok(()) } else { Err(ParameterError::NotPositive { name, value }) }

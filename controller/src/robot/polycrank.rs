@@ -2,8 +2,7 @@
 
 mod cranks;
 
-use std::f64::consts::FRAC_PI_2;
-use std::sync::Arc;
+use std::{f64::consts::FRAC_PI_2, sync::Arc};
 
 use nalgebra::{Isometry3, Vector3};
 use schemars::JsonSchema;
@@ -30,7 +29,6 @@ const ROLL: usize = 6;
 
 /// The axis that turns the plane of the forearm. A pose with the tool axis parallel to axis 1 leaves this axis open.
 const PLANE: usize = 2;
-/// The axis that bends the forearm.
 const ELBOW: usize = 4;
 
 /// If the sines of both bends are smaller, the two pairs of cranks count as stretched or folded.

@@ -1,7 +1,6 @@
 //! Kinematics of the RNT, serial-parallel.
 
-use std::f64::consts::TAU;
-use std::sync::Arc;
+use std::{f64::consts::TAU, sync::Arc};
 
 use nalgebra::{Isometry3, Rotation3, Vector2, Vector3};
 use schemars::JsonSchema;
@@ -231,12 +230,10 @@ impl Rnt {
         Ok(driven)
     }
 
-    /// Motor positions for joints. Both are checked against their limits.
     fn motors(&self, joints: &[f64; AXES]) -> Result<Motors, KinematicsError> {
         self.drive_train.motors_from_joints(&self.driven(joints)?)
     }
 
-    /// Position of the wrist centre at these joints.
     fn wrist_centre(&self, joints: &[f64; AXES]) -> Vector3<f64> {
         let reach = joints[RHO] + self.parameters.wrist_offset;
         legs::central(joints[0], joints[1]) * (Vector3::z() * reach)

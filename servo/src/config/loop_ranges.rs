@@ -4,8 +4,7 @@
 //! period. One encoder count does not saturate the output. A position error of `following_error` changes the output by
 //! a thousandth of its limit at the least.
 
-use std::f64::consts::TAU;
-use std::time::Duration;
+use std::{f64::consts::TAU, time::Duration};
 
 use super::refusal::{KeyError, Range, conflict, no_effect, within};
 use super::{FeedForward, Law};

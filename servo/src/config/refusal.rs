@@ -16,9 +16,8 @@ pub struct KeyError {
 
 /// Why a configuration is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
-#[expect(missing_docs, reason = "every field is in the message")]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum KeyProblem {
-    /// A number outside its range.
     #[error("is {}, must be {range}", Figure(*value))]
     OutOfRange { value: f64, range: Range },
     /// A key that means nothing where it stands, with the reason as the rest of a sentence.
@@ -29,7 +28,6 @@ pub enum KeyProblem {
     Conflict(&'static str),
 }
 
-/// Refuses `value` outside `range`.
 pub(crate) fn within(key: &'static str, value: f64, range: Range) -> Result<(), KeyError> {
     if range.has(value) {
         return Ok(());

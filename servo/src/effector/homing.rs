@@ -5,8 +5,7 @@ use std::time::Duration;
 use drive::Homing;
 
 use super::{Effector, Tick};
-use crate::axis::ServoAxis;
-use crate::{ServoEvent, StopCause};
+use crate::{ServoEvent, StopCause, axis::ServoAxis};
 
 impl Effector {
     /// Monitors homing by drives and advances homing by the servo, until success, failure or time-out.

@@ -1,8 +1,7 @@
 //! Motion of an effector: macrosteps in sequence, interpolated and checked.
 
 use super::{Effector, Tick};
-use crate::interpolate::Segment;
-use crate::{Knot, MAX_AXES, Macrostep, Order, ServoEvent, ServoState, StopCause};
+use crate::{Knot, MAX_AXES, Macrostep, Order, ServoEvent, ServoState, StopCause, interpolate::Segment};
 
 impl Effector {
     /// Interpolates, starts the next macrostep at the end of each one, and brakes on an error.

@@ -4,8 +4,7 @@ use std::ops::RangeInclusive;
 
 use drive::{AxisCommand, Setpoint};
 
-use super::response::opened;
-use super::{Point, Response, respond};
+use super::{Point, Response, respond, response::opened};
 use crate::{Excitation, MAX_AXES, Macrostep, PositionLoop, Record, ServoAxisConfig};
 
 /// Time at constant velocity before the excitation begins, s.

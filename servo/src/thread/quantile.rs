@@ -27,7 +27,6 @@ impl LearntQuantile {
         Self { value, ceiling }
     }
 
-    /// Learns from one duration.
     pub(super) fn observe(&mut self, observed: Duration) {
         let rise = (self.ceiling / RISES).max(Duration::from_nanos(1));
         self.value = if observed > self.value {
@@ -38,7 +37,6 @@ impl LearntQuantile {
         };
     }
 
-    /// The bound.
     pub(super) fn get(&self) -> Duration {
         self.value
     }

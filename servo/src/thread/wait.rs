@@ -4,8 +4,7 @@
 //! covers the cluster only after its first late wake-up. Spin time that was not used is kept as credit, up to
 //! [`CREDIT`]. After a late wake-up the credit buys wake-ups up to half a period early for [`ALERT`] cycles.
 
-use std::hint;
-use std::time::Duration;
+use std::{hint, time::Duration};
 
 use can::Instant;
 use can::clock::{now, sleep_until};

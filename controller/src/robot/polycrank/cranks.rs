@@ -41,7 +41,6 @@ pub(super) struct Facing {
     pub(super) end: Vector3<f64>,
 }
 
-/// Present state of the cranks.
 pub(super) struct Stand {
     /// The forearm's reach, m.
     pub(super) reach: f64,
