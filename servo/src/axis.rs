@@ -10,7 +10,6 @@ use crate::{HomingFailure, Knot, PositionLoop, ServoAxisConfig, ServoState, Stop
 
 /// Commands remembered per axis. A sample older than that is compared with the oldest command.
 pub(crate) const REMEMBERED: usize = 16;
-
 /// Fraction of the greatest velocity below which a motor counts as still.
 const STILL: f64 = 0.01;
 
@@ -351,7 +350,6 @@ struct ReferenceWatch {
 impl ReferenceWatch {
     /// A step counts as a step of the counter if the motor would need this many times its greatest acceleration.
     const IMPOSSIBLE: f64 = 4.0;
-
     /// Steps up to this many counts are within the counter's resolution.
     const COARSE: f64 = 2.0;
 

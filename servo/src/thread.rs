@@ -68,7 +68,6 @@ pub use self::wait::{Awake, WaitReport, Waiter};
 
 /// Bytes of the thread's stack; `MCL_FUTURE` locks all of it.
 const STACK: usize = 512 * 1024;
-
 /// Number of cycles that switch the power off after a panic of the cycle.
 const CUTS: u32 = 10;
 

@@ -23,7 +23,6 @@ const SLOWEST: f64 = 50.0;
 /// Half the interval of the path parameter for numerical derivatives of joint positions. The truncation error is q‴
 /// ε² / 6, about 1e-9 relative. Rounding adds a relative error of 1e-11 / ε.
 const EPSILON: f64 = 1e-5;
-
 /// Rounding error of differences of positions, compared with the tolerances of a planned start.
 const ROUNDING: f64 = 1e-9;
 

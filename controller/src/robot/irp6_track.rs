@@ -20,13 +20,10 @@ const ARM: usize = 6;
 
 /// Distances of the flange from the column axis between which the carriage stays at its position, m.
 const COMFORT: (f64, f64) = (0.6, 0.95);
-
 /// Tangent of 40°: half the angle of the sector behind the robot in which the column should not work.
 const BEHIND: f64 = 0.839_099_631_177_280;
-
 /// Distance from a comfortable position, m, within which the carriage moves more and more slowly.
 const BAND: f64 = 0.1;
-
 /// Lever that converts a rotation of the flange to a distance, m.
 const LEVER: f64 = 0.25;
 

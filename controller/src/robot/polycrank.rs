@@ -33,10 +33,8 @@ const ELBOW: usize = 4;
 
 /// If the sines of both bends are smaller, the two pairs of cranks count as stretched or folded.
 const STRETCHED: f64 = 1e-5;
-
 /// Distance from the ends of its range, m, within which the forearm's reach is moved back as the arm moves.
 const BAND: f64 = 0.04;
-
 /// Number of points at which the most dexterous branch is sought before its refinement.
 const SAMPLES: usize = 64;
 

@@ -11,16 +11,12 @@ use super::{FeedForward, Law};
 
 /// Share of the greatest output that a limit of it may be at the least.
 const LEAST_LIMIT: f64 = 1e-3;
-
 /// Share of the limit that a position error as great as the following error puts out at the least.
 const LEAST_OUTPUT: f64 = 1e-3;
-
 /// The least position gain, 1/s: an error is gone after some minutes.
 const LEAST_GAIN: f64 = 0.01;
-
 /// Greatest rate of integration per period. One that cancels the pole of a motor may be as fast as the motor.
 const INTEGRATED: f64 = 100.0;
-
 /// Greatest coefficient of the incremental law.
 const GREATEST: f64 = 1e6;
 

@@ -4,7 +4,6 @@ use std::time::Duration;
 
 /// One in this many observations exceeds the learnt bound.
 const RARE: u32 = 1000;
-
 /// Number of too long observations in a row that raise the bound from zero to its ceiling.
 const RISES: u32 = 32;
 

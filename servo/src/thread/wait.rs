@@ -15,7 +15,6 @@ use super::realtime::{Realtime, Wait};
 /// Fraction of the period that work and spin together may take. The kernel freezes a thread under SCHED_FIFO that
 /// takes more than 95 % of a second (`sched_rt_runtime_us`) for the rest of the second.
 pub(super) const BUSY_SHARE: f64 = 0.9;
-
 /// Greatest credit of unused spin time. Within any second, spins exceed their share by at most a twentieth.
 const CREDIT: Duration = Duration::from_millis(50);
 

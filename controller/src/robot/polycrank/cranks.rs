@@ -13,7 +13,6 @@ use crate::robot::{
 
 /// Lever that converts a turn of the forearm's plane to a distance, m.
 const LEVER: f64 = 0.5;
-
 /// Distance from folded upper cranks, m, at which the reach begins to move away from them.
 const EARLY: f64 = 0.1;
 
