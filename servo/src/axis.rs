@@ -290,7 +290,7 @@ impl ServoAxis {
         };
         let setpoint = match &mut self.host {
             Some(host) => host.regulate(self.knot, self.torque, dt, &mut self.excitation),
-            None => match self.torque_beside() {
+            None => match self.config.torque_offset.and_then(|_| Finite::new(self.excitation)) {
                 Some(torque) => Setpoint::PositionWithTorque { position, torque },
                 None => Setpoint::Position(position),
             },
@@ -313,12 +313,6 @@ impl ServoAxis {
     fn excited_position(&self) -> f64 {
         let by_position = self.host.is_none() && self.config.torque_offset.is_none();
         if by_position && self.excitation != 0.0 { self.knot.position + self.excitation } else { self.knot.position }
-    }
-
-    /// The torque sent beside the position, if the drive takes one.
-    fn torque_beside(&self) -> Option<Finite> {
-        self.config.torque_offset?;
-        Finite::new(self.excitation)
     }
 
     /// A cycle without a new set-point. A loop closed by the servo continues.

@@ -58,8 +58,7 @@ impl Excitation {
         if axis.position_loop == PositionLoop::Drive && axis.torque_offset.is_none() {
             let at = |index: usize| values[index % values.len()];
             let bend = |index| at(index + 2) - 2.0 * at(index + 1) + at(index);
-            let bends = (0..values.len()).map(|index| bend(index).abs());
-            let acceleration = bends.fold(0.0, f64::max) / (dt * dt);
+            let acceleration = (0..values.len()).map(|index| bend(index).abs()).fold(0.0, f64::max) / (dt * dt);
             let limit = axis.max_acceleration;
             if acceleration > limit {
                 return Err(ExcitationError::Acceleration { acceleration, limit });

@@ -41,8 +41,7 @@ impl Histogram {
 
     /// Each occupied bin's longest duration and its count, ascending.
     pub fn bins(&self) -> impl Iterator<Item = (Duration, u64)> {
-        let bins = self.0.iter_recorded();
-        bins.map(|bin| (Duration::from_nanos(bin.value_iterated_to()), bin.count_at_value()))
+        self.0.iter_recorded().map(|bin| (Duration::from_nanos(bin.value_iterated_to()), bin.count_at_value()))
     }
 }
 

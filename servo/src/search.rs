@@ -147,8 +147,7 @@ impl Search {
                     self.begin(Phase::Leave { seen: false });
                     0.0
                 } else {
-                    let failure = |distance| HomingFailure::NoSwitch { distance };
-                    self.travel(self.sense(), self.config.search, now, failure)?
+                    self.travel(self.sense(), self.config.search, now, |distance| HomingFailure::NoSwitch { distance })?
                 }
             }
             Phase::Zero { open } => {

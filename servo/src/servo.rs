@@ -350,8 +350,7 @@ impl Servo {
 
     /// Longest duration of a stop of any effector: first its set-points, then its drives.
     pub fn longest_stop(&self) -> Duration {
-        let longest = self.effectors.iter().map(Effector::longest_stop).max();
-        longest.unwrap_or_default().saturating_mul(2)
+        self.effectors.iter().map(Effector::longest_stop).max().unwrap_or_default().saturating_mul(2)
     }
 
     /// Tracking errors of the axes of effector `index`; empty if there is no such effector.

@@ -347,20 +347,10 @@ impl Run {
         };
         let late = sending.since(self.deadline);
         let late = self.explain(late, &spent, preparation + transfer);
-        self.tracer.record(Stamps {
-            cycle: self.number,
-            deadline: self.deadline,
-            called: self.before.called,
-            begun,
-            awake: *awake,
-            reading,
-            read,
-            computed,
-            written,
-            sending,
-            done,
-            late,
-        });
+        let (cycle, deadline, called, awake) = (self.number, self.deadline, self.before.called, *awake);
+        let stamps =
+            Stamps { cycle, deadline, called, begun, awake, reading, read, computed, written, sending, done, late };
+        self.tracer.record(stamps);
         (self.before.sync, self.before.done) = (sending, done);
     }
 

@@ -89,8 +89,7 @@ fn slope(
     value: &Axes,
     map: impl Fn(&Axes) -> Result<Axes, KinematicsError>,
 ) -> Result<Axes, KinematicsError> {
-    let speeds = from.velocity.map(f64::abs);
-    let fastest = speeds.into_iter().fold(0.0, f64::max);
+    let fastest = from.velocity.map(f64::abs).into_iter().fold(0.0, f64::max);
     difference(fastest, value, |t| map(&moved(&from.position, &from.velocity, t)))
 }
 

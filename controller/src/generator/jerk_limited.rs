@@ -82,8 +82,7 @@ impl Generator for JerkLimited {
         for axis in 0..self.axes {
             self.plan.input.current_position[axis] = from.position[axis];
         }
-        let given = self.duration.map(|given| given.as_secs_f64());
-        self.plan.solve(given, macrostep.as_secs_f64())?;
+        self.plan.solve(self.duration.map(|given| given.as_secs_f64()), macrostep.as_secs_f64())?;
         Ok(Next::remember(0))
     }
 

@@ -71,8 +71,7 @@ pub struct PlannedStart {
 impl PlannedStart {
     /// Whether these motor positions lie within the tolerance, apart from rounding.
     pub fn admits(&self, motors: &Axes) -> bool {
-        let distances = motors.iter().zip(&self.motors).map(|(a, b)| (a - b).abs());
-        let mut both = distances.zip(&self.tolerance);
+        let mut both = motors.iter().zip(&self.motors).map(|(a, b)| (a - b).abs()).zip(&self.tolerance);
         both.all(|(distance, tolerance)| distance <= tolerance * (1.0 + ROUNDING))
     }
 }
@@ -259,8 +258,7 @@ impl StraightLine {
         }
         let beside = |axis: usize| joints[axis] + self.remainder[axis] * (1.0 - s);
         let joints = std::array::from_fn(beside);
-        let motors = self.arm.motors(&joints);
-        motors.map_err(|cause| GeneratorError::Path { s, cause })?;
+        self.arm.motors(&joints).map_err(|cause| GeneratorError::Path { s, cause })?;
         Ok(joints)
     }
 

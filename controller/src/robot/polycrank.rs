@@ -246,8 +246,7 @@ impl Polycrank {
         choose: impl Fn(&Facing) -> Result<f64, f64>,
     ) -> Result<Solutions, KinematicsError> {
         let (origin, axes) = arm::parts(base_from_flange)?;
-        let approach = axes.column(2);
-        let tilt = approach.xy().norm();
+        let tilt = axes.column(2).xy().norm();
         arm::regular(PLANE, tilt, PARALLEL)?;
         let facings = self.cranks.facings(&origin, &axes, tilt);
         Search::run(&self.drive_train, near, |search| {
@@ -264,8 +263,7 @@ impl Polycrank {
     fn branches(&self, search: &mut Search<'_, AXES>, facing: &Facing, reach: f64) {
         let near = search.near;
         let Facing { end, ahead, .. } = facing;
-        let elbow = [self.cranks.forearm; 2];
-        let (forearm, bend) = cranks::angles(elbow, (reach, end.z), near[FOREARM]);
+        let (forearm, bend) = cranks::angles([self.cranks.forearm; 2], (reach, end.z), near[FOREARM]);
         let shoulder = (end.x - reach * ahead.x, end.y - reach * ahead.y);
         let (upper, upper_bend) = cranks::angles(self.cranks.upper, shoulder, near[UPPER]);
         if let Err(error) = arm::regular(ELBOW, bend.max(upper_bend), STRETCHED) {
@@ -293,8 +291,7 @@ impl Polycrank {
             .map(|ring| if admitted.inner > 0.0 { ring.half(nearest) } else { ring })
             .and_then(|ring| ring.nearest(here.reach))
             .unwrap_or_else(|_| admitted.middle(nearest));
-        let way = here.way_to(facing);
-        admitted.nearest(free_parameter::drift(here.reach, comfort, way, BAND))
+        admitted.nearest(free_parameter::drift(here.reach, comfort, here.way_to(facing), BAND))
     }
 }
 
@@ -312,8 +309,7 @@ impl Robot for Polycrank {
     }
 
     fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
-        let joints = joints.exactly()?;
-        Ok(self.cranks.forward(joints))
+        Ok(self.cranks.forward(joints.exactly()?))
     }
 
     fn inverse(&self, base_from_flange: &Isometry3<f64>, near: &Joints) -> Result<Solutions, KinematicsError> {
@@ -356,8 +352,7 @@ impl Robot for Polycrank {
         ];
         let limits = self.joint_limits();
         let links = NAMES.iter().zip(frames).enumerate();
-        let link = |(axis, (&name, frame))| Link::turning(name, frame, &[(axis, 1.0)], limits);
-        links.map(link).collect()
+        links.map(|(axis, (&name, frame))| Link::turning(name, frame, &[(axis, 1.0)], limits)).collect()
     }
 }
 

@@ -170,16 +170,14 @@ impl Rnt {
     /// singular in the workspace: the determinant of their Jacobian would change its sign there.
     fn closes(&self) -> Result<(), ParameterError> {
         let middle = self.middle();
-        let lengths = self.legs.lengths(&middle);
-        for (leg, (length, axis)) in lengths.into_iter().zip(&self.parameters.legs).enumerate() {
+        for (leg, (length, axis)) in self.legs.lengths(&middle).into_iter().zip(&self.parameters.legs).enumerate() {
             let Limits { low, high } = axis.length_limits;
             if axis.length_limits.exceeded_by(length).is_some() {
                 return Err(ParameterError::LegReach { leg: leg as u8, length, low, high });
             }
         }
         let home = self.parameters.legs.map(|leg| leg.length_at_home);
-        let open = |(leg, residual)| ParameterError::OpenAtHome { leg, residual };
-        self.legs.close(&home, &middle).map_err(open)?;
+        self.legs.close(&home, &middle).map_err(|(leg, residual)| ParameterError::OpenAtHome { leg, residual })?;
         let [alpha, beta, rho] = [ALPHA, BETA, RHO].map(|axis| {
             let Limits { low, high } = self.joint_limits[axis];
             [low, (low + high) / 2.0, high]
@@ -326,8 +324,7 @@ impl Robot for Rnt {
         for (column, axis) in turning {
             // The wrist axes meet in the flange origin and do not move it.
             if column < RHO {
-                let moved = axis.cross(&centre);
-                jacobian.fixed_view_mut::<3, 1>(0, column).copy_from(&moved);
+                jacobian.fixed_view_mut::<3, 1>(0, column).copy_from(&axis.cross(&centre));
             }
             jacobian.fixed_view_mut::<3, 1>(3, column).copy_from(&axis);
         }

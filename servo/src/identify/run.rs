@@ -153,8 +153,7 @@ impl Trace {
                     _ => None,
                 };
                 let input = records.iter().map(sent).collect::<Option<Vec<_>>>()?;
-                let law = records.iter().zip(&input);
-                let output = law.map(|(record, sent)| record.excitation - sent).collect();
+                let output = records.iter().zip(&input).map(|(record, sent)| record.excitation - sent).collect();
                 (Response::Open, input, output)
             }
         };

@@ -105,8 +105,7 @@ fn of_last(counted: Usage, late: Duration, quiet: Duration, cycles: u32) -> Usag
 }
 
 fn parse(text: &[u8]) -> Option<Duration> {
-    let field = std::str::from_utf8(text).ok()?.split_ascii_whitespace().nth(1)?;
-    field.parse().ok().map(Duration::from_nanos)
+    std::str::from_utf8(text).ok()?.split_ascii_whitespace().nth(1)?.parse().ok().map(Duration::from_nanos)
 }
 
 #[cfg(test)]

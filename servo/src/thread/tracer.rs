@@ -61,20 +61,9 @@ impl Stamps {
 
     /// A wait without a following cycle.
     pub fn of_wait(cycle: u64, deadline: Instant, awake: Awake, late: Option<LateCycle>) -> Self {
-        Self {
-            cycle,
-            deadline,
-            called: awake.asked_at,
-            begun: awake.asked_at,
-            awake,
-            reading: awake.at,
-            read: awake.at,
-            computed: awake.at,
-            written: awake.at,
-            sending: awake.at,
-            done: awake.at,
-            late,
-        }
+        let [called, begun] = [awake.asked_at; 2];
+        let [reading, read, computed, written, sending, done] = [awake.at; 6];
+        Self { cycle, deadline, called, begun, awake, reading, read, computed, written, sending, done, late }
     }
 }
 

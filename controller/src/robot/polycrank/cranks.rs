@@ -127,8 +127,7 @@ impl Cranks {
         let [_, (reach, height)] = forearm;
         let mut jacobian = Jacobian::zeros();
         let mut turn = |axis: usize, direction: &Vector3<f64>, lever: Vector3<f64>| {
-            let linear = direction.cross(&lever);
-            jacobian.fixed_view_mut::<3, 1>(0, axis).copy_from(&linear);
+            jacobian.fixed_view_mut::<3, 1>(0, axis).copy_from(&direction.cross(&lever));
             jacobian.fixed_view_mut::<3, 1>(3, axis).copy_from(direction);
         };
         // An offset along an axis does not move about the same axis, and is left out.
