@@ -208,9 +208,8 @@ impl Servo {
         let tick = self.tick(now);
         for effector in &mut self.effectors {
             effector.set_states(|group, index| self.groups[group].states[index], &tick);
-            let refused = effector.axes.iter();
-            let refused = refused.map(|axis| self.groups[axis.config.group].refused());
-            let tick = Tick { refused: refused.max().unwrap_or(0), ..tick };
+            let refused = effector.axes.iter().map(|axis| self.groups[axis.config.group].refused()).max();
+            let tick = Tick { refused: refused.unwrap_or(0), ..tick };
             effector.step(&tick);
             for (group, index, command) in effector.commands() {
                 self.groups[group].commands[index] = command;
@@ -307,8 +306,7 @@ impl Servo {
     /// that the servo closes. Where the drive closes the loop, an added torque must not exceed a quarter of the rated
     /// torque. An added position must not exceed a quarter of the following error, or the acceleration of the axis.
     pub fn excite(&mut self, effector: usize, axis: usize, excitation: Excitation) -> Result<(), ExcitationError> {
-        let found = self.effectors.get_mut(effector);
-        let found = found.and_then(|effector| effector.axes.get_mut(axis));
+        let found = self.effectors.get_mut(effector).and_then(|effector| effector.axes.get_mut(axis));
         let found = found.ok_or(ExcitationError::NoSuchAxis { effector, axis })?;
         excitation.check(&found.config, self.period.as_secs_f64())?;
         found.playing = Some(Playing::new(excitation));

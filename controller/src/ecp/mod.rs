@@ -457,8 +457,7 @@ impl Ecp {
         for velocity in motors.velocity.iter_mut().filter(|it| it.abs() < STILL) {
             *velocity = 0.0;
         }
-        let torque = self.effector.arm.torques(&motors.position);
-        let torque = torque.map_err(out_of_reach)?;
+        let torque = self.effector.arm.torques(&motors.position).map_err(out_of_reach)?;
         self.effector.commanded = motors;
         self.sent += 1;
         self.outbox.push_back(Order::Move(Macrostep {

@@ -187,13 +187,11 @@ impl StraightLine {
     fn lay(&mut self, e: &EffectorImage) -> Result<Axes, GeneratorError> {
         let EffectorState { motors, joints, pose } = &e.commanded;
         self.remainder = Axes::default();
-        let start = self.start.filter(|start| start.admits(&motors.position));
-        let Some(start) = start else {
+        let Some(start) = self.start.filter(|start| start.admits(&motors.position)) else {
             self.path = Path::between(pose, &self.target);
             return Ok(joints.position);
         };
-        let planned = self.arm.joints(&start.motors);
-        let planned = planned.map_err(GeneratorError::Image)?;
+        let planned = self.arm.joints(&start.motors).map_err(GeneratorError::Image)?;
         let from = self.arm.forward(&planned).map_err(GeneratorError::Image)?;
         self.path = Path::between(&from, &self.target);
         for (axis, remainder) in self.remainder.iter_mut().enumerate() {

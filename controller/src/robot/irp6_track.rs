@@ -158,10 +158,7 @@ impl Irp6Track {
 
     /// Range of the carriage that joint and motor both allow, m.
     fn travel(&self) -> Limits {
-        let joint = |motor| {
-            let joints = self.track.joints_from_motors(&[motor]);
-            joints.map_or(0.0, |joints| joints[0])
-        };
+        let joint = |motor| self.track.joints_from_motors(&[motor]).map_or(0.0, |joints| joints[0]);
         self.joint_limits[0].within(self.motor_limits[0].map(joint))
     }
 

@@ -45,21 +45,14 @@ pub const LIMITS: &str = "/etc/security/limits.d/mrroc.conf";
 
 /// A line of [`LIMITS`], which grants a limit to the members of group realtime (limits.conf(5)). `Display` writes the
 /// line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Limit {
     /// SCHED_FIFO up to this priority.
+    #[error("@realtime - rtprio {0}")]
     Priority(u8),
     /// Locking all memory.
+    #[error("@realtime - memlock unlimited")]
     LockedMemory,
-}
-
-impl fmt::Display for Limit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Priority(priority) => write!(f, "@realtime - rtprio {priority}"),
-            Self::LockedMemory => write!(f, "@realtime - memlock unlimited"),
-        }
-    }
 }
 
 /// Instructions for granting a [`Limit`].

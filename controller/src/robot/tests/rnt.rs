@@ -165,7 +165,7 @@ fn poses_past_tilts_extension_and_legs_are_refused_by_name() {
     for refusal in [gate, robot.inverse(&at(tilted), &near).unwrap_err()] {
         match refusal {
             KinematicsError::LegLimit { leg: 0, length, limit: 1.38 } => {
-                assert!((1.38..1.42).contains(&length), "{length}")
+                assert!((1.38..1.42).contains(&length), "{length}");
             }
             other => panic!("{other}"),
         }
