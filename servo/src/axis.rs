@@ -10,16 +10,13 @@ use crate::{HomingFailure, Knot, PositionLoop, ServoAxisConfig, ServoState, Stop
 
 /// Commands remembered per axis. A sample older than that is compared with the oldest command.
 pub(crate) const REMEMBERED: usize = 16;
-
 /// Fraction of the greatest velocity below which a motor counts as still.
 const STILL: f64 = 0.01;
 
-/// An axis.
 pub(crate) struct ServoAxis {
     pub(crate) config: ServoAxisConfig,
     /// [`DriveGroup::delay`](drive::DriveGroup::delay) of its group.
     delay: usize,
-    /// Last state reported by the drive.
     pub(crate) state: AxisState,
     /// The set-point of this cycle.
     pub(crate) knot: Knot,
@@ -39,7 +36,6 @@ pub(crate) struct ServoAxis {
     pub(crate) playing: Option<Playing>,
     pub(crate) excitation: f64,
     reference: ReferenceWatch,
-    /// The position loop, if the servo closes it.
     host: Option<Loop>,
     /// The search of this homing, if the servo homes the axis.
     search: Option<Search>,
@@ -110,7 +106,6 @@ impl ServoAxis {
         }
     }
 
-    /// Starts the search for the reference.
     pub(crate) fn begin_homing(&mut self) {
         self.searched = false;
         self.reference = ReferenceWatch::default();
@@ -134,7 +129,6 @@ impl ServoAxis {
         !self.is_homed() || self.search.is_some_and(|search| !search.is_done())
     }
 
-    /// Advances the search by one period.
     pub(crate) fn advance_search(&mut self, now: Instant, dt: f64) -> Result<(), HomingFailure> {
         let follows = self.follows();
         let Some(mut search) = self.search else {
@@ -207,7 +201,6 @@ impl ServoAxis {
         host.follow(self.commanded, velocity);
     }
 
-    /// Whether the servo closes the position loop.
     pub(crate) fn is_host_closed(&self) -> bool {
         self.host.is_some()
     }
@@ -297,7 +290,7 @@ impl ServoAxis {
         };
         let setpoint = match &mut self.host {
             Some(host) => host.regulate(self.knot, self.torque, dt, &mut self.excitation),
-            None => match self.torque_beside() {
+            None => match self.config.torque_offset.and_then(|_| Finite::new(self.excitation)) {
                 Some(torque) => Setpoint::PositionWithTorque { position, torque },
                 None => Setpoint::Position(position),
             },
@@ -320,12 +313,6 @@ impl ServoAxis {
     fn excited_position(&self) -> f64 {
         let by_position = self.host.is_none() && self.config.torque_offset.is_none();
         if by_position && self.excitation != 0.0 { self.knot.position + self.excitation } else { self.knot.position }
-    }
-
-    /// The torque sent beside the position, if the drive takes one.
-    fn torque_beside(&self) -> Option<Finite> {
-        self.config.torque_offset?;
-        Finite::new(self.excitation)
     }
 
     /// A cycle without a new set-point. A loop closed by the servo continues.
@@ -357,7 +344,6 @@ struct ReferenceWatch {
 impl ReferenceWatch {
     /// A step counts as a step of the counter if the motor would need this many times its greatest acceleration.
     const IMPOSSIBLE: f64 = 4.0;
-
     /// Steps up to this many counts are within the counter's resolution.
     const COARSE: f64 = 2.0;
 

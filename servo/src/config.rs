@@ -15,6 +15,7 @@ pub use position_loop::{FeedForward, HostLoop, Law, Output, PositionLoop};
 pub use refusal::{Figure, KeyError, KeyProblem, Range};
 
 use crate::MAX_AXES;
+use refusal::{first_wrong, is_positive};
 
 /// Configuration of a [`Servo`](crate::Servo): period and effectors.
 #[derive(Clone, Debug, PartialEq)]
@@ -83,72 +84,24 @@ pub struct ServoAxisConfig {
 
 /// Error in the configuration of a [`Servo`](crate::Servo). Indices count from zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum ServoError {
-    /// The period is zero.
     #[error("the period is zero")]
     ZeroPeriod,
-    /// An effector has no axis or too many.
     #[error("effector {effector} has {axes} axes, 1 to {max} are possible", max = MAX_AXES)]
-    AxisCount {
-        /// The effector.
-        effector: usize,
-        /// Its axes.
-        axes: usize,
-    },
-    /// The queue of an effector has no capacity.
+    AxisCount { effector: usize, axes: usize },
     #[error("effector {effector} has a queue of zero orders")]
-    EmptyQueue {
-        /// The effector.
-        effector: usize,
-    },
-    /// An axis is in a group that does not exist.
+    EmptyQueue { effector: usize },
     #[error("effector {effector} axis {axis} is in group {group}, there are {groups} groups")]
-    NoSuchGroup {
-        /// The effector.
-        effector: usize,
-        /// The axis within it.
-        axis: usize,
-        /// The group asked for.
-        group: usize,
-        /// Groups given.
-        groups: usize,
-    },
-    /// A group does not have that axis.
+    NoSuchGroup { effector: usize, axis: usize, group: usize, groups: usize },
     #[error("effector {effector} axis {axis} is axis {index} of group {group}, which has {axes} axes")]
-    NoSuchAxis {
-        /// The effector.
-        effector: usize,
-        /// The axis within it.
-        axis: usize,
-        /// The group.
-        group: usize,
-        /// The index asked for.
-        index: usize,
-        /// Axes of the group.
-        axes: usize,
-    },
-    /// One drive serves two axes.
+    NoSuchAxis { effector: usize, axis: usize, group: usize, index: usize, axes: usize },
     #[error("effector {effector} axis {axis} is axis {index} of group {group}, which is taken already")]
-    MappedTwice {
-        /// The effector that came second.
-        effector: usize,
-        /// The axis within it.
-        axis: usize,
-        /// The group.
-        group: usize,
-        /// The index within the group.
-        index: usize,
-    },
-    /// A limit is not a number, not positive, or the lowest position is not below the highest.
+    MappedTwice { effector: usize, axis: usize, group: usize, index: usize },
+    /// A limit is not a number, not positive, or the lowest position is not below the highest. `limit` names the field
+    /// of [`ServoAxisConfig`].
     #[error("effector {effector} axis {axis}: {limit} makes no sense")]
-    BadLimit {
-        /// The effector.
-        effector: usize,
-        /// The axis within it.
-        axis: usize,
-        /// Name of the field of [`ServoAxisConfig`].
-        limit: &'static str,
-    },
+    BadLimit { effector: usize, axis: usize, limit: &'static str },
 }
 
 impl ServoConfig {
@@ -198,32 +151,25 @@ impl ServoAxisConfig {
 
     /// The first field with an implausible value, as named by [`ServoError::BadLimit`].
     pub fn nonsense(&self) -> Option<&'static str> {
-        let positive = |value: f64| value.is_finite() && value > 0.0;
-        if !self.min_position.is_finite() {
-            Some("min_position")
-        } else if !self.max_position.is_finite() || self.max_position <= self.min_position {
-            Some("max_position")
-        } else if !positive(self.max_velocity) {
-            Some("max_velocity")
-        } else if !positive(self.max_acceleration) {
-            Some("max_acceleration")
-        } else if !positive(self.following_error) {
-            Some("following_error")
-        } else if !positive(self.increments_per_radian.abs()) {
-            Some("increments_per_radian")
-        } else if let PositionLoop::Host(host) = &self.position_loop
-            && let Some(field) = host.nonsense(self.max_velocity)
-        {
-            Some(field)
-        } else if self.torque_offset.is_some_and(|rated| !positive(rated) || self.position_loop != PositionLoop::Drive)
-        {
-            Some("torque_offset")
-        } else if self.homing.is_some() && self.position_loop == PositionLoop::Drive {
-            Some("homing, where the drive closes the position loop,")
-        } else {
-            let homing = self.homing.as_ref();
-            homing.and_then(|homing| homing.nonsense(self.max_velocity, self.max_acceleration))
-        }
+        let by_drive = self.position_loop == PositionLoop::Drive;
+        let limits = first_wrong([
+            (self.min_position.is_finite(), "min_position"),
+            (self.max_position.is_finite() && self.max_position > self.min_position, "max_position"),
+            (is_positive(self.max_velocity), "max_velocity"),
+            (is_positive(self.max_acceleration), "max_acceleration"),
+            (is_positive(self.following_error), "following_error"),
+            (is_positive(self.increments_per_radian.abs()), "increments_per_radian"),
+        ]);
+        let host = || match &self.position_loop {
+            PositionLoop::Drive => None,
+            PositionLoop::Host(host) => host.nonsense(self.max_velocity),
+        };
+        let of_drive = [
+            (self.torque_offset.is_none_or(|rated| is_positive(rated) && by_drive), "torque_offset"),
+            (self.homing.is_none() || !by_drive, "homing, where the drive closes the position loop,"),
+        ];
+        let homing = || self.homing?.nonsense(self.max_velocity, self.max_acceleration);
+        limits.or_else(host).or_else(|| first_wrong(of_drive)).or_else(homing)
     }
 }
 

@@ -8,13 +8,11 @@ use std::time::Duration;
 use can::Instant;
 use drive::{AxisCommand, AxisState, Power};
 
-use crate::axis::ServoAxis;
-use crate::interpolate::Segment;
-use crate::servo::OpenGates;
 use crate::{
     After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, MAX_AXES, Order, Record, ServoAxisConfig,
     ServoEvent, ServoFault, ServoReport, ServoState, StopCause, StraightStop,
 };
+use crate::{axis::ServoAxis, interpolate::Segment, servo::OpenGates};
 
 /// Longest wait for standstill after the last set-point of a stop. The power is then switched off.
 const STANDSTILL_WAIT: Duration = Duration::from_millis(100);
@@ -46,7 +44,6 @@ pub(crate) struct Tick {
     pub(crate) refused: u32,
 }
 
-/// State of one effector.
 pub(crate) struct Effector {
     index: u8,
     pub(crate) axes: Vec<ServoAxis>,
@@ -112,15 +109,12 @@ impl Effector {
     /// Takes the states of the drives, by group and index within the group.
     pub(crate) fn set_states(&mut self, state: impl Fn(usize, usize) -> AxisState, tick: &Tick) {
         for axis in &mut self.axes {
-            let state = state(axis.config.group, axis.config.index_in_group);
-            axis.observe(state, tick.periods, tick.dt);
+            axis.observe(state(axis.config.group, axis.config.index_in_group), tick.periods, tick.dt);
         }
     }
 
-    /// The command of each axis, with its group and its index within the group.
     pub(crate) fn commands(&self) -> impl Iterator<Item = (usize, usize, AxisCommand)> {
-        let command = |axis: &ServoAxis| (axis.config.group, axis.config.index_in_group, axis.command);
-        self.axes.iter().map(command)
+        self.axes.iter().map(|axis| (axis.config.group, axis.config.index_in_group, axis.command))
     }
 
     /// One cycle: from the states of the axes to their commands.
@@ -165,8 +159,7 @@ impl Effector {
         if let Some(missed) = tick.overrun {
             // In the missed cycles, the drives stood at their last set-points or continued by them.
             let late = tick.periods - 1;
-            let axes = self.axes.iter_mut();
-            axes.for_each(|axis| axis.rest(late, tick.dt));
+            self.axes.iter_mut().for_each(|axis| axis.rest(late, tick.dt));
             self.fail(tick, None, StopCause::Overrun { missed });
         }
         for index in 0..self.axes.len() {
@@ -268,8 +261,7 @@ impl Effector {
             let Ok(&order) = self.orders.peek() else {
                 return;
             };
-            let event = order.event();
-            let answer = if tick.stop { Answer::Refuse } else { self.state.next(event) };
+            let answer = if tick.stop { Answer::Refuse } else { self.state.next(order.event()) };
             match answer {
                 Answer::To(next) => match order {
                     Order::Move(_) => return,
@@ -297,7 +289,6 @@ impl Effector {
         true
     }
 
-    /// Prepares and enters a state.
     fn enter(&mut self, tick: &Tick, next: ServoState) {
         let last = self.state;
         if next == last {
@@ -330,8 +321,7 @@ impl Effector {
 
     /// A straight stop from the last set-points.
     fn begin_stop(&mut self, tick: &Tick) {
-        let axes = self.axes.iter();
-        let from = axes.map(|axis| (axis.last_step(tick.dt), axis.config.max_acceleration));
+        let from = self.axes.iter().map(|axis| (axis.last_step(tick.dt), axis.config.max_acceleration));
         self.stop = StraightStop::new(from, tick.dt);
     }
 
@@ -419,8 +409,7 @@ impl Effector {
     /// Takes the set-points of the straight stop. A lost axis keeps its last set-point, because its drive receives no
     /// other.
     fn place_stop(&mut self) {
-        let axes = self.axes.iter_mut().enumerate();
-        for (index, axis) in axes.filter(|(_, axis)| !axis.is_lost()) {
+        for (index, axis) in self.axes.iter_mut().enumerate().filter(|(_, axis)| !axis.is_lost()) {
             axis.knot = self.stop.at(index);
         }
     }
@@ -458,26 +447,25 @@ impl Effector {
         }
     }
 
+    /// A value of each axis, in the order of a macrostep.
+    fn each<T: Default>(&self, value: impl Fn(&ServoAxis) -> T) -> [T; MAX_AXES] {
+        std::array::from_fn(|axis| self.axes.get(axis).map(&value).unwrap_or_default())
+    }
+
     fn report(&mut self, tick: &Tick) {
-        let mut report = ServoReport {
+        let report = ServoReport {
             at: tick.now,
             phase: self.state.phase(),
             homed: self.axes.iter().all(ServoAxis::is_homed),
             macrostep: self.macrostep,
-            commanded: [0.0; MAX_AXES],
-            measured: [0.0; MAX_AXES],
-            velocity: [0.0; MAX_AXES],
+            commanded: self.each(|axis| axis.knot.position),
+            measured: self.each(|axis| axis.state.position),
+            velocity: self.each(|axis| axis.state.velocity),
             fault: self.fault,
         };
-        for (index, axis) in self.axes.iter().enumerate() {
-            report.commanded[index] = axis.knot.position;
-            report.measured[index] = axis.state.position;
-            report.velocity[index] = axis.state.velocity;
-        }
         self.counters.dropped_reports += u64::from(self.reports.push(report).is_err());
     }
 
-    /// The record of this cycle.
     pub(crate) fn record(&self, tick: &Tick) -> Record {
         let mut record = Record {
             cycle: tick.number,

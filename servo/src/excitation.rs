@@ -25,37 +25,22 @@ pub struct Excitation {
 
 /// Why an excitation is refused. Indices count from zero.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum ExcitationError {
-    /// There is no such axis.
     #[error("effector {effector} has no axis {axis}")]
-    NoSuchAxis {
-        /// The effector.
-        effector: usize,
-        /// The axis.
-        axis: usize,
-    },
+    NoSuchAxis { effector: usize, axis: usize },
     /// The sequence is empty, or has a value that is not finite.
     #[error("an excitation of no value, or of one that is not a number")]
     NotFinite,
     /// The amplitude exceeds a quarter of the loop's output limit, of the rated torque, or of the following error.
     #[error("an amplitude of {amplitude} is beyond the limit of {limit} at this axis; ask for less")]
-    Amplitude {
-        /// Greatest value.
-        amplitude: f64,
-        /// The permitted amplitude.
-        limit: f64,
-    },
+    Amplitude { amplitude: f64, limit: f64 },
     /// The excitation of the position needs more acceleration than the axis permits.
     #[error(
         "an excitation that needs {acceleration:.0} rad/s² is beyond the limit of {limit:.0} rad/s² at this axis; \
          ask for a lower amplitude or frequency"
     )]
-    Acceleration {
-        /// Greatest acceleration of the excitation, rad/s².
-        acceleration: f64,
-        /// The permitted acceleration, rad/s².
-        limit: f64,
-    },
+    Acceleration { acceleration: f64, limit: f64 },
 }
 
 impl Excitation {
@@ -73,8 +58,7 @@ impl Excitation {
         if axis.position_loop == PositionLoop::Drive && axis.torque_offset.is_none() {
             let at = |index: usize| values[index % values.len()];
             let bend = |index| at(index + 2) - 2.0 * at(index + 1) + at(index);
-            let bends = (0..values.len()).map(|index| bend(index).abs());
-            let acceleration = bends.fold(0.0, f64::max) / (dt * dt);
+            let acceleration = (0..values.len()).map(|index| bend(index).abs()).fold(0.0, f64::max) / (dt * dt);
             let limit = axis.max_acceleration;
             if acceleration > limit {
                 return Err(ExcitationError::Acceleration { acceleration, limit });
@@ -93,7 +77,6 @@ pub fn most(axis: &ServoAxisConfig) -> f64 {
         }
 }
 
-/// An excitation under way.
 #[derive(Clone, Debug)]
 pub(crate) struct Playing {
     excitation: Excitation,

@@ -1,7 +1,6 @@
 //! Histogram of durations.
 
-use std::fmt;
-use std::time::Duration;
+use std::{fmt, time::Duration};
 
 /// A histogram of durations from 1 ns to 10 s in three significant digits.
 ///
@@ -13,12 +12,6 @@ pub struct Histogram(hdrhistogram::Histogram<u64>);
 const LONGEST: u64 = 10_000_000_000;
 
 impl Histogram {
-    /// An empty histogram of about 200 kB.
-    pub fn new() -> Self {
-        let histogram = hdrhistogram::Histogram::new_with_bounds(1, LONGEST, 3);
-        Self(histogram.expect("the bounds are constants that the library accepts"))
-    }
-
     /// Counts one duration.
     pub fn record(&mut self, duration: Duration) {
         let nanos = u64::try_from(duration.as_nanos()).unwrap_or(LONGEST);
@@ -48,14 +41,15 @@ impl Histogram {
 
     /// Each occupied bin's longest duration and its count, ascending.
     pub fn bins(&self) -> impl Iterator<Item = (Duration, u64)> {
-        let bins = self.0.iter_recorded();
-        bins.map(|bin| (Duration::from_nanos(bin.value_iterated_to()), bin.count_at_value()))
+        self.0.iter_recorded().map(|bin| (Duration::from_nanos(bin.value_iterated_to()), bin.count_at_value()))
     }
 }
 
+/// An empty histogram of about 200 kB.
 impl Default for Histogram {
     fn default() -> Self {
-        Self::new()
+        let histogram = hdrhistogram::Histogram::new_with_bounds(1, LONGEST, 3);
+        Self(histogram.expect("the bounds are constants that the library accepts"))
     }
 }
 
@@ -74,7 +68,7 @@ mod tests {
 
     #[test]
     fn quantiles_are_those_of_what_was_recorded() {
-        let mut histogram = Histogram::new();
+        let mut histogram = Histogram::default();
         assert_eq!(histogram.max(), Duration::ZERO);
         (1..=1000).for_each(|micros| histogram.record(Duration::from_micros(micros)));
         for (quantile, micros) in [(0.5, 500.0), (0.99, 990.0), (1.0, 1000.0)] {
@@ -86,7 +80,7 @@ mod tests {
 
     #[test]
     fn what_is_out_of_bounds_is_counted_at_the_bound() {
-        let mut histogram = Histogram::new();
+        let mut histogram = Histogram::default();
         histogram.record(Duration::ZERO);
         histogram.record(Duration::MAX);
         assert_eq!(histogram.count(), 2);

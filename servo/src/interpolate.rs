@@ -30,7 +30,6 @@ pub fn hermite(from: Knot, to: Knot, duration: f64, u: f64) -> Knot {
 pub(crate) struct Segment {
     macrostep: Macrostep,
     from: [Knot; MAX_AXES],
-    /// Initial torques, N·m.
     from_torque: [f64; MAX_AXES],
     /// Periods already commanded.
     done: u16,

@@ -109,80 +109,45 @@ pub struct ServoFault {
 
 /// Cause of a stop. Positions are motor positions, rad.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum StopCause {
     /// A fault of the drive.
     #[error("{0}")]
     Drive(drive::Fault),
-    /// The following error exceeds the limit of the cell.
+    /// The following error, commanded minus measured position, exceeds the limit of the cell.
     #[error("following error {error:.4} rad exceeds {limit:.4} rad")]
-    FollowingError {
-        /// Commanded minus measured.
-        error: f64,
-        /// The cell's limit.
-        limit: f64,
-    },
+    FollowingError { error: f64, limit: f64 },
     /// The motor is faster than its position loop, closed by the servo, could make it.
     #[error("motor runs away at {velocity:.1} rad/s, beyond {limit:.1} rad/s")]
-    Runaway {
-        /// Measured.
-        velocity: f64,
-        /// The cell's limit.
-        limit: f64,
-    },
-    /// The command leads towards a closed limit switch, or the switch holds the axis back.
+    Runaway { velocity: f64, limit: f64 },
+    /// The command leads towards a closed limit switch, or the switch holds the axis back. The upper switch is at the
+    /// upper end of the counter's travel.
     #[error("ran onto the {} limit switch", if *.upper { "upper" } else { "lower" })]
-    LimitSwitch {
-        /// True at the upper end of the counter's travel, false at the lower end.
-        upper: bool,
-    },
+    LimitSwitch { upper: bool },
     /// A set-point beyond a position limit. The set-point was not sent.
     #[error("set-point {position:.4} rad is beyond the limit {limit:.4} rad")]
-    PositionLimit {
-        /// The set-point.
-        position: f64,
-        /// The exceeded limit.
-        limit: f64,
-    },
+    PositionLimit { position: f64, limit: f64 },
     /// A set-point that needs more speed than permitted. The set-point was not sent.
     #[error("set-point needs {velocity:.3} rad/s, the limit is {limit:.3} rad/s")]
-    VelocityLimit {
-        /// Required speed.
-        velocity: f64,
-        /// Permitted speed.
-        limit: f64,
-    },
+    VelocityLimit { velocity: f64, limit: f64 },
     /// A set-point that needs more acceleration than permitted. The set-point was not sent.
     #[error("set-point needs {acceleration:.2} rad/s², the limit is {limit:.2} rad/s²")]
-    AccelerationLimit {
-        /// Required acceleration.
-        acceleration: f64,
-        /// Permitted acceleration.
-        limit: f64,
-    },
+    AccelerationLimit { acceleration: f64, limit: f64 },
     /// A set-point that is NaN or infinite. The set-point was not sent.
     #[error("set-point is not a finite number")]
     NotFinite,
     /// A macrostep without steps, or with `report_at` beyond its steps. The macrostep was not begun.
     #[error("macrostep {number} has no steps or its report lies outside it")]
-    Malformed {
-        /// Number of the macrostep.
-        number: u64,
-    },
+    Malformed { number: u64 },
     /// A macrostep for an axis without a reference. The macrostep was not begun.
     #[error("asked to move before it was homed")]
     NotHomed,
     /// The drive did not follow in time, or still had a fault after a reset.
     #[error("not ready within {waited:?}")]
-    NotReady {
-        /// Time waited.
-        waited: Duration,
-    },
+    NotReady { waited: Duration },
     /// The macrostep queue ran empty while the effector moved.
     #[error("no macrostep in time after number {last}")]
-    Starved {
-        /// The last macrostep that was executed.
-        last: u64,
-    },
+    Starved { last: u64 },
     /// Homing by the drive failed, or homing took too long.
     #[error("homing failed")]
     HomingFailed,
@@ -191,10 +156,7 @@ pub enum StopCause {
     NoReference(HomingFailure),
     /// More deadlines in a row were missed than the cell permits.
     #[error("{missed} cycles in a row missed their deadline")]
-    Overrun {
-        /// Number of missed deadlines.
-        missed: u32,
-    },
+    Overrun { missed: u32 },
 }
 
 /// The controller's end of the link to one effector: orders to the servo and reports from it. Both queues are

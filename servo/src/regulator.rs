@@ -21,11 +21,3 @@ fn share(held: f64, asked: f64) -> f64 {
         0.0
     }
 }
-
-const fn is_positive(value: f64) -> bool {
-    value.is_finite() && value > 0.0
-}
-
-const fn is_not_negative(value: f64) -> bool {
-    value.is_finite() && value >= 0.0
-}

@@ -21,26 +21,19 @@ use crate::{Direction, HomingLeg, HostHoming, Knot};
 enum Phase {
     /// Waits until the drive follows and the states of the switches are known.
     Look,
-    /// Moves away from the home switch.
-    Leave {
-        /// The home switch was closed in this phase or before.
-        seen: bool,
-    },
+    /// Moves away from the home switch. `seen`: the switch was closed in this phase or before.
+    Leave { seen: bool },
     /// Moves towards the home switch.
     Switch,
-    /// Moves off the home switch to the index pulse.
-    Zero {
-        /// The home switch has opened in this phase. Only later index pulses count, because the point where the axis
-        /// rested on the switch depends on the speed of the axis.
-        open: bool,
-    },
+    /// Moves off the home switch to the index pulse. `open`: the switch has opened in this phase. Only later index
+    /// pulses count, because the point where the axis rested on the switch depends on the speed of the axis.
+    Zero { open: bool },
     /// Brakes and then pauses, from the given time on, before the next phase.
     Rest(Option<Instant>, Next),
     /// The counter is set and the motor is at rest.
     Done,
 }
 
-/// The phase after a rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Next {
     Switch,
@@ -51,40 +44,25 @@ enum Next {
 /// Why the servo did not find the reference of an axis. The servo then stops the axis within its homing acceleration
 /// and switches it off.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum HomingFailure {
     /// The home switch never closed.
     #[error("no home switch within {distance:.1} rad")]
-    NoSwitch {
-        /// Searched distance, rad.
-        distance: f64,
-    },
+    NoSwitch { distance: f64 },
     /// The home switch did not open again, or did not close on the way back from a limit switch.
     #[error("the home switch was not left within {distance:.1} rad")]
-    SwitchNotLeft {
-        /// Travelled distance, rad.
-        distance: f64,
-    },
+    SwitchNotLeft { distance: f64 },
     /// The axis came to rest beyond the home switch.
     #[error("stopped beyond the home switch; search slower, or brake harder")]
     SwitchPassed,
-    /// No index pulse was found.
     #[error("no index pulse within {distance:.1} rad")]
-    NoIndex {
-        /// Searched distance, rad.
-        distance: f64,
-    },
+    NoIndex { distance: f64 },
     /// A phase of the search took too long.
     #[error("nothing found within {waited:?}")]
-    TimedOut {
-        /// Duration of the phase.
-        waited: Duration,
-    },
-    /// The axis reached a limit switch.
+    TimedOut { waited: Duration },
+    /// The axis reached a limit switch: the upper one is at the upper end of the counter's travel.
     #[error("ran onto the {} limit switch", if *.upper { "upper" } else { "lower" })]
-    LimitSwitch {
-        /// True at the upper end of the counter's travel, false at the lower end.
-        upper: bool,
-    },
+    LimitSwitch { upper: bool },
 }
 
 /// A search under way. Its velocity never changes faster than the configured acceleration, except at a limit switch.
@@ -169,8 +147,7 @@ impl Search {
                     self.begin(Phase::Leave { seen: false });
                     0.0
                 } else {
-                    let failure = |distance| HomingFailure::NoSwitch { distance };
-                    self.travel(self.sense(), self.config.search, now, failure)?
+                    self.travel(self.sense(), self.config.search, now, |distance| HomingFailure::NoSwitch { distance })?
                 }
             }
             Phase::Zero { open } => {
@@ -267,7 +244,6 @@ impl Search {
         Ok(sense * leg.velocity)
     }
 
-    /// Direction of the home switch: +1 or -1.
     fn sense(&self) -> f64 {
         match self.config.direction {
             Direction::Negative => -1.0,

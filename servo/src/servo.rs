@@ -2,20 +2,18 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::task::Poll;
-use std::time::Duration;
+use std::{task::Poll, time::Duration};
 
 use can::Instant;
 use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Power, Warnings};
 
 use crate::axis::ServoAxis;
 use crate::effector::{Effector, Tick};
-use crate::excitation::Playing;
-use crate::recorder::Recorder;
 use crate::{
     Counters, EffectorLink, Excitation, ExcitationError, Record, ServoConfig, ServoError, ServoFault, ServoState,
     TrackingError,
 };
+use crate::{excitation::Playing, recorder::Recorder};
 
 /// Steps every effector of a cell on one tick grid.
 ///
@@ -96,7 +94,6 @@ impl Gates {
     }
 }
 
-/// The gates that are open in a cycle.
 #[derive(Clone, Copy)]
 pub(crate) struct OpenGates(u64);
 
@@ -211,9 +208,8 @@ impl Servo {
         let tick = self.tick(now);
         for effector in &mut self.effectors {
             effector.set_states(|group, index| self.groups[group].states[index], &tick);
-            let refused = effector.axes.iter();
-            let refused = refused.map(|axis| self.groups[axis.config.group].refused());
-            let tick = Tick { refused: refused.max().unwrap_or(0), ..tick };
+            let refused = effector.axes.iter().map(|axis| self.groups[axis.config.group].refused()).max();
+            let tick = Tick { refused: refused.unwrap_or(0), ..tick };
             effector.step(&tick);
             for (group, index, command) in effector.commands() {
                 self.groups[group].commands[index] = command;
@@ -310,8 +306,7 @@ impl Servo {
     /// that the servo closes. Where the drive closes the loop, an added torque must not exceed a quarter of the rated
     /// torque. An added position must not exceed a quarter of the following error, or the acceleration of the axis.
     pub fn excite(&mut self, effector: usize, axis: usize, excitation: Excitation) -> Result<(), ExcitationError> {
-        let found = self.effectors.get_mut(effector);
-        let found = found.and_then(|effector| effector.axes.get_mut(axis));
+        let found = self.effectors.get_mut(effector).and_then(|effector| effector.axes.get_mut(axis));
         let found = found.ok_or(ExcitationError::NoSuchAxis { effector, axis })?;
         excitation.check(&found.config, self.period.as_secs_f64())?;
         found.playing = Some(Playing::new(excitation));
@@ -353,8 +348,7 @@ impl Servo {
 
     /// Longest duration of a stop of any effector: first its set-points, then its drives.
     pub fn longest_stop(&self) -> Duration {
-        let longest = self.effectors.iter().map(Effector::longest_stop).max();
-        longest.unwrap_or_default().saturating_mul(2)
+        self.effectors.iter().map(Effector::longest_stop).max().unwrap_or_default().saturating_mul(2)
     }
 
     /// Tracking errors of the axes of effector `index`; empty if there is no such effector.

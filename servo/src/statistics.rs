@@ -7,9 +7,11 @@
 /// error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TrackingError {
-    samples: u64,
+    /// Number of cycles counted.
+    pub samples: u64,
     sum_of_squares: f64,
-    peak: f64,
+    /// The largest absolute value, rad.
+    pub peak: f64,
 }
 
 impl TrackingError {
@@ -20,19 +22,9 @@ impl TrackingError {
         self.peak = self.peak.max(error.abs());
     }
 
-    /// Number of cycles counted.
-    pub fn samples(&self) -> u64 {
-        self.samples
-    }
-
     /// Root mean square, rad; zero if the axis never moved.
     pub fn rms(&self) -> f64 {
         if self.samples == 0 { 0.0 } else { (self.sum_of_squares / self.samples as f64).sqrt() }
-    }
-
-    /// The largest absolute value, rad.
-    pub fn peak(&self) -> f64 {
-        self.peak
     }
 }
 
@@ -63,6 +55,6 @@ mod tests {
         assert_eq!(error.rms(), 0.0);
         [3.0, -4.0].into_iter().for_each(|e| error.record(e));
         assert!((error.rms() - 12.5f64.sqrt()).abs() < 1e-12);
-        assert_eq!((error.peak(), error.samples), (4.0, 2));
+        assert_eq!((error.peak, error.samples), (4.0, 2));
     }
 }

@@ -68,7 +68,6 @@ pub use self::wait::{Awake, WaitReport, Waiter};
 
 /// Bytes of the thread's stack; `MCL_FUTURE` locks all of it.
 const STACK: usize = 512 * 1024;
-
 /// Number of cycles that switch the power off after a panic of the cycle.
 const CUTS: u32 = 10;
 
@@ -81,7 +80,7 @@ const OFF_CYCLES: u32 = 4;
 const LONGEST_PREPARATION: u32 = 20;
 
 /// Longest time for the drives to report that they have no power, after the command.
-const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
+pub const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
 
 /// The time that cycles are given.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -96,40 +95,29 @@ pub enum CellTime {
 
 /// Why a servo thread did not start. No cycle ran.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum StartError {
     /// The policy requires a setting that the host denies.
     #[error("{0}")]
     Denied(Denial),
-    /// The thread could not be created.
     #[error("the servo thread cannot be made (errno {errno})")]
-    Spawn {
-        /// Error of the system.
-        errno: i32,
-    },
+    Spawn { errno: i32 },
 }
 
 /// A running servo thread. Dropping this value leaves the thread running.
 #[derive(Debug)]
-pub struct Running {
-    thread: JoinHandle<Finished>,
-    denied: Vec<Denial>,
-}
+pub struct Running(JoinHandle<Finished>);
 
 impl Running {
-    /// The denied requests.
-    pub fn denied(&self) -> &[Denial] {
-        &self.denied
-    }
-
     /// Whether the thread has ended.
     pub fn is_finished(&self) -> bool {
-        self.thread.is_finished()
+        self.0.is_finished()
     }
 
     /// Waits for the end of the thread.
     pub fn join(self) -> Finished {
         // The thread catches every panic of the functions it calls.
-        self.thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        self.0.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     }
 }
 
@@ -206,18 +194,16 @@ pub fn start(
         denied.extend(latency.as_ref().err());
         let refused = realtime.policy == Policy::Require && !denied.is_empty();
         // The starter waits for this message. Without a starter, no caller could stop the thread.
-        let heard = tell.send(denied.clone()).is_ok();
+        let heard = tell.send(denied.first().copied()).is_ok();
         if !refused && heard {
             run.go(between, until);
         }
         Finished { servo: run.servo, timing: run.timing, spikes: run.tracer.finish(), denied, panicked: run.panicked }
     };
     let spawned = Builder::new().name("servo".into()).stack_size(STACK).spawn(body);
-    let thread = spawned.map_err(|e| StartError::Spawn { errno: e.raw_os_error().unwrap_or(0) })?;
-    let denied = told.recv().unwrap_or_default();
-    let running = Running { thread, denied };
-    match running.denied.first() {
-        Some(&denial) if realtime.policy == Policy::Require => {
+    let running = Running(spawned.map_err(|e| StartError::Spawn { errno: e.raw_os_error().unwrap_or(0) })?);
+    match told.recv().unwrap_or_default() {
+        Some(denial) if realtime.policy == Policy::Require => {
             // It has nothing to do; with it the servo goes, and every port is closed.
             drop(running.join());
             Err(StartError::Denied(denial))
@@ -237,7 +223,6 @@ pub fn run(
     start(servo, realtime, time, Arc::default(), between, until).map(Running::join)
 }
 
-/// One run of the thread.
 struct Run {
     servo: Servo,
     timing: Timing,
@@ -311,7 +296,6 @@ impl Run {
         self.timing.wait = WaitReport { preparation: self.preparation(), ..self.waiter.report() };
     }
 
-    /// Time from the start of preparing to the deadline.
     fn preparation(&self) -> Duration {
         self.preparation.map_or(Duration::ZERO, |learnt| learnt.get())
     }
@@ -363,20 +347,10 @@ impl Run {
         };
         let late = sending.since(self.deadline);
         let late = self.explain(late, &spent, preparation + transfer);
-        self.tracer.record(Stamps {
-            cycle: self.number,
-            deadline: self.deadline,
-            called: self.before.called,
-            begun,
-            awake: *awake,
-            reading,
-            read,
-            computed,
-            written,
-            sending,
-            done,
-            late,
-        });
+        let (cycle, deadline, called, awake) = (self.number, self.deadline, self.before.called, *awake);
+        let stamps =
+            Stamps { cycle, deadline, called, begun, awake, reading, read, computed, written, sending, done, late };
+        self.tracer.record(stamps);
         (self.before.sync, self.before.done) = (sending, done);
     }
 

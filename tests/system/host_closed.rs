@@ -69,12 +69,12 @@ fn a_program_runs_by_velocity_and_by_torque() {
         let mut rig = irb6(control).bring_up();
         rig.run_program().unwrap();
         for (axis, tracking) in rig.servo.tracking(0).enumerate() {
-            println!("{control:?}, axis {axis}: peak {:.3} rad, rms {:.4} rad", tracking.peak(), tracking.rms());
+            println!("{control:?}, axis {axis}: peak {:.3} rad, rms {:.4} rad", tracking.peak, tracking.rms());
             let most = match control {
                 DriveControl::Velocity => 0.1,
                 _ => 0.5,
             };
-            assert!(tracking.peak() < most, "{control:?} {axis}: {tracking:?}");
+            assert!(tracking.peak < most, "{control:?} {axis}: {tracking:?}");
         }
     }
 }

@@ -308,7 +308,7 @@ fn every_axis_follows_by_the_servo_as_it_does_by_the_bare_law() {
         running.follow(MOTION);
         running.run(2000);
         assert_eq!(running.phase(), Phase::Standing, "{:?}", running.servo.fault(0));
-        let peak = running.servo.tracking(0).next().unwrap().peak() * rig.counts / TAU;
+        let peak = running.servo.tracking(0).next().unwrap().peak * rig.counts / TAU;
         assert!((peak - expected).abs() < 3.0, "{axis:?}: {peak} counts");
     }
 }

@@ -5,11 +5,12 @@ use std::time::Duration;
 use servo::{Phase, ServoFault};
 use thiserror::Error;
 
-use crate::generator::GeneratorError;
-use crate::robot::KinematicsError;
+use crate::{generator::GeneratorError, robot::KinematicsError};
 
-/// Reasons why an instruction failed. When an error is reported, the effector already stands or is faulted.
+/// Reasons why an instruction failed. When an error is reported, the effector already stands or is faulted. `step`
+/// counts the macrosteps of the instruction that were sent before.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum EcpError {
     /// The servo stopped the effector.
     #[error("{0}")]
@@ -19,63 +20,31 @@ pub enum EcpError {
     Faulted,
     /// The generator refused the motion or gave it up.
     #[error("step {step}: {error}")]
-    Generator {
-        /// Number of macrosteps sent before for this instruction.
-        step: u64,
-        /// The generator's reason.
-        error: GeneratorError,
-    },
+    Generator { step: u64, error: GeneratorError },
     /// The generator requested a state that the arm cannot take.
     #[error("step {step}: {error}")]
-    OutOfReach {
-        /// Number of macrosteps sent before for this instruction.
-        step: u64,
-        /// The axis and the reason.
-        error: KinematicsError,
-    },
+    OutOfReach { step: u64, error: KinematicsError },
     /// The generator requested NaN or infinity.
     #[error("step {step}, axis {axis}: set-point is not a finite number")]
-    NotFinite {
-        /// Number of macrosteps sent before for this instruction.
-        step: u64,
-        /// Index of the axis.
-        axis: u8,
-    },
+    NotFinite { step: u64, axis: u8 },
     /// A motion was requested while the effector does not stand with its drives on.
     #[error("effector is {phase:?}, a motion begins from Standing")]
-    NotStanding {
-        /// Phase of the effector.
-        phase: Phase,
-    },
+    NotStanding { phase: Phase },
     /// A motion was requested while the effector is not homed.
     #[error("effector is not homed")]
     NotHomed,
     /// The effector ended the motion early, without a fault.
     #[error("motion broke off, effector is {phase:?}")]
-    BrokenOff {
-        /// Phase of the effector.
-        phase: Phase,
-    },
+    BrokenOff { phase: Phase },
     /// For too long, the servo neither reported nor took an order.
     #[error("servo silent for {waited:?}")]
-    Silent {
-        /// Duration.
-        waited: Duration,
-    },
+    Silent { waited: Duration },
     /// The servo reports, but did not complete the request in time.
     #[error("still {phase:?} after {waited:?}")]
-    TimedOut {
-        /// Phase of the effector.
-        phase: Phase,
-        /// Duration.
-        waited: Duration,
-    },
+    TimedOut { phase: Phase, waited: Duration },
     /// At least one partner did not come to a meeting in time.
     #[error("the partners of a meeting did not come within {waited:?}")]
-    Unmet {
-        /// Duration of the wait.
-        waited: Duration,
-    },
+    Unmet { waited: Duration },
     /// The process was told to stop.
     #[error("stopped")]
     Stopped,

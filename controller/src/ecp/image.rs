@@ -13,7 +13,6 @@ const STEP: f64 = 1e-4;
 #[derive(Debug)]
 pub(super) struct Effector {
     pub(super) arm: Arm,
-    /// Time of the last report.
     pub(super) at: Instant,
     pub(super) macrostep: u64,
     /// Motor positions and velocities measured, from the last report.
@@ -90,8 +89,7 @@ fn slope(
     value: &Axes,
     map: impl Fn(&Axes) -> Result<Axes, KinematicsError>,
 ) -> Result<Axes, KinematicsError> {
-    let speeds = from.velocity.map(f64::abs);
-    let fastest = speeds.into_iter().fold(0.0, f64::max);
+    let fastest = from.velocity.map(f64::abs).into_iter().fold(0.0, f64::max);
     difference(fastest, value, |t| map(&moved(&from.position, &from.velocity, t)))
 }
 

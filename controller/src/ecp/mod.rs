@@ -23,8 +23,7 @@ mod task;
 #[cfg(test)]
 mod tests;
 
-use std::collections::VecDeque;
-use std::time::Duration;
+use std::{collections::VecDeque, time::Duration};
 
 use can::Instant;
 use servo::{EffectorLink, Macrostep, Order, Phase, ServoReport};
@@ -101,31 +100,20 @@ const STILL: f64 = 1e-9;
 
 /// Current activity. Every wait in an activity has a time limit.
 enum Activity {
+    /// Between two instructions.
     Idle,
     /// Waits until an order to enable, home, disable or reset has taken effect.
-    Switching {
-        order: Order,
-        since: Instant,
-    },
+    Switching { order: Order, since: Instant },
     /// Waits for the partners of a meeting. `admitted`: all partners have come.
-    Meeting {
-        meeting: u8,
-        since: Instant,
-        admitted: bool,
-    },
+    Meeting { meeting: u8, since: Instant, admitted: bool },
     /// The generator computes macrosteps.
-    Running {
-        run: Box<dyn Execution + Send>,
-    },
+    Running(Box<dyn Execution + Send>),
     /// Waits for the end of the last macrostep, which ends at standstill.
     Arriving,
     /// Waits for the report from the last macrostep, which ends in motion. A stop follows.
     RunningOut,
     /// Waits for standstill. `since`: time of the stop, `None` until its order is sent. `outcome`: result afterwards.
-    Stopping {
-        since: Option<Instant>,
-        outcome: Result<(), EcpError>,
-    },
+    Stopping { since: Option<Instant>, outcome: Result<(), EcpError> },
 }
 
 /// Effector control process of one effector. See the [module](self).
@@ -338,7 +326,7 @@ impl Ecp {
         self.sent = self.sent.max(report.macrostep);
         self.base = self.sent;
         let first = run.first_step(&self.effector, self.config.macrostep());
-        self.activity = Activity::Running { run };
+        self.activity = Activity::Running(run);
         match first {
             Ok(Step::Ended) => Some(Ok(())),
             Ok(Step::Continue(None)) => None,
@@ -380,7 +368,7 @@ impl Ecp {
                 let waited = now.since(since);
                 (waited > self.config.meeting).then_some(Err(EcpError::Unmet { waited }))
             }
-            Activity::Running { .. } | Activity::Arriving | Activity::RunningOut => self.advance_motion(now),
+            Activity::Running(_) | Activity::Arriving | Activity::RunningOut => self.advance_motion(now),
             Activity::Stopping { since: None, .. } => {
                 let waited = now.since(self.heard);
                 (waited > self.config.switching).then(|| Err(self.cause_of(EcpError::Silent { waited })))
@@ -432,7 +420,7 @@ impl Ecp {
     /// Requests the next macrostep from the generator if the macrostep is due.
     fn step(&mut self) {
         let outstanding = self.outstanding();
-        let Activity::Running { run } = &mut self.activity else {
+        let Activity::Running(run) = &mut self.activity else {
             return;
         };
         let ahead = if run.runs_ahead() { u64::from(self.config.macrosteps_ahead.max(1)) } else { 1 };
@@ -469,8 +457,7 @@ impl Ecp {
         for velocity in motors.velocity.iter_mut().filter(|it| it.abs() < STILL) {
             *velocity = 0.0;
         }
-        let torque = self.effector.arm.torques(&motors.position);
-        let torque = torque.map_err(out_of_reach)?;
+        let torque = self.effector.arm.torques(&motors.position).map_err(out_of_reach)?;
         self.effector.commanded = motors;
         self.sent += 1;
         self.outbox.push_back(Order::Move(Macrostep {

@@ -50,7 +50,6 @@ pub struct Meetings {
 
 #[derive(Debug)]
 struct Meeting {
-    /// Indices of the partners' processes.
     partners: Vec<usize>,
     progress: Progress,
 }

@@ -1,11 +1,9 @@
 //! Tasks: the instructions of one effector control process.
 
-use std::collections::VecDeque;
-use std::fmt;
+use std::{collections::VecDeque, fmt};
 
 use crate::generator::{Execution, Generator, Run};
 
-/// One instruction of a task.
 pub(super) enum Instruction {
     Enable,
     Home,
@@ -84,14 +82,12 @@ impl Task {
 
     /// Index of the first instruction that homes the axes.
     pub fn first_homing(&self) -> Option<usize> {
-        let homes = |it: &Instruction| matches!(it, Instruction::Home);
-        self.instructions.iter().position(homes)
+        self.instructions.iter().position(|it| matches!(it, Instruction::Home))
     }
 
     /// Index of the first instruction that runs a generator.
     pub fn first_motion(&self) -> Option<usize> {
-        let moves = |it: &Instruction| matches!(it, Instruction::Run(_));
-        self.instructions.iter().position(moves)
+        self.instructions.iter().position(|it| matches!(it, Instruction::Run(_)))
     }
 
     fn then(mut self, instruction: Instruction) -> Self {

@@ -6,93 +6,42 @@ use crate::robot::KinematicsError;
 
 /// Reasons why a generator refuses a motion or gives it up.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum GeneratorError {
-    /// The list of poses is empty.
     #[error("no poses")]
     NoPoses,
     /// The number of axes is zero or above [`servo::MAX_AXES`].
     #[error("{axes} axes, supported are 1 to {max}")]
-    Axes {
-        /// Number requested.
-        axes: usize,
-        /// Largest possible number.
-        max: usize,
-    },
-    /// A coordinate is NaN or infinite.
+    Axes { axes: usize, max: usize },
     #[error("pose {pose}, axis {axis}: not a finite number")]
-    NotFinite {
-        /// Index in the list of poses.
-        pose: usize,
-        /// Index of the axis.
-        axis: u8,
-    },
+    NotFinite { pose: usize, axis: u8 },
     /// A limit is not positive and finite.
     #[error("axis {axis}: limit is not positive")]
-    Limit {
-        /// Index of the axis.
-        axis: u8,
-    },
+    Limit { axis: u8 },
     /// A speed or acceleration of a path is not positive and finite.
     #[error("path limit is not positive")]
     PathLimit,
-    /// A fraction of a limit lies outside (0, 1].
     #[error("pose {pose}, axis {axis}: fraction {value} is not in (0, 1]")]
-    Fraction {
-        /// Index in the list of poses.
-        pose: usize,
-        /// Index of the axis.
-        axis: u8,
-        /// The fraction.
-        value: f64,
-    },
-    /// The macrostep has zero length.
+    Fraction { pose: usize, axis: u8, value: f64 },
     #[error("macrostep has no length")]
     NoMacrostep,
-    /// The motion would take more macrosteps than the limit.
     #[error("motion takes more than {limit} macrosteps")]
-    TooLong {
-        /// Largest accepted number of macrosteps.
-        limit: u32,
-    },
-    /// The motion cannot be completed in the given time.
+    TooLong { limit: u32 },
     #[error("takes {needed:.3} s at the least, not {given:.3} s")]
-    TooShort {
-        /// Time needed, s.
-        needed: f64,
-        /// Time given, s.
-        given: f64,
-    },
-    /// No profile within the limits was found.
+    TooShort { needed: f64, given: f64 },
     #[error("no profile within the limits")]
     NoProfile,
-    /// The arm cannot take a pose of the path. The pose was found before the motion began.
+    /// The arm cannot take a pose of the path, at parameter `s` from 0 at the start to 1 at the end. The pose was found
+    /// before the motion began.
     #[error("at {s:.4} of the path: {cause}")]
-    Path {
-        /// Path parameter, 0 at the start to 1 at the end.
-        s: f64,
-        /// The axis and the reason.
-        cause: KinematicsError,
-    },
-    /// The arm would have to jump between two neighbouring poses of a path.
+    Path { s: f64, cause: KinematicsError },
+    /// The arm would have to jump, by rad or m, between two neighbouring poses of a path.
     #[error("at {s:.4} of the path: axis {axis} jumps by {by:.3} to the next pose")]
-    Jump {
-        /// Path parameter.
-        s: f64,
-        /// Index of the axis.
-        axis: u8,
-        /// Size of the jump, rad or m.
-        by: f64,
-    },
-    /// The path is too close to a singularity: one axis would slow the path too much.
+    Jump { s: f64, axis: u8, by: f64 },
+    /// The path is too close to a singularity: one axis would slow the path too much. `times` is the ratio of the axis
+    /// speed at the requested path speed to the limit of the axis.
     #[error("at {s:.4} of the path: axis {axis} needs {times:.0} times its limit")]
-    Singular {
-        /// Path parameter.
-        s: f64,
-        /// Index of the axis.
-        axis: u8,
-        /// Ratio of the axis speed at the requested path speed to the limit of the axis.
-        times: f64,
-    },
+    Singular { s: f64, axis: u8, times: f64 },
     /// The effector measures positions that its mechanism cannot take.
     #[error("effector image: {0}")]
     Image(KinematicsError),

@@ -26,7 +26,6 @@ pub trait Execution {
     fn runs_ahead(&self) -> bool;
 }
 
-/// A generator, and its memory after the first step.
 pub(crate) struct Run<G: Generator> {
     generator: G,
     memory: Option<G::Memory>,

@@ -5,8 +5,7 @@ use std::time::Duration;
 use rsruckig::prelude::DataArrayOrVec;
 use servo::MAX_AXES;
 
-use super::plan::Plan;
-use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next};
+use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, plan::Plan};
 use crate::robot::Space;
 
 /// A jerk-limited, time-synchronised motion through intermediate poses to a final pose. Class 1, sporadic feedback.
@@ -83,8 +82,7 @@ impl Generator for JerkLimited {
         for axis in 0..self.axes {
             self.plan.input.current_position[axis] = from.position[axis];
         }
-        let given = self.duration.map(|given| given.as_secs_f64());
-        self.plan.solve(given, macrostep.as_secs_f64())?;
+        self.plan.solve(self.duration.map(|given| given.as_secs_f64()), macrostep.as_secs_f64())?;
         Ok(Next::remember(0))
     }
 

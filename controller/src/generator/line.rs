@@ -23,7 +23,6 @@ const SLOWEST: f64 = 50.0;
 /// Half the interval of the path parameter for numerical derivatives of joint positions. The truncation error is q‴
 /// ε² / 6, about 1e-9 relative. Rounding adds a relative error of 1e-11 / ε.
 const EPSILON: f64 = 1e-5;
-
 /// Rounding error of differences of positions, compared with the tolerances of a planned start.
 const ROUNDING: f64 = 1e-9;
 
@@ -72,8 +71,7 @@ pub struct PlannedStart {
 impl PlannedStart {
     /// Whether these motor positions lie within the tolerance, apart from rounding.
     pub fn admits(&self, motors: &Axes) -> bool {
-        let distances = motors.iter().zip(&self.motors).map(|(a, b)| (a - b).abs());
-        let mut both = distances.zip(&self.tolerance);
+        let mut both = motors.iter().zip(&self.motors).map(|(a, b)| (a - b).abs()).zip(&self.tolerance);
         both.all(|(distance, tolerance)| distance <= tolerance * (1.0 + ROUNDING))
     }
 }
@@ -189,13 +187,11 @@ impl StraightLine {
     fn lay(&mut self, e: &EffectorImage) -> Result<Axes, GeneratorError> {
         let EffectorState { motors, joints, pose } = &e.commanded;
         self.remainder = Axes::default();
-        let start = self.start.filter(|start| start.admits(&motors.position));
-        let Some(start) = start else {
+        let Some(start) = self.start.filter(|start| start.admits(&motors.position)) else {
             self.path = Path::between(pose, &self.target);
             return Ok(joints.position);
         };
-        let planned = self.arm.joints(&start.motors);
-        let planned = planned.map_err(GeneratorError::Image)?;
+        let planned = self.arm.joints(&start.motors).map_err(GeneratorError::Image)?;
         let from = self.arm.forward(&planned).map_err(GeneratorError::Image)?;
         self.path = Path::between(&from, &self.target);
         for (axis, remainder) in self.remainder.iter_mut().enumerate() {
@@ -260,8 +256,7 @@ impl StraightLine {
         }
         let beside = |axis: usize| joints[axis] + self.remainder[axis] * (1.0 - s);
         let joints = std::array::from_fn(beside);
-        let motors = self.arm.motors(&joints);
-        motors.map_err(|cause| GeneratorError::Path { s, cause })?;
+        self.arm.motors(&joints).map_err(|cause| GeneratorError::Path { s, cause })?;
         Ok(joints)
     }
 

@@ -180,8 +180,7 @@ impl Newsmooth {
             };
             let times =
                 (0..self.axes).map(|axis| course(axis).shortest(pose.velocity[axis] * self.limits.max_velocity[axis]));
-            let shortest = times.fold(0.0, f64::max);
-            let macrosteps = whole_macrosteps(shortest, self.macrostep)?;
+            let macrosteps = whole_macrosteps(times.fold(0.0, f64::max), self.macrostep)?;
             total = total.saturating_add(macrosteps);
             if total > MAX_MACROSTEPS {
                 return Err(GeneratorError::TooLong { limit: MAX_MACROSTEPS });

@@ -2,8 +2,7 @@
 
 use rsruckig::prelude::{DataArrayOrVec, InputParameter, Ruckig, RuckigResult, ThrowErrorHandler, Trajectory};
 
-use super::GeneratorError;
-use super::newsmooth::whole_macrosteps;
+use super::{GeneratorError, newsmooth::whole_macrosteps};
 
 /// Jerk-limited trajectory of `N` coordinates.
 #[derive(Debug)]

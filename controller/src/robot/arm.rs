@@ -99,7 +99,6 @@ impl ArmParameters {
         [(SHOULDER, self.lower_arm_length), (ELBOW, self.upper_arm_length), (PITCH, self.wrist_length)]
     }
 
-    /// The flange origin in the base frame.
     pub(super) fn origin(&self, Posture { sin, cos }: &Posture) -> Vector3<f64> {
         let (mut reach, mut drop) = (0.0, 0.0);
         for (axis, length) in self.lengths() {
@@ -118,8 +117,7 @@ impl ArmParameters {
         jacobian[(5, 0)] = 1.0;
         for (axis, length) in self.lengths() {
             let (s, c) = (length * sin[axis], length * cos[axis]);
-            let moved = Vector3::new(-cos[0] * s, -sin[0] * s, -c);
-            jacobian.fixed_view_mut::<3, 1>(0, axis).copy_from(&moved);
+            jacobian.fixed_view_mut::<3, 1>(0, axis).copy_from(&Vector3::new(-cos[0] * s, -sin[0] * s, -c));
         }
         // Parallelograms keep the flange's orientation while lower and upper arm move.
         let wrist = posture.wrist();

@@ -105,7 +105,6 @@ pub struct LinearDevice {
     motor_at_home: f64,
 }
 
-/// Relation of joint and motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum AxisMap {
     Gripper(GripperParameters),

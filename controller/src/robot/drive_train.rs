@@ -91,14 +91,12 @@ impl ScrewAxis {
     }
 }
 
-/// Transmission between one motor and its joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Transmission {
     Gear(GearAxis),
     Screw(ScrewAxis),
 }
 
-/// One axis of a drive train.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TrainAxis {
     pub(super) transmission: Transmission,
@@ -153,7 +151,6 @@ impl TrainAxis {
     }
 }
 
-/// All axes of a robot, between motors and joints.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct DriveTrain<const N: usize> {
     axes: [TrainAxis; N],

@@ -16,18 +16,14 @@ use super::{
 };
 
 const AXES: usize = 7;
-/// Number of axes of the robot on the carriage.
 const ARM: usize = 6;
 
 /// Distances of the flange from the column axis between which the carriage stays at its position, m.
 const COMFORT: (f64, f64) = (0.6, 0.95);
-
 /// Tangent of 40°: half the angle of the sector behind the robot in which the column should not work.
 const BEHIND: f64 = 0.839_099_631_177_280;
-
 /// Distance from a comfortable position, m, within which the carriage moves more and more slowly.
 const BAND: f64 = 0.1;
-
 /// Lever that converts a rotation of the flange to a distance, m.
 const LEVER: f64 = 0.25;
 
@@ -162,10 +158,7 @@ impl Irp6Track {
 
     /// Range of the carriage that joint and motor both allow, m.
     fn travel(&self) -> Limits {
-        let joint = |motor| {
-            let joints = self.track.joints_from_motors(&[motor]);
-            joints.map_or(0.0, |joints| joints[0])
-        };
+        let joint = |motor| self.track.joints_from_motors(&[motor]).map_or(0.0, |joints| joints[0]);
         self.joint_limits[0].within(self.motor_limits[0].map(joint))
     }
 
@@ -276,7 +269,6 @@ impl Robot for Irp6Track {
     }
 }
 
-/// The carriage's position and the arm's positions.
 fn parted<S>(all: &super::Vector<S>) -> Result<(f64, super::Vector<S>), KinematicsError> {
     let &[carriage, ref arm @ ..] = all.exactly::<AXES>()?;
     Ok((carriage, super::Vector::from(*arm)))

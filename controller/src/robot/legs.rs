@@ -29,20 +29,6 @@ pub(super) struct Legs {
 /// Pose of the platform: alpha and beta, rad, and rho, m.
 pub(super) type Posture = [f64; 3];
 
-/// A posture for given lengths, and the number of steps taken.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Closure {
-    pub(super) posture: Posture,
-    pub(super) steps: u32,
-}
-
-/// The leg with the largest length error in the closest posture found, and that error, m.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Gap {
-    pub(super) leg: u8,
-    pub(super) residual: f64,
-}
-
 impl Legs {
     pub(super) fn new(base_radius: f64, platform_radius: f64) -> Self {
         let circle = |radius: f64| {
@@ -84,9 +70,9 @@ impl Legs {
         (jacobian, lengths)
     }
 
-    /// The posture with these leg lengths, by Newton's method from `near`. If the legs cannot close, fails with the
-    /// leg of the largest error, and that error.
-    pub(super) fn close(&self, lengths: &[f64; 3], near: &Posture) -> Result<Closure, Gap> {
+    /// The posture with these leg lengths, by Newton's method from `near`, and the number of steps taken. If the legs
+    /// cannot close, fails with the leg of the largest error in the closest posture found, and that error, m.
+    pub(super) fn close(&self, lengths: &[f64; 3], near: &Posture) -> Result<(Posture, u32), (u8, f64)> {
         let wanted = Vector3::from(*lengths);
         let mut posture = *near;
         let mut closest = (f64::INFINITY, 0, wanted.amax());
@@ -108,11 +94,11 @@ impl Legs {
             }
             posture[2] = posture[2].max(0.0);
             if step.amax() < LAST_STEP {
-                return Ok(Closure { posture, steps });
+                return Ok((posture, steps));
             }
         }
         let (_, leg, residual) = closest;
-        Err(Gap { leg: leg as u8, residual })
+        Err((leg as u8, residual))
     }
 }
 
@@ -132,7 +118,6 @@ pub(super) fn central(alpha: f64, beta: f64) -> Rotation3<f64> {
     ))
 }
 
-/// The platform in the base frame.
 struct Platform {
     base_from_central: Rotation3<f64>,
     /// Rotation axis of beta.

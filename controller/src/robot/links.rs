@@ -66,8 +66,7 @@ impl Link {
         let position: f64 = joints.iter().zip(self.coupling).map(|(q, k)| k * q).sum();
         let moved = match self.kind {
             LinkKind::Revolute | LinkKind::Continuous => {
-                let turn = UnitQuaternion::from_axis_angle(&self.axis, position);
-                Isometry3::from_parts(Translation3::identity(), turn)
+                Isometry3::from_parts(Translation3::identity(), UnitQuaternion::from_axis_angle(&self.axis, position))
             }
             LinkKind::Prismatic => Translation3::from(self.axis.scale(position)).into(),
         };

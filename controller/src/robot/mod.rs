@@ -50,8 +50,7 @@ mod weight;
 #[cfg(test)]
 mod tests;
 
-use std::fmt;
-use std::sync::Arc;
+use std::{fmt, sync::Arc};
 
 use nalgebra::{Isometry3, SMatrix};
 use schemars::JsonSchema;
@@ -230,77 +229,38 @@ impl fmt::Display for Space {
 
 /// Reasons why a robot has no answer. Axes are counted from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum KinematicsError {
     /// A NaN or an infinity was passed.
     #[error("a number is not finite")]
     NotFinite,
     /// A vector has the length of another robot.
     #[error("{given} positions for a robot of {axes} axes")]
-    AxisCount {
-        /// Number of axes of the robot.
-        axes: u8,
-        /// Number of positions passed.
-        given: u8,
-    },
-    /// The pose is too far away for the arm, or too near.
+    AxisCount { axes: u8, given: u8 },
+    /// The pose is too far away for the arm, or too near. `margin` is the missing distance in the best branch.
     #[error("{margin:.6} m out of reach")]
-    Unreachable {
-        /// Missing distance in the best branch, m.
-        margin: f64,
-    },
-    /// The pose leaves an axis undetermined.
+    Unreachable { margin: f64 },
+    /// The pose leaves an axis undetermined. `margin` is the distance of the flange from the axis, m, or the sine of
+    /// the angle between the two axes.
     #[error("axis {axis} is undetermined {margin:.1e} from a singular pose")]
-    Singular {
-        /// The axis.
-        axis: u8,
-        /// Distance from the singular pose: the distance of the flange from the axis, m, or the sine of the angle
-        /// between the two axes.
-        margin: f64,
-    },
-    /// The legs cannot have these lengths at the same time. Legs are counted from 0.
+    Singular { axis: u8, margin: f64 },
+    /// The legs cannot have these lengths at the same time. Legs are counted from 0. `residual` is the requested length
+    /// minus the length in the closest posture found.
     #[error("the legs do not close: leg {leg} misses its length by {residual:.6} m at the least")]
-    Open {
-        /// The leg with the largest error.
-        leg: u8,
-        /// The requested length minus the length in the closest posture found, m.
-        residual: f64,
-    },
-    /// A leg would exceed its limit. Legs are counted from 0.
+    Open { leg: u8, residual: f64 },
+    /// A leg would exceed its limit. Legs are counted from 0, like their motors.
     #[error("leg {leg} at {length:.6} m is beyond its limit {limit:.6} m")]
-    LegLimit {
-        /// The leg. Its motor has the same number.
-        leg: u8,
-        /// The requested length, m.
-        length: f64,
-        /// The exceeded limit, m.
-        limit: f64,
-    },
-    /// A joint or a motor would exceed its limit.
+    LegLimit { leg: u8, length: f64, limit: f64 },
+    /// A joint or a motor would exceed its limit. Positions are in rad (m for a linear joint).
     #[error("axis {axis}: {space} at {value:.6} is beyond its limit {limit:.6}")]
-    BeyondLimit {
-        /// Joint or motor.
-        space: Space,
-        /// The axis.
-        axis: u8,
-        /// The requested position, rad (m for a linear joint).
-        value: f64,
-        /// The exceeded limit.
-        limit: f64,
-    },
+    BeyondLimit { space: Space, axis: u8, value: f64, limit: f64 },
     /// The pose lies beside the path of a device with one axis.
     #[error("{distance:.6} m and {angle:.6} rad off the only axis")]
-    OffAxis {
-        /// Distance from the axis, m.
-        distance: f64,
-        /// Rotation of the pose, rad.
-        angle: f64,
-    },
-    /// The tool axis lies outside the vertical plane of a 5-axis arm.
+    OffAxis { distance: f64, angle: f64 },
+    /// The tool axis lies outside the vertical plane of a 5-axis arm. `residual` is the sine of the angle between them,
+    /// with the sign of the normal (-sin th1, cos th1, 0).
     #[error("tool axis leans {residual:.3e} out of the arm's plane")]
-    ToolPlane {
-        /// Sine of the angle between tool axis and plane. The normal (-sin th1, cos th1, 0) gives the sign.
-        residual: f64,
-    },
+    ToolPlane { residual: f64 },
 }
 
 impl KinematicsError {

@@ -125,84 +125,36 @@ impl ArmParameters {
 
 /// Reasons why a set of parameters describes no robot.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum ParameterError {
-    /// A NaN or an infinity.
     #[error("{name} has a number that is not finite")]
-    NotFinite {
-        /// The parameter, or the axis of the parameter.
-        name: &'static str,
-    },
-    /// A length or a tolerance is not above zero.
+    NotFinite { name: &'static str },
     #[error("{name} is {value}, not above zero")]
-    NotPositive {
-        /// The parameter.
-        name: &'static str,
-        /// The value passed.
-        value: f64,
-    },
-    /// A gear or a screw has no usable ratio.
+    NotPositive { name: &'static str, value: f64 },
     #[error("{name} has a ratio of zero")]
-    NoRatio {
-        /// The axis.
-        name: &'static str,
-    },
+    NoRatio { name: &'static str },
     /// The lower limit is not below the upper limit.
     #[error("{name} has limits {low} .. {high}")]
-    EmptyRange {
-        /// The axis.
-        name: &'static str,
-        /// The lower limit.
-        low: f64,
-        /// The upper limit.
-        high: f64,
-    },
+    EmptyRange { name: &'static str, low: f64, high: f64 },
     /// A screw does not lengthen over the whole range of its joint, or its triangle collapses.
     #[error("{name} has a screw whose length does not determine the joint")]
-    AmbiguousScrew {
-        /// The axis.
-        name: &'static str,
-    },
+    AmbiguousScrew { name: &'static str },
     /// A tilt at which a platform would hang beside its base.
     #[error("{name} tilts by {tilt:.6} rad, more than {limit} rad", limit = super::legs::STEEPEST)]
-    TooSteep {
-        /// The joint.
-        name: &'static str,
-        /// The greatest tilt, rad.
-        tilt: f64,
-    },
-    /// A leg is too short or too long for the geometry. Legs are counted from 0.
+    TooSteep { name: &'static str, tilt: f64 },
+    /// A leg is too short or too long for the geometry with alpha, beta and rho in the middle of their limits. Legs are
+    /// counted from 0.
     #[error("leg {leg} is {length:.6} m long amid the workspace, outside its range {low} .. {high} m")]
-    LegReach {
-        /// The leg.
-        leg: u8,
-        /// Its length with alpha, beta and rho in the middle of their limits, m.
-        length: f64,
-        /// Its shortest length, m.
-        low: f64,
-        /// Its longest length, m.
-        high: f64,
-    },
+    LegReach { leg: u8, length: f64, low: f64, high: f64 },
     /// The legs cannot have their home lengths at the same time. Legs are counted from 0.
     #[error("the legs do not close at home: leg {leg} misses its length by {residual:.6} m at the least")]
-    OpenAtHome {
-        /// The leg with the largest error.
-        leg: u8,
-        /// Its length error, m.
-        residual: f64,
-    },
+    OpenAtHome { leg: u8, residual: f64 },
     /// The masses do not match the links.
     #[error("{0}")]
     Weight(super::WeightError),
     /// The legs do not determine the pose of the platform in the whole workspace.
     #[error("the legs lose hold of the platform before alpha {alpha:.6}, beta {beta:.6} rad, rho {rho:.6} m")]
-    NoHold {
-        /// Tilt about x, rad.
-        alpha: f64,
-        /// Tilt about y, rad.
-        beta: f64,
-        /// Extension, m.
-        rho: f64,
-    },
+    NoHold { alpha: f64, beta: f64, rho: f64 },
 }
 
 /// The axis of a gear, after a check of its parameters.
@@ -237,12 +189,10 @@ fn screw(name: &'static str, screw: &ScrewAxis) -> Result<TrainAxis, ParameterEr
     Ok(TrainAxis { transmission: Transmission::Screw(*screw), carried_by: None })
 }
 
-/// Refuses a NaN or an infinity.
 pub(super) fn finite(name: &'static str, value: f64) -> Result<(), ParameterError> {
     if value.is_finite() { Ok(()) } else { Err(ParameterError::NotFinite { name }) }
 }
 
-/// Refuses a value that is not above zero.
 pub(super) fn positive(name: &'static str, value: f64) -> Result<(), ParameterError> {
     finite(name, value)?;
     if value > 0.0 { Ok(()) } else { Err(ParameterError::NotPositive { name, value }) }

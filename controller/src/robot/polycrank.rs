@@ -2,8 +2,7 @@
 
 mod cranks;
 
-use std::f64::consts::FRAC_PI_2;
-use std::sync::Arc;
+use std::{f64::consts::FRAC_PI_2, sync::Arc};
 
 use nalgebra::{Isometry3, Vector3};
 use schemars::JsonSchema;
@@ -30,15 +29,12 @@ const ROLL: usize = 6;
 
 /// The axis that turns the plane of the forearm. A pose with the tool axis parallel to axis 1 leaves this axis open.
 const PLANE: usize = 2;
-/// The axis that bends the forearm.
 const ELBOW: usize = 4;
 
 /// If the sines of both bends are smaller, the two pairs of cranks count as stretched or folded.
 const STRETCHED: f64 = 1e-5;
-
 /// Distance from the ends of its range, m, within which the forearm's reach is moved back as the arm moves.
 const BAND: f64 = 0.04;
-
 /// Number of points at which the most dexterous branch is sought before its refinement.
 const SAMPLES: usize = 64;
 
@@ -250,8 +246,7 @@ impl Polycrank {
         choose: impl Fn(&Facing) -> Result<f64, f64>,
     ) -> Result<Solutions, KinematicsError> {
         let (origin, axes) = arm::parts(base_from_flange)?;
-        let approach = axes.column(2);
-        let tilt = approach.xy().norm();
+        let tilt = axes.column(2).xy().norm();
         arm::regular(PLANE, tilt, PARALLEL)?;
         let facings = self.cranks.facings(&origin, &axes, tilt);
         Search::run(&self.drive_train, near, |search| {
@@ -268,8 +263,7 @@ impl Polycrank {
     fn branches(&self, search: &mut Search<'_, AXES>, facing: &Facing, reach: f64) {
         let near = search.near;
         let Facing { end, ahead, .. } = facing;
-        let elbow = [self.cranks.forearm; 2];
-        let (forearm, bend) = cranks::angles(elbow, (reach, end.z), near[FOREARM]);
+        let (forearm, bend) = cranks::angles([self.cranks.forearm; 2], (reach, end.z), near[FOREARM]);
         let shoulder = (end.x - reach * ahead.x, end.y - reach * ahead.y);
         let (upper, upper_bend) = cranks::angles(self.cranks.upper, shoulder, near[UPPER]);
         if let Err(error) = arm::regular(ELBOW, bend.max(upper_bend), STRETCHED) {
@@ -297,8 +291,7 @@ impl Polycrank {
             .map(|ring| if admitted.inner > 0.0 { ring.half(nearest) } else { ring })
             .and_then(|ring| ring.nearest(here.reach))
             .unwrap_or_else(|_| admitted.middle(nearest));
-        let way = here.way_to(facing);
-        admitted.nearest(free_parameter::drift(here.reach, comfort, way, BAND))
+        admitted.nearest(free_parameter::drift(here.reach, comfort, here.way_to(facing), BAND))
     }
 }
 
@@ -316,8 +309,7 @@ impl Robot for Polycrank {
     }
 
     fn forward(&self, joints: &Joints) -> Result<Isometry3<f64>, KinematicsError> {
-        let joints = joints.exactly()?;
-        Ok(self.cranks.forward(joints))
+        Ok(self.cranks.forward(joints.exactly()?))
     }
 
     fn inverse(&self, base_from_flange: &Isometry3<f64>, near: &Joints) -> Result<Solutions, KinematicsError> {
@@ -360,8 +352,7 @@ impl Robot for Polycrank {
         ];
         let limits = self.joint_limits();
         let links = NAMES.iter().zip(frames).enumerate();
-        let link = |(axis, (&name, frame))| Link::turning(name, frame, &[(axis, 1.0)], limits);
-        links.map(link).collect()
+        links.map(|(axis, (&name, frame))| Link::turning(name, frame, &[(axis, 1.0)], limits)).collect()
     }
 }
 

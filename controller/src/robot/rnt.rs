@@ -1,7 +1,6 @@
 //! Kinematics of the RNT, serial-parallel.
 
-use std::f64::consts::TAU;
-use std::sync::Arc;
+use std::{f64::consts::TAU, sync::Arc};
 
 use nalgebra::{Isometry3, Rotation3, Vector2, Vector3};
 use schemars::JsonSchema;
@@ -13,7 +12,7 @@ use super::{
     RobotParameters, Solutions, Space,
     arm::{self, PARALLEL},
     drive_train::{self, DriveTrain, TrainAxis},
-    legs::{self, Gap, Legs, Posture},
+    legs::{self, Legs, Posture},
     parameters,
     solutions::Search,
 };
@@ -171,16 +170,14 @@ impl Rnt {
     /// singular in the workspace: the determinant of their Jacobian would change its sign there.
     fn closes(&self) -> Result<(), ParameterError> {
         let middle = self.middle();
-        let lengths = self.legs.lengths(&middle);
-        for (leg, (length, axis)) in lengths.into_iter().zip(&self.parameters.legs).enumerate() {
+        for (leg, (length, axis)) in self.legs.lengths(&middle).into_iter().zip(&self.parameters.legs).enumerate() {
             let Limits { low, high } = axis.length_limits;
             if axis.length_limits.exceeded_by(length).is_some() {
                 return Err(ParameterError::LegReach { leg: leg as u8, length, low, high });
             }
         }
         let home = self.parameters.legs.map(|leg| leg.length_at_home);
-        let open = |Gap { leg, residual }| ParameterError::OpenAtHome { leg, residual };
-        self.legs.close(&home, &middle).map_err(open)?;
+        self.legs.close(&home, &middle).map_err(|(leg, residual)| ParameterError::OpenAtHome { leg, residual })?;
         let [alpha, beta, rho] = [ALPHA, BETA, RHO].map(|axis| {
             let Limits { low, high } = self.joint_limits[axis];
             [low, (low + high) / 2.0, high]
@@ -231,12 +228,10 @@ impl Rnt {
         Ok(driven)
     }
 
-    /// Motor positions for joints. Both are checked against their limits.
     fn motors(&self, joints: &[f64; AXES]) -> Result<Motors, KinematicsError> {
         self.drive_train.motors_from_joints(&self.driven(joints)?)
     }
 
-    /// Position of the wrist centre at these joints.
     fn wrist_centre(&self, joints: &[f64; AXES]) -> Vector3<f64> {
         let reach = joints[RHO] + self.parameters.wrist_offset;
         legs::central(joints[0], joints[1]) * (Vector3::z() * reach)
@@ -304,9 +299,9 @@ impl Robot for Rnt {
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
         let mut joints = self.drive_train.joints_from_motors(motors.exactly()?)?;
         let lengths = [joints[0], joints[1], joints[2]];
-        let open = |Gap { leg, residual }| KinematicsError::Open { leg, residual };
-        let closure = self.legs.close(&lengths, &self.middle()).map_err(open)?;
-        joints[..3].copy_from_slice(&closure.posture);
+        let open = |(leg, residual)| KinematicsError::Open { leg, residual };
+        let (posture, _) = self.legs.close(&lengths, &self.middle()).map_err(open)?;
+        joints[..3].copy_from_slice(&posture);
         Ok(joints)
     }
 
@@ -329,8 +324,7 @@ impl Robot for Rnt {
         for (column, axis) in turning {
             // The wrist axes meet in the flange origin and do not move it.
             if column < RHO {
-                let moved = axis.cross(&centre);
-                jacobian.fixed_view_mut::<3, 1>(0, column).copy_from(&moved);
+                jacobian.fixed_view_mut::<3, 1>(0, column).copy_from(&axis.cross(&centre));
             }
             jacobian.fixed_view_mut::<3, 1>(3, column).copy_from(&axis);
         }

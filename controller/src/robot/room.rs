@@ -25,8 +25,7 @@ impl Limits {
         let Some(value) = function(home) else {
             return self;
         };
-        let ends = [-by, by].map(|by| function(home + by));
-        let ways = ends.into_iter().flatten().map(|end| (end - value).abs());
+        let ways = [-by, by].map(|by| function(home + by)).into_iter().flatten().map(|end| (end - value).abs());
         self.with_room(value, ways.fold(0.0, f64::max))
     }
 }

@@ -111,8 +111,7 @@ impl<'a, const N: usize> Search<'a, N> {
 
     /// Takes a branch, whose limits are those of the drive train.
     pub(super) fn offer(&mut self, joints: [f64; N]) {
-        let refusal = self.drive_train.motors_from_joints(&joints).err();
-        self.take(joints, refusal);
+        self.take(joints, self.drive_train.motors_from_joints(&joints).err());
     }
 
     /// Takes a branch. A branch without a refusal is kept; of the others, the refusal of the nearest is remembered. The

@@ -49,8 +49,7 @@ impl Arm {
     /// Joint positions within all limits that bring the tool to this pose: of all solutions the nearest to `near`.
     pub fn inverse(&self, base_from_tool: &Pose, near: &Axes) -> Result<Axes, KinematicsError> {
         let base_from_flange = base_from_tool * self.flange_from_tool.inverse();
-        let solutions = self.robot.inverse(&base_from_flange, &self.given(near))?;
-        Ok(solutions.preferred().padded())
+        Ok(self.robot.inverse(&base_from_flange, &self.given(near))?.preferred().padded())
     }
 
     /// Motor positions for these joint positions. Both are checked against their limits.

@@ -58,11 +58,7 @@ impl<Space> Vector<Space> {
 impl<Space, const N: usize> From<[f64; N]> for Vector<Space> {
     fn from(values: [f64; N]) -> Self {
         const { assert!(N <= MAX_AXES) };
-        Self {
-            values: std::array::from_fn(|axis| values.get(axis).copied().unwrap_or(0.0)),
-            axes: N as u8,
-            space: PhantomData,
-        }
+        Self::new(&values).expect("N is at most MAX_AXES")
     }
 }
 

@@ -95,9 +95,9 @@ impl RunReport {
                 AxisReport {
                     name: file.axis_name(robot, number),
                     tracking_rms_rad: error.rms(),
-                    tracking_peak_rad: error.peak(),
+                    tracking_peak_rad: error.peak,
                     tracking_rms_counts: error.rms() * counts,
-                    tracking_peak_counts: error.peak() * counts,
+                    tracking_peak_counts: error.peak * counts,
                     homing_offset_counts,
                 }
             })

@@ -62,7 +62,7 @@ pub struct RobotReport {
 impl Deviation {
     /// `None` without a cycle that counts.
     fn of(error: &TrackingError) -> Option<Self> {
-        (error.samples() > 0).then(|| Self { rms: error.rms(), peak: error.peak() })
+        (error.samples > 0).then(|| Self { rms: error.rms(), peak: error.peak })
     }
 }
 
@@ -199,7 +199,7 @@ impl Track {
         RobotReport {
             name: self.name.clone(),
             subject: self.subject,
-            cycles: self.position.samples(),
+            cycles: self.position.samples,
             unsolved: self.unsolved,
             position_mm: position.filter(|_| is_tool || slides),
             orientation_deg: orientation.filter(|_| is_tool || !slides),

@@ -2,10 +2,9 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
 
 use can::Instant;
-use servo::thread::{Finished, Running};
+use servo::thread::{Finished, POWER_OFF_WAIT, Running};
 use servo::{Servo, StopRequest};
 
 /// Requests to a run, from a signal handler or another thread.
@@ -84,9 +83,6 @@ impl Drop for Over {
         self.0.store(true, Ordering::Relaxed);
     }
 }
-
-/// Longest time in the cell for the drives to report that they have no power, once they are told.
-const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
 
 /// The end of a servo in lockstep that is stopped once `over` holds: its drives are off, or did not report so in time.
 pub fn stopped_once(mut over: impl FnMut() -> bool) -> impl FnMut(&Servo, Instant) -> bool {

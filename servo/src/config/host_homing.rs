@@ -5,6 +5,8 @@ use std::time::Duration;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::refusal::{first_wrong, is_positive};
+
 /// How the servo homes an axis whose drive has an index latch but no homing of its own.
 ///
 /// The axis searches its home switch, stops, pauses and leaves the switch again slowly, in the
@@ -55,25 +57,15 @@ impl HostHoming {
     /// The first field that makes no sense.
     pub(super) fn nonsense(&self, max_velocity: f64, max_acceleration: f64) -> Option<&'static str> {
         let within = |value: f64, limit: f64| value > 0.0 && value <= limit;
-        let distance = |value: f64| value.is_finite() && value > 0.0;
-        if !within(self.search.velocity, max_velocity) {
-            Some("homing.search.velocity")
-        } else if !distance(self.search.distance) {
-            Some("homing.search.distance")
-        } else if self.search.timeout.is_zero() {
-            Some("homing.search.timeout")
-        } else if !within(self.zero.velocity, max_velocity) {
-            Some("homing.zero.velocity")
-        } else if !distance(self.zero.distance) {
-            Some("homing.zero.distance")
-        } else if self.zero.timeout.is_zero() {
-            Some("homing.zero.timeout")
-        } else if !within(self.acceleration, max_acceleration) {
-            Some("homing.acceleration")
-        } else if self.debounce == 0 {
-            Some("homing.debounce")
-        } else {
-            None
-        }
+        first_wrong([
+            (within(self.search.velocity, max_velocity), "homing.search.velocity"),
+            (is_positive(self.search.distance), "homing.search.distance"),
+            (!self.search.timeout.is_zero(), "homing.search.timeout"),
+            (within(self.zero.velocity, max_velocity), "homing.zero.velocity"),
+            (is_positive(self.zero.distance), "homing.zero.distance"),
+            (!self.zero.timeout.is_zero(), "homing.zero.timeout"),
+            (within(self.acceleration, max_acceleration), "homing.acceleration"),
+            (self.debounce > 0, "homing.debounce"),
+        ])
     }
 }

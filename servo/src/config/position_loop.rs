@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::refusal::{first_wrong, is_not_negative};
 use crate::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
 
 /// Who closes the position loop of an axis.
@@ -121,38 +122,34 @@ impl HostLoop {
             Law::Cascade(law) => law.nonsense(),
             Law::Proportional(law) => law.nonsense(),
         };
-        if field.is_some() {
-            return field;
-        }
         let FeedForward { velocity, acceleration, coulomb, stiction, stribeck_velocity, weight, constant } =
             self.feed_forward;
-        let not_negative = |value: f64| value.is_finite() && value >= 0.0;
         let [stiction, stribeck_velocity, weight] =
             [stiction, stribeck_velocity, weight].map(|given| given.unwrap_or(0.0));
-        if matches!(self.law, Law::Proportional(_)) && self.output != Output::Velocity {
-            Some("law of its loop, which leaves the velocity to a drive that has no loop for it,")
-        } else if self.output == Output::Duty && self.law.limit() > 1.0 {
-            Some("limit of its loop, a duty above 1,")
-        } else if !not_negative(velocity) {
-            Some("feed_forward.velocity")
-        } else if !not_negative(acceleration) {
-            Some("feed_forward.acceleration")
-        } else if !not_negative(coulomb) {
-            Some("feed_forward.coulomb")
-        } else if !not_negative(stiction) || stiction > 0.0 && stiction < coulomb {
-            Some("feed_forward.stiction")
-        } else if !not_negative(stribeck_velocity) || stiction > coulomb && stribeck_velocity == 0.0 {
-            Some("feed_forward.stribeck_velocity")
-        } else if !not_negative(weight) {
-            Some("feed_forward.weight")
-        } else if weight > 0.0 && self.output == Output::Velocity {
-            Some("feed_forward.weight, a torque for a drive that is sent velocities,")
-        } else if !constant.is_finite() {
-            Some("feed_forward.constant")
-        } else if !self.runaway_velocity.is_finite() || self.runaway_velocity <= max_velocity {
-            Some("runaway_velocity, not above max_velocity,")
-        } else {
-            None
-        }
+        let by_velocity = self.output == Output::Velocity;
+        let falls = stiction > coulomb;
+        let fields = [
+            (
+                !matches!(self.law, Law::Proportional(_)) || by_velocity,
+                "law of its loop, which leaves the velocity to a drive that has no loop for it,",
+            ),
+            (self.output != Output::Duty || self.law.limit() <= 1.0, "limit of its loop, a duty above 1,"),
+            (is_not_negative(velocity), "feed_forward.velocity"),
+            (is_not_negative(acceleration), "feed_forward.acceleration"),
+            (is_not_negative(coulomb), "feed_forward.coulomb"),
+            (is_not_negative(stiction) && (stiction == 0.0 || stiction >= coulomb), "feed_forward.stiction"),
+            (
+                is_not_negative(stribeck_velocity) && (!falls || stribeck_velocity > 0.0),
+                "feed_forward.stribeck_velocity",
+            ),
+            (is_not_negative(weight), "feed_forward.weight"),
+            (weight == 0.0 || !by_velocity, "feed_forward.weight, a torque for a drive that is sent velocities,"),
+            (constant.is_finite(), "feed_forward.constant"),
+            (
+                self.runaway_velocity.is_finite() && self.runaway_velocity > max_velocity,
+                "runaway_velocity, not above max_velocity,",
+            ),
+        ];
+        field.or_else(|| first_wrong(fields))
     }
 }

@@ -16,33 +16,23 @@ pub struct KeyError {
 
 /// Why a configuration is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum KeyProblem {
-    /// A number outside its range.
     #[error("is {}, must be {range}", Figure(*value))]
-    OutOfRange {
-        /// The number.
-        value: f64,
-        /// The range.
-        range: Range,
-    },
-    /// A key that means nothing where it stands.
+    OutOfRange { value: f64, range: Range },
+    /// A key that means nothing where it stands, with the reason as the rest of a sentence.
     #[error("has no effect {because}: leave it out")]
-    NoEffect {
-        /// Why, as the rest of a sentence.
-        because: &'static str,
-    },
+    NoEffect { because: &'static str },
     /// A key that contradicts or lacks another.
     #[error("{0}")]
     Conflict(&'static str),
 }
 
-/// Refuses `value` outside `range`.
 pub(crate) fn within(key: &'static str, value: f64, range: Range) -> Result<(), KeyError> {
     if range.has(value) {
         return Ok(());
     }
-    let reason = KeyProblem::OutOfRange { value, range };
-    Err(KeyError { key, reason })
+    Err(KeyError { key, reason: KeyProblem::OutOfRange { value, range } })
 }
 
 /// Refuses a key that is given where it means nothing.
@@ -50,14 +40,25 @@ pub(crate) fn no_effect(key: &'static str, given: bool, because: &'static str) -
     if !given {
         return Ok(());
     }
-    let reason = KeyProblem::NoEffect { because };
-    Err(KeyError { key, reason })
+    Err(KeyError { key, reason: KeyProblem::NoEffect { because } })
 }
 
 /// Refuses a key that contradicts or lacks another.
 pub(crate) fn conflict(key: &'static str, why: &'static str) -> Result<(), KeyError> {
-    let reason = KeyProblem::Conflict(why);
-    Err(KeyError { key, reason })
+    Err(KeyError { key, reason: KeyProblem::Conflict(why) })
+}
+
+/// The first field of a table whose condition does not hold.
+pub(crate) fn first_wrong<const N: usize>(fields: [(bool, &'static str); N]) -> Option<&'static str> {
+    fields.into_iter().find(|(is_right, _)| !is_right).map(|(_, field)| field)
+}
+
+pub(crate) const fn is_positive(value: f64) -> bool {
+    value.is_finite() && value > 0.0
+}
+
+pub(crate) const fn is_not_negative(value: f64) -> bool {
+    value.is_finite() && value >= 0.0
 }
 
 /// A number as a message shows it: 1000001, 0.25, 1e300.

@@ -5,7 +5,6 @@ use std::time::Duration;
 use drive::Homing;
 
 use super::{Effector, Tick};
-use crate::axis::ServoAxis;
 use crate::{ServoEvent, StopCause};
 
 impl Effector {
@@ -57,7 +56,6 @@ impl Effector {
 
     /// The homing order whose turn it is; `None` once all axes are homed.
     pub(super) fn homing_order(&self) -> Option<u8> {
-        let missing = self.axes.iter().filter(|axis| axis.needs_homing());
-        missing.map(|axis: &ServoAxis| axis.config.homing_order).min()
+        self.axes.iter().filter(|axis| axis.needs_homing()).map(|axis| axis.config.homing_order).min()
     }
 }

@@ -1,8 +1,7 @@
 //! Motion of an effector: macrosteps in sequence, interpolated and checked.
 
 use super::{Effector, Tick};
-use crate::interpolate::Segment;
-use crate::{Knot, MAX_AXES, Macrostep, Order, ServoEvent, ServoState, StopCause};
+use crate::{Knot, MAX_AXES, Macrostep, Order, ServoEvent, ServoState, StopCause, interpolate::Segment};
 
 impl Effector {
     /// Interpolates, starts the next macrostep at the end of each one, and brakes on an error.
@@ -58,18 +57,12 @@ impl Effector {
         let told = macrostep.torque.iter().any(|torque| *torque != 0.0);
         if told && self.state == ServoState::Standing {
             // Bumpless transfer: the torque that loops hold since homing or since a stop moves into the feed-forward.
-            let axes = self.axes.iter_mut().zip(macrostep.torque);
-            axes.for_each(|(axis, torque)| axis.hand_over(torque));
+            self.axes.iter_mut().zip(macrostep.torque).for_each(|(axis, torque)| axis.hand_over(torque));
         }
         self.apply(tick, ServoEvent::Move);
         self.macrostep = macrostep.number;
         self.counters.macrosteps += 1;
-        let mut from = [Knot::default(); MAX_AXES];
-        let mut from_torque = [0.0; MAX_AXES];
-        for (index, axis) in self.axes.iter().enumerate() {
-            from[index] = axis.knot;
-            from_torque[index] = axis.torque;
-        }
+        let (from, from_torque) = (self.each(|axis| axis.knot), self.each(|axis| axis.torque));
         Ok(Some(Segment::new(macrostep, from, from_torque, tick.dt)))
     }
 

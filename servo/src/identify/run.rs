@@ -4,8 +4,7 @@ use std::ops::RangeInclusive;
 
 use drive::{AxisCommand, Setpoint};
 
-use super::response::opened;
-use super::{Point, Response, respond};
+use super::{Point, Response, respond, response::opened};
 use crate::{Excitation, MAX_AXES, Macrostep, PositionLoop, Record, ServoAxisConfig};
 
 /// Time at constant velocity before the excitation begins, s.
@@ -154,8 +153,7 @@ impl Trace {
                     _ => None,
                 };
                 let input = records.iter().map(sent).collect::<Option<Vec<_>>>()?;
-                let law = records.iter().zip(&input);
-                let output = law.map(|(record, sent)| record.excitation - sent).collect();
+                let output = records.iter().zip(&input).map(|(record, sent)| record.excitation - sent).collect();
                 (Response::Open, input, output)
             }
         };

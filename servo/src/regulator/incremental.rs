@@ -3,7 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{is_not_negative, is_positive, share};
+use super::share;
+use crate::config::refusal::{first_wrong, is_not_negative, is_positive};
 
 /// Coefficients of `gain (b0 - b1/z) ((1 + eps) - (1 - eps)/z) / ((1 - 1/z) (1 - a/z))`, which acts on the position
 /// error in counts; they hold for one servo period.
@@ -72,21 +73,14 @@ const fn by_current(a: f64, b0: f64, b1: f64, eps: f64, gain_ma: f64, max_curren
 impl IncrementalConfig {
     /// The first field that makes no sense.
     pub(crate) fn nonsense(&self) -> Option<&'static str> {
-        if !is_not_negative(self.a) || self.a >= 1.0 {
-            Some("a of its loop")
-        } else if !is_positive(self.b0) {
-            Some("b0 of its loop")
-        } else if !is_not_negative(self.b1) {
-            Some("b1 of its loop")
-        } else if !is_not_negative(self.eps) || self.eps >= 1.0 {
-            Some("eps of its loop")
-        } else if !is_positive(self.gain) {
-            Some("gain of its loop")
-        } else if !is_positive(self.limit) {
-            Some("limit of its loop")
-        } else {
-            None
-        }
+        first_wrong([
+            (is_not_negative(self.a) && self.a < 1.0, "a of its loop"),
+            (is_positive(self.b0), "b0 of its loop"),
+            (is_not_negative(self.b1), "b1 of its loop"),
+            (is_not_negative(self.eps) && self.eps < 1.0, "eps of its loop"),
+            (is_positive(self.gain), "gain of its loop"),
+            (is_positive(self.limit), "limit of its loop"),
+        ])
     }
 }
 

@@ -3,7 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{is_not_negative, is_positive, share};
+use super::share;
+use crate::config::refusal::{first_wrong, is_not_negative, is_positive};
 
 /// Gains of `position_gain (1 + integral_rate / s)`, which acts on the position error in rad.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
@@ -23,15 +24,11 @@ pub struct ProportionalConfig {
 impl ProportionalConfig {
     /// The first field that makes no sense.
     pub(crate) fn nonsense(&self) -> Option<&'static str> {
-        if !is_positive(self.position_gain) {
-            Some("position_gain of its loop")
-        } else if !is_not_negative(self.integral_rate) {
-            Some("integral_rate of its loop")
-        } else if !is_positive(self.limit) {
-            Some("limit of its loop")
-        } else {
-            None
-        }
+        first_wrong([
+            (is_positive(self.position_gain), "position_gain of its loop"),
+            (is_not_negative(self.integral_rate), "integral_rate of its loop"),
+            (is_positive(self.limit), "limit of its loop"),
+        ])
     }
 }
 
@@ -53,13 +50,11 @@ pub struct CascadeConfig {
 impl CascadeConfig {
     /// The first field that makes no sense.
     pub(crate) fn nonsense(&self) -> Option<&'static str> {
-        if !is_positive(self.position_gain) {
-            Some("position_gain of its loop")
-        } else if !is_positive(self.velocity_gain) {
-            Some("velocity_gain of its loop")
-        } else {
-            self.velocity_loop().nonsense()
-        }
+        first_wrong([
+            (is_positive(self.position_gain), "position_gain of its loop"),
+            (is_positive(self.velocity_gain), "velocity_gain of its loop"),
+        ])
+        .or_else(|| self.velocity_loop().nonsense())
     }
 
     /// The law of the velocity loop below the proportional position loop. It acts on the velocity error in rad/s.

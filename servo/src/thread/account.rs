@@ -1,8 +1,6 @@
 //! The kernel's account of the calling thread, read in the slack of a cycle.
 
-use std::fs::File;
-use std::os::unix::fs::FileExt;
-use std::time::Duration;
+use std::{fs::File, os::unix::fs::FileExt, time::Duration};
 
 use serde::Serialize;
 
@@ -48,7 +46,6 @@ impl Account {
         account
     }
 
-    /// Drops the counts up to now.
     pub(super) fn skip(&mut self) {
         self.begin();
         self.reads.slack += 1;
@@ -107,10 +104,8 @@ fn of_last(counted: Usage, late: Duration, quiet: Duration, cycles: u32) -> Usag
     counted
 }
 
-/// The second number in `text`.
 fn parse(text: &[u8]) -> Option<Duration> {
-    let field = std::str::from_utf8(text).ok()?.split_ascii_whitespace().nth(1)?;
-    field.parse().ok().map(Duration::from_nanos)
+    std::str::from_utf8(text).ok()?.split_ascii_whitespace().nth(1)?.parse().ok().map(Duration::from_nanos)
 }
 
 #[cfg(test)]

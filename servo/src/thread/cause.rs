@@ -58,8 +58,7 @@ impl Cause {
             (spent.wake_up, Self::LateWakeUp),
             (spent.gap, Self::Host),
         ];
-        let longest = places.into_iter().max_by_key(|(time, _)| *time);
-        match longest {
+        match places.into_iter().max_by_key(|(time, _)| *time) {
             _ if preempted => Self::Preempted,
             Some((time, cause)) if time >= late / 2 => match cause {
                 Self::LateWakeUp => cause,
@@ -90,8 +89,7 @@ impl Spent {
     /// The times up to the end of a wait. The times `before` the wait count only if they left no time to sleep.
     pub fn waiting(awake: &Awake, before: Self) -> Self {
         let (gap, slept) = (awake.gap, awake.wake_up_latency());
-        let of_wait = |wake_up| Self { wake_up, ..Self::default() };
-        Self { gap, ..slept.map_or(before, of_wait) }
+        Self { gap, ..slept.map_or(before, |wake_up| Self { wake_up, ..Self::default() }) }
     }
 }
 

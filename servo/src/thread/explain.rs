@@ -36,8 +36,7 @@ impl Run {
             self.account.pass(spent.wake_up);
             return None;
         }
-        let latest = skipped.map_or(late, |(before, _)| before.max(late));
-        let counted = self.account.settle(latest);
+        let counted = self.account.settle(skipped.map_or(late, |(before, _)| before.max(late)));
         let mut worse = None;
         for (late, spent) in skipped.iter().chain(is_late.then_some(&(late, *spent))) {
             let of_cycle = LateCycle {

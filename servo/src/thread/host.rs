@@ -45,21 +45,14 @@ pub const LIMITS: &str = "/etc/security/limits.d/mrroc.conf";
 
 /// A line of [`LIMITS`], which grants a limit to the members of group realtime (limits.conf(5)). `Display` writes the
 /// line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Limit {
     /// SCHED_FIFO up to this priority.
+    #[error("@realtime - rtprio {0}")]
     Priority(u8),
     /// Locking all memory.
+    #[error("@realtime - memlock unlimited")]
     LockedMemory,
-}
-
-impl fmt::Display for Limit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Priority(priority) => write!(f, "@realtime - rtprio {priority}"),
-            Self::LockedMemory => write!(f, "@realtime - memlock unlimited"),
-        }
-    }
 }
 
 /// Instructions for granting a [`Limit`].
@@ -103,64 +96,39 @@ impl fmt::Display for DeadlineGrant {
 
 /// A request denied by the host, with instructions for granting it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
 pub enum Denial {
-    /// SCHED_FIFO.
+    /// SCHED_FIFO; `EINVAL` for a priority that does not exist.
     #[error(
         "SCHED_FIFO priority {priority} was denied (errno {errno}); {}",
         Grant(Limit::Priority(*priority))
     )]
-    Fifo {
-        /// The requested priority.
-        priority: u8,
-        /// Error of the system; `EINVAL` for a priority that does not exist.
-        errno: i32,
-    },
-    /// SCHED_DEADLINE.
+    Fifo { priority: u8, errno: i32 },
+    /// SCHED_DEADLINE; `EPERM` without CAP_SYS_NICE or with less than all CPUs, `EBUSY` if other deadline threads leave
+    /// too little time.
     #[error(
         "SCHED_DEADLINE with {runtime:?} of each {period:?} was denied (errno {errno}); {}",
         DeadlineGrant(*errno)
     )]
-    Deadline {
-        /// The requested budget.
-        runtime: Duration,
-        /// The period of the budget.
-        period: Duration,
-        /// Error of the system; `EPERM` without CAP_SYS_NICE or with less than all CPUs, `EBUSY` if other deadline
-        /// threads leave too little time.
-        errno: i32,
-    },
+    Deadline { runtime: Duration, period: Duration, errno: i32 },
     /// `mlockall`.
     #[error("locking memory was denied (errno {errno}); {}", Grant(Limit::LockedMemory))]
-    LockMemory {
-        /// Error of the system.
-        errno: i32,
-    },
+    LockMemory { errno: i32 },
     /// `sched_setaffinity`.
     #[error(
         "CPU {cpu} was denied (errno {errno}); /sys/devices/system/cpu/online and the cgroup's \
          cpuset.cpus list the ones there are"
     )]
-    Cpu {
-        /// The requested CPU.
-        cpu: usize,
-        /// Error of the system.
-        errno: i32,
-    },
+    Cpu { cpu: usize, errno: i32 },
     /// `prctl(PR_SET_TIMERSLACK)`.
     #[error("a timer slack of 1 ns was denied (errno {errno}); no privilege is needed, so a seccomp filter denies it")]
-    TimerSlack {
-        /// Error of the system.
-        errno: i32,
-    },
+    TimerSlack { errno: i32 },
     /// `/dev/cpu_dma_latency`.
     #[error(
         "a CPU latency of 0 µs was denied (errno {errno}); grant it with the udev rule \
          `KERNEL==\"cpu_dma_latency\", GROUP=\"realtime\", MODE=\"0660\"` in /etc/udev/rules.d/99-realtime.rules"
     )]
-    CpuLatency {
-        /// Error of the system.
-        errno: i32,
-    },
+    CpuLatency { errno: i32 },
 }
 
 /// Asks the host for the real-time needs of the calling thread, whose cycles take `period`; returns what it denied.

@@ -4,7 +4,6 @@ use std::time::Duration;
 
 /// One in this many observations exceeds the learnt bound.
 const RARE: u32 = 1000;
-
 /// Number of too long observations in a row that raise the bound from zero to its ceiling.
 const RISES: u32 = 32;
 
@@ -27,7 +26,6 @@ impl LearntQuantile {
         Self { value, ceiling }
     }
 
-    /// Learns from one duration.
     pub(super) fn observe(&mut self, observed: Duration) {
         let rise = (self.ceiling / RISES).max(Duration::from_nanos(1));
         self.value = if observed > self.value {
@@ -38,7 +36,6 @@ impl LearntQuantile {
         };
     }
 
-    /// The bound.
     pub(super) fn get(&self) -> Duration {
         self.value
     }

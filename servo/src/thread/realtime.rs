@@ -93,8 +93,7 @@ impl Realtime {
 
     /// Refuses numbers outside their ranges and keys that contradict each other, for a servo of this period.
     pub fn check(&self, period: Duration) -> Result<(), KeyError> {
-        let priority = Range::new(1.0, 99.0, "");
-        within("priority", f64::from(self.priority), priority)?;
+        within("priority", f64::from(self.priority), Range::new(1.0, 99.0, ""))?;
         if self.scheduler == Scheduler::Deadline && self.cpu.is_some() {
             return conflict(
                 "cpu",
@@ -103,8 +102,7 @@ impl Realtime {
             );
         }
         // The size of the kernel's sets of CPUs.
-        let cpu = Range::new(0.0, 1023.0, "");
-        within("cpu", self.cpu.unwrap_or(0) as f64, cpu)?;
+        within("cpu", self.cpu.unwrap_or(0) as f64, Range::new(0.0, 1023.0, ""))?;
         if self.wait == Wait::Plain {
             let because = "with wait = \"plain\", which does not spin";
             no_effect("spin_share", self.spin_share.is_some(), because)?;
@@ -114,9 +112,7 @@ impl Realtime {
         within("spin_share", share, Range::new(0.0, 0.5, "of a core"))?;
         let microseconds = |time: Duration| time.as_nanos() as f64 / 1e3;
         let margin = microseconds(self.margin.unwrap_or_default());
-        let of = "µs, spin_share of the period";
-        let range = Range::new(0.0, share * microseconds(period), of);
-        within("margin_us", margin, range)
+        within("margin_us", margin, Range::new(0.0, share * microseconds(period), "µs, spin_share of the period"))
     }
 }
 

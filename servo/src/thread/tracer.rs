@@ -61,20 +61,9 @@ impl Stamps {
 
     /// A wait without a following cycle.
     pub fn of_wait(cycle: u64, deadline: Instant, awake: Awake, late: Option<LateCycle>) -> Self {
-        Self {
-            cycle,
-            deadline,
-            called: awake.asked_at,
-            begun: awake.asked_at,
-            awake,
-            reading: awake.at,
-            read: awake.at,
-            computed: awake.at,
-            written: awake.at,
-            sending: awake.at,
-            done: awake.at,
-            late,
-        }
+        let [called, begun] = [awake.asked_at; 2];
+        let [reading, read, computed, written, sending, done] = [awake.at; 6];
+        Self { cycle, deadline, called, begun, awake, reading, read, computed, written, sending, done, late }
     }
 }
 
@@ -93,10 +82,6 @@ impl Spike {
     /// Lateness of the spike; zero if the recording was requested.
     pub fn lateness(&self) -> Duration {
         self.late.map_or(Duration::ZERO, |late| late.late)
-    }
-
-    fn is_free(&self) -> bool {
-        self.cycles.is_empty()
     }
 }
 
@@ -187,7 +172,7 @@ impl Tracer {
     pub fn finish(mut self) -> Vec<Spike> {
         self.freeze(|_| true);
         self.spikes.push(self.on_request);
-        self.spikes.retain(|spike| !spike.is_free());
+        self.spikes.retain(|spike| !spike.cycles.is_empty());
         self.spikes.sort_by_key(|spike| std::cmp::Reverse(spike.lateness()));
         self.spikes
     }

@@ -4,8 +4,7 @@
 //! covers the cluster only after its first late wake-up. Spin time that was not used is kept as credit, up to
 //! [`CREDIT`]. After a late wake-up the credit buys wake-ups up to half a period early for [`ALERT`] cycles.
 
-use std::hint;
-use std::time::Duration;
+use std::{hint, time::Duration};
 
 use can::Instant;
 use can::clock::{now, sleep_until};
@@ -16,7 +15,6 @@ use super::realtime::{Realtime, Wait};
 /// Fraction of the period that work and spin together may take. The kernel freezes a thread under SCHED_FIFO that
 /// takes more than 95 % of a second (`sched_rt_runtime_us`) for the rest of the second.
 pub(super) const BUSY_SHARE: f64 = 0.9;
-
 /// Greatest credit of unused spin time. Within any second, spins exceed their share by at most a twentieth.
 const CREDIT: Duration = Duration::from_millis(50);
 

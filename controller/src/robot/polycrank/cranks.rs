@@ -13,7 +13,6 @@ use crate::robot::{
 
 /// Lever that converts a turn of the forearm's plane to a distance, m.
 const LEVER: f64 = 0.5;
-
 /// Distance from folded upper cranks, m, at which the reach begins to move away from them.
 const EARLY: f64 = 0.1;
 
@@ -41,7 +40,6 @@ pub(super) struct Facing {
     pub(super) end: Vector3<f64>,
 }
 
-/// Present state of the cranks.
 pub(super) struct Stand {
     /// The forearm's reach, m.
     pub(super) reach: f64,
@@ -129,8 +127,7 @@ impl Cranks {
         let [_, (reach, height)] = forearm;
         let mut jacobian = Jacobian::zeros();
         let mut turn = |axis: usize, direction: &Vector3<f64>, lever: Vector3<f64>| {
-            let linear = direction.cross(&lever);
-            jacobian.fixed_view_mut::<3, 1>(0, axis).copy_from(&linear);
+            jacobian.fixed_view_mut::<3, 1>(0, axis).copy_from(&direction.cross(&lever));
             jacobian.fixed_view_mut::<3, 1>(3, axis).copy_from(direction);
         };
         // An offset along an axis does not move about the same axis, and is left out.

@@ -90,7 +90,7 @@ fn both_laws_follow_macrosteps() {
         let mut rig = Rig::cruising(&config);
         rig.run(300);
         let tracking = rig.servo.tracking(0).next().unwrap();
-        assert!(tracking.peak() < 0.3, "{tracking:?}");
+        assert!(tracking.peak < 0.3, "{tracking:?}");
         rig.order(Order::Disable);
         rig.run_until(Phase::Off);
         assert_eq!(rig.cause(), None);

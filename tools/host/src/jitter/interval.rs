@@ -212,7 +212,7 @@ mod tests {
 
     #[test]
     fn counts_of_the_servo_are_the_same_counts() {
-        let (mut ours, mut servos) = (counts(), servo::Histogram::new());
+        let (mut ours, mut servos) = (counts(), servo::Histogram::default());
         for nanos in (0..3_000_000).step_by(977) {
             ours.saturating_record(nanos);
             servos.record(Duration::from_nanos(nanos));
