@@ -180,10 +180,11 @@ fn jitter(options: &host::jitter::Options) -> anyhow::Result<ExitCode> {
     Ok(measurement(measured?, options.json))
 }
 
-/// Prints what a measurement gave.
+/// Prints what a measurement gave, then writes its files.
 fn measurement<R: Serialize + Display>(measured: Measured<R>, json: bool) -> ExitCode {
-    let Measured { report, complete, mut failures } = measured;
-    failures.extend(report.and_then(|report| streams::answer(&report, json).err()));
+    let Measured { report, complete, failure, write } = measured;
+    let told = report.and_then(|report| streams::answer(&report, json).err());
+    let failures: Vec<_> = failure.into_iter().chain(told).chain(write().err()).collect();
     for failure in &failures {
         streams::warn(format_args!("mrroc: {failure:#}"));
     }

@@ -25,17 +25,17 @@ const UNPACKED: &str = "target/qemu";
 /// Kinds of machine.
 #[derive(Subcommand)]
 pub(crate) enum Machine {
-    /// Run the command in user-mode Linux with vcan0. The host's files and the working directory are visible and
-    /// read-only. Files that the command writes into the directory MRROC_OUT are copied to --out. This program is on
-    /// the PATH of the command. The exit status is that of the command. A signal that ends this program ends the
-    /// machine too, with status 128 plus the number of the signal.
+    /// Run the command in user-mode Linux with vcan0. Files of the host are read-only. /tmp, /var/tmp, /run and /dev
+    /// are hidden, except the working directory and --see. Files in the directory MRROC_OUT are copied to --out. This
+    /// program is on the PATH of the command. The exit status is that of the command, or 128 plus the number of the
+    /// signal that ended this program.
     Uml(Options),
     /// Run the command in a PC with Debian's PREEMPT_RT kernel and two Kvaser CAN cards on one bus. The interfaces can0
     /// and can1 are down at first. Files are as in user-mode Linux. The machine is for functional tests; its timing is
     /// not representative.
     Qemu {
-        /// Directory of the unpacked package behind linux-image-rt-amd64. [default: target/qemu if it exists, otherwise
-        /// the installed package in /]
+        /// Unpacked package on which linux-image-rt-amd64 depends. [default: target/qemu if it exists, otherwise the
+        /// installed package in /]
         #[arg(long, value_name = "DIRECTORY")]
         kernel: Option<PathBuf>,
         #[command(flatten)]

@@ -22,14 +22,17 @@ pub struct Replacement {
     pub force: bool,
 }
 
-/// What a measurement gave. After its motion, a failure is no refusal.
+/// What a measurement gave. After a measurement or a motion, a failure is no refusal.
+#[must_use = "failures have to be told"]
 pub struct Measured<R> {
     /// `None` if the measurement was broken off.
     pub report: Option<R>,
     /// False if the measurement ended before its time.
     pub complete: bool,
-    /// Failures of the measurement or of its files.
-    pub failures: Vec<anyhow::Error>,
+    /// Failure of the measurement.
+    pub failure: Option<anyhow::Error>,
+    /// Writes the files of the measurement, which may block. The report is told before.
+    pub write: Box<dyn FnOnce() -> anyhow::Result<()>>,
 }
 
 /// The output files of a command. Before [`Self::begin`], no existing file has changed, and new files are removed on

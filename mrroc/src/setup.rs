@@ -33,6 +33,7 @@ pub fn axis_configs(file: &CellFile, bus: usize) -> Vec<AxisConfig> {
         let mut config = axis.drive_config(file.arms[robot].robot().home()[number]);
         config.identity = file.identity(robot, number);
         let first = file.configuration(robot, number).map_or_else(Vec::new, DeviceConfiguration::settings);
+        // The cell's own parameters prevail, because they are downloaded after those of the file.
         config.configuration.splice(..0, first);
         config
     };

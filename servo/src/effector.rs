@@ -295,6 +295,10 @@ impl Effector {
             return;
         }
         self.state = next;
+        // A macrostep that was cut off is never continued.
+        if next != ServoState::Moving {
+            self.segment = None;
+        }
         // A failed reset returns to its previous phase, and is reported as well.
         self.news |= next.phase() != last.phase() || last == ServoState::Resetting;
         match (last, next) {
@@ -305,7 +309,6 @@ impl Effector {
             (_, ServoState::Braking(_)) => {
                 self.begin_stop(tick);
                 self.stop_restarted = false;
-                self.segment = None;
             }
             (_, ServoState::Halting(_)) => self.halted = false,
             (_, ServoState::Enabling) if !self.stands_as_commanded() => {

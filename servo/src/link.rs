@@ -117,7 +117,7 @@ pub enum StopCause {
     /// The following error, commanded minus measured position, exceeds the limit of the cell.
     #[error("following error {error:.4} rad exceeds {limit:.4} rad")]
     FollowingError { error: f64, limit: f64 },
-    /// The motor is faster than its position loop, closed by the servo, could make it.
+    /// The motor is faster than its position loop, closed by the servo, could make it: beyond `runaway_velocity`.
     #[error("motor runs away at {velocity:.1} rad/s, beyond {limit:.1} rad/s")]
     Runaway { velocity: f64, limit: f64 },
     /// The command leads towards a closed limit switch, or the switch holds the axis back. The upper switch is at the

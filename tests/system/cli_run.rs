@@ -102,6 +102,7 @@ fn the_wall_clock_bench_completes_without_a_fault() {
     assert_eq!(report["outcome"], "completed");
     assert_eq!(report["bench"], "emulated");
     assert_eq!(report["faults"], Value::Array(Vec::new()));
+    assert_eq!(report["lost_records"], 0);
     let factor = number(&report["realtime_factor"]);
     assert!((0.9..1.1).contains(&factor), "{report}");
     let seconds = number(&report["cycle"]["cycles"]) * 0.002;

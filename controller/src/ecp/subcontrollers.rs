@@ -39,9 +39,9 @@ impl Subcontrollers {
 
 /// The meetings of a cell's effector control processes. Each meeting is held once, when all its partners have come.
 ///
-/// All partners continue in the same servo cycle. When all have come, they are admitted. The next orders of each
-/// partner are queued at its servo behind a gate. When all partners have sent these orders, the gate opens for all at
-/// once. The calling thread may lose the processor in between without effect on the result.
+/// All partners continue in the same servo cycle. When all have come, they are admitted. Each partner then sends a
+/// gate and its next orders to the servo. When all partners have sent these orders, the gate opens for all at once.
+/// A preemption of the calling thread in between does not change the result.
 #[derive(Debug)]
 pub struct Meetings {
     meetings: Vec<Meeting>,
@@ -62,13 +62,13 @@ enum Progress {
 }
 
 impl Meetings {
-    /// Meetings of partners, at most [`Gates::COUNT`]. Partners are given by the indices of their processes.
+    /// At most [`Gates::COUNT`] meetings, each a list of partners by the indices of their processes.
     pub fn new(partners: impl IntoIterator<Item = Vec<usize>>, gates: Gates) -> Self {
         let meeting = |partners| Meeting { partners, progress: Progress::Gathering };
         Self { meetings: partners.into_iter().map(meeting).collect(), gates }
     }
 
-    /// Holds the meetings whose partners have all come. The processes were polled until they returned no more events.
+    /// Advances the meetings whose partners are ready. The processes were polled until they returned no more events.
     pub(super) fn poll(&mut self, ecps: &mut [Ecp]) {
         for (meeting, number) in self.meetings.iter_mut().zip(0..) {
             let mut partners = meeting.partners.iter();

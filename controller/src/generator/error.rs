@@ -15,6 +15,9 @@ pub enum GeneratorError {
     Axes { axes: usize, max: usize },
     #[error("pose {pose}, axis {axis}: not a finite number")]
     NotFinite { pose: usize, axis: u8 },
+    /// A coordinate of a tool pose: position x, y, z or quaternion qx, qy, qz, qw.
+    #[error("{coordinate} of the target: not a finite number")]
+    TargetNotFinite { coordinate: &'static str },
     /// A limit is not positive and finite.
     #[error("axis {axis}: limit is not positive")]
     Limit { axis: u8 },
@@ -38,8 +41,8 @@ pub enum GeneratorError {
     /// The arm would have to jump, by rad or m, between two neighbouring poses of a path.
     #[error("at {s:.4} of the path: axis {axis} jumps by {by:.3} to the next pose")]
     Jump { s: f64, axis: u8, by: f64 },
-    /// The path is too close to a singularity: one axis would slow the path too much. `times` is the ratio of the axis
-    /// speed at the requested path speed to the limit of the axis.
+    /// The path is too close to a singularity: one axis would slow the path too much. `times` is the factor by which
+    /// its velocity or acceleration limit slows the path.
     #[error("at {s:.4} of the path: axis {axis} needs {times:.0} times its limit")]
     Singular { s: f64, axis: u8, times: f64 },
     /// The effector measures positions that its mechanism cannot take.

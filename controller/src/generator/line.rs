@@ -16,14 +16,14 @@ const CHECK_DISTANCE: f64 = 0.005;
 const CHECK_ANGLE: f64 = 0.01;
 /// Smallest and largest number of poses checked before the motion.
 const CHECKS: (usize, usize) = (32, 2_000);
-/// Largest motion of an axis, rad, between two neighbouring checks. A larger motion is a change of the branch.
+/// Largest motion of an axis, rad or m, between two neighbouring checks. A larger motion changes the branch.
 const JUMP: f64 = 0.35;
 /// Largest accepted factor by which one axis slows a line.
 const SLOWEST: f64 = 50.0;
 /// Half the interval of the path parameter for numerical derivatives of joint positions. The truncation error is q‴
 /// ε² / 6, about 1e-9 relative. Rounding adds a relative error of 1e-11 / ε.
 const EPSILON: f64 = 1e-5;
-/// Rounding error of differences of positions, compared with the tolerances of a planned start.
+/// Allowance for rounding errors, relative to the tolerances of a planned start.
 const ROUNDING: f64 = 1e-9;
 
 /// Limits of the tool on a line.
@@ -44,7 +44,7 @@ pub struct LineLimits {
 }
 
 impl LineLimits {
-    /// Limits of the origin and of the rotation: velocities, accelerations, jerks.
+    /// Pairs of limits, origin and rotation: velocities, accelerations, jerks.
     const fn pairs(&self) -> [[f64; 2]; 3] {
         [
             [self.max_velocity, self.max_angular_velocity],
@@ -56,10 +56,10 @@ impl LineLimits {
 
 /// Planned start of a line, and the distance within which the arm counts as standing there.
 ///
-/// Homing takes an arm to its home position except for a remainder: the braking distance behind the index pulse, and
-/// some counts. A line from there must not contain the remainder in each of its poses, and must not be refused
-/// because of the remainder. An arm of five axes reaches no pose beside its plane. Next to a singular pose the
-/// smallest remainder decides on the branch.
+/// After homing, an arm stands beside its home position by a remainder: the braking distance after the index pulse,
+/// and some counts. A path from the actual position would contain the remainder in each pose, and could be refused.
+/// An arm of five axes reaches no pose outside its plane. Near a singular pose, even a small remainder can change
+/// the branch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlannedStart {
     /// Motor positions, rad.
@@ -82,16 +82,16 @@ impl PlannedStart {
 /// An arm that stands within the tolerance of a [`PlannedStart`] follows the path from that start. Its joints begin
 /// beside the path by a remainder d, which decreases to d·(1 − s) at the path parameter s. The end is exact. With the
 /// Jacobian J, the tool deviates from the straight line through its actual start by (1 − s)·(J(s) − J(0))·d. The
-/// deviation is about d/4 times the length of the path: 6 µm for 0.25 mrad of the column and 0.1 m.
+/// maximum is about d/4 times the length of the path: 6 µm for 0.25 mrad of the column and 0.1 m.
 ///
 /// Poses of the line at most 5 mm and 10 mrad apart are checked before the motion. The checks cover reach, joint
-/// limits, and jumps between branches of the inverse kinematics. A refusal names the place and the axis. If a joint
-/// would exceed its velocity or acceleration limit, for instance near a singularity, the whole line is slowed down.
+/// limits, and jumps between branches of the inverse kinematics. A joint that would exceed its velocity or
+/// acceleration limit, for instance near a singularity, slows the whole line. A factor above 50 is refused.
 ///
 /// Poses lie on the line at the ends of macrosteps. Between the ends, motors follow cubics. The cubics deviate from
 /// the line by the fourth derivative of the joint path times macrostep⁴ / 384.
 ///
-/// The first step computes two inverse kinematics per checked pose, each next step three. No step allocates.
+/// The first step computes one inverse kinematics per checked pose, each next step three. No step allocates.
 #[derive(Debug)]
 pub struct StraightLine {
     arm: Arm,
@@ -147,7 +147,7 @@ type Rates = [f64; 3];
 pub struct LineMemory {
     /// Number of macrosteps done.
     done: u32,
-    /// Present joints, which choose the branch of the next inverse kinematics.
+    /// Last joints on the path, for the branch of the next inverse kinematics.
     joints: Axes,
 }
 
@@ -160,8 +160,9 @@ impl StraightLine {
         }
         let position = target.translation.vector.iter();
         let mut coordinates = position.chain(target.rotation.coords.iter());
-        if let Some(axis) = coordinates.position(|c| !c.is_finite()) {
-            return Err(GeneratorError::NotFinite { pose: 0, axis: axis as u8 });
+        if let Some(at) = coordinates.position(|c| !c.is_finite()) {
+            const NAMES: [&str; 7] = ["x", "y", "z", "qx", "qy", "qz", "qw"];
+            return Err(GeneratorError::TargetNotFinite { coordinate: NAMES[at] });
         }
         Ok(Self {
             arm,

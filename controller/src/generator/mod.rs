@@ -115,7 +115,7 @@ pub struct MotionLimits {
     pub max_velocity: Axes,
     /// Acceleration, rad/s², or m/s² for a linear axis.
     pub max_acceleration: Axes,
-    /// Jerk, rad/s³, or m/s³ for a linear axis. Only jerk-limited generators use this limit.
+    /// Jerk, rad/s³, or m/s³ for a linear axis. Only [`JerkLimited`] uses this limit.
     pub max_jerk: Axes,
 }
 
@@ -152,8 +152,8 @@ fn is_limit(value: f64) -> bool {
 /// The functions (5) to (8) and the terminal condition of one motion instruction.
 ///
 /// Next steps take `&self`, the old memory and one snapshot, and return a [`Next`], which the runner commits as a
-/// whole. The first step stores its plan in `self`. Next steps must not allocate or block: the servo needs each
-/// result within the periods of a macrostep that remain after the report.
+/// whole. The first step stores its plan in `self`. Next steps must not allocate or block: each result is due in
+/// the periods of the macrostep that follow the servo's report.
 pub trait Generator {
     /// Images the first step reads: sporadic feedback.
     type First: Images;

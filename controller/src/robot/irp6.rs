@@ -80,13 +80,13 @@ impl Irp6Parameters {
 
 /// The WUT IRp-6: the arm of [`ArmParameters`] with a hand axis across the roll axis.
 ///
-/// Joints: th1 th2 th3 th4 th5 th6. The first four are absolute angles, as the drives set them. The flange's z axis
+/// Joints: th1 to th6. th2 to th4 are inclinations to the horizontal, as the drives set them. The flange's z axis
 /// is the hand axis N. The flange origin is the intersection of the hand axis and the roll axis.
 ///
 /// A pose has up to eight branches. Within the limits of the real robot one branch remains, apart from whole turns of
-/// the roll, so that a pose needs no configuration flags. Where the hand axis is normal to the arm's plane (sin th5 =
-/// 0, within 1e-10), pitch and hand turn about the same line. There [`Robot::inverse`] keeps the pitch of `near`.
-/// With the flange origin on the column axis, th1 is [`KinematicsError::Singular`].
+/// the roll, so that a pose needs no configuration flags. If the hand axis is normal to the arm's plane (sin th5 =
+/// 0, within 1e-10), the pitch and hand axes are parallel. [`Robot::inverse`] then keeps the pitch of `near`. A
+/// flange origin on the column axis gives [`KinematicsError::Singular`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Irp6 {
     arm: ArmParameters,
@@ -135,7 +135,7 @@ impl Robot for Irp6 {
         Search::run(&self.drive_train, near, |search| {
             for facing in [1.0, -1.0] {
                 let (s1, c1) = (facing * origin.y / radius, facing * origin.x / radius);
-                // In the arm's plane, the approach axis points along the x axis of the pitched wrist.
+                // The approach axis, projected on the arm's plane, is parallel to the wrist's x axis.
                 let level = c1 * approach.x + s1 * approach.y;
                 let in_plane = (level * level + approach.z * approach.z).sqrt();
                 let pitches = if in_plane < PARALLEL {

@@ -7,8 +7,8 @@ use super::{Jacobian, KinematicsError};
 /// Distance of a posture from a singularity, in which the flange cannot move in some direction.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Singularity {
-    /// The axis that moves most while the flange moves least. Of axes within 10 % of the largest, the axis nearest to the
-    /// base.
+    /// The axis with the largest speed in the motion of `margin`. Among axes within 10 % of it, the axis nearest to
+    /// the base.
     pub axis: u8,
     /// Smallest singular value of the Jacobian, with lengths in m. This value is the speed of the flange in its
     /// slowest direction at joint speeds of norm 1, with m/s and rad/s taken together. Zero at a singularity.
@@ -16,11 +16,11 @@ pub struct Singularity {
 }
 
 impl Singularity {
-    /// Maximum number of sweeps of the decomposition. No matrix of this size has ever needed as many.
+    /// Maximum number of sweeps of the decomposition. Beyond it, [`KinematicsError::NotFinite`].
     const MOST_SWEEPS: usize = 200;
 
-    /// Singularity of a Jacobian whose first `axes` columns belong to a robot. For an arm of fewer than six axes,
-    /// only its own motions count.
+    /// Singularity of a robot with `axes` axes. Columns beyond them are zero. The margin is singular value
+    /// number min(`axes`, 6).
     pub fn of(jacobian: &Jacobian, axes: usize) -> Result<Self, KinematicsError> {
         let decomposed =
             jacobian.try_svd(false, true, f64::EPSILON, Self::MOST_SWEEPS).ok_or(KinematicsError::NotFinite)?;

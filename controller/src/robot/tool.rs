@@ -62,7 +62,7 @@ impl Arm {
         Ok(self.robot.joints_from_motors(&self.given(motors))?.padded())
     }
 
-    /// Motor torques at these positions, N·m, that balance the weight of links and load.
+    /// Motor torques, N·m, that balance links and load at these motor positions.
     pub fn torques(&self, motors: &Axes) -> Result<Axes, KinematicsError> {
         match &self.weight {
             None => Ok(Axes::default()),

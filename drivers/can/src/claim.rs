@@ -33,6 +33,7 @@ pub struct Claim {
 pub enum ClaimError {
     #[error(transparent)]
     Interface(#[from] OpenError),
+    /// `holder` is the process ID in the holder's own namespace; `None` if the holder has ended or hides it.
     #[error("{interface}: in use by {}", Holder(*.holder))]
     Taken { interface: InterfaceName, holder: Option<u32> },
     #[error("{interface}: cannot be claimed: errno {errno}")]

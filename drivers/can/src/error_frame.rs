@@ -1,7 +1,7 @@
-//! Error frames: what the kernel says of the bus and of the controller on it.
+//! Error frames: reports of the kernel about the bus and the CAN controller.
 //!
-//! An error frame is made by the kernel and never was on the wire. Its identifier is a set of
-//! classes, several at once being normal, and its data says more about each
+//! The kernel makes error frames; they were never on the wire. The identifier is a bit set of
+//! error classes, and the data bytes give details of each class
 //! (Linux, `include/uapi/linux/can/error.h`).
 
 use crate::{ControllerState, Frame};
@@ -10,16 +10,15 @@ const CONTROLLER: u32 = 0x004;
 const BUS_OFF: u32 = 0x040;
 const RESTARTED: u32 = 0x100;
 
-/// What a controller says of itself (`CAN_ERR_CRTL_*`), several flags at once being normal.
+/// State flags of the controller, data byte 1 (`CAN_ERR_CRTL_*`). Several may be set.
 const WARNING: u8 = 0x0C;
 const PASSIVE: u8 = 0x30;
 const ACTIVE: u8 = 0x40;
 
-/// The state of a port's controller once an error frame was seen; `None` unless the kernel made `frame` to report an
-/// error.
+/// State of a port's controller after `frame`; `None` if `frame` is not an error frame.
 ///
-/// An error frame with a state has the whole state. The state before matters only for a frame without a state. Of
-/// several statements in one frame the worst holds. Other classes are ignored; data that is not there reads as zero.
+/// The worst state in the frame holds. A frame without a state leaves the state `before`. Other classes are ignored.
+/// Missing data bytes count as zero.
 pub(crate) fn state_after(frame: &Frame, before: ControllerState) -> Option<ControllerState> {
     if !frame.is_error() {
         return None;

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 /// A point on the monotonic time line of one run.
 ///
-/// Logic takes it as an argument. On a wall-clock bench it is `CLOCK_MONOTONIC`; in lockstep it
+/// Functions take the time as an argument. A wall-clock bench reads `CLOCK_MONOTONIC`. Lockstep
 /// starts at [`Instant::ZERO`] and advances by whole periods, which makes runs repeatable.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Instant(u64);

@@ -14,7 +14,7 @@ use crate::{NodeId, cob, frame};
 pub struct Heartbeat {
     /// The sender.
     pub node: NodeId,
-    /// The NMT state of the sender.
+    /// The NMT state of the sender. For an answer to node guarding, read [`Self::guarded`].
     pub state: NmtState,
 }
 

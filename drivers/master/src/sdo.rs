@@ -43,7 +43,7 @@ pub const CAPACITY: usize = 256;
 /// [Block transfer](canopen::sdo::block) sends up to 127 frames for one answer. [`Client::poll_transmit`] returns one frame
 /// per call. A caller with a short transmit queue takes as many frames as the queue holds, and continues when they are sent.
 /// * The client falls back to an ordinary transfer if the server refuses block transfer (0x0504_0001). It uses an ordinary
-///   transfer for up to 28 bytes, where block transfer needs no fewer frames.
+///   transfer for up to 28 bytes, where block transfer saves at most a frame.
 /// * The receiver of the data recovers lost segments. It acknowledges the segments that came in order, and the others are
 ///   sent again. If the end of a sub-block is missing, the acknowledgement follows after `timeout`.
 /// * As receiver, the client halves the size of its sub-blocks at each loss, since a queue on the way may be too short.

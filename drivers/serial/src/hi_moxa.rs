@@ -27,8 +27,8 @@ const SET_PARAMETER: u8 = 0x0F;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[expect(missing_docs, reason = "the variants document their fields")]
 pub enum Request {
-    /// The set-point of a cycle: pulse width, -1000 to 1000; current, mA; or position. `latch_index`: the next index
-    /// pulse zeroes the position counter.
+    /// The set-point of a cycle, by `mode`: pulse width, -1000 to 1000; current, mA; or position. `latch_index`: the next
+    /// index pulse zeroes the position counter.
     Drive { mode: Mode, value: i16, latch_index: bool },
     /// Sets a parameter.
     Set(Parameter),

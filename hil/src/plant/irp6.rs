@@ -33,8 +33,8 @@ const ARM_WUT: (f64, f64) = (1.5e-4, 0.02);
 const WRIST_WUT: (f64, f64) = (1.5e-5, 2e-4);
 
 /// The motor of the column without a load. The maximum voltage is that of the control cards on their supply of 48 V
-/// (public code: pulse widths up to 190 of 255). Friction, winding and brake are nominal, the other values are from
-/// public code.
+/// (public code: pulse widths up to 190 of 255). Friction, winding and brake are nominal; home, travel and gravity
+/// are placeholders; the other values are from public code.
 pub(super) const COLUMN: MotorData = MotorData {
     home: 0.0,
     travel: None,

@@ -152,11 +152,11 @@ impl Peer {
 
 /// Progress of a measurement.
 pub struct Progress {
-    /// Number of turns that have ended.
+    /// Number of rounds that have ended, without the warm-up.
     pub turn: u32,
-    /// Number of turns of the whole measurement.
+    /// Number of rounds of the whole measurement.
     pub turns: u32,
-    /// The results of the turn under way.
+    /// Results so far of the side whose turn it is.
     pub results: String,
 }
 
@@ -334,21 +334,25 @@ pub fn jitter(options: &Options, show: &dyn Fn(Progress)) -> anyhow::Result<Meas
         cell.as_ref().map_or(&ours.causes, |cell| &cell.late),
         cell.as_ref().map(MeasuredCell::report),
     );
-    let written = match (files, failed) {
-        (_, Some(error)) => Err(error).context("ours.hlog cannot be written"),
-        (None, None) => Ok(()),
-        (Some(files), None) => {
-            let beside = options.against.map(|against| (against.name(), &peers));
-            let chart = chart::chart(&said, ("mrroc", &ledger), beside);
-            let chart = chart.context("jitter.svg cannot be drawn");
-            chart.and_then(|chart| files.write(&ledger.total, &peers.total, &chart))
-        }
+    let beside = options.against.map(|against| (against.name(), &peers));
+    let chart = files.as_ref().map(|_| chart::chart(&said, ("mrroc", &ledger), beside));
+    let (ours_total, peers_total) = (ledger.total.clone(), peers.total.clone());
+    let (thread, late) = match cell {
+        None => ("jitter", ours.spikes.finish()),
+        Some(cell) => ("servo", cell.spikes),
     };
-    let written = written.and(spikes.map_or(Ok(()), |file| match cell {
-        None => spikes::write(file, "jitter", ours.spikes.finish()),
-        Some(cell) => spikes::write(file, "servo", cell.spikes),
-    }));
-    Ok(Measured { report: Some(report), complete: !ended_early, failures: written.err().into_iter().collect() })
+    let write = move || {
+        let written = match (files.zip(chart), failed) {
+            (_, Some(error)) => Err(error).context("ours.hlog cannot be written"),
+            (None, None) => Ok(()),
+            (Some((files, chart)), None) => {
+                let chart = chart.context("jitter.svg cannot be drawn");
+                chart.and_then(|chart| files.write(&ours_total, &peers_total, &chart))
+            }
+        };
+        written.and(spikes.map_or(Ok(()), |file| spikes::write(file, thread, late)))
+    };
+    Ok(Measured { report: Some(report), complete: !ended_early, failure: None, write: Box::new(write) })
 }
 
 /// Time that a hypervisor took from all processors since the boot, ms.

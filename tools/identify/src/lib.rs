@@ -195,12 +195,14 @@ pub fn identify(options: &Options) -> anyhow::Result<Measured<IdentifyReport>> {
     let (report, failure) = match report {
         Err(Unmeasured::Refused(why)) => return Err(why.context(name)),
         Err(Unmeasured::Stopped(why)) => (None, Some(anyhow!("{name}: {why}"))),
-        Ok(report) => {
-            let written = files.map_or(Ok(()), |files| write(files, &report));
-            (Some(report), written.err())
-        }
+        Ok(report) => (Some(report), None),
     };
-    Ok(Measured { complete: report.is_some(), report, failures: failure.into_iter().collect() })
+    let texts = report.as_ref().map(|report| (bode::chart(report), report.csv()));
+    let write = move || match files.zip(texts) {
+        None => Ok(()),
+        Some((files, (chart, table))) => write(files, &chart.context("bode.svg")?, &table),
+    };
+    Ok(Measured { complete: report.is_some(), report, failure, write: Box::new(write) })
 }
 
 /// Reason why there is no measurement.
@@ -217,12 +219,9 @@ fn open(outputs: &mut Outputs, directory: &Path) -> anyhow::Result<[File; 2]> {
     Ok([open("bode.svg")?, open("bode.csv")?])
 }
 
-fn write([mut chart, mut table]: [File; 2], report: &IdentifyReport) -> anyhow::Result<()> {
-    let drawn = bode::chart(report).context("bode.svg")?;
-    let written = chart.write_all(drawn.as_bytes());
-    written.context("bode.svg cannot be written")?;
-    let written = table.write_all(report.csv().as_bytes());
-    written.context("bode.csv cannot be written")
+fn write([mut bode, mut csv]: [File; 2], chart: &str, table: &str) -> anyhow::Result<()> {
+    bode.write_all(chart.as_bytes()).context("bode.svg cannot be written")?;
+    csv.write_all(table.as_bytes()).context("bode.csv cannot be written")
 }
 
 /// Number of cycles in one period of the excitation, in whole macrosteps.

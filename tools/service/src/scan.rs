@@ -21,7 +21,7 @@ use super::talk::Conversation;
 use super::value::Type;
 use super::{BusArgs, Channel, Drive, words};
 
-/// Minimum time to listen for heartbeats. A stopped node shows itself by its heartbeat only.
+/// Minimum time to listen for heartbeats, the only sign of a node in NMT state stopped.
 const LISTEN: Duration = Duration::from_secs(1);
 
 /// Maximum time to wait for a heartbeat that a node has announced in object 0x1017.
@@ -217,7 +217,7 @@ impl Questions for Identity {
 #[derive(Debug, Default, Serialize, PartialEq, Eq)]
 pub(super) struct Node {
     node: u8,
-    /// Whether the node answered an SDO request. A node that did not was found by its heartbeat.
+    /// Whether the node answered an SDO request; otherwise only its heartbeat was received.
     answers_sdo: bool,
     device_type: Option<u32>,
     profile: Option<String>,

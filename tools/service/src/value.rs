@@ -6,7 +6,7 @@ use clap::ValueEnum;
 use serde::Serialize;
 use thiserror::Error;
 
-/// The data types of CiA 301 in which a value is given or shown.
+/// The types of a value: data types of CiA 301, and plain bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Type {
     /// BOOLEAN.
@@ -47,8 +47,8 @@ pub(super) enum ValueError {
     Real(String),
     #[error("{0:?} are no bytes: two hexadecimal digits each, such as 7f00")]
     Bytes(String),
-    /// A character that VISIBLE_STRING does not allow.
-    #[error("{0:?} has other characters than those of ASCII")]
+    /// A character outside ASCII.
+    #[error("{0:?} has a character outside ASCII")]
     Text(String),
 }
 
@@ -74,7 +74,7 @@ impl Type {
         value.map_or_else(String::new, |value| value.get_name().to_owned())
     }
 
-    /// Converts `text` to bytes in the order of transmission. A hexadecimal number is the bit pattern of a signed type.
+    /// Converts `text` to bytes in the order of transmission. For a signed type, 0x… may be the bit pattern.
     pub(super) fn encode(self, text: &str) -> Result<Vec<u8>, ValueError> {
         match self {
             Self::String if text.is_ascii() => Ok(text.as_bytes().to_owned()),
@@ -184,7 +184,7 @@ pub(super) struct Shown {
 }
 
 impl Shown {
-    /// Without a type, a value of 1, 2, 4 or 8 bytes is a number. A value of printable characters only is text.
+    /// Without a type, 1, 2, 4 or 8 bytes are a number. Four or more bytes are also text if they are printable.
     ///
     /// `is_signed` says whether an object without a type is known to hold a signed number.
     pub(super) fn of(data: &[u8], ty: Option<Type>, is_signed: bool) -> Self {

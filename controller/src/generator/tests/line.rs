@@ -203,5 +203,5 @@ fn lines_with_senseless_limits_are_refused() {
     let still = LineLimits { max_velocity: 0.0, ..LIMITS };
     assert_eq!(new(Pose::identity(), still), Err(GeneratorError::PathLimit));
     let nowhere = Pose::translation(0.0, f64::NAN, 0.0);
-    assert_eq!(new(nowhere, LIMITS), Err(GeneratorError::NotFinite { pose: 0, axis: 1 }));
+    assert_eq!(new(nowhere, LIMITS), Err(GeneratorError::TargetNotFinite { coordinate: "y" }));
 }

@@ -44,13 +44,20 @@ pub(super) struct NodeBringUp {
     unwatched: bool,
 }
 
-/// A booting node was sent the reset at `since`. Its boot-up message or an answer to object 0x1000 is awaited.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
-    Booting { since: Instant, booted: bool, asked: bool },
+    /// The node was sent the reset at `since`. Its boot-up message or an answer to object 0x1000 is awaited.
+    Booting {
+        since: Instant,
+        booted: bool,
+        asked: bool,
+    },
     Configuring(Progress),
     Configured,
-    Starting { since: Instant },
+    /// The node was sent the NMT start at `since`.
+    Starting {
+        since: Instant,
+    },
     Operational,
 }
 
@@ -60,6 +67,7 @@ struct Progress {
     reading_back: bool,
     /// The request of this step is under way.
     asked: bool,
+    /// Begin of this step.
     since: Instant,
 }
 

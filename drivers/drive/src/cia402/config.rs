@@ -64,8 +64,8 @@ pub struct AxisConfig {
     pub following_error: f64,
     /// Deceleration of a quick stop, rad/s² (object 0x6085).
     pub quick_stop_deceleration: f64,
-    /// The objects of the device configuration file and of the cell, downloaded in order before the settings of this
-    /// driver. None of them may be [`reserved`](super::reserved).
+    /// The objects of the device configuration file, then those of the cell, which prevail. They are downloaded in order
+    /// before the settings of this driver. None of them may be [`reserved`](super::reserved).
     pub configuration: Vec<Setting>,
 }
 
@@ -230,7 +230,7 @@ impl GroupConfig {
     }
 }
 
-/// Quantities of an axis in the drive's units: increments, rpm and rpm/s.
+/// Quantities of an axis in the drive's units: the following error in increments, speeds in rpm, accelerations in rpm/s.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct DriveUnits {
     pub(super) following_error: u32,
@@ -250,8 +250,8 @@ impl AxisConfig {
             }
         }
         let mut settings = self.configuration.iter();
-        let long = settings.find(|setting| setting.data.len() > CAPACITY);
-        long.map_or(Ok(()), |long| Err(refusal(long.object, "256 bytes at most are transferred")))
+        let other = settings.find(|setting| !(1..=CAPACITY).contains(&setting.data.len()));
+        other.map_or(Ok(()), |other| Err(refusal(other.object, "1 to 256 bytes are transferred")))
     }
 
     pub(super) fn drive_units(&self) -> Result<DriveUnits, ConfigError> {

@@ -47,7 +47,8 @@ impl Recording {
     }
 
     /// A port that delivers the frames of the drives at their times, and its other end, at which the frames of the
-    /// group arrive. The port has room for twice the frames of the recording.
+    /// group arrive. The port has room for twice the frames of the recording and
+    /// refuses further ones. Keep the other end: without it, the port is gone.
     pub fn port(&self) -> (VirtualPort, VirtualPeer) {
         let (port, mut peer) = virtual_port(2 * self.frames.len());
         let drives = |received: &&Received| !is_from_host(&received.frame, self.host_node);

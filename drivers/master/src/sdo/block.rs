@@ -7,8 +7,8 @@ use canopen::cob;
 use canopen::sdo::block::{Acknowledge, End, MAX_BLOCK_SIZE, Request, Response, SEGMENT, Segment, checksum};
 use canopen::sdo::{self, AbortCode};
 
-/// Objects of up to this size take no more frames as an ordinary transfer, bytes: m segments are
-/// 2 + 2 m frames there, 6 + m frames of block transfer here.
+/// Objects up to this size, bytes, use ordinary transfer: 2 + 2 m frames for m segments. A block
+/// upload takes 6 + m frames, a block download 5 + m.
 pub(super) const THRESHOLD: usize = 4 * SEGMENT;
 
 /// The regimes of a block transfer.
@@ -36,11 +36,11 @@ pub(super) struct Receiving {
     crc: bool,
     announced: Option<usize>,
     block_size: u8,
-    /// The last that came in order.
+    /// Last segment in order, or 0.
     in_order: u8,
-    /// The highest that came at all.
+    /// Highest segment received.
     highest: u8,
-    /// Sub-blocks in a row of which nothing came in order.
+    /// Successive sub-blocks without a segment in order.
     stalls: u8,
 }
 
@@ -49,13 +49,13 @@ pub(super) struct Receiving {
 pub(super) struct Sending {
     /// Whether the server checks the checksum.
     crc: bool,
-    /// Segments of this sub-block, unless the data end before.
+    /// Maximum number of segments of this sub-block.
     block_size: u8,
-    /// Where in the data it begins: all before is acknowledged.
+    /// Byte offset of its start. Earlier bytes are acknowledged.
     from: usize,
-    /// Segments of it that were sent.
+    /// Number of segments sent.
     sent: u8,
-    /// Acknowledgements in a row of nothing.
+    /// Successive acknowledgements of nothing.
     stalls: u8,
 }
 
@@ -79,7 +79,7 @@ impl Client {
         self.send(sdo::Request::Block(request), now);
     }
 
-    /// Takes a frame in the course of a block transfer.
+    /// Handles a frame during a block transfer.
     ///
     /// Frames of other transfers and unknown specifiers are ignored: after a restart, segments of the abandoned
     /// sub-block may still arrive.
@@ -105,8 +105,8 @@ impl Client {
         }
     }
 
-    /// Falls back to segmented transfer if the server refuses block transfer. Repeats the request if the server
-    /// missed an abort and took the request for a segment of the abandoned sub-block.
+    /// Falls back to ordinary transfer if the server refuses block transfer. Repeats a request that the server
+    /// took for a segment after a missed abort. Any other abort fails the transfer.
     fn aborted(&mut self, state: BlockState, code: AbortCode, now: Instant) {
         match (state, code) {
             (BlockState::UploadInitiated, AbortCode::COMMAND_SPECIFIER) => {
@@ -168,7 +168,7 @@ impl Client {
 
     fn block_segment_received(&mut self, mut receiving: Receiving, segment: Segment, now: Instant) {
         let sequence = segment.sequence();
-        // After a late acknowledgement the rest of the sub-block before may still come.
+        // After a late acknowledgement, segments of the last sub-block may arrive.
         if sequence > receiving.block_size {
             return;
         }
@@ -196,7 +196,7 @@ impl Client {
         }
     }
 
-    /// The end of a sub-block arrived, and perhaps the end of the data.
+    /// Acknowledges a sub-block; `complete` if the data also end.
     fn sub_block_received(&mut self, mut receiving: Receiving, complete: bool, now: Instant) {
         if receiving.in_order > 0 {
             receiving.stalls = 0;
@@ -212,9 +212,9 @@ impl Client {
         }
     }
 
-    /// Acknowledges the received segments of a sub-block whose end is missing. The server must still be in that
-    /// sub-block for certain, and the checksum must reveal the contrary. Since the size halves each time, and a
-    /// sub-block of one segment that came is complete, this happens no more than seven times.
+    /// Acknowledges the received segments of a sub-block whose end is missing. A segment in order shows that the
+    /// server is in this sub-block, and a checksum detects the contrary. Without both, returns false. The block size
+    /// halves each time, down to one segment, so this happens at most seven times.
     pub(super) fn acknowledge_overdue(&mut self, receiving: Receiving, now: Instant) -> bool {
         let recovers = receiving.crc && receiving.in_order > 0;
         if recovers {
@@ -249,7 +249,7 @@ impl Client {
         }
     }
 
-    /// Gets a sub-block ready to be sent, segment by segment.
+    /// Starts a sub-block. A size outside 1 ..= 127 fails.
     fn send_sub_block(&mut self, sending: Sending, now: Instant) {
         let block_size = sending.block_size;
         if (1..=MAX_BLOCK_SIZE).contains(&block_size) {
@@ -279,9 +279,9 @@ impl Client {
         Some(segment.encode(cob::sdo_request(self.node)))
     }
 
-    /// The server has what it says of a sub-block: goes on behind that.
+    /// Continues the download after the last acknowledged segment.
     ///
-    /// It may say so before the sub-block is complete, if it saw a gap.
+    /// After a gap, the server may acknowledge an incomplete sub-block.
     fn sub_block_acknowledged(&mut self, sending: Sending, acknowledge: Acknowledge, now: Instant) {
         let (sequence, sent) = (acknowledge.sequence, sending.sent);
         let from = sending.from + SEGMENT * usize::from(sequence);

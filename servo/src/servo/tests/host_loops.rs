@@ -177,6 +177,30 @@ fn lost_feedback_takes_power_at_once_and_a_nan_does_too() {
 }
 
 #[test]
+fn a_macrostep_cut_off_by_a_lost_loop_is_not_continued_after_the_reset() {
+    for config in laws(1) {
+        let mut rig = Rig::cruising(&config);
+        rig.run(5);
+        rig.world().axes[0].frozen = Some(f64::NAN);
+        rig.run_until(Phase::Faulted);
+        rig.world().axes[0].frozen = None;
+        rig.order(Order::ResetFault);
+        rig.run_until(Phase::Off);
+        // The motor has come to rest without power.
+        rig.world().axes[0].spin = 0.0;
+        rig.order(Order::Enable);
+        rig.run_until(Phase::Standing);
+        rig.run(200);
+        rig.reports();
+        let here = rig.world().axes[0].state.position;
+        rig.order(Order::Move(macrostep(900, 10, here, 0.0)));
+        rig.run(30);
+        assert_eq!((rig.cause(), rig.phase()), (None, Phase::Standing));
+        assert_eq!(rig.reports().last().map(|report| report.macrostep), Some(900));
+    }
+}
+
+#[test]
 fn a_missed_deadline_is_no_runaway() {
     let mut config = scripted::host_config(1);
     change(&mut config.effectors[0].axes[0], |host| {

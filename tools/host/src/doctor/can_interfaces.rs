@@ -52,7 +52,7 @@ pub(super) fn findings(
             (None, Some(kind)) => format!("present, {kind} without a device"),
             (None, None) => "present, without a device".to_owned(),
         },
-        "the drives of the bus are reached through it and no other",
+        "only this interface connects to the drives of the bus",
     );
     let wrong = |read: &str, mend: String| {
         let absent = Finding { read: read.to_owned(), ..presence.clone() };
@@ -71,13 +71,13 @@ pub(super) fn findings(
         Err(OpenError::Absent(_)) => {
             let present = present(tree);
             let others = if present.is_empty() {
-                "no CAN interface is".to_owned()
+                "there is none".to_owned()
             } else {
                 format!("there are {}", present.join(", "))
             };
             return wrong(
                 &format!("not there; {others}"),
-                "plug the card in, load its driver and look into dmesg; or bus.interface in the cell".to_owned(),
+                "plug the card in, load its driver, read dmesg; or correct bus.interface in the cell".to_owned(),
             );
         }
         Err(error) => return wrong(&error.to_string(), "bus.interface in the cell".to_owned()),
@@ -115,7 +115,7 @@ pub(super) fn findings(
                 &wanted.of,
                 "bit rate",
                 "unknown: there is no command ip, or it failed",
-                "bit rate, error counters and restart time are told through it",
+                "`ip` reads bit rate, error counters and restart time",
             )
             .judged(Verdict::Warning, "apt-get install iproute2"),
         ),
@@ -151,7 +151,7 @@ fn frame_order(tree: &Tree, of: &str, driver: Option<&str>) -> Option<Finding> {
     Some(finding.judged(Verdict::Warning.when(!ordered), "a kernel of 6.6 or later, such as that of Debian 13"))
 }
 
-/// Sets a bit rate, bit/s, and a sample point, as a share of the bit time.
+/// Fix of the bit rate, bit/s, and the sample point, part of the bit time.
 fn fix_timing(name: &str, bitrate: u32, point: Option<f64>) -> Fix {
     let point = point.map_or(String::new(), |point| format!(" {point:.3}"));
     Knob::BitTiming(name.to_owned()).to(format!("{bitrate}{point}"))
@@ -209,10 +209,10 @@ fn errors(of: &str, up: bool, link: &Link) -> Option<Finding> {
             "{state}, {counted}; error-passive {} times, bus-off {} times, restarted {} times",
             statistics.error_passive, statistics.bus_off, statistics.restarts
         ),
-        "errors on an idle bus are wiring: both ends terminated with 120 Ω, one bit rate, another node that is \
-         switched on and acknowledges",
+        "causes of errors on an idle bus: a missing terminator of 120 Ω, two bit rates, or no other node that \
+         acknowledges",
     );
-    let cabling = "the cable, its two terminators, and the drives' supply; then `ip link set` down and up";
+    let cabling = "check cable, terminators and supply of the drives; then `ip link set` down and up";
     let counting = counters.is_some_and(|counters| counters.tx > 0 || counters.rx > 0);
     let verdict = match state {
         "BUS-OFF" | "STOPPED" | "SLEEPING" => Verdict::NotUsable,
@@ -224,7 +224,7 @@ fn errors(of: &str, up: bool, link: &Link) -> Option<Finding> {
 
 fn restart(wanted: &Wanted, link: &Link, set: impl Fn(&str) -> String) -> Finding {
     let after = link.info.controller.restart_ms;
-    let why = "after bus-off the card stays silent until it is restarted; 0 leaves that to a person";
+    let why = "after bus-off the card is silent until a restart; with 0 only a person restarts it";
     Finding::new(&wanted.of, "restart-ms", after.to_string(), why)
         .judged(Verdict::Warning.when(after == 0), set("restart-ms 100"))
         .fixed_by([Knob::RestartMs(wanted.interface.clone()).to("100")])
@@ -243,8 +243,8 @@ fn queue(tree: &Tree, wanted: &Wanted, link: Option<&Link>, virtual_bus: bool) -
         &wanted.of,
         "txqueuelen",
         format!("{told}; a cycle queues up to {}", wanted.send_queue),
-        "a queue that one cycle fills throws frames away; one of more than some hundred holds set-points that are \
-         long out of date",
+        "a queue that the frames of one cycle fill drops frames; a queue of more than 1000 frames holds stale \
+         set-points",
     );
     let unqueued = discipline == "noqueue" || (virtual_bus && discipline.is_empty());
     let needed = i64::try_from(wanted.send_queue).unwrap_or(i64::MAX);
@@ -278,7 +278,7 @@ fn interrupt(tree: &Tree, wanted: &Wanted) -> Option<Finding> {
         &wanted.of,
         "interrupt",
         format!("{} on CPU {}", numbers.join(", "), cpus.join(", ")),
-        "interrupts on the servo's CPU delay its cycle, unless they are the only ones there on purpose",
+        "interrupts on the servo's CPU delay its cycle, unless all listed are pinned to it",
     );
     let delays = wanted.servo_cpu.is_some_and(|servo| {
         let mut lists = cpus.iter().map(|list| cpu_list(list));

@@ -103,7 +103,7 @@ impl Knob {
             (Self::File(path), value) => return tree.replace(path, value).with_context(|| path.clone()),
             (Self::Kernel(path), Some(value)) => return tree.set(path, value).with_context(|| path.clone()),
             (Self::BitTiming(interface), Some(value)) => {
-                let (bitrate, point) = timing(value).context("no bit rate")?;
+                let (bitrate, point) = timing(value).context("no bit timing")?;
                 // Sample point in tenths of a percent, below 1000.
                 let point = point.map(|point| (point * 1000.0).round() as u32);
                 let timing = Some((bitrate, point));

@@ -78,7 +78,8 @@ fn a_drive_that_forgets_a_setting_does_not_come_up() {
 fn settings_that_must_not_or_cannot_be_written_are_refused_before_a_frame() {
     let table = [
         (setting(0x6040, 0, &[0x0F, 0]), "it commands the drive"),
-        (setting(0x2100, 0, &[0; 257]), "256 bytes at most are transferred"),
+        (setting(0x2100, 0, &[0; 257]), "1 to 256 bytes are transferred"),
+        (setting(0x2100, 0, &[]), "1 to 256 bytes are transferred"),
     ];
     for (setting, why) in table {
         let error = ConfigError::Setting { node: 2, object: setting.object, why };
