@@ -36,15 +36,6 @@ fn the_pages_and_figures_of_the_robots_are_what_the_parameters_give() {
 }
 
 #[test]
-fn the_book_names_every_robot_that_the_program_knows() {
-    let commands = std::fs::read_to_string(root().join("book/src/commands.md")).unwrap();
-    let (_, section) = commands.split_once("\n`--robot` is ").unwrap();
-    let (list, _) = section.split_once(". With `--cell`").unwrap();
-    let told: Vec<_> = list.split('`').skip(1).step_by(2).collect();
-    assert_eq!(told, Model::ALL.map(Model::name));
-}
-
-#[test]
 fn a_data_sheet_of_nothing_is_refused() {
     refused(&mrroc(["datasheet", "--robot", "nosuch"]), &["only irb6"]);
 }

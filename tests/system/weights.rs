@@ -178,7 +178,7 @@ fn payloads_that_nobody_can_carry_are_refused_with_the_line() {
         ("irp6-track", 0, payload(-1.0, 1.0, 0.0), "robot[0].emulated_payload[0].at_s"),
         ("irp6-track", 0, payload(1.0, -1.0, 0.0), "robot[0].emulated_payload[0].mass"),
         ("irp6-track", 0, payload(1.0, 1.0, 20.0), "robot[0].emulated_payload[0].centre[2]"),
-        ("lab", 5, payload(1.0, 1.0, 0.0), "conveyor, whose emulation carries nothing"),
+        ("lab", 5, payload(1.0, 1.0, 0.0), "whose emulated axes carry no common load"),
     ];
     for (example, robot, payload, needle) in cases {
         let directory = Directory::new();

@@ -152,8 +152,8 @@ pub trait Robot: fmt::Debug + Send + Sync {
         Singularity::of(&self.jacobian(joints)?, self.axes())
     }
 
-    /// The links of a serial arm from base to flange, for description files and figures; none if the robot is no
-    /// serial chain. The last link's frame is the flange. The product of the links, each [placed](Link::placed), equals
+    /// The links of a serial arm from base to flange, one per axis, for description files and figures; none if the robot
+    /// is no such chain. The last link's frame is the flange. The product of the links, each [placed](Link::placed), equals
     /// [`forward`](Self::forward).
     fn links(&self) -> Vec<Link> {
         Vec::new()

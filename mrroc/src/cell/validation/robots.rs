@@ -81,7 +81,7 @@ fn check_payloads(payloads: &Path, robot: &Robot) -> Checked {
     for (number, payload) in robot.emulated_payload.iter().enumerate() {
         let path = payloads.then(number);
         if robot.model.parameters().mechanism().is_none() {
-            let why = "is of a gripper or conveyor, whose emulation carries nothing: leave it out";
+            let why = "is of a robot whose emulated axes carry no common load: leave it out";
             return refused(payloads, number, why);
         }
         if let Some(axis) = robot.axis.iter().find(|it| it.emulator.plant == Plant::Wut) {
