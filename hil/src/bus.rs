@@ -165,7 +165,10 @@ impl VirtualBus {
         let Some((sender, head)) = strongest else {
             return;
         };
-        let bits = bits_on_wire(&head.frame);
+        let bits = match sender {
+            End::Host(at) => self.hosts[at].bits_of_sent(),
+            End::Device(_) => bits_on_wire(&head.frame),
+        };
         if bits == 0 {
             // An error frame is a report of the host's controller and is not transmitted.
             self.remove(sender);

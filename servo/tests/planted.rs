@@ -166,7 +166,8 @@ impl DriveGroup for Delaying {
     }
 }
 
-/// Memory with a page fault at the first touch of every page.
+/// Memory with a page fault at the first touch of every page. The pages are in memory already, so that no fault waits
+/// for a new page.
 struct Pages(usize);
 
 impl Pages {
@@ -174,18 +175,18 @@ impl Pages {
 
     #[expect(unsafe_code, reason = "pages are the kernel's")]
     fn new() -> Self {
-        // SAFETY: a new mapping, which no other code uses.
+        // SAFETY: a new mapping, which no other code uses. Its pages exist and are no longer mapped.
         let start = unsafe {
             let start = libc::mmap(
                 std::ptr::null_mut(),
                 Self::BYTES,
                 libc::PROT_READ | libc::PROT_WRITE,
-                libc::MAP_PRIVATE | libc::MAP_ANONYMOUS,
+                libc::MAP_SHARED | libc::MAP_ANONYMOUS | libc::MAP_POPULATE,
                 -1,
                 0,
             );
             assert_ne!(start, libc::MAP_FAILED);
-            libc::madvise(start, Self::BYTES, libc::MADV_NOHUGEPAGE);
+            assert_eq!(libc::madvise(start, Self::BYTES, libc::MADV_DONTNEED), 0);
             start
         };
         Self(start as usize)

@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use rtrb::{Consumer, Producer, RingBuffer};
 
 use crate::error_frame::state_after;
+use crate::timing::bits_on_wire;
 use crate::{ControllerState, Counters, Frame, Instant, Port, PortError, Received};
 
 /// Both ends of a virtual port, with room for `capacity` frames each way.
@@ -36,16 +37,16 @@ pub fn virtual_port(capacity: usize) -> (VirtualPort, VirtualPeer) {
 /// Once the bus's end was dropped, sending is [`PortError::Gone`], and so is receiving as soon as the
 /// queue is empty.
 pub struct VirtualPort {
-    to_bus: Producer<Received>,
-    received: Consumer<Delivered>,
+    to_bus: Producer<Counted>,
+    received: Consumer<Counted>,
     dropped: Arc<AtomicU64>,
     counters: Counters,
     state: ControllerState,
 }
 
-/// A frame and its bits on the wire, which the bus has counted already.
+/// A frame and its number of bits on the wire, which are counted once.
 #[derive(Clone, Copy)]
-struct Delivered {
+struct Counted {
     received: Received,
     bits: u32,
 }
@@ -56,9 +57,16 @@ impl Port for VirtualPort {
             self.counters.refused += frames.len() as u64;
             return Err(PortError::Gone);
         }
-        let mut push = |&frame: &Frame| self.to_bus.push(Received { frame, at: now }).is_ok();
-        let taken = frames.iter().take_while(|frame| push(frame)).count();
-        self.counters.count_sent(&frames[..taken]);
+        let mut taken = 0;
+        for &frame in frames {
+            let bits = bits_on_wire(&frame);
+            if self.to_bus.push(Counted { received: Received { frame, at: now }, bits }).is_err() {
+                break;
+            }
+            taken += 1;
+            self.counters.bits += u64::from(bits);
+        }
+        self.counters.sent += taken as u64;
         self.counters.refused += (frames.len() - taken) as u64;
         Ok(taken)
     }
@@ -68,7 +76,7 @@ impl Port for VirtualPort {
         let gone = self.received.is_abandoned();
         let mut count = 0;
         while count < into.len() {
-            let Ok(&Delivered { received, bits }) = self.received.peek() else {
+            let Ok(&Counted { received, bits }) = self.received.peek() else {
                 if gone && count == 0 {
                     return Err(PortError::Gone);
                 }
@@ -104,8 +112,8 @@ impl Port for VirtualPort {
 ///
 /// Frames are taken in the order of sending and delivered in the order of their times.
 pub struct VirtualPeer {
-    sent: Consumer<Received>,
-    to_host: Producer<Delivered>,
+    sent: Consumer<Counted>,
+    to_host: Producer<Counted>,
     dropped: Arc<AtomicU64>,
 }
 
@@ -113,13 +121,18 @@ impl VirtualPeer {
     /// The oldest frame of the host and the time of its transmission request. The frame stays in the queue, as in a
     /// card's mailbox, and takes part in arbitration until it is taken.
     pub fn peek_sent(&self) -> Option<&Received> {
-        self.sent.peek().ok()
+        self.sent.peek().ok().map(|counted| &counted.received)
+    }
+
+    /// Number of bits on the wire of the oldest frame of the host; 0 without a frame.
+    pub fn bits_of_sent(&self) -> u32 {
+        self.sent.peek().map_or(0, |counted| counted.bits)
     }
 
     /// Takes the oldest frame the host sent, with the time at which it was handed over, and so makes
     /// room for another.
     pub fn take_sent(&mut self) -> Option<Received> {
-        self.sent.pop().ok()
+        self.sent.pop().ok().map(|counted| counted.received)
     }
 
     /// Hands a frame to the host, who sees it once its clock reaches `received.at`. It took `bits` on the wire
@@ -128,10 +141,8 @@ impl VirtualPeer {
     /// `false` if the host's queue is full: the frame is lost and shows in [`Counters::dropped`].
     /// Times must not decrease: a frame holds back those delivered after it. Error frames reach the
     /// host's counters and state, as from the kernel.
-    ///
-    /// [`bits_on_wire`]: crate::timing::bits_on_wire
     pub fn deliver(&mut self, received: Received, bits: u32) -> bool {
-        let delivered = self.to_host.push(Delivered { received, bits }).is_ok();
+        let delivered = self.to_host.push(Counted { received, bits }).is_ok();
         if !delivered {
             self.dropped.fetch_add(1, Ordering::Relaxed);
         }
@@ -143,7 +154,6 @@ impl VirtualPeer {
 mod tests {
     use super::*;
     use crate::StandardId;
-    use crate::timing::bits_on_wire;
 
     fn frame(id: u16) -> Frame {
         Frame::new(StandardId::new(id).unwrap(), &[]).unwrap()

@@ -341,13 +341,12 @@ impl Epos4 {
             self.consumers.poll_timeout(),
             self.boots_at,
             self.heartbeat_at,
-            self.answer.map(|(at, _)| at),
+            self.answer.as_ref().map(|(at, _)| *at),
             self.block_at,
             self.server.poll_timeout(),
             self.pdos.poll_timeout(),
-            Some(self.next_control()),
         ];
-        self.wake_at = timers.into_iter().flatten().min();
+        self.wake_at = Some(timers.iter().flatten().fold(self.next_control(), |first, at| first.min(*at)));
     }
 }
 
