@@ -303,6 +303,18 @@ impl Drop for Directory {
     }
 }
 
+/// Names of the example cells, in the order of the alphabet.
+pub(crate) fn examples() -> Vec<String> {
+    let files = fs::read_dir(root().join("cells")).expect("the example cells are in the tree");
+    let name = |file: std::io::Result<fs::DirEntry>| {
+        let file = file.expect("the folder can be read").file_name().into_string().expect("names are UTF-8");
+        file.strip_suffix(".toml").map(str::to_owned)
+    };
+    let mut names: Vec<_> = files.filter_map(name).collect();
+    names.sort();
+    names
+}
+
 /// The text of an example cell.
 pub(crate) fn text(example_cell: &str) -> String {
     fs::read_to_string(example(example_cell)).expect("example cells are there")

@@ -10,22 +10,22 @@ use servo::regulator::{IRP6, IRP6_DUTY, IncrementalConfig};
 
 use super::verdict::DCF;
 use crate::host_closed::closed_by_host;
-use crate::mrroc::{shorten, text};
+use crate::mrroc::{examples, shorten, text};
 
-/// The cells that are altered.
+/// Examples of which every variant has further keys.
+const WITH_KEYS: [&str; 3] = ["irb6", "irb6-serial", "irb6-hi-moxa"];
+
+/// The cells that are altered: examples with further keys, and all other examples.
 pub(super) fn all() -> Vec<String> {
-    vec![
+    let with_keys = [
         written("irb6", on_can),
         written("irb6", by_torque),
-        written("irp6", |_| {}),
-        written("irp6-track", |_| {}),
         written("irb6-serial", on_lines),
         written("irb6-hi-moxa", other_law),
-        written("rnt", |_| {}),
-        written("polycrank", |_| {}),
         written("lab", two_that_meet),
-        written("lab", |_| {}),
-    ]
+    ];
+    let others = examples().into_iter().filter(|name| !WITH_KEYS.contains(&name.as_str()));
+    with_keys.into_iter().chain(others.map(|name| written(&name, |_| {}))).collect()
 }
 
 /// An example cell with a short program, changed by `change`, as text.
