@@ -60,11 +60,12 @@ extern "C" fn oversleep(_: libc::c_int) {
     sleep_until(Instant::from_nanos(ASLEEP_UNTIL.load(Ordering::Relaxed)));
 }
 
-/// Makes threads oversleep on request.
+/// Makes threads oversleep on request. Other work of the host delays no request where SCHED_FIFO is permitted.
 #[expect(unsafe_code, reason = "signals are the system's")]
 fn stopper(orders: Receiver<HoldUp>) {
     // SAFETY: the handler reads an atomic number and the clock, and sleeps.
     unsafe { libc::signal(libc::SIGUSR2, oversleep as *const () as libc::sighandler_t) };
+    let _ = thread::set_fifo(90);
     for (thread, from, to) in orders {
         ASLEEP_UNTIL.store(to.as_nanos(), Ordering::Relaxed);
         sleep_until(from);
