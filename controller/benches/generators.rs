@@ -5,7 +5,6 @@ use std::hint::black_box;
 use std::sync::Arc;
 use std::time::Duration;
 
-use can::Instant;
 use criterion::{Criterion, criterion_group, criterion_main};
 use mrroc_controller::generator::{
     Axes, AxesState, EffectorImage, EffectorState, Generator, JerkLimited, LineLimits, MotionLimits, Newsmooth, Next,
@@ -19,7 +18,7 @@ const START: Axes = [0.2, -FRAC_PI_2, 0.1, 0.2, 1.2, 0.3, 0.0, 0.0];
 fn image(arm: &Arm) -> EffectorImage {
     let joints = AxesState::at_rest(START);
     let state = EffectorState { motors: joints, joints, pose: arm.forward(&START).expect("the arm stands there") };
-    EffectorImage { at: Instant::ZERO, macrostep: 0, measured: state, commanded: state }
+    EffectorImage::standing(state)
 }
 
 /// Measures the first step and the next steps separately, each repeatedly.

@@ -9,7 +9,8 @@ use std::time::Duration;
 use can::Instant;
 use mrroc_controller::ecp::{Ecp, EcpConfig, Task};
 use mrroc_controller::generator::{
-    Axes, Generator, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Pose, SmoothPose, StraightLine,
+    Axes, Generator, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Pace, Pose, SmoothPose,
+    StraightLine,
 };
 use mrroc_controller::robot::{
     Arm, Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Mass, Polycrank,
@@ -54,35 +55,25 @@ const START: Axes = [0.2, -FRAC_PI_2, 0.1, 0.2, 1.2, 0.3, 0.0, 0.0];
 
 /// Runs one generator to its end, with a servo that follows every command exactly. Counts the allocations of the
 /// planning poll, and those of all other polls.
-fn allocations<G>(generator: Result<G, GeneratorError>) -> (u64, u64)
-where
-    G: Generator + Send + 'static,
-    G::Memory: Send,
-{
+fn allocations(generator: Result<impl Generator, GeneratorError>) -> (u64, u64) {
     let motors = arm().motors(&START).expect("the arm stands there");
     let (orders, mut servo_orders) = rtrb::RingBuffer::new(16);
     let (mut servo_reports, reports) = rtrb::RingBuffer::new(16);
     let config = EcpConfig {
         period: Duration::from_millis(2),
-        steps: 10,
-        report_at: 8,
+        pace: Pace { periods: 10, read_at: 8 },
         macrosteps_ahead: 4,
         silence: Duration::from_millis(500),
         switching: Duration::from_secs(5),
         homing: Duration::from_secs(120),
         meeting: Duration::from_secs(600),
     };
-    let mut ecp = Ecp::new(arm(), EffectorLink { orders, reports }, config);
-    let mut report = ServoReport {
-        at: Instant::ZERO,
-        phase: Phase::Standing,
-        homed: true,
-        macrostep: 0,
-        commanded: motors,
-        measured: motors,
-        velocity: [0.0; 8],
-        fault: None,
-    };
+    let (mut publisher, latest) = servo::latest();
+    let mut ecp = Ecp::new(arm(), EffectorLink { orders, reports, latest }, config);
+    let mut report = ServoReport { reached: true, ..ServoReport::default() };
+    (report.snapshot.phase, report.snapshot.homed, report.snapshot.axes) = (Phase::Standing, true, 6);
+    (report.snapshot.commanded, report.snapshot.measured) = (motors, motors);
+    publisher.publish(&report.snapshot);
     servo_reports.push(report).expect("there is room");
     ecp.poll(Instant::ZERO);
     ecp.execute(Task::new().run(generator.expect("it can be made"))).expect("nothing is under way");
@@ -94,14 +85,14 @@ where
     for _ in 0..100_000 {
         now += Duration::from_millis(20);
         while let Ok(Order::Move(macrostep)) = servo_orders.pop() {
-            report.macrostep = macrostep.number;
-            report.measured = macrostep.position;
-            report.commanded = macrostep.position;
+            report.snapshot.macrostep = macrostep.number;
+            report.snapshot.measured = macrostep.position;
+            report.snapshot.commanded = macrostep.position;
             servo_reports.push(report).expect("the ECP reads reports");
         }
         if let Some(event) = ecp.poll(now) {
             assert_eq!(event.outcome, Ok(()));
-            assert!(report.macrostep > 10, "it did move");
+            assert!(report.snapshot.macrostep > 10, "it did move");
             return (planned - before, ALLOCATIONS.get() - planned);
         }
     }

@@ -66,7 +66,7 @@ pub mod prelude {
     pub use controller::ecp::Task;
     pub use controller::generator::{
         AxesState, EffectorImage, Generator, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Next,
-        Pose, Setpoint, SmoothPose, StraightLine, Wait,
+        Pace, Pose, Setpoint, SmoothPose, StraightLine, Wait,
     };
 
     pub use crate::bench::BenchKind;

@@ -200,6 +200,7 @@ impl DriveGroup for IdealDrives {
             let on = !matches!(axis.latched, AxisCommand::Off | AxisCommand::ResetFault);
             *state = AxisState {
                 at: self.now,
+                sampled: self.now,
                 position: axis.position,
                 power: if on { Power::On } else { Power::Off },
                 homing: Homing::Attained,

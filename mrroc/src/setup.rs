@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use can::Port;
 use controller::ecp::{Ecp, EcpConfig, Meetings, Subcontrollers, Task};
+use controller::generator::Pace;
 use controller::robot::Limits;
 use drive::cia402::{AxisConfig, Cia402Group, CyclicMode};
 use drive::{DriveGroup, axis_controller::AxisControllerGroup};
@@ -162,8 +163,7 @@ fn ecp_config(file: &CellFile, robot: usize) -> EcpConfig {
     let cell = &file.cell;
     EcpConfig {
         period: cell.period(),
-        steps: cell.macrostep,
-        report_at: cell.macrostep.saturating_sub(2).max(1),
+        pace: Pace { periods: cell.macrostep, read_at: cell.macrostep.saturating_sub(2).max(1) },
         macrosteps_ahead: MACROSTEPS_AHEAD,
         silence: Duration::from_secs(10),
         switching: ENABLING * 2,

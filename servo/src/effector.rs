@@ -9,8 +9,8 @@ use can::Instant;
 use drive::{AxisCommand, AxisState, Power};
 
 use crate::{
-    After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, MAX_AXES, Order, Record, ServoAxisConfig,
-    ServoEvent, ServoFault, ServoReport, ServoState, StopCause, StraightStop,
+    After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, MAX_AXES, Order, Publisher, Record,
+    ServoAxisConfig, ServoEvent, ServoFault, ServoReport, ServoState, Snapshot, StopCause, StraightStop, latest,
 };
 use crate::{axis::ServoAxis, interpolate::Segment, servo::OpenGates};
 
@@ -53,6 +53,7 @@ pub(crate) struct Effector {
     /// Number of orders at the front of the queue that were checked and are neither stop nor disable.
     scanned: usize,
     reports: rtrb::Producer<ServoReport>,
+    latest: Publisher,
     pub(crate) state: ServoState,
     /// Time at which `state` was entered.
     since: Instant,
@@ -77,6 +78,7 @@ impl Effector {
         let (order_sender, orders) = rtrb::RingBuffer::new(config.queue);
         // One report per macrostep, plus the few changes of phase that one order can cause.
         let (reports, report_receiver) = rtrb::RingBuffer::new(config.queue + 16);
+        let (publisher, latest) = latest();
         let stops = config.axes.iter().map(ServoAxisConfig::stopping_time);
         let effector = Self {
             index,
@@ -86,6 +88,7 @@ impl Effector {
             orders,
             scanned: 0,
             reports,
+            latest: publisher,
             state: ServoState::Off,
             since: Instant::ZERO,
             fault: None,
@@ -98,7 +101,7 @@ impl Effector {
             stopping_time: Duration::try_from_secs_f64(stops.fold(0.0, f64::max)).unwrap_or(Duration::MAX),
             counters: Counters::default(),
         };
-        (effector, EffectorLink { orders: order_sender, reports: report_receiver })
+        (effector, EffectorLink { orders: order_sender, reports: report_receiver, latest })
     }
 
     /// Duration of the slowest stop, including the wait for standstill.
@@ -130,8 +133,12 @@ impl Effector {
             self.command(tick);
         }
         let due = self.state == ServoState::Moving && self.segment.as_ref().is_some_and(Segment::is_at_report);
+        let snapshot = self.snapshot(tick);
+        self.latest.publish(&snapshot);
         if due || self.news {
-            self.report(tick);
+            let reached = self.state != ServoState::Moving || self.segment.as_ref().is_none_or(Segment::has_reported);
+            let report = ServoReport { snapshot, reached, fault: self.fault };
+            self.counters.dropped_reports += u64::from(self.reports.push(report).is_err());
         }
     }
 
@@ -455,18 +462,22 @@ impl Effector {
         std::array::from_fn(|axis| self.axes.get(axis).map(&value).unwrap_or_default())
     }
 
-    fn report(&mut self, tick: &Tick) {
-        let report = ServoReport {
+    fn snapshot(&self, tick: &Tick) -> Snapshot {
+        Snapshot {
+            cycle: tick.number,
             at: tick.now,
             phase: self.state.phase(),
             homed: self.axes.iter().all(ServoAxis::is_homed),
             macrostep: self.macrostep,
+            axes: self.axes.len() as u8,
             commanded: self.each(|axis| axis.knot.position),
             measured: self.each(|axis| axis.state.position),
             velocity: self.each(|axis| axis.state.velocity),
-            fault: self.fault,
-        };
-        self.counters.dropped_reports += u64::from(self.reports.push(report).is_err());
+            torque: self.each(|axis| axis.state.torque),
+            switches: self.each(|axis| axis.state.switches),
+            sampled: self.each(|axis| axis.state.sampled),
+            age: self.each(|axis| axis.state.age),
+        }
     }
 
     pub(crate) fn record(&self, tick: &Tick) -> Record {

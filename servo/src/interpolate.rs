@@ -72,6 +72,11 @@ impl Segment {
         self.done >= self.macrostep.steps
     }
 
+    /// Whether `report_at` periods have passed.
+    pub(crate) fn has_reported(&self) -> bool {
+        self.done >= self.macrostep.report_at
+    }
+
     pub(crate) fn is_at_report(&self) -> bool {
         self.done == self.macrostep.report_at
     }

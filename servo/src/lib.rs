@@ -24,6 +24,7 @@ mod histogram;
 mod host_loop;
 pub mod identify;
 mod interpolate;
+mod latest;
 mod limit;
 mod link;
 pub mod lockstep;
@@ -39,6 +40,7 @@ mod statistics;
 pub mod thread;
 mod timing;
 
+pub use ::drive::Switches;
 pub use brake::StraightStop;
 pub use config::{
     Direction, EffectorConfig, FeedForward, Figure, HomingLeg, HostHoming, HostLoop, KeyError, KeyProblem, Law,
@@ -47,6 +49,7 @@ pub use config::{
 pub use excitation::{Excitation, ExcitationError, most as greatest_excitation};
 pub use histogram::Histogram;
 pub use interpolate::{Knot, hermite};
+pub use latest::{Latest, Publisher, Snapshot, latest};
 pub use link::{EffectorLink, MAX_AXES, Macrostep, Order, Phase, ServoFault, ServoReport, StopCause};
 pub use recorder::{AxisRecord, Record};
 pub use search::HomingFailure;

@@ -2,10 +2,9 @@
 
 use std::time::Duration;
 
-use can::Instant;
 use thiserror::Error;
 
-use crate::HomingFailure;
+use crate::{HomingFailure, Latest, Snapshot};
 
 /// Greatest number of axes of one effector.
 pub const MAX_AXES: usize = 8;
@@ -75,24 +74,20 @@ pub enum Phase {
     Faulted,
 }
 
+impl Phase {
+    /// All phases.
+    pub const ALL: [Self; 7] =
+        [Self::Off, Self::Enabling, Self::Homing, Self::Standing, Self::Moving, Self::Stopping, Self::Faulted];
+}
+
 /// Report from the servo to the controller. The servo reports every change of phase, every order except a macrostep,
 /// and `report_at` of a macrostep. An effector sends at most one report per cycle.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ServoReport {
-    /// Time of the cycle.
-    pub at: Instant,
-    /// Phase of the effector.
-    pub phase: Phase,
-    /// Whether every axis is homed.
-    pub homed: bool,
-    /// Number of the macrostep that the report belongs to, or of the last one begun; 0 before the first.
-    pub macrostep: u64,
-    /// Motor positions commanded in this cycle, rad.
-    pub commanded: [f64; MAX_AXES],
-    /// Measured motor positions, rad: the effect of the commands of two cycles before.
-    pub measured: [f64; MAX_AXES],
-    /// Motor velocities measured, rad/s.
-    pub velocity: [f64; MAX_AXES],
+    /// State of the effector in the cycle of the report.
+    pub snapshot: Snapshot,
+    /// Whether the macrostep of the snapshot is executed up to its `report_at`, or is over.
+    pub reached: bool,
     /// The fault that stopped the effector, if any.
     pub fault: Option<ServoFault>,
 }
@@ -159,12 +154,14 @@ pub enum StopCause {
     Overrun { missed: u32 },
 }
 
-/// The controller's end of the link to one effector: orders to the servo and reports from it. Both queues are
-/// wait-free and bounded.
+/// The controller's end of the link to one effector: orders to the servo, reports from it and its latest state. Both
+/// queues are wait-free and bounded.
 #[derive(Debug)]
 pub struct EffectorLink {
     /// Orders to the servo. A full queue means that the controller is ahead; send again later.
     pub orders: rtrb::Producer<Order>,
     /// Reports from the servo. The servo drops and counts reports that do not fit.
     pub reports: rtrb::Consumer<ServoReport>,
+    /// State of the effector in the last cycle.
+    pub latest: Latest,
 }

@@ -13,6 +13,7 @@ use can::timing::Bitrate;
 use can::{Frame, Instant, Port, TraceReader, Tracer, VirtualPort};
 use canopen::NodeId;
 use controller::ecp::{Ecp, EcpConfig};
+use controller::generator::Pace;
 use controller::robot::Arm;
 use drive::axis_controller::AxisControllerGroup;
 use drive::cia402::Cia402Group;
@@ -506,8 +507,7 @@ impl Rig {
         let link = self.link.take().expect("no program runs yet");
         let config = EcpConfig {
             period: self.period,
-            steps: self.cell.macrostep,
-            report_at: self.cell.macrostep - 2,
+            pace: Pace { periods: self.cell.macrostep, read_at: self.cell.macrostep - 2 },
             macrosteps_ahead: MACROSTEPS_AHEAD,
             silence: Duration::from_millis(500),
             switching: Duration::from_secs(5),

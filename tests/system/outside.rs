@@ -3,6 +3,7 @@
 use std::fs;
 use std::process::Command;
 
+use crate::bench::turn;
 use crate::mrroc::{Directory, example_program, root};
 
 #[test]
@@ -30,6 +31,29 @@ fn the_example_generator_swings_out_and_comes_back_to_where_it_began() {
     let farthest = commanded.iter().map(|it| (it - first).abs()).fold(0.0, f64::max);
     // 0.5 rad of the joint, by a gear of 158.
     assert!((70.0..90.0).contains(&farthest), "{farthest}");
+}
+
+/// A macrostep of one period leaves the controller less than a period for its answer. By the clock a host that delays the
+/// controller for longer starves the motion, and the servo then brakes: such a run is repeated.
+#[test]
+fn a_generator_with_feedback_in_every_period_runs_in_lockstep_and_by_the_clock() {
+    let run = |bench| {
+        let mut run = Command::new(example_program("feedback"));
+        run.args(["--bench", bench]).current_dir(root()).output().unwrap()
+    };
+    let lockstep = run("lockstep");
+    assert!(lockstep.status.success(), "{lockstep:?}");
+    let _turn = turn();
+    for _ in 0..5 {
+        let by_the_clock = run("emulated");
+        if by_the_clock.status.success() {
+            return;
+        }
+        let said = String::from_utf8_lossy(&by_the_clock.stderr).into_owned();
+        let said = said + &String::from_utf8_lossy(&by_the_clock.stdout);
+        assert!(said.contains("no macrostep in time"), "{said}");
+    }
+    panic!("the controller was late in five runs");
 }
 
 #[test]

@@ -1,7 +1,9 @@
 //! Image of an effector in its control process: state of the motors, state of the joints and pose of the tool.
 
-use can::Instant;
-use servo::ServoReport;
+use std::array;
+use std::time::Duration;
+
+use servo::Snapshot;
 
 use crate::generator::{Axes, AxesState, EffectorImage, EffectorState, GeneratorError, ImageSource, Pose, Setpoint};
 use crate::robot::{Arm, KinematicsError};
@@ -13,23 +15,15 @@ const STEP: f64 = 1e-4;
 #[derive(Debug)]
 pub(super) struct Effector {
     pub(super) arm: Arm,
-    pub(super) at: Instant,
-    pub(super) macrostep: u64,
-    /// Motor positions and velocities measured, from the last report.
-    pub(super) measured: AxesState,
+    /// The measured state: of the last report while a generator runs, otherwise the latest.
+    pub(super) measured: Snapshot,
     /// Motor positions and velocities at the end of the last macrostep made.
     pub(super) commanded: AxesState,
 }
 
 impl Effector {
     pub(super) fn new(arm: Arm) -> Self {
-        Self { arm, at: Instant::ZERO, macrostep: 0, measured: AxesState::default(), commanded: AxesState::default() }
-    }
-
-    pub(super) fn measure(&mut self, report: &ServoReport) {
-        self.at = report.at;
-        self.macrostep = report.macrostep;
-        self.measured = AxesState { position: report.measured, velocity: report.velocity };
+        Self { arm, measured: Snapshot::default(), commanded: AxesState::default() }
     }
 
     fn state(&self, motors: &AxesState) -> Result<EffectorState, KinematicsError> {
@@ -71,14 +65,28 @@ impl Effector {
     }
 }
 
+impl Effector {
+    /// The image of a measured and a commanded state.
+    pub(super) fn image(&self, measured: &Snapshot, commanded: &AxesState) -> Result<EffectorImage, GeneratorError> {
+        let &Snapshot { at, macrostep, torque, switches, sampled, .. } = measured;
+        let axes = usize::from(measured.axes);
+        let motors = AxesState { position: measured.measured, velocity: measured.velocity };
+        Ok(EffectorImage {
+            at: sampled[..axes].iter().copied().min().unwrap_or(at),
+            read_at: at,
+            age: array::from_fn(|axis| if axis < axes { at.since(sampled[axis]) } else { Duration::ZERO }),
+            macrostep,
+            measured: self.state(&motors).map_err(GeneratorError::Image)?,
+            torque,
+            switches,
+            commanded: self.state(commanded).map_err(GeneratorError::Image)?,
+        })
+    }
+}
+
 impl ImageSource for Effector {
     fn effector(&self) -> Result<EffectorImage, GeneratorError> {
-        Ok(EffectorImage {
-            at: self.at,
-            macrostep: self.macrostep,
-            measured: self.state(&self.measured).map_err(GeneratorError::Image)?,
-            commanded: self.state(&self.commanded).map_err(GeneratorError::Image)?,
-        })
+        self.image(&self.measured, &self.commanded)
     }
 }
 
@@ -107,7 +115,7 @@ fn difference(
         return Ok(Axes::default());
     }
     let dt = STEP / speed;
-    let over = |from: &Axes, to: &Axes, dt: f64| std::array::from_fn(|axis| (to[axis] - from[axis]) / dt);
+    let over = |from: &Axes, to: &Axes, dt: f64| array::from_fn(|axis| (to[axis] - from[axis]) / dt);
     match (at(-dt), at(dt)) {
         (Ok(behind), Ok(ahead)) => Ok(over(&behind, &ahead, 2.0 * dt)),
         (Err(_), Ok(ahead)) => Ok(over(value, &ahead, dt)),
@@ -117,5 +125,5 @@ fn difference(
 }
 
 fn moved(position: &Axes, velocity: &Axes, t: f64) -> Axes {
-    std::array::from_fn(|axis| position[axis] + velocity[axis] * t)
+    array::from_fn(|axis| position[axis] + velocity[axis] * t)
 }

@@ -26,9 +26,9 @@ mod tests;
 use std::{collections::VecDeque, time::Duration};
 
 use can::Instant;
-use servo::{EffectorLink, Macrostep, Order, Phase, ServoReport};
+use servo::{EffectorLink, Macrostep, Order, Phase, ServoReport, Snapshot};
 
-use crate::generator::{Axes, AxesState, Execution, Setpoint, Step};
+use crate::generator::{AxesState, EffectorImage, Execution, GeneratorError, Pace, Setpoint, Step};
 use crate::robot::Arm;
 
 pub use error::EcpError;
@@ -42,11 +42,8 @@ pub use task::Task;
 pub struct EcpConfig {
     /// Servo period.
     pub period: Duration,
-    /// Periods per macrostep, at least 1.
-    pub steps: u16,
-    /// Period of the macrostep after which the servo reports, 1 ..= `steps`. A generator that reads images must compute
-    /// the next macrostep in the remaining periods.
-    pub report_at: u16,
+    /// The macrostep, unless a generator chooses another.
+    pub pace: Pace,
     /// Number of macrosteps, at least 1, that may be sent ahead of the last reported macrostep if the generator's next
     /// steps read no images. Other generators compute each macrostep from the report of the previous macrostep. The
     /// servo's order queue must hold more orders than this. Otherwise a stop may have to wait for room in the queue.
@@ -59,13 +56,6 @@ pub struct EcpConfig {
     pub homing: Duration,
     /// Time limit of the wait for the partners of a meeting.
     pub meeting: Duration,
-}
-
-impl EcpConfig {
-    /// Duration of a macrostep.
-    pub fn macrostep(&self) -> Duration {
-        self.period * u32::from(self.steps)
-    }
 }
 
 /// The end of an instruction.
@@ -129,8 +119,10 @@ pub struct Ecp {
     outbox: VecDeque<Order>,
     /// Number of the last macrostep made.
     sent: u64,
-    /// Number of the last macrostep reported.
+    /// Number of the last macrostep executed up to the period in which its images are read.
     executed: u64,
+    /// The macrostep of this motion.
+    pace: Pace,
     /// Number of the last macrostep before this motion.
     base: u64,
     /// Time of the last report or accepted order.
@@ -151,6 +143,7 @@ impl Ecp {
             outbox: VecDeque::with_capacity(usize::from(config.macrosteps_ahead.max(1)) + 1),
             sent: 0,
             executed: 0,
+            pace: config.pace,
             base: 0,
             heard: Instant::ZERO,
         }
@@ -207,9 +200,17 @@ impl Ecp {
         self.meeting() != Some(meeting) && self.outbox.is_empty()
     }
 
-    /// Commanded motor positions in the last report, rad; `None` before any report.
-    pub fn commanded(&self) -> Option<Axes> {
-        self.report.map(|report| report.commanded)
+    /// State of the effector in the last servo cycle.
+    pub fn latest(&self) -> Snapshot {
+        self.link.latest.read()
+    }
+
+    /// Image of the effector in the last servo cycle, in every phase, also with the drives off. Joints and pose are
+    /// meaningful after homing. Fails if the effector measures positions that its mechanism cannot take.
+    #[doc(alias = "get_position")]
+    pub fn image(&self) -> Result<EffectorImage, GeneratorError> {
+        let latest = self.latest();
+        self.effector.image(&latest, &AxesState::at_rest(latest.commanded))
     }
 
     /// Receives the servo's reports, performs the actions due at `now`, and returns the end of an instruction, if
@@ -221,8 +222,11 @@ impl Ecp {
     pub fn poll(&mut self, now: Instant) -> Option<EcpEvent> {
         while let Ok(report) = self.link.reports.pop() {
             self.heard = now;
-            self.executed = report.macrostep;
-            self.effector.measure(&report);
+            // A change of phase may be reported before the images of its macrostep are due.
+            if report.reached {
+                self.executed = report.snapshot.macrostep;
+                self.effector.measured = report.snapshot;
+            }
             self.report = Some(report);
         }
         if matches!(self.activity, Activity::Idle) {
@@ -238,11 +242,11 @@ impl Ecp {
     }
 
     fn phase(&self) -> Phase {
-        self.report.map_or(Phase::Off, |report| report.phase)
+        self.report.map_or(Phase::Off, |report| report.snapshot.phase)
     }
 
     fn homed(&self) -> bool {
-        self.report.is_some_and(|report| report.homed)
+        self.report.is_some_and(|report| report.snapshot.homed)
     }
 
     /// The fault of the last report, or `consequence` if there is none.
@@ -320,12 +324,18 @@ impl Ecp {
     }
 
     fn begin_run(&mut self, mut run: Box<dyn Execution + Send>) -> Option<Result<(), EcpError>> {
-        let report = self.report?;
-        self.effector.commanded = AxesState::at_rest(report.commanded);
+        // The last report may be old: an effector at rest sends none.
+        let latest = self.latest();
+        self.effector.measured = latest;
+        self.effector.commanded = AxesState::at_rest(latest.commanded);
         // Numbers of macrosteps that the servo dropped at a stop are not used again.
-        self.sent = self.sent.max(report.macrostep);
+        self.sent = self.sent.max(latest.macrostep);
         self.base = self.sent;
-        let first = run.first_step(&self.effector, self.config.macrostep());
+        self.pace = match run.pace(self.config.pace) {
+            Ok(pace) => pace,
+            Err(error) => return Some(Err(EcpError::Generator { step: 0, error })),
+        };
+        let first = run.first_step(&self.effector, self.macrostep());
         self.activity = Activity::Running(run);
         match first {
             Ok(Step::Ended) => Some(Ok(())),
@@ -377,7 +387,7 @@ impl Ecp {
                 let waited = now.since(since);
                 // A standstill from before the stop does not count: the servo may still start an earlier order. Two
                 // macrosteps are enough, because the servo takes orders each period and reports each change.
-                let settled = waited > self.config.macrostep() * 2;
+                let settled = waited > self.macrostep() * 2;
                 if settled && matches!(phase, Phase::Standing | Phase::Off) {
                     Some(outcome)
                 } else {
@@ -392,7 +402,7 @@ impl Ecp {
         let waited = now.since(self.heard);
         if !matches!(phase, Phase::Standing | Phase::Moving) {
             self.break_off(now);
-        } else if waited > self.config.silence + self.config.macrostep() {
+        } else if waited > self.config.silence + self.macrostep() {
             self.brake(Err(EcpError::Silent { waited }));
         } else if matches!(self.activity, Activity::Arriving) {
             let arrived = phase == Phase::Standing && self.outstanding() == 0;
@@ -441,6 +451,11 @@ impl Ecp {
         }
     }
 
+    /// Duration of a macrostep of this motion.
+    fn macrostep(&self) -> Duration {
+        self.config.period * u32::from(self.pace.periods)
+    }
+
     /// Number of macrosteps of this motion that were made and not yet reported.
     fn outstanding(&self) -> u64 {
         self.sent.saturating_sub(self.executed.max(self.base))
@@ -462,8 +477,8 @@ impl Ecp {
         self.sent += 1;
         self.outbox.push_back(Order::Move(Macrostep {
             number: self.sent,
-            steps: self.config.steps,
-            report_at: self.config.report_at,
+            steps: self.pace.periods,
+            report_at: self.pace.read_at,
             position: motors.position,
             velocity: motors.velocity,
             torque,

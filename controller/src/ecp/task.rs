@@ -50,11 +50,7 @@ impl Task {
     /// Move by a generator until its terminal condition holds and the effector stands.
     #[doc(alias = "Move")]
     #[must_use]
-    pub fn run<G>(self, generator: G) -> Self
-    where
-        G: Generator + Send + 'static,
-        G::Memory: Send,
-    {
+    pub fn run(self, generator: impl Generator) -> Self {
         self.then(Instruction::Run(Box::new(Run::new(generator))))
     }
 

@@ -2,17 +2,19 @@
 
 mod endings;
 mod failures;
+mod images;
+mod pace;
 mod weight;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 
 use nalgebra::Vector3;
-use servo::{Gates, MAX_AXES, ServoFault, StopCause};
+use servo::{Gates, MAX_AXES, Publisher, ServoFault, StopCause};
 
 use super::*;
 use crate::generator::{
-    EffectorImage, Generator, GeneratorError, ImageSource, JerkLimited, MotionLimits, Newsmooth, Next, Pose,
+    Axes, EffectorImage, Generator, GeneratorError, ImageSource, JerkLimited, MotionLimits, Newsmooth, Next, Pose,
     SmoothPose, Wait,
 };
 use crate::robot::{Arm, Jacobian, Joints, KinematicsError, Limits, Link, Motors, Robot, Solutions, Space};
@@ -20,8 +22,7 @@ use crate::robot::{Arm, Jacobian, Joints, KinematicsError, Limits, Link, Motors,
 const PERIOD: Duration = Duration::from_millis(2);
 const CONFIG: EcpConfig = EcpConfig {
     period: PERIOD,
-    steps: 10,
-    report_at: 8,
+    pace: Pace { periods: 10, read_at: 8 },
     macrosteps_ahead: 4,
     silence: Duration::from_millis(500),
     switching: Duration::from_secs(5),
@@ -84,6 +85,7 @@ fn beyond(axis: u8, value: f64, limit: f64) -> KinematicsError {
 struct Script {
     orders: rtrb::Consumer<Order>,
     reports: rtrb::Producer<ServoReport>,
+    latest: Publisher,
     report: ServoReport,
     queue: VecDeque<Macrostep>,
     done: u16,
@@ -98,13 +100,27 @@ struct Script {
 
 impl Script {
     fn phase(&mut self, phase: Phase) {
-        self.report.phase = phase;
+        self.report.snapshot.phase = phase;
         self.say();
     }
 
     fn say(&mut self) {
-        self.report.measured = self.report.commanded;
+        self.publish();
+        let due = self.queue.front().is_none_or(|macrostep| self.done >= macrostep.report_at);
+        self.report.reached = due || self.report.snapshot.phase != Phase::Moving;
         self.reports.push(self.report).expect("the ECP reads reports");
+    }
+
+    fn publish(&mut self) {
+        self.report.snapshot.measured = self.report.snapshot.commanded;
+        self.latest.publish(&self.report.snapshot);
+    }
+
+    /// Publishes another measured position of motor 0.
+    fn latest_measured(&mut self, motor: f64) {
+        let mut snapshot = self.report.snapshot;
+        snapshot.measured[0] = motor;
+        self.latest.publish(&snapshot);
     }
 
     fn fail(&mut self, fault: ServoFault) {
@@ -116,7 +132,8 @@ impl Script {
     }
 
     fn period(&mut self, now: Instant) {
-        self.report.at = now;
+        self.report.snapshot.at = now;
+        self.report.snapshot.sampled = [now - PERIOD; MAX_AXES];
         if let Some(fault) = self.fault.take() {
             self.fail(fault);
         }
@@ -129,17 +146,17 @@ impl Script {
                 Order::Home => {
                     self.phase(Phase::Homing);
                     if !self.lost {
-                        self.report.homed = true;
+                        self.report.snapshot.homed = true;
                         self.phase(Phase::Standing);
                     }
                 }
-                Order::Move(_) if !matches!(self.report.phase, Phase::Standing | Phase::Moving) => {}
+                Order::Move(_) if !matches!(self.report.snapshot.phase, Phase::Standing | Phase::Moving) => {}
                 Order::Move(macrostep) => self.queue.push_back(macrostep),
                 Order::Stop => {
                     self.queue.clear();
                     self.done = 0;
                     self.moving = [0.0; MAX_AXES];
-                    if matches!(self.report.phase, Phase::Moving | Phase::Homing) {
+                    if matches!(self.report.snapshot.phase, Phase::Moving | Phase::Homing) {
                         self.phase(Phase::Stopping);
                         self.phase(Phase::Standing);
                     }
@@ -155,15 +172,18 @@ impl Script {
         }
         let Some(macrostep) = self.queue.front().copied() else {
             if self.moving != [0.0; MAX_AXES] {
-                self.fail(ServoFault { axis: Some(0), cause: StopCause::Starved { last: self.report.macrostep } });
-            } else if self.report.phase == Phase::Moving {
+                self.fail(ServoFault {
+                    axis: Some(0),
+                    cause: StopCause::Starved { last: self.report.snapshot.macrostep },
+                });
+            } else if self.report.snapshot.phase == Phase::Moving {
                 self.phase(Phase::Standing);
             }
             return;
         };
         if self.done == 0 {
-            self.report.macrostep = macrostep.number;
-            if self.report.phase != Phase::Moving {
+            self.report.snapshot.macrostep = macrostep.number;
+            if self.report.snapshot.phase != Phase::Moving {
                 self.phase(Phase::Moving);
             }
         }
@@ -172,7 +192,7 @@ impl Script {
             self.say();
         }
         if self.done == macrostep.steps {
-            self.report.commanded = macrostep.position;
+            self.report.snapshot.commanded = macrostep.position;
             self.moving = macrostep.velocity;
             self.queue.pop_front();
             self.done = 0;
@@ -200,20 +220,13 @@ impl Bench {
     fn of(arm: Arm, room: usize) -> Self {
         let (orders, servo_orders) = rtrb::RingBuffer::new(room);
         let (servo_reports, reports) = rtrb::RingBuffer::new(64);
-        let report = ServoReport {
-            at: Instant::ZERO,
-            phase: Phase::Off,
-            homed: false,
-            macrostep: 0,
-            commanded: [0.0; MAX_AXES],
-            measured: [0.0; MAX_AXES],
-            velocity: [0.0; MAX_AXES],
-            fault: None,
-        };
+        let (publisher, latest) = servo::latest();
+        let snapshot = Snapshot { axes: 3, ..Snapshot::default() };
         let servo = Script {
             orders: servo_orders,
             reports: servo_reports,
-            report,
+            latest: publisher,
+            report: ServoReport { snapshot, ..ServoReport::default() },
             queue: VecDeque::new(),
             done: 0,
             moving: [0.0; MAX_AXES],
@@ -222,7 +235,7 @@ impl Bench {
             lost: false,
             fault: None,
         };
-        let ecp = Ecp::new(arm, EffectorLink { orders, reports }, CONFIG);
+        let ecp = Ecp::new(arm, EffectorLink { orders, reports, latest }, CONFIG);
         Self { ecp, servo, now: Instant::ZERO, poll_every: 1 }
     }
 
@@ -245,6 +258,7 @@ impl Bench {
             }
             each_period(self);
             self.servo.period(self.now);
+            self.servo.publish();
             self.now += PERIOD;
         }
         panic!("still busy: {:?} after {events:?}", self.ecp.status());
@@ -395,7 +409,7 @@ fn a_full_queue_delays_orders_and_loses_none() {
     assert_eq!(bench.run(Task::new().enable().home().run(to(1.0, 0.0, 0.0))), finished(3));
     let numbers: Vec<u64> = bench.servo.moves().map(|m| m.number).collect();
     assert_eq!(numbers, (1..=numbers.len() as u64).collect::<Vec<_>>());
-    assert_eq!(bench.servo.report.commanded[0], 100.0);
+    assert_eq!(bench.servo.report.snapshot.commanded[0], 100.0);
 }
 
 #[test]
@@ -446,6 +460,7 @@ fn meet(late: u64) -> [u64; 2] {
         benches = [Bench { ecp: first, ..one }, Bench { ecp: second, ..other }];
         for (bench, began) in benches.iter_mut().zip(&mut began) {
             bench.servo.period(now);
+            bench.servo.publish();
             bench.now += PERIOD;
             if bench.servo.moves().next().is_some() {
                 began.get_or_insert(period);

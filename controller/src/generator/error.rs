@@ -28,6 +28,11 @@ pub enum GeneratorError {
     Fraction { pose: usize, axis: u8, value: f64 },
     #[error("macrostep has no length")]
     NoMacrostep,
+    /// A [`Pace`](super::Pace) without periods, or one that reads images outside its periods.
+    #[error(
+        "a macrostep of {periods} periods cannot read after period {read_at}: 1 to {periods} is possible, at least 1"
+    )]
+    Pace { periods: u16, read_at: u16 },
     #[error("motion takes more than {limit} macrosteps")]
     TooLong { limit: u32 },
     #[error("takes {needed:.3} s at the least, not {given:.3} s")]

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::{Generator, GeneratorError, ImageSource, Images, Setpoint};
+use super::{Generator, GeneratorError, ImageSource, Images, Pace, Setpoint};
 
 /// Result of one turn of the flow chart.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,6 +21,9 @@ pub trait Execution {
     /// The dashed box of the chart. One snapshot is taken for the terminal condition and for (5) to (8). The results
     /// are committed together.
     fn next_step(&mut self, source: &dyn ImageSource) -> Result<Step, GeneratorError>;
+
+    /// The macrostep of this motion; `cell` is the macrostep of the cell.
+    fn pace(&self, cell: Pace) -> Result<Pace, GeneratorError>;
 
     /// Whether next steps read only the generator's own memory. Such steps may be computed ahead of time.
     fn runs_ahead(&self) -> bool;
@@ -60,6 +63,12 @@ impl<G: Generator> Execution for Run<G> {
         let next = self.generator.next_step(&memory, &images)?;
         self.memory = Some(next.memory);
         Ok(Step::Continue(next.effector))
+    }
+
+    fn pace(&self, cell: Pace) -> Result<Pace, GeneratorError> {
+        let Pace { periods, read_at } = self.generator.pace(cell);
+        let sound = (1..=periods).contains(&read_at);
+        sound.then_some(Pace { periods, read_at }).ok_or(GeneratorError::Pace { periods, read_at })
     }
 
     fn runs_ahead(&self) -> bool {

@@ -1,7 +1,9 @@
 //! Images that generators read, and set-points that generators return.
 
+use std::time::Duration;
+
 use can::Instant;
-use servo::MAX_AXES;
+use servo::{MAX_AXES, Switches};
 
 use super::{Axes, GeneratorError, Pose};
 
@@ -35,15 +37,40 @@ pub struct EffectorState {
 /// `e(i)`: the subcontroller's image of its effector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EffectorImage {
-    /// Time of the measurement. While the effector moves: in this macrostep or the previous macrostep. While the
-    /// effector stands: when the standstill began.
+    /// Time of the measurement: of the SYNC or telegram at which the drives took their samples. If the samples differ,
+    /// the time of the oldest one. A first step reads the latest samples. Next steps read the samples of the report in
+    /// this macrostep or the previous macrostep.
     pub at: Instant,
-    /// The macrostep in execution at that time.
+    /// Time of the servo cycle that read the samples, at least one period after [`at`](Self::at).
+    pub read_at: Instant,
+    /// Age of each axis's sample at [`read_at`](Self::read_at): one period if the drive answered in time.
+    pub age: [Duration; MAX_AXES],
+    /// The macrostep in execution at [`read_at`](Self::read_at).
     pub macrostep: u64,
     /// Measured at [`at`](Self::at).
     pub measured: EffectorState,
+    /// Motor torques measured, N·m; zero where the drive does not report them.
+    pub torque: Axes,
+    /// Switches of the axes; open where the drive does not report them.
+    pub switches: [Switches; MAX_AXES],
     /// End of the last macrostep sent, and start of the next macrostep.
     pub commanded: EffectorState,
+}
+
+impl EffectorImage {
+    /// An effector that stands at `state`, sampled at time zero: for tests of generators.
+    pub fn standing(state: EffectorState) -> Self {
+        Self {
+            at: Instant::ZERO,
+            read_at: Instant::ZERO,
+            age: [Duration::ZERO; MAX_AXES],
+            macrostep: 0,
+            measured: state,
+            torque: Axes::default(),
+            switches: [Switches::default(); MAX_AXES],
+            commanded: state,
+        }
+    }
 }
 
 /// `e(i+1)`: the effector's state at the end of the next macrostep, position and velocity.
@@ -83,14 +110,34 @@ impl Setpoint {
     }
 }
 
-/// Source of images. Only the images declared by the generator are read.
+/// Source of images. Only the images that the generator declares are read.
 pub trait ImageSource {
     /// The effector's present image. Fails if the effector measures positions that the mechanism cannot take.
     fn effector(&self) -> Result<EffectorImage, GeneratorError>;
 }
 
+mod closed {
+    /// Closes [`Images`](super::Images): only this module decides which types are sets of images.
+    #[diagnostic::on_unimplemented(
+        message = "`{Self}` cannot become a set of images: the sets are closed",
+        label = "is no set of images",
+        note = "declare `()` or `EffectorImage`, and keep other data in the generator or its memory"
+    )]
+    pub trait ImageSet {}
+    impl ImageSet for () {}
+    impl ImageSet for super::EffectorImage {}
+}
+
 /// A set of images: `()` is the empty set, [`EffectorImage`] is `e`.
-pub trait Images: Sized {
+///
+/// The trait is sealed. A generator of one class therefore cannot read an image of another class through a type of
+/// its own.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no set of images",
+    label = "is no set of images",
+    note = "a generator reads `()`, no image, or `EffectorImage`, the image of its effector"
+)]
+pub trait Images: closed::ImageSet + Copy + Send + Sync + 'static {
     /// Contribution to the class: `e` is 1, `V` 2, `a0` 4.
     const CLASS: u8;
 

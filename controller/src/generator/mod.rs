@@ -22,8 +22,8 @@
 //! generator's own memory, the generator may run ahead of the servo by a few macrosteps. A late controller thread
 //! then does not starve the motion.
 //!
-//! Effector images are complete today. `V` and `a0` will be added as further [`Images`] and as further optional parts
-//! of [`Next`]. Existing generators will need no change.
+//! [`Images`] is closed: no type of a program is a set of images. `V` and `a0` are not there yet. They will be further
+//! [`Images`], and further optional parts of [`Next`].
 //!
 //! # A custom generator
 //! This generator swings joint 0 out and back, once. It reads the effector only to find its start.
@@ -154,13 +154,21 @@ fn is_limit(value: f64) -> bool {
 /// Next steps take `&self`, the old memory and one snapshot, and return a [`Next`], which the runner commits as a
 /// whole. The first step stores its plan in `self`. Next steps must not allocate or block: each result is due in
 /// the periods of the macrostep that follow the servo's report.
-pub trait Generator {
+///
+/// A generator is [`Sync`] and its memory is [`Copy`]. A next step can therefore neither change the generator through a
+/// [`Cell`](std::cell::Cell), nor keep a result that was not committed.
+pub trait Generator: Send + Sync + 'static {
     /// Images the first step reads: sporadic feedback.
     type First: Images;
     /// Images that the terminal condition and every next step read: continuous feedback.
     type Every: Images;
     /// Type of the generator's own memory, `c`.
-    type Memory: Copy;
+    type Memory: Copy + Send + 'static;
+
+    /// The macrostep of this motion; `cell` is the macrostep of the cell. Called once, before the first step.
+    fn pace(&self, cell: Pace) -> Pace {
+        cell
+    }
 
     /// Plans the motion and returns the first outputs and memory. The effector stands. The macrostep is not zero. Only
     /// this function may take longer than a macrostep.
@@ -171,6 +179,17 @@ pub trait Generator {
 
     /// (5) to (8): the outputs and the memory of the next step.
     fn next_step(&self, memory: &Self::Memory, images: &Self::Every) -> Result<Next<Self::Memory>, GeneratorError>;
+}
+
+/// A macrostep in servo periods.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pace {
+    /// Number of periods, at least 1.
+    pub periods: u16,
+    /// The period, 1 ..= `periods`, after which the images for the next step are read. A generator with continuous
+    /// feedback must compute the next step in the remaining periods. If none remains, the step is due before the next
+    /// period.
+    pub read_at: u16,
 }
 
 /// Result of one step, committed as a whole.

@@ -4,11 +4,13 @@ use can::Instant;
 
 use crate::{Fault, Increments};
 
-/// Measured state of one axis. [`AxisState::at`] is the time of the last answer.
+/// Measured state of one axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AxisState {
     /// When the drive's last answer was received.
     pub at: Instant,
+    /// When the drive took the sample of that answer: the time of the SYNC or of the telegram that it answers.
+    pub sampled: Instant,
     /// Cycles since an answer to the last SYNC was read: 0 in a cycle that read one. Older answers do not count.
     pub age: u32,
     /// Motor position, rad. Not an absolute position before [`Homing::Attained`].

@@ -20,17 +20,20 @@ pub fn bring_up(servo: &mut Servo, emulation: &mut Option<Emulation>) -> Result<
     }
 }
 
-/// Starts the servo thread of a cell. `emulated_since` is the emulated time at the end of bring-up.
+/// Starts the servo thread of a cell. `emulated_since` is the emulated time at the end of bring-up. `sent` is called
+/// after each cycle, before emulated drives advance.
 pub fn start(
     servo: Servo,
     mut emulation: Option<Emulation>,
     emulated_since: Option<Instant>,
     realtime: Realtime,
     trace_request: Arc<AtomicBool>,
+    mut sent: impl FnMut() + Send + 'static,
     until: impl FnMut(&Servo) -> bool + Send + 'static,
 ) -> Result<Running, StartError> {
     let time = emulated_since.map_or(CellTime::Wall, CellTime::Nominal);
     let between = move |next| {
+        sent();
         if let Some(emulation) = &mut emulation {
             emulation.advance(next);
         }

@@ -12,6 +12,7 @@ mod background;
 mod ending;
 mod files;
 mod running_tasks;
+mod tick;
 
 use std::cell::{Cell as Shared, RefCell};
 use std::io::Write as _;
@@ -45,15 +46,13 @@ pub use ending::{Requests, Turning, stopped_once};
 pub use running_tasks::Progress;
 pub(crate) use running_tasks::RunningTasks;
 use running_tasks::servo_faults;
+use tick::tick;
 
 /// Records that the evaluation may lag behind the servo, per effector: some seconds.
 const RECORDS: usize = 1 << 11;
 
 /// Records that an axis log may lag behind the servo, per effector.
 const LOGGED_RECORDS: usize = 1 << 13;
-
-/// How often the controller looks at its effectors: this is a tenth of the usual macrostep, and a tenth of a longer one is.
-const POLL: Duration = Duration::from_millis(2);
 
 /// How far the controller's priority is below the servo's.
 const BELOW_SERVO: u8 = 10;
@@ -310,9 +309,9 @@ fn by_the_clock(
     };
     let trace = requests.spikes.clone();
     let realtime = file.cell.realtime;
-    let running = clockwork::start(servo, emulation, since, realtime, trace, until)?;
+    let (ticking, mut tick) = tick(file.cell.period());
+    let running = clockwork::start(servo, emulation, since, realtime, trace, move || ticking.sent(), until)?;
     let turning = Turning::of(running, done.clone());
-    let poll = POLL.max(file.cell.period() * u32::from(file.cell.macrostep) / 10);
     let (tell, told) = sync_channel(NEWS);
     std::thread::scope(|scope| {
         // The scope waits for the controller: a panic of this thread must end that too.
@@ -326,7 +325,7 @@ fn by_the_clock(
                 && !requests.stop.load(Ordering::Relaxed)
                 && !turning.is_finished()
             {
-                clock::sleep_until(clock::now() + poll);
+                tick.wait();
             }
             drop(tell);
         });

@@ -92,7 +92,7 @@ impl<'a> RunningTasks<'a> {
 /// reference may stand away from home, where no rehearsal began. The program is then rehearsed from this position, and
 /// a refusal is returned as a fault.
 fn refused_from_here(file: &CellFile, tasks: &MakeTasks, robot: usize, ecp: &Ecp) -> Option<FaultReport> {
-    let motors = ecp.commanded()?;
+    let motors = ecp.latest().commanded;
     if file.cell.home(robot, &file.arms[robot]).admits(&motors) {
         return None;
     }

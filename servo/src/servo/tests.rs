@@ -5,6 +5,7 @@ mod host_loops;
 mod limit_switches;
 mod motion;
 mod power;
+mod snapshots;
 mod stops;
 mod weights;
 
@@ -96,7 +97,7 @@ impl Rig {
     }
 
     fn phases(&mut self) -> Vec<Phase> {
-        self.reports().iter().map(|report| report.phase).collect()
+        self.reports().iter().map(|report| report.snapshot.phase).collect()
     }
 
     /// Commanded positions of axis `axis`, cycle by cycle.

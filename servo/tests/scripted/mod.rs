@@ -335,7 +335,7 @@ impl DriveGroup for Scripted {
         }
     }
 
-    fn send(&mut self, _: Instant) -> bool {
+    fn send(&mut self, now: Instant) -> bool {
         let mut world = self.world();
         if world.gone {
             return false;
@@ -347,6 +347,7 @@ impl DriveGroup for Scripted {
             return false;
         }
         for (drive, command) in world.axes.iter_mut().zip(&self.written) {
+            drive.state.sampled = now;
             drive.sync(PERIOD.as_secs_f64());
             drive.pending = *command;
         }

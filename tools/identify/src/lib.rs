@@ -373,7 +373,7 @@ fn by_the_clock(
     let since = clockwork::bring_up(&mut servo, &mut emulation).map_err(not_up)?;
     let realtime = file.cell.realtime;
     let until = move |_: &Servo| finished.load(Ordering::Relaxed);
-    let running = clockwork::start(servo, emulation, since, realtime, Arc::default(), until);
+    let running = clockwork::start(servo, emulation, since, realtime, Arc::default(), || {}, until);
     let running = running.map_err(|error| Unmeasured::Refused(error.into()))?;
     let turning = mrroc::run::Turning::of(running, done);
     while !session.is_over() && !turning.is_finished() {

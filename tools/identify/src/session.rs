@@ -81,20 +81,21 @@ impl Session {
                 self.stop(fault.cause.to_string());
                 continue;
             }
-            match (self.stage, report.phase) {
-                (Stage::Enabling, Phase::Standing) if !report.homed && self.homes => {
+            match (self.stage, report.snapshot.phase) {
+                (Stage::Enabling, Phase::Standing) if !report.snapshot.homed && self.homes => {
                     self.order(Order::Home);
                     self.stage = Stage::Homing;
                 }
-                (Stage::Enabling, Phase::Standing) if !report.homed => {
+                (Stage::Enabling, Phase::Standing) if !report.snapshot.homed => {
                     let why = anyhow!("the robot is not homed: run the cell first");
                     self.outcome = Some(Err(Unmeasured::Refused(why)));
                 }
-                (Stage::Enabling | Stage::Homing, Phase::Standing) if report.homed => {
-                    self.begin(report.commanded);
+                (Stage::Enabling | Stage::Homing, Phase::Standing) if report.snapshot.homed => {
+                    self.begin(report.snapshot.commanded);
                 }
                 (Stage::Moving, Phase::Standing)
-                    if self.run.macrostep(self.next).is_none() && report.macrostep == self.run.macrosteps() =>
+                    if self.run.macrostep(self.next).is_none()
+                        && report.snapshot.macrostep == self.run.macrosteps() =>
                 {
                     self.outcome = Some(Ok(()));
                 }

@@ -20,7 +20,7 @@ impl Generator for Ramp {
         *step == 50
     }
     fn next_step(&self, step: &u32, _: &()) -> Result<Next<u32>, GeneratorError> {
-        let velocity = self.distance / (50.0 * CONFIG.macrostep().as_secs_f64());
+        let velocity = self.distance / (50.0 * (10 * PERIOD).as_secs_f64());
         let joints = AxesState {
             position: axis_0(self.distance * f64::from(step + 1) / 50.0),
             velocity: axis_0(if *step == 49 { self.last } else { velocity }),
@@ -38,7 +38,7 @@ fn a_generator_that_ends_in_motion_is_braked_in_its_last_macrostep() {
         assert_eq!(bench.servo.moves().count(), 50, "{last}");
         let braked = bench.servo.log.last() == Some(&Order::Stop);
         assert_eq!(braked, last > 1e-3, "{last}");
-        let stood = bench.servo.report.commanded[0];
+        let stood = bench.servo.report.snapshot.commanded[0];
         // A stop takes effect within the last macrostep, which is 0.04 rad long.
         assert!((stood - 2.0).abs() < 0.05, "{last}: {stood}");
     }

@@ -75,12 +75,12 @@ fn stop_brakes_and_drops_the_rest() {
     });
     assert_eq!(events, failed(EcpError::Stopped));
     assert_eq!(bench.servo.log.last(), Some(&Order::Stop));
-    let stood = bench.servo.report.commanded[0];
+    let stood = bench.servo.report.snapshot.commanded[0];
     assert!(stood > 0.0 && stood < 100.0);
     assert_eq!(bench.run(Task::new().run(to(1.0, 0.0, 0.0))), finished(1), "goes on from where it stands");
     let numbers: Vec<u64> = bench.servo.moves().map(|macrostep| macrostep.number).collect();
     assert_eq!(numbers, (1..=numbers.len() as u64).collect::<Vec<_>>(), "none is used twice");
-    assert_eq!(bench.servo.report.commanded[0], 100.0);
+    assert_eq!(bench.servo.report.snapshot.commanded[0], 100.0);
 }
 
 #[test]

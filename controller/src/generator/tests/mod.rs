@@ -5,8 +5,6 @@ mod planned_start;
 
 use std::time::Duration;
 
-use can::Instant;
-
 use super::*;
 use crate::robot::Space;
 
@@ -50,7 +48,7 @@ impl Standing {
 impl ImageSource for Standing {
     fn effector(&self) -> Result<EffectorImage, GeneratorError> {
         let state = EffectorState { motors: self.0, joints: self.0, pose: self.1 };
-        Ok(EffectorImage { at: Instant::ZERO, macrostep: 0, measured: state, commanded: state })
+        Ok(EffectorImage::standing(state))
     }
 }
 

@@ -45,7 +45,7 @@ impl AtMotors {
 
 impl ImageSource for AtMotors {
     fn effector(&self) -> Result<EffectorImage, GeneratorError> {
-        Ok(EffectorImage { at: Instant::ZERO, macrostep: 0, measured: self.0, commanded: self.0 })
+        Ok(EffectorImage::standing(self.0))
     }
 }
 

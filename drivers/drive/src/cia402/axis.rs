@@ -179,7 +179,7 @@ impl CanAxis {
             self.latch(jump);
         }
         self.measurement.tell(&mut self.state);
-        self.state.at = at;
+        (self.state.at, self.state.sampled) = (at, sampled);
         self.state.torque = self.config.scale.torque(answer.torque, self.config.rated_torque);
         self.judge_power(before);
     }

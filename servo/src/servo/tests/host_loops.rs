@@ -196,7 +196,7 @@ fn a_macrostep_cut_off_by_a_lost_loop_is_not_continued_after_the_reset() {
         rig.order(Order::Move(macrostep(900, 10, here, 0.0)));
         rig.run(30);
         assert_eq!((rig.cause(), rig.phase()), (None, Phase::Standing));
-        assert_eq!(rig.reports().last().map(|report| report.macrostep), Some(900));
+        assert_eq!(rig.reports().last().map(|report| report.snapshot.macrostep), Some(900));
     }
 }
 

@@ -10,9 +10,11 @@ fn macrosteps_are_met_and_reported_and_end_in_standing() {
     rig.order(Order::Move(macrostep(2, 10, 0.02, 0.0)));
     rig.run(25);
     let reports = rig.reports();
-    let seen: Vec<_> = reports.iter().map(|report| (report.phase, report.macrostep)).collect();
+    let seen: Vec<_> = reports.iter().map(|report| (report.snapshot.phase, report.snapshot.macrostep)).collect();
     let moving = Phase::Moving;
     assert_eq!(seen, [(moving, 1), (moving, 1), (moving, 2), (Phase::Standing, 2)]);
+    // The first report is that of the change of phase.
+    assert_eq!(reports.iter().map(|report| report.reached).collect::<Vec<_>>(), [false, true, true, true]);
     let positions = rig.positions(0);
     assert_eq!((positions[9], positions[19], positions[24]), (0.01, 0.02, 0.02));
     assert_eq!(rig.servo.counters().macrosteps, 2);

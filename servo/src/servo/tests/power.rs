@@ -129,7 +129,7 @@ fn homing_that_has_nothing_to_do_is_answered() {
     rig.run(2);
     let reports = rig.reports();
     assert_eq!(reports.len(), 1);
-    assert!(reports[0].homed && reports[0].phase == Phase::Standing);
+    assert!(reports[0].snapshot.homed && reports[0].snapshot.phase == Phase::Standing);
 }
 
 #[test]
@@ -162,7 +162,7 @@ fn a_failure_of_an_earlier_homing_does_not_fail_the_next() {
     }
     rig.run(60);
     assert_eq!((rig.phase(), rig.cause()), (Phase::Standing, None));
-    assert!(rig.reports().last().unwrap().homed);
+    assert!(rig.reports().last().unwrap().snapshot.homed);
 }
 
 #[test]
@@ -178,9 +178,9 @@ fn homing_can_be_stopped_and_begun_again() {
     assert_eq!(rig.phase(), Phase::Stopping);
     assert_eq!(rig.last_sent(), [AxisCommand::Stand; 2]);
     rig.run_until(Phase::Standing);
-    assert!(!rig.reports().last().unwrap().homed);
+    assert!(!rig.reports().last().unwrap().snapshot.homed);
     rig.order(Order::Home);
     rig.run(1);
     rig.run_until(Phase::Standing);
-    assert!(rig.reports().last().unwrap().homed);
+    assert!(rig.reports().last().unwrap().snapshot.homed);
 }

@@ -102,12 +102,12 @@ impl<'a> MeasuredCell<'a> {
         let (begun, over) = (now(), turn.over.clone());
         let end = begun + turn.time;
         let until = move |_: &Servo| now() >= end || over.load(std::sync::atomic::Ordering::Relaxed);
-        let running = clockwork::start(servo, emulation, since, realtime, Arc::default(), until)?;
+        let running = clockwork::start(servo, emulation, since, realtime, Arc::default(), || {}, until)?;
         let mut stood = vec![false; links.len()];
         while !running.is_finished() {
             for (link, stood) in links.iter_mut().zip(&mut stood) {
                 while let Ok(report) = link.reports.pop() {
-                    *stood |= report.phase == Phase::Standing;
+                    *stood |= report.snapshot.phase == Phase::Standing;
                 }
             }
             wire.look();

@@ -1,0 +1,238 @@
+//! The latest state of an effector, for any number of readers.
+//!
+//! The servo publishes a [`Snapshot`] per effector and cycle. Neither side waits for the other: the servo writes two
+//! copies in turns, and a reader that was overtaken by two cycles reads again.
+
+use std::array;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering, fence};
+
+use can::Instant;
+use drive::Switches;
+
+use crate::{MAX_AXES, Phase};
+
+/// State of one effector in one cycle. The arrays hold one value per axis; entries from [`axes`](Self::axes) on are zero.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Snapshot {
+    /// Number of the cycle, from 0.
+    pub cycle: u64,
+    /// Time of the cycle, which read the samples.
+    pub at: Instant,
+    /// Phase of the effector.
+    pub phase: Phase,
+    /// Whether every axis is homed.
+    pub homed: bool,
+    /// Number of the macrostep that is executed, or of the last one begun; 0 before the first.
+    pub macrostep: u64,
+    /// Number of axes.
+    pub axes: u8,
+    /// Motor positions commanded in this cycle, rad.
+    pub commanded: [f64; MAX_AXES],
+    /// Measured motor positions, rad: the effect of the commands of
+    /// [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.
+    pub measured: [f64; MAX_AXES],
+    /// Measured motor velocities, rad/s.
+    pub velocity: [f64; MAX_AXES],
+    /// Measured motor torques, N·m; zero where the drive does not report them.
+    pub torque: [f64; MAX_AXES],
+    /// Switches of the axes; open where the drive does not report them.
+    pub switches: [Switches; MAX_AXES],
+    /// Times of the samples: the SYNC or the telegram that the drive answered. [`Instant::ZERO`] before the first
+    /// sample.
+    pub sampled: [Instant; MAX_AXES],
+    /// Cycles in a row without a new sample: 0 if this cycle read one.
+    pub age: [u32; MAX_AXES],
+}
+
+/// Words of a snapshot: cycle, time, macrostep and flags, then seven per axis.
+const WORDS: usize = 4 + 7 * MAX_AXES;
+
+impl Snapshot {
+    fn words(&self) -> [u64; WORDS] {
+        let mut words = [0; WORDS];
+        let flags = u64::from(self.phase as u8) | u64::from(self.homed) << 8 | u64::from(self.axes) << 16;
+        words[..4].copy_from_slice(&[self.cycle, self.at.as_nanos(), self.macrostep, flags]);
+        for (axis, words) in words[4..].chunks_exact_mut(7).enumerate() {
+            let Switches { home, lower_limit, upper_limit } = self.switches[axis];
+            words.copy_from_slice(&[
+                self.commanded[axis].to_bits(),
+                self.measured[axis].to_bits(),
+                self.velocity[axis].to_bits(),
+                self.torque[axis].to_bits(),
+                u64::from(home) | u64::from(lower_limit) << 1 | u64::from(upper_limit) << 2,
+                self.sampled[axis].as_nanos(),
+                u64::from(self.age[axis]),
+            ]);
+        }
+        words
+    }
+
+    fn from_words(words: &[u64; WORDS]) -> Self {
+        let flags = words[3];
+        let number = |at: usize| array::from_fn(|axis| f64::from_bits(words[4 + 7 * axis + at]));
+        Self {
+            cycle: words[0],
+            at: Instant::from_nanos(words[1]),
+            phase: Phase::ALL.into_iter().find(|phase| *phase as u8 == flags as u8).unwrap_or_default(),
+            homed: flags & 1 << 8 != 0,
+            macrostep: words[2],
+            axes: (flags >> 16) as u8,
+            commanded: number(0),
+            measured: number(1),
+            velocity: number(2),
+            torque: number(3),
+            switches: array::from_fn(|axis| {
+                let bits = words[4 + 7 * axis + 4];
+                Switches { home: bits & 1 != 0, lower_limit: bits & 2 != 0, upper_limit: bits & 4 != 0 }
+            }),
+            sampled: array::from_fn(|axis| Instant::from_nanos(words[4 + 7 * axis + 5])),
+            age: array::from_fn(|axis| words[4 + 7 * axis + 6] as u32),
+        }
+    }
+}
+
+/// One copy of a snapshot. Its words may be read while they are written; [`Copied::number`] tells.
+#[derive(Debug)]
+struct Copied {
+    /// Number of the snapshot, from 1; 0 while it is written.
+    number: AtomicU64,
+    words: [AtomicU64; WORDS],
+}
+
+#[derive(Debug)]
+struct Shared {
+    /// Number of the last snapshot published; 0 before the first.
+    published: AtomicU64,
+    copies: [Copied; 2],
+}
+
+/// Both ends of a latest value. Before the first snapshot, the value is [`Snapshot::default`].
+pub fn latest() -> (Publisher, Latest) {
+    let copy = || Copied { number: AtomicU64::new(0), words: array::from_fn(|_| AtomicU64::new(0)) };
+    let shared = Arc::new(Shared { published: AtomicU64::new(0), copies: [copy(), copy()] });
+    (Publisher { shared: Arc::clone(&shared), number: 0 }, Latest(shared))
+}
+
+/// The writing end. There is one per value.
+#[derive(Debug)]
+pub struct Publisher {
+    shared: Arc<Shared>,
+    number: u64,
+}
+
+impl Publisher {
+    /// Replaces the value. The function neither waits nor allocates.
+    pub fn publish(&mut self, snapshot: &Snapshot) {
+        self.number += 1;
+        let copy = self.shared.copy(self.number);
+        copy.number.store(0, Ordering::Relaxed);
+        // A reader that sees a new word also sees that the copy is being written.
+        fence(Ordering::Release);
+        for (place, word) in copy.words.iter().zip(snapshot.words()) {
+            place.store(word, Ordering::Relaxed);
+        }
+        copy.number.store(self.number, Ordering::Release);
+        self.shared.published.store(self.number, Ordering::Release);
+    }
+}
+
+/// The reading end. Clones read the same value. A read does not change the value and does not delay the servo.
+#[derive(Clone, Debug)]
+pub struct Latest(Arc<Shared>);
+
+impl Latest {
+    /// The latest snapshot. All its fields are of one cycle.
+    pub fn read(&self) -> Snapshot {
+        loop {
+            let number = self.0.published.load(Ordering::Acquire);
+            if number == 0 {
+                return Snapshot::default();
+            }
+            let copy = self.0.copy(number);
+            let before = copy.number.load(Ordering::Acquire);
+            let words = array::from_fn(|word| copy.words[word].load(Ordering::Relaxed));
+            fence(Ordering::Acquire);
+            // Otherwise two further snapshots were published in the meantime.
+            if before == number && copy.number.load(Ordering::Relaxed) == number {
+                return Snapshot::from_words(&words);
+            }
+        }
+    }
+}
+
+impl Shared {
+    fn copy(&self, number: u64) -> &Copied {
+        &self.copies[(number % 2) as usize]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::thread;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// A snapshot whose every field follows from `number`.
+    fn of(number: u64) -> Snapshot {
+        let value = |offset: u64| array::from_fn(|axis| (number + offset) as f64 + axis as f64 / 8.0);
+        let bit = |bit: u64| (number >> bit) & 1 == 1;
+        Snapshot {
+            cycle: number,
+            at: Instant::from_nanos(number),
+            phase: Phase::ALL[number as usize % Phase::ALL.len()],
+            homed: bit(0),
+            macrostep: number,
+            axes: number as u8,
+            commanded: value(0),
+            measured: value(1),
+            velocity: value(2),
+            torque: value(3),
+            switches: [Switches { home: bit(0), lower_limit: bit(1), upper_limit: bit(2) }; MAX_AXES],
+            sampled: [Instant::from_nanos(number); MAX_AXES],
+            age: [number as u32; MAX_AXES],
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_published_is_read(number in 0..u64::from(u32::MAX)) {
+            let (mut publisher, latest) = latest();
+            publisher.publish(&of(number + 1));
+            publisher.publish(&of(number));
+            prop_assert_eq!(latest.read(), of(number));
+            prop_assert_eq!(latest.clone().read(), of(number));
+        }
+    }
+
+    #[test]
+    fn before_the_first_cycle_the_effector_is_off() {
+        let (_publisher, latest) = latest();
+        assert_eq!(latest.read(), Snapshot::default());
+    }
+
+    #[test]
+    fn readers_never_see_two_cycles_in_one_snapshot_nor_an_earlier_one_after_a_later_one() {
+        const LAST: u64 = 200_000;
+        let (mut publisher, latest) = latest();
+        thread::scope(|scope| {
+            for _ in 0..2 {
+                let latest = latest.clone();
+                scope.spawn(move || {
+                    let mut last = 0;
+                    while last < LAST {
+                        let snapshot = latest.read();
+                        if snapshot != Snapshot::default() {
+                            assert_eq!(snapshot, of(snapshot.cycle));
+                        }
+                        assert!(snapshot.cycle >= last);
+                        last = snapshot.cycle;
+                    }
+                });
+            }
+            (1..=LAST).for_each(|number| publisher.publish(&of(number)));
+        });
+    }
+}
