@@ -65,6 +65,7 @@ fn allocations(generator: Result<impl Generator, GeneratorError>) -> (u64, u64) 
         macrosteps_ahead: 4,
         silence: Duration::from_millis(500),
         switching: Duration::from_secs(5),
+        planning: Duration::from_secs(60),
         homing: Duration::from_secs(120),
         meeting: Duration::from_secs(600),
     };

@@ -22,6 +22,9 @@ const HOMING: Duration = Duration::from_secs(120);
 /// Greatest homing time-out of an effector.
 const LONGEST_HOMING: Duration = Duration::from_secs(3600);
 
+/// Longest first step of a generator.
+const PLANNING: Duration = Duration::from_secs(60);
+
 /// Number of macrosteps that a generator may be ahead of the servo, if the generator does not need feedback from the
 /// servo. At the usual 20 ms, the queue bridges two seconds in which only the servo thread gets the processor. A stop
 /// drops these macrosteps.
@@ -167,6 +170,7 @@ fn ecp_config(file: &CellFile, robot: usize) -> EcpConfig {
         macrosteps_ahead: MACROSTEPS_AHEAD,
         silence: Duration::from_secs(10),
         switching: ENABLING * 2,
+        planning: PLANNING,
         homing: homing_timeout(file, robot, &servo_axes(file, robot)) + ENABLING,
         meeting: Duration::from_secs(cell.meeting_timeout_s.into()),
     }

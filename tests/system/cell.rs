@@ -511,6 +511,7 @@ impl Rig {
             macrosteps_ahead: MACROSTEPS_AHEAD,
             silence: Duration::from_millis(500),
             switching: Duration::from_secs(5),
+            planning: Duration::from_secs(60),
             homing: HOMING,
             meeting: Duration::from_secs(600),
         };

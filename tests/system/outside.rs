@@ -1,10 +1,11 @@
 //! Programs of users: the examples of the library, and a program that is no member of the workspace.
 
+use std::ffi::OsStr;
 use std::fs;
 use std::process::Command;
 
 use crate::bench::turn;
-use crate::mrroc::{Directory, example_program, root};
+use crate::mrroc::{Directory, example_program, root, shorten};
 
 #[test]
 fn the_example_generator_swings_out_and_comes_back_to_where_it_began() {
@@ -37,9 +38,30 @@ fn the_example_generator_swings_out_and_comes_back_to_where_it_began() {
 /// controller for longer starves the motion, and the servo then brakes: such a run is repeated.
 #[test]
 fn a_generator_with_feedback_in_every_period_runs_in_lockstep_and_by_the_clock() {
+    completes_in_lockstep_and_by_the_clock("feedback", &[]);
+}
+
+/// A robot that plans for 50 ms starves no other, not even one that needs a macrostep in every period.
+#[test]
+fn a_long_plan_of_one_robot_does_not_delay_another() {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6", |cell| {
+        shorten(cell);
+        let (mut bus, mut robot) = (cell.bus[0].clone(), cell.robot[0].clone());
+        (bus.name, robot.name) = ("second".into(), "second".into());
+        bus.interface = "can1".into();
+        robot.axis.iter_mut().for_each(|axis| axis.bus = "second".into());
+        cell.bus.push(bus);
+        cell.robot.push(robot);
+        cell.robot.iter_mut().for_each(|robot| robot.program.clear());
+    });
+    completes_in_lockstep_and_by_the_clock("slow_plans", &[cell.as_os_str()]);
+}
+
+fn completes_in_lockstep_and_by_the_clock(program: &str, arguments: &[&OsStr]) {
     let run = |bench| {
-        let mut run = Command::new(example_program("feedback"));
-        run.args(["--bench", bench]).current_dir(root()).output().unwrap()
+        let mut run = Command::new(example_program(program));
+        run.args(arguments).args(["--bench", bench]).current_dir(root()).output().unwrap()
     };
     let lockstep = run("lockstep");
     assert!(lockstep.status.success(), "{lockstep:?}");

@@ -50,8 +50,9 @@ fn check(what: &str, report: &Value, times: &[f64], tolerance: f64) {
         let rank = (share * times.len() as f64).ceil() as usize;
         let expected = times[rank.clamp(1, times.len()) - 1];
         let said = report[key].as_f64().unwrap();
-        // All values except the maximum are rounded to four digits.
-        let digits = if key == "max" { 0.0 } else { expected * 1.3e-4 };
+        // All values except the maximum are rounded to four digits. On a busy host, some time can pass between the two
+        // stamps of one frame, which then makes the maximum.
+        let digits = if key == "max" { expected * 1e-2 } else { expected * 1.3e-4 };
         assert!(
             (said - expected).abs() <= tolerance + digits,
             "{what}, {key}: {expected} µs, and the run said {said}: {report}"

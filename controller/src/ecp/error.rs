@@ -42,6 +42,9 @@ pub enum EcpError {
     /// The servo reports, but did not complete the request in time.
     #[error("still {phase:?} after {waited:?}")]
     TimedOut { phase: Phase, waited: Duration },
+    /// The first step of a generator takes too long.
+    #[error("the first step of the generator takes longer than {waited:?}")]
+    Unplanned { waited: Duration },
     /// At least one partner did not come to a meeting in time.
     #[error("the partners of a meeting did not come within {waited:?}")]
     Unmet { waited: Duration },

@@ -12,7 +12,7 @@ use crate::robot::{Arm, KinematicsError};
 const STEP: f64 = 1e-4;
 
 /// Data of the effector in its control process. Joints and pose are computed from the motors on request.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Effector {
     pub(super) arm: Arm,
     /// The measured state: of the last report while a generator runs, otherwise the latest.

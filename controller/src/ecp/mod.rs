@@ -5,7 +5,7 @@
 //! condition and next step for each macrostep (see [`generator`](crate::generator)). It converts the set-points of the
 //! generator to motor positions and velocities, and sends orders to the servo.
 //!
-//! The poll never waits. Only the first step of a generator may allocate. The macrosteps ahead of the servo, the orders
+//! The poll never waits. A [`Planner`] computes the first step of a generator, which alone may allocate and take long. The macrosteps ahead of the servo, the orders
 //! that wait for room in the queue, and the time without a report are limited.
 //!
 //! A motion is ended by the terminal condition, an error of the generator, [`Ecp::stop`] or the servo. The instruction
@@ -18,6 +18,7 @@
 
 mod error;
 mod image;
+mod planning;
 mod subcontrollers;
 mod task;
 #[cfg(test)]
@@ -33,6 +34,8 @@ use crate::robot::Arm;
 
 pub use error::EcpError;
 use image::Effector;
+use planning::Planning;
+pub use planning::{AtOnce, Plan, Planner};
 pub use subcontrollers::{Meetings, Subcontrollers};
 use task::Instruction;
 pub use task::Task;
@@ -52,6 +55,8 @@ pub struct EcpConfig {
     pub silence: Duration,
     /// Time limit for switching the drives on or off, for resetting a fault and for braking.
     pub switching: Duration,
+    /// Time limit of the first step of a generator.
+    pub planning: Duration,
     /// Time limit of homing.
     pub homing: Duration,
     /// Time limit of the wait for the partners of a meeting.
@@ -96,6 +101,8 @@ enum Activity {
     Switching { order: Order, since: Instant },
     /// Waits for the partners of a meeting. `admitted`: all partners have come.
     Meeting { meeting: u8, since: Instant, admitted: bool },
+    /// The planner computes the first step of a generator. The effector stands.
+    Planning { since: Instant },
     /// The generator computes macrosteps.
     Running(Box<dyn Execution + Send>),
     /// Waits for the end of the last macrostep, which ends at standstill.
@@ -114,6 +121,7 @@ pub struct Ecp {
     task: Task,
     instruction: usize,
     activity: Activity,
+    planning: Planning,
     report: Option<ServoReport>,
     /// Orders that wait for room in the servo's queue.
     outbox: VecDeque<Order>,
@@ -139,6 +147,7 @@ impl Ecp {
             task: Task::new(),
             instruction: 0,
             activity: Activity::Idle,
+            planning: Planning::with(Box::new(AtOnce::default())),
             report: None,
             outbox: VecDeque::with_capacity(usize::from(config.macrosteps_ahead.max(1)) + 1),
             sent: 0,
@@ -147,6 +156,11 @@ impl Ecp {
             base: 0,
             heard: Instant::ZERO,
         }
+    }
+
+    /// Computes first steps by another planner. The plan of an instruction in progress is lost.
+    pub fn plan_with(&mut self, planner: Box<dyn Planner>) {
+        self.planning = Planning::with(planner);
     }
 
     /// Takes a task, which begins with the next poll. Fails while another task is in progress.
@@ -302,7 +316,7 @@ impl Ecp {
                 return None;
             }
             Instruction::Run(_) if !self.homed() => return Some(Err(EcpError::NotHomed)),
-            Instruction::Run(run) => return self.begin_run(run),
+            Instruction::Run(run) => return self.begin_run(run, now),
         };
         if self.is_done(order) {
             return Some(Ok(()));
@@ -323,7 +337,7 @@ impl Ecp {
         }
     }
 
-    fn begin_run(&mut self, mut run: Box<dyn Execution + Send>) -> Option<Result<(), EcpError>> {
+    fn begin_run(&mut self, run: Box<dyn Execution + Send>, now: Instant) -> Option<Result<(), EcpError>> {
         // The last report may be old: an effector at rest sends none.
         let latest = self.latest();
         self.effector.measured = latest;
@@ -335,7 +349,22 @@ impl Ecp {
             Ok(pace) => pace,
             Err(error) => return Some(Err(EcpError::Generator { step: 0, error })),
         };
-        let first = run.first_step(&self.effector, self.macrostep());
+        self.planning.begin(run, &self.effector, self.macrostep());
+        self.activity = Activity::Planning { since: now };
+        None
+    }
+
+    /// Takes the result of a first step, once it is computed.
+    fn advance_planning(&mut self, since: Instant, now: Instant) -> Option<Result<(), EcpError>> {
+        let phase = self.phase();
+        if phase != Phase::Standing {
+            return Some(Err(EcpError::BrokenOff { phase }));
+        }
+        let Some((run, first)) = self.planning.finished() else {
+            let waited = now.since(since);
+            return (waited > self.config.planning).then_some(Err(EcpError::Unplanned { waited }));
+        };
+        self.heard = now;
         self.activity = Activity::Running(run);
         match first {
             Ok(Step::Ended) => Some(Ok(())),
@@ -378,6 +407,14 @@ impl Ecp {
                 let waited = now.since(since);
                 (waited > self.config.meeting).then_some(Err(EcpError::Unmet { waited }))
             }
+            Activity::Planning { since } => {
+                let outcome = self.advance_planning(since, now);
+                // The macrosteps follow in the same poll.
+                if outcome.is_none() && matches!(self.activity, Activity::Running(_)) {
+                    return self.advance_motion(now);
+                }
+                outcome
+            }
             Activity::Running(_) | Activity::Arriving | Activity::RunningOut => self.advance_motion(now),
             Activity::Stopping { since: None, .. } => {
                 let waited = now.since(self.heard);
@@ -408,9 +445,7 @@ impl Ecp {
             let arrived = phase == Phase::Standing && self.outstanding() == 0;
             return arrived.then_some(Ok(()));
         } else if matches!(self.activity, Activity::RunningOut) {
-            if self.outstanding() == 0 {
-                self.brake(Ok(()));
-            }
+            self.run_out();
         } else {
             for _ in 0..self.config.macrosteps_ahead.max(1) {
                 self.step();
@@ -425,6 +460,14 @@ impl Ecp {
         let outcome = Err(self.cause_of(EcpError::BrokenOff { phase }));
         self.clear_outbox();
         self.activity = Activity::Stopping { since: Some(now), outcome };
+    }
+
+    /// Stops a motion whose generator ended in motion, once its last macrostep is reported. A macrostep that is read in
+    /// its last period leaves no time for another poll.
+    fn run_out(&mut self) {
+        if self.outstanding() == 0 {
+            self.brake(Ok(()));
+        }
     }
 
     /// Requests the next macrostep from the generator if the macrostep is due.
@@ -445,6 +488,7 @@ impl Ecp {
             }
             Ok(Step::Ended) if self.effector.commanded.velocity.iter().any(|v| *v != 0.0) => {
                 self.activity = Activity::RunningOut;
+                self.run_out();
             }
             Ok(Step::Ended) => self.activity = Activity::Arriving,
             Err(error) => self.brake(Err(EcpError::Generator { step: self.sent - self.base, error })),

@@ -3,7 +3,7 @@
 use can::Instant;
 use servo::Gates;
 
-use super::{Ecp, EcpEvent, Status};
+use super::{Ecp, EcpEvent, Planner, Status};
 
 /// The effector control processes of one cell, one per robot, and the meetings between them.
 pub struct Subcontrollers {
@@ -15,6 +15,11 @@ impl Subcontrollers {
     /// The processes, in the order of the cell's robots.
     pub fn new(ecps: Vec<Ecp>, meetings: Meetings) -> Self {
         Self { ecps, meetings }
+    }
+
+    /// Gives each process a planner of its own.
+    pub fn plan_with(&mut self, mut planner: impl FnMut() -> Box<dyn Planner>) {
+        self.ecps.iter_mut().for_each(|ecp| ecp.plan_with(planner()));
     }
 
     /// Polls the processes at `now`, robot by robot, then holds the meetings whose partners have come.

@@ -4,6 +4,7 @@ mod endings;
 mod failures;
 mod images;
 mod pace;
+mod planning;
 mod weight;
 
 use std::collections::VecDeque;
@@ -26,6 +27,7 @@ const CONFIG: EcpConfig = EcpConfig {
     macrosteps_ahead: 4,
     silence: Duration::from_millis(500),
     switching: Duration::from_secs(5),
+    planning: Duration::from_secs(60),
     homing: Duration::from_secs(10),
     meeting: Duration::from_secs(600),
 };

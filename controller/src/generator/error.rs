@@ -53,6 +53,9 @@ pub enum GeneratorError {
     /// The effector measures positions that its mechanism cannot take.
     #[error("effector image: {0}")]
     Image(KinematicsError),
+    /// A panic in the first step. The panic hook received its message.
+    #[error("the generator panicked in its first step")]
+    Panicked,
     /// Reason of a user's generator, with a number defined by that generator.
     #[error("generator error {0}")]
     User(u16),

@@ -15,9 +15,8 @@ use crate::robot::Space;
 /// that it ends with a macrostep.
 ///
 /// The first step solves the whole motion. The computing time is microseconds for one pose, and some 30 ms for six
-/// axes through five poses. Meanwhile the thread runs nothing else. For a single pose only a refusal allocates. With
-/// intermediate poses the solver formats a message for each discarded candidate, which costs hundreds of allocations
-/// per pose. No next step allocates.
+/// axes through five poses. For a single pose only a refusal allocates. With intermediate poses the solver formats a
+/// message for each discarded candidate, which costs hundreds of allocations per pose. No next step allocates.
 #[derive(Debug)]
 pub struct JerkLimited {
     space: Space,

@@ -17,7 +17,7 @@ pub type Pose = nalgebra::Isometry3<f64>;
 pub struct Arm {
     robot: Arc<dyn Robot>,
     flange_from_tool: Pose,
-    weight: Option<Weight>,
+    weight: Option<Arc<Weight>>,
 }
 
 impl Arm {
@@ -28,7 +28,7 @@ impl Arm {
 
     /// The same arm with the masses of links and load. Without masses, [`torques`](Self::torques) returns zeros.
     pub fn weighing(self, weight: Weight) -> Self {
-        Self { weight: Some(weight), ..self }
+        Self { weight: Some(Arc::new(weight)), ..self }
     }
 
     /// The robot without its tool.

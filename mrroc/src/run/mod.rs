@@ -13,6 +13,7 @@ mod ending;
 mod files;
 mod running_tasks;
 mod tick;
+mod worker;
 
 use std::cell::{Cell as Shared, RefCell};
 use std::io::Write as _;
@@ -307,6 +308,7 @@ fn by_the_clock(
             return not_up(file, servo, clock::now().since(began), writing.finish(file), error);
         }
     };
+    tasks.plan_aside().context("a thread for planning cannot be made")?;
     let trace = requests.spikes.clone();
     let realtime = file.cell.realtime;
     let (ticking, mut tick) = tick(file.cell.period());

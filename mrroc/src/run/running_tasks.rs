@@ -1,10 +1,13 @@
 //! The subcontrollers of a run under way: their reports, and the failures that stop them.
 
+use std::io;
+
 use can::Instant;
 use controller::ecp::{Ecp, EcpError, Subcontrollers, Task};
 use drive::Fault;
 use servo::{EffectorLink, Phase, Servo, ServoFault, StopCause, StopRequest};
 
+use super::worker::Worker;
 use crate::{cell::CellFile, rehearsal, report::FaultReport, setup, tasks::MakeTasks};
 
 /// All tasks of a run. The first failure stops every robot.
@@ -54,6 +57,17 @@ impl<'a> RunningTasks<'a> {
             faults: Vec::new(),
             stop: servo.stop_request(),
         })
+    }
+
+    /// Computes the first steps of each robot's generators on a thread of their own.
+    pub(crate) fn plan_aside(&mut self) -> io::Result<()> {
+        let mut workers = Vec::new();
+        for _ in &self.file.cell.robot {
+            workers.push(Worker::start()?);
+        }
+        let mut workers = workers.into_iter();
+        self.subcontrollers.plan_with(|| Box::new(workers.next().expect("each robot has one")));
+        Ok(())
     }
 
     /// Polls every process, and returns whether any has an instruction. `tell` receives the progress and must not

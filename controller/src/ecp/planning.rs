@@ -1,0 +1,88 @@
+//! First steps of generators, computed aside.
+//!
+//! A first step may take long. An ECP therefore hands it to a [`Planner`] and polls for the result, so that one robot's
+//! plan delays no other robot. In lockstep the plan is computed [at once](AtOnce), and every run has the same cycles.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::Duration;
+
+use super::image::Effector;
+use crate::generator::{Execution, GeneratorError, Step};
+
+/// A first step to compute, with the images that it reads.
+pub struct Plan {
+    run: Box<dyn Execution + Send>,
+    effector: Effector,
+    macrostep: Duration,
+    /// Number of the plan in its ECP. The result of an earlier plan is dropped.
+    number: u64,
+    result: Option<Result<Step, GeneratorError>>,
+}
+
+impl Plan {
+    pub(super) fn new(run: Box<dyn Execution + Send>, effector: &Effector, macrostep: Duration, number: u64) -> Self {
+        Self { run, effector: effector.clone(), macrostep, number, result: None }
+    }
+
+    /// Computes the first step. A panic of the generator becomes its error.
+    pub fn compute(&mut self) {
+        let first = catch_unwind(AssertUnwindSafe(|| self.run.first_step(&self.effector, self.macrostep)));
+        self.result = Some(first.unwrap_or(Err(GeneratorError::Panicked)));
+    }
+
+    /// The generator and the result of its first step; `None` for a plan of another number, or not computed.
+    fn into_result(self, number: u64) -> Option<(Box<dyn Execution + Send>, Result<Step, GeneratorError>)> {
+        Some((self.run, self.result.filter(|_| self.number == number)?))
+    }
+}
+
+/// Computes the plans of one ECP. Neither function waits.
+pub trait Planner: Send {
+    /// Takes a plan to compute. At most one plan of the ECP is of interest: a new plan replaces the last one.
+    fn begin(&mut self, plan: Plan);
+
+    /// A computed plan, if there is one.
+    fn finished(&mut self) -> Option<Plan>;
+}
+
+/// Computes a plan on the calling thread as soon as it is handed over.
+#[derive(Default)]
+pub struct AtOnce(Option<Plan>);
+
+impl Planner for AtOnce {
+    fn begin(&mut self, mut plan: Plan) {
+        plan.compute();
+        self.0 = Some(plan);
+    }
+
+    fn finished(&mut self) -> Option<Plan> {
+        self.0.take()
+    }
+}
+
+/// The planner of an ECP, and the number of its last plan.
+pub(super) struct Planning {
+    planner: Box<dyn Planner>,
+    number: u64,
+}
+
+impl Planning {
+    pub(super) fn with(planner: Box<dyn Planner>) -> Self {
+        Self { planner, number: 0 }
+    }
+
+    pub(super) fn begin(&mut self, run: Box<dyn Execution + Send>, effector: &Effector, macrostep: Duration) {
+        self.number += 1;
+        self.planner.begin(Plan::new(run, effector, macrostep, self.number));
+    }
+
+    /// The generator of the last plan, and the result of its first step.
+    pub(super) fn finished(&mut self) -> Option<(Box<dyn Execution + Send>, Result<Step, GeneratorError>)> {
+        while let Some(plan) = self.planner.finished() {
+            if let Some(result) = plan.into_result(self.number) {
+                return Some(result);
+            }
+        }
+        None
+    }
+}

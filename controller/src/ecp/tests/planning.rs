@@ -1,0 +1,113 @@
+//! First steps that a planner computes aside.
+
+use std::sync::{Arc, Mutex};
+
+use super::*;
+
+/// Holds plans until the test computes them.
+#[derive(Clone, Default)]
+struct Held(Arc<Mutex<VecDeque<Plan>>>, Arc<Mutex<VecDeque<Plan>>>);
+
+impl Planner for Held {
+    fn begin(&mut self, plan: Plan) {
+        self.0.lock().unwrap().push_back(plan);
+    }
+
+    fn finished(&mut self) -> Option<Plan> {
+        self.1.lock().unwrap().pop_front()
+    }
+}
+
+impl Held {
+    /// Computes the oldest plan.
+    fn compute(&self) {
+        let mut plan = self.0.lock().unwrap().pop_front().unwrap();
+        plan.compute();
+        self.1.lock().unwrap().push_back(plan);
+    }
+
+    fn on(bench: &mut Bench) -> Self {
+        let held = Self::default();
+        bench.ecp.plan_with(Box::new(held.clone()));
+        held
+    }
+}
+
+#[test]
+fn the_effector_stands_while_its_motion_is_planned_and_then_moves_as_if_planned_at_once() {
+    let mut at_once = Bench::ready();
+    assert_eq!(at_once.run(Task::new().run(to(0.5, 0.0, 0.0))), finished(1));
+    let mut bench = Bench::ready();
+    let held = Held::on(&mut bench);
+    bench.ecp.execute(Task::new().run(to(0.5, 0.0, 0.0))).unwrap();
+    let mut period = 0;
+    let events = bench.go_on(|bench| {
+        period += 1;
+        if period == 500 {
+            assert_eq!((bench.ecp.status().phase, bench.servo.moves().count()), (Phase::Standing, 0));
+            held.compute();
+        }
+    });
+    assert_eq!(events, finished(1));
+    assert!(bench.servo.moves().eq(at_once.servo.moves()));
+}
+
+#[test]
+fn a_plan_that_takes_too_long_ends_the_instruction_and_its_late_result_is_dropped() {
+    let mut bench = Bench::ready();
+    let held = Held::on(&mut bench);
+    let waited = CONFIG.planning + PERIOD;
+    assert_eq!(bench.run(Task::new().run(to(0.5, 0.0, 0.0))), failed(EcpError::Unplanned { waited }));
+    bench.ecp.execute(Task::new().run(to(0.0, 0.25, 0.0))).unwrap();
+    let mut period = 0;
+    let events = bench.go_on(|_| {
+        period += 1;
+        // The result of the first plan comes while the second one is computed.
+        if period == 10 || period == 20 {
+            held.compute();
+        }
+    });
+    assert_eq!(events, finished(1));
+    assert_eq!(bench.servo.report.snapshot.commanded[0], 0.0);
+    assert!(bench.servo.report.snapshot.commanded[1] > 20.0);
+}
+
+#[test]
+fn a_stop_while_a_motion_is_planned_ends_the_task_and_nothing_moves() {
+    let mut bench = Bench::ready();
+    let held = Held::on(&mut bench);
+    bench.ecp.execute(Task::new().run(to(0.5, 0.0, 0.0)).run(to(0.0, 0.0, 0.0))).unwrap();
+    let mut period = 0;
+    let events = bench.go_on(|bench| {
+        period += 1;
+        match period {
+            10 => bench.ecp.stop(),
+            11 => held.compute(),
+            _ => {}
+        }
+    });
+    assert_eq!(events, failed(EcpError::Stopped));
+    assert_eq!(bench.servo.moves().count(), 0);
+}
+
+#[test]
+fn a_panic_in_a_first_step_is_an_error_of_its_generator() {
+    struct Panics;
+    impl Generator for Panics {
+        type First = ();
+        type Every = ();
+        type Memory = ();
+        fn first_step(&mut self, (): &(), _: Duration) -> Result<Next<()>, GeneratorError> {
+            panic!("as the test asks");
+        }
+        fn terminal(&self, (): &(), (): &()) -> bool {
+            true
+        }
+        fn next_step(&self, (): &(), (): &()) -> Result<Next<()>, GeneratorError> {
+            Ok(Next::remember(()))
+        }
+    }
+    let mut bench = Bench::ready();
+    let error = EcpError::Generator { step: 0, error: GeneratorError::Panicked };
+    assert_eq!(bench.run(Task::new().run(Panics)), failed(error));
+}

@@ -1,0 +1,57 @@
+//! A thread that computes the first steps of one robot's generators.
+//!
+//! The thread has the ordinary priority, and is not waited for: a first step that never returns must not hold up the end
+//! of a run.
+
+use std::io;
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::thread::Builder;
+
+use controller::ecp::{Plan, Planner};
+
+/// The controller's end of a worker.
+pub(super) struct Worker {
+    plans: SyncSender<Plan>,
+    results: Receiver<Plan>,
+    /// The plan that waits until the worker has taken the one before.
+    waiting: Option<Plan>,
+}
+
+impl Worker {
+    /// Starts the thread. It ends when the worker is dropped and its last plan is computed.
+    pub(super) fn start() -> io::Result<Self> {
+        let (plans, taken) = sync_channel::<Plan>(1);
+        let (computed, results) = sync_channel(1);
+        let body = move || {
+            for mut plan in taken {
+                plan.compute();
+                if computed.send(plan).is_err() {
+                    return;
+                }
+            }
+        };
+        Builder::new().name("planning".into()).spawn(body)?;
+        Ok(Self { plans, results, waiting: None })
+    }
+
+    fn offer(&mut self) {
+        if let Some(plan) = self.waiting.take()
+            && let Err(TrySendError::Full(plan)) = self.plans.try_send(plan)
+        {
+            self.waiting = Some(plan);
+        }
+    }
+}
+
+impl Planner for Worker {
+    fn begin(&mut self, plan: Plan) {
+        self.waiting = Some(plan);
+        self.offer();
+    }
+
+    fn finished(&mut self) -> Option<Plan> {
+        let plan = self.results.try_recv().ok();
+        self.offer();
+        plan
+    }
+}
