@@ -5,10 +5,10 @@
 
 use mrroc::prelude::*;
 
-/// Moves joint 0 by 0.2 rad in 1.6 s, in macrosteps of one period.
+/// Moves joint 0 by 0.1 rad in 0.8 s, in macrosteps of one period.
 struct Swing;
 
-const STEPS: u32 = 800;
+const STEPS: u32 = 400;
 
 impl Generator for Swing {
     type First = ();
@@ -28,12 +28,12 @@ impl Generator for Swing {
     }
 
     fn next_step(&self, step: &u32, e: &EffectorImage) -> Result<Next<u32>, GeneratorError> {
-        let at = |step: u32| 0.2 * (f64::from(step) * std::f64::consts::PI / f64::from(STEPS)).cos() / 2.0;
+        let at = |step: u32| 0.1 * (f64::from(step) * std::f64::consts::PI / f64::from(STEPS)).cos() / 2.0;
         let mut joints = e.commanded.joints;
         joints.position[0] += at(*step) - at(step + 1);
         let phase = f64::from(step + 1) * std::f64::consts::PI / f64::from(STEPS);
         // The period is 2 ms.
-        joints.velocity[0] = 0.1 * std::f64::consts::PI / f64::from(STEPS) / 0.002 * phase.sin();
+        joints.velocity[0] = 0.05 * std::f64::consts::PI / f64::from(STEPS) / 0.002 * phase.sin();
         Ok(Next::command(Setpoint::Joints(joints), step + 1))
     }
 }
