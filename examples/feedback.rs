@@ -1,4 +1,4 @@
-//! Continuous feedback in every servo period: joint 0 of the IRb-6 approaches a target, the slower the nearer it is.
+//! Continuous feedback in every servo period: the velocity of joint 0 is proportional to the distance from its target.
 
 use mrroc::prelude::*;
 

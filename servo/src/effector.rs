@@ -471,6 +471,7 @@ impl Effector {
             macrostep: self.macrostep,
             axes: self.axes.len() as u8,
             commanded: self.each(|axis| axis.knot.position),
+            commanded_velocity: self.each(|axis| axis.knot.velocity),
             measured: self.each(|axis| axis.state.position),
             velocity: self.each(|axis| axis.state.velocity),
             torque: self.each(|axis| axis.state.torque),

@@ -1,7 +1,7 @@
 //! The latest state of an effector, for any number of readers.
 //!
-//! The servo publishes a [`Snapshot`] per effector and cycle. Neither side waits for the other: the servo writes two
-//! copies in turns, and a reader that was overtaken by two cycles reads again.
+//! The servo publishes a [`Snapshot`] per effector and cycle. Neither side waits for the other. The servo writes successive
+//! snapshots alternately into two buffers. A reader repeats its read if the servo began to overwrite the buffer.
 
 use std::array;
 use std::sync::Arc;
@@ -29,6 +29,8 @@ pub struct Snapshot {
     pub axes: u8,
     /// Motor positions commanded in this cycle, rad.
     pub commanded: [f64; MAX_AXES],
+    /// Motor velocities commanded in this cycle, rad/s.
+    pub commanded_velocity: [f64; MAX_AXES],
     /// Measured motor positions, rad: the effect of the commands of
     /// [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.
     pub measured: [f64; MAX_AXES],
@@ -38,22 +40,25 @@ pub struct Snapshot {
     pub torque: [f64; MAX_AXES],
     /// Switches of the axes; open where the drive does not report them.
     pub switches: [Switches; MAX_AXES],
-    /// Times of the samples: the SYNC or the telegram that the drive answered. [`Instant::ZERO`] before the first
-    /// sample.
+    /// Time at which each drive took its sample: when the SYNC or the telegram that it answered was sent.
+    /// [`Instant::ZERO`] before the first sample.
     pub sampled: [Instant; MAX_AXES],
-    /// Cycles in a row without a new sample: 0 if this cycle read one.
+    /// Cycles in a row without an answer to the last SYNC or telegram: 0 if this cycle read one.
     pub age: [u32; MAX_AXES],
 }
 
-/// Words of a snapshot: cycle, time, macrostep and flags, then seven per axis.
-const WORDS: usize = 4 + 7 * MAX_AXES;
+/// Number of words per axis.
+const PER_AXIS: usize = 8;
+
+/// Words of a snapshot: cycle, time, macrostep and flags, then the words of each axis.
+const WORDS: usize = 4 + PER_AXIS * MAX_AXES;
 
 impl Snapshot {
     fn words(&self) -> [u64; WORDS] {
         let mut words = [0; WORDS];
         let flags = u64::from(self.phase as u8) | u64::from(self.homed) << 8 | u64::from(self.axes) << 16;
         words[..4].copy_from_slice(&[self.cycle, self.at.as_nanos(), self.macrostep, flags]);
-        for (axis, words) in words[4..].chunks_exact_mut(7).enumerate() {
+        for (axis, words) in words[4..].chunks_exact_mut(PER_AXIS).enumerate() {
             let Switches { home, lower_limit, upper_limit } = self.switches[axis];
             words.copy_from_slice(&[
                 self.commanded[axis].to_bits(),
@@ -63,6 +68,7 @@ impl Snapshot {
                 u64::from(home) | u64::from(lower_limit) << 1 | u64::from(upper_limit) << 2,
                 self.sampled[axis].as_nanos(),
                 u64::from(self.age[axis]),
+                self.commanded_velocity[axis].to_bits(),
             ]);
         }
         words
@@ -70,7 +76,8 @@ impl Snapshot {
 
     fn from_words(words: &[u64; WORDS]) -> Self {
         let flags = words[3];
-        let number = |at: usize| array::from_fn(|axis| f64::from_bits(words[4 + 7 * axis + at]));
+        let word = |axis: usize, at: usize| words[4 + PER_AXIS * axis + at];
+        let number = |at: usize| array::from_fn(|axis| f64::from_bits(word(axis, at)));
         Self {
             cycle: words[0],
             at: Instant::from_nanos(words[1]),
@@ -83,16 +90,18 @@ impl Snapshot {
             velocity: number(2),
             torque: number(3),
             switches: array::from_fn(|axis| {
-                let bits = words[4 + 7 * axis + 4];
+                let bits = word(axis, 4);
                 Switches { home: bits & 1 != 0, lower_limit: bits & 2 != 0, upper_limit: bits & 4 != 0 }
             }),
-            sampled: array::from_fn(|axis| Instant::from_nanos(words[4 + 7 * axis + 5])),
-            age: array::from_fn(|axis| words[4 + 7 * axis + 6] as u32),
+            sampled: array::from_fn(|axis| Instant::from_nanos(word(axis, 5))),
+            age: array::from_fn(|axis| word(axis, 6) as u32),
+            commanded_velocity: number(7),
         }
     }
 }
 
-/// One copy of a snapshot. Its words may be read while they are written; [`Copied::number`] tells.
+/// One buffer for a snapshot. The words may be read during a write. A read is valid if `number` is the same, and not 0,
+/// before and after the read.
 #[derive(Debug)]
 struct Copied {
     /// Number of the snapshot, from 1; 0 while it is written.
@@ -153,7 +162,7 @@ impl Latest {
             let before = copy.number.load(Ordering::Acquire);
             let words = array::from_fn(|word| copy.words[word].load(Ordering::Relaxed));
             fence(Ordering::Acquire);
-            // Otherwise two further snapshots were published in the meantime.
+            // Otherwise the servo began to overwrite this buffer during the read.
             if before == number && copy.number.load(Ordering::Relaxed) == number {
                 return Snapshot::from_words(&words);
             }
@@ -193,6 +202,7 @@ mod tests {
             switches: [Switches { home: bit(0), lower_limit: bit(1), upper_limit: bit(2) }; MAX_AXES],
             sampled: [Instant::from_nanos(number); MAX_AXES],
             age: [number as u32; MAX_AXES],
+            commanded_velocity: value(4),
         }
     }
 

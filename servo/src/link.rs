@@ -86,7 +86,7 @@ impl Phase {
 pub struct ServoReport {
     /// State of the effector in the cycle of the report.
     pub snapshot: Snapshot,
-    /// Whether the macrostep of the snapshot is executed up to its `report_at`, or is over.
+    /// Whether `report_at` periods of the macrostep are executed, or the effector does not move by macrosteps.
     pub reached: bool,
     /// The fault that stopped the effector, if any.
     pub fault: Option<ServoFault>,

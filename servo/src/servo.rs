@@ -89,6 +89,11 @@ impl Gates {
         self.0.fetch_or(bit(gate), Ordering::Release);
     }
 
+    /// Whether a gate is open.
+    pub fn is_open(&self, gate: u8) -> bool {
+        self.open_ones().contain(gate)
+    }
+
     fn open_ones(&self) -> OpenGates {
         OpenGates(self.0.load(Ordering::Acquire))
     }

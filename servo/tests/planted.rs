@@ -60,7 +60,7 @@ extern "C" fn oversleep(_: libc::c_int) {
     sleep_until(Instant::from_nanos(ASLEEP_UNTIL.load(Ordering::Relaxed)));
 }
 
-/// Makes threads oversleep on request. Other work of the host delays no request where SCHED_FIFO is permitted.
+/// Makes threads oversleep on request. With SCHED_FIFO, other threads of the host do not delay requests.
 #[expect(unsafe_code, reason = "signals are the system's")]
 fn stopper(orders: Receiver<HoldUp>) {
     // SAFETY: the handler reads an atomic number and the clock, and sleeps.
@@ -167,8 +167,8 @@ impl DriveGroup for Delaying {
     }
 }
 
-/// Memory with a page fault at the first touch of every page. The pages are in memory already, so that no fault waits
-/// for a new page.
+/// Shared pages that are resident but not in the page table. The first access to each page causes a fault, which
+/// allocates no page.
 struct Pages(usize);
 
 impl Pages {
@@ -176,7 +176,7 @@ impl Pages {
 
     #[expect(unsafe_code, reason = "pages are the kernel's")]
     fn new() -> Self {
-        // SAFETY: a new mapping, which no other code uses. Its pages exist and are no longer mapped.
+        // SAFETY: a new mapping, which no other code uses.
         let start = unsafe {
             let start = libc::mmap(
                 std::ptr::null_mut(),

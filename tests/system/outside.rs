@@ -34,8 +34,8 @@ fn the_example_generator_swings_out_and_comes_back_to_where_it_began() {
     assert!((70.0..90.0).contains(&farthest), "{farthest}");
 }
 
-/// A macrostep of one period leaves the controller less than a period for its answer. By the clock a host that delays the
-/// controller for longer starves the motion, and the servo then brakes: such a run is repeated.
+/// A macrostep of one period leaves the controller less than a period for its answer. In a run by the clock, a longer delay
+/// starves the motion, and the test repeats the run.
 #[test]
 fn a_generator_with_feedback_in_every_period_runs_in_lockstep_and_by_the_clock() {
     let directory = Directory::new();
@@ -65,17 +65,22 @@ fn completes_in_lockstep_and_by_the_clock(program: &str, cell: &Path) {
     let lockstep = run("lockstep");
     assert!(lockstep.status.success(), "{lockstep:?}");
     let _turn = turn();
-    // A virtual machine stands still for milliseconds, in four of ten runs.
+    // On the virtual machine used for development, two of six runs had a pause of a period or more.
+    let mut completed = 0;
     for _ in 0..12 {
         let by_the_clock = run("emulated");
         if by_the_clock.status.success() {
-            return;
+            completed += 1;
+            if completed == 2 {
+                return;
+            }
+            continue;
         }
         let said = String::from_utf8_lossy(&by_the_clock.stderr).into_owned();
         let said = said + &String::from_utf8_lossy(&by_the_clock.stdout);
         assert!(said.contains("no macrostep in time"), "{said}");
     }
-    panic!("the controller was late in every run");
+    panic!("the controller was late in ten of twelve runs");
 }
 
 #[test]

@@ -104,7 +104,8 @@ pub(crate) fn emulated(emulator: Running, ttys: &Path) -> Running {
         }
         can::clock::sleep_until(can::clock::now() + Duration::from_millis(10));
     }
-    panic!("the emulator never came up");
+    emulator.signal("TERM");
+    panic!("the emulator never came up: {:?}", emulator.output());
 }
 
 pub(crate) fn run_on(cell: &Path, ttys: &Path, record: &Path) -> Running {

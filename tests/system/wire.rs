@@ -51,7 +51,7 @@ fn check(what: &str, report: &Value, times: &[f64], tolerance: f64) {
         let expected = times[rank.clamp(1, times.len()) - 1];
         let said = report[key].as_f64().unwrap();
         // All values except the maximum are rounded to four digits. On a busy host, some time can pass between the two
-        // stamps of one frame, which then makes the maximum.
+        // stamps of one frame. The maximum shows this time.
         let digits = if key == "max" { expected * 1e-2 } else { expected * 1.3e-4 };
         assert!(
             (said - expected).abs() <= tolerance + digits,

@@ -15,7 +15,7 @@ const STEP: f64 = 1e-4;
 #[derive(Clone, Debug)]
 pub(super) struct Effector {
     pub(super) arm: Arm,
-    /// The measured state: of the last report while a generator runs, otherwise the latest.
+    /// The measured state: at the beginning of a motion the latest, then that of the last report that is `reached`.
     pub(super) measured: Snapshot,
     /// Motor positions and velocities at the end of the last macrostep made.
     pub(super) commanded: AxesState,

@@ -1,12 +1,13 @@
 //! The effector control process: executes a [`Task`] for one effector over its servo link.
 //!
-//! A thread calls [`Ecp::poll`] at macrostep rate; a lockstep bench calls it in each cycle. The poll receives
-//! reports, updates the effector's image, and executes the current generator: its first step, then its terminal
-//! condition and next step for each macrostep (see [`generator`](crate::generator)). It converts the set-points of the
-//! generator to motor positions and velocities, and sends orders to the servo.
+//! The controller thread calls [`Ecp::poll`] once after each servo cycle; a lockstep bench calls the function in each
+//! cycle. The poll receives reports, updates the effector's image, and executes the current generator: its first step,
+//! then its terminal condition and next step for each macrostep (see [`generator`](crate::generator)). It converts the
+//! set-points of the generator to motor positions and velocities, and sends orders to the servo.
 //!
-//! The poll never waits. A [`Planner`] computes the first step of a generator, which alone may allocate and take long. The macrosteps ahead of the servo, the orders
-//! that wait for room in the queue, and the time without a report are limited.
+//! The poll waits for no other thread. A [`Planner`] computes the first step of a generator. Only a first step may
+//! allocate or take long. With [`AtOnce`] the poll computes it. The macrosteps ahead of the servo, the orders that wait
+//! for room in the queue, and the time without a report are limited.
 //!
 //! A motion is ended by the terminal condition, an error of the generator, [`Ecp::stop`] or the servo. The instruction
 //! ends when the effector stands again or is faulted, or when a time limit passes. If a generator ends while the
@@ -55,7 +56,7 @@ pub struct EcpConfig {
     pub silence: Duration,
     /// Time limit for switching the drives on or off, for resetting a fault and for braking.
     pub switching: Duration,
-    /// Time limit of the first step of a generator.
+    /// Time limit of the wait for a planner's result. [`AtOnce`] has the result within the poll.
     pub planning: Duration,
     /// Time limit of homing.
     pub homing: Duration,
@@ -92,6 +93,9 @@ pub struct Busy {
 /// Commanded motor velocity, rad/s, below which zero is commanded. The last velocity of a generator may contain a
 /// rounding error, such as that of `sin(2.0 * PI)`.
 const STILL: f64 = 1e-9;
+
+/// Greatest number of macrosteps that one poll computes. The other processes of the thread must not wait for long.
+const BURST: u16 = 10;
 
 /// Current activity. Every wait in an activity has a time limit.
 enum Activity {
@@ -158,7 +162,7 @@ impl Ecp {
         }
     }
 
-    /// Computes first steps by another planner. The plan of an instruction in progress is lost.
+    /// Replaces the planner, before the first task.
     pub fn plan_with(&mut self, planner: Box<dyn Planner>) {
         self.planning = Planning::with(planner);
     }
@@ -209,9 +213,15 @@ impl Ecp {
         }
     }
 
-    /// Whether the process has left a meeting and has sent all its pending orders.
+    /// Whether the process has left a meeting, has planned its next motion and has sent all its pending orders.
     fn has_left(&self, meeting: u8) -> bool {
-        self.meeting() != Some(meeting) && self.outbox.is_empty()
+        let planning = matches!(self.activity, Activity::Planning { .. });
+        self.meeting() != Some(meeting) && !planning && self.outbox.is_empty()
+    }
+
+    /// Notes at `now` that the servo is silent because the effector waits at a gate.
+    fn wait_at_gate(&mut self, now: Instant) {
+        self.heard = now;
     }
 
     /// State of the effector in the last servo cycle.
@@ -220,11 +230,18 @@ impl Ecp {
     }
 
     /// Image of the effector in the last servo cycle, in every phase, also with the drives off. Joints and pose are
-    /// meaningful after homing. Fails if the effector measures positions that its mechanism cannot take.
+    /// meaningful after homing. The commanded state is the set-point of that cycle, or the measured position at rest in
+    /// a phase without set-points. Fails if the effector measures positions that its mechanism cannot take.
     #[doc(alias = "get_position")]
     pub fn image(&self) -> Result<EffectorImage, GeneratorError> {
         let latest = self.latest();
-        self.effector.image(&latest, &AxesState::at_rest(latest.commanded))
+        let commanded = match latest.phase {
+            Phase::Standing | Phase::Moving | Phase::Stopping => {
+                AxesState { position: latest.commanded, velocity: latest.commanded_velocity }
+            }
+            Phase::Off | Phase::Enabling | Phase::Homing | Phase::Faulted => AxesState::at_rest(latest.measured),
+        };
+        self.effector.image(&latest, &commanded)
     }
 
     /// Receives the servo's reports, performs the actions due at `now`, and returns the end of an instruction, if
@@ -365,6 +382,8 @@ impl Ecp {
             return (waited > self.config.planning).then_some(Err(EcpError::Unplanned { waited }));
         };
         self.heard = now;
+        // A next step that follows at once reads the present state, not the state before the planning.
+        self.effector.measured = self.latest();
         self.activity = Activity::Running(run);
         match first {
             Ok(Step::Ended) => Some(Ok(())),
@@ -423,8 +442,8 @@ impl Ecp {
             Activity::Stopping { since: Some(since), outcome } => {
                 let waited = now.since(since);
                 // A standstill from before the stop does not count: the servo may still start an earlier order. Two
-                // macrosteps are enough, because the servo takes orders each period and reports each change.
-                let settled = waited > self.macrostep() * 2;
+                // macrosteps of the cell are enough, because the servo takes orders each period and reports each change.
+                let settled = waited > self.config.period * u32::from(self.config.pace.periods) * 2;
                 if settled && matches!(phase, Phase::Standing | Phase::Off) {
                     Some(outcome)
                 } else {
@@ -447,7 +466,7 @@ impl Ecp {
         } else if matches!(self.activity, Activity::RunningOut) {
             self.run_out();
         } else {
-            for _ in 0..self.config.macrosteps_ahead.max(1) {
+            for _ in 0..BURST {
                 self.step();
             }
         }
@@ -462,8 +481,8 @@ impl Ecp {
         self.activity = Activity::Stopping { since: Some(now), outcome };
     }
 
-    /// Stops a motion whose generator ended in motion, once its last macrostep is reported. A macrostep that is read in
-    /// its last period leaves no time for another poll.
+    /// Stops a motion whose generator ended in motion, once its last macrostep is reported. If images are read after
+    /// the last period of a macrostep, the stop must be sent in the same poll.
     fn run_out(&mut self) {
         if self.outstanding() == 0 {
             self.brake(Ok(()));

@@ -1,7 +1,8 @@
-//! First steps of generators, computed aside.
+//! Planning: computes the first steps of generators, on another thread or at once.
 //!
-//! A first step may take long. An ECP therefore hands it to a [`Planner`] and polls for the result, so that one robot's
-//! plan delays no other robot. In lockstep the plan is computed [at once](AtOnce), and every run has the same cycles.
+//! A first step may take long. An ECP hands each first step to a [`Planner`] and polls for the result. The plan of one
+//! robot therefore delays no other robot. In lockstep each plan is computed [at once](AtOnce), and every run has the same
+//! cycles.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
@@ -30,13 +31,13 @@ impl Plan {
         self.result = Some(first.unwrap_or(Err(GeneratorError::Panicked)));
     }
 
-    /// The generator and the result of its first step; `None` for a plan of another number, or not computed.
+    /// The generator and the result of its first step; `None` if the plan has another number or is not computed yet.
     fn into_result(self, number: u64) -> Option<(Box<dyn Execution + Send>, Result<Step, GeneratorError>)> {
         Some((self.run, self.result.filter(|_| self.number == number)?))
     }
 }
 
-/// Computes the plans of one ECP. Neither function waits.
+/// Computes the plans of one ECP. A planner on another thread returns from both functions without a wait.
 pub trait Planner: Send {
     /// Takes a plan to compute. At most one plan of the ECP is of interest: a new plan replaces the last one.
     fn begin(&mut self, plan: Plan);

@@ -32,7 +32,7 @@ impl Subcontrollers {
                 ended(robot, ecp, event);
             }
         }
-        self.meetings.poll(&mut self.ecps);
+        self.meetings.poll(&mut self.ecps, now);
         self.statuses().any(|status| status.instruction.is_some())
     }
 
@@ -45,7 +45,8 @@ impl Subcontrollers {
 /// The meetings of a cell's effector control processes. Each meeting is held once, when all its partners have come.
 ///
 /// All partners continue in the same servo cycle. When all have come, they are admitted. Each partner then sends a
-/// gate and its next orders to the servo. When all partners have sent these orders, the gate opens for all at once.
+/// gate, plans its next motion and sends its first orders to the servo. When all partners have sent these orders, the
+/// gate opens for all at once.
 /// A preemption of the calling thread in between does not change the result.
 #[derive(Debug)]
 pub struct Meetings {
@@ -74,7 +75,7 @@ impl Meetings {
     }
 
     /// Advances the meetings whose partners are ready. The processes were polled until they returned no more events.
-    pub(super) fn poll(&mut self, ecps: &mut [Ecp]) {
+    pub(super) fn poll(&mut self, ecps: &mut [Ecp], now: Instant) {
         for (meeting, number) in self.meetings.iter_mut().zip(0..) {
             let mut partners = meeting.partners.iter();
             match meeting.progress {
@@ -88,7 +89,8 @@ impl Meetings {
                     self.gates.open(number);
                     meeting.progress = Progress::Held;
                 }
-                Progress::Gathering | Progress::Admitted | Progress::Held => {}
+                Progress::Admitted => meeting.partners.iter().for_each(|&at| ecps[at].wait_at_gate(now)),
+                Progress::Gathering | Progress::Held => {}
             }
         }
     }

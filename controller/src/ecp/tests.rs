@@ -457,7 +457,7 @@ fn meet(late: u64) -> [u64; 2] {
         }
         let [one, other] = benches;
         let mut ecps = [one.ecp, other.ecp];
-        meetings.poll(&mut ecps);
+        meetings.poll(&mut ecps, now);
         let [first, second] = ecps;
         benches = [Bench { ecp: first, ..one }, Bench { ecp: second, ..other }];
         for (bench, began) in benches.iter_mut().zip(&mut began) {

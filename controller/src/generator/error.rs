@@ -28,10 +28,8 @@ pub enum GeneratorError {
     Fraction { pose: usize, axis: u8, value: f64 },
     #[error("macrostep has no length")]
     NoMacrostep,
-    /// A [`Pace`](super::Pace) without periods, or one that reads images outside its periods.
-    #[error(
-        "a macrostep of {periods} periods cannot read after period {read_at}: 1 to {periods} is possible, at least 1"
-    )]
+    /// A [`Pace`](super::Pace) without periods or with too many, or one that reads images outside its periods.
+    #[error("a macrostep has 1 to 1000 periods, of which one reads images: not {periods} periods and period {read_at}")]
     Pace { periods: u16, read_at: u16 },
     #[error("motion takes more than {limit} macrosteps")]
     TooLong { limit: u32 },

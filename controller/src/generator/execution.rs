@@ -67,7 +67,7 @@ impl<G: Generator> Execution for Run<G> {
 
     fn pace(&self, cell: Pace) -> Result<Pace, GeneratorError> {
         let Pace { periods, read_at } = self.generator.pace(cell);
-        let sound = (1..=periods).contains(&read_at);
+        let sound = periods <= Pace::MOST_PERIODS && (1..=periods).contains(&read_at);
         sound.then_some(Pace { periods, read_at }).ok_or(GeneratorError::Pace { periods, read_at })
     }
 

@@ -38,16 +38,16 @@ pub struct EffectorState {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EffectorImage {
     /// Time of the measurement: of the SYNC or telegram at which the drives took their samples. If the samples differ,
-    /// the time of the oldest one. A first step reads the latest samples. Next steps read the samples of the report in
-    /// this macrostep or the previous macrostep.
+    /// the time of the oldest one. A first step reads the latest samples. Next steps read the samples of the last
+    /// report, and before the first report of a motion the latest samples.
     pub at: Instant,
     /// Time of the servo cycle that read the samples, at least one period after [`at`](Self::at).
     pub read_at: Instant,
-    /// Age of each axis's sample at [`read_at`](Self::read_at): one period if the drive answered in time.
+    /// Time from the sample of each axis to [`read_at`](Self::read_at): one period if the drive answered in time.
     pub age: [Duration; MAX_AXES],
     /// The macrostep in execution at [`read_at`](Self::read_at).
     pub macrostep: u64,
-    /// Measured at [`at`](Self::at).
+    /// Measured state. The sample of each axis was taken at [`read_at`](Self::read_at) minus its [`age`](Self::age).
     pub measured: EffectorState,
     /// Motor torques measured, N·m; zero where the drive does not report them.
     pub torque: Axes,

@@ -22,58 +22,10 @@
 //! generator's own memory, the generator may run ahead of the servo by a few macrosteps. A late controller thread
 //! then does not starve the motion.
 //!
-//! [`Images`] is closed: no type of a program is a set of images. `V` and `a0` are not there yet. They will be further
-//! [`Images`], and further optional parts of [`Next`].
+//! [`Images`] is a sealed trait: a program cannot define a set of images. `V` and `a0` are not implemented.
 //!
-//! # A custom generator
-//! This generator swings joint 0 out and back, once. It reads the effector only to find its start.
-//!
-//! ```
-//! use std::f64::consts::TAU;
-//! use std::time::Duration;
-//! use mrroc_controller::generator::{AxesState, EffectorImage, Generator, GeneratorError, Next, Setpoint};
-//!
-//! struct Swing { amplitude: f64, steps: u32, start: AxesState, dt: f64 }
-//!
-//! impl Generator for Swing {
-//!     type First = EffectorImage;
-//!     type Every = ();
-//!     type Memory = u32;
-//!
-//!     fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<u32>, GeneratorError> {
-//!         self.start = e.commanded.joints;
-//!         self.dt = macrostep.as_secs_f64();
-//!         Ok(Next::remember(0))
-//!     }
-//!     fn terminal(&self, step: &u32, _: &()) -> bool {
-//!         *step == self.steps
-//!     }
-//!     fn next_step(&self, step: &u32, _: &()) -> Result<Next<u32>, GeneratorError> {
-//!         let omega = TAU / f64::from(self.steps);
-//!         let phase = omega * f64::from(step + 1);
-//!         let mut joints = self.start;
-//!         joints.position[0] += self.amplitude * (1.0 - phase.cos()) / 2.0;
-//!         joints.velocity[0] = self.amplitude * omega / self.dt * phase.sin() / 2.0;
-//!         Ok(Next::command(Setpoint::Joints(joints), step + 1))
-//!     }
-//! }
-//! ```
-//!
-//! A step that names an image it did not declare does not compile:
-//!
-//! ```compile_fail
-//! # use std::time::Duration;
-//! # use mrroc_controller::generator::{EffectorImage, Generator, GeneratorError, Next};
-//! struct Blind;
-//! impl Generator for Blind {
-//!     type First = ();
-//!     type Every = ();
-//!     type Memory = ();
-//!     fn first_step(&mut self, _: &(), _: Duration) -> Result<Next<()>, GeneratorError> { Ok(Next::remember(())) }
-//!     fn terminal(&self, _: &(), e: &EffectorImage) -> bool { e.macrostep > 10 }
-//!     fn next_step(&self, _: &(), _: &()) -> Result<Next<()>, GeneratorError> { Ok(Next::remember(())) }
-//! }
-//! ```
+//! A step that names an image which its generator did not declare does not compile (`controller/tests/refused`).
+//! `examples/own_generator.rs` and `examples/feedback.rs` are generators with their programs.
 //!
 //! Read [`Generator`] first, then [`Wait`] as the smallest generator and [`Newsmooth`] as a planned generator.
 
@@ -155,8 +107,8 @@ fn is_limit(value: f64) -> bool {
 /// whole. The first step stores its plan in `self`. Next steps must not allocate or block: each result is due in
 /// the periods of the macrostep that follow the servo's report.
 ///
-/// A generator is [`Sync`] and its memory is [`Copy`]. A next step can therefore neither change the generator through a
-/// [`Cell`](std::cell::Cell), nor keep a result that was not committed.
+/// A generator is [`Sync`], which refuses a [`Cell`](std::cell::Cell) in it, and its memory is [`Copy`]. Atomics and locks
+/// are not refused: a next step must not change them, because such a change is not committed with the outputs.
 pub trait Generator: Send + Sync + 'static {
     /// Images the first step reads: sporadic feedback.
     type First: Images;
@@ -181,15 +133,20 @@ pub trait Generator: Send + Sync + 'static {
     fn next_step(&self, memory: &Self::Memory, images: &Self::Every) -> Result<Next<Self::Memory>, GeneratorError>;
 }
 
-/// A macrostep in servo periods.
+/// Length of a macrostep and time of its images, in servo periods.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pace {
-    /// Number of periods, at least 1.
+    /// Number of periods, 1 ..= [`Pace::MOST_PERIODS`].
     pub periods: u16,
     /// The period, 1 ..= `periods`, after which the images for the next step are read. A generator with continuous
-    /// feedback must compute the next step in the remaining periods. If none remains, the step is due before the next
-    /// period.
+    /// feedback must compute the next step in the remaining periods. If `read_at` equals `periods`, the next step must
+    /// reach the servo before its next cycle.
     pub read_at: u16,
+}
+
+impl Pace {
+    /// Greatest number of periods.
+    pub const MOST_PERIODS: u16 = 1000;
 }
 
 /// Result of one step, committed as a whole.

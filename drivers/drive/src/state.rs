@@ -9,7 +9,8 @@ use crate::{Fault, Increments};
 pub struct AxisState {
     /// When the drive's last answer was received.
     pub at: Instant,
-    /// When the drive took the sample of that answer: the time of the SYNC or of the telegram that it answers.
+    /// When the drive took the sample of [`position`](Self::position): when the last SYNC before the answer, or the
+    /// telegram that the drive answered, was sent.
     pub sampled: Instant,
     /// Cycles since an answer to the last SYNC was read: 0 in a cycle that read one. Older answers do not count.
     pub age: u32,

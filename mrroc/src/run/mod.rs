@@ -1,7 +1,8 @@
 //! A run: brings a cell up, does the tasks of its robots, switches it off and reports.
 //!
-//! By the wall clock five threads take part: the servo's, the controller's below it, one that reads the records of the
-//! servo and writes the files, one that listens to the buses, and the caller's, which receives the progress. However a
+//! By the wall clock these threads take part: the servo's, the controller's below it, one per robot that plans its motions,
+//! one that reads the records of the servo and writes the files, one that listens to the buses, and the caller's, which
+//! receives the progress. The planning threads are not waited for. However a
 //! run ends, the servo thread is waited for until it has braked the arms and switched them off: at the end of the tasks,
 //! on a signal, when a file cannot be written, and by a panic of the caller's thread or the controller's. A file
 //! that takes nothing is not waited for. Whatever may still have power afterwards is a fault of the run.

@@ -59,7 +59,7 @@ impl<'a> RunningTasks<'a> {
         })
     }
 
-    /// Computes the first steps of each robot's generators on a thread of their own.
+    /// Starts one planning thread per robot, which computes the first steps of that robot's generators.
     pub(crate) fn plan_aside(&mut self) -> io::Result<()> {
         let mut workers = Vec::new();
         for _ in &self.file.cell.robot {

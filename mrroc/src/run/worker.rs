@@ -9,7 +9,7 @@ use std::thread::Builder;
 
 use controller::ecp::{Plan, Planner};
 
-/// The controller's end of a worker.
+/// Handle of a planning thread, held by the controller.
 pub(super) struct Worker {
     plans: SyncSender<Plan>,
     results: Receiver<Plan>,
@@ -18,7 +18,7 @@ pub(super) struct Worker {
 }
 
 impl Worker {
-    /// Starts the thread. It ends when the worker is dropped and its last plan is computed.
+    /// Starts the thread. The thread ends when this handle is dropped and the last plan is computed.
     pub(super) fn start() -> io::Result<Self> {
         let (plans, taken) = sync_channel::<Plan>(1);
         let (computed, results) = sync_channel(1);

@@ -5,7 +5,7 @@ use std::sync::mpsc::{Sender, channel};
 use super::*;
 
 /// Sends the image of its first step, and the image of each next step until the third.
-struct Look(Sender<EffectorImage>);
+pub(super) struct Look(pub(super) Sender<EffectorImage>);
 
 impl Generator for Look {
     type First = EffectorImage;
@@ -60,12 +60,14 @@ fn a_first_step_sees_the_last_cycle_and_no_old_report() {
 fn a_position_can_be_read_at_any_time_also_with_the_drives_off() {
     let mut bench = Bench::ready();
     assert_eq!(bench.run(Task::new().disable()), finished(1));
+    // Without set-points, the command of the past says nothing.
+    bench.servo.report.snapshot.commanded = [77.0; MAX_AXES];
     for joint in [0.0, 0.5, -1.0] {
         bench.now += PERIOD;
         bench.servo.report.snapshot.at = bench.now;
         bench.servo.latest_measured(100.0 * joint);
         let image = bench.ecp.image().unwrap();
-        assert_eq!(image.read_at, bench.now);
+        assert_eq!((image.read_at, image.commanded), (bench.now, image.measured));
         assert!((image.measured.joints.position[0] - joint).abs() < 1e-12);
         assert!((image.measured.pose.translation.x - joint).abs() < 1e-12);
     }

@@ -49,7 +49,7 @@ fn a_generator_chooses_its_macrostep_also_of_one_period_and_the_next_one_has_tha
 
 #[test]
 fn a_macrostep_without_periods_or_with_its_images_outside_is_refused() {
-    for (periods, read_at) in [(0, 0), (0, 1), (3, 0), (3, 4)] {
+    for (periods, read_at) in [(0, 0), (0, 1), (3, 0), (3, 4), (1001, 1)] {
         let mut bench = Bench::ready();
         let events = bench.run(Task::new().run(Creep(Pace { periods, read_at })));
         let error = GeneratorError::Pace { periods, read_at };

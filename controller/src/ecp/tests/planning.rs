@@ -1,4 +1,4 @@
-//! First steps that a planner computes aside.
+//! First steps that a planner computes while the effector stands.
 
 use std::sync::{Arc, Mutex};
 
@@ -110,4 +110,58 @@ fn a_panic_in_a_first_step_is_an_error_of_its_generator() {
     let mut bench = Bench::ready();
     let error = EcpError::Generator { step: 0, error: GeneratorError::Panicked };
     assert_eq!(bench.run(Task::new().run(Panics)), failed(error));
+}
+
+#[test]
+fn a_meeting_lets_nobody_go_before_all_motions_are_planned() {
+    let mut benches = [Bench::ready(), Bench::ready()];
+    let gates = Gates::default();
+    let mut meetings = Meetings::new([vec![0, 1]], gates.clone());
+    let held = benches.each_mut().map(Held::on);
+    for bench in &mut benches {
+        bench.ecp.execute(Task::new().meet(0).run(to(0.1, 0.0, 0.0))).unwrap();
+    }
+    let mut opened = None;
+    // Longer than a servo may be silent in motion.
+    let periods = (3 * CONFIG.silence).as_millis() / PERIOD.as_millis();
+    for period in 0..periods {
+        match period {
+            50 => held[0].compute(),
+            _ if period == periods - 10 => held[1].compute(),
+            _ => {}
+        }
+        let now = benches[0].now;
+        for bench in &mut benches {
+            while let Some(event) = bench.ecp.poll(now) {
+                assert_eq!(event.outcome, Ok(()));
+            }
+        }
+        let [one, other] = benches;
+        let mut ecps = [one.ecp, other.ecp];
+        meetings.poll(&mut ecps, now);
+        let [first, second] = ecps;
+        benches = [Bench { ecp: first, ..one }, Bench { ecp: second, ..other }];
+        benches.iter_mut().for_each(|bench| bench.now += PERIOD);
+        if gates.is_open(0) {
+            opened.get_or_insert(period);
+        }
+    }
+    assert_eq!(opened, Some(periods - 10));
+}
+
+#[test]
+fn the_first_next_step_reads_the_state_after_the_planning() {
+    let mut bench = Bench::ready();
+    let held = Held::on(&mut bench);
+    let (sender, seen) = std::sync::mpsc::channel();
+    bench.ecp.execute(Task::new().run(images::Look(sender))).unwrap();
+    let mut period = 0;
+    bench.go_on(|_| {
+        period += 1;
+        if period == 500 {
+            held.compute();
+        }
+    });
+    let seen: Vec<_> = seen.iter().collect();
+    assert!(seen[1].read_at.since(seen[0].read_at) >= 499 * PERIOD, "{:?} {:?}", seen[0].read_at, seen[1].read_at);
 }

@@ -201,7 +201,7 @@ impl SerialAxis {
         self.exchange.reading = Reading::Accepted;
         let answers = &mut self.acknowledgement.answers;
         *answers = answers.saturating_add(1);
-        (self.state.at, self.state.sampled) = (now, self.exchange.sent_at);
+        (self.state.at, self.state.sampled) = (now, self.exchange.asked_at);
         self.status.take(answer.status);
         self.measure(answer);
         // A faulted drive is not told its mode any more.

@@ -17,6 +17,11 @@ pub(super) struct Exchange {
     pub(super) pending: u32,
     /// When the line took the last telegram.
     pub(super) sent_at: Instant,
+    /// When the line took the oldest telegram that can still be answered.
+    sent_first: Instant,
+    /// When the line took the telegram that the last answer answers. One answer to two telegrams counts as that to the
+    /// older one.
+    pub(super) asked_at: Instant,
     pub(super) reading: Reading,
     /// Cycles in a row without an accepted answer.
     age: u32,
@@ -59,6 +64,8 @@ impl Exchange {
             tolerated_missing,
             pending: 0,
             sent_at: at,
+            sent_first: at,
+            asked_at: at,
             reading: Reading::Missing,
             age: 0,
             unsent: 0,
@@ -72,6 +79,7 @@ impl Exchange {
         counters.late += u64::from(answers.min(self.pending).saturating_sub(1));
         let expected = answers > 0 && self.pending > 0;
         if expected {
+            self.asked_at = if answers < self.pending { self.sent_first } else { self.sent_at };
             // An answer to an older request never comes, or comes next and is then one too many.
             self.pending = 0;
         }
@@ -109,6 +117,8 @@ impl Exchange {
         if taken {
             counters.sent += 1;
             self.unsent = 0;
+            // The telegram before the last is the oldest one that can still be answered.
+            self.sent_first = if self.pending == 0 { now } else { self.sent_at };
             self.sent_at = now;
             self.pending = (self.pending + 1).min(2);
         } else {

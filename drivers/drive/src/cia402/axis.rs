@@ -174,12 +174,16 @@ impl CanAxis {
         let search_speed = search.then_some(self.config.homing.search_speed);
         let position = answer.position;
         let taken = self.measurement.take(position, sampled, at, search_speed);
-        if let Err(jump) = taken {
+        if let Err(jump) = &taken {
+            let jump = *jump;
             self.search.doubted = true;
             self.latch(jump);
         }
         self.measurement.tell(&mut self.state);
-        (self.state.at, self.state.sampled) = (at, sampled);
+        self.state.at = at;
+        if taken.is_ok() {
+            self.state.sampled = sampled;
+        }
         self.state.torque = self.config.scale.torque(answer.torque, self.config.rated_torque);
         self.judge_power(before);
     }
