@@ -173,6 +173,8 @@ fn an_emulator_that_is_killed_in_motion_is_the_cause_and_the_stop_ends_in_time()
     let ttys = directory.path("ttys");
     let record = directory.path("record.csv");
     let report = (0..ATTEMPTS).find_map(|_| {
+        // A killed emulator leaves links, and the emulator of another test may get the number of one of its terminals.
+        let _ = fs::remove_dir_all(&ttys);
         let emulator = emulate(&cell, &ttys);
         run_until_hung_up(&cell, &ttys, &record, || emulator.signal("KILL"))
     });
