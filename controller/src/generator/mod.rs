@@ -31,6 +31,7 @@
 
 mod error;
 mod execution;
+mod feed;
 mod image;
 mod jerk_limited;
 mod line;
@@ -49,6 +50,7 @@ pub use crate::robot::{Axes, Pose};
 pub use error::GeneratorError;
 pub(crate) use execution::Run;
 pub use execution::{Execution, Step};
+pub use feed::{Feed, FeedLimits, FeedState};
 pub use image::{AxesState, EffectorImage, EffectorState, ImageSource, Images, Setpoint};
 pub use jerk_limited::JerkLimited;
 pub use line::{LineLimits, LineMemory, PlannedStart, StraightLine};
