@@ -29,6 +29,7 @@
 //!
 //! Read [`Generator`] first, then [`Wait`] as the smallest generator and [`Newsmooth`] as a planned generator.
 
+mod contour;
 mod error;
 mod execution;
 mod feed;
@@ -47,6 +48,7 @@ use std::time::Duration;
 use servo::MAX_AXES;
 
 pub use crate::robot::{Axes, Pose};
+pub use contour::Contour;
 pub use error::GeneratorError;
 pub(crate) use execution::Run;
 pub use execution::{Execution, Step};
