@@ -3,11 +3,13 @@
 use std::array;
 use std::time::Duration;
 
+use nalgebra::{UnitQuaternion, Vector3};
 use servo::{Knot, Snapshot, cubic_end_acceleration};
 
 use crate::generator::{
     Accelerations, Axes, AxesState, EffectorImage, EffectorState, GeneratorError, ImageSource, Pose, Setpoint,
 };
+use crate::path::PoseState;
 use crate::robot::{Arm, KinematicsError};
 
 /// Displacement in the differences by which velocities are converted, rad or m of the fastest joint or of the tool.
@@ -71,20 +73,30 @@ impl Effector {
                 AxesState { position, ..by }
             }
             Some(Setpoint::Pose { pose, linear, angular }) => {
-                let near = self.arm.joints(&self.commanded.position)?;
-                let position = self.arm.inverse(&pose, &near)?;
-                let at = |t: f64| {
-                    let turned = nalgebra::UnitQuaternion::from_scaled_axis(angular * t) * pose.rotation;
-                    let shifted = pose.translation.vector + linear * t;
-                    self.arm.inverse(&Pose::from_parts(shifted.into(), turned), &position)
-                };
-                let speed = linear.norm().max(angular.norm());
-                let velocity = slope(duration_of(speed, 0.0, STEP), &position, at)?;
-                AxesState::new(position, velocity)
+                self.at_pose(&PoseState { pose, linear, angular, ..PoseState::default() }, false)?
             }
+            Some(Setpoint::Tool(state)) => self.at_pose(&state, true)?,
         };
         let position = self.arm.motors(&joints.position)?;
         mapped(&joints, position, STEP, |joints| self.arm.motors(joints))
+    }
+
+    /// Joints of a moving tool, with their acceleration if that of the tool is `stated`.
+    fn at_pose(&self, tool: &PoseState, stated: bool) -> Result<AxesState, KinematicsError> {
+        let near = self.arm.joints(&self.commanded.position)?;
+        let position = self.arm.inverse(&tool.pose, &near)?;
+        let at = |t: f64, push: f64| {
+            let moved = |rate: Vector3<f64>, change: Vector3<f64>| rate * t + change * (push * t * t / 2.0);
+            let turned = UnitQuaternion::from_scaled_axis(moved(tool.angular, tool.angular_acceleration));
+            let shifted = tool.pose.translation.vector + moved(tool.linear, tool.linear_acceleration);
+            self.arm.inverse(&Pose::from_parts(shifted.into(), turned * tool.pose.rotation), &position)
+        };
+        let speed = tool.linear.norm().max(tool.angular.norm());
+        let velocity = slope(duration_of(speed, 0.0, STEP), &position, |t| at(t, 0.0))?;
+        let push = tool.linear_acceleration.norm().max(tool.angular_acceleration.norm());
+        let bend = || bend(duration_of(speed, push, STEP), &position, |t| at(t, 1.0));
+        let acceleration = if stated { bend() } else { None };
+        Ok(AxesState { position, velocity, acceleration })
     }
 }
 

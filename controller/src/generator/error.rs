@@ -53,6 +53,9 @@ pub enum GeneratorError {
     /// its velocity or acceleration limit slows the path.
     #[error("at {s:.4} of the path: axis {axis} needs {times:.0} times its limit")]
     Singular { s: f64, axis: u8, times: f64 },
+    /// A [`Contour`](super::Contour) begins where the tool stands.
+    #[error("tool stands {distance:.6} m and {angle:.6} rad from the start of the path: move the tool there first")]
+    NotAtStart { distance: f64, angle: f64 },
     /// The effector measures positions that its mechanism cannot take.
     #[error("effector image: {0}")]
     Image(KinematicsError),

@@ -6,6 +6,7 @@ use can::Instant;
 use servo::{MAX_AXES, Switches};
 
 use super::{Axes, GeneratorError, Pose};
+use crate::path::PoseState;
 
 /// State of motion of every axis. The holder determines whether the values are joint or motor values.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -117,6 +118,8 @@ pub enum Setpoint {
         /// Angular velocity of the tool, rad/s.
         angular: nalgebra::Vector3<f64>,
     },
+    /// The tool: pose, velocity and acceleration by time, in the base frame.
+    Tool(PoseState),
 }
 
 impl Setpoint {
@@ -128,10 +131,17 @@ impl Setpoint {
                 let acceleration = state.acceleration.unwrap_or_default();
                 first(&state.position).or_else(|| first(&state.velocity)).or_else(|| first(&acceleration))
             }
-            Self::Pose { pose, linear, angular } => first(pose.translation.vector.as_slice())
-                .or_else(|| first(pose.rotation.coords.as_slice()))
-                .or_else(|| first(linear.as_slice()))
-                .or_else(|| first(angular.as_slice())),
+            Self::Tool(PoseState { linear_acceleration, angular_acceleration, .. })
+                if !linear_acceleration.iter().chain(angular_acceleration).all(|number| number.is_finite()) =>
+            {
+                Some(0)
+            }
+            Self::Pose { pose, linear, angular } | Self::Tool(PoseState { pose, linear, angular, .. }) => {
+                first(pose.translation.vector.as_slice())
+                    .or_else(|| first(pose.rotation.coords.as_slice()))
+                    .or_else(|| first(linear.as_slice()))
+                    .or_else(|| first(angular.as_slice()))
+            }
         };
         index.map(|index| index as u8)
     }

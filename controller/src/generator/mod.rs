@@ -29,8 +29,10 @@
 //!
 //! Read [`Generator`] first, then [`Wait`] as the smallest generator and [`Newsmooth`] as a planned generator.
 
+mod contour;
 mod error;
 mod execution;
+mod feed;
 mod image;
 mod jerk_limited;
 mod line;
@@ -47,9 +49,11 @@ use std::time::Duration;
 use servo::MAX_AXES;
 
 pub use crate::robot::{Axes, Pose};
+pub use contour::Contour;
 pub use error::GeneratorError;
 pub(crate) use execution::Run;
 pub use execution::{Execution, Step};
+pub use feed::{Feed, FeedLimits, FeedState};
 pub use image::{Accelerations, AxesState, EffectorImage, EffectorState, ImageSource, Images, Setpoint};
 pub use jerk_limited::JerkLimited;
 pub use line::{LineLimits, LineMemory, PlannedStart, StraightLine};

@@ -1,5 +1,5 @@
 //! Independent peers: python-canopen, zencan, canopen-rs, durand, can-utils and the kernel's own drivers on the buses,
-//! HdrHistogram for files, and pinocchio for robots.
+//! HdrHistogram for files, pinocchio for robots, and SciPy for splines.
 //!
 //! Independent implementations of the same standards do not share the errors of this project. `tests/run` installs the
 //! requirements of these tests in `target/peers`: the Python packages of the scripts in `tests/peers`, and the programs
@@ -16,6 +16,7 @@ mod master;
 mod nodes;
 mod serial;
 mod slave;
+mod splines;
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};

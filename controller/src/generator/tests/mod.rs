@@ -1,5 +1,7 @@
 //! Properties of the generators over seeded random motions, without an ECP.
 
+mod contour;
+mod feed;
 mod line;
 mod planned_start;
 mod polynomial;
