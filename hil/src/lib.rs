@@ -14,6 +14,7 @@ pub mod epos4;
 pub mod epos_serial;
 pub mod line;
 mod machine;
+mod node;
 mod outbox;
 pub mod plant;
 pub mod pty;
