@@ -38,6 +38,7 @@ use can::{Frame, Instant};
 use crate::node::objects::Objects;
 use crate::node::table::Slot;
 use crate::node::{Identity, Node, NodeConfig};
+use crate::plant::AngleProbe;
 use crate::{Device, PlantAxis};
 pub use config::Epos4Config;
 use drive::Drive;
@@ -89,6 +90,11 @@ impl Epos4 {
         };
         let objects = Objects::new(Cow::Borrowed(TABLE.as_slice()), config.node, &identity(&config));
         Self { node: Node::new(node, objects, Drive::new(&config)) }
+    }
+
+    /// A probe of the motor shaft, for example for a [`LightGate`](crate::LightGate).
+    pub fn probe(&mut self) -> AngleProbe {
+        self.node.application.axis.probe()
     }
 
     /// The simulated axis, including state that no drive can measure.
