@@ -8,6 +8,7 @@
 mod blocks;
 mod bodies;
 mod clients;
+mod digital_io;
 mod group;
 mod host;
 mod latency;
@@ -65,8 +66,13 @@ impl<'a> Bus<'a> {
         Self { interface: "slcan", channel: tty }
     }
 
-    /// A script on this bus, with the emulator's data sheet.
+    /// A script on this bus, with the emulated drive's data sheet.
     fn script(&self, python: &Path, name: &str) -> Command {
+        self.script_with(python, name, "epos4-emulated.eds")
+    }
+
+    /// A script on this bus, with a data sheet of `cells`.
+    fn script_with(&self, python: &Path, name: &str, sheet: &str) -> Command {
         let mut command = Command::new("timeout");
         command
             .args(["--signal=KILL", PATIENCE])
@@ -76,7 +82,7 @@ impl<'a> Bus<'a> {
             .args(["--interface", self.interface, "--channel"])
             .arg(self.channel)
             .arg("--eds")
-            .arg(mrroc::root().join("cells/epos4-emulated.eds"));
+            .arg(mrroc::root().join("cells").join(sheet));
         command
     }
 }

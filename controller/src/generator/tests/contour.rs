@@ -64,8 +64,7 @@ fn commanded(contour: &mut Contour, image: &EffectorImage) -> Result<Vec<PoseSta
         let next = contour.next_step(&memory, &()).unwrap();
         memory = next.memory;
         let state = contour.state(memory).unwrap();
-        let PoseState { pose, linear, angular, .. } = state;
-        assert_eq!(next.effector, Some(Setpoint::Pose { pose, linear, angular }));
+        assert_eq!(next.effector, Some(Setpoint::Tool(state)));
         states.push(state);
     }
     Ok(states)
