@@ -1,5 +1,6 @@
-//! Robots, generators and the effector control process.
+//! Robots, generators, effector control processes, and tasks as programs.
 
 pub mod ecp;
+pub mod executor;
 pub mod generator;
 pub mod robot;

@@ -33,7 +33,7 @@ use servo::{EffectorLink, Macrostep, Order, Phase, ServoReport, Snapshot};
 use crate::generator::{AxesState, EffectorImage, Execution, GeneratorError, Pace, Setpoint, Step};
 use crate::robot::Arm;
 
-pub use error::EcpError;
+pub use error::{ChartPhase, Class, EcpError};
 use image::Effector;
 use planning::Planning;
 pub use planning::{AtOnce, Plan, Planner};
@@ -137,6 +137,10 @@ pub struct Ecp {
     pace: Pace,
     /// Number of the last macrostep before this motion.
     base: u64,
+    /// Phase of the flow chart that computes macrosteps; `None` outside a motion.
+    chart: Option<ChartPhase>,
+    /// Whether the next instruction has to wait.
+    held: bool,
     /// Time of the last report or accepted order.
     heard: Instant,
 }
@@ -158,6 +162,8 @@ impl Ecp {
             executed: 0,
             pace: config.pace,
             base: 0,
+            chart: None,
+            held: false,
             heard: Instant::ZERO,
         }
     }
@@ -224,6 +230,17 @@ impl Ecp {
         self.heard = now;
     }
 
+    /// Holds the process between two instructions, or lets the next instruction begin. A stop is executed all the same.
+    pub fn hold(&mut self, held: bool) {
+        self.held = held;
+    }
+
+    /// Phase of the flow chart in the last motion, and number of its macrosteps executed; `None` after another
+    /// instruction.
+    pub(crate) fn chart(&self) -> Option<(ChartPhase, u64)> {
+        self.chart.map(|phase| (phase, self.executed.saturating_sub(self.base)))
+    }
+
     /// State of the effector in the last servo cycle.
     pub fn latest(&self) -> Snapshot {
         self.link.latest.read()
@@ -261,6 +278,9 @@ impl Ecp {
             self.report = Some(report);
         }
         if matches!(self.activity, Activity::Idle) {
+            if self.held {
+                return None;
+            }
             let instruction = self.task.instructions.pop_front()?;
             self.heard = now;
             if let Some(outcome) = self.begin(instruction, now) {
@@ -320,6 +340,7 @@ impl Ecp {
 
     fn begin(&mut self, instruction: Instruction, now: Instant) -> Option<Result<(), EcpError>> {
         let phase = self.phase();
+        self.chart = None;
         let order = match instruction {
             Instruction::ResetFault if phase != Phase::Faulted => return Some(Ok(())),
             Instruction::ResetFault => Order::ResetFault,
@@ -362,6 +383,7 @@ impl Ecp {
         // Numbers of macrosteps that the servo dropped at a stop are not used again.
         self.sent = self.sent.max(latest.macrostep);
         self.base = self.sent;
+        self.chart = Some(ChartPhase::FirstStep);
         self.pace = match run.pace(self.config.pace) {
             Ok(pace) => pace,
             Err(error) => return Some(Err(EcpError::Generator { step: 0, error })),
@@ -385,6 +407,9 @@ impl Ecp {
         // A next step that follows at once reads the present state, not the state before the planning.
         self.effector.measured = self.latest();
         self.activity = Activity::Running(run);
+        if first.is_ok() {
+            self.chart = Some(ChartPhase::NextStep);
+        }
         match first {
             Ok(Step::Ended) => Some(Ok(())),
             Ok(Step::Continue(None)) => None,
