@@ -10,6 +10,7 @@
 use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, Read, Write};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd};
+use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt, symlink};
 use std::path::{Path, PathBuf};
 
@@ -68,8 +69,8 @@ impl Pty {
     /// Opens a pair of ends and makes `link` a symbolic link to the host's end, until this value is dropped.
     ///
     /// An emulator that was killed leaves its link behind. Such a link is dangling, or leads to another terminal that
-    /// got the same number. Such a link is replaced. A lock marks the terminal of a running emulator. Links to paths
-    /// other than `/dev/pts/N` are neither followed nor replaced.
+    /// got the same number, possibly that of another emulator. Such a link is replaced. A lock on its terminal marks the
+    /// link of a running emulator. Links to paths other than `/dev/pts/N` are neither followed nor replaced.
     pub fn linked(link: &Path) -> Result<Self, PtyError> {
         let left = match fs::symlink_metadata(link) {
             Ok(found) if !found.is_symlink() => return Err(PtyError::NameTaken),
@@ -78,7 +79,7 @@ impl Pty {
         };
         let mut pty = Self::open()?;
         // The lock must be held before the link shows the terminal to other emulators.
-        hold(&pty.slave).map_err(|error| PtyError::Open(errno(&error)))?;
+        hold(&pty.slave, mark_of(link)).map_err(|error| PtyError::Open(errno(&error)))?;
         if let Some(terminal) = left {
             remove_left(link, &terminal)?;
         }
@@ -183,9 +184,9 @@ fn make_raw(slave: &File) -> io::Result<()> {
     checked(unsafe { libc::tcsetattr(fd, libc::TCSANOW, &raw const settings) }).map(drop)
 }
 
-/// Marks the terminal as used by an emulator while `slave` is open. The `flock` of hosts is another lock.
-fn hold(slave: &File) -> io::Result<()> {
-    let lock = write_lock();
+/// Marks the terminal as used by an emulator under this mark while `slave` is open. The `flock` of hosts is another lock.
+fn hold(slave: &File, mark: i64) -> io::Result<()> {
+    let lock = write_lock(mark);
     // SAFETY: a valid lock to be read.
     checked(unsafe { libc::fcntl(slave.as_raw_fd(), libc::F_OFD_SETLK, &raw const lock) }).map(drop)
 }
@@ -197,18 +198,33 @@ fn terminal_left(link: &Path, found: &Metadata) -> Result<PathBuf, PtyError> {
     if number.and_then(|number| number.parse::<u32>().ok()).is_none() {
         return Err(PtyError::ForeignLink);
     }
-    if is_in_use(&terminal, found.uid()) {
+    if is_in_use(&terminal, mark_of(link), found.uid()) {
         return Err(PtyError::InUse);
     }
     Ok(terminal)
 }
 
-/// Whether a running emulator uses a terminal. `owner` is the user who made the link to the terminal.
-fn is_in_use(terminal: &Path, owner: u32) -> bool {
+/// The mark of a link: the same for all emulators that make this link, and another one for another link (FNV-1a, 62 bits).
+fn mark_of(link: &Path) -> i64 {
+    let parent = link.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    // Without a directory no link can be made, and any mark will do.
+    let directory = fs::metadata(parent).map_or((0, 0), |found| (found.dev(), found.ino()));
+    let name = link.file_name().unwrap_or_default().as_bytes();
+    let numbers = [directory.0, directory.1].map(u64::to_le_bytes);
+    let hash = numbers
+        .as_flattened()
+        .iter()
+        .chain(name)
+        .fold(0xcbf2_9ce4_8422_2325, |hash: u64, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01b3));
+    (hash >> 2) as i64
+}
+
+/// Whether a running emulator uses a terminal under this mark. `owner` is the user who made the link to the terminal.
+fn is_in_use(terminal: &Path, mark: i64, owner: u32) -> bool {
     let opened =
         OpenOptions::new().read(true).custom_flags(libc::O_NOCTTY | libc::O_NONBLOCK | libc::O_NOFOLLOW).open(terminal);
     match opened {
-        Ok(opened) => !is_pseudo_terminal(&opened) || is_held(&opened),
+        Ok(opened) => !is_pseudo_terminal(&opened) || is_held(&opened, mark),
         // The other end is closed.
         Err(error) if [Some(libc::ENOENT), Some(libc::EIO)].contains(&error.raw_os_error()) => false,
         // An emulator's terminal belongs to the user who made the link. A terminal of another user is not an
@@ -240,7 +256,7 @@ fn remove_left(link: &Path, terminal: &Path) -> Result<(), PtyError> {
     }
     let owner = fs::symlink_metadata(&aside).map_err(failed)?.uid();
     let moved = fs::read_link(&aside).map_err(failed)?;
-    let in_use = moved != terminal || is_in_use(terminal, owner);
+    let in_use = moved != terminal || is_in_use(terminal, mark_of(link), owner);
     if in_use {
         symlink(moved, link).map_err(failed)?;
     }
@@ -248,19 +264,20 @@ fn remove_left(link: &Path, terminal: &Path) -> Result<(), PtyError> {
     if in_use { Err(PtyError::InUse) } else { Ok(()) }
 }
 
-/// Whether an emulator has locked a terminal.
-fn is_held(terminal: &File) -> bool {
-    let mut lock = write_lock();
+/// Whether an emulator has locked a terminal under this mark.
+fn is_held(terminal: &File, mark: i64) -> bool {
+    let mut lock = write_lock(mark);
     // SAFETY: a valid lock to be changed.
     let asked = unsafe { libc::fcntl(terminal.as_raw_fd(), libc::F_OFD_GETLK, &raw mut lock) };
     asked < 0 || libc::c_int::from(lock.l_type) != libc::F_UNLCK
 }
 
-/// A write lock of the whole file.
-fn write_lock() -> libc::flock {
+/// A write lock of one byte, whose offset is the mark.
+fn write_lock(mark: i64) -> libc::flock {
     // SAFETY: plain integers, for all of which zero is a value.
     let mut lock: libc::flock = unsafe { std::mem::zeroed() };
     lock.l_type = libc::F_WRLCK as libc::c_short;
+    (lock.l_start, lock.l_len) = (mark, 1);
     lock
 }
 
@@ -433,11 +450,25 @@ mod tests {
         let host = host(pty.path());
         // SAFETY: the descriptor is open, and the call takes plain integers.
         assert_eq!(unsafe { libc::flock(host.as_raw_fd(), libc::LOCK_EX) }, 0);
-        let copy = directory.0.join("copy");
-        symlink(pty.path(), &copy).unwrap();
-        assert_eq!(Pty::linked(&copy).unwrap_err(), PtyError::InUse);
+        let roundabout = directory.0.join("../").join(directory.0.file_name().unwrap()).join("can0");
+        for same in [&link, &roundabout] {
+            assert_eq!(Pty::linked(same).unwrap_err(), PtyError::InUse);
+        }
         drop(pty);
-        assert!(Pty::linked(&copy).is_ok());
+        assert!(Pty::linked(&link).is_ok());
+    }
+
+    /// Another emulator, with a link of its own, may hold the terminal that got the number.
+    #[test]
+    fn a_link_to_a_terminal_of_another_emulator_is_replaced_and_the_other_link_stays() {
+        let directory = Directory::new("reused-by-another");
+        let other = Pty::linked(&directory.0.join("can1")).unwrap();
+        let link = directory.0.join("can0");
+        symlink(other.path(), &link).unwrap();
+        let pty = Pty::linked(&link).unwrap();
+        assert_eq!(fs::read_link(&link).unwrap(), pty.path());
+        assert_eq!(fs::read_link(directory.0.join("can1")).unwrap(), other.path());
+        assert_eq!(Pty::linked(&directory.0.join("can1")).unwrap_err(), PtyError::InUse);
     }
 
     #[test]
