@@ -202,7 +202,7 @@ fn of_task(file: &CellFile, robot: usize, instruction: usize, why: String) -> an
 }
 
 /// Ideal drives, which reach a commanded position at the SYNC that latches it.
-struct IdealDrives {
+pub(crate) struct IdealDrives {
     axes: Vec<IdealAxis>,
     now: Instant,
 }
@@ -218,7 +218,8 @@ struct IdealAxis {
 }
 
 impl IdealDrives {
-    fn of(file: &CellFile, bus: usize, starts: &[Axes]) -> Self {
+    /// The drives of bus `bus`, with each robot at its motor positions of `starts`, rad.
+    pub(crate) fn of(file: &CellFile, bus: usize, starts: &[Axes]) -> Self {
         let off = AxisCommand::Off;
         let axis = |(robot, axis): (usize, usize)| IdealAxis {
             written: off,

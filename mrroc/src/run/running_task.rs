@@ -270,3 +270,76 @@ pub(crate) fn servo_faults(file: &CellFile, servo: &Servo) -> Vec<FaultReport> {
     }
     faults
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::sync_channel;
+
+    use anyhow::anyhow;
+    use drive::DriveGroup;
+    use servo::lockstep;
+
+    use super::*;
+    use crate::prelude::*;
+    use crate::rehearsal::IdealDrives;
+    use crate::tasks::tests::two_arms;
+
+    /// Both robots home and move.
+    async fn both(cell: &mut Cell) -> Outcome {
+        let [mut left, mut right] = cell.robots(["left", "right"])?;
+        let list = |robot: &Robot| {
+            let motion = robot.motions().joints(0.3, &[[0.2, -1.571, 0.0, 0.0, 0.0]])?;
+            Ok::<_, TaskError>(Task::new().enable().home().run(motion).disable())
+        };
+        let (one, other) = (list(&left)?, list(&right)?);
+        join(left.perform(one), right.perform(other)).await
+    }
+
+    /// Runs the task with the left robot referenced away from home. The rehearsal from there gives `verdict` as soon as
+    /// the right robot is off. Returns the errors, and whether the left robot moved before the verdict and in total.
+    fn run(verdict: anyhow::Result<()>) -> (TaskErrors, [bool; 2]) {
+        let file = Arc::new(two_arms());
+        let homes = (0..2).map(|robot| file.cell.home(robot, &file.arms[robot]).motors);
+        let mut starts: Vec<_> = homes.collect();
+        starts[0][0] += 10.0;
+        let drives = |bus| Box::new(IdealDrives::of(&file, bus, &starts)) as Box<dyn DriveGroup>;
+        let (mut servo, links) = Servo::new(&setup::servo_config(&file), vec![drives(0), drives(1)]).unwrap();
+        let task = RunningTask::new(&file, &Program::of(both), links, &servo, 8);
+        let (ask, asked) = sync_channel(2);
+        let (answer, verdicts) = sync_channel(2);
+        let mut carrying = task.begin(Rehearsals::Aside { ask, verdicts });
+        let mut now = lockstep::bring_up(&mut servo, Instant::ZERO, |_| {}).unwrap();
+        let mut verdict = Some(verdict);
+        let (mut phases, mut moved) = ([Phase::Off; 2], [false; 2]);
+        let mut other_moved = false;
+        for _ in 0..10_000 {
+            servo.step(now);
+            let busy = carrying.poll(now, |news| phases[news.robot] = news.phase);
+            moved[1] |= phases[0] == Phase::Moving;
+            other_moved |= phases[1] == Phase::Moving;
+            if !busy {
+                return (carrying.finish(), moved);
+            }
+            if other_moved
+                && phases[1] == Phase::Off
+                && let Some(verdict) = verdict.take()
+            {
+                moved[0] = moved[1];
+                let (robot, motors) = asked.try_recv().unwrap();
+                assert_eq!((robot, motors), (0, starts[0]));
+                answer.send((robot, verdict)).unwrap();
+            }
+            now += servo.period();
+        }
+        panic!("the task does not end: {phases:?}");
+    }
+
+    #[test]
+    fn a_robot_away_from_home_waits_for_its_rehearsal_and_delays_no_other() {
+        let (errors, moved) = run(Ok(()));
+        assert_eq!((errors.faults, moved), (Vec::new(), [false, true]));
+        let (errors, moved) = run(Err(anyhow!("a line is impossible")));
+        assert_eq!((errors.faults.len(), moved), (1, [false, false]));
+        assert!(errors.faults[0].what.ends_with("from where a line is impossible"), "{:?}", errors.faults);
+    }
+}

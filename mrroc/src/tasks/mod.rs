@@ -4,7 +4,7 @@ mod carried;
 mod cell;
 mod error;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use std::pin::Pin;
 use std::sync::Arc;

@@ -17,7 +17,7 @@ use crate::rehearsal::rehearse;
 use crate::run::{Requests, RunOptions};
 
 /// Two IRb-6, each on a bus of its own. Their axes stand close to the index pulses.
-fn two_arms() -> CellFile {
+pub(crate) fn two_arms() -> CellFile {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells/irb6.toml");
     let mut cell = crate::cell::Cell::parse(&fs::read_to_string(path).unwrap()).unwrap();
     let robot = &mut cell.robot[0];
