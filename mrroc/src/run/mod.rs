@@ -2,14 +2,17 @@
 //!
 //! Threads of a run by the wall clock:
 //!
-//! - the thread of the servo, and below it the thread of the controller, which executes the task;
-//! - one thread per robot that plans its motions, and one that rehearses the task from positions away from home;
-//! - one thread that reads the records of the servo and writes the files, and one that listens to the buses;
-//! - the thread of the caller, which receives the progress and watches the task.
+//! - the servo;
+//! - the controller, below the servo: executes the task;
+//! - planning, one per robot: computes first steps of generators;
+//! - rehearsal: rehearses the task from positions away from home;
+//! - files: reads the records of the servo and writes the files;
+//! - wire: listens to the buses;
+//! - the caller: receives the progress and watches the task.
 //!
-//! Planning and rehearsing threads are not waited for. Every end of a run waits until the servo thread has braked the arms
-//! and switched them off: the end of the task, a signal, a file that cannot be written, a task that hangs, and a panic of
-//! the caller's thread or the controller's. A file that takes nothing is not waited for. Whatever may still have power
+//! Planning and rehearsal are not waited for. However a run ends, the run waits until the servo has braked the arms and
+//! switched them off. A run ends with its task, on a signal, when a file cannot be written, when the task hangs, and by a
+//! panic of the caller or the controller. A file that takes nothing is not waited for. Whatever may still have power
 //! afterwards is a fault of the run.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]

@@ -156,6 +156,46 @@ fn a_fatal_error_of_one_robot_lets_the_other_finish() {
 }
 
 #[test]
+fn in_the_laboratory_a_robot_with_a_fault_stops_no_other() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells/lab.toml");
+    let task = async |cell: &mut Cell| {
+        let [mut irb6, mut conveyor, mut gripper] = cell.robots(["irb6", "conveyor", "gripper"])?;
+        let belt = conveyor.motions().joints(0.3, &[[0.5]])?;
+        let broken = async {
+            let leap = irb6.perform(Task::new().enable().home().run(Impossible::Leaps)).await;
+            assert_eq!(leap.unwrap_err().class(), Class::Fatal);
+            Ok(())
+        };
+        let parts = conveyor.perform(Task::new().enable().home().run(Wait { duration: ms(20_000) }).run(belt));
+        let jaws = gripper.perform(Task::new().enable().home());
+        join(broken, join(parts, jaws)).await?;
+        assert!((column(&conveyor).0 - 0.5).abs() < 1e-6);
+        Ok(())
+    };
+    let report = crate::run(&CellFile::read(path).unwrap(), BenchKind::Lockstep, task).unwrap();
+    assert_eq!(
+        (report.outcome, report.recovered.len(), report.faults.len()),
+        (RunOutcome::Completed, 1, 0),
+        "{report}"
+    );
+    assert_eq!(report.recovered[0].robot.as_deref(), Some("irb6"));
+}
+
+#[test]
+fn a_robot_with_a_fault_moves_again_after_a_reset() {
+    let report = in_lockstep(async |cell: &mut Cell| {
+        let [mut left, _right] = ready(cell).await?;
+        assert_eq!(left.execute(Impossible::Leaps).await.unwrap_err().class(), Class::Fatal);
+        left.reset_fault().await?;
+        left.enable().await?;
+        left.execute(turn(&left, 0.2)).await?;
+        assert!((column(&left).0 - 0.2).abs() < 1e-6);
+        Ok(())
+    });
+    assert_eq!((report.outcome, report.recovered.len()), (RunOutcome::Completed, 1), "{report}");
+}
+
+#[test]
 fn an_error_that_the_task_returns_is_the_fault_of_the_run() {
     let report = in_lockstep(async |cell: &mut Cell| {
         let [mut left, _right] = ready(cell).await?;
