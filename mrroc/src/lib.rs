@@ -77,8 +77,8 @@ pub mod prelude {
     pub use controller::ecp::{Class, Task};
     pub use controller::executor::{join, join_all};
     pub use controller::generator::{
-        AxesState, EffectorImage, Generator, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Next,
-        Pace, Pose, Setpoint, SmoothPose, StraightLine, Wait,
+        Accelerations, AxesState, EffectorImage, Generator, GeneratorError, JerkLimited, LineLimits, MotionLimits,
+        Newsmooth, Next, Pace, Polynomial, Pose, Setpoint, SmoothPose, StraightLine, Wait,
     };
     pub use controller::robot::Space;
 

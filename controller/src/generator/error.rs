@@ -35,6 +35,11 @@ pub enum GeneratorError {
     TooLong { limit: u32 },
     #[error("takes {needed:.3} s at the least, not {given:.3} s")]
     TooShort { needed: f64, given: f64 },
+    /// A velocity at the end of a motion through intermediate poses.
+    #[error("a motion through intermediate poses ends at rest")]
+    PassesPoses,
+    #[error("axis {axis}: velocity {value:.3} at the end is above the limit {limit:.3}")]
+    EndVelocity { axis: u8, value: f64, limit: f64 },
     #[error("no profile within the limits")]
     NoProfile,
     /// The arm cannot take a pose of the path, at parameter `s` from 0 at the start to 1 at the end. The pose was found
