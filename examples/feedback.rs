@@ -42,9 +42,13 @@ impl Generator for Approach {
     }
 }
 
+async fn approach(cell: &mut Cell) -> Outcome {
+    let mut irb6 = cell.robot("irb6")?;
+    irb6.enable().await?;
+    irb6.home().await?;
+    irb6.execute(Approach { target: 0.3, rate: 3.0, acceleration: 1.0, macrostep: 0.0 }).await
+}
+
 fn main() -> ExitCode {
-    mrroc::program("cells/irb6.toml", |cell| {
-        let approach = Approach { target: 0.3, rate: 3.0, acceleration: 1.0, macrostep: 0.0 };
-        Tasks::new(cell).give("irb6", Task::new().enable().home().run(approach).disable())
-    })
+    mrroc::program("cells/irb6.toml", approach)
 }

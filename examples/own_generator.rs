@@ -39,9 +39,13 @@ impl Generator for Swing {
     }
 }
 
+async fn swing(cell: &mut Cell) -> Outcome {
+    let mut irb6 = cell.robot("irb6")?;
+    irb6.enable().await?;
+    irb6.home().await?;
+    irb6.execute(Swing { amplitude: 0.5, steps: 200, start: AxesState::default(), macrostep: 0.0 }).await
+}
+
 fn main() -> ExitCode {
-    mrroc::program("cells/irb6.toml", |cell| {
-        let swing = Swing { amplitude: 0.5, steps: 200, start: AxesState::default(), macrostep: 0.0 };
-        Tasks::new(cell).give("irb6", Task::new().enable().home().run(swing).disable())
-    })
+    mrroc::program("cells/irb6.toml", swing)
 }

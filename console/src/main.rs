@@ -18,7 +18,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use mrroc::cell::{Cell, CellFile};
 use mrroc::outputs::Measured;
-use mrroc::{Tasks, streams};
+use mrroc::{streams, tasks::CarriedTask};
 use serde::Serialize;
 
 /// Exit status in the help text: scripts may rely on it.
@@ -45,10 +45,13 @@ enum Command {
     },
     /// Check whether this host can run the cell, and propose corrections. Changes nothing without --fix.
     Doctor(host::doctor::Options),
-    /// Bring a cell up, home it, run its programs and report. Moves hardware on the card bench.
+    /// Bring a cell up, run a task on its robots and report. Moves hardware on the card bench.
     Run {
         /// The cell file.
         cell: PathBuf,
+        /// The task of the robots.
+        #[arg(long, value_enum, default_value_t)]
+        task: CarriedTask,
         #[command(flatten)]
         options: mrroc::ProgramOptions,
     },
@@ -126,8 +129,8 @@ fn main() -> ExitCode {
     let result = match arguments.command {
         Command::Check { cell, json } => check(&cell, json),
         Command::Doctor(options) => host::doctor::doctor(&options),
-        Command::Run { cell, options } => {
-            CellFile::read(&cell).and_then(|file| mrroc::run_program(&file, &options, &Tasks::programs))
+        Command::Run { cell, task, options } => {
+            CellFile::read(&cell).and_then(|file| mrroc::run_program(&file, &options, &task.program()))
         }
         Command::Emulate(options) => emulate::emulate(&options),
         Command::Scan(options) => {
@@ -159,7 +162,7 @@ fn main() -> ExitCode {
 }
 
 fn check(cell: &Path, json: bool) -> anyhow::Result<ExitCode> {
-    let checked = mrroc::check(&CellFile::read(cell)?, &Tasks::programs)?;
+    let checked = mrroc::check(&CellFile::read(cell)?, &CarriedTask::Programs.program())?;
     for problem in &checked.problems {
         streams::warn(format_args!(
             "mrroc: {problem}; only for robots that are wired otherwise than the emulated ones"

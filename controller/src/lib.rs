@@ -1,6 +1,7 @@
-//! Robots, paths, generators and the effector control process.
+//! Robots, paths, generators, effector control processes, and tasks as programs.
 
 pub mod ecp;
+pub mod executor;
 pub mod generator;
 pub mod path;
 pub mod robot;

@@ -1,6 +1,7 @@
 //! Check of a cell: finds everything that a run would refuse, before anything moves.
 
 use std::fmt;
+use std::sync::Arc;
 
 use serde::Serialize;
 use servo::Servo;
@@ -9,7 +10,7 @@ use crate::bench::emulation::{self, Emulation};
 use crate::bench::{BenchKind, emulated_lines};
 use crate::budget::{self, Bundle, BusBudget};
 use crate::cell::{CellFile, printable};
-use crate::{rehearsal, run::RunningTasks, setup, tasks::MakeTasks};
+use crate::{rehearsal, run::RunningTask, setup, tasks::Program};
 
 /// The result of a successful check.
 #[derive(Debug, Serialize)]
@@ -17,7 +18,7 @@ pub struct CheckReport {
     cell: String,
     period_us: u32,
     robots: Vec<CheckedRobot>,
-    /// Duration of the tasks without homing, s.
+    /// Duration of the task without homing, s.
     program_s: f64,
     buses: Vec<BusBudget>,
     /// Functions that the cell needs and its emulation lacks. Real robots may have them.
@@ -41,11 +42,11 @@ struct CheckedConfiguration {
     left_out: usize,
 }
 
-/// Checks a cell with its tasks: rehearses the tasks, computes the load of the buses, and creates all parts of a run.
-pub fn check(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<CheckReport> {
+/// Checks a cell with a task: rehearses the task, computes the load of the buses, and creates all parts of a run.
+pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> {
     let buses = budget::check(file)?;
-    let program = rehearsal::rehearse(file, tasks)?;
-    assemble(file, tasks)?;
+    let rehearsed = rehearsal::rehearse(file, program)?;
+    assemble(file, program)?;
     let robots = file.cell.robot.iter().enumerate().map(|(number, robot)| CheckedRobot {
         name: robot.name.clone(),
         axes: robot.axis.len(),
@@ -56,19 +57,20 @@ pub fn check(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<CheckReport> 
         cell: file.cell.name.clone(),
         period_us: file.cell.period_us,
         robots: robots.collect(),
-        program_s: program.as_secs_f64(),
+        program_s: rehearsed.duration.as_secs_f64(),
         buses,
         problems: emulation::problems(file).map(|problem| problem.to_string()).collect(),
     })
 }
 
 /// Creates all parts of a run on emulated drives, with the functions of the run.
-fn assemble(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<()> {
+fn assemble(file: &CellFile, program: &Program) -> anyhow::Result<()> {
     let (mut emulation, ends) = Emulation::of(file);
     let lines = emulated_lines(file, BenchKind::Lockstep, &mut emulation, ends.lines)?;
     let groups = setup::drive_groups(file, ends.ports, lines, None)?;
     let (servo, links) = Servo::new(&setup::servo_config(file), groups)?;
-    RunningTasks::new(file, tasks, links, &servo).map(|_| ())
+    RunningTask::new(&Arc::new(file.clone()), program, links, &servo, 0);
+    Ok(())
 }
 
 fn configurations(file: &CellFile, robot: usize) -> Vec<CheckedConfiguration> {

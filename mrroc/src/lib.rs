@@ -1,15 +1,21 @@
 //! The library of robot programs: cell files, benches, runs and their results.
 //!
-//! A program reads a [cell file](cell::CellFile), gives each robot a [task](prelude::Task) made of
-//! [generators](controller::generator), and runs the tasks on a [bench](bench::BenchKind):
+//! A program is a *task*: an `async` function that uses the robots of a [cell file](cell::CellFile). A robot executes
+//! [generators](controller::generator). A run executes the task on a [bench](bench::BenchKind):
 //!
 //! ```
 //! use mrroc::prelude::*;
 //!
+//! async fn carry(cell: &mut Cell) -> Outcome {
+//!     let mut irb6 = cell.robot("irb6")?;
+//!     irb6.enable().await?;
+//!     irb6.home().await?;
+//!     irb6.disable().await
+//! }
+//!
 //! let cell = CellFile::read("../cells/irb6.toml")?;
-//! let tasks = |cell: &CellFile| Tasks::new(cell).give("irb6", Task::new().enable().home().disable());
-//! let report = mrroc::run(&cell, BenchKind::Lockstep, &tasks)?;
-//! assert_eq!(report.outcome, Outcome::Completed);
+//! let report = mrroc::run(&cell, BenchKind::Lockstep, carry)?;
+//! assert_eq!(report.outcome, RunOutcome::Completed);
 //! # Ok::<(), mrroc::Error>(())
 //! ```
 //!
@@ -32,30 +38,35 @@ pub mod setup;
 pub mod signals;
 pub mod spikes;
 pub mod streams;
-mod tasks;
+pub mod tasks;
 mod trace;
 pub mod wire;
 
 pub use check::check;
 pub use motions::Motions;
 pub use program_main::{ProgramOptions, program, run_program};
-pub use tasks::{MakeTasks, Tasks};
+pub use tasks::Program;
 
 use bench::BenchKind;
 use cell::CellFile;
 use report::RunReport;
 use run::{Requests, RunOptions};
+use tasks::{Cell, Outcome};
 
 /// The reason why a cell or a program was refused, as text.
 pub type Error = anyhow::Error;
 
-/// Rehearses `tasks`, runs them on `bench` and returns the report. A fault of the run is no error:
-/// [`RunReport::outcome`] has the outcome. Moves hardware on [`BenchKind::Card`].
+/// Rehearses `task`, runs it on `bench` and returns the report. A fault of the run is no error: [`RunReport::outcome`] has
+/// the outcome. Moves hardware on [`BenchKind::Card`].
 ///
 /// This function catches no signal. If a signal ends the process, only the drives' own watchdogs stop the robots.
 /// [`program`], and [`run::run`] with [`Requests`], brake first.
-pub fn run(cell: &CellFile, bench: BenchKind, tasks: &MakeTasks) -> Result<RunReport, Error> {
-    run::run(cell, &RunOptions::on(bench), &Requests::default(), tasks, &mut |_| {})
+pub fn run(
+    cell: &CellFile,
+    bench: BenchKind,
+    task: impl AsyncFn(&mut Cell) -> Outcome + Send + Sync + 'static,
+) -> Result<RunReport, Error> {
+    run::run(cell, &RunOptions::on(bench), &Requests::default(), &Program::of(task), &mut |_| {})
 }
 
 /// All items that a robot program needs, for one `use`.
@@ -63,7 +74,8 @@ pub mod prelude {
     pub use std::process::ExitCode;
     pub use std::time::Duration;
 
-    pub use controller::ecp::Task;
+    pub use controller::ecp::{Class, Task};
+    pub use controller::executor::{join, join_all};
     pub use controller::generator::{
         Accelerations, AxesState, Contour, EffectorImage, FeedLimits, Generator, GeneratorError, JerkLimited,
         LineLimits, MotionLimits, Newsmooth, Next, Pace, Polynomial, Pose, Setpoint, SmoothPose, StraightLine, Wait,
@@ -74,6 +86,6 @@ pub mod prelude {
     pub use crate::bench::BenchKind;
     pub use crate::cell::CellFile;
     pub use crate::motions::Motions;
-    pub use crate::report::{AxisReport, Deviation, FaultReport, Outcome, RobotReport, RunReport};
-    pub use crate::tasks::Tasks;
+    pub use crate::report::{AxisReport, Deviation, FaultReport, RobotReport, RunOutcome, RunReport};
+    pub use crate::tasks::{Cell, Outcome, Robot, TaskError};
 }

@@ -14,14 +14,11 @@ pub struct Motions {
 }
 
 impl Motions {
-    /// Motions of the robot called `name`. An unknown name is refused.
-    pub fn of(cell: &CellFile, name: &str) -> anyhow::Result<Self> {
-        let Some(robot) = cell.cell.robot.iter().position(|robot| robot.name == name) else {
-            bail!("{}: the cell has no robot {name:?}", cell.path.display());
-        };
-        let arm = cell.arms[robot].clone();
-        let limits = cell.cell.robot[robot].motion_limits(&arm);
-        Ok(Self { arm, limits })
+    /// Motions of robot `robot`.
+    pub(crate) fn of(file: &CellFile, robot: usize) -> Self {
+        let arm = file.arms[robot].clone();
+        let limits = file.cell.robot[robot].motion_limits(&arm);
+        Self { arm, limits }
     }
 
     /// Kinematics, drive train and tool of the robot.

@@ -10,10 +10,10 @@ use servo::Phase;
 use signal_hook::{consts::SIGUSR1, flag};
 
 use crate::cell::CellFile;
-use crate::report::Outcome;
+use crate::report::RunOutcome;
 use crate::run::{Progress, Requests, RunOptions, run};
 use crate::signals::Motion;
-use crate::tasks::{MakeTasks, Tasks};
+use crate::tasks::{Cell, Outcome, Program};
 use crate::{signals, streams};
 
 /// Options of a robot program except its cell: the options of `mrroc run`.
@@ -36,29 +36,29 @@ struct Arguments {
     options: ProgramOptions,
 }
 
-/// The `main` of a robot program: reads the arguments, rehearses and runs `tasks`, prints the report.
+/// The `main` of a robot program: reads the arguments, rehearses and runs `task`, prints the report.
 ///
 /// The arguments are those of `mrroc run`. `cell` is the default cell file. Moves hardware with `--bench card`. The
-/// exit status is 0 after the end of the tasks, 1 after a fault or a requested stop, and 2 if the program was refused
+/// exit status is 0 after the end of the task, 1 after a fault or a requested stop, and 2 if the program was refused
 /// before any motion.
-pub fn program(cell: &str, tasks: impl Fn(&CellFile) -> anyhow::Result<Tasks> + Sync) -> ExitCode {
+pub fn program(cell: &str, task: impl AsyncFn(&mut Cell) -> Outcome + Send + Sync + 'static) -> ExitCode {
     let Arguments { cell: given, options } = Arguments::parse();
     let cell = given.unwrap_or_else(|| cell.into());
-    CellFile::read(&cell).and_then(|file| run_program(&file, &options, &tasks)).unwrap_or_else(|refusal| {
+    CellFile::read(&cell).and_then(|file| run_program(&file, &options, &Program::of(task))).unwrap_or_else(|refusal| {
         streams::refuse(&refusal);
         ExitCode::from(2)
     })
 }
 
-/// Runs `tasks` with a progress bar and prints the report. Signals that end a process first brake the robots.
-pub fn run_program(file: &CellFile, options: &ProgramOptions, tasks: &MakeTasks) -> anyhow::Result<ExitCode> {
+/// Runs `program` with a progress bar and prints the report. Signals that end a process first brake the robots.
+pub fn run_program(file: &CellFile, options: &ProgramOptions, program: &Program) -> anyhow::Result<ExitCode> {
     signals::block_suspension()?;
     let requests = Requests::default();
     flag::register(SIGUSR1, requests.spikes.clone()).context("SIGUSR1 cannot be caught")?;
     let (asked, motion) = (requests.clone(), Motion::on(options.run.bench));
     signals::on_ending_of_motion(motion.clone(), move |_| asked.stop())?;
-    let mut bar = Bar::new(file, tasks(file)?.instructions() as u64, !options.json)?;
-    let report = run(file, &options.run, &requests, tasks, &mut |news| bar.show(news));
+    let mut bar = Bar::new(file, !options.json)?;
+    let report = run(file, &options.run, &requests, program, &mut |news| bar.show(news));
     motion.is_over();
     bar.bar.finish_and_clear();
     let report = report?;
@@ -68,8 +68,8 @@ pub fn run_program(file: &CellFile, options: &ProgramOptions, tasks: &MakeTasks)
         return Ok(ExitCode::from(1));
     }
     Ok(ExitCode::from(match report.outcome {
-        Outcome::Completed => 0,
-        Outcome::Faulted | Outcome::Stopped => 1,
+        RunOutcome::Completed => 0,
+        RunOutcome::Faulted | RunOutcome::Stopped => 1,
     }))
 }
 
@@ -81,8 +81,8 @@ struct Bar {
 
 impl Bar {
     /// A bar for all instructions of all robots, or no bar.
-    fn new(file: &CellFile, instructions: u64, shown: bool) -> anyhow::Result<Self> {
-        let bar = if shown { ProgressBar::new(instructions) } else { ProgressBar::hidden() };
+    fn new(file: &CellFile, shown: bool) -> anyhow::Result<Self> {
+        let bar = if shown { ProgressBar::new(0) } else { ProgressBar::hidden() };
         let style = ProgressStyle::with_template("{elapsed:>4} [{bar:30}] {pos}/{len} {msg}")?;
         bar.set_style(style.progress_chars("=> "));
         let names = file.cell.robot.iter().map(|robot| robot.name.clone());
@@ -91,6 +91,7 @@ impl Bar {
 
     /// Shows the progress of a robot.
     fn show(&mut self, news: Progress) {
+        self.bar.set_length(news.expected);
         self.bar.inc(news.ended);
         self.phases[news.robot] = news.phase;
         let robots = self.names.iter().zip(&self.phases);

@@ -1,26 +1,32 @@
-//! Rehearsal of the programs of a cell: the real servo and generators with ideal drives.
+//! Rehearsal of a task: the same task on the real servo and generators with ideal drives.
 //!
 //! In the rehearsal, servo and generators make the same refusals as on the robot, but in virtual time and before any
 //! motion. Examples are a pose out of reach, a motion beyond a limit, and a line through a singularity.
 //!
 //! A rehearsal covers a whole run for robots that are homed first. Drives that kept their reference from an earlier
-//! run are not homed, and their robot may stand anywhere. `mrroc run` then rehearses the program again from the actual
+//! run are not homed, and their robot may stand anywhere. `mrroc run` then rehearses the task again from the actual
 //! position.
+//!
+//! An error that the task handles is no refusal. A task can leave out its side effects
+//! ([`Cell::rehearsing`](crate::tasks::Cell::rehearsing)) or end the rehearsal
+//! ([`Cell::end_rehearsal`](crate::tasks::Cell::end_rehearsal)).
 
 use std::cell::Cell;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::Poll;
 use std::time::Duration;
 
 use anyhow::anyhow;
 use can::Instant;
-use controller::ecp::{EcpError, Task};
+use controller::executor::{Ended, InstructionError, SystemError, Turns};
 use controller::generator::{Axes, PlannedStart};
 use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Power, Setpoint};
 use servo::{PositionLoop, Servo, lockstep};
 
 use crate::cell::{CellFile, Path, instruction_path};
-use crate::setup;
-use crate::tasks::{MakeTasks, Tasks};
+use crate::tasks::{Program, TaskError};
+use crate::{run::returned, setup, streams};
 
 /// Greatest duration of a task.
 const LONGEST: Duration = Duration::from_secs(24 * 3600);
@@ -31,27 +37,54 @@ const BEGINNING: Duration = Duration::from_secs(600);
 /// Number of rehearsed start positions beside the home position.
 const STARTS: usize = 16;
 
-/// Rehearses every task and returns the duration of the longest one after homing.
-///
-/// The tasks are first rehearsed from the home positions. The first motion of each robot is then rehearsed from
-/// `STARTS` positions beside its home position, where homing may leave the arm. Each first motion ends at its
-/// programmed position, so all later motions are the same in every run.
-pub fn rehearse(file: &CellFile, tasks: &MakeTasks) -> anyhow::Result<Duration> {
-    let homes = homes(file);
-    let motors: Vec<_> = homes.iter().map(|home| home.motors).collect();
-    let duration = run(file, tasks(file)?, &motors, Extent::Tasks)?;
-    for number in 0..STARTS {
-        let starts: Vec<_> = homes.iter().map(|home| beside(home, number)).collect();
-        run(file, tasks(file)?, &starts, Extent::FirstMotions)?;
-    }
-    Ok(duration)
+/// A rehearsal from the home positions.
+#[derive(Clone, Debug)]
+pub struct Rehearsed {
+    /// Duration without homing.
+    pub duration: Duration,
+    /// Number of instructions of all robots.
+    pub instructions: u64,
+    /// Whether each robot moved.
+    moved: Vec<bool>,
 }
 
-/// Rehearses every task with robot `robot` at these motor positions, rad, and the other robots at home.
-pub(crate) fn rehearse_from(file: &CellFile, tasks: &MakeTasks, robot: usize, motors: Axes) -> anyhow::Result<()> {
+/// Rehearses a task.
+///
+/// The task is first rehearsed from the home positions. The first motion of each robot is then rehearsed from
+/// `STARTS` positions beside its home position, where homing may leave the arm. Each first motion ends at its
+/// programmed position, so all later motions are the same in every run.
+///
+/// A task that hangs in a turn is refused, and its thread is left behind.
+pub fn rehearse(file: &CellFile, program: &Program) -> anyhow::Result<Rehearsed> {
+    let (file, program, turns) = (Arc::new(file.clone()), program.clone(), Turns::default());
+    let counted = turns.clone();
+    returned("rehearsal", &turns, move || rehearse_all(&file, &program, &counted))?
+}
+
+fn rehearse_all(file: &Arc<CellFile>, program: &Program, turns: &Turns) -> anyhow::Result<Rehearsed> {
+    let homes = homes(file);
+    let motors: Vec<_> = homes.iter().map(|home| home.motors).collect();
+    let never = AtomicBool::new(false);
+    let rehearsed = run(file, program, &motors, Extent::Task, &never, turns)?;
+    for number in 0..STARTS {
+        let starts: Vec<_> = homes.iter().map(|home| beside(home, number)).collect();
+        run(file, program, &starts, Extent::FirstMotions(&rehearsed.moved), &never, turns)?;
+    }
+    Ok(rehearsed)
+}
+
+/// Rehearses a task with robot `robot` at these motor positions, rad, and the other robots at home. Ends early, without a
+/// refusal, once the rehearsal is `cancelled`.
+pub(crate) fn rehearse_from(
+    file: &Arc<CellFile>,
+    program: &Program,
+    robot: usize,
+    motors: Axes,
+    cancelled: &AtomicBool,
+) -> anyhow::Result<()> {
     let mut starts: Vec<_> = homes(file).iter().map(|home| home.motors).collect();
     starts[robot] = motors;
-    run(file, tasks(file)?, &starts, Extent::Tasks).map(|_| ())
+    run(file, program, &starts, Extent::Task, cancelled, &Turns::default()).map(|_| ())
 }
 
 fn homes(file: &CellFile) -> Vec<PlannedStart> {
@@ -71,16 +104,23 @@ fn beside(home: &PlannedStart, number: usize) -> Axes {
     })
 }
 
-/// The rehearsed part of the tasks.
+/// The rehearsed part of a task.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Extent {
-    Tasks,
-    /// The first motion of each robot, for at most [`BEGINNING`].
-    FirstMotions,
+enum Extent<'a> {
+    Task,
+    /// The first motion of each robot that moves, for at most [`BEGINNING`].
+    FirstMotions(&'a [bool]),
 }
 
-/// Rehearses tasks on ideal drives, from the initial motor positions, rad, of each robot. Returns the duration.
-fn run(file: &CellFile, tasks: Tasks, starts: &[Axes], extent: Extent) -> anyhow::Result<Duration> {
+/// Rehearses a task on ideal drives, from the initial motor positions, rad, of each robot.
+fn run(
+    file: &Arc<CellFile>,
+    program: &Program,
+    starts: &[Axes],
+    extent: Extent,
+    cancelled: &AtomicBool,
+    turns: &Turns,
+) -> anyhow::Result<Rehearsed> {
     let drives = |bus| Box::new(IdealDrives::of(file, bus, starts)) as Box<dyn DriveGroup>;
     let groups = (0..file.cell.groups().count()).map(drives);
     let mut config = setup::servo_config(file);
@@ -90,43 +130,62 @@ fn run(file: &CellFile, tasks: Tasks, starts: &[Axes], extent: Extent) -> anyhow
         axis.homing = None;
     }
     let (mut servo, links) = Servo::new(&config, groups.collect())?;
-    let needed = |task: &Option<Task>| match (task, extent) {
-        (None, _) => 0,
-        (Some(task), Extent::Tasks) => task.len(),
-        (Some(task), Extent::FirstMotions) => task.first_motion().map_or(0, |first| first + 1),
-    };
-    let needed: Vec<_> = tasks.tasks.iter().map(needed).collect();
-    let refuse = if tasks.programs { of_program } else { of_task };
-    let mut subcontrollers = setup::subcontrollers(file, links, servo.gates(), tasks);
-    let mut ended = vec![0; needed.len()];
-    let mut failure = None;
+    let mut executor = program.begin(file, setup::subcontrollers(file, links, servo.gates()), true, turns.clone());
+    let (mut moved, mut instructions) = (vec![false; starts.len()], 0);
     let start = lockstep::bring_up(&mut servo, Instant::ZERO, |_| {}).expect("ideal drives come up");
     let over = Cell::new(false);
-    let longest = if extent == Extent::Tasks { LONGEST } else { BEGINNING };
+    let longest = if extent == Extent::Task { LONGEST } else { BEGINNING };
     lockstep::run(
         &mut servo,
         start,
         |now| {
-            subcontrollers.poll(now, |robot, _, event| {
-                ended[robot] = event.instruction + 1;
-                if let Err(error) = event.outcome {
-                    failure.get_or_insert_with(|| refuse(file, robot, event.instruction, extent.refusal(&error)));
-                }
+            let busy = executor.poll(now, |_, ended| {
+                instructions += 1;
+                moved[ended.robot] |= ended.moved;
             });
-            let all_ended = ended.iter().zip(&needed).all(|(ended, needed)| ended >= needed);
-            over.set(failure.is_some() || all_ended);
+            let far_enough = matches!(extent, Extent::FirstMotions(wanted) if wanted == moved);
+            over.set(!busy || far_enough);
         },
         |_| {},
-        |_, now| over.get() || now.since(start) > longest,
+        |_, now| over.get() || now.since(start) > longest || cancelled.load(Ordering::Relaxed),
     );
-    match failure {
-        Some(failure) => Err(failure),
-        None if extent == Extent::Tasks && !over.get() => {
-            let problem = format!("a program takes longer than {} h", LONGEST.as_secs() / 3600);
-            Err(file.refuse(&Path::to("robot"), problem))
+    let duration = Duration::from_nanos(servo.counters().cycles) * servo.period().as_nanos() as u32;
+    match executor.finish().0 {
+        Some(Ended::Task(Err(TaskError::NotRehearsed { why }))) if extent == Extent::Task => {
+            let seconds = duration.as_secs_f64();
+            streams::warn(format_args!("mrroc: the task is rehearsed up to {seconds:.1} s: {why}"));
         }
-        None => Ok(Duration::from_nanos(servo.counters().cycles) * servo.period().as_nanos() as u32),
+        Some(Ended::Task(Ok(()) | Err(TaskError::NotRehearsed { .. }))) => {}
+        Some(Ended::Task(Err(TaskError::Instruction { error, .. })))
+        | Some(Ended::System(SystemError::Instruction(error))) => {
+            return Err(refuse_instruction(file, program, &error, extent));
+        }
+        Some(Ended::Task(Err(TaskError::Refused(error)))) => return Err(error),
+        Some(Ended::Task(Err(error))) => return Err(error.into()),
+        Some(Ended::System(error)) => return Err(error.into()),
+        None if extent == Extent::Task && !over.get() && !cancelled.load(Ordering::Relaxed) => {
+            let problem = format!("a program takes longer than {} h", LONGEST.as_secs() / 3600);
+            return Err(file.refuse(&Path::to("robot"), problem));
+        }
+        None => {}
     }
+    Ok(Rehearsed { duration, instructions, moved })
+}
+
+/// The refusal of an instruction.
+fn refuse_instruction(
+    file: &CellFile,
+    program: &Program,
+    &InstructionError { robot, instruction, cause, .. }: &InstructionError,
+    extent: Extent,
+) -> anyhow::Error {
+    let why = match extent {
+        Extent::Task => cause.to_string(),
+        Extent::FirstMotions(_) => {
+            format!("{cause}; from beside the home position, where homing may leave the robot")
+        }
+    };
+    if program.of_file { of_program(file, robot, instruction, why) } else { of_task(file, robot, instruction, why) }
 }
 
 /// The refusal of an instruction of the cell file's program.
@@ -142,19 +201,8 @@ fn of_task(file: &CellFile, robot: usize, instruction: usize, why: String) -> an
     anyhow!("robot {name}: instruction {number} of its task: {why}")
 }
 
-impl Extent {
-    fn refusal(self, error: &EcpError) -> String {
-        match self {
-            Self::Tasks => error.to_string(),
-            Self::FirstMotions => {
-                format!("{error}; from beside the home position, where homing may leave the robot")
-            }
-        }
-    }
-}
-
 /// Ideal drives, which reach a commanded position at the SYNC that latches it.
-struct IdealDrives {
+pub(crate) struct IdealDrives {
     axes: Vec<IdealAxis>,
     now: Instant,
 }
@@ -170,7 +218,8 @@ struct IdealAxis {
 }
 
 impl IdealDrives {
-    fn of(file: &CellFile, bus: usize, starts: &[Axes]) -> Self {
+    /// The drives of bus `bus`, with each robot at its motor positions of `starts`, rad.
+    pub(crate) fn of(file: &CellFile, bus: usize, starts: &[Axes]) -> Self {
         let off = AxisCommand::Off;
         let axis = |(robot, axis): (usize, usize)| IdealAxis {
             written: off,

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use can::Port;
-use controller::ecp::{Ecp, EcpConfig, Meetings, Subcontrollers, Task};
+use controller::ecp::{Ecp, EcpConfig, Meetings, Subcontrollers};
 use controller::generator::Pace;
 use controller::robot::Limits;
 use drive::cia402::{AxisConfig, Cia402Group, CyclicMode};
@@ -13,7 +13,6 @@ use serial::Line;
 use servo::{EffectorConfig, EffectorLink, Gates, HostHoming, ServoAxisConfig, ServoConfig};
 
 use crate::cell::{Bus, CellFile, DeviceConfiguration, ENABLING, Homing, Path, Robot, Serial};
-use crate::tasks::Tasks;
 
 /// Least homing time-out of an effector. The value also applies to a search by the drive of an axis without ends,
 /// because the distance of such a search is unknown.
@@ -98,14 +97,10 @@ pub fn servo_config(file: &CellFile) -> ServoConfig {
     }
 }
 
-/// The effector control processes of a cell with their tasks, on the links to its servo.
-pub fn subcontrollers(file: &CellFile, links: Vec<EffectorLink>, gates: Gates, tasks: Tasks) -> Subcontrollers {
-    let ecp = |(robot, (link, task)): (usize, (EffectorLink, Option<Task>))| {
-        let mut ecp = Ecp::new(file.arms[robot].clone(), link, ecp_config(file, robot));
-        ecp.execute(task.unwrap_or_default()).expect("a new process has no instruction");
-        ecp
-    };
-    let ecps = links.into_iter().zip(tasks.tasks).enumerate().map(ecp);
+/// The effector control processes of a cell, on the links to its servo.
+pub fn subcontrollers(file: &CellFile, links: Vec<EffectorLink>, gates: Gates) -> Subcontrollers {
+    let ecp = |(robot, link): (usize, _)| Ecp::new(file.arms[robot].clone(), link, ecp_config(file, robot));
+    let ecps = links.into_iter().enumerate().map(ecp);
     let meetings = Meetings::new(file.cell.meetings().into_iter().map(|meeting| meeting.robots), gates);
     Subcontrollers::new(ecps.collect(), meetings)
 }

@@ -60,10 +60,13 @@ impl Generator for Ponder {
     }
 }
 
+async fn both(cell: &mut Cell) -> Outcome {
+    let [mut irb6, mut second] = cell.robots(["irb6", "second"])?;
+    let swinging = Task::new().enable().home().run(Swing).disable();
+    let pondering = (0..10).fold(Task::new().enable().home(), |task, _| task.run(Ponder)).disable();
+    join(irb6.perform(swinging), second.perform(pondering)).await
+}
+
 fn main() -> ExitCode {
-    mrroc::program("cell.toml", |cell| {
-        let swinging = Task::new().enable().home().run(Swing).disable();
-        let pondering = (0..10).fold(Task::new().enable().home(), |task, _| task.run(Ponder)).disable();
-        Tasks::new(cell).give("irb6", swinging)?.give("second", pondering)
-    })
+    mrroc::program("cell.toml", both)
 }

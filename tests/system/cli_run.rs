@@ -120,6 +120,26 @@ fn the_table_names_every_axis_and_the_outcome() {
 }
 
 #[test]
+fn the_task_home_homes_all_robots_and_moves_none() {
+    let directory = Directory::new();
+    let (cell, record) = (directory.cell("irb6", shorten), directory.path("home.csv"));
+    let run = mrroc([
+        "run".as_ref(),
+        cell.as_os_str(),
+        "--task=home".as_ref(),
+        "--bench=lockstep".as_ref(),
+        "--record".as_ref(),
+        record.as_os_str(),
+    ]);
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    let record = fs::read_to_string(record).unwrap();
+    assert!(record.contains(",Homing,") && !record.contains(",Moving,"));
+    let run = mrroc(["run".as_ref(), cell.as_os_str(), "--task=dance".as_ref()]);
+    assert_eq!(run.status.code(), Some(2), "{run:?}");
+    assert!(run.stderr.contains("programs, home"), "{run:?}");
+}
+
+#[test]
 fn ctrl_c_in_motion_brakes_the_arm() {
     let _turn = turn();
     stops_in_motion("INT");

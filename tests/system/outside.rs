@@ -84,6 +84,22 @@ fn completes_in_lockstep_and_by_the_clock(program: &str, cell: &Path) {
 }
 
 #[test]
+fn the_example_of_a_retry_completes_and_lists_the_errors_that_it_handled() {
+    let program = example_program("retry");
+    let run = Command::new(program).args(["--bench", "lockstep", "--json"]).current_dir(root()).output().unwrap();
+    assert!(run.status.success(), "{run:?}");
+    let report: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert_eq!((&report["outcome"], &report["faults"]), (&"completed".into(), &serde_json::json!([])));
+    let recovered = report["recovered"].as_array().unwrap();
+    assert!(!recovered.is_empty(), "{report}");
+    for (error, instruction) in recovered.iter().zip(2..) {
+        assert_eq!((&error["robot"], &error["class"]), (&"irb6".into(), &"non-fatal".into()), "{error}");
+        assert_eq!((&error["instruction"], &error["phase"]), (&instruction.into(), &"first-step".into()), "{error}");
+        assert!(error["what"].as_str().unwrap().contains("at the least"), "{error}");
+    }
+}
+
+#[test]
 fn a_program_outside_the_workspace_runs_its_own_generator_in_lockstep() {
     let package = root().join("tests/outside");
     // The versions of the workspace, whose registry packages are built already; cargo drops what is not needed.

@@ -1,11 +1,37 @@
-//! Errors of instructions.
+//! Errors of instructions and their classes.
 
 use std::time::Duration;
 
-use servo::{Phase, ServoFault};
+use drive::Fault;
+use serde::Serialize;
+use servo::{Phase, ServoFault, StopCause};
 use thiserror::Error;
 
 use crate::{generator::GeneratorError, robot::KinematicsError};
+
+/// Class of an error, by its consequence.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Class {
+    /// The effector stands and takes further instructions. The task decides and may try again.
+    NonFatal,
+    /// The effector is stopped and takes no motion. Other effectors may continue.
+    Fatal,
+    /// All effectors are stopped.
+    System,
+}
+
+/// Phase of the flow chart of a motion (figure 3 of the paper) in which an error occurred.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ChartPhase {
+    /// The first step of the generator.
+    FirstStep,
+    /// A next step of the generator.
+    NextStep,
+    /// The transfer of a set-point to the effector, and its execution by the servo.
+    Transfer,
+}
 
 /// Reasons why an instruction failed. When an error is reported, the effector already stands or is faulted. `step`
 /// counts the macrosteps of the instruction that were sent before.
@@ -51,4 +77,27 @@ pub enum EcpError {
     /// The process was told to stop.
     #[error("stopped")]
     Stopped,
+}
+
+impl EcpError {
+    /// Class of the error. A fault that concerns the cycle or the bus as a whole is a system error.
+    pub fn class(&self) -> Class {
+        match self {
+            Self::Servo(ServoFault {
+                cause: StopCause::Overrun { .. } | StopCause::Drive(Fault::OtherController { .. }),
+                ..
+            }) => Class::System,
+            Self::Servo(_) | Self::Faulted | Self::BrokenOff { .. } | Self::Silent { .. } | Self::TimedOut { .. } => {
+                Class::Fatal
+            }
+            Self::Generator { .. }
+            | Self::OutOfReach { .. }
+            | Self::NotFinite { .. }
+            | Self::NotStanding { .. }
+            | Self::NotHomed
+            | Self::Unplanned { .. }
+            | Self::Unmet { .. }
+            | Self::Stopped => Class::NonFatal,
+        }
+    }
 }

@@ -38,7 +38,7 @@ use servo::{EffectorLink, Order, Phase, ServoReport, Snapshot};
 use crate::generator::{AxesState, EffectorImage, Execution, GeneratorError, Pace};
 use crate::robot::Arm;
 
-pub use error::EcpError;
+pub use error::{ChartPhase, Class, EcpError};
 use image::Effector;
 use planning::Planning;
 pub use planning::{AtOnce, Plan, Planner};
@@ -151,6 +151,10 @@ pub struct Ecp {
     pace: Pace,
     /// Number of the last macrostep before this instruction.
     base: u64,
+    /// Phase of the flow chart that computes macrosteps; `None` outside a motion.
+    chart: Option<ChartPhase>,
+    /// Whether the next instruction has to wait.
+    held: bool,
     /// Number of the last macrostep before the effector left standstill.
     origin: u64,
     /// The next instruction continues from the end of the last macrostep, which ends in motion.
@@ -178,6 +182,8 @@ impl Ecp {
             executed: 0,
             pace: config.pace,
             base: 0,
+            chart: None,
+            held: false,
             origin: 0,
             in_motion: false,
             replacement: None,
@@ -247,6 +253,17 @@ impl Ecp {
         self.heard = now;
     }
 
+    /// Holds the process between two instructions, or lets the next instruction begin. A stop is executed all the same.
+    pub fn hold(&mut self, held: bool) {
+        self.held = held;
+    }
+
+    /// Phase of the flow chart in the last motion, and number of its macrosteps executed; `None` after another
+    /// instruction.
+    pub(crate) fn chart(&self) -> Option<(ChartPhase, u64)> {
+        self.chart.map(|phase| (phase, self.executed.saturating_sub(self.base)))
+    }
+
     /// State of the effector in the last servo cycle.
     pub fn latest(&self) -> Snapshot {
         self.link.latest.read()
@@ -287,6 +304,9 @@ impl Ecp {
             self.report = Some(report);
         }
         if matches!(self.activity, Activity::Idle) {
+            if self.held {
+                return None;
+            }
             let instruction = self.task.instructions.pop_front()?;
             self.heard = now;
             if let Some(outcome) = self.begin(instruction, now) {
@@ -346,6 +366,7 @@ impl Ecp {
 
     fn begin(&mut self, instruction: Instruction, now: Instant) -> Option<Result<(), EcpError>> {
         let phase = self.phase();
+        self.chart = None;
         let order = match instruction {
             Instruction::ResetFault if phase != Phase::Faulted => return Some(Ok(())),
             Instruction::ResetFault => Order::ResetFault,

@@ -6,7 +6,7 @@ use can::Instant;
 use servo::{Macrostep, Order, Phase, Snapshot};
 
 use super::task::Instruction;
-use super::{Activity, BURST, Ecp, EcpError, NotRunning, STILL};
+use super::{Activity, BURST, ChartPhase, Ecp, EcpError, NotRunning, STILL};
 use crate::generator::{Axes, AxesState, Execution, Generator, Run, Setpoint, Step};
 
 impl Ecp {
@@ -34,6 +34,7 @@ impl Ecp {
             self.origin = self.sent;
         }
         self.base = self.sent;
+        self.chart = Some(ChartPhase::FirstStep);
         self.replacement = None;
         self.pace = match run.pace(self.config.pace) {
             Ok(pace) => pace,
@@ -67,6 +68,9 @@ impl Ecp {
         self.heard = now;
         // A next step that follows at once reads the present state, not the state before the planning.
         self.effector.measured = self.latest();
+        if first.is_ok() {
+            self.chart = Some(ChartPhase::NextStep);
+        }
         let commanded = match first {
             Ok(Step::Continue(None)) => Ok(()),
             Ok(Step::Continue(setpoint)) => self.command(setpoint),

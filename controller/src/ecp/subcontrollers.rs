@@ -1,9 +1,9 @@
-//! The subcontrollers C1 to Cn of one cell, polled in a fixed order, and the meetings between them.
+//! The subcontrollers C1 to Cn of one cell, and the meetings between them.
 
 use can::Instant;
 use servo::Gates;
 
-use super::{Ecp, EcpEvent, Planner, Status};
+use super::{Ecp, Planner, Status};
 
 /// The effector control processes of one cell, one per robot, and the meetings between them.
 pub struct Subcontrollers {
@@ -22,18 +22,14 @@ impl Subcontrollers {
         self.ecps.iter_mut().for_each(|ecp| ecp.plan_with(planner()));
     }
 
-    /// Polls the processes at `now`, robot by robot, then holds the meetings whose partners have come.
-    ///
-    /// `ended` receives each ended instruction, with the index of its robot and the process. Returns whether any
-    /// process still has an instruction. Call this function at macrostep rate or faster.
-    pub fn poll(&mut self, now: Instant, mut ended: impl FnMut(usize, &mut Ecp, EcpEvent)) -> bool {
-        for (robot, ecp) in self.ecps.iter_mut().enumerate() {
-            while let Some(event) = ecp.poll(now) {
-                ended(robot, ecp, event);
-            }
-        }
-        self.meetings.poll(&mut self.ecps, now);
-        self.statuses().any(|status| status.instruction.is_some())
+    /// The processes, and the meetings between them.
+    pub(crate) fn parts(&mut self) -> (&mut [Ecp], &mut Meetings) {
+        (&mut self.ecps, &mut self.meetings)
+    }
+
+    /// The processes.
+    pub(crate) fn ecps(&self) -> &[Ecp] {
+        &self.ecps
     }
 
     /// Status of each process, robot by robot.
@@ -75,7 +71,7 @@ impl Meetings {
     }
 
     /// Advances the meetings whose partners are ready. The processes were polled until they returned no more events.
-    pub(super) fn poll(&mut self, ecps: &mut [Ecp], now: Instant) {
+    pub(crate) fn poll(&mut self, ecps: &mut [Ecp], now: Instant) {
         for (meeting, number) in self.meetings.iter_mut().zip(0..) {
             let mut partners = meeting.partners.iter();
             match meeting.progress {

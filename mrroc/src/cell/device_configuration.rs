@@ -17,6 +17,7 @@ use crate::input;
 const MOST_WRITES: usize = 4096;
 
 /// Content of a device configuration file, and the drive it is for.
+#[derive(Clone)]
 pub struct DeviceConfiguration {
     pub path: PathBuf,
     pub product: Option<u32>,

@@ -12,6 +12,7 @@ use crate::input;
 use super::{Cell, CellError, LARGEST, device_configuration::DeviceConfiguration};
 
 /// A cell with the arms of its robots, and the text of its file.
+#[derive(Clone)]
 pub struct CellFile {
     /// Path of the file.
     pub path: PathBuf,

@@ -14,6 +14,8 @@ use std::fmt;
 use std::mem::take;
 use std::time::Duration;
 
+use controller::ecp::{ChartPhase, Class};
+use controller::executor::InstructionError;
 use drive::{Warning, Warnings};
 use serde::Serialize;
 use servo::thread::{AccountReads, LateCycle, Spike, WaitReport};
@@ -37,6 +39,8 @@ pub(crate) struct RunEnd {
     pub denied: Vec<String>,
     /// Faults of the run, the first cause first.
     pub faults: Vec<FaultReport>,
+    /// Errors that the task handled.
+    pub recovered: Vec<FaultReport>,
     pub wire: Vec<WireReport>,
     /// Time that passed in the cell.
     pub cell_time: Duration,
@@ -63,6 +67,8 @@ pub struct RunReport {
     pub wire: Vec<WireReport>,
     /// What went wrong.
     pub faults: Vec<FaultReport>,
+    /// Errors that the task received and handled, in the order of their delivery.
+    pub recovered: Vec<FaultReport>,
     /// Errors that drives reported without a fault.
     pub warnings: Vec<WarningReport>,
     /// Reports of further errors, which are counted alone.
@@ -72,7 +78,7 @@ pub struct RunReport {
     /// Time of the cell over time of the host: above 1 is faster than real time.
     pub realtime_factor: f64,
     /// How it ended.
-    pub outcome: Outcome,
+    pub outcome: RunOutcome,
 }
 
 impl RunReport {
@@ -83,7 +89,7 @@ impl RunReport {
         end: &mut RunEnd,
         budgets: &[BusBudget],
         wall: Duration,
-        outcome: Outcome,
+        outcome: RunOutcome,
     ) -> Self {
         let counters = end.servo.counters();
         let robots = file.cell.robot.iter().enumerate();
@@ -140,6 +146,7 @@ impl RunReport {
             buses: buses.collect(),
             wire: take(&mut end.wire),
             faults: take(&mut end.faults),
+            recovered: take(&mut end.recovered),
             denied: take(&mut end.denied),
             realtime_factor: end.cell_time.as_secs_f64() / wall.as_secs_f64(),
             outcome,
@@ -163,7 +170,7 @@ impl RunReport {
     }
 }
 
-/// One fault: whose, and what happened.
+/// One fault, or an error that the task handled: whose, and what happened.
 #[derive(Debug, PartialEq, Serialize)]
 pub struct FaultReport {
     /// The robot; absent if it is not of one.
@@ -172,6 +179,29 @@ pub struct FaultReport {
     pub axis: Option<String>,
     /// What happened.
     pub what: String,
+    /// Place in the task, for an error of an instruction.
+    #[serde(flatten)]
+    pub place: Option<ErrorPlace>,
+}
+
+/// Place of an error in a task, and its class.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct ErrorPlace {
+    /// Class of the error.
+    pub class: Class,
+    /// Number of earlier instructions of the robot in the task.
+    pub instruction: usize,
+    /// Number of macrosteps of the motion before the error; null outside a motion.
+    pub step: Option<u64>,
+    /// Phase of the flow chart of the motion; null outside a motion.
+    pub phase: Option<ChartPhase>,
+}
+
+impl ErrorPlace {
+    pub(crate) fn of(error: &InstructionError) -> Self {
+        let &InstructionError { instruction, step, phase, .. } = error;
+        Self { class: error.class(), instruction, step, phase }
+    }
 }
 
 impl FaultReport {
@@ -181,12 +211,18 @@ impl FaultReport {
             robot: Some(file.cell.robot[robot].name.clone()),
             axis: axis.map(|axis| file.axis_name(robot, axis)),
             what,
+            place: None,
         }
     }
 
     /// A fault of the run itself.
     pub fn of_run(what: impl fmt::Display) -> Self {
-        Self { robot: None, axis: None, what: format!("{what:#}") }
+        Self { robot: None, axis: None, what: format!("{what:#}"), place: None }
+    }
+
+    /// Whether `other` is the same fault, perhaps without its place.
+    pub(crate) fn is_same(&self, other: &Self) -> bool {
+        (&self.robot, &self.axis, &self.what) == (&other.robot, &other.axis, &other.what)
     }
 }
 
@@ -254,8 +290,8 @@ impl fmt::Display for WarningReport {
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Outcome {
-    /// The programs ran to their end.
+pub enum RunOutcome {
+    /// The task ended without an error.
     Completed,
     /// Somebody stopped it.
     Stopped,
@@ -263,7 +299,7 @@ pub enum Outcome {
     Faulted,
 }
 
-impl fmt::Display for Outcome {
+impl fmt::Display for RunOutcome {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Completed => "completed",

@@ -34,6 +34,7 @@ pub(crate) fn page(report: &RunReport, tracks: &Tracks, timing: &Timing) -> Resu
         );
     }
     list(&mut page, "Faults", &report.faults);
+    list(&mut page, "Recovered errors", &report.recovered);
     list(&mut page, "Warnings", &report.warnings);
     if report.more_warnings > 0 {
         let more = report.more_warnings;
@@ -182,7 +183,6 @@ fn buses(page: &mut String, report: &RunReport) {
 mod tests {
     use std::path::Path;
 
-    use controller::ecp::Task;
     use roxmltree::{Document, ParsingOptions};
     use servo::{AxisRecord, Record};
 
@@ -190,14 +190,16 @@ mod tests {
     use crate::bench::BenchKind;
     use crate::cell::CellFile;
     use crate::report::FaultReport;
-    use crate::tasks::Tasks;
+    use crate::tasks::{Cell, Outcome};
 
     #[test]
     fn texts_of_a_page_are_no_markup_and_it_is_well_formed() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells/irb6.toml");
         let file = CellFile::read(&path).unwrap();
-        let tasks = |cell: &CellFile| Tasks::new(cell).give("irb6", Task::new().enable().disable());
-        let mut report = crate::run(&file, BenchKind::Lockstep, &tasks).unwrap();
+        async fn nothing(cell: &mut Cell) -> Outcome {
+            cell.robot("irb6")?.enable().await
+        }
+        let mut report = crate::run(&file, BenchKind::Lockstep, nothing).unwrap();
         let mut tracks = Tracks::new(&file, true);
         let mut record = Record { axes: 5, ..Record::default() };
         for (axis, home) in record.axis.iter_mut().zip(&*file.arms[0].robot().home()) {

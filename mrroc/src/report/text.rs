@@ -111,6 +111,9 @@ impl fmt::Display for RunReport {
         if self.more_warnings > 0 {
             writeln!(f, "warning: {} further reports of drives", self.more_warnings)?;
         }
+        for error in &self.recovered {
+            writeln!(f, "recovered: {error}")?;
+        }
         for fault in &self.faults {
             writeln!(f, "fault: {fault}")?;
         }

@@ -1,28 +1,39 @@
-//! A run: brings a cell up, does the tasks of its robots, switches it off and reports.
+//! A run: brings a cell up, executes a task on its robots, switches it off and reports.
 //!
-//! By the wall clock these threads take part: the servo's, the controller's below it, one per robot that plans its motions,
-//! one that reads the records of the servo and writes the files, one that listens to the buses, and the caller's, which
-//! receives the progress. The planning threads are not waited for. However a
-//! run ends, the servo thread is waited for until it has braked the arms and switched them off: at the end of the tasks,
-//! on a signal, when a file cannot be written, and by a panic of the caller's thread or the controller's. A file
-//! that takes nothing is not waited for. Whatever may still have power afterwards is a fault of the run.
+//! Threads of a run by the wall clock:
+//!
+//! - the servo;
+//! - the controller, below the servo: executes the task;
+//! - planning, one per robot: computes first steps of generators;
+//! - rehearsal: rehearses the task from positions away from home;
+//! - files: reads the records of the servo and writes the files;
+//! - wire: listens to the buses;
+//! - the caller: receives the progress and watches the task.
+//!
+//! Planning and rehearsal are not waited for. However a run ends, the run waits until the servo has braked the arms and
+//! switched them off. A run ends with its task, on a signal, when a file cannot be written, when the task hangs, and by a
+//! panic of the caller or the controller. A file that takes nothing is not waited for. Whatever may still have power
+//! afterwards is a fault of the run.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
 mod background;
 mod ending;
 mod files;
-mod running_tasks;
+mod running_task;
 mod tick;
+mod watch;
 mod worker;
 
 use std::cell::{Cell as Shared, RefCell};
 use std::io::Write as _;
 use std::mem::take;
+use std::panic::resume_unwind;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::sync_channel;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::thread::Builder;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
@@ -35,8 +46,8 @@ use crate::bench::emulation::Emulation;
 use crate::bench::{Bench, BenchKind, Places};
 use crate::cell::CellFile;
 use crate::outputs::{Outputs, Replacement};
-use crate::report::{self, FaultReport, Outcome, RunEnd, RunReport, Tracks};
-use crate::tasks::MakeTasks;
+use crate::report::{self, FaultReport, RunEnd, RunOutcome, RunReport, Tracks};
+use crate::tasks::Program;
 use crate::trace::{AxisLog, FrameLog};
 use crate::wire::Wire;
 use crate::{budget, rehearsal, setup, spikes, streams};
@@ -45,10 +56,12 @@ use ending::Over;
 use files::{Logs, Writing};
 
 pub use ending::{Requests, Turning, stopped_once};
-pub use running_tasks::Progress;
-pub(crate) use running_tasks::RunningTasks;
-use running_tasks::servo_faults;
+pub use running_task::Progress;
+pub(crate) use running_task::RunningTask;
+use running_task::{Rehearsals, TaskErrors, servo_faults};
 use tick::tick;
+use watch::Watch;
+pub(crate) use watch::returned;
 
 /// Records that the evaluation may lag behind the servo, per effector: some seconds.
 const RECORDS: usize = 1 << 11;
@@ -108,15 +121,15 @@ impl RunOptions {
     }
 }
 
-/// Rehearses the tasks, then runs them.
+/// Rehearses a task, then runs it.
 ///
-/// `tasks` is called for every rehearsal on ideal drives and for the run, with the same result each time. `progress` receives news on the
-/// caller's thread. An error means that nothing has moved; a fault during the run is in the report.
+/// `program` begins anew for every rehearsal on ideal drives and for the run. `progress` receives news on the caller's
+/// thread. An error means that nothing has moved; a fault during the run is in the report.
 pub fn run(
     file: &CellFile,
     options: &RunOptions,
     requests: &Requests,
-    tasks: &MakeTasks,
+    program: &Program,
     progress: &mut dyn FnMut(Progress),
 ) -> anyhow::Result<RunReport> {
     if options.spikes.is_some() && options.bench == BenchKind::Lockstep {
@@ -127,7 +140,7 @@ pub fn run(
         let set = requests.speed.set(fraction);
         set.map_err(|_| anyhow!("--speed is a percentage above 0 and at most 100, not {percent}"))?;
     }
-    rehearsal::rehearse(file, tasks)?;
+    let rehearsed = rehearsal::rehearse(file, program)?;
     if options.trace.is_some() && file.cell.bus.is_empty() {
         streams::warn("--trace stays empty: it has the frames of CAN buses, and the cell has none");
     }
@@ -153,22 +166,18 @@ pub fn run(
         axes: axes.context("--record")?,
         frames: frames.transpose()?,
     };
-    let tasks = RunningTasks::new(file, tasks, links, &servo)?;
+    let task = RunningTask::new(&Arc::new(file.clone()), program, links, &servo, rehearsed.instructions);
     requests.stop_through(servo.stop_request());
 
     let began = clock::now();
     let buses = Buses { wire: bench.wire, emulation: bench.emulation };
     let mut end = match options.bench {
-        BenchKind::Lockstep => in_lockstep(file, servo, tasks, logs, buses, &requests.stop, progress)?,
-        _ => by_the_clock(file, servo, tasks, logs, buses, requests, progress)?,
+        BenchKind::Lockstep => in_lockstep(file, servo, task, logs, buses, &requests.stop, progress)?,
+        _ => by_the_clock(file, servo, task, logs, buses, requests, progress)?,
     };
     let interrupted = requests.is_stopped();
-    if interrupted {
-        // What the tasks say of it is that they were broken off; what the servo latched meanwhile is a fault.
-        end.faults.retain(|fault| fault.robot.is_none());
-    }
     for fault in servo_faults(file, &end.servo) {
-        if !end.faults.contains(&fault) {
+        if !end.faults.iter().chain(&end.recovered).any(|known| known.is_same(&fault)) {
             end.faults.push(fault);
         }
     }
@@ -176,9 +185,9 @@ pub fn run(
         end.faults.push(FaultReport::of_run(error));
     }
     let outcome = match (interrupted, end.faults.is_empty()) {
-        (_, false) => Outcome::Faulted,
-        (true, true) => Outcome::Stopped,
-        (false, true) => Outcome::Completed,
+        (_, false) => RunOutcome::Faulted,
+        (true, true) => RunOutcome::Stopped,
+        (false, true) => RunOutcome::Completed,
     };
     let (bench, wall) = (options.bench.name(), clock::now().since(began));
     let mut report = RunReport::of(file, bench, &mut end, &budget, wall, outcome);
@@ -188,7 +197,7 @@ pub fn run(
             .and_then(|page| file.write_all(page.as_bytes()).with_context(|| format!("{REPORT} cannot be written")));
         if let Err(error) = written {
             report.faults.push(FaultReport::of_run(error));
-            report.outcome = Outcome::Faulted;
+            report.outcome = RunOutcome::Faulted;
         }
     }
     Ok(report)
@@ -218,6 +227,7 @@ fn not_up(
             spikes: Vec::new(),
             denied: Vec::new(),
             faults: Vec::new(),
+            recovered: Vec::new(),
             wire: Vec::new(),
             cell_time,
         });
@@ -242,7 +252,7 @@ pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
 fn in_lockstep(
     file: &CellFile,
     mut servo: Servo,
-    mut tasks: RunningTasks,
+    task: RunningTask,
     logs: Logs,
     Buses { wire, emulation }: Buses,
     interrupted: &AtomicBool,
@@ -269,11 +279,12 @@ fn in_lockstep(
     let mut is_over = stopped_once(|| done.get());
     let logs = RefCell::new(logs);
     let mut timing = Timing::default();
+    let mut carrying = task.begin(Rehearsals::AtOnce);
     let end = lockstep::run(
         &mut servo,
         start,
         |now| {
-            let going = logs.borrow_mut().drain() && tasks.poll(now, &mut *progress);
+            let going = logs.borrow_mut().drain() && carrying.poll(now, &mut *progress);
             done.set(!going || interrupted.load(Ordering::Relaxed));
         },
         between,
@@ -282,8 +293,12 @@ fn in_lockstep(
             is_over(servo, now)
         },
     );
+    let TaskErrors { mut faults, recovered } = carrying.finish();
     let (written, tracks) = logs.into_inner().finish();
-    let mut faults = tasks.faults;
+    if interrupted.load(Ordering::Relaxed) {
+        // The request broke off the task.
+        faults.clear();
+    }
     faults.extend(written.err().map(FaultReport::of_run));
     Ok(RunEnd {
         servo,
@@ -292,6 +307,7 @@ fn in_lockstep(
         spikes: Vec::new(),
         denied: Vec::new(),
         faults,
+        recovered,
         wire: wire.into_inner().reports(),
         cell_time: end.since(Instant::ZERO),
     })
@@ -300,7 +316,7 @@ fn in_lockstep(
 fn by_the_clock(
     file: &CellFile,
     mut servo: Servo,
-    mut tasks: RunningTasks,
+    mut task: RunningTask,
     logs: Logs,
     Buses { wire, mut emulation }: Buses,
     requests: &Requests,
@@ -318,31 +334,51 @@ fn by_the_clock(
             return not_up(file, servo, clock::now().since(began), writing.finish(file), error);
         }
     };
-    tasks.plan_aside().context("a thread for planning cannot be made")?;
+    task.plan_aside().context("a thread for planning cannot be made")?;
     let trace = requests.spikes.clone();
     let realtime = file.cell.realtime;
     let (ticking, mut tick) = tick(file.cell.period());
     let running = clockwork::start(servo, emulation, since, realtime, trace, move || ticking.sent(), until)?;
     let turning = Turning::of(running, done.clone());
     let (tell, told) = sync_channel(NEWS);
-    std::thread::scope(|scope| {
-        // The scope waits for the controller: a panic of this thread must end that too.
-        let _over = Over(done.clone());
-        scope.spawn(|| {
-            // Below the servo and above everything else; a host that denies this was named by the servo thread.
-            let _ = thread::set_fifo(realtime.priority.saturating_sub(BELOW_SERVO).max(1));
-            let show = |seen| _ = tell.try_send(seen);
-            while !done.load(Ordering::Relaxed)
-                && tasks.poll(clock::now(), show)
-                && !requests.stop.load(Ordering::Relaxed)
-                && !turning.is_finished()
-            {
-                tick.wait();
+    let (ask, asked) = sync_channel(file.cell.robot.len());
+    let (answer, verdicts) = sync_channel(file.cell.robot.len());
+    // A panic of this thread must end the other threads too.
+    let _over = Over(done.clone());
+    let (rehearsed, over) = (task.rehearsed(), done.clone());
+    let rehearse = move || rehearse_aside(&rehearsed, asked, &answer, &over);
+    Builder::new().name("rehearsal".into()).spawn(rehearse).context("no thread for rehearsals can be made")?;
+    let mut watch = Watch::of(&task.turns);
+    let (over, stop) = (done.clone(), requests.stop.clone());
+    let control = move || {
+        // Below the servo and above everything else; a host that denies this was named by the servo thread.
+        let _ = thread::set_fifo(realtime.priority.saturating_sub(BELOW_SERVO).max(1));
+        let show = |seen| _ = tell.try_send(seen);
+        let mut carrying = task.begin(Rehearsals::Aside { ask, verdicts });
+        while !over.load(Ordering::Relaxed) && carrying.poll(clock::now(), show) && !stop.load(Ordering::Relaxed) {
+            tick.wait();
+        }
+        carrying.finish()
+    };
+    let controller = Builder::new().name("controller".into()).spawn(control);
+    let controller = controller.context("no thread for the controller can be made")?;
+    let hung = loop {
+        match told.recv_timeout(watch::LOOK) {
+            Ok(seen) => progress(seen),
+            Err(RecvTimeoutError::Disconnected) => break None,
+            Err(RecvTimeoutError::Timeout) => {
+                done.fetch_or(turning.is_finished(), Ordering::Relaxed);
+                if let Err(hung) = watch.look() {
+                    break Some(hung);
+                }
             }
-            drop(tell);
-        });
-        told.iter().for_each(&mut *progress);
-    });
+        }
+    };
+    let TaskErrors { mut faults, recovered } = match hung {
+        None => controller.join().unwrap_or_else(|panic| resume_unwind(panic)),
+        // The thread is left behind.
+        Some(hung) => TaskErrors { faults: vec![FaultReport::of_run(hung)], recovered: Vec::new() },
+    };
     let ended = turning.end();
     // An emulated cell's time stands still while the host misses deadlines.
     let cycles = |first: Instant| first + ended.servo.period() * ended.servo.counters().cycles as u32;
@@ -350,7 +386,10 @@ fn by_the_clock(
         Some(first) => cycles(first).since(Instant::ZERO),
         None => clock::now().since(began),
     };
-    let mut faults = tasks.faults;
+    if requests.is_stopped() {
+        // The request broke off the task.
+        faults.clear();
+    }
     let (written, tracks) = writing.finish(file);
     faults.extend(written.err().map(FaultReport::of_run));
     if let Some(panicked) = ended.panicked {
@@ -363,7 +402,24 @@ fn by_the_clock(
         spikes: ended.spikes,
         denied: ended.denied.iter().map(ToString::to_string).collect(),
         faults,
+        recovered,
         wire: listening.finish(LAST_LOOK).unwrap_or_default(),
         cell_time,
     })
+}
+
+/// Rehearses a task from each position that is asked for, until no more can be asked for. A rehearsal ends early once
+/// the run is `over`.
+fn rehearse_aside(
+    (file, program): &(Arc<CellFile>, Program),
+    asked: Receiver<running_task::Start>,
+    answer: &SyncSender<running_task::Verdict>,
+    over: &AtomicBool,
+) {
+    for (robot, motors) in asked {
+        let verdict = rehearsal::rehearse_from(file, program, robot, motors, over);
+        if answer.send((robot, verdict)).is_err() {
+            return;
+        }
+    }
 }

@@ -27,10 +27,13 @@ impl Generator for Turn {
     }
 }
 
+async fn turn(cell: &mut Cell) -> Outcome {
+    cell.robot("irb6")?.perform(Task::new().enable().home().run(Turn::default()).disable()).await
+}
+
 fn main() -> Result<(), mrroc::Error> {
     let cell = CellFile::read(std::env::args().nth(1).expect("the cell file"))?;
-    let task = || Task::new().enable().home().run(Turn::default()).disable();
-    let report = mrroc::run(&cell, BenchKind::Lockstep, &|cell| Tasks::new(cell).give("irb6", task()))?;
+    let report = mrroc::run(&cell, BenchKind::Lockstep, turn)?;
     let error = report.axes[0].tracking_rms_rad;
     println!("{:?}, column {error:.6} rad rms", report.outcome);
     Ok(())

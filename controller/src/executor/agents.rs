@@ -1,0 +1,363 @@
+//! Agents: the handles by which a task uses the effectors, and the state that they share with the executor.
+
+use std::cell::RefCell;
+use std::mem::{replace, take};
+use std::pin::Pin;
+use std::rc::Rc;
+use std::task::{Context, Poll, Waker};
+use std::time::Duration;
+
+use can::Instant;
+
+use super::{InstructionError, SystemError};
+use crate::ecp::{Class, Ecp, EcpEvent, Status, Subcontrollers, Task};
+use crate::generator::{EffectorImage, GeneratorError};
+
+/// Greatest number of errors that are kept of one task.
+const MOST_ERRORS: usize = 1000;
+
+thread_local! {
+    /// The agents of the task that this thread polls.
+    static CURRENT: RefCell<Option<Agents>> = const { RefCell::new(None) };
+}
+
+/// The effectors of a cell, shared by a task and its executor. Clones share the same effectors.
+#[derive(Clone)]
+pub struct Agents(Rc<RefCell<Board>>);
+
+/// The only handle of one effector.
+pub struct Agent {
+    agents: Agents,
+    robot: usize,
+}
+
+/// The end of an instruction of any robot.
+#[derive(Clone, Copy, Debug)]
+pub struct EndedInstruction {
+    /// Index of the robot in its cell.
+    pub robot: usize,
+    /// Whether the first homing of an instruction list succeeded.
+    pub homed: bool,
+    /// Whether the first motion of an instruction list ended.
+    pub moved: bool,
+}
+
+/// State shared by the agents, their futures and the executor.
+struct Board {
+    subcontrollers: Subcontrollers,
+    uses: Vec<Use>,
+    /// Number of futures of this module that are pending.
+    awaited: usize,
+    /// Wakers of the futures that were pending in the last turn, for combinators that poll woken futures only.
+    wakers: Vec<Waker>,
+    /// The errors that the task received, [`MOST_ERRORS`] at most.
+    delivered: Vec<InstructionError>,
+}
+
+/// Use of one effector.
+#[derive(Default)]
+struct Use {
+    /// Whether an [`Agent`] exists.
+    taken: bool,
+    progress: Progress,
+    /// Whether the task gave or took an instruction in this turn.
+    fresh: bool,
+    /// Number of instructions before the present list.
+    ended: usize,
+    /// Index of the first homing in the present list, and of the first motion.
+    homing: Option<usize>,
+    motion: Option<usize>,
+}
+
+/// Progress of an instruction list.
+#[derive(Clone, Copy, Default)]
+enum Progress {
+    #[default]
+    None,
+    Running,
+    /// The task dropped the list, and the effector brakes.
+    Dropped,
+    /// The result was not fetched yet.
+    Ended(Result<(), InstructionError>),
+}
+
+impl Agents {
+    /// The effectors of a cell, all free.
+    pub fn new(subcontrollers: Subcontrollers) -> Self {
+        let uses = subcontrollers.ecps().iter().map(|_| Use::default()).collect();
+        let (wakers, delivered) = (Vec::new(), Vec::new());
+        Self(Rc::new(RefCell::new(Board { subcontrollers, uses, awaited: 0, wakers, delivered })))
+    }
+
+    /// The handle of a robot; `None` while another handle exists, or if the cell has no such robot.
+    pub fn agent(&self, robot: usize) -> Option<Agent> {
+        let mut board = self.0.borrow_mut();
+        let taken = &mut board.uses.get_mut(robot)?.taken;
+        if replace(taken, true) { None } else { Some(Agent { agents: self.clone(), robot }) }
+    }
+
+    /// Waits for this time of the servo's cycles.
+    pub async fn sleep(&self, duration: Duration) {
+        let mut began = None;
+        let slept = Leaf::new(self, |board: &mut Board| {
+            let now = board.time();
+            let first = began.is_none();
+            let waited = now.since(*began.get_or_insert(now));
+            if first || waited < duration { Poll::Pending } else { Poll::Ready(()) }
+        });
+        slept.await;
+    }
+
+    /// Waits until all effectors stand whose instructions were dropped.
+    pub(super) async fn rest(&self) {
+        let resting = |board: &mut Board| {
+            let braking = board.uses.iter().any(|using| matches!(using.progress, Progress::Dropped));
+            if braking { Poll::Pending } else { Poll::Ready(()) }
+        };
+        Leaf::new(self, resting).await;
+    }
+
+    /// The agents of the task that this thread polls.
+    pub(super) fn current() -> Option<Self> {
+        CURRENT.with_borrow(Clone::clone)
+    }
+
+    /// Calls `poll` with these agents as the current ones.
+    pub(super) fn within<T>(&self, poll: impl FnOnce() -> T) -> T {
+        let before = CURRENT.replace(Some(self.clone()));
+        let polled = poll();
+        CURRENT.set(before);
+        polled
+    }
+
+    /// Begins a turn of the task. Returns false before the first servo cycle.
+    pub(super) fn begin_turn(&self) -> bool {
+        let (begun, wakers) = {
+            let mut board = self.0.borrow_mut();
+            (board.time() != Instant::ZERO, take(&mut board.wakers))
+        };
+        wakers.into_iter().for_each(Waker::wake);
+        begun
+    }
+
+    /// Polls the processes, or only those to which the task has just given or taken an instruction. Returns a system
+    /// error of an effector.
+    pub(super) fn poll(
+        &self,
+        now: Instant,
+        fresh_only: bool,
+        news: &mut impl FnMut(&mut Ecp, EndedInstruction),
+    ) -> Option<SystemError> {
+        let mut board = self.0.borrow_mut();
+        let Board { subcontrollers, uses, .. } = &mut *board;
+        let (ecps, meetings) = subcontrollers.parts();
+        let (mut polled, mut of_system) = (false, None);
+        for (robot, (ecp, using)) in ecps.iter_mut().zip(uses).enumerate() {
+            if !take(&mut using.fresh) && fresh_only {
+                continue;
+            }
+            polled = true;
+            while let Some(event) = ecp.poll(now) {
+                let (homed, moved) = (using.homing == Some(event.instruction), using.motion == Some(event.instruction));
+                let error = using.note(robot, ecp, event);
+                let error = error.filter(|error| error.class() == Class::System);
+                of_system = of_system.or(error.map(SystemError::Instruction));
+                news(ecp, EndedInstruction { robot, homed: homed && event.outcome.is_ok(), moved });
+            }
+        }
+        if polled {
+            meetings.poll(ecps, now);
+        }
+        of_system
+    }
+
+    /// Whether any process has an instruction.
+    pub(super) fn are_busy(&self) -> bool {
+        self.0.borrow().subcontrollers.ecps().iter().any(is_busy)
+    }
+
+    /// Whether a future of this module is pending.
+    pub(super) fn are_awaited(&self) -> bool {
+        self.0.borrow().awaited > 0
+    }
+
+    pub(super) fn hold(&self, robot: usize, held: bool) {
+        if let Some(ecp) = self.0.borrow_mut().subcontrollers.parts().0.get_mut(robot) {
+            ecp.hold(held);
+        }
+    }
+
+    pub(super) fn statuses(&self) -> Vec<Status> {
+        self.0.borrow().subcontrollers.ecps().iter().map(Ecp::status).collect()
+    }
+
+    pub(super) fn delivered(&self) -> Vec<InstructionError> {
+        self.0.borrow().delivered.clone()
+    }
+}
+
+impl Agent {
+    /// Executes a list of instructions. Waits first for the standstill of an effector that brakes after a dropped list.
+    ///
+    /// After an error, the remaining instructions are dropped, and the effector stands or is faulted. If the returned
+    /// future is dropped, the effector brakes.
+    pub async fn perform(&mut self, task: Task) -> Result<(), InstructionError> {
+        let robot = self.robot;
+        let _braking = Braking(&*self);
+        let mut task = Some(task);
+        let ended = Leaf::new(&self.agents, |board: &mut Board| {
+            if task.is_some() {
+                board.begin(robot, &mut task);
+                return Poll::Pending;
+            }
+            board.ended(robot)
+        });
+        ended.await
+    }
+
+    /// The effector in the last servo cycle. See [`Ecp::image`].
+    pub fn image(&self) -> Result<EffectorImage, GeneratorError> {
+        self.agents.0.borrow().subcontrollers.ecps()[self.robot].image()
+    }
+
+    /// Index of the robot in its cell.
+    pub fn robot(&self) -> usize {
+        self.robot
+    }
+}
+
+impl Drop for Agent {
+    fn drop(&mut self) {
+        self.agents.0.borrow_mut().uses[self.robot].taken = false;
+    }
+}
+
+/// Brakes the effector when an instruction is dropped before its end.
+struct Braking<'a>(&'a Agent);
+
+impl Drop for Braking<'_> {
+    fn drop(&mut self) {
+        self.0.agents.0.borrow_mut().drop_list(self.0.robot);
+    }
+}
+
+impl Board {
+    /// Time of the last servo cycle; zero before the first.
+    fn time(&self) -> Instant {
+        self.subcontrollers.ecps().first().map_or(Instant::ZERO, |ecp| ecp.latest().at)
+    }
+
+    /// Gives the list to its process, once the process is free.
+    fn begin(&mut self, robot: usize, task: &mut Option<Task>) {
+        let (ecp, using) = self.at(robot);
+        if !matches!(using.progress, Progress::None) || is_busy(ecp) {
+            return;
+        }
+        let Some(task) = task.take() else {
+            return;
+        };
+        if task.is_empty() {
+            using.progress = Progress::Ended(Ok(()));
+            return;
+        }
+        (using.homing, using.motion) = (task.first_homing(), task.first_motion());
+        ecp.execute(task).expect("a free process takes a list");
+        (using.progress, using.fresh) = (Progress::Running, true);
+    }
+
+    /// The result of the list.
+    fn ended(&mut self, robot: usize) -> Poll<Result<(), InstructionError>> {
+        let using = &mut self.uses[robot];
+        let Progress::Ended(result) = using.progress else {
+            return Poll::Pending;
+        };
+        using.progress = Progress::None;
+        if let Some(error) = result.err().filter(|_| self.delivered.len() < MOST_ERRORS) {
+            self.delivered.push(error);
+        }
+        Poll::Ready(result)
+    }
+
+    /// Brakes the effector of a list in progress, and forgets a result.
+    fn drop_list(&mut self, robot: usize) {
+        let (ecp, using) = self.at(robot);
+        match using.progress {
+            Progress::Running => {
+                ecp.stop();
+                using.fresh = true;
+                using.progress = if is_busy(ecp) { Progress::Dropped } else { Progress::None };
+            }
+            Progress::Ended(_) => using.progress = Progress::None,
+            Progress::None | Progress::Dropped => {}
+        }
+    }
+
+    fn at(&mut self, robot: usize) -> (&mut Ecp, &mut Use) {
+        (&mut self.subcontrollers.parts().0[robot], &mut self.uses[robot])
+    }
+}
+
+impl Use {
+    /// Notes the end of an instruction, and returns its error.
+    fn note(&mut self, robot: usize, ecp: &Ecp, event: EcpEvent) -> Option<InstructionError> {
+        let instruction = self.ended + event.instruction;
+        let outcome = event.outcome.map_err(|cause| InstructionError::of(robot, instruction, ecp, cause));
+        if !is_busy(ecp) {
+            self.ended = instruction + 1;
+            self.progress = match self.progress {
+                Progress::Running => Progress::Ended(outcome),
+                Progress::Dropped | Progress::Ended(_) | Progress::None => Progress::None,
+            };
+        }
+        outcome.err()
+    }
+}
+
+fn is_busy(ecp: &Ecp) -> bool {
+    ecp.status().instruction.is_some()
+}
+
+/// A future of this module: asks the shared state in each turn of the task. `ask` is pending in the first turn of an
+/// instruction, so a loop over instructions passes time.
+struct Leaf<'a, F> {
+    agents: &'a Agents,
+    ask: F,
+    awaited: bool,
+}
+
+impl<'a, F> Leaf<'a, F> {
+    fn new<T>(agents: &'a Agents, ask: F) -> Self
+    where
+        F: FnMut(&mut Board) -> Poll<T>,
+    {
+        Self { agents, ask, awaited: false }
+    }
+}
+
+impl<T, F: FnMut(&mut Board) -> Poll<T> + Unpin> Future for Leaf<'_, F> {
+    type Output = T;
+
+    fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<T> {
+        let leaf = &mut *self;
+        let mut board = leaf.agents.0.borrow_mut();
+        let polled = (leaf.ask)(&mut board);
+        if polled.is_pending() {
+            board.wakers.push(context.waker().clone());
+        }
+        match (leaf.awaited, polled.is_pending()) {
+            (false, true) => board.awaited += 1,
+            (true, false) => board.awaited -= 1,
+            _ => {}
+        }
+        leaf.awaited = polled.is_pending();
+        polled
+    }
+}
+
+impl<F> Drop for Leaf<'_, F> {
+    fn drop(&mut self) {
+        if self.awaited {
+            self.agents.0.borrow_mut().awaited -= 1;
+        }
+    }
+}

@@ -1,0 +1,70 @@
+//! Errors of instructions with their place, and errors that end a task.
+
+use std::time::Duration;
+
+use thiserror::Error;
+
+use crate::ecp::{ChartPhase, Class, Ecp, EcpError};
+
+/// An instruction failed.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[error("{cause}")]
+pub struct InstructionError {
+    /// Index of the robot in its cell.
+    pub robot: usize,
+    /// Number of earlier instructions of this robot in the task. Each instruction of a list counts.
+    pub instruction: usize,
+    /// Number of macrosteps of the motion before the error; `None` outside a motion.
+    pub step: Option<u64>,
+    /// Phase of the flow chart; `None` outside a motion.
+    pub phase: Option<ChartPhase>,
+    /// Cause of the error.
+    pub cause: EcpError,
+}
+
+impl InstructionError {
+    /// The error of the last instruction of `ecp`.
+    pub(super) fn of(robot: usize, instruction: usize, ecp: &Ecp, cause: EcpError) -> Self {
+        let chart = ecp.chart();
+        let (step, phase) = match cause {
+            EcpError::Generator { step, .. } => (Some(step), chart.map(|(phase, _)| phase)),
+            EcpError::Unplanned { .. } => (Some(0), Some(ChartPhase::FirstStep)),
+            EcpError::OutOfReach { step, .. } | EcpError::NotFinite { step, .. } => {
+                (Some(step), Some(ChartPhase::Transfer))
+            }
+            _ => (chart.map(|(_, step)| step), chart.map(|_| ChartPhase::Transfer)),
+        };
+        Self { robot, instruction, step, phase, cause }
+    }
+
+    /// Class of the error.
+    pub fn class(&self) -> Class {
+        self.cause.class()
+    }
+}
+
+/// Errors of the class system. They end the task, and all effectors brake.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum SystemError {
+    /// The task awaits a future that cannot become ready by an instruction or by time.
+    #[error("the task awaits a future that is not of this library")]
+    ForeignFuture,
+    /// The panic hook received the message.
+    #[error("the task panicked")]
+    Panicked,
+    /// The task blocks, or computes without an await.
+    #[error("the task did not return from its turn within {limit:?}: a task must await, and must not block")]
+    Hung {
+        /// Limit of one turn.
+        limit: Duration,
+    },
+    /// An error of one effector that concerns all effectors.
+    #[error("{0}")]
+    Instruction(InstructionError),
+    /// The task is not possible from the present position of a robot.
+    #[error("the task was refused from the present position of robot {robot}")]
+    RefusedFromHere {
+        /// Index of the robot in its cell.
+        robot: usize,
+    },
+}

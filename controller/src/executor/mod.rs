@@ -1,0 +1,124 @@
+//! Tasks as programs: a deterministic executor for one `async` task on the effector control processes of a cell.
+//!
+//! A task takes [`Agent`]s from the [`Agents`] of its cell and awaits their instructions. The [`Executor`] polls the
+//! processes and then the task, once per servo cycle and in a fixed order. The executor has no thread, clock or waker of
+//! its own, so a task in lockstep is the same in every run.
+//!
+//! A task may await the futures of this module only: [`Agent::perform`], [`Agents::sleep`], [`join`] and [`join_all`].
+//! Every wait for an instruction ends by the time limits of its process. A dropped instruction brakes its effector, and
+//! the next instruction of that effector begins after standstill.
+//!
+//! Errors have classes ([`Class`](crate::ecp::Class)). Errors of the classes non-fatal and fatal go to the task. A system
+//! error drops the task and brakes all effectors.
+
+mod agents;
+mod error;
+mod join;
+mod turns;
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::task::{Context, Poll, Waker};
+
+use can::Instant;
+
+use crate::ecp::{Ecp, Status};
+
+use join::Part;
+
+pub use agents::{Agent, Agents, EndedInstruction};
+pub use error::{InstructionError, SystemError};
+pub use join::{join, join_all};
+pub use turns::Turns;
+
+/// How a task ended.
+#[derive(Debug)]
+pub enum Ended<E> {
+    /// The task returned.
+    Task(Result<(), E>),
+    /// A system error ended the task.
+    System(SystemError),
+}
+
+/// A task and the processes that execute its instructions. `E` is the error of the task.
+pub struct Executor<E> {
+    agents: Agents,
+    task: Option<Part<'static, E>>,
+    turns: Turns,
+    ended: Option<Ended<E>>,
+}
+
+impl<E> Executor<E> {
+    /// A task that has not begun. `task` uses `agents`, and `turns` counts its turns.
+    pub fn new(agents: Agents, task: impl Future<Output = Result<(), E>> + 'static, turns: Turns) -> Self {
+        Self { agents, task: Some(Box::pin(task)), turns, ended: None }
+    }
+
+    /// Polls each process, the task, and the processes to which the task gave or took an instruction. Call this function
+    /// once after each servo cycle. The task begins after the first cycle.
+    ///
+    /// `news` receives each ended instruction with its process. Returns true until the task has ended and no process has
+    /// an instruction.
+    pub fn poll(&mut self, now: Instant, mut news: impl FnMut(&mut Ecp, EndedInstruction)) -> bool {
+        if let Some(error) = self.agents.poll(now, false, &mut news) {
+            self.end(Ended::System(error));
+        }
+        self.poll_task();
+        if let Some(error) = self.agents.poll(now, true, &mut news) {
+            self.end(Ended::System(error));
+        }
+        self.task.is_some() || self.agents.are_busy()
+    }
+
+    /// Ends the task with an error of the cell. All effectors brake.
+    pub fn abort(&mut self, error: SystemError) {
+        self.end(Ended::System(error));
+    }
+
+    /// Lets the next instruction of a robot wait, or releases it.
+    pub fn hold(&mut self, robot: usize, held: bool) {
+        self.agents.hold(robot, held);
+    }
+
+    /// Status of each process, robot by robot.
+    pub fn statuses(&self) -> Vec<Status> {
+        self.agents.statuses()
+    }
+
+    /// Drops a task that has not ended, and returns how the task ended, with all errors that the task received.
+    pub fn finish(mut self) -> (Option<Ended<E>>, Vec<InstructionError>) {
+        self.drop_task();
+        (self.ended.take(), self.agents.delivered())
+    }
+
+    fn poll_task(&mut self) {
+        let Some(task) = self.task.as_mut().filter(|_| self.agents.begin_turn()) else {
+            return;
+        };
+        self.turns.begin();
+        let polled = self
+            .agents
+            .within(|| catch_unwind(AssertUnwindSafe(|| task.as_mut().poll(&mut Context::from_waker(Waker::noop())))));
+        self.turns.end();
+        match polled {
+            Ok(Poll::Ready(outcome)) => self.end(Ended::Task(outcome)),
+            Ok(Poll::Pending) if !self.agents.are_awaited() => self.end(Ended::System(SystemError::ForeignFuture)),
+            Ok(Poll::Pending) => {}
+            Err(_) => self.end(Ended::System(SystemError::Panicked)),
+        }
+    }
+
+    /// Notes the end of a task in progress and drops its futures, which brakes the effectors.
+    fn end(&mut self, ended: Ended<E>) {
+        if self.task.is_some() {
+            self.ended = Some(ended);
+            self.drop_task();
+        }
+    }
+
+    fn drop_task(&mut self) {
+        let task = self.task.take();
+        if catch_unwind(AssertUnwindSafe(|| drop(task))).is_err() {
+            self.ended = Some(Ended::System(SystemError::Panicked));
+        }
+    }
+}

@@ -1,0 +1,134 @@
+//! The cell and its robots, as a task sees them.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use controller::ecp::Task;
+use controller::executor::{Agent, Agents};
+use controller::generator::{EffectorImage, Generator};
+
+use super::{Outcome, TaskError};
+use crate::cell::CellFile;
+use crate::motions::Motions;
+
+/// The cell of a task.
+pub struct Cell {
+    file: Arc<CellFile>,
+    agents: Agents,
+    rehearsing: bool,
+}
+
+/// One robot of a cell, in the use of a task. A robot has one handle at a time.
+///
+/// An instruction ends with an error when its effector stands again or is faulted. If the future of an instruction is
+/// dropped, the robot brakes, and the next instruction begins after standstill.
+pub struct Robot {
+    file: Arc<CellFile>,
+    agent: Agent,
+}
+
+impl Cell {
+    pub(super) fn new(file: &Arc<CellFile>, agents: Agents, rehearsing: bool) -> Self {
+        Self { file: Arc::clone(file), agents, rehearsing }
+    }
+
+    /// The cell file.
+    pub fn file(&self) -> &CellFile {
+        &self.file
+    }
+
+    /// The robot called `name`. Refuses an unknown name and a robot that is in use.
+    pub fn robot(&self, name: &str) -> Result<Robot, TaskError> {
+        let robots = &self.file.cell.robot;
+        let Some(robot) = robots.iter().position(|robot| robot.name == name) else {
+            let known: Vec<_> = robots.iter().map(|robot| robot.name.as_str()).collect();
+            return Err(TaskError::UnknownRobot { name: name.to_owned(), known: known.join(", ") });
+        };
+        self.robot_at(robot)
+    }
+
+    /// The robots with these names, in their order. Refuses an unknown name and a robot that is in use.
+    pub fn robots<const COUNT: usize>(&self, names: [&str; COUNT]) -> Result<[Robot; COUNT], TaskError> {
+        let robots: Vec<_> = names.iter().map(|name| self.robot(name)).collect::<Result<_, _>>()?;
+        let Ok(robots) = robots.try_into() else { unreachable!("each name has one robot") };
+        Ok(robots)
+    }
+
+    /// All robots, in the order of the cell file. Refuses a robot that is in use.
+    pub fn all_robots(&self) -> Result<Vec<Robot>, TaskError> {
+        (0..self.file.cell.robot.len()).map(|robot| self.robot_at(robot)).collect()
+    }
+
+    /// Waits for this time of the servo's cycles.
+    pub async fn sleep(&self, duration: Duration) {
+        self.agents.sleep(duration).await;
+    }
+
+    /// Whether this is a rehearsal. A task leaves out its side effects in a rehearsal: files, messages, devices.
+    pub fn rehearsing(&self) -> bool {
+        self.rehearsing
+    }
+
+    /// Ends a rehearsal here, as accepted, and has no effect in a run. For tasks that depend on something that a
+    /// rehearsal has not, such as an operator. The rest of the task is not rehearsed.
+    pub fn end_rehearsal(&self, why: &'static str) -> Outcome {
+        if self.rehearsing { Err(TaskError::NotRehearsed { why }) } else { Ok(()) }
+    }
+
+    fn robot_at(&self, robot: usize) -> Result<Robot, TaskError> {
+        let in_use = || TaskError::RobotInUse { name: self.file.cell.robot[robot].name.clone() };
+        let agent = self.agents.agent(robot).ok_or_else(in_use)?;
+        Ok(Robot { file: Arc::clone(&self.file), agent })
+    }
+}
+
+impl Robot {
+    /// Name of the robot in the cell file.
+    pub fn name(&self) -> &str {
+        &self.file.cell.robot[self.agent.robot()].name
+    }
+
+    /// Generators of motions within the limits of the robot.
+    pub fn motions(&self) -> Motions {
+        Motions::of(&self.file, self.agent.robot())
+    }
+
+    /// State of the robot in the last servo cycle, in every phase, also with the drives off. Joints and pose are
+    /// meaningful after homing.
+    #[doc(alias = "get_position")]
+    pub fn image(&self) -> Result<EffectorImage, TaskError> {
+        Ok(self.agent.image()?)
+    }
+
+    /// Switches the drives on. The robot then holds its position.
+    pub async fn enable(&mut self) -> Outcome {
+        self.perform(Task::new().enable()).await
+    }
+
+    /// Homes the axes, unless all axes are homed.
+    pub async fn home(&mut self) -> Outcome {
+        self.perform(Task::new().home()).await
+    }
+
+    /// Moves by a generator until its terminal condition holds and the robot stands.
+    #[doc(alias = "Move")]
+    pub async fn execute(&mut self, generator: impl Generator) -> Outcome {
+        self.perform(Task::new().run(generator)).await
+    }
+
+    /// Executes a list of instructions. The list ends at its first error.
+    pub async fn perform(&mut self, task: Task) -> Outcome {
+        let performed = self.agent.perform(task).await;
+        performed.map_err(|error| TaskError::Instruction { robot: self.name().to_owned(), error })
+    }
+
+    /// Switches the drives off. A moving robot brakes first.
+    pub async fn disable(&mut self) -> Outcome {
+        self.perform(Task::new().disable()).await
+    }
+
+    /// Clears a latched fault. The drives stay off.
+    pub async fn reset_fault(&mut self) -> Outcome {
+        self.perform(Task::new().reset_fault()).await
+    }
+}

@@ -1,0 +1,95 @@
+//! Errors of tasks.
+
+use controller::ecp::Class;
+use controller::executor::{InstructionError, SystemError};
+use controller::generator::GeneratorError;
+use controller::path::PathError;
+use controller::robot::KinematicsError;
+use thiserror::Error;
+
+/// Result of a task and of each of its instructions.
+pub type Outcome = Result<(), TaskError>;
+
+/// Errors that a task receives or returns.
+#[derive(Debug, Error)]
+pub enum TaskError {
+    /// An instruction of a robot failed.
+    #[error("robot {robot}: instruction {}: {error}", .error.instruction + 1)]
+    Instruction {
+        /// Name of the robot.
+        robot: String,
+        /// Place and cause of the error.
+        error: InstructionError,
+    },
+    /// An error that stops all robots. A task does not receive such an error.
+    #[error("{0}")]
+    System(SystemError),
+    /// A robot that the cell has not.
+    #[error("the cell has no robot {name:?}, only {known}")]
+    UnknownRobot {
+        /// The name of which the task asked.
+        name: String,
+        /// The names of all robots.
+        known: String,
+    },
+    /// A robot that has a handle already.
+    #[error("robot {name:?} is in use: a robot has one handle at a time")]
+    RobotInUse {
+        /// Name of the robot.
+        name: String,
+    },
+    /// The task ended its rehearsal.
+    #[error("not rehearsed from here: {why}")]
+    NotRehearsed {
+        /// The reason, as the task gave it.
+        why: &'static str,
+    },
+    /// Any other refusal: of a motion that cannot be planned, or of the task itself.
+    #[error("{0:#}")]
+    Refused(anyhow::Error),
+}
+
+impl TaskError {
+    /// Class of the error. After an error of the class non-fatal, the robots take further instructions.
+    pub fn class(&self) -> Class {
+        match self {
+            Self::Instruction { error, .. } => error.class(),
+            Self::System(_) => Class::System,
+            Self::UnknownRobot { .. } | Self::RobotInUse { .. } | Self::NotRehearsed { .. } | Self::Refused(_) => {
+                Class::NonFatal
+            }
+        }
+    }
+
+    /// Place and cause of the error of an instruction.
+    pub fn instruction(&self) -> Option<&InstructionError> {
+        match self {
+            Self::Instruction { error, .. } | Self::System(SystemError::Instruction(error)) => Some(error),
+            _ => None,
+        }
+    }
+}
+
+impl From<anyhow::Error> for TaskError {
+    fn from(error: anyhow::Error) -> Self {
+        Self::Refused(error)
+    }
+}
+
+impl From<GeneratorError> for TaskError {
+    fn from(error: GeneratorError) -> Self {
+        Self::Refused(error.into())
+    }
+}
+
+impl From<KinematicsError> for TaskError {
+    fn from(error: KinematicsError) -> Self {
+        Self::Refused(error.into())
+    }
+}
+
+impl From<PathError> for TaskError {
+    fn from(error: PathError) -> Self {
+        Self::Refused(error.into())
+    }
+}

@@ -1,0 +1,58 @@
+//! Tasks of a cell: `async` functions that use its robots.
+
+mod carried;
+mod cell;
+mod error;
+#[cfg(test)]
+pub(crate) mod tests;
+
+use std::pin::Pin;
+use std::sync::Arc;
+
+use controller::ecp::Subcontrollers;
+use controller::executor::{Agents, Executor, Turns};
+
+use crate::cell::CellFile;
+
+pub use carried::CarriedTask;
+pub use cell::{Cell, Robot};
+pub use error::{Outcome, TaskError};
+
+/// A task in a form that can be boxed.
+trait Carry: Send + Sync {
+    fn carry<'a>(&'a self, cell: &'a mut Cell) -> Pin<Box<dyn Future<Output = Outcome> + 'a>>;
+}
+
+impl<T: AsyncFn(&mut Cell) -> Outcome + Send + Sync> Carry for T {
+    fn carry<'a>(&'a self, cell: &'a mut Cell) -> Pin<Box<dyn Future<Output = Outcome> + 'a>> {
+        Box::pin(async move { self(cell).await })
+    }
+}
+
+/// A task to rehearse and to run. Every rehearsal and the run begin the task anew.
+#[derive(Clone)]
+pub struct Program {
+    task: Arc<dyn Carry>,
+    /// Whether the instructions are those of the cell file.
+    pub(crate) of_file: bool,
+}
+
+impl Program {
+    /// A task in Rust.
+    pub fn of(task: impl AsyncFn(&mut Cell) -> Outcome + Send + Sync + 'static) -> Self {
+        Self { task: Arc::new(task), of_file: false }
+    }
+
+    /// The task on the robots of `file`.
+    pub(crate) fn begin(
+        &self,
+        file: &Arc<CellFile>,
+        subcontrollers: Subcontrollers,
+        rehearsing: bool,
+        turns: Turns,
+    ) -> Executor<TaskError> {
+        let agents = Agents::new(subcontrollers);
+        let (task, mut cell) = (Arc::clone(&self.task), Cell::new(file, agents.clone(), rehearsing));
+        Executor::new(agents, async move { task.carry(&mut cell).await }, turns)
+    }
+}
