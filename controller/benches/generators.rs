@@ -7,9 +7,10 @@ use std::time::Duration;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use mrroc_controller::generator::{
-    Axes, AxesState, EffectorImage, EffectorState, Generator, JerkLimited, LineLimits, MotionLimits, Newsmooth, Next,
-    Pose, SmoothPose, StraightLine,
+    Axes, AxesState, Contour, EffectorImage, EffectorState, FeedLimits, Generator, JerkLimited, LineLimits,
+    MotionLimits, Newsmooth, Next, Pose, SmoothPose, StraightLine,
 };
+use mrroc_controller::path::{BSpline, Curve, Path, SplineEnds};
 use mrroc_controller::robot::{Arm, Irp6, Irp6Parameters, Space};
 
 const MACROSTEP: Duration = Duration::from_millis(20);
@@ -66,8 +67,25 @@ fn generators(c: &mut Criterion) {
         max_angular_acceleration: 4.0,
         max_angular_jerk: 40.0,
     };
-    let line = StraightLine::new(arm, target, line_limits, limits).expect("limits are positive");
+    let line = StraightLine::new(arm.clone(), target, line_limits, limits).expect("limits are positive");
     measure(c, "line of 187 mm", line, &e, &());
+
+    let letter = [(0, 0), (5, 12), (10, 0), (15, 12), (20, 0), (30, 6), (36, 0), (30, -6), (24, 0)];
+    let start = e.commanded.pose;
+    let point = |(x, y)| start.translation.vector + nalgebra::Vector3::new(f64::from(x), f64::from(y), 0.0) * 1e-3;
+    let spline = BSpline::through(&letter.map(point), SplineEnds::NotAKnot).expect("the points differ");
+    let curve = Curve::spline(spline).expect("the letter has no cusp");
+    let path = Path::keeping(curve, start.rotation).expect("the orientation is finite");
+    let feed_limits = FeedLimits {
+        max_velocity: 0.02,
+        max_acceleration: 0.1,
+        max_jerk: 1.0,
+        max_normal_acceleration: 0.1,
+        max_angular_velocity: 1.0,
+        max_angular_acceleration: 4.0,
+    };
+    let contour = Contour::along(arm, path, feed_limits, limits).expect("limits are positive");
+    measure(c, "contour of 99 mm", contour, &e, &());
 }
 
 criterion_group!(benches, generators);

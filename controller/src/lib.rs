@@ -1,5 +1,6 @@
-//! Robots, generators and the effector control process.
+//! Robots, paths, generators and the effector control process.
 
 pub mod ecp;
 pub mod generator;
+pub mod path;
 pub mod robot;

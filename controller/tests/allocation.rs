@@ -1,4 +1,4 @@
-//! Nothing allocates while a generator runs. Planning allocates only for paths through poses.
+//! Nothing allocates while a generator runs. Planning allocates only for contours and for paths through poses.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -9,9 +9,10 @@ use std::time::Duration;
 use can::Instant;
 use mrroc_controller::ecp::{Ecp, EcpConfig, Task};
 use mrroc_controller::generator::{
-    Axes, Generator, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Pace, Pose, SmoothPose,
-    StraightLine,
+    Axes, Contour, FeedLimits, Generator, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Pace, Pose,
+    SmoothPose, StraightLine,
 };
+use mrroc_controller::path::{BSpline, Curve, Path, SplineEnds};
 use mrroc_controller::robot::{
     Arm, Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Mass, Polycrank,
     PolycrankParameters, Rnt, RntParameters, Robot, Space, Weight,
@@ -123,6 +124,22 @@ fn no_generator_allocates_once_it_was_made() {
         max_angular_jerk: 40.0,
     };
     assert_eq!(allocations(StraightLine::new(arm(), target, line_limits, limits)), (0, 0), "line");
+
+    let start = arm().forward(&START).unwrap();
+    let points = [[0.0, 0.0], [0.05, 0.0], [0.05, 0.05], [0.0, 0.05]]
+        .map(|[x, y]| start.translation.vector + nalgebra::Vector3::new(x, y, 0.0));
+    let curve = Curve::spline(BSpline::through(&points, SplineEnds::Natural).unwrap()).unwrap();
+    let feed_limits = FeedLimits {
+        max_velocity: 0.1,
+        max_acceleration: 1.0,
+        max_jerk: 10.0,
+        max_normal_acceleration: 1.0,
+        max_angular_velocity: 1.0,
+        max_angular_acceleration: 4.0,
+    };
+    let path = Path::keeping(curve, start.rotation).unwrap();
+    let contour = Contour::along(arm(), path, feed_limits, limits);
+    assert_eq!(allocations(contour).1, 0, "contour");
 }
 
 #[test]

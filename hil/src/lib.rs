@@ -3,17 +3,19 @@
 //! A [`Device`] is a node of a bus. The [virtual bus](bus) carries frames between devices and the host with true
 //! arbitration and bit times. A [`LineDevice`] is the device at the end of a [serial line](mod@line), which carries
 //! bytes with true byte times. A [`World`] contains all buses and lines of a cell. A [plant] is the physics behind a
-//! device. Two devices are nodes of a bus: the axis controller [`Epos4`] and the adapter [`SlcanDevice`]. The adapter
-//! connects a host without a CAN card to a bus. Read [`Device`] and [`World`] first.
+//! device. Three devices are attached to a bus: the axis controller [`Epos4`], the input and output module
+//! [`DigitalIo`], and the adapter [`SlcanDevice`]. The adapter connects a host without a CAN card to a bus. Read [`Device`] and [`World`] first.
 
 mod amplifier;
 pub mod axis_controller;
 pub mod bus;
+pub mod cia401;
 mod device;
 pub mod epos4;
 pub mod epos_serial;
 pub mod line;
 mod machine;
+mod node;
 mod outbox;
 pub mod plant;
 pub mod pty;
@@ -24,12 +26,13 @@ mod world;
 
 pub use amplifier::AmplifierConfig;
 pub use axis_controller::{AxisController, AxisControllerConfig, Cabinet};
+pub use cia401::{DigitalIo, DigitalIoConfig, DigitalIoError, InputEdge, LightGate, OutputState};
 pub use device::{Device, LineDevice};
 pub use epos_serial::{EposSerial, EposSerialConfig};
 pub use epos4::{Epos4, Epos4Config};
 pub use line::{LineFaults, LineStatistics, Stuck, WireFaults};
 pub use plant::{
-    AxisConfig, Demand, Feedback, Irp6Axis, Mechanism, MechanismConfig, Mount, PlantAxis, PlantConfig, Trip,
+    AngleProbe, AxisConfig, Demand, Feedback, Irp6Axis, Mechanism, MechanismConfig, Mount, PlantAxis, PlantConfig, Trip,
 };
 pub use pty::{Pty, PtyError};
 pub use slcan::{SlcanCounts, SlcanDevice};

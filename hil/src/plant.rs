@@ -23,7 +23,7 @@ mod switch;
 mod thermal;
 mod wut;
 
-pub use axis::{AxisConfig, Demand, Feedback, PlantAxis, PlantConfig, Trip};
+pub use axis::{AngleProbe, AxisConfig, Demand, Feedback, PlantAxis, PlantConfig, Trip};
 pub use friction::FrictionConfig;
 pub use irp6::Irp6Axis;
 pub use mechanism::{Load, Mechanism, MechanismConfig, Mount};

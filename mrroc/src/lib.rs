@@ -65,9 +65,11 @@ pub mod prelude {
 
     pub use controller::ecp::Task;
     pub use controller::generator::{
-        AxesState, EffectorImage, Generator, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Next,
-        Pace, Pose, Setpoint, SmoothPose, StraightLine, Wait,
+        Accelerations, AxesState, Contour, EffectorImage, FeedLimits, Generator, GeneratorError, JerkLimited,
+        LineLimits, MotionLimits, Newsmooth, Next, Pace, Polynomial, Pose, Setpoint, SmoothPose, StraightLine, Wait,
     };
+    pub use controller::path::{BSpline, Curve, Path, SplineEnds};
+    pub use controller::robot::Space;
 
     pub use crate::bench::BenchKind;
     pub use crate::cell::CellFile;

@@ -93,8 +93,15 @@ fn bench(criterion: &mut Criterion, name: &str, position_loop: PositionLoop) {
                 number += 1;
                 let position = [0.01 * (number % 2) as f64; MAX_AXES];
                 let velocity = [0.0; MAX_AXES];
-                let macrostep =
-                    Macrostep { number, steps: 10, report_at: 5, position, velocity, torque: [0.0; MAX_AXES] };
+                let macrostep = Macrostep {
+                    number,
+                    steps: 10,
+                    report_at: 5,
+                    position,
+                    velocity,
+                    acceleration: None,
+                    torque: [0.0; MAX_AXES],
+                };
                 link.orders.push(Order::Move(macrostep)).expect("there is room");
             }
             while link.reports.pop().is_ok() {}

@@ -168,7 +168,7 @@ impl ServoAxis {
 
     /// Takes the measured position as the commanded one. Following then starts without a jump.
     pub(crate) fn capture(&mut self) {
-        self.knot = Knot { position: self.state.position, velocity: 0.0 };
+        self.knot = Knot::at_rest(self.state.position);
         self.commanded = [self.state.position; REMEMBERED];
         if let Some(host) = &mut self.host {
             host.capture(self.state.position);
@@ -197,7 +197,7 @@ impl ServoAxis {
         // The sample shows the command of `delay` cycles ago. The newest command is one cycle old.
         let shown = self.delay - 1 + self.state.age as usize + missed as usize;
         self.commanded = std::array::from_fn(|age| self.state.position + velocity * dt * (shown as f64 - age as f64));
-        self.knot = Knot { position: self.commanded[0], velocity };
+        self.knot = Knot::new(self.commanded[0], velocity);
         host.follow(self.commanded, velocity);
     }
 
@@ -218,7 +218,7 @@ impl ServoAxis {
     /// The last position sent, and the velocity of the step to it.
     pub(crate) fn last_step(&self, dt: f64) -> Knot {
         let [last, before_last, ..] = self.commanded;
-        Knot { position: last, velocity: (last - before_last) / dt }
+        Knot::new(last, (last - before_last) / dt)
     }
 
     /// Checks whether `position` may be commanded next.

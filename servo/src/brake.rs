@@ -50,15 +50,12 @@ impl StraightStop {
     pub fn at(&self, axis: usize) -> Knot {
         let from = self.from[axis];
         if self.periods == 0 {
-            return Knot { velocity: 0.0, ..from };
+            return Knot::at_rest(from.position);
         }
         // The sum of the steps 1 − i / N for i = 1 ..= done.
         let (done, periods) = (f64::from(self.done), f64::from(self.periods));
         let steps = done - done * (done + 1.0) / (2.0 * periods);
-        Knot {
-            position: from.position + from.velocity * self.dt * steps,
-            velocity: from.velocity * (1.0 - done / periods),
-        }
+        Knot::new(from.position + from.velocity * self.dt * steps, from.velocity * (1.0 - done / periods))
     }
 }
 
@@ -78,7 +75,7 @@ mod tests {
                 (-500.0..500.0f64, -300.0..300.0f64, 50.0..5000.0f64), 1..=MAX_AXES),
         ) {
             let from: Vec<Knot> =
-                motors.iter().map(|&(position, velocity, _)| Knot { position, velocity }).collect();
+                motors.iter().map(|&(position, velocity, _)| Knot::new(position, velocity)).collect();
             let limits: Vec<f64> = motors.iter().map(|m| m.2).collect();
             let mut stop = StraightStop::new(from.iter().copied().zip(limits.iter().copied()), DT);
             let mut last = from.clone();
@@ -113,7 +110,7 @@ mod tests {
 
     #[test]
     fn a_stop_at_rest_is_over_at_once() {
-        let knot = Knot { position: 1.0, velocity: 0.0 };
+        let knot = Knot::at_rest(1.0);
         let mut stop = StraightStop::new([(knot, 10.0)], DT);
         assert!(!stop.advance());
         assert_eq!(stop.at(0), knot);
@@ -121,7 +118,7 @@ mod tests {
 
     #[test]
     fn the_slowest_axis_sets_the_time_and_no_period_is_lost() {
-        let from = [Knot { position: 0.0, velocity: 1.0 }, Knot { position: 0.0, velocity: -1.0 }];
+        let from = [Knot::new(0.0, 1.0), Knot::new(0.0, -1.0)];
         let mut stop = StraightStop::new(from.into_iter().zip([100.0, 50.0]), DT);
         let periods = std::iter::from_fn(|| stop.advance().then_some(())).count();
         assert_eq!(periods, 20);

@@ -60,7 +60,7 @@ pub struct ServoAxisConfig {
     /// Highest commanded motor acceleration, rad/s²; every stop brakes with it.
     ///
     /// The limit applies to the interpolated sequence. Where a planned acceleration changes sign in the middle of a
-    /// macrostep, the interpolating cubic needs up to 1.5 times the planned value.
+    /// macrostep, the interpolating quintic needs up to 1.7 times the planned value.
     pub max_acceleration: f64,
     /// Largest following error, rad: distance between the motor and the command whose effect its drive sampled,
     /// [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.

@@ -12,7 +12,7 @@ use crate::{
     After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, MAX_AXES, Order, Publisher, Record,
     ServoAxisConfig, ServoEvent, ServoFault, ServoReport, ServoState, Snapshot, StopCause, StraightStop, latest,
 };
-use crate::{axis::ServoAxis, interpolate::Segment, servo::OpenGates};
+use crate::{axis::ServoAxis, interpolate::Segment, motion_time::Motion, servo::OpenGates};
 
 /// Longest wait for standstill after the last set-point of a stop. The power is then switched off.
 const STANDSTILL_WAIT: Duration = Duration::from_millis(100);
@@ -37,6 +37,8 @@ pub(crate) struct Tick {
     pub(crate) open: OpenGates,
     /// Deadlines missed in a row, if they exceed the limit.
     pub(crate) overrun: Option<u32>,
+    /// Advance of the motion time.
+    pub(crate) motion: Motion,
     /// Periods since the last cycle: 1 plus the number of missed deadlines.
     pub(crate) periods: u32,
     /// Number of cycles in a row, up to the last, in which a bus of this effector refused the batch. The set-points
@@ -68,6 +70,8 @@ pub(crate) struct Effector {
     macrostep: u64,
     /// This cycle has a report for the controller.
     news: bool,
+    /// In this cycle `report_at` periods of the macrostep have passed.
+    due: bool,
     /// Time that the slowest axis needs to stop from its greatest velocity.
     stopping_time: Duration,
     pub(crate) counters: Counters,
@@ -98,6 +102,7 @@ impl Effector {
             halted: false,
             macrostep: 0,
             news: false,
+            due: false,
             stopping_time: Duration::try_from_secs_f64(stops.fold(0.0, f64::max)).unwrap_or(Duration::MAX),
             counters: Counters::default(),
         };
@@ -123,6 +128,7 @@ impl Effector {
     /// One cycle: from the states of the axes to their commands.
     pub(crate) fn step(&mut self, tick: &Tick) {
         self.news = false;
+        self.due = false;
         self.check(tick);
         self.take_stops(tick);
         self.take_orders(tick);
@@ -132,7 +138,7 @@ impl Effector {
             self.advance(tick);
             self.command(tick);
         }
-        let due = self.state == ServoState::Moving && self.segment.as_ref().is_some_and(Segment::is_at_report);
+        let due = self.due && self.state == ServoState::Moving;
         let snapshot = self.snapshot(tick);
         self.latest.publish(&snapshot);
         if due || self.news {
@@ -469,6 +475,7 @@ impl Effector {
             phase: self.state.phase(),
             homed: self.axes.iter().all(ServoAxis::is_homed),
             macrostep: self.macrostep,
+            rate: tick.motion.rate,
             axes: self.axes.len() as u8,
             commanded: self.each(|axis| axis.knot.position),
             commanded_velocity: self.each(|axis| axis.knot.velocity),

@@ -240,7 +240,7 @@ mod tests {
         {
             let state = AxisState { position, ..AxisState::default() };
             held.observe(&state, 1, DT);
-            let knot = Knot { position: 0.1, velocity: 0.0 };
+            let knot = Knot::at_rest(0.1);
             let found = torque(held.regulate(knot, 0.0, DT, &mut 0.0));
             assert!((found - expected).abs() < 1e-12, "{position}: {found}");
         }
@@ -266,7 +266,7 @@ mod tests {
             (-4.0, 0.0, -1.5 - 10.0 - 0.25 - 0.125),
         ];
         for (velocity, weight, expected) in cases {
-            let knot = Knot { position: 0.0, velocity };
+            let knot = Knot::new(0.0, velocity);
             let found = torque(held.regulate(knot, weight, DT, &mut 0.0));
             assert!((found - expected).abs() < 1e-9, "{velocity}: {found}");
         }
@@ -305,7 +305,7 @@ mod tests {
                 636.6,
                 2,
             );
-            let knot = Knot { position: 0.01, velocity: 0.0 };
+            let knot = Knot::at_rest(0.01);
             held.capture(0.0);
             // An error caused by a weight, which the integral part then corrects.
             for (position, cycles) in [(0.0, 10), (0.01, 300)] {
@@ -332,7 +332,7 @@ mod tests {
     #[test]
     fn while_answers_are_missing_errors_stay_and_nothing_is_integrated() {
         let mut held = cascade(FeedForward::default());
-        let knot = Knot { position: 0.1, velocity: 0.0 };
+        let knot = Knot::at_rest(0.1);
         held.capture(0.0);
         let mut state = AxisState::default();
         for _ in 0..5 {

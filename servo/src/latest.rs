@@ -22,6 +22,8 @@ pub struct Snapshot {
     pub homed: bool,
     /// Number of the macrostep that is executed, or of the last one begun; 0 before the first.
     pub macrostep: u64,
+    /// Speed of the motion time: 1, or less by a [`SpeedOverride`](crate::SpeedOverride), and 0 in a pause.
+    pub rate: f64,
     /// Number of axes.
     pub axes: u8,
     /// Motor positions commanded in this cycle, rad.
@@ -47,15 +49,19 @@ pub struct Snapshot {
 /// Number of words per axis.
 const PER_AXIS: usize = 8;
 
-/// Words of a snapshot: cycle, time, macrostep and flags, then the words of each axis.
-const WORDS: usize = 4 + PER_AXIS * MAX_AXES;
+/// Number of words before those of the axes: cycle, time, macrostep, flags and rate.
+const COMMON: usize = 5;
+
+/// Words of a snapshot.
+const WORDS: usize = COMMON + PER_AXIS * MAX_AXES;
 
 impl Snapshot {
     fn words(&self) -> [u64; WORDS] {
         let mut words = [0; WORDS];
         let flags = u64::from(self.phase as u8) | u64::from(self.homed) << 8 | u64::from(self.axes) << 16;
-        words[..4].copy_from_slice(&[self.cycle, self.at.as_nanos(), self.macrostep, flags]);
-        for (axis, words) in words[4..].chunks_exact_mut(PER_AXIS).enumerate() {
+        let common = [self.cycle, self.at.as_nanos(), self.macrostep, flags, self.rate.to_bits()];
+        words[..COMMON].copy_from_slice(&common);
+        for (axis, words) in words[COMMON..].chunks_exact_mut(PER_AXIS).enumerate() {
             let Switches { home, lower_limit, upper_limit } = self.switches[axis];
             words.copy_from_slice(&[
                 self.commanded[axis].to_bits(),
@@ -73,7 +79,7 @@ impl Snapshot {
 
     fn from_words(words: &[u64; WORDS]) -> Self {
         let flags = words[3];
-        let word = |axis: usize, at: usize| words[4 + PER_AXIS * axis + at];
+        let word = |axis: usize, at: usize| words[COMMON + PER_AXIS * axis + at];
         let number = |at: usize| array::from_fn(|axis| f64::from_bits(word(axis, at)));
         Self {
             cycle: words[0],
@@ -81,6 +87,7 @@ impl Snapshot {
             phase: Phase::ALL.into_iter().find(|phase| *phase as u8 == flags as u8).unwrap_or_default(),
             homed: flags & 1 << 8 != 0,
             macrostep: words[2],
+            rate: f64::from_bits(words[4]),
             axes: (flags >> 16) as u8,
             commanded: number(0),
             measured: number(1),
@@ -142,6 +149,7 @@ mod tests {
             at: Instant::from_nanos(number),
             phase: Phase::ALL[number as usize % Phase::ALL.len()],
             homed: bit(0),
+            rate: 0.25,
             macrostep: number,
             axes: number as u8,
             commanded: value(0),

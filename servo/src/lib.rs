@@ -28,6 +28,7 @@ mod latest;
 mod limit;
 mod link;
 pub mod lockstep;
+mod motion_time;
 mod recorder;
 pub mod regulator;
 #[cfg(test)]
@@ -48,9 +49,10 @@ pub use config::{
 };
 pub use excitation::{Excitation, ExcitationError, most as greatest_excitation};
 pub use histogram::Histogram;
-pub use interpolate::{Knot, hermite};
+pub use interpolate::{Knot, cubic_end_acceleration, quintic};
 pub use latest::{Latest, Publisher, Snapshot, latest};
 pub use link::{EffectorLink, MAX_AXES, Macrostep, Order, Phase, ServoFault, ServoReport, StopCause};
+pub use motion_time::{OverrideError, SpeedOverride};
 pub use recorder::{AxisRecord, Record};
 pub use search::HomingFailure;
 pub use servo::{Gates, NotUp, Servo, StopRequest};

@@ -9,10 +9,11 @@ use crate::{HomingFailure, Latest, Snapshot};
 /// Greatest number of axes of one effector.
 pub const MAX_AXES: usize = 8;
 
-/// One macrostep: motor positions and velocities to reach in some servo periods.
+/// One macrostep: motor positions, velocities and accelerations to reach in some servo periods.
 ///
-/// From the end of the last macrostep, the servo interpolates each motor by the cubic that has the given position and
-/// velocity at both ends.
+/// From the end of the last macrostep, the servo interpolates each motor by the quintic that has the given position,
+/// velocity and acceleration at both ends. The acceleration of a motion is therefore continuous. A motion that begins
+/// from standing begins with zero acceleration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Macrostep {
     /// Number of the macrostep, one more than the previous number. Reports refer to this number.
@@ -25,6 +26,9 @@ pub struct Macrostep {
     pub position: [f64; MAX_AXES],
     /// Motor velocities at its end, rad/s. All zero means that the effector may rest there.
     pub velocity: [f64; MAX_AXES],
+    /// Motor accelerations at its end, rad/s². With `None`, each motor gets the
+    /// [acceleration of the cubic](crate::cubic_end_acceleration) with the same positions and velocities.
+    pub acceleration: Option<[f64; MAX_AXES]>,
     /// Motor torques that hold the weight of links and load at its end, N·m; zero where none is known.
     ///
     /// Loops that the servo closes add the torques to their output by

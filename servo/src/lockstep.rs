@@ -74,8 +74,15 @@ mod tests {
                 number += 1;
                 let position = [0.01 * (number % 2) as f64; MAX_AXES];
                 let velocity = [0.0; MAX_AXES];
-                let macrostep =
-                    Macrostep { number, steps: 10, report_at: 5, position, velocity, torque: [0.0; MAX_AXES] };
+                let macrostep = Macrostep {
+                    number,
+                    steps: 10,
+                    report_at: 5,
+                    position,
+                    velocity,
+                    acceleration: None,
+                    torque: [0.0; MAX_AXES],
+                };
                 let _ = orders.push(Order::Move(macrostep));
                 if number == 200 {
                     stop.request();

@@ -9,6 +9,7 @@ use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Pow
 
 use crate::axis::ServoAxis;
 use crate::effector::{Effector, Tick};
+use crate::motion_time::{Bounds, MotionTime, SpeedOverride};
 use crate::{
     Counters, EffectorLink, Excitation, ExcitationError, Record, ServoConfig, ServoError, ServoFault, ServoState,
     TrackingError,
@@ -39,6 +40,7 @@ pub struct Servo {
     effectors: Vec<Effector>,
     stop: StopRequest,
     gates: Gates,
+    motion_time: MotionTime,
     recorder: Option<Recorder>,
     cycles: u64,
     /// Time of the last SYNC.
@@ -158,6 +160,7 @@ impl Servo {
             effectors,
             stop: StopRequest::default(),
             gates: Gates::default(),
+            motion_time: MotionTime::new(),
             recorder: None,
             cycles: 0,
             sent: None,
@@ -271,10 +274,14 @@ impl Servo {
         self.missed_in_row = row;
         let number = self.cycles;
         self.cycles += 1;
+        let dt = self.period.as_secs_f64();
+        let effectors = &self.effectors;
+        let bounds = |rate| effectors.iter().map(|it| it.rate_bounds(rate)).fold(Bounds::NONE, Bounds::within);
         Tick {
             number,
             now,
-            dt: self.period.as_secs_f64(),
+            dt,
+            motion: self.motion_time.advance(dt, bounds),
             periods: missed.saturating_add(1),
             stop: self.stop.is_requested(),
             open: self.gates.open_ones(),
@@ -326,6 +333,16 @@ impl Servo {
     /// A handle to stop all effectors.
     pub fn stop_request(&self) -> StopRequest {
         self.stop.clone()
+    }
+
+    /// A handle to the speed of all motion.
+    pub fn speed_override(&self) -> SpeedOverride {
+        self.motion_time.requested.clone()
+    }
+
+    /// Replaces the handle to the speed of all motion by one that exists already.
+    pub fn follow_override(&mut self, speed: SpeedOverride) {
+        self.motion_time.requested = speed;
     }
 
     /// Time from one SYNC to the next.

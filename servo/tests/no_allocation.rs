@@ -81,7 +81,15 @@ fn moves_and_stops(config: &ServoConfig) {
         // Back and forth by 0.01 rad.
         let position = [if number % 2 == 0 { 0.01 } else { 0.0 }; MAX_AXES];
         let velocity = [0.0; MAX_AXES];
-        let macrostep = Macrostep { number, steps: 10, report_at: 5, position, velocity, torque: [0.0; MAX_AXES] };
+        let macrostep = Macrostep {
+            number,
+            steps: 10,
+            report_at: 5,
+            position,
+            velocity,
+            acceleration: None,
+            torque: [0.0; MAX_AXES],
+        };
         link.orders.push(Order::Move(macrostep)).expect("one is waiting at most");
         for _ in 0..10 {
             cycle(&mut servo);
@@ -91,7 +99,15 @@ fn moves_and_stops(config: &ServoConfig) {
     }
     // A stop does not allocate either: a stream that ends in motion, a fault, drives off.
     let (position, velocity) = ([0.05; MAX_AXES], [5.0; MAX_AXES]);
-    let last = Macrostep { number: 1000, steps: 20, report_at: 5, position, velocity, torque: [0.0; MAX_AXES] };
+    let last = Macrostep {
+        number: 1000,
+        steps: 20,
+        report_at: 5,
+        position,
+        velocity,
+        acceleration: None,
+        torque: [0.0; MAX_AXES],
+    };
     link.orders.push(Order::Move(last)).expect("the queue is empty");
     (0..200).for_each(|_| cycle(&mut servo));
     assert_eq!(CALLS.with(Cell::get) - before, 0);

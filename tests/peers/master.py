@@ -7,47 +7,17 @@ The cell must leave the axis room for one turn in each direction.
 import argparse
 import sys
 import time
-import traceback
 
 import canopen
 from canopen.profiles.p402 import BaseNode402
 
+from checks import Failed, aborts, check, run, same, true
 from wire import Wire, add_arguments, until, word
 
-CHECKS = []
 # Longest time for an answer of a node on a busy test machine, s.
 PATIENCE = 3.0
 # Counts per revolution of the axis.
 TURN = 4000
-
-
-def check(function):
-    CHECKS.append(function)
-    return function
-
-
-class Failed(Exception):
-    pass
-
-
-def same(found, expected, what="value"):
-    if found != expected:
-        show = lambda it: f"{it:#x}" if isinstance(it, int) else repr(it)
-        raise Failed(f"{what}: {show(found)}, expected {show(expected)}")
-
-
-def true(condition, what):
-    if not condition:
-        raise Failed(what)
-
-
-def aborts(code, call):
-    try:
-        call()
-    except canopen.SdoAbortedError as abort:
-        same(abort.code, code, "abort code")
-    else:
-        raise Failed(f"went through, expected abort {code:#010x}")
 
 
 class Master:
@@ -550,25 +520,9 @@ def main():
     parser.add_argument("--only", help="checks whose name contains this")
     arguments = parser.parse_args()
     m = Master(arguments)
-    failed = 0
-    for function in CHECKS:
-        if arguments.only and arguments.only not in function.__name__:
-            continue
-        begun = time.monotonic()
-        try:
-            function(m)
-        except Exception as error:
-            failed += 1
-            print(f"FAILED {function.__name__}: {error}")
-            if not isinstance(error, Failed):
-                traceback.print_exc(file=sys.stdout)
-            print(*m.wire.last, sep="\n")
-        else:
-            print(f"ok     {function.__name__} {time.monotonic() - begun:.2f} s")
-        sys.stdout.flush()
+    failed = run(m, m.wire, arguments.only)
     m.synchronise(None)
     m.network.disconnect()
-    print(f"{len(CHECKS)} checks, {failed} failed")
     return 1 if failed else 0
 
 

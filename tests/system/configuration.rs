@@ -4,7 +4,9 @@ use std::fs;
 use std::path::PathBuf;
 
 use can::candump;
+use canopen::NodeId;
 use canopen::eds::Eds;
+use hil::{DigitalIo, DigitalIoConfig};
 
 use crate::cli_refusals::{refused, run_in_lockstep};
 use crate::mrroc::{Directory, enables, example, mrroc, root, shorten, trace};
@@ -61,6 +63,19 @@ fn the_published_data_sheet_is_the_one_the_command_prints() {
     Eds::read(sheet().as_bytes()).unwrap();
     let nobody = mrroc(["eds".as_ref(), cell.as_os_str(), "elbow".as_ref()]);
     refused(&nobody, &["no axis is called \"elbow\"", "irb6/column (node 1)"]);
+}
+
+#[test]
+fn the_published_data_sheet_of_the_io_module_is_the_one_of_the_emulator() {
+    let node = NodeId::new(1).unwrap();
+    let config = DigitalIoConfig { input_bytes: 8, output_bytes: 8, ..DigitalIoConfig::new(node) };
+    let current = DigitalIo::eds(&config).to_string();
+    let path = root().join("cells/cia401-emulated.eds");
+    if std::env::var_os("MRROC_WRITE_DOCS").is_some() {
+        fs::write(&path, &current).unwrap();
+    }
+    let kept = fs::read_to_string(&path).unwrap_or_default();
+    assert!(kept == current, "{} is out of date: run this test with MRROC_WRITE_DOCS=1", path.display());
 }
 
 #[test]

@@ -92,6 +92,7 @@ fn step(distance: f64) -> (Vec<i32>, usize) {
         report_at: 1,
         position,
         velocity: [0.0; servo::MAX_AXES],
+        acceleration: None,
         torque: [0.0; servo::MAX_AXES],
     }));
     let samples = (0..10).map(|_| {

@@ -307,6 +307,7 @@ fn what_may_not_be_commanded_never_reaches_the_bus() {
             report_at: 1,
             position: before.map(|axis| axis.commanded),
             velocity: [0.0; MAX_AXES],
+            acceleration: None,
             torque: [0.0; MAX_AXES],
         };
         spoil(&mut step);

@@ -31,6 +31,7 @@ fn beyond_every_limit(rig: &mut Rig, _: &Watcher) {
         report_at: 1,
         position: [1e6; MAX_AXES],
         velocity: [0.0; MAX_AXES],
+        acceleration: None,
         torque: [0.0; MAX_AXES],
     }));
 }

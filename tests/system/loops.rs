@@ -237,6 +237,7 @@ impl Running {
                 report_at: 10,
                 position: [self.start + motion.at(t); MAX_AXES],
                 velocity: [velocity; MAX_AXES],
+                acceleration: None,
                 torque: [0.0; MAX_AXES],
             };
             self.link.orders.push(Order::Move(macrostep)).unwrap();

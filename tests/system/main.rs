@@ -16,6 +16,7 @@ mod cli_run;
 mod closed_output;
 mod configuration;
 mod conformance;
+mod contour;
 mod cycle;
 mod cycle_calls;
 mod datasheet;

@@ -53,6 +53,7 @@ impl Motion {
             report_at: Self::STEPS,
             position: self.from.map(|from| from + way),
             velocity: [velocity; MAX_AXES],
+            acceleration: None,
             torque: [0.0; MAX_AXES],
         }
     }

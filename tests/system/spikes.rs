@@ -88,7 +88,8 @@ fn a_late_cycle_of_a_run_and_one_that_is_asked_for_are_in_the_file() {
     assert!(text.contains(&format!("µs: {cause}")), "{report}");
 }
 
-/// The process at the other end of the lines is stopped, so that the drives cannot come up before the request.
+/// The process at the other end of the lines is stopped, so that the drives cannot come up before the request. On a busy
+/// host it may be stopped for longer than the bring-up waits. Such a run is refused and repeated.
 #[test]
 fn cycles_that_are_asked_for_before_the_drives_are_up_are_the_first() {
     let _turn = turn();
@@ -99,28 +100,36 @@ fn cycles_that_are_asked_for_before_the_drives_are_up_are_the_first() {
         cell.serial[0].answer_timeout_ms = 500;
         cell.max_missed_in_row = 500;
     });
-    let [ttys, file] = ["ttys", "spikes.json"].map(|name| directory.path(name));
-    let emulator = emulate(&cell, &ttys);
-    emulator.signal("STOP");
-    let run = Running::start([
-        "run".as_ref(),
-        cell.as_os_str(),
-        "--bench=card".as_ref(),
-        "--serial".as_ref(),
-        ttys.as_os_str(),
-        "--spikes".as_ref(),
-        file.as_os_str(),
-    ]);
-    run.wait_for(&file, |_| true);
-    run.signal("USR1");
-    emulator.signal("CONT");
-    // A busy host may lose answers on the lines, and the run may end with a fault. The signal itself must not end the
-    // run.
-    let output = run.output();
-    assert!(output.status.code().is_some(), "{output:?}");
-    let processes = processes(&file);
-    let asked = processes.last().map(String::as_str);
-    assert_eq!(asked, Some("on request: cycle 0"));
+    for attempt in 0..5 {
+        let [ttys, file] = ["ttys", "spikes.json"].map(|name| directory.path(&format!("{attempt}-{name}")));
+        let emulator = emulate(&cell, &ttys);
+        emulator.signal("STOP");
+        let run = Running::start([
+            "run".as_ref(),
+            cell.as_os_str(),
+            "--bench=card".as_ref(),
+            "--serial".as_ref(),
+            ttys.as_os_str(),
+            "--spikes".as_ref(),
+            file.as_os_str(),
+        ]);
+        run.wait_for(&file, |_| true);
+        run.signal("USR1");
+        emulator.signal("CONT");
+        // A busy host may lose answers on the lines, and the run may end with a fault. The signal itself must not end the
+        // run.
+        let output = run.output();
+        assert!(output.status.code().is_some(), "{output:?}");
+        if output.status.code() == Some(2) {
+            println!("attempt {attempt}: {output:?}");
+            continue;
+        }
+        let processes = processes(&file);
+        let asked = processes.last().map(String::as_str);
+        assert_eq!(asked, Some("on request: cycle 0"));
+        return;
+    }
+    panic!("the drives never came up");
 }
 
 #[test]

@@ -3,13 +3,20 @@
 use std::array;
 use std::time::Duration;
 
-use servo::Snapshot;
+use nalgebra::{UnitQuaternion, Vector3};
+use servo::{Knot, Snapshot, cubic_end_acceleration};
 
-use crate::generator::{Axes, AxesState, EffectorImage, EffectorState, GeneratorError, ImageSource, Pose, Setpoint};
+use crate::generator::{
+    Accelerations, Axes, AxesState, EffectorImage, EffectorState, GeneratorError, ImageSource, Pose, Setpoint,
+};
+use crate::path::PoseState;
 use crate::robot::{Arm, KinematicsError};
 
-/// Step of the differences by which velocities are converted, rad or m of the fastest axis or of the tool.
+/// Displacement in the differences by which velocities are converted, rad or m of the fastest joint or of the tool.
 const STEP: f64 = 1e-4;
+
+/// The same displacement of the fastest motor, rad. Behind a gear of 100 it is [`STEP`] of a joint.
+const FINE: f64 = 1e-2;
 
 /// Data of the effector in its control process. Joints and pose are computed from the motors on request.
 #[derive(Clone, Debug)]
@@ -17,7 +24,7 @@ pub(super) struct Effector {
     pub(super) arm: Arm,
     /// The measured state: at the beginning of a motion the latest, then that of the last report that is `reached`.
     pub(super) measured: Snapshot,
-    /// Motor positions and velocities at the end of the last macrostep made.
+    /// Motors at the end of the last macrostep made. The acceleration is stated.
     pub(super) commanded: AxesState,
 }
 
@@ -26,42 +33,70 @@ impl Effector {
         Self { arm, measured: Snapshot::default(), commanded: AxesState::default() }
     }
 
-    fn state(&self, motors: &AxesState) -> Result<EffectorState, KinematicsError> {
+    fn state(&self, motors: &AxesState) -> Result<(EffectorState, Accelerations), KinematicsError> {
         let position = self.arm.joints(&motors.position)?;
-        let velocity = slope(motors, &position, |motors| self.arm.joints(motors))?;
-        Ok(EffectorState {
-            motors: *motors,
-            joints: AxesState { position, velocity },
+        let joints = mapped(motors, position, FINE, |motors| self.arm.joints(motors))?;
+        let accelerations = Accelerations {
+            motors: motors.acceleration.unwrap_or_default(),
+            joints: joints.acceleration.unwrap_or_default(),
+        };
+        let state = EffectorState {
+            motors: AxesState { acceleration: None, ..*motors },
+            joints: AxesState { acceleration: None, ..joints },
             pose: self.arm.forward(&position)?,
-        })
+        };
+        Ok((state, accelerations))
     }
 
-    /// State of the motors at the end of the next macrostep. Without a set-point, the motors stand at the last command.
-    pub(super) fn motors(&self, setpoint: Option<Setpoint>) -> Result<AxesState, KinematicsError> {
+    /// State of the motors at the end of the next macrostep of `seconds`. Without a set-point, the motors stand at the
+    /// last command. The acceleration is always stated.
+    pub(super) fn motors(&self, setpoint: Option<Setpoint>, seconds: f64) -> Result<AxesState, KinematicsError> {
+        let motors = self.stated(setpoint)?;
+        let last = self.commanded;
+        let estimated = |axis: usize| {
+            let from = Knot::new(last.position[axis], last.velocity[axis]);
+            let to = Knot::new(motors.position[axis], motors.velocity[axis]);
+            cubic_end_acceleration(from, to, seconds)
+        };
+        let acceleration = motors.acceleration.unwrap_or_else(|| array::from_fn(estimated));
+        Ok(AxesState { acceleration: Some(acceleration), ..motors })
+    }
+
+    fn stated(&self, setpoint: Option<Setpoint>) -> Result<AxesState, KinematicsError> {
         let joints = match setpoint {
             None => return Ok(AxesState::at_rest(self.commanded.position)),
             Some(Setpoint::Motors(motors)) => return Ok(motors),
             Some(Setpoint::Joints(joints)) => joints,
             Some(Setpoint::JointsBy(by)) => {
                 let here = self.arm.joints(&self.commanded.position)?;
-                let position = moved(&here, &by.position, 1.0);
+                let position = array::from_fn(|axis| here[axis] + by.position[axis]);
                 AxesState { position, ..by }
             }
             Some(Setpoint::Pose { pose, linear, angular }) => {
-                let near = self.arm.joints(&self.commanded.position)?;
-                let position = self.arm.inverse(&pose, &near)?;
-                let at = |t: f64| {
-                    let turned = nalgebra::UnitQuaternion::from_scaled_axis(angular * t) * pose.rotation;
-                    let shifted = pose.translation.vector + linear * t;
-                    self.arm.inverse(&Pose::from_parts(shifted.into(), turned), &position)
-                };
-                let velocity = difference(linear.norm().max(angular.norm()), &position, at)?;
-                AxesState { position, velocity }
+                self.at_pose(&PoseState { pose, linear, angular, ..PoseState::default() }, false)?
             }
+            Some(Setpoint::Tool(state)) => self.at_pose(&state, true)?,
         };
         let position = self.arm.motors(&joints.position)?;
-        let velocity = slope(&joints, &position, |joints| self.arm.motors(joints))?;
-        Ok(AxesState { position, velocity })
+        mapped(&joints, position, STEP, |joints| self.arm.motors(joints))
+    }
+
+    /// Joints of a moving tool, with their acceleration if that of the tool is `stated`.
+    fn at_pose(&self, tool: &PoseState, stated: bool) -> Result<AxesState, KinematicsError> {
+        let near = self.arm.joints(&self.commanded.position)?;
+        let position = self.arm.inverse(&tool.pose, &near)?;
+        let at = |t: f64, push: f64| {
+            let moved = |rate: Vector3<f64>, change: Vector3<f64>| rate * t + change * (push * t * t / 2.0);
+            let turned = UnitQuaternion::from_scaled_axis(moved(tool.angular, tool.angular_acceleration));
+            let shifted = tool.pose.translation.vector + moved(tool.linear, tool.linear_acceleration);
+            self.arm.inverse(&Pose::from_parts(shifted.into(), turned * tool.pose.rotation), &position)
+        };
+        let speed = tool.linear.norm().max(tool.angular.norm());
+        let velocity = slope(duration_of(speed, 0.0, STEP), &position, |t| at(t, 0.0))?;
+        let push = tool.linear_acceleration.norm().max(tool.angular_acceleration.norm());
+        let bend = || bend(duration_of(speed, push, STEP), &position, |t| at(t, 1.0));
+        let acceleration = if stated { bend() } else { None };
+        Ok(AxesState { position, velocity, acceleration })
     }
 }
 
@@ -70,16 +105,18 @@ impl Effector {
     pub(super) fn image(&self, measured: &Snapshot, commanded: &AxesState) -> Result<EffectorImage, GeneratorError> {
         let &Snapshot { at, macrostep, torque, switches, sampled, .. } = measured;
         let axes = usize::from(measured.axes);
-        let motors = AxesState { position: measured.measured, velocity: measured.velocity };
+        let motors = AxesState::new(measured.measured, measured.velocity);
+        let (commanded, commanded_acceleration) = self.state(commanded).map_err(GeneratorError::Image)?;
         Ok(EffectorImage {
             at: sampled[..axes].iter().copied().min().unwrap_or(at),
             read_at: at,
             age: array::from_fn(|axis| if axis < axes { at.since(sampled[axis]) } else { Duration::ZERO }),
             macrostep,
-            measured: self.state(&motors).map_err(GeneratorError::Image)?,
+            measured: self.state(&motors).map_err(GeneratorError::Image)?.0,
             torque,
             switches,
-            commanded: self.state(commanded).map_err(GeneratorError::Image)?,
+            commanded,
+            commanded_acceleration,
         })
     }
 }
@@ -90,31 +127,44 @@ impl ImageSource for Effector {
     }
 }
 
-/// Velocity of `map(position)` while `position` moves from `from.position` at `from.velocity`. `value` is
-/// `map(from.position)`.
-fn slope(
+/// The state `map(from)`, where `position` is `map(from.position)`. `step` is the greatest displacement of an axis in the
+/// differences.
+fn mapped(
     from: &AxesState,
-    value: &Axes,
+    position: Axes,
+    step: f64,
     map: impl Fn(&Axes) -> Result<Axes, KinematicsError>,
-) -> Result<Axes, KinematicsError> {
-    let fastest = from.velocity.map(f64::abs).into_iter().fold(0.0, f64::max);
-    difference(fastest, value, |t| map(&moved(&from.position, &from.velocity, t)))
+) -> Result<AxesState, KinematicsError> {
+    let greatest = |axes: &Axes| axes.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
+    let speed = greatest(&from.velocity);
+    let ahead = |t: f64, push: &Axes| {
+        map(&array::from_fn(|axis| from.position[axis] + t * (from.velocity[axis] + 0.5 * push[axis] * t)))
+    };
+    let velocity = slope(duration_of(speed, 0.0, step), &position, |t| ahead(t, &Axes::default()))?;
+    let bend = |push: Axes| bend(duration_of(speed, greatest(&push), step), &position, |t| ahead(t, &push));
+    Ok(AxesState { position, velocity, acceleration: from.acceleration.and_then(bend) })
 }
 
-/// Time derivative of `at(t)` at t = 0. `value` is `at(0)`; `speed` is that of the fastest axis or of the tool.
+/// Time in which an axis moves by about `step` at this speed and acceleration; `None` at rest.
+fn duration_of(speed: f64, acceleration: f64, step: f64) -> Option<f64> {
+    let duration = (step / speed).min((2.0 * step / acceleration).sqrt());
+    (speed.is_finite() && acceleration.is_finite() && duration.is_finite()).then_some(duration)
+}
+
+/// Time derivative of `at(t)` at t = 0, by a difference over `dt` seconds before and after; zero without `dt`. `value` is
+/// `at(0)`.
 ///
-/// The central difference uses points 1e-4 rad or m before and after. Its relative error, f‴ / f′ · 1e-8 / 6, is below
-/// 1e-8 for the screws and rods of the drive trains. Rounding of positions near 1000 rad adds 1e-9. If one point is
+/// The points lie 1e-4 rad or m before and after. The relative error of the central difference, f‴ / f′ · 1e-8 / 6, is
+/// below 1e-8 for the screws and rods of the drive trains. Rounding of positions near 1000 rad adds 1e-9. If one point is
 /// beyond a limit, the difference is one-sided and accurate to 1e-4.
-fn difference(
-    speed: f64,
+fn slope(
+    dt: Option<f64>,
     value: &Axes,
     at: impl Fn(f64) -> Result<Axes, KinematicsError>,
 ) -> Result<Axes, KinematicsError> {
-    if !(speed > 0.0 && speed.is_finite()) {
+    let Some(dt) = dt else {
         return Ok(Axes::default());
-    }
-    let dt = STEP / speed;
+    };
     let over = |from: &Axes, to: &Axes, dt: f64| array::from_fn(|axis| (to[axis] - from[axis]) / dt);
     match (at(-dt), at(dt)) {
         (Ok(behind), Ok(ahead)) => Ok(over(&behind, &ahead, 2.0 * dt)),
@@ -124,6 +174,11 @@ fn difference(
     }
 }
 
-fn moved(position: &Axes, velocity: &Axes, t: f64) -> Axes {
-    array::from_fn(|axis| position[axis] + velocity[axis] * t)
+/// Second time derivative of `at(t)` at t = 0, by a central difference; zero without `dt`, and `None` beside a limit.
+fn bend(dt: Option<f64>, value: &Axes, at: impl Fn(f64) -> Result<Axes, KinematicsError>) -> Option<Axes> {
+    let Some(dt) = dt else {
+        return Some(Axes::default());
+    };
+    let (behind, ahead) = (at(-dt).ok()?, at(dt).ok()?);
+    Some(array::from_fn(|axis| ((ahead[axis] - value[axis]) - (value[axis] - behind[axis])) / (dt * dt)))
 }

@@ -10,15 +10,20 @@
 //! for room in the queue, and the time without a report are limited.
 //!
 //! A motion is ended by the terminal condition, an error of the generator, [`Ecp::stop`] or the servo. The instruction
-//! ends when the effector stands again or is faulted, or when a time limit passes. If a generator ends while the
-//! effector moves, the effector is braked ([`Order::Stop`]). The first failure ends the task.
+//! ends when the effector stands again or is faulted, or when a time limit passes. The first failure ends the task.
 //!
-//! Velocities are converted between tool, joints and motors by central differences.
+//! A generator may end while the effector moves. If the next instruction is a generator that [can begin in
+//! motion](crate::generator::Generator::begins_in_motion), it plans from the end of the last macrostep and continues
+//! without a stop. Otherwise the effector is braked ([`Order::Stop`]). [`Ecp::replace`] replaces a generator in motion in
+//! the same way.
+//!
+//! Velocities and accelerations are converted between tool, joints and motors by central differences.
 //!
 //! Read [`Task`] first, then [`Ecp::poll`].
 
 mod error;
 mod image;
+mod motion;
 mod planning;
 mod subcontrollers;
 mod task;
@@ -28,9 +33,9 @@ mod tests;
 use std::{collections::VecDeque, time::Duration};
 
 use can::Instant;
-use servo::{EffectorLink, Macrostep, Order, Phase, ServoReport, Snapshot};
+use servo::{EffectorLink, Order, Phase, ServoReport, Snapshot};
 
-use crate::generator::{AxesState, EffectorImage, Execution, GeneratorError, Pace, Setpoint, Step};
+use crate::generator::{AxesState, EffectorImage, Execution, GeneratorError, Pace};
 use crate::robot::Arm;
 
 pub use error::EcpError;
@@ -90,6 +95,11 @@ pub struct Busy {
     pub instruction: usize,
 }
 
+/// A generator was to be replaced while no generator runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("no generator runs that could be replaced")]
+pub struct NotRunning;
+
 /// Commanded motor velocity, rad/s, below which zero is commanded. The last velocity of a generator may contain a
 /// rounding error, such as that of `sin(2.0 * PI)`.
 const STILL: f64 = 1e-9;
@@ -98,6 +108,10 @@ const STILL: f64 = 1e-9;
 const BURST: u16 = 10;
 
 /// Current activity. Every wait in an activity has a time limit.
+#[expect(
+    clippy::large_enum_variant,
+    reason = "a box would allocate in every switch of the drives, and there is one activity"
+)]
 enum Activity {
     /// Between two instructions.
     Idle,
@@ -135,8 +149,14 @@ pub struct Ecp {
     executed: u64,
     /// The macrostep of this motion.
     pace: Pace,
-    /// Number of the last macrostep before this motion.
+    /// Number of the last macrostep before this instruction.
     base: u64,
+    /// Number of the last macrostep before the effector left standstill.
+    origin: u64,
+    /// The next instruction continues from the end of the last macrostep, which ends in motion.
+    in_motion: bool,
+    /// The generator that replaces the present one with the next macrostep.
+    replacement: Option<Box<dyn Execution + Send>>,
     /// Time of the last report or accepted order.
     heard: Instant,
 }
@@ -158,6 +178,9 @@ impl Ecp {
             executed: 0,
             pace: config.pace,
             base: 0,
+            origin: 0,
+            in_motion: false,
+            replacement: None,
             heard: Instant::ZERO,
         }
     }
@@ -237,7 +260,7 @@ impl Ecp {
         let latest = self.latest();
         let commanded = match latest.phase {
             Phase::Standing | Phase::Moving | Phase::Stopping => {
-                AxesState { position: latest.commanded, velocity: latest.commanded_velocity }
+                AxesState::new(latest.commanded, latest.commanded_velocity)
             }
             Phase::Off | Phase::Enabling | Phase::Homing | Phase::Faulted => AxesState::at_rest(latest.measured),
         };
@@ -253,9 +276,12 @@ impl Ecp {
     pub fn poll(&mut self, now: Instant) -> Option<EcpEvent> {
         while let Ok(report) = self.link.reports.pop() {
             self.heard = now;
-            // A change of phase may be reported before the images of its macrostep are due.
-            if report.reached {
-                self.executed = report.snapshot.macrostep;
+            // A change of phase may be reported before the images of its macrostep are due. The macrostep before is then
+            // complete, also if an override let its end and its report fall into one cycle.
+            let Snapshot { macrostep, .. } = report.snapshot;
+            let executed = if report.reached { macrostep } else { macrostep.saturating_sub(1) };
+            if report.reached || executed > self.executed {
+                self.executed = executed;
                 self.effector.measured = report.snapshot;
             }
             self.report = Some(report);
@@ -326,6 +352,7 @@ impl Ecp {
             _ if phase == Phase::Faulted => return Some(Err(self.cause_of(EcpError::Faulted))),
             Instruction::Disable => Order::Disable,
             Instruction::Enable => Order::Enable,
+            Instruction::Run(run) if self.in_motion => return self.begin_run(run, now),
             _ if phase != Phase::Standing => return Some(Err(EcpError::NotStanding { phase })),
             Instruction::Home => Order::Home,
             Instruction::Meet(meeting) => {
@@ -351,45 +378,6 @@ impl Ecp {
             Order::Disable | Order::ResetFault => self.phase() == Phase::Off,
             Order::Move(macrostep) => self.executed >= macrostep.number,
             Order::Gate(_) => true,
-        }
-    }
-
-    fn begin_run(&mut self, run: Box<dyn Execution + Send>, now: Instant) -> Option<Result<(), EcpError>> {
-        // The last report may be old: an effector at rest sends none.
-        let latest = self.latest();
-        self.effector.measured = latest;
-        self.effector.commanded = AxesState::at_rest(latest.commanded);
-        // Numbers of macrosteps that the servo dropped at a stop are not used again.
-        self.sent = self.sent.max(latest.macrostep);
-        self.base = self.sent;
-        self.pace = match run.pace(self.config.pace) {
-            Ok(pace) => pace,
-            Err(error) => return Some(Err(EcpError::Generator { step: 0, error })),
-        };
-        self.planning.begin(run, &self.effector, self.macrostep());
-        self.activity = Activity::Planning { since: now };
-        None
-    }
-
-    /// Takes the result of a first step, once it is computed.
-    fn advance_planning(&mut self, since: Instant, now: Instant) -> Option<Result<(), EcpError>> {
-        let phase = self.phase();
-        if phase != Phase::Standing {
-            return Some(Err(EcpError::BrokenOff { phase }));
-        }
-        let Some((run, first)) = self.planning.finished() else {
-            let waited = now.since(since);
-            return (waited > self.config.planning).then_some(Err(EcpError::Unplanned { waited }));
-        };
-        self.heard = now;
-        // A next step that follows at once reads the present state, not the state before the planning.
-        self.effector.measured = self.latest();
-        self.activity = Activity::Running(run);
-        match first {
-            Ok(Step::Ended) => Some(Ok(())),
-            Ok(Step::Continue(None)) => None,
-            Ok(Step::Continue(setpoint)) => self.command(setpoint).err().map(Err),
-            Err(error) => Some(Err(EcpError::Generator { step: 0, error })),
         }
     }
 
@@ -453,26 +441,6 @@ impl Ecp {
         }
     }
 
-    fn advance_motion(&mut self, now: Instant) -> Option<Result<(), EcpError>> {
-        let phase = self.phase();
-        let waited = now.since(self.heard);
-        if !matches!(phase, Phase::Standing | Phase::Moving) {
-            self.break_off(now);
-        } else if waited > self.config.silence + self.macrostep() {
-            self.brake(Err(EcpError::Silent { waited }));
-        } else if matches!(self.activity, Activity::Arriving) {
-            let arrived = phase == Phase::Standing && self.outstanding() == 0;
-            return arrived.then_some(Ok(()));
-        } else if matches!(self.activity, Activity::RunningOut) {
-            self.run_out();
-        } else {
-            for _ in 0..BURST {
-                self.step();
-            }
-        }
-        None
-    }
-
     /// Waits for standstill after the servo has broken off an instruction, and then ends the instruction.
     fn break_off(&mut self, now: Instant) {
         let phase = self.phase();
@@ -481,76 +449,9 @@ impl Ecp {
         self.activity = Activity::Stopping { since: Some(now), outcome };
     }
 
-    /// Stops a motion whose generator ended in motion, once its last macrostep is reported. If images are read after
-    /// the last period of a macrostep, the stop must be sent in the same poll.
-    fn run_out(&mut self) {
-        if self.outstanding() == 0 {
-            self.brake(Ok(()));
-        }
-    }
-
-    /// Requests the next macrostep from the generator if the macrostep is due.
-    fn step(&mut self) {
-        let outstanding = self.outstanding();
-        let Activity::Running(run) = &mut self.activity else {
-            return;
-        };
-        let ahead = if run.runs_ahead() { u64::from(self.config.macrosteps_ahead.max(1)) } else { 1 };
-        if outstanding >= ahead {
-            return;
-        }
-        match run.next_step(&self.effector) {
-            Ok(Step::Continue(setpoint)) => {
-                if let Err(error) = self.command(setpoint) {
-                    self.brake(Err(error));
-                }
-            }
-            Ok(Step::Ended) if self.effector.commanded.velocity.iter().any(|v| *v != 0.0) => {
-                self.activity = Activity::RunningOut;
-                self.run_out();
-            }
-            Ok(Step::Ended) => self.activity = Activity::Arriving,
-            Err(error) => self.brake(Err(EcpError::Generator { step: self.sent - self.base, error })),
-        }
-    }
-
-    /// Duration of a macrostep of this motion.
-    fn macrostep(&self) -> Duration {
-        self.config.period * u32::from(self.pace.periods)
-    }
-
-    /// Number of macrosteps of this motion that were made and not yet reported.
-    fn outstanding(&self) -> u64 {
-        self.sent.saturating_sub(self.executed.max(self.base))
-    }
-
-    /// Converts the generator's set-point to a macrostep and puts the macrostep into the outbox.
-    fn command(&mut self, setpoint: Option<Setpoint>) -> Result<(), EcpError> {
-        let step = self.sent - self.base;
-        if let Some(axis) = setpoint.and_then(|setpoint| setpoint.not_finite()) {
-            return Err(EcpError::NotFinite { step, axis });
-        }
-        let out_of_reach = |error| EcpError::OutOfReach { step, error };
-        let mut motors = self.effector.motors(setpoint).map_err(out_of_reach)?;
-        for velocity in motors.velocity.iter_mut().filter(|it| it.abs() < STILL) {
-            *velocity = 0.0;
-        }
-        let torque = self.effector.arm.torques(&motors.position).map_err(out_of_reach)?;
-        self.effector.commanded = motors;
-        self.sent += 1;
-        self.outbox.push_back(Order::Move(Macrostep {
-            number: self.sent,
-            steps: self.pace.periods,
-            report_at: self.pace.read_at,
-            position: motors.position,
-            velocity: motors.velocity,
-            torque,
-        }));
-        Ok(())
-    }
-
     /// Drops the generator and the waiting orders, and queues a stop of the effector.
     fn brake(&mut self, outcome: Result<(), EcpError>) {
+        self.in_motion = false;
         self.clear_outbox();
         self.outbox.push_back(Order::Stop);
         self.activity = Activity::Stopping { since: None, outcome };

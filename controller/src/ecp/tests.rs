@@ -1,5 +1,6 @@
 //! The ECP with a scripted servo, in virtual time.
 
+mod chaining;
 mod endings;
 mod failures;
 mod images;
@@ -11,12 +12,12 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use nalgebra::Vector3;
-use servo::{Gates, MAX_AXES, Publisher, ServoFault, StopCause};
+use servo::{Gates, MAX_AXES, Macrostep, Publisher, ServoFault, StopCause};
 
 use super::*;
 use crate::generator::{
     Axes, EffectorImage, Generator, GeneratorError, ImageSource, JerkLimited, MotionLimits, Newsmooth, Next, Pose,
-    SmoothPose, Wait,
+    Setpoint, SmoothPose, Wait,
 };
 use crate::robot::{Arm, Jacobian, Joints, KinematicsError, Limits, Link, Motors, Robot, Solutions, Space};
 
@@ -223,7 +224,7 @@ impl Bench {
         let (orders, servo_orders) = rtrb::RingBuffer::new(room);
         let (servo_reports, reports) = rtrb::RingBuffer::new(64);
         let (publisher, latest) = servo::latest();
-        let snapshot = Snapshot { axes: 3, ..Snapshot::default() };
+        let snapshot = Snapshot { axes: 3, rate: 1.0, ..Snapshot::default() };
         let servo = Script {
             orders: servo_orders,
             reports: servo_reports,
@@ -306,7 +307,7 @@ impl Generator for Push {
         e.measured.joints.position[0] > self.until
     }
     fn next_step(&self, steps: &u32, _: &EffectorImage) -> Result<Next<u32>, GeneratorError> {
-        let by = AxesState { position: axis_0(0.01), velocity: axis_0(0.5) };
+        let by = AxesState::new(axis_0(0.01), axis_0(0.5));
         Ok(Next::command(Setpoint::JointsBy(by), steps + 1))
     }
 }

@@ -35,6 +35,11 @@ pub enum GeneratorError {
     TooLong { limit: u32 },
     #[error("takes {needed:.3} s at the least, not {given:.3} s")]
     TooShort { needed: f64, given: f64 },
+    /// A velocity at the end of a motion through intermediate poses.
+    #[error("a motion through intermediate poses ends at rest")]
+    PassesPoses,
+    #[error("axis {axis}: velocity {value:.3} at the end is above the limit {limit:.3}")]
+    EndVelocity { axis: u8, value: f64, limit: f64 },
     #[error("no profile within the limits")]
     NoProfile,
     /// The arm cannot take a pose of the path, at parameter `s` from 0 at the start to 1 at the end. The pose was found
@@ -48,6 +53,9 @@ pub enum GeneratorError {
     /// its velocity or acceleration limit slows the path.
     #[error("at {s:.4} of the path: axis {axis} needs {times:.0} times its limit")]
     Singular { s: f64, axis: u8, times: f64 },
+    /// A [`Contour`](super::Contour) begins where the tool stands.
+    #[error("tool stands {distance:.6} m and {angle:.6} rad from the start of the path: move the tool there first")]
+    NotAtStart { distance: f64, angle: f64 },
     /// The effector measures positions that its mechanism cannot take.
     #[error("effector image: {0}")]
     Image(KinematicsError),

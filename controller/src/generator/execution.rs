@@ -5,6 +5,7 @@ use std::time::Duration;
 use super::{Generator, GeneratorError, ImageSource, Images, Pace, Setpoint};
 
 /// Result of one turn of the flow chart.
+#[expect(clippy::large_enum_variant, reason = "nearly every result is a set-point, and a box would allocate")]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Step {
     /// Continue: command the effector or let the effector stand.
@@ -24,6 +25,9 @@ pub trait Execution {
 
     /// The macrostep of this motion; `cell` is the macrostep of the cell.
     fn pace(&self, cell: Pace) -> Result<Pace, GeneratorError>;
+
+    /// Whether the first step can plan from a moving effector.
+    fn begins_in_motion(&self) -> bool;
 
     /// Whether next steps read only the generator's own memory. Such steps may be computed ahead of time.
     fn runs_ahead(&self) -> bool;
@@ -69,6 +73,10 @@ impl<G: Generator> Execution for Run<G> {
         let Pace { periods, read_at } = self.generator.pace(cell);
         let sound = periods <= Pace::MOST_PERIODS && (1..=periods).contains(&read_at);
         sound.then_some(Pace { periods, read_at }).ok_or(GeneratorError::Pace { periods, read_at })
+    }
+
+    fn begins_in_motion(&self) -> bool {
+        self.generator.begins_in_motion()
     }
 
     fn runs_ahead(&self) -> bool {

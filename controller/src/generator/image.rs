@@ -6,21 +6,45 @@ use can::Instant;
 use servo::{MAX_AXES, Switches};
 
 use super::{Axes, GeneratorError, Pose};
+use crate::path::PoseState;
 
-/// Position and velocity of every axis. The holder determines whether the values are joint or motor values.
+/// State of motion of every axis. The holder determines whether the values are joint or motor values.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AxesState {
     /// Position, rad, or m for a linear joint.
     pub position: Axes,
     /// Velocity, rad/s, or m/s for a linear joint.
     pub velocity: Axes,
+    /// Acceleration, rad/s², or m/s² for a linear joint. `None` in images. A set-point with `None` gets the acceleration
+    /// of a cubic from the set-point before it.
+    pub acceleration: Option<Axes>,
 }
 
 impl AxesState {
-    /// Standstill at `position`.
-    pub const fn at_rest(position: Axes) -> Self {
-        Self { position, velocity: [0.0; MAX_AXES] }
+    /// A motion without a stated acceleration.
+    pub const fn new(position: Axes, velocity: Axes) -> Self {
+        Self { position, velocity, acceleration: None }
     }
+
+    /// Standstill at `position`, with zero acceleration.
+    pub const fn at_rest(position: Axes) -> Self {
+        Self { position, velocity: [0.0; MAX_AXES], acceleration: Some([0.0; MAX_AXES]) }
+    }
+
+    /// The same motion with this acceleration, rad/s² or m/s².
+    #[must_use]
+    pub const fn accelerating(self, acceleration: Axes) -> Self {
+        Self { acceleration: Some(acceleration), ..self }
+    }
+}
+
+/// Commanded accelerations of an effector.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Accelerations {
+    /// Motors, rad/s².
+    pub motors: Axes,
+    /// Joints, rad/s², or m/s² for a linear joint.
+    pub joints: Axes,
 }
 
 /// State of an effector at one instant, in motors, joints and pose.
@@ -55,6 +79,8 @@ pub struct EffectorImage {
     pub switches: [Switches; MAX_AXES],
     /// End of the last macrostep sent, and start of the next macrostep.
     pub commanded: EffectorState,
+    /// Acceleration at the end of the last macrostep sent.
+    pub commanded_acceleration: Accelerations,
 }
 
 impl EffectorImage {
@@ -69,20 +95,21 @@ impl EffectorImage {
             torque: Axes::default(),
             switches: [Switches::default(); MAX_AXES],
             commanded: state,
+            commanded_acceleration: Accelerations::default(),
         }
     }
 }
 
-/// `e(i+1)`: the effector's state at the end of the next macrostep, position and velocity.
+/// `e(i+1)`: the effector's state at the end of the next macrostep.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Setpoint {
     /// Motors.
     Motors(AxesState),
     /// Joints.
     Joints(AxesState),
-    /// Joints: displacement from the end of the last macrostep, and velocity at the end of this macrostep.
+    /// Joints: displacement from the end of the last macrostep; velocity and acceleration at the end of this macrostep.
     JointsBy(AxesState),
-    /// The tool: pose, and its velocity in the base frame, m/s and rad/s.
+    /// The tool: pose, and its velocity in the base frame, m/s and rad/s. The acceleration is not stated.
     Pose {
         /// Pose of the tool in the base frame.
         pose: Pose,
@@ -91,6 +118,8 @@ pub enum Setpoint {
         /// Angular velocity of the tool, rad/s.
         angular: nalgebra::Vector3<f64>,
     },
+    /// The tool: pose, velocity and acceleration by time, in the base frame.
+    Tool(PoseState),
 }
 
 impl Setpoint {
@@ -99,12 +128,20 @@ impl Setpoint {
         let first = |numbers: &[f64]| numbers.iter().position(|number| !number.is_finite());
         let index = match self {
             Self::Motors(state) | Self::Joints(state) | Self::JointsBy(state) => {
-                first(&state.position).or_else(|| first(&state.velocity))
+                let acceleration = state.acceleration.unwrap_or_default();
+                first(&state.position).or_else(|| first(&state.velocity)).or_else(|| first(&acceleration))
             }
-            Self::Pose { pose, linear, angular } => first(pose.translation.vector.as_slice())
-                .or_else(|| first(pose.rotation.coords.as_slice()))
-                .or_else(|| first(linear.as_slice()))
-                .or_else(|| first(angular.as_slice())),
+            Self::Tool(PoseState { linear_acceleration, angular_acceleration, .. })
+                if !linear_acceleration.iter().chain(angular_acceleration).all(|number| number.is_finite()) =>
+            {
+                Some(0)
+            }
+            Self::Pose { pose, linear, angular } | Self::Tool(PoseState { pose, linear, angular, .. }) => {
+                first(pose.translation.vector.as_slice())
+                    .or_else(|| first(pose.rotation.coords.as_slice()))
+                    .or_else(|| first(linear.as_slice()))
+                    .or_else(|| first(angular.as_slice()))
+            }
         };
         index.map(|index| index as u8)
     }

@@ -14,6 +14,10 @@ use crate::robot::Space;
 /// without stopping, and its duration is near the optimum. The trajectory is stretched by less than a macrostep, so
 /// that it ends with a macrostep.
 ///
+/// Without intermediate poses, the motion [begins in motion](Generator::begins_in_motion) if the generator before it ended
+/// so, and can [end in motion](Self::ending_at) itself. It therefore also replans: [`Ecp::replace`](crate::ecp::Ecp::replace)
+/// continues to another target without a stop. Limits that the first state exceeds are reached as fast as the jerk permits.
+///
 /// The first step solves the whole motion. The computing time is microseconds for one pose, and some 30 ms for six
 /// axes through five poses. For a single pose only a refusal allocates. With intermediate poses the solver formats a
 /// message for each discarded candidate, which costs hundreds of allocations per pose. No next step allocates.
@@ -22,7 +26,8 @@ pub struct JerkLimited {
     space: Space,
     axes: usize,
     plan: Plan<MAX_AXES>,
-    target: Axes,
+    /// The end, with zero acceleration.
+    target: AxesState,
     duration: Option<Duration>,
 }
 
@@ -53,7 +58,29 @@ impl JerkLimited {
             input.max_acceleration[axis] = limit(&limits.max_acceleration);
             input.max_jerk[axis] = limit(&limits.max_jerk);
         }
-        Ok(Self { space, axes, plan, target, duration: None })
+        Ok(Self { space, axes, plan, target: AxesState::at_rest(target), duration: None })
+    }
+
+    /// The same motion, ending with `velocity`, rad/s or m/s, without acceleration. Refuses intermediate poses, and a
+    /// velocity that is not finite or above the limit of its axis.
+    pub fn ending_at(mut self, velocity: Axes) -> Result<Self, GeneratorError> {
+        let pose = self.plan.input.intermediate_positions.len();
+        if pose > 0 {
+            return Err(GeneratorError::PassesPoses);
+        }
+        let velocity = masked(&velocity, self.axes);
+        for (axis, value) in velocity.into_iter().enumerate() {
+            let limit = self.plan.input.max_velocity[axis];
+            if !value.is_finite() {
+                return Err(GeneratorError::NotFinite { pose, axis: axis as u8 });
+            }
+            if value.abs() > limit {
+                return Err(GeneratorError::EndVelocity { axis: axis as u8, value, limit });
+            }
+        }
+        self.plan.input.target_velocity = DataArrayOrVec::Stack(velocity);
+        self.target.velocity = velocity;
+        Ok(self)
     }
 
     /// The same motion, stretched to `duration` and then to the end of a macrostep. Its first step refuses a time
@@ -76,10 +103,18 @@ impl Generator for JerkLimited {
     /// Number of macrosteps done.
     type Memory = u32;
 
+    fn begins_in_motion(&self) -> bool {
+        self.plan.input.intermediate_positions.is_empty()
+    }
+
     fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<u32>, GeneratorError> {
         let from = self.space.commanded(e);
-        for axis in 0..self.axes {
-            self.plan.input.current_position[axis] = from.position[axis];
+        let acceleration = self.space.acceleration(e);
+        let input = &mut self.plan.input;
+        for (axis, acceleration) in acceleration.into_iter().enumerate().take(self.axes) {
+            input.current_position[axis] = from.position[axis];
+            input.current_velocity[axis] = from.velocity[axis];
+            input.current_acceleration[axis] = acceleration;
         }
         self.plan.solve(self.duration.map(|given| given.as_secs_f64()), macrostep.as_secs_f64())?;
         Ok(Next::remember(0))
@@ -92,10 +127,10 @@ impl Generator for JerkLimited {
     fn next_step(&self, done: &u32, _: &()) -> Result<Next<u32>, GeneratorError> {
         let done = done + 1;
         if done == self.plan.macrosteps {
-            return Ok(Next::command(self.space.setpoint(AxesState::at_rest(self.target)), done));
+            return Ok(Next::command(self.space.setpoint(self.target), done));
         }
-        let (position, velocity) = self.plan.at(done);
-        let state = AxesState { position: masked(&position, self.axes), velocity: masked(&velocity, self.axes) };
+        let [position, velocity, acceleration] = self.plan.at(done).map(|axes| masked(&axes, self.axes));
+        let state = AxesState::new(position, velocity).accelerating(acceleration);
         Ok(Next::command(self.space.setpoint(state), done))
     }
 }

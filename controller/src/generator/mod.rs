@@ -29,13 +29,16 @@
 //!
 //! Read [`Generator`] first, then [`Wait`] as the smallest generator and [`Newsmooth`] as a planned generator.
 
+mod contour;
 mod error;
 mod execution;
+mod feed;
 mod image;
 mod jerk_limited;
 mod line;
 mod newsmooth;
 mod plan;
+mod polynomial;
 mod profile;
 #[cfg(test)]
 mod tests;
@@ -46,20 +49,23 @@ use std::time::Duration;
 use servo::MAX_AXES;
 
 pub use crate::robot::{Axes, Pose};
+pub use contour::Contour;
 pub use error::GeneratorError;
 pub(crate) use execution::Run;
 pub use execution::{Execution, Step};
-pub use image::{AxesState, EffectorImage, EffectorState, ImageSource, Images, Setpoint};
+pub use feed::{Feed, FeedLimits, FeedState};
+pub use image::{Accelerations, AxesState, EffectorImage, EffectorState, ImageSource, Images, Setpoint};
 pub use jerk_limited::JerkLimited;
 pub use line::{LineLimits, LineMemory, PlannedStart, StraightLine};
 pub use newsmooth::{Newsmooth, Progress, SmoothPose};
+pub use polynomial::Polynomial;
 pub use wait::Wait;
 
 /// Limits of each axis for the planning of a generator. Entries beyond the robot's axes are ignored.
 ///
-/// The servo checks its own limits on its cubics between macrosteps. In the macrostep in which full acceleration
-/// turns into full braking, a cubic through samples of a trapezoid needs up to 5/3 of the trapezoid's acceleration.
-/// The cubic may also exceed the cruise speed by 1/20 of that acceleration times the macrostep. The servo's limits
+/// The servo checks its own limits on its quintics between macrosteps. In the macrostep in which full acceleration
+/// turns into full braking, a quintic through samples of a trapezoid needs up to 5/3 of the trapezoid's acceleration.
+/// The quintic may also exceed the cruise speed by 1/18 of that acceleration times the macrostep. The servo's limits
 /// must leave room for both.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionLimits {
@@ -122,8 +128,15 @@ pub trait Generator: Send + Sync + 'static {
         cell
     }
 
-    /// Plans the motion and returns the first outputs and memory. The effector stands. The macrostep is not zero. Only
-    /// this function may take longer than a macrostep.
+    /// Whether the first step can plan from a moving effector. If the generator before ends in motion, this one then
+    /// continues at that speed, and otherwise the effector is braked before the first step.
+    fn begins_in_motion(&self) -> bool {
+        false
+    }
+
+    /// Plans the motion and returns the first outputs and memory. The effector stands, unless the generator
+    /// [begins in motion](Self::begins_in_motion). The macrostep is not zero. Only this function may take longer than a
+    /// macrostep. If the effector moves, the result is due before the last macrostep sent ends.
     fn first_step(&mut self, images: &Self::First, macrostep: Duration) -> Result<Next<Self::Memory>, GeneratorError>;
 
     /// `fT`: whether the instruction ends. Evaluated on each new snapshot before [`next_step`](Self::next_step).

@@ -19,6 +19,13 @@ impl Space {
         }
     }
 
+    pub(super) const fn acceleration(self, image: &EffectorImage) -> Axes {
+        match self {
+            Self::Joint => image.commanded_acceleration.joints,
+            Self::Motor => image.commanded_acceleration.motors,
+        }
+    }
+
     pub(super) const fn setpoint(self, state: AxesState) -> Setpoint {
         match self {
             Self::Joint => Setpoint::Joints(state),
@@ -73,6 +80,12 @@ struct Segment {
     start: Axes,
     end: Axes,
     profiles: [Trapezoid; MAX_AXES],
+}
+
+impl Segment {
+    fn direction(&self, axis: usize) -> f64 {
+        if self.end[axis] < self.start[axis] { -1.0 } else { 1.0 }
+    }
 }
 
 /// Progress of a [`Newsmooth`] motion.
@@ -230,15 +243,22 @@ impl Generator for Newsmooth {
         let macrostep = progress.macrostep + 1;
         let last = macrostep == segment.macrosteps;
         let t = f64::from(macrostep) * self.macrostep;
-        let mut state = AxesState::default();
-        for axis in 0..self.axes {
-            let profile = &segment.profiles[axis];
+        let next = self.segments.get(progress.segment + 1).filter(|_| last);
+        let over = last && next.is_none();
+        let (mut state, mut acceleration) = (AxesState::default(), Axes::default());
+        for (axis, profile) in segment.profiles.iter().enumerate().take(self.axes) {
             let (from, to) = (segment.start[axis], segment.end[axis]);
-            let direction = if to < from { -1.0 } else { 1.0 };
+            let direction = segment.direction(axis);
             let (distance, speed) = profile.at(t);
             state.position[axis] = if last { to } else { from + direction * distance };
             state.velocity[axis] = direction * if last { profile.end_velocity } else { speed };
+            if !over {
+                // At a pose, half of each segment's acceleration is the mean of both.
+                acceleration[axis] = direction * profile.acceleration(t)
+                    + next.map_or(0.0, |next| next.direction(axis) * next.profiles[axis].acceleration(0.0));
+            }
         }
+        let state = state.accelerating(acceleration);
         let progress = if last {
             Progress { segment: progress.segment + 1, macrostep: 0 }
         } else {

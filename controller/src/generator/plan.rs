@@ -4,6 +4,9 @@ use rsruckig::prelude::{DataArrayOrVec, InputParameter, Ruckig, RuckigResult, Th
 
 use super::{GeneratorError, newsmooth::whole_macrosteps};
 
+/// Greatest number of durations tried for a motion that begins or ends in motion.
+const ATTEMPTS: usize = 10;
+
 /// Jerk-limited trajectory of `N` coordinates.
 #[derive(Debug)]
 pub(super) struct Plan<const N: usize> {
@@ -36,37 +39,68 @@ impl<const N: usize> Plan<N> {
 
     /// Solves the plan for the duration `given`, s, or for the shortest duration within the limits. The duration is
     /// then rounded up to a multiple of `macrostep`, s.
+    ///
+    /// A motion from rest to rest is stretched. A motion that begins or ends in motion is solved again for the longer
+    /// duration, because a stretched motion would have other speeds at its ends.
     pub(super) fn solve(&mut self, given: Option<f64>, macrostep: f64) -> Result<(), GeneratorError> {
-        match self.solver.calculate(&self.input, &mut self.trajectory) {
-            Ok(RuckigResult::Working | RuckigResult::Finished) => {}
-            Ok(_) | Err(_) => return Err(GeneratorError::NoProfile),
-        }
-        let needed = self.trajectory.get_duration();
+        self.input.minimum_duration = None;
+        let needed = self.calculate()?;
         let given = given.unwrap_or(needed);
         if given < needed {
             return Err(GeneratorError::TooShort { needed, given });
         }
         self.macrosteps = whole_macrosteps(given, macrostep)?;
-        if self.macrosteps > 0 {
+        if self.macrosteps == 0 {
+            return Ok(());
+        }
+        if self.rests_at_its_ends() {
             self.step = needed / f64::from(self.macrosteps);
             self.pace = self.step / macrostep;
+            return Ok(());
         }
-        Ok(())
+        (self.step, self.pace) = (macrostep, 1.0);
+        for _ in 0..ATTEMPTS {
+            let duration = f64::from(self.macrosteps) * macrostep;
+            self.input.minimum_duration = Some(duration);
+            let found = self.calculate()?;
+            if (found - duration).abs() < 1e-6 * macrostep {
+                return Ok(());
+            }
+            // Some durations are impossible, and the solver then takes the next possible one.
+            self.macrosteps = whole_macrosteps(found, macrostep)?;
+        }
+        Err(GeneratorError::NoProfile)
     }
 
-    /// Position and velocity after `done` macrosteps.
-    pub(super) fn at(&self, done: u32) -> ([f64; N], [f64; N]) {
+    /// Solves the plan and returns its duration, s.
+    fn calculate(&mut self) -> Result<f64, GeneratorError> {
+        match self.solver.calculate(&self.input, &mut self.trajectory) {
+            Ok(RuckigResult::Working | RuckigResult::Finished) => Ok(self.trajectory.get_duration()),
+            Ok(_) | Err(_) => Err(GeneratorError::NoProfile),
+        }
+    }
+
+    fn rests_at_its_ends(&self) -> bool {
+        let input = &self.input;
+        let ends = [&input.current_velocity, &input.current_acceleration, &input.target_velocity];
+        ends.into_iter().all(|end| (0..N).all(|axis| end[axis] == 0.0))
+    }
+
+    /// Position, velocity and acceleration after `done` macrosteps.
+    pub(super) fn at(&self, done: u32) -> [[f64; N]; 3] {
         let mut position = DataArrayOrVec::Stack([0.0; N]);
         let mut velocity = DataArrayOrVec::Stack([0.0; N]);
+        let mut acceleration = DataArrayOrVec::Stack([0.0; N]);
         self.trajectory.at_time(
             f64::from(done) * self.step,
             &mut Some(&mut position),
             &mut Some(&mut velocity),
-            &mut None,
+            &mut Some(&mut acceleration),
             &mut None,
             &mut None,
         );
         let velocity = std::array::from_fn(|axis| velocity[axis] * self.pace);
-        (std::array::from_fn(|axis| position[axis]), velocity)
+        let acceleration = std::array::from_fn(|axis| acceleration[axis] * self.pace * self.pace);
+        [std::array::from_fn(|axis| position[axis]), velocity, acceleration]
     }
 }

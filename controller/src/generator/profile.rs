@@ -90,22 +90,49 @@ impl Course {
     }
 }
 
+/// Half the time around an instant in which its acceleration is averaged, s: far below a period, far above rounding.
+const AROUND: f64 = 1e-7;
+
 impl Trapezoid {
     /// Position and velocity `t` seconds after the segment's start.
     pub(super) fn at(&self, t: f64) -> (f64, f64) {
-        let rest = self.first + self.middle + self.last - t;
+        let rest = self.duration() - t;
         if t < self.first {
-            let a = (self.cruise - self.start_velocity) / self.first;
+            let a = self.starting();
             (t * (self.start_velocity + a * t / 2.0), self.start_velocity + a * t)
         } else if rest <= 0.0 {
             (self.distance, self.end_velocity)
         } else if rest < self.last {
             // Time is counted back from the end, so that the end is met exactly.
-            let a = (self.end_velocity - self.cruise) / self.last;
+            let a = self.ending();
             (self.distance - rest * (self.end_velocity - a * rest / 2.0), self.end_velocity - a * rest)
         } else {
             let ramp = self.first * (self.start_velocity + self.cruise) / 2.0;
             (ramp + self.cruise * (t - self.first), self.cruise)
         }
+    }
+
+    /// Acceleration `t` seconds after the segment's start; where it jumps, the mean of both values. Outside the segment
+    /// it is zero.
+    pub(super) fn acceleration(&self, t: f64) -> f64 {
+        let at = |t: f64| match self.duration() - t {
+            _ if t < 0.0 => 0.0,
+            _ if t < self.first => self.starting(),
+            rest if rest > 0.0 && rest < self.last => self.ending(),
+            _ => 0.0,
+        };
+        0.5 * (at(t - AROUND) + at(t + AROUND))
+    }
+
+    fn duration(&self) -> f64 {
+        self.first + self.middle + self.last
+    }
+
+    fn starting(&self) -> f64 {
+        (self.cruise - self.start_velocity) / self.first
+    }
+
+    fn ending(&self) -> f64 {
+        (self.end_velocity - self.cruise) / self.last
     }
 }

@@ -15,17 +15,21 @@ mod modes;
 mod standstill;
 mod status;
 
+use can::Instant;
 use canopen::Object;
 use canopen::cia402::{Controlword, ModeOfOperation, PowerCommand, PowerState};
 
-use super::errors::{self, Error, Reaction};
+use super::errors;
 use super::power::{Brake, Options, Transition, on_command, on_fault};
-use super::table::{Slot, slot};
-use super::{Epos4Config, homing::Search, objects::Objects, profile::Motion};
+use super::table::{slot, slot_of};
+use super::{Epos4Config, homing::Search, profile::Motion};
+use crate::node::errors::Error;
+use crate::node::objects::Objects;
+use crate::node::table::Slot;
 use crate::{Demand, Feedback, PlantAxis, Trip, plant::SUB_STEP};
 use standstill::Standstill;
 
-const POSITION_WINDOW: Slot = Slot::of(Object::new(0x6067, 0));
+const POSITION_WINDOW: Slot = slot_of(Object::new(0x6067, 0));
 
 /// Sub-steps of a whole chunk: 1 ms.
 pub(super) const CHUNK: u32 = 10;
@@ -33,6 +37,9 @@ pub(super) const CHUNK: u32 = 10;
 #[derive(Clone, Debug)]
 pub(super) struct Drive {
     pub(super) axis: PlantAxis,
+    /// Time up to which the axis has been simulated.
+    pub(super) simulated: Instant,
+    pub(super) last_sync: Option<Instant>,
     counts_per_turn: f64,
     vendor_bits: u16,
     feedback: Feedback,
@@ -84,6 +91,8 @@ impl Drive {
         Self {
             feedback: axis.feedback(),
             axis,
+            simulated: config.power_on,
+            last_sync: None,
             counts_per_turn: f64::from(config.axis.counts_per_revolution),
             vendor_bits: config.vendor_bits,
             offset: 0,
@@ -133,7 +142,7 @@ impl Drive {
     }
 
     /// Whether a fault is latched, or the axis is braking because of a fault.
-    pub(super) fn faulted(&self) -> bool {
+    pub(super) fn is_faulted(&self) -> bool {
         matches!(self.power, PowerState::FaultReactionActive | PowerState::Fault)
     }
 
@@ -195,14 +204,8 @@ impl Drive {
         false
     }
 
-    /// Reacts to an error. A drive without power only reports the error.
-    pub(super) fn react(&mut self, error: Error, objects: &Objects) {
-        let at_once = match error.reaction {
-            Reaction::None => return,
-            Reaction::Disable => true,
-            Reaction::Fault => false,
-            Reaction::AbortConnection => return self.abort_connection(objects),
-        };
+    /// Enters the fault state: at once, or as the fault reaction option (0x605E) says.
+    pub(super) fn fault(&mut self, at_once: bool, objects: &Objects) {
         self.perform(on_fault(self.power, at_once, &options(objects)));
     }
 

@@ -1,13 +1,10 @@
 //! The electronic data sheet of the emulator: its one dictionary table, with the names of CiA and maxon.
 
-use std::collections::BTreeMap;
+use canopen::eds::{DeviceInfo, Eds, FileInfo};
+use canopen::objects as named;
 
-use canopen::eds::{Access, DataType, DeviceInfo, Eds, Entry, FileInfo, ObjectType, Value, Variable};
-use canopen::{objects as named, pdo::PdoKind};
-
-use super::objects::{DUMMIES, Place, pdo_parameter};
-use super::table::{self, TABLE};
-use super::{Epos4, Epos4Config, identity};
+use super::{Epos4, Epos4Config, identity, table::TABLE};
+use crate::node::eds::Sheet;
 
 /// Comments of the data sheet: conformity of the emulated drive to maxon's documents, CiA 301 and CiA 402. The text is
 /// ASCII without semicolons, which begin comments in data sheets.
@@ -41,23 +38,8 @@ const STATEMENTS: &[&str] = &[
     "Homing: halt is shown as interrupted, and the search goes on without halt (CiA 402). Not checked.",
 ];
 
-/// Names of objects, at sub-index 0, and of their sub-indices, as far as [`named::TABLE`] does not give them.
+/// Names of the drive's objects, see [`Sheet::names`].
 const NAMES: &[(u16, u8, &str)] = &[
-    (0x1003, 0, "Error history"),
-    (0x1003, 1, "Error history 1"),
-    (0x1010, 0, "Store parameters"),
-    (0x1010, 1, "Save all parameters"),
-    (0x1011, 0, "Restore default parameters"),
-    (0x1016, 0, "Consumer heartbeat time"),
-    (0x1016, 1, "Consumer 1 heartbeat time"),
-    (0x1016, 2, "Consumer 2 heartbeat time"),
-    (0x1018, 0, "Identity object"),
-    (0x1018, 1, "Vendor ID"),
-    (0x1029, 0, "Error behavior"),
-    (0x1029, 1, "Communication error"),
-    (0x1200, 0, "SDO server parameter"),
-    (0x1200, 1, "COB-ID SDO client to server"),
-    (0x1200, 2, "COB-ID SDO server to client"),
     (0x2200, 0, "Power supply"),
     (0x2200, 1, "Power supply voltage"),
     (0x2FF0, 0, "Record of the emulator"),
@@ -92,17 +74,21 @@ const NAMES: &[(u16, u8, &str)] = &[
     (0x60FE, 2, "Bit mask"),
 ];
 
-/// Objects of type RECORD apart from the parameters of PDOs. Any other object with sub-indices is an ARRAY.
-const RECORDS: [u16; 10] = [0x1018, 0x1200, 0x2200, 0x2FF0, 0x3000, 0x3001, 0x30D1, 0x30E0, 0x3141, 0x60C2];
-
-/// The names of a PDO's communication parameters, from sub-index 1.
-const COMMUNICATION: [&str; 5] = ["COB-ID used by", "Transmission type", "Inhibit time", "Reserved", "Event timer"];
+/// Objects of the drive of type RECORD.
+const RECORDS: [u16; 8] = [0x2200, 0x2FF0, 0x3000, 0x3001, 0x30D1, 0x30E0, 0x3141, 0x60C2];
 
 impl Epos4 {
     /// The electronic data sheet of a unit. Units of one kind differ only in the ratings of the motor.
     pub fn eds(config: &Epos4Config) -> Eds {
         let identity = identity(config);
-        let mut eds = Eds {
+        let sheet = Sheet {
+            table: &TABLE,
+            names: NAMES,
+            records: &RECORDS,
+            stated: &identity,
+            individual: &[named::SERIAL_NUMBER, named::MOTOR_RATED_TORQUE],
+        };
+        sheet.eds(Eds {
             file: FileInfo {
                 file_name: "epos4-emulated.eds".into(),
                 file_version: "1".into(),
@@ -129,114 +115,8 @@ impl Epos4 {
                 ..DeviceInfo::default()
             },
             comments: STATEMENTS.iter().map(|&line| line.to_owned()).collect(),
-            dummies: DUMMIES.map(|bits| bits > 0),
             ..Eds::default()
-        };
-        for (row, entry) in TABLE.iter().enumerate() {
-            let index = entry.object.index;
-            let object = eds.objects.entry(index).or_insert_with(|| Entry {
-                name: object_name(entry),
-                object_type: object_type(index),
-                variables: BTreeMap::new(),
-            });
-            let stated = identity.iter().find(|(slot, _)| slot.row() == row);
-            let variable = variable(entry, stated.map(|(_, value)| *value));
-            object.variables.insert(entry.object.subindex, variable);
-        }
-        eds
-    }
-}
-
-fn known(index: u16, subindex: u8) -> Option<&'static str> {
-    let mut names = NAMES.iter();
-    names.find_map(|known| ((known.0, known.1) == (index, subindex)).then_some(known.2))
-}
-
-fn object_type(index: u16) -> ObjectType {
-    let mut objects = TABLE.iter().map(|entry| entry.object);
-    if !objects.any(|object| object.index == index && object.subindex > 0) {
-        ObjectType::Variable
-    } else if RECORDS.contains(&index) || (0x1400..0x1C00).contains(&index) {
-        ObjectType::Record
-    } else {
-        ObjectType::Array
-    }
-}
-
-fn object_name(entry: &table::Entry) -> String {
-    let index = entry.object.index;
-    match (known(index, 0), pdo_parameter(entry.object)) {
-        (Some(name), _) => name.to_owned(),
-        (None, Some((kind, number, place))) => {
-            let way = if kind == PdoKind::Rpdo { "Receive" } else { "Transmit" };
-            let what = if matches!(place, Place::Mapping(_)) { "mapping" } else { "parameter" };
-            format!("{way} PDO {} {what}", number.offset() + 1)
-        }
-        (None, None) => named_object(entry),
-    }
-}
-
-/// The name from the objects module, as a headline.
-fn named_object(entry: &table::Entry) -> String {
-    let Some(name) = entry.object.name() else {
-        return format!("Object {}", entry.object);
-    };
-    let name = name.strip_prefix("EPOS4 ").unwrap_or(name);
-    let (first, rest) = name.split_at_checked(1).unwrap_or((name, ""));
-    first.to_uppercase() + rest
-}
-
-fn variable_name(entry: &table::Entry) -> String {
-    let (index, subindex) = (entry.object.index, entry.object.subindex);
-    if object_type(index) == ObjectType::Variable {
-        return object_name(entry);
-    }
-    if let Some((kind, number, place)) = pdo_parameter(entry.object) {
-        let kind = if kind == PdoKind::Rpdo { "Rx" } else { "Tx" };
-        let number = number.offset() + 1;
-        return match place {
-            Place::Communication(0) => "Highest sub-index supported".to_owned(),
-            Place::Communication(at) => format!("{} {kind}PDO {number}", COMMUNICATION[usize::from(at) - 1]),
-            Place::Mapping(0) => format!("Number of mapped objects in {kind}PDO {number}"),
-            Place::Mapping(at) => format!("Mapped object {at} in {kind}PDO {number}"),
-        };
-    }
-    match (entry.object, known(index, subindex)) {
-        (named::ERROR_HISTORY_COUNT, _) => "Number of errors".to_owned(),
-        _ if subindex == 0 => "Highest sub-index supported".to_owned(),
-        (_, Some(name)) => name.to_owned(),
-        (object, None) if object.name().is_some() => named_object(entry),
-        (_, None) => format!("{} {subindex}", object_name(entry)),
-    }
-}
-
-/// A variable of the data sheet. `stated` replaces the table's default for this unit.
-fn variable(entry: &table::Entry, stated: Option<u32>) -> Variable {
-    let stored = stated.unwrap_or(entry.default);
-    let number = |value: i64| Value::number(value.into());
-    // A measured value has no default. The data that differ from unit to unit have none either.
-    let measured =
-        !entry.writable && entry.transmit || matches!(entry.object, named::SERIAL_NUMBER | named::MOTOR_RATED_TORQUE);
-    let default = match entry.data_type {
-        DataType::VisibleString => Value::Text(entry.text.to_owned()),
-        _ => Value::Integer { value: entry.number(stored).into(), plus_node: entry.plus_node },
-    };
-    Variable {
-        name: variable_name(entry),
-        data_type: entry.data_type,
-        access: match (entry.writable, entry.receive, entry.transmit) {
-            (false, ..) => Access::ReadOnly,
-            (true, true, false) => Access::ReadWriteOutput,
-            (true, false, true) => Access::ReadWriteInput,
-            (true, ..) => Access::ReadWrite,
-        },
-        default: (!measured && entry.data_type != DataType::Domain).then_some(default),
-        low: (entry.min != i64::MIN).then(|| number(entry.min)),
-        high: (entry.max != i64::MAX).then(|| number(entry.max)),
-        pdo_mapping: entry.receive || entry.transmit,
-        refuses_download: entry.volatile,
-        refuses_scan: false,
-        parameter: None,
+        })
     }
 }
 

@@ -5,12 +5,13 @@ use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE};
 use canopen::{Object, cob, nmt};
 use serial::epos4::Address;
 
-use super::{Epos4, objects::Objects};
+use super::Epos4;
+use crate::node::objects::Objects;
 
 impl Epos4 {
     /// Whether the device has booted and answers requests.
     pub(crate) fn has_booted(&self) -> bool {
-        self.boots_at.is_none()
+        self.node.has_booted()
     }
 
     /// Reads an object to the front of `into`, and returns the size of the object in bytes.
@@ -52,17 +53,17 @@ impl Epos4 {
         now: Instant,
         access: impl FnOnce(&mut Objects, Object) -> Result<R, AbortCode>,
     ) -> Result<R, AbortCode> {
-        if address.node != 0 && self.node.is_none_or(|own| own.raw() != address.node) {
+        if address.node != 0 && self.node.id.is_none_or(|own| own.raw() != address.node) {
             return Err(AbortCode::MAXON_NODE_ID);
         }
-        if !self.serving() {
+        if !self.node.serving() {
             return Err(AbortCode::MAXON_NMT_STATE);
         }
-        self.catch_up(now, false);
+        self.node.catch_up(now, false);
         let object = Object::new(address.index, address.subindex);
-        let result = access(&mut self.objects, object);
-        self.settle(now);
-        self.schedule();
+        let result = access(&mut self.node.objects, object);
+        self.node.settle(now);
+        self.node.schedule();
         result
     }
 
@@ -73,12 +74,12 @@ impl Epos4 {
         };
         let frame = Frame::new(cob::NMT, &[command, node]).expect("two bytes fit");
         let request = nmt::Request::decode(&frame).ok_or(AbortCode::MAXON_ILLEGAL_COMMAND)?;
-        if !self.node.is_some_and(|node| request.concerns(node)) {
+        if !self.node.id.is_some_and(|node| request.concerns(node)) {
             return Err(AbortCode::MAXON_NODE_ID);
         }
-        self.catch_up(now, false);
-        self.manage(request.command, now);
-        self.schedule();
+        self.node.catch_up(now, false);
+        self.node.manage(request.command, now);
+        self.node.schedule();
         Ok(())
     }
 }

@@ -10,6 +10,10 @@ mod process_data;
 mod standstill;
 mod storage;
 
+use std::time::Duration;
+
+use canopen::NodeId;
+
 use super::*;
 use crate::{AxisConfig, DeviceId, Irp6Axis, World};
 use can::timing::Bitrate;

@@ -1,5 +1,8 @@
 //! An emulated axis: motor, encoder, switches.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use thiserror::Error;
 
 use super::motor::{Motor, MotorConfig};
@@ -123,6 +126,21 @@ pub struct PlantAxis {
     trip: Option<Trip>,
     /// Sub-steps since the last step of the outer loops.
     phase: u32,
+    probe: Option<AngleProbe>,
+}
+
+/// The angle of a motor shaft, read by another device. Clones read the same shaft.
+///
+/// The angle is that of the last simulated sub-step. A drive that receives SYNC lags by up to a SYNC period, and a drive
+/// without any frame by up to 20 ms.
+#[derive(Clone, Debug)]
+pub struct AngleProbe(Arc<AtomicU64>);
+
+impl AngleProbe {
+    /// Angle of the motor shaft, rad.
+    pub fn angle(&self) -> f64 {
+        f64::from_bits(self.0.load(Ordering::Relaxed))
+    }
 }
 
 #[derive(Clone, Debug)]
@@ -162,6 +180,7 @@ impl PlantAxis {
             noise,
             trip: None,
             phase: 0,
+            probe: None,
         }
     }
 
@@ -195,6 +214,9 @@ impl PlantAxis {
         let angle = self.plant.angle();
         if let (Plant::Wut(_), Some(mount)) = (&self.plant, &self.mount) {
             mount.load(angle);
+        }
+        if let Some(AngleProbe(bits)) = &self.probe {
+            bits.store(angle.to_bits(), Ordering::Relaxed);
         }
         for contact in self.contacts.iter_mut().flatten() {
             contact.advance(angle, dt_steps, &mut self.noise);
@@ -253,6 +275,12 @@ impl PlantAxis {
     /// Returns the index latch and arms it again.
     pub fn take_index(&mut self) -> Option<i32> {
         self.encoder.latched.take()
+    }
+
+    /// A probe that follows the motor shaft. A clone of the axis moves the same probe.
+    pub fn probe(&mut self) -> AngleProbe {
+        let bits = self.plant.angle().to_bits();
+        self.probe.get_or_insert_with(|| AngleProbe(Arc::new(AtomicU64::new(bits)))).clone()
     }
 
     /// The true angle of the motor shaft, rad, which no drive can measure.

@@ -18,7 +18,7 @@ use controller::robot::{Arm, KinematicsError, Limits, Space};
 /// are those of MRROC++'s generators. With this jerk, the acceleration is reached in a tenth of a second.
 const JOINT_LIMITS: (f64, f64, f64) = (1.5, 7.0, 70.0);
 
-/// Fractions of a motor's limits of velocity and acceleration for plans. The cubics between macrosteps need up to 5/3
+/// Fractions of a motor's limits of velocity and acceleration for plans. The quintics between macrosteps need up to 5/3
 /// of a planned acceleration. A ball screw converts constant joint velocity to some motor acceleration.
 const PLANNED: (f64, f64) = (0.95, 0.5);
 

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use can::Instant;
 use servo::thread::{Finished, POWER_OFF_WAIT, Running};
-use servo::{Servo, StopRequest};
+use servo::{Servo, SpeedOverride, StopRequest};
 
 /// Requests to a run, from a signal handler or another thread.
 #[derive(Clone, Debug, Default)]
@@ -14,6 +14,8 @@ pub struct Requests {
     pub(super) stop: Arc<AtomicBool>,
     /// Set to keep the servo cycles around this moment (`--spikes`).
     pub spikes: Arc<AtomicBool>,
+    /// Speed of all motion: override, pause and resume.
+    pub speed: SpeedOverride,
     servo: Arc<Mutex<Option<StopRequest>>>,
 }
 

@@ -80,6 +80,9 @@ pub struct RunOptions {
     /// Where the bench is found.
     #[command(flatten)]
     pub places: Places,
+    /// Move at this percentage of the programmed speed: above 0, at most 100.
+    #[arg(long, value_name = "PERCENT")]
+    pub speed: Option<f64>,
     /// Write every frame to this file, as candump does.
     #[arg(long, value_name = "FILE")]
     pub trace: Option<PathBuf>,
@@ -119,6 +122,11 @@ pub fn run(
     if options.spikes.is_some() && options.bench == BenchKind::Lockstep {
         bail!("--spikes needs cycles by the clock, which --bench lockstep has none of");
     }
+    if let Some(percent) = options.speed {
+        let fraction = if percent > 0.0 { percent / 100.0 } else { f64::NAN };
+        let set = requests.speed.set(fraction);
+        set.map_err(|_| anyhow!("--speed is a percentage above 0 and at most 100, not {percent}"))?;
+    }
     rehearsal::rehearse(file, tasks)?;
     if options.trace.is_some() && file.cell.bus.is_empty() {
         streams::warn("--trace stays empty: it has the frames of CAN buses, and the cell has none");
@@ -133,6 +141,7 @@ pub fn run(
     let bench = Bench::open(file, options.bench, &options.places, options.trace.is_some())?;
     let groups = setup::drive_groups(file, bench.ports, bench.lines, None)?;
     let (mut servo, links) = Servo::new(&setup::servo_config(file), groups)?;
+    servo.follow_override(requests.speed.clone());
     outputs.begin()?;
     let lag = record.as_ref().map_or(RECORDS, |_| LOGGED_RECORDS);
     let axes = record.map(|sink| AxisLog::new(sink, file)).transpose();

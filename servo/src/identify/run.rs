@@ -69,6 +69,7 @@ impl Run {
             report_at: self.steps,
             position,
             velocity,
+            acceleration: None,
             torque: [0.0; MAX_AXES],
         })
     }

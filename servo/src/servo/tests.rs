@@ -6,6 +6,7 @@ mod limit_switches;
 mod motion;
 mod power;
 mod snapshots;
+mod speed;
 mod stops;
 mod weights;
 
@@ -129,7 +130,7 @@ impl Rig {
 
 fn macrostep(number: u64, steps: u16, position: f64, velocity: f64) -> Macrostep {
     let (position, velocity) = ([position; MAX_AXES], [velocity; MAX_AXES]);
-    Macrostep { number, steps, report_at: steps, position, velocity, torque: [0.0; MAX_AXES] }
+    Macrostep { number, steps, report_at: steps, position, velocity, acceleration: None, torque: [0.0; MAX_AXES] }
 }
 
 /// Checks that the first and second difference of a sequence exceed the limits by at most a thousandth.
@@ -163,6 +164,7 @@ fn control_sees_the_nominal_period_and_records_have_the_real_one() {
                     report_at: 5,
                     position: [0.1; MAX_AXES],
                     velocity: [0.0; MAX_AXES],
+                    acceleration: None,
                     torque: [0.0; MAX_AXES],
                 };
                 orders.push(Order::Move(macrostep)).unwrap();

@@ -243,6 +243,7 @@ fn run(
             report_at: 1,
             position: here,
             velocity: std::array::from_fn(|axis| (after[axis] - before[axis]) / (2.0 * DT)),
+            acceleration: None,
             torque: torques[point(k)],
         };
         running.link.orders.push(Order::Move(step)).unwrap();

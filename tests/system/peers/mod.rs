@@ -1,5 +1,5 @@
 //! Independent peers: python-canopen, zencan, canopen-rs, durand, can-utils and the kernel's own drivers on the buses,
-//! HdrHistogram for files, and pinocchio for robots.
+//! HdrHistogram for files, pinocchio for robots, and SciPy for splines.
 //!
 //! Independent implementations of the same standards do not share the errors of this project. `tests/run` installs the
 //! requirements of these tests in `target/peers`: the Python packages of the scripts in `tests/peers`, and the programs
@@ -8,6 +8,7 @@
 mod blocks;
 mod bodies;
 mod clients;
+mod digital_io;
 mod group;
 mod host;
 mod latency;
@@ -16,6 +17,7 @@ mod master;
 mod nodes;
 mod serial;
 mod slave;
+mod splines;
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -64,8 +66,13 @@ impl<'a> Bus<'a> {
         Self { interface: "slcan", channel: tty }
     }
 
-    /// A script on this bus, with the emulator's data sheet.
+    /// A script on this bus, with the emulated drive's data sheet.
     fn script(&self, python: &Path, name: &str) -> Command {
+        self.script_with(python, name, "epos4-emulated.eds")
+    }
+
+    /// A script on this bus, with a data sheet of `cells`.
+    fn script_with(&self, python: &Path, name: &str, sheet: &str) -> Command {
         let mut command = Command::new("timeout");
         command
             .args(["--signal=KILL", PATIENCE])
@@ -75,7 +82,7 @@ impl<'a> Bus<'a> {
             .args(["--interface", self.interface, "--channel"])
             .arg(self.channel)
             .arg("--eds")
-            .arg(mrroc::root().join("cells/epos4-emulated.eds"));
+            .arg(mrroc::root().join("cells").join(sheet));
         command
     }
 }

@@ -21,10 +21,8 @@ impl Generator for Ramp {
     }
     fn next_step(&self, step: &u32, _: &()) -> Result<Next<u32>, GeneratorError> {
         let velocity = self.distance / (50.0 * (10 * PERIOD).as_secs_f64());
-        let joints = AxesState {
-            position: axis_0(self.distance * f64::from(step + 1) / 50.0),
-            velocity: axis_0(if *step == 49 { self.last } else { velocity }),
-        };
+        let position = axis_0(self.distance * f64::from(step + 1) / 50.0);
+        let joints = AxesState::new(position, axis_0(if *step == 49 { self.last } else { velocity }));
         Ok(Next::command(Setpoint::Joints(joints), step + 1))
     }
 }

@@ -4,7 +4,7 @@ use super::*;
 
 #[test]
 fn what_a_generator_must_not_ask_for_is_refused_with_everything_at_rest() {
-    let there = |x: f64, v: f64| AxesState { position: axis_0(x), velocity: axis_0(v) };
+    let there = |x: f64, v: f64| AxesState::new(axis_0(x), axis_0(v));
     let pose = |x: f64| Setpoint::Pose {
         pose: Pose::translation(x, 0.0, 0.0),
         linear: Vector3::x(),

@@ -6,7 +6,7 @@ use super::*;
 
 /// Holds plans until the test computes them.
 #[derive(Clone, Default)]
-struct Held(Arc<Mutex<VecDeque<Plan>>>, Arc<Mutex<VecDeque<Plan>>>);
+pub(super) struct Held(Arc<Mutex<VecDeque<Plan>>>, Arc<Mutex<VecDeque<Plan>>>);
 
 impl Planner for Held {
     fn begin(&mut self, plan: Plan) {
@@ -20,13 +20,13 @@ impl Planner for Held {
 
 impl Held {
     /// Computes the oldest plan.
-    fn compute(&self) {
+    pub(super) fn compute(&self) {
         let mut plan = self.0.lock().unwrap().pop_front().unwrap();
         plan.compute();
         self.1.lock().unwrap().push_back(plan);
     }
 
-    fn on(bench: &mut Bench) -> Self {
+    pub(super) fn on(bench: &mut Bench) -> Self {
         let held = Self::default();
         bench.ecp.plan_with(Box::new(held.clone()));
         held

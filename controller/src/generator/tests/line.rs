@@ -51,21 +51,26 @@ fn aside(arm: &Arm, joints: &Axes, from: &Pose, to: &Pose) -> f64 {
     (offset - along * along.dot(&offset)).norm()
 }
 
-/// Largest distance from the line while motors follow cubics between the macrostep ends.
+/// Largest distance from the line while motors follow quintics between the macrostep ends.
 fn chord_error(arm: &Arm, states: &[AxesState], from: &Pose, to: &Pose) -> f64 {
+    const DT: f64 = 1e-4;
     let motors = |state: &AxesState| {
-        let at = |t: f64| arm.motors(&std::array::from_fn(|i| state.position[i] + state.velocity[i] * t)).unwrap();
-        let (behind, here, ahead) = (at(-1e-6), at(0.0), at(1e-6));
-        (here, Axes::from(std::array::from_fn(|i| (ahead[i] - behind[i]) / 2e-6)))
+        let push = state.acceleration.unwrap_or_default();
+        let joints = |t: f64| std::array::from_fn(|i| state.position[i] + t * (state.velocity[i] + t * push[i] / 2.0));
+        let [behind, here, ahead] = [-DT, 0.0, DT].map(|t| arm.motors(&joints(t)).unwrap());
+        let knot = |i: usize| Knot {
+            position: here[i],
+            velocity: (ahead[i] - behind[i]) / (2.0 * DT),
+            acceleration: (ahead[i] - 2.0 * here[i] + behind[i]) / (DT * DT),
+        };
+        std::array::from_fn::<_, { MAX_AXES }, _>(knot)
     };
     let mut worst: f64 = 0.0;
     for pair in states.windows(2) {
         let (start, end) = (motors(&pair[0]), motors(&pair[1]));
         for period in 1..10 {
             let u = f64::from(period) / 10.0;
-            let (h1, h2) = (u * u * (3.0 - 2.0 * u), MC * u * u * (u - 1.0));
-            let (h0, h3) = (1.0 - h1, MC * u * (1.0 - u) * (1.0 - u));
-            let between = std::array::from_fn(|i| h0 * start.0[i] + h1 * end.0[i] + h3 * start.1[i] + h2 * end.1[i]);
+            let between = std::array::from_fn(|i| quintic(start[i], end[i], MC, u).position);
             worst = worst.max(aside(arm, &arm.joints(&between).unwrap(), from, to));
         }
     }
@@ -75,12 +80,9 @@ fn chord_error(arm: &Arm, states: &[AxesState], from: &Pose, to: &Pose) -> f64 {
 fn check_limits(states: &[AxesState], limits: &MotionLimits, seed: u64) {
     for pair in states.windows(2) {
         for axis in 0..6 {
-            let from = (pair[0].position[axis], pair[0].velocity[axis]);
-            let to = (pair[1].position[axis], pair[1].velocity[axis]);
-            let (first, second) = cubic_accelerations(from, to);
-            assert!(cubic_speed(from, to) <= limits.max_velocity[axis] * 1.02, "seed {seed} {from:?} {to:?}");
-            let most = limits.max_acceleration[axis] * 1.05;
-            assert!(first.abs().max(second.abs()) <= most, "seed {seed} axis {axis} {first} {second}");
+            let (speed, push) = peaks(knot(&pair[0], axis), knot(&pair[1], axis));
+            assert!(speed <= limits.max_velocity[axis] * 1.02, "seed {seed} axis {axis} {speed}");
+            assert!(push <= limits.max_acceleration[axis] * 1.05, "seed {seed} axis {axis} {push}");
         }
     }
 }

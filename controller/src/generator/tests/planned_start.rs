@@ -105,10 +105,7 @@ fn bow(arm: &Arm, states: &[AxesState]) -> f64 {
 fn is_smooth(arm: &Arm, states: &[AxesState]) {
     for (number, pair) in states.windows(2).enumerate() {
         for axis in 0..arm.axes() {
-            let from = (pair[0].position[axis], pair[0].velocity[axis]);
-            let to = (pair[1].position[axis], pair[1].velocity[axis]);
-            let (first, second) = cubic_accelerations(from, to);
-            let most = first.abs().max(second.abs());
+            let (_, most) = peaks(knot(&pair[0], axis), knot(&pair[1], axis));
             assert!(most < 7.0 * 1.05, "step {number}, axis {axis}: {most}");
         }
         arm.motors(&pair[1].position).unwrap();

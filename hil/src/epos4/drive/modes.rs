@@ -6,13 +6,14 @@ use canopen::cia402::{Controlword, HomingMethod, ModeOfOperation, PowerState};
 use super::{Drive, Homing, POSITION_WINDOW};
 use crate::Demand;
 use crate::epos4::homing::{Progress, Search, Surroundings};
-use crate::epos4::objects::Objects;
 use crate::epos4::power::Brake;
 use crate::epos4::profile::{Limits, Motion};
-use crate::epos4::table::{Slot, slot};
+use crate::epos4::table::{slot, slot_of};
+use crate::node::objects::Objects;
+use crate::node::table::Slot;
 
-const OUTPUT_CURRENT_LIMIT: Slot = Slot::of(Object::new(0x3001, 2));
-const POSITION_WINDOW_TIME: Slot = Slot::of(Object::new(0x6068, 0));
+const OUTPUT_CURRENT_LIMIT: Slot = slot_of(Object::new(0x3001, 2));
+const POSITION_WINDOW_TIME: Slot = slot_of(Object::new(0x6068, 0));
 
 /// Speed, revolutions/s, below which an axis that brakes at its limits counts as standing.
 const STANDING: f64 = 0.1;

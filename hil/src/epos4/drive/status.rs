@@ -4,16 +4,17 @@ use canopen::Object;
 use canopen::cia402::{Controlword, HomingStatus, ModeOfOperation, Statusword};
 
 use super::{Drive, Homing, POSITION_WINDOW, modes::rated_torque, standstill::Window};
-use crate::epos4::objects::Objects;
-use crate::epos4::table::{Slot, slot};
+use crate::epos4::table::{slot, slot_of};
+use crate::node::objects::Objects;
+use crate::node::table::Slot;
 
-const POSITION_DEMAND: Slot = Slot::of(Object::new(0x6062, 0));
-const VELOCITY_DEMAND: Slot = Slot::of(Object::new(0x606B, 0));
-const CURRENT_AVERAGE: Slot = Slot::of(Object::new(0x30D1, 1));
-const INPUT_STATES: Slot = Slot::of(Object::new(0x3141, 1));
-const STANDSTILL_WINDOW: Slot = Slot::of(Object::new(0x30E0, 1));
-const STANDSTILL_WINDOW_TIME: Slot = Slot::of(Object::new(0x30E0, 2));
-const STANDSTILL_WINDOW_TIME_OUT: Slot = Slot::of(Object::new(0x30E0, 3));
+const POSITION_DEMAND: Slot = slot_of(Object::new(0x6062, 0));
+const VELOCITY_DEMAND: Slot = slot_of(Object::new(0x606B, 0));
+const CURRENT_AVERAGE: Slot = slot_of(Object::new(0x30D1, 1));
+const INPUT_STATES: Slot = slot_of(Object::new(0x3141, 1));
+const STANDSTILL_WINDOW: Slot = slot_of(Object::new(0x30E0, 1));
+const STANDSTILL_WINDOW_TIME: Slot = slot_of(Object::new(0x30E0, 2));
+const STANDSTILL_WINDOW_TIME_OUT: Slot = slot_of(Object::new(0x30E0, 3));
 
 impl Drive {
     /// Writes the readable values to the dictionary.

@@ -24,14 +24,14 @@ fn macrosteps_are_met_and_reported_and_end_in_standing() {
 #[test]
 fn a_queue_that_runs_dry_in_motion_brakes_and_faults() {
     let mut rig = Rig::standing(2);
-    rig.accelerate(500.0, 3, 1);
+    rig.accelerate(500.0, 3, 2);
     rig.run_until(Phase::Stopping);
-    assert_eq!(rig.cause(), Some(StopCause::Starved { last: 4 }));
+    assert_eq!(rig.cause(), Some(StopCause::Starved { last: 5 }));
     rig.run_until(Phase::Faulted);
     let positions = rig.positions(0);
     keeps_limits(&positions).unwrap();
     // 15 rad/s at 1000 rad/s²: 15 periods, the last of them without motion.
-    let end = positions.last().unwrap() - positions[39];
+    let end = positions.last().unwrap() - positions[49];
     assert!((end - 0.5 * 15.0 * 0.014).abs() < 1e-9, "{end}");
     assert_eq!(rig.last_sent(), [AxisCommand::Off; 2]);
 }
@@ -49,8 +49,8 @@ fn a_bad_macrostep_is_never_sent() {
         (with(|m| m.velocity[1] = f64::INFINITY), "NotFinite"),
         (with(|m| m.torque[1] = f64::NAN), "NotFinite"),
         (Macrostep { velocity: [f64::NAN; MAX_AXES], ..macrostep(1, 1, 0.0, 0.0) }, "NotFinite"),
-        (with(|m| m.velocity[1] = f64::MAX), "PositionLimit"),
-        (with(|m| m.position[1] = 0.1), "AccelerationLimit"),
+        (with(|m| m.velocity[1] = f64::MAX), "NotFinite"),
+        (with(|m| m.position[1] = 0.3), "AccelerationLimit"),
         (with(|m| m.position[1] = -1e6), "PositionLimit"),
         (with(|m| m.position[1] = -1e3), "VelocityLimit"),
         (with(|m| m.steps = 0), "Malformed"),

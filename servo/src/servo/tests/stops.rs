@@ -38,7 +38,7 @@ fn power_stays_on_until_the_motors_are_still_or_have_had_their_time() {
     for (velocity, cycles) in [(0.5, 1..=3), (50.0, 100..=104)] {
         let mut rig = Rig::standing(1);
         rig.accelerate(500.0, 2, 20);
-        rig.run(30);
+        rig.run(40);
         rig.order(Order::Disable);
         // 10 rad/s at 1000 rad/s²: ten set-points, after which the drive continues by itself.
         rig.run(10);

@@ -10,7 +10,7 @@ use can::{Frame, Instant, StandardId};
 use canopen::pdo::{Entry, PdoCobId, PdoKind, PdoNumber, TransmissionType};
 
 use super::append;
-use super::objects::{Objects, cob_id, map, mappable};
+use super::objects::Objects;
 use super::table::{MAPPED, Slot};
 
 /// The objects that the bytes of a PDO come from or go to.
@@ -23,11 +23,11 @@ struct Mapping {
 
 impl Mapping {
     fn read(kind: PdoKind, number: PdoNumber, objects: &Objects) -> Self {
-        let count = objects.u(map(kind, number, 0)) as usize;
+        let count = objects.u(objects.map(kind, number, 0)) as usize;
         let mut mapping = Self { entries: [(None, 0); MAPPED as usize], count, bytes: 0 };
         for sub in 1..=mapping.count {
-            let entry = Entry::from_raw(objects.u(map(kind, number, sub as u8)));
-            let slot = mappable(kind, entry).unwrap_or(None);
+            let entry = Entry::from_raw(objects.u(objects.map(kind, number, sub as u8)));
+            let slot = objects.mappable(kind, entry).unwrap_or(None);
             let bytes = usize::from(entry.bits / 8);
             mapping.entries[sub - 1] = (slot, bytes);
             mapping.bytes += bytes;
@@ -43,6 +43,15 @@ impl Mapping {
             at += bytes;
             Some((slot?, at - bytes..at))
         })
+    }
+
+    /// Numbers of which at least one changes with an event of a mapped object. A TPDO has at most 8 objects.
+    fn events(&self, objects: &Objects) -> [u32; 8] {
+        let mut events = [0; 8];
+        for (event, (slot, _)) in events.iter_mut().zip(self.places()) {
+            *event = objects.event(slot);
+        }
+        events
     }
 
     fn compose(&self, objects: &Objects) -> [u8; 8] {
@@ -65,12 +74,12 @@ impl Mapping {
 
 /// The identifier of a PDO; `None` if the PDO is switched off.
 fn identifier(kind: PdoKind, number: PdoNumber, objects: &Objects) -> Option<StandardId> {
-    let cob = PdoCobId(objects.u(cob_id(kind, number)));
+    let cob = PdoCobId(objects.u(objects.cob_id(kind, number)));
     cob.id().filter(|_| cob.is_valid())
 }
 
 /// Whether an RPDO is switched on, and whether its event timer runs.
-pub(super) fn watched(number: PdoNumber, objects: &Objects) -> (bool, bool) {
+pub(crate) fn watched(number: PdoNumber, objects: &Objects) -> (bool, bool) {
     let rpdo = Rpdo::read(number, objects);
     (rpdo.is_some(), rpdo.is_some_and(|rpdo| !rpdo.within.is_zero()))
 }
@@ -98,13 +107,14 @@ struct Tpdo {
     period: Duration,
     /// SYNCs since the last transmission.
     syncs: u8,
-    sent: Option<([u8; 8], Instant)>,
+    /// Events of the mapped objects at the last transmission, and its time.
+    sent: Option<([u32; 8], Instant)>,
     /// Whether a change waits for the end of the inhibit time.
     inhibited: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Reception {
+pub(crate) enum Reception {
     /// The frame is no RPDO of this node.
     Foreign,
     /// The RPDO of this number, from 0, waits for SYNC.
@@ -117,16 +127,16 @@ pub(super) enum Reception {
 
 /// The eight PDOs; `None` for a PDO that is switched off.
 #[derive(Clone, Debug)]
-pub(super) struct Pdos {
+pub(crate) struct Pdos {
     received: [Option<Rpdo>; 4],
     transmitted: [Option<Tpdo>; 4],
 }
 
 impl Pdos {
-    pub(super) const NONE: Self = Self { received: [None; 4], transmitted: [None; 4] };
+    pub(crate) const NONE: Self = Self { received: [None; 4], transmitted: [None; 4] };
 
     /// PDOs with the parameters of the dictionary, without waiting data and before the first transmission.
-    pub(super) fn read(objects: &Objects) -> Self {
+    pub(crate) fn read(objects: &Objects) -> Self {
         Self {
             received: PdoNumber::ALL.map(|number| Rpdo::read(number, objects)),
             transmitted: PdoNumber::ALL.map(|number| Tpdo::read(number, objects)),
@@ -134,7 +144,7 @@ impl Pdos {
     }
 
     /// Applies the parameters of one PDO. Its counts, times and data stay unless its identifier changes.
-    pub(super) fn update(&mut self, kind: PdoKind, number: PdoNumber, objects: &Objects) {
+    pub(crate) fn update(&mut self, kind: PdoKind, number: PdoNumber, objects: &Objects) {
         let at = usize::from(number.offset());
         match kind {
             PdoKind::Rpdo => {
@@ -162,7 +172,7 @@ impl Pdos {
     }
 
     /// Takes a frame if the frame is an RPDO of this node.
-    pub(super) fn receive(&mut self, id: StandardId, data: &[u8], objects: &mut Objects, now: Instant) -> Reception {
+    pub(crate) fn receive(&mut self, id: StandardId, data: &[u8], objects: &mut Objects, now: Instant) -> Reception {
         let Some((number, rpdo)) = self.rpdos().find(|(_, rpdo)| rpdo.id == id) else {
             return Reception::Foreign;
         };
@@ -181,24 +191,23 @@ impl Pdos {
     }
 
     /// SYNC, first half: sends the synchronous TPDOs that are due.
-    pub(super) fn sample(&mut self, objects: &Objects, now: Instant, queue: &mut VecDeque<Frame>) {
+    pub(crate) fn sample(&mut self, objects: &Objects, now: Instant, queue: &mut VecDeque<Frame>) {
         let transmitted = self.transmitted.iter_mut().flatten();
         for tpdo in transmitted.filter(|tpdo| tpdo.transmission.is_synchronous()) {
             tpdo.syncs = tpdo.syncs.saturating_add(1);
-            let data = tpdo.mapping.compose(objects);
             let due = match tpdo.transmission.cycle() {
                 Some(cycle) => tpdo.syncs >= cycle,
-                None => tpdo.sent.is_none_or(|(sent, _)| sent != data),
+                None => tpdo.sent.is_none_or(|(sent, _)| sent != tpdo.mapping.events(objects)),
             };
             if due {
                 tpdo.syncs = 0;
-                tpdo.send(data, now, queue);
+                tpdo.send(objects, now, queue);
             }
         }
     }
 
     /// SYNC, second half: waiting RPDOs take effect.
-    pub(super) fn take_effect(&mut self, objects: &mut Objects) {
+    pub(crate) fn take_effect(&mut self, objects: &mut Objects) {
         for rpdo in self.received.iter_mut().flatten() {
             if let Some(data) = rpdo.waiting.take() {
                 rpdo.mapping.spread(&data, objects);
@@ -206,30 +215,29 @@ impl Pdos {
         }
     }
 
-    /// Sends the event-driven TPDOs whose content changed or whose timer expired, except during the inhibit time.
-    pub(super) fn events(&mut self, objects: &Objects, now: Instant, queue: &mut VecDeque<Frame>) {
+    /// Sends the event-driven TPDOs whose objects had an event or whose timer expired, except during the inhibit time.
+    pub(crate) fn events(&mut self, objects: &Objects, now: Instant, queue: &mut VecDeque<Frame>) {
         let transmitted = self.transmitted.iter_mut().flatten();
         for tpdo in transmitted.filter(|tpdo| !tpdo.transmission.is_synchronous()) {
-            let data = tpdo.mapping.compose(objects);
             let due = match tpdo.sent {
                 None => true,
                 Some((sent, at)) => {
-                    tpdo.inhibited = sent != data;
+                    tpdo.inhibited = sent != tpdo.mapping.events(objects);
                     tpdo.due(at).is_some_and(|due| due <= now)
                 }
             };
             if due {
-                tpdo.send(data, now, queue);
+                tpdo.send(objects, now, queue);
             }
         }
     }
 
-    pub(super) fn event_driven(&self) -> bool {
+    pub(crate) fn event_driven(&self) -> bool {
         self.event_driven_tpdos().next().is_some()
     }
 
     /// Time at which an event timer of either direction expires, or an inhibit time that delays a change.
-    pub(super) fn poll_timeout(&self) -> Option<Instant> {
+    pub(crate) fn poll_timeout(&self) -> Option<Instant> {
         let deadlines = self.received.iter().flatten().filter_map(Rpdo::deadline);
         let events = self.event_driven_tpdos().filter_map(|tpdo| {
             let (_, at) = tpdo.sent?;
@@ -244,7 +252,7 @@ impl Pdos {
     }
 
     /// Number of an overdue RPDO, from 0, whose timer restarts with the next reception. Called until `None`.
-    pub(super) fn overdue(&mut self, now: Instant) -> Option<usize> {
+    pub(crate) fn overdue(&mut self, now: Instant) -> Option<usize> {
         let overdue = |rpdo: &Rpdo| rpdo.deadline().is_some_and(|at| at <= now);
         let (number, rpdo) = self.rpdos().find(|(_, rpdo)| overdue(rpdo))?;
         rpdo.received = None;
@@ -259,7 +267,7 @@ impl Pdos {
 
 impl Rpdo {
     fn read(number: PdoNumber, objects: &Objects) -> Option<Self> {
-        let cob = cob_id(PdoKind::Rpdo, number);
+        let cob = objects.cob_id(PdoKind::Rpdo, number);
         Some(Self {
             id: identifier(PdoKind::Rpdo, number, objects)?,
             synchronous: TransmissionType(objects.u(cob.plus(1)) as u8).is_synchronous(),
@@ -278,7 +286,7 @@ impl Rpdo {
 
 impl Tpdo {
     fn read(number: PdoNumber, objects: &Objects) -> Option<Self> {
-        let cob = cob_id(PdoKind::Tpdo, number);
+        let cob = objects.cob_id(PdoKind::Tpdo, number);
         Some(Self {
             id: identifier(PdoKind::Tpdo, number, objects)?,
             transmission: TransmissionType(objects.u(cob.plus(1)) as u8),
@@ -298,8 +306,9 @@ impl Tpdo {
         Some(at + event?.max(self.inhibit))
     }
 
-    fn send(&mut self, data: [u8; 8], now: Instant, queue: &mut VecDeque<Frame>) {
-        self.sent = Some((data, now));
+    fn send(&mut self, objects: &Objects, now: Instant, queue: &mut VecDeque<Frame>) {
+        let data = self.mapping.compose(objects);
+        self.sent = Some((self.mapping.events(objects), now));
         self.inhibited = false;
         let frame = Frame::new(self.id, &data[..self.mapping.bytes.min(8)]);
         append(queue, frame.expect("a mapping has at most 8 bytes"));

@@ -1,7 +1,5 @@
 //! Supervision of the communication: begin and end of its errors, and the reaction of the node.
 
-use std::time::Duration;
-
 use can::{Frame, Instant, StandardId};
 use canopen::emcy::{Emergency, ErrorRegister};
 use canopen::nmt;
@@ -9,30 +7,27 @@ use canopen::pdo::{PdoKind, PdoNumber};
 
 use super::errors::{self, Error};
 use super::pdo::{self, Reception};
-use super::{Epos4, heartbeats, table::slot};
+use super::{Application, Node, heartbeats};
 
-impl Epos4 {
-    /// Handles an error. The drive reacts each time. EMCY announces an error once while the error is present.
-    pub(super) fn fail(&mut self, error: Error) {
+impl<A: Application> Node<A> {
+    /// Handles an error. The application reacts each time. EMCY announces an error once while the error is present.
+    pub(crate) fn fail(&mut self, error: Error) {
         self.errors.raise(error, &mut self.objects);
         self.announce();
-        self.drive.react(error, &self.objects);
-        self.drive.publish(&mut self.objects, 0.0);
+        self.application.react(error, &mut self.objects);
     }
 
-    /// Handles the end of the connection by the master, which is an error if object 0x6007 makes a fault of it.
-    pub(super) fn end_connection(&mut self) {
-        if self.objects.i(slot!(ABORT_CONNECTION_OPTION)) == 1 && !self.drive.faulted() {
-            self.fail(errors::CONNECTION_ENDED);
-        } else {
-            self.drive.abort_connection(&self.objects);
+    /// Handles the end of the connection by the master, which is an error for some applications.
+    pub(crate) fn end_connection(&mut self) {
+        if let Some(error) = self.application.end_connection(&mut self.objects) {
+            self.fail(error);
         }
     }
 
     /// Handles a communication error. Object 0x1029 determines the change of the NMT state.
-    pub(super) fn lose_contact(&mut self, error: Error, now: Instant) {
+    pub(crate) fn lose_contact(&mut self, error: Error, now: Instant) {
         self.fail(error);
-        let to = match self.objects.u(slot!(ERROR_BEHAVIOUR)) {
+        let to = match self.objects.u(self.objects.communication.error_behaviour) {
             0 if self.objects.nmt == nmt::NmtState::Operational => nmt::NmtState::PreOperational,
             2 => nmt::NmtState::Stopped,
             _ => return,
@@ -41,55 +36,54 @@ impl Epos4 {
     }
 
     /// Ends a communication error when the missing frame is received. A fault keeps the error until a reset.
-    pub(super) fn regain(&mut self, error: Error) {
-        if self.errors.any() && !self.drive.faulted() {
+    pub(crate) fn regain(&mut self, error: Error) {
+        if self.errors.any() && !self.application.faulted() {
             self.clear(|present| present == error);
         }
     }
 
-    pub(super) fn clear(&mut self, gone: impl Fn(Error) -> bool) {
+    pub(crate) fn clear(&mut self, gone: impl Fn(Error) -> bool) {
         self.errors.clear(&mut self.objects, gone);
         self.announce();
     }
 
     /// Fault reset: ends every error except the loss of a node that still sends no heartbeat.
-    pub(super) fn reset_fault(&mut self) {
+    pub(crate) fn reset_fault(&mut self) {
         let consumers = self.consumers;
         let silent = |error, number| consumers.lost(number) && error == errors::HEARTBEAT.of(number);
         self.clear(|error| !(0..heartbeats::ENTRIES).any(|number| silent(error, number)));
     }
 
-    /// Sends the EMCYs that are due, unless the NMT state forbids them. Forbidden EMCYs are sent later.
-    pub(super) fn announce(&mut self) {
-        let Some(node) = self.node.filter(|_| self.serving()) else {
+    /// Sends the EMCYs that are due, unless the NMT state or the inhibit time forbids them. Forbidden EMCYs are sent
+    /// later.
+    pub(crate) fn announce(&mut self) {
+        let Some(node) = self.id.filter(|_| self.serving()) else {
             return;
         };
-        while let Some(code) = self.errors.announce() {
-            let error_register = ErrorRegister(self.objects.u(slot!(ERROR_REGISTER)) as u8);
+        while self.emergency_at <= self.now
+            && let Some(code) = self.errors.announce()
+        {
+            self.emergency_at = self.now + self.objects.emergency_inhibit();
+            let error_register = ErrorRegister(self.objects.u(self.objects.communication.error_register) as u8);
             self.send(Emergency { node, code, error_register, vendor: [0; 5] }.encode());
         }
     }
 
-    pub(super) fn heartbeat_period(&self) -> Option<Duration> {
-        let period = Duration::from_millis(u64::from(self.objects.u(slot!(PRODUCER_HEARTBEAT))));
-        (!period.is_zero()).then_some(period)
-    }
-
     /// Applies a write to object 0x1017: heartbeats begin at once (CiA 301 §7.2.8.3.2.2), or end.
-    pub(super) fn start_heartbeat(&mut self, now: Instant) {
-        self.heartbeat_at = self.heartbeat_period().map(|_| now);
+    pub(crate) fn start_heartbeat(&mut self, now: Instant) {
+        self.heartbeat_at = self.objects.heartbeat_period().map(|_| now);
         self.produce_heartbeat(now);
     }
 
-    pub(super) fn produce_heartbeat(&mut self, now: Instant) {
+    pub(crate) fn produce_heartbeat(&mut self, now: Instant) {
         if let Some(at) = self.heartbeat_at.filter(|at| *at <= now) {
             self.send_heartbeat(self.objects.nmt);
-            self.heartbeat_at = self.heartbeat_period().map(|period| at + period);
+            self.heartbeat_at = self.objects.heartbeat_period().map(|period| at + period);
         }
     }
 
     /// Applies a write to object 0x1016. The loss of a node that is no longer monitored ends.
-    pub(super) fn read_consumers(&mut self) {
+    pub(crate) fn read_consumers(&mut self) {
         let ended = self.consumers.read(&self.objects);
         for (number, _) in ended.into_iter().enumerate().filter(|(_, ended)| *ended) {
             self.regain(errors::HEARTBEAT.of(number));
@@ -97,7 +91,7 @@ impl Epos4 {
     }
 
     /// A SYNC has no data, since there is no object 0x1019 (CiA 301 §7.5.2.22).
-    pub(super) fn hear_sync(&mut self, frame: &Frame, now: Instant) {
+    pub(crate) fn hear_sync(&mut self, frame: &Frame, now: Instant) {
         if frame.data().is_empty() {
             self.regain(errors::SYNC_LENGTH);
             self.synchronise(now);
@@ -107,7 +101,7 @@ impl Epos4 {
         }
     }
 
-    pub(super) fn receive_pdo(&mut self, id: StandardId, data: &[u8], now: Instant) -> bool {
+    pub(crate) fn receive_pdo(&mut self, id: StandardId, data: &[u8], now: Instant) -> bool {
         match self.pdos.receive(id, data, &mut self.objects, now) {
             Reception::Foreign => return false,
             Reception::Waiting(number) => self.regain_pdo(number),
@@ -124,13 +118,13 @@ impl Epos4 {
         true
     }
 
-    pub(super) fn regain_pdo(&mut self, number: usize) {
+    pub(crate) fn regain_pdo(&mut self, number: usize) {
         self.regain(errors::RPDO_TIME_OUT.of(number));
         self.regain(errors::PDO_LENGTH.of(number));
     }
 
     /// Applies a write to a parameter of a PDO. Errors of an RPDO end when the RPDO or its timer is switched off.
-    pub(super) fn update_pdo(&mut self, kind: PdoKind, number: PdoNumber) {
+    pub(crate) fn update_pdo(&mut self, kind: PdoKind, number: PdoNumber) {
         if self.objects.nmt == nmt::NmtState::Operational {
             self.pdos.update(kind, number, &self.objects);
         }

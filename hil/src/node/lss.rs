@@ -14,15 +14,15 @@
 
 use canopen::NodeId;
 use canopen::lss::{BitRate, Bound, CIA_TABLE, FASTSCAN_RESET, Fastscan, Mode, Outcome, Part, Response, UNCONFIGURED};
-pub(super) use canopen::lss::{Identity, Request};
+pub(crate) use canopen::lss::{Identity, Request};
 
 /// State of the slave, without the node-ID in use.
 #[derive(Clone, Debug)]
-pub(super) struct Lss {
+pub(crate) struct Lss {
     identity: Identity,
     mode: Mode,
     /// The node-ID after the next reset of the communication.
-    pub(super) pending: Option<NodeId>,
+    pub(crate) pending: Option<NodeId>,
     /// The node-ID after the next reset of the node.
     stored: Option<NodeId>,
     /// Number of matching identity numbers in the present switch selective, in their order.
@@ -33,11 +33,11 @@ pub(super) struct Lss {
     scanned: u8,
     /// Whether a unit without a node-ID was assigned a node-ID and has gone back to waiting. The unit must then start
     /// with the pending node-ID.
-    pub(super) given: bool,
+    pub(crate) given: bool,
 }
 
 impl Lss {
-    pub(super) fn new(node: Option<NodeId>, identity: Identity) -> Self {
+    pub(crate) fn new(node: Option<NodeId>, identity: Identity) -> Self {
         Self {
             identity,
             mode: Mode::Waiting,
@@ -51,17 +51,17 @@ impl Lss {
     }
 
     /// Handles a reset of the communication.
-    pub(super) fn wait(&mut self) {
+    pub(crate) fn wait(&mut self) {
         *self = Self { pending: self.pending, stored: self.stored, ..Self::new(None, self.identity) };
     }
 
     /// Handles a reset of the node: unstored settings are lost.
-    pub(super) fn restart(&mut self) {
+    pub(crate) fn restart(&mut self) {
         self.pending = self.stored;
     }
 
     /// Handles a request, and returns the answer of this unit, if any. `active` is the unit's node-ID in use.
-    pub(super) fn handle(&mut self, request: Request, active: Option<NodeId>) -> Option<Response> {
+    pub(crate) fn handle(&mut self, request: Request, active: Option<NodeId>) -> Option<Response> {
         let configures = self.mode == Mode::Configuration;
         match request {
             Request::SwitchGlobal(mode) => {

@@ -9,20 +9,20 @@ use std::time::Duration;
 use can::Instant;
 use canopen::NodeId;
 
-use super::{objects::Objects, table::slot};
+use super::objects::Objects;
 
 /// Number of entries of the object.
-pub(super) const ENTRIES: usize = 2;
+pub(crate) const ENTRIES: usize = 2;
 
 /// The node-ID and the time of an entry; `None` for an unused entry.
-pub(super) fn watched(entry: u32) -> Option<(NodeId, Duration)> {
+pub(crate) fn watched(entry: u32) -> Option<(NodeId, Duration)> {
     let within = Duration::from_millis(u64::from(entry & 0xFFFF));
     let node = NodeId::new((entry >> 16) as u8)?;
     (!within.is_zero()).then_some((node, within))
 }
 
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Consumers([Consumer; ENTRIES]);
+pub(crate) struct Consumers([Consumer; ENTRIES]);
 
 #[derive(Clone, Copy, Debug, Default)]
 struct Consumer {
@@ -34,10 +34,10 @@ struct Consumer {
 
 impl Consumers {
     /// Applies the object. Returns the entries whose node was lost and is no longer monitored.
-    pub(super) fn read(&mut self, objects: &Objects) -> [bool; ENTRIES] {
+    pub(crate) fn read(&mut self, objects: &Objects) -> [bool; ENTRIES] {
         std::array::from_fn(|number| {
             let consumer = &mut self.0[number];
-            let watched = watched(objects.u(slot!(CONSUMER_HEARTBEAT_1).plus(number as u16)));
+            let watched = watched(objects.consumer(number));
             let same = |node: Option<(NodeId, Duration)>| node.map(|(node, _)| node);
             if same(consumer.watched) == same(watched) {
                 consumer.watched = watched;
@@ -50,7 +50,7 @@ impl Consumers {
     }
 
     /// Takes a heartbeat. Returns the entry of a node that was lost until now.
-    pub(super) fn hear(&mut self, node: NodeId, now: Instant) -> Option<usize> {
+    pub(crate) fn hear(&mut self, node: NodeId, now: Instant) -> Option<usize> {
         let watches = |consumer: &Consumer| consumer.watched.is_some_and(|(of, _)| of == node);
         let number = self.0.iter().position(watches)?;
         let consumer = &mut self.0[number];
@@ -59,19 +59,19 @@ impl Consumers {
     }
 
     /// Returns an entry whose node is lost from now on. Called until the result is `None`.
-    pub(super) fn expire(&mut self, now: Instant) -> Option<usize> {
+    pub(crate) fn expire(&mut self, now: Instant) -> Option<usize> {
         let overdue = |consumer: &Consumer| consumer.deadline().is_some_and(|at| at <= now);
         let number = self.0.iter().position(overdue)?;
         self.0[number].lost = true;
         Some(number)
     }
 
-    pub(super) fn lost(&self, number: usize) -> bool {
+    pub(crate) fn lost(&self, number: usize) -> bool {
         self.0[number].lost
     }
 
     /// Time at which the next node counts as lost.
-    pub(super) fn poll_timeout(&self) -> Option<Instant> {
+    pub(crate) fn poll_timeout(&self) -> Option<Instant> {
         self.0.iter().filter_map(Consumer::deadline).min()
     }
 }

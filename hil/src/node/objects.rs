@@ -4,76 +4,131 @@
 //! each request and each PDO. The rules of re-mapping a PDO (CiA 301 §7.5.2.36, §7.5.2.38) are enforced here:
 //! COB-ID off (bit 31), count to 0, entries, count, COB-ID on. Stored values live as long as the emulator.
 
-use canopen::cia402::{HomingMethod, ModeOfOperation, SupportedModes};
+use std::borrow::Cow;
+use std::time::Duration;
+
 use canopen::pdo::{Entry as MapEntry, PdoCobId, PdoKind, PdoNumber};
 use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE};
 use canopen::{NodeId, Object, cob, eds::DataType, nmt, objects as named};
 
 use super::heartbeats::{ENTRIES, watched};
-use super::table::{ROWS, Slot, TABLE, slot};
+use super::table::{Entry, Slot};
 
 /// "save", the password of object 0x1010.
 const SAVE: u32 = 0x6576_6173;
 /// "load", the password of object 0x1011.
 const LOAD: u32 = 0x6461_6F6C;
 /// Capacity of object 0x1003, errors.
-pub(super) const HISTORY: u16 = 5;
+pub(crate) const HISTORY: u16 = 5;
 
 /// Changes by writes since the device last evaluated them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Changes {
-    pub(super) controlword: bool,
-    pub(super) mode: bool,
-    /// A set-point of a cyclic mode.
-    pub(super) setpoint: bool,
+pub(crate) struct Changes {
+    /// Marks of the written objects of the application, see [`Entry::marks`].
+    pub(crate) marks: u8,
     /// Parameters of RPDOs and of TPDOs, by number.
-    pub(super) received: [bool; 4],
-    pub(super) transmitted: [bool; 4],
+    pub(crate) received: [bool; 4],
+    pub(crate) transmitted: [bool; 4],
     /// The time of the node's own heartbeat.
-    pub(super) producer: bool,
+    pub(crate) producer: bool,
     /// The nodes whose heartbeats are watched.
-    pub(super) consumers: bool,
+    pub(crate) consumers: bool,
+}
+
+/// Slots of the communication objects that the node itself uses.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Communication {
+    pub(crate) error_register: Slot,
+    history_count: Slot,
+    /// Object 0x603F, which only a drive has.
+    pub(crate) error_code: Option<Slot>,
+    /// The first entry of object 0x1016.
+    consumers: Slot,
+    producer: Slot,
+    pub(crate) error_behaviour: Slot,
+    /// Object 0x1015, in units of 100 µs.
+    emergency_inhibit: Option<Slot>,
+}
+
+impl Communication {
+    fn of(table: &[Entry]) -> Self {
+        let find = |object| Slot::find(table, object);
+        Self {
+            error_register: Slot::of(table, named::ERROR_REGISTER),
+            history_count: Slot::of(table, named::ERROR_HISTORY_COUNT),
+            error_code: find(named::ERROR_CODE),
+            consumers: Slot::of(table, named::CONSUMER_HEARTBEAT_1),
+            producer: Slot::of(table, named::PRODUCER_HEARTBEAT),
+            error_behaviour: Slot::of(table, named::ERROR_BEHAVIOUR),
+            emergency_inhibit: find(Object::new(0x1015, 0)),
+        }
+    }
 }
 
 #[derive(Clone, Debug)]
-pub(super) struct Objects {
-    values: [u32; ROWS],
+pub(crate) struct Objects {
+    /// The rows, in ascending order.
+    table: Cow<'static, [Entry]>,
+    pub(crate) communication: Communication,
+    values: Box<[u32]>,
     /// Values that a reset restores.
-    stored: Box<[u32; ROWS]>,
+    stored: Box<[u32]>,
     /// Factory values with this unit's identity.
-    factory: Box<[u32; ROWS]>,
+    factory: Box<[u32]>,
+    /// Numbers of events of the objects whose events the application counts.
+    events: Box<[u32]>,
     /// The only object of type DOMAIN.
     domain: Vec<u8>,
-    pub(super) nmt: nmt::NmtState,
-    pub(super) changes: Changes,
+    pub(crate) nmt: nmt::NmtState,
+    pub(crate) changes: Changes,
 }
 
 impl Objects {
     /// Factory values. `identity` holds the values that differ from unit to unit.
     ///
     /// Without a node-ID, COB-IDs are set by [`Objects::rename`].
-    pub(super) fn new(node: Option<NodeId>, identity: &[(Slot, u32)]) -> Self {
+    pub(crate) fn new(table: Cow<'static, [Entry]>, node: Option<NodeId>, identity: &[(Slot, u32)]) -> Self {
         let raw = node.map_or(0, |node| u32::from(node.raw()));
-        let mut factory = [0; ROWS];
-        for (value, entry) in factory.iter_mut().zip(&TABLE) {
-            *value = entry.default + u32::from(entry.plus_node) * raw;
-        }
+        let values = table.iter().map(|entry| entry.default + u32::from(entry.plus_node) * raw);
+        let mut factory: Box<[u32]> = values.collect();
         for &(slot, value) in identity {
             factory[slot.row()] = value;
         }
         Self {
+            communication: Communication::of(&table),
             domain: factory_domain(),
-            values: factory,
-            stored: Box::new(factory),
-            factory: Box::new(factory),
+            values: factory.clone(),
+            stored: factory.clone(),
+            events: vec![0; factory.len()].into(),
+            factory,
+            table,
             nmt: nmt::NmtState::Initialising,
             changes: Changes::default(),
         }
     }
 
+    /// The slot of an object received in a frame.
+    pub(crate) fn find(&self, object: Object) -> Option<Slot> {
+        Slot::find(&self.table, object)
+    }
+
+    fn entry(&self, slot: Slot) -> &Entry {
+        &self.table[slot.row()]
+    }
+
+    fn locate(&self, object: Object) -> Result<Slot, AbortCode> {
+        self.find(object).ok_or_else(|| {
+            if self.table.iter().any(|entry| entry.object.index == object.index) {
+                AbortCode::NO_SUBINDEX
+            } else {
+                AbortCode::NO_OBJECT
+            }
+        })
+    }
+
     /// Restores stored values: those below 0x2000, or all.
-    pub(super) fn reset(&mut self, all: bool) {
-        for (row, entry) in TABLE.iter().enumerate() {
+    pub(crate) fn reset(&mut self, all: bool) {
+        for (row, entry) in self.table.iter().enumerate() {
             if all || entry.object.index < 0x2000 {
                 self.values[row] = self.stored[row];
             }
@@ -85,8 +140,8 @@ impl Objects {
     }
 
     /// Recalculates the COB-IDs for a node-ID, except COB-IDs that were stored otherwise.
-    pub(super) fn rename(&mut self, node: NodeId) {
-        for (row, entry) in TABLE.iter().enumerate().filter(|(_, entry)| entry.plus_node) {
+    pub(crate) fn rename(&mut self, node: NodeId) {
+        for (row, entry) in self.table.iter().enumerate().filter(|(_, entry)| entry.plus_node) {
             let factory = entry.default + u32::from(node.raw());
             if self.stored[row] == self.factory[row] {
                 self.stored[row] = factory;
@@ -96,85 +151,94 @@ impl Objects {
     }
 
     /// An unsigned value.
-    pub(super) fn u(&self, slot: Slot) -> u32 {
+    pub(crate) fn u(&self, slot: Slot) -> u32 {
         self.values[slot.row()]
     }
 
     /// A signed value.
-    pub(super) fn i(&self, slot: Slot) -> i32 {
+    pub(crate) fn i(&self, slot: Slot) -> i32 {
         self.values[slot.row()] as i32
     }
 
     /// A value as a number for formulas.
-    pub(super) fn f(&self, slot: Slot) -> f64 {
-        slot.entry().number(self.u(slot)) as f64
+    pub(crate) fn f(&self, slot: Slot) -> f64 {
+        self.entry(slot).number(self.u(slot)) as f64
+    }
+
+    /// Counts an event of an object, see [`Entry::counts_events`].
+    pub(crate) fn count_event(&mut self, slot: Slot) {
+        let events = &mut self.events[slot.row()];
+        *events = events.wrapping_add(1);
+    }
+
+    /// A number whose change is an event of the object: the value, or the number of events counted by the application.
+    pub(crate) fn event(&self, slot: Slot) -> u32 {
+        if self.entry(slot).counts_events { self.events[slot.row()] } else { self.u(slot) }
+    }
+
+    /// Object 0x1016: node-ID and time of consumer `number`, counted from 0.
+    pub(crate) fn consumer(&self, number: usize) -> u32 {
+        self.u(self.communication.consumers.plus(number as u16))
+    }
+
+    /// Object 0x1017; `None` if the node produces no heartbeat.
+    pub(crate) fn heartbeat_period(&self) -> Option<Duration> {
+        let period = Duration::from_millis(u64::from(self.u(self.communication.producer)));
+        (!period.is_zero()).then_some(period)
+    }
+
+    /// Object 0x1015: shortest time between two EMCYs.
+    pub(crate) fn emergency_inhibit(&self) -> Duration {
+        let units = self.communication.emergency_inhibit.map_or(0, |slot| self.u(slot));
+        Duration::from_micros(100 * u64::from(units))
     }
 
     /// Sets a value from inside the device, without any check.
-    pub(super) fn set(&mut self, slot: Slot, value: u32) {
+    pub(crate) fn set(&mut self, slot: Slot, value: u32) {
         self.values[slot.row()] = value;
     }
 
     /// Writes a value received in a PDO. A value outside its limits is ignored.
-    pub(super) fn receive(&mut self, slot: Slot, bytes: [u8; 4]) {
-        let entry = slot.entry();
+    pub(crate) fn receive(&mut self, slot: Slot, bytes: [u8; 4]) {
+        let entry = self.entry(slot);
         let value = entry.decode(bytes);
-        if entry.allows(value) && (entry.object != named::MODE_OF_OPERATION || supported(value)) {
+        if entry.allows(value) {
             self.assign(slot, value);
         }
     }
 
     /// Stores an error as the newest entry of the history.
-    pub(super) fn push_history(&mut self, code: u16) {
-        const COUNT: Slot = slot!(ERROR_HISTORY_COUNT);
+    pub(crate) fn push_history(&mut self, code: u16) {
+        let count_slot = self.communication.history_count;
         for sub in (1..HISTORY).rev() {
-            let older = self.u(COUNT.plus(sub));
-            self.set(COUNT.plus(sub + 1), older);
+            let older = self.u(count_slot.plus(sub));
+            self.set(count_slot.plus(sub + 1), older);
         }
-        self.set(COUNT.plus(1), u32::from(code));
-        let count = (self.u(COUNT) + 1).min(u32::from(HISTORY));
-        self.set(COUNT, count);
+        self.set(count_slot.plus(1), u32::from(code));
+        let count = (self.u(count_slot) + 1).min(u32::from(HISTORY));
+        self.set(count_slot, count);
     }
 
     fn assign(&mut self, slot: Slot, value: u32) {
         self.set(slot, value);
-        let object = slot.entry().object;
+        let Entry { object, alias, marks, .. } = *self.entry(slot);
+        if let Some(alias) = alias.and_then(|alias| self.find(alias)) {
+            self.set(alias, value);
+        }
         let changes = &mut self.changes;
-        match object {
-            named::CONTROLWORD => changes.controlword = true,
-            named::MODE_OF_OPERATION => changes.mode = true,
-            named::TARGET_POSITION | named::TARGET_VELOCITY | named::TARGET_TORQUE => {
-                changes.setpoint = true;
-            }
-            // One object has two addresses, CiA's and maxon's.
-            named::HOME_OFFSET => self.set(slot!(EPOS4_HOME_OFFSET_MOVE), value),
-            named::EPOS4_HOME_OFFSET_MOVE => self.set(slot!(HOME_OFFSET), value),
-            _ => match object.index {
-                0x1400..=0x17FF => changes.received[usize::from(object.index & 3)] = true,
-                0x1800..=0x1BFF => changes.transmitted[usize::from(object.index & 3)] = true,
-                0x1016 => changes.consumers = true,
-                0x1017 => changes.producer = true,
-                _ => {}
-            },
+        changes.marks |= marks;
+        match object.index {
+            0x1400..=0x17FF => changes.received[usize::from(object.index & 3)] = true,
+            0x1800..=0x1BFF => changes.transmitted[usize::from(object.index & 3)] = true,
+            0x1016 => changes.consumers = true,
+            0x1017 => changes.producer = true,
+            _ => {}
         }
     }
 
     /// Checks that forbid writing `value`, beyond access, length and limits.
     fn refuse(&mut self, slot: Slot, value: u32) -> Result<(), AbortCode> {
-        let object = slot.entry().object;
-        let in_range = match object {
-            named::ERROR_HISTORY_COUNT => value == 0,
-            named::MODE_OF_OPERATION => supported(value),
-            named::HOMING_METHOD => HomingMethod::EPOS4.contains(&HomingMethod(value as i32 as i8)),
-            // Revolutions per minute, from 1 down to 1e-6.
-            named::VELOCITY_UNIT => {
-                value & 0x00FF_FFFF == 0x00B4_4700 && (-6..=0).contains(&((value >> 24) as u8 as i8))
-            }
-            _ => true,
-        };
-        if !in_range {
-            return Err(AbortCode::VALUE_RANGE);
-        }
+        let object = self.entry(slot).object;
         match object {
             named::STORE_ALL | named::RESTORE_ALL => self.store_or_restore(object, value),
             Object { index: 0x1016, .. } => self.refuse_consumer(slot, value),
@@ -187,7 +251,7 @@ impl Objects {
         let Some((node, _)) = watched(value) else {
             return Ok(());
         };
-        let others = (0..ENTRIES).map(|number| slot!(CONSUMER_HEARTBEAT_1).plus(number as u16));
+        let others = (0..ENTRIES).map(|number| self.communication.consumers.plus(number as u16));
         let mut others = others.filter(|other| *other != slot).map(|other| watched(self.u(other)));
         if others.any(|other| other.is_some_and(|(other, _)| other == node)) {
             return Err(AbortCode::PARAMETER_INCOMPATIBLE);
@@ -198,7 +262,7 @@ impl Objects {
     fn store_or_restore(&mut self, object: Object, value: u32) -> Result<(), AbortCode> {
         match (object, value) {
             (named::STORE_ALL, SAVE) => {
-                for (row, entry) in TABLE.iter().enumerate() {
+                for (row, entry) in self.table.iter().enumerate() {
                     if entry.writable && !entry.volatile {
                         self.stored[row] = self.values[row];
                     }
@@ -217,7 +281,7 @@ impl Objects {
         slot: Slot,
         value: u32,
     ) -> Result<(), AbortCode> {
-        let existing = PdoCobId(self.u(cob_id(kind, number)));
+        let existing = PdoCobId(self.u(self.cob_id(kind, number)));
         match place {
             Place::Communication(1) => {
                 let wanted = PdoCobId(value);
@@ -238,64 +302,60 @@ impl Objects {
                 let mut bits = 0;
                 for sub in 1..=value as u16 {
                     let entry = MapEntry::from_raw(self.u(slot.plus(sub)));
-                    mappable(kind, entry)?;
+                    self.mappable(kind, entry)?;
                     bits += u32::from(entry.bits);
                 }
                 if bits > 64 { Err(AbortCode::PDO_LENGTH) } else { Ok(()) }
             }
-            Place::Mapping(_) if self.u(map(kind, number, 0)) != 0 => Err(AbortCode::SUBINDEX_LOCKED),
-            Place::Mapping(_) => mappable(kind, MapEntry::from_raw(value)).map(|_| ()),
+            Place::Mapping(_) if self.u(self.map(kind, number, 0)) != 0 => Err(AbortCode::SUBINDEX_LOCKED),
+            Place::Mapping(_) => self.mappable(kind, MapEntry::from_raw(value)).map(|_| ()),
         }
     }
-}
 
-/// The slot of a PDO's COB-ID; transmission type, inhibit time and event timer follow.
-pub(super) fn cob_id(kind: PdoKind, number: PdoNumber) -> Slot {
-    Slot::find(kind.communication(number, 1)).expect("the table has all PDOs")
-}
+    /// The slot of a PDO's COB-ID; transmission type, inhibit time and event timer follow.
+    pub(crate) fn cob_id(&self, kind: PdoKind, number: PdoNumber) -> Slot {
+        self.find(kind.communication(number, 1)).expect("the table has all PDOs")
+    }
 
-/// The slot of a sub-index of a PDO's mapping.
-pub(super) fn map(kind: PdoKind, number: PdoNumber, sub: u8) -> Slot {
-    Slot::find(kind.mapping(number, sub)).expect("the table has all PDOs")
+    /// The slot of a sub-index of a PDO's mapping.
+    pub(crate) fn map(&self, kind: PdoKind, number: PdoNumber, sub: u8) -> Slot {
+        self.find(kind.mapping(number, sub)).expect("the table has all PDOs")
+    }
+
+    /// The slot of a mapping entry; `None` for a dummy of an RPDO.
+    pub(crate) fn mappable(&self, kind: PdoKind, entry: MapEntry) -> Result<Option<Slot>, AbortCode> {
+        let dummy = usize::from(entry.object.index).checked_sub(1).and_then(|at| DUMMIES.get(at));
+        if let (PdoKind::Rpdo, Some(&bits)) = (kind, dummy) {
+            let fills = bits > 0 && bits == entry.bits && entry.object.subindex == 0;
+            return fills.then_some(None).ok_or(AbortCode::NOT_MAPPABLE);
+        }
+        let slot = self.find(entry.object).ok_or(AbortCode::NO_OBJECT)?;
+        let row = self.entry(slot);
+        let allowed = match kind {
+            PdoKind::Rpdo => row.receive,
+            PdoKind::Tpdo => row.transmit,
+        };
+        if allowed && usize::from(entry.bits) == 8 * row.size() { Ok(Some(slot)) } else { Err(AbortCode::NOT_MAPPABLE) }
+    }
 }
 
 /// Sizes of objects 0x0001 to 0x0007, bits. In an RPDO these objects stand for their data types as fillers. 0 marks
 /// BOOLEAN, which cannot be mapped, since PDOs consist of whole bytes here.
-pub(super) const DUMMIES: [u8; 7] = [0, 8, 16, 32, 8, 16, 32];
-
-/// The slot of a mapping entry; `None` for a dummy of an RPDO.
-pub(super) fn mappable(kind: PdoKind, entry: MapEntry) -> Result<Option<Slot>, AbortCode> {
-    let dummy = usize::from(entry.object.index).checked_sub(1).and_then(|at| DUMMIES.get(at));
-    if let (PdoKind::Rpdo, Some(&bits)) = (kind, dummy) {
-        let fills = bits > 0 && bits == entry.bits && entry.object.subindex == 0;
-        return fills.then_some(None).ok_or(AbortCode::NOT_MAPPABLE);
-    }
-    let slot = Slot::find(entry.object).ok_or(AbortCode::NO_OBJECT)?;
-    let row = slot.entry();
-    let allowed = match kind {
-        PdoKind::Rpdo => row.receive,
-        PdoKind::Tpdo => row.transmit,
-    };
-    if allowed && usize::from(entry.bits) == 8 * row.size() { Ok(Some(slot)) } else { Err(AbortCode::NOT_MAPPABLE) }
-}
+pub(crate) const DUMMIES: [u8; 7] = [0, 8, 16, 32, 8, 16, 32];
 
 /// A byte pattern in which a displaced byte is visible.
 fn factory_domain() -> Vec<u8> {
     (0..1000_u32).map(|at| (at % 251) as u8).collect()
 }
 
-fn supported(mode: u32) -> bool {
-    SupportedModes::EPOS4.contains(ModeOfOperation::from_raw(mode as i32 as i8))
-}
-
 /// A sub-index of a PDO's parameters.
-pub(super) enum Place {
+pub(crate) enum Place {
     Communication(u8),
     Mapping(u8),
 }
 
 /// The parameter of a PDO that an object holds, if any.
-pub(super) fn pdo_parameter(object: Object) -> Option<(PdoKind, PdoNumber, Place)> {
+pub(crate) fn pdo_parameter(object: Object) -> Option<(PdoKind, PdoNumber, Place)> {
     let number = *PdoNumber::ALL.get(usize::from(object.index & 0xFF))?;
     let sub = object.subindex;
     match object.index & 0xFF00 {
@@ -307,31 +367,21 @@ pub(super) fn pdo_parameter(object: Object) -> Option<(PdoKind, PdoNumber, Place
     }
 }
 
-fn find(object: Object) -> Result<Slot, AbortCode> {
-    Slot::find(object).ok_or_else(|| {
-        if TABLE.iter().any(|entry| entry.object.index == object.index) {
-            AbortCode::NO_SUBINDEX
-        } else {
-            AbortCode::NO_OBJECT
-        }
-    })
-}
-
 impl Dictionary for Objects {
     fn size(&self, object: Object) -> Option<usize> {
-        let entry = Slot::find(object)?.entry();
+        let entry = self.entry(self.find(object)?);
         (entry.data_type != DataType::Domain).then(|| entry.size())
     }
 
     fn check_write(&self, object: Object) -> Result<(), AbortCode> {
-        let writable = find(object)?.entry().writable;
+        let writable = self.entry(self.locate(object)?).writable;
         writable.then_some(()).ok_or(AbortCode::READ_ONLY)
     }
 
     fn read(&mut self, object: Object, into: &mut [u8; MAX_SIZE]) -> Result<usize, AbortCode> {
-        let slot = find(object)?;
-        let entry = slot.entry();
-        let count = self.u(slot!(ERROR_HISTORY_COUNT));
+        let slot = self.locate(object)?;
+        let entry = self.entry(slot);
+        let count = self.u(self.communication.history_count);
         if object.index == named::ERROR_HISTORY_COUNT.index && u32::from(object.subindex) > count {
             return Err(AbortCode::NO_DATA);
         }
@@ -347,8 +397,8 @@ impl Dictionary for Objects {
 
     fn write(&mut self, object: Object, data: &[u8]) -> Result<(), AbortCode> {
         self.check_write(object)?;
-        let slot = find(object)?;
-        let entry = slot.entry();
+        let slot = self.locate(object)?;
+        let entry = self.entry(slot);
         if entry.data_type == DataType::Domain {
             // A server accepts only as many bytes as it can return.
             self.domain = data.to_vec();

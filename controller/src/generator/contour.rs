@@ -1,0 +1,163 @@
+//! Paths of the tool with a feed profile.
+
+use std::time::Duration;
+
+use super::feed::{Feed, FeedLimits};
+use super::newsmooth::whole_macrosteps;
+use super::{Axes, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Pose, Setpoint};
+use crate::path::{Path, PoseState};
+use crate::robot::Arm;
+
+/// Spacing of the poses that are checked before the motion: at most 5 mm and 10 mrad.
+const CHECK_DISTANCE: f64 = 0.005;
+const CHECK_ANGLE: f64 = 0.01;
+/// Largest motion of an axis, rad or m, between two neighbouring checks. A larger motion changes the branch.
+const JUMP: f64 = 0.35;
+/// Largest accepted factor by which one axis slows a path.
+const SLOWEST: f64 = 50.0;
+/// Accepted excess of an axis over its limit, relative to the duration, and the largest number of plans until then.
+const EXCESS: f64 = 1e-3;
+const PLANS: u32 = 8;
+/// Largest distance of the tool from the start of the path, m and rad.
+const START_DISTANCE: f64 = 1e-6;
+const START_ANGLE: f64 = 1e-5;
+
+/// A motion of the tool along a [`Path`] with a [`Feed`] profile. Class 1, sporadic feedback.
+///
+/// The effector stands at the start of the path, within 1 µm and 10 µrad. A straight line leads there.
+///
+/// The first step plans the profile. Its duration is a whole number of macrosteps, and the feed is exact. Poses of the
+/// path at most 5 mm and 10 mrad apart are then checked for reach, joint limits, and jumps between branches of the inverse
+/// kinematics. An axis that would exceed its velocity or acceleration limit slows the whole path. A factor above 50 is
+/// refused.
+///
+/// Pose and velocity are exact at the ends of macrosteps. Between the ends, motors follow the servo's polynomials.
+///
+/// The first step allocates, and computes one inverse kinematics per checked pose. No next step allocates.
+#[derive(Debug)]
+pub struct Contour {
+    arm: Arm,
+    path: Path,
+    limits: FeedLimits,
+    joint_limits: MotionLimits,
+    plan: Option<Plan>,
+}
+
+#[derive(Debug)]
+struct Plan {
+    feed: Feed,
+    /// Duration of a macrostep, s.
+    macrostep: f64,
+    macrosteps: u32,
+}
+
+/// The axis that slows a path most.
+struct Slowest {
+    times: f64,
+    axis: u8,
+    /// Place on the path, from 0 at the start to 1 at the end.
+    s: f64,
+}
+
+impl Contour {
+    /// A motion along a path, which begins where the tool stands.
+    pub fn along(arm: Arm, path: Path, limits: FeedLimits, joint_limits: MotionLimits) -> Result<Self, GeneratorError> {
+        joint_limits.check(arm.axes())?;
+        limits.check()?;
+        Ok(Self { arm, path, limits, joint_limits, plan: None })
+    }
+
+    /// Exact state of the tool after `done` macrosteps of the planned motion, with its acceleration. `None` before the
+    /// first step.
+    pub fn state(&self, done: u32) -> Option<PoseState> {
+        let Plan { feed, macrostep, macrosteps } = self.plan.as_ref()?;
+        if done >= *macrosteps {
+            return Some(self.path.moving_at(self.path.length(), 0.0, 0.0));
+        }
+        let state = feed.at(f64::from(done) * macrostep);
+        Some(self.path.moving_at(state.distance, state.velocity, state.acceleration))
+    }
+
+    /// The feed profile of the planned motion. `None` before the first step.
+    pub fn feed(&self) -> Option<&Feed> {
+        self.plan.as_ref().map(|plan| &plan.feed)
+    }
+
+    fn check_start(&self, pose: &Pose) -> Result<(), GeneratorError> {
+        let start = self.path.at(0.0).pose;
+        let distance = (pose.translation.vector - start.translation.vector).norm();
+        let angle = pose.rotation.angle_to(&start.rotation);
+        let there = distance <= START_DISTANCE && angle <= START_ANGLE;
+        if there { Ok(()) } else { Err(GeneratorError::NotAtStart { distance, angle }) }
+    }
+
+    /// Follows the whole path. Returns the axis that slows the path most, by a factor of 1 at least.
+    fn slowest(&self, start: &Axes, plan: &Plan, limits: &FeedLimits) -> Result<Slowest, GeneratorError> {
+        let distance = limits.max_velocity * plan.macrostep / CHECK_DISTANCE;
+        let angle = limits.max_angular_velocity.min(limits.max_velocity * self.path.turning_rate().0) * plan.macrostep
+            / CHECK_ANGLE;
+        let parts = distance.max(angle).ceil().max(1.0);
+        let dt = plan.macrostep / parts;
+        let mut slowest = Slowest { times: 1.0, axis: 0, s: 0.0 };
+        let (mut joints, mut velocity) = (*start, Axes::default());
+        for check in 1..=u64::from(plan.macrosteps) * parts as u64 {
+            let distance = plan.feed.at(check as f64 * dt).distance;
+            let s = distance / self.path.length();
+            let pose = self.path.at(distance).pose;
+            let ahead = self.arm.inverse(&pose, &joints).map_err(|cause| GeneratorError::Path { s, cause })?;
+            for axis in 0..self.arm.axes() {
+                let by = ahead[axis] - joints[axis];
+                if by.abs() > JUMP {
+                    return Err(GeneratorError::Jump { s, axis: axis as u8, by: by.abs() });
+                }
+                let speed = by / dt;
+                let push = (speed - velocity[axis]).abs() / dt / self.joint_limits.max_acceleration[axis];
+                let times = (speed.abs() / self.joint_limits.max_velocity[axis]).max(push.sqrt());
+                if times > slowest.times {
+                    slowest = Slowest { times, axis: axis as u8, s };
+                }
+                velocity[axis] = speed;
+            }
+            joints = ahead;
+        }
+        Ok(slowest)
+    }
+}
+
+impl Generator for Contour {
+    type First = EffectorImage;
+    type Every = ();
+    /// Number of macrosteps done.
+    type Memory = u32;
+
+    fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<u32>, GeneratorError> {
+        self.check_start(&e.commanded.pose)?;
+        let mut slowdown = 1.0;
+        for _ in 0..PLANS {
+            let limits = self.limits.slowed(slowdown);
+            let feed = Feed::in_steps(&self.path, &limits, macrostep)?;
+            let macrosteps = whole_macrosteps(feed.duration(), macrostep.as_secs_f64())?;
+            let plan = Plan { feed, macrostep: macrostep.as_secs_f64(), macrosteps };
+            let Slowest { times, axis, s } = self.slowest(&e.commanded.joints.position, &plan, &limits)?;
+            if times <= 1.0 + EXCESS {
+                self.plan = Some(plan);
+                return Ok(Next::remember(0));
+            }
+            slowdown *= times;
+            if slowdown > SLOWEST {
+                return Err(GeneratorError::Singular { s, axis, times: slowdown });
+            }
+        }
+        Err(GeneratorError::NoProfile)
+    }
+
+    fn terminal(&self, done: &u32, _: &()) -> bool {
+        self.plan.as_ref().is_none_or(|plan| *done == plan.macrosteps)
+    }
+
+    fn next_step(&self, done: &u32, _: &()) -> Result<Next<u32>, GeneratorError> {
+        let done = done + 1;
+        let state = self.state(done).ok_or(GeneratorError::NoProfile)?;
+        Ok(Next::command(Setpoint::Tool(state), done))
+    }
+}

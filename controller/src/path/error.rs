@@ -1,0 +1,42 @@
+//! Errors of path geometry.
+
+use thiserror::Error;
+
+/// Reasons why points, knots or angles do not define a path. Points, corners and knots are counted from 0.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[expect(missing_docs, reason = "every field is in the message")]
+pub enum PathError {
+    #[error("{given} points, at least {needed} are needed")]
+    TooFewPoints { given: usize, needed: usize },
+    #[error("point {point}: a coordinate is not a finite number")]
+    NotFinite { point: usize },
+    #[error("points {point} and {} coincide: leave one of them out", .point + 1)]
+    Coincident { point: usize },
+    #[error("the three points of the arc lie on a line: use a line")]
+    Collinear,
+    #[error("radius or normal of the arc is zero")]
+    NoRadius,
+    #[error("an angle of {angle} rad defines no arc")]
+    NoAngle { angle: f64 },
+    #[error("blend radius {radius} is not positive and finite")]
+    BlendRadius { radius: f64 },
+    /// The blends at both ends of a side overlap. `needed` is the length of the side that they need, m.
+    #[error("the blends on the side after point {side} need {needed:.6} m of its {available:.6} m: reduce the radius")]
+    BlendTooLarge { side: usize, needed: f64, available: f64 },
+    #[error("the polyline turns back at point {corner}: no blend has a finite length")]
+    Reversal { corner: usize },
+    #[error("{given} knots, {controls} control points need {needed}")]
+    KnotCount { given: usize, controls: usize, needed: usize },
+    #[error("knot {knot} is not finite, or is less than the knot before it")]
+    KnotOrder { knot: usize },
+    #[error("knot {knot} occurs more than twice inside the domain: the path has a corner there")]
+    KnotMultiplicity { knot: usize },
+    #[error("the spacing of the data points is too uneven for an interpolation")]
+    UnevenPoints,
+    #[error("the spline stands still at parameter {parameter}: its tangent is undefined")]
+    Cusp { parameter: f64 },
+    #[error("orientation {node} is not finite")]
+    OrientationNotFinite { node: usize },
+    #[error("orientation {node} is at {at} m, which is not between its neighbours on the path")]
+    OrientationOrder { node: usize, at: f64 },
+}
