@@ -6,7 +6,8 @@ use anyhow::anyhow;
 use can::schedule::{self, Every, Message, Sender};
 use can::{StandardId, timing::Bitrate};
 use canopen::cob;
-use drive::cia402::{self, Traffic};
+use drive::bus::{Traffic, traffic};
+use drive::cia402::AxisConfig;
 use serde::Serialize;
 
 use crate::cell::{CellFile, Path, Protocol};
@@ -79,7 +80,7 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     let period = file.cell.period();
     let bitrate = emulation::bitrate(file, index);
     let axes = setup::axis_configs(file, index);
-    let mut traffic = cia402::traffic(&file.cell.group_config(index), &axes);
+    let mut traffic = traffic(&file.cell.group_config(index), &axes, &[]);
     // Messages outside the cycle are sent after the cyclic ones.
     traffic.sort_by_key(|traffic| traffic.period > period || is_service(traffic.cob_id));
     let messages = messages(&traffic, period, bus.host_node);
@@ -104,17 +105,17 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     if analysis.busy <= period {
         return Ok(budget);
     }
-    let axes = axes.len();
     let key = Path::to("bus").then(index);
     Err(file.refuse(
         &key,
         anyhow!(
-            "{axes} axes keep bus {:?} busy for {} µs of each {} µs at the worst ({:.0} %, at most 100 %); {}",
+            "{} axes keep bus {:?} busy for {} µs of each {} µs at the worst ({:.0} %, at most 100 %); {}",
+            axes.len(),
             bus.name,
             analysis.busy.as_micros(),
             period.as_micros(),
             share(analysis.busy),
-            what_fits(bitrate, period, &messages, axes),
+            what_fits(bitrate, period, &messages, &axes),
         ),
     ))
 }
@@ -197,20 +198,15 @@ fn is_service(id: StandardId) -> bool {
 }
 
 /// Proposals for a cell that fits: fewer axes, or a longer period.
-fn what_fits(bitrate: Bitrate, period: Duration, messages: &[Message], axes: usize) -> String {
+fn what_fits(bitrate: Bitrate, period: Duration, messages: &[Message], axes: &[AxisConfig]) -> String {
     let fits = |messages: &[Message], period| schedule::analyse(bitrate, period, messages).busy <= period;
-    let answer = |message: &Message| match message.sender {
-        // Each axis has one answer, and at a long period further messages once per cycle.
-        Sender::Node(node) if message.id.raw() & 0x780 == 0x180 => Some(node),
-        _ => None,
-    };
-    let nodes: Vec<u8> = messages.iter().filter_map(answer).collect();
+    let nodes: Vec<u8> = axes.iter().map(|axis| axis.node.raw()).collect();
     let without = |count: usize| -> Vec<Message> {
         let gone = &nodes[count..];
         let kept = |message: &&Message| message.id == cob::SYNC || !gone.contains(&((message.id.raw() & 0x7F) as u8));
         messages.iter().filter(kept).copied().collect()
     };
-    let most = (0..axes).rev().find(|&count| fits(&without(count), period)).unwrap_or(0);
+    let most = (0..axes.len()).rev().find(|&count| fits(&without(count), period)).unwrap_or(0);
     let shortest = (1..=1000).map(Duration::from_millis).find(|&period| fits(messages, period));
     let period = shortest.map_or(String::new(), |period| format!(", or a period of {} ms", period.as_millis()));
     format!("{most} axes would fit{period}, or more buses")

@@ -7,7 +7,8 @@ use can::Port;
 use controller::ecp::{Ecp, EcpConfig, Meetings, Subcontrollers};
 use controller::generator::Pace;
 use controller::robot::Limits;
-use drive::cia402::{AxisConfig, Cia402Group, CyclicMode};
+use drive::bus::CanBus;
+use drive::cia402::{AxisConfig, CyclicMode};
 use drive::{DriveGroup, axis_controller::AxisControllerGroup};
 use serial::Line;
 use servo::{EffectorConfig, EffectorLink, Gates, HostHoming, ServoAxisConfig, ServoConfig};
@@ -58,7 +59,7 @@ pub fn drive_groups(
                 axis.mode = CyclicMode::CspWithTorque;
             }
         }
-        let group = Cia402Group::new(port, file.cell.group_config(index), &axes);
+        let group = CanBus::new(port, file.cell.group_config(index), &axes);
         let refused = |error| file.refuse(&Path::to("bus").then(index), error);
         Ok(Box::new(group.map_err(refused)?) as Box<dyn DriveGroup>)
     };

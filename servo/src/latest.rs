@@ -1,11 +1,8 @@
 //! The latest state of an effector, for any number of readers.
 //!
-//! The servo publishes a [`Snapshot`] per effector and cycle. Neither side waits for the other. The servo writes successive
-//! snapshots alternately into two buffers. A reader repeats its read if the servo began to overwrite the buffer.
+//! The servo publishes a [`Snapshot`] per effector and cycle ([`drive::latest`]). Neither side waits for the other.
 
 use std::array;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering, fence};
 
 use can::Instant;
 use drive::Switches;
@@ -107,79 +104,31 @@ impl Snapshot {
     }
 }
 
-/// One buffer for a snapshot. The words may be read during a write. A read is valid if `number` is the same, and not 0,
-/// before and after the read.
-#[derive(Debug)]
-struct Copied {
-    /// Number of the snapshot, from 1; 0 while it is written.
-    number: AtomicU64,
-    words: [AtomicU64; WORDS],
-}
-
-#[derive(Debug)]
-struct Shared {
-    /// Number of the last snapshot published; 0 before the first.
-    published: AtomicU64,
-    copies: [Copied; 2],
-}
-
 /// Both ends of a latest value. Before the first snapshot, the value is [`Snapshot::default`].
 pub fn latest() -> (Publisher, Latest) {
-    let copy = || Copied { number: AtomicU64::new(0), words: array::from_fn(|_| AtomicU64::new(0)) };
-    let shared = Arc::new(Shared { published: AtomicU64::new(0), copies: [copy(), copy()] });
-    (Publisher { shared: Arc::clone(&shared), number: 0 }, Latest(shared))
+    let (publisher, latest) = drive::latest::latest(Snapshot::default().words());
+    (Publisher(publisher), Latest(latest))
 }
 
 /// The writing end. There is one per value.
 #[derive(Debug)]
-pub struct Publisher {
-    shared: Arc<Shared>,
-    number: u64,
-}
+pub struct Publisher(drive::latest::Publisher<WORDS>);
 
 impl Publisher {
     /// Replaces the value. The function neither waits nor allocates.
     pub fn publish(&mut self, snapshot: &Snapshot) {
-        self.number += 1;
-        let copy = self.shared.copy(self.number);
-        copy.number.store(0, Ordering::Relaxed);
-        // A reader that sees a new word also sees that the copy is being written.
-        fence(Ordering::Release);
-        for (place, word) in copy.words.iter().zip(snapshot.words()) {
-            place.store(word, Ordering::Relaxed);
-        }
-        copy.number.store(self.number, Ordering::Release);
-        self.shared.published.store(self.number, Ordering::Release);
+        self.0.publish(&snapshot.words());
     }
 }
 
 /// The reading end. Clones read the same value. A read does not change the value and does not delay the servo.
 #[derive(Clone, Debug)]
-pub struct Latest(Arc<Shared>);
+pub struct Latest(drive::latest::Latest<WORDS>);
 
 impl Latest {
     /// The latest snapshot. All its fields are of one cycle.
     pub fn read(&self) -> Snapshot {
-        loop {
-            let number = self.0.published.load(Ordering::Acquire);
-            if number == 0 {
-                return Snapshot::default();
-            }
-            let copy = self.0.copy(number);
-            let before = copy.number.load(Ordering::Acquire);
-            let words = array::from_fn(|word| copy.words[word].load(Ordering::Relaxed));
-            fence(Ordering::Acquire);
-            // Otherwise the servo began to overwrite this buffer during the read.
-            if before == number && copy.number.load(Ordering::Relaxed) == number {
-                return Snapshot::from_words(&words);
-            }
-        }
-    }
-}
-
-impl Shared {
-    fn copy(&self, number: u64) -> &Copied {
-        &self.copies[(number % 2) as usize]
+        Snapshot::from_words(&self.0.read())
     }
 }
 

@@ -16,7 +16,7 @@ use controller::ecp::{Ecp, EcpConfig};
 use controller::generator::Pace;
 use controller::robot::Arm;
 use drive::axis_controller::AxisControllerGroup;
-use drive::cia402::Cia402Group;
+use drive::bus::CanBus;
 use drive::{DriveGroup, Scale};
 use hil::plant::Switch;
 use hil::{
@@ -223,7 +223,7 @@ impl Setup {
         }
         let config = |&axis: &usize| self.axis(axis).drive_config(arm.robot().home()[axis]);
         let configs: Vec<_> = self.axes.iter().map(config).collect();
-        let group = Cia402Group::new((self.port)(port), self.cell.group_config(0), &configs);
+        let group = CanBus::new((self.port)(port), self.cell.group_config(0), &configs);
         let group = Box::new(group.expect("the group's configuration is sound"));
         (group, drives, plugs, self.cell)
     }

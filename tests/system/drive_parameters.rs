@@ -10,7 +10,7 @@ use can::timing::Bitrate;
 use canopen::NodeId;
 use canopen::eds::Eds;
 use canopen::objects as named;
-use drive::cia402::Cia402Group;
+use drive::bus::CanBus;
 use drive::{AxisCommand, AxisState, DriveGroup, Finite, Power, Setpoint};
 use hil::plant::Irp6Axis;
 use hil::{AxisConfig, DeviceId, Epos4, Epos4Config, World};
@@ -34,7 +34,7 @@ fn cell_with(parameter: Parameter) -> Result<Cell, CellError> {
 struct Stage {
     world: World,
     drive: DeviceId,
-    group: Cia402Group<can::VirtualPort>,
+    group: CanBus<can::VirtualPort>,
     states: [AxisState; 1],
     period: Duration,
     now: Instant,
@@ -50,7 +50,7 @@ impl Stage {
         let drive = world.add_device(bus, Box::new(Epos4::new(config)));
         let config = cell.group_config(0);
         Self {
-            group: Cia402Group::new(port, config, &[axis.drive_config(0.0)]).unwrap(),
+            group: CanBus::new(port, config, &[axis.drive_config(0.0)]).unwrap(),
             world,
             drive,
             states: [AxisState::default()],

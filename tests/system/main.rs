@@ -20,6 +20,7 @@ mod contour;
 mod cycle;
 mod cycle_calls;
 mod datasheet;
+mod digital_io;
 mod doctor;
 mod drive_parameters;
 mod emulate_slcan;

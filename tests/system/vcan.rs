@@ -21,7 +21,8 @@ use canopen::emcy::{Emergency, ErrorRegister};
 use canopen::objects::{POSITION_ACTUAL, STATUSWORD};
 use canopen::sdo::{Initiate, Request, Response};
 use canopen::{NodeId, Object, cob};
-use drive::cia402::{AxisConfig, Cia402Group, GroupConfig, Recording};
+use drive::bus::CanBus;
+use drive::cia402::{AxisConfig, GroupConfig, Recording};
 use drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Increments, Setpoint};
 
 use crate::bench::{on_vcan, turn};
@@ -250,7 +251,7 @@ impl Row {
 fn replays(recording: &Recording, cell: &Cell, states: &str, tolerance: f64) {
     let (config, axes) = drives_of(cell);
     let (port, mut sent) = recording.port();
-    let mut group = Cia402Group::new(port, config, &axes).unwrap();
+    let mut group = CanBus::new(port, config, &axes).unwrap();
     assert_eq!(recording.bring_up(&mut group), Poll::Ready(Ok(())));
 
     let rows: Vec<_> = states.lines().skip(1).map(Row::parse).collect();

@@ -6,6 +6,7 @@
 //! - the frames before the message in the queue of its sender;
 //! - the frames that win arbitration against the message or against a frame before it in the queue.
 //!
+//! A frame that may recur within a cycle counts as often as its interval permits.
 //! Each frame is counted with the largest possible number of stuff bits. Error frames, retransmissions and frames sent
 //! only after faults are not counted. The drivers tolerate the delay from such frames.
 
@@ -51,7 +52,8 @@ pub struct Analysis {
     /// Long-term bus load of all messages; 1 is a full bus.
     pub load: f64,
     /// Worst-case response time of each message, from the start of the cycle to its last bit. The time of an
-    /// [`Every::Interval`] message starts at its queueing, and includes each frame ahead only once.
+    /// [`Every::Interval`] message starts at its queueing, and includes each frame ahead as often as it occurs in a
+    /// cycle.
     pub responses: Vec<Duration>,
     /// Latest end of the last cyclic message, from the start of the cycle.
     pub busy: Duration,
@@ -64,14 +66,26 @@ pub fn analyse(bitrate: Bitrate, cycle: Duration, messages: &[Message]) -> Analy
         Every::Cycle => 1.0 / cycle.as_secs_f64(),
         Every::Interval(interval) => 1.0 / interval.as_secs_f64(),
     };
+    let times = |message: &Message| time(message) * occurrences(message, cycle);
     let responses: Vec<Duration> = (0..messages.len())
-        .map(|index| before(messages, index).map(time).sum::<Duration>() + blocking(messages, index, time))
+        .map(|index| before(messages, index).map(times).sum::<Duration>() + blocking(messages, index, time))
         .collect();
     let cyclic = messages.iter().zip(&responses).filter(|(message, _)| message.every == Every::Cycle);
     Analysis {
         load: messages.iter().map(|message| time(message).as_secs_f64() * rate(message)).sum(),
         busy: cyclic.map(|(_, response)| *response).max().unwrap_or_default(),
         responses,
+    }
+}
+
+/// Greatest number of such messages in a cycle, if the first is queued at its beginning.
+fn occurrences(message: &Message, cycle: Duration) -> u32 {
+    match message.every {
+        Every::Cycle => 1,
+        Every::Interval(interval) => {
+            let count = cycle.as_nanos().div_ceil(interval.as_nanos().max(1));
+            u32::try_from(count).unwrap_or(u32::MAX)
+        }
     }
 }
 
@@ -128,6 +142,23 @@ mod tests {
         let analysis = analyse(Bitrate::KBPS_1000, Duration::from_millis(2), &axes(6));
         let heartbeats = 6.0 * 65e-6 / 0.1;
         assert!((analysis.load - (1555e-6 / 2e-3 + heartbeats)).abs() < 1e-12, "{}", analysis.load);
+    }
+
+    #[test]
+    fn a_frame_that_recurs_within_a_cycle_delays_the_others_each_time() {
+        let inputs = |micros| Message {
+            id: StandardId::new(0x182).unwrap(),
+            bytes: 1,
+            sender: Sender::Node(2),
+            every: Every::Interval(Duration::from_micros(micros)),
+        };
+        // The set-point loses against the answer and the inputs.
+        for (micros, times) in [(5_000, 1), (2_000, 1), (1_000, 2), (500, 4)] {
+            let messages = [axes(1), vec![inputs(micros)]].concat();
+            let analysis = analyse(Bitrate::KBPS_1000, Duration::from_millis(2), &messages);
+            let busy = 55 + 135 + 115 + 65 * times + 65;
+            assert_eq!(analysis.busy, Duration::from_micros(busy), "{micros} µs");
+        }
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! CiA 301, 305, 306 and 402 as frame layouts, object tables and description files, shared by both ends of the wire.
+//! CiA 301, 305, 306, 401 and 402 as frame layouts, object tables and description files, shared by both ends of the wire.
 //!
 //! A *layout* turns a [`can::Frame`] into a value of Rust and back. Every value can be encoded, unknown numbers are kept,
 //! and a frame of another layout decodes to `None`. Golden bytes in the tests pin each layout.
@@ -13,6 +13,7 @@
 //!
 //! Left out: PDO mappings whose entries are not whole bytes. Read [`cob`] and [`sdo`] first, then [`cia402`].
 
+pub mod cia401;
 pub mod cia402;
 pub mod cob;
 pub mod dcf;

@@ -8,7 +8,7 @@ use canopen::sdo::AbortCode;
 use thiserror::Error;
 
 use crate::axis_controller::{AxisControllerError, AxisControllerFault};
-use crate::cia402::Sign;
+use crate::bus::Sign;
 
 /// A latched condition of one axis, cleared by [`AxisCommand::ResetFault`](crate::AxisCommand::ResetFault).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -93,6 +93,14 @@ pub enum BringUpError {
     NeverBooted { node: u8, waited: Duration },
     #[error("node {node}: not a CiA 402 drive (0x1000 is {device_type:#010x})")]
     NotADrive { node: u8, device_type: u32 },
+    #[error("node {node}: not a CiA 401 I/O node (0x1000 is {device_type:#010x})")]
+    NotAnIoNode { node: u8, device_type: u32 },
+    /// The I/O node has too few inputs (0x6000) or outputs (0x6200).
+    #[error("node {node}: {object} is {found} blocks of eight channels, {needed} are needed")]
+    TooFewBlocks { node: u8, object: Object, found: u8, needed: u8 },
+    /// The I/O node was started, but sent no TPDO with its inputs.
+    #[error("node {node}: no inputs since the start, waited {waited:.1?}")]
+    NoInputs { node: u8, waited: Duration },
     /// The node was started, but no heartbeat showed the state operational.
     #[error("node {node}: not operational, waited {waited:.1?}")]
     NotOperational { node: u8, waited: Duration },
@@ -140,6 +148,9 @@ impl BringUpError {
         match *self {
             Self::NeverBooted { node, .. }
             | Self::NotADrive { node, .. }
+            | Self::NotAnIoNode { node, .. }
+            | Self::TooFewBlocks { node, .. }
+            | Self::NoInputs { node, .. }
             | Self::NotOperational { node, .. }
             | Self::WrongIdentity { node, .. }
             | Self::WrongScale { node, .. }

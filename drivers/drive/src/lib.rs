@@ -1,14 +1,18 @@
-//! The contract between the servo and the drives behind one port, and one module per device family.
+//! The contract between the servo and the drives behind one port, the owner of a CAN bus, and one module per device
+//! family.
 //!
 //! Read [`DriveGroup`] first. All positions are positions of the **motor shaft**, rad (m for a linear motor). The
 //! drive trains of `controller` convert joint positions to motor positions. [`Scale`] is the only place that converts
 //! motor positions to the units of a device.
 
 pub mod axis_controller;
+pub mod bus;
+pub mod cia401;
 pub mod cia402;
 mod command;
 mod fault;
 mod group;
+pub mod latest;
 mod scale;
 mod state;
 mod warning;

@@ -14,7 +14,9 @@ use std::time::Duration;
 use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received, StandardId};
 use canopen::NodeId;
 use mrroc_drive::axis_controller::{self, AxisControllerGroup, Control, Protocol};
-use mrroc_drive::cia402::{AxisConfig, Cia402Group, CyclicMode, GroupConfig, HomingConfig, Identity};
+use mrroc_drive::bus::CanBus;
+use mrroc_drive::cia401::IoConfig;
+use mrroc_drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity};
 use mrroc_drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Power, Scale, Setpoint};
 
 struct Counting;
@@ -50,6 +52,8 @@ unsafe impl GlobalAlloc for Counting {
 static ALLOCATOR: Counting = Counting;
 
 const AXES: usize = 6;
+/// An I/O node on the bus of the drives.
+const IO: u8 = 20;
 const PERIOD: Duration = Duration::from_millis(2);
 
 /// All drives of the bus: an object store for service requests, and the same statusword from each drive for every
@@ -59,6 +63,7 @@ struct Drives {
     objects: BTreeMap<(u16, u16, u8), [u8; 4]>,
     statusword: u16,
     emergencies: u16,
+    inputs: u8,
     inbox: VecDeque<Received>,
 }
 
@@ -72,9 +77,17 @@ impl Drives {
         let id = frame.standard_data_id().unwrap().raw();
         match (id, frame.data()) {
             (0, &[0x82, node]) => self.reply(0x700 + u16::from(node), &[0], at),
-            (0, &[0x01, node]) => self.reply(0x700 + u16::from(node), &[5], at),
+            (0, &[0x01, node]) => {
+                self.reply(0x700 + u16::from(node), &[5], at);
+                if node == IO {
+                    self.reply(0x180 + u16::from(IO), &[0], at);
+                }
+            }
             (0x080, _) => {
                 let [low, high] = self.statusword.to_le_bytes();
+                // An edge of every input in every cycle.
+                self.inputs = !self.inputs;
+                self.reply(0x180 + u16::from(IO), &[self.inputs], at);
                 for node in 1..=AXES as u16 {
                     self.reply(0x180 + node, &[low, high, 0xE8, 3, 0, 0, 0, 0], at);
                     // Each EMCY is another error without a fault, and there are more of them than the group keeps.
@@ -169,6 +182,9 @@ fn no_cycle_allocates() {
     let axes: Vec<AxisConfig> = (1..=AXES as u8).map(axis).collect();
     let objects = BTreeMap::from([
         ((0, 0x1000, 0), [0x92, 1, 2, 0]),
+        ((0x600 + u16::from(IO), 0x1000, 0), [0x91, 1, 3, 0]),
+        ((0, 0x6000, 0), [1, 0, 0, 0]),
+        ((0, 0x6200, 0), [1, 0, 0, 0]),
         ((0, 0x1018, 1), [0xFB, 0, 0, 0]),
         ((0, 0x6502, 0), [0xA5, 3, 0, 0]),
         ((0, 0x6060, 0), [0; 4]),
@@ -183,9 +199,20 @@ fn no_cycle_allocates() {
         ((0, 0x6092, 2), 1_u32.to_le_bytes()),
     ]);
     let inbox = VecDeque::with_capacity(1_024);
-    let drives = Drives { objects, statusword: 0x0740, emergencies: 0, inbox };
+    let drives = Drives { objects, statusword: 0x0740, emergencies: 0, inputs: 0, inbox };
     let drives = std::sync::Arc::new(std::sync::Mutex::new(drives));
-    let mut group = Cia402Group::new(Shared(drives.clone()), config, &axes).unwrap();
+    let io = IoConfig {
+        node: NodeId::new(IO).unwrap(),
+        identity: Identity { vendor: 0xFB, product: None, revision: None },
+        inputs: 8,
+        outputs: 8,
+        inhibit_time: PERIOD,
+        event_timer: Duration::from_millis(100),
+        error_mode: 0xFF,
+        error_value: 0,
+    };
+    let (mut group, links) = CanBus::with_io(Shared(drives.clone()), config, &axes, &[io]).unwrap();
+    let io = &links[0];
 
     let mut now = Instant::ZERO;
     loop {
@@ -198,6 +225,7 @@ fn no_cycle_allocates() {
     let follow = AxisCommand::Follow(Setpoint::Position(Finite::new(TAU / 2.0).unwrap()));
     let wrong = AxisCommand::Follow(Setpoint::Torque(Finite::ZERO));
     let (mut followed, mut homed, mut faulted) = (false, false, false);
+    let mut cycles = 0;
     let acts = [
         (0x0740, AxisCommand::Off),
         (0x0740, AxisCommand::Stand),
@@ -222,14 +250,20 @@ fn no_cycle_allocates() {
             let before = ALLOCATIONS.get();
             group.read(now, &mut states);
             group.write(now, &[command; AXES]);
+            io.outputs.set_all(!io.outputs.levels());
             group.send(now);
+            let edges = io.inputs.read().input(0).map(|input| input.edges);
             assert_eq!(ALLOCATIONS.get() - before, 0, "{statusword:#06x} {command:?}");
+            // One edge in each cycle but the first, which no SYNC preceded.
+            assert_eq!(edges, Some(cycles));
+            cycles += 1;
             followed |= states[0].following && command == follow;
             homed |= states[0].homing == Homing::Attained;
             faulted |= states[0].fault.is_some();
         }
     }
     assert!(followed && homed && faulted);
+    assert_eq!(io.inputs.read().sent.map(|sent| sent.cycle), Some(cycles - 2));
     assert_eq!((states[0].power, states[0].fault), (Power::Off, None));
     // The allocation counter itself works.
     let before = ALLOCATIONS.get();

@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use can::{SocketCanOptions, SocketCanPort, clock};
-use drive::cia402::{AxisConfig, Cia402Group, GroupConfig};
+use drive::bus::CanBus;
+use drive::cia402::{AxisConfig, GroupConfig};
 use drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Power, Setpoint};
 
 use super::host::PATIENCE;
@@ -22,7 +23,7 @@ pub(super) fn run_as_drives(stage: &Stage, changes: &[&dyn Fn(&mut AxisConfig)])
     let axes: Vec<_> = changes.iter().map(axis).collect();
     let port = SocketCanPort::open(stage.interface, &SocketCanOptions::default()).unwrap();
     let period = config.period;
-    let mut group = Cia402Group::new(port, config, &axes).unwrap();
+    let mut group = CanBus::new(port, config, &axes).unwrap();
     let mut now = clock::now();
     let end = now + PATIENCE;
     while group.bring_up(now).map(Result::unwrap).is_pending() {

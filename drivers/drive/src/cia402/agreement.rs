@@ -15,12 +15,12 @@ const CORRECT_TORQUE: &str = "correct drive.rated_torque or the drive's motor da
 
 /// An expected value of an object of the drive's dictionary. A drive without the object is accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Agreement {
-    pub(super) object: Object,
+pub(crate) struct Agreement {
+    pub(crate) object: Object,
     /// The divisor, where the quantity is a ratio of two objects.
-    pub(super) divisor: Option<Object>,
+    pub(crate) divisor: Option<Object>,
     /// The agreement applies only where the drive lacks the object of the previous agreement.
-    pub(super) instead: bool,
+    pub(crate) instead: bool,
     expected: u32,
     /// Greatest accepted difference from `expected`.
     tolerance: u32,
@@ -30,7 +30,7 @@ pub(super) struct Agreement {
 
 impl Agreement {
     /// Checks that `found` / `per` is the expected value, within the tolerance.
-    pub(super) fn check(&self, node: u8, found: u32, per: u32) -> Result<(), BringUpError> {
+    pub(crate) fn check(&self, node: u8, found: u32, per: u32) -> Result<(), BringUpError> {
         let expected = u64::from(self.expected) * u64::from(per);
         let apart = u64::from(found).abs_diff(expected);
         if per > 0 && apart <= u64::from(self.tolerance) {

@@ -5,7 +5,7 @@ use std::time::Duration;
 use can::{Frame, Instant};
 use canopen::cia402::{Controlword, ModeOfOperation, PowerState, Statusword};
 use canopen::emcy::Emergency;
-use canopen::{NodeId, nmt};
+use canopen::nmt;
 use master::power::{self, PowerStateMachine};
 
 use super::config::{AxisConfig, CyclicMode, GroupConfig};
@@ -15,7 +15,8 @@ use super::process_data::{self, Answer};
 use super::program::MAXON;
 use super::service::{ModeSwitch, Service};
 use super::target::Target;
-use crate::{AxisCommand, AxisState, Fault, Increments, Permille, Power, Refusal};
+use crate::bus::Learnt;
+use crate::{AxisCommand, AxisState, Fault, Permille, Power, Refusal};
 
 /// Answers until a controlword surely has its effect in the statusword. The drive latches the word at the next SYNC
 /// and acts on it afterwards. The SYNC after that samples the effect, and the following cycle reads the sample.
@@ -79,16 +80,6 @@ enum Goal {
     Stopped,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Learnt {
-    pub(super) statusword: Statusword,
-    pub(super) position: Increments,
-    /// Object 0x603F.
-    pub(super) error_code: u16,
-    /// Mode of operation that the drive reported unasked since its start.
-    pub(super) mode_shown: Option<ModeOfOperation>,
-}
-
 impl CanAxis {
     pub(super) fn new(group: &GroupConfig, axis: &AxisConfig) -> Self {
         let config = AxisConfig { configuration: Vec::new(), ..axis.clone() };
@@ -143,10 +134,6 @@ impl CanAxis {
     fn homing_word(&self, word: Statusword) -> Statusword {
         let told = self.config.identity.vendor == MAXON && word.has(Statusword::EPOS_REFERENCED);
         word.with(Statusword::EPOS_REFERENCED, told)
-    }
-
-    pub(super) fn node(&self) -> NodeId {
-        self.config.node
     }
 
     pub(super) fn fault(&self) -> Option<Fault> {

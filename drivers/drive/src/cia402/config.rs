@@ -9,6 +9,7 @@ use thiserror::Error;
 
 use super::reserved::reserved;
 use crate::Scale;
+use crate::cia401::IoQuantity;
 use crate::scale::rpm_magnitude;
 
 /// Heartbeat periods without a heartbeat after which the other side counts as lost, in both directions.
@@ -144,6 +145,9 @@ pub enum ConfigError {
     Setting { node: u8, object: Object, why: &'static str },
     #[error("node {node}: {quantity} is out of range")]
     OutOfRange { node: u8, quantity: Quantity },
+    /// A quantity of an I/O node.
+    #[error("node {node}: {quantity}")]
+    IoOutOfRange { node: u8, quantity: IoQuantity },
 }
 
 /// A quantity of an axis that the drive holds in its own unit and integer size.
@@ -177,7 +181,7 @@ impl CyclicMode {
 }
 
 impl GroupConfig {
-    /// Checks the configuration without sending a frame: all that [`Cia402Group::new`](super::Cia402Group::new)
+    /// Checks the configuration without sending a frame: all that [`CanBus::new`](crate::bus::CanBus::new)
     /// refuses.
     pub fn check(&self, axes: &[AxisConfig]) -> Result<(), ConfigError> {
         if !(1..=126).contains(&axes.len()) {
@@ -208,7 +212,7 @@ impl GroupConfig {
     }
 
     /// Milliseconds between heartbeats (object 0x1017) and until a heartbeat counts as lost (object 0x1016).
-    pub(super) fn heartbeat_times(&self) -> Result<(u16, u16), ConfigError> {
+    pub(crate) fn heartbeat_times(&self) -> Result<(u16, u16), ConfigError> {
         let error = ConfigError::HeartbeatPeriod(self.heartbeat_period);
         let nanos = self.heartbeat_period.as_nanos();
         let period = u16::try_from(nanos / 1_000_000).map_err(|_| error)?;
@@ -225,7 +229,7 @@ impl GroupConfig {
     }
 
     /// Time without a heartbeat after which a drive counts as lost.
-    pub(super) fn heartbeat_lost_after(&self) -> Duration {
+    pub(crate) fn heartbeat_lost_after(&self) -> Duration {
         self.heartbeat_period * HEARTBEATS_TO_LOSE
     }
 }

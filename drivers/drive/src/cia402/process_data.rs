@@ -26,7 +26,7 @@ const SHOWN: [Entry; 1] = [Entry::new(MODE_OF_OPERATION_DISPLAY, 8)];
 
 /// Inhibit time of TPDO 2, which a drive sends when its mode changes. The inhibit time bounds the bus load, which is
 /// normally zero.
-pub(super) const SHOWN_APART: Duration = Duration::from_millis(100);
+pub(crate) const SHOWN_APART: Duration = Duration::from_millis(100);
 
 /// Content of RPDO 1: controlword and the target of the mode.
 pub(super) const fn request(mode: CyclicMode) -> &'static [Entry] {
@@ -43,7 +43,7 @@ pub(super) const fn request(mode: CyclicMode) -> &'static [Entry] {
     }
 }
 
-pub(super) fn request_len(mode: CyclicMode) -> usize {
+pub(crate) fn request_len(mode: CyclicMode) -> usize {
     let bits = request(mode).iter().map(|entry| usize::from(entry.bits));
     bits.sum::<usize>() / 8
 }
@@ -103,7 +103,7 @@ pub(super) fn may_be_absent(object: Object) -> bool {
     is_timer(object) || object == PdoKind::Tpdo.communication(PdoNumber::Two, 1)
 }
 
-pub(super) fn is_timer(object: Object) -> bool {
+pub(crate) fn is_timer(object: Object) -> bool {
     let communication = matches!(object.index, 0x1400..=0x15FF | 0x1800..=0x19FF);
     communication && matches!(object.subindex, 3 | 5)
 }
@@ -114,7 +114,7 @@ pub(super) fn maps_mode(object: Object) -> bool {
 }
 
 /// TPDO 2; `None` for a payload of another length.
-pub(super) fn mode_shown(data: &[u8]) -> Option<ModeOfOperation> {
+pub(crate) fn mode_shown(data: &[u8]) -> Option<ModeOfOperation> {
     let &[mode] = data else { return None };
     Some(ModeOfOperation::from_raw(mode as i8))
 }

@@ -1,13 +1,13 @@
-//! The steps of bring-up: reads and writes before a drive is started, in order.
+//! The steps of a drive's bring-up, in order.
 
-use canopen::Object;
 use canopen::cia402::{HomingMethod, ModeOfOperation};
 use canopen::objects::*;
 use canopen::sdo::Write;
 
-use super::agreement::{self, Agreement};
+use super::agreement;
 use super::config::{AxisConfig, ConfigError, GroupConfig};
 use super::process_data;
+use crate::bus::{Need, Step};
 
 /// Vendor-ID of maxon.
 pub(super) const MAXON: u32 = 0x0000_00FB;
@@ -25,91 +25,15 @@ const BRAKE_ON_PROFILE: i16 = 1;
 /// brake.
 const FAULT_ON_QUICK_STOP_RAMP: i16 = 2;
 
-/// One read or write of bring-up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Step {
-    /// Object 0x1018 must have this value.
-    Identity(Object, u32),
-    /// Object 0x6502 must list these modes.
-    Modes([ModeOfOperation; 2]),
-    /// Reads the object of the agreement. A drive without the object is accepted.
-    Value(Agreement),
-    /// Reads the divisor of the agreement, if there is one, and checks the quotient against the cell.
-    Agree(Agreement),
-    /// Writes this setting of [`AxisConfig::configuration`], and reads it back if the object is readable.
-    Configure(Object, usize),
-    /// Reads a limit. A drive without the object, or with at least this much, skips the next [`Need::Limit`].
-    AtLeast(Object, u32),
-    /// Writes and reads back.
-    Set(Write, Need),
-    /// Object 0x6061 must come to show this mode.
-    Shown(ModeOfOperation),
-    /// Reads object 0x6041.
-    Statusword,
-    /// Reads object 0x6064.
-    Position,
-    /// Reads object 0x603F, used if the drive is in fault.
-    ErrorCode,
-}
-
-/// What the absence of an object of [`Step::Set`] means.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Need {
-    /// The drive is refused.
-    Required,
-    /// The drive is accepted.
-    Optional,
-    /// The drive is refused, unless the last [`Step::AtLeast`] found no limit to raise.
-    Limit,
-    /// The drive is accepted, and its mode of operation is not watched.
-    Watch,
-}
-
-impl Step {
-    pub(super) fn object(&self) -> Object {
-        match self {
-            Self::Identity(object, _) | Self::Configure(object, _) | Self::AtLeast(object, _) => *object,
-            Self::Modes(_) => SUPPORTED_MODES,
-            Self::Value(agreement) => agreement.object,
-            Self::Agree(agreement) => agreement.divisor.unwrap_or(agreement.object),
-            Self::Set(write, _) => write.object,
-            Self::Shown(_) => MODE_OF_OPERATION_DISPLAY,
-            Self::Statusword => STATUSWORD,
-            Self::Position => POSITION_ACTUAL,
-            Self::ErrorCode => ERROR_CODE,
-        }
-    }
-
-    /// Whether the step is skipped if the drive has the object of the last agreement.
-    pub(super) fn instead(&self) -> bool {
-        match self {
-            Self::Value(agreement) | Self::Agree(agreement) => agreement.instead,
-            Self::Set(_, Need::Limit) => true,
-            _ => false,
-        }
-    }
-}
-
 /// All steps before a drive is started.
-pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step>, ConfigError> {
-    let required = |write| Step::Set(write, Need::Required);
-    let optional = |write| Step::Set(write, Need::Optional);
+pub(crate) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step>, ConfigError> {
     let units = axis.drive_units()?;
     let (period, exponent) = group.interpolation_period()?;
-    let (heartbeat, lost) = group.heartbeat_times()?;
-    let consumer = u32::from(group.host_node.raw()) << 16 | u32::from(lost);
     let mode = axis.mode.of_operation();
-    let identity = [
-        (VENDOR_ID, Some(axis.identity.vendor)),
-        (PRODUCT_CODE, axis.identity.product),
-        (REVISION, axis.identity.revision),
-    ];
-
-    let mut steps: Vec<Step> =
-        identity.into_iter().filter_map(|(object, expected)| Some(Step::Identity(object, expected?))).collect();
+    let mut steps: Vec<Step> = Step::identity(&axis.identity).collect();
     steps.push(Step::Modes([mode, ModeOfOperation::Homing]));
     // A previous controller may have left the drive enabled.
-    steps.push(required(Write::new(CONTROLWORD, 0_u16)));
+    steps.push(Step::required(Write::new(CONTROLWORD, 0_u16)));
     let settings = axis.configuration.iter().enumerate();
     steps.extend(settings.map(|(number, setting)| Step::Configure(setting.object, number)));
     // Behind the cell's own objects, whose writing may change others in the drive. First the limits of the ramps.
@@ -118,10 +42,9 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         steps.push(Step::AtLeast(object, ramp));
         steps.push(Step::Set(Write::new(object, ramp), Need::Limit));
     }
+    steps.extend(Step::heartbeats(group)?);
     steps.extend(
         [
-            Write::new(PRODUCER_HEARTBEAT, heartbeat),
-            Write::new(CONSUMER_HEARTBEAT_1, consumer),
             Write::new(ABORT_CONNECTION_OPTION, ABORT_CONNECTION_BY_QUICK_STOP),
             Write::new(QUICK_STOP_OPTION, QUICK_STOP_RAMP_AND_HOLD),
             Write::new(QUICK_STOP_DECELERATION, units.quick_stop_deceleration),
@@ -133,7 +56,7 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
             Write::new(HOMING_ZERO_SPEED, units.zero_speed),
             Write::new(HOMING_ACCELERATION, units.homing_acceleration),
         ]
-        .map(required),
+        .map(Step::required),
     );
     steps.extend(
         [
@@ -158,10 +81,12 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
             // its own in place of the home offset.
             Write::new(HOME_OFFSET, 0_i32),
         ]
-        .map(optional),
+        .map(Step::optional),
     );
     if axis.identity.vendor == MAXON {
-        steps.extend([EPOS4_HOME_POSITION, EPOS4_HOME_OFFSET_MOVE].map(|object| optional(Write::new(object, 0_i32))));
+        steps.extend(
+            [EPOS4_HOME_POSITION, EPOS4_HOME_OFFSET_MOVE].map(|object| Step::optional(Write::new(object, 0_i32))),
+        );
     }
     // After all writes that may change these objects.
     for agreement in agreement::of(axis) {
@@ -174,11 +99,11 @@ pub(super) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         steps.push(match process_data::may_be_absent(write.object) {
             // All of TPDO 2 but its first write, which switches it off.
             _ if maps_mode => Step::Set(write, Need::Watch),
-            true => optional(write),
-            false => required(write),
+            true => Step::optional(write),
+            false => Step::required(write),
         });
     }
-    steps.push(required(Write::new(MODE_OF_OPERATION, mode.raw())));
+    steps.push(Step::required(Write::new(MODE_OF_OPERATION, mode.raw())));
     steps.extend([Step::Shown(mode), Step::Statusword, Step::Position, Step::ErrorCode]);
     Ok(steps)
 }

@@ -21,7 +21,7 @@ use crate::{BringUpError, DriveGroup};
 ///
 /// ```text
 /// (port, sent) = recording.port()
-/// group = Cia402Group::new(port, config, axes)
+/// group = CanBus::new(port, config, axes)
 /// recording.bring_up(group)
 /// for now in recording.syncs(): group.read(now, states); group.write(now, commands); group.send(now)
 /// ```

@@ -1,7 +1,7 @@
 //! Tests of the group against frames written by hand.
 
 mod agreement;
-mod bench;
+pub(crate) mod bench;
 mod bring_up;
 mod configuration;
 mod cycle;

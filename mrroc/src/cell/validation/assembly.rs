@@ -59,6 +59,7 @@ fn place_of_drive(cell: &Cell, bus: &Path, axes: &[(usize, usize)], error: cia40
         ConfigError::Period(_) => Path::to("period_us"),
         ConfigError::HeartbeatPeriod(_) => bus.then("heartbeat_ms"),
         ConfigError::DuplicateNode(node) => of_node(node).then("node"),
+        ConfigError::IoOutOfRange { .. } => bus.clone(),
         ConfigError::Setting { node, .. } => of_node(node).then("drive").then("parameter"),
         ConfigError::OutOfRange { node, quantity } => {
             let axis = of_node(node);

@@ -5,19 +5,24 @@ use std::sync::{Arc, Mutex};
 use std::task::Poll;
 use std::time::Duration;
 
-use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received, StandardId};
-use canopen::{NodeId, Object};
+use can::{ControllerState, Counters, Frame, Instant, Port, PortError, StandardId};
+use canopen::{NodeId, Object, cob};
 
+pub(crate) use can::Received;
+
+pub(crate) use crate::bus::{CanBus, Sign, traffic};
+use crate::cia401::{IoConfig, IoLink};
 use crate::cia402::*;
+pub(crate) use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault};
 use crate::{Finite, Power, Scale, Setpoint};
 
-pub(super) const PERIOD: Duration = Duration::from_millis(2);
+pub(crate) const PERIOD: Duration = Duration::from_millis(2);
 
-pub(super) fn node(raw: u8) -> NodeId {
+pub(crate) fn node(raw: u8) -> NodeId {
     NodeId::new(raw).unwrap()
 }
 
-pub(super) fn group_config() -> GroupConfig {
+pub(crate) fn group_config() -> GroupConfig {
     GroupConfig {
         period: PERIOD,
         tolerated_missing: 2,
@@ -30,12 +35,12 @@ pub(super) fn group_config() -> GroupConfig {
     }
 }
 
-pub(super) fn setting(index: u16, subindex: u8, data: &[u8]) -> Setting {
+pub(crate) fn setting(index: u16, subindex: u8, data: &[u8]) -> Setting {
     Setting { object: Object::new(index, subindex), data: data.to_vec(), readable: true }
 }
 
 /// 2000 increments per turn; an increment is TAU / 2000 rad.
-pub(super) fn axis_config(raw: u8) -> AxisConfig {
+pub(crate) fn axis_config(raw: u8) -> AxisConfig {
     let tau = std::f64::consts::TAU;
     AxisConfig {
         node: node(raw),
@@ -53,16 +58,16 @@ pub(super) fn axis_config(raw: u8) -> AxisConfig {
 
 /// A bus seen from the host: frames sent, frames to be received, and the free space of its queue.
 #[derive(Default)]
-pub(super) struct Bus {
-    pub(super) sent: Vec<Frame>,
-    pub(super) inbox: VecDeque<Received>,
-    pub(super) takes: Option<usize>,
-    pub(super) error: Option<PortError>,
-    pub(super) state: ControllerState,
+pub(crate) struct Bus {
+    pub(crate) sent: Vec<Frame>,
+    pub(crate) inbox: VecDeque<Received>,
+    pub(crate) takes: Option<usize>,
+    pub(crate) error: Option<PortError>,
+    pub(crate) state: ControllerState,
 }
 
 #[derive(Clone, Default)]
-pub(super) struct BusEnd(pub(super) Arc<Mutex<Bus>>);
+pub(crate) struct BusEnd(pub(crate) Arc<Mutex<Bus>>);
 
 impl Port for BusEnd {
     fn send(&mut self, _now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
@@ -95,7 +100,7 @@ impl Port for BusEnd {
 }
 
 /// Parses a frame in the format of `candump -L`.
-pub(super) fn frame(text: &str) -> Frame {
+pub(crate) fn frame(text: &str) -> Frame {
     let (id, data) = text.split_once('#').unwrap();
     let id = StandardId::new(u16::from_str_radix(id, 16).unwrap()).unwrap();
     let byte = |i: usize| u8::from_str_radix(&data[i..i + 2], 16).unwrap();
@@ -104,35 +109,37 @@ pub(super) fn frame(text: &str) -> Frame {
 }
 
 /// TPDO 1 of a node, with torque zero.
-pub(super) fn answer(raw: u8, statusword: u16, position: i32) -> String {
+pub(crate) fn answer(raw: u8, statusword: u16, position: i32) -> String {
     let [s0, s1] = statusword.to_le_bytes();
     let [a, b, c, d] = position.to_le_bytes();
     format!("{:03X}#{s0:02X}{s1:02X}{a:02X}{b:02X}{c:02X}{d:02X}0000", 0x180 + u16::from(raw))
 }
 
 /// The service side of a node: an object store that answers service requests only.
-pub(super) struct Store {
-    pub(super) raw: u8,
-    pub(super) objects: BTreeMap<(u16, u8), Vec<u8>>,
-    pub(super) aborts: BTreeMap<(u16, u8), u32>,
+pub(crate) struct Store {
+    pub(crate) raw: u8,
+    pub(crate) objects: BTreeMap<(u16, u8), Vec<u8>>,
+    pub(crate) aborts: BTreeMap<(u16, u8), u32>,
     /// Objects that cannot be written.
-    pub(super) read_only: Vec<(u16, u8)>,
+    pub(crate) read_only: Vec<(u16, u8)>,
     /// Objects it takes and does not keep.
-    pub(super) forgetful: Option<(u16, u8)>,
+    pub(crate) forgetful: Option<(u16, u8)>,
     /// An object whose writing sets another object to zero.
-    pub(super) clears: Option<((u16, u8), (u16, u8))>,
+    pub(crate) clears: Option<((u16, u8), (u16, u8))>,
     /// Object without any answer.
-    pub(super) mute: Option<(u16, u8)>,
-    pub(super) boots: bool,
-    pub(super) starts: bool,
-    pub(super) shows_modes: bool,
+    pub(crate) mute: Option<(u16, u8)>,
+    pub(crate) boots: bool,
+    pub(crate) starts: bool,
+    pub(crate) shows_modes: bool,
+    /// A frame sent at the start, besides the heartbeat.
+    pub(crate) sends: Option<Frame>,
     /// The object of a segmented transfer, and the bytes received so far or still to be sent.
     segments: ((u16, u8), Vec<u8>),
 }
 
 impl Store {
     /// An EPOS4 that is switched off and stands at 1000 increments.
-    pub(super) fn epos4(raw: u8) -> Self {
+    pub(crate) fn epos4(raw: u8) -> Self {
         let mut objects = BTreeMap::new();
         let mut put = |index, subindex, bytes: &[u8]| objects.insert((index, subindex), bytes.to_vec());
         put(0x1000, 0, &[0x92, 0x01, 0x02, 0x00]);
@@ -174,6 +181,11 @@ impl Store {
         put(0x60C2, 1, &[0]);
         put(0x60C2, 2, &[0xFD]);
         put(0x6502, 0, &[0xA5, 0x03, 0, 0]);
+        Self::of(raw, objects)
+    }
+
+    /// A node with these objects.
+    pub(crate) fn of(raw: u8, objects: BTreeMap<(u16, u8), Vec<u8>>) -> Self {
         Self {
             raw,
             objects,
@@ -185,15 +197,16 @@ impl Store {
             boots: true,
             starts: true,
             shows_modes: true,
+            sends: None,
             segments: ((0, 0), Vec::new()),
         }
     }
 
-    pub(super) fn put(&mut self, index: u16, subindex: u8, bytes: &[u8]) {
+    pub(crate) fn put(&mut self, index: u16, subindex: u8, bytes: &[u8]) {
         self.objects.insert((index, subindex), bytes.to_vec());
     }
 
-    pub(super) fn handle(&mut self, frame: &Frame) -> Option<Frame> {
+    pub(crate) fn handle(&mut self, frame: &Frame) -> Option<Frame> {
         let id = frame.standard_data_id()?.raw();
         let heartbeat = 0x700 + u16::from(self.raw);
         let new = |id, data: &[u8]| Frame::new(StandardId::new(id).unwrap(), data);
@@ -276,20 +289,28 @@ impl Store {
 }
 
 /// A group, its bus, and the service side of its drives.
-pub(super) struct Bench {
-    pub(super) group: Cia402Group<BusEnd>,
-    pub(super) bus: BusEnd,
-    pub(super) stores: Vec<Store>,
-    pub(super) now: Instant,
-    pub(super) states: Vec<AxisState>,
+pub(crate) struct Bench {
+    pub(crate) group: CanBus<BusEnd>,
+    pub(crate) links: Vec<IoLink>,
+    pub(crate) bus: BusEnd,
+    pub(crate) stores: Vec<Store>,
+    pub(crate) now: Instant,
+    pub(crate) states: Vec<AxisState>,
     seen: usize,
 }
 
 impl Bench {
-    pub(super) fn new(config: GroupConfig, axes: &[AxisConfig]) -> Self {
+    pub(crate) fn new(config: GroupConfig, axes: &[AxisConfig]) -> Self {
+        Self::with_io(config, axes, &[])
+    }
+
+    /// A bus with drives and I/O nodes; the stores of the I/O nodes are added by the caller.
+    pub(crate) fn with_io(config: GroupConfig, axes: &[AxisConfig], io: &[IoConfig]) -> Self {
         let bus = BusEnd::default();
+        let (group, links) = CanBus::with_io(bus.clone(), config, axes, io).unwrap();
         Self {
-            group: Cia402Group::new(bus.clone(), config, axes).unwrap(),
+            group,
+            links,
             bus,
             stores: axes.iter().map(|axis| Store::epos4(axis.node.raw())).collect(),
             now: Instant::ZERO,
@@ -299,20 +320,30 @@ impl Bench {
     }
 
     /// A group of EPOS4 in CSP, brought up.
-    pub(super) fn up(nodes: &[u8]) -> Self {
+    pub(crate) fn up(nodes: &[u8]) -> Self {
         let axes: Vec<AxisConfig> = nodes.iter().map(|&raw| axis_config(raw)).collect();
         Self::up_with(group_config(), &axes)
     }
 
-    pub(super) fn up_with(config: GroupConfig, axes: &[AxisConfig]) -> Self {
-        let mut bench = Self::new(config, axes);
-        assert_eq!(bench.bring_up(), Ok(()));
-        bench.seen = bench.bus.0.lock().unwrap().sent.len();
-        bench
+    pub(crate) fn up_with(config: GroupConfig, axes: &[AxisConfig]) -> Self {
+        Self::new(config, axes).brought_up()
+    }
+
+    /// A bus with drives and I/O nodes, whose service side is `nodes`, brought up.
+    pub(crate) fn up_with_io(config: GroupConfig, axes: &[AxisConfig], io: &[IoConfig], nodes: Vec<Store>) -> Self {
+        let mut bench = Self::with_io(config, axes, io);
+        bench.stores.extend(nodes);
+        bench.brought_up()
+    }
+
+    fn brought_up(mut self) -> Self {
+        assert_eq!(self.bring_up(), Ok(()));
+        self.seen = self.bus.0.lock().unwrap().sent.len();
+        self
     }
 
     /// Runs bring-up to its end with one call per period.
-    pub(super) fn bring_up(&mut self) -> Result<(), BringUpError> {
+    pub(crate) fn bring_up(&mut self) -> Result<(), BringUpError> {
         for _ in 0..10_000 {
             if let Poll::Ready(result) = self.group.bring_up(self.now) {
                 return result;
@@ -324,19 +355,22 @@ impl Bench {
     }
 
     /// Lets the stores answer the frames sent since the last call.
-    pub(super) fn serve(&mut self) {
+    pub(crate) fn serve(&mut self) {
         let mut bus = self.bus.0.lock().unwrap();
         let at = self.now + PERIOD / 2;
         for i in self.seen..bus.sent.len() {
             let frame = bus.sent[i];
-            let replies = self.stores.iter_mut().filter_map(|store| store.handle(&frame));
-            bus.inbox.extend(replies.map(|frame| Received { frame, at }));
+            let replies = self.stores.iter_mut().flat_map(|store| {
+                let started = frame.data() == [0x01, store.raw] && frame.standard_data_id() == Some(cob::NMT);
+                [store.handle(&frame), store.sends.filter(|_| started)]
+            });
+            bus.inbox.extend(replies.flatten().map(|frame| Received { frame, at }));
         }
         self.seen = bus.sent.len();
     }
 
     /// One cycle: `answers` arrived half a period ago. Returns the frames sent.
-    pub(super) fn cycle<T: AsRef<str>>(&mut self, answers: &[T], commands: &[AxisCommand]) -> Vec<String> {
+    pub(crate) fn cycle<T: AsRef<str>>(&mut self, answers: &[T], commands: &[AxisCommand]) -> Vec<String> {
         self.now += PERIOD;
         let at = self.now - PERIOD / 2;
         let mut bus = self.bus.0.lock().unwrap();
@@ -353,7 +387,7 @@ impl Bench {
     }
 
     /// Enables every axis, standing at 1000 increments.
-    pub(super) fn enable(&mut self) {
+    pub(crate) fn enable(&mut self) {
         let commands = vec![AxisCommand::Stand; self.states.len()];
         for statusword in [0x0740, 0x0721, 0x0723, 0x0737, 0x0737, 0x0737, 0x0737] {
             self.cycle(&self.answers(statusword, 1_000), &commands);
@@ -361,18 +395,18 @@ impl Bench {
         assert!(self.states.iter().all(|state| state.power == Power::On && state.following));
     }
 
-    pub(super) fn answers(&self, statusword: u16, position: i32) -> Vec<String> {
-        self.stores.iter().map(|store| answer(store.raw, statusword, position)).collect()
+    pub(crate) fn answers(&self, statusword: u16, position: i32) -> Vec<String> {
+        self.stores[..self.states.len()].iter().map(|store| answer(store.raw, statusword, position)).collect()
     }
 }
 
 /// Follows a position in increments of [`axis_config`].
-pub(super) fn follow(increments: f64) -> AxisCommand {
+pub(crate) fn follow(increments: f64) -> AxisCommand {
     let position = increments * std::f64::consts::TAU / 2_000.0;
     AxisCommand::Follow(Setpoint::Position(Finite::new(position).unwrap()))
 }
 
-pub(super) const NONE: &[&str] = &[];
+pub(crate) const NONE: &[&str] = &[];
 
 /// The frames sent, in the format of `candump`.
 pub(crate) fn sent(bench: &Bench) -> Vec<String> {

@@ -331,7 +331,7 @@ fn configurations_that_cannot_work_are_refused() {
     let with = |change: fn(&mut GroupConfig, &mut Vec<AxisConfig>)| {
         let (mut config, mut axes) = (group_config(), vec![axis_config(1), axis_config(2)]);
         change(&mut config, &mut axes);
-        Cia402Group::new(BusEnd::default(), config, &axes).err()
+        CanBus::new(BusEnd::default(), config, &axes).err()
     };
     let out_of_range = |quantity| Some(ConfigError::OutOfRange { node: 2, quantity });
     assert_eq!(with(|_, _| {}), None);

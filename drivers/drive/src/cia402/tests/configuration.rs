@@ -83,7 +83,7 @@ fn settings_that_must_not_or_cannot_be_written_are_refused_before_a_frame() {
     ];
     for (setting, why) in table {
         let error = ConfigError::Setting { node: 2, object: setting.object, why };
-        let group = Cia402Group::new(BusEnd::default(), group_config(), &[configured(vec![setting])]);
+        let group = CanBus::new(BusEnd::default(), group_config(), &[configured(vec![setting])]);
         assert_eq!(group.map(|_| ()), Err(error));
     }
 }

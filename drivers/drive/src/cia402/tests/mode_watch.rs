@@ -4,7 +4,6 @@ use can::Received;
 use canopen::cia402::ModeOfOperation;
 
 use super::bench::*;
-use crate::cia402::*;
 use crate::{Homing, Power};
 
 const STAND: &[AxisCommand] = &[AxisCommand::Stand];

@@ -187,7 +187,7 @@ fn a_counter_that_jumped_is_no_reference_until_the_axis_is_homed_again() {
 fn an_axis_without_a_plausible_velocity_is_refused() {
     for plausible_velocity in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         let axis = AxisConfig { plausible_velocity, ..axis_config(2) };
-        let group = Cia402Group::new(BusEnd::default(), group_config(), &[axis]);
+        let group = CanBus::new(BusEnd::default(), group_config(), &[axis]);
         let (node, quantity) = (2, Quantity::PlausibleVelocity);
         assert_eq!(group.err(), Some(ConfigError::OutOfRange { node, quantity }));
     }

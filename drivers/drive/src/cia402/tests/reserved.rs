@@ -1,7 +1,8 @@
 //! The objects reserved for the driver, and the refusal of all other ways to write them.
 
 use super::bench::*;
-use crate::cia402::program::{MAXON, Step, program};
+use crate::bus::Step;
+use crate::cia402::program::{MAXON, program};
 use crate::cia402::*;
 use canopen::Object;
 
@@ -114,7 +115,7 @@ fn reserved_objects_are_refused_before_a_frame() {
             object: Object::new(index, subindex),
             why: reserved(MAXON, index, subindex).unwrap().why,
         };
-        let group = Cia402Group::new(BusEnd::default(), group_config(), &[axis]);
+        let group = CanBus::new(BusEnd::default(), group_config(), &[axis]);
         assert_eq!(group.map(|_| ()), Err(error));
     }
 }

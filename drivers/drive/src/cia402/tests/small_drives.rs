@@ -2,7 +2,6 @@
 
 use super::bench::*;
 use crate::Power;
-use crate::cia402::*;
 use canopen::Object;
 
 const NOT_MAPPABLE: u32 = 0x0604_0041;

@@ -3,7 +3,6 @@
 use std::time::Duration;
 
 use super::bench::*;
-use crate::cia402::*;
 use crate::{Warning, Warnings};
 
 const STAND: &[AxisCommand] = &[AxisCommand::Stand];

@@ -17,15 +17,15 @@ pub enum Sign {
     /// The heartbeat of the host's own node-ID.
     #[error("the heartbeat of node {node}")]
     Heartbeat { node: u8 },
-    /// An RPDO of one of our drives.
+    /// An RPDO of one of our nodes.
     #[error("a set-point of node {node}")]
     Setpoint { node: u8 },
 }
 
 impl Sign {
     /// The sign in a received frame, if any. `host` is the host's node-ID, and `is_ours`
-    /// returns whether a node is a drive of the group.
-    pub(super) fn of(frame: &Frame, host: NodeId, is_ours: impl FnOnce(NodeId) -> bool) -> Option<Self> {
+    /// returns whether a node is a drive or an I/O node of the bus.
+    pub(crate) fn of(frame: &Frame, host: NodeId, is_ours: impl FnOnce(NodeId) -> bool) -> Option<Self> {
         match cob::Function::of(frame.standard_data_id()?)? {
             cob::Function::Sync => Some(Self::Sync),
             cob::Function::Heartbeat(node) if node == host => Some(Self::Heartbeat { node: node.raw() }),

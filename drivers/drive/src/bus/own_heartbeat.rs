@@ -6,26 +6,26 @@ use can::Instant;
 
 /// The host's heartbeat in operation. A drive watches it from the first one on (CiA 301 §7.5.2.19).
 #[derive(Clone, Copy, Debug)]
-pub(super) struct OwnHeartbeat {
+pub(crate) struct OwnHeartbeat {
     due: Instant,
     /// When the port took the last one, or was offered the first one.
     since: Option<Instant>,
     /// The port took one: the drives would notice that the host falls silent.
-    pub(super) watched: bool,
+    pub(crate) watched: bool,
 }
 
 impl OwnHeartbeat {
     /// None was sent, and the first one is due at `now`.
-    pub(super) fn due_at(now: Instant) -> Self {
+    pub(crate) fn due_at(now: Instant) -> Self {
         Self { due: now, since: None, watched: false }
     }
 
-    pub(super) fn is_due(&self, now: Instant) -> bool {
+    pub(crate) fn is_due(&self, now: Instant) -> bool {
         now >= self.due
     }
 
     /// The port was offered a heartbeat; whether it was taken.
-    pub(super) fn offered(&mut self, now: Instant, taken: bool, period: Duration) {
+    pub(crate) fn offered(&mut self, now: Instant, taken: bool, period: Duration) {
         if taken {
             self.due = now + period;
             self.since = Some(now);
@@ -36,7 +36,7 @@ impl OwnHeartbeat {
     }
 
     /// How long the drives have heard none, if that is longer than `allowed`.
-    pub(super) fn missing(&self, now: Instant, allowed: Duration) -> Option<Duration> {
+    pub(crate) fn missing(&self, now: Instant, allowed: Duration) -> Option<Duration> {
         let waited = now.since(self.since?);
         (waited > allowed).then_some(waited)
     }

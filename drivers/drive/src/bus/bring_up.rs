@@ -1,23 +1,48 @@
-//! Bring-up of one CiA 402 drive.
+//! Bring-up of one node, a CiA 402 drive or a CiA 401 I/O node.
 
 use can::Instant;
 use canopen::cia402::{ModeOfOperation, PowerState, Statusword, SupportedModes};
 use canopen::objects::{DEVICE_TYPE, MODE_OF_OPERATION_DISPLAY};
 use canopen::sdo::{AbortCode, Write};
-use canopen::{NodeId, Object, nmt, number};
+use canopen::{NodeId, Object, cia401, nmt, number};
 use master::sdo::{Client, SdoCause, SdoError, Transfer};
 
-use super::axis::Learnt;
-use super::config::{AxisConfig, ConfigError, GroupConfig, Setting};
-use super::process_data;
-use super::program::{Need, Step, program};
+use super::step::{Need, Step};
+use crate::cia402::{GroupConfig, Setting, is_timer};
 use crate::{BringUpError, Increments};
 
 /// Greatest number of boots of a node in one bring-up. A node that boots again has failed to boot.
 const BOOTS: u8 = 3;
 
-/// Device profile of a drive, in the low half of object 0x1000 (CiA 301 §7.5.2.1).
-const PROFILE_402: u32 = 402;
+/// Device profile of a node, in the low half of object 0x1000 (CiA 301 §7.5.2.1).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Profile {
+    /// CiA 402.
+    Drive,
+    /// CiA 401.
+    Io,
+}
+
+impl Profile {
+    fn check(self, node: u8, device_type: u32) -> Result<(), BringUpError> {
+        match (self, device_type as u16) {
+            (Self::Drive, 402) | (Self::Io, cia401::PROFILE) => Ok(()),
+            (Self::Drive, _) => Err(BringUpError::NotADrive { node, device_type }),
+            (Self::Io, _) => Err(BringUpError::NotAnIoNode { node, device_type }),
+        }
+    }
+}
+
+/// What bring-up learnt about a drive.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Learnt {
+    pub(crate) statusword: Statusword,
+    pub(crate) position: Increments,
+    /// Object 0x603F.
+    pub(crate) error_code: u16,
+    /// Mode of operation that the drive reported unasked since its start.
+    pub(crate) mode_shown: Option<ModeOfOperation>,
+}
 
 /// Brings one node from any state to configured, and then to operational.
 ///
@@ -28,14 +53,15 @@ const PROFILE_402: u32 = 402;
 ///      └◄─────────────────────────┴──────────────────────────┘
 /// ```
 #[derive(Clone, Debug)]
-pub(super) struct NodeBringUp {
+pub(crate) struct NodeBringUp {
     node: NodeId,
+    profile: Profile,
     group: GroupConfig,
     program: Vec<Step>,
     configuration: Vec<Setting>,
     phase: Phase,
     boots: u8,
-    pub(super) learnt: Learnt,
+    pub(crate) learnt: Learnt,
     /// Value of the last agreement's object, kept while its divisor is read.
     value: Option<u32>,
     /// Whether the drive has the object of the last agreement, or its last limit suffices.
@@ -78,50 +104,62 @@ impl Progress {
 }
 
 impl NodeBringUp {
-    pub(super) fn new(group: &GroupConfig, axis: &AxisConfig) -> Result<Self, ConfigError> {
-        Ok(Self {
-            node: axis.node,
+    /// `configuration` holds the settings of [`Step::Configure`].
+    pub(crate) fn new(
+        group: &GroupConfig,
+        node: NodeId,
+        profile: Profile,
+        program: Vec<Step>,
+        configuration: Vec<Setting>,
+    ) -> Self {
+        Self {
+            node,
+            profile,
             group: *group,
-            program: program(group, axis)?,
-            configuration: axis.configuration.clone(),
+            program,
+            configuration,
             phase: Phase::Operational,
             boots: 0,
             learnt: Learnt::default(),
             value: None,
             agreed: false,
             unwatched: false,
-        })
+        }
+    }
+
+    pub(crate) fn node(&self) -> NodeId {
+        self.node
     }
 
     /// Restarts bring-up. The caller sends the reset.
-    pub(super) fn reset(&mut self, now: Instant) {
+    pub(crate) fn reset(&mut self, now: Instant) {
         self.phase = Phase::Booting { since: now, booted: false, asked: false };
         self.boots = 0;
         self.learnt = Learnt::default();
     }
 
     /// Starts the change to operational. The caller sends the command.
-    pub(super) fn start(&mut self, now: Instant) {
+    pub(crate) fn start(&mut self, now: Instant) {
         self.phase = Phase::Starting { since: now };
     }
 
-    pub(super) fn configured(&self) -> bool {
+    pub(crate) fn configured(&self) -> bool {
         self.phase == Phase::Configured
     }
 
-    pub(super) fn operational(&self) -> bool {
+    pub(crate) fn operational(&self) -> bool {
         self.phase == Phase::Operational
     }
 
     /// Takes the mode of operation that the drive reported unasked. A drive reports none before its start.
-    pub(super) fn shows(&mut self, mode: ModeOfOperation) {
+    pub(crate) fn shows(&mut self, mode: ModeOfOperation) {
         if matches!(self.phase, Phase::Starting { .. } | Phase::Operational) {
             self.learnt.mode_shown = Some(mode);
         }
     }
 
     /// Takes a heartbeat or boot-up message. A boot-up resets the client `sdo`.
-    pub(super) fn heard(&mut self, state: nmt::NmtState, sdo: &mut Client, now: Instant) {
+    pub(crate) fn heard(&mut self, state: nmt::NmtState, sdo: &mut Client, now: Instant) {
         match (self.phase, state) {
             (Phase::Starting { .. }, nmt::NmtState::Operational) => self.phase = Phase::Operational,
             // A node that left operational may have lost its configuration. The boot time-out ends the start.
@@ -142,12 +180,12 @@ impl NodeBringUp {
         }
     }
 
-    pub(super) fn client(&self) -> Client {
+    pub(crate) fn client(&self) -> Client {
         Client::new(self.node, self.group.sdo_timeout, self.group.sdo_retries)
     }
 
     /// Advances bring-up: takes the answer to the last request and makes the next request.
-    pub(super) fn advance(&mut self, sdo: &mut Client, now: Instant) -> Result<(), BringUpError> {
+    pub(crate) fn advance(&mut self, sdo: &mut Client, now: Instant) -> Result<(), BringUpError> {
         let node = self.node.raw();
         sdo.handle_timeout(now);
         match self.phase {
@@ -158,20 +196,18 @@ impl NodeBringUp {
                 }
                 if let Some(result) = sdo.poll() {
                     match result.and_then(|transfer| transfer.number::<u32>()) {
-                        Ok(device_type) if device_type & 0xFFFF == PROFILE_402 => {
+                        Ok(device_type) => {
+                            self.profile.check(node, device_type)?;
                             self.unwatched = false;
                             self.phase = Phase::Configuring(Progress::at(0, now));
                             return self.advance(sdo, now);
-                        }
-                        Ok(device_type) => {
-                            return Err(BringUpError::NotADrive { node, device_type });
                         }
                         // The node may still boot; the boot time-out decides.
                         Err(_) => *asked = false,
                     }
                 } else if !*asked && (booted || waited >= self.group.sdo_timeout) {
                     *asked = true;
-                    begin(sdo, DEVICE_TYPE, None, now);
+                    begin_transfer(sdo, DEVICE_TYPE, None, now);
                 }
                 Ok(())
             }
@@ -195,9 +231,9 @@ impl NodeBringUp {
                             started.expect("the client is idle and the length was checked");
                         }
                         (Step::Set(write, _), false) => {
-                            begin(sdo, write.object, Some(write), now);
+                            begin_transfer(sdo, write.object, Some(write), now);
                         }
-                        _ => begin(sdo, current.object(), None, now),
+                        _ => begin_transfer(sdo, current.object(), None, now),
                     }
                     self.phase = Phase::Configuring(Progress { asked: true, ..progress });
                     return Ok(());
@@ -244,7 +280,7 @@ impl NodeBringUp {
         match step {
             Step::Set(write, Need::Watch) if unmapped => {
                 // A drive that lacks a timer can map its mode all the same.
-                self.unwatched = !process_data::is_timer(write.object);
+                self.unwatched = !is_timer(write.object);
                 return Ok(Next::Step);
             }
             Step::Set(_, Need::Optional) if absent => return Ok(Next::Step),
@@ -285,6 +321,12 @@ impl NodeBringUp {
                 let lacking = modes.into_iter().find(|&mode| !SupportedModes(supported).contains(mode));
                 if let Some(mode) = lacking {
                     return Err(BringUpError::ModeUnsupported { node, mode: mode.raw(), supported });
+                }
+            }
+            Step::Blocks(object, needed) => {
+                let found = transfer.number().map_err(error)?;
+                if found < needed {
+                    return Err(BringUpError::TooFewBlocks { node, object, found, needed });
                 }
             }
             Step::Value(_) => self.value = Some(transfer.number().map_err(error)?),
@@ -337,7 +379,7 @@ impl NodeBringUp {
     }
 }
 
-/// Checks that the drive holds the written value.
+/// Checks that the node holds the written value.
 fn compare(node: NodeId, object: Object, wrote: &[u8], read: Transfer) -> Result<(), BringUpError> {
     let found = read.data;
     let node = node.raw();
@@ -360,7 +402,7 @@ enum Next {
 }
 
 /// Starts a transfer with an idle client: a new one, or one whose last result was taken.
-pub(super) fn begin(sdo: &mut Client, object: Object, write: Option<Write>, now: Instant) {
+pub(crate) fn begin_transfer(sdo: &mut Client, object: Object, write: Option<Write>, now: Instant) {
     let started = match write {
         Some(write) => sdo.write(write, now),
         None => sdo.upload(object, now),

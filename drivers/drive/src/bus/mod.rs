@@ -1,0 +1,473 @@
+//! The owner of a CAN bus: one port, one bring-up and one batch per cycle for the drives and the I/O nodes of the bus.
+//!
+//! [`CanBus`] reads the received frames once per cycle and routes each frame by its identifier to a
+//! [drive](crate::cia402) or an [I/O node](crate::cia401). The batch of a cycle is one system call. Its frames leave in
+//! this order:
+//!
+//! | frame | when |
+//! |---|---|
+//! | SYNC | every cycle |
+//! | RPDO 1 of each drive | every cycle |
+//! | RPDO 1 of an I/O node | when its outputs change |
+//! | heartbeat of the host | once per heartbeat period |
+//! | SDO request to a drive | one at most, during a change of mode or after a fault |
+//!
+//! Bring-up listens for another controller, resets the communication of all nodes, configures and reads back every node
+//! by SDO, and starts all nodes together. Bring-up ends when every node shows the state operational and every I/O node
+//! has sent its inputs.
+//!
+//! Read [`DriveGroup`] first, then [`CanBus::with_io`].
+
+mod bring_up;
+mod other_controller;
+mod own_heartbeat;
+mod routes;
+mod step;
+mod syncs;
+mod traffic;
+
+use std::task::Poll;
+use std::time::Duration;
+
+use can::{ControllerState, Frame, Instant, Port, Received};
+use canopen::emcy::Emergency;
+use canopen::heartbeat::Heartbeat;
+use canopen::pdo::PdoNumber;
+use canopen::sync::Sync;
+use canopen::{cob, nmt};
+use master::sdo::Client;
+
+pub(crate) use bring_up::{Learnt, NodeBringUp, begin_transfer};
+pub use other_controller::Sign;
+pub(crate) use step::{Need, Step};
+pub(crate) use syncs::Syncs;
+pub use traffic::{Traffic, traffic};
+
+use crate::cia401::{self, IoConfig, IoLink, IoNode};
+use crate::cia402::{self, AxisConfig, Cia402Group, ConfigError, GroupConfig};
+use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Warning, Warnings};
+use bring_up::Profile;
+use own_heartbeat::OwnHeartbeat;
+use routes::{Place, Routes};
+
+/// Greatest number of SDO frames sent by one call of bring-up. A transmit queue of ten has room for them.
+const SDO_FRAMES_PER_CALL: usize = 8;
+
+/// Frames of a cycle in addition to one set-point for each axis and one command for each I/O node: SYNC, the host's
+/// heartbeat and a service request. A port must take all frames of a cycle at once, or set-points are dropped.
+pub const BESIDE_SETPOINTS: usize = 3;
+
+/// The owner of a CAN bus. As a [`DriveGroup`], the bus has the axes of its drives.
+pub struct CanBus<P: Port> {
+    port: P,
+    config: GroupConfig,
+    /// All nodes: the drives, then the I/O nodes.
+    members: Vec<Member>,
+    routes: Routes,
+    drives: Cia402Group,
+    io: Vec<IoNode>,
+    stage: Stage,
+    received: Vec<Received>,
+    /// During bring-up: frames that the port has not taken yet. In a cycle: SYNC and the set-points.
+    batch: Vec<Frame>,
+    /// A service frame that the port has not taken yet.
+    service: Option<Frame>,
+    /// Index of the member whose SDO client sent last.
+    turn: usize,
+    syncs: Syncs,
+    heartbeat: OwnHeartbeat,
+    counters: GroupCounters,
+    warnings: Warnings,
+    /// End of bring-up.
+    up_since: Instant,
+    /// Number of the cycle, from 0 at the end of bring-up.
+    cycle: u64,
+}
+
+/// A node of the bus: its bring-up, and the SDO client of bring-up and operation.
+pub(crate) struct Member {
+    pub(crate) bring_up: NodeBringUp,
+    pub(crate) sdo: Client,
+}
+
+impl Member {
+    fn new(bring_up: NodeBringUp) -> Self {
+        Self { sdo: bring_up.client(), bring_up }
+    }
+}
+
+/// While the owner listens, nothing is sent, and frames of another controller are detected.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    Down,
+    Listening { until: Instant },
+    Configuring,
+    Starting { since: Instant },
+    Up,
+}
+
+impl<P: Port> CanBus<P> {
+    /// A bus with drives alone. Nothing has been sent yet. States and commands come in the order of `axes`.
+    pub fn new(port: P, config: GroupConfig, axes: &[AxisConfig]) -> Result<Self, ConfigError> {
+        Self::with_io(port, config, axes, &[]).map(|(bus, _)| bus)
+    }
+
+    /// A bus with drives and I/O nodes. The links come in the order of `io` and may be read and written by any thread.
+    ///
+    /// Refuses a node-ID that occurs twice, and quantities that a node cannot hold.
+    pub fn with_io(
+        port: P,
+        config: GroupConfig,
+        axes: &[AxisConfig],
+        io: &[IoConfig],
+    ) -> Result<(Self, Vec<IoLink>), ConfigError> {
+        config.check(axes)?;
+        cia401::check(&config, axes, io)?;
+        let mut members = Vec::with_capacity(axes.len() + io.len());
+        for axis in axes {
+            let program = cia402::program(&config, axis)?;
+            let configuration = axis.configuration.clone();
+            let bring_up = NodeBringUp::new(&config, axis.node, Profile::Drive, program, configuration);
+            members.push(Member::new(bring_up));
+        }
+        for node in io {
+            let program = cia401::program(&config, node)?;
+            members.push(Member::new(NodeBringUp::new(&config, node.node, Profile::Io, program, Vec::new())));
+        }
+        let inputs: usize = io.iter().map(|node| node.frames_per(config.period)).sum();
+        let (nodes, links): (Vec<_>, Vec<_>) = io.iter().map(|node| IoNode::new(&config, node)).unzip();
+        let nothing = Received { frame: Sync::default().encode(), at: Instant::ZERO };
+        let bus = Self {
+            port,
+            config,
+            // A cycle brings an answer, a heartbeat, an EMCY and an SDO frame of each node at most, and inputs.
+            received: vec![nothing; 16 + 8 * members.len() + inputs],
+            batch: Vec::with_capacity(members.len().max(SDO_FRAMES_PER_CALL) + BESIDE_SETPOINTS),
+            routes: Routes::new(axes.iter().map(|axis| axis.node), io.iter().map(|node| node.node)),
+            drives: Cia402Group::new(&config, axes),
+            io: nodes,
+            members,
+            stage: Stage::Down,
+            service: None,
+            turn: 0,
+            syncs: Syncs::default(),
+            heartbeat: OwnHeartbeat::due_at(Instant::ZERO),
+            counters: GroupCounters::default(),
+            warnings: Warnings::with_room(),
+            up_since: Instant::ZERO,
+            cycle: 0,
+        };
+        Ok((bus, links))
+    }
+
+    /// The sign of another controller in `frame`, if any.
+    fn sign(&self, frame: &Frame) -> Option<Sign> {
+        Sign::of(frame, self.config.host_node, |node| self.routes.place(node).is_some())
+    }
+
+    /// Takes one frame during operation. `None` means an undecodable or unexpected frame.
+    fn take(&mut self, Received { frame, at }: Received, now: Instant) -> Option<()> {
+        if let Some(sign) = self.sign(&frame) {
+            self.drives.latch_all(Fault::OtherController { sign });
+            return Some(());
+        }
+        match cob::Function::of(frame.standard_data_id()?)? {
+            cob::Function::Tpdo(number, node) => match (self.routes.place(node)?, number) {
+                (Place::Drive(drive), PdoNumber::One) => {
+                    let bus_time = self.drives.answered(drive, frame.data(), at, &self.syncs)?;
+                    self.counters.last_bus_time = bus_time.max(self.counters.last_bus_time);
+                }
+                (Place::Drive(drive), PdoNumber::Two) => self.drives.shows(drive, frame.data())?,
+                (Place::Io(io), PdoNumber::One) => self.io[io].inputs(frame.data(), at)?,
+                (Place::Drive(_), PdoNumber::Three | PdoNumber::Four)
+                | (Place::Io(_), PdoNumber::Two | PdoNumber::Three | PdoNumber::Four) => return None,
+            },
+            cob::Function::Heartbeat(node) => {
+                let state = Heartbeat::decode(&frame)?.state;
+                match self.routes.place(node)? {
+                    Place::Drive(drive) => self.drives.heard(drive, state, at),
+                    Place::Io(io) => self.io[io].heard(state, at),
+                }
+            }
+            cob::Function::Emcy(node) => {
+                let emergency = Emergency::decode(&frame)?;
+                let warns = match self.routes.place(node)? {
+                    Place::Drive(drive) => self.drives.emergency(drive, &emergency),
+                    Place::Io(_) => !emergency.is_reset(),
+                };
+                if warns {
+                    self.warnings.add(Warning {
+                        after: at.since(self.up_since),
+                        node: node.raw(),
+                        code: emergency.code,
+                        register: emergency.error_register.0,
+                        count: 1,
+                    });
+                }
+            }
+            cob::Function::SdoResponse(node) => {
+                let sdo = &mut self.members[self.routes.member(node)?].sdo;
+                sdo.handle(&frame, now);
+                // The result must be known before the next frames are taken.
+                if let Some(Place::Drive(drive)) = self.routes.place(node) {
+                    self.drives.finish_service(drive, sdo, now);
+                }
+            }
+            cob::Function::Nmt
+            | cob::Function::Sync
+            | cob::Function::Time
+            | cob::Function::Rpdo(..)
+            | cob::Function::SdoRequest(_) => return None,
+        }
+        Some(())
+    }
+
+    /// The next service frame; the nodes take turns.
+    fn next_sdo_frame(&mut self, now: Instant) -> Option<Frame> {
+        for _ in 0..self.members.len() {
+            self.turn = (self.turn + 1) % self.members.len();
+            if let Some(frame) = self.members[self.turn].sdo.poll_transmit(now) {
+                return Some(frame);
+            }
+        }
+        None
+    }
+
+    fn order(&mut self, command: nmt::Command) {
+        let frames = self.members.iter().map(|member| command.to(member.bring_up.node()).encode());
+        self.batch.extend(frames);
+    }
+
+    /// Ends the listening and discards all earlier requests to the nodes.
+    fn begin(&mut self, now: Instant) {
+        self.stage = Stage::Configuring;
+        self.batch.clear();
+        self.service = None;
+        self.drives.forget_services();
+        for member in &mut self.members {
+            member.bring_up.reset(now);
+            member.sdo = member.bring_up.client();
+        }
+        self.order(nmt::Command::ResetCommunication);
+    }
+
+    /// Takes one frame during bring-up.
+    fn take_in_bring_up(&mut self, Received { frame, at }: Received, now: Instant) {
+        match frame.standard_data_id().and_then(cob::Function::of) {
+            Some(cob::Function::Heartbeat(node)) => {
+                if let Some(heartbeat) = Heartbeat::decode(&frame)
+                    && let Some(member) = self.routes.member(node)
+                {
+                    let Member { bring_up, sdo } = &mut self.members[member];
+                    bring_up.heard(heartbeat.state, sdo, now);
+                    if let Some(Place::Io(io)) = self.routes.place(node) {
+                        self.io[io].heard(heartbeat.state, at);
+                    }
+                }
+            }
+            Some(cob::Function::SdoResponse(node)) => {
+                if let Some(member) = self.routes.member(node) {
+                    self.members[member].sdo.handle(&frame, now);
+                }
+            }
+            Some(cob::Function::Tpdo(number, node)) => match (self.routes.place(node), number) {
+                (Some(Place::Drive(drive)), PdoNumber::Two) => {
+                    if let Some(mode) = cia402::mode_shown(frame.data()) {
+                        self.members[drive].bring_up.shows(mode);
+                    }
+                }
+                (Some(Place::Io(io)), PdoNumber::One) if matches!(self.stage, Stage::Starting { .. }) => {
+                    // Inputs of another length are no inputs, and bring-up then waits in vain.
+                    _ = self.io[io].inputs(frame.data(), at);
+                }
+                _ => {}
+            },
+            _ => {}
+        }
+    }
+
+    fn advance_bring_up(&mut self, now: Instant) -> Result<bool, BringUpError> {
+        if matches!(self.stage, Stage::Down | Stage::Up) {
+            let until = now + self.config.listening();
+            self.stage = Stage::Listening { until };
+            self.io.iter_mut().for_each(IoNode::reset);
+        }
+        let count = self.port.receive(now, &mut self.received)?;
+        let mut heard = self.received[..count].iter();
+        if let Some(sign) = heard.find_map(|received| self.sign(&received.frame)) {
+            return Err(BringUpError::OtherController { sign });
+        }
+        if let Stage::Listening { until } = self.stage {
+            if now < until {
+                return Ok(false);
+            }
+            self.begin(now);
+        }
+        for i in 0..count {
+            self.take_in_bring_up(self.received[i], now);
+        }
+        for member in &mut self.members {
+            member.bring_up.advance(&mut member.sdo, now)?;
+        }
+        if self.stage == Stage::Configuring && self.members.iter().all(|member| member.bring_up.configured()) {
+            self.stage = Stage::Starting { since: now };
+            self.members.iter_mut().for_each(|member| member.bring_up.start(now));
+            self.order(nmt::Command::Start);
+        }
+        if self.batch.is_empty() {
+            while self.batch.len() < SDO_FRAMES_PER_CALL
+                && let Some(frame) = self.next_sdo_frame(now)
+            {
+                self.batch.push(frame);
+            }
+        }
+        if !self.batch.is_empty() {
+            let taken = self.port.send(now, &self.batch)?;
+            self.batch.drain(..taken.min(self.batch.len()));
+        }
+        let Stage::Starting { since } = self.stage else {
+            return Ok(false);
+        };
+        let mut ready = self.members.iter().all(|member| member.bring_up.operational());
+        for io in &self.io {
+            ready &= io.has_inputs(now.since(since))?;
+        }
+        Ok(ready)
+    }
+}
+
+impl<P: Port> DriveGroup for CanBus<P> {
+    fn axes(&self) -> usize {
+        self.drives.axes()
+    }
+
+    /// A drive latches a set-point at the SYNC after the one it was sent with. In CSP, the drive interpolates to the
+    /// set-point over one period (0x60C2). In CSV and CST, the next sample shows the effect of one period.
+    fn delay(&self) -> usize {
+        3
+    }
+
+    /// A call after completion or an error restarts bring-up, with [`GroupConfig::listening`] and a reset of the
+    /// nodes' communication. The error of the first failing node is returned.
+    fn bring_up(&mut self, now: Instant) -> Poll<Result<(), BringUpError>> {
+        match self.advance_bring_up(now) {
+            Ok(false) => Poll::Pending,
+            Ok(true) => {
+                self.stage = Stage::Up;
+                self.batch.clear();
+                // Operation starts from the same state, whatever the timing of bring-up.
+                self.turn = 0;
+                self.syncs = Syncs::default();
+                self.heartbeat = OwnHeartbeat::due_at(now);
+                self.up_since = now;
+                self.cycle = 0;
+                self.warnings.clear();
+                self.drives.begin(now, &self.members);
+                self.io.iter_mut().for_each(|io| io.begin(now));
+                Poll::Ready(Ok(()))
+            }
+            Err(error) => {
+                self.stage = Stage::Down;
+                self.batch.clear();
+                Poll::Ready(Err(error))
+            }
+        }
+    }
+
+    fn read(&mut self, now: Instant, states: &mut [AxisState]) {
+        self.counters.last_bus_time = Duration::ZERO;
+        match self.port.receive(now, &mut self.received) {
+            Ok(count) => {
+                for i in 0..count {
+                    if self.take(self.received[i], now).is_none() {
+                        self.counters.unexpected += 1;
+                    }
+                }
+            }
+            Err(error) => self.drives.latch_all(Fault::Port(error)),
+        }
+        // Checked first, because silence is a consequence of bus-off.
+        if self.port.state() == ControllerState::BusOff {
+            self.drives.latch_all(Fault::BusOff);
+        }
+        let lost_after = self.config.heartbeat_lost_after();
+        let alone = self.syncs.last.map(|last| now.since(last));
+        if let Some(waited) = alone.filter(|waited| *waited > lost_after) {
+            self.drives.left_alone(waited);
+        }
+        if let Some(waited) = self.heartbeat.missing(now, lost_after) {
+            self.drives.latch_all(Fault::HeartbeatNotSent { waited });
+        }
+        let due = self.syncs.attempted;
+        let missed = self.drives.end_of_read(now, due, &mut self.members, &mut self.warnings, states);
+        if self.syncs.sent {
+            self.counters.missed_answers += missed;
+        }
+        self.syncs.attempted = false;
+        self.io.iter_mut().for_each(|io| io.end_of_read(now, self.cycle));
+    }
+
+    fn write(&mut self, now: Instant, commands: &[AxisCommand]) {
+        self.batch.clear();
+        self.batch.push(Sync::default().encode());
+        let watched = self.heartbeat.watched;
+        self.drives.write(now, commands, watched, &mut self.members, &mut self.batch);
+    }
+
+    /// Changed outputs, the host's heartbeat when due, and at most one service frame follow the set-points. Outputs
+    /// that the port does not take are sent in the next cycle. The service frame is sent again if the port does not
+    /// take it.
+    fn send(&mut self, now: Instant) -> bool {
+        if self.batch.is_empty() {
+            self.batch.push(Sync::default().encode());
+        }
+        let setpoints = self.batch.len() - 1;
+        // A node that has not heard the host does not notice its silence.
+        if self.heartbeat.watched {
+            self.batch.extend(self.io.iter_mut().filter_map(IoNode::command));
+        }
+        let before_heartbeat = self.batch.len();
+        let heartbeat = self.heartbeat.is_due(now);
+        if heartbeat {
+            let (node, state) = (self.config.host_node, nmt::NmtState::Operational);
+            self.batch.push(Heartbeat { node, state }.encode());
+        }
+        if self.service.is_none() {
+            self.service = self.next_sdo_frame(now);
+        }
+        self.batch.extend(self.service);
+        let taken = match self.port.send(now, &self.batch) {
+            Ok(taken) => taken,
+            Err(error) => {
+                self.drives.latch_all(Fault::Port(error));
+                0
+            }
+        };
+        self.syncs.send(now, taken > 0);
+        self.drives.handed_over(taken, setpoints);
+        let mut outputs = taken.saturating_sub(1 + setpoints);
+        for io in &mut self.io {
+            io.handed_over(&mut outputs, now, self.cycle);
+        }
+        self.counters.dropped_syncs += u64::from(taken == 0);
+        self.counters.dropped_setpoints += setpoints.saturating_sub(taken.saturating_sub(1)) as u64;
+        if heartbeat {
+            let period = self.config.heartbeat_period;
+            self.heartbeat.offered(now, taken > before_heartbeat, period);
+        }
+        if taken == self.batch.len() {
+            self.service = None;
+        }
+        self.batch.clear();
+        self.cycle += 1;
+        taken > setpoints
+    }
+
+    fn counters(&self) -> GroupCounters {
+        GroupCounters { port: self.port.counters(), ..self.counters }
+    }
+
+    fn warnings(&self) -> &Warnings {
+        &self.warnings
+    }
+}

@@ -1,0 +1,318 @@
+//! What a controller reads from and writes to an I/O node: latest values, without waiting.
+
+use std::array;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use can::Instant;
+use canopen::NodeId;
+use canopen::cia401::CHANNELS;
+use thiserror::Error;
+
+use crate::latest::{Latest, Publisher, latest};
+
+/// Greatest number of inputs of a node.
+const INPUTS: usize = CHANNELS as usize;
+
+/// A latched condition of an I/O node, cleared by the next bring-up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
+pub enum IoFault {
+    /// Bring-up has not ended.
+    #[error("node {node}: I/O not started")]
+    NotStarted { node: u8 },
+    /// The node sent no TPDO 1 for three event timers.
+    #[error("node {node}: no inputs for {waited:.1?}")]
+    InputsSilent { node: u8, waited: Duration },
+    #[error("node {node}: no heartbeat for {waited:.1?}")]
+    HeartbeatLost { node: u8, waited: Duration },
+    /// The node booted again, or left NMT state operational. A node enters the state stopped when it hears no heartbeat
+    /// of the host.
+    #[error("node {node}: left operational state")]
+    LeftOperational { node: u8 },
+    /// The port refused RPDO 1 for more cycles than the cell tolerates. The outputs have old levels.
+    #[error("node {node}: outputs not taken by the bus for {cycles} cycles")]
+    OutputsNotSent { node: u8, cycles: u32 },
+}
+
+/// One input of a node that works.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Input {
+    /// Level in the last frame of the node.
+    pub level: bool,
+    /// Changes of the level since the end of bring-up.
+    pub edges: u64,
+    /// Receive time of the frame that first showed the present level; `None` without an edge.
+    pub last_edge: Option<Instant>,
+}
+
+/// An output command that the port took.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SentOutputs {
+    /// Level of output *n* in bit *n*.
+    pub levels: u64,
+    /// Number of the cycle that sent the command.
+    pub cycle: u64,
+    /// Time of that cycle.
+    pub at: Instant,
+}
+
+/// State of an I/O node in one cycle. Cycles count from 0 at the end of bring-up.
+///
+/// The owner of the bus publishes an image in every cycle. [`at`](Self::at) of the latest image stays behind the clock
+/// if the cycle does not run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InputImage {
+    /// Number of the cycle that published the image.
+    pub cycle: u64,
+    /// Time of that cycle.
+    pub at: Instant,
+    /// Receive time of the last frame of the node, inputs or heartbeat.
+    pub heard: Instant,
+    /// Receive time of the last frame with inputs.
+    pub received: Instant,
+    /// The fault of the node.
+    pub fault: Option<IoFault>,
+    /// The last output command that the port took; `None` before the first.
+    pub sent: Option<SentOutputs>,
+    /// Number of inputs.
+    pub(super) inputs: u8,
+    pub(super) levels: u64,
+    pub(super) edges: [u64; INPUTS],
+    /// Zero without an edge.
+    pub(super) last_edge: [Instant; INPUTS],
+}
+
+/// Words of an image in front of those of each input: counters, times, levels, outputs and fault.
+const HEAD: usize = 11;
+
+/// Words of an image.
+const WORDS: usize = HEAD + 2 * INPUTS;
+
+/// The writing end of the image of a node.
+pub(super) type ImagePublisher = Publisher<WORDS>;
+
+impl InputImage {
+    /// The image before operation.
+    pub(super) fn not_started(node: NodeId, inputs: u8) -> Self {
+        Self {
+            cycle: 0,
+            at: Instant::ZERO,
+            heard: Instant::ZERO,
+            received: Instant::ZERO,
+            fault: Some(IoFault::NotStarted { node: node.raw() }),
+            sent: None,
+            inputs,
+            levels: 0,
+            edges: [0; INPUTS],
+            last_edge: [Instant::ZERO; INPUTS],
+        }
+    }
+
+    /// Input `number`, from 0. `None` while the node has a [`fault`](Self::fault), and beyond the inputs of the node.
+    pub fn input(&self, number: u8) -> Option<Input> {
+        if self.fault.is_some() || number >= self.inputs {
+            return None;
+        }
+        let index = usize::from(number);
+        let edges = self.edges[index];
+        Some(Input {
+            level: self.levels >> number & 1 == 1,
+            edges,
+            last_edge: (edges > 0).then_some(self.last_edge[index]),
+        })
+    }
+
+    /// Time from the last frame of the node to the cycle of the image.
+    pub fn age(&self) -> Duration {
+        self.at.since(self.heard)
+    }
+
+    pub(super) fn words(&self) -> [u64; WORDS] {
+        let mut words = [0; WORDS];
+        let (fault, value) = self.fault.map_or((0, 0), fault_words);
+        let sent = self.sent.unwrap_or(SentOutputs { levels: 0, cycle: 0, at: Instant::ZERO });
+        words[..HEAD].copy_from_slice(&[
+            self.cycle,
+            self.at.as_nanos(),
+            self.heard.as_nanos(),
+            self.received.as_nanos(),
+            self.levels,
+            u64::from(self.inputs) | u64::from(self.sent.is_some()) << 8,
+            sent.levels,
+            sent.cycle,
+            sent.at.as_nanos(),
+            fault,
+            value,
+        ]);
+        let (edges, times) = words[HEAD..].split_at_mut(INPUTS);
+        edges.copy_from_slice(&self.edges);
+        for (word, time) in times.iter_mut().zip(self.last_edge) {
+            *word = time.as_nanos();
+        }
+        words
+    }
+
+    pub(super) fn from_words(words: &[u64; WORDS]) -> Self {
+        let time = |word: usize| Instant::from_nanos(words[word]);
+        let sent = SentOutputs { levels: words[6], cycle: words[7], at: time(8) };
+        Self {
+            cycle: words[0],
+            at: time(1),
+            heard: time(2),
+            received: time(3),
+            levels: words[4],
+            inputs: words[5] as u8,
+            sent: (words[5] & 1 << 8 != 0).then_some(sent),
+            fault: fault_of(words[9], words[10]),
+            edges: array::from_fn(|input| words[HEAD + input]),
+            last_edge: array::from_fn(|input| time(HEAD + INPUTS + input)),
+        }
+    }
+}
+
+/// A fault as two words: its kind, from 1, with the node in the second byte, and its time or number of cycles.
+fn fault_words(fault: IoFault) -> (u64, u64) {
+    let nanos = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
+    let (kind, node, value) = match fault {
+        IoFault::NotStarted { node } => (1, node, 0),
+        IoFault::InputsSilent { node, waited } => (2, node, nanos(waited)),
+        IoFault::HeartbeatLost { node, waited } => (3, node, nanos(waited)),
+        IoFault::LeftOperational { node } => (4, node, 0),
+        IoFault::OutputsNotSent { node, cycles } => (5, node, u64::from(cycles)),
+    };
+    (kind | u64::from(node) << 8, value)
+}
+
+fn fault_of(word: u64, value: u64) -> Option<IoFault> {
+    let (node, waited) = ((word >> 8) as u8, Duration::from_nanos(value));
+    Some(match word as u8 {
+        0 => return None,
+        2 => IoFault::InputsSilent { node, waited },
+        3 => IoFault::HeartbeatLost { node, waited },
+        4 => IoFault::LeftOperational { node },
+        5 => IoFault::OutputsNotSent { node, cycles: value as u32 },
+        _ => IoFault::NotStarted { node },
+    })
+}
+
+/// The latest image of a node, for any number of readers. A read neither waits nor delays the cycle.
+#[derive(Clone, Debug)]
+pub struct LatestInputs(Latest<WORDS>);
+
+impl LatestInputs {
+    /// The latest image. All its fields are of one cycle.
+    pub fn read(&self) -> InputImage {
+        InputImage::from_words(&self.0.read())
+    }
+}
+
+/// The commanded levels of the outputs of a node, for any number of writers. A write does not wait. The owner of the
+/// bus takes the word once per cycle and sends it if it changed. Two changes within a cycle may become one or none.
+#[derive(Clone, Debug)]
+pub struct OutputCommand(Arc<AtomicU64>);
+
+impl OutputCommand {
+    /// Commands the level of output `number`, from 0. An output that the node lacks is ignored.
+    pub fn set(&self, number: u8, level: bool) {
+        let bit = 1_u64.checked_shl(number.into()).unwrap_or(0);
+        if level {
+            self.0.fetch_or(bit, Ordering::AcqRel);
+        } else {
+            self.0.fetch_and(!bit, Ordering::AcqRel);
+        }
+    }
+
+    /// Commands all outputs at once, output *n* by bit *n*.
+    pub fn set_all(&self, levels: u64) {
+        self.0.store(levels, Ordering::Release);
+    }
+
+    /// The commanded levels.
+    pub fn levels(&self) -> u64 {
+        self.0.load(Ordering::Acquire)
+    }
+}
+
+/// The controller's end of an I/O node.
+#[derive(Clone, Debug)]
+pub struct IoLink {
+    /// Node-ID.
+    pub node: NodeId,
+    /// Inputs, state of the outputs and fault.
+    pub inputs: LatestInputs,
+    /// Commands to the outputs. A bring-up sets them to the error values.
+    pub outputs: OutputCommand,
+}
+
+impl IoLink {
+    /// The link of a node whose first image is `image`, and the writing end of its images.
+    pub(super) fn new(node: NodeId, image: &InputImage, levels: u64) -> (ImagePublisher, Self) {
+        let (publisher, inputs) = latest(image.words());
+        let outputs = OutputCommand(Arc::new(AtomicU64::new(levels)));
+        (publisher, Self { node, inputs: LatestInputs(inputs), outputs })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn fault(kind: u8, node: u8, value: u32) -> Option<IoFault> {
+        let waited = Duration::from_nanos(value.into());
+        match kind {
+            0 => None,
+            1 => Some(IoFault::NotStarted { node }),
+            2 => Some(IoFault::InputsSilent { node, waited }),
+            3 => Some(IoFault::HeartbeatLost { node, waited }),
+            4 => Some(IoFault::LeftOperational { node }),
+            _ => Some(IoFault::OutputsNotSent { node, cycles: value }),
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_published_is_read(
+            head in any::<[u64; 8]>(),
+            (kind, node, value) in (0..6_u8, any::<u8>(), any::<u32>()),
+            (sent, inputs) in (any::<bool>(), 0..=CHANNELS),
+            edges in any::<u64>(),
+        ) {
+            let [cycle, at, heard, received, levels, sent_levels, sent_cycle, sent_at] = head;
+            let time = Instant::from_nanos;
+            let image = InputImage {
+                cycle,
+                at: time(at),
+                heard: time(heard),
+                received: time(received),
+                fault: fault(kind, node, value),
+                sent: sent.then_some(SentOutputs { levels: sent_levels, cycle: sent_cycle, at: time(sent_at) }),
+                inputs,
+                levels,
+                edges: array::from_fn(|input| edges.wrapping_add(input as u64)),
+                last_edge: array::from_fn(|input| time(edges ^ input as u64)),
+            };
+            let first = InputImage::not_started(NodeId::MIN, inputs);
+            let (mut publisher, link) = IoLink::new(NodeId::MIN, &first, 0);
+            prop_assert_eq!(link.inputs.read(), first);
+            publisher.publish(&image.words());
+            prop_assert_eq!(link.inputs.read(), image);
+        }
+    }
+
+    #[test]
+    fn outputs_are_commanded_one_by_one_or_all_at_once() {
+        let (_publisher, link) = IoLink::new(NodeId::MIN, &InputImage::not_started(NodeId::MIN, 0), 0b100);
+        let outputs = link.outputs.clone();
+        outputs.set(0, true);
+        outputs.set(2, false);
+        outputs.set(63, true);
+        outputs.set(64, true);
+        assert_eq!(link.outputs.levels(), 1 << 63 | 1);
+        outputs.set_all(6);
+        assert_eq!(link.outputs.levels(), 6);
+    }
+}

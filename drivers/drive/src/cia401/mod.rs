@@ -1,0 +1,41 @@
+//! Digital inputs and outputs of a CiA 401 node on the bus of the drives: touch probes, light gates, valves.
+//!
+//! [`CanBus::with_io`](crate::bus::CanBus::with_io) takes one [`IoConfig`] per node and returns one [`IoLink`] per
+//! node.
+//!
+//! - **Inputs.** The node sends TPDO 1 when an input changes, at most once per inhibit time, and at least once per
+//!   event timer. [`InputImage`] has the level, the number of edges and the time of the last edge of each input. The
+//!   time of an edge is the receive time of the frame that showed it first. An input that changes twice within the
+//!   inhibit time may show no edge.
+//! - **Outputs.** [`OutputCommand`] is a word of levels. The owner of the bus sends RPDO 1 in the cycle after a change.
+//!   The node takes the levels at once. Before the first command the outputs are commanded to their error values.
+//! - **Silence of the node** is a fault: three event timers without inputs, or three heartbeat periods without a
+//!   heartbeat. A faulted node has no levels ([`InputImage::input`] returns `None`), and its outputs are commanded to
+//!   their error state. The fault is latched until the next bring-up. The axes of the bus do not stop by themselves.
+//! - **Silence of the host.** After three missing heartbeats of the host the node enters the state stopped by itself
+//!   (0x1029:01). There the outputs take the error state (0x6206, 0x6207): an error value, or the level that they have.
+//!
+//! # Which objects are written
+//!
+//! Bring-up checks device type, identity and the numbers of blocks. Bring-up writes and reads back the following:
+//! - heartbeats (0x1016:01, 0x1017) and the reaction to their loss (0x1029:01);
+//! - inputs: polarity (0x6002) and interrupts (0x6005 to 0x6008), where the node has these objects;
+//! - outputs: polarity (0x6202) and filter (0x6208), where the node has these objects; error mode (0x6206) and error
+//!   value (0x6207);
+//! - process data: TPDO 1 and RPDO 1 are mapped and the other PDOs switched off.
+//!
+//! Not supported: more than 64 inputs or outputs, analogue channels, and nodes whose mapping is fixed.
+
+mod config;
+mod image;
+mod node;
+mod program;
+
+#[cfg(test)]
+mod tests;
+
+pub(crate) use config::check;
+pub use config::{IoConfig, IoQuantity};
+pub use image::{Input, InputImage, IoFault, IoLink, LatestInputs, OutputCommand, SentOutputs};
+pub(crate) use node::IoNode;
+pub(crate) use program::program;

@@ -1,0 +1,190 @@
+//! One I/O node during operation.
+
+use std::time::Duration;
+
+use can::{Frame, Instant};
+use canopen::cia401::blocks;
+use canopen::nmt::NmtState;
+use canopen::pdo::PdoNumber;
+use canopen::{NodeId, cob};
+
+use super::config::{IoConfig, mask};
+use super::image::{ImagePublisher, InputImage, IoFault, IoLink, OutputCommand, SentOutputs};
+use crate::BringUpError;
+use crate::cia402::GroupConfig;
+
+/// State of one I/O node: its inputs, the outputs sent and the latched fault.
+///
+/// Nothing here waits or allocates. The order of calls within a cycle is:
+/// 1. [`inputs`](Self::inputs) and [`heard`](Self::heard), as frames arrive;
+/// 2. [`end_of_read`](Self::end_of_read), which publishes the image;
+/// 3. [`command`](Self::command) and [`handed_over`](Self::handed_over).
+pub(crate) struct IoNode {
+    node: NodeId,
+    inputs: u8,
+    outputs: u8,
+    error_mode: u64,
+    error_value: u64,
+    /// Time-out for the first inputs after the start.
+    inputs_within: Duration,
+    inputs_lost_after: Duration,
+    heartbeat_lost_after: Duration,
+    tolerated_missing: u32,
+
+    image: InputImage,
+    publisher: ImagePublisher,
+    commanded: OutputCommand,
+    /// The last inputs were received since the start.
+    has_inputs: bool,
+    /// Receive time of the last heartbeat.
+    heartbeat: Instant,
+    /// Time of the first cycle. Silence counts from here, because frames that came before may still wait in the port.
+    since: Option<Instant>,
+    operational: bool,
+    /// The levels in the batch of this cycle.
+    offered: Option<u64>,
+    /// Cycles in a row whose output command the port did not take.
+    not_sent: u32,
+}
+
+impl IoNode {
+    /// A node that has not been brought up, and the controller's end of it.
+    pub(crate) fn new(group: &GroupConfig, config: &IoConfig) -> (Self, IoLink) {
+        let image = InputImage::not_started(config.node, config.inputs);
+        let (publisher, link) = IoLink::new(config.node, &image, config.error_value);
+        let node = Self {
+            node: config.node,
+            inputs: config.inputs,
+            outputs: config.outputs,
+            error_mode: config.error_mode,
+            error_value: config.error_value,
+            inputs_within: group.boot_timeout + config.event_timer,
+            inputs_lost_after: config.inputs_lost_after(),
+            heartbeat_lost_after: group.heartbeat_lost_after(),
+            tolerated_missing: group.tolerated_missing,
+            image,
+            publisher,
+            commanded: link.outputs.clone(),
+            has_inputs: false,
+            heartbeat: Instant::ZERO,
+            since: None,
+            operational: false,
+            offered: None,
+            not_sent: 0,
+        };
+        (node, link)
+    }
+
+    /// Ends operation. Bring-up begins, and the outputs are commanded to their error values.
+    pub(crate) fn reset(&mut self) {
+        self.image = InputImage::not_started(self.node, self.inputs);
+        self.publisher.publish(&self.image.words());
+        self.commanded.set_all(self.error_value);
+        self.has_inputs = false;
+    }
+
+    /// Whether the inputs are known, `waited` after the start of the node. A node without inputs needs none.
+    pub(crate) fn has_inputs(&self, waited: Duration) -> Result<bool, BringUpError> {
+        let known = self.has_inputs || self.inputs == 0;
+        if !known && waited > self.inputs_within {
+            return Err(BringUpError::NoInputs { node: self.node.raw(), waited });
+        }
+        Ok(known)
+    }
+
+    /// Starts operation after bring-up. Edges count from here.
+    pub(crate) fn begin(&mut self, now: Instant) {
+        let InputImage { levels, received, heard, .. } = self.image;
+        let first = InputImage::not_started(self.node, self.inputs);
+        self.image = InputImage { at: now, heard, received, levels, fault: None, ..first };
+        self.publisher.publish(&self.image.words());
+        (self.since, self.operational) = (None, true);
+        (self.offered, self.not_sent) = (None, 0);
+    }
+
+    /// Takes TPDO 1, received at `at`. `None` means a payload of another length.
+    pub(crate) fn inputs(&mut self, data: &[u8], at: Instant) -> Option<()> {
+        let length = usize::from(blocks(self.inputs));
+        if length == 0 || data.len() != length {
+            return None;
+        }
+        let mut bytes = [0; 8];
+        bytes[..length].copy_from_slice(data);
+        let levels = u64::from_le_bytes(bytes) & mask(self.inputs);
+        let image = &mut self.image;
+        let mut changed = if self.has_inputs { levels ^ image.levels } else { 0 };
+        while changed != 0 {
+            let input = changed.trailing_zeros() as usize;
+            image.edges[input] += 1;
+            image.last_edge[input] = at;
+            changed &= changed - 1;
+        }
+        (image.levels, image.received, image.heard) = (levels, at, at);
+        self.has_inputs = true;
+        Some(())
+    }
+
+    /// Takes a heartbeat or boot-up received at `at`.
+    pub(crate) fn heard(&mut self, state: NmtState, at: Instant) {
+        (self.heartbeat, self.image.heard) = (at, at);
+        self.operational &= state == NmtState::Operational;
+    }
+
+    /// Ends the reading of a cycle: judges silence and publishes the image.
+    pub(crate) fn end_of_read(&mut self, now: Instant, cycle: u64) {
+        let node = self.node.raw();
+        if !self.operational {
+            self.latch(IoFault::LeftOperational { node });
+        }
+        let since = *self.since.get_or_insert(now);
+        let waited = now.since(self.image.received.max(since));
+        if self.inputs > 0 && waited > self.inputs_lost_after {
+            self.latch(IoFault::InputsSilent { node, waited });
+        }
+        let waited = now.since(self.heartbeat.max(since));
+        if waited > self.heartbeat_lost_after {
+            self.latch(IoFault::HeartbeatLost { node, waited });
+        }
+        if self.not_sent > self.tolerated_missing {
+            self.latch(IoFault::OutputsNotSent { node, cycles: self.not_sent });
+        }
+        (self.image.cycle, self.image.at) = (cycle, now);
+        self.publisher.publish(&self.image.words());
+    }
+
+    /// RPDO 1, if the outputs are to have other levels than those sent last.
+    pub(crate) fn command(&mut self) -> Option<Frame> {
+        let mask = mask(self.outputs);
+        let last = self.image.sent.map(|sent| sent.levels);
+        let levels = match self.image.fault {
+            None => self.commanded.levels(),
+            // The error state of the node itself. A node that was sent no command stays as it is.
+            Some(_) => self.error_value & self.error_mode | last? & !self.error_mode,
+        } & mask;
+        self.offered = (self.outputs > 0 && last != Some(levels)).then_some(levels);
+        if self.offered.is_none() {
+            self.not_sent = 0;
+        }
+        let length = usize::from(blocks(self.outputs));
+        let bytes = self.offered?.to_le_bytes();
+        Some(Frame::new(cob::rpdo(PdoNumber::One, self.node), &bytes[..length]).expect("eight bytes fit a frame"))
+    }
+
+    /// Notes whether the port took the RPDO 1 of this node, if there was one. `taken` is the number of frames that the
+    /// port took from this RPDO on. The function subtracts the RPDO.
+    pub(crate) fn handed_over(&mut self, taken: &mut usize, now: Instant, cycle: u64) {
+        let Some(levels) = self.offered.take() else { return };
+        if *taken > 0 {
+            *taken -= 1;
+            self.image.sent = Some(SentOutputs { levels, cycle, at: now });
+            self.not_sent = 0;
+        } else {
+            self.not_sent = self.not_sent.saturating_add(1);
+        }
+    }
+
+    /// Latches a fault. The first fault stays until the next bring-up.
+    fn latch(&mut self, fault: IoFault) {
+        self.image.fault.get_or_insert(fault);
+    }
+}
