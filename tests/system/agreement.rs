@@ -187,12 +187,12 @@ fn names_lead_no_file_out_of_its_directory() {
 #[test]
 fn an_axis_is_called_by_its_name_in_every_refusal() {
     let directory = Directory::new();
-    // A macrostep of 100 s makes the interpolation leave the range of the last axis.
+    // A macrostep of 100 s makes the interpolation leave the range of an axis.
     let text = text("irb6").replacen("period_us = 2000", "period_us = 100000", 1);
     let text = text.replacen("macrostep = 10", "macrostep = 1000", 1);
     let cell = directory.write("cell.toml", &text);
     let check = check(&cell);
-    refused(&check, &["robot[0].program[0]: ", "axis wrist-roll: set-point"]);
+    refused(&check, &["robot[0].program[0]: ", "axis lower-arm: set-point"]);
     assert_eq!(check.stderr, run(&cell).stderr);
     let pose = "poses = [[0.4, -1.8,";
     let beyond = self::text("irb6").replacen(pose, "poses = [[0.4, -0.5,", 1);
