@@ -75,7 +75,7 @@ pub mod prelude {
     pub use std::time::Duration;
 
     pub use controller::ecp::{Class, Task};
-    pub use controller::executor::{join, join_all};
+    pub use controller::executor::{Replacer, join, join_all};
     pub use controller::generator::{
         Accelerations, AxesState, Contour, EffectorImage, FeedLimits, Generator, GeneratorError, JerkLimited,
         LineLimits, MotionLimits, Newsmooth, Next, Pace, Polynomial, Pose, Setpoint, SmoothPose, StraightLine, Wait,

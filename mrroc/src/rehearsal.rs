@@ -130,7 +130,8 @@ fn run(
         axis.homing = None;
     }
     let (mut servo, links) = Servo::new(&config, groups.collect())?;
-    let mut executor = program.begin(file, setup::subcontrollers(file, links, servo.gates()), true, turns.clone());
+    let subcontrollers = setup::subcontrollers(file, links, servo.gates());
+    let mut executor = program.begin(file, subcontrollers, servo.speed_override(), true, turns.clone());
     let (mut moved, mut instructions) = (vec![false; starts.len()], 0);
     let start = lockstep::bring_up(&mut servo, Instant::ZERO, |_| {}).expect("ideal drives come up");
     let over = Cell::new(false);

@@ -99,6 +99,29 @@ fn the_example_of_a_retry_completes_and_lists_the_errors_that_it_handled() {
     }
 }
 
+/// The column must turn back from the side of its first target without a stop of the arm.
+#[test]
+fn the_example_of_replanning_turns_back_before_its_first_target() {
+    let directory = Directory::new();
+    let record = directory.path("record.csv");
+    let program = example_program("replan");
+    let arguments = ["--bench", "lockstep", "--json", "--record"];
+    let run = Command::new(program).args(arguments).arg(&record).current_dir(root()).output().unwrap();
+    assert!(run.status.success(), "{run:?}");
+    let text = fs::read_to_string(record).unwrap();
+    let column = |line: &str| {
+        let fields: Vec<_> = line.split(',').collect();
+        (fields[2] == "column" && fields[3] == "Moving").then(|| fields[5].parse::<f64>().unwrap())
+    };
+    let motor: Vec<f64> = text.lines().skip(1).filter_map(column).collect();
+    let moved = motor.iter().map(|at| at - motor[0]);
+    let (furthest, end) = (moved.clone().fold(f64::MIN, f64::max), motor[motor.len() - 1] - motor[0]);
+    println!("{furthest} {end}");
+    // The gear turns 0.8 rad and -0.3 rad of the column into motor angles of the ratio 8 to -3.
+    let target = end * 0.8 / -0.3;
+    assert!((0.05..0.95).contains(&(furthest / target)), "{furthest} of {target}");
+}
+
 #[test]
 fn a_program_outside_the_workspace_runs_its_own_generator_in_lockstep() {
     let package = root().join("tests/outside");

@@ -132,8 +132,7 @@ impl Ecp {
             self.task.instructions.push_front(Instruction::Run(replacement));
             return self.conclude();
         }
-        let ahead = if run.runs_ahead() { u64::from(self.config.macrosteps_ahead.max(1)) } else { 1 };
-        if outstanding >= ahead {
+        if outstanding >= u64::from(run.macrosteps_ahead(self.config.macrosteps_ahead)) {
             return false;
         }
         match run.next_step(&self.effector) {

@@ -10,8 +10,8 @@ use std::time::Duration;
 use can::Instant;
 
 use super::{InstructionError, SystemError};
-use crate::ecp::{Class, Ecp, EcpEvent, Status, Subcontrollers, Task};
-use crate::generator::{EffectorImage, GeneratorError};
+use crate::ecp::{Class, Ecp, EcpEvent, NotRunning, Status, Subcontrollers, Task};
+use crate::generator::{EffectorImage, Generator, GeneratorError};
 
 /// Greatest number of errors that are kept of one task.
 const MOST_ERRORS: usize = 1000;
@@ -27,6 +27,13 @@ pub struct Agents(Rc<RefCell<Board>>);
 
 /// The only handle of one effector.
 pub struct Agent {
+    agents: Agents,
+    robot: usize,
+}
+
+/// Replaces motions of one effector while its [`Agent`] awaits them.
+#[derive(Clone)]
+pub struct Replacer {
     agents: Agents,
     robot: usize,
 }
@@ -223,6 +230,22 @@ impl Agent {
     /// Index of the robot in its cell.
     pub fn robot(&self) -> usize {
         self.robot
+    }
+
+    /// A handle that replaces motions while this one awaits them.
+    pub fn replacer(&self) -> Replacer {
+        Replacer { agents: self.agents.clone(), robot: self.robot }
+    }
+}
+
+impl Replacer {
+    /// Replaces the generator of the present motion. See [`Ecp::replace`].
+    pub fn replace(&self, generator: impl Generator) -> Result<(), NotRunning> {
+        let mut board = self.agents.0.borrow_mut();
+        let (ecp, using) = board.at(self.robot);
+        ecp.replace(generator)?;
+        using.fresh = true;
+        Ok(())
     }
 }
 

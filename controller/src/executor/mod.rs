@@ -25,7 +25,7 @@ use crate::ecp::{Ecp, Status};
 
 use join::Part;
 
-pub use agents::{Agent, Agents, EndedInstruction};
+pub use agents::{Agent, Agents, EndedInstruction, Replacer};
 pub use error::{InstructionError, SystemError};
 pub use join::{join, join_all};
 pub use turns::Turns;

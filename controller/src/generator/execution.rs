@@ -29,8 +29,8 @@ pub trait Execution {
     /// Whether the first step can plan from a moving effector.
     fn begins_in_motion(&self) -> bool;
 
-    /// Whether next steps read only the generator's own memory. Such steps may be computed ahead of time.
-    fn runs_ahead(&self) -> bool;
+    /// Number of macrosteps, 1 to `most`, that may be sent ahead of the servo: 1 if the next steps read images.
+    fn macrosteps_ahead(&self, most: u16) -> u16;
 }
 
 pub(crate) struct Run<G: Generator> {
@@ -79,7 +79,7 @@ impl<G: Generator> Execution for Run<G> {
         self.generator.begins_in_motion()
     }
 
-    fn runs_ahead(&self) -> bool {
-        G::Every::CLASS == 0
+    fn macrosteps_ahead(&self, most: u16) -> u16 {
+        if G::Every::CLASS == 0 { self.generator.macrosteps_ahead(most).clamp(1, most.max(1)) } else { 1 }
     }
 }

@@ -29,6 +29,7 @@ pub struct JerkLimited {
     /// The end, with zero acceleration.
     target: AxesState,
     duration: Option<Duration>,
+    ahead: Option<u16>,
 }
 
 impl JerkLimited {
@@ -58,7 +59,14 @@ impl JerkLimited {
             input.max_acceleration[axis] = limit(&limits.max_acceleration);
             input.max_jerk[axis] = limit(&limits.max_jerk);
         }
-        Ok(Self { space, axes, plan, target: AxesState::at_rest(target), duration: None })
+        Ok(Self { space, axes, plan, target: AxesState::at_rest(target), duration: None, ahead: None })
+    }
+
+    /// The same motion, of which at most this number of macrosteps is sent ahead of the servo. A replacement then acts
+    /// after these macrosteps.
+    #[must_use]
+    pub fn sent_ahead(self, macrosteps: u16) -> Self {
+        Self { ahead: Some(macrosteps), ..self }
     }
 
     /// The same motion, ending with `velocity`, rad/s or m/s, without acceleration. Refuses intermediate poses, and a
@@ -102,6 +110,10 @@ impl Generator for JerkLimited {
     type Every = ();
     /// Number of macrosteps done.
     type Memory = u32;
+
+    fn macrosteps_ahead(&self, most: u16) -> u16 {
+        self.ahead.unwrap_or(most)
+    }
 
     fn begins_in_motion(&self) -> bool {
         self.plan.input.intermediate_positions.is_empty()

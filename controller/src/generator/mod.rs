@@ -128,6 +128,13 @@ pub trait Generator: Send + Sync + 'static {
         cell
     }
 
+    /// Number of macrosteps that may be sent ahead of the servo; `most` is the number of the cell. Fewer macrosteps let a
+    /// replacement act sooner, and bridge a shorter delay of the controller. Without effect if every next step reads
+    /// images.
+    fn macrosteps_ahead(&self, most: u16) -> u16 {
+        most
+    }
+
     /// Whether the first step can plan from a moving effector. If the generator before ends in motion, this one then
     /// continues at that speed, and otherwise the effector is braked before the first step.
     fn begins_in_motion(&self) -> bool {

@@ -11,7 +11,7 @@ use controller::ecp::{EcpError, Subcontrollers};
 use controller::executor::{Ended, Executor, InstructionError, SystemError, Turns};
 use controller::generator::Axes;
 use drive::Fault;
-use servo::{EffectorLink, Phase, Servo, ServoFault, StopCause, StopRequest};
+use servo::{EffectorLink, Phase, Servo, ServoFault, SpeedOverride, StopCause, StopRequest};
 
 use super::worker::Worker;
 use crate::cell::CellFile;
@@ -27,6 +27,7 @@ pub(crate) struct RunningTask {
     /// Number of instructions in the rehearsal.
     instructions: u64,
     stop: StopRequest,
+    speed: SpeedOverride,
     /// Count of the task's turns.
     pub(super) turns: Turns,
 }
@@ -82,6 +83,7 @@ impl RunningTask {
             subcontrollers: setup::subcontrollers(file, links, servo.gates()),
             instructions,
             stop: servo.stop_request(),
+            speed: servo.speed_override(),
             turns: Turns::default(),
         }
     }
@@ -104,10 +106,10 @@ impl RunningTask {
 
     /// Begins the task on the calling thread.
     pub(super) fn begin(self, rehearsals: Rehearsals) -> Carrying {
-        let Self { file, program, subcontrollers, instructions, stop, turns } = self;
+        let Self { file, program, subcontrollers, instructions, stop, speed, turns } = self;
         let robots = file.cell.robot.len();
         Carrying {
-            executor: program.begin(&file, subcontrollers, false, turns),
+            executor: program.begin(&file, subcontrollers, speed, false, turns),
             file,
             program,
             instructions,

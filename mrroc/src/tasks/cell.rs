@@ -4,8 +4,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use controller::ecp::Task;
-use controller::executor::{Agent, Agents};
+use controller::executor::{Agent, Agents, Replacer};
 use controller::generator::{EffectorImage, Generator};
+use servo::SpeedOverride;
 
 use super::{Outcome, TaskError};
 use crate::cell::CellFile;
@@ -15,6 +16,7 @@ use crate::motions::Motions;
 pub struct Cell {
     file: Arc<CellFile>,
     agents: Agents,
+    speed: SpeedOverride,
     rehearsing: bool,
 }
 
@@ -28,8 +30,8 @@ pub struct Robot {
 }
 
 impl Cell {
-    pub(super) fn new(file: &Arc<CellFile>, agents: Agents, rehearsing: bool) -> Self {
-        Self { file: Arc::clone(file), agents, rehearsing }
+    pub(super) fn new(file: &Arc<CellFile>, agents: Agents, speed: SpeedOverride, rehearsing: bool) -> Self {
+        Self { file: Arc::clone(file), agents, speed, rehearsing }
     }
 
     /// The cell file.
@@ -57,6 +59,11 @@ impl Cell {
     /// All robots, in the order of the cell file. Refuses a robot that is in use.
     pub fn all_robots(&self) -> Result<Vec<Robot>, TaskError> {
         (0..self.file.cell.robot.len()).map(|robot| self.robot_at(robot)).collect()
+    }
+
+    /// Speed of all motion of the cell: override, pause and resume.
+    pub fn speed(&self) -> &SpeedOverride {
+        &self.speed
     }
 
     /// Waits for this time of the servo's cycles.
@@ -114,6 +121,12 @@ impl Robot {
     #[doc(alias = "Move")]
     pub async fn execute(&mut self, generator: impl Generator) -> Outcome {
         self.perform(Task::new().run(generator)).await
+    }
+
+    /// A handle that replaces a motion of this robot while the motion is awaited. Motions that begin in motion, such as
+    /// [`JerkLimited`](controller::generator::JerkLimited), continue without a stop.
+    pub fn replacer(&self) -> Replacer {
+        self.agent.replacer()
     }
 
     /// Executes a list of instructions. The list ends at its first error.

@@ -1,6 +1,6 @@
 //! Errors of tasks.
 
-use controller::ecp::Class;
+use controller::ecp::{Class, NotRunning};
 use controller::executor::{InstructionError, SystemError};
 use controller::generator::GeneratorError;
 use controller::path::PathError;
@@ -90,6 +90,12 @@ impl From<KinematicsError> for TaskError {
 
 impl From<PathError> for TaskError {
     fn from(error: PathError) -> Self {
+        Self::Refused(error.into())
+    }
+}
+
+impl From<NotRunning> for TaskError {
+    fn from(error: NotRunning) -> Self {
         Self::Refused(error.into())
     }
 }

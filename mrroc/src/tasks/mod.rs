@@ -11,6 +11,7 @@ use std::sync::Arc;
 
 use controller::ecp::Subcontrollers;
 use controller::executor::{Agents, Executor, Turns};
+use servo::SpeedOverride;
 
 use crate::cell::CellFile;
 
@@ -48,11 +49,12 @@ impl Program {
         &self,
         file: &Arc<CellFile>,
         subcontrollers: Subcontrollers,
+        speed: SpeedOverride,
         rehearsing: bool,
         turns: Turns,
     ) -> Executor<TaskError> {
         let agents = Agents::new(subcontrollers);
-        let (task, mut cell) = (Arc::clone(&self.task), Cell::new(file, agents.clone(), rehearsing));
+        let (task, mut cell) = (Arc::clone(&self.task), Cell::new(file, agents.clone(), speed, rehearsing));
         Executor::new(agents, async move { task.carry(&mut cell).await }, turns)
     }
 }

@@ -140,3 +140,23 @@ fn a_velocity_that_no_end_may_have_is_refused() {
     let passing = JerkLimited::new(Space::Joint, 3, limits(), &[axis_0(0.5), axis_0(1.0)]).unwrap();
     assert_eq!(passing.ending_at(axis_0(0.1)).unwrap_err(), GeneratorError::PassesPoses);
 }
+
+#[test]
+fn a_generator_that_is_sent_less_far_ahead_is_replaced_sooner() {
+    let turned_back = |ahead: u16| {
+        let mut bench = Bench::ready();
+        bench.ecp.execute(Task::new().run(jerk_limited(1.0).sent_ahead(ahead))).unwrap();
+        let mut count = 0;
+        let events = bench.go_on(|bench| {
+            count += 1;
+            if count == 200 {
+                bench.ecp.replace(jerk_limited(0.0)).unwrap();
+            }
+        });
+        assert_eq!(events, finished(2));
+        bench.servo.moves().map(|it| it.position[0]).fold(0.0, f64::max)
+    };
+    assert!(turned_back(1) < turned_back(4));
+    // The number of the cell is the most.
+    assert_eq!(turned_back(4), turned_back(50));
+}
