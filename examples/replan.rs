@@ -13,7 +13,7 @@ async fn replan(cell: &mut Cell) -> Outcome {
     let replacer = irb6.replacer();
     let change = async {
         cell.sleep(Duration::from_millis(400)).await;
-        // The new plan begins with the position, velocity and acceleration of the present one.
+        // The new plan begins with position, velocity and acceleration at the end of the macrosteps already sent.
         Ok(replacer.replace(back)?)
     };
     join(irb6.execute(there), change).await

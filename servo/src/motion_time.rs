@@ -24,7 +24,8 @@ const RAMP: f64 = 0.05;
 /// Distance from the requested rate that counts as reached.
 const REACHED: f64 = 1e-5;
 
-/// Speed of all motion of a cell, as a fraction of the programmed speed. Any thread may set it.
+/// Speed of all macrosteps of a cell, as a fraction of the programmed speed. Any thread may set it. Homing and stops are
+/// not affected.
 ///
 /// The rate of motion time follows the request within the acceleration limits of all axes that move.
 #[derive(Clone, Debug, Default)]
@@ -63,7 +64,7 @@ impl SpeedOverride {
         f64::from_bits(self.0.fraction.load(Ordering::Relaxed))
     }
 
-    /// Slows all motion along its path to a stand. The drives stay on.
+    /// Slows all macrosteps along their paths to a stand. The drives stay on. A robot that homes continues.
     pub fn pause(&self) {
         self.0.paused.store(true, Ordering::Relaxed);
     }

@@ -43,9 +43,9 @@ pub struct Replacer {
 pub struct EndedInstruction {
     /// Index of the robot in its cell.
     pub robot: usize,
-    /// Whether the first homing of an instruction list succeeded.
+    /// Whether this instruction was the first homing of its list and succeeded.
     pub homed: bool,
-    /// Whether the first motion of an instruction list ended.
+    /// Whether this instruction was the first motion of its list.
     pub moved: bool,
 }
 

@@ -12,7 +12,8 @@ use crate::ecp::{ChartPhase, Class, Ecp, EcpError};
 pub struct InstructionError {
     /// Index of the robot in its cell.
     pub robot: usize,
-    /// Number of earlier instructions of this robot in the task. Each instruction of a list counts.
+    /// Number of earlier instructions of this robot in the task, lists included. Instructions dropped after an error do
+    /// not count.
     pub instruction: usize,
     /// Number of macrosteps of the motion before the error; `None` outside a motion.
     pub step: Option<u64>,

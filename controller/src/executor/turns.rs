@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 pub struct Turns(Arc<AtomicU64>);
 
 impl Turns {
-    /// The number of the turn in progress; `None` between turns.
+    /// An odd number that identifies the turn in progress; `None` between turns.
     pub fn in_progress(&self) -> Option<u64> {
         Some(self.0.load(Ordering::Relaxed)).filter(|count| count % 2 == 1)
     }

@@ -24,7 +24,8 @@ const START_ANGLE: f64 = 1e-5;
 
 /// A motion of the tool along a [`Path`] with a [`Feed`] profile. Class 1, sporadic feedback.
 ///
-/// The effector stands at the start of the path, within 1 µm and 10 µrad. A straight line leads there.
+/// The effector must stand at the start of the path, within 1 µm and 10 µrad. A [`StraightLine`](super::StraightLine)
+/// moves the tool there.
 ///
 /// The first step plans the profile. Its duration is a whole number of macrosteps, and the feed is exact. Poses of the
 /// path at most 5 mm and 10 mrad apart are then checked for reach, joint limits, and jumps between branches of the inverse
@@ -33,7 +34,8 @@ const START_ANGLE: f64 = 1e-5;
 ///
 /// Pose and velocity are exact at the ends of macrosteps. Between the ends, motors follow the servo's polynomials.
 ///
-/// The first step allocates, and computes one inverse kinematics per checked pose. No next step allocates.
+/// The first step allocates, and solves the inverse kinematics of each checked pose once per plan, with eight plans at
+/// most. No next step allocates.
 #[derive(Debug)]
 pub struct Contour {
     arm: Arm,

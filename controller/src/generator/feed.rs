@@ -74,16 +74,18 @@ pub struct FeedState {
 ///
 /// Guaranteed at every time, apart from rounding:
 /// - The speed is at most the feed.
-/// - The tangential acceleration is continuous and at most A, which is the limit, or the acceleration that the motion can
-///   reach with its jerk if this is less. The tangential jerk is at most its limit.
+/// - The tangential acceleration is continuous and at most A. A is the least of the tangential limit, the angular limit
+///   divided by the rate of turn, and the acceleration reachable within the jerk limit. The tangential jerk is at most its
+///   limit.
 /// - The normal acceleration is at most its limit on lines and arcs. On a B-spline, the excess is below 0.1 %.
 /// - Angular velocity and angular acceleration are at most their limits. Where the rate of turn changes along the path,
 ///   the excess is below 0.1 %. On such a path, half of the angular acceleration is reserved for this change.
 /// - The profile ends exactly at the end of the path.
 ///
-/// In a section of constant curvature, the speed follows the bound exactly. A lower bound has an effect at a distance of
-/// twice the speed times T. Where the curvature varies, the speed is below the bound by the change of the bound over this
-/// distance. On a path whose curvature never limits the speed, the profile is the time-optimal one from rest to rest.
+/// In a section of constant curvature, the speed follows the bound exactly. The tool slows down before a lower bound,
+/// beginning up to twice the speed times T ahead. Where the curvature varies, the speed stays below the bound by the change
+/// of the bound over this distance. Where neither curvature nor rate of turn limits the motion, [`along`](Self::along) gives
+/// the time-optimal profile from rest to rest.
 ///
 /// Planning allocates. Evaluation is two binary searches.
 #[derive(Clone, Debug)]

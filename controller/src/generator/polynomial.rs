@@ -11,13 +11,13 @@ use crate::robot::Space;
 
 /// A straight motion of all axes from rest to rest, by a cubic or a quintic of time. Class 1, sporadic feedback.
 ///
-/// The duration is the shortest within the limits, rounded up to whole macrosteps. For a distance d, velocity v,
+/// Without [`lasting`](Self::lasting), the duration is the shortest within the limits, rounded up to whole macrosteps. For a distance d, velocity v,
 /// acceleration a and jerk j, the slowest axis determines it:
 ///
 /// | | velocity | acceleration | jerk |
 /// |---|---|---|---|
-/// | cubic | 3 d / 2 v | √(6 d / a) | ∛(12 d / j) |
-/// | quintic | 15 d / 8 v | √(10 d / √3 a) | ∛(60 d / j) |
+/// | cubic | 3 d / (2 v) | √(6 d / a) | ∛(12 d / j) |
+/// | quintic | 15 d / (8 v) | √(10 d / (√3 a)) | ∛(60 d / j) |
 ///
 /// A quintic has no jump of the acceleration at its ends. The acceleration of a cubic begins and ends with a jump, which
 /// the servo smooths over one macrostep.

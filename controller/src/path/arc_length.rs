@@ -82,8 +82,8 @@ impl ArcLength {
         self.table[self.table.len() - 1].1
     }
 
-    /// Arc lengths that divide the spline into parts, each of which turns by `turn` rad at most. A part of the table has
-    /// at most [`MOST_PARTS`] of them.
+    /// Arc lengths that divide the spline into parts, which turn by about `turn` rad at most. Each part of the table is
+    /// divided into at most [`MOST_PARTS`].
     pub(super) fn divisions(&self, turn: f64) -> Vec<f64> {
         let sharpness = |u: f64| {
             let [_, first, second] = self.spline.at(u);

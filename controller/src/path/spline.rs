@@ -9,7 +9,7 @@ use super::curve::check_points;
 const DEGREE: usize = 3;
 /// Number of control points, and of basis functions, that determine a point of the spline.
 const LOCAL: usize = DEGREE + 1;
-/// Smallest accepted pivot of an interpolation, relative to 1. A basis function at its own data point is far larger.
+/// Smallest accepted pivot of an interpolation, relative to the largest entry of its row. A basis function at its own data point is far larger.
 const MIN_PIVOT: f64 = 1e-12;
 
 /// A cubic B-spline C(u) = Σ N_i(u) P_i in space, with its derivatives by the parameter u.

@@ -38,7 +38,7 @@ pub struct DigitalIoConfig {
     pub answer_delay: Duration,
     /// Edges of inputs, in any order.
     pub edges: Vec<InputEdge>,
-    /// Light gates. Each gate alone determines the level of its input.
+    /// Light gates. A gate overwrites the level of its input every millisecond. Such an input has one gate and no edges.
     pub light_gates: Vec<LightGate>,
 }
 
@@ -74,7 +74,7 @@ pub struct InputEdge {
     pub level: bool,
 }
 
-/// A light gate: an input that is high while an axis is inside an interval. The gate looks every millisecond.
+/// A light gate: an input that is high while an axis is inside an interval. The gate samples every millisecond.
 #[derive(Clone, Debug)]
 pub struct LightGate {
     /// Input, counted from 0.

@@ -30,7 +30,8 @@
 //! assert_eq!(module.inputs(), 0b1000);
 //! ```
 //!
-//! CiA 401 (version 2.1) and manuals of modules fill this dictionary. The comments of the data sheet
+//! The dictionary follows excerpts of CiA 401 (versions 2.0 and 2.1) and manuals of modules. The whole standard was not at
+//! hand. The comments of the data sheet
 //! ([`DigitalIo::eds`]) list the choices of the emulator. Left out: objects of single bits and of 16 and 32 lines,
 //! analogue lines, and the sub-indices of object 0x1029 for errors of inputs and outputs.
 

@@ -99,7 +99,7 @@ impl Outputs {
         self.restarting = true;
     }
 
-    /// The end of a reset. After a reset of the communication the outputs stay as they are.
+    /// Boot after a reset. A reset of the communication has set the error values, and the boot keeps them.
     pub(super) fn start(&mut self, now: Instant, objects: &Objects) {
         if std::mem::take(&mut self.restarting) {
             self.update(now, objects);

@@ -8,13 +8,13 @@
 //! |---|---|
 //! | SYNC | every cycle |
 //! | RPDO 1 of each drive | every cycle |
-//! | RPDO 1 of an I/O node | when its outputs change |
+//! | RPDO 1 of an I/O node | after the first heartbeat of the host: first levels, changed levels, and levels that the port did not take |
 //! | heartbeat of the host | once per heartbeat period |
 //! | SDO request to a drive | one at most, during a change of mode or after a fault |
 //!
 //! Bring-up listens for another controller, resets the communication of all nodes, configures and reads back every node
 //! by SDO, and starts all nodes together. Bring-up ends when every node shows the state operational and every I/O node
-//! has sent its inputs.
+//! with inputs has sent them.
 //!
 //! Read [`DriveGroup`] first, then [`CanBus::with_io`].
 
@@ -96,7 +96,8 @@ impl Member {
     }
 }
 
-/// While the owner listens, nothing is sent, and frames of another controller are detected.
+/// Stage of the bus. Nothing is sent in `Listening`. Frames of another controller are detected in every stage of bring-up
+/// and in operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     Down,
@@ -277,7 +278,7 @@ impl<P: Port> CanBus<P> {
                     }
                 }
                 (Some(Place::Io(io)), PdoNumber::One) if matches!(self.stage, Stage::Starting { .. }) => {
-                    // Inputs of another length are no inputs, and bring-up then waits in vain.
+                    // A frame of another length is ignored. Bring-up then ends with `BringUpError::NoInputs`.
                     _ = self.io[io].inputs(frame.data(), at);
                 }
                 _ => {}
