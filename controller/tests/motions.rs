@@ -22,8 +22,9 @@ const PERIOD: Duration = Duration::from_millis(2);
 const DT: f64 = 0.002;
 const CASES: u64 = 1000;
 
-/// Limits of velocity, acceleration and jerk of each motor, rad and s, for planning.
-const LIMITS: [f64; 3] = [100.0, 500.0, 5000.0];
+/// Limits of velocity, acceleration and jerk of each motor, rad and s, for planning. A stop from the greatest velocity takes
+/// longer than the shortest pause, so that the acceleration limits bound the pause.
+const LIMITS: [f64; 3] = [250.0, 500.0, 5000.0];
 
 /// Acceleration limit of the servo, relative to that of the plan.
 const ROOM: f64 = 2.0;
@@ -108,12 +109,12 @@ fn limits() -> MotionLimits {
 }
 
 fn jerk_limited(random: &mut Random, last: bool) -> (JerkLimited, Axes) {
-    let target = random.axes(30.0);
+    let target = random.axes(100.0);
     let motion = JerkLimited::new(Space::Motor, AXES, limits(), &[target]).expect("a sound motion");
     if last {
         return (motion, target);
     }
-    let velocity = random.axes(60.0);
+    let velocity = random.axes(150.0);
     (motion.ending_at(velocity).expect("a sound velocity"), target)
 }
 
@@ -122,7 +123,7 @@ fn task(random: &mut Random) -> (Task, Axes, bool) {
     let task = Task::new().enable();
     match random.below(3) {
         0 => {
-            let poses: Vec<SmoothPose> = (0..=random.below(3)).map(|_| SmoothPose::fast(random.axes(30.0))).collect();
+            let poses: Vec<SmoothPose> = (0..=random.below(3)).map(|_| SmoothPose::fast(random.axes(100.0))).collect();
             let end = poses[poses.len() - 1].position;
             let motion = Newsmooth::new(Space::Motor, AXES, limits(), poses).expect("a sound motion");
             (task.run(motion), end, true)
@@ -278,5 +279,5 @@ fn set_points_keep_their_limits_and_reach_the_end() {
     for [velocity, acceleration, _] in [slowed, slowed_trapezoid] {
         assert!(velocity < 1.06 && acceleration < ROOM * 1.001, "{velocity} {acceleration}");
     }
-    assert!(slowed[2] < 10.0, "{slowed:?}");
+    assert!(slowed[2] < 12.0, "{slowed:?}");
 }

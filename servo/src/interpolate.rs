@@ -109,6 +109,12 @@ impl Segment {
         quintic(self.from[axis], self.to[axis], self.duration, self.share())
     }
 
+    /// Set-point of `axis` after `periods` more of motion time, at most that of the end of this segment.
+    pub(crate) fn ahead(&self, axis: usize, periods: f64) -> Knot {
+        let share = ((self.done + periods) / f64::from(self.macrostep.steps)).min(1.0);
+        quintic(self.from[axis], self.to[axis], self.duration, share)
+    }
+
     /// Feed-forward torque of `axis` at this set-point, which holds the weight, N·m.
     pub(crate) fn torque(&self, axis: usize) -> f64 {
         let (from, to) = (self.from_torque[axis], self.macrostep.torque[axis]);

@@ -131,26 +131,36 @@ impl Motion {
 }
 
 /// The rate of motion time, which follows a [`SpeedOverride`].
+///
+/// The programmed speed is multiplied by the fractions of two overrides. Either can pause the motion.
 #[derive(Debug)]
 pub(crate) struct MotionTime {
     pub(crate) requested: SpeedOverride,
+    /// The override of the operator.
+    pub(crate) operator: SpeedOverride,
     rate: f64,
     change: f64,
 }
 
 impl MotionTime {
     pub(crate) fn new() -> Self {
-        Self { requested: SpeedOverride::default(), rate: 1.0, change: 0.0 }
+        let [requested, operator] = [SpeedOverride::default(), SpeedOverride::default()];
+        Self { requested, operator, rate: 1.0, change: 0.0 }
     }
 
     /// Advances by a cycle of `dt` seconds. `bounds` gives the bounds at the present rate.
     pub(crate) fn advance(&mut self, dt: f64, bounds: impl FnOnce(f64) -> Bounds) -> Motion {
-        let target = self.requested.target();
+        let target = self.requested.target() * self.operator.target();
         let last = self.rate;
         if target != self.rate || self.change != 0.0 {
             self.follow(target, bounds(self.rate), dt);
         }
         Motion { periods: 0.5 * (last + self.rate), rate: self.rate, change: self.change }
+    }
+
+    /// The advance of a cycle in which an effector repeats its set-points. The rate does not change.
+    pub(crate) fn hold(&self) -> Motion {
+        Motion { periods: self.rate, rate: self.rate, change: 0.0 }
     }
 
     /// Moves the rate towards `target`. The change of the rate grows at most by its bound per [`RAMP`], and fades

@@ -276,12 +276,14 @@ impl Servo {
         self.cycles += 1;
         let dt = self.period.as_secs_f64();
         let effectors = &self.effectors;
+        let refuses = |axis: &ServoAxis| self.groups[axis.config.group].refused() > 0;
+        let held = effectors.iter().any(|it| it.state == ServoState::Moving && it.axes.iter().any(refuses));
         let bounds = |rate| effectors.iter().map(|it| it.rate_bounds(rate)).fold(Bounds::NONE, Bounds::within);
         Tick {
             number,
             now,
             dt,
-            motion: self.motion_time.advance(dt, bounds),
+            motion: if held { self.motion_time.hold() } else { self.motion_time.advance(dt, bounds) },
             periods: missed.saturating_add(1),
             stop: self.stop.is_requested(),
             open: self.gates.open_ones(),
@@ -335,14 +337,14 @@ impl Servo {
         self.stop.clone()
     }
 
-    /// A handle to the speed of all motion.
+    /// A handle to the speed of all motion, for tasks.
     pub fn speed_override(&self) -> SpeedOverride {
         self.motion_time.requested.clone()
     }
 
-    /// Replaces the handle to the speed of all motion by one that exists already.
+    /// Follows the override of an operator too. The speed is the product of both fractions.
     pub fn follow_override(&mut self, speed: SpeedOverride) {
-        self.motion_time.requested = speed;
+        self.motion_time.operator = speed;
     }
 
     /// Time from one SYNC to the next.

@@ -159,6 +159,8 @@ pub struct Ecp {
     origin: u64,
     /// The next instruction continues from the end of the last macrostep, which ends in motion.
     in_motion: bool,
+    /// Time from the last report of the motion before to the latest stop that still prevents starvation.
+    margin: Duration,
     /// The generator that replaces the present one with the next macrostep.
     replacement: Option<Box<dyn Execution + Send>>,
     /// Time of the last report or accepted order.
@@ -186,6 +188,7 @@ impl Ecp {
             held: false,
             origin: 0,
             in_motion: false,
+            margin: Duration::ZERO,
             replacement: None,
             heard: Instant::ZERO,
         }
@@ -337,6 +340,7 @@ impl Ecp {
         self.instruction += 1;
         if outcome.is_err() {
             self.task.instructions.clear();
+            (self.in_motion, self.replacement) = (false, None);
         }
         event
     }
@@ -431,8 +435,12 @@ impl Ecp {
                 self.outbox.push_back(Order::Gate(meeting));
                 Some(Ok(()))
             }
-            Activity::Meeting { since, .. } => {
-                let waited = now.since(since);
+            Activity::Meeting { ref mut since, .. } => {
+                // A partner may be slowed.
+                if self.link.latest.read().rate < 1.0 {
+                    *since = now;
+                }
+                let waited = now.since(*since);
                 (waited > self.config.meeting).then_some(Err(EcpError::Unmet { waited }))
             }
             Activity::Planning { since } => {

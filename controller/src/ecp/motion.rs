@@ -36,6 +36,8 @@ impl Ecp {
         self.base = self.sent;
         self.chart = Some(ChartPhase::FirstStep);
         self.replacement = None;
+        let left = self.pace.periods.saturating_sub(self.pace.read_at);
+        self.margin = self.config.period * u32::from(left.saturating_sub(1));
         self.pace = match run.pace(self.config.pace) {
             Ok(pace) => pace,
             Err(error) => return self.fail(EcpError::Generator { step: 0, error }),
@@ -62,7 +64,13 @@ impl Ecp {
         }
         let Some((run, first)) = self.planning.finished() else {
             let waited = now.since(since);
-            let late = if self.in_motion { self.outstanding() == 0 } else { waited > self.config.planning };
+            // In motion, the stop must reach the servo before the last macrostep ends.
+            let reported = self.report.map_or(now, |report| report.snapshot.at);
+            let late = if self.in_motion {
+                self.outstanding() == 0 && now.since(reported) > self.margin
+            } else {
+                waited > self.config.planning
+            };
             return if late { self.fail(EcpError::Unplanned { waited }) } else { None };
         };
         self.heard = now;

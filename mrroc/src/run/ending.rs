@@ -14,7 +14,7 @@ pub struct Requests {
     pub(super) stop: Arc<AtomicBool>,
     /// Set to keep the servo cycles around this moment (`--spikes`).
     pub spikes: Arc<AtomicBool>,
-    /// Speed of all motion: override, pause and resume.
+    /// Speed of all motion by the operator: override, pause and resume. A task can slow further, and cannot lift it.
     pub speed: SpeedOverride,
     servo: Arc<Mutex<Option<StopRequest>>>,
 }

@@ -296,8 +296,8 @@ fn in_lockstep(
     let TaskErrors { mut faults, recovered } = carrying.finish();
     let (written, tracks) = logs.into_inner().finish();
     if interrupted.load(Ordering::Relaxed) {
-        // The request broke off the task.
-        faults.clear();
+        // The request broke off the instructions of the task.
+        faults.retain(|fault| fault.robot.is_none());
     }
     faults.extend(written.err().map(FaultReport::of_run));
     Ok(RunEnd {
@@ -387,8 +387,8 @@ fn by_the_clock(
         None => clock::now().since(began),
     };
     if requests.is_stopped() {
-        // The request broke off the task.
-        faults.clear();
+        // The request broke off the instructions of the task.
+        faults.retain(|fault| fault.robot.is_none());
     }
     let (written, tracks) = writing.finish(file);
     faults.extend(written.err().map(FaultReport::of_run));

@@ -61,7 +61,8 @@ impl Cell {
         (0..self.file.cell.robot.len()).map(|robot| self.robot_at(robot)).collect()
     }
 
-    /// Speed of all motion of the cell: override, pause and resume.
+    /// Speed of all programmed motions of the cell: override, pause and resume. The override of the operator
+    /// (`--speed`, [`Requests::speed`](crate::run::Requests::speed)) acts in addition.
     pub fn speed(&self) -> &SpeedOverride {
         &self.speed
     }

@@ -22,8 +22,11 @@ impl Effector {
         let Some(segment) = self.segment.as_ref().filter(|_| self.state == ServoState::Moving) else {
             return Bounds::NONE;
         };
-        let bounds =
-            |(index, axis): (usize, &ServoAxis)| Bounds::of_axis(segment.at(index), rate, axis.config.max_acceleration);
+        // The planned acceleration changes within the period for which the bounds hold.
+        let bounds = |(index, axis): (usize, &ServoAxis)| {
+            let after = |periods| Bounds::of_axis(segment.ahead(index, periods), rate, axis.config.max_acceleration);
+            after(0.0).within(after(1.0)).within(after(2.0))
+        };
         self.axes.iter().enumerate().map(bounds).fold(Bounds::NONE, Bounds::within)
     }
 

@@ -160,3 +160,39 @@ fn a_generator_that_is_sent_less_far_ahead_is_replaced_sooner() {
     // The number of the cell is the most.
     assert_eq!(turned_back(4), turned_back(50));
 }
+
+#[test]
+fn a_chain_with_one_macrostep_ahead_allows_a_plan_that_comes_one_poll_later() {
+    let mut bench = Bench::ready();
+    let held = planning::Held::on(&mut bench);
+    bench.ecp.execute(Task::new().run(through(0.5, 0.6).sent_ahead(1)).run(jerk_limited(1.0))).unwrap();
+    let events = bench.go_on(|_| held.compute_all());
+    assert_eq!(events, finished(2));
+    assert!(!stopped(&bench));
+}
+
+#[test]
+fn a_fault_while_a_motion_is_planned_in_motion_leaves_nothing_for_the_next_motion() {
+    let fault = ServoFault { axis: Some(0), cause: StopCause::FollowingError { error: 2.0, limit: 1.5 } };
+    let mut bench = Bench::ready();
+    let held = planning::Held::on(&mut bench);
+    bench.ecp.execute(Task::new().run(through(0.5, 0.6)).run(jerk_limited(1.0))).unwrap();
+    let mut period = 0;
+    let events = bench.go_on(|bench| {
+        period += 1;
+        match period {
+            1 => held.compute_all(),
+            _ if bench.ecp.in_motion => _ = bench.servo.fault.get_or_insert(fault),
+            _ => {}
+        }
+    });
+    assert_eq!(events.last().unwrap().outcome, Err(EcpError::Servo(fault)));
+    bench.servo.fault = None;
+    bench.ecp.plan_with(Box::new(AtOnce::default()));
+    assert_eq!(
+        bench.run(Task::new().reset_fault().run(jerk_limited(0.0))).last().unwrap().outcome,
+        Err(EcpError::NotStanding { phase: Phase::Off })
+    );
+    assert_eq!(bench.run(Task::new().enable().run(jerk_limited(0.0))), finished(2));
+    assert_eq!(at_end(&bench), 0.0);
+}

@@ -26,6 +26,13 @@ impl Held {
         self.1.lock().unwrap().push_back(plan);
     }
 
+    /// Computes all plans that wait.
+    pub(super) fn compute_all(&self) {
+        while !self.0.lock().unwrap().is_empty() {
+            self.compute();
+        }
+    }
+
     pub(super) fn on(bench: &mut Bench) -> Self {
         let held = Self::default();
         bench.ecp.plan_with(Box::new(held.clone()));

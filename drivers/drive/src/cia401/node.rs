@@ -98,6 +98,8 @@ impl IoNode {
         let first = InputImage::not_started(self.node, self.inputs);
         self.image = InputImage { at: now, heard, received, levels, fault: None, ..first };
         self.publisher.publish(&self.image.words());
+        // Commands that were given during bring-up do not take effect.
+        self.commanded.set_all(self.error_value);
         (self.since, self.operational) = (None, true);
         (self.offered, self.not_sent) = (None, 0);
     }
