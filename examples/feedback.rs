@@ -16,6 +16,7 @@ struct Approach {
 impl Generator for Approach {
     type First = (); // the first step reads nothing
     type Every = EffectorImage; // class 1: each next step reads the effector
+    type Out = ();
     type Memory = (); // the image says everything
 
     fn pace(&self, _: Pace) -> Pace {

@@ -17,6 +17,7 @@ struct Swing {
 impl Generator for Swing {
     type First = EffectorImage; // where the motion begins
     type Every = (); // no feedback while it moves
+    type Out = ();
     type Memory = u32; // macrosteps done
 
     fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<u32>, GeneratorError> {

@@ -1,7 +1,9 @@
-//! Robots, paths, generators, effector control processes, and tasks as programs.
+//! Robots, paths, generators, virtual sensors, effector control processes, coordination, and tasks as programs.
 
+pub mod coordination;
 pub mod ecp;
 pub mod executor;
 pub mod generator;
 pub mod path;
 pub mod robot;
+pub mod sensor;

@@ -74,18 +74,21 @@ pub mod prelude {
     pub use std::process::ExitCode;
     pub use std::time::Duration;
 
+    pub use controller::coordination::{Coordinator, CoordinatorEnd, Late, LinkConfig, NextOrders};
     pub use controller::ecp::{Class, Task};
-    pub use controller::executor::{Replacer, join, join_all};
+    pub use controller::executor::{Observer, Replacer, join, join_all};
     pub use controller::generator::{
-        Accelerations, AxesState, Contour, EffectorImage, FeedLimits, Generator, GeneratorError, JerkLimited,
-        LineLimits, MotionLimits, Newsmooth, Next, Pace, Polynomial, Pose, Setpoint, SmoothPose, StraightLine, Wait,
+        A, Accelerations, Answer, AxesState, Contour, EffectorImage, FeedLimits, Generator, GeneratorError,
+        JerkLimited, LineLimits, MotionLimits, Newsmooth, Next, Pace, Polynomial, Pose, Received, Sample,
+        SensorReading, Setpoint, SmoothPose, StraightLine, Tell, V, Wait,
     };
-    pub use controller::path::{BSpline, Curve, Path, SplineEnds};
+    pub use controller::path::{BSpline, Curve, Path, PoseState, SplineEnds};
     pub use controller::robot::Space;
+    pub use controller::sensor::{DigitalInputs, Shell, VirtualSensor};
 
     pub use crate::bench::BenchKind;
     pub use crate::cell::CellFile;
     pub use crate::motions::Motions;
     pub use crate::report::{AxisReport, Deviation, FaultReport, RobotReport, RunOutcome, RunReport};
-    pub use crate::tasks::{Cell, Outcome, Robot, TaskError};
+    pub use crate::tasks::{Cell, Outcome, Robot, TaskError, Team};
 }

@@ -13,6 +13,7 @@ const STEPS: u32 = 400;
 impl Generator for Swing {
     type First = ();
     type Every = EffectorImage;
+    type Out = ();
     type Memory = u32;
 
     fn pace(&self, _: Pace) -> Pace {
@@ -44,6 +45,7 @@ struct Ponder;
 impl Generator for Ponder {
     type First = ();
     type Every = ();
+    type Out = ();
     type Memory = ();
 
     fn first_step(&mut self, (): &(), _: Duration) -> Result<Next<()>, GeneratorError> {

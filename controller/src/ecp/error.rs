@@ -7,7 +7,7 @@ use serde::Serialize;
 use servo::{Phase, ServoFault, StopCause};
 use thiserror::Error;
 
-use crate::{generator::GeneratorError, robot::KinematicsError};
+use crate::{coordination::LinkError, generator::GeneratorError, robot::KinematicsError};
 
 /// Class of an error, by its consequence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -74,6 +74,12 @@ pub enum EcpError {
     /// At least one partner did not come to a meeting in time.
     #[error("the partners of a meeting did not come within {waited:?}")]
     Unmet { waited: Duration },
+    /// The link to the coordinator failed.
+    #[error("step {step}: {error}")]
+    Link { step: u64, error: LinkError },
+    /// A virtual sensor gave no reading in time.
+    #[error("step {step}: no reading of a sensor within {waited:?}")]
+    Unread { step: u64, waited: Duration },
     /// The process was told to stop.
     #[error("stopped")]
     Stopped,
@@ -97,6 +103,8 @@ impl EcpError {
             | Self::NotHomed
             | Self::Unplanned { .. }
             | Self::Unmet { .. }
+            | Self::Link { .. }
+            | Self::Unread { .. }
             | Self::Stopped => Class::NonFatal,
         }
     }

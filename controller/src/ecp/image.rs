@@ -6,9 +6,7 @@ use std::time::Duration;
 use nalgebra::{UnitQuaternion, Vector3};
 use servo::{Knot, Snapshot, cubic_end_acceleration};
 
-use crate::generator::{
-    Accelerations, Axes, AxesState, EffectorImage, EffectorState, GeneratorError, ImageSource, Pose, Setpoint,
-};
+use crate::generator::{Accelerations, Axes, AxesState, EffectorImage, EffectorState, GeneratorError, Pose, Setpoint};
 use crate::path::PoseState;
 use crate::robot::{Arm, KinematicsError};
 
@@ -101,6 +99,11 @@ impl Effector {
 }
 
 impl Effector {
+    /// The present image.
+    pub(super) fn read(&self) -> Result<EffectorImage, GeneratorError> {
+        self.image(&self.measured, &self.commanded)
+    }
+
     /// The image of a measured and a commanded state.
     pub(super) fn image(&self, measured: &Snapshot, commanded: &AxesState) -> Result<EffectorImage, GeneratorError> {
         let &Snapshot { at, macrostep, torque, switches, sampled, .. } = measured;
@@ -118,12 +121,6 @@ impl Effector {
             commanded,
             commanded_acceleration,
         })
-    }
-}
-
-impl ImageSource for Effector {
-    fn effector(&self) -> Result<EffectorImage, GeneratorError> {
-        self.image(&self.measured, &self.commanded)
     }
 }
 

@@ -24,7 +24,9 @@
 mod error;
 mod image;
 mod motion;
+mod partners;
 mod planning;
+mod steps;
 mod subcontrollers;
 mod task;
 #[cfg(test)]
@@ -35,13 +37,17 @@ use std::{collections::VecDeque, time::Duration};
 use can::Instant;
 use servo::{EffectorLink, Order, Phase, ServoReport, Snapshot};
 
+use crate::coordination::MemberLink;
 use crate::generator::{AxesState, EffectorImage, Execution, GeneratorError, Pace};
 use crate::robot::Arm;
+use crate::sensor::Sensors;
 
 pub use error::{ChartPhase, Class, EcpError};
 use image::Effector;
 use planning::Planning;
 pub use planning::{AtOnce, Plan, Planner};
+use steps::Journal;
+pub use steps::{StepEvent, StepLog, StepRecord, StepRecords, step_log};
 pub use subcontrollers::{Meetings, Subcontrollers};
 use task::Instruction;
 pub use task::Task;
@@ -119,6 +125,8 @@ enum Activity {
     Switching { order: Order, since: Instant },
     /// Waits for the partners of a meeting. `admitted`: all partners have come.
     Meeting { meeting: u8, since: Instant, admitted: bool },
+    /// Waits for the images of the first step that are not there yet.
+    Awaiting { run: Box<dyn Execution + Send>, since: Instant },
     /// The planner computes the first step of a generator. The effector stands.
     Planning { since: Instant },
     /// The generator computes macrosteps.
@@ -165,6 +173,12 @@ pub struct Ecp {
     replacement: Option<Box<dyn Execution + Send>>,
     /// Time of the last report or accepted order.
     heard: Instant,
+    sensors: Sensors,
+    /// The link to the coordinator, if there is one.
+    coordinator: Option<Box<dyn MemberLink>>,
+    /// Number of the present step of the generator, 0 for the first step.
+    turn: u64,
+    journal: Journal,
 }
 
 impl Ecp {
@@ -191,7 +205,36 @@ impl Ecp {
             margin: Duration::ZERO,
             replacement: None,
             heard: Instant::ZERO,
+            sensors: Sensors::default(),
+            coordinator: None,
+            turn: 0,
+            journal: Journal::default(),
         }
+    }
+
+    /// The virtual sensors of this process.
+    pub fn sensors(&mut self) -> &mut Sensors {
+        &mut self.sensors
+    }
+
+    /// Connects the process to a coordinator, in place of the one before.
+    pub(crate) fn follow(&mut self, coordinator: Option<Box<dyn MemberLink>>) {
+        self.coordinator = coordinator;
+    }
+
+    /// Duration of the cell's macrostep.
+    pub(crate) fn cell_macrostep(&self) -> Duration {
+        self.config.period * u32::from(self.config.pace.periods)
+    }
+
+    /// Keeps a journal of all further steps.
+    pub fn keep_steps(&mut self, log: StepLog) {
+        self.journal.log = Some(log);
+    }
+
+    /// Number of events that the journal lost because its reader was late.
+    pub fn lost_steps(&self) -> u64 {
+        self.journal.lost
     }
 
     /// Replaces the planner, before the first task.
@@ -247,7 +290,7 @@ impl Ecp {
 
     /// Whether the process has left a meeting, has planned its next motion and has sent all its pending orders.
     fn has_left(&self, meeting: u8) -> bool {
-        let planning = matches!(self.activity, Activity::Planning { .. });
+        let planning = matches!(self.activity, Activity::Awaiting { .. } | Activity::Planning { .. });
         self.meeting() != Some(meeting) && !planning && self.outbox.is_empty()
     }
 
@@ -306,6 +349,7 @@ impl Ecp {
             }
             self.report = Some(report);
         }
+        self.sensors.poll(now);
         if matches!(self.activity, Activity::Idle) {
             if self.held {
                 return None;
@@ -443,6 +487,7 @@ impl Ecp {
                 let waited = now.since(*since);
                 (waited > self.config.meeting).then_some(Err(EcpError::Unmet { waited }))
             }
+            Activity::Awaiting { since, .. } => self.await_images(since, now),
             Activity::Planning { since } => {
                 let outcome = self.advance_planning(since, now);
                 // The macrosteps follow in the same poll.

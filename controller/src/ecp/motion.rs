@@ -1,13 +1,18 @@
 //! Motion of an effector by a generator: first step, next steps, and the end of the motion.
 
+use std::cell::RefCell;
+use std::mem::replace;
 use std::time::Duration;
 
 use can::Instant;
 use servo::{Macrostep, Order, Phase, Snapshot};
 
+use super::partners::Around;
 use super::task::Instruction;
-use super::{Activity, BURST, ChartPhase, Ecp, EcpError, NotRunning, STILL};
+use super::{Activity, BURST, ChartPhase, Ecp, EcpError, NotRunning, STILL, StepEvent};
+use crate::coordination::{LinkError, MemberLink, Turn};
 use crate::generator::{Axes, AxesState, Execution, Generator, Run, Setpoint, Step};
+use crate::sensor::Sensors;
 
 impl Ecp {
     /// Replaces the generator of the present motion. The new generator plans from the end of the macrosteps that were
@@ -42,8 +47,48 @@ impl Ecp {
             Ok(pace) => pace,
             Err(error) => return self.fail(EcpError::Generator { step: 0, error }),
         };
-        self.planning.begin(run, &self.effector, self.macrostep());
-        self.activity = Activity::Planning { since: now };
+        let description = run.description();
+        self.journal.begin(now, description.generator, description.first);
+        self.turn = 0;
+        self.sensors.begin();
+        self.sensors.initiate(now);
+        self.sensors.poll(now);
+        self.activity = Activity::Awaiting { run, since: now };
+        self.await_images(now, now)
+    }
+
+    /// Reads the images of the first step once they are there, and begins to plan.
+    pub(super) fn await_images(&mut self, since: Instant, now: Instant) -> Option<Result<(), EcpError>> {
+        let Activity::Awaiting { run, .. } = &mut self.activity else {
+            return None;
+        };
+        let class = run.description().first;
+        match turn(class, &mut self.coordinator, &self.sensors, 0, now) {
+            Ok(Turn::Ready) => {}
+            Ok(Turn::Waiting) => {
+                let waited = now.since(since);
+                let late = waited > self.config.planning;
+                return if late { self.fail(EcpError::Unread { step: 0, waited }) } else { None };
+            }
+            Ok(Turn::EndMotion) => return self.conclude().then_some(Ok(())),
+            Err(error) => return self.fail(EcpError::Link { step: 0, error }),
+        }
+        let around = Around {
+            effector: &self.effector,
+            sensors: &mut self.sensors,
+            coordinator: self.coordinator.as_deref_mut(),
+            journal: RefCell::new(&mut self.journal),
+            now,
+        };
+        if let Err(error) = run.initiate(&around) {
+            return self.fail(EcpError::Generator { step: 0, error });
+        }
+        let macrostep = self.macrostep();
+        let Activity::Awaiting { run, since } = replace(&mut self.activity, Activity::Idle) else {
+            return None;
+        };
+        self.planning.begin(run, macrostep);
+        self.activity = Activity::Planning { since };
         None
     }
 
@@ -62,7 +107,7 @@ impl Ecp {
         if phase != Phase::Standing && !(self.in_motion && phase == Phase::Moving) {
             return self.fail(EcpError::BrokenOff { phase });
         }
-        let Some((run, first)) = self.planning.finished() else {
+        let Some((mut run, first)) = self.planning.finished() else {
             let waited = now.since(since);
             // In motion, the stop must reach the servo before the last macrostep ends.
             let reported = self.report.map_or(now, |report| report.snapshot.at);
@@ -79,7 +124,14 @@ impl Ecp {
         if first.is_ok() {
             self.chart = Some(ChartPhase::NextStep);
         }
-        let commanded = match first {
+        let mut around = Around {
+            effector: &self.effector,
+            sensors: &mut self.sensors,
+            coordinator: self.coordinator.as_deref_mut(),
+            journal: RefCell::new(&mut self.journal),
+            now,
+        };
+        let commanded = match first.and_then(|()| run.commit(&mut around)) {
             Ok(Step::Continue(None)) => Ok(()),
             Ok(Step::Continue(setpoint)) => self.command(setpoint),
             Ok(Step::Ended) => return self.conclude().then_some(Ok(())),
@@ -88,6 +140,8 @@ impl Ecp {
         if let Err(error) = commanded {
             return self.fail(error);
         }
+        self.journal.commit(now, || run.digest());
+        self.sensors.initiate(now);
         self.in_motion = false;
         self.activity = Activity::Running(run);
         None
@@ -113,7 +167,7 @@ impl Ecp {
             self.run_out();
         } else {
             for _ in 0..BURST {
-                if self.step() {
+                if self.step(now) {
                     return Some(Ok(()));
                 }
             }
@@ -131,7 +185,7 @@ impl Ecp {
 
     /// Requests the next macrostep from the generator if the macrostep is due. Returns whether the instruction ends at
     /// once, because the next one continues its motion.
-    fn step(&mut self) -> bool {
+    fn step(&mut self, now: Instant) -> bool {
         let outstanding = self.outstanding();
         let Activity::Running(run) = &mut self.activity else {
             return false;
@@ -143,10 +197,32 @@ impl Ecp {
         if outstanding >= u64::from(run.macrosteps_ahead(self.config.macrosteps_ahead)) {
             return false;
         }
-        match run.next_step(&self.effector) {
+        let class = run.description().every;
+        match turn(class, &mut self.coordinator, &self.sensors, self.turn + 1, now) {
+            Ok(Turn::Ready) => {}
+            Ok(Turn::Waiting) => return false,
+            Ok(Turn::EndMotion) => return self.conclude(),
+            Err(error) => {
+                self.brake(Err(EcpError::Link { step: self.sent - self.base, error }));
+                return false;
+            }
+        }
+        self.turn += 1;
+        self.journal.next(class);
+        let mut around = Around {
+            effector: &self.effector,
+            sensors: &mut self.sensors,
+            coordinator: self.coordinator.as_deref_mut(),
+            journal: RefCell::new(&mut self.journal),
+            now,
+        };
+        match run.next_step(&mut around) {
             Ok(Step::Continue(setpoint)) => {
-                if let Err(error) = self.command(setpoint) {
-                    self.brake(Err(error));
+                self.journal.commit(now, || run.digest());
+                self.sensors.initiate(now);
+                match self.command(setpoint) {
+                    Ok(()) => self.journal.note(now, StepEvent::Exchange, None),
+                    Err(error) => self.brake(Err(error)),
                 }
             }
             Ok(Step::Ended) => return self.conclude(),
@@ -206,4 +282,18 @@ impl Ecp {
         }));
         Ok(())
     }
+}
+
+/// Whether a step of this class can take its images: readings that it waits for, and the order of its number.
+fn turn(
+    class: u8,
+    coordinator: &mut Option<Box<dyn MemberLink>>,
+    sensors: &Sensors,
+    step: u64,
+    now: Instant,
+) -> Result<Turn, LinkError> {
+    if class & 2 != 0 && !sensors.are_ready() {
+        return Ok(Turn::Waiting);
+    }
+    coordinator.as_mut().map_or(Ok(Turn::Ready), |link| link.poll(step, now))
 }

@@ -7,32 +7,33 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
 
-use super::image::Effector;
-use crate::generator::{Execution, GeneratorError, Step};
+use crate::generator::{Execution, GeneratorError};
 
-/// A first step to compute, with the images that it reads.
+/// A first step to compute. The generator has read its images.
 pub struct Plan {
     run: Box<dyn Execution + Send>,
-    effector: Effector,
     macrostep: Duration,
     /// Number of the plan in its ECP. The result of an earlier plan is dropped.
     number: u64,
-    result: Option<Result<Step, GeneratorError>>,
+    result: Option<Result<(), GeneratorError>>,
 }
 
+/// A generator with the result of its first step.
+type Planned = (Box<dyn Execution + Send>, Result<(), GeneratorError>);
+
 impl Plan {
-    pub(super) fn new(run: Box<dyn Execution + Send>, effector: &Effector, macrostep: Duration, number: u64) -> Self {
-        Self { run, effector: effector.clone(), macrostep, number, result: None }
+    pub(super) fn new(run: Box<dyn Execution + Send>, macrostep: Duration, number: u64) -> Self {
+        Self { run, macrostep, number, result: None }
     }
 
     /// Computes the first step. A panic of the generator becomes its error.
     pub fn compute(&mut self) {
-        let first = catch_unwind(AssertUnwindSafe(|| self.run.first_step(&self.effector, self.macrostep)));
+        let first = catch_unwind(AssertUnwindSafe(|| self.run.plan(self.macrostep)));
         self.result = Some(first.unwrap_or(Err(GeneratorError::Panicked)));
     }
 
     /// The generator and the result of its first step; `None` if the plan has another number or is not computed yet.
-    fn into_result(self, number: u64) -> Option<(Box<dyn Execution + Send>, Result<Step, GeneratorError>)> {
+    fn into_result(self, number: u64) -> Option<Planned> {
         Some((self.run, self.result.filter(|_| self.number == number)?))
     }
 }
@@ -72,13 +73,13 @@ impl Planning {
         Self { planner, number: 0 }
     }
 
-    pub(super) fn begin(&mut self, run: Box<dyn Execution + Send>, effector: &Effector, macrostep: Duration) {
+    pub(super) fn begin(&mut self, run: Box<dyn Execution + Send>, macrostep: Duration) {
         self.number += 1;
-        self.planner.begin(Plan::new(run, effector, macrostep, self.number));
+        self.planner.begin(Plan::new(run, macrostep, self.number));
     }
 
     /// The generator of the last plan, and the result of its first step.
-    pub(super) fn finished(&mut self) -> Option<(Box<dyn Execution + Send>, Result<Step, GeneratorError>)> {
+    pub(super) fn finished(&mut self) -> Option<Planned> {
         while let Some(plan) = self.planner.finished() {
             if let Some(result) = plan.into_result(self.number) {
                 return Some(result);

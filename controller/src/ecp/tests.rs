@@ -16,8 +16,8 @@ use servo::{Gates, MAX_AXES, Macrostep, Publisher, ServoFault, StopCause};
 
 use super::*;
 use crate::generator::{
-    Axes, EffectorImage, Generator, GeneratorError, ImageSource, JerkLimited, MotionLimits, Newsmooth, Next, Pose,
-    Setpoint, SmoothPose, Wait,
+    Axes, EffectorImage, Generator, GeneratorError, JerkLimited, MotionLimits, Newsmooth, Next, Pose, Setpoint,
+    SmoothPose, Wait,
 };
 use crate::robot::{Arm, Jacobian, Joints, KinematicsError, Limits, Link, Motors, Robot, Solutions, Space};
 
@@ -299,6 +299,7 @@ struct Push {
 impl Generator for Push {
     type First = ();
     type Every = EffectorImage;
+    type Out = ();
     type Memory = u32;
     fn first_step(&mut self, _: &(), _: Duration) -> Result<Next<u32>, GeneratorError> {
         Ok(Next::remember(0))
@@ -318,6 +319,7 @@ struct Ask(Setpoint);
 impl Generator for Ask {
     type First = ();
     type Every = ();
+    type Out = ();
     type Memory = u16;
     fn first_step(&mut self, _: &(), _: Duration) -> Result<Next<u16>, GeneratorError> {
         Ok(Next::remember(0))
@@ -402,7 +404,7 @@ fn a_generator_that_reads_the_effector_gets_one_macrostep_per_report_and_stops_o
     assert_eq!(events, finished(1));
     assert_eq!(most, 1);
     assert_eq!(bench.servo.log.last(), Some(&Order::Stop), "it ended in motion, so it was braked");
-    let measured = bench.ecp.effector.effector().unwrap().measured.joints.position[0];
+    let measured = bench.ecp.effector.read().unwrap().measured.joints.position[0];
     assert!((0.1..0.13).contains(&measured), "{measured}");
 }
 

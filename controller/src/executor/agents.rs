@@ -10,8 +10,10 @@ use std::time::Duration;
 use can::Instant;
 
 use super::{InstructionError, SystemError};
+use crate::coordination::{CoordinatorEnd, Late, LinkConfig, MemberLink, link};
 use crate::ecp::{Class, Ecp, EcpEvent, NotRunning, Status, Subcontrollers, Task};
-use crate::generator::{EffectorImage, Generator, GeneratorError};
+use crate::generator::{EffectorImage, Generator, GeneratorError, Message};
+use crate::sensor::{Shell, VirtualSensor};
 
 /// Greatest number of errors that are kept of one task.
 const MOST_ERRORS: usize = 1000;
@@ -36,6 +38,20 @@ pub struct Agent {
 pub struct Replacer {
     agents: Agents,
     robot: usize,
+}
+
+/// Reads the image of one effector while its [`Agent`] is in use.
+#[derive(Clone)]
+pub struct Observer {
+    agents: Agents,
+    robot: usize,
+}
+
+impl Observer {
+    /// The effector in the last servo cycle. See [`Ecp::image`].
+    pub fn image(&self) -> Result<EffectorImage, GeneratorError> {
+        self.agents.0.borrow().subcontrollers.ecps()[self.robot].image()
+    }
 }
 
 /// The end of an instruction of any robot.
@@ -113,6 +129,11 @@ impl Agents {
             if first || waited < duration { Poll::Pending } else { Poll::Ready(()) }
         });
         slept.await;
+    }
+
+    /// Asks in every turn of the task, with the time of the last servo cycle and whether motion is slowed.
+    pub(super) async fn until<T>(&self, mut ask: impl FnMut(Instant, bool) -> Poll<T> + Unpin) -> T {
+        Leaf::new(self, |board: &mut Board| ask(board.time(), board.is_slowed())).await
     }
 
     /// Waits until all effectors stand whose instructions were dropped.
@@ -224,12 +245,45 @@ impl Agent {
 
     /// The effector in the last servo cycle. See [`Ecp::image`].
     pub fn image(&self) -> Result<EffectorImage, GeneratorError> {
-        self.agents.0.borrow().subcontrollers.ecps()[self.robot].image()
+        self.observer().image()
+    }
+
+    /// A handle that reads the image while this one is in use.
+    pub fn observer(&self) -> Observer {
+        Observer { agents: self.agents.clone(), robot: self.robot }
     }
 
     /// Index of the robot in its cell.
     pub fn robot(&self) -> usize {
         self.robot
+    }
+
+    /// Gives the effector's agent a virtual sensor, read every `period` macrosteps. The sensor replaces one with readings of
+    /// the same type.
+    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) {
+        self.agents.0.borrow_mut().at(self.robot).0.sensors().install(sensor, shell, period);
+    }
+
+    /// The coordinator's end of a new link to this agent: loose coordination. Steps take the latest order that is there,
+    /// and wait for none. An earlier link ends.
+    pub fn coordinated<C: Message, R: Message>(&mut self) -> CoordinatorEnd<C, R> {
+        let config = LinkConfig { blocking: false, deadline: Duration::ZERO, late: Late::Hold };
+        let (coordinator, member) = link(config);
+        self.follow(Some(Box::new(member)));
+        coordinator
+    }
+
+    pub(super) fn follow(&mut self, coordinator: Option<Box<dyn MemberLink>>) {
+        self.agents.0.borrow_mut().at(self.robot).0.follow(coordinator);
+    }
+
+    pub(super) fn agents(&self) -> &Agents {
+        &self.agents
+    }
+
+    /// Duration of the cell's macrostep.
+    pub(super) fn cell_macrostep(&self) -> Duration {
+        self.agents.0.borrow().subcontrollers.ecps()[self.robot].cell_macrostep()
     }
 
     /// A handle that replaces motions while this one awaits them.
@@ -268,6 +322,11 @@ impl Board {
     /// Time of the last servo cycle; zero before the first.
     fn time(&self) -> Instant {
         self.subcontrollers.ecps().first().map_or(Instant::ZERO, |ecp| ecp.latest().at)
+    }
+
+    /// Whether motion time runs slower than the clock.
+    fn is_slowed(&self) -> bool {
+        self.subcontrollers.ecps().first().is_some_and(|ecp| ecp.latest().rate < 1.0)
     }
 
     /// Gives the list to its process, once the process is free.

@@ -30,6 +30,7 @@ impl InstructionError {
         let (step, phase) = match cause {
             EcpError::Generator { step, .. } => (Some(step), chart.map(|(phase, _)| phase)),
             EcpError::Unplanned { .. } => (Some(0), Some(ChartPhase::FirstStep)),
+            EcpError::Link { step, .. } | EcpError::Unread { step, .. } => (Some(step), chart.map(|(phase, _)| phase)),
             EcpError::OutOfReach { step, .. } | EcpError::NotFinite { step, .. } => {
                 (Some(step), Some(ChartPhase::Transfer))
             }

@@ -14,6 +14,7 @@
 mod agents;
 mod error;
 mod join;
+mod team;
 mod turns;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -25,9 +26,10 @@ use crate::ecp::{Ecp, Status};
 
 use join::Part;
 
-pub use agents::{Agent, Agents, EndedInstruction, Replacer};
+pub use agents::{Agent, Agents, EndedInstruction, Observer, Replacer};
 pub use error::{InstructionError, SystemError};
 pub use join::{join, join_all};
+pub use team::{Team, TeamError};
 pub use turns::Turns;
 
 /// How a task ended.

@@ -129,6 +129,7 @@ impl Contour {
 impl Generator for Contour {
     type First = EffectorImage;
     type Every = ();
+    type Out = ();
     /// Number of macrosteps done.
     type Memory = u32;
 

@@ -1,5 +1,7 @@
 //! Errors of generators.
 
+use std::time::Duration;
+
 use thiserror::Error;
 
 use crate::robot::KinematicsError;
@@ -59,6 +61,20 @@ pub enum GeneratorError {
     /// The effector measures positions that its mechanism cannot take.
     #[error("effector image: {0}")]
     Image(KinematicsError),
+    /// A generator that declares `V` runs on an agent without the sensor.
+    #[error("the agent has no sensor with readings of type {reading}: install one with `Robot::sense`")]
+    NoSensor { reading: &'static str },
+    /// A generator that declares `a0` runs without a coordinator.
+    #[error("no coordinator gives orders of type {order}: execute the generator in a team or on a link")]
+    NoOrders { order: &'static str },
+    #[error("no sensor of the agent takes commands of type {command}")]
+    NotTold { command: &'static str },
+    #[error("no coordinator takes answers of type {answer}, or its queue is full")]
+    NotAnswered { answer: &'static str },
+    #[error("nothing received since the instruction began")]
+    NothingReceived,
+    #[error("the last sample is {age:.1?} old, more than {limit:.1?}")]
+    Stale { age: Duration, limit: Duration },
     /// A panic in the first step. The panic hook received its message.
     #[error("the generator panicked in its first step")]
     Panicked,

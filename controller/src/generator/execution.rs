@@ -1,8 +1,69 @@
-//! The flow chart of the paper's figure 3, for one generator.
+//! The flow chart of the paper's figure 3: one runner for every agent.
 
+use std::any::type_name;
 use std::time::Duration;
 
-use super::{Generator, GeneratorError, ImageSource, Images, Pace, Setpoint};
+use super::{Generator, GeneratorError, Images, Next, Outputs, Pace, Partners, Setpoint};
+use crate::ecp::StepEvent;
+
+/// Functions of one instruction of an agent, of a subcontroller or of the coordinator.
+pub(crate) trait Functions {
+    /// Images of the first step.
+    type First;
+    /// Images of every next step.
+    type Every;
+    /// The agent's own memory.
+    type Memory: Copy;
+    /// All other results of a step.
+    type Results;
+
+    fn first_step(
+        &mut self,
+        images: &Self::First,
+        macrostep: Duration,
+    ) -> Result<(Self::Results, Self::Memory), GeneratorError>;
+
+    fn terminal(&self, memory: &Self::Memory, images: &Self::Every) -> bool;
+
+    fn next_step(
+        &self,
+        memory: &Self::Memory,
+        images: &Self::Every,
+    ) -> Result<(Self::Results, Self::Memory), GeneratorError>;
+}
+
+/// An instruction of an agent in the flow chart.
+pub(crate) struct Chart<F: Functions> {
+    pub(crate) functions: F,
+    pub(crate) memory: Option<F::Memory>,
+}
+
+impl<F: Functions> Chart<F> {
+    pub(crate) const fn new(functions: F) -> Self {
+        Self { functions, memory: None }
+    }
+
+    /// The first operational block of the chart, computed from the images of the first step.
+    pub(crate) fn first_step(&mut self, images: &F::First, macrostep: Duration) -> Result<F::Results, GeneratorError> {
+        if macrostep.is_zero() {
+            return Err(GeneratorError::NoMacrostep);
+        }
+        let (results, memory) = self.functions.first_step(images, macrostep)?;
+        self.memory = Some(memory);
+        Ok(results)
+    }
+
+    /// The dashed box of the chart: terminal condition, then functions, from one snapshot. `None` if the instruction ends.
+    pub(crate) fn next_step(&mut self, images: &F::Every) -> Result<Option<F::Results>, GeneratorError> {
+        // A runner that skips the first step gets an instruction without motion.
+        let Some(memory) = self.memory.filter(|memory| !self.functions.terminal(memory, images)) else {
+            return Ok(None);
+        };
+        let (results, memory) = self.functions.next_step(&memory, images)?;
+        self.memory = Some(memory);
+        Ok(Some(results))
+    }
+}
 
 /// Result of one turn of the flow chart.
 #[expect(clippy::large_enum_variant, reason = "nearly every result is a set-point, and a box would allocate")]
@@ -15,13 +76,22 @@ pub enum Step {
 }
 
 /// A motion instruction in progress: a generator of any class with its memory.
+///
+/// The runner calls [`initiate`](Self::initiate), [`plan`](Self::plan) and [`commit`](Self::commit) once, and then
+/// [`next_step`](Self::next_step) until the instruction ends.
 pub trait Execution {
-    /// The first operational block of the chart.
-    fn first_step(&mut self, source: &dyn ImageSource, macrostep: Duration) -> Result<Step, GeneratorError>;
+    /// Reads the images of the first step. Refuses a generator that declares images which its agent has not.
+    fn initiate(&mut self, partners: &dyn Partners) -> Result<(), GeneratorError>;
+
+    /// Computes the first operational block of the chart. May run on another thread.
+    fn plan(&mut self, macrostep: Duration) -> Result<(), GeneratorError>;
+
+    /// Delivers the results of the first step.
+    fn commit(&mut self, partners: &mut dyn Partners) -> Result<Step, GeneratorError>;
 
     /// The dashed box of the chart. One snapshot is taken for the terminal condition and for (5) to (8). The results
     /// are committed together.
-    fn next_step(&mut self, source: &dyn ImageSource) -> Result<Step, GeneratorError>;
+    fn next_step(&mut self, partners: &mut dyn Partners) -> Result<Step, GeneratorError>;
 
     /// The macrostep of this motion; `cell` is the macrostep of the cell.
     fn pace(&self, cell: Pace) -> Result<Pace, GeneratorError>;
@@ -31,55 +101,120 @@ pub trait Execution {
 
     /// Number of macrosteps, 1 to `most`, that may be sent ahead of the servo: 1 if the next steps read images.
     fn macrosteps_ahead(&self, most: u16) -> u16;
+
+    /// Type of the generator, and classes of its first step and of every next step.
+    fn description(&self) -> Description;
+
+    /// Digest of the generator's memory, equal for equal memories.
+    fn digest(&self) -> u64;
+}
+
+/// What a generator is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Description {
+    /// Name of the generator's type.
+    pub generator: &'static str,
+    /// Class of the first step, 0 to 7.
+    pub first: u8,
+    /// Class of every next step, 0 to 7.
+    pub every: u8,
+}
+
+/// The functions of a generator.
+pub(crate) struct Control<G>(G);
+
+impl<G: Generator> Functions for Control<G> {
+    type First = G::First;
+    type Every = G::Every;
+    type Memory = G::Memory;
+    type Results = (Option<Setpoint>, G::Out);
+
+    fn first_step(
+        &mut self,
+        images: &G::First,
+        macrostep: Duration,
+    ) -> Result<(Self::Results, G::Memory), GeneratorError> {
+        self.0.first_step(images, macrostep).map(results)
+    }
+
+    fn terminal(&self, memory: &G::Memory, images: &G::Every) -> bool {
+        self.0.terminal(memory, images)
+    }
+
+    fn next_step(&self, memory: &G::Memory, images: &G::Every) -> Result<(Self::Results, G::Memory), GeneratorError> {
+        self.0.next_step(memory, images).map(results)
+    }
+}
+
+fn results<M, O>(Next { effector, out, memory }: Next<M, O>) -> ((Option<Setpoint>, O), M) {
+    ((effector, out), memory)
 }
 
 pub(crate) struct Run<G: Generator> {
-    generator: G,
-    memory: Option<G::Memory>,
+    chart: Chart<Control<G>>,
+    first: Option<G::First>,
+    planned: Option<(Option<Setpoint>, G::Out)>,
 }
 
 impl<G: Generator> Run<G> {
     pub(crate) const fn new(generator: G) -> Self {
-        Self { generator, memory: None }
+        Self { chart: Chart::new(Control(generator)), first: None, planned: None }
     }
 }
 
 impl<G: Generator> Execution for Run<G> {
-    fn first_step(&mut self, source: &dyn ImageSource, macrostep: Duration) -> Result<Step, GeneratorError> {
-        let images = G::First::fetch(source)?;
-        if macrostep.is_zero() {
-            return Err(GeneratorError::NoMacrostep);
-        }
-        let next = self.generator.first_step(&images, macrostep)?;
-        self.memory = Some(next.memory);
-        Ok(Step::Continue(next.effector))
+    fn initiate(&mut self, partners: &dyn Partners) -> Result<(), GeneratorError> {
+        self.first = Some(G::First::fetch(partners)?);
+        G::Every::require(partners)
     }
 
-    fn next_step(&mut self, source: &dyn ImageSource) -> Result<Step, GeneratorError> {
-        // A runner that skips the first step gets an instruction without motion.
-        let Some(memory) = self.memory else {
+    fn plan(&mut self, macrostep: Duration) -> Result<(), GeneratorError> {
+        if let Some(images) = self.first.take() {
+            self.planned = Some(self.chart.first_step(&images, macrostep)?);
+        }
+        Ok(())
+    }
+
+    fn commit(&mut self, partners: &mut dyn Partners) -> Result<Step, GeneratorError> {
+        let Some((setpoint, out)) = self.planned.take() else {
             return Ok(Step::Ended);
         };
-        let images = G::Every::fetch(source)?;
-        if self.generator.terminal(&memory, &images) {
+        partners.note(StepEvent::Functions);
+        out.deliver(partners)?;
+        Ok(Step::Continue(setpoint))
+    }
+
+    fn next_step(&mut self, partners: &mut dyn Partners) -> Result<Step, GeneratorError> {
+        let images = G::Every::fetch(partners)?;
+        partners.note(StepEvent::TerminalCondition);
+        let Some((setpoint, out)) = self.chart.next_step(&images)? else {
             return Ok(Step::Ended);
-        }
-        let next = self.generator.next_step(&memory, &images)?;
-        self.memory = Some(next.memory);
-        Ok(Step::Continue(next.effector))
+        };
+        partners.note(StepEvent::Functions);
+        out.deliver(partners)?;
+        Ok(Step::Continue(setpoint))
     }
 
     fn pace(&self, cell: Pace) -> Result<Pace, GeneratorError> {
-        let Pace { periods, read_at } = self.generator.pace(cell);
+        let Pace { periods, read_at } = self.chart.functions.0.pace(cell);
         let sound = periods <= Pace::MOST_PERIODS && (1..=periods).contains(&read_at);
         sound.then_some(Pace { periods, read_at }).ok_or(GeneratorError::Pace { periods, read_at })
     }
 
     fn begins_in_motion(&self) -> bool {
-        self.generator.begins_in_motion()
+        self.chart.functions.0.begins_in_motion()
     }
 
     fn macrosteps_ahead(&self, most: u16) -> u16 {
-        if G::Every::CLASS == 0 { self.generator.macrosteps_ahead(most).clamp(1, most.max(1)) } else { 1 }
+        let ahead = || self.chart.functions.0.macrosteps_ahead(most).clamp(1, most.max(1));
+        if G::Every::CLASS == 0 { ahead() } else { 1 }
+    }
+
+    fn description(&self) -> Description {
+        Description { generator: type_name::<G>(), first: G::First::CLASS, every: G::Every::CLASS }
+    }
+
+    fn digest(&self) -> u64 {
+        self.chart.memory.as_ref().map_or(0, super::digest::of)
     }
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 use can::Instant;
 use servo::{MAX_AXES, Switches};
 
-use super::{Axes, GeneratorError, Pose};
+use super::{Axes, Pose};
 use crate::path::PoseState;
 
 /// State of motion of every axis. The holder determines whether the values are joint or motor values.
@@ -144,54 +144,5 @@ impl Setpoint {
             }
         };
         index.map(|index| index as u8)
-    }
-}
-
-/// Source of images. Only the images that the generator declares are read.
-pub trait ImageSource {
-    /// The effector's present image. Fails if the effector measures positions that the mechanism cannot take.
-    fn effector(&self) -> Result<EffectorImage, GeneratorError>;
-}
-
-mod closed {
-    /// Closes [`Images`](super::Images): only this module decides which types are sets of images.
-    #[diagnostic::on_unimplemented(
-        message = "`{Self}` cannot become a set of images: the sets are closed",
-        label = "is no set of images",
-        note = "declare `()` or `EffectorImage`, and keep other data in the generator or its memory"
-    )]
-    pub trait ImageSet {}
-    impl ImageSet for () {}
-    impl ImageSet for super::EffectorImage {}
-}
-
-/// A set of images: `()` is the empty set, [`EffectorImage`] is `e`.
-///
-/// The trait is sealed. A generator of one class therefore cannot read an image of another class through a type of
-/// its own.
-#[diagnostic::on_unimplemented(
-    message = "`{Self}` is no set of images",
-    label = "is no set of images",
-    note = "a generator reads `()`, no image, or `EffectorImage`, the image of its effector"
-)]
-pub trait Images: closed::ImageSet + Copy + Send + Sync + 'static {
-    /// Contribution to the class: `e` is 1, `V` 2, `a0` 4.
-    const CLASS: u8;
-
-    /// Takes the snapshot.
-    fn fetch(source: &dyn ImageSource) -> Result<Self, GeneratorError>;
-}
-
-impl Images for () {
-    const CLASS: u8 = 0;
-    fn fetch(_: &dyn ImageSource) -> Result<Self, GeneratorError> {
-        Ok(())
-    }
-}
-
-impl Images for EffectorImage {
-    const CLASS: u8 = 1;
-    fn fetch(source: &dyn ImageSource) -> Result<Self, GeneratorError> {
-        source.effector()
     }
 }

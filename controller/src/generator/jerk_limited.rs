@@ -108,6 +108,7 @@ fn masked(position: &Axes, axes: usize) -> Axes {
 impl Generator for JerkLimited {
     type First = EffectorImage;
     type Every = ();
+    type Out = ();
     /// Number of macrosteps done.
     type Memory = u32;
 

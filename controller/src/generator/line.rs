@@ -269,6 +269,7 @@ impl StraightLine {
 impl Generator for StraightLine {
     type First = EffectorImage;
     type Every = ();
+    type Out = ();
     type Memory = LineMemory;
 
     fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<LineMemory>, GeneratorError> {

@@ -22,7 +22,9 @@
 //! generator's own memory, the generator may run ahead of the servo by a few macrosteps. A late controller thread
 //! then does not starve the motion.
 //!
-//! [`Images`] is a sealed trait: a program cannot define a set of images. `V` and `a0` are not implemented.
+//! [`Images`] is a sealed trait: a program cannot define a set of images. The images are [`EffectorImage`] for `e`,
+//! [`V`] for the readings of virtual sensors, and [`A`] for the order of a coordinator. [`Outputs`] are independent of the
+//! images: a generator of any class may [tell](Tell) a sensor something and [answer](Answer) the coordinator.
 //!
 //! A step that names an image which its generator did not declare does not compile (`controller/tests/refused`).
 //! `examples/own_generator.rs` and `examples/feedback.rs` are generators with their programs.
@@ -30,13 +32,16 @@
 //! Read [`Generator`] first, then [`Wait`] as the smallest generator and [`Newsmooth`] as a planned generator.
 
 mod contour;
+mod digest;
 mod error;
 mod execution;
 mod feed;
 mod image;
+mod images;
 mod jerk_limited;
 mod line;
 mod newsmooth;
+mod outputs;
 mod plan;
 mod polynomial;
 mod profile;
@@ -44,6 +49,7 @@ mod profile;
 mod tests;
 mod wait;
 
+use std::fmt::Debug;
 use std::time::Duration;
 
 use servo::MAX_AXES;
@@ -51,13 +57,15 @@ use servo::MAX_AXES;
 pub use crate::robot::{Axes, Pose};
 pub use contour::Contour;
 pub use error::GeneratorError;
-pub(crate) use execution::Run;
-pub use execution::{Execution, Step};
+pub(crate) use execution::{Chart, Functions, Run};
+pub use execution::{Description, Execution, Step};
 pub use feed::{Feed, FeedLimits, FeedState};
-pub use image::{Accelerations, AxesState, EffectorImage, EffectorState, ImageSource, Images, Setpoint};
+pub use image::{Accelerations, AxesState, EffectorImage, EffectorState, Setpoint};
+pub use images::{A, Bundle, Images, Message, Partners, Received, Sample, SensorReading, V};
 pub use jerk_limited::JerkLimited;
 pub use line::{LineLimits, LineMemory, PlannedStart, StraightLine};
 pub use newsmooth::{Newsmooth, Progress, SmoothPose};
+pub use outputs::{Answer, Outputs, Tell};
 pub use polynomial::Polynomial;
 pub use wait::Wait;
 
@@ -120,8 +128,10 @@ pub trait Generator: Send + Sync + 'static {
     type First: Images;
     /// Images that the terminal condition and every next step read: continuous feedback.
     type Every: Images;
-    /// Type of the generator's own memory, `c`.
-    type Memory: Copy + Send + 'static;
+    /// Outputs beside the set-point: (6) a command to a sensor, (7) an answer to the coordinator.
+    type Out: Outputs;
+    /// Type of the generator's own memory, `c`. Its `Debug` text is the base of the digest in a file of steps.
+    type Memory: Copy + Debug + Send + 'static;
 
     /// The macrostep of this motion; `cell` is the macrostep of the cell. Called once, before the first step.
     fn pace(&self, cell: Pace) -> Pace {
@@ -144,13 +154,21 @@ pub trait Generator: Send + Sync + 'static {
     /// Plans the motion and returns the first outputs and memory. The effector stands, unless the generator
     /// [begins in motion](Self::begins_in_motion). The macrostep is not zero. Only this function may take longer than a
     /// macrostep. If the effector moves, the result is due before the last macrostep sent ends.
-    fn first_step(&mut self, images: &Self::First, macrostep: Duration) -> Result<Next<Self::Memory>, GeneratorError>;
+    fn first_step(
+        &mut self,
+        images: &Self::First,
+        macrostep: Duration,
+    ) -> Result<Next<Self::Memory, Self::Out>, GeneratorError>;
 
     /// `fT`: whether the instruction ends. Evaluated on each new snapshot before [`next_step`](Self::next_step).
     fn terminal(&self, memory: &Self::Memory, images: &Self::Every) -> bool;
 
     /// (5) to (8): the outputs and the memory of the next step.
-    fn next_step(&self, memory: &Self::Memory, images: &Self::Every) -> Result<Next<Self::Memory>, GeneratorError>;
+    fn next_step(
+        &self,
+        memory: &Self::Memory,
+        images: &Self::Every,
+    ) -> Result<Next<Self::Memory, Self::Out>, GeneratorError>;
 }
 
 /// Length of a macrostep and time of its images, in servo periods.
@@ -172,10 +190,12 @@ impl Pace {
 /// Result of one step, committed as a whole.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
-pub struct Next<M> {
+pub struct Next<M, O = ()> {
     /// (5) The effector's state at the end of the next macrostep. With `None`, a first step sends no macrostep, and a
     /// next step lets the effector stand for one macrostep.
     pub effector: Option<Setpoint>,
+    /// (6) and (7) The other outputs.
+    pub out: O,
     /// (8) The memory of the next step.
     pub memory: M,
 }
@@ -183,11 +203,16 @@ pub struct Next<M> {
 impl<M> Next<M> {
     /// A result with a command to the effector.
     pub const fn command(effector: Setpoint, memory: M) -> Self {
-        Self { effector: Some(effector), memory }
+        Self { effector: Some(effector), out: (), memory }
     }
 
     /// A result without a command to the effector.
     pub const fn remember(memory: M) -> Self {
-        Self { effector: None, memory }
+        Self { effector: None, out: (), memory }
+    }
+
+    /// The same result with these outputs.
+    pub fn with<O: Outputs>(self, out: O) -> Next<M, O> {
+        Next { effector: self.effector, out, memory: self.memory }
     }
 }

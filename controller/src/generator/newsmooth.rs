@@ -226,6 +226,7 @@ pub(super) fn whole_macrosteps(seconds: f64, macrostep: f64) -> Result<u32, Gene
 impl Generator for Newsmooth {
     type First = EffectorImage;
     type Every = ();
+    type Out = ();
     type Memory = Progress;
 
     fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<Progress>, GeneratorError> {

@@ -114,6 +114,7 @@ impl Polynomial {
 impl Generator for Polynomial {
     type First = EffectorImage;
     type Every = ();
+    type Out = ();
     /// Number of macrosteps done.
     type Memory = u32;
 

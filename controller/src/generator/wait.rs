@@ -15,6 +15,7 @@ pub struct Wait {
 impl Generator for Wait {
     type First = ();
     type Every = ();
+    type Out = ();
     /// Remaining macrosteps of standstill.
     type Memory = u64;
 

@@ -10,6 +10,7 @@ struct Counting(Cell<u32>);
 impl Generator for Counting {
     type First = ();
     type Every = ();
+    type Out = ();
     type Memory = ();
 
     fn first_step(&mut self, _: &(), _: Duration) -> Result<Next<()>, GeneratorError> {

@@ -9,6 +9,7 @@ struct Blind;
 impl Generator for Blind {
     type First = ();
     type Every = ();
+    type Out = ();
     type Memory = ();
 
     fn first_step(&mut self, _: &(), _: Duration) -> Result<Next<()>, GeneratorError> {

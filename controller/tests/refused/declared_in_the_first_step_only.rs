@@ -9,6 +9,7 @@ struct Once;
 impl Generator for Once {
     type First = EffectorImage;
     type Every = ();
+    type Out = ();
     type Memory = ();
 
     fn first_step(&mut self, _: &EffectorImage, _: Duration) -> Result<Next<()>, GeneratorError> {

@@ -1,6 +1,6 @@
 //! A type of the user claims to be the empty set of images.
 
-use mrroc_controller::generator::{GeneratorError, ImageSource, Images};
+use mrroc_controller::generator::{GeneratorError, Images, Partners};
 
 #[derive(Clone, Copy)]
 struct Everything;
@@ -8,8 +8,12 @@ struct Everything;
 impl Images for Everything {
     const CLASS: u8 = 0;
 
-    fn fetch(source: &dyn ImageSource) -> Result<Self, GeneratorError> {
+    fn fetch(source: &dyn Partners) -> Result<Self, GeneratorError> {
         source.effector().map(|_| Self)
+    }
+
+    fn require(_: &dyn Partners) -> Result<(), GeneratorError> {
+        Ok(())
     }
 }
 

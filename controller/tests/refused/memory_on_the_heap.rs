@@ -9,6 +9,7 @@ struct Recording;
 impl Generator for Recording {
     type First = ();
     type Every = ();
+    type Out = ();
     type Memory = Vec<f64>;
 
     fn first_step(&mut self, _: &(), _: Duration) -> Result<Next<Vec<f64>>, GeneratorError> {

@@ -3,12 +3,14 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use controller::coordination::{CoordinatorEnd, Late, LinkConfig};
 use controller::ecp::Task;
-use controller::executor::{Agent, Agents, Replacer};
-use controller::generator::{EffectorImage, Generator};
+use controller::executor::{Agent, Agents, Observer, Replacer};
+use controller::generator::{EffectorImage, Generator, Message};
+use controller::sensor::{Shell, VirtualSensor};
 use servo::SpeedOverride;
 
-use super::{Outcome, TaskError};
+use super::{Outcome, TaskError, Team};
 use crate::cell::CellFile;
 use crate::motions::Motions;
 
@@ -26,7 +28,7 @@ pub struct Cell {
 /// dropped, the robot brakes, and the next instruction begins after standstill.
 pub struct Robot {
     file: Arc<CellFile>,
-    agent: Agent,
+    pub(super) agent: Agent,
 }
 
 impl Cell {
@@ -83,6 +85,15 @@ impl Cell {
         if self.rehearsing { Err(TaskError::NotRehearsed { why }) } else { Ok(()) }
     }
 
+    /// A team of these robots: a coordinator gives each of them an order in every macrostep, and the servo begins each
+    /// macrostep of all of them in the same cycle. Whatever stops one stops all.
+    ///
+    /// A member that has no order after two macrosteps ends the motion. [`Team::linked`] changes that.
+    pub fn team<'a, const N: usize>(&self, members: [&'a mut Robot; N]) -> Team<'a, N> {
+        let deadline = self.file.cell.period() * u32::from(self.file.cell.macrostep) * 2;
+        Team::new(&self.file, members, LinkConfig { blocking: true, deadline, late: Late::Stop })
+    }
+
     fn robot_at(&self, robot: usize) -> Result<Robot, TaskError> {
         let in_use = || TaskError::RobotInUse { name: self.file.cell.robot[robot].name.clone() };
         let agent = self.agents.agent(robot).ok_or_else(in_use)?;
@@ -108,6 +119,11 @@ impl Robot {
         Ok(self.agent.image()?)
     }
 
+    /// A handle that reads the state of this robot while the robot is in use, for example in a team.
+    pub fn observer(&self) -> Observer {
+        self.agent.observer()
+    }
+
     /// Switches the drives on. The robot then holds its position.
     pub async fn enable(&mut self) -> Outcome {
         self.perform(Task::new().enable()).await
@@ -122,6 +138,18 @@ impl Robot {
     #[doc(alias = "Move")]
     pub async fn execute(&mut self, generator: impl Generator) -> Outcome {
         self.perform(Task::new().run(generator)).await
+    }
+
+    /// Gives the robot a virtual sensor, whose readings are the image [`V`](controller::generator::V) of its generators.
+    /// The sensor is read every `period` macrosteps, and replaces a sensor with readings of the same type.
+    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) {
+        self.agent.sense(sensor, shell, period);
+    }
+
+    /// Connects the robot to this task by a link. Orders of the task are the image [`A`](controller::generator::A) of its
+    /// generators (loose coordination). Steps take the latest order that is there. An earlier link ends.
+    pub fn coordinated<C: Message, R: Message>(&mut self) -> CoordinatorEnd<C, R> {
+        self.agent.coordinated()
     }
 
     /// A handle that replaces a motion of this robot while the motion is awaited. Motions that begin in motion, such as

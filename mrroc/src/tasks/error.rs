@@ -1,5 +1,6 @@
 //! Errors of tasks.
 
+use controller::coordination::CoordinatorError;
 use controller::ecp::{Class, NotRunning};
 use controller::executor::{InstructionError, SystemError};
 use controller::generator::GeneratorError;
@@ -21,6 +22,9 @@ pub enum TaskError {
         /// Place and cause of the error.
         error: InstructionError,
     },
+    /// The coordinator of a team failed, and all its members were stopped.
+    #[error("coordinator of a team: {0}")]
+    Coordinator(CoordinatorError),
     /// An error that stops all robots. A task does not receive such an error.
     #[error("{0}")]
     System(SystemError),
@@ -55,9 +59,11 @@ impl TaskError {
         match self {
             Self::Instruction { error, .. } => error.class(),
             Self::System(_) => Class::System,
-            Self::UnknownRobot { .. } | Self::RobotInUse { .. } | Self::NotRehearsed { .. } | Self::Refused(_) => {
-                Class::NonFatal
-            }
+            Self::Coordinator(_)
+            | Self::UnknownRobot { .. }
+            | Self::RobotInUse { .. }
+            | Self::NotRehearsed { .. }
+            | Self::Refused(_) => Class::NonFatal,
         }
     }
 

@@ -3,6 +3,7 @@
 mod carried;
 mod cell;
 mod error;
+mod team;
 #[cfg(test)]
 pub(crate) mod tests;
 
@@ -18,6 +19,7 @@ use crate::cell::CellFile;
 pub use carried::CarriedTask;
 pub use cell::{Cell, Robot};
 pub use error::{Outcome, TaskError};
+pub use team::Team;
 
 /// A task in a form that can be boxed.
 trait Carry: Send + Sync {

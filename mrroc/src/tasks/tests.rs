@@ -88,6 +88,7 @@ enum Impossible {
 impl Generator for Impossible {
     type First = ();
     type Every = ();
+    type Out = ();
     type Memory = f64;
 
     fn first_step(&mut self, (): &(), _: Duration) -> Result<Next<f64>, GeneratorError> {

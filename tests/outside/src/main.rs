@@ -8,6 +8,7 @@ struct Turn(AxesState, f64);
 impl Generator for Turn {
     type First = EffectorImage;
     type Every = ();
+    type Out = ();
     type Memory = u32;
 
     fn first_step(&mut self, e: &EffectorImage, dt: Duration) -> Result<Next<u32>, GeneratorError> {

@@ -11,6 +11,7 @@ struct Ramp {
 impl Generator for Ramp {
     type First = ();
     type Every = ();
+    type Out = ();
     type Memory = u32;
 
     fn first_step(&mut self, _: &(), _: Duration) -> Result<Next<u32>, GeneratorError> {

@@ -10,6 +10,7 @@ pub(super) struct Look(pub(super) Sender<EffectorImage>);
 impl Generator for Look {
     type First = EffectorImage;
     type Every = EffectorImage;
+    type Out = ();
     type Memory = u32;
 
     fn first_step(&mut self, e: &EffectorImage, _: Duration) -> Result<Next<u32>, GeneratorError> {

@@ -8,6 +8,7 @@ struct Creep(Pace);
 impl Generator for Creep {
     type First = ();
     type Every = EffectorImage;
+    type Out = ();
     type Memory = u32;
 
     fn pace(&self, cell: Pace) -> Pace {

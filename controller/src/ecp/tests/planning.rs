@@ -103,6 +103,7 @@ fn a_panic_in_a_first_step_is_an_error_of_its_generator() {
     impl Generator for Panics {
         type First = ();
         type Every = ();
+        type Out = ();
         type Memory = ();
         fn first_step(&mut self, (): &(), _: Duration) -> Result<Next<()>, GeneratorError> {
             panic!("as the test asks");

@@ -50,21 +50,29 @@ impl Standing {
     }
 }
 
-impl ImageSource for Standing {
+impl Partners for Standing {
     fn effector(&self) -> Result<EffectorImage, GeneratorError> {
         let state = EffectorState { motors: self.0, joints: self.0, pose: self.1 };
         Ok(EffectorImage::standing(state))
     }
 }
 
+/// Executes the first step.
+fn begin(run: &mut dyn Execution, partners: &mut dyn Partners, macrostep: Duration) -> Result<Step, GeneratorError> {
+    run.initiate(partners)?;
+    run.plan(macrostep)?;
+    run.commit(partners)
+}
+
 /// The states at all macrostep ends, beginning with the start.
 fn walk<G: Generator>(generator: G, start: &Standing) -> Result<Vec<AxesState>, GeneratorError> {
     let mut run = Run::new(generator);
+    let mut start = Standing(start.0, start.1);
     let mut states = vec![start.0];
-    let Step::Continue(None) = run.first_step(start, MACROSTEP)? else {
+    let Step::Continue(None) = begin(&mut run, &mut start, MACROSTEP)? else {
         panic!("planned generators ask for nothing at first")
     };
-    while let Step::Continue(setpoint) = run.next_step(start)? {
+    while let Step::Continue(setpoint) = run.next_step(&mut start)? {
         states.push(match setpoint {
             Some(Setpoint::Joints(state) | Setpoint::Motors(state)) => state,
             other => panic!("{other:?} from a planned generator"),
@@ -261,12 +269,12 @@ fn jerk_limited_takes_the_known_times() {
 fn wait_stands_for_its_time_rounded_up_to_a_macrostep() {
     for (millis, macrosteps) in [(0, 0), (1, 1), (20, 1), (21, 2), (1_000, 50)] {
         let mut run = Run::new(Wait { duration: Duration::from_millis(millis) });
-        let source = Standing::at([0.0; 8]);
-        assert_eq!(run.first_step(&source, MACROSTEP), Ok(Step::Continue(None)));
+        let mut source = Standing::at([0.0; 8]);
+        assert_eq!(begin(&mut run, &mut source, MACROSTEP), Ok(Step::Continue(None)));
         for _ in 0..macrosteps {
-            assert_eq!(run.next_step(&source), Ok(Step::Continue(None)), "{millis} ms");
+            assert_eq!(run.next_step(&mut source), Ok(Step::Continue(None)), "{millis} ms");
         }
-        assert_eq!(run.next_step(&source), Ok(Step::Ended), "{millis} ms");
+        assert_eq!(run.next_step(&mut source), Ok(Step::Ended), "{millis} ms");
     }
 }
 
@@ -297,7 +305,7 @@ fn what_cannot_be_planned_is_refused() {
     let endless = Newsmooth::new(Space::Joint, 1, slow, fast).unwrap();
     assert_eq!(walk(endless, &Standing::at([0.0; 8])), Err(GeneratorError::TooLong { limit: 1 << 20 }));
     let mut run = Run::new(Wait { duration: MACROSTEP });
-    assert_eq!(run.first_step(&Standing::at([0.0; 8]), Duration::ZERO), Err(GeneratorError::NoMacrostep));
+    assert_eq!(begin(&mut run, &mut Standing::at([0.0; 8]), Duration::ZERO), Err(GeneratorError::NoMacrostep));
 }
 
 /// Makes three steps, independent of its images.
@@ -306,6 +314,7 @@ struct Reader<F, E>(std::marker::PhantomData<(F, E)>);
 impl<F: Images, E: Images> Generator for Reader<F, E> {
     type First = F;
     type Every = E;
+    type Out = ();
     type Memory = u8;
     fn first_step(&mut self, _: &F, _: Duration) -> Result<Next<u8>, GeneratorError> {
         Ok(Next::remember(0))
@@ -321,18 +330,18 @@ impl<F: Images, E: Images> Generator for Reader<F, E> {
 #[test]
 fn only_declared_images_are_fetched_and_one_snapshot_serves_terminal_condition_and_step() {
     struct Counting(std::cell::Cell<usize>);
-    impl ImageSource for Counting {
+    impl Partners for Counting {
         fn effector(&self) -> Result<EffectorImage, GeneratorError> {
             self.0.set(self.0.get() + 1);
             Standing::at([0.0; 8]).effector()
         }
     }
     fn fetches<F: Images, E: Images>() -> (u8, bool, usize, usize) {
-        let source = Counting(std::cell::Cell::new(0));
+        let mut source = Counting(std::cell::Cell::new(0));
         let mut run = Run::new(Reader::<F, E>(std::marker::PhantomData));
-        assert_eq!(run.first_step(&source, MACROSTEP), Ok(Step::Continue(None)));
+        assert_eq!(begin(&mut run, &mut source, MACROSTEP), Ok(Step::Continue(None)));
         let first = source.0.replace(0);
-        while run.next_step(&source).unwrap() != Step::Ended {}
+        while run.next_step(&mut source).unwrap() != Step::Ended {}
         (F::CLASS | E::CLASS, run.macrosteps_ahead(100) > 1, first, source.0.get())
     }
     // Class; whether the generator may run ahead; fetches of the first step; fetches of three steps and the end.

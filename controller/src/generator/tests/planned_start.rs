@@ -43,7 +43,7 @@ impl AtMotors {
     }
 }
 
-impl ImageSource for AtMotors {
+impl Partners for AtMotors {
     fn effector(&self) -> Result<EffectorImage, GeneratorError> {
         Ok(EffectorImage::standing(self.0))
     }
@@ -81,8 +81,9 @@ fn line(arm: &Arm, target: Pose) -> StraightLine {
 fn walk(line: StraightLine, start: &AtMotors) -> Result<Vec<AxesState>, GeneratorError> {
     let mut run = Run::new(line);
     let mut states = vec![start.0.joints];
-    run.first_step(start, MACROSTEP)?;
-    while let Step::Continue(setpoint) = run.next_step(start)? {
+    let mut start = AtMotors(start.0);
+    begin(&mut run, &mut start, MACROSTEP)?;
+    while let Step::Continue(setpoint) = run.next_step(&mut start)? {
         let Some(Setpoint::Joints(state)) = setpoint else { panic!("{setpoint:?} from a line") };
         states.push(state);
     }

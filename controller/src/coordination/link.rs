@@ -1,0 +1,251 @@
+//! A link between the coordinator and one subcontroller: numbered messages in two bounded queues.
+
+use std::any::{Any, TypeId};
+use std::time::Duration;
+
+use can::Instant;
+use thiserror::Error;
+
+use crate::generator::{Message, Received, Sample};
+
+/// Messages of one direction that may be on the way.
+const QUEUE: usize = 4;
+
+/// What a link does with orders that are not there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LinkConfig {
+    /// Whether a step waits for the order of its number. Otherwise it takes what is there.
+    pub blocking: bool,
+    /// Longest wait for an order of a blocking link.
+    pub deadline: Duration,
+    /// What a late order of a blocking link does.
+    pub late: Late,
+}
+
+/// Consequence of an order that is late.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Late {
+    /// The step takes the last order, marked as old. The late order is dropped when it comes.
+    Hold,
+    /// The instruction ends with an error, and the effector brakes.
+    Stop,
+}
+
+/// Errors of a link. `step` is a number of the coordinator's macrosteps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "the messages say it")]
+pub enum LinkError {
+    #[error("the order of step {step} did not come within {waited:?}")]
+    Late { step: u64, waited: Duration },
+    #[error("a message of step {received} came in place of that of step {expected}")]
+    WrongStep { expected: u64, received: u64 },
+    #[error("the coordinator is gone")]
+    Gone,
+}
+
+/// A message with its number.
+#[derive(Clone, Copy, Debug)]
+struct Numbered<T> {
+    step: u64,
+    at: Instant,
+    value: T,
+}
+
+/// A message of the coordinator to a member.
+#[derive(Clone, Copy, Debug)]
+enum Directive<C> {
+    /// The order of a step: next state or next pose.
+    Next(C),
+    /// The motion ends.
+    EndMotion,
+}
+
+/// What the next step of a member does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Turn {
+    /// The step takes place.
+    Ready,
+    /// The order is not there yet.
+    Waiting,
+    /// The coordinator has ended the motion.
+    EndMotion,
+}
+
+/// The coordinator's end of a link.
+pub struct CoordinatorEnd<C, R> {
+    orders: rtrb::Producer<Numbered<Directive<C>>>,
+    answers: rtrb::Consumer<Numbered<R>>,
+    /// Number of the next order of [`send`](Self::send), and of the next answer.
+    next_order: u64,
+    next_answer: u64,
+    /// Messages of this step that are lost, late, doubled or swapped.
+    #[cfg(test)]
+    pub(super) disturbed: Option<(u64, super::tests::Disturbance)>,
+}
+
+/// The member's end of a link.
+pub struct MemberEnd<C, R> {
+    orders: rtrb::Consumer<Numbered<Directive<C>>>,
+    answers: rtrb::Producer<Numbered<R>>,
+    config: LinkConfig,
+    /// Number of the next order.
+    next: u64,
+    /// Number of the present step.
+    step: u64,
+    /// Orders below this number are late and dropped.
+    held: u64,
+    /// Time at which the present step first wanted its order.
+    wanted: Option<Instant>,
+    received: Received<C>,
+    ended: bool,
+}
+
+/// A new link.
+pub fn link<C: Message, R: Message>(config: LinkConfig) -> (CoordinatorEnd<C, R>, MemberEnd<C, R>) {
+    let (order_sender, orders) = rtrb::RingBuffer::new(QUEUE);
+    let (answers, answer_receiver) = rtrb::RingBuffer::new(QUEUE);
+    let coordinator = CoordinatorEnd {
+        orders: order_sender,
+        answers: answer_receiver,
+        next_order: 0,
+        next_answer: 0,
+        #[cfg(test)]
+        disturbed: None,
+    };
+    let received = Received::None;
+    let member = MemberEnd { orders, answers, config, next: 0, step: 0, held: 0, wanted: None, received, ended: false };
+    (coordinator, member)
+}
+
+impl<C: Message, R: Message> CoordinatorEnd<C, R> {
+    /// Gives the next order at `now`. Returns false if the queue is full.
+    pub fn order(&mut self, now: Instant, order: C) -> bool {
+        self.send(now, Directive::Next(order))
+    }
+
+    /// Ends the motion of the member at `now`. Returns false if the queue is full.
+    pub fn end_motion(&mut self, now: Instant) -> bool {
+        self.send(now, Directive::EndMotion)
+    }
+
+    /// The next answer with its number, if it has come.
+    pub fn answer(&mut self) -> Result<Option<(u64, Sample<R>)>, LinkError> {
+        let Ok(Numbered { step, at, value }) = self.answers.pop() else {
+            return Ok(None);
+        };
+        if step != self.next_answer {
+            return Err(LinkError::WrongStep { expected: self.next_answer, received: step });
+        }
+        self.next_answer += 1;
+        Ok(Some((step, Sample { at, age: Duration::ZERO, value })))
+    }
+
+    fn send(&mut self, at: Instant, value: Directive<C>) -> bool {
+        let message = Numbered { step: self.next_order, at, value };
+        self.next_order += 1;
+        #[cfg(test)]
+        if let Some((step, disturbance)) = self.disturbed
+            && step == message.step
+        {
+            use super::tests::Disturbance;
+            let other = Numbered { step: step + 1, ..message };
+            return match disturbance {
+                Disturbance::Lost => true,
+                Disturbance::Doubled => self.orders.push(message).and(self.orders.push(message)).is_ok(),
+                Disturbance::Swapped => self.orders.push(other).is_ok(),
+            };
+        }
+        self.orders.push(message).is_ok()
+    }
+}
+
+/// The member's end, of any types of messages.
+pub(crate) trait MemberLink: Send {
+    /// Type of the orders.
+    fn order_type(&self) -> TypeId;
+
+    /// The present order, as a [`Received`].
+    fn order(&self) -> &dyn Any;
+
+    /// Age of the present order at `now`.
+    fn age(&self, now: Instant) -> Option<Duration>;
+
+    /// What step number `step` of the instruction does at `now`. Takes the order of the step.
+    fn poll(&mut self, step: u64, now: Instant) -> Result<Turn, LinkError>;
+
+    /// Answers the present step. Returns false if the answer has another type, or if the queue is full.
+    fn answer(&mut self, answer: &dyn Any, now: Instant) -> bool;
+}
+
+impl<C: Message, R: Message> MemberEnd<C, R> {
+    /// Takes one order. Returns whether there was one.
+    fn take(&mut self, now: Instant) -> Result<bool, LinkError> {
+        let Ok(Numbered { step, at, value }) = self.orders.pop() else {
+            return Ok(false);
+        };
+        if step < self.held {
+            return Ok(true);
+        }
+        if step != self.next {
+            return Err(LinkError::WrongStep { expected: self.next, received: step });
+        }
+        self.next += 1;
+        match value {
+            Directive::Next(value) => self.received = Received::New(Sample { at, age: now.since(at), value }),
+            Directive::EndMotion => self.ended = true,
+        }
+        Ok(true)
+    }
+
+    fn wait(&mut self, now: Instant) -> Result<Turn, LinkError> {
+        if self.orders.is_abandoned() {
+            return Err(LinkError::Gone);
+        }
+        let waited = now.since(*self.wanted.get_or_insert(now));
+        match self.config.late {
+            _ if waited <= self.config.deadline => return Ok(Turn::Waiting),
+            Late::Stop => return Err(LinkError::Late { step: self.step, waited }),
+            Late::Hold => {}
+        }
+        self.next = self.step + 1;
+        self.held = self.next;
+        Ok(Turn::Ready)
+    }
+}
+
+impl<C: Message, R: Message> MemberLink for MemberEnd<C, R> {
+    fn order_type(&self) -> TypeId {
+        TypeId::of::<C>()
+    }
+
+    fn order(&self) -> &dyn Any {
+        &self.received
+    }
+
+    fn age(&self, now: Instant) -> Option<Duration> {
+        self.received.sample().map(|sample| now.since(sample.at))
+    }
+
+    fn poll(&mut self, step: u64, now: Instant) -> Result<Turn, LinkError> {
+        if step != self.step {
+            (self.step, self.wanted) = (step, None);
+            self.received = self.received.at(now, true);
+        }
+        if self.config.blocking {
+            while self.next <= step && !self.ended {
+                if !self.take(now)? {
+                    return self.wait(now);
+                }
+            }
+        } else {
+            while self.take(now)? {}
+        }
+        Ok(if self.ended { Turn::EndMotion } else { Turn::Ready })
+    }
+
+    fn answer(&mut self, answer: &dyn Any, at: Instant) -> bool {
+        let answer = answer.downcast_ref::<R>().copied();
+        let numbered = answer.map(|value| Numbered { step: self.step, at, value });
+        numbered.is_some_and(|answer| self.answers.push(answer).is_ok())
+    }
+}

@@ -1,0 +1,23 @@
+//! Coordination: the coordinator C0 of a team, and the links between C0 and the subcontrollers.
+//!
+//! A [`Coordinator`] gives each member of a team an order in every macrostep, and reads the answers of the members
+//! (tight coordination). The members run generators with the image [`A`](crate::generator::A) and the output
+//! [`Answer`](crate::generator::Answer). The flow chart of figure 3 is the same for the coordinator and for its members.
+//!
+//! A task is a coordinator too: with a [`link`] to one agent it gives decisions when it wants (loose coordination).
+//!
+//! Orders and answers are numbered messages in bounded queues: macrostep *m* of the coordinator gives order *m*, and step *m*
+//! of a member takes order *m* and gives answer *m*. A [`LinkConfig`] says whether a member waits for its order, for
+//! how long, and what a late order does.
+//!
+//! Read [`Coordinator`] first, then [`LinkConfig`].
+
+mod coordinator;
+mod link;
+#[cfg(test)]
+mod tests;
+
+pub(crate) use coordinator::Conduct;
+pub use coordinator::{Answers, Coordinator, CoordinatorError, NextOrders};
+pub use link::{CoordinatorEnd, Late, LinkConfig, LinkError, MemberEnd, link};
+pub(crate) use link::{MemberLink, Turn};

@@ -1,0 +1,34 @@
+//! A generator of class 1 reads a sensor, which it does not declare.
+
+use std::time::Duration;
+
+use mrroc_controller::generator::{EffectorImage, Generator, GeneratorError, Next, SensorReading, V};
+
+/// Whether the probe touches.
+#[derive(Clone, Copy)]
+struct Touch(bool);
+
+impl SensorReading for Touch {}
+
+struct Blind;
+
+impl Generator for Blind {
+    type First = ();
+    type Every = EffectorImage;
+    type Out = ();
+    type Memory = ();
+
+    fn first_step(&mut self, (): &(), _: Duration) -> Result<Next<()>, GeneratorError> {
+        Ok(Next::remember(()))
+    }
+
+    fn terminal(&self, (): &(), _: &EffectorImage) -> bool {
+        false
+    }
+
+    fn next_step(&self, (): &(), _: &(EffectorImage, V<Touch>)) -> Result<Next<()>, GeneratorError> {
+        Ok(Next::remember(()))
+    }
+}
+
+fn main() {}
