@@ -33,7 +33,7 @@ mod tests;
 use std::{collections::VecDeque, time::Duration};
 
 use can::Instant;
-use servo::{EffectorLink, Order, Phase, ServoReport, Snapshot};
+use servo::{EffectorLink, Order, Phase, ServoReport, Snapshot, StopCause};
 
 use crate::generator::{AxesState, EffectorImage, Execution, GeneratorError, Pace};
 use crate::robot::Arm;
@@ -42,6 +42,7 @@ pub use error::{ChartPhase, Class, EcpError};
 use image::Effector;
 use planning::Planning;
 pub use planning::{AtOnce, Plan, Planner};
+use subcontrollers::Barrier;
 pub use subcontrollers::{Meetings, Subcontrollers};
 use task::Instruction;
 pub use task::Task;
@@ -65,7 +66,7 @@ pub struct EcpConfig {
     pub planning: Duration,
     /// Time limit of homing.
     pub homing: Duration,
-    /// Time limit of the wait for the partners of a meeting.
+    /// Time limit of the wait for the partners of a meeting or a team.
     pub meeting: Duration,
 }
 
@@ -117,8 +118,8 @@ enum Activity {
     Idle,
     /// Waits until an order to enable, home, disable or reset has taken effect.
     Switching { order: Order, since: Instant },
-    /// Waits for the partners of a meeting. `admitted`: all partners have come.
-    Meeting { meeting: u8, since: Instant, admitted: bool },
+    /// Waits for the partners at a barrier. `admitted`: bit set of the partners, once all have come.
+    Meeting { barrier: Barrier, since: Instant, admitted: Option<u32> },
     /// The planner computes the first step of a generator. The effector stands.
     Planning { since: Instant },
     /// The generator computes macrosteps.
@@ -141,7 +142,7 @@ pub struct Ecp {
     activity: Activity,
     planning: Planning,
     report: Option<ServoReport>,
-    /// Orders that wait for room in the servo's queue.
+    /// Orders that wait for room in the servo's queue, or for the first macrosteps behind a barrier.
     outbox: VecDeque<Order>,
     /// Number of the last macrostep made.
     sent: u64,
@@ -165,6 +166,8 @@ pub struct Ecp {
     replacement: Option<Box<dyn Execution + Send>>,
     /// Time of the last report or accepted order.
     heard: Instant,
+    /// Begin of the wait of the effector for its partners, if it waits.
+    waiting: Option<Instant>,
 }
 
 impl Ecp {
@@ -191,6 +194,7 @@ impl Ecp {
             margin: Duration::ZERO,
             replacement: None,
             heard: Instant::ZERO,
+            waiting: None,
         }
     }
 
@@ -229,31 +233,19 @@ impl Ecp {
         Status { phase: self.phase(), instruction: busy.then_some(self.instruction) }
     }
 
-    /// The meeting at which the process waits for its partners.
-    fn meeting(&self) -> Option<u8> {
+    /// The barrier at which the process waits for its partners.
+    fn barrier(&self) -> Option<Barrier> {
         match self.activity {
-            Activity::Meeting { meeting, .. } => Some(meeting),
+            Activity::Meeting { barrier, admitted: None, .. } => Some(barrier),
             _ => None,
         }
     }
 
-    /// Admits the process to the meeting at which it waits. The next poll sends a gate, and later orders queue behind
-    /// the gate.
-    fn admit(&mut self) {
+    /// Admits the process to its barrier with these `members`. The next poll queues the barrier.
+    fn admit(&mut self, members: u32) {
         if let Activity::Meeting { admitted, .. } = &mut self.activity {
-            *admitted = true;
+            *admitted = Some(members);
         }
-    }
-
-    /// Whether the process has left a meeting, has planned its next motion and has sent all its pending orders.
-    fn has_left(&self, meeting: u8) -> bool {
-        let planning = matches!(self.activity, Activity::Planning { .. });
-        self.meeting() != Some(meeting) && !planning && self.outbox.is_empty()
-    }
-
-    /// Notes at `now` that the servo is silent because the effector waits at a gate.
-    fn wait_at_gate(&mut self, now: Instant) {
-        self.heard = now;
     }
 
     /// Holds the process between two instructions, or lets the next instruction begin. A stop is executed all the same.
@@ -310,7 +302,10 @@ impl Ecp {
             if self.held {
                 return None;
             }
-            let instruction = self.task.instructions.pop_front()?;
+            let Some(instruction) = self.task.instructions.pop_front() else {
+                self.offer(now);
+                return None;
+            };
             self.heard = now;
             if let Some(outcome) = self.begin(instruction, now) {
                 return Some(self.end(outcome));
@@ -334,6 +329,33 @@ impl Ecp {
         self.report.and_then(|report| report.fault).map_or(consequence, EcpError::Servo)
     }
 
+    /// The stop by a partner of the team, which the servo reports until a stop or disable order acknowledges it.
+    fn partner_stop(&self) -> Option<EcpError> {
+        let fault = self.report.and_then(|report| report.fault);
+        fault.filter(|fault| matches!(fault.cause, StopCause::Partner { .. })).map(EcpError::Servo)
+    }
+
+    /// Notes whether the effector waits for its partners. The servo is then silent. An error if the wait takes too
+    /// long.
+    fn wait_for_partners(&mut self, now: Instant) -> Result<(), EcpError> {
+        let latest = self.latest();
+        if !latest.waiting {
+            self.waiting = None;
+            return Ok(());
+        }
+        self.heard = now;
+        if let Activity::Switching { since, .. } = &mut self.activity {
+            *since = now;
+        }
+        let since = self.waiting.get_or_insert(now);
+        // A partner may be slowed.
+        if latest.rate < 1.0 {
+            *since = now;
+        }
+        let waited = now.since(*since);
+        if waited > self.config.meeting { Err(EcpError::Unmet { waited }) } else { Ok(()) }
+    }
+
     fn end(&mut self, outcome: Result<(), EcpError>) -> EcpEvent {
         self.activity = Activity::Idle;
         let event = EcpEvent { instruction: self.instruction, outcome };
@@ -346,8 +368,14 @@ impl Ecp {
     }
 
     /// Sends the waiting orders for which the queue has room, all at once. Orders sent one by one would be unsafe: if
-    /// the thread lost the processor after the first macrostep, the servo would run out of macrosteps.
+    /// the thread lost the processor after the first macrostep, the servo would run out of macrosteps. A barrier is
+    /// sent together with the first macrosteps behind it, so that all partners begin in the same cycle.
     fn offer(&mut self, now: Instant) {
+        let ends_at_barrier = matches!(self.outbox.back(), Some(Order::Meet { .. } | Order::Tie { .. }));
+        let undecided = matches!(self.activity, Activity::Planning { .. } | Activity::Meeting { admitted: Some(_), .. });
+        if ends_at_barrier && undecided {
+            return;
+        }
         let count = self.outbox.len().min(self.link.orders.slots());
         if count == 0 {
             return;
@@ -371,7 +399,15 @@ impl Ecp {
     fn begin(&mut self, instruction: Instruction, now: Instant) -> Option<Result<(), EcpError>> {
         let phase = self.phase();
         self.chart = None;
+        let partner_stop = self.partner_stop();
+        if let Some(error) = partner_stop
+            && !matches!(instruction, Instruction::ResetFault | Instruction::Disable)
+        {
+            self.brake(Err(error));
+            return None;
+        }
         let order = match instruction {
+            Instruction::ResetFault if partner_stop.is_some() => Order::Stop,
             Instruction::ResetFault if phase != Phase::Faulted => return Some(Ok(())),
             Instruction::ResetFault => Order::ResetFault,
             _ if phase == Phase::Faulted => return Some(Err(self.cause_of(EcpError::Faulted))),
@@ -380,14 +416,13 @@ impl Ecp {
             Instruction::Run(run) if self.in_motion => return self.begin_run(run, now),
             _ if phase != Phase::Standing => return Some(Err(EcpError::NotStanding { phase })),
             Instruction::Home => Order::Home,
-            Instruction::Meet(meeting) => {
-                self.activity = Activity::Meeting { meeting, since: now, admitted: false };
-                return None;
-            }
+            Instruction::Meet(meeting) => return self.come_to(Barrier::Meeting(meeting), now),
+            Instruction::Tie(members) => return self.come_to(Barrier::Team(members), now),
+            Instruction::Untie => Order::Untie,
             Instruction::Run(_) if !self.homed() => return Some(Err(EcpError::NotHomed)),
             Instruction::Run(run) => return self.begin_run(run, now),
         };
-        if self.is_done(order) {
+        if order != Order::Untie && self.is_done(order) {
             return Some(Ok(()));
         }
         self.outbox.push_back(order);
@@ -395,14 +430,20 @@ impl Ecp {
         None
     }
 
+    fn come_to(&mut self, barrier: Barrier, now: Instant) -> Option<Result<(), EcpError>> {
+        self.activity = Activity::Meeting { barrier, since: now, admitted: None };
+        None
+    }
+
     /// Whether the effector is already in the state to which an order leads.
     fn is_done(&self, order: Order) -> bool {
         match order {
-            Order::Enable | Order::Stop => self.phase() == Phase::Standing,
+            Order::Enable => self.phase() == Phase::Standing,
+            Order::Stop => self.phase() == Phase::Standing && self.partner_stop().is_none(),
             Order::Home => self.phase() == Phase::Standing && self.homed(),
             Order::Disable | Order::ResetFault => self.phase() == Phase::Off,
             Order::Move(macrostep) => self.executed >= macrostep.number,
-            Order::Gate(_) => true,
+            Order::Meet { .. } | Order::Tie { .. } | Order::Untie => true,
         }
     }
 
@@ -412,6 +453,22 @@ impl Ecp {
         if phase == Phase::Faulted && !clearing {
             self.clear_outbox();
             return Some(Err(self.cause_of(EcpError::Faulted)));
+        }
+        let stops = matches!(
+            self.activity,
+            Activity::Stopping { .. } | Activity::Switching { order: Order::Stop | Order::Disable, .. }
+        );
+        if let (Some(error), Activity::Stopping { outcome, .. }) = (self.partner_stop(), &mut self.activity)
+            && outcome.is_ok()
+        {
+            *outcome = Err(error);
+        }
+        if !stops {
+            let met = self.partner_stop().map_or_else(|| self.wait_for_partners(now), Err);
+            if met.is_err() {
+                self.brake(met);
+                return None;
+            }
         }
         match self.activity {
             Activity::Idle => None,
@@ -431,8 +488,11 @@ impl Ecp {
                 None
             }
             Activity::Meeting { .. } if phase != Phase::Standing => Some(Err(EcpError::BrokenOff { phase })),
-            Activity::Meeting { meeting, admitted: true, .. } => {
-                self.outbox.push_back(Order::Gate(meeting));
+            Activity::Meeting { barrier, admitted: Some(members), .. } => {
+                self.outbox.push_back(match barrier {
+                    Barrier::Meeting(_) => Order::Meet { members },
+                    Barrier::Team(_) => Order::Tie { members },
+                });
                 Some(Ok(()))
             }
             Activity::Meeting { ref mut since, .. } => {
