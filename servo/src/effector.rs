@@ -294,10 +294,8 @@ impl Effector {
             return;
         }
         self.state = next;
-        self.stopped |= matches!(
-            next,
-            ServoState::Off | ServoState::Braking(_) | ServoState::Halting(_) | ServoState::Faulted
-        );
+        self.stopped |=
+            matches!(next, ServoState::Off | ServoState::Braking(_) | ServoState::Halting(_) | ServoState::Faulted);
         // A macrostep that was cut off is never continued.
         if next != ServoState::Moving {
             self.segment = None;

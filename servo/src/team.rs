@@ -154,7 +154,11 @@ fn follow_macrosteps(effectors: &mut [Effector], members: u32, tick: &Tick) {
 
 /// Checks the next macrosteps of a team. A member whose macrostep cannot be begun is stopped; false then.
 fn admit(effectors: &mut [Effector], members: u32, tick: &Tick) -> bool {
-    if !of_mut(effectors, members).fold(true, |sound, member| member.admit_next(tick) && sound) {
+    let mut sound = true;
+    for member in of_mut(effectors, members) {
+        sound &= member.admit_next(tick);
+    }
+    if !sound {
         return false;
     }
     let steps = of(effectors, members).filter_map(|it| it.next_macrostep(tick)).map(|next| next.steps);

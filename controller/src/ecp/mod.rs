@@ -24,6 +24,7 @@
 mod error;
 mod image;
 mod motion;
+mod partners;
 mod planning;
 mod subcontrollers;
 mod task;
@@ -33,16 +34,16 @@ mod tests;
 use std::{collections::VecDeque, time::Duration};
 
 use can::Instant;
-use servo::{EffectorLink, Order, Phase, ServoReport, Snapshot, StopCause};
+use servo::{EffectorLink, Order, Phase, ServoReport, Snapshot};
 
 use crate::generator::{AxesState, EffectorImage, Execution, GeneratorError, Pace};
 use crate::robot::Arm;
 
 pub use error::{ChartPhase, Class, EcpError};
 use image::Effector;
+use partners::{Barrier, is_barrier};
 use planning::Planning;
 pub use planning::{AtOnce, Plan, Planner};
-use subcontrollers::Barrier;
 pub use subcontrollers::{Meetings, Subcontrollers};
 use task::Instruction;
 pub use task::Task;
@@ -168,6 +169,8 @@ pub struct Ecp {
     heard: Instant,
     /// Begin of the wait of the effector for its partners, if it waits.
     waiting: Option<Instant>,
+    /// Servo cycle after which the last barrier was sent.
+    barrier_sent: Option<u64>,
 }
 
 impl Ecp {
@@ -195,6 +198,7 @@ impl Ecp {
             replacement: None,
             heard: Instant::ZERO,
             waiting: None,
+            barrier_sent: None,
         }
     }
 
@@ -231,21 +235,6 @@ impl Ecp {
     pub fn status(&self) -> Status {
         let busy = !matches!(self.activity, Activity::Idle) || !self.task.is_empty();
         Status { phase: self.phase(), instruction: busy.then_some(self.instruction) }
-    }
-
-    /// The barrier at which the process waits for its partners.
-    fn barrier(&self) -> Option<Barrier> {
-        match self.activity {
-            Activity::Meeting { barrier, admitted: None, .. } => Some(barrier),
-            _ => None,
-        }
-    }
-
-    /// Admits the process to its barrier with these `members`. The next poll queues the barrier.
-    fn admit(&mut self, members: u32) {
-        if let Activity::Meeting { admitted, .. } = &mut self.activity {
-            *admitted = Some(members);
-        }
     }
 
     /// Holds the process between two instructions, or lets the next instruction begin. A stop is executed all the same.
@@ -302,6 +291,12 @@ impl Ecp {
             if self.held {
                 return None;
             }
+            let disables = matches!(self.task.instructions.front(), Some(Instruction::Disable));
+            // The order to disable would overtake a barrier, and the partners would wait in vain.
+            if disables && self.is_at_barrier() && self.wait_for_partners(now).is_ok() {
+                self.offer(now);
+                return None;
+            }
             let Some(instruction) = self.task.instructions.pop_front() else {
                 self.offer(now);
                 return None;
@@ -329,33 +324,6 @@ impl Ecp {
         self.report.and_then(|report| report.fault).map_or(consequence, EcpError::Servo)
     }
 
-    /// The stop by a partner of the team, which the servo reports until a stop or disable order acknowledges it.
-    fn partner_stop(&self) -> Option<EcpError> {
-        let fault = self.report.and_then(|report| report.fault);
-        fault.filter(|fault| matches!(fault.cause, StopCause::Partner { .. })).map(EcpError::Servo)
-    }
-
-    /// Notes whether the effector waits for its partners. The servo is then silent. An error if the wait takes too
-    /// long.
-    fn wait_for_partners(&mut self, now: Instant) -> Result<(), EcpError> {
-        let latest = self.latest();
-        if !latest.waiting {
-            self.waiting = None;
-            return Ok(());
-        }
-        self.heard = now;
-        if let Activity::Switching { since, .. } = &mut self.activity {
-            *since = now;
-        }
-        let since = self.waiting.get_or_insert(now);
-        // A partner may be slowed.
-        if latest.rate < 1.0 {
-            *since = now;
-        }
-        let waited = now.since(*since);
-        if waited > self.config.meeting { Err(EcpError::Unmet { waited }) } else { Ok(()) }
-    }
-
     fn end(&mut self, outcome: Result<(), EcpError>) -> EcpEvent {
         self.activity = Activity::Idle;
         let event = EcpEvent { instruction: self.instruction, outcome };
@@ -371,9 +339,9 @@ impl Ecp {
     /// the thread lost the processor after the first macrostep, the servo would run out of macrosteps. A barrier is
     /// sent together with the first macrosteps behind it, so that all partners begin in the same cycle.
     fn offer(&mut self, now: Instant) {
-        let ends_at_barrier = matches!(self.outbox.back(), Some(Order::Meet { .. } | Order::Tie { .. }));
-        let undecided = matches!(self.activity, Activity::Planning { .. } | Activity::Meeting { admitted: Some(_), .. });
-        if ends_at_barrier && undecided {
+        let undecided =
+            matches!(self.activity, Activity::Planning { .. } | Activity::Meeting { admitted: Some(_), .. });
+        if undecided && self.outbox.back().is_some_and(is_barrier) {
             return;
         }
         let count = self.outbox.len().min(self.link.orders.slots());
@@ -381,6 +349,9 @@ impl Ecp {
             return;
         }
         let stopping = self.outbox.front() == Some(&Order::Stop);
+        if self.outbox.iter().take(count).any(is_barrier) {
+            self.barrier_sent = Some(self.latest().cycle);
+        }
         let room = self.link.orders.write_chunk_uninit(count).expect("the queue has this many slots");
         room.fill_from_iter(self.outbox.drain(..count));
         self.heard = now;
@@ -427,11 +398,6 @@ impl Ecp {
         }
         self.outbox.push_back(order);
         self.activity = Activity::Switching { order, since: now };
-        None
-    }
-
-    fn come_to(&mut self, barrier: Barrier, now: Instant) -> Option<Result<(), EcpError>> {
-        self.activity = Activity::Meeting { barrier, since: now, admitted: None };
         None
     }
 

@@ -1,5 +1,6 @@
 //! The subcontrollers C1 to Cn of one cell, and the meetings between them.
 
+use super::partners::Barrier;
 use super::{Ecp, Planner, Status};
 
 /// The effector control processes of one cell, one per robot, and the meetings between them.
@@ -45,15 +46,6 @@ impl Subcontrollers {
 pub struct Meetings {
     /// Bit set of the partners of each meeting.
     partners: Vec<u32>,
-}
-
-/// A barrier of the processes of a cell.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Barrier {
-    /// The meeting of this number.
-    Meeting(u8),
-    /// The tie of a team, by its bit set of effectors.
-    Team(u32),
 }
 
 impl Meetings {

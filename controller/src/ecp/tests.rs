@@ -13,7 +13,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use nalgebra::Vector3;
-use servo::{MAX_AXES, Macrostep, Publisher, ServoFault};
+use servo::{MAX_AXES, Macrostep, Publisher, ServoFault, StopCause};
 
 use super::*;
 use crate::generator::{

@@ -4,7 +4,7 @@ use super::{Effector, Tick};
 use crate::axis::ServoAxis;
 use crate::interpolate::{Segment, Start};
 use crate::motion_time::Bounds;
-use crate::{Knot, MAX_AXES, Macrostep, Order, ServoEvent, ServoState, StopCause};
+use crate::{Knot, Macrostep, Order, ServoEvent, ServoState, StopCause};
 
 /// The axis of a failed check, if the check concerns a single axis, and the cause of the stop.
 type Failed = (Option<usize>, StopCause);

@@ -194,6 +194,16 @@ fn robots_meet_any_number_of_times_and_always_begin_in_the_same_cycle() {
 }
 
 #[test]
+fn a_robot_that_is_switched_off_after_a_meeting_has_passed_it_before() {
+    for robot in [0, 1] {
+        let mut cell = Cell::standing();
+        let mut tasks = [Task::new().meet(0).disable(), Task::new().meet(0).run(to(0.1, 0.0, 0.0))];
+        tasks.rotate_left(robot);
+        assert_eq!(cell.run(tasks), [vec![Ok(()); 2], vec![Ok(()); 2]]);
+    }
+}
+
+#[test]
 fn the_members_of_a_team_begin_every_macrostep_together_until_they_untie() {
     let mut cell = Cell::standing();
     let motions = |axis: usize| {

@@ -277,7 +277,8 @@ fn effectors_meet_any_number_of_times_and_go_on_in_the_same_cycle() {
 
 #[test]
 fn a_barrier_waits_for_an_equal_barrier_of_every_member_and_for_its_bus() {
-    let others = [Order::Meet { members: 0b111 }, Order::Tie { members: 0b11 }, Order::Move(macrostep(1, 9, 0.001, 0.0))];
+    let others =
+        [Order::Meet { members: 0b111 }, Order::Tie { members: 0b11 }, Order::Move(macrostep(1, 9, 0.001, 0.0))];
     for other in others {
         let mut cell = Cell::standing(&[1000.0; 3]);
         cell.order(0, Order::Meet { members: 0b11 });
