@@ -130,7 +130,7 @@ fn run(
         axis.homing = None;
     }
     let (mut servo, links) = Servo::new(&config, groups.collect())?;
-    let subcontrollers = setup::subcontrollers(file, links, servo.gates());
+    let subcontrollers = setup::subcontrollers(file, links);
     let mut executor = program.begin(file, subcontrollers, servo.speed_override(), true, turns.clone());
     let (mut moved, mut instructions) = (vec![false; starts.len()], 0);
     let start = lockstep::bring_up(&mut servo, Instant::ZERO, |_| {}).expect("ideal drives come up");

@@ -11,7 +11,7 @@ use drive::bus::CanBus;
 use drive::cia402::{AxisConfig, CyclicMode};
 use drive::{DriveGroup, axis_controller::AxisControllerGroup};
 use serial::Line;
-use servo::{EffectorConfig, EffectorLink, Gates, HostHoming, ServoAxisConfig, ServoConfig};
+use servo::{EffectorConfig, EffectorLink, HostHoming, ServoAxisConfig, ServoConfig};
 
 use crate::cell::{Bus, CellFile, DeviceConfiguration, ENABLING, Homing, Path, Robot, Serial};
 
@@ -99,10 +99,10 @@ pub fn servo_config(file: &CellFile) -> ServoConfig {
 }
 
 /// The effector control processes of a cell, on the links to its servo.
-pub fn subcontrollers(file: &CellFile, links: Vec<EffectorLink>, gates: Gates) -> Subcontrollers {
+pub fn subcontrollers(file: &CellFile, links: Vec<EffectorLink>) -> Subcontrollers {
     let ecp = |(robot, link): (usize, _)| Ecp::new(file.arms[robot].clone(), link, ecp_config(file, robot));
     let ecps = links.into_iter().enumerate().map(ecp);
-    let meetings = Meetings::new(file.cell.meetings().into_iter().map(|meeting| meeting.robots), gates);
+    let meetings = Meetings::new(file.cell.meetings().into_iter().map(|meeting| meeting.robots));
     Subcontrollers::new(ecps.collect(), meetings)
 }
 

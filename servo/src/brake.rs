@@ -39,6 +39,18 @@ impl StraightStop {
         Self { from: knots, periods: periods as u32, done: 0, dt }
     }
 
+    /// Number of periods of the stop.
+    pub fn periods(&self) -> u32 {
+        self.periods
+    }
+
+    /// The same stop before its first period, over at least this number of periods. Stops of an equal number of periods
+    /// stay in proportion: each is at the same share of its way and of its initial velocity.
+    #[must_use]
+    pub fn lasting(self, periods: u32) -> Self {
+        Self { periods: self.periods.max(periods), ..self }
+    }
+
     /// Advances by one period; false if the stop has ended.
     pub fn advance(&mut self) -> bool {
         let under_way = self.done < self.periods;

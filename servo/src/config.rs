@@ -17,6 +17,9 @@ pub use refusal::{Figure, KeyError, KeyProblem, Range};
 use crate::MAX_AXES;
 use refusal::{first_wrong, is_positive};
 
+/// Greatest number of effectors of one servo. A bit set of 32 bits names any of them.
+pub const MAX_EFFECTORS: usize = 32;
+
 /// Configuration of a [`Servo`](crate::Servo): period and effectors.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ServoConfig {
@@ -88,6 +91,8 @@ pub struct ServoAxisConfig {
 pub enum ServoError {
     #[error("the period is zero")]
     ZeroPeriod,
+    #[error("the servo has {effectors} effectors, {max} are possible", max = MAX_EFFECTORS)]
+    EffectorCount { effectors: usize },
     #[error("effector {effector} has {axes} axes, 1 to {max} are possible", max = MAX_AXES)]
     AxisCount { effector: usize, axes: usize },
     #[error("effector {effector} has a queue of zero orders")]
@@ -109,6 +114,9 @@ impl ServoConfig {
     pub(crate) fn check(&self, group_axes: &[usize]) -> Result<(), ServoError> {
         if self.period.is_zero() {
             return Err(ServoError::ZeroPeriod);
+        }
+        if self.effectors.len() > MAX_EFFECTORS {
+            return Err(ServoError::EffectorCount { effectors: self.effectors.len() });
         }
         let mut taken = Vec::new();
         for (effector, config) in self.effectors.iter().enumerate() {
@@ -192,9 +200,10 @@ mod tests {
         let no_group = ServoError::NoSuchGroup { effector: 0, axis: 1, group: 1, groups: 1 };
         let no_axis = ServoError::NoSuchAxis { effector: 0, axis: 1, group: 0, index: 2, axes: 2 };
         type Case = (fn(&mut ServoConfig), Result<(), ServoError>);
-        let cases: [Case; 15] = [
+        let cases: [Case; 16] = [
             (|_| {}, Ok(())),
             (|c| c.period = Duration::ZERO, Err(ServoError::ZeroPeriod)),
+            (|c| c.effectors = vec![c.effectors[0].clone(); 33], Err(ServoError::EffectorCount { effectors: 33 })),
             (|c| c.effectors[0].axes.clear(), Err(ServoError::AxisCount { effector: 0, axes: 0 })),
             (
                 |c| c.effectors[0].axes = vec![c.effectors[0].axes[0]; 9],

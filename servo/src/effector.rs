@@ -2,6 +2,7 @@
 
 mod homing;
 mod motion;
+mod orders;
 
 use std::time::Duration;
 
@@ -9,10 +10,10 @@ use can::Instant;
 use drive::{AxisCommand, AxisState, Power};
 
 use crate::{
-    After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, MAX_AXES, Order, Publisher, Record,
+    After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Knot, MAX_AXES, Order, Publisher, Record,
     ServoAxisConfig, ServoEvent, ServoFault, ServoReport, ServoState, Snapshot, StopCause, StraightStop, latest,
 };
-use crate::{axis::ServoAxis, interpolate::Segment, motion_time::Motion, servo::OpenGates};
+use crate::{axis::ServoAxis, interpolate::Segment, motion_time::Motion, team::Team};
 
 /// Longest wait for standstill after the last set-point of a stop. The power is then switched off.
 const STANDSTILL_WAIT: Duration = Duration::from_millis(100);
@@ -34,16 +35,14 @@ pub(crate) struct Tick {
     pub(crate) dt: f64,
     /// A stop of all effectors is requested.
     pub(crate) stop: bool,
-    pub(crate) open: OpenGates,
+    /// Bit set of the effectors of the cell.
+    pub(crate) effectors: u32,
     /// Deadlines missed in a row, if they exceed the limit.
     pub(crate) overrun: Option<u32>,
     /// Advance of the motion time.
     pub(crate) motion: Motion,
     /// Periods since the last cycle: 1 plus the number of missed deadlines.
     pub(crate) periods: u32,
-    /// Number of cycles in a row, up to the last, in which a bus of this effector refused the batch. The set-points
-    /// are then repeated.
-    pub(crate) refused: u32,
 }
 
 pub(crate) struct Effector {
@@ -60,8 +59,21 @@ pub(crate) struct Effector {
     /// Time at which `state` was entered.
     since: Instant,
     pub(crate) fault: Option<ServoFault>,
+    pub(crate) team: Team,
+    /// An order or a fault stopped the effector in this cycle.
+    pub(crate) stopped: bool,
+    /// Number of cycles in a row, up to the last, in which a bus of this effector refused the batch.
+    refused: u32,
+    /// In this cycle, the set-points of the last cycle are repeated, because a bus of this effector or of a partner
+    /// refused them.
+    pub(crate) held: bool,
     segment: Option<Segment>,
+    /// The macrostep decides on this cycle. Its set-points in `next` are taken after all effectors have found theirs.
+    decided: bool,
+    next: [Knot; MAX_AXES],
     stop: StraightStop,
+    /// Bit set of the effectors that brake together with this one.
+    pub(crate) braking_with: u32,
     /// The present stop was restarted because a bus refused its set-points.
     stop_restarted: bool,
     /// While [`ServoState::Halting`]: the drives have come to rest.
@@ -96,8 +108,15 @@ impl Effector {
             state: ServoState::Off,
             since: Instant::ZERO,
             fault: None,
+            team: Team::of(1 << index),
+            stopped: false,
+            refused: 0,
+            held: false,
             segment: None,
+            decided: false,
+            next: [Knot::default(); MAX_AXES],
             stop: StraightStop::new([], 1.0),
+            braking_with: 0,
             stop_restarted: false,
             halted: false,
             macrostep: 0,
@@ -107,6 +126,16 @@ impl Effector {
             counters: Counters::default(),
         };
         (effector, EffectorLink { orders: order_sender, reports: report_receiver, latest })
+    }
+
+    /// The bit of this effector in a bit set of effectors.
+    pub(crate) fn bit(&self) -> u32 {
+        1 << self.index
+    }
+
+    /// Whether the effector is in a team with others.
+    pub(crate) fn is_tied(&self) -> bool {
+        self.team.members != self.bit()
     }
 
     /// Duration of the slowest stop, including the wait for standstill.
@@ -125,17 +154,27 @@ impl Effector {
         self.axes.iter().map(|axis| (axis.config.group, axis.config.index_in_group, axis.command))
     }
 
-    /// One cycle: from the states of the axes to their commands.
-    pub(crate) fn step(&mut self, tick: &Tick) {
-        self.news = false;
-        self.due = false;
+    /// First part of a cycle: checks the axes, and takes orders up to a barrier or a macrostep. `refused` is the number
+    /// of cycles in a row, up to the last, in which a bus of this effector refused the batch.
+    pub(crate) fn begin_cycle(&mut self, refused: u32, tick: &Tick) {
+        (self.news, self.due, self.stopped, self.decided) = (false, false, false, false);
+        self.refused = refused;
         self.check(tick);
         self.take_stops(tick);
         self.take_orders(tick);
-        if self.is_held(tick) {
+    }
+
+    /// Last part of a cycle, after all effectors were [coordinated](crate::team::coordinate): from set-points to
+    /// commands.
+    pub(crate) fn end_cycle(&mut self, tick: &Tick) {
+        if self.held {
             self.axes.iter_mut().for_each(|axis| axis.hold(tick.dt));
         } else {
-            self.advance(tick);
+            if self.decided {
+                self.take_set_points();
+            } else {
+                self.advance(tick);
+            }
             self.command(tick);
         }
         let due = self.due && self.state == ServoState::Moving;
@@ -148,20 +187,23 @@ impl Effector {
         }
     }
 
-    /// Whether the set-points of the last cycle are repeated because a bus refused them.
-    fn is_held(&mut self, tick: &Tick) -> bool {
-        if matches!(self.state, ServoState::Braking(_)) && tick.refused > REFUSED_IN_STOP {
-            // The drives receive no set-point and count as standing. The stop is restarted only once: a restart in
-            // every cycle would never end while a motor is measured to move.
-            if !self.stop_restarted {
-                self.axes.iter_mut().for_each(|axis| axis.rest(0, tick.dt));
-                self.begin_stop(tick);
-                self.stop_restarted = true;
-            }
-            return false;
+    /// Whether a bus refused the set-points of the last cycle, and the effector must repeat them.
+    pub(crate) fn must_repeat(&self) -> bool {
+        let braking = matches!(self.state, ServoState::Braking(_));
+        let follows = braking || matches!(self.state, ServoState::Standing | ServoState::Moving);
+        let given_up = braking && self.refused > REFUSED_IN_STOP;
+        self.refused > 0 && follows && !given_up
+    }
+
+    /// Restarts a stop whose set-points a bus refuses too long. The drives receive no set-point and count as standing.
+    /// The stop is restarted only once: a restart in every cycle would never end while a motor is measured to move.
+    pub(crate) fn restart_refused_stop(&mut self, tick: &Tick) {
+        let braking = matches!(self.state, ServoState::Braking(_));
+        if braking && self.refused > REFUSED_IN_STOP && !self.stop_restarted {
+            self.axes.iter_mut().for_each(|axis| axis.rest(0, tick.dt));
+            self.begin_stop(tick);
+            self.stop_restarted = true;
         }
-        let follows = matches!(self.state, ServoState::Standing | ServoState::Moving | ServoState::Braking(_));
-        tick.refused > 0 && follows
     }
 
     /// Checks drive faults, following errors, limit switches and overruns, and updates the tracking statistics.
@@ -232,65 +274,9 @@ impl Effector {
 
     fn latch(&mut self, axis: Option<usize>, cause: StopCause) {
         let axis = axis.map(|axis| axis as u8);
-        self.fault.get_or_insert(ServoFault { axis, cause });
-    }
-
-    /// Finds stops anywhere in the queue and executes them first. Orders queued before the stop keep their order,
-    /// but motion, gates and homing among them are dropped.
-    fn take_stops(&mut self, tick: &Tick) {
-        if tick.stop {
-            self.apply(tick, ServoEvent::Disable);
-        }
-        let waiting = self.orders.slots();
-        let Ok(chunk) = self.orders.read_chunk(waiting) else {
-            return;
-        };
-        let (front, back) = chunk.as_slices();
-        let unseen = front.iter().chain(back).enumerate().skip(self.scanned);
-        let stops = unseen.filter(|(_, order)| matches!(order, Order::Stop | Order::Disable));
-        let last_stop = stops.map(|(index, _)| index).last();
-        self.scanned = waiting;
-        for _ in 0..last_stop.map_or(0, |index| index + 1) {
-            let Some(order) = self.pop() else { return };
-            self.news = true;
-            let dropped =
-                matches!(order, Order::Move(_) | Order::Gate(_) | Order::Home) || tick.stop && order == Order::Enable;
-            if dropped || !self.apply(tick, order.event()) {
-                self.counters.refused_orders += 1;
-            }
-        }
-    }
-
-    fn pop(&mut self) -> Option<Order> {
-        let order = self.orders.pop().ok()?;
-        self.scanned = self.scanned.saturating_sub(1);
-        Some(order)
-    }
-
-    /// Executes orders from the front of the queue until an order has to wait. Macrosteps are left to
-    /// [`Effector::advance`].
-    fn take_orders(&mut self, tick: &Tick) {
-        for _ in 0..self.orders.slots() {
-            let Ok(&order) = self.orders.peek() else {
-                return;
-            };
-            let answer = if tick.stop { Answer::Refuse } else { self.state.next(order.event()) };
-            match answer {
-                Answer::To(next) => match order {
-                    Order::Move(_) => return,
-                    Order::Gate(gate) => {
-                        if self.state != ServoState::Standing || !tick.open.contain(gate) {
-                            return;
-                        }
-                    }
-                    _ => self.enter(tick, next),
-                },
-                Answer::Wait => return,
-                Answer::Refuse => self.counters.refused_orders += 1,
-            }
-            self.pop();
-            self.news = true;
-        }
+        // A fault of the effector itself replaces that of a partner.
+        let first = self.fault.filter(|_| !self.is_stopped_by_partner());
+        self.fault = Some(first.unwrap_or(ServoFault { axis, cause }));
     }
 
     /// Changes the state by `event`; false if the event is refused.
@@ -308,6 +294,8 @@ impl Effector {
             return;
         }
         self.state = next;
+        self.stopped |=
+            matches!(next, ServoState::Off | ServoState::Braking(_) | ServoState::Halting(_) | ServoState::Faulted);
         // A macrostep that was cut off is never continued.
         if next != ServoState::Moving {
             self.segment = None;
@@ -321,7 +309,7 @@ impl Effector {
             }
             (_, ServoState::Braking(_)) => {
                 self.begin_stop(tick);
-                self.stop_restarted = false;
+                (self.stop_restarted, self.braking_with) = (false, 0);
             }
             (_, ServoState::Halting(_)) => self.halted = false,
             (_, ServoState::Enabling) if !self.stands_as_commanded() => {
@@ -335,6 +323,23 @@ impl Effector {
         self.since = tick.now;
     }
 
+    /// Stops with a partner of the team. The effector then stands, and takes motion only after a stop or disable order.
+    pub(crate) fn stop_with(&mut self, partner: u8, tick: &Tick) {
+        self.latch(None, StopCause::Partner { effector: partner });
+        self.apply(tick, ServoEvent::Stop);
+        self.news = true;
+    }
+
+    /// Number of periods of the stop that begins in this cycle, if any.
+    pub(crate) fn stop_periods(&self) -> Option<u32> {
+        matches!(self.state, ServoState::Braking(_)).then(|| self.stop.periods())
+    }
+
+    /// Lets the stop that begins in this cycle last as long as the stops of `members`.
+    pub(crate) fn brake_with(&mut self, members: u32, periods: u32) {
+        (self.stop, self.braking_with) = (self.stop.lasting(periods), members);
+    }
+
     /// A straight stop from the last set-points.
     fn begin_stop(&mut self, tick: &Tick) {
         let from = self.axes.iter().map(|axis| (axis.last_step(tick.dt), axis.config.max_acceleration));
@@ -345,7 +350,7 @@ impl Effector {
     fn advance(&mut self, tick: &Tick) {
         let waited = tick.now.since(self.since);
         match self.state {
-            ServoState::Off | ServoState::Faulted => {}
+            ServoState::Off | ServoState::Faulted | ServoState::Standing | ServoState::Moving => {}
             ServoState::Enabling => {
                 let on = |axis: &ServoAxis| axis.state.power == Power::On;
                 if self.axes.iter().all(on) && self.settle() {
@@ -355,13 +360,7 @@ impl Effector {
                     self.fail(tick, late, StopCause::NotReady { waited });
                 }
             }
-            ServoState::Standing => {
-                if matches!(self.orders.peek(), Ok(Order::Move(_))) {
-                    self.follow_macrosteps(tick);
-                }
-            }
             ServoState::Homing => self.home(tick, waited),
-            ServoState::Moving => self.follow_macrosteps(tick),
             ServoState::Braking(after) => {
                 if self.stop.advance() {
                     self.place_stop();
@@ -475,6 +474,8 @@ impl Effector {
             phase: self.state.phase(),
             homed: self.axes.iter().all(ServoAxis::is_homed),
             macrostep: self.macrostep,
+            team_macrostep: self.team.macrosteps,
+            waiting: self.is_waiting(),
             rate: tick.motion.rate,
             axes: self.axes.len() as u8,
             commanded: self.each(|axis| axis.knot.position),
@@ -511,19 +512,5 @@ impl Effector {
             };
         }
         record
-    }
-}
-
-impl Order {
-    fn event(&self) -> ServoEvent {
-        match self {
-            Self::Enable => ServoEvent::Enable,
-            Self::Home => ServoEvent::Home,
-            // A gate is queued and refused in the same states as the motion behind it.
-            Self::Move(_) | Self::Gate(_) => ServoEvent::Move,
-            Self::Stop => ServoEvent::Stop,
-            Self::Disable => ServoEvent::Disable,
-            Self::ResetFault => ServoEvent::ResetFault,
-        }
     }
 }

@@ -22,6 +22,12 @@ pub struct Snapshot {
     pub homed: bool,
     /// Number of the macrostep that is executed, or of the last one begun; 0 before the first.
     pub macrostep: u64,
+    /// Number of macrosteps that its team began since the last [tie](crate::Order::Tie) of the effector; 0 before the
+    /// first tie. The number stays when the team ends.
+    pub team_macrostep: u64,
+    /// Whether the effector stands and waits for partners: at a barrier, or with a macrostep that a partner of its team
+    /// lacks.
+    pub waiting: bool,
     /// Speed of the motion time: 1, or less by a [`SpeedOverride`](crate::SpeedOverride), and 0 in a pause.
     pub rate: f64,
     /// Number of axes.
@@ -49,8 +55,8 @@ pub struct Snapshot {
 /// Number of words per axis.
 const PER_AXIS: usize = 8;
 
-/// Number of words before those of the axes: cycle, time, macrostep, flags and rate.
-const COMMON: usize = 5;
+/// Number of words before those of the axes: cycle, time, macrostep, flags, rate and macrostep of the team.
+const COMMON: usize = 6;
 
 /// Words of a snapshot.
 const WORDS: usize = COMMON + PER_AXIS * MAX_AXES;
@@ -58,8 +64,10 @@ const WORDS: usize = COMMON + PER_AXIS * MAX_AXES;
 impl Snapshot {
     fn words(&self) -> [u64; WORDS] {
         let mut words = [0; WORDS];
-        let flags = u64::from(self.phase as u8) | u64::from(self.homed) << 8 | u64::from(self.axes) << 16;
-        let common = [self.cycle, self.at.as_nanos(), self.macrostep, flags, self.rate.to_bits()];
+        let (homed, waiting) = (u64::from(self.homed) << 8, u64::from(self.waiting) << 9);
+        let flags = u64::from(self.phase as u8) | homed | waiting | u64::from(self.axes) << 16;
+        let rate = self.rate.to_bits();
+        let common = [self.cycle, self.at.as_nanos(), self.macrostep, flags, rate, self.team_macrostep];
         words[..COMMON].copy_from_slice(&common);
         for (axis, words) in words[COMMON..].chunks_exact_mut(PER_AXIS).enumerate() {
             let Switches { home, lower_limit, upper_limit } = self.switches[axis];
@@ -87,6 +95,8 @@ impl Snapshot {
             phase: Phase::ALL.into_iter().find(|phase| *phase as u8 == flags as u8).unwrap_or_default(),
             homed: flags & 1 << 8 != 0,
             macrostep: words[2],
+            team_macrostep: words[5],
+            waiting: flags & 1 << 9 != 0,
             rate: f64::from_bits(words[4]),
             axes: (flags >> 16) as u8,
             commanded: number(0),
@@ -151,6 +161,8 @@ mod tests {
             homed: bit(0),
             rate: 0.25,
             macrostep: number,
+            team_macrostep: number / 3,
+            waiting: bit(1),
             axes: number as u8,
             commanded: value(0),
             measured: value(1),

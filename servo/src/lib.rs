@@ -38,6 +38,7 @@ mod search;
 mod servo;
 mod state;
 mod statistics;
+mod team;
 pub mod thread;
 mod timing;
 
@@ -45,7 +46,7 @@ pub use ::drive::Switches;
 pub use brake::StraightStop;
 pub use config::{
     Direction, EffectorConfig, FeedForward, Figure, HomingLeg, HostHoming, HostLoop, KeyError, KeyProblem, Law,
-    LoopBounds, Output, PositionLoop, Range, ServoAxisConfig, ServoConfig, ServoError,
+    LoopBounds, MAX_EFFECTORS, Output, PositionLoop, Range, ServoAxisConfig, ServoConfig, ServoError,
 };
 pub use excitation::{Excitation, ExcitationError, most as greatest_excitation};
 pub use histogram::Histogram;
@@ -55,7 +56,7 @@ pub use link::{EffectorLink, MAX_AXES, Macrostep, Order, Phase, ServoFault, Serv
 pub use motion_time::{OverrideError, SpeedOverride};
 pub use recorder::{AxisRecord, Record};
 pub use search::HomingFailure;
-pub use servo::{Gates, NotUp, Servo, StopRequest};
+pub use servo::{NotUp, Servo, StopRequest};
 pub use state::{After, Answer, ServoEvent, ServoState};
 pub use statistics::{Counters, TrackingError};
 pub use timing::Timing;

@@ -18,8 +18,8 @@ const POSITION_TOLERANCE: f64 = 1e-8;
 ///
 /// Speed and acceleration are the first and second difference of the positions sent, with a tolerance of a thousandth.
 /// Positions have a tolerance of 10⁻⁸ rad. An axis beyond a position limit may move back towards the limit. A stop
-/// begun near a position limit overshoots it by at most v² / 2a. The limit must keep at least this distance from any
-/// obstacle.
+/// begun near a position limit overshoots it by at most v² / 2a. In a team, the overshoot is at most v·T / 2, where T
+/// is the duration of the slowest stop of the team. The limit must keep at least this distance from any obstacle.
 pub(crate) fn check(
     limits: &ServoAxisConfig,
     before_last: f64,

@@ -47,12 +47,36 @@ pub enum Order {
     Home,
     /// Execute a macrostep, queued behind those sent before.
     Move(Macrostep),
-    /// Stand until this gate of [`Gates`](crate::Gates) is open. Later orders wait too, except stops.
-    Gate(u8),
+    /// Barrier: stand until every member has an equal order at the front of its queue. All members then pass in the
+    /// same cycle, and the orders behind begin in this cycle. A stop drops a barrier that still waits.
+    ///
+    /// Bit *i* of `members` is the effector of index *i*. The effector that receives the order is a member.
+    Meet {
+        /// Bit set of effectors.
+        members: u32,
+    },
+    /// Barrier like [`Order::Meet`], after which the members are a *team*.
+    ///
+    /// Members begin each macrostep in the same cycle. A member begins its next macrostep only in a cycle in which
+    /// every member can begin one of equal length. While the team stands, all wait for a member without a macrostep. In
+    /// motion, a member without a macrostep starves, which stops the team.
+    ///
+    /// Each order or fault that stops one member stops all members in the same cycle. All motors of the team then brake
+    /// in proportion and come to rest together. A stop dissolves the team. The partners end standing with power on and
+    /// [`StopCause::Partner`].
+    Tie {
+        /// Bit set of effectors.
+        members: u32,
+    },
+    /// Leave the team, while the team stands or at the end of a macrostep. The last member is then no longer tied.
+    Untie,
     /// Brake to a stand within the acceleration limits, drop the queued motion and keep the power on (category 2). The
     /// order overtakes the queue. A moving effector whose queue runs empty brakes in the same way, but as a fault.
+    ///
+    /// The order also acknowledges [`StopCause::Partner`].
     Stop,
-    /// Brake like [`Order::Stop`], then switch the drives off (category 1). The order overtakes the queue.
+    /// Brake like [`Order::Stop`], then switch the drives off (category 1). The order overtakes the queue, and
+    /// acknowledges [`StopCause::Partner`].
     Disable,
     /// Clear latched faults; the drives stay off.
     ResetFault,
@@ -92,7 +116,8 @@ pub struct ServoReport {
     pub snapshot: Snapshot,
     /// Whether `report_at` periods of the macrostep are executed, or the effector does not move by macrosteps.
     pub reached: bool,
-    /// The fault that stopped the effector, if any.
+    /// The fault that stopped the effector, if any. [`StopCause::Partner`] holds until the next stop or disable order,
+    /// any other fault until its reset.
     pub fault: Option<ServoFault>,
 }
 
@@ -138,6 +163,21 @@ pub enum StopCause {
     /// A macrostep without steps, or with `report_at` beyond its steps. The macrostep was not begun.
     #[error("macrostep {number} has no steps or its report lies outside it")]
     Malformed { number: u64 },
+    /// The next macrosteps of a team have unequal lengths. No macrostep was begun.
+    #[error("macrostep {number} has {steps} periods, that of a partner {other}")]
+    UnequalSteps { number: u64, steps: u16, other: u16 },
+    /// The number of a macrostep is not the next one of its team. The macrostep was not begun.
+    #[error("macrostep {number} came to a team that begins number {expected}")]
+    OutOfSequence { number: u64, expected: u64 },
+    /// A barrier whose bit set does not contain this effector, or contains an effector that does not exist.
+    #[error("barrier of effectors {members:#b}, which are not this effector and others of the cell")]
+    NotAMember { members: u32 },
+    /// A partner in the team stopped. This effector braked with the partner and stands, its drives on.
+    ///
+    /// The effector refuses motion until an [`Order::Stop`] or [`Order::Disable`] acknowledges the cause. Macrosteps
+    /// that were sent before the controller heard of the stop are therefore never executed.
+    #[error("effector {effector} of its team stopped")]
+    Partner { effector: u8 },
     /// A macrostep for an axis without a reference. The macrostep was not begun.
     #[error("asked to move before it was homed")]
     NotHomed,

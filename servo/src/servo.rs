@@ -1,7 +1,7 @@
 //! The cycle of the servo.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::{task::Poll, time::Duration};
 
 use can::Instant;
@@ -14,7 +14,7 @@ use crate::{
     Counters, EffectorLink, Excitation, ExcitationError, Record, ServoConfig, ServoError, ServoFault, ServoState,
     TrackingError,
 };
-use crate::{excitation::Playing, recorder::Recorder};
+use crate::{excitation::Playing, recorder::Recorder, team};
 
 /// Steps every effector of a cell on one tick grid.
 ///
@@ -33,13 +33,16 @@ use crate::{excitation::Playing, recorder::Recorder};
 /// Every stop first brakes the effector along a straight line within its acceleration limits
 /// ([`StraightStop`](crate::StraightStop)). Exceptions are a failed position loop and [`cut_power`](Self::cut_power),
 /// which switch the power off at once. A [`StopRequest`] brakes all effectors, and then switches them off.
+///
+/// # Teams
+/// Effectors that are [tied](crate::Order::Tie) begin each macrostep together, and a stop of one stops all. The members
+/// brake over the same number of periods, so the motors of the whole team stay in proportion until rest.
 pub struct Servo {
     period: Duration,
     max_missed_in_row: u32,
     groups: Vec<Group>,
     effectors: Vec<Effector>,
     stop: StopRequest,
-    gates: Gates,
     motion_time: MotionTime,
     recorder: Option<Recorder>,
     cycles: u64,
@@ -73,46 +76,6 @@ impl Group {
 /// The request holds for the rest of the run, and later orders are refused.
 #[derive(Clone, Debug, Default)]
 pub struct StopRequest(Arc<AtomicBool>);
-
-/// The gates that effectors wait at ([`Order::Gate`](crate::Order::Gate)), all closed at first.
-///
-/// The servo reads the gates once per cycle for all effectors. All effectors that wait at a gate therefore continue in
-/// the same cycle. A gate stays open.
-#[derive(Clone, Debug, Default)]
-pub struct Gates(Arc<AtomicU64>);
-
-impl Gates {
-    /// Number of gates; they are numbered from 0.
-    pub const COUNT: u8 = 64;
-
-    /// Opens a gate. Orders sent before this call have arrived when the effectors pass the gate. Gates from
-    /// [`Gates::COUNT`] on do not exist, and an effector that waits at one never passes.
-    pub fn open(&self, gate: u8) {
-        self.0.fetch_or(bit(gate), Ordering::Release);
-    }
-
-    /// Whether a gate is open.
-    pub fn is_open(&self, gate: u8) -> bool {
-        self.open_ones().contain(gate)
-    }
-
-    fn open_ones(&self) -> OpenGates {
-        OpenGates(self.0.load(Ordering::Acquire))
-    }
-}
-
-#[derive(Clone, Copy)]
-pub(crate) struct OpenGates(u64);
-
-impl OpenGates {
-    pub(crate) fn contain(self, gate: u8) -> bool {
-        self.0 & bit(gate) != 0
-    }
-}
-
-fn bit(gate: u8) -> u64 {
-    1u64.checked_shl(gate.into()).unwrap_or(0)
-}
 
 /// Why the drives of a servo did not come up. None of the drives has power.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -159,7 +122,6 @@ impl Servo {
             groups: groups.into_iter().map(group).collect(),
             effectors,
             stop: StopRequest::default(),
-            gates: Gates::default(),
             motion_time: MotionTime::new(),
             recorder: None,
             cycles: 0,
@@ -217,8 +179,11 @@ impl Servo {
         for effector in &mut self.effectors {
             effector.set_states(|group, index| self.groups[group].states[index], &tick);
             let refused = effector.axes.iter().map(|axis| self.groups[axis.config.group].refused()).max();
-            let tick = Tick { refused: refused.unwrap_or(0), ..tick };
-            effector.step(&tick);
+            effector.begin_cycle(refused.unwrap_or(0), &tick);
+        }
+        team::coordinate(&mut self.effectors, &tick);
+        for effector in &mut self.effectors {
+            effector.end_cycle(&tick);
             for (group, index, command) in effector.commands() {
                 self.groups[group].commands[index] = command;
             }
@@ -240,9 +205,9 @@ impl Servo {
 
     /// Sends SYNC and the prepared set-points, on every bus.
     ///
-    /// After a refused batch, the next cycle repeats the set-points of every effector with an axis on that bus. The
-    /// motion of these effectors is then late by a period, and no drive ever receives two steps at once. Other
-    /// effectors continue. A bus whose axes all have a fault delays no effector.
+    /// After a refused batch, the next cycle repeats the set-points of every effector with an axis on that bus, and of
+    /// its team. The motion of these effectors is then late by a period, and no drive ever receives two steps at once.
+    /// Other effectors continue. A bus whose axes all have a fault delays no effector.
     #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     pub fn send(&mut self, now: Instant) {
         self.sent = Some(now);
@@ -286,9 +251,8 @@ impl Servo {
             motion: if held { self.motion_time.hold() } else { self.motion_time.advance(dt, bounds) },
             periods: missed.saturating_add(1),
             stop: self.stop.is_requested(),
-            open: self.gates.open_ones(),
+            effectors: !u32::MAX.checked_shl(effectors.len() as u32).unwrap_or(0),
             overrun: (row > self.max_missed_in_row).then_some(row),
-            refused: 0,
         }
     }
 
@@ -325,11 +289,6 @@ impl Servo {
         excitation.check(&found.config, self.period.as_secs_f64())?;
         found.playing = Some(Playing::new(excitation));
         Ok(())
-    }
-
-    /// A handle to open the gates that effectors wait at.
-    pub fn gates(&self) -> Gates {
-        self.gates.clone()
     }
 
     /// A handle to stop all effectors.

@@ -1,4 +1,4 @@
-//! Ten thousand cycles with a moving effector, and its stop, do not allocate.
+//! Ten thousand cycles with a moving effector, its stop, and teams do not allocate.
 
 #![allow(clippy::disallowed_methods, reason = "tests keep pace with other processes")]
 
@@ -117,6 +117,61 @@ fn moves_and_stops(config: &ServoConfig) {
 
     drop(vec![0u8]);
     assert_eq!(CALLS.with(Cell::get) - before, 2, "the counter counts");
+}
+
+#[test]
+fn teams_barriers_and_their_stops_do_not_allocate() {
+    let mut config = scripted::config(2);
+    let mut partner = config.effectors[0].clone();
+    partner.axes.iter_mut().for_each(|axis| axis.group = 1);
+    config.effectors.push(partner);
+    let groups = [(); 2].map(|()| {
+        let (group, world) = scripted::group(2);
+        let mut world = world.lock().expect("nobody else has it yet");
+        world.log = false;
+        world.axes.iter_mut().for_each(|drive| drive.state.homing = Homing::Attained);
+        group
+    });
+    let (mut servo, mut links) = Servo::new(&config, groups.into()).expect("the configuration is sound");
+    let mut now = Instant::ZERO;
+    let mut run = |servo: &mut Servo, cycles| {
+        for _ in 0..cycles {
+            servo.step(now);
+            now += scripted::PERIOD;
+        }
+    };
+    let mut order = |order| links.iter_mut().for_each(|link| link.orders.push(order).expect("there is room"));
+    // Back and forth by 0.01 rad.
+    let step = |number: u64, speed: f64| Macrostep {
+        number,
+        steps: 10,
+        report_at: 5,
+        position: [0.01 * (number % 2) as f64; MAX_AXES],
+        velocity: [if number % 2 == 1 { speed } else { -speed }; MAX_AXES],
+        acceleration: None,
+        torque: [0.0; MAX_AXES],
+    };
+    order(Order::Enable);
+    run(&mut servo, 20);
+    let before = CALLS.with(Cell::get);
+    let mut number = 0;
+    for _ in 0..100 {
+        order(Order::Meet { members: 0b11 });
+        order(Order::Tie { members: 0b11 });
+        for speed in [0.0, 0.0, 1.0] {
+            number += 1;
+            order(Order::Move(step(number, speed)));
+        }
+        // The last macrostep ends in motion and has no successor.
+        run(&mut servo, 200);
+        assert_eq!(servo.fault(1).map(|fault| fault.cause), Some(StopCause::Starved { last: number }));
+        order(Order::ResetFault);
+        order(Order::Enable);
+        run(&mut servo, 50);
+        assert_eq!(servo.state(0).map(|state| state.phase()), Some(Phase::Standing));
+    }
+    assert_eq!(CALLS.with(Cell::get) - before, 0);
+    assert_eq!(servo.counters().macrosteps, 600);
 }
 
 #[test]

@@ -71,7 +71,7 @@ pub enum EcpError {
     /// The first step of a generator takes too long.
     #[error("the first step of the generator takes longer than {waited:?}")]
     Unplanned { waited: Duration },
-    /// At least one partner did not come to a meeting in time.
+    /// At least one partner did not come to a meeting or a tie in time, or a partner of the team sent no macrostep.
     #[error("the partners of a meeting did not come within {waited:?}")]
     Unmet { waited: Duration },
     /// The link to the coordinator failed.
@@ -86,13 +86,15 @@ pub enum EcpError {
 }
 
 impl EcpError {
-    /// Class of the error. A fault that concerns the cycle or the bus as a whole is a system error.
+    /// Class of the error. A fault that concerns the cycle or the bus as a whole is a system error. An effector that
+    /// was stopped with a partner of its team stands and takes further instructions.
     pub fn class(&self) -> Class {
         match self {
             Self::Servo(ServoFault {
                 cause: StopCause::Overrun { .. } | StopCause::Drive(Fault::OtherController { .. }),
                 ..
             }) => Class::System,
+            Self::Servo(ServoFault { cause: StopCause::Partner { .. }, .. }) => Class::NonFatal,
             Self::Servo(_) | Self::Faulted | Self::BrokenOff { .. } | Self::Silent { .. } | Self::TimedOut { .. } => {
                 Class::Fatal
             }

@@ -21,6 +21,7 @@
 //!
 //! Read [`Task`] first, then [`Ecp::poll`].
 
+mod around;
 mod error;
 mod image;
 mod motion;
@@ -44,6 +45,7 @@ use crate::sensor::Sensors;
 
 pub use error::{ChartPhase, Class, EcpError};
 use image::Effector;
+use partners::{Barrier, is_barrier};
 use planning::Planning;
 pub use planning::{AtOnce, Plan, Planner};
 use steps::Journal;
@@ -71,7 +73,7 @@ pub struct EcpConfig {
     pub planning: Duration,
     /// Time limit of homing.
     pub homing: Duration,
-    /// Time limit of the wait for the partners of a meeting.
+    /// Time limit of the wait for the partners of a meeting or a team.
     pub meeting: Duration,
 }
 
@@ -123,8 +125,8 @@ enum Activity {
     Idle,
     /// Waits until an order to enable, home, disable or reset has taken effect.
     Switching { order: Order, since: Instant },
-    /// Waits for the partners of a meeting. `admitted`: all partners have come.
-    Meeting { meeting: u8, since: Instant, admitted: bool },
+    /// Waits for the partners at a barrier. `admitted`: bit set of the partners, once all have come.
+    Meeting { barrier: Barrier, since: Instant, admitted: Option<u32> },
     /// Waits for the images of the first step that are not there yet.
     Awaiting { run: Box<dyn Execution + Send>, since: Instant },
     /// The planner computes the first step of a generator. The effector stands.
@@ -149,7 +151,7 @@ pub struct Ecp {
     activity: Activity,
     planning: Planning,
     report: Option<ServoReport>,
-    /// Orders that wait for room in the servo's queue.
+    /// Orders that wait for room in the servo's queue, or for the first macrosteps behind a barrier.
     outbox: VecDeque<Order>,
     /// Number of the last macrostep made.
     sent: u64,
@@ -173,12 +175,16 @@ pub struct Ecp {
     replacement: Option<Box<dyn Execution + Send>>,
     /// Time of the last report or accepted order.
     heard: Instant,
+    /// Begin of the wait of the effector for its partners, if it waits.
+    waiting: Option<Instant>,
     sensors: Sensors,
     /// The link to the coordinator, if there is one.
     coordinator: Option<Box<dyn MemberLink>>,
     /// Number of the present step of the generator, 0 for the first step.
     turn: u64,
     journal: Journal,
+    /// Servo cycle after which the last barrier was sent.
+    barrier_sent: Option<u64>,
 }
 
 impl Ecp {
@@ -205,10 +211,12 @@ impl Ecp {
             margin: Duration::ZERO,
             replacement: None,
             heard: Instant::ZERO,
+            waiting: None,
             sensors: Sensors::default(),
             coordinator: None,
             turn: 0,
             journal: Journal::default(),
+            barrier_sent: None,
         }
     }
 
@@ -272,33 +280,6 @@ impl Ecp {
         Status { phase: self.phase(), instruction: busy.then_some(self.instruction) }
     }
 
-    /// The meeting at which the process waits for its partners.
-    fn meeting(&self) -> Option<u8> {
-        match self.activity {
-            Activity::Meeting { meeting, .. } => Some(meeting),
-            _ => None,
-        }
-    }
-
-    /// Admits the process to the meeting at which it waits. The next poll sends a gate, and later orders queue behind
-    /// the gate.
-    fn admit(&mut self) {
-        if let Activity::Meeting { admitted, .. } = &mut self.activity {
-            *admitted = true;
-        }
-    }
-
-    /// Whether the process has left a meeting, has planned its next motion and has sent all its pending orders.
-    fn has_left(&self, meeting: u8) -> bool {
-        let planning = matches!(self.activity, Activity::Awaiting { .. } | Activity::Planning { .. });
-        self.meeting() != Some(meeting) && !planning && self.outbox.is_empty()
-    }
-
-    /// Notes at `now` that the servo is silent because the effector waits at a gate.
-    fn wait_at_gate(&mut self, now: Instant) {
-        self.heard = now;
-    }
-
     /// Holds the process between two instructions, or lets the next instruction begin. A stop is executed all the same.
     pub fn hold(&mut self, held: bool) {
         self.held = held;
@@ -354,7 +335,16 @@ impl Ecp {
             if self.held {
                 return None;
             }
-            let instruction = self.task.instructions.pop_front()?;
+            let disables = matches!(self.task.instructions.front(), Some(Instruction::Disable));
+            // The order to disable would overtake a barrier, and the partners would wait in vain.
+            if disables && self.is_at_barrier() && self.wait_for_partners(now).is_ok() {
+                self.offer(now);
+                return None;
+            }
+            let Some(instruction) = self.task.instructions.pop_front() else {
+                self.offer(now);
+                return None;
+            };
             self.heard = now;
             if let Some(outcome) = self.begin(instruction, now) {
                 return Some(self.end(outcome));
@@ -390,13 +380,24 @@ impl Ecp {
     }
 
     /// Sends the waiting orders for which the queue has room, all at once. Orders sent one by one would be unsafe: if
-    /// the thread lost the processor after the first macrostep, the servo would run out of macrosteps.
+    /// the thread lost the processor after the first macrostep, the servo would run out of macrosteps. A barrier is
+    /// sent together with the first macrosteps behind it, so that all partners begin in the same cycle.
     fn offer(&mut self, now: Instant) {
+        let undecided = matches!(
+            self.activity,
+            Activity::Awaiting { .. } | Activity::Planning { .. } | Activity::Meeting { admitted: Some(_), .. }
+        );
+        if undecided && self.outbox.back().is_some_and(is_barrier) {
+            return;
+        }
         let count = self.outbox.len().min(self.link.orders.slots());
         if count == 0 {
             return;
         }
         let stopping = self.outbox.front() == Some(&Order::Stop);
+        if self.outbox.iter().take(count).any(is_barrier) {
+            self.barrier_sent = Some(self.latest().cycle);
+        }
         let room = self.link.orders.write_chunk_uninit(count).expect("the queue has this many slots");
         room.fill_from_iter(self.outbox.drain(..count));
         self.heard = now;
@@ -415,7 +416,15 @@ impl Ecp {
     fn begin(&mut self, instruction: Instruction, now: Instant) -> Option<Result<(), EcpError>> {
         let phase = self.phase();
         self.chart = None;
+        let partner_stop = self.partner_stop();
+        if let Some(error) = partner_stop
+            && !matches!(instruction, Instruction::ResetFault | Instruction::Disable)
+        {
+            self.brake(Err(error));
+            return None;
+        }
         let order = match instruction {
+            Instruction::ResetFault if partner_stop.is_some() => Order::Stop,
             Instruction::ResetFault if phase != Phase::Faulted => return Some(Ok(())),
             Instruction::ResetFault => Order::ResetFault,
             _ if phase == Phase::Faulted => return Some(Err(self.cause_of(EcpError::Faulted))),
@@ -424,14 +433,13 @@ impl Ecp {
             Instruction::Run(run) if self.in_motion => return self.begin_run(run, now),
             _ if phase != Phase::Standing => return Some(Err(EcpError::NotStanding { phase })),
             Instruction::Home => Order::Home,
-            Instruction::Meet(meeting) => {
-                self.activity = Activity::Meeting { meeting, since: now, admitted: false };
-                return None;
-            }
+            Instruction::Meet(meeting) => return self.come_to(Barrier::Meeting(meeting), now),
+            Instruction::Tie(members) => return self.come_to(Barrier::Team(members), now),
+            Instruction::Untie => Order::Untie,
             Instruction::Run(_) if !self.homed() => return Some(Err(EcpError::NotHomed)),
             Instruction::Run(run) => return self.begin_run(run, now),
         };
-        if self.is_done(order) {
+        if order != Order::Untie && self.is_done(order) {
             return Some(Ok(()));
         }
         self.outbox.push_back(order);
@@ -442,11 +450,12 @@ impl Ecp {
     /// Whether the effector is already in the state to which an order leads.
     fn is_done(&self, order: Order) -> bool {
         match order {
-            Order::Enable | Order::Stop => self.phase() == Phase::Standing,
+            Order::Enable => self.phase() == Phase::Standing,
+            Order::Stop => self.phase() == Phase::Standing && self.partner_stop().is_none(),
             Order::Home => self.phase() == Phase::Standing && self.homed(),
             Order::Disable | Order::ResetFault => self.phase() == Phase::Off,
             Order::Move(macrostep) => self.executed >= macrostep.number,
-            Order::Gate(_) => true,
+            Order::Meet { .. } | Order::Tie { .. } | Order::Untie => true,
         }
     }
 
@@ -456,6 +465,22 @@ impl Ecp {
         if phase == Phase::Faulted && !clearing {
             self.clear_outbox();
             return Some(Err(self.cause_of(EcpError::Faulted)));
+        }
+        let stops = matches!(
+            self.activity,
+            Activity::Stopping { .. } | Activity::Switching { order: Order::Stop | Order::Disable, .. }
+        );
+        if let (Some(error), Activity::Stopping { outcome, .. }) = (self.partner_stop(), &mut self.activity)
+            && outcome.is_ok()
+        {
+            *outcome = Err(error);
+        }
+        if !stops {
+            let met = self.partner_stop().map_or_else(|| self.wait_for_partners(now), Err);
+            if met.is_err() {
+                self.brake(met);
+                return None;
+            }
         }
         match self.activity {
             Activity::Idle => None,
@@ -475,8 +500,11 @@ impl Ecp {
                 None
             }
             Activity::Meeting { .. } if phase != Phase::Standing => Some(Err(EcpError::BrokenOff { phase })),
-            Activity::Meeting { meeting, admitted: true, .. } => {
-                self.outbox.push_back(Order::Gate(meeting));
+            Activity::Meeting { barrier, admitted: Some(members), .. } => {
+                self.outbox.push_back(match barrier {
+                    Barrier::Meeting(_) => Order::Meet { members },
+                    Barrier::Team(_) => Order::Tie { members },
+                });
                 Some(Ok(()))
             }
             Activity::Meeting { ref mut since, .. } => {

@@ -7,7 +7,7 @@ use std::time::Duration;
 use can::Instant;
 use servo::{Macrostep, Order, Phase, Snapshot};
 
-use super::partners::Around;
+use super::around::Around;
 use super::task::Instruction;
 use super::{Activity, BURST, ChartPhase, Ecp, EcpError, NotRunning, STILL, StepEvent};
 use crate::coordination::{LinkError, MemberLink, Turn};

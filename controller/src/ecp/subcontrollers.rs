@@ -1,8 +1,6 @@
 //! The subcontrollers C1 to Cn of one cell, and the meetings between them.
 
-use can::Instant;
-use servo::Gates;
-
+use super::partners::Barrier;
 use super::{Ecp, Planner, Status};
 
 /// The effector control processes of one cell, one per robot, and the meetings between them.
@@ -38,56 +36,47 @@ impl Subcontrollers {
     }
 }
 
-/// The meetings of a cell's effector control processes. Each meeting is held once, when all its partners have come.
+/// The meetings of a cell's effector control processes. The same partners may hold a meeting any number of times.
 ///
-/// All partners continue in the same servo cycle. When all have come, they are admitted. Each partner then sends a
-/// gate, plans its next motion and sends its first orders to the servo. When all partners have sent these orders, the
-/// gate opens for all at once.
-/// A preemption of the calling thread in between does not change the result.
+/// All partners continue in the same servo cycle. When all have come to a barrier, they are admitted: each plans its
+/// next motion and sends its barrier and the first macrosteps at once ([`Order::Meet`](servo::Order::Meet) or
+/// [`Order::Tie`](servo::Order::Tie)). The servo lets all pass together. A preemption of the calling thread in between
+/// does not change the result.
 #[derive(Debug)]
 pub struct Meetings {
-    meetings: Vec<Meeting>,
-    gates: Gates,
-}
-
-#[derive(Debug)]
-struct Meeting {
-    partners: Vec<usize>,
-    progress: Progress,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Progress {
-    Gathering,
-    Admitted,
-    Held,
+    /// Bit set of the partners of each meeting.
+    partners: Vec<u32>,
 }
 
 impl Meetings {
-    /// At most [`Gates::COUNT`] meetings, each a list of partners by the indices of their processes.
-    pub fn new(partners: impl IntoIterator<Item = Vec<usize>>, gates: Gates) -> Self {
-        let meeting = |partners| Meeting { partners, progress: Progress::Gathering };
-        Self { meetings: partners.into_iter().map(meeting).collect(), gates }
+    /// The meetings, each a list of partners by the indices of their processes, below 32.
+    pub fn new(partners: impl IntoIterator<Item = Vec<usize>>) -> Self {
+        let bits = |partners: Vec<usize>| partners.into_iter().fold(0, |all, index| all | bit(index));
+        Self { partners: partners.into_iter().map(bits).collect() }
     }
 
-    /// Advances the meetings whose partners are ready. The processes were polled until they returned no more events.
-    pub(crate) fn poll(&mut self, ecps: &mut [Ecp], now: Instant) {
-        for (meeting, number) in self.meetings.iter_mut().zip(0..) {
-            let mut partners = meeting.partners.iter();
-            match meeting.progress {
-                Progress::Gathering if partners.all(|&at| ecps[at].meeting() == Some(number)) => {
-                    for &at in &meeting.partners {
-                        ecps[at].admit();
-                    }
-                    meeting.progress = Progress::Admitted;
-                }
-                Progress::Admitted if partners.all(|&at| ecps[at].has_left(number)) => {
-                    self.gates.open(number);
-                    meeting.progress = Progress::Held;
-                }
-                Progress::Admitted => meeting.partners.iter().for_each(|&at| ecps[at].wait_at_gate(now)),
-                Progress::Gathering | Progress::Held => {}
+    /// Admits the processes whose partners are all at the same barrier. The processes were polled until they returned
+    /// no more events.
+    pub(crate) fn poll(&self, ecps: &mut [Ecp]) {
+        for index in 0..ecps.len() {
+            let Some(barrier) = ecps[index].barrier() else {
+                continue;
+            };
+            let members = match barrier {
+                Barrier::Meeting(meeting) => self.partners.get(usize::from(meeting)).copied().unwrap_or_default(),
+                Barrier::Team(members) => members,
+            };
+            // The servo refuses a barrier without its effector.
+            let partners = if members & bit(index) == 0 { bit(index) } else { members };
+            let is_partner = |index: usize| partners & bit(index) != 0;
+            if ecps.iter().enumerate().all(|(index, ecp)| !is_partner(index) || ecp.barrier() == Some(barrier)) {
+                let partners = ecps.iter_mut().enumerate().filter(|(index, _)| is_partner(*index));
+                partners.for_each(|(_, ecp)| ecp.admit(members));
             }
         }
     }
+}
+
+fn bit(index: usize) -> u32 {
+    1u32.checked_shl(index as u32).unwrap_or(0)
 }

@@ -8,6 +8,8 @@ pub(super) enum Instruction {
     Enable,
     Home,
     Meet(u8),
+    Tie(u32),
+    Untie,
     Run(Box<dyn Execution + Send>),
     Disable,
     ResetFault,
@@ -41,10 +43,29 @@ impl Task {
     }
 
     /// Stand until every partner of this meeting has come, then continue in the same cycle as the partners. The
-    /// [`Meetings`](super::Meetings) of the cell define the partners.
+    /// [`Meetings`](super::Meetings) of the cell define the partners. A task may come to a meeting any number of times.
     #[must_use]
     pub fn meet(self, meeting: u8) -> Self {
         self.then(Instruction::Meet(meeting))
+    }
+
+    /// Stand until every member has come to the same tie. Then the members are a team: they begin each macrostep in the
+    /// same servo cycle, and a stop of one stops all ([`Order::Tie`](servo::Order::Tie)). Bit *i* of `members` is robot
+    /// *i* of the cell, and this robot is a member.
+    ///
+    /// A generator that ends in motion without a successor is braked, which stops the team. A robot that a partner
+    /// stopped stands with power on. The present instruction of this robot ends with
+    /// [`StopCause::Partner`](servo::StopCause::Partner), or its next one if none is under way, unless the next one
+    /// disables the robot or resets faults.
+    #[must_use]
+    pub fn tie(self, members: u32) -> Self {
+        self.then(Instruction::Tie(members))
+    }
+
+    /// Leave the team. The robot stands.
+    #[must_use]
+    pub fn untie(self) -> Self {
+        self.then(Instruction::Untie)
     }
 
     /// Move by a generator until its terminal condition holds and the effector stands.

@@ -6,13 +6,14 @@ mod failures;
 mod images;
 mod pace;
 mod planning;
+mod teams;
 mod weight;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 
 use nalgebra::Vector3;
-use servo::{Gates, MAX_AXES, Macrostep, Publisher, ServoFault, StopCause};
+use servo::{MAX_AXES, Macrostep, Publisher, ServoFault, StopCause};
 
 use super::*;
 use crate::generator::{
@@ -164,8 +165,8 @@ impl Script {
                         self.phase(Phase::Standing);
                     }
                 }
-                // The gates of this script are always open.
-                Order::Gate(_) => {}
+                // The partners of this script are always there.
+                Order::Meet { .. } | Order::Tie { .. } | Order::Untie => {}
                 Order::Disable => self.phase(Phase::Off),
                 Order::ResetFault => {
                     self.report.fault = None;
@@ -443,7 +444,7 @@ fn the_first_macrosteps_of_a_motion_reach_the_servo_at_once() {
 /// bench sent its first macrostep.
 fn meet(late: u64) -> [u64; 2] {
     let mut benches = [Bench::ready(), Bench::ready()];
-    let mut meetings = Meetings::new([vec![0, 1]], Gates::default());
+    let meetings = Meetings::new([vec![0, 1]]);
     for (bench, wait) in benches.iter_mut().zip([0, late]) {
         let mut task = Task::new();
         for _ in 0..wait {
@@ -460,7 +461,7 @@ fn meet(late: u64) -> [u64; 2] {
         }
         let [one, other] = benches;
         let mut ecps = [one.ecp, other.ecp];
-        meetings.poll(&mut ecps, now);
+        meetings.poll(&mut ecps);
         let [first, second] = ecps;
         benches = [Bench { ecp: first, ..one }, Bench { ecp: second, ..other }];
         for (bench, began) in benches.iter_mut().zip(&mut began) {

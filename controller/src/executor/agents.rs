@@ -194,7 +194,7 @@ impl Agents {
             }
         }
         if polled {
-            meetings.poll(ecps, now);
+            meetings.poll(ecps);
         }
         of_system
     }

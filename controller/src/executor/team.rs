@@ -46,6 +46,7 @@ impl<'a, const N: usize> Team<'a, N> {
         K: Coordinator<N>,
         G: Generator<Out: Answers<K::Answer>>,
     {
+        let members = self.members.iter().fold(0, |set, member| set | 1 << member.robot());
         let (agents, macrostep) = (self.members[0].agents().clone(), self.members[0].cell_macrostep());
         let links = self.members.each_mut().map(|member| {
             let (coordinator_end, member_end) = link::<K::Order, K::Answer>(self.link);
@@ -56,7 +57,7 @@ impl<'a, const N: usize> Team<'a, N> {
         let under_way = Cell::new(N);
         let mut parts: Vec<Part<TeamError>> = Vec::with_capacity(N + 1);
         for (member, generator) in self.members.iter_mut().zip(generators) {
-            let list = Task::new().run(generator);
+            let list = Task::new().tie(members).run(generator).untie();
             let under_way = &under_way;
             parts.push(Box::pin(async move {
                 let following = Following(member);

@@ -2,14 +2,12 @@
 
 use super::{Cell, Instruction, Robot};
 
-/// One meeting: the first, second, … occurrence of its name.
+/// A meeting, which its robots may hold any number of times.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Meeting {
     /// Its name.
     pub name: String,
-    /// Number of earlier meetings of this name.
-    pub occurrence: usize,
-    /// Indices of the robots whose programs name the meeting so many times.
+    /// Indices of the robots whose programs name the meeting.
     pub robots: Vec<usize>,
 }
 
@@ -18,13 +16,11 @@ impl Cell {
     pub fn meetings(&self) -> Vec<Meeting> {
         let mut meetings: Vec<Meeting> = Vec::new();
         for (number, robot) in self.robot.iter().enumerate() {
-            let mut names: Vec<&str> = Vec::new();
             for (_, name) in robot.meetings() {
-                let occurrence = names.iter().filter(|before| **before == name).count();
-                names.push(name);
-                match meetings.iter_mut().find(|it| it.name == name && it.occurrence == occurrence) {
+                match meetings.iter_mut().find(|it| it.name == name) {
+                    Some(meeting) if meeting.robots.contains(&number) => {}
                     Some(meeting) => meeting.robots.push(number),
-                    None => meetings.push(Meeting { name: name.to_owned(), occurrence, robots: vec![number] }),
+                    None => meetings.push(Meeting { name: name.to_owned(), robots: vec![number] }),
                 }
             }
         }
@@ -39,12 +35,5 @@ impl Robot {
             Instruction::Meet(name) => Some((index, name.as_str())),
             Instruction::Joints(_) | Instruction::Line(_) => None,
         })
-    }
-
-    /// The index in `meetings` of the meeting at instruction `index` of this robot's program.
-    pub(super) fn meeting_at(&self, index: usize, meetings: &[Meeting]) -> Option<u8> {
-        let (_, name) = self.meetings().find(|(at, _)| *at == index)?;
-        let occurrence = self.meetings().take_while(|(at, _)| *at < index).filter(|(_, other)| *other == name).count();
-        u8::try_from(meetings.iter().position(|it| it.name == name && it.occurrence == occurrence)?).ok()
     }
 }

@@ -81,9 +81,10 @@ impl Cell {
                 Instruction::Line(line) => {
                     given.line(arm, line, &joints, start, task).map_err(|error| (key.then("line"), error))
                 }
-                Instruction::Meet(_) => {
-                    let meeting = given.meeting_at(index, &meetings).expect("a parsed cell has few enough meetings");
-                    Ok((task.meet(meeting), joints))
+                Instruction::Meet(name) => {
+                    let meeting = meetings.iter().position(|it| it.name == *name);
+                    let meeting = meeting.and_then(|meeting| u8::try_from(meeting).ok());
+                    Ok((task.meet(meeting.expect("a parsed cell has few enough meetings")), joints))
                 }
             }?;
             (task, joints) = (next, end);

@@ -336,6 +336,16 @@ fn a_model_has_one_name_and_the_axes_of_its_robot() {
 }
 
 #[test]
+fn robots_may_come_to_a_meeting_any_number_of_times() {
+    let meet = "[[robot.program]]\nmeet = \"end\"\n";
+    let text = LAB.replace(meet, &meet.repeat(300));
+    assert!(text.len() > LAB.len() + 6 * 299 * meet.len() - 1);
+    let meetings = Cell::parse(&text).unwrap().meetings();
+    assert_eq!(meetings.len(), 3);
+    assert!(meetings.iter().all(|meeting| meeting.robots == [0, 1, 2, 3, 4, 5]), "{meetings:?}");
+}
+
+#[test]
 fn meetings_that_cannot_be_held_are_refused_at_their_line() {
     // For the robots irb6, irp6-track, rnt, polycrank, gripper and conveyor: start, middle and end.
     let third = |good: &str, bad: &str, occurrence: usize| {
@@ -349,6 +359,7 @@ fn meetings_that_cannot_be_held_are_refused_at_their_line() {
         .nth(2)
         .map(|(at, it)| format!("{}{}{}", &swapped[..at], meet("start"), &swapped[at + it.len()..]));
     let swapped = swapped.unwrap().replacen("\"tmp\"", "\"half-way\"", 1);
+    let many: String = (0..254).map(|name| format!("[[robot.program]]\nmeet = \"{name}\"\n\n")).collect();
     let cases = [
         (
             third(&meet("end"), &meet("END"), 1),
@@ -364,9 +375,8 @@ fn meetings_that_cannot_be_held_are_refused_at_their_line() {
              which waits at \"half-way\"",
         ),
         (
-            LAB.replacen("[[robot.program]]", "[[robot.program]]\nmeet = \"many\"\n\n", 1)
-                .replace("meet = \"many\"\n\n", &"meet = \"many\"\n\n[[robot.program]]\n".repeat(62)),
-            "robot[0].program[66].meet: is one of 65 meetings of the robot, which may have 64",
+            LAB.replacen("[[robot.program]]", &format!("{many}[[robot.program]]"), 1),
+            "robot[0].program[258].meet: is one of 257 meetings of the cell, which may have 256",
         ),
         (
             third("duration = 6.0", "duration = 0.0", 0),

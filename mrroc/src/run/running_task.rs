@@ -80,7 +80,7 @@ impl RunningTask {
         Self {
             file: Arc::clone(file),
             program: program.clone(),
-            subcontrollers: setup::subcontrollers(file, links, servo.gates()),
+            subcontrollers: setup::subcontrollers(file, links),
             instructions,
             stop: servo.stop_request(),
             speed: servo.speed_override(),

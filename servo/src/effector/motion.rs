@@ -4,17 +4,58 @@ use super::{Effector, Tick};
 use crate::axis::ServoAxis;
 use crate::interpolate::{Segment, Start};
 use crate::motion_time::Bounds;
-use crate::{Knot, MAX_AXES, Macrostep, Order, ServoEvent, ServoState, StopCause};
+use crate::{Knot, Macrostep, Order, ServoEvent, ServoState, StopCause};
+
+/// The axis of a failed check, if the check concerns a single axis, and the cause of the stop.
+type Failed = (Option<usize>, StopCause);
 
 impl Effector {
-    /// Interpolates, starts the next macrostep at the end of each one, and brakes on an error.
-    pub(super) fn follow_macrosteps(&mut self, tick: &Tick) {
-        if let Err((axis, cause)) = self.try_follow(tick) {
+    /// Interpolates, begins the next macrostep if `begin`, and stops on an error. The new set-points are only
+    /// [taken](Self::take_set_points) after all effectors have found theirs.
+    pub(crate) fn follow_macrosteps(&mut self, begin: bool, tick: &Tick) {
+        if self.state != ServoState::Moving && !begin {
+            return;
+        }
+        self.decided = true;
+        if let Err((axis, cause)) = self.try_follow(begin, tick) {
             self.fail(tick, axis, cause);
-            if matches!(self.state, ServoState::Braking(_)) && self.stop.advance() {
-                self.place_stop();
+        }
+    }
+
+    /// Takes the set-points found in this cycle. A stop of this cycle replaces them by its own.
+    pub(super) fn take_set_points(&mut self) {
+        if matches!(self.state, ServoState::Braking(_)) && self.stop.advance() {
+            self.place_stop();
+        }
+        if let Some(segment) = self.segment.as_ref().filter(|_| self.state == ServoState::Moving) {
+            for (index, axis) in self.axes.iter_mut().enumerate() {
+                axis.knot = self.next[index];
+                axis.torque = segment.torque(index);
             }
         }
+    }
+
+    /// Whether the effector stands, or its macrostep ends in this cycle.
+    pub(super) fn is_at_boundary(&self, tick: &Tick) -> bool {
+        let ends = |segment: &Segment| segment.excess(tick.motion.periods).is_some();
+        let moving = self.state == ServoState::Moving && self.segment.as_ref().is_none_or(ends);
+        self.state == ServoState::Standing || moving
+    }
+
+    /// Whether the macrostep ends in this cycle while an axis moves.
+    pub(crate) fn runs_out_in_motion(&self, tick: &Tick) -> bool {
+        self.is_at_boundary(tick) && self.axis_in_motion().is_some()
+    }
+
+    /// The first axis that moves at the end of the macrostep.
+    fn axis_in_motion(&self) -> Option<usize> {
+        self.segment.as_ref().and_then(|segment| segment.ends_in_motion(self.axes.len()))
+    }
+
+    /// Stops an effector that has no next macrostep, while it or a partner moves.
+    pub(crate) fn starve(&mut self, tick: &Tick) {
+        self.decided = true;
+        self.fail(tick, self.axis_in_motion(), StopCause::Starved { last: self.macrostep });
     }
 
     /// Bounds of the change of the rate of motion time, by the acceleration limits of the axes that follow a macrostep.
@@ -30,47 +71,30 @@ impl Effector {
         self.axes.iter().enumerate().map(bounds).fold(Bounds::NONE, Bounds::within)
     }
 
-    fn try_follow(&mut self, tick: &Tick) -> Result<(), (Option<usize>, StopCause)> {
+    fn try_follow(&mut self, begin: bool, tick: &Tick) -> Result<(), Failed> {
         let mut periods = tick.motion.periods;
-        match self.segment.as_ref().map(|segment| segment.excess(periods)) {
-            None => self.segment = self.begin(tick)?,
-            Some(None) => {}
-            Some(Some(excess)) => {
-                if let Some(next) = self.begin(tick)? {
-                    periods = excess;
-                    self.segment = Some(next);
-                } else {
-                    self.run_out(tick)?;
-                }
-            }
+        let excess = self.segment.as_ref().and_then(|segment| segment.excess(periods));
+        if begin {
+            self.begin(tick);
+            periods = excess.unwrap_or(periods);
+        } else if excess.is_some() {
+            self.run_out(tick)?;
         }
         let Some(segment) = &mut self.segment else {
             return Ok(());
         };
         self.due |= segment.advance(periods);
-        let mut knots = [Knot::default(); MAX_AXES];
         for (index, axis) in self.axes.iter().enumerate() {
             let knot = tick.motion.slow(segment.at(index));
             axis.vet(knot.position, tick.dt).map_err(|cause| (Some(index), cause))?;
-            knots[index] = knot;
-        }
-        // The set-points are taken only after all were checked. An effector is never commanded in part.
-        for (index, axis) in self.axes.iter_mut().enumerate() {
-            axis.knot = knots[index];
-            axis.torque = segment.torque(index);
+            self.next[index] = knot;
         }
         Ok(())
     }
 
-    /// Ends a motion whose last macrostep is over. A macrostep that ends in motion must have a successor.
-    fn run_out(&mut self, tick: &Tick) -> Result<(), (Option<usize>, StopCause)> {
-        let Some(segment) = &self.segment else {
-            return Ok(());
-        };
-        if let Some(axis) = segment.ends_in_motion(self.axes.len()) {
-            return Err((Some(axis), StopCause::Starved { last: self.macrostep }));
-        }
-        if segment.is_over() {
+    /// Ends a motion whose last macrostep ends at rest.
+    fn run_out(&mut self, tick: &Tick) -> Result<(), Failed> {
+        if self.segment.as_ref().is_some_and(Segment::is_over) {
             // A macrostep may end with zero velocity and still arrive with a last step that is too fast.
             for (index, axis) in self.axes.iter().enumerate() {
                 axis.vet(axis.knot.position, tick.dt).map_err(|cause| (Some(index), cause))?;
@@ -80,15 +104,11 @@ impl Effector {
         Ok(())
     }
 
-    /// Takes the next macrostep from the queue, if there is one.
-    fn begin(&mut self, tick: &Tick) -> Result<Option<Segment>, (Option<usize>, StopCause)> {
-        if !matches!(self.orders.peek(), Ok(Order::Move(_))) {
-            return Ok(None);
-        }
+    /// Takes the next macrostep from the queue.
+    fn begin(&mut self, tick: &Tick) {
         let Some(Order::Move(macrostep)) = self.pop() else {
-            return Ok(None);
+            return;
         };
-        self.admit(&macrostep)?;
         let told = macrostep.torque.iter().any(|torque| *torque != 0.0);
         if told && self.state == ServoState::Standing {
             // Bumpless transfer: the torque that loops hold since homing or since a stop moves into the feed-forward.
@@ -106,14 +126,37 @@ impl Effector {
         self.apply(tick, ServoEvent::Move);
         self.macrostep = macrostep.number;
         self.counters.macrosteps += 1;
-        Ok(Some(Segment::new(macrostep, start, tick.dt)))
+        if self.is_tied() {
+            self.team.count(macrostep.number);
+        }
+        self.segment = Some(Segment::new(macrostep, start, tick.dt));
     }
 
-    /// Checks whether a macrostep can be started.
-    fn admit(&self, macrostep: &Macrostep) -> Result<(), (Option<usize>, StopCause)> {
+    /// Whether the next macrostep can be begun. The effector is stopped if not.
+    pub(crate) fn admit_next(&mut self, tick: &Tick) -> bool {
+        let admitted = self.next_macrostep(tick).map_or(Ok(()), |macrostep| self.admit(macrostep));
+        let Err((axis, cause)) = admitted else {
+            return true;
+        };
+        self.refuse_next(tick, axis, cause);
+        false
+    }
+
+    /// Drops the next macrostep, and stops the effector.
+    pub(crate) fn refuse_next(&mut self, tick: &Tick, axis: Option<usize>, cause: StopCause) {
+        self.pop();
+        self.decided = true;
+        self.fail(tick, axis, cause);
+    }
+
+    fn admit(&self, macrostep: &Macrostep) -> Result<(), Failed> {
         let number = macrostep.number;
         if !(1..=macrostep.steps).contains(&macrostep.report_at) {
             return Err((None, StopCause::Malformed { number }));
+        }
+        let in_team = self.team.next_number().filter(|_| self.is_tied());
+        if let Some(expected) = in_team.filter(|expected| *expected != number) {
+            return Err((None, StopCause::OutOfSequence { number, expected }));
         }
         for (index, axis) in self.axes.iter().enumerate() {
             let Macrostep { position, velocity, acceleration, torque, .. } = macrostep;

@@ -8,6 +8,7 @@ mod power;
 mod snapshots;
 mod speed;
 mod stops;
+mod teams;
 mod weights;
 
 use std::sync::{Arc, Mutex, MutexGuard};

@@ -121,15 +121,14 @@ fn a_panic_in_a_first_step_is_an_error_of_its_generator() {
 }
 
 #[test]
-fn a_meeting_lets_nobody_go_before_all_motions_are_planned() {
+fn each_process_sends_its_barrier_together_with_its_first_macrosteps() {
     let mut benches = [Bench::ready(), Bench::ready()];
-    let gates = Gates::default();
-    let mut meetings = Meetings::new([vec![0, 1]], gates.clone());
+    let meetings = Meetings::new([vec![0, 1]]);
     let held = benches.each_mut().map(Held::on);
     for bench in &mut benches {
         bench.ecp.execute(Task::new().meet(0).run(to(0.1, 0.0, 0.0))).unwrap();
     }
-    let mut opened = None;
+    let mut sent = [None; 2];
     // Longer than a servo may be silent in motion.
     let periods = (3 * CONFIG.silence).as_millis() / PERIOD.as_millis();
     for period in 0..periods {
@@ -146,15 +145,25 @@ fn a_meeting_lets_nobody_go_before_all_motions_are_planned() {
         }
         let [one, other] = benches;
         let mut ecps = [one.ecp, other.ecp];
-        meetings.poll(&mut ecps, now);
+        meetings.poll(&mut ecps);
         let [first, second] = ecps;
         benches = [Bench { ecp: first, ..one }, Bench { ecp: second, ..other }];
-        benches.iter_mut().for_each(|bench| bench.now += PERIOD);
-        if gates.is_open(0) {
-            opened.get_or_insert(period);
+        for (bench, sent) in benches.iter_mut().zip(&mut sent) {
+            bench.now += PERIOD;
+            let orders = bench.servo.orders.slots();
+            if orders > 0 {
+                sent.get_or_insert((period, orders));
+                // The effector waits at the barrier.
+                bench.servo.report.snapshot.waiting = true;
+                bench.servo.publish();
+            }
         }
     }
-    assert_eq!(opened, Some(periods - 10));
+    let chunk = 1 + usize::from(CONFIG.macrosteps_ahead);
+    assert_eq!(sent, [Some((50, chunk)), Some((periods - 10, chunk))]);
+    for bench in &mut benches {
+        assert_eq!(bench.servo.orders.pop(), Ok(Order::Meet { members: 0b11 }));
+    }
 }
 
 #[test]

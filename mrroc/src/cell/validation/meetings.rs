@@ -1,53 +1,47 @@
 //! Checks that all meetings of a cell's programs can take place.
 
-use servo::Gates;
-
 use super::Checked;
 use crate::cell::{Cell, Meeting, Path, instruction_path};
+
+/// Greatest number of meetings of a cell, each counted once.
+const MOST: usize = 256;
 
 /// Robots with a common meeting must come to it equally often. The order of the meetings must not make robots wait for
 /// each other forever.
 pub(super) fn check(cell: &Cell) -> Checked {
-    for (number, robot) in cell.robot.iter().enumerate() {
-        // Each occurrence of a name is a meeting of its own.
-        let (own, most) = (robot.meetings().count(), usize::from(Gates::COUNT));
-        if let Some((index, _)) = robot.meetings().nth(most) {
-            let why = format!("is one of {own} meetings of the robot, which may have {most}");
-            return Err((instruction_path(number, index).then("meet"), why));
-        }
-    }
     let meetings = cell.meetings();
-    if meetings.len() > usize::from(Gates::COUNT) {
-        let (most, found) = (Gates::COUNT, meetings.len());
-        let robot = meetings[usize::from(most)].robots[0];
-        let why = format!("is one of {found} meetings of the cell, which may have {most}");
-        let (index, _) = cell.robot[robot].meetings().next().unwrap_or_default();
+    if let Some(Meeting { name, robots }) = meetings.get(MOST) {
+        let robot = robots.first().copied().unwrap_or_default();
+        let found = meetings.len();
+        let (index, _) = cell.robot[robot].meetings().find(|(_, it)| it == name).unwrap_or_default();
+        let why = format!("is one of {found} meetings of the cell, which may have {MOST}");
         return Err((instruction_path(robot, index).then("meet"), why));
     }
-    meetings.iter().find_map(|it| lonely(cell, &meetings, it)).or_else(|| hold(cell)).map_or(Ok(()), Err)
+    meetings.iter().find_map(|it| lonely(cell, it)).or_else(|| hold(cell)).map_or(Ok(()), Err)
 }
 
-/// The error of a meeting with a wrong number of robots.
-fn lonely(cell: &Cell, meetings: &[Meeting], meeting: &Meeting) -> Option<(Path, String)> {
-    let name = &meeting.name;
-    let first = meetings.iter().find(|it| it.name == *name)?;
-    let robot = *meeting.robots.first()?;
-    let comes = |robot: usize| cell.robot[robot].meetings().filter(|it| it.1 == name);
-    let index = comes(robot).nth(meeting.occurrence)?.0;
-    let path = instruction_path(robot, index).then("meet");
+/// The error of a meeting with a single robot, or to which the robots do not come equally often.
+fn lonely(cell: &Cell, Meeting { name, robots }: &Meeting) -> Option<(Path, String)> {
+    let comes = |robot: usize| cell.robot[robot].meetings().filter(move |(_, it)| it == name);
+    let times = |robot: usize| comes(robot).count();
     let called = |robot: usize| &cell.robot[robot].name;
-    if first.robots.len() < 2 {
-        return Some((path, format!("no robot but {:?} comes to meeting {name:?}", called(robot))));
+    let path = |robot: usize, occurrence: usize| {
+        let index = comes(robot).nth(occurrence)?.0;
+        Some(instruction_path(robot, index).then("meet"))
+    };
+    if let [robot] = robots[..] {
+        return Some((path(robot, 0)?, format!("no robot but {:?} comes to meeting {name:?}", called(robot))));
     }
-    let other = *first.robots.iter().find(|it| !meeting.robots.contains(it))?;
+    let other = robots.iter().copied().min_by_key(|robot| times(*robot))?;
+    let least = times(other);
+    let robot = robots.iter().copied().find(|robot| times(*robot) > least)?;
     let why = format!(
-        "robot {:?} comes {} times to meeting {name:?}, robot {:?} {} times",
+        "robot {:?} comes {} times to meeting {name:?}, robot {:?} {least} times",
         called(robot),
-        comes(robot).count(),
+        times(robot),
         called(other),
-        comes(other).count(),
     );
-    Some((path, why))
+    Some((path(robot, least)?, why))
 }
 
 /// Holds meetings in order, until all were held or the remaining robots wait for each other.

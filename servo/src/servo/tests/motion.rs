@@ -200,64 +200,6 @@ proptest! {
 }
 
 #[test]
-fn effectors_at_a_gate_go_on_in_the_cycle_that_finds_it_open() {
-    let mut config = scripted::config(2);
-    config.effectors.push(scripted::config(2).effectors.remove(0));
-    for (effector, config) in config.effectors.iter_mut().enumerate() {
-        config.axes.iter_mut().for_each(|axis| axis.group = effector);
-    }
-    let (groups, worlds): (Vec<_>, Vec<_>) = (0..2).map(|_| scripted::group(2)).unzip();
-    for world in &worlds {
-        let axes = &mut world.lock().unwrap().axes;
-        let homed = |drive: &mut scripted::Drive| drive.state.homing = Homing::Attained;
-        axes.iter_mut().for_each(homed);
-    }
-    let (mut servo, mut links) = Servo::new(&config, groups).unwrap();
-    let mut now = Instant::ZERO;
-    let mut cycle = |servo: &mut Servo| {
-        servo.step(now);
-        now += PERIOD;
-        [0, 1].map(|index| servo.state(index).unwrap().phase())
-    };
-    // The first effector waits long before the second gets its order, and the second has another gate to pass.
-    let gates = servo.gates();
-    gates.open(63);
-    for (link, late) in links.iter_mut().zip([0, 30]) {
-        for _ in 0..late {
-            cycle(&mut servo);
-        }
-        let gate = [Order::Enable, Order::Gate(63), Order::Gate(5)];
-        let move_on = Order::Move(macrostep(1, 10, 0.01, 0.0));
-        for order in gate.into_iter().chain([move_on]) {
-            link.orders.push(order).unwrap();
-        }
-    }
-    gates.open(6);
-    gates.open(200);
-    for _ in 0..100 {
-        assert!(!cycle(&mut servo).contains(&Phase::Moving));
-    }
-    gates.open(5);
-    assert_eq!(cycle(&mut servo), [Phase::Moving; 2]);
-    assert_eq!(servo.counters().refused_orders, 0);
-}
-
-#[test]
-fn a_stop_drops_what_waits_at_a_gate() {
-    let mut rig = Rig::standing(1);
-    for order in [Order::Gate(0), Order::Move(macrostep(1, 10, 0.01, 0.0))] {
-        rig.order(order);
-    }
-    rig.run(20);
-    rig.order(Order::Disable);
-    rig.run_until(Phase::Off);
-    rig.servo.gates().open(0);
-    rig.run(20);
-    assert_eq!(rig.phase(), Phase::Off);
-    assert_eq!(rig.servo.counters().refused_orders, 2);
-}
-
-#[test]
 fn a_record_has_the_command_that_its_sample_answers_wherever_the_error_counts() {
     let mut rig = Rig::standing(2);
     let mut records = rig.servo.record(100);

@@ -1,0 +1,282 @@
+//! Processes that meet and that move as a team, on the real servo with ideal drives.
+
+use std::sync::Mutex;
+use std::task::Poll;
+
+use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Homing, Power};
+use servo::{EffectorConfig, PositionLoop, Servo, ServoAxisConfig, ServoConfig};
+
+use super::*;
+
+const AXES: usize = 3;
+const BOTH: u32 = 0b11;
+const FAULT: Fault = Fault::Drive { node: 1, code: 0x2310 };
+
+/// Ideal drives of one robot, homed. `fault` is the fault of the first drive.
+struct Ideal {
+    commands: [AxisCommand; AXES],
+    latched: [AxisCommand; AXES],
+    position: [f64; AXES],
+    fault: Arc<Mutex<Option<Fault>>>,
+}
+
+impl DriveGroup for Ideal {
+    fn axes(&self) -> usize {
+        AXES
+    }
+    fn delay(&self) -> usize {
+        2
+    }
+    fn bring_up(&mut self, _: Instant) -> Poll<Result<(), BringUpError>> {
+        Poll::Ready(Ok(()))
+    }
+    fn read(&mut self, now: Instant, states: &mut [AxisState]) {
+        for (axis, state) in states.iter_mut().enumerate() {
+            let on = !matches!(self.latched[axis], AxisCommand::Off | AxisCommand::ResetFault);
+            *state = AxisState {
+                sampled: now,
+                position: self.position[axis],
+                power: if on { Power::On } else { Power::Off },
+                homing: Homing::Attained,
+                following: on,
+                fault: self.fault.lock().unwrap().filter(|_| axis == 0),
+                ..AxisState::default()
+            };
+        }
+    }
+    fn write(&mut self, _: Instant, commands: &[AxisCommand]) {
+        self.commands.copy_from_slice(commands);
+    }
+    fn send(&mut self, _: Instant) -> bool {
+        for (position, command) in self.position.iter_mut().zip(&self.latched) {
+            if let AxisCommand::Follow(drive::Setpoint::Position(commanded)) = command {
+                *position = commanded.get();
+            }
+        }
+        self.latched = self.commands;
+        true
+    }
+    fn counters(&self) -> GroupCounters {
+        GroupCounters::default()
+    }
+}
+
+/// Two robots, their processes and their servo. Meeting 0 is between both.
+struct Cell {
+    servo: Servo,
+    ecps: [Ecp; 2],
+    meetings: Meetings,
+    faults: [Arc<Mutex<Option<Fault>>>; 2],
+    now: Instant,
+    outcomes: [Vec<Result<(), EcpError>>; 2],
+    /// Cycles in which each robot began to move.
+    began: [Vec<u32>; 2],
+    cycle: u32,
+}
+
+impl Cell {
+    /// Both robots stand.
+    fn standing() -> Self {
+        let faults: [Arc<Mutex<Option<Fault>>>; 2] = Default::default();
+        let group = |fault: &Arc<Mutex<Option<Fault>>>| -> Box<dyn DriveGroup> {
+            let off = [AxisCommand::Off; AXES];
+            Box::new(Ideal { commands: off, latched: off, position: [0.0; AXES], fault: Arc::clone(fault) })
+        };
+        let config = ServoConfig { period: PERIOD, max_missed_in_row: 1, effectors: (0..2).map(effector).collect() };
+        let (servo, links) = Servo::new(&config, faults.iter().map(group).collect()).unwrap();
+        let ecp = |link| Ecp::new(Arm::new(Arc::new(Gantry), Pose::identity()), link, CONFIG);
+        let ecps: Vec<Ecp> = links.into_iter().map(ecp).collect();
+        let Ok(ecps): Result<[Ecp; 2], _> = ecps.try_into() else { unreachable!("there are two robots") };
+        let mut cell = Self {
+            servo,
+            ecps,
+            meetings: Meetings::new([vec![0, 1]]),
+            faults,
+            now: Instant::ZERO,
+            outcomes: Default::default(),
+            began: Default::default(),
+            cycle: 0,
+        };
+        assert_eq!(cell.run([Task::new().enable(), Task::new().enable()]), [vec![Ok(())], vec![Ok(())]]);
+        cell
+    }
+
+    fn execute(&mut self, tasks: [Task; 2]) {
+        for (ecp, task) in self.ecps.iter_mut().zip(tasks) {
+            ecp.execute(task).unwrap();
+        }
+        self.outcomes = Default::default();
+        self.began = Default::default();
+    }
+
+    /// Executes both tasks and returns their outcomes.
+    fn run(&mut self, tasks: [Task; 2]) -> [Vec<Result<(), EcpError>>; 2] {
+        self.execute(tasks);
+        self.until(|cell| cell.ecps.iter().all(|ecp| ecp.status().instruction.is_none()));
+        self.outcomes.clone()
+    }
+
+    fn until(&mut self, reached: impl Fn(&Self) -> bool) {
+        for _ in 0..100_000 {
+            if reached(self) {
+                return;
+            }
+            self.cycle();
+        }
+        panic!("{:?}", self.phases());
+    }
+
+    fn cycle(&mut self) {
+        let before = self.phases();
+        self.servo.step(self.now);
+        for (robot, (phase, before)) in self.phases().into_iter().zip(before).enumerate() {
+            if phase == Phase::Moving && before != phase {
+                self.began[robot].push(self.cycle);
+            }
+            while let Some(event) = self.ecps[robot].poll(self.now) {
+                self.outcomes[robot].push(event.outcome);
+            }
+        }
+        self.meetings.poll(&mut self.ecps);
+        self.now += PERIOD;
+        self.cycle += 1;
+    }
+
+    fn phases(&self) -> [Phase; 2] {
+        [0, 1].map(|robot| self.servo.state(robot).unwrap().phase())
+    }
+
+    fn team_macrosteps(&self) -> [u64; 2] {
+        [0, 1].map(|robot| self.ecps[robot].latest().team_macrostep)
+    }
+}
+
+fn effector(group: usize) -> EffectorConfig {
+    let axis = |index_in_group| ServoAxisConfig {
+        group,
+        index_in_group,
+        min_position: -1e3,
+        max_position: 1e3,
+        max_velocity: 500.0,
+        max_acceleration: 2000.0,
+        following_error: 10.0,
+        homing_order: 1,
+        increments_per_radian: 1000.0,
+        position_loop: PositionLoop::Drive,
+        torque_offset: None,
+        homing: None,
+    };
+    EffectorConfig {
+        name: format!("robot {group}"),
+        axes: (0..AXES).map(axis).collect(),
+        queue: 16,
+        enabling_timeout: Duration::from_secs(1),
+        homing_timeout: Duration::from_secs(1),
+    }
+}
+
+fn stopped_by(effector: u8) -> Result<(), EcpError> {
+    Err(EcpError::Servo(ServoFault { axis: None, cause: StopCause::Partner { effector } }))
+}
+
+#[test]
+fn robots_meet_any_number_of_times_and_always_begin_in_the_same_cycle() {
+    let mut cell = Cell::standing();
+    let mut tasks = [Task::new(), Task::new()];
+    for turn in 1..=10 {
+        let [one, other] = tasks.map(|task| task.meet(0));
+        let x = 0.1 * f64::from(turn % 2);
+        tasks = [one.run(to(x, 0.0, 0.0)), other.run(to(0.0, 0.0, 3.0 * x))];
+    }
+    assert_eq!(cell.run(tasks), [vec![Ok(()); 20], vec![Ok(()); 20]]);
+    assert_eq!(cell.began[0].len(), 10);
+    assert_eq!(cell.began[0], cell.began[1]);
+}
+
+#[test]
+fn a_robot_that_is_switched_off_after_a_meeting_has_passed_it_before() {
+    for robot in [0, 1] {
+        let mut cell = Cell::standing();
+        let mut tasks = [Task::new().meet(0).disable(), Task::new().meet(0).run(to(0.1, 0.0, 0.0))];
+        tasks.rotate_left(robot);
+        assert_eq!(cell.run(tasks), [vec![Ok(()); 2], vec![Ok(()); 2]]);
+    }
+}
+
+#[test]
+fn the_members_of_a_team_begin_every_macrostep_together_until_they_untie() {
+    let mut cell = Cell::standing();
+    let motions = |axis: usize| {
+        let at = |value: f64| if axis == 0 { to(value, 0.0, 0.0) } else { to(0.0, 0.0, value) };
+        // Each enabling delays the second robot by a poll.
+        let late = (0..40 * axis).fold(Task::new(), |task, _| task.enable());
+        late.tie(BOTH).run(at(0.2)).run(at(0.1)).untie()
+    };
+    let tasks = [motions(0).run(to(0.5, 0.0, 0.0)), motions(1).run(to(0.0, 0.0, 0.2))];
+    cell.execute(tasks);
+    let ready = |cell: &Cell| cell.ecps.iter().all(|ecp| ecp.status().instruction.is_none());
+    while !ready(&cell) {
+        cell.cycle();
+        let [one, other] = cell.team_macrosteps();
+        assert_eq!(one, other, "cycle {}", cell.cycle);
+        assert!(cell.cycle < 10_000);
+    }
+    assert_eq!(cell.outcomes, [vec![Ok(()); 5], vec![Ok(()); 45]]);
+    assert_eq!(cell.began[0][..2], cell.began[1][..2]);
+    assert!(cell.team_macrosteps()[0] > 20, "{:?}", cell.team_macrosteps());
+}
+
+#[test]
+fn a_fault_of_one_member_ends_the_instruction_of_its_partner_which_stands_and_moves_again() {
+    let mut cell = Cell::standing();
+    cell.execute([Task::new().tie(BOTH).run(to(2.0, 0.0, 0.0)), Task::new().tie(BOTH).run(to(0.0, 0.0, 2.0))]);
+    cell.until(|cell| cell.team_macrosteps() == [20; 2]);
+    *cell.faults[1].lock().unwrap() = Some(FAULT);
+    cell.until(|cell| cell.ecps.iter().all(|ecp| ecp.status().instruction.is_none()));
+    let fault = EcpError::Servo(ServoFault { axis: Some(0), cause: StopCause::Drive(FAULT) });
+    assert_eq!(cell.outcomes, [vec![Ok(()), stopped_by(1)], vec![Ok(()), Err(fault)]]);
+    assert_eq!(stopped_by(1).unwrap_err().class(), Class::NonFatal);
+    cell.until(|cell| cell.phases()[1] == Phase::Faulted);
+    assert_eq!((cell.phases()[0], cell.servo.fault(0)), (Phase::Standing, None));
+    let outcomes = cell.run([Task::new().run(to(0.0, 0.0, 0.0)), Task::new()]);
+    assert_eq!(outcomes, [vec![Ok(())], vec![]]);
+}
+
+#[test]
+fn a_stop_while_a_process_is_idle_ends_its_next_motion_unless_faults_were_reset() {
+    for reset in [false, true] {
+        let mut cell = Cell::standing();
+        let outcomes = cell.run([Task::new().tie(BOTH), Task::new().tie(BOTH).disable()]);
+        assert_eq!(outcomes, [vec![Ok(())], vec![Ok(()); 2]]);
+        let motion = || Task::new().run(to(0.1, 0.0, 0.0));
+        if reset {
+            let outcomes = cell.run([Task::new().reset_fault().run(to(0.1, 0.0, 0.0)), Task::new()]);
+            assert_eq!(outcomes[0], [Ok(()); 2]);
+        } else {
+            assert_eq!(cell.run([motion(), Task::new()])[0], [stopped_by(1)]);
+            assert_eq!(cell.run([motion(), Task::new()])[0], [Ok(())]);
+        }
+    }
+}
+
+#[test]
+fn a_partner_without_a_macrostep_is_waited_for_no_longer_than_at_a_meeting() {
+    let mut cell = Cell::standing();
+    let longest = Duration::from_secs(3);
+    cell.ecps.iter_mut().for_each(|ecp| ecp.config.meeting = longest);
+    let outcomes = cell.run([Task::new().tie(BOTH).run(to(0.1, 0.0, 0.0)), Task::new().tie(BOTH)]);
+    let [Ok(()), Err(EcpError::Unmet { waited })] = outcomes[0][..] else { panic!("{outcomes:?}") };
+    assert!(waited > longest && waited < longest + 2 * PERIOD, "{waited:?}");
+    assert_eq!((cell.phases(), cell.began), ([Phase::Standing; 2], Default::default()));
+}
+
+#[test]
+fn a_tie_without_its_own_robot_or_with_one_that_does_not_exist_is_refused() {
+    for members in [0b10, 0b101, 0] {
+        let mut cell = Cell::standing();
+        assert_eq!(cell.run([Task::new().tie(members), Task::new()])[0], [Ok(())]);
+        cell.until(|cell| cell.phases()[0] == Phase::Faulted);
+        let refused = ServoFault { axis: None, cause: StopCause::NotAMember { members } };
+        assert_eq!(cell.servo.fault(0), Some(refused));
+    }
+}
