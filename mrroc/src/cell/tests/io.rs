@@ -60,20 +60,35 @@ fn an_io_node_that_cannot_be_is_refused_with_line_key_and_reason() {
         (&two, "name = \"cabinet\"", "name = \"tool\"", "io[1].name: I/O node \"tool\" is used twice, first by io[0]"),
         (TOUCH, "node = 40", "node = 0", "io[0].node: is 0, must be between 1 and 127"),
         (TOUCH, "node = 40", "node = 127", "io[0].node: node 127 of bus \"arm\" is used twice, first by the host"),
+        (TOUCH, "node = 40", "node = 3", "io[0].node: node 3 of bus \"arm\" is used twice, first by robot[0].axis[2]"),
+        (&two, "node = 41", "node = 40", "io[1].node: node 40 of bus \"arm\" is used twice, first by io[0]"),
         (
             TOUCH,
-            "node = 40",
-            "node = 3",
-            "io[0].node: node 3 of bus \"arm\" is used twice, first by robot[0].axis[2]",
+            "name = \"gate\"",
+            "name = \"touch\"",
+            "io[0].input[1].name: line \"touch\" is used twice, first by io[0].input[0]",
         ),
-        (&two, "node = 41", "node = 40", "io[1].node: node 40 of bus \"arm\" is used twice, first by io[0]"),
-        (TOUCH, "name = \"gate\"", "name = \"touch\"", "io[0].input[1].name: line \"touch\" is used twice, first by io[0].input[0]"),
-        (TOUCH, "name = \"gripper\"", "name = \"gate\"", "io[0].output[0].name: line \"gate\" is used twice, first by io[0].input[1]"),
-        (&two, "name = \"stop\"", "name = \"gate\"", "io[1].input[0].name: line \"gate\" is used twice, first by io[0].input[1]"),
+        (
+            TOUCH,
+            "name = \"gripper\"",
+            "name = \"gate\"",
+            "io[0].output[0].name: line \"gate\" is used twice, first by io[0].input[1]",
+        ),
+        (
+            &two,
+            "name = \"stop\"",
+            "name = \"gate\"",
+            "io[1].input[0].name: line \"gate\" is used twice, first by io[0].input[1]",
+        ),
         (TOUCH, "line = 3", "line = 64", "io[0].input[1].line: is 64, must be between 0 and 63"),
         (TOUCH, "line = 3", "line = 0", "io[0].input[1].line: line 0 is used twice, first by io[0].input[0]"),
         (TOUCH, "inhibit_us = 2000", "inhibit_us = 150", "io[0].inhibit_us: node 40: inhibit time is not a multiple"),
-        (TOUCH, "inhibit_us = 2000", "inhibit_us = 200000", "io[0].inhibit_us: node 40: inhibit time is not a multiple"),
+        (
+            TOUCH,
+            "inhibit_us = 2000",
+            "inhibit_us = 200000",
+            "io[0].inhibit_us: node 40: inhibit time is not a multiple",
+        ),
         (
             TOUCH,
             "event_timer_ms = 100",
@@ -93,8 +108,18 @@ fn an_io_node_that_cannot_be_is_refused_with_line_key_and_reason() {
             "io[0].input[1].emulated_edges_s[0]: is -1, must be between 0 and",
         ),
         (TOUCH, "error_state = \"keep\"", "error_state = \"low\"", "io[0].output[0].error_state: is \"low\", must be"),
-        (TOUCH, "0x1015, value", "0x6202, value", "io[0].parameter[0].index: 0x6202:00 belongs to the driver: the cell's"),
-        (TOUCH, "0x1015, value", "0x1016, value", "io[0].parameter[0].index: 0x1016:00 (number of heartbeat consumers) belongs"),
+        (
+            TOUCH,
+            "0x1015, value",
+            "0x6202, value",
+            "io[0].parameter[0].index: 0x6202:00 belongs to the driver: the cell's",
+        ),
+        (
+            TOUCH,
+            "0x1015, value",
+            "0x1016, value",
+            "io[0].parameter[0].index: 0x1016:00 (number of heartbeat consumers) belongs",
+        ),
         (TOUCH, "value = 100, bytes = 2", "value = 300, bytes = 1", "io[0].parameter[0].value: is 0x12c, more than 1"),
         (TOUCH, "vendor = 0\n", "vendor = 0\nvalve = 1\n", "io[0].valve: is an unknown key"),
     ];
@@ -105,7 +130,8 @@ fn an_io_node_that_cannot_be_is_refused_with_line_key_and_reason() {
         let line = line_of(text, good) + usize::from(bad.contains("valve"));
         assert!(shown.starts_with(&format!("{line}: ")), "{bad}: {shown}");
     }
-    let bus = |name: &str| TOUCH.replacen("name = \"tool\"\nbus = \"arm\"", &format!("name = \"tool\"\nbus = {name:?}"), 1);
+    let bus =
+        |name: &str| TOUCH.replacen("name = \"tool\"\nbus = \"arm\"", &format!("name = \"tool\"\nbus = {name:?}"), 1);
     let shown = Cell::parse(&bus("leg")).unwrap_err().to_string();
     assert!(shown.ends_with("io[0].bus: no bus is called \"leg\""), "{shown}");
     let lines = SERIAL.replacen("[[robot]]\n", SECOND, 1);

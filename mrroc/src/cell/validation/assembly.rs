@@ -87,9 +87,9 @@ fn place_of_drive(cell: &Cell, bus: &Path, axes: &[(usize, usize)], error: cia40
 fn concerns(error: cia402::ConfigError, io: u8) -> bool {
     use cia402::ConfigError;
     match error {
-        ConfigError::IoOutOfRange { node, .. } | ConfigError::Setting { node, .. } | ConfigError::DuplicateNode(node) => {
-            node == io
-        }
+        ConfigError::IoOutOfRange { node, .. }
+        | ConfigError::Setting { node, .. }
+        | ConfigError::DuplicateNode(node) => node == io,
         ConfigError::Axes(_)
         | ConfigError::Period(_)
         | ConfigError::HeartbeatPeriod(_)

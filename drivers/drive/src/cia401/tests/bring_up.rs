@@ -114,7 +114,8 @@ fn settings_of_the_cell_come_first_and_touch_nothing_of_the_driver() {
     let mut writes = writes.iter().filter(|frame| frame.starts_with("605#2"));
     assert_eq!(writes.next().map(String::as_str), Some("605#2F00210307000000"));
     for (index, subindex) in [(0x1016, 1), (0x1400, 5), (0x6003, 1), (0x6200, 1), (0x6220, 1)] {
-        let refused = CanBus::with_io(BusEnd::default(), group_config(), &[axis_config(DRIVE)], &[with(index, subindex)]);
+        let refused =
+            CanBus::with_io(BusEnd::default(), group_config(), &[axis_config(DRIVE)], &[with(index, subindex)]);
         let refused = refused.err();
         let object = Object::new(index, subindex);
         let of_setting =
