@@ -79,8 +79,8 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         } else {
             let interface = &interfaces[index];
             let on_bus = || format!("bus {}", bus.name);
-            let claim = |(robot, axis): (usize, usize)| interface.claim_as_node(file.cell.robot[robot].axis[axis].node);
-            let claims: anyhow::Result<Vec<_>> = emulation::axes_present(&file, index).map(claim).collect();
+            let claim = |node| interface.claim_as_node(node);
+            let claims: anyhow::Result<Vec<_>> = emulation::nodes_present(&file, index).map(claim).collect();
             let claims = claims.with_context(on_bus)?;
             let port = BusPort::open(interface, bus.bitrate_kbps).with_context(on_bus)?;
             let port = port.holding(claims.into_iter().flatten());

@@ -7,6 +7,7 @@ use can::schedule::{self, Every, Message, Sender};
 use can::{StandardId, timing::Bitrate};
 use canopen::cob;
 use drive::bus::{Traffic, traffic};
+use drive::cia401::IoConfig;
 use drive::cia402::AxisConfig;
 use serde::Serialize;
 
@@ -80,10 +81,11 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     let period = file.cell.period();
     let bitrate = emulation::bitrate(file, index);
     let axes = setup::axis_configs(file, index);
-    let mut traffic = traffic(&file.cell.group_config(index), &axes, &[]);
+    let io = file.cell.io_configs(index);
+    let mut traffic = traffic(&file.cell.group_config(index), &axes, &io);
     // Messages outside the cycle are sent after the cyclic ones.
     traffic.sort_by_key(|traffic| traffic.period > period || is_service(traffic.cob_id));
-    let messages = messages(&traffic, period, bus.host_node);
+    let messages = messages(&traffic, period, bus.host_node, &io);
     let analysis = schedule::analyse(bitrate, period, &messages);
     let share = |time: Duration| 100.0 * time.as_secs_f64() / period.as_secs_f64();
     let timed = messages.iter().zip(&analysis.responses);
@@ -109,8 +111,9 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     Err(file.refuse(
         &key,
         anyhow!(
-            "{} axes keep bus {:?} busy for {} µs of each {} µs at the worst ({:.0} %, at most 100 %); {}",
+            "{} axes{} keep bus {:?} busy for {} µs of each {} µs at the worst ({:.0} %, at most 100 %); {}",
             axes.len(),
+            and_io_nodes(io.len()),
             bus.name,
             analysis.busy.as_micros(),
             period.as_micros(),
@@ -171,18 +174,20 @@ fn check_lines(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
 /// The messages of a bus in the order of the senders' queues.
 ///
 /// Service frames are not urgent and occur only during a change of mode. They count as blocking, but not in the load.
-fn messages(traffic: &[Traffic], period: Duration, host: u8) -> Vec<Message> {
+/// The inputs of I/O nodes have no deadline, and count as often as their inhibit time permits.
+fn messages(traffic: &[Traffic], period: Duration, host: u8, io: &[IoConfig]) -> Vec<Message> {
     let message = |traffic: &Traffic| {
         let id = traffic.cob_id.raw();
         let node = (id & 0x7F) as u8;
         // TPDOs, heartbeats and SDO answers come from the node in their identifier.
         let from_node = matches!(id & 0x780, 0x180 | 0x280 | 0x580 | 0x700) && node != host;
         let service = is_service(traffic.cob_id);
+        let inputs = from_node && io.iter().any(|io| io.node.raw() == node);
         Message {
             id: traffic.cob_id,
             bytes: traffic.bytes,
             sender: if from_node { Sender::Node(node) } else { Sender::Host },
-            every: match (service, traffic.period == period) {
+            every: match (service, traffic.period == period && !inputs) {
                 (false, true) => Every::Cycle,
                 (true, _) => Every::Interval(Duration::from_secs(1)),
                 (false, false) => Every::Interval(traffic.period),
@@ -195,6 +200,14 @@ fn messages(traffic: &[Traffic], period: Duration, host: u8) -> Vec<Message> {
 /// Whether a frame belongs to the SDO service, which drives use for changes of mode during operation.
 fn is_service(id: StandardId) -> bool {
     matches!(id.raw() & 0x780, 0x580 | 0x600)
+}
+
+fn and_io_nodes(count: usize) -> String {
+    match count {
+        0 => String::new(),
+        1 => " and an I/O node".to_owned(),
+        _ => format!(" and {count} I/O nodes"),
+    }
 }
 
 /// Proposals for a cell that fits: fewer axes, or a longer period.

@@ -9,7 +9,7 @@ use servo::Servo;
 use crate::bench::emulation::{self, Emulation};
 use crate::bench::{BenchKind, emulated_lines};
 use crate::budget::{self, Bundle, BusBudget};
-use crate::cell::{CellFile, printable};
+use crate::cell::{CellFile, IoNode, printable};
 use crate::{rehearsal, run::RunningTask, setup, tasks::Program};
 
 /// The result of a successful check.
@@ -21,6 +21,7 @@ pub struct CheckReport {
     /// Duration of the task without homing, s.
     program_s: f64,
     buses: Vec<BusBudget>,
+    io: Vec<CheckedIo>,
     /// Functions that the cell needs and its emulation lacks. Real robots may have them.
     pub problems: Vec<String>,
 }
@@ -42,6 +43,27 @@ struct CheckedConfiguration {
     left_out: usize,
 }
 
+#[derive(Debug, Serialize)]
+struct CheckedIo {
+    name: String,
+    bus: String,
+    node: u8,
+    inputs: Vec<String>,
+    outputs: Vec<String>,
+}
+
+impl CheckedIo {
+    fn of(io: &IoNode) -> Self {
+        Self {
+            name: io.name.clone(),
+            bus: io.bus.clone(),
+            node: io.node,
+            inputs: io.input.iter().map(|input| input.name.clone()).collect(),
+            outputs: io.output.iter().map(|output| output.name.clone()).collect(),
+        }
+    }
+}
+
 /// Checks a cell with a task: rehearses the task, computes the load of the buses, and creates all parts of a run.
 pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> {
     let buses = budget::check(file)?;
@@ -59,6 +81,7 @@ pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> 
         robots: robots.collect(),
         program_s: rehearsed.duration.as_secs_f64(),
         buses,
+        io: file.cell.io.iter().map(CheckedIo::of).collect(),
         problems: emulation::problems(file).map(|problem| problem.to_string()).collect(),
     })
 }
@@ -67,9 +90,9 @@ pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> 
 fn assemble(file: &CellFile, program: &Program) -> anyhow::Result<()> {
     let (mut emulation, ends) = Emulation::of(file);
     let lines = emulated_lines(file, BenchKind::Lockstep, &mut emulation, ends.lines)?;
-    let groups = setup::drive_groups(file, ends.ports, lines, None)?;
-    let (servo, links) = Servo::new(&setup::servo_config(file), groups)?;
-    RunningTask::new(&Arc::new(file.clone()), program, links, &servo, 0);
+    let devices = setup::devices(file, ends.ports, lines, None)?;
+    let (servo, links) = Servo::new(&setup::servo_config(file), devices.groups)?;
+    RunningTask::new(&Arc::new(file.clone()), program, links, devices.io, &servo, 0);
     Ok(())
 }
 
@@ -97,6 +120,15 @@ impl fmt::Display for CheckReport {
                     configured.axis, configured.file, configured.writes, configured.left_out
                 )?;
             }
+        }
+        for CheckedIo { name, bus, node, inputs, outputs } in &self.io {
+            write!(f, "I/O node {name}: node {node} of bus {bus}")?;
+            for (what, lines) in [("inputs", inputs), ("outputs", outputs)] {
+                if !lines.is_empty() {
+                    write!(f, "; {what} {}", lines.join(", "))?;
+                }
+            }
+            writeln!(f)?;
         }
         writeln!(f, "programs take {:.1} s after homing", self.program_s)?;
         for bus in &self.buses {

@@ -90,5 +90,5 @@ pub mod prelude {
     pub use crate::cell::CellFile;
     pub use crate::motions::Motions;
     pub use crate::report::{AxisReport, Deviation, FaultReport, RobotReport, RunOutcome, RunReport};
-    pub use crate::tasks::{Cell, Outcome, Robot, TaskError, Team};
+    pub use crate::tasks::{Cell, InputLine, Outcome, OutputLine, Robot, TaskError, Team};
 }

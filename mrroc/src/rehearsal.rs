@@ -25,7 +25,7 @@ use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Hom
 use servo::{PositionLoop, Servo, lockstep};
 
 use crate::cell::{CellFile, Path, instruction_path};
-use crate::tasks::{Program, TaskError};
+use crate::tasks::{Equipment, Figures, Program, TaskError};
 use crate::{run::returned, setup, streams};
 
 /// Greatest duration of a task.
@@ -131,7 +131,9 @@ fn run(
     }
     let (mut servo, links) = Servo::new(&config, groups.collect())?;
     let subcontrollers = setup::subcontrollers(file, links);
-    let mut executor = program.begin(file, subcontrollers, servo.speed_override(), true, turns.clone());
+    let (mut nodes, io) = setup::rehearsed_io(file);
+    let equipment = Equipment { subcontrollers, io, speed: servo.speed_override(), figures: Figures::default() };
+    let mut executor = program.begin(file, equipment, true, turns.clone());
     let (mut moved, mut instructions) = (vec![false; starts.len()], 0);
     let start = lockstep::bring_up(&mut servo, Instant::ZERO, |_| {}).expect("ideal drives come up");
     let over = Cell::new(false);
@@ -140,6 +142,7 @@ fn run(
         &mut servo,
         start,
         |now| {
+            nodes.iter_mut().for_each(|node| node.advance(now));
             let busy = executor.poll(now, |_, ended| {
                 instructions += 1;
                 moved[ended.robot] |= ended.moved;

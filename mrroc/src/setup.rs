@@ -3,17 +3,18 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use can::Port;
+use can::{Instant, Port};
 use controller::ecp::{Ecp, EcpConfig, Meetings, Subcontrollers};
 use controller::generator::Pace;
 use controller::robot::Limits;
 use drive::bus::CanBus;
+use drive::cia401::{IoLink, RehearsedIo};
 use drive::cia402::{AxisConfig, CyclicMode};
 use drive::{DriveGroup, axis_controller::AxisControllerGroup};
 use serial::Line;
 use servo::{EffectorConfig, EffectorLink, HostHoming, ServoAxisConfig, ServoConfig};
 
-use crate::cell::{Bus, CellFile, DeviceConfiguration, ENABLING, Homing, Path, Robot, Serial};
+use crate::cell::{Bus, CellFile, DeviceConfiguration, ENABLING, Homing, IoNode, Path, Robot, Serial};
 
 /// Least homing time-out of an effector. The value also applies to a search by the drive of an axis without ends,
 /// because the distance of such a search is unknown.
@@ -44,14 +45,24 @@ pub fn axis_configs(file: &CellFile, bus: usize) -> Vec<AxisConfig> {
     file.cell.axes_on(bus).map(config).collect()
 }
 
-/// One drive group per bus and per bundle of lines, on the given ports and lines. The drive of axis `with_torque`,
-/// given as robot and axis number, takes a torque beside the position.
-pub fn drive_groups(
+/// The devices of a cell on their ports and lines.
+pub struct Devices {
+    /// One drive group per bus and per bundle of lines, in the order of [`Cell::groups`](crate::cell::Cell::groups).
+    pub groups: Vec<Box<dyn DriveGroup>>,
+    /// One link per I/O node, in the order of [`Cell::io`](crate::cell::Cell::io). Inputs are valid from the end of
+    /// bring-up until the groups are dropped.
+    pub io: Vec<IoLink>,
+}
+
+/// The drive groups and I/O nodes of a cell, on the given ports and lines. The drive of axis `with_torque`, given as
+/// robot and axis number, takes a torque beside the position.
+pub fn devices(
     file: &CellFile,
     ports: Vec<Box<dyn Port>>,
     lines: Vec<Vec<Box<dyn Line>>>,
     with_torque: Option<(usize, usize)>,
-) -> anyhow::Result<Vec<Box<dyn DriveGroup>>> {
+) -> anyhow::Result<Devices> {
+    let mut links = Vec::new();
     let group = |((index, _), port): ((usize, &Bus), _)| {
         let mut axes = axis_configs(file, index);
         for (axis, place) in axes.iter_mut().zip(file.cell.axes_on(index)) {
@@ -59,9 +70,12 @@ pub fn drive_groups(
                 axis.mode = CyclicMode::CspWithTorque;
             }
         }
-        let group = CanBus::new(port, file.cell.group_config(index), &axes);
+        let config = file.cell.group_config(index);
+        let bus = CanBus::with_io(port, config, &axes, &file.cell.io_configs(index));
         let refused = |error| file.refuse(&Path::to("bus").then(index), error);
-        Ok(Box::new(group.map_err(refused)?) as Box<dyn DriveGroup>)
+        let (group, of_bus) = bus.map_err(refused)?;
+        links.extend(file.cell.io_on(index).zip(of_bus));
+        Ok(Box::new(group) as Box<dyn DriveGroup>)
     };
     let bundle = |((index, bundle), lines): ((usize, &Serial), _)| {
         let config = |(robot, number): (usize, usize)| {
@@ -75,7 +89,19 @@ pub fn drive_groups(
     };
     let buses = file.cell.bus.iter().enumerate().zip(ports).map(group);
     let bundles = file.cell.serial.iter().enumerate().zip(lines).map(bundle);
-    buses.chain(bundles).collect()
+    let groups = buses.chain(bundles).collect::<anyhow::Result<Vec<_>>>()?;
+    links.sort_by_key(|(node, _)| *node);
+    Ok(Devices { groups, io: links.into_iter().map(|(_, link)| link).collect() })
+}
+
+/// The I/O nodes of a rehearsal whose emulated devices are switched on at [`Instant::ZERO`], and their links in the
+/// order of [`Cell::io`](crate::cell::Cell::io). The inputs follow the schedules of the cell file.
+pub fn rehearsed_io(file: &CellFile) -> (Vec<RehearsedIo>, Vec<IoLink>) {
+    let node = |io: &IoNode| {
+        let edges = io.emulated_edges().map(|(at, input, _)| (Instant::ZERO + at, input));
+        RehearsedIo::new(&io.config(file.cell.period()), edges)
+    };
+    file.cell.io.iter().map(node).unzip()
 }
 
 /// The servo of the whole cell.
@@ -184,6 +210,22 @@ mod tests {
         let file = CellFile::read(&path).unwrap();
         let servo = servo_config(&file).effectors[0].homing_timeout;
         (servo, ecp_config(&file, 0).homing)
+    }
+
+    #[test]
+    fn the_io_nodes_of_a_rehearsal_follow_the_schedules_of_the_cell() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells/irb6-touch.toml");
+        let (mut nodes, links) = rehearsed_io(&CellFile::read(&path).unwrap());
+        let mut levels_at = |seconds: f64| {
+            nodes[0].advance(Instant::ZERO + Duration::from_secs_f64(seconds));
+            let image = links[0].inputs.read();
+            [0, 3].map(|line| image.input(line).unwrap().level)
+        };
+        // The touch probe is closed from the beginning, and inverted.
+        let expected = [(0.0, [false, false]), (19.9, [false, true]), (20.1, [true, true]), (26.0, [false, false])];
+        for (seconds, levels) in expected {
+            assert_eq!(levels_at(seconds), levels, "{seconds} s");
+        }
     }
 
     #[test]

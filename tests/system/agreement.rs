@@ -55,6 +55,11 @@ const REFUSED: &[Case] = &[
     ("irb6-serial", "torque_constant = 0.105", "torque_constant = 1e300", "controller.torque_constant"),
     ("irb6-serial", "position_gain = 25.0", "position_gain = 1e300", "cascade.position_gain"),
     ("irb6-serial", "line = \"/dev/ttyMI8\"", "line = \"\"", "controller.line"),
+    ("irb6-touch", "bus = \"arm\"", "bus = \"leg\"", "io[0].bus"),
+    ("irb6-touch", "node = 40", "node = 3", "io[0].node"),
+    ("irb6-touch", "name = \"gate\"", "name = \"touch\"", "io[0].input[1].name"),
+    ("irb6-touch", "line = 3", "line = 64", "io[0].input[1].line"),
+    ("irb6-touch", "inhibit_us = 2000", "inhibit_us = 150", "io[0].inhibit_us"),
     ("rnt", "position_gain = 50.0", "position_gain = 1e300", "proportional.position_gain"),
     (
         "polycrank",

@@ -21,7 +21,7 @@ const ARROWS: [(&str, &[&str]); 15] = [
     ("hil", &["can", "canopen", "serial"]),
     ("mrroc", BELOW_LIBRARY),
     ("tools/descriptions", &["can", "controller", "hil", "mrroc"]),
-    ("tools/host", &["can", "drive", "servo", "mrroc"]),
+    ("tools/host", &["can", "servo", "mrroc"]),
     ("tools/identify", &["can", "servo", "mrroc"]),
     ("tools/service", &["can", "canopen", "master", "serial", "drive", "hil", "mrroc"]),
     ("console", &["can", "canopen", "hil", "mrroc", "descriptions", "host", "identify", "service"]),

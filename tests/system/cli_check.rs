@@ -65,6 +65,26 @@ fn check_says_what_a_bundle_speaks_and_which_line_each_axis_has() {
     }
 }
 
+#[test]
+fn check_says_which_lines_an_io_node_has_and_counts_its_frames() {
+    let cell = example("irb6-touch");
+    let check = mrroc(["check".as_ref(), cell.as_os_str()]);
+    assert_eq!(check.status.code(), Some(0), "{check:?}");
+    let node = "\nI/O node tool: node 40 of bus arm; inputs touch, gate; outputs gripper\n";
+    assert!(check.stdout.contains(node), "{check:?}");
+    let json = mrroc(["check".as_ref(), cell.as_os_str(), "--json".as_ref()]).json();
+    assert_eq!(json["io"][0]["inputs"], json!(["touch", "gate"]));
+    let without = mrroc(["check".as_ref(), example("irb6").as_os_str(), "--json".as_ref()]).json();
+    let load = |json: &Value| json["buses"][0]["load_percent"].as_f64().unwrap();
+    // Outputs and inputs of one byte, once per 2 ms each, of at most 65 bits, and a heartbeat in 100 ms.
+    let added = load(&json) - load(&without);
+    assert!(added > 2.0 * 100.0 * 60e-6 / 2e-3 && added < 2.1 * 100.0 * 65e-6 / 2e-3, "{added} %");
+    let messages = json["buses"][0]["messages"].as_array().unwrap();
+    let of_node = messages.iter().filter(|message| message["cob_id"].as_u64().is_some_and(|id| id & 0x7F == 40));
+    let of_node: Vec<_> = of_node.map(|it| (it["what"].clone(), it["response_us"].is_number())).collect();
+    assert_eq!(of_node, [(json!("outputs"), true), (json!("inputs"), false), (json!("heartbeat"), false)]);
+}
+
 /// Check of a cell with two IRb-6, on one bus or on a bus each.
 fn two_arms(period_us: u32, buses: usize) -> Output {
     let directory = Directory::new();

@@ -1,9 +1,14 @@
-//! A CiA 401 module on the bus of a drive: this project's owner of the bus against the emulated module.
+//! A CiA 401 module on the bus of a drive: this project's owner of the bus against the emulated module, alone and in an
+//! example cell.
 
+use std::sync::Arc;
 use std::task::Poll;
 use std::time::Duration;
 
-use ::mrroc::cell::{Cell, DriveControl};
+use ::mrroc::bench::clockwork;
+use ::mrroc::bench::emulation::Emulation;
+use ::mrroc::cell::{Cell, CellFile, DriveControl};
+use ::mrroc::setup::{self, Devices};
 use can::Instant;
 use can::timing::Bitrate;
 use canopen::NodeId;
@@ -13,9 +18,12 @@ use drive::cia402::Identity;
 use drive::{AxisCommand, AxisState, DriveGroup};
 use hil::plant::Irp6Axis;
 use hil::{AxisConfig, DeviceId, DigitalIo, DigitalIoConfig, Epos4, Epos4Config, World};
+use servo::{Servo, lockstep};
 
+use crate::bench::turn;
+use crate::cli_refusals::refused;
 use crate::host_closed::closed_by_host;
-use crate::mrroc::text;
+use crate::mrroc::{Directory, mrroc, text};
 
 /// Node-ID of the module.
 const NODE: u8 = 40;
@@ -35,6 +43,11 @@ struct Stage {
 impl Stage {
     /// The stage with both nodes up and 20 cycles done.
     fn up() -> Self {
+        Self::up_with(|_| {})
+    }
+
+    /// As [`up`](Self::up), with a changed configuration of the module's host.
+    fn up_with(change: impl FnOnce(&mut IoConfig)) -> Self {
         let mut cell = Cell::parse(&text("irb6")).unwrap();
         // The emulated drive of this axis has the motor data of the velocity loop.
         closed_by_host(&mut cell.robot[0].axis[0], Irp6Axis::Column, DriveControl::Velocity);
@@ -46,17 +59,22 @@ impl Stage {
         world.add_device(bus, Box::new(Epos4::new(drive)));
         let node = NodeId::new(NODE).unwrap();
         let emulated = DigitalIoConfig::new(node);
-        let io = IoConfig {
+        let mut io = IoConfig {
             node,
             identity: Identity { vendor: emulated.vendor, product: Some(emulated.product), revision: None },
             inputs: 8,
             outputs: 8,
             inhibit_time: Duration::from_millis(1),
             event_timer: Duration::from_millis(100),
+            inverted_inputs: 0,
+            filtered_inputs: 0,
+            inverted_outputs: 0,
             // Output 7 keeps its level.
             error_mode: 0x7F,
             error_value: 0x02,
+            configuration: Vec::new(),
         };
+        change(&mut io);
         let module = world.add_device(bus, Box::new(DigitalIo::new(emulated).unwrap()));
         let config = cell.group_config(0);
         let (bus, links) = CanBus::with_io(port, config, &[axis.drive_config(0.0)], &[io]).unwrap();
@@ -153,4 +171,118 @@ fn a_module_without_supply_has_no_levels() {
     let image = stage.link.inputs.read();
     assert!(matches!(image.fault, Some(IoFault::InputsSilent { node: NODE, .. })), "{:?}", image.fault);
     assert_eq!(image.input(0), None);
+}
+
+#[test]
+fn a_module_with_outputs_alone_that_falls_silent_has_a_lost_heartbeat() {
+    let mut stage = Stage::up_with(|io| io.inputs = 0);
+    assert_eq!(stage.link.inputs.read().fault, None);
+    let now = stage.now;
+    stage.act(|module| module.set_power(false, now));
+    let until = stage.now + 4 * stage.heartbeat;
+    while stage.now < until {
+        stage.cycles(1);
+    }
+    let fault = stage.link.inputs.read().fault;
+    assert!(matches!(fault, Some(IoFault::HeartbeatLost { node: NODE, .. })), "{fault:?}");
+    // The axis goes on.
+    assert_eq!(stage.states[0].fault, None);
+}
+
+#[test]
+fn inverted_lines_are_inverted_at_the_terminals_in_operation_and_in_the_error_state() {
+    let mut stage = Stage::up_with(|io| (io.inverted_inputs, io.inverted_outputs) = (0x01, 0x03));
+    // The error value 0x02 before the first command.
+    assert_eq!(stage.outputs(), 0x01);
+    let image = stage.link.inputs.read();
+    assert_eq!([0, 1].map(|number| image.input(number).unwrap().level), [true, false]);
+    stage.link.outputs.set_all(0x80);
+    stage.cycles(3);
+    assert_eq!(stage.outputs(), 0x83);
+    let end = stage.now + 4 * stage.heartbeat;
+    while stage.now < end {
+        stage.pass();
+    }
+    // Output 1 is true, and so low; output 0 is false, and so high; output 7 keeps its level.
+    assert_eq!(stage.outputs(), 0x81);
+}
+
+#[test]
+fn a_refusal_of_an_io_node_names_the_node_and_the_object() {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6-touch", |cell| cell.io[0].parameter[0].index = 0x2100);
+    let run = mrroc(["run".as_ref(), cell.as_os_str(), "--bench=lockstep".as_ref()]);
+    refused(&run, &["bus arm, I/O node tool: node 40: 0x2100:00 refused: ", "object does not exist"]);
+}
+
+/// The example cell with the given edges of its touch probe, and the parts of a run before bring-up.
+struct TouchCell {
+    file: CellFile,
+    emulation: Emulation,
+    servo: Servo,
+    _links: Vec<servo::EffectorLink>,
+    probe: IoLink,
+}
+
+impl TouchCell {
+    fn with_edges(edges: &[f64]) -> Self {
+        let directory = Directory::new();
+        let path = directory.cell("irb6-touch", |cell| cell.io[0].input[0].emulated_edges_s = edges.to_vec());
+        let file = CellFile::read(path).unwrap();
+        let (emulation, ends) = Emulation::of(&file);
+        let Devices { groups, io } = setup::devices(&file, ends.ports, Vec::new(), None).unwrap();
+        let (servo, links) = Servo::new(&setup::servo_config(&file), groups).unwrap();
+        Self { file, emulation, servo, _links: links, probe: io[0].clone() }
+    }
+}
+
+#[test]
+fn scheduled_edges_of_a_cell_are_seen_within_two_periods_and_the_inhibit_time() {
+    let edges = [0.0, 4.0001, 4.0149, 4.5007, 5.0, 5.0063];
+    let TouchCell { file, mut emulation, mut servo, _links, probe } = TouchCell::with_edges(&edges);
+    let period = file.cell.period();
+    let within = 2 * period + file.cell.io_configs(0)[0].inhibit_time;
+    let at = |seconds: f64| Instant::ZERO + Duration::from_secs_f64(seconds);
+    let start = lockstep::bring_up(&mut servo, Instant::ZERO, |next| emulation.advance(next)).unwrap();
+    assert!(start < at(edges[1]), "{start:?}");
+    let mut seen = Vec::new();
+    let look = |_| {
+        let image = probe.inputs.read();
+        let input = image.input(0).expect("no fault");
+        if input.edges > seen.len() as u64 {
+            seen.push((image.at, input));
+        }
+    };
+    let end = at(5.1);
+    lockstep::run(&mut servo, start, look, |next| emulation.advance(next), |_, now| now > end);
+    // The first edge came before the end of bring-up.
+    assert_eq!(seen.len(), edges.len() - 1);
+    for (number, ((seen, input), edge)) in seen.into_iter().zip(&edges[1..]).enumerate() {
+        // The probe is inverted: its terminal is high from the first edge on.
+        assert_eq!((input.edges, input.level), (number as u64 + 1, number % 2 == 0));
+        let (edge, stamp) = (at(*edge), input.last_edge.unwrap());
+        assert!(edge < stamp && stamp < seen && seen.since(edge) <= within, "{edge:?} {stamp:?} {seen:?}");
+    }
+    assert_eq!(probe.inputs.read().fault, None);
+    drop(servo);
+    assert_eq!(probe.inputs.read().fault, Some(IoFault::Ended { node: 40 }));
+}
+
+#[test]
+fn scheduled_edges_are_seen_on_the_emulated_bench_by_the_clock() {
+    const LONGEST: u64 = 10_000;
+    let _turn = turn();
+    let TouchCell { file, emulation, mut servo, _links, probe } = TouchCell::with_edges(&[0.0, 4.0, 4.1]);
+    let mut emulation = Some(emulation);
+    let since = clockwork::bring_up(&mut servo, &mut emulation).unwrap();
+    let reader = probe.clone();
+    let until = move |servo: &Servo| {
+        let input = reader.inputs.read().input(0);
+        input.is_none_or(|input| input.edges == 2) || servo.counters().cycles > LONGEST
+    };
+    let running = clockwork::start(servo, emulation, since, file.cell.realtime, Arc::default(), || {}, until);
+    let finished = running.unwrap().join();
+    let image = probe.inputs.read();
+    assert_eq!((image.fault, finished.panicked), (None, None));
+    assert_eq!(image.input(0).map(|input| (input.level, input.edges)), Some((false, 2)));
 }

@@ -222,7 +222,7 @@ fn every_other_cell_on_can_completes() {
     let _turn = turn();
     let test = "vcan_cells::every_other_cell_on_can_completes";
     on_vcan_within(LONGEST, test, |_| {
-        for name in ["irp6", "irp6-track", "rnt", "polycrank"] {
+        for name in ["irp6", "irp6-track", "rnt", "polycrank", "irb6-touch"] {
             completes(name, &Directory::new(), |cell| {
                 cell.robot[0].program.truncate(1);
             });

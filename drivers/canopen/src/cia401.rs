@@ -23,6 +23,8 @@ pub enum Array {
     Input = 0x6000,
     /// Inverted inputs: 1 inverts.
     InputPolarity = 0x6002,
+    /// Filtered inputs: 1 filters. The filter time belongs to the module.
+    InputFilter = 0x6003,
     /// Inputs of which each change sends the TPDO.
     InterruptAnyChange = 0x6006,
     /// Inputs of which a rising edge sends the TPDO.

@@ -208,8 +208,12 @@ fn no_cycle_allocates() {
         outputs: 8,
         inhibit_time: PERIOD,
         event_timer: Duration::from_millis(100),
+        inverted_inputs: 0,
+        filtered_inputs: 0,
+        inverted_outputs: 0,
         error_mode: 0xFF,
         error_value: 0,
+        configuration: Vec::new(),
     };
     let (mut group, links) = CanBus::with_io(Shared(drives.clone()), config, &axes, &[io]).unwrap();
     let io = &links[0];

@@ -1,18 +1,19 @@
-//! The emulated drives and axis controllers of a cell.
+//! The emulated drives, I/O nodes and axis controllers of a cell.
 
 use std::time::Duration;
 
 use can::{Frame, Instant, Port, StandardId, VirtualPort, timing::Bitrate};
-use canopen::NodeId;
+use canopen::{NodeId, cia401::blocks};
+use drive::cia401::IoConfig;
 use hil::{
-    AxisController, AxisControllerConfig, BusId, Cabinet, Device, Epos4, Epos4Config, EposSerial, EposSerialConfig,
-    LineDevice, World,
+    AxisController, AxisControllerConfig, BusId, Cabinet, Device, DigitalIo, DigitalIoConfig, Epos4, Epos4Config,
+    EposSerial, EposSerialConfig, InputEdge, LineDevice, World,
 };
 use serial::{Settings, VirtualLine};
 
 use crate::bench::bridge::{Bridge, BridgedTty};
 use crate::bench::plants::{EmulatedCell, Payloads, homing_problem, plant};
-use crate::cell::{CellFile, Protocol};
+use crate::cell::{CellFile, IoNode, Protocol};
 
 /// Capacity of the host's end of a virtual bus in each direction, frames.
 const QUEUE: usize = 256;
@@ -151,9 +152,12 @@ impl EmulatedCell<'_> {
     pub fn devices(&self, bus: usize, power_on: Instant) -> Vec<Box<dyn Device>> {
         let device = |(robot, number): (usize, usize)| {
             let config = config(self.file, robot, number, power_on);
-            Box::new(Epos4::new(Epos4Config { mount: self.mount(robot, number), ..config })) as _
+            Box::new(Epos4::new(Epos4Config { mount: self.mount(robot, number), ..config })) as Box<dyn Device>
         };
-        axes_present(self.file, bus).map(device).collect()
+        let drives = axes_present(self.file, bus).map(device);
+        let cell = &self.file.cell;
+        let modules = cell.io_on(bus).map(|node| Box::new(module(&cell.io[node], power_on)) as Box<dyn Device>);
+        drives.chain(modules).collect()
     }
 
     /// Adds the line of an axis of bundle `bundle`, with its axis controller in `cabinet`, switched on at
@@ -214,6 +218,31 @@ impl LineDevice for Absent {
         None
     }
     fn handle_timeout(&mut self, _now: Instant) {}
+}
+
+/// The emulated module of an I/O node, with the scheduled edges of its inputs.
+fn module(io: &IoNode, power_on: Instant) -> DigitalIo {
+    // The time between two cycles does not matter here.
+    let IoConfig { node, inputs, outputs, .. } = io.config(Duration::ZERO);
+    let usual = DigitalIoConfig::new(node);
+    let edge = |(at, index, level): (Duration, u8, bool)| InputEdge { at: power_on + at, index, level };
+    let config = DigitalIoConfig {
+        vendor: io.vendor,
+        product: io.product.unwrap_or(usual.product),
+        revision: io.revision.unwrap_or(usual.revision),
+        input_bytes: blocks(inputs),
+        output_bytes: blocks(outputs),
+        power_on,
+        edges: io.emulated_edges().map(edge).collect(),
+        ..usual
+    };
+    DigitalIo::new(config).expect("a parsed cell has up to 64 lines of a kind, and edges of its inputs")
+}
+
+/// The node-IDs of the emulated devices on bus `bus`.
+pub fn nodes_present(file: &CellFile, bus: usize) -> impl Iterator<Item = u8> {
+    let drives = axes_present(file, bus).map(move |(robot, axis)| file.cell.robot[robot].axis[axis].node);
+    drives.chain(file.cell.io_on(bus).map(move |node| file.cell.io[node].node))
 }
 
 /// The axes on bus `bus` that have a drive, as pairs of robot and axis number.

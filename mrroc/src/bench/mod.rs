@@ -14,7 +14,6 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use can::{Port, SocketCanOptions, TraceReader, Tracer};
 use clap::{Args, ValueEnum};
-use drive::bus::BESIDE_SETPOINTS;
 use serial::{Line, Tty, VirtualLine};
 
 use crate::bench::bus_port::{BusPort, prepare_card};
@@ -135,9 +134,8 @@ impl Bench {
                     if kind == BenchKind::Card {
                         prepare_card(interface, bus, places.set_bitrate).with_context(on_bus)?;
                     }
-                    let setpoints = file.cell.axes_on(index).count();
-                    let options =
-                        SocketCanOptions { send_queue: setpoints + BESIDE_SETPOINTS, ..SocketCanOptions::default() };
+                    let send_queue = file.cell.frames_per_cycle(index);
+                    let options = SocketCanOptions { send_queue, ..SocketCanOptions::default() };
                     let port = BusPort::with_options(interface, bus.bitrate_kbps, &options);
                     Ok(Box::new(port.with_context(on_bus)?.holding(claim)) as _)
                 };

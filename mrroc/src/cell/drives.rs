@@ -88,7 +88,7 @@ impl Serial {
 }
 
 impl Parameter {
-    fn setting(&self) -> Setting {
+    pub(super) fn setting(&self) -> Setting {
         let data = self.value.to_le_bytes().into_iter().take(self.bytes.into()).collect();
         Setting { object: Object::new(self.index, self.subindex), data, readable: true }
     }

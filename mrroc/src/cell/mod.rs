@@ -12,6 +12,7 @@ mod drives;
 mod error;
 mod file;
 mod home;
+mod io;
 mod meetings;
 mod program;
 mod read;
@@ -36,6 +37,7 @@ pub use drive::axis_controller::{Control, Protocol};
 pub use drives::ENABLING;
 pub use error::{CellError, Path, Step};
 pub use file::CellFile;
+pub use io::{ErrorState, InputLine, IoNode, LinePlace, OutputLine};
 pub use meetings::Meeting;
 pub(crate) use program::smooth_pose;
 pub use program::{ProgramError, instruction_path};
@@ -77,6 +79,9 @@ pub struct Cell {
     /// The bundles of serial lines.
     #[serde(default)]
     pub serial: Vec<Serial>,
+    /// The nodes of digital inputs and outputs.
+    #[serde(default)]
+    pub io: Vec<IoNode>,
     /// The robots.
     pub robot: Vec<Robot>,
 }
@@ -243,7 +248,7 @@ pub struct Drive {
     pub parameter: Vec<Parameter>,
 }
 
-/// An object written to a drive before operation and read back.
+/// An object written to a drive or an I/O node before operation and read back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Parameter {

@@ -69,6 +69,8 @@ pub struct RunReport {
     pub faults: Vec<FaultReport>,
     /// Errors that the task received and handled, in the order of their delivery.
     pub recovered: Vec<FaultReport>,
+    /// Figures that the task reported, by name.
+    pub figures: BTreeMap<String, f64>,
     /// Errors that drives reported without a fault.
     pub warnings: Vec<WarningReport>,
     /// Reports of further errors, which are counted alone.
@@ -147,6 +149,7 @@ impl RunReport {
             wire: take(&mut end.wire),
             faults: take(&mut end.faults),
             recovered: take(&mut end.recovered),
+            figures: BTreeMap::new(),
             denied: take(&mut end.denied),
             realtime_factor: end.cell_time.as_secs_f64() / wall.as_secs_f64(),
             outcome,

@@ -111,6 +111,9 @@ impl fmt::Display for RunReport {
         if self.more_warnings > 0 {
             writeln!(f, "warning: {} further reports of drives", self.more_warnings)?;
         }
+        for (name, value) in &self.figures {
+            writeln!(f, "{name}: {value:.4}")?;
+        }
         for error in &self.recovered {
             writeln!(f, "recovered: {error}")?;
         }

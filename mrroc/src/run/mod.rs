@@ -152,8 +152,8 @@ pub fn run(
     let spikes = outputs.open_if("--spikes", options.spikes.as_deref())?;
     let page = options.out.as_deref().map(|directory| outputs.open_in("--out", directory, REPORT)).transpose()?;
     let bench = Bench::open(file, options.bench, &options.places, options.trace.is_some())?;
-    let groups = setup::drive_groups(file, bench.ports, bench.lines, None)?;
-    let (mut servo, links) = Servo::new(&setup::servo_config(file), groups)?;
+    let devices = setup::devices(file, bench.ports, bench.lines, None)?;
+    let (mut servo, links) = Servo::new(&setup::servo_config(file), devices.groups)?;
     servo.follow_override(requests.speed.clone());
     outputs.begin()?;
     let lag = record.as_ref().map_or(RECORDS, |_| LOGGED_RECORDS);
@@ -166,7 +166,9 @@ pub fn run(
         axes: axes.context("--record")?,
         frames: frames.transpose()?,
     };
-    let task = RunningTask::new(&Arc::new(file.clone()), program, links, &servo, rehearsed.instructions);
+    let cell = Arc::new(file.clone());
+    let task = RunningTask::new(&cell, program, links, devices.io, &servo, rehearsed.instructions);
+    let figures = task.figures();
     requests.stop_through(servo.stop_request());
 
     let began = clock::now();
@@ -191,6 +193,7 @@ pub fn run(
     };
     let (bench, wall) = (options.bench.name(), clock::now().since(began));
     let mut report = RunReport::of(file, bench, &mut end, &budget, wall, outcome);
+    report.figures = figures.all();
     if let Some(mut file) = page {
         let written = report::page(&report, &end.tracks, &end.timing)
             .context(REPORT)
@@ -245,8 +248,10 @@ pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
         None => error.node() == Some(file.cell.robot[robot].axis[axis].node),
     });
     let axis = axis.map(|(_, (robot, axis))| format!(", axis {}", file.axis_name(robot, axis)));
+    let mut io = file.cell.io_on(bus).map(|node| &file.cell.io[node]);
+    let io = io.find(|io| error.node() == Some(io.node)).map(|io| format!(", I/O node {}", io.name));
     let name = file.cell.groups().nth(bus).expect("the servo has the groups of the cell");
-    anyhow!("bus {name}{}: {error}", axis.unwrap_or_default())
+    anyhow!("bus {name}{}: {error}", axis.or(io).unwrap_or_default())
 }
 
 fn in_lockstep(

@@ -11,12 +11,13 @@ use controller::ecp::{EcpError, Subcontrollers};
 use controller::executor::{Ended, Executor, InstructionError, SystemError, Turns};
 use controller::generator::Axes;
 use drive::Fault;
+use drive::cia401::IoLink;
 use servo::{EffectorLink, Phase, Servo, ServoFault, SpeedOverride, StopCause, StopRequest};
 
 use super::worker::Worker;
 use crate::cell::CellFile;
 use crate::report::{ErrorPlace, FaultReport};
-use crate::tasks::{Program, TaskError};
+use crate::tasks::{Equipment, Figures, Program, TaskError};
 use crate::{rehearsal, setup};
 
 /// A task that is to run.
@@ -24,6 +25,10 @@ pub(crate) struct RunningTask {
     file: Arc<CellFile>,
     program: Program,
     subcontrollers: Subcontrollers,
+    /// One link per I/O node, in the order of [`Cell::io`](crate::cell::Cell::io).
+    io: Vec<IoLink>,
+    /// Figures that the task reports.
+    figures: Figures,
     /// Number of instructions in the rehearsal.
     instructions: u64,
     stop: StopRequest,
@@ -69,11 +74,12 @@ pub(super) enum Rehearsals {
 }
 
 impl RunningTask {
-    /// The task on the `links` to `servo`. The rehearsal had so many `instructions`.
+    /// The task on the `links` to `servo` and on the I/O nodes of the cell. The rehearsal had so many `instructions`.
     pub(crate) fn new(
         file: &Arc<CellFile>,
         program: &Program,
         links: Vec<EffectorLink>,
+        io: Vec<IoLink>,
         servo: &Servo,
         instructions: u64,
     ) -> Self {
@@ -81,6 +87,8 @@ impl RunningTask {
             file: Arc::clone(file),
             program: program.clone(),
             subcontrollers: setup::subcontrollers(file, links),
+            io,
+            figures: Figures::default(),
             instructions,
             stop: servo.stop_request(),
             speed: servo.speed_override(),
@@ -99,6 +107,11 @@ impl RunningTask {
         Ok(())
     }
 
+    /// The figures that the task reports.
+    pub(super) fn figures(&self) -> Figures {
+        self.figures.clone()
+    }
+
     /// What another thread needs to rehearse the task.
     pub(super) fn rehearsed(&self) -> (Arc<CellFile>, Program) {
         (Arc::clone(&self.file), self.program.clone())
@@ -106,12 +119,14 @@ impl RunningTask {
 
     /// Begins the task on the calling thread.
     pub(super) fn begin(self, rehearsals: Rehearsals) -> Carrying {
-        let Self { file, program, subcontrollers, instructions, stop, speed, turns } = self;
+        let Self { file, program, subcontrollers, io, figures, instructions, stop, speed, turns } = self;
+        let equipment = Equipment { subcontrollers, io: io.clone(), speed, figures };
         let robots = file.cell.robot.len();
         Carrying {
-            executor: program.begin(&file, subcontrollers, speed, false, turns),
+            executor: program.begin(&file, equipment, false, turns),
             file,
             program,
+            io,
             instructions,
             stop,
             rehearsals,
@@ -128,6 +143,7 @@ pub(super) struct Carrying {
     executor: Executor<TaskError>,
     file: Arc<CellFile>,
     program: Program,
+    io: Vec<IoLink>,
     instructions: u64,
     stop: StopRequest,
     rehearsals: Rehearsals,
@@ -174,7 +190,7 @@ impl Carrying {
         busy
     }
 
-    /// Ends the task, and returns its errors.
+    /// Ends the task, and returns its errors and the faults of the I/O nodes. The drive groups still exist.
     pub(super) fn finish(self) -> TaskErrors {
         let (ended, mut delivered) = self.executor.finish();
         let (file, mut faults) = (&*self.file, self.refusals);
@@ -190,6 +206,7 @@ impl Carrying {
             delivered.retain(|delivered| Some(delivered) != of_instruction);
             faults.push(of_instruction.map_or_else(|| FaultReport::of_run(&error), |error| describe(file, error)));
         }
+        faults.extend(io_faults(file, &self.io));
         TaskErrors { faults, recovered: delivered.iter().map(|error| describe(file, error)).collect() }
     }
 
@@ -255,6 +272,13 @@ fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultRep
     FaultReport::of_robot(file, robot, axis, fault.cause.to_string())
 }
 
+/// The latched faults of the I/O nodes of a cell. The axes do not stop by such a fault.
+fn io_faults(file: &CellFile, links: &[IoLink]) -> impl Iterator<Item = FaultReport> {
+    let nodes = file.cell.io.iter().zip(links);
+    let faults = nodes.filter_map(|(io, link)| Some((io, link.inputs.read().fault?)));
+    faults.map(|(io, fault)| FaultReport::of_run(format!("I/O node {}: {fault}", io.name)))
+}
+
 /// The fault that the servo latched for each robot, and a fault if some robots still have power.
 pub(crate) fn servo_faults(file: &CellFile, servo: &Servo) -> Vec<FaultReport> {
     let robots = &file.cell.robot;
@@ -306,7 +330,7 @@ mod tests {
         starts[0][0] += 10.0;
         let drives = |bus| Box::new(IdealDrives::of(&file, bus, &starts)) as Box<dyn DriveGroup>;
         let (mut servo, links) = Servo::new(&setup::servo_config(&file), vec![drives(0), drives(1)]).unwrap();
-        let task = RunningTask::new(&file, &Program::of(both), links, &servo, 8);
+        let task = RunningTask::new(&file, &Program::of(both), links, Vec::new(), &servo, 8);
         let (ask, asked) = sync_channel(2);
         let (answer, verdicts) = sync_channel(2);
         let mut carrying = task.begin(Rehearsals::Aside { ask, verdicts });
@@ -334,6 +358,18 @@ mod tests {
             now += servo.period();
         }
         panic!("the task does not end: {phases:?}");
+    }
+
+    #[test]
+    fn a_fault_of_an_io_node_is_a_fault_of_the_run() {
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells/irb6-touch.toml");
+        let file = CellFile::read(&path).unwrap();
+        let port = Box::new(can::virtual_port(16).0) as Box<dyn can::Port>;
+        let devices = setup::devices(&file, vec![port], Vec::new(), None).unwrap();
+        let faults: Vec<_> = io_faults(&file, &devices.io).map(|fault| fault.what).collect();
+        assert_eq!(faults, ["I/O node tool: node 40: I/O not started"]);
+        let (_, rehearsed) = setup::rehearsed_io(&file);
+        assert_eq!(io_faults(&file, &rehearsed).count(), 0);
     }
 
     #[test]

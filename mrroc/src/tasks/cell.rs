@@ -8,9 +8,10 @@ use controller::ecp::Task;
 use controller::executor::{Agent, Agents, Observer, Replacer};
 use controller::generator::{EffectorImage, Generator, Message};
 use controller::sensor::{Shell, VirtualSensor};
+use drive::cia401::IoLink;
 use servo::SpeedOverride;
 
-use super::{Outcome, TaskError, Team};
+use super::{Figures, InputLine, Outcome, OutputLine, TaskError, Team};
 use crate::cell::CellFile;
 use crate::motions::Motions;
 
@@ -18,7 +19,9 @@ use crate::motions::Motions;
 pub struct Cell {
     file: Arc<CellFile>,
     agents: Agents,
+    io: Vec<IoLink>,
     speed: SpeedOverride,
+    figures: Figures,
     rehearsing: bool,
 }
 
@@ -32,8 +35,15 @@ pub struct Robot {
 }
 
 impl Cell {
-    pub(super) fn new(file: &Arc<CellFile>, agents: Agents, speed: SpeedOverride, rehearsing: bool) -> Self {
-        Self { file: Arc::clone(file), agents, speed, rehearsing }
+    pub(super) fn new(
+        file: &Arc<CellFile>,
+        agents: Agents,
+        io: Vec<IoLink>,
+        speed: SpeedOverride,
+        figures: Figures,
+        rehearsing: bool,
+    ) -> Self {
+        Self { file: Arc::clone(file), agents, io, speed, figures, rehearsing }
     }
 
     /// The cell file.
@@ -61,6 +71,25 @@ impl Cell {
     /// All robots, in the order of the cell file. Refuses a robot that is in use.
     pub fn all_robots(&self) -> Result<Vec<Robot>, TaskError> {
         (0..self.file.cell.robot.len()).map(|robot| self.robot_at(robot)).collect()
+    }
+
+    /// The digital input called `line`.
+    pub fn input(&self, line: &str) -> Result<InputLine, TaskError> {
+        let place = self.file.cell.input_line(line).ok_or_else(|| TaskError::UnknownInput { name: line.to_owned() })?;
+        Ok(InputLine::new(self.io[place.node].clone(), place.line))
+    }
+
+    /// The digital output called `line`.
+    pub fn output(&self, line: &str) -> Result<OutputLine, TaskError> {
+        let place =
+            self.file.cell.output_line(line).ok_or_else(|| TaskError::UnknownOutput { name: line.to_owned() })?;
+        Ok(OutputLine::new(self.io[place.node].clone(), place.line))
+    }
+
+    /// Reports a figure of this run, such as the accuracy of a motion. The report and `--json` have it under `figures`. A
+    /// rehearsal reports nothing. A second figure of the same name replaces the first.
+    pub fn figure(&self, name: &str, value: f64) {
+        self.figures.set(name, value);
     }
 
     /// Speed of all programmed motions of the cell: override, pause and resume. The override of the operator

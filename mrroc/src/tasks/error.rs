@@ -36,6 +36,18 @@ pub enum TaskError {
         /// The names of all robots.
         known: String,
     },
+    /// A digital input that the cell has not.
+    #[error("the cell has no digital input {name:?}")]
+    UnknownInput {
+        /// The name of which the task asked.
+        name: String,
+    },
+    /// A digital output that the cell has not.
+    #[error("the cell has no digital output {name:?}")]
+    UnknownOutput {
+        /// The name of which the task asked.
+        name: String,
+    },
     /// A robot that has a handle already.
     #[error("robot {name:?} is in use: a robot has one handle at a time")]
     RobotInUse {
@@ -61,6 +73,8 @@ impl TaskError {
             Self::System(_) => Class::System,
             Self::Coordinator(_)
             | Self::UnknownRobot { .. }
+            | Self::UnknownInput { .. }
+            | Self::UnknownOutput { .. }
             | Self::RobotInUse { .. }
             | Self::NotRehearsed { .. }
             | Self::Refused(_) => Class::NonFatal,

@@ -3,6 +3,8 @@
 mod carried;
 mod cell;
 mod error;
+mod figures;
+mod lines;
 mod team;
 #[cfg(test)]
 pub(crate) mod tests;
@@ -12,6 +14,7 @@ use std::sync::Arc;
 
 use controller::ecp::Subcontrollers;
 use controller::executor::{Agents, Executor, Turns};
+use drive::cia401::IoLink;
 use servo::SpeedOverride;
 
 use crate::cell::CellFile;
@@ -19,6 +22,8 @@ use crate::cell::CellFile;
 pub use carried::CarriedTask;
 pub use cell::{Cell, Robot};
 pub use error::{Outcome, TaskError};
+pub(crate) use figures::Figures;
+pub use lines::{InputLine, OutputLine};
 pub use team::Team;
 
 /// A task in a form that can be boxed.
@@ -30,6 +35,15 @@ impl<T: AsyncFn(&mut Cell) -> Outcome + Send + Sync> Carry for T {
     fn carry<'a>(&'a self, cell: &'a mut Cell) -> Pin<Box<dyn Future<Output = Outcome> + 'a>> {
         Box::pin(async move { self(cell).await })
     }
+}
+
+/// What a task works on.
+pub(crate) struct Equipment {
+    pub subcontrollers: Subcontrollers,
+    /// One link per I/O node, in the order of [`Cell::io`](crate::cell::Cell::io).
+    pub io: Vec<IoLink>,
+    pub speed: SpeedOverride,
+    pub figures: Figures,
 }
 
 /// A task to rehearse and to run. Every rehearsal and the run begin the task anew.
@@ -50,13 +64,14 @@ impl Program {
     pub(crate) fn begin(
         &self,
         file: &Arc<CellFile>,
-        subcontrollers: Subcontrollers,
-        speed: SpeedOverride,
+        equipment: Equipment,
         rehearsing: bool,
         turns: Turns,
     ) -> Executor<TaskError> {
+        let Equipment { subcontrollers, io, speed, figures } = equipment;
         let agents = Agents::new(subcontrollers);
-        let (task, mut cell) = (Arc::clone(&self.task), Cell::new(file, agents.clone(), speed, rehearsing));
+        let (task, mut cell) =
+            (Arc::clone(&self.task), Cell::new(file, agents.clone(), io, speed, figures, rehearsing));
         Executor::new(agents, async move { task.carry(&mut cell).await }, turns)
     }
 }

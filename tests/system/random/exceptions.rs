@@ -61,6 +61,11 @@ const EXCEPTIONS: &[Exception] = &[
         &["object does not exist", "sub-index does not exist"],
         "the object dictionary of a drive is in the drive",
     ),
+    refused(
+        "io.parameter.",
+        &["does not exist", "does not match", "data too"],
+        "the object dictionary of a node is in the node",
+    ),
     faulted("robot.axis.drive.loop.", OF_A_LOOP, NO_LOOP),
     faulted(
         "robot.axis.controller.torque_constant",

@@ -168,7 +168,7 @@ pub fn identify(options: &Options) -> anyhow::Result<Measured<IdentifyReport>> {
     let files = files.map(|directory| open(&mut outputs, directory));
     let files = files.transpose()?;
     let Bench { ports, lines: ttys, emulation, .. } = Bench::open(&file, options.bench, &options.places, false)?;
-    let groups = setup::drive_groups(&file, ports, ttys, with_torque)?;
+    let groups = setup::devices(&file, ports, ttys, with_torque)?.groups;
     let delay = groups[axis.group].delay();
     let (mut servo, mut links) = Servo::new(&config, groups)?;
     let plan = excite(&mut servo, place, plan, options.amplitude.is_some())?;

@@ -152,14 +152,16 @@ impl BusArgs {
 }
 
 impl<P> Open<P> {
-    /// Name of `node` in reports, with the name of its axis if the cell has one.
+    /// Name of `node` in reports, with the name of its axis or I/O node if the cell has one.
     fn name_of(&self, node: NodeId) -> String {
-        let axis = self.cell.as_ref().and_then(|(file, bus)| {
+        let name = self.cell.as_ref().and_then(|(file, bus)| {
             let is_node = |&(robot, axis): &(usize, usize)| file.cell.robot[robot].axis[axis].node == node.raw();
-            let (robot, axis) = file.cell.axes_on(*bus).find(is_node)?;
-            Some(format!(" ({})", file.axis_name(robot, axis)))
+            let axis = file.cell.axes_on(*bus).find(is_node).map(|(robot, axis)| file.axis_name(robot, axis));
+            let mut io = file.cell.io_on(*bus).map(|io| &file.cell.io[io]);
+            axis.or_else(|| Some(io.find(|io| io.node == node.raw())?.name.clone()))
         });
-        format!("node {node}{}", axis.unwrap_or_default())
+        let name = name.map(|name| format!(" ({name})"));
+        format!("node {node}{}", name.unwrap_or_default())
     }
 }
 

@@ -9,7 +9,8 @@ use anyhow::Context;
 use can::{ControllerState, Port, Received, clock};
 use canopen::NodeId;
 use clap::Args;
-use drive::cia402::pdo_setups;
+use drive::{cia401, cia402};
+use master::pdo::PdoSetup;
 use serde::Serialize;
 
 use super::decode::{Decoder, Described, Kind};
@@ -84,18 +85,22 @@ fn of_cell(bus: &Bus) -> Decoder {
         return decoder;
     };
     let mut pdos = PdoMap::new();
+    let mut add = |node: NodeId, setups: Vec<PdoSetup>| {
+        for setup in setups {
+            let id = setup.cob_id.id().expect("these have 11-bit identifiers");
+            let entries = setup.mapping.entries().to_vec();
+            pdos.insert(id.raw(), Pdo { node, kind: setup.kind, number: setup.number, entries });
+        }
+    };
     for axis in setup::axis_configs(file, *index) {
         decoder.set_vendor(axis.node, axis.identity.vendor);
-        for setup in pdo_setups(axis.node, axis.mode) {
-            let id = setup.cob_id.id().expect("these have 11-bit identifiers");
-            let pdo = Pdo {
-                node: axis.node,
-                kind: setup.kind,
-                number: setup.number,
-                entries: setup.mapping.entries().to_vec(),
-            };
-            pdos.insert(id.raw(), pdo);
-        }
+        add(axis.node, cia402::pdo_setups(axis.node, axis.mode).to_vec());
+    }
+    for io in file.cell.io_configs(*index) {
+        decoder.set_vendor(io.node, io.identity.vendor);
+        let mut setups = cia401::pdo_setups(&io).expect("a parsed cell has possible times").to_vec();
+        setups.retain(|setup| !setup.mapping.entries().is_empty());
+        add(io.node, setups);
     }
     decoder.add_pdos(pdos);
     decoder

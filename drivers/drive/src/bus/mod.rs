@@ -8,8 +8,8 @@
 //! |---|---|
 //! | SYNC | every cycle |
 //! | RPDO 1 of each drive | every cycle |
-//! | RPDO 1 of an I/O node | after the first heartbeat of the host: first levels, changed levels, and levels that the port did not take |
 //! | heartbeat of the host | once per heartbeat period |
+//! | RPDO 1 of an I/O node | after the first heartbeat of the host: changed levels, refused levels, and with each heartbeat |
 //! | SDO request to a drive | one at most, during a change of mode or after a fault |
 //!
 //! Bring-up listens for another controller, resets the communication of all nodes, configures and reads back every node
@@ -43,7 +43,7 @@ pub(crate) use step::{Need, Step};
 pub(crate) use syncs::Syncs;
 pub use traffic::{Traffic, traffic};
 
-use crate::cia401::{self, IoConfig, IoLink, IoNode};
+use crate::cia401::{self, IoConfig, IoFault, IoLink, IoNode};
 use crate::cia402::{self, AxisConfig, Cia402Group, ConfigError, GroupConfig};
 use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Warning, Warnings};
 use bring_up::Profile;
@@ -133,7 +133,8 @@ impl<P: Port> CanBus<P> {
         }
         for node in io {
             let program = cia401::program(&config, node)?;
-            members.push(Member::new(NodeBringUp::new(&config, node.node, Profile::Io, program, Vec::new())));
+            let configuration = node.configuration.clone();
+            members.push(Member::new(NodeBringUp::new(&config, node.node, Profile::Io, program, configuration)));
         }
         let inputs: usize = io.iter().map(|node| node.frames_per(config.period)).sum();
         let (nodes, links): (Vec<_>, Vec<_>) = io.iter().map(|node| IoNode::new(&config, node)).unzip();
@@ -161,6 +162,12 @@ impl<P: Port> CanBus<P> {
         Ok((bus, links))
     }
 
+    /// Latches a fault of the bus at every drive and every I/O node.
+    fn latch_all(&mut self, fault: Fault, of_io: IoFault) {
+        self.drives.latch_all(fault);
+        self.io.iter_mut().for_each(|io| io.latch(of_io));
+    }
+
     /// The sign of another controller in `frame`, if any.
     fn sign(&self, frame: &Frame) -> Option<Sign> {
         Sign::of(frame, self.config.host_node, |node| self.routes.place(node).is_some())
@@ -169,7 +176,7 @@ impl<P: Port> CanBus<P> {
     /// Takes one frame during operation. `None` means an undecodable or unexpected frame.
     fn take(&mut self, Received { frame, at }: Received, now: Instant) -> Option<()> {
         if let Some(sign) = self.sign(&frame) {
-            self.drives.latch_all(Fault::OtherController { sign });
+            self.latch_all(Fault::OtherController { sign }, IoFault::OtherController { sign });
             return Some(());
         }
         match cob::Function::of(frame.standard_data_id()?)? {
@@ -194,7 +201,10 @@ impl<P: Port> CanBus<P> {
                 let emergency = Emergency::decode(&frame)?;
                 let warns = match self.routes.place(node)? {
                     Place::Drive(drive) => self.drives.emergency(drive, &emergency),
-                    Place::Io(_) => !emergency.is_reset(),
+                    Place::Io(io) => {
+                        self.io[io].emergency(&emergency, at);
+                        !emergency.is_reset()
+                    }
                 };
                 if warns {
                     self.warnings.add(Warning {
@@ -385,11 +395,11 @@ impl<P: Port> DriveGroup for CanBus<P> {
                     }
                 }
             }
-            Err(error) => self.drives.latch_all(Fault::Port(error)),
+            Err(error) => self.latch_all(Fault::Port(error), IoFault::Port(error)),
         }
         // Checked first, because silence is a consequence of bus-off.
         if self.port.state() == ControllerState::BusOff {
-            self.drives.latch_all(Fault::BusOff);
+            self.latch_all(Fault::BusOff, IoFault::BusOff);
         }
         let lost_after = self.config.heartbeat_lost_after();
         let alone = self.syncs.last.map(|last| now.since(last));
@@ -397,7 +407,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
             self.drives.left_alone(waited);
         }
         if let Some(waited) = self.heartbeat.missing(now, lost_after) {
-            self.drives.latch_all(Fault::HeartbeatNotSent { waited });
+            self.latch_all(Fault::HeartbeatNotSent { waited }, IoFault::HeartbeatNotSent { waited });
         }
         let due = self.syncs.attempted;
         let missed = self.drives.end_of_read(now, due, &mut self.members, &mut self.warnings, states);
@@ -415,23 +425,23 @@ impl<P: Port> DriveGroup for CanBus<P> {
         self.drives.write(now, commands, watched, &mut self.members, &mut self.batch);
     }
 
-    /// Changed outputs, the host's heartbeat when due, and at most one service frame follow the set-points. Outputs
-    /// that the port does not take are sent in the next cycle. The service frame is sent again if the port does not
-    /// take it.
+    /// The host's heartbeat when due, outputs, and at most one service frame follow the set-points. Outputs are sent
+    /// when they change and with each heartbeat. Outputs that the port does not take are sent in the next cycle. The
+    /// service frame is sent again if the port does not take it.
     fn send(&mut self, now: Instant) -> bool {
         if self.batch.is_empty() {
             self.batch.push(Sync::default().encode());
         }
         let setpoints = self.batch.len() - 1;
-        // A node that has not heard the host does not notice its silence.
-        if self.heartbeat.watched {
-            self.batch.extend(self.io.iter_mut().filter_map(IoNode::command));
-        }
-        let before_heartbeat = self.batch.len();
         let heartbeat = self.heartbeat.is_due(now);
         if heartbeat {
             let (node, state) = (self.config.host_node, nmt::NmtState::Operational);
             self.batch.push(Heartbeat { node, state }.encode());
+        }
+        let before_outputs = self.batch.len();
+        // A node that has not heard the host does not notice its silence.
+        if self.heartbeat.watched {
+            self.batch.extend(self.io.iter_mut().filter_map(|io| io.command(heartbeat)));
         }
         if self.service.is_none() {
             self.service = self.next_sdo_frame(now);
@@ -440,13 +450,13 @@ impl<P: Port> DriveGroup for CanBus<P> {
         let taken = match self.port.send(now, &self.batch) {
             Ok(taken) => taken,
             Err(error) => {
-                self.drives.latch_all(Fault::Port(error));
+                self.latch_all(Fault::Port(error), IoFault::Port(error));
                 0
             }
         };
         self.syncs.send(now, taken > 0);
         self.drives.handed_over(taken, setpoints);
-        let mut outputs = taken.saturating_sub(1 + setpoints);
+        let mut outputs = taken.saturating_sub(before_outputs);
         for io in &mut self.io {
             io.handed_over(&mut outputs, now, self.cycle);
         }
@@ -454,7 +464,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
         self.counters.dropped_setpoints += setpoints.saturating_sub(taken.saturating_sub(1)) as u64;
         if heartbeat {
             let period = self.config.heartbeat_period;
-            self.heartbeat.offered(now, taken > before_heartbeat, period);
+            self.heartbeat.offered(now, taken >= before_outputs, period);
         }
         if taken == self.batch.len() {
             self.service = None;

@@ -6,7 +6,8 @@ use canopen::NodeId;
 use canopen::cia401::CHANNELS;
 use thiserror::Error;
 
-use crate::cia402::{AxisConfig, ConfigError, GroupConfig, Identity};
+use super::reserved::reserved;
+use crate::cia402::{AxisConfig, ConfigError, GroupConfig, Identity, Setting, check_settings};
 
 /// Unit of an inhibit time (CiA 301 §7.5.2.37).
 const INHIBIT_UNIT: Duration = Duration::from_micros(100);
@@ -31,11 +32,21 @@ pub struct IoConfig {
     /// Longest time between two frames with inputs, whole milliseconds. Three event timers without inputs are
     /// [`IoFault::InputsSilent`](super::IoFault::InputsSilent).
     pub event_timer: Duration,
-    /// Outputs that take their error value when the host is silent: output *n* in bit *n*. The other outputs keep their
-    /// level.
+    /// Inputs whose level is inverted, input *n* in bit *n*. The driver inverts them, so a node may lack object 0x6002.
+    pub inverted_inputs: u64,
+    /// Inputs that the node filters (0x6003), input *n* in bit *n*. The filter time belongs to the node.
+    pub filtered_inputs: u64,
+    /// Outputs whose level is inverted at the terminal, output *n* in bit *n*. The driver inverts them.
+    pub inverted_outputs: u64,
+    /// Outputs that take their [`error_value`](Self::error_value) in the error state (0x6206), output *n* in bit *n*.
+    /// The other outputs keep their level.
     pub error_mode: u64,
-    /// Error values of the outputs, output *n* in bit *n*. Also the levels before the first command.
+    /// Levels of the outputs before the first command, output *n* in bit *n*, for the outputs of either
+    /// [`error_mode`](Self::error_mode). For the outputs whose error mode is set, also the levels in the error state
+    /// (0x6207, which takes them as levels at the terminal).
     pub error_value: u64,
+    /// Objects downloaded in order before the settings of this driver. None of them may be [`reserved`](super::reserved).
+    pub configuration: Vec<Setting>,
 }
 
 /// A quantity of an I/O node that is out of its range.
@@ -48,12 +59,14 @@ pub enum IoQuantity {
     InhibitTime,
     #[error("event timer is not 1 to 65535 whole milliseconds")]
     EventTimer,
-    #[error("error mode or error value has a bit beyond the outputs")]
-    ErrorState,
+    #[error("filter or inversion has a bit beyond the inputs")]
+    InputMask,
+    #[error("error mode, error value or inversion has a bit beyond the outputs")]
+    OutputMask,
 }
 
-/// Checks the I/O nodes of a bus whose drives are `axes`: their node-IDs and their quantities.
-pub(crate) fn check(group: &GroupConfig, axes: &[AxisConfig], io: &[IoConfig]) -> Result<(), ConfigError> {
+/// Checks the I/O nodes of a bus whose drives are `axes`: their node-IDs and their quantities. No frame is sent.
+pub fn check(group: &GroupConfig, axes: &[AxisConfig], io: &[IoConfig]) -> Result<(), ConfigError> {
     for (i, config) in io.iter().enumerate() {
         let node = config.node;
         let drives = axes.iter().map(|axis| axis.node);
@@ -65,11 +78,15 @@ pub(crate) fn check(group: &GroupConfig, axes: &[AxisConfig], io: &[IoConfig]) -
         if config.inputs.max(config.outputs) > CHANNELS || config.inputs.max(config.outputs) == 0 {
             return Err(out_of_range(IoQuantity::Channels));
         }
-        if (config.error_mode | config.error_value) & !mask(config.outputs) != 0 {
-            return Err(out_of_range(IoQuantity::ErrorState));
+        if (config.inverted_inputs | config.filtered_inputs) & !mask(config.inputs) != 0 {
+            return Err(out_of_range(IoQuantity::InputMask));
+        }
+        if (config.error_mode | config.error_value | config.inverted_outputs) & !mask(config.outputs) != 0 {
+            return Err(out_of_range(IoQuantity::OutputMask));
         }
         config.event_timer_ms()?;
         config.inhibit_units()?;
+        check_settings(node, &config.configuration, reserved)?;
     }
     Ok(())
 }

@@ -8,33 +8,12 @@ use std::time::Duration;
 use can::Instant;
 use canopen::NodeId;
 use canopen::cia401::CHANNELS;
-use thiserror::Error;
 
+use super::fault::{self, IoFault};
 use crate::latest::{Latest, Publisher, latest};
 
 /// Greatest number of inputs of a node.
 const INPUTS: usize = CHANNELS as usize;
-
-/// A latched condition of an I/O node, cleared by the next bring-up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[expect(missing_docs, reason = "the messages document variants and fields")]
-pub enum IoFault {
-    /// Bring-up has not ended.
-    #[error("node {node}: I/O not started")]
-    NotStarted { node: u8 },
-    /// The node sent no TPDO 1 for three event timers.
-    #[error("node {node}: no inputs for {waited:.1?}")]
-    InputsSilent { node: u8, waited: Duration },
-    #[error("node {node}: no heartbeat for {waited:.1?}")]
-    HeartbeatLost { node: u8, waited: Duration },
-    /// The node booted again, or left NMT state operational. A node enters the state stopped when it hears no heartbeat
-    /// of the host.
-    #[error("node {node}: left operational state")]
-    LeftOperational { node: u8 },
-    /// The port refused RPDO 1 for more cycles than the cell tolerates. The outputs have old levels.
-    #[error("node {node}: outputs not taken by the bus for {cycles} cycles")]
-    OutputsNotSent { node: u8, cycles: u32 },
-}
 
 /// One input of a node that works.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,14 +26,26 @@ pub struct Input {
     pub last_edge: Option<Instant>,
 }
 
-/// An output command that the port took.
+/// An output command that the port took. Each heartbeat period repeats the last command; a repetition does not change
+/// this value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SentOutputs {
     /// Level of output *n* in bit *n*.
     pub levels: u64,
-    /// Number of the cycle that sent the command.
+    /// Number of the first cycle that sent these levels.
     pub cycle: u64,
     /// Time of that cycle.
+    pub at: Instant,
+}
+
+/// An error that a node reported by EMCY (CiA 301 §7.2.7).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct IoError {
+    /// Error code of CiA 301 or of the vendor.
+    pub code: u16,
+    /// Object 0x1001.
+    pub register: u8,
+    /// Receive time of the EMCY.
     pub at: Instant,
 }
 
@@ -74,6 +65,9 @@ pub struct InputImage {
     pub received: Instant,
     /// The fault of the node.
     pub fault: Option<IoFault>,
+    /// The last error that the node reported by EMCY since the end of bring-up. An EMCY with the error register 0 ends
+    /// it. An error is no [`fault`](Self::fault): the node goes on.
+    pub error: Option<IoError>,
     /// The last output command that the port took; `None` before the first.
     pub sent: Option<SentOutputs>,
     /// Number of inputs.
@@ -84,8 +78,8 @@ pub struct InputImage {
     pub(super) last_edge: [Instant; INPUTS],
 }
 
-/// Words of an image in front of those of each input: counters, times, levels, outputs and fault.
-const HEAD: usize = 11;
+/// Words of an image in front of those of each input: counters, times, levels, outputs, fault and error.
+const HEAD: usize = 13;
 
 /// Words of an image.
 const WORDS: usize = HEAD + 2 * INPUTS;
@@ -102,6 +96,7 @@ impl InputImage {
             heard: Instant::ZERO,
             received: Instant::ZERO,
             fault: Some(IoFault::NotStarted { node: node.raw() }),
+            error: None,
             sent: None,
             inputs,
             levels: 0,
@@ -131,7 +126,9 @@ impl InputImage {
 
     pub(super) fn words(&self) -> [u64; WORDS] {
         let mut words = [0; WORDS];
-        let (fault, value) = self.fault.map_or((0, 0), fault_words);
+        let (fault, value) = fault::words(self.fault);
+        let no_error = IoError { code: 0, register: 0, at: Instant::ZERO };
+        let error = self.error.unwrap_or(no_error);
         let sent = self.sent.unwrap_or(SentOutputs { levels: 0, cycle: 0, at: Instant::ZERO });
         words[..HEAD].copy_from_slice(&[
             self.cycle,
@@ -139,12 +136,14 @@ impl InputImage {
             self.heard.as_nanos(),
             self.received.as_nanos(),
             self.levels,
-            u64::from(self.inputs) | u64::from(self.sent.is_some()) << 8,
+            u64::from(self.inputs) | u64::from(self.sent.is_some()) << 8 | u64::from(self.error.is_some()) << 9,
             sent.levels,
             sent.cycle,
             sent.at.as_nanos(),
             fault,
             value,
+            u64::from(error.code) | u64::from(error.register) << 16,
+            error.at.as_nanos(),
         ]);
         let (edges, times) = words[HEAD..].split_at_mut(INPUTS);
         edges.copy_from_slice(&self.edges);
@@ -157,6 +156,7 @@ impl InputImage {
     pub(super) fn from_words(words: &[u64; WORDS]) -> Self {
         let time = |word: usize| Instant::from_nanos(words[word]);
         let sent = SentOutputs { levels: words[6], cycle: words[7], at: time(8) };
+        let error = IoError { code: words[11] as u16, register: (words[11] >> 16) as u8, at: time(12) };
         Self {
             cycle: words[0],
             at: time(1),
@@ -165,36 +165,12 @@ impl InputImage {
             levels: words[4],
             inputs: words[5] as u8,
             sent: (words[5] & 1 << 8 != 0).then_some(sent),
-            fault: fault_of(words[9], words[10]),
+            fault: fault::of_words(words[9], words[10]),
+            error: (words[5] & 1 << 9 != 0).then_some(error),
             edges: array::from_fn(|input| words[HEAD + input]),
             last_edge: array::from_fn(|input| time(HEAD + INPUTS + input)),
         }
     }
-}
-
-/// A fault as two words: its kind, from 1, with the node in the second byte, and its time or number of cycles.
-fn fault_words(fault: IoFault) -> (u64, u64) {
-    let nanos = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
-    let (kind, node, value) = match fault {
-        IoFault::NotStarted { node } => (1, node, 0),
-        IoFault::InputsSilent { node, waited } => (2, node, nanos(waited)),
-        IoFault::HeartbeatLost { node, waited } => (3, node, nanos(waited)),
-        IoFault::LeftOperational { node } => (4, node, 0),
-        IoFault::OutputsNotSent { node, cycles } => (5, node, u64::from(cycles)),
-    };
-    (kind | u64::from(node) << 8, value)
-}
-
-fn fault_of(word: u64, value: u64) -> Option<IoFault> {
-    let (node, waited) = ((word >> 8) as u8, Duration::from_nanos(value));
-    Some(match word as u8 {
-        0 => return None,
-        2 => IoFault::InputsSilent { node, waited },
-        3 => IoFault::HeartbeatLost { node, waited },
-        4 => IoFault::LeftOperational { node },
-        5 => IoFault::OutputsNotSent { node, cycles: value as u32 },
-        _ => IoFault::NotStarted { node },
-    })
 }
 
 /// The latest image of a node, for any number of readers. A read neither waits nor delays the cycle.
@@ -240,9 +216,9 @@ impl OutputCommand {
 pub struct IoLink {
     /// Node-ID.
     pub node: NodeId,
-    /// Inputs, state of the outputs and fault.
+    /// Inputs, state of the outputs, fault and error.
     pub inputs: LatestInputs,
-    /// Commands to the outputs. A bring-up sets them to the error values.
+    /// Commands to the outputs. A bring-up sets them to [`IoConfig::error_value`](super::IoConfig::error_value).
     pub outputs: OutputCommand,
 }
 
@@ -261,24 +237,12 @@ mod tests {
 
     use super::*;
 
-    fn fault(kind: u8, node: u8, value: u32) -> Option<IoFault> {
-        let waited = Duration::from_nanos(value.into());
-        match kind {
-            0 => None,
-            1 => Some(IoFault::NotStarted { node }),
-            2 => Some(IoFault::InputsSilent { node, waited }),
-            3 => Some(IoFault::HeartbeatLost { node, waited }),
-            4 => Some(IoFault::LeftOperational { node }),
-            _ => Some(IoFault::OutputsNotSent { node, cycles: value }),
-        }
-    }
-
     proptest! {
         #[test]
         fn what_is_published_is_read(
             head in any::<[u64; 8]>(),
-            (kind, node, value) in (0..6_u8, any::<u8>(), any::<u32>()),
-            (sent, inputs) in (any::<bool>(), 0..=CHANNELS),
+            (kind, node, value) in (0..=11_u64, any::<u8>(), any::<u32>()),
+            (sent, error, inputs) in (any::<bool>(), any::<bool>(), 0..=CHANNELS),
             edges in any::<u64>(),
         ) {
             let [cycle, at, heard, received, levels, sent_levels, sent_cycle, sent_at] = head;
@@ -288,7 +252,8 @@ mod tests {
                 at: time(at),
                 heard: time(heard),
                 received: time(received),
-                fault: fault(kind, node, value),
+                fault: fault::of_words(kind | u64::from(node) << 8, value.into()),
+                error: error.then_some(IoError { code: value as u16, register: node, at: time(heard) }),
                 sent: sent.then_some(SentOutputs { levels: sent_levels, cycle: sent_cycle, at: time(sent_at) }),
                 inputs,
                 levels,

@@ -4,25 +4,29 @@ use std::time::Duration;
 
 use can::{Frame, Instant};
 use canopen::cia401::blocks;
+use canopen::emcy::Emergency;
 use canopen::nmt::NmtState;
 use canopen::pdo::PdoNumber;
 use canopen::{NodeId, cob};
 
 use super::config::{IoConfig, mask};
-use super::image::{ImagePublisher, InputImage, IoFault, IoLink, OutputCommand, SentOutputs};
+use super::fault::IoFault;
+use super::image::{ImagePublisher, InputImage, IoError, IoLink, OutputCommand, SentOutputs};
 use crate::BringUpError;
 use crate::cia402::GroupConfig;
 
 /// State of one I/O node: its inputs, the outputs sent and the latched fault.
 ///
 /// Nothing here waits or allocates. The order of calls within a cycle is:
-/// 1. [`inputs`](Self::inputs) and [`heard`](Self::heard), as frames arrive;
+/// 1. [`inputs`](Self::inputs), [`heard`](Self::heard) and [`emergency`](Self::emergency), as frames arrive;
 /// 2. [`end_of_read`](Self::end_of_read), which publishes the image;
 /// 3. [`command`](Self::command) and [`handed_over`](Self::handed_over).
 pub(crate) struct IoNode {
     node: NodeId,
     inputs: u8,
     outputs: u8,
+    inverted_inputs: u64,
+    inverted_outputs: u64,
     error_mode: u64,
     error_value: u64,
     /// Time-out for the first inputs after the start.
@@ -43,6 +47,8 @@ pub(crate) struct IoNode {
     operational: bool,
     /// The levels in the batch of this cycle.
     offered: Option<u64>,
+    /// The last levels are to be sent again.
+    repeating: bool,
     /// Cycles in a row whose output command the port did not take.
     not_sent: u32,
 }
@@ -56,6 +62,8 @@ impl IoNode {
             node: config.node,
             inputs: config.inputs,
             outputs: config.outputs,
+            inverted_inputs: config.inverted_inputs,
+            inverted_outputs: config.inverted_outputs,
             error_mode: config.error_mode,
             error_value: config.error_value,
             inputs_within: group.boot_timeout + config.event_timer,
@@ -70,6 +78,7 @@ impl IoNode {
             since: None,
             operational: false,
             offered: None,
+            repeating: false,
             not_sent: 0,
         };
         (node, link)
@@ -101,7 +110,7 @@ impl IoNode {
         // Commands that were given during bring-up do not take effect.
         self.commanded.set_all(self.error_value);
         (self.since, self.operational) = (None, true);
-        (self.offered, self.not_sent) = (None, 0);
+        (self.offered, self.repeating, self.not_sent) = (None, false, 0);
     }
 
     /// Takes TPDO 1, received at `at`. `None` means a payload of another length.
@@ -112,7 +121,7 @@ impl IoNode {
         }
         let mut bytes = [0; 8];
         bytes[..length].copy_from_slice(data);
-        let levels = u64::from_le_bytes(bytes) & mask(self.inputs);
+        let levels = (u64::from_le_bytes(bytes) ^ self.inverted_inputs) & mask(self.inputs);
         let image = &mut self.image;
         let mut changed = if self.has_inputs { levels ^ image.levels } else { 0 };
         while changed != 0 {
@@ -130,6 +139,16 @@ impl IoNode {
     pub(crate) fn heard(&mut self, state: NmtState, at: Instant) {
         (self.heartbeat, self.image.heard) = (at, at);
         self.operational &= state == NmtState::Operational;
+    }
+
+    /// Takes an EMCY received at `at`. The error ends when the error register is clear.
+    pub(crate) fn emergency(&mut self, emergency: &Emergency, at: Instant) {
+        let register = emergency.error_register.0;
+        if !emergency.is_reset() {
+            self.image.error = Some(IoError { code: emergency.code, register, at });
+        } else if register == 0 {
+            self.image.error = None;
+        }
     }
 
     /// Ends the reading of a cycle: judges silence and publishes the image.
@@ -154,8 +173,10 @@ impl IoNode {
         self.publisher.publish(&self.image.words());
     }
 
-    /// RPDO 1, if the outputs are to have other levels than those sent last.
-    pub(crate) fn command(&mut self) -> Option<Frame> {
+    /// RPDO 1, if the outputs are to have other levels than those sent last. With `repeat`, also unchanged levels are
+    /// offered until the port takes them.
+    pub(crate) fn command(&mut self, repeat: bool) -> Option<Frame> {
+        self.repeating |= repeat;
         let mask = mask(self.outputs);
         let last = self.image.sent.map(|sent| sent.levels);
         let levels = match self.image.fault {
@@ -163,12 +184,13 @@ impl IoNode {
             // The error state of the node itself. A node that was sent no command stays as it is.
             Some(_) => self.error_value & self.error_mode | last? & !self.error_mode,
         } & mask;
-        self.offered = (self.outputs > 0 && last != Some(levels)).then_some(levels);
+        let due = self.repeating || last != Some(levels);
+        self.offered = (self.outputs > 0 && due).then_some(levels);
         if self.offered.is_none() {
             self.not_sent = 0;
         }
         let length = usize::from(blocks(self.outputs));
-        let bytes = self.offered?.to_le_bytes();
+        let bytes = (self.offered? ^ self.inverted_outputs).to_le_bytes();
         Some(Frame::new(cob::rpdo(PdoNumber::One, self.node), &bytes[..length]).expect("eight bytes fit a frame"))
     }
 
@@ -178,15 +200,26 @@ impl IoNode {
         let Some(levels) = self.offered.take() else { return };
         if *taken > 0 {
             *taken -= 1;
-            self.image.sent = Some(SentOutputs { levels, cycle, at: now });
-            self.not_sent = 0;
+            if self.image.sent.is_none_or(|sent| sent.levels != levels) {
+                self.image.sent = Some(SentOutputs { levels, cycle, at: now });
+            }
+            (self.repeating, self.not_sent) = (false, 0);
         } else {
             self.not_sent = self.not_sent.saturating_add(1);
         }
     }
 
     /// Latches a fault. The first fault stays until the next bring-up.
-    fn latch(&mut self, fault: IoFault) {
+    pub(crate) fn latch(&mut self, fault: IoFault) {
         self.image.fault.get_or_insert(fault);
+    }
+}
+
+impl Drop for IoNode {
+    /// Ends the validity of the levels. The node itself notices the silence of the host, and its outputs take their
+    /// error state.
+    fn drop(&mut self) {
+        self.latch(IoFault::Ended { node: self.node.raw() });
+        self.publisher.publish(&self.image.words());
     }
 }

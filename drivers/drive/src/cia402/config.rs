@@ -7,7 +7,7 @@ use canopen::{NodeId, Object};
 use master::sdo::CAPACITY;
 use thiserror::Error;
 
-use super::reserved::reserved;
+use super::reserved::{Reserved, reserved};
 use crate::Scale;
 use crate::cia401::IoQuantity;
 use crate::scale::rpm_magnitude;
@@ -234,6 +234,20 @@ impl GroupConfig {
     }
 }
 
+/// Refuses settings of a node that cannot be written, or whose object is `reserved`.
+pub(crate) fn check_settings(
+    node: NodeId,
+    settings: &[Setting],
+    reserved: impl Fn(Object) -> Option<Reserved>,
+) -> Result<(), ConfigError> {
+    let refusal = |object: Object, why| ConfigError::Setting { node: node.raw(), object, why };
+    if let Some(found) = settings.iter().find_map(|setting| reserved(setting.object)) {
+        return Err(refusal(found.object, found.why));
+    }
+    let other = settings.iter().find(|setting| !(1..=CAPACITY).contains(&setting.data.len()));
+    other.map_or(Ok(()), |other| Err(refusal(other.object, "1 to 256 bytes are transferred")))
+}
+
 /// Quantities of an axis in the drive's units: the following error in increments, speeds in rpm, accelerations in rpm/s.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct DriveUnits {
@@ -247,15 +261,8 @@ pub(super) struct DriveUnits {
 impl AxisConfig {
     /// Refuses settings that cannot or must not be written.
     fn check_writes(&self) -> Result<(), ConfigError> {
-        let refusal = |object: Object, why| ConfigError::Setting { node: self.node.raw(), object, why };
-        for &Setting { object, .. } in &self.configuration {
-            if let Some(found) = reserved(self.identity.vendor, object.index, object.subindex) {
-                return Err(refusal(object, found.why));
-            }
-        }
-        let mut settings = self.configuration.iter();
-        let other = settings.find(|setting| !(1..=CAPACITY).contains(&setting.data.len()));
-        other.map_or(Ok(()), |other| Err(refusal(other.object, "1 to 256 bytes are transferred")))
+        let reserved = |object: Object| reserved(self.identity.vendor, object.index, object.subindex);
+        check_settings(self.node, &self.configuration, reserved)
     }
 
     pub(super) fn drive_units(&self) -> Result<DriveUnits, ConfigError> {

@@ -4,7 +4,7 @@
 //! drivers and the servo.
 
 use controller::robot::ParameterError;
-use drive::{axis_controller, cia402};
+use drive::{axis_controller, cia401, cia402};
 
 use super::Checked;
 use crate::cell::{Cell, Path};
@@ -23,6 +23,13 @@ pub(super) fn check(cell: &Cell) -> Checked {
         cell.group_config(index).check(&configs).map_err(|error| {
             let bus = Path::to("bus").then(index);
             (place_of_drive(cell, &bus, &axes, error), error.to_string())
+        })?;
+        let io = cell.io_configs(index);
+        cia401::check(&cell.group_config(index), &configs, &io).map_err(|error| {
+            let nodes = Path::to("io");
+            let concerned = cell.io_on(index).find(|&node| concerns(error, cell.io[node].node));
+            let place = concerned.map_or(nodes.clone(), |node| nodes.then(node));
+            (place_of_io(place, error), error.to_string())
         })?;
     }
     for (index, bundle) in cell.serial.iter().enumerate() {
@@ -73,6 +80,39 @@ fn place_of_drive(cell: &Cell, bus: &Path, axes: &[(usize, usize)], error: cia40
                 Quantity::HomingAcceleration => axis.then("homing").then("acceleration"),
             }
         }
+    }
+}
+
+/// Whether an error is of the I/O node with this node-ID.
+fn concerns(error: cia402::ConfigError, io: u8) -> bool {
+    use cia402::ConfigError;
+    match error {
+        ConfigError::IoOutOfRange { node, .. }
+        | ConfigError::Setting { node, .. }
+        | ConfigError::DuplicateNode(node) => node == io,
+        ConfigError::Axes(_)
+        | ConfigError::Period(_)
+        | ConfigError::HeartbeatPeriod(_)
+        | ConfigError::OutOfRange { .. } => false,
+    }
+}
+
+/// The key for an error of the I/O node at `io`.
+fn place_of_io(io: Path, error: cia402::ConfigError) -> Path {
+    use cia401::IoQuantity;
+    match error {
+        cia402::ConfigError::DuplicateNode(_) => io.then("node"),
+        cia402::ConfigError::Setting { .. } => io.then("parameter"),
+        cia402::ConfigError::IoOutOfRange { quantity, .. } => match quantity {
+            IoQuantity::Channels | IoQuantity::InputMask => io.then("input"),
+            IoQuantity::OutputMask => io.then("output"),
+            IoQuantity::InhibitTime => io.then("inhibit_us"),
+            IoQuantity::EventTimer => io.then("event_timer_ms"),
+        },
+        cia402::ConfigError::Axes(_)
+        | cia402::ConfigError::Period(_)
+        | cia402::ConfigError::HeartbeatPeriod(_)
+        | cia402::ConfigError::OutOfRange { .. } => io,
     }
 }
 

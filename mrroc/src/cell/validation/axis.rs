@@ -3,10 +3,13 @@
 use std::f64::consts::{PI, TAU};
 use std::time::Duration;
 
-use drive::cia402::reserved;
+use canopen::Object;
+use drive::cia402::{Reserved, reserved};
 
 use super::{Checked, buses, homing, no_effect, position_loop, refused, within};
-use crate::cell::{Axis, AxisController, Bus, Cell, Control, Drive, Figure, Path, Plant, Protocol, Range, Serial};
+use crate::cell::{
+    Axis, AxisController, Bus, Cell, Control, Drive, Figure, Parameter, Path, Plant, Protocol, Range, Serial,
+};
 use controller::robot::Limits;
 
 /// Least limit of the following error, encoder counts: a working loop has an error of some counts.
@@ -174,9 +177,18 @@ fn check_drive(path: &Path, period: Duration, drive: &Drive, axis: &Axis) -> Che
         buses::text(path, "dcf", dcf)?;
     }
     position_loop::check_drive(path, period, drive, axis)?;
-    for (number, parameter) in drive.parameter.iter().enumerate() {
+    check_parameters(path, &drive.parameter, |object| reserved(drive.vendor, object.index, object.subindex))
+}
+
+/// Checks the parameters of the device at `path`. None of their objects may be `reserved` for the driver.
+pub(super) fn check_parameters(
+    path: &Path,
+    parameters: &[Parameter],
+    reserved: impl Fn(Object) -> Option<Reserved>,
+) -> Checked {
+    for (number, parameter) in parameters.iter().enumerate() {
         let path = path.then("parameter").then(number);
-        if let Some(found) = reserved(drive.vendor, parameter.index, parameter.subindex) {
+        if let Some(found) = reserved(Object::new(parameter.index, parameter.subindex)) {
             return refused(&path, "index", found.to_string());
         }
         if !matches!(parameter.bytes, 1 | 2 | 4) {

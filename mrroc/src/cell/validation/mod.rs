@@ -4,6 +4,7 @@ mod assembly;
 mod axis;
 mod buses;
 mod homing;
+mod io;
 mod meetings;
 mod position_loop;
 mod program;
@@ -38,6 +39,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     within(top, "meeting_timeout_s", cell.meeting_timeout_s, Range::new(1.0, 86_400.0, "s"))?;
     robots::check(cell)?;
     buses::check_used(cell)?;
+    io::check(cell)?;
     meetings::check(cell)?;
     assembly::check(cell)?;
     buses::check_interfaces(cell)

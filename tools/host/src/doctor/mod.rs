@@ -33,7 +33,6 @@ use anyhow::{Context, ensure};
 use can::clock::{now, sleep_until};
 use can::{SocketCanOptions, SocketCanPort};
 use clap::Args;
-use drive::bus::BESIDE_SETPOINTS;
 use serde::Serialize;
 use servo::thread::{Denial, set_deadline, set_fifo};
 
@@ -194,7 +193,7 @@ fn wanted(tree: &Tree, cell: Option<&Cell>) -> (Vec<can_interfaces::Wanted>, Vec
                 of: format!("bus {}, {interface}", bus.name),
                 interface,
                 bitrate_kbps: Some(bus.bitrate_kbps),
-                send_queue: cell.axes_on(index).count() + BESIDE_SETPOINTS,
+                send_queue: cell.frames_per_cycle(index),
                 servo_cpu: cell.realtime.cpu,
             }),
             Interface::Slcan { path, .. } | Interface::Epos { path, .. } => {

@@ -21,8 +21,12 @@ pub(super) fn io_config(raw: u8) -> IoConfig {
         outputs: 4,
         inhibit_time: Duration::from_millis(1),
         event_timer: Duration::from_millis(50),
+        inverted_inputs: 0,
+        filtered_inputs: 0,
+        inverted_outputs: 0,
         error_mode: 0b1011,
         error_value: 0b0001,
+        configuration: Vec::new(),
     }
 }
 
@@ -41,6 +45,7 @@ pub(super) fn io_store(raw: u8) -> Store {
         put(index, 1, &[0; 4]);
         put(index, 2, &[254]);
     }
+    put(0x1400, 5, &[7, 0]);
     put(0x1800, 3, &[0; 2]);
     put(0x1800, 5, &[0; 2]);
     for index in [0x1600, 0x1A00] {
@@ -50,7 +55,7 @@ pub(super) fn io_store(raw: u8) -> Store {
     }
     put(0x6000, 0, &[2]);
     put(0x6005, 0, &[0]);
-    for index in [0x6002, 0x6006, 0x6007, 0x6008] {
+    for index in [0x6002, 0x6003, 0x6006, 0x6007, 0x6008] {
         put(index, 1, &[0x55]);
         put(index, 2, &[0x55]);
     }

@@ -12,12 +12,14 @@ const TOLD: &[&str] = &[
     "605#2B171000D0070000",
     "605#2316100170177F00",
     "605#2F29100102000000",
-    // Every change of an input sends; no input is inverted.
+    // Every change of an input sends; no input is inverted or filtered.
     "605#2F05600001000000",
+    "605#2F03600100000000",
     "605#2F02600100000000",
     "605#2F066001FF000000",
     "605#2F07600100000000",
     "605#2F08600100000000",
+    "605#2F03600200000000",
     "605#2F02600200000000",
     "605#2F066002FF000000",
     "605#2F07600200000000",
@@ -27,7 +29,7 @@ const TOLD: &[&str] = &[
     "605#2F086201FF000000",
     "605#2F0662010B000000",
     "605#2F07620101000000",
-    // RPDO 2 to 4 off; RPDO 1: one block of outputs, at once.
+    // RPDO 2 to 4 off; RPDO 1: one block of outputs, at once, without a deadline.
     "605#2301140105030080",
     "605#2302140105040080",
     "605#2303140105050080",
@@ -36,6 +38,7 @@ const TOLD: &[&str] = &[
     "605#2300160108010062",
     "605#2F00160001000000",
     "605#2F001402FF000000",
+    "605#2B00140500000000",
     "605#2300140105020000",
     // TPDO 2 to 4 off; TPDO 1: two blocks of inputs, on change, at least 1 ms and at most 50 ms apart.
     "605#23011801850200C0",
@@ -73,6 +76,71 @@ fn an_io_node_is_asked_and_told_this_frame_by_frame() {
     assert_eq!(to_node, expected);
     assert_eq!(sent[..2], ["000#8202", "000#8205"]);
     assert_eq!(sent[sent.len() - 2..], ["000#0102", "000#0105"]);
+}
+
+/// The writes to the node during bring-up.
+fn told(io: IoConfig) -> Vec<String> {
+    let mut bench = down(group_config(), io);
+    assert_eq!(bench.bring_up(), Ok(()));
+    sent(&bench).into_iter().filter(|frame| frame.starts_with("605#2")).collect()
+}
+
+#[test]
+fn filters_are_written_and_the_error_value_is_the_level_at_the_terminal() {
+    let io = IoConfig {
+        filtered_inputs: 0b10_0000_0001,
+        inverted_inputs: 0b1111,
+        // Output 0 is on in the error state and low at the terminal, output 1 is off and high.
+        inverted_outputs: 0b0011,
+        ..io_config(IO)
+    };
+    let told = told(io);
+    let expected = ["605#2F03600101000000", "605#2F03600202000000", "605#2F07620102000000", "605#2F02600100000000"];
+    for write in expected {
+        assert!(told.iter().any(|frame| frame == write), "{write}: {told:?}");
+    }
+}
+
+#[test]
+fn settings_of_the_cell_come_first_and_touch_nothing_of_the_driver() {
+    let with = |index, subindex| {
+        let configuration = vec![setting(index, subindex, &[7])];
+        IoConfig { configuration, ..io_config(IO) }
+    };
+    let mut bench = down(group_config(), with(0x2100, 3));
+    bench.stores[1].put(0x2100, 3, &[0]);
+    assert_eq!(bench.bring_up(), Ok(()));
+    let writes = sent(&bench);
+    let mut writes = writes.iter().filter(|frame| frame.starts_with("605#2"));
+    assert_eq!(writes.next().map(String::as_str), Some("605#2F00210307000000"));
+    for (index, subindex) in [(0x1016, 1), (0x1400, 5), (0x6003, 1), (0x6200, 1), (0x6220, 1)] {
+        let refused =
+            CanBus::with_io(BusEnd::default(), group_config(), &[axis_config(DRIVE)], &[with(index, subindex)]);
+        let refused = refused.err();
+        let object = Object::new(index, subindex);
+        let of_setting =
+            matches!(refused, Some(ConfigError::Setting { node: IO, object: found, .. }) if found == object);
+        assert!(of_setting, "{refused:?}");
+    }
+}
+
+#[test]
+fn a_node_without_the_wanted_filter_or_with_an_rpdo_deadline_that_stays_is_refused() {
+    let filter = Object::new(0x6003, 1);
+    let filtered = IoConfig { filtered_inputs: 1, ..io_config(IO) };
+    let mut bench = down(group_config(), filtered);
+    bench.stores[1].objects.remove(&(0x6003, 1));
+    assert_eq!(bench.bring_up(), Err(BringUpError::Aborted { node: IO, object: filter, code: 0x0602_0000 }));
+    // Without a filtered input the node needs no filter, and no deadline either.
+    let mut bench = down(group_config(), io_config(IO));
+    for object in [(0x6003, 1), (0x6003, 2), (0x1400, 5)] {
+        bench.stores[1].objects.remove(&object);
+    }
+    assert_eq!(bench.bring_up(), Ok(()));
+    let mut bench = down(group_config(), io_config(IO));
+    bench.stores[1].forgetful = Some((0x1400, 5));
+    let object = Object::new(0x1400, 5);
+    assert_eq!(bench.bring_up(), Err(BringUpError::ReadBack { node: IO, object, written: 0, found: 7 }));
 }
 
 #[test]
@@ -187,8 +255,11 @@ fn quantities_that_a_node_cannot_hold_are_refused() {
         (IoConfig { inputs: 65, ..io() }, IoQuantity::Channels),
         (IoConfig { outputs: 65, ..io() }, IoQuantity::Channels),
         (IoConfig { inputs: 0, outputs: 0, error_mode: 0, error_value: 0, ..io() }, IoQuantity::Channels),
-        (IoConfig { error_mode: 0b1_0000, ..io() }, IoQuantity::ErrorState),
-        (IoConfig { error_value: 1 << 63, ..io() }, IoQuantity::ErrorState),
+        (IoConfig { error_mode: 0b1_0000, ..io() }, IoQuantity::OutputMask),
+        (IoConfig { error_value: 1 << 63, ..io() }, IoQuantity::OutputMask),
+        (IoConfig { inverted_outputs: 0b1_0000, ..io() }, IoQuantity::OutputMask),
+        (IoConfig { inverted_inputs: 1 << 10, ..io() }, IoQuantity::InputMask),
+        (IoConfig { filtered_inputs: 1 << 63, ..io() }, IoQuantity::InputMask),
         (IoConfig { inhibit_time: micros(0), ..io() }, IoQuantity::InhibitTime),
         (IoConfig { inhibit_time: micros(150), ..io() }, IoQuantity::InhibitTime),
         (IoConfig { inhibit_time: micros(50_100), ..io() }, IoQuantity::InhibitTime),

@@ -91,9 +91,28 @@ fn a_new_bring_up_ends_operation_and_counts_edges_anew() {
 }
 
 #[test]
-fn an_emcy_of_the_node_is_a_warning() {
+fn an_emcy_of_the_node_is_a_warning_and_an_error_until_the_register_is_clear() {
     let mut bench = up();
-    cycle(&mut bench, &["085#1081110000000000", "085#0000000000000000"]);
+    cycle(&mut bench, &["085#1081110000000000"]);
+    let error = Some(IoError { code: 0x8110, register: 0x11, at: bench.now - PERIOD / 2 });
+    assert_eq!((image(&bench).error, image(&bench).fault), (error, None));
+    // Another error has gone.
+    cycle(&mut bench, &["085#0000100000000000"]);
+    assert_eq!(image(&bench).error, error);
+    cycle(&mut bench, &["085#0000000000000000"]);
+    assert_eq!(image(&bench).error, None);
+    assert!(image(&bench).input(0).is_some());
     let warnings: Vec<_> = bench.group.warnings().iter().map(|it| (it.node, it.code, it.count)).collect();
     assert_eq!(warnings, [(IO, 0x8110, 1)]);
+}
+
+#[test]
+fn inverted_inputs_are_inverted_from_the_first_frame_on() {
+    // The first inputs are 0x0201.
+    let mut bench = up_with(IoConfig { inverted_inputs: 0b11, ..io_config(IO) });
+    assert_eq!(input(&bench, 0), Input { level: false, edges: 0, last_edge: None });
+    assert_eq!(input(&bench, 1), Input { level: true, edges: 0, last_edge: None });
+    cycle(&mut bench, &["185#0002"]);
+    assert_eq!((input(&bench, 0).level, input(&bench, 0).edges), (true, 1));
+    assert_eq!((input(&bench, 1).level, input(&bench, 1).edges), (true, 0));
 }

@@ -51,16 +51,59 @@ fn outputs_that_the_port_does_not_take_are_sent_in_the_next_cycle() {
 }
 
 #[test]
-fn a_heartbeat_behind_outputs_that_the_port_does_not_take_is_offered_again() {
-    let config = GroupConfig { heartbeat_period: 5 * PERIOD, ..group_config() };
-    let mut bench = Bench::up_with_io(config, &[axis_config(DRIVE)], &[io_config(IO)], vec![io_store(IO)]);
+fn outputs_behind_a_heartbeat_are_offered_again_and_delay_no_heartbeat() {
+    let mut bench = up_with_heartbeats(5);
     (0..5).for_each(|_| _ = cycle(&mut bench, &[]));
     bench.links[0].outputs.set_all(0b0110);
-    // SYNC, the set-point and the outputs.
+    // SYNC, the set-point and the heartbeat.
     bench.bus.0.lock().unwrap().takes = Some(3);
-    assert_eq!(of_io(&cycle(&mut bench, &[])), ["205#06"]);
-    bench.bus.0.lock().unwrap().takes = None;
     assert_eq!(of_io(&cycle(&mut bench, &[])), ["77F#05"]);
+    bench.bus.0.lock().unwrap().takes = None;
+    assert_eq!(of_io(&cycle(&mut bench, &[])), ["205#06"]);
+    // No heartbeat either: both follow in the next cycle.
+    (0..3).for_each(|_| assert_eq!(of_io(&cycle(&mut bench, &[])), NONE));
+    bench.bus.0.lock().unwrap().takes = Some(2);
+    assert_eq!(of_io(&cycle(&mut bench, &[])), NONE);
+    bench.bus.0.lock().unwrap().takes = None;
+    assert_eq!(of_io(&cycle(&mut bench, &[])), ["77F#05", "205#06"]);
+}
+
+/// A drive and an I/O node, brought up, with a heartbeat period of so many cycles.
+fn up_with_heartbeats(cycles: u32) -> Bench {
+    let config = GroupConfig { heartbeat_period: cycles * PERIOD, ..group_config() };
+    Bench::up_with_io(config, &[axis_config(DRIVE)], &[io_config(IO)], vec![io_store(IO)])
+}
+
+#[test]
+fn the_last_outputs_are_repeated_with_each_heartbeat() {
+    let mut bench = up_with_heartbeats(5);
+    (0..2).for_each(|_| _ = cycle(&mut bench, &[]));
+    bench.links[0].outputs.set_all(0b0110);
+    assert_eq!(of_io(&cycle(&mut bench, &["705#05"])), ["205#06"]);
+    let at = bench.now;
+    for _ in 0..4 {
+        while of_io(&cycle(&mut bench, &["705#05"])).is_empty() {}
+        // The loop has ended at a heartbeat.
+        let frames = sent(&bench);
+        assert_eq!(frames[frames.len() - 2..], ["77F#05", "205#06"]);
+        cycle(&mut bench, &["705#05"]);
+        // A repetition is no new command.
+        assert_eq!(image(&bench).sent, Some(SentOutputs { levels: 0b0110, cycle: 2, at }));
+    }
+    assert_eq!(image(&bench).fault, None);
+}
+
+#[test]
+fn inverted_outputs_are_inverted_on_the_bus_only() {
+    let mut bench = up_with(IoConfig { inverted_outputs: 0b1001, ..io_config(IO) });
+    cycle(&mut bench, &[]);
+    // The error value 0001.
+    assert_eq!(of_io(&cycle(&mut bench, &[])), ["205#08"]);
+    bench.links[0].outputs.set_all(0b1100);
+    assert_eq!(of_io(&cycle(&mut bench, &[])), ["205#05"]);
+    // The error state: output 0 on, 1 and 3 off, output 2 as it is.
+    assert_eq!(of_io(&cycle(&mut bench, &["705#7F"])), ["205#0C"]);
+    assert_eq!(image(&bench).sent.unwrap().levels, 0b1100);
 }
 
 #[test]

@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use can::{ControllerState, PortError};
+
 use super::bench::*;
 
 /// The number of cycles until the node has a fault, and the fault. `life_sign` arrives in each cycle.
@@ -86,4 +88,50 @@ fn a_second_master_that_commands_outputs_stops_every_axis() {
     cycle(&mut bench, &["205#0F"]);
     let sign = Sign::Setpoint { node: IO };
     assert_eq!(bench.states[0].fault, Some(Fault::OtherController { sign }));
+    assert_eq!(image(&bench).fault, Some(IoFault::OtherController { sign }));
+    assert_eq!(image(&bench).input(0), None);
+}
+
+#[test]
+fn a_fault_of_the_bus_is_a_fault_of_every_io_node() {
+    type Break = fn(&mut Bus);
+    let table: [(Break, IoFault); 2] = [
+        (|bus| bus.state = ControllerState::BusOff, IoFault::BusOff),
+        (|bus| bus.error = Some(PortError::Down), IoFault::Port(PortError::Down)),
+    ];
+    for (fail, fault) in table {
+        let mut bench = up();
+        cycle(&mut bench, &["185#0302"]);
+        assert_eq!(image(&bench).fault, None);
+        fail(&mut bench.bus.0.lock().unwrap());
+        cycle(&mut bench, &[]);
+        assert_eq!((image(&bench).fault, image(&bench).input(0)), (Some(fault), None));
+        // The fault stays when the bus works again.
+        let mut bus = bench.bus.0.lock().unwrap();
+        (bus.state, bus.error) = (ControllerState::Active, None);
+        drop(bus);
+        cycle(&mut bench, &["185#0302"]);
+        assert_eq!(image(&bench).fault, Some(fault), "{fault}");
+    }
+}
+
+#[test]
+fn a_heartbeat_of_the_host_that_is_never_taken_is_a_fault() {
+    let config = GroupConfig { heartbeat_period: 5 * PERIOD, ..group_config() };
+    let mut bench = Bench::up_with_io(config, &[axis_config(DRIVE)], &[io_config(IO)], vec![io_store(IO)]);
+    // SYNC and the set-point.
+    bench.bus.0.lock().unwrap().takes = Some(2);
+    let (_, fault) = silent(&mut bench, &["705#05", "185#0302"]);
+    assert!(matches!(fault, IoFault::HeartbeatNotSent { waited } if waited > 15 * PERIOD), "{fault}");
+}
+
+#[test]
+fn a_bus_that_is_dropped_leaves_no_valid_level() {
+    let mut bench = up();
+    cycle(&mut bench, &["185#0302"]);
+    let Bench { group, links, .. } = bench;
+    assert_eq!(links[0].inputs.read().fault, None);
+    drop(group);
+    let image = links[0].inputs.read();
+    assert_eq!((image.fault, image.input(0)), (Some(IoFault::Ended { node: IO }), None));
 }
