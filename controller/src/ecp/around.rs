@@ -12,7 +12,7 @@ use crate::coordination::MemberLink;
 use crate::generator::{EffectorImage, GeneratorError, Partners};
 use crate::sensor::Sensors;
 
-/// The partners at time `now`. Every access is noted in the journal.
+/// The partners at time `now`, the time of the last servo cycle. Every access is noted in the journal.
 pub(super) struct Around<'a> {
     pub(super) effector: &'a Effector,
     pub(super) sensors: &'a mut Sensors,

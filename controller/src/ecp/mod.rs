@@ -177,6 +177,9 @@ pub struct Ecp {
     heard: Instant,
     /// Begin of the wait of the effector for its partners, if it waits.
     waiting: Option<Instant>,
+    /// Number of the last servo cycle seen, and the time at which a poll first saw it. Times of cycles are not compared with
+    /// times of polls: an emulated cell has a time of its own.
+    turned: (u64, Instant),
     sensors: Sensors,
     /// The link to the coordinator, if there is one.
     coordinator: Option<Box<dyn MemberLink>>,
@@ -212,6 +215,7 @@ impl Ecp {
             replacement: None,
             heard: Instant::ZERO,
             waiting: None,
+            turned: (0, Instant::ZERO),
             sensors: Sensors::default(),
             coordinator: None,
             turn: 0,
@@ -330,7 +334,11 @@ impl Ecp {
             }
             self.report = Some(report);
         }
-        self.sensors.poll(now);
+        let latest = self.latest();
+        if latest.cycle != self.turned.0 {
+            self.turned = (latest.cycle, now);
+        }
+        self.sensors.poll(latest.at);
         if matches!(self.activity, Activity::Idle) {
             if self.held {
                 return None;

@@ -5,7 +5,7 @@ use std::mem::replace;
 use std::time::Duration;
 
 use can::Instant;
-use servo::{Macrostep, Order, Phase, Snapshot};
+use servo::{Macrostep, Order, Phase};
 
 use super::around::Around;
 use super::task::Instruction;
@@ -48,11 +48,12 @@ impl Ecp {
             Err(error) => return self.fail(EcpError::Generator { step: 0, error }),
         };
         let description = run.description();
-        self.journal.begin(now, description.generator, description.first);
+        let cycle = self.latest().at;
+        self.journal.begin(cycle, description.generator, description.first);
         self.turn = 0;
         self.sensors.begin();
-        self.sensors.initiate(now);
-        self.sensors.poll(now);
+        self.sensors.initiate(cycle);
+        self.sensors.poll(cycle);
         self.activity = Activity::Awaiting { run, since: now };
         self.await_images(now, now)
     }
@@ -62,8 +63,8 @@ impl Ecp {
         let Activity::Awaiting { run, .. } = &mut self.activity else {
             return None;
         };
-        let class = run.description().first;
-        match turn(class, &mut self.coordinator, &self.sensors, 0, now) {
+        let (class, cycle) = (run.description().first, self.link.latest.read().at);
+        match turn(class, &mut self.coordinator, &self.sensors, 0, cycle) {
             Ok(Turn::Ready) => {}
             Ok(Turn::Waiting) => {
                 let waited = now.since(since);
@@ -78,7 +79,7 @@ impl Ecp {
             sensors: &mut self.sensors,
             coordinator: self.coordinator.as_deref_mut(),
             journal: RefCell::new(&mut self.journal),
-            now,
+            now: cycle,
         };
         if let Err(error) = run.initiate(&around) {
             return self.fail(EcpError::Generator { step: 0, error });
@@ -110,9 +111,10 @@ impl Ecp {
         let Some((mut run, first)) = self.planning.finished() else {
             let waited = now.since(since);
             // In motion, the stop must reach the servo before the last macrostep ends.
-            let reported = self.report.map_or(now, |report| report.snapshot.at);
+            let cycle = self.latest().at;
+            let reported = self.report.map_or(cycle, |report| report.snapshot.at);
             let late = if self.in_motion {
-                self.outstanding() == 0 && now.since(reported) > self.margin
+                self.outstanding() == 0 && cycle.since(reported) > self.margin
             } else {
                 waited > self.config.planning
             };
@@ -121,6 +123,7 @@ impl Ecp {
         self.heard = now;
         // A next step that follows at once reads the present state, not the state before the planning.
         self.effector.measured = self.latest();
+        let cycle = self.effector.measured.at;
         if first.is_ok() {
             self.chart = Some(ChartPhase::NextStep);
         }
@@ -129,7 +132,7 @@ impl Ecp {
             sensors: &mut self.sensors,
             coordinator: self.coordinator.as_deref_mut(),
             journal: RefCell::new(&mut self.journal),
-            now,
+            now: cycle,
         };
         let commanded = match first.and_then(|()| run.commit(&mut around)) {
             Ok(Step::Continue(None)) => Ok(()),
@@ -140,8 +143,8 @@ impl Ecp {
         if let Err(error) = commanded {
             return self.fail(error);
         }
-        self.journal.commit(now, || run.digest());
-        self.sensors.initiate(now);
+        self.journal.commit(cycle, || run.digest());
+        self.sensors.initiate(cycle);
         self.in_motion = false;
         self.activity = Activity::Running(run);
         None
@@ -154,8 +157,8 @@ impl Ecp {
             self.break_off(now);
         } else if waited > self.config.silence + self.macrostep() {
             // Slowed motion reports later.
-            let Snapshot { rate, at, .. } = self.latest();
-            if phase == Phase::Moving && rate < 1.0 && now.since(at) <= self.config.silence {
+            let alive = now.since(self.turned.1) <= self.config.silence;
+            if phase == Phase::Moving && self.latest().rate < 1.0 && alive {
                 self.heard = now;
             } else {
                 self.brake(Err(EcpError::Silent { waited }));
@@ -167,7 +170,7 @@ impl Ecp {
             self.run_out();
         } else {
             for _ in 0..BURST {
-                if self.step(now) {
+                if self.step() {
                     return Some(Ok(()));
                 }
             }
@@ -185,7 +188,7 @@ impl Ecp {
 
     /// Requests the next macrostep from the generator if the macrostep is due. Returns whether the instruction ends at
     /// once, because the next one continues its motion.
-    fn step(&mut self, now: Instant) -> bool {
+    fn step(&mut self) -> bool {
         let outstanding = self.outstanding();
         let Activity::Running(run) = &mut self.activity else {
             return false;
@@ -198,7 +201,8 @@ impl Ecp {
             return false;
         }
         let class = run.description().every;
-        match turn(class, &mut self.coordinator, &self.sensors, self.turn + 1, now) {
+        let cycle = self.link.latest.read().at;
+        match turn(class, &mut self.coordinator, &self.sensors, self.turn + 1, cycle) {
             Ok(Turn::Ready) => {}
             Ok(Turn::Waiting) => return false,
             Ok(Turn::EndMotion) => return self.conclude(),
@@ -214,14 +218,14 @@ impl Ecp {
             sensors: &mut self.sensors,
             coordinator: self.coordinator.as_deref_mut(),
             journal: RefCell::new(&mut self.journal),
-            now,
+            now: cycle,
         };
         match run.next_step(&mut around) {
             Ok(Step::Continue(setpoint)) => {
-                self.journal.commit(now, || run.digest());
-                self.sensors.initiate(now);
+                self.journal.commit(cycle, || run.digest());
+                self.sensors.initiate(cycle);
                 match self.command(setpoint) {
-                    Ok(()) => self.journal.note(now, StepEvent::Exchange, None),
+                    Ok(()) => self.journal.note(cycle, StepEvent::Exchange, None),
                     Err(error) => self.brake(Err(error)),
                 }
             }
@@ -284,7 +288,8 @@ impl Ecp {
     }
 }
 
-/// Whether a step of this class can take its images: readings that it waits for, and the order of its number.
+/// Whether a step of this class can take its images: readings that it waits for, and the order of its number. `now` is the
+/// time of the last servo cycle, as all times of images.
 fn turn(
     class: u8,
     coordinator: &mut Option<Box<dyn MemberLink>>,
