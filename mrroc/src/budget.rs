@@ -83,8 +83,9 @@ fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     let axes = setup::axis_configs(file, index);
     let io = file.cell.io_configs(index);
     let mut traffic = traffic(&file.cell.group_config(index), &axes, &io);
-    // Messages outside the cycle are sent after the cyclic ones.
-    traffic.sort_by_key(|traffic| traffic.period > period || is_service(traffic.cob_id));
+    // Messages outside the cycle are sent after the cyclic ones. Outputs follow the heartbeat of the host.
+    traffic
+        .sort_by_key(|traffic| traffic.period > period || is_service(traffic.cob_id) || is_of_io(traffic.cob_id, &io));
     let messages = messages(&traffic, period, bus.host_node, &io);
     let analysis = schedule::analyse(bitrate, period, &messages);
     let share = |time: Duration| 100.0 * time.as_secs_f64() / period.as_secs_f64();
@@ -174,7 +175,7 @@ fn check_lines(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
 /// The messages of a bus in the order of the senders' queues.
 ///
 /// Service frames are not urgent and occur only during a change of mode. They count as blocking, but not in the load.
-/// The inputs of I/O nodes have no deadline, and count as often as their inhibit time permits.
+/// The inputs and outputs of I/O nodes may end in the next cycle, and count as often as they can occur.
 fn messages(traffic: &[Traffic], period: Duration, host: u8, io: &[IoConfig]) -> Vec<Message> {
     let message = |traffic: &Traffic| {
         let id = traffic.cob_id.raw();
@@ -182,12 +183,11 @@ fn messages(traffic: &[Traffic], period: Duration, host: u8, io: &[IoConfig]) ->
         // TPDOs, heartbeats and SDO answers come from the node in their identifier.
         let from_node = matches!(id & 0x780, 0x180 | 0x280 | 0x580 | 0x700) && node != host;
         let service = is_service(traffic.cob_id);
-        let inputs = from_node && io.iter().any(|io| io.node.raw() == node);
         Message {
             id: traffic.cob_id,
             bytes: traffic.bytes,
             sender: if from_node { Sender::Node(node) } else { Sender::Host },
-            every: match (service, traffic.period == period && !inputs) {
+            every: match (service, traffic.period == period && !is_of_io(traffic.cob_id, io)) {
                 (false, true) => Every::Cycle,
                 (true, _) => Every::Interval(Duration::from_secs(1)),
                 (false, false) => Every::Interval(traffic.period),
@@ -195,6 +195,11 @@ fn messages(traffic: &[Traffic], period: Duration, host: u8, io: &[IoConfig]) ->
         }
     };
     traffic.iter().map(message).collect()
+}
+
+/// Whether a frame is of an I/O node.
+fn is_of_io(id: StandardId, io: &[IoConfig]) -> bool {
+    io.iter().any(|io| u16::from(io.node.raw()) == id.raw() & 0x7F)
 }
 
 /// Whether a frame belongs to the SDO service, which drives use for changes of mode during operation.

@@ -27,10 +27,10 @@ pub(super) fn check(cell: &Cell) -> Checked {
         if io.input.is_empty() && io.output.is_empty() {
             return refused(&nodes, index, "has no input and no output, must have one line at the least");
         }
-        let inputs = io.input.iter().map(|input| (input.name.as_str(), input.line));
-        check_lines(&path.then("input"), inputs, &mut names)?;
-        let outputs = io.output.iter().map(|output| (output.name.as_str(), output.line));
-        check_lines(&path.then("output"), outputs, &mut names)?;
+        let inputs: Vec<_> = io.input.iter().map(|input| (input.name.as_str(), input.line)).collect();
+        check_lines(&path.then("input"), &inputs, &mut names)?;
+        let outputs: Vec<_> = io.output.iter().map(|output| (output.name.as_str(), output.line)).collect();
+        check_lines(&path.then("output"), &outputs, &mut names)?;
         for (number, input) in io.input.iter().enumerate() {
             check_edges(&path.then("input").then(number), input)?;
         }
@@ -67,19 +67,15 @@ fn check_bus(cell: &Cell, path: &Path, index: usize, io: &IoNode) -> Checked {
 }
 
 /// The names differ from all names of lines so far, and the numbers from each other.
-fn check_lines<'a>(
-    path: &Path,
-    lines: impl Iterator<Item = (&'a str, u8)> + Clone,
-    names: &mut Vec<(&'a str, Path)>,
-) -> Checked {
-    for (index, (line_name, line)) in lines.clone().enumerate() {
+fn check_lines<'a>(path: &Path, lines: &[(&'a str, u8)], names: &mut Vec<(&'a str, Path)>) -> Checked {
+    for (index, &(line_name, line)) in lines.iter().enumerate() {
         let here = path.then(index);
         name(&here, "name", line_name)?;
         if let Some((_, first)) = names.iter().find(|(other, _)| *other == line_name) {
             return refused(&here, "name", twice(&format!("line {line_name:?}"), first));
         }
         within(&here, "line", line, Range::new(0.0, LAST_LINE, ""))?;
-        unique(path, "line", index, lines.clone().map(|(_, line)| line), |line| format!("line {line}"))?;
+        unique(path, "line", index, lines.iter().map(|(_, line)| line), |line| format!("line {line}"))?;
         names.push((line_name, here));
     }
     Ok(())
