@@ -208,6 +208,23 @@ fn newsmooth_passes_a_pose_on_the_way_without_a_stop_and_stands_where_an_axis_tu
 }
 
 #[test]
+fn newsmooth_by_displacements_is_the_motion_through_their_sums() {
+    for seed in 0..200 {
+        let mut random = Random(seed);
+        let (axes, limits, start) = (1 + random.below(6), random_limits(&mut random), random.axes(-2.0, 2.0));
+        let by: Vec<SmoothPose> = (0..1 + random.below(5)).map(|_| SmoothPose::fast(random.axes(-1.0, 1.0))).collect();
+        let mut from = start;
+        let sums = by.iter().map(|pose| {
+            from = std::array::from_fn(|axis| from[axis] + pose.position[axis]);
+            SmoothPose::fast(from)
+        });
+        let sums = Newsmooth::new(Space::Joint, axes, limits, sums.collect()).unwrap();
+        let by = Newsmooth::new(Space::Joint, axes, limits, by).unwrap().by_displacements();
+        assert_eq!(walk(by, &Standing::at(start)), walk(sums, &Standing::at(start)), "seed {seed}");
+    }
+}
+
+#[test]
 fn jerk_limited_keeps_its_limits_and_ends_exactly() {
     let mut worst_push: f64 = 0.0;
     for seed in 0..20_000 {
