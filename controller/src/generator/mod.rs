@@ -37,11 +37,13 @@ mod image;
 mod jerk_limited;
 mod line;
 mod newsmooth;
+mod path_timing;
 mod plan;
 mod polynomial;
 mod profile;
 #[cfg(test)]
 mod tests;
+mod time_optimal;
 mod wait;
 
 use std::time::Duration;
@@ -58,7 +60,9 @@ pub use image::{Accelerations, AxesState, EffectorImage, EffectorState, ImageSou
 pub use jerk_limited::JerkLimited;
 pub use line::{LineLimits, LineMemory, PlannedStart, StraightLine};
 pub use newsmooth::{Newsmooth, Progress, SmoothPose};
+pub use path_timing::{EndSpeeds, PathTiming, TimingError};
 pub use polynomial::Polynomial;
+pub use time_optimal::TimeOptimal;
 pub use wait::Wait;
 
 /// Limits of each axis for the planning of a generator. Entries beyond the robot's axes are ignored.

@@ -5,6 +5,7 @@ mod feed;
 mod line;
 mod planned_start;
 mod polynomial;
+mod time_optimal;
 
 use std::time::Duration;
 
