@@ -77,10 +77,11 @@ pub mod prelude {
     pub use controller::ecp::{Class, Task};
     pub use controller::executor::{Replacer, join, join_all};
     pub use controller::generator::{
-        Accelerations, AxesState, Contour, EffectorImage, FeedLimits, Generator, GeneratorError, JerkLimited,
-        LineLimits, MotionLimits, Newsmooth, Next, Pace, Polynomial, Pose, Setpoint, SmoothPose, StraightLine, Wait,
+        Accelerations, AxesState, Contour, EffectorImage, FeedLimits, Generator, GeneratorError, JerkLimited, Jog,
+        JogCommand, JogHandle, LineLimits, MotionLimits, Newsmooth, Next, Pace, Polynomial, Pose, Setpoint, SmoothPose,
+        StraightLine, TimeOptimal, Wait,
     };
-    pub use controller::path::{BSpline, Curve, Path, SplineEnds};
+    pub use controller::path::{BSpline, Curve, JointPath, Path, SplineEnds};
     pub use controller::robot::Space;
 
     pub use crate::bench::BenchKind;
