@@ -1,4 +1,5 @@
-//! Robots, paths, generators, virtual sensors, effector control processes, coordination, and tasks as programs.
+//! Robots, paths, generators, virtual sensors, trajectory files, effector control processes, coordination, and tasks as
+//! programs.
 
 pub mod coordination;
 pub mod ecp;
@@ -7,3 +8,4 @@ pub mod generator;
 pub mod path;
 pub mod robot;
 pub mod sensor;
+pub mod trajectory_file;

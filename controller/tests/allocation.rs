@@ -1,4 +1,5 @@
-//! Nothing allocates while a generator runs. Planning allocates only for contours and for paths through poses.
+//! Nothing allocates while a generator runs. Planning allocates only for contours, time-optimal motions and jerk-limited
+//! motions through poses.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -10,7 +11,7 @@ use can::Instant;
 use mrroc_controller::ecp::{Ecp, EcpConfig, Task};
 use mrroc_controller::generator::{
     Axes, Contour, FeedLimits, Generator, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Pace, Pose,
-    SmoothPose, StraightLine,
+    SmoothPose, StraightLine, TimeOptimal,
 };
 use mrroc_controller::path::{BSpline, Curve, Path, SplineEnds};
 use mrroc_controller::robot::{
@@ -112,6 +113,8 @@ fn no_generator_allocates_once_it_was_made() {
     assert_eq!(allocations(direct), (0, 0), "jerk-limited");
     let through = JerkLimited::new(Space::Joint, 6, limits, &poses);
     assert_eq!(allocations(through).1, 0, "jerk-limited through poses");
+    let fastest = TimeOptimal::through(Space::Joint, 6, limits, poses.to_vec());
+    assert_eq!(allocations(fastest).1, 0, "time-optimal");
 
     let mut target = arm().forward(&START).unwrap();
     target.translation.vector.z += 0.1;

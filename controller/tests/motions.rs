@@ -6,19 +6,19 @@
 
 #![allow(clippy::disallowed_methods, reason = "the number of cases is read from the environment")]
 
-use std::sync::{Arc, Mutex};
-use std::task::Poll;
+mod ideal;
+
+use std::sync::Arc;
 use std::time::Duration;
 
 use can::Instant;
-use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Power, Setpoint};
 use mrroc_controller::ecp::{Ecp, EcpConfig, Task};
-use mrroc_controller::generator::{Axes, JerkLimited, MotionLimits, Newsmooth, Pace, Pose, SmoothPose};
+use mrroc_controller::generator::{Axes, JerkLimited, MotionLimits, Newsmooth, Pace, Pose, SmoothPose, TimeOptimal};
 use mrroc_controller::robot::{Arm, Polycrank, PolycrankParameters, Space};
-use servo::{EffectorConfig, PositionLoop, Servo, ServoAxisConfig, ServoConfig};
+
+use ideal::{PERIOD, Sent, servo};
 
 const AXES: usize = 7;
-const PERIOD: Duration = Duration::from_millis(2);
 const DT: f64 = 0.002;
 const CASES: u64 = 1000;
 
@@ -28,62 +28,6 @@ const LIMITS: [f64; 3] = [250.0, 500.0, 5000.0];
 
 /// Acceleration limit of the servo, relative to that of the plan.
 const ROOM: f64 = 2.0;
-
-/// Ideal drives of one robot.
-struct Ideal {
-    commands: Vec<AxisCommand>,
-    latched: Vec<AxisCommand>,
-    position: [f64; AXES],
-    now: Instant,
-    /// Set-points sent, cycle by cycle.
-    sent: Arc<Mutex<Vec<[f64; AXES]>>>,
-}
-
-impl DriveGroup for Ideal {
-    fn axes(&self) -> usize {
-        AXES
-    }
-    fn delay(&self) -> usize {
-        2
-    }
-    fn bring_up(&mut self, _: Instant) -> Poll<Result<(), BringUpError>> {
-        Poll::Ready(Ok(()))
-    }
-    fn read(&mut self, _: Instant, states: &mut [AxisState]) {
-        for (axis, state) in states.iter_mut().enumerate() {
-            let on = !matches!(self.latched[axis], AxisCommand::Off | AxisCommand::ResetFault);
-            *state = AxisState {
-                sampled: self.now,
-                position: self.position[axis],
-                power: if on { Power::On } else { Power::Off },
-                homing: Homing::Attained,
-                following: on,
-                ..AxisState::default()
-            };
-        }
-    }
-    fn write(&mut self, _: Instant, commands: &[AxisCommand]) {
-        self.commands.copy_from_slice(commands);
-    }
-    fn send(&mut self, now: Instant) -> bool {
-        self.now = now;
-        for (axis, command) in self.latched.iter().enumerate() {
-            if let AxisCommand::Follow(Setpoint::Position(position)) = command {
-                self.position[axis] = position.get();
-            }
-        }
-        self.latched.copy_from_slice(&self.commands);
-        let asked = |axis: usize| match self.commands[axis] {
-            AxisCommand::Follow(Setpoint::Position(position)) => position.get(),
-            _ => self.position[axis],
-        };
-        self.sent.lock().expect("one thread").push(std::array::from_fn(asked));
-        true
-    }
-    fn counters(&self) -> GroupCounters {
-        GroupCounters::default()
-    }
-}
 
 /// SplitMix64.
 struct Random(u64);
@@ -141,39 +85,12 @@ fn task(random: &mut Random) -> (Task, Axes, bool) {
     }
 }
 
-fn servo(sent: &Arc<Mutex<Vec<[f64; AXES]>>>) -> (Servo, servo::EffectorLink) {
-    let axis = |index_in_group| ServoAxisConfig {
-        group: 0,
-        index_in_group,
-        min_position: -1e3,
-        max_position: 1e3,
-        max_velocity: LIMITS[0] * 1.2,
-        max_acceleration: LIMITS[1] * ROOM,
-        following_error: 10.0,
-        homing_order: 1,
-        increments_per_radian: 1000.0,
-        position_loop: PositionLoop::Drive,
-        torque_offset: None,
-        homing: None,
-    };
-    let effector = EffectorConfig {
-        name: "polycrank".into(),
-        axes: (0..AXES).map(axis).collect(),
-        queue: 32,
-        enabling_timeout: Duration::from_secs(1),
-        homing_timeout: Duration::from_secs(1),
-    };
-    let off = vec![AxisCommand::Off; AXES];
-    let ideal = Ideal {
-        commands: off.clone(),
-        latched: off,
-        position: [0.0; AXES],
-        now: Instant::ZERO,
-        sent: Arc::clone(sent),
-    };
-    let config = ServoConfig { period: PERIOD, max_missed_in_row: 1, effectors: vec![effector] };
-    let (servo, mut links) = Servo::new(&config, vec![Box::new(ideal)]).expect("a sound servo");
-    (servo, links.remove(0))
+/// A time-optimal motion through two to six way-points, and its end. Its override may pause but no generator replaces it.
+fn time_optimal(random: &mut Random) -> (Task, Axes, bool) {
+    let points: Vec<Axes> = (0..2 + random.below(5)).map(|_| random.axes(100.0)).collect();
+    let end = points[points.len() - 1];
+    let motion = TimeOptimal::through(Space::Motor, AXES, limits(), points).expect("a sound motion");
+    (Task::new().enable().run(motion), end, true)
 }
 
 /// Greatest excess over the planned limits, as factors of velocity, acceleration and jerk.
@@ -196,10 +113,10 @@ impl Peaks {
 }
 
 /// Runs one case to its end and returns its peaks, and whether it has trapezoids or an override.
-fn run(seed: u64) -> (Peaks, bool, bool) {
+fn run(seed: u64, task: fn(&mut Random) -> (Task, Axes, bool)) -> (Peaks, bool, bool) {
     let mut random = Random(seed);
-    let sent = Arc::default();
-    let (mut servo, link) = servo(&sent);
+    let sent = Sent::default();
+    let (mut servo, link) = servo([0.0; AXES], LIMITS[0] * 1.2, LIMITS[1] * ROOM, &sent);
     let robot = Polycrank::new(&PolycrankParameters::polycrank()).expect("its parameters are consistent");
     let config = EcpConfig {
         period: PERIOD,
@@ -265,7 +182,7 @@ fn set_points_keep_their_limits_and_reach_the_end() {
     let times = std::env::var("MRROC_RANDOM_TIMES").map_or(1, |times| times.parse().expect("a number"));
     let mut worst = [[Peaks::default(); 2]; 2];
     for seed in 0..CASES * times {
-        let (peaks, trapezoids, slowed) = run(seed);
+        let (peaks, trapezoids, slowed) = run(seed, task);
         let worst = &mut worst[usize::from(trapezoids)][usize::from(slowed)].0;
         for (worst, peak) in worst.iter_mut().zip(peaks.0) {
             *worst = worst.max(peak);
@@ -280,4 +197,20 @@ fn set_points_keep_their_limits_and_reach_the_end() {
         assert!(velocity < 1.06 && acceleration < ROOM * 1.001, "{velocity} {acceleration}");
     }
     assert!(slowed[2] < 12.0, "{slowed:?}");
+}
+
+#[test]
+fn time_optimal_motions_keep_the_limits_of_the_servo_and_reach_the_end() {
+    let mut worst = [Peaks::default(); 2];
+    for seed in 0..CASES / 5 {
+        let (peaks, _, slowed) = run(seed, time_optimal);
+        let worst = &mut worst[usize::from(slowed)].0;
+        for (worst, peak) in worst.iter_mut().zip(peaks.0) {
+            *worst = worst.max(peak);
+        }
+    }
+    let [unslowed, slowed] = worst.map(|peaks| peaks.0);
+    println!("velocity, acceleration, jerk relative to the plan's limits: {unslowed:?}, with overrides {slowed:?}");
+    assert!(unslowed[0] < 1.05 && unslowed[1] < 1.9, "{unslowed:?}");
+    assert!(slowed[0] < 1.06 && slowed[1] < ROOM * 1.001, "{slowed:?}");
 }

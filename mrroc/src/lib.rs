@@ -79,10 +79,10 @@ pub mod prelude {
     pub use controller::executor::{Observer, Replacer, join, join_all};
     pub use controller::generator::{
         A, Accelerations, Answer, AxesState, Contour, EffectorImage, FeedLimits, Generator, GeneratorError,
-        JerkLimited, LineLimits, MotionLimits, Newsmooth, Next, Pace, Polynomial, Pose, Received, Sample,
-        SensorReading, Setpoint, SmoothPose, StraightLine, Tell, V, Wait,
+        JerkLimited, Jog, JogCommand, JogHandle, LineLimits, MotionLimits, Newsmooth, Next, Pace, Polynomial, Pose,
+        Received, Sample, SensorReading, Setpoint, SmoothPose, StraightLine, Tell, TimeOptimal, V, Wait,
     };
-    pub use controller::path::{BSpline, Curve, Path, PoseState, SplineEnds};
+    pub use controller::path::{BSpline, Curve, JointPath, Path, PoseState, SplineEnds};
     pub use controller::robot::Space;
     pub use controller::sensor::{DigitalInputs, Shell, VirtualSensor};
 

@@ -1,16 +1,25 @@
 //! Motions of one robot of a cell, within the limits of its axes.
 
-use anyhow::{Context, bail};
-use controller::generator::{MotionLimits, Newsmooth};
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::{Context, anyhow, bail};
+use controller::generator::{Jog, JogHandle, MotionLimits, Newsmooth, TimeOptimal};
 use controller::robot::{Arm, Space};
+use controller::trajectory_file::TrajectoryFile;
 
 use crate::cell::{CellFile, smooth_pose};
+use crate::input;
+
+/// Greatest size of a trajectory file, bytes: several times what its greatest number of poses needs.
+const LARGEST_TRAJECTORY: usize = 64 << 20;
 
 /// Makes generators for one robot of a cell.
 #[derive(Clone, Debug)]
 pub struct Motions {
     arm: Arm,
     limits: MotionLimits,
+    motor_limits: MotionLimits,
 }
 
 impl Motions {
@@ -18,7 +27,8 @@ impl Motions {
     pub(crate) fn of(file: &CellFile, robot: usize) -> Self {
         let arm = file.arms[robot].clone();
         let limits = file.cell.robot[robot].motion_limits(&arm);
-        Self { arm, limits }
+        let motor_limits = file.cell.robot[robot].motor_limits();
+        Self { arm, limits, motor_limits }
     }
 
     /// Kinematics, drive train and tool of the robot.
@@ -35,12 +45,159 @@ impl Motions {
     ///
     /// `share` is the fraction of the limits of velocity and acceleration to use, above 0 and at most 1.
     pub fn joints<const AXES: usize>(&self, share: f64, poses: &[[f64; AXES]]) -> anyhow::Result<Newsmooth> {
-        let axes = self.arm.axes();
-        if AXES != axes {
-            bail!("a pose has {AXES} joints, and the robot has {axes}");
-        }
+        self.check_axes(AXES)?;
         let poses = poses.iter().map(|pose| smooth_pose(pose, share, share)).collect();
-        let motion = Newsmooth::new(Space::Joint, axes, self.limits, poses);
+        let motion = Newsmooth::new(Space::Joint, self.arm.axes(), self.limits, poses);
         motion.context("the joint motion cannot be planned")
+    }
+
+    /// A time-optimal motion from rest to rest along the cubic spline from the present position through joint positions,
+    /// rad (m for a linear joint), within the limits of velocity and acceleration.
+    ///
+    /// Between way-points the spline may leave the range that the way-points span. The rehearsal refuses a path that leaves
+    /// the range of a joint.
+    pub fn time_optimal<const AXES: usize>(&self, way_points: &[[f64; AXES]]) -> anyhow::Result<TimeOptimal> {
+        self.check_axes(AXES)?;
+        let way_points = way_points.iter().map(|point| smooth_pose(point, 1.0, 1.0).position).collect();
+        let motion = TimeOptimal::through(Space::Joint, self.arm.axes(), self.limits, way_points);
+        motion.context("the time-optimal motion cannot be planned")
+    }
+
+    /// The motion of a [trajectory file](controller::trajectory_file) of MRROC++, a synchronised trapezoid through its
+    /// poses. Its fractions apply to the limits of the joints or the motors of this robot. Refuses a file of a robot with
+    /// another number of axes, and poses of the tool.
+    pub fn trajectory(&self, path: impl AsRef<Path>) -> anyhow::Result<Newsmooth> {
+        let path = path.as_ref();
+        let place = path.display();
+        let bytes = input::read(path, LARGEST_TRAJECTORY).with_context(|| place.to_string())?;
+        let text = std::str::from_utf8(&bytes).with_context(|| format!("{place}: must be text"))?;
+        let file = TrajectoryFile::parse(text).map_err(|error| anyhow!("{place}:{error}"))?;
+        let motion = file.motion_of(self.arm.axes(), self.limits, self.motor_limits);
+        motion.with_context(|| place.to_string())
+    }
+
+    /// A [`Jog`] of the robot within the limits of its joints, and the handle of its operator. Without a command for the
+    /// time `dead_man`, the robot brakes.
+    pub fn jog(&self, dead_man: Duration) -> anyhow::Result<(Jog, JogHandle)> {
+        Jog::new(self.arm.clone(), self.limits, dead_man).context("the robot cannot be jogged")
+    }
+
+    fn check_axes(&self, given: usize) -> anyhow::Result<()> {
+        let axes = self.arm.axes();
+        if given != axes {
+            bail!("a pose has {given} joints, and the robot has {axes}");
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    //! Motions of an emulated IRb-6 in lockstep, and refusals.
+
+    use std::fs;
+
+    use super::*;
+    use crate::prelude::{BenchKind, Cell, JogCommand, Outcome, RunOutcome, join};
+    use crate::tasks::tests::two_arms;
+
+    /// Runs a task on two IRb-6 to its end.
+    #[track_caller]
+    fn completes(task: impl AsyncFn(&mut Cell) -> Outcome + Send + Sync + 'static) {
+        let report = crate::run(&two_arms(), BenchKind::Lockstep, task).unwrap();
+        assert_eq!(report.outcome, RunOutcome::Completed, "{report}");
+    }
+
+    fn motions() -> Motions {
+        Motions::of(&two_arms(), 0)
+    }
+
+    #[test]
+    fn a_time_optimal_motion_ends_at_its_last_way_point() {
+        completes(async |cell: &mut Cell| {
+            let mut robot = cell.robot("left")?;
+            let points = [[0.3, -1.7, 0.1, 0.2, 0.3], [0.5, -1.6, 0.0, 0.4, 0.1], [0.2, -1.5, 0.05, 0.3, -0.4]];
+            robot.enable().await?;
+            robot.home().await?;
+            let motion = robot.motions().time_optimal(&points)?;
+            robot.execute(motion).await?;
+            let reached = robot.image().unwrap().commanded.joints.position;
+            for (reached, asked) in reached.iter().zip(points[2]) {
+                assert!((reached - asked).abs() < 1e-6, "{reached} for {asked}");
+            }
+            Ok(())
+        });
+    }
+
+    #[test]
+    fn a_trajectory_file_moves_the_joints_to_its_last_pose_and_the_motors_by_its_displacements() {
+        let directory = tempfile::tempdir().unwrap();
+        let fractions = "0.5 0.5 0.5 0.5 0.5\n0.2 0.2 0.2 0.2 0.2\n";
+        let (joints, motors) = (directory.path().join("joints.trj"), directory.path().join("motors.trj"));
+        let poses = format!("JOINT\n1\nABSOLUTE\n{fractions}0.2 -1.6 0.05 0.1 0.2\n");
+        fs::write(&joints, poses).unwrap();
+        fs::write(&motors, format!("MOTOR\n1\nRELATIVE\n{fractions}5 0 0 0 0\n")).unwrap();
+        completes(async move |cell: &mut Cell| {
+            let mut robot = cell.robot("left")?;
+            robot.enable().await?;
+            robot.home().await?;
+            let motion = robot.motions().trajectory(&joints)?;
+            robot.execute(motion).await?;
+            let before = robot.image().unwrap().commanded;
+            for (reached, asked) in before.joints.position.iter().zip([0.2, -1.6, 0.05, 0.1, 0.2]) {
+                assert!((reached - asked).abs() < 1e-6, "{reached} for {asked}");
+            }
+            let motion = robot.motions().trajectory(&motors)?;
+            robot.execute(motion).await?;
+            let by = robot.image().unwrap().commanded.motors.position[0] - before.motors.position[0];
+            assert!((by - 5.0).abs() < 1e-6, "{by}");
+            Ok(())
+        });
+    }
+
+    #[test]
+    fn an_operator_jogs_a_joint_and_ends_the_motion() {
+        completes(async |cell: &mut Cell| {
+            let mut robot = cell.robot("left")?;
+            robot.enable().await?;
+            robot.home().await?;
+            let (jog, mut operator) = robot.motions().jog(Duration::from_millis(200))?;
+            let operated = async {
+                for _ in 0..20 {
+                    operator.command(JogCommand::Joints([0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))?;
+                    cell.sleep(Duration::from_millis(100)).await;
+                }
+                operator.command(JogCommand::End)?;
+                Ok(())
+            };
+            join(robot.execute(jog), operated).await?;
+            let column = robot.image().unwrap().commanded.joints.position[0];
+            assert!((column - 0.2).abs() < 0.02, "{column}");
+            Ok(())
+        });
+    }
+
+    #[test]
+    fn a_trajectory_file_that_cannot_be_executed_is_refused_with_its_path_and_line() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("poses.trj");
+        let refused = |bytes: &[u8]| {
+            fs::write(&path, bytes).unwrap();
+            let refusal = format!("{:#}", motions().trajectory(&path).unwrap_err());
+            refusal.strip_prefix(&path.display().to_string()).expect("it begins with the path").to_owned()
+        };
+        let six = refused(b"JOINT\n1\nABSOLUTE\n1 1 1 1 1 1\n1 1 1 1 1 1\n0 0 0 0 0 0\n");
+        assert_eq!(six, ": poses have 6 columns, and the robot has 5 axes: the file belongs to another robot");
+        assert_eq!(refused(b"JOINT\n1\nABSOLUTE\n1 2\n"), ":4: column 2: the fraction 2 must be above 0 and at most 1");
+        assert!(refused(b"\xff\n").starts_with(": must be text"));
+        fs::remove_file(&path).unwrap();
+        assert!(motions().trajectory(&path).is_err());
+    }
+
+    #[test]
+    fn poses_with_another_number_of_joints_are_refused() {
+        let refusal = "a pose has 2 joints, and the robot has 5";
+        assert_eq!(motions().time_optimal(&[[0.0, 0.0]]).unwrap_err().to_string(), refusal);
+        assert_eq!(motions().joints(0.5, &[[0.0, 0.0]]).unwrap_err().to_string(), refusal);
     }
 }

@@ -4,6 +4,8 @@ use std::time::Duration;
 
 use thiserror::Error;
 
+use super::TimingError;
+use crate::path::PathError;
 use crate::robot::KinematicsError;
 
 /// Reasons why a generator refuses a motion or gives it up.
@@ -58,6 +60,12 @@ pub enum GeneratorError {
     /// A [`Contour`](super::Contour) begins where the tool stands.
     #[error("tool stands {distance:.6} m and {angle:.6} rad from the start of the path: move the tool there first")]
     NotAtStart { distance: f64, angle: f64 },
+    /// The way-points define no joint path.
+    #[error("joint path: {0}")]
+    JointPath(PathError),
+    /// A joint path cannot be timed within the limits.
+    #[error("joint path: {0}")]
+    Timing(TimingError),
     /// The effector measures positions that its mechanism cannot take.
     #[error("effector image: {0}")]
     Image(KinematicsError),

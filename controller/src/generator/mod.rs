@@ -39,14 +39,17 @@ mod feed;
 mod image;
 mod images;
 mod jerk_limited;
+mod jog;
 mod line;
 mod newsmooth;
 mod outputs;
+mod path_timing;
 mod plan;
 mod polynomial;
 mod profile;
 #[cfg(test)]
 mod tests;
+mod time_optimal;
 mod wait;
 
 use std::fmt::Debug;
@@ -63,10 +66,13 @@ pub use feed::{Feed, FeedLimits, FeedState};
 pub use image::{Accelerations, AxesState, EffectorImage, EffectorState, Setpoint};
 pub use images::{A, Bundle, Images, Message, Partners, Received, Sample, SensorReading, V};
 pub use jerk_limited::JerkLimited;
+pub use jog::{Jog, JogCommand, JogHandle, JogMemory};
 pub use line::{LineLimits, LineMemory, PlannedStart, StraightLine};
 pub use newsmooth::{Newsmooth, Progress, SmoothPose};
 pub use outputs::{Answer, Outputs, Tell};
+pub use path_timing::{EndSpeeds, PathTiming, TimingError};
 pub use polynomial::Polynomial;
+pub use time_optimal::TimeOptimal;
 pub use wait::Wait;
 
 /// Limits of each axis for the planning of a generator. Entries beyond the robot's axes are ignored.

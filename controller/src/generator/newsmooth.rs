@@ -70,6 +70,8 @@ pub struct Newsmooth {
     axes: usize,
     limits: MotionLimits,
     poses: Vec<SmoothPose>,
+    /// Positions are displacements from the pose before. The first step replaces them by positions.
+    displacements: bool,
     macrostep: f64,
     segments: Vec<Segment>,
 }
@@ -122,7 +124,26 @@ impl Newsmooth {
             }
         }
         let segments = Vec::with_capacity(poses.len());
-        Ok(Self { space, axes, limits, poses, macrostep: 0.0, segments })
+        Ok(Self { space, axes, limits, poses, displacements: false, macrostep: 0.0, segments })
+    }
+
+    /// The same motion, in which each position is the displacement from the pose before, and the first one from the
+    /// commanded position of the effector.
+    #[must_use]
+    pub fn by_displacements(self) -> Self {
+        Self { displacements: true, ..self }
+    }
+
+    /// Replaces displacements by positions.
+    fn add_up(&mut self, start: &Axes) {
+        let mut from = *start;
+        for pose in &mut self.poses {
+            for (position, from) in pose.position.iter_mut().zip(from) {
+                *position += from;
+            }
+            from = pose.position;
+        }
+        self.displacements = false;
     }
 
     /// Signed distance of one axis in the segment to pose `index`; zero beyond the last pose.
@@ -231,7 +252,11 @@ impl Generator for Newsmooth {
 
     fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<Progress>, GeneratorError> {
         self.macrostep = macrostep.as_secs_f64();
-        self.plan(&self.space.commanded(e).position)?;
+        let start = self.space.commanded(e).position;
+        if self.displacements {
+            self.add_up(&start);
+        }
+        self.plan(&start)?;
         Ok(Next::remember(Progress::default()))
     }
 

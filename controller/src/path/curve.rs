@@ -3,12 +3,12 @@
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc as Shared;
 
-use nalgebra::{Unit, Vector3};
+use nalgebra::{SVector, Unit, Vector3};
 
 use super::arc_length::ArcLength;
 use super::{BSpline, PathError};
 
-/// Distance below which two points coincide, m.
+/// Distance below which two points coincide, m or rad.
 const COINCIDENT: f64 = 1e-9;
 /// Ratio of the longest side of a triangle to the diameter of its circumscribed circle, below which its points lie on a
 /// line.
@@ -240,12 +240,12 @@ impl Shape {
     }
 }
 
-fn check_finite(point: usize, position: &Vector3<f64>) -> Result<(), PathError> {
+fn check_finite<const D: usize>(point: usize, position: &SVector<f64, D>) -> Result<(), PathError> {
     if position.iter().all(|c| c.is_finite()) { Ok(()) } else { Err(PathError::NotFinite { point }) }
 }
 
 /// Refuses too few points, points that are not finite, and neighbours that coincide.
-pub(super) fn check_points(points: &[Vector3<f64>], needed: usize) -> Result<(), PathError> {
+pub(super) fn check_points<const D: usize>(points: &[SVector<f64, D>], needed: usize) -> Result<(), PathError> {
     if points.len() < needed {
         return Err(PathError::TooFewPoints { given: points.len(), needed });
     }

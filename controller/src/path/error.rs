@@ -6,6 +6,9 @@ use thiserror::Error;
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 #[expect(missing_docs, reason = "every field is in the message")]
 pub enum PathError {
+    /// The number of axes of a joint path is zero or above [`servo::MAX_AXES`].
+    #[error("{axes} axes, supported are 1 to {max}")]
+    Axes { axes: usize, max: usize },
     #[error("{given} points, at least {needed} are needed")]
     TooFewPoints { given: usize, needed: usize },
     #[error("point {point}: a coordinate is not a finite number")]

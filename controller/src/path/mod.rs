@@ -1,8 +1,11 @@
-//! Paths of the tool: position and orientation by arc length.
+//! Paths of the tool, position and orientation by arc length, and of the joints.
 //!
 //! A [`Curve`] is the geometry of the tool's origin: line, circular arc, polyline with blends, or [`BSpline`]. A [`Path`]
-//! adds the orientation of the tool. Nothing here knows time: [`Feed`](crate::generator::Feed) plans the arc length over
-//! time, and [`Contour`](crate::generator::Contour) moves the tool.
+//! adds the orientation of the tool. A [`JointPath`] leads the joints through way-points.
+//!
+//! Nothing here knows time. [`Feed`](crate::generator::Feed) plans the arc length over time, and
+//! [`Contour`](crate::generator::Contour) moves the tool. [`PathTiming`](crate::generator::PathTiming) plans a joint path
+//! over time, and [`TimeOptimal`](crate::generator::TimeOptimal) moves the joints.
 //!
 //! Positions are in the base frame, in m. A curve is constructed once, and may allocate and iterate then. Evaluations
 //! neither allocate nor fail.
@@ -21,6 +24,7 @@
 mod arc_length;
 mod curve;
 mod error;
+mod joint;
 mod spline;
 #[cfg(test)]
 mod tests;
@@ -30,6 +34,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 pub use crate::robot::Pose;
 pub use curve::{Curve, CurvePoint};
 pub use error::PathError;
+pub use joint::{JointPath, JointPoint};
 pub use spline::{BSpline, SplineEnds};
 
 /// Parts of a smooth step for the feed. The derivative of the rate of turn between two parts exceeds the larger one of

@@ -1,6 +1,6 @@
 //! Cubic B-splines: evaluation by de Boor's algorithm, and interpolation of data points.
 
-use nalgebra::{SVector, Vector3};
+use nalgebra::SVector;
 
 use super::PathError;
 use super::curve::check_points;
@@ -12,20 +12,21 @@ const LOCAL: usize = DEGREE + 1;
 /// Smallest accepted pivot of an interpolation, relative to the largest entry of its row. A basis function at its own data point is far larger.
 const MIN_PIVOT: f64 = 1e-12;
 
-/// A cubic B-spline C(u) = Σ N_i(u) P_i in space, with its derivatives by the parameter u.
+/// A cubic B-spline C(u) = Σ N_i(u) P_i in `D` dimensions, with its derivatives by the parameter u. Points are positions
+/// of the tool, m, in three dimensions, the default.
 ///
 /// The convention is that of `scipy.interpolate.BSpline(t, c, 3)`: n control points have n + 4 knots, and the domain is
 /// `t[3]` to `t[n]`.
 #[derive(Clone, Debug, PartialEq)]
-pub struct BSpline {
+pub struct BSpline<const D: usize = 3> {
     knots: Vec<f64>,
-    controls: Vec<Vector3<f64>>,
+    controls: Vec<SVector<f64, D>>,
 }
 
 /// End conditions of an interpolating spline. With data points Q and the chord length u_k = Σ |Q_i − Q_(i−1)|, in m, as
 /// parameter, SciPy reproduces the spline by the call in each description.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum SplineEnds {
+pub enum SplineEnds<const D: usize = 3> {
     /// No end condition, at least four points. Knots by averaging: t_(j+3) = (u_j + u_(j+1) + u_(j+2)) / 3 (Piegl and
     /// Tiller, The NURBS Book, 9.8). `make_interp_spline(u, Q, k=3, t=t)`.
     Averaged,
@@ -39,16 +40,16 @@ pub enum SplineEnds {
     /// the natural length. `make_interp_spline(u, Q, k=3, bc_type=([(1, start)], [(1, end)]))`.
     Clamped {
         /// dC/du at the first point.
-        start: Vector3<f64>,
+        start: SVector<f64, D>,
         /// dC/du at the last point.
-        end: Vector3<f64>,
+        end: SVector<f64, D>,
     },
 }
 
-impl BSpline {
+impl<const D: usize> BSpline<D> {
     /// The spline of these knots and control points, m. Inside the domain, a knot may occur at most twice, so that the
     /// tangent is continuous.
-    pub fn new(knots: Vec<f64>, controls: Vec<Vector3<f64>>) -> Result<Self, PathError> {
+    pub fn new(knots: Vec<f64>, controls: Vec<SVector<f64, D>>) -> Result<Self, PathError> {
         let count = controls.len();
         if count < LOCAL {
             return Err(PathError::TooFewPoints { given: count, needed: LOCAL });
@@ -75,7 +76,7 @@ impl BSpline {
     }
 
     /// The spline through data points, m.
-    pub fn through(points: &[Vector3<f64>], ends: SplineEnds) -> Result<Self, PathError> {
+    pub fn through(points: &[SVector<f64, D>], ends: SplineEnds<D>) -> Result<Self, PathError> {
         let free = matches!(ends, SplineEnds::Averaged | SplineEnds::NotAKnot);
         check_points(points, if free { LOCAL } else { 2 })?;
         let mut parameters = vec![0.0];
@@ -102,7 +103,7 @@ impl BSpline {
         // Order and values of the derivatives at both ends.
         let ends = match ends {
             SplineEnds::Averaged | SplineEnds::NotAKnot => None,
-            SplineEnds::Natural => Some((2, [Vector3::zeros(); 2])),
+            SplineEnds::Natural => Some((2, [SVector::zeros(); 2])),
             SplineEnds::Clamped { start, end } => Some((1, [start, end])),
         };
         if let Some((_, conditions)) = ends
@@ -129,7 +130,7 @@ impl BSpline {
     }
 
     /// The control points, m.
-    pub fn controls(&self) -> &[Vector3<f64>] {
+    pub fn controls(&self) -> &[SVector<f64, D>] {
         &self.controls
     }
 
@@ -140,7 +141,7 @@ impl BSpline {
 
     /// Position, first and second derivative by the parameter. A parameter outside the domain continues the polynomial
     /// of the first or the last span.
-    pub fn at(&self, u: f64) -> [Vector3<f64>; 3] {
+    pub fn at(&self, u: f64) -> [SVector<f64, D>; 3] {
         let span = span(&self.knots, u);
         local(&self.knots, span, u, std::array::from_fn(|j| self.controls[span - DEGREE + j]))
     }
@@ -194,15 +195,15 @@ fn de_boor<const N: usize, const D: usize>(
 
 /// Linear equations with at most [`DEGREE`] entries on either side of the diagonal. Each unknown is a vector.
 #[derive(Default)]
-struct Banded {
+struct Banded<const D: usize> {
     /// Entry `column − row + DEGREE` of each row.
     rows: Vec<[f64; 2 * DEGREE + 1]>,
-    right: Vec<Vector3<f64>>,
+    right: Vec<SVector<f64, D>>,
 }
 
-impl Banded {
+impl<const D: usize> Banded<D> {
     /// Adds the next row: its entries from column `first` on, and its right side.
-    fn push(&mut self, (first, entries): (usize, SVector<f64, LOCAL>), right: Vector3<f64>) {
+    fn push(&mut self, (first, entries): (usize, SVector<f64, LOCAL>), right: SVector<f64, D>) {
         let mut row = [0.0; 2 * DEGREE + 1];
         for (j, entry) in entries.iter().enumerate() {
             // Entries beyond the band are zero: the basis functions vanish there.
@@ -216,7 +217,7 @@ impl Banded {
 
     /// Gauss elimination without pivoting, which is stable for B-splines (de Boor 1978, chapter XIII). `None` for a
     /// singular matrix.
-    fn solve(mut self) -> Option<Vec<Vector3<f64>>> {
+    fn solve(mut self) -> Option<Vec<SVector<f64, D>>> {
         let count = self.rows.len();
         for pivot in 0..count {
             let row = self.rows[pivot];

@@ -190,6 +190,18 @@ impl Robot {
         }
         limits
     }
+
+    /// Limits of each motor for plans: its share of the limits of the servo.
+    pub fn motor_limits(&self) -> MotionLimits {
+        let (_, acceleration, jerk) = JOINT_LIMITS;
+        let mut limits = MotionLimits::uniform(0.0, 0.0, 0.0);
+        for (motor, axis) in self.axis.iter().enumerate() {
+            limits.max_velocity[motor] = axis.max_velocity * PLANNED.0;
+            limits.max_acceleration[motor] = axis.max_acceleration * PLANNED.1;
+            limits.max_jerk[motor] = limits.max_acceleration[motor] * jerk / acceleration;
+        }
+        limits
+    }
 }
 
 /// Number of instructions of a task for one instruction of a program.

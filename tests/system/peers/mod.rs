@@ -1,5 +1,5 @@
 //! Independent peers: python-canopen, zencan, canopen-rs, durand, can-utils and the kernel's own drivers on the buses,
-//! HdrHistogram for files, pinocchio for robots, and SciPy for splines.
+//! HdrHistogram for files, pinocchio for robots, SciPy for splines, toppra and Ruckig for planning.
 //!
 //! Independent implementations of the same standards do not share the errors of this project. `tests/run` installs the
 //! requirements of these tests in `target/peers`: the Python packages of the scripts in `tests/peers`, and the programs
@@ -18,6 +18,7 @@ mod nodes;
 mod serial;
 mod slave;
 mod splines;
+mod timing;
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};

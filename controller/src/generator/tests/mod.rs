@@ -5,6 +5,7 @@ mod feed;
 mod line;
 mod planned_start;
 mod polynomial;
+mod time_optimal;
 
 use std::time::Duration;
 
@@ -213,6 +214,23 @@ fn newsmooth_passes_a_pose_on_the_way_without_a_stop_and_stands_where_an_axis_tu
     assert!((at(&poses[1])[0] - 1.0).abs() < 1e-9);
     assert_eq!(at(&poses[1])[1], 0.0, "axis 1 rests next");
     assert_eq!(at(&poses[2]), Axes::default());
+}
+
+#[test]
+fn newsmooth_by_displacements_is_the_motion_through_their_sums() {
+    for seed in 0..200 {
+        let mut random = Random(seed);
+        let (axes, limits, start) = (1 + random.below(6), random_limits(&mut random), random.axes(-2.0, 2.0));
+        let by: Vec<SmoothPose> = (0..1 + random.below(5)).map(|_| SmoothPose::fast(random.axes(-1.0, 1.0))).collect();
+        let mut from = start;
+        let sums = by.iter().map(|pose| {
+            from = std::array::from_fn(|axis| from[axis] + pose.position[axis]);
+            SmoothPose::fast(from)
+        });
+        let sums = Newsmooth::new(Space::Joint, axes, limits, sums.collect()).unwrap();
+        let by = Newsmooth::new(Space::Joint, axes, limits, by).unwrap().by_displacements();
+        assert_eq!(walk(by, &Standing::at(start)), walk(sums, &Standing::at(start)), "seed {seed}");
+    }
 }
 
 #[test]

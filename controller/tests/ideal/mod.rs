@@ -1,0 +1,104 @@
+//! Ideal drives of one robot under the real servo, in virtual time.
+
+use std::sync::{Arc, Mutex};
+use std::task::Poll;
+use std::time::Duration;
+
+use can::Instant;
+use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Power, Setpoint};
+use servo::{EffectorConfig, EffectorLink, PositionLoop, Servo, ServoAxisConfig, ServoConfig};
+
+pub(crate) const PERIOD: Duration = Duration::from_millis(2);
+
+/// Set-points sent, cycle by cycle.
+pub(crate) type Sent<const AXES: usize> = Arc<Mutex<Vec<[f64; AXES]>>>;
+
+/// Ideal drives of one robot.
+struct Ideal<const AXES: usize> {
+    commands: Vec<AxisCommand>,
+    latched: Vec<AxisCommand>,
+    position: [f64; AXES],
+    now: Instant,
+    sent: Sent<AXES>,
+}
+
+impl<const AXES: usize> DriveGroup for Ideal<AXES> {
+    fn axes(&self) -> usize {
+        AXES
+    }
+    fn delay(&self) -> usize {
+        2
+    }
+    fn bring_up(&mut self, _: Instant) -> Poll<Result<(), BringUpError>> {
+        Poll::Ready(Ok(()))
+    }
+    fn read(&mut self, _: Instant, states: &mut [AxisState]) {
+        for (axis, state) in states.iter_mut().enumerate() {
+            let on = !matches!(self.latched[axis], AxisCommand::Off | AxisCommand::ResetFault);
+            *state = AxisState {
+                sampled: self.now,
+                position: self.position[axis],
+                power: if on { Power::On } else { Power::Off },
+                homing: Homing::Attained,
+                following: on,
+                ..AxisState::default()
+            };
+        }
+    }
+    fn write(&mut self, _: Instant, commands: &[AxisCommand]) {
+        self.commands.copy_from_slice(commands);
+    }
+    fn send(&mut self, now: Instant) -> bool {
+        self.now = now;
+        for (axis, command) in self.latched.iter().enumerate() {
+            if let AxisCommand::Follow(Setpoint::Position(position)) = command {
+                self.position[axis] = position.get();
+            }
+        }
+        self.latched.copy_from_slice(&self.commands);
+        let asked = |axis: usize| match self.commands[axis] {
+            AxisCommand::Follow(Setpoint::Position(position)) => position.get(),
+            _ => self.position[axis],
+        };
+        self.sent.lock().expect("one thread").push(std::array::from_fn(asked));
+        true
+    }
+    fn counters(&self) -> GroupCounters {
+        GroupCounters::default()
+    }
+}
+
+/// A servo with ideal drives, whose motors stand at `position`, rad. Limits are those of each motor, rad/s and rad/s².
+pub(crate) fn servo<const AXES: usize>(
+    position: [f64; AXES],
+    max_velocity: f64,
+    max_acceleration: f64,
+    sent: &Sent<AXES>,
+) -> (Servo, EffectorLink) {
+    let axis = |index_in_group| ServoAxisConfig {
+        group: 0,
+        index_in_group,
+        min_position: -1e4,
+        max_position: 1e4,
+        max_velocity,
+        max_acceleration,
+        following_error: 10.0,
+        homing_order: 1,
+        increments_per_radian: 1000.0,
+        position_loop: PositionLoop::Drive,
+        torque_offset: None,
+        homing: None,
+    };
+    let effector = EffectorConfig {
+        name: "robot".into(),
+        axes: (0..AXES).map(axis).collect(),
+        queue: 32,
+        enabling_timeout: Duration::from_secs(1),
+        homing_timeout: Duration::from_secs(1),
+    };
+    let off = vec![AxisCommand::Off; AXES];
+    let ideal = Ideal { commands: off.clone(), latched: off, position, now: Instant::ZERO, sent: Arc::clone(sent) };
+    let config = ServoConfig { period: PERIOD, max_missed_in_row: 1, effectors: vec![effector] };
+    let (servo, mut links) = Servo::new(&config, vec![Box::new(ideal)]).expect("a sound servo");
+    (servo, links.remove(0))
+}

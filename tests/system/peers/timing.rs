@@ -1,0 +1,173 @@
+//! toppra judges the time-optimal motions of the controller, and Ruckig the jerk-limited ones.
+
+use std::io::Write;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use controller::generator::{
+    Axes, AxesState, EffectorImage, EffectorState, EndSpeeds, Generator, JerkLimited, MotionLimits, PathTiming, Pose,
+};
+use controller::path::{JointPath, SplineEnds};
+use controller::robot::Space;
+use serde_json::{Value, json};
+
+use super::{PATIENCE, python};
+use crate::mrroc;
+
+const AXES: usize = 7;
+const PATHS: usize = 40;
+const MOVES: usize = 200;
+/// Segments of an even grid.
+const SEGMENTS: u32 = 300;
+/// Macrostep of the moves, by which their durations are rounded up.
+const MACROSTEP: Duration = Duration::from_millis(1);
+
+/// SplitMix64: a small seeded generator with the same results on all platforms.
+struct Random(u64);
+
+impl Random {
+    fn within(&mut self, low: f64, high: f64) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    fn axes(&mut self, low: f64, high: f64) -> Axes {
+        std::array::from_fn(|axis| if axis < AXES { self.within(low, high) } else { 0.0 })
+    }
+
+    fn limits(&mut self) -> MotionLimits {
+        MotionLimits {
+            max_velocity: self.axes(0.5, 2.0),
+            max_acceleration: self.axes(1.0, 10.0),
+            max_jerk: self.axes(10.0, 200.0),
+        }
+    }
+}
+
+fn first(axes: &Axes) -> &[f64] {
+    &axes[..AXES]
+}
+
+/// A timing with its path, for the script.
+fn described(points: &[Axes], ends: &str, limits: &MotionLimits, timing: &PathTiming) -> Value {
+    let (s, rate): (Vec<f64>, Vec<f64>) = timing.profile().unzip();
+    json!({
+        "points": points.iter().map(first).collect::<Vec<_>>(),
+        "ends": ends,
+        "max_velocity": first(&limits.max_velocity),
+        "max_acceleration": first(&limits.max_acceleration),
+        "s": s,
+        "rate": rate,
+    })
+}
+
+/// Duration of a jerk-limited motion in whole macrosteps, s.
+fn lasting(start: AxesState, acceleration: Axes, target: Axes, limits: MotionLimits) -> f64 {
+    let mut motion = JerkLimited::new(Space::Joint, AXES, limits, &[target]).unwrap();
+    let state = EffectorState { motors: start, joints: start, pose: Pose::identity() };
+    let mut image = EffectorImage::standing(state);
+    image.commanded_acceleration.joints = acceleration;
+    let mut memory = motion.first_step(&image, MACROSTEP).unwrap().memory;
+    let mut macrosteps = 0;
+    while !motion.terminal(&memory, &()) {
+        memory = motion.next_step(&memory, &()).unwrap().memory;
+        macrosteps += 1;
+    }
+    MACROSTEP.as_secs_f64() * f64::from(macrosteps)
+}
+
+/// Answer of the script.
+fn judged(python: &std::path::Path, asked: &Value) -> Value {
+    let mut judge = Command::new("timeout")
+        .args(["--signal=KILL", PATIENCE])
+        .arg(python)
+        .arg("-B")
+        .arg(mrroc::root().join("tests/peers/timing.py"))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("timeout runs");
+    let mut input = judge.stdin.take().expect("it is piped");
+    input.write_all(asked.to_string().as_bytes()).unwrap();
+    drop(input);
+    let output = judge.wait_with_output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+#[test]
+fn toppra_finds_the_same_durations_and_no_limit_exceeded_on_random_paths_of_seven_axes() {
+    let test = "peers::timing::toppra_finds_the_same_durations_and_no_limit_exceeded_on_random_paths_of_seven_axes";
+    let Some(python) = python(test) else { return };
+    let mut random = Random(11);
+    let (mut asked, mut durations) = (Vec::new(), Vec::new());
+    for number in 0..PATHS {
+        let limits = random.limits();
+        let points: Vec<Axes> = (0..4 + number % 6).map(|_| random.axes(-2.0, 2.0)).collect();
+        let (ends, named) =
+            if number % 2 == 0 { (SplineEnds::Natural, "natural") } else { (SplineEnds::NotAKnot, "not-a-knot") };
+        let path = JointPath::through(AXES, &points, ends).unwrap();
+        let node = |k: u32| path.length() * (f64::from(k) / f64::from(SEGMENTS));
+        let grid: Vec<f64> = (0..=SEGMENTS).map(node).collect();
+        let even = PathTiming::on_grid(path.clone(), &limits, EndSpeeds::default(), &grid).unwrap();
+        let refined = PathTiming::optimal(path, &limits, EndSpeeds::default()).unwrap();
+        for timing in [even, refined] {
+            asked.push(described(&points, named, &limits, &timing));
+            durations.push(timing.duration());
+        }
+    }
+    let answer = judged(&python, &json!({ "paths": asked, "moves": [] }));
+    let (mut shortest, mut longest, mut between): (f64, f64, f64) = (f64::INFINITY, 0.0, 0.0);
+    for (number, (judged, ours)) in answer["paths"].as_array().unwrap().iter().zip(durations).enumerate() {
+        let theirs = judged["duration"].as_f64().unwrap();
+        let ratio = ours / theirs;
+        assert!((ratio - 1.0).abs() < 0.02, "path {}: {ours} s, toppra {theirs} s", number / 2);
+        (shortest, longest) = (shortest.min(ratio), longest.max(ratio));
+        let at_nodes = judged["at_nodes"].as_f64().unwrap();
+        assert!(at_nodes < 1.0 + 1e-6, "path {}: {at_nodes} times a limit at a node", number / 2);
+        if number % 2 == 1 {
+            between = between.max(judged["between"].as_f64().unwrap());
+        }
+    }
+    println!("durations {shortest:.5} to {longest:.5} of toppra's; at most {between:.5} times a limit between nodes");
+    assert!(between < 1.0 + 1e-3, "{between}");
+}
+
+#[test]
+fn ruckig_finds_the_same_durations_of_jerk_limited_motions_of_seven_axes() {
+    let test = "peers::timing::ruckig_finds_the_same_durations_of_jerk_limited_motions_of_seven_axes";
+    let Some(python) = python(test) else { return };
+    let mut random = Random(12);
+    let (mut asked, mut durations) = (Vec::new(), Vec::new());
+    for number in 0..MOVES {
+        let (limits, start, target) = (random.limits(), random.axes(-2.0, 2.0), random.axes(-2.0, 2.0));
+        // Half of the motions begin in motion.
+        let share = if number % 2 == 0 { 0.0 } else { 0.5 };
+        let (speed, push) = (random.axes(-share, share), random.axes(-share, share));
+        let velocity: Axes = std::array::from_fn(|axis| speed[axis] * limits.max_velocity[axis]);
+        let acceleration: Axes = std::array::from_fn(|axis| push[axis] * limits.max_acceleration[axis]);
+        durations.push(lasting(AxesState::new(start, velocity), acceleration, target, limits));
+        asked.push(json!({
+            "position": first(&start),
+            "velocity": first(&velocity),
+            "acceleration": first(&acceleration),
+            "target": first(&target),
+            "max_velocity": first(&limits.max_velocity),
+            "max_acceleration": first(&limits.max_acceleration),
+            "max_jerk": first(&limits.max_jerk),
+        }));
+    }
+    let answer = judged(&python, &json!({ "paths": [], "moves": asked }));
+    let (mut shortest, mut longest): (f64, f64) = (f64::INFINITY, 0.0);
+    for (number, (judged, ours)) in answer["moves"].as_array().unwrap().iter().zip(durations).enumerate() {
+        let theirs = judged["duration"].as_f64().unwrap();
+        let ratio = ours / theirs;
+        assert!((ratio - 1.0).abs() < 0.01, "motion {number}: {ours} s, Ruckig {theirs} s");
+        (shortest, longest) = (shortest.min(ratio), longest.max(ratio));
+    }
+    println!("{MOVES} motions, durations {shortest:.5} to {longest:.5} of Ruckig's");
+}
