@@ -4,4 +4,6 @@ pub mod ecp;
 pub mod executor;
 pub mod generator;
 pub mod path;
+#[cfg(test)]
+mod random;
 pub mod robot;

@@ -6,6 +6,9 @@
 
 #![allow(clippy::disallowed_methods, reason = "the number of cases is read from the environment")]
 
+#[path = "../src/random.rs"]
+mod random;
+
 use std::sync::{Arc, Mutex};
 use std::task::Poll;
 use std::time::Duration;
@@ -15,6 +18,7 @@ use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Hom
 use mrroc_controller::ecp::{Ecp, EcpConfig, Task};
 use mrroc_controller::generator::{Axes, JerkLimited, MotionLimits, Newsmooth, Pace, Pose, SmoothPose};
 use mrroc_controller::robot::{Arm, Polycrank, PolycrankParameters, Space};
+use random::Random;
 use servo::{EffectorConfig, PositionLoop, Servo, ServoAxisConfig, ServoConfig};
 
 const AXES: usize = 7;
@@ -85,17 +89,7 @@ impl DriveGroup for Ideal {
     }
 }
 
-/// SplitMix64.
-struct Random(u64);
-
 impl Random {
-    fn within(&mut self, low: f64, high: f64) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
     fn below(&mut self, bound: u64) -> u64 {
         self.within(0.0, bound as f64) as u64
     }
