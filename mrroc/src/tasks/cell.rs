@@ -6,6 +6,7 @@ use std::time::Duration;
 use controller::ecp::Task;
 use controller::executor::{Agent, Agents, Replacer};
 use controller::generator::{EffectorImage, Generator};
+use serde::de::DeserializeOwned;
 use servo::SpeedOverride;
 
 use super::{Outcome, TaskError};
@@ -37,6 +38,12 @@ impl Cell {
     /// The cell file.
     pub fn file(&self) -> &CellFile {
         &self.file
+    }
+
+    /// The parameters of the task: the table `task` of the cell file, empty where absent. Refuses a table that is no
+    /// `T`, with file, line and key.
+    pub fn parameters<T: DeserializeOwned>(&self) -> Result<T, TaskError> {
+        self.file.parameters().map_err(TaskError::Parameters)
     }
 
     /// The robot called `name`. Refuses an unknown name and a robot that is in use.

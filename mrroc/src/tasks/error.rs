@@ -7,6 +7,8 @@ use controller::path::PathError;
 use controller::robot::KinematicsError;
 use thiserror::Error;
 
+use crate::cell::FileError;
+
 /// Result of a task and of each of its instructions.
 pub type Outcome = Result<(), TaskError>;
 
@@ -38,6 +40,9 @@ pub enum TaskError {
         /// Name of the robot.
         name: String,
     },
+    /// The table `task` of the cell file has other keys or values than the task reads.
+    #[error("{0}")]
+    Parameters(FileError),
     /// The task ended its rehearsal.
     #[error("not rehearsed from here: {why}")]
     NotRehearsed {
@@ -55,9 +60,11 @@ impl TaskError {
         match self {
             Self::Instruction { error, .. } => error.class(),
             Self::System(_) => Class::System,
-            Self::UnknownRobot { .. } | Self::RobotInUse { .. } | Self::NotRehearsed { .. } | Self::Refused(_) => {
-                Class::NonFatal
-            }
+            Self::UnknownRobot { .. }
+            | Self::RobotInUse { .. }
+            | Self::Parameters(_)
+            | Self::NotRehearsed { .. }
+            | Self::Refused(_) => Class::NonFatal,
         }
     }
 
