@@ -10,7 +10,8 @@ use crate::bench::emulation::{self, Emulation};
 use crate::bench::{BenchKind, emulated_lines};
 use crate::budget::{self, Bundle, BusBudget};
 use crate::cell::{CellFile, printable};
-use crate::{rehearsal, run::RunningTask, setup, tasks::Program};
+use crate::rehearsal::{self, Rehearsed};
+use crate::{run::RunningTask, setup, tasks::Program};
 
 /// The result of a successful check.
 #[derive(Debug, Serialize)]
@@ -46,7 +47,7 @@ struct CheckedConfiguration {
 pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> {
     let buses = budget::check(file)?;
     let rehearsed = rehearsal::rehearse(file, program)?;
-    assemble(file, program)?;
+    assemble(file, program, &rehearsed)?;
     let robots = file.cell.robot.iter().enumerate().map(|(number, robot)| CheckedRobot {
         name: robot.name.clone(),
         axes: robot.axis.len(),
@@ -64,12 +65,12 @@ pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> 
 }
 
 /// Creates all parts of a run on emulated drives, with the functions of the run.
-fn assemble(file: &CellFile, program: &Program) -> anyhow::Result<()> {
+fn assemble(file: &CellFile, program: &Program, rehearsed: &Rehearsed) -> anyhow::Result<()> {
     let (mut emulation, ends) = Emulation::of(file);
     let lines = emulated_lines(file, BenchKind::Lockstep, &mut emulation, ends.lines)?;
     let groups = setup::drive_groups(file, ends.ports, lines, None)?;
     let (servo, links) = Servo::new(&setup::servo_config(file), groups)?;
-    RunningTask::new(&Arc::new(file.clone()), program, links, &servo, 0);
+    RunningTask::new(&Arc::new(file.clone()), program, links, &servo, rehearsed);
     Ok(())
 }
 
