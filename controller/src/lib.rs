@@ -6,6 +6,8 @@ pub mod ecp;
 pub mod executor;
 pub mod generator;
 pub mod path;
+#[cfg(test)]
+mod random;
 pub mod robot;
 pub mod sensor;
 pub mod trajectory_file;

@@ -7,6 +7,8 @@
 #![allow(clippy::disallowed_methods, reason = "the number of cases is read from the environment")]
 
 mod ideal;
+#[path = "../src/random.rs"]
+mod random;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,6 +19,7 @@ use mrroc_controller::generator::{Axes, JerkLimited, MotionLimits, Newsmooth, Pa
 use mrroc_controller::robot::{Arm, Polycrank, PolycrankParameters, Space};
 
 use ideal::{PERIOD, Sent, servo};
+use random::Random;
 
 const AXES: usize = 7;
 const DT: f64 = 0.002;
@@ -29,17 +32,7 @@ const LIMITS: [f64; 3] = [250.0, 500.0, 5000.0];
 /// Acceleration limit of the servo, relative to that of the plan.
 const ROOM: f64 = 2.0;
 
-/// SplitMix64.
-struct Random(u64);
-
 impl Random {
-    fn within(&mut self, low: f64, high: f64) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
     fn below(&mut self, bound: u64) -> u64 {
         self.within(0.0, bound as f64) as u64
     }

@@ -68,9 +68,9 @@ impl Pty {
 
     /// Opens a pair of ends and makes `link` a symbolic link to the host's end, until this value is dropped.
     ///
-    /// An emulator that was killed leaves its link behind. Such a link is dangling, or leads to another terminal that
-    /// got the same number, possibly that of another emulator. Such a link is replaced. A lock on its terminal marks the
-    /// link of a running emulator. Links to paths other than `/dev/pts/N` are neither followed nor replaced.
+    /// A running emulator holds a lock on the terminal of its link. A link without such a lock was left by an emulator
+    /// that was killed, and is replaced. The link is dangling, or leads to a later terminal with the same number. Links
+    /// to paths other than `/dev/pts/N` are neither followed nor replaced.
     pub fn linked(link: &Path) -> Result<Self, PtyError> {
         let left = match fs::symlink_metadata(link) {
             Ok(found) if !found.is_symlink() => return Err(PtyError::NameTaken),

@@ -10,7 +10,8 @@ use crate::bench::emulation::{self, Emulation};
 use crate::bench::{BenchKind, emulated_lines};
 use crate::budget::{self, Bundle, BusBudget};
 use crate::cell::{CellFile, IoNode, printable};
-use crate::{rehearsal, run::RunningTask, setup, tasks::Program};
+use crate::rehearsal::{self, Rehearsed};
+use crate::{run::RunningTask, setup, tasks::Program};
 
 /// The result of a successful check.
 #[derive(Debug, Serialize)]
@@ -68,7 +69,7 @@ impl CheckedIo {
 pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> {
     let buses = budget::check(file)?;
     let rehearsed = rehearsal::rehearse(file, program)?;
-    assemble(file, program)?;
+    assemble(file, program, &rehearsed)?;
     let robots = file.cell.robot.iter().enumerate().map(|(number, robot)| CheckedRobot {
         name: robot.name.clone(),
         axes: robot.axis.len(),
@@ -87,12 +88,12 @@ pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> 
 }
 
 /// Creates all parts of a run on emulated drives, with the functions of the run.
-fn assemble(file: &CellFile, program: &Program) -> anyhow::Result<()> {
+fn assemble(file: &CellFile, program: &Program, rehearsed: &Rehearsed) -> anyhow::Result<()> {
     let (mut emulation, ends) = Emulation::of(file);
     let lines = emulated_lines(file, BenchKind::Lockstep, &mut emulation, ends.lines)?;
     let devices = setup::devices(file, ends.ports, lines, None)?;
     let (servo, links) = Servo::new(&setup::servo_config(file), devices.groups)?;
-    RunningTask::new(&Arc::new(file.clone()), program, links, devices.io, &servo, 0);
+    RunningTask::new(&Arc::new(file.clone()), program, links, devices.io, &servo, rehearsed);
     Ok(())
 }
 

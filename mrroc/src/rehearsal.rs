@@ -3,15 +3,20 @@
 //! In the rehearsal, servo and generators make the same refusals as on the robot, but in virtual time and before any
 //! motion. Examples are a pose out of reach, a motion beyond a limit, and a line through a singularity.
 //!
-//! A rehearsal covers a whole run for robots that are homed first. Drives that kept their reference from an earlier
-//! run are not homed, and their robot may stand anywhere. `mrroc run` then rehearses the task again from the actual
-//! position.
+//! Ideal drives come up without a reference, at the home position of their robot, and attain the reference when they
+//! are homed. The rehearsal before a run therefore covers all motions after homing, and ends at the first motion
+//! without homing.
+//!
+//! Real drives may have kept their reference from an earlier run. Their robot may then stand anywhere. During a run, a
+//! robot waits before its first motion if no rehearsal had it at its present position. The task is then rehearsed again
+//! from there. The same holds after each switching-on at a new position, and after each fault.
 //!
 //! An error that the task handles is no refusal. A task can leave out its side effects
 //! ([`Cell::rehearsing`](crate::tasks::Cell::rehearsing)) or end the rehearsal
 //! ([`Cell::end_rehearsal`](crate::tasks::Cell::end_rehearsal)).
 
 use std::cell::Cell;
+use std::fmt::Display;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::Poll;
@@ -19,9 +24,10 @@ use std::time::Duration;
 
 use anyhow::anyhow;
 use can::Instant;
-use controller::executor::{Ended, InstructionError, SystemError, Turns};
+use controller::ecp::EcpError;
+use controller::executor::{Ended, InstructionError, News, SystemError, Turns};
 use controller::generator::{Axes, PlannedStart};
-use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Power, Setpoint};
+use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Homing, Power, Setpoint};
 use servo::{PositionLoop, Servo, lockstep};
 
 use crate::cell::{CellFile, Path, instruction_path};
@@ -34,6 +40,9 @@ const LONGEST: Duration = Duration::from_secs(24 * 3600);
 /// Greatest duration of a first motion in a rehearsal from beside the home position.
 const BEGINNING: Duration = Duration::from_secs(600);
 
+/// The fault of an ideal drive: a generic error (CiA 402-2 §7.1).
+const FAULT: Fault = Fault::Drive { node: 0, code: 0x1000 };
+
 /// Number of rehearsed start positions beside the home position.
 const STARTS: usize = 16;
 
@@ -45,7 +54,26 @@ pub struct Rehearsed {
     /// Number of instructions of all robots.
     pub instructions: u64,
     /// Whether each robot moved.
-    moved: Vec<bool>,
+    pub(crate) moved: Vec<bool>,
+}
+
+/// The part of a robot's course in a run that a rehearsal repeats.
+#[derive(Clone, Debug)]
+pub(crate) struct Course {
+    /// Motor positions, rad, at the start, without a reference.
+    pub(crate) start: Axes,
+    /// Switchings-on of the drives, numbered from 0, at which the robot had a reference and stood elsewhere: motor
+    /// positions, rad.
+    pub(crate) found: Vec<(usize, Axes)>,
+    /// Numbers of the robot's instructions that had ended before each fault.
+    pub(crate) faults: Vec<u64>,
+}
+
+impl Course {
+    /// A robot at these motor positions, rad, without a reference and without faults.
+    pub(crate) fn from(start: Axes) -> Self {
+        Self { start, found: Vec::new(), faults: Vec::new() }
+    }
 }
 
 /// Rehearses a task.
@@ -63,31 +91,34 @@ pub fn rehearse(file: &CellFile, program: &Program) -> anyhow::Result<Rehearsed>
 
 fn rehearse_all(file: &Arc<CellFile>, program: &Program, turns: &Turns) -> anyhow::Result<Rehearsed> {
     let homes = homes(file);
-    let motors: Vec<_> = homes.iter().map(|home| home.motors).collect();
+    let starts = |start: &dyn Fn(&PlannedStart) -> Axes| homes.iter().map(|home| Course::from(start(home))).collect();
+    let at_home: Vec<_> = starts(&|home| home.motors);
     let never = AtomicBool::new(false);
-    let rehearsed = run(file, program, &motors, Extent::Task, &never, turns)?;
+    let rehearsed = run(file, program, &at_home, Extent::Task, &never, turns)?;
     for number in 0..STARTS {
-        let starts: Vec<_> = homes.iter().map(|home| beside(home, number)).collect();
-        run(file, program, &starts, Extent::FirstMotions(&rehearsed.moved), &never, turns)?;
+        let beside: Vec<_> = starts(&|home| beside(home, number));
+        run(file, program, &beside, Extent::FirstMotions(&rehearsed.moved), &never, turns)?;
     }
     Ok(rehearsed)
 }
 
-/// Rehearses a task with robot `robot` at these motor positions, rad, and the other robots at home. Ends early, without a
-/// refusal, once the rehearsal is `cancelled`.
-pub(crate) fn rehearse_from(
+/// Rehearses a task again with the present courses of the robots. Ends early, without a refusal, once the rehearsal is
+/// `cancelled`. A rehearsal that panics or hangs is refused.
+pub(crate) fn rehearse_again(
     file: &Arc<CellFile>,
     program: &Program,
-    robot: usize,
-    motors: Axes,
-    cancelled: &AtomicBool,
+    courses: Vec<Course>,
+    cancelled: &Arc<AtomicBool>,
 ) -> anyhow::Result<()> {
-    let mut starts: Vec<_> = homes(file).iter().map(|home| home.motors).collect();
-    starts[robot] = motors;
-    run(file, program, &starts, Extent::Task, cancelled, &Turns::default()).map(|_| ())
+    let (file, program, cancelled) = (Arc::clone(file), program.clone(), Arc::clone(cancelled));
+    let turns = Turns::default();
+    let counted = turns.clone();
+    let work = move || run(&file, &program, &courses, Extent::Task, &cancelled, &counted);
+    returned("rehearsal", &turns, work)?.map(|_| ())
 }
 
-fn homes(file: &CellFile) -> Vec<PlannedStart> {
+/// The home position of each robot.
+pub(crate) fn homes(file: &CellFile) -> Vec<PlannedStart> {
     file.arms.iter().enumerate().map(|(robot, arm)| file.cell.home(robot, arm)).collect()
 }
 
@@ -112,16 +143,17 @@ enum Extent<'a> {
     FirstMotions(&'a [bool]),
 }
 
-/// Rehearses a task on ideal drives, from the initial motor positions, rad, of each robot.
+/// Rehearses a task on ideal drives, with the course of each robot.
 fn run(
     file: &Arc<CellFile>,
     program: &Program,
-    starts: &[Axes],
+    courses: &[Course],
     extent: Extent,
     cancelled: &AtomicBool,
     turns: &Turns,
 ) -> anyhow::Result<Rehearsed> {
-    let drives = |bus| Box::new(IdealDrives::of(file, bus, starts)) as Box<dyn DriveGroup>;
+    let faults: Vec<Arc<AtomicBool>> = courses.iter().map(|_| Arc::default()).collect();
+    let drives = |bus| Box::new(IdealDrives::of(file, bus, courses, &faults)) as Box<dyn DriveGroup>;
     let groups = (0..file.cell.groups().count()).map(drives);
     let mut config = setup::servo_config(file);
     // Ideal drives follow positions, and stand at the commanded position from the start.
@@ -134,7 +166,8 @@ fn run(
     let (mut nodes, io) = setup::rehearsed_io(file);
     let equipment = Equipment { subcontrollers, io, speed: servo.speed_override(), figures: Figures::default() };
     let mut executor = program.begin(file, equipment, true, turns.clone());
-    let (mut moved, mut instructions) = (vec![false; starts.len()], 0);
+    let (mut moved, mut ended) = (vec![false; courses.len()], vec![0; courses.len()]);
+    let mut faults_left: Vec<_> = courses.iter().map(|course| course.faults.iter().peekable()).collect();
     let start = lockstep::bring_up(&mut servo, Instant::ZERO, |_| {}).expect("ideal drives come up");
     let over = Cell::new(false);
     let longest = if extent == Extent::Task { LONGEST } else { BEGINNING };
@@ -143,10 +176,17 @@ fn run(
         start,
         |now| {
             nodes.iter_mut().for_each(|node| node.advance(now));
-            let busy = executor.poll(now, |_, ended| {
-                instructions += 1;
-                moved[ended.robot] |= ended.moved;
+            let busy = executor.poll(now, |_, news| {
+                if let News::Ended { robot, moved: first } = news {
+                    ended[robot] += 1;
+                    moved[robot] |= first;
+                }
             });
+            for (robot, left) in faults_left.iter_mut().enumerate() {
+                if left.next_if(|&&before| ended[robot] >= before).is_some() {
+                    faults[robot].store(true, Ordering::Relaxed);
+                }
+            }
             let far_enough = matches!(extent, Extent::FirstMotions(wanted) if wanted == moved);
             over.set(!busy || far_enough);
         },
@@ -154,12 +194,21 @@ fn run(
         |_, now| over.get() || now.since(start) > longest || cancelled.load(Ordering::Relaxed),
     );
     let duration = Duration::from_nanos(servo.counters().cycles) * servo.period().as_nanos() as u32;
-    match executor.finish().0 {
-        Some(Ended::Task(Err(TaskError::NotRehearsed { why }))) if extent == Extent::Task => {
+    let up_to_here = |why: &dyn Display| {
+        if extent == Extent::Task {
             let seconds = duration.as_secs_f64();
             streams::warn(format_args!("mrroc: the task is rehearsed up to {seconds:.1} s: {why}"));
         }
-        Some(Ended::Task(Ok(()) | Err(TaskError::NotRehearsed { .. }))) => {}
+    };
+    match executor.finish().0 {
+        Some(Ended::Task(Err(TaskError::NotRehearsed { why }))) => up_to_here(&why),
+        Some(Ended::Task(Err(TaskError::Instruction { robot, error }))) if error.cause == EcpError::NotHomed => {
+            up_to_here(&format_args!(
+                "robot {robot} moves without homing. A run rehearses the task again before this motion, from where the \
+                 robot stands"
+            ));
+        }
+        Some(Ended::Task(Ok(()))) => {}
         Some(Ended::Task(Err(TaskError::Instruction { error, .. })))
         | Some(Ended::System(SystemError::Instruction(error))) => {
             return Err(refuse_instruction(file, program, &error, extent));
@@ -173,7 +222,7 @@ fn run(
         }
         None => {}
     }
-    Ok(Rehearsed { duration, instructions, moved })
+    Ok(Rehearsed { duration, instructions: ended.iter().sum(), moved })
 }
 
 /// The refusal of an instruction.
@@ -211,27 +260,64 @@ pub(crate) struct IdealDrives {
     now: Instant,
 }
 
-#[derive(Clone, Copy)]
 struct IdealAxis {
     /// The command of this cycle, the command sent, which the next SYNC latches, and the latched command.
     written: AxisCommand,
     sent: AxisCommand,
     latched: AxisCommand,
-    /// Motor position sampled by the last SYNC.
+    /// Motor position sampled by the last SYNC, rad.
     position: f64,
+    /// Whether the position counter has its reference.
+    homed: bool,
+    /// Number of times that the drive was switched on.
+    switched_on: usize,
+    /// The motor positions of [`Course::found`], rad.
+    found: Vec<(usize, f64)>,
+    /// Whether the drive has a fault. All axes of a robot share the fault.
+    faulted: Arc<AtomicBool>,
 }
 
 impl IdealDrives {
-    /// The drives of bus `bus`, with each robot at its motor positions of `starts`, rad.
-    pub(crate) fn of(file: &CellFile, bus: usize, starts: &[Axes]) -> Self {
+    /// The drives of bus `bus`, with the course of each robot. `faults` has one flag per robot, which gives all its
+    /// drives a fault.
+    pub(crate) fn of(file: &CellFile, bus: usize, courses: &[Course], faults: &[Arc<AtomicBool>]) -> Self {
         let off = AxisCommand::Off;
         let axis = |(robot, axis): (usize, usize)| IdealAxis {
             written: off,
             sent: off,
             latched: off,
-            position: starts[robot][axis],
+            position: courses[robot].start[axis],
+            homed: false,
+            switched_on: 0,
+            found: courses[robot].found.iter().map(|(number, motors)| (*number, motors[axis])).collect(),
+            faulted: Arc::clone(&faults[robot]),
         };
         Self { axes: file.cell.axes_on(bus).map(axis).collect(), now: Instant::ZERO }
+    }
+}
+
+impl IdealAxis {
+    /// Whether the latched command gives the motor a torque.
+    fn is_on(&self) -> bool {
+        !matches!(self.latched, AxisCommand::Off | AxisCommand::ResetFault)
+    }
+
+    /// A SYNC: latches the command that was sent.
+    fn latch(&mut self) {
+        let was_on = self.is_on();
+        self.latched = std::mem::replace(&mut self.sent, self.written);
+        if !was_on && self.is_on() {
+            if let Some((_, position)) = self.found.iter().find(|(number, _)| *number == self.switched_on) {
+                (self.position, self.homed) = (*position, true);
+            }
+            self.switched_on += 1;
+        }
+        match self.latched {
+            AxisCommand::Follow(Setpoint::Position(position)) => self.position = position.get(),
+            AxisCommand::Home => self.homed = true,
+            AxisCommand::ResetFault => self.faulted.store(false, Ordering::Relaxed),
+            _ => {}
+        }
     }
 }
 
@@ -250,13 +336,14 @@ impl DriveGroup for IdealDrives {
 
     fn read(&mut self, _: Instant, states: &mut [AxisState]) {
         for (axis, state) in self.axes.iter().zip(states) {
-            let on = !matches!(axis.latched, AxisCommand::Off | AxisCommand::ResetFault);
+            let on = axis.is_on();
             *state = AxisState {
                 at: self.now,
                 sampled: self.now,
                 position: axis.position,
                 power: if on { Power::On } else { Power::Off },
-                homing: Homing::Attained,
+                homing: if axis.homed { Homing::Attained } else { Homing::NotHomed },
+                fault: axis.faulted.load(Ordering::Relaxed).then_some(FAULT),
                 following: on,
                 ..AxisState::default()
             };
@@ -271,12 +358,7 @@ impl DriveGroup for IdealDrives {
 
     fn send(&mut self, now: Instant) -> bool {
         self.now = now;
-        for axis in &mut self.axes {
-            axis.latched = std::mem::replace(&mut axis.sent, axis.written);
-            if let AxisCommand::Follow(Setpoint::Position(position)) = axis.latched {
-                axis.position = position.get();
-            }
-        }
+        self.axes.iter_mut().for_each(IdealAxis::latch);
         true
     }
 

@@ -32,7 +32,7 @@ pub(crate) struct ServoAxis {
     pub(crate) tracking: TrackingError,
     /// The command that the sample of this cycle answers, rad, if the sample is new and its error counts.
     pub(crate) expected: Option<f64>,
-    /// What measures it, if anything does, and what that adds in this cycle.
+    /// The excitation under way, if any, and the value that it adds in this cycle.
     pub(crate) playing: Option<Playing>,
     pub(crate) excitation: f64,
     reference: ReferenceWatch,

@@ -496,6 +496,7 @@ impl Effector {
             effector: self.index,
             axes: self.axes.len() as u8,
             phase: self.state.phase(),
+            faulted: self.fault.is_some(),
             ..Record::default()
         };
         for (axis, kept) in self.axes.iter().zip(&mut record.axis) {

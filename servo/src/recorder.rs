@@ -22,6 +22,8 @@ pub struct Record {
     pub axes: u8,
     /// Phase of the effector.
     pub phase: Phase,
+    /// Whether the effector has a latched fault.
+    pub faulted: bool,
     /// Records of the axes.
     pub axis: [AxisRecord; MAX_AXES],
 }

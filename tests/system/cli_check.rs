@@ -195,6 +195,7 @@ fn strangers(root: &Value, schema: &Value, value: &Value, place: &str) -> Vec<St
                 let place = format!("{place}.{key}");
                 match schema["properties"].get(key) {
                     Some(schema) => strangers(root, schema, value, &place),
+                    None if schema["additionalProperties"] == true => Vec::new(),
                     None => vec![place],
                 }
             });

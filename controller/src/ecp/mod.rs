@@ -84,6 +84,8 @@ pub struct EcpEvent {
     pub instruction: usize,
     /// Result of the instruction. After an error, the remaining instructions were dropped.
     pub outcome: Result<(), EcpError>,
+    /// Whether [`Ecp::replace`] replaced the motion. The replacement is the next instruction.
+    pub replaced: bool,
 }
 
 /// Summary of an ECP's state.
@@ -163,8 +165,10 @@ pub struct Ecp {
     base: u64,
     /// Phase of the flow chart that computes macrosteps; `None` outside a motion.
     chart: Option<ChartPhase>,
-    /// Whether the next instruction has to wait.
+    /// Whether the next motion has to wait.
     held: bool,
+    /// Whether the present motion was replaced.
+    replaced: bool,
     /// Number of the last macrostep before the effector left standstill.
     origin: u64,
     /// The next instruction continues from the end of the last macrostep, which ends in motion.
@@ -209,6 +213,7 @@ impl Ecp {
             base: 0,
             chart: None,
             held: false,
+            replaced: false,
             origin: 0,
             in_motion: false,
             margin: Duration::ZERO,
@@ -284,9 +289,17 @@ impl Ecp {
         Status { phase: self.phase(), instruction: busy.then_some(self.instruction) }
     }
 
-    /// Holds the process between two instructions, or lets the next instruction begin. A stop is executed all the same.
+    /// Holds the effector before its next motion or meeting, or releases it. A stop is executed all the same.
     pub fn hold(&mut self, held: bool) {
         self.held = held;
+    }
+
+    /// Whether a homed effector stands and waits with its next motion or meeting for the end of a [hold](Self::hold).
+    pub fn is_held(&self) -> bool {
+        let next = self.task.instructions.front();
+        let moves = next.is_some_and(|next| matches!(next, Instruction::Run(_) | Instruction::Meet(_)));
+        let ready = matches!(self.activity, Activity::Idle) && self.phase() == Phase::Standing && self.homed();
+        self.held && moves && ready
     }
 
     /// Phase of the flow chart in the last motion, and number of its macrosteps executed; `None` after another
@@ -340,7 +353,7 @@ impl Ecp {
         }
         self.sensors.poll(latest.at);
         if matches!(self.activity, Activity::Idle) {
-            if self.held {
+            if self.is_held() {
                 return None;
             }
             let disables = matches!(self.task.instructions.front(), Some(Instruction::Disable));
@@ -378,7 +391,8 @@ impl Ecp {
 
     fn end(&mut self, outcome: Result<(), EcpError>) -> EcpEvent {
         self.activity = Activity::Idle;
-        let event = EcpEvent { instruction: self.instruction, outcome };
+        let replaced = std::mem::take(&mut self.replaced) && outcome.is_ok();
+        let event = EcpEvent { instruction: self.instruction, outcome, replaced };
         self.instruction += 1;
         if outcome.is_err() {
             self.task.instructions.clear();

@@ -195,6 +195,7 @@ impl Ecp {
         };
         if let Some(replacement) = self.replacement.take() {
             self.task.instructions.push_front(Instruction::Run(replacement));
+            self.replaced = true;
             return self.conclude();
         }
         if outstanding >= u64::from(run.macrosteps_ahead(self.config.macrosteps_ahead)) {

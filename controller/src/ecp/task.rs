@@ -97,11 +97,6 @@ impl Task {
         self.instructions.is_empty()
     }
 
-    /// Index of the first instruction that homes the axes.
-    pub fn first_homing(&self) -> Option<usize> {
-        self.instructions.iter().position(|it| matches!(it, Instruction::Home))
-    }
-
     /// Index of the first instruction that runs a generator.
     pub fn first_motion(&self) -> Option<usize> {
         self.instructions.iter().position(|it| matches!(it, Instruction::Run(_)))

@@ -276,11 +276,16 @@ impl Bench {
 }
 
 fn finished(count: usize) -> Vec<EcpEvent> {
-    (0..count).map(|instruction| EcpEvent { instruction, outcome: Ok(()) }).collect()
+    (0..count).map(|instruction| ended(instruction, Ok(()))).collect()
+}
+
+/// The end of an instruction that was not replaced.
+fn ended(instruction: usize, outcome: Result<(), EcpError>) -> EcpEvent {
+    EcpEvent { instruction, outcome, replaced: false }
 }
 
 fn failed(error: EcpError) -> Vec<EcpEvent> {
-    vec![EcpEvent { instruction: 0, outcome: Err(error) }]
+    vec![ended(0, Err(error))]
 }
 
 fn limits() -> MotionLimits {
@@ -423,6 +428,22 @@ fn a_second_task_is_refused_while_one_is_under_way() {
     let mut bench = Bench::new(16);
     bench.ecp.execute(Task::new().enable()).unwrap();
     assert_eq!(bench.ecp.execute(Task::new().disable()), Err(Busy { instruction: 0 }));
+}
+
+#[test]
+fn a_held_process_waits_before_its_motion_and_executes_everything_else() {
+    let mut bench = Bench::new(16);
+    bench.ecp.hold(true);
+    bench.ecp.execute(Task::new().enable().home().run(to(1.0, 0.0, 0.0)).disable()).unwrap();
+    let mut waited = 0;
+    let events = bench.go_on(|bench| {
+        if bench.ecp.is_held() {
+            waited += 1;
+            assert_eq!(bench.ecp.status(), Status { phase: Phase::Standing, instruction: Some(2) });
+            bench.ecp.hold(waited < 10);
+        }
+    });
+    assert_eq!((events, waited), (finished(4), 10));
 }
 
 #[test]

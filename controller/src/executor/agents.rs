@@ -8,10 +8,11 @@ use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 
 use can::Instant;
+use servo::Phase;
 
-use super::{InstructionError, SystemError};
+use super::{InstructionError, NotedError, SystemError};
 use crate::coordination::{CoordinatorEnd, Late, LinkConfig, MemberLink, link};
-use crate::ecp::{Class, Ecp, EcpEvent, NotRunning, Status, Subcontrollers, Task};
+use crate::ecp::{Class, Ecp, EcpError, EcpEvent, NotRunning, Status, Subcontrollers, Task};
 use crate::generator::{EffectorImage, Generator, GeneratorError, Message};
 use crate::sensor::{Shell, VirtualSensor};
 
@@ -54,15 +55,21 @@ impl Observer {
     }
 }
 
-/// The end of an instruction of any robot.
+/// News of the process of a robot. `robot` is the index of the robot in its cell.
 #[derive(Clone, Copy, Debug)]
-pub struct EndedInstruction {
-    /// Index of the robot in its cell.
-    pub robot: usize,
-    /// Whether this instruction was the first homing of its list and succeeded.
-    pub homed: bool,
-    /// Whether this instruction was the first motion of its list.
-    pub moved: bool,
+pub enum News {
+    /// An instruction ended.
+    Ended {
+        /// Index of the robot.
+        robot: usize,
+        /// Whether the instruction was the first motion of its list, and the robot was homed.
+        moved: bool,
+    },
+    /// A [held](Ecp::is_held) process waits with a motion or a meeting. A release within the call takes effect at once.
+    Held {
+        /// Index of the robot.
+        robot: usize,
+    },
 }
 
 /// State shared by the agents, their futures and the executor.
@@ -73,8 +80,8 @@ struct Board {
     awaited: usize,
     /// Wakers of the futures that were pending in the last turn, for combinators that poll woken futures only.
     wakers: Vec<Waker>,
-    /// The errors that the task received, [`MOST_ERRORS`] at most.
-    delivered: Vec<InstructionError>,
+    /// Errors that the task received or had dropped, [`MOST_ERRORS`] at most.
+    noted: Vec<NotedError>,
 }
 
 /// Use of one effector.
@@ -87,9 +94,10 @@ struct Use {
     fresh: bool,
     /// Number of instructions before the present list.
     ended: usize,
-    /// Index of the first homing in the present list, and of the first motion.
-    homing: Option<usize>,
+    /// Index of the first motion in the present list.
     motion: Option<usize>,
+    /// Whether the effector was faulted in the last poll.
+    faulted: bool,
 }
 
 /// Progress of an instruction list.
@@ -108,8 +116,8 @@ impl Agents {
     /// The effectors of a cell, all free.
     pub fn new(subcontrollers: Subcontrollers) -> Self {
         let uses = subcontrollers.ecps().iter().map(|_| Use::default()).collect();
-        let (wakers, delivered) = (Vec::new(), Vec::new());
-        Self(Rc::new(RefCell::new(Board { subcontrollers, uses, awaited: 0, wakers, delivered })))
+        let (wakers, noted) = (Vec::new(), Vec::new());
+        Self(Rc::new(RefCell::new(Board { subcontrollers, uses, awaited: 0, wakers, noted })))
     }
 
     /// The handle of a robot; `None` while another handle exists, or if the cell has no such robot.
@@ -174,10 +182,10 @@ impl Agents {
         &self,
         now: Instant,
         fresh_only: bool,
-        news: &mut impl FnMut(&mut Ecp, EndedInstruction),
+        news: &mut impl FnMut(&mut Ecp, News),
     ) -> Option<SystemError> {
         let mut board = self.0.borrow_mut();
-        let Board { subcontrollers, uses, .. } = &mut *board;
+        let Board { subcontrollers, uses, noted, .. } = &mut *board;
         let (ecps, meetings) = subcontrollers.parts();
         let (mut polled, mut of_system) = (false, None);
         for (robot, (ecp, using)) in ecps.iter_mut().zip(uses).enumerate() {
@@ -185,12 +193,25 @@ impl Agents {
                 continue;
             }
             polled = true;
-            while let Some(event) = ecp.poll(now) {
-                let (homed, moved) = (using.homing == Some(event.instruction), using.motion == Some(event.instruction));
-                let error = using.note(robot, ecp, event);
-                let error = error.filter(|error| error.class() == Class::System);
-                of_system = of_system.or(error.map(SystemError::Instruction));
-                news(ecp, EndedInstruction { robot, homed: homed && event.outcome.is_ok(), moved });
+            loop {
+                while let Some(event) = ecp.poll(now) {
+                    let moved = using.ends_first_motion(event);
+                    let error = using.note(robot, ecp, event, noted);
+                    let error = error.filter(|error| error.class() == Class::System);
+                    of_system = of_system.or(error.map(SystemError::Instruction));
+                    news(ecp, News::Ended { robot, moved });
+                }
+                if !ecp.is_held() {
+                    break;
+                }
+                news(ecp, News::Held { robot });
+                if ecp.is_held() {
+                    break;
+                }
+            }
+            if replace(&mut using.faulted, is_faulted(ecp)) && !using.faulted {
+                let of_robot = noted.iter_mut().filter(|noted| noted.error.robot == robot);
+                of_robot.for_each(|noted| noted.latched = false);
             }
         }
         if polled {
@@ -219,8 +240,8 @@ impl Agents {
         self.0.borrow().subcontrollers.ecps().iter().map(Ecp::status).collect()
     }
 
-    pub(super) fn delivered(&self) -> Vec<InstructionError> {
-        self.0.borrow().delivered.clone()
+    pub(super) fn noted(&self) -> Vec<NotedError> {
+        self.0.borrow().noted.clone()
     }
 }
 
@@ -342,34 +363,36 @@ impl Board {
             using.progress = Progress::Ended(Ok(()));
             return;
         }
-        (using.homing, using.motion) = (task.first_homing(), task.first_motion());
+        using.motion = task.first_motion();
         ecp.execute(task).expect("a free process takes a list");
         (using.progress, using.fresh) = (Progress::Running, true);
     }
 
     /// The result of the list.
     fn ended(&mut self, robot: usize) -> Poll<Result<(), InstructionError>> {
-        let using = &mut self.uses[robot];
-        let Progress::Ended(result) = using.progress else {
+        let Board { subcontrollers, uses, noted, .. } = self;
+        let Progress::Ended(result) = uses[robot].progress else {
             return Poll::Pending;
         };
-        using.progress = Progress::None;
-        if let Some(error) = result.err().filter(|_| self.delivered.len() < MOST_ERRORS) {
-            self.delivered.push(error);
-        }
+        uses[robot].progress = Progress::None;
+        keep(noted, &subcontrollers.ecps()[robot], result, true);
         Poll::Ready(result)
     }
 
-    /// Brakes the effector of a list in progress, and forgets a result.
+    /// Brakes the effector of a list in progress, and notes the error of a list that has ended.
     fn drop_list(&mut self, robot: usize) {
-        let (ecp, using) = self.at(robot);
+        let Board { subcontrollers, uses, noted, .. } = self;
+        let (ecp, using) = (&mut subcontrollers.parts().0[robot], &mut uses[robot]);
         match using.progress {
             Progress::Running => {
                 ecp.stop();
                 using.fresh = true;
                 using.progress = if is_busy(ecp) { Progress::Dropped } else { Progress::None };
             }
-            Progress::Ended(_) => using.progress = Progress::None,
+            Progress::Ended(result) => {
+                using.progress = Progress::None;
+                keep(noted, ecp, result, false);
+            }
             Progress::None | Progress::Dropped => {}
         }
     }
@@ -380,10 +403,31 @@ impl Board {
 }
 
 impl Use {
-    /// Notes the end of an instruction, and returns its error.
-    fn note(&mut self, robot: usize, ecp: &Ecp, event: EcpEvent) -> Option<InstructionError> {
+    /// Whether an instruction ended the first motion of the list, of a homed effector. A replaced motion continues as
+    /// its replacement.
+    fn ends_first_motion(&mut self, event: EcpEvent) -> bool {
+        if self.motion != Some(event.instruction) {
+            return false;
+        }
+        if event.replaced {
+            self.motion = Some(event.instruction + 1);
+        }
+        !event.replaced && event.outcome != Err(EcpError::NotHomed)
+    }
+
+    /// Notes the end of an instruction, and returns its error. The error of a dropped list is kept in `noted`.
+    fn note(
+        &mut self,
+        robot: usize,
+        ecp: &Ecp,
+        event: EcpEvent,
+        noted: &mut Vec<NotedError>,
+    ) -> Option<InstructionError> {
         let instruction = self.ended + event.instruction;
         let outcome = event.outcome.map_err(|cause| InstructionError::of(robot, instruction, ecp, cause));
+        if matches!(self.progress, Progress::Dropped) {
+            keep(noted, ecp, outcome, false);
+        }
         if !is_busy(ecp) {
             self.ended = instruction + 1;
             self.progress = match self.progress {
@@ -395,8 +439,20 @@ impl Use {
     }
 }
 
+/// Keeps the error of a list that the task `received` or dropped. The stop of a dropped list is no error.
+fn keep(noted: &mut Vec<NotedError>, ecp: &Ecp, result: Result<(), InstructionError>, received: bool) {
+    let error = result.err().filter(|error| received || error.cause != EcpError::Stopped);
+    if let Some(error) = error.filter(|_| noted.len() < MOST_ERRORS) {
+        noted.push(NotedError { error, received, latched: is_faulted(ecp) });
+    }
+}
+
 fn is_busy(ecp: &Ecp) -> bool {
     ecp.status().instruction.is_some()
+}
+
+fn is_faulted(ecp: &Ecp) -> bool {
+    ecp.status().phase == Phase::Faulted
 }
 
 /// A future of this module: asks the shared state in each turn of the task. `ask` is pending in the first turn of an

@@ -19,8 +19,21 @@ pub struct InstructionError {
     pub step: Option<u64>,
     /// Phase of the flow chart; `None` outside a motion.
     pub phase: Option<ChartPhase>,
+    /// Number of the last servo cycle when the instruction ended.
+    pub cycle: u64,
     /// Cause of the error.
     pub cause: EcpError,
+}
+
+/// An error of an instruction that did not end the task.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NotedError {
+    /// The error.
+    pub error: InstructionError,
+    /// Whether the task received the error. A task does not receive errors of instructions that it dropped.
+    pub received: bool,
+    /// Whether the robot has been in [`Phase::Faulted`](servo::Phase::Faulted) ever since the error.
+    pub latched: bool,
 }
 
 impl InstructionError {
@@ -36,7 +49,7 @@ impl InstructionError {
             }
             _ => (chart.map(|(_, step)| step), chart.map(|_| ChartPhase::Transfer)),
         };
-        Self { robot, instruction, step, phase, cause }
+        Self { robot, instruction, step, phase, cycle: ecp.latest().cycle, cause }
     }
 
     /// Class of the error.

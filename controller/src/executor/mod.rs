@@ -26,8 +26,8 @@ use crate::ecp::{Ecp, Status};
 
 use join::Part;
 
-pub use agents::{Agent, Agents, EndedInstruction, Observer, Replacer};
-pub use error::{InstructionError, SystemError};
+pub use agents::{Agent, Agents, News, Observer, Replacer};
+pub use error::{InstructionError, NotedError, SystemError};
 pub use join::{join, join_all};
 pub use team::{Team, TeamError};
 pub use turns::Turns;
@@ -58,9 +58,9 @@ impl<E> Executor<E> {
     /// Polls each process, the task, and the processes to which the task gave or took an instruction. Call this function
     /// once after each servo cycle. The task begins after the first cycle.
     ///
-    /// `news` receives each ended instruction with its process. Returns true until the task has ended and no process has
-    /// an instruction.
-    pub fn poll(&mut self, now: Instant, mut news: impl FnMut(&mut Ecp, EndedInstruction)) -> bool {
+    /// `news` receives the news of each process with the process. Returns true until the task has ended and no process
+    /// has an instruction.
+    pub fn poll(&mut self, now: Instant, mut news: impl FnMut(&mut Ecp, News)) -> bool {
         if let Some(error) = self.agents.poll(now, false, &mut news) {
             self.end(Ended::System(error));
         }
@@ -76,7 +76,7 @@ impl<E> Executor<E> {
         self.end(Ended::System(error));
     }
 
-    /// Lets the next instruction of a robot wait, or releases it.
+    /// Lets the next motion or meeting of a robot wait, or releases it. See [`Ecp::is_held`].
     pub fn hold(&mut self, robot: usize, held: bool) {
         self.agents.hold(robot, held);
     }
@@ -86,10 +86,11 @@ impl<E> Executor<E> {
         self.agents.statuses()
     }
 
-    /// Drops a task that has not ended, and returns how the task ended, with all errors that the task received.
-    pub fn finish(mut self) -> (Option<Ended<E>>, Vec<InstructionError>) {
+    /// Drops a task that has not ended. Returns how the task ended, and all errors of instructions that the task
+    /// received or had dropped, oldest first.
+    pub fn finish(mut self) -> (Option<Ended<E>>, Vec<NotedError>) {
         self.drop_task();
-        (self.ended.take(), self.agents.delivered())
+        (self.ended.take(), self.agents.noted())
     }
 
     fn poll_task(&mut self) {

@@ -96,7 +96,8 @@ impl Curve {
     }
 
     /// The circular arc that begins at a point and turns about a centre by `angle`, rad, right-handed about `normal`.
-    /// The part of the radius along the normal is ignored: the circle lies in the plane of the point.
+    /// The circle lies in the plane through the point, perpendicular to the normal. A component of the radius along the
+    /// normal is ignored.
     pub fn arc_about(
         from: Vector3<f64>,
         centre: Vector3<f64>,

@@ -11,11 +11,11 @@ pub enum PathError {
     Axes { axes: usize, max: usize },
     #[error("{given} points, at least {needed} are needed")]
     TooFewPoints { given: usize, needed: usize },
-    #[error("point {point}: a coordinate is not a finite number")]
+    #[error("point or vector {point}, counted from 0, has a coordinate that is NaN or infinite: give finite numbers")]
     NotFinite { point: usize },
     #[error("points {point} and {} coincide: leave one of them out", .point + 1)]
     Coincident { point: usize },
-    #[error("the three points of the arc lie on a line: use a line")]
+    #[error("the three points of the arc lie on one line, or two of them coincide: use a line, or move a point")]
     Collinear,
     #[error("radius or normal of the arc is zero")]
     NoRadius,
@@ -30,7 +30,10 @@ pub enum PathError {
     Reversal { corner: usize },
     #[error("{given} knots, {controls} control points need {needed}")]
     KnotCount { given: usize, controls: usize, needed: usize },
-    #[error("knot {knot} is not finite, or is less than the knot before it")]
+    #[error(
+        "knot {knot}, counted from 0, is NaN or infinite, less than the knot before it, or makes the domain empty: \
+         give finite knots that do not decrease"
+    )]
     KnotOrder { knot: usize },
     #[error("knot {knot} occurs more than twice inside the domain: the path has a corner there")]
     KnotMultiplicity { knot: usize },

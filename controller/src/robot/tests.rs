@@ -5,6 +5,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix4, Vector3};
 
 use super::*;
+use crate::random::Random;
 
 mod irp6_track;
 mod polycrank;
@@ -48,18 +49,7 @@ fn robots() -> Vec<(&'static str, Box<dyn Robot>)> {
     robots
 }
 
-/// Seeded uniform numbers (splitmix64).
-struct Random(u64);
-
 impl Random {
-    fn within(&mut self, low: f64, high: f64) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut bits = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        let unit = ((bits ^ (bits >> 31)) >> 11) as f64 / (1_u64 << 53) as f64;
-        low + (high - low) * unit
-    }
-
     /// Random joints within the limits of the robot.
     fn joints(&mut self, robot: &dyn Robot) -> Joints {
         loop {

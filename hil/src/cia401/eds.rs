@@ -1,10 +1,10 @@
 //! The electronic data sheet of the module: its dictionary, with the names of CiA 401.
 
-use canopen::eds::{DeviceInfo, Eds, FileInfo};
+use canopen::eds::Eds;
 use canopen::objects as named;
 
 use super::{DigitalIo, DigitalIoConfig, table::table};
-use crate::node::eds::Sheet;
+use crate::node::eds::{Head, Sheet};
 
 /// Comments of the data sheet: choices of the emulator where CiA 301 and CiA 401 leave room. The text is ASCII without
 /// semicolons, which begin comments in data sheets.
@@ -55,47 +55,14 @@ impl DigitalIo {
         let filter_time = format!("Filter time of inputs (6003): {} us.", config.filter_time.as_micros());
         let sheet =
             Sheet { table: &table, names: NAMES, records: &[], stated: &[], individual: &[named::SERIAL_NUMBER] };
-        sheet.eds(Eds {
-            file: FileInfo {
-                file_name: "cia401-emulated.eds".into(),
-                file_version: "1".into(),
-                file_revision: "0".into(),
-                eds_version: "4.0".into(),
-                description: "Emulated digital inputs and outputs".into(),
-                creation_time: "12:00PM".into(),
-                creation_date: "11-22-2026".into(),
-                created_by: "mrroc".into(),
-            },
-            device: DeviceInfo {
-                vendor_name: "mrroc".into(),
-                vendor_number: Some(config.vendor),
-                product_name: "Digital I/O (emulated)".into(),
-                product_number: Some(config.product),
-                revision_number: Some(config.revision),
-                order_code: "0".into(),
-                baud_rates: vec![20, 50, 125, 250, 500, 800, 1000],
-                simple_boot_up_slave: true,
-                granularity: 8,
-                rpdos: 4,
-                tpdos: 4,
-                lss: true,
-                ..DeviceInfo::default()
-            },
-            comments: STATEMENTS.iter().map(|&line| line.to_owned()).chain([filter_time]).collect(),
-            ..Eds::default()
-        })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::STATEMENTS;
-
-    #[test]
-    fn every_statement_is_a_line_of_a_data_sheet() {
-        for line in STATEMENTS {
-            assert!(line.is_ascii() && !line.contains(';'), "{line}");
-            assert!(line.ends_with('.') && line.len() <= 140, "{line}");
-        }
+        let head = Head {
+            file_name: "cia401-emulated.eds",
+            description: "Emulated digital inputs and outputs",
+            creation_date: "11-22-2026",
+            vendor_name: "mrroc",
+            product_name: "Digital I/O (emulated)",
+            identity: [config.vendor, config.product, config.revision],
+        };
+        sheet.eds(&head, STATEMENTS.iter().map(|&line| line.to_owned()).chain([filter_time]).collect())
     }
 }

@@ -1,10 +1,10 @@
 //! The electronic data sheet of the emulator: its one dictionary table, with the names of CiA and maxon.
 
-use canopen::eds::{DeviceInfo, Eds, FileInfo};
+use canopen::eds::Eds;
 use canopen::objects as named;
 
 use super::{Epos4, Epos4Config, identity, table::TABLE};
-use crate::node::eds::Sheet;
+use crate::node::eds::{Head, Sheet};
 
 /// Comments of the data sheet: conformity of the emulated drive to maxon's documents, CiA 301 and CiA 402. The text is
 /// ASCII without semicolons, which begin comments in data sheets.
@@ -88,47 +88,14 @@ impl Epos4 {
             stated: &identity,
             individual: &[named::SERIAL_NUMBER, named::MOTOR_RATED_TORQUE],
         };
-        sheet.eds(Eds {
-            file: FileInfo {
-                file_name: "epos4-emulated.eds".into(),
-                file_version: "1".into(),
-                file_revision: "0".into(),
-                eds_version: "4.0".into(),
-                description: "Emulated EPOS4".into(),
-                creation_time: "12:00PM".into(),
-                creation_date: "11-21-2026".into(),
-                created_by: "mrroc".into(),
-            },
-            device: DeviceInfo {
-                vendor_name: "mrroc, in place of maxon".into(),
-                vendor_number: Some(config.vendor),
-                product_name: "EPOS4 (emulated)".into(),
-                product_number: Some(config.product),
-                revision_number: Some(config.revision),
-                order_code: "0".into(),
-                baud_rates: vec![20, 50, 125, 250, 500, 800, 1000],
-                simple_boot_up_slave: true,
-                granularity: 8,
-                rpdos: 4,
-                tpdos: 4,
-                lss: true,
-                ..DeviceInfo::default()
-            },
-            comments: STATEMENTS.iter().map(|&line| line.to_owned()).collect(),
-            ..Eds::default()
-        })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::STATEMENTS;
-
-    #[test]
-    fn every_statement_is_a_line_of_a_data_sheet() {
-        for line in STATEMENTS {
-            assert!(line.is_ascii() && !line.contains(';'), "{line}");
-            assert!(line.ends_with('.') && line.len() <= 140, "{line}");
-        }
+        let head = Head {
+            file_name: "epos4-emulated.eds",
+            description: "Emulated EPOS4",
+            creation_date: "11-21-2026",
+            vendor_name: "mrroc, in place of maxon",
+            product_name: "EPOS4 (emulated)",
+            identity: [config.vendor, config.product, config.revision],
+        };
+        sheet.eds(&head, STATEMENTS.iter().map(|&line| line.to_owned()).collect())
     }
 }

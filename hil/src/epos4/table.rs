@@ -1,7 +1,7 @@
 //! The object dictionary as a table: every object, its type, access, default, limits and mapping.
 //!
-//! Addresses, types and defaults are those of the EPOS4 module 50/5 (firmware 0x0170), as far as its electronic data
-//! sheet is known. Limits set by [`Entry::range`] are from EPOS4 or CiA.
+//! Addresses, types and defaults are from the known part of the electronic data sheet of the EPOS4 module 50/5
+//! (firmware 0x0170). Limits set by [`Entry::range`] are from EPOS4 or CiA.
 
 use canopen::Object;
 use canopen::cia402::{HomingMethod, ModeOfOperation, SupportedModes};

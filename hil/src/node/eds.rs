@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use canopen::eds::{Access, DataType, Eds, Entry, ObjectType, Value, Variable};
+use canopen::eds::{Access, DataType, DeviceInfo, Eds, Entry, FileInfo, ObjectType, Value, Variable};
 use canopen::{Object, objects as named, pdo::PdoKind};
 
 use super::objects::{DUMMIES, Place, pdo_parameter};
@@ -43,10 +43,57 @@ pub(crate) struct Sheet<'a> {
     pub(crate) individual: &'a [Object],
 }
 
+/// The head of a data sheet, as far as devices differ in it.
+pub(crate) struct Head {
+    pub(crate) file_name: &'static str,
+    pub(crate) description: &'static str,
+    pub(crate) creation_date: &'static str,
+    pub(crate) vendor_name: &'static str,
+    pub(crate) product_name: &'static str,
+    /// Vendor-ID, product code and revision number.
+    pub(crate) identity: [u32; 3],
+}
+
+impl Head {
+    /// A data sheet without objects.
+    fn eds(&self) -> Eds {
+        let [vendor, product, revision] = self.identity.map(Some);
+        Eds {
+            file: FileInfo {
+                file_name: self.file_name.into(),
+                file_version: "1".into(),
+                file_revision: "0".into(),
+                eds_version: "4.0".into(),
+                description: self.description.into(),
+                creation_time: "12:00PM".into(),
+                creation_date: self.creation_date.into(),
+                created_by: "mrroc".into(),
+            },
+            device: DeviceInfo {
+                vendor_name: self.vendor_name.into(),
+                vendor_number: vendor,
+                product_name: self.product_name.into(),
+                product_number: product,
+                revision_number: revision,
+                order_code: "0".into(),
+                baud_rates: vec![20, 50, 125, 250, 500, 800, 1000],
+                simple_boot_up_slave: true,
+                granularity: 8,
+                rpdos: 4,
+                tpdos: 4,
+                lss: true,
+                ..DeviceInfo::default()
+            },
+            dummies: DUMMIES.map(|bits| bits > 0),
+            ..Eds::default()
+        }
+    }
+}
+
 impl Sheet<'_> {
-    /// `eds` with the objects of the dictionary and the dummies that RPDOs take.
-    pub(crate) fn eds(&self, mut eds: Eds) -> Eds {
-        eds.dummies = DUMMIES.map(|bits| bits > 0);
+    /// The data sheet with the objects of the dictionary and the dummies that RPDOs take.
+    pub(crate) fn eds(&self, head: &Head, comments: Vec<String>) -> Eds {
+        let mut eds = Eds { comments, ..head.eds() };
         for (row, entry) in self.table.iter().enumerate() {
             let index = entry.object.index;
             let object = eds.objects.entry(index).or_insert_with(|| Entry {
@@ -153,4 +200,22 @@ fn named_object(entry: &table::Entry) -> String {
     let name = name.strip_prefix("EPOS4 ").unwrap_or(name);
     let (first, rest) = name.split_at_checked(1).unwrap_or((name, ""));
     first.to_uppercase() + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use canopen::NodeId;
+
+    use crate::{AxisConfig, DigitalIo, DigitalIoConfig, Epos4, Epos4Config, Irp6Axis};
+
+    #[test]
+    fn every_comment_is_a_line_of_a_data_sheet() {
+        let node = NodeId::new(1).unwrap();
+        let drive = Epos4::eds(&Epos4Config::new(node, AxisConfig::wut(Irp6Axis::ALL[0])));
+        let module = DigitalIo::eds(&DigitalIoConfig::new(node));
+        for line in drive.comments.iter().chain(&module.comments) {
+            assert!(line.is_ascii() && !line.contains(';'), "{line}");
+            assert!(line.ends_with('.') && line.len() <= 140, "{line}");
+        }
+    }
 }

@@ -6,10 +6,12 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow, bail};
 use controller::robot::Arm;
 use drive::cia402::Identity;
+use serde::de::DeserializeOwned;
+use thiserror::Error;
 
 use crate::input;
 
-use super::{Cell, CellError, LARGEST, device_configuration::DeviceConfiguration};
+use super::{Cell, CellError, LARGEST, device_configuration::DeviceConfiguration, read};
 
 /// A cell with the arms of its robots, and the text of its file.
 #[derive(Clone)]
@@ -24,6 +26,16 @@ pub struct CellFile {
     pub arms: Vec<Arm>,
     /// The device configurations by robot and axis, where the cell names a file.
     configurations: Vec<Vec<Option<DeviceConfiguration>>>,
+}
+
+/// An error of a cell file, with the path of the file.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[error("{}:{error}", .path.display())]
+pub struct FileError {
+    /// Path of the file.
+    pub path: PathBuf,
+    /// The error.
+    pub error: CellError,
 }
 
 impl CellFile {
@@ -42,6 +54,11 @@ impl CellFile {
             file.configurations.push(read);
         }
         Ok(file)
+    }
+
+    /// The parameters of the task: the table `task`, empty where absent.
+    pub fn parameters<T: DeserializeOwned>(&self) -> Result<T, FileError> {
+        read::parameters(&self.text).map_err(|error| FileError { path: self.path.clone(), error })
     }
 
     /// The device configuration of axis `axis` of robot `robot`, if it has one.

@@ -36,7 +36,7 @@ pub(crate) use device_configuration::DeviceConfiguration;
 pub use drive::axis_controller::{Control, Protocol};
 pub use drives::ENABLING;
 pub use error::{CellError, Path, Step};
-pub use file::CellFile;
+pub use file::{CellFile, FileError};
 pub use io::{ErrorState, InputLine, IoNode, LinePlace, OutputLine};
 pub use meetings::Meeting;
 pub(crate) use program::smooth_pose;
@@ -84,6 +84,10 @@ pub struct Cell {
     pub io: Vec<IoNode>,
     /// The robots.
     pub robot: Vec<Robot>,
+    /// Parameters of the task, with keys of its own. A program reads the table by `Cell::parameters`.
+    #[serde(default, skip_serializing_if = "toml::Table::is_empty")]
+    #[schemars(with = "std::collections::BTreeMap<String, serde_json::Value>")]
+    pub task: toml::Table,
 }
 
 /// One CAN bus and the host's behaviour on it.

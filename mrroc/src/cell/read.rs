@@ -9,7 +9,8 @@ use std::fmt::Display;
 use serde::Deserialize;
 use serde::de::value::StrDeserializer;
 use serde::de::{
-    self, DeserializeSeed, Deserializer, EnumAccess, IntoDeserializer, MapAccess, SeqAccess, VariantAccess, Visitor,
+    self, DeserializeOwned, DeserializeSeed, Deserializer, EnumAccess, IntoDeserializer, MapAccess, SeqAccess,
+    VariantAccess, Visitor,
 };
 use serde::forward_to_deserialize_any;
 use thiserror::Error;
@@ -30,6 +31,9 @@ const MOST_ELEMENTS: usize = 1 << 16;
 
 /// Range of all numbers of a cell. No SI quantity of a robot is beyond it, and squares and products stay finite.
 const MOST: Range = Range::new(-1e12, 1e12, "");
+
+/// The table with the parameters of the task.
+const TASK: &str = "task";
 
 pub(super) fn parse(text: &str) -> Result<DeValue<'_>, CellError> {
     Cell::text(text.as_bytes())?;
@@ -55,11 +59,19 @@ pub(super) fn parse(text: &str) -> Result<DeValue<'_>, CellError> {
 
 pub(super) fn read<'de, T: Deserialize<'de>>(text: &str, document: &'de DeValue<'de>) -> Result<T, CellError> {
     let whole = Value { value: document, offset: 0 };
-    T::deserialize(whole).map_err(|refusal| CellError {
-        line: line_at(text.as_bytes(), refusal.offset.unwrap_or(0)),
-        key: Path(refusal.steps.into_iter().rev().collect()).to_string(),
-        problem: refusal.problem,
-    })
+    T::deserialize(whole).map_err(|refusal| refusal.of(text))
+}
+
+/// Reads the table `task` of a document, empty where absent.
+pub(super) fn parameters<T: DeserializeOwned>(text: &str) -> Result<T, CellError> {
+    let document = parse(text)?;
+    let empty = DeValue::Table(DeTable::new());
+    let value = match document.get(TASK) {
+        Some(table) => Value::of(table, 0),
+        None => Value { value: &empty, offset: 0 },
+    };
+    let read = T::deserialize(value).map_err(|refusal| refusal.from(value.offset).below(step(TASK)));
+    read.map_err(|refusal| refusal.of(text))
 }
 
 #[derive(Debug, Error)]
@@ -87,6 +99,15 @@ impl ValueError {
     fn below(mut self, step: Step) -> Self {
         self.steps.push(step);
         self
+    }
+
+    /// The error of a file with this text.
+    fn of(self, text: &str) -> CellError {
+        CellError {
+            line: line_at(text.as_bytes(), self.offset.unwrap_or(0)),
+            key: Path(self.steps.into_iter().rev().collect()).to_string(),
+            problem: self.problem,
+        }
     }
 }
 

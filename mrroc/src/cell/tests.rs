@@ -23,6 +23,36 @@ fn line_of(text: &str, needle: &str) -> usize {
 }
 
 #[test]
+fn parameters_of_a_task_are_read_or_refused_with_line_and_key() {
+    #[derive(Debug, Default, Deserialize, PartialEq)]
+    #[serde(deny_unknown_fields)]
+    struct Parameters {
+        parts: u8,
+        #[serde(default)]
+        places: Vec<[f64; 2]>,
+    }
+    let (cell, _) = IRB6.split_once("[task]").unwrap();
+    let first = cell.matches('\n').count() + 1;
+    let read = |table: &str| {
+        let text = format!("{cell}{table}");
+        Cell::parse(&text).unwrap();
+        read::parameters::<Parameters>(&text)
+    };
+    let full = read("[task]\nparts = 3\nplaces = [[0.5, 1], [0.25, -0.5]]");
+    assert_eq!(full, Ok(Parameters { parts: 3, places: vec![[0.5, 1.0], [0.25, -0.5]] }));
+    for (table, line, key, problem) in [
+        ("", 1, "task.parts", "is missing"),
+        ("[task]", first, "task.parts", "is missing"),
+        ("[task]\nparts = 300", first + 1, "task.parts", "is 300, must be a whole number from 0 to 255"),
+        ("[task]\nparts = 3\nplaces = [[1, 2], [3]]", first + 2, "task.places[1]", "has 1 elements, must have 2"),
+        ("[task]\npart = 3", first + 1, "task.part", "is an unknown key, must be \"parts\" or \"places\""),
+    ] {
+        let expected = CellError { line, key: key.to_owned(), problem: problem.to_owned() };
+        assert_eq!(read(table), Err(expected), "{table}");
+    }
+}
+
+#[test]
 fn example_cells_parse_and_their_programs_can_be_built() {
     for text in [IRB6, IRP6, TRACK, RNT, POLYCRANK, LAB] {
         let cell = Cell::parse(text).unwrap();

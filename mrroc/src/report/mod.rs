@@ -1,9 +1,11 @@
 //! What a run says at its end: one JSON object, tables for a person, or a page with plots.
 //!
 //! The report as data lives here. `text.rs` prints it and `page.rs` makes the page of it. `tool.rs` finds how far each
-//! robot was from its commanded path; `curves.rs` and `plots.rs` are what the page shows of that.
+//! robot was from its commanded path; `curves.rs` and `plots.rs` are what the page shows of that. `last_cycles.rs`
+//! keeps the cycles up to a fault.
 
 mod curves;
+mod last_cycles;
 mod page;
 mod plots;
 mod text;
@@ -23,6 +25,7 @@ use servo::{Histogram, Servo, Timing};
 
 use crate::{budget::BusBudget, cell::CellFile, wire::WireReport};
 
+pub use last_cycles::{CycleState, LastCycles};
 pub(crate) use page::page;
 pub(crate) use tool::Tracks;
 pub use tool::{Deviation, RobotReport, Subject};
@@ -41,6 +44,8 @@ pub(crate) struct RunEnd {
     pub faults: Vec<FaultReport>,
     /// Errors that the task handled.
     pub recovered: Vec<FaultReport>,
+    /// Whether the task received the fault that still stops each robot.
+    pub received: Vec<bool>,
     pub wire: Vec<WireReport>,
     /// Time that passed in the cell.
     pub cell_time: Duration,
@@ -55,7 +60,7 @@ pub struct RunReport {
     pub bench: &'static str,
     /// Every robot: how far it was from its commanded path.
     pub robots: Vec<RobotReport>,
-    /// Records of a robot's cycle that the errors of robots lack, since nobody read the records in time.
+    /// Records of a robot's cycle that the errors of robots lack, which were not read in time.
     pub lost_records: u64,
     /// Every axis, robot by robot.
     pub axes: Vec<AxisReport>,
@@ -67,7 +72,7 @@ pub struct RunReport {
     pub wire: Vec<WireReport>,
     /// What went wrong.
     pub faults: Vec<FaultReport>,
-    /// Errors that the task received and handled, in the order of their delivery.
+    /// Errors that the task received and handled, and errors of instructions that the task had dropped, in their order.
     pub recovered: Vec<FaultReport>,
     /// Figures that the task reported, by name.
     pub figures: BTreeMap<String, f64>,
@@ -173,7 +178,7 @@ impl RunReport {
     }
 }
 
-/// One fault, or an error that the task handled: whose, and what happened.
+/// One fault, or an error that did not end the task.
 #[derive(Debug, PartialEq, Serialize)]
 pub struct FaultReport {
     /// The robot; absent if it is not of one.
@@ -185,6 +190,13 @@ pub struct FaultReport {
     /// Place in the task, for an error of an instruction.
     #[serde(flatten)]
     pub place: Option<ErrorPlace>,
+    /// The axes of the robot in the last cycles up to a fault of the servo; absent if the records of these cycles were
+    /// lost.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub last_cycles: Option<LastCycles>,
+    /// The robot with a fault of the servo, and the number of a cycle in which the fault was latched.
+    #[serde(skip)]
+    pub(crate) cycle: Option<(usize, u64)>,
 }
 
 /// Place of an error in a task, and its class.
@@ -215,12 +227,19 @@ impl FaultReport {
             axis: axis.map(|axis| file.axis_name(robot, axis)),
             what,
             place: None,
+            last_cycles: None,
+            cycle: None,
         }
     }
 
     /// A fault of the run itself.
     pub fn of_run(what: impl fmt::Display) -> Self {
-        Self { robot: None, axis: None, what: format!("{what:#}"), place: None }
+        Self { robot: None, axis: None, what: format!("{what:#}"), place: None, last_cycles: None, cycle: None }
+    }
+
+    /// Adds the last cycles up to a fault of the servo.
+    pub(crate) fn add_cycles(&mut self, tracks: &Tracks) {
+        self.last_cycles = self.cycle.and_then(|(robot, cycle)| tracks.up_to_fault(robot, cycle));
     }
 
     /// Whether `other` is the same fault, perhaps without its place.

@@ -4,7 +4,7 @@ use std::fmt::{Display, Write as _};
 
 use servo::Timing;
 
-use super::{Deviation, RunReport, Tracks, plots, text::rounded};
+use super::{CycleState, Deviation, FaultReport, RunReport, Tracks, plots, text::rounded};
 use crate::cell::printable;
 use crate::charts::{ChartError, escaped};
 
@@ -35,6 +35,7 @@ pub(crate) fn page(report: &RunReport, tracks: &Tracks, timing: &Timing) -> Resu
     }
     list(&mut page, "Faults", &report.faults);
     list(&mut page, "Recovered errors", &report.recovered);
+    report.faults.iter().chain(&report.recovered).for_each(|fault| last_cycles(&mut page, fault));
     list(&mut page, "Warnings", &report.warnings);
     if report.more_warnings > 0 {
         let more = report.more_warnings;
@@ -104,6 +105,34 @@ fn table<const COLUMNS: usize>(
         let _ = writeln!(page, "<tr>{}</tr>", cells.concat());
     }
     page.push_str("</table>\n");
+}
+
+/// The axis of a fault in the last cycles, or all axes of a fault that concerns no single axis.
+fn last_cycles(page: &mut String, fault: &FaultReport) {
+    let Some(last) = &fault.last_cycles else {
+        return;
+    };
+    let end = last.cycles.last().map_or(0.0, |cycle| cycle.time_s);
+    let concerned = |(_, name): &(usize, &String)| fault.axis.as_ref().is_none_or(|axis| axis == *name);
+    for (axis, name) in last.axes.iter().enumerate().filter(concerned) {
+        let row = |cycle: &CycleState| {
+            let shown = |values: &[f64]| values.get(axis).map_or("–".to_owned(), |value| format!("{value:.6}"));
+            [
+                cycle.cycle.to_string(),
+                format!("{:.3}", 1e3 * (cycle.time_s - end)),
+                shown(&cycle.commanded_rad),
+                shown(&cycle.measured_rad),
+                shown(&cycle.velocity_rad_per_s),
+                shown(&cycle.torque_nm),
+            ]
+        };
+        table(
+            page,
+            &format!("Last cycles of axis {name} up to the fault: {}", fault.what),
+            ["cycle", "time, ms", "commanded, rad", "measured, rad", "velocity, rad/s", "torque, N·m"],
+            last.cycles.iter().map(row),
+        );
+    }
 }
 
 fn robots(page: &mut String, report: &RunReport) {
@@ -189,7 +218,7 @@ mod tests {
     use super::*;
     use crate::bench::BenchKind;
     use crate::cell::CellFile;
-    use crate::report::FaultReport;
+    use crate::report::LastCycles;
     use crate::tasks::{Cell, Outcome};
 
     #[test]
@@ -213,13 +242,25 @@ mod tests {
         report.buses[0].name = planted.into();
         report.wire[0].bus = planted.into();
         report.denied.push(planted.into());
-        report.faults.push(FaultReport::of_run(planted));
+        let cycle = CycleState {
+            cycle: 7,
+            time_s: 0.014,
+            commanded_rad: vec![0.5],
+            measured_rad: vec![0.25],
+            velocity_rad_per_s: vec![0.125],
+            torque_nm: vec![-1.0],
+        };
+        let last_cycles = Some(LastCycles { axes: vec![planted.into()], cycles: vec![cycle] });
+        report.faults.push(FaultReport { last_cycles, ..FaultReport::of_run(planted) });
         report.lost_records = 3;
         assert!(report.to_string().contains("3 records of cycles were lost"));
         tracks.robots[0].name = planted.into();
         let page = page(&report, &tracks, &Timing::default()).unwrap();
         assert!(!page.contains("<script") && !page.contains('\u{7}'), "{page}");
         assert!(page.contains("<p>3 records of cycles were lost"), "{page}");
+        let row =
+            ["7", "0.000", "0.500000", "0.250000", "0.125000", "-1.000000"].map(|cell| format!("<td>{cell}</td>"));
+        assert!(page.contains(&row.concat()), "{page}");
         let options = ParsingOptions { allow_dtd: true, ..ParsingOptions::default() };
         let read = Document::parse_with_options(&page, options).unwrap();
         let shown = printable(planted);

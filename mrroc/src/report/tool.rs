@@ -11,6 +11,7 @@ use serde::Serialize;
 use servo::{Record, TrackingError};
 
 use super::curves::{Curve, Path};
+use super::last_cycles::{LastCycles, Recorded};
 use crate::cell::CellFile;
 
 /// What the error of a robot is of.
@@ -71,6 +72,8 @@ pub(crate) struct Tracks {
     pub(crate) robots: Vec<Track>,
     /// When the first cycle was.
     first: Option<Instant>,
+    /// Names of the axes of each robot.
+    axes: Vec<Vec<String>>,
 }
 
 impl Tracks {
@@ -82,14 +85,26 @@ impl Tracks {
             let subject = if robot.model.axes() > 1 { Subject::Tool } else { Subject::Joint };
             Track::new(&robot.name, arm.clone(), subject, plotted)
         };
-        Self { robots: robots.map(track).collect(), first: None }
+        let axes = |(number, robot): (usize, &crate::cell::Robot)| {
+            (0..robot.axis.len()).map(|axis| file.axis_name(number, axis)).collect()
+        };
+        let axes = file.cell.robot.iter().enumerate().map(axes).collect();
+        Self { robots: robots.map(track).collect(), first: None, axes }
     }
 
     pub(crate) fn observe(&mut self, record: &Record) {
         let first = *self.first.get_or_insert(record.at);
         if let Some(track) = self.robots.get_mut(usize::from(record.effector)) {
-            track.observe(record, record.at.since(first).as_secs_f64());
+            let time = record.at.since(first).as_secs_f64();
+            track.recorded.observe(record, time);
+            track.observe(record, time);
         }
+    }
+
+    /// The last cycles up to the fault that stopped robot `robot` in cycle `cycle`.
+    pub(crate) fn up_to_fault(&self, robot: usize, cycle: u64) -> Option<LastCycles> {
+        let cycles = self.robots[robot].recorded.up_to_fault(cycle)?.to_vec();
+        Some(LastCycles { axes: self.axes[robot].clone(), cycles })
     }
 
     pub(crate) fn reports(&self) -> Vec<RobotReport> {
@@ -107,6 +122,7 @@ pub(crate) struct Track {
     position: TrackingError,
     orientation: TrackingError,
     pub(crate) curves: Option<Curves>,
+    recorded: Recorded,
 }
 
 /// What is plotted of a robot: joints in degrees or mm, the tool in mm.
@@ -139,6 +155,7 @@ impl Track {
             unsolved: 0,
             position: TrackingError::default(),
             orientation: TrackingError::default(),
+            recorded: Recorded::default(),
         }
     }
 

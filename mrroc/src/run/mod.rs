@@ -5,15 +5,16 @@
 //! - the servo;
 //! - the controller, below the servo: executes the task;
 //! - planning, one per robot: computes first steps of generators;
-//! - rehearsal: rehearses the task from positions away from home;
+//! - rehearsal: rehearses the task from new positions of the robots;
 //! - files: reads the records of the servo and writes the files;
 //! - wire: listens to the buses;
 //! - the caller: receives the progress and watches the task.
 //!
-//! Planning and rehearsal are not waited for. However a run ends, the run waits until the servo has braked the arms and
-//! switched them off. A run ends with its task, on a signal, when a file cannot be written, when the task hangs, and by a
-//! panic of the caller or the controller. A file that takes nothing is not waited for. Whatever may still have power
-//! afterwards is a fault of the run.
+//! A run in lockstep has the caller and one thread for everything else. Planning and rehearsal by the wall clock are
+//! not waited for. However a run ends, the run waits until the servo has braked the arms and switched them off. A run
+//! ends with its task, on a signal, when a file cannot be written, when the task hangs, and by a panic of the caller or
+//! the controller. A file that takes nothing is not waited for. Whatever may still have power afterwards is a fault of
+//! the run.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -21,6 +22,8 @@ mod background;
 mod ending;
 mod files;
 mod running_task;
+#[cfg(test)]
+mod tests;
 mod tick;
 mod watch;
 mod worker;
@@ -60,8 +63,8 @@ pub use running_task::Progress;
 pub(crate) use running_task::RunningTask;
 use running_task::{Rehearsals, TaskErrors, servo_faults};
 use tick::tick;
-use watch::Watch;
 pub(crate) use watch::returned;
+use watch::{Watch, watched};
 
 /// Records that the evaluation may lag behind the servo, per effector: some seconds.
 const RECORDS: usize = 1 << 11;
@@ -124,7 +127,8 @@ impl RunOptions {
 /// Rehearses a task, then runs it.
 ///
 /// `program` begins anew for every rehearsal on ideal drives and for the run. `progress` receives news on the caller's
-/// thread. An error means that nothing has moved; a fault during the run is in the report.
+/// thread. An error means that nothing real has moved; a fault during the run is in the report. A task that hangs in
+/// lockstep is an error, since the run cannot go on without the thread of the task.
 pub fn run(
     file: &CellFile,
     options: &RunOptions,
@@ -167,21 +171,28 @@ pub fn run(
         frames: frames.transpose()?,
     };
     let cell = Arc::new(file.clone());
-    let task = RunningTask::new(&cell, program, links, devices.io, &servo, rehearsed.instructions);
+    let task = RunningTask::new(&cell, program, links, devices.io, &servo, &rehearsed);
     let figures = task.figures();
     requests.stop_through(servo.stop_request());
 
     let began = clock::now();
     let buses = Buses { wire: bench.wire, emulation: bench.emulation };
     let mut end = match options.bench {
-        BenchKind::Lockstep => in_lockstep(file, servo, task, logs, buses, &requests.stop, progress)?,
+        BenchKind::Lockstep => {
+            let (turns, stop) = (task.turns.clone(), requests.stop.clone());
+            let work = move |tell: &mut dyn FnMut(Progress)| in_lockstep(servo, task, logs, buses, &stop, tell);
+            watched("lockstep", &turns, progress, work)??
+        }
         _ => by_the_clock(file, servo, task, logs, buses, requests, progress)?,
     };
     let interrupted = requests.is_stopped();
-    for fault in servo_faults(file, &end.servo) {
-        if !end.faults.iter().chain(&end.recovered).any(|known| known.is_same(&fault)) {
+    for fault in servo_faults(file, &end.servo, &end.received) {
+        if !end.faults.iter().any(|known| known.is_same(&fault)) {
             end.faults.push(fault);
         }
+    }
+    for fault in end.faults.iter_mut().chain(&mut end.recovered) {
+        fault.add_cycles(&end.tracks);
     }
     if let Some(Err(error)) = spikes.map(|file| spikes::write(file, "servo", take(&mut end.spikes))) {
         end.faults.push(FaultReport::of_run(error));
@@ -231,6 +242,7 @@ fn not_up(
             denied: Vec::new(),
             faults: Vec::new(),
             recovered: Vec::new(),
+            received: Vec::new(),
             wire: Vec::new(),
             cell_time,
         });
@@ -255,7 +267,6 @@ pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
 }
 
 fn in_lockstep(
-    file: &CellFile,
     mut servo: Servo,
     task: RunningTask,
     logs: Logs,
@@ -263,6 +274,7 @@ fn in_lockstep(
     interrupted: &AtomicBool,
     progress: &mut dyn FnMut(Progress),
 ) -> anyhow::Result<RunEnd> {
+    let (file, _) = task.rehearsed();
     let emulation = RefCell::new(emulation.expect("lockstep has emulated drives"));
     let wire = RefCell::new(wire);
     let between = |next| {
@@ -277,7 +289,7 @@ fn in_lockstep(
     let start = match up {
         Ok(start) => start,
         Err(error) => {
-            return not_up(file, servo, reached.since(Instant::ZERO), logs.finish(), error);
+            return not_up(&file, servo, reached.since(Instant::ZERO), logs.finish(), error);
         }
     };
     let done = Shared::new(false);
@@ -298,7 +310,7 @@ fn in_lockstep(
             is_over(servo, now)
         },
     );
-    let TaskErrors { mut faults, recovered } = carrying.finish();
+    let TaskErrors { mut faults, recovered, received } = carrying.finish();
     let (written, tracks) = logs.into_inner().finish();
     if interrupted.load(Ordering::Relaxed) {
         // The request broke off the instructions of the task.
@@ -313,6 +325,7 @@ fn in_lockstep(
         denied: Vec::new(),
         faults,
         recovered,
+        received,
         wire: wire.into_inner().reports(),
         cell_time: end.since(Instant::ZERO),
     })
@@ -379,10 +392,10 @@ fn by_the_clock(
             }
         }
     };
-    let TaskErrors { mut faults, recovered } = match hung {
+    let TaskErrors { mut faults, recovered, received } = match hung {
         None => controller.join().unwrap_or_else(|panic| resume_unwind(panic)),
         // The thread is left behind.
-        Some(hung) => TaskErrors { faults: vec![FaultReport::of_run(hung)], recovered: Vec::new() },
+        Some(hung) => TaskErrors { faults: vec![FaultReport::of_run(hung)], ..TaskErrors::default() },
     };
     let ended = turning.end();
     // An emulated cell's time stands still while the host misses deadlines.
@@ -408,21 +421,22 @@ fn by_the_clock(
         denied: ended.denied.iter().map(ToString::to_string).collect(),
         faults,
         recovered,
+        received,
         wire: listening.finish(LAST_LOOK).unwrap_or_default(),
         cell_time,
     })
 }
 
-/// Rehearses a task from each position that is asked for, until no more can be asked for. A rehearsal ends early once
-/// the run is `over`.
+/// Rehearses a task with each set of courses that is asked for, until no more can be asked for. A rehearsal ends early
+/// once the run is `over`.
 fn rehearse_aside(
     (file, program): &(Arc<CellFile>, Program),
-    asked: Receiver<running_task::Start>,
+    asked: Receiver<running_task::Question>,
     answer: &SyncSender<running_task::Verdict>,
-    over: &AtomicBool,
+    over: &Arc<AtomicBool>,
 ) {
-    for (robot, motors) in asked {
-        let verdict = rehearsal::rehearse_from(file, program, robot, motors, over);
+    for (robot, courses) in asked {
+        let verdict = rehearsal::rehearse_again(file, program, courses, over);
         if answer.send((robot, verdict)).is_err() {
             return;
         }

@@ -1,24 +1,25 @@
-//! The task of a run under way: its instructions, its errors, and its rehearsals from the present position of a robot.
+//! The task of a run under way: its instructions, its errors, and its rehearsals from the present positions of robots.
 
 use std::io;
-use std::mem::{replace, take};
+use std::mem::take;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-use std::sync::mpsc::{Receiver, SyncSender};
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
 
 use can::Instant;
 use controller::ecp::{EcpError, Subcontrollers};
-use controller::executor::{Ended, Executor, InstructionError, SystemError, Turns};
-use controller::generator::Axes;
+use controller::executor::{Ended, Executor, InstructionError, News, NotedError, SystemError, Turns};
+use controller::generator::{Axes, PlannedStart};
 use drive::Fault;
 use drive::cia401::IoLink;
 use servo::{EffectorLink, Phase, Servo, ServoFault, SpeedOverride, StopCause, StopRequest};
+use thiserror::Error;
 
 use super::worker::Worker;
 use crate::cell::CellFile;
+use crate::rehearsal::{Course, Rehearsed, homes, rehearse_again};
 use crate::report::{ErrorPlace, FaultReport};
+use crate::setup;
 use crate::tasks::{Equipment, Figures, Program, TaskError};
-use crate::{rehearsal, setup};
 
 /// A task that is to run.
 pub(crate) struct RunningTask {
@@ -31,6 +32,8 @@ pub(crate) struct RunningTask {
     figures: Figures,
     /// Number of instructions in the rehearsal.
     instructions: u64,
+    /// Whether each robot moved in the rehearsal.
+    moved: Vec<bool>,
     stop: StopRequest,
     speed: SpeedOverride,
     /// Count of the task's turns.
@@ -40,10 +43,12 @@ pub(crate) struct RunningTask {
 /// Errors of a task.
 #[derive(Default)]
 pub(super) struct TaskErrors {
-    /// Errors that ended the task.
+    /// Errors that ended the task, and faults of dropped instructions that still stop their robot.
     pub(super) faults: Vec<FaultReport>,
-    /// Errors that the task received and handled.
+    /// Errors that the task received and handled, and other errors of dropped instructions.
     pub(super) recovered: Vec<FaultReport>,
+    /// Whether the task received the fault that still stops each robot.
+    pub(super) received: Vec<bool>,
 }
 
 /// Progress of one robot.
@@ -59,10 +64,10 @@ pub struct Progress {
     pub expected: u64,
 }
 
-/// A robot, and the motor positions, rad, from which to rehearse the task.
-pub(super) type Start = (usize, Axes);
+/// A robot that waits, and the courses of all robots with which to rehearse the task.
+pub(super) type Question = (usize, Vec<Course>);
 
-/// A robot, and why the task is refused from its position.
+/// A robot that waits, and why the task is refused from its position.
 pub(super) type Verdict = (usize, anyhow::Result<()>);
 
 /// Where rehearsals from the present position of a robot take place.
@@ -70,18 +75,23 @@ pub(super) enum Rehearsals {
     /// Within the poll, in virtual time.
     AtOnce,
     /// On another thread. The robot waits.
-    Aside { ask: SyncSender<Start>, verdicts: Receiver<Verdict> },
+    Aside { ask: SyncSender<Question>, verdicts: Receiver<Verdict> },
 }
 
+/// The thread of the rehearsals takes no question or gives no verdict.
+#[derive(Clone, Copy, Debug, Error)]
+#[error("the task cannot be rehearsed, since the thread of the rehearsals has ended")]
+struct NoRehearsals;
+
 impl RunningTask {
-    /// The task on the `links` to `servo` and on the I/O nodes of the cell. The rehearsal had so many `instructions`.
+    /// A task that was rehearsed, on the `links` to `servo` and on the I/O nodes of the cell.
     pub(crate) fn new(
         file: &Arc<CellFile>,
         program: &Program,
         links: Vec<EffectorLink>,
         io: Vec<IoLink>,
         servo: &Servo,
-        instructions: u64,
+        rehearsed: &Rehearsed,
     ) -> Self {
         Self {
             file: Arc::clone(file),
@@ -89,7 +99,8 @@ impl RunningTask {
             subcontrollers: setup::subcontrollers(file, links),
             io,
             figures: Figures::default(),
-            instructions,
+            instructions: rehearsed.instructions,
+            moved: rehearsed.moved.clone(),
             stop: servo.stop_request(),
             speed: servo.speed_override(),
             turns: Turns::default(),
@@ -119,11 +130,14 @@ impl RunningTask {
 
     /// Begins the task on the calling thread.
     pub(super) fn begin(self, rehearsals: Rehearsals) -> Carrying {
-        let Self { file, program, subcontrollers, io, figures, instructions, stop, speed, turns } = self;
+        let Self { file, program, subcontrollers, io, figures, instructions, moved, stop, speed, turns } = self;
         let equipment = Equipment { subcontrollers, io: io.clone(), speed, figures };
-        let robots = file.cell.robot.len();
+        let mut executor = program.begin(&file, equipment, false, turns);
+        let robots = homes(&file).into_iter().zip(moved).map(|(home, moved)| RunningRobot::at(home, moved));
+        let robots: Vec<_> = robots.collect();
+        (0..robots.len()).for_each(|robot| executor.hold(robot, true));
         Carrying {
-            executor: program.begin(&file, equipment, false, turns),
+            executor,
             file,
             program,
             io,
@@ -131,8 +145,7 @@ impl RunningTask {
             stop,
             rehearsals,
             verdicts: Vec::new(),
-            checked: vec![false; robots],
-            phases: vec![Phase::Off; robots],
+            robots,
             refusals: Vec::new(),
         }
     }
@@ -149,12 +162,68 @@ pub(super) struct Carrying {
     rehearsals: Rehearsals,
     /// Verdicts of rehearsals at once.
     verdicts: Vec<Verdict>,
-    /// Whether the position of each robot after its first homing was checked.
-    checked: Vec<bool>,
-    /// Last reported phase of each robot.
-    phases: Vec<Phase>,
+    robots: Vec<RunningRobot>,
     /// Refusals from the present positions of robots.
     refusals: Vec<FaultReport>,
+}
+
+/// A robot of a task under way.
+struct RunningRobot {
+    /// Last phase.
+    phase: Phase,
+    /// Number of instructions that ended.
+    ended: u64,
+    /// Number of times that the drives were switched on.
+    switched_on: usize,
+    /// Where the rehearsals have the robot at its next motion; `None` if no rehearsal has it anywhere.
+    expected: Option<Axes>,
+    /// Tolerance of each motor about `expected`, rad.
+    tolerance: Axes,
+    /// Whether the robot may move. Set when its position is checked, and cleared when it is off or faulted.
+    released: bool,
+    /// `switched_on` when the rehearsal was requested for which the robot waits.
+    asked: Option<usize>,
+    course: Course,
+}
+
+impl RunningRobot {
+    /// A robot that is off. Its position is expected at home if the robot `moved` in the rehearsal.
+    fn at(home: PlannedStart, moved: bool) -> Self {
+        Self {
+            phase: Phase::Off,
+            ended: 0,
+            switched_on: 0,
+            expected: moved.then_some(home.motors),
+            tolerance: home.tolerance,
+            released: false,
+            asked: None,
+            course: Course::from(home.motors),
+        }
+    }
+
+    /// Takes the phase of the effector.
+    fn enter(&mut self, phase: Phase) {
+        if is_down(self.phase) && !is_down(phase) {
+            self.switched_on += 1;
+        }
+        if phase == Phase::Faulted && self.phase != phase {
+            self.course.faults.push(self.ended);
+            self.expected = None;
+        }
+        self.released &= !is_down(phase);
+        self.phase = phase;
+    }
+
+    /// Whether a rehearsal has the robot at these motor positions, rad.
+    fn is_expected_at(&self, motors: &Axes) -> bool {
+        let start = self.expected.map(|motors| PlannedStart { motors, tolerance: self.tolerance });
+        start.is_some_and(|start| start.admits(motors))
+    }
+}
+
+/// Whether the drives have no power. The robot may then be moved by hand.
+fn is_down(phase: Phase) -> bool {
+    matches!(phase, Phase::Off | Phase::Faulted)
 }
 
 impl Carrying {
@@ -162,37 +231,51 @@ impl Carrying {
     /// receives the progress and must not wait.
     pub(super) fn poll(&mut self, now: Instant, mut tell: impl FnMut(Progress)) -> bool {
         self.judge();
-        let Self { executor, file, checked, phases, .. } = self;
+        let Self { executor, robots, .. } = self;
         let expected = self.instructions;
-        let mut ended = vec![0; phases.len()];
-        let mut away = Vec::new();
-        let busy = executor.poll(now, |ecp, event| {
-            let robot = event.robot;
-            ended[robot] += 1;
-            if event.homed && !replace(&mut checked[robot], true) {
-                // Drives that kept their reference may stand away from home, where no rehearsal began.
-                let motors = ecp.latest().commanded;
-                if !file.cell.home(robot, &file.arms[robot]).admits(&motors) {
-                    ecp.hold(true);
-                    away.push((robot, motors));
+        let before: Vec<_> = robots.iter().map(|it| (it.phase, it.ended)).collect();
+        let mut waiting = Vec::new();
+        let busy = executor.poll(now, |ecp, news| match news {
+            News::Ended { robot, .. } => {
+                let it = &mut robots[robot];
+                it.enter(ecp.status().phase);
+                it.ended += 1;
+                if it.released {
+                    it.expected = Some(ecp.latest().commanded);
+                }
+            }
+            News::Held { robot } => {
+                let (it, motors) = (&mut robots[robot], ecp.latest().commanded);
+                it.enter(ecp.status().phase);
+                if it.is_expected_at(&motors) {
+                    it.released = true;
+                    ecp.hold(false);
+                } else if it.asked.is_none() {
+                    it.asked = Some(it.switched_on);
+                    it.course.found.push((it.switched_on.saturating_sub(1), motors));
+                    waiting.push(robot);
                 }
             }
         });
-        for (robot, (status, phase)) in executor.statuses().into_iter().zip(phases).enumerate() {
-            if ended[robot] > 0 || status.phase != *phase {
-                *phase = status.phase;
-                tell(Progress { robot, phase: status.phase, ended: ended[robot], expected });
+        let statuses = executor.statuses();
+        for (robot, ((status, it), (phase, ended))) in statuses.iter().zip(robots.iter_mut()).zip(before).enumerate() {
+            it.enter(status.phase);
+            if is_down(it.phase) {
+                executor.hold(robot, true);
+            }
+            if it.ended > ended || it.phase != phase {
+                tell(Progress { robot, phase: it.phase, ended: it.ended - ended, expected });
             }
         }
-        for start in away {
-            self.ask(start);
+        for robot in waiting {
+            self.ask(robot);
         }
         busy
     }
 
     /// Ends the task, and returns its errors and the faults of the I/O nodes. The drive groups still exist.
     pub(super) fn finish(self) -> TaskErrors {
-        let (ended, mut delivered) = self.executor.finish();
+        let (ended, mut noted) = self.executor.finish();
         let (file, mut faults) = (&*self.file, self.refusals);
         let error = match ended {
             Some(Ended::Task(Err(error))) => Some(error),
@@ -203,24 +286,37 @@ impl Carrying {
         };
         if let Some(error) = error {
             let of_instruction = error.instruction();
-            delivered.retain(|delivered| Some(delivered) != of_instruction);
+            noted.retain(|noted| Some(&noted.error) != of_instruction);
             faults.push(of_instruction.map_or_else(|| FaultReport::of_run(&error), |error| describe(file, error)));
         }
         faults.extend(io_faults(file, &self.io));
-        TaskErrors { faults, recovered: delivered.iter().map(|error| describe(file, error)).collect() }
+        let mut received = vec![false; self.robots.len()];
+        for NotedError { error, received: by_task, latched } in &noted {
+            received[error.robot] |= by_task & latched;
+        }
+        let mut recovered = Vec::new();
+        for NotedError { error, latched, .. } in &noted {
+            let still_stops = *latched && !received[error.robot];
+            let list = if still_stops { &mut faults } else { &mut recovered };
+            list.push(describe(file, error));
+        }
+        TaskErrors { faults, recovered, received }
     }
 
-    /// Requests a rehearsal from the present position of a robot, which is held.
-    fn ask(&mut self, start: Start) {
-        let (robot, motors) = start;
+    /// Requests a rehearsal for a robot, which is held.
+    fn ask(&mut self, robot: usize) {
+        let courses = self.robots.iter().map(|robot| robot.course.clone()).collect();
         match &self.rehearsals {
             Rehearsals::AtOnce => {
-                let (file, program) = (&self.file, &self.program);
-                let never = AtomicBool::new(false);
-                self.verdicts.push((robot, rehearsal::rehearse_from(file, program, robot, motors, &never)));
+                let never = Arc::default();
+                self.verdicts.push((robot, rehearse_again(&self.file, &self.program, courses, &never)));
             }
-            // The queue has a place for each robot, and each robot is checked once.
-            Rehearsals::Aside { ask, .. } => _ = ask.try_send(start),
+            // The queue has a place for each robot, and each robot waits for one verdict.
+            Rehearsals::Aside { ask, .. } => {
+                if ask.try_send((robot, courses)).is_err() {
+                    self.verdicts.push((robot, Err(NoRehearsals.into())));
+                }
+            }
         }
     }
 
@@ -228,13 +324,31 @@ impl Carrying {
     fn judge(&mut self) {
         let mut verdicts = take(&mut self.verdicts);
         if let Rehearsals::Aside { verdicts: aside, .. } = &self.rehearsals {
-            verdicts.extend(aside.try_iter());
+            let end = loop {
+                match aside.try_recv() {
+                    Ok(verdict) => verdicts.push(verdict),
+                    Err(end) => break end,
+                }
+            };
+            if end == TryRecvError::Disconnected {
+                let waiting = self.robots.iter().enumerate().filter(|(_, it)| it.asked.is_some());
+                verdicts.extend(waiting.map(|(robot, _)| (robot, Err(NoRehearsals.into()))));
+            }
         }
         for (robot, verdict) in verdicts {
+            let it = &mut self.robots[robot];
+            if it.asked.take() != Some(it.switched_on) || is_down(it.phase) {
+                // The drives were off since the request. The robot waits at its next motion again.
+                continue;
+            }
             match verdict {
-                Ok(()) => self.executor.hold(robot, false),
+                Ok(()) => {
+                    it.released = true;
+                    self.executor.hold(robot, false);
+                }
                 Err(error) => {
-                    let what = format!("was referenced and stands away from its home position, from where {error:#}");
+                    let what =
+                        format!("was referenced and stands away from the rehearsed positions, from where {error:#}");
                     self.refusals.push(FaultReport::of_robot(&self.file, robot, None, what));
                     self.stop.request();
                     self.executor.abort(SystemError::RefusedFromHere { robot });
@@ -251,7 +365,8 @@ fn describe(file: &CellFile, error: &InstructionError) -> FaultReport {
         EcpError::Servo(fault) => describe_fault(file, robot, &fault),
         cause => FaultReport::of_robot(file, robot, None, file.cell.robot[robot].naming_axes(cause)),
     };
-    FaultReport { place: Some(ErrorPlace::of(error)), ..fault }
+    let servo = matches!(error.cause, EcpError::Servo(_));
+    FaultReport { place: Some(ErrorPlace::of(error)), cycle: servo.then_some((robot, error.cycle)), ..fault }
 }
 
 /// A fault of the servo, with the names of the cell.
@@ -273,17 +388,22 @@ fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultRep
 }
 
 /// The latched faults of the I/O nodes of a cell. The axes do not stop by such a fault.
-fn io_faults(file: &CellFile, links: &[IoLink]) -> impl Iterator<Item = FaultReport> {
+pub(super) fn io_faults(file: &CellFile, links: &[IoLink]) -> impl Iterator<Item = FaultReport> {
     let nodes = file.cell.io.iter().zip(links);
     let faults = nodes.filter_map(|(io, link)| Some((io, link.inputs.read().fault?)));
     faults.map(|(io, fault)| FaultReport::of_run(format!("I/O node {}: {fault}", io.name)))
 }
 
-/// The fault that the servo latched for each robot, and a fault if some robots still have power.
-pub(crate) fn servo_faults(file: &CellFile, servo: &Servo) -> Vec<FaultReport> {
+/// The fault that the servo latched for each robot, unless the task `received` it, and a fault if some robots still
+/// have power.
+pub(crate) fn servo_faults(file: &CellFile, servo: &Servo, received: &[bool]) -> Vec<FaultReport> {
     let robots = &file.cell.robot;
-    let latched = |robot| Some(describe_fault(file, robot, &servo.fault(robot)?));
-    let mut faults: Vec<_> = (0..robots.len()).filter_map(latched).collect();
+    let latched = |robot| {
+        let fault = describe_fault(file, robot, &servo.fault(robot)?);
+        Some(FaultReport { cycle: Some((robot, u64::MAX)), ..fault })
+    };
+    let unknown = (0..robots.len()).filter(|robot| received.get(*robot) != Some(&true));
+    let mut faults: Vec<_> = unknown.filter_map(latched).collect();
     if !servo.is_off() {
         // The servo reports the power of all robots together.
         let names: Vec<_> = robots.iter().map(|robot| robot.name.as_str()).collect();
@@ -291,93 +411,10 @@ pub(crate) fn servo_faults(file: &CellFile, servo: &Servo) -> Vec<FaultReport> {
             robot: Some(names.join(" or ")),
             axis: None,
             place: None,
+            cycle: None,
+            last_cycles: None,
             what: "still has power, or did not say otherwise".into(),
         });
     }
     faults
-}
-
-#[cfg(test)]
-mod tests {
-    use std::sync::mpsc::sync_channel;
-
-    use anyhow::anyhow;
-    use drive::DriveGroup;
-    use servo::lockstep;
-
-    use super::*;
-    use crate::prelude::*;
-    use crate::rehearsal::IdealDrives;
-    use crate::tasks::tests::two_arms;
-
-    /// Both robots home and move.
-    async fn both(cell: &mut Cell) -> Outcome {
-        let [mut left, mut right] = cell.robots(["left", "right"])?;
-        let list = |robot: &Robot| {
-            let motion = robot.motions().joints(0.3, &[[0.2, -1.571, 0.0, 0.0, 0.0]])?;
-            Ok::<_, TaskError>(Task::new().enable().home().run(motion).disable())
-        };
-        let (one, other) = (list(&left)?, list(&right)?);
-        join(left.perform(one), right.perform(other)).await
-    }
-
-    /// Runs the task with the left robot referenced away from home. The rehearsal from there gives `verdict` as soon as
-    /// the right robot is off. Returns the errors, and whether the left robot moved before the verdict and in total.
-    fn run(verdict: anyhow::Result<()>) -> (TaskErrors, [bool; 2]) {
-        let file = Arc::new(two_arms());
-        let homes = (0..2).map(|robot| file.cell.home(robot, &file.arms[robot]).motors);
-        let mut starts: Vec<_> = homes.collect();
-        starts[0][0] += 10.0;
-        let drives = |bus| Box::new(IdealDrives::of(&file, bus, &starts)) as Box<dyn DriveGroup>;
-        let (mut servo, links) = Servo::new(&setup::servo_config(&file), vec![drives(0), drives(1)]).unwrap();
-        let task = RunningTask::new(&file, &Program::of(both), links, Vec::new(), &servo, 8);
-        let (ask, asked) = sync_channel(2);
-        let (answer, verdicts) = sync_channel(2);
-        let mut carrying = task.begin(Rehearsals::Aside { ask, verdicts });
-        let mut now = lockstep::bring_up(&mut servo, Instant::ZERO, |_| {}).unwrap();
-        let mut verdict = Some(verdict);
-        let (mut phases, mut moved) = ([Phase::Off; 2], [false; 2]);
-        let mut other_moved = false;
-        for _ in 0..10_000 {
-            servo.step(now);
-            let busy = carrying.poll(now, |news| phases[news.robot] = news.phase);
-            moved[1] |= phases[0] == Phase::Moving;
-            other_moved |= phases[1] == Phase::Moving;
-            if !busy {
-                return (carrying.finish(), moved);
-            }
-            if other_moved
-                && phases[1] == Phase::Off
-                && let Some(verdict) = verdict.take()
-            {
-                moved[0] = moved[1];
-                let (robot, motors) = asked.try_recv().unwrap();
-                assert_eq!((robot, motors), (0, starts[0]));
-                answer.send((robot, verdict)).unwrap();
-            }
-            now += servo.period();
-        }
-        panic!("the task does not end: {phases:?}");
-    }
-
-    #[test]
-    fn a_fault_of_an_io_node_is_a_fault_of_the_run() {
-        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells/irb6-touch.toml");
-        let file = CellFile::read(&path).unwrap();
-        let port = Box::new(can::virtual_port(16).0) as Box<dyn can::Port>;
-        let devices = setup::devices(&file, vec![port], Vec::new(), None).unwrap();
-        let faults: Vec<_> = io_faults(&file, &devices.io).map(|fault| fault.what).collect();
-        assert_eq!(faults, ["I/O node tool: node 40: I/O not started"]);
-        let (_, rehearsed) = setup::rehearsed_io(&file);
-        assert_eq!(io_faults(&file, &rehearsed).count(), 0);
-    }
-
-    #[test]
-    fn a_robot_away_from_home_waits_for_its_rehearsal_and_delays_no_other() {
-        let (errors, moved) = run(Ok(()));
-        assert_eq!((errors.faults, moved), (Vec::new(), [false, true]));
-        let (errors, moved) = run(Err(anyhow!("a line is impossible")));
-        assert_eq!((errors.faults.len(), moved), (1, [false, false]));
-        assert!(errors.faults[0].what.ends_with("from where a line is impossible"), "{:?}", errors.faults);
-    }
 }

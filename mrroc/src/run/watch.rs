@@ -1,12 +1,14 @@
 //! Watch on the thread of a task: detects a task that does not return from its turn.
 
-use std::panic::resume_unwind;
+use std::io;
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::thread::Builder;
 use std::time::Duration;
 
-use anyhow::Context;
 use controller::executor::{SystemError, Turns};
+use thiserror::Error;
+
+use super::NEWS;
 
 /// Time between two looks at a task.
 pub(super) const LOOK: Duration = Duration::from_millis(100);
@@ -36,25 +38,72 @@ impl Watch {
     }
 }
 
+/// Reasons why work on a thread of its own has no result.
+#[derive(Debug, Error)]
+pub(crate) enum NoResult {
+    /// The system has no thread for the work.
+    #[error("no {name} thread can be made: {error}")]
+    NoThread {
+        /// Name of the work.
+        name: &'static str,
+        /// Error of the system.
+        error: io::Error,
+    },
+    /// The task hangs in a turn.
+    #[error("{0}")]
+    Hung(SystemError),
+    /// The work panicked.
+    #[error("the {name} panicked: {message}")]
+    Panicked {
+        /// Name of the work.
+        name: &'static str,
+        /// Message of the panic.
+        message: String,
+    },
+}
+
+/// Message of a thread that works.
+enum Told<T, N> {
+    News(N),
+    Result(T),
+}
+
 /// The result of `work`, which executes a task with these turns on a thread of its own. If the task hangs, the thread is
 /// left behind.
 pub(crate) fn returned<T: Send + 'static>(
-    name: &str,
+    name: &'static str,
     turns: &Turns,
     work: impl FnOnce() -> T + Send + 'static,
-) -> anyhow::Result<T> {
+) -> Result<T, NoResult> {
+    watched(name, turns, |()| {}, move |_| work())
+}
+
+/// Like [`returned`]. `show` receives the news of the work on the calling thread, and the work waits for a slow `show`.
+pub(super) fn watched<T: Send + 'static, N: Send + 'static>(
+    name: &'static str,
+    turns: &Turns,
+    mut show: impl FnMut(N),
+    work: impl FnOnce(&mut dyn FnMut(N)) -> T + Send + 'static,
+) -> Result<T, NoResult> {
     let mut watch = Watch::of(turns);
-    let (tell, told) = sync_channel(1);
-    let body = move || _ = tell.send(work());
-    let thread =
-        Builder::new().name(name.to_owned()).spawn(body).with_context(|| format!("no {name} thread can be made"))?;
+    let (tell, told) = sync_channel(NEWS);
+    let body = move || {
+        // A caller that has given up receives nothing more.
+        let result = work(&mut |news| _ = tell.send(Told::News(news)));
+        _ = tell.send(Told::Result(result));
+    };
+    let thread = Builder::new().name(name.to_owned()).spawn(body);
+    let thread = thread.map_err(|error| NoResult::NoThread { name, error })?;
     loop {
         match told.recv_timeout(LOOK) {
-            Ok(result) => return Ok(result),
-            Err(RecvTimeoutError::Timeout) => watch.look()?,
+            Ok(Told::News(news)) => show(news),
+            Ok(Told::Result(result)) => return Ok(result),
+            Err(RecvTimeoutError::Timeout) => watch.look().map_err(NoResult::Hung)?,
             Err(RecvTimeoutError::Disconnected) => {
                 let panic = thread.join().expect_err("a thread without a result has panicked");
-                resume_unwind(panic);
+                let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
+                let text = text.or_else(|| panic.downcast_ref::<String>().cloned());
+                return Err(NoResult::Panicked { name, message: text.unwrap_or("without a text".to_owned()) });
             }
         }
     }

@@ -9,6 +9,7 @@ use controller::executor::{Agent, Agents, Observer, Replacer};
 use controller::generator::{EffectorImage, Generator, Message};
 use controller::sensor::{Shell, VirtualSensor};
 use drive::cia401::IoLink;
+use serde::de::DeserializeOwned;
 use servo::SpeedOverride;
 
 use super::{Figures, InputLine, Outcome, OutputLine, TaskError, Team};
@@ -49,6 +50,12 @@ impl Cell {
     /// The cell file.
     pub fn file(&self) -> &CellFile {
         &self.file
+    }
+
+    /// The parameters of the task: the table `task` of the cell file, empty where absent. Refuses a table that is no
+    /// `T`, with file, line and key.
+    pub fn parameters<T: DeserializeOwned>(&self) -> Result<T, TaskError> {
+        self.file.parameters().map_err(TaskError::Parameters)
     }
 
     /// The robot called `name`. Refuses an unknown name and a robot that is in use.

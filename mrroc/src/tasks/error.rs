@@ -8,6 +8,8 @@ use controller::path::PathError;
 use controller::robot::KinematicsError;
 use thiserror::Error;
 
+use crate::cell::FileError;
+
 /// Result of a task and of each of its instructions.
 pub type Outcome = Result<(), TaskError>;
 
@@ -54,6 +56,9 @@ pub enum TaskError {
         /// Name of the robot.
         name: String,
     },
+    /// The table `task` of the cell file has other keys or values than the task reads.
+    #[error("{0}")]
+    Parameters(FileError),
     /// The task ended its rehearsal.
     #[error("not rehearsed from here: {why}")]
     NotRehearsed {
@@ -76,6 +81,7 @@ impl TaskError {
             | Self::UnknownInput { .. }
             | Self::UnknownOutput { .. }
             | Self::RobotInUse { .. }
+            | Self::Parameters(_)
             | Self::NotRehearsed { .. }
             | Self::Refused(_) => Class::NonFatal,
         }

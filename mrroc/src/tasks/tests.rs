@@ -14,6 +14,7 @@ use controller::ecp::{ChartPhase, EcpError};
 use super::*;
 use crate::prelude::*;
 use crate::rehearsal::rehearse;
+use crate::report::LastCycles;
 use crate::run::{Requests, RunOptions};
 
 /// Two IRb-6, each on a bus of its own. Their axes stand close to the index pulses.
@@ -154,6 +155,15 @@ fn a_fatal_error_of_one_robot_lets_the_other_finish() {
     assert_eq!((&recovered[0]["robot"], &recovered[0]["class"]), (&"left".into(), &"fatal".into()));
     assert_eq!((&recovered[0]["phase"], &recovered[0]["axis"]), (&"transfer".into(), &"left.column".into()));
     assert_eq!(report.recovered.len(), 2, "{recovered}");
+    // Both errors are of the same fault.
+    for error in &report.recovered {
+        let LastCycles { axes, cycles } = error.last_cycles.as_ref().unwrap();
+        assert_eq!((axes.len(), &axes[0][..], cycles.len()), (5, "left.column", 16));
+        assert!(cycles.windows(2).all(|two| two[1].cycle == two[0].cycle + 1), "{cycles:?}");
+        let fault = &cycles[15];
+        assert_eq!([&fault.commanded_rad, &fault.torque_nm].map(Vec::len), [5; 2]);
+        assert!(fault.measured_rad.iter().zip(&fault.commanded_rad).all(|(one, other)| (one - other).abs() < 0.1));
+    }
 }
 
 #[test]
@@ -324,6 +334,43 @@ fn a_task_that_blocks_is_refused_in_the_rehearsal_and_stopped_in_the_run() {
     let report = crate::run(&two_arms(), BenchKind::Emulated, task).unwrap();
     assert_eq!((report.outcome, report.faults.len()), (RunOutcome::Faulted, 1), "{report}");
     assert!(report.faults[0].what.starts_with(said), "{report}");
+}
+
+#[test]
+fn a_task_that_blocks_in_lockstep_ends_the_run_with_an_error() {
+    let task = async |cell: &mut Cell| {
+        let [_left, _right] = ready(cell).await?;
+        if cell.rehearsing() {
+            return Ok(());
+        }
+        loop {
+            thread::park();
+        }
+    };
+    let error = crate::run(&two_arms(), BenchKind::Lockstep, task).unwrap_err().to_string();
+    assert!(error.starts_with("the task did not return from its turn within 10s"), "{error}");
+}
+
+#[test]
+fn the_replacement_of_a_first_motion_is_rehearsed_beside_home() {
+    let ends = Arc::new(AtomicU32::new(0));
+    let count = Arc::clone(&ends);
+    accepted(async move |cell: &mut Cell| {
+        let [mut left, _right] = ready(cell).await?;
+        let limits = left.motions().limits();
+        let to = |column| JerkLimited::new(Space::Joint, 5, limits, &[[column, -1.571, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]]);
+        let (there, back) = (to(0.3)?.sent_ahead(5), to(-0.1)?);
+        let replacer = left.replacer();
+        let change = async {
+            cell.sleep(ms(200)).await;
+            Ok(replacer.replace(back)?)
+        };
+        join(left.execute(there), change).await?;
+        count.fetch_add(1, Ordering::Relaxed);
+        Ok(())
+    });
+    // From home, and from sixteen positions beside home.
+    assert_eq!(ends.load(Ordering::Relaxed), 17);
 }
 
 #[test]

@@ -4,6 +4,11 @@ use servo::{Knot, quintic};
 
 use super::*;
 
+/// The events of a motion that is replaced, and of its replacement.
+fn replaced() -> [EcpEvent; 2] {
+    [EcpEvent { replaced: true, ..ended(0, Ok(())) }, ended(1, Ok(()))]
+}
+
 fn jerk_limited(x: f64) -> JerkLimited {
     JerkLimited::new(Space::Joint, 3, limits(), &[axis_0(x)]).unwrap()
 }
@@ -82,7 +87,7 @@ fn a_motion_is_replaced_without_a_stop_and_within_its_limits() {
                 bench.ecp.replace(jerk_limited(0.2)).unwrap();
             }
         });
-        assert_eq!(events, finished(2), "{period}");
+        assert_eq!(events, replaced(), "{period}");
         assert!(!stopped(&bench), "{period}");
         assert!((at_end(&bench) - 20.0).abs() < 1e-6, "{period}: {}", at_end(&bench));
         let [velocity, acceleration, jerk] = peaks(&bench);
@@ -102,10 +107,11 @@ fn a_first_step_that_refuses_in_motion_brakes_the_effector() {
     let mut refused = jerk_limited(1.0).lasting(Duration::from_millis(1));
     refused = refused.ending_at(axis_0(0.0)).unwrap();
     let events = bench.run(Task::new().run(through(0.5, 0.6)).run(refused).run(jerk_limited(0.0)));
-    let [first, EcpEvent { instruction: 1, outcome: Err(EcpError::Generator { step: 0, error }) }] = events[..] else {
+    let [first, EcpEvent { instruction: 1, outcome: Err(EcpError::Generator { step: 0, error }), .. }] = events[..]
+    else {
         panic!("{events:?}");
     };
-    assert_eq!(first, EcpEvent { instruction: 0, outcome: Ok(()) });
+    assert_eq!(first, ended(0, Ok(())));
     assert!(matches!(error, GeneratorError::TooShort { .. }), "{error}");
     assert!(stopped(&bench));
     assert_eq!(bench.ecp.status().phase, Phase::Standing);
@@ -153,7 +159,7 @@ fn a_generator_that_is_sent_less_far_ahead_is_replaced_sooner() {
                 bench.ecp.replace(jerk_limited(0.0)).unwrap();
             }
         });
-        assert_eq!(events, finished(2));
+        assert_eq!(events, replaced());
         bench.servo.moves().map(|it| it.position[0]).fold(0.0, f64::max)
     };
     assert!(turned_back(1) < turned_back(4));

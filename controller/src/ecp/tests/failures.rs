@@ -103,7 +103,10 @@ fn a_servo_that_takes_no_orders_is_reported_in_time() {
     let mut bench = Bench::ready();
     bench.servo.deaf = true;
     let events = bench.run(Task::new().run(to(1.0, 0.0, 0.0)));
-    assert!(matches!(events[..], [EcpEvent { instruction: 0, outcome: Err(EcpError::Silent { .. }) }]), "{events:?}");
+    assert!(
+        matches!(events[..], [EcpEvent { instruction: 0, outcome: Err(EcpError::Silent { .. }), .. }]),
+        "{events:?}"
+    );
 }
 
 #[test]
@@ -113,7 +116,7 @@ fn homing_that_takes_too_long_is_stopped() {
     let events = bench.run(Task::new().enable().home().run(to(1.0, 0.0, 0.0)));
     let waited = CONFIG.homing + PERIOD;
     let outcome = Err(EcpError::TimedOut { phase: Phase::Homing, waited });
-    assert_eq!(events, [EcpEvent { instruction: 0, outcome: Ok(()) }, EcpEvent { instruction: 1, outcome }]);
+    assert_eq!(events, [ended(0, Ok(())), ended(1, outcome)]);
     assert_eq!(bench.servo.log.last(), Some(&Order::Stop));
     assert_eq!(bench.ecp.status().phase, Phase::Standing);
 }
@@ -130,7 +133,7 @@ fn homing_that_the_servo_broke_off_is_not_waited_for() {
         }
     });
     let outcome = Err(EcpError::BrokenOff { phase: Phase::Off });
-    assert_eq!(events.last().copied(), Some(EcpEvent { instruction: 1, outcome }));
+    assert_eq!(events.last().copied(), Some(ended(1, outcome)));
     let took = bench.now.since(Instant::ZERO);
     assert!(took < CONFIG.homing, "{took:?}");
 }

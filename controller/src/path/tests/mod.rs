@@ -7,23 +7,9 @@ use std::f64::consts::{FRAC_PI_2, PI, SQRT_2, TAU};
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::*;
-
-/// SplitMix64: a small seeded generator with the same results on all platforms.
-struct Random(u64);
+use crate::random::Random;
 
 impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn within(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * (self.next() >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
     fn vector(&mut self, most: f64) -> Vector3<f64> {
         Vector3::from_fn(|_, _| self.within(-most, most))
     }

@@ -1,0 +1,106 @@
+//! The last servo cycles up to each fault of a robot, from the records of the run.
+
+use std::collections::VecDeque;
+
+use serde::Serialize;
+use servo::{AxisRecord, Record};
+
+/// Number of cycles up to a fault.
+const CYCLES: usize = 16;
+
+/// Greatest number of faults of one robot whose cycles are kept. The cycles of later faults are not kept.
+const MOST_FAULTS: usize = 100;
+
+/// The axes of a robot in the last cycles up to a fault, the cycle of the fault included.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LastCycles {
+    /// The axes, as in [`AxisReport::name`](super::AxisReport::name).
+    pub axes: Vec<String>,
+    /// The cycles, the fault last. Their values are in the order of `axes`.
+    pub cycles: Vec<CycleState>,
+}
+
+/// The axes of a robot in one cycle. All values are of the motor shafts.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CycleState {
+    /// Number of the cycle, from 0.
+    pub cycle: u64,
+    /// Time since the first cycle, s.
+    pub time_s: f64,
+    /// Commanded positions, rad.
+    pub commanded_rad: Vec<f64>,
+    /// Measured positions, rad.
+    pub measured_rad: Vec<f64>,
+    /// Measured velocities, rad/s.
+    pub velocity_rad_per_s: Vec<f64>,
+    /// Measured torques, N·m; zero where the drive does not report them.
+    pub torque_nm: Vec<f64>,
+}
+
+/// The cycles of one robot, record by record.
+#[derive(Default)]
+pub(super) struct Recorded {
+    /// The last records with their times, s.
+    last: VecDeque<(Record, f64)>,
+    faults: Vec<Vec<CycleState>>,
+    /// Whether the last record has a latched fault.
+    faulted: bool,
+}
+
+impl Recorded {
+    /// Takes a record at `time`, s.
+    pub(super) fn observe(&mut self, record: &Record, time: f64) {
+        if self.last.len() == CYCLES {
+            self.last.pop_front();
+        }
+        self.last.push_back((*record, time));
+        if record.faulted && !self.faulted && self.faults.len() < MOST_FAULTS {
+            self.faults.push(self.last.iter().map(|(record, time)| CycleState::of(record, *time)).collect());
+        }
+        self.faulted = record.faulted;
+    }
+
+    /// The cycles up to the fault that was latched in cycle `cycle`.
+    pub(super) fn up_to_fault(&self, cycle: u64) -> Option<&[CycleState]> {
+        let begun = |cycles: &&Vec<CycleState>| cycles.last().is_some_and(|fault| fault.cycle <= cycle);
+        self.faults.iter().rev().find(begun).map(Vec::as_slice)
+    }
+}
+
+impl CycleState {
+    fn of(record: &Record, time: f64) -> Self {
+        let axes = &record.axis[..usize::from(record.axes)];
+        let each = |value: fn(&AxisRecord) -> f64| axes.iter().map(value).collect();
+        Self {
+            cycle: record.cycle,
+            time_s: time,
+            commanded_rad: each(|axis| axis.commanded),
+            measured_rad: each(|axis| axis.measured),
+            velocity_rad_per_s: each(|axis| axis.velocity),
+            torque_nm: each(|axis| axis.torque),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_fault_has_the_sixteen_cycles_up_to_its_own() {
+        let mut recorded = Recorded::default();
+        for cycle in 0..100 {
+            let faulted = (5..30).contains(&cycle) || cycle >= 50;
+            recorded.observe(&Record { cycle, faulted, axes: 2, ..Record::default() }, cycle as f64 * 1e-3);
+        }
+        let cycles = |cycle| {
+            let cycles = recorded.up_to_fault(cycle)?;
+            Some((cycles.len(), cycles.first()?.cycle, cycles.last()?.cycle))
+        };
+        assert_eq!(cycles(4), None);
+        assert_eq!([cycles(5), cycles(29)], [Some((6, 0, 5)); 2]);
+        assert_eq!([cycles(50), cycles(u64::MAX)], [Some((16, 35, 50)); 2]);
+        let fault = recorded.up_to_fault(50).unwrap().last().unwrap();
+        assert_eq!((fault.time_s, &fault.commanded_rad[..]), (0.05, &[0.0, 0.0][..]));
+    }
+}
