@@ -79,6 +79,7 @@ const EXCEPTIONS: &[Exception] = &[
         "the weight that is fed forward has the geometry of the cell, and the emulated mechanism that of the model",
     ),
     faulted("robot.axis.controller.loop.", OF_A_LOOP, NO_LOOP),
+    faulted("robot.axis.controller.control", OF_A_LOOP, NO_LOOP),
     faulted("bus.sdo_timeout_ms", &["SDO protocol timed out"], LATE),
     refused("bus.sdo_timeout_ms", &["timed out"], LATE),
     refused("bus.boot_timeout_ms", &["never booted"], LATE),

@@ -2,13 +2,33 @@
 
 use super::*;
 
-const NAMES: [(&str, &str, &str, &str); 6] = [
+const NAMES: [(&str, &str, &str, &str); 9] = [
     ("cell", "name = \"lab\"", "name = NAME", "name"),
     ("bus", "name = \"track-base\"", "name = NAME", "bus[0].name"),
     ("bundle", "name = \"irb6\"\nprotocol", "name = NAME\nprotocol", "serial[0].name"),
     ("robot", "name = \"irb6\"\nmodel", "name = NAME\nmodel", "robot[0].name"),
     ("axis", "name = \"column\"", "name = NAME", "robot[0].axis[0].name"),
     ("meeting", "meet = \"start\"", "meet = NAME", "robot[0].program[0].meet"),
+    (
+        "I/O node",
+        "period_us = 2000",
+        "io = [{ name = NAME, bus = \"rnt\", node = 40, vendor = 0 }]\nperiod_us = 2000",
+        "io[0].name",
+    ),
+    (
+        "input",
+        "period_us = 2000",
+        "io = [{ name = \"a\", bus = \"rnt\", node = 40, vendor = 0, input = [{ name = NAME, line = 0 }] }]\n\
+         period_us = 2000",
+        "io[0].input[0].name",
+    ),
+    (
+        "output",
+        "period_us = 2000",
+        "io = [{ name = \"a\", bus = \"rnt\", node = 40, vendor = 0, output = [{ name = NAME, line = 0 }] }]\n\
+         period_us = 2000",
+        "io[0].output[0].name",
+    ),
 ];
 
 #[test]
