@@ -4,9 +4,9 @@
 //! planning takes more than a tenth of toppra's time on the same grid. `tests/run` installs toppra and Ruckig in
 //! `target/peers`.
 //!
-//! Times of toppra and Ruckig are times of calls from Python, and times of this project are times of calls from Rust. The
-//! solver of toppra is compiled code. Each time is the minimum of several rounds, which is the least disturbed measurement.
-//! No time contains the construction of the spline.
+//! Times of toppra and Ruckig are times of calls from Python, and times of this project are times of calls from Rust.
+//! The solver of toppra is compiled code. Each time is the minimum of several rounds, which is the least disturbed
+//! measurement. No time contains the construction of the spline.
 
 #![allow(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 #![expect(clippy::unwrap_used, reason = "a benchmark may panic")]
@@ -91,7 +91,7 @@ fn main() -> ExitCode {
             }));
         }
     }
-    let (mut moves, mut jerk_limited) = (Vec::new(), Vec::new());
+    let (mut moves, mut jerk_limited, rest) = (Vec::new(), Vec::new(), [0.0; AXES]);
     for _ in 0..MOVES {
         let (limits, start, target) = (random.limits(), random.axes(-2.0, 2.0), random.axes(-2.0, 2.0));
         let joints = AxesState::at_rest(start);
@@ -102,8 +102,8 @@ fn main() -> ExitCode {
         }));
         moves.push(json!({
             "position": first(&start),
-            "velocity": vec![0.0; AXES],
-            "acceleration": vec![0.0; AXES],
+            "velocity": rest,
+            "acceleration": rest,
             "target": first(&target),
             "max_velocity": first(&limits.max_velocity),
             "max_acceleration": first(&limits.max_acceleration),

@@ -10,8 +10,8 @@
 //! …
 //! ```
 //!
-//! Each row has one column per axis, separated by spaces, tabs or commas. Empty lines are ignored. [`TrajectoryFile`] reads
-//! and writes the format, and makes the [`Newsmooth`] motion of MOTOR and JOINT files.
+//! Each row has one column per axis, separated by spaces, tabs or commas. Empty lines are ignored. [`TrajectoryFile`]
+//! reads and writes the format, and makes the [`Newsmooth`] motion of MOTOR and JOINT files.
 //!
 //! ```
 //! use mrroc_controller::trajectory_file::{Coordinates, TrajectoryFile};
@@ -166,8 +166,8 @@ pub struct TrajectoryFile {
 }
 
 impl TrajectoryFile {
-    /// A file with the first `columns` entries of these poses; the others become zero. Refuses what [`parse`](Self::parse)
-    /// refuses, with the line in the text of the file.
+    /// A file with the first `columns` entries of these poses; the others become zero. Refuses what
+    /// [`parse`](Self::parse) refuses, with the line in the text of the file.
     pub fn new(
         coordinates: Coordinates,
         motion: MotionType,
@@ -248,8 +248,8 @@ impl TrajectoryFile {
         &self.poses
     }
 
-    /// The motion through the poses for a robot with this number of axes. The fractions apply to `joints` or `motors`, the
-    /// limits of joints or motors.
+    /// The motion through the poses for a robot with this number of axes. The fractions apply to `joints` or
+    /// `motors`, the limits of joints or motors.
     pub fn motion_of(
         &self,
         axes: usize,

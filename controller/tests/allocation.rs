@@ -1,5 +1,5 @@
-//! Nothing allocates while a generator runs. Planning allocates only for contours, time-optimal motions and jerk-limited
-//! motions through poses.
+//! Nothing allocates while a generator runs. Planning allocates only for contours, time-optimal motions and
+//! jerk-limited motions through poses.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;

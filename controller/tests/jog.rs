@@ -123,8 +123,8 @@ fn a_joint_moves_at_the_commanded_velocity_and_brakes_after_the_dead_man_time() 
     let moved = image.commanded.joints.position[0] - START[0];
     // Less half of the time of acceleration, and the delay of the command.
     assert!((moved - 0.3 * (1.0 - 0.075)).abs() < 0.3 * DELAY + 1e-6, "{moved}");
-    for axis in 1..AXES {
-        assert!((image.commanded.joints.position[axis] - START[axis]).abs() < 1e-6, "axis {axis}");
+    for (position, start) in image.commanded.joints.position.iter().zip(START).skip(1) {
+        assert!((position - start).abs() < 1e-6, "{position} from {start}");
     }
     rig.wait(0.05);
     assert!((rig.image().commanded.joints.velocity[0] - 0.3).abs() < 1e-6, "within the dead-man time");

@@ -78,7 +78,7 @@ fn task(random: &mut Random) -> (Task, Axes, bool) {
     }
 }
 
-/// A time-optimal motion through two to six way-points, and its end. Its override may pause but no generator replaces it.
+/// A time-optimal motion through two to six way-points, its end, and that no generator replaces it.
 fn time_optimal(random: &mut Random) -> (Task, Axes, bool) {
     let points: Vec<Axes> = (0..2 + random.below(5)).map(|_| random.axes(100.0)).collect();
     let end = points[points.len() - 1];

@@ -51,11 +51,11 @@ impl Motions {
         motion.context("the joint motion cannot be planned")
     }
 
-    /// A time-optimal motion from rest to rest along the cubic spline from the present position through joint positions,
-    /// rad (m for a linear joint), within the limits of velocity and acceleration.
+    /// A time-optimal motion from rest to rest along the cubic spline from the present position through joint
+    /// positions, rad (m for a linear joint), within the limits of velocity and acceleration.
     ///
-    /// Between way-points the spline may leave the range that the way-points span. The rehearsal refuses a path that leaves
-    /// the range of a joint.
+    /// Between way-points the spline may leave the range that the way-points span. The rehearsal refuses a path that
+    /// leaves the range of a joint.
     pub fn time_optimal<const AXES: usize>(&self, way_points: &[[f64; AXES]]) -> anyhow::Result<TimeOptimal> {
         self.check_axes(AXES)?;
         let way_points = way_points.iter().map(|point| smooth_pose(point, 1.0, 1.0).position).collect();
@@ -63,9 +63,9 @@ impl Motions {
         motion.context("the time-optimal motion cannot be planned")
     }
 
-    /// The motion of a [trajectory file](controller::trajectory_file) of MRROC++, a synchronised trapezoid through its
-    /// poses. Its fractions apply to the limits of the joints or the motors of this robot. Refuses a file of a robot with
-    /// another number of axes, and poses of the tool.
+    /// The motion of a [trajectory file](controller::trajectory_file) of MRROC++, a synchronised trapezoid through
+    /// its poses. Its fractions apply to the limits of the joints or the motors of this robot. Refuses a file of a
+    /// robot with another number of axes, and poses of the tool.
     pub fn trajectory(&self, path: impl AsRef<Path>) -> anyhow::Result<Newsmooth> {
         let path = path.as_ref();
         let place = path.display();
@@ -76,8 +76,8 @@ impl Motions {
         motion.with_context(|| place.to_string())
     }
 
-    /// A [`Jog`] of the robot within the limits of its joints, and the handle of its operator. Without a command for the
-    /// time `dead_man`, the robot brakes.
+    /// A [`Jog`] of the robot within the limits of its joints, and the handle of its operator. Without a command for
+    /// the time `dead_man`, the robot brakes.
     pub fn jog(&self, dead_man: Duration) -> anyhow::Result<(Jog, JogHandle)> {
         Jog::new(self.arm.clone(), self.limits, dead_man).context("the robot cannot be jogged")
     }

@@ -1,8 +1,8 @@
 """toppra and Ruckig plan the motions of a JSON object on standard input. Prints durations and computing times as JSON.
 
-For each path, SciPy also judges the profile of the controller: the largest use of a limit at the nodes and between them.
-A computing time is that of the fastest of several rounds, in µs. That of toppra begins with the spline and contains neither
-its construction nor the evaluation of the trajectory.
+For each path, SciPy also judges the profile of the controller: the largest use of a limit at the nodes and between
+them. A computing time is the minimum of several rounds, in µs. The time of toppra contains neither the construction of
+the spline nor the evaluation of the trajectory.
 """
 
 import json
@@ -65,7 +65,7 @@ def judged_path(path):
     return {
         "duration": ParametrizeConstAccel(geometry, s, speeds).duration,
         "time_us": time_us,
-        "at_nodes": max(use_of_limits(spline, s[:-1], x[:-1], u, limits), use_of_limits(spline, s[1:], x[1:], u, limits)),
+        "at_nodes": max(use_of_limits(spline, s[ends], x[ends], u, limits) for ends in (slice(0, -1), slice(1, None))),
         "between": between,
     }
 

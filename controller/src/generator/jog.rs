@@ -10,8 +10,8 @@ use servo::MAX_AXES;
 use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Setpoint};
 use crate::robot::{Arm, Joints};
 
-/// Damping of the inverse Jacobian, in m/s and rad/s per rad/s. A direction of the tool with this singular value moves at
-/// half the commanded speed.
+/// Damping of the inverse Jacobian, in m/s and rad/s per rad/s. A direction of the tool with this singular value
+/// moves at half the commanded speed.
 const DAMPING: f64 = 0.02;
 /// Number of fractions of the commanded velocity that are tried near the end of a range.
 const FRACTIONS: u32 = 8;
@@ -42,8 +42,8 @@ pub struct JogHandle {
 }
 
 impl JogHandle {
-    /// Replaces the present command. The command is valid for the dead-man time, and is repeated to continue the motion.
-    /// Refuses values that are not finite. The call neither waits nor allocates.
+    /// Replaces the present command. The command is valid for the dead-man time, and is repeated to continue the
+    /// motion. Refuses values that are not finite. The call neither waits nor allocates.
     pub fn command(&mut self, command: JogCommand) -> Result<(), GeneratorError> {
         let (kind, values) = match command {
             JogCommand::Joints(velocity) => (JOINTS, velocity),
@@ -78,15 +78,16 @@ const END: u64 = 3;
 
 /// A motion at the velocities of the operator's latest command. Class 1, continuous feedback.
 ///
-/// Without a new command for the dead-man time, counted in the time of the servo from the image in which the last command
-/// was found, the joints brake. The motion continues with the next command, and ends at rest after [`JogCommand::End`].
+/// Without a new command for the dead-man time, counted in the time of the servo from the image in which the last
+/// command was found, the joints brake. The motion continues with the next command, and ends at rest after
+/// [`JogCommand::End`].
 ///
-/// Velocity and acceleration of each joint stay within the limits: a command beyond a limit is scaled down as a whole. Each
-/// set-point leaves room for a stop within the ranges of joints and motors, and the joints therefore slow down before the
-/// end of a range.
+/// Velocity and acceleration of each joint stay within the limits: a command beyond a limit is scaled down as a
+/// whole. Each set-point leaves room for a stop within the ranges of joints and motors, and the joints therefore slow
+/// down before the end of a range.
 ///
-/// A velocity of the tool is converted by the damped inverse of the Jacobian. Near a singularity the tool slows down, and
-/// leaves its direction where the mechanism cannot follow. No step allocates.
+/// A velocity of the tool is converted by the damped inverse of the Jacobian. Near a singularity the tool slows down,
+/// and leaves its direction where the mechanism cannot follow. No step allocates.
 #[derive(Debug)]
 pub struct Jog {
     arm: Arm,
@@ -202,8 +203,8 @@ impl Jog {
 
     /// Bound of the position at rest after a stop in whole macrosteps.
     ///
-    /// The joints move straight there, with ranges that are convex. After a macrostep of the stop, the bound lies on the same
-    /// line and not further away: after a permitted state, a stop is always permitted.
+    /// The joints move straight there, with ranges that are convex. After a macrostep of the stop, the bound lies on
+    /// the same line and not further away: after a permitted state, a stop is always permitted.
     fn stop_from(&self, state: &AxesState) -> Axes {
         let time = (self.braking_time(state) + self.macrostep) / 2.0;
         std::array::from_fn(|axis| state.position[axis] + state.velocity[axis] * time)

@@ -11,8 +11,8 @@ const SEGMENTS: f64 = 100.0;
 const PART_SEGMENTS: f64 = 8.0;
 /// Accepted excess over a limit between two nodes of the grid: 0.1 %, less the error of interpolated velocities.
 const EXCESS: f64 = 0.9e-3;
-/// Segments that leave this share of all limits unused somewhere inside are halved, if they last longer than this share of
-/// the duration. Such segments are near the ends of the path, and where acceleration turns into braking.
+/// Segments that leave this share of all limits unused somewhere inside are halved, if they last longer than this
+/// share of the duration. Such segments are near the ends of the path, and where acceleration turns into braking.
 const IDLE: f64 = 0.03;
 const RESOLUTION: f64 = 2e-3;
 /// Largest number of grids after the first one.
@@ -60,13 +60,13 @@ pub struct EndSpeeds {
 
 /// Time-optimal path parameter s(t) of a [`JointPath`] within limits of joint velocity and acceleration.
 ///
-/// The method is TOPP-RA (Pham and Pham, IEEE Transactions on Robotics 34, 2018). On a grid of s, let x = ṡ² and u = s̈,
-/// with u constant between two nodes. The limits are then linear: x ≤ (v / |q′|)² and |q′ u + q″ x| ≤ a for each joint. The
-/// limits of acceleration hold at both ends of each segment (interpolation scheme).
+/// The method is TOPP-RA (Pham and Pham, IEEE Transactions on Robotics 34, 2018). On a grid of s, let x = ṡ² and u =
+/// s̈, with u constant between two nodes. The limits are then linear: x ≤ (v / |q′|)² and |q′ u + q″ x| ≤ a for each
+/// joint. The limits of acceleration hold at both ends of each segment (interpolation scheme).
 ///
-/// A backward pass computes the controllable set of each node: the interval of x from which the end speed can be reached.
-/// A forward pass takes the greatest u that leads to the controllable set of the next node. The two-variable linear
-/// programmes are solved exactly.
+/// A backward pass computes the controllable set of each node: the interval of x from which the end speed can be
+/// reached. A forward pass takes the greatest u that leads to the controllable set of the next node. The two-variable
+/// linear programmes are solved exactly.
 ///
 /// The motion is the fastest on its grid. Jerk is not limited.
 #[derive(Clone, Debug)]
@@ -141,8 +141,8 @@ impl PathTiming {
         self.nodes.iter().map(|node| (node.s, node.speed))
     }
 
-    /// Path parameter, speed and acceleration by time, `time` s after the start. Times before the start and after the end
-    /// give the ends.
+    /// Path parameter, speed and acceleration by time, `time` s after the start. Times before the start and after the
+    /// end give the ends.
     pub fn parameter(&self, time: f64) -> [f64; 3] {
         let after = self.nodes.partition_point(|node| node.time <= time).clamp(1, self.nodes.len() - 1);
         let (node, next) = (&self.nodes[after - 1], &self.nodes[after]);
@@ -160,8 +160,8 @@ impl PathTiming {
         moving(&self.path.at(s), speed, acceleration)
     }
 
-    /// Largest velocity or acceleration of a joint relative to its limit: the greatest value in a segment, and the least of
-    /// its values inside.
+    /// Largest velocity or acceleration of a joint relative to its limit: the greatest value in a segment, and the
+    /// least of its values inside.
     ///
     /// Between knots q′ and the acceleration are parabolas of s, and three points determine each.
     fn use_of_limits(&self, segment: &[Node], limits: &MotionLimits) -> [f64; 2] {
@@ -387,8 +387,8 @@ impl Stage {
 
     /// Least and greatest x for which there is a permitted u; `None` if there is none.
     ///
-    /// The gap between upper and lower bound is concave in x and linear in pieces. Newton's method therefore ends at the
-    /// exact solution: each step goes to the place where the present pair of bounds meets.
+    /// The gap between upper and lower bound is concave in x and linear in pieces. Newton's method therefore ends at
+    /// the exact solution: each step goes to the place where the present pair of bounds meets.
     fn interval(&self) -> Option<[f64; 2]> {
         let mut least = 0.0;
         for _ in 0..MOST_PAIRS {
@@ -421,7 +421,8 @@ impl Stage {
     /// Greatest permitted u at an x of the controllable set.
     fn greatest_u(&self, x: f64) -> f64 {
         let [low, high] = self.bounds(x);
-        // At an end of the set both bounds meet, and rounding may exchange them. The flatter bound is the more accurate.
+        // At an end of the set both bounds meet, and rounding may exchange them. The flatter bound is the more
+        // accurate.
         if low.u > high.u && low.slope.abs() < high.slope.abs() { low.u } else { high.u }
     }
 }

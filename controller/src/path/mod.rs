@@ -4,8 +4,8 @@
 //! adds the orientation of the tool. A [`JointPath`] leads the joints through way-points.
 //!
 //! Nothing here knows time. [`Feed`](crate::generator::Feed) plans the arc length over time, and
-//! [`Contour`](crate::generator::Contour) moves the tool. [`PathTiming`](crate::generator::PathTiming) plans a joint path
-//! over time, and [`TimeOptimal`](crate::generator::TimeOptimal) moves the joints.
+//! [`Contour`](crate::generator::Contour) moves the tool. [`PathTiming`](crate::generator::PathTiming) plans a joint
+//! path over time, and [`TimeOptimal`](crate::generator::TimeOptimal) moves the joints.
 //!
 //! Positions are in the base frame, in m. A curve is constructed once, and may allocate and iterate then. Evaluations
 //! neither allocate nor fail.

@@ -12,8 +12,8 @@ const LOCAL: usize = DEGREE + 1;
 /// Smallest accepted pivot of an interpolation, relative to the largest entry of its row. A basis function at its own data point is far larger.
 const MIN_PIVOT: f64 = 1e-12;
 
-/// A cubic B-spline C(u) = Σ N_i(u) P_i in `D` dimensions, with its derivatives by the parameter u. Points are positions
-/// of the tool, m, in three dimensions, the default.
+/// A cubic B-spline C(u) = Σ N_i(u) P_i in `D` dimensions, with its derivatives by the parameter u. In three dimensions,
+/// the default, points are positions of the tool, m.
 ///
 /// The convention is that of `scipy.interpolate.BSpline(t, c, 3)`: n control points have n + 4 knots, and the domain is
 /// `t[3]` to `t[n]`.
