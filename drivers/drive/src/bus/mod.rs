@@ -9,7 +9,7 @@
 //! | SYNC | every cycle |
 //! | RPDO 1 of each drive | every cycle |
 //! | heartbeat of the host | once per heartbeat period |
-//! | RPDO 1 of an I/O node | after the first heartbeat of the host: changed levels, refused levels, and with each heartbeat |
+//! | RPDO 1 of an I/O node | after the first heartbeat of the host: changed or refused levels, and with each heartbeat |
 //! | SDO request to a drive | one at most, during a change of mode or after a fault |
 //!
 //! Bring-up listens for another controller, resets the communication of all nodes, configures and reads back every node

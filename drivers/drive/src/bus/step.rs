@@ -21,7 +21,8 @@ pub(crate) enum Step {
     /// Reads the divisor of the agreement, if there is one, and checks the quotient against the cell.
     Agree(Agreement),
     /// Writes this setting of [`AxisConfig::configuration`](crate::cia402::AxisConfig::configuration) or
-    /// [`IoConfig::configuration`](crate::cia401::IoConfig::configuration), and reads it back if the object is readable.
+    /// [`IoConfig::configuration`](crate::cia401::IoConfig::configuration), and reads it back if the object is
+    /// readable.
     Configure(Object, usize),
     /// Reads a limit. A drive without the object, or with at least this much, skips the next [`Need::Limit`].
     AtLeast(Object, u32),

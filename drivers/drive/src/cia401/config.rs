@@ -45,7 +45,8 @@ pub struct IoConfig {
     /// [`error_mode`](Self::error_mode). For the outputs whose error mode is set, also the levels in the error state
     /// (0x6207, which takes them as levels at the terminal).
     pub error_value: u64,
-    /// Objects downloaded in order before the settings of this driver. None of them may be [`reserved`](super::reserved).
+    /// Objects downloaded in order before the settings of this driver. None of them may be
+    /// [`reserved`](super::reserved).
     pub configuration: Vec<Setting>,
 }
 

@@ -7,8 +7,8 @@ use can::Instant;
 use super::config::{IoConfig, mask};
 use super::image::{ImagePublisher, InputImage, IoLink, OutputCommand, SentOutputs};
 
-/// An I/O node without a wire, beside the ideal drives of a rehearsal. Only for rehearsals: a reader cannot tell the node
-/// from a real one.
+/// An I/O node without a wire, beside the ideal drives of a rehearsal. Only for rehearsals: a reader cannot tell the
+/// node from a real one.
 ///
 /// The terminals of the inputs are low until their scheduled changes. The outputs take every command at once.
 pub struct RehearsedIo {

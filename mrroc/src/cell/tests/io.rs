@@ -7,8 +7,8 @@ use super::*;
 const TOUCH: &str = include_str!("../../../../cells/irb6-touch.toml");
 
 /// Further I/O node of the example cell, with one input.
-const SECOND: &str = "[[io]]\nname = \"cabinet\"\nbus = \"arm\"\nnode = 41\nvendor = 0\n\n[[io.input]]\nname = \"stop\"\n\
-                      line = 7\n\n[[robot]]\n";
+const SECOND: &str = "[[io]]\nname = \"cabinet\"\nbus = \"arm\"\nnode = 41\nvendor = 0\n\n\
+                      [[io.input]]\nname = \"stop\"\nline = 7\n\n[[robot]]\n";
 
 #[test]
 fn an_io_node_of_a_cell_is_configured_by_its_lines() {
