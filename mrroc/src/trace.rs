@@ -1,10 +1,11 @@
-//! The files a run writes: frames as a candump log, axes as CSV.
+//! The files a run writes: frames as a candump log, axes and steps as CSV.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 
 use anyhow::Context;
 use can::{TraceReader, candump};
+use controller::ecp::{StepRecord, StepRecords};
 use drive::AxisCommand;
 use servo::Record;
 
@@ -90,6 +91,48 @@ impl AxisLog {
 
     pub(crate) fn flush(&mut self) -> io::Result<()> {
         self.writer.flush()
+    }
+}
+
+/// A CSV file of every step of every agent: the events of the flow chart, in order.
+pub(crate) struct StepFile {
+    robots: Vec<String>,
+    records: Vec<StepRecords>,
+    writer: BufWriter<File>,
+}
+
+impl StepFile {
+    pub(crate) fn new(sink: File, file: &CellFile, records: Vec<StepRecords>) -> io::Result<Self> {
+        let mut writer = BufWriter::new(sink);
+        writeln!(writer, "time_s,agent,instruction,generator,class,macrostep,event,age_s,memory")?;
+        let robots = file.cell.robot.iter().map(|robot| robot.name.clone());
+        Ok(Self { robots: robots.collect(), records, writer })
+    }
+
+    /// Writes the steps since the last call.
+    pub(crate) fn drain(&mut self) -> io::Result<()> {
+        for (records, robot) in self.records.iter_mut().zip(&self.robots) {
+            while let Ok(record) = records.queue.pop() {
+                let StepRecord { at, motion, generator, class, step, event, age, memory } = record;
+                let (seconds, event) = (at.as_nanos() as f64 / 1e9, event.name());
+                write!(self.writer, "{seconds:.9},{robot},{motion},\"{generator}\",{class},{step},{event},")?;
+                if let Some(age) = age {
+                    write!(self.writer, "{:.9}", age.as_secs_f64())?;
+                }
+                match memory {
+                    Some(memory) => writeln!(self.writer, ",{memory:016x}")?,
+                    None => writeln!(self.writer, ",")?,
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes the rest. Returns the number of events that were lost because the file was too slow.
+    pub(crate) fn finish(mut self) -> io::Result<u64> {
+        self.drain()?;
+        self.writer.flush()?;
+        Ok(self.records.iter().map(StepRecords::lost).sum())
     }
 }
 

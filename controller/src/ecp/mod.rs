@@ -249,11 +249,6 @@ impl Ecp {
         self.journal.log = Some(log);
     }
 
-    /// Number of events that the journal lost because its reader was late.
-    pub fn lost_steps(&self) -> u64 {
-        self.journal.lost
-    }
-
     /// Replaces the planner, before the first task.
     pub fn plan_with(&mut self, planner: Box<dyn Planner>) {
         self.planning = Planning::with(planner);
@@ -297,7 +292,8 @@ impl Ecp {
     /// Whether a homed effector stands and waits with its next motion or meeting for the end of a [hold](Self::hold).
     pub fn is_held(&self) -> bool {
         let next = self.task.instructions.front();
-        let moves = next.is_some_and(|next| matches!(next, Instruction::Run(_) | Instruction::Meet(_)));
+        let moves =
+            next.is_some_and(|next| matches!(next, Instruction::Run(_) | Instruction::Meet(_) | Instruction::Tie(_)));
         let ready = matches!(self.activity, Activity::Idle) && self.phase() == Phase::Standing && self.homed();
         self.held && moves && ready
     }

@@ -1,5 +1,7 @@
 //! Journal of the steps of an effector control process: what happened in the flow chart, in order.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use can::Instant;
@@ -71,18 +73,28 @@ pub struct StepRecord {
 /// Writing end of a journal. Events that do not fit into the queue are lost and counted.
 pub struct StepLog {
     queue: rtrb::Producer<StepRecord>,
+    lost: Arc<AtomicU64>,
 }
 
 /// Reading end of a journal.
 pub struct StepRecords {
     /// The events, in order.
     pub queue: rtrb::Consumer<StepRecord>,
+    lost: Arc<AtomicU64>,
+}
+
+impl StepRecords {
+    /// Number of events that did not fit into the queue.
+    pub fn lost(&self) -> u64 {
+        self.lost.load(Ordering::Relaxed)
+    }
 }
 
 /// A journal of at most `size` events that wait for their reader.
 pub fn step_log(size: usize) -> (StepLog, StepRecords) {
     let (sender, queue) = rtrb::RingBuffer::new(size);
-    (StepLog { queue: sender }, StepRecords { queue })
+    let lost = Arc::new(AtomicU64::new(0));
+    (StepLog { queue: sender, lost: Arc::clone(&lost) }, StepRecords { queue, lost })
 }
 
 /// The journal of a process, if it is kept, and the present step.
@@ -94,8 +106,6 @@ pub(super) struct Journal {
     generator: &'static str,
     class: u8,
     step: u64,
-    /// Number of events that did not fit into the queue.
-    pub(super) lost: u64,
 }
 
 impl Journal {
@@ -129,6 +139,8 @@ impl Journal {
         };
         let (motion, generator, class, step) = (self.motions - 1, self.generator, self.class, self.step);
         let record = StepRecord { at, motion, generator, class, step, event, age, memory };
-        self.lost += u64::from(log.queue.push(record).is_err());
+        if log.queue.push(record).is_err() {
+            log.lost.fetch_add(1, Ordering::Relaxed);
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! The subcontrollers C1 to Cn of one cell, and the meetings between them.
 
 use super::partners::Barrier;
-use super::{Ecp, Planner, Status};
+use super::{Ecp, Planner, Status, StepRecords, step_log};
 
 /// The effector control processes of one cell, one per robot, and the meetings between them.
 pub struct Subcontrollers {
@@ -18,6 +18,16 @@ impl Subcontrollers {
     /// Gives each process a planner of its own.
     pub fn plan_with(&mut self, mut planner: impl FnMut() -> Box<dyn Planner>) {
         self.ecps.iter_mut().for_each(|ecp| ecp.plan_with(planner()));
+    }
+
+    /// Keeps a journal of the steps of each process. Each journal has room for `size` events that wait for their reader.
+    pub fn keep_steps(&mut self, size: usize) -> Vec<StepRecords> {
+        let journal = |ecp: &mut Ecp| {
+            let (log, records) = step_log(size);
+            ecp.keep_steps(log);
+            records
+        };
+        self.ecps.iter_mut().map(journal).collect()
     }
 
     /// The processes, and the meetings between them.

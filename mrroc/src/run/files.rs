@@ -9,7 +9,7 @@ use anyhow::{Context, anyhow};
 use servo::Record;
 
 use super::Background;
-use crate::trace::{AxisLog, FrameLog};
+use crate::trace::{AxisLog, FrameLog, StepFile};
 use crate::{cell::CellFile, report::Tracks};
 
 /// Longest wait for the files of a run once it has ended.
@@ -24,6 +24,7 @@ pub(super) struct Logs {
     pub(super) tracks: Tracks,
     pub(super) frames: Option<FrameLog>,
     pub(super) axes: Option<AxisLog>,
+    pub(super) steps: Option<StepFile>,
     /// Why the files are written no more.
     pub(super) failed: Option<anyhow::Error>,
 }
@@ -36,6 +37,9 @@ impl Logs {
             Some(frames) if self.failed.is_none() => frames.drain().context("the trace cannot be written"),
             _ => Ok(()),
         };
+        if let Some(steps) = self.steps.as_mut().filter(|_| self.failed.is_none()) {
+            written = written.and(steps.drain().context("the steps cannot be written"));
+        }
         let mut axes = self.axes.as_mut().filter(|_| self.failed.is_none());
         let mut recorded = Ok(());
         while let Ok(record) = self.records.pop() {
@@ -59,13 +63,19 @@ impl Logs {
         self.drain();
         let frames = self.frames.filter(|_| self.failed.is_none());
         let finished = frames.map(FrameLog::finish).transpose();
+        let steps = self.steps.filter(|_| self.failed.is_none()).map(StepFile::finish).transpose();
+        let steps = match steps.context("the steps cannot be written") {
+            Ok(Some(lost @ 1..)) => Err(anyhow!("the steps lack {lost} events: the file was too slow")),
+            Ok(_) => Ok(()),
+            Err(error) => Err(error),
+        };
         let written = match (self.failed, finished) {
             (Some(error), _) => Err(error),
             (None, Err(error)) => Err(error).context("the trace cannot be written"),
             (None, Ok(Some(lost @ 1..))) => Err(anyhow!("the trace lacks {lost} frames: the file was too slow")),
             (None, Ok(_)) => Ok(()),
         };
-        (written, self.tracks)
+        (written.and(steps), self.tracks)
     }
 }
 
@@ -78,11 +88,12 @@ pub(super) struct Writing {
 impl Writing {
     /// Begins. A file that cannot be written raises `failed`.
     pub(super) fn start(logs: Logs, failed: Arc<AtomicBool>) -> anyhow::Result<Self> {
-        let what = match (&logs.frames, &logs.axes) {
-            (None, None) => "records",
-            (Some(_), None) => "trace",
-            (None, Some(_)) => "record",
-            (Some(_), Some(_)) => "trace or the record",
+        let what = match (&logs.frames, &logs.axes, &logs.steps) {
+            (None, None, None) => "records",
+            (Some(_), None, None) => "trace",
+            (None, Some(_), None) => "record",
+            (None, None, Some(_)) => "steps",
+            _ => "trace, the record or the steps",
         };
         let drain = move |logs: &mut Logs| {
             failed.fetch_or(!logs.drain(), Ordering::Relaxed);

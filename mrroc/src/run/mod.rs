@@ -51,7 +51,7 @@ use crate::cell::CellFile;
 use crate::outputs::{Outputs, Replacement};
 use crate::report::{self, FaultReport, RunEnd, RunOutcome, RunReport, Tracks};
 use crate::tasks::Program;
-use crate::trace::{AxisLog, FrameLog};
+use crate::trace::{AxisLog, FrameLog, StepFile};
 use crate::wire::Wire;
 use crate::{budget, rehearsal, setup, spikes, streams};
 pub(crate) use background::Background;
@@ -71,6 +71,9 @@ const RECORDS: usize = 1 << 11;
 
 /// Records that an axis log may lag behind the servo, per effector.
 const LOGGED_RECORDS: usize = 1 << 13;
+
+/// Events that a file of steps may lag behind the controller, per robot.
+const STEPS: usize = 1 << 14;
 
 /// How far the controller's priority is below the servo's.
 const BELOW_SERVO: u8 = 10;
@@ -105,6 +108,10 @@ pub struct RunOptions {
     /// Write every axis in every cycle to this file, as CSV.
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
+    /// Write every step of every generator to this file, as CSV: the events of the flow chart, the ages of the images, and a
+    /// digest of the memory.
+    #[arg(long, value_name = "FILE")]
+    pub steps: Option<PathBuf>,
     /// Write the servo cycles around the latest ones to this file, phase by phase, for ui.perfetto.dev; SIGUSR1 adds
     /// those around a moment of yours.
     #[arg(long, value_name = "FILE")]
@@ -153,6 +160,7 @@ pub fn run(
     outputs.reads(file);
     let trace = outputs.open_if("--trace", options.trace.as_deref())?;
     let record = outputs.open_if("--record", options.record.as_deref())?;
+    let steps = outputs.open_if("--steps", options.steps.as_deref())?;
     let spikes = outputs.open_if("--spikes", options.spikes.as_deref())?;
     let page = options.out.as_deref().map(|directory| outputs.open_in("--out", directory, REPORT)).transpose()?;
     let bench = Bench::open(file, options.bench, &options.places, options.trace.is_some())?;
@@ -163,15 +171,17 @@ pub fn run(
     let lag = record.as_ref().map_or(RECORDS, |_| LOGGED_RECORDS);
     let axes = record.map(|sink| AxisLog::new(sink, file)).transpose();
     let frames = trace.map(|sink| FrameLog::new(sink, &bench.interfaces, bench.traces));
+    let cell = Arc::new(file.clone());
+    let mut task = RunningTask::new(&cell, program, links, devices.io, &servo, &rehearsed);
+    let steps = steps.map(|sink| StepFile::new(sink, file, task.keep_steps(STEPS))).transpose();
     let logs = Logs {
         records: servo.record(lag * file.cell.robot.len()),
         tracks: Tracks::new(file, page.is_some()),
         failed: None,
         axes: axes.context("--record")?,
+        steps: steps.context("--steps")?,
         frames: frames.transpose()?,
     };
-    let cell = Arc::new(file.clone());
-    let task = RunningTask::new(&cell, program, links, devices.io, &servo, &rehearsed);
     let figures = task.figures();
     requests.stop_through(servo.stop_request());
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
 
 use can::Instant;
-use controller::ecp::{EcpError, Subcontrollers};
+use controller::ecp::{EcpError, StepRecords, Subcontrollers};
 use controller::executor::{Ended, Executor, InstructionError, News, NotedError, SystemError, Turns};
 use controller::generator::{Axes, PlannedStart};
 use drive::Fault;
@@ -116,6 +116,11 @@ impl RunningTask {
         let mut workers = workers.into_iter();
         self.subcontrollers.plan_with(|| Box::new(workers.next().expect("each robot has one")));
         Ok(())
+    }
+
+    /// Keeps a journal of the steps of each robot, with room for `size` events.
+    pub(super) fn keep_steps(&mut self, size: usize) -> Vec<StepRecords> {
+        self.subcontrollers.keep_steps(size)
     }
 
     /// The figures that the task reports.
