@@ -43,6 +43,30 @@ pub enum LinkError {
     Gone,
 }
 
+/// What happens to one message of a link, in a test of the reaction to a bad wire.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Disturbance {
+    /// The message never comes.
+    Lost,
+    /// The message comes twice.
+    Doubled,
+    /// The message has the number of the next step.
+    Swapped,
+}
+
+/// A step, and what happens to its message.
+type Disturbed = (u64, Disturbance);
+
+/// Queues a message. Returns false if the queue is full.
+fn push<T: Copy>(queue: &mut rtrb::Producer<Numbered<T>>, message: Numbered<T>, disturbed: Option<Disturbed>) -> bool {
+    match disturbed.filter(|(step, _)| *step == message.step) {
+        None => queue.push(message).is_ok(),
+        Some((_, Disturbance::Lost)) => true,
+        Some((_, Disturbance::Doubled)) => queue.push(message).is_ok() && queue.push(message).is_ok(),
+        Some((step, Disturbance::Swapped)) => queue.push(Numbered { step: step + 1, ..message }).is_ok(),
+    }
+}
+
 /// A message with its number.
 #[derive(Clone, Copy, Debug)]
 struct Numbered<T> {
@@ -78,9 +102,7 @@ pub struct CoordinatorEnd<C, R> {
     /// Number of the next order of [`send`](Self::send), and of the next answer.
     next_order: u64,
     next_answer: u64,
-    /// Messages of this step that are lost, late, doubled or swapped.
-    #[cfg(test)]
-    pub(super) disturbed: Option<(u64, super::tests::Disturbance)>,
+    disturbed: Option<Disturbed>,
 }
 
 /// The member's end of a link.
@@ -98,6 +120,7 @@ pub struct MemberEnd<C, R> {
     wanted: Option<Instant>,
     received: Received<C>,
     ended: bool,
+    disturbed: Option<Disturbed>,
 }
 
 /// A new link.
@@ -109,11 +132,21 @@ pub fn link<C: Message, R: Message>(config: LinkConfig) -> (CoordinatorEnd<C, R>
         answers: answer_receiver,
         next_order: 0,
         next_answer: 0,
-        #[cfg(test)]
         disturbed: None,
     };
     let received = Received::None;
-    let member = MemberEnd { orders, answers, config, next: 0, step: 0, held: 0, wanted: None, received, ended: false };
+    let member = MemberEnd {
+        orders,
+        answers,
+        config,
+        next: 0,
+        step: 0,
+        held: 0,
+        wanted: None,
+        received,
+        ended: false,
+        disturbed: None,
+    };
     (coordinator, member)
 }
 
@@ -143,19 +176,12 @@ impl<C: Message, R: Message> CoordinatorEnd<C, R> {
     fn send(&mut self, at: Instant, value: Directive<C>) -> bool {
         let message = Numbered { step: self.next_order, at, value };
         self.next_order += 1;
-        #[cfg(test)]
-        if let Some((step, disturbance)) = self.disturbed
-            && step == message.step
-        {
-            use super::tests::Disturbance;
-            let other = Numbered { step: step + 1, ..message };
-            return match disturbance {
-                Disturbance::Lost => true,
-                Disturbance::Doubled => self.orders.push(message).and(self.orders.push(message)).is_ok(),
-                Disturbance::Swapped => self.orders.push(other).is_ok(),
-            };
-        }
-        self.orders.push(message).is_ok()
+        push(&mut self.orders, message, self.disturbed)
+    }
+
+    /// Disturbs the order of a step, for tests of a team.
+    pub fn disturb(&mut self, step: u64, disturbance: Disturbance) {
+        self.disturbed = Some((step, disturbance));
     }
 }
 
@@ -178,6 +204,11 @@ pub(crate) trait MemberLink: Send {
 }
 
 impl<C: Message, R: Message> MemberEnd<C, R> {
+    /// Disturbs the answer of a step, for tests of a team.
+    pub fn disturb(&mut self, step: u64, disturbance: Disturbance) {
+        self.disturbed = Some((step, disturbance));
+    }
+
     /// Takes one order. Returns whether there was one.
     fn take(&mut self, now: Instant) -> Result<bool, LinkError> {
         let Ok(Numbered { step, at, value }) = self.orders.pop() else {
@@ -246,6 +277,6 @@ impl<C: Message, R: Message> MemberLink for MemberEnd<C, R> {
     fn answer(&mut self, answer: &dyn Any, at: Instant) -> bool {
         let answer = answer.downcast_ref::<R>().copied();
         let numbered = answer.map(|value| Numbered { step: self.step, at, value });
-        numbered.is_some_and(|answer| self.answers.push(answer).is_ok())
+        numbered.is_some_and(|answer| push(&mut self.answers, answer, self.disturbed))
     }
 }

@@ -19,5 +19,5 @@ mod tests;
 
 pub(crate) use coordinator::Conduct;
 pub use coordinator::{Answers, Coordinator, CoordinatorError, NextOrders};
-pub use link::{CoordinatorEnd, Late, LinkConfig, LinkError, MemberEnd, link};
+pub use link::{CoordinatorEnd, Disturbance, Late, LinkConfig, LinkError, MemberEnd, link};
 pub(crate) use link::{MemberLink, Turn};

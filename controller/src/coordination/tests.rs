@@ -9,17 +9,6 @@ use can::Instant;
 use super::*;
 use crate::generator::{GeneratorError, Received, Sample};
 
-/// What happens to a message of a link.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Disturbance {
-    /// The message never comes.
-    Lost,
-    /// The message comes twice.
-    Doubled,
-    /// The message of the next step comes first.
-    Swapped,
-}
-
 const DEADLINE: Duration = Duration::from_millis(40);
 
 fn at(millis: u64) -> Instant {
@@ -81,7 +70,7 @@ fn a_message_of_another_step_is_an_error() {
         (Disturbance::Swapped, LinkError::WrongStep { expected: 1, received: 2 }),
     ] {
         let (mut coordinator, mut member) = link::<u32, u32>(blocking(Late::Stop));
-        coordinator.disturbed = Some((1, disturbance));
+        coordinator.disturb(1, disturbance);
         for order in 0..3 {
             coordinator.order(at(0), order);
         }

@@ -29,7 +29,7 @@ use join::Part;
 pub use agents::{Agent, Agents, News, Observer, Replacer};
 pub use error::{InstructionError, NotedError, SystemError};
 pub use join::{join, join_all};
-pub use team::{Team, TeamError};
+pub use team::{DisturbedMessage, Team, TeamError};
 pub use turns::Turns;
 
 /// How a task ended.

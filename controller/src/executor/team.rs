@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use super::join::Part;
 use super::{Agent, InstructionError, join_all};
-use crate::coordination::{Answers, Conduct, Coordinator, CoordinatorError, LinkConfig, link};
+use crate::coordination::{Answers, Conduct, Coordinator, CoordinatorError, Disturbance, LinkConfig, link};
 use crate::ecp::Task;
 use crate::generator::Generator;
 
@@ -18,6 +18,20 @@ use crate::generator::Generator;
 pub struct Team<'a, const N: usize> {
     members: [&'a mut Agent; N],
     link: LinkConfig,
+    disturbed: Option<DisturbedMessage>,
+}
+
+/// A message of a team that is disturbed, for tests.
+#[derive(Clone, Copy, Debug)]
+pub struct DisturbedMessage {
+    /// Index of the member in the team.
+    pub member: usize,
+    /// Whether the message is an answer of the member. Otherwise it is an order to the member.
+    pub answer: bool,
+    /// Number of the step.
+    pub step: u64,
+    /// What happens to the message.
+    pub disturbance: Disturbance,
 }
 
 /// Errors of a motion of a team. All members stand or are faulted.
@@ -34,7 +48,12 @@ pub enum TeamError {
 impl<'a, const N: usize> Team<'a, N> {
     /// A team of these members. `link` is the configuration of each link to the coordinator.
     pub fn new(members: [&'a mut Agent; N], link: LinkConfig) -> Self {
-        Self { members, link }
+        Self { members, link, disturbed: None }
+    }
+
+    /// Disturbs one message of the next motion, for tests of the reaction.
+    pub fn disturb(&mut self, message: DisturbedMessage) {
+        self.disturbed = Some(message);
     }
 
     /// Executes a motion of all members: the functions of the coordinator, and a generator per member. Ends when the
@@ -48,8 +67,15 @@ impl<'a, const N: usize> Team<'a, N> {
     {
         let members = self.members.iter().fold(0, |set, member| set | 1 << member.robot());
         let (agents, macrostep) = (self.members[0].agents().clone(), self.members[0].cell_macrostep());
+        let (mut number, disturbed) = (0, self.disturbed.take());
         let links = self.members.each_mut().map(|member| {
-            let (coordinator_end, member_end) = link::<K::Order, K::Answer>(self.link);
+            let (mut coordinator_end, mut member_end) = link::<K::Order, K::Answer>(self.link);
+            match disturbed.filter(|message| message.member == number) {
+                Some(DisturbedMessage { answer: true, step, disturbance, .. }) => member_end.disturb(step, disturbance),
+                Some(DisturbedMessage { step, disturbance, .. }) => coordinator_end.disturb(step, disturbance),
+                None => {}
+            }
+            number += 1;
             member.follow(Some(Box::new(member_end)));
             coordinator_end
         });

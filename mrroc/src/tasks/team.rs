@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use controller::coordination::{Answers, Coordinator, LinkConfig};
-use controller::executor::{self, TeamError};
+use controller::executor::{self, DisturbedMessage, TeamError};
 use controller::generator::Generator;
 
 use super::{Outcome, Robot, TaskError};
@@ -14,11 +14,17 @@ pub struct Team<'a, const N: usize> {
     file: Arc<CellFile>,
     members: [&'a mut Robot; N],
     link: LinkConfig,
+    disturbed: Option<DisturbedMessage>,
 }
 
 impl<'a, const N: usize> Team<'a, N> {
     pub(super) fn new(file: &Arc<CellFile>, members: [&'a mut Robot; N], link: LinkConfig) -> Self {
-        Self { file: Arc::clone(file), members, link }
+        Self { file: Arc::clone(file), members, link, disturbed: None }
+    }
+
+    /// Disturbs one message of the next motion, for tests of the reaction to a bad wire.
+    pub fn disturb(&mut self, message: DisturbedMessage) {
+        self.disturbed = Some(message);
     }
 
     /// The same team with these links between the coordinator and its members.
@@ -37,7 +43,11 @@ impl<'a, const N: usize> Team<'a, N> {
         G: Generator<Out: Answers<K::Answer>>,
     {
         let members = self.members.each_mut().map(|robot| &mut robot.agent);
-        let executed = executor::Team::new(members, self.link).execute(coordinator, generators).await;
+        let mut team = executor::Team::new(members, self.link);
+        if let Some(message) = self.disturbed.take() {
+            team.disturb(message);
+        }
+        let executed = team.execute(coordinator, generators).await;
         executed.map_err(|error| match error {
             TeamError::Member(error) => {
                 TaskError::Instruction { robot: self.file.cell.robot[error.robot].name.clone(), error }
