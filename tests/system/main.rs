@@ -61,6 +61,7 @@ mod slcan;
 mod socketcan;
 mod spikes;
 mod statics;
+mod steps;
 mod uml;
 mod vcan;
 mod vcan_cells;

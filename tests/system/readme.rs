@@ -42,6 +42,8 @@ fn excerpts(page: &str) -> Vec<&str> {
 fn excerpts_of_cell_files_in_the_book_are_accepted() {
     let directory = Directory::new();
     let irb6 = fs::read_to_string(example("irb6")).unwrap();
+    // The book has a table of this name too.
+    let irb6 = irb6.split("[task]").next().unwrap();
     let mut count = 0;
     for page in fs::read_dir(root().join("book/src")).unwrap() {
         let page = page.unwrap().path();

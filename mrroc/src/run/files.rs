@@ -81,20 +81,17 @@ impl Logs {
 
 /// The files of a run, written by a thread of its own: a file that takes nothing any more holds up nothing else.
 pub(super) struct Writing {
-    what: &'static str,
+    what: String,
     thread: Background<(anyhow::Result<()>, Tracks)>,
 }
 
 impl Writing {
     /// Begins. A file that cannot be written raises `failed`.
     pub(super) fn start(logs: Logs, failed: Arc<AtomicBool>) -> anyhow::Result<Self> {
-        let what = match (&logs.frames, &logs.axes, &logs.steps) {
-            (None, None, None) => "records",
-            (Some(_), None, None) => "trace",
-            (None, Some(_), None) => "record",
-            (None, None, Some(_)) => "steps",
-            _ => "trace, the record or the steps",
-        };
+        let files =
+            [("trace", logs.frames.is_some()), ("record", logs.axes.is_some()), ("steps", logs.steps.is_some())];
+        let kept: Vec<_> = files.into_iter().filter_map(|(file, kept)| kept.then_some(file)).collect();
+        let what = if kept.is_empty() { "records".to_owned() } else { kept.join(" or the ") };
         let drain = move |logs: &mut Logs| {
             failed.fetch_or(!logs.drain(), Ordering::Relaxed);
         };

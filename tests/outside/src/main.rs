@@ -35,7 +35,6 @@ async fn turn(cell: &mut Cell) -> Outcome {
 fn main() -> Result<(), mrroc::Error> {
     let cell = CellFile::read(std::env::args().nth(1).expect("the cell file"))?;
     let report = mrroc::run(&cell, BenchKind::Lockstep, turn)?;
-    let error = report.axes[0].tracking_rms_rad;
-    println!("{:?}, column {error:.6} rad rms", report.outcome);
+    println!("{:?}, column {:.6} rad rms", report.outcome, report.axes[0].tracking_rms_rad);
     Ok(())
 }
