@@ -98,7 +98,9 @@ impl Generator for Grip {
         last: &[f64; 3],
         (e, a0): &(EffectorImage, A<Displacement>),
     ) -> Result<Next<[f64; 3], Answer<f64>>, GeneratorError> {
-        let Displacement(order) = a0.0.younger_than(Duration::from_millis(100))?;
+        // The link gives each step the order of its number, however slowly the motion runs.
+        let order = a0.0.sample().ok_or(GeneratorError::NothingReceived)?;
+        let Displacement(order) = order.value;
         let [position, velocity, acceleration] =
             order.map(|[along, up]| Pose::translation(self.facing * along, 0.0, up).translation);
         let pose = position * self.start;

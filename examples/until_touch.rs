@@ -1,6 +1,6 @@
-//! A virtual sensor: the column turns slowly until the touch probe of the tool closes, and the gripper opens.
+//! A virtual sensor: the column turns slowly until the touch probe of the tool reports a touch, and an output is set.
 //!
-//! The probe is a digital input of an I/O node on the bus of the drives. The emulated probe closes at a fixed time.
+//! The probe is a digital input of an I/O node on the bus of the drives. The emulated probe is touched at a fixed time.
 
 use mrroc::prelude::*;
 
@@ -48,7 +48,7 @@ async fn find(cell: &mut Cell) -> Outcome {
     irb6.sense(probe.sensor(), Shell::NonInteractive, 1);
     irb6.execute(UntilTouch { probe: probe.number(), speed: 0.05, macrostep: 0.0 }).await?;
     gripper.set(true);
-    cell.figure("touched_at_rad", irb6.image()?.measured.joints.position[0]);
+    cell.figure("stopped_at_rad", irb6.image()?.measured.joints.position[0]);
     cell.sleep(Duration::from_millis(100)).await;
     irb6.disable().await
 }

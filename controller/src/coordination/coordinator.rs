@@ -23,10 +23,11 @@ pub trait Coordinator<const N: usize>: Send + Sync + 'static {
     /// The coordinator's own memory, `c0`.
     type Memory: Copy + Debug + Send + 'static;
 
-    /// Plans the motion, and gives the orders for the first steps of the members. `macrostep` is that of the cell.
+    /// Plans the motion, and gives the orders for the first steps of the members. `macrostep` is that of the cell, and
+    /// members keep it. Computed in the turn of the task: a plan that takes longer than a servo period delays all robots.
     fn first_step(&mut self, macrostep: Duration) -> Result<NextOrders<Self::Order, Self::Memory, N>, GeneratorError>;
 
-    /// Whether the motion ends. All members end after the step of these answers, and brake if they still move.
+    /// Whether the motion ends. All members end after step *i*, whose answers are given, and brake if they move.
     fn terminal(&self, memory: &Self::Memory, answers: &[Sample<Self::Answer>; N]) -> bool;
 
     /// The orders of the next step.

@@ -11,12 +11,13 @@ use crate::generator::{Message, Received, Sample};
 /// Messages of one direction that may be on the way.
 const QUEUE: usize = 4;
 
-/// What a link does with orders that are not there.
+/// How a member treats a missing order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinkConfig {
-    /// Whether a step waits for the order of its number. Otherwise it takes what is there.
+    /// Whether a step waits for the order of its number. Otherwise a step takes the latest order, if any.
     pub blocking: bool,
-    /// Longest wait for an order of a blocking link.
+    /// Longest wait for an order of a blocking link. In motion, the servo stops the team when the present macrostep ends
+    /// without a successor: a deadline acts only if it is shorter than the rest of the macrostep after its images are read.
     pub deadline: Duration,
     /// What a late order of a blocking link does.
     pub late: Late,
@@ -114,9 +115,11 @@ pub struct MemberEnd<C, R> {
     next: u64,
     /// Number of the present step.
     step: u64,
+    /// Number of the next answer.
+    next_answer: u64,
     /// Orders below this number are late and dropped.
     held: u64,
-    /// Time at which the present step first wanted its order.
+    /// Start of the wait for the order of the present step.
     wanted: Option<Instant>,
     received: Received<C>,
     ended: bool,
@@ -141,6 +144,7 @@ pub fn link<C: Message, R: Message>(config: LinkConfig) -> (CoordinatorEnd<C, R>
         config,
         next: 0,
         step: 0,
+        next_answer: 0,
         held: 0,
         wanted: None,
         received,
@@ -175,8 +179,9 @@ impl<C: Message, R: Message> CoordinatorEnd<C, R> {
 
     fn send(&mut self, at: Instant, value: Directive<C>) -> bool {
         let message = Numbered { step: self.next_order, at, value };
-        self.next_order += 1;
-        push(&mut self.orders, message, self.disturbed)
+        let sent = push(&mut self.orders, message, self.disturbed);
+        self.next_order += u64::from(sent);
+        sent
     }
 
     /// Disturbs the order of a step, for tests of a team.
@@ -192,6 +197,9 @@ pub(crate) trait MemberLink: Send {
 
     /// The present order, as a [`Received`].
     fn order(&self) -> &dyn Any;
+
+    /// Begins an instruction: orders and the end of an earlier motion are forgotten.
+    fn begin(&mut self);
 
     /// Age of the present order at `now`.
     fn age(&self, now: Instant) -> Option<Duration>;
@@ -214,6 +222,11 @@ impl<C: Message, R: Message> MemberEnd<C, R> {
         let Ok(Numbered { step, at, value }) = self.orders.pop() else {
             return Ok(false);
         };
+        // The end of the motion is never too late.
+        let Directive::Next(value) = value else {
+            self.ended = true;
+            return Ok(true);
+        };
         if step < self.held {
             return Ok(true);
         }
@@ -221,10 +234,7 @@ impl<C: Message, R: Message> MemberEnd<C, R> {
             return Err(LinkError::WrongStep { expected: self.next, received: step });
         }
         self.next += 1;
-        match value {
-            Directive::Next(value) => self.received = Received::New(Sample { at, age: now.since(at), value }),
-            Directive::EndMotion => self.ended = true,
-        }
+        self.received = Received::New(Sample { at, age: now.since(at), value });
         Ok(true)
     }
 
@@ -253,6 +263,10 @@ impl<C: Message, R: Message> MemberLink for MemberEnd<C, R> {
         &self.received
     }
 
+    fn begin(&mut self) {
+        (self.received, self.ended, self.wanted, self.step) = (Received::None, false, None, 0);
+    }
+
     fn age(&self, now: Instant) -> Option<Duration> {
         self.received.sample().map(|sample| now.since(sample.at))
     }
@@ -276,7 +290,9 @@ impl<C: Message, R: Message> MemberLink for MemberEnd<C, R> {
 
     fn answer(&mut self, answer: &dyn Any, at: Instant) -> bool {
         let answer = answer.downcast_ref::<R>().copied();
-        let numbered = answer.map(|value| Numbered { step: self.step, at, value });
-        numbered.is_some_and(|answer| push(&mut self.answers, answer, self.disturbed))
+        let numbered = answer.map(|value| Numbered { step: self.next_answer, at, value });
+        let sent = numbered.is_some_and(|answer| push(&mut self.answers, answer, self.disturbed));
+        self.next_answer += u64::from(sent);
+        sent
     }
 }

@@ -158,3 +158,36 @@ fn a_member_that_does_not_answer_is_an_error_of_the_coordinator_unless_motion_is
     let silent = CoordinatorError::Silent { step: 1, member: 1, waited };
     assert_eq!(conduct.poll(at(581), false), Poll::Ready(Err(silent)));
 }
+
+#[test]
+fn the_end_of_a_motion_and_old_orders_do_not_reach_the_next_motion() {
+    let config = LinkConfig { blocking: false, deadline: Duration::ZERO, late: Late::Hold };
+    let (mut coordinator, mut member) = link::<u32, u32>(config);
+    coordinator.order(at(0), 1);
+    coordinator.end_motion(at(1));
+    member.begin();
+    assert_eq!(member.poll(0, at(2)), Ok(Turn::EndMotion));
+    member.begin();
+    assert_eq!(member.poll(0, at(3)), Ok(Turn::Ready));
+    assert_eq!(received(&member), Received::None);
+    // Answers of both motions are numbered on.
+    for (step, value) in [(0, 5_u32), (1, 6)] {
+        assert!(member.answer(&value as &dyn Any, at(4)));
+        assert!(matches!(coordinator.answer(), Ok(Some((number, sample))) if number == step && sample.value == value));
+        member.begin();
+    }
+}
+
+#[test]
+fn an_order_that_finds_no_room_has_no_number_and_a_late_end_of_motion_is_taken() {
+    let (mut coordinator, mut member) = link::<u32, u32>(blocking(Late::Hold));
+    let sent = (0..5).filter(|order| coordinator.order(at(0), *order)).count();
+    assert_eq!(sent, 4);
+    for step in 0..4 {
+        assert_eq!(member.poll(step, at(0)), Ok(Turn::Ready));
+    }
+    assert_eq!(member.poll(4, at(0)), Ok(Turn::Waiting));
+    assert_eq!(member.poll(4, at(50)), Ok(Turn::Ready), "held");
+    assert!(coordinator.end_motion(at(51)));
+    assert_eq!(member.poll(5, at(52)), Ok(Turn::EndMotion));
+}

@@ -51,6 +51,9 @@ impl Ecp {
         let cycle = self.latest().at;
         self.journal.begin(cycle, description.generator, description.first);
         self.turn = 0;
+        if let Some(link) = &mut self.coordinator {
+            link.begin();
+        }
         self.sensors.begin();
         self.sensors.initiate(cycle);
         self.sensors.poll(cycle);
@@ -223,11 +226,12 @@ impl Ecp {
         };
         match run.next_step(&mut around) {
             Ok(Step::Continue(setpoint)) => {
-                self.journal.commit(cycle, || run.digest());
                 self.sensors.initiate(cycle);
-                match self.command(setpoint) {
-                    Ok(()) => self.journal.note(cycle, StepEvent::Exchange, None),
-                    Err(error) => self.brake(Err(error)),
+                if let Err(error) = self.command(setpoint) {
+                    self.brake(Err(error));
+                } else if let Activity::Running(run) = &self.activity {
+                    self.journal.note(cycle, StepEvent::Exchange, None);
+                    self.journal.commit(cycle, || run.digest());
                 }
             }
             Ok(Step::Ended) => return self.conclude(),

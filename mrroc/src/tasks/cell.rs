@@ -124,9 +124,10 @@ impl Cell {
     /// A team of these robots: a coordinator gives each of them an order in every macrostep, and the servo begins each
     /// macrostep of all of them in the same cycle. Whatever stops one stops all.
     ///
-    /// A member that has no order after two macrosteps ends the motion. [`Team::linked`] changes that.
+    /// A member that waits longer than a servo period for an order ends the motion. [`Team::linked`] sets another deadline or
+    /// reaction.
     pub fn team<'a, const N: usize>(&self, members: [&'a mut Robot; N]) -> Team<'a, N> {
-        let deadline = self.file.cell.period() * u32::from(self.file.cell.macrostep) * 2;
+        let deadline = self.file.cell.period();
         Team::new(&self.file, members, LinkConfig { blocking: true, deadline, late: Late::Stop })
     }
 
