@@ -63,6 +63,9 @@ impl Ecp {
 
     /// Reads the images of the first step once they are there, and begins to plan.
     pub(super) fn await_images(&mut self, since: Instant, now: Instant) -> Option<Result<(), EcpError>> {
+        if let Some(phase) = self.left_phase() {
+            return self.fail(EcpError::BrokenOff { phase });
+        }
         let Activity::Awaiting { run, .. } = &mut self.activity else {
             return None;
         };
@@ -71,8 +74,7 @@ impl Ecp {
             Ok(Turn::Ready) => {}
             Ok(Turn::Waiting) => {
                 let waited = now.since(since);
-                let late = waited > self.config.planning;
-                return if late { self.fail(EcpError::Unread { step: 0, waited }) } else { None };
+                return if self.is_late(waited) { self.fail(EcpError::Unread { step: 0, waited }) } else { None };
             }
             Ok(Turn::EndMotion) => return self.conclude().then_some(Ok(())),
             Err(error) => return self.fail(EcpError::Link { step: 0, error }),
@@ -105,23 +107,32 @@ impl Ecp {
         None
     }
 
+    /// Whether the first step of a generator, `waited` for since its begin, is too late. In motion, the stop must reach
+    /// the servo before the last macrostep ends.
+    fn is_late(&self, waited: Duration) -> bool {
+        if !self.in_motion {
+            return waited > self.config.planning;
+        }
+        let cycle = self.latest().at;
+        let reported = self.report.map_or(cycle, |report| report.snapshot.at);
+        self.outstanding() == 0 && cycle.since(reported) > self.margin
+    }
+
+    /// The phase, if a motion cannot begin in it.
+    fn left_phase(&self) -> Option<Phase> {
+        let phase = self.phase();
+        let begins = phase == Phase::Standing || self.in_motion && phase == Phase::Moving;
+        (!begins).then_some(phase)
+    }
+
     /// Takes the result of a first step, once it is computed.
     pub(super) fn advance_planning(&mut self, since: Instant, now: Instant) -> Option<Result<(), EcpError>> {
-        let phase = self.phase();
-        if phase != Phase::Standing && !(self.in_motion && phase == Phase::Moving) {
+        if let Some(phase) = self.left_phase() {
             return self.fail(EcpError::BrokenOff { phase });
         }
         let Some((mut run, first)) = self.planning.finished() else {
             let waited = now.since(since);
-            // In motion, the stop must reach the servo before the last macrostep ends.
-            let cycle = self.latest().at;
-            let reported = self.report.map_or(cycle, |report| report.snapshot.at);
-            let late = if self.in_motion {
-                self.outstanding() == 0 && cycle.since(reported) > self.margin
-            } else {
-                waited > self.config.planning
-            };
-            return if late { self.fail(EcpError::Unplanned { waited }) } else { None };
+            return if self.is_late(waited) { self.fail(EcpError::Unplanned { waited }) } else { None };
         };
         self.heard = now;
         // A next step that follows at once reads the present state, not the state before the planning.
