@@ -33,7 +33,8 @@ impl InputLine {
         self.link.inputs.read().input(self.line)
     }
 
-    /// A virtual sensor with all inputs of the node.
+    /// A virtual sensor with all inputs of the node. For two nodes, [mark](controller::sensor::VirtualSensor::marked)
+    /// the sensor of each node.
     pub fn sensor(&self) -> DigitalInputs {
         DigitalInputs::new(self.link.inputs.clone(), self.link.outputs.clone())
     }
