@@ -84,7 +84,7 @@ pub mod prelude {
     };
     pub use controller::path::{BSpline, Curve, JointPath, Path, PoseState, SplineEnds};
     pub use controller::robot::Space;
-    pub use controller::sensor::{DigitalInputs, Shell, VirtualSensor};
+    pub use controller::sensor::{DigitalInputs, Marked, Shell, VirtualSensor};
     pub use drive::cia401::InputImage;
 
     pub use crate::bench::BenchKind;

@@ -299,7 +299,7 @@ impl Partners for Around<'_> {
     }
 
     fn gives_readings(&self, reading: TypeId) -> bool {
-        self.sensors.reading(reading).is_some()
+        self.sensors.provides(reading)
     }
 
     fn reading(&self, reading: TypeId) -> Option<&dyn Any> {

@@ -349,7 +349,7 @@ impl Coordinator<2> for Weigh {
 #[test]
 fn a_coordinator_waits_for_its_interactive_sensor_and_tells_it_what_it_found() {
     let mut sensors = Sensors::default();
-    sensors.install(Scale { asked: None, tare: 0, broken: false }, Shell::Interactive, 1);
+    sensors.install(Scale { asked: None, tare: 0, broken: false }, Shell::Interactive, 1).unwrap();
     let (mut lead, mut members) = Lead::of_pair(Weigh, sensors);
     let mut orders = Vec::new();
     for step in 0..3 {
@@ -379,7 +379,7 @@ fn a_coordinator_waits_for_its_interactive_sensor_and_tells_it_what_it_found() {
 #[test]
 fn a_sensor_that_never_reads_is_an_error_of_the_coordinator_and_so_is_a_missing_one() {
     let mut sensors = Sensors::default();
-    sensors.install(Scale { asked: None, tare: 0, broken: true }, Shell::Interactive, 1);
+    sensors.install(Scale { asked: None, tare: 0, broken: true }, Shell::Interactive, 1).unwrap();
     let (mut lead, _members) = Lead::of_pair(Weigh, sensors);
     assert_eq!(lead.on_desk(at(0), false, Conduct::begin), Poll::Pending);
     let unread = CoordinatorError::Unread { step: 0, waited: Duration::from_millis(81) };

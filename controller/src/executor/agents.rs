@@ -13,8 +13,8 @@ use servo::Phase;
 use super::{InstructionError, LooseLink, NotedError, SystemError};
 use crate::coordination::{Desk, Late, LinkConfig, MemberLink, link};
 use crate::ecp::{Class, Ecp, EcpError, EcpEvent, NotRunning, Status, Subcontrollers, Task};
-use crate::generator::{EffectorImage, Generator, GeneratorError, Message};
-use crate::sensor::{Shell, VirtualSensor};
+use crate::generator::{EffectorImage, Generator, GeneratorError, Message, SensorReading};
+use crate::sensor::{SensorRefused, Shell, VirtualSensor};
 
 /// Greatest number of errors that are kept of one task.
 const MOST_ERRORS: usize = 1000;
@@ -290,10 +290,14 @@ impl Agent {
         self.robot
     }
 
-    /// Gives the effector's agent a virtual sensor, read every `period` macrosteps. The sensor replaces one with readings of
-    /// the same type.
-    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) {
-        self.agents.0.borrow_mut().at(self.robot).0.sensors().install(sensor, shell, period);
+    /// Gives the effector's agent a virtual sensor, as [`Sensors::install`](crate::sensor::Sensors::install).
+    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) -> Result<(), SensorRefused> {
+        self.agents.0.borrow_mut().at(self.robot).0.sensors().install(sensor, shell, period)
+    }
+
+    /// Removes the sensor with readings of type `R`. Returns whether there was one.
+    pub fn remove_sensor<R: SensorReading>(&mut self) -> bool {
+        self.agents.0.borrow_mut().at(self.robot).0.sensors().remove::<R>()
     }
 
     /// A new link from the task to this agent: loose coordination. Steps take the latest order that is there,

@@ -10,7 +10,7 @@ use super::{Agent, InstructionError, join_all};
 use crate::coordination::{Answers, Conduct, Coordinator, CoordinatorError, Disturbance, LinkConfig, link};
 use crate::ecp::Task;
 use crate::generator::Generator;
-use crate::sensor::{Sensors, Shell, VirtualSensor};
+use crate::sensor::{SensorRefused, Sensors, Shell, VirtualSensor};
 
 /// Effectors that execute motions together: tight coordination.
 ///
@@ -97,9 +97,9 @@ impl<'a, const N: usize> Team<'a, N> {
         self.disturbed = Some(message);
     }
 
-    /// Gives the coordinators of this team a virtual sensor, read every `period` macrosteps.
-    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) {
-        self.sensors.install(sensor, shell, period);
+    /// Gives the coordinators of this team a virtual sensor, as [`Sensors::install`].
+    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) -> Result<(), SensorRefused> {
+        self.sensors.install(sensor, shell, period)
     }
 
     /// Executes a motion of all members: the functions of the coordinator, and a generator per member. The members begin

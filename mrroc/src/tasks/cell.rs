@@ -6,7 +6,7 @@ use std::time::Duration;
 use controller::coordination::{Late, LinkConfig};
 use controller::ecp::Task;
 use controller::executor::{Agent, Agents, LooseLink, Observer, Replacer};
-use controller::generator::{EffectorImage, Generator, Message};
+use controller::generator::{EffectorImage, Generator, Message, SensorReading};
 use controller::sensor::{Shell, VirtualSensor};
 use drive::cia401::IoLink;
 use serde::de::DeserializeOwned;
@@ -178,9 +178,15 @@ impl Robot {
     }
 
     /// Gives the robot a virtual sensor, whose readings are the image [`V`](controller::generator::V) of its generators.
-    /// The sensor is read every `period` macrosteps, and replaces a sensor with readings of the same type.
-    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) {
-        self.agent.sense(sensor, shell, period);
+    /// A reading is taken every `period` macrosteps. Refuses a second sensor with readings or commands of the same type:
+    /// mark one of them ([`VirtualSensor::marked`]), or remove the first.
+    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) -> Outcome {
+        Ok(self.agent.sense(sensor, shell, period)?)
+    }
+
+    /// Removes the virtual sensor with readings of type `R`. Returns whether there was one.
+    pub fn remove_sensor<R: SensorReading>(&mut self) -> bool {
+        self.agent.remove_sensor::<R>()
     }
 
     /// Connects the robot to this task by a link. Orders of the task are the image [`A`](controller::generator::A) of its

@@ -33,10 +33,10 @@ impl<'a, const N: usize> Team<'a, N> {
         self
     }
 
-    /// Gives the coordinators of this team a virtual sensor, whose readings are [`Coordinator::Sensors`]. The sensor is
-    /// read every `period` macrosteps.
-    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) {
-        self.team.sense(sensor, shell, period);
+    /// Gives the coordinators of this team a virtual sensor, whose readings are [`Coordinator::Sensors`]. See
+    /// [`Robot::sense`].
+    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) -> Outcome {
+        Ok(self.team.sense(sensor, shell, period)?)
     }
 
     /// Executes a motion of all members: the functions of the coordinator, and a generator per member
