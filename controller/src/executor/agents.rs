@@ -127,6 +127,11 @@ impl Agents {
         if replace(taken, true) { None } else { Some(Agent { agents: self.clone(), robot }) }
     }
 
+    /// Time of the last servo cycle; zero before the first.
+    pub fn now(&self) -> Instant {
+        self.0.borrow().time()
+    }
+
     /// Waits for this time of the servo's cycles.
     pub async fn sleep(&self, duration: Duration) {
         let mut began = None;

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use can::Instant;
 use controller::coordination::{CoordinatorEnd, Late, LinkConfig};
 use controller::ecp::Task;
 use controller::executor::{Agent, Agents, Observer, Replacer};
@@ -103,6 +104,11 @@ impl Cell {
     /// (`--speed`, [`Requests::speed`](crate::run::Requests::speed)) acts in addition.
     pub fn speed(&self) -> &SpeedOverride {
         &self.speed
+    }
+
+    /// Time of the last servo cycle, by which messages of [`Robot::coordinated`] are stamped; zero before the first.
+    pub fn now(&self) -> Instant {
+        self.agents.now()
     }
 
     /// Waits for this time of the servo's cycles.
