@@ -43,7 +43,7 @@ mod trace;
 pub mod wire;
 
 pub use check::check;
-pub use motions::Motions;
+pub use motions::{Motions, PoseSize};
 pub use program_main::{ProgramOptions, program, run_program};
 pub use tasks::Program;
 

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::Duration;
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, anyhow};
 use controller::generator::{Jog, JogHandle, MotionLimits, Newsmooth, TimeOptimal};
 use controller::robot::{Arm, Space};
 use controller::trajectory_file::TrajectoryFile;
@@ -13,6 +13,16 @@ use crate::input;
 
 /// Greatest size of a trajectory file, bytes: several times what its greatest number of poses needs.
 const LARGEST_TRAJECTORY: usize = 64 << 20;
+
+/// A pose has another number of joints than the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a pose has {given} joints, and the robot has {axes}")]
+pub struct PoseSize {
+    /// Number of joints of the pose.
+    pub given: usize,
+    /// Number of joints of the robot.
+    pub axes: usize,
+}
 
 /// Makes generators for one robot of a cell.
 #[derive(Clone, Debug)]
@@ -84,10 +94,7 @@ impl Motions {
 
     fn check_axes(&self, given: usize) -> anyhow::Result<()> {
         let axes = self.arm.axes();
-        if given != axes {
-            bail!("a pose has {given} joints, and the robot has {axes}");
-        }
-        Ok(())
+        if given == axes { Ok(()) } else { Err(PoseSize { given, axes }.into()) }
     }
 }
 

@@ -112,7 +112,12 @@ pub(crate) struct Running {
 
 impl Running {
     pub(crate) fn start(arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Self {
-        Self::of(Command::new(binary()).args(arguments))
+        Self::program(binary(), arguments)
+    }
+
+    /// Starts another program of the workspace.
+    pub(crate) fn program(program: &Path, arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Self {
+        Self::of(Command::new(program).args(arguments))
     }
 
     /// `program` under `strace`, which writes every system call of every thread to `log`. If the host permits it,

@@ -127,7 +127,7 @@ impl Agents {
         if replace(taken, true) { None } else { Some(Agent { agents: self.clone(), robot }) }
     }
 
-    /// Time of the last servo cycle.
+    /// Time of the last servo cycle; zero before the first.
     pub(super) fn now(&self) -> Instant {
         self.0.borrow().time()
     }
