@@ -10,10 +10,12 @@ mod random;
 
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
+use std::time::Duration;
 
 use mrroc_controller::ecp::Task;
 use mrroc_controller::generator::{
-    Axes, LineLimits, MotionLimits, Newsmooth, Polynomial, Pose, SmoothPose, StraightLine, TimeOptimal,
+    Axes, AxesState, EffectorImage, Generator, GeneratorError, LineLimits, MotionLimits, Newsmooth, Next, Pace,
+    Polynomial, Pose, Setpoint, SmoothPose, StraightLine, TimeOptimal,
 };
 use mrroc_controller::robot::{Arm, Irb6, Irb6Parameters, Space};
 use servo::Phase;
@@ -159,4 +161,63 @@ fn a_motion_with_pauses_and_overrides_at_random_moments_passes_the_same_points()
         }
     }
     println!("{moments} moments of {CASES} motions: at most {farthest:.1e} rad from the path");
+}
+
+/// Swings the column by continuous feedback. Each next step reads the report of the macrostep before.
+struct Swing(Pace);
+
+/// Macrosteps of a swing, and its amplitude, rad.
+const SWING: u32 = 400;
+const AMPLITUDE: f64 = 0.02;
+
+impl Generator for Swing {
+    type First = ();
+    type Every = EffectorImage;
+    type Out = ();
+    /// Number of macrosteps done.
+    type Memory = u32;
+
+    fn pace(&self, _: Pace) -> Pace {
+        self.0
+    }
+
+    fn first_step(&mut self, (): &(), _: Duration) -> Result<Next<u32>, GeneratorError> {
+        Ok(Next::remember(0))
+    }
+
+    fn terminal(&self, done: &u32, _: &EffectorImage) -> bool {
+        *done == SWING
+    }
+
+    fn next_step(&self, done: &u32, _: &EffectorImage) -> Result<Next<u32>, GeneratorError> {
+        let done = done + 1;
+        let turn = std::f64::consts::TAU * f64::from(done) / f64::from(SWING);
+        let rate = std::f64::consts::TAU / (f64::from(SWING) * f64::from(self.0.periods) * DT);
+        let (mut position, mut velocity) = (Axes::default(), Axes::default());
+        position[..AXES].copy_from_slice(&START);
+        position[0] += AMPLITUDE * (1.0 - turn.cos());
+        velocity[0] = if done == SWING { 0.0 } else { AMPLITUDE * rate * turn.sin() };
+        Ok(Next::command(Setpoint::Joints(AxesState::new(position, velocity)), done))
+    }
+}
+
+#[test]
+fn continuous_feedback_up_to_the_last_period_of_a_macrostep_goes_on_under_any_override() {
+    for seed in 0..100 {
+        let mut random = Random(seed);
+        let periods = 1 + (random.next() % 4) as u16;
+        let mut start = Axes::default();
+        start[..AXES].copy_from_slice(&START);
+        let motors = arm().motors(&start).expect("the arm stands there");
+        let mut bench = Bench::<AXES>::new(arm(), &motors, SERVO, 8);
+        let swing = Swing(Pace { periods, read_at: periods });
+        bench.execute(Task::new().enable().run(swing), |bench, _| {
+            if random.next().is_multiple_of(30) {
+                let speed = bench.servo.speed_override();
+                speed.set(random.within(0.1, 1.5).min(1.0)).expect("a fraction");
+            }
+        });
+        let sent = bench.sent();
+        assert_eq!(sent.last().map(|at| at[0]), sent.first().map(|at| at[0]), "seed {seed}: the column is back");
+    }
 }
