@@ -45,6 +45,7 @@ mod outside;
 mod peers;
 mod qemu;
 mod random;
+mod reaction;
 mod readme;
 mod referenced;
 mod regression;

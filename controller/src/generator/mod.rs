@@ -144,9 +144,9 @@ pub trait Generator: Send + Sync + 'static {
         cell
     }
 
-    /// Number of macrosteps that may be sent ahead of the servo; `most` is the number of the cell. Fewer macrosteps let a
-    /// replacement act sooner, and bridge a shorter delay of the controller. Without effect if every next step reads
-    /// images.
+    /// Number of macrosteps of the cell that may be sent ahead of the servo; `most` is the number of the cell. Shorter
+    /// macrosteps of this generator are sent for the same time ahead. A shorter time lets a replacement act sooner, and
+    /// bridges a shorter delay of the controller. Without effect if every next step reads images.
     fn macrosteps_ahead(&self, most: u16) -> u16 {
         most
     }
@@ -191,6 +191,9 @@ pub struct Pace {
 impl Pace {
     /// Greatest number of periods.
     pub const MOST_PERIODS: u16 = 1000;
+
+    /// One period: each set-point of the generator is a set-point of the servo.
+    pub const PERIOD: Self = Self { periods: 1, read_at: 1 };
 }
 
 /// Result of one step, committed as a whole.
