@@ -140,7 +140,7 @@ impl Agents {
     }
 
     /// Asks in every turn of the task, with the time of the last servo cycle and whether motion is slowed.
-    pub(super) async fn until<T>(&self, mut ask: impl FnMut(Instant, bool) -> Poll<T> + Unpin) -> T {
+    pub async fn until<T>(&self, mut ask: impl FnMut(Instant, bool) -> Poll<T> + Unpin) -> T {
         Leaf::new(self, |board: &mut Board| ask(board.time(), board.is_slowed())).await
     }
 

@@ -7,6 +7,8 @@
 //! Read [`VirtualSensor`] first, then [`DigitalInputs`] as an example.
 
 mod digital;
+mod jog;
+mod operator;
 #[cfg(test)]
 mod tests;
 
@@ -18,6 +20,10 @@ use can::Instant;
 use crate::generator::{Message, Received, Sample, SensorReading};
 
 pub use digital::DigitalInputs;
+pub use jog::{JogCommand, JogHandle, JogPanel, JogReading};
+pub use operator::{
+    Asking, Operator, OperatorAnswer, OperatorCommand, OperatorError, OperatorLink, OperatorPanel, Question, Reaction,
+};
 
 /// A sensor as an agent sees it.
 pub trait VirtualSensor: Send + 'static {
