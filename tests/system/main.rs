@@ -62,6 +62,7 @@ mod socketcan;
 mod spikes;
 mod statics;
 mod steps;
+mod teach;
 mod uml;
 mod vcan;
 mod vcan_cells;

@@ -6,6 +6,7 @@ mod error;
 mod figures;
 mod lines;
 mod operator;
+mod teach;
 mod team;
 #[cfg(test)]
 pub(crate) mod tests;
