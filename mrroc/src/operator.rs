@@ -1,7 +1,7 @@
 //! The operator's console: lines of standard input, and texts on standard error.
 //!
-//! Threads of the console read and write. A run waits for none of them, except for a short time at its end until the last
-//! texts are shown.
+//! Threads of the console read and write. A run waits for none of them, except for a short time at its end until the
+//! last texts are shown.
 
 use std::io::{BufRead, BufReader, Read as _, stdin};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -36,8 +36,8 @@ pub(crate) struct Console {
 impl Console {
     /// A console of this process. `show` shows one text.
     ///
-    /// In lockstep, virtual time does not wait for an operator. Standard input is then read to its end first, so that two
-    /// runs with the same input are the same.
+    /// In lockstep, virtual time does not wait for an operator. Standard input is then read to its end first, so that
+    /// two runs with the same input are the same.
     pub(crate) fn start(
         bench: BenchKind,
         requests: &Requests,

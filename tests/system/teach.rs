@@ -160,6 +160,19 @@ fn an_input_that_ends_before_done_is_a_fault_and_no_file_is_written() {
 }
 
 #[test]
+fn check_takes_the_task_of_a_run() {
+    let directory = Directory::new();
+    directory.write("five.trj", "JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n0.3 -1.5 0 0 0\n");
+    directory.write("six.trj", "JOINT\n1\nABSOLUTE\n1 1 1 1 1 1\n1 1 1 1 1 1\n0 0 0 0 0 0\n");
+    for (task, file, status) in [("replay", "five.trj", 0), ("replay", "six.trj", 2), ("teach", "new.trj", 0)] {
+        let cell = cell(&directory, &format!("file = '{file}'"));
+        let run = mrroc(["check", cell.to_str().unwrap(), "--task", task]);
+        assert_eq!(run.status.code(), Some(status), "{task} {file}: {run:?}");
+    }
+    assert!(!directory.path("new.trj").exists());
+}
+
+#[test]
 fn a_teach_in_or_a_replay_that_cannot_succeed_is_refused_before_motion() {
     let directory = Directory::new();
     let six = "JOINT\n1\nABSOLUTE\n1 1 1 1 1 1\n1 1 1 1 1 1\n0 0 0 0 0 0\n";

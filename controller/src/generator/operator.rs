@@ -7,8 +7,8 @@ use can::Instant;
 use super::{Generator, GeneratorError, Next, Tell, V};
 use crate::sensor::{OperatorCommand, Reaction};
 
-/// Stands until the operator reacts to the question of an [`Operator`](crate::sensor::Operator), a virtual sensor of the
-/// agent. Class 2: each step reads the operator's reaction only.
+/// Stands until the operator reacts to the question of an [`Operator`](crate::sensor::Operator), a virtual sensor of
+/// the agent. Class 2: each step reads the operator's reaction only.
 ///
 /// The first step tells the sensor to ask. The motion ends with any reaction: an answer, a closed input, or a passed
 /// deadline. [`OperatorAnswer`](crate::sensor::OperatorAnswer) tells the task which.

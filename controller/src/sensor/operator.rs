@@ -111,7 +111,8 @@ impl Question {
         Self { rehearsed: Some(answer.into()), ..self }
     }
 
-    /// The same question with a deadline, by the time of the servo cycles, from the moment at which the question is shown.
+    /// The same question with a deadline, by the time of the servo cycles, from the moment at which the question is
+    /// shown.
     #[must_use]
     pub fn within(self, deadline: Duration) -> Self {
         Self { deadline: Some(deadline), ..self }

@@ -14,8 +14,8 @@ pub enum CarriedTask {
     Programs,
     /// All robots enable, home and disable.
     Home,
-    /// Records positions of a robot on the operator's command, and writes a trajectory file. The table `task` of the cell
-    /// file has the parameters. Needs --operator.
+    /// Records positions of a robot on the operator's command, and writes a trajectory file. The table `task` of the
+    /// cell file has the parameters. Needs --operator.
     Teach,
     /// Executes the trajectory file that the table `task` of the cell file names.
     Replay,

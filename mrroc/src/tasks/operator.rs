@@ -38,12 +38,12 @@ impl Desk {
 }
 
 impl Cell {
-    /// Asks the operator, and waits for the answer: a choice of the question, or a line if the question has no choices. A
-    /// line that is no choice is refused with a message, and the operator is asked again.
+    /// Asks the operator, and waits for the answer: a choice of the question, or a line if the question has no choices.
+    /// A line that is no choice is refused with a message, and the operator is asked again.
     ///
-    /// A rehearsal takes the [answer for rehearsals](Question::rehearsed). Without this answer, the rehearsal ends here, as
-    /// accepted. A run without an operator refuses the question, before any motion if the rehearsal comes to it. A closed
-    /// input and a passed deadline are errors of the class non-fatal.
+    /// A rehearsal takes the [answer for rehearsals](Question::rehearsed). Without this answer, the rehearsal ends
+    /// here, as accepted. A run without an operator refuses the question, before any motion if the rehearsal comes to
+    /// it. A closed input and a passed deadline are errors of the class non-fatal.
     pub async fn ask(&self, question: Question) -> Result<String, TaskError> {
         let (link, text) = (self.desk.link(&question)?, question.text().to_owned());
         let (mut asking, mut first) = (Asking::new(&link, question), true);

@@ -171,7 +171,7 @@ async fn record(cell: &Cell, robot: &mut Robot, parameters: &Parameters) -> Resu
         let line = cell.ask(Question::open(format!("{name}: {ORDERS}?"))).await?;
         match Order::parse(&line, &axes) {
             Ok(Order::Record) if poses.len() == MOST_POSES => {
-                cell.tell(format!("a file has at most {MOST_POSES} poses"))
+                cell.tell(format!("a file has at most {MOST_POSES} poses"));
             }
             Ok(Order::Record) => {
                 // With the drives off, the commanded position is the measured one.
