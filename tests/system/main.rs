@@ -65,6 +65,7 @@ mod spikes;
 mod statics;
 mod step_benches;
 mod steps;
+mod teach;
 mod uml;
 mod vcan;
 mod vcan_cells;
