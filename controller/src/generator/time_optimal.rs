@@ -23,6 +23,7 @@ const THERE: f64 = 1e-9;
 /// Between way-points a spline may leave the range that the way-points span.
 ///
 /// The first step allocates. Its computing time is below 1 ms for seven axes. No next step allocates.
+#[doc(alias = "toppra")]
 #[derive(Clone, Debug)]
 pub struct TimeOptimal {
     space: Space,

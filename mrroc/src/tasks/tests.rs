@@ -1,6 +1,7 @@
 //! Tasks on two IRb-6: errors, joins, dropped instructions, rehearsal, and refusals.
 
 mod team;
+mod transparent;
 
 use std::fs;
 use std::future::{pending, poll_fn};
