@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn a_motion_at_constant_velocity_continues_in_a_jerk_limited_one_and_a_generator_is_selected_by_memory() {
+    fn a_motion_at_constant_velocity_is_chained_and_combined_with_other_motions() {
         completes(async |cell: &mut Cell| {
             let mut robot = cell.robot("left")?;
             robot.enable().await?;
@@ -172,17 +172,21 @@ mod tests {
             let reached = robot.image()?.commanded.joints.position;
             assert!((reached[0] - target[0]).abs() < 1e-6, "{reached:?}");
 
-            // Two motions in which nothing is selected between, and a wait at rest after the first.
-            let wait =
-                || WithImages::<_, EffectorImage, EffectorImage>::of(Wait { duration: Duration::from_millis(100) });
-            let select = |memory: &SelectionMemory<u64, u64>, _: &EffectorImage| match memory.first {
-                0 => Selected::Second,
-                _ => Selected::First,
+            let (jog, mut operator) = motions.jog(Duration::from_millis(200))?;
+            let wait = WithImages::of(Wait { duration: Duration::from_secs(1) });
+            let select = |_: &SelectionMemory<_, _>, e: &EffectorImage| match e.commanded.pose.translation.z {
+                z if z < 1.5 => Selected::First,
+                _ => Selected::Second,
             };
-            robot.execute(motions.selection(wait(), wait(), select)?).await?;
+            let operated = async { Ok(operator.command(JogCommand::End)?) };
+            join(robot.execute(motions.selection(jog, wait, select)?), operated).await?;
+
             let back = motions.constant_velocity(&[-0.1, 0.0, 0.0, 0.0, 0.0])?.lasting(Duration::from_secs(1));
-            let sum = WeightedSum::new(Space::Joint, back, turning, 0.5)?;
+            let sum = WeightedSum::new(Space::Joint, back, turning, 0.25)?;
             robot.execute(sum).await?;
+            // Three quarters of the way back, and a quarter of the same way on.
+            let by = robot.image()?.commanded.joints.position[0] - target[0];
+            assert!((-0.075..-0.05).contains(&by), "{by}");
             Ok(())
         });
     }

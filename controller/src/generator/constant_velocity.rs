@@ -11,12 +11,13 @@ use crate::robot::Arm;
 const NO_ACCELERATION: f64 = 1e-6;
 const NO_CHANGE: f64 = 1e-9;
 
-/// A motion of the joints at a constant velocity, with jerk-limited acceleration and braking. Class 1, sporadic feedback.
+/// A motion of the joints at a constant velocity, with jerk-limited acceleration and braking. Class 1, sporadic
+/// feedback.
 ///
 /// All joints reach their velocities at the same time. The velocity is then held for the time of
 /// [`lasting`](Self::lasting) or the distance of [`over`](Self::over), and the joints brake to rest together. From rest
-/// to rest, the path is a straight line of the joints. With [`ending_in_motion`](Self::ending_in_motion), the motion ends
-/// at the velocity and the next generator continues from there.
+/// to rest, the path is a straight line of the joints. With [`ending_in_motion`](Self::ending_in_motion), the motion
+/// ends at the velocity and the next generator continues from there.
 ///
 /// The motion [begins in motion](Generator::begins_in_motion) if the generator before it ended so, and can replace
 /// another motion. An acceleration at the start is reduced to zero within the jerk limit first. Acceleration, constant
@@ -77,9 +78,9 @@ impl ConstantVelocity {
         Self { held: duration.as_secs_f64(), ..self }
     }
 
-    /// The same motion, which holds the velocity until the fastest joint has moved by `distance`, rad or m, rounded up to
-    /// whole macrosteps. Acceleration and braking need a further distance. Refuses a distance that is negative or not
-    /// finite, and a distance at rest.
+    /// The same motion, which holds the velocity until the fastest joint has moved by `distance`, rad or m, rounded up
+    /// to whole macrosteps. Acceleration and braking need a further distance. Refuses a distance that is negative or
+    /// not finite, and a distance at rest.
     pub fn over(self, distance: f64) -> Result<Self, GeneratorError> {
         let velocity = self.velocity.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
         let held = distance / velocity;

@@ -94,8 +94,8 @@ pub enum GeneratorError {
     /// A step of [`Transparent`](super::Transparent) for which a link that does not wait, or holds, has the last order.
     #[error("no new order: link the team so that each step waits for its order and a late order stops")]
     NoNewOrder,
-    /// The newly selected generator of a [`Selection`](super::Selection) does not continue the motion: velocity needed in
-    /// the next macrostep, and velocity commanded, rad/s or m/s.
+    /// The newly selected generator of a [`Selection`](super::Selection) does not continue the motion: velocity needed
+    /// in the next macrostep, and velocity commanded, rad/s or m/s.
     #[error("axis {axis}: the selected generator needs a velocity of {needed:.3} at once, after {commanded:.3}")]
     Switch { axis: u8, needed: f64, commanded: f64 },
     #[error("weight {weight} is not in [0, 1]")]

@@ -30,9 +30,9 @@
 //! `examples/own_generator.rs` and `examples/feedback.rs` are generators with their programs.
 //!
 //! # Generators of the library
-//! Positions are in rad, or m for a linear joint, and times in s. A generator with sporadic feedback reads images in its
-//! first step, and one with continuous feedback in every step. The effector is braked before a generator that does not
-//! begin in motion.
+//! Positions are in rad, or m for a linear joint, and times in s. A generator with sporadic feedback reads images in
+//! its first step, and one with continuous feedback in every step. The effector is braked before a generator that does
+//! not begin in motion.
 //!
 //! | generator | motion | set-points | class, feedback | begins in motion | ends in motion |
 //! |---|---|---|---|---|---|
@@ -48,9 +48,9 @@
 //! | [`Transparent`] | as a coordinator orders in every step | of the orders | 5, continuous | no | no |
 //! | [`Selection`] | of one of two generators | of the parts | parts and `e`, continuous | if both do | if one does |
 //! | [`WeightedSum`] | weighted sum of two generators | joints or motors | of the parts | if both do | if both do |
-//! | [`WithImages`] | of a generator, with more images declared | of the part | as declared | as the part | as the part |
+//! | [`WithImages`] | of a generator, with more images declared | of the part | declared | as the part | as the part |
 //!
-//! The position of an effector is read without a generator: [`Ecp::image`](crate::ecp::Ecp::image). An effector with its
+//! [`Ecp::image`](crate::ecp::Ecp::image) reads the position of an effector without a generator. An effector with its
 //! drives on holds its position between two motions.
 //!
 //! Read [`Generator`] first, then [`Wait`] as the smallest generator and [`Newsmooth`] as a planned generator.

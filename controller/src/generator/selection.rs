@@ -35,17 +35,17 @@ pub struct SelectionMemory<M, N> {
 /// Two generators, of which a function of memory and images selects one in every step.
 ///
 /// The function gives the same result for the same memory and images. The selected generator computes the step and
-/// determines the end. The memory of the other generator is kept. The first steps of both generators run when the selection
-/// begins, and the set-point and outputs of the first generator are sent. Both generators have the same images and outputs;
-/// [`WithImages`](super::WithImages) adapts a generator that reads less. The class is odd: the next steps read the effector
-/// to check each change. A selection is a generator, so that selections can be nested.
+/// determines the end. The memory of the other generator is kept. The first steps of both generators run when the
+/// selection begins, and the set-point and outputs of the first generator are sent. Both generators have the same
+/// images and outputs; [`WithImages`](super::WithImages) adapts a generator that reads less. The class is odd: the next
+/// steps read the effector to check each change. A selection is a generator, so that selections can be nested.
 ///
 /// The motion is continuous if the set-points of each generator continue from `e.commanded`. [`Jog`](super::Jog),
-/// [`Wait`](super::Wait) at rest and generators that integrate a velocity do so. A planned generator does so only if it is
-/// selected where its plan begins. A change of the generator is therefore checked in the joints. Their mean velocity in the
-/// macrostep must be within the limits. The difference to the commanded velocity must be possible in one macrostep within
-/// the acceleration limits. Another change is refused with [`GeneratorError::Switch`] before the set-point is sent, and
-/// the effector brakes.
+/// [`Wait`](super::Wait) at rest and generators that integrate a velocity do so. A planned generator does so only if it
+/// is selected where its plan begins. A change of the generator is therefore checked in the joints. Their mean velocity
+/// in the macrostep must be within the limits. The difference to the commanded velocity must be possible in one
+/// macrostep within the acceleration limits. Another change is refused with [`GeneratorError::Switch`] before the
+/// set-point is sent, and the effector brakes.
 ///
 /// ```
 /// # use std::{sync::Arc, time::Duration};
@@ -89,8 +89,8 @@ where
         Ok(Self { arm, limits, first, second, select, macrostep: 0.0 })
     }
 
-    /// Refuses a set-point that does not continue the commanded motion. A set-point that the arm cannot take, or that is
-    /// not finite, is refused where every set-point is checked.
+    /// Refuses a set-point that does not continue the commanded motion. A set-point that the arm cannot take, or that
+    /// is not finite, is refused where every set-point is checked.
     fn check(&self, e: &EffectorImage, setpoint: Option<Setpoint>) -> Result<(), GeneratorError> {
         let here = &e.commanded.joints;
         let position = match setpoint {

@@ -7,15 +7,15 @@ use super::{A, Answer, EffectorImage, Generator, GeneratorError, Next, Received,
 /// A member of a team whose set-points come from the coordinator in every macrostep (tight coordination). Class 5,
 /// continuous feedback: the set-point is the order `a0`, and the answer is the image `e`.
 ///
-/// An order is the state at the end of the next macrostep, in any form of [`Setpoint`]. The order `None` lets the effector
-/// stand; in the first step it sends no macrostep. A coordinator therefore gives `None` first, and plans from the first
-/// answers.
+/// An order is the state at the end of the next macrostep, in any form of [`Setpoint`]. The order `None` lets the
+/// effector stand; in the first step it sends no macrostep. A coordinator therefore gives `None` first, and plans from
+/// the first answers.
 ///
 /// In the answer, `commanded` is the start of the macrostep that the order of the same step commands.
 ///
-/// A step with an order that is not finite, or without a new order, is refused: no set-point is repeated, because it states a
-/// velocity. Both errors are non-fatal. They brake the whole team, and nothing of the refused order is sent. The motion ends
-/// when the coordinator ends it.
+/// A step with an order that is not finite, or without a new order, is refused: no set-point is repeated, because it
+/// states a velocity. Both errors are non-fatal. They brake the whole team, and nothing of the refused order is sent.
+/// The motion ends when the coordinator ends it.
 ///
 /// ```no_run
 /// # use std::time::Duration;

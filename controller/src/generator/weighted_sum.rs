@@ -23,16 +23,17 @@ const STILL: f64 = 1e-9;
 /// ```
 ///
 /// A constant weight keeps limits that both generators keep, because the sum lies between them. A
-/// [changing](Self::changing_to) weight adds up to 1.875 / T · |b − a| to the velocity for a change by 1 within the time T.
-/// The servo checks the sum as every set-point.
+/// [changing](Self::changing_to) weight adds up to 1.875 / T · |b − a| to the velocity for a change by 1 within the
+/// time T. The servo checks the sum as every set-point.
 ///
 /// Both generators compute every step. A generator that has ended stands at its end, and the sum ends with the later
 /// generator and after the change of the weight. Both generators have the same images and no outputs;
 /// [`WithImages`](super::WithImages) adapts a generator that reads less. The first step reads the effector. A sum is a
 /// generator, so that sums can be nested.
 ///
-/// Set-points of the other space, displacements and poses of the tool are refused with [`GeneratorError::NotAdded`]: a sum
-/// of poses is no pose. A generator that ends in motion before the other one is refused with [`GeneratorError::EndedInMotion`].
+/// Set-points of the other space, displacements and poses of the tool are refused with [`GeneratorError::NotAdded`]: a
+/// sum of poses is no pose. A generator that ends in motion before the other one is refused with
+/// [`GeneratorError::EndedInMotion`].
 ///
 /// ```
 /// # use mrroc_controller::generator::{JerkLimited, MotionLimits, Polynomial, WeightedSum};

@@ -7,7 +7,8 @@ use super::{A, Bundle, EffectorImage, Generator, GeneratorError, Images, Message
 
 /// A set of images that includes the set `Part`.
 ///
-/// Each of the eight sets includes itself and all sets of fewer of its images. The trait cannot be implemented elsewhere.
+/// Each of the eight sets includes itself and all sets of fewer of its images. The trait cannot be implemented
+/// elsewhere.
 #[diagnostic::on_unimplemented(
     message = "the images `{Self}` do not include `{Part}`",
     note = "declare a set with all images that its part has: `()`, `EffectorImage`, `V<..>`, `A<..>` or a tuple"
