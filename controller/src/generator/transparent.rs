@@ -19,27 +19,30 @@ use super::{A, Answer, EffectorImage, Generator, GeneratorError, Next, Received,
 ///
 /// ```no_run
 /// # use std::time::Duration;
-/// # use mrroc_controller::{coordination::{Coordinator, NextOrders}, generator::*};
+/// # use mrroc_controller::{coordination::{Coordinator, NextOrders, Orders}, generator::*};
 /// /// Lets both members stand for 50 macrosteps. Executed as `team.execute(Stand, [Transparent; 2])`.
 /// struct Stand;
 ///
 /// impl Coordinator<2> for Stand {
 ///     type Order = Option<Setpoint>;
 ///     type Answer = EffectorImage;
+///     type Sensors = ();
+///     type Out = ();
 ///     type Memory = u32;
-///     fn first_step(&mut self, _: Duration) -> Result<NextOrders<Option<Setpoint>, u32, 2>, GeneratorError> {
-///         Ok(NextOrders { orders: [None; 2], memory: 0 })
+///     fn first_step(&mut self, (): &(), _: Duration) -> Result<Orders<Self, 2>, GeneratorError> {
+///         Ok(NextOrders::new([None; 2], 0))
 ///     }
-///     fn terminal(&self, steps: &u32, _: &[Sample<EffectorImage>; 2]) -> bool {
+///     fn terminal(&self, steps: &u32, _: &[Sample<EffectorImage>; 2], (): &()) -> bool {
 ///         *steps == 50
 ///     }
 ///     fn next_step(
 ///         &self,
 ///         steps: &u32,
 ///         answers: &[Sample<EffectorImage>; 2],
-///     ) -> Result<NextOrders<Option<Setpoint>, u32, 2>, GeneratorError> {
-///         let here = |answer: &Sample<EffectorImage>| AxesState::at_rest(answer.value.commanded.joints.position);
-///         Ok(NextOrders { orders: answers.map(|answer| Some(Setpoint::Joints(here(&answer)))), memory: steps + 1 })
+///         (): &(),
+///     ) -> Result<Orders<Self, 2>, GeneratorError> {
+///         let here = answers.map(|answer| AxesState::at_rest(answer.value.commanded.joints.position));
+///         Ok(NextOrders::new(here.map(|state| Some(Setpoint::Joints(state))), steps + 1))
 ///     }
 /// }
 /// ```

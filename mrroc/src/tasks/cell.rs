@@ -3,9 +3,9 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use controller::coordination::{CoordinatorEnd, Late, LinkConfig};
+use controller::coordination::{Late, LinkConfig};
 use controller::ecp::Task;
-use controller::executor::{Agent, Agents, Observer, Replacer};
+use controller::executor::{Agent, Agents, LooseLink, Observer, Replacer};
 use controller::generator::{EffectorImage, Generator, Message};
 use controller::sensor::{Shell, VirtualSensor};
 use drive::cia401::IoLink;
@@ -184,8 +184,9 @@ impl Robot {
     }
 
     /// Connects the robot to this task by a link. Orders of the task are the image [`A`](controller::generator::A) of its
-    /// generators (loose coordination). Steps take the latest order that is there. An earlier link ends.
-    pub fn coordinated<C: Message, R: Message>(&mut self) -> CoordinatorEnd<C, R> {
+    /// generators (loose coordination). Steps take the latest order that is there. In a motion of a team the link rests. An
+    /// earlier link ends.
+    pub fn coordinated<C: Message, R: Message>(&mut self) -> LooseLink<C, R> {
         self.agent.coordinated()
     }
 
@@ -198,7 +199,7 @@ impl Robot {
     /// Executes a list of instructions. The list ends at its first error.
     pub async fn perform(&mut self, task: Task) -> Outcome {
         let performed = self.agent.perform(task).await;
-        performed.map_err(|error| TaskError::Instruction { robot: self.name().to_owned(), error })
+        performed.map_err(|error| TaskError::Instruction { robot: self.name().into(), error })
     }
 
     /// Switches the drives off. A moving robot brakes first.

@@ -1,6 +1,6 @@
 //! Errors of tasks.
 
-use controller::coordination::CoordinatorError;
+use controller::coordination::{CoordinatorError, LinkError};
 use controller::ecp::{Class, NotRunning};
 use controller::executor::{InstructionError, SystemError};
 use controller::generator::GeneratorError;
@@ -20,7 +20,7 @@ pub enum TaskError {
     #[error("robot {robot}: instruction {}: {error}", .error.instruction + 1)]
     Instruction {
         /// Name of the robot.
-        robot: String,
+        robot: Box<str>,
         /// Place and cause of the error.
         error: InstructionError,
     },
@@ -116,6 +116,12 @@ impl From<KinematicsError> for TaskError {
 
 impl From<PathError> for TaskError {
     fn from(error: PathError) -> Self {
+        Self::Refused(error.into())
+    }
+}
+
+impl From<LinkError> for TaskError {
+    fn from(error: LinkError) -> Self {
         Self::Refused(error.into())
     }
 }

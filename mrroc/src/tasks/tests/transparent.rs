@@ -23,14 +23,16 @@ struct Progress {
 impl Coordinator<2> for Mirror {
     type Order = Option<Setpoint>;
     type Answer = EffectorImage;
+    type Sensors = ();
+    type Out = ();
     type Memory = Progress;
 
-    fn first_step(&mut self, macrostep: Duration) -> Result<NextOrders<Option<Setpoint>, Progress, 2>, GeneratorError> {
+    fn first_step(&mut self, (): &(), macrostep: Duration) -> Result<Orders<Self, 2>, GeneratorError> {
         self.macrostep = macrostep.as_secs_f64();
-        Ok(NextOrders { orders: [None; 2], memory: Progress { step: 0, start: None } })
+        Ok(NextOrders::new([None; 2], Progress { step: 0, start: None }))
     }
 
-    fn terminal(&self, memory: &Progress, _: &[Sample<EffectorImage>; 2]) -> bool {
+    fn terminal(&self, memory: &Progress, _: &[Sample<EffectorImage>; 2], (): &()) -> bool {
         memory.step == STEPS
     }
 
@@ -38,7 +40,8 @@ impl Coordinator<2> for Mirror {
         &self,
         memory: &Progress,
         answers: &[Sample<EffectorImage>; 2],
-    ) -> Result<NextOrders<Option<Setpoint>, Progress, 2>, GeneratorError> {
+        (): &(),
+    ) -> Result<Orders<Self, 2>, GeneratorError> {
         let here = || answers.map(|answer| answer.value.commanded.joints.position);
         let start = memory.start.unwrap_or_else(here);
         let step = memory.step + 1;
@@ -55,7 +58,7 @@ impl Coordinator<2> for Mirror {
             }
             Some(Setpoint::Joints(state.accelerating(acceleration)))
         };
-        Ok(NextOrders { orders: [order(0), order(1)], memory: Progress { step, start: Some(start) } })
+        Ok(NextOrders::new([order(0), order(1)], Progress { step, start: Some(start) }))
     }
 }
 
