@@ -50,6 +50,9 @@ pub enum GeneratorError {
         "a distance of {distance} at a velocity of {velocity}: the distance must not be negative, nor the velocity zero"
     )]
     Distance { distance: f64, velocity: f64 },
+    /// A motion along a joint path begins where the effector stands.
+    #[error("axis {axis} stands {distance:.6} from the start of the path: move it there first")]
+    NotAtJointStart { axis: u8, distance: f64 },
     #[error("no profile within the limits")]
     NoProfile,
     /// The arm cannot take a pose of the path, at parameter `s` from 0 at the start to 1 at the end. The pose was found

@@ -40,7 +40,7 @@
 //! | [`Newsmooth`] | synchronised trapezoids through poses | joints or motors | 1, sporadic | no | no |
 //! | [`Polynomial`] | cubic or quintic to a pose | joints or motors | 1, sporadic | no | no |
 //! | [`JerkLimited`] | jerk-limited, to or through poses | joints or motors | 1, sporadic | to one pose | to one pose |
-//! | [`TimeOptimal`] | the fastest along a spline through poses | joints or motors | 1, sporadic | no | no |
+//! | [`TimeOptimal`] | the fastest along a spline or a B-spline | joints or motors | 1, sporadic | no | no |
 //! | [`ConstantVelocity`] | at a constant velocity for a time or a distance | joints | 1, sporadic | yes | on request |
 //! | [`StraightLine`] | straight line of the tool | joints | 1, sporadic | no | no |
 //! | [`Contour`] | line, arc, polyline with blends or B-spline of the tool | tool | 1, sporadic | no | no |
