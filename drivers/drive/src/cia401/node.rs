@@ -297,8 +297,8 @@ impl IoNode {
         }
     }
 
-    /// Latches a fault. The first fault stays until a reset or the next bring-up. A fault during a reset ends the reset,
-    /// and replaces the fault before.
+    /// Latches a fault. The first fault stays until a reset or the next bring-up. A fault during a reset ends the
+    /// reset, and replaces the fault before.
     pub(crate) fn latch(&mut self, fault: IoFault) {
         if self.recovers() {
             self.image.fault = None;
