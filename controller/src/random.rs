@@ -1,5 +1,7 @@
 //! Seeded random numbers of the tests.
 
+#![allow(dead_code, reason = "each test takes what it needs")]
+
 /// SplitMix64: a small seeded generator with the same results on all platforms.
 pub(crate) struct Random(pub(crate) u64);
 
@@ -12,7 +14,12 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// A number from `low` to `high`.
+    /// A whole number from 0, below `bound`.
+    pub(crate) fn below(&mut self, bound: usize) -> usize {
+        (self.next() % bound as u64) as usize
+    }
+
+    /// A number from `low`, below `high`.
     pub(crate) fn within(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (self.next() >> 11) as f64 / (1_u64 << 53) as f64
     }
