@@ -5,14 +5,32 @@ use std::mem::replace;
 use std::time::Duration;
 
 use can::Instant;
-use servo::{Macrostep, Order, Phase};
+use servo::{Macrostep, Order, Phase, Snapshot};
 
 use super::around::Around;
 use super::task::Instruction;
-use super::{Activity, BURST, ChartPhase, Ecp, EcpError, NotRunning, STILL, StepEvent};
+use super::{Activity, BURST, ChartPhase, Ecp, EcpConfig, EcpError, NotRunning, STILL, StepEvent};
 use crate::coordination::{LinkError, MemberLink, Turn};
-use crate::generator::{Axes, AxesState, Execution, Generator, Run, Setpoint, Step};
+use crate::generator::{Axes, AxesState, Execution, Generator, GeneratorError, Pace, Run, Setpoint, Step};
 use crate::sensor::Sensors;
+
+/// Bound of the number of macrosteps ahead, if they are shorter than the macrosteps of the cell.
+const SHORT_MACROSTEPS: u64 = 1000;
+
+impl EcpConfig {
+    /// Greatest number of macrosteps that are ahead of the last reported macrostep.
+    pub fn most_orders(&self) -> usize {
+        self.orders_ahead(self.macrosteps_ahead.max(1), Pace::PERIOD) as usize
+    }
+
+    /// Number of macrosteps of this pace that last as long as `macrosteps` of the cell, with a bound. At least
+    /// `macrosteps`.
+    fn orders_ahead(&self, macrosteps: u16, pace: Pace) -> u64 {
+        let macrosteps = u64::from(macrosteps);
+        let short = macrosteps * u64::from(self.pace.periods / pace.periods);
+        short.min(SHORT_MACROSTEPS).max(macrosteps)
+    }
+}
 
 impl Ecp {
     /// Replaces the generator of the present motion. The new generator plans from the end of the macrosteps that were
@@ -42,16 +60,20 @@ impl Ecp {
         self.chart = Some(ChartPhase::FirstStep);
         self.replacement = None;
         let left = self.pace.periods.saturating_sub(self.pace.read_at);
-        self.margin = self.config.period * u32::from(left.saturating_sub(1));
+        self.margin = self.config.period * u32::from(left);
         self.pace = match run.pace(self.config.pace) {
             Ok(pace) => pace,
             Err(error) => return self.fail(EcpError::Generator { step: 0, error }),
         };
+        let (cell, Pace { periods, .. }) = (self.config.pace.periods, self.pace);
+        if self.links.team.is_some() && periods != cell {
+            return self.fail(EcpError::Generator { step: 0, error: GeneratorError::PaceInTeam { cell, periods } });
+        }
         let description = run.description();
         let cycle = self.latest().at;
         self.journal.begin(cycle, description.generator, description.first);
         self.turn = 0;
-        if let Some(link) = &mut self.coordinator {
+        if let Some(link) = self.links.present() {
             link.begin();
         }
         self.sensors.begin();
@@ -69,8 +91,9 @@ impl Ecp {
         let Activity::Awaiting { run, .. } = &mut self.activity else {
             return None;
         };
-        let (class, cycle) = (run.description().first, self.link.latest.read().at);
-        match turn(class, &mut self.coordinator, &self.sensors, 0, cycle) {
+        let (class, latest) = (run.description().first, self.link.latest.read());
+        let cycle = latest.at;
+        match turn(class, self.links.present(), &self.sensors, 0, &latest) {
             Ok(Turn::Ready) => {}
             Ok(Turn::Waiting) => {
                 let waited = now.since(since);
@@ -82,7 +105,7 @@ impl Ecp {
         let around = Around {
             effector: &self.effector,
             sensors: &mut self.sensors,
-            coordinator: self.coordinator.as_deref_mut(),
+            coordinator: self.links.present(),
             journal: RefCell::new(&mut self.journal),
             now: cycle,
         };
@@ -115,7 +138,7 @@ impl Ecp {
         }
         let cycle = self.latest().at;
         let reported = self.report.map_or(cycle, |report| report.snapshot.at);
-        self.outstanding() == 0 && cycle.since(reported) > self.margin
+        self.outstanding() == 0 && cycle.since(reported) + self.config.period > self.margin
     }
 
     /// The phase, if a motion cannot begin in it.
@@ -144,7 +167,7 @@ impl Ecp {
         let mut around = Around {
             effector: &self.effector,
             sensors: &mut self.sensors,
-            coordinator: self.coordinator.as_deref_mut(),
+            coordinator: self.links.present(),
             journal: RefCell::new(&mut self.journal),
             now: cycle,
         };
@@ -212,12 +235,14 @@ impl Ecp {
             self.replaced = true;
             return self.conclude();
         }
-        if outstanding >= u64::from(run.macrosteps_ahead(self.config.macrosteps_ahead)) {
+        let class = run.description().every;
+        let ahead = run.macrosteps_ahead(self.config.macrosteps_ahead);
+        if outstanding >= if class == 0 { self.config.orders_ahead(ahead, self.pace) } else { 1 } {
             return false;
         }
-        let class = run.description().every;
-        let cycle = self.link.latest.read().at;
-        match turn(class, &mut self.coordinator, &self.sensors, self.turn + 1, cycle) {
+        let latest = self.link.latest.read();
+        let cycle = latest.at;
+        match turn(class, self.links.present(), &self.sensors, self.turn + 1, &latest) {
             Ok(Turn::Ready) => {}
             Ok(Turn::Waiting) => return false,
             Ok(Turn::EndMotion) => return self.conclude(),
@@ -231,7 +256,7 @@ impl Ecp {
         let mut around = Around {
             effector: &self.effector,
             sensors: &mut self.sensors,
-            coordinator: self.coordinator.as_deref_mut(),
+            coordinator: self.links.present(),
             journal: RefCell::new(&mut self.journal),
             now: cycle,
         };
@@ -304,17 +329,17 @@ impl Ecp {
     }
 }
 
-/// Whether a step of this class can take its images: readings that it waits for, and the order of its number. `now` is the
-/// time of the last servo cycle, as all times of images.
+/// Whether a step of this class can take its images: readings that it waits for, and the order of its number. Times are those
+/// of servo cycles, as all times of images.
 fn turn(
     class: u8,
-    coordinator: &mut Option<Box<dyn MemberLink>>,
+    coordinator: Option<&mut (dyn MemberLink + 'static)>,
     sensors: &Sensors,
     step: u64,
-    now: Instant,
+    latest: &Snapshot,
 ) -> Result<Turn, LinkError> {
     if class & 2 != 0 && !sensors.are_ready() {
         return Ok(Turn::Waiting);
     }
-    coordinator.as_mut().map_or(Ok(Turn::Ready), |link| link.poll(step, now))
+    coordinator.map_or(Ok(Turn::Ready), |link| link.poll(step, latest.at, latest.rate < 1.0))
 }

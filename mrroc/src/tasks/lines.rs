@@ -55,6 +55,12 @@ impl OutputLine {
         Self { link, line }
     }
 
+    /// Number of the output in its node. A command [`Tell`](controller::generator::Tell) of a generator to the sensor of
+    /// the node has the level of this output in this bit.
+    pub fn number(&self) -> u8 {
+        self.line
+    }
+
     /// Commands the level of the output. The next servo cycle sends the command.
     pub fn set(&self, level: bool) {
         self.link.outputs.set(self.line, level);
