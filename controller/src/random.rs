@@ -1,7 +1,5 @@
 //! Seeded random numbers of the tests.
 
-#![allow(dead_code, reason = "each test takes what it needs")]
-
 /// SplitMix64: a small seeded generator with the same results on all platforms.
 pub(crate) struct Random(pub(crate) u64);
 
@@ -12,11 +10,6 @@ impl Random {
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         z ^ (z >> 31)
-    }
-
-    /// A whole number from 0, below `bound`.
-    pub(crate) fn below(&mut self, bound: usize) -> usize {
-        (self.next() % bound as u64) as usize
     }
 
     /// A number from `low`, below `high`.

@@ -8,13 +8,17 @@ use crate::random::Random;
 const FILE: &str = "JOINT\n2\t\nABSOLUTE\n\t\t\n0.1\t\t0.2 \t1\n0.07 0.07, 0.07\n0.5\t-1.57 0.02\n\n0.1 0.1 0.1\n0.1 0.1 0.1\n\
                     0.25, -1.5, 1e-2";
 
+fn below(random: &mut Random, bound: u64) -> usize {
+    (random.next() % bound) as usize
+}
+
 #[test]
 fn a_written_file_is_read_back_exactly() {
     for seed in 0..2_000 {
         let mut random = Random(seed);
-        let coordinates = Coordinates::ALL[random.below(4)];
-        let motion = MotionType::ALL[random.below(2)];
-        let columns = 1 + random.below(8);
+        let coordinates = Coordinates::ALL[below(&mut random, 4)];
+        let motion = MotionType::ALL[below(&mut random, 2)];
+        let columns = 1 + below(&mut random, 8);
         let pose = |random: &mut Random| SmoothPose {
             position: std::array::from_fn(|_| {
                 let finite = f64::from_bits(random.next());
@@ -23,7 +27,7 @@ fn a_written_file_is_read_back_exactly() {
             velocity: std::array::from_fn(|_| 1.0 - random.within(0.0, 1.0)),
             acceleration: std::array::from_fn(|_| 1.0 - random.within(0.0, 1.0)),
         };
-        let poses: Vec<SmoothPose> = (0..1 + random.below(5)).map(|_| pose(&mut random)).collect();
+        let poses: Vec<SmoothPose> = (0..1 + below(&mut random, 5)).map(|_| pose(&mut random)).collect();
         let file = TrajectoryFile::new(coordinates, motion, columns, poses).unwrap();
         assert_eq!(TrajectoryFile::parse(&file.to_string()), Ok(file), "seed {seed}");
     }

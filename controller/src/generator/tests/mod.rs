@@ -22,6 +22,10 @@ impl Random {
     fn axes(&mut self, low: f64, high: f64) -> Axes {
         std::array::from_fn(|_| self.within(low, high))
     }
+
+    fn below(&mut self, bound: usize) -> usize {
+        (self.next() % bound as u64) as usize
+    }
 }
 
 /// An image of an effector at standstill with these joints and equal motors.
