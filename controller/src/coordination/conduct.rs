@@ -65,6 +65,8 @@ pub(crate) struct Desk<'a> {
     pub(crate) now: Instant,
     /// Whether the motion time of the cell runs slower than the clock.
     pub(crate) slowed: bool,
+    /// Whether a member brakes. Its instruction then ends, with the cause if the member failed.
+    pub(crate) braking: bool,
     /// The coordinators' journal.
     pub(crate) journal: &'a mut CoordinatorJournal,
     /// The planner of the first member.
@@ -222,9 +224,9 @@ impl<'a, K: Coordinator<N>, const N: usize> Conduct<'a, K, N> {
         if late { Err(CoordinatorError::Unread { step: self.step, waited }) } else { Ok(false) }
     }
 
-    /// Time since the last orders. A slowed motion begins the wait anew.
+    /// Time since the last orders. The wait begins anew while the motion is slowed, and while a member brakes.
     fn waited(&mut self, desk: &Desk) -> Duration {
-        if desk.slowed {
+        if desk.slowed || desk.braking {
             self.since = desk.now;
         }
         desk.now.since(self.since)

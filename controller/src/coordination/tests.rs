@@ -172,7 +172,7 @@ impl<K: Coordinator<2, Order = u32, Answer = u32>> Lead<K> {
         work: impl FnOnce(&mut Conduct<'static, K, 2>, &mut Desk) -> T,
     ) -> T {
         let Self { conduct, planning, journal, .. } = self;
-        work(conduct, &mut Desk { now, slowed, journal, planning, planning_limit: DEADLINE })
+        work(conduct, &mut Desk { now, slowed, braking: false, journal, planning, planning_limit: DEADLINE })
     }
 }
 

@@ -44,6 +44,11 @@ impl Ecp {
         self.links.team = link;
     }
 
+    /// Whether the process brakes its effector.
+    pub(crate) fn is_braking(&self) -> bool {
+        matches!(self.activity, Activity::Stopping { .. })
+    }
+
     /// The planner, and the time limit of the wait for its result.
     pub(crate) fn planning(&mut self) -> (&mut Planning, Duration) {
         (&mut self.planning, self.config.planning)

@@ -144,13 +144,18 @@ impl Agents {
         slept.await;
     }
 
-    /// Asks in every turn of the task, with the desk of a coordinator whose first member is `robot`.
-    pub(super) async fn at_desk<T>(&self, robot: usize, mut ask: impl FnMut(&mut Desk) -> Poll<T> + Unpin) -> T {
+    /// Asks in every turn of the task, with the desk of the coordinator of these robots.
+    pub(super) async fn at_desk<T, const N: usize>(
+        &self,
+        members: [usize; N],
+        mut ask: impl FnMut(&mut Desk) -> Poll<T> + Unpin,
+    ) -> T {
         let desk = |board: &mut Board| {
             let (now, slowed) = (board.time(), board.is_slowed());
             let (ecps, _, journal) = board.subcontrollers.parts();
-            let (planning, planning_limit) = ecps[robot].planning();
-            ask(&mut Desk { now, slowed, journal, planning, planning_limit })
+            let braking = members.iter().any(|robot| ecps[*robot].is_braking());
+            let (planning, planning_limit) = ecps[members[0]].planning();
+            ask(&mut Desk { now, slowed, braking, journal, planning, planning_limit })
         };
         Leaf::new(self, desk).await
     }

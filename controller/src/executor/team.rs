@@ -113,8 +113,8 @@ impl<'a, const N: usize> Team<'a, N> {
         G: Members<K::Answer, N>,
     {
         let Self { members, sensors, link: config, .. } = self;
-        let set = members.iter().fold(0, |set, member| set | 1 << member.robot());
-        let first = members[0].robot();
+        let robots = members.each_ref().map(|member| member.robot());
+        let set = robots.iter().fold(0, |set, robot| set | 1 << robot);
         let (agents, macrostep) = (members[0].agents().clone(), members[0].cell_macrostep());
         let (mut number, disturbed) = (0, self.disturbed.take());
         let links = members.each_mut().map(|member| {
@@ -130,7 +130,7 @@ impl<'a, const N: usize> Team<'a, N> {
         });
         let mut conduct = Conduct::new(coordinator, links, sensors, macrostep, config.deadline);
         let following = members.each_mut().map(|member| Following(member));
-        agents.at_desk(first, |desk| conduct.begin(desk)).await.map_err(TeamError::Coordinator)?;
+        agents.at_desk(robots, |desk| conduct.begin(desk)).await.map_err(TeamError::Coordinator)?;
         let under_way = Cell::new(N);
         let mut parts: Vec<Part<TeamError>> = Vec::with_capacity(N + 1);
         for (member, motion) in following.into_iter().zip(generators.motions()) {
@@ -143,7 +143,7 @@ impl<'a, const N: usize> Team<'a, N> {
                 Ok(())
             }));
         }
-        parts.push(Box::pin(agents.at_desk(first, |desk| {
+        parts.push(Box::pin(agents.at_desk(robots, |desk| {
             // Members that have ended their motions by themselves need no coordinator.
             if under_way.get() == 0 {
                 return Poll::Ready(Ok(()));

@@ -250,6 +250,43 @@ fn members_may_have_generators_of_different_types_but_keep_the_macrostep_of_the_
     });
 }
 
+/// Follows, and refuses its twentieth step.
+struct Refusing(Follow);
+
+impl Generator for Refusing {
+    type First = EffectorImage;
+    type Every = A<Height>;
+    type Out = Answer<()>;
+    type Memory = u32;
+
+    fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<u32, Answer<()>>, GeneratorError> {
+        self.0.first_step(e, macrostep).map(|_| Next::remember(0).with(Answer(())))
+    }
+    fn terminal(&self, _: &u32, _: &A<Height>) -> bool {
+        false
+    }
+    fn next_step(&self, step: &u32, a0: &A<Height>) -> Result<Next<u32, Answer<()>>, GeneratorError> {
+        if *step == 19 {
+            return Err(GeneratorError::User(3));
+        }
+        let Next { effector, .. } = self.0.next_step(&(), a0)?;
+        Ok(Next::command(effector.expect("it follows"), step + 1).with(Answer(())))
+    }
+}
+
+#[test]
+fn the_task_receives_the_cause_of_the_member_that_failed() {
+    accepted(async |cell: &mut Cell| {
+        let [mut left, mut right] = bent(cell).await?;
+        let members = (follow(), Refusing(follow()));
+        let failed = cell.team([&mut left, &mut right]).execute(Rise::sound(), members).await.unwrap_err();
+        let found = failed.instruction().expect("an error of a member");
+        let cause = EcpError::Generator { step: 19, error: GeneratorError::User(3) };
+        assert_eq!((found.robot, found.cause, failed.class()), (1, cause, Class::NonFatal));
+        Ok(())
+    });
+}
+
 #[test]
 fn a_link_to_the_task_rests_during_a_motion_of_a_team_and_then_goes_on() {
     accepted(async |cell: &mut Cell| {
