@@ -111,6 +111,30 @@ fn two_arms_carry_a_bar_within_the_bounds() {
     assert_eq!(figure("start_skew_cycles_max"), 0.0, "{figures}");
 }
 
+#[test]
+fn the_arm_that_is_free_serves_the_next_station() {
+    let (_, _, report) = run("dispatch", &example("two-irb6"));
+    let figure = |name: &str| report["figures"][name].as_f64().unwrap();
+    let (left, right) = (figure("served_by_left"), figure("served_by_right"));
+    assert!(left + right == 8.0 && left > right && right > 0.0, "{left} {right}");
+}
+
+/// The emulated light gate changes at 15 s. Filter and inhibit time of its node delay the frame by some milliseconds.
+#[test]
+fn the_arm_stops_at_the_position_that_it_had_at_the_edge() {
+    let (_, record, report) = run("latch_edge", &example("irb6-touch"));
+    let rows = record.lines().skip(1).map(|row| row.split(',').collect::<Vec<_>>());
+    let column: Vec<_> = rows.filter(|row| row[2] == "column").collect();
+    let number = |text: &str| text.parse::<f64>().unwrap();
+    let at_edge = column.iter().find(|row| number(row[1]) >= 15.0).unwrap();
+    let (position, velocity, end) = (number(at_edge[6]), number(at_edge[8]), number(column.last().unwrap()[5]));
+    let delay = (end - position) / velocity;
+    assert!((0.0..0.008).contains(&delay), "{delay} s after the edge");
+    // The motion went on for more than the tolerance.
+    let passed = report["figures"]["passed_by_rad"].as_f64().unwrap();
+    assert!(passed > 0.05 * 0.016, "{report}");
+}
+
 /// The first generator in the book: type and functions, without the task that uses it.
 #[test]
 fn the_first_generator_of_the_book_is_shorter_than_40_lines_and_is_that_of_the_example() {
