@@ -108,13 +108,11 @@ async fn dispatch(cell: &mut Cell) -> Outcome {
         let (mut given, mut served, mut finishing) = ([0; 2], [None; 2], 0);
         while finishing < 2 {
             for arm in 0..2 {
-                while let Some((_, answer)) = links[arm].answer()? {
-                    served[arm] = Some(answer.value);
-                }
+                served[arm] = links[arm].answer()?.map(|answer| answer.value).or(served[arm]);
                 if served[arm] == Some(given[arm]) {
                     let decision = stations.next().unwrap_or(Finish);
                     finishing += u32::from(matches!(decision, Finish));
-                    links[arm].order(cell.now(), decision);
+                    links[arm].order(decision)?;
                     given[arm] += 1;
                 }
             }

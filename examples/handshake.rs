@@ -95,13 +95,15 @@ const CLOSING: u32 = 25;
 impl Coordinator<1> for Conduct {
     type Order = Order;
     type Answer = Seen;
+    type Sensors = ();
+    type Out = ();
     type Memory = (Order, u32);
 
-    fn first_step(&mut self, _: Duration) -> Result<NextOrders<Order, Self::Memory, 1>, GeneratorError> {
-        Ok(NextOrders { orders: [Order::Approach], memory: (Order::Approach, 0) })
+    fn first_step(&mut self, (): &(), _: Duration) -> Result<Orders<Self, 1>, GeneratorError> {
+        Ok(NextOrders::new([Order::Approach], (Order::Approach, 0)))
     }
 
-    fn terminal(&self, (order, _): &Self::Memory, [seen]: &[Sample<Seen>; 1]) -> bool {
+    fn terminal(&self, (order, _): &Self::Memory, [seen]: &[Sample<Seen>; 1], (): &()) -> bool {
         *order == Order::Retreat && seen.value.angle <= 0.0
     }
 
@@ -109,13 +111,14 @@ impl Coordinator<1> for Conduct {
         &self,
         memory: &Self::Memory,
         [seen]: &[Sample<Seen>; 1],
-    ) -> Result<NextOrders<Order, Self::Memory, 1>, GeneratorError> {
+        (): &(),
+    ) -> Result<Orders<Self, 1>, GeneratorError> {
         let memory = match *memory {
             (Order::Approach, _) if seen.value.part && seen.value.velocity == 0.0 => (Order::Grip, 0),
             (Order::Grip, CLOSING) => (Order::Retreat, 0),
             (order, steps) => (order, steps + 1),
         };
-        Ok(NextOrders { orders: [memory.0], memory })
+        Ok(NextOrders::new([memory.0], memory))
     }
 }
 
@@ -124,7 +127,7 @@ async fn pick(cell: &mut Cell) -> Outcome {
     let (gate, gripper) = (cell.input("gate")?, cell.output("gripper")?);
     irb6.enable().await?;
     irb6.home().await?;
-    irb6.sense(gate.sensor(), Shell::NonInteractive, 1);
+    irb6.sense(gate.sensor(), Shell::NonInteractive, 1)?;
     let pick = Pick { gate: gate.number(), gripper: gripper.number(), macrostep: 0.0 };
     cell.team([&mut irb6]).execute(Conduct, [pick]).await?;
     cell.figure("ends_at_rad", irb6.image()?.measured.joints.position[0]);

@@ -73,15 +73,13 @@ async fn latch(cell: &mut Cell) -> Outcome {
     let gate = cell.input("gate")?;
     irb6.enable().await?;
     irb6.home().await?;
-    irb6.sense(gate.sensor(), Shell::NonInteractive, 1);
+    irb6.sense(gate.sensor(), Shell::NonInteractive, 1)?;
     let mut answers = irb6.coordinated::<(), Edge>();
     let found = std::cell::Cell::new(None);
     let search = Search { gate: gate.number(), speed: 0.05, acceleration: 0.2, macrostep: 0.0 };
     let listen = async {
         while found.get().is_none() {
-            while let Some((_, answer)) = answers.answer()? {
-                found.set(answer.value);
-            }
+            found.set(answers.answer()?.and_then(|answer| answer.value));
             cell.sleep(cell.file().cell.period()).await;
         }
         Outcome::Ok(())

@@ -36,14 +36,16 @@ struct Tray {
 impl Coordinator<2> for Raise {
     type Order = Height;
     type Answer = Option<f64>;
+    type Sensors = ();
+    type Out = ();
     type Memory = Tray;
 
-    fn first_step(&mut self, macrostep: Duration) -> Result<NextOrders<Height, Tray, 2>, GeneratorError> {
+    fn first_step(&mut self, (): &(), macrostep: Duration) -> Result<Orders<Self, 2>, GeneratorError> {
         self.macrostep = macrostep.as_secs_f64();
-        Ok(NextOrders { orders: [[0.0; 3]; 2], memory: Tray::default() })
+        Ok(NextOrders::new([[0.0; 3]; 2], Tray::default()))
     }
 
-    fn terminal(&self, tray: &Tray, _: &[Sample<Option<f64>>; 2]) -> bool {
+    fn terminal(&self, tray: &Tray, _: &[Sample<Option<f64>>; 2], (): &()) -> bool {
         tray.edge.is_some_and(|edge| (edge - tray.height).abs() < 1e-5)
     }
 
@@ -51,7 +53,8 @@ impl Coordinator<2> for Raise {
         &self,
         tray: &Tray,
         [left, right]: &[Sample<Option<f64>>; 2],
-    ) -> Result<NextOrders<Height, Tray, 2>, GeneratorError> {
+        (): &(),
+    ) -> Result<Orders<Self, 2>, GeneratorError> {
         let edge = tray.edge.or(left.value.zip(right.value).map(|(left, right)| (left + right) / 2.0));
         let (speed, acceleration) = LIMITS;
         let wanted = edge.map_or(speed, |edge| (RATE * (edge - tray.height)).clamp(-speed, speed));
@@ -59,7 +62,7 @@ impl Coordinator<2> for Raise {
         let velocity = wanted.clamp(tray.velocity - change, tray.velocity + change);
         let height = tray.height + (tray.velocity + velocity) / 2.0 * self.macrostep;
         let order = [height, velocity, (velocity - tray.velocity) / self.macrostep];
-        Ok(NextOrders { orders: [order; 2], memory: Tray { height, velocity, edge } })
+        Ok(NextOrders::new([order; 2], Tray { height, velocity, edge }))
     }
 }
 
@@ -115,7 +118,7 @@ async fn raise(cell: &mut Cell) -> Outcome {
     let [mut left, mut right] = cell.robots(["left", "right"])?;
     let gate = cell.input("gate")?;
     for robot in [&mut left, &mut right] {
-        robot.sense(gate.sensor(), Shell::NonInteractive, 1);
+        robot.sense(gate.sensor(), Shell::NonInteractive, 1)?;
     }
     let below = |robot: &Robot| robot.motions().joints(0.3, &[[0.0, -1.5, 0.2, 0.8, 0.0]]);
     let (one, other) = (below(&left)?, below(&right)?);

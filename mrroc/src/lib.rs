@@ -74,9 +74,9 @@ pub mod prelude {
     pub use std::process::ExitCode;
     pub use std::time::Duration;
 
-    pub use controller::coordination::{Coordinator, CoordinatorEnd, Late, LinkConfig, NextOrders};
+    pub use controller::coordination::{Coordinator, Late, LinkConfig, NextOrders, Orders};
     pub use controller::ecp::{Class, Task};
-    pub use controller::executor::{Observer, Replacer, join, join_all};
+    pub use controller::executor::{LooseLink, Observer, Replacer, join, join_all};
     pub use controller::generator::{
         A, Accelerations, Answer, AxesState, Contour, EffectorImage, FeedLimits, Generator, GeneratorError,
         JerkLimited, Jog, JogCommand, JogHandle, LineLimits, MotionLimits, Newsmooth, Next, Pace, Polynomial, Pose,
@@ -84,7 +84,7 @@ pub mod prelude {
     };
     pub use controller::path::{BSpline, Curve, JointPath, Path, PoseState, SplineEnds};
     pub use controller::robot::Space;
-    pub use controller::sensor::{DigitalInputs, Shell, VirtualSensor};
+    pub use controller::sensor::{DigitalInputs, Marked, Shell, VirtualSensor};
     pub use drive::cia401::InputImage;
 
     pub use crate::bench::BenchKind;

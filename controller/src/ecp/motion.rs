@@ -5,13 +5,13 @@ use std::mem::replace;
 use std::time::Duration;
 
 use can::Instant;
-use servo::{Macrostep, Order, Phase};
+use servo::{Macrostep, Order, Phase, Snapshot};
 
 use super::around::Around;
 use super::task::Instruction;
 use super::{Activity, BURST, ChartPhase, Ecp, EcpError, NotRunning, STILL, StepEvent};
 use crate::coordination::{LinkError, MemberLink, Turn};
-use crate::generator::{Axes, AxesState, Execution, Generator, Run, Setpoint, Step};
+use crate::generator::{Axes, AxesState, Execution, Generator, GeneratorError, Pace, Run, Setpoint, Step};
 use crate::sensor::Sensors;
 
 impl Ecp {
@@ -47,11 +47,15 @@ impl Ecp {
             Ok(pace) => pace,
             Err(error) => return self.fail(EcpError::Generator { step: 0, error }),
         };
+        let (cell, Pace { periods, .. }) = (self.config.pace.periods, self.pace);
+        if self.links.team.is_some() && periods != cell {
+            return self.fail(EcpError::Generator { step: 0, error: GeneratorError::PaceInTeam { cell, periods } });
+        }
         let description = run.description();
         let cycle = self.latest().at;
         self.journal.begin(cycle, description.generator, description.first);
         self.turn = 0;
-        if let Some(link) = &mut self.coordinator {
+        if let Some(link) = self.links.present() {
             link.begin();
         }
         self.sensors.begin();
@@ -69,8 +73,9 @@ impl Ecp {
         let Activity::Awaiting { run, .. } = &mut self.activity else {
             return None;
         };
-        let (class, cycle) = (run.description().first, self.link.latest.read().at);
-        match turn(class, &mut self.coordinator, &self.sensors, 0, cycle) {
+        let (class, latest) = (run.description().first, self.link.latest.read());
+        let cycle = latest.at;
+        match turn(class, self.links.present(), &self.sensors, 0, &latest) {
             Ok(Turn::Ready) => {}
             Ok(Turn::Waiting) => {
                 let waited = now.since(since);
@@ -82,7 +87,7 @@ impl Ecp {
         let around = Around {
             effector: &self.effector,
             sensors: &mut self.sensors,
-            coordinator: self.coordinator.as_deref_mut(),
+            coordinator: self.links.present(),
             journal: RefCell::new(&mut self.journal),
             now: cycle,
         };
@@ -144,7 +149,7 @@ impl Ecp {
         let mut around = Around {
             effector: &self.effector,
             sensors: &mut self.sensors,
-            coordinator: self.coordinator.as_deref_mut(),
+            coordinator: self.links.present(),
             journal: RefCell::new(&mut self.journal),
             now: cycle,
         };
@@ -216,8 +221,9 @@ impl Ecp {
             return false;
         }
         let class = run.description().every;
-        let cycle = self.link.latest.read().at;
-        match turn(class, &mut self.coordinator, &self.sensors, self.turn + 1, cycle) {
+        let latest = self.link.latest.read();
+        let cycle = latest.at;
+        match turn(class, self.links.present(), &self.sensors, self.turn + 1, &latest) {
             Ok(Turn::Ready) => {}
             Ok(Turn::Waiting) => return false,
             Ok(Turn::EndMotion) => return self.conclude(),
@@ -231,7 +237,7 @@ impl Ecp {
         let mut around = Around {
             effector: &self.effector,
             sensors: &mut self.sensors,
-            coordinator: self.coordinator.as_deref_mut(),
+            coordinator: self.links.present(),
             journal: RefCell::new(&mut self.journal),
             now: cycle,
         };
@@ -304,17 +310,17 @@ impl Ecp {
     }
 }
 
-/// Whether a step of this class can take its images: readings that it waits for, and the order of its number. `now` is the
-/// time of the last servo cycle, as all times of images.
+/// Whether a step of this class can take its images: readings that it waits for, and the order of its number. Times are those
+/// of servo cycles, as all times of images.
 fn turn(
     class: u8,
-    coordinator: &mut Option<Box<dyn MemberLink>>,
+    coordinator: Option<&mut (dyn MemberLink + 'static)>,
     sensors: &Sensors,
     step: u64,
-    now: Instant,
+    latest: &Snapshot,
 ) -> Result<Turn, LinkError> {
     if class & 2 != 0 && !sensors.are_ready() {
         return Ok(Turn::Waiting);
     }
-    coordinator.as_mut().map_or(Ok(Turn::Ready), |link| link.poll(step, now))
+    coordinator.map_or(Ok(Turn::Ready), |link| link.poll(step, latest.at, latest.rate < 1.0))
 }

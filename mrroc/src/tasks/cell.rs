@@ -3,11 +3,10 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use can::Instant;
-use controller::coordination::{CoordinatorEnd, Late, LinkConfig};
+use controller::coordination::{Late, LinkConfig};
 use controller::ecp::Task;
-use controller::executor::{Agent, Agents, Observer, Replacer};
-use controller::generator::{EffectorImage, Generator, Message};
+use controller::executor::{Agent, Agents, LooseLink, Observer, Replacer};
+use controller::generator::{EffectorImage, Generator, Message, SensorReading};
 use controller::sensor::{Shell, VirtualSensor};
 use drive::cia401::IoLink;
 use serde::de::DeserializeOwned;
@@ -106,11 +105,6 @@ impl Cell {
         &self.speed
     }
 
-    /// Time of the last servo cycle, by which messages of [`Robot::coordinated`] are stamped; zero before the first.
-    pub fn now(&self) -> Instant {
-        self.agents.now()
-    }
-
     /// Waits for this time of the servo's cycles.
     pub async fn sleep(&self, duration: Duration) {
         self.agents.sleep(duration).await;
@@ -184,14 +178,21 @@ impl Robot {
     }
 
     /// Gives the robot a virtual sensor, whose readings are the image [`V`](controller::generator::V) of its generators.
-    /// The sensor is read every `period` macrosteps, and replaces a sensor with readings of the same type.
-    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) {
-        self.agent.sense(sensor, shell, period);
+    /// A reading is taken every `period` macrosteps. Refuses a second sensor with readings or commands of the same type:
+    /// mark one of them ([`VirtualSensor::marked`]), or remove the first.
+    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) -> Outcome {
+        Ok(self.agent.sense(sensor, shell, period)?)
+    }
+
+    /// Removes the virtual sensor with readings of type `R`. Returns whether there was one.
+    pub fn remove_sensor<R: SensorReading>(&mut self) -> bool {
+        self.agent.remove_sensor::<R>()
     }
 
     /// Connects the robot to this task by a link. Orders of the task are the image [`A`](controller::generator::A) of its
-    /// generators (loose coordination). Steps take the latest order that is there. An earlier link ends.
-    pub fn coordinated<C: Message, R: Message>(&mut self) -> CoordinatorEnd<C, R> {
+    /// generators (loose coordination). Steps take the latest order that is there. In a motion of a team the link rests. An
+    /// earlier link ends.
+    pub fn coordinated<C: Message, R: Message>(&mut self) -> LooseLink<C, R> {
         self.agent.coordinated()
     }
 
@@ -204,7 +205,7 @@ impl Robot {
     /// Executes a list of instructions. The list ends at its first error.
     pub async fn perform(&mut self, task: Task) -> Outcome {
         let performed = self.agent.perform(task).await;
-        performed.map_err(|error| TaskError::Instruction { robot: self.name().to_owned(), error })
+        performed.map_err(|error| TaskError::Instruction { robot: self.name().into(), error })
     }
 
     /// Switches the drives off. A moving robot brakes first.

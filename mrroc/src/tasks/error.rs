@@ -6,6 +6,7 @@ use controller::executor::{InstructionError, SystemError};
 use controller::generator::GeneratorError;
 use controller::path::PathError;
 use controller::robot::KinematicsError;
+use controller::sensor::SensorRefused;
 use thiserror::Error;
 
 use crate::cell::FileError;
@@ -20,7 +21,7 @@ pub enum TaskError {
     #[error("robot {robot}: instruction {}: {error}", .error.instruction + 1)]
     Instruction {
         /// Name of the robot.
-        robot: String,
+        robot: Box<str>,
         /// Place and cause of the error.
         error: InstructionError,
     },
@@ -128,6 +129,12 @@ impl From<LinkError> for TaskError {
 
 impl From<NotRunning> for TaskError {
     fn from(error: NotRunning) -> Self {
+        Self::Refused(error.into())
+    }
+}
+
+impl From<SensorRefused> for TaskError {
+    fn from(error: SensorRefused) -> Self {
         Self::Refused(error.into())
     }
 }

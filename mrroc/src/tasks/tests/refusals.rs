@@ -106,15 +106,17 @@ enum Fails {
 impl Coordinator<2> for Fails {
     type Order = f64;
     type Answer = ();
+    type Sensors = ();
+    type Out = ();
     type Memory = u32;
 
-    fn first_step(&mut self, _: Duration) -> Result<NextOrders<f64, u32, 2>, GeneratorError> {
-        Ok(NextOrders { orders: [0.0; 2], memory: 0 })
+    fn first_step(&mut self, (): &(), _: Duration) -> Result<Orders<Self, 2>, GeneratorError> {
+        Ok(NextOrders::new([0.0; 2], 0))
     }
-    fn terminal(&self, step: &u32, _: &[Sample<()>; 2]) -> bool {
+    fn terminal(&self, step: &u32, _: &[Sample<()>; 2], (): &()) -> bool {
         *step == 40
     }
-    fn next_step(&self, step: &u32, _: &[Sample<()>; 2]) -> Result<NextOrders<f64, u32, 2>, GeneratorError> {
+    fn next_step(&self, step: &u32, _: &[Sample<()>; 2], (): &()) -> Result<Orders<Self, 2>, GeneratorError> {
         match self {
             Self::Panics => assert!(*step < 20, "as the test asks"),
             Self::Hangs if *step == 20 => loop {
@@ -122,7 +124,7 @@ impl Coordinator<2> for Fails {
             },
             Self::Never | Self::Hangs => {}
         }
-        Ok(NextOrders { orders: [1e-3; 2], memory: step + 1 })
+        Ok(NextOrders::new([1e-3; 2], step + 1))
     }
 }
 
@@ -155,7 +157,7 @@ impl Generator for Turn {
 #[test]
 fn a_coordinator_that_panics_or_hangs_in_motion_leaves_all_robots_at_rest() {
     let hung = "the task did not return from its turn within 10s";
-    for (fails, said) in [(Fails::Panics, "the task panicked"), (Fails::Hangs, hung)] {
+    for (fails, said) in [(Fails::Panics, "coordinator of a team: step 21: the step panicked"), (Fails::Hangs, hung)] {
         let task = async move |cell: &mut Cell| {
             let [mut left, mut right] = ready(cell).await?;
             let coordinator = if cell.rehearsing() { Fails::Never } else { fails };
