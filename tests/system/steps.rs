@@ -64,11 +64,11 @@ pub(crate) fn lines(steps: &str) -> impl Iterator<Item = Line<'_>> {
     })
 }
 
-/// The images that the steps of each generator read, by generator and class.
-fn images(steps: &str) -> BTreeMap<(&str, u8), BTreeSet<&str>> {
+/// The images that the steps of each generator and coordinator read, by agent, generator and class.
+fn images(steps: &str) -> BTreeMap<(&str, &str, u8), BTreeSet<&str>> {
     let mut images = BTreeMap::<_, BTreeSet<_>>::new();
-    for Line { generator, class, event, .. } in lines(steps) {
-        let read = images.entry((generator, class)).or_default();
+    for Line { agent, generator, class, event, .. } in lines(steps) {
+        let read = images.entry((agent, generator, class)).or_default();
         if event.starts_with("read-") {
             read.insert(event);
         }
@@ -89,8 +89,10 @@ fn every_example_reads_the_images_of_its_class_and_repeats_bit_for_bit_in_lockst
         let cell = example(&cell);
         let (one, two) = (run(&program, &cell), run(&program, &cell));
         assert!(one == two, "{program} differs from run to run");
-        for ((generator, class), read) in images(&one.0) {
-            let declared = [("read-effector", 1), ("read-sensor", 2), ("read-order", 4)];
+        for ((agent, generator, class), read) in images(&one.0) {
+            // The answers of the members are the effector of a coordinator.
+            let effector = if agent == "coordinator" { "read-answer" } else { "read-effector" };
+            let declared = [(effector, 1), ("read-sensor", 2), ("read-order", 4)];
             let declared = declared.into_iter().filter_map(|(image, bit)| (class & bit != 0).then_some(image));
             assert_eq!(read, declared.collect(), "{program}: {generator}, class {class}");
         }
