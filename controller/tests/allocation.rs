@@ -10,14 +10,16 @@ use std::time::Duration;
 use can::Instant;
 use mrroc_controller::ecp::{Ecp, EcpConfig, Task};
 use mrroc_controller::generator::{
-    Axes, Contour, FeedLimits, Generator, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Pace, Pose,
-    SmoothPose, StraightLine, TimeOptimal,
+    Axes, AxesState, Contour, EffectorImage, FeedLimits, Generator, GeneratorError, JerkLimited, LineLimits,
+    MotionLimits, Newsmooth, Next, Pace, Polynomial, Pose, SensorReading, Setpoint, SmoothPose, StraightLine,
+    TimeOptimal, V,
 };
 use mrroc_controller::path::{BSpline, Curve, Path, SplineEnds};
 use mrroc_controller::robot::{
     Arm, Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Mass, Polycrank,
     PolycrankParameters, Rnt, RntParameters, Robot, Space, Weight,
 };
+use mrroc_controller::sensor::{Shell, VirtualSensor};
 use servo::{EffectorLink, Order, Phase, ServoReport};
 
 /// The system's allocator, with a count of the allocations of each thread.
@@ -55,6 +57,48 @@ fn arm() -> Arm {
 
 const START: Axes = [0.2, -FRAC_PI_2, 0.1, 0.2, 1.2, 0.3, 0.0, 0.0];
 
+/// A distance, m.
+#[derive(Clone, Copy)]
+struct Distance(f64);
+
+impl SensorReading for Distance {}
+
+struct DistanceSensor;
+
+impl VirtualSensor for DistanceSensor {
+    type Reading = Distance;
+    type Command = ();
+
+    fn poll(&mut self, now: Instant) -> Option<(Instant, Distance)> {
+        Some((now, Distance(0.1)))
+    }
+}
+
+/// Reads effector and sensor in every step, and moves joint 0 by a part of the distance.
+struct Follow;
+
+impl Generator for Follow {
+    type First = ();
+    type Every = (EffectorImage, V<Distance>);
+    type Out = ();
+    /// Number of macrosteps done.
+    type Memory = u32;
+
+    fn first_step(&mut self, (): &(), _: Duration) -> Result<Next<u32>, GeneratorError> {
+        Ok(Next::remember(0))
+    }
+
+    fn terminal(&self, done: &u32, _: &Self::Every) -> bool {
+        *done == 100
+    }
+
+    fn next_step(&self, done: &u32, (e, v): &Self::Every) -> Result<Next<u32>, GeneratorError> {
+        let mut position = e.commanded.joints.position;
+        position[0] += 0.001 * v.0.younger_than(Duration::from_secs(1))?.0;
+        Ok(Next::command(Setpoint::Joints(AxesState::at_rest(position)), done + 1))
+    }
+}
+
 /// Runs one generator to its end, with a servo that follows every command exactly. Counts the allocations of the
 /// planning poll, and those of all other polls.
 fn allocations(generator: Result<impl Generator, GeneratorError>) -> (u64, u64) {
@@ -73,6 +117,7 @@ fn allocations(generator: Result<impl Generator, GeneratorError>) -> (u64, u64) 
     };
     let (mut publisher, latest) = servo::latest();
     let mut ecp = Ecp::new(arm(), EffectorLink { orders, reports, latest }, config);
+    ecp.sensors().install(DistanceSensor, Shell::NonInteractive, 1).unwrap();
     let mut report = ServoReport { reached: true, ..ServoReport::default() };
     (report.snapshot.phase, report.snapshot.homed, report.snapshot.axes) = (Phase::Standing, true, 6);
     (report.snapshot.commanded, report.snapshot.measured) = (motors, motors);
@@ -109,6 +154,8 @@ fn no_generator_allocates_once_it_was_made() {
     let poses: [Axes; 4] = [pose(1.0), pose(2.0), pose(3.0), pose(4.0)];
     let smooth = poses.map(SmoothPose::fast).to_vec();
     assert_eq!(allocations(Newsmooth::new(Space::Joint, 6, limits, smooth)), (0, 0), "newsmooth");
+    assert_eq!(allocations(Polynomial::quintic(Space::Joint, 6, limits, poses[0])), (0, 0), "quintic");
+    assert_eq!(allocations(Ok(Follow)), (0, 0), "feedback of effector and sensor");
     let direct = JerkLimited::new(Space::Joint, 6, limits, &poses[..1]);
     assert_eq!(allocations(direct), (0, 0), "jerk-limited");
     let through = JerkLimited::new(Space::Joint, 6, limits, &poses);

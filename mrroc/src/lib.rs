@@ -28,6 +28,7 @@ pub mod charts;
 pub mod check;
 pub mod input;
 mod motions;
+mod operator;
 pub mod outputs;
 mod program_main;
 pub mod rehearsal;
@@ -79,12 +80,15 @@ pub mod prelude {
     pub use controller::executor::{LooseLink, Observer, Replacer, join, join_all};
     pub use controller::generator::{
         A, Accelerations, Answer, AxesState, Contour, EffectorImage, FeedLimits, Generator, GeneratorError,
-        JerkLimited, Jog, JogCommand, JogHandle, LineLimits, MotionLimits, Newsmooth, Next, Pace, Polynomial, Pose,
+        JerkLimited, Jog, LineLimits, MotionLimits, Newsmooth, Next, OperatorReaction, Pace, Polynomial, Pose,
         Received, Sample, SensorReading, Setpoint, SmoothPose, StraightLine, Tell, TimeOptimal, V, Wait,
     };
     pub use controller::path::{BSpline, Curve, JointPath, Path, PoseState, SplineEnds};
     pub use controller::robot::Space;
-    pub use controller::sensor::{DigitalInputs, Marked, Shell, VirtualSensor};
+    pub use controller::sensor::{
+        DigitalInputs, JogCommand, JogHandle, JogPanel, JogReading, Marked, Operator, Question, Reaction, Shell,
+        VirtualSensor,
+    };
     pub use drive::cia401::InputImage;
 
     pub use crate::bench::BenchKind;

@@ -26,9 +26,9 @@ const LONGEST_HOMING: Duration = Duration::from_secs(3600);
 /// Longest first step of a generator.
 const PLANNING: Duration = Duration::from_secs(60);
 
-/// Number of macrosteps that a generator may be ahead of the servo, if the generator does not need feedback from the
-/// servo. At the usual 20 ms, the queue bridges two seconds in which only the servo thread gets the processor. A stop
-/// drops these macrosteps.
+/// Number of the cell's macrosteps that a generator may be ahead of the servo, if the generator does not need feedback
+/// from the servo. At the usual 20 ms, the queue bridges two seconds in which only the servo thread gets the processor.
+/// A stop drops these macrosteps.
 const MACROSTEPS_AHEAD: u16 = 100;
 
 /// The drives of bus `bus`, in the order of `Cell::axes_on`.
@@ -111,7 +111,7 @@ pub fn servo_config(file: &CellFile) -> ServoConfig {
         let axes = servo_axes(file, index);
         EffectorConfig {
             name: robot.name.clone(),
-            queue: usize::from(MACROSTEPS_AHEAD) + 8,
+            queue: ecp_config(file, index).most_orders() + 8,
             enabling_timeout: ENABLING,
             homing_timeout: homing_timeout(file, index, &axes),
             axes,

@@ -181,7 +181,7 @@ impl Effector {
         let snapshot = self.snapshot(tick);
         self.latest.publish(&snapshot);
         if due || self.news {
-            let reached = self.state != ServoState::Moving || self.segment.as_ref().is_none_or(Segment::has_reported);
+            let reached = self.state != ServoState::Moving || self.segment.as_ref().is_none_or(Segment::is_reported);
             let report = ServoReport { snapshot, reached, fault: self.fault };
             self.counters.dropped_reports += u64::from(self.reports.push(report).is_err());
         }

@@ -64,7 +64,7 @@ pub(crate) struct Segment {
     done: f64,
     /// Duration of the segment, s.
     duration: f64,
-    /// The servo has reported its state after `report_at` periods.
+    /// The report after `report_at` periods is made.
     reported: bool,
 }
 
@@ -93,10 +93,11 @@ impl Segment {
     }
 
     /// Advances by `periods` of motion time, 0 to 1. [`Segment::at`] then returns the new knot of an axis. Returns
-    /// whether `report_at` periods have passed for the first time.
-    pub(crate) fn advance(&mut self, periods: f64) -> bool {
+    /// whether the report is due: for the first time, `report_at` periods have passed, or an advance by `next` periods
+    /// would pass them. An override thus leaves the controller as many cycles for the next macrostep as without one.
+    pub(crate) fn advance(&mut self, periods: f64, next: f64) -> bool {
         self.done += periods;
-        let due = !self.reported && self.has_reported();
+        let due = !self.reported && self.done + next > f64::from(self.macrostep.report_at);
         self.reported |= due;
         due
     }
@@ -148,11 +149,6 @@ impl Segment {
     /// The first of the first `axes` axes that moves at the end of this segment.
     pub(crate) fn ends_in_motion(&self, axes: usize) -> Option<usize> {
         self.to[..axes].iter().position(|to| to.velocity != 0.0)
-    }
-
-    /// Whether `report_at` periods have passed.
-    pub(crate) fn has_reported(&self) -> bool {
-        self.done >= f64::from(self.macrostep.report_at)
     }
 }
 

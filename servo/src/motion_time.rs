@@ -120,6 +120,11 @@ pub(crate) struct Motion {
 }
 
 impl Motion {
+    /// Greatest advance of the next cycle of `dt` seconds, in periods.
+    pub(crate) fn most_next(&self, dt: f64) -> f64 {
+        (self.rate + 0.5 * BRISK * dt).min(1.0)
+    }
+
     /// The set-point at the present rate, from the set-point in motion time.
     pub(crate) fn slow(&self, knot: Knot) -> Knot {
         Knot {

@@ -60,9 +60,10 @@ pub struct EcpConfig {
     pub period: Duration,
     /// The macrostep, unless a generator chooses another.
     pub pace: Pace,
-    /// Number of macrosteps, at least 1, that may be sent ahead of the last reported macrostep if the generator's next
-    /// steps read no images. Other generators compute each macrostep from the report of the previous macrostep. The
-    /// servo's order queue must hold more orders than this. Otherwise a stop may have to wait for room in the queue.
+    /// Number of macrosteps of `pace`, at least 1, that may be sent ahead of the last reported macrostep if the
+    /// generator's next steps read no images. Shorter macrosteps are sent for the same time ahead. Other generators
+    /// compute each macrostep from the report of the previous macrostep. The servo's order queue must hold more orders
+    /// than [`most_orders`](Self::most_orders). Otherwise a stop may have to wait for room in the queue.
     pub macrosteps_ahead: u16,
     /// Time limit, in addition to one macrostep, without a report and without an accepted order during a motion.
     pub silence: Duration,
@@ -172,7 +173,7 @@ pub struct Ecp {
     origin: u64,
     /// The next instruction continues from the end of the last macrostep, which ends in motion.
     in_motion: bool,
-    /// Time from the last report of the motion before to the latest stop that still prevents starvation.
+    /// Time from the last report of the motion before to its end, at the programmed speed.
     margin: Duration,
     /// The generator that replaces the present one with the next macrostep.
     replacement: Option<Box<dyn Execution + Send>>,
@@ -206,7 +207,7 @@ impl Ecp {
             activity: Activity::Idle,
             planning: Planning::with(Box::new(AtOnce::default())),
             report: None,
-            outbox: VecDeque::with_capacity(usize::from(config.macrosteps_ahead.max(1)) + 1),
+            outbox: VecDeque::with_capacity(config.most_orders() + 1),
             sent: 0,
             executed: 0,
             pace: config.pace,

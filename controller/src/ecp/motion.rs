@@ -9,10 +9,28 @@ use servo::{Macrostep, Order, Phase, Snapshot};
 
 use super::around::Around;
 use super::task::Instruction;
-use super::{Activity, BURST, ChartPhase, Ecp, EcpError, NotRunning, STILL, StepEvent};
+use super::{Activity, BURST, ChartPhase, Ecp, EcpConfig, EcpError, NotRunning, STILL, StepEvent};
 use crate::coordination::{LinkError, MemberLink, Turn};
 use crate::generator::{Axes, AxesState, Execution, Generator, GeneratorError, Pace, Run, Setpoint, Step};
 use crate::sensor::Sensors;
+
+/// Bound of the number of macrosteps ahead, if they are shorter than the macrosteps of the cell.
+const SHORT_MACROSTEPS: u64 = 1000;
+
+impl EcpConfig {
+    /// Greatest number of macrosteps that are ahead of the last reported macrostep.
+    pub fn most_orders(&self) -> usize {
+        self.orders_ahead(self.macrosteps_ahead.max(1), Pace::PERIOD) as usize
+    }
+
+    /// Number of macrosteps of this pace that last as long as `macrosteps` of the cell, with a bound. At least
+    /// `macrosteps`.
+    fn orders_ahead(&self, macrosteps: u16, pace: Pace) -> u64 {
+        let macrosteps = u64::from(macrosteps);
+        let short = macrosteps * u64::from(self.pace.periods / pace.periods);
+        short.min(SHORT_MACROSTEPS).max(macrosteps)
+    }
+}
 
 impl Ecp {
     /// Replaces the generator of the present motion. The new generator plans from the end of the macrosteps that were
@@ -42,7 +60,7 @@ impl Ecp {
         self.chart = Some(ChartPhase::FirstStep);
         self.replacement = None;
         let left = self.pace.periods.saturating_sub(self.pace.read_at);
-        self.margin = self.config.period * u32::from(left.saturating_sub(1));
+        self.margin = self.config.period * u32::from(left);
         self.pace = match run.pace(self.config.pace) {
             Ok(pace) => pace,
             Err(error) => return self.fail(EcpError::Generator { step: 0, error }),
@@ -120,7 +138,7 @@ impl Ecp {
         }
         let cycle = self.latest().at;
         let reported = self.report.map_or(cycle, |report| report.snapshot.at);
-        self.outstanding() == 0 && cycle.since(reported) > self.margin
+        self.outstanding() == 0 && cycle.since(reported) + self.config.period > self.margin
     }
 
     /// The phase, if a motion cannot begin in it.
@@ -217,10 +235,11 @@ impl Ecp {
             self.replaced = true;
             return self.conclude();
         }
-        if outstanding >= u64::from(run.macrosteps_ahead(self.config.macrosteps_ahead)) {
+        let class = run.description().every;
+        let ahead = run.macrosteps_ahead(self.config.macrosteps_ahead);
+        if outstanding >= if class == 0 { self.config.orders_ahead(ahead, self.pace) } else { 1 } {
             return false;
         }
-        let class = run.description().every;
         let latest = self.link.latest.read();
         let cycle = latest.at;
         match turn(class, self.links.present(), &self.sensors, self.turn + 1, &latest) {

@@ -145,7 +145,7 @@ impl Agents {
     }
 
     /// Asks in every turn of the task, with the desk of a coordinator whose first member is `robot`.
-    pub(super) async fn until<T>(&self, robot: usize, mut ask: impl FnMut(&mut Desk) -> Poll<T> + Unpin) -> T {
+    pub(super) async fn at_desk<T>(&self, robot: usize, mut ask: impl FnMut(&mut Desk) -> Poll<T> + Unpin) -> T {
         let desk = |board: &mut Board| {
             let (now, slowed) = (board.time(), board.is_slowed());
             let (ecps, _, journal) = board.subcontrollers.parts();
@@ -153,6 +153,11 @@ impl Agents {
             ask(&mut Desk { now, slowed, journal, planning, planning_limit })
         };
         Leaf::new(self, desk).await
+    }
+
+    /// Asks in every turn of the task, with the time of the last servo cycle and whether motion is slowed.
+    pub async fn until<T>(&self, mut ask: impl FnMut(Instant, bool) -> Poll<T> + Unpin) -> T {
+        Leaf::new(self, |board: &mut Board| ask(board.time(), board.is_slowed())).await
     }
 
     /// Waits until all effectors stand whose instructions were dropped.

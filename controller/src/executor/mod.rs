@@ -4,7 +4,8 @@
 //! processes and then the task, once per servo cycle and in a fixed order. The executor has no thread, clock or waker of
 //! its own, so a task in lockstep is the same in every run.
 //!
-//! A task may await the futures of this module only: [`Agent::perform`], [`Agents::sleep`], [`join`] and [`join_all`].
+//! A task may await the futures of this module only: [`Agent::perform`], [`Agents::sleep`], [`Agents::until`], [`join`]
+//! and [`join_all`].
 //! Every wait for an instruction ends by the time limits of its process. A dropped instruction brakes its effector, and
 //! the next instruction of that effector begins after standstill.
 //!

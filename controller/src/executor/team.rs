@@ -130,7 +130,7 @@ impl<'a, const N: usize> Team<'a, N> {
         });
         let mut conduct = Conduct::new(coordinator, links, sensors, macrostep, config.deadline);
         let following = members.each_mut().map(|member| Following(member));
-        agents.until(first, |desk| conduct.begin(desk)).await.map_err(TeamError::Coordinator)?;
+        agents.at_desk(first, |desk| conduct.begin(desk)).await.map_err(TeamError::Coordinator)?;
         let under_way = Cell::new(N);
         let mut parts: Vec<Part<TeamError>> = Vec::with_capacity(N + 1);
         for (member, motion) in following.into_iter().zip(generators.motions()) {
@@ -143,7 +143,7 @@ impl<'a, const N: usize> Team<'a, N> {
                 Ok(())
             }));
         }
-        parts.push(Box::pin(agents.until(first, |desk| {
+        parts.push(Box::pin(agents.at_desk(first, |desk| {
             // Members that have ended their motions by themselves need no coordinator.
             if under_way.get() == 0 {
                 return Poll::Ready(Ok(()));

@@ -5,14 +5,18 @@ use std::time::Duration;
 use rsruckig::prelude::DataArrayOrVec;
 use servo::MAX_AXES;
 
-use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, plan::Plan};
+use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Pace, plan::Plan};
 use crate::robot::Space;
 
 /// A jerk-limited, time-synchronised motion through intermediate poses to a final pose. Class 1, sporadic feedback.
 ///
 /// Without intermediate poses the motion is time-optimal. With intermediate poses the motion passes through each pose
-/// without stopping, and its duration is near the optimum. The trajectory is stretched by less than a macrostep, so
-/// that it ends with a macrostep.
+/// without stopping, and its duration is near the optimum. The trajectory is stretched by less than a servo period, so
+/// that it ends with a period.
+///
+/// Its macrosteps last [one servo period](Pace::PERIOD): each set-point is a sample of the trajectory. Velocity,
+/// acceleration and jerk of the set-points therefore keep their limits. In longer macrosteps, the servo's quintic needs up
+/// to 1.4 times the jerk limit where the jerk changes inside a macrostep.
 ///
 /// Without intermediate poses, the motion [begins in motion](Generator::begins_in_motion) if the generator before it ended
 /// so, and can [end in motion](Self::ending_at) itself. It therefore also replans: [`Ecp::replace`](crate::ecp::Ecp::replace)
@@ -62,8 +66,8 @@ impl JerkLimited {
         Ok(Self { space, axes, plan, target: AxesState::at_rest(target), duration: None, ahead: None })
     }
 
-    /// The same motion, of which at most this number of macrosteps is sent ahead of the servo. A replacement then acts
-    /// after these macrosteps.
+    /// The same motion, of which at most this number of the cell's macrosteps is sent ahead of the servo. A replacement
+    /// then acts after these macrosteps.
     #[must_use]
     pub fn sent_ahead(self, macrosteps: u16) -> Self {
         Self { ahead: Some(macrosteps), ..self }
@@ -91,7 +95,7 @@ impl JerkLimited {
         Ok(self)
     }
 
-    /// The same motion, stretched to `duration` and then to the end of a macrostep. Its first step refuses a time
+    /// The same motion, stretched to `duration` and then to the end of a servo period. Its first step refuses a time
     /// that is too short.
     #[must_use]
     pub fn lasting(self, duration: Duration) -> Self {
@@ -111,6 +115,10 @@ impl Generator for JerkLimited {
     type Out = ();
     /// Number of macrosteps done.
     type Memory = u32;
+
+    fn pace(&self, _: Pace) -> Pace {
+        Pace::PERIOD
+    }
 
     fn macrosteps_ahead(&self, most: u16) -> u16 {
         self.ahead.unwrap_or(most)

@@ -42,6 +42,7 @@ mod jerk_limited;
 mod jog;
 mod line;
 mod newsmooth;
+mod operator;
 mod outputs;
 mod path_timing;
 mod plan;
@@ -66,9 +67,10 @@ pub use feed::{Feed, FeedLimits, FeedState};
 pub use image::{Accelerations, AxesState, EffectorImage, EffectorState, Setpoint};
 pub use images::{A, Bundle, Images, Message, Partners, Readings, Received, Sample, SensorReading, V};
 pub use jerk_limited::JerkLimited;
-pub use jog::{Jog, JogCommand, JogHandle, JogMemory};
+pub use jog::Jog;
 pub use line::{LineLimits, LineMemory, PlannedStart, StraightLine};
 pub use newsmooth::{Newsmooth, Progress, SmoothPose};
+pub use operator::OperatorReaction;
 pub use outputs::{Answer, Commands, Outputs, Tell};
 pub use path_timing::{EndSpeeds, PathTiming, TimingError};
 pub use polynomial::Polynomial;
@@ -144,9 +146,9 @@ pub trait Generator: Send + Sync + 'static {
         cell
     }
 
-    /// Number of macrosteps that may be sent ahead of the servo; `most` is the number of the cell. Fewer macrosteps let a
-    /// replacement act sooner, and bridge a shorter delay of the controller. Without effect if every next step reads
-    /// images.
+    /// Number of macrosteps of the cell that may be sent ahead of the servo; `most` is the number of the cell. Shorter
+    /// macrosteps of this generator are sent for the same time ahead. A shorter time lets a replacement act sooner, and
+    /// bridges a shorter delay of the controller. Without effect if every next step reads images.
     fn macrosteps_ahead(&self, most: u16) -> u16 {
         most
     }
@@ -191,6 +193,9 @@ pub struct Pace {
 impl Pace {
     /// Greatest number of periods.
     pub const MOST_PERIODS: u16 = 1000;
+
+    /// One period: each set-point of the generator is a set-point of the servo.
+    pub const PERIOD: Self = Self { periods: 1, read_at: 1 };
 }
 
 /// Result of one step, committed as a whole.

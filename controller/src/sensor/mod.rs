@@ -22,7 +22,9 @@
 //! Read [`VirtualSensor`] first, then [`DigitalInputs`] as an example.
 
 mod digital;
+mod jog;
 mod marked;
+mod operator;
 #[cfg(test)]
 mod tests;
 
@@ -36,7 +38,11 @@ use thiserror::Error;
 use crate::generator::{Message, Received, Sample, SensorReading};
 
 pub use digital::DigitalInputs;
+pub use jog::{JogCommand, JogHandle, JogPanel, JogReading};
 pub use marked::Marked;
+pub use operator::{
+    Asking, Operator, OperatorAnswer, OperatorCommand, OperatorError, OperatorLink, OperatorPanel, Question, Reaction,
+};
 
 /// A sensor as an agent sees it.
 pub trait VirtualSensor: Send + 'static {

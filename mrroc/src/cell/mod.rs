@@ -413,7 +413,7 @@ pub struct Joints {
     /// Fraction of the greatest joint acceleration to use.
     #[serde(default = "defaults::hundredths::<50>")]
     pub acceleration: f64,
-    /// Duration of the motion to each pose, s, rounded up to a macrostep; the shortest within the limits where absent.
+    /// Duration of the motion to each pose, s, rounded up to a servo period; the shortest within the limits where absent.
     /// Only for jerk-limited motions.
     pub duration: Option<f64>,
 }

@@ -12,18 +12,18 @@ use drive::cia401::IoLink;
 use serde::de::DeserializeOwned;
 use servo::SpeedOverride;
 
-use super::{Figures, InputLine, Outcome, OutputLine, TaskError, Team};
+use super::{Desk, Figures, InputLine, Outcome, OutputLine, TaskError, Team};
 use crate::cell::CellFile;
 use crate::motions::Motions;
 
 /// The cell of a task.
 pub struct Cell {
     file: Arc<CellFile>,
-    agents: Agents,
+    pub(super) agents: Agents,
     io: Vec<IoLink>,
     speed: SpeedOverride,
     figures: Figures,
-    rehearsing: bool,
+    pub(super) desk: Desk,
 }
 
 /// One robot of a cell, in the use of a task. A robot has one handle at a time.
@@ -33,6 +33,7 @@ pub struct Cell {
 pub struct Robot {
     file: Arc<CellFile>,
     pub(super) agent: Agent,
+    pub(super) desk: Desk,
 }
 
 impl Cell {
@@ -42,9 +43,9 @@ impl Cell {
         io: Vec<IoLink>,
         speed: SpeedOverride,
         figures: Figures,
-        rehearsing: bool,
+        desk: Desk,
     ) -> Self {
-        Self { file: Arc::clone(file), agents, io, speed, figures, rehearsing }
+        Self { file: Arc::clone(file), agents, io, speed, figures, desk }
     }
 
     /// The cell file.
@@ -112,13 +113,13 @@ impl Cell {
 
     /// Whether this is a rehearsal. A task leaves out its side effects in a rehearsal: files, messages, devices.
     pub fn rehearsing(&self) -> bool {
-        self.rehearsing
+        self.desk.rehearsing
     }
 
     /// Ends a rehearsal here, as accepted, and has no effect in a run. For tasks that depend on something that a
     /// rehearsal has not, such as an operator. The rest of the task is not rehearsed.
     pub fn end_rehearsal(&self, why: &'static str) -> Outcome {
-        if self.rehearsing { Err(TaskError::NotRehearsed { why }) } else { Ok(()) }
+        if self.desk.rehearsing { Err(TaskError::NotRehearsed { why }) } else { Ok(()) }
     }
 
     /// A team of these robots: a coordinator gives each of them an order in every macrostep, and the servo begins each
@@ -134,7 +135,7 @@ impl Cell {
     fn robot_at(&self, robot: usize) -> Result<Robot, TaskError> {
         let in_use = || TaskError::RobotInUse { name: self.file.cell.robot[robot].name.clone() };
         let agent = self.agents.agent(robot).ok_or_else(in_use)?;
-        Ok(Robot { file: Arc::clone(&self.file), agent })
+        Ok(Robot { file: Arc::clone(&self.file), agent, desk: self.desk.clone() })
     }
 }
 

@@ -6,7 +6,7 @@ use controller::executor::{InstructionError, SystemError};
 use controller::generator::GeneratorError;
 use controller::path::PathError;
 use controller::robot::KinematicsError;
-use controller::sensor::SensorRefused;
+use controller::sensor::{OperatorError, SensorRefused};
 use thiserror::Error;
 
 use crate::cell::FileError;
@@ -66,6 +66,30 @@ pub enum TaskError {
         /// The reason, as the task gave it.
         why: &'static str,
     },
+    /// A question without an operator.
+    #[error("the task asks the operator {question:?}: run the task with --operator")]
+    NoOperator {
+        /// Text of the question.
+        question: String,
+    },
+    /// A question that the operator did not answer.
+    #[error("question {question:?}: {error}")]
+    Unanswered {
+        /// Text of the question.
+        question: String,
+        /// The reason.
+        error: OperatorError,
+    },
+    /// A question whose answer for rehearsals is not among its choices.
+    #[error("question {question:?}: the answer {answer:?} for rehearsals is none of its choices, {choices}")]
+    RehearsedAnswer {
+        /// Text of the question.
+        question: String,
+        /// The answer.
+        answer: String,
+        /// The choices.
+        choices: String,
+    },
     /// Any other refusal: of a motion that cannot be planned, or of the task itself.
     #[error("{0:#}")]
     Refused(anyhow::Error),
@@ -84,6 +108,9 @@ impl TaskError {
             | Self::RobotInUse { .. }
             | Self::Parameters(_)
             | Self::NotRehearsed { .. }
+            | Self::NoOperator { .. }
+            | Self::Unanswered { .. }
+            | Self::RehearsedAnswer { .. }
             | Self::Refused(_) => Class::NonFatal,
         }
     }

@@ -1,5 +1,6 @@
 //! Tasks on two IRb-6: errors, joins, dropped instructions, rehearsal, and refusals.
 
+mod operator;
 mod refusals;
 mod team;
 

@@ -83,7 +83,7 @@ impl Effector {
         let Some(segment) = &mut self.segment else {
             return Ok(());
         };
-        self.due |= segment.advance(periods);
+        self.due |= segment.advance(periods, tick.motion.most_next(tick.dt));
         for (index, axis) in self.axes.iter().enumerate() {
             let knot = tick.motion.slow(segment.at(index));
             axis.vet(knot.position, tick.dt).map_err(|cause| (Some(index), cause))?;

@@ -5,7 +5,8 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use controller::generator::{
-    Axes, AxesState, EffectorImage, EffectorState, EndSpeeds, Generator, JerkLimited, MotionLimits, PathTiming, Pose,
+    Axes, AxesState, EffectorImage, EffectorState, EndSpeeds, Generator, JerkLimited, MotionLimits, Pace, PathTiming,
+    Pose,
 };
 use controller::path::{JointPath, SplineEnds};
 use controller::robot::Space;
@@ -19,8 +20,8 @@ const PATHS: usize = 40;
 const MOVES: usize = 200;
 /// Segments of an even grid.
 const SEGMENTS: u32 = 300;
-/// Macrostep of the moves, by which their durations are rounded up.
-const MACROSTEP: Duration = Duration::from_millis(1);
+/// Period by which the durations of the moves are rounded up. A jerk-limited motion has macrosteps of one servo period.
+const PERIOD: Duration = Duration::from_millis(2);
 
 /// SplitMix64: a small seeded generator with the same results on all platforms.
 struct Random(u64);
@@ -64,19 +65,20 @@ fn described(points: &[Axes], ends: &str, limits: &MotionLimits, timing: &PathTi
     })
 }
 
-/// Duration of a jerk-limited motion in whole macrosteps, s.
+/// Duration of a jerk-limited motion in whole periods, s.
 fn lasting(start: AxesState, acceleration: Axes, target: Axes, limits: MotionLimits) -> f64 {
     let mut motion = JerkLimited::new(Space::Joint, AXES, limits, &[target]).unwrap();
     let state = EffectorState { motors: start, joints: start, pose: Pose::identity() };
     let mut image = EffectorImage::standing(state);
     image.commanded_acceleration.joints = acceleration;
-    let mut memory = motion.first_step(&image, MACROSTEP).unwrap().memory;
-    let mut macrosteps = 0;
+    assert_eq!(motion.pace(Pace { periods: 10, read_at: 8 }), Pace::PERIOD);
+    let mut memory = motion.first_step(&image, PERIOD).unwrap().memory;
+    let mut periods = 0;
     while !motion.terminal(&memory, &()) {
         memory = motion.next_step(&memory, &()).unwrap().memory;
-        macrosteps += 1;
+        periods += 1;
     }
-    MACROSTEP.as_secs_f64() * f64::from(macrosteps)
+    PERIOD.as_secs_f64() * f64::from(periods)
 }
 
 /// Answer of the script.
