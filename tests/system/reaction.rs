@@ -94,7 +94,7 @@ async fn react(cell: &mut Cell, pace: Pace, readings: &Readings) -> Outcome {
     let gate = cell.input("gate")?;
     irb6.enable().await?;
     irb6.home().await?;
-    irb6.sense(gate.sensor(), Shell::NonInteractive, 1);
+    irb6.sense(gate.sensor(), Shell::NonInteractive, 1)?;
     for edge in 0..EDGES {
         let steps = MACROSTEPS * 10 / u32::from(pace.periods);
         let (level, readings) = (edge.is_multiple_of(2), Arc::clone(readings));

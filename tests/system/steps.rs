@@ -64,11 +64,11 @@ pub(crate) fn lines(steps: &str) -> impl Iterator<Item = Line<'_>> {
     })
 }
 
-/// The images that the steps of each generator read, by generator and class.
-fn images(steps: &str) -> BTreeMap<(&str, u8), BTreeSet<&str>> {
+/// The images that the steps of each generator and coordinator read, by agent, generator and class.
+fn images(steps: &str) -> BTreeMap<(&str, &str, u8), BTreeSet<&str>> {
     let mut images = BTreeMap::<_, BTreeSet<_>>::new();
-    for Line { generator, class, event, .. } in lines(steps) {
-        let read = images.entry((generator, class)).or_default();
+    for Line { agent, generator, class, event, .. } in lines(steps) {
+        let read = images.entry((agent, generator, class)).or_default();
         if event.starts_with("read-") {
             read.insert(event);
         }
@@ -89,8 +89,10 @@ fn every_example_reads_the_images_of_its_class_and_repeats_bit_for_bit_in_lockst
         let cell = example(&cell);
         let (one, two) = (run(&program, &cell), run(&program, &cell));
         assert!(one == two, "{program} differs from run to run");
-        for ((generator, class), read) in images(&one.0) {
-            let declared = [("read-effector", 1), ("read-sensor", 2), ("read-order", 4)];
+        for ((agent, generator, class), read) in images(&one.0) {
+            // The answers of the members are the effector of a coordinator.
+            let effector = if agent == "coordinator" { "read-answer" } else { "read-effector" };
+            let declared = [(effector, 1), ("read-sensor", 2), ("read-order", 4)];
             let declared = declared.into_iter().filter_map(|(image, bit)| (class & bit != 0).then_some(image));
             assert_eq!(read, declared.collect(), "{program}: {generator}, class {class}");
         }
@@ -109,6 +111,30 @@ fn two_arms_carry_a_bar_within_the_bounds() {
     assert!(figure("object_path_rms_mm") < 0.5, "{figures}");
     assert!(figure("grip_distance_max_mm") < 0.2, "{figures}");
     assert_eq!(figure("start_skew_cycles_max"), 0.0, "{figures}");
+}
+
+#[test]
+fn the_arm_that_is_free_serves_the_next_station() {
+    let (_, _, report) = run("dispatch", &example("two-irb6"));
+    let figure = |name: &str| report["figures"][name].as_f64().unwrap();
+    let (left, right) = (figure("served_by_left"), figure("served_by_right"));
+    assert!(left + right == 8.0 && left > right && right > 0.0, "{left} {right}");
+}
+
+/// The emulated light gate changes at 15 s. Filter and inhibit time of its node delay the frame by some milliseconds.
+#[test]
+fn the_arm_stops_at_the_position_that_it_had_at_the_edge() {
+    let (_, record, report) = run("latch_edge", &example("irb6-touch"));
+    let rows = record.lines().skip(1).map(|row| row.split(',').collect::<Vec<_>>());
+    let column: Vec<_> = rows.filter(|row| row[2] == "column").collect();
+    let number = |text: &str| text.parse::<f64>().unwrap();
+    let at_edge = column.iter().find(|row| number(row[1]) >= 15.0).unwrap();
+    let (position, velocity, end) = (number(at_edge[6]), number(at_edge[8]), number(column.last().unwrap()[5]));
+    let delay = (end - position) / velocity;
+    assert!((0.0..0.008).contains(&delay), "{delay} s after the edge");
+    // The motion went on for more than the tolerance.
+    let passed = report["figures"]["passed_by_rad"].as_f64().unwrap();
+    assert!(passed > 0.05 * 0.016, "{report}");
 }
 
 /// The first generator in the book: type and functions, without the task that uses it.

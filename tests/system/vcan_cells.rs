@@ -16,7 +16,7 @@ use crate::mrroc::{self, Directory, Output, Running, text};
 use crate::vcan::{shorten, started, wait_until};
 
 /// Number of runs of a cell on an overloaded machine, and the time limit of all runs.
-pub(crate) const ATTEMPTS: usize = 4;
+const ATTEMPTS: usize = 4;
 const LONGEST: Duration = Duration::from_secs(340);
 
 /// File with every axis in every cycle of the last run.

@@ -1,6 +1,7 @@
 //! A link between the coordinator and one subcontroller: numbered messages in two bounded queues.
 
 use std::any::{Any, TypeId};
+use std::cell::Cell;
 use std::time::Duration;
 
 use can::Instant;
@@ -129,6 +130,8 @@ pub struct MemberEnd<C, R> {
     /// Start of the wait for the order of the present step.
     wanted: Option<Instant>,
     received: Received<C>,
+    /// Whether a step has read the order received.
+    read: Cell<bool>,
     ended: bool,
     /// The latest answer, for which a link that does not wait had no room.
     unsent: Option<Numbered<R>>,
@@ -159,6 +162,7 @@ pub fn link<C: Message, R: Message>(config: LinkConfig) -> (CoordinatorEnd<C, R>
         held: 0,
         wanted: None,
         received,
+        read: Cell::new(false),
         ended: false,
         unsent: None,
         disturbed: None,
@@ -207,11 +211,11 @@ pub(crate) trait MemberLink: Send {
     /// Type of the orders.
     fn order_type(&self) -> TypeId;
 
-    /// The present order, as a [`Received`].
+    /// The present order, as a [`Received`]. The order counts as read.
     fn order(&self) -> &dyn Any;
 
-    /// Begins an instruction: orders and the end of an earlier motion are forgotten. The first step takes the order that
-    /// the instruction before has not taken.
+    /// Begins an instruction: orders and the end of an earlier motion are forgotten. A link that does not wait keeps the
+    /// order that no step has read. The first step takes the order that the instruction before has not taken.
     fn begin(&mut self);
 
     /// Age of the present order at `now`.
@@ -240,6 +244,8 @@ impl<C: Message, R: Message> MemberEnd<C, R> {
         // The end of the motion is never too late.
         let Directive::Next(value) = value else {
             (self.ended, self.next) = (true, step + 1);
+            // Orders before the end are of the ended motion.
+            self.read.set(true);
             return Ok(true);
         };
         if step < self.held {
@@ -250,6 +256,7 @@ impl<C: Message, R: Message> MemberEnd<C, R> {
         }
         self.next += 1;
         self.received = Received::New(Sample { at, age: now.since(at), value });
+        self.read.set(false);
         Ok(true)
     }
 
@@ -276,11 +283,15 @@ impl<C: Message, R: Message> MemberLink for MemberEnd<C, R> {
     }
 
     fn order(&self) -> &dyn Any {
+        self.read.set(true);
         &self.received
     }
 
     fn begin(&mut self) {
-        (self.received, self.ended, self.wanted, self.step) = (Received::None, false, None, 0);
+        if self.config.blocking || self.read.get() {
+            self.received = Received::None;
+        }
+        (self.ended, self.wanted, self.step) = (false, None, 0);
         self.base = self.next;
     }
 
@@ -291,7 +302,7 @@ impl<C: Message, R: Message> MemberLink for MemberEnd<C, R> {
     fn poll(&mut self, step: u64, now: Instant, slowed: bool) -> Result<Turn, LinkError> {
         if step != self.step {
             (self.step, self.wanted) = (step, None);
-            self.received = self.received.at(now, true);
+            self.received = self.received.at(now, self.config.blocking || self.read.get());
         }
         if slowed {
             self.wanted = None;

@@ -96,6 +96,23 @@ fn a_link_that_does_not_wait_gives_the_latest_order_as_none_old_or_new() {
 }
 
 #[test]
+fn a_decision_that_no_step_has_read_is_new_for_the_first_step_that_reads_it() {
+    let config = LinkConfig { blocking: false, deadline: Duration::ZERO, late: Late::Hold };
+    let (mut coordinator, mut member) = link::<u32, u32>(config);
+    coordinator.order(at(0), 7);
+    // Steps that read no orders, at the end of one motion and at the begin of the next.
+    assert_eq!(member.poll(9, at(1), false), Ok(Turn::Ready));
+    member.begin();
+    assert_eq!(member.poll(0, at(2), false), Ok(Turn::Ready));
+    assert_eq!(member.poll(1, at(3), false), Ok(Turn::Ready));
+    assert!(matches!(received(&member), Received::New(Sample { value: 7, .. })));
+    assert_eq!(member.poll(2, at(4), false), Ok(Turn::Ready));
+    assert!(matches!(received(&member), Received::Old(Sample { value: 7, .. })));
+    member.begin();
+    assert_eq!(received(&member), Received::None);
+}
+
+#[test]
 fn a_link_that_does_not_wait_keeps_the_latest_answer_of_those_that_nobody_fetches() {
     let config = LinkConfig { blocking: false, deadline: Duration::ZERO, late: Late::Hold };
     let (mut coordinator, mut member) = link::<u32, u32>(config);
