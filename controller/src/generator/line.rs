@@ -92,6 +92,7 @@ impl PlannedStart {
 /// the line by the sixth derivative of the joint path times macrostep⁶ / 46080.
 ///
 /// The first step computes one inverse kinematics per checked pose, each next step three. No step allocates.
+#[doc(alias = "linear")]
 #[derive(Debug)]
 pub struct StraightLine {
     arm: Arm,
