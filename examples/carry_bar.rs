@@ -45,28 +45,26 @@ struct Circle {
 impl Coordinator<2> for Circle {
     type Order = Displacement;
     type Answer = f64;
+    type Sensors = ();
+    type Out = ();
     type Memory = u32;
 
-    fn first_step(&mut self, macrostep: Duration) -> Result<NextOrders<Displacement, u32, 2>, GeneratorError> {
+    fn first_step(&mut self, (): &(), macrostep: Duration) -> Result<Orders<Self, 2>, GeneratorError> {
         self.macrostep = macrostep.as_secs_f64();
-        Ok(NextOrders { orders: [Displacement::after(0.0); 2], memory: 0 })
+        Ok(NextOrders::new([Displacement::after(0.0); 2], 0))
     }
 
-    fn terminal(&self, step: &u32, _: &[Sample<f64>; 2]) -> bool {
+    fn terminal(&self, step: &u32, _: &[Sample<f64>; 2], (): &()) -> bool {
         f64::from(*step) * self.macrostep >= DURATION
     }
 
-    fn next_step(
-        &self,
-        step: &u32,
-        errors: &[Sample<f64>; 2],
-    ) -> Result<NextOrders<Displacement, u32, 2>, GeneratorError> {
+    fn next_step(&self, step: &u32, errors: &[Sample<f64>; 2], (): &()) -> Result<Orders<Self, 2>, GeneratorError> {
         // An arm that is a centimetre away from its orders does not carry the bar any more.
         if errors.iter().any(|error| error.value > 0.01) {
             return Err(GeneratorError::User(1));
         }
         let next = step + 1;
-        Ok(NextOrders { orders: [Displacement::after(f64::from(next) * self.macrostep); 2], memory: next })
+        Ok(NextOrders::new([Displacement::after(f64::from(next) * self.macrostep); 2], next))
     }
 }
 

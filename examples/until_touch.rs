@@ -45,7 +45,7 @@ async fn find(cell: &mut Cell) -> Outcome {
     let (probe, gripper) = (cell.input("touch")?, cell.output("gripper")?);
     irb6.enable().await?;
     irb6.home().await?;
-    irb6.sense(probe.sensor(), Shell::NonInteractive, 1);
+    irb6.sense(probe.sensor(), Shell::NonInteractive, 1)?;
     irb6.execute(UntilTouch { probe: probe.number(), speed: 0.05, macrostep: 0.0 }).await?;
     gripper.set(true);
     cell.figure("stopped_at_rad", irb6.image()?.measured.joints.position[0]);

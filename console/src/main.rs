@@ -35,10 +35,13 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Check a cell file, every pose of its programs, and the load of its buses.
+    /// Check a cell file, every pose of a task, and the load of its buses.
     Check {
         /// The cell file.
         cell: PathBuf,
+        /// The task to check.
+        #[arg(long, value_enum, default_value_t)]
+        task: CarriedTask,
         /// Print one JSON object.
         #[arg(long)]
         json: bool,
@@ -127,7 +130,7 @@ fn main() -> ExitCode {
         Err(error) => return usage::answer(&error),
     };
     let result = match arguments.command {
-        Command::Check { cell, json } => check(&cell, json),
+        Command::Check { cell, task, json } => check(&cell, task, json),
         Command::Doctor(options) => host::doctor::doctor(&options),
         Command::Run { cell, task, options } => {
             CellFile::read(&cell).and_then(|file| mrroc::run_program(&file, &options, &task.program()))
@@ -161,8 +164,8 @@ fn main() -> ExitCode {
     })
 }
 
-fn check(cell: &Path, json: bool) -> anyhow::Result<ExitCode> {
-    let checked = mrroc::check(&CellFile::read(cell)?, &CarriedTask::Programs.program())?;
+fn check(cell: &Path, task: CarriedTask, json: bool) -> anyhow::Result<ExitCode> {
+    let checked = mrroc::check(&CellFile::read(cell)?, &task.program())?;
     for problem in &checked.problems {
         streams::warn(format_args!(
             "mrroc: {problem}; only for robots that are wired otherwise than the emulated ones"

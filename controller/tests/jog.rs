@@ -7,11 +7,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use can::Instant;
-use mrroc_controller::ecp::{Ecp, EcpConfig, Task};
-use mrroc_controller::generator::{
-    Axes, EffectorImage, GeneratorError, Jog, JogCommand, JogHandle, MotionLimits, Pace, Pose,
-};
+use mrroc_controller::ecp::{Ecp, EcpConfig, StepEvent, StepRecords, Task, step_log};
+use mrroc_controller::generator::{Axes, EffectorImage, GeneratorError, Jog, MotionLimits, Pace, Pose};
 use mrroc_controller::robot::{Arm, Irp6, Irp6Parameters};
+use mrroc_controller::sensor::{JogCommand, JogHandle, JogPanel, Shell};
 use nalgebra::Vector3;
 use servo::Servo;
 
@@ -30,6 +29,7 @@ struct Rig {
     servo: Servo,
     ecp: Ecp,
     operator: Option<JogHandle>,
+    steps: StepRecords,
     now: Instant,
     /// Greatest velocity and acceleration of a joint, relative to the limits.
     peaks: [f64; 2],
@@ -55,9 +55,13 @@ impl Rig {
         };
         let mut ecp = Ecp::new(arm.clone(), link, config);
         let limits = MotionLimits::uniform(LIMITS[0], LIMITS[1], 1.0);
-        let (jog, operator) = Jog::new(arm.clone(), limits, DEAD_MAN).expect("limits are positive");
+        let (panel, operator) = JogPanel::new();
+        ecp.sensors().install(panel, Shell::NonInteractive, 1).unwrap();
+        let (log, steps) = step_log(1 << 16);
+        ecp.keep_steps(log);
+        let jog = Jog::new(arm.clone(), limits, DEAD_MAN).expect("limits are positive");
         ecp.execute(Task::new().enable().run(jog)).expect("nothing is under way");
-        let mut rig = Self { arm, servo, ecp, operator: Some(operator), now: Instant::ZERO, peaks: [0.0; 2] };
+        let mut rig = Self { arm, servo, ecp, operator: Some(operator), steps, now: Instant::ZERO, peaks: [0.0; 2] };
         rig.wait(0.2);
         rig
     }
@@ -134,6 +138,25 @@ fn a_joint_moves_at_the_commanded_velocity_and_brakes_after_the_dead_man_time() 
     assert!(!rig.stands(), "the next command moves the joint again");
     rig.hold(JogCommand::End, 0.4);
     assert!(rig.stands() && rig.ended());
+}
+
+#[test]
+fn each_step_reads_the_command_as_an_image_of_class_3_whose_age_is_less_than_a_macrostep() {
+    let mut rig = Rig::at(START);
+    rig.hold(joint(0, 0.3), 1.0);
+    let (mut sensor, mut effector) = (0, 0);
+    while let Ok(record) = rig.steps.queue.pop() {
+        assert_eq!(record.class, if record.step == 0 { 2 } else { 3 });
+        match record.event {
+            StepEvent::ReadSensor if record.step > 20 => {
+                assert!(record.age < Some(PERIOD * 10), "{record:?}");
+                sensor += 1;
+            }
+            StepEvent::ReadEffector if record.step > 20 => effector += 1,
+            _ => {}
+        }
+    }
+    assert!(sensor > 30 && sensor == effector, "{sensor} readings, {effector} images");
 }
 
 #[test]

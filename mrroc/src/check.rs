@@ -3,6 +3,7 @@
 use std::fmt;
 use std::sync::Arc;
 
+use controller::sensor::OperatorLink;
 use serde::Serialize;
 use servo::Servo;
 
@@ -65,8 +66,10 @@ impl CheckedIo {
     }
 }
 
-/// Checks a cell with a task: rehearses the task, computes the load of the buses, and creates all parts of a run.
+/// Checks a cell with a task: rehearses the task, computes the load of the buses, and creates all parts of a run. The
+/// run is taken to have an operator.
 pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> {
+    let program = &program.clone().with_operator(OperatorLink::new(1).0);
     let buses = budget::check(file)?;
     let rehearsed = rehearsal::rehearse(file, program)?;
     assemble(file, program, &rehearsed)?;

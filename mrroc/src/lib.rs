@@ -28,6 +28,7 @@ pub mod charts;
 pub mod check;
 pub mod input;
 mod motions;
+mod operator;
 pub mod outputs;
 mod program_main;
 pub mod rehearsal;
@@ -43,7 +44,7 @@ mod trace;
 pub mod wire;
 
 pub use check::check;
-pub use motions::Motions;
+pub use motions::{Motions, PoseSize};
 pub use program_main::{ProgramOptions, program, run_program};
 pub use tasks::Program;
 
@@ -74,17 +75,20 @@ pub mod prelude {
     pub use std::process::ExitCode;
     pub use std::time::Duration;
 
-    pub use controller::coordination::{Coordinator, CoordinatorEnd, Late, LinkConfig, NextOrders};
+    pub use controller::coordination::{Coordinator, Late, LinkConfig, NextOrders, Orders};
     pub use controller::ecp::{Class, Task};
-    pub use controller::executor::{Observer, Replacer, join, join_all};
+    pub use controller::executor::{LooseLink, Observer, Replacer, join, join_all};
     pub use controller::generator::{
         A, Accelerations, Answer, AxesState, Contour, EffectorImage, FeedLimits, Generator, GeneratorError,
-        JerkLimited, Jog, JogCommand, JogHandle, LineLimits, MotionLimits, Newsmooth, Next, Pace, Polynomial, Pose,
+        JerkLimited, Jog, LineLimits, MotionLimits, Newsmooth, Next, OperatorReaction, Pace, Polynomial, Pose,
         Received, Sample, SensorReading, Setpoint, SmoothPose, StraightLine, Tell, TimeOptimal, V, Wait,
     };
     pub use controller::path::{BSpline, Curve, JointPath, Path, PoseState, SplineEnds};
     pub use controller::robot::Space;
-    pub use controller::sensor::{DigitalInputs, Shell, VirtualSensor};
+    pub use controller::sensor::{
+        DigitalInputs, JogCommand, JogHandle, JogPanel, JogReading, Marked, Operator, Question, Reaction, Shell,
+        VirtualSensor,
+    };
     pub use drive::cia401::InputImage;
 
     pub use crate::bench::BenchKind;

@@ -1,10 +1,9 @@
 //! Motions of one robot of a cell, within the limits of its axes.
 
 use std::path::Path;
-use std::time::Duration;
 
-use anyhow::{Context, anyhow, bail};
-use controller::generator::{Jog, JogHandle, MotionLimits, Newsmooth, TimeOptimal};
+use anyhow::{Context, anyhow};
+use controller::generator::{MotionLimits, Newsmooth, TimeOptimal};
 use controller::robot::{Arm, Space};
 use controller::trajectory_file::TrajectoryFile;
 
@@ -13,6 +12,16 @@ use crate::input;
 
 /// Greatest size of a trajectory file, bytes: several times what its greatest number of poses needs.
 const LARGEST_TRAJECTORY: usize = 64 << 20;
+
+/// A pose has another number of joints than the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a pose has {given} joints, and the robot has {axes}")]
+pub struct PoseSize {
+    /// Number of joints of the pose.
+    pub given: usize,
+    /// Number of joints of the robot.
+    pub axes: usize,
+}
 
 /// Makes generators for one robot of a cell.
 #[derive(Clone, Debug)]
@@ -76,18 +85,9 @@ impl Motions {
         motion.with_context(|| place.to_string())
     }
 
-    /// A [`Jog`] of the robot within the limits of its joints, and the handle of its operator. Without a command for
-    /// the time `dead_man`, the robot brakes.
-    pub fn jog(&self, dead_man: Duration) -> anyhow::Result<(Jog, JogHandle)> {
-        Jog::new(self.arm.clone(), self.limits, dead_man).context("the robot cannot be jogged")
-    }
-
     fn check_axes(&self, given: usize) -> anyhow::Result<()> {
         let axes = self.arm.axes();
-        if given != axes {
-            bail!("a pose has {given} joints, and the robot has {axes}");
-        }
-        Ok(())
+        if given == axes { Ok(()) } else { Err(PoseSize { given, axes }.into()) }
     }
 }
 
@@ -96,6 +96,7 @@ mod tests {
     //! Motions of an emulated IRb-6 in lockstep, and refusals.
 
     use std::fs;
+    use std::time::Duration;
 
     use super::*;
     use crate::prelude::{BenchKind, Cell, JogCommand, Outcome, RunOutcome, join};
@@ -161,7 +162,7 @@ mod tests {
             let mut robot = cell.robot("left")?;
             robot.enable().await?;
             robot.home().await?;
-            let (jog, mut operator) = robot.motions().jog(Duration::from_millis(200))?;
+            let (jog, mut operator) = robot.jog(Duration::from_millis(200))?;
             let operated = async {
                 for _ in 0..20 {
                     operator.command(JogCommand::Joints([0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))?;

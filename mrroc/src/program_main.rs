@@ -10,6 +10,7 @@ use servo::Phase;
 use signal_hook::{consts::SIGUSR1, flag};
 
 use crate::cell::CellFile;
+use crate::operator::Console;
 use crate::report::RunOutcome;
 use crate::run::{Progress, Requests, RunOptions, run};
 use crate::signals::Motion;
@@ -25,6 +26,10 @@ pub struct ProgramOptions {
     /// Print one JSON object at the end.
     #[arg(long)]
     pub json: bool,
+    /// Answer questions of the task by lines of standard input. The questions appear on standard error. With --bench
+    /// lockstep, standard input is read to its end before the run.
+    #[arg(long)]
+    pub operator: bool,
 }
 
 /// Arguments of a robot program.
@@ -58,9 +63,20 @@ pub fn run_program(file: &CellFile, options: &ProgramOptions, program: &Program)
     let (asked, motion) = (requests.clone(), Motion::on(options.run.bench));
     signals::on_ending_of_motion(motion.clone(), move |_| asked.stop())?;
     let mut bar = Bar::new(file, !options.json)?;
-    let report = run(file, &options.run, &requests, program, &mut |news| bar.show(news));
+    let console = options.operator.then(|| {
+        let bar = bar.bar.clone();
+        let show = move |text: &str| bar.suspend(|| streams::warn(format_args!("mrroc: {text}")));
+        Console::start(options.run.bench, &requests, show)
+    });
+    let console = console.transpose()?;
+    let operated = console.as_ref().map(|console| program.clone().with_operator(console.link.clone()));
+    let report = run(file, &options.run, &requests, operated.as_ref().unwrap_or(program), &mut |news| bar.show(news));
     motion.is_over();
     bar.bar.finish_and_clear();
+    drop(operated);
+    if let Some(console) = console {
+        console.finish();
+    }
     let report = report?;
     if let Err(error) = streams::answer(&report, options.json) {
         // A refusal is too late, because everything has moved.

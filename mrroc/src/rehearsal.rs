@@ -82,7 +82,7 @@ impl Course {
 /// `STARTS` positions beside its home position, where homing may leave the arm. Each first motion ends at its
 /// programmed position, so all later motions are the same in every run.
 ///
-/// A task that hangs in a turn is refused, and its thread is left behind.
+/// A task that hangs in a turn is refused, and so is a generator that hangs in a step. Their thread is left behind.
 pub fn rehearse(file: &CellFile, program: &Program) -> anyhow::Result<Rehearsed> {
     let (file, program, turns) = (Arc::new(file.clone()), program.clone(), Turns::default());
     let counted = turns.clone();

@@ -94,9 +94,10 @@ impl AxisLog {
     }
 }
 
-/// A CSV file of every step of every agent: the events of the flow chart, in order.
+/// A CSV file of every step of every agent: the events of the flow chart, in order. The agents are the robots and the
+/// coordinator.
 pub(crate) struct StepFile {
-    robots: Vec<String>,
+    agents: Vec<String>,
     records: Vec<StepRecords>,
     writer: BufWriter<File>,
 }
@@ -106,16 +107,16 @@ impl StepFile {
         let mut writer = BufWriter::new(sink);
         writeln!(writer, "time_s,agent,instruction,generator,class,macrostep,event,age_s,memory")?;
         let robots = file.cell.robot.iter().map(|robot| robot.name.clone());
-        Ok(Self { robots: robots.collect(), records, writer })
+        Ok(Self { agents: robots.chain(["coordinator".to_owned()]).collect(), records, writer })
     }
 
     /// Writes the steps since the last call.
     pub(crate) fn drain(&mut self) -> io::Result<()> {
-        for (records, robot) in self.records.iter_mut().zip(&self.robots) {
+        for (records, agent) in self.records.iter_mut().zip(&self.agents) {
             while let Ok(record) = records.queue.pop() {
                 let StepRecord { at, motion, generator, class, step, event, age, memory } = record;
                 let (seconds, event) = (at.as_nanos() as f64 / 1e9, event.name());
-                write!(self.writer, "{seconds:.9},{robot},{motion},\"{generator}\",{class},{step},{event},")?;
+                write!(self.writer, "{seconds:.9},{agent},{motion},\"{generator}\",{class},{step},{event},")?;
                 if let Some(age) = age {
                     write!(self.writer, "{:.9}", age.as_secs_f64())?;
                 }

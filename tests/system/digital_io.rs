@@ -174,6 +174,39 @@ fn a_module_without_supply_has_no_levels() {
 }
 
 #[test]
+fn a_module_that_lost_its_supply_works_again_after_a_reset_while_the_axis_goes_on() {
+    let mut stage = Stage::up();
+    stage.link.outputs.set_all(0xC1);
+    stage.cycles(3);
+    for on in [false, true] {
+        let now = stage.now;
+        stage.act(|module| module.set_power(on, now));
+        let until = stage.now + Duration::from_millis(400);
+        while stage.now < until {
+            stage.cycles(1);
+        }
+    }
+    assert!(stage.link.inputs.read().fault.is_some());
+    stage.link.reset_fault();
+    let until = stage.now + Duration::from_secs(5);
+    while let Some(fault) = stage.link.inputs.read().fault {
+        stage.cycles(1);
+        assert!(stage.now < until, "{fault}");
+    }
+    stage.cycles(3);
+    // The error value, and then commands and edges as before.
+    assert_eq!(stage.outputs(), 0x02);
+    stage.link.outputs.set_all(0x84);
+    let at = stage.now;
+    stage.act(|module| module.set_input(at, 5, true)).unwrap();
+    stage.cycles(5);
+    assert_eq!(stage.outputs(), 0x84);
+    let input = stage.link.inputs.read().input(5).unwrap();
+    assert_eq!((input.level, input.edges), (true, 1));
+    assert_eq!(stage.states[0].fault, None);
+}
+
+#[test]
 fn a_module_with_outputs_alone_that_falls_silent_has_a_lost_heartbeat() {
     let mut stage = Stage::up_with(|io| io.inputs = 0);
     assert_eq!(stage.link.inputs.read().fault, None);

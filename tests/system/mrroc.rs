@@ -3,7 +3,7 @@
 use std::cell::Cell as Shared;
 use std::ffi::OsStr;
 use std::fs::{self, Permissions};
-use std::io::Read;
+use std::io::{Read, Write};
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -112,7 +112,12 @@ pub(crate) struct Running {
 
 impl Running {
     pub(crate) fn start(arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Self {
-        Self::of(Command::new(binary()).args(arguments))
+        Self::program(binary(), arguments)
+    }
+
+    /// Starts another program of the workspace.
+    pub(crate) fn program(program: &Path, arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Self {
+        Self::of(Command::new(program).args(arguments))
     }
 
     /// `program` under `strace`, which writes every system call of every thread to `log`. If the host permits it,
@@ -156,13 +161,30 @@ impl Running {
         Self::spawn(Command::new(binary()).args(arguments).stdout(stdout))
     }
 
+    /// Starts `mrroc` with lines on its standard input, which stays open until the command is dropped or has ended.
+    pub(crate) fn with_input(lines: &[&str], arguments: impl IntoIterator<Item: AsRef<OsStr>>) -> Self {
+        let mut running =
+            Self::spawn_with(Command::new(binary()).args(arguments).stdout(Stdio::piped()).stdin(Stdio::piped()));
+        let input = running.child.stdin.as_mut().expect("stdin is piped");
+        lines.iter().for_each(|line| writeln!(input, "{line}").expect("the pipe has room"));
+        running
+    }
+
+    /// Closes the standard input of [`Self::with_input`].
+    pub(crate) fn close_input(&mut self) {
+        self.child.stdin = None;
+    }
+
     fn of(command: &mut Command) -> Self {
         Self::spawn(command.stdout(Stdio::piped()))
     }
 
     fn spawn(command: &mut Command) -> Self {
+        Self::spawn_with(command.stdin(Stdio::null()))
+    }
+
+    fn spawn_with(command: &mut Command) -> Self {
         let mut child = command
-            .stdin(Stdio::null())
             .stderr(Stdio::piped())
             .spawn()
             .unwrap_or_else(|error| panic!("{command:?} does not start: {error}"));

@@ -95,6 +95,7 @@ fn the_example_of_a_retry_completes_and_lists_the_errors_that_it_handled() {
     for (error, instruction) in recovered.iter().zip(2..) {
         assert_eq!((&error["robot"], &error["class"]), (&"irb6".into(), &"non-fatal".into()), "{error}");
         assert_eq!((&error["instruction"], &error["phase"]), (&instruction.into(), &"first-step".into()), "{error}");
+        assert_eq!(error["step"], 0, "{error}");
         assert!(error["what"].as_str().unwrap().contains("at the least"), "{error}");
     }
 }

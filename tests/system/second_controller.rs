@@ -16,11 +16,11 @@ use serde_json::json;
 use crate::cli_refusals::refused;
 use crate::cli_run::stopped;
 use crate::mrroc::{Running, mrroc, trace};
-use crate::vcan::{Stage, faulted, on_stage};
+use crate::vcan::{faulted, on_stage};
 
 /// Emulates a controller in another computer: sends `frame` every `period` while `body` runs.
-fn beside_a_master(stage: &Stage, frame: Frame, period: Duration, body: impl FnOnce()) {
-    let mut port = SocketCanPort::open(stage.interface, &SocketCanOptions::default()).unwrap();
+pub(crate) fn beside_a_master(interface: &str, frame: Frame, period: Duration, body: impl FnOnce()) {
+    let mut port = SocketCanPort::open(interface, &SocketCanOptions::default()).unwrap();
     let over = AtomicBool::new(false);
     thread::scope(|scope| {
         scope.spawn(|| {
@@ -104,7 +104,7 @@ fn a_master_in_another_computer_refuses_the_start_before_a_frame_is_sent() {
         for (frame, period, sign) in
             [(Sync::default().encode(), cycle, "SYNC"), (host.encode(), heartbeat, "the heartbeat of node 127")]
         {
-            beside_a_master(stage, frame, period, || {
+            beside_a_master(stage.interface, frame, period, || {
                 let output = stage.start_controller().output();
                 let sign = format!("bus arm: another controller is at work: it sent {sign}");
                 refused(&output, &[&sign]);
@@ -125,7 +125,7 @@ fn a_master_that_comes_in_operation_stops_the_robot_and_is_named() {
     on_stage(TEST, |stage| {
         let (_emulators, controller) = stage.start_moving();
         let cycle = Duration::from_micros(stage.cell.period_us.into());
-        beside_a_master(stage, Sync::default().encode(), cycle, || {
+        beside_a_master(stage.interface, Sync::default().encode(), cycle, || {
             let named = "bus arm: another controller is at work: it sent SYNC";
             faulted(&controller.output(), &[named]);
         });

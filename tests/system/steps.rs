@@ -1,46 +1,74 @@
-//! The file of the steps of generators, and repeated runs of the examples.
+//! The file of the steps of generators, repeated runs of the examples, and the list of the examples.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
 
-use crate::mrroc::{Directory, example, example_program};
+use crate::mrroc::{Directory, example, example_program, root};
 
-/// The examples, with their cells.
-const EXAMPLES: [(&str, &str); 7] = [
-    ("carry_bar", "two-irb6"),
-    ("feedback", "irb6"),
-    ("first_program", "irb6"),
-    ("own_generator", "irb6"),
-    ("replan", "irb6"),
-    ("retry", "irb6"),
-    ("until_touch", "irb6-touch"),
-];
+/// The examples with their cells, in the order of the alphabet.
+fn examples() -> Vec<(String, String)> {
+    let files = fs::read_dir(root().join("examples")).unwrap().map(|file| file.unwrap().path());
+    let sources = files.filter(|path| path.extension().is_some_and(|extension| extension == "rs"));
+    let with_cell = |path: std::path::PathBuf| {
+        let source = fs::read_to_string(&path).unwrap();
+        let cell = source.split_once("\"cells/").and_then(|(_, rest)| rest.split_once(".toml\"")).unwrap().0.to_owned();
+        (path.file_stem().unwrap().to_str().unwrap().to_owned(), cell)
+    };
+    let mut examples: Vec<_> = sources.map(with_cell).collect();
+    examples.sort();
+    examples
+}
 
-/// The steps, the record and the figures of an example in lockstep.
-fn run(program: &str, cell: &str) -> (String, String, Value) {
+/// The steps, the record and the report of an example in lockstep.
+pub(crate) fn run(program: &str, cell: &Path) -> (String, String, Value) {
     let directory = Directory::new();
     let [steps, record] = ["steps.csv", "axes.csv"].map(|name| directory.path(name));
     let mut command = Command::new(example_program(program));
-    command.arg(example(cell)).args(["--bench", "lockstep", "--json", "--steps"]).arg(&steps);
+    command.arg(cell).args(["--bench", "lockstep", "--json", "--steps"]).arg(&steps);
     let output = command.arg("--record").arg(&record).output().unwrap();
     assert!(output.status.success(), "{program}: {output:?}");
-    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let mut report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    // The only time of the host.
+    report.as_object_mut().unwrap().remove("realtime_factor").unwrap();
     let [steps, record] = [steps, record].map(|path| fs::read_to_string(path).unwrap());
-    (steps, record, report["figures"].clone())
+    (steps, record, report)
+}
+
+/// A line of a file of steps.
+pub(crate) struct Line<'a> {
+    pub(crate) agent: &'a str,
+    pub(crate) instruction: u64,
+    pub(crate) generator: &'a str,
+    pub(crate) class: u8,
+    pub(crate) macrostep: u64,
+    pub(crate) event: &'a str,
+    pub(crate) memory: &'a str,
+}
+
+/// The lines of a file of steps.
+pub(crate) fn lines(steps: &str) -> impl Iterator<Item = Line<'_>> {
+    steps.lines().skip(1).map(|line| {
+        // The name of a generator is in quotes, and may have commas.
+        let [before, generator, after] = line.splitn(3, '"').collect::<Vec<_>>()[..] else { panic!("{line}") };
+        let [_, agent, instruction, ""] = before.split(',').collect::<Vec<_>>()[..] else { panic!("{line}") };
+        let ["", class, macrostep, event, _, memory] = after.split(',').collect::<Vec<_>>()[..] else {
+            panic!("{line}")
+        };
+        let number = |text: &str| text.parse().unwrap();
+        let (instruction, macrostep) = (number(instruction), number(macrostep));
+        Line { agent, instruction, generator, class: class.parse().unwrap(), macrostep, event, memory }
+    })
 }
 
 /// The images that the steps of each generator read, by generator and class.
 fn images(steps: &str) -> BTreeMap<(&str, u8), BTreeSet<&str>> {
     let mut images = BTreeMap::<_, BTreeSet<_>>::new();
-    for line in steps.lines().skip(1) {
-        // The name of a generator is in quotes, and may have commas.
-        let [before, generator, after] = line.splitn(3, '"').collect::<Vec<_>>()[..] else { panic!("{line}") };
-        assert_eq!(before.split(',').count(), 4, "{line}");
-        let [_, class, _, event, ..] = after.split(',').collect::<Vec<_>>()[..] else { panic!("{line}") };
-        let read = images.entry((generator, class.parse().unwrap())).or_default();
+    for Line { generator, class, event, .. } in lines(steps) {
+        let read = images.entry((generator, class)).or_default();
         if event.starts_with("read-") {
             read.insert(event);
         }
@@ -48,27 +76,48 @@ fn images(steps: &str) -> BTreeMap<(&str, u8), BTreeSet<&str>> {
     images
 }
 
+/// The class of an example: the highest class of its next steps.
+fn class(steps: &str) -> u8 {
+    lines(steps).filter(|line| line.macrostep > 0).map(|line| line.class).max().unwrap()
+}
+
 #[test]
 fn every_example_reads_the_images_of_its_class_and_repeats_bit_for_bit_in_lockstep() {
+    let list = fs::read_to_string(root().join("examples/README.md")).unwrap();
     let mut classes = BTreeSet::new();
-    for (program, cell) in EXAMPLES {
-        let (one, two) = (run(program, cell), run(program, cell));
+    for (program, cell) in examples() {
+        let cell = example(&cell);
+        let (one, two) = (run(&program, &cell), run(&program, &cell));
         assert!(one == two, "{program} differs from run to run");
         for ((generator, class), read) in images(&one.0) {
             let declared = [("read-effector", 1), ("read-sensor", 2), ("read-order", 4)];
             let declared = declared.into_iter().filter_map(|(image, bit)| (class & bit != 0).then_some(image));
             assert_eq!(read, declared.collect(), "{program}: {generator}, class {class}");
-            classes.insert(class);
         }
+        let class = class(&one.0);
+        assert!(list.contains(&format!("| [`{program}.rs`]({program}.rs) | {class} |")), "{program}, class {class}");
+        classes.insert(class);
     }
-    assert_eq!(classes, BTreeSet::from([0, 1, 2, 5]), "classes of the examples");
+    assert_eq!(classes, (0..8).collect(), "classes of the examples");
 }
 
 #[test]
 fn two_arms_carry_a_bar_within_the_bounds() {
-    let (_, _, figures) = run("carry_bar", "two-irb6");
+    let (_, _, report) = run("carry_bar", &example("two-irb6"));
+    let figures = &report["figures"];
     let figure = |name: &str| figures[name].as_f64().unwrap();
     assert!(figure("object_path_rms_mm") < 0.5, "{figures}");
     assert!(figure("grip_distance_max_mm") < 0.2, "{figures}");
     assert_eq!(figure("start_skew_cycles_max"), 0.0, "{figures}");
+}
+
+/// The first generator in the book: type and functions, without the task that uses it.
+#[test]
+fn the_first_generator_of_the_book_is_shorter_than_40_lines_and_is_that_of_the_example() {
+    let source = fs::read_to_string(root().join("examples/own_generator.rs")).unwrap();
+    let generator = &source[source.find("struct ").unwrap()..source.find("async fn").unwrap()];
+    let book = fs::read_to_string(root().join("book/src/own-generator.md")).unwrap();
+    let begin = book.find("## Your first generator").expect("the section");
+    assert!(book[begin..].contains(generator.trim_end()), "the book has another generator");
+    assert!(generator.lines().count() < 40, "{} lines", generator.lines().count());
 }

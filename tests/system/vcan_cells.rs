@@ -16,17 +16,17 @@ use crate::mrroc::{self, Directory, Output, Running, text};
 use crate::vcan::{shorten, started, wait_until};
 
 /// Number of runs of a cell on an overloaded machine, and the time limit of all runs.
-const ATTEMPTS: usize = 4;
+pub(crate) const ATTEMPTS: usize = 4;
 const LONGEST: Duration = Duration::from_secs(340);
 
 /// File with every axis in every cycle of the last run.
 const RECORD: &str = "states.csv";
 
 /// One interface for each bus of a cell, removed on drop.
-struct Interfaces(Vec<(String, String)>);
+pub(crate) struct Interfaces(Vec<(String, String)>);
 
 impl Interfaces {
-    fn of(cell: &Cell) -> Self {
+    pub(crate) fn of(cell: &Cell) -> Self {
         let buses = cell.bus.iter().enumerate();
         let named = buses.map(|(number, bus)| (bus.name.clone(), format!("mrroc{number}")));
         let interfaces = Self(named.collect());
@@ -37,8 +37,13 @@ impl Interfaces {
         interfaces
     }
 
+    /// The interface of the bus called `bus`.
+    pub(crate) fn interface(&self, bus: &str) -> &str {
+        &self.0.iter().find(|(name, _)| name == bus).expect("a bus of the cell").1
+    }
+
     /// Values of `--can`.
-    fn options(&self) -> impl Iterator<Item = String> {
+    pub(crate) fn options(&self) -> impl Iterator<Item = String> {
         let options = self.0.iter();
         options.map(|(bus, interface)| format!("--can={bus}={interface}"))
     }
@@ -177,7 +182,7 @@ fn run(directory: &Directory, cell: &Cell, interfaces: &Interfaces) -> Output {
 /// According to the report of the run, at least one cycle in a hundred ended more than a period after its deadline, or
 /// answers were missing. A cycle does not wait, and the emulators answer every cycle, so the processor was taken from
 /// one of them. A defect that causes either fails every attempt.
-fn overloaded(output: &Output) -> bool {
+pub(crate) fn overloaded(output: &Output) -> bool {
     if output.status.code() != Some(1) {
         return false;
     }

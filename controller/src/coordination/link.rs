@@ -14,7 +14,8 @@ const QUEUE: usize = 4;
 /// How a member treats a missing order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinkConfig {
-    /// Whether a step waits for the order of its number. Otherwise a step takes the latest order, if any.
+    /// Whether a step waits for the order of its number. Otherwise a step takes the latest order, if any, and of answers
+    /// that the coordinator does not fetch the oldest and the latest are kept.
     pub blocking: bool,
     /// Longest wait for an order of a blocking link. In motion, the servo stops the team when the present macrostep ends
     /// without a successor: a deadline acts only if it is shorter than the rest of the macrostep after its images are read.
@@ -42,6 +43,8 @@ pub enum LinkError {
     WrongStep { expected: u64, received: u64 },
     #[error("the coordinator is gone")]
     Gone,
+    #[error("{QUEUE} orders wait for the robot, which takes them with the steps of its motions")]
+    Full,
 }
 
 /// What happens to one message of a link, in a test of the reaction to a bad wire.
@@ -103,6 +106,8 @@ pub struct CoordinatorEnd<C, R> {
     /// Number of the next order of [`send`](Self::send), and of the next answer.
     next_order: u64,
     next_answer: u64,
+    /// Whether each answer must have the next number.
+    gapless: bool,
     disturbed: Option<Disturbed>,
 }
 
@@ -113,7 +118,9 @@ pub struct MemberEnd<C, R> {
     config: LinkConfig,
     /// Number of the next order.
     next: u64,
-    /// Number of the present step.
+    /// Number of the order of the first step.
+    base: u64,
+    /// Number of the present step of the instruction.
     step: u64,
     /// Number of the next answer.
     next_answer: u64,
@@ -123,6 +130,8 @@ pub struct MemberEnd<C, R> {
     wanted: Option<Instant>,
     received: Received<C>,
     ended: bool,
+    /// The latest answer, for which a link that does not wait had no room.
+    unsent: Option<Numbered<R>>,
     disturbed: Option<Disturbed>,
 }
 
@@ -135,6 +144,7 @@ pub fn link<C: Message, R: Message>(config: LinkConfig) -> (CoordinatorEnd<C, R>
         answers: answer_receiver,
         next_order: 0,
         next_answer: 0,
+        gapless: config.blocking,
         disturbed: None,
     };
     let received = Received::None;
@@ -143,12 +153,14 @@ pub fn link<C: Message, R: Message>(config: LinkConfig) -> (CoordinatorEnd<C, R>
         answers,
         config,
         next: 0,
+        base: 0,
         step: 0,
         next_answer: 0,
         held: 0,
         wanted: None,
         received,
         ended: false,
+        unsent: None,
         disturbed: None,
     };
     (coordinator, member)
@@ -170,10 +182,10 @@ impl<C: Message, R: Message> CoordinatorEnd<C, R> {
         let Ok(Numbered { step, at, value }) = self.answers.pop() else {
             return Ok(None);
         };
-        if step != self.next_answer {
+        if step != self.next_answer && (self.gapless || step < self.next_answer) {
             return Err(LinkError::WrongStep { expected: self.next_answer, received: step });
         }
-        self.next_answer += 1;
+        self.next_answer = step + 1;
         Ok(Some((step, Sample { at, age: Duration::ZERO, value })))
     }
 
@@ -198,16 +210,19 @@ pub(crate) trait MemberLink: Send {
     /// The present order, as a [`Received`].
     fn order(&self) -> &dyn Any;
 
-    /// Begins an instruction: orders and the end of an earlier motion are forgotten.
+    /// Begins an instruction: orders and the end of an earlier motion are forgotten. The first step takes the order that
+    /// the instruction before has not taken.
     fn begin(&mut self);
 
     /// Age of the present order at `now`.
     fn age(&self, now: Instant) -> Option<Duration>;
 
-    /// What step number `step` of the instruction does at `now`. Takes the order of the step.
-    fn poll(&mut self, step: u64, now: Instant) -> Result<Turn, LinkError>;
+    /// What step number `step` of the instruction does at `now`. Takes the order of the step. `slowed`: motion runs slower
+    /// than the clock, and no order is late.
+    fn poll(&mut self, step: u64, now: Instant, slowed: bool) -> Result<Turn, LinkError>;
 
-    /// Answers the present step. Returns false if the answer has another type, or if the queue is full.
+    /// Answers the present step. Returns false if the answer has another type, or if the queue of a blocking link is
+    /// full.
     fn answer(&mut self, answer: &dyn Any, now: Instant) -> bool;
 }
 
@@ -224,7 +239,7 @@ impl<C: Message, R: Message> MemberEnd<C, R> {
         };
         // The end of the motion is never too late.
         let Directive::Next(value) = value else {
-            self.ended = true;
+            (self.ended, self.next) = (true, step + 1);
             return Ok(true);
         };
         if step < self.held {
@@ -238,17 +253,18 @@ impl<C: Message, R: Message> MemberEnd<C, R> {
         Ok(true)
     }
 
-    fn wait(&mut self, now: Instant) -> Result<Turn, LinkError> {
+    /// Waits for the order of this number.
+    fn wait(&mut self, number: u64, now: Instant) -> Result<Turn, LinkError> {
         if self.orders.is_abandoned() {
             return Err(LinkError::Gone);
         }
         let waited = now.since(*self.wanted.get_or_insert(now));
         match self.config.late {
             _ if waited <= self.config.deadline => return Ok(Turn::Waiting),
-            Late::Stop => return Err(LinkError::Late { step: self.step, waited }),
+            Late::Stop => return Err(LinkError::Late { step: number, waited }),
             Late::Hold => {}
         }
-        self.next = self.step + 1;
+        self.next = number + 1;
         self.held = self.next;
         Ok(Turn::Ready)
     }
@@ -265,34 +281,46 @@ impl<C: Message, R: Message> MemberLink for MemberEnd<C, R> {
 
     fn begin(&mut self) {
         (self.received, self.ended, self.wanted, self.step) = (Received::None, false, None, 0);
+        self.base = self.next;
     }
 
     fn age(&self, now: Instant) -> Option<Duration> {
         self.received.sample().map(|sample| now.since(sample.at))
     }
 
-    fn poll(&mut self, step: u64, now: Instant) -> Result<Turn, LinkError> {
+    fn poll(&mut self, step: u64, now: Instant, slowed: bool) -> Result<Turn, LinkError> {
         if step != self.step {
             (self.step, self.wanted) = (step, None);
             self.received = self.received.at(now, true);
         }
+        if slowed {
+            self.wanted = None;
+        }
         if self.config.blocking {
-            while self.next <= step && !self.ended {
+            let number = self.base + step;
+            while self.next <= number && !self.ended {
                 if !self.take(now)? {
-                    return self.wait(now);
+                    return self.wait(number, now);
                 }
             }
         } else {
             while self.take(now)? {}
+            self.unsent = self.unsent.take().filter(|answer| self.answers.push(*answer).is_err());
         }
         Ok(if self.ended { Turn::EndMotion } else { Turn::Ready })
     }
 
     fn answer(&mut self, answer: &dyn Any, at: Instant) -> bool {
-        let answer = answer.downcast_ref::<R>().copied();
-        let numbered = answer.map(|value| Numbered { step: self.next_answer, at, value });
-        let sent = numbered.is_some_and(|answer| push(&mut self.answers, answer, self.disturbed));
-        self.next_answer += u64::from(sent);
-        sent
+        let Some(&value) = answer.downcast_ref::<R>() else {
+            return false;
+        };
+        let answer = Numbered { step: self.next_answer, at, value };
+        let sent = push(&mut self.answers, answer, self.disturbed);
+        if !sent && self.config.blocking {
+            return false;
+        }
+        self.unsent = if sent { None } else { Some(answer) };
+        self.next_answer += 1;
+        true
     }
 }

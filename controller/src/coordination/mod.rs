@@ -3,6 +3,7 @@
 //! A [`Coordinator`] gives each member of a team an order in every macrostep, and reads the answers of the members
 //! (tight coordination). The members run generators with the image [`A`](crate::generator::A) and the output
 //! [`Answer`](crate::generator::Answer). The flow chart of figure 3 is the same for the coordinator and for its members.
+//! A coordinator may have virtual sensors of its own.
 //!
 //! A task is a coordinator too: with a [`link`] to one agent it gives decisions when it wants (loose coordination).
 //!
@@ -12,12 +13,13 @@
 //!
 //! Read [`Coordinator`] first, then [`LinkConfig`].
 
+mod conduct;
 mod coordinator;
 mod link;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use coordinator::Conduct;
-pub use coordinator::{Answers, Coordinator, CoordinatorError, NextOrders};
+pub(crate) use conduct::{Conduct, CoordinatorJournal, Desk};
+pub use coordinator::{Answers, Coordinator, CoordinatorError, NextOrders, Orders};
 pub use link::{CoordinatorEnd, Disturbance, Late, LinkConfig, LinkError, MemberEnd, link};
 pub(crate) use link::{MemberLink, Turn};

@@ -35,7 +35,7 @@ impl Partners for Around<'_> {
     }
 
     fn gives_readings(&self, reading: TypeId) -> bool {
-        self.sensors.reading(reading).is_some()
+        self.sensors.provides(reading)
     }
 
     fn gives_orders(&self, order: TypeId) -> bool {

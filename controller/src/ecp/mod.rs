@@ -33,21 +33,20 @@ mod task;
 #[cfg(test)]
 mod tests;
 
-use std::{collections::VecDeque, time::Duration};
+use std::{collections::VecDeque, num::NonZeroU64, time::Duration};
 
 use can::Instant;
 use servo::{EffectorLink, Order, Phase, ServoReport, Snapshot};
 
-use crate::coordination::MemberLink;
 use crate::generator::{AxesState, EffectorImage, Execution, GeneratorError, Pace};
 use crate::robot::Arm;
 use crate::sensor::Sensors;
 
 pub use error::{ChartPhase, Class, EcpError};
 use image::Effector;
-use partners::{Barrier, is_barrier};
-use planning::Planning;
+use partners::{Barrier, Links, is_barrier};
 pub use planning::{AtOnce, Plan, Planner};
+pub(crate) use planning::{Planning, Preparation};
 use steps::Journal;
 pub use steps::{StepEvent, StepLog, StepRecord, StepRecords, step_log};
 pub use subcontrollers::{Meetings, Subcontrollers};
@@ -186,13 +185,14 @@ pub struct Ecp {
     /// times of polls: an emulated cell has a time of its own.
     turned: (u64, Instant),
     sensors: Sensors,
-    /// The link to the coordinator, if there is one.
-    coordinator: Option<Box<dyn MemberLink>>,
+    links: Links,
     /// Number of the present step of the generator, 0 for the first step.
     turn: u64,
     journal: Journal,
     /// Servo cycle after which the last barrier was sent.
     barrier_sent: Option<u64>,
+    /// Number of the macrostep that the present fault of the servo ended; 0 before the first macrostep.
+    fault_macrostep: Option<u64>,
 }
 
 impl Ecp {
@@ -223,21 +223,17 @@ impl Ecp {
             waiting: None,
             turned: (0, Instant::ZERO),
             sensors: Sensors::default(),
-            coordinator: None,
+            links: Links::default(),
             turn: 0,
             journal: Journal::default(),
             barrier_sent: None,
+            fault_macrostep: None,
         }
     }
 
     /// The virtual sensors of this process.
     pub fn sensors(&mut self) -> &mut Sensors {
         &mut self.sensors
-    }
-
-    /// Connects the process to a coordinator, in place of the one before.
-    pub(crate) fn follow(&mut self, coordinator: Option<Box<dyn MemberLink>>) {
-        self.coordinator = coordinator;
     }
 
     /// Duration of the cell's macrostep.
@@ -299,10 +295,17 @@ impl Ecp {
         self.held && moves && ready
     }
 
-    /// Phase of the flow chart in the last motion, and number of its macrosteps executed; `None` after another
-    /// instruction.
+    /// Phase of the flow chart in the last motion, and number of its macrosteps before the present one; `None` after
+    /// another instruction.
     pub(crate) fn chart(&self) -> Option<(ChartPhase, u64)> {
-        self.chart.map(|phase| (phase, self.executed.saturating_sub(self.base)))
+        let before = self.fault_macrostep.map_or(self.executed, |macrostep| macrostep.saturating_sub(1));
+        self.chart.map(|phase| (phase, before.saturating_sub(self.base)))
+    }
+
+    /// Number of the macrostep that the present fault of the servo ended, counted from the start of the process; `None`
+    /// without a fault or before the first macrostep.
+    pub(crate) fn fault_macrostep(&self) -> Option<NonZeroU64> {
+        self.fault_macrostep.and_then(NonZeroU64::new)
     }
 
     /// State of the effector in the last servo cycle.
@@ -341,6 +344,10 @@ impl Ecp {
             if report.reached || executed > self.executed {
                 self.executed = executed;
                 self.effector.measured = report.snapshot;
+            }
+            // A fault belongs to the macrostep in which it occurred, also if later ones were computed before.
+            if report.fault != self.report.and_then(|before| before.fault) {
+                self.fault_macrostep = report.fault.map(|_| macrostep);
             }
             self.report = Some(report);
         }
@@ -489,13 +496,16 @@ impl Ecp {
             self.activity,
             Activity::Stopping { .. } | Activity::Switching { order: Order::Stop | Order::Disable, .. }
         );
-        if let (Some(error), Activity::Stopping { outcome, .. }) = (self.partner_stop(), &mut self.activity)
-            && outcome.is_ok()
-        {
-            *outcome = Err(error);
-        }
         if !stops {
-            let met = self.partner_stop().map_or_else(|| self.wait_for_partners(now), Err);
+            let met = match self.partner_stop() {
+                // The generator has ended in motion, as that of the partner, and its effector brakes in any case.
+                Some(_) if matches!(self.activity, Activity::RunningOut) => {
+                    self.brake(Ok(()));
+                    return None;
+                }
+                Some(error) => Err(error),
+                None => self.wait_for_partners(now),
+            };
             if met.is_err() {
                 self.brake(met);
                 return None;

@@ -5,13 +5,13 @@ use std::mem::replace;
 use std::time::Duration;
 
 use can::Instant;
-use servo::{Macrostep, Order, Phase};
+use servo::{Macrostep, Order, Phase, Snapshot};
 
 use super::around::Around;
 use super::task::Instruction;
 use super::{Activity, BURST, ChartPhase, Ecp, EcpConfig, EcpError, NotRunning, STILL, StepEvent};
 use crate::coordination::{LinkError, MemberLink, Turn};
-use crate::generator::{Axes, AxesState, Execution, Generator, Pace, Run, Setpoint, Step};
+use crate::generator::{Axes, AxesState, Execution, Generator, GeneratorError, Pace, Run, Setpoint, Step};
 use crate::sensor::Sensors;
 
 /// Bound of the number of macrosteps ahead, if they are shorter than the macrosteps of the cell.
@@ -65,11 +65,15 @@ impl Ecp {
             Ok(pace) => pace,
             Err(error) => return self.fail(EcpError::Generator { step: 0, error }),
         };
+        let (cell, Pace { periods, .. }) = (self.config.pace.periods, self.pace);
+        if self.links.team.is_some() && periods != cell {
+            return self.fail(EcpError::Generator { step: 0, error: GeneratorError::PaceInTeam { cell, periods } });
+        }
         let description = run.description();
         let cycle = self.latest().at;
         self.journal.begin(cycle, description.generator, description.first);
         self.turn = 0;
-        if let Some(link) = &mut self.coordinator {
+        if let Some(link) = self.links.present() {
             link.begin();
         }
         self.sensors.begin();
@@ -87,8 +91,9 @@ impl Ecp {
         let Activity::Awaiting { run, .. } = &mut self.activity else {
             return None;
         };
-        let (class, cycle) = (run.description().first, self.link.latest.read().at);
-        match turn(class, &mut self.coordinator, &self.sensors, 0, cycle) {
+        let (class, latest) = (run.description().first, self.link.latest.read());
+        let cycle = latest.at;
+        match turn(class, self.links.present(), &self.sensors, 0, &latest) {
             Ok(Turn::Ready) => {}
             Ok(Turn::Waiting) => {
                 let waited = now.since(since);
@@ -100,7 +105,7 @@ impl Ecp {
         let around = Around {
             effector: &self.effector,
             sensors: &mut self.sensors,
-            coordinator: self.coordinator.as_deref_mut(),
+            coordinator: self.links.present(),
             journal: RefCell::new(&mut self.journal),
             now: cycle,
         };
@@ -162,7 +167,7 @@ impl Ecp {
         let mut around = Around {
             effector: &self.effector,
             sensors: &mut self.sensors,
-            coordinator: self.coordinator.as_deref_mut(),
+            coordinator: self.links.present(),
             journal: RefCell::new(&mut self.journal),
             now: cycle,
         };
@@ -235,8 +240,9 @@ impl Ecp {
         if outstanding >= if class == 0 { self.config.orders_ahead(ahead, self.pace) } else { 1 } {
             return false;
         }
-        let cycle = self.link.latest.read().at;
-        match turn(class, &mut self.coordinator, &self.sensors, self.turn + 1, cycle) {
+        let latest = self.link.latest.read();
+        let cycle = latest.at;
+        match turn(class, self.links.present(), &self.sensors, self.turn + 1, &latest) {
             Ok(Turn::Ready) => {}
             Ok(Turn::Waiting) => return false,
             Ok(Turn::EndMotion) => return self.conclude(),
@@ -250,7 +256,7 @@ impl Ecp {
         let mut around = Around {
             effector: &self.effector,
             sensors: &mut self.sensors,
-            coordinator: self.coordinator.as_deref_mut(),
+            coordinator: self.links.present(),
             journal: RefCell::new(&mut self.journal),
             now: cycle,
         };
@@ -323,17 +329,17 @@ impl Ecp {
     }
 }
 
-/// Whether a step of this class can take its images: readings that it waits for, and the order of its number. `now` is the
-/// time of the last servo cycle, as all times of images.
+/// Whether a step of this class can take its images: readings that it waits for, and the order of its number. Times are those
+/// of servo cycles, as all times of images.
 fn turn(
     class: u8,
-    coordinator: &mut Option<Box<dyn MemberLink>>,
+    coordinator: Option<&mut (dyn MemberLink + 'static)>,
     sensors: &Sensors,
     step: u64,
-    now: Instant,
+    latest: &Snapshot,
 ) -> Result<Turn, LinkError> {
     if class & 2 != 0 && !sensors.are_ready() {
         return Ok(Turn::Waiting);
     }
-    coordinator.as_mut().map_or(Ok(Turn::Ready), |link| link.poll(step, now))
+    coordinator.map_or(Ok(Turn::Ready), |link| link.poll(step, latest.at, latest.rate < 1.0))
 }

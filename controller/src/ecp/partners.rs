@@ -1,9 +1,12 @@
-//! Partners of a process: barriers at which the process waits for them, and stops of its team.
+//! Partners of a process: its coordinators, barriers at which the process waits for other processes, and stops of its team.
+
+use std::time::Duration;
 
 use can::Instant;
 use servo::{Order, StopCause};
 
-use super::{Activity, Ecp, EcpError};
+use super::{Activity, Ecp, EcpError, Planning};
+use crate::coordination::MemberLink;
 
 /// A barrier of the processes of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -14,7 +17,38 @@ pub(super) enum Barrier {
     Team(u32),
 }
 
+/// The links of a process to coordinators.
+#[derive(Default)]
+pub(super) struct Links {
+    /// The link to the coordinator of the present team.
+    pub(super) team: Option<Box<dyn MemberLink>>,
+    /// The link to the task.
+    pub(super) task: Option<Box<dyn MemberLink>>,
+}
+
+impl Links {
+    /// The link of the present motion. In a motion of a team, the link to the task rests.
+    pub(super) fn present(&mut self) -> Option<&mut (dyn MemberLink + 'static)> {
+        self.team.as_deref_mut().or(self.task.as_deref_mut())
+    }
+}
+
 impl Ecp {
+    /// Connects the process to the task, in place of the link before.
+    pub(crate) fn follow_task(&mut self, link: Box<dyn MemberLink>) {
+        self.links.task = Some(link);
+    }
+
+    /// Connects the process to the coordinator of a team, for the motion of the team. `None` ends the connection.
+    pub(crate) fn follow_team(&mut self, link: Option<Box<dyn MemberLink>>) {
+        self.links.team = link;
+    }
+
+    /// The planner, and the time limit of the wait for its result.
+    pub(crate) fn planning(&mut self) -> (&mut Planning, Duration) {
+        (&mut self.planning, self.config.planning)
+    }
+
     /// The barrier at which the process waits for its partners.
     pub(super) fn barrier(&self) -> Option<Barrier> {
         match self.activity {

@@ -1,4 +1,4 @@
-//! Journal of the steps of an effector control process: what happened in the flow chart, in order.
+//! Journal of the steps of an agent: what happened in the flow chart, in order.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -17,6 +17,8 @@ pub enum StepEvent {
     ReadSensor,
     /// The order of the coordinator is read.
     ReadOrder,
+    /// The answer of a member is read by the coordinator.
+    ReadAnswer,
     /// The terminal condition is evaluated.
     TerminalCondition,
     /// The functions (5) to (8) are computed.
@@ -25,7 +27,7 @@ pub enum StepEvent {
     TellSensor,
     /// (7) An answer goes to the coordinator.
     AnswerCoordinator,
-    /// (5) A set-point goes to the effector.
+    /// (5) A set-point goes to the effector, or the orders of a coordinator go to the members.
     Exchange,
     /// The results of the step are committed.
     Commit,
@@ -39,6 +41,7 @@ impl StepEvent {
             Self::ReadEffector => "read-effector",
             Self::ReadSensor => "read-sensor",
             Self::ReadOrder => "read-order",
+            Self::ReadAnswer => "read-answer",
             Self::TerminalCondition => "terminal-condition",
             Self::Functions => "functions",
             Self::TellSensor => "tell-sensor",
@@ -74,6 +77,15 @@ pub struct StepRecord {
 pub struct StepLog {
     queue: rtrb::Producer<StepRecord>,
     lost: Arc<AtomicU64>,
+}
+
+impl StepLog {
+    /// Adds an event, if the queue has room.
+    pub(crate) fn write(&mut self, record: StepRecord) {
+        if self.queue.push(record).is_err() {
+            self.lost.fetch_add(1, Ordering::Relaxed);
+        }
+    }
 }
 
 /// Reading end of a journal.
@@ -138,9 +150,6 @@ impl Journal {
             return;
         };
         let (motion, generator, class, step) = (self.motions - 1, self.generator, self.class, self.step);
-        let record = StepRecord { at, motion, generator, class, step, event, age, memory };
-        if log.queue.push(record).is_err() {
-            log.lost.fetch_add(1, Ordering::Relaxed);
-        }
+        log.write(StepRecord { at, motion, generator, class, step, event, age, memory });
     }
 }

@@ -2,17 +2,20 @@
 
 use super::partners::Barrier;
 use super::{Ecp, Planner, Status, StepRecords, step_log};
+use crate::coordination::CoordinatorJournal;
 
 /// The effector control processes of one cell, one per robot, and the meetings between them.
 pub struct Subcontrollers {
     ecps: Vec<Ecp>,
     meetings: Meetings,
+    /// Journal of the coordinators.
+    journal: CoordinatorJournal,
 }
 
 impl Subcontrollers {
     /// The processes, in the order of the cell's robots.
     pub fn new(ecps: Vec<Ecp>, meetings: Meetings) -> Self {
-        Self { ecps, meetings }
+        Self { ecps, meetings, journal: CoordinatorJournal::default() }
     }
 
     /// Gives each process a planner of its own.
@@ -20,19 +23,24 @@ impl Subcontrollers {
         self.ecps.iter_mut().for_each(|ecp| ecp.plan_with(planner()));
     }
 
-    /// Keeps a journal of the steps of each process. Each journal has room for `size` events that wait for their reader.
+    /// Keeps a journal of the steps of each process, and last a journal of the steps of all coordinators. Each journal has
+    /// room for `size` events that wait for their reader.
     pub fn keep_steps(&mut self, size: usize) -> Vec<StepRecords> {
         let journal = |ecp: &mut Ecp| {
             let (log, records) = step_log(size);
             ecp.keep_steps(log);
             records
         };
-        self.ecps.iter_mut().map(journal).collect()
+        let mut all: Vec<_> = self.ecps.iter_mut().map(journal).collect();
+        let (log, records) = step_log(size);
+        self.journal.log = Some(log);
+        all.push(records);
+        all
     }
 
-    /// The processes, and the meetings between them.
-    pub(crate) fn parts(&mut self) -> (&mut [Ecp], &mut Meetings) {
-        (&mut self.ecps, &mut self.meetings)
+    /// The processes, the meetings between them, and the journal of the coordinators.
+    pub(crate) fn parts(&mut self) -> (&mut [Ecp], &mut Meetings, &mut CoordinatorJournal) {
+        (&mut self.ecps, &mut self.meetings, &mut self.journal)
     }
 
     /// The processes.

@@ -102,6 +102,12 @@ impl Task {
         self.instructions.iter().position(|it| matches!(it, Instruction::Run(_)))
     }
 
+    /// The instructions of this list, and then those of `next`.
+    pub(crate) fn and(mut self, next: Self) -> Self {
+        self.instructions.extend(next.instructions);
+        self
+    }
+
     fn then(mut self, instruction: Instruction) -> Self {
         self.instructions.push_back(instruction);
         self

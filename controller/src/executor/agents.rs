@@ -10,11 +10,11 @@ use std::time::Duration;
 use can::Instant;
 use servo::Phase;
 
-use super::{InstructionError, NotedError, SystemError};
-use crate::coordination::{CoordinatorEnd, Late, LinkConfig, MemberLink, link};
+use super::{InstructionError, LooseLink, NotedError, SystemError};
+use crate::coordination::{Desk, Late, LinkConfig, MemberLink, link};
 use crate::ecp::{Class, Ecp, EcpError, EcpEvent, NotRunning, Status, Subcontrollers, Task};
-use crate::generator::{EffectorImage, Generator, GeneratorError, Message};
-use crate::sensor::{Shell, VirtualSensor};
+use crate::generator::{EffectorImage, Generator, GeneratorError, Message, SensorReading};
+use crate::sensor::{SensorRefused, Shell, VirtualSensor};
 
 /// Greatest number of errors that are kept of one task.
 const MOST_ERRORS: usize = 1000;
@@ -127,6 +127,11 @@ impl Agents {
         if replace(taken, true) { None } else { Some(Agent { agents: self.clone(), robot }) }
     }
 
+    /// Time of the last servo cycle; zero before the first.
+    pub(super) fn now(&self) -> Instant {
+        self.0.borrow().time()
+    }
+
     /// Waits for this time of the servo's cycles.
     pub async fn sleep(&self, duration: Duration) {
         let mut began = None;
@@ -139,8 +144,19 @@ impl Agents {
         slept.await;
     }
 
+    /// Asks in every turn of the task, with the desk of a coordinator whose first member is `robot`.
+    pub(super) async fn at_desk<T>(&self, robot: usize, mut ask: impl FnMut(&mut Desk) -> Poll<T> + Unpin) -> T {
+        let desk = |board: &mut Board| {
+            let (now, slowed) = (board.time(), board.is_slowed());
+            let (ecps, _, journal) = board.subcontrollers.parts();
+            let (planning, planning_limit) = ecps[robot].planning();
+            ask(&mut Desk { now, slowed, journal, planning, planning_limit })
+        };
+        Leaf::new(self, desk).await
+    }
+
     /// Asks in every turn of the task, with the time of the last servo cycle and whether motion is slowed.
-    pub(super) async fn until<T>(&self, mut ask: impl FnMut(Instant, bool) -> Poll<T> + Unpin) -> T {
+    pub async fn until<T>(&self, mut ask: impl FnMut(Instant, bool) -> Poll<T> + Unpin) -> T {
         Leaf::new(self, |board: &mut Board| ask(board.time(), board.is_slowed())).await
     }
 
@@ -186,7 +202,7 @@ impl Agents {
     ) -> Option<SystemError> {
         let mut board = self.0.borrow_mut();
         let Board { subcontrollers, uses, noted, .. } = &mut *board;
-        let (ecps, meetings) = subcontrollers.parts();
+        let (ecps, meetings, _) = subcontrollers.parts();
         let (mut polled, mut of_system) = (false, None);
         for (robot, (ecp, using)) in ecps.iter_mut().zip(uses).enumerate() {
             if !take(&mut using.fresh) && fresh_only {
@@ -279,23 +295,28 @@ impl Agent {
         self.robot
     }
 
-    /// Gives the effector's agent a virtual sensor, read every `period` macrosteps. The sensor replaces one with readings of
-    /// the same type.
-    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) {
-        self.agents.0.borrow_mut().at(self.robot).0.sensors().install(sensor, shell, period);
+    /// Gives the effector's agent a virtual sensor, as [`Sensors::install`](crate::sensor::Sensors::install).
+    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) -> Result<(), SensorRefused> {
+        self.agents.0.borrow_mut().at(self.robot).0.sensors().install(sensor, shell, period)
     }
 
-    /// The coordinator's end of a new link to this agent: loose coordination. Steps take the latest order that is there,
-    /// and wait for none. An earlier link ends.
-    pub fn coordinated<C: Message, R: Message>(&mut self) -> CoordinatorEnd<C, R> {
+    /// Removes the sensor with readings of type `R`. Returns whether there was one.
+    pub fn remove_sensor<R: SensorReading>(&mut self) -> bool {
+        self.agents.0.borrow_mut().at(self.robot).0.sensors().remove::<R>()
+    }
+
+    /// A new link from the task to this agent: loose coordination. Steps take the latest order that is there,
+    /// and wait for none. In a motion of a team the link rests. An earlier link to the task ends.
+    pub fn coordinated<C: Message, R: Message>(&mut self) -> LooseLink<C, R> {
         let config = LinkConfig { blocking: false, deadline: Duration::ZERO, late: Late::Hold };
         let (coordinator, member) = link(config);
-        self.follow(Some(Box::new(member)));
-        coordinator
+        self.agents.0.borrow_mut().at(self.robot).0.follow_task(Box::new(member));
+        LooseLink::new(self.agents.clone(), coordinator)
     }
 
-    pub(super) fn follow(&mut self, coordinator: Option<Box<dyn MemberLink>>) {
-        self.agents.0.borrow_mut().at(self.robot).0.follow(coordinator);
+    /// Connects the agent to the coordinator of its team, or ends the connection.
+    pub(super) fn follow_team(&mut self, link: Option<Box<dyn MemberLink>>) {
+        self.agents.0.borrow_mut().at(self.robot).0.follow_team(link);
     }
 
     pub(super) fn agents(&self) -> &Agents {

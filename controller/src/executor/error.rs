@@ -1,5 +1,6 @@
 //! Errors of instructions with their place, and errors that end a task.
 
+use std::num::NonZeroU64;
 use std::time::Duration;
 
 use thiserror::Error;
@@ -19,6 +20,10 @@ pub struct InstructionError {
     pub step: Option<u64>,
     /// Phase of the flow chart; `None` outside a motion.
     pub phase: Option<ChartPhase>,
+    /// Number of the macrostep in which the servo stopped the robot, counted from the start of the run; `None` if the servo
+    /// did not stop it, or before the first macrostep. The macrostep may be one of the motion before: the controller
+    /// computes macrosteps before the servo executes them.
+    pub macrostep: Option<NonZeroU64>,
     /// Number of the last servo cycle when the instruction ended.
     pub cycle: u64,
     /// Cause of the error.
@@ -49,7 +54,9 @@ impl InstructionError {
             }
             _ => (chart.map(|(_, step)| step), chart.map(|_| ChartPhase::Transfer)),
         };
-        Self { robot, instruction, step, phase, cycle: ecp.latest().cycle, cause }
+        let by_servo = matches!(cause, EcpError::Servo(_));
+        let macrostep = ecp.fault_macrostep().filter(|_| by_servo);
+        Self { robot, instruction, step, phase, macrostep, cycle: ecp.latest().cycle, cause }
     }
 
     /// Class of the error.
@@ -71,6 +78,12 @@ pub enum SystemError {
     #[error("the task did not return from its turn within {limit:?}: a task must await, and must not block")]
     Hung {
         /// Limit of one turn.
+        limit: Duration,
+    },
+    /// A generator blocks in a step.
+    #[error("a generator did not return from a step within {limit:?}: a step must not block")]
+    HungInStep {
+        /// Limit of one step.
         limit: Duration,
     },
     /// An error of one effector that concerns all effectors.

@@ -4,7 +4,8 @@
 //! processes and then the task, once per servo cycle and in a fixed order. The executor has no thread, clock or waker of
 //! its own, so a task in lockstep is the same in every run.
 //!
-//! A task may await the futures of this module only: [`Agent::perform`], [`Agents::sleep`], [`join`] and [`join_all`].
+//! A task may await the futures of this module only: [`Agent::perform`], [`Agents::sleep`], [`Agents::until`], [`join`]
+//! and [`join_all`].
 //! Every wait for an instruction ends by the time limits of its process. A dropped instruction brakes its effector, and
 //! the next instruction of that effector begins after standstill.
 //!
@@ -14,6 +15,7 @@
 mod agents;
 mod error;
 mod join;
+mod loose;
 mod team;
 mod turns;
 
@@ -29,8 +31,9 @@ use join::Part;
 pub use agents::{Agent, Agents, News, Observer, Replacer};
 pub use error::{InstructionError, NotedError, SystemError};
 pub use join::{join, join_all};
-pub use team::{DisturbedMessage, Team, TeamError};
-pub use turns::Turns;
+pub use loose::LooseLink;
+pub use team::{DisturbedMessage, Members, Team, TeamError};
+pub use turns::{Turns, Work};
 
 /// How a task ended.
 #[derive(Debug)]
@@ -61,13 +64,9 @@ impl<E> Executor<E> {
     /// `news` receives the news of each process with the process. Returns true until the task has ended and no process
     /// has an instruction.
     pub fn poll(&mut self, now: Instant, mut news: impl FnMut(&mut Ecp, News)) -> bool {
-        if let Some(error) = self.agents.poll(now, false, &mut news) {
-            self.end(Ended::System(error));
-        }
+        self.poll_agents(now, false, &mut news);
         self.poll_task();
-        if let Some(error) = self.agents.poll(now, true, &mut news) {
-            self.end(Ended::System(error));
-        }
+        self.poll_agents(now, true, &mut news);
         self.task.is_some() || self.agents.are_busy()
     }
 
@@ -93,15 +92,20 @@ impl<E> Executor<E> {
         (self.ended.take(), self.agents.noted())
     }
 
+    fn poll_agents(&mut self, now: Instant, fresh_only: bool, news: &mut impl FnMut(&mut Ecp, News)) {
+        let polled = self.turns.count(Work::Steps, || self.agents.poll(now, fresh_only, news));
+        if let Some(error) = polled {
+            self.end(Ended::System(error));
+        }
+    }
+
     fn poll_task(&mut self) {
         let Some(task) = self.task.as_mut().filter(|_| self.agents.begin_turn()) else {
             return;
         };
-        self.turns.begin();
-        let polled = self
-            .agents
-            .within(|| catch_unwind(AssertUnwindSafe(|| task.as_mut().poll(&mut Context::from_waker(Waker::noop())))));
-        self.turns.end();
+        let turn = || task.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+        let turn = || self.agents.within(|| catch_unwind(AssertUnwindSafe(turn)));
+        let polled = self.turns.count(Work::Task, turn);
         match polled {
             Ok(Poll::Ready(outcome)) => self.end(Ended::Task(outcome)),
             Ok(Poll::Pending) if !self.agents.are_awaited() => self.end(Ended::System(SystemError::ForeignFuture)),

@@ -10,6 +10,7 @@ use super::{Agent, InstructionError, join_all};
 use crate::coordination::{Answers, Conduct, Coordinator, CoordinatorError, Disturbance, LinkConfig, link};
 use crate::ecp::Task;
 use crate::generator::Generator;
+use crate::sensor::{SensorRefused, Sensors, Shell, VirtualSensor};
 
 /// Effectors that execute motions together: tight coordination.
 ///
@@ -18,6 +19,7 @@ use crate::generator::Generator;
 pub struct Team<'a, const N: usize> {
     members: [&'a mut Agent; N],
     link: LinkConfig,
+    sensors: Sensors,
     disturbed: Option<DisturbedMessage>,
 }
 
@@ -34,6 +36,40 @@ pub struct DisturbedMessage {
     pub disturbance: Disturbance,
 }
 
+/// A generator for each of the `N` members of a team, with answers of type `R`: an array of generators of one type, or a
+/// tuple of two or three generators.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no set of generators for {N} members with answers of type `{R}`",
+    note = "give an array of generators, or a tuple of two or three, each with `type Out = Answer<..>` of the coordinator"
+)]
+pub trait Members<R, const N: usize> {
+    /// The motion of each member.
+    fn motions(self) -> [Task; N];
+}
+
+impl<R, G: Generator<Out: Answers<R>>, const N: usize> Members<R, N> for [G; N] {
+    fn motions(self) -> [Task; N] {
+        self.map(|generator| Task::new().run(generator))
+    }
+}
+
+impl<R, F: Generator<Out: Answers<R>>, G: Generator<Out: Answers<R>>> Members<R, 2> for (F, G) {
+    fn motions(self) -> [Task; 2] {
+        [Task::new().run(self.0), Task::new().run(self.1)]
+    }
+}
+
+impl<R, F, G, H> Members<R, 3> for (F, G, H)
+where
+    F: Generator<Out: Answers<R>>,
+    G: Generator<Out: Answers<R>>,
+    H: Generator<Out: Answers<R>>,
+{
+    fn motions(self) -> [Task; 3] {
+        [Task::new().run(self.0), Task::new().run(self.1), Task::new().run(self.2)]
+    }
+}
+
 /// Errors of a motion of a team. All members stand or are faulted.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum TeamError {
@@ -48,7 +84,12 @@ pub enum TeamError {
 impl<'a, const N: usize> Team<'a, N> {
     /// A team of these members. `link` is the configuration of each link to the coordinator.
     pub fn new(members: [&'a mut Agent; N], link: LinkConfig) -> Self {
-        Self { members, link, disturbed: None }
+        Self { members, link, sensors: Sensors::default(), disturbed: None }
+    }
+
+    /// Replaces the configuration of the links.
+    pub fn link_by(&mut self, link: LinkConfig) {
+        self.link = link;
     }
 
     /// Disturbs one message of the next motion, for tests of the reaction.
@@ -56,48 +97,58 @@ impl<'a, const N: usize> Team<'a, N> {
         self.disturbed = Some(message);
     }
 
-    /// Executes a motion of all members: the functions of the coordinator, and a generator per member. Ends when the
-    /// terminal condition of the coordinator holds and all members stand, or when all generators have ended.
+    /// Gives the coordinators of this team a virtual sensor, as [`Sensors::install`].
+    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) -> Result<(), SensorRefused> {
+        self.sensors.install(sensor, shell, period)
+    }
+
+    /// Executes a motion of all members: the functions of the coordinator, and a generator per member. The members begin
+    /// after the first step of the coordinator. Ends when the terminal condition of the coordinator holds and all members
+    /// stand, or when all generators have ended.
     ///
     /// If the returned future is dropped, all members brake.
-    pub async fn execute<K, G>(&mut self, coordinator: K, generators: [G; N]) -> Result<(), TeamError>
+    pub async fn execute<K, G>(&mut self, coordinator: K, generators: G) -> Result<(), TeamError>
     where
         K: Coordinator<N>,
-        G: Generator<Out: Answers<K::Answer>>,
+        G: Members<K::Answer, N>,
     {
-        let members = self.members.iter().fold(0, |set, member| set | 1 << member.robot());
-        let (agents, macrostep) = (self.members[0].agents().clone(), self.members[0].cell_macrostep());
+        let Self { members, sensors, link: config, .. } = self;
+        let set = members.iter().fold(0, |set, member| set | 1 << member.robot());
+        let first = members[0].robot();
+        let (agents, macrostep) = (members[0].agents().clone(), members[0].cell_macrostep());
         let (mut number, disturbed) = (0, self.disturbed.take());
-        let links = self.members.each_mut().map(|member| {
-            let (mut coordinator_end, mut member_end) = link::<K::Order, K::Answer>(self.link);
+        let links = members.each_mut().map(|member| {
+            let (mut coordinator_end, mut member_end) = link::<K::Order, K::Answer>(*config);
             match disturbed.filter(|message| message.member == number) {
                 Some(DisturbedMessage { answer: true, step, disturbance, .. }) => member_end.disturb(step, disturbance),
                 Some(DisturbedMessage { step, disturbance, .. }) => coordinator_end.disturb(step, disturbance),
                 None => {}
             }
             number += 1;
-            member.follow(Some(Box::new(member_end)));
+            member.follow_team(Some(Box::new(member_end)));
             coordinator_end
         });
-        let mut conduct = Conduct::new(coordinator, links, macrostep, self.link.deadline);
+        let mut conduct = Conduct::new(coordinator, links, sensors, macrostep, config.deadline);
+        let following = members.each_mut().map(|member| Following(member));
+        agents.at_desk(first, |desk| conduct.begin(desk)).await.map_err(TeamError::Coordinator)?;
         let under_way = Cell::new(N);
         let mut parts: Vec<Part<TeamError>> = Vec::with_capacity(N + 1);
-        for (member, generator) in self.members.iter_mut().zip(generators) {
-            let list = Task::new().tie(members).run(generator).untie();
+        for (member, motion) in following.into_iter().zip(generators.motions()) {
+            let list = Task::new().tie(set).and(motion).untie();
             let under_way = &under_way;
             parts.push(Box::pin(async move {
-                let following = Following(member);
-                following.0.perform(list).await.map_err(TeamError::Member)?;
+                let member = member;
+                member.0.perform(list).await.map_err(TeamError::Member)?;
                 under_way.set(under_way.get() - 1);
                 Ok(())
             }));
         }
-        parts.push(Box::pin(agents.until(|now, slowed| {
+        parts.push(Box::pin(agents.at_desk(first, |desk| {
             // Members that have ended their motions by themselves need no coordinator.
             if under_way.get() == 0 {
                 return Poll::Ready(Ok(()));
             }
-            conduct.poll(now, slowed).map_err(TeamError::Coordinator)
+            conduct.poll(desk).map_err(TeamError::Coordinator)
         })));
         join_all(parts).await
     }
@@ -108,6 +159,6 @@ struct Following<'a>(&'a mut Agent);
 
 impl Drop for Following<'_> {
     fn drop(&mut self) {
-        self.0.follow(None);
+        self.0.follow_team(None);
     }
 }

@@ -3,23 +3,34 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Count of the turns of one task. Clones share the count.
+/// Count of the turns of one task and of the polls of its agents. Clones share the counts.
 ///
-/// A task that blocks or never awaits does not return from its turn, and its thread cannot end the turn.
+/// A task that blocks or never awaits does not return from its turn, and a generator that blocks does not return from a
+/// poll. Their thread cannot end either.
 #[derive(Clone, Debug, Default)]
-pub struct Turns(Arc<AtomicU64>);
+pub struct Turns(Arc<[AtomicU64; 2]>);
+
+/// What a [`Turns`] counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Work {
+    /// The turns of the task.
+    Task,
+    /// The polls of the agents, which execute steps of generators.
+    Steps,
+}
 
 impl Turns {
-    /// An odd number that identifies the turn in progress; `None` between turns.
-    pub fn in_progress(&self) -> Option<u64> {
-        Some(self.0.load(Ordering::Relaxed)).filter(|count| count % 2 == 1)
+    /// An odd number that identifies the turn or poll in progress; `None` between them.
+    pub fn in_progress(&self, work: Work) -> Option<u64> {
+        Some(self.0[work as usize].load(Ordering::Relaxed)).filter(|count| count % 2 == 1)
     }
 
-    pub(super) fn begin(&self) {
-        self.0.fetch_add(1, Ordering::Relaxed);
-    }
-
-    pub(super) fn end(&self) {
-        self.0.fetch_add(1, Ordering::Relaxed);
+    /// Calls `turn`, and counts it.
+    pub(super) fn count<T>(&self, work: Work, turn: impl FnOnce() -> T) -> T {
+        let count = &self.0[work as usize];
+        count.fetch_add(1, Ordering::Relaxed);
+        let done = turn();
+        count.fetch_add(1, Ordering::Relaxed);
+        done
     }
 }

@@ -3,7 +3,7 @@
 use std::fmt::{self, Debug, Write as _};
 
 /// Hash of the `Debug` text of a value: 64-bit FNV-1a. Nothing is allocated.
-pub(super) fn of(value: &impl Debug) -> u64 {
+pub(crate) fn of(value: &impl Debug) -> u64 {
     let mut hash = Fnv(0xcbf2_9ce4_8422_2325);
     // A hash takes every text.
     let _ = write!(hash, "{value:?}");

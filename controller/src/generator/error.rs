@@ -83,9 +83,15 @@ pub enum GeneratorError {
     NothingReceived,
     #[error("the last sample is {age:.1?} old, more than {limit:.1?}")]
     Stale { age: Duration, limit: Duration },
-    /// A panic in the first step. The panic hook received its message.
-    #[error("the generator panicked in its first step")]
+    /// A panic in a step. The panic hook received its message.
+    #[error("the step panicked")]
     Panicked,
+    /// A motion in a team keeps the macrostep of the cell, and this generator chooses another.
+    #[error("a member of a team keeps the cell's macrostep of {cell} periods: the generator chooses {periods}")]
+    PaceInTeam { cell: u16, periods: u16 },
+    /// A coordinator has no effector of its own.
+    #[error("a coordinator has no effector")]
+    NoEffector,
     /// Reason of a user's generator, with a number defined by that generator.
     #[error("generator error {0}")]
     User(u16),

@@ -1,6 +1,7 @@
 //! The flow chart of the paper's figure 3: one runner for every agent.
 
 use std::any::type_name;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
 
 use super::{Generator, GeneratorError, Images, Next, Outputs, Pace, Partners, Setpoint};
@@ -54,14 +55,22 @@ impl<F: Functions> Chart<F> {
     }
 
     /// The dashed box of the chart: terminal condition, then functions, from one snapshot. `None` if the instruction ends.
+    /// A panic of the functions becomes their error.
     pub(crate) fn next_step(&mut self, images: &F::Every) -> Result<Option<F::Results>, GeneratorError> {
         // A runner that skips the first step gets an instruction without motion.
-        let Some(memory) = self.memory.filter(|memory| !self.functions.terminal(memory, images)) else {
+        let Some(memory) = self.memory else {
             return Ok(None);
         };
-        let (results, memory) = self.functions.next_step(&memory, images)?;
-        self.memory = Some(memory);
-        Ok(Some(results))
+        let functions = &self.functions;
+        let step = || {
+            let ended = functions.terminal(&memory, images);
+            if ended { Ok(None) } else { functions.next_step(&memory, images).map(Some) }
+        };
+        let step = catch_unwind(AssertUnwindSafe(step)).unwrap_or(Err(GeneratorError::Panicked))?;
+        Ok(step.map(|(results, memory)| {
+            self.memory = Some(memory);
+            results
+        }))
     }
 }
 

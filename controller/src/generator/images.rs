@@ -203,6 +203,15 @@ pub trait Images: closed::ImageSet + Copy + Send + Sync + 'static {
     fn require(partners: &dyn Partners) -> Result<(), GeneratorError>;
 }
 
+/// Images that a coordinator declares beside the answers of its members: `()`, or [`V`] for sensors of its own.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no image of a coordinator",
+    note = "a coordinator reads the answers of its members, and `()` or `V<..>` from sensors of its own"
+)]
+pub trait Readings: Images {}
+impl Readings for () {}
+impl<B: Bundle> Readings for V<B> {}
+
 impl Images for () {
     const CLASS: u8 = 0;
     fn fetch(_: &dyn Partners) -> Result<Self, GeneratorError> {

@@ -2,85 +2,25 @@
 
 use std::time::Duration;
 
-use can::Instant;
-use drive::latest::{Latest, Publisher, latest};
 use nalgebra::{Matrix6, Vector3, Vector6};
-use servo::MAX_AXES;
 
-use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Setpoint};
+use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Setpoint, V};
 use crate::robot::{Arm, Joints};
+use crate::sensor::{JogCommand, JogReading};
 
 /// Damping of the inverse Jacobian, in m/s and rad/s per rad/s. A direction of the tool with this singular value
 /// moves at half the commanded speed.
 const DAMPING: f64 = 0.02;
 /// Number of fractions of the commanded velocity that are tried near the end of a range.
 const FRACTIONS: u32 = 8;
-/// Number, kind and values of a command.
-const WORDS: usize = 2 + MAX_AXES;
 
-/// Command of an operator.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum JogCommand {
-    /// Velocities of the joints, rad/s, or m/s for a linear joint.
-    Joints(Axes),
-    /// Velocity of the tool in its own frame.
-    Tool {
-        /// Velocity of the tool's origin, m/s.
-        linear: Vector3<f64>,
-        /// Angular velocity, rad/s.
-        angular: Vector3<f64>,
-    },
-    /// Brakes, and ends the motion.
-    End,
-}
-
-/// The operator's end of a [`Jog`]. Dropping the handle commands [`JogCommand::End`].
-#[derive(Debug)]
-pub struct JogHandle {
-    publisher: Publisher<WORDS>,
-    number: u64,
-}
-
-impl JogHandle {
-    /// Replaces the present command. The command is valid for the dead-man time, and is repeated to continue the
-    /// motion. Refuses values that are not finite. The call neither waits nor allocates.
-    pub fn command(&mut self, command: JogCommand) -> Result<(), GeneratorError> {
-        let (kind, values) = match command {
-            JogCommand::Joints(velocity) => (JOINTS, velocity),
-            JogCommand::Tool { linear, angular } => {
-                (TOOL, [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z, 0.0, 0.0])
-            }
-            JogCommand::End => (END, Axes::default()),
-        };
-        if let Some(axis) = values.iter().position(|value| !value.is_finite()) {
-            return Err(GeneratorError::NotFinite { pose: 0, axis: axis as u8 });
-        }
-        self.number += 1;
-        let mut words = [self.number, kind, 0, 0, 0, 0, 0, 0, 0, 0];
-        for (word, value) in words[2..].iter_mut().zip(values) {
-            *word = value.to_bits();
-        }
-        self.publisher.publish(&words);
-        Ok(())
-    }
-}
-
-impl Drop for JogHandle {
-    fn drop(&mut self) {
-        let _ = self.command(JogCommand::End);
-    }
-}
-
-/// Kinds of a command. Any other number is read as the end.
-const JOINTS: u64 = 1;
-const TOOL: u64 = 2;
-const END: u64 = 3;
-
-/// A motion at the velocities of the operator's latest command. Class 1, continuous feedback.
+/// A motion at the velocities of the operator's latest command. Class 3: each step reads the effector and the
+/// [`JogPanel`](crate::sensor::JogPanel), a virtual sensor of the agent.
 ///
-/// Without a new command for the dead-man time, counted in the time of the servo from the image in which the last
-/// command was found, the joints brake. The motion continues with the next command, and ends at rest after
-/// [`JogCommand::End`].
+/// If the reading is older than the dead-man time, the joints brake. The age counts in the time of the servo, from the
+/// cycle in which the panel found the command. The dead-man time is therefore longer than a macrostep and than the time
+/// between two commands. The motion continues with the next command, and ends at rest after [`JogCommand::End`]. A
+/// command from before the motion moves nothing.
 ///
 /// Velocity and acceleration of each joint stay within the limits: a command beyond a limit is scaled down as a
 /// whole. Each set-point leaves room for a stop within the ranges of joints and motors, and the joints therefore slow
@@ -93,43 +33,15 @@ pub struct Jog {
     arm: Arm,
     limits: MotionLimits,
     dead_man: Duration,
-    commands: Latest<WORDS>,
     /// Duration of a macrostep, s.
     macrostep: f64,
 }
 
-/// Progress of a [`Jog`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct JogMemory {
-    /// Number of the last command.
-    number: u64,
-    /// Time of the image in which the last command was found; `None` before the first one of the motion.
-    found: Option<Instant>,
-}
-
 impl Jog {
-    /// A jog of all joints of an arm, and the handle of its operator. `limits.max_jerk` has no effect.
-    pub fn new(arm: Arm, limits: MotionLimits, dead_man: Duration) -> Result<(Self, JogHandle), GeneratorError> {
+    /// A jog of all joints of an arm. `limits.max_jerk` has no effect.
+    pub fn new(arm: Arm, limits: MotionLimits, dead_man: Duration) -> Result<Self, GeneratorError> {
         limits.check(arm.axes())?;
-        let (publisher, commands) = latest([0; WORDS]);
-        Ok((Self { arm, limits, dead_man, commands, macrostep: 0.0 }, JogHandle { publisher, number: 0 }))
-    }
-
-    fn command(&self) -> (u64, JogCommand) {
-        let [number, kind, values @ ..] = self.commands.read();
-        let values = values.map(f64::from_bits);
-        let command = match kind {
-            JOINTS => JogCommand::Joints(values),
-            TOOL => {
-                let [x, y, z, around_x, around_y, around_z, ..] = values;
-                let angular = Vector3::new(around_x, around_y, around_z);
-                JogCommand::Tool { linear: Vector3::new(x, y, z), angular }
-            }
-            // Before the first command the joints stand.
-            _ if number == 0 => JogCommand::Joints(Axes::default()),
-            _ => JogCommand::End,
-        };
-        (number, command)
+        Ok(Self { arm, limits, dead_man, macrostep: 0.0 })
     }
 
     /// Velocities of the joints for a command, within their limits.
@@ -212,29 +124,27 @@ impl Jog {
 }
 
 impl Generator for Jog {
-    type First = ();
-    type Every = EffectorImage;
+    type First = V<JogReading>;
+    type Every = (EffectorImage, V<JogReading>);
     type Out = ();
-    type Memory = JogMemory;
+    /// Number of the last command before the motion.
+    type Memory = u64;
 
-    fn first_step(&mut self, (): &(), macrostep: Duration) -> Result<Next<JogMemory>, GeneratorError> {
+    fn first_step(&mut self, v: &V<JogReading>, macrostep: Duration) -> Result<Next<u64>, GeneratorError> {
         self.macrostep = macrostep.as_secs_f64();
-        let (number, _) = self.command();
-        Ok(Next::remember(JogMemory { number, found: None }))
+        Ok(Next::remember(v.0.sample().map_or(0, |reading| reading.value.number)))
     }
 
-    fn terminal(&self, _: &JogMemory, e: &EffectorImage) -> bool {
-        let (_, command) = self.command();
-        command == JogCommand::End && e.commanded.joints.velocity == Axes::default()
+    fn terminal(&self, _: &u64, (e, v): &Self::Every) -> bool {
+        let ended = v.0.sample().is_some_and(|reading| reading.value.command == JogCommand::End);
+        ended && e.commanded.joints.velocity == Axes::default()
     }
 
-    fn next_step(&self, memory: &JogMemory, e: &EffectorImage) -> Result<Next<JogMemory>, GeneratorError> {
-        let (number, command) = self.command();
-        let found = if number == memory.number { memory.found } else { Some(e.read_at) };
-        let held = found.is_some_and(|found| e.read_at.since(found) <= self.dead_man);
+    fn next_step(&self, before: &u64, (e, v): &Self::Every) -> Result<Next<u64>, GeneratorError> {
+        let fresh = v.0.younger_than(self.dead_man).ok().filter(|reading| reading.number != *before);
+        let velocity = fresh.map_or(Ok(Axes::default()), |reading| self.velocities(reading.command, e))?;
         let from = &e.commanded.joints;
-        let velocity = if held { self.velocities(command, e)? } else { Axes::default() };
         let state = if velocity == Axes::default() { self.braked(from) } else { self.towards(&velocity, from) };
-        Ok(Next::command(Setpoint::Joints(state), JogMemory { number, found }))
+        Ok(Next::command(Setpoint::Joints(state), *before))
     }
 }

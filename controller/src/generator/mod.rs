@@ -32,7 +32,7 @@
 //! Read [`Generator`] first, then [`Wait`] as the smallest generator and [`Newsmooth`] as a planned generator.
 
 mod contour;
-mod digest;
+pub(crate) mod digest;
 mod error;
 mod execution;
 mod feed;
@@ -42,6 +42,7 @@ mod jerk_limited;
 mod jog;
 mod line;
 mod newsmooth;
+mod operator;
 mod outputs;
 mod path_timing;
 mod plan;
@@ -64,12 +65,13 @@ pub(crate) use execution::{Chart, Functions, Run};
 pub use execution::{Description, Execution, Step};
 pub use feed::{Feed, FeedLimits, FeedState};
 pub use image::{Accelerations, AxesState, EffectorImage, EffectorState, Setpoint};
-pub use images::{A, Bundle, Images, Message, Partners, Received, Sample, SensorReading, V};
+pub use images::{A, Bundle, Images, Message, Partners, Readings, Received, Sample, SensorReading, V};
 pub use jerk_limited::JerkLimited;
-pub use jog::{Jog, JogCommand, JogHandle, JogMemory};
+pub use jog::Jog;
 pub use line::{LineLimits, LineMemory, PlannedStart, StraightLine};
 pub use newsmooth::{Newsmooth, Progress, SmoothPose};
-pub use outputs::{Answer, Outputs, Tell};
+pub use operator::OperatorReaction;
+pub use outputs::{Answer, Commands, Outputs, Tell};
 pub use path_timing::{EndSpeeds, PathTiming, TimingError};
 pub use polynomial::Polynomial;
 pub use time_optimal::TimeOptimal;

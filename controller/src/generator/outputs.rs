@@ -35,6 +35,15 @@ pub trait Outputs: closed::OutputSet + Copy + Send + Sync + 'static {
     fn deliver(self, partners: &mut dyn Partners) -> Result<(), GeneratorError>;
 }
 
+/// Outputs of a coordinator beside its orders: `()`, or [`Tell`] for a sensor of its own.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no output of a coordinator",
+    note = "a coordinator returns `()` or `Tell<..>` beside its orders"
+)]
+pub trait Commands: Outputs {}
+impl Commands for () {}
+impl<C: Message> Commands for Tell<C> {}
+
 impl Outputs for () {
     fn deliver(self, _: &mut dyn Partners) -> Result<(), GeneratorError> {
         Ok(())

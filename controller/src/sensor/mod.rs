@@ -1,23 +1,48 @@
-//! Virtual sensors: readings for the image `V`, computed from what came over a wire.
+//! Virtual sensors: readings for the image `V`, computed from the data of devices.
 //!
-//! A [`VirtualSensor`] has no thread and does no input or output. It reads latest values of a device. One of three
-//! [shells](Shell) decides when it works. [`Sensors`] is the bundle of one agent, with at most one sensor per type of
-//! readings.
+//! A [`VirtualSensor`] is a set of functions. The agent calls them in its own turn, and they return at once. A sensor
+//! therefore has no thread and performs no input or output. The driver of a device exchanges frames in the servo cycle.
+//! The sensor reads the latest values of the driver, and passes commands to the driver.
+//!
+//! [`Sensors`] is the bundle of one agent. A [shell](Shell) decides for each sensor when the agent asks for a reading:
+//!
+//! | shell | the agent asks | the step that follows |
+//! |---|---|---|
+//! | [`NonInteractive`](Shell::NonInteractive) | in every turn until the step | takes the latest reading |
+//! | [`Interactive`](Shell::Interactive) | once, and polls for the reading | waits for the reading, and takes it |
+//! | [`InteractiveWithoutWait`](Shell::InteractiveWithoutWait) | once, and polls for the reading | takes the reading if it is there |
+//!
+//! A sensor has a period in macrosteps. The first step of an instruction takes a reading, and then every `period`-th
+//! step. The steps between have the last reading as [`Received::Old`]. A reading is [`Received::New`] until a step has
+//! taken it.
+//!
+//! Each type of readings and each type of commands belongs to one sensor of a bundle. [`VirtualSensor::marked`] gives a
+//! second sensor of the same kind types of its own.
 //!
 //! Read [`VirtualSensor`] first, then [`DigitalInputs`] as an example.
 
 mod digital;
+mod jog;
+mod marked;
+mod operator;
 #[cfg(test)]
 mod tests;
 
-use std::any::{Any, TypeId};
+use std::any::{Any, TypeId, type_name};
+use std::cell::Cell;
 use std::time::Duration;
 
 use can::Instant;
+use thiserror::Error;
 
 use crate::generator::{Message, Received, Sample, SensorReading};
 
 pub use digital::DigitalInputs;
+pub use jog::{JogCommand, JogHandle, JogPanel, JogReading};
+pub use marked::Marked;
+pub use operator::{
+    Asking, Operator, OperatorAnswer, OperatorCommand, OperatorError, OperatorLink, OperatorPanel, Question, Reaction,
+};
 
 /// A sensor as an agent sees it.
 pub trait VirtualSensor: Send + 'static {
@@ -34,28 +59,59 @@ pub trait VirtualSensor: Send + 'static {
 
     /// The reading with the time of its measurement, once there is one.
     fn poll(&mut self, now: Instant) -> Option<(Instant, Self::Reading)>;
+
+    /// The same sensor with readings and commands of the types [`Marked<_, M>`](Marked), for an agent that has two
+    /// sensors of one kind.
+    fn marked<M: 'static>(self) -> Marked<Self, M>
+    where
+        Self: Sized,
+    {
+        Marked::new(self)
+    }
 }
 
-/// When a virtual sensor works.
+/// When the agent asks a virtual sensor for a reading. See the table of the [module](self).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Shell {
-    /// The sensor works by itself. Each step reads the latest reading.
+    /// The sensor works by itself. A step takes the latest reading.
     #[default]
     NonInteractive,
-    /// Each step begins a reading for the next step. The next step waits for it.
+    /// A step begins a reading for a later step, which waits for the reading.
     Interactive,
-    /// Each step begins a reading for the next step. The next step takes the reading if it is there.
+    /// A step begins a reading for a later step, which takes the reading if it is there.
     InteractiveWithoutWait,
 }
 
-/// The virtual sensors of one agent.
+/// A sensor cannot join a bundle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum SensorRefused {
+    /// Another sensor of the agent has readings of the same type.
+    #[error("the agent already has a sensor with readings of type {reading}: mark one of them, or remove the first")]
+    SameReading {
+        /// Name of the type.
+        reading: &'static str,
+    },
+    /// Another sensor of the agent takes commands of the same type.
+    #[error("the agent already has a sensor with commands of type {command}: mark one of them, or remove the first")]
+    SameCommand {
+        /// Name of the type.
+        command: &'static str,
+    },
+}
+
+/// The virtual sensors of one agent, at most one per type of readings.
+///
+/// The agent calls [`begin`](Self::begin) for an instruction, and then for each step: [`initiate`](Self::initiate),
+/// [`poll`](Self::poll) in every turn, [`are_ready`](Self::are_ready) before the step and [`reading`](Self::reading) in
+/// the step. `now` is the time of the last servo cycle.
 #[derive(Default)]
 pub struct Sensors(Vec<Box<dyn Installed>>);
 
 /// A sensor in its shell.
 trait Installed: Send {
     fn reading_type(&self) -> TypeId;
-    /// The present [`Received`].
+    fn command_type(&self) -> TypeId;
+    /// The present [`Received`], which a step takes.
     fn received(&self) -> &dyn Any;
     fn age(&self) -> Option<Duration>;
     fn configure(&mut self, command: &dyn Any) -> bool;
@@ -75,23 +131,31 @@ struct Shelled<S: VirtualSensor> {
     awaited: bool,
     received: Received<S::Reading>,
     /// Whether a step has taken the last reading.
-    seen: bool,
+    taken: Cell<bool>,
 }
 
 impl Sensors {
-    /// Adds a sensor that is read every `period` macrosteps. Replaces a sensor with readings of the same type.
-    pub fn install<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) {
-        self.0.retain(|other| other.reading_type() != TypeId::of::<S::Reading>());
-        let (received, left) = (Received::None, 0);
-        self.0.push(Box::new(Shelled {
-            sensor,
-            shell,
-            period: period.max(1),
-            left,
-            awaited: false,
-            received,
-            seen: false,
-        }));
+    /// Adds a sensor whose readings are taken every `period` macrosteps. A period of 0 counts as 1. Refuses a sensor with
+    /// readings or commands of the same type as another one.
+    pub fn install<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) -> Result<(), SensorRefused> {
+        if self.provides(TypeId::of::<S::Reading>()) {
+            return Err(SensorRefused::SameReading { reading: type_name::<S::Reading>() });
+        }
+        let command = TypeId::of::<S::Command>();
+        if command != TypeId::of::<()>() && self.0.iter().any(|other| other.command_type() == command) {
+            return Err(SensorRefused::SameCommand { command: type_name::<S::Command>() });
+        }
+        let (received, taken) = (Received::None, Cell::new(false));
+        let period = period.max(1);
+        self.0.push(Box::new(Shelled { sensor, shell, period, left: 0, awaited: false, received, taken }));
+        Ok(())
+    }
+
+    /// Removes the sensor with readings of type `R`. Returns whether there was one.
+    pub fn remove<R: SensorReading>(&mut self) -> bool {
+        let before = self.0.len();
+        self.0.retain(|sensor| sensor.reading_type() != TypeId::of::<R>());
+        self.0.len() < before
     }
 
     /// Begins an instruction. Readings of earlier instructions are forgotten.
@@ -99,12 +163,12 @@ impl Sensors {
         self.0.iter_mut().for_each(|sensor| sensor.begin());
     }
 
-    /// Begins the readings for the next step. The last readings count as seen.
+    /// Begins the readings for the next step.
     pub(crate) fn initiate(&mut self, now: Instant) {
         self.0.iter_mut().for_each(|sensor| sensor.initiate(now));
     }
 
-    /// Takes readings, and updates their ages.
+    /// Receives readings, and updates their ages.
     pub(crate) fn poll(&mut self, now: Instant) {
         self.0.iter_mut().for_each(|sensor| sensor.poll(now));
     }
@@ -114,7 +178,12 @@ impl Sensors {
         self.0.iter().all(|sensor| sensor.is_ready())
     }
 
-    /// What came from the sensor with readings of this type, as a [`Received`], and its age.
+    /// Whether a sensor has readings of this type.
+    pub(crate) fn provides(&self, reading: TypeId) -> bool {
+        self.0.iter().any(|sensor| sensor.reading_type() == reading)
+    }
+
+    /// What a step takes from the sensor with readings of this type, as a [`Received`], and its age.
     pub(crate) fn reading(&self, reading: TypeId) -> Option<(&dyn Any, Option<Duration>)> {
         let sensor = self.0.iter().find(|sensor| sensor.reading_type() == reading)?;
         Some((sensor.received(), sensor.age()))
@@ -131,7 +200,12 @@ impl<S: VirtualSensor> Installed for Shelled<S> {
         TypeId::of::<S::Reading>()
     }
 
+    fn command_type(&self) -> TypeId {
+        TypeId::of::<S::Command>()
+    }
+
     fn received(&self) -> &dyn Any {
+        self.taken.set(true);
         &self.received
     }
 
@@ -148,31 +222,27 @@ impl<S: VirtualSensor> Installed for Shelled<S> {
     }
 
     fn initiate(&mut self, now: Instant) {
-        self.seen = true;
-        self.received = self.received.at(now, true);
-        if self.left > 0 {
-            self.left -= 1;
-            return;
-        }
-        self.left = self.period - 1;
-        if !self.awaited {
+        self.received = self.received.at(now, self.taken.get());
+        let due = self.left == 0;
+        self.left = if due { self.period } else { self.left } - 1;
+        if self.shell == Shell::NonInteractive {
+            self.awaited = due;
+        } else if due && !self.awaited {
             self.awaited = true;
-            if self.shell != Shell::NonInteractive {
-                self.sensor.initiate(now);
-            }
+            self.sensor.initiate(now);
         }
     }
 
     fn poll(&mut self, now: Instant) {
-        // A sensor that works by itself is read anew until the step, so that the step gets the latest reading.
         let reading = if self.awaited { self.sensor.poll(now) } else { None };
         if let Some((at, value)) = reading {
             let known = self.received.sample().is_some_and(|sample| sample.at == at);
             self.received = Received::New(Sample { at, age: now.since(at), value });
-            self.seen &= known;
-            self.awaited = self.shell == Shell::NonInteractive && self.left == 0;
+            *self.taken.get_mut() &= known;
+            // A non-interactive sensor is read again in every turn until the step.
+            self.awaited = self.shell == Shell::NonInteractive;
         }
-        self.received = self.received.at(now, self.seen);
+        self.received = self.received.at(now, self.taken.get());
     }
 
     fn is_ready(&self) -> bool {

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use canopen::Object;
 use canopen::cia402::{FaultTable, ModeOfOperation};
+use canopen::objects::{DEVICE_TYPE, SUPPORTED_MODES, VENDOR_ID};
 use canopen::sdo::AbortCode;
 use thiserror::Error;
 
@@ -160,6 +161,27 @@ impl BringUpError {
             | Self::TimedOut { node, .. }
             | Self::ModeUnsupported { node, .. } => Some(node),
             Self::AxisController { .. } | Self::OtherController { .. } | Self::Port(_) => None,
+        }
+    }
+
+    /// The object that the node lacks, refuses or holds another value of.
+    pub fn object(&self) -> Option<Object> {
+        match *self {
+            Self::NotADrive { .. } | Self::NotAnIoNode { .. } => Some(DEVICE_TYPE),
+            Self::WrongIdentity { subindex, .. } => Some(Object { subindex, ..VENDOR_ID }),
+            Self::ModeUnsupported { .. } => Some(SUPPORTED_MODES),
+            Self::TooFewBlocks { object, .. }
+            | Self::WrongScale { object, .. }
+            | Self::Aborted { object, .. }
+            | Self::ReadBack { object, .. }
+            | Self::ReadBackBytes { object, .. }
+            | Self::TimedOut { object, .. } => Some(object),
+            Self::NeverBooted { .. }
+            | Self::NoInputs { .. }
+            | Self::NotOperational { .. }
+            | Self::AxisController { .. }
+            | Self::OtherController { .. }
+            | Self::Port(_) => None,
         }
     }
 

@@ -1,4 +1,4 @@
-//! Warnings: errors that drives report without a fault, counted and bounded.
+//! Warnings: errors that drives and I/O nodes report without a fault, counted and bounded.
 
 use std::time::Duration;
 
@@ -9,18 +9,20 @@ use thiserror::Error;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[error(
     "node {node}: EMCY {code:#06x} ({text}), error register {register:#04x}",
-    text = FaultTable::Epos4.text(*.code)
+    text = .table.text(*.code)
 )]
 pub struct Warning {
     /// Time from the start of operation to the first report.
     pub after: Duration,
     /// Node-ID.
     pub node: u8,
-    /// Error code of CiA 402-2 §7.1 or of the vendor.
+    /// Error code.
     pub code: u16,
+    /// Meaning of the error code.
+    pub table: FaultTable,
     /// Object 0x1001.
     pub register: u8,
-    /// How often the drive reported it.
+    /// How often the node reported the error.
     pub count: u64,
 }
 

@@ -268,6 +268,21 @@ fn no_cycle_allocates() {
     }
     assert!(followed && homed && faulted);
     assert_eq!(io.inputs.read().sent.map(|sent| sent.cycle), Some(cycles - 2));
+    // The I/O node boots, and is brought back by a reset.
+    drives.lock().unwrap().reply(0x700 + u16::from(IO), &[0], now);
+    for cycle in 0..500 {
+        now += PERIOD;
+        let before = ALLOCATIONS.get();
+        group.read(now, &mut states);
+        group.write(now, &[AxisCommand::Off; AXES]);
+        group.send(now);
+        assert_eq!(ALLOCATIONS.get() - before, 0, "cycle {cycle} of a reset");
+        if cycle == 10 {
+            assert!(io.inputs.read().fault.is_some());
+            io.reset_fault();
+        }
+    }
+    assert_eq!(io.inputs.read().fault, None);
     assert_eq!((states[0].power, states[0].fault), (Power::Off, None));
     // The allocation counter itself works.
     let before = ALLOCATIONS.get();

@@ -14,6 +14,7 @@ mod tool;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::mem::take;
+use std::num::NonZeroU64;
 use std::time::Duration;
 
 use controller::ecp::{ChartPhase, Class};
@@ -210,12 +211,16 @@ pub struct ErrorPlace {
     pub step: Option<u64>,
     /// Phase of the flow chart of the motion; null outside a motion.
     pub phase: Option<ChartPhase>,
+    /// Number of the macrostep in which the servo stopped the robot, counted from the start of the run; absent for other
+    /// errors.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub macrostep: Option<NonZeroU64>,
 }
 
 impl ErrorPlace {
     pub(crate) fn of(error: &InstructionError) -> Self {
-        let &InstructionError { instruction, step, phase, .. } = error;
-        Self { class: error.class(), instruction, step, phase }
+        let &InstructionError { instruction, step, phase, macrostep, .. } = error;
+        Self { class: error.class(), instruction, step, phase, macrostep }
     }
 }
 

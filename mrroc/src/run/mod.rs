@@ -376,7 +376,7 @@ fn by_the_clock(
     let (rehearsed, over) = (task.rehearsed(), done.clone());
     let rehearse = move || rehearse_aside(&rehearsed, asked, &answer, &over);
     Builder::new().name("rehearsal".into()).spawn(rehearse).context("no thread for rehearsals can be made")?;
-    let mut watch = Watch::of(&task.turns);
+    let mut watch = Watch::of(&task.turns, true);
     let (over, stop) = (done.clone(), requests.stop.clone());
     let control = move || {
         // Below the servo and above everything else; a host that denies this was named by the servo thread.

@@ -248,15 +248,21 @@ fn a_robot_that_was_off_and_did_not_move_is_not_rehearsed_again() {
 }
 
 #[test]
-fn a_rehearsal_that_panics_is_refused() {
-    #[derive(Clone, Copy)]
-    struct Panics;
+fn a_rehearsal_with_a_generator_that_panics_is_refused() {
+    /// Panics in a step, or when the macrostep is asked for.
+    struct Panics {
+        in_step: bool,
+    }
     impl Generator for Panics {
         type First = ();
         type Every = ();
         type Out = ();
         type Memory = ();
 
+        fn pace(&self, cell: Pace) -> Pace {
+            assert!(self.in_step, "as the test asks");
+            cell
+        }
         fn first_step(&mut self, (): &(), _: Duration) -> Result<Next<()>, GeneratorError> {
             Ok(Next::remember(()))
         }
@@ -267,12 +273,17 @@ fn a_rehearsal_that_panics_is_refused() {
             panic!("as the test asks")
         }
     }
-    let program = Program::of(async |cell: &mut Cell| {
-        let mut left = cell.robot("left")?;
-        left.perform(Task::new().enable().home().run(Panics)).await
-    });
-    let refusal = rehearse(&two_arms(), &program).unwrap_err();
-    assert_eq!(refusal.to_string(), "the rehearsal panicked: as the test asks");
+    for (in_step, said) in [
+        (true, "robot left: instruction 3 of its task: step 0: the step panicked"),
+        (false, "the rehearsal panicked: as the test asks"),
+    ] {
+        let program = Program::of(async move |cell: &mut Cell| {
+            let mut left = cell.robot("left")?;
+            left.perform(Task::new().enable().home().run(Panics { in_step })).await
+        });
+        let refusal = rehearse(&two_arms(), &program).unwrap_err();
+        assert_eq!(refusal.to_string(), said);
+    }
 }
 
 /// Drops a motion of the left robot while the robot moves, and then waits. Resets the fault of the robot if `resets`.

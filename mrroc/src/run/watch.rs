@@ -1,11 +1,12 @@
-//! Watch on the thread of a task: detects a task that does not return from its turn.
+//! Watch on the thread of a task: detects a task that does not return from its turn, and a generator that does not return
+//! from a step.
 
 use std::io;
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::thread::Builder;
 use std::time::Duration;
 
-use controller::executor::{SystemError, Turns};
+use controller::executor::{SystemError, Turns, Work};
 use thiserror::Error;
 
 use super::NEWS;
@@ -13,28 +14,41 @@ use super::NEWS;
 /// Time between two looks at a task.
 pub(super) const LOOK: Duration = Duration::from_millis(100);
 
-/// Number of looks that may find the same turn in progress.
+/// Number of looks that may find the same turn or step in progress.
 const MOST_LOOKS: u32 = 100;
+
+/// The same for steps where the agents plan within their polls: a first step may take long.
+const MOST_LOOKS_AT_PLANS: u32 = 700;
 
 /// The turns of a task, as seen from another thread.
 pub(super) struct Watch {
     turns: Turns,
-    seen: Option<u64>,
-    looks: u32,
+    /// What the last look found in progress, and the number of looks that found it.
+    seen: [(Option<u64>, u32); 2],
+    most: [u32; 2],
 }
 
 impl Watch {
-    /// A watch on a task with these turns.
-    pub(super) fn of(turns: &Turns) -> Self {
-        Self { turns: turns.clone(), seen: None, looks: 0 }
+    /// A watch on a task with these turns. `plans_aside`: other threads compute the first steps.
+    pub(super) fn of(turns: &Turns, plans_aside: bool) -> Self {
+        let steps = if plans_aside { MOST_LOOKS } else { MOST_LOOKS_AT_PLANS };
+        Self { turns: turns.clone(), seen: [(None, 0); 2], most: [MOST_LOOKS, steps] }
     }
 
-    /// Looks at the task. Fails if [`MOST_LOOKS`] looks found the same turn in progress.
+    /// Looks at the task and at the steps of its generators. Fails if too many looks found the same one in progress.
     pub(super) fn look(&mut self) -> Result<(), SystemError> {
-        let turn = self.turns.in_progress();
-        self.looks = if turn.is_some() && turn == self.seen { self.looks + 1 } else { 0 };
-        self.seen = turn;
-        if self.looks < MOST_LOOKS { Ok(()) } else { Err(SystemError::Hung { limit: LOOK * MOST_LOOKS }) }
+        for ((work, seen), most) in [Work::Task, Work::Steps].into_iter().zip(&mut self.seen).zip(self.most) {
+            let now = self.turns.in_progress(work);
+            let looks = if now.is_some() && now == seen.0 { seen.1 + 1 } else { 0 };
+            *seen = (now, looks);
+            let limit = LOOK * most;
+            match work {
+                _ if looks < most => {}
+                Work::Task => return Err(SystemError::Hung { limit }),
+                Work::Steps => return Err(SystemError::HungInStep { limit }),
+            }
+        }
+        Ok(())
     }
 }
 
@@ -49,7 +63,7 @@ pub(crate) enum NoResult {
         /// Error of the system.
         error: io::Error,
     },
-    /// The task hangs in a turn.
+    /// The task hangs in a turn, or a generator in a step.
     #[error("{0}")]
     Hung(SystemError),
     /// The work panicked.
@@ -85,7 +99,7 @@ pub(super) fn watched<T: Send + 'static, N: Send + 'static>(
     mut show: impl FnMut(N),
     work: impl FnOnce(&mut dyn FnMut(N)) -> T + Send + 'static,
 ) -> Result<T, NoResult> {
-    let mut watch = Watch::of(turns);
+    let mut watch = Watch::of(turns, false);
     let (tell, told) = sync_channel(NEWS);
     let body = move || {
         // A caller that has given up receives nothing more.

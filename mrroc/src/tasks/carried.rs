@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use controller::ecp::Task;
 use controller::executor::join_all;
 
-use super::{Cell, Outcome, Program};
+use super::{Cell, Outcome, Program, teach};
 
 /// Tasks that the command carries.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -14,6 +14,11 @@ pub enum CarriedTask {
     Programs,
     /// All robots enable, home and disable.
     Home,
+    /// Records positions of a robot on the operator's command, and writes a trajectory file. The table `task` of the
+    /// cell file has the parameters. Needs --operator.
+    Teach,
+    /// Executes the trajectory file that the table `task` of the cell file names.
+    Replay,
 }
 
 impl CarriedTask {
@@ -22,6 +27,8 @@ impl CarriedTask {
         match self {
             Self::Programs => Program { of_file: true, ..Program::of(programs) },
             Self::Home => Program::of(home),
+            Self::Teach => Program::of(teach::teach),
+            Self::Replay => Program::of(teach::replay),
         }
     }
 }

@@ -3,27 +3,27 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use controller::coordination::{CoordinatorEnd, Late, LinkConfig};
+use controller::coordination::{Late, LinkConfig};
 use controller::ecp::Task;
-use controller::executor::{Agent, Agents, Observer, Replacer};
-use controller::generator::{EffectorImage, Generator, Message};
+use controller::executor::{Agent, Agents, LooseLink, Observer, Replacer};
+use controller::generator::{EffectorImage, Generator, Message, SensorReading};
 use controller::sensor::{Shell, VirtualSensor};
 use drive::cia401::IoLink;
 use serde::de::DeserializeOwned;
 use servo::SpeedOverride;
 
-use super::{Figures, InputLine, Outcome, OutputLine, TaskError, Team};
+use super::{Desk, Figures, InputLine, Outcome, OutputLine, TaskError, Team};
 use crate::cell::CellFile;
 use crate::motions::Motions;
 
 /// The cell of a task.
 pub struct Cell {
     file: Arc<CellFile>,
-    agents: Agents,
+    pub(super) agents: Agents,
     io: Vec<IoLink>,
     speed: SpeedOverride,
     figures: Figures,
-    rehearsing: bool,
+    pub(super) desk: Desk,
 }
 
 /// One robot of a cell, in the use of a task. A robot has one handle at a time.
@@ -33,6 +33,7 @@ pub struct Cell {
 pub struct Robot {
     file: Arc<CellFile>,
     pub(super) agent: Agent,
+    pub(super) desk: Desk,
 }
 
 impl Cell {
@@ -42,9 +43,9 @@ impl Cell {
         io: Vec<IoLink>,
         speed: SpeedOverride,
         figures: Figures,
-        rehearsing: bool,
+        desk: Desk,
     ) -> Self {
-        Self { file: Arc::clone(file), agents, io, speed, figures, rehearsing }
+        Self { file: Arc::clone(file), agents, io, speed, figures, desk }
     }
 
     /// The cell file.
@@ -112,13 +113,13 @@ impl Cell {
 
     /// Whether this is a rehearsal. A task leaves out its side effects in a rehearsal: files, messages, devices.
     pub fn rehearsing(&self) -> bool {
-        self.rehearsing
+        self.desk.rehearsing
     }
 
     /// Ends a rehearsal here, as accepted, and has no effect in a run. For tasks that depend on something that a
     /// rehearsal has not, such as an operator. The rest of the task is not rehearsed.
     pub fn end_rehearsal(&self, why: &'static str) -> Outcome {
-        if self.rehearsing { Err(TaskError::NotRehearsed { why }) } else { Ok(()) }
+        if self.desk.rehearsing { Err(TaskError::NotRehearsed { why }) } else { Ok(()) }
     }
 
     /// A team of these robots: a coordinator gives each of them an order in every macrostep, and the servo begins each
@@ -134,7 +135,7 @@ impl Cell {
     fn robot_at(&self, robot: usize) -> Result<Robot, TaskError> {
         let in_use = || TaskError::RobotInUse { name: self.file.cell.robot[robot].name.clone() };
         let agent = self.agents.agent(robot).ok_or_else(in_use)?;
-        Ok(Robot { file: Arc::clone(&self.file), agent })
+        Ok(Robot { file: Arc::clone(&self.file), agent, desk: self.desk.clone() })
     }
 }
 
@@ -178,14 +179,21 @@ impl Robot {
     }
 
     /// Gives the robot a virtual sensor, whose readings are the image [`V`](controller::generator::V) of its generators.
-    /// The sensor is read every `period` macrosteps, and replaces a sensor with readings of the same type.
-    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) {
-        self.agent.sense(sensor, shell, period);
+    /// A reading is taken every `period` macrosteps. Refuses a second sensor with readings or commands of the same type:
+    /// mark one of them ([`VirtualSensor::marked`]), or remove the first.
+    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) -> Outcome {
+        Ok(self.agent.sense(sensor, shell, period)?)
+    }
+
+    /// Removes the virtual sensor with readings of type `R`. Returns whether there was one.
+    pub fn remove_sensor<R: SensorReading>(&mut self) -> bool {
+        self.agent.remove_sensor::<R>()
     }
 
     /// Connects the robot to this task by a link. Orders of the task are the image [`A`](controller::generator::A) of its
-    /// generators (loose coordination). Steps take the latest order that is there. An earlier link ends.
-    pub fn coordinated<C: Message, R: Message>(&mut self) -> CoordinatorEnd<C, R> {
+    /// generators (loose coordination). Steps take the latest order that is there. In a motion of a team the link rests. An
+    /// earlier link ends.
+    pub fn coordinated<C: Message, R: Message>(&mut self) -> LooseLink<C, R> {
         self.agent.coordinated()
     }
 
@@ -198,7 +206,7 @@ impl Robot {
     /// Executes a list of instructions. The list ends at its first error.
     pub async fn perform(&mut self, task: Task) -> Outcome {
         let performed = self.agent.perform(task).await;
-        performed.map_err(|error| TaskError::Instruction { robot: self.name().to_owned(), error })
+        performed.map_err(|error| TaskError::Instruction { robot: self.name().into(), error })
     }
 
     /// Switches the drives off. A moving robot brakes first.

@@ -1,11 +1,12 @@
 //! Errors of tasks.
 
-use controller::coordination::CoordinatorError;
+use controller::coordination::{CoordinatorError, LinkError};
 use controller::ecp::{Class, NotRunning};
 use controller::executor::{InstructionError, SystemError};
 use controller::generator::GeneratorError;
 use controller::path::PathError;
 use controller::robot::KinematicsError;
+use controller::sensor::{OperatorError, SensorRefused};
 use thiserror::Error;
 
 use crate::cell::FileError;
@@ -20,7 +21,7 @@ pub enum TaskError {
     #[error("robot {robot}: instruction {}: {error}", .error.instruction + 1)]
     Instruction {
         /// Name of the robot.
-        robot: String,
+        robot: Box<str>,
         /// Place and cause of the error.
         error: InstructionError,
     },
@@ -65,6 +66,30 @@ pub enum TaskError {
         /// The reason, as the task gave it.
         why: &'static str,
     },
+    /// A question without an operator.
+    #[error("the task asks the operator {question:?}: run the task with --operator")]
+    NoOperator {
+        /// Text of the question.
+        question: String,
+    },
+    /// A question that the operator did not answer.
+    #[error("question {question:?}: {error}")]
+    Unanswered {
+        /// Text of the question.
+        question: String,
+        /// The reason.
+        error: OperatorError,
+    },
+    /// A question whose answer for rehearsals is not among its choices.
+    #[error("question {question:?}: the answer {answer:?} for rehearsals is none of its choices, {choices}")]
+    RehearsedAnswer {
+        /// Text of the question.
+        question: String,
+        /// The answer.
+        answer: String,
+        /// The choices.
+        choices: String,
+    },
     /// Any other refusal: of a motion that cannot be planned, or of the task itself.
     #[error("{0:#}")]
     Refused(anyhow::Error),
@@ -83,6 +108,9 @@ impl TaskError {
             | Self::RobotInUse { .. }
             | Self::Parameters(_)
             | Self::NotRehearsed { .. }
+            | Self::NoOperator { .. }
+            | Self::Unanswered { .. }
+            | Self::RehearsedAnswer { .. }
             | Self::Refused(_) => Class::NonFatal,
         }
     }
@@ -120,8 +148,20 @@ impl From<PathError> for TaskError {
     }
 }
 
+impl From<LinkError> for TaskError {
+    fn from(error: LinkError) -> Self {
+        Self::Refused(error.into())
+    }
+}
+
 impl From<NotRunning> for TaskError {
     fn from(error: NotRunning) -> Self {
+        Self::Refused(error.into())
+    }
+}
+
+impl From<SensorRefused> for TaskError {
+    fn from(error: SensorRefused) -> Self {
         Self::Refused(error.into())
     }
 }

@@ -5,6 +5,8 @@ mod cell;
 mod error;
 mod figures;
 mod lines;
+mod operator;
+mod teach;
 mod team;
 #[cfg(test)]
 pub(crate) mod tests;
@@ -14,6 +16,7 @@ use std::sync::Arc;
 
 use controller::ecp::Subcontrollers;
 use controller::executor::{Agents, Executor, Turns};
+use controller::sensor::OperatorLink;
 use drive::cia401::IoLink;
 use servo::SpeedOverride;
 
@@ -24,6 +27,7 @@ pub use cell::{Cell, Robot};
 pub use error::{Outcome, TaskError};
 pub(crate) use figures::Figures;
 pub use lines::{InputLine, OutputLine};
+use operator::Desk;
 pub use team::Team;
 
 /// A task in a form that can be boxed.
@@ -52,12 +56,19 @@ pub struct Program {
     task: Arc<dyn Carry>,
     /// Whether the instructions are those of the cell file.
     pub(crate) of_file: bool,
+    operator: Option<OperatorLink>,
 }
 
 impl Program {
     /// A task in Rust.
     pub fn of(task: impl AsyncFn(&mut Cell) -> Outcome + Send + Sync + 'static) -> Self {
-        Self { task: Arc::new(task), of_file: false }
+        Self { task: Arc::new(task), of_file: false, operator: None }
+    }
+
+    /// The same task with an operator, of whom the task may ask questions.
+    #[must_use]
+    pub fn with_operator(self, operator: OperatorLink) -> Self {
+        Self { operator: Some(operator), ..self }
     }
 
     /// The task on the robots of `file`.
@@ -70,8 +81,8 @@ impl Program {
     ) -> Executor<TaskError> {
         let Equipment { subcontrollers, io, speed, figures } = equipment;
         let agents = Agents::new(subcontrollers);
-        let (task, mut cell) =
-            (Arc::clone(&self.task), Cell::new(file, agents.clone(), io, speed, figures, rehearsing));
+        let desk = Desk { link: self.operator.clone(), rehearsing };
+        let (task, mut cell) = (Arc::clone(&self.task), Cell::new(file, agents.clone(), io, speed, figures, desk));
         Executor::new(agents, async move { task.carry(&mut cell).await }, turns)
     }
 }

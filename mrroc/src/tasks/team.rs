@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use controller::coordination::{Answers, Coordinator, LinkConfig};
-use controller::executor::{self, DisturbedMessage, TeamError};
-use controller::generator::Generator;
+use controller::coordination::{Coordinator, LinkConfig};
+use controller::executor::{self, DisturbedMessage, Members, TeamError};
+use controller::sensor::{Shell, VirtualSensor};
 
 use super::{Outcome, Robot, TaskError};
 use crate::cell::CellFile;
@@ -12,45 +12,47 @@ use crate::cell::CellFile;
 /// Robots that execute motions together under one coordinator.
 pub struct Team<'a, const N: usize> {
     file: Arc<CellFile>,
-    members: [&'a mut Robot; N],
-    link: LinkConfig,
-    disturbed: Option<DisturbedMessage>,
+    team: executor::Team<'a, N>,
 }
 
 impl<'a, const N: usize> Team<'a, N> {
     pub(super) fn new(file: &Arc<CellFile>, members: [&'a mut Robot; N], link: LinkConfig) -> Self {
-        Self { file: Arc::clone(file), members, link, disturbed: None }
+        let members = members.map(|robot| &mut robot.agent);
+        Self { file: Arc::clone(file), team: executor::Team::new(members, link) }
     }
 
     /// Disturbs one message of the next motion, for tests of the reaction to a bad wire.
     pub fn disturb(&mut self, message: DisturbedMessage) {
-        self.disturbed = Some(message);
+        self.team.disturb(message);
     }
 
     /// The same team with these links between the coordinator and its members.
     #[must_use]
-    pub fn linked(self, link: LinkConfig) -> Self {
-        Self { link, ..self }
+    pub fn linked(mut self, link: LinkConfig) -> Self {
+        self.team.link_by(link);
+        self
     }
 
-    /// Executes a motion of all members: the functions of the coordinator, and a generator per member. The motion ends
-    /// when the terminal condition of the coordinator holds and all members stand.
+    /// Gives the coordinators of this team a virtual sensor, whose readings are [`Coordinator::Sensors`]. See
+    /// [`Robot::sense`].
+    pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) -> Outcome {
+        Ok(self.team.sense(sensor, shell, period)?)
+    }
+
+    /// Executes a motion of all members: the functions of the coordinator, and a generator per member
+    /// ([`Members`]: an array, or a tuple of different generators). The motion ends when the terminal condition of the
+    /// coordinator holds and all members stand.
     ///
     /// After an error all members stand or are faulted. If the returned future is dropped, all members brake.
-    pub async fn execute<K, G>(&mut self, coordinator: K, generators: [G; N]) -> Outcome
+    pub async fn execute<K, G>(&mut self, coordinator: K, generators: G) -> Outcome
     where
         K: Coordinator<N>,
-        G: Generator<Out: Answers<K::Answer>>,
+        G: Members<K::Answer, N>,
     {
-        let members = self.members.each_mut().map(|robot| &mut robot.agent);
-        let mut team = executor::Team::new(members, self.link);
-        if let Some(message) = self.disturbed.take() {
-            team.disturb(message);
-        }
-        let executed = team.execute(coordinator, generators).await;
+        let executed = self.team.execute(coordinator, generators).await;
         executed.map_err(|error| match error {
             TeamError::Member(error) => {
-                TaskError::Instruction { robot: self.file.cell.robot[error.robot].name.clone(), error }
+                TaskError::Instruction { robot: self.file.cell.robot[error.robot].name.as_str().into(), error }
             }
             TeamError::Coordinator(error) => TaskError::Coordinator(error),
         })

@@ -1,5 +1,7 @@
 //! Tasks on two IRb-6: errors, joins, dropped instructions, rehearsal, and refusals.
 
+mod operator;
+mod refusals;
 mod team;
 
 use std::fs;
@@ -336,6 +338,44 @@ fn a_task_that_blocks_is_refused_in_the_rehearsal_and_stopped_in_the_run() {
     let report = crate::run(&two_arms(), BenchKind::Emulated, task).unwrap();
     assert_eq!((report.outcome, report.faults.len()), (RunOutcome::Faulted, 1), "{report}");
     assert!(report.faults[0].what.starts_with(said), "{report}");
+}
+
+/// A generator that blocks in its tenth step, unless it is rehearsed.
+struct Stuck {
+    rehearsed: bool,
+}
+
+impl Generator for Stuck {
+    type First = ();
+    type Every = EffectorImage;
+    type Out = ();
+    type Memory = u32;
+
+    fn first_step(&mut self, (): &(), _: Duration) -> Result<Next<u32>, GeneratorError> {
+        Ok(Next::remember(0))
+    }
+    fn terminal(&self, step: &u32, _: &EffectorImage) -> bool {
+        *step == 10
+    }
+    fn next_step(&self, step: &u32, _: &EffectorImage) -> Result<Next<u32>, GeneratorError> {
+        if *step == 9 && !self.rehearsed {
+            loop {
+                thread::park();
+            }
+        }
+        Ok(Next::remember(step + 1))
+    }
+}
+
+#[test]
+fn a_generator_that_blocks_in_a_step_ends_the_run() {
+    let task = async |cell: &mut Cell| {
+        let [mut left, _right] = ready(cell).await?;
+        left.execute(Stuck { rehearsed: cell.rehearsing() }).await
+    };
+    let report = crate::run(&two_arms(), BenchKind::Emulated, task).unwrap();
+    assert_eq!((report.outcome, report.faults.len()), (RunOutcome::Faulted, 1), "{report}");
+    assert!(report.faults[0].what.starts_with("a generator did not return from a step within 10s"), "{report}");
 }
 
 #[test]

@@ -46,6 +46,28 @@ fn a_servo_fault_ends_the_task_and_is_passed_on() {
 }
 
 #[test]
+fn a_fault_keeps_the_number_of_its_macrostep_whatever_was_computed_after_it() {
+    let fault = ServoFault { axis: Some(1), cause: StopCause::FollowingError { error: 2.0, limit: 1.5 } };
+    // Before the images of macrostep 10 are reported, after that, and in its first period.
+    for period in [5, 9, 1] {
+        let mut bench = Bench::ready();
+        bench.ecp.execute(Task::new().run(to(1.0, 0.0, 0.0))).unwrap();
+        let events = bench.go_on(|bench| {
+            let Script { report, done, .. } = &bench.servo;
+            if report.snapshot.macrostep == 10 && *done == period {
+                bench.servo.fault = Some(fault);
+            }
+        });
+        assert_eq!(events, failed(EcpError::Servo(fault)));
+        assert!(bench.ecp.sent > 10, "{}", bench.ecp.sent);
+        assert_eq!(bench.ecp.chart(), Some((ChartPhase::NextStep, 9)), "period {period}");
+        assert_eq!(bench.ecp.fault_macrostep().map(u64::from), Some(10), "period {period}");
+        assert_eq!(bench.run(Task::new().reset_fault()), finished(1));
+        assert_eq!(bench.ecp.fault_macrostep(), None);
+    }
+}
+
+#[test]
 fn a_stop_that_does_not_end_is_reported_by_the_fault_that_began_it() {
     let fault = ServoFault { axis: Some(1), cause: StopCause::Runaway { velocity: 300.0, limit: 250.0 } };
     let mut bench = Bench::ready();

@@ -72,6 +72,8 @@ struct Cell {
     /// Cycles in which each robot began to move.
     began: [Vec<u32>; 2],
     cycle: u32,
+    /// Whether the process of the second robot is polled in every third cycle only.
+    lags: bool,
 }
 
 impl Cell {
@@ -96,6 +98,7 @@ impl Cell {
             outcomes: Default::default(),
             began: Default::default(),
             cycle: 0,
+            lags: false,
         };
         assert_eq!(cell.run([Task::new().enable(), Task::new().enable()]), [vec![Ok(())], vec![Ok(())]]);
         cell
@@ -132,6 +135,9 @@ impl Cell {
         for (robot, (phase, before)) in self.phases().into_iter().zip(before).enumerate() {
             if phase == Phase::Moving && before != phase {
                 self.began[robot].push(self.cycle);
+            }
+            if robot == 1 && self.lags && !self.cycle.is_multiple_of(3) {
+                continue;
             }
             while let Some(event) = self.ecps[robot].poll(self.now) {
                 self.outcomes[robot].push(event.outcome);
@@ -278,5 +284,17 @@ fn a_tie_without_its_own_robot_or_with_one_that_does_not_exist_is_refused() {
         cell.until(|cell| cell.phases()[0] == Phase::Faulted);
         let refused = ServoFault { axis: None, cause: StopCause::NotAMember { members } };
         assert_eq!(cell.servo.fault(0), Some(refused));
+    }
+}
+
+#[test]
+fn members_whose_generators_end_in_motion_brake_without_an_error_whichever_stop_comes_first() {
+    for lags in [false, true] {
+        let mut cell = Cell::standing();
+        cell.lags = lags;
+        let passing = || JerkLimited::new(Space::Joint, 3, limits(), &[axis_0(0.3)]).unwrap().ending_at(axis_0(0.3));
+        let task = || Task::new().tie(BOTH).run(passing().unwrap()).untie().run(to(0.0, 0.0, 0.0));
+        assert_eq!(cell.run([task(), task()]), [vec![Ok(()); 4], vec![Ok(()); 4]], "lags: {lags}");
+        assert_eq!((cell.phases(), cell.team_macrosteps()[0]), ([Phase::Standing; 2], cell.team_macrosteps()[1]));
     }
 }

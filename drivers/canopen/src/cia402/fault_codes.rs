@@ -7,6 +7,9 @@ pub enum FaultTable {
     /// CiA 402-2 §7.1 and the communication codes of CiA 301 §7.2.7.1.
     #[default]
     Cia402,
+    /// I/O modules of CiA 401, as manuals of Festo (CPX-E) and Turck (BL20) give the codes, and the communication codes
+    /// of CiA 301 §7.2.7.1.
+    Cia401,
     /// maxon EPOS4.
     Epos4,
 }
@@ -14,16 +17,22 @@ pub enum FaultTable {
 impl FaultTable {
     /// The text of an error code: the text of the vendor, of CiA, or of the class of the code, in this order.
     pub fn text(self, code: u16) -> &'static str {
-        let vendor = match self {
-            Self::Cia402 => None,
-            Self::Epos4 => find(EPOS4, code).or(match code {
-                0x1080..=0x1088 => Some("generic initialisation error"),
-                0x5480..=0x5483 => Some("hardware error"),
-                0x6180..=0x61F0 => Some("internal software error"),
-                _ => None,
-            }),
+        let listed = match self {
+            Self::Cia402 => find(CIA, code),
+            Self::Cia401 => find(CIA_401, code).or_else(|| find(CIA, code).filter(|_| matches!(code, 0x8100..=0x82FF))),
+            Self::Epos4 => find(EPOS4, code).or_else(|| epos4_range(code)).or_else(|| find(CIA, code)),
         };
-        vendor.or_else(|| find(CIA, code)).unwrap_or_else(|| class(code))
+        listed.unwrap_or_else(|| class(code))
+    }
+}
+
+/// Codes of EPOS4 with one text for a range.
+const fn epos4_range(code: u16) -> Option<&'static str> {
+    match code {
+        0x1080..=0x1088 => Some("generic initialisation error"),
+        0x5480..=0x5483 => Some("hardware error"),
+        0x6180..=0x61F0 => Some("internal software error"),
+        _ => None,
     }
 }
 
@@ -169,6 +178,18 @@ const CIA: &[(u16, &str)] = &[
     (0xF004, "control"),
 ];
 
+/// Codes of I/O modules. CiA 402 gives some of them another meaning.
+const CIA_401: &[(u16, &str)] = &[
+    (0x2110, "input current too high"),
+    (0x2130, "input current too low"),
+    (0x2310, "output current too high"),
+    (0x2320, "short circuit at the outputs"),
+    (0x2330, "load dump at the outputs"),
+    (0x3110, "supply voltage too high"),
+    (0x3120, "supply voltage too low"),
+    (0x3320, "output voltage too low"),
+];
+
 /// Codes whose meaning is not that of CiA.
 const EPOS4: &[(u16, &str)] = &[
     (0x1090, "firmware of an extension is incompatible"),
@@ -243,7 +264,7 @@ mod tests {
 
     #[test]
     fn tables_ascend_without_doubles() {
-        for table in [CIA, EPOS4] {
+        for table in [CIA, CIA_401, EPOS4] {
             for pair in table.windows(2) {
                 assert!(pair[0].0 < pair[1].0, "{:#06x}", pair[1].0);
             }
@@ -261,6 +282,11 @@ mod tests {
             (FaultTable::Epos4, 0x6185, "internal software error"),
             (FaultTable::Epos4, 0x1083, "generic initialisation error"),
             (FaultTable::Cia402, 0x6185, "software"),
+            (FaultTable::Cia401, 0x2330, "load dump at the outputs"),
+            (FaultTable::Cia401, 0x2340, "current"),
+            (FaultTable::Cia401, 0x8130, "heartbeat or life guard error"),
+            (FaultTable::Cia401, 0x8311, "monitoring"),
+            (FaultTable::Cia401, 0x6100, "software"),
             (FaultTable::Cia402, 0xA123, "unknown error code"),
         ];
         for (faults, code, text) in table {

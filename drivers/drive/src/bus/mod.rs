@@ -10,7 +10,7 @@
 //! | RPDO 1 of each drive | every cycle |
 //! | heartbeat of the host | once per heartbeat period |
 //! | RPDO 1 of an I/O node | after the first heartbeat of the host: changed or refused levels, and with each heartbeat |
-//! | SDO request to a drive | one at most, during a change of mode or after a fault |
+//! | SDO request, or NMT command to an I/O node | one at most, during a change of mode or after a fault |
 //!
 //! Bring-up listens for another controller, resets the communication of all nodes, configures and reads back every node
 //! by SDO, and starts all nodes together. Bring-up ends when every node shows the state operational and every I/O node
@@ -30,6 +30,7 @@ use std::task::Poll;
 use std::time::Duration;
 
 use can::{ControllerState, Frame, Instant, Port, Received};
+use canopen::cia402::FaultTable;
 use canopen::emcy::Emergency;
 use canopen::heartbeat::Heartbeat;
 use canopen::pdo::PdoNumber;
@@ -194,16 +195,22 @@ impl<P: Port> CanBus<P> {
                 let state = Heartbeat::decode(&frame)?.state;
                 match self.routes.place(node)? {
                     Place::Drive(drive) => self.drives.heard(drive, state, at),
-                    Place::Io(io) => self.io[io].heard(state, at),
+                    Place::Io(io) => {
+                        self.io[io].heard(state, at);
+                        if self.io[io].recovers() {
+                            let Member { bring_up, sdo } = &mut self.members[self.drives.axes() + io];
+                            bring_up.heard(state, sdo, now);
+                        }
+                    }
                 }
             }
             cob::Function::Emcy(node) => {
                 let emergency = Emergency::decode(&frame)?;
-                let warns = match self.routes.place(node)? {
-                    Place::Drive(drive) => self.drives.emergency(drive, &emergency),
+                let (warns, table) = match self.routes.place(node)? {
+                    Place::Drive(drive) => (self.drives.emergency(drive, &emergency), FaultTable::Epos4),
                     Place::Io(io) => {
                         self.io[io].emergency(&emergency, at);
-                        !emergency.is_reset()
+                        (!emergency.is_reset(), FaultTable::Cia401)
                     }
                 };
                 if warns {
@@ -211,6 +218,7 @@ impl<P: Port> CanBus<P> {
                         after: at.since(self.up_since),
                         node: node.raw(),
                         code: emergency.code,
+                        table,
                         register: emergency.error_register.0,
                         count: 1,
                     });
@@ -415,7 +423,12 @@ impl<P: Port> DriveGroup for CanBus<P> {
             self.counters.missed_answers += missed;
         }
         self.syncs.attempted = false;
-        self.io.iter_mut().for_each(|io| io.end_of_read(now, self.cycle));
+        for (io, member) in self.io.iter_mut().zip(&mut self.members[self.drives.axes()..]) {
+            if let Some(command) = io.recover(member, now, self.service.is_none()) {
+                self.service = Some(command.to(member.bring_up.node()).encode());
+            }
+            io.end_of_read(now, self.cycle);
+        }
     }
 
     fn write(&mut self, now: Instant, commands: &[AxisCommand]) {

@@ -3,11 +3,13 @@
 use std::time::Duration;
 
 use can::PortError;
+use canopen::Object;
 use thiserror::Error;
 
 use crate::bus::Sign;
 
-/// A latched condition of an I/O node, cleared by the next bring-up.
+/// A latched condition of an I/O node. [`IoLink::reset_fault`](super::IoLink::reset_fault) and the next bring-up clear
+/// the fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum IoFault {
@@ -27,6 +29,13 @@ pub enum IoFault {
     /// of the host.
     #[error("node {node}: left operational state")]
     LeftOperational { node: u8 },
+    /// A reset of the fault failed: the node did not boot, did not start, or sent no inputs.
+    #[error("node {node}: reset failed: not back in operation after {waited:.1?}")]
+    NotBack { node: u8, waited: Duration },
+    /// A reset of the fault failed: the node did not answer for this object, refused it, or has another value. The
+    /// [error](crate::BringUpError) of a bring-up has the details.
+    #[error("node {node}: reset failed at object {object}")]
+    NotConfigured { node: u8, object: Object },
     /// The port refused RPDO 1 for more cycles than the cell tolerates. The outputs have old levels.
     #[error("node {node}: outputs not taken by the bus for {cycles} cycles")]
     OutputsNotSent { node: u8, cycles: u32 },
@@ -62,6 +71,10 @@ pub(super) fn words(fault: Option<IoFault>) -> (u64, u64) {
         IoFault::Port(PortError::Gone) => (9, 0, 1),
         IoFault::Port(PortError::Os(errno)) => (10, 0, u64::from(errno.cast_unsigned())),
         IoFault::BusOff => (11, 0, 0),
+        IoFault::NotBack { node, waited } => (12, node, nanos(waited)),
+        IoFault::NotConfigured { node, object } => {
+            (13, node, u64::from(object.index) << 8 | u64::from(object.subindex))
+        }
     };
     (kind | u64::from(node) << 8, value)
 }
@@ -87,6 +100,8 @@ pub(super) fn of_words(word: u64, value: u64) -> Option<IoFault> {
         9 => IoFault::Port(if value == 0 { PortError::Down } else { PortError::Gone }),
         10 => IoFault::Port(PortError::Os((value as u32).cast_signed())),
         11 => IoFault::BusOff,
+        12 => IoFault::NotBack { node, waited },
+        13 => IoFault::NotConfigured { node, object: Object::new((value >> 8) as u16, value as u8) },
         _ => IoFault::NotStarted { node },
     })
 }
@@ -105,6 +120,8 @@ mod tests {
             IoFault::HeartbeatLost { node, waited },
             IoFault::LeftOperational { node },
             IoFault::OutputsNotSent { node, cycles: u32::MAX },
+            IoFault::NotBack { node, waited },
+            IoFault::NotConfigured { node, object: Object::new(0x6207, 8) },
             IoFault::HeartbeatNotSent { waited },
             IoFault::OtherController { sign: Sign::Sync },
             IoFault::OtherController { sign: Sign::Heartbeat { node } },

@@ -2,7 +2,7 @@
 
 use std::array;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use can::Instant;
@@ -20,7 +20,7 @@ const INPUTS: usize = CHANNELS as usize;
 pub struct Input {
     /// Level in the last frame of the node.
     pub level: bool,
-    /// Changes of the level since the end of bring-up.
+    /// Changes of the level since the end of bring-up. Changes during a fault are not counted.
     pub edges: u64,
     /// Receive time of the frame that first showed the present level; `None` without an edge.
     pub last_edge: Option<Instant>,
@@ -66,9 +66,9 @@ pub struct InputImage {
     /// The fault of the node.
     pub fault: Option<IoFault>,
     /// The last error that the node reported by EMCY since the end of bring-up. An EMCY with the error register 0 ends
-    /// it. An error is no [`fault`](Self::fault): the node goes on.
+    /// it, and so does a [reset](IoLink::reset_fault). An error is no [`fault`](Self::fault): the node goes on.
     pub error: Option<IoError>,
-    /// The last output command that the port took; `None` before the first.
+    /// The last output command that the port took; `None` before the first since the start of the node.
     pub sent: Option<SentOutputs>,
     /// Number of inputs.
     pub(super) inputs: u8,
@@ -218,8 +218,24 @@ pub struct IoLink {
     pub node: NodeId,
     /// Inputs, state of the outputs, fault and error.
     pub inputs: LatestInputs,
-    /// Commands to the outputs. A bring-up sets them to [`IoConfig::error_value`](super::IoConfig::error_value).
+    /// Commands to the outputs. A bring-up sets them to [`IoConfig::error_value`](super::IoConfig::error_value), and
+    /// so does a reset.
     pub outputs: OutputCommand,
+    reset: ResetRequest,
+}
+
+/// A request to reset the fault of a node. The owner of the bus takes the request.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ResetRequest(Arc<AtomicBool>);
+
+impl ResetRequest {
+    pub(super) fn is_there(&self) -> bool {
+        self.0.load(Ordering::Acquire)
+    }
+
+    pub(super) fn take(&self) -> bool {
+        self.0.swap(false, Ordering::AcqRel)
+    }
 }
 
 impl IoLink {
@@ -227,7 +243,21 @@ impl IoLink {
     pub(super) fn new(node: NodeId, image: &InputImage, levels: u64) -> (ImagePublisher, Self) {
         let (publisher, inputs) = latest(image.words());
         let outputs = OutputCommand(Arc::new(AtomicU64::new(levels)));
-        (publisher, Self { node, inputs: LatestInputs(inputs), outputs })
+        (publisher, Self { node, inputs: LatestInputs(inputs), outputs, reset: ResetRequest::default() })
+    }
+
+    /// Requests a reset of the fault of the node, and does not wait. The owner of the bus resets the communication of
+    /// the node, configures the node and starts it, as in bring-up. The axes of the bus go on. The fault ends when the
+    /// node is operational and its inputs are known, some hundred cycles later. If the reset fails, the fault says so
+    /// ([`IoFault::NotBack`], [`IoFault::NotConfigured`]), and a later request tries again.
+    ///
+    /// A node without a fault ignores the request.
+    pub fn reset_fault(&self) {
+        self.reset.0.store(true, Ordering::Release);
+    }
+
+    pub(super) fn reset_request(&self) -> ResetRequest {
+        self.reset.clone()
     }
 }
 
@@ -241,7 +271,7 @@ mod tests {
         #[test]
         fn what_is_published_is_read(
             head in any::<[u64; 8]>(),
-            (kind, node, value) in (0..=11_u64, any::<u8>(), any::<u32>()),
+            (kind, node, value) in (0..=13_u64, any::<u8>(), any::<u32>()),
             (sent, error, inputs) in (any::<bool>(), any::<bool>(), 0..=CHANNELS),
             edges in any::<u64>(),
         ) {

@@ -5,22 +5,24 @@ use std::time::Duration;
 use can::{Frame, Instant};
 use canopen::cia401::blocks;
 use canopen::emcy::Emergency;
-use canopen::nmt::NmtState;
+use canopen::nmt::{Command, NmtState};
 use canopen::pdo::PdoNumber;
 use canopen::{NodeId, cob};
 
 use super::config::{IoConfig, mask};
 use super::fault::IoFault;
-use super::image::{ImagePublisher, InputImage, IoError, IoLink, OutputCommand, SentOutputs};
+use super::image::{ImagePublisher, InputImage, IoError, IoLink, OutputCommand, ResetRequest, SentOutputs};
 use crate::BringUpError;
+use crate::bus::Member;
 use crate::cia402::GroupConfig;
 
 /// State of one I/O node: its inputs, the outputs sent and the latched fault.
 ///
 /// Nothing here waits or allocates. The order of calls within a cycle is:
 /// 1. [`inputs`](Self::inputs), [`heard`](Self::heard) and [`emergency`](Self::emergency), as frames arrive;
-/// 2. [`end_of_read`](Self::end_of_read), which publishes the image;
-/// 3. [`command`](Self::command) and [`handed_over`](Self::handed_over).
+/// 2. [`recover`](Self::recover);
+/// 3. [`end_of_read`](Self::end_of_read), which publishes the image;
+/// 4. [`command`](Self::command) and [`handed_over`](Self::handed_over).
 pub(crate) struct IoNode {
     node: NodeId,
     inputs: u8,
@@ -51,6 +53,23 @@ pub(crate) struct IoNode {
     repeating: bool,
     /// Cycles in a row whose output command the port did not take.
     not_sent: u32,
+    reset: ResetRequest,
+    recovery: Recovery,
+}
+
+/// Recovery of a node after a fault, in the steps of bring-up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Recovery {
+    None,
+    /// The node was sent a reset of its communication at `since`, and is configured.
+    Configuring {
+        since: Instant,
+    },
+    /// The node was sent the NMT start at `started`.
+    Starting {
+        since: Instant,
+        started: Instant,
+    },
 }
 
 impl IoNode {
@@ -80,6 +99,8 @@ impl IoNode {
             offered: None,
             repeating: false,
             not_sent: 0,
+            reset: link.reset_request(),
+            recovery: Recovery::None,
         };
         (node, link)
     }
@@ -89,7 +110,8 @@ impl IoNode {
         self.image = InputImage::not_started(self.node, self.inputs);
         self.publisher.publish(&self.image.words());
         self.commanded.set_all(self.error_value);
-        self.has_inputs = false;
+        (self.has_inputs, self.recovery) = (false, Recovery::None);
+        self.reset.take();
     }
 
     /// Whether the inputs are known, `waited` after the start of the node. A node without inputs needs none.
@@ -107,14 +129,73 @@ impl IoNode {
         let first = InputImage::not_started(self.node, self.inputs);
         self.image = InputImage { at: now, heard, received, levels, fault: None, ..first };
         self.publisher.publish(&self.image.words());
-        // Commands that were given during bring-up do not take effect.
+        self.operate();
+    }
+
+    /// Starts the commands and the watch.
+    fn operate(&mut self) {
+        // Commands that were given during bring-up or a fault do not take effect.
         self.commanded.set_all(self.error_value);
         (self.since, self.operational) = (None, true);
         (self.offered, self.repeating, self.not_sent) = (None, false, 0);
     }
 
-    /// Takes TPDO 1, received at `at`. `None` means a payload of another length.
+    /// Whether the node is being reset after a fault.
+    pub(crate) fn recovers(&self) -> bool {
+        self.recovery != Recovery::None
+    }
+
+    /// Advances the reset of a fault by one cycle, and begins a requested one. `may_send`: a command of the node can be
+    /// sent in this cycle. Returns the command.
+    pub(crate) fn recover(&mut self, member: &mut Member, now: Instant, may_send: bool) -> Option<Command> {
+        let faulted = self.image.fault.is_some();
+        let begins = self.reset.is_there() && (may_send || !faulted) && self.reset.take() && faulted;
+        let Member { bring_up, sdo } = member;
+        let since = match self.recovery {
+            Recovery::None if !begins => return None,
+            Recovery::None => {
+                sdo.reset();
+                bring_up.reset(now);
+                self.has_inputs = false;
+                self.recovery = Recovery::Configuring { since: now };
+                return Some(Command::ResetCommunication);
+            }
+            Recovery::Configuring { since } | Recovery::Starting { since, .. } => since,
+        };
+        let mut advanced = bring_up.advance(sdo, now);
+        match self.recovery {
+            Recovery::Configuring { since } if bring_up.configured() && may_send => {
+                bring_up.start(now);
+                self.recovery = Recovery::Starting { since, started: now };
+                return Some(Command::Start);
+            }
+            Recovery::Starting { started, .. } => match self.has_inputs(now.since(started)) {
+                Ok(known) if known && bring_up.operational() => {
+                    self.recovery = Recovery::None;
+                    (self.image.fault, self.image.error, self.image.sent) = (None, None, None);
+                    self.operate();
+                }
+                known => advanced = advanced.and(known.map(|_| ())),
+            },
+            Recovery::None | Recovery::Configuring { .. } => {}
+        }
+        if let Err(error) = advanced {
+            sdo.reset();
+            let (node, waited) = (self.node.raw(), now.since(since));
+            self.latch(match error.object() {
+                Some(object) => IoFault::NotConfigured { node, object },
+                None => IoFault::NotBack { node, waited },
+            });
+        }
+        None
+    }
+
+    /// Takes TPDO 1, received at `at`. `None` means a payload of another length. A node that is being configured may
+    /// send by its old mapping; such a frame is ignored.
     pub(crate) fn inputs(&mut self, data: &[u8], at: Instant) -> Option<()> {
+        if matches!(self.recovery, Recovery::Configuring { .. }) {
+            return Some(());
+        }
         let length = usize::from(blocks(self.inputs));
         if length == 0 || data.len() != length {
             return None;
@@ -153,6 +234,15 @@ impl IoNode {
 
     /// Ends the reading of a cycle: judges silence and publishes the image.
     pub(crate) fn end_of_read(&mut self, now: Instant, cycle: u64) {
+        if !self.recovers() {
+            self.watch(now);
+        }
+        (self.image.cycle, self.image.at) = (cycle, now);
+        self.publisher.publish(&self.image.words());
+    }
+
+    /// Latches silence, a node that left the state operational, and outputs that are not sent.
+    fn watch(&mut self, now: Instant) {
         let node = self.node.raw();
         if !self.operational {
             self.latch(IoFault::LeftOperational { node });
@@ -169,8 +259,6 @@ impl IoNode {
         if self.not_sent > self.tolerated_missing {
             self.latch(IoFault::OutputsNotSent { node, cycles: self.not_sent });
         }
-        (self.image.cycle, self.image.at) = (cycle, now);
-        self.publisher.publish(&self.image.words());
     }
 
     /// RPDO 1, if the outputs are to have other levels than those sent last. With `repeat`, also unchanged levels are
@@ -209,8 +297,13 @@ impl IoNode {
         }
     }
 
-    /// Latches a fault. The first fault stays until the next bring-up.
+    /// Latches a fault. The first fault stays until a reset or the next bring-up. A fault during a reset ends the reset,
+    /// and replaces the fault before.
     pub(crate) fn latch(&mut self, fault: IoFault) {
+        if self.recovers() {
+            self.image.fault = None;
+            self.recovery = Recovery::None;
+        }
         self.image.fault.get_or_insert(fault);
     }
 }

@@ -4,5 +4,6 @@ mod bench;
 mod bring_up;
 mod inputs;
 mod outputs;
+mod reset;
 mod routing;
 mod silence;

@@ -3,7 +3,7 @@
 use std::cell::Cell as Shared;
 use std::sync::Mutex;
 
-use controller::coordination::Disturbance;
+use controller::coordination::{CoordinatorError, Disturbance};
 use controller::executor::DisturbedMessage;
 
 use super::*;
@@ -11,6 +11,25 @@ use super::*;
 /// Raises both tools at 0.1 m/s, after a quarter of a second of acceleration. The memory is the number of the macrostep.
 struct Rise {
     macrostep: f64,
+    /// What the coordinator does wrong.
+    wrong: Option<Wrong>,
+}
+
+/// A mistake of a coordinator.
+#[derive(Clone, Copy, Debug)]
+enum Wrong {
+    /// Refuses the motion in its first step.
+    Refuses,
+    /// Panics in its first step.
+    PanicsAtFirst,
+    /// Panics in step 40.
+    Panics,
+}
+
+impl Rise {
+    const fn sound() -> Self {
+        Self { macrostep: 0.0, wrong: None }
+    }
 }
 
 /// Height, m, velocity and acceleration.
@@ -22,22 +41,30 @@ const ACCELERATION: (f64, f64) = (0.4, 0.25);
 impl Coordinator<2> for Rise {
     type Order = Height;
     type Answer = ();
+    type Sensors = ();
+    type Out = ();
     type Memory = u32;
 
-    fn first_step(&mut self, macrostep: Duration) -> Result<NextOrders<Height, u32, 2>, GeneratorError> {
+    fn first_step(&mut self, (): &(), macrostep: Duration) -> Result<Orders<Self, 2>, GeneratorError> {
+        match self.wrong {
+            Some(Wrong::Refuses) => return Err(GeneratorError::User(7)),
+            Some(Wrong::PanicsAtFirst) => panic!("as the test asks"),
+            Some(Wrong::Panics) | None => {}
+        }
         self.macrostep = macrostep.as_secs_f64();
-        Ok(NextOrders { orders: [[0.0; 3]; 2], memory: 0 })
+        Ok(NextOrders::new([[0.0; 3]; 2], 0))
     }
 
-    fn terminal(&self, step: &u32, _: &[Sample<()>; 2]) -> bool {
+    fn terminal(&self, step: &u32, _: &[Sample<()>; 2], (): &()) -> bool {
         *step == 60
     }
 
-    fn next_step(&self, step: &u32, _: &[Sample<()>; 2]) -> Result<NextOrders<Height, u32, 2>, GeneratorError> {
+    fn next_step(&self, step: &u32, _: &[Sample<()>; 2], (): &()) -> Result<Orders<Self, 2>, GeneratorError> {
+        assert!(*step != 40 || !matches!(self.wrong, Some(Wrong::Panics)), "as the test asks");
         let t = f64::from(step + 1) * self.macrostep;
         let (a, end) = ACCELERATION;
         let order = if t < end { [a * t * t / 2.0, a * t, a] } else { [a * end * (t - end / 2.0), a * end, 0.0] };
-        Ok(NextOrders { orders: [order; 2], memory: step + 1 })
+        Ok(NextOrders::new([order; 2], step + 1))
     }
 }
 
@@ -77,10 +104,7 @@ type Heights = Arc<Mutex<Vec<[f64; 2]>>>;
 
 /// Raises both tools, with one message disturbed, and keeps the measured heights in every cycle.
 async fn rise(cell: &mut Cell, message: Option<DisturbedMessage>, heights: &Heights) -> Outcome {
-    let [mut left, mut right] = ready(cell).await?;
-    let bent = |robot: &Robot| robot.motions().joints(0.3, &[[0.0, -1.5, 0.2, 0.8, 0.0]]);
-    let (one, other) = (bent(&left)?, bent(&right)?);
-    join(left.execute(one), right.execute(other)).await?;
+    let [mut left, mut right] = bent(cell).await?;
     let eyes = [left.observer(), right.observer()];
     let over = Shared::new(false);
     let motion = async {
@@ -88,7 +112,7 @@ async fn rise(cell: &mut Cell, message: Option<DisturbedMessage>, heights: &Heig
         if let Some(message) = message {
             team.disturb(message);
         }
-        let executed = team.execute(Rise { macrostep: 0.0 }, [0, 1].map(|_| Follow(Pose::identity()))).await;
+        let executed = team.execute(Rise::sound(), [follow(), follow()]).await;
         over.set(true);
         Ok::<_, TaskError>(executed)
     };
@@ -150,4 +174,102 @@ fn a_message_that_is_lost_doubled_or_swapped_stops_both_arms_together() {
             assert!(apart < 1e-4, "{what}: {apart} m apart");
         }
     }
+}
+
+/// A sound macrostep other than that of the cell.
+struct Quick(Follow);
+
+impl Generator for Quick {
+    type First = EffectorImage;
+    type Every = A<Height>;
+    type Out = Answer<()>;
+    type Memory = ();
+
+    fn pace(&self, cell: Pace) -> Pace {
+        Pace { periods: cell.periods - 1, read_at: 1 }
+    }
+    fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<(), Answer<()>>, GeneratorError> {
+        self.0.first_step(e, macrostep)
+    }
+    fn terminal(&self, (): &(), a0: &A<Height>) -> bool {
+        self.0.terminal(&(), a0)
+    }
+    fn next_step(&self, (): &(), a0: &A<Height>) -> Result<Next<(), Answer<()>>, GeneratorError> {
+        self.0.next_step(&(), a0)
+    }
+}
+
+/// Both robots, bent, from where the tools can rise.
+async fn bent(cell: &mut Cell) -> Result<[Robot; 2], TaskError> {
+    let [mut left, mut right] = ready(cell).await?;
+    let bend = |robot: &Robot| robot.motions().joints(0.3, &[[0.0, -1.5, 0.2, 0.8, 0.0]]);
+    let (one, other) = (bend(&left)?, bend(&right)?);
+    join(left.execute(one), right.execute(other)).await?;
+    Ok([left, right])
+}
+
+fn follow() -> Follow {
+    Follow(Pose::identity())
+}
+
+#[test]
+fn a_coordinator_that_refuses_or_panics_leaves_both_arms_at_rest_and_the_team_can_move_again() {
+    for wrong in [Wrong::Refuses, Wrong::PanicsAtFirst, Wrong::Panics] {
+        accepted(async move |cell: &mut Cell| {
+            let [mut left, mut right] = bent(cell).await?;
+            let mut team = cell.team([&mut left, &mut right]);
+            let coordinator = Rise { wrong: Some(wrong), ..Rise::sound() };
+            let failed = team.execute(coordinator, [follow(), follow()]).await.unwrap_err();
+            let (step, error) = match wrong {
+                Wrong::Refuses => (0, GeneratorError::User(7)),
+                Wrong::PanicsAtFirst => (0, GeneratorError::Panicked),
+                Wrong::Panics => (41, GeneratorError::Panicked),
+            };
+            let expected = CoordinatorError::Generator { step, error };
+            assert!(matches!(failed, TaskError::Coordinator(found) if found == expected), "{failed}");
+            assert_eq!(failed.class(), Class::NonFatal);
+            for robot in [&left, &right] {
+                let joints = robot.image()?.commanded.joints;
+                assert_eq!(joints.velocity, [0.0; 8]);
+            }
+            cell.team([&mut left, &mut right]).execute(Rise::sound(), [follow(), follow()]).await
+        });
+    }
+}
+
+#[test]
+fn members_may_have_generators_of_different_types_but_keep_the_macrostep_of_the_cell() {
+    accepted(async |cell: &mut Cell| {
+        let [mut left, mut right] = bent(cell).await?;
+        let quick = Quick(follow());
+        let failed = cell.team([&mut left, &mut right]).execute(Rise::sound(), (follow(), quick)).await.unwrap_err();
+        let error = GeneratorError::PaceInTeam { cell: 10, periods: 9 };
+        let found = failed.instruction().unwrap();
+        assert_eq!((found.robot, found.cause), (1, EcpError::Generator { step: 0, error }));
+        Ok(())
+    });
+}
+
+#[test]
+fn a_link_to_the_task_rests_during_a_motion_of_a_team_and_then_goes_on() {
+    accepted(async |cell: &mut Cell| {
+        let [mut left, mut right] = bent(cell).await?;
+        let mut link = left.coordinated::<Height, ()>();
+        let low = left.image()?.commanded.pose.translation.z;
+        cell.team([&mut left, &mut right]).execute(Rise::sound(), [follow(), follow()]).await?;
+        let high = left.image()?.commanded.pose.translation.z;
+        assert!(high > low + 0.1, "{low} {high}");
+        // The order lets the tool stay, and the end of the motion ends it.
+        let orders = async {
+            link.order([0.0; 3])?;
+            cell.sleep(ms(60)).await;
+            let answered = link.answer()?.expect("every step answers");
+            assert!(answered.age <= ms(40), "{answered:?}");
+            Ok(link.end_motion()?)
+        };
+        join(orders, left.execute(follow())).await?;
+        let still = left.image()?.commanded.pose.translation.z;
+        assert!((still - high).abs() < 1e-9, "{high} {still}");
+        Ok(())
+    });
 }

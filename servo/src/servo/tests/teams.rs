@@ -218,6 +218,17 @@ fn a_member_that_unties_in_motion_goes_on_alone_and_the_last_member_is_free() {
 }
 
 #[test]
+fn a_member_that_unties_behind_a_meeting_frees_its_partner_in_the_same_cycle() {
+    let mut cell = Cell::standing(&[1000.0; 2]);
+    cell.order_all(Order::Tie { members: 0b11 });
+    cell.order_all(Order::Meet { members: 0b11 });
+    cell.order(0, Order::Untie);
+    cell.order(1, Order::Move(macrostep(1, 10, 0.01, 0.0)));
+    cell.run(1);
+    assert_eq!(cell.phases(), [Phase::Standing, Phase::Moving]);
+}
+
+#[test]
 fn two_teams_side_by_side_begin_and_stop_independently() {
     let mut cell = Cell::standing(&[1000.0; 5]);
     let teams = [0b00101, 0b11010, 0b00101, 0b11010, 0b11010];

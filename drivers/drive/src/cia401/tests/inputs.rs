@@ -107,6 +107,21 @@ fn an_emcy_of_the_node_is_a_warning_and_an_error_until_the_register_is_clear() {
 }
 
 #[test]
+fn an_emcy_of_an_io_node_has_the_text_of_its_profile_and_not_that_of_a_drive() {
+    let mut bench = up();
+    cycle(&mut bench, &["085#2023030000000000", "082#2023030000000000", "085#8281810000000000"]);
+    let texts: Vec<_> = bench.group.warnings().iter().map(ToString::to_string).collect();
+    assert_eq!(
+        texts,
+        [
+            "node 5: EMCY 0x2320 (short circuit at the outputs), error register 0x03",
+            "node 2: EMCY 0x2320 (power stage protection), error register 0x03",
+            "node 5: EMCY 0x8182 (communication), error register 0x81",
+        ]
+    );
+}
+
+#[test]
 fn inverted_inputs_are_inverted_from_the_first_frame_on() {
     // The first inputs are 0x0201.
     let mut bench = up_with(IoConfig { inverted_inputs: 0b11, ..io_config(IO) });

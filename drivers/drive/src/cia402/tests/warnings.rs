@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use canopen::cia402::FaultTable;
+
 use super::bench::*;
 use crate::{Warning, Warnings};
 
@@ -34,7 +36,8 @@ fn an_emcy_without_a_fault_is_a_warning_with_its_time_and_count() {
     reports(&mut bench, &["082#0000000000000000", "083#1042080000000000"]);
     // Enabling took seven cycles, and the EMCY arrives half a period before its cycle.
     let first = bench.now.since(up) + 7 * PERIOD - 3 * PERIOD + PERIOD / 2;
-    let warning = |register, count, after| Warning { after, node: 2, code: 0x4210, register, count };
+    let table = FaultTable::Epos4;
+    let warning = |register, count, after| Warning { after, node: 2, code: 0x4210, table, register, count };
     let expected = [warning(8, 2, first), warning(9, 1, first + PERIOD)];
     assert_eq!(warnings(&bench), expected);
     assert_eq!(bench.states[0].fault, None);

@@ -4,6 +4,7 @@ use super::*;
 
 /// A cause of a stop of the first member, which reaches 16 rad/s, while its partner moves by -0.6 times as much. The
 /// stop of the first member alone takes 16 periods. The stop of its partner alone takes 24 periods.
+#[derive(Clone, Copy)]
 struct Case {
     name: &'static str,
     /// Changes the macrosteps of the first member.
@@ -78,9 +79,12 @@ fn cases() -> Vec<Case> {
     ]
 }
 
+/// Cycles in which a case acts: at the boundary of two macrosteps, and within a macrostep.
+const CYCLES: [u32; 2] = [90, 95];
+
 /// Positions of the first member and its partner, cycle by cycle from the last one in motion on. `first` is the index
-/// of the first member.
-fn stop(case: &Case, first: usize) -> Vec<[f64; 2]> {
+/// of the first member. The case acts before cycle `acts`.
+fn stop(case: &Case, first: usize, acts: u32) -> Vec<[f64; 2]> {
     let other = 1 - first;
     let mut accelerations = [400.0; 2];
     accelerations[first] = 1000.0;
@@ -92,7 +96,7 @@ fn stop(case: &Case, first: usize) -> Vec<[f64; 2]> {
     motion(-0.6, 40).into_iter().for_each(|step| cell.order(other, Order::Move(step)));
     let mut positions = Vec::new();
     for cycle in 0..800 {
-        if cycle == 95 {
+        if cycle == acts {
             (case.act)(&mut cell, first);
         }
         cell.run(1);
@@ -120,10 +124,10 @@ fn stop(case: &Case, first: usize) -> Vec<[f64; 2]> {
 }
 
 #[test]
-fn every_cause_brakes_all_members_in_the_same_cycle_and_in_proportion_whatever_their_order() {
-    for case in cases() {
-        let positions = stop(&case, 0);
-        assert_eq!(positions, stop(&case, 1), "{}: the order of the effectors does not matter", case.name);
+fn every_cause_at_a_boundary_or_within_a_macrostep_brakes_all_members_in_the_same_cycle_and_in_proportion() {
+    for (case, acts) in cases().into_iter().flat_map(|case| CYCLES.map(|acts| (case, acts))) {
+        let positions = stop(&case, 0, acts);
+        assert_eq!(positions, stop(&case, 1, acts), "{}: the order of the effectors does not matter", case.name);
         let (start, end) = (positions[0], positions[positions.len() - 1]);
         // An overrun stops where the drives already stand. A drive that is gone takes no set-point.
         let ways = [0, 1].map(|member| end[member] - start[member]);

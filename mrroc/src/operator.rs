@@ -1,0 +1,189 @@
+//! The operator's console: lines of standard input, and texts on standard error.
+//!
+//! Threads of the console read and write. A run waits for none of them, except for a short time at its end until the
+//! last texts are shown.
+
+use std::io::{BufRead, BufReader, Read as _, stdin};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::thread::Builder;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use controller::sensor::{OperatorLink, OperatorPanel};
+
+use crate::bench::BenchKind;
+use crate::run::{Requests, SMALL_STACK};
+use crate::streams;
+
+/// Lines that wait for a question. Standard input is read on when there is room again.
+const LINES: usize = 64;
+
+/// Greatest length of a line, bytes. A longer line is ignored with a message.
+const LONGEST: u64 = 1000;
+
+/// Greatest number of lines of a run in virtual time.
+const MOST_LINES: usize = 10_000;
+
+/// Longest wait for the last texts, and time between two looks at a stop request.
+const WAIT: Duration = Duration::from_millis(500);
+
+/// Threads that read the operator's lines and show texts to the operator.
+pub(crate) struct Console {
+    pub(crate) link: OperatorLink,
+    shown: Receiver<()>,
+}
+
+impl Console {
+    /// A console of this process. `show` shows one text.
+    ///
+    /// In lockstep, virtual time does not wait for an operator. Standard input is then read to its end first, so that
+    /// two runs with the same input are the same.
+    pub(crate) fn start(
+        bench: BenchKind,
+        requests: &Requests,
+        show: impl FnMut(&str) + Send + 'static,
+    ) -> anyhow::Result<Self> {
+        Self::reading(BufReader::new(stdin()), bench, requests, show)
+    }
+
+    fn reading(
+        input: impl BufRead + Send + 'static,
+        bench: BenchKind,
+        requests: &Requests,
+        mut show: impl FnMut(&str) + Send + 'static,
+    ) -> anyhow::Result<Self> {
+        let (link, OperatorPanel { lines, texts }) = if bench == BenchKind::Lockstep {
+            let (sender, read) = sync_channel(LINES);
+            spawn("operator input", move || read_lines(input, &sender))?;
+            let all = all_lines(&read, requests)?;
+            // Each line has at most one question and two messages.
+            let (link, panel) = OperatorLink::new(3 * all.len() + LINES);
+            all.into_iter()
+                .try_for_each(|line| panel.lines.try_send(line))
+                .context("the queue has room for all lines")?;
+            (link, panel)
+        } else {
+            let (link, panel) = OperatorLink::new(LINES);
+            let sender = panel.lines.clone();
+            spawn("operator input", move || read_lines(input, &sender))?;
+            (link, panel)
+        };
+        drop(lines);
+        let (tell, shown) = sync_channel(1);
+        spawn("operator output", move || {
+            texts.into_iter().for_each(|text| show(&text));
+            // The console may have stopped waiting.
+            let _ = tell.send(());
+        })?;
+        Ok(Self { link, shown })
+    }
+
+    /// Waits until the last texts are shown, at most [`WAIT`].
+    pub(crate) fn finish(self) {
+        drop(self.link);
+        // The texts of a blocked terminal are not waited for.
+        let _ = self.shown.recv_timeout(WAIT);
+    }
+}
+
+fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> anyhow::Result<()> {
+    let thread = Builder::new().name(name.to_owned()).stack_size(SMALL_STACK).spawn(work);
+    thread.context("no thread for the operator's console can be made")?;
+    Ok(())
+}
+
+/// All lines up to the end of the input.
+fn all_lines(read: &Receiver<String>, requests: &Requests) -> anyhow::Result<Vec<String>> {
+    let mut all = Vec::new();
+    loop {
+        match read.recv_timeout(WAIT) {
+            Ok(_) if all.len() == MOST_LINES => bail!("--operator: standard input has more than {MOST_LINES} lines"),
+            Ok(line) => all.push(line),
+            Err(RecvTimeoutError::Disconnected) => return Ok(all),
+            Err(RecvTimeoutError::Timeout) if requests.is_stopped() => bail!("stopped on request"),
+            Err(RecvTimeoutError::Timeout) => {}
+        }
+    }
+}
+
+/// Passes lines on until the end of the input, or until the run takes no more.
+fn read_lines(mut input: impl BufRead, lines: &SyncSender<String>) {
+    loop {
+        let mut line = Vec::new();
+        let read = (&mut input).take(LONGEST + 1).read_until(b'\n', &mut line);
+        let longer = line.len() as u64 > LONGEST && line.last() != Some(&b'\n');
+        let skipped = if longer { input.skip_until(b'\n').map(|_| ()) } else { Ok(()) };
+        match read.and_then(|read| skipped.map(|()| read)) {
+            Ok(0) => return,
+            Ok(_) if longer => streams::warn(format_args!("mrroc: a line of more than {LONGEST} bytes is ignored")),
+            Ok(_) => {
+                let line = String::from_utf8_lossy(&line).trim().to_owned();
+                if lines.send(line).is_err() {
+                    return;
+                }
+            }
+            Err(error) => return streams::warn(format_args!("mrroc: standard input: {error}")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    //! Consoles with inputs of a test.
+
+    use std::io::Cursor;
+
+    use super::*;
+
+    fn lines(input: Vec<u8>) -> Vec<String> {
+        let (sender, read) = sync_channel(LINES);
+        read_lines(Cursor::new(input), &sender);
+        drop(sender);
+        read.into_iter().collect()
+    }
+
+    #[test]
+    fn a_line_that_is_too_long_is_ignored_and_the_last_line_needs_no_end() {
+        let long = "x".repeat(LONGEST as usize);
+        assert_eq!(lines(format!("one\r\n{long}x\n{long}\n two").into_bytes()), ["one", &long, "two"]);
+        assert_eq!(lines(b"\xff\n".to_vec()), ["\u{fffd}"]);
+    }
+
+    #[test]
+    fn an_input_of_too_many_lines_is_refused_before_a_run_in_virtual_time() {
+        let input = Cursor::new("yes\n".repeat(MOST_LINES + 1));
+        let refused = Console::reading(input, BenchKind::Lockstep, &Requests::default(), |_| {});
+        assert!(refused.err().unwrap().to_string().contains("more than 10000 lines"));
+    }
+
+    /// An input that never ends.
+    struct Endless;
+
+    impl std::io::Read for Endless {
+        fn read(&mut self, _: &mut [u8]) -> std::io::Result<usize> {
+            loop {
+                std::thread::park();
+            }
+        }
+    }
+
+    #[test]
+    fn a_blocked_input_does_not_hold_up_the_end_of_a_run_and_all_texts_are_shown() {
+        let (tell, shown) = sync_channel(LINES);
+        let show = move |text: &str| tell.send(text.to_owned()).unwrap();
+        let console =
+            Console::reading(BufReader::new(Endless), BenchKind::Emulated, &Requests::default(), show).unwrap();
+        console.link.show("one");
+        console.link.show("two");
+        console.finish();
+        assert_eq!(shown.into_iter().collect::<Vec<_>>(), ["one", "two"]);
+    }
+
+    #[test]
+    fn a_stop_request_ends_the_wait_for_the_input_of_a_run_in_virtual_time() {
+        let requests = Requests::default();
+        requests.stop();
+        let refused = Console::reading(BufReader::new(Endless), BenchKind::Lockstep, &requests, |_| {});
+        assert_eq!(refused.err().unwrap().to_string(), "stopped on request");
+    }
+}

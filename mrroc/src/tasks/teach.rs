@@ -1,0 +1,273 @@
+//! Teach-in and replay: the tasks that write and execute a trajectory file.
+
+use std::fs::{self, File};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow};
+use controller::ecp::Class;
+use controller::generator::{Newsmooth, SmoothPose};
+use controller::robot::Space;
+use controller::sensor::Question;
+use controller::trajectory_file::{Coordinates, MOST_POSES, MotionType, TrajectoryFile};
+use serde::Deserialize;
+use servo::MAX_AXES;
+
+use super::{Cell, Outcome, Robot, TaskError};
+use crate::cell;
+
+/// Parameters of both tasks: the table `task` of the cell file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Parameters {
+    /// The trajectory file, relative to the cell file.
+    file: PathBuf,
+    /// The robot. A cell with one robot needs no name.
+    robot: Option<String>,
+    /// Fractions of the limits of velocity and acceleration, for the motions of the teach-in and for those in the file.
+    #[serde(default)]
+    velocity: Fraction,
+    #[serde(default)]
+    acceleration: Fraction,
+    /// Whether the drives stay on during the teach-in. With the drives off, the operator moves the robot by hand.
+    #[serde(default = "on")]
+    drives_on: bool,
+    #[serde(default)]
+    coordinates: Taught,
+    /// Whether the teach-in replaces an existing file.
+    #[serde(default)]
+    replace: bool,
+}
+
+/// What the coordinates of a taught file are.
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Taught {
+    #[default]
+    Joint,
+    Motor,
+}
+
+/// A number above 0 and at most 1.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(try_from = "f64")]
+struct Fraction(f64);
+
+impl Default for Fraction {
+    fn default() -> Self {
+        Self(0.2)
+    }
+}
+
+impl TryFrom<f64> for Fraction {
+    type Error = &'static str;
+
+    fn try_from(value: f64) -> Result<Self, &'static str> {
+        if value > 0.0 && value <= 1.0 { Ok(Self(value)) } else { Err("must be above 0 and at most 1") }
+    }
+}
+
+const fn on() -> bool {
+    true
+}
+
+impl Parameters {
+    /// Path of the trajectory file.
+    fn path(&self, cell: &Cell) -> PathBuf {
+        let cell_file = &cell.file().path;
+        cell_file.parent().unwrap_or(cell_file).join(&self.file)
+    }
+
+    fn robot(&self, cell: &Cell) -> Result<Robot, TaskError> {
+        match (&self.robot, &cell.file().cell.robot[..]) {
+            (Some(name), _) => cell.robot(name),
+            (None, [robot]) => cell.robot(&robot.name),
+            (None, _) => {
+                let problem = "is missing: the cell has several robots";
+                Err(cell.file().refuse(&cell::Path::to("task").then("robot"), problem).into())
+            }
+        }
+    }
+
+    fn pose(&self, position: [f64; MAX_AXES]) -> SmoothPose {
+        let (velocity, acceleration) = ([self.velocity.0; MAX_AXES], [self.acceleration.0; MAX_AXES]);
+        SmoothPose { position, velocity, acceleration }
+    }
+}
+
+/// An order of the operator during a teach-in.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Order {
+    Record,
+    /// A displacement of one axis, rad or m.
+    Move {
+        axis: usize,
+        by: f64,
+    },
+    Done,
+}
+
+/// Orders in the words of the operator.
+const ORDERS: &str = "record, move AXIS BY, or done";
+
+impl Order {
+    /// The order of a line. `axes` are the names of the robot's axes.
+    fn parse(line: &str, axes: &[&str]) -> Result<Self, String> {
+        let words: Vec<_> = line.split_whitespace().collect();
+        match words[..] {
+            ["record"] => Ok(Self::Record),
+            ["done"] => Ok(Self::Done),
+            ["move", axis, by] => {
+                let index = axes.iter().position(|name| *name == axis);
+                let axis = index.ok_or_else(|| format!("no axis {axis:?}; axes are {}", axes.join(", ")))?;
+                let number = by.parse::<f64>().ok().filter(|by| by.is_finite());
+                let by = number.ok_or_else(|| format!("{by:?} is no displacement in rad or m"))?;
+                Ok(Self::Move { axis, by })
+            }
+            _ => Err(format!("{line:?} is no order; orders are {ORDERS}")),
+        }
+    }
+}
+
+/// Homes the robot, records its position at each order `record` of the operator, and writes the file at `done`.
+pub(super) async fn teach(cell: &mut Cell) -> Outcome {
+    let parameters: Parameters = cell.parameters()?;
+    let path = parameters.path(cell);
+    let mut robot = parameters.robot(cell)?;
+    if !parameters.replace && fs::symlink_metadata(&path).is_ok() {
+        let problem = format!("{} is there already: name another, or set replace = true", path.display());
+        return Err(cell.file().refuse(&cell::Path::to("task").then("file"), problem).into());
+    }
+    robot.enable().await?;
+    robot.home().await?;
+    if !parameters.drives_on {
+        let name = robot.name();
+        let question = format!("{name}: support the arm. Switch the drives off?");
+        if cell.ask(Question::new(question, ["off", "cancel"])).await? == "cancel" {
+            return robot.disable().await;
+        }
+        robot.disable().await?;
+    }
+    let poses = record(cell, &mut robot, &parameters).await?;
+    let coordinates = match parameters.coordinates {
+        Taught::Joint => Coordinates::Joint,
+        Taught::Motor => Coordinates::Motor,
+    };
+    let (count, axes) = (poses.len(), robot.motions().arm().axes());
+    let file = TrajectoryFile::new(coordinates, MotionType::Absolute, axes, poses).map_err(|error| anyhow!(error))?;
+    write(&path, &file.to_string(), parameters.replace).with_context(|| path.display().to_string())?;
+    cell.tell(format!("{}: {count} poses", path.display()));
+    cell.figure("poses", count as f64);
+    robot.disable().await
+}
+
+/// The poses that the operator records, at least one.
+async fn record(cell: &Cell, robot: &mut Robot, parameters: &Parameters) -> Result<Vec<SmoothPose>, TaskError> {
+    let name = robot.name().to_owned();
+    let axes = cell.file().cell.robot.iter().find(|it| it.name == name).map(|it| &it.axis[..]).unwrap_or_default();
+    let axes: Vec<_> = axes.iter().map(|axis| axis.name.as_str()).collect();
+    let mut poses = Vec::new();
+    loop {
+        let line = cell.ask(Question::open(format!("{name}: {ORDERS}?"))).await?;
+        match Order::parse(&line, &axes) {
+            Ok(Order::Record) if poses.len() == MOST_POSES => {
+                cell.tell(format!("a file has at most {MOST_POSES} poses"));
+            }
+            Ok(Order::Record) => {
+                // With the drives off, the commanded position is the measured one.
+                let commanded = robot.image()?.commanded;
+                let position = match parameters.coordinates {
+                    Taught::Joint => commanded.joints.position,
+                    Taught::Motor => commanded.motors.position,
+                };
+                poses.push(parameters.pose(position));
+                let joints = &commanded.joints.position[..axes.len()];
+                cell.tell(format!("pose {}: joints {joints:.4?}", poses.len()));
+            }
+            Ok(Order::Move { .. }) if !parameters.drives_on => cell.tell("the drives are off: move the robot by hand"),
+            Ok(Order::Move { axis, by }) => match displace(robot, parameters, axis, by).await {
+                Err(error) if error.class() == Class::NonFatal => cell.tell(error.to_string()),
+                moved => moved?,
+            },
+            Ok(Order::Done) if poses.is_empty() => cell.tell("no pose is recorded"),
+            Ok(Order::Done) => return Ok(poses),
+            Err(problem) => cell.tell(problem),
+        }
+    }
+}
+
+/// Moves one joint by a displacement, rad or m.
+async fn displace(robot: &mut Robot, parameters: &Parameters, axis: usize, by: f64) -> Outcome {
+    let motions = robot.motions();
+    let mut target = robot.image()?.commanded.joints.position;
+    target[axis] += by;
+    motions.arm().motors(&target)?;
+    let poses = vec![parameters.pose(target)];
+    robot.execute(Newsmooth::new(Space::Joint, motions.arm().axes(), motions.limits(), poses)?).await
+}
+
+/// Homes the robot and executes the trajectory file.
+pub(super) async fn replay(cell: &mut Cell) -> Outcome {
+    let parameters: Parameters = cell.parameters()?;
+    let mut robot = parameters.robot(cell)?;
+    let motion = robot.motions().trajectory(parameters.path(cell))?;
+    robot.enable().await?;
+    robot.home().await?;
+    robot.execute(motion).await?;
+    robot.disable().await
+}
+
+/// Writes a file that is whole or not there. An existing file is an error, or is replaced as a whole.
+fn write(path: &Path, text: &str, replace: bool) -> anyhow::Result<()> {
+    let mut name = path.file_name().context("names no file")?.to_owned();
+    name.push(".part");
+    let part = path.with_file_name(name);
+    let written = File::create_new(&part).and_then(|mut file| {
+        file.write_all(text.as_bytes())?;
+        file.sync_all()
+    });
+    written.with_context(|| format!("{} cannot be written", part.display()))?;
+    // A link is refused where a file is there already, unlike a rename.
+    let named = if replace { fs::rename(&part, path) } else { fs::hard_link(&part, path) };
+    if !replace || named.is_err() {
+        // The error of the name is reported, not that of the removal.
+        let _ = fs::remove_file(&part);
+    }
+    Ok(named?)
+}
+
+#[cfg(test)]
+mod tests {
+    //! Orders, and the file that is written.
+
+    use super::*;
+
+    #[test]
+    fn orders_are_words_of_the_operator_and_other_lines_are_refused_with_the_reason() {
+        let axes = ["column", "lower-arm"];
+        let table = [
+            ("record", Ok(Order::Record)),
+            (" move  lower-arm -0.25 ", Ok(Order::Move { axis: 1, by: -0.25 })),
+            ("done", Ok(Order::Done)),
+            ("", Err("\"\" is no order; orders are record, move AXIS BY, or done")),
+            ("record 2", Err("\"record 2\" is no order; orders are record, move AXIS BY, or done")),
+            ("move elbow 0.1", Err("no axis \"elbow\"; axes are column, lower-arm")),
+            ("move column NaN", Err("\"NaN\" is no displacement in rad or m")),
+        ];
+        for (line, order) in table {
+            assert_eq!(Order::parse(line, &axes), order.map_err(str::to_owned), "{line:?}");
+        }
+    }
+
+    #[test]
+    fn a_file_is_replaced_only_if_asked_and_no_part_of_it_is_left() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("poses.trj");
+        write(&path, "one", false).unwrap();
+        assert!(write(&path, "two", false).is_err());
+        assert_eq!(fs::read_to_string(&path).unwrap(), "one");
+        write(&path, "three", true).unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "three");
+        assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 1);
+    }
+}

@@ -1,0 +1,144 @@
+//! Steps of one example per class on benches by the clock, compared with the steps of the same cell in lockstep.
+//!
+//! A clock and a loaded host decide when a step takes place, and measured values decide how many steps a motion with
+//! feedback has. The flow chart of the steps is the same on every bench, and so are the number and the memory of steps of
+//! class 0.
+
+use std::ffi::OsString;
+use std::path::Path;
+use std::time::Duration;
+
+use ::mrroc::cell::Cell;
+use serde_json::json;
+
+use crate::bench::{on_vcan_within, turn};
+use crate::mrroc::{Directory, Output, Running, example_program, text};
+use crate::steps::{self, Line, lines};
+use crate::vcan::{self, started};
+use crate::vcan_cells::{ATTEMPTS, Interfaces, overloaded};
+
+/// One example per class, 0 to 7, with its cell.
+const EXAMPLES: [(&str, &str); 8] = [
+    ("own_generator", "irb6"),
+    ("feedback", "irb6"),
+    ("until_touch", "irb6-touch"),
+    ("latch_edge", "irb6-touch"),
+    ("dispatch", "two-irb6"),
+    ("carry_bar", "two-irb6"),
+    ("handshake", "irb6-touch"),
+    ("raise_tray", "two-irb6-gate"),
+];
+
+/// Time limit of all runs in the test machine.
+const LONGEST: Duration = Duration::from_secs(500);
+
+/// What a step does.
+#[derive(Debug, PartialEq)]
+struct Step<'a> {
+    instruction: u64,
+    generator: &'a str,
+    class: u8,
+    events: Vec<&'a str>,
+    /// Number and digest of the memory of a step that depends on no measured value.
+    unmeasured: Option<(u64, &'a str)>,
+}
+
+/// The steps of an agent without repetitions. A task that uses a sensor may plan its motions from readings: none of its
+/// steps counts as unmeasured.
+fn chart<'a>(file: &'a str, agent: &str) -> Vec<Step<'a>> {
+    let sensed = lines(file).any(|line| line.class & 2 != 0);
+    let (mut steps, mut last) = (Vec::<Step>::new(), None);
+    for Line { instruction, generator, class, macrostep, event, memory, .. } in
+        lines(file).filter(|line| line.agent == agent)
+    {
+        if last.replace((instruction, macrostep)) != Some((instruction, macrostep)) {
+            let unmeasured = (class == 0 && !sensed).then_some((macrostep, ""));
+            steps.push(Step { instruction, generator, class, events: Vec::new(), unmeasured });
+        }
+        let step = steps.last_mut().unwrap();
+        step.events.push(event);
+        if let Some((_, digest)) = step.unmeasured.as_mut().filter(|_| event == "commit") {
+            *digest = memory;
+        }
+    }
+    steps.dedup();
+    steps
+}
+
+/// An example cell for a clock on a loaded host.
+fn patient(cell: &mut Cell) {
+    vcan::shorten(cell);
+    let touch = cell.io.iter_mut().flat_map(|io| &mut io.input).find(|input| input.name == "touch");
+    if let Some(touch) = touch {
+        touch.emulated_edges_s = vec![0.0, 15.0, 60.0];
+    }
+}
+
+/// Runs an example on a bench by the clock, again on an overloaded host, and compares its steps with those in lockstep.
+fn check(program: &str, cell: &Path, directory: &Directory, run: impl Fn(&[OsString]) -> Output) {
+    let file = directory.path("clock.csv");
+    let arguments = [cell.into(), "--json".into(), "--force".into(), "--steps".into(), file.clone().into()];
+    let mut output = run(&arguments);
+    for _ in 1..ATTEMPTS {
+        if !overloaded(&output) {
+            break;
+        }
+        println!("{program}: again, the machine was overloaded");
+        output = run(&arguments);
+    }
+    assert_eq!(output.status.code(), Some(0), "{program}: {output:?}");
+    let report = output.json();
+    assert_eq!((&report["outcome"], &report["faults"]), (&json!("completed"), &json!([])), "{program}: {report}");
+    let by_clock = std::fs::read_to_string(file).unwrap();
+    let (in_lockstep, ..) = steps::run(program, cell);
+    let agents: std::collections::BTreeSet<_> = lines(&in_lockstep).map(|line| line.agent).collect();
+    for agent in &agents {
+        let [expected, found] = [&in_lockstep, &by_clock].map(|file| chart(file, agent));
+        let differ = expected.iter().zip(&found).find(|(one, other)| one != other);
+        let length = (expected.len(), found.len());
+        assert!(expected == found, "{program}, {agent}: {length:?} steps on {}: {differ:#?}", report["bench"]);
+    }
+    println!("{program} on {}: {agents:?}, {} events", report["bench"], by_clock.lines().count());
+}
+
+#[test]
+fn an_example_of_each_class_has_the_steps_of_lockstep_on_emulated_buses_by_the_clock() {
+    let _turn = turn();
+    for (program, cell) in EXAMPLES {
+        let directory = Directory::new();
+        let cell = directory.cell(cell, patient);
+        check(program, &cell, &directory, |arguments| Running::program(&example_program(program), arguments).output());
+    }
+}
+
+#[test]
+fn an_example_has_the_steps_of_lockstep_on_pseudo_terminals_by_the_clock() {
+    let _turn = turn();
+    for program in ["own_generator", "first_program"] {
+        let directory = Directory::new();
+        let cell = directory.cell("irb6-serial", crate::serial_cli::patient);
+        check(program, &cell, &directory, |arguments| Running::program(&example_program(program), arguments).output());
+    }
+}
+
+#[test]
+fn an_example_of_each_class_has_the_steps_of_lockstep_on_vcan() {
+    const TEST: &str = "step_benches::an_example_of_each_class_has_the_steps_of_lockstep_on_vcan";
+    let _turn = turn();
+    on_vcan_within(LONGEST, TEST, |_| {
+        for (program, cell) in EXAMPLES {
+            let directory = Directory::new();
+            let mut parsed = Cell::parse(&text(cell)).unwrap();
+            patient(&mut parsed);
+            let file = directory.write("cell.toml", &toml::to_string(&parsed).unwrap());
+            let interfaces = Interfaces::of(&parsed);
+            check(program, &file, &directory, |arguments| {
+                let options: Vec<_> = interfaces.options().map(OsString::from).collect();
+                let emulate = ["emulate".into(), file.clone().into()].into_iter().chain(options.clone());
+                let _emulators = started(|| Running::start(emulate));
+                let arguments = arguments.iter().cloned().chain(options).chain(["--bench=vcan".into()]);
+                Running::program(&example_program(program), arguments).output()
+            });
+        }
+    });
+}

@@ -1,0 +1,201 @@
+//! Teach-in and replay of the IRb-6 by an operator at standard input.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use controller::trajectory_file::{Coordinates, TrajectoryFile};
+
+use crate::mrroc::{Directory, Output, Running, mrroc, shorten};
+
+/// Orders that teach three positions.
+const ORDERS: [&str; 8] = [
+    "record",
+    "move column 0.3",
+    "move lower-arm -0.1",
+    "record",
+    "move wrist-pitch 0.2",
+    "move upper-arm 0.1",
+    "record",
+    "done",
+];
+
+/// The first four joints of the taught positions, as displacements from the first position, rad.
+const TAUGHT: [[f64; 4]; 3] = [[0.0; 4], [0.3, -0.1, 0.0, 0.0], [0.3, -0.1, 0.1, 0.2]];
+
+/// A cell without a program, with these parameters of its task.
+fn cell(directory: &Directory, parameters: &str) -> PathBuf {
+    directory.cell("irb6", |cell| {
+        shorten(cell);
+        cell.robot[0].program.clear();
+        cell.task = toml::from_str(parameters).unwrap();
+    })
+}
+
+fn arguments<'a>(cell: &'a Path, task: &'a str, options: &[&'a str]) -> Vec<&'a str> {
+    let mut arguments = vec!["run", cell.to_str().unwrap(), "--task", task];
+    arguments.extend(options);
+    arguments
+}
+
+/// Teaches with these orders. Standard input stays open.
+fn teach(cell: &Path, orders: &[&str], options: &[&str]) -> Output {
+    Running::with_input(orders, arguments(cell, "teach", &[&["--operator"], options].concat())).output()
+}
+
+/// As [`teach`] in virtual time, where standard input must end.
+fn teach_in_lockstep(cell: &Path, orders: &[&str], options: &[&str]) -> Output {
+    let arguments = arguments(cell, "teach", &[&["--operator", "--bench=lockstep"], options].concat());
+    let mut running = Running::with_input(orders, arguments);
+    running.close_input();
+    running.output()
+}
+
+/// The taught file, with its three positions checked.
+#[track_caller]
+fn taught(path: &Path) -> TrajectoryFile {
+    let file = TrajectoryFile::parse(&fs::read_to_string(path).unwrap()).unwrap();
+    assert_eq!((file.coordinates(), file.columns(), file.poses().len()), (Coordinates::Joint, 5, 3));
+    let first = file.poses()[0].position;
+    for (pose, by) in file.poses().iter().zip(TAUGHT) {
+        for (axis, by) in by.into_iter().enumerate() {
+            let found = pose.position[axis] - first[axis];
+            assert!((found - by).abs() < 1e-6, "axis {axis}: {found} for {by}");
+        }
+    }
+    file
+}
+
+/// Last commanded position of each axis while the robot stood, rad.
+fn end(record: &Path) -> BTreeMap<String, f64> {
+    let record = fs::read_to_string(record).unwrap();
+    let rows = record.lines().map(|line| line.split(',').collect::<Vec<_>>());
+    let standing = rows.filter(|row| row[3] == "Standing");
+    standing.map(|row| (row[2].to_owned(), row[5].parse().unwrap())).collect()
+}
+
+#[test]
+fn three_taught_positions_are_replayed_to_the_same_end() {
+    let directory = Directory::new();
+    let cell = cell(&directory, "file = 'poses.trj'\nvelocity = 0.5\nacceleration = 0.5");
+    let records = ["teach", "replay"].map(|task| directory.path(&format!("{task}.csv")));
+    let [teaching, replaying] = records.each_ref().map(|path| path.to_str().unwrap());
+    let run = teach_in_lockstep(&cell, &ORDERS, &["--json", "--record", teaching]);
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    assert_eq!(run.json()["figures"]["poses"], 3.0, "{run:?}");
+    assert!(run.stderr.contains("mrroc: irb6: record, move AXIS BY, or done?\n"), "{run:?}");
+    assert!(run.stderr.contains("poses.trj: 3 poses\n"), "{run:?}");
+    taught(&directory.path("poses.trj"));
+
+    let run = mrroc(arguments(&cell, "replay", &["--bench=lockstep", "--record", replaying]));
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    let [teaching, replaying] = records.each_ref().map(|path| end(path));
+    assert_eq!(teaching.len(), 5);
+    for (axis, position) in &teaching {
+        assert!((position - replaying[axis]).abs() < 1e-6, "{axis}: {position} and {}", replaying[axis]);
+    }
+}
+
+#[test]
+fn two_teach_ins_in_lockstep_with_the_same_lines_are_the_same_bit_for_bit() {
+    let runs = ["one", "two"].map(|name| {
+        let directory = Directory::new();
+        let cell = cell(&directory, "file = 'poses.trj'\ncoordinates = 'motor'");
+        let record = directory.path(name);
+        let run = teach_in_lockstep(&cell, &ORDERS, &["--record", record.to_str().unwrap()]);
+        assert_eq!(run.status.code(), Some(0), "{run:?}");
+        (fs::read(record).unwrap(), fs::read_to_string(directory.path("poses.trj")).unwrap())
+    });
+    assert!(runs[0].1.starts_with("MOTOR\n3\n"), "{}", runs[0].1);
+    assert!(runs[0] == runs[1], "the records differ");
+}
+
+#[test]
+fn a_teach_in_by_the_clock_ends_although_standard_input_stays_open() {
+    let directory = Directory::new();
+    let cell = cell(&directory, "file = 'poses.trj'\nvelocity = 1.0\nacceleration = 1.0");
+    let run = teach(&cell, &ORDERS, &["--bench=emulated"]);
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    taught(&directory.path("poses.trj"));
+}
+
+#[test]
+fn with_the_drives_off_the_positions_are_measured_and_orders_to_move_are_refused() {
+    let directory = Directory::new();
+    let cell = cell(&directory, "file = 'poses.trj'\ndrives_on = false");
+    let orders = ["perhaps", "OFF", "move column 0.1", "done", "record", "record", "done"];
+    let run = teach_in_lockstep(&cell, &orders, &[]);
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    for text in [
+        "\"perhaps\" is no answer; answers are off, cancel",
+        "the drives are off: move the robot by hand",
+        "no pose is recorded",
+        "poses.trj: 2 poses",
+    ] {
+        assert!(run.stderr.contains(text), "{text}: {run:?}");
+    }
+    let file = TrajectoryFile::parse(&fs::read_to_string(directory.path("poses.trj")).unwrap()).unwrap();
+    assert_eq!(file.poses().len(), 2);
+}
+
+#[test]
+fn orders_that_cannot_be_executed_leave_the_robot_standing_and_the_operator_is_asked_again() {
+    let directory = Directory::new();
+    let cell = cell(&directory, "file = 'poses.trj'");
+    let run = teach_in_lockstep(&cell, &["move lower-arm 3.0", "move elbow 1", "fly", "record", "done"], &[]);
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    assert!(run.stderr.contains("no axis \"elbow\""), "{run:?}");
+    assert!(run.stderr.contains("\"fly\" is no order; orders are record, move AXIS BY, or done"), "{run:?}");
+    assert!(directory.path("poses.trj").exists());
+}
+
+#[test]
+fn an_input_that_ends_before_done_is_a_fault_and_no_file_is_written() {
+    let directory = Directory::new();
+    let cell = cell(&directory, "file = 'poses.trj'");
+    let run = teach_in_lockstep(&cell, &["record"], &[]);
+    assert_eq!(run.status.code(), Some(1), "{run:?}");
+    assert!(run.stdout.contains("the operator's input is closed"), "{run:?}");
+    assert!(!directory.path("poses.trj").exists());
+}
+
+#[test]
+fn check_takes_the_task_of_a_run() {
+    let directory = Directory::new();
+    directory.write("five.trj", "JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n0.3 -1.5 0 0 0\n");
+    directory.write("six.trj", "JOINT\n1\nABSOLUTE\n1 1 1 1 1 1\n1 1 1 1 1 1\n0 0 0 0 0 0\n");
+    for (task, file, status) in [("replay", "five.trj", 0), ("replay", "six.trj", 2), ("teach", "new.trj", 0)] {
+        let cell = cell(&directory, &format!("file = '{file}'"));
+        let run = mrroc(["check", cell.to_str().unwrap(), "--task", task]);
+        assert_eq!(run.status.code(), Some(status), "{task} {file}: {run:?}");
+    }
+    assert!(!directory.path("new.trj").exists());
+}
+
+#[test]
+fn a_teach_in_or_a_replay_that_cannot_succeed_is_refused_before_motion() {
+    let directory = Directory::new();
+    let six = "JOINT\n1\nABSOLUTE\n1 1 1 1 1 1\n1 1 1 1 1 1\n0 0 0 0 0 0\n";
+    let far = "JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n9 0 0 0 0\n";
+    directory.write("six.trj", six);
+    directory.write("far.trj", far);
+    let other = "the file belongs to another robot";
+    for (task, parameters, options, refusal) in [
+        ("replay", "file = 'six.trj'", &[][..], other),
+        ("replay", "file = 'far.trj'", &[], "irb6"),
+        ("replay", "file = 'missing.trj'", &[], "missing.trj"),
+        ("replay", "", &[], "file"),
+        ("replay", "file = 'six.trj'\nrobot = 'left'", &[], "the cell has no robot \"left\""),
+        ("teach", "file = 'new.trj'\nvelocity = 1.5", &["--operator"], "must be above 0 and at most 1"),
+        ("teach", "file = 'six.trj'", &["--operator"], "is there already"),
+        ("teach", "file = 'new.trj'", &[], "run the task with --operator"),
+    ] {
+        let cell = cell(&directory, parameters);
+        let trace = directory.path("trace");
+        let options = [options, &["--bench=lockstep", "--trace", trace.to_str().unwrap()]].concat();
+        let run = mrroc(arguments(&cell, task, &options));
+        assert_eq!(run.status.code(), Some(2), "{task}, {parameters}: {run:?}");
+        assert!(run.stderr.contains(refusal), "{task}, {parameters}: {run:?}");
+        assert!(!trace.exists() && !directory.path("new.trj").exists(), "{task}, {parameters}: {run:?}");
+    }
+}
