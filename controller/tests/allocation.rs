@@ -10,9 +10,9 @@ use std::time::Duration;
 use can::Instant;
 use mrroc_controller::ecp::{Ecp, EcpConfig, Task};
 use mrroc_controller::generator::{
-    Axes, AxesState, Contour, EffectorImage, FeedLimits, Generator, GeneratorError, JerkLimited, LineLimits,
-    MotionLimits, Newsmooth, Next, Pace, Polynomial, Pose, SensorReading, Setpoint, SmoothPose, StraightLine,
-    TimeOptimal, V,
+    Axes, AxesState, ConstantVelocity, Contour, EffectorImage, FeedLimits, Generator, GeneratorError, JerkLimited,
+    LineLimits, MotionLimits, Newsmooth, Next, Pace, Polynomial, Pose, Selected, Selection, SensorReading, Setpoint,
+    SmoothPose, StraightLine, TimeOptimal, V, WeightedSum, WithImages,
 };
 use mrroc_controller::path::{BSpline, Curve, Path, SplineEnds};
 use mrroc_controller::robot::{
@@ -158,6 +158,16 @@ fn no_generator_allocates_once_it_was_made() {
     assert_eq!(allocations(Ok(Follow)), (0, 0), "feedback of effector and sensor");
     let direct = JerkLimited::new(Space::Joint, 6, limits, &poses[..1]);
     assert_eq!(allocations(direct), (0, 0), "jerk-limited");
+    let constant =
+        || ConstantVelocity::new(arm(), limits, [0.1; 8]).map(|motion| motion.lasting(Duration::from_secs(1)));
+    assert_eq!(allocations(constant()), (0, 0), "constant velocity");
+    let smooth = || Newsmooth::new(Space::Joint, 6, limits, vec![SmoothPose::fast(poses[1])]);
+    let sum = WeightedSum::new(Space::Joint, constant().unwrap(), smooth().unwrap(), 0.5);
+    assert_eq!(allocations(sum), (0, 0), "weighted sum");
+    let read = WithImages::<_, EffectorImage, EffectorImage>::of;
+    let parts = (read(constant().unwrap()), WithImages::of(smooth().unwrap()));
+    let selection = Selection::between(arm(), limits, parts.0, parts.1, |_, _| Selected::First);
+    assert_eq!(allocations(selection), (0, 0), "selection");
     let through = JerkLimited::new(Space::Joint, 6, limits, &poses);
     assert_eq!(allocations(through).1, 0, "jerk-limited through poses");
     let fastest = TimeOptimal::through(Space::Joint, 6, limits, poses.to_vec());

@@ -79,9 +79,10 @@ pub mod prelude {
     pub use controller::ecp::{Class, Task};
     pub use controller::executor::{LooseLink, Observer, Replacer, join, join_all};
     pub use controller::generator::{
-        A, Accelerations, Answer, AxesState, Contour, EffectorImage, FeedLimits, Generator, GeneratorError,
-        JerkLimited, Jog, LineLimits, MotionLimits, Newsmooth, Next, OperatorReaction, Pace, Polynomial, Pose,
-        Received, Sample, SensorReading, Setpoint, SmoothPose, StraightLine, Tell, TimeOptimal, V, Wait,
+        A, Accelerations, Answer, AxesState, ConstantVelocity, Contour, EffectorImage, FeedLimits, Generator,
+        GeneratorError, JerkLimited, Jog, LineLimits, MotionLimits, Newsmooth, Next, OperatorReaction, Pace,
+        Polynomial, Pose, Received, Sample, Selected, Selection, SelectionMemory, SensorReading, Setpoint, SmoothPose,
+        StraightLine, Tell, TimeOptimal, Transparent, V, Wait, WeightedSum, WithImages,
     };
     pub use controller::path::{BSpline, Curve, JointPath, Path, PoseState, SplineEnds};
     pub use controller::robot::Space;

@@ -3,7 +3,10 @@
 use std::path::Path;
 
 use anyhow::{Context, anyhow};
-use controller::generator::{MotionLimits, Newsmooth, TimeOptimal};
+use controller::generator::{
+    ConstantVelocity, EffectorImage, Generator, Includes, MotionLimits, Newsmooth, Selected, Selection,
+    SelectionMemory, TimeOptimal,
+};
 use controller::robot::{Arm, Space};
 use controller::trajectory_file::TrajectoryFile;
 
@@ -13,11 +16,11 @@ use crate::input;
 /// Greatest size of a trajectory file, bytes: several times what its greatest number of poses needs.
 const LARGEST_TRAJECTORY: usize = 64 << 20;
 
-/// A pose has another number of joints than the robot.
+/// A pose or a velocity has another number of joints than the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("a pose has {given} joints, and the robot has {axes}")]
+#[error("{given} joints are given, and the robot has {axes}")]
 pub struct PoseSize {
-    /// Number of joints of the pose.
+    /// Number of joints that are given.
     pub given: usize,
     /// Number of joints of the robot.
     pub axes: usize,
@@ -72,6 +75,28 @@ impl Motions {
         motion.context("the time-optimal motion cannot be planned")
     }
 
+    /// A motion of the joints that reaches a constant velocity, rad/s (m/s for a linear joint), and brakes.
+    /// [`lasting`](ConstantVelocity::lasting) and [`over`](ConstantVelocity::over) hold the velocity,
+    /// [`ending_in_motion`](ConstantVelocity::ending_in_motion) leaves the braking to the next generator.
+    pub fn constant_velocity<const AXES: usize>(&self, velocity: &[f64; AXES]) -> anyhow::Result<ConstantVelocity> {
+        self.check_axes(AXES)?;
+        let velocity = smooth_pose(velocity, 1.0, 1.0).position;
+        let motion = ConstantVelocity::new(self.arm.clone(), self.limits, velocity);
+        motion.context("the motion at constant velocity cannot be planned")
+    }
+
+    /// A [`Selection`] of two generators by a function of memory and images. A change of the generator is permitted
+    /// within the limits of the joints.
+    pub fn selection<A, B, S>(&self, first: A, second: B, select: S) -> anyhow::Result<Selection<A, B, S>>
+    where
+        A: Generator<Every: Includes<EffectorImage>>,
+        B: Generator<First = A::First, Every = A::Every, Out = A::Out>,
+        S: Fn(&SelectionMemory<A::Memory, B::Memory>, &A::Every) -> Selected + Send + Sync + 'static,
+    {
+        let selection = Selection::between(self.arm.clone(), self.limits, first, second, select);
+        selection.context("the selection cannot be planned")
+    }
+
     /// The motion of a [trajectory file](controller::trajectory_file) of MRROC++, a synchronised trapezoid through
     /// its poses. Its fractions apply to the limits of the joints or the motors of this robot. Refuses a file of a
     /// robot with another number of axes, and poses of the tool.
@@ -99,7 +124,10 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use crate::prelude::{BenchKind, Cell, JogCommand, Outcome, RunOutcome, join};
+    use crate::prelude::{
+        BenchKind, Cell, JerkLimited, JogCommand, JogReading, Outcome, RunOutcome, Space, Task, V, Wait, WeightedSum,
+        WithImages, join,
+    };
     use crate::tasks::tests::two_arms;
 
     /// Runs a task on two IRb-6 to its end.
@@ -126,6 +154,54 @@ mod tests {
             for (reached, asked) in reached.iter().zip(points[2]) {
                 assert!((reached - asked).abs() < 1e-6, "{reached} for {asked}");
             }
+            Ok(())
+        });
+    }
+
+    #[test]
+    fn a_motion_at_constant_velocity_is_chained_and_combined_with_other_motions() {
+        completes(async |cell: &mut Cell| {
+            let mut robot = cell.robot("left")?;
+            robot.enable().await?;
+            robot.home().await?;
+            let motions = robot.motions();
+            let start = robot.image()?.commanded.joints.position;
+            let turning = motions.constant_velocity(&[0.1, 0.0, 0.0, 0.0, 0.0])?.over(0.1)?;
+            let mut target = start;
+            target[0] += 0.3;
+            let rest = JerkLimited::new(Space::Joint, 5, motions.limits(), &[target])?;
+            robot.perform(Task::new().run(turning.clone().ending_in_motion()).run(rest)).await?;
+            let reached = robot.image()?.commanded.joints.position;
+            assert!((reached[0] - target[0]).abs() < 1e-6, "{reached:?}");
+
+            let (jog, mut operator) = robot.jog(Duration::from_millis(200))?;
+            let wait = WithImages::of(Wait { duration: Duration::from_secs(1) });
+            let select = |_: &SelectionMemory<_, _>, (e, _): &(EffectorImage, V<JogReading>)| {
+                if e.commanded.pose.translation.z < 1.5 { Selected::First } else { Selected::Second }
+            };
+            let operated = async { Ok(operator.command(JogCommand::End)?) };
+            join(robot.execute(motions.selection(jog, wait, select)?), operated).await?;
+
+            let back = motions.constant_velocity(&[-0.1, 0.0, 0.0, 0.0, 0.0])?.lasting(Duration::from_secs(1));
+            let sum = WeightedSum::new(Space::Joint, back, turning, 0.25)?;
+            robot.execute(sum).await?;
+            // Three quarters of the way back, and a quarter of the same way on.
+            let by = robot.image()?.commanded.joints.position[0] - target[0];
+            assert!((-0.075..-0.05).contains(&by), "{by}");
+            Ok(())
+        });
+    }
+
+    #[test]
+    fn a_motion_at_constant_velocity_out_of_range_is_refused_in_its_first_step() {
+        completes(async |cell: &mut Cell| {
+            let mut robot = cell.robot("left")?;
+            robot.enable().await?;
+            robot.home().await?;
+            let motion = robot.motions().constant_velocity(&[0.1, 0.0, 0.0, 0.0, 0.0])?.over(20.0)?;
+            let refused = robot.execute(motion).await.unwrap_err();
+            assert_eq!(refused.instruction().unwrap().step, Some(0), "{refused}");
+            assert!(refused.to_string().contains("of the path"), "{refused}");
             Ok(())
         });
     }
@@ -196,8 +272,9 @@ mod tests {
     }
 
     #[test]
-    fn poses_with_another_number_of_joints_are_refused() {
-        let refusal = "a pose has 2 joints, and the robot has 5";
+    fn poses_and_velocities_with_another_number_of_joints_are_refused() {
+        let refusal = "2 joints are given, and the robot has 5";
+        assert_eq!(motions().constant_velocity(&[0.0, 0.0]).unwrap_err().to_string(), refusal);
         assert_eq!(motions().time_optimal(&[[0.0, 0.0]]).unwrap_err().to_string(), refusal);
         assert_eq!(motions().joints(0.5, &[[0.0, 0.0]]).unwrap_err().to_string(), refusal);
     }

@@ -36,6 +36,7 @@ const START_ANGLE: f64 = 1e-5;
 ///
 /// The first step allocates, and solves the inverse kinematics of each checked pose once per plan, with eight plans at
 /// most. No next step allocates.
+#[doc(alias = "spline")]
 #[derive(Debug)]
 pub struct Contour {
     arm: Arm,

@@ -44,6 +44,15 @@ pub enum GeneratorError {
     PassesPoses,
     #[error("axis {axis}: velocity {value:.3} at the end is above the limit {limit:.3}")]
     EndVelocity { axis: u8, value: f64, limit: f64 },
+    #[error("axis {axis}: velocity {value:.3} is above the limit {limit:.3}")]
+    Velocity { axis: u8, value: f64, limit: f64 },
+    #[error(
+        "a distance of {distance} at a velocity of {velocity}: the distance must not be negative, nor the velocity zero"
+    )]
+    Distance { distance: f64, velocity: f64 },
+    /// A motion along a joint path begins where the effector stands.
+    #[error("axis {axis} stands {distance:.6} from the start of the path: move it there first")]
+    NotAtJointStart { axis: u8, distance: f64 },
     #[error("no profile within the limits")]
     NoProfile,
     /// The arm cannot take a pose of the path, at parameter `s` from 0 at the start to 1 at the end. The pose was found
@@ -83,6 +92,21 @@ pub enum GeneratorError {
     NothingReceived,
     #[error("the last sample is {age:.1?} old, more than {limit:.1?}")]
     Stale { age: Duration, limit: Duration },
+    #[error("the order, axis {axis}: not a finite number")]
+    OrderNotFinite { axis: u8 },
+    /// A step of [`Transparent`](super::Transparent) for which a link that does not wait, or holds, has the last order.
+    #[error("no new order: link the team so that each step waits for its order and a late order stops")]
+    NoNewOrder,
+    /// The newly selected generator of a [`Selection`](super::Selection) does not continue the motion: velocity needed
+    /// in the next macrostep, and velocity commanded, rad/s or m/s.
+    #[error("axis {axis}: the selected generator needs a velocity of {needed:.3} at once, after {commanded:.3}")]
+    Switch { axis: u8, needed: f64, commanded: f64 },
+    #[error("weight {weight} is not in [0, 1]")]
+    Weight { weight: f64 },
+    #[error("a weighted sum takes set-points of one space from both generators, of joints or of motors")]
+    NotAdded,
+    #[error("one generator of a weighted sum ended in motion before the other generator ended")]
+    EndedInMotion,
     /// A panic in a step. The panic hook received its message.
     #[error("the step panicked")]
     Panicked,

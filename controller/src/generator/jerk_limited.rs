@@ -25,6 +25,7 @@ use crate::robot::Space;
 /// The first step solves the whole motion. The computing time is microseconds for one pose, and some 30 ms for six
 /// axes through five poses. For a single pose only a refusal allocates. With intermediate poses the solver formats a
 /// message for each discarded candidate, which costs hundreds of allocations per pose. No next step allocates.
+#[doc(alias = "ruckig")]
 #[derive(Debug)]
 pub struct JerkLimited {
     space: Space,

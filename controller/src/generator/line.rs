@@ -91,6 +91,7 @@ impl PlannedStart {
 /// The macrosteps last [one servo period](Pace::PERIOD): each set-point lies on the line, and keeps the limits of the tool.
 ///
 /// The first step computes one inverse kinematics per checked pose, each next step three. No step allocates.
+#[doc(alias = "linear")]
 #[derive(Debug)]
 pub struct StraightLine {
     arm: Arm,

@@ -29,8 +29,34 @@
 //! A step that names an image which its generator did not declare does not compile (`controller/tests/refused`).
 //! `examples/own_generator.rs` and `examples/feedback.rs` are generators with their programs.
 //!
+//! # Generators of the library
+//! Positions are in rad, or m for a linear joint, and times in s. A generator with sporadic feedback reads images in
+//! its first step, and one with continuous feedback in every step. The effector is braked before a generator that does
+//! not begin in motion.
+//!
+//! | generator | motion | set-points | class, feedback | begins in motion | ends in motion |
+//! |---|---|---|---|---|---|
+//! | [`Wait`] | hold or sleep for a time | none | 0 | no | no |
+//! | [`Newsmooth`] | synchronised trapezoids through poses | joints or motors | 1, sporadic | no | no |
+//! | [`Polynomial`] | cubic or quintic to a pose | joints or motors | 1, sporadic | no | no |
+//! | [`JerkLimited`] | jerk-limited, to or through poses | joints or motors | 1, sporadic | to one pose | to one pose |
+//! | [`TimeOptimal`] | the fastest along a spline or a B-spline | joints or motors | 1, sporadic | no | no |
+//! | [`ConstantVelocity`] | at a constant velocity for a time or a distance | joints | 1, sporadic | yes | on request |
+//! | [`StraightLine`] | straight line of the tool | joints | 1, sporadic | no | no |
+//! | [`Contour`] | line, arc, polyline with blends or B-spline of the tool | tool | 1, sporadic | no | no |
+//! | [`Jog`] | at the velocities of an operator | joints | 3, continuous | no | no |
+//! | [`OperatorReaction`] | holds until the operator answers | | 2, continuous | no | no |
+//! | [`Transparent`] | as a coordinator orders in every step | of the orders | 5, continuous | no | no |
+//! | [`Selection`] | of one of two generators | of the parts | parts and `e`, continuous | if both do | if one does |
+//! | [`WeightedSum`] | weighted sum of two generators | joints or motors | of the parts | if both do | if both do |
+//! | [`WithImages`] | of a generator, with more images declared | of the part | declared | as the part | as the part |
+//!
+//! [`Ecp::image`](crate::ecp::Ecp::image) reads the position of an effector without a generator. An effector with its
+//! drives on holds its position between two motions.
+//!
 //! Read [`Generator`] first, then [`Wait`] as the smallest generator and [`Newsmooth`] as a planned generator.
 
+mod constant_velocity;
 mod contour;
 pub(crate) mod digest;
 mod error;
@@ -48,10 +74,14 @@ mod path_timing;
 mod plan;
 mod polynomial;
 mod profile;
+mod selection;
 #[cfg(test)]
 mod tests;
 mod time_optimal;
+mod transparent;
 mod wait;
+mod weighted_sum;
+mod with_images;
 
 use std::fmt::Debug;
 use std::time::Duration;
@@ -59,6 +89,7 @@ use std::time::Duration;
 use servo::MAX_AXES;
 
 pub use crate::robot::{Axes, Pose};
+pub use constant_velocity::ConstantVelocity;
 pub use contour::Contour;
 pub use error::GeneratorError;
 pub(crate) use execution::{Chart, Functions, Run};
@@ -74,8 +105,12 @@ pub use operator::OperatorReaction;
 pub use outputs::{Answer, Commands, Outputs, Tell};
 pub use path_timing::{EndSpeeds, PathTiming, TimingError};
 pub use polynomial::Polynomial;
+pub use selection::{Selected, Selection, SelectionMemory};
 pub use time_optimal::TimeOptimal;
+pub use transparent::Transparent;
 pub use wait::Wait;
+pub use weighted_sum::{SumMemory, WeightedSum};
+pub use with_images::{Includes, WithImages};
 
 /// Limits of each axis for the planning of a generator. Entries beyond the robot's axes are ignored.
 ///

@@ -64,6 +64,7 @@ impl SmoothPose {
 ///
 /// The computing time of the first step is proportional to the number of poses. Only that of a clone may allocate.
 #[doc(alias = "smooth")]
+#[doc(alias = "trapezoid")]
 #[derive(Clone, Debug)]
 pub struct Newsmooth {
     space: Space,

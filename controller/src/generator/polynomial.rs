@@ -52,16 +52,17 @@ impl Degree {
 
     /// Value and first two derivatives of the step from 0 to 1 at `u`, 0 to 1.
     fn at(self, u: f64) -> [f64; 3] {
-        let rest = 1.0 - u;
         match self {
-            Self::Cubic => [u * u * (3.0 - 2.0 * u), 6.0 * u * rest, 6.0 - 12.0 * u],
-            Self::Quintic => [
-                u * u * u * (10.0 - u * (15.0 - 6.0 * u)),
-                30.0 * (u * rest) * (u * rest),
-                60.0 * u * rest * (1.0 - 2.0 * u),
-            ],
+            Self::Cubic => [u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u), 6.0 - 12.0 * u],
+            Self::Quintic => quintic_step(u),
         }
     }
+}
+
+/// Value and first two derivatives of the quintic step from 0 to 1 at `u`, 0 to 1.
+pub(super) fn quintic_step(u: f64) -> [f64; 3] {
+    let rest = 1.0 - u;
+    [u * u * u * (10.0 - u * (15.0 - 6.0 * u)), 30.0 * (u * rest) * (u * rest), 60.0 * u * rest * (1.0 - 2.0 * u)]
 }
 
 impl Polynomial {

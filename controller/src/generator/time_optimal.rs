@@ -1,4 +1,4 @@
-//! Time-optimal motion of joints or motors along a spline through way-points.
+//! Time-optimal motion of joints or motors along a spline.
 
 use std::time::Duration;
 
@@ -11,9 +11,11 @@ use crate::robot::Space;
 
 /// Distance of the effector from the first way-point below which the path begins at this way-point, rad or m.
 const THERE: f64 = 1e-9;
+/// Accepted distance of an axis from the start of a given path, rad or m.
+const AT_START: f64 = 1e-6;
 
-/// A time-optimal motion from rest to rest along the natural cubic spline through way-points. Class 1, sporadic
-/// feedback.
+/// A time-optimal motion from rest to rest along the natural cubic spline through way-points, or along a given path.
+/// Class 1, sporadic feedback.
 ///
 /// The first step lays the [`JointPath`] from the commanded position of the effector through the way-points, and
 /// plans its [`PathTiming`] within the limits of velocity and acceleration. The motion is stretched by less than a
@@ -23,13 +25,22 @@ const THERE: f64 = 1e-9;
 /// Between way-points a spline may leave the range that the way-points span.
 ///
 /// The first step allocates. Its computing time is below 1 ms for seven axes. No next step allocates.
+#[doc(alias = "toppra")]
 #[derive(Clone, Debug)]
 pub struct TimeOptimal {
     space: Space,
     axes: usize,
     limits: MotionLimits,
-    way_points: Vec<Axes>,
+    course: Course,
     plan: Option<Plan>,
+}
+
+#[derive(Clone, Debug)]
+enum Course {
+    /// Way-points, which a spline from the present position passes.
+    Through(Vec<Axes>),
+    /// A path that begins where the effector stands.
+    Along(JointPath),
 }
 
 #[derive(Clone, Debug)]
@@ -63,7 +74,16 @@ impl TimeOptimal {
         if let Some(point) = way_points.windows(2).position(|pair| distance(&pair[0], &pair[1], axes) < THERE) {
             return Err(GeneratorError::JointPath(PathError::Coincident { point }));
         }
-        Ok(Self { space, axes, limits, way_points, plan: None })
+        Ok(Self { space, axes, limits, course: Course::Through(way_points), plan: None })
+    }
+
+    /// A motion along a path of the joints or motors, for example a B-spline ([`JointPath::along`]). The first step
+    /// refuses an effector that stands more than 1e-6 rad or m from the start of the path. `limits.max_jerk` has no
+    /// effect.
+    pub fn along(space: Space, limits: MotionLimits, path: JointPath) -> Result<Self, GeneratorError> {
+        let axes = path.axes();
+        limits.check(axes)?;
+        Ok(Self { space, axes, limits, course: Course::Along(path), plan: None })
     }
 
     /// The timing of the planned motion. `None` before the first step, and if the effector stands at the only
@@ -73,14 +93,28 @@ impl TimeOptimal {
     }
 
     fn planned(&self, start: Axes, macrostep: f64) -> Result<Option<Plan>, GeneratorError> {
-        let mut points = vec![start];
-        let there = distance(&start, &self.way_points[0], self.axes) < THERE;
-        points.extend(self.way_points.iter().skip(usize::from(there)));
-        if points.len() < 2 {
-            return Ok(None);
-        }
-        let ends = SplineEnds::<MAX_AXES>::Natural;
-        let path = JointPath::through(self.axes, &points, ends).map_err(GeneratorError::JointPath)?;
+        let path = match &self.course {
+            Course::Through(way_points) => {
+                let mut points = vec![start];
+                let there = distance(&start, &way_points[0], self.axes) < THERE;
+                points.extend(way_points.iter().skip(usize::from(there)));
+                if points.len() < 2 {
+                    return Ok(None);
+                }
+                let ends = SplineEnds::<MAX_AXES>::Natural;
+                JointPath::through(self.axes, &points, ends).map_err(GeneratorError::JointPath)?
+            }
+            Course::Along(path) => {
+                let begin = path.at(0.0).position;
+                for (axis, (begin, start)) in begin.iter().zip(start).enumerate().take(self.axes) {
+                    let distance = (start - begin).abs();
+                    if distance > AT_START {
+                        return Err(GeneratorError::NotAtJointStart { axis: axis as u8, distance });
+                    }
+                }
+                path.clone()
+            }
+        };
         let timing = PathTiming::optimal(path, &self.limits, EndSpeeds::default()).map_err(GeneratorError::Timing)?;
         let macrosteps = whole_macrosteps(timing.duration(), macrostep)?;
         let step = timing.duration() / f64::from(macrosteps);

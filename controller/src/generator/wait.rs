@@ -6,6 +6,7 @@ use super::{Generator, GeneratorError, Next};
 
 /// Stands for a time, rounded up to whole macrosteps. Class 0: a wait reads only its own memory.
 #[doc(alias = "sleep")]
+#[doc(alias = "hold")]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wait {
     /// Duration of the standstill.

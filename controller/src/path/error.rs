@@ -37,6 +37,8 @@ pub enum PathError {
     KnotOrder { knot: usize },
     #[error("knot {knot} occurs more than twice inside the domain: the path has a corner there")]
     KnotMultiplicity { knot: usize },
+    #[error("knot {knot} occurs twice inside the domain: the acceleration of the joints would jump there")]
+    JointKnotMultiplicity { knot: usize },
     #[error("the spacing of the data points is too uneven for an interpolation")]
     UnevenPoints,
     #[error("the spline stands still at parameter {parameter}: its tangent is undefined")]

@@ -1,4 +1,4 @@
-//! Paths of the joints: cubic splines through way-points.
+//! Paths of the joints: cubic splines through way-points, and B-splines.
 
 use nalgebra::SVector;
 use servo::MAX_AXES;
@@ -6,10 +6,11 @@ use servo::MAX_AXES;
 use super::{BSpline, PathError, SplineEnds};
 use crate::robot::Axes;
 
-/// Path of the joints q(s): a cubic spline through way-points.
+/// Path of the joints q(s): a cubic spline through way-points, or a B-spline. Curvature is continuous.
 ///
 /// The parameter s is 0 at the first way-point. At the others it is the sum of the straight distances |Δq| between
-/// way-points, in which rad and m count alike. Curvature is continuous.
+/// way-points, in which rad and m count alike. On a B-spline, s is the parameter of the spline, counted from the start
+/// of its domain.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointPath {
     spline: BSpline<MAX_AXES>,
@@ -45,6 +46,24 @@ impl JointPath {
             SplineEnds::Averaged | SplineEnds::NotAKnot | SplineEnds::Natural => ends,
         };
         Ok(Self { spline: BSpline::through(&points, ends)?, axes })
+    }
+
+    /// The path of the first `axes` axes along a B-spline, whose control points are joint positions, rad, or m for a
+    /// linear joint. The path begins at the first control point only if the first knot occurs four times, and ends at
+    /// the last one accordingly. Refuses a double knot inside the domain.
+    pub fn along(axes: usize, spline: &BSpline<MAX_AXES>) -> Result<Self, PathError> {
+        if axes == 0 || axes > MAX_AXES {
+            return Err(PathError::Axes { axes, max: MAX_AXES });
+        }
+        let (first, last) = spline.domain();
+        let inside = |pair: &[f64]| pair[0] > first && pair[0] < last && pair[0] == pair[1];
+        if let Some(knot) = spline.knots().windows(2).position(inside) {
+            return Err(PathError::JointKnotMultiplicity { knot });
+        }
+        let knots = spline.knots().iter().map(|knot| knot - first).collect();
+        let masked =
+            |point: &SVector<f64, MAX_AXES>| SVector::from_fn(|axis, _| if axis < axes { point[axis] } else { 0.0 });
+        Ok(Self { spline: BSpline::new(knots, spline.controls().iter().map(masked).collect())?, axes })
     }
 
     /// Number of axes.

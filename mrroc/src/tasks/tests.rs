@@ -3,6 +3,7 @@
 mod operator;
 mod refusals;
 mod team;
+mod transparent;
 
 use std::fs;
 use std::future::{pending, poll_fn};

@@ -1,11 +1,14 @@
 //! Properties of the generators over seeded random motions, without an ECP.
 
+mod combined;
+mod constant_velocity;
 mod contour;
 mod feed;
 mod line;
 mod planned_start;
 mod polynomial;
 mod time_optimal;
+mod transparent;
 
 use std::time::Duration;
 

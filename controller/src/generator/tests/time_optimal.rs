@@ -1,7 +1,7 @@
 //! Properties of time-optimal motions over seeded random paths, their known times, and refusals.
 
 use super::*;
-use crate::path::{JointPath, PathError, SplineEnds};
+use crate::path::{BSpline, JointPath, PathError, SplineEnds};
 
 /// A random path and limits of its axes. Some axes of some paths rest. Way-points of some `uneven` paths are close.
 fn random_path(random: &mut Random, uneven: bool) -> (JointPath, MotionLimits) {
@@ -258,4 +258,62 @@ fn way_points_that_define_no_motion_are_refused() {
     assert_eq!(path(3, &[[0.0; 8]]), PathError::TooFewPoints { given: 1, needed: 2 });
     assert_eq!(path(3, &[[0.0; 8], lost]), PathError::NotFinite { point: 1 });
     assert_eq!(path(2, &[[0.0; 8], lost]), PathError::Coincident { point: 0 });
+}
+
+/// Control points and uniform knots, with ends that occur four times.
+fn b_spline(random: &mut Random) -> BSpline<8> {
+    let count = 4 + random.below(8);
+    let inner = (count - 3) as f64;
+    let knots = (0..count + 4).map(|knot| 2.0 + (knot as f64 - 3.0).clamp(0.0, inner)).collect();
+    BSpline::new(knots, (0..count).map(|_| random.axes(-2.0, 2.0).into()).collect()).unwrap()
+}
+
+#[test]
+fn a_time_optimal_motion_along_a_b_spline_keeps_its_limits_and_stays_on_the_spline() {
+    for seed in 0..100 {
+        let mut random = Random(seed);
+        let axes = 1 + random.below(8);
+        let limits = random_limits(&mut random);
+        let spline = b_spline(&mut random);
+        let path = JointPath::along(axes, &spline).unwrap();
+        let (first, last) = spline.domain();
+        assert_eq!(path.length(), last - first);
+        for share in [0.0, 0.3, 0.71, 1.0] {
+            let (point, expected) = (path.at(share * path.length()), spline.at(first + share * (last - first)));
+            for axis in 0..8 {
+                let values = [point.position[axis], point.first[axis], point.second[axis]];
+                for (value, vector) in values.into_iter().zip(expected) {
+                    assert!((value - if axis < axes { vector[axis] } else { 0.0 }).abs() < 1e-9, "seed {seed}");
+                }
+            }
+        }
+        let timing = PathTiming::optimal(path.clone(), &limits, EndSpeeds::default()).unwrap();
+        for k in 0..500 {
+            let times = excess(&timing, &limits, timing.duration() * (f64::from(k) + 0.5) / 500.0);
+            assert!(times <= 1.0 + 1e-3, "seed {seed}: {times} times a limit");
+        }
+        let start = path.at(0.0).position;
+        let motion = TimeOptimal::along(Space::Joint, limits, path.clone()).unwrap();
+        let states = walk(motion.clone(), &Standing::at(start)).unwrap();
+        let end = states[states.len() - 1];
+        assert_eq!((end.position, end.velocity), (path.at(path.length()).position, Axes::default()), "seed {seed}");
+        let mut beside = start;
+        beside[0] += 1e-3;
+        let refused = walk(motion, &Standing::at(beside)).unwrap_err();
+        assert!(matches!(refused, GeneratorError::NotAtJointStart { axis: 0, .. }), "seed {seed}: {refused}");
+    }
+}
+
+#[test]
+fn a_b_spline_without_continuous_curvature_is_no_joint_path_and_one_without_length_no_motion() {
+    let points = |count: usize| (0..count).map(|k| [k as f64; 8].into()).collect();
+    let spline = BSpline::new(vec![0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0], points(6)).unwrap();
+    let refused = JointPath::along(3, &spline).unwrap_err();
+    assert_eq!(refused, PathError::JointKnotMultiplicity { knot: 4 });
+    assert_eq!(JointPath::along(0, &spline).unwrap_err(), PathError::Axes { axes: 0, max: 8 });
+    let still = BSpline::new(vec![0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0], vec![[0.5; 8].into(); 4]).unwrap();
+    let limits = MotionLimits::uniform(1.0, 2.0, 1.0);
+    let path = JointPath::along(3, &still).unwrap();
+    let motion = TimeOptimal::along(Space::Joint, limits, path).unwrap();
+    assert_eq!(walk(motion, &Standing::at([0.5; 8])).unwrap().len(), 1, "there is no way to go");
 }

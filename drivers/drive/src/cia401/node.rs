@@ -149,7 +149,8 @@ impl IoNode {
     /// sent in this cycle. Returns the command.
     pub(crate) fn recover(&mut self, member: &mut Member, now: Instant, may_send: bool) -> Option<Command> {
         let faulted = self.image.fault.is_some();
-        let begins = self.reset.is_there() && (may_send || !faulted) && self.reset.take() && faulted;
+        let due = self.reset.is_there() && (may_send || !faulted);
+        let begins = due && self.reset.take() && faulted;
         let Member { bring_up, sdo } = member;
         let since = match self.recovery {
             Recovery::None if !begins => return None,
