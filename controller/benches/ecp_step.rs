@@ -119,7 +119,7 @@ fn main() -> ExitCode {
     };
     let (mut publisher, latest) = servo::latest();
     let mut ecp = Ecp::new(arm(), EffectorLink { orders, reports, latest }, config);
-    ecp.sensors().install(ForceSensor, Shell::NonInteractive, 1).unwrap();
+    ecp.sensors().install(ForceSensor, Shell::NonInteractive, 1).expect("the process has no sensor");
     let mut report = ServoReport { reached: true, ..ServoReport::default() };
     (report.snapshot.phase, report.snapshot.homed, report.snapshot.axes) = (Phase::Standing, true, 7);
     (report.snapshot.commanded, report.snapshot.measured) = (motors, motors);

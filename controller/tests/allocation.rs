@@ -117,7 +117,7 @@ fn allocations(generator: Result<impl Generator, GeneratorError>) -> (u64, u64) 
     };
     let (mut publisher, latest) = servo::latest();
     let mut ecp = Ecp::new(arm(), EffectorLink { orders, reports, latest }, config);
-    ecp.sensors().install(DistanceSensor, Shell::NonInteractive, 1).unwrap();
+    ecp.sensors().install(DistanceSensor, Shell::NonInteractive, 1).expect("the process has no sensor");
     let mut report = ServoReport { reached: true, ..ServoReport::default() };
     (report.snapshot.phase, report.snapshot.homed, report.snapshot.axes) = (Phase::Standing, true, 6);
     (report.snapshot.commanded, report.snapshot.measured) = (motors, motors);

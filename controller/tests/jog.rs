@@ -56,7 +56,7 @@ impl Rig {
         let mut ecp = Ecp::new(arm.clone(), link, config);
         let limits = MotionLimits::uniform(LIMITS[0], LIMITS[1], 1.0);
         let (panel, operator) = JogPanel::new();
-        ecp.sensors().install(panel, Shell::NonInteractive, 1).unwrap();
+        ecp.sensors().install(panel, Shell::NonInteractive, 1).expect("the process has no sensor");
         let (log, steps) = step_log(1 << 16);
         ecp.keep_steps(log);
         let jog = Jog::new(arm.clone(), limits, DEAD_MAN).expect("limits are positive");

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use ::mrroc::bench::clockwork;
 use ::mrroc::bench::emulation::Emulation;
-use ::mrroc::cell::{Cell, CellFile, DriveControl};
+use ::mrroc::cell::{Bus, Cell, CellFile, DriveControl};
 use ::mrroc::setup::{self, Devices};
 use can::Instant;
 use can::timing::Bitrate;
@@ -248,6 +248,28 @@ fn a_refusal_of_an_io_node_names_the_node_and_the_object() {
     refused(&run, &["bus arm, I/O node tool: node 40: 0x2100:00 refused: ", "object does not exist"]);
 }
 
+#[test]
+fn io_nodes_on_a_bus_of_their_own_work_as_those_beside_drives() {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6-touch", |cell| {
+        let bus = Bus { name: "cabinet".into(), interface: "can1".into(), ..cell.bus[0].clone() };
+        cell.bus.push(bus);
+        cell.io[0].bus = "cabinet".into();
+    });
+    for arguments in [["check", "--json"], ["run", "--bench=lockstep"]] {
+        let output = mrroc([arguments[0].as_ref(), cell.as_os_str(), arguments[1].as_ref()]);
+        assert!(output.status.success(), "{arguments:?}: {}", output.stderr);
+    }
+    let mut file = CellFile::read(cell).unwrap();
+    file.cell.io[0].input[0].emulated_edges_s = vec![0.0, 4.0001];
+    let mut touch = TouchCell::of(file);
+    let start = lockstep::bring_up(&mut touch.servo, Instant::ZERO, |next| touch.emulation.advance(next)).unwrap();
+    let end = start + Duration::from_secs(4);
+    let advance = |next| touch.emulation.advance(next);
+    lockstep::run(&mut touch.servo, start, |_| {}, advance, |_, now| now > end);
+    assert_eq!(touch.probe.inputs.read().input(0).map(|input| (input.level, input.edges)), Some((true, 1)));
+}
+
 /// The example cell with the given edges of its touch probe, and the parts of a run before bring-up.
 struct TouchCell {
     file: CellFile,
@@ -261,7 +283,10 @@ impl TouchCell {
     fn with_edges(edges: &[f64]) -> Self {
         let directory = Directory::new();
         let path = directory.cell("irb6-touch", |cell| cell.io[0].input[0].emulated_edges_s = edges.to_vec());
-        let file = CellFile::read(path).unwrap();
+        Self::of(CellFile::read(path).unwrap())
+    }
+
+    fn of(file: CellFile) -> Self {
         let (emulation, ends) = Emulation::of(&file);
         let Devices { groups, io } = setup::devices(&file, ends.ports, Vec::new(), None).unwrap();
         let (servo, links) = Servo::new(&setup::servo_config(&file), groups).unwrap();

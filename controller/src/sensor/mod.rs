@@ -9,8 +9,8 @@
 //! | shell | the agent asks | the step that follows |
 //! |---|---|---|
 //! | [`NonInteractive`](Shell::NonInteractive) | in every turn until the step | takes the latest reading |
-//! | [`Interactive`](Shell::Interactive) | once, and polls for the reading | waits for the reading, and takes it |
-//! | [`InteractiveWithoutWait`](Shell::InteractiveWithoutWait) | once, and polls for the reading | takes the reading if it is there |
+//! | [`Interactive`](Shell::Interactive) | once, and polls | waits for the reading, and takes it |
+//! | [`InteractiveWithoutWait`](Shell::InteractiveWithoutWait) | once, and polls | takes the reading if it is there |
 //!
 //! A sensor has a period in macrosteps. The first step of an instruction takes a reading, and then every `period`-th
 //! step. The steps between have the last reading as [`Received::Old`]. A reading is [`Received::New`] until a step has
@@ -135,8 +135,8 @@ struct Shelled<S: VirtualSensor> {
 }
 
 impl Sensors {
-    /// Adds a sensor whose readings are taken every `period` macrosteps. A period of 0 counts as 1. Refuses a sensor with
-    /// readings or commands of the same type as another one.
+    /// Adds a sensor whose readings are taken every `period` macrosteps. A period of 0 counts as 1. Refuses a sensor
+    /// with readings or commands of the same type as another one.
     pub fn install<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) -> Result<(), SensorRefused> {
         if self.provides(TypeId::of::<S::Reading>()) {
             return Err(SensorRefused::SameReading { reading: type_name::<S::Reading>() });

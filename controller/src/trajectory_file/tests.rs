@@ -2,49 +2,32 @@
 
 use super::*;
 use crate::generator::{EffectorImage, EffectorState, Generator, Pose, Setpoint};
+use crate::random::Random;
 
 /// A file with separators and empty lines as MRROC++ applications have.
 const FILE: &str = "JOINT\n2\t\nABSOLUTE\n\t\t\n0.1\t\t0.2 \t1\n0.07 0.07, 0.07\n0.5\t-1.57 0.02\n\n0.1 0.1 0.1\n0.1 0.1 0.1\n\
                     0.25, -1.5, 1e-2";
 
-/// SplitMix64: a small seeded generator with the same results on all platforms.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    /// A number above 0 and at most 1.
-    fn fraction(&mut self) -> f64 {
-        ((self.next() >> 11) as f64 + 1.0) / (1_u64 << 53) as f64
-    }
-
-    fn below(&mut self, bound: u64) -> usize {
-        (self.next() % bound) as usize
-    }
+fn below(random: &mut Random, bound: u64) -> usize {
+    (random.next() % bound) as usize
 }
 
 #[test]
 fn a_written_file_is_read_back_exactly() {
     for seed in 0..2_000 {
         let mut random = Random(seed);
-        let coordinates = Coordinates::ALL[random.below(4)];
-        let motion = MotionType::ALL[random.below(2)];
-        let columns = 1 + random.below(8);
+        let coordinates = Coordinates::ALL[below(&mut random, 4)];
+        let motion = MotionType::ALL[below(&mut random, 2)];
+        let columns = 1 + below(&mut random, 8);
         let pose = |random: &mut Random| SmoothPose {
             position: std::array::from_fn(|_| {
                 let finite = f64::from_bits(random.next());
-                if finite.is_finite() { finite } else { 1.0 - random.fraction() }
+                if finite.is_finite() { finite } else { random.within(0.0, 1.0) }
             }),
-            velocity: std::array::from_fn(|_| random.fraction()),
-            acceleration: std::array::from_fn(|_| random.fraction()),
+            velocity: std::array::from_fn(|_| 1.0 - random.within(0.0, 1.0)),
+            acceleration: std::array::from_fn(|_| 1.0 - random.within(0.0, 1.0)),
         };
-        let poses: Vec<SmoothPose> = (0..1 + random.below(5)).map(|_| pose(&mut random)).collect();
+        let poses: Vec<SmoothPose> = (0..1 + below(&mut random, 5)).map(|_| pose(&mut random)).collect();
         let file = TrajectoryFile::new(coordinates, motion, columns, poses).unwrap();
         assert_eq!(TrajectoryFile::parse(&file.to_string()), Ok(file), "seed {seed}");
     }

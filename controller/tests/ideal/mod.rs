@@ -1,11 +1,13 @@
 //! Ideal drives of one robot under the real servo, in virtual time.
 
+#![allow(dead_code, reason = "each test takes what it needs")]
+
 use std::sync::{Arc, Mutex};
 use std::task::Poll;
 use std::time::Duration;
 
 use can::Instant;
-use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Power, Setpoint};
+use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Homing, Power, Setpoint};
 use servo::{EffectorConfig, EffectorLink, PositionLoop, Servo, ServoAxisConfig, ServoConfig};
 
 pub(crate) const PERIOD: Duration = Duration::from_millis(2);
@@ -13,13 +15,26 @@ pub(crate) const PERIOD: Duration = Duration::from_millis(2);
 /// Set-points sent, cycle by cycle.
 pub(crate) type Sent<const AXES: usize> = Arc<Mutex<Vec<[f64; AXES]>>>;
 
-/// Ideal drives of one robot.
-struct Ideal<const AXES: usize> {
-    commands: Vec<AxisCommand>,
-    latched: Vec<AxisCommand>,
+/// The fault of the first drive of a robot.
+pub(crate) type FirstFault = Arc<Mutex<Option<Fault>>>;
+
+/// Ideal drives of one robot, homed.
+pub(crate) struct Ideal<const AXES: usize> {
+    commands: [AxisCommand; AXES],
+    latched: [AxisCommand; AXES],
     position: [f64; AXES],
     now: Instant,
     sent: Sent<AXES>,
+    fault: FirstFault,
+}
+
+impl<const AXES: usize> Ideal<AXES> {
+    /// Drives that are off, with their motors at `position`, rad.
+    pub(crate) fn new(position: [f64; AXES], sent: &Sent<AXES>, fault: &FirstFault) -> Self {
+        let off = [AxisCommand::Off; AXES];
+        let (sent, fault) = (Arc::clone(sent), Arc::clone(fault));
+        Self { commands: off, latched: off, position, now: Instant::ZERO, sent, fault }
+    }
 }
 
 impl<const AXES: usize> DriveGroup for Ideal<AXES> {
@@ -41,6 +56,7 @@ impl<const AXES: usize> DriveGroup for Ideal<AXES> {
                 power: if on { Power::On } else { Power::Off },
                 homing: Homing::Attained,
                 following: on,
+                fault: self.fault.lock().expect("one thread").filter(|_| axis == 0),
                 ..AxisState::default()
             };
         }
@@ -55,7 +71,7 @@ impl<const AXES: usize> DriveGroup for Ideal<AXES> {
                 self.position[axis] = position.get();
             }
         }
-        self.latched.copy_from_slice(&self.commands);
+        self.latched = self.commands;
         let asked = |axis: usize| match self.commands[axis] {
             AxisCommand::Follow(Setpoint::Position(position)) => position.get(),
             _ => self.position[axis],
@@ -96,8 +112,7 @@ pub(crate) fn servo<const AXES: usize>(
         enabling_timeout: Duration::from_secs(1),
         homing_timeout: Duration::from_secs(1),
     };
-    let off = vec![AxisCommand::Off; AXES];
-    let ideal = Ideal { commands: off.clone(), latched: off, position, now: Instant::ZERO, sent: Arc::clone(sent) };
+    let ideal = Ideal::new(position, sent, &FirstFault::default());
     let config = ServoConfig { period: PERIOD, max_missed_in_row: 1, effectors: vec![effector] };
     let (servo, mut links) = Servo::new(&config, vec![Box::new(ideal)]).expect("a sound servo");
     (servo, links.remove(0))

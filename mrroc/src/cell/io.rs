@@ -1,4 +1,4 @@
-//! The keys of I/O nodes: digital inputs and outputs of CiA 401 modules on the CAN buses of the drives.
+//! The keys of I/O nodes: digital inputs and outputs of CiA 401 modules on CAN buses.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Cell, Parameter, defaults};
 
-/// A CiA 401 module of digital inputs and outputs on a CAN bus with drives.
+/// A CiA 401 module of digital inputs and outputs on a CAN bus, beside drives or without them.
 ///
 /// Levels are logical: an inverted line is true while its terminal is low. An edge reaches the controller within two
 /// servo periods and the inhibit time, on a bus within its budget. A filtered input takes the filter time in addition.

@@ -1,9 +1,10 @@
 //! Processes that meet and that move as a team, on the real servo with ideal drives.
 
-use std::sync::Mutex;
-use std::task::Poll;
+#[path = "../../../tests/ideal/mod.rs"]
+mod ideal;
 
-use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Homing, Power};
+use drive::{DriveGroup, Fault};
+use ideal::{FirstFault, Ideal, Sent};
 use servo::{EffectorConfig, PositionLoop, Servo, ServoAxisConfig, ServoConfig};
 
 use super::*;
@@ -12,61 +13,12 @@ const AXES: usize = 3;
 const BOTH: u32 = 0b11;
 const FAULT: Fault = Fault::Drive { node: 1, code: 0x2310 };
 
-/// Ideal drives of one robot, homed. `fault` is the fault of the first drive.
-struct Ideal {
-    commands: [AxisCommand; AXES],
-    latched: [AxisCommand; AXES],
-    position: [f64; AXES],
-    fault: Arc<Mutex<Option<Fault>>>,
-}
-
-impl DriveGroup for Ideal {
-    fn axes(&self) -> usize {
-        AXES
-    }
-    fn delay(&self) -> usize {
-        2
-    }
-    fn bring_up(&mut self, _: Instant) -> Poll<Result<(), BringUpError>> {
-        Poll::Ready(Ok(()))
-    }
-    fn read(&mut self, now: Instant, states: &mut [AxisState]) {
-        for (axis, state) in states.iter_mut().enumerate() {
-            let on = !matches!(self.latched[axis], AxisCommand::Off | AxisCommand::ResetFault);
-            *state = AxisState {
-                sampled: now,
-                position: self.position[axis],
-                power: if on { Power::On } else { Power::Off },
-                homing: Homing::Attained,
-                following: on,
-                fault: self.fault.lock().unwrap().filter(|_| axis == 0),
-                ..AxisState::default()
-            };
-        }
-    }
-    fn write(&mut self, _: Instant, commands: &[AxisCommand]) {
-        self.commands.copy_from_slice(commands);
-    }
-    fn send(&mut self, _: Instant) -> bool {
-        for (position, command) in self.position.iter_mut().zip(&self.latched) {
-            if let AxisCommand::Follow(drive::Setpoint::Position(commanded)) = command {
-                *position = commanded.get();
-            }
-        }
-        self.latched = self.commands;
-        true
-    }
-    fn counters(&self) -> GroupCounters {
-        GroupCounters::default()
-    }
-}
-
 /// Two robots, their processes and their servo. Meeting 0 is between both.
 struct Cell {
     servo: Servo,
     ecps: [Ecp; 2],
     meetings: Meetings,
-    faults: [Arc<Mutex<Option<Fault>>>; 2],
+    faults: [FirstFault; 2],
     now: Instant,
     outcomes: [Vec<Result<(), EcpError>>; 2],
     /// Cycles in which each robot began to move.
@@ -79,11 +31,8 @@ struct Cell {
 impl Cell {
     /// Both robots stand.
     fn standing() -> Self {
-        let faults: [Arc<Mutex<Option<Fault>>>; 2] = Default::default();
-        let group = |fault: &Arc<Mutex<Option<Fault>>>| -> Box<dyn DriveGroup> {
-            let off = [AxisCommand::Off; AXES];
-            Box::new(Ideal { commands: off, latched: off, position: [0.0; AXES], fault: Arc::clone(fault) })
-        };
+        let faults: [FirstFault; 2] = Default::default();
+        let group = |fault: &_| -> Box<dyn DriveGroup> { Box::new(Ideal::new([0.0; AXES], &Sent::default(), fault)) };
         let config = ServoConfig { period: PERIOD, max_missed_in_row: 1, effectors: (0..2).map(effector).collect() };
         let (servo, links) = Servo::new(&config, faults.iter().map(group).collect()).unwrap();
         let ecp = |link| Ecp::new(Arm::new(Arc::new(Gantry), Pose::identity()), link, CONFIG);

@@ -66,8 +66,12 @@ pub enum IoQuantity {
     OutputMask,
 }
 
-/// Checks the I/O nodes of a bus whose drives are `axes`: their node-IDs and their quantities. No frame is sent.
+/// Checks the I/O nodes of a bus whose drives are `axes`: their node-IDs and their quantities. Refuses a bus without a
+/// node. No frame is sent.
 pub fn check(group: &GroupConfig, axes: &[AxisConfig], io: &[IoConfig]) -> Result<(), ConfigError> {
+    if axes.is_empty() && io.is_empty() {
+        return Err(ConfigError::NoNodes);
+    }
     for (i, config) in io.iter().enumerate() {
         let node = config.node;
         let drives = axes.iter().map(|axis| axis.node);

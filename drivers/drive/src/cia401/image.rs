@@ -229,12 +229,9 @@ pub struct IoLink {
 pub(super) struct ResetRequest(Arc<AtomicBool>);
 
 impl ResetRequest {
-    pub(super) fn is_there(&self) -> bool {
-        self.0.load(Ordering::Acquire)
-    }
-
+    /// Whether there was a request.
     pub(super) fn take(&self) -> bool {
-        self.0.swap(false, Ordering::AcqRel)
+        self.0.load(Ordering::Acquire) && self.0.swap(false, Ordering::AcqRel)
     }
 }
 

@@ -1,4 +1,4 @@
-//! Digital inputs and outputs of a CiA 401 node on the bus of the drives: touch probes, light gates, valves.
+//! Digital inputs and outputs of a CiA 401 node on a CAN bus: touch probes, light gates, valves.
 //!
 //! [`CanBus::with_io`](crate::bus::CanBus::with_io) takes one [`IoConfig`] per node and returns one [`IoLink`] per
 //! node.

@@ -149,11 +149,10 @@ impl IoNode {
     /// sent in this cycle. Returns the command.
     pub(crate) fn recover(&mut self, member: &mut Member, now: Instant, may_send: bool) -> Option<Command> {
         let faulted = self.image.fault.is_some();
-        let due = self.reset.is_there() && (may_send || !faulted);
-        let begins = due && self.reset.take() && faulted;
+        let requested = (may_send || !faulted) && self.reset.take();
         let Member { bring_up, sdo } = member;
         let since = match self.recovery {
-            Recovery::None if !begins => return None,
+            Recovery::None if !requested || !faulted => return None,
             Recovery::None => {
                 sdo.reset();
                 bring_up.reset(now);
@@ -298,8 +297,8 @@ impl IoNode {
         }
     }
 
-    /// Latches a fault. The first fault stays until a reset or the next bring-up. A fault during a reset ends the reset,
-    /// and replaces the fault before.
+    /// Latches a fault. The first fault stays until a reset or the next bring-up. A fault during a reset ends the
+    /// reset, and replaces the fault before.
     pub(crate) fn latch(&mut self, fault: IoFault) {
         if self.recovers() {
             self.image.fault = None;

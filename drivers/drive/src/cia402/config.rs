@@ -129,9 +129,9 @@ pub struct Setting {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum ConfigError {
-    /// No axis, or more axes than node-IDs.
-    #[error("a group has 1 to 126 axes, not {0}")]
-    Axes(usize),
+    /// No drive and no I/O node.
+    #[error("a bus needs a drive or an I/O node")]
+    NoNodes,
     #[error("node {0} occurs twice")]
     DuplicateNode(u8),
     /// Object 0x60C2 cannot represent this period exactly.
@@ -181,12 +181,9 @@ impl CyclicMode {
 }
 
 impl GroupConfig {
-    /// Checks the configuration without sending a frame: all that [`CanBus::new`](crate::bus::CanBus::new)
-    /// refuses.
+    /// Checks the bus and its drives without sending a frame. [`cia401::check`](crate::cia401::check) checks the I/O
+    /// nodes.
     pub fn check(&self, axes: &[AxisConfig]) -> Result<(), ConfigError> {
-        if !(1..=126).contains(&axes.len()) {
-            return Err(ConfigError::Axes(axes.len()));
-        }
         for (i, axis) in axes.iter().enumerate() {
             let earlier = axes[..i].iter().map(|axis| axis.node);
             if earlier.chain([self.host_node]).any(|node| node == axis.node) {

@@ -38,6 +38,24 @@ fn a_line_is_found_by_its_name() {
     assert_eq!(cell.io_on(0).collect::<Vec<_>>(), [0, 1]);
 }
 
+/// The I/O node of the example cell on a bus of its own.
+fn cabinet() -> String {
+    let bus = "[[bus]]\nname = \"cabinet\"\nbitrate_kbps = 1000\ninterface = \"can1\"\n\n[[io]]\n";
+    let own = TOUCH.replacen("[[io]]\n", bus, 1);
+    own.replacen("name = \"tool\"\nbus = \"arm\"", "name = \"tool\"\nbus = \"cabinet\"", 1)
+}
+
+#[test]
+fn a_bus_may_have_io_nodes_alone_and_a_bus_without_a_node_is_refused() {
+    let cell = Cell::parse(&cabinet()).unwrap();
+    assert_eq!((cell.axes_on(1).count(), cell.io_on(1).collect::<Vec<_>>()), (0, vec![0]));
+    assert_eq!((cell.frames_per_cycle(0), cell.frames_per_cycle(1)), (5 + 3, 1 + 3));
+    let unused = cabinet().replacen("bus = \"cabinet\"", "bus = \"arm\"", 1);
+    let shown = Cell::parse(&unused).unwrap_err().to_string();
+    let expected = "bus[1]: no axis and no I/O node has bus = \"cabinet\": leave it out, or name it in one of them";
+    assert!(shown.ends_with(expected), "{shown}");
+}
+
 #[test]
 fn emulated_edges_alternate_from_low() {
     let cell = Cell::parse(TOUCH).unwrap();

@@ -62,7 +62,7 @@ fn place_of_drive(cell: &Cell, bus: &Path, axes: &[(usize, usize)], error: cia40
         axes.iter().find(axis).map_or(bus.clone(), |&(robot, axis)| Path::axis(robot, axis))
     };
     match error {
-        ConfigError::Axes(_) => bus.clone(),
+        ConfigError::NoNodes => bus.clone(),
         ConfigError::Period(_) => Path::to("period_us"),
         ConfigError::HeartbeatPeriod(_) => bus.then("heartbeat_ms"),
         ConfigError::DuplicateNode(node) => of_node(node).then("node"),
@@ -90,7 +90,7 @@ fn concerns(error: cia402::ConfigError, io: u8) -> bool {
         ConfigError::IoOutOfRange { node, .. }
         | ConfigError::Setting { node, .. }
         | ConfigError::DuplicateNode(node) => node == io,
-        ConfigError::Axes(_)
+        ConfigError::NoNodes
         | ConfigError::Period(_)
         | ConfigError::HeartbeatPeriod(_)
         | ConfigError::OutOfRange { .. } => false,
@@ -109,7 +109,7 @@ fn place_of_io(io: Path, error: cia402::ConfigError) -> Path {
             IoQuantity::InhibitTime => io.then("inhibit_us"),
             IoQuantity::EventTimer => io.then("event_timer_ms"),
         },
-        cia402::ConfigError::Axes(_)
+        cia402::ConfigError::NoNodes
         | cia402::ConfigError::Period(_)
         | cia402::ConfigError::HeartbeatPeriod(_)
         | cia402::ConfigError::OutOfRange { .. } => io,

@@ -12,16 +12,24 @@ pub(super) fn check(cell: &Cell) -> Checked {
     check_serial(cell)
 }
 
-/// A drive group needs at least one axis.
+/// A bus needs an axis or an I/O node. A bundle of serial lines needs an axis.
 pub(super) fn check_used(cell: &Cell) -> Checked {
-    for (group, group_name) in cell.groups().enumerate() {
-        if cell.axes_on(group).next().is_none() {
-            let why = format!("no axis has bus = {group_name:?}: leave it out, or name it in an axis");
-            let top = Path::default();
-            return match group.checked_sub(cell.bus.len()) {
-                None => refused(&top.then("bus"), group, why),
-                Some(bundle) => refused(&top.then("serial"), bundle, why),
-            };
+    for (group, name) in cell.groups().enumerate() {
+        if cell.axes_on(group).next().is_some() {
+            continue;
+        }
+        let top = Path::default();
+        match group.checked_sub(cell.bus.len()) {
+            None if cell.io_on(group).next().is_some() => {}
+            None => {
+                let why =
+                    format!("no axis and no I/O node has bus = {name:?}: leave it out, or name it in one of them");
+                return refused(&top.then("bus"), group, why);
+            }
+            Some(bundle) => {
+                let why = format!("no axis has bus = {name:?}: leave it out, or name it in an axis");
+                return refused(&top.then("serial"), bundle, why);
+            }
         }
     }
     Ok(())

@@ -337,7 +337,7 @@ fn configurations_that_cannot_work_are_refused() {
     assert_eq!(with(|_, _| {}), None);
     assert_eq!(with(|config, _| config.period = Duration::from_micros(2_500)), None);
     let table = [
-        (with(|_, axes| axes.clear()), Some(ConfigError::Axes(0))),
+        (with(|_, axes| axes.clear()), Some(ConfigError::NoNodes)),
         (with(|_, axes| axes[1].node = node(1)), Some(ConfigError::DuplicateNode(1))),
         (with(|config, _| config.host_node = node(2)), Some(ConfigError::DuplicateNode(2))),
         (
