@@ -124,7 +124,7 @@ pub struct MotionLimits {
     pub max_velocity: Axes,
     /// Acceleration, rad/s², or m/s² for a linear axis.
     pub max_acceleration: Axes,
-    /// Jerk, rad/s³, or m/s³ for a linear axis. Only [`JerkLimited`] uses this limit.
+    /// Jerk, rad/s³, or m/s³ for a linear axis. [`JerkLimited`] and [`Polynomial`] use this limit.
     pub max_jerk: Axes,
 }
 
