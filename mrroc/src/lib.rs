@@ -98,3 +98,16 @@ pub mod prelude {
     pub use crate::report::{AxisReport, Deviation, FaultReport, RobotReport, RunOutcome, RunReport};
     pub use crate::tasks::{Cell, InputLine, Outcome, OutputLine, Robot, TaskError, Team};
 }
+
+/// The Rust blocks of the book, which the documentation tests compile.
+#[cfg(doctest)]
+mod book {
+    #[doc = include_str!("../../book/src/first-program.md")]
+    mod first_program {}
+    #[doc = include_str!("../../book/src/motions.md")]
+    mod motions {}
+    #[doc = include_str!("../../book/src/own-generator.md")]
+    mod own_generator {}
+    #[doc = include_str!("../../book/src/teach.md")]
+    mod teach {}
+}
