@@ -14,8 +14,8 @@ use std::time::Duration;
 
 use mrroc_controller::ecp::Task;
 use mrroc_controller::generator::{
-    Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Newsmooth, Next, Pace, Polynomial, Pose,
-    Setpoint, SmoothPose, TimeOptimal,
+    Axes, AxesState, EffectorImage, Generator, GeneratorError, LineLimits, MotionLimits, Newsmooth, Next, Pace,
+    Polynomial, Pose, Setpoint, SmoothPose, StraightLine, TimeOptimal,
 };
 use mrroc_controller::robot::{Arm, Irb6, Irb6Parameters, Space};
 use servo::Phase;
@@ -37,8 +37,8 @@ fn arm() -> Arm {
     Arm::new(Arc::new(robot), Pose::identity())
 }
 
-/// A motion in macrosteps of [`MACROSTEP`].
-fn task(random: &mut Random) -> Task {
+/// A motion in joints, or along a line of the tool.
+fn task(random: &mut Random, start: &Axes) -> Task {
     let limits = MotionLimits::uniform(0.8, 1.5, 30.0);
     let mut pose =
         || std::array::from_fn(|axis| if axis < AXES { START[axis] + random.within(-0.3, 0.3) } else { 0.0 });
@@ -51,7 +51,21 @@ fn task(random: &mut Random) -> Task {
         }
         1 => task.run(Polynomial::quintic(Space::Joint, AXES, limits, poses[0]).expect("a sound motion")),
         2 => task.run(TimeOptimal::through(Space::Joint, AXES, limits, poses.to_vec()).expect("a sound motion")),
-        _ => task.run(Polynomial::cubic(Space::Joint, AXES, limits, poses[0]).expect("a sound motion")),
+        _ => {
+            let mut target = arm().forward(start).expect("the arm stands there");
+            // The tool of an arm with five axes stays in the plane of the arm.
+            target.translation.vector.x += random.within(-0.08, 0.08);
+            target.translation.vector.z += random.within(-0.08, 0.08);
+            let tool = LineLimits {
+                max_velocity: 0.25,
+                max_acceleration: 1.0,
+                max_jerk: 10.0,
+                max_angular_velocity: 1.0,
+                max_angular_acceleration: 4.0,
+                max_angular_jerk: 40.0,
+            };
+            task.run(StraightLine::new(arm(), target, tool, limits).expect("a sound motion"))
+        }
     }
 }
 
@@ -65,7 +79,7 @@ fn passed(seed: u64, mut act: impl FnMut(&Bench<AXES>, usize)) -> Passed {
     start[..AXES].copy_from_slice(&START);
     let motors = arm().motors(&start).expect("the arm stands there");
     let mut bench = Bench::<AXES>::new(arm(), &motors, SERVO, 8);
-    let task = task(&mut random);
+    let task = task(&mut random, &start);
     let (mut time, mut rate, mut cycles) = (0.0, 1.0, 0);
     let mut passed = vec![(0.0, std::array::from_fn(|axis| motors[axis]))];
     bench.execute(task, |bench, latest| {
