@@ -83,7 +83,7 @@ const EXCEPTIONS: &[Exception] = &[
     faulted("bus.sdo_timeout_ms", &["SDO protocol timed out"], LATE),
     refused("bus.sdo_timeout_ms", &["timed out"], LATE),
     refused("bus.boot_timeout_ms", &["never booted"], LATE),
-    refused("serial.emulated_latency_ms", &["answers took more than a period"], LATE),
+    refused("serial.emulated_latency_ms", &["answers took more than a period", "no answer, waited"], LATE),
 ];
 
 impl Exception {
