@@ -1,8 +1,8 @@
 //! Class 4, orders only, and loose coordination: two arms serve stations, and the task gives the next station to the
 //! free arm.
 //!
-//! The arms work independently and at their own speeds. The task decides seldom, and its decisions are a finite set. A
-//! step of an arm takes the latest decision and waits for none.
+//! The arms work independently and at their own speeds. The task decides seldom, and selects each decision from a finite
+//! set. A step of an arm takes the latest decision and waits for none.
 //!
 //! ```sh
 //! cargo run --release --example dispatch -- --bench lockstep
@@ -13,9 +13,11 @@ use mrroc::prelude::*;
 /// Decisions of the task.
 #[derive(Clone, Copy, Debug)]
 enum Decision {
-    /// Serve the station in front, on the left or on the right.
+    /// Serve the station in front.
     Front,
+    /// Serve the station on the left.
     Left,
+    /// Serve the station on the right.
     Right,
     /// End the motion.
     Finish,

@@ -1,4 +1,4 @@
-//! Class 6, sensor and orders: a gripper takes a part that its light gate sees, as a coordinator orders.
+//! Class 6, sensor and orders: a coordinator orders a gripper to take a part that a light gate sees.
 //!
 //! The arm approaches until the gate sees the part, and answers what it sees. The coordinator then orders to grip and
 //! to retreat. Each step of the arm commands the valve of the gripper. No step reads the effector.

@@ -75,6 +75,7 @@ pub mod prelude {
     pub use std::process::ExitCode;
     pub use std::time::Duration;
 
+    pub use can::Instant;
     pub use controller::coordination::{Coordinator, Late, LinkConfig, NextOrders, Orders};
     pub use controller::ecp::{Class, Task};
     pub use controller::executor::{LooseLink, Observer, Replacer, join, join_all};

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use can::Instant;
 
-use super::{Coordinator, CoordinatorEnd, CoordinatorError};
+use super::{Coordinator, CoordinatorEnd, CoordinatorError, Patience};
 use crate::ecp::{Planning, Preparation, StepEvent, StepLog, StepRecord};
 use crate::generator::{Chart, EffectorImage, Functions, GeneratorError, Images, Outputs, Partners, Sample, digest};
 use crate::sensor::Sensors;
@@ -63,8 +63,8 @@ impl<K: Coordinator<N>, const N: usize> Preparation for First<K, N> {
 pub(crate) struct Desk<'a> {
     /// Time of the last servo cycle.
     pub(crate) now: Instant,
-    /// Whether the motion time of the cell runs slower than the clock.
-    pub(crate) slowed: bool,
+    /// Speed of the motion time of the cell, by which deadlines count.
+    pub(crate) rate: f64,
     /// Whether a member brakes. Its instruction then ends, with the cause if the member failed.
     pub(crate) braking: bool,
     /// The coordinators' journal.
@@ -109,7 +109,9 @@ pub(crate) struct Conduct<'a, K: Coordinator<N>, const N: usize> {
     phase: Opening,
     /// Number of the last orders; 0 before the first.
     step: u64,
-    /// Time of the last orders, or the begin of the motion.
+    /// The wait since the last orders, or since the begin of the motion.
+    wait: Patience,
+    /// Begin of the work of the planner.
     since: Instant,
 }
 
@@ -131,6 +133,7 @@ impl<'a, K: Coordinator<N>, const N: usize> Conduct<'a, K, N> {
             motion: 0,
             phase: Opening::New,
             step: 0,
+            wait: Patience::default(),
             since: Instant::ZERO,
         }
     }
@@ -138,10 +141,13 @@ impl<'a, K: Coordinator<N>, const N: usize> Conduct<'a, K, N> {
     /// Begins the motion: reads the sensors, lets the planner compute the first step, and gives the first orders. Ready
     /// with the first orders.
     pub(crate) fn begin(&mut self, desk: &mut Desk) -> Poll<Result<(), CoordinatorError>> {
+        if self.phase == Opening::New && desk.braking {
+            // After a dropped motion.
+            return Poll::Pending;
+        }
         if self.phase == Opening::New {
             self.motion = desk.journal.motions;
             desk.journal.motions += 1;
-            self.since = desk.now;
             self.sensors.begin();
             self.sensors.initiate(desk.now);
             self.note(desk, StepEvent::Initiate);
@@ -224,12 +230,12 @@ impl<'a, K: Coordinator<N>, const N: usize> Conduct<'a, K, N> {
         if late { Err(CoordinatorError::Unread { step: self.step, waited }) } else { Ok(false) }
     }
 
-    /// Time since the last orders. The wait begins anew while the motion is slowed, and while a member brakes.
+    /// Motion time since the last orders. The wait begins anew while a member brakes.
     fn waited(&mut self, desk: &Desk) -> Duration {
-        if desk.slowed || desk.braking {
-            self.since = desk.now;
+        if desk.braking {
+            self.wait = Patience::default();
         }
-        desk.now.since(self.since)
+        self.wait.until(desk.now, desk.rate)
     }
 
     /// Reads the coordinator's sensors.
@@ -250,7 +256,8 @@ impl<'a, K: Coordinator<N>, const N: usize> Conduct<'a, K, N> {
             }
         }
         self.sensors.initiate(now);
-        self.since = now;
+        self.wait = Patience::default();
+        self.wait.until(now, desk.rate);
         self.note(desk, StepEvent::Exchange);
         let memory = self.chart.as_ref().and_then(|chart| chart.memory.as_ref()).map(digest::of);
         stamp.note(desk.journal, StepEvent::Commit, None, memory);

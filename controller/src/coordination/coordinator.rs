@@ -26,7 +26,7 @@ pub trait Coordinator<const N: usize>: Send + Sync + 'static {
     type Memory: Copy + Debug + Send + 'static;
 
     /// Plans the motion, and gives the orders for the first steps of the members. `macrostep` is the macrostep of the cell,
-    /// which all members keep. The members stand, and the plan may take long.
+    /// which all members keep. The members stand, and the plan has the time limit of a generator's first step.
     fn first_step(&mut self, sensors: &Self::Sensors, macrostep: Duration) -> Result<Orders<Self, N>, GeneratorError>;
 
     /// Whether the motion ends. All members end after step *i*, whose answers are given, and brake if they move.

@@ -2,6 +2,7 @@
 
 use std::any::{Any, TypeId};
 use std::cell::Cell;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use can::Instant;
@@ -15,8 +16,8 @@ const QUEUE: usize = 4;
 /// How a member treats a missing order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinkConfig {
-    /// Whether a step waits for the order of its number. Otherwise a step takes the latest order, if any, and of answers
-    /// that the coordinator does not fetch the oldest and the latest are kept.
+    /// Whether a step waits for the order of its number. Otherwise a step takes the latest order, if any, and the link
+    /// keeps the latest answer only.
     pub blocking: bool,
     /// Longest wait for an order of a blocking link. In motion, the servo stops the team when the present macrostep ends
     /// without a successor: a deadline acts only if it is shorter than the rest of the macrostep after its images are read.
@@ -46,6 +47,22 @@ pub enum LinkError {
     Gone,
     #[error("{QUEUE} orders wait for the robot, which takes them with the steps of its motions")]
     Full,
+}
+
+/// A wait that is measured in motion time, which stands still in a pause.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Patience {
+    last: Option<Instant>,
+    waited: Duration,
+}
+
+impl Patience {
+    /// Motion time of the wait up to `now`, at this rate since the last call. The first call begins the wait.
+    pub(crate) fn until(&mut self, now: Instant, rate: f64) -> Duration {
+        let passed = self.last.replace(now).map_or(Duration::ZERO, |last| now.since(last));
+        self.waited += passed.mul_f64(rate.clamp(0.0, 1.0));
+        self.waited
+    }
 }
 
 /// What happens to one message of a link, in a test of the reaction to a bad wire.
@@ -89,6 +106,14 @@ enum Directive<C> {
     EndMotion,
 }
 
+/// The way of answers.
+enum Answers<Q, R> {
+    /// A queue of all answers, if the link waits.
+    All(Q),
+    /// The latest answer, if the link does not wait.
+    Latest(Arc<Mutex<Option<Numbered<R>>>>),
+}
+
 /// What the next step of a member does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Turn {
@@ -103,19 +128,17 @@ pub(crate) enum Turn {
 /// The coordinator's end of a link.
 pub struct CoordinatorEnd<C, R> {
     orders: rtrb::Producer<Numbered<Directive<C>>>,
-    answers: rtrb::Consumer<Numbered<R>>,
+    answers: Answers<rtrb::Consumer<Numbered<R>>, R>,
     /// Number of the next order of [`send`](Self::send), and of the next answer.
     next_order: u64,
     next_answer: u64,
-    /// Whether each answer must have the next number.
-    gapless: bool,
     disturbed: Option<Disturbed>,
 }
 
 /// The member's end of a link.
 pub struct MemberEnd<C, R> {
     orders: rtrb::Consumer<Numbered<Directive<C>>>,
-    answers: rtrb::Producer<Numbered<R>>,
+    answers: Answers<rtrb::Producer<Numbered<R>>, R>,
     config: LinkConfig,
     /// Number of the next order.
     next: u64,
@@ -127,27 +150,30 @@ pub struct MemberEnd<C, R> {
     next_answer: u64,
     /// Orders below this number are late and dropped.
     held: u64,
-    /// Start of the wait for the order of the present step.
-    wanted: Option<Instant>,
+    /// The wait for the order of the present step.
+    wait: Patience,
     received: Received<C>,
     /// Whether a step has read the order received.
     read: Cell<bool>,
     ended: bool,
-    /// The latest answer, for which a link that does not wait had no room.
-    unsent: Option<Numbered<R>>,
     disturbed: Option<Disturbed>,
 }
 
 /// A new link.
 pub fn link<C: Message, R: Message>(config: LinkConfig) -> (CoordinatorEnd<C, R>, MemberEnd<C, R>) {
     let (order_sender, orders) = rtrb::RingBuffer::new(QUEUE);
-    let (answers, answer_receiver) = rtrb::RingBuffer::new(QUEUE);
+    let (answers, answer_receiver) = if config.blocking {
+        let (sender, receiver) = rtrb::RingBuffer::new(QUEUE);
+        (Answers::All(sender), Answers::All(receiver))
+    } else {
+        let latest = Arc::default();
+        (Answers::Latest(Arc::clone(&latest)), Answers::Latest(latest))
+    };
     let coordinator = CoordinatorEnd {
         orders: order_sender,
         answers: answer_receiver,
         next_order: 0,
         next_answer: 0,
-        gapless: config.blocking,
         disturbed: None,
     };
     let received = Received::None;
@@ -160,11 +186,10 @@ pub fn link<C: Message, R: Message>(config: LinkConfig) -> (CoordinatorEnd<C, R>
         step: 0,
         next_answer: 0,
         held: 0,
-        wanted: None,
+        wait: Patience::default(),
         received,
         read: Cell::new(false),
         ended: false,
-        unsent: None,
         disturbed: None,
     };
     (coordinator, member)
@@ -183,10 +208,14 @@ impl<C: Message, R: Message> CoordinatorEnd<C, R> {
 
     /// The next answer with its number, if it has come.
     pub fn answer(&mut self) -> Result<Option<(u64, Sample<R>)>, LinkError> {
-        let Ok(Numbered { step, at, value }) = self.answers.pop() else {
+        let (answer, gapless) = match &mut self.answers {
+            Answers::All(queue) => (queue.pop().ok(), true),
+            Answers::Latest(latest) => (lock(latest).take(), false),
+        };
+        let Some(Numbered { step, at, value }) = answer else {
             return Ok(None);
         };
-        if step != self.next_answer && (self.gapless || step < self.next_answer) {
+        if step != self.next_answer && (gapless || step < self.next_answer) {
             return Err(LinkError::WrongStep { expected: self.next_answer, received: step });
         }
         self.next_answer = step + 1;
@@ -221,9 +250,9 @@ pub(crate) trait MemberLink: Send {
     /// Age of the present order at `now`.
     fn age(&self, now: Instant) -> Option<Duration>;
 
-    /// What step number `step` of the instruction does at `now`. Takes the order of the step. `slowed`: motion runs slower
-    /// than the clock, and no order is late.
-    fn poll(&mut self, step: u64, now: Instant, slowed: bool) -> Result<Turn, LinkError>;
+    /// What step number `step` of the instruction does at `now`. Takes the order of the step. `rate` is the speed of the
+    /// motion time, by which deadlines count.
+    fn poll(&mut self, step: u64, now: Instant, rate: f64) -> Result<Turn, LinkError>;
 
     /// Answers the present step. Returns false if the answer has another type, or if the queue of a blocking link is
     /// full.
@@ -261,11 +290,11 @@ impl<C: Message, R: Message> MemberEnd<C, R> {
     }
 
     /// Waits for the order of this number.
-    fn wait(&mut self, number: u64, now: Instant) -> Result<Turn, LinkError> {
+    fn wait(&mut self, number: u64, now: Instant, rate: f64) -> Result<Turn, LinkError> {
         if self.orders.is_abandoned() {
             return Err(LinkError::Gone);
         }
-        let waited = now.since(*self.wanted.get_or_insert(now));
+        let waited = self.wait.until(now, rate);
         match self.config.late {
             _ if waited <= self.config.deadline => return Ok(Turn::Waiting),
             Late::Stop => return Err(LinkError::Late { step: number, waited }),
@@ -291,7 +320,7 @@ impl<C: Message, R: Message> MemberLink for MemberEnd<C, R> {
         if self.config.blocking || self.read.get() {
             self.received = Received::None;
         }
-        (self.ended, self.wanted, self.step) = (false, None, 0);
+        (self.ended, self.wait, self.step) = (false, Patience::default(), 0);
         self.base = self.next;
     }
 
@@ -299,24 +328,20 @@ impl<C: Message, R: Message> MemberLink for MemberEnd<C, R> {
         self.received.sample().map(|sample| now.since(sample.at))
     }
 
-    fn poll(&mut self, step: u64, now: Instant, slowed: bool) -> Result<Turn, LinkError> {
+    fn poll(&mut self, step: u64, now: Instant, rate: f64) -> Result<Turn, LinkError> {
         if step != self.step {
-            (self.step, self.wanted) = (step, None);
+            (self.step, self.wait) = (step, Patience::default());
             self.received = self.received.at(now, self.config.blocking || self.read.get());
-        }
-        if slowed {
-            self.wanted = None;
         }
         if self.config.blocking {
             let number = self.base + step;
             while self.next <= number && !self.ended {
                 if !self.take(now)? {
-                    return self.wait(number, now);
+                    return self.wait(number, now, rate);
                 }
             }
         } else {
             while self.take(now)? {}
-            self.unsent = self.unsent.take().filter(|answer| self.answers.push(*answer).is_err());
         }
         Ok(if self.ended { Turn::EndMotion } else { Turn::Ready })
     }
@@ -326,12 +351,20 @@ impl<C: Message, R: Message> MemberLink for MemberEnd<C, R> {
             return false;
         };
         let answer = Numbered { step: self.next_answer, at, value };
-        let sent = push(&mut self.answers, answer, self.disturbed);
-        if !sent && self.config.blocking {
-            return false;
+        match &mut self.answers {
+            Answers::All(queue) => {
+                if !push(queue, answer, self.disturbed) {
+                    return false;
+                }
+            }
+            Answers::Latest(latest) => *lock(latest) = Some(answer),
         }
-        self.unsent = if sent { None } else { Some(answer) };
         self.next_answer += 1;
         true
     }
+}
+
+/// The latest answer. Both ends are used by the same thread, so that neither waits.
+fn lock<R>(latest: &Mutex<Option<Numbered<R>>>) -> MutexGuard<'_, Option<Numbered<R>>> {
+    latest.lock().unwrap_or_else(PoisonError::into_inner)
 }

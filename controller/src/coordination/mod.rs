@@ -22,4 +22,4 @@ mod tests;
 pub(crate) use conduct::{Conduct, CoordinatorJournal, Desk};
 pub use coordinator::{Answers, Coordinator, CoordinatorError, NextOrders, Orders};
 pub use link::{CoordinatorEnd, Disturbance, Late, LinkConfig, LinkError, MemberEnd, link};
-pub(crate) use link::{MemberLink, Turn};
+pub(crate) use link::{MemberLink, Patience, Turn};

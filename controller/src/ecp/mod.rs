@@ -191,7 +191,7 @@ pub struct Ecp {
     journal: Journal,
     /// Servo cycle after which the last barrier was sent.
     barrier_sent: Option<u64>,
-    /// Number of the macrostep that the present fault of the servo ended; 0 before the first macrostep.
+    /// Number of the macrostep that the present fault of the servo ended; `None` if the effector stood.
     fault_macrostep: Option<u64>,
 }
 
@@ -296,14 +296,17 @@ impl Ecp {
     }
 
     /// Phase of the flow chart in the last motion, and number of its macrosteps before the present one; `None` after
-    /// another instruction.
-    pub(crate) fn chart(&self) -> Option<(ChartPhase, u64)> {
-        let before = self.fault_macrostep.map_or(self.executed, |macrostep| macrostep.saturating_sub(1));
-        self.chart.map(|phase| (phase, before.saturating_sub(self.base)))
+    /// another instruction. The number is `None` if a fault ended a macrostep of the motion before.
+    pub(crate) fn chart(&self) -> Option<(ChartPhase, Option<u64>)> {
+        let step = match self.fault_macrostep {
+            Some(macrostep) => macrostep.checked_sub(self.base + 1),
+            None => Some(self.executed.saturating_sub(self.base)),
+        };
+        self.chart.map(|phase| (phase, step))
     }
 
     /// Number of the macrostep that the present fault of the servo ended, counted from the start of the process; `None`
-    /// without a fault or before the first macrostep.
+    /// without a fault or if the effector stood.
     pub(crate) fn fault_macrostep(&self) -> Option<NonZeroU64> {
         self.fault_macrostep.and_then(NonZeroU64::new)
     }
@@ -346,8 +349,10 @@ impl Ecp {
                 self.effector.measured = report.snapshot;
             }
             // A fault belongs to the macrostep in which it occurred, also if later ones were computed before.
-            if report.fault != self.report.and_then(|before| before.fault) {
-                self.fault_macrostep = report.fault.map(|_| macrostep);
+            let before = self.report.unwrap_or_default();
+            if report.fault != before.fault {
+                let moved = before.snapshot.phase == Phase::Moving;
+                self.fault_macrostep = report.fault.filter(|_| moved).map(|_| macrostep);
             }
             self.report = Some(report);
         }
@@ -498,8 +503,8 @@ impl Ecp {
         );
         if !stops {
             let met = match self.partner_stop() {
-                // The generator has ended in motion, as that of the partner, and its effector brakes in any case.
-                Some(_) if matches!(self.activity, Activity::RunningOut) => {
+                // The last macrostep of a generator that ended in motion is executed, and the effector brakes in any case.
+                Some(_) if matches!(self.activity, Activity::RunningOut) && self.outstanding() == 0 => {
                     self.brake(Ok(()));
                     return None;
                 }

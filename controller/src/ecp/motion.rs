@@ -8,11 +8,15 @@ use can::Instant;
 use servo::{Macrostep, Order, Phase, Snapshot};
 
 use super::around::Around;
+use super::partners::Links;
 use super::task::Instruction;
 use super::{Activity, BURST, ChartPhase, Ecp, EcpConfig, EcpError, NotRunning, STILL, StepEvent};
 use crate::coordination::{LinkError, MemberLink, Turn};
 use crate::generator::{Axes, AxesState, Execution, Generator, GeneratorError, Pace, Run, Setpoint, Step};
 use crate::sensor::Sensors;
+
+/// Most bursts of short macrosteps in one poll.
+const MOST_BURSTS: u16 = 10;
 
 /// Bound of the number of macrosteps ahead, if they are shorter than the macrosteps of the cell.
 const SHORT_MACROSTEPS: u64 = 1000;
@@ -173,6 +177,9 @@ impl Ecp {
         };
         let commanded = match first.and_then(|()| run.commit(&mut around)) {
             Ok(Step::Continue(None)) => Ok(()),
+            Ok(Step::Continue(Some(_))) if self.links.team.is_some() => {
+                Err(EcpError::Generator { step: 0, error: GeneratorError::CommandsAtFirst })
+            }
             Ok(Step::Continue(setpoint)) => self.command(setpoint),
             Ok(Step::Ended) => return self.conclude().then_some(Ok(())),
             Err(error) => Err(EcpError::Generator { step: 0, error }),
@@ -200,13 +207,17 @@ impl Ecp {
             } else {
                 self.brake(Err(EcpError::Silent { waited }));
             }
+        } else if !matches!(self.activity, Activity::Running(_)) && self.is_ended_by_task() {
+            self.brake(Ok(()));
         } else if matches!(self.activity, Activity::Arriving) {
             let arrived = phase == Phase::Standing && self.outstanding() == 0;
             return arrived.then_some(Ok(()));
         } else if matches!(self.activity, Activity::RunningOut) {
             self.run_out();
         } else {
-            for _ in 0..BURST {
+            // Short macrosteps are sent for the same time, within a bound of the computing time.
+            let short = (self.config.pace.periods / self.pace.periods).clamp(1, MOST_BURSTS);
+            for _ in 0..BURST * short {
                 if self.step() {
                     return Some(Ok(()));
                 }
@@ -245,7 +256,7 @@ impl Ecp {
         match turn(class, self.links.present(), &self.sensors, self.turn + 1, &latest) {
             Ok(Turn::Ready) => {}
             Ok(Turn::Waiting) => return false,
-            Ok(Turn::EndMotion) => return self.conclude(),
+            Ok(Turn::EndMotion) => return self.end_as_ordered(),
             Err(error) => {
                 self.brake(Err(EcpError::Link { step: self.sent - self.base, error }));
                 return false;
@@ -274,6 +285,25 @@ impl Ecp {
             Err(error) => self.brake(Err(EcpError::Generator { step: self.sent - self.base, error })),
         }
         false
+    }
+
+    /// Ends the motion that the coordinator ends. The coordinator of a team ends all members after the same macrostep. The
+    /// task ends the motion at once, whatever was sent ahead.
+    fn end_as_ordered(&mut self) -> bool {
+        if self.links.team.is_some() {
+            return self.conclude();
+        }
+        self.brake(Ok(()));
+        false
+    }
+
+    /// Whether the task ends a motion whose generator has ended while macrosteps are still executed.
+    fn is_ended_by_task(&mut self) -> bool {
+        let (latest, step) = (self.latest(), self.turn);
+        let Links { team: None, task: Some(link) } = &mut self.links else {
+            return false;
+        };
+        matches!(link.poll(step, latest.at, latest.rate), Ok(Turn::EndMotion))
     }
 
     /// Ends the motion of a generator that has ended. Returns whether the next instruction continues the motion.
@@ -341,5 +371,5 @@ fn turn(
     if class & 2 != 0 && !sensors.are_ready() {
         return Ok(Turn::Waiting);
     }
-    coordinator.map_or(Ok(Turn::Ready), |link| link.poll(step, latest.at, latest.rate < 1.0))
+    coordinator.map_or(Ok(Turn::Ready), |link| link.poll(step, latest.at, latest.rate))
 }

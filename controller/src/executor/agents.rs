@@ -151,11 +151,12 @@ impl Agents {
         mut ask: impl FnMut(&mut Desk) -> Poll<T> + Unpin,
     ) -> T {
         let desk = |board: &mut Board| {
-            let (now, slowed) = (board.time(), board.is_slowed());
+            let now = board.time();
             let (ecps, _, journal) = board.subcontrollers.parts();
+            let rate = ecps[members[0]].latest().rate;
             let braking = members.iter().any(|robot| ecps[*robot].is_braking());
             let (planning, planning_limit) = ecps[members[0]].planning();
-            ask(&mut Desk { now, slowed, braking, journal, planning, planning_limit })
+            ask(&mut Desk { now, rate, braking, journal, planning, planning_limit })
         };
         Leaf::new(self, desk).await
     }

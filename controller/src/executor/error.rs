@@ -13,10 +13,11 @@ use crate::ecp::{ChartPhase, Class, Ecp, EcpError};
 pub struct InstructionError {
     /// Index of the robot in its cell.
     pub robot: usize,
-    /// Number of earlier instructions of this robot in the task, lists included. Instructions dropped after an error do
-    /// not count.
+    /// Index of the instruction among those of this robot in the task, from 0. Each instruction of a list counts.
+    /// Instructions dropped after an error do not count.
     pub instruction: usize,
-    /// Number of macrosteps of the motion before the error; `None` outside a motion.
+    /// Number of macrosteps of the motion before the error; `None` outside a motion, and for a fault in a macrostep of the
+    /// motion before.
     pub step: Option<u64>,
     /// Phase of the flow chart; `None` outside a motion.
     pub phase: Option<ChartPhase>,
@@ -52,7 +53,7 @@ impl InstructionError {
             EcpError::OutOfReach { step, .. } | EcpError::NotFinite { step, .. } => {
                 (Some(step), Some(ChartPhase::Transfer))
             }
-            _ => (chart.map(|(_, step)| step), chart.map(|_| ChartPhase::Transfer)),
+            _ => (chart.and_then(|(_, step)| step), chart.map(|_| ChartPhase::Transfer)),
         };
         let by_servo = matches!(cause, EcpError::Servo(_));
         let macrostep = ecp.fault_macrostep().filter(|_| by_servo);

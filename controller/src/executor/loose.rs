@@ -18,8 +18,8 @@ impl<C: Message, R: Message> LooseLink<C, R> {
         Self { agents, end }
     }
 
-    /// Gives an order. The next step of the agent takes it, unless another order follows before. Fails while orders wait
-    /// that no motion has taken.
+    /// Gives an order. A step of the agent takes the newest order and drops the older ones. Fails with [`LinkError::Full`]
+    /// while four orders wait that no step has taken.
     pub fn order(&mut self, order: C) -> Result<(), LinkError> {
         let now = self.now();
         self.end.order(now, order).then_some(()).ok_or(LinkError::Full)
@@ -31,13 +31,10 @@ impl<C: Message, R: Message> LooseLink<C, R> {
         self.end.end_motion(now).then_some(()).ok_or(LinkError::Full)
     }
 
-    /// The latest answer since the last call, with its age; `None` if no step has answered since.
+    /// The latest answer, with its age; `None` if no step has answered since the last call.
     pub fn answer(&mut self) -> Result<Option<Sample<R>>, LinkError> {
-        let mut latest = None;
-        while let Some((_, sample)) = self.end.answer()? {
-            latest = Some(sample);
-        }
-        Ok(latest.map(|sample| sample.aged(self.now())))
+        let answer = self.end.answer()?;
+        Ok(answer.map(|(_, sample)| sample.aged(self.now())))
     }
 
     fn now(&self) -> Instant {

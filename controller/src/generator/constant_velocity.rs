@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use super::newsmooth::{MAX_MACROSTEPS, whole_macrosteps};
-use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Setpoint};
+use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Pace, Setpoint};
 use crate::robot::Arm;
 
 /// Acceleration, rad/s² or m/s², and change of velocity, rad/s or m/s, that are taken for zero. Images contain rounding
@@ -11,8 +11,8 @@ use crate::robot::Arm;
 const NO_ACCELERATION: f64 = 1e-6;
 const NO_CHANGE: f64 = 1e-9;
 
-/// A motion of the joints at a constant velocity, with jerk-limited acceleration and braking. Class 1, sporadic
-/// feedback.
+/// A motion of the joints at a constant velocity, with jerk-limited acceleration and braking. Class 0, planned
+/// from the effector.
 ///
 /// All joints reach their velocities at the same time. The velocity is then held for the time of
 /// [`lasting`](Self::lasting) or the distance of [`over`](Self::over), and the joints brake to rest together. From rest
@@ -246,6 +246,11 @@ impl Generator for ConstantVelocity {
     type Out = ();
     /// Number of macrosteps done.
     type Memory = u32;
+
+    /// One period: the set-points then keep the limit of jerk.
+    fn pace(&self, _: Pace) -> Pace {
+        Pace::PERIOD
+    }
 
     fn begins_in_motion(&self) -> bool {
         true

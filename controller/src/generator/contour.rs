@@ -22,7 +22,7 @@ const PLANS: u32 = 8;
 const START_DISTANCE: f64 = 1e-6;
 const START_ANGLE: f64 = 1e-5;
 
-/// A motion of the tool along a [`Path`] with a [`Feed`] profile. Class 1, sporadic feedback.
+/// A motion of the tool along a [`Path`] with a [`Feed`] profile. Class 0, planned from the effector.
 ///
 /// The effector must stand at the start of the path, within 1 µm and 10 µrad. A [`StraightLine`](super::StraightLine)
 /// moves the tool there.

@@ -22,7 +22,7 @@ pub struct Sample<T> {
 /// What came from a sensor or from the coordinator since the last step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Received<T> {
-    /// Nothing since the instruction began.
+    /// Nothing in this instruction. A loose link also gives an order of before that no step has read.
     #[default]
     None,
     /// Nothing since the last step. The sample is the last one.

@@ -8,7 +8,7 @@ use servo::MAX_AXES;
 use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Pace, plan::Plan};
 use crate::robot::Space;
 
-/// A jerk-limited, time-synchronised motion through intermediate poses to a final pose. Class 1, sporadic feedback.
+/// A jerk-limited, time-synchronised motion through intermediate poses to a final pose. Class 0, planned from the effector.
 ///
 /// Without intermediate poses the motion is time-optimal. With intermediate poses the motion passes through each pose
 /// without stopping, and its duration is near the optimum. The trajectory is stretched by less than a servo period, so

@@ -77,7 +77,7 @@ impl PlannedStart {
 }
 
 /// A straight line of the tool's origin with the shortest rotation of the tool, both with one jerk-limited profile.
-/// Class 1, sporadic feedback.
+/// Class 0, planned from the effector.
 ///
 /// An arm that stands within the tolerance of a [`PlannedStart`] follows the path from that start. Its joints begin
 /// beside the path by a remainder d, which decreases to d·(1 − s) at the path parameter s. The end is exact. With the

@@ -30,26 +30,26 @@
 //! `examples/own_generator.rs` and `examples/feedback.rs` are generators with their programs.
 //!
 //! # Generators of the library
-//! Positions are in rad, or m for a linear joint, and times in s. A generator with sporadic feedback reads images in
-//! its first step, and one with continuous feedback in every step. The effector is braked before a generator that does
-//! not begin in motion.
+//! Positions are in rad, or m for a linear joint, and times in s. The class is that of the next steps. A planned
+//! generator has class 0: only its first step reads the effector (sporadic feedback). The effector is braked before a
+//! generator that does not begin in motion.
 //!
-//! | generator | motion | set-points | class, feedback | begins in motion | ends in motion |
+//! | generator | motion | set-points | class | begins in motion | ends in motion |
 //! |---|---|---|---|---|---|
 //! | [`Wait`] | hold or sleep for a time | none | 0 | no | no |
-//! | [`Newsmooth`] | synchronised trapezoids through poses | joints or motors | 1, sporadic | no | no |
-//! | [`Polynomial`] | cubic or quintic to a pose | joints or motors | 1, sporadic | no | no |
-//! | [`JerkLimited`] | jerk-limited, to or through poses | joints or motors | 1, sporadic | to one pose | to one pose |
-//! | [`TimeOptimal`] | the fastest along a spline or a B-spline | joints or motors | 1, sporadic | no | no |
-//! | [`ConstantVelocity`] | at a constant velocity for a time or a distance | joints | 1, sporadic | yes | on request |
-//! | [`StraightLine`] | straight line of the tool | joints | 1, sporadic | no | no |
-//! | [`Contour`] | line, arc, polyline with blends or B-spline of the tool | tool | 1, sporadic | no | no |
-//! | [`Jog`] | at the velocities of an operator | joints | 3, continuous | no | no |
-//! | [`OperatorReaction`] | holds until the operator answers | | 2, continuous | no | no |
-//! | [`Transparent`] | as a coordinator orders in every step | of the orders | 5, continuous | no | no |
-//! | [`Selection`] | of one of two generators | of the parts | parts and `e`, continuous | if both do | if one does |
-//! | [`WeightedSum`] | weighted sum of two generators | joints or motors | of the parts | if both do | if both do |
-//! | [`WithImages`] | of a generator, with more images declared | of the part | declared | as the part | as the part |
+//! | [`Newsmooth`] | synchronised trapezoids through poses | joints or motors | 0 | no | no |
+//! | [`Polynomial`] | cubic or quintic to a pose | joints or motors | 0 | no | no |
+//! | [`JerkLimited`] | jerk-limited, to or through poses | joints or motors | 0 | to one pose | to one pose |
+//! | [`TimeOptimal`] | the fastest along a spline or a B-spline | joints or motors | 0 | no | no |
+//! | [`ConstantVelocity`] | at a constant velocity for a time or a distance | joints | 0 | yes | on request |
+//! | [`StraightLine`] | straight line of the tool | joints | 0 | no | no |
+//! | [`Contour`] | line, arc, polyline with blends or B-spline of the tool | tool | 0 | no | no |
+//! | [`Jog`] | at the velocities of an operator | joints | 3 | no | no |
+//! | [`OperatorReaction`] | holds until the operator answers | | 2 | no | no |
+//! | [`Transparent`] | as a coordinator orders in every step | of the orders | 5 | no | no |
+//! | [`Selection`] | motion of one of two generators, selected in every step | of the parts | of the parts and `e` | if both do | if one does |
+//! | [`WeightedSum`] | weighted sum of two generators | joints or motors | of the parts | if both do | if both end in the same step |
+//! | [`WithImages`] | motion of a generator, with more images declared | of the part | as declared | as the part | as the part |
 //!
 //! [`Ecp::image`](crate::ecp::Ecp::image) reads the position of an effector without a generator. An effector with its
 //! drives on holds its position between two motions.
@@ -231,6 +231,12 @@ impl Pace {
 
     /// One period: each set-point of the generator is a set-point of the servo.
     pub const PERIOD: Self = Self { periods: 1, read_at: 1 };
+
+    /// The shorter of two macrosteps.
+    #[must_use]
+    pub const fn shorter(self, other: Self) -> Self {
+        if other.periods < self.periods { other } else { self }
+    }
 }
 
 /// Result of one step, committed as a whole.

@@ -53,7 +53,7 @@ impl SmoothPose {
 }
 
 /// A time-synchronised motion through a list of poses, with trapezoidal velocity profiles. An axis does not stop at a
-/// pose if its direction of travel is the same before and after the pose. Class 1, sporadic feedback.
+/// pose if its direction of travel is the same before and after the pose. Class 0, planned from the effector.
 ///
 /// Every pose is reached exactly, at the end of a macrostep. The slowest axis determines the duration of a segment,
 /// rounded up to whole macrosteps. The profiles of the other axes are stretched to this duration.

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::robot::Space;
 
-/// A straight motion of all axes from rest to rest, by a cubic or a quintic of time. Class 1, sporadic feedback.
+/// A straight motion of all axes from rest to rest, by a cubic or a quintic of time. Class 0, planned from the effector.
 ///
 /// Without [`lasting`](Self::lasting), the duration is the shortest within the limits, rounded up to whole macrosteps. For a distance d, velocity v,
 /// acceleration a and jerk j, the slowest axis determines it:

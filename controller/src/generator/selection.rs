@@ -37,8 +37,8 @@ pub struct SelectionMemory<M, N> {
 /// The function gives the same result for the same memory and images. The selected generator computes the step and
 /// determines the end. The memory of the other generator is kept. The first steps of both generators run when the
 /// selection begins, and the set-point and outputs of the first generator are sent. Both generators have the same
-/// images and outputs; [`WithImages`](super::WithImages) adapts a generator that reads less. The class is odd: the next
-/// steps read the effector to check each change. A selection is a generator, so that selections can be nested.
+/// images and outputs; [`WithImages`](super::WithImages) adapts a generator that reads less. The images of the
+/// next steps include the effector, because each change is checked against the commanded motion. A selection is a generator, so that selections can be nested.
 ///
 /// The motion is continuous if the set-points of each generator continue from `e.commanded`. [`Jog`](super::Jog),
 /// [`Wait`](super::Wait) at rest and generators that integrate a velocity do so. A planned generator does so only if it
@@ -130,9 +130,9 @@ where
     type Out = A::Out;
     type Memory = SelectionMemory<A::Memory, B::Memory>;
 
-    /// The macrostep of the first generator.
+    /// The shorter macrostep of the two generators.
     fn pace(&self, cell: Pace) -> Pace {
-        self.first.pace(cell)
+        self.first.pace(cell).shorter(self.second.pace(cell))
     }
 
     fn begins_in_motion(&self) -> bool {

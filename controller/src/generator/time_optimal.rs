@@ -15,7 +15,7 @@ const THERE: f64 = 1e-9;
 const AT_START: f64 = 1e-6;
 
 /// A time-optimal motion from rest to rest along the natural cubic spline through way-points, or along a given path.
-/// Class 1, sporadic feedback.
+/// Class 0, planned from the effector.
 ///
 /// The first step lays the [`JointPath`] from the commanded position of the effector through the way-points, and
 /// plans its [`PathTiming`] within the limits of velocity and acceleration. The motion is stretched by less than a

@@ -13,8 +13,8 @@ use super::{A, Answer, EffectorImage, Generator, GeneratorError, Next, Received,
 ///
 /// In the answer, `commanded` is the start of the macrostep that the order of the same step commands.
 ///
-/// A step with an order that is not finite, or without a new order, is refused: no set-point is repeated, because it
-/// states a velocity. Both errors are non-fatal. They brake the whole team, and nothing of the refused order is sent.
+/// A step with an order that is not finite, or without a new order, is refused: no set-point is repeated, because a
+/// repeated position would contradict its velocity. Both errors are non-fatal. They brake the whole team, and nothing of the refused order is sent.
 /// The motion ends when the coordinator ends it.
 ///
 /// ```no_run

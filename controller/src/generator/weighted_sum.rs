@@ -179,9 +179,9 @@ where
     type Out = ();
     type Memory = SumMemory<A::Memory, B::Memory>;
 
-    /// The macrostep of the first generator.
+    /// The shorter macrostep of the two generators.
     fn pace(&self, cell: Pace) -> Pace {
-        self.first.pace(cell)
+        self.first.pace(cell).shorter(self.second.pace(cell))
     }
 
     fn macrosteps_ahead(&self, most: u16) -> u16 {

@@ -85,8 +85,11 @@ where
     type Out = G::Out;
     type Memory = G::Memory;
 
+    /// The macrostep of the generator. A planned generator whose combination reads images has the macrostep of the cell,
+    /// because each step must be computed within a macrostep.
     fn pace(&self, cell: Pace) -> Pace {
-        self.generator.pace(cell)
+        let planned = G::Every::CLASS == 0 && I::CLASS > 0;
+        if planned { cell } else { self.generator.pace(cell) }
     }
 
     fn macrosteps_ahead(&self, most: u16) -> u16 {

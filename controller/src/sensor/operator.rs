@@ -34,6 +34,8 @@ struct Desk {
     texts: SyncSender<String>,
     /// Whether a question is open.
     open: bool,
+    /// Whether the last question ended without an answer. A late line must not answer the next question.
+    unanswered: bool,
 }
 
 /// A question to the operator.
@@ -64,7 +66,7 @@ impl OperatorLink {
     pub fn new(capacity: usize) -> (Self, OperatorPanel) {
         let (line_end, lines) = sync_channel(capacity);
         let (texts, text_end) = sync_channel(capacity);
-        let link = Self(Arc::new(Mutex::new(Desk { lines, texts, open: false })));
+        let link = Self(Arc::new(Mutex::new(Desk { lines, texts, open: false, unanswered: false })));
         (link, OperatorPanel { lines: line_end, texts: text_end })
     }
 
@@ -167,6 +169,11 @@ impl Asking {
             Some(since) => since,
             None if desk.open => return Poll::Pending,
             None => {
+                if std::mem::replace(&mut desk.unanswered, false) {
+                    while let Ok(line) = desk.lines.try_recv() {
+                        desk.show(format!("{:?} came too late for the question before", line.trim()));
+                    }
+                }
                 desk.open = true;
                 let choices = if choices.is_empty() { String::new() } else { format!(" [{}]", choices.join("/")) };
                 desk.show(format!("{text}{choices}"));
@@ -189,7 +196,7 @@ impl Asking {
         if let Err(error) = result {
             desk.show(format!("{text}: {error}"));
         }
-        (desk.open, self.since) = (false, None);
+        (desk.open, desk.unanswered, self.since) = (false, result.is_err(), None);
         Poll::Ready(result)
     }
 }
@@ -198,7 +205,7 @@ impl Drop for Asking {
     fn drop(&mut self) {
         if self.since.is_some() {
             let mut desk = self.link.desk();
-            desk.open = false;
+            (desk.open, desk.unanswered) = (false, true);
             desk.show(format!("{}: the question is withdrawn", self.question.text));
         }
     }
@@ -351,6 +358,19 @@ mod tests {
     }
 
     #[test]
+    fn a_line_that_comes_after_its_question_does_not_answer_the_next_one() {
+        let (mut asking, link, panel) = asked();
+        assert_eq!(asking.poll(at(0)), Poll::Pending);
+        assert!(asking.poll(at(101)).is_ready());
+        panel.lines.send("yes".to_owned()).unwrap();
+        let mut next = Asking::new(&link, Question::new("Drives off?", ["yes", "no"]));
+        assert_eq!(next.poll(at(200)), Poll::Pending);
+        panel.lines.send("no".to_owned()).unwrap();
+        assert_eq!(next.poll(at(300)), Poll::Ready(Ok("no".to_owned())));
+        assert!(texts(&panel).contains(&"\"yes\" came too late for the question before".to_owned()));
+    }
+
+    #[test]
     fn lines_before_the_end_of_the_input_are_answers_and_then_the_input_is_closed() {
         let (mut asking, link, panel) = asked();
         panel.lines.send("no".to_owned()).unwrap();
@@ -368,8 +388,9 @@ mod tests {
         assert_eq!(second.poll(at(0)), Poll::Pending);
         assert_eq!(texts(&panel), ["Next motion? [yes/no]"]);
         drop(first);
+        assert_eq!(second.poll(at(1)), Poll::Pending);
         panel.lines.send("a name".to_owned()).unwrap();
-        assert_eq!(second.poll(at(1)), Poll::Ready(Ok("a name".to_owned())));
+        assert_eq!(second.poll(at(2)), Poll::Ready(Ok("a name".to_owned())));
         assert_eq!(texts(&panel), ["Next motion?: the question is withdrawn", "Name?"]);
     }
 

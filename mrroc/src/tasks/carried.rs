@@ -6,7 +6,7 @@ use controller::executor::join_all;
 
 use super::{Cell, Outcome, Program, teach};
 
-/// Tasks that the command carries.
+/// Built-in tasks of `mrroc run`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum CarriedTask {
     /// The programs of the cell file: all robots enable, home, execute their instructions, and disable.

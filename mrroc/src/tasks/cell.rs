@@ -116,8 +116,8 @@ impl Cell {
         self.desk.rehearsing
     }
 
-    /// Ends a rehearsal here, as accepted, and has no effect in a run. For tasks that depend on something that a
-    /// rehearsal has not, such as an operator. The rest of the task is not rehearsed.
+    /// Ends a rehearsal here, as accepted, and has no effect in a run. For tasks that need a partner which a
+    /// rehearsal does not provide, such as an operator. The rest of the task is not rehearsed.
     pub fn end_rehearsal(&self, why: &'static str) -> Outcome {
         if self.desk.rehearsing { Err(TaskError::NotRehearsed { why }) } else { Ok(()) }
     }

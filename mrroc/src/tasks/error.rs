@@ -31,10 +31,10 @@ pub enum TaskError {
     /// An error that stops all robots. A task does not receive such an error.
     #[error("{0}")]
     System(SystemError),
-    /// A robot that the cell has not.
+    /// The cell has no robot of this name.
     #[error("the cell has no robot {name:?}, only {known}")]
     UnknownRobot {
-        /// The name of which the task asked.
+        /// The requested name.
         name: String,
         /// The names of all robots.
         known: String,
@@ -42,13 +42,13 @@ pub enum TaskError {
     /// A digital input that the cell has not.
     #[error("the cell has no digital input {name:?}")]
     UnknownInput {
-        /// The name of which the task asked.
+        /// The requested name.
         name: String,
     },
     /// A digital output that the cell has not.
     #[error("the cell has no digital output {name:?}")]
     UnknownOutput {
-        /// The name of which the task asked.
+        /// The requested name.
         name: String,
     },
     /// A robot that has a handle already.

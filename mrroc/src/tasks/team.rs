@@ -40,8 +40,9 @@ impl<'a, const N: usize> Team<'a, N> {
     }
 
     /// Executes a motion of all members: the functions of the coordinator, and a generator per member
-    /// ([`Members`]: an array, or a tuple of different generators). The motion ends when the terminal condition of the
-    /// coordinator holds and all members stand.
+    /// ([`Members`]: an array, or a tuple of different generators). The motion ends at the terminal condition of the
+    /// coordinator, or when the generators of all members have ended. All members then stand. A member that ends alone is
+    /// an error.
     ///
     /// After an error all members stand or are faulted. If the returned future is dropped, all members brake.
     pub async fn execute<K, G>(&mut self, coordinator: K, generators: G) -> Outcome

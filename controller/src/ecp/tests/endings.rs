@@ -57,3 +57,29 @@ fn a_stop_while_the_end_of_a_motion_is_braked_drops_the_rest() {
     assert_eq!(events, failed(EcpError::Stopped));
     assert_eq!(bench.servo.moves().count(), 50);
 }
+
+#[test]
+fn the_task_ends_a_motion_at_once_although_all_macrosteps_are_sent() {
+    use crate::coordination::{Late, LinkConfig, link};
+    let mut bench = Bench::ready();
+    let config = LinkConfig { blocking: false, deadline: Duration::ZERO, late: Late::Hold };
+    let (mut task, member) = link::<(), ()>(config);
+    bench.ecp.follow_task(Box::new(member));
+    // The effector first moves away and then, after the end, elsewhere.
+    bench.ecp.execute(Task::new().run(to(0.5, 0.0, 0.0)).run(to(0.4, 0.0, 0.0))).unwrap();
+    let mut stood = None;
+    let mut cycles = 0;
+    let events = bench.go_on(|bench| {
+        cycles += 1;
+        if cycles == 60 {
+            assert!(task.end_motion(bench.now));
+        }
+        if bench.ecp.status().instruction == Some(1) {
+            stood.get_or_insert(bench.servo.report.snapshot.commanded[0]);
+        }
+    });
+    assert_eq!(events, finished(2));
+    let stood = stood.unwrap();
+    assert!(stood > 0.0 && stood < 40.0, "{stood}");
+    assert_eq!(bench.servo.report.snapshot.commanded[0], 40.0);
+}

@@ -60,11 +60,36 @@ fn a_fault_keeps_the_number_of_its_macrostep_whatever_was_computed_after_it() {
         });
         assert_eq!(events, failed(EcpError::Servo(fault)));
         assert!(bench.ecp.sent > 10, "{}", bench.ecp.sent);
-        assert_eq!(bench.ecp.chart(), Some((ChartPhase::NextStep, 9)), "period {period}");
+        assert_eq!(bench.ecp.chart(), Some((ChartPhase::NextStep, Some(9))), "period {period}");
         assert_eq!(bench.ecp.fault_macrostep().map(u64::from), Some(10), "period {period}");
         assert_eq!(bench.run(Task::new().reset_fault()), finished(1));
         assert_eq!(bench.ecp.fault_macrostep(), None);
     }
+}
+
+#[test]
+fn a_fault_in_a_macrostep_of_the_motion_before_has_no_step_in_the_next_one_and_a_fault_at_rest_no_macrostep() {
+    let fault = ServoFault { axis: Some(1), cause: StopCause::FollowingError { error: 2.0, limit: 1.5 } };
+    let mut bench = Bench::ready();
+    let through = JerkLimited::new(Space::Joint, 3, limits(), &[axis_0(0.3)]).unwrap().ending_at(axis_0(0.3)).unwrap();
+    let back = JerkLimited::new(Space::Joint, 3, limits(), &[axis_0(0.0)]).unwrap();
+    bench.ecp.execute(Task::new().run(through).run(back)).unwrap();
+    let mut failed_at = 0;
+    let events = bench.go_on(|bench| {
+        if bench.ecp.status().instruction == Some(1) && failed_at == 0 {
+            failed_at = bench.servo.report.snapshot.macrostep;
+            bench.servo.fault = Some(fault);
+        }
+    });
+    assert_eq!(events, [ended(0, Ok(())), ended(1, Err(EcpError::Servo(fault)))]);
+    assert!(failed_at > 0 && failed_at <= bench.ecp.base, "{failed_at} of {}", bench.ecp.base);
+    assert_eq!(bench.ecp.chart().unwrap().1, None);
+    assert_eq!(bench.ecp.fault_macrostep().map(u64::from), Some(failed_at));
+    assert_eq!(bench.run(Task::new().reset_fault().enable().run(to(0.5, 0.0, 0.0))), finished(3));
+    bench.ecp.execute(Task::new().run(Wait { duration: Duration::from_secs(1) })).unwrap();
+    bench.servo.fault = Some(fault);
+    assert_eq!(bench.go_on(|_| {}), failed(EcpError::Servo(fault)));
+    assert_eq!(bench.ecp.fault_macrostep(), None);
 }
 
 #[test]

@@ -247,3 +247,16 @@ fn members_whose_generators_end_in_motion_brake_without_an_error_whichever_stop_
         assert_eq!((cell.phases(), cell.team_macrosteps()[0]), ([Phase::Standing; 2], cell.team_macrosteps()[1]));
     }
 }
+
+#[test]
+fn a_fault_of_the_partner_is_an_error_of_a_member_whose_last_macrosteps_are_cut_off() {
+    let mut cell = Cell::standing();
+    let passing = JerkLimited::new(Space::Joint, 3, limits(), &[axis_0(0.3)]).unwrap().ending_at(axis_0(0.3)).unwrap();
+    let longer = JerkLimited::new(Space::Joint, 3, limits(), &[axis_0(2.0)]).unwrap();
+    cell.execute([Task::new().tie(BOTH).run(passing).run(to(1.0, 0.0, 0.0)), Task::new().tie(BOTH).run(longer)]);
+    cell.until(|cell| matches!(cell.ecps[0].activity, Activity::RunningOut));
+    assert!(cell.ecps[0].outstanding() > 1);
+    *cell.faults[1].lock().unwrap() = Some(FAULT);
+    cell.until(|cell| cell.ecps.iter().all(|ecp| ecp.status().instruction.is_none()));
+    assert_eq!(cell.outcomes[0], [Ok(()), stopped_by(1)]);
+}

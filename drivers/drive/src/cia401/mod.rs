@@ -15,7 +15,7 @@
 //!   heartbeat. A faulted node has no levels ([`InputImage::input`] returns `None`), and its outputs are commanded to
 //!   their error state. The axes of the bus do not stop by themselves.
 //! - **A fault is latched** until [`IoLink::reset_fault`] or the next bring-up. A reset configures and starts the node
-//!   as bring-up does, while the axes go on. The outputs then have their error values until the next command.
+//!   as bring-up does, while the axes go on. The outputs then have the levels of the error state until the next command.
 //! - **Faults of the bus** are faults of every I/O node as well: bus-off, an error of the port, another controller, and
 //!   a heartbeat of the host that the port did not take.
 //! - **An EMCY** of the node is a warning of the group and [`InputImage::error`]. The node goes on.

@@ -129,15 +129,20 @@ impl IoNode {
         let first = InputImage::not_started(self.node, self.inputs);
         self.image = InputImage { at: now, heard, received, levels, fault: None, ..first };
         self.publisher.publish(&self.image.words());
-        self.operate();
+        self.operate(self.error_value);
     }
 
-    /// Starts the commands and the watch.
-    fn operate(&mut self) {
+    /// Starts the commands and the watch, with these levels of the outputs.
+    fn operate(&mut self, levels: u64) {
         // Commands that were given during bring-up or a fault do not take effect.
-        self.commanded.set_all(self.error_value);
+        self.commanded.set_all(levels);
         (self.since, self.operational) = (None, true);
         (self.offered, self.repeating, self.not_sent) = (None, false, 0);
+    }
+
+    /// Levels of the outputs in the error state of the node, after the levels sent last.
+    fn error_levels(&self, last: Option<u64>) -> u64 {
+        last.map_or(self.error_value, |last| self.error_value & self.error_mode | last & !self.error_mode)
     }
 
     /// Whether the node is being reset after a fault.
@@ -172,8 +177,9 @@ impl IoNode {
             Recovery::Starting { started, .. } => match self.has_inputs(now.since(started)) {
                 Ok(known) if known && bring_up.operational() => {
                     self.recovery = Recovery::None;
+                    let levels = self.error_levels(self.image.sent.map(|sent| sent.levels));
                     (self.image.fault, self.image.error, self.image.sent) = (None, None, None);
-                    self.operate();
+                    self.operate(levels);
                 }
                 known => advanced = advanced.and(known.map(|_| ())),
             },
@@ -270,7 +276,7 @@ impl IoNode {
         let levels = match self.image.fault {
             None => self.commanded.levels(),
             // The error state of the node itself. A node that was sent no command stays as it is.
-            Some(_) => self.error_value & self.error_mode | last? & !self.error_mode,
+            Some(_) => self.error_levels(Some(last?)),
         } & mask;
         let due = self.repeating || last != Some(levels);
         self.offered = (self.outputs > 0 && due).then_some(levels);

@@ -274,6 +274,39 @@ impl Generator for Refusing {
     }
 }
 
+/// Commands in its first step already.
+struct Hasty;
+
+impl Generator for Hasty {
+    type First = EffectorImage;
+    type Every = A<Height>;
+    type Out = Answer<()>;
+    type Memory = ();
+
+    fn first_step(&mut self, e: &EffectorImage, _: Duration) -> Result<Next<(), Answer<()>>, GeneratorError> {
+        Ok(Next::command(Setpoint::Joints(e.commanded.joints), ()).with(Answer(())))
+    }
+    fn terminal(&self, (): &(), _: &A<Height>) -> bool {
+        false
+    }
+    fn next_step(&self, (): &(), _: &A<Height>) -> Result<Next<(), Answer<()>>, GeneratorError> {
+        Ok(Next::remember(()).with(Answer(())))
+    }
+}
+
+#[test]
+fn a_member_that_commands_in_its_first_step_is_refused_and_nothing_moves() {
+    accepted(async |cell: &mut Cell| {
+        let [mut left, mut right] = bent(cell).await?;
+        let before = left.image()?.commanded.joints.position;
+        let failed = cell.team([&mut left, &mut right]).execute(Rise::sound(), (follow(), Hasty)).await.unwrap_err();
+        let error = GeneratorError::CommandsAtFirst;
+        assert_eq!(failed.instruction().expect("of a member").cause, EcpError::Generator { step: 0, error });
+        assert_eq!(left.image()?.commanded.joints.position, before);
+        Ok(())
+    });
+}
+
 #[test]
 fn the_task_receives_the_cause_of_the_member_that_failed() {
     accepted(async |cell: &mut Cell| {

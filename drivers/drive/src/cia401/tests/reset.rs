@@ -63,6 +63,20 @@ fn a_reset_configures_and_starts_a_node_that_booted_while_the_axes_go_on() {
 }
 
 #[test]
+fn a_reset_keeps_the_outputs_that_keep_their_levels_in_an_error() {
+    let mut bench = up();
+    bench.links[0].outputs.set_all(0b0110);
+    (0..3).for_each(|_| _ = cycle(&mut bench, &["185#0302"]));
+    assert_eq!(image(&bench).sent.unwrap().levels, 0b0110);
+    cycle(&mut bench, &["185#0202", "705#00"]);
+    bench.links[0].reset_fault();
+    until(&mut bench, |image| image.fault.is_none());
+    cycle(&mut bench, &["185#0302"]);
+    // Output 2 keeps its level, and the others take their error values.
+    assert_eq!(image(&bench).sent.unwrap().levels, 0b0101);
+}
+
+#[test]
 fn a_recovered_node_is_watched_again() {
     let mut bench = booted();
     bench.links[0].reset_fault();
