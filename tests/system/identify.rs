@@ -290,6 +290,13 @@ fn a_measurement_that_is_stopped_ends_with_status_1_and_brakes() {
     let words = words.iter().map(AsRef::as_ref);
     let run = Running::start(words.chain([out.as_os_str(), cell.as_os_str()]));
     run.wait_for(&out.join("bode.csv"), |_| true);
+    const SIGQUIT: u32 = 3;
+    // A signal before its handler ends the program, which has then moved nothing.
+    let status = format!("/proc/{}/status", run.id());
+    run.wait_for(status.as_ref(), |status| {
+        let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+        caught.is_some_and(|caught| u64::from_str_radix(caught.trim(), 16).unwrap() & (1 << (SIGQUIT - 1)) != 0)
+    });
     run.signal("QUIT");
     let run = run.output();
     assert_eq!(run.status.code(), Some(1), "{run:?}");
