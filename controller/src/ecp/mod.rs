@@ -189,6 +189,8 @@ pub struct Ecp {
     /// Number of the present step of the generator, 0 for the first step.
     turn: u64,
     journal: Journal,
+    /// Whether the coordinator of the team has ended the present motion.
+    ended_by_team: bool,
     /// Servo cycle after which the last barrier was sent.
     barrier_sent: Option<u64>,
     /// Number of the macrostep that the present fault of the servo ended; `None` if the effector stood.
@@ -226,6 +228,7 @@ impl Ecp {
             links: Links::default(),
             turn: 0,
             journal: Journal::default(),
+            ended_by_team: false,
             barrier_sent: None,
             fault_macrostep: None,
         }
@@ -503,8 +506,12 @@ impl Ecp {
         );
         if !stops {
             let met = match self.partner_stop() {
-                // The last macrostep of a generator that ended in motion is executed, and the effector brakes in any case.
-                Some(_) if matches!(self.activity, Activity::RunningOut) && self.outstanding() == 0 => {
+                // The effector brakes in any case: the coordinator has ended the motion of the team, or the last macrostep of a
+                // generator that ended in motion is executed.
+                Some(_)
+                    if matches!(self.activity, Activity::RunningOut)
+                        && (self.ended_by_team || self.outstanding() == 0) =>
+                {
                     self.brake(Ok(()));
                     return None;
                 }

@@ -62,7 +62,7 @@ impl Ecp {
         }
         self.base = self.sent;
         self.chart = Some(ChartPhase::FirstStep);
-        self.replacement = None;
+        (self.replacement, self.ended_by_team) = (None, false);
         let left = self.pace.periods.saturating_sub(self.pace.read_at);
         self.margin = self.config.period * u32::from(left);
         self.pace = match run.pace(self.config.pace) {
@@ -70,7 +70,7 @@ impl Ecp {
             Err(error) => return self.fail(EcpError::Generator { step: 0, error }),
         };
         let (cell, Pace { periods, .. }) = (self.config.pace.periods, self.pace);
-        if self.links.team.is_some() && periods != cell {
+        if self.links.team.is_some() && self.pace != self.config.pace {
             return self.fail(EcpError::Generator { step: 0, error: GeneratorError::PaceInTeam { cell, periods } });
         }
         let description = run.description();
@@ -177,7 +177,7 @@ impl Ecp {
         };
         let commanded = match first.and_then(|()| run.commit(&mut around)) {
             Ok(Step::Continue(None)) => Ok(()),
-            Ok(Step::Continue(Some(_))) if self.links.team.is_some() => {
+            Ok(Step::Continue(Some(_))) if self.links.team.is_some() && !self.in_motion => {
                 Err(EcpError::Generator { step: 0, error: GeneratorError::CommandsAtFirst })
             }
             Ok(Step::Continue(setpoint)) => self.command(setpoint),
@@ -207,7 +207,11 @@ impl Ecp {
             } else {
                 self.brake(Err(EcpError::Silent { waited }));
             }
-        } else if !matches!(self.activity, Activity::Running(_)) && self.is_ended_by_task() {
+        } else if !matches!(self.activity, Activity::Running(_))
+            && self.outstanding() > 0
+            && !self.is_at_barrier()
+            && self.is_ended_by_task()
+        {
             self.brake(Ok(()));
         } else if matches!(self.activity, Activity::Arriving) {
             let arrived = phase == Phase::Standing && self.outstanding() == 0;
@@ -290,7 +294,9 @@ impl Ecp {
     /// Ends the motion that the coordinator ends. The coordinator of a team ends all members after the same macrostep. The
     /// task ends the motion at once, whatever was sent ahead.
     fn end_as_ordered(&mut self) -> bool {
-        if self.links.team.is_some() {
+        self.ended_by_team = self.links.team.is_some();
+        // A stop would drop the barrier.
+        if self.ended_by_team || self.is_at_barrier() {
             return self.conclude();
         }
         self.brake(Ok(()));

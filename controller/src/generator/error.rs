@@ -111,7 +111,9 @@ pub enum GeneratorError {
     #[error("the step panicked")]
     Panicked,
     /// A motion in a team keeps the macrostep of the cell, and this generator chooses another.
-    #[error("a member of a team keeps the cell's macrostep of {cell} periods: the generator chooses {periods}")]
+    #[error(
+        "a member of a team keeps the cell's macrostep of {cell} periods and its reading: the generator chooses {periods}"
+    )]
     PaceInTeam { cell: u16, periods: u16 },
     /// The macrosteps of all members of a team are of the same steps of the coordinator, from step 1.
     #[error("the first step of a member of a team commands nothing: command in the next step")]
