@@ -101,8 +101,8 @@ pub enum SensorRefused {
 
 /// The virtual sensors of one agent, at most one per type of readings.
 ///
-/// The agent calls [`begin`](Self::begin) for an instruction, and then for each step: [`initiate`](Self::initiate),
-/// [`poll`](Self::poll) in every turn, [`are_ready`](Self::are_ready) before the step and [`reading`](Self::reading) in
+/// The agent calls `begin` for an instruction, and then for each step: `initiate`,
+/// `poll` in every turn, `are_ready` before the step and `reading` in
 /// the step. `now` is the time of the last servo cycle.
 #[derive(Default)]
 pub struct Sensors(Vec<Box<dyn Installed>>);
