@@ -98,6 +98,7 @@ pub(crate) fn servo<const AXES: usize>(
         max_position: 1e4,
         max_velocity,
         max_acceleration,
+        planned_jerk: 5.0 * max_acceleration,
         following_error: 10.0,
         homing_order: 1,
         increments_per_radian: 1000.0,
