@@ -62,7 +62,7 @@ pub(crate) fn shorten(cell: &mut Cell) {
     // The emulators use the same, only processor.
     cell.realtime.wait = Wait::Plain;
     for bus in &mut cell.bus {
-        bus.tolerated_missing = 50;
+        bus.tolerated_missing = 150;
         bus.heartbeat_ms = 1000;
         bus.boot_timeout_ms = 10_000;
     }
