@@ -12,8 +12,8 @@ use crate::sensor::try_lock;
 /// The operator's end of an [`OperatorLink`]. A dropped queue of lines is a closed input.
 #[derive(Debug)]
 pub struct OperatorPanel {
-    /// Queue of the operator's lines. A step that takes a line wakes a thread that waits in `send`, by a system call.
-    /// A thread that uses `try_send` costs the step nothing.
+    /// Queue of the operator's lines. A thread that waits for room in `send` is woken by a system call of a step. A thread
+    /// that uses `try_send` needs no such call.
     pub lines: SyncSender<String>,
     /// Questions and messages for the operator, one line each.
     pub texts: OperatorTexts,
@@ -52,7 +52,7 @@ pub(super) enum Text {
     TooLate(String),
     Withdrawn(Arc<Question>),
     Unanswered(Arc<Question>, OperatorError),
-    /// A line that nobody needs any more, and no text. The panel frees the memory of the line.
+    /// No text, but the line of an earlier answer. The panel frees the memory of the line.
     Spent(String),
 }
 
