@@ -1,4 +1,4 @@
-//! Nothing allocates while a generator runs. Planning allocates only for contours, time-optimal motions and
+//! Nothing allocates while a generator runs, and no sensor of the operator in its steps. Planning allocates only for contours, time-optimal motions and
 //! jerk-limited motions through poses.
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -19,18 +19,21 @@ use mrroc_controller::robot::{
     Arm, Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Mass, Polycrank,
     PolycrankParameters, Rnt, RntParameters, Robot, Space, Weight,
 };
-use mrroc_controller::sensor::{Shell, VirtualSensor};
+use mrroc_controller::sensor::{
+    Operator, OperatorCommand, OperatorError, OperatorLink, Question, Reaction, Shell, VirtualSensor,
+};
 use servo::{EffectorLink, Order, Phase, ServoReport};
 
-/// The system's allocator, with a count of the allocations of each thread.
+/// The system's allocator, with counts of the allocations and releases of each thread.
 struct Counting;
 
 thread_local! {
     static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+    static RELEASES: Cell<u64> = const { Cell::new(0) };
 }
 
 #[expect(unsafe_code, reason = "an allocator cannot be written otherwise")]
-// SAFETY: every call is passed on to the system's allocator unchanged; the counter is a plain cell that needs no
+// SAFETY: every call is passed on to the system's allocator unchanged; the counters are plain cells that need no
 // allocation and no destructor.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
@@ -39,6 +42,7 @@ unsafe impl GlobalAlloc for Counting {
         unsafe { System.alloc(layout) }
     }
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        RELEASES.set(RELEASES.get() + 1);
         // SAFETY: the caller keeps the contract of `dealloc`.
         unsafe { System.dealloc(pointer, layout) }
     }
@@ -200,6 +204,49 @@ fn no_generator_allocates_once_it_was_made() {
     let path = Path::keeping(curve, start.rotation).unwrap();
     let contour = Contour::along(arm(), path, feed_limits, limits);
     assert_eq!(allocations(contour).1, 0, "contour");
+}
+
+#[test]
+fn no_question_of_a_step_uses_the_heap() {
+    let limit = Duration::from_secs(1);
+    let (link, panel) = OperatorLink::new(8);
+    let question = Question::new("Next motion?", ["yes", "no"]).within(limit);
+    let (mut sensor, answer) = Operator::new(&link, question);
+    let mut now = Instant::ZERO;
+    // Answers, a passed deadline with a late line, and a question that is asked in place of one under way.
+    for (lines, reaction) in [
+        (["perhaps", "YES"].as_slice(), Some(Reaction::Answered(0))),
+        (&["no"], Some(Reaction::Answered(1))),
+        (&["perhaps"], Some(Reaction::Late)),
+        (&["no", "yes"], Some(Reaction::Answered(0))),
+        (&[], None),
+        (&[], Some(Reaction::Late)),
+    ] {
+        lines.iter().for_each(|line| panel.lines.try_send((*line).to_owned()).unwrap());
+        let before = (ALLOCATIONS.get(), RELEASES.get());
+        sensor.configure(&OperatorCommand::Ask);
+        let mut reading = None;
+        for _ in 0..if reaction.is_some() { 3 } else { 1 } {
+            now += limit;
+            reading = sensor.poll(now);
+            sensor.configure(&OperatorCommand::Wait);
+        }
+        assert_eq!((ALLOCATIONS.get(), RELEASES.get()), before, "{lines:?}");
+        assert_eq!(reading.map(|(_, reading)| reading), reaction, "{lines:?}");
+        let answered = answer.get();
+        match reaction {
+            Some(Reaction::Answered(choice)) => {
+                assert_eq!(answered, Some(Ok(["yes", "no"][usize::from(choice)].to_owned())));
+            }
+            Some(Reaction::Late) => assert_eq!(answered, Some(Err(OperatorError::Late { limit }))),
+            _ => assert_eq!(answered, None),
+        }
+        // The panel frees the lines, and formats the texts.
+        assert!(panel.texts.try_iter().count() > 0);
+    }
+    drop(panel.lines);
+    sensor.configure(&OperatorCommand::Ask);
+    assert_eq!(sensor.poll(now), Some((now, Reaction::Closed)));
 }
 
 #[test]
