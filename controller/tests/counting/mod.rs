@@ -1,4 +1,6 @@
-//! The system's allocator, with a count of the allocations of each thread.
+//! The system's allocator, with counts of the allocations and releases of each thread.
+
+#![allow(dead_code, reason = "each test takes what it needs")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -7,6 +9,7 @@ struct Counting;
 
 thread_local! {
     static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+    static RELEASES: Cell<u64> = const { Cell::new(0) };
 }
 
 /// Allocations of this thread until now.
@@ -14,8 +17,13 @@ pub(crate) fn allocations() -> u64 {
     ALLOCATIONS.get()
 }
 
+/// Releases of memory by this thread until now.
+pub(crate) fn releases() -> u64 {
+    RELEASES.get()
+}
+
 #[expect(unsafe_code, reason = "an allocator cannot be written otherwise")]
-// SAFETY: every call is passed on to the system's allocator unchanged; the counter is a plain cell that needs no
+// SAFETY: every call is passed on to the system's allocator unchanged; the counters are plain cells that need no
 // allocation and no destructor.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
@@ -24,6 +32,7 @@ unsafe impl GlobalAlloc for Counting {
         unsafe { System.alloc(layout) }
     }
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        RELEASES.set(RELEASES.get() + 1);
         // SAFETY: the caller keeps the contract of `dealloc`.
         unsafe { System.dealloc(pointer, layout) }
     }
