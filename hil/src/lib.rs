@@ -5,7 +5,8 @@
 //! bytes with true byte times. A [`World`] contains all buses and lines of a cell. A [plant] is the physics behind a
 //! device. Four devices are attached to a bus: the axis controller [`Epos4`], the input and output module
 //! [`DigitalIo`], the sensor [`CanForceSensor`], and the adapter [`SlcanDevice`]. The adapter connects a host without a
-//! CAN card to a bus. The sensor at a line is [`SerialForceSensor`]. Read [`Device`] and [`World`] first.
+//! CAN card to a bus. The sensors at a line are [`SerialForceSensor`] and [`UltrasonicMatrix`]. Read [`Device`] and
+//! [`World`] first.
 
 mod amplifier;
 pub mod axis_controller;
@@ -23,6 +24,7 @@ pub mod plant;
 pub mod pty;
 pub mod qemu;
 mod slcan;
+pub mod ultrasonic;
 pub mod uml;
 mod world;
 
@@ -42,4 +44,5 @@ pub use plant::{
 };
 pub use pty::{Pty, PtyError};
 pub use slcan::{SlcanCounts, SlcanDevice};
+pub use ultrasonic::{EchoProbe, UltrasonicConfig, UltrasonicError, UltrasonicMatrix};
 pub use world::{BusId, DeviceId, LineId, World};
