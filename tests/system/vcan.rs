@@ -333,7 +333,8 @@ fn drives_that_vanish_in_motion_are_a_fault() {
     on_stage("vcan::drives_that_vanish_in_motion_are_a_fault", |stage| {
         let (emulators, controller) = stage.start_moving();
         emulators.signal("KILL");
-        faulted(&controller.output(), &["no answer for 51 cycles", "no heartbeat"]);
+        let silence = format!("no answer for {} cycles", stage.cell.bus[0].tolerated_missing + 1);
+        faulted(&controller.output(), &[&silence, "no heartbeat"]);
     });
 }
 
