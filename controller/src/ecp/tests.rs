@@ -7,7 +7,7 @@ mod images;
 mod links;
 mod pace;
 mod planning;
-mod teams;
+pub(crate) mod teams;
 mod weight;
 
 use std::collections::VecDeque;

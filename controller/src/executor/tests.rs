@@ -1,8 +1,5 @@
 //! Ends, replacements and drops of motions by a task, on the real servo with ideal drives, against a model.
 
-#[path = "../../tests/ideal/mod.rs"]
-mod ideal;
-
 use std::cell::{Cell, RefCell};
 use std::future::poll_fn;
 use std::pin::{Pin, pin};
@@ -10,12 +7,12 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 
-use ideal::{PERIOD, Sent};
 use servo::{Servo, SpeedOverride};
 
 use super::*;
 use crate::coordination::LinkError;
 use crate::ecp::tests::Gantry;
+use crate::ecp::tests::teams::ideal::{self, PERIOD, Sent};
 use crate::ecp::{EcpConfig, EcpError, Meetings, Plan, Planner, ReplaceRefused, Subcontrollers, Task};
 use crate::generator::{
     AxesState, EffectorImage, Generator, GeneratorError, Images, JerkLimited, MotionLimits, Newsmooth, Next, Pace,
@@ -361,7 +358,7 @@ async fn random_task(mut stage: Stage, seed: u64, slow: bool, counts: Rc<RefCell
         // Between two motions.
         for _ in 0..random.next() % 3 * 10 {
             wait(&agents, 1).await;
-            if random.next() % 64 == 0 && link.end_motion().is_ok() {
+            if random.next().is_multiple_of(64) && link.end_motion().is_ok() {
                 // A dropped motion that still brakes ends anyway.
                 told_next |= !stage.busy.get();
             }

@@ -107,7 +107,8 @@ impl Generator for Seeing {
 
 #[test]
 fn an_end_while_a_motion_ends_anyway_does_not_end_the_next_one() {
-    let ends: [(&str, fn(&Ecp) -> bool); 3] = [
+    type Reached = fn(&Ecp) -> bool;
+    let ends: [(&str, Reached); 3] = [
         ("braking", |ecp| matches!(ecp.activity, Activity::Stopping { .. })),
         ("arriving", |ecp| matches!(ecp.activity, Activity::Arriving)),
         ("arriving, nothing outstanding", |ecp| matches!(ecp.activity, Activity::Arriving) && ecp.outstanding() == 0),

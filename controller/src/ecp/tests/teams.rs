@@ -1,7 +1,7 @@
 //! Processes that meet and that move as a team, on the real servo with ideal drives.
 
 #[path = "../../../tests/ideal/mod.rs"]
-mod ideal;
+pub(crate) mod ideal;
 
 use drive::{DriveGroup, Fault};
 use ideal::{FirstFault, Ideal, Sent};
