@@ -419,6 +419,38 @@ fn a_member_of_a_team_is_not_replaced_and_its_coordinator_ends_it() {
 }
 
 #[test]
+fn a_sensor_without_a_reading_does_not_hide_the_end_by_the_coordinator() {
+    /// A member of a team that waits for a reading.
+    struct Watch;
+    impl Generator for Watch {
+        type First = ();
+        type Every = (V<Height>, A<()>);
+        type Out = Answer<()>;
+        type Memory = ();
+
+        fn first_step(&mut self, (): &(), _: Duration) -> Result<Next<(), Answer<()>>, GeneratorError> {
+            Ok(Next::remember(()).with(Answer(())))
+        }
+        fn terminal(&self, (): &(), _: &Self::Every) -> bool {
+            false
+        }
+        fn next_step(&self, (): &(), _: &Self::Every) -> Result<Next<(), Answer<()>>, GeneratorError> {
+            Err(GeneratorError::User(1))
+        }
+    }
+    let mut bench = Bench::ready();
+    bench.ecp.sensors().install(Blind, Shell::Interactive, 1).unwrap();
+    let deadline = Duration::from_secs(1);
+    let (mut coordinator, member) = link::<(), ()>(LinkConfig { blocking: true, deadline, late: Late::Stop });
+    bench.ecp.follow_team(Some(Box::new(member)));
+    assert!(coordinator.order(bench.now, ()));
+    bench.ecp.execute(Task::new().run(Watch)).unwrap();
+    let (events, settled) = ended_at(&mut bench, &mut coordinator, 100);
+    assert_eq!(events, finished(1));
+    assert!(settled <= SETTLED, "{settled}");
+}
+
+#[test]
 fn a_sensor_that_the_generator_does_not_declare_holds_up_no_step() {
     /// Reads a prompt sensor in every step.
     struct Sees;
