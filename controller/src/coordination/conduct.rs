@@ -10,7 +10,7 @@ use can::Instant;
 use super::{Coordinator, CoordinatorEnd, CoordinatorError, Patience};
 use crate::ecp::{Planning, Preparation, StepEvent, StepLog, StepRecord};
 use crate::generator::{Chart, EffectorImage, Functions, GeneratorError, Images, Outputs, Partners, Sample, digest};
-use crate::sensor::Sensors;
+use crate::sensor::{Prompt, Sensors};
 
 /// Orders to all members, and a command to a sensor.
 type Results<K, const N: usize> = ([<K as Coordinator<N>>::Order; N], <K as Coordinator<N>>::Out);
@@ -220,9 +220,9 @@ impl<'a, K: Coordinator<N>, const N: usize> Conduct<'a, K, N> {
         Ok(true)
     }
 
-    /// Whether all sensors that a step waits for are read. Fails if a reading is too late.
+    /// Whether all declared sensors that a step waits for are read. Fails if a reading is too late.
     fn are_read(&mut self, desk: &Desk) -> Result<bool, CoordinatorError> {
-        if K::Sensors::CLASS == 0 || self.sensors.are_ready() {
+        if K::Sensors::require(&Prompt(self.sensors)).is_ok() {
             return Ok(true);
         }
         let waited = self.waited(desk);

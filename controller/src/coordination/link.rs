@@ -43,10 +43,12 @@ pub enum LinkError {
     Late { step: u64, waited: Duration },
     #[error("a message of step {received} came in place of that of step {expected}")]
     WrongStep { expected: u64, received: u64 },
-    #[error("the coordinator is gone")]
+    #[error("the other end of the link is gone")]
     Gone,
-    #[error("{QUEUE} orders wait for the robot, which takes them with the steps of its motions")]
+    #[error("{QUEUE} messages wait for the robot, which takes them in its motions")]
     Full,
+    #[error("the robot moves in a team, whose coordinator ends the motion")]
+    InTeam,
 }
 
 /// A wait that is measured in motion time, which stands still in a pause.
@@ -222,6 +224,11 @@ impl<C: Message, R: Message> CoordinatorEnd<C, R> {
         Ok(Some((step, Sample { at, age: Duration::ZERO, value })))
     }
 
+    /// Whether the member has another link or is gone.
+    pub(crate) fn is_abandoned(&self) -> bool {
+        self.orders.is_abandoned()
+    }
+
     fn send(&mut self, at: Instant, value: Directive<C>) -> bool {
         let message = Numbered { step: self.next_order, at, value };
         let sent = push(&mut self.orders, message, self.disturbed);
@@ -247,11 +254,21 @@ pub(crate) trait MemberLink: Send {
     /// order that no step has read. The first step takes the order that the instruction before has not taken.
     fn begin(&mut self);
 
+    /// Takes all messages of a link that does not wait, between two steps. The steps of a blocking link take the messages
+    /// of their numbers.
+    fn receive(&mut self, now: Instant);
+
+    /// Whether a message that was taken since [`begin`](Self::begin) ends the motion.
+    fn is_ended(&self) -> bool;
+
+    /// Whether a message that was not taken yet ends a motion.
+    fn holds_end(&mut self) -> bool;
+
     /// Age of the present order at `now`.
     fn age(&self, now: Instant) -> Option<Duration>;
 
     /// What step number `step` of the instruction does at `now`. Takes the order of the step. `rate` is the speed of the
-    /// motion time, by which deadlines count.
+    /// motion time, by which deadlines count. A step may be polled any number of times.
     fn poll(&mut self, step: u64, now: Instant, rate: f64) -> Result<Turn, LinkError>;
 
     /// Answers the present step. Returns false if the answer has another type, or if the queue of a blocking link is
@@ -324,15 +341,34 @@ impl<C: Message, R: Message> MemberLink for MemberEnd<C, R> {
         self.base = self.next;
     }
 
+    fn receive(&mut self, now: Instant) {
+        // A message of another step is an error of the next step.
+        while !self.config.blocking && matches!(self.take(now), Ok(true)) {}
+    }
+
+    fn is_ended(&self) -> bool {
+        self.ended
+    }
+
+    fn holds_end(&mut self) -> bool {
+        let waiting = self.orders.slots();
+        let Ok(messages) = self.orders.read_chunk(waiting) else {
+            return false;
+        };
+        let (first, second) = messages.as_slices();
+        first.iter().chain(second).any(|message| matches!(message.value, Directive::EndMotion))
+    }
+
     fn age(&self, now: Instant) -> Option<Duration> {
         self.received.sample().map(|sample| now.since(sample.at))
     }
 
     fn poll(&mut self, step: u64, now: Instant, rate: f64) -> Result<Turn, LinkError> {
-        if step != self.step {
+        let next = step != self.step;
+        if next {
             (self.step, self.wait) = (step, Patience::default());
-            self.received = self.received.at(now, self.config.blocking || self.read.get());
         }
+        self.received = self.received.at(now, next && (self.config.blocking || self.read.get()));
         if self.config.blocking {
             let number = self.base + step;
             while self.next <= number && !self.ended {

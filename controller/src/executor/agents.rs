@@ -12,7 +12,7 @@ use servo::Phase;
 
 use super::{InstructionError, LooseLink, NotedError, SystemError};
 use crate::coordination::{Desk, Late, LinkConfig, MemberLink, link};
-use crate::ecp::{Class, Ecp, EcpError, EcpEvent, NotRunning, Status, Subcontrollers, Task};
+use crate::ecp::{Class, Ecp, EcpError, EcpEvent, ReplaceRefused, Status, Subcontrollers, Task};
 use crate::generator::{EffectorImage, Generator, GeneratorError, Message, SensorReading};
 use crate::sensor::{SensorRefused, Shell, VirtualSensor};
 
@@ -62,7 +62,8 @@ pub enum News {
     Ended {
         /// Index of the robot.
         robot: usize,
-        /// Whether the instruction was the first motion of its list, and the robot was homed.
+        /// Whether the instruction was a motion whose generator commanded the effector. A replaced motion continues as
+        /// its replacement, and does not count.
         moved: bool,
     },
     /// A [held](Ecp::is_held) process waits with a motion or a meeting. A release within the call takes effect at once.
@@ -94,8 +95,6 @@ struct Use {
     fresh: bool,
     /// Number of instructions before the present list.
     ended: usize,
-    /// Index of the first motion in the present list.
-    motion: Option<usize>,
     /// Whether the effector was faulted in the last poll.
     faulted: bool,
 }
@@ -130,6 +129,11 @@ impl Agents {
     /// Time of the last servo cycle; zero before the first.
     pub(super) fn now(&self) -> Instant {
         self.0.borrow().time()
+    }
+
+    /// Whether a robot is a member of a team under a coordinator.
+    pub(super) fn is_in_team(&self, robot: usize) -> bool {
+        self.0.borrow().subcontrollers.ecps()[robot].is_in_team()
     }
 
     /// Waits for this time of the servo's cycles.
@@ -219,7 +223,7 @@ impl Agents {
             polled = true;
             loop {
                 while let Some(event) = ecp.poll(now) {
-                    let moved = using.ends_first_motion(event);
+                    let moved = ecp.has_commanded() && !event.replaced;
                     let error = using.note(robot, ecp, event, noted);
                     let error = error.filter(|error| error.class() == Class::System);
                     of_system = of_system.or(error.map(SystemError::Instruction));
@@ -314,12 +318,13 @@ impl Agent {
     }
 
     /// A new link from the task to this agent: loose coordination. Steps take the latest order that is there,
-    /// and wait for none. In a motion of a team the link rests. An earlier link to the task ends.
+    /// and wait for none. In a motion of a team the link rests: orders wait, and an end is refused. An earlier link to the
+    /// task ends.
     pub fn coordinated<C: Message, R: Message>(&mut self) -> LooseLink<C, R> {
         let config = LinkConfig { blocking: false, deadline: Duration::ZERO, late: Late::Hold };
         let (coordinator, member) = link(config);
         self.agents.0.borrow_mut().at(self.robot).0.follow_task(Box::new(member));
-        LooseLink::new(self.agents.clone(), coordinator)
+        LooseLink::new(self.agents.clone(), self.robot, coordinator)
     }
 
     /// Connects the agent to the coordinator of its team, or ends the connection.
@@ -344,7 +349,7 @@ impl Agent {
 
 impl Replacer {
     /// Replaces the generator of the present motion. See [`Ecp::replace`].
-    pub fn replace(&self, generator: impl Generator) -> Result<(), NotRunning> {
+    pub fn replace(&self, generator: impl Generator) -> Result<(), ReplaceRefused> {
         let mut board = self.agents.0.borrow_mut();
         let (ecp, using) = board.at(self.robot);
         ecp.replace(generator)?;
@@ -383,6 +388,7 @@ impl Board {
     fn begin(&mut self, robot: usize, task: &mut Option<Task>) {
         let (ecp, using) = self.at(robot);
         if !matches!(using.progress, Progress::None) || is_busy(ecp) {
+            ecp.await_list();
             return;
         }
         let Some(task) = task.take() else {
@@ -392,7 +398,6 @@ impl Board {
             using.progress = Progress::Ended(Ok(()));
             return;
         }
-        using.motion = task.first_motion();
         ecp.execute(task).expect("a free process takes a list");
         (using.progress, using.fresh) = (Progress::Running, true);
     }
@@ -404,7 +409,9 @@ impl Board {
             return Poll::Pending;
         };
         uses[robot].progress = Progress::None;
-        keep(noted, &subcontrollers.ecps()[robot], result, true);
+        let ecp = &mut subcontrollers.parts().0[robot];
+        ecp.close_list();
+        keep(noted, ecp, result, true);
         Poll::Ready(result)
     }
 
@@ -420,9 +427,10 @@ impl Board {
             }
             Progress::Ended(result) => {
                 using.progress = Progress::None;
+                ecp.close_list();
                 keep(noted, ecp, result, false);
             }
-            Progress::None | Progress::Dropped => {}
+            Progress::None | Progress::Dropped => ecp.forget_awaited(),
         }
     }
 
@@ -432,18 +440,6 @@ impl Board {
 }
 
 impl Use {
-    /// Whether an instruction ended the first motion of the list, of a homed effector. A replaced motion continues as
-    /// its replacement.
-    fn ends_first_motion(&mut self, event: EcpEvent) -> bool {
-        if self.motion != Some(event.instruction) {
-            return false;
-        }
-        if event.replaced {
-            self.motion = Some(event.instruction + 1);
-        }
-        !event.replaced && event.outcome != Err(EcpError::NotHomed)
-    }
-
     /// Notes the end of an instruction, and returns its error. The error of a dropped list is kept in `noted`.
     fn note(
         &mut self,

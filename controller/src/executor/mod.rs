@@ -17,6 +17,8 @@ mod error;
 mod join;
 mod loose;
 mod team;
+#[cfg(test)]
+mod tests;
 mod turns;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};

@@ -89,6 +89,9 @@ pub enum Step {
 /// The runner calls [`initiate`](Self::initiate), [`plan`](Self::plan) and [`commit`](Self::commit) once, and then
 /// [`next_step`](Self::next_step) until the instruction ends.
 pub trait Execution {
+    /// Refuses partners that cannot provide the images of the first step, or else those of every next step.
+    fn require(&self, first: bool, partners: &dyn Partners) -> Result<(), GeneratorError>;
+
     /// Reads the images of the first step. Refuses a generator that declares images which its agent has not.
     fn initiate(&mut self, partners: &dyn Partners) -> Result<(), GeneratorError>;
 
@@ -172,6 +175,10 @@ impl<G: Generator> Run<G> {
 }
 
 impl<G: Generator> Execution for Run<G> {
+    fn require(&self, first: bool, partners: &dyn Partners) -> Result<(), GeneratorError> {
+        if first { G::First::require(partners) } else { G::Every::require(partners) }
+    }
+
     fn initiate(&mut self, partners: &dyn Partners) -> Result<(), GeneratorError> {
         self.first = Some(G::First::fetch(partners)?);
         G::Every::require(partners)

@@ -36,7 +36,7 @@ use std::time::Duration;
 use can::Instant;
 use thiserror::Error;
 
-use crate::generator::{Message, Received, Sample, SensorReading};
+use crate::generator::{EffectorImage, GeneratorError, Message, Partners, Received, Sample, SensorReading};
 
 pub use digital::DigitalInputs;
 pub use jog::{JogCommand, JogHandle, JogPanel, JogReading};
@@ -104,7 +104,7 @@ pub enum SensorRefused {
 /// The virtual sensors of one agent, at most one per type of readings.
 ///
 /// The agent calls `begin` for an instruction, and then for each step: `initiate`,
-/// `poll` in every turn, `are_ready` before the step and `reading` in
+/// `poll` in every turn, `is_ready` for each declared reading before the step, and `reading` in
 /// the step. `now` is the time of the last servo cycle.
 #[derive(Default)]
 pub struct Sensors(Vec<Box<dyn Installed>>);
@@ -175,9 +175,9 @@ impl Sensors {
         self.0.iter_mut().for_each(|sensor| sensor.poll(now));
     }
 
-    /// Whether the next step need not wait.
-    pub(crate) fn are_ready(&self) -> bool {
-        self.0.iter().all(|sensor| sensor.is_ready())
+    /// Whether the next step need not wait for readings of this type. A step does not wait for a sensor that is missing.
+    pub(crate) fn is_ready(&self, reading: TypeId) -> bool {
+        self.0.iter().all(|sensor| sensor.reading_type() != reading || sensor.is_ready())
     }
 
     /// Whether a sensor has readings of this type.
@@ -194,6 +194,24 @@ impl Sensors {
     /// Passes a command to the sensor that takes it. Returns whether there is one.
     pub(crate) fn configure(&mut self, command: &dyn Any) -> bool {
         self.0.iter_mut().any(|sensor| sensor.configure(command))
+    }
+}
+
+/// Partners that give the readings for which a step need not wait. A step waits as long as these partners lack an image
+/// that the step declares ([`Images::require`](crate::generator::Images::require)).
+pub(crate) struct Prompt<'a>(pub(crate) &'a Sensors);
+
+impl Partners for Prompt<'_> {
+    fn effector(&self) -> Result<EffectorImage, GeneratorError> {
+        Err(GeneratorError::NoEffector)
+    }
+
+    fn gives_readings(&self, reading: TypeId) -> bool {
+        self.0.is_ready(reading)
+    }
+
+    fn gives_orders(&self, _: TypeId) -> bool {
+        true
     }
 }
 

@@ -1,7 +1,7 @@
 //! Errors of tasks.
 
 use controller::coordination::{CoordinatorError, LinkError};
-use controller::ecp::{Class, NotRunning};
+use controller::ecp::{Class, ReplaceRefused};
 use controller::executor::{InstructionError, SystemError};
 use controller::generator::GeneratorError;
 use controller::path::PathError;
@@ -154,8 +154,8 @@ impl From<LinkError> for TaskError {
     }
 }
 
-impl From<NotRunning> for TaskError {
-    fn from(error: NotRunning) -> Self {
+impl From<ReplaceRefused> for TaskError {
+    fn from(error: ReplaceRefused) -> Self {
         Self::Refused(error.into())
     }
 }
