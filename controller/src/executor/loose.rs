@@ -1,4 +1,4 @@
-//! Loose coordination: the task gives decisions to one effector when it wants.
+//! Loose coordination: the task gives orders to one effector at any time.
 
 use can::Instant;
 
@@ -18,8 +18,8 @@ impl<C: Message, R: Message> LooseLink<C, R> {
         Self { agents, end }
     }
 
-    /// Gives an order. A step of the agent takes the newest order and drops the older ones. Fails with [`LinkError::Full`]
-    /// while four orders wait that no step has taken.
+    /// Gives an order. A step of the agent takes the newest order and drops older orders. Fails with [`LinkError::Full`] if
+    /// no step has taken the last four orders.
     pub fn order(&mut self, order: C) -> Result<(), LinkError> {
         let now = self.now();
         self.end.order(now, order).then_some(()).ok_or(LinkError::Full)

@@ -1,8 +1,8 @@
 //! The operator: questions, answers, and the operator's reaction as a virtual sensor.
 //!
-//! An [`OperatorLink`] connects tasks with an [`OperatorPanel`]. The link waits for nothing: threads of the panel read
-//! lines and show texts. Each line is the answer to the question that is open, or to the next one. One question is open
-//! at a time, and others wait for their turn.
+//! An [`OperatorLink`] connects tasks with an [`OperatorPanel`]. The link never waits: threads of the panel read lines
+//! and show texts. Each line is the answer to the open question, or to the next question. One question is open at a time,
+//! and other questions wait.
 
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -15,7 +15,7 @@ use thiserror::Error;
 use super::VirtualSensor;
 use crate::generator::SensorReading;
 
-/// The operator's end of an [`OperatorLink`]. A dropped queue of lines is a closed input.
+/// The operator's end of an [`OperatorLink`]. Dropping `lines` closes the input.
 #[derive(Debug)]
 pub struct OperatorPanel {
     /// Queue of the operator's lines.
@@ -62,7 +62,7 @@ pub enum OperatorError {
 }
 
 impl OperatorLink {
-    /// A link with room for this number of lines, and of texts. A text that does not fit is not shown.
+    /// A link with room for `capacity` lines and `capacity` texts. A text that does not fit is not shown.
     pub fn new(capacity: usize) -> (Self, OperatorPanel) {
         let (line_end, lines) = sync_channel(capacity);
         let (texts, text_end) = sync_channel(capacity);
@@ -70,7 +70,7 @@ impl OperatorLink {
         (link, OperatorPanel { lines: line_end, texts: text_end })
     }
 
-    /// A link to an operator who gives this answer, once, and sees nothing: for rehearsals.
+    /// A link for rehearsals, without an operator: gives `answer` once, and shows no texts.
     pub fn rehearsed(answer: &str) -> Self {
         let (link, panel) = Self::new(1);
         // The queue has room for one line.
@@ -96,7 +96,7 @@ impl Desk {
 }
 
 impl Question {
-    /// A question with a choice of answers. Upper and lower case are the same.
+    /// A question with a choice of answers. Upper and lower case are not distinguished.
     pub fn new(text: impl Into<String>, choices: impl IntoIterator<Item = impl Into<String>>) -> Self {
         let choices = choices.into_iter().map(Into::into).collect();
         Self { text: text.into(), choices, rehearsed: None, deadline: None }
@@ -135,7 +135,7 @@ impl Question {
         self.rehearsed.as_deref()
     }
 
-    /// The answer of a line: a choice as it is written in the question, or the line.
+    /// The answer in a line: the choice as written in the question, or the line itself if the question has no choices.
     pub fn answer_of(&self, line: &str) -> Option<String> {
         let line = line.trim();
         if self.choices.is_empty() {
@@ -160,7 +160,7 @@ impl Asking {
         Self { link: link.clone(), question, since: None }
     }
 
-    /// Shows the question once no other question is open, and takes the lines that are there. A line that is no answer
+    /// Shows the question once no other question is open, and takes the lines received so far. A line that is not an answer
     /// is refused with a message.
     pub fn poll(&mut self, now: Instant) -> Poll<Result<String, OperatorError>> {
         let mut desk = self.link.desk();
@@ -227,7 +227,7 @@ impl SensorReading for Reaction {}
 /// Command of a generator to an [`Operator`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OperatorCommand {
-    /// Ask the question, in place of one that is under way.
+    /// Ask the question. A question under way is withdrawn.
     Ask,
     /// Wait for the answer.
     Wait,
@@ -296,7 +296,7 @@ impl VirtualSensor for Operator {
 }
 
 impl OperatorAnswer {
-    /// The answer to the last question that was asked; `None` before it.
+    /// The answer to the last question asked; `None` before the answer.
     pub fn get(&self) -> Option<Result<String, OperatorError>> {
         lock(&self.0).answered.as_ref().map(|(_, result)| result.clone())
     }
