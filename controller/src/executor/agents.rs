@@ -34,7 +34,7 @@ pub struct Agent {
     robot: usize,
 }
 
-/// Replaces motions of one effector while its [`Agent`] awaits them.
+/// Replaces motions of one effector while its [`Agent`] awaits the motion.
 #[derive(Clone)]
 pub struct Replacer {
     agents: Agents,
@@ -55,20 +55,20 @@ impl Observer {
     }
 }
 
-/// News of the process of a robot. `robot` is the index of the robot in its cell.
+/// News of the effector control process of a robot.
 #[derive(Clone, Copy, Debug)]
 pub enum News {
     /// An instruction ended.
     Ended {
-        /// Index of the robot.
+        /// Index of the robot in its cell.
         robot: usize,
         /// Whether the instruction was a motion whose generator commanded the effector. A replaced motion continues as
         /// its replacement, and does not count.
         moved: bool,
     },
-    /// A [held](Ecp::is_held) process waits with a motion or a meeting. A release within the call takes effect at once.
+    /// A [held](Ecp::is_held) process waits with a motion or a meeting. A release within the callback takes effect at once.
     Held {
-        /// Index of the robot.
+        /// Index of the robot in its cell.
         robot: usize,
     },
 }
@@ -136,7 +136,7 @@ impl Agents {
         self.0.borrow().subcontrollers.ecps()[robot].is_in_team()
     }
 
-    /// Waits for this time of the servo's cycles.
+    /// Waits for a duration, by the time of the servo cycles.
     pub async fn sleep(&self, duration: Duration) {
         let mut began = None;
         let slept = Leaf::new(self, |board: &mut Board| {
@@ -148,7 +148,7 @@ impl Agents {
         slept.await;
     }
 
-    /// Asks in every turn of the task, with the desk of the coordinator of these robots.
+    /// Calls `ask` in every turn of the task, with the desk of the coordinator of these robots.
     pub(super) async fn at_desk<T, const N: usize>(
         &self,
         members: [usize; N],
@@ -165,12 +165,13 @@ impl Agents {
         Leaf::new(self, desk).await
     }
 
-    /// Asks in every turn of the task, with the time of the last servo cycle and whether motion is slowed.
+    /// Calls `ask` in every turn of the task until the result is ready. The arguments are the time of the last servo cycle,
+    /// and whether motion time runs slower than the clock.
     pub async fn until<T>(&self, mut ask: impl FnMut(Instant, bool) -> Poll<T> + Unpin) -> T {
         Leaf::new(self, |board: &mut Board| ask(board.time(), board.is_slowed())).await
     }
 
-    /// Waits until all effectors stand whose instructions were dropped.
+    /// Waits until all effectors with dropped instructions stand.
     pub(super) async fn rest(&self) {
         let resting = |board: &mut Board| {
             let braking = board.uses.iter().any(|using| matches!(using.progress, Progress::Dropped));
@@ -297,7 +298,7 @@ impl Agent {
         self.observer().image()
     }
 
-    /// A handle that reads the image while this one is in use.
+    /// A handle that reads the image while this agent is in use.
     pub fn observer(&self) -> Observer {
         Observer { agents: self.agents.clone(), robot: self.robot }
     }
@@ -317,9 +318,8 @@ impl Agent {
         self.agents.0.borrow_mut().at(self.robot).0.sensors().remove::<R>()
     }
 
-    /// A new link from the task to this agent: loose coordination. Steps take the latest order that is there,
-    /// and wait for none. In a motion of a team the link rests: orders wait, and an end is refused. An earlier link to the
-    /// task ends.
+    /// A new link from the task to this agent: loose coordination. Steps take the latest order and do not wait. In a
+    /// motion of a team, orders wait, and an end is refused. An earlier link to the task ends.
     pub fn coordinated<C: Message, R: Message>(&mut self) -> LooseLink<C, R> {
         let config = LinkConfig { blocking: false, deadline: Duration::ZERO, late: Late::Hold };
         let (coordinator, member) = link(config);
@@ -341,7 +341,7 @@ impl Agent {
         self.agents.0.borrow().subcontrollers.ecps()[self.robot].cell_macrostep()
     }
 
-    /// A handle that replaces motions while this one awaits them.
+    /// A handle that replaces motions while this agent awaits them.
     pub fn replacer(&self) -> Replacer {
         Replacer { agents: self.agents.clone(), robot: self.robot }
     }
@@ -480,8 +480,8 @@ fn is_faulted(ecp: &Ecp) -> bool {
     ecp.status().phase == Phase::Faulted
 }
 
-/// A future of this module: asks the shared state in each turn of the task. `ask` is pending in the first turn of an
-/// instruction, so a loop over instructions passes time.
+/// A future of this module: `ask` reads the shared state in each turn of the task. `ask` is pending in the first turn of
+/// an instruction: each instruction takes at least one turn, also in a loop.
 struct Leaf<'a, F> {
     agents: &'a Agents,
     ask: F,

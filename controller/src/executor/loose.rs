@@ -1,4 +1,4 @@
-//! Loose coordination: the task gives decisions to one effector when it wants.
+//! Loose coordination: the task gives orders to one effector at any time.
 
 use can::Instant;
 
