@@ -3,7 +3,7 @@
 //! A [`Device`] is a node of a bus. The [virtual bus](bus) carries frames between devices and the host with true
 //! arbitration and bit times. A [`LineDevice`] is the device at the end of a [serial line](mod@line), which carries
 //! bytes with true byte times. A [`World`] contains all buses and lines of a cell. A [plant] is the physics behind a
-//! device. Three devices are attached to a bus: the axis controller [`Epos4`], the input and output module
+//! device. A [scene] contains the bodies and surfaces that robots meet. Three devices are attached to a bus: the axis controller [`Epos4`], the input and output module
 //! [`DigitalIo`], and the adapter [`SlcanDevice`]. The adapter connects a host without a CAN card to a bus. Read [`Device`] and [`World`] first.
 
 mod amplifier;
@@ -20,6 +20,7 @@ mod outbox;
 pub mod plant;
 pub mod pty;
 pub mod qemu;
+pub mod scene;
 mod slcan;
 pub mod uml;
 mod world;
@@ -35,5 +36,6 @@ pub use plant::{
     AngleProbe, AxisConfig, Demand, Feedback, Irp6Axis, Mechanism, MechanismConfig, Mount, PlantAxis, PlantConfig, Trip,
 };
 pub use pty::{Pty, PtyError};
+pub use scene::{Scene, WrenchProbe};
 pub use slcan::{SlcanCounts, SlcanDevice};
 pub use world::{BusId, DeviceId, LineId, World};

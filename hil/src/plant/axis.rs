@@ -194,23 +194,39 @@ impl PlantAxis {
     /// In each sub-step the drive reads encoder and current and computes its output, and the plant integrates under
     /// that output. The outer loops run at every tenth sub-step since power-on, independent of the start of a call.
     pub fn advance(&mut self, dt_steps: u32, demand: Demand) {
+        self.begin(demand);
+        for sub_step in 0..dt_steps {
+            self.sub_step(sub_step, demand);
+        }
+        self.end(dt_steps);
+    }
+
+    /// Sets the demand of the sub-steps that follow.
+    pub(crate) fn begin(&mut self, demand: Demand) {
         if demand == Demand::Off {
             self.amplifier.release();
             self.trip = self.trip.filter(|trip| *trip != Trip::OverCurrent);
         } else if self.trip.is_none() {
             self.amplifier.command(&demand);
         }
-        for sub_step in 0..dt_steps {
-            let counts = self.encoder.counts();
-            self.amplifier.observe(counts);
-            let on = demand != Demand::Off && self.trip.is_none();
-            if self.phase == 0 && on {
-                self.amplifier.regulate(&demand, sub_step, counts);
-            }
-            self.phase = (self.phase + 1) % OUTER;
-            self.integrate(on);
-            self.encoder.read(self.plant.angle(), &mut self.noise);
+    }
+
+    /// One sub-step under `demand`; `number` counts the sub-steps since [`PlantAxis::begin`].
+    #[inline]
+    pub(crate) fn sub_step(&mut self, number: u32, demand: Demand) {
+        let counts = self.encoder.counts();
+        self.amplifier.observe(counts);
+        let on = demand != Demand::Off && self.trip.is_none();
+        if self.phase == 0 && on {
+            self.amplifier.regulate(&demand, number, counts);
         }
+        self.phase = (self.phase + 1) % OUTER;
+        self.integrate(on);
+        self.encoder.read(self.plant.angle(), &mut self.noise);
+    }
+
+    /// Reads the switches after `dt_steps` sub-steps, and shows the shaft to others.
+    pub(crate) fn end(&mut self, dt_steps: u32) {
         let angle = self.plant.angle();
         if let (Plant::Wut(_), Some(mount)) = (&self.plant, &self.mount) {
             mount.load(angle);
@@ -223,8 +239,15 @@ impl PlantAxis {
         }
     }
 
+    /// Whether the axis belongs to a mechanism in a scene, with which it advances in single sub-steps.
+    pub(crate) fn in_scene(&self) -> bool {
+        self.mount.as_ref().is_some_and(Mount::in_scene)
+    }
+
     fn integrate(&mut self, on: bool) {
         let brake = if on { 0.0 } else { self.brake };
+        let mount = self.mount.as_ref().filter(|mount| mount.in_scene());
+        let outer = mount.map_or(0.0, |mount| mount.shaft().torque());
         match &mut self.plant {
             Plant::Wut(wut) => {
                 let current = if on { self.amplifier.settle(wut) } else { 0.0 };
@@ -236,7 +259,7 @@ impl PlantAxis {
             }
             Plant::Physical(motor) => {
                 let voltage = on.then(|| self.amplifier.voltage(motor.current));
-                motor.step(voltage, brake);
+                motor.step(voltage, brake, outer);
                 self.trip = if motor.thermal.tripped {
                     Some(Trip::OverTemperature)
                 } else if self.amplifier.overloaded(motor.current) {
@@ -248,6 +271,13 @@ impl PlantAxis {
                     self.amplifier.release();
                 }
             }
+        }
+        if let Some(mount) = mount {
+            let (angle, velocity) = match &self.plant {
+                Plant::Wut(wut) => (wut.angle, wut.velocity),
+                Plant::Physical(motor) => (motor.angle, motor.velocity),
+            };
+            mount.shaft().set(angle, velocity);
         }
     }
 
@@ -275,6 +305,16 @@ impl PlantAxis {
     /// Returns the index latch and arms it again.
     pub fn take_index(&mut self) -> Option<i32> {
         self.encoder.latched.take()
+    }
+
+    /// The index latch, without arming it again.
+    pub(crate) fn index(&self) -> Option<i32> {
+        self.encoder.latched
+    }
+
+    /// Sets the index latch.
+    pub(crate) fn set_index(&mut self, index: Option<i32>) {
+        self.encoder.latched = index;
     }
 
     /// A probe that follows the motor shaft. A clone of the axis moves the same probe.

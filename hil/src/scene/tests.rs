@@ -1,0 +1,4 @@
+//! Momentum and energy of bodies, and forces that robots feel.
+
+mod bodies;
+mod robots;
