@@ -4,7 +4,8 @@
 //! one scene. "Scene" is the usual word for the set of bodies around robots; "world" is the name of the emulated side of
 //! a cell as a whole.
 //!
-//! * Walls are surfaces that stand: half-spaces and boxes ([`WallConfig`]). A belt may run on a wall.
+//! * Walls are surfaces that stand: half-spaces and boxes ([`WallConfig`]). A belt may run on a wall, also driven by a
+//!   motor of the cell.
 //! * Bodies are boxes and bars that move freely ([`BodyConfig`]). Their corners touch walls and faces of other bodies.
 //! * Robots are [`Mechanism`]s. Their tools have tips, which are spheres ([`TipConfig`]). Forces on tips and in grippers
 //!   act on the motors by the transpose of the Jacobian. Tips have no mass of their own.
@@ -28,7 +29,8 @@
 //! contact: 2e-4 of the energy of the impact at 1e5 N/m and 5 kg. Friction in the gears takes more.
 //!
 //! Left out: contacts of edges with edges and of tips with tips; bending of links and tools; material that a tool cuts.
-//! A torque or force that no motor can yield to has no effect.
+//! Joints are rigid except for the rotation of their motors: a force in a direction in which no motor moves the tool does
+//! not move the robot. A drive with the regression model of a motor feels no force.
 //!
 //! # Rigid-body libraries
 //!
@@ -54,7 +56,7 @@ use std::time::Duration;
 use can::Instant;
 use nalgebra::{Isometry3, Vector3};
 
-use crate::Mechanism;
+use crate::{AngleProbe, Mechanism};
 use arm::Arm;
 use body::{Body, CORNERS};
 pub use body::{BodyConfig, BodyState};
@@ -142,6 +144,22 @@ struct Wall {
     surface: Surface,
     motion: Motion,
     moving: Moving,
+    belt: Option<Belt>,
+}
+
+/// The drive of a belt.
+struct Belt {
+    shaft: AngleProbe,
+    /// Angle of the shaft at the last step, rad.
+    angle: f64,
+    /// Way of the belt per angle, in the frame of the wall, m/rad.
+    way: Vector3<f64>,
+}
+
+impl Drop for Belt {
+    fn drop(&mut self) {
+        self.shaft.set_in_scene(false);
+    }
 }
 
 /// What a sphere touches, by its number.
@@ -220,6 +238,7 @@ impl Scene {
             surface: Surface { shape: config.shape, material: config.material, belt: Vector3::zeros() },
             motion: Motion::standing(origin, axes),
             moving: Moving { origin, axes, velocity: Vector3::zeros(), spin: Vector3::zeros() },
+            belt: None,
         });
         for body in 0..self.bodies.len() {
             self.corners.push(CornersOn::new(body, Ground::Wall(wall)));
@@ -231,7 +250,19 @@ impl Scene {
     /// Sets the velocity, m/s, of a belt on a wall of this scene, in the axes of the world.
     pub fn set_belt(&mut self, wall: WallId, velocity: [f64; 3]) {
         let wall = &mut self.walls[wall.0];
+        wall.belt = None;
         wall.surface.belt = wall.moving.axes.tr_mul(&Vector3::from(velocity));
+    }
+
+    /// Lets a motor drive the belt on a wall of this scene by `way`, m/rad, in the axes of the world. The drive of the
+    /// motor is on the wires of the world of this scene. Friction on the belt does not load the motor.
+    pub fn drive_belt(&mut self, wall: WallId, shaft: AngleProbe, way: [f64; 3]) {
+        let wall = &mut self.walls[wall.0];
+        // The end of the last drive of this belt takes its own shaft out of the scene.
+        wall.belt = None;
+        shaft.set_in_scene(true);
+        let way = wall.moving.axes.tr_mul(&Vector3::from(way));
+        wall.belt = Some(Belt { angle: shaft.angle(), shaft, way });
     }
 
     /// Adds a body. Fails if a number is invalid or the surface is not passive.
@@ -416,6 +447,13 @@ impl Scene {
         self.now += STEP;
         for arm in &mut self.arms {
             arm.follow();
+        }
+        for wall in &mut self.walls {
+            if let Some(belt) = &mut wall.belt {
+                let angle = belt.shaft.angle();
+                wall.surface.belt = belt.way * ((angle - belt.angle) / STEP_SECONDS);
+                belt.angle = angle;
+            }
         }
         self.move_bodies(0.0, 1.0, HALVINGS);
         self.load_arms();

@@ -1,7 +1,7 @@
 //! An emulated axis: motor, encoder, switches.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use thiserror::Error;
 
@@ -132,14 +132,37 @@ pub struct PlantAxis {
 /// The angle of a motor shaft, read by another device. Clones read the same shaft.
 ///
 /// The angle is that of the last simulated sub-step. A drive that receives SYNC lags by up to a SYNC period, and a drive
-/// without any frame by up to 20 ms.
+/// without any frame by up to 20 ms. The motor of a belt in a [`Scene`](crate::scene::Scene) does not lag.
 #[derive(Clone, Debug)]
-pub struct AngleProbe(Arc<AtomicU64>);
+pub struct AngleProbe(Arc<Probed>);
+
+#[derive(Debug)]
+struct Probed {
+    angle: AtomicU64,
+    in_scene: AtomicBool,
+}
 
 impl AngleProbe {
+    fn new(angle: f64) -> Self {
+        Self(Arc::new(Probed { angle: AtomicU64::new(angle.to_bits()), in_scene: AtomicBool::new(false) }))
+    }
+
     /// Angle of the motor shaft, rad.
     pub fn angle(&self) -> f64 {
-        f64::from_bits(self.0.load(Ordering::Relaxed))
+        f64::from_bits(self.0.angle.load(Ordering::Relaxed))
+    }
+
+    /// Makes the motor advance with a scene, or on its own again.
+    pub(crate) fn set_in_scene(&self, in_scene: bool) {
+        self.0.in_scene.store(in_scene, Ordering::Relaxed);
+    }
+
+    fn in_scene(&self) -> bool {
+        self.0.in_scene.load(Ordering::Relaxed)
+    }
+
+    fn show(&self, angle: f64) {
+        self.0.angle.store(angle.to_bits(), Ordering::Relaxed);
     }
 }
 
@@ -223,6 +246,9 @@ impl PlantAxis {
         self.phase = (self.phase + 1) % OUTER;
         self.integrate(on);
         self.encoder.read(self.plant.angle(), &mut self.noise);
+        if let Some(probe) = self.probe.as_ref().filter(|probe| probe.in_scene()) {
+            probe.show(self.plant.angle());
+        }
     }
 
     /// Reads the switches after `dt_steps` sub-steps, and shows the shaft to others.
@@ -231,17 +257,17 @@ impl PlantAxis {
         if let (Plant::Wut(_), Some(mount)) = (&self.plant, &self.mount) {
             mount.load(angle);
         }
-        if let Some(AngleProbe(bits)) = &self.probe {
-            bits.store(angle.to_bits(), Ordering::Relaxed);
+        if let Some(probe) = &self.probe {
+            probe.show(angle);
         }
         for contact in self.contacts.iter_mut().flatten() {
             contact.advance(angle, dt_steps, &mut self.noise);
         }
     }
 
-    /// Whether the axis belongs to a mechanism in a scene, with which it advances in single sub-steps.
+    /// Whether the axis moves a robot or a belt in a scene, with which it advances in single sub-steps.
     pub(crate) fn in_scene(&self) -> bool {
-        self.mount.as_ref().is_some_and(Mount::in_scene)
+        self.mount.as_ref().is_some_and(Mount::in_scene) || self.probe.as_ref().is_some_and(AngleProbe::in_scene)
     }
 
     fn integrate(&mut self, on: bool) {
@@ -319,8 +345,8 @@ impl PlantAxis {
 
     /// A probe that follows the motor shaft. A clone of the axis moves the same probe.
     pub fn probe(&mut self) -> AngleProbe {
-        let bits = self.plant.angle().to_bits();
-        self.probe.get_or_insert_with(|| AngleProbe(Arc::new(AtomicU64::new(bits)))).clone()
+        let angle = self.plant.angle();
+        self.probe.get_or_insert_with(|| AngleProbe::new(angle)).clone()
     }
 
     /// The true angle of the motor shaft, rad, which no drive can measure.

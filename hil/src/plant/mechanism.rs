@@ -196,6 +196,24 @@ impl Mechanism {
         .into()
     }
 
+    /// Mass, kg, that resists a force on a point of the tool in a direction: the force per acceleration of the point in
+    /// that direction, with all motors free and without friction. `point` is in the flange frame, m, `direction` in the
+    /// base frame. Infinite if no motor moves the point in that direction. The inertia of each motor is that of
+    /// [`Mechanism::load`].
+    ///
+    /// A motor whose drive holds its position resists more, but not at once: the mass decides the peak of an impact that
+    /// is short compared with the reaction of the drives.
+    pub fn effective_mass(&self, point: [f64; 3], direction: [f64; 3]) -> f64 {
+        let (kinematics, _) = self.kinematics();
+        let arm = kinematics.flange.axes * Vector3::from(point);
+        let force = Vector3::from(direction).normalize();
+        let torques = kinematics.torques(&force, &arm.cross(&force));
+        let mut robot = self.lock();
+        let motors = torques.iter().take(robot.count).enumerate();
+        let mobility: f64 = motors.map(|(number, torque)| torque * torque / robot.load(number).inertia()).sum();
+        1.0 / mobility
+    }
+
     /// Makes the mechanism part of a scene. Returns whether it was part of one before.
     pub(crate) fn enter_scene(&self) -> bool {
         let robot = self.lock();

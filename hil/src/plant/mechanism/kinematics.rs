@@ -151,6 +151,21 @@ mod tests {
     }
 
     #[test]
+    fn mass_at_the_tip_is_that_of_the_motors_that_move_it() {
+        let (mechanism, _) = at(MechanismConfig::Irb6, &[0.0; 5]);
+        // Sideways: the column alone, at 0.67 + 0.095 + 0.2 m, and the roll, on whose axis the point lies.
+        let column = mechanism.load(0).inertia * 158.0 * 158.0 / (0.965 * 0.965);
+        let found = mechanism.effective_mass([0.0, 0.0, 0.2], [0.0, 2.0, 0.0]);
+        assert!((found - column).abs() < 1e-9 * column, "{found} for {column} kg");
+        // Upwards: upper arm at 0.67 m behind its screw, and pitch at 0.295 m.
+        let upper = mechanism.load(2).inertia * 175.126 * 175.126 / (0.67 * 0.67);
+        let pitch = mechanism.load(3).inertia * 128.0 * 128.0 / (0.295 * 0.295);
+        let both = 1.0 / (1.0 / upper + 1.0 / pitch);
+        let found = mechanism.effective_mass([0.0, 0.0, 0.2], [0.0, 0.0, 1.0]);
+        assert!((found - both).abs() < 1e-4 * both, "{found} for {both} kg");
+    }
+
+    #[test]
     fn irp6_flange_is_where_the_public_code_has_it() {
         let home = [-15.9, -5.0, -8.527, 151.31, 435.25, 791.0];
         let cases = [

@@ -3,14 +3,16 @@
 use std::f64::consts::FRAC_PI_2;
 use std::time::Duration;
 
-use can::{Instant, timing::Bitrate};
+use can::{Frame, Instant, timing::Bitrate};
 use canopen::NodeId;
 use nalgebra::Isometry3;
 use serial::Settings;
 
-use crate::plant::{AxisConfig, Irp6Axis, Mechanism, MechanismConfig};
-use crate::scene::{Material, RobotId, Scene, SensorConfig, SensorProbe, Shape, TipConfig, WallConfig};
-use crate::{AxisController, AxisControllerConfig, Epos4, Epos4Config, World};
+use crate::plant::{AxisConfig, Demand, Irp6Axis, Mechanism, MechanismConfig, PlantAxis};
+use crate::scene::{
+    BodyConfig, Material, RobotId, STEP, Scene, SensorConfig, SensorProbe, Shape, TipConfig, WallConfig,
+};
+use crate::{AxisController, AxisControllerConfig, Device, Epos4, Epos4Config, World};
 
 /// An IRb-6 without power or brakes: two drives on one bus, one on another, two on lines. Its tip hangs 5 mm over a
 /// floor.
@@ -74,5 +76,62 @@ fn runs_in_a_scene_do_not_depend_on_how_the_world_is_advanced() {
     let once = run(500_000);
     for micros in [500_000, 2_000, 1_370, 100, 33] {
         assert!(run(micros) == once, "advanced by {micros} µs");
+    }
+}
+
+#[test]
+fn motor_of_a_conveyor_carries_a_box() {
+    let mut world = World::new();
+    let bus = world.add_bus(Bitrate::KBPS_1000);
+    let axis = AxisConfig { brake: 0.0, ..AxisConfig::irp6(Irp6Axis::Column) };
+    let mut motor = Turning { axis: PlantAxis::new(&axis, 1), reached: Instant::ZERO };
+    let shaft = motor.axis.probe();
+    world.add_device(bus, Box::new(motor));
+    let mut scene = Scene::new();
+    let material = Material { stiffness: 1e5, damping: 300.0, friction: 0.5 };
+    let floor = WallConfig { shape: Shape::HalfSpace, pose: Isometry3::identity(), material };
+    let belt = scene.add_wall(&floor).unwrap();
+    // 1 rad of the motor moves the belt by 1/250 m: 0.2 m/s at 50 rad/s.
+    let start = shaft.angle();
+    scene.drive_belt(belt, shaft.clone(), [0.0, 0.004, 0.0]);
+    let pose = Isometry3::translation(0.0, 0.0, 0.05);
+    let still = [0.0; 3];
+    let cube = BodyConfig { mass: 1.0, half: [0.05; 3], material, pose, velocity: still, spin: still };
+    let cube = scene.add_body(&cube).unwrap();
+    let probe = scene.watch(cube);
+    world.set_scene(scene);
+    world.advance(Instant::ZERO + Duration::from_millis(2_000));
+    let state = probe.state();
+    assert!((state.velocity.y - 0.2).abs() < 2e-3, "{}", state.velocity);
+    // The box stays behind while it is accelerated with 4.9 m/s², and then stands on the belt.
+    let behind = 0.004 * (shaft.angle() - start) - state.pose.translation.y;
+    assert!((0.0..0.01).contains(&behind), "{behind} m");
+}
+
+/// A motor that turns at 50 rad/s by itself.
+struct Turning {
+    axis: PlantAxis,
+    reached: Instant,
+}
+
+impl Device for Turning {
+    fn handle(&mut self, _frame: &Frame, _now: Instant) {}
+
+    fn poll_transmit(&mut self, _now: Instant) -> Option<Frame> {
+        None
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        None
+    }
+
+    fn handle_timeout(&mut self, _now: Instant) {}
+
+    fn advance_mechanics(&mut self, now: Instant) -> bool {
+        while self.reached < now {
+            self.reached += STEP;
+            self.axis.advance(1, Demand::Velocity(50.0 * 4000.0 / std::f64::consts::TAU));
+        }
+        false
     }
 }
