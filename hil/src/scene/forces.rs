@@ -34,6 +34,12 @@ impl Scene {
         for body in &mut self.bodies {
             body.begin(dt);
         }
+        for grip in self.grips.iter().flatten() {
+            let body = &mut self.bodies[grip.body];
+            let arm = body.motion.axes[0] * grip.held.point;
+            let (linear, turning) = grip.config.resistance(dt);
+            body.resist(&arm, linear, turning, dt);
+        }
         for _ in 0..REPETITIONS {
             self.push_bodies(dt);
             let mut solved = true;

@@ -27,6 +27,12 @@ impl GripConfig {
             .iter()
             .all(|value| value.is_finite() && *value >= 0.0)
     }
+
+    /// Mean force per mean velocity, N·s/m, and mean torque per angular velocity, N·m·s, over a step of `dt` seconds
+    /// near the relaxed angle.
+    pub(super) fn resistance(&self, dt: f64) -> (f64, f64) {
+        (self.damping + 0.5 * dt * self.stiffness, self.turning_damping + 0.5 * dt * self.turning_stiffness)
+    }
 }
 
 /// One end of a grip: a point and three axes that are fixed to a frame.

@@ -170,6 +170,18 @@ fn clamp_holds_a_body_by_its_springs() {
     assert_eq!(scene.grip_wrench(grip), [0.0; 6]);
 }
 
+#[test]
+fn light_bar_in_a_strongly_damped_grip_beside_its_centre_is_solved() {
+    let mut scene = Scene::new();
+    let bar = BodyConfig { mass: 0.1, half: [0.01, 0.01, 0.06], spin: [0.0, 0.0, 20.0], ..cube(at(0.0, 0.0, 1.0)) };
+    let bar = scene.add_body(&bar).unwrap();
+    let energy = scene.energy();
+    scene.hold(&GripConfig::NOMINAL, Holder::World, &at(0.25, 0.0, 1.0), bar, None).unwrap();
+    // Checks that all steps are solved.
+    run(&mut scene, 1_000);
+    assert!(scene.energy() < energy, "{} of {energy}", scene.energy());
+}
+
 /// A random number between two limits.
 fn between(noise: &mut Noise, low: f64, high: f64) -> f64 {
     low + 0.5 * (high - low) * (1.0 + noise.symmetric())
