@@ -8,9 +8,9 @@ use nalgebra::{Isometry3, Matrix3, Vector3};
 use super::body::BodyState;
 use super::motion::{Moving, Wrench};
 
-/// Source of the wrench that a force/torque sensor measures.
+/// The true wrench on a force/torque sensor, asked for by an emulated device.
 pub trait WrenchProbe: Send {
-    /// Forces x, y, z, N, and torques x, y, z, N·m, at `now`, in the frame of the sensor.
+    /// Wrench at `now` in the frame of the sensor: three forces, N, then three torques, N·m. `now` never decreases.
     fn wrench(&mut self, now: Instant) -> [f64; 6];
 }
 

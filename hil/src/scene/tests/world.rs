@@ -5,14 +5,17 @@ use std::time::Duration;
 
 use can::{Frame, Instant, timing::Bitrate};
 use canopen::NodeId;
-use nalgebra::Isometry3;
-use serial::Settings;
+use nalgebra::{Isometry3, Point3, Vector3};
+use serial::{Line, Settings};
 
-use crate::plant::{AxisConfig, Demand, Irp6Axis, Mechanism, MechanismConfig, PlantAxis};
+use crate::plant::{AxisConfig, Demand, FrictionConfig, Irp6Axis, Mechanism, MechanismConfig, PlantAxis, PlantConfig};
 use crate::scene::{
     BodyConfig, Material, RobotId, STEP, Scene, SensorConfig, SensorProbe, Shape, TipConfig, WallConfig,
 };
-use crate::{AxisController, AxisControllerConfig, Device, Epos4, Epos4Config, World};
+use crate::{
+    AxisController, AxisControllerConfig, Device, Epos4, Epos4Config, SerialForceSensor, SerialForceSensorConfig,
+    TransducerConfig, World,
+};
 
 /// An IRb-6 without power or brakes: two drives on one bus, one on another, two on lines. Its tip hangs 5 mm over a
 /// floor.
@@ -84,7 +87,8 @@ fn motor_of_a_conveyor_carries_a_box() {
     let mut world = World::new();
     let bus = world.add_bus(Bitrate::KBPS_1000);
     let axis = AxisConfig { brake: 0.0, ..AxisConfig::irp6(Irp6Axis::Column) };
-    let mut motor = Turning { axis: PlantAxis::new(&axis, 1), reached: Instant::ZERO };
+    let demand = Demand::Velocity(50.0 * 4000.0 / std::f64::consts::TAU);
+    let mut motor = Driven { axis: PlantAxis::new(&axis, 1), demand, reached: Instant::ZERO };
     let shaft = motor.axis.probe();
     world.add_device(bus, Box::new(motor));
     let mut scene = Scene::new();
@@ -108,13 +112,73 @@ fn motor_of_a_conveyor_carries_a_box() {
     assert!((0.0..0.01).contains(&behind), "{behind} m");
 }
 
-/// A motor that turns at 50 rad/s by itself.
-struct Turning {
+#[test]
+fn force_sensor_at_a_line_sends_the_force_of_the_contact() {
+    // The upper arm of an IRb-6 is level, and the other axes stand. Gears have no friction.
+    let mechanism = Mechanism::new(MechanismConfig::Irb6);
+    let mut axis = AxisConfig { start_angle: 0.0, brake: 0.0, ..AxisConfig::irp6(Irp6Axis::UpperArm).with_home(0.0) };
+    let PlantConfig::Physical(plant) = &mut axis.plant else { unreachable!("the presets are physical") };
+    plant.friction = FrictionConfig::NONE;
+    plant.viscous = 0.0;
+    plant.torque_ripple = 0.0;
+    let axis = PlantAxis::mounted(&axis, 1, mechanism.mount(2, 0.0).as_ref());
+    // 0.2 N·m more than the weight needs.
+    let demand = Demand::Torque(0.2 - mechanism.load(2).torque);
+    let mut world = World::new();
+    let bus = world.add_bus(Bitrate::KBPS_1000);
+    world.add_device(bus, Box::new(Driven { axis, demand, reached: Instant::ZERO }));
+
+    let mut scene = Scene::new();
+    let robot = scene.add_robot(&mechanism, &Isometry3::identity()).unwrap();
+    let tool = Vector3::new(0.0, 0.0, 0.1);
+    scene.add_tip(robot, &TipConfig { centre: tool.into(), radius: 0.0 }).unwrap();
+    let start = (scene.flange(robot) * Point3::from(tool)).z;
+    let plane = start - 1e-3;
+    let material = Material { stiffness: 1e5, damping: 300.0, friction: 0.0 };
+    let pose = Isometry3::translation(0.0, 0.0, plane);
+    scene.add_wall(&WallConfig { shape: Shape::HalfSpace, pose, material }).unwrap();
+    let sensor = SensorConfig { pose: Isometry3::identity(), mass: 0.0, centre: [0.0; 3], inertia: [0.0; 3] };
+    let probe = scene.add_sensor(robot, &sensor).unwrap();
+    world.set_scene(scene);
+    let config = SerialForceSensorConfig {
+        greeting: "",
+        ..SerialForceSensorConfig::new(TransducerConfig { range: [400.0; 6], ..TransducerConfig::default() })
+    };
+    let sensor = SerialForceSensor::new(config, Box::new(probe)).unwrap();
+    let line = world.add_line(SerialForceSensor::SETTINGS, None, Box::new(sensor));
+    let mut host = world.host_line(line, 64);
+
+    let query = Instant::ZERO + Duration::from_millis(3_000);
+    world.advance(query);
+    host.write(query, b"q").unwrap();
+    let end = query + Duration::from_millis(2);
+    world.advance(end);
+    let mut reply = [0; 64];
+    assert_eq!(host.read(end, &mut reply), Ok(14));
+    let count = |channel: usize| f64::from(i16::from_be_bytes([reply[2 * channel], reply[2 * channel + 1]]));
+    let force = Vector3::new(count(0), count(1), count(2)) * (10.0 / 115.0);
+    let torque = Vector3::new(count(3), count(4), count(5)) * (5.0 / 940.0);
+    // Half a count of each channel.
+    let near = |found: Vector3<f64>, expected: Vector3<f64>, count: f64| (found - expected).amax() < 0.51 * count;
+    let flange = world.scene().unwrap().flange(robot);
+    // The gear of 175.126:1 and the arm of 0.67 m turn 0.2 N·m into 52.3 N. The spring gives the same force.
+    let pressed = 0.2 * 175.126 / 0.67;
+    let depth = plane - (flange * Point3::from(tool)).z;
+    assert!((1e5 * depth - pressed).abs() < 0.05, "{} N for {pressed}", 1e5 * depth);
+    let expected = flange.rotation.inverse() * Vector3::new(0.0, 0.0, 1e5 * depth);
+    assert!(near(force, expected, 10.0 / 115.0), "{force} for {expected}");
+    let expected = tool.cross(&expected);
+    assert!(near(torque, expected, 5.0 / 940.0), "{torque} for {expected}");
+}
+
+/// A motor with one demand and without a drive.
+struct Driven {
     axis: PlantAxis,
+    demand: Demand,
     reached: Instant,
 }
 
-impl Device for Turning {
+impl Device for Driven {
     fn handle(&mut self, _frame: &Frame, _now: Instant) {}
 
     fn poll_transmit(&mut self, _now: Instant) -> Option<Frame> {
@@ -130,7 +194,7 @@ impl Device for Turning {
     fn advance_mechanics(&mut self, now: Instant) -> bool {
         while self.reached < now {
             self.reached += STEP;
-            self.axis.advance(1, Demand::Velocity(50.0 * 4000.0 / std::f64::consts::TAU));
+            self.axis.advance(1, self.demand);
         }
         false
     }
