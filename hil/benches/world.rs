@@ -27,6 +27,8 @@ struct Robot {
     nodes: Vec<NodeId>,
     now: Instant,
     cycle: u32,
+    /// Amplitude of the set-points, counts.
+    amplitude: f64,
 }
 
 /// What the robot has around it.
@@ -89,7 +91,9 @@ impl Robot {
         if matches!(around, Around::Scene | Around::Floor | Around::Bar) {
             world.set_scene(scene(&mechanism, around));
         }
-        let mut robot = Self { world, port, nodes, now: Instant::ZERO, cycle: 0 };
+        // 1000 counts move the gripper by some millimetres, against springs of 1e5 N/m.
+        let amplitude = if matches!(around, Around::Bar) { 20.0 } else { 1000.0 };
+        let mut robot = Self { world, port, nodes, now: Instant::ZERO, cycle: 0, amplitude };
         robot.run(Duration::from_millis(100));
         for node in robot.nodes.clone() {
             robot.configure(node);
@@ -160,7 +164,7 @@ impl Robot {
     fn step(&mut self) -> usize {
         self.cycle += 1;
         let angle = f64::from(self.cycle) * PERIOD.as_secs_f64();
-        let target = (1000.0 * angle.sin()) as i32;
+        let target = (self.amplitude * angle.sin()) as i32;
         let mut frames = [Frame::new(cob::SYNC, &[]).expect("no bytes"); 7];
         for (frame, &node) in frames[1..].iter_mut().zip(&self.nodes) {
             let [a, b, c, d] = target.to_le_bytes();
