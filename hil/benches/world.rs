@@ -13,7 +13,9 @@ use canopen::pdo::{Entry, PdoCobId, PdoKind, PdoNumber};
 use canopen::sdo::{Expedited, Initiate, Request};
 use canopen::{NodeId, Object, cob, nmt};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use mrroc_hil::{AxisConfig, Epos4, Epos4Config, Irp6Axis, World};
+use mrroc_hil::scene::{BodyConfig, GripConfig, Holder, Material, RobotId, Scene, Shape, TipConfig, WallConfig};
+use mrroc_hil::{AxisConfig, Epos4, Epos4Config, Irp6Axis, Mechanism, MechanismConfig, World};
+use nalgebra::{Isometry3, Point3};
 
 const PERIOD: Duration = Duration::from_millis(2);
 
@@ -25,19 +27,73 @@ struct Robot {
     nodes: Vec<NodeId>,
     now: Instant,
     cycle: u32,
+    /// Amplitude of the set-points, counts.
+    amplitude: f64,
+}
+
+/// What the robot has around it.
+#[derive(Clone, Copy)]
+enum Around {
+    /// Each motor carries its own load.
+    NoMechanism,
+    Mechanism,
+    /// The robot is in a scene and touches nothing.
+    Scene,
+    /// The tip presses on a floor.
+    Floor,
+    /// The gripper holds a bar, whose other end a clamp holds.
+    Bar,
+}
+
+fn scene(mechanism: &Mechanism, around: Around) -> Scene {
+    let mut scene = Scene::new();
+    let metal = Material::NOMINAL;
+    let robot: RobotId = scene.add_robot(mechanism, &Isometry3::identity()).expect("it stands");
+    let tip = scene.flange(robot) * Point3::new(0.0, 0.0, 0.25);
+    match around {
+        Around::Floor => {
+            scene.add_tip(robot, &TipConfig { centre: [0.0, 0.0, 0.25], radius: 5e-3 }).expect("it is a tip");
+            let pose = Isometry3::translation(0.0, 0.0, tip.z - 5e-3 + 1e-4);
+            scene.add_wall(&WallConfig { shape: Shape::HalfSpace, pose, material: metal }).expect("it is a floor");
+        }
+        Around::Bar => {
+            let pose = Isometry3::translation(tip.x, tip.y, tip.z);
+            let still = [0.0; 3];
+            let bar =
+                BodyConfig { mass: 3.0, half: [0.3, 0.02, 0.02], material: metal, pose, velocity: still, spin: still };
+            let bar = scene.add_body(&bar).expect("it is a bar");
+            let gripper = Isometry3::translation(0.0, 0.0, 0.25);
+            let grip = GripConfig::NOMINAL;
+            scene.hold(&grip, Holder::Robot(robot), &gripper, bar, None).expect("it holds");
+            scene.hold(&grip, Holder::World, &pose, bar, None).expect("it holds");
+        }
+        Around::NoMechanism | Around::Mechanism | Around::Scene => {}
+    }
+    scene
 }
 
 impl Robot {
-    fn new(axis: Axes) -> Self {
+    fn new(axis: Axes, around: Around) -> Self {
         let mut world = World::new();
+        let mechanism = Mechanism::new(MechanismConfig::Irp6);
         let bus = world.add_bus(Bitrate::KBPS_1000);
         let port = world.host_port(bus, 256);
         let nodes: Vec<_> = NodeId::all().take(Irp6Axis::ALL.len()).collect();
-        for (&node, which) in nodes.iter().zip(Irp6Axis::ALL) {
-            let device = Epos4::new(Epos4Config::new(node, axis(which)));
+        for (number, (&node, which)) in nodes.iter().zip(Irp6Axis::ALL).enumerate() {
+            let axis = axis(which);
+            let mount = match around {
+                Around::NoMechanism => None,
+                _ => mechanism.mount(number, axis.start_angle),
+            };
+            let device = Epos4::new(Epos4Config { mount, ..Epos4Config::new(node, axis) });
             world.add_device(bus, Box::new(device));
         }
-        let mut robot = Self { world, port, nodes, now: Instant::ZERO, cycle: 0 };
+        if matches!(around, Around::Scene | Around::Floor | Around::Bar) {
+            world.set_scene(scene(&mechanism, around));
+        }
+        // 1000 counts move the gripper by some millimetres, against springs of 1e5 N/m.
+        let amplitude = if matches!(around, Around::Bar) { 20.0 } else { 1000.0 };
+        let mut robot = Self { world, port, nodes, now: Instant::ZERO, cycle: 0, amplitude };
         robot.run(Duration::from_millis(100));
         for node in robot.nodes.clone() {
             robot.configure(node);
@@ -108,7 +164,7 @@ impl Robot {
     fn step(&mut self) -> usize {
         self.cycle += 1;
         let angle = f64::from(self.cycle) * PERIOD.as_secs_f64();
-        let target = (1000.0 * angle.sin()) as i32;
+        let target = (self.amplitude * angle.sin()) as i32;
         let mut frames = [Frame::new(cob::SYNC, &[]).expect("no bytes"); 7];
         for (frame, &node) in frames[1..].iter_mut().zip(&self.nodes) {
             let [a, b, c, d] = target.to_le_bytes();
@@ -123,9 +179,16 @@ impl Robot {
 fn second(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("six axes, 2 ms, one simulated second");
     group.throughput(Throughput::Elements(500));
-    let plants: [(&str, Axes); 2] = [("motors", AxisConfig::irp6), ("regression model", AxisConfig::wut)];
-    for (name, axis) in plants {
-        let mut robot = Robot::new(axis);
+    let robots: [(&str, Axes, Around); 6] = [
+        ("motors", AxisConfig::irp6, Around::NoMechanism),
+        ("regression model", AxisConfig::wut, Around::NoMechanism),
+        ("mechanism", AxisConfig::irp6, Around::Mechanism),
+        ("scene", AxisConfig::irp6, Around::Scene),
+        ("tip on a floor", AxisConfig::irp6, Around::Floor),
+        ("bar in a gripper and a clamp", AxisConfig::irp6, Around::Bar),
+    ];
+    for (name, axis, around) in robots {
+        let mut robot = Robot::new(axis, around);
         for _ in 0..3 {
             robot.step();
         }

@@ -116,6 +116,11 @@ impl LineDevice for AxisController {
             self.drive.catch_up(now);
         }
     }
+
+    fn advance_mechanics(&mut self, now: Instant) -> bool {
+        self.drive.advance_mechanics(now);
+        false
+    }
 }
 
 /// A request interrupted for this long is discarded.

@@ -100,6 +100,15 @@ impl VirtualBus {
         Some(result)
     }
 
+    /// Advances the motors of the scene's robots to `now`. The bus has been advanced to that instant.
+    pub(crate) fn advance_mechanics(&mut self, now: Instant) {
+        for attached in &mut self.devices {
+            if attached.device.advance_mechanics(now) {
+                attached.collect(now);
+            }
+        }
+    }
+
     /// Processes all events up to and including `until`. A frame that lasts longer stays on the wire.
     ///
     /// May be called ahead of time if the host sends nothing before `until`. A frame sent for a past instant becomes

@@ -20,6 +20,12 @@ pub trait Device: Any + Send {
 
     /// Advances the device's internal time to `now`.
     fn handle_timeout(&mut self, now: Instant);
+
+    /// Advances motors that belong to robots of the scene to `now`, which the world does before each step of the scene.
+    /// Returns whether the device may have something to send. A device without such motors does nothing.
+    fn advance_mechanics(&mut self, _now: Instant) -> bool {
+        false
+    }
 }
 
 /// A device on a serial line, as a function of (bytes, now): no thread, no clock, no tty.
@@ -39,4 +45,10 @@ pub trait LineDevice: Any + Send {
 
     /// Advances the device's internal time to `now`.
     fn handle_timeout(&mut self, now: Instant);
+
+    /// Advances motors that belong to robots of the scene to `now`, which the world does before each step of the scene.
+    /// Returns whether the device may have something to send. A device without such motors does nothing.
+    fn advance_mechanics(&mut self, _now: Instant) -> bool {
+        false
+    }
 }

@@ -107,6 +107,10 @@ impl LineDevice for EposSerial {
     fn handle_timeout(&mut self, now: Instant) {
         self.service.run(now);
     }
+
+    fn advance_mechanics(&mut self, now: Instant) -> bool {
+        self.service.epos.advance_mechanics(now)
+    }
 }
 
 /// The device behind a port, and the bytes on their way to the host.

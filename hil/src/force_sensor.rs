@@ -22,7 +22,6 @@ mod table;
 mod tests;
 mod transducer;
 
-use can::Instant;
 use thiserror::Error;
 
 pub use can_config::{CanForceSensorConfig, CountWidth, Resolution};
@@ -30,11 +29,7 @@ pub use can_node::CanForceSensor;
 pub use line::{SerialForceSensor, SerialForceSensorConfig};
 pub use transducer::{TemperatureCourse, TransducerConfig};
 
-/// The true wrench on a sensor, asked for by an emulated device.
-pub trait WrenchProbe: Send {
-    /// Wrench at `now` in the frame of the sensor: three forces, N, then three torques, N·m. `now` never decreases.
-    fn wrench(&mut self, now: Instant) -> [f64; 6];
-}
+use crate::scene::WrenchProbe;
 
 /// Reason that a sensor cannot have a configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]

@@ -3,10 +3,10 @@
 //! A [`Device`] is a node of a bus. The [virtual bus](bus) carries frames between devices and the host with true
 //! arbitration and bit times. A [`LineDevice`] is the device at the end of a [serial line](mod@line), which carries
 //! bytes with true byte times. A [`World`] contains all buses and lines of a cell. A [plant] is the physics behind a
-//! device. Four devices are attached to a bus: the axis controller [`Epos4`], the input and output module
-//! [`DigitalIo`], the sensor [`CanForceSensor`], and the adapter [`SlcanDevice`]. The adapter connects a host without a
-//! CAN card to a bus. The sensors at a line are [`SerialForceSensor`] and [`UltrasonicMatrix`]. Read [`Device`] and
-//! [`World`] first.
+//! device. A [scene] contains the bodies and surfaces that robots meet. Four devices are attached to a bus: the axis
+//! controller [`Epos4`], the input and output module [`DigitalIo`], the sensor [`CanForceSensor`], and the adapter
+//! [`SlcanDevice`]. The adapter connects a host without a CAN card to a bus. The sensors at a line are
+//! [`SerialForceSensor`] and [`UltrasonicMatrix`]. Read [`Device`] and [`World`] first.
 
 mod amplifier;
 pub mod axis_controller;
@@ -23,6 +23,7 @@ mod outbox;
 pub mod plant;
 pub mod pty;
 pub mod qemu;
+pub mod scene;
 mod slcan;
 pub mod ultrasonic;
 pub mod uml;
@@ -36,13 +37,14 @@ pub use epos_serial::{EposSerial, EposSerialConfig};
 pub use epos4::{Epos4, Epos4Config};
 pub use force_sensor::{
     CanForceSensor, CanForceSensorConfig, CountWidth, ForceSensorError, Resolution, SerialForceSensor,
-    SerialForceSensorConfig, TemperatureCourse, TransducerConfig, WrenchProbe,
+    SerialForceSensorConfig, TemperatureCourse, TransducerConfig,
 };
 pub use line::{LineFaults, LineStatistics, Stuck, WireFaults};
 pub use plant::{
     AngleProbe, AxisConfig, Demand, Feedback, Irp6Axis, Mechanism, MechanismConfig, Mount, PlantAxis, PlantConfig, Trip,
 };
 pub use pty::{Pty, PtyError};
+pub use scene::{Scene, WrenchProbe};
 pub use slcan::{SlcanCounts, SlcanDevice};
 pub use ultrasonic::{EchoProbe, UltrasonicConfig, UltrasonicError, UltrasonicMatrix};
 pub use world::{BusId, DeviceId, LineId, World};

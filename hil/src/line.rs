@@ -216,6 +216,14 @@ impl SerialLine {
         }
     }
 
+    /// Advances the motors of the scene's robots to `now`. The line has been advanced to that instant.
+    pub(crate) fn advance_mechanics(&mut self, now: Instant) {
+        if self.device.advance_mechanics(now) {
+            self.now = self.now.max(now);
+            self.collect();
+        }
+    }
+
     /// Processes all events up to and including `until`. A byte that lasts longer stays on the wire.
     ///
     /// May be called ahead of time if the host writes nothing before `until`. Bytes written for a past instant go on

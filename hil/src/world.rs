@@ -29,13 +29,20 @@ use std::{any::Any, time::Duration};
 use can::{Instant, VirtualPort, timing::Bitrate, virtual_port};
 use serial::{Settings, VirtualLine, virtual_line};
 
+use crate::scene::{STEP, Scene};
 use crate::{Device, LineDevice, bus::VirtualBus, line::SerialLine};
 
-/// Buses and lines with their devices, advanced together. Buses and lines do not influence each other.
+/// Buses and lines with their devices, advanced together.
+///
+/// Buses and lines influence each other only through the [`Scene`], if there is one: the state of the scene changes at
+/// its steps, and all buses and lines are advanced up to each step before the step is taken. The order of events between
+/// two steps therefore matters only within each bus and each line. Without a scene each bus and each line is advanced to
+/// the end at once.
 #[derive(Default)]
 pub struct World {
     buses: Vec<VirtualBus>,
     lines: Vec<SerialLine>,
+    scene: Option<Scene>,
 }
 
 /// One bus of one [`World`].
@@ -92,8 +99,41 @@ impl World {
         host
     }
 
-    /// Processes all events up to and including `until`, on every bus and line in order of events.
+    /// Sets the bodies and surfaces that the robots of this world meet, in place of the last scene. The motors of the
+    /// scene's robots advance with the scene, in sub-steps of 100 µs. All other motors advance as without a scene.
+    pub fn set_scene(&mut self, scene: Scene) {
+        self.scene = Some(scene);
+    }
+
+    /// The scene, if there is one.
+    pub fn scene(&self) -> Option<&Scene> {
+        self.scene.as_ref()
+    }
+
+    /// The scene, if there is one, to change it.
+    pub fn scene_mut(&mut self) -> Option<&mut Scene> {
+        self.scene.as_mut()
+    }
+
+    /// Processes all events up to and including `until`, on every bus and line in order of events, and all steps of the
+    /// scene. A step comes before the events of the same instant.
     pub fn advance(&mut self, until: Instant) {
+        while let Some(step) = self.scene.as_ref().map(|scene| scene.now() + STEP).filter(|step| *step <= until) {
+            self.advance_wires(step - Duration::from_nanos(1));
+            for bus in &mut self.buses {
+                bus.advance_mechanics(step);
+            }
+            for line in &mut self.lines {
+                line.advance_mechanics(step);
+            }
+            if let Some(scene) = &mut self.scene {
+                scene.step();
+            }
+        }
+        self.advance_wires(until);
+    }
+
+    fn advance_wires(&mut self, until: Instant) {
         for bus in &mut self.buses {
             bus.advance(until);
         }
@@ -113,6 +153,9 @@ impl World {
     /// Applies `change` to a device at `now`, after advancing its bus to `now`. A device with a serial line exchanges
     /// its bytes in this way. `None` if the device is no `D`.
     pub fn change<D: Device, R>(&mut self, id: DeviceId, now: Instant, change: impl FnOnce(&mut D) -> R) -> Option<R> {
+        if self.scene.is_some() {
+            self.advance(now);
+        }
         let bus = self.buses.get_mut(id.bus.0)?;
         bus.change_device(id.number, now, |device| {
             let device: &mut dyn Any = device;

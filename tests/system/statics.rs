@@ -1,10 +1,12 @@
-//! Gravity torques of the links at their motors. The test compares the controller's kinematics with the mechanics of
-//! the emulated drives. The two are independent and have only their parameters in common.
+//! Gravity torques of the links at their motors, and the place of the flange. The tests compare the controller's
+//! kinematics with the mechanics of the emulated drives. The two are independent and have only their parameters in
+//! common.
 
 use ::mrroc::cell::{Model, Parameters};
 use controller::robot::{Joints, Mass, Motors, PolycrankParameters, Robot, Weight};
-use hil::AxisConfig;
 use hil::plant::{Irp6Axis, Mechanism, MechanismConfig, PlantAxis};
+use hil::{AxisConfig, Scene};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 /// Joint positions in the middle of their ranges, different for each `number`. All are within the range of every
 /// mechanism.
@@ -33,28 +35,69 @@ fn posed(config: MechanismConfig, motors: &[f64], zero: &Motors) -> Mechanism {
     mechanism
 }
 
-#[test]
-fn links_weigh_on_motors_what_they_weigh_in_the_emulators() {
+/// The mechanism of each robot, and its parameters if they differ from those of the model.
+fn mechanisms() -> [(Model, Option<Parameters>, MechanismConfig); 6] {
     let coupled = PolycrankParameters { coupled: true, ..PolycrankParameters::polycrank() };
     let rnt = MechanismConfig::Rnt { home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3] };
     let cranks = |coupled| MechanismConfig::Polycrank { coupled, at_home: [0.0; 7] };
-    let cases = [
+    [
         (Model::Irb6, None, MechanismConfig::Irb6),
         (Model::Irp6, None, MechanismConfig::Irp6),
         (Model::Irp6Track, None, MechanismConfig::Irp6OnTrack),
         (Model::Rnt, None, rnt),
         (Model::Polycrank, None, cranks(false)),
         (Model::Polycrank, Some(Parameters::Polycrank(coupled)), cranks(true)),
-    ];
-    for (model, parameters, config) in cases {
+    ]
+}
+
+/// Motor positions with the mechanism at its own home.
+fn home(robot: &dyn Robot, config: MechanismConfig) -> Motors {
+    match config {
+        MechanismConfig::Polycrank { .. } => robot.motors_from_joints(&Joints::new(&[0.0; 7]).unwrap()).unwrap(),
+        _ => robot.home(),
+    }
+}
+
+#[test]
+fn flange_in_a_scene_is_where_the_kinematics_has_it() {
+    for (model, parameters, config) in mechanisms() {
         let robot = parameters.unwrap_or(model.parameters()).kinematics().unwrap();
-        let zero = match config {
-            MechanismConfig::Polycrank { .. } => {
-                let zero = Joints::new(&[0.0; 7]).unwrap();
-                robot.motors_from_joints(&zero).unwrap()
-            }
-            _ => robot.home(),
-        };
+        let zero = home(&*robot, config);
+        // The base of the emulated IRb-6 lies at the shoulder, that of the robot on the floor. The emulated flange of
+        // the RNT is 100 mm beyond the centre of the wrist.
+        let base = Translation3::new(0.0, 0.0, if model == Model::Irb6 { 0.7 } else { 0.0 });
+        let flange = Translation3::new(0.0, 0.0, if model == Model::Rnt { 0.1 } else { 0.0 });
+        let mut poses = 0;
+        for number in 0..200 {
+            let joints = joints(&*robot, number);
+            let Ok(motors) = robot.motors_from_joints(&joints) else {
+                continue;
+            };
+            poses += 1;
+            let mechanism = posed(config, &motors, &zero);
+            let up = Vector3::from(mechanism.up());
+            let stand = UnitQuaternion::rotation_between(&up, &Vector3::z())
+                .unwrap_or(UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+            let stand = Isometry3::from_parts(Translation3::new(1.0, 2.0, 3.0), stand);
+            let mut scene = Scene::new();
+            let id = scene.add_robot(&mechanism, &stand).unwrap();
+            let found = base * stand.inverse() * scene.flange(id);
+            let expected = robot.forward(&joints).unwrap() * flange;
+            let off = (found.translation.vector - expected.translation.vector).norm();
+            let turned = (found.rotation.to_rotation_matrix().into_inner()
+                - expected.rotation.to_rotation_matrix().into_inner())
+            .norm();
+            assert!(off < 1e-6 && turned < 1e-6, "{config:?} at {joints:?}: {found} for {expected}");
+        }
+        assert!(poses > 50, "{config:?}");
+    }
+}
+
+#[test]
+fn links_weigh_on_motors_what_they_weigh_in_the_emulators() {
+    for (model, parameters, config) in mechanisms() {
+        let robot = parameters.unwrap_or(model.parameters()).kinematics().unwrap();
+        let zero = home(&*robot, config);
         let load = Mass { mass: 3.0, centre: [0.02, -0.03, 0.1] };
         // The emulated flange of the RNT is 100 mm beyond the centre of the wrist. The robot's own flange is at the
         // centre.

@@ -63,6 +63,8 @@ pub(super) struct Drive {
     pub(super) synchronized: bool,
     faults: Faults,
     cabinet: Cabinet,
+    /// The present chunk of an axis in a scene: sub-steps so far, and the demand.
+    chunk: Option<(u32, Demand)>,
 }
 
 impl Drive {
@@ -82,33 +84,75 @@ impl Drive {
             synchronized: config.synchronized,
             faults: Faults::default(),
             cabinet: config.cabinet.clone(),
+            chunk: None,
         };
         drive.set_current_gains(Gains::POWER_ON);
         drive
     }
 
-    /// Advances the axis to the last sub-step before `now`.
+    /// Advances the axis to the last sub-step before `now`. An axis in a scene has been advanced by the scene.
     pub(super) fn catch_up(&mut self, now: Instant) {
+        if self.axis.in_scene() {
+            self.cut_chunk();
+            return;
+        }
         loop {
             let left = now.since(self.inner).as_nanos() / SUB_STEP.as_nanos();
             let steps = CHUNK.min(u32::try_from(left).unwrap_or(CHUNK));
             if steps == 0 {
                 return;
             }
-            // A power stage that loses its supply while in use stays off. The stop is checked once per chunk.
-            self.faults.power_stage |= self.mode != Mode::Manual && self.cabinet.is_open(self.inner);
+            self.check_supply();
             self.axis.advance(steps, self.demand());
-            self.inner += steps * SUB_STEP;
-            self.feedback = self.axis.feedback();
-            self.faults.over_current |= self.feedback.trip == Some(Trip::OverCurrent);
-            self.faults.power_stage |= self.feedback.trip == Some(Trip::OverTemperature);
-            if self.search == Search::Armed
-                && let Some(at) = self.axis.take_index()
-            {
-                self.offset = at.wrapping_neg();
-                self.synchronized = true;
-                self.search = Search::Found;
+            self.conclude(steps);
+        }
+    }
+
+    /// Advances an axis in a scene to the last sub-step before `now`.
+    pub(super) fn advance_mechanics(&mut self, now: Instant) {
+        if !self.axis.in_scene() {
+            return;
+        }
+        while now.since(self.inner + self.chunk.map_or(0, |(steps, _)| steps) * SUB_STEP) >= SUB_STEP {
+            let (steps, demand) = self.chunk.unwrap_or_else(|| {
+                self.check_supply();
+                let demand = self.demand();
+                self.axis.begin(demand);
+                (0, demand)
+            });
+            self.axis.sub_step(steps, demand);
+            self.chunk = Some((steps + 1, demand));
+            if steps + 1 == CHUNK {
+                self.cut_chunk();
             }
+        }
+    }
+
+    /// Ends the chunk in progress of an axis in a scene. The next sub-step begins a chunk with a new demand.
+    fn cut_chunk(&mut self) {
+        if let Some((steps, _)) = self.chunk.take() {
+            self.axis.end(steps);
+            self.conclude(steps);
+        }
+    }
+
+    /// A power stage that loses its supply while in use stays off. The stop is checked once per chunk.
+    fn check_supply(&mut self) {
+        self.faults.power_stage |= self.mode != Mode::Manual && self.cabinet.is_open(self.inner);
+    }
+
+    /// Reads the sensors after a chunk of `steps` sub-steps.
+    fn conclude(&mut self, steps: u32) {
+        self.inner += steps * SUB_STEP;
+        self.feedback = self.axis.feedback();
+        self.faults.over_current |= self.feedback.trip == Some(Trip::OverCurrent);
+        self.faults.power_stage |= self.feedback.trip == Some(Trip::OverTemperature);
+        if self.search == Search::Armed
+            && let Some(at) = self.axis.take_index()
+        {
+            self.offset = at.wrapping_neg();
+            self.synchronized = true;
+            self.search = Search::Found;
         }
     }
 

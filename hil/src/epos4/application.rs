@@ -17,8 +17,12 @@ const SUB_STEP: Duration = Duration::from_micros(100);
 const LAZIEST: Duration = Duration::from_millis(20);
 
 impl Application for Drive {
-    /// Advances the axis to `now` in whole chunks. With `exact` the remaining sub-steps are simulated as well.
+    /// Advances the axis to `now` in whole chunks. With `exact` the remaining sub-steps are simulated as well. An axis
+    /// in a scene has been advanced by the scene.
     fn catch_up(&mut self, now: Instant, exact: bool, objects: &mut Objects) -> Option<Error> {
+        if self.axis.in_scene() {
+            return self.cut_chunk(objects);
+        }
         loop {
             let left = now.since(self.simulated);
             let steps = if left >= CHUNK * SUB_STEP {
@@ -37,6 +41,10 @@ impl Application for Drive {
                 return error;
             }
         }
+    }
+
+    fn advance_mechanics(&mut self, now: Instant, objects: &mut Objects) -> Option<Error> {
+        if self.axis.in_scene() { self.advance_sub_steps(now, objects) } else { None }
     }
 
     fn poll_timeout(&self, event_driven: bool) -> Option<Instant> {

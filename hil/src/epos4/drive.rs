@@ -11,6 +11,7 @@
 //! * Software limits and set-point checks apply only to a referenced axis.
 //! * Cyclic modes ignore halt.
 
+mod coupled;
 mod modes;
 mod standstill;
 mod status;
@@ -27,6 +28,7 @@ use crate::node::errors::Error;
 use crate::node::objects::Objects;
 use crate::node::table::Slot;
 use crate::{Demand, Feedback, PlantAxis, Trip, plant::SUB_STEP};
+use coupled::Chunk;
 use standstill::Standstill;
 
 const POSITION_WINDOW: Slot = slot_of(Object::new(0x6067, 0));
@@ -62,6 +64,8 @@ pub(super) struct Drive {
     /// Time for which the position has been within the window around its target, s; `None` outside.
     in_window: Option<f64>,
     average_current: f64,
+    /// The present chunk of an axis in a scene.
+    chunk: Option<Chunk>,
 }
 
 /// Profile position mode: the current target and the next target.
@@ -109,6 +113,7 @@ impl Drive {
             standstill: Standstill::REACHED,
             in_window: None,
             average_current: 0.0,
+            chunk: None,
         }
     }
 
@@ -291,6 +296,14 @@ impl Drive {
 
     /// Advances by `steps` sub-steps, at most [`CHUNK`], and updates the dictionary. Returns a new error, if any.
     pub(super) fn advance(&mut self, steps: u32, objects: &mut Objects) -> Option<Error> {
+        let limit_switches = self.limit_switches();
+        let demand = self.generate(steps, objects);
+        self.axis.advance(steps, demand);
+        self.conclude(&demand, limit_switches, steps, objects)
+    }
+
+    /// The demand on the axis for a chunk of `steps` sub-steps.
+    fn generate(&mut self, steps: u32, objects: &Objects) -> Demand {
         let dt = f64::from(steps) * SUB_STEP;
         let start = self.motion;
         let limits = self.limits(objects);
@@ -304,8 +317,17 @@ impl Drive {
             self.ramp_demand(start, dt)
         };
         self.axis.set_torque_offset(self.torque_offset(objects));
-        let limit_switches = (self.feedback.negative_limit, self.feedback.positive_limit);
-        self.axis.advance(steps, demand);
+        demand
+    }
+
+    /// Reads the sensors after a chunk of `steps` sub-steps. Returns a new error, if any.
+    fn conclude(
+        &mut self,
+        demand: &Demand,
+        limit_switches: (bool, bool),
+        steps: u32,
+        objects: &mut Objects,
+    ) -> Option<Error> {
         self.feedback = self.axis.feedback();
         if !matches!(demand, Demand::Position { .. }) {
             // The next demand begins at the actual position.
@@ -314,9 +336,13 @@ impl Drive {
                 self.motion.velocity = self.feedback.velocity;
             }
         }
-        let error = self.check(&demand, limit_switches, objects);
-        self.publish(objects, dt);
+        let error = self.check(demand, limit_switches, objects);
+        self.publish(objects, f64::from(steps) * SUB_STEP);
         error
+    }
+
+    fn limit_switches(&self) -> (bool, bool) {
+        (self.feedback.negative_limit, self.feedback.positive_limit)
     }
 
     fn check(&mut self, demand: &Demand, (negative, positive): (bool, bool), objects: &Objects) -> Option<Error> {

@@ -16,7 +16,7 @@
 //! A bit rate configured by LSS is accepted without effect. Left out: storage to a file.
 //!
 //! The drive runs at 1 kHz. It is advanced lazily, when a frame or a time-out needs its state. A device whose host
-//! sends SYNC therefore needs no computing time between SYNCs.
+//! sends SYNC therefore needs no computing time between SYNCs. A drive of a robot in a scene advances with the scene.
 
 mod application;
 mod config;
@@ -118,5 +118,9 @@ impl Device for Epos4 {
 
     fn handle_timeout(&mut self, now: Instant) {
         self.node.handle_timeout(now);
+    }
+
+    fn advance_mechanics(&mut self, now: Instant) -> bool {
+        self.node.advance_mechanics(now)
     }
 }

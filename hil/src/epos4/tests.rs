@@ -7,6 +7,7 @@ mod emergencies;
 mod heartbeats;
 mod motion;
 mod process_data;
+mod scene;
 mod standstill;
 mod storage;
 

@@ -40,6 +40,11 @@ pub(crate) trait Application: Send + 'static {
     /// Advances to `now`, or to an error on the way. Called until `None`. Without `exact` the application may lag.
     fn catch_up(&mut self, now: Instant, exact: bool, objects: &mut Objects) -> Option<Error>;
 
+    /// Advances mechanics in a scene to `now`, or to an error on the way. Called until `None`.
+    fn advance_mechanics(&mut self, _now: Instant, _objects: &mut Objects) -> Option<Error> {
+        None
+    }
+
     /// Latest time of the next [`Application::catch_up`]; `event_driven` if a TPDO depends on changes.
     fn poll_timeout(&self, event_driven: bool) -> Option<Instant>;
 
@@ -159,6 +164,22 @@ impl<A: Application> Node<A> {
         while let Some(error) = self.application.catch_up(now, exact, &mut self.objects) {
             self.fail(error);
         }
+    }
+
+    /// Advances mechanics in a scene to `now`. Returns whether an error occurred, which may have to be sent.
+    pub(crate) fn advance_mechanics(&mut self, now: Instant) -> bool {
+        let mut failed = false;
+        while let Some(error) = self.application.advance_mechanics(now, &mut self.objects) {
+            self.now = now;
+            if self.powered {
+                self.fail(error);
+                failed = true;
+            }
+        }
+        if failed {
+            self.schedule();
+        }
+        failed
     }
 
     fn send(&mut self, frame: Frame) {

@@ -1,7 +1,7 @@
 //! An emulated axis: motor, encoder, switches.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use thiserror::Error;
 
@@ -132,14 +132,37 @@ pub struct PlantAxis {
 /// The angle of a motor shaft, read by another device. Clones read the same shaft.
 ///
 /// The angle is that of the last simulated sub-step. A drive that receives SYNC lags by up to a SYNC period, and a drive
-/// without any frame by up to 20 ms.
+/// without any frame by up to 20 ms. The motor of a belt in a [`Scene`](crate::scene::Scene) does not lag.
 #[derive(Clone, Debug)]
-pub struct AngleProbe(Arc<AtomicU64>);
+pub struct AngleProbe(Arc<Probed>);
+
+#[derive(Debug)]
+struct Probed {
+    angle: AtomicU64,
+    in_scene: AtomicBool,
+}
 
 impl AngleProbe {
+    fn new(angle: f64) -> Self {
+        Self(Arc::new(Probed { angle: AtomicU64::new(angle.to_bits()), in_scene: AtomicBool::new(false) }))
+    }
+
     /// Angle of the motor shaft, rad.
     pub fn angle(&self) -> f64 {
-        f64::from_bits(self.0.load(Ordering::Relaxed))
+        f64::from_bits(self.0.angle.load(Ordering::Relaxed))
+    }
+
+    /// Makes the motor advance with a scene, or on its own again.
+    pub(crate) fn set_in_scene(&self, in_scene: bool) {
+        self.0.in_scene.store(in_scene, Ordering::Relaxed);
+    }
+
+    fn in_scene(&self) -> bool {
+        self.0.in_scene.load(Ordering::Relaxed)
+    }
+
+    fn show(&self, angle: f64) {
+        self.0.angle.store(angle.to_bits(), Ordering::Relaxed);
     }
 }
 
@@ -194,37 +217,63 @@ impl PlantAxis {
     /// In each sub-step the drive reads encoder and current and computes its output, and the plant integrates under
     /// that output. The outer loops run at every tenth sub-step since power-on, independent of the start of a call.
     pub fn advance(&mut self, dt_steps: u32, demand: Demand) {
+        self.begin(demand);
+        for sub_step in 0..dt_steps {
+            self.sub_step(sub_step, demand);
+        }
+        self.end(dt_steps);
+    }
+
+    /// Sets the demand of the sub-steps that follow.
+    pub(crate) fn begin(&mut self, demand: Demand) {
         if demand == Demand::Off {
             self.amplifier.release();
             self.trip = self.trip.filter(|trip| *trip != Trip::OverCurrent);
         } else if self.trip.is_none() {
             self.amplifier.command(&demand);
         }
-        for sub_step in 0..dt_steps {
-            let counts = self.encoder.counts();
-            self.amplifier.observe(counts);
-            let on = demand != Demand::Off && self.trip.is_none();
-            if self.phase == 0 && on {
-                self.amplifier.regulate(&demand, sub_step, counts);
-            }
-            self.phase = (self.phase + 1) % OUTER;
-            self.integrate(on);
-            self.encoder.read(self.plant.angle(), &mut self.noise);
+    }
+
+    /// One sub-step under `demand`; `number` counts the sub-steps since [`PlantAxis::begin`].
+    #[inline]
+    pub(crate) fn sub_step(&mut self, number: u32, demand: Demand) {
+        let counts = self.encoder.counts();
+        self.amplifier.observe(counts);
+        let on = demand != Demand::Off && self.trip.is_none();
+        if self.phase == 0 && on {
+            self.amplifier.regulate(&demand, number, counts);
         }
+        self.phase = (self.phase + 1) % OUTER;
+        self.integrate(on);
+        self.encoder.read(self.plant.angle(), &mut self.noise);
+        if let Some(probe) = self.probe.as_ref().filter(|probe| probe.in_scene()) {
+            probe.show(self.plant.angle());
+        }
+    }
+
+    /// Reads the switches after `dt_steps` sub-steps, and shows the shaft to others.
+    pub(crate) fn end(&mut self, dt_steps: u32) {
         let angle = self.plant.angle();
         if let (Plant::Wut(_), Some(mount)) = (&self.plant, &self.mount) {
             mount.load(angle);
         }
-        if let Some(AngleProbe(bits)) = &self.probe {
-            bits.store(angle.to_bits(), Ordering::Relaxed);
+        if let Some(probe) = &self.probe {
+            probe.show(angle);
         }
         for contact in self.contacts.iter_mut().flatten() {
             contact.advance(angle, dt_steps, &mut self.noise);
         }
     }
 
+    /// Whether the axis moves a robot or a belt in a scene, with which it advances in single sub-steps.
+    pub(crate) fn in_scene(&self) -> bool {
+        self.mount.as_ref().is_some_and(Mount::in_scene) || self.probe.as_ref().is_some_and(AngleProbe::in_scene)
+    }
+
     fn integrate(&mut self, on: bool) {
         let brake = if on { 0.0 } else { self.brake };
+        let mount = self.mount.as_ref().filter(|mount| mount.in_scene());
+        let outer = mount.map_or(0.0, |mount| mount.shaft().torque());
         match &mut self.plant {
             Plant::Wut(wut) => {
                 let current = if on { self.amplifier.settle(wut) } else { 0.0 };
@@ -236,7 +285,7 @@ impl PlantAxis {
             }
             Plant::Physical(motor) => {
                 let voltage = on.then(|| self.amplifier.voltage(motor.current));
-                motor.step(voltage, brake);
+                motor.step(voltage, brake, outer);
                 self.trip = if motor.thermal.tripped {
                     Some(Trip::OverTemperature)
                 } else if self.amplifier.overloaded(motor.current) {
@@ -248,6 +297,13 @@ impl PlantAxis {
                     self.amplifier.release();
                 }
             }
+        }
+        if let Some(mount) = mount {
+            let (angle, velocity) = match &self.plant {
+                Plant::Wut(wut) => (wut.angle, wut.velocity),
+                Plant::Physical(motor) => (motor.angle, motor.velocity),
+            };
+            mount.shaft().set(angle, velocity);
         }
     }
 
@@ -277,10 +333,20 @@ impl PlantAxis {
         self.encoder.latched.take()
     }
 
+    /// The index latch, without arming it again.
+    pub(crate) fn index(&self) -> Option<i32> {
+        self.encoder.latched
+    }
+
+    /// Sets the index latch.
+    pub(crate) fn set_index(&mut self, index: Option<i32>) {
+        self.encoder.latched = index;
+    }
+
     /// A probe that follows the motor shaft. A clone of the axis moves the same probe.
     pub fn probe(&mut self) -> AngleProbe {
-        let bits = self.plant.angle().to_bits();
-        self.probe.get_or_insert_with(|| AngleProbe(Arc::new(AtomicU64::new(bits)))).clone()
+        let angle = self.plant.angle();
+        self.probe.get_or_insert_with(|| AngleProbe::new(angle)).clone()
     }
 
     /// The true angle of the motor shaft, rad, which no drive can measure.

@@ -2,19 +2,25 @@
 
 mod chain;
 mod irp6;
+mod kinematics;
 mod polycrank;
 mod rnt;
 mod screw;
+mod shaft;
 #[cfg(test)]
 mod tests;
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use chain::Body;
 pub use chain::Load;
 use irp6::Irp6;
+pub(crate) use kinematics::Kinematics;
+use nalgebra::Vector3;
 use polycrank::Polycrank;
 use rnt::Rnt;
+use shaft::Shaft;
 
 /// The robot whose mechanics couple the motors.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,12 +53,22 @@ pub enum MechanismConfig {
 /// millisecond. Left out: bending; friction that depends on load; forces from accelerations and speeds of the other
 /// axes. An exception is a change of inertia by the other axes, which conserves momentum.
 ///
+/// The motors of a mechanism in a [`Scene`](crate::scene::Scene) also feel the forces on the flange, in each sub-step.
+///
 /// The load of an axis follows from the last simulated positions of the other axes. The result is a function of
 /// configurations, seeds and the order of all calls. A [`World`](crate::World) keeps that order. If several threads
 /// advance the drives, the results stay valid but differ in their last bits from run to run. A drive without calls
 /// lags by up to 20 ms.
 #[derive(Clone, Debug)]
-pub struct Mechanism(Arc<Mutex<Robot>>);
+pub struct Mechanism(Arc<Shared>);
+
+#[derive(Debug)]
+struct Shared {
+    robot: Mutex<Robot>,
+    /// The motor shafts in each sub-step, if the mechanism is in a scene.
+    shafts: [Shaft; AXES],
+    in_scene: AtomicBool,
+}
 
 /// The place of one axis in a [`Mechanism`].
 #[derive(Clone, Debug)]
@@ -62,7 +78,7 @@ pub struct Mount {
 }
 
 /// Largest number of axes of a robot.
-const AXES: usize = 7;
+pub(crate) const AXES: usize = 7;
 
 #[derive(Clone, Debug)]
 struct Robot {
@@ -117,7 +133,9 @@ impl Mechanism {
             MechanismConfig::Rnt { home_lengths } => (Links::Rnt(Rnt::new(home_lengths)), 6),
             MechanismConfig::Polycrank { coupled, at_home } => (Links::Polycrank(Polycrank::new(coupled, at_home)), 7),
         };
-        Self(Arc::new(Mutex::new(Robot { links, count, homes: [0.0; AXES], motors: [0.0; AXES] })))
+        let robot = Robot { links, count, homes: [0.0; AXES], motors: [0.0; AXES] };
+        let shafts = std::array::from_fn(|_| Shaft::default());
+        Self(Arc::new(Shared { robot: Mutex::new(robot), shafts, in_scene: AtomicBool::new(false) }))
     }
 
     /// Number of axes of the robot.
@@ -133,6 +151,7 @@ impl Mechanism {
             return None;
         }
         robot.homes[number] = home;
+        self.0.shafts[number].set(home + robot.motors[number], 0.0);
         Some(Mount { mechanism: self.clone(), number })
     }
 
@@ -163,9 +182,88 @@ impl Mechanism {
         Load { torque: loaded.links.torque, inertia: loaded.inertia() }
     }
 
+    /// Unit vector against gravity in the base frame. The origin of that frame depends on the robot:
+    ///
+    /// * IRb-6 and IRp-6: the shoulder, z up. On the track: the shoulder with the carriage at zero, which moves along y.
+    /// * RNT: the centre of the legs' joints in the base, z along the central leg.
+    /// * Polycrank: on axis 1, which is the z axis.
+    pub fn up(&self) -> [f64; 3] {
+        match self.lock().links {
+            Links::Irp6(_) => irp6::UP,
+            Links::Rnt(_) => rnt::UP,
+            Links::Polycrank(_) => polycrank::UP,
+        }
+        .into()
+    }
+
+    /// Mass, kg, that resists a force on a point of the tool in a direction: the force per acceleration of the point in
+    /// that direction, with all motors free and without friction. `point` is in the flange frame, m, `direction` in the
+    /// base frame. Infinite if no motor moves the point in that direction. The inertia of each motor is that of
+    /// [`Mechanism::load`].
+    ///
+    /// A motor whose drive holds its position resists more, but not at once: the mass decides the peak of an impact that
+    /// is short compared with the reaction of the drives.
+    pub fn effective_mass(&self, point: [f64; 3], direction: [f64; 3]) -> f64 {
+        let (kinematics, _) = self.kinematics();
+        let arm = kinematics.flange.axes * Vector3::from(point);
+        let force = Vector3::from(direction).normalize();
+        let torques = kinematics.torques(&force, &arm.cross(&force));
+        let mut robot = self.lock();
+        let motors = torques.iter().take(robot.count).enumerate();
+        let mobility: f64 = motors.map(|(number, torque)| torque * torque / robot.load(number).inertia()).sum();
+        1.0 / mobility
+    }
+
+    /// Makes the mechanism part of a scene. Returns whether it was part of one before.
+    pub(crate) fn enter_scene(&self) -> bool {
+        let robot = self.lock();
+        let shafts = self.0.shafts.iter().zip(robot.homes.iter().zip(&robot.motors));
+        for (shaft, (home, motor)) in shafts {
+            shaft.set(home + motor, 0.0);
+        }
+        self.0.in_scene.swap(true, Ordering::Relaxed)
+    }
+
+    /// Ends the part of the mechanism in a scene, and with it all forces on the flange.
+    pub(crate) fn leave_scene(&self) {
+        self.0.in_scene.store(false, Ordering::Relaxed);
+        for shaft in &self.0.shafts {
+            shaft.set_torque(0.0);
+        }
+    }
+
+    pub(crate) fn in_scene(&self) -> bool {
+        self.0.in_scene.load(Ordering::Relaxed)
+    }
+
+    /// The flange at the present angles of the shafts, and the velocities of the shafts, rad/s.
+    pub(crate) fn kinematics(&self) -> (Kinematics, [f64; AXES]) {
+        let mut robot = self.lock();
+        let mut motors = [0.0; AXES];
+        let mut velocities = [0.0; AXES];
+        for (number, shaft) in self.0.shafts[..robot.count].iter().enumerate() {
+            motors[number] = shaft.angle() - robot.homes[number];
+            velocities[number] = shaft.velocity();
+        }
+        let kinematics = match &mut robot.links {
+            Links::Irp6(irp6) => irp6.kinematics(&motors),
+            Links::Rnt(rnt) => rnt.kinematics(&motors),
+            Links::Polycrank(polycrank) => polycrank.kinematics(&motors),
+        };
+        (kinematics, velocities)
+    }
+
+    /// Loads the motors with a force on the flange's origin, N, and a torque, N·m, both in the base frame, until the
+    /// next call.
+    pub(crate) fn push(&self, kinematics: &Kinematics, force: &Vector3<f64>, torque: &Vector3<f64>) {
+        for (shaft, torque) in self.0.shafts.iter().zip(kinematics.torques(force, torque)) {
+            shaft.set_torque(torque);
+        }
+    }
+
     fn lock(&self) -> MutexGuard<'_, Robot> {
         // A panic of another thread leaves valid numbers behind.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.robot.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -174,6 +272,7 @@ impl Mount {
     pub(super) fn place(&self, angle: f64) {
         let mut robot = self.mechanism.lock();
         robot.motors[self.number] = angle - robot.homes[self.number];
+        self.shaft().set(angle, 0.0);
         let motors = robot.motors;
         if let Links::Rnt(rnt) = &mut robot.links {
             rnt.settle(&motors);
@@ -185,6 +284,16 @@ impl Mount {
         let mut robot = self.mechanism.lock();
         robot.motors[self.number] = angle - robot.homes[self.number];
         robot.load(self.number)
+    }
+
+    /// Whether the mechanism is part of a scene.
+    pub(super) fn in_scene(&self) -> bool {
+        self.mechanism.in_scene()
+    }
+
+    /// The motor's shaft, as the scene sees it.
+    pub(super) fn shaft(&self) -> &Shaft {
+        &self.mechanism.0.shafts[self.number]
     }
 }
 

@@ -101,7 +101,7 @@ pub(crate) struct Motor {
     noise: Noise,
     /// Angle, rad.
     pub(super) angle: f64,
-    velocity: f64,
+    pub(super) velocity: f64,
     /// Current, A.
     pub(super) current: f64,
     /// Sub-step over inertia.
@@ -141,11 +141,11 @@ impl Motor {
     }
 
     /// One sub-step under a voltage, V. `None` means that the power stage is off, which ends the current at once. A
-    /// brake resists by up to `brake` N·m.
+    /// brake resists by up to `brake` N·m. `outer` is the torque of forces on the robot, N·m.
     ///
     /// The current follows the exact solution of `L di/dt = V - R i - Ke w` at constant speed. The shaft follows
     /// semi-implicit Euler with friction by [`Friction::apply`].
-    pub(crate) fn step(&mut self, voltage: Option<f64>, brake: f64) {
+    pub(crate) fn step(&mut self, voltage: Option<f64>, brake: f64, outer: f64) {
         if self.sub_step.is_multiple_of(MEDIUM) {
             self.update();
         }
@@ -156,6 +156,7 @@ impl Motor {
         });
         self.heat += self.current * self.current;
         let mut torque = self.torque_per_current * self.current + self.gravity - self.config.viscous * self.velocity;
+        torque += outer;
         if let Some(stops) = &self.config.end_stops {
             torque += stops.torque(self.angle, self.velocity);
         }
@@ -226,7 +227,7 @@ mod tests {
     fn blocked_winding_rises_with_inductance_over_resistance() {
         let mut motor = motor(&CONFIG, 0.0);
         for k in 1..=50 {
-            motor.step(Some(6.0), 100.0);
+            motor.step(Some(6.0), 100.0, 0.0);
             let exact = 10.0 * (1.0 - (-0.6 * SUB_STEP * f64::from(k) / 0.5e-3).exp());
             assert!((motor.current - exact).abs() < 1e-9, "{} A for {exact}", motor.current);
         }
@@ -237,7 +238,7 @@ mod tests {
         let config = MotorConfig { viscous: 0.0, friction: FrictionConfig::NONE, ..CONFIG };
         let mut motor = motor(&config, 0.0);
         for _ in 0..20_000 {
-            motor.step(Some(35.8), 0.0);
+            motor.step(Some(35.8), 0.0, 0.0);
         }
         assert!((motor.velocity - 341.0).abs() < 0.1, "{} rad/s", motor.velocity);
     }
@@ -250,7 +251,7 @@ mod tests {
         let rest = tau * (1.0 + 50.0 / sag).ln();
         for k in 1..4_000 {
             let before = motor.velocity;
-            motor.step(None, 0.0);
+            motor.step(None, 0.0, 0.0);
             assert!(motor.velocity <= before, "gains speed at {k}");
             let t = f64::from(k) * SUB_STEP;
             let exact = if t < rest { (50.0 + sag) * (-t / tau).exp() - sag } else { 0.0 };
@@ -265,7 +266,7 @@ mod tests {
         let (mut supplied, mut lost) = (0.0, 0.0);
         for _ in 0..3_000 {
             let (current, velocity) = (motor.current, motor.velocity);
-            motor.step(Some(12.0), 0.0);
+            motor.step(Some(12.0), 0.0, 0.0);
             let (i, w) = (0.5 * (current + motor.current), 0.5 * (velocity + motor.velocity));
             supplied += 12.0 * i * SUB_STEP;
             lost += (0.6 * i * i + 1e-3 * w * w + 0.08 * w.abs()) * SUB_STEP;
@@ -289,7 +290,7 @@ mod tests {
     fn warm_motor_resists_more_and_pulls_less() {
         let mut motor = motor(&CONFIG, 0.0);
         for _ in 0..2_000_000 {
-            motor.step(Some(6.0), 100.0);
+            motor.step(Some(6.0), 100.0, 0.0);
         }
         let (winding, housing) = (motor.thermal.winding - 25.0, motor.thermal.housing - 25.0);
         assert!(winding > 50.0 && housing > 8.0, "{winding} K, {housing} K");

@@ -1,6 +1,8 @@
 //! Rigid links on revolute joints, and their load on a motor that turns some of the joints.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
+
+use super::kinematics::{Frame, Twist};
 
 pub(super) type Vector = Vector3<f64>;
 
@@ -122,6 +124,14 @@ impl Link {
         let across = cos * y - sin * x;
         Vector::new(cos * x + sin * y, c * across + s * z, c * z - s * across)
     }
+
+    /// Axes of this frame, as columns, from the axes of the previous frame.
+    fn axes(&self, (sin, cos): (f64, f64), previous: &Matrix3<f64>) -> Matrix3<f64> {
+        let (s, c) = self.twist;
+        let (x, y, z) = (previous.column(0), previous.column(1), previous.column(2));
+        let across = y * cos - x * sin;
+        Matrix3::from_columns(&[x * cos + y * sin, across * c + z * s, z * c - across * s])
+    }
 }
 
 /// Links in series, with a payload on the last link.
@@ -146,5 +156,21 @@ impl<const N: usize> Chain<N> {
             load = load.and(link.body.load(&motion));
         }
         load.and(self.payload.load(&motion))
+    }
+
+    /// The last frame of the chain on a `base`, and the motion of that frame per rad/s of each joint. All vectors are
+    /// in the axes in which `base` is given.
+    pub(super) fn place(&mut self, base: Frame, angles: &[f64; N]) -> (Frame, [Twist; N]) {
+        let mut frame = base;
+        let mut joints = [(Vector::zeros(), Vector::zeros()); N];
+        for ((link, angle), joint) in self.links.iter_mut().zip(angles).zip(&mut joints) {
+            let angle = link.turn(*angle);
+            *joint = (frame.axes.column(2).into_owned(), frame.origin);
+            frame.axes = link.axes(angle, &frame.axes);
+            frame.origin += frame.axes * link.reach;
+        }
+        let motion =
+            |(axis, through): (Vector, Vector)| Twist { velocity: axis.cross(&(frame.origin - through)), spin: axis };
+        (frame, joints.map(motion))
     }
 }

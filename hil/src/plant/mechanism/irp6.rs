@@ -4,6 +4,7 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::chain::{Body, Chain, Link, Motion, Vector};
+use super::kinematics::{Frame, Kinematics, Twist};
 use super::{AXES, Loaded, screw::Screw};
 
 /// Constant ratios of motor angle to joint angle (public code). The roll of the wrist is driven through its pitch.
@@ -17,7 +18,7 @@ const TRACK: f64 = 2.0 * std::f64::consts::TAU / 8e-3;
 /// Mass of the carriage below the column, kg (nominal).
 const CARRIAGE: f64 = 60.0;
 /// Unit vector against gravity.
-const UP: Vector = Vector::new(0.0, 0.0, 1.0);
+pub(super) const UP: Vector = Vector::new(0.0, 0.0, 1.0);
 /// The gripper, along its own axis from the end of the wrist (nominal).
 const GRIPPER: Body = Body::point(1.35, [0.0, 0.0, 0.15]);
 
@@ -83,14 +84,7 @@ impl Irp6 {
     }
 
     pub(super) fn load(&mut self, number: usize, motors: &[f64; AXES]) -> Loaded {
-        let arm = |axis: usize| motors[self.first + axis];
-        let (lower, lower_gear) = self.lower.joint(arm(1));
-        let (upper, upper_gear) = self.upper.joint(arm(2));
-        let pitch = arm(3) / PITCH;
-        let roll = (arm(4) - arm(3)) / ROLL;
-        // Parallelogram and rods keep each link's angle to the horizontal. The angles of the chain are relative to
-        // the previous link.
-        let angles = [arm(0) / COLUMN, lower, upper - lower, pitch - upper - FRAC_PI_2, roll, arm(5) / FLANGE];
+        let posture = self.posture(motors);
         let mut base = Motion::standing(UP);
         let mut rates = [0.0; 6];
         let mut ratio = 1.0;
@@ -100,28 +94,77 @@ impl Irp6 {
                 TURNING_TRACK + CARRIAGE / (TRACK * TRACK)
             }
             Some(axis) => {
-                match axis {
-                    0 => rates[0] = 1.0 / COLUMN,
-                    1 => {
-                        ratio = lower_gear;
-                        rates[1] = 1.0 / ratio;
-                        rates[2] = -rates[1];
-                    }
-                    2 => {
-                        ratio = upper_gear;
-                        rates[2] = 1.0 / ratio;
-                        rates[3] = -rates[2];
-                    }
-                    3 => {
-                        rates[3] = 1.0 / PITCH;
-                        rates[4] = -1.0 / ROLL;
-                    }
-                    4 => rates[4] = 1.0 / ROLL,
-                    _ => rates[5] = 1.0 / FLANGE,
-                }
+                (rates, ratio) = posture.rates(axis);
                 TURNING[axis.min(5)]
             }
         };
-        Loaded { links: self.chain.load(&base, &angles, &rates), turning, ratio }
+        Loaded { links: self.chain.load(&base, &posture.angles, &rates), turning, ratio }
+    }
+
+    /// The flange, and its motion per rad/s of each motor. The base frame lies at the shoulder, z up, and stands still
+    /// when the carriage moves along its y axis.
+    pub(super) fn kinematics(&mut self, motors: &[f64; AXES]) -> Kinematics {
+        let posture = self.posture(motors);
+        let mut base = Frame::BASE;
+        if self.first == 1 {
+            base.origin[1] = motors[0] / TRACK;
+        }
+        let (flange, joints) = self.chain.place(base, &posture.angles);
+        let mut kinematics = Kinematics { flange, motors: [Twist::default(); AXES] };
+        for (number, twist) in kinematics.motors.iter_mut().enumerate() {
+            match number.checked_sub(self.first) {
+                None => twist.velocity[1] = 1.0 / TRACK,
+                Some(axis) if axis < 6 => *twist = Twist::sum(&joints, &posture.rates(axis).0),
+                Some(_) => {}
+            }
+        }
+        kinematics
+    }
+
+    fn posture(&self, motors: &[f64; AXES]) -> Posture {
+        let arm = |axis: usize| motors[self.first + axis];
+        let (lower, lower_gear) = self.lower.joint(arm(1));
+        let (upper, upper_gear) = self.upper.joint(arm(2));
+        let pitch = arm(3) / PITCH;
+        let roll = (arm(4) - arm(3)) / ROLL;
+        // Parallelogram and rods keep each link's angle to the horizontal. The angles of the chain are relative to
+        // the previous link.
+        let angles = [arm(0) / COLUMN, lower, upper - lower, pitch - upper - FRAC_PI_2, roll, arm(5) / FLANGE];
+        Posture { angles, lower_gear, upper_gear }
+    }
+}
+
+/// Angles of the chain's joints, and the ratios of the screws in that pose.
+struct Posture {
+    angles: [f64; 6],
+    lower_gear: f64,
+    upper_gear: f64,
+}
+
+impl Posture {
+    /// Rates of the chain's joints per rad/s of the motor of `axis` of the arm, and the motor's ratio if it changes.
+    fn rates(&self, axis: usize) -> ([f64; 6], f64) {
+        let mut rates = [0.0; 6];
+        let mut ratio = 1.0;
+        match axis {
+            0 => rates[0] = 1.0 / COLUMN,
+            1 => {
+                ratio = self.lower_gear;
+                rates[1] = 1.0 / ratio;
+                rates[2] = -rates[1];
+            }
+            2 => {
+                ratio = self.upper_gear;
+                rates[2] = 1.0 / ratio;
+                rates[3] = -rates[2];
+            }
+            3 => {
+                rates[3] = 1.0 / PITCH;
+                rates[4] = -1.0 / ROLL;
+            }
+            4 => rates[4] = 1.0 / ROLL,
+            _ => rates[5] = 1.0 / FLANGE,
+        }
+        (rates, ratio)
     }
 }

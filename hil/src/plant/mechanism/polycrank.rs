@@ -1,6 +1,7 @@
 //! Polycrank: two planar cranks of three parallel axes each, and a tool roll, on a horizontal first axis.
 
 use super::chain::{Body, Chain, Link, Motion, Vector};
+use super::kinematics::{Frame, Kinematics, Twist};
 use super::{AXES, Loaded};
 
 /// Motor angle per joint angle (nominal).
@@ -8,7 +9,7 @@ const RATIO: f64 = 50.0;
 /// Inertia of a rotor, kg·m² (nominal).
 const TURNING: f64 = 1e-4;
 /// The x axis of the first frame points up. The published rotations leave open whether the x or the y axis does.
-const UP: Vector = Vector::new(1.0, 0.0, 0.0);
+pub(super) const UP: Vector = Vector::new(1.0, 0.0, 0.0);
 
 #[derive(Clone, Debug)]
 pub(super) struct Polycrank {
@@ -41,22 +42,40 @@ impl Polycrank {
     }
 
     pub(super) fn load(&mut self, number: usize, motors: &[f64; AXES]) -> Loaded {
+        let (angles, rates) = (self.angles(motors), self.rates(number));
+        Loaded { links: self.chain.load(&Motion::standing(UP), &angles, &rates), turning: TURNING, ratio: 1.0 }
+    }
+
+    /// The flange, and its motion per rad/s of each motor. The z axis of the base frame is axis 1, and x points up.
+    pub(super) fn kinematics(&mut self, motors: &[f64; AXES]) -> Kinematics {
+        let angles = self.angles(motors);
+        let (flange, joints) = self.chain.place(Frame::BASE, &angles);
+        let motors = std::array::from_fn(|number| Twist::sum(&joints, &self.rates(number)));
+        Kinematics { flange, motors }
+    }
+
+    fn angles(&self, motors: &[f64; AXES]) -> [f64; AXES] {
         let mut angles = motors.map(|motor| motor / RATIO);
-        let mut rates = [0.0; AXES];
-        rates[number] = 1.0 / RATIO;
         if self.coupled {
             for joint in [5, 4, 2, 1] {
                 angles[joint] -= angles[joint - 1];
-            }
-            // If one motor of a group turns alone, the next joint turns back by the same angle, so that the later
-            // links keep their orientation.
-            if !matches!(number, 2 | 5 | 6) {
-                rates[number + 1] = -rates[number];
             }
         }
         for (angle, at_home) in angles.iter_mut().zip(self.at_home) {
             *angle += at_home;
         }
-        Loaded { links: self.chain.load(&Motion::standing(UP), &angles, &rates), turning: TURNING, ratio: 1.0 }
+        angles
+    }
+
+    /// Rates of the joints per rad/s of a motor.
+    fn rates(&self, number: usize) -> [f64; AXES] {
+        let mut rates = [0.0; AXES];
+        rates[number] = 1.0 / RATIO;
+        // If one motor of a group turns alone, the next joint turns back by the same angle, so that the later links
+        // keep their orientation.
+        if self.coupled && !matches!(number, 2 | 5 | 6) {
+            rates[number + 1] = -rates[number];
+        }
+        rates
     }
 }

@@ -3,7 +3,10 @@
 
 use std::f64::consts::TAU;
 
+use nalgebra::Matrix3;
+
 use super::chain::{Body, Chain, Link, Load, Motion, Vector};
+use super::kinematics::{Frame, Kinematics, Twist};
 use super::{AXES, Loaded};
 
 /// Radius of the universal joints in the base, at 0°, 120° and 240°, m.
@@ -19,7 +22,7 @@ const GEAR: f64 = 100.0;
 /// wrist.
 const TURNING: (f64, f64) = (3.0e-4, 2.0e-5);
 /// The machine hangs: the z axis of its base, along which the legs extend, points down.
-const UP: Vector = Vector::new(0.0, 0.0, -1.0);
+pub(super) const UP: Vector = Vector::new(0.0, 0.0, -1.0);
 
 #[derive(Clone, Debug)]
 pub(super) struct Rnt {
@@ -125,6 +128,28 @@ impl Rnt {
             (TURNING.1, Load::default())
         };
         Loaded { links: load.and(self.wrist.load(&base, &angles, &rates)), turning, ratio: 1.0 }
+    }
+
+    /// The flange, and its motion per rad/s of each motor. The base frame lies in the centre of the legs' joints, z
+    /// along the central leg.
+    pub(super) fn kinematics(&mut self, motors: &[f64; AXES]) -> Kinematics {
+        self.follow(motors);
+        let axes = Matrix3::from_columns(&self.pose.axes());
+        let centre = axes * Vector::new(0.0, 0.0, self.pose.extension + WRIST);
+        let angles = [3, 4, 5].map(|axis| motors[axis] / GEAR);
+        let (flange, joints) = self.wrist.place(Frame { axes, origin: centre }, &angles);
+        let mut twists = [Twist::default(); AXES];
+        for (twist, (_, rate)) in twists.iter_mut().zip(self.pose.legs()) {
+            let platform = self.pose.motion(rate / LEG, UP);
+            let spin = axes * platform.spin;
+            let velocity =
+                axes * platform.velocity + spin.cross(&(flange.origin - axes.column(2) * self.pose.extension));
+            *twist = Twist { velocity, spin };
+        }
+        for (twist, joint) in twists[3..6].iter_mut().zip(joints) {
+            *twist = Twist { velocity: joint.velocity / GEAR, spin: joint.spin / GEAR };
+        }
+        Kinematics { flange, motors: twists }
     }
 }
 

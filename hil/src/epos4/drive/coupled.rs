@@ -1,0 +1,112 @@
+//! Chunks of a drive whose axis advances with a scene, in single sub-steps.
+//!
+//! A chunk begins with the sub-step after the last chunk, under the demand for 1 ms. A frame that the drive receives
+//! ends the chunk early. The set-point generator is then set back to the beginning of the chunk and run for its true
+//! duration. The demand of the sub-steps that have passed stays as it was.
+
+use std::time::Duration;
+
+use can::Instant;
+use canopen::cia402::PowerState;
+
+use super::{Brake, CHUNK, Drive, Homing, Motion, Setpoints};
+use crate::Demand;
+use crate::node::errors::Error;
+use crate::node::objects::Objects;
+
+const SUB_STEP: Duration = Duration::from_micros(100);
+
+/// A chunk in progress.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Chunk {
+    demand: Demand,
+    /// Sub-steps so far.
+    steps: u32,
+    limit_switches: (bool, bool),
+    /// The set-point generator at the beginning.
+    before: Generator,
+}
+
+/// What the set-point generator of a mode changes.
+#[derive(Clone, Copy, Debug)]
+struct Generator {
+    motion: Motion,
+    profile: Setpoints,
+    segment: (f64, f64),
+    homing: Homing,
+    in_window: Option<f64>,
+    offset: i32,
+    referenced: bool,
+    power: PowerState,
+    braking: Option<(Brake, PowerState)>,
+}
+
+impl Drive {
+    /// Advances the axis to `now`, or to the error at the end of a chunk.
+    pub(in super::super) fn advance_sub_steps(&mut self, now: Instant, objects: &mut Objects) -> Option<Error> {
+        while now.since(self.reached()) >= SUB_STEP {
+            let mut chunk = match self.chunk.take() {
+                Some(chunk) => chunk,
+                None => self.begin_chunk(objects),
+            };
+            self.axis.sub_step(chunk.steps, chunk.demand);
+            chunk.steps += 1;
+            if chunk.steps < CHUNK {
+                self.chunk = Some(chunk);
+            } else {
+                let error = self.end_chunk(&chunk, objects);
+                if error.is_some() {
+                    return error;
+                }
+            }
+        }
+        None
+    }
+
+    /// Ends the chunk in progress, if there is one.
+    pub(in super::super) fn cut_chunk(&mut self, objects: &mut Objects) -> Option<Error> {
+        let chunk = self.chunk.take()?;
+        self.restore(&chunk.before);
+        // A search for the index arms the latch again, which must keep an index pulse of this chunk.
+        let index = self.axis.index();
+        self.generate(chunk.steps, objects);
+        self.axis.set_index(index);
+        self.end_chunk(&chunk, objects)
+    }
+
+    /// Time up to which the axis has been simulated, within the chunk in progress.
+    fn reached(&self) -> Instant {
+        self.simulated + self.chunk.map_or(0, |chunk| chunk.steps) * SUB_STEP
+    }
+
+    fn begin_chunk(&mut self, objects: &Objects) -> Chunk {
+        let before = Generator {
+            motion: self.motion,
+            profile: self.profile,
+            segment: self.segment,
+            homing: self.homing,
+            in_window: self.in_window,
+            offset: self.offset,
+            referenced: self.referenced,
+            power: self.power,
+            braking: self.braking,
+        };
+        let limit_switches = self.limit_switches();
+        let demand = self.generate(CHUNK, objects);
+        self.axis.begin(demand);
+        Chunk { demand, steps: 0, limit_switches, before }
+    }
+
+    fn end_chunk(&mut self, chunk: &Chunk, objects: &mut Objects) -> Option<Error> {
+        self.simulated += chunk.steps * SUB_STEP;
+        self.axis.end(chunk.steps);
+        self.conclude(&chunk.demand, chunk.limit_switches, chunk.steps, objects)
+    }
+
+    fn restore(&mut self, generator: &Generator) {
+        let Generator { motion, profile, segment, homing, in_window, offset, referenced, power, braking } = *generator;
+        (self.motion, self.profile, self.segment, self.homing) = (motion, profile, segment, homing);
+        (self.in_window, self.offset, self.referenced) = (in_window, offset, referenced);
+        (self.power, self.braking) = (power, braking);
+    }
+}

@@ -1,0 +1,188 @@
+//! Position and motion of the flange of a mechanism, and the motor torques of a wrench on it.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::AXES;
+use super::chain::Vector;
+
+/// A frame in the base frame of its mechanism.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Frame {
+    /// Axes of the frame, as columns.
+    pub(crate) axes: Matrix3<f64>,
+    /// Origin, m.
+    pub(crate) origin: Vector,
+}
+
+impl Frame {
+    /// The base frame itself.
+    pub(super) const BASE: Self =
+        Self { axes: Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), origin: Vector::new(0.0, 0.0, 0.0) };
+}
+
+/// Motion of a frame: velocity of its origin, m/s, and angular velocity, rad/s. A column of a Jacobian is the motion
+/// per rad/s of a motor.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Twist {
+    pub(crate) velocity: Vector,
+    pub(crate) spin: Vector,
+}
+
+impl Twist {
+    /// Sum of the motions that joints cause at these rates.
+    pub(super) fn sum<const N: usize>(joints: &[Self; N], rates: &[f64; N]) -> Self {
+        let mut sum = Self::default();
+        // Most motors turn one or two joints.
+        for (joint, &rate) in joints.iter().zip(rates).filter(|(_, rate)| **rate != 0.0) {
+            sum.velocity += joint.velocity * rate;
+            sum.spin += joint.spin * rate;
+        }
+        sum
+    }
+}
+
+/// The flange of a mechanism in one pose.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Kinematics {
+    /// The flange frame of [`Mechanism::set_payload`](super::Mechanism::set_payload).
+    pub(crate) flange: Frame,
+    /// Motion of the flange per rad/s of each motor; zero for absent motors.
+    pub(crate) motors: [Twist; AXES],
+}
+
+impl Kinematics {
+    /// Motion of the flange while the motors turn at these velocities, rad/s.
+    pub(crate) fn twist(&self, velocities: &[f64; AXES]) -> Twist {
+        Twist::sum(&self.motors, velocities)
+    }
+
+    /// Torque on each motor, N·m, of a force on the flange's origin, N, and a torque, N·m, in the base frame. By the
+    /// transpose of the Jacobian: the wrench does the same work on the flange as the torques on the motors.
+    pub(crate) fn torques(&self, force: &Vector3<f64>, torque: &Vector3<f64>) -> [f64; AXES] {
+        self.motors.map(|motor| motor.velocity.dot(force) + motor.spin.dot(torque))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::FRAC_PI_2;
+
+    use nalgebra::Vector3;
+
+    use super::super::{Mechanism, MechanismConfig};
+    use super::Kinematics;
+    use crate::plant::{AxisConfig, Noise};
+
+    const ROBOTS: [MechanismConfig; 6] = [
+        MechanismConfig::Irb6,
+        MechanismConfig::Irp6,
+        MechanismConfig::Irp6OnTrack,
+        MechanismConfig::Rnt { home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3] },
+        MechanismConfig::Polycrank { coupled: false, at_home: [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7] },
+        MechanismConfig::Polycrank { coupled: true, at_home: [0.0; 7] },
+    ];
+
+    /// A mechanism with its motors at these angles from home.
+    fn at(config: MechanismConfig, motors: &[f64]) -> (Mechanism, Kinematics) {
+        let mechanism = Mechanism::new(config);
+        for (number, &motor) in motors.iter().enumerate() {
+            mechanism.mount(number, 50.0).expect("it has the axis").place(50.0 + motor);
+        }
+        let (kinematics, _) = mechanism.kinematics();
+        (mechanism, kinematics)
+    }
+
+    /// Random motor angles within the range of every mechanism.
+    fn pose(config: MechanismConfig, noise: &mut Noise) -> Vec<f64> {
+        let together = 100.0 * noise.symmetric();
+        let angle = |number: usize| match config {
+            MechanismConfig::Rnt { .. } if number < 3 => 100.0 + together + 20.0 * noise.symmetric(),
+            _ => 80.0 * noise.symmetric(),
+        };
+        (0..Mechanism::new(config).axes()).map(angle).collect()
+    }
+
+    #[test]
+    fn flange_moves_as_the_jacobian_says() {
+        let mut noise = Noise::new(5);
+        for config in ROBOTS {
+            for _ in 0..50 {
+                let motors = pose(config, &mut noise);
+                let (_, here) = at(config, &motors);
+                for number in 0..motors.len() {
+                    let moved = |by: f64| {
+                        let mut motors = motors.clone();
+                        motors[number] += by;
+                        at(config, &motors).1.flange
+                    };
+                    let (low, high) = (moved(-1e-3), moved(1e-3));
+                    let velocity = (high.origin - low.origin) / 2e-3;
+                    let turn = high.axes * low.axes.transpose();
+                    let turn = 0.5 * (turn - turn.transpose());
+                    let spin = Vector3::new(turn[(2, 1)], turn[(0, 2)], turn[(1, 0)]) / 2e-3;
+                    let twist = here.motors[number];
+                    assert!((twist.velocity - velocity).norm() < 1e-9, "{config:?} {number}: {twist:?} {velocity}");
+                    assert!((twist.spin - spin).norm() < 1e-9, "{config:?} {number}: {twist:?} {spin}");
+                }
+            }
+        }
+    }
+
+    /// The dynamics of the links and the Jacobian are computed by different code.
+    #[test]
+    fn force_of_a_weight_loads_motors_like_a_payload_of_that_weight() {
+        let mut noise = Noise::new(6);
+        for config in ROBOTS {
+            for _ in 0..50 {
+                let motors = pose(config, &mut noise);
+                let (mechanism, here) = at(config, &motors);
+                let empty: Vec<_> = (0..motors.len()).map(|axis| mechanism.load(axis).torque).collect();
+                let centre = Vector3::new(0.1, -0.2, 0.3);
+                mechanism.set_payload(3.0, centre.into());
+                let force = -3.0 * 9.81 * Vector3::from(mechanism.up());
+                let torque = (here.flange.axes * centre).cross(&force);
+                let torques = here.torques(&force, &torque);
+                for (axis, empty) in empty.iter().enumerate() {
+                    let payload = mechanism.load(axis).torque - empty;
+                    assert!((payload - torques[axis]).abs() < 1e-9, "{config:?} {axis}: {} {payload}", torques[axis]);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn mass_at_the_tip_is_that_of_the_motors_that_move_it() {
+        let (mechanism, _) = at(MechanismConfig::Irb6, &[0.0; 5]);
+        // Sideways: the column alone, at 0.67 + 0.095 + 0.2 m, and the roll, on whose axis the point lies.
+        let column = mechanism.load(0).inertia * 158.0 * 158.0 / (0.965 * 0.965);
+        let found = mechanism.effective_mass([0.0, 0.0, 0.2], [0.0, 2.0, 0.0]);
+        assert!((found - column).abs() < 1e-9 * column, "{found} for {column} kg");
+        // Upwards: upper arm at 0.67 m behind its screw, and pitch at 0.295 m.
+        let upper = mechanism.load(2).inertia * 175.126 * 175.126 / (0.67 * 0.67);
+        let pitch = mechanism.load(3).inertia * 128.0 * 128.0 / (0.295 * 0.295);
+        let both = 1.0 / (1.0 / upper + 1.0 / pitch);
+        let found = mechanism.effective_mass([0.0, 0.0, 0.2], [0.0, 0.0, 1.0]);
+        assert!((found - both).abs() < 1e-4 * both, "{found} for {both} kg");
+    }
+
+    #[test]
+    fn irp6_flange_is_where_the_public_code_has_it() {
+        let home = [-15.9, -5.0, -8.527, 151.31, 435.25, 791.0];
+        let cases = [
+            ([-15.9, -5.0, -8.527, 151.31, 435.25 - 76.8 * FRAC_PI_2, 791.0], [0.86, 0.0, 0.455]),
+            (
+                [-63.3, -27.601_462, 3.904_375 - 5.6e-5, 193.448_07, 392.908_07, 964.330_7],
+                [0.754_232_820, 0.233_311_552, 0.465_238_581],
+            ),
+        ];
+        for (motors, position) in cases {
+            let relative: Vec<_> = motors.iter().zip(home).map(|(motor, home)| motor - home).collect();
+            let (_, here) = at(MechanismConfig::Irp6, &relative);
+            assert!((here.flange.origin - Vector3::from(position)).norm() < 1e-6, "{here:?} for {position:?}");
+        }
+        let relative: Vec<_> = cases[1].0.iter().zip(home).map(|(motor, home)| motor - home).collect();
+        let axes = at(MechanismConfig::Irp6, &relative).1.flange.axes;
+        let row = Vector3::new(0.612_201, 0.676_525, -0.409_296);
+        assert!((axes.row(0).transpose() - row).norm() < 2e-6, "{axes}");
+    }
+}

@@ -1,0 +1,533 @@
+//! The bodies and surfaces of a cell, and the forces by which robots feel them.
+//!
+//! A [`Scene`] belongs to the [`World`](crate::World), not to one bus: robots whose drives are on several buses meet in
+//! one scene. "Scene" is the usual word for the set of bodies around robots; "world" is the name of the emulated side of
+//! a cell as a whole.
+//!
+//! * Walls are surfaces that stand: half-spaces and boxes ([`WallConfig`]). A belt may run on a wall, also driven by a
+//!   motor of the cell.
+//! * Bodies are boxes and bars that move freely ([`BodyConfig`]). Their corners touch walls and faces of other bodies.
+//! * Robots are [`Mechanism`]s. Their tools have tips, which are spheres ([`TipConfig`]). Forces on tips and in grippers
+//!   act on the motors by the transpose of the Jacobian. Tips have no mass of their own.
+//! * A grip holds a body by a spring and a damper in six dimensions ([`GripConfig`]). A body may be held by several
+//!   grippers. The tips of a robot do not touch the bodies that the robot holds.
+//! * Sensors between flange and tool measure the forces ([`SensorConfig`]).
+//!
+//! The scene advances in steps of 100 µs ([`STEP`]). In each step the motors of its robots move by one sub-step under
+//! the forces of the last step; then the bodies move; then the forces at the end of the step are computed. The result
+//! is a function of the configuration and of the demands on the motors. One build reproduces a run bit for bit.
+//!
+//! # Momentum and energy
+//!
+//! Bodies are integrated implicitly, with forces that do exactly the work by which the energy of the springs decreases.
+//! Bodies and surfaces therefore keep momentum and gain no energy, up to rounding, at any stiffness. The equations of a
+//! step are solved by repetition. A step that does not converge is halved, down to [`SHORTEST`]. [`Scene::unsolved`]
+//! counts the shorter steps that did not converge either.
+//!
+//! Motors move by semi-implicit Euler, as without a scene, and feel the forces at the beginning of their sub-step. The
+//! energy of a contact of a robot is therefore kept only up to the square of the step times the natural frequency of the
+//! contact: 2e-4 of the energy of the impact at 1e5 N/m and 5 kg. Friction in the gears takes more.
+//!
+//! Left out: contacts of edges with edges and of tips with tips; bending of links and tools; material that a tool cuts.
+//! Joints are rigid except for the rotation of their motors: a force in a direction in which no motor moves the tool does
+//! not move the robot. A drive with the regression model of a motor feels no force.
+//!
+//! # Rigid-body libraries
+//!
+//! The documentation and the issues of rapier 0.36 and parry 0.31 were read. Rapier solves impulses by a number of
+//! iterations, with contacts softened by a natural frequency and a damping ratio. A stiffness in N/m cannot be given,
+//! energy may grow in stiff contacts (its issues 97 and 630), and a robot is one of its own multibodies. Of parry, the
+//! distance of a point from a box would be used, which [`Shape`] has in twenty lines.
+
+mod arm;
+mod body;
+mod contact;
+mod error;
+mod forces;
+mod grip;
+mod motion;
+mod probe;
+mod surface;
+#[cfg(test)]
+mod tests;
+
+use std::time::Duration;
+
+use can::Instant;
+use nalgebra::{Isometry3, Vector3};
+
+use crate::{AngleProbe, Mechanism};
+use arm::Arm;
+use body::{Body, CORNERS};
+pub use body::{BodyConfig, BodyState};
+use contact::{Sphere, Surface};
+pub use error::SceneError;
+pub use grip::GripConfig;
+use grip::{End, Hold};
+use motion::{Motion, Moving};
+use probe::Sensor;
+pub use probe::{BodyProbe, SensorConfig, SensorProbe, WrenchProbe};
+pub use surface::{Material, Shape};
+
+/// Duration of a step.
+pub const STEP: Duration = Duration::from_micros(100);
+const STEP_SECONDS: f64 = 1e-4;
+/// Number of times that a step may be halved.
+const HALVINGS: u32 = 6;
+/// Duration of the shortest part of a step.
+pub const SHORTEST: Duration = Duration::from_nanos(100_000 >> HALVINGS);
+/// Repetitions after which a step counts as not converging.
+const REPETITIONS: u32 = 40;
+/// Change of velocity between two repetitions, m/s, at which a step is solved, and its share of the velocity.
+const SOLVED: (f64, f64) = (1e-11, 1e-12);
+
+/// A surface that stands in the world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WallConfig {
+    /// The solid behind the surface.
+    pub shape: Shape,
+    /// The frame of the shape in the world.
+    pub pose: Isometry3<f64>,
+    /// Elasticity and friction.
+    pub material: Material,
+}
+
+/// The spherical tip of a tool.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TipConfig {
+    /// Centre of the sphere in the flange frame of [`Mechanism::set_payload`], m.
+    pub centre: [f64; 3],
+    /// Radius, m. Zero is a point.
+    pub radius: f64,
+}
+
+/// What a gripper is mounted on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Holder {
+    /// The flange of a robot.
+    Robot(RobotId),
+    /// The world: a clamp.
+    World,
+}
+
+/// A wall of one [`Scene`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct WallId(usize);
+
+/// A body of one [`Scene`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct BodyId(usize);
+
+/// A robot of one [`Scene`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct RobotId(usize);
+
+/// A grip of one [`Scene`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct GripId(usize);
+
+/// Bodies, surfaces and robots of a cell.
+pub struct Scene {
+    now: Instant,
+    gravity: Vector3<f64>,
+    walls: Vec<Wall>,
+    bodies: Vec<Body>,
+    probes: Vec<(usize, BodyProbe)>,
+    arms: Vec<Arm>,
+    corners: Vec<CornersOn>,
+    tips: Vec<TipOn>,
+    grips: Vec<Option<Grip>>,
+    unsolved: u64,
+}
+
+struct Wall {
+    surface: Surface,
+    motion: Motion,
+    moving: Moving,
+    belt: Option<Belt>,
+}
+
+/// The drive of a belt.
+struct Belt {
+    shaft: AngleProbe,
+    /// Angle of the shaft at the last step, rad.
+    angle: f64,
+    /// Way of the belt per angle, in the frame of the wall, m/rad.
+    way: Vector3<f64>,
+}
+
+impl Drop for Belt {
+    fn drop(&mut self) {
+        self.shaft.set_in_scene(false);
+    }
+}
+
+/// What a sphere touches, by its number.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Ground {
+    Wall(usize),
+    Body(usize),
+}
+
+/// The corners of a body and a surface.
+struct CornersOn {
+    body: usize,
+    ground: Ground,
+    bristles: [Vector3<f64>; CORNERS],
+    /// The bristles at the end of the present step.
+    next: [Vector3<f64>; CORNERS],
+}
+
+/// A tip of a robot and a surface.
+struct TipOn {
+    arm: usize,
+    tip: usize,
+    ground: Ground,
+    bristle: Vector3<f64>,
+    next: Vector3<f64>,
+}
+
+struct Grip {
+    config: GripConfig,
+    holder: Holder,
+    anchor: End,
+    body: usize,
+    held: End,
+    /// Forces on the body at the last step.
+    hold: Hold,
+}
+
+impl Default for Scene {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Scene {
+    /// An empty scene at [`Instant::ZERO`]. Gravity is 9.81 m/s² against z.
+    pub fn new() -> Self {
+        Self {
+            now: Instant::ZERO,
+            gravity: Vector3::new(0.0, 0.0, -9.81),
+            walls: Vec::new(),
+            bodies: Vec::new(),
+            probes: Vec::new(),
+            arms: Vec::new(),
+            corners: Vec::new(),
+            tips: Vec::new(),
+            grips: Vec::new(),
+            unsolved: 0,
+        }
+    }
+
+    /// Sets the acceleration of free fall of bodies, m/s², in place of the usual one. Mechanisms keep their weight.
+    pub fn set_gravity(&mut self, gravity: [f64; 3]) {
+        self.gravity = gravity.into();
+    }
+
+    /// Adds a wall. Fails if the surface is not passive or a number is invalid.
+    pub fn add_wall(&mut self, config: &WallConfig) -> Result<WallId, SceneError> {
+        passive(&config.material)?;
+        finite(&config.pose, "the place of a wall")?;
+        if let Shape::Box { half } = config.shape {
+            lengths(half)?;
+        }
+        let (origin, axes) = parts(&config.pose);
+        let wall = self.walls.len();
+        self.walls.push(Wall {
+            surface: Surface { shape: config.shape, material: config.material, belt: Vector3::zeros() },
+            motion: Motion::standing(origin, axes),
+            moving: Moving { origin, axes, velocity: Vector3::zeros(), spin: Vector3::zeros() },
+            belt: None,
+        });
+        for body in 0..self.bodies.len() {
+            self.corners.push(CornersOn::new(body, Ground::Wall(wall)));
+        }
+        self.meet_tips(Ground::Wall(wall));
+        Ok(WallId(wall))
+    }
+
+    /// Sets the velocity, m/s, of a belt on a wall of this scene, in the axes of the world.
+    pub fn set_belt(&mut self, wall: WallId, velocity: [f64; 3]) {
+        let wall = &mut self.walls[wall.0];
+        wall.belt = None;
+        wall.surface.belt = wall.moving.axes.tr_mul(&Vector3::from(velocity));
+    }
+
+    /// Lets a motor drive the belt on a wall of this scene by `way`, m/rad, in the axes of the world. The drive of the
+    /// motor is on the wires of the world of this scene. Friction on the belt does not load the motor.
+    pub fn drive_belt(&mut self, wall: WallId, shaft: AngleProbe, way: [f64; 3]) {
+        let wall = &mut self.walls[wall.0];
+        // The end of the last drive of this belt takes its own shaft out of the scene.
+        wall.belt = None;
+        shaft.set_in_scene(true);
+        let way = wall.moving.axes.tr_mul(&Vector3::from(way));
+        wall.belt = Some(Belt { angle: shaft.angle(), shaft, way });
+    }
+
+    /// Adds a body. Fails if a number is invalid or the surface is not passive.
+    pub fn add_body(&mut self, config: &BodyConfig) -> Result<BodyId, SceneError> {
+        passive(&config.material)?;
+        lengths(config.half)?;
+        finite(&config.pose, "the place of a body")?;
+        if !(config.mass > 0.0 && config.mass.is_finite()) {
+            return Err(SceneError::Mass { mass: config.mass });
+        }
+        if !config.velocity.iter().chain(&config.spin).all(|value| value.is_finite()) {
+            return Err(SceneError::NotFinite { what: "the velocity of a body" });
+        }
+        let body = self.bodies.len();
+        self.bodies.push(Body::new(config));
+        for wall in 0..self.walls.len() {
+            self.corners.push(CornersOn::new(body, Ground::Wall(wall)));
+        }
+        for other in 0..body {
+            self.corners.push(CornersOn::new(body, Ground::Body(other)));
+            self.corners.push(CornersOn::new(other, Ground::Body(body)));
+        }
+        self.meet_tips(Ground::Body(body));
+        Ok(BodyId(body))
+    }
+
+    /// Adds a robot with its base frame, which [`Mechanism::up`] describes, at `base` in the world. Fails if the
+    /// mechanism is part of a scene already, or if its upward direction is not that of the scene.
+    pub fn add_robot(&mut self, mechanism: &Mechanism, base: &Isometry3<f64>) -> Result<RobotId, SceneError> {
+        finite(base, "the place of a robot")?;
+        let up = base.rotation * Vector3::from(mechanism.up());
+        let angle = up.angle(&-self.gravity);
+        if angle > 1e-3 {
+            return Err(SceneError::Leaning { angle });
+        }
+        if mechanism.enter_scene() {
+            return Err(SceneError::Taken);
+        }
+        self.arms.push(Arm::new(mechanism, base));
+        Ok(RobotId(self.arms.len() - 1))
+    }
+
+    /// Adds a tip to the tool of a robot of this scene. Fails if a number is invalid.
+    pub fn add_tip(&mut self, robot: RobotId, config: &TipConfig) -> Result<(), SceneError> {
+        if !config.centre.iter().all(|value| value.is_finite()) {
+            return Err(SceneError::NotFinite { what: "the centre of a tip" });
+        }
+        if !(config.radius >= 0.0 && config.radius.is_finite()) {
+            return Err(SceneError::Length { what: "the radius of a tip", value: config.radius });
+        }
+        let arm = &mut self.arms[robot.0];
+        let tip = arm.tips.len();
+        arm.tips.push(Sphere { centre: config.centre.into(), radius: config.radius });
+        let walls = (0..self.walls.len()).map(Ground::Wall);
+        let bodies = (0..self.bodies.len()).map(Ground::Body);
+        self.tips.extend(walls.chain(bodies).map(|ground| TipOn::new(robot.0, tip, ground)));
+        Ok(())
+    }
+
+    /// Adds a force sensor between the flange and the tool of a robot of this scene. Fails if a number is invalid.
+    pub fn add_sensor(&mut self, robot: RobotId, config: &SensorConfig) -> Result<SensorProbe, SceneError> {
+        finite(&config.pose, "the place of a force sensor")?;
+        let values = config.centre.iter().chain(&config.inertia);
+        if !(config.mass.is_finite() && values.clone().all(|value| value.is_finite())) {
+            return Err(SceneError::NotFinite { what: "the mass beyond a force sensor" });
+        }
+        let (sensor, probe) = Sensor::new(config);
+        self.arms[robot.0].sensors.push(sensor);
+        Ok(probe)
+    }
+
+    /// Closes a gripper on a body of this scene. The grip frame is `gripper` in the frame of the holder and `held` in
+    /// the frame of the body. `None`: the body is taken where it is, and no force arises. Fails if the grip is not
+    /// passive or a number is invalid.
+    pub fn hold(
+        &mut self,
+        config: &GripConfig,
+        holder: Holder,
+        gripper: &Isometry3<f64>,
+        body: BodyId,
+        held: Option<&Isometry3<f64>>,
+    ) -> Result<GripId, SceneError> {
+        if !config.is_passive() {
+            return Err(SceneError::Grip { stiffness: config.stiffness, damping: config.damping });
+        }
+        finite(gripper, "the place of a grip")?;
+        let anchor = End::from(gripper);
+        let held = match held {
+            Some(held) => {
+                finite(held, "the place of a grip")?;
+                End::from(held)
+            }
+            None => {
+                let (holder, body) = (self.holder(holder), self.bodies[body.0].moving());
+                let point = holder.origin + holder.axes * anchor.point;
+                End {
+                    point: body.axes.tr_mul(&(point - body.origin)),
+                    axes: body.axes.tr_mul(&(holder.axes * anchor.axes)),
+                }
+            }
+        };
+        self.grips.push(Some(Grip { config: *config, holder, anchor, body: body.0, held, hold: Hold::default() }));
+        Ok(GripId(self.grips.len() - 1))
+    }
+
+    /// Opens a gripper.
+    pub fn release(&mut self, grip: GripId) {
+        self.grips[grip.0] = None;
+    }
+
+    /// Force, N, and torque, N·m, of a grip on its body at the last step, at the grip and in the axes of the world. Zero
+    /// after the release.
+    pub fn grip_wrench(&self, grip: GripId) -> [f64; 6] {
+        let hold = self.grips[grip.0].as_ref().map(|grip| grip.hold).unwrap_or_default();
+        let (force, torque) = (hold.force, hold.torque);
+        [force.x, force.y, force.z, torque.x, torque.y, torque.z]
+    }
+
+    /// Place and motion of a body of this scene.
+    pub fn body(&self, body: BodyId) -> BodyState {
+        self.bodies[body.0].state()
+    }
+
+    /// A probe of the place of a body of this scene.
+    pub fn watch(&mut self, body: BodyId) -> BodyProbe {
+        let probe = BodyProbe::new(self.body(body));
+        self.probes.push((body.0, probe.clone()));
+        probe
+    }
+
+    /// Place of the flange of a robot of this scene at the last step.
+    pub fn flange(&self, robot: RobotId) -> Isometry3<f64> {
+        self.arms[robot.0].place()
+    }
+
+    /// Energy of all bodies in motion and height, and of all springs between bodies, walls and grippers, J.
+    pub fn energy(&self) -> f64 {
+        let of_body = |body: &Body| body.kinetic_energy() - body.mass * self.gravity.dot(&body.place.origin);
+        let of_pair = |pair: &CornersOn| {
+            let (carrier, (surface, ground)) = (self.bodies[pair.body].moving(), self.ground(pair.ground));
+            let corners = self.bodies[pair.body].corners.iter().zip(&pair.bristles);
+            corners.map(|(sphere, bristle)| spring_energy(sphere, &carrier, surface, &ground, bristle)).sum::<f64>()
+        };
+        let of_tip = |pair: &TipOn| {
+            let (surface, ground) = self.ground(pair.ground);
+            let arm = &self.arms[pair.arm];
+            spring_energy(&arm.tips[pair.tip], &arm.flange, surface, &ground, &pair.bristle)
+        };
+        let of_grip = |grip: &Grip| {
+            let holder = self.holder(grip.holder);
+            let body = self.bodies[grip.body].moving();
+            grip::energy(&grip.config, (&holder, &grip.anchor), (&body, &grip.held))
+        };
+        self.bodies.iter().map(of_body).sum::<f64>()
+            + self.corners.iter().map(of_pair).sum::<f64>()
+            + self.tips.iter().map(of_tip).sum::<f64>()
+            + self.grips.iter().flatten().map(of_grip).sum::<f64>()
+    }
+
+    /// Momentum, kg·m/s, and angular momentum about the origin of the world, kg·m²/s, of all bodies.
+    pub fn momentum(&self) -> (Vector3<f64>, Vector3<f64>) {
+        let of_body = |body: &Body| {
+            let linear = body.mass * body.velocity;
+            (linear, body.place.origin.cross(&linear) + body.momentum)
+        };
+        let zero = (Vector3::zeros(), Vector3::zeros());
+        self.bodies.iter().map(of_body).fold(zero, |sum, one| (sum.0 + one.0, sum.1 + one.1))
+    }
+
+    /// Number of shortest parts of steps whose equations were not solved.
+    pub fn unsolved(&self) -> u64 {
+        self.unsolved
+    }
+
+    /// Time of the last step.
+    pub fn now(&self) -> Instant {
+        self.now
+    }
+
+    /// Advances by one step. The motors of all robots have moved to the end of the step.
+    pub fn step(&mut self) {
+        self.now += STEP;
+        for arm in &mut self.arms {
+            arm.follow();
+        }
+        for wall in &mut self.walls {
+            if let Some(belt) = &mut wall.belt {
+                let angle = belt.shaft.angle();
+                wall.surface.belt = belt.way * ((angle - belt.angle) / STEP_SECONDS);
+                belt.angle = angle;
+            }
+        }
+        self.move_bodies(0.0, 1.0, HALVINGS);
+        self.load_arms();
+        for arm in &mut self.arms {
+            arm.finish(&self.gravity);
+        }
+        for (body, probe) in &self.probes {
+            probe.show(self.bodies[*body].state());
+        }
+    }
+
+    fn meet_tips(&mut self, ground: Ground) {
+        for (number, arm) in self.arms.iter().enumerate() {
+            self.tips.extend((0..arm.tips.len()).map(|tip| TipOn::new(number, tip, ground)));
+        }
+    }
+
+    fn ground(&self, ground: Ground) -> (&Surface, Moving) {
+        match ground {
+            Ground::Wall(wall) => (&self.walls[wall].surface, self.walls[wall].moving),
+            Ground::Body(body) => (&self.bodies[body].surface, self.bodies[body].moving()),
+        }
+    }
+
+    fn holder(&self, holder: Holder) -> Moving {
+        match holder {
+            Holder::Robot(robot) => self.arms[robot.0].flange,
+            Holder::World => Moving::WORLD,
+        }
+    }
+}
+
+impl CornersOn {
+    const LOOSE: [Vector3<f64>; CORNERS] = [Vector3::new(0.0, 0.0, 0.0); CORNERS];
+
+    fn new(body: usize, ground: Ground) -> Self {
+        Self { body, ground, bristles: Self::LOOSE, next: Self::LOOSE }
+    }
+}
+
+impl TipOn {
+    fn new(arm: usize, tip: usize, ground: Ground) -> Self {
+        Self { arm, tip, ground, bristle: Vector3::zeros(), next: Vector3::zeros() }
+    }
+}
+
+/// Energy of the spring and of the bristle between a sphere and a surface, J.
+fn spring_energy(sphere: &Sphere, carrier: &Moving, surface: &Surface, ground: &Moving, bristle: &Vector3<f64>) -> f64 {
+    let centre = carrier.origin + carrier.axes * sphere.centre;
+    let (gap, _) = surface.shape.gap(&ground.axes.tr_mul(&(centre - ground.origin)));
+    let gap = gap - sphere.radius;
+    if gap >= 0.0 {
+        return 0.0;
+    }
+    surface.material.energy(gap) + 0.5 * surface.material.stiffness * bristle.norm_squared()
+}
+
+fn parts(pose: &Isometry3<f64>) -> (Vector3<f64>, nalgebra::Matrix3<f64>) {
+    (pose.translation.vector, pose.rotation.to_rotation_matrix().into_inner())
+}
+
+fn passive(material: &Material) -> Result<(), SceneError> {
+    let Material { stiffness, damping, friction } = *material;
+    if material.is_passive() { Ok(()) } else { Err(SceneError::Surface { stiffness, damping, friction }) }
+}
+
+fn lengths(half: [f64; 3]) -> Result<(), SceneError> {
+    match half.into_iter().find(|half| !(*half > 0.0 && half.is_finite())) {
+        Some(half) => Err(SceneError::Length { what: "an edge", value: 2.0 * half }),
+        None => Ok(()),
+    }
+}
+
+fn finite(pose: &Isometry3<f64>, what: &'static str) -> Result<(), SceneError> {
+    let numbers = pose.translation.vector.iter().chain(pose.rotation.coords.iter());
+    if numbers.into_iter().all(|number| number.is_finite()) { Ok(()) } else { Err(SceneError::NotFinite { what }) }
+}

@@ -1,0 +1,121 @@
+//! Contact of a sphere on one frame with a surface on another frame.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::motion::{Motion, Moving};
+use super::surface::{Material, Shape};
+
+/// A sphere: its centre in the frame that carries it, m, and its radius, m.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sphere {
+    pub(super) centre: Vector3<f64>,
+    pub(super) radius: f64,
+}
+
+/// A surface and the velocity of a belt on it, in the frame of the surface.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Surface {
+    pub(super) shape: Shape,
+    pub(super) material: Material,
+    /// Velocity of the belt, m/s.
+    pub(super) belt: Vector3<f64>,
+}
+
+/// Force of a contact on the sphere. Its opposite acts on the surface at the same points.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Push {
+    /// Centre of the sphere, m.
+    pub(super) centre: Vector3<f64>,
+    /// Force through the centre, N.
+    pub(super) normal: Vector3<f64>,
+    /// Point of the sphere that touches the surface, m.
+    pub(super) touch: Vector3<f64>,
+    /// Friction at that point, N.
+    pub(super) drag: Vector3<f64>,
+    /// The new displacement of the bristle, in the frame of the surface, m.
+    pub(super) bristle: Vector3<f64>,
+}
+
+/// Mean force over a step of `dt` seconds; `None` without a contact at its beginning and at its end.
+///
+/// The force does exactly the work by which the energy of the springs decreases, except for losses.
+pub(super) fn over_step(
+    sphere: &Sphere,
+    carrier: &Motion,
+    surface: &Surface,
+    ground: &Motion,
+    bristle: &Vector3<f64>,
+    dt: f64,
+) -> Option<Push> {
+    let points = carrier.points(&sphere.centre);
+    let arms = [points[0] - ground.origin[0], points[1] - ground.origin[1]];
+    let extent = surface.shape.extent() + sphere.radius;
+    if arms[0].norm_squared().min(arms[1].norm_squared()) > extent * extent {
+        return None;
+    }
+    let local = [ground.axes[0].tr_mul(&arms[0]), ground.axes[1].tr_mul(&arms[1])];
+    let gaps = local.map(|point| surface.shape.gap(&point).0 - sphere.radius);
+    if gaps[0] >= 0.0 && gaps[1] >= 0.0 {
+        return None;
+    }
+    let way = local[1] - local[0];
+    let slope = slope(&surface.shape, &local, &way, gaps[1] - gaps[0]);
+    let size = surface.material.normal(gaps, (gaps[1] - gaps[0]) / dt);
+    let axes = ground.mean_axes();
+    let normal = axes * (slope * size);
+    let direction = slope.normalize();
+    let lever = -sphere.radius * (axes * direction);
+    let middle = 0.5 * (points[0] + points[1]);
+    let rolling = carrier.spin.cross(&lever) - ground.spin.cross(&lever);
+    let slide = way + axes.tr_mul(&(rolling * dt)) - surface.belt * dt;
+    let slide = along(&slide, &direction);
+    let (drag, bristle) = surface.material.drag(size, along(bristle, &direction), slide, slide / dt);
+    Some(Push { centre: middle, normal, touch: middle + lever, drag: axes * drag, bristle })
+}
+
+/// Mean slope of the gap over a step: the slope times the way is the change of the gap (Gonzalez, 1996).
+fn slope(shape: &Shape, points: &[Vector3<f64>; 2], way: &Vector3<f64>, change: f64) -> Vector3<f64> {
+    let (_, normal) = shape.gap(&(0.5 * (points[0] + points[1])));
+    let squared = way.norm_squared();
+    let missing = change - normal.dot(way);
+    // On a plane the normal is the slope, and only a rounding error is missing.
+    if missing.abs() <= 1e-14 { normal } else { normal + way * (missing / squared) }
+}
+
+/// The part of a vector along the surface with this normal.
+fn along(vector: &Vector3<f64>, normal: &Vector3<f64>) -> Vector3<f64> {
+    vector - normal * normal.dot(vector)
+}
+
+/// Force at one instant, after the bristle was displaced by the motion of the last `dt` seconds; `None` without a
+/// contact.
+pub(super) fn at_instant(
+    sphere: &Sphere,
+    carrier: &Moving,
+    surface: &Surface,
+    ground: &Moving,
+    bristle: &Vector3<f64>,
+    dt: f64,
+) -> Option<Push> {
+    let centre = carrier.origin + carrier.axes * sphere.centre;
+    let arm = centre - ground.origin;
+    let extent = surface.shape.extent() + sphere.radius;
+    if arm.norm_squared() > extent * extent {
+        return None;
+    }
+    let (gap, direction) = surface.shape.gap(&ground.axes.tr_mul(&arm));
+    let gap = gap - sphere.radius;
+    if gap >= 0.0 {
+        return None;
+    }
+    let axes: &Matrix3<f64> = &ground.axes;
+    let normal = axes * direction;
+    let touch = centre - sphere.radius * normal;
+    let approach = carrier.velocity_at(&centre) - ground.velocity_at(&centre);
+    let size = surface.material.normal([gap; 2], normal.dot(&approach));
+    let rate = axes.tr_mul(&(carrier.velocity_at(&touch) - ground.velocity_at(&touch))) - surface.belt;
+    let rate = along(&rate, &direction);
+    let bristle = along(bristle, &direction) + rate * dt;
+    let (drag, bristle) = surface.material.drag(size, bristle, Vector3::zeros(), rate);
+    Some(Push { centre, normal: normal * size, touch, drag: axes * drag, bristle })
+}

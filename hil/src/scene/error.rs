@@ -1,0 +1,58 @@
+//! Refusals of parts of a scene.
+
+use thiserror::Error;
+
+/// Why a part cannot be added to a scene.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum SceneError {
+    /// The energy of the surface would grow, or the surface is no spring.
+    #[error(
+        "a surface with {stiffness} N/m, {damping} N·s/m and friction {friction} is not passive: use a stiffness above \
+         zero, and neither damping nor friction below zero"
+    )]
+    Surface {
+        /// Stiffness, N/m.
+        stiffness: f64,
+        /// Damping, N·s/m.
+        damping: f64,
+        /// Friction.
+        friction: f64,
+    },
+    /// The energy of the grip would grow.
+    #[error("a grip with {stiffness} N/m and {damping} N·s/m is not passive: use no value below zero")]
+    Grip {
+        /// Stiffness, N/m.
+        stiffness: f64,
+        /// Damping, N·s/m.
+        damping: f64,
+    },
+    /// A dimension is not above zero.
+    #[error("{what} of {value} m: use a length above zero")]
+    Length {
+        /// The dimension.
+        what: &'static str,
+        /// Value, m.
+        value: f64,
+    },
+    /// A mass is not above zero.
+    #[error("a body of {mass} kg: use a mass above zero")]
+    Mass {
+        /// Mass, kg.
+        mass: f64,
+    },
+    /// A coordinate or an angle is NaN or infinite.
+    #[error("{what} is not finite")]
+    NotFinite {
+        /// The quantity.
+        what: &'static str,
+    },
+    /// The base of the robot stands so that the weight of its links would point elsewhere than the weight of bodies.
+    #[error("the base of the robot leans by {angle:.4} rad: turn the base so that its upward direction is up")]
+    Leaning {
+        /// Angle between the upward directions, rad.
+        angle: f64,
+    },
+    /// The mechanism is part of another scene, or twice in one scene.
+    #[error("the robot is part of a scene already: add each robot once, and keep one scene for the cell")]
+    Taken,
+}

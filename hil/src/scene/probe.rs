@@ -1,0 +1,144 @@
+//! Measurements of the scene by devices.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use can::Instant;
+use nalgebra::{Isometry3, Matrix3, Vector3};
+
+use super::body::BodyState;
+use super::motion::{Moving, Wrench};
+
+/// The true wrench on a force/torque sensor, asked for by an emulated device.
+pub trait WrenchProbe: Send {
+    /// Wrench at `now` in the frame of the sensor: three forces, N, then three torques, N·m. `now` never decreases.
+    fn wrench(&mut self, now: Instant) -> [f64; 6];
+}
+
+/// A force/torque sensor between flange and tool.
+///
+/// The wrench is the load that the tool puts on the sensor: forces of contacts and grips on the tool, plus weight and
+/// minus inertia of all parts beyond the sensor, about the origin of the sensor's frame. At rest and without a contact
+/// the sensor measures the weight of the tool.
+///
+/// The mechanism moves the mass of the tool as part of its links or as its payload. The mass is given here for the
+/// measurement only and adds no load to the motors. The mass of a body in a gripper belongs to the body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorConfig {
+    /// The frame of the sensor in the flange frame of [`Mechanism::set_payload`](crate::Mechanism::set_payload).
+    pub pose: Isometry3<f64>,
+    /// Mass beyond the sensor, kg.
+    pub mass: f64,
+    /// Centre of that mass, in the frame of the sensor, m.
+    pub centre: [f64; 3],
+    /// Moments of inertia about the centre and the axes of the sensor, kg·m².
+    pub inertia: [f64; 3],
+}
+
+/// A [`WrenchProbe`] of one sensor of a scene. Clones read the same sensor.
+///
+/// The wrench is that of the last step of the scene, so it is up to 100 µs old. Accelerations are means over the last
+/// millisecond.
+#[derive(Clone, Debug, Default)]
+pub struct SensorProbe(Arc<Mutex<[f64; 6]>>);
+
+impl SensorProbe {
+    /// The wrench at the last step.
+    pub fn last(&self) -> [f64; 6] {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl WrenchProbe for SensorProbe {
+    fn wrench(&mut self, _now: Instant) -> [f64; 6] {
+        self.last()
+    }
+}
+
+/// The true place of a body, for devices that see it. Clones see the same body.
+#[derive(Clone, Debug)]
+pub struct BodyProbe(Arc<Mutex<BodyState>>);
+
+impl BodyProbe {
+    pub(super) fn new(state: BodyState) -> Self {
+        Self(Arc::new(Mutex::new(state)))
+    }
+
+    /// Place and motion of the body at the last step of the scene.
+    pub fn state(&self) -> BodyState {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn show(&self, state: BodyState) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = state;
+    }
+}
+
+/// Steps over which accelerations are means: 1 ms.
+const WINDOW: usize = 10;
+
+pub(super) struct Sensor {
+    /// Origin and axes in the flange frame.
+    origin: Vector3<f64>,
+    axes: Matrix3<f64>,
+    mass: f64,
+    centre: Vector3<f64>,
+    inertia: Vector3<f64>,
+    /// Velocities and angular velocities of the flange at the last steps, the oldest at `next`.
+    past: [(Vector3<f64>, Vector3<f64>); WINDOW],
+    next: usize,
+    /// Number of valid entries of `past`.
+    count: usize,
+    probe: SensorProbe,
+}
+
+impl Sensor {
+    pub(super) fn new(config: &SensorConfig) -> (Self, SensorProbe) {
+        let probe = SensorProbe::default();
+        let sensor = Self {
+            origin: config.pose.translation.vector,
+            axes: config.pose.rotation.to_rotation_matrix().into_inner(),
+            mass: config.mass,
+            centre: config.centre.into(),
+            inertia: config.inertia.into(),
+            past: [(Vector3::zeros(), Vector3::zeros()); WINDOW],
+            next: 0,
+            count: 0,
+            probe: probe.clone(),
+        };
+        (sensor, probe)
+    }
+
+    /// Measures the forces of `wrench`, about the origin of the flange.
+    pub(super) fn measure(&mut self, flange: &Moving, wrench: &Wrench, gravity: &Vector3<f64>) {
+        let (acceleration, turning) = self.accelerations(flange);
+        let axes = flange.axes * self.axes;
+        let origin = flange.axes * self.origin;
+        let arm = axes * self.centre;
+        let spin = flange.spin;
+        let from_flange = origin + arm;
+        let centre = acceleration + turning.cross(&from_flange) + spin.cross(&spin.cross(&from_flange));
+        let inertial = self.mass * (gravity - centre);
+        let of_spin = |spin: &Vector3<f64>| axes * self.inertia.component_mul(&axes.tr_mul(spin));
+        let force = wrench.force + inertial;
+        let torque = wrench.torque - origin.cross(&wrench.force) + arm.cross(&inertial)
+            - of_spin(&turning)
+            - spin.cross(&of_spin(&spin));
+        let (force, torque) = (axes.tr_mul(&force), axes.tr_mul(&torque));
+        let measured = [force.x, force.y, force.z, torque.x, torque.y, torque.z];
+        *self.probe.0.lock().unwrap_or_else(PoisonError::into_inner) = measured;
+    }
+
+    /// Acceleration of the flange's origin, m/s², and angular acceleration, rad/s².
+    fn accelerations(&mut self, flange: &Moving) -> (Vector3<f64>, Vector3<f64>) {
+        let now = (flange.velocity, flange.spin);
+        let before = if self.count < WINDOW { self.past[0] } else { self.past[self.next] };
+        let passed = self.count as f64 * super::STEP_SECONDS;
+        self.past[self.next] = now;
+        self.next = (self.next + 1) % WINDOW;
+        self.count = (self.count + 1).min(WINDOW);
+        if passed == 0.0 {
+            return (Vector3::zeros(), Vector3::zeros());
+        }
+        ((now.0 - before.0) / passed, (now.1 - before.1) / passed)
+    }
+}

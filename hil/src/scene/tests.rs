@@ -1,0 +1,5 @@
+//! Momentum and energy of bodies, and forces that robots feel.
+
+mod bodies;
+mod robots;
+mod world;

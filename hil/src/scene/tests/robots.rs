@@ -1,0 +1,329 @@
+//! Robots that touch and hold. The motors are advanced by hand, without drives.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+
+use crate::plant::{AxisConfig, Demand, FrictionConfig, Irp6Axis, Mechanism, MechanismConfig, PlantAxis, PlantConfig};
+use crate::scene::{
+    BodyConfig, GripConfig, Holder, Material, RobotId, Scene, SceneError, SensorConfig, SensorProbe, Shape, TipConfig,
+    WallConfig,
+};
+
+const METAL: Material = Material { stiffness: 1e5, damping: 300.0, friction: 0.0 };
+const G: f64 = 9.81;
+
+/// An IRb-6 without friction, and a demand for each motor.
+struct Robot {
+    mechanism: Mechanism,
+    axes: Vec<PlantAxis>,
+    demands: Vec<Demand>,
+}
+
+impl Robot {
+    /// At these motor angles from home. Each motor holds its position.
+    fn irb6(motors: [f64; 5]) -> Self {
+        let mechanism = Mechanism::new(MechanismConfig::Irb6);
+        let axes = Irp6Axis::ALL.iter().zip(motors).enumerate().map(|(number, (axis, motor))| {
+            let mut config = AxisConfig::irp6(*axis).with_home(0.0);
+            let PlantConfig::Physical(plant) = &mut config.plant else { unreachable!("the presets are physical") };
+            plant.friction = FrictionConfig::NONE;
+            plant.viscous = 0.0;
+            plant.torque_ripple = 0.0;
+            plant.end_stops = None;
+            config.start_angle = motor;
+            config.edge_jitter = 0.0;
+            config.brake = 0.0;
+            let mount = mechanism.mount(number, 0.0);
+            PlantAxis::mounted(&config, 1, mount.as_ref())
+        });
+        let axes = axes.collect();
+        Self { mechanism, axes, demands: vec![Demand::Position { counts: 0.5, velocity: 0.0 }; 5] }
+    }
+
+    fn advance(&mut self) {
+        for (axis, demand) in self.axes.iter_mut().zip(&self.demands) {
+            axis.advance(1, *demand);
+        }
+    }
+}
+
+/// Means over some steps of the torques of a robot's motors, of the wrench on a sensor, and of the height of the flange.
+/// Motors without friction tremble by a count.
+fn means(scene: &mut Scene, robot: &mut Robot, id: RobotId, probe: &SensorProbe) -> (Vec<f64>, [f64; 6], f64) {
+    const STEPS: u32 = 10_000;
+    let mut sums = (vec![0.0; 5], [0.0; 6], 0.0);
+    for _ in 0..STEPS {
+        run(scene, &mut [robot], 1);
+        for (sum, axis) in sums.0.iter_mut().zip(&robot.axes) {
+            *sum += axis.feedback().torque / f64::from(STEPS);
+        }
+        for (sum, value) in sums.1.iter_mut().zip(probe.last()) {
+            *sum += value / f64::from(STEPS);
+        }
+        sums.2 += scene.flange(id).translation.z / f64::from(STEPS);
+    }
+    sums
+}
+
+/// Motor angles with the gripper straight down, on an upright lower and a level upper arm.
+const DOWN: [f64; 5] = [0.0, 0.0, 0.0, -128.0 * FRAC_PI_2, -128.0 * FRAC_PI_2];
+
+fn run(scene: &mut Scene, robots: &mut [&mut Robot], steps: u32) {
+    for _ in 0..steps {
+        for robot in robots.iter_mut() {
+            robot.advance();
+        }
+        scene.step();
+    }
+    assert_eq!(scene.unsolved(), 0);
+}
+
+/// A scene in which an IRb-6 at the origin points a tip of radius 5 mm down at a floor, `above` m over it.
+fn over_floor(robot: &Robot, above: f64) -> (Scene, RobotId) {
+    let mut scene = Scene::new();
+    let id = scene.add_robot(&robot.mechanism, &Isometry3::identity()).unwrap();
+    scene.add_tip(id, &TipConfig { centre: [0.0, 0.0, 0.2], radius: 5e-3 }).unwrap();
+    let tip = scene.flange(id) * nalgebra::Point3::new(0.0, 0.0, 0.2);
+    let pose = Isometry3::translation(0.0, 0.0, tip.z - 5e-3 - above);
+    scene.add_wall(&WallConfig { shape: Shape::HalfSpace, pose, material: METAL }).unwrap();
+    (scene, id)
+}
+
+#[test]
+fn flange_of_a_robot_in_the_scene_is_on_its_base() {
+    let robot = Robot::irb6(DOWN);
+    let mut scene = Scene::new();
+    let turn = UnitQuaternion::from_euler_angles(0.0, 0.0, FRAC_PI_2);
+    let base = Isometry3::from_parts(Translation3::new(1.0, 2.0, 0.7), turn);
+    let id = scene.add_robot(&robot.mechanism, &base).unwrap();
+    let flange = scene.flange(id);
+    // Upper arm 0.67 m ahead, which is along y of the world; flange 0.095 m below the pitch axis.
+    let expected = Vector3::new(1.0, 2.67, 0.7 + 0.455 - 0.095);
+    assert!((flange.translation.vector - expected).norm() < 1e-12, "{flange}");
+    assert!((flange.rotation * Vector3::z() + Vector3::z()).norm() < 1e-12, "{flange}");
+}
+
+#[test]
+fn tip_held_in_a_floor_is_pushed_by_its_spring_and_motors_feel_the_force() {
+    let mut robot = Robot::irb6(DOWN);
+    let (mut scene, id) = over_floor(&robot, 0.01);
+    let mut probe = scene.add_sensor(id, &sensor(0.0)).unwrap();
+    run(&mut scene, &mut [&mut robot], 5_000);
+    assert_eq!(probe.last(), [0.0; 6], "nothing is touched");
+    let (free, ..) = means(&mut scene, &mut robot, id, &probe);
+    drop(scene);
+
+    // The same pose, with the floor 1 mm above the lowest point of the tip.
+    let mut robot = Robot::irb6(DOWN);
+    let (mut scene, id) = over_floor(&robot, -1e-3);
+    probe = scene.add_sensor(id, &sensor(0.0)).unwrap();
+    let start = scene.flange(id).translation.z;
+    run(&mut scene, &mut [&mut robot], 20_000);
+    let (loaded, [x, y, z, tx, ty, tz], height) = means(&mut scene, &mut robot, id, &probe);
+    let force = 1e5 * (1e-3 - (height - start));
+    assert!((90.0..101.0).contains(&force), "{force} N");
+    // The sensor's z axis points down, and the floor pushes up.
+    assert!((z + force).abs() < 0.1 && x.abs() < 0.1 && y.abs() < 1e-6, "{x} {y} {z} N of {force}");
+    assert!(tx.abs() < 1e-6 && ty.abs() < 0.1 && tz.abs() < 1e-6, "{tx} {ty} {tz}");
+    // By hand: the upper arm's screw gears 175.1:1 and lowers the tip 0.67 m ahead when the motor turns forwards.
+    let (more, expected) = (loaded[2] - free[2], force * 0.67 / 175.126);
+    assert!((more - expected).abs() < 5e-3 * expected.abs(), "{more} N·m for {expected}");
+}
+
+fn sensor(mass: f64) -> SensorConfig {
+    SensorConfig { pose: Isometry3::identity(), mass, centre: [0.0, 0.0, 0.1], inertia: [0.0; 3] }
+}
+
+#[test]
+fn torque_limited_arm_presses_with_the_force_of_its_torque() {
+    let mut robot = Robot::irb6(DOWN);
+    let (mut scene, id) = over_floor(&robot, 1e-4);
+    let probe = scene.add_sensor(id, &sensor(0.0)).unwrap();
+    run(&mut scene, &mut [&mut robot], 1_000);
+    // The upper arm's motor balances its weight and presses with 0.1 N·m. The other motors hold.
+    let weight = robot.mechanism.load(2).torque;
+    robot.demands[2] = Demand::Torque(-weight + 0.1);
+    run(&mut scene, &mut [&mut robot], 50_000);
+    let force = -probe.last()[2];
+    let expected = 0.1 * 175.126 / 0.67;
+    assert!((force - expected).abs() < 0.01 * expected, "{force} N for {expected}");
+}
+
+/// The kinetic bound: the spring takes up all kinetic energy of the effective mass.
+#[test]
+fn coasting_arm_hits_a_wall_with_the_force_of_its_effective_mass() {
+    for stiffness in [1e4, 1e5, 1e6] {
+        let mut robot = Robot::irb6(DOWN);
+        let mut scene = Scene::new();
+        let id = scene.add_robot(&robot.mechanism, &Isometry3::identity()).unwrap();
+        let centre = [0.0, 0.0, 0.2];
+        scene.add_tip(id, &TipConfig { centre, radius: 5e-3 }).unwrap();
+        let probe = scene.add_sensor(id, &sensor(0.0)).unwrap();
+        // The wall stands across the way of the tip, 5 mm ahead.
+        let turn = UnitQuaternion::from_euler_angles(FRAC_PI_2, 0.0, 0.0);
+        let pose = Isometry3::from_parts(Translation3::new(0.0, 0.01, 0.0), turn);
+        let material = Material { stiffness, damping: 0.0, friction: 0.0 };
+        scene.add_wall(&WallConfig { shape: Shape::HalfSpace, pose, material }).unwrap();
+        let mass = robot.mechanism.effective_mass(centre, [0.0, 1.0, 0.0]);
+        assert!((20.0..40.0).contains(&mass), "{mass} kg");
+
+        robot.demands = (0..5).map(|axis| Demand::Torque(-robot.mechanism.load(axis).torque)).collect();
+        let (mut speed, mut peak, mut back) = (0.0, 0.0_f64, 0.0);
+        let mut before = 0.0;
+        for _ in 0..20_000 {
+            let fast = speed >= 0.1 || peak > 0.0;
+            robot.demands[0] = Demand::Torque(if fast { 0.0 } else { -0.5 });
+            run(&mut scene, &mut [&mut robot], 1);
+            let [x, y, z, ..] = probe.last();
+            let force = (x * x + y * y + z * z).sqrt();
+            let tip = scene.flange(id).translation.y;
+            let velocity = (tip - before) / 1e-4;
+            before = tip;
+            match (force > 0.0, peak > 0.0) {
+                (false, false) => speed = velocity,
+                (true, _) => peak = peak.max(force),
+                (false, true) => {
+                    back = velocity;
+                    break;
+                }
+            }
+        }
+        let bound = speed * (stiffness * mass).sqrt();
+        assert!((0.98..1.005).contains(&(peak / bound)), "{stiffness} N/m: {peak} N of {bound} at {speed} m/s");
+        assert!((back + speed).abs() < 0.01 * speed, "{stiffness} N/m: {speed} m/s, back at {back}");
+    }
+}
+
+#[test]
+fn sensor_measures_weight_and_inertia_of_the_tool() {
+    let mut robot = Robot::irb6(DOWN);
+    let mut scene = Scene::new();
+    let id = scene.add_robot(&robot.mechanism, &Isometry3::identity()).unwrap();
+    let level = UnitQuaternion::from_euler_angles(PI, 0.0, 0.0);
+    let upright = SensorConfig { pose: Isometry3::from_parts(Translation3::identity(), level), ..sensor(1.5) };
+    // The frame of this sensor points up, 0.1 m away from the mass.
+    let upright = scene.add_sensor(id, &SensorConfig { centre: [0.0, 0.02, -0.1], ..upright }).unwrap();
+    run(&mut scene, &mut [&mut robot], 3_000);
+    let (_, [x, y, z, tx, ty, tz], _) = means(&mut scene, &mut robot, id, &upright);
+    let weight = 1.5 * G;
+    assert!(x.hypot(y) < 1e-2 && (z + weight).abs() < 1e-2, "{x} {y} {z}");
+    assert!((tx + 0.02 * weight).abs() < 1e-2 && ty.abs() < 1e-2 && tz.abs() < 1e-3, "{tx} {ty} {tz}");
+
+    // The column accelerates: the mass at 0.67 m stays behind, and is thrown outwards as the speed rises. Torques that
+    // balance the weight do not tremble.
+    robot.demands = (0..5).map(|axis| Demand::Torque(-robot.mechanism.load(axis).torque)).collect();
+    robot.demands[0] = Demand::Torque(0.2);
+    let mut speeds = Vec::new();
+    for _ in 0..1_000 {
+        run(&mut scene, &mut [&mut robot], 1);
+        let origin = scene.flange(id).translation.vector;
+        speeds.push(origin.y.atan2(origin.x));
+    }
+    let rate = (speeds[999] - speeds[989]) / 1e-3;
+    let turning = (speeds[999] - 2.0 * speeds[979] + speeds[959]) / 4e-6;
+    let [x, y, z, ..] = upright.last();
+    // The mass is 0.02 m off the plane of the arm.
+    let (radial, across) = (x.hypot(y), 1.5 * 0.67_f64.hypot(0.02) * rate.powi(2).hypot(turning));
+    assert!(across > 2.0 && (radial - across).abs() < 0.03 * across, "{radial} N for {across}");
+    assert!((z + weight).abs() < 0.2, "{z}");
+}
+
+#[test]
+fn bar_held_by_two_arms_is_strained_as_its_springs_say() {
+    let mut arms = [Robot::irb6(DOWN), Robot::irb6(DOWN)];
+    let mut scene = Scene::new();
+    let turn = UnitQuaternion::from_euler_angles(0.0, 0.0, PI);
+    let opposite = Isometry3::from_parts(Translation3::new(2.0, 0.0, 0.0), turn);
+    let first = scene.add_robot(&arms[0].mechanism, &Isometry3::identity()).unwrap();
+    let second = scene.add_robot(&arms[1].mechanism, &opposite).unwrap();
+    let tool = Isometry3::translation(0.0, 0.0, 0.2);
+    let (left, right) = (scene.flange(first) * tool, scene.flange(second) * tool);
+    let span = (right.translation.vector - left.translation.vector).norm();
+    assert!((span - 0.66).abs() < 1e-9, "{span}");
+    let middle = 0.5 * (left.translation.vector + right.translation.vector);
+    let bar = BodyConfig {
+        mass: 4.0,
+        half: [0.5 * span, 0.02, 0.02],
+        material: METAL,
+        pose: Isometry3::from_parts(middle.into(), UnitQuaternion::identity()),
+        velocity: [0.0; 3],
+        spin: [0.0; 3],
+    };
+    let bar = scene.add_body(&bar).unwrap();
+    // The bar is 1 mm shorter than the distance of the grippers.
+    let end = |side: f64, grip: &Isometry3<f64>| {
+        Isometry3::from_parts(Translation3::new(side * (0.5 * span - 5e-4), 0.0, 0.0), grip.rotation)
+    };
+    let nominal = GripConfig::NOMINAL;
+    let one = scene.hold(&nominal, Holder::Robot(first), &tool, bar, Some(&end(-1.0, &left))).unwrap();
+    let two = scene.hold(&nominal, Holder::Robot(second), &tool, bar, Some(&end(1.0, &right))).unwrap();
+    let sensors = [first, second].map(|id| scene.add_sensor(id, &sensor(0.0)).unwrap());
+    let [a, b] = &mut arms;
+    run(&mut scene, &mut [a, b], 30_000);
+    // Means over a second, because motors without friction tremble by a count.
+    const STEPS: u32 = 10_000;
+    let grips = [(first, one, -1.0), (second, two, 1.0)];
+    let mut sums = [[Vector3::zeros(); 3]; 2];
+    for _ in 0..STEPS {
+        run(&mut scene, &mut [a, b], 1);
+        for (((robot, grip, side), sensor), [spring, pull, measured]) in grips.iter().zip(&sensors).zip(&mut sums) {
+            // Force of the spring from the true places of flange and bar.
+            let flange = scene.flange(*robot);
+            let held = scene.body(bar).pose * nalgebra::Point3::new(side * (0.5 * span - 5e-4), 0.0, 0.0);
+            *spring += 1e5 * ((flange * tool).translation.vector - held.coords) / f64::from(STEPS);
+            let [x, y, z, ..] = scene.grip_wrench(*grip);
+            *pull += Vector3::new(x, y, z) / f64::from(STEPS);
+            let [x, y, z, ..] = sensor.last();
+            *measured += flange.rotation * Vector3::new(x, y, z) / f64::from(STEPS);
+        }
+    }
+    for ((_, _, side), [spring, pull, measured]) in grips.into_iter().zip(sums) {
+        assert!((pull - spring).norm() < 0.01, "{pull} for {spring}");
+        // Half of the weight each, and a pull of up to 0.5 mm.
+        assert!((pull.z - 2.0 * G).abs() < 0.1, "{pull}");
+        assert!((30.0..50.1).contains(&(side * pull.x)), "{pull}");
+        // The sensor measures the opposite force in its own frame.
+        assert!((measured + pull).norm() < 1e-6, "{measured} for {pull}");
+    }
+}
+
+#[test]
+fn tip_pushes_a_box_away() {
+    let mut robot = Robot::irb6(DOWN);
+    let mut scene = Scene::new();
+    let id = scene.add_robot(&robot.mechanism, &Isometry3::identity()).unwrap();
+    scene.add_tip(id, &TipConfig { centre: [0.0, 0.0, 0.2], radius: 5e-3 }).unwrap();
+    let tip = scene.flange(id) * nalgebra::Point3::new(0.0, 0.0, 0.2);
+    scene.set_gravity([0.0, 0.0, -G]);
+    let pose = Isometry3::translation(tip.x, tip.y + 5e-3 + 0.05 + 1e-3, tip.z);
+    let cube = BodyConfig { mass: 1.0, half: [0.05; 3], material: METAL, pose, velocity: [0.0; 3], spin: [0.0; 3] };
+    let cube = scene.add_body(&cube).unwrap();
+    let floor = Isometry3::translation(0.0, 0.0, tip.z - 0.05);
+    scene.add_wall(&WallConfig { shape: Shape::HalfSpace, pose: floor, material: METAL }).unwrap();
+    // The column turns the tip along y at about 0.1 m/s. Its motor turns backwards.
+    robot.demands[0] = Demand::Velocity(-0.1 / 0.67 * 158.0 * 4000.0 / std::f64::consts::TAU);
+    run(&mut scene, &mut [&mut robot], 10_000);
+    let velocity = scene.body(cube).velocity;
+    assert!((0.09..0.25).contains(&velocity.y), "{velocity}");
+}
+
+#[test]
+fn robots_that_cannot_be_are_refused() {
+    let mut scene = Scene::new();
+    let mechanism = Mechanism::new(MechanismConfig::Irb6);
+    let leaning = Isometry3::from_parts(Translation3::identity(), UnitQuaternion::from_euler_angles(0.1, 0.0, 0.0));
+    let Err(SceneError::Leaning { angle }) = scene.add_robot(&mechanism, &leaning) else { panic!("it leans") };
+    assert!((angle - 0.1).abs() < 1e-9);
+    let id = scene.add_robot(&mechanism, &Isometry3::identity()).unwrap();
+    let mut other = Scene::new();
+    assert_eq!(other.add_robot(&mechanism, &Isometry3::identity()), Err(SceneError::Taken));
+    let tip = TipConfig { centre: [0.0; 3], radius: -1.0 };
+    assert_eq!(scene.add_tip(id, &tip), Err(SceneError::Length { what: "the radius of a tip", value: -1.0 }));
+    let sensor = SensorConfig { centre: [f64::NAN; 3], ..sensor(1.0) };
+    let refused = scene.add_sensor(id, &sensor).unwrap_err();
+    assert_eq!(refused, SceneError::NotFinite { what: "the mass beyond a force sensor" });
+    // The robot is free again after the end of its scene.
+    drop(scene);
+    assert!(other.add_robot(&mechanism, &Isometry3::identity()).is_ok());
+}
