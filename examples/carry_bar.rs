@@ -16,8 +16,8 @@ const DURATION: f64 = 6.0;
 /// Distance between the bases, m.
 const BETWEEN: f64 = 2.2;
 
-/// Displacement of the bar from its start, with velocity and acceleration, in the vertical plane of the arms: along x of
-/// the left base, and up; m and s.
+/// Displacement of the bar from its start, m, velocity, m/s, and acceleration, m/s², in the vertical plane of the arms:
+/// along x of the left base, and up.
 #[derive(Clone, Copy, Debug)]
 struct Displacement([[f64; 2]; 3]);
 
@@ -39,6 +39,7 @@ impl Displacement {
 
 /// The coordinator. Its memory is the number of the macrostep.
 struct Circle {
+    /// Duration of a macrostep, s.
     macrostep: f64,
 }
 
@@ -96,7 +97,7 @@ impl Generator for Grip {
         last: &[f64; 3],
         (e, a0): &(EffectorImage, A<Displacement>),
     ) -> Result<Next<[f64; 3], Answer<f64>>, GeneratorError> {
-        // The link gives each step the order of its number, however slowly the motion runs.
+        // The link gives each step the order of the same number, also while an override slows the motion.
         let order = a0.0.sample().ok_or(GeneratorError::NothingReceived)?;
         let Displacement(order) = order.value;
         let [position, velocity, acceleration] =

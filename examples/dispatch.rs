@@ -1,8 +1,8 @@
-//! Class 4, orders only, and loose coordination: two arms serve stations, and the task gives the next station to the
-//! free arm.
+//! Class 4, orders only, and loose coordination: two arms serve stations, and the task assigns the next station to the
+//! arm that is free.
 //!
-//! The arms work independently and at their own speeds. The task decides seldom, and selects each decision from a finite
-//! set. A step of an arm takes the latest decision and waits for none.
+//! The arms work independently and at their own speeds. The task decides only when an arm is free, and selects each
+//! decision from a finite set. A step of an arm takes the latest decision without waiting.
 //!
 //! ```sh
 //! cargo run --release --example dispatch -- --bench lockstep
@@ -44,7 +44,7 @@ struct Serve {
     macrostep: f64,
 }
 
-/// The motion of the column between two stations, rad, its macrosteps done, and the number of stations served.
+/// The motion of the column between two stations, rad, the number of its macrosteps done, and of stations served.
 #[derive(Clone, Copy, Debug)]
 struct Motion {
     from: f64,
@@ -120,7 +120,7 @@ async fn dispatch(cell: &mut Cell) -> Outcome {
             }
             cell.sleep(cell.file().cell.period()).await;
         }
-        // Each arm served all decisions given to it but the last.
+        // The last decision for each arm is `Finish`, which is no station.
         cell.figure("served_by_left", f64::from(given[0] - 1));
         cell.figure("served_by_right", f64::from(given[1] - 1));
         Outcome::Ok(())

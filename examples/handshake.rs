@@ -1,7 +1,7 @@
-//! Class 6, sensor and orders: a coordinator orders a gripper to take a part that a light gate sees.
+//! Class 6, sensor and orders: a coordinator orders an arm to grip a part that a light gate sees.
 //!
-//! The arm approaches until the gate sees the part, and answers what it sees. The coordinator then orders to grip and
-//! to retreat. Each step of the arm commands the valve of the gripper. No step reads the effector.
+//! The arm approaches until the gate sees the part, and answers whether the gate sees a part. The coordinator then
+//! orders to grip and to retreat. Each step of the arm commands the valve of the gripper. No step reads the effector.
 //!
 //! ```sh
 //! cargo run --release --example handshake -- --bench lockstep
@@ -31,7 +31,7 @@ struct Seen {
     velocity: f64,
 }
 
-/// The arm. The memory is the angle of the column from its start, rad, and its velocity, rad/s.
+/// The generator of the arm. The memory is the angle of the column from its start, rad, and its velocity, rad/s.
 struct Pick {
     /// Number of the gate's input.
     gate: u8,
@@ -89,7 +89,7 @@ impl Generator for Pick {
 /// The coordinator. Its memory is the present order and the number of macrosteps since that order.
 struct Conduct;
 
-/// Macrosteps that the jaws need to close.
+/// Number of macrosteps that the jaws need to close.
 const CLOSING: u32 = 25;
 
 impl Coordinator<1> for Conduct {

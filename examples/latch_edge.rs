@@ -1,6 +1,6 @@
 //! Class 3, effector and sensor: the column turns until a light gate sees a part, and stops at the edge of the part.
 //!
-//! The gate reports its edge with the time of the CAN frame. The image of the effector has the time of its samples. The
+//! An edge of the gate has the receive time of its CAN frame. The image of the effector has the time of its samples. The
 //! position at the edge follows from both times and the measured velocity, and does not depend on the macrostep.
 //!
 //! ```sh
@@ -12,7 +12,7 @@ use mrroc::prelude::*;
 /// Position of the column at the edge of the part, rad, once it is known.
 type Edge = Option<f64>;
 
-/// Turns the column until the gate sees a part. Memory and answer are the edge.
+/// Turns the column until the gate sees a part. Memory and answer are the position at the edge.
 struct Search {
     /// Number of the gate's input.
     gate: u8,
@@ -47,7 +47,7 @@ impl Generator for Search {
         macrostep: Duration,
     ) -> Result<Next<Edge, Answer<Edge>>, GeneratorError> {
         self.macrostep = macrostep.as_secs_f64();
-        // A gate that already sees a part shows no edge of this motion.
+        // If the gate sees a part already, its edge is not of this motion.
         match self.edge(e, v)? {
             None => Ok(Next::remember(None).with(Answer(None))),
             Some(_) => Err(GeneratorError::User(1)),

@@ -1,8 +1,8 @@
-//! Class 7, effector, sensor and orders: two arms raise a tray until a light gate sees its edge, and lower the tray to
-//! that edge.
+//! Class 7, effector, sensor and orders: two arms raise a tray until a light gate sees its edge, and then lower the tray
+//! to the height at the edge.
 //!
 //! Each arm computes the height of its grip at the edge from the time of the edge and its measured position, and
-//! answers the height. The coordinator brakes both arms and orders the mean of both heights: the tray stays level.
+//! answers with this height. The coordinator brakes both arms and orders the mean of both heights: the tray stays level.
 //!
 //! ```sh
 //! cargo run --release --example raise_tray -- --bench lockstep
@@ -10,7 +10,7 @@
 
 use mrroc::prelude::*;
 
-/// Order to both arms: height above the start, m, its velocity and acceleration.
+/// Order to both arms: height above the start, m, velocity, m/s, and acceleration, m/s².
 type Height = [f64; 3];
 
 /// Velocity, m/s, and acceleration, m/s², of the tray.
@@ -66,7 +66,7 @@ impl Coordinator<2> for Raise {
     }
 }
 
-/// The generator of one arm. Its memory is the height of its grip at the edge, m above the start.
+/// The generator of one arm. The memory is the height of the grip at the edge, m above the start.
 struct Lift {
     /// Number of the gate's input.
     gate: u8,

@@ -1,4 +1,4 @@
-//! Retry after an error: a motion that needs more time is refused at rest, and the task allows twice the time.
+//! Retry after an error: a motion with too little time is refused at rest, and the task then allows twice the time.
 
 use mrroc::prelude::*;
 use serde::Deserialize;
@@ -19,8 +19,7 @@ impl Default for Parameters {
     }
 }
 
-/// Moves to a joint position, rad, within the time of the first attempt, or within a multiple if the robot is not fast
-/// enough.
+/// Moves to a joint position, rad. After a refusal, the next attempt allows twice the time.
 async fn move_to(robot: &mut Robot, position: [f64; 8], parameters: &Parameters) -> Outcome {
     let mut duration = Duration::from_millis(parameters.first_ms);
     for attempt in 1.. {

@@ -1,4 +1,5 @@
-//! A virtual sensor: the column turns slowly until the touch probe of the tool reports a touch, and an output is set.
+//! A virtual sensor: the column turns slowly until the touch probe of the tool reports a touch. The task then sets an
+//! output.
 //!
 //! The probe is a digital input of an I/O node on the bus of the drives. The emulated probe is touched at a fixed time.
 
@@ -31,7 +32,7 @@ impl Generator for UntilTouch {
     }
 
     fn next_step(&self, (): &(), v: &V<InputImage>) -> Result<Next<()>, GeneratorError> {
-        // A module that is silent, or has a fault, does not show a touch.
+        // A node that is silent or has a fault cannot report a touch.
         let inputs = v.0.younger_than(Duration::from_millis(300))?;
         inputs.input(self.probe).ok_or(GeneratorError::User(1))?;
         let axes = |column: f64| [column, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];

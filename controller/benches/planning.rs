@@ -25,6 +25,11 @@ use mrroc_controller::path::{JointPath, SplineEnds};
 use mrroc_controller::robot::Space;
 use serde_json::{Value, json};
 
+#[path = "../src/random.rs"]
+mod random;
+
+use random::Random;
+
 /// The Python interpreter, installed by `tests/run`.
 const PYTHON: &str = "target/peers/bin/python";
 const AXES: usize = 7;
@@ -40,27 +45,15 @@ const WITHIN: f64 = 0.1;
 /// Greatest time of jerk-limited planning relative to that of Ruckig.
 const MOVES_WITHIN: f64 = 1.0;
 
-/// SplitMix64.
-struct Random(u64);
+fn axes(random: &mut Random, low: f64, high: f64) -> Axes {
+    std::array::from_fn(|axis| if axis < AXES { random.within(low, high) } else { 0.0 })
+}
 
-impl Random {
-    fn axes(&mut self, low: f64, high: f64) -> Axes {
-        let mut next = || {
-            self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-            let mut z = self.0;
-            z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-            low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-        };
-        std::array::from_fn(|axis| if axis < AXES { next() } else { 0.0 })
-    }
-
-    fn limits(&mut self) -> MotionLimits {
-        MotionLimits {
-            max_velocity: self.axes(0.5, 2.0),
-            max_acceleration: self.axes(1.0, 10.0),
-            max_jerk: self.axes(10.0, 200.0),
-        }
+fn limits(random: &mut Random) -> MotionLimits {
+    MotionLimits {
+        max_velocity: axes(random, 0.5, 2.0),
+        max_acceleration: axes(random, 1.0, 10.0),
+        max_jerk: axes(random, 10.0, 200.0),
     }
 }
 
@@ -69,8 +62,8 @@ fn main() -> ExitCode {
     let (mut paths, mut ours, mut refined) = (Vec::new(), Vec::new(), Vec::new());
     for segments in GRIDS {
         for _ in 0..PATHS {
-            let limits = random.limits();
-            let points: Vec<Axes> = (0..WAY_POINTS).map(|_| random.axes(-2.0, 2.0)).collect();
+            let limits = limits(&mut random);
+            let points: Vec<Axes> = (0..WAY_POINTS).map(|_| axes(&mut random, -2.0, 2.0)).collect();
             let path = JointPath::through(AXES, &points, SplineEnds::Natural).unwrap();
             let node = |k: u32| path.length() * (f64::from(k) / f64::from(segments));
             let grid: Vec<f64> = (0..=segments).map(node).collect();
@@ -95,7 +88,7 @@ fn main() -> ExitCode {
     }
     let (mut moves, mut jerk_limited, rest) = (Vec::new(), Vec::new(), [0.0; AXES]);
     for _ in 0..MOVES {
-        let (limits, start, target) = (random.limits(), random.axes(-2.0, 2.0), random.axes(-2.0, 2.0));
+        let (limits, start, target) = (limits(&mut random), axes(&mut random, -2.0, 2.0), axes(&mut random, -2.0, 2.0));
         let joints = AxesState::at_rest(start);
         let image = EffectorImage::standing(EffectorState { motors: joints, joints, pose: Pose::identity() });
         let mut motion = JerkLimited::new(Space::Joint, AXES, limits, &[target]).unwrap();

@@ -1,8 +1,8 @@
-//! Nothing allocates while a generator runs. Planning allocates only for contours, time-optimal motions and
-//! jerk-limited motions through poses.
+//! Nothing allocates while a generator runs, and no sensor of the operator in its steps. Planning allocates only for
+//! contours, time-optimal motions and jerk-limited motions through poses.
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
+mod counting;
+
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 use std::time::Duration;
@@ -19,33 +19,10 @@ use mrroc_controller::robot::{
     Arm, Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Joints, Mass, Polycrank,
     PolycrankParameters, Rnt, RntParameters, Robot, Space, Weight,
 };
-use mrroc_controller::sensor::{Shell, VirtualSensor};
+use mrroc_controller::sensor::{
+    Operator, OperatorCommand, OperatorError, OperatorLink, Question, Reaction, Shell, VirtualSensor,
+};
 use servo::{EffectorLink, Order, Phase, ServoReport};
-
-/// The system's allocator, with a count of the allocations of each thread.
-struct Counting;
-
-thread_local! {
-    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
-}
-
-#[expect(unsafe_code, reason = "an allocator cannot be written otherwise")]
-// SAFETY: every call is passed on to the system's allocator unchanged; the counter is a plain cell that needs no
-// allocation and no destructor.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        // SAFETY: the caller keeps the contract of `alloc`.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller keeps the contract of `dealloc`.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static COUNTING: Counting = Counting;
 
 /// The IRp-6 without a tool, with the masses of its links.
 fn arm() -> Arm {
@@ -126,9 +103,9 @@ fn allocations(generator: Result<impl Generator, GeneratorError>) -> (u64, u64) 
     ecp.poll(Instant::ZERO);
     ecp.execute(Task::new().run(generator.expect("it can be made"))).expect("nothing is under way");
 
-    let before = ALLOCATIONS.get();
+    let before = counting::allocations();
     assert_eq!(ecp.poll(Instant::ZERO), None);
-    let planned = ALLOCATIONS.get();
+    let planned = counting::allocations();
     let mut now = Instant::ZERO;
     for _ in 0..100_000 {
         now += Duration::from_millis(20);
@@ -141,7 +118,7 @@ fn allocations(generator: Result<impl Generator, GeneratorError>) -> (u64, u64) 
         if let Some(event) = ecp.poll(now) {
             assert_eq!(event.outcome, Ok(()));
             assert!(report.snapshot.macrostep > 10, "it did move");
-            return (planned - before, ALLOCATIONS.get() - planned);
+            return (planned - before, counting::allocations() - planned);
         }
     }
     panic!("the motion does not end");
@@ -203,6 +180,49 @@ fn no_generator_allocates_once_it_was_made() {
 }
 
 #[test]
+fn no_question_of_a_step_uses_the_heap() {
+    let limit = Duration::from_secs(1);
+    let (link, panel) = OperatorLink::new(8);
+    let question = Question::new("Next motion?", ["yes", "no"]).within(limit);
+    let (mut sensor, answer) = Operator::new(&link, question);
+    let mut now = Instant::ZERO;
+    // Answers, a passed deadline with a late line, and a question that is asked in place of one under way.
+    for (lines, reaction) in [
+        (["perhaps", "YES"].as_slice(), Some(Reaction::Answered(0))),
+        (&["no"], Some(Reaction::Answered(1))),
+        (&["perhaps"], Some(Reaction::Late)),
+        (&["no", "yes"], Some(Reaction::Answered(0))),
+        (&[], None),
+        (&[], Some(Reaction::Late)),
+    ] {
+        lines.iter().for_each(|line| panel.lines.try_send((*line).to_owned()).unwrap());
+        let before = (counting::allocations(), counting::releases());
+        sensor.configure(&OperatorCommand::Ask);
+        let mut reading = None;
+        for _ in 0..if reaction.is_some() { 3 } else { 1 } {
+            now += limit;
+            reading = sensor.poll(now);
+            sensor.configure(&OperatorCommand::Wait);
+        }
+        assert_eq!((counting::allocations(), counting::releases()), before, "{lines:?}");
+        assert_eq!(reading.map(|(_, reading)| reading), reaction, "{lines:?}");
+        let answered = answer.get();
+        match reaction {
+            Some(Reaction::Answered(choice)) => {
+                assert_eq!(answered, Some(Ok(["yes", "no"][usize::from(choice)].to_owned())));
+            }
+            Some(Reaction::Late) => assert_eq!(answered, Some(Err(OperatorError::Late { limit }))),
+            _ => assert_eq!(answered, None),
+        }
+        // The panel frees the lines, and formats the texts.
+        assert!(panel.texts.try_iter().count() > 0);
+    }
+    drop(panel.lines);
+    sensor.configure(&OperatorCommand::Ask);
+    assert_eq!(sensor.poll(now), Some((now, Reaction::Closed)));
+}
+
+#[test]
 fn no_kinematics_allocates() {
     let track = Irp6Track::new(&Irp6TrackParameters::irp6ot()).expect("the preset is a robot");
     let seven = Polycrank::new(&PolycrankParameters::polycrank()).expect("the preset is a robot");
@@ -220,13 +240,13 @@ fn no_kinematics_allocates() {
         let pose = robot.forward(&joints).unwrap();
         let mut far = pose;
         far.translation.vector *= 9.0;
-        let before = ALLOCATIONS.get();
+        let before = counting::allocations();
         robot.inverse(&pose, &joints).unwrap();
         robot.inverse(&far, &joints).unwrap_err();
         robot.jacobian(&joints).unwrap();
         robot.singularity(&joints).unwrap();
         let motors = robot.motors_from_joints(&joints).unwrap();
         robot.joints_from_motors(&motors).unwrap();
-        assert_eq!(ALLOCATIONS.get(), before, "{robot:?}");
+        assert_eq!(counting::allocations(), before, "{robot:?}");
     }
 }

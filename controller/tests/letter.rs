@@ -13,6 +13,7 @@ use mrroc_controller::robot::{Arm, Irp6, Irp6Parameters};
 use nalgebra::Vector3;
 
 use bench::{Bench, DT};
+use ideal::PERIOD;
 
 const AXES: usize = 6;
 /// Joints in the middle of the workspace, the wrist bent, rad.
@@ -65,7 +66,7 @@ fn the_set_points_of_the_reference_letter_keep_the_path_within_1_um_and_the_feed
             arm().forward(&joints).expect("the arm was there").translation.vector
         };
         let tool: Vec<_> = sent[begin..].iter().map(tool).collect();
-        let feed = Feed::in_steps(&path, &limits, std::time::Duration::from_millis(20)).expect("a sound profile");
+        let feed = Feed::in_steps(&path, &limits, PERIOD).expect("a sound profile");
         let (mut error, mut beyond_chord, mut fluctuation): (f64, f64, f64) = (0.0, 0.0, 0.0);
         for (period, pair) in tool.windows(2).enumerate() {
             let [from, to] = [period, period + 1].map(|period| feed.at(period as f64 * DT).distance);

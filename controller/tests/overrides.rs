@@ -1,7 +1,10 @@
 //! Speed override, pause and resume of an IRb-6, judged on the set-points that leave the servo.
 //!
-//! Each case runs one motion of five motors with different gears twice: without an override, and with pauses and overrides at
-//! random moments. All motors must pass the same points of the path at the same motion time.
+//! Each case runs one motion of five motors with different gears three times: without an override, at a constant one, and with
+//! pauses and overrides at random moments. All motors must pass the same points of the path at the same motion time.
+//! `MRROC_RANDOM_TIMES` multiplies the number of cases.
+
+#![allow(clippy::disallowed_methods, reason = "the number of cases is read from the environment")]
 
 mod bench;
 mod ideal;
@@ -14,8 +17,8 @@ use std::time::Duration;
 
 use mrroc_controller::ecp::Task;
 use mrroc_controller::generator::{
-    Axes, AxesState, EffectorImage, Generator, GeneratorError, LineLimits, MotionLimits, Newsmooth, Next, Pace,
-    Polynomial, Pose, Setpoint, SmoothPose, StraightLine, TimeOptimal,
+    Axes, AxesState, EffectorImage, Generator, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, Next,
+    Pace, Polynomial, Pose, Setpoint, SmoothPose, StraightLine, TimeOptimal,
 };
 use mrroc_controller::robot::{Arm, Irb6, Irb6Parameters, Space};
 use servo::Phase;
@@ -24,9 +27,13 @@ use bench::{Bench, DT};
 use random::Random;
 
 const AXES: usize = 5;
-const CASES: u64 = 600;
-/// Servo periods of a macrostep.
+const CASES: u64 = 150;
+/// Servo periods of a macrostep of the cell.
 const MACROSTEP: usize = 10;
+/// The constant override, a power of two: motion time then has no rounding errors.
+const SLOW: f64 = 0.125;
+/// Set-points at this override that determine the quintic of a period.
+const NODES: [usize; 6] = [0, 1, 3, 5, 7, 8];
 /// Limits of the servo for each motor, rad/s and rad/s².
 const SERVO: [f64; 2] = [250.0, 1500.0];
 /// The middle of the workspace, rad.
@@ -37,20 +44,56 @@ fn arm() -> Arm {
     Arm::new(Arc::new(robot), Pose::identity())
 }
 
-/// A motion in joints, or along a line of the tool.
-fn task(random: &mut Random, start: &Axes) -> Task {
+/// A generator in macrosteps of the cell, which the servo interpolates.
+struct Coarse<G>(G);
+
+impl<G: Generator<Every = ()>> Generator for Coarse<G> {
+    type First = G::First;
+    type Every = ();
+    type Out = G::Out;
+    type Memory = G::Memory;
+
+    fn first_step(
+        &mut self,
+        images: &G::First,
+        macrostep: Duration,
+    ) -> Result<Next<G::Memory, G::Out>, GeneratorError> {
+        self.0.first_step(images, macrostep)
+    }
+
+    fn terminal(&self, memory: &G::Memory, (): &()) -> bool {
+        self.0.terminal(memory, &())
+    }
+
+    fn next_step(&self, memory: &G::Memory, (): &()) -> Result<Next<G::Memory, G::Out>, GeneratorError> {
+        self.0.next_step(memory, &())
+    }
+}
+
+/// A task of one motion, in macrosteps of the cell or of the generator.
+fn alone(motion: impl Generator<Every = ()>, coarse: bool) -> Task {
+    let task = Task::new();
+    if coarse { task.run(Coarse(motion)) } else { task.run(motion) }
+}
+
+/// A motion in joints, or along a line of the tool, in macrosteps of this number of periods.
+fn task(random: &mut Random, start: &Axes) -> (Task, usize) {
     let limits = MotionLimits::uniform(0.8, 1.5, 30.0);
     let mut pose =
         || std::array::from_fn(|axis| if axis < AXES { START[axis] + random.within(-0.3, 0.3) } else { 0.0 });
     let poses: [Axes; 3] = [pose(), pose(), pose()];
-    let task = Task::new().enable();
-    match random.next() % 4 {
+    let coarse = random.next().is_multiple_of(2);
+    let task = match random.next() % 5 {
         0 => {
             let poses = poses.map(SmoothPose::fast).to_vec();
-            task.run(Newsmooth::new(Space::Joint, AXES, limits, poses).expect("a sound motion"))
+            alone(Newsmooth::new(Space::Joint, AXES, limits, poses).expect("a sound motion"), coarse)
         }
-        1 => task.run(Polynomial::quintic(Space::Joint, AXES, limits, poses[0]).expect("a sound motion")),
-        2 => task.run(TimeOptimal::through(Space::Joint, AXES, limits, poses.to_vec()).expect("a sound motion")),
+        1 => alone(Polynomial::quintic(Space::Joint, AXES, limits, poses[0]).expect("a sound motion"), coarse),
+        2 => {
+            let motion = TimeOptimal::through(Space::Joint, AXES, limits, poses.to_vec());
+            alone(motion.expect("a sound motion"), coarse)
+        }
+        3 => alone(JerkLimited::new(Space::Joint, AXES, limits, &poses[..1]).expect("a sound motion"), coarse),
         _ => {
             let mut target = arm().forward(start).expect("the arm stands there");
             // The tool of an arm with five axes stays in the plane of the arm.
@@ -64,35 +107,44 @@ fn task(random: &mut Random, start: &Axes) -> Task {
                 max_angular_acceleration: 4.0,
                 max_angular_jerk: 40.0,
             };
-            task.run(StraightLine::new(arm(), target, tool, limits).expect("a sound motion"))
+            alone(StraightLine::new(arm(), target, tool, limits).expect("a sound motion"), coarse)
         }
-    }
+    };
+    (task, if coarse { MACROSTEP } else { 1 })
 }
 
 /// Set-points of one motion, rad, with their motion times in periods.
-type Passed = Vec<(f64, [f64; AXES])>;
+struct Passed {
+    points: Vec<(f64, [f64; AXES])>,
+    /// Periods of a macrostep.
+    macrostep: usize,
+}
 
-/// Executes the motion of `seed`. `act` is called after each cycle with the number of cycles since the motion began.
-fn passed(seed: u64, mut act: impl FnMut(&Bench<AXES>, usize)) -> Passed {
+/// Executes the motion of `seed`, which begins at this override. `act` is called after each cycle with the number of cycles
+/// since the motion began.
+fn passed(seed: u64, speed: f64, mut act: impl FnMut(&Bench<AXES>, usize)) -> Passed {
     let mut random = Random(seed);
     let mut start = Axes::default();
     start[..AXES].copy_from_slice(&START);
     let motors = arm().motors(&start).expect("the arm stands there");
     let mut bench = Bench::<AXES>::new(arm(), &motors, SERVO, 8);
-    let task = task(&mut random, &start);
-    let (mut time, mut rate, mut cycles) = (0.0, 1.0, 0);
-    let mut passed = vec![(0.0, std::array::from_fn(|axis| motors[axis]))];
+    let (task, macrostep) = task(&mut random, &start);
+    bench.servo.speed_override().set(speed).expect("a fraction");
+    bench.execute(Task::new().enable(), |_, _| {});
+    bench.settle(speed);
+    let (mut time, mut rate, mut cycles) = (0.0, speed, 0);
+    let mut points = vec![(0.0, std::array::from_fn(|axis| motors[axis]))];
     bench.execute(task, |bench, latest| {
         if latest.phase == Phase::Moving {
             time += 0.5 * (rate + latest.rate);
-            passed.push((time, std::array::from_fn(|axis| latest.commanded[axis])));
+            points.push((time, std::array::from_fn(|axis| latest.commanded[axis])));
             act(bench, cycles);
             cycles += 1;
         }
         rate = latest.rate;
     });
     check_limits(&bench.sent(), seed);
-    passed
+    Passed { points, macrostep }
 }
 
 fn check_limits(sent: &[[f64; AXES]], seed: u64) {
@@ -106,32 +158,36 @@ fn check_limits(sent: &[[f64; AXES]], seed: u64) {
     }
 }
 
-/// Position at a motion time, or at the end. In each macrostep the set-points lie on a quintic, which six of them determine.
-fn on_path(whole: &[(f64, [f64; AXES])], time: f64, axis: usize) -> f64 {
-    let time = time.min((whole.len() - 1) as f64);
-    let macrostep = ((time / MACROSTEP as f64) as usize).min((whole.len() - 1) / MACROSTEP - 1);
-    let nodes: [f64; 6] = std::array::from_fn(|node| 2.0 * node as f64);
-    let within = time - (macrostep * MACROSTEP) as f64;
+/// Position at a motion time, or at the end, by the set-points at the override [`SLOW`]. In each macrostep they lie on a
+/// quintic, which six of them determine.
+fn on_path(slow: &Passed, time: f64, axis: usize) -> f64 {
+    let last = slow.points.len() - 1;
+    let at = (time / SLOW).min(last as f64);
+    let length = NODES[5] * slow.macrostep;
+    let first = ((at / length as f64) as usize).min(last / length - 1) * length;
+    let nodes = NODES.map(|node| (first + node * slow.macrostep) as f64);
     let weight = |node: f64| {
         let others = nodes.iter().filter(|other| **other != node);
-        others.map(|other| (within - other) / (node - other)).product::<f64>()
+        others.map(|other| (at - other) / (node - other)).product::<f64>()
     };
-    let at = |node: f64| whole[macrostep * MACROSTEP + node as usize].1[axis];
-    nodes.iter().map(|node| weight(*node) * at(*node)).sum()
+    nodes.iter().map(|node| weight(*node) * slow.points[*node as usize].1[axis]).sum()
 }
 
 #[test]
 fn a_motion_with_pauses_and_overrides_at_random_moments_passes_the_same_points() {
+    let times = std::env::var("MRROC_RANDOM_TIMES").map_or(1, |times| times.parse().expect("a number"));
     let mut moments = 0;
     let mut farthest: f64 = 0.0;
-    for seed in 0..CASES {
-        let whole = passed(seed, |_, _| {});
-        assert_eq!((whole.len() - 1) % MACROSTEP, 0, "seed {seed}: whole macrosteps");
+    for seed in 0..CASES * times {
+        let slow = passed(seed, SLOW, |_, _| {});
+        let whole = passed(seed, 1.0, |_, _| {});
+        let last = whole.points.len() - 1;
+        assert_eq!(last % whole.macrostep, 0, "seed {seed}: whole macrosteps");
         let mut random = Random(!seed);
-        let pause = (random.next() % (whole.len() as u64 - 1)) as usize;
+        let pause = (random.next() % last as u64) as usize;
         let held = 30 + (random.next() % 200) as usize;
         let mut slowed_by: Option<usize> = None;
-        let slowed = passed(seed, |bench, cycle| {
+        let slowed = passed(seed, 1.0, |bench, cycle| {
             let speed = bench.servo.speed_override();
             let rate = bench.ecp.latest().rate;
             match cycle {
@@ -149,18 +205,19 @@ fn a_motion_with_pauses_and_overrides_at_random_moments_passes_the_same_points()
             }
         });
         moments += 1;
-        let ended = pause + MACROSTEP >= whole.len() - 1;
+        let ended = pause + MACROSTEP >= last;
         assert!(ended || slowed_by.is_some_and(|by| by <= MACROSTEP), "seed {seed}: {slowed_by:?} periods");
-        assert_eq!(slowed.last().map(|it| it.1), whole.last().map(|it| it.1), "seed {seed}: the same end");
-        for (time, positions) in &slowed {
+        let end = |passed: &Passed| passed.points.last().map(|it| it.1);
+        assert_eq!(end(&slowed), end(&whole), "seed {seed}: the same end");
+        for (time, positions) in whole.points.iter().chain(&slowed.points) {
             for (axis, position) in positions.iter().enumerate() {
-                let aside = (position - on_path(&whole, *time, axis)).abs();
+                let aside = (position - on_path(&slow, *time, axis)).abs();
                 farthest = farthest.max(aside);
                 assert!(aside < 1e-9, "seed {seed}, motion time {time}, axis {axis}: {aside} rad from the path");
             }
         }
     }
-    println!("{moments} moments of {CASES} motions: at most {farthest:.1e} rad from the path");
+    println!("{moments} moments of {} motions: at most {farthest:.1e} rad from the path", CASES * times);
 }
 
 /// Swings the column by continuous feedback. Each next step reads the report of the macrostep before.

@@ -3,8 +3,10 @@
 //! A [`Device`] is a node of a bus. The [virtual bus](bus) carries frames between devices and the host with true
 //! arbitration and bit times. A [`LineDevice`] is the device at the end of a [serial line](mod@line), which carries
 //! bytes with true byte times. A [`World`] contains all buses and lines of a cell. A [plant] is the physics behind a
-//! device. Three devices are attached to a bus: the axis controller [`Epos4`], the input and output module
-//! [`DigitalIo`], and the adapter [`SlcanDevice`]. The adapter connects a host without a CAN card to a bus. Read [`Device`] and [`World`] first.
+//! device. Four devices are attached to a bus: the axis controller [`Epos4`], the input and output module
+//! [`DigitalIo`], the sensor [`CanForceSensor`], and the adapter [`SlcanDevice`]. The adapter connects a host without a
+//! CAN card to a bus. The sensors at a line are [`SerialForceSensor`] and [`UltrasonicMatrix`]. Read [`Device`] and
+//! [`World`] first.
 
 mod amplifier;
 pub mod axis_controller;
@@ -13,6 +15,7 @@ pub mod cia401;
 mod device;
 pub mod epos4;
 pub mod epos_serial;
+pub mod force_sensor;
 pub mod line;
 mod machine;
 mod node;
@@ -21,6 +24,7 @@ pub mod plant;
 pub mod pty;
 pub mod qemu;
 mod slcan;
+pub mod ultrasonic;
 pub mod uml;
 mod world;
 
@@ -30,10 +34,15 @@ pub use cia401::{DigitalIo, DigitalIoConfig, DigitalIoError, InputEdge, LightGat
 pub use device::{Device, LineDevice};
 pub use epos_serial::{EposSerial, EposSerialConfig};
 pub use epos4::{Epos4, Epos4Config};
+pub use force_sensor::{
+    CanForceSensor, CanForceSensorConfig, CountWidth, ForceSensorError, Resolution, SerialForceSensor,
+    SerialForceSensorConfig, TemperatureCourse, TransducerConfig, WrenchProbe,
+};
 pub use line::{LineFaults, LineStatistics, Stuck, WireFaults};
 pub use plant::{
     AngleProbe, AxisConfig, Demand, Feedback, Irp6Axis, Mechanism, MechanismConfig, Mount, PlantAxis, PlantConfig, Trip,
 };
 pub use pty::{Pty, PtyError};
 pub use slcan::{SlcanCounts, SlcanDevice};
+pub use ultrasonic::{EchoProbe, UltrasonicConfig, UltrasonicError, UltrasonicMatrix};
 pub use world::{BusId, DeviceId, LineId, World};

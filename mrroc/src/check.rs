@@ -146,6 +146,10 @@ impl CheckReport {
     fn write_bus(&self, f: &mut fmt::Formatter<'_>, bus: &BusBudget) -> fmt::Result {
         let (load, worst) = (bus.load_percent, bus.worst_case_percent);
         match &bus.serial {
+            // A bus of I/O nodes alone.
+            None if bus.messages.iter().all(|message| message.response_us.is_none()) => {
+                writeln!(f, "\nbus {}: load {load:.1} %, no frame is sent in every cycle", bus.name)?;
+            }
             None => writeln!(
                 f,
                 "\nbus {}: load {load:.1} %, the last frame of a cycle has left after {worst:.1} % of {} µs at the worst",

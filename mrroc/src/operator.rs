@@ -1,10 +1,11 @@
 //! The operator's console: lines of standard input, and texts on standard error.
 //!
-//! Threads of the console read and write. A run waits for none of them, except for a short time at its end until the
-//! last texts are shown.
+//! Threads of the console read, format and write. A run waits for none of them, except for a short time at its end until
+//! the last texts are shown. No thread waits within a queue of the run, because the controller would have to wake the
+//! thread.
 
 use std::io::{BufRead, BufReader, Read as _, stdin};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, TrySendError, sync_channel};
 use std::thread::Builder;
 use std::time::Duration;
 
@@ -12,7 +13,7 @@ use anyhow::{Context, bail};
 use controller::sensor::{OperatorLink, OperatorPanel};
 
 use crate::bench::BenchKind;
-use crate::run::{Requests, SMALL_STACK};
+use crate::run::{Background, Requests, SMALL_STACK};
 use crate::streams;
 
 /// Lines that wait for a question. Standard input is read on when there is room again.
@@ -27,10 +28,49 @@ const MOST_LINES: usize = 10_000;
 /// Longest wait for the last texts, and time between two looks at a stop request.
 const WAIT: Duration = Duration::from_millis(500);
 
+/// Time between two looks at the queues of a run.
+const LOOK: Duration = Duration::from_millis(10);
+
+const NO_THREAD: &str = "no thread for the operator's console can be made";
+
 /// Threads that read the operator's lines and show texts to the operator.
 pub(crate) struct Console {
     pub(crate) link: OperatorLink,
-    shown: Receiver<()>,
+    /// Passes lines on to a run by the clock.
+    _lines: Option<Background<()>>,
+    texts: Background<()>,
+}
+
+/// Lines on their way from a thread that reads to the queue of a run.
+struct Feed {
+    /// A line that the queue of the run had no room for.
+    waiting: Option<String>,
+    /// The lines that were read, and the queue of the run; `None` after the end of the input, or of the run.
+    queues: Option<(Receiver<String>, SyncSender<String>)>,
+}
+
+impl Feed {
+    /// Passes lines on while the queue has room. Closes the queue behind the last line.
+    fn pass(&mut self) {
+        while let Some((read, lines)) = &self.queues {
+            let line = match self.waiting.take().map_or_else(|| read.try_recv(), Ok) {
+                Ok(line) => line,
+                Err(TryRecvError::Empty) => return,
+                Err(TryRecvError::Disconnected) => {
+                    self.queues = None;
+                    return;
+                }
+            };
+            match lines.try_send(line) {
+                Ok(()) => {}
+                Err(TrySendError::Full(line)) => {
+                    self.waiting = Some(line);
+                    return;
+                }
+                Err(TrySendError::Disconnected(_)) => self.queues = None,
+            }
+        }
+    }
 }
 
 impl Console {
@@ -50,45 +90,47 @@ impl Console {
         input: impl BufRead + Send + 'static,
         bench: BenchKind,
         requests: &Requests,
-        mut show: impl FnMut(&str) + Send + 'static,
+        show: impl FnMut(&str) + Send + 'static,
     ) -> anyhow::Result<Self> {
-        let (link, OperatorPanel { lines, texts }) = if bench == BenchKind::Lockstep {
-            let (sender, read) = sync_channel(LINES);
-            spawn("operator input", move || read_lines(input, &sender))?;
+        let (sender, read) = sync_channel(LINES);
+        spawn("operator input", move || read_lines(input, &sender))?;
+        let (link, texts, lines) = if bench == BenchKind::Lockstep {
             let all = all_lines(&read, requests)?;
             // Each line has at most one question and two messages.
-            let (link, panel) = OperatorLink::new(3 * all.len() + LINES);
-            all.into_iter()
-                .try_for_each(|line| panel.lines.try_send(line))
-                .context("the queue has room for all lines")?;
-            (link, panel)
+            let (link, OperatorPanel { lines, texts }) = OperatorLink::new(3 * all.len() + LINES);
+            all.into_iter().try_for_each(|line| lines.try_send(line)).context("the queue has room for all lines")?;
+            (link, texts, None)
         } else {
-            let (link, panel) = OperatorLink::new(LINES);
-            let sender = panel.lines.clone();
-            spawn("operator input", move || read_lines(input, &sender))?;
-            (link, panel)
+            let (link, OperatorPanel { lines, texts }) = OperatorLink::new(LINES);
+            let feed = Feed { waiting: None, queues: Some((read, lines)) };
+            (link, texts, Some(background("operator lines", feed, Feed::pass)?))
         };
-        drop(lines);
-        let (tell, shown) = sync_channel(1);
-        spawn("operator output", move || {
-            texts.into_iter().for_each(|text| show(&text));
-            // The console may have stopped waiting.
-            let _ = tell.send(());
+        let texts = background("operator output", (texts, show), |(texts, show)| {
+            texts.try_iter().for_each(|text| show(&text));
         })?;
-        Ok(Self { link, shown })
+        Ok(Self { link, _lines: lines, texts })
     }
 
     /// Waits until the last texts are shown, at most [`WAIT`].
     pub(crate) fn finish(self) {
-        drop(self.link);
         // The texts of a blocked terminal are not waited for.
-        let _ = self.shown.recv_timeout(WAIT);
+        let _ = self.texts.finish(WAIT);
     }
+}
+
+/// A thread that looks at the queues of a run, a last time at its end.
+fn background<S: Send + 'static>(
+    name: &str,
+    state: S,
+    look: impl Fn(&mut S) + Copy + Send + 'static,
+) -> anyhow::Result<Background<()>> {
+    let thread = Background::start(name, LOOK, state, look, move |mut state| look(&mut state));
+    thread.context(NO_THREAD)
 }
 
 fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> anyhow::Result<()> {
     let thread = Builder::new().name(name.to_owned()).stack_size(SMALL_STACK).spawn(work);
-    thread.context("no thread for the operator's console can be made")?;
+    thread.context(NO_THREAD)?;
     Ok(())
 }
 
@@ -154,6 +196,34 @@ mod tests {
         let input = Cursor::new("yes\n".repeat(MOST_LINES + 1));
         let refused = Console::reading(input, BenchKind::Lockstep, &Requests::default(), |_| {});
         assert!(refused.err().unwrap().to_string().contains("more than 10000 lines"));
+    }
+
+    #[test]
+    fn lines_beyond_the_room_of_a_run_follow_when_there_is_room_and_the_input_is_closed_behind_them() {
+        let (sender, read) = sync_channel(LINES);
+        let (lines, taken) = sync_channel(2);
+        let mut feed = Feed { waiting: None, queues: Some((read, lines)) };
+        feed.pass();
+        assert_eq!(taken.try_recv(), Err(TryRecvError::Empty));
+        (0..5).for_each(|line: u8| sender.send(line.to_string()).unwrap());
+        drop(sender);
+        for expected in [&["0", "1"][..], &["2", "3"], &["4"]] {
+            feed.pass();
+            assert_eq!(taken.try_iter().collect::<Vec<_>>(), expected);
+        }
+        assert_eq!(taken.try_recv(), Err(TryRecvError::Disconnected));
+    }
+
+    #[test]
+    fn a_run_that_takes_no_more_lines_ends_the_reading() {
+        let (sender, read) = sync_channel(LINES);
+        let (lines, taken) = sync_channel(2);
+        let mut feed = Feed { waiting: None, queues: Some((read, lines)) };
+        drop(taken);
+        sender.send("yes".to_owned()).unwrap();
+        feed.pass();
+        // The thread that reads ends at its next line.
+        assert!(sender.send("no".to_owned()).is_err());
     }
 
     /// An input that never ends.

@@ -53,6 +53,7 @@ fn servo(position_loop: PositionLoop) -> (Servo, EffectorLink) {
         max_position: 500.0,
         max_velocity: 100.0,
         max_acceleration: 1000.0,
+        planned_jerk: 5000.0,
         following_error: 1.0,
         homing_order: 0,
         increments_per_radian: 4000.0 / std::f64::consts::TAU,

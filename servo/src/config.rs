@@ -65,6 +65,9 @@ pub struct ServoAxisConfig {
     /// The limit applies to the interpolated sequence. Where a planned acceleration changes sign in the middle of a
     /// macrostep, the interpolating quintic needs up to 1.7 times the planned value.
     pub max_acceleration: f64,
+    /// Highest jerk that motions of the motor are planned with, rad/s³. A change of the speed override adds at most as much,
+    /// if planned accelerations are at most half of `max_acceleration`.
+    pub planned_jerk: f64,
     /// Largest following error, rad: distance between the motor and the command whose effect its drive sampled,
     /// [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.
     pub following_error: f64,
@@ -165,6 +168,7 @@ impl ServoAxisConfig {
             (self.max_position.is_finite() && self.max_position > self.min_position, "max_position"),
             (is_positive(self.max_velocity), "max_velocity"),
             (is_positive(self.max_acceleration), "max_acceleration"),
+            (is_positive(self.planned_jerk), "planned_jerk"),
             (is_positive(self.following_error), "following_error"),
             (is_positive(self.increments_per_radian.abs()), "increments_per_radian"),
         ]);

@@ -9,20 +9,32 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use thiserror::Error;
 
-use crate::Knot;
+use crate::{Knot, ServoAxisConfig};
 
-/// Fraction of an axis's acceleration limit that a change of the rate may use, together with the planned acceleration.
-/// The rest covers the change of the acceleration within a period.
+/// Fraction of an axis's acceleration limit that the planned acceleration and a change of the rate use together at most.
 const ROOM: f64 = 0.9;
 
-/// Greatest change of the rate, 1/s: a pause takes at least a tenth of a second.
+/// Fraction of an axis's acceleration limit that plans may use. The bounds of the jerk hold for such plans.
+const PLANNED: f64 = 0.5;
+
+/// Fractions of an axis's planned jerk that an override may add: by the rate of a planned acceleration, and by the change
+/// of a planned velocity.
+const JERK: [f64; 2] = [0.6, 0.4];
+
+/// Time for which the bounds look ahead, s. A change of the rate usually takes about as long.
+const AHEAD: f64 = 0.5;
+
+/// Greatest change of the rate, 1/s, of a cell whose axes are all switched off.
 const BRISK: f64 = 10.0;
 
-/// Time in which the change of the rate grows from zero to its bound, s. The acceleration then has no jump.
-const RAMP: f64 = 0.05;
+/// Greatest second derivative of the rate, 1/s², of a cell whose axes are all switched off.
+const BRISK_GROWTH: f64 = 200.0;
+
+/// Share of the second derivative of the rate that a plan uses. The rest is for bounds that grow tighter on the way.
+const PLANNED_GROWTH: f64 = 0.8;
 
 /// Distance from the requested rate that counts as reached.
-const REACHED: f64 = 1e-5;
+const REACHED: f64 = 1e-9;
 
 /// Speed of all macrosteps of a cell, as a fraction of the programmed speed. Any thread may set it. Homing and stops are
 /// not affected.
@@ -84,27 +96,50 @@ impl SpeedOverride {
     }
 }
 
-/// Bounds of the change of the rate, 1/s: `least` is negative or zero, `most` positive or zero.
+/// Bounds of the rate of motion time in one cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Bounds {
+    /// Least change of the rate by acceleration limits, 1/s, at most zero.
     least: f64,
+    /// Greatest change of the rate by acceleration limits, 1/s, at least zero.
     most: f64,
+    /// Greatest change of the rate by jerk and by foreseen velocities, 1/s.
+    change: f64,
+    /// Greatest second derivative of the rate, 1/s².
+    growth: f64,
 }
 
 impl Bounds {
-    pub(crate) const NONE: Self = Self { least: -BRISK, most: BRISK };
+    pub(crate) const NONE: Self = Self { least: -BRISK, most: BRISK, change: BRISK, growth: BRISK_GROWTH };
 
-    /// The bounds by an axis at the set-point `knot` of motion time, with this acceleration limit, rad/s². At the rate r
-    /// and its change g, the acceleration of the axis is a·r² + v·g.
-    pub(crate) fn of_axis(knot: Knot, rate: f64, limit: f64) -> Self {
+    /// The bounds by an axis at the set-point `knot` of motion time.
+    ///
+    /// At the rate r with the derivatives g and h, the acceleration of the axis is a·r² + v·g, and its jerk is
+    /// j·r³ + 3·a·r·g + v·h. A bound of g that keeps the acceleration limit depends on the present v and a, and may grow tight
+    /// within a cycle. The other bounds hold for all velocities that the axis can reach soon, so that g can follow them.
+    pub(crate) fn of_axis(knot: Knot, rate: f64, limits: &ServoAxisConfig) -> Self {
+        let ServoAxisConfig { max_velocity, max_acceleration, planned_jerk, .. } = *limits;
         let speed = knot.velocity.abs();
         let planned = knot.acceleration * rate * rate * knot.velocity.signum();
         let change = |room: f64| if room < BRISK * speed { (room / speed).max(0.0) } else { BRISK };
-        Self { least: -change(ROOM * limit + planned), most: change(ROOM * limit - planned) }
+        let foreseen = max_velocity.min(speed + PLANNED * max_acceleration * AHEAD);
+        let [by_acceleration, by_velocity] = JERK;
+        Self {
+            least: -change(ROOM * max_acceleration + planned),
+            most: change(ROOM * max_acceleration - planned),
+            change: ((ROOM - PLANNED) * max_acceleration / foreseen)
+                .min(by_acceleration * planned_jerk / (3.0 * PLANNED * max_acceleration)),
+            growth: by_velocity * planned_jerk / foreseen,
+        }
     }
 
     pub(crate) fn within(self, other: Self) -> Self {
-        Self { least: self.least.max(other.least), most: self.most.min(other.most) }
+        Self {
+            least: self.least.max(other.least),
+            most: self.most.min(other.most),
+            change: self.change.min(other.change),
+            growth: self.growth.min(other.growth),
+        }
     }
 }
 
@@ -168,33 +203,22 @@ impl MotionTime {
         Motion { periods: self.rate, rate: self.rate, change: 0.0 }
     }
 
-    /// Moves the rate towards `target`. The change of the rate grows at most by its bound per [`RAMP`], and fades
-    /// before the target is reached.
+    /// Moves the rate towards `target`. The change of the rate grows and fades by its bound of growth.
     fn follow(&mut self, target: f64, bounds: Bounds, dt: f64) {
-        let distance = target - self.rate;
-        let bound = if distance < 0.0 { -bounds.least } else { bounds.most };
-        // Change of the change of the rate, 1/s². The plan uses a part of it, and the rest is for deviations.
-        let growth = bound / RAMP;
-        let planned = 0.7 * growth;
-        // Close to the target, the distance fades exponentially; further away, the change fades at a constant rate.
-        let fading = (2.0 / RAMP).min(0.5 / dt);
-        let near = planned / (fading * fading);
-        let speed = if distance.abs() <= near {
-            fading * distance.abs()
-        } else {
-            (2.0 * planned * (distance.abs() - 0.5 * near)).sqrt()
-        };
-        let wanted = speed.min(bound).copysign(distance);
-        let step = wanted - self.change;
-        let most = if step * self.change < 0.0 { 2.0 * growth.max(self.change.abs() / RAMP) } else { growth };
-        let change = self.change + step.clamp(-most * dt, most * dt);
-        let change = change.clamp(bounds.least, bounds.most);
+        // Distance to the target after this cycle if the change of the rate were zero from now on.
+        let left = target - self.rate - 0.5 * self.change * dt;
+        // A change c that fades by `fading` in each cycle covers c² dt / (2 fading) at the most. In the last two cycles the
+        // rate reaches the target exactly, and does not pass it.
+        let fading = PLANNED_GROWTH * bounds.growth * dt;
+        let share = left.abs() / (fading * dt);
+        let wanted = fading * if share < 0.5 { share } else { 0.5 * ((8.0 * share).sqrt() - 1.0) };
+        let wanted = wanted.min(bounds.change).copysign(left);
+        let most = bounds.growth * dt;
+        let change = (self.change + (wanted - self.change).clamp(-most, most)).clamp(bounds.least, bounds.most);
         let rate = (self.rate + 0.5 * (self.change + change) * dt).clamp(0.0, 1.0);
-        let left = target - rate;
-        if left.abs() < REACHED && change.abs() < 2.0 * fading * REACHED {
+        if (target - rate).abs() < REACHED && change.abs() <= most {
             (self.rate, self.change) = (target, 0.0);
         } else {
-            // A target that moved may be passed by a little: a change of the rate never ends at once.
             (self.rate, self.change) = (rate, if rate == 0.0 || rate == 1.0 { 0.0 } else { change });
         }
     }
@@ -206,6 +230,11 @@ mod tests {
     use proptest::prelude::*;
 
     const DT: f64 = 0.002;
+
+    fn limits(max_velocity: f64, max_acceleration: f64, planned_jerk: f64) -> ServoAxisConfig {
+        let axis = crate::scripted::config(1).effectors[0].axes[0];
+        ServoAxisConfig { max_velocity, max_acceleration, planned_jerk, ..axis }
+    }
 
     #[test]
     fn a_fraction_outside_0_to_1_is_refused_and_changes_nothing() {
@@ -232,49 +261,50 @@ mod tests {
     }
 
     proptest! {
-        /// A motor swings at up to 60 % of its acceleration limit while the override changes at random.
+        /// A motor swings at up to half of its acceleration limit while the override changes at random.
         #[test]
-        fn the_acceleration_keeps_its_limit_and_never_jumps(
+        fn acceleration_and_jerk_keep_their_limits(
             steps in prop::collection::vec((0.0..=1.0f64, 1..400u32), 1..8),
-            frequency in 0.2..3.0f64, share in 0.05..0.6f64, limit in 10.0..1000.0f64,
+            frequency in 0.2..3.0f64, share in 0.05..0.5f64, limit in 10.0..1000.0f64,
         ) {
             let omega = std::f64::consts::TAU * frequency;
             let amplitude = share * limit / (omega * omega);
+            let limits = limits(amplitude * omega, limit, omega.max(5.0) * share * limit);
             let at = |t: f64| Knot {
                 position: amplitude * (omega * t).sin(),
                 velocity: amplitude * omega * (omega * t).cos(),
                 acceleration: -amplitude * omega * omega * (omega * t).sin(),
             };
             let mut time = MotionTime::new();
-            let (mut t, mut last, mut before_last) = (0.0, at(0.0).position, at(-DT).position);
-            let mut acceleration: Option<f64> = None;
+            let mut t = 0.0;
+            let mut last: [f64; 3] = std::array::from_fn(|before| at((before as f64 - 2.0) * DT).position);
             for (fraction, cycles) in steps {
                 time.requested.set(fraction).unwrap();
                 for _ in 0..cycles + 500 {
-                    let motion = time.advance(DT, |rate| Bounds::of_axis(at(t), rate, limit));
+                    let motion = time.advance(DT, |rate| Bounds::of_axis(at(t), rate, &limits));
                     t += motion.periods * DT;
-                    let here = at(t).position;
-                    let found = (here - 2.0 * last + before_last) / (DT * DT);
-                    prop_assert!(found.abs() <= limit * 1.001, "{found} of {limit}");
-                    if let Some(acceleration) = acceleration {
-                        prop_assert!((found - acceleration).abs() <= 0.25 * limit, "jump {}", found - acceleration);
-                    }
-                    acceleration = Some(found);
-                    (before_last, last) = (last, here);
+                    let [a, b, c] = last;
+                    let d = at(t).position;
+                    let acceleration = (d - 2.0 * c + b) / DT.powi(2);
+                    let jerk = (d - 3.0 * c + 3.0 * b - a) / DT.powi(3);
+                    prop_assert!(acceleration.abs() <= limit * 1.001, "{acceleration} of {limit} rad/s²");
+                    prop_assert!(jerk.abs() <= 2.0 * limits.planned_jerk, "{jerk} of {} rad/s³", limits.planned_jerk);
+                    last = [b, c, d];
                 }
             }
         }
     }
 
     #[test]
-    fn a_pause_at_full_speed_takes_as_long_as_the_limit_permits_and_ends_at_rest() {
-        // 100 rad/s at 300 rad/s²: a third of a second, and the ramps.
+    fn a_pause_at_full_speed_takes_as_long_as_the_limits_permit_and_ends_at_rest() {
+        // The rate changes at 1.2 1/s by acceleration, and reaches this in a tenth of a second by jerk.
         let mut time = MotionTime::new();
         time.requested.pause();
-        let bounds = |rate| Bounds::of_axis(Knot::new(0.0, 100.0), rate, 300.0);
+        let limits = limits(100.0, 300.0, 3000.0);
+        let bounds = |rate| Bounds::of_axis(Knot::new(0.0, 100.0), rate, &limits);
         let cycles = (1..).find(|_| time.advance(DT, bounds).rate == 0.0).unwrap();
         let seconds = f64::from(cycles) * DT;
-        assert!((0.37..0.8).contains(&seconds), "{seconds}");
+        assert!((0.83..1.0).contains(&seconds), "{seconds}");
         assert_eq!(time.advance(DT, bounds), Motion { periods: 0.0, rate: 0.0, change: 0.0 });
         time.requested.resume();
         assert!((1..1000).any(|_| time.advance(DT, bounds).rate == 1.0));

@@ -1,6 +1,7 @@
 //! Tracking errors and counters.
 
-/// Tracking error of one axis during motion of its effector.
+/// Tracking error of one axis during motion of its effector. All values have the unit of the recorded errors: rad for an
+/// axis, m for a linear motor.
 ///
 /// The error compares the sample with the command whose effect the drive sampled,
 /// [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before. The transport delay is therefore not part of the
@@ -10,19 +11,19 @@ pub struct TrackingError {
     /// Number of cycles counted.
     pub samples: u64,
     sum_of_squares: f64,
-    /// The largest absolute value, rad.
+    /// The largest absolute value; zero without a sample.
     pub peak: f64,
 }
 
 impl TrackingError {
-    /// Counts one error, rad.
+    /// Counts one error.
     pub fn record(&mut self, error: f64) {
         self.samples += 1;
         self.sum_of_squares += error * error;
         self.peak = self.peak.max(error.abs());
     }
 
-    /// Root mean square, rad; zero if the axis never moved.
+    /// Root mean square; zero without a sample.
     pub fn rms(&self) -> f64 {
         if self.samples == 0 { 0.0 } else { (self.sum_of_squares / self.samples as f64).sqrt() }
     }

@@ -77,6 +77,7 @@ fn main() {
         max_position: 1.0,
         max_velocity: 1.0,
         max_acceleration: 1.0,
+        planned_jerk: 5.0,
         following_error: 1.0,
         homing_order: 0,
         increments_per_radian: 1000.0,

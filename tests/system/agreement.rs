@@ -192,9 +192,9 @@ fn names_lead_no_file_out_of_its_directory() {
 #[test]
 fn an_axis_is_called_by_its_name_in_every_refusal() {
     let directory = Directory::new();
-    // A macrostep of 100 s makes the interpolation leave the range of an axis.
-    let text = text("irb6").replacen("period_us = 2000", "period_us = 100000", 1);
-    let text = text.replacen("macrostep = 10", "macrostep = 1000", 1);
+    // The program leaves the range of the axis that the cell file gives.
+    let range = "name = \"lower-arm\"\nmin_position = -10.0\nmax_position = 10.0\n";
+    let text = text("irb6").replacen("name = \"lower-arm\"\n", range, 1);
     let cell = directory.write("cell.toml", &text);
     let check = check(&cell);
     refused(&check, &["robot[0].program[0]: ", "axis lower-arm: set-point"]);

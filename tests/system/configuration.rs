@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use can::candump;
 use canopen::NodeId;
 use canopen::eds::Eds;
-use hil::{DigitalIo, DigitalIoConfig};
+use hil::{CanForceSensor, CanForceSensorConfig, DigitalIo, DigitalIoConfig, TransducerConfig};
 
 use crate::cli_refusals::{refused, run_in_lockstep};
 use crate::mrroc::{Directory, enables, example, mrroc, root, shorten, trace};
@@ -69,8 +69,19 @@ fn the_published_data_sheet_is_the_one_the_command_prints() {
 fn the_published_data_sheet_of_the_io_module_is_the_one_of_the_emulator() {
     let node = NodeId::new(1).unwrap();
     let config = DigitalIoConfig { input_bytes: 8, output_bytes: 8, ..DigitalIoConfig::new(node) };
-    let current = DigitalIo::eds(&config).to_string();
-    let path = root().join("cells/cia401-emulated.eds");
+    is_published("cia401-emulated.eds", &DigitalIo::eds(&config));
+}
+
+#[test]
+fn the_published_data_sheet_of_the_force_sensor_is_the_one_of_the_emulator() {
+    let config = CanForceSensorConfig::new(NodeId::new(1).unwrap(), TransducerConfig::default());
+    is_published("force-sensor-emulated.eds", &CanForceSensor::eds(&config));
+}
+
+/// Asserts that a file of `cells` has this data sheet, or writes the file.
+fn is_published(name: &str, sheet: &Eds) {
+    let current = sheet.to_string();
+    let path = root().join("cells").join(name);
     if std::env::var_os("MRROC_WRITE_DOCS").is_some() {
         fs::write(&path, &current).unwrap();
     }

@@ -259,6 +259,15 @@ fn io_nodes_on_a_bus_of_their_own_work_as_those_beside_drives() {
     for arguments in [["check", "--json"], ["run", "--bench=lockstep"]] {
         let output = mrroc([arguments[0].as_ref(), cell.as_os_str(), arguments[1].as_ref()]);
         assert!(output.status.success(), "{arguments:?}: {}", output.stderr);
+        // Only the drives need SYNC.
+        if arguments[0] == "check" {
+            let report = output.json();
+            let syncs = report["buses"].as_array().unwrap().iter().map(|bus| {
+                let messages = bus["messages"].as_array().unwrap();
+                (bus["name"].as_str().unwrap(), messages.iter().filter(|message| message["what"] == "SYNC").count())
+            });
+            assert_eq!(syncs.collect::<Vec<_>>(), [("arm", 1), ("cabinet", 0)]);
+        }
     }
     let mut file = CellFile::read(cell).unwrap();
     file.cell.io[0].input[0].emulated_edges_s = vec![0.0, 4.0001];

@@ -152,6 +152,7 @@ impl Rig {
             max_position: 5000.0,
             max_velocity: 260.0,
             max_acceleration: 2500.0,
+            planned_jerk: 12_500.0,
             following_error: 5.0,
             homing_order: 0,
             increments_per_radian: self.counts / TAU,

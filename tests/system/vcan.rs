@@ -62,7 +62,7 @@ pub(crate) fn shorten(cell: &mut Cell) {
     // The emulators use the same, only processor.
     cell.realtime.wait = Wait::Plain;
     for bus in &mut cell.bus {
-        bus.tolerated_missing = 50;
+        bus.tolerated_missing = 150;
         bus.heartbeat_ms = 1000;
         bus.boot_timeout_ms = 10_000;
     }
@@ -333,7 +333,8 @@ fn drives_that_vanish_in_motion_are_a_fault() {
     on_stage("vcan::drives_that_vanish_in_motion_are_a_fault", |stage| {
         let (emulators, controller) = stage.start_moving();
         emulators.signal("KILL");
-        faulted(&controller.output(), &["no answer for 51 cycles", "no heartbeat"]);
+        let silence = format!("no answer for {} cycles", stage.cell.bus[0].tolerated_missing + 1);
+        faulted(&controller.output(), &[&silence, "no heartbeat"]);
     });
 }
 

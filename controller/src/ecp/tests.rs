@@ -292,9 +292,32 @@ fn limits() -> MotionLimits {
     MotionLimits::uniform(1.0, 5.0, 50.0)
 }
 
-fn to(x: f64, y: f64, z: f64) -> Newsmooth {
+/// A trapezoid in macrosteps of the cell.
+#[derive(Clone)]
+struct Coarse(Newsmooth);
+
+impl Generator for Coarse {
+    type First = EffectorImage;
+    type Every = ();
+    type Out = ();
+    type Memory = <Newsmooth as Generator>::Memory;
+
+    fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<Self::Memory>, GeneratorError> {
+        self.0.first_step(e, macrostep)
+    }
+
+    fn terminal(&self, memory: &Self::Memory, (): &()) -> bool {
+        self.0.terminal(memory, &())
+    }
+
+    fn next_step(&self, memory: &Self::Memory, (): &()) -> Result<Next<Self::Memory>, GeneratorError> {
+        self.0.next_step(memory, &())
+    }
+}
+
+fn to(x: f64, y: f64, z: f64) -> Coarse {
     let pose = SmoothPose::fast([x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0]);
-    Newsmooth::new(Space::Joint, 3, limits(), vec![pose]).unwrap()
+    Coarse(Newsmooth::new(Space::Joint, 3, limits(), vec![pose]).unwrap())
 }
 
 /// Moves axis 0 at 0.5 m/s until the measured joint is past `until`. Class 1, continuous feedback.

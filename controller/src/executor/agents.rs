@@ -190,11 +190,13 @@ impl Agents {
 
     /// Begins a turn of the task. Returns false before the first servo cycle.
     pub(super) fn begin_turn(&self) -> bool {
-        let (begun, wakers) = {
+        let (begun, mut wakers) = {
             let mut board = self.0.borrow_mut();
             (board.time() != Instant::ZERO, take(&mut board.wakers))
         };
-        wakers.into_iter().for_each(Waker::wake);
+        wakers.drain(..).for_each(Waker::wake);
+        // The list keeps its memory from turn to turn.
+        self.0.borrow_mut().wakers = wakers;
         begun
     }
 

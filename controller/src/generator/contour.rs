@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::feed::{Feed, FeedLimits};
 use super::newsmooth::whole_macrosteps;
-use super::{Axes, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Pose, Setpoint};
+use super::{Axes, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Pace, Pose, Setpoint};
 use crate::path::{Path, PoseState};
 use crate::robot::Arm;
 
@@ -27,12 +27,12 @@ const START_ANGLE: f64 = 1e-5;
 /// The effector must stand at the start of the path, within 1 µm and 10 µrad. A [`StraightLine`](super::StraightLine)
 /// moves the tool there.
 ///
-/// The first step plans the profile. Its duration is a whole number of macrosteps, and the feed is exact. Poses of the
+/// The first step plans the profile. Its duration is a whole number of servo periods, and the feed is exact. Poses of the
 /// path at most 5 mm and 10 mrad apart are then checked for reach, joint limits, and jumps between branches of the inverse
 /// kinematics. An axis that would exceed its velocity or acceleration limit slows the whole path. A factor above 50 is
 /// refused.
 ///
-/// Pose and velocity are exact at the ends of macrosteps. Between the ends, motors follow the servo's polynomials.
+/// The macrosteps last [one servo period](Pace::PERIOD): the pose of each set-point is exact.
 ///
 /// The first step allocates, and solves the inverse kinematics of each checked pose once per plan, with eight plans at
 /// most. No next step allocates.
@@ -133,6 +133,10 @@ impl Generator for Contour {
     type Out = ();
     /// Number of macrosteps done.
     type Memory = u32;
+
+    fn pace(&self, _: Pace) -> Pace {
+        Pace::PERIOD
+    }
 
     fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<u32>, GeneratorError> {
         self.check_start(&e.commanded.pose)?;

@@ -6,7 +6,7 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use super::plan::Plan;
 use super::{
-    Axes, AxesState, EffectorImage, EffectorState, Generator, GeneratorError, MotionLimits, Next, Pose, Setpoint,
+    Axes, AxesState, EffectorImage, EffectorState, Generator, GeneratorError, MotionLimits, Next, Pace, Pose, Setpoint,
     is_limit,
 };
 use crate::robot::Arm;
@@ -88,8 +88,7 @@ impl PlannedStart {
 /// limits, and jumps between branches of the inverse kinematics. A joint that would exceed its velocity or
 /// acceleration limit, for instance near a singularity, slows the whole line. A factor above 50 is refused.
 ///
-/// Poses lie on the line at the ends of macrosteps. Between the ends, motors follow quintics. The quintics deviate from
-/// the line by the sixth derivative of the joint path times macrostep⁶ / 46080.
+/// The macrosteps last [one servo period](Pace::PERIOD): each set-point lies on the line, and keeps the limits of the tool.
 ///
 /// The first step computes one inverse kinematics per checked pose, each next step three. No step allocates.
 #[doc(alias = "linear")]
@@ -272,6 +271,10 @@ impl Generator for StraightLine {
     type Every = ();
     type Out = ();
     type Memory = LineMemory;
+
+    fn pace(&self, _: Pace) -> Pace {
+        Pace::PERIOD
+    }
 
     fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<LineMemory>, GeneratorError> {
         let memory = LineMemory { done: 0, joints: self.lay(e)? };

@@ -5,11 +5,11 @@ use std::time::Duration;
 use servo::MAX_AXES;
 
 use super::profile::{Course, Trapezoid};
-use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Setpoint};
+use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Pace, Setpoint};
 use crate::robot::Space;
 
-/// Maximum number of macrosteps of one motion: almost six hours with macrosteps of 20 ms.
-pub(super) const MAX_MACROSTEPS: u32 = 1 << 20;
+/// Maximum number of macrosteps of one motion: more than four hours with macrosteps of 1 ms.
+pub(super) const MAX_MACROSTEPS: u32 = 1 << 24;
 
 impl Space {
     pub(super) const fn commanded(self, image: &EffectorImage) -> AxesState {
@@ -55,8 +55,9 @@ impl SmoothPose {
 /// A time-synchronised motion through a list of poses, with trapezoidal velocity profiles. An axis does not stop at a
 /// pose if its direction of travel is the same before and after the pose. Class 0, planned from the effector.
 ///
-/// Every pose is reached exactly, at the end of a macrostep. The slowest axis determines the duration of a segment,
-/// rounded up to whole macrosteps. The profiles of the other axes are stretched to this duration.
+/// The macrosteps last [one servo period](Pace::PERIOD): each set-point is a sample of the profiles, whose acceleration
+/// jumps. Every pose is reached exactly, at the end of a period. The slowest axis determines the duration of a segment,
+/// rounded up to whole periods. The profiles of the other axes are stretched to this duration.
 ///
 /// The speed of an axis at such a pose has two bounds. The first bound is the smaller of the speeds in the segments
 /// before and after the pose if all axes moved at constant speed. The second bound lets the axis brake to a standstill
@@ -250,6 +251,10 @@ impl Generator for Newsmooth {
     type Every = ();
     type Out = ();
     type Memory = Progress;
+
+    fn pace(&self, _: Pace) -> Pace {
+        Pace::PERIOD
+    }
 
     fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<Progress>, GeneratorError> {
         self.macrostep = macrostep.as_secs_f64();

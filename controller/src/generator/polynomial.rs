@@ -5,22 +5,22 @@ use std::time::Duration;
 use servo::MAX_AXES;
 
 use super::{
-    Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, newsmooth::whole_macrosteps,
+    Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Pace, newsmooth::whole_macrosteps,
 };
 use crate::robot::Space;
 
 /// A straight motion of all axes from rest to rest, by a cubic or a quintic of time. Class 0, planned from the effector.
 ///
-/// Without [`lasting`](Self::lasting), the duration is the shortest within the limits, rounded up to whole macrosteps. For a distance d, velocity v,
-/// acceleration a and jerk j, the slowest axis determines it:
+/// The macrosteps last [one servo period](Pace::PERIOD): each set-point is a sample of the polynomial. Without
+/// [`lasting`](Self::lasting), the duration is the shortest within the limits, rounded up to whole periods. For a
+/// distance d, velocity v, acceleration a and jerk j, the slowest axis determines it:
 ///
 /// | | velocity | acceleration | jerk |
 /// |---|---|---|---|
 /// | cubic | 3 d / (2 v) | √(6 d / a) | ∛(12 d / j) |
 /// | quintic | 15 d / (8 v) | √(10 d / (√3 a)) | ∛(60 d / j) |
 ///
-/// A quintic has no jump of the acceleration at its ends. The acceleration of a cubic begins and ends with a jump, which
-/// the servo smooths over one macrostep.
+/// A quintic has no jump of the acceleration at its ends. The acceleration of a cubic begins and ends with a jump.
 #[derive(Clone, Debug)]
 pub struct Polynomial {
     space: Space,
@@ -76,7 +76,7 @@ impl Polynomial {
         Self::new(space, axes, limits, target, Degree::Quintic)
     }
 
-    /// The same motion, lasting `duration`, rounded up to whole macrosteps. The first step refuses a time that is too
+    /// The same motion, lasting `duration`, rounded up to whole periods. The first step refuses a time that is too
     /// short.
     #[must_use]
     pub fn lasting(self, duration: Duration) -> Self {
@@ -118,6 +118,10 @@ impl Generator for Polynomial {
     type Out = ();
     /// Number of macrosteps done.
     type Memory = u32;
+
+    fn pace(&self, _: Pace) -> Pace {
+        Pace::PERIOD
+    }
 
     fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<u32>, GeneratorError> {
         self.start = self.space.commanded(e).position;

@@ -5,12 +5,16 @@ use std::time::Duration;
 use servo::MAX_AXES;
 
 use super::newsmooth::whole_macrosteps;
-use super::{Axes, AxesState, EffectorImage, EndSpeeds, Generator, GeneratorError, MotionLimits, Next, PathTiming};
+use super::{
+    Axes, AxesState, EffectorImage, EndSpeeds, Generator, GeneratorError, MotionLimits, Next, Pace, PathTiming,
+};
 use crate::path::{JointPath, PathError, SplineEnds};
 use crate::robot::Space;
 
 /// Distance of the effector from the first way-point below which the path begins at this way-point, rad or m.
 const THERE: f64 = 1e-9;
+/// Share of the limits that the timing may use: between two nodes of its grid, it exceeds them by up to 0.1 %.
+const SHARE: f64 = 1.0 / 1.001;
 /// Accepted distance of an axis from the start of a given path, rad or m.
 const AT_START: f64 = 1e-6;
 
@@ -18,9 +22,9 @@ const AT_START: f64 = 1e-6;
 /// Class 0, planned from the effector.
 ///
 /// The first step lays the [`JointPath`] from the commanded position of the effector through the way-points, and
-/// plans its [`PathTiming`] within the limits of velocity and acceleration. The motion is stretched by less than a
-/// macrostep, so that it ends with a macrostep. Its acceleration has jumps, which the servo smooths over one
-/// macrostep.
+/// plans its [`PathTiming`] within the limits of velocity and acceleration. The macrosteps last [one servo
+/// period](Pace::PERIOD): each set-point is a sample of this timing, stretched by less than a period, so that it ends with
+/// a period. Its acceleration has jumps.
 ///
 /// Between way-points a spline may leave the range that the way-points span.
 ///
@@ -115,7 +119,12 @@ impl TimeOptimal {
                 path.clone()
             }
         };
-        let timing = PathTiming::optimal(path, &self.limits, EndSpeeds::default()).map_err(GeneratorError::Timing)?;
+        let limits = MotionLimits {
+            max_velocity: self.limits.max_velocity.map(|limit| limit * SHARE),
+            max_acceleration: self.limits.max_acceleration.map(|limit| limit * SHARE),
+            ..self.limits
+        };
+        let timing = PathTiming::optimal(path, &limits, EndSpeeds::default()).map_err(GeneratorError::Timing)?;
         let macrosteps = whole_macrosteps(timing.duration(), macrostep)?;
         let step = timing.duration() / f64::from(macrosteps);
         Ok(Some(Plan { timing, macrosteps, step, pace: step / macrostep }))
@@ -133,6 +142,10 @@ impl Generator for TimeOptimal {
     type Out = ();
     /// Number of macrosteps done.
     type Memory = u32;
+
+    fn pace(&self, _: Pace) -> Pace {
+        Pace::PERIOD
+    }
 
     fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<u32>, GeneratorError> {
         self.plan = self.planned(self.space.commanded(e).position, macrostep.as_secs_f64())?;

@@ -30,6 +30,7 @@ mod tests;
 
 use std::any::{Any, TypeId, type_name};
 use std::cell::Cell;
+use std::sync::{Mutex, MutexGuard, TryLockError};
 use std::time::Duration;
 
 use can::Instant;
@@ -41,7 +42,8 @@ pub use digital::DigitalInputs;
 pub use jog::{JogCommand, JogHandle, JogPanel, JogReading};
 pub use marked::Marked;
 pub use operator::{
-    Asking, Operator, OperatorAnswer, OperatorCommand, OperatorError, OperatorLink, OperatorPanel, Question, Reaction,
+    Asking, Operator, OperatorAnswer, OperatorCommand, OperatorError, OperatorLink, OperatorPanel, OperatorTexts,
+    Question, Reaction,
 };
 
 /// A sensor as an agent sees it.
@@ -247,6 +249,15 @@ impl<S: VirtualSensor> Installed for Shelled<S> {
 
     fn is_ready(&self) -> bool {
         self.shell != Shell::Interactive || !self.awaited
+    }
+}
+
+/// The value of a mutex; `None` while another thread has the value. A step waits for no other thread.
+fn try_lock<T>(mutex: &Mutex<T>) -> Option<MutexGuard<'_, T>> {
+    match mutex.try_lock() {
+        Ok(guard) => Some(guard),
+        Err(TryLockError::Poisoned(poisoned)) => Some(poisoned.into_inner()),
+        Err(TryLockError::WouldBlock) => None,
     }
 }
 

@@ -63,6 +63,20 @@ impl<const N: usize> Bench<N> {
         panic!("the task does not end");
     }
 
+    /// Lets the robot stand until motion time has this rate.
+    #[allow(dead_code, reason = "only tests of overrides wait for a rate")]
+    pub(crate) fn settle(&mut self, rate: f64) {
+        for _ in 0..LONGEST {
+            if self.ecp.latest().rate == rate {
+                return;
+            }
+            self.servo.step(self.now);
+            self.now += PERIOD;
+            assert_eq!(self.ecp.poll(self.now), None, "the robot stands");
+        }
+        panic!("the rate does not settle");
+    }
+
     /// Set-points that left the servo, cycle by cycle, rad.
     pub(crate) fn sent(&self) -> Vec<[f64; N]> {
         self.sent.lock().expect("one thread").clone()

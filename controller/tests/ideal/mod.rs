@@ -91,13 +91,25 @@ pub(crate) fn servo<const AXES: usize>(
     max_acceleration: f64,
     sent: &Sent<AXES>,
 ) -> (Servo, EffectorLink) {
-    let axis = |index_in_group| ServoAxisConfig {
-        group: 0,
+    let (servo, mut links) = team(position, max_velocity, max_acceleration, std::array::from_ref(sent));
+    (servo, links.remove(0))
+}
+
+/// A servo with the ideal drives of one robot for each list of set-points in `sent`. All robots are alike.
+pub(crate) fn team<const AXES: usize>(
+    position: [f64; AXES],
+    max_velocity: f64,
+    max_acceleration: f64,
+    sent: &[Sent<AXES>],
+) -> (Servo, Vec<EffectorLink>) {
+    let axis = |group, index_in_group| ServoAxisConfig {
+        group,
         index_in_group,
         min_position: -1e4,
         max_position: 1e4,
         max_velocity,
         max_acceleration,
+        planned_jerk: 5.0 * max_acceleration,
         following_error: 10.0,
         homing_order: 1,
         increments_per_radian: 1000.0,
@@ -105,15 +117,15 @@ pub(crate) fn servo<const AXES: usize>(
         torque_offset: None,
         homing: None,
     };
-    let effector = EffectorConfig {
-        name: "robot".into(),
-        axes: (0..AXES).map(axis).collect(),
+    let effector = |group| EffectorConfig {
+        name: format!("robot {group}"),
+        axes: (0..AXES).map(|index| axis(group, index)).collect(),
         queue: 32,
         enabling_timeout: Duration::from_secs(1),
         homing_timeout: Duration::from_secs(1),
     };
-    let ideal = Ideal::new(position, sent, &FirstFault::default());
-    let config = ServoConfig { period: PERIOD, max_missed_in_row: 1, effectors: vec![effector] };
-    let (servo, mut links) = Servo::new(&config, vec![Box::new(ideal)]).expect("a sound servo");
-    (servo, links.remove(0))
+    let effectors = (0..sent.len()).map(effector).collect();
+    let group = |sent| Box::new(Ideal::new(position, sent, &FirstFault::default())) as Box<dyn DriveGroup>;
+    let config = ServoConfig { period: PERIOD, max_missed_in_row: 1, effectors };
+    Servo::new(&config, sent.iter().map(group).collect()).expect("a sound servo")
 }

@@ -206,14 +206,18 @@ fn named_object(entry: &table::Entry) -> String {
 mod tests {
     use canopen::NodeId;
 
-    use crate::{AxisConfig, DigitalIo, DigitalIoConfig, Epos4, Epos4Config, Irp6Axis};
+    use crate::{
+        AxisConfig, CanForceSensor, CanForceSensorConfig, DigitalIo, DigitalIoConfig, Epos4, Epos4Config, Irp6Axis,
+        TransducerConfig,
+    };
 
     #[test]
     fn every_comment_is_a_line_of_a_data_sheet() {
         let node = NodeId::new(1).unwrap();
         let drive = Epos4::eds(&Epos4Config::new(node, AxisConfig::wut(Irp6Axis::ALL[0])));
         let module = DigitalIo::eds(&DigitalIoConfig::new(node));
-        for line in drive.comments.iter().chain(&module.comments) {
+        let sensor = CanForceSensor::eds(&CanForceSensorConfig::new(node, TransducerConfig::default()));
+        for line in drive.comments.iter().chain(&module.comments).chain(&sensor.comments) {
             assert!(line.is_ascii() && !line.contains(';'), "{line}");
             assert!(line.ends_with('.') && line.len() <= 140, "{line}");
         }

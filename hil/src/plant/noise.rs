@@ -26,6 +26,17 @@ impl Noise {
     pub fn symmetric(&mut self) -> f64 {
         (self.bits() >> 11) as f64 * (1.0 / (1_u64 << 52) as f64) - 1.0
     }
+
+    /// Normally distributed with mean 0 and standard deviation 1, by the polar method (Marsaglia, Bray, SIAM Review 1964).
+    pub fn normal(&mut self) -> f64 {
+        loop {
+            let (x, y) = (self.symmetric(), self.symmetric());
+            let square = x * x + y * y;
+            if 0.0 < square && square < 1.0 {
+                return x * (-2.0 * square.ln() / square).sqrt();
+            }
+        }
+    }
 }
 
 #[cfg(test)]
@@ -48,5 +59,18 @@ mod tests {
         assert!(drawn.iter().all(|x| (-1.0..1.0).contains(x)));
         assert!(mean.abs() < 0.01, "{mean}");
         assert!((square - 1.0 / 3.0).abs() < 0.01, "{square}");
+    }
+
+    #[test]
+    fn normal_numbers_have_the_moments_and_tails_of_their_distribution() {
+        let mut noise = Noise::new(7);
+        let drawn: Vec<f64> = (0..100_000).map(|_| noise.normal()).collect();
+        let moment = |power| drawn.iter().map(|x| x.powi(power)).sum::<f64>() / drawn.len() as f64;
+        for (power, expected, within) in [(1, 0.0, 0.015), (2, 1.0, 0.02), (3, 0.0, 0.05), (4, 3.0, 0.15)] {
+            assert!((moment(power) - expected).abs() < within, "moment {power}: {}", moment(power));
+        }
+        let beyond = |limit: f64| drawn.iter().filter(|x| x.abs() > limit).count() as f64 / drawn.len() as f64;
+        assert!((beyond(1.0) - 0.3173).abs() < 0.008, "{}", beyond(1.0));
+        assert!((beyond(3.0) - 0.0027).abs() < 0.0009, "{}", beyond(3.0));
     }
 }

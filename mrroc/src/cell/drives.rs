@@ -229,6 +229,7 @@ impl Robot {
             max_position: axis.max_position.unwrap_or(limits.high),
             max_velocity: axis.max_velocity,
             max_acceleration: axis.max_acceleration,
+            planned_jerk: axis.planned_jerk(),
             following_error: axis.following_error,
             homing_order: axis.homing.order,
             increments_per_radian: axis.scale(0.0).increments_per_radian(),

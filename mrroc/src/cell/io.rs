@@ -95,7 +95,7 @@ pub enum ErrorState {
     Off,
     /// The output becomes true. It is true before the first command.
     On,
-    /// The output keeps its level. It is false before the first command.
+    /// The output keeps its last level, also through a reset of the node. It is false before the first command.
     Keep,
 }
 

@@ -7,7 +7,7 @@ use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use servo::MAX_AXES;
 use thiserror::Error;
 
-use super::{Cell, Instruction, JointGenerator, Joints, LineInstruction, Path, Robot};
+use super::{Axis, Cell, Instruction, JointGenerator, Joints, LineInstruction, Path, Robot};
 use controller::ecp::Task;
 use controller::generator::{
     self, Axes, GeneratorError, JerkLimited, LineLimits, MotionLimits, Newsmooth, PlannedStart, Pose, SmoothPose,
@@ -18,8 +18,9 @@ use controller::robot::{Arm, KinematicsError, Limits, Space};
 /// are those of MRROC++'s generators. With this jerk, the acceleration is reached in a tenth of a second.
 const JOINT_LIMITS: (f64, f64, f64) = (1.5, 7.0, 70.0);
 
-/// Fractions of a motor's limits of velocity and acceleration for plans. The quintics between macrosteps need up to 5/3
-/// of a planned acceleration. A ball screw converts constant joint velocity to some motor acceleration.
+/// Fractions of a motor's limits of velocity and acceleration for plans. The rest of the acceleration is for overrides, for
+/// quintics between macrosteps, which need up to 5/3 of a planned acceleration, and for ball screws, which convert constant
+/// joint velocity to some motor acceleration.
 const PLANNED: (f64, f64) = (0.95, 0.5);
 
 /// Number of joint positions at which the drive train is sampled, over the range of each joint.
@@ -193,14 +194,21 @@ impl Robot {
 
     /// Limits of each motor for plans: its share of the limits of the servo.
     pub fn motor_limits(&self) -> MotionLimits {
-        let (_, acceleration, jerk) = JOINT_LIMITS;
         let mut limits = MotionLimits::uniform(0.0, 0.0, 0.0);
         for (motor, axis) in self.axis.iter().enumerate() {
             limits.max_velocity[motor] = axis.max_velocity * PLANNED.0;
             limits.max_acceleration[motor] = axis.max_acceleration * PLANNED.1;
-            limits.max_jerk[motor] = limits.max_acceleration[motor] * jerk / acceleration;
+            limits.max_jerk[motor] = axis.planned_jerk();
         }
         limits
+    }
+}
+
+impl Axis {
+    /// Greatest jerk of the motor in plans, rad/s³.
+    pub(crate) fn planned_jerk(&self) -> f64 {
+        let (_, acceleration, jerk) = JOINT_LIMITS;
+        self.max_acceleration * PLANNED.1 * jerk / acceleration
     }
 }
 

@@ -58,14 +58,16 @@ impl Effector {
         self.fail(tick, self.axis_in_motion(), StopCause::Starved { last: self.macrostep });
     }
 
-    /// Bounds of the change of the rate of motion time, by the acceleration limits of the axes that follow a macrostep.
+    /// Bounds of the rate of motion time, by the limits of the axes. A standing effector may begin to move in any cycle.
     pub(crate) fn rate_bounds(&self, rate: f64) -> Bounds {
-        let Some(segment) = self.segment.as_ref().filter(|_| self.state == ServoState::Moving) else {
+        let segment = self.segment.as_ref().filter(|_| self.state == ServoState::Moving);
+        if segment.is_none() && self.state != ServoState::Standing {
             return Bounds::NONE;
-        };
-        // The planned acceleration changes within the period for which the bounds hold.
+        }
         let bounds = |(index, axis): (usize, &ServoAxis)| {
-            let after = |periods| Bounds::of_axis(segment.ahead(index, periods), rate, axis.config.max_acceleration);
+            let ahead = |periods| segment.map_or_else(Knot::default, |segment| segment.ahead(index, periods));
+            let after = |periods| Bounds::of_axis(ahead(periods), rate, &axis.config);
+            // The planned acceleration changes within the period for which the bounds hold.
             after(0.0).within(after(1.0)).within(after(2.0))
         };
         self.axes.iter().enumerate().map(bounds).fold(Bounds::NONE, Bounds::within)

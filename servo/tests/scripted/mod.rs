@@ -33,6 +33,7 @@ pub fn config(axes: usize) -> ServoConfig {
         max_position: 500.0,
         max_velocity: MAX_VELOCITY,
         max_acceleration: MAX_ACCELERATION,
+        planned_jerk: 5.0 * MAX_ACCELERATION,
         following_error: 0.5,
         homing_order: (axes - index) as u8,
         increments_per_radian: 1000.0,

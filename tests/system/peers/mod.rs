@@ -9,6 +9,7 @@ mod blocks;
 mod bodies;
 mod clients;
 mod digital_io;
+mod force;
 mod group;
 mod host;
 mod latency;

@@ -9,25 +9,17 @@ use serde_json::{Value, json};
 
 use super::{PATIENCE, python};
 use crate::mrroc;
+use crate::random::draw::Draw;
 
 /// Parameters at which a spline is compared, in each of its domains.
 const PARAMETERS: u32 = 500;
 
-/// SplitMix64: a small seeded generator with the same results on all platforms.
-struct Random(u64);
+fn number(draw: &mut Draw) -> f64 {
+    draw.within(0.0, 1.0)
+}
 
-impl Random {
-    fn number(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    fn points(&mut self, count: usize) -> Vec<Vector3<f64>> {
-        (0..count).map(|_| Vector3::from_fn(|_, _| self.number())).collect()
-    }
+fn points(draw: &mut Draw, count: usize) -> Vec<Vector3<f64>> {
+    (0..count).map(|_| Vector3::from_fn(|_, _| number(draw))).collect()
 }
 
 /// A spline with its values, for the script.
@@ -52,16 +44,16 @@ fn described(spline: &BSpline, through: &Value) -> Value {
 fn scipy_finds_the_same_splines_derivatives_and_lengths() {
     let test = "peers::splines::scipy_finds_the_same_splines_derivatives_and_lengths";
     let Some(python) = python(test) else { return };
-    let mut random = Random(7);
+    let mut draw = Draw(7);
     let mut splines = Vec::new();
     for count in [4, 5, 9, 40] {
-        let mut knots: Vec<f64> = (0..count + 4).map(|_| random.number()).collect();
+        let mut knots: Vec<f64> = (0..count + 4).map(|_| number(&mut draw)).collect();
         knots.sort_by(f64::total_cmp);
-        splines.push(described(&BSpline::new(knots, random.points(count)).unwrap(), &Value::Null));
+        splines.push(described(&BSpline::new(knots, points(&mut draw, count)).unwrap(), &Value::Null));
     }
     let letter = [(0, 0), (5, 12), (10, 0), (15, 12), (20, 0), (30, 6), (36, 0), (30, -6), (24, 0)];
     let letter = letter.map(|(x, y)| Vector3::new(f64::from(x), f64::from(y), 0.0) * 1e-3).to_vec();
-    for points in [letter, random.points(4), random.points(17), random.points(60)] {
+    for points in [letter, points(&mut draw, 4), points(&mut draw, 17), points(&mut draw, 60)] {
         let [start, end] = [points[1] - points[0], points[0] - points[2]];
         let clamped = SplineEnds::Clamped { start, end };
         for ends in [SplineEnds::Averaged, SplineEnds::NotAKnot, SplineEnds::Natural, clamped] {

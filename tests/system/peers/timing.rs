@@ -14,6 +14,7 @@ use serde_json::{Value, json};
 
 use super::{PATIENCE, python};
 use crate::mrroc;
+use crate::random::draw::Draw;
 
 const AXES: usize = 7;
 const PATHS: usize = 40;
@@ -23,28 +24,15 @@ const SEGMENTS: u32 = 300;
 /// Period by which the durations of the moves are rounded up. A jerk-limited motion has macrosteps of one servo period.
 const PERIOD: Duration = Duration::from_millis(2);
 
-/// SplitMix64: a small seeded generator with the same results on all platforms.
-struct Random(u64);
+fn axes(draw: &mut Draw, low: f64, high: f64) -> Axes {
+    std::array::from_fn(|axis| if axis < AXES { draw.within(low, high) } else { 0.0 })
+}
 
-impl Random {
-    fn within(&mut self, low: f64, high: f64) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    fn axes(&mut self, low: f64, high: f64) -> Axes {
-        std::array::from_fn(|axis| if axis < AXES { self.within(low, high) } else { 0.0 })
-    }
-
-    fn limits(&mut self) -> MotionLimits {
-        MotionLimits {
-            max_velocity: self.axes(0.5, 2.0),
-            max_acceleration: self.axes(1.0, 10.0),
-            max_jerk: self.axes(10.0, 200.0),
-        }
+fn limits(draw: &mut Draw) -> MotionLimits {
+    MotionLimits {
+        max_velocity: axes(draw, 0.5, 2.0),
+        max_acceleration: axes(draw, 1.0, 10.0),
+        max_jerk: axes(draw, 10.0, 200.0),
     }
 }
 
@@ -105,11 +93,11 @@ fn judged(python: &std::path::Path, asked: &Value) -> Value {
 fn toppra_finds_the_same_durations_and_no_limit_exceeded_on_random_paths_of_seven_axes() {
     let test = "peers::timing::toppra_finds_the_same_durations_and_no_limit_exceeded_on_random_paths_of_seven_axes";
     let Some(python) = python(test) else { return };
-    let mut random = Random(11);
+    let mut draw = Draw(11);
     let (mut asked, mut durations) = (Vec::new(), Vec::new());
     for number in 0..PATHS {
-        let limits = random.limits();
-        let points: Vec<Axes> = (0..4 + number % 6).map(|_| random.axes(-2.0, 2.0)).collect();
+        let limits = limits(&mut draw);
+        let points: Vec<Axes> = (0..4 + number % 6).map(|_| axes(&mut draw, -2.0, 2.0)).collect();
         let (ends, named) =
             if number % 2 == 0 { (SplineEnds::Natural, "natural") } else { (SplineEnds::NotAKnot, "not-a-knot") };
         let path = JointPath::through(AXES, &points, ends).unwrap();
@@ -143,13 +131,13 @@ fn toppra_finds_the_same_durations_and_no_limit_exceeded_on_random_paths_of_seve
 fn ruckig_finds_the_same_durations_of_jerk_limited_motions_of_seven_axes() {
     let test = "peers::timing::ruckig_finds_the_same_durations_of_jerk_limited_motions_of_seven_axes";
     let Some(python) = python(test) else { return };
-    let mut random = Random(12);
+    let mut draw = Draw(12);
     let (mut asked, mut durations) = (Vec::new(), Vec::new());
     for number in 0..MOVES {
-        let (limits, start, target) = (random.limits(), random.axes(-2.0, 2.0), random.axes(-2.0, 2.0));
+        let (limits, start, target) = (limits(&mut draw), axes(&mut draw, -2.0, 2.0), axes(&mut draw, -2.0, 2.0));
         // Half of the motions begin in motion.
         let share = if number % 2 == 0 { 0.0 } else { 0.5 };
-        let (speed, push) = (random.axes(-share, share), random.axes(-share, share));
+        let (speed, push) = (axes(&mut draw, -share, share), axes(&mut draw, -share, share));
         let velocity: Axes = std::array::from_fn(|axis| speed[axis] * limits.max_velocity[axis]);
         let acceleration: Axes = std::array::from_fn(|axis| push[axis] * limits.max_acceleration[axis]);
         durations.push(lasting(AxesState::new(start, velocity), acceleration, target, limits));

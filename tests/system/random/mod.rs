@@ -7,7 +7,7 @@
 //! operator to every key of every cell. Each disagreement is printed at once with its case. At the end, the test fails
 //! and prints one cell.
 
-mod draw;
+pub(crate) mod draw;
 mod exceptions;
 mod homed;
 mod mutations;

@@ -1,7 +1,8 @@
 //! Text of CAN frames.
 //!
 //! [`Decoder::describe`] depends on the frame, on earlier frames and on prior knowledge of the bus. Prior knowledge is
-//! the mapping of the PDOs and the vendor of each node, which decides its error codes. A segment of a block transfer
+//! the mapping of the PDOs, and the vendor and the device type of each node, which decide its error codes. The decoder
+//! also takes both from SDO answers on the bus. A segment of a block transfer
 //! looks like any command. The decoder therefore keeps the SDO transfer under way with each node. If the start of a
 //! transfer was not seen, the text says "unknown".
 
@@ -16,6 +17,7 @@ use canopen::cia402::FaultTable;
 use canopen::emcy::Emergency;
 use canopen::heartbeat::Heartbeat;
 use canopen::nmt::{Command, NmtState, Request as NmtRequest, Target};
+use canopen::objects::{DEVICE_TYPE, VENDOR_ID};
 use canopen::pdo::{Entry, PdoKind, PdoNumber};
 use canopen::sdo::{Initiate, Request, Response, Segment};
 use canopen::sync::Sync;
@@ -26,7 +28,7 @@ use serde::{Serialize, Serializer};
 
 use super::pdo_map::{Pdo, PdoMap};
 use super::value::Shown;
-use super::words;
+use super::words::{self, Identification};
 use transfer::{Channel, Reading, Side};
 
 /// Service that a frame belongs to.
@@ -90,7 +92,7 @@ fn raw<S: Serializer>(node: &Option<NodeId>, serializer: S) -> Result<S::Ok, S::
 #[derive(Clone, Debug, Default)]
 pub struct Decoder {
     pdos: PdoMap,
-    vendors: BTreeMap<NodeId, u32>,
+    identifications: BTreeMap<NodeId, Identification>,
     /// SDO channels on which frames were seen.
     channels: BTreeMap<NodeId, Channel>,
     /// Time since which every frame was seen; `None` means since the start of the bus.
@@ -103,9 +105,11 @@ impl Decoder {
         self.pdos.extend(pdos);
     }
 
-    /// Sets the vendor of `node`, which decides the meaning of its error codes.
-    pub(super) fn set_vendor(&mut self, node: NodeId, vendor: u32) {
-        self.vendors.insert(node, vendor);
+    /// Adds what is known of the identification of `node`. It decides the meaning of the error codes of the node.
+    pub(super) fn identify(&mut self, node: NodeId, found: Identification) {
+        let known = self.identifications.entry(node).or_default();
+        known.vendor = found.vendor.or(known.vendor);
+        known.device_type = found.device_type.or(known.device_type);
     }
 
     /// Frames before `at` were not seen, because listening started then or frames were lost.
@@ -123,7 +127,7 @@ impl Decoder {
     }
 
     fn faults(&self, node: NodeId) -> FaultTable {
-        words::fault_table(self.vendors.get(&node).copied())
+        self.identifications.get(&node).copied().unwrap_or_default().fault_table()
     }
 
     /// Text of a frame that arrived at `at`.
@@ -251,6 +255,14 @@ impl Decoder {
             Reading::BlockSegment(object) => return Some(block::segment(frame, object)),
             Reading::Unknown => return Some(block::unknown(frame, "an answer")),
         };
+        if let Response::InitiateUpload { object, initiate: Initiate::Expedited(data) } = &response {
+            let raw = super::value::unsigned(data.data()).map(|raw| raw as u32);
+            match *object {
+                VENDOR_ID => self.identify(node, Identification { vendor: raw, ..Identification::default() }),
+                DEVICE_TYPE => self.identify(node, Identification { device_type: raw, ..Identification::default() }),
+                _ => {}
+            }
+        }
         Some(match response {
             Response::InitiateUpload { object, initiate } => self.initiated(object, &initiate, ":", node),
             Response::InitiateDownload { object } => format!("{} taken", named(object)),

@@ -8,6 +8,7 @@ use std::time::Duration;
 use anyhow::Context;
 use can::{ControllerState, Port, Received, clock};
 use canopen::NodeId;
+use canopen::cia401::PROFILE;
 use clap::Args;
 use drive::{cia401, cia402};
 use master::pdo::PdoSetup;
@@ -17,7 +18,8 @@ use super::decode::{Decoder, Described, Kind};
 use super::pdo_map::{MappingQuestions, Pdo, PdoMap};
 use super::survey::Survey;
 use super::talk;
-use super::{Bus, BusArgs, words};
+use super::words::{self, Identification};
+use super::{Bus, BusArgs};
 use mrroc::bench::interfaces::Interface;
 use mrroc::setup;
 
@@ -62,9 +64,7 @@ pub fn monitor(options: &Options) -> anyhow::Result<ExitCode> {
         let mut survey = Survey::new(nodes, Duration::from_millis(options.timeout));
         bus.hold(&mut survey)?;
         for (node, questions) in survey.into_answers() {
-            if let Some(vendor) = questions.vendor {
-                decoder.set_vendor(node, vendor);
-            }
+            decoder.identify(node, questions.identification);
             decoder.add_pdos(questions.into_map());
         }
     }
@@ -78,7 +78,7 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error.downcast_ref::<std::io::Error>().is_some_and(|error| error.kind() == ErrorKind::BrokenPipe)
 }
 
-/// PDO mapping that a run of the cell configures in its drives.
+/// PDO mapping that a run of the cell configures in its nodes, and what the nodes are.
 fn of_cell(bus: &Bus) -> Decoder {
     let mut decoder = Decoder::default();
     let Some((file, index)) = &bus.cell else {
@@ -93,11 +93,12 @@ fn of_cell(bus: &Bus) -> Decoder {
         }
     };
     for axis in setup::axis_configs(file, *index) {
-        decoder.set_vendor(axis.node, axis.identity.vendor);
+        decoder.identify(axis.node, Identification { vendor: Some(axis.identity.vendor), device_type: None });
         add(axis.node, cia402::pdo_setups(axis.node, axis.mode).to_vec());
     }
     for io in file.cell.io_configs(*index) {
-        decoder.set_vendor(io.node, io.identity.vendor);
+        let device_type = Some(u32::from(PROFILE));
+        decoder.identify(io.node, Identification { vendor: Some(io.identity.vendor), device_type });
         let mut setups = cia401::pdo_setups(&io).expect("a parsed cell has possible times").to_vec();
         setups.retain(|setup| !setup.mapping.entries().is_empty());
         add(io.node, setups);

@@ -1,13 +1,15 @@
-//! PDO mapping of nodes, read from the nodes or taken from a cell file.
+//! PDO mapping and identification of nodes, read from the nodes; the mapping may be taken from a cell file.
 
 use std::collections::{BTreeMap, VecDeque};
 
+use canopen::objects::{DEVICE_TYPE, VENDOR_ID};
 use canopen::pdo::{Entry, PdoCobId, PdoKind, PdoNumber};
 use canopen::{NodeId, Object};
 use master::sdo::SdoCause;
 
 use super::survey::Questions;
 use super::value;
+use super::words::Identification;
 
 /// Maximum number of entries of a PDO (CiA 301). A node that reports more is in error.
 const MOST_ENTRIES: u64 = 64;
@@ -28,8 +30,8 @@ pub(super) type PdoMap = BTreeMap<u16, Pdo>;
 #[derive(Debug)]
 pub(super) struct MappingQuestions {
     node: NodeId,
-    /// Vendor-ID. Its presence shows that the node exists.
-    pub(super) vendor: Option<u32>,
+    /// Vendor and device type, which every node has. Their presence shows that the node exists.
+    pub(super) identification: Identification,
     stage: Stage,
     /// The PDO that is being read, and the PDOs after it.
     pdos: VecDeque<(PdoKind, PdoNumber)>,
@@ -42,6 +44,7 @@ pub(super) struct MappingQuestions {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     Vendor,
+    DeviceType,
     CobId,
     Count,
     Entry,
@@ -52,7 +55,7 @@ impl MappingQuestions {
         let of_kind = |kind| PdoNumber::ALL.map(|number| (kind, number));
         Self {
             node,
-            vendor: None,
+            identification: Identification::default(),
             stage: Stage::Vendor,
             pdos: [PdoKind::Rpdo, PdoKind::Tpdo].map(of_kind).concat().into(),
             id: 0,
@@ -77,7 +80,8 @@ impl Questions for MappingQuestions {
     fn next(&self) -> Option<Object> {
         let &(kind, number) = self.pdos.front()?;
         Some(match self.stage {
-            Stage::Vendor => canopen::objects::VENDOR_ID,
+            Stage::Vendor => VENDOR_ID,
+            Stage::DeviceType => DEVICE_TYPE,
             Stage::CobId => kind.communication(number, 1),
             Stage::Count => kind.mapping(number, 0),
             Stage::Entry => kind.mapping(number, self.entries.len() as u8 + 1),
@@ -92,7 +96,11 @@ impl Questions for MappingQuestions {
         let raw = answer.ok().and_then(value::unsigned);
         match (self.stage, raw) {
             (Stage::Vendor, raw) => {
-                self.vendor = raw.map(|raw| raw as u32);
+                self.identification.vendor = raw.map(|raw| raw as u32);
+                self.stage = Stage::DeviceType;
+            }
+            (Stage::DeviceType, raw) => {
+                self.identification.device_type = raw.map(|raw| raw as u32);
                 self.stage = Stage::CobId;
             }
             (Stage::CobId, Some(raw)) => {

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
 use can::{Frame, Instant, clock};
-use canopen::objects::{ERROR_CODE, ERROR_HISTORY_NEWEST, VENDOR_ID};
+use canopen::objects::{DEVICE_TYPE, ERROR_CODE, ERROR_HISTORY_NEWEST, VENDOR_ID};
 use canopen::sdo::AbortCode;
 use canopen::{NodeId, Object};
 use clap::{Args, Subcommand};
@@ -20,7 +20,8 @@ use serde::Serialize;
 use super::data_sheet::DataSheet;
 use super::talk::Conversation;
 use super::value::{self, Shown, Type};
-use super::{Bus, BusArgs, Channel, Interrupted, node_id, words};
+use super::words::{self, Identification};
+use super::{Bus, BusArgs, Channel, Interrupted, node_id};
 
 /// Number of repetitions of a transfer that is not answered.
 const RETRIES: u8 = 2;
@@ -144,12 +145,12 @@ fn read(target: &Target, ty: Option<Type>) -> anyhow::Result<ExitCode> {
     let ty = ty.or_else(|| sheet.as_ref()?.value_type());
     let data = transfer(&mut channel, target, target.object, None, ty)?;
     let data = data.map_err(|error| refusal(&channel, target, error))?;
-    // The vendor decides the meaning of error codes.
-    let vendor = match target.object {
-        ERROR_CODE | ERROR_HISTORY_NEWEST => vendor(&mut channel, target)?,
-        _ => None,
+    // Device type and vendor decide the meaning of error codes.
+    let identification = match target.object {
+        ERROR_CODE | ERROR_HISTORY_NEWEST => identification(&mut channel, target)?,
+        _ => Identification::default(),
     };
-    show(target, &data, ty, sheet.as_ref(), vendor)
+    show(target, &data, ty, sheet.as_ref(), identification)
 }
 
 /// Refuses an object that belongs to the driver while a controller is at work, which would not notice the change.
@@ -167,7 +168,7 @@ fn check_kept(channel: &mut Channel, target: &Target) -> anyhow::Result<()> {
     };
     let Object { index, subindex } = target.object;
     let kept = match reserved(0, index, subindex) {
-        None => vendor(channel, target)?.and_then(|vendor| reserved(vendor, index, subindex)),
+        None => identity(channel, target, VENDOR_ID)?.and_then(|vendor| reserved(vendor, index, subindex)),
         kept => kept,
     };
     match kept {
@@ -176,9 +177,19 @@ fn check_kept(channel: &mut Channel, target: &Target) -> anyhow::Result<()> {
     }
 }
 
-/// Vendor-ID of the node, if the node tells it.
-fn vendor(channel: &mut Channel, target: &Target) -> anyhow::Result<Option<u32>> {
-    let answer = transfer(channel, target, VENDOR_ID, None, None)?;
+/// Device type and vendor-ID of the node, as far as the node tells them.
+fn identification(channel: &mut Channel, target: &Target) -> anyhow::Result<Identification> {
+    let device_type = match channel {
+        Channel::Bus(_) => identity(channel, target, DEVICE_TYPE)?,
+        // Only drives have a service port.
+        Channel::Drive(_) => None,
+    };
+    Ok(Identification { vendor: identity(channel, target, VENDOR_ID)?, device_type })
+}
+
+/// The value of `object`, device type or vendor-ID, if the node tells it.
+fn identity(channel: &mut Channel, target: &Target, object: Object) -> anyhow::Result<Option<u32>> {
+    let answer = transfer(channel, target, object, None, None)?;
     Ok(answer.ok().and_then(|data| value::unsigned(&data)).map(|raw| raw as u32))
 }
 
@@ -201,7 +212,7 @@ fn write(target: &Target, text: &str, ty: Option<Type>, read_back: bool) -> anyh
     let object = target.object;
     let (problem, code) = match read_back_of(&mut channel, target, &data, ty)? {
         Ok((found, agrees)) => {
-            let shown = show(target, &found, Some(ty), sheet.as_ref(), None)?;
+            let shown = show(target, &found, Some(ty), sheet.as_ref(), Identification::default())?;
             if agrees {
                 return Ok(shown);
             }
@@ -308,11 +319,11 @@ fn show(
     data: &[u8],
     ty: Option<Type>,
     sheet: Option<&DataSheet>,
-    vendor: Option<u32>,
+    identification: Identification,
 ) -> anyhow::Result<ExitCode> {
     let object = target.object;
     let ty = ty.or_else(|| sheet?.value_type());
-    let meaning = |raw| words::meaning(object, raw, words::fault_table(vendor));
+    let meaning = |raw| words::meaning(object, raw, identification.fault_table());
     let answer = Answer {
         node: target.node.raw(),
         index: object.index,

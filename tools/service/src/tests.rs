@@ -22,6 +22,7 @@ use super::scan::Scan;
 use super::sdo;
 use super::survey::Survey;
 use super::talk::Conversation;
+use super::words::Identification;
 
 mod lss_slaves;
 
@@ -292,14 +293,14 @@ fn nodes_tell_what_their_pdos_carry() {
     stage.hold(&mut survey);
     let mut answers = survey.into_answers();
     let (_, drive) = answers.next().unwrap();
-    assert_eq!(drive.vendor, Some(0xFB));
+    assert_eq!(drive.identification, Identification { vendor: Some(0xFB), device_type: Some(0x0002_0192) });
     let map = drive.into_map();
     // PDO 1 of each direction is enabled by default in an EPOS4.
     let of = |id: u16| map[&id].entries.iter().map(|entry| entry.object);
     assert_eq!(map.keys().copied().collect::<Vec<_>>(), [0x183, 0x203]);
     assert!(of(0x183).eq([STATUSWORD]));
     let (_, absent) = answers.next().unwrap();
-    assert!(absent.vendor.is_none() && absent.into_map().is_empty());
+    assert!(absent.identification == Identification::default() && absent.into_map().is_empty());
 }
 
 /// Runs a conversation in which each sent frame is answered at once. Returns the sent frames and the duration.

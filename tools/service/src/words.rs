@@ -1,15 +1,15 @@
 //! Text for numbers of CANopen.
 
 use can::ControllerState;
-use canopen::Object;
 use canopen::cia402::{Controlword, FaultTable, ModeOfOperation, PowerCommand, Statusword};
 use canopen::emcy::ErrorRegister;
 use canopen::lss::Outcome;
 use canopen::objects::{
     CONTROLWORD, DEVICE_TYPE, ERROR_CODE, ERROR_HISTORY_NEWEST, ERROR_REGISTER, MODE_OF_OPERATION,
-    MODE_OF_OPERATION_DISPLAY, STATUSWORD, VENDOR_ID,
+    MODE_OF_OPERATION_DISPLAY, STATUSWORD, VELOCITY_UNIT, VENDOR_ID,
 };
 use canopen::sdo::AbortCode;
+use canopen::{Object, cia401};
 
 /// Vendor-ID of maxon.
 const MAXON: u32 = 0x0000_00FB;
@@ -57,12 +57,24 @@ pub(super) fn device_type(raw: u32) -> String {
     format!("CiA {profile}, {name}")
 }
 
-/// Meaning of the error codes of a manufacturer's devices. EPOS2 uses some codes of EPOS4 for other faults; this table
-/// is the one of EPOS4.
-pub(super) fn fault_table(vendor: Option<u32>) -> FaultTable {
-    match vendor {
-        Some(MAXON) => FaultTable::Epos4,
-        _ => FaultTable::Cia402,
+/// Identification of a node, as far as it is known. The identification decides the meaning of the node's error codes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Identification {
+    /// Vendor-ID, object 0x1018:01.
+    pub(super) vendor: Option<u32>,
+    /// Device type, object 0x1000.
+    pub(super) device_type: Option<u32>,
+}
+
+impl Identification {
+    /// Meaning of the error codes of the node. EPOS2 uses some codes of EPOS4 for other faults; the table of maxon's
+    /// drives is the one of EPOS4.
+    pub(super) fn fault_table(self) -> FaultTable {
+        match (self.device_type.map(|device_type| device_type as u16), self.vendor) {
+            (Some(cia401::PROFILE), _) => FaultTable::Cia401,
+            (_, Some(MAXON)) => FaultTable::Epos4,
+            _ => FaultTable::Cia402,
+        }
     }
 }
 
@@ -127,8 +139,20 @@ pub(super) fn meaning(object: Object, raw: u64, faults: FaultTable) -> Option<St
         ERROR_REGISTER => error_register(ErrorRegister(raw as u8)),
         DEVICE_TYPE => device_type(raw as u32),
         VENDOR_ID => vendor(raw as u32)?.to_owned(),
+        VELOCITY_UNIT => velocity_unit(raw as u32)?,
         _ => return None,
     })
+}
+
+/// Text of object 0x60A9: a power of ten in bits 24 to 31, position unit and time unit in bits 8 to 23. `None` unless
+/// the units are revolutions (0xB4) and minutes (0x47).
+fn velocity_unit(raw: u32) -> Option<String> {
+    let [_, time, position, exponent] = raw.to_le_bytes();
+    match exponent.cast_signed() {
+        _ if (position, time) != (0xB4, 0x47) => None,
+        0 => Some("rpm".to_owned()),
+        exponent => Some(format!("10^{exponent} rpm")),
+    }
 }
 
 fn statusword(word: Statusword) -> String {
@@ -271,11 +295,16 @@ mod tests {
             (VENDOR_ID, 0xFB, "maxon"),
             (ERROR_REGISTER, 0x11, "communication"),
             (ERROR_REGISTER, 0x01, "generic"),
+            (VELOCITY_UNIT, 0x00B4_4700, "rpm"),
+            (VELOCITY_UNIT, 0xFDB4_4700, "10^-3 rpm"),
         ];
         for (object, raw, text) in table {
             let meant = meaning(object, raw, FaultTable::Cia402);
             assert_eq!(meant.as_deref(), Some(text), "{object}");
         }
-        assert_eq!(meaning(VENDOR_ID, 0x7777, FaultTable::Cia402), None);
+        // Metres per second are no unit of a motor.
+        for (object, raw) in [(VENDOR_ID, 0x7777), (VELOCITY_UNIT, 0x0001_0300)] {
+            assert_eq!(meaning(object, raw, FaultTable::Cia402), None);
+        }
     }
 }

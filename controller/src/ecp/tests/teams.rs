@@ -114,6 +114,7 @@ fn effector(group: usize) -> EffectorConfig {
         max_position: 1e3,
         max_velocity: 500.0,
         max_acceleration: 2000.0,
+        planned_jerk: 10_000.0,
         following_error: 10.0,
         homing_order: 1,
         increments_per_radian: 1000.0,

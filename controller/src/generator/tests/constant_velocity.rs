@@ -159,7 +159,7 @@ fn a_velocity_or_a_distance_that_cannot_be_kept_and_a_motion_out_of_range_are_re
         assert!(matches!(refused, GeneratorError::Distance { .. }), "{refused}");
     }
     let long = motion(0.5).unwrap().lasting(Duration::from_secs(1_000_000));
-    assert_eq!(moved(long, AxesState::at_rest([0.0; 8])), Err(GeneratorError::TooLong { limit: 1 << 20 }));
+    assert_eq!(moved(long, AxesState::at_rest([0.0; 8])), Err(GeneratorError::TooLong { limit: 1 << 24 }));
 
     let arm = Arm::new(Arc::new(Irb6::new(&Irb6Parameters::irb6()).unwrap()), Pose::identity());
     let home = arm.joints(&arm.robot().home().padded()).unwrap();

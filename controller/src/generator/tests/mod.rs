@@ -310,7 +310,7 @@ fn what_cannot_be_planned_is_refused() {
     let mut slow = limits;
     slow.max_velocity[0] = 1e-9;
     let endless = Newsmooth::new(Space::Joint, 1, slow, fast).unwrap();
-    assert_eq!(walk(endless, &Standing::at([0.0; 8])), Err(GeneratorError::TooLong { limit: 1 << 20 }));
+    assert_eq!(walk(endless, &Standing::at([0.0; 8])), Err(GeneratorError::TooLong { limit: 1 << 24 }));
     let mut run = Run::new(Wait { duration: MACROSTEP });
     assert_eq!(begin(&mut run, &mut Standing::at([0.0; 8]), Duration::ZERO), Err(GeneratorError::NoMacrostep));
 }

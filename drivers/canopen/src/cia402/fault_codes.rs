@@ -15,12 +15,13 @@ pub enum FaultTable {
 }
 
 impl FaultTable {
-    /// The text of an error code: the text of the vendor, of CiA, or of the class of the code, in this order.
+    /// The text of an error code: the text of the vendor, of CiA, of the group of the code (0x8600 for 0x8613), or of its
+    /// class, in this order.
     pub fn text(self, code: u16) -> &'static str {
         let listed = match self {
-            Self::Cia402 => find(CIA, code),
+            Self::Cia402 => of_cia(code),
             Self::Cia401 => find(CIA_401, code).or_else(|| find(CIA, code).filter(|_| matches!(code, 0x8100..=0x82FF))),
-            Self::Epos4 => find(EPOS4, code).or_else(|| epos4_range(code)).or_else(|| find(CIA, code)),
+            Self::Epos4 => find(EPOS4, code).or_else(|| epos4_range(code)).or_else(|| of_cia(code)),
         };
         listed.unwrap_or_else(|| class(code))
     }
@@ -34,6 +35,11 @@ const fn epos4_range(code: u16) -> Option<&'static str> {
         0x6180..=0x61F0 => Some("internal software error"),
         _ => None,
     }
+}
+
+/// The text of CiA for a code, or for its group.
+fn of_cia(code: u16) -> Option<&'static str> {
+    find(CIA, code).or_else(|| find(CIA, code & 0xFF00))
 }
 
 fn find(table: &[(u16, &'static str)], code: u16) -> Option<&'static str> {
@@ -281,7 +287,10 @@ mod tests {
             (FaultTable::Epos4, 0x7121, "motor blocked"),
             (FaultTable::Epos4, 0x6185, "internal software error"),
             (FaultTable::Epos4, 0x1083, "generic initialisation error"),
-            (FaultTable::Cia402, 0x6185, "software"),
+            (FaultTable::Cia402, 0x6185, "internal software"),
+            (FaultTable::Cia402, 0x8613, "positioning controller"),
+            (FaultTable::Epos4, 0x8613, "positioning controller"),
+            (FaultTable::Cia402, 0x6213, "software"),
             (FaultTable::Cia401, 0x2330, "load dump at the outputs"),
             (FaultTable::Cia401, 0x2340, "current"),
             (FaultTable::Cia401, 0x8130, "heartbeat or life guard error"),

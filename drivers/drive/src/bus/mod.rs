@@ -7,7 +7,7 @@
 //!
 //! | frame | when |
 //! |---|---|
-//! | SYNC | every cycle |
+//! | SYNC | every cycle, if a PDO of the bus is synchronous |
 //! | RPDO 1 of each drive | every cycle |
 //! | heartbeat of the host | once per heartbeat period |
 //! | RPDO 1 of an I/O node | after the first heartbeat of the host: changed or refused levels, and with each heartbeat |
@@ -43,7 +43,7 @@ use master::sdo::Client;
 pub(crate) use bring_up::{Learnt, NodeBringUp, begin_transfer};
 pub use other_controller::Sign;
 pub(crate) use step::{Need, Step};
-pub(crate) use syncs::Syncs;
+pub(crate) use syncs::{Syncs, needs_sync};
 pub use traffic::{Traffic, traffic};
 
 use crate::cia401::{self, IoConfig, IoFault, IoLink, IoNode};
@@ -73,12 +73,14 @@ pub struct CanBus<P: Port> {
     sensors: Vec<WrenchNode>,
     stage: Stage,
     received: Vec<Received>,
-    /// During bring-up: frames that the port has not taken yet. In a cycle: SYNC and the set-points.
+    /// During bring-up: frames that the port has not taken yet. In a cycle: SYNC, if it is needed, and the set-points.
     batch: Vec<Frame>,
     /// A service frame that the port has not taken yet.
     service: Option<Frame>,
     /// Index of the member whose SDO client sent last.
     turn: usize,
+    /// Whether the nodes need SYNC.
+    needs_sync: bool,
     syncs: Syncs,
     heartbeat: OwnHeartbeat,
     counters: GroupCounters,
@@ -186,6 +188,7 @@ impl<P: Port> CanBus<P> {
             sensor_links.push(link);
         }
         let (nodes, links): (Vec<_>, Vec<_>) = io.iter().map(|node| IoNode::new(&config, node)).unzip();
+        let needs_sync = needs_sync(axes, io) || sensor_nodes.iter().any(WrenchNode::needs_sync);
         let nothing = Received { frame: Sync::default().encode(), at: Instant::ZERO };
         let bus = Self {
             port,
@@ -201,6 +204,7 @@ impl<P: Port> CanBus<P> {
             stage: Stage::Down,
             service: None,
             turn: 0,
+            needs_sync,
             syncs: Syncs::default(),
             heartbeat: OwnHeartbeat::due_at(Instant::ZERO),
             counters: GroupCounters::default(),
@@ -306,6 +310,12 @@ impl<P: Port> CanBus<P> {
             }
         }
         None
+    }
+
+    /// Begins the batch of a cycle: with SYNC, if the nodes need SYNC.
+    fn begin_batch(&mut self) {
+        self.batch.clear();
+        self.batch.extend(self.needs_sync.then(|| Sync::default().encode()));
     }
 
     fn order(&mut self, command: nmt::Command) {
@@ -499,8 +509,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
     }
 
     fn write(&mut self, now: Instant, commands: &[AxisCommand]) {
-        self.batch.clear();
-        self.batch.push(Sync::default().encode());
+        self.begin_batch();
         let watched = self.heartbeat.watched;
         self.drives.write(now, commands, watched, &mut self.members, &mut self.batch);
     }
@@ -510,9 +519,10 @@ impl<P: Port> DriveGroup for CanBus<P> {
     /// service frame is sent again if the port does not take it.
     fn send(&mut self, now: Instant) -> bool {
         if self.batch.is_empty() {
-            self.batch.push(Sync::default().encode());
+            self.begin_batch();
         }
-        let setpoints = self.batch.len() - 1;
+        let syncs = usize::from(self.needs_sync);
+        let setpoints = self.batch.len() - syncs;
         let heartbeat = self.heartbeat.is_due(now);
         if heartbeat {
             let (node, state) = (self.config.host_node, nmt::NmtState::Operational);
@@ -527,21 +537,22 @@ impl<P: Port> DriveGroup for CanBus<P> {
             self.service = self.next_sdo_frame(now);
         }
         self.batch.extend(self.service);
-        let taken = match self.port.send(now, &self.batch) {
-            Ok(taken) => taken,
-            Err(error) => {
-                self.latch_all(Fault::Port(error), IoFault::Port(error));
-                0
-            }
-        };
-        self.syncs.send(now, taken > 0);
+        // A bus without SYNC is silent in most cycles.
+        let sent = if self.batch.is_empty() { Ok(0) } else { self.port.send(now, &self.batch) };
+        let taken = sent.unwrap_or_else(|error| {
+            self.latch_all(Fault::Port(error), IoFault::Port(error));
+            0
+        });
+        if self.needs_sync {
+            self.syncs.send(now, taken > 0);
+            self.counters.dropped_syncs += u64::from(taken == 0);
+        }
         self.drives.handed_over(taken, setpoints);
         let mut outputs = taken.saturating_sub(before_outputs);
         for io in &mut self.io {
             io.handed_over(&mut outputs, now, self.cycle);
         }
-        self.counters.dropped_syncs += u64::from(taken == 0);
-        self.counters.dropped_setpoints += setpoints.saturating_sub(taken.saturating_sub(1)) as u64;
+        self.counters.dropped_setpoints += setpoints.saturating_sub(taken.saturating_sub(syncs)) as u64;
         if heartbeat {
             let period = self.config.heartbeat_period;
             self.heartbeat.offered(now, taken >= before_outputs, period);
@@ -551,7 +562,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
         }
         self.batch.clear();
         self.cycle += 1;
-        taken > setpoints
+        taken >= syncs + setpoints
     }
 
     fn counters(&self) -> GroupCounters {

@@ -6,6 +6,7 @@ use can::StandardId;
 use canopen::pdo::PdoNumber;
 use canopen::{cia401, cob};
 
+use super::needs_sync;
 use crate::cia401::IoConfig;
 use crate::cia402::{AxisConfig, GroupConfig, SHOWN_APART, request_len};
 
@@ -22,14 +23,18 @@ pub struct Traffic {
     pub what: &'static str,
 }
 
-/// All traffic of a bus during operation, except EMCY. Service frames occur only during a change of mode. The result
+/// All traffic of a bus during operation, except EMCY. SYNC is part of it if a node needs SYNC. Service frames occur only during a change of mode. The result
 /// counts service frames at their greatest rate: one request and one answer per cycle. Inputs count at the rate that
 /// their inhibit time permits, and outputs as if they changed in every cycle.
 pub fn traffic(config: &GroupConfig, axes: &[AxisConfig], io: &[IoConfig]) -> Vec<Traffic> {
     let frame = |cob_id, bytes, period, what| Traffic { cob_id, bytes, period, what };
     let (cycle, heartbeat) = (config.period, config.heartbeat_period);
     let host = cob::heartbeat(config.host_node);
-    let mut traffic = vec![frame(cob::SYNC, 0, cycle, "SYNC"), frame(host, 1, heartbeat, "host heartbeat")];
+    let mut traffic = Vec::new();
+    if needs_sync(axes, io) {
+        traffic.push(frame(cob::SYNC, 0, cycle, "SYNC"));
+    }
+    traffic.push(frame(host, 1, heartbeat, "host heartbeat"));
     for &AxisConfig { node, mode, .. } in axes {
         let length = request_len(mode) as u8;
         let [answer, shown] = [PdoNumber::One, PdoNumber::Two].map(|number| cob::tpdo(number, node));

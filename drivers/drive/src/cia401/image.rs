@@ -218,8 +218,8 @@ pub struct IoLink {
     pub node: NodeId,
     /// Inputs, state of the outputs, fault and error.
     pub inputs: LatestInputs,
-    /// Commands to the outputs. A bring-up sets them to [`IoConfig::error_value`](super::IoConfig::error_value), and
-    /// so does a reset.
+    /// Commands to the outputs. A bring-up sets them to the levels of the error state
+    /// ([`IoConfig::error_mode`](super::IoConfig::error_mode)), and so does a reset.
     pub outputs: OutputCommand,
     reset: ResetRequest,
 }

@@ -9,7 +9,8 @@
 //!   inhibit time may show no edge.
 //! - **Outputs.** [`OutputCommand`] is a word of levels. The owner of the bus sends RPDO 1 in the cycle after a change,
 //!   and repeats it once per heartbeat period: a lost frame is repaired within a heartbeat period. The node takes the
-//!   levels at once. Before the first command the outputs are commanded to their error values.
+//!   levels at once. Before the first command the outputs are commanded to their error values. An output that keeps its
+//!   level in the error state has the last level sent, through any number of faults, resets and bring-ups.
 //! - **Levels** are logical. The driver inverts the inputs and outputs that are configured as inverted.
 //! - **Silence of the node** is a fault: three event timers without inputs, or three heartbeat periods without a
 //!   heartbeat. A faulted node has no levels ([`InputImage::input`] returns `None`), and its outputs are commanded to

@@ -40,6 +40,8 @@ pub(crate) struct IoNode {
     image: InputImage,
     publisher: ImagePublisher,
     commanded: OutputCommand,
+    /// The last levels that the port took, over faults, resets and bring-ups; `None` before the first.
+    kept: Option<u64>,
     /// The last inputs were received since the start.
     has_inputs: bool,
     /// Receive time of the last heartbeat.
@@ -92,6 +94,7 @@ impl IoNode {
             image,
             publisher,
             commanded: link.outputs.clone(),
+            kept: None,
             has_inputs: false,
             heartbeat: Instant::ZERO,
             since: None,
@@ -105,11 +108,11 @@ impl IoNode {
         (node, link)
     }
 
-    /// Ends operation. Bring-up begins, and the outputs are commanded to their error values.
+    /// Ends operation. Bring-up begins, and the outputs are commanded to their error state.
     pub(crate) fn reset(&mut self) {
         self.image = InputImage::not_started(self.node, self.inputs);
         self.publisher.publish(&self.image.words());
-        self.commanded.set_all(self.error_value);
+        self.commanded.set_all(self.error_levels());
         (self.has_inputs, self.recovery) = (false, Recovery::None);
         self.reset.take();
     }
@@ -129,20 +132,22 @@ impl IoNode {
         let first = InputImage::not_started(self.node, self.inputs);
         self.image = InputImage { at: now, heard, received, levels, fault: None, ..first };
         self.publisher.publish(&self.image.words());
-        self.operate(self.error_value);
+        self.operate();
     }
 
-    /// Starts the commands and the watch, with these levels of the outputs.
-    fn operate(&mut self, levels: u64) {
+    /// Starts the commands and the watch. The outputs have their error state until the next command.
+    fn operate(&mut self) {
         // Commands that were given during bring-up or a fault do not take effect.
-        self.commanded.set_all(levels);
+        self.commanded.set_all(self.error_levels());
         (self.since, self.operational) = (None, true);
         (self.offered, self.repeating, self.not_sent) = (None, false, 0);
     }
 
-    /// Levels of the outputs in the error state of the node, after the levels sent last.
-    fn error_levels(&self, last: Option<u64>) -> u64 {
-        last.map_or(self.error_value, |last| self.error_value & self.error_mode | last & !self.error_mode)
+    /// Levels of the outputs in the error state: an output that keeps its level has the last one sent. Before the first
+    /// command all outputs have their error values.
+    fn error_levels(&self) -> u64 {
+        let kept = self.kept.unwrap_or(self.error_value);
+        self.error_value & self.error_mode | kept & !self.error_mode
     }
 
     /// Whether the node is being reset after a fault.
@@ -177,9 +182,8 @@ impl IoNode {
             Recovery::Starting { started, .. } => match self.has_inputs(now.since(started)) {
                 Ok(known) if known && bring_up.operational() => {
                     self.recovery = Recovery::None;
-                    let levels = self.error_levels(self.image.sent.map(|sent| sent.levels));
                     (self.image.fault, self.image.error, self.image.sent) = (None, None, None);
-                    self.operate(levels);
+                    self.operate();
                 }
                 known => advanced = advanced.and(known.map(|_| ())),
             },
@@ -275,8 +279,11 @@ impl IoNode {
         let last = self.image.sent.map(|sent| sent.levels);
         let levels = match self.image.fault {
             None => self.commanded.levels(),
-            // The error state of the node itself. A node that was sent no command stays as it is.
-            Some(_) => self.error_levels(Some(last?)),
+            // The error state of the node itself. A node that was never sent a command stays as it is.
+            Some(_) => {
+                self.kept?;
+                self.error_levels()
+            }
         } & mask;
         let due = self.repeating || last != Some(levels);
         self.offered = (self.outputs > 0 && due).then_some(levels);
@@ -294,6 +301,7 @@ impl IoNode {
         let Some(levels) = self.offered.take() else { return };
         if *taken > 0 {
             *taken -= 1;
+            self.kept = Some(levels);
             if self.image.sent.is_none_or(|sent| sent.levels != levels) {
                 self.image.sent = Some(SentOutputs { levels, cycle, at: now });
             }

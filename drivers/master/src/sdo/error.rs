@@ -34,31 +34,31 @@ pub struct SdoError {
 pub enum SdoCause {
     #[error(" aborted by the server: {code}")]
     Aborted { code: AbortCode },
-    /// No answer, or none that brought the transfer on, for all the retries. `waited` counts from the start of
-    /// the transfer, retries included.
+    /// No answer that belongs to the transfer, after all repetitions of the request. `waited` is the time since the
+    /// start of the transfer.
     #[error(" timed out after {waited:.1?}")]
     TimedOut { waited: Duration },
-    /// A segment came or was confirmed twice, or one is missing.
-    #[error(": toggle bit did not alternate")]
+    /// A segment was sent or confirmed twice, or a segment is missing.
+    #[error(": the toggle bit of the server did not alternate")]
     Toggle,
-    /// A segment without data that is not the last, so that the transfer might never end.
-    #[error(": empty segment")]
+    /// The transfer might never end.
+    #[error(": the server sent a segment without data that is not the last")]
     EmptySegment,
-    /// An answer that is none of expedited and segmented transfer.
-    #[error(": unexpected command specifier {specifier:#04x}")]
+    /// The answer belongs to another service, or to another step of the transfer.
+    #[error(": the server answered with the unexpected command specifier {specifier:#04x}")]
     Specifier { specifier: u8 },
-    #[error(" has at least {size} bytes, at most {capacity} are transferred")]
+    #[error(" has at least {size} bytes, the client takes at most {capacity}")]
     TooLarge { size: usize, capacity: usize },
-    /// The server sent more or fewer bytes than it announced, or than the reader's type has.
+    /// The server sent more or fewer bytes than it announced, or than the type of the value has.
     #[error(" has {found} bytes, expected {expected}")]
     Length { expected: usize, found: usize },
-    /// The acknowledgement of a segment that was not sent.
-    #[error(": segment {sequence} acknowledged, {sent} of the sub-block were sent")]
+    /// The server acknowledged a segment that was not sent.
+    #[error(": the server acknowledged segment {sequence} of a sub-block of {sent}")]
     Sequence { sequence: u8, sent: u8 },
     /// A sub-block of no segments, or of more than 127.
     #[error(": the server asks for a sub-block of {block_size} segments, 1 to 127 are possible")]
     BlockSize { block_size: u8 },
-    #[error(": checksum {found:#06x}, the server says {expected:#06x}")]
+    #[error(": the data have the checksum {found:#06x}, the server announced {expected:#06x}")]
     Crc { expected: u16, found: u16 },
 }
 

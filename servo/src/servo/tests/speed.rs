@@ -28,7 +28,7 @@ fn run(mut act: impl FnMut(&Servo, usize)) -> (Rig, Vec<f64>) {
 fn a_pause_at_any_moment_holds_on_the_path_and_a_resumed_motion_ends_at_its_end() {
     let (_, whole) = run(|_, _| {});
     let end = *whole.last().unwrap();
-    for begin in (1..300).step_by(23) {
+    for begin in (1..140).step_by(11) {
         let (rig, paused) = run(|servo, cycle| match cycle {
             _ if cycle == begin => servo.speed_override().pause(),
             _ if cycle == begin + 1000 => servo.speed_override().resume(),
@@ -69,7 +69,7 @@ fn an_override_reports_every_macrostep_once_and_its_rate_in_the_latest_value() {
 #[test]
 fn a_stop_in_a_pause_stands_at_once_and_the_motion_is_dropped() {
     let mut rig = Rig::standing(1);
-    rig.accelerate(500.0, 3, 20);
+    rig.accelerate(500.0, 3, 50);
     rig.run(60);
     rig.servo.speed_override().pause();
     rig.run(1000);

@@ -17,7 +17,7 @@ use mrroc::report::{Percentiles, WaitCost, microseconds};
 pub(super) struct Setting {
     /// Time from one deadline to the next, µs.
     pub(super) period_us: f64,
-    /// Duration of the measurement of each side.
+    /// Duration of the measurement of each side, s.
     pub(super) seconds: f64,
     /// Number of turns of each side.
     pub(super) rounds: u32,
@@ -82,7 +82,7 @@ pub struct JitterReport {
     ours: Side,
     /// The peer.
     peer: Option<Side>,
-    /// Latency of our thread divided by the peer's; not a number, which is null in JSON, if the peer's is zero.
+    /// Latency of our thread divided by the peer's, without unit; not a number, which is null in JSON, if the peer's is zero.
     ratio: Option<Percentiles>,
     /// Number of our wake-ups, or SYNCs of the cell, that were late by more than a hundredth of the period, by cause.
     causes: BTreeMap<&'static str, u64>,
@@ -125,6 +125,7 @@ pub(super) fn percentiles(late: &Counts) -> Percentiles {
 /// One late wake-up.
 #[derive(Debug, Serialize)]
 pub(super) struct Late {
+    /// Time from the deadline to the wake-up, µs.
     late_us: f64,
     cause: &'static str,
 }

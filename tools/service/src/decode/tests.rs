@@ -74,9 +74,36 @@ fn emergencies_are_told_by_the_vendors_own_texts() {
     );
     let frame = parse("082#8152010000000000");
     let generic = decoder.describe(&frame, Instant::ZERO).text;
-    decoder.set_vendor(NodeId::new(2).unwrap(), 0xFB);
+    decoder.identify(NodeId::new(2).unwrap(), Identification { vendor: Some(0xFB), device_type: None });
     let maxon = decoder.describe(&frame, Instant::ZERO).text;
     assert_ne!(generic, maxon);
+}
+
+#[test]
+fn emergencies_of_io_nodes_are_told_by_the_codes_of_their_profile() {
+    let emcy = "085#1021030000000000";
+    let of_drive = "error 0x2110 (short circuit or earth leakage at the input); present: current";
+    let of_io = "error 0x2110 (input current too high); present: current";
+    // Answers to reads of the device type: a drive, an I/O node, and an I/O node with another node-ID.
+    for (answer, text) in [
+        (None, of_drive),
+        (Some("585#4300100092010200"), of_drive),
+        (Some("585#4300100091010300"), of_io),
+        (Some("583#4300100091010300"), of_drive),
+    ] {
+        let mut decoder = Decoder::default();
+        answer.map(|answer| decoder.describe(&parse(answer), Instant::ZERO));
+        check(&decoder, &[(emcy, Kind::Emcy, Some(5), text)]);
+        // Object 0x603F of the same node.
+        let code = decoder.describe(&parse("585#4B3F600010210000"), Instant::ZERO).text;
+        let (_, meant) = text.split_once('(').unwrap();
+        let (meant, _) = meant.split_once(')').unwrap();
+        assert!(code.ends_with(&format!("({meant})")), "{code}");
+    }
+    let mut decoder = Decoder::default();
+    let io = Identification { vendor: Some(0xFB), device_type: Some(401) };
+    decoder.identify(NodeId::new(5).unwrap(), io);
+    check(&decoder, &[(emcy, Kind::Emcy, Some(5), of_io)]);
 }
 
 #[test]

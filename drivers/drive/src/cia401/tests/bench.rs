@@ -5,7 +5,7 @@ use std::time::Duration;
 
 pub(super) use crate::cia401::*;
 pub(super) use crate::cia402::tests::bench::*;
-pub(super) use crate::cia402::{ConfigError, GroupConfig, Identity};
+pub(super) use crate::cia402::{AxisConfig, ConfigError, GroupConfig, Identity};
 
 /// Node-ID of the drive.
 pub(super) const DRIVE: u8 = 2;

@@ -165,3 +165,36 @@ fn the_bus_load_counts_inputs_by_their_inhibit_time_and_outputs_in_every_cycle()
     ];
     assert_eq!(of_io, expected);
 }
+
+#[test]
+fn a_bus_of_io_nodes_alone_carries_no_sync() {
+    let config = GroupConfig { heartbeat_period: 5 * PERIOD, ..group_config() };
+    let mut bench = Bench::up_with_io(config, &[], &[io_config(IO)], vec![io_store(IO)]);
+    let cycle = |bench: &mut Bench| bench.cycle(&["705#05"], &[]);
+    // The heartbeat of the host, and the error values behind it. Then the bus is silent until the next heartbeat.
+    assert_eq!(cycle(&mut bench), ["77F#05"]);
+    assert_eq!(cycle(&mut bench), ["205#01"]);
+    (0..3).for_each(|_| assert_eq!(cycle(&mut bench), NONE));
+    assert_eq!(cycle(&mut bench), ["77F#05", "205#01"]);
+    bench.links[0].outputs.set_all(0b0110);
+    assert_eq!(cycle(&mut bench), ["205#06"]);
+    // Refused outputs are no refused set-points, and the set-points of other buses go on.
+    bench.links[0].outputs.set_all(0b0111);
+    bench.bus.0.lock().unwrap().takes = Some(0);
+    assert_eq!(cycle(&mut bench), NONE);
+    assert!(bench.group.send(bench.now));
+    bench.bus.0.lock().unwrap().takes = None;
+    assert_eq!(cycle(&mut bench), ["205#07"]);
+    let counters = bench.group.counters();
+    assert_eq!((counters.dropped_syncs, counters.dropped_setpoints, counters.unexpected), (0, 0, 0));
+    assert_eq!(image(&bench).fault, None);
+}
+
+#[test]
+fn the_bus_load_counts_sync_only_for_nodes_with_synchronous_process_data() {
+    let syncs = |axes: &[AxisConfig]| {
+        let traffic = traffic(&group_config(), axes, &[io_config(IO)]);
+        traffic.iter().filter(|frame| frame.what == "SYNC").count()
+    };
+    assert_eq!((syncs(&[axis_config(DRIVE)]), syncs(&[])), (1, 0));
+}

@@ -76,6 +76,73 @@ fn a_reset_keeps_the_outputs_that_keep_their_levels_in_an_error() {
     assert_eq!(image(&bench).sent.unwrap().levels, 0b0101);
 }
 
+/// Resets the node while the port has room for SYNC and the set-point only from the start of the node on. The node then
+/// is sent no command before its next fault.
+fn reset_without_command(bench: &mut Bench) {
+    bench.links[0].reset_fault();
+    for _ in 0..3_000 {
+        if cycle(bench, &[]).contains(&"000#0105".to_owned()) {
+            bench.bus.0.lock().unwrap().takes = Some(2);
+        }
+        if image(bench).fault.is_none() {
+            assert_eq!(image(bench).sent, None);
+            return;
+        }
+    }
+    panic!("{:?}", image(bench).fault);
+}
+
+#[test]
+fn a_kept_output_outlasts_faults_before_the_first_command_of_a_reset() {
+    let mut bench = up();
+    bench.links[0].outputs.set_all(0b0110);
+    (0..3).for_each(|_| _ = cycle(&mut bench, &["185#0302"]));
+    assert_eq!(image(&bench).sent.unwrap().levels, 0b0110);
+    let boot: &[&str] = &["705#00"];
+    // The node boots, stops, enters pre-operational with an error, sends nothing, and sends no heartbeat.
+    for frames in [boot, &["705#04"], &["085#1050010000000000", "705#7F"], NONE, &["185#0302", "702#05"]] {
+        while image(&bench).fault.is_none() {
+            cycle(&mut bench, frames);
+            assert!(bench.now < Instant::ZERO + Duration::from_secs(60), "{frames:?}");
+        }
+        reset_without_command(&mut bench);
+        // A command that the port does not take is no level to keep.
+        bench.links[0].outputs.set(2, false);
+        while image(&bench).fault.is_none() {
+            cycle(&mut bench, &[]);
+        }
+        assert!(matches!(image(&bench).fault, Some(IoFault::OutputsNotSent { node: IO, .. })));
+        bench.bus.0.lock().unwrap().takes = None;
+        bench.links[0].reset_fault();
+        until(&mut bench, |image| image.fault.is_none());
+        cycle(&mut bench, &["185#0302"]);
+        assert_eq!((image(&bench).sent.unwrap().levels, bench.links[0].outputs.levels()), (0b0101, 0b0101));
+    }
+    bench.links[0].outputs.set_all(0b0000);
+    (0..2).for_each(|_| _ = cycle(&mut bench, &["185#0302"]));
+    cycle(&mut bench, &["705#00"]);
+    bench.links[0].reset_fault();
+    until(&mut bench, |image| image.fault.is_none());
+    cycle(&mut bench, &["185#0302"]);
+    assert_eq!(image(&bench).sent.unwrap().levels, 0b0001);
+}
+
+#[test]
+fn a_kept_output_outlasts_a_second_bring_up() {
+    let mut bench = up();
+    assert_eq!(bench.links[0].outputs.levels(), 0b0001);
+    bench.links[0].outputs.set_all(0b0110);
+    (0..3).for_each(|_| _ = cycle(&mut bench, &["185#0302"]));
+    // A power cycle of the node is seen as a boot.
+    cycle(&mut bench, &["705#00"]);
+    for _ in 0..2 {
+        assert_eq!(bench.bring_up(), Ok(()));
+        assert_eq!((image(&bench).sent, bench.links[0].outputs.levels()), (None, 0b0101));
+        (0..3).for_each(|_| _ = cycle(&mut bench, &["185#0302"]));
+        assert_eq!(image(&bench).sent.unwrap().levels, 0b0101);
+    }
+}
+
 #[test]
 fn a_recovered_node_is_watched_again() {
     let mut bench = booted();

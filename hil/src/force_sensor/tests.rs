@@ -1,0 +1,26 @@
+//! Stand-ins for the world, and the tests of the transducer and of both sensors.
+
+mod can_node;
+mod line;
+mod transducer;
+
+use can::Instant;
+
+use super::WrenchProbe;
+
+/// A wrench as a function of time.
+struct Course<F>(F);
+
+impl<F: FnMut(Instant) -> [f64; 6] + Send> WrenchProbe for Course<F> {
+    fn wrench(&mut self, now: Instant) -> [f64; 6] {
+        (self.0)(now)
+    }
+}
+
+fn course(course: impl FnMut(Instant) -> [f64; 6] + Send + 'static) -> Box<dyn WrenchProbe> {
+    Box::new(Course(course))
+}
+
+fn constant(wrench: [f64; 6]) -> Box<dyn WrenchProbe> {
+    course(move |_| wrench)
+}
