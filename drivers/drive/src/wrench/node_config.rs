@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use can::StandardId;
+use can::schedule::Sender;
 use canopen::cob::{self, Function};
 use canopen::pdo::{Entry, MappingError, PdoCobId, PdoKind, PdoMapping, PdoNumber, TransmissionType};
 use canopen::{NodeId, Object};
@@ -279,16 +280,21 @@ impl WrenchNodeConfig {
         self.pdos.iter().map(setup).collect()
     }
 
-    /// The frames of the node during operation, for the calculation of the bus load: its samples and its heartbeat. They
-    /// come in addition to the frames of [`traffic`](crate::bus::traffic).
-    pub fn traffic(&self, group: &GroupConfig) -> Vec<Traffic> {
-        let period = self.pace(group).declared();
-        let sample = |pdo: &WrenchPdo| {
+    /// Whether SYNC makes the node sample.
+    pub(crate) fn needs_sync(&self) -> bool {
+        match self.trigger {
+            Trigger::Sync { .. } => true,
+            Trigger::EventTimer(_) => false,
+        }
+    }
+
+    /// The frames of the samples. With SYNC, a frame must arrive before the next SYNC.
+    pub(crate) fn samples(&self, group: &GroupConfig) -> impl Iterator<Item = Traffic> {
+        let (sender, period) = (Sender::Node(self.node.raw()), self.pace(group).declared());
+        let cyclic = self.needs_sync();
+        self.pdos.iter().map(move |pdo| {
             let bytes = pdo.fields.iter().map(|field| field.content.bytes()).sum();
-            Traffic { cob_id: pdo.cob_id, bytes, period, what: "wrench" }
-        };
-        let (cob_id, period) = (cob::heartbeat(self.node), group.heartbeat_period);
-        let heartbeat = Traffic { cob_id, bytes: 1, period, what: "heartbeat" };
-        self.pdos.iter().map(sample).chain([heartbeat]).collect()
+            Traffic { cob_id: pdo.cob_id, bytes, sender, period, cyclic, what: "wrench" }
+        })
     }
 }

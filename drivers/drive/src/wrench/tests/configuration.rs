@@ -1,6 +1,9 @@
 //! Configurations that are refused before the first frame, and the bus load of a sensor.
 
+use can::schedule::Sender;
+
 use super::bench::*;
+use crate::bus::traffic;
 
 fn refusal(change: impl FnOnce(&mut WrenchNodeConfig)) -> Option<ConfigError> {
     let mut config = sensor_config();
@@ -98,12 +101,29 @@ fn a_node_id_that_occurs_twice_and_objects_of_communication_are_refused() {
 fn the_bus_load_of_a_sensor_is_that_of_its_samples_and_its_heartbeat() {
     let group = group_config();
     let frames = |config: WrenchNodeConfig| {
-        let frames = config.traffic(&group);
-        frames.iter().map(|frame| (frame.cob_id.raw(), frame.bytes, frame.period)).collect::<Vec<_>>()
+        let frames = traffic(&group, &[], &[], &[config]);
+        frames.iter().map(|frame| (frame.cob_id.raw(), frame.bytes, frame.period, frame.cyclic)).collect::<Vec<_>>()
     };
-    let heartbeat = (0x709, 1, group.heartbeat_period);
-    assert_eq!(frames(sensor_config()), [(0x189, 8, PERIOD), (0x289, 7, PERIOD), heartbeat]);
-    let every = WrenchNodeConfig { trigger: Trigger::Sync { every: 5 }, ..sensor_config() };
-    assert_eq!(frames(every)[0], (0x189, 8, 5 * PERIOD));
-    assert_eq!(frames(timed(1))[1], (0x289, 7, Duration::from_millis(1)));
+    let (sync, host) = ((0x080, 0, PERIOD, true), (0x77F, 1, group.heartbeat_period, false));
+    let heartbeat = (0x709, 1, group.heartbeat_period, false);
+    let sampled = [sync, host, (0x189, 8, PERIOD, true), (0x289, 7, PERIOD, true), heartbeat];
+    assert_eq!(frames(sensor_config()), sampled);
+    let fifth = WrenchNodeConfig { trigger: Trigger::Sync { every: 5 }, ..sensor_config() };
+    let sampled = [sync, host, (0x189, 8, 5 * PERIOD, true), (0x289, 7, 5 * PERIOD, true), heartbeat];
+    assert_eq!(frames(fifth), sampled);
+    // A sensor with an event timer needs no SYNC.
+    let millisecond = Duration::from_millis(1);
+    let sampled = [host, (0x189, 8, millisecond, false), (0x289, 7, millisecond, false), heartbeat];
+    assert_eq!(frames(timed(1)), sampled);
+}
+
+#[test]
+fn the_samples_of_a_bus_are_sent_by_the_sensor_at_any_identifier() {
+    let mut config = sensor_config();
+    config.pdos[1].cob_id = StandardId::new(0x6A0).unwrap();
+    let frames = traffic(&group_config(), &[axis_config(DRIVE)], &[], &[config]);
+    let senders: Vec<_> =
+        frames.iter().filter(|frame| frame.what == "wrench").map(|frame| (frame.cob_id.raw(), frame.sender)).collect();
+    assert_eq!(senders, [(0x189, Sender::Node(SENSOR)), (0x6A0, Sender::Node(SENSOR))]);
+    assert_eq!(frames.iter().filter(|frame| frame.what == "SYNC").count(), 1);
 }
