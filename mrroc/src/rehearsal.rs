@@ -53,7 +53,7 @@ pub struct Rehearsed {
     pub duration: Duration,
     /// Number of instructions of all robots.
     pub instructions: u64,
-    /// Whether each robot moved.
+    /// Whether a generator commanded each robot.
     pub(crate) moved: Vec<bool>,
 }
 
@@ -79,8 +79,9 @@ impl Course {
 /// Rehearses a task.
 ///
 /// The task is first rehearsed from the home positions. The first motion of each robot is then rehearsed from
-/// `STARTS` positions beside its home position, where homing may leave the arm. Each first motion ends at its
-/// programmed position, so all later motions are the same in every run.
+/// `STARTS` positions beside its home position, where homing may leave the arm. A first motion is the first generator
+/// that commands the effector. Each first motion ends at its programmed position, so all later motions are the same in
+/// every run.
 ///
 /// A task that hangs in a turn is refused, and so is a generator that hangs in a step. Their thread is left behind.
 pub fn rehearse(file: &CellFile, program: &Program) -> anyhow::Result<Rehearsed> {
@@ -177,9 +178,9 @@ fn run(
         |now| {
             nodes.iter_mut().for_each(|node| node.advance(now));
             let busy = executor.poll(now, |_, news| {
-                if let News::Ended { robot, moved: first } = news {
+                if let News::Ended { robot, moved: commanded } = news {
                     ended[robot] += 1;
-                    moved[robot] |= first;
+                    moved[robot] |= commanded;
                 }
             });
             for (robot, left) in faults_left.iter_mut().enumerate() {

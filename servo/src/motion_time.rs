@@ -1,8 +1,10 @@
 //! Motion time: the time by which all macrosteps of a cell advance. A speed override slows it.
 //!
-//! Every effector takes its set-points at the same motion time. An override therefore changes neither the path of an
-//! effector nor the relation between effectors. It acts in the next cycle on all macrosteps, also on those that wait in
-//! a queue. Homing and stops do not depend on motion time.
+//! All effectors take their set-points at the same motion time. An override therefore changes neither the path of an
+//! effector nor the relation between effectors. An override acts in the next cycle on all macrosteps, also on queued
+//! macrosteps. Homing and stops do not depend on motion time.
+//!
+//! The rate is the advance of motion time per real time: 1 without an override, 0 in a pause.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -11,17 +13,17 @@ use thiserror::Error;
 
 use crate::{Knot, ServoAxisConfig};
 
-/// Fraction of an axis's acceleration limit that the planned acceleration and a change of the rate use together at most.
+/// Greatest fraction of an axis's acceleration limit that the planned acceleration and a change of the rate use together.
 const ROOM: f64 = 0.9;
 
-/// Fraction of an axis's acceleration limit that plans may use. The bounds of the jerk hold for such plans.
+/// Fraction of an axis's acceleration limit that plans are assumed to use. The bounds of the jerk hold for such plans.
 const PLANNED: f64 = 0.5;
 
-/// Fractions of an axis's planned jerk that an override may add: by the rate of a planned acceleration, and by the change
-/// of a planned velocity.
+/// Fractions of an axis's planned jerk that an override may add: through the planned acceleration (3·a·r·g in
+/// `Bounds::of_axis`), and through the planned velocity (v·h).
 const JERK: [f64; 2] = [0.6, 0.4];
 
-/// Time for which the bounds look ahead, s. A change of the rate usually takes about as long.
+/// Time for which the bounds look ahead, s: about the usual duration of a change of the rate.
 const AHEAD: f64 = 0.5;
 
 /// Greatest change of the rate, 1/s, of a cell whose axes are all switched off.
@@ -30,7 +32,8 @@ const BRISK: f64 = 10.0;
 /// Greatest second derivative of the rate, 1/s², of a cell whose axes are all switched off.
 const BRISK_GROWTH: f64 = 200.0;
 
-/// Share of the second derivative of the rate that a plan uses. The rest is for bounds that grow tighter on the way.
+/// Share of the bound of the second derivative that a planned change of the rate uses. The rest is a reserve for bounds
+/// that become tighter during the change.
 const PLANNED_GROWTH: f64 = 0.8;
 
 /// Distance from the requested rate that counts as reached.
@@ -39,7 +42,8 @@ const REACHED: f64 = 1e-9;
 /// Speed of all macrosteps of a cell, as a fraction of the programmed speed. Any thread may set it. Homing and stops are
 /// not affected.
 ///
-/// The rate of motion time follows the request within the acceleration limits of all axes that move.
+/// The rate of motion time follows the request within the acceleration limits of all axes, and adds at most the jerk of a
+/// planned motion.
 #[derive(Clone, Debug, Default)]
 pub struct SpeedOverride(Arc<Requested>);
 
@@ -76,7 +80,7 @@ impl SpeedOverride {
         f64::from_bits(self.0.fraction.load(Ordering::Relaxed))
     }
 
-    /// Slows all macrosteps along their paths to a stand. The drives stay on. A robot that homes continues.
+    /// Brings all programmed motions to a standstill on their paths. The drives stay on. A robot that homes continues.
     pub fn pause(&self) {
         self.0.paused.store(true, Ordering::Relaxed);
     }
@@ -114,9 +118,10 @@ impl Bounds {
 
     /// The bounds by an axis at the set-point `knot` of motion time.
     ///
-    /// At the rate r with the derivatives g and h, the acceleration of the axis is a·r² + v·g, and its jerk is
-    /// j·r³ + 3·a·r·g + v·h. A bound of g that keeps the acceleration limit depends on the present v and a, and may grow tight
-    /// within a cycle. The other bounds hold for all velocities that the axis can reach soon, so that g can follow them.
+    /// The plan has the velocity v, acceleration a and jerk j by motion time, and the rate r has the derivatives g and h. The
+    /// acceleration of the axis is then a·r² + v·g, and its jerk is j·r³ + 3·a·r·g + v·h. The bounds of g by the
+    /// acceleration limit depend on the present v and a, and may become tight within a cycle. The other bounds hold for all
+    /// velocities that the axis can reach soon: g has time to follow these bounds.
     pub(crate) fn of_axis(knot: Knot, rate: f64, limits: &ServoAxisConfig) -> Self {
         let ServoAxisConfig { max_velocity, max_acceleration, planned_jerk, .. } = *limits;
         let speed = knot.velocity.abs();
@@ -155,7 +160,7 @@ pub(crate) struct Motion {
 }
 
 impl Motion {
-    /// Greatest advance of the next cycle of `dt` seconds, in periods.
+    /// Greatest advance of the next cycle, in periods. `dt` is the duration of a cycle, s.
     pub(crate) fn most_next(&self, dt: f64) -> f64 {
         (self.rate + 0.5 * BRISK * dt).min(1.0)
     }
@@ -203,12 +208,12 @@ impl MotionTime {
         Motion { periods: self.rate, rate: self.rate, change: 0.0 }
     }
 
-    /// Moves the rate towards `target`. The change of the rate grows and fades by its bound of growth.
+    /// Moves the rate towards `target`. The change of the rate increases and decreases within the bound of its derivative.
     fn follow(&mut self, target: f64, bounds: Bounds, dt: f64) {
         // Distance to the target after this cycle if the change of the rate were zero from now on.
         let left = target - self.rate - 0.5 * self.change * dt;
-        // A change c that fades by `fading` in each cycle covers c² dt / (2 fading) at the most. In the last two cycles the
-        // rate reaches the target exactly, and does not pass it.
+        // A change c that decreases by `fading` in each cycle covers at most c² dt / (2 fading). In the last two cycles the
+        // rate reaches the target exactly, and does not pass the target.
         let fading = PLANNED_GROWTH * bounds.growth * dt;
         let share = left.abs() / (fading * dt);
         let wanted = fading * if share < 0.5 { share } else { 0.5 * ((8.0 * share).sqrt() - 1.0) };

@@ -10,7 +10,7 @@ use can::Instant;
 use super::{Coordinator, CoordinatorEnd, CoordinatorError, Patience};
 use crate::ecp::{Planning, Preparation, StepEvent, StepLog, StepRecord};
 use crate::generator::{Chart, EffectorImage, Functions, GeneratorError, Images, Outputs, Partners, Sample, digest};
-use crate::sensor::Sensors;
+use crate::sensor::{Prompt, Sensors};
 
 /// Orders to all members, and a command to a sensor.
 type Results<K, const N: usize> = ([<K as Coordinator<N>>::Order; N], <K as Coordinator<N>>::Out);
@@ -59,13 +59,13 @@ impl<K: Coordinator<N>, const N: usize> Preparation for First<K, N> {
     }
 }
 
-/// What a coordinator works with in one turn of its task.
+/// State that a coordinator uses in one turn of its task.
 pub(crate) struct Desk<'a> {
     /// Time of the last servo cycle.
     pub(crate) now: Instant,
     /// Speed of the motion time of the cell, by which deadlines count.
     pub(crate) rate: f64,
-    /// Whether a member brakes. Its instruction then ends, with the cause if the member failed.
+    /// Whether a member brakes. The instruction of this member then ends, with the cause if the member failed.
     pub(crate) braking: bool,
     /// The coordinators' journal.
     pub(crate) journal: &'a mut CoordinatorJournal,
@@ -101,17 +101,17 @@ pub(crate) struct Conduct<'a, K: Coordinator<N>, const N: usize> {
     sensors: &'a mut Sensors,
     answers: [Option<Sample<K::Answer>>; N],
     macrostep: Duration,
-    /// Longest wait for an answer or a reading, in addition to two macrosteps. The answers of the first steps have no limit
-    /// here, because the members plan and have limits for that.
+    /// Longest wait for an answer or a reading, in addition to two macrosteps. For the answers of the first steps, only the
+    /// time limits of the members' planning apply.
     deadline: Duration,
     /// Number of the motion in the journal.
     motion: u64,
     phase: Opening,
     /// Number of the last orders; 0 before the first.
     step: u64,
-    /// The wait since the last orders, or since the begin of the motion.
+    /// The wait since the last orders, or since the start of the motion.
     wait: Patience,
-    /// Begin of the work of the planner.
+    /// Time at which the planner began.
     since: Instant,
 }
 
@@ -220,9 +220,9 @@ impl<'a, K: Coordinator<N>, const N: usize> Conduct<'a, K, N> {
         Ok(true)
     }
 
-    /// Whether all sensors that a step waits for are read. Fails if a reading is too late.
+    /// Whether all declared sensors that a step waits for are read. Fails if a reading is too late.
     fn are_read(&mut self, desk: &Desk) -> Result<bool, CoordinatorError> {
-        if K::Sensors::CLASS == 0 || self.sensors.are_ready() {
+        if K::Sensors::require(&Prompt(self.sensors)).is_ok() {
             return Ok(true);
         }
         let waited = self.waited(desk);
@@ -230,7 +230,7 @@ impl<'a, K: Coordinator<N>, const N: usize> Conduct<'a, K, N> {
         if late { Err(CoordinatorError::Unread { step: self.step, waited }) } else { Ok(false) }
     }
 
-    /// Motion time since the last orders. The wait begins anew while a member brakes.
+    /// Motion time since the last orders. The wait restarts while a member brakes.
     fn waited(&mut self, desk: &Desk) -> Duration {
         if desk.braking {
             self.wait = Patience::default();

@@ -10,9 +10,9 @@ use crate::generator::{Answer, Commands, GeneratorError, Message, Outputs, Readi
 
 /// Functions of the coordinator of `N` members, and the condition that ends the motion.
 ///
-/// In macrostep *i* the coordinator reads the answers *a*j0(*i*) of all members from one step and its own sensors, and gives
-/// the orders *a*0j(*i* + 1). Next steps must not block or allocate, as those of a
-/// [`Generator`](crate::generator::Generator).
+/// In macrostep *i* the coordinator reads its own sensors and the answers *a*j0(*i*) of all members, which are of the same
+/// step. It gives the orders *a*0j(*i* + 1). As in a [`Generator`](crate::generator::Generator), next steps must not block
+/// or allocate.
 pub trait Coordinator<const N: usize>: Send + Sync + 'static {
     /// Order to a member, `a0`.
     type Order: Message;
@@ -20,16 +20,16 @@ pub trait Coordinator<const N: usize>: Send + Sync + 'static {
     type Answer: Message;
     /// Readings of the coordinator's own virtual sensors: `()` or [`V`](crate::generator::V).
     type Sensors: Readings;
-    /// Command to one of these sensors: `()` or [`Tell`].
+    /// Command to a sensor of the coordinator: `()` or [`Tell`].
     type Out: Commands;
     /// The coordinator's own memory, `c0`.
     type Memory: Copy + Debug + Send + 'static;
 
-    /// Plans the motion, and gives the orders for the first steps of the members. `macrostep` is the macrostep of the cell,
-    /// which all members keep. The members stand, and the plan has the time limit of a generator's first step.
+    /// Plans the motion, and gives the orders for the first steps of the members. `macrostep` is the duration of the cell's
+    /// macrostep, which all members keep. The members stand. The time limit is that of a generator's first step.
     fn first_step(&mut self, sensors: &Self::Sensors, macrostep: Duration) -> Result<Orders<Self, N>, GeneratorError>;
 
-    /// Whether the motion ends. All members end after step *i*, whose answers are given, and brake if they move.
+    /// Whether the motion ends. All members then end after the step of these answers, and brake if they move.
     fn terminal(&self, memory: &Self::Memory, answers: &[Sample<Self::Answer>; N], sensors: &Self::Sensors) -> bool;
 
     /// The orders of the next step.
@@ -41,7 +41,7 @@ pub trait Coordinator<const N: usize>: Send + Sync + 'static {
     ) -> Result<Orders<Self, N>, GeneratorError>;
 }
 
-/// Result of one step of the coordinator `K` of `N` members.
+/// Result of one step of the coordinator type `K` with `N` members.
 pub type Orders<K, const N: usize> =
     NextOrders<<K as Coordinator<N>>::Order, <K as Coordinator<N>>::Memory, N, <K as Coordinator<N>>::Out>;
 
@@ -78,7 +78,7 @@ pub trait Answers<R>: Outputs {}
 impl<R: Message> Answers<R> for Answer<R> {}
 impl<C: Message, R: Message> Answers<R> for (Tell<C>, Answer<R>) {}
 
-/// Errors of a coordinator. All members of its team brake.
+/// Errors of a coordinator. After an error all members of the team brake.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 #[expect(missing_docs, reason = "the messages say it")]
 pub enum CoordinatorError {

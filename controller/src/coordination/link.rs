@@ -10,32 +10,33 @@ use thiserror::Error;
 
 use crate::generator::{Message, Received, Sample};
 
-/// Messages of one direction that may be on the way.
+/// Capacity of the queue of each direction, messages.
 const QUEUE: usize = 4;
 
-/// How a member treats a missing order.
+/// Behaviour of a member without a new order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinkConfig {
-    /// Whether a step waits for the order of its number. Otherwise a step takes the latest order, if any, and the link
-    /// keeps the latest answer only.
+    /// Whether step *m* waits for order *m*. Otherwise a step takes the latest order, if any, and the link keeps only the
+    /// latest answer.
     pub blocking: bool,
-    /// Longest wait for an order of a blocking link. In motion, the servo stops the team when the present macrostep ends
-    /// without a successor: a deadline acts only if it is shorter than the rest of the macrostep after its images are read.
+    /// Longest wait for an order of a blocking link, in motion time. In motion, the servo stops the team when the present
+    /// macrostep ends without a successor. The deadline is therefore effective only if it is shorter than the time between
+    /// the read of the images and the end of the macrostep.
     pub deadline: Duration,
-    /// What a late order of a blocking link does.
+    /// Consequence of a late order of a blocking link.
     pub late: Late,
 }
 
 /// Consequence of an order that is late.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Late {
-    /// The step takes the last order, marked as old. The late order is dropped when it comes.
+    /// The step takes the last order, marked as old. The late order is dropped on arrival.
     Hold,
     /// The instruction ends with an error, and the effector brakes.
     Stop,
 }
 
-/// Errors of a link. `step` is a number of the coordinator's macrosteps.
+/// Errors of a link. `step` is the number of a macrostep of the coordinator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[expect(missing_docs, reason = "the messages say it")]
 pub enum LinkError {
@@ -43,10 +44,12 @@ pub enum LinkError {
     Late { step: u64, waited: Duration },
     #[error("a message of step {received} came in place of that of step {expected}")]
     WrongStep { expected: u64, received: u64 },
-    #[error("the coordinator is gone")]
+    #[error("the other end of the link is gone")]
     Gone,
-    #[error("{QUEUE} orders wait for the robot, which takes them with the steps of its motions")]
+    #[error("{QUEUE} messages wait for the robot, which takes them in its motions")]
     Full,
+    #[error("the robot moves in a team, whose coordinator ends the motion")]
+    InTeam,
 }
 
 /// A wait that is measured in motion time, which stands still in a pause.
@@ -65,18 +68,18 @@ impl Patience {
     }
 }
 
-/// What happens to one message of a link, in a test of the reaction to a bad wire.
+/// Disturbance of one message of a link, for tests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Disturbance {
-    /// The message never comes.
+    /// The message does not arrive.
     Lost,
-    /// The message comes twice.
+    /// The message arrives twice.
     Doubled,
     /// The message has the number of the next step.
     Swapped,
 }
 
-/// A step, and what happens to its message.
+/// A step, and the disturbance of its message.
 type Disturbed = (u64, Disturbance);
 
 /// Queues a message. Returns false if the queue is full.
@@ -106,7 +109,7 @@ enum Directive<C> {
     EndMotion,
 }
 
-/// The way of answers.
+/// Transfer of answers.
 enum Answers<Q, R> {
     /// A queue of all answers, if the link waits.
     All(Q),
@@ -114,12 +117,12 @@ enum Answers<Q, R> {
     Latest(Arc<Mutex<Option<Numbered<R>>>>),
 }
 
-/// What the next step of a member does.
+/// State of the next step of a member.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Turn {
     /// The step takes place.
     Ready,
-    /// The order is not there yet.
+    /// The order has not arrived yet.
     Waiting,
     /// The coordinator has ended the motion.
     EndMotion,
@@ -206,7 +209,7 @@ impl<C: Message, R: Message> CoordinatorEnd<C, R> {
         self.send(now, Directive::EndMotion)
     }
 
-    /// The next answer with its number, if it has come.
+    /// The next answer with its number, if the answer has arrived.
     pub fn answer(&mut self) -> Result<Option<(u64, Sample<R>)>, LinkError> {
         let (answer, gapless) = match &mut self.answers {
             Answers::All(queue) => (queue.pop().ok(), true),
@@ -220,6 +223,11 @@ impl<C: Message, R: Message> CoordinatorEnd<C, R> {
         }
         self.next_answer = step + 1;
         Ok(Some((step, Sample { at, age: Duration::ZERO, value })))
+    }
+
+    /// Whether the member has another link or is gone.
+    pub(crate) fn is_abandoned(&self) -> bool {
+        self.orders.is_abandoned()
     }
 
     fn send(&mut self, at: Instant, value: Directive<C>) -> bool {
@@ -243,15 +251,25 @@ pub(crate) trait MemberLink: Send {
     /// The present order, as a [`Received`]. The order counts as read.
     fn order(&self) -> &dyn Any;
 
-    /// Begins an instruction: orders and the end of an earlier motion are forgotten. A link that does not wait keeps the
-    /// order that no step has read. The first step takes the order that the instruction before has not taken.
+    /// Begins an instruction: orders and the end of an earlier motion are forgotten. A link that does not wait keeps an
+    /// order that no step has read, for the first step of this instruction.
     fn begin(&mut self);
+
+    /// Takes all messages of a link that does not wait, between two steps. The steps of a blocking link take the messages
+    /// of their numbers.
+    fn receive(&mut self, now: Instant);
+
+    /// Whether a message that was taken since [`begin`](Self::begin) ends the motion.
+    fn is_ended(&self) -> bool;
+
+    /// Whether a message that was not taken yet ends a motion.
+    fn holds_end(&mut self) -> bool;
 
     /// Age of the present order at `now`.
     fn age(&self, now: Instant) -> Option<Duration>;
 
-    /// What step number `step` of the instruction does at `now`. Takes the order of the step. `rate` is the speed of the
-    /// motion time, by which deadlines count.
+    /// State of step number `step` of the instruction at `now`. Takes the order of the step. `rate` is the rate of motion
+    /// time, in which deadlines are measured.
     fn poll(&mut self, step: u64, now: Instant, rate: f64) -> Result<Turn, LinkError>;
 
     /// Answers the present step. Returns false if the answer has another type, or if the queue of a blocking link is
@@ -265,7 +283,7 @@ impl<C: Message, R: Message> MemberEnd<C, R> {
         self.disturbed = Some((step, disturbance));
     }
 
-    /// Takes one order. Returns whether there was one.
+    /// Takes one order from the queue. Returns whether the queue had an order.
     fn take(&mut self, now: Instant) -> Result<bool, LinkError> {
         let Ok(Numbered { step, at, value }) = self.orders.pop() else {
             return Ok(false);
@@ -324,15 +342,34 @@ impl<C: Message, R: Message> MemberLink for MemberEnd<C, R> {
         self.base = self.next;
     }
 
+    fn receive(&mut self, now: Instant) {
+        // A message of another step is an error of the next step.
+        while !self.config.blocking && matches!(self.take(now), Ok(true)) {}
+    }
+
+    fn is_ended(&self) -> bool {
+        self.ended
+    }
+
+    fn holds_end(&mut self) -> bool {
+        let waiting = self.orders.slots();
+        let Ok(messages) = self.orders.read_chunk(waiting) else {
+            return false;
+        };
+        let (first, second) = messages.as_slices();
+        first.iter().chain(second).any(|message| matches!(message.value, Directive::EndMotion))
+    }
+
     fn age(&self, now: Instant) -> Option<Duration> {
         self.received.sample().map(|sample| now.since(sample.at))
     }
 
     fn poll(&mut self, step: u64, now: Instant, rate: f64) -> Result<Turn, LinkError> {
-        if step != self.step {
+        let next = step != self.step;
+        if next {
             (self.step, self.wait) = (step, Patience::default());
-            self.received = self.received.at(now, self.config.blocking || self.read.get());
         }
+        self.received = self.received.at(now, next && (self.config.blocking || self.read.get()));
         if self.config.blocking {
             let number = self.base + step;
             while self.next <= number && !self.ended {
@@ -364,7 +401,7 @@ impl<C: Message, R: Message> MemberLink for MemberEnd<C, R> {
     }
 }
 
-/// The latest answer. Both ends are used by the same thread, so that neither waits.
+/// The latest answer. Both ends are used by the same thread: the lock is always free.
 fn lock<R>(latest: &Mutex<Option<Numbered<R>>>) -> MutexGuard<'_, Option<Numbered<R>>> {
     latest.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -5,11 +5,11 @@
 //! [`Answer`](crate::generator::Answer). The flow chart of figure 3 is the same for the coordinator and for its members.
 //! A coordinator may have virtual sensors of its own.
 //!
-//! A task is a coordinator too: with a [`link`] to one agent it gives decisions when it wants (loose coordination).
+//! A task is a coordinator too: over a [`link`] to one agent, the task gives orders at any time (loose coordination).
 //!
-//! Orders and answers are numbered messages in bounded queues: macrostep *m* of the coordinator gives order *m*, and step *m*
-//! of a member takes order *m* and gives answer *m*. A [`LinkConfig`] says whether a member waits for its order, for
-//! how long, and what a late order does.
+//! Orders and answers are numbered messages in bounded queues. Macrostep *m* of the coordinator gives order *m*; step *m*
+//! of a member takes order *m* and gives answer *m*. A [`LinkConfig`] states whether a member waits for its order, for
+//! how long, and the consequence of a late order.
 //!
 //! Read [`Coordinator`] first, then [`LinkConfig`].
 

@@ -1,4 +1,4 @@
-//! Errors of instructions and their classes.
+//! Errors of instructions and their classes, and refusals of calls.
 
 use std::time::Duration;
 
@@ -110,4 +110,23 @@ impl EcpError {
             | Self::Stopped => Class::NonFatal,
         }
     }
+}
+
+/// A task was passed to an ECP that still executes another task.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error("instruction {instruction} is under way")]
+pub struct Busy {
+    /// Index of the current instruction in its task.
+    pub instruction: usize,
+}
+
+/// Reasons why a generator is not replaced.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum ReplaceRefused {
+    /// No generator computes macrosteps: there is no motion, its first step is still planned, or it ends.
+    #[error("no generator runs that could be replaced")]
+    NotRunning,
+    /// The motion is one of a team under a coordinator.
+    #[error("the robot moves in a team: only the team's coordinator ends its motion, and the task gives the next one")]
+    InTeam,
 }

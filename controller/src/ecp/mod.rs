@@ -9,8 +9,9 @@
 //! allocate or take long. With [`AtOnce`] the poll computes it. The macrosteps ahead of the servo, the orders that wait
 //! for room in the queue, and the time without a report are limited.
 //!
-//! A motion is ended by the terminal condition, an error of the generator, [`Ecp::stop`] or the servo. The instruction
-//! ends when the effector stands again or is faulted, or when a time limit passes. The first failure ends the task.
+//! A motion is ended by the terminal condition, the coordinator or the task, an error of the generator, [`Ecp::stop`] or
+//! the servo. The instruction ends when the effector stands again or is faulted, or when a time limit passes. The first
+//! failure ends the task.
 //!
 //! A generator may end while the effector moves. If the next instruction is a generator that [can begin in
 //! motion](crate::generator::Generator::begins_in_motion), it plans from the end of the last macrostep and continues
@@ -22,16 +23,18 @@
 //! Read [`Task`] first, then [`Ecp::poll`].
 
 mod around;
+mod config;
 mod error;
 mod image;
 mod motion;
 mod partners;
 mod planning;
+mod since_report;
 mod steps;
 mod subcontrollers;
 mod task;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use std::{collections::VecDeque, num::NonZeroU64, time::Duration};
 
@@ -42,40 +45,18 @@ use crate::generator::{AxesState, EffectorImage, Execution, GeneratorError, Pace
 use crate::robot::Arm;
 use crate::sensor::Sensors;
 
-pub use error::{ChartPhase, Class, EcpError};
+pub use config::EcpConfig;
+pub use error::{Busy, ChartPhase, Class, EcpError, ReplaceRefused};
 use image::Effector;
 use partners::{Barrier, Links, is_barrier};
 pub use planning::{AtOnce, Plan, Planner};
 pub(crate) use planning::{Planning, Preparation};
+use since_report::SinceReport;
 use steps::Journal;
 pub use steps::{StepEvent, StepLog, StepRecord, StepRecords, step_log};
 pub use subcontrollers::{Meetings, Subcontrollers};
 use task::Instruction;
 pub use task::Task;
-
-/// Timing of an ECP, and its time limits.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct EcpConfig {
-    /// Servo period.
-    pub period: Duration,
-    /// The macrostep, unless a generator chooses another.
-    pub pace: Pace,
-    /// Number of macrosteps of `pace`, at least 1, that may be sent ahead of the last reported macrostep if the
-    /// generator's next steps read no images. Shorter macrosteps are sent for the same time ahead. Other generators
-    /// compute each macrostep from the report of the previous macrostep. The servo's order queue must hold more orders
-    /// than [`most_orders`](Self::most_orders). Otherwise a stop may have to wait for room in the queue.
-    pub macrosteps_ahead: u16,
-    /// Time limit, in addition to one macrostep, without a report and without an accepted order during a motion.
-    pub silence: Duration,
-    /// Time limit for switching the drives on or off, for resetting a fault and for braking.
-    pub switching: Duration,
-    /// Time limit of the wait for a planner's result. [`AtOnce`] has the result within the poll.
-    pub planning: Duration,
-    /// Time limit of homing.
-    pub homing: Duration,
-    /// Time limit of the wait for the partners of a meeting or a team.
-    pub meeting: Duration,
-}
 
 /// The end of an instruction.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,19 +77,6 @@ pub struct Status {
     /// Index of the current instruction, if any.
     pub instruction: Option<usize>,
 }
-
-/// A task was passed to an ECP that still executes another task.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("instruction {instruction} is under way")]
-pub struct Busy {
-    /// Index of the current instruction in its task.
-    pub instruction: usize,
-}
-
-/// A generator was to be replaced while no generator runs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("no generator runs that could be replaced")]
-pub struct NotRunning;
 
 /// Commanded motor velocity, rad/s, below which zero is commanded. The last velocity of a generator may contain a
 /// rounding error, such as that of `sin(2.0 * PI)`.
@@ -173,7 +141,7 @@ pub struct Ecp {
     origin: u64,
     /// The next instruction continues from the end of the last macrostep, which ends in motion.
     in_motion: bool,
-    /// Time from the last report of the motion before to its end, at the programmed speed.
+    /// Time from the report of the last macrostep made to its end, at the programmed speed.
     margin: Duration,
     /// The generator that replaces the present one with the next macrostep.
     replacement: Option<Box<dyn Execution + Send>>,
@@ -191,6 +159,12 @@ pub struct Ecp {
     journal: Journal,
     /// Whether the coordinator of the team has ended the present motion.
     ended_by_team: bool,
+    /// Whether the present or last instruction is a motion, and whether its generator has commanded the effector.
+    moves: bool,
+    commanded: bool,
+    /// Whether the task awaits a list that begins after the present one. Its messages are then for that list.
+    awaited: bool,
+    since_report: SinceReport,
     /// Servo cycle after which the last barrier was sent.
     barrier_sent: Option<u64>,
     /// Number of the macrostep that the present fault of the servo ended; `None` if the effector stood.
@@ -229,6 +203,10 @@ impl Ecp {
             turn: 0,
             journal: Journal::default(),
             ended_by_team: false,
+            moves: false,
+            commanded: false,
+            awaited: false,
+            since_report: SinceReport::default(),
             barrier_sent: None,
             fault_macrostep: None,
         }
@@ -261,6 +239,7 @@ impl Ecp {
         }
         self.task = task;
         self.instruction = 0;
+        self.awaited = false;
         Ok(())
     }
 
@@ -295,7 +274,13 @@ impl Ecp {
         let moves =
             next.is_some_and(|next| matches!(next, Instruction::Run(_) | Instruction::Meet(_) | Instruction::Tie(_)));
         let ready = matches!(self.activity, Activity::Idle) && self.phase() == Phase::Standing && self.homed();
-        self.held && moves && ready
+        self.held && moves && ready && !self.in_motion
+    }
+
+    /// Whether the generator of the present or last instruction has commanded the effector. A generator that only waits
+    /// has not.
+    pub(crate) fn has_commanded(&self) -> bool {
+        self.commanded
     }
 
     /// Phase of the flow chart in the last motion, and number of its macrosteps before the present one; `None` after
@@ -358,11 +343,13 @@ impl Ecp {
                 self.fault_macrostep = report.fault.filter(|_| moved).map(|_| macrostep);
             }
             self.report = Some(report);
+            self.since_report.restart(report.snapshot.at);
         }
         let latest = self.latest();
         if latest.cycle != self.turned.0 {
             self.turned = (latest.cycle, now);
         }
+        self.since_report.count(latest.at, latest.rate);
         self.sensors.poll(latest.at);
         if matches!(self.activity, Activity::Idle) {
             if self.is_held() {
@@ -406,6 +393,10 @@ impl Ecp {
         let replaced = std::mem::take(&mut self.replaced) && outcome.is_ok();
         let event = EcpEvent { instruction: self.instruction, outcome, replaced };
         self.instruction += 1;
+        // What the task has told until now was for this motion.
+        if self.moves && !replaced && !self.awaited {
+            self.receive_from_task();
+        }
         if outcome.is_err() {
             self.task.instructions.clear();
             (self.in_motion, self.replacement) = (false, None);
@@ -450,6 +441,7 @@ impl Ecp {
     fn begin(&mut self, instruction: Instruction, now: Instant) -> Option<Result<(), EcpError>> {
         let phase = self.phase();
         self.chart = None;
+        (self.moves, self.commanded) = (matches!(instruction, Instruction::Run(_)), false);
         let partner_stop = self.partner_stop();
         if let Some(error) = partner_stop
             && !matches!(instruction, Instruction::ResetFault | Instruction::Disable)
@@ -506,12 +498,9 @@ impl Ecp {
         );
         if !stops {
             let met = match self.partner_stop() {
-                // The effector brakes in any case: the coordinator has ended the motion of the team, or the last macrostep of a
+                // The effector stops in any case: the coordinator has ended the motion of the team, or the last macrostep of a
                 // generator that ended in motion is executed.
-                Some(_)
-                    if matches!(self.activity, Activity::RunningOut)
-                        && (self.ended_by_team || self.outstanding() == 0) =>
-                {
+                Some(_) if self.ends_with_partners() => {
                     self.brake(Ok(()));
                     return None;
                 }

@@ -2,39 +2,21 @@
 
 use std::cell::RefCell;
 use std::mem::replace;
+use std::num::NonZeroU64;
 use std::time::Duration;
 
 use can::Instant;
 use servo::{Macrostep, Order, Phase, Snapshot};
 
 use super::around::Around;
-use super::partners::Links;
 use super::task::Instruction;
-use super::{Activity, BURST, ChartPhase, Ecp, EcpConfig, EcpError, NotRunning, STILL, StepEvent};
+use super::{Activity, BURST, ChartPhase, Ecp, EcpError, ReplaceRefused, STILL, StepEvent};
 use crate::coordination::{LinkError, MemberLink, Turn};
 use crate::generator::{Axes, AxesState, Execution, Generator, GeneratorError, Pace, Run, Setpoint, Step};
-use crate::sensor::Sensors;
+use crate::sensor::{Prompt, Sensors};
 
 /// Most bursts of short macrosteps in one poll.
 const MOST_BURSTS: u16 = 10;
-
-/// Bound of the number of macrosteps ahead, if they are shorter than the macrosteps of the cell.
-const SHORT_MACROSTEPS: u64 = 1000;
-
-impl EcpConfig {
-    /// Greatest number of macrosteps that are ahead of the last reported macrostep.
-    pub fn most_orders(&self) -> usize {
-        self.orders_ahead(self.macrosteps_ahead.max(1), Pace::PERIOD) as usize
-    }
-
-    /// Number of macrosteps of this pace that last as long as `macrosteps` of the cell, with a bound. At least
-    /// `macrosteps`.
-    fn orders_ahead(&self, macrosteps: u16, pace: Pace) -> u64 {
-        let macrosteps = u64::from(macrosteps);
-        let short = macrosteps * u64::from(self.pace.periods / pace.periods);
-        short.min(SHORT_MACROSTEPS).max(macrosteps)
-    }
-}
 
 impl Ecp {
     /// Replaces the generator of the present motion. The new generator plans from the end of the macrosteps that were
@@ -42,10 +24,19 @@ impl Ecp {
     /// cannot begin in motion, the effector is braked first.
     ///
     /// A second call before the next poll replaces the first. Without a motion by a generator, the call is refused.
-    pub fn replace(&mut self, generator: impl Generator) -> Result<(), NotRunning> {
+    ///
+    /// In a motion of a team under a coordinator, the call is refused too. The coordinator counts the macrosteps of all
+    /// members, and a new plan of one member has no place in this count. As in MRROC++, only the coordinator ends the
+    /// motion of its members, and the task then gives them the next one.
+    pub fn replace(&mut self, generator: impl Generator) -> Result<(), ReplaceRefused> {
         if !matches!(self.activity, Activity::Running(_)) {
-            return Err(NotRunning);
+            return Err(ReplaceRefused::NotRunning);
         }
+        if self.is_in_team() {
+            return Err(ReplaceRefused::InTeam);
+        }
+        // What the task has told until now was for the motion replaced.
+        self.receive_from_task();
         self.replacement = Some(Box::new(Run::new(generator)));
         Ok(())
     }
@@ -63,8 +54,6 @@ impl Ecp {
         self.base = self.sent;
         self.chart = Some(ChartPhase::FirstStep);
         (self.replacement, self.ended_by_team) = (None, false);
-        let left = self.pace.periods.saturating_sub(self.pace.read_at);
-        self.margin = self.config.period * u32::from(left);
         self.pace = match run.pace(self.config.pace) {
             Ok(pace) => pace,
             Err(error) => return self.fail(EcpError::Generator { step: 0, error }),
@@ -92,18 +81,21 @@ impl Ecp {
         if let Some(phase) = self.left_phase() {
             return self.fail(EcpError::BrokenOff { phase });
         }
+        if self.is_ended_by_task() {
+            return self.end_before_motion();
+        }
         let Activity::Awaiting { run, .. } = &mut self.activity else {
             return None;
         };
-        let (class, latest) = (run.description().first, self.link.latest.read());
+        let latest = self.link.latest.read();
         let cycle = latest.at;
-        match turn(class, self.links.present(), &self.sensors, 0, &latest) {
+        match turn(&**run, self.links.present(), &self.sensors, None, &latest) {
             Ok(Turn::Ready) => {}
             Ok(Turn::Waiting) => {
                 let waited = now.since(since);
                 return if self.is_late(waited) { self.fail(EcpError::Unread { step: 0, waited }) } else { None };
             }
-            Ok(Turn::EndMotion) => return self.conclude().then_some(Ok(())),
+            Ok(Turn::EndMotion) => return self.end_before_motion(),
             Err(error) => return self.fail(EcpError::Link { step: 0, error }),
         }
         let around = Around {
@@ -134,15 +126,23 @@ impl Ecp {
         None
     }
 
+    /// Ends a motion before its first macrostep, as the task or the coordinator orders. The effector may still move by the
+    /// motion before.
+    fn end_before_motion(&mut self) -> Option<Result<(), EcpError>> {
+        if !self.in_motion {
+            return Some(Ok(()));
+        }
+        self.end_as_ordered();
+        None
+    }
+
     /// Whether the first step of a generator, `waited` for since its begin, is too late. In motion, the stop must reach
-    /// the servo before the last macrostep ends.
+    /// the servo before the last macrostep ends. A pause delays this end.
     fn is_late(&self, waited: Duration) -> bool {
         if !self.in_motion {
             return waited > self.config.planning;
         }
-        let cycle = self.latest().at;
-        let reported = self.report.map_or(cycle, |report| report.snapshot.at);
-        self.outstanding() == 0 && cycle.since(reported) + self.config.period > self.margin
+        self.outstanding() == 0 && self.since_report.passed() + self.config.period > self.margin
     }
 
     /// The phase, if a motion cannot begin in it.
@@ -156,6 +156,9 @@ impl Ecp {
     pub(super) fn advance_planning(&mut self, since: Instant, now: Instant) -> Option<Result<(), EcpError>> {
         if let Some(phase) = self.left_phase() {
             return self.fail(EcpError::BrokenOff { phase });
+        }
+        if self.is_ended_by_task() {
+            return self.end_before_motion();
         }
         let Some((mut run, first)) = self.planning.finished() else {
             let waited = now.since(since);
@@ -197,22 +200,22 @@ impl Ecp {
     pub(super) fn advance_motion(&mut self, now: Instant) -> Option<Result<(), EcpError>> {
         let phase = self.phase();
         let waited = now.since(self.heard);
+        // The servo has nothing to report while the step of an effector at rest waits for its images.
+        let owed = !matches!(self.activity, Activity::Running(_)) || self.outstanding() > 0 || !self.outbox.is_empty();
+        let limit = if owed { self.config.silence + self.macrostep() } else { self.config.planning };
         if !matches!(phase, Phase::Standing | Phase::Moving) {
             self.break_off(now);
-        } else if waited > self.config.silence + self.macrostep() {
+        } else if waited > limit {
             // Slowed motion reports later.
             let alive = now.since(self.turned.1) <= self.config.silence;
             if phase == Phase::Moving && self.latest().rate < 1.0 && alive {
                 self.heard = now;
             } else {
-                self.brake(Err(EcpError::Silent { waited }));
+                let step = self.sent - self.base;
+                self.brake(Err(if owed { EcpError::Silent { waited } } else { EcpError::Unread { step, waited } }));
             }
-        } else if !matches!(self.activity, Activity::Running(_))
-            && self.outstanding() > 0
-            && !self.is_at_barrier()
-            && self.is_ended_by_task()
-        {
-            self.brake(Ok(()));
+        } else if self.obeys_end() {
+            // The end is under way.
         } else if matches!(self.activity, Activity::Arriving) {
             let arrived = phase == Phase::Standing && self.outstanding() == 0;
             return arrived.then_some(Ok(()));
@@ -257,10 +260,13 @@ impl Ecp {
         }
         let latest = self.link.latest.read();
         let cycle = latest.at;
-        match turn(class, self.links.present(), &self.sensors, self.turn + 1, &latest) {
+        match turn(&**run, self.links.present(), &self.sensors, NonZeroU64::new(self.turn + 1), &latest) {
             Ok(Turn::Ready) => {}
             Ok(Turn::Waiting) => return false,
-            Ok(Turn::EndMotion) => return self.end_as_ordered(),
+            Ok(Turn::EndMotion) => {
+                self.end_as_ordered();
+                return false;
+            }
             Err(error) => {
                 self.brake(Err(EcpError::Link { step: self.sent - self.base, error }));
                 return false;
@@ -291,40 +297,55 @@ impl Ecp {
         false
     }
 
-    /// Ends the motion that the coordinator ends. The coordinator of a team ends all members after the same macrostep. The
-    /// task ends the motion at once, whatever was sent ahead.
-    fn end_as_ordered(&mut self) -> bool {
-        self.ended_by_team = self.links.team.is_some();
-        // A stop would drop the barrier.
-        if self.ended_by_team || self.is_at_barrier() {
-            return self.conclude();
+    /// Ends the motion that the task has ended, unless a replacement ends it. Returns whether this poll ends the motion.
+    fn obeys_end(&mut self) -> bool {
+        if !self.is_ended_by_task() {
+            return false;
         }
-        self.brake(Ok(()));
-        false
+        match self.activity {
+            Activity::Running(_) if self.replacement.is_none() => self.end_as_ordered(),
+            Activity::Arriving | Activity::RunningOut if self.outstanding() > 0 && !self.is_at_barrier() => {
+                self.brake(Ok(()));
+            }
+            _ => return false,
+        }
+        true
     }
 
-    /// Whether the task ends a motion whose generator has ended while macrosteps are still executed.
-    fn is_ended_by_task(&mut self) -> bool {
-        let (latest, step) = (self.latest(), self.turn);
-        let Links { team: None, task: Some(link) } = &mut self.links else {
-            return false;
-        };
-        matches!(link.poll(step, latest.at, latest.rate), Ok(Turn::EndMotion))
+    /// Ends the motion that the coordinator or the task ends. The coordinator of a team ends all members after the same
+    /// macrostep. The task ends the motion at once, whatever was sent ahead. No other motion continues the ended one.
+    fn end_as_ordered(&mut self) {
+        self.ended_by_team = self.is_in_team();
+        // A stop would drop the barrier.
+        if self.ended_by_team || self.is_at_barrier() { self.end_unchained() } else { self.brake(Ok(())) }
     }
 
     /// Ends the motion of a generator that has ended. Returns whether the next instruction continues the motion.
     fn conclude(&mut self) -> bool {
-        if self.effector.commanded.velocity == Axes::default() {
-            self.activity = Activity::Arriving;
-            return false;
-        }
         let next = self.task.instructions.front();
-        self.in_motion = next.is_some_and(|next| matches!(next, Instruction::Run(run) if run.begins_in_motion()));
-        if !self.in_motion {
+        let begins = next.is_some_and(|next| matches!(next, Instruction::Run(run) if run.begins_in_motion()));
+        if begins && self.ends_in_motion() {
+            self.in_motion = true;
+            return true;
+        }
+        self.end_unchained();
+        false
+    }
+
+    /// Lets the macrosteps run out that were sent, and then brakes an effector in motion.
+    fn end_unchained(&mut self) {
+        self.in_motion = false;
+        if self.ends_in_motion() {
             self.activity = Activity::RunningOut;
             self.run_out();
+        } else {
+            self.activity = Activity::Arriving;
         }
-        self.in_motion
+    }
+
+    /// Whether the effector moves at the end of the last macrostep made.
+    fn ends_in_motion(&self) -> bool {
+        self.effector.commanded.velocity != Axes::default()
     }
 
     /// Duration of a macrostep of this motion.
@@ -340,6 +361,7 @@ impl Ecp {
     /// Converts the generator's set-point to a macrostep and puts the macrostep into the outbox.
     fn command(&mut self, setpoint: Option<Setpoint>) -> Result<(), EcpError> {
         let step = self.sent - self.base;
+        self.commanded |= setpoint.is_some();
         if let Some(axis) = setpoint.and_then(|setpoint| setpoint.not_finite()) {
             return Err(EcpError::NotFinite { step, axis });
         }
@@ -351,6 +373,7 @@ impl Ecp {
         }
         let torque = self.effector.arm.torques(&motors.position).map_err(out_of_reach)?;
         self.effector.commanded = motors;
+        self.margin = self.config.period * u32::from(self.pace.periods.saturating_sub(self.pace.read_at));
         self.sent += 1;
         self.outbox.push_back(Order::Move(Macrostep {
             number: self.sent,
@@ -365,17 +388,18 @@ impl Ecp {
     }
 }
 
-/// Whether a step of this class can take its images: readings that it waits for, and the order of its number. Times are those
-/// of servo cycles, as all times of images.
+/// Whether a step can take its images: the order of its number, and the declared readings that it waits for. `step` is
+/// `None` for the first step. An end of the motion does not wait for readings. Times are those of servo cycles, as all
+/// times of images.
 fn turn(
-    class: u8,
+    run: &dyn Execution,
     coordinator: Option<&mut (dyn MemberLink + 'static)>,
     sensors: &Sensors,
-    step: u64,
+    step: Option<NonZeroU64>,
     latest: &Snapshot,
 ) -> Result<Turn, LinkError> {
-    if class & 2 != 0 && !sensors.are_ready() {
-        return Ok(Turn::Waiting);
-    }
-    coordinator.map_or(Ok(Turn::Ready), |link| link.poll(step, latest.at, latest.rate))
+    let number = step.map_or(0, NonZeroU64::get);
+    let turn = coordinator.map_or(Ok(Turn::Ready), |link| link.poll(number, latest.at, latest.rate))?;
+    let waits = turn == Turn::Ready && run.require(step.is_none(), &Prompt(sensors)).is_err();
+    Ok(if waits { Turn::Waiting } else { turn })
 }

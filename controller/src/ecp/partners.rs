@@ -44,6 +44,53 @@ impl Ecp {
         self.links.team = link;
     }
 
+    /// Takes what the task has told over its link. In a motion of a team, the link rests.
+    pub(super) fn receive_from_task(&mut self) {
+        if let Links { team: None, task: Some(link) } = &mut self.links {
+            link.receive(self.link.latest.read().at);
+        }
+    }
+
+    /// Whether the task has ended the present motion. After a replacement, the task tells the replacement: an end of the
+    /// replacement also ends the motion replaced, which would otherwise run out.
+    pub(super) fn is_ended_by_task(&mut self) -> bool {
+        if self.replacement.is_none() && !self.replaced {
+            self.receive_from_task();
+        }
+        let Links { team: None, task: Some(link) } = &mut self.links else {
+            return false;
+        };
+        link.is_ended() || self.replaced && link.holds_end()
+    }
+
+    /// The task awaits a list that begins after the present one. What it tells from now on is for that list.
+    pub(crate) fn await_list(&mut self) {
+        if !self.awaited {
+            self.receive_from_task();
+            self.awaited = true;
+        }
+    }
+
+    /// The task has dropped the list that it awaited, with what it told that list.
+    pub(crate) fn forget_awaited(&mut self) {
+        if std::mem::take(&mut self.awaited) {
+            self.receive_from_task();
+        }
+    }
+
+    /// The task has fetched the result of the last list. What it told before was for that list, if the list ended with a
+    /// motion.
+    pub(crate) fn close_list(&mut self) {
+        if self.moves {
+            self.receive_from_task();
+        }
+    }
+
+    /// Whether the process is a member of a team under a coordinator.
+    pub(crate) fn is_in_team(&self) -> bool {
+        self.links.team.is_some()
+    }
+
     /// Whether the process brakes its effector.
     pub(crate) fn is_braking(&self) -> bool {
         matches!(self.activity, Activity::Stopping { .. })
@@ -78,6 +125,21 @@ impl Ecp {
     pub(super) fn partner_stop(&self) -> Option<EcpError> {
         let fault = self.report.and_then(|report| report.fault);
         fault.filter(|fault| matches!(fault.cause, StopCause::Partner { .. })).map(EcpError::Servo)
+    }
+
+    /// Whether a stop by a partner is none too early: the motion ends without a further macrostep.
+    pub(super) fn ends_with_partners(&self) -> bool {
+        match self.activity {
+            Activity::RunningOut => self.ended_by_team || self.outstanding() == 0,
+            Activity::Arriving => self.ended_by_team,
+            Activity::Idle
+            | Activity::Switching { .. }
+            | Activity::Meeting { .. }
+            | Activity::Awaiting { .. }
+            | Activity::Planning { .. }
+            | Activity::Running(_)
+            | Activity::Stopping { .. } => false,
+        }
     }
 
     /// Whether a barrier was not passed yet.

@@ -97,11 +97,6 @@ impl Task {
         self.instructions.is_empty()
     }
 
-    /// Index of the first instruction that runs a generator.
-    pub fn first_motion(&self) -> Option<usize> {
-        self.instructions.iter().position(|it| matches!(it, Instruction::Run(_)))
-    }
-
     /// The instructions of this list, and then those of `next`.
     pub(crate) fn and(mut self, next: Self) -> Self {
         self.instructions.extend(next.instructions);

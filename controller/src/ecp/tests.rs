@@ -4,9 +4,10 @@ mod chaining;
 mod endings;
 mod failures;
 mod images;
+mod links;
 mod pace;
 mod planning;
-mod teams;
+pub(crate) mod teams;
 mod weight;
 
 use std::collections::VecDeque;
@@ -36,7 +37,7 @@ const CONFIG: EcpConfig = EcpConfig {
 
 /// Three linear joints along x, y and z with motors geared 100:1. The second joint is driven by a bent lever.
 #[derive(Debug)]
-struct Gantry;
+pub(crate) struct Gantry;
 
 const RANGE: [Limits; 3] = [Limits { low: -5.0, high: 5.0 }; 3];
 const MOTOR_RANGE: [Limits; 3] = [Limits { low: -8_000.0, high: 8_000.0 }; 3];
@@ -99,6 +100,8 @@ struct Script {
     deaf: bool,
     /// Whether homing never ends.
     lost: bool,
+    /// Whether motion time stands still.
+    paused: bool,
     fault: Option<ServoFault>,
 }
 
@@ -137,6 +140,7 @@ impl Script {
 
     fn period(&mut self, now: Instant) {
         self.report.snapshot.at = now;
+        self.report.snapshot.cycle += 1;
         self.report.snapshot.sampled = [now - PERIOD; MAX_AXES];
         if let Some(fault) = self.fault.take() {
             self.fail(fault);
@@ -173,6 +177,10 @@ impl Script {
                     self.phase(Phase::Off);
                 }
             }
+        }
+        self.report.snapshot.rate = if self.paused { 0.0 } else { 1.0 };
+        if self.paused {
+            return;
         }
         let Some(macrostep) = self.queue.front().copied() else {
             if self.moving != [0.0; MAX_AXES] {
@@ -237,6 +245,7 @@ impl Bench {
             log: Vec::new(),
             deaf: false,
             lost: false,
+            paused: false,
             fault: None,
         };
         let ecp = Ecp::new(arm, EffectorLink { orders, reports, latest }, CONFIG);

@@ -12,7 +12,7 @@ use servo::Phase;
 
 use super::{InstructionError, LooseLink, NotedError, SystemError};
 use crate::coordination::{Desk, Late, LinkConfig, MemberLink, link};
-use crate::ecp::{Class, Ecp, EcpError, EcpEvent, NotRunning, Status, Subcontrollers, Task};
+use crate::ecp::{Class, Ecp, EcpError, EcpEvent, ReplaceRefused, Status, Subcontrollers, Task};
 use crate::generator::{EffectorImage, Generator, GeneratorError, Message, SensorReading};
 use crate::sensor::{SensorRefused, Shell, VirtualSensor};
 
@@ -34,7 +34,7 @@ pub struct Agent {
     robot: usize,
 }
 
-/// Replaces motions of one effector while its [`Agent`] awaits them.
+/// Replaces motions of one effector while its [`Agent`] awaits the motion.
 #[derive(Clone)]
 pub struct Replacer {
     agents: Agents,
@@ -55,19 +55,20 @@ impl Observer {
     }
 }
 
-/// News of the process of a robot. `robot` is the index of the robot in its cell.
+/// News of the effector control process of a robot.
 #[derive(Clone, Copy, Debug)]
 pub enum News {
     /// An instruction ended.
     Ended {
-        /// Index of the robot.
+        /// Index of the robot in its cell.
         robot: usize,
-        /// Whether the instruction was the first motion of its list, and the robot was homed.
+        /// Whether the instruction was a motion whose generator commanded the effector. A replaced motion continues as
+        /// its replacement, and does not count.
         moved: bool,
     },
-    /// A [held](Ecp::is_held) process waits with a motion or a meeting. A release within the call takes effect at once.
+    /// A [held](Ecp::is_held) process waits with a motion or a meeting. A release within the callback takes effect at once.
     Held {
-        /// Index of the robot.
+        /// Index of the robot in its cell.
         robot: usize,
     },
 }
@@ -94,8 +95,6 @@ struct Use {
     fresh: bool,
     /// Number of instructions before the present list.
     ended: usize,
-    /// Index of the first motion in the present list.
-    motion: Option<usize>,
     /// Whether the effector was faulted in the last poll.
     faulted: bool,
 }
@@ -132,7 +131,12 @@ impl Agents {
         self.0.borrow().time()
     }
 
-    /// Waits for this time of the servo's cycles.
+    /// Whether a robot is a member of a team under a coordinator.
+    pub(super) fn is_in_team(&self, robot: usize) -> bool {
+        self.0.borrow().subcontrollers.ecps()[robot].is_in_team()
+    }
+
+    /// Waits for a duration, by the time of the servo cycles.
     pub async fn sleep(&self, duration: Duration) {
         let mut began = None;
         let slept = Leaf::new(self, |board: &mut Board| {
@@ -144,7 +148,7 @@ impl Agents {
         slept.await;
     }
 
-    /// Asks in every turn of the task, with the desk of the coordinator of these robots.
+    /// Calls `ask` in every turn of the task, with the desk of the coordinator of these robots.
     pub(super) async fn at_desk<T, const N: usize>(
         &self,
         members: [usize; N],
@@ -161,12 +165,13 @@ impl Agents {
         Leaf::new(self, desk).await
     }
 
-    /// Asks in every turn of the task, with the time of the last servo cycle and whether motion is slowed.
+    /// Calls `ask` in every turn of the task until the result is ready. The arguments are the time of the last servo cycle,
+    /// and whether motion time runs slower than the clock.
     pub async fn until<T>(&self, mut ask: impl FnMut(Instant, bool) -> Poll<T> + Unpin) -> T {
         Leaf::new(self, |board: &mut Board| ask(board.time(), board.is_slowed())).await
     }
 
-    /// Waits until all effectors stand whose instructions were dropped.
+    /// Waits until all effectors with dropped instructions stand.
     pub(super) async fn rest(&self) {
         let resting = |board: &mut Board| {
             let braking = board.uses.iter().any(|using| matches!(using.progress, Progress::Dropped));
@@ -219,7 +224,7 @@ impl Agents {
             polled = true;
             loop {
                 while let Some(event) = ecp.poll(now) {
-                    let moved = using.ends_first_motion(event);
+                    let moved = ecp.has_commanded() && !event.replaced;
                     let error = using.note(robot, ecp, event, noted);
                     let error = error.filter(|error| error.class() == Class::System);
                     of_system = of_system.or(error.map(SystemError::Instruction));
@@ -293,7 +298,7 @@ impl Agent {
         self.observer().image()
     }
 
-    /// A handle that reads the image while this one is in use.
+    /// A handle that reads the image while this agent is in use.
     pub fn observer(&self) -> Observer {
         Observer { agents: self.agents.clone(), robot: self.robot }
     }
@@ -313,13 +318,13 @@ impl Agent {
         self.agents.0.borrow_mut().at(self.robot).0.sensors().remove::<R>()
     }
 
-    /// A new link from the task to this agent: loose coordination. Steps take the latest order that is there,
-    /// and wait for none. In a motion of a team the link rests. An earlier link to the task ends.
+    /// A new link from the task to this agent: loose coordination. Steps take the latest order and do not wait. In a
+    /// motion of a team, orders wait, and an end is refused. An earlier link to the task ends.
     pub fn coordinated<C: Message, R: Message>(&mut self) -> LooseLink<C, R> {
         let config = LinkConfig { blocking: false, deadline: Duration::ZERO, late: Late::Hold };
         let (coordinator, member) = link(config);
         self.agents.0.borrow_mut().at(self.robot).0.follow_task(Box::new(member));
-        LooseLink::new(self.agents.clone(), coordinator)
+        LooseLink::new(self.agents.clone(), self.robot, coordinator)
     }
 
     /// Connects the agent to the coordinator of its team, or ends the connection.
@@ -336,7 +341,7 @@ impl Agent {
         self.agents.0.borrow().subcontrollers.ecps()[self.robot].cell_macrostep()
     }
 
-    /// A handle that replaces motions while this one awaits them.
+    /// A handle that replaces motions while this agent awaits them.
     pub fn replacer(&self) -> Replacer {
         Replacer { agents: self.agents.clone(), robot: self.robot }
     }
@@ -344,7 +349,7 @@ impl Agent {
 
 impl Replacer {
     /// Replaces the generator of the present motion. See [`Ecp::replace`].
-    pub fn replace(&self, generator: impl Generator) -> Result<(), NotRunning> {
+    pub fn replace(&self, generator: impl Generator) -> Result<(), ReplaceRefused> {
         let mut board = self.agents.0.borrow_mut();
         let (ecp, using) = board.at(self.robot);
         ecp.replace(generator)?;
@@ -383,6 +388,7 @@ impl Board {
     fn begin(&mut self, robot: usize, task: &mut Option<Task>) {
         let (ecp, using) = self.at(robot);
         if !matches!(using.progress, Progress::None) || is_busy(ecp) {
+            ecp.await_list();
             return;
         }
         let Some(task) = task.take() else {
@@ -392,7 +398,6 @@ impl Board {
             using.progress = Progress::Ended(Ok(()));
             return;
         }
-        using.motion = task.first_motion();
         ecp.execute(task).expect("a free process takes a list");
         (using.progress, using.fresh) = (Progress::Running, true);
     }
@@ -404,7 +409,9 @@ impl Board {
             return Poll::Pending;
         };
         uses[robot].progress = Progress::None;
-        keep(noted, &subcontrollers.ecps()[robot], result, true);
+        let ecp = &mut subcontrollers.parts().0[robot];
+        ecp.close_list();
+        keep(noted, ecp, result, true);
         Poll::Ready(result)
     }
 
@@ -420,9 +427,10 @@ impl Board {
             }
             Progress::Ended(result) => {
                 using.progress = Progress::None;
+                ecp.close_list();
                 keep(noted, ecp, result, false);
             }
-            Progress::None | Progress::Dropped => {}
+            Progress::None | Progress::Dropped => ecp.forget_awaited(),
         }
     }
 
@@ -432,18 +440,6 @@ impl Board {
 }
 
 impl Use {
-    /// Whether an instruction ended the first motion of the list, of a homed effector. A replaced motion continues as
-    /// its replacement.
-    fn ends_first_motion(&mut self, event: EcpEvent) -> bool {
-        if self.motion != Some(event.instruction) {
-            return false;
-        }
-        if event.replaced {
-            self.motion = Some(event.instruction + 1);
-        }
-        !event.replaced && event.outcome != Err(EcpError::NotHomed)
-    }
-
     /// Notes the end of an instruction, and returns its error. The error of a dropped list is kept in `noted`.
     fn note(
         &mut self,
@@ -484,8 +480,8 @@ fn is_faulted(ecp: &Ecp) -> bool {
     ecp.status().phase == Phase::Faulted
 }
 
-/// A future of this module: asks the shared state in each turn of the task. `ask` is pending in the first turn of an
-/// instruction, so a loop over instructions passes time.
+/// A future of this module: `ask` reads the shared state in each turn of the task. `ask` is pending in the first turn of
+/// an instruction: each instruction takes at least one turn, also in a loop.
 struct Leaf<'a, F> {
     agents: &'a Agents,
     ask: F,

@@ -17,13 +17,13 @@ pub struct InstructionError {
     /// Instructions dropped after an error do not count.
     pub instruction: usize,
     /// Number of macrosteps of the motion before the error; `None` outside a motion, and for a fault in a macrostep of the
-    /// motion before.
+    /// previous motion.
     pub step: Option<u64>,
     /// Phase of the flow chart; `None` outside a motion.
     pub phase: Option<ChartPhase>,
-    /// Number of the macrostep in which the servo stopped the robot, counted from the start of the run; `None` if the servo
-    /// did not stop it, or before the first macrostep. The macrostep may be one of the motion before: the controller
-    /// computes macrosteps before the servo executes them.
+    /// Number of the macrostep in which the servo stopped the robot, counted from the start of the run. `None` if the servo
+    /// did not stop the robot, or before the first macrostep. The macrostep may belong to the previous motion: the
+    /// controller computes macrosteps ahead of the servo.
     pub macrostep: Option<NonZeroU64>,
     /// Number of the last servo cycle when the instruction ended.
     pub cycle: u64,
@@ -69,7 +69,7 @@ impl InstructionError {
 /// Errors of the class system. They end the task, and all effectors brake.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum SystemError {
-    /// The task awaits a future that cannot become ready by an instruction or by time.
+    /// The task awaits a future of another library, which no instruction and no time of the cycles can complete.
     #[error("the task awaits a future that is not of this library")]
     ForeignFuture,
     /// The panic hook received the message.
@@ -90,7 +90,7 @@ pub enum SystemError {
     /// An error of one effector that concerns all effectors.
     #[error("{0}")]
     Instruction(InstructionError),
-    /// The task is not possible from the present position of a robot.
+    /// The rehearsal of the task from the present position of a robot failed.
     #[error("the task was refused from the present position of robot {robot}")]
     RefusedFromHere {
         /// Index of the robot in its cell.

@@ -1,4 +1,4 @@
-//! Loose coordination: the task gives decisions to one effector when it wants.
+//! Loose coordination: the task gives orders to one effector at any time.
 
 use can::Instant;
 
@@ -10,25 +10,53 @@ use crate::generator::{Message, Sample};
 /// generators, and answers of type `R` are their output [`Answer`](crate::generator::Answer).
 pub struct LooseLink<C, R> {
     agents: Agents,
+    robot: usize,
     end: CoordinatorEnd<C, R>,
 }
 
 impl<C: Message, R: Message> LooseLink<C, R> {
-    pub(super) fn new(agents: Agents, end: CoordinatorEnd<C, R>) -> Self {
-        Self { agents, end }
+    pub(super) fn new(agents: Agents, robot: usize, end: CoordinatorEnd<C, R>) -> Self {
+        Self { agents, robot, end }
     }
 
-    /// Gives an order. A step of the agent takes the newest order and drops the older ones. Fails with [`LinkError::Full`]
-    /// while four orders wait that no step has taken.
+    /// Gives an order. A step of the agent takes the newest order and drops the older ones.
+    ///
+    /// An agent in motion takes orders in every servo cycle. Without a motion, and in a motion of a team, four orders may
+    /// wait. Fails with [`LinkError::Full`] for the fifth, and with [`LinkError::Gone`] if the agent has another link.
     pub fn order(&mut self, order: C) -> Result<(), LinkError> {
         let now = self.now();
-        self.end.order(now, order).then_some(()).ok_or(LinkError::Full)
+        let sent = self.end.order(now, order);
+        self.told(sent)
     }
 
-    /// Ends the present motion of the agent, or its next motion if there is none. Fails like [`order`](Self::order).
+    /// Ends the present motion of the agent with success. The agent acts in the next servo cycle, also in a pause: the
+    /// effector brakes, whatever was sent ahead. A motion that has not begun to move ends without moving.
+    ///
+    /// The order of the calls decides which motion ends:
+    ///
+    /// - While the effector brakes at the end of a motion, or after a dropped motion, that motion ends anyway, and the
+    ///   call has no further effect.
+    /// - After [`Replacer::replace`](super::Replacer::replace) the replacement ends. An end before that call is one of the
+    ///   motion replaced.
+    /// - Without a motion, and after the next instruction of the task was awaited, the next motion ends.
+    ///
+    /// Fails like [`order`](Self::order), and with [`LinkError::InTeam`] in a motion of a team: the team's coordinator ends
+    /// the motion of all members.
     pub fn end_motion(&mut self) -> Result<(), LinkError> {
+        if self.agents.is_in_team(self.robot) {
+            return Err(LinkError::InTeam);
+        }
         let now = self.now();
-        self.end.end_motion(now).then_some(()).ok_or(LinkError::Full)
+        let sent = self.end.end_motion(now);
+        self.told(sent)
+    }
+
+    /// The result of a message.
+    fn told(&self, sent: bool) -> Result<(), LinkError> {
+        if self.end.is_abandoned() {
+            return Err(LinkError::Gone);
+        }
+        sent.then_some(()).ok_or(LinkError::Full)
     }
 
     /// The latest answer, with its age; `None` if no step has answered since the last call.

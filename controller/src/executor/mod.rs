@@ -2,12 +2,11 @@
 //!
 //! A task takes [`Agent`]s from the [`Agents`] of its cell and awaits their instructions. The [`Executor`] polls the
 //! processes and then the task, once per servo cycle and in a fixed order. The executor has no thread, clock or waker of
-//! its own, so a task in lockstep is the same in every run.
+//! its own: in lockstep, a task is the same in every run.
 //!
-//! A task may await the futures of this module only: [`Agent::perform`], [`Agents::sleep`], [`Agents::until`], [`join`]
-//! and [`join_all`].
-//! Every wait for an instruction ends by the time limits of its process. A dropped instruction brakes its effector, and
-//! the next instruction of that effector begins after standstill.
+//! A task may await only the futures of this module: [`Agent::perform`], [`Agents::sleep`], [`Agents::until`], [`join`]
+//! and [`join_all`]. Every wait for an instruction has the time limits of its process. If an instruction is dropped, its
+//! effector brakes, and the next instruction of that effector begins after standstill.
 //!
 //! Errors have classes ([`Class`](crate::ecp::Class)). Errors of the classes non-fatal and fatal go to the task. A system
 //! error drops the task and brakes all effectors.
@@ -17,6 +16,8 @@ mod error;
 mod join;
 mod loose;
 mod team;
+#[cfg(test)]
+mod tests;
 mod turns;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -58,11 +59,11 @@ impl<E> Executor<E> {
         Self { agents, task: Some(Box::pin(task)), turns, ended: None }
     }
 
-    /// Polls each process, the task, and the processes to which the task gave or took an instruction. Call this function
-    /// once after each servo cycle. The task begins after the first cycle.
+    /// Polls each process, then the task, then the processes for which the task began or dropped an instruction. Call this
+    /// function once after each servo cycle. The task begins after the first cycle.
     ///
-    /// `news` receives the news of each process with the process. Returns true until the task has ended and no process
-    /// has an instruction.
+    /// `news` receives the news of each process, and the process. Returns false when the task has ended and no process has
+    /// an instruction.
     pub fn poll(&mut self, now: Instant, mut news: impl FnMut(&mut Ecp, News)) -> bool {
         self.poll_agents(now, false, &mut news);
         self.poll_task();
@@ -75,18 +76,18 @@ impl<E> Executor<E> {
         self.end(Ended::System(error));
     }
 
-    /// Lets the next motion or meeting of a robot wait, or releases it. See [`Ecp::is_held`].
+    /// Delays the next motion or meeting of a robot until a release (`held` is false). See [`Ecp::is_held`].
     pub fn hold(&mut self, robot: usize, held: bool) {
         self.agents.hold(robot, held);
     }
 
-    /// Status of each process, robot by robot.
+    /// Status of each process, in the order of the robots.
     pub fn statuses(&self) -> Vec<Status> {
         self.agents.statuses()
     }
 
-    /// Drops a task that has not ended. Returns how the task ended, and all errors of instructions that the task
-    /// received or had dropped, oldest first.
+    /// Drops a task that has not ended. Returns the end of the task, and all errors of instructions that the task received
+    /// or had dropped, oldest first.
     pub fn finish(mut self) -> (Option<Ended<E>>, Vec<NotedError>) {
         self.drop_task();
         (self.ended.take(), self.agents.noted())

@@ -14,7 +14,7 @@ use crate::sensor::{SensorRefused, Sensors, Shell, VirtualSensor};
 
 /// Effectors that execute motions together: tight coordination.
 ///
-/// The servo begins each macrostep of all members in the same cycle. Whatever stops one member brakes all members in the
+/// The servo begins each macrostep of all members in the same cycle. Any stop of one member brakes all members from the
 /// same cycle.
 pub struct Team<'a, const N: usize> {
     members: [&'a mut Agent; N],
@@ -32,7 +32,7 @@ pub struct DisturbedMessage {
     pub answer: bool,
     /// Number of the step.
     pub step: u64,
-    /// What happens to the message.
+    /// The disturbance of the message.
     pub disturbance: Disturbance,
 }
 
@@ -103,8 +103,8 @@ impl<'a, const N: usize> Team<'a, N> {
     }
 
     /// Executes a motion of all members: the functions of the coordinator, and a generator per member. The members begin
-    /// after the first step of the coordinator. Ends when the terminal condition of the coordinator holds and all members
-    /// stand, or when all generators have ended.
+    /// after the first step of the coordinator. The motion ends when the terminal condition of the coordinator holds, or
+    /// when all generators have ended. All members then stand.
     ///
     /// If the returned future is dropped, all members brake.
     pub async fn execute<K, G>(&mut self, coordinator: K, generators: G) -> Result<(), TeamError>

@@ -6,11 +6,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Count of the turns of one task and of the polls of its agents. Clones share the counts.
 ///
 /// A task that blocks or never awaits does not return from its turn, and a generator that blocks does not return from a
-/// poll. A thread that is blocked so cannot be ended.
+/// poll. Another thread detects this by the counts; the blocked thread cannot be ended.
 #[derive(Clone, Debug, Default)]
 pub struct Turns(Arc<[AtomicU64; 2]>);
 
-/// What a [`Turns`] counts.
+/// Kinds of work that [`Turns`] counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Work {
     /// The turns of the task.

@@ -6,25 +6,25 @@ use super::newsmooth::{MAX_MACROSTEPS, whole_macrosteps};
 use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Pace, Setpoint};
 use crate::robot::Arm;
 
-/// Acceleration, rad/s² or m/s², and change of velocity, rad/s or m/s, that are taken for zero. Images contain rounding
-/// errors of this order.
+/// Acceleration, rad/s² or m/s², that is taken for zero: images contain rounding errors of this order.
 const NO_ACCELERATION: f64 = 1e-6;
+/// Change of velocity, rad/s or m/s, that is taken for zero.
 const NO_CHANGE: f64 = 1e-9;
 
 /// A motion of the joints at a constant velocity, with jerk-limited acceleration and braking. Class 0, planned
 /// from the effector.
 ///
-/// All joints reach their velocities at the same time. The velocity is then held for the time of
+/// All joints reach their velocities at the same time. The velocities are then held for the time of
 /// [`lasting`](Self::lasting) or the distance of [`over`](Self::over), and the joints brake to rest together. From rest
-/// to rest, the path is a straight line of the joints. With [`ending_in_motion`](Self::ending_in_motion), the motion
-/// ends at the velocity and the next generator continues from there.
+/// to rest, the path is a straight line in joint space. With [`ending_in_motion`](Self::ending_in_motion), the motion
+/// ends at the velocities, and the next generator continues from this state.
 ///
-/// The motion [begins in motion](Generator::begins_in_motion) if the generator before it ended so, and can replace
-/// another motion. An acceleration at the start is reduced to zero within the jerk limit first. Acceleration, constant
-/// velocity and braking each last a whole number of macrosteps.
+/// The motion [begins in motion](Generator::begins_in_motion) if the previous generator ended in motion, and can replace
+/// another motion. An acceleration at the start is first reduced to zero within the jerk limit. Acceleration, constant
+/// velocity and braking each last a whole number of servo periods.
 ///
-/// The first step refuses a motion that leaves the range of a joint or a motor at the end of a macrostep. Its computing
-/// time is proportional to the number of macrosteps. No step allocates.
+/// The macrosteps last [one servo period](Pace::PERIOD). The first step refuses a motion that leaves the range of a joint
+/// or a motor. Its computing time is proportional to the number of periods. No step allocates.
 ///
 /// ```
 /// # use std::{sync::Arc, time::Duration};
@@ -52,8 +52,8 @@ pub struct ConstantVelocity {
 }
 
 impl ConstantVelocity {
-    /// A motion at `velocity`, rad/s, or m/s for a linear joint, that brakes as soon as it is reached. Refuses a
-    /// velocity that is not finite or above the limit of its joint.
+    /// A motion at `velocity`, rad/s, or m/s for a linear joint, that brakes as soon as this velocity is reached. Refuses
+    /// a velocity that is not finite or above the limit of its joint.
     pub fn new(arm: Arm, limits: MotionLimits, velocity: Axes) -> Result<Self, GeneratorError> {
         let axes = arm.axes();
         limits.check(axes)?;
@@ -72,15 +72,15 @@ impl ConstantVelocity {
         Ok(Self { arm, limits, velocity, held: 0.0, ends_in_motion: false, phases, macrostep: 0.0, macrosteps: 0 })
     }
 
-    /// The same motion, which holds the velocity for `duration`, rounded up to whole macrosteps.
+    /// The same motion, which holds the velocity for `duration`, rounded up to whole servo periods.
     #[must_use]
     pub fn lasting(self, duration: Duration) -> Self {
         Self { held: duration.as_secs_f64(), ..self }
     }
 
-    /// The same motion, which holds the velocity until the fastest joint has moved by `distance`, rad or m, rounded up
-    /// to whole macrosteps. Acceleration and braking need a further distance. Refuses a distance that is negative or
-    /// not finite, and a distance at rest.
+    /// The same motion, which holds the velocity until the fastest joint has moved by `distance`, rad or m; the time is
+    /// rounded up to whole servo periods. Acceleration and braking need a further distance. Refuses a distance that is
+    /// negative or not finite, and any distance if all velocities are zero.
     pub fn over(self, distance: f64) -> Result<Self, GeneratorError> {
         let velocity = self.velocity.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
         let held = distance / velocity;
@@ -88,7 +88,7 @@ impl ConstantVelocity {
         sound.then_some(Self { held, ..self }).ok_or(GeneratorError::Distance { distance, velocity })
     }
 
-    /// The same motion without braking: it ends at the velocity, without acceleration.
+    /// The same motion without braking: the motion ends at its velocity, with zero acceleration.
     #[must_use]
     pub fn ending_in_motion(self) -> Self {
         Self { ends_in_motion: true, ..self }
@@ -118,7 +118,7 @@ impl ConstantVelocity {
         let braked = whole_macrosteps(braking.duration, self.macrostep)?;
         braking.stretch(f64::from(braked) * self.macrostep);
 
-        // Each number is at most 2^20.
+        // Each number is at most `MAX_MACROSTEPS`.
         self.macrosteps = reached + held + braked;
         if self.macrosteps > MAX_MACROSTEPS {
             return Err(GeneratorError::TooLong { limit: MAX_MACROSTEPS });
@@ -179,7 +179,7 @@ struct Phase {
     shape: Shape,
 }
 
-/// Course of the velocities.
+/// Velocities over the time of a phase.
 #[derive(Clone, Copy, Debug, Default)]
 enum Shape {
     /// The acceleration at the start decreases to zero with constant jerk.
@@ -230,7 +230,7 @@ impl Phase {
     }
 }
 
-/// A step with a ramp of its derivative at both ends, in its first half: integral, value and derivative.
+/// First half of a step whose derivative has a ramp at both ends: integral, value and derivative.
 fn first_half(time: f64, ramp: f64, duration: f64) -> [f64; 3] {
     let rate = 1.0 / (duration - ramp);
     if time < ramp {

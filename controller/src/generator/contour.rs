@@ -15,8 +15,9 @@ const CHECK_ANGLE: f64 = 0.01;
 const JUMP: f64 = 0.35;
 /// Largest accepted factor by which one axis slows a path.
 const SLOWEST: f64 = 50.0;
-/// Accepted excess of an axis over its limit, relative to the duration, and the largest number of plans until then.
+/// Accepted excess of an axis over its limit, as a factor by which the path would be slowed, less 1.
 const EXCESS: f64 = 1e-3;
+/// Largest number of plans, each slower than the plan before.
 const PLANS: u32 = 8;
 /// Largest distance of the tool from the start of the path, m and rad.
 const START_DISTANCE: f64 = 1e-6;
@@ -27,15 +28,15 @@ const START_ANGLE: f64 = 1e-5;
 /// The effector must stand at the start of the path, within 1 µm and 10 µrad. A [`StraightLine`](super::StraightLine)
 /// moves the tool there.
 ///
-/// The first step plans the profile. Its duration is a whole number of servo periods, and the feed is exact. Poses of the
-/// path at most 5 mm and 10 mrad apart are then checked for reach, joint limits, and jumps between branches of the inverse
-/// kinematics. An axis that would exceed its velocity or acceleration limit slows the whole path. A factor above 50 is
-/// refused.
+/// The first step plans the profile. Its duration is a whole number of servo periods, and the feed (speed along the path)
+/// is exact. Poses of the path at most 5 mm and 10 mrad apart are then checked for reach, joint limits, and jumps between
+/// branches of the inverse kinematics. If an axis would exceed its velocity or acceleration limit, the whole path is slowed
+/// down. A path that needs a factor above 50 is refused.
 ///
 /// The macrosteps last [one servo period](Pace::PERIOD): the pose of each set-point is exact.
 ///
-/// The first step allocates, and solves the inverse kinematics of each checked pose once per plan, with eight plans at
-/// most. No next step allocates.
+/// The first step allocates. It solves the inverse kinematics of each checked pose once per plan, with at most eight
+/// plans. No next step allocates.
 #[doc(alias = "spline")]
 #[derive(Debug)]
 pub struct Contour {
@@ -70,7 +71,7 @@ impl Contour {
         Ok(Self { arm, path, limits, joint_limits, plan: None })
     }
 
-    /// Exact state of the tool after `done` macrosteps of the planned motion, with its acceleration. `None` before the
+    /// Exact state of the tool after `done` servo periods of the planned motion, with its acceleration. `None` before the
     /// first step.
     pub fn state(&self, done: u32) -> Option<PoseState> {
         let Plan { feed, macrostep, macrosteps } = self.plan.as_ref()?;

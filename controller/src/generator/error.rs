@@ -59,7 +59,7 @@ pub enum GeneratorError {
     /// before the motion began.
     #[error("at {s:.4} of the path: {cause}")]
     Path { s: f64, cause: KinematicsError },
-    /// The arm would have to jump, by rad or m, between two neighbouring poses of a path.
+    /// The arm would have to jump between two neighbouring poses of a path. The field `by` is in rad or m.
     #[error("at {s:.4} of the path: axis {axis} jumps by {by:.3} to the next pose")]
     Jump { s: f64, axis: u8, by: f64 },
     /// The path is too close to a singularity: one axis would slow the path too much. `times` is the factor by which
@@ -94,11 +94,12 @@ pub enum GeneratorError {
     Stale { age: Duration, limit: Duration },
     #[error("the order, axis {axis}: not a finite number")]
     OrderNotFinite { axis: u8 },
-    /// A step of [`Transparent`](super::Transparent) for which a link that does not wait, or holds, has the last order.
+    /// A step of [`Transparent`](super::Transparent) received the last order again: its link does not wait for orders, or
+    /// holds the last order ([`Late::Hold`](crate::coordination::Late::Hold)).
     #[error("no new order: link the team so that each step waits for its order and a late order stops")]
     NoNewOrder,
-    /// The newly selected generator of a [`Selection`](super::Selection) does not continue the motion: velocity needed
-    /// in the next macrostep, and velocity commanded, rad/s or m/s.
+    /// The newly selected generator of a [`Selection`](super::Selection) does not continue the motion. The velocity needed
+    /// in the next macrostep and the commanded velocity are in rad/s or m/s.
     #[error("axis {axis}: the selected generator needs a velocity of {needed:.3} at once, after {commanded:.3}")]
     Switch { axis: u8, needed: f64, commanded: f64 },
     #[error("weight {weight} is not in [0, 1]")]
@@ -110,12 +111,13 @@ pub enum GeneratorError {
     /// A panic in a step. The panic hook received its message.
     #[error("the step panicked")]
     Panicked,
-    /// A motion in a team keeps the macrostep of the cell, and this generator chooses another.
+    /// A motion in a team keeps the macrostep of the cell, but this generator chooses another macrostep.
     #[error(
         "a member of a team keeps the cell's macrostep of {cell} periods and its reading: the generator chooses {periods}"
     )]
     PaceInTeam { cell: u16, periods: u16 },
-    /// The macrosteps of all members of a team are of the same steps of the coordinator, from step 1.
+    /// The first step of a member of a team has a set-point. Members command from the first next step on, each macrostep
+    /// for the same step of the coordinator.
     #[error("the first step of a member of a team commands nothing: command in the next step")]
     CommandsAtFirst,
     /// A coordinator has no effector of its own.

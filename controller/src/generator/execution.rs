@@ -55,7 +55,7 @@ impl<F: Functions> Chart<F> {
     }
 
     /// The dashed box of the chart: terminal condition, then functions, from one snapshot. `None` if the instruction ends.
-    /// A panic of the functions becomes their error.
+    /// A panic of the functions is returned as an error.
     pub(crate) fn next_step(&mut self, images: &F::Every) -> Result<Option<F::Results>, GeneratorError> {
         // A runner that skips the first step gets an instruction without motion.
         let Some(memory) = self.memory else {
@@ -89,16 +89,19 @@ pub enum Step {
 /// The runner calls [`initiate`](Self::initiate), [`plan`](Self::plan) and [`commit`](Self::commit) once, and then
 /// [`next_step`](Self::next_step) until the instruction ends.
 pub trait Execution {
-    /// Reads the images of the first step. Refuses a generator that declares images which its agent has not.
+    /// Refuses partners that cannot provide the images of the first step, or else those of every next step.
+    fn require(&self, first: bool, partners: &dyn Partners) -> Result<(), GeneratorError>;
+
+    /// Reads the images of the first step. Refuses a generator that declares an image which its agent does not have.
     fn initiate(&mut self, partners: &dyn Partners) -> Result<(), GeneratorError>;
 
-    /// Computes the first operational block of the chart. May run on another thread.
+    /// Computes the first step: the first operational block of the chart. May run on another thread.
     fn plan(&mut self, macrostep: Duration) -> Result<(), GeneratorError>;
 
     /// Delivers the results of the first step.
     fn commit(&mut self, partners: &mut dyn Partners) -> Result<Step, GeneratorError>;
 
-    /// The dashed box of the chart. One snapshot is taken for the terminal condition and for (5) to (8). The results
+    /// The dashed box of the chart. The terminal condition and the functions (5) to (8) read one snapshot. The results
     /// are committed together.
     fn next_step(&mut self, partners: &mut dyn Partners) -> Result<Step, GeneratorError>;
 
@@ -118,7 +121,7 @@ pub trait Execution {
     fn digest(&self) -> u64;
 }
 
-/// What a generator is.
+/// Type and classes of a generator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Description {
     /// Name of the generator's type.
@@ -172,6 +175,10 @@ impl<G: Generator> Run<G> {
 }
 
 impl<G: Generator> Execution for Run<G> {
+    fn require(&self, first: bool, partners: &dyn Partners) -> Result<(), GeneratorError> {
+        if first { G::First::require(partners) } else { G::Every::require(partners) }
+    }
+
     fn initiate(&mut self, partners: &dyn Partners) -> Result<(), GeneratorError> {
         self.first = Some(G::First::fetch(partners)?);
         G::Every::require(partners)

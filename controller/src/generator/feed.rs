@@ -23,7 +23,7 @@ pub struct FeedLimits {
     pub max_acceleration: f64,
     /// Tangential jerk, m/s³.
     pub max_jerk: f64,
-    /// Normal acceleration, m/s²: square of the speed times curvature.
+    /// Normal acceleration, m/s²: curvature times the square of the speed.
     pub max_normal_acceleration: f64,
     /// Angular velocity, rad/s.
     pub max_angular_velocity: f64,
@@ -68,9 +68,9 @@ pub struct FeedState {
 
 /// Feed profile of a path, from rest to rest.
 ///
-/// The path is divided into 2000 cells or more. Curvature and rate of turn limit the speed in each cell. A forward and a
-/// backward pass limit the tangential acceleration to A. A moving average over time of length T = A / jerk limit then
-/// limits the jerk.
+/// The path is divided into 2000 cells or more. Curvature, and rotation of the tool per length (rate of turn), limit the
+/// speed in each cell. A forward and a backward pass limit the tangential acceleration to A. A moving average over the time
+/// T = A / (jerk limit) then limits the jerk.
 ///
 /// Guaranteed at every time, apart from rounding:
 /// - The speed is at most the feed.
@@ -82,10 +82,10 @@ pub struct FeedState {
 ///   the excess is below 0.1 %. On such a path, half of the angular acceleration is reserved for this change.
 /// - The profile ends exactly at the end of the path.
 ///
-/// In a section of constant curvature, the speed follows the bound exactly. The tool slows down before a lower bound,
-/// beginning up to twice the speed times T ahead. Where the curvature varies, the speed stays below the bound by the change
-/// of the bound over this distance. Where neither curvature nor rate of turn limits the motion, [`along`](Self::along) gives
-/// the time-optimal profile from rest to rest.
+/// In a section of constant curvature, the speed is exactly the bound. Before a lower bound, the tool slows down from a
+/// distance of up to twice the speed times T. Where the curvature varies, the speed is below the bound, by the change of the
+/// bound over this distance. Where neither curvature nor rate of turn limits the motion, [`along`](Self::along) gives the
+/// time-optimal profile from rest to rest.
 ///
 /// Planning allocates. Evaluation is two binary searches.
 #[derive(Clone, Debug)]
@@ -127,8 +127,8 @@ impl Feed {
         Self::plan(path, limits, None)
     }
 
-    /// The profile of a path with a duration that is a multiple of `step`. The moving average is longer by less than one
-    /// step, which leaves the feed as it is.
+    /// The profile of a path, with a duration that is a multiple of `step`. For this, the moving average is longer by less
+    /// than one step. The feed does not change.
     pub fn in_steps(path: &Path, limits: &FeedLimits, step: Duration) -> Result<Self, GeneratorError> {
         if step.is_zero() {
             return Err(GeneratorError::NoMacrostep);
@@ -183,7 +183,7 @@ impl Feed {
         &self.sections[self.sections.len() - 1]
     }
 
-    /// State `time` s after the start. Times before the start and after the end give the ends.
+    /// State `time` s after the start. Times before the start and after the end give the states at the ends.
     pub fn at(&self, time: f64) -> FeedState {
         if time >= self.duration() {
             return FeedState { distance: self.end().distance, ..FeedState::default() };
@@ -245,7 +245,7 @@ impl Cells {
         Self { nodes, bounds }
     }
 
-    /// Adds a node, or moves a very near one there.
+    /// Adds a node, or moves a very near node to this place.
     fn split(&mut self, at: f64) {
         let last = self.nodes.len() - 1;
         let cell = self.nodes.partition_point(|&node| node <= at).clamp(1, last);
@@ -258,11 +258,11 @@ impl Cells {
         }
     }
 
-    /// Extends the bound of each cell over the distance that this speed covers in `window`, to both sides.
+    /// Extends the bound of each cell to both sides, over the distance that the bound as a speed covers in `window`.
     ///
-    /// The speed at every point that is passed within this time of a cell is then at most the bound of the cell. The
-    /// moving average keeps this bound. A local minimum of the speed lasts for two windows at least, and braking and
-    /// acceleration never meet in one window.
+    /// Points that are passed less than `window` before or after a cell then have a speed of at most the bound of the cell.
+    /// The moving average keeps this bound. A local minimum of the speed lasts for at least two windows: braking and
+    /// acceleration never occur in the same window.
     fn widen_dips(&mut self, window: f64) {
         let (nodes, bounds) = (&self.nodes, &self.bounds);
         let count = bounds.len();
@@ -301,8 +301,8 @@ impl Cells {
     }
 }
 
-/// Lowers each local maximum of the speed until its duration is `window`. Acceleration and braking then never meet in one
-/// window.
+/// Lowers each local maximum of the speed until its duration is `window`. Acceleration and braking then never occur in the
+/// same window.
 fn flatten_peaks(nodes: &[f64], squares: &mut [f64], window: f64) {
     let last = squares.len() - 1;
     let mut node = 1;

@@ -15,8 +15,8 @@ pub struct AxesState {
     pub position: Axes,
     /// Velocity, rad/s, or m/s for a linear joint.
     pub velocity: Axes,
-    /// Acceleration, rad/s², or m/s² for a linear joint. `None` in images. A set-point with `None` gets the acceleration
-    /// of a cubic from the set-point before it.
+    /// Acceleration, rad/s², or m/s² for a linear joint. `None` in images. A set-point with `None` gets the end
+    /// acceleration of a cubic from the previous set-point.
     pub acceleration: Option<Axes>,
 }
 
@@ -61,23 +61,23 @@ pub struct EffectorState {
 /// `e(i)`: the subcontroller's image of its effector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EffectorImage {
-    /// Time of the measurement: of the SYNC or telegram at which the drives took their samples. If the samples differ,
-    /// the time of the oldest one. A first step reads the latest samples. Next steps read the samples of the last
-    /// report, and before the first report of a motion the latest samples.
+    /// Time of the SYNC or telegram at which the drives took their samples; if the times differ, that of the oldest
+    /// sample. A first step reads the latest samples, and so do next steps before the first report of a motion. Other next
+    /// steps read the samples of the last report.
     pub at: Instant,
     /// Time of the servo cycle that read the samples, at least one period after [`at`](Self::at).
     pub read_at: Instant,
-    /// Time from the sample of each axis to [`read_at`](Self::read_at): one period if the drive answered in time.
+    /// Time from the sample of each axis to [`read_at`](Self::read_at): one servo period if the drive answered in time.
     pub age: [Duration; MAX_AXES],
     /// The macrostep in execution at [`read_at`](Self::read_at).
     pub macrostep: u64,
     /// Measured state. The sample of each axis was taken at [`read_at`](Self::read_at) minus its [`age`](Self::age).
     pub measured: EffectorState,
-    /// Motor torques measured, N·m; zero where the drive does not report them.
+    /// Measured motor torques, N·m; zero where the drive does not report a torque.
     pub torque: Axes,
-    /// Switches of the axes; open where the drive does not report them.
+    /// Switches of the axes; open where the drive does not report its switches.
     pub switches: [Switches; MAX_AXES],
-    /// End of the last macrostep sent, and start of the next macrostep.
+    /// Commanded state at the end of the last macrostep sent, which is the start of the next macrostep.
     pub commanded: EffectorState,
     /// Acceleration at the end of the last macrostep sent.
     pub commanded_acceleration: Accelerations,
@@ -109,7 +109,7 @@ pub enum Setpoint {
     Joints(AxesState),
     /// Joints: displacement from the end of the last macrostep; velocity and acceleration at the end of this macrostep.
     JointsBy(AxesState),
-    /// The tool: pose, and its velocity in the base frame, m/s and rad/s. The acceleration is not stated.
+    /// The tool: pose and velocity in the base frame, without a stated acceleration.
     Pose {
         /// Pose of the tool in the base frame.
         pose: Pose,
@@ -118,7 +118,7 @@ pub enum Setpoint {
         /// Angular velocity of the tool, rad/s.
         angular: nalgebra::Vector3<f64>,
     },
-    /// The tool: pose, velocity and acceleration by time, in the base frame.
+    /// The tool: pose, velocity and acceleration in the base frame.
     Tool(PoseState),
 }
 

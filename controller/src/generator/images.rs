@@ -11,7 +11,7 @@ use crate::ecp::StepEvent;
 /// A value with the time at which it was taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample<T> {
-    /// Time at which the value was taken: of the frame or telegram of a sensor, of the step of a coordinator.
+    /// Time of the frame or telegram of a sensor, or of the step of a coordinator or member.
     pub at: Instant,
     /// Time from [`at`](Self::at) to the snapshot.
     pub age: Duration,
@@ -19,13 +19,13 @@ pub struct Sample<T> {
     pub value: T,
 }
 
-/// What came from a sensor or from the coordinator since the last step.
+/// Reading of a sensor, or order of the coordinator, as a step receives it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Received<T> {
-    /// Nothing in this instruction. A loose link also gives an order of before that no step has read.
+    /// No sample since the instruction began. Exception: a loose link keeps an earlier order until a step has read it.
     #[default]
     None,
-    /// Nothing since the last step. The sample is the last one.
+    /// No new sample since the last step: the last sample again.
     Old(Sample<T>),
     /// A new sample.
     New(Sample<T>),
@@ -46,7 +46,7 @@ impl<T> Received<T> {
         if sample.age <= limit { Ok(&sample.value) } else { Err(GeneratorError::Stale { age: sample.age, limit }) }
     }
 
-    /// The same at time `now`, and old if it was `seen`.
+    /// The same sample at time `now`, old if a step has `seen` the sample.
     pub(crate) fn at(self, now: Instant, seen: bool) -> Self {
         let aged = |sample: Sample<T>| Sample { age: now.since(sample.at), ..sample };
         match self {
@@ -66,7 +66,7 @@ pub trait SensorReading: Copy + Send + Sync + 'static {}
 
 /// Readings of one to three virtual sensors: a [`SensorReading`], or a tuple of them.
 pub trait Bundle: Copy + Send + Sync + 'static {
-    /// What came from each sensor.
+    /// A [`Received`] from each sensor.
     type Received: Copy + Send + Sync + 'static;
 
     /// Takes the snapshot.
@@ -124,7 +124,7 @@ impl<T: Copy + Send + Sync + 'static> Message for T {}
 ///
 /// The flow chart reads the images that the generator declares, and no other image.
 pub trait Partners {
-    /// The effector's present image. Fails if the effector measures positions that the mechanism cannot take.
+    /// Present image of the effector. Fails if the measured positions are impossible for the mechanism.
     fn effector(&self) -> Result<EffectorImage, GeneratorError>;
 
     /// Whether a sensor has readings of this type.
@@ -137,17 +137,17 @@ pub trait Partners {
         false
     }
 
-    /// What came from the sensor with readings of this type, as a [`Received`].
+    /// The [`Received`] from the sensor with readings of this type.
     fn reading(&self, _reading: TypeId) -> Option<&dyn Any> {
         None
     }
 
-    /// What came from the coordinator, if its orders have this type, as a [`Received`].
+    /// The [`Received`] from the coordinator, if its orders have this type.
     fn order(&self, _order: TypeId) -> Option<&dyn Any> {
         None
     }
 
-    /// Takes note of an event of the flow chart.
+    /// Records an event of the flow chart.
     fn note(&mut self, _event: StepEvent) {}
 
     /// Passes a command to the sensor that takes commands of this type. Returns whether there is one.
@@ -185,8 +185,7 @@ mod closed {
 /// A set of images: `()` is the empty set, [`EffectorImage`] is `e`, [`V`] the readings of virtual sensors, [`A`] the
 /// order of the coordinator. Tuples in this order are the combinations. These are the eight classes.
 ///
-/// The trait is sealed. A generator of one class therefore cannot read an image of another class through a type of
-/// its own.
+/// The trait is sealed: a generator cannot read undeclared images through a type that the program defines.
 #[diagnostic::on_unimplemented(
     message = "`{Self}` is no set of images",
     label = "is no set of images",

@@ -11,20 +11,21 @@ use crate::robot::Space;
 /// A jerk-limited, time-synchronised motion through intermediate poses to a final pose. Class 0, planned from the effector.
 ///
 /// Without intermediate poses the motion is time-optimal. With intermediate poses the motion passes through each pose
-/// without stopping, and its duration is near the optimum. The trajectory is stretched by less than a servo period, so
-/// that it ends with a period.
+/// without stopping, and its duration is near the optimum. The trajectory is stretched by less than a servo period, to a
+/// whole number of periods.
 ///
 /// Its macrosteps last [one servo period](Pace::PERIOD): each set-point is a sample of the trajectory. Velocity,
 /// acceleration and jerk of the set-points therefore keep their limits. In longer macrosteps, the servo's quintic needs up
 /// to 1.4 times the jerk limit where the jerk changes inside a macrostep.
 ///
-/// Without intermediate poses, the motion [begins in motion](Generator::begins_in_motion) if the generator before it ended
-/// so, and can [end in motion](Self::ending_at) itself. It therefore also replans: [`Ecp::replace`](crate::ecp::Ecp::replace)
-/// continues to another target without a stop. Limits that the first state exceeds are reached as fast as the jerk permits.
+/// Without intermediate poses, the motion [begins in motion](Generator::begins_in_motion) if the previous generator ended
+/// in motion, and can [end in motion](Self::ending_at). With [`Ecp::replace`](crate::ecp::Ecp::replace), a motion therefore
+/// continues to another target without a stop. If the start exceeds a limit, the motion returns below the limit as fast as
+/// the jerk permits.
 ///
-/// The first step solves the whole motion. The computing time is microseconds for one pose, and some 30 ms for six
-/// axes through five poses. For a single pose only a refusal allocates. With intermediate poses the solver formats a
-/// message for each discarded candidate, which costs hundreds of allocations per pose. No next step allocates.
+/// The first step solves the whole motion. The computing time is microseconds for one pose, and about 30 ms for six
+/// axes through five poses. For a single pose, only a refusal allocates. With intermediate poses, the solver formats a
+/// message for each discarded candidate: hundreds of allocations per pose. No next step allocates.
 #[doc(alias = "ruckig")]
 #[derive(Debug)]
 pub struct JerkLimited {
@@ -67,14 +68,14 @@ impl JerkLimited {
         Ok(Self { space, axes, plan, target: AxesState::at_rest(target), duration: None, ahead: None })
     }
 
-    /// The same motion, of which at most this number of the cell's macrosteps is sent ahead of the servo. A replacement
-    /// then acts after these macrosteps.
+    /// The same motion, with at most this number of the cell's macrosteps sent ahead of the servo. A replacement acts after
+    /// these macrosteps.
     #[must_use]
     pub fn sent_ahead(self, macrosteps: u16) -> Self {
         Self { ahead: Some(macrosteps), ..self }
     }
 
-    /// The same motion, ending with `velocity`, rad/s or m/s, without acceleration. Refuses intermediate poses, and a
+    /// The same motion, ending at `velocity`, rad/s or m/s, with zero acceleration. Refuses intermediate poses, and a
     /// velocity that is not finite or above the limit of its axis.
     pub fn ending_at(mut self, velocity: Axes) -> Result<Self, GeneratorError> {
         let pose = self.plan.input.intermediate_positions.len();
@@ -96,8 +97,8 @@ impl JerkLimited {
         Ok(self)
     }
 
-    /// The same motion, stretched to `duration` and then to the end of a servo period. Its first step refuses a time
-    /// that is too short.
+    /// The same motion in the time `duration`, rounded up to whole servo periods. The first step refuses a time that is too
+    /// short.
     #[must_use]
     pub fn lasting(self, duration: Duration) -> Self {
         Self { duration: Some(duration), ..self }

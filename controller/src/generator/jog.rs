@@ -1,4 +1,4 @@
-//! Jog: joints or the tool move at velocities that an operator commands, as long as the commands are repeated.
+//! Jog: joints or the tool move at the velocities that an operator commands, as long as commands are repeated.
 
 use std::time::Duration;
 
@@ -17,17 +17,17 @@ const FRACTIONS: u32 = 8;
 /// A motion at the velocities of the operator's latest command. Class 3: each step reads the effector and the
 /// [`JogPanel`](crate::sensor::JogPanel), a virtual sensor of the agent.
 ///
-/// If the reading is older than the dead-man time, the joints brake. The age counts in the time of the servo, from the
-/// cycle in which the panel found the command. The dead-man time is therefore longer than a macrostep and than the time
-/// between two commands. The motion continues with the next command, and ends at rest after [`JogCommand::End`]. A
-/// command from before the motion moves nothing.
+/// If the reading is older than the dead-man time, the joints brake. The age is the time of the servo since the cycle in
+/// which the panel found the command. The dead-man time must be longer than a macrostep, and longer than the time between
+/// two commands. The motion continues with the next command, and ends at rest after [`JogCommand::End`]. A command from
+/// before the motion has no effect.
 ///
 /// Velocity and acceleration of each joint stay within the limits: a command beyond a limit is scaled down as a
-/// whole. Each set-point leaves room for a stop within the ranges of joints and motors, and the joints therefore slow
-/// down before the end of a range.
+/// whole. From each set-point, a stop within the ranges of joints and motors is possible: the joints slow down before the
+/// end of a range.
 ///
 /// A velocity of the tool is converted by the damped inverse of the Jacobian. Near a singularity the tool slows down,
-/// and leaves its direction where the mechanism cannot follow. No step allocates.
+/// and deviates from its direction where the mechanism cannot follow. No step allocates.
 #[derive(Debug)]
 pub struct Jog {
     arm: Arm,
@@ -115,8 +115,8 @@ impl Jog {
 
     /// Bound of the position at rest after a stop in whole macrosteps.
     ///
-    /// The joints move straight there, with ranges that are convex. After a macrostep of the stop, the bound lies on
-    /// the same line and not further away: after a permitted state, a stop is always permitted.
+    /// The joints stop along a straight line, and the ranges are convex. After a macrostep of the stop, the bound lies on
+    /// the same line and not further away. After a permitted state, a stop is therefore always permitted.
     fn stop_from(&self, state: &AxesState) -> Axes {
         let time = (self.braking_time(state) + self.macrostep) / 2.0;
         std::array::from_fn(|axis| state.position[axis] + state.velocity[axis] * time)

@@ -54,17 +54,17 @@ impl LineLimits {
     }
 }
 
-/// Planned start of a line, and the distance within which the arm counts as standing there.
+/// Planned start of a line, and the tolerance within which the arm counts as standing at this start.
 ///
-/// After homing, an arm stands beside its home position by a remainder: the braking distance after the index pulse,
-/// and some counts. A path from the actual position would contain the remainder in each pose, and could be refused.
-/// An arm of five axes reaches no pose outside its plane. Near a singular pose, even a small remainder can change
-/// the branch.
+/// After homing, the arm stands at a small distance from its home position, the remainder: the braking distance after the
+/// index pulse, and some counts. A path from the actual position would contain the remainder in each pose, and could be
+/// refused: an arm of five axes reaches no pose outside its plane, and near a singular pose even a small remainder can
+/// change the branch of the inverse kinematics.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlannedStart {
     /// Motor positions, rad.
     pub motors: Axes,
-    /// Largest distance of each motor from these positions, rad.
+    /// Largest accepted distance of each motor from `motors`, rad.
     pub tolerance: Axes,
 }
 
@@ -79,18 +79,18 @@ impl PlannedStart {
 /// A straight line of the tool's origin with the shortest rotation of the tool, both with one jerk-limited profile.
 /// Class 0, planned from the effector.
 ///
-/// An arm that stands within the tolerance of a [`PlannedStart`] follows the path from that start. Its joints begin
-/// beside the path by a remainder d, which decreases to d·(1 − s) at the path parameter s. The end is exact. With the
-/// Jacobian J, the tool deviates from the straight line through its actual start by (1 − s)·(J(s) − J(0))·d. The
+/// An arm that stands within the tolerance of a [`PlannedStart`] follows the path from that start. At first the joints
+/// differ from the path by a remainder d, which decreases to d·(1 − s) at the path parameter s, 0 to 1. The end is exact.
+/// With the Jacobian J, the tool deviates from the straight line through its actual start by (1 − s)·(J(s) − J(0))·d. The
 /// maximum is about d/4 times the length of the path: 6 µm for 0.25 mrad of the column and 0.1 m.
 ///
 /// Poses of the line at most 5 mm and 10 mrad apart are checked before the motion. The checks cover reach, joint
-/// limits, and jumps between branches of the inverse kinematics. A joint that would exceed its velocity or
-/// acceleration limit, for instance near a singularity, slows the whole line. A factor above 50 is refused.
+/// limits, and jumps between branches of the inverse kinematics. If a joint would exceed its velocity or acceleration
+/// limit, for instance near a singularity, the whole line is slowed down. A line that needs a factor above 50 is refused.
 ///
 /// The macrosteps last [one servo period](Pace::PERIOD): each set-point lies on the line, and keeps the limits of the tool.
 ///
-/// The first step computes one inverse kinematics per checked pose, each next step three. No step allocates.
+/// The first step solves the inverse kinematics once per checked pose, and each next step three times. No step allocates.
 #[doc(alias = "linear")]
 #[derive(Debug)]
 pub struct StraightLine {
@@ -176,7 +176,7 @@ impl StraightLine {
         })
     }
 
-    /// The same line from a planned start. An arm that stands elsewhere when the line begins moves straight from its
+    /// The same line from a planned start. If the arm stands elsewhere when the line begins, the line begins at the actual
     /// position.
     #[must_use]
     pub fn beginning_at(self, start: PlannedStart) -> Self {
@@ -250,7 +250,7 @@ impl StraightLine {
     }
 
     /// The joint positions to command at `s`: the joint positions of the path plus the rest of the remainder. Fails
-    /// if the arm cannot take them.
+    /// if the arm cannot take these positions.
     fn on_the_way(&self, s: f64, joints: &Axes) -> Result<Axes, GeneratorError> {
         if self.remainder == Axes::default() {
             return Ok(*joints);

@@ -1,7 +1,7 @@
 //! Motion generators, which compute the set-point of an effector macrostep by macrostep.
 //!
-//! A subcontroller `Cj` reads the world through *images*: of its effector `e`, of its virtual sensors `V` and of the
-//! coordinator's command `a0`. Its own memory is `c`. In each step `i` a generator computes from one snapshot of
+//! A subcontroller `Cj` of one effector (robot) reads *images*: of its effector `e`, of its virtual sensors `V` and of
+//! the coordinator's order `a0`. Its own memory is `c`. In each step `i`, a generator computes from one snapshot of
 //! these images (Zieliński, RoManSy 2002, equations 5 to 8)
 //!
 //! ```text
@@ -11,28 +11,28 @@
 //! (8) c(i+1)   = fc (c, e, V, a0)      its own memory
 //! ```
 //!
-//! and, before these functions, the *terminal condition* `fT(c, e, V, a0)`. [`Generator`] is that contract.
-//! [`Execution`] executes the flow chart of the paper's figure 3: first step, then, on every new snapshot, terminal
-//! condition and next step.
+//! and, before these functions, the *terminal condition* `fT(c, e, V, a0)`. The trait [`Generator`] has these functions.
+//! [`Execution`] executes the flow chart of the paper's figure 3: first the first step, then terminal condition and next
+//! step on every new snapshot.
 //!
 //! # What a generator may read
 //! A generator declares the images of its [first step](Generator::First) (sporadic feedback) and of [every next
-//! step](Generator::Every) (continuous feedback) as types. It receives no other image. The paper's eight classes
-//! follow: *q* = `e` + 2 `V` + 4 `a0` (the numbering is that of this project). If the next steps read only the
-//! generator's own memory, the generator may run ahead of the servo by a few macrosteps. A late controller thread
-//! then does not starve the motion.
+//! step](Generator::Every) (continuous feedback) as types. It receives no other image. The class is *q* = `e` + 2 `V` +
+//! 4 `a0`, where an image counts 1 if it is read: the paper's eight classes, numbered by this project. If the next steps
+//! read only the generator's own memory, macrosteps are computed ahead of the servo. A delay of the controller thread
+//! then does not stop the motion.
 //!
 //! [`Images`] is a sealed trait: a program cannot define a set of images. The images are [`EffectorImage`] for `e`,
 //! [`V`] for the readings of virtual sensors, and [`A`] for the order of a coordinator. [`Outputs`] are independent of the
-//! images: a generator of any class may [tell](Tell) a sensor something and [answer](Answer) the coordinator.
+//! images: a generator of any class may send a command to a sensor ([`Tell`]) and [answer](Answer) the coordinator.
 //!
-//! A step that names an image which its generator did not declare does not compile (`controller/tests/refused`).
+//! A step that names an undeclared image does not compile (`controller/tests/refused`).
 //! `examples/own_generator.rs` and `examples/feedback.rs` are generators with their programs.
 //!
 //! # Generators of the library
 //! Positions are in rad, or m for a linear joint, and times in s. The class is that of the next steps. A planned
-//! generator has class 0: only its first step reads the effector (sporadic feedback). The effector is braked before a
-//! generator that does not begin in motion.
+//! generator has class 0: only its first step reads the effector (sporadic feedback). Before a generator that does not
+//! begin in motion, the effector is braked.
 //!
 //! | generator | motion | set-points | class | begins in motion | ends in motion |
 //! |---|---|---|---|---|---|
@@ -114,17 +114,17 @@ pub use with_images::{Includes, WithImages};
 
 /// Limits of each axis for the planning of a generator. Entries beyond the robot's axes are ignored.
 ///
-/// The servo checks its own limits on its quintics between macrosteps. In the macrostep in which full acceleration
-/// turns into full braking, a quintic through samples of a trapezoid needs up to 5/3 of the trapezoid's acceleration.
-/// The quintic may also exceed the cruise speed by 1/18 of that acceleration times the macrostep. The servo's limits
-/// must leave room for both.
+/// The servo joins set-points by quintics, and checks its own limits on the quintics. In the macrostep in which full
+/// acceleration turns into full braking, a quintic through samples of a trapezoid needs up to 5/3 of the trapezoid's
+/// acceleration. The quintic may also exceed the cruise speed by 1/18 of the trapezoid's acceleration times the
+/// macrostep. The servo's limits must leave room for both.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionLimits {
     /// Velocity, rad/s, or m/s for a linear axis.
     pub max_velocity: Axes,
     /// Acceleration, rad/s², or m/s² for a linear axis.
     pub max_acceleration: Axes,
-    /// Jerk, rad/s³, or m/s³ for a linear axis. [`JerkLimited`] and [`Polynomial`] use this limit.
+    /// Jerk, rad/s³, or m/s³ for a linear axis. [`JerkLimited`], [`Polynomial`] and [`ConstantVelocity`] use this limit.
     pub max_jerk: Axes,
 }
 
@@ -161,11 +161,11 @@ fn is_limit(value: f64) -> bool {
 /// The functions (5) to (8) and the terminal condition of one motion instruction.
 ///
 /// Next steps take `&self`, the old memory and one snapshot, and return a [`Next`], which the runner commits as a
-/// whole. The first step stores its plan in `self`. Next steps must not allocate or block: each result is due in
-/// the periods of the macrostep that follow the servo's report.
+/// whole. The first step stores its plan in `self`. Next steps must not allocate or block: with continuous feedback, each
+/// result is due in the periods between the read of the images and the end of the macrostep.
 ///
-/// A generator is [`Sync`], which refuses a [`Cell`](std::cell::Cell) in it, and its memory is [`Copy`]. Atomics and locks
-/// are not refused: a next step must not change them, because such a change is not committed with the outputs.
+/// A generator is [`Sync`], so it cannot contain a [`Cell`](std::cell::Cell), and its memory is [`Copy`]. Atomics and
+/// locks compile, but a next step must not change them: such a change is not committed with the outputs.
 pub trait Generator: Send + Sync + 'static {
     /// Images the first step reads: sporadic feedback.
     type First: Images;
@@ -173,7 +173,7 @@ pub trait Generator: Send + Sync + 'static {
     type Every: Images;
     /// Outputs beside the set-point: (6) a command to a sensor, (7) an answer to the coordinator.
     type Out: Outputs;
-    /// Type of the generator's own memory, `c`. Its `Debug` text is the base of the digest in a file of steps.
+    /// Type of the generator's own memory, `c`. The digest in a file of steps is computed from its `Debug` text.
     type Memory: Copy + Debug + Send + 'static;
 
     /// The macrostep of this motion; `cell` is the macrostep of the cell. Called once, before the first step.
@@ -181,15 +181,15 @@ pub trait Generator: Send + Sync + 'static {
         cell
     }
 
-    /// Number of macrosteps of the cell that may be sent ahead of the servo; `most` is the number of the cell. Shorter
-    /// macrosteps of this generator are sent for the same time ahead. A shorter time lets a replacement act sooner, and
-    /// bridges a shorter delay of the controller. Without effect if every next step reads images.
+    /// Number of macrosteps of the cell that may be sent ahead of the servo; `most` is the greatest number. A generator
+    /// with shorter macrosteps sends more of them, for the same time ahead. With a smaller number, a replacement acts
+    /// sooner, but only a shorter delay of the controller is bridged. Without effect if the next steps read images.
     fn macrosteps_ahead(&self, most: u16) -> u16 {
         most
     }
 
-    /// Whether the first step can plan from a moving effector. If the generator before ends in motion, this one then
-    /// continues at that speed, and otherwise the effector is braked before the first step.
+    /// Whether the first step can plan from a moving effector. If true, and if the generator before ends in motion, this
+    /// generator continues at that velocity. If false, a moving effector is braked before the first step.
     fn begins_in_motion(&self) -> bool {
         false
     }
@@ -221,7 +221,7 @@ pub struct Pace {
     pub periods: u16,
     /// The period, 1 ..= `periods`, after which the images for the next step are read. A generator with continuous
     /// feedback must compute the next step in the remaining periods. If `read_at` equals `periods`, the next step must
-    /// reach the servo before its next cycle.
+    /// reach the servo before the next cycle of the servo.
     pub read_at: u16,
 }
 
@@ -239,7 +239,7 @@ impl Pace {
     }
 }
 
-/// Result of one step, committed as a whole.
+/// Result of one step: all outputs and the memory, committed together.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Next<M, O = ()> {

@@ -39,9 +39,9 @@ impl Space {
 pub struct SmoothPose {
     /// Target position of each axis, rad, or m for a linear joint.
     pub position: Axes,
-    /// Fraction of each axis' velocity limit on the segment to this pose, in (0, 1].
+    /// Fraction of each axis's velocity limit on the segment to this pose, in (0, 1].
     pub velocity: Axes,
-    /// Fraction of each axis' acceleration limit on the segment to this pose, in (0, 1].
+    /// Fraction of each axis's acceleration limit on the segment to this pose, in (0, 1].
     pub acceleration: Axes,
 }
 
@@ -56,14 +56,15 @@ impl SmoothPose {
 /// pose if its direction of travel is the same before and after the pose. Class 0, planned from the effector.
 ///
 /// The macrosteps last [one servo period](Pace::PERIOD): each set-point is a sample of the profiles, whose acceleration
-/// jumps. Every pose is reached exactly, at the end of a period. The slowest axis determines the duration of a segment,
-/// rounded up to whole periods. The profiles of the other axes are stretched to this duration.
+/// jumps. Every pose is reached exactly, at the end of a period. The slowest axis determines the duration of a segment (the
+/// motion between two poses), rounded up to whole periods. The profiles of the other axes are stretched to this duration.
 ///
-/// The speed of an axis at such a pose has two bounds. The first bound is the smaller of the speeds in the segments
-/// before and after the pose if all axes moved at constant speed. The second bound lets the axis brake to a standstill
-/// and accelerate again within either segment. Each segment can therefore be planned independently, and only once.
+/// The speed of an axis at a pose that it passes has two bounds. The first bound is the smaller of the speeds in the
+/// segments before and after the pose if all axes moved at constant speed. With the second bound, the axis can brake to a
+/// standstill and accelerate again within either segment. Each segment can therefore be planned once and independently.
 ///
-/// The computing time of the first step is proportional to the number of poses. Only that of a clone may allocate.
+/// The computing time of the first step is proportional to the number of poses. Only the first step of a clone may
+/// allocate.
 #[doc(alias = "smooth")]
 #[doc(alias = "trapezoid")]
 #[derive(Clone, Debug)]
@@ -129,7 +130,7 @@ impl Newsmooth {
         Ok(Self { space, axes, limits, poses, displacements: false, macrostep: 0.0, segments })
     }
 
-    /// The same motion, in which each position is the displacement from the pose before, and the first one from the
+    /// The same motion, in which each position is the displacement from the pose before. The first displacement is from the
     /// commanded position of the effector.
     #[must_use]
     pub fn by_displacements(self) -> Self {

@@ -11,7 +11,7 @@ use crate::sensor::{OperatorCommand, Reaction};
 /// the agent. Class 2: each step reads the operator's reaction only.
 ///
 /// The first step tells the sensor to ask. The motion ends with any reaction: an answer, a closed input, or a passed
-/// deadline. [`OperatorAnswer`](crate::sensor::OperatorAnswer) tells the task which.
+/// deadline. The task reads the reaction from [`OperatorAnswer`](crate::sensor::OperatorAnswer).
 #[doc(alias = "operator_reaction_condition")]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OperatorReaction;

@@ -23,7 +23,7 @@ mod closed {
     impl<C: Message, R: Message> OutputSet for (Tell<C>, Answer<R>) {}
 }
 
-/// Outputs of a generator beside the set-point: `()`, [`Tell`], [`Answer`], or both in this order. Sealed.
+/// Outputs of a generator beside the set-point: `()`, [`Tell`], [`Answer`], or `(Tell, Answer)`. The trait is sealed.
 ///
 /// Outputs are independent of the images: a generator of class 0 may answer a coordinator.
 #[diagnostic::on_unimplemented(
@@ -35,7 +35,7 @@ pub trait Outputs: closed::OutputSet + Copy + Send + Sync + 'static {
     fn deliver(self, partners: &mut dyn Partners) -> Result<(), GeneratorError>;
 }
 
-/// Outputs of a coordinator beside its orders: `()`, or [`Tell`] for a sensor of its own.
+/// Outputs of a coordinator beside its orders: `()`, or [`Tell`] for its own sensor.
 #[diagnostic::on_unimplemented(
     message = "`{Self}` is no output of a coordinator",
     note = "a coordinator returns `()` or `Tell<..>` beside its orders"

@@ -6,18 +6,20 @@ use thiserror::Error;
 use super::{Axes, AxesState, MotionLimits, is_limit};
 use crate::path::{JointPath, JointPoint};
 
-/// Segments of the first grid: on the whole path, and at least on each part between two knots.
+/// Number of segments of the first grid on the whole path.
 const SEGMENTS: f64 = 100.0;
+/// Least number of segments of the first grid between two knots.
 const PART_SEGMENTS: f64 = 8.0;
 /// Accepted excess over a limit between two nodes of the grid: 0.1 %, less the error of interpolated velocities.
 const EXCESS: f64 = 0.9e-3;
-/// Segments that leave this share of all limits unused somewhere inside are halved, if they last longer than this
-/// share of the duration. Such segments are near the ends of the path, and where acceleration turns into braking.
+/// A segment that leaves this share of all limits unused at some point is halved, if it lasts longer than `RESOLUTION`.
+/// Such segments are near the ends of the path, and where acceleration turns into braking.
 const IDLE: f64 = 0.03;
+/// Duration of a segment, relative to the whole duration, below which an idle segment is not halved.
 const RESOLUTION: f64 = 2e-3;
 /// Largest number of grids after the first one.
 const GRIDS: u32 = 16;
-/// Bound of x where the path has no other.
+/// Bound of x where the path has no other bound.
 const UNBOUNDED: f64 = 1e30;
 /// Coefficient of u below which a limit concerns x alone.
 const VANISHING: f64 = 1e-100;
@@ -25,7 +27,7 @@ const VANISHING: f64 = 1e-100;
 const ROUNDING: f64 = 1e-12;
 /// Largest number of strips of a stage: two per axis, and the controllable set of the next node.
 const MOST_STRIPS: usize = 2 * MAX_AXES + 1;
-/// Largest number of steps to the end of an interval: each step takes another pair of strips.
+/// Largest number of steps to the end of an interval: each step uses another pair of strips.
 const MOST_PAIRS: usize = MOST_STRIPS * MOST_STRIPS;
 
 /// Reasons why a joint path has no timing within limits. Places are values of the path parameter s.
@@ -65,8 +67,8 @@ pub struct EndSpeeds {
 /// joint. The limits of acceleration hold at both ends of each segment (interpolation scheme).
 ///
 /// A backward pass computes the controllable set of each node: the interval of x from which the end speed can be
-/// reached. A forward pass takes the greatest u that leads to the controllable set of the next node. The two-variable
-/// linear programmes are solved exactly.
+/// reached. A forward pass takes the greatest u that leads into the controllable set of the next node. Each pass solves
+/// linear programs of two variables, exactly.
 ///
 /// The motion is the fastest on its grid. Jerk is not limited.
 #[derive(Clone, Debug)]
@@ -141,8 +143,8 @@ impl PathTiming {
         self.nodes.iter().map(|node| (node.s, node.speed))
     }
 
-    /// Path parameter, speed and acceleration by time, `time` s after the start. Times before the start and after the
-    /// end give the ends.
+    /// Path parameter s, ds/dt and d²s/dt², `time` s after the start. Times before the start and after the end give the
+    /// values at the ends.
     pub fn parameter(&self, time: f64) -> [f64; 3] {
         let after = self.nodes.partition_point(|node| node.time <= time).clamp(1, self.nodes.len() - 1);
         let (node, next) = (&self.nodes[after - 1], &self.nodes[after]);
@@ -154,7 +156,7 @@ impl PathTiming {
         [s.clamp(node.s, next.s), (node.speed + t * node.acceleration).max(0.0), node.acceleration]
     }
 
-    /// State of the joints `time` s after the start. Where the acceleration jumps, its later value.
+    /// State of the joints `time` s after the start. Where the acceleration jumps, the state has the value after the jump.
     pub fn at(&self, time: f64) -> AxesState {
         let [s, speed, acceleration] = self.parameter(time);
         moving(&self.path.at(s), speed, acceleration)
@@ -385,7 +387,7 @@ impl Stage {
         [low, high]
     }
 
-    /// Least and greatest x for which there is a permitted u; `None` if there is none.
+    /// Least and greatest x with a permitted u; `None` if no x has a permitted u.
     ///
     /// The gap between upper and lower bound is concave in x and linear in pieces. Newton's method therefore ends at
     /// the exact solution: each step goes to the place where the present pair of bounds meets.
@@ -427,7 +429,7 @@ impl Stage {
     }
 }
 
-/// Whether there is a u between two bounds, up to rounding.
+/// Whether a u lies between two bounds, up to rounding.
 fn permits([low, high]: &[Edge; 2], x: f64) -> bool {
     let terms = |edge: &Edge| edge.at_zero.abs() + (edge.slope * x).abs();
     low.u - high.u <= ROUNDING * (terms(low) + terms(high))

@@ -21,8 +21,8 @@ pub(super) struct Trapezoid {
 /// Course of one axis over a segment. All speeds are along the direction of travel and not negative, and
 /// `start_velocity² + end_velocity² <= 2 acceleration · distance`.
 ///
-/// With this condition the axis could brake to a standstill and accelerate again within the segment. Every duration
-/// from the shortest duration on therefore has a profile, and planning needs no second pass.
+/// With this condition, the axis could brake to a standstill and accelerate again within the segment. Therefore every
+/// duration that is at least the shortest duration has a profile, and planning needs no second pass.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Course {
     pub(super) distance: f64,
@@ -90,7 +90,7 @@ impl Course {
     }
 }
 
-/// Half the time around an instant in which its acceleration is averaged, s: far below a period, far above rounding.
+/// Half the time over which the acceleration at an instant is averaged, s: far below a period, far above rounding.
 const AROUND: f64 = 1e-7;
 
 impl Trapezoid {
@@ -112,8 +112,7 @@ impl Trapezoid {
         }
     }
 
-    /// Acceleration `t` seconds after the segment's start; where it jumps, the mean of both values. Outside the segment
-    /// it is zero.
+    /// Acceleration `t` seconds after the segment's start. At a jump, the mean of both values; outside the segment, zero.
     pub(super) fn acceleration(&self, t: f64) -> f64 {
         let at = |t: f64| match self.duration() - t {
             _ if t < 0.0 => 0.0,

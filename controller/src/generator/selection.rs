@@ -24,7 +24,7 @@ pub enum Selected {
 pub struct SelectionMemory<M, N> {
     /// The generator of the last step.
     pub selected: Selected,
-    /// Number of steps since this generator was selected, without the first step of the selection.
+    /// Number of next steps since this generator was selected.
     pub steps: u32,
     /// Memory of the first generator.
     pub first: M,
@@ -34,18 +34,19 @@ pub struct SelectionMemory<M, N> {
 
 /// Two generators, of which a function of memory and images selects one in every step.
 ///
-/// The function gives the same result for the same memory and images. The selected generator computes the step and
+/// The function must give the same result for the same memory and images. The selected generator computes the step and
 /// determines the end. The memory of the other generator is kept. The first steps of both generators run when the
 /// selection begins, and the set-point and outputs of the first generator are sent. Both generators have the same
-/// images and outputs; [`WithImages`](super::WithImages) adapts a generator that reads less. The images of the
-/// next steps include the effector, because each change is checked against the commanded motion. A selection is a generator, so that selections can be nested.
+/// images and outputs; [`WithImages`](super::WithImages) adapts a generator that reads fewer images. The images of the
+/// next steps include the effector, because each change is checked against the commanded motion. A selection is a
+/// generator: selections can be nested.
 ///
 /// The motion is continuous if the set-points of each generator continue from `e.commanded`. [`Jog`](super::Jog),
 /// [`Wait`](super::Wait) at rest and generators that integrate a velocity do so. A planned generator does so only if it
-/// is selected where its plan begins. A change of the generator is therefore checked in the joints. Their mean velocity
-/// in the macrostep must be within the limits. The difference to the commanded velocity must be possible in one
-/// macrostep within the acceleration limits. Another change is refused with [`GeneratorError::Switch`] before the
-/// set-point is sent, and the effector brakes.
+/// is selected where its plan begins. A change of the generator is therefore checked in the joints. The mean velocity of
+/// each joint in the macrostep must be within its limit. The change from the commanded velocity to the mean velocity must
+/// be possible in one macrostep within the acceleration limit. Otherwise the change is refused with
+/// [`GeneratorError::Switch`] before the set-point is sent, and the effector brakes.
 ///
 /// ```
 /// # use std::{sync::Arc, time::Duration};
@@ -91,7 +92,7 @@ where
     }
 
     /// Refuses a set-point that does not continue the commanded motion. A set-point that the arm cannot take, or that
-    /// is not finite, is refused where every set-point is checked.
+    /// is not finite, is refused later by the check of every set-point.
     fn check(&self, e: &EffectorImage, setpoint: Option<Setpoint>) -> Result<(), GeneratorError> {
         let here = &e.commanded.joints;
         let position = match setpoint {

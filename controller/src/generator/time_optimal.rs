@@ -11,9 +11,9 @@ use super::{
 use crate::path::{JointPath, PathError, SplineEnds};
 use crate::robot::Space;
 
-/// Distance of the effector from the first way-point below which the path begins at this way-point, rad or m.
+/// If the effector is nearer to the first way-point than this, the path begins at this way-point; rad or m.
 const THERE: f64 = 1e-9;
-/// Share of the limits that the timing may use: between two nodes of its grid, it exceeds them by up to 0.1 %.
+/// Share of the limits that is given to the timing, which exceeds limits by up to 0.1 % between the nodes of its grid.
 const SHARE: f64 = 1.0 / 1.001;
 /// Accepted distance of an axis from the start of a given path, rad or m.
 const AT_START: f64 = 1e-6;
@@ -23,10 +23,10 @@ const AT_START: f64 = 1e-6;
 ///
 /// The first step lays the [`JointPath`] from the commanded position of the effector through the way-points, and
 /// plans its [`PathTiming`] within the limits of velocity and acceleration. The macrosteps last [one servo
-/// period](Pace::PERIOD): each set-point is a sample of this timing, stretched by less than a period, so that it ends with
-/// a period. Its acceleration has jumps.
+/// period](Pace::PERIOD): each set-point is a sample of this timing, which is stretched to a whole number of periods. The
+/// acceleration jumps.
 ///
-/// Between way-points a spline may leave the range that the way-points span.
+/// Between way-points the spline may leave the range that the way-points span.
 ///
 /// The first step allocates. Its computing time is below 1 ms for seven axes. No next step allocates.
 #[doc(alias = "toppra")]
@@ -41,7 +41,7 @@ pub struct TimeOptimal {
 
 #[derive(Clone, Debug)]
 enum Course {
-    /// Way-points, which a spline from the present position passes.
+    /// Way-points of a spline from the present position.
     Through(Vec<Axes>),
     /// A path that begins where the effector stands.
     Along(JointPath),
@@ -51,9 +51,9 @@ enum Course {
 struct Plan {
     timing: PathTiming,
     macrosteps: u32,
-    /// Time of the timing per macrostep, s.
+    /// Time in the timing per macrostep, s.
     step: f64,
-    /// Time of the timing divided by real time; at most 1.
+    /// Time in the timing divided by real time; at most 1.
     pace: f64,
 }
 
@@ -90,7 +90,7 @@ impl TimeOptimal {
         Ok(Self { space, axes, limits, course: Course::Along(path), plan: None })
     }
 
-    /// The timing of the planned motion. `None` before the first step, and if the effector stands at the only
+    /// The timing of the planned motion. `None` before the first step, and if the effector already stands at the only
     /// way-point.
     pub fn timing(&self) -> Option<&PathTiming> {
         self.plan.as_ref().map(|plan| &plan.timing)

@@ -8,14 +8,14 @@ use super::{A, Answer, EffectorImage, Generator, GeneratorError, Next, Received,
 /// continuous feedback: the set-point is the order `a0`, and the answer is the image `e`.
 ///
 /// An order is the state at the end of the next macrostep, in any form of [`Setpoint`]. The order `None` lets the
-/// effector stand; in the first step it sends no macrostep. A coordinator therefore gives `None` first, and plans from
-/// the first answers.
+/// effector stand. Members send no macrostep in the first step: the first order of a coordinator must be `None`. The
+/// coordinator then plans from the first answers.
 ///
-/// In the answer, `commanded` is the start of the macrostep that the order of the same step commands.
+/// In the answer, `commanded` is the state at the start of the macrostep that the order of the same step commands.
 ///
-/// A step with an order that is not finite, or without a new order, is refused: no set-point is repeated, because a
-/// repeated position would contradict its velocity. Both errors are non-fatal. They brake the whole team, and nothing of the refused order is sent.
-/// The motion ends when the coordinator ends it.
+/// An order that is not finite, and a step without a new order, are refused: no set-point is repeated, because a repeated
+/// position would contradict its velocity. Both errors are non-fatal. They brake the whole team, and the refused order is
+/// not sent. The coordinator ends the motion.
 ///
 /// ```no_run
 /// # use std::time::Duration;

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::{Generator, GeneratorError, Next};
 
-/// Stands for a time, rounded up to whole macrosteps. Class 0: a wait reads only its own memory.
+/// Lets the effector stand for a time, rounded up to whole macrosteps. Class 0: a wait reads only its own memory.
 #[doc(alias = "sleep")]
 #[doc(alias = "hold")]
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -11,8 +11,8 @@ use crate::robot::Space;
 /// Velocity, rad/s or m/s, below which a generator has ended at rest.
 const STILL: f64 = 1e-9;
 
-/// The weighted sum of the set-points of two generators, in joints or in motors. The weights are w for the second
-/// generator and 1 − w for the first one.
+/// The weighted sum of the set-points of two generators, in joints or in motors. The weight of the second generator is w,
+/// and that of the first generator is 1 − w.
 ///
 /// With states a and b of the generators, position, velocity and acceleration are
 ///
@@ -22,17 +22,17 @@ const STILL: f64 = 1e-9;
 /// q″  = a″  + w (b″ − a″) + 2 w′ (b′ − a′) + w″ (b − a)
 /// ```
 ///
-/// A constant weight keeps limits that both generators keep, because the sum lies between them. A
-/// [changing](Self::changing_to) weight adds up to 1.875 / T · |b − a| to the velocity for a change by 1 within the
-/// time T. The servo checks the sum as every set-point.
+/// With a constant weight, the sum keeps the limits that both generators keep. A [changing](Self::changing_to) weight adds
+/// up to 1.875 / T · |b − a| to the velocity, for a change by 1 within the time T, s. The servo checks the sum like every
+/// set-point.
 ///
-/// Both generators compute every step. A generator that has ended stands at its end, and the sum ends with the later
-/// generator and after the change of the weight. Both generators have the same images and no outputs;
-/// [`WithImages`](super::WithImages) adapts a generator that reads less. The first step reads the effector. A sum is a
-/// generator, so that sums can be nested.
+/// Both generators compute every step. A generator that has ended stands at its end. The sum ends when both generators and
+/// the change of the weight have ended. Both generators have the same images and no outputs;
+/// [`WithImages`](super::WithImages) adapts a generator that reads fewer images. The first step reads the effector. A sum
+/// is a generator: sums can be nested.
 ///
 /// Set-points of the other space, displacements and poses of the tool are refused with [`GeneratorError::NotAdded`]: a
-/// sum of poses is no pose. A generator that ends in motion before the other one is refused with
+/// sum of poses is not a pose. If a generator ends in motion before the other generator ends, the motion fails with
 /// [`GeneratorError::EndedInMotion`].
 ///
 /// ```
@@ -72,13 +72,13 @@ pub struct SumMemory<M, N> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Summand<M> {
     memory: M,
-    /// Its last state.
+    /// Last state of the generator.
     state: AxesState,
     ended: bool,
 }
 
 impl<M> Summand<M> {
-    /// The generator after its first step, beginning at a position. Returns also whether it sends a macrostep.
+    /// The generator after its first step, which began at `start`. Also returns whether the step sends a macrostep.
     fn begin(space: Space, next: Next<M>, start: &Axes) -> Result<(Self, bool), GeneratorError> {
         let state = stated(space, next.effector, start)?;
         Ok((Self { memory: next.memory, state, ended: false }, next.effector.is_some()))
@@ -164,7 +164,7 @@ where
     }
 }
 
-/// A weight, if it is 0 to 1.
+/// The weight, if the weight is from 0 to 1.
 fn checked(weight: f64) -> Result<f64, GeneratorError> {
     if (0.0..=1.0).contains(&weight) { Ok(weight) } else { Err(GeneratorError::Weight { weight }) }
 }

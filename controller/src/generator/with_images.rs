@@ -7,8 +7,7 @@ use super::{A, Bundle, EffectorImage, Generator, GeneratorError, Images, Message
 
 /// A set of images that includes the set `Part`.
 ///
-/// Each of the eight sets includes itself and all sets of fewer of its images. The trait cannot be implemented
-/// elsewhere.
+/// Each of the eight sets includes itself and all its subsets. A program cannot implement the trait.
 #[diagnostic::on_unimplemented(
     message = "the images `{Self}` do not include `{Part}`",
     note = "declare a set with all images that its part has: `()`, `EffectorImage`, `V<..>`, `A<..>` or a tuple"
@@ -55,7 +54,7 @@ includes! {
 ///
 /// [`Selection`](super::Selection) and [`WeightedSum`](super::WeightedSum) combine generators of the same images. The
 /// images of a combination are the union of the images that its parts read. A part that reads fewer images is wrapped.
-/// `F` and `I` are inferred from the other generator. The class of the wrapped generator is that of `F` and `I`.
+/// The compiler infers `F` and `I` from the other generator. The class of a wrapped generator follows from `F` and `I`.
 #[derive(Clone, Copy, Debug)]
 pub struct WithImages<G, F, I> {
     generator: G,
@@ -85,8 +84,8 @@ where
     type Out = G::Out;
     type Memory = G::Memory;
 
-    /// The macrostep of the generator. A planned generator whose combination reads images has the macrostep of the cell,
-    /// because each step must be computed within a macrostep.
+    /// The macrostep of the generator. In a combination that reads images, a planned generator has the macrostep of the
+    /// cell, because each step must be computed within a macrostep.
     fn pace(&self, cell: Pace) -> Pace {
         let planned = G::Every::CLASS == 0 && I::CLASS > 0;
         if planned { cell } else { self.generator.pace(cell) }

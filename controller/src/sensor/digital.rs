@@ -10,15 +10,15 @@ impl SensorReading for InputImage {}
 
 /// The inputs of an I/O node. A command is a level for each output: output *n* in bit *n*.
 ///
-/// The reading is the image of the last cycle. Edges have the times at which their frames were received. The age of the
-/// reading is the time since the last frame of the node. A fault of the node is in the image.
+/// The reading is the image of the inputs in the last cycle, with any fault of the node. Edges have the receive times of
+/// their frames. The age of the reading is the time since the last frame of the node.
 pub struct DigitalInputs {
     inputs: LatestInputs,
     outputs: OutputCommand,
 }
 
 impl DigitalInputs {
-    /// A sensor on these ends of a link to the node.
+    /// A sensor that reads `inputs` and commands `outputs`, the ends of a link to the node.
     pub fn new(inputs: LatestInputs, outputs: OutputCommand) -> Self {
         Self { inputs, outputs }
     }

@@ -52,7 +52,7 @@ pub struct JogHandle {
 
 impl JogHandle {
     /// Replaces the present command. The command is valid for the dead-man time of the
-    /// [`Jog`](crate::generator::Jog), and is repeated to continue the motion. Refuses values that are not finite. The
+    /// [`Jog`](crate::generator::Jog): repeat the command to continue the motion. Refuses values that are not finite. The
     /// call neither waits nor allocates.
     pub fn command(&mut self, command: JogCommand) -> Result<(), GeneratorError> {
         let (kind, values) = match command {

@@ -1,4 +1,4 @@
-//! Sensors of one kind, told apart by a type.
+//! Several sensors of the same kind, distinguished by a type.
 
 use std::fmt::{self, Debug, Formatter};
 use std::marker::PhantomData;
@@ -9,8 +9,7 @@ use can::Instant;
 use super::VirtualSensor;
 use crate::generator::SensorReading;
 
-/// A sensor, a reading or a command of the sensor that a user calls `M`. `M` is any type of the user and has no values
-/// here.
+/// A sensor, a reading or a command, marked with the type `M`. `M` is any type of the user, and no value of `M` is stored.
 ///
 /// ```
 /// use drive::cia401::InputImage;

@@ -1,23 +1,24 @@
 //! Virtual sensors: readings for the image `V`, computed from the data of devices.
 //!
-//! A [`VirtualSensor`] is a set of functions. The agent calls them in its own turn, and they return at once. A sensor
-//! therefore has no thread and performs no input or output. The driver of a device exchanges frames in the servo cycle.
-//! The sensor reads the latest values of the driver, and passes commands to the driver.
+//! A [`VirtualSensor`] is a set of functions, which the agent calls in its own turn. The functions return at once: a sensor
+//! has no thread and performs no input or output. The driver of a device exchanges frames in the servo cycle. The sensor
+//! reads the latest values of the driver, and passes commands to the driver.
 //!
-//! [`Sensors`] is the bundle of one agent. A [shell](Shell) decides for each sensor when the agent asks for a reading:
+//! [`Sensors`] are the virtual sensors of one agent. A [shell](Shell) decides for each sensor when the agent asks for a
+//! reading:
 //!
-//! | shell | the agent asks | the step that follows |
+//! | shell | the agent asks for a reading | the next step |
 //! |---|---|---|
 //! | [`NonInteractive`](Shell::NonInteractive) | in every turn until the step | takes the latest reading |
 //! | [`Interactive`](Shell::Interactive) | once, and polls | waits for the reading, and takes it |
 //! | [`InteractiveWithoutWait`](Shell::InteractiveWithoutWait) | once, and polls | takes the reading if it is there |
 //!
 //! A sensor has a period in macrosteps. The first step of an instruction takes a reading, and then every `period`-th
-//! step. The steps between have the last reading as [`Received::Old`]. A reading is [`Received::New`] until a step has
-//! taken it.
+//! step. The other steps receive the last reading as [`Received::Old`]. A reading is [`Received::New`] until a step has
+//! taken the reading.
 //!
-//! Each type of readings and each type of commands belongs to one sensor of a bundle. [`VirtualSensor::marked`] gives a
-//! second sensor of the same kind types of its own.
+//! Within one agent, each type of readings and each type of commands belongs to one sensor. [`VirtualSensor::marked`] gives
+//! its own types to a second sensor of the same kind.
 //!
 //! Read [`VirtualSensor`] first, then [`DigitalInputs`] as an example.
 
@@ -36,7 +37,7 @@ use std::time::Duration;
 use can::Instant;
 use thiserror::Error;
 
-use crate::generator::{Message, Received, Sample, SensorReading};
+use crate::generator::{EffectorImage, GeneratorError, Message, Partners, Received, Sample, SensorReading};
 
 pub use digital::DigitalInputs;
 pub use jog::{JogCommand, JogHandle, JogPanel, JogReading};
@@ -48,7 +49,7 @@ pub use operator::{
 
 /// A sensor as an agent sees it.
 pub trait VirtualSensor: Send + 'static {
-    /// The reading.
+    /// Type of the readings.
     type Reading: SensorReading;
     /// Command of a generator to the sensor (6). `()` for a sensor without commands.
     type Command: Message;
@@ -59,7 +60,7 @@ pub trait VirtualSensor: Send + 'static {
     /// Begins a reading at `now`. Not called by the shell [`Shell::NonInteractive`].
     fn initiate(&mut self, _now: Instant) {}
 
-    /// The reading with the time of its measurement, once there is one.
+    /// The reading with the time of its measurement; `None` as long as the sensor has no reading. Must not wait.
     fn poll(&mut self, now: Instant) -> Option<(Instant, Self::Reading)>;
 
     /// The same sensor with readings and commands of the types [`Marked<_, M>`](Marked), for an agent that has two
@@ -84,7 +85,7 @@ pub enum Shell {
     InteractiveWithoutWait,
 }
 
-/// A sensor cannot join a bundle.
+/// Reasons why an agent refuses a sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum SensorRefused {
     /// Another sensor of the agent has readings of the same type.
@@ -103,9 +104,9 @@ pub enum SensorRefused {
 
 /// The virtual sensors of one agent, at most one per type of readings.
 ///
-/// The agent calls `begin` for an instruction, and then for each step: `initiate`,
-/// `poll` in every turn, `are_ready` before the step and `reading` in
-/// the step. `now` is the time of the last servo cycle.
+/// The agent calls `begin` for an instruction. For each step, the agent calls `initiate`, then `poll` in every turn,
+/// `is_ready` for each declared reading before the step, and `reading` in the step. `now` is the time of the last servo
+/// cycle.
 #[derive(Default)]
 pub struct Sensors(Vec<Box<dyn Installed>>);
 
@@ -175,9 +176,9 @@ impl Sensors {
         self.0.iter_mut().for_each(|sensor| sensor.poll(now));
     }
 
-    /// Whether the next step need not wait.
-    pub(crate) fn are_ready(&self) -> bool {
-        self.0.iter().all(|sensor| sensor.is_ready())
+    /// Whether the next step need not wait for readings of this type. A step does not wait for a sensor that is missing.
+    pub(crate) fn is_ready(&self, reading: TypeId) -> bool {
+        self.0.iter().all(|sensor| sensor.reading_type() != reading || sensor.is_ready())
     }
 
     /// Whether a sensor has readings of this type.
@@ -185,15 +186,33 @@ impl Sensors {
         self.0.iter().any(|sensor| sensor.reading_type() == reading)
     }
 
-    /// What a step takes from the sensor with readings of this type, as a [`Received`], and its age.
+    /// The [`Received`] from the sensor with readings of this type, and its age.
     pub(crate) fn reading(&self, reading: TypeId) -> Option<(&dyn Any, Option<Duration>)> {
         let sensor = self.0.iter().find(|sensor| sensor.reading_type() == reading)?;
         Some((sensor.received(), sensor.age()))
     }
 
-    /// Passes a command to the sensor that takes it. Returns whether there is one.
+    /// Passes a command to the sensor with commands of this type. Returns whether the agent has such a sensor.
     pub(crate) fn configure(&mut self, command: &dyn Any) -> bool {
         self.0.iter_mut().any(|sensor| sensor.configure(command))
+    }
+}
+
+/// Partners that give the readings for which a step need not wait. A step waits as long as these partners lack an image
+/// that the step declares ([`Images::require`](crate::generator::Images::require)).
+pub(crate) struct Prompt<'a>(pub(crate) &'a Sensors);
+
+impl Partners for Prompt<'_> {
+    fn effector(&self) -> Result<EffectorImage, GeneratorError> {
+        Err(GeneratorError::NoEffector)
+    }
+
+    fn gives_readings(&self, reading: TypeId) -> bool {
+        self.0.is_ready(reading)
+    }
+
+    fn gives_orders(&self, _: TypeId) -> bool {
+        true
     }
 }
 

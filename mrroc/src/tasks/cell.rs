@@ -26,10 +26,10 @@ pub struct Cell {
     pub(super) desk: Desk,
 }
 
-/// One robot of a cell, in the use of a task. A robot has one handle at a time.
+/// Handle of one robot of a cell. A robot has one handle at a time.
 ///
-/// An instruction ends with an error when its effector stands again or is faulted. If the future of an instruction is
-/// dropped, the robot brakes, and the next instruction begins after standstill.
+/// An instruction returns an error only after its robot stands or is faulted. If the future of an instruction is dropped,
+/// the robot brakes, and the next instruction begins after standstill.
 pub struct Robot {
     file: Arc<CellFile>,
     pub(super) agent: Agent,
@@ -53,8 +53,8 @@ impl Cell {
         &self.file
     }
 
-    /// The parameters of the task: the table `task` of the cell file, empty where absent. Refuses a table that is no
-    /// `T`, with file, line and key.
+    /// The parameters of the task: the table `task` of the cell file, empty where absent. Refuses a table that does not
+    /// describe a `T`, with file, line and key.
     pub fn parameters<T: DeserializeOwned>(&self) -> Result<T, TaskError> {
         self.file.parameters().map_err(TaskError::Parameters)
     }
@@ -94,8 +94,8 @@ impl Cell {
         Ok(OutputLine::new(self.io[place.node].clone(), place.line))
     }
 
-    /// Reports a figure of this run, such as the accuracy of a motion. The report and `--json` have it under `figures`. A
-    /// rehearsal reports nothing. A second figure of the same name replaces the first.
+    /// Reports a number of this run, such as the accuracy of a motion. The report and `--json` show the number under
+    /// `figures`. A rehearsal reports no figures. A second figure of the same name replaces the first.
     pub fn figure(&self, name: &str, value: f64) {
         self.figures.set(name, value);
     }
@@ -106,7 +106,7 @@ impl Cell {
         &self.speed
     }
 
-    /// Waits for this time of the servo's cycles.
+    /// Waits for a duration, by the time of the servo cycles.
     pub async fn sleep(&self, duration: Duration) {
         self.agents.sleep(duration).await;
     }
@@ -116,17 +116,17 @@ impl Cell {
         self.desk.rehearsing
     }
 
-    /// Ends a rehearsal here, as accepted, and has no effect in a run. For tasks that need a partner which a
-    /// rehearsal does not provide, such as an operator. The rest of the task is not rehearsed.
+    /// Ends a rehearsal here with success: the rest of the task is not rehearsed. No effect in a run. For tasks with a
+    /// partner that a rehearsal does not provide, such as an operator. `why` appears in the error that ends the rehearsal.
     pub fn end_rehearsal(&self, why: &'static str) -> Outcome {
         if self.desk.rehearsing { Err(TaskError::NotRehearsed { why }) } else { Ok(()) }
     }
 
     /// A team of these robots: a coordinator gives each of them an order in every macrostep, and the servo begins each
-    /// macrostep of all of them in the same cycle. Whatever stops one stops all.
+    /// macrostep of all of them in the same cycle. Any stop of one robot stops all robots of the team.
     ///
-    /// A member that waits longer than a servo period for an order ends the motion. [`Team::linked`] sets another deadline or
-    /// reaction.
+    /// If a member waits longer than a servo period for an order, the motion fails. [`Team::linked`] sets another deadline
+    /// or reaction.
     pub fn team<'a, const N: usize>(&self, members: [&'a mut Robot; N]) -> Team<'a, N> {
         let deadline = self.file.cell.period();
         Team::new(&self.file, members, LinkConfig { blocking: true, deadline, late: Late::Stop })
@@ -172,7 +172,7 @@ impl Robot {
         self.perform(Task::new().home()).await
     }
 
-    /// Moves by a generator until its terminal condition holds and the robot stands.
+    /// Executes the motion of a generator until its terminal condition holds and the robot stands.
     #[doc(alias = "Move")]
     pub async fn execute(&mut self, generator: impl Generator) -> Outcome {
         self.perform(Task::new().run(generator)).await
@@ -180,7 +180,7 @@ impl Robot {
 
     /// Gives the robot a virtual sensor, whose readings are the image [`V`](controller::generator::V) of its generators.
     /// A reading is taken every `period` macrosteps. Refuses a second sensor with readings or commands of the same type:
-    /// mark one of them ([`VirtualSensor::marked`]), or remove the first.
+    /// mark one of the sensors ([`VirtualSensor::marked`]), or remove the first sensor.
     pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) -> Outcome {
         Ok(self.agent.sense(sensor, shell, period)?)
     }
@@ -190,15 +190,15 @@ impl Robot {
         self.agent.remove_sensor::<R>()
     }
 
-    /// Connects the robot to this task by a link. Orders of the task are the image [`A`](controller::generator::A) of its
-    /// generators (loose coordination). Steps take the latest order that is there. In a motion of a team the link rests. An
-    /// earlier link ends.
+    /// Connects the robot to this task by a link (loose coordination). Orders of the task are the image
+    /// [`A`](controller::generator::A) of the robot's generators. Steps take the latest order and do not wait. The link has
+    /// no effect in a motion of a team. An earlier link ends.
     pub fn coordinated<C: Message, R: Message>(&mut self) -> LooseLink<C, R> {
         self.agent.coordinated()
     }
 
-    /// A handle that replaces a motion of this robot while the motion is awaited. Motions that begin in motion, such as
-    /// [`JerkLimited`](controller::generator::JerkLimited), continue without a stop.
+    /// A handle that replaces a motion of this robot while the motion is awaited. If the new generator begins in motion,
+    /// such as [`JerkLimited`](controller::generator::JerkLimited), the robot continues without a stop.
     pub fn replacer(&self) -> Replacer {
         self.agent.replacer()
     }

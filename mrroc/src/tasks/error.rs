@@ -1,7 +1,7 @@
 //! Errors of tasks.
 
 use controller::coordination::{CoordinatorError, LinkError};
-use controller::ecp::{Class, NotRunning};
+use controller::ecp::{Class, ReplaceRefused};
 use controller::executor::{InstructionError, SystemError};
 use controller::generator::GeneratorError;
 use controller::path::PathError;
@@ -39,19 +39,19 @@ pub enum TaskError {
         /// The names of all robots.
         known: String,
     },
-    /// A digital input that the cell has not.
+    /// The cell has no digital input of this name.
     #[error("the cell has no digital input {name:?}")]
     UnknownInput {
         /// The requested name.
         name: String,
     },
-    /// A digital output that the cell has not.
+    /// The cell has no digital output of this name.
     #[error("the cell has no digital output {name:?}")]
     UnknownOutput {
         /// The requested name.
         name: String,
     },
-    /// A robot that has a handle already.
+    /// The robot already has a handle.
     #[error("robot {name:?} is in use: a robot has one handle at a time")]
     RobotInUse {
         /// Name of the robot.
@@ -66,13 +66,13 @@ pub enum TaskError {
         /// The reason, as the task gave it.
         why: &'static str,
     },
-    /// A question without an operator.
+    /// The task asked a question, and the run has no operator.
     #[error("the task asks the operator {question:?}: run the task with --operator")]
     NoOperator {
         /// Text of the question.
         question: String,
     },
-    /// A question that the operator did not answer.
+    /// The operator did not answer a question.
     #[error("question {question:?}: {error}")]
     Unanswered {
         /// Text of the question.
@@ -80,7 +80,7 @@ pub enum TaskError {
         /// The reason.
         error: OperatorError,
     },
-    /// A question whose answer for rehearsals is not among its choices.
+    /// The answer for rehearsals is not among the choices of its question.
     #[error("question {question:?}: the answer {answer:?} for rehearsals is none of its choices, {choices}")]
     RehearsedAnswer {
         /// Text of the question.
@@ -90,7 +90,7 @@ pub enum TaskError {
         /// The choices.
         choices: String,
     },
-    /// Any other refusal: of a motion that cannot be planned, or of the task itself.
+    /// Any other refusal: by the library of a motion that cannot be planned, or by the task itself.
     #[error("{0:#}")]
     Refused(anyhow::Error),
 }
@@ -154,8 +154,8 @@ impl From<LinkError> for TaskError {
     }
 }
 
-impl From<NotRunning> for TaskError {
-    fn from(error: NotRunning) -> Self {
+impl From<ReplaceRefused> for TaskError {
+    fn from(error: ReplaceRefused) -> Self {
         Self::Refused(error.into())
     }
 }

@@ -55,8 +55,8 @@ impl OutputLine {
         Self { link, line }
     }
 
-    /// Number of the output in its node. A command [`Tell`](controller::generator::Tell) of a generator to the sensor of
-    /// the node has the level of this output in this bit.
+    /// Number of the output in its node: the bit of its level in a command ([`Tell`](controller::generator::Tell)) of a
+    /// generator to the sensor of the node.
     pub fn number(&self) -> u8 {
         self.line
     }

@@ -50,7 +50,7 @@ pub(crate) struct Equipment {
     pub figures: Figures,
 }
 
-/// A task to rehearse and to run. Every rehearsal and the run begin the task anew.
+/// A task to rehearse and to run. Every rehearsal and the run begin the task from its start.
 #[derive(Clone)]
 pub struct Program {
     task: Arc<dyn Carry>,
@@ -65,7 +65,7 @@ impl Program {
         Self { task: Arc::new(task), of_file: false, operator: None }
     }
 
-    /// The same task with an operator, of whom the task may ask questions.
+    /// The same task with an operator, who answers its questions.
     #[must_use]
     pub fn with_operator(self, operator: OperatorLink) -> Self {
         Self { operator: Some(operator), ..self }

@@ -41,11 +41,11 @@ impl Desk {
 
 impl Cell {
     /// Asks the operator, and waits for the answer: a choice of the question, or a line if the question has no choices.
-    /// A line that is no choice is refused with a message, and the operator is asked again.
+    /// A line that is not a choice is refused with a message, and the operator is asked again.
     ///
     /// A rehearsal takes the [answer for rehearsals](Question::rehearsed). Without this answer, the rehearsal ends
-    /// here, as accepted. A run without an operator refuses the question, before any motion if the rehearsal comes to
-    /// it. A closed input and a passed deadline are errors of the class non-fatal.
+    /// here with success. A run without an operator refuses the question, before any motion if the rehearsal reaches the
+    /// question. A closed input and a passed deadline are errors of the class non-fatal.
     pub async fn ask(&self, question: Question) -> Result<String, TaskError> {
         let (link, text) = (self.desk.link(&question)?, question.text().to_owned());
         let (mut asking, mut first) = (Asking::new(&link, question), true);
@@ -64,8 +64,8 @@ impl Cell {
 }
 
 impl Robot {
-    /// Holds the robot until the operator has answered a question. Like [`Cell::ask`], as a motion of the robot by
-    /// [`OperatorReaction`], which reads the virtual sensor [`Operator`].
+    /// Asks the operator as [`Cell::ask`] does, and holds the robot until the reaction: a motion by [`OperatorReaction`],
+    /// which reads the virtual sensor [`Operator`].
     pub async fn ask(&mut self, question: Question) -> Result<String, TaskError> {
         let (link, text) = (self.desk.link(&question)?, question.text().to_owned());
         let (sensor, answer) = Operator::new(&link, question);

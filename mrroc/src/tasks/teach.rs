@@ -39,7 +39,7 @@ struct Parameters {
     replace: bool,
 }
 
-/// What the coordinates of a taught file are.
+/// Coordinates of a taught file.
 #[derive(Clone, Copy, Default, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum Taught {
@@ -95,7 +95,7 @@ impl Parameters {
     }
 }
 
-/// An order of the operator during a teach-in.
+/// A command of the operator during a teach-in.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Order {
     Record,
@@ -217,7 +217,7 @@ pub(super) async fn replay(cell: &mut Cell) -> Outcome {
     robot.disable().await
 }
 
-/// Writes a file that is whole or not there. An existing file is an error, or is replaced as a whole.
+/// Writes a whole file, or no file. An existing file is an error, or is replaced as a whole.
 fn write(path: &Path, text: &str, replace: bool) -> anyhow::Result<()> {
     let mut name = path.file_name().context("names no file")?.to_owned();
     name.push(".part");

@@ -21,12 +21,12 @@ impl<'a, const N: usize> Team<'a, N> {
         Self { file: Arc::clone(file), team: executor::Team::new(members, link) }
     }
 
-    /// Disturbs one message of the next motion, for tests of the reaction to a bad wire.
+    /// Disturbs one message of the next motion, for tests of the reaction.
     pub fn disturb(&mut self, message: DisturbedMessage) {
         self.team.disturb(message);
     }
 
-    /// The same team with these links between the coordinator and its members.
+    /// The same team with another configuration of the links between the coordinator and its members.
     #[must_use]
     pub fn linked(mut self, link: LinkConfig) -> Self {
         self.team.link_by(link);
@@ -40,9 +40,9 @@ impl<'a, const N: usize> Team<'a, N> {
     }
 
     /// Executes a motion of all members: the functions of the coordinator, and a generator per member
-    /// ([`Members`]: an array, or a tuple of different generators). The motion ends at the terminal condition of the
-    /// coordinator, or when the generators of all members have ended. All members then stand. A member that ends alone is
-    /// an error.
+    /// ([`Members`]: an array, or a tuple of different generators). The motion ends when the terminal condition of the
+    /// coordinator holds, or when the generators of all members have ended. All members then stand. If a member ends alone,
+    /// the motion fails.
     ///
     /// After an error all members stand or are faulted. If the returned future is dropped, all members brake.
     pub async fn execute<K, G>(&mut self, coordinator: K, generators: G) -> Outcome

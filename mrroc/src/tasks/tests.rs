@@ -417,6 +417,22 @@ fn the_replacement_of_a_first_motion_is_rehearsed_beside_home() {
 }
 
 #[test]
+fn a_first_motion_after_waits_is_rehearsed_beside_home() {
+    let ends = Arc::new(AtomicU32::new(0));
+    let count = Arc::clone(&ends);
+    accepted(async move |cell: &mut Cell| {
+        let [mut left, _right] = ready(cell).await?;
+        let motion = turn(&left, 0.2);
+        left.execute(Wait { duration: ms(40) }).await?;
+        left.perform(Task::new().run(Wait { duration: ms(40) }).run(motion)).await?;
+        count.fetch_add(1, Ordering::Relaxed);
+        Ok(())
+    });
+    // From home, and from sixteen positions beside home.
+    assert_eq!(ends.load(Ordering::Relaxed), 17);
+}
+
+#[test]
 fn a_robot_has_one_handle_at_a_time() {
     accepted(async |cell: &mut Cell| {
         let twice = cell.robots(["left", "left"]).err().unwrap().to_string();

@@ -98,7 +98,7 @@ fn a_motion_is_replaced_without_a_stop_and_within_its_limits() {
 #[test]
 fn without_a_running_generator_there_is_nothing_to_replace() {
     let mut bench = Bench::ready();
-    assert_eq!(bench.ecp.replace(jerk_limited(0.2)), Err(NotRunning));
+    assert_eq!(bench.ecp.replace(jerk_limited(0.2)), Err(ReplaceRefused::NotRunning));
 }
 
 #[test]
@@ -201,4 +201,88 @@ fn a_fault_while_a_motion_is_planned_in_motion_leaves_nothing_for_the_next_motio
     );
     assert_eq!(bench.run(Task::new().enable().run(jerk_limited(0.0))), finished(2));
     assert_eq!(at_end(&bench), 0.0);
+}
+
+/// Moves joint 0 by two macrosteps, and ends in motion.
+struct Nudge;
+
+impl Generator for Nudge {
+    type First = ();
+    type Every = ();
+    type Out = ();
+    type Memory = u32;
+
+    fn first_step(&mut self, _: &(), _: Duration) -> Result<Next<u32>, GeneratorError> {
+        Ok(Next::remember(0))
+    }
+    fn terminal(&self, steps: &u32, _: &()) -> bool {
+        *steps == 2
+    }
+    fn next_step(&self, steps: &u32, _: &()) -> Result<Next<u32>, GeneratorError> {
+        Ok(Next::command(Setpoint::JointsBy(AxesState::new(axis_0(0.002), axis_0(0.1))), steps + 1))
+    }
+}
+
+#[test]
+fn a_hold_does_not_part_a_chain_whose_macrosteps_are_sent() {
+    let mut bench = Bench::ready();
+    let held = planning::Held::on(&mut bench);
+    bench.ecp.execute(Task::new().run(Nudge).run(jerk_limited(0.0))).unwrap();
+    let events = bench.go_on(|bench| {
+        // The first motion is sent in the poll that takes its plan.
+        held.compute_all();
+        bench.ecp.hold(true);
+        assert!(!bench.ecp.is_held());
+    });
+    assert_eq!(events, finished(2));
+    assert!(!stopped(&bench));
+}
+
+/// Begins in motion, and continues at the same velocity. Class 1.
+struct Slide;
+
+impl Generator for Slide {
+    type First = EffectorImage;
+    type Every = EffectorImage;
+    type Out = ();
+    type Memory = ();
+
+    fn begins_in_motion(&self) -> bool {
+        true
+    }
+    fn first_step(&mut self, _: &EffectorImage, _: Duration) -> Result<Next<()>, GeneratorError> {
+        Ok(Next::remember(()))
+    }
+    fn terminal(&self, (): &(), _: &EffectorImage) -> bool {
+        false
+    }
+    fn next_step(&self, (): &(), e: &EffectorImage) -> Result<Next<()>, GeneratorError> {
+        let velocity = e.commanded.joints.velocity;
+        let by = velocity.map(|velocity| velocity * (10 * PERIOD).as_secs_f64());
+        Ok(Next::command(Setpoint::JointsBy(AxesState::new(by, velocity)), ()))
+    }
+}
+
+#[test]
+fn a_late_plan_brakes_the_effector_also_if_the_motion_before_has_sent_nothing() {
+    let mut bench = Bench::ready();
+    let held = planning::Held::on(&mut bench);
+    bench.ecp.execute(Task::new().run(jerk_limited(1.0))).unwrap();
+    let (mut count, mut replacements) = (0, 0);
+    let events = bench.go_on(|bench| {
+        count += 1;
+        if replacements < 2 {
+            held.compute_all();
+        }
+        // The macrosteps of the first motion have one period. The second motion reads its images after the last of them.
+        let due = [count == 200, replacements == 1 && count > 205 && bench.ecp.outstanding() == 1][replacements.min(1)];
+        if due && replacements < 2 {
+            replacements += 1;
+            bench.ecp.replace(Slide).unwrap();
+        }
+    });
+    let Some(EcpEvent { outcome: Err(EcpError::Unplanned { .. }), .. }) = events.last() else {
+        panic!("{events:?}");
+    };
+    assert_eq!((bench.ecp.status().phase, bench.servo.log.last()), (Phase::Standing, Some(&Order::Stop)));
 }

@@ -3,9 +3,9 @@
 use super::*;
 
 /// Moves joint 0 by `distance`, m, within 50 macrosteps, and ends with a velocity, m/s.
-struct Ramp {
-    distance: f64,
-    last: f64,
+pub(super) struct Ramp {
+    pub(super) distance: f64,
+    pub(super) last: f64,
 }
 
 impl Generator for Ramp {

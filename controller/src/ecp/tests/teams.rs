@@ -1,7 +1,7 @@
 //! Processes that meet and that move as a team, on the real servo with ideal drives.
 
 #[path = "../../../tests/ideal/mod.rs"]
-mod ideal;
+pub(crate) mod ideal;
 
 use drive::{DriveGroup, Fault};
 use ideal::{FirstFault, Ideal, Sent};
@@ -14,13 +14,13 @@ const BOTH: u32 = 0b11;
 const FAULT: Fault = Fault::Drive { node: 1, code: 0x2310 };
 
 /// Two robots, their processes and their servo. Meeting 0 is between both.
-struct Cell {
+pub(super) struct Cell {
     servo: Servo,
-    ecps: [Ecp; 2],
+    pub(super) ecps: [Ecp; 2],
     meetings: Meetings,
     faults: [FirstFault; 2],
-    now: Instant,
-    outcomes: [Vec<Result<(), EcpError>>; 2],
+    pub(super) now: Instant,
+    pub(super) outcomes: [Vec<Result<(), EcpError>>; 2],
     /// Cycles in which each robot began to move.
     began: [Vec<u32>; 2],
     cycle: u32,
@@ -30,7 +30,7 @@ struct Cell {
 
 impl Cell {
     /// Both robots stand.
-    fn standing() -> Self {
+    pub(super) fn standing() -> Self {
         let faults: [FirstFault; 2] = Default::default();
         let group = |fault: &_| -> Box<dyn DriveGroup> { Box::new(Ideal::new([0.0; AXES], &Sent::default(), fault)) };
         let config = ServoConfig { period: PERIOD, max_missed_in_row: 1, effectors: (0..2).map(effector).collect() };
@@ -53,7 +53,7 @@ impl Cell {
         cell
     }
 
-    fn execute(&mut self, tasks: [Task; 2]) {
+    pub(super) fn execute(&mut self, tasks: [Task; 2]) {
         for (ecp, task) in self.ecps.iter_mut().zip(tasks) {
             ecp.execute(task).unwrap();
         }
@@ -68,7 +68,7 @@ impl Cell {
         self.outcomes.clone()
     }
 
-    fn until(&mut self, reached: impl Fn(&Self) -> bool) {
+    pub(super) fn until(&mut self, reached: impl Fn(&Self) -> bool) {
         for _ in 0..100_000 {
             if reached(self) {
                 return;
@@ -78,7 +78,7 @@ impl Cell {
         panic!("{:?}", self.phases());
     }
 
-    fn cycle(&mut self) {
+    pub(super) fn cycle(&mut self) {
         let before = self.phases();
         self.servo.step(self.now);
         for (robot, (phase, before)) in self.phases().into_iter().zip(before).enumerate() {

@@ -65,7 +65,7 @@ fn every_step_takes_what_its_shell_promises_at_random_times() {
             sensors.initiate(now);
             sensors.poll(now);
             let end = now + MILLISECOND * (1 + random.next() % 30) as u32;
-            while now < end || !sensors.are_ready() {
+            while now < end || !ready(&sensors) {
                 now += MILLISECOND;
                 sensors.poll(now);
             }

@@ -3,7 +3,8 @@
 use std::cell::Cell as Shared;
 use std::sync::Mutex;
 
-use controller::coordination::{CoordinatorError, Disturbance};
+use controller::coordination::{CoordinatorError, Disturbance, LinkError};
+use controller::ecp::ReplaceRefused;
 use controller::executor::DisturbedMessage;
 
 use super::*;
@@ -340,6 +341,68 @@ fn a_link_to_the_task_rests_during_a_motion_of_a_team_and_then_goes_on() {
         join(orders, left.execute(follow())).await?;
         let still = left.image()?.commanded.pose.translation.z;
         assert!((still - high).abs() < 1e-9, "{high} {still}");
+        Ok(())
+    });
+}
+
+#[test]
+fn a_member_of_a_team_is_neither_replaced_nor_ended_over_its_link_to_the_task() {
+    accepted(async |cell: &mut Cell| {
+        let [mut left, mut right] = bent(cell).await?;
+        let (replacer, mut link) = (left.replacer(), left.coordinated::<Height, ()>());
+        let low = left.image()?.commanded.pose.translation.z;
+        let change = async {
+            cell.sleep(ms(600)).await;
+            assert_eq!(replacer.replace(follow()), Err(ReplaceRefused::InTeam));
+            assert_eq!(link.end_motion(), Err(LinkError::InTeam));
+            Ok(())
+        };
+        let motion = async { cell.team([&mut left, &mut right]).execute(Rise::sound(), [follow(), follow()]).await };
+        join(motion, change).await?;
+        let high = left.image()?.commanded.pose.translation.z;
+        assert!(high > low + 0.1, "{low} {high}");
+        // Nothing is left of the refused calls.
+        left.execute(turn(&left, 0.1)).await?;
+        assert!((column(&left).0 - 0.1).abs() < 1e-6);
+        Ok(())
+    });
+}
+
+/// Raises the left tool, and lets the right arm stand.
+struct Lopsided(Rise);
+
+impl Coordinator<2> for Lopsided {
+    type Order = Height;
+    type Answer = ();
+    type Sensors = ();
+    type Out = ();
+    type Memory = u32;
+
+    fn first_step(&mut self, (): &(), macrostep: Duration) -> Result<Orders<Self, 2>, GeneratorError> {
+        let NextOrders { orders, memory, .. } = self.0.first_step(&(), macrostep)?;
+        Ok(NextOrders::new(orders, memory))
+    }
+
+    fn terminal(&self, step: &u32, answers: &[Sample<()>; 2], (): &()) -> bool {
+        self.0.terminal(step, answers, &())
+    }
+
+    fn next_step(&self, step: &u32, answers: &[Sample<()>; 2], (): &()) -> Result<Orders<Self, 2>, GeneratorError> {
+        let NextOrders { orders: [left, _], memory, .. } = self.0.next_step(step, answers, &())?;
+        Ok(NextOrders::new([left, [0.0; 3]], memory))
+    }
+}
+
+#[test]
+fn a_member_that_stands_at_the_end_of_the_motion_ends_with_its_partner_that_brakes() {
+    accepted(async |cell: &mut Cell| {
+        let [mut left, mut right] = bent(cell).await?;
+        let before = right.image()?.commanded.joints.position;
+        let mut team = cell.team([&mut left, &mut right]);
+        team.execute(Lopsided(Rise::sound()), [follow(), follow()]).await?;
+        let apart = right.image()?.commanded.joints.position.into_iter().zip(before).map(|(one, other)| one - other);
+        assert!(apart.into_iter().all(|apart| apart.abs() < 1e-9));
+        assert_eq!(left.image()?.commanded.joints.velocity, [0.0; 8]);
         Ok(())
     });
 }
