@@ -1,9 +1,10 @@
-//! Robots, paths, generators, virtual sensors, trajectory files, effector control processes, coordination, and tasks as
-//! programs.
+//! Robots, paths, generators, virtual sensors, wrenches, trajectory files, effector control processes, coordination, and
+//! tasks as programs.
 
 pub mod coordination;
 pub mod ecp;
 pub mod executor;
+pub mod force;
 pub mod generator;
 pub mod path;
 #[cfg(test)]

@@ -5,10 +5,10 @@ use std::time::Duration;
 use anyhow::anyhow;
 use can::schedule::{self, Every, Message, Sender};
 use can::{StandardId, timing::Bitrate};
-use canopen::cob;
+use canopen::cob::Function;
 use drive::bus::{Traffic, traffic};
-use drive::cia401::IoConfig;
 use drive::cia402::AxisConfig;
+use drive::wrench::WrenchNodeConfig;
 use serde::Serialize;
 
 use crate::cell::{CellFile, Path, Protocol};
@@ -71,57 +71,62 @@ pub struct MessageBudget {
 
 /// Computes the budget of every bus, and refuses a cell that exceeds it.
 pub fn check(file: &CellFile) -> anyhow::Result<Vec<BusBudget>> {
-    let buses = (0..file.cell.bus.len()).map(|bus| check_bus(file, bus));
+    // A cell file names no force/torque sensors.
+    let buses = (0..file.cell.bus.len()).map(|bus| check_bus(file, bus, &[]));
     let lines = (0..file.cell.serial.len()).map(|bundle| check_lines(file, bundle));
     buses.chain(lines).collect()
 }
 
-fn check_bus(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
+fn check_bus(file: &CellFile, index: usize, sensors: &[WrenchNodeConfig]) -> anyhow::Result<BusBudget> {
     let bus = &file.cell.bus[index];
     let period = file.cell.period();
     let bitrate = emulation::bitrate(file, index);
     let axes = setup::axis_configs(file, index);
     let io = file.cell.io_configs(index);
-    let mut traffic = traffic(&file.cell.group_config(index), &axes, &io);
+    let mut traffic = traffic(&file.cell.group_config(index), &axes, &io, sensors);
     // Messages outside the cycle are sent after the cyclic ones. Outputs follow the heartbeat of the host.
-    traffic
-        .sort_by_key(|traffic| traffic.period > period || is_service(traffic.cob_id) || is_of_io(traffic.cob_id, &io));
-    let messages = messages(&traffic, period, bus.host_node, &io);
+    traffic.sort_by_key(|traffic| !traffic.cyclic);
+    let messages = messages(&traffic, period);
     let analysis = schedule::analyse(bitrate, period, &messages);
-    let share = |time: Duration| 100.0 * time.as_secs_f64() / period.as_secs_f64();
+    let percent = |time: Duration| 100.0 * time.as_secs_f64() / period.as_secs_f64();
     let timed = messages.iter().zip(&analysis.responses);
     let rows = traffic.iter().zip(timed).map(|(traffic, (message, response))| MessageBudget {
         what: traffic.what,
         cob_id: Some(traffic.cob_id.raw()),
         bytes: traffic.bytes,
         period_us: traffic.period.as_micros(),
-        response_us: (message.every == Every::Cycle).then_some(response.as_micros()),
+        response_us: message.every.has_deadline().then_some(response.as_micros()),
     });
     let budget = BusBudget {
         name: bus.name.clone(),
         load_percent: 100.0 * analysis.load,
-        worst_case_percent: share(analysis.busy),
+        worst_case_percent: percent(analysis.busy),
         messages: rows.collect(),
         bits_per_second: 1e3 * f64::from(bus.bitrate_kbps),
         serial: None,
     };
-    if analysis.busy <= period {
-        return Ok(budget);
-    }
-    let key = Path::to("bus").then(index);
-    Err(file.refuse(
-        &key,
-        anyhow!(
-            "{} axes{} keep bus {:?} busy for {} µs of each {} µs at the worst ({:.0} %, at most 100 %); {}",
-            axes.len(),
-            and_io_nodes(io.len()),
+    let (key, nodes) = (Path::to("bus").then(index), nodes(axes.len(), io.len(), sensors.len()));
+    if analysis.busy > period {
+        let problem = anyhow!(
+            "bus {:?} with {nodes} is busy for {} µs of each {} µs at the worst ({:.0} %, at most 100 %); {}",
             bus.name,
             analysis.busy.as_micros(),
             period.as_micros(),
-            share(analysis.busy),
+            percent(analysis.busy),
             what_fits(bitrate, period, &messages, &axes),
-        ),
-    ))
+        );
+        return Err(file.refuse(&key, problem));
+    }
+    if analysis.load > 1.0 {
+        let problem = anyhow!(
+            "bus {:?} with {nodes} has a long-term load of up to {:.0} %, at most 100 %: raise its bitrate_kbps or the \
+             inhibit_us of its I/O nodes, or use more buses",
+            bus.name,
+            budget.load_percent,
+        );
+        return Err(file.refuse(&key, problem));
+    }
+    Ok(budget)
 }
 
 /// Each line carries one telegram in each direction per period. The answer starts after the request has arrived.
@@ -176,42 +181,46 @@ fn check_lines(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
 ///
 /// Service frames are not urgent and occur only during a change of mode. They count as blocking, but not in the load.
 /// The inputs and outputs of I/O nodes may end in the next cycle, and count as often as they can occur.
-fn messages(traffic: &[Traffic], period: Duration, host: u8, io: &[IoConfig]) -> Vec<Message> {
-    let message = |traffic: &Traffic| {
-        let id = traffic.cob_id.raw();
-        let node = (id & 0x7F) as u8;
-        // TPDOs, heartbeats and SDO answers come from the node in their identifier.
-        let from_node = matches!(id & 0x780, 0x180 | 0x280 | 0x580 | 0x700) && node != host;
-        let service = is_service(traffic.cob_id);
-        Message {
-            id: traffic.cob_id,
-            bytes: traffic.bytes,
-            sender: if from_node { Sender::Node(node) } else { Sender::Host },
-            every: match (service, traffic.period == period && !is_of_io(traffic.cob_id, io)) {
-                (false, true) => Every::Cycle,
-                (true, _) => Every::Interval(Duration::from_secs(1)),
-                (false, false) => Every::Interval(traffic.period),
+fn messages(traffic: &[Traffic], period: Duration) -> Vec<Message> {
+    let message = |traffic: &Traffic| Message {
+        id: traffic.cob_id,
+        bytes: traffic.bytes,
+        sender: traffic.sender,
+        every: match (is_service(traffic.cob_id), traffic.cyclic) {
+            (true, _) => Every::Interval(Duration::from_secs(1)),
+            (false, true) => match traffic.period.div_duration_f64(period).round() as u32 {
+                0 | 1 => Every::Cycle,
+                cycles => Every::Cycles(cycles),
             },
-        }
+            (false, false) => Every::Interval(traffic.period),
+        },
     };
     traffic.iter().map(message).collect()
 }
 
-/// Whether a frame is of an I/O node.
-fn is_of_io(id: StandardId, io: &[IoConfig]) -> bool {
-    io.iter().any(|io| u16::from(io.node.raw()) == id.raw() & 0x7F)
-}
-
 /// Whether a frame belongs to the SDO service, which drives use for changes of mode during operation.
 fn is_service(id: StandardId) -> bool {
-    matches!(id.raw() & 0x780, 0x580 | 0x600)
+    matches!(Function::of(id), Some(Function::SdoRequest(_) | Function::SdoResponse(_)))
 }
 
-fn and_io_nodes(count: usize) -> String {
-    match count {
-        0 => String::new(),
-        1 => " and an I/O node".to_owned(),
-        _ => format!(" and {count} I/O nodes"),
+/// The nodes of a bus in words: its axes, then its I/O nodes and force sensors if it has any.
+fn nodes(axes: usize, io: usize, sensors: usize) -> String {
+    let count = |count: usize, one: &str, many: &str| match count {
+        0 => None,
+        1 => Some(one.to_owned()),
+        _ => Some(format!("{count} {many}")),
+    };
+    let beside = [count(io, "an I/O node", "I/O nodes"), count(sensors, "a force sensor", "force sensors")];
+    let axes = (axes > 0 || beside.iter().all(Option::is_none)).then(|| format!("{axes} axes"));
+    [axes].into_iter().chain(beside).flatten().collect::<Vec<_>>().join(" and ")
+}
+
+/// The node that sends a message, or that a message of the host is for.
+fn node_of(message: &Message) -> Option<u8> {
+    match (message.sender, Function::of(message.id)) {
+        (Sender::Node(node), _) => Some(node),
+        (Sender::Host, Some(Function::Rpdo(_, node) | Function::SdoRequest(node))) => Some(node.raw()),
+        (Sender::Host, _) => None,
     }
 }
 
@@ -221,11 +230,16 @@ fn what_fits(bitrate: Bitrate, period: Duration, messages: &[Message], axes: &[A
     let nodes: Vec<u8> = axes.iter().map(|axis| axis.node.raw()).collect();
     let without = |count: usize| -> Vec<Message> {
         let gone = &nodes[count..];
-        let kept = |message: &&Message| message.id == cob::SYNC || !gone.contains(&((message.id.raw() & 0x7F) as u8));
+        let kept = |message: &&Message| node_of(message).is_none_or(|node| !gone.contains(&node));
         messages.iter().filter(kept).copied().collect()
     };
-    let most = (0..axes.len()).rev().find(|&count| fits(&without(count), period)).unwrap_or(0);
+    let most = (0..axes.len()).rev().find(|&count| fits(&without(count), period));
+    let axes = most.map(|most| format!("{most} axes would fit"));
     let shortest = (1..=1000).map(Duration::from_millis).find(|&period| fits(messages, period));
-    let period = shortest.map_or(String::new(), |period| format!(", or a period of {} ms", period.as_millis()));
-    format!("{most} axes would fit{period}, or more buses")
+    let period = shortest.map(|period| format!("a period of {} ms", period.as_millis()));
+    let proposals: Vec<_> = axes.into_iter().chain(period).chain(["more buses".to_owned()]).collect();
+    proposals.join(", or ")
 }
+
+#[cfg(test)]
+mod tests;

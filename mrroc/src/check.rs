@@ -146,7 +146,7 @@ impl CheckReport {
     fn write_bus(&self, f: &mut fmt::Formatter<'_>, bus: &BusBudget) -> fmt::Result {
         let (load, worst) = (bus.load_percent, bus.worst_case_percent);
         match &bus.serial {
-            // A bus of I/O nodes alone.
+            // A bus of I/O nodes alone, for example.
             None if bus.messages.iter().all(|message| message.response_us.is_none()) => {
                 writeln!(f, "\nbus {}: load {load:.1} %, no frame is sent in every cycle", bus.name)?;
             }

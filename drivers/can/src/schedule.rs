@@ -42,8 +42,20 @@ pub enum Sender {
 pub enum Every {
     /// Once in each cycle. The end of the cycle is the deadline.
     Cycle,
+    /// Once in this number of cycles, at least 1. The end of its cycle is the deadline.
+    Cycles(u32),
     /// At most once in this interval, without a deadline.
     Interval(Duration),
+}
+
+impl Every {
+    /// Whether the message must end within its cycle.
+    pub fn has_deadline(self) -> bool {
+        match self {
+            Self::Cycle | Self::Cycles(_) => true,
+            Self::Interval(_) => false,
+        }
+    }
 }
 
 /// Result of [`analyse`].
@@ -64,13 +76,14 @@ pub fn analyse(bitrate: Bitrate, cycle: Duration, messages: &[Message]) -> Analy
     let time = |message: &Message| bitrate.duration(worst_case_bits(Format::Standard, message.bytes));
     let rate = |message: &Message| match message.every {
         Every::Cycle => 1.0 / cycle.as_secs_f64(),
+        Every::Cycles(count) => 1.0 / (cycle.as_secs_f64() * f64::from(count)),
         Every::Interval(interval) => 1.0 / interval.as_secs_f64(),
     };
     let times = |message: &Message| time(message) * occurrences(message, cycle);
     let responses: Vec<Duration> = (0..messages.len())
         .map(|index| before(messages, index).map(times).sum::<Duration>() + blocking(messages, index, time))
         .collect();
-    let cyclic = messages.iter().zip(&responses).filter(|(message, _)| message.every == Every::Cycle);
+    let cyclic = messages.iter().zip(&responses).filter(|(message, _)| message.every.has_deadline());
     Analysis {
         load: messages.iter().map(|message| time(message).as_secs_f64() * rate(message)).sum(),
         busy: cyclic.map(|(_, response)| *response).max().unwrap_or_default(),
@@ -81,7 +94,7 @@ pub fn analyse(bitrate: Bitrate, cycle: Duration, messages: &[Message]) -> Analy
 /// Greatest number of such messages in a cycle, if the first is queued at its beginning.
 fn occurrences(message: &Message, cycle: Duration) -> u32 {
     match message.every {
-        Every::Cycle => 1,
+        Every::Cycle | Every::Cycles(_) => 1,
         Every::Interval(interval) => {
             let count = cycle.as_nanos().div_ceil(interval.as_nanos().max(1));
             u32::try_from(count).unwrap_or(u32::MAX)
@@ -159,6 +172,21 @@ mod tests {
             let busy = 55 + 135 + 115 + 65 * times + 65;
             assert_eq!(analysis.busy, Duration::from_micros(busy), "{micros} µs");
         }
+    }
+
+    #[test]
+    fn a_frame_of_every_fifth_cycle_has_a_deadline_and_a_fifth_of_the_load() {
+        let (cycle, id) = (Duration::from_millis(2), StandardId::new(0x6A0).unwrap());
+        let sample = |every| [Message { id, bytes: 8, sender: Sender::Node(3), every }];
+        let [always, fifth] = [Every::Cycle, Every::Cycles(5)].map(|every| {
+            let messages = [axes(1), sample(every).to_vec()].concat();
+            analyse(Bitrate::KBPS_1000, cycle, &messages)
+        });
+        assert_eq!((always.busy, &always.responses), (fifth.busy, &fifth.responses));
+        assert!((always.load - fifth.load - 135e-6 / 2e-3 * 0.8).abs() < 1e-12, "{} {}", always.load, fifth.load);
+        // Without a deadline, the frame with the greatest identifier may follow in the next cycle.
+        let timed = [axes(1), sample(Every::Interval(cycle)).to_vec()].concat();
+        assert!(always.busy > analyse(Bitrate::KBPS_1000, cycle, &timed).busy);
     }
 
     #[test]

@@ -10,6 +10,7 @@ use thiserror::Error;
 
 use crate::axis_controller::{AxisControllerError, AxisControllerFault};
 use crate::bus::Sign;
+use crate::wrench::WrenchError;
 
 /// A latched condition of one axis, cleared by [`AxisCommand::ResetFault`](crate::AxisCommand::ResetFault).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -137,6 +138,12 @@ pub enum BringUpError {
     /// An axis controller on a serial line could not be brought up. `line` is the index of its axis in the group.
     #[error("line {line}: {error}")]
     AxisController { line: u8, error: AxisControllerError },
+    /// A force/torque sensor on a serial line of its own could not be brought up.
+    #[error("force sensor: {error}")]
+    WrenchLine { error: WrenchError },
+    /// A force/torque sensor on a CAN bus could not be brought up.
+    #[error("node {node}: force sensor: {error}")]
+    WrenchNode { node: u8, error: WrenchError },
     #[error("another controller is at work: it sent {sign}; end it before this one is started")]
     OtherController { sign: Sign },
     #[error("bus: {0}")]
@@ -159,15 +166,20 @@ impl BringUpError {
             | Self::ReadBack { node, .. }
             | Self::ReadBackBytes { node, .. }
             | Self::TimedOut { node, .. }
-            | Self::ModeUnsupported { node, .. } => Some(node),
-            Self::AxisController { .. } | Self::OtherController { .. } | Self::Port(_) => None,
+            | Self::ModeUnsupported { node, .. }
+            | Self::WrenchNode { node, .. } => Some(node),
+            Self::AxisController { .. } | Self::WrenchLine { .. } | Self::OtherController { .. } | Self::Port(_) => {
+                None
+            }
         }
     }
 
     /// The object that the node lacks, refuses or holds another value of.
     pub fn object(&self) -> Option<Object> {
         match *self {
-            Self::NotADrive { .. } | Self::NotAnIoNode { .. } => Some(DEVICE_TYPE),
+            Self::NotADrive { .. }
+            | Self::NotAnIoNode { .. }
+            | Self::WrenchNode { error: WrenchError::OfAnotherType { .. }, .. } => Some(DEVICE_TYPE),
             Self::WrongIdentity { subindex, .. } => Some(Object { subindex, ..VENDOR_ID }),
             Self::ModeUnsupported { .. } => Some(SUPPORTED_MODES),
             Self::TooFewBlocks { object, .. }
@@ -180,6 +192,8 @@ impl BringUpError {
             | Self::NoInputs { .. }
             | Self::NotOperational { .. }
             | Self::AxisController { .. }
+            | Self::WrenchLine { .. }
+            | Self::WrenchNode { .. }
             | Self::OtherController { .. }
             | Self::Port(_) => None,
         }

@@ -16,6 +16,7 @@ pub mod latest;
 mod scale;
 mod state;
 mod warning;
+pub mod wrench;
 
 pub use command::{AxisCommand, Finite, Setpoint};
 pub use fault::{BringUpError, Fault, Refusal};

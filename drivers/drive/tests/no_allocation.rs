@@ -2,6 +2,8 @@
 #![allow(unsafe_code, reason = "a counting allocator implements an unsafe trait")]
 #![allow(clippy::unwrap_used, reason = "a test")]
 
+#[path = "scripted/board.rs"]
+mod board;
 mod scripted;
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -13,10 +15,15 @@ use std::time::Duration;
 
 use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received, StandardId};
 use canopen::NodeId;
+use canopen::pdo::PdoNumber;
 use mrroc_drive::axis_controller::{self, AxisControllerGroup, Control, Protocol};
 use mrroc_drive::bus::CanBus;
 use mrroc_drive::cia401::IoConfig;
 use mrroc_drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity};
+use mrroc_drive::wrench::{
+    Channel, Content, SerialWrenchConfig, SerialWrenchSensor, Trigger, WrenchAxis, WrenchConfig, WrenchField,
+    WrenchLink, WrenchNodeConfig, WrenchPdo, ZeroMethod,
+};
 use mrroc_drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Power, Scale, Setpoint};
 
 struct Counting;
@@ -54,6 +61,8 @@ static ALLOCATOR: Counting = Counting;
 const AXES: usize = 6;
 /// An I/O node on the bus of the drives.
 const IO: u8 = 20;
+/// A force/torque sensor on the bus of the drives.
+const SENSOR: u8 = 30;
 const PERIOD: Duration = Duration::from_millis(2);
 
 /// All drives of the bus: an object store for service requests, and the same statusword from each drive for every
@@ -88,6 +97,8 @@ impl Drives {
                 // An edge of every input in every cycle.
                 self.inputs = !self.inputs;
                 self.reply(0x180 + u16::from(IO), &[self.inputs], at);
+                self.reply(0x180 + u16::from(SENSOR), &[self.inputs, 0, 0, 0, 0, 0], at);
+                self.reply(0x280 + u16::from(SENSOR), &[0; 6], at);
                 for node in 1..=AXES as u16 {
                     self.reply(0x180 + node, &[low, high, 0xE8, 3, 0, 0, 0, 0], at);
                     // Each EMCY is another error without a fault, and there are more of them than the group keeps.
@@ -167,6 +178,31 @@ fn axis(raw: u8) -> AxisConfig {
     }
 }
 
+/// Forces in one TPDO and torques in the other, at every SYNC.
+fn sensor() -> WrenchNodeConfig {
+    let node = NodeId::new(SENSOR).unwrap();
+    let pdo = |number, axes: &[WrenchAxis]| WrenchPdo {
+        number,
+        cob_id: canopen::cob::tpdo(number, node),
+        fields: axes.iter().map(|&axis| field(axis)).collect(),
+        mapped: true,
+    };
+    let (forces, torques) = WrenchAxis::ALL.split_at(3);
+    WrenchNodeConfig {
+        node,
+        identity: None,
+        device_type: None,
+        sensor: WrenchConfig { channels: [Channel { scale: 0.1, range: 1_000 }; 6], ..WrenchConfig::ATI },
+        trigger: Trigger::Sync { every: 1 },
+        pdos: vec![pdo(PdoNumber::One, forces), pdo(PdoNumber::Two, torques)],
+        configuration: Vec::new(),
+    }
+}
+
+fn field(axis: WrenchAxis) -> WrenchField {
+    WrenchField { object: canopen::Object::new(0x2000, axis as u8 + 1), content: Content::I16(axis) }
+}
+
 #[test]
 fn no_cycle_allocates() {
     let config = GroupConfig {
@@ -215,8 +251,9 @@ fn no_cycle_allocates() {
         error_value: 0,
         configuration: Vec::new(),
     };
-    let (mut group, links) = CanBus::with_io(Shared(drives.clone()), config, &axes, &[io]).unwrap();
-    let io = &links[0];
+    let (mut group, links, sensors) =
+        CanBus::with_sensors(Shared(drives.clone()), config, &axes, &[io], &[sensor()]).unwrap();
+    let (io, wrench) = (&links[0], &sensors[0]);
 
     let mut now = Instant::ZERO;
     loop {
@@ -228,7 +265,8 @@ fn no_cycle_allocates() {
     let mut states = [AxisState::default(); AXES];
     let follow = AxisCommand::Follow(Setpoint::Position(Finite::new(TAU / 2.0).unwrap()));
     let wrong = AxisCommand::Follow(Setpoint::Torque(Finite::ZERO));
-    let (mut followed, mut homed, mut faulted) = (false, false, false);
+    let (mut followed, mut homed, mut faulted, mut zeroed) = (false, false, false, false);
+    let first_zero = wrench.zero();
     let mut cycles = 0;
     let acts = [
         (0x0740, AxisCommand::Off),
@@ -256,6 +294,11 @@ fn no_cycle_allocates() {
             group.write(now, &[command; AXES]);
             io.outputs.set_all(!io.outputs.levels());
             group.send(now);
+            if cycles % 20 == 0 {
+                wrench.zero();
+                wrench.reset_fault();
+            }
+            zeroed |= wrench.read().zeroing.is_done(first_zero);
             let edges = io.inputs.read().input(0).map(|input| input.edges);
             assert_eq!(ALLOCATIONS.get() - before, 0, "{statusword:#06x} {command:?}");
             // One edge in each cycle but the first, which no SYNC preceded.
@@ -266,7 +309,8 @@ fn no_cycle_allocates() {
             faulted |= states[0].fault.is_some();
         }
     }
-    assert!(followed && homed && faulted);
+    assert!(followed && homed && faulted && zeroed);
+    assert_eq!((wrench.read().fault, wrench.read().age), (None, 0));
     assert_eq!(io.inputs.read().sent.map(|sent| sent.cycle), Some(cycles - 2));
     // The I/O node boots, and is brought back by a reset.
     drives.lock().unwrap().reply(0x700 + u16::from(IO), &[0], now);
@@ -353,5 +397,57 @@ fn no_cycle_of_serial_lines_allocates() {
         }
         assert!(homed && faulted && silent, "{homed} {faulted} {silent}");
         assert_eq!((states[0].power, states[0].fault), (Power::Off, None));
+    }
+}
+
+/// One cycle, which must not allocate.
+fn sensor_cycle(sensor: &mut SerialWrenchSensor<board::SharedBoard>, link: &WrenchLink, now: Instant, act: &str) {
+    let before = ALLOCATIONS.get();
+    sensor.read(now, &mut []);
+    sensor.write(now, &[]);
+    sensor.send(now);
+    link.read();
+    assert_eq!(ALLOCATIONS.get() - before, 0, "{act}");
+}
+
+#[test]
+fn no_cycle_of_a_serial_force_sensor_allocates() {
+    type Act = fn(&mut board::Board);
+    for zero in [ZeroMethod::Host { samples: 10 }, ZeroMethod::Device] {
+        let mut config = SerialWrenchConfig::new(PERIOD);
+        config.sensor.zero = zero;
+        let line = board::Board { keep_heard: false, ..board::Board::new() }.shared();
+        let (mut sensor, link) = SerialWrenchSensor::new(line.clone(), config).unwrap();
+        let mut now = Instant::ZERO;
+        while sensor.bring_up(now).map(Result::unwrap).is_pending() {
+            now += PERIOD;
+        }
+        let acts: [(&str, Act); 9] = [
+            ("samples", |board| board.load = [100; 6]),
+            ("a missing answer", |board| board.mute = 1),
+            ("silence", |board| board.deaf = true),
+            ("garbage", |board| board.outbox.extend([1; 100])),
+            ("answers of another length", |board| (board.deaf, board.surplus) = (false, 1)),
+            ("saturation", |board| (board.load[3], board.surplus) = (-30_000, 0)),
+            ("a full line", |board| board.full = true),
+            ("a line that is gone", |board| (board.gone, board.full) = (true, false)),
+            ("a line that is back", |board| *board = board::Board { keep_heard: false, ..board::Board::new() }),
+        ];
+        let mut faults = Vec::with_capacity(acts.len());
+        for (name, act) in acts {
+            act(&mut line.board());
+            link.reset_fault();
+            if name != "saturation" {
+                // The bias command would hide the load.
+                link.zero();
+            }
+            for _ in 0..50 {
+                now += PERIOD;
+                sensor_cycle(&mut sensor, &link, now, name);
+            }
+            faults.extend(link.read().fault);
+        }
+        assert_eq!(faults.len(), 6, "{faults:?}");
+        assert_eq!(link.read().fault, None);
     }
 }

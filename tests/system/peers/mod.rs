@@ -10,6 +10,7 @@ mod bodies;
 mod clients;
 mod digital_io;
 mod force;
+mod force_driver;
 mod group;
 mod host;
 mod latency;

@@ -1,4 +1,6 @@
-//! Bring-up of one node, a CiA 402 drive or a CiA 401 I/O node.
+//! Bring-up of one node: a CiA 402 drive, a CiA 401 I/O node or a force/torque sensor.
+
+use std::time::Duration;
 
 use can::Instant;
 use canopen::cia402::{ModeOfOperation, PowerState, Statusword, SupportedModes};
@@ -9,6 +11,7 @@ use master::sdo::{Client, SdoCause, SdoError, Transfer};
 
 use super::step::{Need, Step};
 use crate::cia402::{GroupConfig, Setting, is_timer};
+use crate::wrench::WrenchError;
 use crate::{BringUpError, Increments};
 
 /// Greatest number of boots of a node in one bring-up. A node that boots again has failed to boot.
@@ -21,14 +24,31 @@ pub(crate) enum Profile {
     Drive,
     /// CiA 401.
     Io,
+    /// A force/torque sensor, which has no common profile: the expected content of object 0x1000.
+    Wrench(Option<u32>),
 }
 
 impl Profile {
     fn check(self, node: u8, device_type: u32) -> Result<(), BringUpError> {
         match (self, device_type as u16) {
-            (Self::Drive, 402) | (Self::Io, cia401::PROFILE) => Ok(()),
+            (Self::Drive, 402) | (Self::Io, cia401::PROFILE) | (Self::Wrench(None), _) => Ok(()),
             (Self::Drive, _) => Err(BringUpError::NotADrive { node, device_type }),
             (Self::Io, _) => Err(BringUpError::NotAnIoNode { node, device_type }),
+            (Self::Wrench(Some(expected)), _) if expected == device_type => Ok(()),
+            (Self::Wrench(Some(expected)), _) => {
+                let error = WrenchError::OfAnotherType { expected, found: device_type };
+                Err(BringUpError::WrenchNode { node, error })
+            }
+        }
+    }
+
+    /// The node neither booted nor answered.
+    fn absent(self, node: u8, waited: Duration) -> BringUpError {
+        match self {
+            Self::Drive | Self::Io => BringUpError::NeverBooted { node, waited },
+            Self::Wrench(_) => {
+                BringUpError::WrenchNode { node, error: WrenchError::Absent { waited, address: "node-ID" } }
+            }
         }
     }
 }
@@ -192,7 +212,7 @@ impl NodeBringUp {
             Phase::Booting { since, booted, ref mut asked } => {
                 let waited = now.since(since);
                 if waited > self.group.boot_timeout || self.boots > BOOTS {
-                    return Err(BringUpError::NeverBooted { node, waited });
+                    return Err(self.profile.absent(node, waited));
                 }
                 if let Some(result) = sdo.poll() {
                     match result.and_then(|transfer| transfer.number::<u32>()) {
@@ -266,7 +286,7 @@ impl NodeBringUp {
         step: Step,
         reading_back: bool,
         result: Result<Transfer<'_>, SdoError>,
-        waited: std::time::Duration,
+        waited: Duration,
     ) -> Result<Next, BringUpError> {
         let node = self.node.raw();
         let abort = match &result {

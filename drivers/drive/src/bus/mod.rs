@@ -1,8 +1,9 @@
-//! The owner of a CAN bus: one port, one bring-up and one batch per cycle for the drives and the I/O nodes of the bus.
+//! The owner of a CAN bus: one port, one bring-up and one batch per cycle for the drives, the I/O nodes and the
+//! force/torque sensors of the bus.
 //!
 //! [`CanBus`] reads the received frames once per cycle and routes each frame by its identifier to a
-//! [drive](crate::cia402) or an [I/O node](crate::cia401). The batch of a cycle is one system call. Its frames leave in
-//! this order:
+//! [drive](crate::cia402), an [I/O node](crate::cia401) or a [force/torque sensor](crate::wrench). The batch of a cycle
+//! is one system call. Its frames leave in this order:
 //!
 //! | frame | when |
 //! |---|---|
@@ -14,7 +15,7 @@
 //!
 //! Bring-up listens for another controller, resets the communication of all nodes, configures and reads back every node
 //! by SDO, and starts all nodes together. Bring-up ends when every node shows the state operational and every I/O node
-//! with inputs has sent them.
+//! with inputs has sent them. Sensors have then sent samples at their declared rate, by SYNCs of bring-up if necessary.
 //!
 //! Read [`DriveGroup`] first, then [`CanBus::with_io`].
 
@@ -22,6 +23,7 @@ mod bring_up;
 mod other_controller;
 mod own_heartbeat;
 mod routes;
+mod sensors;
 mod step;
 mod syncs;
 mod traffic;
@@ -46,6 +48,7 @@ pub use traffic::{Traffic, traffic};
 
 use crate::cia401::{self, IoConfig, IoFault, IoLink, IoNode};
 use crate::cia402::{self, AxisConfig, Cia402Group, ConfigError, GroupConfig};
+use crate::wrench::{self, WrenchLink, WrenchNode, WrenchNodeConfig};
 use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Warning, Warnings};
 use bring_up::Profile;
 use own_heartbeat::OwnHeartbeat;
@@ -62,11 +65,12 @@ pub const BESIDE_SETPOINTS: usize = 3;
 pub struct CanBus<P: Port> {
     port: P,
     config: GroupConfig,
-    /// All nodes: the drives, then the I/O nodes.
+    /// All nodes: the drives, the I/O nodes, then the sensors.
     members: Vec<Member>,
     routes: Routes,
     drives: Cia402Group,
     io: Vec<IoNode>,
+    sensors: Vec<WrenchNode>,
     stage: Stage,
     received: Vec<Received>,
     /// During bring-up: frames that the port has not taken yet. In a cycle: SYNC, if it is needed, and the set-points.
@@ -127,7 +131,38 @@ impl<P: Port> CanBus<P> {
     ) -> Result<(Self, Vec<IoLink>), ConfigError> {
         config.check(axes)?;
         cia401::check(&config, axes, io)?;
-        let mut members = Vec::with_capacity(axes.len() + io.len());
+        Self::assemble(port, config, axes, io, [].into_iter()).map(|(bus, io, _)| (bus, io))
+    }
+
+    /// A bus with drives, I/O nodes and force/torque sensors, each of which may be none. The links come in the order of
+    /// `io` and of `sensors` and may be used by any thread.
+    ///
+    /// Refuses what [`with_io`](Self::with_io) refuses, and sensors that [`wrench::check`] refuses.
+    pub fn with_sensors(
+        port: P,
+        config: GroupConfig,
+        axes: &[AxisConfig],
+        io: &[IoConfig],
+        sensors: &[WrenchNodeConfig],
+    ) -> Result<(Self, Vec<IoLink>, Vec<WrenchLink>), wrench::ConfigError> {
+        config.check(axes)?;
+        if sensors.is_empty() || !(axes.is_empty() && io.is_empty()) {
+            cia401::check(&config, axes, io)?;
+        }
+        wrench::check(&config, axes, io, sensors)?;
+        let programs: Result<Vec<_>, _> = sensors.iter().map(|sensor| wrench::program(&config, sensor)).collect();
+        Ok(Self::assemble(port, config, axes, io, sensors.iter().zip(programs?))?)
+    }
+
+    /// A bus of checked nodes. Each sensor comes with its steps of bring-up.
+    fn assemble<'a>(
+        port: P,
+        config: GroupConfig,
+        axes: &[AxisConfig],
+        io: &[IoConfig],
+        sensors: impl ExactSizeIterator<Item = (&'a WrenchNodeConfig, Vec<Step>)>,
+    ) -> Result<(Self, Vec<IoLink>, Vec<WrenchLink>), ConfigError> {
+        let mut members = Vec::with_capacity(axes.len() + io.len() + sensors.len());
         for axis in axes {
             let program = cia402::program(&config, axis)?;
             let configuration = axis.configuration.clone();
@@ -139,23 +174,37 @@ impl<P: Port> CanBus<P> {
             let configuration = node.configuration.clone();
             members.push(Member::new(NodeBringUp::new(&config, node.node, Profile::Io, program, configuration)));
         }
-        let inputs: usize = io.iter().map(|node| node.frames_per(config.period)).sum();
+        let mut inputs: usize = io.iter().map(|node| node.frames_per(config.period)).sum();
+        let (mut sensor_nodes, mut sensor_links) = (Vec::new(), Vec::new());
+        let mut sensor_ids = Vec::new();
+        for (sensor, program) in sensors {
+            let profile = Profile::Wrench(sensor.device_type);
+            let configuration = sensor.configuration.clone();
+            members.push(Member::new(NodeBringUp::new(&config, sensor.node, profile, program, configuration)));
+            inputs += sensor.frames_per(config.period);
+            let (node, link) = WrenchNode::new(&config, sensor);
+            sensor_ids.push(sensor.node);
+            sensor_nodes.push(node);
+            sensor_links.push(link);
+        }
         let (nodes, links): (Vec<_>, Vec<_>) = io.iter().map(|node| IoNode::new(&config, node)).unzip();
+        let needs_sync = needs_sync(axes, io) || sensor_nodes.iter().any(WrenchNode::needs_sync);
         let nothing = Received { frame: Sync::default().encode(), at: Instant::ZERO };
         let bus = Self {
             port,
             config,
-            // A cycle brings an answer, a heartbeat, an EMCY and an SDO frame of each node at most, and inputs.
+            // A cycle brings an answer, a heartbeat, an EMCY and an SDO frame of each node at most, inputs and samples.
             received: vec![nothing; 16 + 8 * members.len() + inputs],
             batch: Vec::with_capacity(members.len().max(SDO_FRAMES_PER_CALL) + BESIDE_SETPOINTS),
-            routes: Routes::new(axes.iter().map(|axis| axis.node), io.iter().map(|node| node.node)),
+            routes: Routes::new(axes.iter().map(|axis| axis.node), io.iter().map(|node| node.node), sensor_ids),
             drives: Cia402Group::new(&config, axes),
             io: nodes,
+            sensors: sensor_nodes,
             members,
             stage: Stage::Down,
             service: None,
             turn: 0,
-            needs_sync: needs_sync(axes, io),
+            needs_sync,
             syncs: Syncs::default(),
             heartbeat: OwnHeartbeat::due_at(Instant::ZERO),
             counters: GroupCounters::default(),
@@ -163,13 +212,14 @@ impl<P: Port> CanBus<P> {
             up_since: Instant::ZERO,
             cycle: 0,
         };
-        Ok((bus, links))
+        Ok((bus, links, sensor_links))
     }
 
-    /// Latches a fault of the bus at every drive and every I/O node.
+    /// Latches a fault of the bus at every drive, I/O node and sensor.
     fn latch_all(&mut self, fault: Fault, of_io: IoFault) {
         self.drives.latch_all(fault);
         self.io.iter_mut().for_each(|io| io.latch(of_io));
+        self.sensors.iter_mut().for_each(|sensor| sensor.latch_of_bus(fault));
     }
 
     /// The sign of another controller in `frame`, if any.
@@ -178,7 +228,11 @@ impl<P: Port> CanBus<P> {
     }
 
     /// Takes one frame during operation. `None` means an undecodable or unexpected frame.
-    fn take(&mut self, Received { frame, at }: Received, now: Instant) -> Option<()> {
+    fn take(&mut self, received: Received, now: Instant) -> Option<()> {
+        let Received { frame, at } = received;
+        if let Some(taken) = self.take_sample(&received) {
+            return taken;
+        }
         if let Some(sign) = self.sign(&frame) {
             self.latch_all(Fault::OtherController { sign }, IoFault::OtherController { sign });
             return Some(());
@@ -192,7 +246,8 @@ impl<P: Port> CanBus<P> {
                 (Place::Drive(drive), PdoNumber::Two) => self.drives.shows(drive, frame.data())?,
                 (Place::Io(io), PdoNumber::One) => self.io[io].inputs(frame.data(), at)?,
                 (Place::Drive(_), PdoNumber::Three | PdoNumber::Four)
-                | (Place::Io(_), PdoNumber::Two | PdoNumber::Three | PdoNumber::Four) => return None,
+                | (Place::Io(_), PdoNumber::Two | PdoNumber::Three | PdoNumber::Four)
+                | (Place::Sensor(_), _) => return None,
             },
             cob::Function::Heartbeat(node) => {
                 let state = Heartbeat::decode(&frame)?.state;
@@ -205,6 +260,7 @@ impl<P: Port> CanBus<P> {
                             bring_up.heard(state, sdo, now);
                         }
                     }
+                    Place::Sensor(sensor) => self.sensors[sensor].heard(state, at),
                 }
             }
             cob::Function::Emcy(node) => {
@@ -215,6 +271,7 @@ impl<P: Port> CanBus<P> {
                         self.io[io].emergency(&emergency, at);
                         (!emergency.is_reset(), FaultTable::Cia401)
                     }
+                    Place::Sensor(_) => (!emergency.is_reset(), FaultTable::Cia401),
                 };
                 if warns {
                     self.warnings.add(Warning {
@@ -280,7 +337,11 @@ impl<P: Port> CanBus<P> {
     }
 
     /// Takes one frame during bring-up.
-    fn take_in_bring_up(&mut self, Received { frame, at }: Received, now: Instant) {
+    fn take_in_bring_up(&mut self, received: Received, now: Instant) {
+        let Received { frame, at } = received;
+        if matches!(self.stage, Stage::Starting { .. }) && self.take_sample(&received).is_some() {
+            return;
+        }
         match frame.standard_data_id().and_then(cob::Function::of) {
             Some(cob::Function::Heartbeat(node)) => {
                 if let Some(heartbeat) = Heartbeat::decode(&frame)
@@ -288,8 +349,10 @@ impl<P: Port> CanBus<P> {
                 {
                     let Member { bring_up, sdo } = &mut self.members[member];
                     bring_up.heard(heartbeat.state, sdo, now);
-                    if let Some(Place::Io(io)) = self.routes.place(node) {
-                        self.io[io].heard(heartbeat.state, at);
+                    match self.routes.place(node) {
+                        Some(Place::Io(io)) => self.io[io].heard(heartbeat.state, at),
+                        Some(Place::Sensor(sensor)) => self.sensors[sensor].heard(heartbeat.state, at),
+                        Some(Place::Drive(_)) | None => {}
                     }
                 }
             }
@@ -319,6 +382,7 @@ impl<P: Port> CanBus<P> {
             let until = now + self.config.listening();
             self.stage = Stage::Listening { until };
             self.io.iter_mut().for_each(IoNode::reset);
+            self.sensors.iter_mut().for_each(WrenchNode::reset);
         }
         let count = self.port.receive(now, &mut self.received)?;
         let mut heard = self.received[..count].iter();
@@ -360,7 +424,7 @@ impl<P: Port> CanBus<P> {
         for io in &self.io {
             ready &= io.has_inputs(now.since(since))?;
         }
-        Ok(ready)
+        Ok(ready && self.sensors_are_ready(now)?)
     }
 }
 
@@ -392,6 +456,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
                 self.warnings.clear();
                 self.drives.begin(now, &self.members);
                 self.io.iter_mut().for_each(|io| io.begin(now));
+                self.sensors.iter_mut().for_each(|sensor| sensor.begin(now));
                 Poll::Ready(Ok(()))
             }
             Err(error) => {
@@ -404,6 +469,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
 
     fn read(&mut self, now: Instant, states: &mut [AxisState]) {
         self.counters.last_bus_time = Duration::ZERO;
+        self.sensors.iter_mut().for_each(WrenchNode::begin_of_read);
         match self.port.receive(now, &mut self.received) {
             Ok(count) => {
                 for i in 0..count {
@@ -431,6 +497,8 @@ impl<P: Port> DriveGroup for CanBus<P> {
         if self.syncs.sent {
             self.counters.missed_answers += missed;
         }
+        let synced = self.syncs.attempted && self.syncs.sent;
+        self.sensors.iter_mut().for_each(|sensor| sensor.end_of_read(now, self.cycle, synced));
         self.syncs.attempted = false;
         for (io, member) in self.io.iter_mut().zip(&mut self.members[self.drives.axes()..]) {
             if let Some(command) = io.recover(member, now, self.service.is_none()) {

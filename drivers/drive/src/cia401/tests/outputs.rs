@@ -152,7 +152,7 @@ fn the_outputs_of_a_faulted_node_are_commanded_to_their_error_state() {
 fn the_bus_load_counts_inputs_by_their_inhibit_time_and_outputs_in_every_cycle() {
     let axes = [axis_config(DRIVE)];
     let none = IoConfig { inputs: 0, ..io_config(6) };
-    let frames = traffic(&group_config(), &axes, &[io_config(IO), none]);
+    let frames = traffic(&group_config(), &axes, &[io_config(IO), none], &[]);
     let of_io = frames.iter().filter(|frame| matches!(frame.cob_id.raw() & 0x7F, 5 | 6));
     let of_io: Vec<_> =
         of_io.map(|frame| (frame.cob_id.raw(), frame.bytes, frame.period.as_micros(), frame.what)).collect();
@@ -193,7 +193,7 @@ fn a_bus_of_io_nodes_alone_carries_no_sync() {
 #[test]
 fn the_bus_load_counts_sync_only_for_nodes_with_synchronous_process_data() {
     let syncs = |axes: &[AxisConfig]| {
-        let traffic = traffic(&group_config(), axes, &[io_config(IO)]);
+        let traffic = traffic(&group_config(), axes, &[io_config(IO)], &[]);
         traffic.iter().filter(|frame| frame.what == "SYNC").count()
     };
     assert_eq!((syncs(&[axis_config(DRIVE)]), syncs(&[])), (1, 0));

@@ -234,7 +234,7 @@ fn frames_of_nobody_here_are_counted() {
 fn traffic_lists_every_frame_of_a_cycle() {
     let config = group_config();
     let axes = [axis_config(1), AxisConfig { mode: CyclicMode::Cst, ..axis_config(2) }];
-    let traffic = traffic(&config, &axes, &[]);
+    let traffic = traffic(&config, &axes, &[], &[]);
     let frames: Vec<(u16, u8, u64)> =
         traffic.iter().map(|frame| (frame.cob_id.raw(), frame.bytes, frame.period.as_millis() as u64)).collect();
     let expected = [

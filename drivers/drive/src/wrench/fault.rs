@@ -1,0 +1,237 @@
+//! Faults of a force/torque sensor and their form in the words of a state, and errors of its bring-up.
+
+use std::time::Duration;
+
+use can::PortError;
+use serial::LineError;
+use thiserror::Error;
+
+use super::state::WrenchAxis;
+use crate::Fault;
+use crate::bus::Sign;
+
+/// A latched condition of a force/torque sensor. [`WrenchLink::reset_fault`](super::WrenchLink::reset_fault) and the
+/// next bring-up clear the fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
+pub enum WrenchFault {
+    /// Bring-up has not ended.
+    #[error("force sensor not started")]
+    NotStarted,
+    /// The driver was dropped.
+    #[error("force sensor ended, its line or bus has no controller any more")]
+    Ended,
+    /// No new sample for more cycles than the cell tolerates.
+    #[error("no sample for {cycles} cycles: check cable and supply of the sensor")]
+    Silent { cycles: u32 },
+    /// The last readings in a row were of another length than an answer of the sensor.
+    #[error("{readings} readings in a row were no answer of the sensor: check its cable and restart it")]
+    Garbage { readings: u32 },
+    /// The reading is at or beyond the end of the configured range. The load may be greater.
+    #[error("{axis} is saturated at {counts} counts: unload the sensor, then reset the fault")]
+    Saturated { axis: WrenchAxis, counts: i32 },
+    /// Samples come with another period than declared.
+    #[error(
+        "a sample every {found:.1?}, declared was {declared:?}: check the rate of the sensor and of its connection"
+    )]
+    OfAnotherRate { declared: Duration, found: Duration },
+    /// A status field of the sensor has error bits set.
+    #[error("sensor reports status {status:#x}: see its data sheet")]
+    Status { status: u32 },
+    /// The serial line cannot be read or written.
+    #[error("{0}: open the line anew")]
+    Line(LineError),
+    /// The node on the CAN bus sent no heartbeat.
+    #[error("no heartbeat for {waited:.1?}")]
+    HeartbeatLost { waited: Duration },
+    /// The node on the CAN bus booted again, or left NMT state operational. A new bring-up is necessary.
+    #[error("left operational state: bring the bus up again")]
+    LeftOperational,
+    /// The port took no heartbeat of the host for longer than the nodes wait for it.
+    #[error("bus: the host's heartbeat was not sent for {waited:.1?}")]
+    HeartbeatNotSent { waited: Duration },
+    #[error("bus: another controller is at work: it sent {sign}")]
+    OtherController { sign: Sign },
+    #[error("bus: {0}")]
+    Port(PortError),
+    /// The host's CAN controller counted too many errors and left the bus.
+    #[error("bus: the controller is bus-off")]
+    BusOff,
+}
+
+impl WrenchFault {
+    /// The fault of a sensor whose bus has this fault; `None` for a fault of one drive.
+    pub(crate) fn of_bus(fault: Fault) -> Option<Self> {
+        Some(match fault {
+            Fault::HeartbeatNotSent { waited } => Self::HeartbeatNotSent { waited },
+            Fault::OtherController { sign } => Self::OtherController { sign },
+            Fault::Port(error) => Self::Port(error),
+            Fault::BusOff => Self::BusOff,
+            Fault::Drive { .. }
+            | Fault::Silent { .. }
+            | Fault::NotSent { .. }
+            | Fault::HeartbeatLost { .. }
+            | Fault::HostLate { .. }
+            | Fault::LeftOperational { .. }
+            | Fault::PowerLost { .. }
+            | Fault::Implausible { .. }
+            | Fault::ModeChanged { .. }
+            | Fault::Stuck { .. }
+            | Fault::Aborted { .. }
+            | Fault::Refused { .. }
+            | Fault::AxisController { .. } => return None,
+        })
+    }
+
+    /// Whether the sensor may have been restarted, which ends a zero that the sensor itself keeps.
+    pub(super) fn may_be_restart(self) -> bool {
+        match self {
+            Self::NotStarted | Self::Ended | Self::Silent { .. } | Self::Garbage { .. } | Self::Line(_) => true,
+            Self::Saturated { .. }
+            | Self::OfAnotherRate { .. }
+            | Self::Status { .. }
+            | Self::HeartbeatLost { .. }
+            | Self::LeftOperational
+            | Self::HeartbeatNotSent { .. }
+            | Self::OtherController { .. }
+            | Self::Port(_)
+            | Self::BusOff => false,
+        }
+    }
+}
+
+/// Why a force/torque sensor could not be brought up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
+pub enum WrenchError {
+    /// No byte on a serial line; neither a boot-up message nor an answer of a node.
+    #[error("no answer, waited {waited:.1?}: check supply and cable of the sensor, and its {address}")]
+    Absent { waited: Duration, address: &'static str },
+    /// Bytes that are no answer, on a serial line.
+    #[error("{bytes} bytes and no answer of {length} among them: check the baud rate and the device on the line")]
+    Garbled { bytes: u32, length: usize },
+    /// The answers of a serial sensor come too late for a cycle.
+    #[error("{late} of {answers} answers took more than a period: set the adapter's latency timer to 1 ms")]
+    Late { late: u32, answers: u32 },
+    /// The device type (object 0x1000) of the node.
+    #[error("0x1000 is {found:#010x}, the cell expects {expected:#010x}: another device has this node-ID")]
+    OfAnotherType { expected: u32, found: u32 },
+    /// The node was started and sent no whole sample.
+    #[error("no sample since the start, waited {waited:.1?}: check the PDOs of the sensor")]
+    NoSamples { waited: Duration },
+    #[error("a sample every {found:.1?}, declared was {declared:?}: set the rate of the sensor")]
+    OfAnotherRate { declared: Duration, found: Duration },
+    #[error("{axis} is saturated at {counts} counts: unload the sensor, check its cable")]
+    Saturated { axis: WrenchAxis, counts: i32 },
+    #[error("sensor reports status {status:#x}: see its data sheet")]
+    Status { status: u32 },
+    #[error("{0}")]
+    Line(LineError),
+}
+
+/// A fault as three words: its kind with small fields above it, and two numbers. No fault is kind 0.
+pub(super) fn words(fault: Option<WrenchFault>) -> [u64; 3] {
+    let nanos = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
+    let errno = |number: i32| u64::from(number.cast_unsigned());
+    let Some(fault) = fault else { return [0; 3] };
+    match fault {
+        WrenchFault::NotStarted => [1, 0, 0],
+        WrenchFault::Ended => [2, 0, 0],
+        WrenchFault::Silent { cycles } => [3, u64::from(cycles), 0],
+        WrenchFault::Garbage { readings } => [4, u64::from(readings), 0],
+        WrenchFault::Saturated { axis, counts } => [5, axis as u64, errno(counts)],
+        WrenchFault::OfAnotherRate { declared, found } => [6, nanos(declared), nanos(found)],
+        WrenchFault::Status { status } => [7, u64::from(status), 0],
+        WrenchFault::Line(LineError::Gone) => [8, 0, 0],
+        WrenchFault::Line(LineError::Os(number)) => [8, 1, errno(number)],
+        WrenchFault::HeartbeatLost { waited } => [9, nanos(waited), 0],
+        WrenchFault::LeftOperational => [10, 0, 0],
+        WrenchFault::HeartbeatNotSent { waited } => [11, nanos(waited), 0],
+        WrenchFault::OtherController { sign: Sign::Sync } => [12, 0, 0],
+        WrenchFault::OtherController { sign: Sign::Heartbeat { node } } => [12, 1, u64::from(node)],
+        WrenchFault::OtherController { sign: Sign::Setpoint { node } } => [12, 2, u64::from(node)],
+        WrenchFault::Port(PortError::Down) => [13, 0, 0],
+        WrenchFault::Port(PortError::Gone) => [13, 1, 0],
+        WrenchFault::Port(PortError::Os(number)) => [13, 2, errno(number)],
+        WrenchFault::BusOff => [14, 0, 0],
+    }
+}
+
+/// The fault of three words of [`words`].
+pub(super) fn of_words([kind, a, b]: [u64; 3]) -> Option<WrenchFault> {
+    let (time, number) = (Duration::from_nanos, |word: u64| (word as u32).cast_signed());
+    Some(match kind {
+        0 => return None,
+        2 => WrenchFault::Ended,
+        3 => WrenchFault::Silent { cycles: a as u32 },
+        4 => WrenchFault::Garbage { readings: a as u32 },
+        5 => WrenchFault::Saturated { axis: WrenchAxis::ALL[a as usize % 6], counts: number(b) },
+        6 => WrenchFault::OfAnotherRate { declared: time(a), found: time(b) },
+        7 => WrenchFault::Status { status: a as u32 },
+        8 => WrenchFault::Line(if a == 0 { LineError::Gone } else { LineError::Os(number(b)) }),
+        9 => WrenchFault::HeartbeatLost { waited: time(a) },
+        10 => WrenchFault::LeftOperational,
+        11 => WrenchFault::HeartbeatNotSent { waited: time(a) },
+        12 => WrenchFault::OtherController {
+            sign: match a {
+                0 => Sign::Sync,
+                1 => Sign::Heartbeat { node: b as u8 },
+                _ => Sign::Setpoint { node: b as u8 },
+            },
+        },
+        13 => WrenchFault::Port(match a {
+            0 => PortError::Down,
+            1 => PortError::Gone,
+            _ => PortError::Os(number(b)),
+        }),
+        14 => WrenchFault::BusOff,
+        _ => WrenchFault::NotStarted,
+    })
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use proptest::prelude::*;
+    use proptest::sample::select;
+
+    use super::*;
+
+    /// Any fault, or none.
+    pub(in crate::wrench) fn any_fault() -> impl Strategy<Value = Option<WrenchFault>> {
+        (0..=20_usize, any::<u32>(), any::<i32>(), any::<[u64; 2]>(), select(&WrenchAxis::ALL)).prop_map(
+            |(kind, cycles, counts, [declared, found], axis)| {
+                let (waited, node) = (Duration::from_nanos(declared), cycles as u8);
+                [
+                    WrenchFault::NotStarted,
+                    WrenchFault::Ended,
+                    WrenchFault::Silent { cycles },
+                    WrenchFault::Garbage { readings: cycles },
+                    WrenchFault::Saturated { axis, counts },
+                    WrenchFault::OfAnotherRate { declared: waited, found: Duration::from_nanos(found) },
+                    WrenchFault::Status { status: cycles },
+                    WrenchFault::Line(LineError::Gone),
+                    WrenchFault::Line(LineError::Os(counts)),
+                    WrenchFault::HeartbeatLost { waited },
+                    WrenchFault::LeftOperational,
+                    WrenchFault::HeartbeatNotSent { waited },
+                    WrenchFault::OtherController { sign: Sign::Sync },
+                    WrenchFault::OtherController { sign: Sign::Heartbeat { node } },
+                    WrenchFault::OtherController { sign: Sign::Setpoint { node } },
+                    WrenchFault::Port(PortError::Down),
+                    WrenchFault::Port(PortError::Gone),
+                    WrenchFault::Port(PortError::Os(counts)),
+                    WrenchFault::BusOff,
+                ]
+                .get(kind)
+                .copied()
+            },
+        )
+    }
+
+    proptest! {
+        #[test]
+        fn every_fault_survives_its_words(fault in any_fault()) {
+            prop_assert_eq!(of_words(words(fault)), fault);
+        }
+    }
+}

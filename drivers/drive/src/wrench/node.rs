@@ -1,0 +1,273 @@
+//! One force/torque sensor on a CAN bus: frames to samples, and the watch of the node.
+
+use std::time::Duration;
+
+use can::{Instant, StandardId};
+use canopen::nmt::NmtState;
+
+use super::fault::WrenchFault;
+use super::node_config::{Content, Trigger, WrenchNodeConfig};
+use super::sampler::Sampler;
+use super::state::WrenchLink;
+use crate::bus::Syncs;
+use crate::cia402::GroupConfig;
+use crate::{BringUpError, Fault};
+
+/// Comparisons of the rate that a sensor has time for in bring-up.
+const COMPARISONS: u32 = 4;
+
+/// A force/torque sensor on a CAN bus.
+///
+/// Nothing here waits or allocates. The order of calls within a cycle is:
+/// 1. [`begin_of_read`](Self::begin_of_read);
+/// 2. [`take`](Self::take) and [`heard`](Self::heard), as frames arrive;
+/// 3. [`end_of_read`](Self::end_of_read), which publishes the state.
+pub(crate) struct WrenchNode {
+    node: u8,
+    trigger: Trigger,
+    /// Longest time between two frames of one sample without SYNC.
+    apart: Duration,
+    /// Time-out for the samples of bring-up.
+    samples_within: Duration,
+    heartbeat_lost_after: Duration,
+    frames: Vec<FrameLayout>,
+    set: Set,
+    last_counter: Option<u32>,
+    sampler: Sampler,
+    sampling: Sampling,
+    /// Receive time of the last heartbeat.
+    heartbeat: Instant,
+    /// Time of the first cycle. Silence counts from here, because frames that came before may still wait in the port.
+    since: Option<Instant>,
+    operational: bool,
+}
+
+/// The samples that end bring-up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Sampling {
+    /// Other nodes of the bus are not operational yet.
+    NotBegun,
+    Begun {
+        since: Instant,
+    },
+    /// Samples have come at the declared rate.
+    Compared,
+}
+
+/// Layout of one TPDO of a sample.
+struct FrameLayout {
+    cob_id: StandardId,
+    /// Offset and meaning of each field.
+    fields: Vec<(usize, Content)>,
+    bytes: usize,
+}
+
+/// The frames of one sample that have arrived.
+#[derive(Clone, Copy, Default)]
+struct Set {
+    /// Frame *n* in bit *n*.
+    frames: u8,
+    /// Time of the SYNC, or receive time of the first frame.
+    at: Instant,
+    counts: [i32; 6],
+    errors: u32,
+    /// The counter, and the bits that it has.
+    counter: Option<(u32, u32)>,
+}
+
+impl WrenchNode {
+    /// A sensor that has not been brought up, and the controller's end of it. The configuration is checked.
+    pub(crate) fn new(group: &GroupConfig, config: &WrenchNodeConfig) -> (Self, WrenchLink) {
+        let pace = config.pace(group);
+        let (sampler, link) = Sampler::new(&config.sensor, pace);
+        let layout = |pdo: &super::WrenchPdo| {
+            let mut bytes = 0;
+            let fields = pdo.fields.iter().map(|field| {
+                let offset = bytes;
+                bytes += usize::from(field.content.bytes());
+                (offset, field.content)
+            });
+            FrameLayout { cob_id: pdo.cob_id, fields: fields.collect(), bytes }
+        };
+        let node = Self {
+            node: config.node.raw(),
+            trigger: config.trigger,
+            apart: pace.declared() / 2,
+            samples_within: group.boot_timeout + COMPARISONS * pace.first_comparison(),
+            heartbeat_lost_after: group.heartbeat_lost_after(),
+            frames: config.pdos.iter().map(layout).collect(),
+            set: Set::default(),
+            last_counter: None,
+            sampler,
+            sampling: Sampling::NotBegun,
+            heartbeat: Instant::ZERO,
+            since: None,
+            operational: false,
+        };
+        (node, link)
+    }
+
+    /// Whether SYNC makes the node sample.
+    pub(crate) fn needs_sync(&self) -> bool {
+        matches!(self.trigger, Trigger::Sync { .. })
+    }
+
+    /// Ends operation. Bring-up begins.
+    pub(crate) fn reset(&mut self) {
+        (self.set, self.last_counter, self.sampling) = (Set::default(), None, Sampling::NotBegun);
+        self.sampler.reset();
+    }
+
+    /// Starts operation after bring-up.
+    pub(crate) fn begin(&mut self, now: Instant) {
+        (self.since, self.operational) = (None, true);
+        self.sampler.begin(now);
+    }
+
+    /// Judges the samples of bring-up once all nodes of the bus are operational. `synced`: a SYNC was sent since the
+    /// last call. Returns whether the sensor is ready.
+    pub(crate) fn is_ready(&mut self, now: Instant, synced: bool) -> Result<bool, BringUpError> {
+        self.count_request(synced);
+        let since = match self.sampling {
+            Sampling::NotBegun => now,
+            Sampling::Begun { since } => since,
+            Sampling::Compared => return Ok(true),
+        };
+        let compared = self.sampler.compare_first(now.since(since), self.samples_within);
+        let ready = compared.map_err(|error| BringUpError::WrenchNode { node: self.node, error })?;
+        self.sampling = if ready { Sampling::Compared } else { Sampling::Begun { since } };
+        Ok(ready)
+    }
+
+    fn count_request(&mut self, synced: bool) {
+        if synced && self.needs_sync() {
+            self.sampler.requested();
+        }
+    }
+
+    /// Begins the reading of a cycle.
+    pub(crate) fn begin_of_read(&mut self) {
+        self.sampler.begin_of_read();
+    }
+
+    /// Index of the frame with this identifier among those of a sample.
+    pub(crate) fn frame(&self, cob_id: StandardId) -> Option<usize> {
+        self.frames.iter().position(|frame| frame.cob_id == cob_id)
+    }
+
+    /// Takes frame `index` of a sample, received at `at`. `None` means a payload of another length, or a frame that
+    /// belongs to no SYNC.
+    pub(crate) fn take(&mut self, index: usize, data: &[u8], at: Instant, syncs: &Syncs) -> Option<()> {
+        let frame = self.frames.get(index)?;
+        if data.len() != frame.bytes {
+            self.sampler.garbage();
+            return None;
+        }
+        let at = if self.needs_sync() { syncs.of_answer(at)? } else { at };
+        let read = Set { at, ..Set::of(frame, data) };
+        let bit = 1_u8 << index;
+        let belongs = match self.trigger {
+            Trigger::Sync { .. } => self.set.at == at,
+            Trigger::EventTimer(_) => at.since(self.set.at) < self.apart,
+        };
+        let same = self.set.counter.is_none() || read.counter.is_none() || self.set.counter == read.counter;
+        if self.set.frames == 0 || self.set.frames & bit != 0 || !belongs || !same {
+            self.sampler.counters.lost += u64::from(self.set.frames != 0);
+            self.set = Set { at, ..Set::default() };
+        }
+        self.set.add(frame, &read, bit);
+        if usize::from(self.set.frames) + 1 == 1 << self.frames.len() {
+            let set = std::mem::take(&mut self.set);
+            self.complete(&set);
+        }
+        Some(())
+    }
+
+    /// Takes a whole sample. A sample with the number of the last one is that sample again.
+    fn complete(&mut self, set: &Set) {
+        self.sampler.status(set.errors);
+        if let Some((counter, mask)) = set.counter {
+            let step = self.last_counter.map_or(1, |last| counter.wrapping_sub(last) & mask);
+            self.last_counter = Some(counter);
+            if step == 0 {
+                self.sampler.counters.repeated += 1;
+                return;
+            }
+            // A sensor that was restarted counts from anywhere.
+            self.sampler.counters.lost += if step <= mask / 2 { u64::from(step) - 1 } else { 0 };
+        }
+        self.sampler.take(set.counts, set.at);
+    }
+
+    /// Takes a heartbeat or boot-up received at `at`.
+    pub(crate) fn heard(&mut self, state: NmtState, at: Instant) {
+        self.heartbeat = at;
+        self.operational &= state == NmtState::Operational;
+    }
+
+    /// Latches a fault of the bus.
+    pub(crate) fn latch_of_bus(&mut self, fault: Fault) {
+        if let Some(fault) = WrenchFault::of_bus(fault) {
+            self.sampler.latch(fault);
+        }
+    }
+
+    /// Ends the reading of a cycle: judges silence and publishes the state. `synced`: the SYNC of the last cycle was
+    /// sent.
+    pub(crate) fn end_of_read(&mut self, now: Instant, cycle: u64, synced: bool) {
+        self.count_request(synced);
+        if !self.operational {
+            self.sampler.latch(WrenchFault::LeftOperational);
+        }
+        let since = *self.since.get_or_insert(now);
+        let waited = now.since(self.heartbeat.max(since));
+        if waited > self.heartbeat_lost_after {
+            self.sampler.latch(WrenchFault::HeartbeatLost { waited });
+        }
+        self.sampler.end_of_read(now, cycle);
+    }
+}
+
+impl Set {
+    /// The fields of one frame.
+    fn of(frame: &FrameLayout, data: &[u8]) -> Self {
+        let mut set = Self::default();
+        for &(offset, content) in &frame.fields {
+            let bytes = &data[offset..offset + usize::from(content.bytes())];
+            match content {
+                Content::I16(axis) | Content::I32(axis) => set.counts[axis as usize] = signed(bytes),
+                Content::Counter { bytes: length } => {
+                    set.counter = Some((canopen::number(bytes), u32::MAX >> (32 - 8 * u32::from(length))));
+                }
+                Content::Status { errors, .. } => set.errors |= canopen::number(bytes) & errors,
+                Content::Ignored { .. } => {}
+            }
+        }
+        set
+    }
+
+    /// Adds the fields of a frame of this sample.
+    fn add(&mut self, frame: &FrameLayout, read: &Self, bit: u8) {
+        self.frames |= bit;
+        self.errors |= read.errors;
+        self.counter = self.counter.or(read.counter);
+        for axis in frame.fields.iter().filter_map(|(_, content)| content.axis()) {
+            self.counts[axis as usize] = read.counts[axis as usize];
+        }
+    }
+}
+
+/// A little-endian number of two or four bytes with its sign.
+fn signed(bytes: &[u8]) -> i32 {
+    match *bytes {
+        [low, high] => i16::from_le_bytes([low, high]).into(),
+        _ => canopen::number(bytes).cast_signed(),
+    }
+}
+
+impl Drop for WrenchNode {
+    /// Ends the validity of the last wrench.
+    fn drop(&mut self) {
+        self.sampler.end();
+    }
+}

@@ -1,0 +1,197 @@
+//! Comparison of the rate of samples with the declared rate.
+
+use std::time::Duration;
+
+use can::Instant;
+
+/// Samples of one comparison in operation.
+const SAMPLES: u32 = 64;
+
+/// Samples of the comparison that ends bring-up.
+const FIRST_SAMPLES: u32 = 16;
+
+/// A rate is another one if it differs by more than this part of the declared rate.
+const TOLERANCE: u32 = 4;
+
+/// What makes a sensor sample, and how often.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Pace {
+    /// Every n-th request: a query, or a SYNC. Requests are `period` apart.
+    Requested { every: u32, period: Duration },
+    /// The sensor's own clock. The host reads once per `period`.
+    Own { declared: Duration, period: Duration },
+}
+
+impl Pace {
+    /// Declared time between two samples.
+    pub(super) fn declared(self) -> Duration {
+        match self {
+            Self::Requested { every, period } => period * every,
+            Self::Own { declared, .. } => declared,
+        }
+    }
+
+    /// Cycles without a sample after which more than `tolerated` samples in a row are missing.
+    pub(super) fn silent_after(self, tolerated: u32) -> u32 {
+        let due = tolerated.saturating_add(1);
+        match self {
+            Self::Requested { every, .. } => due.saturating_mul(every),
+            Self::Own { declared, period } => {
+                let cycles = (declared.as_nanos() * u128::from(due)).div_ceil(period.as_nanos().max(1));
+                // The last sample was read up to a period after its reception.
+                u32::try_from(cycles).unwrap_or(u32::MAX).saturating_add(1)
+            }
+        }
+    }
+
+    /// Time that the comparison of bring-up takes at the declared rate.
+    pub(super) fn first_comparison(self) -> Duration {
+        match self {
+            Self::Requested { .. } => self.declared() * FIRST_SAMPLES,
+            Self::Own { declared, period } => declared.max(period) * FIRST_SAMPLES,
+        }
+    }
+}
+
+/// Count of the samples of a comparison.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rate {
+    pace: Pace,
+    /// Samples of this comparison at the declared rate.
+    length: u32,
+    requests: u32,
+    samples: u32,
+    /// Times of the first and the last sample.
+    first: Instant,
+    last: Instant,
+}
+
+impl Rate {
+    /// The comparison that ends bring-up.
+    pub(super) fn first(pace: Pace) -> Self {
+        Self::of(pace, FIRST_SAMPLES)
+    }
+
+    /// The comparisons in operation.
+    pub(super) fn new(pace: Pace) -> Self {
+        Self::of(pace, SAMPLES)
+    }
+
+    fn of(pace: Pace, length: u32) -> Self {
+        Self { pace, length, requests: 0, samples: 0, first: Instant::ZERO, last: Instant::ZERO }
+    }
+
+    /// Counts a request whose answer is due by now.
+    pub(super) fn requested(&mut self) {
+        self.requests += 1;
+    }
+
+    /// Counts a sample of this time.
+    pub(super) fn sampled(&mut self, at: Instant) {
+        if self.samples == 0 {
+            self.first = at;
+        }
+        self.last = at;
+        self.samples += 1;
+    }
+
+    /// Time between two samples so far; `None` without two samples.
+    pub(super) fn found(&self) -> Option<Duration> {
+        match self.pace {
+            Pace::Requested { period, .. } => (self.samples > 0).then(|| period * self.requests / self.samples),
+            Pace::Own { .. } => (self.samples > 1).then(|| self.last.since(self.first) / (self.samples - 1)),
+        }
+    }
+
+    /// Ends the comparison if its samples are complete: the time between two samples, and whether it is the declared
+    /// one. The next comparison begins.
+    pub(super) fn compare(&mut self) -> Option<(Duration, bool)> {
+        let complete = match self.pace {
+            Pace::Requested { every, .. } => self.requests >= self.length.saturating_mul(every),
+            // Times of reception may be those of the reading.
+            Pace::Own { period, .. } => {
+                self.samples > self.length && self.last.since(self.first) >= period * self.length
+            }
+        };
+        if !complete {
+            return None;
+        }
+        let declared = self.pace.declared();
+        // A comparison without a sample is for the count of missing samples to judge.
+        let found = self.found().unwrap_or(declared);
+        *self = Self::of(self.pace, self.length);
+        Some((found, found.abs_diff(declared) <= declared / TOLERANCE))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD: Duration = Duration::from_millis(2);
+
+    #[test]
+    fn requests_without_a_sample_and_samples_without_a_request_change_the_rate() {
+        // Of 64 requests so many gave a sample, or of 16 requests for the first comparison.
+        for (samples, right) in [(64, true), (52, true), (51, false), (32, false), (80, true), (90, false)] {
+            let mut rate = Rate::new(Pace::Requested { every: 1, period: PERIOD });
+            for request in 0..64_u32 {
+                assert_eq!(rate.compare(), None);
+                rate.requested();
+                let before = samples * request / 64;
+                (before..samples * (request + 1) / 64).for_each(|_| rate.sampled(Instant::ZERO));
+            }
+            assert_eq!(rate.compare(), Some((PERIOD * 64 / samples, right)), "{samples}");
+            assert_eq!(rate.compare(), None);
+        }
+    }
+
+    #[test]
+    fn a_sample_every_third_sync_is_compared_over_three_times_as_many_syncs() {
+        for (every, right) in [(3, true), (2, false), (4, false), (1, false)] {
+            let mut rate = Rate::first(Pace::Requested { every: 3, period: PERIOD });
+            let result = (1..=48).find_map(|sync| {
+                rate.requested();
+                if sync % every == 0 {
+                    rate.sampled(Instant::ZERO);
+                }
+                rate.compare()
+            });
+            assert_eq!(result, Some((PERIOD * every, right)), "{every}");
+        }
+    }
+
+    #[test]
+    fn a_sensor_with_a_clock_of_its_own_is_compared_by_the_times_of_its_samples() {
+        let micros = Duration::from_micros;
+        let declared = micros(1_000);
+        for (found, right) in [(1_000, true), (1_240, true), (760, true), (1_260, false), (740, false), (100, false)] {
+            let mut rate = Rate::first(Pace::Own { declared, period: PERIOD });
+            let mut now = Instant::ZERO;
+            let result = (0..1_000).find_map(|_| {
+                now += micros(found);
+                rate.sampled(now);
+                rate.compare()
+            });
+            assert_eq!(result, Some((micros(found), right)));
+            // At least 16 readings, so that a time of reading in place of reception does not count.
+            assert!(now.since(Instant::ZERO) >= PERIOD * 16);
+        }
+    }
+
+    #[test]
+    fn silence_is_counted_in_samples_that_are_due() {
+        let own = |declared| Pace::Own { declared, period: PERIOD };
+        let requested = |every| Pace::Requested { every, period: PERIOD };
+        for (pace, tolerated, cycles) in [
+            (requested(1), 0, 1),
+            (requested(1), 3, 4),
+            (requested(5), 3, 20),
+            (own(PERIOD), 3, 5),
+            (own(PERIOD * 5), 1, 11),
+            (own(PERIOD / 4), 0, 2),
+        ] {
+            assert_eq!(pace.silent_after(tolerated), cycles, "{pace:?} {tolerated}");
+        }
+    }
+}

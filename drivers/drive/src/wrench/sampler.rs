@@ -1,0 +1,318 @@
+//! The part of a sensor's driver that knows no wire: scale, zero, age, faults and the published state.
+
+use std::time::Duration;
+
+use can::Instant;
+
+use super::config::{Channel, WrenchConfig, ZeroMethod};
+use super::fault::{WrenchError, WrenchFault};
+use super::rate::{Pace, Rate};
+use super::state::{Requests, StatePublisher, WrenchAxis, WrenchLink, WrenchState, ZeroRequest, Zeroing};
+
+/// Counters of a sensor since bring-up. Counters only grow.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WrenchCounters {
+    /// Accepted samples.
+    pub samples: u64,
+    /// Answers that were due and did not come.
+    pub missing: u64,
+    /// Readings of another length than an answer.
+    pub garbage: u64,
+    /// Answers that came too late to be attributed to their query.
+    pub late: u64,
+    /// Samples with a saturated channel.
+    pub saturated: u64,
+    /// Samples that the sensor sent twice, by its counter.
+    pub repeated: u64,
+    /// Samples that were lost, by the counter of the sensor.
+    pub lost: u64,
+}
+
+/// Samples of one sensor, from counts to the published state.
+///
+/// Nothing here waits or allocates. The order of calls within a cycle is:
+/// 1. [`begin_of_read`](Self::begin_of_read);
+/// 2. [`take`](Self::take), [`garbage`](Self::garbage) and the other events, as readings arrive;
+/// 3. [`end_of_read`](Self::end_of_read), which publishes the state.
+pub(super) struct Sampler {
+    config: WrenchConfig,
+    pace: Pace,
+    state: WrenchState,
+    publisher: StatePublisher,
+    requests: Requests,
+    /// The last request for a zero that was begun or refused.
+    taken: Option<ZeroRequest>,
+    /// Counts of the last sample.
+    counts: [i32; 6],
+    /// Counts that read as zero.
+    offset: [f64; 6],
+    /// Sums of the counts of the zeroing under way.
+    sums: [i64; 6],
+    /// The bias command of the zeroing under way was sent.
+    bias_sent: bool,
+    rate: Rate,
+    /// A sample was taken in this cycle.
+    fresh: bool,
+    /// Readings since the last sample that were no answer.
+    garbage: u32,
+    /// Answers since the last sample that came too late.
+    late: u32,
+    /// Saturated samples in a row, and the first saturated channel of the last one.
+    saturated: u32,
+    saturated_at: Option<(WrenchAxis, i32)>,
+    status: u32,
+    pub(super) counters: WrenchCounters,
+}
+
+impl Sampler {
+    /// A sampler before bring-up, and the controller's end of it.
+    pub(super) fn new(config: &WrenchConfig, pace: Pace) -> (Self, WrenchLink) {
+        let (publisher, requests, link) = WrenchLink::new();
+        let sampler = Self {
+            config: *config,
+            pace,
+            state: WrenchState::NOT_STARTED,
+            publisher,
+            requests,
+            taken: None,
+            counts: [0; 6],
+            offset: [0.0; 6],
+            sums: [0; 6],
+            bias_sent: false,
+            rate: Rate::first(pace),
+            fresh: false,
+            garbage: 0,
+            late: 0,
+            saturated: 0,
+            saturated_at: None,
+            status: 0,
+            counters: WrenchCounters::default(),
+        };
+        (sampler, link)
+    }
+
+    /// Ends operation. Bring-up begins, and the zero is lost.
+    pub(super) fn reset(&mut self) {
+        self.state = WrenchState::NOT_STARTED;
+        self.offset = [0.0; 6];
+        self.rate = Rate::first(self.pace);
+        self.counters = WrenchCounters::default();
+        self.forget_streaks();
+        (self.status, self.fresh) = (0, false);
+        self.publish();
+    }
+
+    /// Starts operation after bring-up. The last sample of bring-up is that of the first cycle.
+    pub(super) fn begin(&mut self, now: Instant) {
+        self.state = WrenchState { at: now, fault: None, samples: 0, ..self.state };
+        self.rate = Rate::new(self.pace);
+        self.counters = WrenchCounters::default();
+        self.forget_streaks();
+        // A reset that was requested before has nothing to clear.
+        self.requests.take_reset();
+        self.publish();
+    }
+
+    fn forget_streaks(&mut self) {
+        (self.garbage, self.late, self.saturated) = (0, 0, 0);
+        self.saturated_at = None;
+    }
+
+    /// Begins the reading of a cycle. A requested reset takes effect here, so that the readings of this cycle can latch
+    /// the fault again.
+    pub(super) fn begin_of_read(&mut self) {
+        if self.requests.take_reset() {
+            self.reset_fault();
+        }
+    }
+
+    /// Counts a request whose answer is due by now.
+    pub(super) fn requested(&mut self) {
+        self.rate.requested();
+    }
+
+    /// Takes a whole sample of time `sampled`.
+    pub(super) fn take(&mut self, counts: [i32; 6], sampled: Instant) {
+        self.rate.sampled(sampled);
+        let mut channels = WrenchAxis::ALL.into_iter().zip(counts).zip(self.config.channels);
+        let beyond =
+            |(_, count): (WrenchAxis, i32), channel: Channel| count.unsigned_abs() >= channel.range.unsigned_abs();
+        self.saturated_at = channels.find(|(read, channel)| beyond(*read, *channel)).map(|(read, _)| read);
+        if self.saturated_at.is_some() {
+            self.saturated = self.saturated.saturating_add(1);
+            self.counters.saturated += 1;
+            return;
+        }
+        (self.saturated, self.garbage, self.late) = (0, 0, 0);
+        (self.counts, self.state.sampled, self.fresh) = (counts, sampled, true);
+        self.state.samples += 1;
+        self.counters.samples += 1;
+        self.scale();
+        if let Zeroing::UnderWay { request, samples } = self.state.zeroing {
+            self.state.zeroing = self.zero(request, samples);
+        }
+    }
+
+    /// Takes the last sample for a zeroing that has `samples` so far.
+    fn zero(&mut self, request: ZeroRequest, samples: u16) -> Zeroing {
+        let ZeroMethod::Host { samples: wanted } = self.config.zero else {
+            let done = self.bias_sent;
+            return if done { Zeroing::Done { request, samples } } else { Zeroing::UnderWay { request, samples } };
+        };
+        self.sums.iter_mut().zip(self.counts).for_each(|(sum, count)| *sum += i64::from(count));
+        let samples = samples + 1;
+        if samples < wanted {
+            return Zeroing::UnderWay { request, samples };
+        }
+        self.offset = self.sums.map(|sum| sum as f64 / f64::from(samples));
+        self.scale();
+        Zeroing::Done { request, samples }
+    }
+
+    fn scale(&mut self) {
+        for (axis, component) in self.state.wrench.iter_mut().enumerate() {
+            *component = (f64::from(self.counts[axis]) - self.offset[axis]) * self.config.channels[axis].scale;
+        }
+    }
+
+    /// Counts a reading of another length than an answer.
+    pub(super) fn garbage(&mut self) {
+        self.garbage = self.garbage.saturating_add(1);
+        self.counters.garbage += 1;
+    }
+
+    /// Counts an answer that came too late for its query.
+    pub(super) fn late(&mut self) {
+        self.late = self.late.saturating_add(1);
+        self.counters.late += 1;
+    }
+
+    /// Takes the error bits of a status field of the last frame.
+    pub(super) fn status(&mut self, errors: u32) {
+        self.status = errors;
+    }
+
+    /// Whether the bias command of the sensor is to be sent.
+    pub(super) fn bias_is_due(&self) -> bool {
+        let zeroing = matches!(self.state.zeroing, Zeroing::UnderWay { .. });
+        zeroing && self.config.zero == ZeroMethod::Device && !self.bias_sent
+    }
+
+    /// The bias command was sent: the next sample is the first with the new zero.
+    pub(super) fn biased(&mut self) {
+        self.bias_sent = true;
+    }
+
+    /// Latches a fault. The first fault stays until a reset or the next bring-up. A fault ends a zeroing.
+    pub(super) fn latch(&mut self, fault: WrenchFault) {
+        if let Zeroing::UnderWay { request, .. } = self.state.zeroing {
+            self.state.zeroing = Zeroing::Failed { request };
+        }
+        self.state.fault.get_or_insert(fault);
+    }
+
+    /// Judges the samples of bring-up so far: an error if they show that the sensor cannot be used.
+    pub(super) fn check_samples(&self) -> Result<(), WrenchError> {
+        if self.status != 0 {
+            return Err(WrenchError::Status { status: self.status });
+        }
+        match self.saturated_at {
+            Some((axis, counts)) if self.saturated > self.config.tolerated_saturated => {
+                Err(WrenchError::Saturated { axis, counts })
+            }
+            Some(_) | None => Ok(()),
+        }
+    }
+
+    /// Whether the last sample of bring-up can be used.
+    pub(super) fn has_sample(&self) -> bool {
+        self.fresh && self.saturated == 0
+    }
+
+    /// Ends the bring-up of a sensor that samples without a query, `waited` after its start: whether samples come at the
+    /// declared rate. `within`: time-out for the first comparison.
+    pub(super) fn compare_first(&mut self, waited: Duration, within: Duration) -> Result<bool, WrenchError> {
+        self.check_samples()?;
+        let declared = self.pace.declared();
+        match self.rate.compare() {
+            Some((found, false)) => Err(WrenchError::OfAnotherRate { declared, found }),
+            Some((_, true)) if self.has_sample() => Ok(true),
+            Some((_, true)) | None if waited <= within => Ok(false),
+            Some((_, true)) | None => Err(match self.rate.found() {
+                Some(found) => WrenchError::OfAnotherRate { declared, found },
+                None => WrenchError::NoSamples { waited },
+            }),
+        }
+    }
+
+    /// Ends the reading of a cycle: judges the readings, takes a request for a zero and publishes the state.
+    pub(super) fn end_of_read(&mut self, now: Instant, cycle: u64) {
+        (self.state.at, self.state.cycle) = (now, cycle);
+        self.state.age = if std::mem::take(&mut self.fresh) { 0 } else { self.state.age.saturating_add(1) };
+        self.judge();
+        self.take_request();
+        self.publish();
+    }
+
+    fn reset_fault(&mut self) {
+        let Some(fault) = self.state.fault.take() else { return };
+        if self.config.zero == ZeroMethod::Device && fault.may_be_restart() {
+            self.state.zeroing = Zeroing::None;
+        }
+        self.state.age = 0;
+        self.rate = Rate::new(self.pace);
+        self.forget_streaks();
+    }
+
+    fn judge(&mut self) {
+        if self.status != 0 {
+            self.latch(WrenchFault::Status { status: self.status });
+        }
+        let silent = self.state.age >= self.pace.silent_after(self.config.tolerated_missing);
+        if let Some((axis, counts)) = self.saturated_at
+            && (silent || self.saturated > self.config.tolerated_saturated)
+        {
+            self.latch(WrenchFault::Saturated { axis, counts });
+        }
+        let declared = self.pace.declared();
+        if silent {
+            let cycles = self.state.age;
+            self.latch(if self.garbage > 0 {
+                WrenchFault::Garbage { readings: self.garbage }
+            } else if self.late > 0 {
+                // A late answer is seen in the second reading after its query.
+                WrenchFault::OfAnotherRate { declared, found: 2 * declared }
+            } else {
+                WrenchFault::Silent { cycles }
+            });
+        }
+        if let Some((found, false)) = self.rate.compare() {
+            self.latch(WrenchFault::OfAnotherRate { declared, found });
+        }
+    }
+
+    fn take_request(&mut self) {
+        let requested = self.requests.zero();
+        if requested <= self.taken {
+            return;
+        }
+        self.taken = requested;
+        if let Some(request) = requested {
+            (self.sums, self.bias_sent) = ([0; 6], false);
+            self.state.zeroing = match self.state.fault {
+                Some(_) => Zeroing::Failed { request },
+                None => Zeroing::UnderWay { request, samples: 0 },
+            };
+        }
+    }
+
+    /// The driver is dropped: ends the validity of the last wrench.
+    pub(super) fn end(&mut self) {
+        self.latch(WrenchFault::Ended);
+        self.publish();
+    }
+
+    fn publish(&mut self) {
+        self.publisher.publish(&self.state.words());
+    }
+}
