@@ -26,10 +26,10 @@ const JERK: [f64; 2] = [0.6, 0.4];
 /// Time for which the bounds look ahead, s: about the usual duration of a change of the rate.
 const AHEAD: f64 = 0.5;
 
-/// Greatest change of the rate, 1/s, of a cell whose axes are all switched off.
+/// Greatest change of the rate, 1/s, with any axes.
 const BRISK: f64 = 10.0;
 
-/// Greatest second derivative of the rate, 1/s², of a cell whose axes are all switched off.
+/// Greatest second derivative of the rate, 1/s², with any axes.
 const BRISK_GROWTH: f64 = 200.0;
 
 /// Share of the bound of the second derivative that a planned change of the rate uses. The rest is a reserve for bounds
@@ -114,6 +114,7 @@ pub(crate) struct Bounds {
 }
 
 impl Bounds {
+    /// The bounds without an axis.
     pub(crate) const NONE: Self = Self { least: -BRISK, most: BRISK, change: BRISK, growth: BRISK_GROWTH };
 
     /// The bounds by an axis at the set-point `knot` of motion time.

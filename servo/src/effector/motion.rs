@@ -58,12 +58,10 @@ impl Effector {
         self.fail(tick, self.axis_in_motion(), StopCause::Starved { last: self.macrostep });
     }
 
-    /// Bounds of the rate of motion time, by the limits of the axes. A standing effector may begin to move in any cycle.
+    /// Bounds of the rate of motion time, by the limits of the axes. An effector in any state may begin to move before a
+    /// change of the rate has ended.
     pub(crate) fn rate_bounds(&self, rate: f64) -> Bounds {
         let segment = self.segment.as_ref().filter(|_| self.state == ServoState::Moving);
-        if segment.is_none() && self.state != ServoState::Standing {
-            return Bounds::NONE;
-        }
         let bounds = |(index, axis): (usize, &ServoAxis)| {
             let ahead = |periods| segment.map_or_else(Knot::default, |segment| segment.ahead(index, periods));
             let after = |periods| Bounds::of_axis(ahead(periods), rate, &axis.config);

@@ -95,3 +95,29 @@ fn a_motion_that_begins_in_a_pause_waits_at_its_start() {
     rig.run_until(Phase::Standing);
     assert_eq!(*rig.positions(0).last().unwrap(), 0.01);
 }
+
+#[test]
+fn a_rate_that_changes_while_the_drives_come_up_does_not_pass_the_override() {
+    for cycles in 0..100 {
+        let mut rig = Rig::new(1);
+        let latest = rig.link.latest.clone();
+        rig.world().axes[0].state.homing = Homing::Attained;
+        let speed = rig.servo.speed_override();
+        speed.pause();
+        rig.run(2000);
+        assert_eq!((rig.phase(), latest.read().rate), (Phase::Off, 0.0));
+        speed.set(0.2).unwrap();
+        speed.resume();
+        rig.run(cycles);
+        rig.order(Order::Enable);
+        let rates: Vec<f64> = std::iter::repeat_with(|| {
+            rig.run(1);
+            latest.read().rate
+        })
+        .take(2000)
+        .collect();
+        assert_eq!(rig.phase(), Phase::Standing);
+        let most = rates.iter().fold(0.0_f64, |most, rate| most.max(*rate));
+        assert_eq!((most, rates.last()), (0.2, Some(&0.2)), "{cycles}");
+    }
+}
