@@ -304,12 +304,18 @@ impl Ecp {
         }
         match self.activity {
             Activity::Running(_) if self.replacement.is_none() => self.end_as_ordered(),
-            Activity::Arriving | Activity::RunningOut if self.outstanding() > 0 && !self.is_at_barrier() => {
+            Activity::Arriving | Activity::RunningOut if self.continues() && !self.is_at_barrier() => {
                 self.brake(Ok(()));
             }
             _ => return false,
         }
         true
+    }
+
+    /// Whether the last macrostep does not end soon: the macrostep is not reported yet, or an override delays its end, and
+    /// a pause prevents its end.
+    fn continues(&self) -> bool {
+        self.outstanding() > 0 || self.phase() == Phase::Moving && self.latest().rate < 1.0
     }
 
     /// Ends the motion that the coordinator or the task ends. The coordinator of a team ends all members after the same

@@ -261,6 +261,26 @@ fn an_end_acts_in_a_pause() {
 }
 
 #[test]
+fn an_end_acts_in_a_pause_in_the_last_periods_of_a_motion() {
+    let mut bench = Bench::ready();
+    let mut task = followed(&mut bench.ecp);
+    bench.ecp.execute(Task::new().run(to(0.5, 0.0, 0.0)).run(to(0.4, 0.0, 0.0))).unwrap();
+    let (mut told, mut settled) = (false, 0);
+    let events = bench.go_on(|bench| {
+        let arrives = matches!(bench.ecp.activity, Activity::Arriving) && bench.ecp.outstanding() == 0;
+        if told || bench.ecp.instruction > 0 {
+            settled += u64::from(bench.ecp.instruction == 0);
+        } else if bench.servo.paused {
+            told = true;
+            assert!(task.end_motion(bench.now));
+        }
+        bench.servo.paused = bench.ecp.instruction == 0 && (bench.servo.paused || arrives);
+    });
+    assert_eq!((events, told), (finished(2), true));
+    assert!(settled <= SETTLED, "{settled} cycles");
+}
+
+#[test]
 fn a_sensor_without_a_reading_does_not_hide_the_end_of_a_motion() {
     let mut bench = Bench::ready();
     let mut task = followed(&mut bench.ecp);
