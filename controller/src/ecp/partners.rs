@@ -81,7 +81,7 @@ impl Ecp {
     /// The task has fetched the result of the last list. What it told before was for that list, if the list ended with a
     /// motion.
     pub(crate) fn close_list(&mut self) {
-        if self.moves {
+        if std::mem::take(&mut self.moves) {
             self.receive_from_task();
         }
     }

@@ -288,6 +288,22 @@ fn an_end_in_the_turn_in_which_a_motion_has_ended_does_not_end_the_next_one() {
 }
 
 #[test]
+fn an_end_between_two_motions_is_kept_through_a_list_without_a_motion() {
+    let bench = Bench::new(0, async |mut stage: Stage| {
+        stage.agent.perform(Task::new().enable().run(to(0.2))).await.unwrap();
+        let mut link = stage.agent.coordinated::<(), ()>();
+        link.end_motion().unwrap();
+        stage.agent.perform(Task::new()).await.unwrap();
+        stage.agent.perform(Task::new().run(to(0.1))).await.unwrap();
+        assert!((stage.joint().0 - 0.2).abs() < 1e-9, "the motion has moved: {:?}", stage.joint());
+        stage.agent.perform(Task::new().run(to(0.1))).await.unwrap();
+        assert!((stage.joint().0 - 0.1).abs() < 1e-9, "{:?}", stage.joint());
+        Ok(())
+    });
+    bench.run(5000);
+}
+
+#[test]
 fn an_earlier_link_to_the_task_is_gone() {
     let bench = Bench::new(0, async |mut stage: Stage| {
         let mut first = stage.agent.coordinated::<u8, ()>();
