@@ -132,6 +132,11 @@ impl Load {
         Self::new(mass, centre, Matrix3::zeros())
     }
 
+    /// Whether the load has no mass and no inertia.
+    pub fn is_none(&self) -> bool {
+        self.mass == 0.0 && self.inertia == Matrix3::zeros()
+    }
+
     /// The wrench that weight and inertia of the load put on the sensor, in the frame of the sensor. The z axis of the
     /// base points upward.
     ///

@@ -7,6 +7,7 @@ use thiserror::Error;
 use super::TimingError;
 use crate::path::PathError;
 use crate::robot::KinematicsError;
+use crate::sensor::ForceError;
 
 /// Reasons why a generator refuses a motion or gives it up.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
@@ -123,6 +124,9 @@ pub enum GeneratorError {
     /// A coordinator has no effector of its own.
     #[error("a coordinator has no effector")]
     NoEffector,
+    /// The sensor whose reading the step needs has none.
+    #[error("force sensor: {0}")]
+    Force(ForceError),
     /// Reason of a user's generator, with a number defined by that generator.
     #[error("generator error {0}")]
     User(u16),

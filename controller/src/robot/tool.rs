@@ -36,6 +36,11 @@ impl Arm {
         &*self.robot
     }
 
+    /// Frame of the tool in the frame of the flange.
+    pub fn flange_from_tool(&self) -> Pose {
+        self.flange_from_tool
+    }
+
     /// Number of axes of the robot.
     pub fn axes(&self) -> usize {
         self.robot.axes()

@@ -23,6 +23,7 @@
 //! Read [`VirtualSensor`] first, then [`DigitalInputs`] as an example.
 
 mod digital;
+mod force;
 mod jog;
 mod marked;
 mod operator;
@@ -40,6 +41,7 @@ use thiserror::Error;
 use crate::generator::{EffectorImage, GeneratorError, Message, Partners, Received, Sample, SensorReading};
 
 pub use digital::DigitalInputs;
+pub use force::{ForceError, ForceReading, ForceSensorConfig, ForceTorque};
 pub use jog::{JogCommand, JogHandle, JogPanel, JogReading};
 pub use marked::Marked;
 pub use operator::{

@@ -1,0 +1,249 @@
+//! A force/torque sensor between flange and tool as a virtual sensor.
+
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use can::Instant;
+use drive::wrench::{WrenchFault, WrenchLink, WrenchState, ZeroRequest, Zeroing};
+use nalgebra::UnitQuaternion;
+use servo::{Latest, Snapshot};
+use thiserror::Error;
+
+use super::{VirtualSensor, try_lock};
+use crate::force::{Load, SensorMotion, Wrench};
+use crate::generator::{GeneratorError, SensorReading};
+use crate::robot::{Arm, KinematicsError, Pose};
+
+/// Why a force sensor has no contact wrench.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum ForceError {
+    /// The sensor, its line or its bus has a fault.
+    #[error("{0}")]
+    Sensor(WrenchFault),
+    /// The orientation of the sensor is unknown, and with it the weight of the tool.
+    #[error("the weight of the tool is compensated only on a homed robot: home the robot first")]
+    NotHomed,
+    /// The robot measures positions that its mechanism cannot take.
+    #[error("the orientation of the sensor is unknown: {0}")]
+    Orientation(KinematicsError),
+    /// Another thread reads the sensor at this moment.
+    #[error("another thread reads the sensor: read again")]
+    Busy,
+    /// The driver did not complete a zeroing.
+    #[error("not zeroed within {waited:?}: read the fault of the sensor")]
+    NotZeroed {
+        /// Time since the request.
+        waited: Duration,
+    },
+}
+
+/// Reading of a force/torque sensor: the contact wrench on the tool, without the weight of the tool.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ForceReading {
+    contact: Result<Wrench, ForceError>,
+    tool_from_sensor: Pose,
+}
+
+impl SensorReading for ForceReading {}
+
+impl ForceReading {
+    /// The contact wrench in the frame of the sensor.
+    pub fn in_sensor(&self) -> Result<Wrench, GeneratorError> {
+        self.contact.map_err(GeneratorError::Force)
+    }
+
+    /// The contact wrench in the frame of the tool: the torques are about the origin of the tool.
+    pub fn in_tool(&self) -> Result<Wrench, GeneratorError> {
+        Ok(self.in_sensor()?.seen_from(&self.tool_from_sensor))
+    }
+}
+
+/// Place and load of a force/torque sensor at a robot.
+#[derive(Clone, Debug)]
+pub struct ForceSensorConfig {
+    /// The robot and its tool.
+    pub arm: Arm,
+    /// Rotation from the axes of the robot's base to axes whose z points upward.
+    pub upright_from_base: UnitQuaternion<f64>,
+    /// Frame of the sensor in the frame of the flange.
+    pub flange_from_sensor: Pose,
+    /// All that is mounted behind the sensor.
+    pub load: Load,
+}
+
+/// A force/torque sensor at the flange of a robot. Clones read the same sensor and have the same zero.
+///
+/// A reading is the wrench of the last sample minus the weight of the tool in the orientation of the last servo cycle. The
+/// time of the reading is that of the sample, one servo period or more before. The inertia of the tool is not compensated:
+/// an acceleration *a* of the tool reads as a force of its mass times *a*.
+///
+/// A reading of a sensor with a fault is an error ([`ForceReading::in_sensor`]).
+#[derive(Clone, Debug)]
+pub struct ForceTorque {
+    link: WrenchLink,
+    robot: Latest,
+    config: Arc<ForceSensorConfig>,
+    tool_from_sensor: Pose,
+    zero: Arc<Mutex<Zero>>,
+}
+
+/// Weight of the tool at the last zeroing, which the readings of the driver no longer contain.
+#[derive(Clone, Copy, Debug, Default)]
+struct Zero {
+    request: Option<ZeroRequest>,
+    weight: Wrench,
+}
+
+impl ForceTorque {
+    /// The sensor of `link` at the robot whose states `robot` reads.
+    pub fn new(link: WrenchLink, robot: Latest, config: ForceSensorConfig) -> Self {
+        let tool_from_sensor = config.arm.flange_from_tool().inverse() * config.flange_from_sensor;
+        Self { link, robot, config: Arc::new(config), tool_from_sensor, zero: Arc::default() }
+    }
+
+    /// The link to the driver.
+    pub fn link(&self) -> &WrenchLink {
+        &self.link
+    }
+
+    /// The wrench that the weight of the tool puts on the sensor in the orientation of the last servo cycle, in the frame
+    /// of the sensor.
+    pub fn weight(&self) -> Result<Wrench, ForceError> {
+        self.weight_in(&self.robot.read())
+    }
+
+    /// The present reading and the time of its sample; `None` while another thread notes a zero.
+    pub fn read(&self) -> Option<(Instant, ForceReading)> {
+        let state = self.link.read();
+        let mut zero = try_lock(&self.zero)?;
+        let contact = self.contact(&state, &mut zero);
+        Some((state.sampled, ForceReading { contact, tool_from_sensor: self.tool_from_sensor }))
+    }
+
+    fn contact(&self, state: &WrenchState, zero: &mut Zero) -> Result<Wrench, ForceError> {
+        if let Some(fault) = state.fault {
+            return Err(ForceError::Sensor(fault));
+        }
+        let weight = self.weight_in(&self.robot.read())?;
+        match state.zeroing {
+            // The robot stands still until the zeroing is done.
+            Zeroing::Done { request, .. } if zero.request < Some(request) => {
+                *zero = Zero { request: Some(request), weight };
+            }
+            // A bring-up ends the zero of the driver.
+            Zeroing::None => *zero = Zero::default(),
+            Zeroing::Done { .. } | Zeroing::UnderWay { .. } | Zeroing::Failed { .. } => {}
+        }
+        Ok(Wrench::from_components(state.wrench) + zero.weight - weight)
+    }
+
+    fn weight_in(&self, robot: &Snapshot) -> Result<Wrench, ForceError> {
+        let ForceSensorConfig { arm, upright_from_base, flange_from_sensor, load } = &*self.config;
+        if load.is_none() {
+            return Ok(Wrench::default());
+        }
+        if !robot.homed {
+            return Err(ForceError::NotHomed);
+        }
+        let joints = arm.joints(&robot.measured).map_err(ForceError::Orientation)?;
+        let base_from_tool = arm.forward(&joints).map_err(ForceError::Orientation)?;
+        let base_from_flange = base_from_tool.rotation * arm.flange_from_tool().rotation.inverse();
+        let orientation = upright_from_base * base_from_flange * flange_from_sensor.rotation;
+        Ok(load.wrench(&SensorMotion::at_rest(orientation)))
+    }
+}
+
+impl VirtualSensor for ForceTorque {
+    type Reading = ForceReading;
+    type Command = ();
+
+    fn poll(&mut self, _: Instant) -> Option<(Instant, ForceReading)> {
+        self.read()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use drive::wrench::RehearsedWrench;
+    use nalgebra::Vector3;
+    use servo::latest;
+
+    use super::*;
+    use crate::robot::{Irb6Parameters, RobotParameters};
+
+    /// Weight of the tool, N.
+    const WEIGHT: f64 = 2.0 * 9.81;
+
+    /// A sensor 90 mm beyond the flange of an IRb-6, whose tool points 250 mm further.
+    fn config() -> ForceSensorConfig {
+        let along_z = |length| Pose::translation(0.0, 0.0, length);
+        ForceSensorConfig {
+            arm: Arm::new(Irb6Parameters::irb6().robot().unwrap(), along_z(0.25)),
+            upright_from_base: UnitQuaternion::identity(),
+            flange_from_sensor: along_z(0.09),
+            load: Load::of_weight(2.0, Vector3::new(0.0, 0.0, 0.1)).unwrap(),
+        }
+    }
+
+    /// A homed IRb-6 with this pitch of the wrist, rad.
+    fn pitched(config: &ForceSensorConfig, pitch: f64) -> Snapshot {
+        let mut joints = [0.0; servo::MAX_AXES];
+        joints[..5].copy_from_slice(&[0.2, -1.571, 0.1, pitch, 0.4]);
+        Snapshot { homed: true, axes: 5, measured: config.arm.motors(&joints).unwrap(), ..Snapshot::default() }
+    }
+
+    fn sum(parts: [[f64; 6]; 3]) -> [f64; 6] {
+        std::array::from_fn(|axis| parts.iter().map(|part| part[axis]).sum())
+    }
+
+    #[test]
+    fn contact_is_read_without_the_weight_of_the_tool_and_the_zero_in_every_orientation() {
+        let (mut publisher, robot) = latest();
+        let (mut device, link) = RehearsedWrench::new();
+        let config = config();
+        let sensor = ForceTorque::new(link.clone(), robot, config.clone());
+        publisher.publish(&pitched(&config, -0.5));
+        let offset = [3.0, -5.0, 8.0, 0.1, 0.2, -0.3];
+        let weight = || sensor.weight().unwrap().components();
+        assert!((Vector3::from_column_slice(&weight()[..3]).norm() - WEIGHT).abs() < 1e-9);
+        let mut now = Instant::ZERO;
+        let mut read = |load: [f64; 6]| {
+            now += Duration::from_millis(2);
+            device.advance(now, load);
+            let (at, reading) = sensor.read().unwrap();
+            assert_eq!(at, now);
+            reading
+        };
+        // Before the zeroing the offset remains.
+        let found = read(sum([offset, weight(), [0.0; 6]])).in_sensor().unwrap().components();
+        assert!(found.iter().zip(offset).all(|(found, offset)| (found - offset).abs() < 1e-9), "{found:?}");
+        link.zero();
+        let contact = [1.0, 2.0, -30.0, 0.4, 0.5, 0.6];
+        for (pitch, contact) in [(-0.5, [0.0; 6]), (-0.5, contact), (0.8, [0.0; 6]), (1.2, contact)] {
+            publisher.publish(&pitched(&config, pitch));
+            let reading = read(sum([offset, weight(), contact]));
+            let found = reading.in_sensor().unwrap();
+            let off = found - Wrench::from_components(contact);
+            assert!(off.force.amax() < 1e-9 && off.torque.amax() < 1e-9, "{pitch}: {found:?}");
+            // The origin of the tool is 160 mm beyond that of the sensor.
+            let in_tool = reading.in_tool().unwrap();
+            let arm = Vector3::new(0.0, 0.0, -0.16);
+            assert!((in_tool.force - found.force).amax() < 1e-12);
+            assert!((in_tool.torque - found.torque - arm.cross(&found.force)).amax() < 1e-12, "{in_tool:?}");
+        }
+    }
+
+    #[test]
+    fn a_reading_of_a_robot_that_is_not_homed_is_an_error() {
+        let (mut publisher, robot) = latest();
+        let (mut device, link) = RehearsedWrench::new();
+        let config = config();
+        device.advance(Instant::from_nanos(1), [0.0; 6]);
+        let sensor = ForceTorque::new(link, robot, config.clone());
+        let read = || sensor.read().unwrap().1.in_sensor();
+        publisher.publish(&Snapshot { homed: false, ..pitched(&config, 0.0) });
+        assert_eq!(read(), Err(GeneratorError::Force(ForceError::NotHomed)));
+        publisher.publish(&pitched(&config, 0.0));
+        assert!(read().is_ok());
+    }
+}
