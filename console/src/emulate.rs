@@ -66,6 +66,14 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     let on_interfaces = interfaces.iter().zip(&links).map(|(interface, link)| link.is_none().then_some(interface));
     interfaces::all_differ(&file.cell, on_interfaces)?;
     emulation::problems(&file).next().map_or(Ok(()), Err)?;
+    if let Some(bus) = links.iter().position(Option::is_none)
+        && !(file.cell.force_sensor.is_empty() && file.cell.scene.is_none())
+    {
+        bail!(
+            "bus {}: contacts and force sensors are emulated only together with all drives: put each bus behind --slcan",
+            file.cell.bus[bus].name
+        );
+    }
     let emulated = EmulatedCell::of(&file);
     let mut payloads = Payloads::of(&emulated, clock::now());
     let mut buses = Vec::new();
@@ -106,6 +114,14 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
             lines.add_line(line, pty);
         }
         names.push(format!("{} in {}", serial.name, directory.display()));
+    }
+    let sensors = emulated.add_sensors(&mut lines.world);
+    for (sensor, line) in file.cell.force_sensor.iter().zip(sensors) {
+        let Some(directory) = &options.serial else {
+            bail!("--serial DIR is missing: it is where the tty of {} is to be linked", sensor.name);
+        };
+        lines.add_sensor(line, linked(&sensor.name, directory)?);
+        names.push(format!("{} in {}", sensor.name, directory.display()));
     }
     if let Some(directory) = &options.service {
         if file.cell.bus.is_empty() {
@@ -155,8 +171,13 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
 /// A pseudo-terminal and a symbolic link to it in `directory`. The link has the name of `axis`, which gives robot and
 /// number.
 fn link_of(file: &CellFile, (robot, number): (usize, usize), directory: &Path) -> anyhow::Result<Pty> {
+    linked(&file.axis_name(robot, number), directory)
+}
+
+/// A pseudo-terminal and a symbolic link called `name` to it in `directory`.
+fn linked(name: &str, directory: &Path) -> anyhow::Result<Pty> {
     std::fs::create_dir_all(directory).with_context(|| directory.display().to_string())?;
-    let link = directory.join(file.axis_name(robot, number));
+    let link = directory.join(name);
     Pty::linked(&link).with_context(|| link.display().to_string())
 }
 

@@ -1,4 +1,4 @@
-//! Bus budget: whether each bus of a cell can carry its traffic within the period.
+//! Bus budget: whether each bus and each line of a cell can carry its traffic within the period.
 
 use std::time::Duration;
 
@@ -10,8 +10,9 @@ use drive::bus::{Traffic, traffic};
 use drive::cia402::AxisConfig;
 use drive::wrench::WrenchNodeConfig;
 use serde::Serialize;
+use serial::ati;
 
-use crate::cell::{CellFile, Path, Protocol};
+use crate::cell::{CellFile, ForceSensor, Path, Protocol};
 use crate::{bench::emulation, setup};
 
 /// Budget of one bus.
@@ -27,8 +28,22 @@ pub struct BusBudget {
     pub messages: Vec<MessageBudget>,
     /// The bit rate; for a bundle, the sum of all lines.
     pub bits_per_second: f64,
-    /// Absent for a CAN bus.
+    /// Absent for a CAN bus and for a force sensor.
     pub serial: Option<Bundle>,
+    /// The line of a force sensor; absent for a bus and for a bundle of lines.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sensor: Option<SensorBudget>,
+}
+
+/// The line of a force sensor.
+#[derive(Debug, Serialize)]
+pub struct SensorBudget {
+    /// Name of the robot.
+    pub robot: String,
+    /// The tty.
+    pub line: String,
+    /// Baud rate, bit/s.
+    pub baud: u32,
 }
 
 /// A bundle of serial lines. Each line carries the messages of one axis. Loads and times apply to one line.
@@ -71,10 +86,11 @@ pub struct MessageBudget {
 
 /// Computes the budget of every bus, and refuses a cell that exceeds it.
 pub fn check(file: &CellFile) -> anyhow::Result<Vec<BusBudget>> {
-    // A cell file names no force/torque sensors.
+    // A cell file names no force/torque sensors on CAN buses.
     let buses = (0..file.cell.bus.len()).map(|bus| check_bus(file, bus, &[]));
     let lines = (0..file.cell.serial.len()).map(|bundle| check_lines(file, bundle));
-    buses.chain(lines).collect()
+    let sensors = file.cell.force_sensor.iter().map(|sensor| Ok(of_sensor(file.cell.period(), sensor)));
+    buses.chain(lines).chain(sensors).collect()
 }
 
 fn check_bus(file: &CellFile, index: usize, sensors: &[WrenchNodeConfig]) -> anyhow::Result<BusBudget> {
@@ -104,6 +120,7 @@ fn check_bus(file: &CellFile, index: usize, sensors: &[WrenchNodeConfig]) -> any
         messages: rows.collect(),
         bits_per_second: 1e3 * f64::from(bus.bitrate_kbps),
         serial: None,
+        sensor: None,
     };
     let (key, nodes) = (Path::to("bus").then(index), nodes(axes.len(), io.len(), sensors.len()));
     if analysis.busy > period {
@@ -161,6 +178,7 @@ fn check_lines(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
         messages: vec![message("request", request, asked), message("answer", answer, answered)],
         bits_per_second: f64::from(bundle.baud) * lines.len() as f64,
         serial: Some(Bundle { protocol: bundle.protocol, baud: bundle.baud, lines }),
+        sensor: None,
     };
     if answered <= period {
         return Ok(budget);
@@ -175,6 +193,29 @@ fn check_lines(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
             share(answered),
         ),
     ))
+}
+
+/// The line of a force sensor carries one query and one answer per period. A parsed cell has time for both.
+fn of_sensor(period: Duration, sensor: &ForceSensor) -> BusBudget {
+    let settings = sensor.settings();
+    let [asked, answered] = [ati::REQUEST, ati::REQUEST + ati::REPLY].map(|bytes| settings.line_time(bytes));
+    let share = |time: Duration| 100.0 * time.as_secs_f64() / period.as_secs_f64();
+    let message = |what, bytes: usize, response: Duration| MessageBudget {
+        what,
+        cob_id: None,
+        bytes: bytes as u8,
+        period_us: period.as_micros(),
+        response_us: Some(response.as_micros()),
+    };
+    BusBudget {
+        name: sensor.name.clone(),
+        load_percent: share(settings.line_time(ati::REPLY)),
+        worst_case_percent: share(answered),
+        messages: vec![message("query", ati::REQUEST, asked), message("answer", ati::REPLY, answered)],
+        bits_per_second: f64::from(sensor.baud),
+        serial: None,
+        sensor: Some(SensorBudget { robot: sensor.robot.clone(), line: sensor.line.clone(), baud: sensor.baud }),
+    }
 }
 
 /// The messages of a bus in the order of the senders' queues.

@@ -8,8 +8,8 @@ use serde::Serialize;
 use servo::Servo;
 
 use crate::bench::emulation::{self, Emulation};
-use crate::bench::{BenchKind, emulated_lines};
-use crate::budget::{self, Bundle, BusBudget};
+use crate::bench::{BenchKind, emulated_lines, emulated_sensors};
+use crate::budget::{self, Bundle, BusBudget, MessageBudget, SensorBudget};
 use crate::cell::{CellFile, IoNode, printable};
 use crate::rehearsal::{self, Rehearsed};
 use crate::{run::RunningTask, setup, tasks::Program};
@@ -94,9 +94,10 @@ pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> 
 fn assemble(file: &CellFile, program: &Program, rehearsed: &Rehearsed) -> anyhow::Result<()> {
     let (mut emulation, ends) = Emulation::of(file);
     let lines = emulated_lines(file, BenchKind::Lockstep, &mut emulation, ends.lines)?;
-    let devices = setup::devices(file, ends.ports, lines, None)?;
+    let sensors = emulated_sensors(file, BenchKind::Lockstep, &mut emulation, ends.sensors)?;
+    let devices = setup::devices(file, ends.ports, lines, sensors, None)?;
     let (servo, links) = Servo::new(&setup::servo_config(file), devices.groups)?;
-    RunningTask::new(&Arc::new(file.clone()), program, links, devices.io, &servo, rehearsed);
+    RunningTask::new(&Arc::new(file.clone()), program, links, (devices.io, &devices.sensors), &servo, rehearsed);
     Ok(())
 }
 
@@ -145,6 +146,17 @@ impl fmt::Display for CheckReport {
 impl CheckReport {
     fn write_bus(&self, f: &mut fmt::Formatter<'_>, bus: &BusBudget) -> fmt::Result {
         let (load, worst) = (bus.load_percent, bus.worst_case_percent);
+        if let Some(SensorBudget { robot, line, baud }) = &bus.sensor {
+            writeln!(
+                f,
+                "\nforce sensor {} of {robot}: {} at {baud} bit/s, the answer has come after {worst:.1} % of {} µs at the \
+                 worst",
+                bus.name,
+                printable(line),
+                self.period_us
+            )?;
+            return write_messages(f, &bus.messages);
+        }
         match &bus.serial {
             // A bus of I/O nodes alone, for example.
             None if bus.messages.iter().all(|message| message.response_us.is_none()) => {
@@ -170,13 +182,17 @@ impl CheckReport {
                 }
             }
         }
-        writeln!(f, "  {:16} {:>6} {:>5} {:>10} {:>11}", "frame", "id", "bytes", "every µs", "response µs")?;
-        let shown = |value: Option<String>| value.unwrap_or("-".to_owned());
-        for message in &bus.messages {
-            let response = shown(message.response_us.map(|response| response.to_string()));
-            let id = shown(message.cob_id.map(|id| format!("{id:#x}")));
-            writeln!(f, "  {:16} {id:>6} {:>5} {:>10} {response:>11}", message.what, message.bytes, message.period_us)?;
-        }
-        Ok(())
+        write_messages(f, &bus.messages)
     }
+}
+
+fn write_messages(f: &mut fmt::Formatter<'_>, messages: &[MessageBudget]) -> fmt::Result {
+    writeln!(f, "  {:16} {:>6} {:>5} {:>10} {:>11}", "frame", "id", "bytes", "every µs", "response µs")?;
+    let shown = |value: Option<String>| value.unwrap_or("-".to_owned());
+    for message in messages {
+        let response = shown(message.response_us.map(|response| response.to_string()));
+        let id = shown(message.cob_id.map(|id| format!("{id:#x}")));
+        writeln!(f, "  {:16} {id:>6} {:>5} {:>10} {response:>11}", message.what, message.bytes, message.period_us)?;
+    }
+    Ok(())
 }

@@ -79,6 +79,7 @@ pub mod prelude {
     pub use controller::coordination::{Coordinator, Late, LinkConfig, NextOrders, Orders};
     pub use controller::ecp::{Class, Task};
     pub use controller::executor::{LooseLink, Observer, Replacer, join, join_all};
+    pub use controller::force::Wrench;
     pub use controller::generator::{
         A, Accelerations, Answer, AxesState, ConstantVelocity, Contour, EffectorImage, FeedLimits, Generator,
         GeneratorError, JerkLimited, Jog, LineLimits, MotionLimits, Newsmooth, Next, OperatorReaction, Pace,
@@ -88,8 +89,8 @@ pub mod prelude {
     pub use controller::path::{BSpline, Curve, JointPath, Path, PoseState, SplineEnds};
     pub use controller::robot::Space;
     pub use controller::sensor::{
-        DigitalInputs, JogCommand, JogHandle, JogPanel, JogReading, Marked, Operator, Question, Reaction, Shell,
-        VirtualSensor,
+        DigitalInputs, ForceError, ForceReading, ForceTorque, JogCommand, JogHandle, JogPanel, JogReading, Marked,
+        Operator, Question, Reaction, Shell, VirtualSensor,
     };
     pub use drive::cia401::InputImage;
 
@@ -97,7 +98,7 @@ pub mod prelude {
     pub use crate::cell::CellFile;
     pub use crate::motions::Motions;
     pub use crate::report::{AxisReport, Deviation, FaultReport, RobotReport, RunOutcome, RunReport};
-    pub use crate::tasks::{Cell, InputLine, Outcome, OutputLine, Robot, TaskError, Team};
+    pub use crate::tasks::{Cell, ForceSensor, InputLine, Outcome, OutputLine, Robot, TaskError, Team};
 }
 
 /// The Rust blocks of the book, which the documentation tests compile.

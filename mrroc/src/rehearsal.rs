@@ -11,6 +11,8 @@
 //! robot waits before its first motion if no rehearsal had it at its present position. The task is then rehearsed again
 //! from there. The same holds after each switching-on at a new position, and after each fault.
 //!
+//! A force sensor carries the weight of its tool in a rehearsal, and meets no contact.
+//!
 //! An error that the task handles is no refusal. A task can leave out its side effects
 //! ([`Cell::rehearsing`](crate::tasks::Cell::rehearsing)) or end the rehearsal
 //! ([`Cell::end_rehearsal`](crate::tasks::Cell::end_rehearsal)).
@@ -163,9 +165,17 @@ fn run(
         axis.homing = None;
     }
     let (mut servo, links) = Servo::new(&config, groups.collect())?;
+    let (mut rehearsed_sensors, sensor_links) = setup::rehearsed_sensors(file);
+    let sensors = setup::force_sensors(file, &sensor_links, &links);
     let subcontrollers = setup::subcontrollers(file, links);
     let (mut nodes, io) = setup::rehearsed_io(file);
-    let equipment = Equipment { subcontrollers, io, speed: servo.speed_override(), figures: Figures::default() };
+    let equipment = Equipment {
+        subcontrollers,
+        io,
+        sensors: sensors.clone(),
+        speed: servo.speed_override(),
+        figures: Figures::default(),
+    };
     let mut executor = program.begin(file, equipment, true, turns.clone());
     let (mut moved, mut ended) = (vec![false; courses.len()], vec![0; courses.len()]);
     let mut faults_left: Vec<_> = courses.iter().map(|course| course.faults.iter().peekable()).collect();
@@ -177,6 +187,10 @@ fn run(
         start,
         |now| {
             nodes.iter_mut().for_each(|node| node.advance(now));
+            for (rehearsed, sensor) in rehearsed_sensors.iter_mut().zip(&sensors) {
+                // A robot that is not homed has no known orientation.
+                rehearsed.advance(now, sensor.weight().unwrap_or_default().components());
+            }
             let busy = executor.poll(now, |_, news| {
                 if let News::Ended { robot, moved: commanded } = news {
                     ended[robot] += 1;

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use controller::robot::{
     ConveyorParameters, GripperParameters, Irb6Parameters, Irp6Parameters, Irp6TrackParameters, Mass, ParameterError,
-    PolycrankParameters, RntParameters, Robot, RobotParameters,
+    PolycrankParameters, Pose, RntParameters, Robot, RobotParameters,
 };
 use hil::{AxisConfig, Irp6Axis, MechanismConfig, plant::Switch};
 
@@ -132,6 +132,21 @@ impl Parameters {
             },
             Self::Gripper(_) | Self::Conveyor(_) => return None,
         })
+    }
+
+    /// Frames of the emulated mechanism in those of the robot: the mechanism's base in the base, and the mechanism's flange
+    /// in the flange.
+    pub fn mechanism_frames(&self) -> (Pose, Pose) {
+        let along_z = |length| Pose::translation(0.0, 0.0, length);
+        match self {
+            // The mechanism has its base at the shoulder.
+            Self::Irb6(given) => (along_z(given.arm.shoulder_height), Pose::identity()),
+            Self::Irp6(given) => (along_z(given.arm.shoulder_height), Pose::identity()),
+            Self::Irp6Track(given) => (along_z(given.robot.arm.shoulder_height), Pose::identity()),
+            // The mechanism has its flange beyond the centre of the wrist.
+            Self::Rnt(_) => (Pose::identity(), along_z(0.1)),
+            Self::Polycrank(_) | Self::Gripper(_) | Self::Conveyor(_) => (Pose::identity(), Pose::identity()),
+        }
     }
 
     /// Motor, load, sensors and switches of axis `number`, whose home position is `home`, rad.

@@ -5,15 +5,19 @@ use std::time::Duration;
 
 use can::{Instant, Port};
 use controller::ecp::{Ecp, EcpConfig, Meetings, Subcontrollers};
+use controller::force::Load;
 use controller::generator::Pace;
-use controller::robot::Limits;
+use controller::robot::{Limits, Mass};
+use controller::sensor::{ForceSensorConfig, ForceTorque};
 use drive::bus::CanBus;
 use drive::cia401::{IoLink, RehearsedIo};
 use drive::cia402::{AxisConfig, CyclicMode};
+use drive::wrench::{RehearsedWrench, SerialWrenchSensor, WrenchLink};
 use drive::{DriveGroup, axis_controller::AxisControllerGroup};
 use serial::Line;
 use servo::{EffectorConfig, EffectorLink, HostHoming, ServoAxisConfig, ServoConfig};
 
+use crate::bench::plants::upright_from_base;
 use crate::cell::{Bus, CellFile, DeviceConfiguration, ENABLING, Homing, IoNode, Path, Robot, Serial};
 
 /// Least homing time-out of an effector. The value also applies to a search by the drive of an axis without ends,
@@ -47,19 +51,23 @@ pub fn axis_configs(file: &CellFile, bus: usize) -> Vec<AxisConfig> {
 
 /// The devices of a cell on their ports and lines.
 pub struct Devices {
-    /// One drive group per bus and per bundle of lines, in the order of [`Cell::groups`](crate::cell::Cell::groups).
+    /// One drive group per bus, per bundle of lines and per force sensor, in the order of [`Cell::groups`](crate::cell::Cell::groups).
     pub groups: Vec<Box<dyn DriveGroup>>,
     /// One link per I/O node, in the order of [`Cell::io`](crate::cell::Cell::io). Inputs are valid from the end of
     /// bring-up until the groups are dropped.
     pub io: Vec<IoLink>,
+    /// One link per force sensor, in the order of [`Cell::force_sensor`](crate::cell::Cell::force_sensor). Readings are
+    /// valid from the end of bring-up until the groups are dropped.
+    pub sensors: Vec<WrenchLink>,
 }
 
-/// The drive groups and I/O nodes of a cell, on the given ports and lines. The drive of axis `with_torque`, given as
+/// The drive groups, I/O nodes and force sensors of a cell, on the given ports and lines. The drive of axis `with_torque`, given as
 /// robot and axis number, takes a torque beside the position.
 pub fn devices(
     file: &CellFile,
     ports: Vec<Box<dyn Port>>,
     lines: Vec<Vec<Box<dyn Line>>>,
+    sensor_lines: Vec<Box<dyn Line>>,
     with_torque: Option<(usize, usize)>,
 ) -> anyhow::Result<Devices> {
     let mut links = Vec::new();
@@ -89,9 +97,16 @@ pub fn devices(
     };
     let buses = file.cell.bus.iter().enumerate().zip(ports).map(group);
     let bundles = file.cell.serial.iter().enumerate().zip(lines).map(bundle);
-    let groups = buses.chain(bundles).collect::<anyhow::Result<Vec<_>>>()?;
+    let mut groups = buses.chain(bundles).collect::<anyhow::Result<Vec<_>>>()?;
     links.sort_by_key(|(node, _)| *node);
-    Ok(Devices { groups, io: links.into_iter().map(|(_, link)| link).collect() })
+    let mut sensors = Vec::new();
+    for ((index, sensor), line) in file.cell.force_sensor.iter().enumerate().zip(sensor_lines) {
+        let driver = SerialWrenchSensor::new(line, sensor.config(file.cell.period()));
+        let (driver, link) = driver.map_err(|error| file.refuse(&Path::to("force_sensor").then(index), error))?;
+        groups.push(Box::new(driver));
+        sensors.push(link);
+    }
+    Ok(Devices { groups, io: links.into_iter().map(|(_, link)| link).collect(), sensors })
 }
 
 /// The I/O nodes of a rehearsal whose emulated devices are switched on at [`Instant::ZERO`], and their links in the
@@ -102,6 +117,28 @@ pub fn rehearsed_io(file: &CellFile) -> (Vec<RehearsedIo>, Vec<IoLink>) {
         RehearsedIo::new(&io.config(file.cell.period()), edges)
     };
     file.cell.io.iter().map(node).unzip()
+}
+
+/// The force sensors of a rehearsal, and their links in the order of
+/// [`Cell::force_sensor`](crate::cell::Cell::force_sensor).
+pub fn rehearsed_sensors(file: &CellFile) -> (Vec<RehearsedWrench>, Vec<WrenchLink>) {
+    file.cell.force_sensor.iter().map(|_| RehearsedWrench::new()).unzip()
+}
+
+/// The virtual force sensors of a cell, on the links to their drivers and to the servo.
+pub fn force_sensors(file: &CellFile, links: &[WrenchLink], robots: &[EffectorLink]) -> Vec<ForceTorque> {
+    let sensor = |(number, link): (usize, &WrenchLink)| {
+        let (given, robot) = (&file.cell.force_sensor[number], file.cell.robot_of_sensor(number));
+        let Mass { mass, centre } = given.tool;
+        let config = ForceSensorConfig {
+            arm: file.arms[robot].clone(),
+            upright_from_base: upright_from_base(file.cell.robot[robot].model),
+            flange_from_sensor: given.flange_from_sensor(),
+            load: Load::of_weight(mass, centre.into()).expect("a parsed cell has sound tools"),
+        };
+        ForceTorque::new(link.clone(), robots[robot].latest.clone(), config)
+    };
+    links.iter().enumerate().map(sensor).collect()
 }
 
 /// The servo of the whole cell.

@@ -297,7 +297,7 @@ impl TouchCell {
 
     fn of(file: CellFile) -> Self {
         let (emulation, ends) = Emulation::of(&file);
-        let Devices { groups, io } = setup::devices(&file, ends.ports, Vec::new(), None).unwrap();
+        let Devices { groups, io, .. } = setup::devices(&file, ends.ports, Vec::new(), Vec::new(), None).unwrap();
         let (servo, links) = Servo::new(&setup::servo_config(&file), groups).unwrap();
         Self { file, emulation, servo, _links: links, probe: io[0].clone() }
     }

@@ -26,6 +26,9 @@ const PRIORITY: u8 = 60;
 /// UART interrupt needs no wake-up. The request and the answer of a 2 ms cell take 0.4 ms.
 const GRAIN: Duration = Duration::from_micros(500);
 
+/// As [`GRAIN`], with a force sensor: its query and answer take most of a period.
+const FINE_GRAIN: Duration = Duration::from_micros(100);
+
 /// Greatest number of bytes taken from a pseudo-terminal at a time. Further bytes wait in it.
 const CHUNK: usize = 4096;
 
@@ -35,6 +38,8 @@ pub struct EmulatedLines {
     /// The world.
     pub world: World,
     lines: Vec<EmulatedLine>,
+    /// Whether a line is that of a force sensor.
+    has_sensor: bool,
 }
 
 /// One pseudo-terminal and the device behind it.
@@ -68,6 +73,12 @@ impl EmulatedLines {
         self.add(pty, End::Line { line, arrived: Vec::new() });
     }
 
+    /// Adds the line of a force sensor of the world on `pty`.
+    pub fn add_sensor(&mut self, line: VirtualLine, pty: Pty) {
+        self.has_sensor = true;
+        self.add_line(line, pty);
+    }
+
     fn add(&mut self, pty: Pty, end: End) {
         self.lines.push(EmulatedLine { pty, end, full: false });
     }
@@ -84,9 +95,10 @@ impl EmulatedLines {
         let _ = set_fifo(PRIORITY);
         let mut time = EmulatedTime::since(clock::now());
         let mut passed = Instant::ZERO;
+        let grain = if self.has_sensor { FINE_GRAIN } else { GRAIN };
         while !stop.load(Ordering::Relaxed) {
             let due = self.world.next_event().unwrap_or(Instant::FAR_FUTURE);
-            let wake = time.clock(due.max(passed + GRAIN)).min(clock::now() + LOOK);
+            let wake = time.clock(due.max(passed + grain)).min(clock::now() + LOOK);
             let ends = self.lines.iter().map(|line| {
                 let interest = Interest { read: line.end.room(&self.world) > 0, write: line.full };
                 (line.pty.as_fd(), interest)

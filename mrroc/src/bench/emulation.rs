@@ -7,13 +7,14 @@ use canopen::{NodeId, cia401::blocks};
 use drive::cia401::IoConfig;
 use hil::{
     AxisController, AxisControllerConfig, BusId, Cabinet, Device, DigitalIo, DigitalIoConfig, Epos4, Epos4Config,
-    EposSerial, EposSerialConfig, InputEdge, LineDevice, World,
+    EposSerial, EposSerialConfig, InputEdge, LineDevice, SerialForceSensor, SerialForceSensorConfig, TransducerConfig,
+    World, scene::SensorProbe,
 };
 use serial::{Settings, VirtualLine};
 
 use crate::bench::bridge::{Bridge, BridgedTty};
 use crate::bench::plants::{EmulatedCell, Payloads, homing_problem, plant};
-use crate::cell::{CellFile, IoNode, Protocol};
+use crate::cell::{CellFile, ForceSensor, ForceSensorEmulator, IoNode, Protocol};
 
 /// Capacity of the host's end of a virtual bus in each direction, frames.
 const QUEUE: usize = 256;
@@ -50,6 +51,8 @@ pub struct HostEnds {
     pub listeners: Vec<VirtualPort>,
     /// The lines of each bundle, in the order of [`Cell::axes_on`](crate::cell::Cell::axes_on).
     pub lines: Vec<Vec<VirtualLine>>,
+    /// The line of each force sensor.
+    pub sensors: Vec<VirtualLine>,
 }
 
 impl Emulation {
@@ -66,7 +69,9 @@ impl Emulation {
             let axes = file.cell.axes_on(file.cell.bus.len() + bundle);
             axes.map(|axis| emulated.add_line(&mut world, bundle, axis, &cabinet)).collect()
         });
-        let ends = HostEnds { lines: lines.collect(), ports, listeners };
+        let lines = lines.collect();
+        let sensors = emulated.add_sensors(&mut world);
+        let ends = HostEnds { lines, sensors, ports, listeners };
         let emulation = Self {
             world,
             buses,
@@ -170,6 +175,44 @@ impl EmulatedCell<'_> {
         world.host_line(line, LINE)
     }
 
+    /// Adds the lines of all force sensors and the scene that loads them, switched on at [`Instant::ZERO`]. The axes of
+    /// their robots are in `world` already. Returns the host's ends.
+    ///
+    /// A sensor measures the weight and the inertia of its tool. The sensor of the robot that is in the scene of the cell
+    /// also measures the forces on the tip of the tool.
+    pub fn add_sensors(&self, world: &mut World) -> Vec<VirtualLine> {
+        let (scene, probes) = self.scene();
+        if let Some(scene) = scene {
+            world.set_scene(scene);
+        }
+        let sensors = self.file.cell.force_sensor.iter().zip(probes).enumerate();
+        let add = |(number, (sensor, probe)): (usize, (&ForceSensor, SensorProbe))| {
+            let line = world.add_line(sensor.settings(), None, self.force_sensor(number, sensor, probe));
+            world.host_line(line, LINE)
+        };
+        sensors.map(add).collect()
+    }
+
+    fn force_sensor(&self, number: usize, sensor: &ForceSensor, probe: SensorProbe) -> Box<dyn LineDevice> {
+        let ForceSensorEmulator { absent, silent_from_s, offset, noise } = sensor.emulator;
+        if absent {
+            return Box::new(Absent);
+        }
+        let seed = self.file.cell.seed.wrapping_mul(1000).wrapping_add(900 + number as u64);
+        // A negative count is that of a transducer with the opposite sense.
+        let gain = std::array::from_fn(|channel| sensor.counts()[channel / 3].signum());
+        let transducer =
+            TransducerConfig { gain, range: sensor.ranges(), offset, noise, seed, ..TransducerConfig::default() };
+        let [force_per_count, torque_per_count] = sensor.counts().map(f64::abs);
+        let config =
+            SerialForceSensorConfig { force_per_count, torque_per_count, ..SerialForceSensorConfig::new(transducer) };
+        let device = SerialForceSensor::new(config, Box::new(probe)).expect("a parsed cell has sound sensors");
+        match silent_from_s {
+            None => Box::new(device),
+            Some(at) => Box::new(Unplugged { device, from: Instant::ZERO + Duration::from_secs_f64(at) }),
+        }
+    }
+
     fn axis_controller(
         &self,
         protocol: Protocol,
@@ -218,6 +261,32 @@ impl LineDevice for Absent {
         None
     }
     fn handle_timeout(&mut self, _now: Instant) {}
+}
+
+/// A sensor whose cable breaks at a given time.
+struct Unplugged {
+    device: SerialForceSensor,
+    from: Instant,
+}
+
+impl LineDevice for Unplugged {
+    fn receive(&mut self, byte: u8, now: Instant) {
+        if now < self.from {
+            self.device.receive(byte, now);
+        }
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
+        self.device.poll_transmit(now).filter(|_| now < self.from)
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.device.poll_timeout()
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        self.device.handle_timeout(now);
+    }
 }
 
 /// The emulated module of an I/O node, with the scheduled edges of its inputs.

@@ -18,7 +18,7 @@ use serial::{Line, Tty, VirtualLine};
 
 use crate::bench::bus_port::{BusPort, prepare_card};
 use crate::bench::{emulation::Emulation, interfaces::Interface};
-use crate::cell::{CellFile, Serial};
+use crate::cell::{CellFile, ForceSensor, Serial};
 use crate::wire::{Listener, Wire};
 
 /// Frames by which a trace may lag behind the bus: some seconds of a full bus.
@@ -79,8 +79,10 @@ impl Places {
             Interface::Slcan { path, .. } | Interface::Epos { path, .. } => is_device(path.as_ref()),
         };
         let bus = interfaces.iter().find(may_be_hardware);
-        let mut ttys = (0..file.cell.serial.len()).flat_map(|bundle| tty_paths(file, bundle, self.serial.as_deref()));
-        let tty = ttys.find(|(_, path)| is_device(path));
+        let directory = self.serial.as_deref();
+        let ttys = (0..file.cell.serial.len()).flat_map(|bundle| tty_paths(file, bundle, directory));
+        let sensors = file.cell.force_sensor.iter().map(|it| (it.name.clone(), sensor_tty(it, directory)));
+        let tty = ttys.chain(sensors).find(|(_, path)| is_device(path));
         if let Some(name) = bus.map(Interface::to_string).or(tty.map(|(_, path)| path.display().to_string())) {
             bail!("--bench vcan: {name} may be hardware, which takes --bench card");
         }
@@ -94,6 +96,8 @@ pub struct Bench {
     pub ports: Vec<Box<dyn Port>>,
     /// The lines of each bundle of the cell.
     pub lines: Vec<Vec<Box<dyn Line>>>,
+    /// The line of each force sensor of the cell.
+    pub sensors: Vec<Box<dyn Line>>,
     /// The interface of each port: the cell's, or the one given in its place.
     pub interfaces: Vec<Interface>,
     /// Frames at each port, if a trace was requested.
@@ -114,7 +118,7 @@ impl Bench {
         let interfaces = interfaces::resolve(&file.cell, can)?;
         interfaces::all_differ(&file.cell, interfaces.iter().map(Some))?;
         places.check(file, kind)?;
-        let (ports, lines, listeners, emulation) = match kind {
+        let (ports, lines, sensors, listeners, emulation) = match kind {
             BenchKind::Lockstep | BenchKind::Emulated => {
                 if !can.is_empty() || serial.is_some() {
                     bail!("--can and --serial need --bench vcan or --bench card");
@@ -122,8 +126,9 @@ impl Bench {
                 emulation::problems(file).next().map_or(Ok(()), Err)?;
                 let (mut emulation, ends) = Emulation::of(file);
                 let lines = emulated_lines(file, kind, &mut emulation, ends.lines)?;
+                let sensors = emulated_sensors(file, kind, &mut emulation, ends.sensors)?;
                 let listeners = ends.listeners.into_iter().map(Listener::Virtual).collect();
-                (ends.ports, lines, listeners, Some(emulation))
+                (ends.ports, lines, sensors, listeners, Some(emulation))
             }
             BenchKind::Vcan | BenchKind::Card => {
                 let open = |(index, interface): (usize, &Interface)| {
@@ -144,7 +149,7 @@ impl Bench {
                     Listener::open(file, index, interface).with_context(|| format!("bus {}", file.cell.bus[index].name))
                 };
                 let listeners = interfaces.iter().enumerate().map(listen).collect::<anyhow::Result<_>>()?;
-                (ports, ttys(file, serial)?, listeners, None)
+                (ports, ttys(file, serial)?, sensor_ttys(file, serial)?, listeners, None)
             }
         };
         let (ports, traces) = if trace {
@@ -156,7 +161,7 @@ impl Bench {
         } else {
             (ports, Vec::new())
         };
-        Ok(Self { ports, lines, interfaces, traces, wire: Wire::new(file, listeners), emulation })
+        Ok(Self { ports, lines, sensors, interfaces, traces, wire: Wire::new(file, listeners), emulation })
     }
 }
 
@@ -177,6 +182,35 @@ pub(crate) fn emulated_lines(
         lines.into_iter().map(line).collect()
     };
     lines.into_iter().zip(&file.cell.serial).map(bundle).collect()
+}
+
+/// The host's ends of the emulated lines of force sensors: virtual lines in lockstep, ttys in real time.
+pub(crate) fn emulated_sensors(
+    file: &CellFile,
+    kind: BenchKind,
+    emulation: &mut Emulation,
+    lines: Vec<VirtualLine>,
+) -> anyhow::Result<Vec<Box<dyn Line>>> {
+    let line = |(line, sensor): (VirtualLine, &ForceSensor)| -> anyhow::Result<Box<dyn Line>> {
+        Ok(match kind {
+            BenchKind::Emulated => Box::new(emulation.on_tty(line, sensor.settings())?),
+            _ => Box::new(line),
+        })
+    };
+    lines.into_iter().zip(&file.cell.force_sensor).map(line).collect()
+}
+
+fn sensor_ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<Box<dyn Line>>> {
+    let open = |sensor: &ForceSensor| {
+        let tty = Tty::open(&sensor_tty(sensor, directory), sensor.settings());
+        Ok(Box::new(tty.with_context(|| format!("force sensor {}", sensor.name))?) as Box<dyn Line>)
+    };
+    file.cell.force_sensor.iter().map(open).collect()
+}
+
+/// The tty of a force sensor, named in the cell, or made in `directory` by `mrroc emulate --serial`.
+fn sensor_tty(sensor: &ForceSensor, directory: Option<&Path>) -> PathBuf {
+    directory.map_or_else(|| PathBuf::from(&sensor.line), |directory| directory.join(&sensor.name))
 }
 
 fn ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<Vec<Box<dyn Line>>>> {

@@ -11,6 +11,7 @@ mod device_configuration;
 mod drives;
 mod error;
 mod file;
+mod force;
 mod home;
 mod io;
 mod meetings;
@@ -37,6 +38,7 @@ pub use drive::axis_controller::{Control, Protocol};
 pub use drives::ENABLING;
 pub use error::{CellError, Path, Step};
 pub use file::{CellFile, FileError};
+pub use force::{EmulatedPlane, EmulatedScene, ForceSensor, ForceSensorEmulator};
 pub use io::{ErrorState, InputLine, IoNode, LinePlace, OutputLine};
 pub use meetings::Meeting;
 pub(crate) use program::smooth_pose;
@@ -82,6 +84,11 @@ pub struct Cell {
     /// The nodes of digital inputs and outputs.
     #[serde(default)]
     pub io: Vec<IoNode>,
+    /// The force/torque sensors.
+    #[serde(default)]
+    pub force_sensor: Vec<ForceSensor>,
+    /// The surroundings of the emulated robots; empty where absent.
+    pub scene: Option<EmulatedScene>,
     /// The robots.
     pub robot: Vec<Robot>,
     /// Parameters of the task, with keys of its own. A program reads the table by `Cell::parameters`.

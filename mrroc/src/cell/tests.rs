@@ -2,6 +2,7 @@
 
 mod bounds;
 mod families;
+mod force;
 mod io;
 mod names;
 mod shape;

@@ -29,6 +29,7 @@ mod watch;
 mod worker;
 
 use std::cell::{Cell as Shared, RefCell};
+use std::fmt::Display;
 use std::io::Write as _;
 use std::mem::take;
 use std::panic::resume_unwind;
@@ -42,12 +43,13 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail};
 use can::{Instant, clock};
 use clap::Args;
+use drive::BringUpError;
 use servo::{NotUp, Servo, Timing, lockstep, thread};
 
 use crate::bench::clockwork;
 use crate::bench::emulation::Emulation;
 use crate::bench::{Bench, BenchKind, Places};
-use crate::cell::CellFile;
+use crate::cell::{CellFile, printable};
 use crate::outputs::{Outputs, Replacement};
 use crate::report::{self, FaultReport, RunEnd, RunOutcome, RunReport, Tracks};
 use crate::tasks::Program;
@@ -164,7 +166,7 @@ pub fn run(
     let spikes = outputs.open_if("--spikes", options.spikes.as_deref())?;
     let page = options.out.as_deref().map(|directory| outputs.open_in("--out", directory, REPORT)).transpose()?;
     let bench = Bench::open(file, options.bench, &options.places, options.trace.is_some())?;
-    let devices = setup::devices(file, bench.ports, bench.lines, None)?;
+    let devices = setup::devices(file, bench.ports, bench.lines, bench.sensors, None)?;
     let (mut servo, links) = Servo::new(&setup::servo_config(file), devices.groups)?;
     servo.follow_override(requests.speed.clone());
     outputs.begin()?;
@@ -172,7 +174,7 @@ pub fn run(
     let axes = record.map(|sink| AxisLog::new(sink, file)).transpose();
     let frames = trace.map(|sink| FrameLog::new(sink, &bench.interfaces, bench.traces));
     let cell = Arc::new(file.clone());
-    let mut task = RunningTask::new(&cell, program, links, devices.io, &servo, &rehearsed);
+    let mut task = RunningTask::new(&cell, program, links, (devices.io, &devices.sensors), &servo, &rehearsed);
     let steps = steps.map(|sink| StepFile::new(sink, file, task.keep_steps(STEPS))).transpose();
     let logs = Logs {
         records: servo.record(lag * file.cell.robot.len()),
@@ -265,6 +267,10 @@ pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
     let NotUp::Group(bus, error) = why else {
         return anyhow!("stopped on request");
     };
+    if let Some(sensor) = file.cell.sensor_of_group(bus) {
+        let cause: &dyn Display = if let BringUpError::WrenchLine { error } = &error { error } else { &error };
+        return anyhow!("force sensor {}, line {}: {cause}", sensor.name, printable(&sensor.line));
+    }
     let axis = file.cell.axes_on(bus).enumerate().find(|&(index, (robot, axis))| match error.line() {
         Some(line) => index == line,
         None => error.node() == Some(file.cell.robot[robot].axis[axis].node),

@@ -9,8 +9,10 @@ use can::Instant;
 use controller::ecp::{EcpError, StepRecords, Subcontrollers};
 use controller::executor::{Ended, Executor, InstructionError, News, NotedError, SystemError, Turns};
 use controller::generator::{Axes, PlannedStart};
+use controller::sensor::ForceTorque;
 use drive::Fault;
 use drive::cia401::IoLink;
+use drive::wrench::WrenchLink;
 use servo::{EffectorLink, Phase, Servo, ServoFault, SpeedOverride, StopCause, StopRequest};
 use thiserror::Error;
 
@@ -28,6 +30,8 @@ pub(crate) struct RunningTask {
     subcontrollers: Subcontrollers,
     /// One link per I/O node, in the order of [`Cell::io`](crate::cell::Cell::io).
     io: Vec<IoLink>,
+    /// One virtual sensor per force sensor, in the order of [`Cell::force_sensor`](crate::cell::Cell::force_sensor).
+    sensors: Vec<ForceTorque>,
     /// Figures that the task reports.
     figures: Figures,
     /// Number of instructions in the rehearsal.
@@ -84,18 +88,19 @@ pub(super) enum Rehearsals {
 struct NoRehearsals;
 
 impl RunningTask {
-    /// A task that was rehearsed, on the `links` to `servo` and on the I/O nodes of the cell.
+    /// A task that was rehearsed, on the `links` to `servo` and on the I/O nodes and force sensors of the cell.
     pub(crate) fn new(
         file: &Arc<CellFile>,
         program: &Program,
         links: Vec<EffectorLink>,
-        io: Vec<IoLink>,
+        (io, sensors): (Vec<IoLink>, &[WrenchLink]),
         servo: &Servo,
         rehearsed: &Rehearsed,
     ) -> Self {
         Self {
             file: Arc::clone(file),
             program: program.clone(),
+            sensors: setup::force_sensors(file, sensors, &links),
             subcontrollers: setup::subcontrollers(file, links),
             io,
             figures: Figures::default(),
@@ -135,8 +140,9 @@ impl RunningTask {
 
     /// Begins the task on the calling thread.
     pub(super) fn begin(self, rehearsals: Rehearsals) -> Carrying {
-        let Self { file, program, subcontrollers, io, figures, instructions, moved, stop, speed, turns } = self;
-        let equipment = Equipment { subcontrollers, io: io.clone(), speed, figures };
+        let Self { file, program, subcontrollers, io, sensors, figures, instructions, moved, stop, speed, turns } =
+            self;
+        let equipment = Equipment { subcontrollers, io: io.clone(), sensors: sensors.clone(), speed, figures };
         let mut executor = program.begin(&file, equipment, false, turns);
         let robots = homes(&file).into_iter().zip(moved).map(|(home, moved)| RunningRobot::at(home, moved));
         let robots: Vec<_> = robots.collect();
@@ -146,6 +152,7 @@ impl RunningTask {
             file,
             program,
             io,
+            sensors,
             instructions,
             stop,
             rehearsals,
@@ -162,6 +169,7 @@ pub(super) struct Carrying {
     file: Arc<CellFile>,
     program: Program,
     io: Vec<IoLink>,
+    sensors: Vec<ForceTorque>,
     instructions: u64,
     stop: StopRequest,
     rehearsals: Rehearsals,
@@ -295,6 +303,12 @@ impl Carrying {
             faults.push(of_instruction.map_or_else(|| FaultReport::of_run(&error), |error| describe(file, error)));
         }
         faults.extend(io_faults(file, &self.io));
+        for fault in force_faults(file, &self.sensors) {
+            // The task may have ended by this error.
+            if !faults.iter().any(|known| known.is_same(&fault)) {
+                faults.push(fault);
+            }
+        }
         let mut received = vec![false; self.robots.len()];
         for NotedError { error, received: by_task, latched } in &noted {
             received[error.robot] |= by_task & latched;
@@ -397,6 +411,13 @@ pub(super) fn io_faults(file: &CellFile, links: &[IoLink]) -> impl Iterator<Item
     let nodes = file.cell.io.iter().zip(links);
     let faults = nodes.filter_map(|(io, link)| Some((io, link.inputs.read().fault?)));
     faults.map(|(io, fault)| FaultReport::of_run(format!("I/O node {}: {fault}", io.name)))
+}
+
+/// The latched faults of the force sensors of a cell. The axes do not stop by such a fault.
+fn force_faults(file: &CellFile, sensors: &[ForceTorque]) -> impl Iterator<Item = FaultReport> {
+    let sensors = file.cell.force_sensor.iter().zip(sensors);
+    let faults = sensors.filter_map(|(given, sensor)| Some((given, sensor.link().read().fault?)));
+    faults.map(|(given, fault)| FaultReport::of_run(format!("force sensor {}: {fault}", given.name)))
 }
 
 /// The fault that the servo latched for each robot, unless the task `received` it, and a fault if some robots still

@@ -40,7 +40,7 @@ impl Stage {
         let drives = |bus| Box::new(IdealDrives::of(&file, bus, &courses, &faults)) as Box<dyn DriveGroup>;
         let (mut servo, links) = Servo::new(&setup::servo_config(&file), vec![drives(0), drives(1)]).unwrap();
         let rehearsed = Rehearsed { duration: Duration::ZERO, instructions: 8, moved: vec![moved; 2] };
-        let task = RunningTask::new(&file, program, links, Vec::new(), &servo, &rehearsed);
+        let task = RunningTask::new(&file, program, links, (Vec::new(), &[]), &servo, &rehearsed);
         let ((ask, asked), (answer, verdicts)) = (sync_channel(2), sync_channel(2));
         let carrying = task.begin(Rehearsals::Aside { ask, verdicts });
         let now = lockstep::bring_up(&mut servo, Instant::ZERO, |_| {}).unwrap();
@@ -363,7 +363,7 @@ fn a_fault_of_an_io_node_is_a_fault_of_the_run() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells/irb6-touch.toml");
     let file = CellFile::read(&path).unwrap();
     let port = Box::new(can::virtual_port(16).0) as Box<dyn can::Port>;
-    let devices = setup::devices(&file, vec![port], Vec::new(), None).unwrap();
+    let devices = setup::devices(&file, vec![port], Vec::new(), Vec::new(), None).unwrap();
     let faults: Vec<_> = io_faults(&file, &devices.io).map(|fault| fault.what).collect();
     assert_eq!(faults, ["I/O node tool: node 40: I/O not started"]);
     let (_, rehearsed) = setup::rehearsed_io(&file);

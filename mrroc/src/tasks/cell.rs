@@ -7,12 +7,12 @@ use controller::coordination::{Late, LinkConfig};
 use controller::ecp::Task;
 use controller::executor::{Agent, Agents, LooseLink, Observer, Replacer};
 use controller::generator::{EffectorImage, Generator, Message, SensorReading};
-use controller::sensor::{Shell, VirtualSensor};
+use controller::sensor::{ForceTorque, Shell, VirtualSensor};
 use drive::cia401::IoLink;
 use serde::de::DeserializeOwned;
 use servo::SpeedOverride;
 
-use super::{Desk, Figures, InputLine, Outcome, OutputLine, TaskError, Team};
+use super::{Desk, Figures, ForceSensor, InputLine, Outcome, OutputLine, TaskError, Team};
 use crate::cell::CellFile;
 use crate::motions::Motions;
 
@@ -21,6 +21,7 @@ pub struct Cell {
     file: Arc<CellFile>,
     pub(super) agents: Agents,
     io: Vec<IoLink>,
+    sensors: Vec<ForceTorque>,
     speed: SpeedOverride,
     figures: Figures,
     pub(super) desk: Desk,
@@ -40,12 +41,12 @@ impl Cell {
     pub(super) fn new(
         file: &Arc<CellFile>,
         agents: Agents,
-        io: Vec<IoLink>,
+        (io, sensors): (Vec<IoLink>, Vec<ForceTorque>),
         speed: SpeedOverride,
         figures: Figures,
         desk: Desk,
     ) -> Self {
-        Self { file: Arc::clone(file), agents, io, speed, figures, desk }
+        Self { file: Arc::clone(file), agents, io, sensors, speed, figures, desk }
     }
 
     /// The cell file.
@@ -92,6 +93,16 @@ impl Cell {
         let place =
             self.file.cell.output_line(line).ok_or_else(|| TaskError::UnknownOutput { name: line.to_owned() })?;
         Ok(OutputLine::new(self.io[place.node].clone(), place.line))
+    }
+
+    /// The force/torque sensor called `name`.
+    pub fn force_sensor(&self, name: &str) -> Result<ForceSensor, TaskError> {
+        let mut given = self.file.cell.force_sensor.iter().zip(&self.sensors);
+        let Some((given, sensor)) = given.find(|(given, _)| given.name == name) else {
+            return Err(TaskError::UnknownForceSensor { name: name.to_owned() });
+        };
+        let period = self.file.cell.period();
+        Ok(ForceSensor::new(&given.name, sensor.clone(), self.agents.clone(), period, given.zero_samples))
     }
 
     /// Reports a number of this run, such as the accuracy of a motion. The report and `--json` show the number under

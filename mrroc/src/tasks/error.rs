@@ -6,7 +6,7 @@ use controller::executor::{InstructionError, SystemError};
 use controller::generator::GeneratorError;
 use controller::path::PathError;
 use controller::robot::KinematicsError;
-use controller::sensor::{OperatorError, SensorRefused};
+use controller::sensor::{ForceError, OperatorError, SensorRefused};
 use thiserror::Error;
 
 use crate::cell::FileError;
@@ -50,6 +50,20 @@ pub enum TaskError {
     UnknownOutput {
         /// The requested name.
         name: String,
+    },
+    /// The cell has no force sensor of this name.
+    #[error("the cell has no force sensor {name:?}: add it as [[force_sensor]]")]
+    UnknownForceSensor {
+        /// The requested name.
+        name: String,
+    },
+    /// A force sensor has no reading or cannot be zeroed.
+    #[error("force sensor {name}: {error}")]
+    ForceSensor {
+        /// Name of the sensor.
+        name: Box<str>,
+        /// The reason.
+        error: ForceError,
     },
     /// The robot already has a handle.
     #[error("robot {name:?} is in use: a robot has one handle at a time")]
@@ -105,6 +119,8 @@ impl TaskError {
             | Self::UnknownRobot { .. }
             | Self::UnknownInput { .. }
             | Self::UnknownOutput { .. }
+            | Self::UnknownForceSensor { .. }
+            | Self::ForceSensor { .. }
             | Self::RobotInUse { .. }
             | Self::Parameters(_)
             | Self::NotRehearsed { .. }

@@ -4,6 +4,7 @@ mod carried;
 mod cell;
 mod error;
 mod figures;
+mod force;
 mod lines;
 mod operator;
 mod teach;
@@ -16,7 +17,7 @@ use std::sync::Arc;
 
 use controller::ecp::Subcontrollers;
 use controller::executor::{Agents, Executor, Turns};
-use controller::sensor::OperatorLink;
+use controller::sensor::{ForceTorque, OperatorLink};
 use drive::cia401::IoLink;
 use servo::SpeedOverride;
 
@@ -26,6 +27,7 @@ pub use carried::CarriedTask;
 pub use cell::{Cell, Robot};
 pub use error::{Outcome, TaskError};
 pub(crate) use figures::Figures;
+pub use force::ForceSensor;
 pub use lines::{InputLine, OutputLine};
 use operator::Desk;
 pub use team::Team;
@@ -46,6 +48,8 @@ pub(crate) struct Equipment {
     pub subcontrollers: Subcontrollers,
     /// One link per I/O node, in the order of [`Cell::io`](crate::cell::Cell::io).
     pub io: Vec<IoLink>,
+    /// One virtual sensor per force sensor, in the order of [`Cell::force_sensor`](crate::cell::Cell::force_sensor).
+    pub sensors: Vec<ForceTorque>,
     pub speed: SpeedOverride,
     pub figures: Figures,
 }
@@ -79,10 +83,11 @@ impl Program {
         rehearsing: bool,
         turns: Turns,
     ) -> Executor<TaskError> {
-        let Equipment { subcontrollers, io, speed, figures } = equipment;
+        let Equipment { subcontrollers, io, sensors, speed, figures } = equipment;
         let agents = Agents::new(subcontrollers);
         let desk = Desk { link: self.operator.clone(), rehearsing };
-        let (task, mut cell) = (Arc::clone(&self.task), Cell::new(file, agents.clone(), io, speed, figures, desk));
+        let devices = (io, sensors);
+        let (task, mut cell) = (Arc::clone(&self.task), Cell::new(file, agents.clone(), devices, speed, figures, desk));
         Executor::new(agents, async move { task.carry(&mut cell).await }, turns)
     }
 }

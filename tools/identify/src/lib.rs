@@ -167,8 +167,9 @@ pub fn identify(options: &Options) -> anyhow::Result<Measured<IdentifyReport>> {
     let files = options.out.as_deref();
     let files = files.map(|directory| open(&mut outputs, directory));
     let files = files.transpose()?;
-    let Bench { ports, lines: ttys, emulation, .. } = Bench::open(&file, options.bench, &options.places, false)?;
-    let groups = setup::devices(&file, ports, ttys, with_torque)?.groups;
+    let Bench { ports, lines: ttys, sensors, emulation, .. } =
+        Bench::open(&file, options.bench, &options.places, false)?;
+    let groups = setup::devices(&file, ports, ttys, sensors, with_torque)?.groups;
     let delay = groups[axis.group].delay();
     let (mut servo, mut links) = Servo::new(&config, groups)?;
     let plan = excite(&mut servo, place, plan, options.amplitude.is_some())?;

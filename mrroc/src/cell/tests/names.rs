@@ -2,7 +2,7 @@
 
 use super::*;
 
-const NAMES: [(&str, &str, &str, &str); 9] = [
+const NAMES: [(&str, &str, &str, &str); 10] = [
     ("cell", "name = \"lab\"", "name = NAME", "name"),
     ("bus", "name = \"track-base\"", "name = NAME", "bus[0].name"),
     ("bundle", "name = \"irb6\"\nprotocol", "name = NAME\nprotocol", "serial[0].name"),
@@ -28,6 +28,13 @@ const NAMES: [(&str, &str, &str, &str); 9] = [
         "io = [{ name = \"a\", bus = \"rnt\", node = 40, vendor = 0, output = [{ name = NAME, line = 0 }] }]\n\
          period_us = 2000",
         "io[0].output[0].name",
+    ),
+    (
+        "force sensor",
+        "period_us = 2000",
+        "force_sensor = [{ name = NAME, robot = \"a\", line = \"a\", force_range = [1, 1, 1], torque_range = [1, 1, 1] }]\n\
+         period_us = 2000",
+        "force_sensor[0].name",
     ),
 ];
 

@@ -14,7 +14,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
 
 /// A bus needs an axis or an I/O node. A bundle of serial lines needs an axis.
 pub(super) fn check_used(cell: &Cell) -> Checked {
-    for (group, name) in cell.groups().enumerate() {
+    for (group, name) in cell.groups().take(cell.bus.len() + cell.serial.len()).enumerate() {
         if cell.axes_on(group).next().is_some() {
             continue;
         }

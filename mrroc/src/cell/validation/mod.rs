@@ -3,6 +3,7 @@
 mod assembly;
 mod axis;
 mod buses;
+mod force;
 mod homing;
 mod io;
 mod meetings;
@@ -40,6 +41,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     robots::check(cell)?;
     buses::check_used(cell)?;
     io::check(cell)?;
+    force::check(cell)?;
     meetings::check(cell)?;
     assembly::check(cell)?;
     buses::check_interfaces(cell)

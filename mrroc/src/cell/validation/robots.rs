@@ -5,7 +5,7 @@ use super::{Checked, MOST, count, name, program, refused, some, twice, unique, w
 use crate::cell::{Axis, Cell, Path, Plant, Range, Robot, quoted};
 
 /// Coordinates of a tool and of a centre of mass.
-const NEAR: Range = Range::new(-10.0, 10.0, "m");
+pub(super) const NEAR: Range = Range::new(-10.0, 10.0, "m");
 
 pub(super) fn check(cell: &Cell) -> Checked {
     let robots = Path::to("robot");

@@ -87,7 +87,7 @@ impl<'a> MeasuredCell<'a> {
         let places = Places { can: self.can.to_vec(), ..Places::default() };
         let bench = Bench::open(file, kind, &places, false)?;
         let mut wire = bench.wire.continuing(self.wire.take());
-        let groups = setup::devices(file, bench.ports, bench.lines, None)?.groups;
+        let groups = setup::devices(file, bench.ports, bench.lines, bench.sensors, None)?.groups;
         let (mut servo, mut links) = Servo::new(&setup::servo_config(file), groups)?;
         let mut emulation = bench.emulation;
         if let Some(emulation) = emulation.as_mut().filter(|_| self.traffic) {

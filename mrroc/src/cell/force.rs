@@ -1,0 +1,177 @@
+//! The keys of force/torque sensors on serial lines, and of the emulated scene that loads them.
+
+use std::time::Duration;
+
+use controller::robot::{Mass, Pose};
+use drive::axis_controller::{Settings, StopBits};
+use drive::wrench::{Channel, SerialWrenchConfig, WrenchConfig, ZeroMethod};
+use nalgebra::{Quaternion, Translation3, UnitQuaternion};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Cell, defaults};
+
+/// Part of a count by which a range may miss a whole number of counts through rounding.
+const ROUNDING: f64 = 1e-6;
+
+/// A force/torque sensor between the flange and the tool of a robot, on a serial line of its own: an ATI transducer behind
+/// the controller board of the IRp-6 laboratory, 8 data bits and 1 stop bit.
+///
+/// The host queries the sensor in each servo period. The line carries a query of 1 byte and an answer of 14 bytes within
+/// the period.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ForceSensor {
+    /// Name of the sensor in tasks and reports, unlike that of any bus, bundle of lines or axis.
+    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
+    pub name: String,
+    /// The robot at whose flange the sensor sits.
+    pub robot: String,
+    /// The tty, `/dev/serial/by-id/…` for one that keeps its name; unused on the benches without hardware.
+    pub line: String,
+    /// Bits per second of the line.
+    #[serde(default = "defaults::count::<115_200, u32>")]
+    pub baud: u32,
+    /// Samples per second that the sensor can take, at least one per servo period.
+    #[serde(default = "defaults::count::<1_000, u32>")]
+    pub rate_hz: u32,
+    /// Forces along x, y and z at which the sensor is saturated, N.
+    pub force_range: [f64; 3],
+    /// Torques about x, y and z at which the sensor is saturated, N·m.
+    pub torque_range: [f64; 3],
+    /// Force of one count, N; 10/115 where absent. A negative value inverts the sense.
+    pub force_per_count: Option<f64>,
+    /// Torque of one count, N·m; 5/940 where absent. A negative value inverts the sense.
+    pub torque_per_count: Option<f64>,
+    /// Origin of the sensor in the flange's frame, m.
+    #[serde(default)]
+    pub position: [f64; 3],
+    /// Orientation of the sensor in the flange's frame as w, x, y, z; that of the flange where absent.
+    pub quaternion: Option<[f64; 4]>,
+    /// Mass of the tool and of all other parts behind the sensor, and its centre in the sensor's frame. The weight of this
+    /// mass is compensated.
+    #[serde(default)]
+    pub tool: Mass,
+    /// Samples whose mean becomes the zero of the sensor.
+    #[serde(default = "defaults::count::<10, u16>")]
+    pub zero_samples: u16,
+    /// Missing samples in a row that are tolerated; one more is a fault of the sensor.
+    #[serde(default = "defaults::count::<3, u32>")]
+    pub tolerated_missing: u32,
+    /// Settings of the emulated sensor, on the benches without hardware.
+    #[serde(default)]
+    pub emulator: ForceSensorEmulator,
+}
+
+/// What stands in for a force/torque sensor on the benches without hardware.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ForceSensorEmulator {
+    /// Whether the sensor is absent from its line.
+    pub absent: bool,
+    /// Time at which the cable of the emulated sensor breaks, s since the emulated devices were switched on; never where
+    /// absent.
+    pub silent_from_s: Option<f64>,
+    /// Reading of the unloaded sensor: forces along x, y and z, N, then torques about x, y and z, N·m.
+    pub offset: [f64; 6],
+    /// Standard deviation of the noise of a sample: forces, N, then torques, N·m.
+    pub noise: [f64; 6],
+}
+
+/// The surroundings of the emulated robots. Real robots ignore this table.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EmulatedScene {
+    /// The robot that touches the surfaces with the tip of its tool, a sphere at the origin of the tool. The surfaces are
+    /// given in the base frame of this robot.
+    pub robot: String,
+    /// Radius of the tip, m.
+    #[serde(default)]
+    pub tip_radius: f64,
+    /// The planes.
+    #[serde(default)]
+    pub plane: Vec<EmulatedPlane>,
+}
+
+/// A plane with the solid half-space behind it.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EmulatedPlane {
+    /// Direction out of the solid, of any length; upward where absent.
+    #[serde(default = "upward")]
+    pub normal: [f64; 3],
+    /// Distance of the plane from the origin along the normal, m.
+    pub height: f64,
+    /// Force per penetration, N/m.
+    pub stiffness: f64,
+    /// Force per velocity of penetration, N·s/m.
+    pub damping: f64,
+    /// Largest ratio of friction force to normal force.
+    #[serde(default)]
+    pub friction: f64,
+}
+
+fn upward() -> [f64; 3] {
+    [0.0, 0.0, 1.0]
+}
+
+impl Cell {
+    /// The drive group of force sensor `sensor` in [`groups`](Self::groups).
+    pub fn group_of_sensor(&self, sensor: usize) -> usize {
+        self.bus.len() + self.serial.len() + sensor
+    }
+
+    /// The force sensor with drive group `group` of [`groups`](Self::groups); `None` for a bus or a bundle of lines.
+    pub fn sensor_of_group(&self, group: usize) -> Option<&ForceSensor> {
+        self.force_sensor.get(group.checked_sub(self.group_of_sensor(0))?)
+    }
+
+    /// Index of the robot at whose flange force sensor `sensor` sits.
+    pub fn robot_of_sensor(&self, sensor: usize) -> usize {
+        let name = &self.force_sensor[sensor].robot;
+        self.robot.iter().position(|robot| robot.name == *name).expect("a parsed cell has the robot of a sensor")
+    }
+}
+
+impl ForceSensor {
+    /// Force of one count, N, and torque of one count, N·m.
+    pub fn counts(&self) -> [f64; 2] {
+        let given = [self.force_per_count, self.torque_per_count];
+        let usual = WrenchConfig::ATI.channels;
+        [given[0].unwrap_or(usual[0].scale), given[1].unwrap_or(usual[3].scale)]
+    }
+
+    /// Settings of the line.
+    pub fn settings(&self) -> Settings {
+        Settings { baud: self.baud, stop_bits: StopBits::One }
+    }
+
+    /// Ranges of all channels, N and N·m.
+    pub fn ranges(&self) -> [f64; 6] {
+        let ([fx, fy, fz], [tx, ty, tz]) = (self.force_range, self.torque_range);
+        [fx, fy, fz, tx, ty, tz]
+    }
+
+    /// Configuration of the driver at the servo period `period`.
+    pub fn config(&self, period: Duration) -> SerialWrenchConfig {
+        let ranges = self.ranges();
+        let channel = |axis: usize| {
+            let scale = self.counts()[axis / 3];
+            Channel { scale, range: (ranges[axis] / scale.abs() + ROUNDING).floor() as i32 }
+        };
+        let sensor = WrenchConfig {
+            channels: std::array::from_fn(channel),
+            tolerated_missing: self.tolerated_missing,
+            zero: ZeroMethod::Host { samples: self.zero_samples },
+            ..WrenchConfig::ATI
+        };
+        SerialWrenchConfig { settings: self.settings(), sensor, ..SerialWrenchConfig::new(period) }
+    }
+
+    /// Frame of the sensor in the flange's frame.
+    pub fn flange_from_sensor(&self) -> Pose {
+        let [w, x, y, z] = self.quaternion.unwrap_or([1.0, 0.0, 0.0, 0.0]);
+        let [px, py, pz] = self.position;
+        Pose::from_parts(Translation3::new(px, py, pz), UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)))
+    }
+}

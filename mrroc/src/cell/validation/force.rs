@@ -1,0 +1,202 @@
+//! Checks of force sensors and of the emulated scene.
+
+use controller::robot::Mass;
+use drive::wrench::ConfigError;
+
+use super::{Checked, buses, name, refused, robots::NEAR, some, twice, unique, within};
+use crate::bench::interfaces::Interface;
+use crate::cell::{Cell, EmulatedPlane, EmulatedScene, ForceSensor, Path, Plant, Range, quoted};
+
+/// Greatest number of force sensors of a cell, and of planes of a scene.
+const MOST: usize = 32;
+
+/// Greatest length of a quaternion's deviation from a unit quaternion.
+const UNIT: f64 = 1e-3;
+
+/// Gravitational acceleration, m/s².
+const GRAVITY: f64 = 9.81;
+
+/// Greatest noise of a sample in standard deviations: one sample of 5e8 has more.
+const NOISE: f64 = 6.0;
+
+/// Latest time of an emulated event, s.
+const LATEST: f64 = 1e6;
+
+pub(super) fn check(cell: &Cell) -> Checked {
+    let sensors = Path::to("force_sensor");
+    if cell.force_sensor.len() > MOST {
+        return Err((sensors, format!("has {} force sensors, may have {MOST}", cell.force_sensor.len())));
+    }
+    for (index, sensor) in cell.force_sensor.iter().enumerate() {
+        let path = sensors.then(index);
+        check_name(cell, &sensors, index)?;
+        check_robot(cell, &path, &sensor.robot, "robot")?;
+        check_line(cell, &sensors, index)?;
+        check_numbers(cell, &path, sensor)?;
+        sensor.config(cell.period()).check().map_err(|error| (place_of(&path, error), error.to_string()))?;
+    }
+    cell.scene.as_ref().map_or(Ok(()), |scene| check_scene(cell, scene))
+}
+
+/// The name is that of no bus, no bundle of lines, no axis and no other sensor.
+fn check_name(cell: &Cell, sensors: &Path, index: usize) -> Checked {
+    let (path, own) = (sensors.then(index), &cell.force_sensor[index].name);
+    name(&path, "name", own)?;
+    unique(sensors, "name", index, cell.force_sensor.iter().map(|it| &it.name), |it| format!("force sensor {it:?}"))?;
+    let bus = cell.bus.iter().position(|bus| bus.name == *own).map(|bus| Path::to("bus").then(bus));
+    let bundle = || cell.serial.iter().position(|it| it.name == *own).map(|it| Path::to("serial").then(it));
+    let axis = || {
+        let axes = cell.robot.iter().enumerate();
+        let mut axes = axes.flat_map(|(robot, it)| it.axis.iter().enumerate().map(move |axis| (robot, axis)));
+        axes.find(|(_, (_, axis))| axis.name == *own).map(|(robot, (axis, _))| Path::axis(robot, axis))
+    };
+    match bus.or_else(bundle).or_else(axis) {
+        Some(first) => refused(&path, "name", twice(&format!("the name {own:?}"), &first)),
+        None => Ok(()),
+    }
+}
+
+/// The robot exists and has a flange whose load its emulated motors feel.
+fn check_robot(cell: &Cell, path: &Path, robot: &str, key: &'static str) -> Checked {
+    let Some(found) = cell.robot.iter().find(|it| it.name == robot) else {
+        let known: Vec<_> = cell.robot.iter().map(|robot| robot.name.as_str()).collect();
+        return refused(path, key, format!("no robot is called {}, only {}", quoted(robot), known.join(", ")));
+    };
+    if found.model.parameters().mechanism().is_none() {
+        return refused(path, key, format!("is {}, which has no flange: name an arm", quoted(robot)));
+    }
+    if let Some(axis) = found.axis.iter().find(|it| it.emulator.plant == Plant::Wut) {
+        let why =
+            format!("is {}, whose axis {:?} feels no load with plant wut: use physical", quoted(robot), axis.name);
+        return refused(path, key, why);
+    }
+    Ok(())
+}
+
+/// The line is that of no axis controller, no adapter of a bus and no other sensor.
+fn check_line(cell: &Cell, sensors: &Path, index: usize) -> Checked {
+    let (path, line) = (sensors.then(index), &cell.force_sensor[index].line);
+    buses::text(&path, "line", line)?;
+    unique(sensors, "line", index, cell.force_sensor.iter().map(|it| &it.line), |line| format!("line {line:?}"))?;
+    for (robot, it) in cell.robot.iter().enumerate() {
+        let shared = it.axis.iter().position(|axis| axis.controller.as_ref().is_some_and(|it| it.line == *line));
+        if let Some(axis) = shared {
+            let what = twice(&format!("line {line:?}"), &Path::axis(robot, axis).then("controller"));
+            return refused(&path, "line", format!("{what}: a force sensor needs a line of its own"));
+        }
+    }
+    let adapter = cell.bus.iter().position(|bus| match Interface::parse(&bus.interface) {
+        Interface::Slcan { path, .. } | Interface::Epos { path, .. } => path == *line,
+        Interface::SocketCan(_) => false,
+    });
+    match adapter {
+        Some(bus) => refused(&path, "line", twice(&format!("line {line:?}"), &Path::to("bus").then(bus))),
+        None => Ok(()),
+    }
+}
+
+fn check_numbers(cell: &Cell, path: &Path, sensor: &ForceSensor) -> Checked {
+    within(path, "baud", sensor.baud, Range::new(9_600.0, 4e6, "bit/s"))?;
+    let needed = 1e6 / f64::from(cell.period_us);
+    if f64::from(sensor.rate_hz) < needed {
+        let why = format!(
+            "is {}, must be {needed:.0} (Hz) at the least: the servo takes a sample in each period of {} µs",
+            sensor.rate_hz, cell.period_us
+        );
+        return refused(path, "rate_hz", why);
+    }
+    let given = [("force_per_count", sensor.force_per_count), ("torque_per_count", sensor.torque_per_count)];
+    for (key, scale) in given {
+        if let Some(scale) = scale {
+            within(path, key, scale.abs(), Range::new(1e-9, 1e5, "per count"))?;
+        }
+    }
+    let ranges = [("force_range", sensor.force_range, "N"), ("torque_range", sensor.torque_range, "N·m")];
+    for ((key, ranges, unit), count) in ranges.into_iter().zip(sensor.counts()) {
+        for (axis, range) in ranges.into_iter().enumerate() {
+            // A reading has 16 bits.
+            let most = f64::from(i16::MAX) * count.abs();
+            within(&path.then(key), axis, range, Range::new(count.abs(), most, unit))?;
+        }
+    }
+    for (axis, part) in sensor.position.into_iter().enumerate() {
+        within(&path.then("position"), axis, part, NEAR)?;
+    }
+    if let Some(quaternion) = sensor.quaternion {
+        let length = quaternion.iter().map(|part| part * part).sum::<f64>().sqrt();
+        if !((length - 1.0).abs() <= UNIT) {
+            return refused(path, "quaternion", format!("has the length {length:.3}, must be a unit quaternion"));
+        }
+    }
+    let tool = path.then("tool");
+    within(&tool, "mass", sensor.tool.mass, Range::new(0.0, Mass::MOST, "kg"))?;
+    for (axis, part) in sensor.tool.centre.into_iter().enumerate() {
+        within(&tool.then("centre"), axis, part, NEAR)?;
+    }
+    within(path, "zero_samples", sensor.zero_samples, Range::new(1.0, 10_000.0, "samples"))?;
+    within(path, "tolerated_missing", sensor.tolerated_missing, Range::new(0.0, 1000.0, "samples"))?;
+    let emulator = path.then("emulator");
+    within(&emulator, "silent_from_s", sensor.emulator.silent_from_s.unwrap_or(0.0), Range::new(0.0, LATEST, "s"))?;
+    for (channel, (offset, noise)) in sensor.emulator.offset.into_iter().zip(sensor.emulator.noise).enumerate() {
+        within(&emulator.then("offset"), channel, offset, Range::new(-1e5, 1e5, "N or N·m"))?;
+        within(&emulator.then("noise"), channel, noise, Range::new(0.0, 1e5, "N or N·m"))?;
+    }
+    check_load(path, sensor)
+}
+
+/// No channel is saturated by the weight of the tool in any orientation, nor by the emulated offset and noise in addition.
+fn check_load(path: &Path, sensor: &ForceSensor) -> Checked {
+    let weight = sensor.tool.mass * GRAVITY;
+    let [x, y, z] = sensor.tool.centre;
+    let torques = [y.hypot(z), z.hypot(x), x.hypot(y)].map(|arm| weight * arm);
+    let loads = [[weight; 3], torques].concat();
+    for (channel, (load, range)) in loads.into_iter().zip(sensor.ranges()).enumerate() {
+        let load = load + sensor.emulator.offset[channel].abs() + NOISE * sensor.emulator.noise[channel];
+        if load >= range {
+            let (key, unit) = if channel < 3 { ("force_range", "N") } else { ("torque_range", "N·m") };
+            let why = format!(
+                "is {range} {unit}, and the tool with the emulated offset and noise alone can load the channel by {load:.3} \
+                 {unit}"
+            );
+            return refused(&path.then(key), channel % 3, why);
+        }
+    }
+    Ok(())
+}
+
+/// The key for an error of the driver.
+fn place_of(path: &Path, error: ConfigError) -> Path {
+    let of_axis = |keys: [&'static str; 2], axis: usize| path.then(keys[axis / 3]);
+    match error {
+        ConfigError::Period { .. } => path.then("baud"),
+        ConfigError::Scale { axis, .. } => of_axis(["force_per_count", "torque_per_count"], axis as usize),
+        ConfigError::Range { axis, .. } => of_axis(["force_range", "torque_range"], axis as usize),
+        ConfigError::ZeroSamples => path.then("zero_samples"),
+        ConfigError::NoBias
+        | ConfigError::BiasGap
+        | ConfigError::Node { .. }
+        | ConfigError::CobId { .. }
+        | ConfigError::Bus(_) => path.clone(),
+    }
+}
+
+fn check_scene(cell: &Cell, scene: &EmulatedScene) -> Checked {
+    let path = Path::to("scene");
+    check_robot(cell, &path, &scene.robot, "robot")?;
+    within(&path, "tip_radius", scene.tip_radius, Range::new(0.0, 1.0, "m"))?;
+    let planes = path.then("plane");
+    some(&path, "plane", scene.plane.len(), MOST, "planes")?;
+    for (index, plane) in scene.plane.iter().enumerate() {
+        let path = planes.then(index);
+        let &EmulatedPlane { normal, height, stiffness, damping, friction } = plane;
+        let length = normal.iter().map(|part| part * part).sum::<f64>().sqrt();
+        if !(length.is_finite() && length > 1e-6) {
+            return refused(&path, "normal", "has no direction");
+        }
+        within(&path, "height", height, Range::new(-100.0, 100.0, "m"))?;
+        within(&path, "stiffness", stiffness, Range::new(1.0, 1e8, "N/m"))?;
+        within(&path, "damping", damping, Range::new(0.0, 1e6, "N·s/m"))?;
+        within(&path, "friction", friction, Range::new(0.0, 10.0, ""))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,95 @@
+//! A force/torque sensor of a cell, as a task sees it.
+
+use std::time::Duration;
+
+use can::Instant;
+use controller::executor::Agents;
+use controller::force::Wrench;
+use controller::generator::GeneratorError;
+use controller::sensor::{ForceError, ForceReading, ForceTorque};
+use drive::wrench::WrenchFault;
+
+use super::{Outcome, TaskError};
+
+/// Servo periods that a zeroing may take beyond its samples.
+const SPARE: u32 = 100;
+
+/// A force/torque sensor at the flange of a robot.
+#[derive(Clone)]
+pub struct ForceSensor {
+    name: Box<str>,
+    sensor: ForceTorque,
+    agents: Agents,
+    period: Duration,
+    /// Longest duration of a zeroing.
+    patience: Duration,
+}
+
+impl ForceSensor {
+    pub(super) fn new(name: &str, sensor: ForceTorque, agents: Agents, period: Duration, samples: u16) -> Self {
+        let patience = period * (u32::from(samples) + SPARE);
+        Self { name: name.into(), sensor, agents, period, patience }
+    }
+
+    /// Name of the sensor in the cell file.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The virtual sensor, for [`Robot::sense`](super::Robot::sense).
+    pub fn sensor(&self) -> ForceTorque {
+        self.sensor.clone()
+    }
+
+    /// The last reading and the time of its sample.
+    pub fn read(&self) -> Result<(Instant, ForceReading), TaskError> {
+        let (at, reading) = self.sensor.read().ok_or_else(|| self.failed(ForceError::Busy))?;
+        match reading.in_sensor() {
+            Err(GeneratorError::Force(error)) => Err(self.failed(error)),
+            Err(error) => Err(error.into()),
+            Ok(_) => Ok((at, reading)),
+        }
+    }
+
+    /// The contact wrench on the tool in the frame of the tool, by the last sample.
+    pub fn in_tool(&self) -> Result<Wrench, TaskError> {
+        Ok(self.read()?.1.in_tool()?)
+    }
+
+    /// Makes the present reading the zero: the offset of the sensor, and any contact. The robot must stand still, homed and
+    /// without contact, until the zeroing is done. Fails if the sensor has a fault or gives no samples.
+    pub async fn zero(&self) -> Outcome {
+        // A sensor with a fault, or at a robot that is not homed, is refused before the request.
+        self.read()?;
+        let request = self.sensor.link().zero();
+        let mut waited = Duration::ZERO;
+        loop {
+            let zeroing = self.sensor.link().read().zeroing;
+            if zeroing.is_done(request) {
+                // The reading notes the weight of the tool in this orientation.
+                return self.read().map(|_| ());
+            }
+            if zeroing.has_failed(request) || waited > self.patience {
+                self.read()?;
+                return Err(self.failed(ForceError::NotZeroed { waited }));
+            }
+            self.agents.sleep(self.period).await;
+            waited += self.period;
+        }
+    }
+
+    /// The fault of the sensor in the last servo cycle.
+    pub fn fault(&self) -> Option<WrenchFault> {
+        self.sensor.link().read().fault
+    }
+
+    /// Requests a reset of the fault of the sensor, and does not wait. The driver latches again what the sensor still
+    /// shows.
+    pub fn reset_fault(&self) {
+        self.sensor.link().reset_fault();
+    }
+
+    fn failed(&self, error: ForceError) -> TaskError {
+        TaskError::ForceSensor { name: self.name.clone(), error }
+    }
+}
