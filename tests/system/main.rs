@@ -28,6 +28,7 @@ mod epos_service;
 mod error_classes;
 mod faults;
 mod feed_forward;
+mod force_cell;
 mod force_sensors;
 mod heap;
 mod homing;
