@@ -15,7 +15,8 @@
 //!
 //! # Faults
 //! A fault is latched until [`WrenchLink::reset_fault`] or the next bring-up. The wrench then stays that of the last
-//! sample, and [`WrenchState::measured`] returns `None`.
+//! sample, and [`WrenchState::measured`] returns `None`. A reset takes effect with the next sample: an old
+//! wrench never becomes valid again.
 //!
 //! | fault | condition |
 //! |---|---|

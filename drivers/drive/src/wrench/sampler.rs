@@ -53,6 +53,10 @@ pub(super) struct Sampler {
     rate: Rate,
     /// A sample was taken in this cycle.
     fresh: bool,
+    /// A reset was requested. The latched fault stays until the next sample, so that no old wrench becomes valid.
+    resetting: bool,
+    /// Cycles since the last sample, or since the last reset.
+    waited: u32,
     /// Readings since the last sample that were no answer.
     garbage: u32,
     /// Answers since the last sample that came too late.
@@ -81,6 +85,8 @@ impl Sampler {
             bias_sent: false,
             rate: Rate::first(pace),
             fresh: false,
+            resetting: false,
+            waited: 0,
             garbage: 0,
             late: 0,
             saturated: 0,
@@ -116,10 +122,10 @@ impl Sampler {
     fn forget_streaks(&mut self) {
         (self.garbage, self.late, self.saturated) = (0, 0, 0);
         self.saturated_at = None;
+        (self.resetting, self.waited) = (false, 0);
     }
 
-    /// Begins the reading of a cycle. A requested reset takes effect here, so that the readings of this cycle can latch
-    /// the fault again.
+    /// Begins the reading of a cycle. A requested reset begins here, so that a sample of this cycle can end the fault.
     pub(super) fn begin_of_read(&mut self) {
         if self.requests.take_reset() {
             self.reset_fault();
@@ -145,6 +151,9 @@ impl Sampler {
         }
         (self.saturated, self.garbage, self.late) = (0, 0, 0);
         (self.counts, self.state.sampled, self.fresh) = (counts, sampled, true);
+        if std::mem::take(&mut self.resetting) {
+            self.state.fault = None;
+        }
         self.state.samples += 1;
         self.counters.samples += 1;
         self.scale();
@@ -203,8 +212,11 @@ impl Sampler {
         self.bias_sent = true;
     }
 
-    /// Latches a fault. The first fault stays until a reset or the next bring-up. A fault ends a zeroing.
+    /// Latches a fault. The first fault stays until a reset or the next bring-up. A fault ends a zeroing and a reset.
     pub(super) fn latch(&mut self, fault: WrenchFault) {
+        if std::mem::take(&mut self.resetting) {
+            self.state.fault = None;
+        }
         if let Zeroing::UnderWay { request, .. } = self.state.zeroing {
             self.state.zeroing = Zeroing::Failed { request };
         }
@@ -248,27 +260,30 @@ impl Sampler {
     /// Ends the reading of a cycle: judges the readings, takes a request for a zero and publishes the state.
     pub(super) fn end_of_read(&mut self, now: Instant, cycle: u64) {
         (self.state.at, self.state.cycle) = (now, cycle);
-        self.state.age = if std::mem::take(&mut self.fresh) { 0 } else { self.state.age.saturating_add(1) };
+        let fresh = std::mem::take(&mut self.fresh);
+        for cycles in [&mut self.state.age, &mut self.waited] {
+            *cycles = if fresh { 0 } else { cycles.saturating_add(1) };
+        }
         self.judge();
         self.take_request();
         self.publish();
     }
 
     fn reset_fault(&mut self) {
-        let Some(fault) = self.state.fault.take() else { return };
+        let Some(fault) = self.state.fault else { return };
         if self.config.zero == ZeroMethod::Device && fault.may_be_restart() {
             self.state.zeroing = Zeroing::None;
         }
-        self.state.age = 0;
         self.rate = Rate::new(self.pace);
         self.forget_streaks();
+        self.resetting = true;
     }
 
     fn judge(&mut self) {
         if self.status != 0 {
             self.latch(WrenchFault::Status { status: self.status });
         }
-        let silent = self.state.age >= self.pace.silent_after(self.config.tolerated_missing);
+        let silent = self.waited >= self.pace.silent_after(self.config.tolerated_missing);
         if let Some((axis, counts)) = self.saturated_at
             && (silent || self.saturated > self.config.tolerated_saturated)
         {

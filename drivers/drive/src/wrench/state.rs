@@ -216,7 +216,8 @@ impl WrenchLink {
         ZeroRequest(self.requests.0.zero.fetch_add(1, Ordering::AcqRel) + 1)
     }
 
-    /// Requests a reset of the latched fault. The driver latches again what the sensor still shows.
+    /// Requests a reset of the latched fault. The fault ends with the next sample, so that no old wrench becomes valid.
+    /// The driver latches again what the sensor still shows.
     pub fn reset_fault(&self) {
         self.requests.0.reset.store(true, Ordering::Release);
     }
