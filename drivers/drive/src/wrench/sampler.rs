@@ -99,7 +99,11 @@ impl Sampler {
 
     /// Ends operation. Bring-up begins, and the zero is lost.
     pub(super) fn reset(&mut self) {
-        self.state = WrenchState::NOT_STARTED;
+        let zeroing = match self.state.zeroing {
+            Zeroing::None | Zeroing::Done { .. } => Zeroing::None,
+            Zeroing::UnderWay { request, .. } | Zeroing::Failed { request } => Zeroing::Failed { request },
+        };
+        self.state = WrenchState { zeroing, ..WrenchState::NOT_STARTED };
         self.offset = [0.0; 6];
         self.rate = Rate::first(self.pace);
         self.counters = WrenchCounters::default();
@@ -271,7 +275,10 @@ impl Sampler {
 
     fn reset_fault(&mut self) {
         let Some(fault) = self.state.fault else { return };
-        if self.config.zero == ZeroMethod::Device && fault.may_be_restart() {
+        if self.config.zero == ZeroMethod::Device
+            && fault.may_be_restart()
+            && matches!(self.state.zeroing, Zeroing::Done { .. })
+        {
             self.state.zeroing = Zeroing::None;
         }
         self.rate = Rate::new(self.pace);

@@ -84,7 +84,7 @@ pub enum Zeroing {
         /// Samples that the zero is the mean of.
         samples: u16,
     },
-    /// A fault ended the zeroing. The zero before is still in force.
+    /// A fault or a new bring-up ended the zeroing. The zero before is in force, unless the sensor has lost it.
     Failed {
         /// The request that was not carried out.
         request: ZeroRequest,
