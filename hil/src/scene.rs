@@ -158,7 +158,7 @@ struct Belt {
 
 impl Drop for Belt {
     fn drop(&mut self) {
-        self.shaft.set_in_scene(false);
+        self.shaft.remove_belt();
     }
 }
 
@@ -258,9 +258,7 @@ impl Scene {
     /// motor is on the wires of the world of this scene. Friction on the belt does not load the motor.
     pub fn drive_belt(&mut self, wall: WallId, shaft: AngleProbe, way: [f64; 3]) {
         let wall = &mut self.walls[wall.0];
-        // The end of the last drive of this belt takes its own shaft out of the scene.
-        wall.belt = None;
-        shaft.set_in_scene(true);
+        shaft.add_belt();
         let way = wall.moving.axes.tr_mul(&Vector3::from(way));
         wall.belt = Some(Belt { angle: shaft.angle(), shaft, way });
     }

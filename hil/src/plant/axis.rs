@@ -1,7 +1,7 @@
 //! An emulated axis: motor, encoder, switches.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
 use thiserror::Error;
 
@@ -139,12 +139,13 @@ pub struct AngleProbe(Arc<Probed>);
 #[derive(Debug)]
 struct Probed {
     angle: AtomicU64,
-    in_scene: AtomicBool,
+    /// Number of belts that the motor drives.
+    belts: AtomicU32,
 }
 
 impl AngleProbe {
     fn new(angle: f64) -> Self {
-        Self(Arc::new(Probed { angle: AtomicU64::new(angle.to_bits()), in_scene: AtomicBool::new(false) }))
+        Self(Arc::new(Probed { angle: AtomicU64::new(angle.to_bits()), belts: AtomicU32::new(0) }))
     }
 
     /// Angle of the motor shaft, rad.
@@ -152,13 +153,18 @@ impl AngleProbe {
         f64::from_bits(self.0.angle.load(Ordering::Relaxed))
     }
 
-    /// Makes the motor advance with a scene, or on its own again.
-    pub(crate) fn set_in_scene(&self, in_scene: bool) {
-        self.0.in_scene.store(in_scene, Ordering::Relaxed);
+    /// Makes the motor advance with the scene of a belt.
+    pub(crate) fn add_belt(&self) {
+        self.0.belts.fetch_add(1, Ordering::Relaxed);
     }
 
-    fn in_scene(&self) -> bool {
-        self.0.in_scene.load(Ordering::Relaxed)
+    /// Ends the drive of a belt. Without a belt the motor advances on its own again.
+    pub(crate) fn remove_belt(&self) {
+        self.0.belts.fetch_sub(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn in_scene(&self) -> bool {
+        self.0.belts.load(Ordering::Relaxed) > 0
     }
 
     fn show(&self, angle: f64) {

@@ -113,6 +113,32 @@ fn motor_of_a_conveyor_carries_a_box() {
 }
 
 #[test]
+fn motor_advances_with_the_scene_until_its_last_belt_has_ended() {
+    let axis = AxisConfig { brake: 0.0, ..AxisConfig::irp6(Irp6Axis::Column) };
+    let shaft = PlantAxis::new(&axis, 1).probe();
+    let material = Material { stiffness: 1e5, damping: 300.0, friction: 0.5 };
+    let wall = WallConfig { shape: Shape::HalfSpace, pose: Isometry3::identity(), material };
+    let belts = || {
+        let mut scene = Scene::new();
+        let belts = [(); 2].map(|()| scene.add_wall(&wall).unwrap());
+        belts.iter().for_each(|&belt| scene.drive_belt(belt, shaft.clone(), [0.0, 0.004, 0.0]));
+        (scene, belts)
+    };
+    assert!(!shaft.in_scene());
+    let (mut scene, [one, other]) = belts();
+    scene.drive_belt(one, shaft.clone(), [0.0, 0.002, 0.0]);
+    scene.set_belt(one, [0.0; 3]);
+    assert!(shaft.in_scene(), "the other belt");
+    // The next scene is ready before the last one ends.
+    let (next, _) = belts();
+    scene.set_belt(other, [0.0; 3]);
+    drop(scene);
+    assert!(shaft.in_scene(), "the next scene");
+    drop(next);
+    assert!(!shaft.in_scene());
+}
+
+#[test]
 fn force_sensor_at_a_line_sends_the_force_of_the_contact() {
     // The upper arm of an IRb-6 is level, and the other axes stand. Gears have no friction.
     let mechanism = Mechanism::new(MechanismConfig::Irb6);
