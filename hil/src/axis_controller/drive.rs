@@ -92,8 +92,9 @@ impl Drive {
 
     /// Advances the axis to the last sub-step before `now`. An axis in a scene has been advanced by the scene.
     pub(super) fn catch_up(&mut self, now: Instant) {
+        // A chunk in progress may also be that of a scene that has ended.
+        self.cut_chunk();
         if self.axis.in_scene() {
-            self.cut_chunk();
             return;
         }
         loop {

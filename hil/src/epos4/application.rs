@@ -20,8 +20,10 @@ impl Application for Drive {
     /// Advances the axis to `now` in whole chunks. With `exact` the remaining sub-steps are simulated as well. An axis
     /// in a scene has been advanced by the scene.
     fn catch_up(&mut self, now: Instant, exact: bool, objects: &mut Objects) -> Option<Error> {
-        if self.axis.in_scene() {
-            return self.cut_chunk(objects);
+        // A chunk in progress may also be that of a scene that has ended.
+        let error = self.cut_chunk(objects);
+        if error.is_some() || self.axis.in_scene() {
+            return error;
         }
         loop {
             let left = now.since(self.simulated);
