@@ -440,6 +440,12 @@ impl Scene {
         self.now
     }
 
+    /// Sets the time of the last step to the last whole step before `now`. The state does not change.
+    pub(crate) fn begin(&mut self, now: Instant) {
+        let steps = now.as_nanos() / STEP.as_nanos() as u64;
+        self.now = Instant::from_nanos(steps * STEP.as_nanos() as u64);
+    }
+
     /// Advances by one step. The motors of all robots have moved to the end of the step.
     pub fn step(&mut self) {
         self.now += STEP;

@@ -43,6 +43,8 @@ pub struct World {
     buses: Vec<VirtualBus>,
     lines: Vec<SerialLine>,
     scene: Option<Scene>,
+    /// The latest instant up to which the world was advanced.
+    now: Instant,
 }
 
 /// One bus of one [`World`].
@@ -99,9 +101,11 @@ impl World {
         host
     }
 
-    /// Sets the bodies and surfaces that the robots of this world meet, in place of the last scene. The motors of the
-    /// scene's robots advance with the scene, in sub-steps of 100 µs. All other motors advance as without a scene.
-    pub fn set_scene(&mut self, scene: Scene) {
+    /// Sets the bodies and surfaces that the robots of this world meet, in place of the last scene. The scene goes on
+    /// from its present state at the present instant of the world. The motors of the scene's robots advance with the
+    /// scene, in sub-steps of 100 µs. All other motors advance as without a scene.
+    pub fn set_scene(&mut self, mut scene: Scene) {
+        scene.begin(self.now);
         self.scene = Some(scene);
     }
 
@@ -131,6 +135,7 @@ impl World {
             }
         }
         self.advance_wires(until);
+        self.now = self.now.max(until);
     }
 
     fn advance_wires(&mut self, until: Instant) {

@@ -83,6 +83,25 @@ fn runs_in_a_scene_do_not_depend_on_how_the_world_is_advanced() {
 }
 
 #[test]
+fn bodies_of_a_scene_that_is_set_later_begin_then() {
+    let mut world = World::new();
+    let at = |micros| Instant::ZERO + Duration::from_micros(micros);
+    world.advance(at(1_000_030));
+    let mut scene = Scene::new();
+    let material = Material { stiffness: 1e5, damping: 300.0, friction: 0.5 };
+    let (pose, still) = (Isometry3::identity(), [0.0; 3]);
+    let cube = BodyConfig { mass: 1.0, half: [0.05; 3], material, pose, velocity: still, spin: still };
+    let cube = scene.add_body(&cube).unwrap();
+    world.set_scene(scene);
+    assert_eq!(world.scene().unwrap().now(), at(1_000_000));
+    world.advance(at(1_100_000));
+    let scene = world.scene().unwrap();
+    assert_eq!(scene.now(), at(1_100_000));
+    let height = scene.body(cube).pose.translation.z;
+    assert!((height + 0.5 * 9.81 * 0.01).abs() < 1e-9, "{height}");
+}
+
+#[test]
 fn motor_of_a_conveyor_carries_a_box() {
     let mut world = World::new();
     let bus = world.add_bus(Bitrate::KBPS_1000);
