@@ -236,14 +236,17 @@ impl Mechanism {
         self.0.in_scene.load(Ordering::Relaxed)
     }
 
-    /// The flange at the present angles of the shafts, and the velocities of the shafts, rad/s.
+    /// The flange at the present angles of the motors, and the velocities of the shafts in a scene, rad/s. Without a scene
+    /// the angles are those of [`Mechanism::load`].
     pub(crate) fn kinematics(&self) -> (Kinematics, [f64; AXES]) {
         let mut robot = self.lock();
-        let mut motors = [0.0; AXES];
+        let mut motors = robot.motors;
         let mut velocities = [0.0; AXES];
-        for (number, shaft) in self.0.shafts[..robot.count].iter().enumerate() {
-            motors[number] = shaft.angle() - robot.homes[number];
-            velocities[number] = shaft.velocity();
+        if self.in_scene() {
+            for (number, shaft) in self.0.shafts[..robot.count].iter().enumerate() {
+                motors[number] = shaft.angle() - robot.homes[number];
+                velocities[number] = shaft.velocity();
+            }
         }
         let kinematics = match &mut robot.links {
             Links::Irp6(irp6) => irp6.kinematics(&motors),

@@ -166,6 +166,18 @@ mod tests {
     }
 
     #[test]
+    fn mass_at_the_tip_is_that_of_the_present_pose_also_without_a_scene() {
+        let moved = [40.0, 10.0, -20.0, 30.0, 0.0];
+        let (placed, _) = at(MechanismConfig::Irb6, &moved);
+        let (driven, _) = at(MechanismConfig::Irb6, &[0.0; 5]);
+        for (number, motor) in moved.into_iter().enumerate() {
+            driven.mount(number, 50.0).expect("it has the axis").load(50.0 + motor);
+        }
+        let mass = |mechanism: &Mechanism| mechanism.effective_mass([0.0, 0.0, 0.2], [0.3, 1.0, 0.5]);
+        assert!((mass(&driven) - mass(&placed)).abs() < 1e-9, "{} {} kg", mass(&driven), mass(&placed));
+    }
+
+    #[test]
     fn irp6_flange_is_where_the_public_code_has_it() {
         let home = [-15.9, -5.0, -8.527, 151.31, 435.25, 791.0];
         let cases = [
