@@ -35,7 +35,7 @@ fn posed(config: MechanismConfig, motors: &[f64], zero: &Motors) -> Mechanism {
     mechanism
 }
 
-/// The mechanism of each robot, and its parameters if they differ from those of the model.
+/// The mechanism of each robot, and its parameters if they differ from the parameters of the model.
 fn mechanisms() -> [(Model, Option<Parameters>, MechanismConfig); 6] {
     let coupled = PolycrankParameters { coupled: true, ..PolycrankParameters::polycrank() };
     let rnt = MechanismConfig::Rnt { home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3] };

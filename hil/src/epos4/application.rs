@@ -18,7 +18,7 @@ const LAZIEST: Duration = Duration::from_millis(20);
 
 impl Application for Drive {
     /// Advances the axis to `now` in whole chunks. With `exact` the remaining sub-steps are simulated as well. An axis
-    /// in a scene is already at `now`, and only its chunk ends.
+    /// in a scene was advanced by the scene before, and only its chunk ends.
     fn catch_up(&mut self, now: Instant, exact: bool, objects: &mut Objects) -> Option<Error> {
         // A chunk in progress may also be that of a scene that has ended.
         let error = self.cut_chunk(objects);
