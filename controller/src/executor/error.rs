@@ -13,8 +13,8 @@ use crate::ecp::{ChartPhase, Class, Ecp, EcpError};
 pub struct InstructionError {
     /// Index of the robot in its cell.
     pub robot: usize,
-    /// Index of the instruction among those of this robot in the task, from 0. Each instruction of a list counts.
-    /// Instructions dropped after an error do not count.
+    /// Index of the instruction in the sequence of all instructions of this robot in the task, from 0. Each instruction
+    /// of a list counts. Instructions dropped after an error do not count.
     pub instruction: usize,
     /// Number of macrosteps of the motion before the error; `None` outside a motion, and if the fault occurred in a
     /// macrostep of the previous motion.

@@ -26,7 +26,7 @@ pub(super) struct Arm {
 }
 
 impl Arm {
-    /// A robot whose mechanism has entered the scene. `base`: pose of the base frame in the world.
+    /// A robot whose mechanism has already entered the scene. `base`: pose of the base frame in the world.
     pub(super) fn new(mechanism: &Mechanism, base: &Isometry3<f64>) -> Self {
         let base = (base.translation.vector, base.rotation.to_rotation_matrix().into_inner());
         let (kinematics, _) = mechanism.kinematics();

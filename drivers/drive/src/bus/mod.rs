@@ -1,5 +1,5 @@
-//! The owner of a CAN bus: one port, one bring-up and one batch per cycle for the drives, the I/O nodes and the
-//! force/torque sensors of the bus.
+//! The owner of a CAN bus: one port, one bring-up and one batch per cycle for all nodes of the bus. The nodes are
+//! drives, I/O nodes and force/torque sensors.
 //!
 //! [`CanBus`] reads the received frames once per cycle and routes each frame by its identifier to a
 //! [drive](crate::cia402), an [I/O node](crate::cia401) or a [force/torque sensor](crate::wrench). The batch of a cycle

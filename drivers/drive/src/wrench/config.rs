@@ -18,7 +18,7 @@ pub struct WrenchConfig {
     /// The channels, in the order of a wrench: Fx, Fy, Fz, Tx, Ty, Tz.
     pub channels: [Channel; 6],
     /// Number of samples in a row that may be missing. One more missing sample is a fault:
-    /// [`Silent`](super::WrenchFault::Silent) as a rule, [`Garbage`](super::WrenchFault::Garbage) if a reading since
+    /// [`Silent`](super::WrenchFault::Silent) by default, [`Garbage`](super::WrenchFault::Garbage) if a reading since
     /// the last sample was no answer, [`OfAnotherRate`](super::WrenchFault::OfAnotherRate) if an answer was late. A
     /// missing answer of a serial sensor costs two samples: the next query waits until a late answer would have come.
     pub tolerated_missing: u32,
