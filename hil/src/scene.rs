@@ -447,7 +447,7 @@ impl Scene {
         self.now
     }
 
-    /// Sets the time of the last step to the last whole step before `now`. The state does not change.
+    /// Sets the time of the last step to the last multiple of [`STEP`] up to `now`. The state does not change.
     pub(crate) fn begin(&mut self, now: Instant) {
         let steps = now.as_nanos() / STEP.as_nanos() as u64;
         self.now = Instant::from_nanos(steps * STEP.as_nanos() as u64);

@@ -43,7 +43,7 @@ pub struct World {
     buses: Vec<VirtualBus>,
     lines: Vec<SerialLine>,
     scene: Option<Scene>,
-    /// The latest instant up to which the world was advanced.
+    /// Latest instant to which the world was advanced.
     now: Instant,
 }
 

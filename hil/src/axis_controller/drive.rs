@@ -93,7 +93,7 @@ impl Drive {
     /// Advances the axis to the last sub-step before `now`. An axis in a scene is already there, and only its chunk
     /// ends.
     pub(super) fn catch_up(&mut self, now: Instant) {
-        // A chunk in progress may also be that of a scene that has ended.
+        // A chunk in progress may have begun in a scene that has ended since.
         self.cut_chunk();
         if self.axis.in_scene() {
             return;

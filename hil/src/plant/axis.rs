@@ -158,7 +158,7 @@ impl AngleProbe {
         self.0.belts.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Ends the drive of a belt. Without a belt the motor advances on its own again.
+    /// Ends the drive of one belt. After the end of its last belt, the motor advances without the scene.
     pub(crate) fn remove_belt(&self) {
         self.0.belts.fetch_sub(1, Ordering::Relaxed);
     }

@@ -237,8 +237,8 @@ impl Mechanism {
         self.0.in_scene.load(Ordering::Relaxed)
     }
 
-    /// The flange at the present angles of the motors, and the velocities of the shafts in a scene, rad/s. Without a scene
-    /// the angles are those of [`Mechanism::load`].
+    /// The flange at the present motor angles, and the velocities of the motor shafts, rad/s. Without a scene, the
+    /// angles are the last angles of [`Mechanism::load`], and the velocities are zero.
     pub(crate) fn kinematics(&self) -> (Kinematics, [f64; AXES]) {
         let mut robot = self.lock();
         let mut motors = robot.motors;
