@@ -123,10 +123,11 @@ pub struct Busy {
 /// Reasons why a generator is not replaced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum ReplaceRefused {
-    /// No generator computes macrosteps: there is no motion, its first step is still planned, or it ends.
+    /// No generator computes macrosteps: there is no motion, the first step is still in computation, or the motion is
+    /// ending.
     #[error("no generator runs that could be replaced")]
     NotRunning,
-    /// The motion is one of a team under a coordinator.
+    /// The motion belongs to a team under a coordinator.
     #[error("the robot moves in a team: only the team's coordinator ends its motion, and the task gives the next one")]
     InTeam,
 }

@@ -18,14 +18,14 @@ use crate::robot::Space;
 /// acceleration and jerk of the set-points therefore keep their limits. In longer macrosteps, the servo's quintic needs up
 /// to 1.4 times the jerk limit where the jerk changes inside a macrostep.
 ///
-/// Without intermediate poses, the motion [begins in motion](Generator::begins_in_motion) if the previous generator ended
-/// in motion, and can [end in motion](Self::ending_at). With [`Ecp::replace`](crate::ecp::Ecp::replace), a motion therefore
-/// continues to another target without a stop. If the start exceeds a limit, the motion returns below the limit as fast as
-/// the jerk permits.
+/// Without intermediate poses, the motion [begins in motion](Generator::begins_in_motion) if the previous generator
+/// ended in motion, and can [end in motion](Self::ending_at). With [`Ecp::replace`](crate::ecp::Ecp::replace), a motion
+/// therefore continues to another target without a stop. If velocity or acceleration at the start exceeds a limit, the
+/// motion returns below the limit as fast as the jerk limit permits.
 ///
 /// The first step solves the whole motion. The computing time is microseconds for one pose, and about 30 ms for six
-/// axes through five poses. For a single pose, only a refusal allocates. With intermediate poses, the solver formats a
-/// message for each discarded candidate: hundreds of allocations per pose. No next step allocates.
+/// axes through five poses. For a single pose, the first step allocates only in a refusal. With intermediate poses, the
+/// solver allocates hundreds of times per pose, for the messages of discarded candidates. No next step allocates.
 #[doc(alias = "ruckig")]
 #[derive(Debug)]
 pub struct JerkLimited {

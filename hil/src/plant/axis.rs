@@ -153,12 +153,12 @@ impl AngleProbe {
         f64::from_bits(self.0.angle.load(Ordering::Relaxed))
     }
 
-    /// Makes the motor advance with the scene of a belt.
+    /// Counts a belt of a scene that this motor drives. The motor advances with the scene from now on.
     pub(crate) fn add_belt(&self) {
         self.0.belts.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Ends the drive of a belt. Without a belt the motor advances on its own again.
+    /// Ends the drive of one belt. After the end of its last belt, the motor advances without the scene.
     pub(crate) fn remove_belt(&self) {
         self.0.belts.fetch_sub(1, Ordering::Relaxed);
     }
@@ -257,7 +257,7 @@ impl PlantAxis {
         }
     }
 
-    /// Reads the switches after `dt_steps` sub-steps, and shows the shaft to others.
+    /// Reads the switches after `dt_steps` sub-steps, and publishes the angle of the shaft.
     pub(crate) fn end(&mut self, dt_steps: u32) {
         let angle = self.plant.angle();
         if let (Plant::Wut(_), Some(mount)) = (&self.plant, &self.mount) {
@@ -271,7 +271,7 @@ impl PlantAxis {
         }
     }
 
-    /// Whether the axis moves a robot or a belt in a scene, with which it advances in single sub-steps.
+    /// Whether the axis moves a robot or a belt in a scene. Such an axis advances with the scene, in single sub-steps.
     pub(crate) fn in_scene(&self) -> bool {
         self.mount.as_ref().is_some_and(Mount::in_scene) || self.probe.as_ref().is_some_and(AngleProbe::in_scene)
     }

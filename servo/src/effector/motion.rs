@@ -58,14 +58,14 @@ impl Effector {
         self.fail(tick, self.axis_in_motion(), StopCause::Starved { last: self.macrostep });
     }
 
-    /// Bounds of the rate of motion time, by the limits of the axes. An effector in any state may begin to move before a
-    /// change of the rate has ended.
+    /// Bounds of the rate of motion time, by the limits of the axes. The bounds include effectors at rest, because they
+    /// may begin to move before a change of the rate has ended.
     pub(crate) fn rate_bounds(&self, rate: f64) -> Bounds {
         let segment = self.segment.as_ref().filter(|_| self.state == ServoState::Moving);
         let bounds = |(index, axis): (usize, &ServoAxis)| {
             let ahead = |periods| segment.map_or_else(Knot::default, |segment| segment.ahead(index, periods));
             let after = |periods| Bounds::of_axis(ahead(periods), rate, &axis.config);
-            // The planned acceleration changes within the period for which the bounds hold.
+            // The planned acceleration may change during the next cycle, so the bounds include the next two periods.
             after(0.0).within(after(1.0)).within(after(2.0))
         };
         self.axes.iter().enumerate().map(bounds).fold(Bounds::NONE, Bounds::within)

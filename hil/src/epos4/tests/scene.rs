@@ -56,7 +56,7 @@ fn drive_in_a_scene_without_a_contact_follows_as_without_a_scene() {
         let moved = alone.iter().fold(0, |most: i32, counts| most.max(counts.abs()));
         assert!(moved > 5_000, "{moved} counts");
         let worst = alone.iter().zip(&with).map(|(alone, with)| (alone - with).abs()).max();
-        // Other frames end chunks in a scene early. The demand of such a chunk is that of the whole millisecond.
+        // Other frames end chunks in a scene early. The demand of such a chunk was computed for a whole millisecond.
         assert!(worst <= Some(if disturb { 15 } else { 1 }), "{worst:?} counts");
     }
 }

@@ -1,4 +1,4 @@
-//! Position and motion of the flange of a mechanism, and the motor torques of a wrench on it.
+//! Pose and motion of the flange of a mechanism, and the motor torques that a wrench on the flange causes.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -29,7 +29,7 @@ pub(crate) struct Twist {
 }
 
 impl Twist {
-    /// Sum of the motions that joints cause at these rates.
+    /// Motion of the frame while the joints turn at `rates`, rad/s.
     pub(super) fn sum<const N: usize>(joints: &[Self; N], rates: &[f64; N]) -> Self {
         let mut sum = Self::default();
         // Most motors turn one or two joints.
@@ -56,8 +56,8 @@ impl Kinematics {
         Twist::sum(&self.motors, velocities)
     }
 
-    /// Torque on each motor, N·m, of a force on the flange's origin, N, and a torque, N·m, in the base frame. By the
-    /// transpose of the Jacobian: the wrench does the same work on the flange as the torques on the motors.
+    /// Torque on each motor, N·m, caused by a force, N, at the origin of the flange and a torque, N·m, both in the base
+    /// frame. The transpose of the Jacobian gives these torques: wrench and motor torques do the same work.
     pub(crate) fn torques(&self, force: &Vector3<f64>, torque: &Vector3<f64>) -> [f64; AXES] {
         self.motors.map(|motor| motor.velocity.dot(force) + motor.spin.dot(torque))
     }

@@ -148,7 +148,7 @@ fn motor_advances_with_the_scene_until_its_last_belt_has_ended() {
     scene.drive_belt(one, shaft.clone(), [0.0, 0.002, 0.0]);
     scene.set_belt(one, [0.0; 3]);
     assert!(shaft.in_scene(), "the other belt");
-    // The next scene is ready before the last one ends.
+    // The next scene exists before the previous scene ends.
     let (next, _) = belts();
     scene.set_belt(other, [0.0; 3]);
     drop(scene);
