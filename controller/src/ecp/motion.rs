@@ -389,6 +389,7 @@ impl Ecp {
             velocity: motors.velocity,
             acceleration: motors.acceleration,
             torque,
+            law: None,
         }));
         Ok(())
     }
