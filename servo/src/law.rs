@@ -13,7 +13,7 @@ use thiserror::Error;
 use crate::{Knot, MAX_AXES, ServoAxisConfig};
 
 /// Number of parameters of a cycle law in a macrostep.
-pub const LAW_PARAMETERS: usize = 32;
+pub const LAW_PARAMETERS: usize = 40;
 
 /// Parameters of a cycle law during one macrostep. Their meaning belongs to the law. All are finite.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -110,7 +110,7 @@ pub enum LawOutput {
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 #[expect(missing_docs, reason = "every field is in the message")]
 pub enum LawFault {
-    /// The sensor of the law gives no samples. Times are in seconds.
+    /// The sensor of the law gives no samples. Both values are in seconds.
     #[error("no sample of its sensor for {age:.4} s, the limit is {limit:.4} s")]
     Silent { age: f64, limit: f64 },
     /// The sensor of the law is saturated in a channel.
@@ -122,9 +122,12 @@ pub enum LawFault {
     /// A measured value is beyond a limit of the law, for example a dangerous force. The unit is that of the channel.
     #[error("channel {channel} of its sensor measures {value:.2}, the limit is {limit:.2}")]
     Exceeded { channel: u8, value: f64, limit: f64 },
-    /// The mechanism cannot make the motion that the law requires in its present position.
-    #[error("the mechanism is singular")]
-    Singular,
+    /// The force/torque sensor of the law has a fault.
+    #[error("{0}")]
+    Sensor(drive::wrench::WrenchFault),
+    /// The mechanism cannot make the motion of the law at its present position: a limit or a singularity.
+    #[error("the robot cannot make the motion of the law here: a limit of an axis or a singularity is too near")]
+    Unreachable,
     /// A parameter of the macrostep is out of its range.
     #[error("parameter {index} is {value}, which its law does not accept")]
     Parameter { index: u8, value: f64 },
