@@ -43,6 +43,10 @@ impl Default for LawParameters {
 /// A displacement beyond its [`LawBound`] is a fault. The servo does not clamp: a limit per motor would change the
 /// direction of the tool's motion, and the state of the law would differ from the set-points. A law that saturates
 /// limits the motion of the tool as a whole, for example by one factor for all directions.
+///
+/// In each cycle under a law, a stop of the effector from the new set-points must end within the position limits.
+/// Otherwise the effector stops from the last set-points. A stop that lasts longer because of a partner in a team may end
+/// beyond a position limit, as without a law.
 pub trait CycleLaw: Send {
     /// Checks the parameters of a macrostep before the macrostep begins. A fault refuses the macrostep.
     fn check(&self, parameters: &LawParameters) -> Result<(), LawFault>;
