@@ -87,14 +87,14 @@ pub enum EcpError {
 
 impl EcpError {
     /// Class of the error. A fault that concerns the cycle or the bus as a whole is a system error. An effector that
-    /// was stopped with a partner of its team stands and takes further instructions.
+    /// was stopped with a partner of its team, or by its cycle law at a touch, stands and takes further instructions.
     pub fn class(&self) -> Class {
         match self {
             Self::Servo(ServoFault {
                 cause: StopCause::Overrun { .. } | StopCause::Drive(Fault::OtherController { .. }),
                 ..
             }) => Class::System,
-            Self::Servo(ServoFault { cause: StopCause::Partner { .. }, .. }) => Class::NonFatal,
+            Self::Servo(ServoFault { cause: StopCause::Partner { .. } | StopCause::Touched, .. }) => Class::NonFatal,
             Self::Servo(_) | Self::Faulted | Self::BrokenOff { .. } | Self::Silent { .. } | Self::TimedOut { .. } => {
                 Class::Fatal
             }

@@ -391,6 +391,7 @@ impl Ecp {
             velocity: motors.velocity,
             acceleration: motors.acceleration,
             torque,
+            law: None,
         }));
         Ok(())
     }

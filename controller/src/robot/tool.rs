@@ -36,6 +36,11 @@ impl Arm {
         &*self.robot
     }
 
+    /// Pose of the tool at the flange.
+    pub(crate) fn flange_from_tool(&self) -> &Pose {
+        &self.flange_from_tool
+    }
+
     /// Number of axes of the robot.
     pub fn axes(&self) -> usize {
         self.robot.axes()
