@@ -44,7 +44,8 @@ struct Serve {
     macrostep: f64,
 }
 
-/// The motion of the column between two stations, rad, the number of its macrosteps done, and of stations served.
+/// The motion of the column between two stations, rad; the number of its macrosteps done; and the number of stations
+/// served.
 #[derive(Clone, Copy, Debug)]
 struct Motion {
     from: f64,

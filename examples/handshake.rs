@@ -1,7 +1,8 @@
 //! Class 6, sensor and orders: a coordinator orders an arm to grip a part that a light gate sees.
 //!
-//! The arm approaches until the gate sees the part, and answers whether the gate sees a part. The coordinator then
-//! orders to grip and to retreat. Each step of the arm commands the valve of the gripper. No step reads the effector.
+//! The arm approaches until the gate sees the part. In each step the arm answers whether the gate sees a part. The
+//! coordinator then orders the arm to grip and to retreat. Each step of the arm commands the valve of the gripper. No
+//! step reads the effector.
 //!
 //! ```sh
 //! cargo run --release --example handshake -- --bench lockstep

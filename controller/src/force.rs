@@ -1,10 +1,11 @@
-//! Wrenches in frames, and the load that a tool puts on the force/torque sensor that carries it.
+//! Conversion of wrenches between frames, and the wrench of a tool on the force/torque sensor that carries the tool.
 //!
-//! A sensor between flange and tool measures the contact wrench, and the weight and inertia of all that is mounted
-//! behind it. [`Load::wrench`] is the second part, and [`Load::contact`] removes it. [`Wrench::seen_from`] expresses a
-//! wrench in another frame. All functions are pure: angular velocity and accelerations come from the caller.
+//! A sensor between flange and tool measures the sum of two wrenches: the contact wrench on the tool, and the wrench of
+//! weight and inertia of the load behind the sensor. [`Load::wrench`] computes the second wrench, and [`Load::contact`]
+//! subtracts it from a measurement. [`Wrench::seen_from`] expresses a wrench in another frame. All functions are pure:
+//! the caller passes angular velocity and accelerations.
 //!
-//! Not included: the forces of cables and hoses, and the flow of coolant.
+//! Not modelled: forces of cables, hoses and coolant.
 
 use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
 use thiserror::Error;
@@ -15,7 +16,7 @@ const GRAVITY: f64 = 9.81;
 /// Largest violation of the triangle inequality of principal moments of inertia, relative to their sum.
 const INERTIA_TOLERANCE: f64 = 1e-9;
 
-/// A force, and its torque about the origin of a frame, both in the axes of that frame.
+/// A force, and a torque about the origin of a frame, both in the axes of this frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Wrench {
     /// Force, N.
@@ -25,7 +26,7 @@ pub struct Wrench {
 }
 
 impl Wrench {
-    /// Forces along x, y and z, N, and torques about x, y and z, N·m, as in
+    /// A wrench from forces along x, y and z, N, and torques about x, y and z, N·m. The order is that of
     /// [`WrenchState::wrench`](drive::wrench::WrenchState::wrench).
     pub fn from_components([fx, fy, fz, tx, ty, tz]: [f64; 6]) -> Self {
         Self { force: Vector3::new(fx, fy, fz), torque: Vector3::new(tx, ty, tz) }
@@ -37,8 +38,8 @@ impl Wrench {
         [force.x, force.y, force.z, torque.x, torque.y, torque.z]
     }
 
-    /// The same wrench in another frame: torques are about the origin of `to`. `to_from_here`: pose of the present
-    /// frame in the frame `to`.
+    /// The same wrench in another frame "to": the torque is about the origin of that frame, in its axes.
+    /// `to_from_here`: pose of the present frame in the frame "to".
     ///
     /// The power of the wrench is the same in every frame.
     pub fn seen_from(&self, to_from_here: &Isometry3<f64>) -> Self {
@@ -62,7 +63,7 @@ impl std::ops::Sub for Wrench {
     }
 }
 
-/// All that is mounted behind a sensor: the tool, what it carries, and the sensor's own cover plate.
+/// The load behind a sensor: the tool, a carried object, and the tool-side plate of the sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Load {
     mass: f64,
@@ -70,7 +71,7 @@ pub struct Load {
     inertia: Matrix3<f64>,
 }
 
-/// Motion of a sensor, in the axes of the sensor.
+/// Motion of a sensor relative to the base. All vectors are in the axes of the sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorMotion {
     /// Rotation from the axes of the sensor to those of the base.
@@ -79,7 +80,7 @@ pub struct SensorMotion {
     pub angular_velocity: Vector3<f64>,
     /// Angular acceleration, rad/s².
     pub angular_acceleration: Vector3<f64>,
-    /// Acceleration of the sensor's origin without gravity, m/s².
+    /// Acceleration of the sensor's origin, m/s²; zero at rest.
     pub acceleration: Vector3<f64>,
 }
 
@@ -99,14 +100,14 @@ pub enum LoadError {
     Mass { mass: f64 },
     #[error("the centre of mass has a coordinate of {coordinate} m")]
     Centre { coordinate: f64 },
-    /// Principal moments are not negative, and none exceeds the sum of the others.
+    /// The principal moments of a body are not negative, and none exceeds the sum of the other two.
     #[error("the inertia about the centre of mass is not that of a body")]
     Inertia,
 }
 
 impl Load {
-    /// A load of `mass`, kg, with its centre of mass at `centre`, m, in the frame of the sensor. `inertia`: about the
-    /// centre of mass in the axes of the sensor, kg·m².
+    /// A load of `mass`, kg, with its centre of mass at `centre`, m, in the frame of the sensor. `inertia`: inertia
+    /// about the centre of mass, kg·m², in the axes of the sensor.
     pub fn new(mass: f64, centre: Vector3<f64>, inertia: Matrix3<f64>) -> Result<Self, LoadError> {
         if !(mass >= 0.0 && mass.is_finite()) {
             return Err(LoadError::Mass { mass });
@@ -120,14 +121,14 @@ impl Load {
             return Err(LoadError::Inertia);
         }
         let moments = inertia.symmetric_eigenvalues();
-        // No principal moment exceeds the sum of the others, which also excludes negative ones.
+        // No principal moment exceeds the sum of the other two. This condition also excludes negative moments.
         if 2.0 * moments.max() > moments.sum() + tolerance || moments.min() < -tolerance {
             return Err(LoadError::Inertia);
         }
         Ok(Self { mass, centre, inertia })
     }
 
-    /// A load without inertia about its centre of mass: enough for slow motions.
+    /// A load as a point mass, without inertia about its centre of mass. Sufficient for slow motions.
     pub fn of_weight(mass: f64, centre: Vector3<f64>) -> Result<Self, LoadError> {
         Self::new(mass, centre, Matrix3::zeros())
     }
@@ -137,11 +138,11 @@ impl Load {
         self.mass == 0.0 && self.inertia == Matrix3::zeros()
     }
 
-    /// The wrench that weight and inertia of the load put on the sensor, in the frame of the sensor. The z axis of the
-    /// base points upward.
+    /// Wrench on the sensor by weight and inertia of the load, in the frame of the sensor. The z axis of the base
+    /// points upward.
     ///
-    /// Newton and Euler about the centre of mass c: the force is m (g − a_c) and the torque about the sensor's origin
-    /// is c × m (g − a_c) − (I α + ω × I ω), with a_c = a + α × c + ω × (ω × c).
+    /// Newton and Euler about the centre of mass c: the force is F = m (g − a_c), with a_c = a + α × c + ω × (ω × c).
+    /// The torque about the sensor's origin is c × F − (I α + ω × I ω).
     pub fn wrench(&self, motion: &SensorMotion) -> Wrench {
         let &SensorMotion { base_from_sensor, angular_velocity, angular_acceleration, acceleration } = motion;
         let gravity = base_from_sensor.inverse() * Vector3::new(0.0, 0.0, -GRAVITY);
@@ -155,9 +156,9 @@ impl Load {
 
     /// The contact wrench on the tool, in the frame of the sensor.
     ///
-    /// `measured`: the wrench that the sensor reports since it was zeroed. `zeroed_at`: the motion at the zeroing,
-    /// mostly at rest; `None` for a sensor that was not zeroed, or zeroed without the load. There was no contact at the
-    /// zeroing.
+    /// `measured`: wrench of the sensor relative to its zero. `zeroed_at`: motion of the sensor at the zeroing, usually
+    /// at rest. The tool must have had no contact then. `None` if the sensor was not zeroed, or was zeroed without the
+    /// load.
     pub fn contact(&self, measured: &Wrench, motion: &SensorMotion, zeroed_at: Option<&SensorMotion>) -> Wrench {
         let zero = zeroed_at.map_or_else(Wrench::default, |zeroed_at| self.wrench(zeroed_at));
         *measured + zero - self.wrench(motion)
@@ -190,7 +191,7 @@ mod tests {
         difference.force.amax() < 1e-9 && difference.torque.amax() < 1e-9
     }
 
-    /// A load of four point masses, and the masses with their places in the frame of the sensor.
+    /// A load of four point masses, and each mass, kg, with its position, m, in the frame of the sensor.
     fn points(random: &mut Random) -> (Load, [(f64, Vector3<f64>); 4]) {
         let points: [(f64, Vector3<f64>); 4] = std::array::from_fn(|_| (random.within(0.1, 2.0), vector(random, 0.3)));
         let mass: f64 = points.iter().map(|(mass, _)| mass).sum();
@@ -324,7 +325,7 @@ mod tests {
             };
             let raw = contact + load.wrench(&motion);
             assert!(close(&load.contact(&raw, &motion, None), &contact));
-            // The zero took the weight in its pose.
+            // The zero contains the weight of the load in the pose of the zeroing.
             let zeroed = raw - load.wrench(&zeroed_at);
             assert!(close(&load.contact(&zeroed, &motion, Some(&zeroed_at)), &contact));
         }

@@ -31,7 +31,7 @@ struct Robot {
     amplitude: f64,
 }
 
-/// What the robot has around it.
+/// The surroundings of the robot.
 #[derive(Clone, Copy)]
 enum Around {
     /// Each motor carries its own load.

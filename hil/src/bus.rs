@@ -100,7 +100,8 @@ impl VirtualBus {
         Some(result)
     }
 
-    /// Advances the motors of the scene's robots to `now`. The bus has been advanced to that instant.
+    /// Advances the motors of the scene's robots and belts to `now`. The events of the bus before `now` have been
+    /// processed.
     pub(crate) fn advance_mechanics(&mut self, now: Instant) {
         for attached in &mut self.devices {
             if attached.device.advance_mechanics(now) {

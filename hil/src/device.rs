@@ -21,8 +21,9 @@ pub trait Device: Any + Send {
     /// Advances the device's internal time to `now`.
     fn handle_timeout(&mut self, now: Instant);
 
-    /// Advances motors that belong to robots of the scene to `now`, which the world does before each step of the scene.
-    /// Returns whether the device may have something to send. A device without such motors does nothing.
+    /// Advances the motors of this device that drive robots or belts of the scene to `now`. The world calls this
+    /// function before each step of the scene. Returns whether the device may have something to send. A device without
+    /// such motors does nothing.
     fn advance_mechanics(&mut self, _now: Instant) -> bool {
         false
     }
@@ -46,8 +47,9 @@ pub trait LineDevice: Any + Send {
     /// Advances the device's internal time to `now`.
     fn handle_timeout(&mut self, now: Instant);
 
-    /// Advances motors that belong to robots of the scene to `now`, which the world does before each step of the scene.
-    /// Returns whether the device may have something to send. A device without such motors does nothing.
+    /// Advances the motors of this device that drive robots or belts of the scene to `now`. The world calls this
+    /// function before each step of the scene. Returns whether the device may have something to send. A device without
+    /// such motors does nothing.
     fn advance_mechanics(&mut self, _now: Instant) -> bool {
         false
     }

@@ -6,12 +6,12 @@
 //!
 //! A [`WrenchProbe`] gives the true wrench. The transducer ([`TransducerConfig`]) turns the wrench into a reading with
 //! the errors of a strain-gauge sensor. [`SerialForceSensor`] sends readings when a host queries them.
-//! [`CanForceSensor`] sends readings as process data of a CANopen node. Readings with the same seed, the same wrench and
-//! the same requests are the same bit for bit.
+//! [`CanForceSensor`] sends readings as process data of a CANopen node. The same seed, wrench and requests give the
+//! same readings, bit for bit.
 //!
 //! The order of all six channels is Fx, Fy, Fz, Tx, Ty, Tz: forces in N, torques in N·m, in the frame of the sensor.
 //!
-//! Left out: crosstalk between channels, hysteresis, an anti-aliasing filter, a drift of the gain.
+//! Not modelled: crosstalk between channels, hysteresis, an anti-aliasing filter, and drift of the gain.
 
 mod can_config;
 mod can_node;
@@ -31,7 +31,7 @@ pub use transducer::{TemperatureCourse, TransducerConfig};
 
 use crate::scene::WrenchProbe;
 
-/// Reason that a sensor cannot have a configuration.
+/// Reasons why the configuration of a sensor is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 #[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum ForceSensorError {

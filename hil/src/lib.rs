@@ -3,7 +3,7 @@
 //! A [`Device`] is a node of a bus. The [virtual bus](bus) carries frames between devices and the host with true
 //! arbitration and bit times. A [`LineDevice`] is the device at the end of a [serial line](mod@line), which carries
 //! bytes with true byte times. A [`World`] contains all buses and lines of a cell. A [plant] is the physics behind a
-//! device. A [scene] contains the bodies and surfaces that robots meet. Four devices are attached to a bus: the axis
+//! device. A [scene] contains the bodies and surfaces around the robots. Four devices are attached to a bus: the axis
 //! controller [`Epos4`], the input and output module [`DigitalIo`], the sensor [`CanForceSensor`], and the adapter
 //! [`SlcanDevice`]. The adapter connects a host without a CAN card to a bus. The sensors at a line are
 //! [`SerialForceSensor`] and [`UltrasonicMatrix`]. Read [`Device`] and [`World`] first.

@@ -216,7 +216,8 @@ impl SerialLine {
         }
     }
 
-    /// Advances the motors of the scene's robots to `now`. The line has been advanced to that instant.
+    /// Advances the motors of the scene's robots and belts to `now`. The events of the line before `now` have been
+    /// processed.
     pub(crate) fn advance_mechanics(&mut self, now: Instant) {
         if self.device.advance_mechanics(now) {
             self.now = self.now.max(now);

@@ -1,43 +1,46 @@
-//! The bodies and surfaces of a cell, and the forces by which robots feel them.
+//! The bodies and surfaces of a cell, and the contact forces between them and the robots.
 //!
-//! A [`Scene`] belongs to the [`World`](crate::World), not to one bus: robots whose drives are on several buses meet in
-//! one scene. "Scene" is the usual word for the set of bodies around robots; "world" is the name of the emulated side of
-//! a cell as a whole.
+//! A [`Scene`] is the set of bodies and surfaces around the robots of a cell. A scene belongs to the
+//! [`World`](crate::World), which is the whole emulated side of a cell. Robots with drives on different buses are
+//! therefore in the same scene.
 //!
-//! * Walls are surfaces that stand: half-spaces and boxes ([`WallConfig`]). A belt may run on a wall, also driven by a
-//!   motor of the cell.
+//! * Walls are surfaces at rest: half-spaces and boxes ([`WallConfig`]). A wall may have a belt, which runs at a set
+//!   velocity or is driven by a motor of the cell.
 //! * Bodies are boxes and bars that move freely ([`BodyConfig`]). Their corners touch walls and faces of other bodies.
-//! * Robots are [`Mechanism`]s. Their tools have tips, which are spheres ([`TipConfig`]). Forces on tips and in grippers
-//!   act on the motors by the transpose of the Jacobian. Tips have no mass of their own.
+//! * Robots are [`Mechanism`]s. Their tools have tips, which are spheres ([`TipConfig`]). The transpose of the Jacobian
+//!   converts forces on tips and in grippers to motor torques. Tips have no mass of their own.
 //! * A grip holds a body by a spring and a damper in six dimensions ([`GripConfig`]). A body may be held by several
 //!   grippers. The tips of a robot do not touch the bodies that the robot holds.
-//! * Sensors between flange and tool measure the forces ([`SensorConfig`]).
+//! * Sensors between flange and tool measure the wrench of these forces ([`SensorConfig`]).
 //!
-//! The scene advances in steps of 100 µs ([`STEP`]). In each step the motors of its robots move by one sub-step under
-//! the forces of the last step; then the bodies move; then the forces at the end of the step are computed. The result
-//! is a function of the configuration and of the demands on the motors. One build reproduces a run bit for bit.
+//! The scene advances in steps of 100 µs ([`STEP`]). Each step has three parts. First, the motors of the robots move by
+//! one sub-step under the forces of the last step. Then the bodies move. Last, the forces at the end of the step are
+//! computed. The result depends only on the configuration and on the demands on the motors. Two runs of the same build
+//! are equal bit for bit.
 //!
 //! # Momentum and energy
 //!
-//! Bodies are integrated implicitly, with forces that do exactly the work by which the energy of the springs decreases.
-//! Bodies and surfaces therefore keep momentum and gain no energy, up to rounding, at any stiffness. The equations of a
-//! step are solved by repetition. A step that does not converge is halved, down to [`SHORTEST`]. [`Scene::unsolved`]
-//! counts the shorter steps that did not converge either.
+//! The integration of bodies is implicit. The work of a spring force over a step is exactly the decrease of the
+//! spring's energy. Forces between bodies therefore conserve momentum, and surfaces at rest add no energy. Both
+//! statements hold at any stiffness, up to rounding. The equations of a step are solved by fixed-point iteration. A
+//! step that does not converge is halved, down to [`SHORTEST`]. [`Scene::unsolved`] counts the parts of this length
+//! that did not converge.
 //!
-//! Motors move by semi-implicit Euler, as without a scene, and feel the forces at the beginning of their sub-step. The
-//! energy of a contact of a robot is therefore kept only up to the square of the step times the natural frequency of the
-//! contact: 2e-4 of the energy of the impact at 1e5 N/m and 5 kg. Friction in the gears takes more.
+//! Motors move by semi-implicit Euler, as without a scene. The contact forces on a motor are those at the beginning of
+//! its sub-step. The relative energy error of a contact with a robot is therefore about (step · natural frequency of
+//! the contact)². For 1e5 N/m and 5 kg the error is 2e-4 of the energy of the impact. Friction in the gears dissipates
+//! more.
 //!
 //! Left out: contacts of edges with edges and of tips with tips; bending of links and tools; material that a tool cuts.
-//! Joints are rigid except for the rotation of their motors: a force in a direction in which no motor moves the tool does
-//! not move the robot. A drive with the regression model of a motor feels no force.
+//! Joints and gears are rigid: a force in a direction in which no motor moves the tool does not move the robot. Forces
+//! do not act on a motor with the regression model.
 //!
 //! # Rigid-body libraries
 //!
-//! The documentation and the issues of rapier 0.36 and parry 0.31 were read. Rapier solves impulses by a number of
-//! iterations, with contacts softened by a natural frequency and a damping ratio. A stiffness in N/m cannot be given,
-//! energy may grow in stiff contacts (its issues 97 and 630), and a robot is one of its own multibodies. Of parry, the
-//! distance of a point from a box would be used, which [`Shape`] has in twenty lines.
+//! Rapier 0.36 and parry 0.31 were considered, by their documentation and issues. Rapier solves for impulses
+//! iteratively. Its contacts have a natural frequency and a damping ratio, and no stiffness in N/m. Energy may grow in
+//! stiff contacts (rapier issues 97 and 630), and a robot must be a multibody of rapier. From parry, the scene would
+//! need only the distance of a point from a box, which [`Shape`] computes in twenty lines.
 
 mod arm;
 mod body;
@@ -76,12 +79,13 @@ const STEP_SECONDS: f64 = 1e-4;
 const HALVINGS: u32 = 6;
 /// Duration of the shortest part of a step.
 pub const SHORTEST: Duration = Duration::from_nanos(100_000 >> HALVINGS);
-/// Repetitions after which a step counts as not converging.
+/// Iterations after which a step counts as not converging.
 const REPETITIONS: u32 = 40;
-/// Change of velocity between two repetitions, m/s, at which a step is solved, and its share of the velocity.
+/// Tolerance of a solved step: the velocity changes between two iterations by at most the first value, m/s, plus the
+/// second value times the speed.
 const SOLVED: (f64, f64) = (1e-11, 1e-12);
 
-/// A surface that stands in the world.
+/// A surface at rest in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WallConfig {
     /// The solid behind the surface.
@@ -101,7 +105,7 @@ pub struct TipConfig {
     pub radius: f64,
 }
 
-/// What a gripper is mounted on.
+/// The mount of a gripper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Holder {
     /// The flange of a robot.
@@ -152,24 +156,24 @@ struct Belt {
     shaft: AngleProbe,
     /// Angle of the shaft at the last step, rad.
     angle: f64,
-    /// Way of the belt per angle, in the frame of the wall, m/rad.
+    /// Travel of the belt per angle of the shaft, m/rad, in the frame of the wall.
     way: Vector3<f64>,
 }
 
 impl Drop for Belt {
     fn drop(&mut self) {
-        self.shaft.set_in_scene(false);
+        self.shaft.remove_belt();
     }
 }
 
-/// What a sphere touches, by its number.
+/// The solid that a sphere touches: the index of a wall or of a body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Ground {
     Wall(usize),
     Body(usize),
 }
 
-/// The corners of a body and a surface.
+/// A pair for the contact check: the corners of a body, and a surface.
 struct CornersOn {
     body: usize,
     ground: Ground,
@@ -178,7 +182,7 @@ struct CornersOn {
     next: [Vector3<f64>; CORNERS],
 }
 
-/// A tip of a robot and a surface.
+/// A pair for the contact check: a tip of a robot, and a surface.
 struct TipOn {
     arm: usize,
     tip: usize,
@@ -204,7 +208,7 @@ impl Default for Scene {
 }
 
 impl Scene {
-    /// An empty scene at [`Instant::ZERO`]. Gravity is 9.81 m/s² against z.
+    /// An empty scene at [`Instant::ZERO`]. Gravity is 9.81 m/s² along −z of the world.
     pub fn new() -> Self {
         Self {
             now: Instant::ZERO,
@@ -220,7 +224,8 @@ impl Scene {
         }
     }
 
-    /// Sets the acceleration of free fall of bodies, m/s², in place of the usual one. Mechanisms keep their weight.
+    /// Sets the gravitational acceleration of bodies and in force sensors, m/s², in the axes of the world. The weight
+    /// of mechanisms does not change.
     pub fn set_gravity(&mut self, gravity: [f64; 3]) {
         self.gravity = gravity.into();
     }
@@ -254,13 +259,12 @@ impl Scene {
         wall.surface.belt = wall.moving.axes.tr_mul(&Vector3::from(velocity));
     }
 
-    /// Lets a motor drive the belt on a wall of this scene by `way`, m/rad, in the axes of the world. The drive of the
-    /// motor is on the wires of the world of this scene. Friction on the belt does not load the motor.
+    /// Couples the belt on a wall of this scene to a motor. `way` is the travel of the belt per angle of the motor
+    /// shaft, m/rad, in the axes of the world. The motor must belong to a drive of the same [`World`](crate::World).
+    /// Friction on the belt does not load the motor.
     pub fn drive_belt(&mut self, wall: WallId, shaft: AngleProbe, way: [f64; 3]) {
         let wall = &mut self.walls[wall.0];
-        // The end of the last drive of this belt takes its own shaft out of the scene.
-        wall.belt = None;
-        shaft.set_in_scene(true);
+        shaft.add_belt();
         let way = wall.moving.axes.tr_mul(&Vector3::from(way));
         wall.belt = Some(Belt { angle: shaft.angle(), shaft, way });
     }
@@ -289,8 +293,9 @@ impl Scene {
         Ok(BodyId(body))
     }
 
-    /// Adds a robot with its base frame, which [`Mechanism::up`] describes, at `base` in the world. Fails if the
-    /// mechanism is part of a scene already, or if its upward direction is not that of the scene.
+    /// Adds a robot. `base` is the pose of its base frame in the world; [`Mechanism::up`] describes this frame. Fails
+    /// if the mechanism already belongs to a scene, or if its upward direction differs from the upward direction of the
+    /// scene.
     pub fn add_robot(&mut self, mechanism: &Mechanism, base: &Isometry3<f64>) -> Result<RobotId, SceneError> {
         finite(base, "the place of a robot")?;
         let up = base.rotation * Vector3::from(mechanism.up());
@@ -334,9 +339,9 @@ impl Scene {
         Ok(probe)
     }
 
-    /// Closes a gripper on a body of this scene. The grip frame is `gripper` in the frame of the holder and `held` in
-    /// the frame of the body. `None`: the body is taken where it is, and no force arises. Fails if the grip is not
-    /// passive or a number is invalid.
+    /// Closes a gripper on a body of this scene. The spring of the grip is relaxed when two frames coincide: `gripper`,
+    /// a pose in the frame of the holder, and `held`, a pose in the frame of the body. With `None` for `held`, the
+    /// spring is relaxed in the present pose of the body. Fails if the grip is not passive or a number is invalid.
     pub fn hold(
         &mut self,
         config: &GripConfig,
@@ -373,8 +378,8 @@ impl Scene {
         self.grips[grip.0] = None;
     }
 
-    /// Force, N, and torque, N·m, of a grip on its body at the last step, at the grip and in the axes of the world. Zero
-    /// after the release.
+    /// Force, N, and torque, N·m, of a grip on its body at the last step, in the axes of the world. The torque is about
+    /// the grip point of the body. Zero after the release.
     pub fn grip_wrench(&self, grip: GripId) -> [f64; 6] {
         let hold = self.grips[grip.0].as_ref().map(|grip| grip.hold).unwrap_or_default();
         let (force, torque) = (hold.force, hold.torque);
@@ -398,7 +403,7 @@ impl Scene {
         self.arms[robot.0].place()
     }
 
-    /// Energy of all bodies in motion and height, and of all springs between bodies, walls and grippers, J.
+    /// Kinetic and potential energy of all bodies, and energy of all springs in contacts and grips, J.
     pub fn energy(&self) -> f64 {
         let of_body = |body: &Body| body.kinetic_energy() - body.mass * self.gravity.dot(&body.place.origin);
         let of_pair = |pair: &CornersOn| {
@@ -432,7 +437,7 @@ impl Scene {
         self.bodies.iter().map(of_body).fold(zero, |sum, one| (sum.0 + one.0, sum.1 + one.1))
     }
 
-    /// Number of shortest parts of steps whose equations were not solved.
+    /// Number of parts of steps with the duration [`SHORTEST`] whose equations were not solved.
     pub fn unsolved(&self) -> u64 {
         self.unsolved
     }
@@ -442,7 +447,13 @@ impl Scene {
         self.now
     }
 
-    /// Advances by one step. The motors of all robots have moved to the end of the step.
+    /// Sets the time of the last step to the last multiple of [`STEP`] up to `now`. The state does not change.
+    pub(crate) fn begin(&mut self, now: Instant) {
+        let steps = now.as_nanos() / STEP.as_nanos() as u64;
+        self.now = Instant::from_nanos(steps * STEP.as_nanos() as u64);
+    }
+
+    /// Advances by one step. The caller has already moved the motors of all robots to the end of the step.
     pub fn step(&mut self) {
         self.now += STEP;
         for arm in &mut self.arms {

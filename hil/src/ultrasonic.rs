@@ -1,7 +1,7 @@
 //! An emulated ultrasonic matrix at a serial line: N × N transducers that look along one axis and measure echo times.
 //!
-//! No source gives a protocol of such a matrix. The protocol is one of this project. The line has 115200 baud and 8N1.
-//! Requests and replies are frames, numbers have the high byte first:
+//! No source gives a protocol of such a matrix, and this project defines the protocol. The line has 115200 baud and
+//! 8N1. Requests and replies are frames. Numbers have the high byte first:
 //!
 //! | offset | content |
 //! |---|---|
@@ -17,16 +17,17 @@
 //! | 0x03 row | row | row, then one echo time per element of the row, from column 0 |
 //! | 0xFF refusal | | refused command, reason: 1 unknown command, 2 wrong length, 3 no such element |
 //!
-//! An echo time is the time from emission to the first echo. [`NO_ECHO`] stands for no echo. A measurement begins when
-//! the last bit of the request has arrived. Each emission takes one firing slot, and a row query emits with one element
-//! after the other. The reply begins [`UltrasonicConfig::answer_delay`] after the last slot. A request that arrives
-//! during a measurement or a reply is lost. A frame with a wrong CRC is not answered. A frame that is interrupted for
-//! longer than [`GAP`] is discarded.
+//! An echo time is the time from emission to the first echo. [`NO_ECHO`] means that no echo was received. A measurement
+//! begins when the last bit of the request has arrived. Each emission takes one firing slot. In a row query, the
+//! elements of the row emit one after the other. The reply begins [`UltrasonicConfig::answer_delay`] after the last
+//! slot. A request that arrives during a measurement or a reply is lost. A frame with a wrong CRC is not answered. A
+//! frame that is interrupted for longer than [`GAP`] is discarded.
 //!
-//! The echo of a pair is a model: the wave is reflected by a surface parallel to the matrix, halfway between emitter and
-//! receiver. The distance of that surface is the larger of the distances of the two elements, since no nearer surface is
-//! in both cones. Emitter and receiver must both have the point of reflection in their cones. Left out: crosstalk, the dead time
-//! after an emission, a loss of amplitude with distance and with the inclination of the surface.
+//! The echo of a pair is a model: the wave is reflected by a surface parallel to the matrix, halfway between emitter
+//! and receiver. The distance of this surface is the larger of the distances of the two elements, since no nearer
+//! surface is in both cones. The point of reflection must be in the cones of emitter and receiver. Not modelled:
+//! crosstalk, the dead time after an emission, and the loss of amplitude with distance and with the inclination of the
+//! surface.
 
 mod frames;
 #[cfg(test)]
@@ -43,10 +44,10 @@ use crate::{LineDevice, outbox::Outbox};
 use frames::Receiver;
 pub use frames::{GAP, NO_ECHO};
 
-/// The surfaces before a matrix, asked for by the emulated device.
+/// Source of the distances in front of a matrix, for the emulated device.
 pub trait EchoProbe: Send {
-    /// Distance from an element (row, column) to the nearest surface in its cone at `now`, m; `None` without surface.
-    /// `now` never decreases.
+    /// Distance from an element (row, column) to the nearest surface in its cone at `now`, m; `None` if there is no
+    /// surface in the cone. `now` never decreases.
     fn distance(&mut self, element: (usize, usize), now: Instant) -> Option<f64>;
 }
 
@@ -58,11 +59,11 @@ pub const MAX_SIZE: u8 = 64;
 pub struct UltrasonicConfig {
     /// Elements per row and column, 1 to [`MAX_SIZE`].
     pub size: u8,
-    /// Distance between neighbouring elements, m.
+    /// Distance between neighbouring elements, m, at most 6.5 m.
     pub pitch: f64,
     /// Half the opening angle of an element's cone, rad.
     pub half_cone: f64,
-    /// Duration of one emission with its echoes, at most 65 534 µs. A later echo is no echo.
+    /// Firing slot: duration of one emission with its echoes, 1 to 65 534 µs. An echo after the slot is not received.
     pub slot: Duration,
     /// Speed of sound, m/s.
     pub speed_of_sound: f64,
@@ -77,7 +78,8 @@ pub struct UltrasonicConfig {
 }
 
 impl Default for UltrasonicConfig {
-    /// 12 × 12 elements with a pitch of 20 mm, cones of 8°, slots of 3.5 ms, noise of 1 mm, and no lost echo.
+    /// 12 × 12 elements with a pitch of 20 mm, cones with a half-angle of 8°, slots of 3.5 ms, noise of 1 mm, and no
+    /// lost echo.
     fn default() -> Self {
         Self {
             size: 12,
@@ -93,7 +95,7 @@ impl Default for UltrasonicConfig {
     }
 }
 
-/// Reason that a matrix cannot have a configuration.
+/// Reasons why the configuration of a matrix is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 #[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum UltrasonicError {
@@ -114,8 +116,8 @@ pub enum UltrasonicError {
 }
 
 impl UltrasonicConfig {
-    /// Position of an element (row, column) in the plane of the matrix, m: along the columns' numbers, then along the
-    /// rows' numbers. The origin is the centre of the matrix.
+    /// Position of an element (row, column) in the plane of the matrix, m. The first coordinate grows with the column
+    /// number, the second with the row number. The origin is the centre of the matrix.
     pub fn position(&self, element: (usize, usize)) -> [f64; 2] {
         let middle = (f64::from(self.size) - 1.0) / 2.0;
         [element.1, element.0].map(|number| (number as f64 - middle) * self.pitch)
@@ -143,7 +145,7 @@ struct Measurement {
     query: Query,
     /// Time of the next emission, or of the end of the measurement.
     next_at: Instant,
-    /// Emissions so far.
+    /// Number of emissions done.
     fired: u8,
 }
 
@@ -219,7 +221,7 @@ impl UltrasonicMatrix {
         self.outbox.put(now + self.config.answer_delay, &frames::encode(body));
     }
 
-    /// Emits, or ends the measurement, if the time has come.
+    /// Carries out the emission that is due at `now`, or ends the measurement.
     fn measure(&mut self, now: Instant) {
         let Some(mut measurement) = self.measurement.filter(|measurement| measurement.next_at <= now) else {
             return;
@@ -248,7 +250,7 @@ impl UltrasonicMatrix {
 
     /// Echo time of a pair, µs, with noise and lost echoes.
     fn echo(&mut self, emitter: (usize, usize), receiver: (usize, usize), now: Instant) -> u16 {
-        // Each emission draws the same number of times, with or without a surface.
+        // Each emission draws the same number of random numbers, with or without a surface.
         let noise = self.config.noise * self.noise.normal();
         let lost = 0.5 * (self.noise.symmetric() + 1.0) < self.config.drop_out;
         let from = self.probe.distance(emitter, now);
@@ -278,7 +280,7 @@ impl LineDevice for UltrasonicMatrix {
 
     fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
         let byte = self.outbox.poll_transmit(now);
-        // The line asks again when the last bit of a byte has left.
+        // The line calls this function again when the last bit of a byte was sent.
         self.sending = byte.is_some();
         byte
     }

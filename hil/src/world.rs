@@ -34,15 +34,17 @@ use crate::{Device, LineDevice, bus::VirtualBus, line::SerialLine};
 
 /// Buses and lines with their devices, advanced together.
 ///
-/// Buses and lines influence each other only through the [`Scene`], if there is one: the state of the scene changes at
-/// its steps, and all buses and lines are advanced up to each step before the step is taken. The order of events between
-/// two steps therefore matters only within each bus and each line. Without a scene each bus and each line is advanced to
-/// the end at once.
+/// Buses and lines influence each other only through the [`Scene`], if there is one. The state of the scene changes at
+/// its steps only. Before each step, all buses and lines are advanced to the time of the step. Between two steps, only
+/// the order of events on the same bus or line therefore matters. Without a scene, each bus and each line is advanced
+/// to the end in one call.
 #[derive(Default)]
 pub struct World {
     buses: Vec<VirtualBus>,
     lines: Vec<SerialLine>,
     scene: Option<Scene>,
+    /// Latest instant to which the world was advanced.
+    now: Instant,
 }
 
 /// One bus of one [`World`].
@@ -99,9 +101,11 @@ impl World {
         host
     }
 
-    /// Sets the bodies and surfaces that the robots of this world meet, in place of the last scene. The motors of the
-    /// scene's robots advance with the scene, in sub-steps of 100 µs. All other motors advance as without a scene.
-    pub fn set_scene(&mut self, scene: Scene) {
+    /// Sets the scene of this world, and drops the previous scene. The scene continues from its present state, at the
+    /// present time of the world. The motors of the scene's robots and belts advance with the scene, in sub-steps of
+    /// 100 µs. All other motors advance as without a scene.
+    pub fn set_scene(&mut self, mut scene: Scene) {
+        scene.begin(self.now);
         self.scene = Some(scene);
     }
 
@@ -110,13 +114,13 @@ impl World {
         self.scene.as_ref()
     }
 
-    /// The scene, if there is one, to change it.
+    /// The scene, mutable; `None` without a scene.
     pub fn scene_mut(&mut self) -> Option<&mut Scene> {
         self.scene.as_mut()
     }
 
-    /// Processes all events up to and including `until`, on every bus and line in order of events, and all steps of the
-    /// scene. A step comes before the events of the same instant.
+    /// Processes all events and all steps of the scene up to and including `until`. The events of each bus and each
+    /// line are processed in the order of their times. A step precedes the events of the same instant.
     pub fn advance(&mut self, until: Instant) {
         while let Some(step) = self.scene.as_ref().map(|scene| scene.now() + STEP).filter(|step| *step <= until) {
             self.advance_wires(step - Duration::from_nanos(1));
@@ -131,6 +135,7 @@ impl World {
             }
         }
         self.advance_wires(until);
+        self.now = self.now.max(until);
     }
 
     fn advance_wires(&mut self, until: Instant) {
@@ -150,8 +155,8 @@ impl World {
         buses.chain(lines).min()
     }
 
-    /// Applies `change` to a device at `now`, after advancing its bus to `now`. A device with a serial line exchanges
-    /// its bytes in this way. `None` if the device is no `D`.
+    /// Applies `change` to a device at `now`, after advancing its bus, or the whole world if it has a scene, to `now`.
+    /// A device with a serial line exchanges its bytes in this way. `None` if the device is no `D`.
     pub fn change<D: Device, R>(&mut self, id: DeviceId, now: Instant, change: impl FnOnce(&mut D) -> R) -> Option<R> {
         if self.scene.is_some() {
             self.advance(now);

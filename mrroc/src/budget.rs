@@ -256,7 +256,7 @@ fn nodes(axes: usize, io: usize, sensors: usize) -> String {
     [axes].into_iter().chain(beside).flatten().collect::<Vec<_>>().join(" and ")
 }
 
-/// The node that sends a message, or that a message of the host is for.
+/// The node that sends a message, or the node to which the host sends the message.
 fn node_of(message: &Message) -> Option<u8> {
     match (message.sender, Function::of(message.id)) {
         (Sender::Node(node), _) => Some(node),

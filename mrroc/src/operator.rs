@@ -1,8 +1,8 @@
 //! The operator's console: lines of standard input, and texts on standard error.
 //!
-//! Threads of the console read, format and write. A run waits for none of them, except for a short time at its end until
-//! the last texts are shown. No thread waits within a queue of the run, because the controller would have to wake the
-//! thread.
+//! Threads of the console read, format and write. A run does not wait for these threads, except for a short time at its
+//! end, until the last texts are shown. No thread blocks in a queue of the run, because the controller would have to
+//! wake the thread.
 
 use std::io::{BufRead, BufReader, Read as _, stdin};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, TrySendError, sync_channel};
@@ -28,7 +28,7 @@ const MOST_LINES: usize = 10_000;
 /// Longest wait for the last texts, and time between two looks at a stop request.
 const WAIT: Duration = Duration::from_millis(500);
 
-/// Time between two looks at the queues of a run.
+/// Time between two polls of the queues of a run.
 const LOOK: Duration = Duration::from_millis(10);
 
 const NO_THREAD: &str = "no thread for the operator's console can be made";
@@ -36,14 +36,14 @@ const NO_THREAD: &str = "no thread for the operator's console can be made";
 /// Threads that read the operator's lines and show texts to the operator.
 pub(crate) struct Console {
     pub(crate) link: OperatorLink,
-    /// Passes lines on to a run by the clock.
+    /// Passes lines on to a run, at fixed intervals.
     _lines: Option<Background<()>>,
     texts: Background<()>,
 }
 
 /// Lines on their way from a thread that reads to the queue of a run.
 struct Feed {
-    /// A line that the queue of the run had no room for.
+    /// A line for which the queue of the run had no room.
     waiting: Option<String>,
     /// The lines that were read, and the queue of the run; `None` after the end of the input, or of the run.
     queues: Option<(Receiver<String>, SyncSender<String>)>,
@@ -118,7 +118,7 @@ impl Console {
     }
 }
 
-/// A thread that looks at the queues of a run, a last time at its end.
+/// A thread that polls the queues of a run, and once more at the end of the run.
 fn background<S: Send + 'static>(
     name: &str,
     state: S,

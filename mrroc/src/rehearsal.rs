@@ -80,10 +80,10 @@ impl Course {
 
 /// Rehearses a task.
 ///
-/// The task is first rehearsed from the home positions. The first motion of each robot is then rehearsed from
-/// `STARTS` positions beside its home position, where homing may leave the arm. A first motion is the first generator
-/// that commands the effector. Each first motion ends at its programmed position, so all later motions are the same in
-/// every run.
+/// The task is first rehearsed from the home positions. The first motion of each robot is then rehearsed from `STARTS`
+/// positions beside its home position, where homing may leave the arm. The first motion of a robot is its first
+/// generator that commands the effector. Each first motion ends at its programmed position, so all later motions are
+/// the same in every run.
 ///
 /// A task that hangs in a turn is refused, and so is a generator that hangs in a step. Their thread is left behind.
 pub fn rehearse(file: &CellFile, program: &Program) -> anyhow::Result<Rehearsed> {

@@ -1,5 +1,5 @@
-//! Duration of one cycle of a moving six-axis effector on an idle group, without system calls and encoding. The drives
-//! close the position loops, or the servo does by either law.
+//! Duration of one cycle of a moving effector on an idle group, without system calls and encoding. The drives close the
+//! position loops, or the servo does by either law. A cycle law may displace the set-points.
 
 use std::hint::black_box;
 use std::task::Poll;
@@ -10,19 +10,18 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Power};
 use mrroc_servo::regulator::{CascadeConfig, IRP6};
 use mrroc_servo::{
-    EffectorConfig, EffectorLink, FeedForward, HostLoop, Law, MAX_AXES, Macrostep, Order, Output, Phase, PositionLoop,
-    Servo, ServoAxisConfig, ServoConfig,
+    CycleLaw, EffectorConfig, EffectorLink, FeedForward, HostLoop, Law, LawBound, LawFault, LawInput, LawOutput,
+    LawParameters, MAX_AXES, Macrostep, Order, Output, Phase, PositionLoop, Servo, ServoAxisConfig, ServoConfig,
 };
 
-const AXES: usize = 6;
 const PERIOD: Duration = Duration::from_millis(1);
 
 /// Drives that are on, homed and always at their commanded position.
-struct Trivial([AxisState; AXES]);
+struct Trivial(Vec<AxisState>);
 
 impl DriveGroup for Trivial {
     fn axes(&self) -> usize {
-        AXES
+        self.0.len()
     }
     fn delay(&self) -> usize {
         2
@@ -45,7 +44,7 @@ impl DriveGroup for Trivial {
     }
 }
 
-fn servo(position_loop: PositionLoop) -> (Servo, EffectorLink) {
+fn servo(axes: usize, position_loop: PositionLoop) -> (Servo, EffectorLink) {
     let axis = |index_in_group| ServoAxisConfig {
         group: 0,
         index_in_group,
@@ -66,7 +65,7 @@ fn servo(position_loop: PositionLoop) -> (Servo, EffectorLink) {
         max_missed_in_row: 3,
         effectors: vec![EffectorConfig {
             name: "arm".into(),
-            axes: (0..AXES).map(axis).collect(),
+            axes: (0..axes).map(axis).collect(),
             queue: 16,
             enabling_timeout: Duration::from_secs(1),
             homing_timeout: Duration::from_secs(1),
@@ -74,12 +73,32 @@ fn servo(position_loop: PositionLoop) -> (Servo, EffectorLink) {
     };
     let state = AxisState { power: Power::On, homing: Homing::Attained, following: true, ..AxisState::default() };
     let (servo, mut links) =
-        Servo::new(&config, vec![Box::new(Trivial([state; AXES]))]).expect("the configuration is sound");
+        Servo::new(&config, vec![Box::new(Trivial(vec![state; axes]))]).expect("the configuration is sound");
     (servo, links.remove(0))
 }
 
-fn bench(criterion: &mut Criterion, name: &str, position_loop: PositionLoop) {
-    let (mut servo, mut link) = servo(position_loop);
+/// A law that swings all motors by 1 mrad.
+struct Swing(f64);
+
+impl CycleLaw for Swing {
+    fn check(&self, _: &LawParameters) -> Result<(), LawFault> {
+        Ok(())
+    }
+
+    fn begin(&mut self, _: &LawInput<'_>, _: &LawParameters) {}
+
+    fn shift(&mut self, input: &LawInput<'_>, _: &LawParameters) -> LawOutput {
+        self.0 += 10.0 * input.period;
+        LawOutput::Displacement([1e-3 * (1.0 - self.0.cos()); MAX_AXES])
+    }
+}
+
+fn bench(criterion: &mut Criterion, name: &str, axes: usize, position_loop: PositionLoop, law: bool) {
+    let (mut servo, mut link) = servo(axes, position_loop);
+    if law {
+        let bounds = vec![LawBound { displacement: 0.1, speed: 10.0 }; axes];
+        servo.install_law(0, Box::new(Swing(0.0)), &bounds).expect("the bounds are sound");
+    }
     link.orders.push(Order::Enable).expect("the queue is empty");
     let mut now = Instant::ZERO;
     for _ in 0..10 {
@@ -102,6 +121,7 @@ fn bench(criterion: &mut Criterion, name: &str, position_loop: PositionLoop) {
                     velocity,
                     acceleration: None,
                     torque: [0.0; MAX_AXES],
+                    law: law.then(LawParameters::default),
                 };
                 link.orders.push(Order::Move(macrostep)).expect("there is room");
             }
@@ -124,12 +144,14 @@ fn cycle(criterion: &mut Criterion) {
     };
     let cascade = CascadeConfig { position_gain: 25.0, velocity_gain: 0.066, integral_rate: 10.0, limit: 2.1 };
     let rows = [
-        ("six moving axes, one step", PositionLoop::Drive),
-        ("six moving axes, incremental law", by(Law::Incremental(IRP6[0]))),
-        ("six moving axes, cascade", by(Law::Cascade(cascade))),
+        ("six moving axes, one step", 6, PositionLoop::Drive, false),
+        ("six moving axes, incremental law", 6, by(Law::Incremental(IRP6[0])), false),
+        ("six moving axes, cascade", 6, by(Law::Cascade(cascade)), false),
+        ("seven moving axes, one step", 7, PositionLoop::Drive, false),
+        ("seven moving axes, cycle law", 7, PositionLoop::Drive, true),
     ];
-    for (name, position_loop) in rows {
-        bench(criterion, name, position_loop);
+    for (name, axes, position_loop, law) in rows {
+        bench(criterion, name, axes, position_loop, law);
     }
 }
 

@@ -65,8 +65,8 @@ pub struct ServoAxisConfig {
     /// The limit applies to the interpolated sequence. Where a planned acceleration changes sign in the middle of a
     /// macrostep, the interpolating quintic needs up to 1.7 times the planned value.
     pub max_acceleration: f64,
-    /// Highest jerk that motions of the motor are planned with, rad/s³. A change of the speed override adds at most as much,
-    /// if planned accelerations are at most half of `max_acceleration`.
+    /// Highest planned jerk of the motor, rad/s³. A change of the speed override adds at most the same jerk, if planned
+    /// accelerations are at most half of `max_acceleration`.
     pub planned_jerk: f64,
     /// Largest following error, rad: distance between the motor and the command whose effect its drive sampled,
     /// [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.

@@ -1,6 +1,7 @@
 //! The cycle of one effector: checks its axes, takes orders, finds the next set-points and checks them.
 
 mod homing;
+mod law;
 mod motion;
 mod orders;
 
@@ -71,7 +72,10 @@ pub(crate) struct Effector {
     /// The macrostep decides on this cycle. Its set-points in `next` are taken after all effectors have found theirs.
     decided: bool,
     next: [Knot; MAX_AXES],
+    law: Option<law::Installed>,
     stop: StraightStop,
+    /// The motion ended in this cycle while the law still moved the effector, which brakes to a stand.
+    pub(crate) settling: bool,
     /// Bit set of the effectors that brake together with this one.
     pub(crate) braking_with: u32,
     /// The present stop was restarted because a bus refused its set-points.
@@ -115,7 +119,9 @@ impl Effector {
             segment: None,
             decided: false,
             next: [Knot::default(); MAX_AXES],
+            law: None,
             stop: StraightStop::new([], 1.0),
+            settling: false,
             braking_with: 0,
             stop_restarted: false,
             halted: false,
@@ -158,7 +164,7 @@ impl Effector {
     /// of cycles in a row, up to the last, in which a bus of this effector refused the batch.
     pub(crate) fn begin_cycle(&mut self, refused: u32, tick: &Tick) {
         (self.news, self.due, self.stopped, self.decided) = (false, false, false, false);
-        self.refused = refused;
+        (self.refused, self.settling) = (refused, false);
         self.check(tick);
         self.take_stops(tick);
         self.take_orders(tick);
@@ -274,8 +280,8 @@ impl Effector {
 
     fn latch(&mut self, axis: Option<usize>, cause: StopCause) {
         let axis = axis.map(|axis| axis as u8);
-        // A fault of the effector itself replaces that of a partner.
-        let first = self.fault.filter(|_| !self.is_stopped_by_partner());
+        // A fault of the effector itself replaces that of a partner, and the end of a motion by its law.
+        let first = self.fault.filter(|_| !self.needs_acknowledgement());
         self.fault = Some(first.unwrap_or(ServoFault { axis, cause }));
     }
 
@@ -299,6 +305,7 @@ impl Effector {
         // A macrostep that was cut off is never continued.
         if next != ServoState::Moving {
             self.segment = None;
+            self.law.iter_mut().for_each(law::Installed::end);
         }
         // A failed reset returns to its previous phase, and is reported as well.
         self.news |= next.phase() != last.phase() || last == ServoState::Resetting;
@@ -325,7 +332,12 @@ impl Effector {
 
     /// Stops with a partner of the team. The effector then stands, and takes motion only after a stop or disable order.
     pub(crate) fn stop_with(&mut self, partner: u8, tick: &Tick) {
-        self.latch(None, StopCause::Partner { effector: partner });
+        self.stop_as_intended(tick, None, StopCause::Partner { effector: partner });
+    }
+
+    /// Brakes to a stand with power on. Motion is refused until a stop or disable order acknowledges `cause`.
+    fn stop_as_intended(&mut self, tick: &Tick, axis: Option<usize>, cause: StopCause) {
+        self.latch(axis, cause);
         self.apply(tick, ServoEvent::Stop);
         self.news = true;
     }
@@ -480,6 +492,7 @@ impl Effector {
             axes: self.axes.len() as u8,
             commanded: self.each(|axis| axis.knot.position),
             commanded_velocity: self.each(|axis| axis.knot.velocity),
+            displacement: self.law.as_ref().map_or([0.0; MAX_AXES], law::Installed::displacements),
             measured: self.each(|axis| axis.state.position),
             velocity: self.each(|axis| axis.state.velocity),
             torque: self.each(|axis| axis.state.torque),

@@ -1,6 +1,6 @@
 //! Interpolation inside one macrostep: a quintic per motor.
 
-use crate::{MAX_AXES, Macrostep};
+use crate::{LawParameters, MAX_AXES, Macrostep};
 
 /// State of one motor at one instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -140,6 +140,11 @@ impl Segment {
     /// The end of this segment, from which the next one begins.
     pub(crate) fn end(&self) -> Start {
         Start { knots: self.to, torque: self.macrostep.torque }
+    }
+
+    /// Parameters of the cycle law during this segment.
+    pub(crate) fn law(&self) -> Option<&LawParameters> {
+        self.macrostep.law.as_ref()
     }
 
     pub(crate) fn is_reported(&self) -> bool {

@@ -36,6 +36,9 @@ pub struct Snapshot {
     pub commanded: [f64; MAX_AXES],
     /// Motor velocities commanded in this cycle, rad/s.
     pub commanded_velocity: [f64; MAX_AXES],
+    /// Displacements from the planned path by a [cycle law](crate::CycleLaw), rad; part of [`commanded`](Self::commanded).
+    /// Zero after the motion.
+    pub displacement: [f64; MAX_AXES],
     /// Measured motor positions, rad: the effect of the commands of
     /// [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.
     pub measured: [f64; MAX_AXES],
@@ -53,7 +56,7 @@ pub struct Snapshot {
 }
 
 /// Number of words per axis.
-const PER_AXIS: usize = 8;
+const PER_AXIS: usize = 9;
 
 /// Number of words before those of the axes: cycle, time, macrostep, flags, rate and macrostep of the team.
 const COMMON: usize = 6;
@@ -80,6 +83,7 @@ impl Snapshot {
                 self.sampled[axis].as_nanos(),
                 u64::from(self.age[axis]),
                 self.commanded_velocity[axis].to_bits(),
+                self.displacement[axis].to_bits(),
             ]);
         }
         words
@@ -110,6 +114,7 @@ impl Snapshot {
             sampled: array::from_fn(|axis| Instant::from_nanos(word(axis, 5))),
             age: array::from_fn(|axis| word(axis, 6) as u32),
             commanded_velocity: number(7),
+            displacement: number(8),
         }
     }
 }
@@ -172,6 +177,7 @@ mod tests {
             sampled: [Instant::from_nanos(number); MAX_AXES],
             age: [number as u32; MAX_AXES],
             commanded_velocity: value(4),
+            displacement: value(5),
         }
     }
 

@@ -30,12 +30,7 @@ pub(crate) fn check(
     if !next.is_finite() {
         return Err(StopCause::NotFinite);
     }
-    if next > limits.max_position + POSITION_TOLERANCE && next > last {
-        return Err(StopCause::PositionLimit { position: next, limit: limits.max_position });
-    }
-    if next < limits.min_position - POSITION_TOLERANCE && next < last {
-        return Err(StopCause::PositionLimit { position: next, limit: limits.min_position });
-    }
+    check_position(limits, last, next)?;
     let velocity = (next - last) / dt;
     if velocity.abs() > limits.max_velocity * (1.0 + RELATIVE_TOLERANCE) {
         return Err(StopCause::VelocityLimit { velocity, limit: limits.max_velocity });
@@ -43,6 +38,17 @@ pub(crate) fn check(
     let acceleration = (velocity - (last - before_last) / dt) / dt;
     if acceleration.abs() > limits.max_acceleration * (1.0 + RELATIVE_TOLERANCE) {
         return Err(StopCause::AccelerationLimit { acceleration, limit: limits.max_acceleration });
+    }
+    Ok(())
+}
+
+/// Checks whether a motor at `last` may go to `next`, rad: within the position limits, or back towards them.
+pub(crate) fn check_position(limits: &ServoAxisConfig, last: f64, next: f64) -> Result<(), StopCause> {
+    if next > limits.max_position + POSITION_TOLERANCE && next > last {
+        return Err(StopCause::PositionLimit { position: next, limit: limits.max_position });
+    }
+    if next < limits.min_position - POSITION_TOLERANCE && next < last {
+        return Err(StopCause::PositionLimit { position: next, limit: limits.min_position });
     }
     Ok(())
 }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use thiserror::Error;
 
-use crate::{HomingFailure, Latest, Snapshot};
+use crate::{HomingFailure, Latest, LawFault, LawParameters, Snapshot};
 
 /// Greatest number of axes of one effector.
 pub const MAX_AXES: usize = 8;
@@ -35,6 +35,12 @@ pub struct Macrostep {
     /// [`FeedForward::weight`](crate::FeedForward::weight). Drives that close the position loop do not receive them.
     /// The torques change linearly over the macrostep, and stay where a motion ends or is stopped.
     pub torque: [f64; MAX_AXES],
+    /// Parameters of the [cycle law](crate::CycleLaw) that displaces the set-points of this macrostep. `None` for set-points
+    /// without displacement.
+    ///
+    /// A macrostep with a law may follow one without. A macrostep without a law is refused directly after one with a law
+    /// ([`StopCause::LawLeft`]), because the position would jump by the displacement. The motion has to end first.
+    pub law: Option<LawParameters>,
 }
 
 /// An order of the controller to one effector.
@@ -73,10 +79,10 @@ pub enum Order {
     /// Brake to a stand within the acceleration limits, drop the queued motion and keep the power on (category 2). The
     /// order overtakes the queue. A moving effector whose queue runs empty brakes in the same way, but as a fault.
     ///
-    /// The order also acknowledges [`StopCause::Partner`].
+    /// The order also acknowledges [`StopCause::Partner`] and [`StopCause::Touched`].
     Stop,
     /// Brake like [`Order::Stop`], then switch the drives off (category 1). The order overtakes the queue, and
-    /// acknowledges [`StopCause::Partner`].
+    /// acknowledges [`StopCause::Partner`] and [`StopCause::Touched`].
     Disable,
     /// Clear latched faults; the drives stay off.
     ResetFault,
@@ -116,8 +122,8 @@ pub struct ServoReport {
     pub snapshot: Snapshot,
     /// Whether `report_at` periods of the macrostep are executed, or the effector does not move by macrosteps.
     pub reached: bool,
-    /// The fault that stopped the effector, if any. [`StopCause::Partner`] holds until the next stop or disable order,
-    /// any other fault until its reset.
+    /// The fault that stopped the effector, if any. [`StopCause::Partner`] and [`StopCause::Touched`] hold until the next
+    /// stop or disable order, any other fault until its reset.
     pub fault: Option<ServoFault>,
 }
 
@@ -178,6 +184,28 @@ pub enum StopCause {
     /// that were sent before the controller heard of the stop are therefore never executed.
     #[error("effector {effector} of its team stopped")]
     Partner { effector: u8 },
+    /// The cycle law ended the motion as intended, for example at a touch. The effector braked from this cycle on and
+    /// stands, its drives on.
+    ///
+    /// As after [`StopCause::Partner`], the effector refuses motion until an [`Order::Stop`] or [`Order::Disable`]
+    /// acknowledges the cause.
+    #[error("its cycle law ended the motion")]
+    Touched,
+    /// The cycle law reported a fault.
+    #[error("cycle law: {0}")]
+    Law(LawFault),
+    /// A displacement by the cycle law is beyond its bound. The set-point was not sent.
+    #[error("cycle law displaces by {displacement:.4} rad, the bound is {limit:.4} rad")]
+    LawDisplacement { displacement: f64, limit: f64 },
+    /// A displacement by the cycle law changes faster than its bound. The set-point was not sent.
+    #[error("cycle law displaces at {velocity:.3} rad/s, the bound is {limit:.3} rad/s")]
+    LawSpeed { velocity: f64, limit: f64 },
+    /// A macrostep without a cycle law came directly after one with a law. The macrostep was not begun.
+    #[error("macrostep {number} has no cycle law, and the one before has; end the motion before the law ends")]
+    LawLeft { number: u64 },
+    /// A macrostep requires a cycle law, and the effector has none. The macrostep was not begun.
+    #[error("macrostep {number} requires a cycle law, and none is installed")]
+    NoLaw { number: u64 },
     /// A macrostep for an axis without a reference. The macrostep was not begun.
     #[error("asked to move before it was homed")]
     NotHomed,
@@ -196,6 +224,14 @@ pub enum StopCause {
     /// More deadlines in a row were missed than the cell permits.
     #[error("{missed} cycles in a row missed their deadline")]
     Overrun { missed: u32 },
+}
+
+impl StopCause {
+    /// Whether the stop leaves the effector standing with power on, and motion is refused until a stop or disable order
+    /// acknowledges the cause.
+    pub fn needs_acknowledgement(&self) -> bool {
+        matches!(self, Self::Partner { .. } | Self::Touched)
+    }
 }
 
 /// The controller's end of the link to one effector: orders to the servo, reports from it and its latest state. Both

@@ -82,6 +82,7 @@ mod tests {
                     velocity,
                     acceleration: None,
                     torque: [0.0; MAX_AXES],
+                    law: None,
                 };
                 let _ = orders.push(Order::Move(macrostep));
                 if number == 200 {

@@ -4,7 +4,7 @@
 //! effector nor the relation between effectors. An override acts in the next cycle on all macrosteps, also on queued
 //! macrosteps. Homing and stops do not depend on motion time.
 //!
-//! The rate is the advance of motion time per real time: 1 without an override, 0 in a pause.
+//! The rate is the advance of motion time per real time, without unit: 1 without an override, 0 in a pause.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -13,27 +13,29 @@ use thiserror::Error;
 
 use crate::{Knot, ServoAxisConfig};
 
-/// Greatest fraction of an axis's acceleration limit that the planned acceleration and a change of the rate use together.
+/// Greatest fraction of an axis's acceleration limit for the sum of the planned acceleration and the acceleration by a
+/// change of the rate.
 const ROOM: f64 = 0.9;
 
-/// Fraction of an axis's acceleration limit that plans are assumed to use. The bounds of the jerk hold for such plans.
+/// Assumed greatest planned acceleration, as a fraction of an axis's acceleration limit. The bounds of the jerk hold
+/// for plans within this fraction.
 const PLANNED: f64 = 0.5;
 
-/// Fractions of an axis's planned jerk that an override may add: through the planned acceleration (3·a·r·g in
-/// `Bounds::of_axis`), and through the planned velocity (v·h).
+/// Fractions of an axis's planned jerk that the two terms of a change of the rate may add: 3·a·r·g and v·h in
+/// `Bounds::of_axis`.
 const JERK: [f64; 2] = [0.6, 0.4];
 
-/// Time for which the bounds look ahead, s: about the usual duration of a change of the rate.
+/// Horizon of the bounds, s: about the usual duration of a change of the rate.
 const AHEAD: f64 = 0.5;
 
-/// Greatest change of the rate, 1/s, with any axes.
+/// Greatest change of the rate, 1/s, independent of the axes.
 const BRISK: f64 = 10.0;
 
-/// Greatest second derivative of the rate, 1/s², with any axes.
+/// Greatest second derivative of the rate, 1/s², independent of the axes.
 const BRISK_GROWTH: f64 = 200.0;
 
-/// Share of the bound of the second derivative that a planned change of the rate uses. The rest is a reserve for bounds
-/// that become tighter during the change.
+/// Fraction of the bound of the second derivative with which a change of the rate is planned. The rest is a reserve,
+/// because the bounds may become tighter during the change.
 const PLANNED_GROWTH: f64 = 0.8;
 
 /// Distance from the requested rate that counts as reached.
@@ -42,8 +44,9 @@ const REACHED: f64 = 1e-9;
 /// Speed of all macrosteps of a cell, as a fraction of the programmed speed. Any thread may set it. Homing and stops are
 /// not affected.
 ///
-/// The rate of motion time follows the request within the acceleration limits of all axes, and adds at most the jerk of a
-/// planned motion.
+/// The rate of motion time follows the request within the acceleration limits of all axes. The change adds at most the
+/// planned jerk of each axis, if planned accelerations are at most half of the limit
+/// ([`ServoAxisConfig::planned_jerk`]).
 #[derive(Clone, Debug, Default)]
 pub struct SpeedOverride(Arc<Requested>);
 
@@ -80,7 +83,7 @@ impl SpeedOverride {
         f64::from_bits(self.0.fraction.load(Ordering::Relaxed))
     }
 
-    /// Brings all programmed motions to a standstill on their paths. The drives stay on. A robot that homes continues.
+    /// Requests that all programmed motions stop on their paths. The drives remain on. A robot that homes continues.
     pub fn pause(&self) {
         self.0.paused.store(true, Ordering::Relaxed);
     }
@@ -100,14 +103,14 @@ impl SpeedOverride {
     }
 }
 
-/// Bounds of the rate of motion time in one cycle.
+/// Bounds of the derivatives of the rate of motion time in one cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Bounds {
     /// Least change of the rate by acceleration limits, 1/s, at most zero.
     least: f64,
     /// Greatest change of the rate by acceleration limits, 1/s, at least zero.
     most: f64,
-    /// Greatest change of the rate by jerk and by foreseen velocities, 1/s.
+    /// Greatest change of the rate, 1/s, by the jerk and by the velocities within the horizon.
     change: f64,
     /// Greatest second derivative of the rate, 1/s².
     growth: f64,
@@ -119,10 +122,10 @@ impl Bounds {
 
     /// The bounds by an axis at the set-point `knot` of motion time.
     ///
-    /// The plan has the velocity v, acceleration a and jerk j by motion time, and the rate r has the derivatives g and h. The
-    /// acceleration of the axis is then a·r² + v·g, and its jerk is j·r³ + 3·a·r·g + v·h. The bounds of g by the
-    /// acceleration limit depend on the present v and a, and may become tight within a cycle. The other bounds hold for all
-    /// velocities that the axis can reach soon: g has time to follow these bounds.
+    /// v, a and j are the planned velocity, acceleration and jerk with respect to motion time. g and h are the first
+    /// and second derivatives of the rate r. The axis has the jerk j·r³ + 3·a·r·g + v·h and the acceleration a·r² +
+    /// v·g. `least` and `most` depend on the present v and a, and may become tight within a cycle. `change` and
+    /// `growth` hold for all velocities that the axis can reach within the horizon, so g can follow them gradually.
     pub(crate) fn of_axis(knot: Knot, rate: f64, limits: &ServoAxisConfig) -> Self {
         let ServoAxisConfig { max_velocity, max_acceleration, planned_jerk, .. } = *limits;
         let speed = knot.velocity.abs();
@@ -209,12 +212,13 @@ impl MotionTime {
         Motion { periods: self.rate, rate: self.rate, change: 0.0 }
     }
 
-    /// Moves the rate towards `target`. The change of the rate increases and decreases within the bound of its derivative.
+    /// Moves the rate towards `target`. The change of the rate varies by at most `growth` per second, unless an
+    /// acceleration limit requires more.
     fn follow(&mut self, target: f64, bounds: Bounds, dt: f64) {
-        // Distance to the target after this cycle if the change of the rate were zero from now on.
+        // Distance to the target after this cycle, if the change of the rate decreased to zero within the cycle.
         let left = target - self.rate - 0.5 * self.change * dt;
-        // A change c that decreases by `fading` in each cycle covers at most c² dt / (2 fading). In the last two cycles the
-        // rate reaches the target exactly, and does not pass the target.
+        // If the change c decreases by `fading` in each cycle, the rate moves by about c² dt / (2 fading). In the last
+        // two cycles the rate reaches the target exactly, without overshoot.
         let fading = PLANNED_GROWTH * bounds.growth * dt;
         let share = left.abs() / (fading * dt);
         let wanted = fading * if share < 0.5 { share } else { 0.5 * ((8.0 * share).sqrt() - 1.0) };
@@ -267,7 +271,7 @@ mod tests {
     }
 
     proptest! {
-        /// A motor swings at up to half of its acceleration limit while the override changes at random.
+        /// A motor oscillates with up to half of its acceleration limit while the override changes at random.
         #[test]
         fn acceleration_and_jerk_keep_their_limits(
             steps in prop::collection::vec((0.0..=1.0f64, 1..400u32), 1..8),
@@ -303,7 +307,7 @@ mod tests {
 
     #[test]
     fn a_pause_at_full_speed_takes_as_long_as_the_limits_permit_and_ends_at_rest() {
-        // The rate changes at 1.2 1/s by acceleration, and reaches this in a tenth of a second by jerk.
+        // The acceleration limit permits a change of 1.2 1/s, and the jerk limit permits this change after 0.1 s.
         let mut time = MotionTime::new();
         time.requested.pause();
         let limits = limits(100.0, 300.0, 3000.0);

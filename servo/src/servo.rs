@@ -11,8 +11,8 @@ use crate::axis::ServoAxis;
 use crate::effector::{Effector, Tick};
 use crate::motion_time::{Bounds, MotionTime, SpeedOverride};
 use crate::{
-    Counters, EffectorLink, Excitation, ExcitationError, Record, ServoConfig, ServoError, ServoFault, ServoState,
-    TrackingError,
+    Counters, CycleLaw, EffectorLink, Excitation, ExcitationError, LawBound, LawError, Record, ServoConfig, ServoError,
+    ServoFault, ServoState, TrackingError,
 };
 use crate::{excitation::Playing, recorder::Recorder, team};
 
@@ -33,6 +33,10 @@ use crate::{excitation::Playing, recorder::Recorder, team};
 /// Every stop first brakes the effector along a straight line within its acceleration limits
 /// ([`StraightStop`](crate::StraightStop)). Exceptions are a failed position loop and [`cut_power`](Self::cut_power),
 /// which switch the power off at once. A [`StopRequest`] brakes all effectors, and then switches them off.
+///
+/// # Cycle laws
+/// An effector may have one [`CycleLaw`], which displaces the interpolated set-points of macrosteps that carry
+/// [`LawParameters`](crate::LawParameters).
 ///
 /// # Teams
 /// Effectors that are [tied](crate::Order::Tie) begin each macrostep together, and a stop of one stops all. The members
@@ -289,6 +293,22 @@ impl Servo {
         excitation.check(&found.config, self.period.as_secs_f64())?;
         found.playing = Some(Playing::new(excitation));
         Ok(())
+    }
+
+    /// Installs the cycle law of effector `effector`, with the bounds of the displacement of each of its motors. Call this
+    /// function before the cycles begin. An effector has at most one law. The law runs in macrosteps that carry
+    /// [`LawParameters`](crate::LawParameters).
+    pub fn install_law(
+        &mut self,
+        effector: usize,
+        law: Box<dyn CycleLaw>,
+        bounds: &[LawBound],
+    ) -> Result<(), LawError> {
+        if self.cycles > 0 {
+            return Err(LawError::Running);
+        }
+        let found = self.effectors.get_mut(effector).ok_or(LawError::NoSuchEffector { effector })?;
+        found.install_law(law, bounds)
     }
 
     /// A handle to stop all effectors.

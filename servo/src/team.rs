@@ -149,6 +149,9 @@ fn follow_macrosteps(effectors: &mut [Effector], members: u32, tick: &Tick) {
         of_mut(effectors, members & !ready).for_each(|member| member.starve(tick));
     } else if !begin || admit(effectors, members, tick) {
         of_mut(effectors, members).for_each(|member| member.follow_macrosteps(begin, tick));
+        let settling = |it: &Effector| it.settling.then(|| it.stop_periods()).flatten();
+        let periods = of(effectors, members).filter_map(settling).max().unwrap_or(0);
+        of_mut(effectors, members).filter(|it| it.settling).for_each(|it| it.brake_with(members, periods));
     }
 }
 

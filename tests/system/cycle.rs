@@ -94,6 +94,7 @@ fn step(distance: f64) -> (Vec<i32>, usize) {
         velocity: [0.0; servo::MAX_AXES],
         acceleration: None,
         torque: [0.0; servo::MAX_AXES],
+        law: None,
     }));
     let samples = (0..10).map(|_| {
         rig.cycle();

@@ -309,6 +309,7 @@ fn what_may_not_be_commanded_never_reaches_the_bus() {
             velocity: [0.0; MAX_AXES],
             acceleration: None,
             torque: [0.0; MAX_AXES],
+            law: None,
         };
         spoil(&mut step);
         rig.order(Order::Move(step));

@@ -66,7 +66,8 @@ impl WrenchProbe for Load {
     }
 }
 
-/// The wrench is that of the sample's time up to half a count of each channel. The sample may be `late`.
+/// Asserts that the wrench agrees with the load at the time of the sample, within half a count of each channel. The
+/// sample may be `late`.
 #[track_caller]
 fn is_of_its_time(state: &WrenchState, load: &Load, count: [f64; 2], late: Duration) {
     let truth = load.at(state.sampled);
@@ -191,7 +192,8 @@ fn faults_of_the_line_of_the_serial_sensor_have_their_types() {
     assert_eq!((cycles, state.age), (3, 2));
     stage.world.line_mut(line).hang_up();
     stage.link.reset_fault();
-    let (_, state) = stage.until_fault();
+    // The fault before stays until the sensor or the line shows another.
+    let state = *stage.cycles(5).last().unwrap();
     assert_eq!(state.fault, Some(WrenchFault::Line(serial::LineError::Gone)));
 }
 
@@ -317,7 +319,8 @@ fn the_sensor_on_a_bus_is_zeroed_by_the_mean_of_ten_samples() {
     let states = stage.cycles(12);
     let done: Vec<_> = states.iter().map(|state| state.zeroing.is_done(request)).collect();
     assert_eq!(done.iter().position(|done| *done), Some(10), "{done:?}");
-    // The mean of the ramp over ten periods is that of its middle, four and a half periods before the end.
+    // The mean of the ramp over ten samples is the value in their middle, four and a half periods before the last
+    // sample.
     let [last, middle] = [states[10].wrench[0], RAMP[0] * 4.5 * PERIOD.as_secs_f64()];
     assert!((last - middle).abs() <= ON_BUS[0], "{last} {middle}");
 }

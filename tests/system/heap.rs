@@ -33,6 +33,7 @@ fn beyond_every_limit(rig: &mut Rig, _: &Watcher) {
         velocity: [0.0; MAX_AXES],
         acceleration: None,
         torque: [0.0; MAX_AXES],
+        law: None,
     }));
 }
 

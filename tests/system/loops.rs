@@ -240,6 +240,7 @@ impl Running {
                 velocity: [velocity; MAX_AXES],
                 acceleration: None,
                 torque: [0.0; MAX_AXES],
+                law: None,
             };
             self.link.orders.push(Order::Move(macrostep)).unwrap();
         }

@@ -55,6 +55,7 @@ impl Motion {
             velocity: [velocity; MAX_AXES],
             acceleration: None,
             torque: [0.0; MAX_AXES],
+            law: None,
         }
     }
 

@@ -35,7 +35,7 @@ fn posed(config: MechanismConfig, motors: &[f64], zero: &Motors) -> Mechanism {
     mechanism
 }
 
-/// The mechanism of each robot, and its parameters if they differ from those of the model.
+/// The mechanism of each robot, and its parameters if they differ from the parameters of the model.
 fn mechanisms() -> [(Model, Option<Parameters>, MechanismConfig); 6] {
     let coupled = PolycrankParameters { coupled: true, ..PolycrankParameters::polycrank() };
     let rnt = MechanismConfig::Rnt { home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3] };
@@ -63,8 +63,8 @@ fn flange_in_a_scene_is_where_the_kinematics_has_it() {
     for (model, parameters, config) in mechanisms() {
         let robot = parameters.unwrap_or(model.parameters()).kinematics().unwrap();
         let zero = home(&*robot, config);
-        // The base of the emulated IRb-6 lies at the shoulder, that of the robot on the floor. The emulated flange of
-        // the RNT is 100 mm beyond the centre of the wrist.
+        // The base frame of the emulated IRb-6 is at the shoulder, and the base frame of the controller is on the
+        // floor. The emulated flange of the RNT is 100 mm beyond the centre of the wrist.
         let base = Translation3::new(0.0, 0.0, if model == Model::Irb6 { 0.7 } else { 0.0 });
         let flange = Translation3::new(0.0, 0.0, if model == Model::Rnt { 0.1 } else { 0.0 });
         let mut poses = 0;

@@ -6,6 +6,7 @@
 
 use std::ffi::OsString;
 use std::path::Path;
+use std::thread;
 use std::time::Duration;
 
 use ::mrroc::cell::Cell;
@@ -117,11 +118,17 @@ fn check(program: &str, cell: &Path, directory: &Directory, run: impl Fn(&[OsStr
 #[test]
 fn an_example_of_each_class_has_the_steps_of_lockstep_on_emulated_buses_by_the_clock() {
     let _turn = turn();
-    for (program, cell) in EXAMPLES {
-        let directory = Directory::new();
-        let cell = directory.cell(cell, |cell| patient(cell, 8.0));
-        check(program, &cell, &directory, |arguments| Running::program(&example_program(program), arguments).output());
-    }
+    // Most of their time the programs wait.
+    thread::scope(|scope| {
+        for (program, cell) in EXAMPLES {
+            scope.spawn(move || {
+                let directory = Directory::new();
+                let cell = directory.cell(cell, |cell| patient(cell, 8.0));
+                let run = |arguments: &[OsString]| Running::program(&example_program(program), arguments).output();
+                check(program, &cell, &directory, run);
+            });
+        }
+    });
 }
 
 #[test]

@@ -65,7 +65,7 @@ pub(crate) struct Desk<'a> {
     pub(crate) now: Instant,
     /// Speed of the motion time of the cell, by which deadlines count.
     pub(crate) rate: f64,
-    /// Whether a member brakes. The instruction of this member then ends, with the cause if the member failed.
+    /// Whether a member brakes. The instruction of this member is then ending, with an error if the member failed.
     pub(crate) braking: bool,
     /// The coordinators' journal.
     pub(crate) journal: &'a mut CoordinatorJournal,
@@ -101,8 +101,8 @@ pub(crate) struct Conduct<'a, K: Coordinator<N>, const N: usize> {
     sensors: &'a mut Sensors,
     answers: [Option<Sample<K::Answer>>; N],
     macrostep: Duration,
-    /// Longest wait for an answer or a reading, in addition to two macrosteps. For the answers of the first steps, only the
-    /// time limits of the members' planning apply.
+    /// Longest wait for an answer or a reading is two macrosteps plus this time. The answers of the first steps have
+    /// only the time limits of the members' planning.
     deadline: Duration,
     /// Number of the motion in the journal.
     motion: u64,
@@ -220,7 +220,7 @@ impl<'a, K: Coordinator<N>, const N: usize> Conduct<'a, K, N> {
         Ok(true)
     }
 
-    /// Whether all declared sensors that a step waits for are read. Fails if a reading is too late.
+    /// Whether the readings of all declared interactive sensors are available. Fails if a reading is too late.
     fn are_read(&mut self, desk: &Desk) -> Result<bool, CoordinatorError> {
         if K::Sensors::require(&Prompt(self.sensors)).is_ok() {
             return Ok(true);

@@ -10,9 +10,9 @@ use crate::generator::{Answer, Commands, GeneratorError, Message, Outputs, Readi
 
 /// Functions of the coordinator of `N` members, and the condition that ends the motion.
 ///
-/// In macrostep *i* the coordinator reads its own sensors and the answers *a*j0(*i*) of all members, which are of the same
-/// step. It gives the orders *a*0j(*i* + 1). As in a [`Generator`](crate::generator::Generator), next steps must not block
-/// or allocate.
+/// In macrostep *i* the coordinator reads its own sensors and the answers *a*j0(*i*) of all members, all from the same
+/// step. The coordinator then gives the orders *a*0j(*i* + 1). As in a [`Generator`](crate::generator::Generator), next
+/// steps must not block or allocate.
 pub trait Coordinator<const N: usize>: Send + Sync + 'static {
     /// Order to a member, `a0`.
     type Order: Message;
@@ -25,11 +25,13 @@ pub trait Coordinator<const N: usize>: Send + Sync + 'static {
     /// The coordinator's own memory, `c0`.
     type Memory: Copy + Debug + Send + 'static;
 
-    /// Plans the motion, and gives the orders for the first steps of the members. `macrostep` is the duration of the cell's
-    /// macrostep, which all members keep. The members stand. The time limit is that of a generator's first step.
+    /// Plans the motion, and gives the orders for the first steps of the members. `macrostep` is the duration of the
+    /// cell's macrostep, which all members keep. The members stand during this step. The time limit is the same as for
+    /// the first step of a generator.
     fn first_step(&mut self, sensors: &Self::Sensors, macrostep: Duration) -> Result<Orders<Self, N>, GeneratorError>;
 
-    /// Whether the motion ends. All members then end after the step of these answers, and brake if they move.
+    /// Whether the motion ends. All members then end after the step to which these answers belong, and brake if they
+    /// move.
     fn terminal(&self, memory: &Self::Memory, answers: &[Sample<Self::Answer>; N], sensors: &Self::Sensors) -> bool;
 
     /// The orders of the next step.

@@ -16,12 +16,12 @@ const QUEUE: usize = 4;
 /// Behaviour of a member without a new order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinkConfig {
-    /// Whether step *m* waits for order *m*. Otherwise a step takes the latest order, if any, and the link keeps only the
-    /// latest answer.
+    /// Whether step *m* waits for order *m*. If false, a step takes the latest order, if any, and the link keeps only
+    /// the latest answer.
     pub blocking: bool,
-    /// Longest wait for an order of a blocking link, in motion time. In motion, the servo stops the team when the present
-    /// macrostep ends without a successor. The deadline is therefore effective only if it is shorter than the time between
-    /// the read of the images and the end of the macrostep.
+    /// Longest wait for an order of a blocking link, in motion time. In motion, the servo also stops the team if the
+    /// present macrostep ends without a next macrostep. A deadline longer than the time from the read of the images to
+    /// the end of the macrostep therefore has no effect.
     pub deadline: Duration,
     /// Consequence of a late order of a blocking link.
     pub late: Late,
@@ -251,18 +251,18 @@ pub(crate) trait MemberLink: Send {
     /// The present order, as a [`Received`]. The order counts as read.
     fn order(&self) -> &dyn Any;
 
-    /// Begins an instruction: orders and the end of an earlier motion are forgotten. A link that does not wait keeps an
-    /// order that no step has read, for the first step of this instruction.
+    /// Begins an instruction: orders and the end of an earlier motion are dropped. A link that does not block keeps an
+    /// unread order for the first step of this instruction.
     fn begin(&mut self);
 
-    /// Takes all messages of a link that does not wait, between two steps. The steps of a blocking link take the messages
-    /// of their numbers.
+    /// Takes all messages of a link that does not block, between two steps. On a blocking link, each step takes the
+    /// message with its own number.
     fn receive(&mut self, now: Instant);
 
     /// Whether a message that was taken since [`begin`](Self::begin) ends the motion.
     fn is_ended(&self) -> bool;
 
-    /// Whether a message that was not taken yet ends a motion.
+    /// Whether a message that still waits in the queue ends a motion.
     fn holds_end(&mut self) -> bool;
 
     /// Age of the present order at `now`.
@@ -401,7 +401,7 @@ impl<C: Message, R: Message> MemberLink for MemberEnd<C, R> {
     }
 }
 
-/// The latest answer. Both ends are used by the same thread: the lock is always free.
+/// The latest answer. One thread uses both ends of the link, so the lock is always free.
 fn lock<R>(latest: &Mutex<Option<Numbered<R>>>) -> MutexGuard<'_, Option<Numbered<R>>> {
     latest.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -2,8 +2,8 @@
 //!
 //! A [`Coordinator`] gives each member of a team an order in every macrostep, and reads the answers of the members
 //! (tight coordination). The members run generators with the image [`A`](crate::generator::A) and the output
-//! [`Answer`](crate::generator::Answer). The flow chart of figure 3 is the same for the coordinator and for its members.
-//! A coordinator may have virtual sensors of its own.
+//! [`Answer`](crate::generator::Answer). The flow chart of figure 3 of the paper applies to the coordinator and to its
+//! members. A coordinator may have virtual sensors of its own.
 //!
 //! A task is a coordinator too: over a [`link`] to one agent, the task gives orders at any time (loose coordination).
 //!

@@ -87,14 +87,14 @@ pub enum EcpError {
 
 impl EcpError {
     /// Class of the error. A fault that concerns the cycle or the bus as a whole is a system error. An effector that
-    /// was stopped with a partner of its team stands and takes further instructions.
+    /// was stopped with a partner of its team, or by its cycle law at a touch, stands and takes further instructions.
     pub fn class(&self) -> Class {
         match self {
             Self::Servo(ServoFault {
                 cause: StopCause::Overrun { .. } | StopCause::Drive(Fault::OtherController { .. }),
                 ..
             }) => Class::System,
-            Self::Servo(ServoFault { cause: StopCause::Partner { .. }, .. }) => Class::NonFatal,
+            Self::Servo(ServoFault { cause: StopCause::Partner { .. } | StopCause::Touched, .. }) => Class::NonFatal,
             Self::Servo(_) | Self::Faulted | Self::BrokenOff { .. } | Self::Silent { .. } | Self::TimedOut { .. } => {
                 Class::Fatal
             }
@@ -123,10 +123,11 @@ pub struct Busy {
 /// Reasons why a generator is not replaced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum ReplaceRefused {
-    /// No generator computes macrosteps: there is no motion, its first step is still planned, or it ends.
+    /// No generator computes macrosteps: there is no motion, the first step is still in computation, or the motion is
+    /// ending.
     #[error("no generator runs that could be replaced")]
     NotRunning,
-    /// The motion is one of a team under a coordinator.
+    /// The motion belongs to a team under a coordinator.
     #[error("the robot moves in a team: only the team's coordinator ends its motion, and the task gives the next one")]
     InTeam,
 }

@@ -141,7 +141,7 @@ pub struct Ecp {
     origin: u64,
     /// The next instruction continues from the end of the last macrostep, which ends in motion.
     in_motion: bool,
-    /// Time from the report of the last macrostep made to its end, at the programmed speed.
+    /// Time from the report of the last computed macrostep to the end of this macrostep, at the programmed speed.
     margin: Duration,
     /// The generator that replaces the present one with the next macrostep.
     replacement: Option<Box<dyn Execution + Send>>,
@@ -162,7 +162,8 @@ pub struct Ecp {
     /// Whether the present or last instruction is a motion, and whether its generator has commanded the effector.
     moves: bool,
     commanded: bool,
-    /// Whether the task awaits a list that begins after the present one. Its messages are then for that list.
+    /// Whether the task awaits a list that begins after the present list. Messages of the task are then for the awaited
+    /// list.
     awaited: bool,
     since_report: SinceReport,
     /// Servo cycle after which the last barrier was sent.
@@ -277,8 +278,8 @@ impl Ecp {
         self.held && moves && ready && !self.in_motion
     }
 
-    /// Whether the generator of the present or last instruction has commanded the effector. A generator that only waits
-    /// has not.
+    /// Whether the generator of the present or last instruction has returned a set-point. A generator that only waits
+    /// returns none.
     pub(crate) fn has_commanded(&self) -> bool {
         self.commanded
     }
@@ -393,7 +394,7 @@ impl Ecp {
         let replaced = std::mem::take(&mut self.replaced) && outcome.is_ok();
         let event = EcpEvent { instruction: self.instruction, outcome, replaced };
         self.instruction += 1;
-        // What the task has told until now was for this motion.
+        // The messages received from the task so far were for this motion.
         if self.moves && !replaced && !self.awaited {
             self.receive_from_task();
         }
@@ -498,8 +499,8 @@ impl Ecp {
         );
         if !stops {
             let met = match self.partner_stop() {
-                // The effector stops in any case: the coordinator has ended the motion of the team, or the last macrostep of a
-                // generator that ended in motion is executed.
+                // The effector would stop here without the partner: the coordinator has ended the motion of the team,
+                // or the last macrostep of a generator that ended in motion is executed.
                 Some(_) if self.ends_with_partners() => {
                     self.brake(Ok(()));
                     return None;

@@ -25,9 +25,9 @@ impl Ecp {
     ///
     /// A second call before the next poll replaces the first. Without a motion by a generator, the call is refused.
     ///
-    /// In a motion of a team under a coordinator, the call is refused too. The coordinator counts the macrosteps of all
-    /// members, and a new plan of one member has no place in this count. As in MRROC++, only the coordinator ends the
-    /// motion of its members, and the task then gives them the next one.
+    /// In a motion of a team under a coordinator, the call is refused too. The coordinator numbers the macrosteps of
+    /// all members, and a new plan would restart the numbers of one member. As in MRROC++, only the coordinator ends
+    /// the motion of its members. The task then gives the members their next motion.
     pub fn replace(&mut self, generator: impl Generator) -> Result<(), ReplaceRefused> {
         if !matches!(self.activity, Activity::Running(_)) {
             return Err(ReplaceRefused::NotRunning);
@@ -35,7 +35,7 @@ impl Ecp {
         if self.is_in_team() {
             return Err(ReplaceRefused::InTeam);
         }
-        // What the task has told until now was for the motion replaced.
+        // The messages received from the task so far were for the replaced motion.
         self.receive_from_task();
         self.replacement = Some(Box::new(Run::new(generator)));
         Ok(())
@@ -126,8 +126,8 @@ impl Ecp {
         None
     }
 
-    /// Ends a motion before its first macrostep, as the task or the coordinator orders. The effector may still move by the
-    /// motion before.
+    /// Ends a motion before its first macrostep, by order of the task or the coordinator. The effector may still
+    /// execute the end of the previous motion.
     fn end_before_motion(&mut self) -> Option<Result<(), EcpError>> {
         if !self.in_motion {
             return Some(Ok(()));
@@ -136,8 +136,8 @@ impl Ecp {
         None
     }
 
-    /// Whether the first step of a generator, `waited` for since its begin, is too late. In motion, the stop must reach
-    /// the servo before the last macrostep ends. A pause delays this end.
+    /// Whether the first step of a generator is too late after a wait of `waited`. In motion, the stop must reach the
+    /// servo before the end of the last macrostep. A pause delays this end.
     fn is_late(&self, waited: Duration) -> bool {
         if !self.in_motion {
             return waited > self.config.planning;
@@ -200,7 +200,7 @@ impl Ecp {
     pub(super) fn advance_motion(&mut self, now: Instant) -> Option<Result<(), EcpError>> {
         let phase = self.phase();
         let waited = now.since(self.heard);
-        // The servo has nothing to report while the step of an effector at rest waits for its images.
+        // The servo sends no report while a step of an effector at rest waits for its images.
         let owed = !matches!(self.activity, Activity::Running(_)) || self.outstanding() > 0 || !self.outbox.is_empty();
         let limit = if owed { self.config.silence + self.macrostep() } else { self.config.planning };
         if !matches!(phase, Phase::Standing | Phase::Moving) {
@@ -215,7 +215,7 @@ impl Ecp {
                 self.brake(Err(if owed { EcpError::Silent { waited } } else { EcpError::Unread { step, waited } }));
             }
         } else if self.obeys_end() {
-            // The end is under way.
+            // `obeys_end` has begun the end of the motion.
         } else if matches!(self.activity, Activity::Arriving) {
             let arrived = phase == Phase::Standing && self.outstanding() == 0;
             return arrived.then_some(Ok(()));
@@ -297,7 +297,8 @@ impl Ecp {
         false
     }
 
-    /// Ends the motion that the task has ended, unless a replacement ends it. Returns whether this poll ends the motion.
+    /// Ends the motion if the task has ordered the end, unless a replacement ends the motion. Returns whether this poll
+    /// ends the motion.
     fn obeys_end(&mut self) -> bool {
         if !self.is_ended_by_task() {
             return false;
@@ -312,17 +313,18 @@ impl Ecp {
         true
     }
 
-    /// Whether the last macrostep does not end soon: the macrostep is not reported yet, or an override delays its end, and
-    /// a pause prevents its end.
+    /// Whether the last macrostep still takes time: the macrostep is not reported yet, or an override or a pause delays
+    /// its end.
     fn continues(&self) -> bool {
         self.outstanding() > 0 || self.phase() == Phase::Moving && self.latest().rate < 1.0
     }
 
     /// Ends the motion that the coordinator or the task ends. The coordinator of a team ends all members after the same
-    /// macrostep. The task ends the motion at once, whatever was sent ahead. No other motion continues the ended one.
+    /// macrostep. The task ends the motion at once, and drops the macrosteps sent ahead. No other motion continues an
+    /// ended motion.
     fn end_as_ordered(&mut self) {
         self.ended_by_team = self.is_in_team();
-        // A stop would drop the barrier.
+        // A stop order would drop the barrier.
         if self.ended_by_team || self.is_at_barrier() { self.end_unchained() } else { self.brake(Ok(())) }
     }
 
@@ -338,7 +340,7 @@ impl Ecp {
         false
     }
 
-    /// Lets the macrosteps run out that were sent, and then brakes an effector in motion.
+    /// Waits until the macrosteps already sent are executed, and then brakes an effector in motion.
     fn end_unchained(&mut self) {
         self.in_motion = false;
         if self.ends_in_motion() {
@@ -349,7 +351,7 @@ impl Ecp {
         }
     }
 
-    /// Whether the effector moves at the end of the last macrostep made.
+    /// Whether the effector moves at the end of the last computed macrostep.
     fn ends_in_motion(&self) -> bool {
         self.effector.commanded.velocity != Axes::default()
     }
@@ -389,14 +391,15 @@ impl Ecp {
             velocity: motors.velocity,
             acceleration: motors.acceleration,
             torque,
+            law: None,
         }));
         Ok(())
     }
 }
 
-/// Whether a step can take its images: the order of its number, and the declared readings that it waits for. `step` is
-/// `None` for the first step. An end of the motion does not wait for readings. Times are those of servo cycles, as all
-/// times of images.
+/// Whether the images of a step are available: the order with the number of the step, and the declared readings of
+/// interactive sensors. `step` is `None` for the first step. An end of the motion does not wait for readings. All times
+/// are times of servo cycles.
 fn turn(
     run: &dyn Execution,
     coordinator: Option<&mut (dyn MemberLink + 'static)>,

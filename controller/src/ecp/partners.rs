@@ -27,7 +27,7 @@ pub(super) struct Links {
 }
 
 impl Links {
-    /// The link of the present motion. In a motion of a team, the link to the task rests.
+    /// The link of the present motion. In a motion of a team, the link to the task is not used.
     pub(super) fn present(&mut self) -> Option<&mut (dyn MemberLink + 'static)> {
         self.team.as_deref_mut().or(self.task.as_deref_mut())
     }
@@ -44,15 +44,15 @@ impl Ecp {
         self.links.team = link;
     }
 
-    /// Takes what the task has told over its link. In a motion of a team, the link rests.
+    /// Takes the messages of the task from its link. In a motion of a team, messages wait in the link.
     pub(super) fn receive_from_task(&mut self) {
         if let Links { team: None, task: Some(link) } = &mut self.links {
             link.receive(self.link.latest.read().at);
         }
     }
 
-    /// Whether the task has ended the present motion. After a replacement, the task tells the replacement: an end of the
-    /// replacement also ends the motion replaced, which would otherwise run out.
+    /// Whether the task has ended the present motion. Messages after a replacement are for the replacement. An end of
+    /// the replacement also ends the replaced motion, whose macrosteps would otherwise still be executed.
     pub(super) fn is_ended_by_task(&mut self) -> bool {
         if self.replacement.is_none() && !self.replaced {
             self.receive_from_task();
@@ -63,7 +63,7 @@ impl Ecp {
         link.is_ended() || self.replaced && link.holds_end()
     }
 
-    /// The task awaits a list that begins after the present one. What it tells from now on is for that list.
+    /// The task awaits a list that begins after the present list. Later messages of the task are for the awaited list.
     pub(crate) fn await_list(&mut self) {
         if !self.awaited {
             self.receive_from_task();
@@ -71,15 +71,16 @@ impl Ecp {
         }
     }
 
-    /// The task has dropped the list that it awaited, with what it told that list.
+    /// The task has dropped the awaited list before its begin. An end that the task has sent for this list does not end
+    /// a later motion.
     pub(crate) fn forget_awaited(&mut self) {
         if std::mem::take(&mut self.awaited) {
             self.receive_from_task();
         }
     }
 
-    /// The task has fetched the result of the last list. What it told before was for that list, if the list ended with a
-    /// motion.
+    /// The task has fetched the result of the last list. If the list ended with a motion, an earlier end was for that
+    /// motion, and does not end a later motion.
     pub(crate) fn close_list(&mut self) {
         if std::mem::take(&mut self.moves) {
             self.receive_from_task();
@@ -127,7 +128,7 @@ impl Ecp {
         fault.filter(|fault| matches!(fault.cause, StopCause::Partner { .. })).map(EcpError::Servo)
     }
 
-    /// Whether a stop by a partner is none too early: the motion ends without a further macrostep.
+    /// Whether a stop by a partner does not shorten the motion: the motion ends without a further macrostep.
     pub(super) fn ends_with_partners(&self) -> bool {
         match self.activity {
             Activity::RunningOut => self.ended_by_team || self.outstanding() == 0,

@@ -1,14 +1,14 @@
-//! Motion time since the last report of the servo, which stands still in a pause.
+//! Motion time since the last report of the servo. Motion time does not advance in a pause.
 
 use std::time::Duration;
 
 use can::Instant;
 
-/// Motion time since the last report. The time is rather too long than too short.
+/// Motion time since the last report: an upper bound.
 #[derive(Default)]
 pub(super) struct SinceReport {
     passed: Duration,
-    /// Time up to which motion time is counted, and the speed of motion time then.
+    /// Time of the last counted cycle, and the rate of motion time at the end of this cycle.
     counted: Instant,
     rate: f64,
 }
@@ -20,7 +20,7 @@ impl SinceReport {
         self.counted = self.counted.max(at);
     }
 
-    /// Counts up to the cycle at `now`, at whose end motion time has this speed.
+    /// Counts up to the cycle at `now`. `rate`: rate of motion time at the end of this cycle.
     pub(super) fn count(&mut self, now: Instant, rate: f64) {
         self.passed += now.since(self.counted).mul_f64(self.rate.max(rate).clamp(0.0, 1.0));
         (self.counted, self.rate) = (self.counted.max(now), rate);

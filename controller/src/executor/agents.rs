@@ -62,11 +62,12 @@ pub enum News {
     Ended {
         /// Index of the robot in its cell.
         robot: usize,
-        /// Whether the instruction was a motion whose generator commanded the effector. A replaced motion continues as
-        /// its replacement, and does not count.
+        /// Whether the instruction was a motion whose generator commanded the effector. False for a replaced motion,
+        /// which its replacement continues.
         moved: bool,
     },
-    /// A [held](Ecp::is_held) process waits with a motion or a meeting. A release within the callback takes effect at once.
+    /// A [held](Ecp::is_held) process waits before a motion or a meeting. A release in the call that receives this news
+    /// takes effect at once.
     Held {
         /// Index of the robot in its cell.
         robot: usize,
@@ -136,7 +137,7 @@ impl Agents {
         self.0.borrow().subcontrollers.ecps()[robot].is_in_team()
     }
 
-    /// Waits for a duration, by the time of the servo cycles.
+    /// Waits for a duration, measured by the times of the servo cycles.
     pub async fn sleep(&self, duration: Duration) {
         let mut began = None;
         let slept = Leaf::new(self, |board: &mut Board| {
@@ -171,7 +172,7 @@ impl Agents {
         Leaf::new(self, |board: &mut Board| ask(board.time(), board.is_slowed())).await
     }
 
-    /// Waits until all effectors with dropped instructions stand.
+    /// Waits for the standstill of all effectors whose instructions were dropped.
     pub(super) async fn rest(&self) {
         let resting = |board: &mut Board| {
             let braking = board.uses.iter().any(|using| matches!(using.progress, Progress::Dropped));
@@ -200,7 +201,7 @@ impl Agents {
             (board.time() != Instant::ZERO, take(&mut board.wakers))
         };
         wakers.drain(..).for_each(Waker::wake);
-        // The list keeps its memory from turn to turn.
+        // The vector is reused, so a turn does not allocate.
         self.0.borrow_mut().wakers = wakers;
         begun
     }
@@ -318,8 +319,9 @@ impl Agent {
         self.agents.0.borrow_mut().at(self.robot).0.sensors().remove::<R>()
     }
 
-    /// A new link from the task to this agent: loose coordination. Steps take the latest order and do not wait. In a
-    /// motion of a team, orders wait, and an end is refused. An earlier link to the task ends.
+    /// A new link from the task to this agent, for loose coordination. Steps take the latest order and do not wait. In
+    /// a motion of a team, orders wait until the next motion, and an end is refused. The new link replaces an earlier
+    /// link.
     pub fn coordinated<C: Message, R: Message>(&mut self) -> LooseLink<C, R> {
         let config = LinkConfig { blocking: false, deadline: Duration::ZERO, late: Late::Hold };
         let (coordinator, member) = link(config);
@@ -480,8 +482,8 @@ fn is_faulted(ecp: &Ecp) -> bool {
     ecp.status().phase == Phase::Faulted
 }
 
-/// A future of this module: `ask` reads the shared state in each turn of the task. `ask` is pending in the first turn of
-/// an instruction: each instruction takes at least one turn, also in a loop.
+/// A future of this module: `ask` reads the shared state in each turn of the task. For an instruction, `ask` returns
+/// `Pending` in the first turn. Each instruction therefore takes at least one turn, also in a loop.
 struct Leaf<'a, F> {
     agents: &'a Agents,
     ask: F,

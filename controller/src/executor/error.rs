@@ -13,11 +13,11 @@ use crate::ecp::{ChartPhase, Class, Ecp, EcpError};
 pub struct InstructionError {
     /// Index of the robot in its cell.
     pub robot: usize,
-    /// Index of the instruction among those of this robot in the task, from 0. Each instruction of a list counts.
-    /// Instructions dropped after an error do not count.
+    /// Index of the instruction in the sequence of all instructions of this robot in the task, from 0. Each instruction
+    /// of a list counts. Instructions dropped after an error do not count.
     pub instruction: usize,
-    /// Number of macrosteps of the motion before the error; `None` outside a motion, and for a fault in a macrostep of the
-    /// previous motion.
+    /// Number of macrosteps of the motion before the error; `None` outside a motion, and if the fault occurred in a
+    /// macrostep of the previous motion.
     pub step: Option<u64>,
     /// Phase of the flow chart; `None` outside a motion.
     pub phase: Option<ChartPhase>,
@@ -69,7 +69,8 @@ impl InstructionError {
 /// Errors of the class system. They end the task, and all effectors brake.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum SystemError {
-    /// The task awaits a future of another library, which no instruction and no time of the cycles can complete.
+    /// The task awaits a future of another library. Neither an instruction nor the time of the cycles can complete this
+    /// future.
     #[error("the task awaits a future that is not of this library")]
     ForeignFuture,
     /// The panic hook received the message.

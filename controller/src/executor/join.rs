@@ -20,8 +20,8 @@ pub async fn join<E>(
 
 /// Executes parts of a task at the same time, polled in their order. Succeeds when all parts have succeeded.
 ///
-/// When one part fails, the other parts are dropped, and their effectors brake. The error is returned when these effectors
-/// stand.
+/// When one part fails, the other parts are dropped, and their effectors brake. `join_all` returns the error after the
+/// standstill of these effectors.
 pub async fn join_all<F, E>(parts: impl IntoIterator<Item = F>) -> Result<(), E>
 where
     F: Future<Output = Result<(), E>>,

@@ -21,8 +21,9 @@ impl<C: Message, R: Message> LooseLink<C, R> {
 
     /// Gives an order. A step of the agent takes the newest order and drops the older ones.
     ///
-    /// An agent in motion takes orders in every servo cycle. Without a motion, and in a motion of a team, four orders may
-    /// wait. Fails with [`LinkError::Full`] for the fifth, and with [`LinkError::Gone`] if the agent has another link.
+    /// An agent in motion takes orders in every servo cycle. Without a motion, and in a motion of a team, up to four
+    /// messages (orders and ends) wait. Fails with [`LinkError::Full`] for the fifth message, and with
+    /// [`LinkError::Gone`] if a newer link has replaced this link.
     pub fn order(&mut self, order: C) -> Result<(), LinkError> {
         let now = self.now();
         let sent = self.end.order(now, order);
@@ -30,15 +31,15 @@ impl<C: Message, R: Message> LooseLink<C, R> {
     }
 
     /// Ends the present motion of the agent with success. The agent acts in the next servo cycle, also in a pause: the
-    /// effector brakes, whatever was sent ahead. A motion that has not begun to move ends without moving.
+    /// effector brakes, and macrosteps sent ahead are dropped. A motion that has not begun ends without a movement.
     ///
     /// The order of the calls decides which motion ends:
     ///
-    /// - While the effector brakes at the end of a motion, or after a dropped motion, that motion ends anyway, and the
-    ///   call has no further effect.
-    /// - After [`Replacer::replace`](super::Replacer::replace) the replacement ends. An end before that call is one of the
-    ///   motion replaced.
-    /// - Without a motion, and after the next instruction of the task was awaited, the next motion ends.
+    /// - While the effector brakes at the end of a motion or after a dropped motion, the call is for this motion and
+    ///   has no further effect.
+    /// - A call before [`Replacer::replace`](super::Replacer::replace) is for the replaced motion. A call after
+    ///   `replace` ends the replacement.
+    /// - Without a motion, and once the task awaits its next instruction, the call ends the next motion.
     ///
     /// Fails like [`order`](Self::order), and with [`LinkError::InTeam`] in a motion of a team: the team's coordinator ends
     /// the motion of all members.
@@ -51,7 +52,7 @@ impl<C: Message, R: Message> LooseLink<C, R> {
         self.told(sent)
     }
 
-    /// The result of a message.
+    /// The result of a call that has sent a message, or not.
     fn told(&self, sent: bool) -> Result<(), LinkError> {
         if self.end.is_abandoned() {
             return Err(LinkError::Gone);

@@ -5,8 +5,8 @@
 //! its own: in lockstep, a task is the same in every run.
 //!
 //! A task may await only the futures of this module: [`Agent::perform`], [`Agents::sleep`], [`Agents::until`], [`join`]
-//! and [`join_all`]. Every wait for an instruction has the time limits of its process. If an instruction is dropped, its
-//! effector brakes, and the next instruction of that effector begins after standstill.
+//! and [`join_all`]. Every wait for an instruction has the time limits of its process. If the future of an instruction
+//! is dropped, the effector brakes. The next instruction of this effector begins after standstill.
 //!
 //! Errors have classes ([`Class`](crate::ecp::Class)). Errors of the classes non-fatal and fatal go to the task. A system
 //! error drops the task and brakes all effectors.
@@ -62,8 +62,8 @@ impl<E> Executor<E> {
     /// Polls each process, then the task, then the processes for which the task began or dropped an instruction. Call this
     /// function once after each servo cycle. The task begins after the first cycle.
     ///
-    /// `news` receives the news of each process, and the process. Returns false when the task has ended and no process has
-    /// an instruction.
+    /// `news` is called with each news and the process that it concerns. Returns false when the task has ended and no
+    /// process has an instruction.
     pub fn poll(&mut self, now: Instant, mut news: impl FnMut(&mut Ecp, News)) -> bool {
         self.poll_agents(now, false, &mut news);
         self.poll_task();
@@ -86,8 +86,8 @@ impl<E> Executor<E> {
         self.agents.statuses()
     }
 
-    /// Drops a task that has not ended. Returns the end of the task, and all errors of instructions that the task received
-    /// or had dropped, oldest first.
+    /// Drops a task that has not ended. Returns the end of the task, and the errors of instructions, oldest first:
+    /// errors that the task received, and errors of instructions that the task dropped.
     pub fn finish(mut self) -> (Option<Ended<E>>, Vec<NotedError>) {
         self.drop_task();
         (self.ended.take(), self.agents.noted())

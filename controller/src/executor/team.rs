@@ -102,9 +102,9 @@ impl<'a, const N: usize> Team<'a, N> {
         self.sensors.install(sensor, shell, period)
     }
 
-    /// Executes a motion of all members: the functions of the coordinator, and a generator per member. The members begin
-    /// after the first step of the coordinator. The motion ends when the terminal condition of the coordinator holds, or
-    /// when all generators have ended. All members then stand.
+    /// Executes a motion of all members: the functions of the coordinator, and a generator per member. The members
+    /// begin after the first step of the coordinator. The motion ends at the terminal condition of the coordinator, or
+    /// after the end of all generators. All members stand when the future completes.
     ///
     /// If the returned future is dropped, all members brake.
     pub async fn execute<K, G>(&mut self, coordinator: K, generators: G) -> Result<(), TeamError>

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Count of the turns of one task and of the polls of its agents. Clones share the counts.
 ///
 /// A task that blocks or never awaits does not return from its turn, and a generator that blocks does not return from a
-/// poll. Another thread detects this by the counts; the blocked thread cannot be ended.
+/// poll. The counts let another thread detect such a block. The blocked thread cannot be ended.
 #[derive(Clone, Debug, Default)]
 pub struct Turns(Arc<[AtomicU64; 2]>);
 

@@ -89,7 +89,7 @@ pub enum Step {
 /// The runner calls [`initiate`](Self::initiate), [`plan`](Self::plan) and [`commit`](Self::commit) once, and then
 /// [`next_step`](Self::next_step) until the instruction ends.
 pub trait Execution {
-    /// Refuses partners that cannot provide the images of the first step, or else those of every next step.
+    /// Refuses partners that cannot provide the images of the first step (`first`) or of every next step (not `first`).
     fn require(&self, first: bool, partners: &dyn Partners) -> Result<(), GeneratorError>;
 
     /// Reads the images of the first step. Refuses a generator that declares an image which its agent does not have.

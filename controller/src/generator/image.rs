@@ -61,9 +61,9 @@ pub struct EffectorState {
 /// `e(i)`: the subcontroller's image of its effector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EffectorImage {
-    /// Time of the SYNC or telegram at which the drives took their samples; if the times differ, that of the oldest
-    /// sample. A first step reads the latest samples, and so do next steps before the first report of a motion. Other next
-    /// steps read the samples of the last report.
+    /// Time of the SYNC or telegram at which the drives took their samples. If the times differ, the time of the oldest
+    /// sample. A first step reads the latest samples, and so do next steps before the first report of a motion. Other
+    /// next steps read the samples of the last report.
     pub at: Instant,
     /// Time of the servo cycle that read the samples, at least one period after [`at`](Self::at).
     pub read_at: Instant,

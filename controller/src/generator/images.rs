@@ -22,7 +22,8 @@ pub struct Sample<T> {
 /// Reading of a sensor, or order of the coordinator, as a step receives it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Received<T> {
-    /// No sample since the instruction began. Exception: a loose link keeps an earlier order until a step has read it.
+    /// No sample since the instruction began. Exception: a loose link keeps an earlier order until a step has read the
+    /// order.
     #[default]
     None,
     /// No new sample since the last step: the last sample again.

@@ -18,28 +18,28 @@ use crate::robot::Space;
 /// acceleration and jerk of the set-points therefore keep their limits. In longer macrosteps, the servo's quintic needs up
 /// to 1.4 times the jerk limit where the jerk changes inside a macrostep.
 ///
-/// Without intermediate poses, the motion [begins in motion](Generator::begins_in_motion) if the previous generator ended
-/// in motion, and can [end in motion](Self::ending_at). With [`Ecp::replace`](crate::ecp::Ecp::replace), a motion therefore
-/// continues to another target without a stop. If the start exceeds a limit, the motion returns below the limit as fast as
-/// the jerk permits.
+/// Without intermediate poses, the motion [begins in motion](Generator::begins_in_motion) if the previous generator
+/// ended in motion, and can [end in motion](Self::ending_at). With [`Ecp::replace`](crate::ecp::Ecp::replace), a motion
+/// therefore continues to another target without a stop. If velocity or acceleration at the start exceeds a limit, the
+/// motion returns below the limit as fast as the jerk limit permits.
 ///
 /// The first step solves the whole motion. The computing time is microseconds for one pose, and about 30 ms for six
-/// axes through five poses. For a single pose, only a refusal allocates. With intermediate poses, the solver formats a
-/// message for each discarded candidate: hundreds of allocations per pose. No next step allocates.
+/// axes through five poses. For a single pose, the first step allocates only in a refusal. With intermediate poses, the
+/// solver allocates hundreds of times per pose, for the messages of discarded candidates. No next step allocates.
 #[doc(alias = "ruckig")]
 #[derive(Debug)]
 pub struct JerkLimited {
     space: Space,
     axes: usize,
     plan: Plan<MAX_AXES>,
-    /// The end, with zero acceleration.
+    /// The end, with zero acceleration. The other axes stay at their position at the start.
     target: AxesState,
     duration: Option<Duration>,
     ahead: Option<u16>,
 }
 
 impl JerkLimited {
-    /// A motion from the effector's position through `poses`, for its first `axes` axes.
+    /// A motion from the effector's position through `poses`, for its first `axes` axes. The other axes stand.
     pub fn new(space: Space, axes: usize, limits: MotionLimits, poses: &[Axes]) -> Result<Self, GeneratorError> {
         limits.check(axes)?;
         let Some((&target, on_the_way)) = poses.split_last() else {
@@ -133,6 +133,7 @@ impl Generator for JerkLimited {
     fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<u32>, GeneratorError> {
         let from = self.space.commanded(e);
         let acceleration = self.space.acceleration(e);
+        self.target.position[self.axes..].copy_from_slice(&from.position[self.axes..]);
         let input = &mut self.plan.input;
         for (axis, acceleration) in acceleration.into_iter().enumerate().take(self.axes) {
             input.current_position[axis] = from.position[axis];
@@ -152,7 +153,8 @@ impl Generator for JerkLimited {
         if done == self.plan.macrosteps {
             return Ok(Next::command(self.space.setpoint(self.target), done));
         }
-        let [position, velocity, acceleration] = self.plan.at(done).map(|axes| masked(&axes, self.axes));
+        let [mut position, velocity, acceleration] = self.plan.at(done).map(|axes| masked(&axes, self.axes));
+        position[self.axes..].copy_from_slice(&self.target.position[self.axes..]);
         let state = AxesState::new(position, velocity).accelerating(acceleration);
         Ok(Next::command(self.space.setpoint(state), done))
     }

@@ -56,10 +56,10 @@ impl LineLimits {
 
 /// Planned start of a line, and the tolerance within which the arm counts as standing at this start.
 ///
-/// After homing, the arm stands at a small distance from its home position, the remainder: the braking distance after the
-/// index pulse, and some counts. A path from the actual position would contain the remainder in each pose, and could be
-/// refused: an arm of five axes reaches no pose outside its plane, and near a singular pose even a small remainder can
-/// change the branch of the inverse kinematics.
+/// After homing, the arm stands at a small distance from its home position, the remainder: the braking distance after
+/// the index pulse, and some counts. A path from the actual position would contain the remainder in each pose, and
+/// could be refused. An arm of five axes reaches no pose outside its plane. Near a singular pose, even a small
+/// remainder can change the branch of the inverse kinematics.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlannedStart {
     /// Motor positions, rad.

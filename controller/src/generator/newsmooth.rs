@@ -63,8 +63,8 @@ impl SmoothPose {
 /// segments before and after the pose if all axes moved at constant speed. With the second bound, the axis can brake to a
 /// standstill and accelerate again within either segment. Each segment can therefore be planned once and independently.
 ///
-/// The computing time of the first step is proportional to the number of poses. Only the first step of a clone may
-/// allocate.
+/// The computing time of the first step is proportional to the number of poses. The first step of a clone may allocate,
+/// all other steps do not.
 #[doc(alias = "smooth")]
 #[doc(alias = "trapezoid")]
 #[derive(Clone, Debug)]

@@ -42,11 +42,11 @@ pub struct SelectionMemory<M, N> {
 /// generator: selections can be nested.
 ///
 /// The motion is continuous if the set-points of each generator continue from `e.commanded`. [`Jog`](super::Jog),
-/// [`Wait`](super::Wait) at rest and generators that integrate a velocity do so. A planned generator does so only if it
-/// is selected where its plan begins. A change of the generator is therefore checked in the joints. The mean velocity of
-/// each joint in the macrostep must be within its limit. The change from the commanded velocity to the mean velocity must
-/// be possible in one macrostep within the acceleration limit. Otherwise the change is refused with
-/// [`GeneratorError::Switch`] before the set-point is sent, and the effector brakes.
+/// [`Wait`](super::Wait) at rest and generators that integrate a velocity do so. A planned generator does so only if
+/// the generator is selected at the begin of its plan. A change of the generator is therefore checked in the joints.
+/// The mean velocity of each joint in the macrostep must be within its limit. The change from the commanded velocity to
+/// the mean velocity must be possible in one macrostep within the acceleration limit. Otherwise the change is refused
+/// with [`GeneratorError::Switch`] before the set-point is sent, and the effector brakes.
 ///
 /// ```
 /// # use std::{sync::Arc, time::Duration};

@@ -13,9 +13,9 @@ use super::{A, Answer, EffectorImage, Generator, GeneratorError, Next, Received,
 ///
 /// In the answer, `commanded` is the state at the start of the macrostep that the order of the same step commands.
 ///
-/// An order that is not finite, and a step without a new order, are refused: no set-point is repeated, because a repeated
-/// position would contradict its velocity. Both errors are non-fatal. They brake the whole team, and the refused order is
-/// not sent. The coordinator ends the motion.
+/// An order that is not finite is an error, and so is a step without a new order. The last set-point is not repeated,
+/// because a repeated position would contradict the velocity of the set-point. Both errors are non-fatal. They brake
+/// the whole team, and the refused order is not sent. The coordinator ends the motion.
 ///
 /// ```no_run
 /// # use std::time::Duration;

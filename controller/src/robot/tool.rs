@@ -36,9 +36,9 @@ impl Arm {
         &*self.robot
     }
 
-    /// Frame of the tool in the frame of the flange.
-    pub fn flange_from_tool(&self) -> Pose {
-        self.flange_from_tool
+    /// Pose of the tool at the flange.
+    pub fn flange_from_tool(&self) -> &Pose {
+        &self.flange_from_tool
     }
 
     /// Number of axes of the robot.

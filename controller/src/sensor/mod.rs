@@ -200,8 +200,8 @@ impl Sensors {
     }
 }
 
-/// Partners that give the readings for which a step need not wait. A step waits as long as these partners lack an image
-/// that the step declares ([`Images::require`](crate::generator::Images::require)).
+/// Partners that provide only the readings for which a step need not wait. A step waits until these partners provide
+/// every image that the step declares ([`Images::require`](crate::generator::Images::require)).
 pub(crate) struct Prompt<'a>(pub(crate) &'a Sensors);
 
 impl Partners for Prompt<'_> {

@@ -42,7 +42,7 @@ pub enum Sender {
 pub enum Every {
     /// Once in each cycle. The end of the cycle is the deadline.
     Cycle,
-    /// Once in this number of cycles, at least 1. The end of its cycle is the deadline.
+    /// Once in this number of cycles, at least 1. The deadline of the message is the end of its cycle.
     Cycles(u32),
     /// At most once in this interval, without a deadline.
     Interval(Duration),

@@ -1,9 +1,10 @@
 //! Telegrams of the controller board that reads the ATI force/torque transducers of the IRp-6 robots.
 //!
-//! The host writes [`Request`]s of one byte. The board answers a query with a [`Reply`] of 14 bytes and a bias not at
-//! all. Neither has a header, a length or a checksum. The board loses a query that arrives during its last reply. After
-//! power-on the board sends a text of unknown length once. Source: the sensor process of MRROC++ for this board.
-//! Layouts only. The receiver cuts replies by time, because the line is idle between two exchanges.
+//! The host writes [`Request`]s of one byte. The board answers a query with a [`Reply`] of 14 bytes, and does not
+//! answer a bias request. Requests and replies have no header, length or checksum. The board loses a query that arrives
+//! while the board sends a reply. After power-on the board sends one text of unknown length. Source: the sensor process
+//! of MRROC++ for this board. This module has only the layouts. The receiver separates replies by time, because the
+//! line is idle between two exchanges.
 
 use crate::{Settings, StopBits};
 

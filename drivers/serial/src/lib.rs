@@ -1,9 +1,10 @@
 //! Serial lines and the telegrams of axis controllers and force/torque sensors on them.
 //!
-//! A [`Line`] carries bytes and never waits. [`hi_moxa`] and [`nfv2`] are the telegrams of the axis controllers of the
-//! IRb-6 and IRp-6 at Warsaw University of Technology, and [`ati`] those of the force/torque sensors there. [`epos2`]
-//! and [`epos4`] are the frames of maxon's service ports. Telegrams and frames are layouts only, in both directions,
-//! shared by drivers and emulators. [`service`] is the client of the service ports. Read [`Line`] first.
+//! A [`Line`] carries bytes and never waits. [`hi_moxa`] and [`nfv2`] have the telegrams of the axis controllers of the
+//! IRb-6 and IRp-6 at Warsaw University of Technology. [`ati`] has the telegrams of the force/torque sensors of these
+//! robots. [`epos2`] and [`epos4`] have the frames of maxon's service ports. Telegrams and frames are layouts only, in
+//! both directions, shared by drivers and emulators. [`service`] is the client of the service ports. Read [`Line`]
+//! first.
 
 pub mod ati;
 pub mod epos2;

@@ -63,7 +63,7 @@ pub(super) struct Drive {
     pub(super) synchronized: bool,
     faults: Faults,
     cabinet: Cabinet,
-    /// The present chunk of an axis in a scene: sub-steps so far, and the demand.
+    /// The chunk in progress of an axis in a scene: number of sub-steps done, and the demand.
     chunk: Option<(u32, Demand)>,
 }
 
@@ -90,10 +90,12 @@ impl Drive {
         drive
     }
 
-    /// Advances the axis to the last sub-step before `now`. An axis in a scene has been advanced by the scene.
+    /// Advances the axis to the last sub-step before `now`. An axis in a scene is already there, and only its chunk
+    /// ends.
     pub(super) fn catch_up(&mut self, now: Instant) {
+        // A chunk in progress may have begun in a scene that has ended since.
+        self.cut_chunk();
         if self.axis.in_scene() {
-            self.cut_chunk();
             return;
         }
         loop {

@@ -18,10 +18,12 @@ const LAZIEST: Duration = Duration::from_millis(20);
 
 impl Application for Drive {
     /// Advances the axis to `now` in whole chunks. With `exact` the remaining sub-steps are simulated as well. An axis
-    /// in a scene has been advanced by the scene.
+    /// in a scene was advanced by the scene before, and only its chunk ends.
     fn catch_up(&mut self, now: Instant, exact: bool, objects: &mut Objects) -> Option<Error> {
-        if self.axis.in_scene() {
-            return self.cut_chunk(objects);
+        // A chunk in progress may have begun in a scene that has ended since.
+        let error = self.cut_chunk(objects);
+        if error.is_some() || self.axis.in_scene() {
+            return error;
         }
         loop {
             let left = now.since(self.simulated);

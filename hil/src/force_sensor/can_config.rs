@@ -10,7 +10,7 @@ use super::TransducerConfig;
 /// Configuration of one sensor on a CAN bus.
 #[derive(Clone, Debug)]
 pub struct CanForceSensorConfig {
-    /// Node-ID of the unit. `None`: LSS is to assign a node-ID, and the unit sends nothing before.
+    /// Node-ID of the unit. With `None`, the unit sends nothing until LSS assigns a node-ID.
     pub node: Option<NodeId>,
     /// Object 0x1018:1; 0 is no registered vendor.
     pub vendor: u32,
@@ -34,7 +34,7 @@ pub struct CanForceSensorConfig {
     pub resolution_16: Resolution,
     /// Scale of the 32-bit counts (object 0x2001).
     pub resolution_32: Resolution,
-    /// Time between two samples for SDO requests and event-driven TPDOs. Each SYNC takes a sample of its own.
+    /// Time between two samples that SDO answers and event-driven TPDOs carry. Each SYNC takes an additional sample.
     pub sample_period: Duration,
 }
 
@@ -43,11 +43,11 @@ pub struct CanForceSensorConfig {
 pub enum CountWidth {
     /// Three counts of 16 bits per TPDO: forces in TPDO 1, torques in TPDO 2.
     Bits16,
-    /// Two counts of 32 bits per TPDO, in TPDOs 1 to 3. A frame of CAN has room for two.
+    /// Two counts of 32 bits per TPDO, in TPDOs 1 to 3: a CAN frame has eight bytes.
     Bits32,
 }
 
-/// Scale of counts. The sensor shows its scale in object 0x2004.
+/// Scale of counts. Object 0x2004 of the sensor has these values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Resolution {
     /// Force of one count, µN.
@@ -69,8 +69,8 @@ impl Resolution {
 }
 
 impl CanForceSensorConfig {
-    /// A sensor with 16-bit counts of 0.02 N and 0.001 N·m, and 32-bit counts of 0.001 N and 0.00001 N·m. The sample period
-    /// is 1 ms. Boot and answer delays are short.
+    /// A sensor with 16-bit counts of 0.02 N and 0.001 N·m, and 32-bit counts of 0.001 N and 0.00001 N·m. The sample
+    /// period is 1 ms, the boot delay 50 ms, and the answer delay 300 µs.
     pub fn new(node: NodeId, transducer: TransducerConfig) -> Self {
         Self {
             node: Some(node),

@@ -1,9 +1,9 @@
 //! The sensor on a CAN bus: a CANopen node whose TPDOs carry the reading.
 //!
-//! The node has SDO server, identity, heartbeat and LSS of all emulated nodes. SYNC takes a sample, which the
-//! synchronous TPDOs of the same SYNC carry. Event timers send the last sample, which is at most
-//! [`CanForceSensorConfig::sample_period`] old. The comments of the data sheet ([`CanForceSensor::eds`]) describe the
-//! manufacturer-specific objects.
+//! The node has SDO server, identity, heartbeat and LSS of all emulated nodes. At each SYNC the sensor takes a sample,
+//! and the synchronous TPDOs of this SYNC carry the sample. TPDOs with an event timer carry the last sample, which is
+//! at most [`CanForceSensorConfig::sample_period`] old. The comments of the data sheet ([`CanForceSensor::eds`])
+//! describe the manufacturer-specific objects.
 
 use std::borrow::Cow;
 use std::time::Duration;
@@ -112,7 +112,7 @@ impl Slots {
     }
 }
 
-/// The transducer, as the application of its node.
+/// The application of the node: the transducer and its sample times.
 struct Sensor {
     slots: Slots,
     transducer: Transducer,
@@ -180,7 +180,7 @@ impl Application for Sensor {
     }
 
     fn start(&mut self, objects: &mut Objects) {
-        // The dictionary was reset after the last sample.
+        // The reset of the dictionary has cleared the last sample.
         self.sample_again(objects);
     }
 

@@ -8,14 +8,14 @@
 //! | 0x62 `b` | the present load reads as zero from now on; no reply |
 //! | 0x71 `q` | a reply of 14 bytes: six 16-bit counts, high byte first, then two bytes of unknown meaning |
 //!
-//! The driver reads the last two bytes and ignores them. A comment of the driver says that the board sends a message
-//! after power-on. The following behaviour is chosen here:
+//! The driver ignores the last two bytes. A comment in the driver says that the board sends a message after power-on.
+//! No source gives the following behaviour; the emulator chooses it:
 //!
 //! * The sample of a reply is taken when the last bit of the query has arrived.
 //! * The message after power-on is one line of text.
 //! * A query that arrives while a reply or the text is sent is lost. A bias request always takes effect.
 //! * All other bytes are ignored. Before the text is sent, the board ignores every byte.
-//! * The bias is one sample with its noise.
+//! * The bias is one sample, including its noise.
 
 use std::time::Duration;
 
@@ -108,7 +108,7 @@ impl SerialForceSensor {
         })
     }
 
-    /// Number of queries that arrived during boot, the text or a reply.
+    /// Number of lost queries: queries that arrived during boot, or while the text or a reply was sent.
     pub fn lost_queries(&self) -> u64 {
         self.lost_queries
     }
@@ -143,7 +143,7 @@ impl LineDevice for SerialForceSensor {
 
     fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
         let byte = self.outbox.poll_transmit(now);
-        // The line asks again when the last bit of a byte has left.
+        // The line calls this function again when the last bit of a byte was sent.
         self.sending = byte.is_some();
         byte
     }

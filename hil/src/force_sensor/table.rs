@@ -23,10 +23,10 @@ pub(super) const TEMPERATURE: u16 = 0x2005;
 /// Sample period, µs.
 pub(super) const SAMPLE_PERIOD: u16 = 0x2006;
 
-/// Mark of a write that the sensor applies.
+/// Mark of object 0x2003: the sensor applies a write to this object.
 pub(super) const BIAS_MARK: u8 = 1;
 
-/// COB-IDs before the node-ID is added. No RPDO exists. TPDO 3 exists with 32-bit counts.
+/// COB-IDs without the node-ID. All RPDOs are switched off. TPDO 3 is switched on with 32-bit counts.
 const RECEIVED_COB: [u32; 4] = [0x8000_0200, 0x8000_0300, 0x8000_0400, 0x8000_0500];
 const TRANSMITTED_COB: [u32; 4] = [0x4000_0180, 0x4000_0280, 0xC000_0380, 0xC000_0480];
 /// Bit 31 of a COB-ID: the PDO is switched off.
@@ -60,7 +60,7 @@ pub(super) fn table(config: &CanForceSensorConfig) -> Vec<Entry> {
     rows.extend(COMMUNICATION);
     rows.extend(pdo_rows::<RPDO_ROWS>(PdoKind::Rpdo, RECEIVED_COB, 0, [&[]; 4]));
     rows.extend(pdo_rows::<TPDO_ROWS>(PdoKind::Tpdo, cob, 0, mapping));
-    // The values change with every sample. The application counts no event, so that only SYNC and timer send them.
+    // The values change with every sample, and a change is no event. Only SYNC and the event timer therefore send them.
     let value = |index, sub, kind| ro(index, sub, kind, 0).tx().counts_events();
     for (index, kind) in [(COUNTS_16, I16), (COUNTS_32, I32)] {
         rows.push(ro(index, 0, U8, 6));

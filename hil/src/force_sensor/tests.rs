@@ -1,4 +1,4 @@
-//! Stand-ins for the world, and the tests of the transducer and of both sensors.
+//! Tests of the transducer and of both sensors, and wrench sources in place of a scene.
 
 mod can_node;
 mod line;

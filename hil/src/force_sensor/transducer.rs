@@ -10,7 +10,7 @@ use crate::plant::Noise;
 /// Errors and range of a transducer. The arrays have the order of [`Channel::ALL`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct TransducerConfig {
-    /// Reading per true value. 1 is exact.
+    /// Reading per true value; 1 for an exact transducer.
     pub gain: [f64; 6],
     /// Greatest magnitude of a reading before the bias is subtracted, N and N·m. A reading at the range is saturated.
     pub range: [f64; 6],
@@ -18,7 +18,7 @@ pub struct TransducerConfig {
     pub offset: [f64; 6],
     /// Standard deviation of the white noise of a sample, N and N·m.
     pub noise: [f64; 6],
-    /// Change of the reading per temperature, N/K and N·m/K.
+    /// Change of the reading per change of temperature, N/K and N·m/K.
     pub drift: [f64; 6],
     /// Temperature of the transducer.
     pub temperature: TemperatureCourse,
@@ -53,8 +53,8 @@ impl TemperatureCourse {
 }
 
 impl Default for TransducerConfig {
-    /// A transducer without errors. The range is that of the calibration SI-130-10 of ATI's Gamma: 130 N and 400 N
-    /// along z, 10 N·m. No source gives the calibration of the transducers of the IRp-6.
+    /// A transducer without errors. The range is the range of ATI's Gamma with calibration SI-130-10: 130 N along x and
+    /// y, 400 N along z, and 10 N·m. No source gives the calibration of the transducers of the IRp-6.
     fn default() -> Self {
         Self {
             gain: [1.0; 6],
@@ -131,7 +131,7 @@ impl Transducer {
         reading
     }
 
-    /// Takes a sample at `now`, whose values become the zero of later readings. The sample has noise.
+    /// Takes a sample at `now`, including its noise. The values of the sample become the zero of later readings.
     pub(super) fn set_bias(&mut self, now: Instant) {
         self.bias = self.sample(now).values;
     }

@@ -40,7 +40,8 @@ pub(crate) trait Application: Send + 'static {
     /// Advances to `now`, or to an error on the way. Called until `None`. Without `exact` the application may lag.
     fn catch_up(&mut self, now: Instant, exact: bool, objects: &mut Objects) -> Option<Error>;
 
-    /// Advances mechanics in a scene to `now`, or to an error on the way. Called until `None`.
+    /// Advances the axis in a scene to `now`, or to the time of an error before `now`. Called until the result is
+    /// `None`.
     fn advance_mechanics(&mut self, _now: Instant, _objects: &mut Objects) -> Option<Error> {
         None
     }
@@ -166,7 +167,8 @@ impl<A: Application> Node<A> {
         }
     }
 
-    /// Advances mechanics in a scene to `now`. Returns whether an error occurred, which may have to be sent.
+    /// Advances the axis in a scene to `now`. Returns whether an error occurred: the node may then have a frame to
+    /// send.
     pub(crate) fn advance_mechanics(&mut self, now: Instant) -> bool {
         let mut failed = false;
         while let Some(error) = self.application.advance_mechanics(now, &mut self.objects) {

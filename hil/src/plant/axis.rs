@@ -1,7 +1,7 @@
 //! An emulated axis: motor, encoder, switches.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
 use thiserror::Error;
 
@@ -139,12 +139,13 @@ pub struct AngleProbe(Arc<Probed>);
 #[derive(Debug)]
 struct Probed {
     angle: AtomicU64,
-    in_scene: AtomicBool,
+    /// Number of belts that the motor drives.
+    belts: AtomicU32,
 }
 
 impl AngleProbe {
     fn new(angle: f64) -> Self {
-        Self(Arc::new(Probed { angle: AtomicU64::new(angle.to_bits()), in_scene: AtomicBool::new(false) }))
+        Self(Arc::new(Probed { angle: AtomicU64::new(angle.to_bits()), belts: AtomicU32::new(0) }))
     }
 
     /// Angle of the motor shaft, rad.
@@ -152,13 +153,18 @@ impl AngleProbe {
         f64::from_bits(self.0.angle.load(Ordering::Relaxed))
     }
 
-    /// Makes the motor advance with a scene, or on its own again.
-    pub(crate) fn set_in_scene(&self, in_scene: bool) {
-        self.0.in_scene.store(in_scene, Ordering::Relaxed);
+    /// Counts a belt of a scene that this motor drives. The motor advances with the scene from now on.
+    pub(crate) fn add_belt(&self) {
+        self.0.belts.fetch_add(1, Ordering::Relaxed);
     }
 
-    fn in_scene(&self) -> bool {
-        self.0.in_scene.load(Ordering::Relaxed)
+    /// Ends the drive of one belt. After the end of its last belt, the motor advances without the scene.
+    pub(crate) fn remove_belt(&self) {
+        self.0.belts.fetch_sub(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn in_scene(&self) -> bool {
+        self.0.belts.load(Ordering::Relaxed) > 0
     }
 
     fn show(&self, angle: f64) {
@@ -251,7 +257,7 @@ impl PlantAxis {
         }
     }
 
-    /// Reads the switches after `dt_steps` sub-steps, and shows the shaft to others.
+    /// Reads the switches after `dt_steps` sub-steps, and publishes the angle of the shaft.
     pub(crate) fn end(&mut self, dt_steps: u32) {
         let angle = self.plant.angle();
         if let (Plant::Wut(_), Some(mount)) = (&self.plant, &self.mount) {
@@ -265,7 +271,7 @@ impl PlantAxis {
         }
     }
 
-    /// Whether the axis moves a robot or a belt in a scene, with which it advances in single sub-steps.
+    /// Whether the axis moves a robot or a belt in a scene. Such an axis advances with the scene, in single sub-steps.
     pub(crate) fn in_scene(&self) -> bool {
         self.mount.as_ref().is_some_and(Mount::in_scene) || self.probe.as_ref().is_some_and(AngleProbe::in_scene)
     }

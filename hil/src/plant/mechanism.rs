@@ -53,7 +53,7 @@ pub enum MechanismConfig {
 /// millisecond. Left out: bending; friction that depends on load; forces from accelerations and speeds of the other
 /// axes. An exception is a change of inertia by the other axes, which conserves momentum.
 ///
-/// The motors of a mechanism in a [`Scene`](crate::scene::Scene) also feel the forces on the flange, in each sub-step.
+/// In a [`Scene`](crate::scene::Scene), the forces on the flange also load the motors, in each sub-step.
 ///
 /// The load of an axis follows from the last simulated positions of the other axes. The result is a function of
 /// configurations, seeds and the order of all calls. A [`World`](crate::World) keeps that order. If several threads
@@ -184,7 +184,8 @@ impl Mechanism {
 
     /// Unit vector against gravity in the base frame. The origin of that frame depends on the robot:
     ///
-    /// * IRb-6 and IRp-6: the shoulder, z up. On the track: the shoulder with the carriage at zero, which moves along y.
+    /// * IRb-6 and IRp-6: the shoulder, z up. On the track: the place of the shoulder with the carriage at zero. The
+    ///   carriage moves along y.
     /// * RNT: the centre of the legs' joints in the base, z along the central leg.
     /// * Polycrank: on axis 1, which is the z axis.
     pub fn up(&self) -> [f64; 3] {
@@ -196,13 +197,13 @@ impl Mechanism {
         .into()
     }
 
-    /// Mass, kg, that resists a force on a point of the tool in a direction: the force per acceleration of the point in
-    /// that direction, with all motors free and without friction. `point` is in the flange frame, m, `direction` in the
-    /// base frame. Infinite if no motor moves the point in that direction. The inertia of each motor is that of
-    /// [`Mechanism::load`].
+    /// Effective mass, kg, of a point of the tool in a direction: force per acceleration, with all motors free and
+    /// without friction. `point`, m, is in the flange frame, and `direction` in the base frame. Infinite if no motor
+    /// moves the point in this direction. The inertia of each motor is given by [`Mechanism::load`]; the inertial
+    /// coupling between motors is neglected.
     ///
-    /// A motor whose drive holds its position resists more, but not at once: the mass decides the peak of an impact that
-    /// is short compared with the reaction of the drives.
+    /// A drive that holds its position adds resistance only after its reaction time. The effective mass determines the
+    /// peak force of an impact that is shorter than this time.
     pub fn effective_mass(&self, point: [f64; 3], direction: [f64; 3]) -> f64 {
         let (kinematics, _) = self.kinematics();
         let arm = kinematics.flange.axes * Vector3::from(point);
@@ -214,7 +215,7 @@ impl Mechanism {
         1.0 / mobility
     }
 
-    /// Makes the mechanism part of a scene. Returns whether it was part of one before.
+    /// Makes the mechanism part of a scene. Returns whether the mechanism was already part of a scene.
     pub(crate) fn enter_scene(&self) -> bool {
         let robot = self.lock();
         let shafts = self.0.shafts.iter().zip(robot.homes.iter().zip(&robot.motors));
@@ -224,7 +225,7 @@ impl Mechanism {
         self.0.in_scene.swap(true, Ordering::Relaxed)
     }
 
-    /// Ends the part of the mechanism in a scene, and with it all forces on the flange.
+    /// Removes the mechanism from its scene, and clears all forces on the flange.
     pub(crate) fn leave_scene(&self) {
         self.0.in_scene.store(false, Ordering::Relaxed);
         for shaft in &self.0.shafts {
@@ -236,14 +237,17 @@ impl Mechanism {
         self.0.in_scene.load(Ordering::Relaxed)
     }
 
-    /// The flange at the present angles of the shafts, and the velocities of the shafts, rad/s.
+    /// The flange at the present motor angles, and the velocities of the motor shafts, rad/s. Without a scene, the
+    /// angles are the last angles of [`Mechanism::load`], and the velocities are zero.
     pub(crate) fn kinematics(&self) -> (Kinematics, [f64; AXES]) {
         let mut robot = self.lock();
-        let mut motors = [0.0; AXES];
+        let mut motors = robot.motors;
         let mut velocities = [0.0; AXES];
-        for (number, shaft) in self.0.shafts[..robot.count].iter().enumerate() {
-            motors[number] = shaft.angle() - robot.homes[number];
-            velocities[number] = shaft.velocity();
+        if self.in_scene() {
+            for (number, shaft) in self.0.shafts[..robot.count].iter().enumerate() {
+                motors[number] = shaft.angle() - robot.homes[number];
+                velocities[number] = shaft.velocity();
+            }
         }
         let kinematics = match &mut robot.links {
             Links::Irp6(irp6) => irp6.kinematics(&motors),
@@ -253,8 +257,8 @@ impl Mechanism {
         (kinematics, velocities)
     }
 
-    /// Loads the motors with a force on the flange's origin, N, and a torque, N·m, both in the base frame, until the
-    /// next call.
+    /// Sets the wrench that loads the motors until the next call: a force, N, at the origin of the flange, and a
+    /// torque, N·m, both in the base frame.
     pub(crate) fn push(&self, kinematics: &Kinematics, force: &Vector3<f64>, torque: &Vector3<f64>) {
         for (shaft, torque) in self.0.shafts.iter().zip(kinematics.torques(force, torque)) {
             shaft.set_torque(torque);

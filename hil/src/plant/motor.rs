@@ -141,7 +141,7 @@ impl Motor {
     }
 
     /// One sub-step under a voltage, V. `None` means that the power stage is off, which ends the current at once. A
-    /// brake resists by up to `brake` N·m. `outer` is the torque of forces on the robot, N·m.
+    /// brake resists by up to `brake` N·m. `outer` is the torque that forces on the robot cause at the motor, N·m.
     ///
     /// The current follows the exact solution of `L di/dt = V - R i - Ke w` at constant speed. The shaft follows
     /// semi-implicit Euler with friction by [`Friction::apply`].

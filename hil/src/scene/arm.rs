@@ -21,12 +21,12 @@ pub(super) struct Arm {
     pub(super) motion: Motion,
     pub(super) tips: Vec<Sphere>,
     pub(super) sensors: Vec<Sensor>,
-    /// Forces on the tool about the origin of the flange.
+    /// Wrench of the forces on the tool about the origin of the flange, in the axes of the world.
     pub(super) wrench: Wrench,
 }
 
 impl Arm {
-    /// The mechanism takes part in the scene from now on.
+    /// A robot whose mechanism has already entered the scene. `base`: pose of the base frame in the world.
     pub(super) fn new(mechanism: &Mechanism, base: &Isometry3<f64>) -> Self {
         let base = (base.translation.vector, base.rotation.to_rotation_matrix().into_inner());
         let (kinematics, _) = mechanism.kinematics();
@@ -48,7 +48,7 @@ impl Arm {
         arm
     }
 
-    /// Moves the flange to where the motors are, and clears the forces.
+    /// Computes the flange from the present motor angles, and clears the forces.
     pub(super) fn follow(&mut self) {
         let (kinematics, velocities) = self.mechanism.kinematics();
         let twist = kinematics.twist(&velocities);
@@ -63,14 +63,15 @@ impl Arm {
         let turn = Rotation3::from_matrix_unchecked(self.flange.axes);
         self.before = self.now;
         self.now = Place { origin: self.flange.origin, turn: UnitQuaternion::from_rotation_matrix(&turn) };
-        // The quaternions of one rotation differ in sign. A way between two of them must be the short one.
+        // Two quaternions of opposite sign describe the same rotation. The interpolation needs the nearer one.
         if self.before.turn.coords.dot(&self.now.turn.coords) < 0.0 {
             self.now.turn = UnitQuaternion::new_unchecked(-self.now.turn.into_inner());
         }
         self.wrench = Wrench::default();
     }
 
-    /// Sets the motion of the flange over the part of the last step between two shares, which lasts `dt` seconds.
+    /// Sets the motion of the flange over a part of the last step: from the share `from` of the step to the share `to`.
+    /// The part lasts `dt` seconds.
     pub(super) fn set_motion(&mut self, from: f64, to: f64, dt: f64) {
         let place = |share| self.before.towards(&self.now, share);
         self.motion = Motion::between(&place(from), &place(to), dt);
@@ -81,12 +82,12 @@ impl Arm {
         Isometry3::from_parts(self.now.origin.into(), self.now.turn)
     }
 
-    /// Adds a force on the tool at a point of the world.
+    /// Adds a force, N, on the tool at a point, m. Both are in the axes of the world.
     pub(super) fn push(&mut self, at: &Vector3<f64>, force: &Vector3<f64>) {
         self.wrench.push(&(at - self.flange.origin), force);
     }
 
-    /// Hands the forces to the motors and to the sensors.
+    /// Applies the forces to the sensors and to the motors.
     pub(super) fn finish(&mut self, gravity: &Vector3<f64>) {
         for sensor in &mut self.sensors {
             sensor.measure(&self.flange, &self.wrench, gravity);

@@ -13,8 +13,8 @@ pub struct BodyConfig {
     pub mass: f64,
     /// Half of each edge, m.
     pub half: [f64; 3],
-    /// Elasticity and friction of the faces, where a corner of another body or the tip of a tool touches them. Corners
-    /// that touch another surface take the values of that surface.
+    /// Elasticity and friction of the faces. The values apply where a corner of another body or the tip of a tool
+    /// touches a face. Where a corner of this body touches another surface, the values of the other surface apply.
     pub material: Material,
     /// Place of the centre in the world.
     pub pose: Isometry3<f64>,
@@ -58,10 +58,10 @@ pub(super) struct Body {
     /// Velocity and angular momentum at the end of the present step.
     end: (Vector3<f64>, Vector3<f64>),
     end_place: Place,
-    /// Resistance of the grips to the mean velocity and the angular velocity over the present step, N·s/m, N·s and
-    /// N·m·s.
+    /// Resistance of the grips: force and torque per mean velocity and angular velocity over the present step, N·s/m,
+    /// N·s and N·m·s.
     resistance: Matrix6<f64>,
-    /// Share of a correction of the guess that the resistance leaves; `None` without a grip.
+    /// Factor of a correction of the guess, because of the resistance; `None` without a grip.
     share: Option<Matrix6<f64>>,
 }
 
@@ -121,7 +121,7 @@ impl Body {
         0.5 * (self.mass * self.velocity.norm_squared() + local.component_div(&self.inertia).dot(&local))
     }
 
-    /// Begins a step with the motion that no force would change.
+    /// Begins a step. The first guess is the motion without forces.
     pub(super) fn begin(&mut self, dt: f64) {
         let axes = self.place.axes();
         self.motion = Motion::standing(self.place.origin, axes);
@@ -148,19 +148,20 @@ impl Body {
         let mut mass = Matrix6::zeros();
         add(&mut mass, 0, 0, Matrix3::identity() * self.mass);
         add(&mut mass, 3, 3, axes * Matrix3::from_diagonal(&self.inertia) * axes.transpose());
-        // The sum is positive definite, because the mass is.
+        // The sum is positive definite because the mass matrix is positive definite.
         self.share = (mass + self.resistance * (0.5 * dt)).cholesky().map(|sum| sum.solve(&mass));
     }
 
-    /// Computes the end of the step under the forces of the present guess. Returns the change of the mean velocity of
-    /// any point of the body since the last guess, m/s.
+    /// Computes the end of the step under the forces of the present guess. Returns an upper bound, m/s, of the change
+    /// of any body point's mean velocity since the last guess.
     ///
-    /// The mean velocity is that at the beginning and at the end. The angular velocity is that of the mean of the
-    /// angular momentum in the axes of the body. Energy changes exactly by the work of the forces, and momentum by
-    /// their impulse (Lewis, Simo, 1994).
+    /// The mean velocity is the mean of the velocities at the beginning and at the end of the step. The angular
+    /// velocity follows from the mean of the angular momenta at both ends, each in the axes of the body. The change of
+    /// energy is exactly the work of the forces, and the change of momentum is exactly their impulse (Lewis, Simo,
+    /// 1994).
     ///
-    /// The next guess of a body in a grip is that of a quasi-Newton method: a damper on a light bar is so strong that
-    /// plain repetition would not converge at any practical step.
+    /// For a body in a grip, a quasi-Newton method computes the next guess. Plain fixed-point iteration would not
+    /// converge at any practical step if a strong damper holds a light bar.
     pub(super) fn improve(&mut self, dt: f64) -> f64 {
         let velocity = self.velocity + self.wrench.force * (dt / self.mass);
         let momentum = self.momentum + self.wrench.torque * dt;

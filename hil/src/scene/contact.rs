@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::motion::{Motion, Moving};
 use super::surface::{Material, Shape};
 
-/// A sphere: its centre in the frame that carries it, m, and its radius, m.
+/// A sphere: centre in the frame of its carrier, m, and radius, m.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sphere {
     pub(super) centre: Vector3<f64>,
@@ -21,7 +21,8 @@ pub(super) struct Surface {
     pub(super) belt: Vector3<f64>,
 }
 
-/// Force of a contact on the sphere. Its opposite acts on the surface at the same points.
+/// Forces of a contact on the sphere, in the axes of the world. The opposite forces act on the surface at the same
+/// points.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Push {
     /// Centre of the sphere, m.
@@ -36,9 +37,9 @@ pub(super) struct Push {
     pub(super) bristle: Vector3<f64>,
 }
 
-/// Mean force over a step of `dt` seconds; `None` without a contact at its beginning and at its end.
+/// Mean forces over a step of `dt` seconds; `None` if there is no contact at either end of the step.
 ///
-/// The force does exactly the work by which the energy of the springs decreases, except for losses.
+/// The work of the forces is the decrease of the energy of the springs, less the losses by damping and friction.
 pub(super) fn over_step(
     sphere: &Sphere,
     carrier: &Motion,
@@ -73,12 +74,12 @@ pub(super) fn over_step(
     Some(Push { centre: middle, normal, touch: middle + lever, drag: axes * drag, bristle })
 }
 
-/// Mean slope of the gap over a step: the slope times the way is the change of the gap (Gonzalez, 1996).
+/// Mean gradient of the gap over a step: gradient times displacement is the change of the gap (Gonzalez, 1996).
 fn slope(shape: &Shape, points: &[Vector3<f64>; 2], way: &Vector3<f64>, change: f64) -> Vector3<f64> {
     let (_, normal) = shape.gap(&(0.5 * (points[0] + points[1])));
     let squared = way.norm_squared();
     let missing = change - normal.dot(way);
-    // On a plane the normal is the slope, and only a rounding error is missing.
+    // On a plane the normal is the gradient, and `missing` is a rounding error.
     if missing.abs() <= 1e-14 { normal } else { normal + way * (missing / squared) }
 }
 
@@ -87,8 +88,7 @@ fn along(vector: &Vector3<f64>, normal: &Vector3<f64>) -> Vector3<f64> {
     vector - normal * normal.dot(vector)
 }
 
-/// Force at one instant, after the bristle was displaced by the motion of the last `dt` seconds; `None` without a
-/// contact.
+/// Forces at one instant; `None` without a contact. The motion of the last `dt` seconds displaces the bristle first.
 pub(super) fn at_instant(
     sphere: &Sphere,
     carrier: &Moving,

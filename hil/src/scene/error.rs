@@ -5,7 +5,7 @@ use thiserror::Error;
 /// Why a part cannot be added to a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum SceneError {
-    /// The energy of the surface would grow, or the surface is no spring.
+    /// The damping or the friction would add energy, or the stiffness is not above zero.
     #[error(
         "a surface with {stiffness} N/m, {damping} N·s/m and friction {friction} is not passive: use a stiffness above \
          zero, and neither damping nor friction below zero"
@@ -18,7 +18,7 @@ pub enum SceneError {
         /// Friction.
         friction: f64,
     },
-    /// The energy of the grip would grow.
+    /// A stiffness or a damping below zero would add energy.
     #[error("a grip with {stiffness} N/m and {damping} N·s/m is not passive: use no value below zero")]
     Grip {
         /// Stiffness, N/m.
@@ -46,13 +46,13 @@ pub enum SceneError {
         /// The quantity.
         what: &'static str,
     },
-    /// The base of the robot stands so that the weight of its links would point elsewhere than the weight of bodies.
+    /// The weight of the robot's links would have another direction than the weight of the bodies.
     #[error("the base of the robot leans by {angle:.4} rad: turn the base so that its upward direction is up")]
     Leaning {
-        /// Angle between the upward directions, rad.
+        /// Angle between the upward directions of the robot and of the scene, rad.
         angle: f64,
     },
-    /// The mechanism is part of another scene, or twice in one scene.
+    /// The mechanism already belongs to this scene or to another scene.
     #[error("the robot is part of a scene already: add each robot once, and keep one scene for the cell")]
     Taken,
 }

@@ -8,8 +8,8 @@ use super::motion::{Motion, Wrench};
 use super::{CornersOn, Grip, Ground, Holder, REPETITIONS, RobotId, SOLVED, STEP_SECONDS, Scene, Shape, Wall, grip};
 
 impl Scene {
-    /// Moves the bodies over the part of the present step between the shares `from` and `to`. A part that cannot be
-    /// solved is divided into halves, up to `halvings` times.
+    /// Moves the bodies over a part of the present step: from the share `from` of the step to the share `to`. A part
+    /// that cannot be solved is halved, up to `halvings` times.
     pub(super) fn move_bodies(&mut self, from: f64, to: f64, halvings: u32) {
         if self.bodies.is_empty() {
             return;
@@ -25,7 +25,7 @@ impl Scene {
         self.move_bodies(middle, to, halvings - 1);
     }
 
-    /// Computes the end of a part of the step. Returns whether repetition has converged.
+    /// Computes the end of a part of the step. Returns whether the iteration has converged.
     fn solve(&mut self, from: f64, to: f64) -> bool {
         let dt = (to - from) * STEP_SECONDS;
         for arm in &mut self.arms {
@@ -128,7 +128,8 @@ impl Scene {
             let push = match pair.ground {
                 Ground::Wall(wall) => {
                     let wall = &walls[wall];
-                    // The motion of the whole step displaces the bristle on a wall here.
+                    // The bristle of a tip on a wall is displaced once per step, here, by the motion over the whole
+                    // step.
                     let push =
                         at_instant(sphere, &arm.flange, &wall.surface, &wall.moving, &pair.bristle, STEP_SECONDS);
                     pair.bristle = push.map_or(Vector3::zeros(), |push| push.bristle);

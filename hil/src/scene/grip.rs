@@ -18,8 +18,8 @@ pub struct GripConfig {
 }
 
 impl GripConfig {
-    /// 1e5 N/m, 300 N·s/m and 2e3 N·m/rad. The damping of the angle is that of the displacement in proportion to the
-    /// stiffness (chosen here).
+    /// 1e5 N/m, 300 N·s/m and 2e3 N·m/rad. Damping per stiffness is 3 ms for displacements and for angles (chosen
+    /// here).
     pub const NOMINAL: Self = Self { stiffness: 1e5, damping: 300.0, turning_stiffness: 2e3, turning_damping: 6.0 };
 
     pub(super) fn is_passive(&self) -> bool {
@@ -48,7 +48,8 @@ impl From<&Isometry3<f64>> for End {
     }
 }
 
-/// Forces of a grip on its body. The opposite force acts on the gripper at its own point.
+/// Force and torque of a grip on its body, in the axes of the world. The opposite force acts on the gripper at
+/// `anchor`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Hold {
     /// Point of the body, m, at which the force acts.

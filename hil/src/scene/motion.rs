@@ -2,11 +2,11 @@
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-/// Positions of a frame at the beginning and at the end of a step.
+/// Poses of a frame at the beginning and at the end of a step, in the world.
 ///
-/// The rotation is that of Cayley's map: the difference of the two rotation matrices is the mean angular velocity,
-/// crossed with their mean, times the step. With mean positions as lever arms, the work of a force and the work of its
-/// torque over the step are then exact (Simo, Tarnow, Wong, 1992).
+/// The rotation follows Cayley's map: R₁ − R₀ = dt · ω × ½ (R₀ + R₁), with the rotation matrices R₀ and R₁ and the mean
+/// angular velocity ω. With mean positions as lever arms, the work of a force and of its torque over the step is then
+/// exact (Simo, Tarnow, Wong, 1992).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion {
     /// Origin at the beginning and at the end, m.
@@ -18,7 +18,7 @@ pub(super) struct Motion {
 }
 
 impl Motion {
-    /// A frame that stands.
+    /// A frame at rest.
     pub(super) fn standing(origin: Vector3<f64>, axes: Matrix3<f64>) -> Self {
         Self { origin: [origin; 2], axes: [axes; 2], spin: Vector3::zeros() }
     }
@@ -40,7 +40,7 @@ impl Motion {
         0.5 * (self.origin[0] + self.origin[1])
     }
 
-    /// Mean axes. The matrix is a rotation up to the square of the angle of the step.
+    /// Mean axes. The matrix differs from a rotation by the order of the square of the rotation angle in the step.
     pub(super) fn mean_axes(&self) -> Matrix3<f64> {
         0.5 * (self.axes[0] + self.axes[1])
     }
@@ -60,7 +60,7 @@ impl Place {
         self.turn.to_rotation_matrix().into_inner()
     }
 
-    /// The place after the `share` of the way to `end`.
+    /// The place at `share` of the displacement to `end`, 0 to 1.
     pub(super) fn towards(&self, end: &Self, share: f64) -> Self {
         Self { origin: self.origin + share * (end.origin - self.origin), turn: self.turn.nlerp(&end.turn, share) }
     }
@@ -88,7 +88,7 @@ impl Moving {
         spin: Vector3::new(0.0, 0.0, 0.0),
     };
 
-    /// Velocity of the material point at `point`, m, of the world.
+    /// Velocity, m/s, of the point of the frame that is at `point`, m, in the world.
     pub(super) fn velocity_at(&self, point: &Vector3<f64>) -> Vector3<f64> {
         self.velocity + self.spin.cross(&(point - self.origin))
     }

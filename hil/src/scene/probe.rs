@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Matrix3, Vector3};
 use super::body::BodyState;
 use super::motion::{Moving, Wrench};
 
-/// The true wrench on a force/torque sensor, asked for by an emulated device.
+/// Source of the true wrench on a force/torque sensor, for an emulated device.
 pub trait WrenchProbe: Send {
     /// Wrench at `now` in the frame of the sensor: three forces, N, then three torques, N·m. `now` never decreases.
     fn wrench(&mut self, now: Instant) -> [f64; 6];
@@ -16,12 +16,12 @@ pub trait WrenchProbe: Send {
 
 /// A force/torque sensor between flange and tool.
 ///
-/// The wrench is the load that the tool puts on the sensor: forces of contacts and grips on the tool, plus weight and
-/// minus inertia of all parts beyond the sensor, about the origin of the sensor's frame. At rest and without a contact
-/// the sensor measures the weight of the tool.
+/// The wrench is the load of the tool on the sensor, about the origin of the sensor's frame and in its axes. The load
+/// has two parts: contact and grip forces on the tool, and gravity and inertial forces of all parts beyond the sensor.
+/// At rest and without a contact the sensor measures the weight of the tool.
 ///
-/// The mechanism moves the mass of the tool as part of its links or as its payload. The mass is given here for the
-/// measurement only and adds no load to the motors. The mass of a body in a gripper belongs to the body.
+/// `mass` is used for the measurement only and adds no load to the motors: for the motors, the mass of the tool is part
+/// of the links or of the payload of the mechanism. The mass of a body in a gripper is not part of `mass`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorConfig {
     /// The frame of the sensor in the flange frame of [`Mechanism::set_payload`](crate::Mechanism::set_payload).
@@ -30,19 +30,19 @@ pub struct SensorConfig {
     pub mass: f64,
     /// Centre of that mass, in the frame of the sensor, m.
     pub centre: [f64; 3],
-    /// Moments of inertia about the centre and the axes of the sensor, kg·m².
+    /// Moments of inertia about `centre`, kg·m², in the axes of the sensor. Products of inertia are zero.
     pub inertia: [f64; 3],
 }
 
 /// A [`WrenchProbe`] of one sensor of a scene. Clones read the same sensor.
 ///
-/// The wrench is that of the last step of the scene, so it is up to 100 µs old. Accelerations are means over the last
+/// The wrench was computed at the last step of the scene, up to 100 µs ago. Its accelerations are means over the last
 /// millisecond.
 #[derive(Clone, Debug, Default)]
 pub struct SensorProbe(Arc<Mutex<[f64; 6]>>);
 
 impl SensorProbe {
-    /// The wrench at the last step.
+    /// The wrench at the last step, N and N·m, in the order of [`WrenchProbe::wrench`].
     pub fn last(&self) -> [f64; 6] {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -54,7 +54,7 @@ impl WrenchProbe for SensorProbe {
     }
 }
 
-/// The true place of a body, for devices that see it. Clones see the same body.
+/// The true pose and motion of one body, for emulated devices. Clones read the same body.
 #[derive(Clone, Debug)]
 pub struct BodyProbe(Arc<Mutex<BodyState>>);
 
@@ -83,7 +83,7 @@ pub(super) struct Sensor {
     mass: f64,
     centre: Vector3<f64>,
     inertia: Vector3<f64>,
-    /// Velocities and angular velocities of the flange at the last steps, the oldest at `next`.
+    /// Velocities, m/s, and angular velocities, rad/s, of the flange at the last steps. The oldest entry is at `next`.
     past: [(Vector3<f64>, Vector3<f64>); WINDOW],
     next: usize,
     /// Number of valid entries of `past`.
@@ -108,7 +108,8 @@ impl Sensor {
         (sensor, probe)
     }
 
-    /// Measures the forces of `wrench`, about the origin of the flange.
+    /// Measures. `wrench`: the forces on the tool about the origin of the flange, in the axes of the world. `gravity`,
+    /// m/s², is in the axes of the world.
     pub(super) fn measure(&mut self, flange: &Moving, wrench: &Wrench, gravity: &Vector3<f64>) {
         let (acceleration, turning) = self.accelerations(flange);
         let axes = flange.axes * self.axes;

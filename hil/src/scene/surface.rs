@@ -16,9 +16,9 @@ pub enum Shape {
 
 /// Elasticity and friction of a surface.
 ///
-/// A sphere that penetrates the surface is pushed out by a spring and a damper in parallel. The damper is at most as
-/// strong as the spring. The sum is therefore never a pull, and begins at zero at the touch. Friction is Coulomb's
-/// with an elastic bristle of the same stiffness and damping, so that a body on a slope stands.
+/// A spring and a damper in parallel push a penetrating sphere out of the surface. The magnitude of the damping force
+/// is at most the spring force. The normal force is therefore never a pull, and begins at zero. Friction is Coulomb
+/// friction with an elastic bristle of the same stiffness and damping. A body can therefore stand on a slope.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Material {
     /// Force per penetration, N/m.
@@ -30,7 +30,7 @@ pub struct Material {
 }
 
 impl Material {
-    /// A rigid body in a gripper or on a table of metal: 1e5 N/m, 300 N·s/m, friction 0.3 (nominal).
+    /// A rigid body on metal: 1e5 N/m, 300 N·s/m, friction 0.3 (nominal).
     pub const NOMINAL: Self = Self { stiffness: 1e5, damping: 300.0, friction: 0.3 };
 
     /// Whether the values describe a passive surface.
@@ -39,13 +39,14 @@ impl Material {
         self.stiffness > 0.0 && valid(self.stiffness) && valid(self.damping) && valid(self.friction)
     }
 
-    /// Energy of the spring at a gap, J.
+    /// Energy of the spring, J, at a gap, m. A negative gap is a penetration.
     pub(super) fn energy(&self, gap: f64) -> f64 {
         let depth = (-gap).max(0.0);
         0.5 * self.stiffness * depth * depth
     }
 
-    /// Mean force of the spring between two gaps, N: the loss of energy per gap. Equal gaps give the force there.
+    /// Mean spring force while the gap changes between two values, N: decrease of the spring's energy per change of the
+    /// gap. Equal gaps give the force at this gap.
     fn spring(&self, gaps: [f64; 2]) -> f64 {
         let [start, end] = gaps.map(|gap| (-gap).max(0.0));
         if start > 0.0 && end > 0.0 {
@@ -57,14 +58,14 @@ impl Material {
         }
     }
 
-    /// Normal force between two gaps, N, while the gap changes at `rate`, m/s. Never negative.
+    /// Mean normal force while the gap changes between two values, m, at `rate`, m/s. The force, N, is never negative.
     pub(super) fn normal(&self, gaps: [f64; 2], rate: f64) -> f64 {
         let spring = self.spring(gaps);
         spring + (-self.damping * rate).clamp(-spring, spring)
     }
 
-    /// Friction under the force `normal`, N, while the bristle is displaced from `bristle` by `slide`, m, along the
-    /// surface, at the velocity `rate`, m/s. Returns the force, N, and the new displacement of the bristle, m.
+    /// Friction force, N, and new displacement of the bristle, m, under the normal force `normal`, N. The sphere moves
+    /// from the displacement `bristle`, m, by `slide`, m, along the surface, at the velocity `rate`, m/s.
     ///
     /// The energy of the bristle grows at most by the work of the force.
     pub(super) fn drag(
@@ -78,7 +79,7 @@ impl Material {
         let force = -self.stiffness * (bristle + 0.5 * slide) - self.damping * rate;
         let most = self.friction * normal;
         let size = force.norm();
-        // A bristle is never longer than the friction can hold, also when the normal force has decreased.
+        // The spring force of the bristle never exceeds the friction limit, even after a decrease of the normal force.
         let longest = most / self.stiffness;
         if size <= most {
             return (force, shortened(stuck, longest));
@@ -95,7 +96,8 @@ fn shortened(vector: Vector3<f64>, longest: f64) -> Vector3<f64> {
 }
 
 impl Shape {
-    /// Distance of a point from the surface, m, negative inside, and the direction in which the distance grows.
+    /// Distance of a point from the surface, m, negative inside the solid, and unit vector along which the distance
+    /// grows. Both are in the frame of the surface.
     pub(super) fn gap(&self, point: &Vector3<f64>) -> (f64, Vector3<f64>) {
         match self {
             Self::HalfSpace => (point.z, Vector3::z()),

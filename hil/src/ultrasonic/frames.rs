@@ -4,10 +4,10 @@ use std::time::Duration;
 
 use can::Instant;
 
-/// Echo time that stands for no echo.
+/// Echo time in a reply if no echo was received.
 pub const NO_ECHO: u16 = 0xFFFF;
 
-/// A request that is interrupted for longer is discarded.
+/// A request with a longer gap between two bytes is discarded.
 pub const GAP: Duration = Duration::from_millis(5);
 
 pub(super) const IDENTIFY: u8 = 0x01;
@@ -49,7 +49,7 @@ pub(super) struct Receiver {
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum State {
-    /// Waiting for the start of a frame.
+    /// Before the start of a frame.
     #[default]
     Idle,
     /// This number of bytes has arrived after the start.
@@ -74,7 +74,7 @@ impl Receiver {
         };
         let length = if count == 0 { usize::from(byte) } else { usize::from(self.bytes[0]) };
         if length > MAX_BODY {
-            // The byte before may have been the end of a frame that began unheard.
+            // The previous byte may have been the end of a frame whose beginning was lost.
             self.state = if byte == START { State::Frame(0) } else { State::Idle };
             return None;
         }

@@ -127,7 +127,7 @@ fn a_frame_belongs_to_the_node_that_sends_it_or_that_the_host_sends_it_to() {
     assert_eq!([0x205, 0x605].map(|id| node_of(id, Sender::Host)), [Some(5); 2]);
     // SYNC and the heartbeat of the host.
     assert_eq!([0x080, 0x77F].map(|id| node_of(id, Sender::Host)), [None; 2]);
-    // A sample with an identifier that ends like those of drive 5.
+    // A sample whose identifier ends like the identifiers of drive 5.
     assert_eq!(node_of(0x685, Sender::Node(9)), Some(9));
 }
 

@@ -18,9 +18,9 @@ use controller::robot::{Arm, KinematicsError, Limits, Space};
 /// are those of MRROC++'s generators. With this jerk, the acceleration is reached in a tenth of a second.
 const JOINT_LIMITS: (f64, f64, f64) = (1.5, 7.0, 70.0);
 
-/// Fractions of a motor's limits of velocity and acceleration for plans. The rest of the acceleration is for overrides, for
-/// quintics between macrosteps, which need up to 5/3 of a planned acceleration, and for ball screws, which convert constant
-/// joint velocity to some motor acceleration.
+/// Fractions of a motor's limits of velocity and acceleration for plans. The rest of the acceleration has three uses:
+/// changes of the speed override; quintics between macrosteps, which need up to 5/3 of a planned acceleration; and ball
+/// screws, whose motor accelerates while the joint velocity is constant.
 const PLANNED: (f64, f64) = (0.95, 0.5);
 
 /// Number of joint positions at which the drive train is sampled, over the range of each joint.

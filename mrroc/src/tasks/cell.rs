@@ -117,7 +117,7 @@ impl Cell {
         &self.speed
     }
 
-    /// Waits for a duration, by the time of the servo cycles.
+    /// Waits for a duration, measured by the times of the servo cycles.
     pub async fn sleep(&self, duration: Duration) {
         self.agents.sleep(duration).await;
     }
@@ -127,14 +127,15 @@ impl Cell {
         self.desk.rehearsing
     }
 
-    /// Ends a rehearsal here with success: the rest of the task is not rehearsed. No effect in a run. For tasks with a
-    /// partner that a rehearsal does not provide, such as an operator. `why` appears in the error that ends the rehearsal.
+    /// Ends a rehearsal here with success: the rest of the task is not rehearsed. In a run the call has no effect. The
+    /// call is for tasks with a partner that a rehearsal does not provide, such as an operator. `why` appears in the
+    /// error that ends the rehearsal.
     pub fn end_rehearsal(&self, why: &'static str) -> Outcome {
         if self.desk.rehearsing { Err(TaskError::NotRehearsed { why }) } else { Ok(()) }
     }
 
-    /// A team of these robots: a coordinator gives each of them an order in every macrostep, and the servo begins each
-    /// macrostep of all of them in the same cycle. Any stop of one robot stops all robots of the team.
+    /// A team of these robots. A coordinator gives each robot an order in every macrostep, and the servo begins each
+    /// macrostep of all robots in the same cycle. Any stop of one robot stops all robots of the team.
     ///
     /// If a member waits longer than a servo period for an order, the motion fails. [`Team::linked`] sets another deadline
     /// or reaction.
@@ -202,8 +203,9 @@ impl Robot {
     }
 
     /// Connects the robot to this task by a link (loose coordination). Orders of the task are the image
-    /// [`A`](controller::generator::A) of the robot's generators. Steps take the latest order and do not wait. The link has
-    /// no effect in a motion of a team. An earlier link ends.
+    /// [`A`](controller::generator::A) of the robot's generators. Steps take the latest order and do not wait. In a
+    /// motion of a team, orders wait until the next motion, and an end is refused. The new link replaces an earlier
+    /// link.
     pub fn coordinated<C: Message, R: Message>(&mut self) -> LooseLink<C, R> {
         self.agent.coordinated()
     }

@@ -94,7 +94,7 @@ pub enum TaskError {
         /// The reason.
         error: OperatorError,
     },
-    /// The answer for rehearsals is not among the choices of its question.
+    /// The answer for rehearsals is not a choice of its question.
     #[error("question {question:?}: the answer {answer:?} for rehearsals is none of its choices, {choices}")]
     RehearsedAnswer {
         /// Text of the question.

@@ -7,7 +7,7 @@ use crate::motion_time::Bounds;
 use crate::{Knot, Macrostep, Order, ServoEvent, ServoState, StopCause};
 
 /// The axis of a failed check, if the check concerns a single axis, and the cause of the stop.
-type Failed = (Option<usize>, StopCause);
+pub(super) type Failed = (Option<usize>, StopCause);
 
 impl Effector {
     /// Interpolates, begins the next macrostep if `begin`, and stops on an error. The new set-points are only
@@ -17,8 +17,10 @@ impl Effector {
             return;
         }
         self.decided = true;
-        if let Err((axis, cause)) = self.try_follow(begin, tick) {
-            self.fail(tick, axis, cause);
+        match self.try_follow(begin, tick) {
+            Ok(()) => {}
+            Err((axis, StopCause::Touched)) => self.stop_as_intended(tick, axis, StopCause::Touched),
+            Err((axis, cause)) => self.fail(tick, axis, cause),
         }
     }
 
@@ -58,14 +60,14 @@ impl Effector {
         self.fail(tick, self.axis_in_motion(), StopCause::Starved { last: self.macrostep });
     }
 
-    /// Bounds of the rate of motion time, by the limits of the axes. An effector in any state may begin to move before a
-    /// change of the rate has ended.
+    /// Bounds of the rate of motion time, by the limits of the axes. The bounds include effectors at rest, because they
+    /// may begin to move before a change of the rate has ended.
     pub(crate) fn rate_bounds(&self, rate: f64) -> Bounds {
         let segment = self.segment.as_ref().filter(|_| self.state == ServoState::Moving);
         let bounds = |(index, axis): (usize, &ServoAxis)| {
             let ahead = |periods| segment.map_or_else(Knot::default, |segment| segment.ahead(index, periods));
             let after = |periods| Bounds::of_axis(ahead(periods), rate, &axis.config);
-            // The planned acceleration changes within the period for which the bounds hold.
+            // The planned acceleration may change during the next cycle, so the bounds include the next two periods.
             after(0.0).within(after(1.0)).within(after(2.0))
         };
         self.axes.iter().enumerate().map(bounds).fold(Bounds::NONE, Bounds::within)
@@ -84,23 +86,40 @@ impl Effector {
             return Ok(());
         };
         self.due |= segment.advance(periods, tick.motion.most_next(tick.dt));
-        for (index, axis) in self.axes.iter().enumerate() {
-            let knot = tick.motion.slow(segment.at(index));
-            axis.vet(knot.position, tick.dt).map_err(|cause| (Some(index), cause))?;
-            self.next[index] = knot;
+        for (index, next) in self.next[..self.axes.len()].iter_mut().enumerate() {
+            *next = tick.motion.slow(segment.at(index));
+        }
+        self.displace(tick)?;
+        for (index, (axis, next)) in self.axes.iter().zip(&self.next).enumerate() {
+            axis.vet(next.position, tick.dt).map_err(|cause| (Some(index), cause))?;
         }
         Ok(())
     }
 
     /// Ends a motion whose last macrostep ends at rest.
     fn run_out(&mut self, tick: &Tick) -> Result<(), Failed> {
-        if self.segment.as_ref().is_some_and(Segment::is_over) {
-            // A macrostep may end with zero velocity and still arrive with a last step that is too fast.
-            for (index, axis) in self.axes.iter().enumerate() {
-                axis.vet(axis.knot.position, tick.dt).map_err(|cause| (Some(index), cause))?;
-            }
-            self.apply(tick, ServoEvent::Done);
+        if !self.segment.as_ref().is_some_and(Segment::is_over) {
+            return Ok(());
         }
+        // A macrostep may end with zero velocity and still arrive with a last step that is too fast.
+        for index in 0..self.axes.len() {
+            let axis = &self.axes[index];
+            match axis.vet(axis.knot.position, tick.dt) {
+                Ok(()) => {}
+                // The law still moves the effector.
+                Err(_) if self.is_displaced() => {
+                    self.apply(tick, ServoEvent::Stop);
+                    // The partners of a team have ended their motion too.
+                    (self.stopped, self.settling) = (false, true);
+                    return Ok(());
+                }
+                Err(cause) => return Err((Some(index), cause)),
+            }
+        }
+        if self.is_displaced() {
+            self.axes.iter_mut().for_each(|axis| axis.knot = Knot::at_rest(axis.knot.position));
+        }
+        self.apply(tick, ServoEvent::Done);
         Ok(())
     }
 
@@ -151,6 +170,7 @@ impl Effector {
 
     fn admit(&self, macrostep: &Macrostep) -> Result<(), Failed> {
         let number = macrostep.number;
+        self.admit_law(macrostep).map_err(|cause| (None, cause))?;
         if !(1..=macrostep.steps).contains(&macrostep.report_at) {
             return Err((None, StopCause::Malformed { number }));
         }

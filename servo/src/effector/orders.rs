@@ -42,7 +42,7 @@ impl Effector {
                 self.counters.refused_orders += 1;
             } else if matches!(order, Order::Stop | Order::Disable) {
                 self.stopped = true;
-                self.fault = self.fault.filter(|_| !self.is_stopped_by_partner());
+                self.fault = self.fault.filter(|_| !self.needs_acknowledgement());
             }
         }
     }
@@ -60,7 +60,7 @@ impl Effector {
             let Ok(&order) = self.orders.peek() else {
                 return;
             };
-            let refused = tick.stop || self.is_stopped_by_partner() && order.is_motion();
+            let refused = tick.stop || self.needs_acknowledgement() && order.is_motion();
             let answer = if refused { Answer::Refuse } else { self.state.next(order.event()) };
             match answer {
                 Answer::To(next) => match order {
@@ -94,14 +94,14 @@ impl Effector {
         members & self.bit() != 0 && members & !tick.effectors == 0
     }
 
-    /// Whether a partner stopped this effector, and no order acknowledged the stop yet.
-    pub(super) fn is_stopped_by_partner(&self) -> bool {
-        self.fault.is_some_and(|fault| matches!(fault.cause, StopCause::Partner { .. }))
+    /// Whether a partner or the cycle law stopped this effector, and no order acknowledged the stop yet.
+    pub(super) fn needs_acknowledgement(&self) -> bool {
+        self.fault.is_some_and(|fault| fault.cause.needs_acknowledgement())
     }
 
     /// The barrier at which the effector stands.
     pub(crate) fn barrier(&self, tick: &Tick) -> Option<Barrier> {
-        if self.state != ServoState::Standing || self.refused > 0 || self.is_stopped_by_partner() {
+        if self.state != ServoState::Standing || self.refused > 0 || self.needs_acknowledgement() {
             return None;
         }
         let barrier = self.orders.peek().ok().and_then(Order::barrier);
@@ -120,7 +120,7 @@ impl Effector {
 
     /// The macrostep that the effector can begin in this cycle.
     pub(crate) fn next_macrostep(&self, tick: &Tick) -> Option<&Macrostep> {
-        if self.refused > 0 || self.is_stopped_by_partner() || !self.is_at_boundary(tick) {
+        if self.refused > 0 || self.needs_acknowledgement() || !self.is_at_boundary(tick) {
             return None;
         }
         self.orders.peek().ok().and_then(Order::macrostep)
@@ -129,7 +129,7 @@ impl Effector {
     /// Whether the effector waits for partners.
     pub(super) fn is_waiting(&self) -> bool {
         let partners = |order: &Order| order.barrier().is_some() || order.macrostep().is_some() && self.is_tied();
-        let stands = self.state == ServoState::Standing && !self.is_stopped_by_partner();
+        let stands = self.state == ServoState::Standing && !self.needs_acknowledgement();
         stands && self.orders.peek().is_ok_and(partners)
     }
 }

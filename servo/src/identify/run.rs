@@ -71,6 +71,7 @@ impl Run {
             velocity,
             acceleration: None,
             torque: [0.0; MAX_AXES],
+            law: None,
         })
     }
 

@@ -2,6 +2,7 @@
 
 mod host_homing;
 mod host_loops;
+mod laws;
 mod limit_switches;
 mod motion;
 mod power;
@@ -131,7 +132,8 @@ impl Rig {
 
 fn macrostep(number: u64, steps: u16, position: f64, velocity: f64) -> Macrostep {
     let (position, velocity) = ([position; MAX_AXES], [velocity; MAX_AXES]);
-    Macrostep { number, steps, report_at: steps, position, velocity, acceleration: None, torque: [0.0; MAX_AXES] }
+    let torque = [0.0; MAX_AXES];
+    Macrostep { number, steps, report_at: steps, position, velocity, acceleration: None, torque, law: None }
 }
 
 /// Checks that the first and second difference of a sequence exceed the limits by at most a thousandth.
@@ -167,6 +169,7 @@ fn control_sees_the_nominal_period_and_records_have_the_real_one() {
                     velocity: [0.0; MAX_AXES],
                     acceleration: None,
                     torque: [0.0; MAX_AXES],
+                    law: None,
                 };
                 orders.push(Order::Move(macrostep)).unwrap();
             }

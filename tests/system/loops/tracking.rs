@@ -245,6 +245,7 @@ fn run(
             velocity: std::array::from_fn(|axis| (after[axis] - before[axis]) / (2.0 * DT)),
             acceleration: None,
             torque: torques[point(k)],
+            law: None,
         };
         running.link.orders.push(Order::Move(step)).unwrap();
         running.run(1);

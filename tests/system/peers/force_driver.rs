@@ -222,7 +222,7 @@ fn silence_of_the_sensor_in_python_is_a_fault_with_the_age_of_the_last_sample() 
     let test = "peers::force_driver::silence_of_the_sensor_in_python_is_a_fault_with_the_age_of_the_last_sample";
     let Some(python) = python(test) else { return };
     let mut rig = Rig::silent(&python, &[], WrenchConfig::ATI);
-    // No byte can arrive: the test waits for none.
+    // No byte can arrive, so the test does not wait.
     match rig.bring_up(Duration::ZERO) {
         Err(BringUpError::WrenchLine { error: WrenchError::Absent { waited, .. } }) => {
             assert!(waited > Duration::from_secs(2), "{waited:?}");
@@ -272,7 +272,7 @@ fn garbage_between_telegrams_of_the_sensor_in_python_is_no_wrench() {
         }
         assert_eq!(rig.sensor.sensor_counters().garbage, number);
     }
-    // Garbage without end. The ages are those of readings and of quiet cycles in turns.
+    // Endless garbage. Readings with bytes and quiet readings alternate.
     let mut states = Vec::new();
     for _ in 0..6 {
         rig.python.command("garbage 42");

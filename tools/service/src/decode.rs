@@ -1,10 +1,10 @@
 //! Text of CAN frames.
 //!
 //! [`Decoder::describe`] depends on the frame, on earlier frames and on prior knowledge of the bus. Prior knowledge is
-//! the mapping of the PDOs, and the vendor and the device type of each node, which decide its error codes. The decoder
-//! also takes both from SDO answers on the bus. A segment of a block transfer
-//! looks like any command. The decoder therefore keeps the SDO transfer under way with each node. If the start of a
-//! transfer was not seen, the text says "unknown".
+//! the mapping of the PDOs, and the vendor and the device type of each node. Vendor and device type determine the texts
+//! of the node's error codes. The decoder also takes vendor and device type from SDO answers on the bus. A segment of a
+//! block transfer looks like any command. The decoder therefore keeps the SDO transfer under way with each node. If the
+//! start of a transfer was not seen, the text says "unknown".
 
 mod block;
 mod lss;
@@ -105,7 +105,7 @@ impl Decoder {
         self.pdos.extend(pdos);
     }
 
-    /// Adds what is known of the identification of `node`. It decides the meaning of the error codes of the node.
+    /// Adds known parts of the identification of `node`, which determines the texts of the node's error codes.
     pub(super) fn identify(&mut self, node: NodeId, found: Identification) {
         let known = self.identifications.entry(node).or_default();
         known.vendor = found.vendor.or(known.vendor);

@@ -78,7 +78,7 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error.downcast_ref::<std::io::Error>().is_some_and(|error| error.kind() == ErrorKind::BrokenPipe)
 }
 
-/// PDO mapping that a run of the cell configures in its nodes, and what the nodes are.
+/// PDO mapping that a run of the cell configures in its nodes, and the identification of the nodes.
 fn of_cell(bus: &Bus) -> Decoder {
     let mut decoder = Decoder::default();
     let Some((file, index)) = &bus.cell else {

@@ -177,7 +177,7 @@ fn check_kept(channel: &mut Channel, target: &Target) -> anyhow::Result<()> {
     }
 }
 
-/// Device type and vendor-ID of the node, as far as the node tells them.
+/// Device type and vendor-ID of the node; a value that the node does not give is absent.
 fn identification(channel: &mut Channel, target: &Target) -> anyhow::Result<Identification> {
     let device_type = match channel {
         Channel::Bus(_) => identity(channel, target, DEVICE_TYPE)?,
@@ -187,7 +187,7 @@ fn identification(channel: &mut Channel, target: &Target) -> anyhow::Result<Iden
     Ok(Identification { vendor: identity(channel, target, VENDOR_ID)?, device_type })
 }
 
-/// The value of `object`, device type or vendor-ID, if the node tells it.
+/// The value of `object`, device type or vendor-ID; `None` if the node does not give the value.
 fn identity(channel: &mut Channel, target: &Target, object: Object) -> anyhow::Result<Option<u32>> {
     let answer = transfer(channel, target, object, None, None)?;
     Ok(answer.ok().and_then(|data| value::unsigned(&data)).map(|raw| raw as u32))

@@ -302,7 +302,7 @@ mod tests {
             let meant = meaning(object, raw, FaultTable::Cia402);
             assert_eq!(meant.as_deref(), Some(text), "{object}");
         }
-        // Metres per second are no unit of a motor.
+        // Metres per second is not a unit of a rotary motor.
         for (object, raw) in [(VENDOR_ID, 0x7777), (VELOCITY_UNIT, 0x0001_0300)] {
             assert_eq!(meaning(object, raw, FaultTable::Cia402), None);
         }

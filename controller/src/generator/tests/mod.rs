@@ -245,6 +245,8 @@ fn jerk_limited_keeps_its_limits_and_ends_exactly() {
                 worst_push = worst_push.max(push / a);
             }
         }
+        let stands = |state: &&AxesState| state.position[axes..] == start[axes..];
+        assert_eq!(states.iter().filter(stands).count(), states.len(), "other axes: seed {seed}");
         let end = states.last().unwrap();
         assert_eq!(end.position[..axes], poses.last().unwrap()[..axes], "seed {seed}");
         assert_eq!(end.velocity, Axes::default());

@@ -49,8 +49,8 @@ impl Asking {
     }
 
     /// Shows the question once no other question is open, and takes the lines that are there. A line that is no answer
-    /// is refused with a message. If the question before had no answer, one line that came after its end is late and
-    /// answers nothing.
+    /// is refused with a message. If the previous question ended without an answer, the oldest line that already waits
+    /// is taken for a late answer to that question, and is dropped.
     pub fn poll(&mut self, now: Instant) -> Poll<Result<String, OperatorError>> {
         self.advance(now).map_ok(|Answer { line, choice }| self.question.worded(choice, &line))
     }

@@ -12,8 +12,8 @@ use crate::sensor::try_lock;
 /// The operator's end of an [`OperatorLink`]. A dropped queue of lines is a closed input.
 #[derive(Debug)]
 pub struct OperatorPanel {
-    /// Queue of the operator's lines. A thread that waits for room in `send` is woken by a system call of a step. A thread
-    /// that uses `try_send` needs no such call.
+    /// Queue of the operator's lines. Use `try_send`: if a thread waits for room in `send`, a step must make a system
+    /// call to wake this thread.
     pub lines: SyncSender<String>,
     /// Questions and messages for the operator, one line each.
     pub texts: OperatorTexts,
@@ -79,7 +79,7 @@ pub struct OperatorLink(Arc<Desk>);
 
 #[derive(Debug)]
 struct Desk {
-    /// Taken by the open question, and never waited for.
+    /// The open question takes lines from this queue. No caller waits for the lock.
     lines: Mutex<Receiver<String>>,
     texts: SyncSender<Text>,
     /// Whether a question is open.
@@ -124,8 +124,8 @@ impl OperatorLink {
         try_lock(&self.0.lines)
     }
 
-    /// Opens a question, unless another question is open. Returns whether the next line may be late for the question
-    /// before.
+    /// Opens a question, unless another question is open. Returns whether a waiting line may be a late answer to the
+    /// previous question.
     pub(super) fn open(&self) -> Option<bool> {
         let opened = !self.0.open.swap(true, Ordering::AcqRel);
         opened.then(|| self.0.unanswered.swap(false, Ordering::AcqRel))

@@ -37,7 +37,7 @@ impl Reaction {
 /// Command of a generator to an [`Operator`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OperatorCommand {
-    /// Ask the question, in place of one that is under way.
+    /// Ask the question, in place of a question that is still open.
     Ask,
     /// Wait for the answer.
     Wait,
@@ -117,7 +117,7 @@ impl VirtualSensor for Operator {
 }
 
 impl OperatorAnswer {
-    /// The answer to the last question that was asked; `None` before it.
+    /// The answer to the last question that was asked; `None` before the answer.
     pub fn get(&self) -> Option<Result<String, OperatorError>> {
         let inquiry = self.inquiry();
         let (_, result) = inquiry.answered.as_ref()?;

@@ -1,5 +1,5 @@
-//! The owner of a CAN bus: one port, one bring-up and one batch per cycle for the drives, the I/O nodes and the
-//! force/torque sensors of the bus.
+//! The owner of a CAN bus: one port, one bring-up and one batch per cycle for all nodes of the bus. The nodes are
+//! drives, I/O nodes and force/torque sensors.
 //!
 //! [`CanBus`] reads the received frames once per cycle and routes each frame by its identifier to a
 //! [drive](crate::cia402), an [I/O node](crate::cia401) or a [force/torque sensor](crate::wrench). The batch of a cycle
@@ -14,8 +14,9 @@
 //! | SDO request, or NMT command to an I/O node | one at most, during a change of mode or after a fault |
 //!
 //! Bring-up listens for another controller, resets the communication of all nodes, configures and reads back every node
-//! by SDO, and starts all nodes together. Bring-up ends when every node shows the state operational and every I/O node
-//! with inputs has sent them. Sensors have then sent samples at their declared rate, by SYNCs of bring-up if necessary.
+//! by SDO, and starts all nodes together. Bring-up ends when every node shows the state operational, every I/O node
+//! with inputs has sent its inputs, and every sensor has sent samples at its declared rate. If a sensor needs SYNC,
+//! bring-up sends SYNC.
 //!
 //! Read [`DriveGroup`] first, then [`CanBus::with_io`].
 
@@ -134,8 +135,8 @@ impl<P: Port> CanBus<P> {
         Self::assemble(port, config, axes, io, [].into_iter()).map(|(bus, io, _)| (bus, io))
     }
 
-    /// A bus with drives, I/O nodes and force/torque sensors, each of which may be none. The links come in the order of
-    /// `io` and of `sensors` and may be used by any thread.
+    /// A bus with drives, I/O nodes and force/torque sensors. Each of the three lists may be empty. The links are in
+    /// the order of `io` and of `sensors`, and any thread may use them.
     ///
     /// Refuses what [`with_io`](Self::with_io) refuses, and sensors that [`wrench::check`] refuses.
     pub fn with_sensors(
@@ -193,7 +194,8 @@ impl<P: Port> CanBus<P> {
         let bus = Self {
             port,
             config,
-            // A cycle brings an answer, a heartbeat, an EMCY and an SDO frame of each node at most, inputs and samples.
+            // In a cycle each node sends at most an answer, a heartbeat, an EMCY and an SDO frame, and its inputs or
+            // samples.
             received: vec![nothing; 16 + 8 * members.len() + inputs],
             batch: Vec::with_capacity(members.len().max(SDO_FRAMES_PER_CALL) + BESIDE_SETPOINTS),
             routes: Routes::new(axes.iter().map(|axis| axis.node), io.iter().map(|node| node.node), sensor_ids),
@@ -537,7 +539,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
             self.service = self.next_sdo_frame(now);
         }
         self.batch.extend(self.service);
-        // A bus without SYNC is silent in most cycles.
+        // On a bus without SYNC, the batch is empty in most cycles.
         let sent = if self.batch.is_empty() { Ok(0) } else { self.port.send(now, &self.batch) };
         let taken = sent.unwrap_or_else(|error| {
             self.latch_all(Fault::Port(error), IoFault::Port(error));

@@ -1,4 +1,4 @@
-//! The routing table of a bus: which drive, I/O node or sensor a node-ID of an identifier belongs to.
+//! The routing table of a bus: from the node-ID of an identifier to a drive, an I/O node or a sensor.
 
 use canopen::NodeId;
 

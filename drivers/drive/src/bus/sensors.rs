@@ -8,7 +8,7 @@ use crate::BringUpError;
 use crate::wrench::WrenchNode;
 
 impl<P: Port> CanBus<P> {
-    /// Takes a frame of a sample. `None` for any other frame; `Some(None)` for an undecodable one.
+    /// Takes a frame of a sample. `None` for any other frame; `Some(None)` for an undecodable frame of a sample.
     pub(super) fn take_sample(&mut self, Received { frame, at }: &Received) -> Option<Option<()>> {
         let id = frame.standard_data_id()?;
         let mut sensors = self.sensors.iter_mut();

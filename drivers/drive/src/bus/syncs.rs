@@ -1,4 +1,4 @@
-//! The SYNCs of a bus: whether its nodes need them, and the SYNC that an answer belongs to.
+//! The SYNCs of a bus: whether its nodes need SYNC, and the SYNC of each answer.
 
 use can::Instant;
 

@@ -143,8 +143,8 @@ impl IoNode {
         (self.offered, self.repeating, self.not_sent) = (None, false, 0);
     }
 
-    /// Levels of the outputs in the error state: an output that keeps its level has the last one sent. Before the first
-    /// command all outputs have their error values.
+    /// Levels of the outputs in the error state. An output that keeps its level has the last level sent. Before the
+    /// first command all outputs have their error values.
     fn error_levels(&self) -> u64 {
         let kept = self.kept.unwrap_or(self.error_value);
         self.error_value & self.error_mode | kept & !self.error_mode

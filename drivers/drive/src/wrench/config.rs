@@ -9,22 +9,22 @@ use super::node_config::NodeQuantity;
 use super::state::WrenchAxis;
 use crate::cia402;
 
-/// Greatest magnitude of a scale, N or N·m per count. Every scaled count is finite then.
+/// Greatest magnitude of a scale, N or N·m per count. With this bound, every scaled count is finite.
 const GREATEST_SCALE: f64 = 1e9;
 
-/// What force/torque sensors on all wires have in common.
+/// Configuration that sensors on serial lines and on CAN buses share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WrenchConfig {
     /// The channels, in the order of a wrench: Fx, Fy, Fz, Tx, Ty, Tz.
     pub channels: [Channel; 6],
-    /// Missing samples in a row that are tolerated. One more is
-    /// [`WrenchFault::Silent`](super::WrenchFault::Silent), or [`Garbage`](super::WrenchFault::Garbage) if a reading
-    /// among them was no answer. A missing answer of a serial sensor costs two samples: the next query waits until a
-    /// late answer would have come.
+    /// Number of samples in a row that may be missing. One more missing sample is a fault:
+    /// [`Silent`](super::WrenchFault::Silent) by default, [`Garbage`](super::WrenchFault::Garbage) if a reading since
+    /// the last sample was no answer, [`OfAnotherRate`](super::WrenchFault::OfAnotherRate) if an answer was late. A
+    /// missing answer of a serial sensor costs two samples: the next query waits until a late answer would have come.
     pub tolerated_missing: u32,
-    /// Saturated samples in a row that are tolerated. One more is
-    /// [`WrenchFault::Saturated`](super::WrenchFault::Saturated). A tolerated one counts as missing. A wire without a
-    /// checksum needs at least 1: a flipped bit must not stop the robot.
+    /// Number of saturated samples in a row that are tolerated. One more is
+    /// [`WrenchFault::Saturated`](super::WrenchFault::Saturated). A tolerated saturated sample counts as missing. On a
+    /// wire without a checksum the number must be at least 1: a flipped bit must not stop the robot.
     pub tolerated_saturated: u32,
     /// How the sensor is zeroed.
     pub zero: ZeroMethod,
@@ -33,23 +33,23 @@ pub struct WrenchConfig {
 /// Scale and range of one channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Channel {
-    /// N or N·m per count. A negative scale inverts the sense.
+    /// Force or torque of one count, N or N·m. A negative scale inverts the sign.
     pub scale: f64,
-    /// Counts at and beyond which the channel counts as saturated, in both directions.
+    /// Limit of the magnitude, counts: the channel is saturated at and beyond this limit, with either sign.
     pub range: i32,
 }
 
 /// How [`WrenchLink::zero`](super::WrenchLink::zero) zeroes a sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ZeroMethod {
-    /// The mean of this number of samples becomes the zero, in the host. The counts stay those of the transducer, so
-    /// [`Channel::range`] stays where the transducer saturates.
+    /// The host subtracts the mean of a number of samples. The counts of the sensor do not change, so
+    /// [`Channel::range`] remains the saturation limit of the transducer.
     Host {
         /// Number of samples, at least 1. MRROC++ takes 10.
         samples: u16,
     },
-    /// The bias command of the sensor; [`SerialWrenchSensor`](super::SerialWrenchSensor) only. A sensor that is
-    /// restarted loses this zero.
+    /// The sensor executes its bias command. Only [`SerialWrenchSensor`](super::SerialWrenchSensor) has this command. A
+    /// restart of the sensor clears this zero.
     Device,
 }
 
@@ -68,7 +68,7 @@ impl WrenchConfig {
         }
     };
 
-    /// `has_bias`: the sensor has a bias command.
+    /// Checks all values. `has_bias`: whether the sensor has a bias command.
     pub(super) fn check(&self, has_bias: bool) -> Result<(), ConfigError> {
         for (axis, channel) in WrenchAxis::ALL.into_iter().zip(self.channels) {
             let scale = channel.scale.abs();
@@ -91,16 +91,16 @@ impl WrenchConfig {
 /// A sensor on a serial line of its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SerialWrenchConfig {
-    /// The servo period. One exchange must fit into it.
+    /// Servo period. The period must be longer than one query and its answer on the line.
     pub period: Duration,
     /// Settings of the line.
     pub settings: Settings,
     /// Scales, ranges and tolerances.
     pub sensor: WrenchConfig,
-    /// Bring-up: how long the answer to one query may take.
+    /// Bring-up: longest wait for the answer to one query. The line is then drained, and the query repeated.
     pub answer_timeout: Duration,
-    /// Bring-up: how long the sensor may take until its first answer. A sensor that was just switched on sends a text
-    /// first.
+    /// Bring-up: time limit from its begin to the first answer, and between two answers. After power-on the sensor
+    /// first sends a text.
     pub boot_timeout: Duration,
 }
 
@@ -116,7 +116,7 @@ impl SerialWrenchConfig {
         }
     }
 
-    /// Refuses what cannot work before a byte is sent.
+    /// Checks the configuration. Bring-up relies on this check, which sends no byte.
     pub fn check(&self) -> Result<(), ConfigError> {
         let exchange = self.settings.line_time(ati::REQUEST + ati::REPLY);
         if exchange >= self.period {
@@ -144,7 +144,7 @@ pub enum ConfigError {
     BiasGap,
     #[error("node {node}: {quantity}")]
     Node { node: u8, quantity: NodeQuantity },
-    #[error("node {node}: COB-ID {cob_id:#05x} is reserved, or that of another frame of the bus")]
+    #[error("node {node}: COB-ID {cob_id:#05x} is reserved, or belongs to another frame of the bus")]
     CobId { node: u8, cob_id: u16 },
     #[error("{0}")]
     Bus(#[from] cia402::ConfigError),

@@ -18,19 +18,21 @@ pub enum WrenchFault {
     /// Bring-up has not ended.
     #[error("force sensor not started")]
     NotStarted,
-    /// The driver was dropped.
+    /// The driver was dropped, and no longer reads the sensor.
     #[error("force sensor ended, its line or bus has no controller any more")]
     Ended,
-    /// No new sample for more cycles than the cell tolerates.
+    /// More samples in a row are missing than [`tolerated_missing`](super::WrenchConfig::tolerated_missing). `cycles`:
+    /// number of servo cycles without a sample.
     #[error("no sample for {cycles} cycles: check cable and supply of the sensor")]
     Silent { cycles: u32 },
-    /// The last readings in a row were of another length than an answer of the sensor.
-    #[error("{readings} readings in a row were no answer of the sensor: check its cable and restart it")]
+    /// Too many samples are missing, and `readings` readings since the last sample did not have the length of an
+    /// answer.
+    #[error("{readings} readings since the last sample were no answer of the sensor: check its cable and restart it")]
     Garbage { readings: u32 },
-    /// The reading is at or beyond the end of the configured range. The load may be greater.
+    /// The reading is at or beyond the configured range. The true load may be greater.
     #[error("{axis} is saturated at {counts} counts: unload the sensor, then reset the fault")]
     Saturated { axis: WrenchAxis, counts: i32 },
-    /// Samples come with another period than declared.
+    /// The mean period of the samples is not the declared period, or answers are late by a cycle.
     #[error(
         "a sample every {found:.1?}, declared was {declared:?}: check the rate of the sensor and of its connection"
     )]
@@ -47,7 +49,7 @@ pub enum WrenchFault {
     /// The node on the CAN bus booted again, or left NMT state operational. A new bring-up is necessary.
     #[error("left operational state: bring the bus up again")]
     LeftOperational,
-    /// The port took no heartbeat of the host for longer than the nodes wait for it.
+    /// The port has accepted no heartbeat of the host for longer than the nodes wait for a heartbeat.
     #[error("bus: the host's heartbeat was not sent for {waited:.1?}")]
     HeartbeatNotSent { waited: Duration },
     #[error("bus: another controller is at work: it sent {sign}")]
@@ -60,7 +62,7 @@ pub enum WrenchFault {
 }
 
 impl WrenchFault {
-    /// The fault of a sensor whose bus has this fault; `None` for a fault of one drive.
+    /// The fault of every sensor on a bus that has the fault `fault`; `None` for a fault of one drive.
     pub(crate) fn of_bus(fault: Fault) -> Option<Self> {
         Some(match fault {
             Fault::HeartbeatNotSent { waited } => Self::HeartbeatNotSent { waited },
@@ -83,7 +85,7 @@ impl WrenchFault {
         })
     }
 
-    /// Whether the sensor may have been restarted, which ends a zero that the sensor itself keeps.
+    /// Whether this fault may come from a restart of the sensor. A restart clears a zero that the sensor itself stores.
     pub(super) fn may_be_restart(self) -> bool {
         match self {
             Self::NotStarted | Self::Ended | Self::Silent { .. } | Self::Garbage { .. } | Self::Line(_) => true,
@@ -104,16 +106,16 @@ impl WrenchFault {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum WrenchError {
-    /// No byte on a serial line; neither a boot-up message nor an answer of a node.
+    /// On a serial line: no byte was received. On a CAN bus: the node sent no boot-up message and no answer.
     #[error("no answer, waited {waited:.1?}: check supply and cable of the sensor, and its {address}")]
     Absent { waited: Duration, address: &'static str },
-    /// Bytes that are no answer, on a serial line.
+    /// On a serial line: bytes were received, but no answer.
     #[error("{bytes} bytes and no answer of {length} among them: check the baud rate and the device on the line")]
     Garbled { bytes: u32, length: usize },
-    /// The answers of a serial sensor come too late for a cycle.
+    /// On a serial line: most answers took more than a period.
     #[error("{late} of {answers} answers took more than a period: set the adapter's latency timer to 1 ms")]
     Late { late: u32, answers: u32 },
-    /// The device type (object 0x1000) of the node.
+    /// The device type (object 0x1000) of the node differs from the configured type.
     #[error("0x1000 is {found:#010x}, the cell expects {expected:#010x}: another device has this node-ID")]
     OfAnotherType { expected: u32, found: u32 },
     /// The node was started and sent no whole sample.
@@ -129,7 +131,7 @@ pub enum WrenchError {
     Line(LineError),
 }
 
-/// A fault as three words: its kind with small fields above it, and two numbers. No fault is kind 0.
+/// A fault as three words: its kind, and two numbers. Kind 0 is no fault.
 pub(super) fn words(fault: Option<WrenchFault>) -> [u64; 3] {
     let nanos = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
     let errno = |number: i32| u64::from(number.cast_unsigned());
@@ -157,7 +159,7 @@ pub(super) fn words(fault: Option<WrenchFault>) -> [u64; 3] {
     }
 }
 
-/// The fault of three words of [`words`].
+/// The fault that [`words`] has encoded.
 pub(super) fn of_words([kind, a, b]: [u64; 3]) -> Option<WrenchFault> {
     let (time, number) = (Duration::from_nanos, |word: u64| (word as u32).cast_signed());
     Some(match kind {

@@ -2,20 +2,23 @@
 //!
 //! [`SerialWrenchSensor`] is a [`DriveGroup`](crate::DriveGroup) without axes, for a sensor that answers queries.
 //! [`CanBus::with_sensors`](crate::bus::CanBus::with_sensors) takes one [`WrenchNodeConfig`] per sensor on a CAN bus.
-//! Both give a [`WrenchLink`], from which a controller reads a [`WrenchState`] of each cycle and requests a zero.
+//! Both return a [`WrenchLink`]. Through this link a controller reads the [`WrenchState`] of each cycle and requests a
+//! zero.
 //!
 //! # Samples
 //! - **Serial.** One query leaves at the deadline of each cycle, and the answer is read in the next cycle. The time of
-//!   a sample is the time at which the query has arrived: one byte after it was sent. The answer has neither header nor
-//!   checksum, so a reading counts if it has exactly the length of an answer. Anything else is garbage and counted.
+//!   a sample is the arrival time of its query: one byte time after the write. The answer has neither header nor
+//!   checksum, so a reading counts if it has exactly the length of an answer. Any other reading is counted as garbage.
 //!   After a missing or damaged answer the next query waits until the line is quiet.
-//! - **CAN.** A sample is one set of the configured TPDOs. With SYNC, the frames of a set belong to the same SYNC,
-//!   whose time is that of the sample. With an event timer, they follow each other within half a sample, and the time
-//!   is the receive time of the first frame. A counter of the sensor tells new samples from repeated ones.
+//! - **CAN.** A sample is one set of the configured TPDOs. With SYNC, the frames of a set belong to the same SYNC, and
+//!   the time of the sample is the time of this SYNC. With an event timer, the frames of a set are received within half
+//!   a sample period, and the time of the sample is the receive time of the first frame. A counter of the sensor
+//!   distinguishes new samples from repeated samples.
 //!
 //! # Faults
-//! A fault is latched until [`WrenchLink::reset_fault`] or the next bring-up. The wrench then stays that of the last
-//! sample, and [`WrenchState::measured`] returns `None`.
+//! A fault is latched until [`WrenchLink::reset_fault`] or the next bring-up. During a fault the state keeps the wrench
+//! of the last sample, and [`WrenchState::measured`] returns `None`. A requested reset takes effect with the next sample:
+//! an old wrench never becomes valid again.
 //!
 //! | fault | condition |
 //! |---|---|
@@ -26,20 +29,21 @@
 //! | [`Status`](WrenchFault::Status) | an error bit of a status field |
 //! | [`Line`](WrenchFault::Line), [`Port`](WrenchFault::Port) and the others | the line, the bus or the node failed |
 //!
-//! A saturated sample is never published as a wrench. The axes of a bus do not stop by a fault of a sensor: the law or
-//! the task that reads the sensor stops them.
+//! A saturated sample is never published as a wrench. A fault of a sensor does not stop the axes of its bus: the
+//! control law or the task that reads the sensor must stop them.
 //!
 //! # Zero
-//! [`WrenchLink::zero`] makes the present load read as zero, by the mean of samples in the host or by the bias command
-//! of the sensor ([`ZeroMethod`]). The zero includes the weight of the tool in its present pose. Compensation of weight
-//! and inertia needs kinematics and is a part of the controller.
+//! After [`WrenchLink::zero`], the present load reads as zero. The zero is a mean of samples in the host, or the bias
+//! command of the sensor ([`ZeroMethod`]). The zero includes the weight of the tool in its present pose. Compensation
+//! of weight and inertia needs kinematics and is done by the controller.
 //!
 //! # Bring-up
-//! Bring-up ends when a sensor has answered in time (serial), or has sent samples at the declared rate (CAN). The bus
-//! sends SYNC meanwhile if a sensor needs it; no drive is enabled. A sensor that is absent, silent, saturated, of
-//! another type or of another rate ends bring-up with a [`WrenchError`].
+//! On a serial line, bring-up ends after eight answers, most of them within a period. On CAN, bring-up ends when the
+//! sensor has sent samples at the declared rate. During bring-up the bus sends SYNC if a sensor needs SYNC; no drive is
+//! enabled. A sensor that is absent, silent, saturated, of another type or of another rate ends bring-up with a
+//! [`WrenchError`].
 //!
-//! Rehearsals have no wire. [`RehearsedWrench`] stands in for a sensor there.
+//! A rehearsal has no wire: [`RehearsedWrench`] replaces the sensor.
 //!
 //! Not supported: sensors that send gauge voltages, floating-point PDOs, and a reset of a node during operation.
 

@@ -1,4 +1,4 @@
-//! One force/torque sensor on a CAN bus: frames to samples, and the watch of the node.
+//! One force/torque sensor on a CAN bus: conversion of frames to samples, and supervision of the node.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use crate::bus::Syncs;
 use crate::cia402::GroupConfig;
 use crate::{BringUpError, Fault};
 
-/// Comparisons of the rate that a sensor has time for in bring-up.
+/// Time limit of the samples in bring-up, beside the boot time-out: multiple of the duration of one rate comparison.
 const COMPARISONS: u32 = 4;
 
 /// A force/torque sensor on a CAN bus.
@@ -25,7 +25,7 @@ const COMPARISONS: u32 = 4;
 pub(crate) struct WrenchNode {
     node: u8,
     trigger: Trigger,
-    /// Longest time between two frames of one sample without SYNC.
+    /// Without SYNC: longest time from the first frame of a sample to any other frame of the sample.
     apart: Duration,
     /// Time-out for the samples of bring-up.
     samples_within: Duration,
@@ -37,7 +37,7 @@ pub(crate) struct WrenchNode {
     sampling: Sampling,
     /// Receive time of the last heartbeat.
     heartbeat: Instant,
-    /// Time of the first cycle. Silence counts from here, because frames that came before may still wait in the port.
+    /// Time of the first cycle. Silence is measured from this time, because earlier frames may still wait in the port.
     since: Option<Instant>,
     operational: bool,
 }
@@ -71,7 +71,7 @@ struct Set {
     at: Instant,
     counts: [i32; 6],
     errors: u32,
-    /// The counter, and the bits that it has.
+    /// Value of the sensor's counter, and mask of its bits.
     counter: Option<(u32, u32)>,
 }
 
@@ -124,8 +124,8 @@ impl WrenchNode {
         self.sampler.begin(now);
     }
 
-    /// Judges the samples of bring-up once all nodes of the bus are operational. `synced`: a SYNC was sent since the
-    /// last call. Returns whether the sensor is ready.
+    /// Judges the samples of bring-up once all nodes of the bus are operational. `synced`: whether a SYNC was sent
+    /// since the last call. Returns whether the sensor is ready.
     pub(crate) fn is_ready(&mut self, now: Instant, synced: bool) -> Result<bool, BringUpError> {
         self.count_request(synced);
         let since = match self.sampling {
@@ -150,7 +150,7 @@ impl WrenchNode {
         self.sampler.begin_of_read();
     }
 
-    /// Index of the frame with this identifier among those of a sample.
+    /// Index, among the frames of a sample, of the frame with this identifier.
     pub(crate) fn frame(&self, cob_id: StandardId) -> Option<usize> {
         self.frames.iter().position(|frame| frame.cob_id == cob_id)
     }
@@ -183,7 +183,7 @@ impl WrenchNode {
         Some(())
     }
 
-    /// Takes a whole sample. A sample with the number of the last one is that sample again.
+    /// Takes a whole sample. A sample with the counter value of the last sample is a repetition, and is dropped.
     fn complete(&mut self, set: &Set) {
         self.sampler.status(set.errors);
         if let Some((counter, mask)) = set.counter {
@@ -193,7 +193,7 @@ impl WrenchNode {
                 self.sampler.counters.repeated += 1;
                 return;
             }
-            // A sensor that was restarted counts from anywhere.
+            // The counter of a restarted sensor may begin at any value.
             self.sampler.counters.lost += if step <= mask / 2 { u64::from(step) - 1 } else { 0 };
         }
         self.sampler.take(set.counts, set.at);
@@ -212,8 +212,8 @@ impl WrenchNode {
         }
     }
 
-    /// Ends the reading of a cycle: judges silence and publishes the state. `synced`: the SYNC of the last cycle was
-    /// sent.
+    /// Ends the reading of a cycle: checks for silence, and publishes the state. `synced`: whether the SYNC of the last
+    /// cycle was sent.
     pub(crate) fn end_of_read(&mut self, now: Instant, cycle: u64, synced: bool) {
         self.count_request(synced);
         if !self.operational {
@@ -266,7 +266,7 @@ fn signed(bytes: &[u8]) -> i32 {
 }
 
 impl Drop for WrenchNode {
-    /// Ends the validity of the last wrench.
+    /// Latches [`WrenchFault::Ended`]: the last wrench is no longer valid.
     fn drop(&mut self) {
         self.sampler.end();
     }

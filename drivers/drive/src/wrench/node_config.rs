@@ -31,7 +31,7 @@ pub struct WrenchNodeConfig {
     pub sensor: WrenchConfig,
     /// What makes the node send a sample.
     pub trigger: Trigger,
-    /// The TPDOs of one sample, 1 to 4. Together they carry each component of the wrench once.
+    /// The TPDOs of one sample, 1 to 4 TPDOs. Each component of the wrench is in exactly one of them.
     pub pdos: Vec<WrenchPdo>,
     /// Objects downloaded in order before the settings of this driver. The communication objects 0x1000 to 0x1FFF belong
     /// to the driver.
@@ -46,19 +46,19 @@ pub enum Trigger {
         /// Number of SYNCs per sample.
         every: u8,
     },
-    /// The event timer of the node: this time between two samples, 1 to 65535 whole milliseconds. The time of a sample
-    /// is the receive time of its first frame.
+    /// The event timer of the node. The value is the time between two samples: 1 to 65 535 whole milliseconds. The time
+    /// of a sample is the receive time of its first frame.
     EventTimer(Duration),
 }
 
 /// One TPDO of a sample.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WrenchPdo {
-    /// Which of the node's TPDOs it is.
+    /// Number of the TPDO in the node.
     pub number: PdoNumber,
-    /// Its identifier. The predefined one is [`cob::tpdo`].
+    /// Identifier of the TPDO. [`cob::tpdo`] gives the predefined identifier.
     pub cob_id: StandardId,
-    /// Its fields in the order of the frame, up to 8 bytes.
+    /// Fields in the order of the frame, up to 8 bytes in total.
     pub fields: Vec<WrenchField>,
     /// Whether bring-up writes the mapping. A node with a fixed mapping takes `false`.
     pub mapped: bool,
@@ -69,7 +69,7 @@ pub struct WrenchPdo {
 pub struct WrenchField {
     /// The object that the field carries.
     pub object: Object,
-    /// What the field means.
+    /// Meaning of the field.
     pub content: Content,
 }
 
@@ -80,22 +80,22 @@ pub enum Content {
     I16(WrenchAxis),
     /// Counts of a component, 32 bits signed.
     I32(WrenchAxis),
-    /// Number of the sample, 1 to 4 bytes, which wraps around. A number that stays is the same sample. Each PDO may have
-    /// one; PDOs of one sample have the same number.
+    /// Number of the sample, 1 to 4 bytes, which wraps around. An unchanged number means the same sample. Each PDO may
+    /// have one counter; the PDOs of one sample have the same number.
     Counter {
-        /// Length.
+        /// Length, bytes.
         bytes: u8,
     },
     /// Status of the sensor, 1 to 4 bytes.
     Status {
-        /// Length.
+        /// Length, bytes.
         bytes: u8,
-        /// Bits of errors. One that is set is [`WrenchFault::Status`](super::WrenchFault::Status).
+        /// Mask of the error bits. A set error bit is the fault [`WrenchFault::Status`](super::WrenchFault::Status).
         errors: u32,
     },
     /// Ignored, 1 to 8 bytes.
     Ignored {
-        /// Length.
+        /// Length, bytes.
         bytes: u8,
     },
 }
@@ -129,7 +129,7 @@ impl WrenchPdo {
     }
 }
 
-/// A part of the configuration of a sensor node that is out of its range.
+/// Refused part of the configuration of a sensor node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[expect(missing_docs, reason = "the messages document the variants")]
 pub enum NodeQuantity {
@@ -171,7 +171,7 @@ pub fn check(
     for (config, pdo) in sensors.iter().flat_map(|config| config.pdos.iter().map(move |pdo| (config, pdo))) {
         let free = match Function::of(pdo.cob_id) {
             Some(Function::Tpdo(_, node)) => node == config.node || nodes().all(|other| other != node),
-            // An RPDO of a node of this bus is a sign of another controller.
+            // A received RPDO of a node of this bus is taken for a frame of another controller.
             Some(Function::Rpdo(_, node)) => nodes().all(|other| other != node),
             Some(
                 Function::Nmt
@@ -258,7 +258,7 @@ impl WrenchNodeConfig {
         samples * self.pdos.len()
     }
 
-    /// The TPDOs of the node as bring-up sets them. The configuration is [checked](check).
+    /// The TPDOs of the node as bring-up sets them. The configuration must have passed [`check`].
     pub fn pdo_setups(&self) -> Result<Vec<PdoSetup>, ConfigError> {
         let of_node = |quantity| ConfigError::Node { node: self.node.raw(), quantity };
         let event_timer = self.event_timer_ms().map_err(of_node)?;

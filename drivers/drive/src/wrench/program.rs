@@ -23,21 +23,21 @@ pub(crate) fn program(group: &GroupConfig, config: &WrenchNodeConfig) -> Result<
     steps.extend(settings.map(|(number, setting)| Step::Configure(setting.object, number)));
     let [producer, consumer] = Step::heartbeats(group)?;
     steps.push(producer);
-    // A sensor commands nothing, so it need not notice the silence of the host.
+    // A sensor moves nothing, so the sensor need not supervise the heartbeat of the host.
     steps.push(match consumer {
         Step::Set(write, _) => Step::optional(write),
         other => other,
     });
     for number in PdoNumber::ALL.into_iter().filter(|number| config.pdos.iter().all(|pdo| pdo.number != *number)) {
         let off = PdoCobId::new(cob::tpdo(number, config.node)).without_rtr().invalid();
-        // A PDO that the node lacks is off.
+        // The step is optional, because a node may lack the PDO.
         steps.push(Step::optional(Write::new(PdoKind::Tpdo.communication(number, 1), off.0)));
     }
     for (pdo, setup) in config.pdos.iter().zip(config.pdo_setups()?) {
         let writes = remap(&setup).filter(|write| pdo.mapped || write.object.index < MAPPINGS);
         let need = |write: &Write| {
             let inhibit = write.object.index < MAPPINGS && write.object.subindex == INHIBIT_TIME;
-            // A node without an inhibit time has none to switch off.
+            // The write is optional, because a node may lack the inhibit time.
             if inhibit { Need::Optional } else { Need::Required }
         };
         steps.extend(writes.map(|write| Step::Set(write, need(&write))));

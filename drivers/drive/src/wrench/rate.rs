@@ -10,10 +10,10 @@ const SAMPLES: u32 = 64;
 /// Samples of the comparison that ends bring-up.
 const FIRST_SAMPLES: u32 = 16;
 
-/// A rate is another one if it differs by more than this part of the declared rate.
+/// Divisor of the tolerance: the period of the samples may differ from the declared period by at most a quarter.
 const TOLERANCE: u32 = 4;
 
-/// What makes a sensor sample, and how often.
+/// Cause of the samples, and their period.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Pace {
     /// Every n-th request: a query, or a SYNC. Requests are `period` apart.
@@ -38,7 +38,7 @@ impl Pace {
             Self::Requested { every, .. } => due.saturating_mul(every),
             Self::Own { declared, period } => {
                 let cycles = (declared.as_nanos() * u128::from(due)).div_ceil(period.as_nanos().max(1));
-                // The last sample was read up to a period after its reception.
+                // A sample is read up to a period after its reception.
                 u32::try_from(cycles).unwrap_or(u32::MAX).saturating_add(1)
             }
         }
@@ -86,7 +86,7 @@ impl Rate {
         self.requests += 1;
     }
 
-    /// Counts a sample of this time.
+    /// Counts a sample with the time `at`.
     pub(super) fn sampled(&mut self, at: Instant) {
         if self.samples == 0 {
             self.first = at;
@@ -95,7 +95,8 @@ impl Rate {
         self.samples += 1;
     }
 
-    /// Time between two samples so far; `None` without two samples.
+    /// Mean time between two samples so far. `None` without a sample, or with less than two samples of a sensor with
+    /// its own clock.
     pub(super) fn found(&self) -> Option<Duration> {
         match self.pace {
             Pace::Requested { period, .. } => (self.samples > 0).then(|| period * self.requests / self.samples),
@@ -103,12 +104,12 @@ impl Rate {
         }
     }
 
-    /// Ends the comparison if its samples are complete: the time between two samples, and whether it is the declared
-    /// one. The next comparison begins.
+    /// Ends the comparison if it has enough requests or samples, and begins the next. Returns the mean time between two
+    /// samples, and whether this time agrees with the declared period.
     pub(super) fn compare(&mut self) -> Option<(Duration, bool)> {
         let complete = match self.pace {
             Pace::Requested { every, .. } => self.requests >= self.length.saturating_mul(every),
-            // Times of reception may be those of the reading.
+            // The time of a sample may be the time of its reading, which is up to a period late.
             Pace::Own { period, .. } => {
                 self.samples > self.length && self.last.since(self.first) >= period * self.length
             }
@@ -117,7 +118,7 @@ impl Rate {
             return None;
         }
         let declared = self.pace.declared();
-        // A comparison without a sample is for the count of missing samples to judge.
+        // A comparison without a sample passes here: the count of missing samples detects silence.
         let found = self.found().unwrap_or(declared);
         *self = Self::of(self.pace, self.length);
         Some((found, found.abs_diff(declared) <= declared / TOLERANCE))

@@ -4,8 +4,8 @@ use can::Instant;
 
 use super::state::{Requests, StatePublisher, WrenchLink, WrenchState, ZeroRequest, Zeroing};
 
-/// A sensor without a wire, beside the ideal drives of a rehearsal. Only for rehearsals: a reader cannot tell the
-/// sensor from a real one.
+/// A sensor without a wire, for the ideal drives of a rehearsal. Only for rehearsals: through its link, a reader cannot
+/// distinguish the sensor from a real sensor.
 pub struct RehearsedWrench {
     state: WrenchState,
     publisher: StatePublisher,
@@ -25,7 +25,7 @@ impl RehearsedWrench {
     }
 
     /// Advances the sensor by one cycle, to `now`. `load`: forces, N, and torques, N·m, which must be finite. A
-    /// requested zero is done in this cycle.
+    /// requested zero takes effect in this cycle.
     pub fn advance(&mut self, now: Instant, load: [f64; 6]) {
         let requested = self.requests.zero();
         if let Some(request) = requested.filter(|_| requested > self.zeroed) {

@@ -1,4 +1,4 @@
-//! The part of a sensor's driver that knows no wire: scale, zero, age, faults and the published state.
+//! The part of the driver that is independent of the wire: scale, zero, age, faults and the published state.
 
 use std::time::Duration;
 
@@ -14,17 +14,17 @@ use super::state::{Requests, StatePublisher, WrenchAxis, WrenchLink, WrenchState
 pub struct WrenchCounters {
     /// Accepted samples.
     pub samples: u64,
-    /// Answers that were due and did not come.
+    /// Serial line: queries without any byte of an answer in the next cycle.
     pub missing: u64,
-    /// Readings of another length than an answer.
+    /// Readings or frames of wrong length.
     pub garbage: u64,
-    /// Answers that came too late to be attributed to their query.
+    /// Serial line: answers that were complete only after the next cycle. Their samples are dropped.
     pub late: u64,
     /// Samples with a saturated channel.
     pub saturated: u64,
-    /// Samples that the sensor sent twice, by its counter.
+    /// CAN: samples with the counter value of the previous sample.
     pub repeated: u64,
-    /// Samples that were lost, by the counter of the sensor.
+    /// CAN: lost samples. A frame of the sample is missing, or the counter of the sensor has a gap.
     pub lost: u64,
 }
 
@@ -53,9 +53,13 @@ pub(super) struct Sampler {
     rate: Rate,
     /// A sample was taken in this cycle.
     fresh: bool,
-    /// Readings since the last sample that were no answer.
+    /// A reset was requested. The latched fault remains until the next sample, so that no old wrench becomes valid.
+    resetting: bool,
+    /// Cycles since the last sample, or since the last reset.
+    waited: u32,
+    /// Number of readings since the last sample that were no answer.
     garbage: u32,
-    /// Answers since the last sample that came too late.
+    /// Number of late answers since the last sample.
     late: u32,
     /// Saturated samples in a row, and the first saturated channel of the last one.
     saturated: u32,
@@ -81,6 +85,8 @@ impl Sampler {
             bias_sent: false,
             rate: Rate::first(pace),
             fresh: false,
+            resetting: false,
+            waited: 0,
             garbage: 0,
             late: 0,
             saturated: 0,
@@ -91,9 +97,13 @@ impl Sampler {
         (sampler, link)
     }
 
-    /// Ends operation. Bring-up begins, and the zero is lost.
+    /// Ends operation, before bring-up. The zero of the host is cleared.
     pub(super) fn reset(&mut self) {
-        self.state = WrenchState::NOT_STARTED;
+        let zeroing = match self.state.zeroing {
+            Zeroing::None | Zeroing::Done { .. } => Zeroing::None,
+            Zeroing::UnderWay { request, .. } | Zeroing::Failed { request } => Zeroing::Failed { request },
+        };
+        self.state = WrenchState { zeroing, ..WrenchState::NOT_STARTED };
         self.offset = [0.0; 6];
         self.rate = Rate::first(self.pace);
         self.counters = WrenchCounters::default();
@@ -102,13 +112,13 @@ impl Sampler {
         self.publish();
     }
 
-    /// Starts operation after bring-up. The last sample of bring-up is that of the first cycle.
+    /// Starts operation after bring-up. The first cycle has the last sample of bring-up.
     pub(super) fn begin(&mut self, now: Instant) {
         self.state = WrenchState { at: now, fault: None, samples: 0, ..self.state };
         self.rate = Rate::new(self.pace);
         self.counters = WrenchCounters::default();
         self.forget_streaks();
-        // A reset that was requested before has nothing to clear.
+        // An earlier request for a reset is dropped: there is no fault to clear.
         self.requests.take_reset();
         self.publish();
     }
@@ -116,10 +126,10 @@ impl Sampler {
     fn forget_streaks(&mut self) {
         (self.garbage, self.late, self.saturated) = (0, 0, 0);
         self.saturated_at = None;
+        (self.resetting, self.waited) = (false, 0);
     }
 
-    /// Begins the reading of a cycle. A requested reset takes effect here, so that the readings of this cycle can latch
-    /// the fault again.
+    /// Begins the reading of a cycle. A requested reset begins here, so that a sample of this cycle can end the fault.
     pub(super) fn begin_of_read(&mut self) {
         if self.requests.take_reset() {
             self.reset_fault();
@@ -131,7 +141,7 @@ impl Sampler {
         self.rate.requested();
     }
 
-    /// Takes a whole sample of time `sampled`.
+    /// Takes a whole sample with the time `sampled`.
     pub(super) fn take(&mut self, counts: [i32; 6], sampled: Instant) {
         self.rate.sampled(sampled);
         let mut channels = WrenchAxis::ALL.into_iter().zip(counts).zip(self.config.channels);
@@ -145,6 +155,9 @@ impl Sampler {
         }
         (self.saturated, self.garbage, self.late) = (0, 0, 0);
         (self.counts, self.state.sampled, self.fresh) = (counts, sampled, true);
+        if std::mem::take(&mut self.resetting) {
+            self.state.fault = None;
+        }
         self.state.samples += 1;
         self.counters.samples += 1;
         self.scale();
@@ -153,7 +166,7 @@ impl Sampler {
         }
     }
 
-    /// Takes the last sample for a zeroing that has `samples` so far.
+    /// Adds the last sample to a zeroing that has taken `samples` samples so far.
     fn zero(&mut self, request: ZeroRequest, samples: u16) -> Zeroing {
         let ZeroMethod::Host { samples: wanted } = self.config.zero else {
             let done = self.bias_sent;
@@ -203,15 +216,18 @@ impl Sampler {
         self.bias_sent = true;
     }
 
-    /// Latches a fault. The first fault stays until a reset or the next bring-up. A fault ends a zeroing.
+    /// Latches a fault. The first fault stays until a reset or the next bring-up. A fault ends a zeroing and a reset.
     pub(super) fn latch(&mut self, fault: WrenchFault) {
+        if std::mem::take(&mut self.resetting) {
+            self.state.fault = None;
+        }
         if let Zeroing::UnderWay { request, .. } = self.state.zeroing {
             self.state.zeroing = Zeroing::Failed { request };
         }
         self.state.fault.get_or_insert(fault);
     }
 
-    /// Judges the samples of bring-up so far: an error if they show that the sensor cannot be used.
+    /// Checks the samples of bring-up so far. Fails on an error status, and on too many saturated samples in a row.
     pub(super) fn check_samples(&self) -> Result<(), WrenchError> {
         if self.status != 0 {
             return Err(WrenchError::Status { status: self.status });
@@ -229,8 +245,8 @@ impl Sampler {
         self.fresh && self.saturated == 0
     }
 
-    /// Ends the bring-up of a sensor that samples without a query, `waited` after its start: whether samples come at the
-    /// declared rate. `within`: time-out for the first comparison.
+    /// Returns whether samples arrive at the declared rate, which ends the bring-up of a sensor on CAN. `waited`: time
+    /// since the begin of the comparison. `within`: time limit.
     pub(super) fn compare_first(&mut self, waited: Duration, within: Duration) -> Result<bool, WrenchError> {
         self.check_samples()?;
         let declared = self.pace.declared();
@@ -245,30 +261,36 @@ impl Sampler {
         }
     }
 
-    /// Ends the reading of a cycle: judges the readings, takes a request for a zero and publishes the state.
+    /// Ends the reading of a cycle: checks for faults, takes a request for a zero, and publishes the state.
     pub(super) fn end_of_read(&mut self, now: Instant, cycle: u64) {
         (self.state.at, self.state.cycle) = (now, cycle);
-        self.state.age = if std::mem::take(&mut self.fresh) { 0 } else { self.state.age.saturating_add(1) };
+        let fresh = std::mem::take(&mut self.fresh);
+        for cycles in [&mut self.state.age, &mut self.waited] {
+            *cycles = if fresh { 0 } else { cycles.saturating_add(1) };
+        }
         self.judge();
         self.take_request();
         self.publish();
     }
 
     fn reset_fault(&mut self) {
-        let Some(fault) = self.state.fault.take() else { return };
-        if self.config.zero == ZeroMethod::Device && fault.may_be_restart() {
+        let Some(fault) = self.state.fault else { return };
+        if self.config.zero == ZeroMethod::Device
+            && fault.may_be_restart()
+            && matches!(self.state.zeroing, Zeroing::Done { .. })
+        {
             self.state.zeroing = Zeroing::None;
         }
-        self.state.age = 0;
         self.rate = Rate::new(self.pace);
         self.forget_streaks();
+        self.resetting = true;
     }
 
     fn judge(&mut self) {
         if self.status != 0 {
             self.latch(WrenchFault::Status { status: self.status });
         }
-        let silent = self.state.age >= self.pace.silent_after(self.config.tolerated_missing);
+        let silent = self.waited >= self.pace.silent_after(self.config.tolerated_missing);
         if let Some((axis, counts)) = self.saturated_at
             && (silent || self.saturated > self.config.tolerated_saturated)
         {
@@ -280,7 +302,7 @@ impl Sampler {
             self.latch(if self.garbage > 0 {
                 WrenchFault::Garbage { readings: self.garbage }
             } else if self.late > 0 {
-                // A late answer is seen in the second reading after its query.
+                // A late answer is complete in the second reading after its query.
                 WrenchFault::OfAnotherRate { declared, found: 2 * declared }
             } else {
                 WrenchFault::Silent { cycles }
@@ -306,7 +328,7 @@ impl Sampler {
         }
     }
 
-    /// The driver is dropped: ends the validity of the last wrench.
+    /// Latches [`WrenchFault::Ended`] when the driver is dropped: the last wrench is no longer valid.
     pub(super) fn end(&mut self) {
         self.latch(WrenchFault::Ended);
         self.publish();

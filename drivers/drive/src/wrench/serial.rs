@@ -14,13 +14,13 @@ use super::serial_bring_up::BringUp;
 use super::state::WrenchLink;
 use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters};
 
-/// Bytes of one reading: the whole buffer of the tty layer of Linux, so that no old bytes stay behind.
+/// Greatest length of one reading, bytes: the size of Linux's tty buffer. One reading therefore empties the buffer.
 const READING: usize = 4_096;
 
 /// A force/torque sensor on a serial line, as a [`DriveGroup`] without axes.
 ///
-/// A cycle makes one system call each way. The cycle after a missing answer makes one more, which discards a query that
-/// a stalled line still holds.
+/// A cycle makes two system calls: a read and a write. After a missing answer, no query is written. Instead, the second
+/// call discards a query that a stalled line has not yet sent.
 pub struct SerialWrenchSensor<L: Line> {
     line: L,
     config: SerialWrenchConfig,
@@ -38,11 +38,11 @@ pub struct SerialWrenchSensor<L: Line> {
 enum Exchange {
     /// No answer is due, and the next request may be sent.
     Idle,
-    /// The query was sent, and arrives at the sensor at `arrives`.
+    /// The query was sent. `arrives`: arrival time of the query at the sensor.
     Queried { arrives: Instant },
-    /// The answer was missing or damaged, and `heard` bytes of it have come. The next query waits for the rest of the
-    /// answer or for a quiet reading: a late answer would be taken for the next one, and the sensor loses a query that
-    /// it receives while it sends.
+    /// The answer was missing or damaged, and `heard` of its bytes have been received. The next query waits for the
+    /// rest of the answer, or for a reading without bytes. Otherwise a late answer could be taken for the answer to the
+    /// next query. The sensor also loses a query that arrives while the sensor sends.
     Draining { heard: usize },
 }
 
@@ -65,7 +65,7 @@ impl<L: Line> SerialWrenchSensor<L> {
         Ok((sensor, link))
     }
 
-    /// What was counted since bring-up.
+    /// Counters since bring-up.
     pub fn sensor_counters(&self) -> WrenchCounters {
         self.sampler.counters
     }
@@ -133,7 +133,7 @@ impl<L: Line> DriveGroup for SerialWrenchSensor<L> {
         0
     }
 
-    /// A call after success or after an error begins anew. The zero is lost.
+    /// A call after success or after an error begins a new bring-up. The zero of the host is cleared.
     fn bring_up(&mut self, now: Instant) -> Poll<Result<(), BringUpError>> {
         let sampler = &mut self.sampler;
         let bring_up = self.bring_up.get_or_insert_with(|| {
@@ -175,7 +175,7 @@ impl<L: Line> DriveGroup for SerialWrenchSensor<L> {
     fn send(&mut self, now: Instant) -> bool {
         match self.exchange {
             Exchange::Draining { .. } => self.line.discard_unsent(),
-            // The last answer was not read yet.
+            // The answer to the last query was not read yet.
             Exchange::Queried { .. } => {}
             Exchange::Idle if self.sampler.bias_is_due() => {
                 if self.request(Request::Bias, now) {
@@ -192,8 +192,8 @@ impl<L: Line> DriveGroup for SerialWrenchSensor<L> {
         true
     }
 
-    /// The counters of the port are in requests and answers. Errors are the readings that were no answer. A tty does
-    /// not say when an answer came, so there is no bus time.
+    /// The counters of the port count requests and answers. `errors` counts late answers and readings that were no
+    /// answer. A tty gives no receive times, so there is no bus time.
     fn counters(&self) -> GroupCounters {
         let WrenchCounters { samples, missing, garbage, late, saturated, .. } = self.sampler.counters;
         let line = self.line.counters();
@@ -212,7 +212,7 @@ impl<L: Line> DriveGroup for SerialWrenchSensor<L> {
 }
 
 impl<L: Line> Drop for SerialWrenchSensor<L> {
-    /// Ends the validity of the last wrench.
+    /// Latches [`WrenchFault::Ended`]: the last wrench is no longer valid.
     fn drop(&mut self) {
         self.sampler.end();
     }

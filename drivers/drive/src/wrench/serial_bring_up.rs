@@ -8,10 +8,10 @@ use super::config::SerialWrenchConfig;
 use super::fault::WrenchError;
 use super::sampler::Sampler;
 
-/// Answers that end bring-up.
+/// Number of answers that end bring-up.
 const ANSWERS: u32 = 8;
 
-/// Brings a sensor up: until the line is quiet and so many queries are answered in time.
+/// Bring-up of a sensor: the line is drained until it is quiet, and eight queries are answered.
 ///
 /// ```text
 /// drain ──quiet for a period──► query ──14 bytes──► query … ──8 answers──► ready
@@ -19,16 +19,17 @@ const ANSWERS: u32 = 8;
 ///   └─────── other bytes, or no answer in time
 /// ```
 ///
-/// A sensor that was just switched on sends a text first, which is drained. Each answer has a deadline of
-/// [`SerialWrenchConfig::boot_timeout`]. A line is refused if most answers took more than a period, since in operation
-/// an answer has to come within one.
+/// The text that a sensor sends after power-on is drained. A query without an answer within
+/// [`SerialWrenchConfig::answer_timeout`] is repeated. The time limit from the begin or the last answer to the next
+/// answer is [`SerialWrenchConfig::boot_timeout`]. Bring-up fails if most answers took more than a period, because in
+/// operation an answer must arrive within a period.
 #[derive(Clone, Debug)]
 pub(super) struct BringUp {
     config: SerialWrenchConfig,
     stage: Stage,
-    /// Time of the last answer, or of the begin.
+    /// Time of the last answer, or of the begin of bring-up.
     since: Instant,
-    /// Bytes since then that were no answer.
+    /// Number of bytes since `since` that were no answer.
     bytes: u32,
     answers: u32,
     late: u32,
@@ -39,7 +40,7 @@ pub(super) struct BringUp {
 enum Stage {
     /// The last byte was read at `since`.
     Draining { since: Instant },
-    /// The query was sent at `at`, and `heard` bytes of the answer have come.
+    /// The query was sent at `at`, and `heard` bytes of the answer have been received.
     Queried { at: Instant, heard: usize, late: bool },
 }
 
@@ -98,7 +99,7 @@ impl BringUp {
             });
         }
         if query {
-            // What the line does not take is not answered either.
+            // A query that the line does not accept ends like a query without an answer.
             line.write(now, &Request::Query.encode()).map_err(WrenchError::Line)?;
             self.stage = Stage::Queried { at: now, heard: 0, late: false };
         }

@@ -41,23 +41,23 @@ impl fmt::Display for WrenchAxis {
 
 /// State of a force/torque sensor in one cycle. Cycles count from 0 at the end of bring-up.
 ///
-/// The driver publishes a state in every cycle. [`at`](Self::at) of the latest state stays behind the clock if the cycle
-/// does not run. All numbers are finite.
+/// The driver publishes a state in every cycle. If the cycle does not run, [`at`](Self::at) of the latest state does
+/// not advance. All numbers are finite.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WrenchState {
     /// Number of the cycle that published the state.
     pub cycle: u64,
     /// Time of that cycle.
     pub at: Instant,
-    /// Forces along x, y and z, N, and torques about x, y and z, N·m: the load that the tool's side puts on the sensor,
-    /// in the sensor's frame, minus the zero. The value is that of the last sample and stays through a fault: read
-    /// [`measured`](Self::measured).
+    /// Forces along x, y and z, N, and torques about x, y and z, N·m, in the frame of the sensor: the load of the tool
+    /// on the sensor, minus the zero. The value comes from the last sample and does not change during a fault;
+    /// [`measured`](Self::measured) excludes faults.
     pub wrench: [f64; 6],
     /// Time of the last sample.
     pub sampled: Instant,
     /// Samples since the end of bring-up.
     pub samples: u64,
-    /// Cycles without a new sample, up to this cycle.
+    /// Number of cycles since the cycle that took the last sample; 0 in this cycle itself.
     pub age: u32,
     /// State of the zero.
     pub zeroing: Zeroing,
@@ -68,11 +68,12 @@ pub struct WrenchState {
 /// State of the zero of a sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Zeroing {
-    /// The sensor was not zeroed since bring-up, or lost its own zero. The wrench is that of the sensor's own zero.
+    /// The sensor was not zeroed since bring-up, or lost its own zero. The wrench is relative to the zero that the
+    /// sensor itself has.
     None,
-    /// Samples are being taken. The zero before is still in force.
+    /// The zeroing takes samples. The previous zero is still in force.
     UnderWay {
-        /// The request that is being carried out.
+        /// The request in progress.
         request: ZeroRequest,
         /// Samples taken so far.
         samples: u16,
@@ -81,10 +82,12 @@ pub enum Zeroing {
     Done {
         /// The last request that was carried out.
         request: ZeroRequest,
-        /// Samples that the zero is the mean of.
+        /// Number of samples in the mean; 0 if the sensor has executed its bias command.
         samples: u16,
     },
-    /// A fault ended the zeroing. The zero before is still in force.
+    /// A fault or a new bring-up ended the zeroing. After a fault, the previous zero is still in force, unless the sensor
+    /// had already executed its bias command ([`ZeroMethod::Device`](super::ZeroMethod::Device)). After a new bring-up,
+    /// the wrench is relative to the zero that the sensor itself has.
     Failed {
         /// The request that was not carried out.
         request: ZeroRequest,
@@ -96,18 +99,18 @@ pub enum Zeroing {
 pub struct ZeroRequest(u64);
 
 impl Zeroing {
-    /// Whether the zero that `request` asked for, or that a later request asked for, is in force.
+    /// Whether the zero of `request`, or of a later request, is in force.
     pub fn is_done(self, request: ZeroRequest) -> bool {
         matches!(self, Self::Done { request: done, .. } if done >= request)
     }
 
-    /// Whether `request` was not carried out.
+    /// Whether `request`, or a later request, has failed.
     pub fn has_failed(self, request: ZeroRequest) -> bool {
         matches!(self, Self::Failed { request: failed } if failed >= request)
     }
 }
 
-/// Words of a state.
+/// Length of an encoded state, words of 64 bits.
 const WORDS: usize = 16;
 
 /// The writing end of the states of a sensor.
@@ -202,21 +205,22 @@ impl WrenchLink {
         (publisher, requests.clone(), Self { latest, requests })
     }
 
-    /// The latest state. All its fields are of one cycle.
+    /// The latest state. All fields belong to the same cycle.
     pub fn read(&self) -> WrenchState {
         WrenchState::from_words(&self.latest.read())
     }
 
-    /// Requests that the present load reads as zero. The driver begins in its next cycle.
-    /// [`WrenchState::zeroing`] shows the progress of the returned request. A request during a zeroing begins it anew. A
-    /// request before operation takes effect in the first cycle. A request during a fault fails.
+    /// Requests a zero: afterwards, the present load reads as zero. The driver begins in its next cycle.
+    /// [`WrenchState::zeroing`] shows the progress of the returned request. A request during a zeroing restarts the
+    /// zeroing. A request before operation takes effect in the first cycle. A request during a fault fails.
     ///
     /// The robot must stand still until the zeroing is done.
     pub fn zero(&self) -> ZeroRequest {
         ZeroRequest(self.requests.0.zero.fetch_add(1, Ordering::AcqRel) + 1)
     }
 
-    /// Requests a reset of the latched fault. The driver latches again what the sensor still shows.
+    /// Requests a reset of the latched fault. The fault ends with the next sample, so that no old wrench becomes valid.
+    /// A fault that persists is latched again.
     pub fn reset_fault(&self) {
         self.requests.0.reset.store(true, Ordering::Release);
     }

@@ -178,6 +178,32 @@ fn the_first_fault_stays_until_its_reset() {
 }
 
 #[test]
+fn a_reset_makes_no_old_wrench_valid() {
+    let mut rig = Rig::up();
+    rig.run(3);
+    rig.line.board().deaf = true;
+    rig.cycle();
+    rig.until_fault();
+    let silent = rig.run(1_000);
+    assert_eq!(silent.age, 1_004);
+    rig.link.reset_fault();
+    for waited in 1..=8 {
+        let state = rig.cycle();
+        assert_eq!((state.measured(), state.age), (None, silent.age + waited));
+    }
+    assert_eq!(rig.link.read().fault, Some(WrenchFault::Silent { cycles: silent.age + 4 }));
+    rig.line.board().deaf = false;
+    rig.link.reset_fault();
+    let valid = (0..4).map(|_| rig.cycle()).find(|state| state.measured().is_some()).unwrap();
+    assert_eq!(valid.age, 0);
+    // A sensor that is still saturated shows no wrench either, although one saturated sample is tolerated.
+    rig.line.board().load[0] = i16::MAX;
+    rig.until_fault();
+    rig.link.reset_fault();
+    assert!((0..8).all(|_| rig.cycle().measured().is_none()));
+}
+
+#[test]
 fn faults_say_what_to_check() {
     let table = [
         (WrenchFault::Silent { cycles: 4 }, "no sample for 4 cycles: check cable and supply of the sensor"),

@@ -103,6 +103,22 @@ fn a_new_bring_up_forgets_the_zero() {
     assert!((state.wrench[0] - 10.0).abs() < 1e-12);
 }
 
+#[test]
+fn a_new_bring_up_ends_a_zeroing_as_failed() {
+    let mut rig = Rig::up();
+    rig.run(3);
+    let request = rig.link.zero();
+    assert!(matches!(rig.run(3).zeroing, Zeroing::UnderWay { .. }));
+    // Another node of the bus may need the bring-up: the sensor has no fault.
+    assert_eq!(rig.bring_up(), Ok(()));
+    let state = rig.run(20);
+    assert_eq!((state.fault, state.zeroing), (None, Zeroing::Failed { request }));
+    let request = rig.link.zero();
+    rig.run(1);
+    until_zeroed(&mut rig, request);
+    assert!(rig.link.read().zeroing.is_done(request));
+}
+
 fn by_device() -> Rig {
     let board = Board { load: [115; 6], ..Board::new() };
     Rig::up_with(config(|sensor| sensor.zero = ZeroMethod::Device), board)

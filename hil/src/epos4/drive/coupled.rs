@@ -1,8 +1,8 @@
 //! Chunks of a drive whose axis advances with a scene, in single sub-steps.
 //!
-//! A chunk begins with the sub-step after the last chunk, under the demand for 1 ms. A frame that the drive receives
-//! ends the chunk early. The set-point generator is then set back to the beginning of the chunk and run for its true
-//! duration. The demand of the sub-steps that have passed stays as it was.
+//! A chunk lasts 1 ms and has one demand. A received frame ends the chunk early. The set-point generator then returns
+//! to its state at the beginning of the chunk, and is run for the shortened duration. The demand of the sub-steps
+//! already done does not change.
 
 use std::time::Duration;
 
@@ -23,11 +23,11 @@ pub(super) struct Chunk {
     /// Sub-steps so far.
     steps: u32,
     limit_switches: (bool, bool),
-    /// The set-point generator at the beginning.
+    /// State of the set-point generator at the beginning of the chunk.
     before: Generator,
 }
 
-/// What the set-point generator of a mode changes.
+/// State of the set-point generator, for all modes.
 #[derive(Clone, Copy, Debug)]
 struct Generator {
     motion: Motion,
@@ -67,7 +67,8 @@ impl Drive {
     pub(in super::super) fn cut_chunk(&mut self, objects: &mut Objects) -> Option<Error> {
         let chunk = self.chunk.take()?;
         self.restore(&chunk.before);
-        // A search for the index arms the latch again, which must keep an index pulse of this chunk.
+        // `generate` arms the index latch again during an index search. An index pulse found in this chunk must not be
+        // lost.
         let index = self.axis.index();
         self.generate(chunk.steps, objects);
         self.axis.set_index(index);

@@ -56,9 +56,37 @@ fn drive_in_a_scene_without_a_contact_follows_as_without_a_scene() {
         let moved = alone.iter().fold(0, |most: i32, counts| most.max(counts.abs()));
         assert!(moved > 5_000, "{moved} counts");
         let worst = alone.iter().zip(&with).map(|(alone, with)| (alone - with).abs()).max();
-        // Other frames end chunks in a scene early. The demand of such a chunk is that of the whole millisecond.
+        // Other frames end chunks in a scene early. The demand of such a chunk was computed for a whole millisecond.
         assert!(worst <= Some(if disturb { 15 } else { 1 }), "{worst:?} counts");
     }
+}
+
+#[test]
+fn drive_whose_scene_ends_within_a_chunk_and_begins_again_follows_on() {
+    let run = |mut bench: Bench, mechanism: Option<&Mechanism>| {
+        bench.write("656000", 1_000_000, 4);
+        bench.cyclic();
+        let mut answers = Vec::new();
+        for cycle in 0..600 {
+            let angle = f64::from(cycle) * 2e-3 * 5.0;
+            answers.extend(bench.follow(1, |_| (3_000.0 * (1.0 - angle.cos())) as i32));
+            if cycle == 100 || cycle == 300 {
+                bench.run_micros(370);
+                let mut scene = Scene::new();
+                let back = mechanism.filter(|_| cycle == 300);
+                back.map(|mechanism| scene.add_robot(mechanism, &Isometry3::identity()).unwrap());
+                bench.world.set_scene(scene);
+            }
+        }
+        let position = |answer: &String| u32::from_str_radix(&answer[8..16], 16).unwrap().swap_bytes() as i32;
+        answers.iter().map(position).collect::<Vec<_>>()
+    };
+    let alone = run(Bench::booted(upper_arm().0), None);
+    let (config, mechanism) = upper_arm();
+    let with = run(in_scene(config, &mechanism), Some(&mechanism));
+    assert_eq!((alone.len(), with.len()), (600, 600));
+    let worst = alone.iter().zip(&with).map(|(alone, with)| (alone - with).abs()).max();
+    assert!(worst <= Some(15), "{worst:?} counts");
 }
 
 #[test]

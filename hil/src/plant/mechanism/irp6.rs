@@ -101,8 +101,8 @@ impl Irp6 {
         Loaded { links: self.chain.load(&base, &posture.angles, &rates), turning, ratio }
     }
 
-    /// The flange, and its motion per rad/s of each motor. The base frame lies at the shoulder, z up, and stands still
-    /// when the carriage moves along its y axis.
+    /// The flange, and its motion per rad/s of each motor. The base frame is at the shoulder, z up. The base frame does
+    /// not move with the carriage, which moves along y.
     pub(super) fn kinematics(&mut self, motors: &[f64; AXES]) -> Kinematics {
         let posture = self.posture(motors);
         let mut base = Frame::BASE;
@@ -127,14 +127,14 @@ impl Irp6 {
         let (upper, upper_gear) = self.upper.joint(arm(2));
         let pitch = arm(3) / PITCH;
         let roll = (arm(4) - arm(3)) / ROLL;
-        // Parallelogram and rods keep each link's angle to the horizontal. The angles of the chain are relative to
-        // the previous link.
+        // Parallelogram and rods keep the inclination of each link to the horizontal. The joint angles of the chain are
+        // relative to the previous link.
         let angles = [arm(0) / COLUMN, lower, upper - lower, pitch - upper - FRAC_PI_2, roll, arm(5) / FLANGE];
         Posture { angles, lower_gear, upper_gear }
     }
 }
 
-/// Angles of the chain's joints, and the ratios of the screws in that pose.
+/// Joint angles of the chain, rad, and the gear ratios of the ball screws in this pose.
 struct Posture {
     angles: [f64; 6],
     lower_gear: f64,

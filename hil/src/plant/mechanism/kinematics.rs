@@ -1,4 +1,4 @@
-//! Position and motion of the flange of a mechanism, and the motor torques of a wrench on it.
+//! Pose and motion of the flange of a mechanism, and the motor torques that a wrench on the flange causes.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -29,7 +29,7 @@ pub(crate) struct Twist {
 }
 
 impl Twist {
-    /// Sum of the motions that joints cause at these rates.
+    /// Motion of the frame while the joints turn at `rates`, rad/s.
     pub(super) fn sum<const N: usize>(joints: &[Self; N], rates: &[f64; N]) -> Self {
         let mut sum = Self::default();
         // Most motors turn one or two joints.
@@ -56,8 +56,8 @@ impl Kinematics {
         Twist::sum(&self.motors, velocities)
     }
 
-    /// Torque on each motor, N·m, of a force on the flange's origin, N, and a torque, N·m, in the base frame. By the
-    /// transpose of the Jacobian: the wrench does the same work on the flange as the torques on the motors.
+    /// Torque on each motor, N·m, caused by a force, N, at the origin of the flange and a torque, N·m, both in the base
+    /// frame. The transpose of the Jacobian gives these torques: wrench and motor torques do the same work.
     pub(crate) fn torques(&self, force: &Vector3<f64>, torque: &Vector3<f64>) -> [f64; AXES] {
         self.motors.map(|motor| motor.velocity.dot(force) + motor.spin.dot(torque))
     }
@@ -163,6 +163,18 @@ mod tests {
         let both = 1.0 / (1.0 / upper + 1.0 / pitch);
         let found = mechanism.effective_mass([0.0, 0.0, 0.2], [0.0, 0.0, 1.0]);
         assert!((found - both).abs() < 1e-4 * both, "{found} for {both} kg");
+    }
+
+    #[test]
+    fn mass_at_the_tip_is_that_of_the_present_pose_also_without_a_scene() {
+        let moved = [40.0, 10.0, -20.0, 30.0, 0.0];
+        let (placed, _) = at(MechanismConfig::Irb6, &moved);
+        let (driven, _) = at(MechanismConfig::Irb6, &[0.0; 5]);
+        for (number, motor) in moved.into_iter().enumerate() {
+            driven.mount(number, 50.0).expect("it has the axis").load(50.0 + motor);
+        }
+        let mass = |mechanism: &Mechanism| mechanism.effective_mass([0.0, 0.0, 0.2], [0.3, 1.0, 0.5]);
+        assert!((mass(&driven) - mass(&placed)).abs() < 1e-9, "{} {} kg", mass(&driven), mass(&placed));
     }
 
     #[test]

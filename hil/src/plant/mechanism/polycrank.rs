@@ -71,8 +71,8 @@ impl Polycrank {
     fn rates(&self, number: usize) -> [f64; AXES] {
         let mut rates = [0.0; AXES];
         rates[number] = 1.0 / RATIO;
-        // If one motor of a group turns alone, the next joint turns back by the same angle, so that the later links
-        // keep their orientation.
+        // The motors of a group set sums of joint angles. If one motor turns alone, the next joint turns back by the
+        // same angle, and the later links keep their orientation.
         if self.coupled && !matches!(number, 2 | 5 | 6) {
             rates[number + 1] = -rates[number];
         }

@@ -130,8 +130,8 @@ impl Rnt {
         Loaded { links: load.and(self.wrist.load(&base, &angles, &rates)), turning, ratio: 1.0 }
     }
 
-    /// The flange, and its motion per rad/s of each motor. The base frame lies in the centre of the legs' joints, z
-    /// along the central leg.
+    /// The flange, and its motion per rad/s of each motor. The origin of the base frame is the centre of the legs'
+    /// joints in the base. Axis z is along the central leg.
     pub(super) fn kinematics(&mut self, motors: &[f64; AXES]) -> Kinematics {
         self.follow(motors);
         let axes = Matrix3::from_columns(&self.pose.axes());

@@ -2,8 +2,8 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Angle and velocity of a motor, and the torque of the forces on the robot. One thread moves all drives of a world and
-/// the scene, so the order of the values does not matter.
+/// Angle and velocity of a motor, and the torque that the forces on the robot cause at the motor. One thread advances
+/// all drives of a world and the scene, so relaxed atomics suffice.
 #[derive(Debug, Default)]
 pub(in super::super) struct Shaft {
     angle: AtomicU64,
@@ -18,7 +18,7 @@ impl Shaft {
         store(&self.velocity, velocity);
     }
 
-    /// Torque of the forces on the robot at the motor, N·m.
+    /// Torque that the forces on the robot cause at the motor, N·m.
     pub(in super::super) fn torque(&self) -> f64 {
         load(&self.torque)
     }

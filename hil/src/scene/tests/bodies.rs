@@ -257,7 +257,7 @@ fn random_scenes_gain_no_energy() {
     for seed in 0..100 * times {
         let mut noise = Noise::new(seed);
         let (mut scene, _) = random_scene(&mut noise);
-        // Gravity gives a scene less energy than the bodies have at the ceiling.
+        // The energy of a scene may be near zero, because the potential energy is zero at height zero.
         let mut least = scene.energy();
         let scale = least.abs().max(0.1);
         for step in 0..500 {

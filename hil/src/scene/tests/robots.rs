@@ -1,4 +1,4 @@
-//! Robots that touch and hold. The motors are advanced by hand, without drives.
+//! Robots that touch surfaces and hold bodies. The test advances the motors, without drives.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -21,7 +21,7 @@ struct Robot {
 }
 
 impl Robot {
-    /// At these motor angles from home. Each motor holds its position.
+    /// An IRb-6 at these motor angles from home, rad. Each motor holds its position.
     fn irb6(motors: [f64; 5]) -> Self {
         let mechanism = Mechanism::new(MechanismConfig::Irb6);
         let axes = Irp6Axis::ALL.iter().zip(motors).enumerate().map(|(number, (axis, motor))| {
@@ -48,8 +48,8 @@ impl Robot {
     }
 }
 
-/// Means over some steps of the torques of a robot's motors, of the wrench on a sensor, and of the height of the flange.
-/// Motors without friction tremble by a count.
+/// Means over some steps of the torques of a robot's motors, of the wrench on a sensor, and of the height of the
+/// flange. The angle of a motor without friction oscillates by one count.
 fn means(scene: &mut Scene, robot: &mut Robot, id: RobotId, probe: &SensorProbe) -> (Vec<f64>, [f64; 6], f64) {
     const STEPS: u32 = 10_000;
     let mut sums = (vec![0.0; 5], [0.0; 6], 0.0);
@@ -150,7 +150,7 @@ fn torque_limited_arm_presses_with_the_force_of_its_torque() {
     assert!((force - expected).abs() < 0.01 * expected, "{force} N for {expected}");
 }
 
-/// The kinetic bound: the spring takes up all kinetic energy of the effective mass.
+/// Energy bound of the impact: the spring stores at most the kinetic energy of the effective mass.
 #[test]
 fn coasting_arm_hits_a_wall_with_the_force_of_its_effective_mass() {
     for stiffness in [1e4, 1e5, 1e6] {
@@ -210,8 +210,8 @@ fn sensor_measures_weight_and_inertia_of_the_tool() {
     assert!(x.hypot(y) < 1e-2 && (z + weight).abs() < 1e-2, "{x} {y} {z}");
     assert!((tx + 0.02 * weight).abs() < 1e-2 && ty.abs() < 1e-2 && tz.abs() < 1e-3, "{tx} {ty} {tz}");
 
-    // The column accelerates: the mass at 0.67 m stays behind, and is thrown outwards as the speed rises. Torques that
-    // balance the weight do not tremble.
+    // The column accelerates: tangential and centrifugal inertial forces act on the mass at 0.67 m. Constant torques
+    // that balance the weight cause no oscillation by a count.
     robot.demands = (0..5).map(|axis| Demand::Torque(-robot.mechanism.load(axis).torque)).collect();
     robot.demands[0] = Demand::Torque(0.2);
     let mut speeds = Vec::new();
@@ -261,7 +261,7 @@ fn bar_held_by_two_arms_is_strained_as_its_springs_say() {
     let sensors = [first, second].map(|id| scene.add_sensor(id, &sensor(0.0)).unwrap());
     let [a, b] = &mut arms;
     run(&mut scene, &mut [a, b], 30_000);
-    // Means over a second, because motors without friction tremble by a count.
+    // Means over a second, because the angle of a motor without friction oscillates by one count.
     const STEPS: u32 = 10_000;
     let grips = [(first, one, -1.0), (second, two, 1.0)];
     let mut sums = [[Vector3::zeros(); 3]; 2];

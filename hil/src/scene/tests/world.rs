@@ -83,6 +83,25 @@ fn runs_in_a_scene_do_not_depend_on_how_the_world_is_advanced() {
 }
 
 #[test]
+fn bodies_of_a_scene_that_is_set_later_begin_then() {
+    let mut world = World::new();
+    let at = |micros| Instant::ZERO + Duration::from_micros(micros);
+    world.advance(at(1_000_030));
+    let mut scene = Scene::new();
+    let material = Material { stiffness: 1e5, damping: 300.0, friction: 0.5 };
+    let (pose, still) = (Isometry3::identity(), [0.0; 3]);
+    let cube = BodyConfig { mass: 1.0, half: [0.05; 3], material, pose, velocity: still, spin: still };
+    let cube = scene.add_body(&cube).unwrap();
+    world.set_scene(scene);
+    assert_eq!(world.scene().unwrap().now(), at(1_000_000));
+    world.advance(at(1_100_000));
+    let scene = world.scene().unwrap();
+    assert_eq!(scene.now(), at(1_100_000));
+    let height = scene.body(cube).pose.translation.z;
+    assert!((height + 0.5 * 9.81 * 0.01).abs() < 1e-9, "{height}");
+}
+
+#[test]
 fn motor_of_a_conveyor_carries_a_box() {
     let mut world = World::new();
     let bus = world.add_bus(Bitrate::KBPS_1000);
@@ -110,6 +129,32 @@ fn motor_of_a_conveyor_carries_a_box() {
     // The box stays behind while it is accelerated with 4.9 m/s², and then stands on the belt.
     let behind = 0.004 * (shaft.angle() - start) - state.pose.translation.y;
     assert!((0.0..0.01).contains(&behind), "{behind} m");
+}
+
+#[test]
+fn motor_advances_with_the_scene_until_its_last_belt_has_ended() {
+    let axis = AxisConfig { brake: 0.0, ..AxisConfig::irp6(Irp6Axis::Column) };
+    let shaft = PlantAxis::new(&axis, 1).probe();
+    let material = Material { stiffness: 1e5, damping: 300.0, friction: 0.5 };
+    let wall = WallConfig { shape: Shape::HalfSpace, pose: Isometry3::identity(), material };
+    let belts = || {
+        let mut scene = Scene::new();
+        let belts = [(); 2].map(|()| scene.add_wall(&wall).unwrap());
+        belts.iter().for_each(|&belt| scene.drive_belt(belt, shaft.clone(), [0.0, 0.004, 0.0]));
+        (scene, belts)
+    };
+    assert!(!shaft.in_scene());
+    let (mut scene, [one, other]) = belts();
+    scene.drive_belt(one, shaft.clone(), [0.0, 0.002, 0.0]);
+    scene.set_belt(one, [0.0; 3]);
+    assert!(shaft.in_scene(), "the other belt");
+    // The next scene exists before the previous scene ends.
+    let (next, _) = belts();
+    scene.set_belt(other, [0.0; 3]);
+    drop(scene);
+    assert!(shaft.in_scene(), "the next scene");
+    drop(next);
+    assert!(!shaft.in_scene());
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! Barriers and teams.
 
+mod laws;
 mod stops;
 
 use super::*;
@@ -20,6 +21,11 @@ impl Cell {
     }
 
     fn with(like: &ServoConfig, accelerations: &[f64]) -> Self {
+        Self::prepared(like, accelerations, |_| {})
+    }
+
+    /// The same. `prepare` acts on the servo before the first cycle.
+    fn prepared(like: &ServoConfig, accelerations: &[f64], prepare: impl FnOnce(&mut Servo)) -> Self {
         let effector = |(group, acceleration): (usize, &f64)| {
             let mut effector = like.effectors[0].clone();
             (effector.axes[0].group, effector.axes[0].max_acceleration) = (group, *acceleration);
@@ -33,7 +39,8 @@ impl Cell {
             world.axes[0].state.homing = Homing::Attained;
             world.log = false;
         }
-        let (servo, links) = Servo::new(&config, groups).unwrap();
+        let (mut servo, links) = Servo::new(&config, groups).unwrap();
+        prepare(&mut servo);
         let mut cell = Self { servo, links, worlds, now: Instant::ZERO };
         cell.order_all(Order::Enable);
         cell.run(20);

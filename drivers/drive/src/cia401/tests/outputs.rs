@@ -178,7 +178,7 @@ fn a_bus_of_io_nodes_alone_carries_no_sync() {
     assert_eq!(cycle(&mut bench), ["77F#05", "205#01"]);
     bench.links[0].outputs.set_all(0b0110);
     assert_eq!(cycle(&mut bench), ["205#06"]);
-    // Refused outputs are no refused set-points, and the set-points of other buses go on.
+    // Refused outputs do not count as refused set-points, and other buses continue to receive set-points.
     bench.links[0].outputs.set_all(0b0111);
     bench.bus.0.lock().unwrap().takes = Some(0);
     assert_eq!(cycle(&mut bench), NONE);

@@ -229,7 +229,7 @@ impl Bench {
         self.cycle_with(&[])
     }
 
-    /// One cycle with these frames beside those of drive and sensor.
+    /// One cycle in which the bus also receives these frames, beside the frames of drive and sensor.
     pub(super) fn cycle_with(&mut self, frames: &[&str]) -> WrenchState {
         self.now += PERIOD;
         let at = self.now - PERIOD / 2;

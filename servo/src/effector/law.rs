@@ -1,0 +1,144 @@
+//! The cycle law of an effector: its installation, its displacements, and their bounds.
+
+use super::motion::Failed;
+use super::{Effector, Tick};
+use crate::axis::ServoAxis;
+use crate::interpolate::Segment;
+use crate::limit::{self, RELATIVE_TOLERANCE};
+use crate::{CycleLaw, Knot, LawAxis, LawBound, LawError, LawInput, LawOutput, MAX_AXES, Macrostep, StopCause};
+
+/// A law and its state.
+pub(crate) struct Installed {
+    law: Box<dyn CycleLaw>,
+    bounds: [LawBound; MAX_AXES],
+    /// The law displaces the set-points of the motion under way.
+    active: bool,
+    /// Present displacements: positions, velocities and accelerations. All are at rest at zero while not `active`.
+    displacement: [Knot; MAX_AXES],
+}
+
+impl Installed {
+    /// Ends the law. The displacements remain in the set-points, and count as part of the path from now on.
+    pub(super) fn end(&mut self) {
+        (self.active, self.displacement) = (false, [Knot::default(); MAX_AXES]);
+    }
+
+    /// Present displacements, rad.
+    pub(super) fn displacements(&self) -> [f64; MAX_AXES] {
+        self.displacement.map(|knot| knot.position)
+    }
+
+    /// Takes the displacement of `axis` of this cycle, rad, if the displacement is within its bounds.
+    fn take(&mut self, axis: usize, position: f64, dt: f64) -> Result<Knot, StopCause> {
+        if !position.is_finite() {
+            return Err(StopCause::NotFinite);
+        }
+        let LawBound { displacement: limit, speed } = self.bounds[axis];
+        if position.abs() > limit {
+            return Err(StopCause::LawDisplacement { displacement: position, limit });
+        }
+        let last = &mut self.displacement[axis];
+        let velocity = (position - last.position) / dt;
+        if velocity.abs() > speed * (1.0 + RELATIVE_TOLERANCE) {
+            return Err(StopCause::LawSpeed { velocity, limit: speed });
+        }
+        *last = Knot { position, velocity, acceleration: (velocity - last.velocity) / dt };
+        Ok(*last)
+    }
+}
+
+impl Effector {
+    pub(crate) fn install_law(&mut self, law: Box<dyn CycleLaw>, bounds: &[LawBound]) -> Result<(), LawError> {
+        let effector = usize::from(self.index);
+        LawBound::check(bounds, self.axes.iter().map(|axis| &axis.config))?;
+        if self.law.is_some() {
+            return Err(LawError::Installed { effector });
+        }
+        let none = LawBound { displacement: 0.0, speed: 0.0 };
+        let bounds = std::array::from_fn(|axis| bounds.get(axis).copied().unwrap_or(none));
+        self.law = Some(Installed { law, bounds, active: false, displacement: [Knot::default(); MAX_AXES] });
+        Ok(())
+    }
+
+    /// Whether a law displaces the set-points of the motion under way.
+    pub(super) fn is_displaced(&self) -> bool {
+        self.law.as_ref().is_some_and(|law| law.active)
+    }
+
+    /// Checks whether the law of the effector can execute `macrostep`.
+    pub(super) fn admit_law(&self, macrostep: &Macrostep) -> Result<(), StopCause> {
+        let number = macrostep.number;
+        match (&self.law, &macrostep.law) {
+            (_, None) if self.is_displaced() => Err(StopCause::LawLeft { number }),
+            (_, None) => Ok(()),
+            (None, Some(_)) => Err(StopCause::NoLaw { number }),
+            (Some(_), Some(parameters)) if !parameters.0.iter().all(|value| value.is_finite()) => {
+                Err(StopCause::NotFinite)
+            }
+            (Some(installed), Some(parameters)) => installed.law.check(parameters).map_err(StopCause::Law),
+        }
+    }
+
+    /// Adds the displacements of this cycle to the interpolated set-points in `next`, if the macrostep has a law.
+    pub(super) fn displace(&mut self, tick: &Tick) -> Result<(), Failed> {
+        let parameters = self.segment.as_ref().and_then(Segment::law);
+        let (Some(installed), Some(parameters)) = (&mut self.law, parameters) else {
+            return Ok(());
+        };
+        let mut seen = [LawAxis::default(); MAX_AXES];
+        for (index, axis) in self.axes.iter().enumerate() {
+            seen[index] = LawAxis {
+                planned: self.next[index],
+                displacement: installed.displacement[index].position,
+                commanded: axis.knot.position,
+                position: axis.state.position,
+                velocity: axis.state.velocity,
+                torque: axis.state.torque,
+                sampled: axis.state.sampled,
+                age: axis.state.age,
+            };
+        }
+        let input = LawInput {
+            now: tick.now,
+            period: tick.dt,
+            periods: tick.periods,
+            rate: tick.motion.rate,
+            macrostep: self.macrostep,
+            axes: &seen[..self.axes.len()],
+        };
+        if !installed.active {
+            installed.law.begin(&input, parameters);
+            installed.active = true;
+        }
+        let displacements = match installed.law.shift(&input, parameters) {
+            LawOutput::Displacement(displacements) => displacements,
+            LawOutput::Touched => return Err((None, StopCause::Touched)),
+            LawOutput::Fault(fault) => return Err((None, StopCause::Law(fault))),
+        };
+        for (index, next) in self.next[..self.axes.len()].iter_mut().enumerate() {
+            let displaced = installed.take(index, displacements[index], tick.dt);
+            let Knot { position, velocity, acceleration } = displaced.map_err(|cause| (Some(index), cause))?;
+            next.position += position;
+            next.velocity += velocity;
+            next.acceleration += acceleration;
+        }
+        self.check_stop(tick)
+    }
+
+    /// Checks that a straight stop from the set-points in `next` ends within the position limits.
+    ///
+    /// A planned path decelerates before its limit. The output of a law is not known in advance, so the room for the stop
+    /// is checked in each cycle.
+    fn check_stop(&self, tick: &Tick) -> Result<(), Failed> {
+        let step = |(axis, next): (&ServoAxis, &Knot)| (next.position - axis.last_step(tick.dt).position) / tick.dt;
+        let steps = self.axes.iter().zip(&self.next);
+        let duration = |pair: (&ServoAxis, &Knot)| step(pair).abs() / pair.0.config.max_acceleration;
+        let longest = steps.clone().map(duration).fold(0.0, f64::max);
+        for (index, pair) in steps.enumerate() {
+            // An upper bound of the way of a straight stop of ceil(longest / dt) periods.
+            let end = pair.1.position + 0.5 * step(pair) * longest;
+            limit::check_position(&pair.0.config, pair.1.position, end).map_err(|cause| (Some(index), cause))?;
+        }
+        Ok(())
+    }
+}
