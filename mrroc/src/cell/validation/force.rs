@@ -1,13 +1,13 @@
-//! Checks of force sensors and of the emulated scene.
+//! Checks of force sensors.
 
 use controller::robot::Mass;
 use drive::wrench::ConfigError;
 
-use super::{Checked, buses, name, refused, robots::NEAR, some, twice, unique, within};
+use super::{Checked, buses, name, refused, robots::NEAR, twice, unique, within};
 use crate::bench::interfaces::Interface;
-use crate::cell::{Cell, EmulatedPlane, EmulatedScene, ForceSensor, Path, Plant, Range, quoted};
+use crate::cell::{Cell, ForceSensor, Path, Plant, Range, quoted};
 
-/// Greatest number of force sensors of a cell, and of planes of a scene.
+/// Greatest number of force sensors of a cell.
 const MOST: usize = 32;
 
 /// Greatest length of a quaternion's deviation from a unit quaternion.
@@ -35,7 +35,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
         check_numbers(cell, &path, sensor)?;
         sensor.config(cell.period()).check().map_err(|error| (place_of(&path, error), error.to_string()))?;
     }
-    cell.scene.as_ref().map_or(Ok(()), |scene| check_scene(cell, scene))
+    Ok(())
 }
 
 /// The name is that of no bus, no bundle of lines, no axis and no other sensor.
@@ -57,7 +57,7 @@ fn check_name(cell: &Cell, sensors: &Path, index: usize) -> Checked {
 }
 
 /// The robot exists and has a flange whose load its emulated motors feel.
-fn check_robot(cell: &Cell, path: &Path, robot: &str, key: &'static str) -> Checked {
+pub(super) fn check_robot(cell: &Cell, path: &Path, robot: &str, key: &'static str) -> Checked {
     let Some(found) = cell.robot.iter().find(|it| it.name == robot) else {
         let known: Vec<_> = cell.robot.iter().map(|robot| robot.name.as_str()).collect();
         return refused(path, key, format!("no robot is called {}, only {}", quoted(robot), known.join(", ")));
@@ -178,25 +178,4 @@ fn place_of(path: &Path, error: ConfigError) -> Path {
         | ConfigError::CobId { .. }
         | ConfigError::Bus(_) => path.clone(),
     }
-}
-
-fn check_scene(cell: &Cell, scene: &EmulatedScene) -> Checked {
-    let path = Path::to("scene");
-    check_robot(cell, &path, &scene.robot, "robot")?;
-    within(&path, "tip_radius", scene.tip_radius, Range::new(0.0, 1.0, "m"))?;
-    let planes = path.then("plane");
-    some(&path, "plane", scene.plane.len(), MOST, "planes")?;
-    for (index, plane) in scene.plane.iter().enumerate() {
-        let path = planes.then(index);
-        let &EmulatedPlane { normal, height, stiffness, damping, friction } = plane;
-        let length = normal.iter().map(|part| part * part).sum::<f64>().sqrt();
-        if !(length.is_finite() && length > 1e-6) {
-            return refused(&path, "normal", "has no direction");
-        }
-        within(&path, "height", height, Range::new(-100.0, 100.0, "m"))?;
-        within(&path, "stiffness", stiffness, Range::new(1.0, 1e8, "N/m"))?;
-        within(&path, "damping", damping, Range::new(0.0, 1e6, "N·s/m"))?;
-        within(&path, "friction", friction, Range::new(0.0, 10.0, ""))?;
-    }
-    Ok(())
 }

@@ -10,6 +10,7 @@ mod meetings;
 mod position_loop;
 mod program;
 mod robots;
+mod scene;
 mod weight;
 
 use servo::KeyError;
@@ -42,6 +43,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     buses::check_used(cell)?;
     io::check(cell)?;
     force::check(cell)?;
+    scene::check(cell)?;
     meetings::check(cell)?;
     assembly::check(cell)?;
     buses::check_interfaces(cell)
