@@ -11,6 +11,8 @@
 //!   converts forces on tips and in grippers to motor torques. Tips have no mass of their own.
 //! * A grip holds a body by a spring and a damper in six dimensions ([`GripConfig`]). A body may be held by several
 //!   grippers. The tips of a robot do not touch the bodies that the robot holds.
+//! * Light gates have beams, which bodies break ([`BeamConfig`]). Bodies may be placed on a conveyor at a later time
+//!   ([`Scene::place_body`]).
 //! * Sensors between flange and tool measure the wrench of these forces ([`SensorConfig`]).
 //!
 //! The scene advances in steps of 100 µs ([`STEP`]). Each step has three parts. First, the motors of the robots move by
@@ -43,8 +45,10 @@
 //! need only the distance of a point from a box, which [`Shape`] computes in twenty lines.
 
 mod arm;
+mod beam;
 mod body;
 mod contact;
+mod conveyor;
 mod error;
 mod forces;
 mod grip;
@@ -54,6 +58,7 @@ mod surface;
 #[cfg(test)]
 mod tests;
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use can::Instant;
@@ -61,13 +66,16 @@ use nalgebra::{Isometry3, Vector3};
 
 use crate::{AngleProbe, Mechanism};
 use arm::Arm;
+use beam::Beam;
+pub use beam::{BeamConfig, BeamEdge, BeamProbe, SHORTEST_RESPONSE};
 use body::{Body, CORNERS};
 pub use body::{BodyConfig, BodyState};
 use contact::{Sphere, Surface};
+use conveyor::{Coming, Drift};
 pub use error::SceneError;
 pub use grip::GripConfig;
 use grip::{End, Hold};
-use motion::{Motion, Moving};
+use motion::{Motion, Moving, Place};
 use probe::Sensor;
 pub use probe::{BodyProbe, SensorConfig, SensorProbe, WrenchProbe};
 pub use surface::{Material, Shape};
@@ -141,6 +149,13 @@ pub struct Scene {
     corners: Vec<CornersOn>,
     tips: Vec<TipOn>,
     grips: Vec<Option<Grip>>,
+    beams: Vec<Beam>,
+    /// Places of all bodies before the present step, for the beams.
+    before: Vec<Place>,
+    /// Bodies that are still to come, in the order of time.
+    coming: VecDeque<Coming>,
+    /// Bodies of [`Scene::place_body`] that have come.
+    placed: Vec<Option<BodyId>>,
     unsolved: u64,
 }
 
@@ -149,6 +164,7 @@ struct Wall {
     motion: Motion,
     moving: Moving,
     belt: Option<Belt>,
+    drift: Option<Drift>,
 }
 
 /// The drive of a belt.
@@ -220,6 +236,10 @@ impl Scene {
             corners: Vec::new(),
             tips: Vec::new(),
             grips: Vec::new(),
+            beams: Vec::new(),
+            before: Vec::new(),
+            coming: VecDeque::new(),
+            placed: Vec::new(),
             unsolved: 0,
         }
     }
@@ -244,6 +264,7 @@ impl Scene {
             motion: Motion::standing(origin, axes),
             moving: Moving { origin, axes, velocity: Vector3::zeros(), spin: Vector3::zeros() },
             belt: None,
+            drift: None,
         });
         for body in 0..self.bodies.len() {
             self.corners.push(CornersOn::new(body, Ground::Wall(wall)));
@@ -255,7 +276,7 @@ impl Scene {
     /// Sets the velocity, m/s, of a belt on a wall of this scene, in the axes of the world.
     pub fn set_belt(&mut self, wall: WallId, velocity: [f64; 3]) {
         let wall = &mut self.walls[wall.0];
-        wall.belt = None;
+        (wall.belt, wall.drift) = (None, None);
         wall.surface.belt = wall.moving.axes.tr_mul(&Vector3::from(velocity));
     }
 
@@ -266,20 +287,13 @@ impl Scene {
         let wall = &mut self.walls[wall.0];
         shaft.add_belt();
         let way = wall.moving.axes.tr_mul(&Vector3::from(way));
+        wall.drift = None;
         wall.belt = Some(Belt { angle: shaft.angle(), shaft, way });
     }
 
     /// Adds a body. Fails if a number is invalid or the surface is not passive.
     pub fn add_body(&mut self, config: &BodyConfig) -> Result<BodyId, SceneError> {
-        passive(&config.material)?;
-        lengths(config.half)?;
-        finite(&config.pose, "the place of a body")?;
-        if !(config.mass > 0.0 && config.mass.is_finite()) {
-            return Err(SceneError::Mass { mass: config.mass });
-        }
-        if !config.velocity.iter().chain(&config.spin).all(|value| value.is_finite()) {
-            return Err(SceneError::NotFinite { what: "the velocity of a body" });
-        }
+        check_body(config)?;
         let body = self.bodies.len();
         self.bodies.push(Body::new(config));
         for wall in 0..self.walls.len() {
@@ -455,6 +469,8 @@ impl Scene {
 
     /// Advances by one step. The caller has already moved the motors of all robots to the end of the step.
     pub fn step(&mut self) {
+        self.place_due(self.now);
+        self.note_places();
         self.now += STEP;
         for arm in &mut self.arms {
             arm.follow();
@@ -465,6 +481,9 @@ impl Scene {
                 wall.surface.belt = belt.way * ((angle - belt.angle) / STEP_SECONDS);
                 belt.angle = angle;
             }
+            if let Some(drift) = &wall.drift {
+                wall.surface.belt = drift.at(self.now);
+            }
         }
         self.move_bodies(0.0, 1.0, HALVINGS);
         self.load_arms();
@@ -474,6 +493,7 @@ impl Scene {
         for (body, probe) in &self.probes {
             probe.show(self.bodies[*body].state());
         }
+        self.look_through_beams();
     }
 
     fn meet_tips(&mut self, ground: Ground) {
@@ -524,6 +544,19 @@ fn spring_energy(sphere: &Sphere, carrier: &Moving, surface: &Surface, ground: &
 
 fn parts(pose: &Isometry3<f64>) -> (Vector3<f64>, nalgebra::Matrix3<f64>) {
     (pose.translation.vector, pose.rotation.to_rotation_matrix().into_inner())
+}
+
+fn check_body(config: &BodyConfig) -> Result<(), SceneError> {
+    passive(&config.material)?;
+    lengths(config.half)?;
+    finite(&config.pose, "the place of a body")?;
+    if !(config.mass > 0.0 && config.mass.is_finite()) {
+        return Err(SceneError::Mass { mass: config.mass });
+    }
+    if !config.velocity.iter().chain(&config.spin).all(|value| value.is_finite()) {
+        return Err(SceneError::NotFinite { what: "the velocity of a body" });
+    }
+    Ok(())
 }
 
 fn passive(material: &Material) -> Result<(), SceneError> {
