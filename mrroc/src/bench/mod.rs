@@ -3,11 +3,13 @@
 pub mod bridge;
 pub mod bus_port;
 pub mod clockwork;
+mod conveyors;
 pub mod emulated_lines;
 pub mod emulated_time;
 pub mod emulation;
 pub mod interfaces;
 pub mod plants;
+mod traffic;
 
 use std::path::{Path, PathBuf};
 

@@ -7,7 +7,7 @@ use std::time::Duration;
 use can::Instant;
 use canopen::cia402::HomingMethod;
 use controller::robot::Limits;
-use hil::scene::{Material, SensorConfig, SensorProbe, Shape, TipConfig, WallConfig};
+use hil::scene::{BeamProbe, Material, SensorConfig, SensorProbe, Shape, TipConfig, WallConfig};
 use hil::{AxisConfig, Mechanism, Mount, Scene, plant::PlantConfig};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
@@ -19,6 +19,8 @@ pub struct EmulatedCell<'a> {
     pub file: &'a CellFile,
     /// The mechanism of each robot that has one. The axes of a mechanism may be on several buses and lines.
     mechanisms: Vec<Option<Mechanism>>,
+    /// The outputs of the light gates of the scene.
+    pub(super) beams: Vec<BeamProbe>,
 }
 
 impl<'a> EmulatedCell<'a> {
@@ -27,7 +29,9 @@ impl<'a> EmulatedCell<'a> {
         let mechanism =
             |robot: &Robot| robot.parameters.unwrap_or(robot.model.parameters()).mechanism().map(Mechanism::new);
         let mechanisms = file.cell.robot.iter().map(mechanism).collect();
-        Self { file, mechanisms }
+        let gates = file.cell.scene.iter().flat_map(|scene| &scene.gate);
+        let beams = gates.map(|_| BeamProbe::default()).collect();
+        Self { file, mechanisms, beams }
     }
 
     /// The mount of an axis in its robot; `None` if the axis moves its own load.
@@ -77,6 +81,7 @@ impl EmulatedCell<'_> {
                 for plane in &around.plane {
                     scene.add_wall(&wall(plane, &upright)).expect(SOUND);
                 }
+                self.add_conveyors(&mut scene, around, robot.model, &upright);
             }
         }
         ((count > 0).then_some(scene), probes)
@@ -100,7 +105,7 @@ fn wall(plane: &EmulatedPlane, upright: &UnitQuaternion<f64>) -> WallConfig {
 }
 
 /// Reason that the parts of a scene are accepted.
-const SOUND: &str = "a parsed cell has a sound scene";
+pub(super) const SOUND: &str = "a parsed cell has a sound scene";
 
 /// The emulated payloads of a cell, in order of time.
 pub struct Payloads(VecDeque<(Instant, Mechanism, EmulatedPayload)>);

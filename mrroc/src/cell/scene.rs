@@ -3,6 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::conveyor::{EmulatedConveyor, EmulatedGate, EmulatedObject};
+
 /// The surroundings of the emulated robots. Real robots ignore this table.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -16,6 +18,15 @@ pub struct EmulatedScene {
     /// The planes.
     #[serde(default)]
     pub plane: Vec<EmulatedPlane>,
+    /// The conveyors.
+    #[serde(default)]
+    pub conveyor: Vec<EmulatedConveyor>,
+    /// The objects that are placed on conveyors.
+    #[serde(default)]
+    pub object: Vec<EmulatedObject>,
+    /// The light gates.
+    #[serde(default)]
+    pub gate: Vec<EmulatedGate>,
 }
 
 /// A plane with the solid half-space behind it.

@@ -1,6 +1,6 @@
 //! Checks of the emulated surroundings.
 
-use super::{Checked, force::check_robot, refused, some, within};
+use super::{Checked, conveyor, force::check_robot, refused, some, within};
 use crate::cell::{Cell, EmulatedPlane, Path, Range};
 
 /// Greatest number of planes of a scene.
@@ -14,7 +14,11 @@ pub(super) fn check(cell: &Cell) -> Checked {
     check_robot(cell, &path, &scene.robot, "robot")?;
     within(&path, "tip_radius", scene.tip_radius, Range::new(0.0, 1.0, "m"))?;
     let planes = path.then("plane");
-    some(&path, "plane", scene.plane.len(), MOST, "planes")?;
+    // A scene has planes or conveyors.
+    if scene.conveyor.is_empty() || scene.plane.len() > MOST {
+        some(&path, "plane", scene.plane.len(), MOST, "planes")?;
+    }
+    conveyor::check(cell, scene, &path)?;
     for (index, plane) in scene.plane.iter().enumerate() {
         let path = planes.then(index);
         let &EmulatedPlane { normal, height, stiffness, damping, friction } = plane;
