@@ -42,11 +42,8 @@ impl EmulatedCell<'_> {
         }
         for object in &around.object {
             let conveyor = &around.conveyor[object.conveyor];
-            let material = Material {
-                stiffness: conveyor.stiffness,
-                damping: conveyor.damping,
-                friction: conveyor.friction,
-            };
+            let material =
+                Material { stiffness: conveyor.stiffness, damping: conveyor.damping, friction: conveyor.friction };
             let at = Instant::ZERO + Duration::from_secs_f64(object.at_s);
             scene.place_body(at, &body(object, &frames[object.conveyor], material)).expect(SOUND);
         }

@@ -9,7 +9,7 @@ pub mod emulated_time;
 pub mod emulation;
 pub mod interfaces;
 pub mod plants;
-mod traffic;
+pub(crate) mod traffic;
 
 use std::path::{Path, PathBuf};
 

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use can::schedule::{Every, Message, Sender};
 use can::timing::{Bitrate, bits_on_wire};
 use can::{Frame, Instant, StandardId};
 use hil::Device;
@@ -26,11 +27,26 @@ pub(super) struct BusLoad {
 impl BusLoad {
     /// Traffic that takes this `share` of the capacity of a bus, above 0 and up to 1, with random intervals.
     pub(super) fn new(bitrate: Bitrate, share: f64, seed: u64) -> Self {
-        let frames = [0, 1].map(frame);
-        let bits = frames.iter().map(bits_on_wire).sum::<u32>();
-        let interval = bitrate.duration(bits).as_secs_f64() / 2.0 / share;
-        Self { interval, noise: Noise::new(seed), sent: 0, next: Instant::ZERO, due: 0 }
+        Self { interval: interval(bitrate, share), noise: Noise::new(seed), sent: 0, next: Instant::ZERO, due: 0 }
     }
+}
+
+/// Mean interval between two frames that take this share of the capacity of a bus, s.
+fn interval(bitrate: Bitrate, share: f64) -> f64 {
+    let bits = [0, 1].map(frame).iter().map(bits_on_wire).sum::<u32>();
+    bitrate.duration(bits).as_secs_f64() / 2.0 / share
+}
+
+/// The messages of [`BusLoad`] at their highest rate.
+pub(crate) fn further(bitrate: Bitrate, share: f64) -> impl Iterator<Item = Message> {
+    let ids = IDS.into_iter().filter(move |_| share > 0.0);
+    ids.map(move |id| Message {
+        id: StandardId::new(id).expect("the identifiers have 11 bits"),
+        bytes: 8,
+        sender: Sender::Node(0),
+        // Two intervals between frames of the same identifier, each at least half of the mean.
+        every: Every::Interval(Duration::from_secs_f64(interval(bitrate, share))),
+    })
 }
 
 fn frame(number: usize) -> Frame {

@@ -35,7 +35,8 @@ pub struct EmulatedConveyor {
     pub damping: f64,
 }
 
-/// A box that is placed on a conveyor at a given time, at rest.
+/// A box that is placed on a conveyor at a given time, at rest. Only the corners of the box touch the surface: the box
+/// tips over the end of the conveyor as soon as its front is beyond the end.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EmulatedObject {

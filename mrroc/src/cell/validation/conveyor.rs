@@ -10,8 +10,7 @@ const MOST: usize = 64;
 const LEVEL: f64 = 1e-6;
 
 pub(super) fn check(cell: &Cell, scene: &EmulatedScene, path: &Path) -> Checked {
-    for (key, found) in
-        [("conveyor", scene.conveyor.len()), ("object", scene.object.len()), ("gate", scene.gate.len())]
+    for (key, found) in [("conveyor", scene.conveyor.len()), ("object", scene.object.len()), ("gate", scene.gate.len())]
     {
         if found > MOST {
             return refused(path, key, format!("has {found} entries, may have {MOST}"));
@@ -23,7 +22,7 @@ pub(super) fn check(cell: &Cell, scene: &EmulatedScene, path: &Path) -> Checked 
         check_conveyor(&path.then("conveyor").then(index), conveyor, up)?;
     }
     for (index, object) in scene.object.iter().enumerate() {
-        check_object(&path.then("object").then(index), object, scene.conveyor.len())?;
+        check_object(&path.then("object").then(index), object, &scene.conveyor)?;
     }
     for index in 0..scene.gate.len() {
         check_gate(cell, &path.then("gate"), &scene.gate, index)?;
@@ -53,18 +52,27 @@ fn check_conveyor(path: &Path, conveyor: &EmulatedConveyor, up: [f64; 3]) -> Che
     within(path, "damping", conveyor.damping, Range::new(0.0, 1e6, "N·s/m"))
 }
 
-fn check_object(path: &Path, object: &EmulatedObject, conveyors: usize) -> Checked {
-    if object.conveyor >= conveyors {
-        let number = object.conveyor;
-        let why = format!("is {number}, and the scene has {conveyors} conveyors, counted from 0");
+fn check_object(path: &Path, object: &EmulatedObject, conveyors: &[EmulatedConveyor]) -> Checked {
+    let (number, count) = (object.conveyor, conveyors.len());
+    let Some(conveyor) = conveyors.get(number) else {
+        let why = format!("is {number}, and the scene has {count} conveyors, counted from 0");
         return refused(path, "conveyor", why);
-    }
+    };
     for (axis, size) in object.size.into_iter().enumerate() {
         within(&path.then("size"), axis, size, Range::new(1e-3, 10.0, "m"))?;
     }
     within(path, "mass", object.mass, Range::new(1e-3, 1e4, "kg"))?;
     within(path, "along", object.along, Range::new(-100.0, 100.0, "m"))?;
     within(path, "across", object.across, Range::new(-100.0, 100.0, "m"))?;
+    // Only the corners of an object touch the surface.
+    for (axis, (key, place)) in [("along", object.along), ("across", object.across)].into_iter().enumerate() {
+        let reach = place.abs() + object.size[axis] / 2.0;
+        if reach >= conveyor.size[axis] / 2.0 {
+            let half = conveyor.size[axis] / 2.0;
+            let why = format!("the object reaches {reach:.3} m from the centre, and the surface ends at {half:.3} m");
+            return refused(path, key, why);
+        }
+    }
     within(path, "at_s", object.at_s, Range::new(0.0, 1e6, "s"))
 }
 
