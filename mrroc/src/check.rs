@@ -97,7 +97,9 @@ fn assemble(file: &CellFile, program: &Program, rehearsed: &Rehearsed) -> anyhow
     let sensors = emulated_sensors(file, BenchKind::Lockstep, &mut emulation, ends.sensors)?;
     let devices = setup::devices(file, ends.ports, lines, sensors, None)?;
     let (servo, links) = Servo::new(&setup::servo_config(file), devices.groups)?;
-    RunningTask::new(&Arc::new(file.clone()), program, links, (devices.io, &devices.sensors), &servo, rehearsed);
+    let sensors = setup::force_sensors(file, &devices.sensors, &links);
+    setup::install_laws(file, &mut servo, &sensors)?;
+    RunningTask::new(&Arc::new(file.clone()), program, links, (devices.io, sensors), &servo, rehearsed);
     Ok(())
 }
 

@@ -12,6 +12,7 @@ mod drives;
 mod error;
 mod file;
 mod force;
+mod force_law;
 mod home;
 mod io;
 mod meetings;
@@ -40,6 +41,7 @@ pub use drives::ENABLING;
 pub use error::{CellError, Path, Step};
 pub use file::{CellFile, FileError};
 pub use force::{ForceSensor, ForceSensorEmulator};
+pub use force_law::ForceLaw;
 pub use io::{ErrorState, InputLine, IoNode, LinePlace, OutputLine};
 pub use meetings::Meeting;
 pub(crate) use program::smooth_pose;
@@ -145,6 +147,8 @@ pub struct Robot {
     pub tool: [f64; 3],
     /// Masses of the links, for the feed-forward of the weight to the motors; no such feed-forward where absent.
     pub weight: Option<Weights>,
+    /// Force control in each servo cycle; generators cannot command forces where absent.
+    pub force_law: Option<ForceLaw>,
     /// The axes, base first.
     pub axis: Vec<Axis>,
     /// Instructions after homing, in order.

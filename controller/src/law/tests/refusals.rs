@@ -7,6 +7,7 @@ use crate::force::{Load, SensorMotion};
 use crate::law::directions::Behaviour;
 use crate::law::{Guard, PositionForceError};
 use crate::robot::{Irb6, Irb6Parameters};
+use crate::sensor::ZeroedWeight;
 
 #[test]
 fn a_task_is_the_same_after_its_way_through_parameters() {
@@ -59,7 +60,8 @@ fn a_law_without_limits_is_refused() {
         let mut limits = WIDE;
         change(&mut limits);
         let flange_from_sensor = flange_from_sensor();
-        let config = PositionForceConfig { arm: irp6(), flange_from_sensor, load: None, zeroed_at: None, limits };
+        let config =
+            PositionForceConfig { arm: irp6(), flange_from_sensor, load: None, zeroed: ZeroedWeight::none(), limits };
         let error: PositionForceError = PositionForce::new(config, RehearsedWrench::new().1).unwrap_err();
         assert_eq!(error.to_string(), format!("{expected}, it must be above 0 and finite"));
     }
@@ -119,15 +121,15 @@ fn the_weight_of_the_tool_is_no_contact() {
     let other = UnitQuaternion::from_euler_angles(0.5, 0.1, 0.0);
     for zeroed_at in [None, Some(other)] {
         let mut rig = Rig::new(arm.clone(), &START, 0.0, 0, WIDE);
+        let zero = zeroed_at.map_or_else(Wrench::default, |rotation| load.wrench(&SensorMotion::at_rest(rotation)));
         rig.law = {
             let (sensor, link) = RehearsedWrench::new();
             rig.sensor = sensor;
-            let flange_from_sensor = flange_from_sensor();
+            let (flange_from_sensor, zeroed) = (flange_from_sensor(), ZeroedWeight::of(0, &zero));
             let config =
-                PositionForceConfig { arm: arm.clone(), flange_from_sensor, load: Some(load), zeroed_at, limits: WIDE };
+                PositionForceConfig { arm: arm.clone(), flange_from_sensor, load: Some(load), zeroed, limits: WIDE };
             PositionForce::new(config, link).unwrap()
         };
-        let zero = zeroed_at.map_or_else(Wrench::default, |rotation| load.wrench(&SensorMotion::at_rest(rotation)));
         let measured = load.wrench(&at_rest) - zero;
         rig.sensor.advance(rig.now(), measured.components());
         let directions = [Direction::Contact { force: 0.0, compliance: Compliance::LINEAR }; 6];
