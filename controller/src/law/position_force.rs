@@ -57,6 +57,8 @@ struct Touch {
 pub struct PositionForceConfig {
     /// The arm and its tool.
     pub arm: Arm,
+    /// Rotation from the axes of the robot's base to axes whose z points upward.
+    pub upright_from_base: UnitQuaternion<f64>,
     /// Pose of the sensor's frame at the flange.
     pub flange_from_sensor: Pose,
     /// The load behind the sensor. `None`: the measured wrench is the wrench of the contact.
@@ -192,8 +194,9 @@ impl PositionForce {
         let base_from_sensor = base_from_flange * self.config.flange_from_sensor;
         let measured = Wrench::from_components(state.wrench);
         let contact = self.config.load.map_or(measured, |load| {
-            let motion = SensorMotion::at_rest(base_from_sensor.rotation);
-            let zeroed_at = self.config.zeroed_at.map(SensorMotion::at_rest);
+            let upright = self.config.upright_from_base;
+            let motion = SensorMotion::at_rest(upright * base_from_sensor.rotation);
+            let zeroed_at = self.config.zeroed_at.map(|rotation| SensorMotion::at_rest(upright * rotation));
             load.contact(&measured, &motion, zeroed_at.as_ref())
         });
         let components = contact.components();

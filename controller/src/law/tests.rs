@@ -66,7 +66,14 @@ impl Rig {
     fn new(arm: Arm, joints: &Axes, tau: f64, delay: usize, limits: ForceLimits) -> Self {
         let (sensor, link) = RehearsedWrench::new();
         let flange_from_sensor = flange_from_sensor();
-        let config = PositionForceConfig { arm: arm.clone(), flange_from_sensor, load: None, zeroed_at: None, limits };
+        let config = PositionForceConfig {
+            arm: arm.clone(),
+            upright_from_base: UnitQuaternion::identity(),
+            flange_from_sensor,
+            load: None,
+            zeroed_at: None,
+            limits,
+        };
         let path = arm.motors(joints).unwrap();
         Self {
             law: PositionForce::new(config, link).unwrap(),
