@@ -143,6 +143,7 @@ impl Rig {
         };
         let law = PositionForceConfig {
             arm: arm.clone(),
+            upright_from_base: UnitQuaternion::identity(),
             flange_from_sensor: Pose::identity(),
             load: None,
             zeroed: ZeroedWeight::none(),

@@ -152,6 +152,7 @@ pub fn install_laws(file: &CellFile, servo: &mut Servo, sensors: &[ForceTorque])
         let load = Load::of_weight(mass, centre.into()).expect("a parsed cell has sound tools");
         let config = PositionForceConfig {
             arm: file.arms[robot].clone(),
+            upright_from_base: upright_from_base(file.cell.robot[robot].model),
             flange_from_sensor: given.flange_from_sensor(),
             load: (!load.is_none()).then_some(load),
             zeroed: sensor.zeroed_weight(),

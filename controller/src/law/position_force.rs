@@ -58,6 +58,8 @@ struct Touch {
 pub struct PositionForceConfig {
     /// The arm and its tool.
     pub arm: Arm,
+    /// Rotation from the axes of the robot's base to axes whose z points upward.
+    pub upright_from_base: UnitQuaternion<f64>,
     /// Pose of the sensor's frame at the flange.
     pub flange_from_sensor: Pose,
     /// The load behind the sensor. `None`: the measured wrench is the wrench of the contact.
@@ -204,7 +206,8 @@ impl PositionForce {
                 {
                     return Err(LawFault::NoWeight { request: request.number() });
                 }
-                measured + zero - load.wrench(&SensorMotion::at_rest(base_from_sensor.rotation))
+                let orientation = self.config.upright_from_base * base_from_sensor.rotation;
+                measured + zero - load.wrench(&SensorMotion::at_rest(orientation))
             }
         };
         let components = contact.components();

@@ -69,6 +69,7 @@ impl Rig {
         let flange_from_sensor = flange_from_sensor();
         let config = PositionForceConfig {
             arm: arm.clone(),
+            upright_from_base: UnitQuaternion::identity(),
             flange_from_sensor,
             load: None,
             zeroed: ZeroedWeight::none(),
