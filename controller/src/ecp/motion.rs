@@ -215,7 +215,7 @@ impl Ecp {
         // The servo sends no report while a step of an effector at rest waits for its images.
         let owed = !matches!(self.activity, Activity::Running(_)) || self.outstanding() > 0 || !self.outbox.is_empty();
         let limit = if owed { self.config.silence + self.macrostep() } else { self.config.planning };
-        if !matches!(phase, Phase::Standing | Phase::Moving) {
+        if !(matches!(phase, Phase::Standing | Phase::Moving) || self.is_settling()) {
             self.break_off(now);
         } else if waited > limit {
             // Slowed motion reports later.
@@ -243,6 +243,12 @@ impl Ecp {
             }
         }
         None
+    }
+
+    /// Whether the effector brakes at the end of its motion, because its cycle law still moved it.
+    fn is_settling(&self) -> bool {
+        let ended = matches!(self.activity, Activity::Arriving) && self.under_law && self.outstanding() == 0;
+        ended && self.phase() == Phase::Stopping && self.report.is_some_and(|report| report.fault.is_none())
     }
 
     /// Stops a motion whose generator ended in motion, once its last macrostep is reported. If images are read after

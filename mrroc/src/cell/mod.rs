@@ -47,7 +47,7 @@ pub use meetings::Meeting;
 pub(crate) use program::smooth_pose;
 pub use program::{ProgramError, instruction_path};
 pub use read::LARGEST;
-pub use scene::{EmulatedPlane, EmulatedScene};
+pub use scene::{EmulatedBlock, EmulatedPlane, EmulatedScene};
 pub use servo::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
 pub use servo::thread::{Policy, Realtime, Scheduler, Wait};
 pub use servo::{Direction, FeedForward, Figure, Law, Range};
@@ -325,6 +325,12 @@ pub struct Homing {
 pub struct Emulator {
     /// The plant behind the emulated drive.
     pub plant: Plant,
+    /// Dry friction of the emulated motor as a share of its nominal value; 1 where absent. Without dry friction, the axis
+    /// is linear. The plant `wut` has none.
+    pub dry_friction: Option<f64>,
+    /// Time constant of the filter of position set-points in the emulated drive, s; no filter where absent.
+    #[serde(default)]
+    pub setpoint_filter_s: f64,
     /// Initial motor position of the emulated axis, rad; 20 rad above its home position where absent.
     pub start: Option<f64>,
     /// Vendor-ID that the emulated drive reports; the drive's own where absent.
