@@ -9,13 +9,14 @@
 //! ```
 
 use std::cell::{Cell as Shared, RefCell};
+use std::f64::consts::FRAC_PI_2;
 
 use mrroc::prelude::*;
 use nalgebra::Vector3;
 use serde::Deserialize;
 
 /// Joints above a block in front of the robot, the tool pointing down, rad. The column turns to the other blocks.
-const ABOVE: [f64; 5] = [0.0, -1.571, 0.0, 1.5708, 0.0];
+const ABOVE: [f64; 5] = [0.0, -1.571, 0.0, FRAC_PI_2, 0.0];
 
 /// Rows of the table: stiffness, N/m; overshoot, %, and settling time, s, at lags of 4 ms and of 10 ms.
 const TABLE: [(f64, [f64; 2], [f64; 2]); 4] = [

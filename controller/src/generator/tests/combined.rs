@@ -63,7 +63,7 @@ fn followed(generator: impl Generator) -> (Vec<AxesState>, Result<(), GeneratorE
         match run.next_step(&mut partners) {
             Ok(Step::Continue(EffectorCommand { setpoint: Some(Setpoint::Joints(state)), .. })) => partners.0 = state,
             Ok(Step::Continue(EffectorCommand { setpoint: None, .. })) => {
-                partners.0 = AxesState::at_rest(partners.0.position)
+                partners.0 = AxesState::at_rest(partners.0.position);
             }
             Ok(Step::Continue(other)) => panic!("{other:?}"),
             Ok(Step::Ended) => return (states, Ok(())),
