@@ -14,6 +14,7 @@ use serial::{Settings, VirtualLine};
 
 use crate::bench::bridge::{Bridge, BridgedTty};
 use crate::bench::plants::{EmulatedCell, Payloads, homing_problem, plant};
+use crate::bench::scene::{EmulatedSurroundings, SceneTruth};
 use crate::cell::{CellFile, ForceSensor, ForceSensorEmulator, IoNode, Protocol};
 
 /// Capacity of the host's end of a virtual bus in each direction, frames.
@@ -39,6 +40,8 @@ pub struct Emulation {
     /// Bridges of the lines whose host end is a tty.
     bridges: Vec<Bridge>,
     payloads: Payloads,
+    /// The true state of the scene.
+    truth: SceneTruth,
     /// Time up to which the world was advanced.
     passed: Instant,
 }
@@ -70,13 +73,14 @@ impl Emulation {
             axes.map(|axis| emulated.add_line(&mut world, bundle, axis, &cabinet)).collect()
         });
         let lines = lines.collect();
-        let sensors = emulated.add_sensors(&mut world);
+        let (sensors, truth) = emulated.add_sensors(&mut world);
         let ends = HostEnds { lines, sensors, ports, listeners };
         let emulation = Self {
             world,
             buses,
             bridges: Vec::new(),
             payloads: Payloads::of(&emulated, Instant::ZERO),
+            truth,
             passed: Instant::ZERO,
         };
         (emulation, ends)
@@ -161,7 +165,7 @@ impl EmulatedCell<'_> {
         };
         let drives = axes_present(self.file, bus).map(device);
         let cell = &self.file.cell;
-        let modules = cell.io_on(bus).map(|node| Box::new(module(&cell.io[node], power_on)) as Box<dyn Device>);
+        let modules = cell.io_on(bus).map(|node| Box::new(self.module(node, power_on)) as Box<dyn Device>);
         drives.chain(modules).collect()
     }
 
@@ -176,21 +180,21 @@ impl EmulatedCell<'_> {
     }
 
     /// Adds the lines of all force sensors and the scene that loads them, switched on at [`Instant::ZERO`]. The axes of
-    /// their robots are in `world` already. Returns the host's ends.
+    /// their robots are in `world` already. Returns the host's ends and the truth of the scene.
     ///
-    /// A sensor measures the weight and the inertia of its tool. The sensor of the robot that is in the scene of the cell
-    /// also measures the forces on the tip of the tool.
-    pub fn add_sensors(&self, world: &mut World) -> Vec<VirtualLine> {
-        let (scene, probes) = self.scene();
+    /// A sensor measures the weight and the inertia of its tool, the forces on the tip of the tool, and those of the
+    /// gripper.
+    pub fn add_sensors(&self, world: &mut World) -> (Vec<VirtualLine>, SceneTruth) {
+        let EmulatedSurroundings { scene, sensors, truth } = self.surroundings();
         if let Some(scene) = scene {
             world.set_scene(scene);
         }
-        let sensors = self.file.cell.force_sensor.iter().zip(probes).enumerate();
+        let sensors = self.file.cell.force_sensor.iter().zip(sensors).enumerate();
         let add = |(number, (sensor, probe)): (usize, (&ForceSensor, SensorProbe))| {
             let line = world.add_line(sensor.settings(), None, self.force_sensor(number, sensor, probe));
             world.host_line(line, LINE)
         };
-        sensors.map(add).collect()
+        (sensors.map(add).collect(), truth)
     }
 
     fn force_sensor(&self, number: usize, sensor: &ForceSensor, probe: SensorProbe) -> Box<dyn LineDevice> {
@@ -211,6 +215,19 @@ impl EmulatedCell<'_> {
             None => Box::new(device),
             Some(at) => Box::new(Unplugged { device, from: Instant::ZERO + Duration::from_secs_f64(at) }),
         }
+    }
+
+    /// The emulated module of I/O node `node`, with the valves of the grippers at its outputs.
+    fn module(&self, node: usize, power_on: Instant) -> DigitalIo {
+        let cell = &self.file.cell;
+        let mut module = module(&cell.io[node], power_on);
+        let grippers = cell.scene.iter().flat_map(|scene| &scene.gripper);
+        for (gripper, valve) in grippers.zip(&self.valves) {
+            if let Some(place) = cell.output_line(&gripper.output).filter(|place| place.node == node) {
+                module.connect(place.line, valve);
+            }
+        }
+        module
     }
 
     fn axis_controller(

@@ -8,6 +8,7 @@ pub mod emulated_time;
 pub mod emulation;
 pub mod interfaces;
 pub mod plants;
+pub mod scene;
 
 use std::path::{Path, PathBuf};
 

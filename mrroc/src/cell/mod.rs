@@ -32,6 +32,7 @@ use controller::generator::Pose;
 use controller::robot::{self, Arm, Mass, ParameterError, Weight, WeightError};
 use servo::KeyProblem;
 
+use crate::bench::plants::upright_from_base;
 pub use crate::robots::{Model, Parameters};
 pub use axis_controller::{AxisController, Loop, Serial};
 pub(crate) use device_configuration::DeviceConfiguration;
@@ -45,7 +46,7 @@ pub use meetings::Meeting;
 pub(crate) use program::smooth_pose;
 pub use program::{ProgramError, instruction_path};
 pub use read::LARGEST;
-pub use scene::{EmulatedPlane, EmulatedScene};
+pub use scene::{EmulatedBar, EmulatedGripper, EmulatedPlane, EmulatedScene, EmulatedTip, Place};
 pub use servo::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
 pub use servo::thread::{Policy, Realtime, Scheduler, Wait};
 pub use servo::{Direction, FeedForward, Figure, Law, Range};
@@ -140,6 +141,14 @@ pub struct Robot {
     pub model: Model,
     /// Geometry, drive train, home positions and limits, in place of those of the model.
     pub parameters: Option<Parameters>,
+    /// Place of the base in the frame of the cell, for tasks with several robots and for the emulated surroundings; the
+    /// origin of this frame where absent.
+    #[serde(default)]
+    pub base: Place,
+    /// Difference between the place of the emulated base and `base`: a calibration error, in the frame of the base. Real
+    /// robots ignore this key.
+    #[serde(default)]
+    pub emulated_base_error: Place,
     /// Origin of the tool in the flange's frame, m.
     #[serde(default)]
     pub tool: [f64; 3],
@@ -187,6 +196,11 @@ impl Robot {
             return format!("{before}axis {name}{behind}");
         }
         said
+    }
+
+    /// Pose of the base frame of the kinematics in the frame of the cell.
+    pub fn cell_from_base(&self) -> Pose {
+        self.base.pose() * upright_from_base(self.model)
     }
 
     /// Kinematics and drive train, or the error in the parameters.
