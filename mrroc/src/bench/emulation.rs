@@ -1,5 +1,6 @@
 //! The emulated drives, I/O nodes and axis controllers of a cell.
 
+use std::io;
 use std::time::Duration;
 
 use can::{Frame, Instant, Port, StandardId, VirtualPort, timing::Bitrate};
@@ -15,6 +16,7 @@ use serial::{Settings, VirtualLine};
 use crate::bench::bridge::{Bridge, BridgedTty};
 use crate::bench::plants::{EmulatedCell, Payloads, homing_problem, plant};
 use crate::bench::scene::{EmulatedSurroundings, SceneTruth};
+use crate::bench::truth::TruthLog;
 use crate::cell::{CellFile, ForceSensor, ForceSensorEmulator, IoNode, Protocol};
 
 /// Capacity of the host's end of a virtual bus in each direction, frames.
@@ -42,6 +44,7 @@ pub struct Emulation {
     payloads: Payloads,
     /// The true state of the scene.
     truth: SceneTruth,
+    log: Option<TruthLog>,
     /// Time up to which the world was advanced.
     passed: Instant,
 }
@@ -81,6 +84,7 @@ impl Emulation {
             bridges: Vec::new(),
             payloads: Payloads::of(&emulated, Instant::ZERO),
             truth,
+            log: None,
             passed: Instant::ZERO,
         };
         (emulation, ends)
@@ -111,6 +115,19 @@ impl Emulation {
             bridge.deliver(until);
         }
         self.passed = until;
+        if let Some(log) = &mut self.log {
+            log.write(until, &self.truth);
+        }
+    }
+
+    /// Writes the truth of the scene to `log` after each advance from now on.
+    pub fn log_truth(&mut self, log: TruthLog) {
+        self.log = Some(log);
+    }
+
+    /// Completes the file of the truth, if there is one.
+    pub fn finish(self) -> io::Result<()> {
+        self.log.map_or(Ok(()), TruthLog::finish)
     }
 }
 

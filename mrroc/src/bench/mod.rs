@@ -9,6 +9,7 @@ pub mod emulation;
 pub mod interfaces;
 pub mod plants;
 pub mod scene;
+pub mod truth;
 
 use std::path::{Path, PathBuf};
 
