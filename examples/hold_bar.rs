@@ -19,7 +19,7 @@ use nalgebra::UnitQuaternion;
 const GRIP: f64 = 0.4;
 
 /// Speed, m/s, and acceleration, m/s², of the bar.
-const LIMITS: ObjectLimits = ObjectLimits { velocity: 0.1, acceleration: 0.4, radius: GRIP };
+pub(crate) const LIMITS: ObjectLimits = ObjectLimits { velocity: 0.1, acceleration: 0.4, radius: GRIP };
 
 /// Middle of the bar on the table: x, y, z, m, and yaw, rad, in the frame of the cell.
 const TABLE: [f64; 4] = [1.1, 0.0, 0.8, 0.0];
@@ -28,7 +28,7 @@ const TABLE: [f64; 4] = [1.1, 0.0, 0.8, 0.0];
 const ABOVE: [f64; 4] = [1.1, 0.0, 0.86, 0.0];
 
 /// Course of the bar.
-const COURSE: [[f64; 4]; 5] =
+pub(crate) const COURSE: [[f64; 4]; 5] =
     [ABOVE, [1.1, 0.12, 0.86, 0.0], [1.16, 0.0, 0.88, 0.1], [1.1, -0.12, 0.86, 0.0], ABOVE];
 
 /// Internal force that stops both arms, N.
@@ -42,7 +42,7 @@ const BENT: [f64; 8] = [0.0, -1.571, 0.0, 1.571, 0.0, 0.0, 0.0, 0.0];
 
 /// Figures of one carriage, by the measured positions and forces of both arms in each servo period.
 #[derive(Clone, Copy, Debug, Default)]
-struct Figures {
+pub(crate) struct Figures {
     samples: u32,
     squares: [f64; 2],
     peak: f64,
@@ -72,79 +72,109 @@ impl Figures {
     }
 }
 
-/// Moves the object of a team along a path, and measures.
-async fn carry(
-    cell: &Cell,
-    grips: &Grips,
-    robots: [&mut Robot; 2],
-    wrists: &[ForceSensor; 2],
-    (path, regulation): (ObjectPath, Regulation),
-) -> Result<Figures, TaskError> {
-    let [left, right] = robots;
-    let eyes = [left.observer(), right.observer()];
-    let (mut figures, ended) = (Figures::default(), Shared::new(false));
-    let course = path.clone();
-    let motion = async {
-        let carry = Carry::new(*grips, course, regulation, LIMIT);
-        let outcome = cell.team([left, right]).execute(carry, [Hold { stale: STALE }; 2]).await;
-        ended.set(true);
-        outcome
-    };
-    let watch = async {
-        while !ended.get() {
-            if let (Ok(left), Ok(right)) = (wrists[0].in_tool(), wrists[1].in_tool()) {
-                figures.take(grips, &path, [eyes[0].image()?, eyes[1].image()?], [left, right]);
-            }
-            cell.sleep(cell.file().cell.period()).await;
+/// Two arms with their wrists and grippers.
+pub(crate) struct Arms {
+    robots: [Robot; 2],
+    wrists: [ForceSensor; 2],
+    jaws: [OutputLine; 2],
+    grips: Grips,
+}
+
+impl Arms {
+    /// The arms of the cell, with tools that point down.
+    pub(crate) fn of(cell: &Cell) -> Result<Self, TaskError> {
+        let robots = cell.robots(["left", "right"])?;
+        let down = |x: f64, yaw: f64| {
+            Pose::from_parts([x, 0.0, 0.0].into(), UnitQuaternion::from_euler_angles(PI, 0.0, yaw))
+        };
+        let grips = Grips {
+            cell_from_base: robots.each_ref().map(Robot::cell_from_base),
+            object_from_tool: [down(-GRIP, 0.0), down(GRIP, PI)],
+        };
+        let wrists = [cell.force_sensor("left-wrist")?, cell.force_sensor("right-wrist")?];
+        Ok(Self { robots, wrists, jaws: [cell.output("left-gripper")?, cell.output("right-gripper")?], grips })
+    }
+
+    /// A path of the bar. Refuses a path that an arm cannot follow.
+    pub(crate) fn path(&self, places: &[[f64; 4]]) -> Result<ObjectPath, TaskError> {
+        let path = ObjectPath::through(places, &LIMITS)?;
+        let [left, right] = self.robots.each_ref().map(Robot::motions);
+        self.grips.check(&path, [left.arm(), right.arm()], [BENT; 2])?;
+        Ok(path)
+    }
+
+    /// Homes both arms, takes the bar from the table and lifts it.
+    pub(crate) async fn take(&mut self, cell: &Cell) -> Outcome {
+        let (approach, lift) = (self.path(&[ABOVE, TABLE])?, self.path(&[TABLE, ABOVE])?);
+        let start = |member: usize| -> Result<Task, TaskError> {
+            let motions = self.robots[member].motions();
+            let pose = self.grips.tool(member, &approach.at(0.0)).pose;
+            let [a, b, c, d, e, ..] = motions.arm().inverse(&pose, &BENT)?;
+            Ok(Task::new().enable().home().run(motions.joints(0.3, &[[a, b, c, d, e]])?))
+        };
+        let starts = [start(0)?, start(1)?];
+        let [left, right] = &mut self.robots;
+        let [one, other] = starts;
+        join(left.perform(one), right.perform(other)).await?;
+        cell.sleep(Duration::from_millis(300)).await;
+        join(self.wrists[0].zero(), self.wrists[1].zero()).await?;
+        for (robot, wrist) in self.robots.iter_mut().zip(&self.wrists) {
+            robot.sense(wrist.sensor(), Shell::NonInteractive, 1)?;
         }
-        Outcome::Ok(())
-    };
-    join(motion, watch).await?;
-    Ok(figures)
+        self.carry(cell, &approach, Regulation::None, |_| ()).await?;
+        self.jaws.iter().for_each(|jaws| jaws.set(true));
+        cell.sleep(Duration::from_millis(200)).await;
+        self.carry(cell, &lift, Regulation::MACROSTEP, |_| ()).await?;
+        Ok(())
+    }
+
+    /// Carries the bar along a path, by a team that `prepare` may change.
+    pub(crate) async fn carry(
+        &mut self,
+        cell: &Cell,
+        path: &ObjectPath,
+        regulation: Regulation,
+        prepare: impl FnOnce(&mut Team<2>),
+    ) -> Result<Figures, TaskError> {
+        let Self { robots: [left, right], wrists, grips, .. } = self;
+        let eyes = [left.observer(), right.observer()];
+        let (mut figures, ended) = (Figures::default(), Shared::new(false));
+        let motion = async {
+            let mut team = cell.team([left, right]);
+            prepare(&mut team);
+            let carry = Carry::new(*grips, path.clone(), regulation, LIMIT);
+            let outcome = team.execute(carry, [Hold { stale: STALE }; 2]).await;
+            ended.set(true);
+            outcome
+        };
+        let watch = async {
+            while !ended.get() {
+                if let (Ok(left), Ok(right)) = (wrists[0].in_tool(), wrists[1].in_tool()) {
+                    figures.take(grips, path, [eyes[0].image()?, eyes[1].image()?], [left, right]);
+                }
+                cell.sleep(cell.file().cell.period()).await;
+            }
+            Outcome::Ok(())
+        };
+        join(motion, watch).await?;
+        Ok(figures)
+    }
+
+    /// Switches the drives off.
+    pub(crate) async fn disable(&mut self) -> Outcome {
+        let [left, right] = &mut self.robots;
+        join(left.disable(), right.disable()).await
+    }
 }
 
 /// Takes the bar and carries it twice.
 pub(crate) async fn hold(cell: &mut Cell) -> Outcome {
-    let [mut left, mut right] = cell.robots(["left", "right"])?;
-    let wrists = [cell.force_sensor("left-wrist")?, cell.force_sensor("right-wrist")?];
-    let jaws = [cell.output("left-gripper")?, cell.output("right-gripper")?];
-    let down = |x: f64, yaw: f64| {
-        Pose::from_parts([x, 0.0, 0.0].into(), UnitQuaternion::from_euler_angles(PI, 0.0, yaw))
-    };
-    let grips = Grips {
-        cell_from_base: [left.cell_from_base(), right.cell_from_base()],
-        object_from_tool: [down(-GRIP, 0.0), down(GRIP, PI)],
-    };
-    // Both paths are checked before the first motion.
-    let paths = [vec![ABOVE, TABLE], vec![TABLE, ABOVE], COURSE.to_vec()];
-    let [approach, lift, course] = paths.map(|places| ObjectPath::through(&places, &LIMITS));
-    let (approach, lift, course) = (approach?, lift?, course?);
-    let motions = [left.motions(), right.motions()];
-    let arms = [motions[0].arm(), motions[1].arm()];
-    for path in [&approach, &lift, &course] {
-        grips.check(path, arms, [BENT; 2])?;
-    }
-    let above = |member: usize| -> Result<Newsmooth, TaskError> {
-        let pose = grips.tool(member, &approach.at(0.0)).pose;
-        let [a, b, c, d, e, ..] = arms[member].inverse(&pose, &BENT)?;
-        Ok(motions[member].joints(0.3, &[[a, b, c, d, e]])?)
-    };
-    let prepare = || Task::new().enable().home();
-    let starts = [prepare().run(above(0)?), prepare().run(above(1)?)];
-    let [one, other] = starts;
-    join(left.perform(one), right.perform(other)).await?;
-    cell.sleep(Duration::from_millis(300)).await;
-    join(wrists[0].zero(), wrists[1].zero()).await?;
-    left.sense(wrists[0].sensor(), Shell::NonInteractive, 1)?;
-    right.sense(wrists[1].sensor(), Shell::NonInteractive, 1)?;
-
-    let none = Regulation::None;
-    carry(cell, &grips, [&mut left, &mut right], &wrists, (approach, none)).await?;
-    jaws.iter().for_each(|jaws| jaws.set(true));
-    cell.sleep(Duration::from_millis(200)).await;
-    carry(cell, &grips, [&mut left, &mut right], &wrists, (lift, Regulation::MACROSTEP)).await?;
-    let stiff = carry(cell, &grips, [&mut left, &mut right], &wrists, (course.clone(), none)).await?;
-    let regulated = carry(cell, &grips, [&mut left, &mut right], &wrists, (course, Regulation::MACROSTEP)).await?;
+    let mut arms = Arms::of(cell)?;
+    // A path out of reach is refused before the first motion.
+    let course = arms.path(&COURSE)?;
+    arms.take(cell).await?;
+    let stiff = arms.carry(cell, &course, Regulation::None, |_| ()).await?;
+    let regulated = arms.carry(cell, &course, Regulation::MACROSTEP, |_| ()).await?;
     let [path, force] = regulated.rms();
     cell.figure("object_path_rms_mm", 1e3 * path);
     cell.figure("internal_force_rms_n", force);
@@ -152,7 +182,7 @@ pub(crate) async fn hold(cell: &mut Cell) -> Outcome {
     cell.figure("start_skew_cycles_max", f64::from(stiff.most_skew.max(regulated.most_skew)));
     cell.figure("unregulated_internal_force_rms_n", stiff.rms()[1]);
     cell.figure("unregulated_internal_force_peak_n", stiff.peak);
-    join(left.disable(), right.disable()).await
+    arms.disable().await
 }
 
 fn main() -> ExitCode {

@@ -31,6 +31,7 @@ mod feed_forward;
 mod force_cell;
 mod force_sensors;
 mod heap;
+mod held_bar;
 mod homing;
 mod host_closed;
 mod identify;

@@ -366,6 +366,7 @@ pub fn config(file: &CellFile, robot: usize, number: usize, power_on: Instant) -
         main_sensor_resolution: axis.emulator.counts_per_revolution,
         rated_torque: axis.emulator.rated_torque.or(Some(axis.cia402().rated_torque)),
         seed: seed(file, robot, number),
+        trips_at: axis.emulator.trips_at_s.map(|at| power_on + Duration::from_secs_f64(at)),
         power_on,
         ..usual
     }

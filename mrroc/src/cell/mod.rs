@@ -351,6 +351,9 @@ pub struct Emulator {
     pub protocol: Option<Protocol>,
     /// Whether the device is absent from its bus or line. An absent drive never boots.
     pub absent: bool,
+    /// Time at which the emulated drive on CAN trips with an over-current, s since the emulated devices were switched on;
+    /// never where absent. A drive without power does not trip.
+    pub trips_at_s: Option<f64>,
 }
 
 /// A payload of an emulated robot from a given time on. The payload replaces the previous one.
