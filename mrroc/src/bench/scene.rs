@@ -10,7 +10,7 @@ use hil::{Mechanism, Scene};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use crate::bench::plants::{EmulatedCell, upright_from_base};
-use crate::cell::{EmulatedBar, EmulatedPlane, Robot};
+use crate::cell::{EmulatedBar, EmulatedBlock, EmulatedPlane, Robot};
 
 /// The scene of a cell, and what its devices measure.
 pub struct EmulatedSurroundings {
@@ -32,8 +32,8 @@ pub struct SceneTruth {
 }
 
 impl EmulatedCell<'_> {
-    /// The scene of the cell in the frame of the cell: the robots that have force sensors, tips or grippers, the planes
-    /// and the bars. The axes must be mounted already. Tools of robots do not meet each other.
+    /// The scene of the cell in the frame of the cell: the robots that have force sensors, tips or grippers, the planes,
+    /// blocks and bars. The axes must be mounted already. Tools of robots do not meet each other.
     pub fn surroundings(&self) -> EmulatedSurroundings {
         let cell = &self.file.cell;
         let around = cell.scene.clone().unwrap_or_default();
@@ -43,6 +43,9 @@ impl EmulatedCell<'_> {
         let mut count = 0;
         for plane in &around.plane {
             scene.add_wall(&wall(plane)).expect(SOUND);
+        }
+        for block in &around.block {
+            scene.add_wall(&block_wall(block)).expect(SOUND);
         }
         let bars = around.bar.iter().map(|bar| scene.add_body(&body(bar)).expect(SOUND));
         let bars: Vec<_> = bars.collect();
@@ -114,6 +117,13 @@ fn wall(plane: &EmulatedPlane) -> WallConfig {
     let pose = Isometry3::from_parts((normal * plane.height).into(), facing);
     let &EmulatedPlane { stiffness, damping, friction, .. } = plane;
     WallConfig { shape: Shape::HalfSpace, pose, material: Material { stiffness, damping, friction } }
+}
+
+fn block_wall(block: &EmulatedBlock) -> WallConfig {
+    let &EmulatedBlock { centre, size, stiffness, damping, friction } = block;
+    let pose = Isometry3::from_parts(centre.into(), UnitQuaternion::identity());
+    let shape = Shape::Box { half: size.map(|edge| edge / 2.0) };
+    WallConfig { shape, pose, material: Material { stiffness, damping, friction } }
 }
 
 /// Reason that the parts of a scene are accepted.

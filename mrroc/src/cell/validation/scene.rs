@@ -1,9 +1,9 @@
 //! Checks of the emulated surroundings.
 
 use super::{Checked, force::check_robot, name, refused, robots::NEAR, twice, unique, within};
-use crate::cell::{Cell, EmulatedBar, EmulatedGripper, EmulatedPlane, Path, Place, Range, quoted};
+use crate::cell::{Cell, EmulatedBar, EmulatedBlock, EmulatedGripper, EmulatedPlane, Path, Place, Range, quoted};
 
-/// Greatest number of planes, tips, bars or grippers of a scene.
+/// Greatest number of planes, blocks, tips, bars or grippers of a scene.
 const MOST: usize = 32;
 
 /// Coordinates in a cell.
@@ -21,6 +21,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     let counts = [
         ("tip", scene.tip.len()),
         ("plane", scene.plane.len()),
+        ("block", scene.block.len()),
         ("bar", scene.bar.len()),
         ("gripper", scene.gripper.len()),
     ];
@@ -29,8 +30,8 @@ pub(super) fn check(cell: &Cell) -> Checked {
             return refused(&path, key, format!("has {found} entries, may have {MOST}"));
         }
     }
-    if counts.iter().all(|(_, found)| *found == 0) && scene.robot.is_none() {
-        return Err((path, "is empty: add a robot, a plane, a bar or a gripper".into()));
+    if scene.plane.is_empty() && scene.block.is_empty() && scene.bar.is_empty() {
+        return refused(&path, "plane", "has no planes, blocks and bars, must have at least one");
     }
     if let Some(robot) = &scene.robot {
         check_robot(cell, &path, robot, "robot")?;
@@ -42,6 +43,10 @@ pub(super) fn check(cell: &Cell) -> Checked {
     let planes = path.then("plane");
     for (index, plane) in scene.plane.iter().enumerate() {
         check_plane(&planes.then(index), plane)?;
+    }
+    let blocks = path.then("block");
+    for (index, block) in scene.block.iter().enumerate() {
+        check_block(&blocks.then(index), block)?;
     }
     let bars = path.then("bar");
     for (index, bar) in scene.bar.iter().enumerate() {
@@ -92,6 +97,19 @@ fn check_plane(path: &Path, plane: &EmulatedPlane) -> Checked {
         return refused(path, "normal", "has no direction");
     }
     within(path, "height", height, WITHIN)?;
+    check_material(path, stiffness, damping, friction)
+}
+
+fn check_block(path: &Path, block: &EmulatedBlock) -> Checked {
+    let &EmulatedBlock { centre, size, stiffness, damping, friction } = block;
+    for (axis, (centre, size)) in centre.into_iter().zip(size).enumerate() {
+        within(&path.then("centre"), axis, centre, WITHIN)?;
+        within(&path.then("size"), axis, size, Range::new(1e-4, 100.0, "m"))?;
+    }
+    check_material(path, stiffness, damping, friction)
+}
+
+fn check_material(path: &Path, stiffness: f64, damping: f64, friction: f64) -> Checked {
     within(path, "stiffness", stiffness, Range::new(1.0, 1e8, "N/m"))?;
     within(path, "damping", damping, Range::new(0.0, 1e6, "N·s/m"))?;
     within(path, "friction", friction, Range::new(0.0, 10.0, ""))
