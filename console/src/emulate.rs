@@ -113,7 +113,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         }
         names.push(format!("{} in {}", serial.name, directory.display()));
     }
-    let sensors = emulated.add_sensors(&mut lines.world);
+    let (sensors, _) = emulated.add_sensors(&mut lines.world);
     for (sensor, line) in file.cell.force_sensor.iter().zip(sensors) {
         let Some(directory) = &options.serial else {
             bail!("--serial DIR is missing: it is where the tty of {} is to be linked", sensor.name);

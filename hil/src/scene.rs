@@ -10,7 +10,8 @@
 //! * Robots are [`Mechanism`]s. Their tools have tips, which are spheres ([`TipConfig`]). The transpose of the Jacobian
 //!   converts forces on tips and in grippers to motor torques. Tips have no mass of their own.
 //! * A grip holds a body by a spring and a damper in six dimensions ([`GripConfig`]). A body may be held by several
-//!   grippers. The tips of a robot do not touch the bodies that the robot holds.
+//!   grippers. The tips of a robot do not touch the bodies that the robot holds. A digital output may open and close a
+//!   gripper ([`GripperConfig`]).
 //! * Sensors between flange and tool measure the wrench of these forces ([`SensorConfig`]).
 //!
 //! The scene advances in steps of 100 µs ([`STEP`]). Each step has three parts. First, the motors of the robots move by
@@ -48,6 +49,7 @@ mod contact;
 mod error;
 mod forces;
 mod grip;
+mod gripper;
 mod motion;
 mod probe;
 mod surface;
@@ -67,6 +69,8 @@ use contact::{Sphere, Surface};
 pub use error::SceneError;
 pub use grip::GripConfig;
 use grip::{End, Hold};
+use gripper::Gripper;
+pub use gripper::{GripProbe, GripperConfig};
 use motion::{Motion, Moving};
 use probe::Sensor;
 pub use probe::{BodyProbe, SensorConfig, SensorProbe, WrenchProbe};
@@ -141,6 +145,7 @@ pub struct Scene {
     corners: Vec<CornersOn>,
     tips: Vec<TipOn>,
     grips: Vec<Option<Grip>>,
+    grippers: Vec<Gripper>,
     unsolved: u64,
 }
 
@@ -220,6 +225,7 @@ impl Scene {
             corners: Vec::new(),
             tips: Vec::new(),
             grips: Vec::new(),
+            grippers: Vec::new(),
             unsolved: 0,
         }
     }
@@ -459,6 +465,7 @@ impl Scene {
         for arm in &mut self.arms {
             arm.follow();
         }
+        self.switch_grippers();
         for wall in &mut self.walls {
             if let Some(belt) = &mut wall.belt {
                 let angle = belt.shaft.angle();
@@ -471,6 +478,7 @@ impl Scene {
         for arm in &mut self.arms {
             arm.finish(&self.gravity);
         }
+        self.show_grippers();
         for (body, probe) in &self.probes {
             probe.show(self.bodies[*body].state());
         }

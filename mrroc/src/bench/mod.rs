@@ -8,6 +8,8 @@ pub mod emulated_time;
 pub mod emulation;
 pub mod interfaces;
 pub mod plants;
+pub mod scene;
+pub mod truth;
 
 use std::path::{Path, PathBuf};
 
