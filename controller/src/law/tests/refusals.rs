@@ -144,7 +144,8 @@ fn the_weight_of_the_tool_is_no_contact() {
             };
             PositionForce::new(config, link).unwrap()
         };
-        let zero = zeroed_at.map_or_else(Wrench::default, |rotation| load.wrench(&SensorMotion::at_rest(upright * rotation)));
+        let zero =
+            zeroed_at.map_or_else(Wrench::default, |rotation| load.wrench(&SensorMotion::at_rest(upright * rotation)));
         let measured = load.wrench(&at_rest) - zero;
         rig.sensor.advance(rig.now(), measured.components());
         let directions = [Direction::Contact { force: 0.0, compliance: Compliance::LINEAR }; 6];

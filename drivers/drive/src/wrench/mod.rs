@@ -11,7 +11,9 @@
 //!   checksum, so a reading counts if it has exactly the length of an answer. Any other reading is counted as garbage.
 //!   After a missing or damaged answer the next query waits until the line is quiet.
 //! - **CAN.** A sample is one set of the configured TPDOs. With SYNC, the frames of a set belong to the same SYNC, and
-//!   the time of the sample is the time of this SYNC. With an event timer, the frames of a set are received within half
+//!   the time of the sample is the time of this SYNC. A frame that comes after the next SYNC makes its sample incomplete:
+//!   the sample has no frame of another SYNC. If not every frame has a counter, such a frame is detected by the order of
+//!   the frames, once a SYNC lacked a frame. With an event timer, the frames of a set are received within half
 //!   a sample period, and the time of the sample is the receive time of the first frame. A counter of the sensor
 //!   distinguishes new samples from repeated samples.
 //!
@@ -24,6 +26,7 @@
 //! |---|---|
 //! | [`Silent`](WrenchFault::Silent) | more than the tolerated samples in a row are missing |
 //! | [`Garbage`](WrenchFault::Garbage) | the same, and at least one reading among them was no answer |
+//! | [`Incomplete`](WrenchFault::Incomplete) | the same on CAN, and at least one sample among them lacked a frame |
 //! | [`Saturated`](WrenchFault::Saturated) | counts at or beyond the range, in more than the tolerated samples in a row |
 //! | [`OfAnotherRate`](WrenchFault::OfAnotherRate) | of 64 samples, the mean period differs from the declared one by more than a quarter; or answers come a cycle late |
 //! | [`Status`](WrenchFault::Status) | an error bit of a status field |

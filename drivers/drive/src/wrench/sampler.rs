@@ -24,7 +24,7 @@ pub struct WrenchCounters {
     pub saturated: u64,
     /// CAN: samples with the counter value of the previous sample.
     pub repeated: u64,
-    /// CAN: lost samples. A frame of the sample is missing, or the counter of the sensor has a gap.
+    /// CAN: lost samples. A frame of the sample is missing or late, or the counter of the sensor has a gap.
     pub lost: u64,
 }
 
@@ -61,6 +61,8 @@ pub(super) struct Sampler {
     garbage: u32,
     /// Number of late answers since the last sample.
     late: u32,
+    /// Number of samples without all their frames since the last sample.
+    incomplete: u32,
     /// Saturated samples in a row, and the first saturated channel of the last one.
     saturated: u32,
     saturated_at: Option<(WrenchAxis, i32)>,
@@ -89,6 +91,7 @@ impl Sampler {
             waited: 0,
             garbage: 0,
             late: 0,
+            incomplete: 0,
             saturated: 0,
             saturated_at: None,
             status: 0,
@@ -124,7 +127,7 @@ impl Sampler {
     }
 
     fn forget_streaks(&mut self) {
-        (self.garbage, self.late, self.saturated) = (0, 0, 0);
+        (self.garbage, self.late, self.incomplete, self.saturated) = (0, 0, 0, 0);
         self.saturated_at = None;
         (self.resetting, self.waited) = (false, 0);
     }
@@ -153,7 +156,7 @@ impl Sampler {
             self.counters.saturated += 1;
             return;
         }
-        (self.saturated, self.garbage, self.late) = (0, 0, 0);
+        (self.saturated, self.garbage, self.late, self.incomplete) = (0, 0, 0, 0);
         (self.counts, self.state.sampled, self.fresh) = (counts, sampled, true);
         if std::mem::take(&mut self.resetting) {
             self.state.fault = None;
@@ -198,6 +201,12 @@ impl Sampler {
     pub(super) fn late(&mut self) {
         self.late = self.late.saturating_add(1);
         self.counters.late += 1;
+    }
+
+    /// Counts a sample without all its frames.
+    pub(super) fn incomplete(&mut self) {
+        self.incomplete = self.incomplete.saturating_add(1);
+        self.counters.lost += 1;
     }
 
     /// Takes the error bits of a status field of the last frame.
@@ -256,6 +265,7 @@ impl Sampler {
             Some((_, true)) | None if waited <= within => Ok(false),
             Some((_, true)) | None => Err(match self.rate.found() {
                 Some(found) => WrenchError::OfAnotherRate { declared, found },
+                None if self.incomplete > 0 => WrenchError::Incomplete { samples: self.incomplete },
                 None => WrenchError::NoSamples { waited },
             }),
         }
@@ -304,6 +314,8 @@ impl Sampler {
             } else if self.late > 0 {
                 // A late answer is complete in the second reading after its query.
                 WrenchFault::OfAnotherRate { declared, found: 2 * declared }
+            } else if self.incomplete > 0 {
+                WrenchFault::Incomplete { samples: self.incomplete }
             } else {
                 WrenchFault::Silent { cycles }
             });
