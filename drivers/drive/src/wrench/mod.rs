@@ -9,7 +9,11 @@
 //! - **Serial.** One query leaves at the deadline of each cycle, and the answer is read in the next cycle. The time of
 //!   a sample is the arrival time of its query: one byte time after the write. The answer has neither header nor
 //!   checksum, so a reading counts if it has exactly the length of an answer. Any other reading is counted as garbage.
-//!   After a missing or damaged answer the next query waits until the line is quiet.
+//!   After a missing or damaged answer the next query waits until the line is quiet. An answer up to two periods late is
+//!   therefore recognised and dropped. A later answer can be taken for the answer to the next query. The following
+//!   reading then has no whole answer: the sample counts as missing after all, and a fault follows as if no sample had
+//!   come since the last answer in time. Only a single answer more than two periods late, followed by answers between
+//!   one and two periods late, is not detected. The time of such samples is one period too late.
 //! - **CAN.** A sample is one set of the configured TPDOs. With SYNC, the frames of a set belong to the same SYNC, and
 //!   the time of the sample is the time of this SYNC. A frame that comes after the next SYNC makes its sample incomplete:
 //!   the sample has no frame of another SYNC. If not every frame has a counter, such a frame is detected by the order of

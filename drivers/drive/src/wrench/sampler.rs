@@ -57,6 +57,8 @@ pub(super) struct Sampler {
     resetting: bool,
     /// Cycles since the last sample, or since the last reset.
     waited: u32,
+    /// Cycles without a sample before a sample that a later reading may withdraw.
+    doubted: Option<u32>,
     /// Number of readings since the last sample that were no answer.
     garbage: u32,
     /// Number of late answers since the last sample.
@@ -89,6 +91,7 @@ impl Sampler {
             fresh: false,
             resetting: false,
             waited: 0,
+            doubted: None,
             garbage: 0,
             late: 0,
             incomplete: 0,
@@ -129,7 +132,7 @@ impl Sampler {
     fn forget_streaks(&mut self) {
         (self.garbage, self.late, self.incomplete, self.saturated) = (0, 0, 0, 0);
         self.saturated_at = None;
-        (self.resetting, self.waited) = (false, 0);
+        (self.resetting, self.waited, self.doubted) = (false, 0, None);
     }
 
     /// Begins the reading of a cycle. A requested reset begins here, so that a sample of this cycle can end the fault.
@@ -147,6 +150,7 @@ impl Sampler {
     /// Takes a whole sample with the time `sampled`.
     pub(super) fn take(&mut self, counts: [i32; 6], sampled: Instant) {
         self.rate.sampled(sampled);
+        self.doubted = None;
         let mut channels = WrenchAxis::ALL.into_iter().zip(counts).zip(self.config.channels);
         let beyond =
             |(_, count): (WrenchAxis, i32), channel: Channel| count.unsigned_abs() >= channel.range.unsigned_abs();
@@ -201,6 +205,20 @@ impl Sampler {
     pub(super) fn late(&mut self) {
         self.late = self.late.saturating_add(1);
         self.counters.late += 1;
+    }
+
+    /// The sample of this cycle may be older than its time: [`withdraw`](Self::withdraw) may follow in the next cycle.
+    pub(super) fn doubt(&mut self) {
+        self.doubted = self.fresh.then_some(self.waited);
+    }
+
+    /// The sample of the last cycle was that of an earlier query. The sample counts as missing and as a late answer.
+    pub(super) fn withdraw(&mut self) {
+        if let Some(waited) = self.doubted.take() {
+            // The cycle of the sample counts as a cycle without a sample.
+            self.waited = waited.saturating_add(1);
+            self.late();
+        }
     }
 
     /// Counts a sample without all its frames.

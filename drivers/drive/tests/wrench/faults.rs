@@ -77,6 +77,35 @@ fn answers_that_are_always_a_cycle_late_are_another_rate() {
 }
 
 #[test]
+fn answers_of_another_query_are_withdrawn_before_they_exceed_the_tolerated_samples() {
+    // Answers come more than two periods late: after a quiet reading.
+    let tolerated = WrenchConfig::ATI.tolerated_missing as usize;
+    let mut rig = Rig::up();
+    let mut loads = Vec::new();
+    let mut cycle = |rig: &mut Rig| {
+        rig.line.board().load[0] = loads.len() as i16;
+        loads.push(rig.now + PERIOD);
+        let state = rig.cycle();
+        let queried = loads.iter().rposition(|at| *at < state.sampled).unwrap_or(0);
+        let wrong = state.age == 0 && ((state.wrench[0] / FORCE).round() as usize) != queried;
+        (state, wrong)
+    };
+    assert!((0..5).all(|_| !cycle(&mut rig).1));
+    rig.line.board().delay = 2;
+    assert_eq!(cycle(&mut rig).0.age, 0);
+    let states: Vec<_> = (0..=tolerated).map(|_| cycle(&mut rig)).collect();
+    assert_eq!(states.iter().filter(|(_, wrong)| *wrong).count(), 1, "{states:?}");
+    let late = WrenchFault::OfAnotherRate { declared: PERIOD, found: 2 * PERIOD };
+    assert_eq!(states[tolerated].0.fault, Some(late), "{states:?}");
+    // Once the answers are in time, the reset holds.
+    rig.line.board().delay = 0;
+    (0..4).for_each(|_| _ = cycle(&mut rig));
+    rig.link.reset_fault();
+    let states: Vec<_> = (0..70).map(|_| cycle(&mut rig)).collect();
+    assert!(states[4..].iter().all(|(state, wrong)| state.fault.is_none() && state.age == 0 && !wrong), "{states:?}");
+}
+
+#[test]
 fn more_than_a_quarter_of_missing_samples_is_another_rate() {
     // One query in six is lost, which costs two samples of seven; or one in ten, which costs two of eleven.
     for (lost_of, rate) in [(6, true), (10, false)] {
