@@ -68,7 +68,11 @@ pub(super) struct Sampler {
     /// Saturated samples in a row, and the first saturated channel of the last one.
     saturated: u32,
     saturated_at: Option<(WrenchAxis, i32)>,
+    /// First saturated channel of a sample of this cycle with which too many samples in a row were saturated.
+    overload: Option<(WrenchAxis, i32)>,
+    /// Error bits of the last sample, and of all samples since the last judgement.
     status: u32,
+    errors: u32,
     pub(super) counters: WrenchCounters,
 }
 
@@ -97,7 +101,9 @@ impl Sampler {
             incomplete: 0,
             saturated: 0,
             saturated_at: None,
+            overload: None,
             status: 0,
+            errors: 0,
             counters: WrenchCounters::default(),
         };
         (sampler, link)
@@ -114,7 +120,7 @@ impl Sampler {
         self.rate = Rate::first(self.pace);
         self.counters = WrenchCounters::default();
         self.forget_streaks();
-        (self.status, self.fresh) = (0, false);
+        (self.status, self.errors, self.fresh) = (0, 0, false);
         self.publish();
     }
 
@@ -124,6 +130,7 @@ impl Sampler {
         self.rate = Rate::new(self.pace);
         self.counters = WrenchCounters::default();
         self.forget_streaks();
+        self.errors = 0;
         // An earlier request for a reset is dropped: there is no fault to clear.
         self.requests.take_reset();
         self.publish();
@@ -131,7 +138,7 @@ impl Sampler {
 
     fn forget_streaks(&mut self) {
         (self.garbage, self.late, self.incomplete, self.saturated) = (0, 0, 0, 0);
-        self.saturated_at = None;
+        (self.saturated_at, self.overload) = (None, None);
         (self.resetting, self.waited, self.doubted) = (false, 0, None);
     }
 
@@ -158,6 +165,9 @@ impl Sampler {
         if self.saturated_at.is_some() {
             self.saturated = self.saturated.saturating_add(1);
             self.counters.saturated += 1;
+            if self.saturated > self.config.tolerated_saturated {
+                self.overload = self.saturated_at;
+            }
             return;
         }
         (self.saturated, self.garbage, self.late, self.incomplete) = (0, 0, 0, 0);
@@ -227,9 +237,10 @@ impl Sampler {
         self.counters.lost += 1;
     }
 
-    /// Takes the error bits of a status field of the last frame.
+    /// Takes the error bits of the status field of a sample.
     pub(super) fn status(&mut self, errors: u32) {
         self.status = errors;
+        self.errors |= errors;
     }
 
     /// Whether the bias command of the sensor is to be sent.
@@ -315,13 +326,13 @@ impl Sampler {
     }
 
     fn judge(&mut self) {
-        if self.status != 0 {
-            self.latch(WrenchFault::Status { status: self.status });
+        let status = self.status | std::mem::take(&mut self.errors);
+        if status != 0 {
+            self.latch(WrenchFault::Status { status });
         }
         let silent = self.waited >= self.pace.silent_after(self.config.tolerated_missing);
-        if let Some((axis, counts)) = self.saturated_at
-            && (silent || self.saturated > self.config.tolerated_saturated)
-        {
+        let saturated = self.overload.take().or(self.saturated_at.filter(|_| silent));
+        if let Some((axis, counts)) = saturated {
             self.latch(WrenchFault::Saturated { axis, counts });
         }
         let declared = self.pace.declared();
