@@ -29,6 +29,9 @@ pub enum WrenchFault {
     /// answer.
     #[error("{readings} readings since the last sample were no answer of the sensor: check its cable and restart it")]
     Garbage { readings: u32 },
+    /// Samples come at the declared rate, but more than a fifth of the last samples is missing.
+    #[error("{missing} of {of} samples missing: check cable, adapter and load of the connection")]
+    Missing { missing: u32, of: u32 },
     /// CAN: too many samples are missing, and `samples` of them lacked a frame, or had a frame after the next SYNC.
     #[error("{samples} samples without all their frames: reduce the load of the bus, or check the PDOs of the sensor")]
     Incomplete { samples: u32 },
@@ -92,7 +95,8 @@ impl WrenchFault {
     pub(super) fn may_be_restart(self) -> bool {
         match self {
             Self::NotStarted | Self::Ended | Self::Silent { .. } | Self::Garbage { .. } | Self::Line(_) => true,
-            Self::Incomplete { .. }
+            Self::Missing { .. }
+            | Self::Incomplete { .. }
             | Self::Saturated { .. }
             | Self::OfAnotherRate { .. }
             | Self::Status { .. }
@@ -125,6 +129,8 @@ pub enum WrenchError {
     /// The node was started and sent no whole sample.
     #[error("no sample since the start, waited {waited:.1?}: check the PDOs of the sensor")]
     NoSamples { waited: Duration },
+    #[error("{missing} of {of} samples missing: check cable, adapter and load of the connection")]
+    Missing { missing: u32, of: u32 },
     /// Every sample lacked a frame, or had a frame after the next SYNC.
     #[error("{samples} samples without all their frames: reduce the load of the bus, or check the PDOs of the sensor")]
     Incomplete { samples: u32 },
@@ -164,6 +170,7 @@ pub(super) fn words(fault: Option<WrenchFault>) -> [u64; 3] {
         WrenchFault::Port(PortError::Os(number)) => [13, 2, errno(number)],
         WrenchFault::BusOff => [14, 0, 0],
         WrenchFault::Incomplete { samples } => [15, u64::from(samples), 0],
+        WrenchFault::Missing { missing, of } => [16, u64::from(missing), u64::from(of)],
     }
 }
 
@@ -196,6 +203,7 @@ pub(super) fn of_words([kind, a, b]: [u64; 3]) -> Option<WrenchFault> {
         }),
         14 => WrenchFault::BusOff,
         15 => WrenchFault::Incomplete { samples: a as u32 },
+        16 => WrenchFault::Missing { missing: a as u32, of: b as u32 },
         _ => WrenchFault::NotStarted,
     })
 }
@@ -209,7 +217,7 @@ pub(super) mod tests {
 
     /// Any fault, or none.
     pub(in crate::wrench) fn any_fault() -> impl Strategy<Value = Option<WrenchFault>> {
-        (0..=22_usize, any::<u32>(), any::<i32>(), any::<[u64; 2]>(), select(&WrenchAxis::ALL)).prop_map(
+        (0..=23_usize, any::<u32>(), any::<i32>(), any::<[u64; 2]>(), select(&WrenchAxis::ALL)).prop_map(
             |(kind, cycles, counts, [declared, found], axis)| {
                 let (waited, node) = (Duration::from_nanos(declared), cycles as u8);
                 [
@@ -233,6 +241,7 @@ pub(super) mod tests {
                     WrenchFault::Port(PortError::Os(counts)),
                     WrenchFault::BusOff,
                     WrenchFault::Incomplete { samples: cycles },
+                    WrenchFault::Missing { missing: cycles, of: found as u32 },
                 ]
                 .get(kind)
                 .copied()

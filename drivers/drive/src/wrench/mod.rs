@@ -33,6 +33,7 @@
 //! | [`Incomplete`](WrenchFault::Incomplete) | the same on CAN, and at least one sample among them lacked a frame |
 //! | [`Saturated`](WrenchFault::Saturated) | counts at or beyond the range, in more than the tolerated samples in a row |
 //! | [`OfAnotherRate`](WrenchFault::OfAnotherRate) | of 64 samples, the mean period differs from the declared one by more than a quarter; or answers come a cycle late |
+//! | [`Missing`](WrenchFault::Missing) | the same, but most of the samples came at the declared rate |
 //! | [`Status`](WrenchFault::Status) | an error bit of a status field |
 //! | [`Line`](WrenchFault::Line), [`Port`](WrenchFault::Port) and the others | the line, the bus or the node failed |
 //!

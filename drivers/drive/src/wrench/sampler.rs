@@ -6,7 +6,7 @@ use can::Instant;
 
 use super::config::{Channel, WrenchConfig, ZeroMethod};
 use super::fault::{WrenchError, WrenchFault};
-use super::rate::{Pace, Rate};
+use super::rate::{Comparison, Pace, Rate};
 use super::state::{Requests, StatePublisher, WrenchAxis, WrenchLink, WrenchState, ZeroRequest, Zeroing};
 
 /// Counters of a sensor since bring-up. Counters only grow.
@@ -289,10 +289,11 @@ impl Sampler {
         self.check_samples()?;
         let declared = self.pace.declared();
         match self.rate.compare() {
-            Some((found, false)) => Err(WrenchError::OfAnotherRate { declared, found }),
-            Some((_, true)) if self.has_sample() => Ok(true),
-            Some((_, true)) | None if waited <= within => Ok(false),
-            Some((_, true)) | None => Err(match self.rate.found() {
+            Some(Comparison::Differs { found }) => Err(WrenchError::OfAnotherRate { declared, found }),
+            Some(Comparison::Missing { missing, of }) => Err(WrenchError::Missing { missing, of }),
+            Some(Comparison::Agrees) if self.has_sample() => Ok(true),
+            Some(Comparison::Agrees) | None if waited <= within => Ok(false),
+            Some(Comparison::Agrees) | None => Err(match self.rate.found() {
                 Some(found) => WrenchError::OfAnotherRate { declared, found },
                 None if self.incomplete > 0 => WrenchError::Incomplete { samples: self.incomplete },
                 None => WrenchError::NoSamples { waited },
@@ -349,8 +350,10 @@ impl Sampler {
                 WrenchFault::Silent { cycles }
             });
         }
-        if let Some((found, false)) = self.rate.compare() {
-            self.latch(WrenchFault::OfAnotherRate { declared, found });
+        match self.rate.compare() {
+            Some(Comparison::Differs { found }) => self.latch(WrenchFault::OfAnotherRate { declared, found }),
+            Some(Comparison::Missing { missing, of }) => self.latch(WrenchFault::Missing { missing, of }),
+            Some(Comparison::Agrees) | None => {}
         }
     }
 

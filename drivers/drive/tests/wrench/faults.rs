@@ -106,9 +106,9 @@ fn answers_of_another_query_are_withdrawn_before_they_exceed_the_tolerated_sampl
 }
 
 #[test]
-fn more_than_a_quarter_of_missing_samples_is_another_rate() {
+fn more_than_a_fifth_of_missing_samples_is_a_fault_that_counts_them() {
     // One query in six is lost, which costs two samples of seven; or one in ten, which costs two of eleven.
-    for (lost_of, rate) in [(6, true), (10, false)] {
+    for (lost_of, fails) in [(6, true), (10, false)] {
         let mut rig = Rig::up();
         rig.run(3);
         let mut heard = 0;
@@ -121,10 +121,8 @@ fn more_than_a_quarter_of_missing_samples_is_another_rate() {
             rig.cycle().fault
         });
         match fault {
-            Some(WrenchFault::OfAnotherRate { declared, found }) => {
-                assert!(rate && declared == PERIOD && found > PERIOD * 5 / 4, "{lost_of}: {fault:?}");
-            }
-            _ => assert!(!rate && fault.is_none(), "{lost_of}: {fault:?}"),
+            Some(WrenchFault::Missing { missing: 18..=20, of: 64 }) => assert!(fails, "{lost_of}: {fault:?}"),
+            _ => assert!(!fails && fault.is_none(), "{lost_of}: {fault:?}"),
         }
     }
 }
@@ -236,6 +234,10 @@ fn a_reset_makes_no_old_wrench_valid() {
 fn faults_say_what_to_check() {
     let table = [
         (WrenchFault::Silent { cycles: 4 }, "no sample for 4 cycles: check cable and supply of the sensor"),
+        (
+            WrenchFault::Missing { missing: 18, of: 64 },
+            "18 of 64 samples missing: check cable, adapter and load of the connection",
+        ),
         (
             WrenchFault::Saturated { axis: WrenchAxis::Tz, counts: -940 },
             "Tz is saturated at -940 counts: unload the sensor, then reset the fault",
