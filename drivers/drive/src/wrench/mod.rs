@@ -42,7 +42,8 @@
 //!
 //! # Zero
 //! After [`WrenchLink::zero`], the present load reads as zero. The zero is a mean of samples in the host, or the bias
-//! command of the sensor ([`ZeroMethod`]). The zero includes the weight of the tool in its present pose. Compensation
+//! command of the sensor ([`ZeroMethod`]). A zeroing fails if its samples differ by more than a tenth of the range, or if
+//! the sensor reads more than that after its bias command ([`ZeroFailure`]). The zero includes the weight of the tool in its present pose. Compensation
 //! of weight and inertia needs kinematics and is done by the controller.
 //!
 //! # Bring-up
@@ -77,5 +78,5 @@ pub(crate) use node::WrenchNode;
 pub use node_config::{Content, NodeQuantity, Trigger, WrenchField, WrenchNodeConfig, WrenchPdo, check};
 pub(crate) use program::program;
 pub use rehearsed::RehearsedWrench;
-pub use sampler::WrenchCounters;
-pub use state::{WrenchAxis, WrenchLink, WrenchState, ZeroRequest, Zeroing};
+pub use sampler::{WrenchCounters, ZERO_SCATTER};
+pub use state::{WrenchAxis, WrenchLink, WrenchState, ZeroFailure, ZeroRequest, Zeroing};

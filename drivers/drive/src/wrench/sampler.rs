@@ -7,7 +7,13 @@ use can::Instant;
 use super::config::{Channel, WrenchConfig, ZeroMethod};
 use super::fault::{WrenchError, WrenchFault};
 use super::rate::{Comparison, Pace, Rate};
-use super::state::{Requests, StatePublisher, WrenchAxis, WrenchLink, WrenchState, ZeroRequest, Zeroing};
+use super::state::{Requests, StatePublisher, WrenchAxis, WrenchLink, WrenchState, ZeroFailure, ZeroRequest, Zeroing};
+
+/// Greatest difference between two samples of a zeroing, and greatest reading after a bias command, as a part of the range.
+pub const ZERO_SCATTER: f64 = 0.1;
+
+/// Greatest difference between two samples that is always accepted, counts.
+const LEAST_SCATTER: i64 = 4;
 
 /// Counters of a sensor since bring-up. Counters only grow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -46,8 +52,10 @@ pub(super) struct Sampler {
     counts: [i32; 6],
     /// Counts that read as zero.
     offset: [f64; 6],
-    /// Sums of the counts of the zeroing under way.
+    /// Sums of the counts of the zeroing under way, and their least and greatest values.
     sums: [i64; 6],
+    least: [i32; 6],
+    greatest: [i32; 6],
     /// The bias command of the zeroing under way was sent.
     bias_sent: bool,
     rate: Rate,
@@ -90,6 +98,8 @@ impl Sampler {
             counts: [0; 6],
             offset: [0.0; 6],
             sums: [0; 6],
+            least: [i32::MAX; 6],
+            greatest: [i32::MIN; 6],
             bias_sent: false,
             rate: Rate::first(pace),
             fresh: false,
@@ -113,7 +123,8 @@ impl Sampler {
     pub(super) fn reset(&mut self) {
         let zeroing = match self.state.zeroing {
             Zeroing::None | Zeroing::Done { .. } => Zeroing::None,
-            Zeroing::UnderWay { request, .. } | Zeroing::Failed { request } => Zeroing::Failed { request },
+            Zeroing::UnderWay { request, .. } => Zeroing::Failed { request, cause: ZeroFailure::Interrupted },
+            failed @ Zeroing::Failed { .. } => failed,
         };
         self.state = WrenchState { zeroing, ..WrenchState::NOT_STARTED };
         self.offset = [0.0; 6];
@@ -186,9 +197,20 @@ impl Sampler {
     /// Adds the last sample to a zeroing that has taken `samples` samples so far.
     fn zero(&mut self, request: ZeroRequest, samples: u16) -> Zeroing {
         let ZeroMethod::Host { samples: wanted } = self.config.zero else {
-            let done = self.bias_sent;
-            return if done { Zeroing::Done { request, samples } } else { Zeroing::UnderWay { request, samples } };
+            return match self.exceeding(self.counts.map(i64::from)) {
+                _ if !self.bias_sent => Zeroing::UnderWay { request, samples },
+                Some(axis) => Zeroing::Failed { request, cause: ZeroFailure::NotBiased { axis } },
+                None => Zeroing::Done { request, samples },
+            };
         };
+        for (axis, counts) in self.counts.into_iter().enumerate() {
+            self.least[axis] = self.least[axis].min(counts);
+            self.greatest[axis] = self.greatest[axis].max(counts);
+        }
+        let spread = std::array::from_fn(|axis| i64::from(self.greatest[axis]) - i64::from(self.least[axis]));
+        if let Some(axis) = self.exceeding(spread) {
+            return Zeroing::Failed { request, cause: ZeroFailure::Unsteady { axis } };
+        }
         self.sums.iter_mut().zip(self.counts).for_each(|(sum, count)| *sum += i64::from(count));
         let samples = samples + 1;
         if samples < wanted {
@@ -197,6 +219,15 @@ impl Sampler {
         self.offset = self.sums.map(|sum| sum as f64 / f64::from(samples));
         self.scale();
         Zeroing::Done { request, samples }
+    }
+
+    /// The first channel with more than [`ZERO_SCATTER`] of its range, and more than the noise of a count.
+    fn exceeding(&self, counts: [i64; 6]) -> Option<WrenchAxis> {
+        let mut channels = WrenchAxis::ALL.into_iter().zip(counts).zip(self.config.channels);
+        let exceeds = |counts: i64, range: i32| {
+            counts.abs() > LEAST_SCATTER && counts.abs() as f64 > ZERO_SCATTER * f64::from(range)
+        };
+        channels.find(|((_, counts), channel)| exceeds(*counts, channel.range)).map(|((axis, _), _)| axis)
     }
 
     fn scale(&mut self) {
@@ -260,7 +291,7 @@ impl Sampler {
             self.state.fault = None;
         }
         if let Zeroing::UnderWay { request, .. } = self.state.zeroing {
-            self.state.zeroing = Zeroing::Failed { request };
+            self.state.zeroing = Zeroing::Failed { request, cause: ZeroFailure::Interrupted };
         }
         self.state.fault.get_or_insert(fault);
     }
@@ -364,9 +395,10 @@ impl Sampler {
         }
         self.taken = requested;
         if let Some(request) = requested {
-            (self.sums, self.bias_sent) = ([0; 6], false);
+            (self.sums, self.least, self.greatest) = ([0; 6], [i32::MAX; 6], [i32::MIN; 6]);
+            self.bias_sent = false;
             self.state.zeroing = match self.state.fault {
-                Some(_) => Zeroing::Failed { request },
+                Some(_) => Zeroing::Failed { request, cause: ZeroFailure::Interrupted },
                 None => Zeroing::UnderWay { request, samples: 0 },
             };
         }
