@@ -85,6 +85,9 @@ const REPETITIONS: u32 = 40;
 /// second value times the speed.
 const SOLVED: (f64, f64) = (1e-11, 1e-12);
 
+/// Greatest angle between the upward directions of a robot and of its scene, rad.
+const MOST_LEANING: f64 = 1e-3;
+
 /// A surface at rest in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WallConfig {
@@ -225,9 +228,15 @@ impl Scene {
     }
 
     /// Sets the gravitational acceleration of bodies and in force sensors, m/s², in the axes of the world. The weight
-    /// of mechanisms does not change.
-    pub fn set_gravity(&mut self, gravity: [f64; 3]) {
-        self.gravity = gravity.into();
+    /// of mechanisms does not change. Fails if a number is invalid, or if a robot of the scene has another upward direction.
+    pub fn set_gravity(&mut self, gravity: [f64; 3]) -> Result<(), SceneError> {
+        if !gravity.iter().all(|value| value.is_finite()) {
+            return Err(SceneError::NotFinite { what: "the gravity" });
+        }
+        let gravity = Vector3::from(gravity);
+        self.arms.iter().try_for_each(|arm| upright(&arm.up(), &gravity))?;
+        self.gravity = gravity;
+        Ok(())
     }
 
     /// Adds a wall. Fails if the surface is not passive or a number is invalid.
@@ -299,10 +308,7 @@ impl Scene {
     pub fn add_robot(&mut self, mechanism: &Mechanism, base: &Isometry3<f64>) -> Result<RobotId, SceneError> {
         finite(base, "the place of a robot")?;
         let up = base.rotation * Vector3::from(mechanism.up());
-        let angle = up.angle(&-self.gravity);
-        if angle > 1e-3 {
-            return Err(SceneError::Leaning { angle });
-        }
+        upright(&up, &self.gravity)?;
         if mechanism.enter_scene() {
             return Err(SceneError::Taken);
         }
@@ -524,6 +530,12 @@ fn spring_energy(sphere: &Sphere, carrier: &Moving, surface: &Surface, ground: &
 
 fn parts(pose: &Isometry3<f64>) -> (Vector3<f64>, nalgebra::Matrix3<f64>) {
     (pose.translation.vector, pose.rotation.to_rotation_matrix().into_inner())
+}
+
+/// Checks that a robot with the upward direction `up` stands upright. Without gravity, every direction is upright.
+fn upright(up: &Vector3<f64>, gravity: &Vector3<f64>) -> Result<(), SceneError> {
+    let angle = up.angle(&-gravity);
+    if angle > MOST_LEANING { Err(SceneError::Leaning { angle }) } else { Ok(()) }
 }
 
 fn passive(material: &Material) -> Result<(), SceneError> {

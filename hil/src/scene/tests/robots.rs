@@ -295,7 +295,7 @@ fn tip_pushes_a_box_away() {
     let id = scene.add_robot(&robot.mechanism, &Isometry3::identity()).unwrap();
     scene.add_tip(id, &TipConfig { centre: [0.0, 0.0, 0.2], radius: 5e-3 }).unwrap();
     let tip = scene.flange(id) * nalgebra::Point3::new(0.0, 0.0, 0.2);
-    scene.set_gravity([0.0, 0.0, -G]);
+    scene.set_gravity([0.0, 0.0, -G]).unwrap();
     let pose = Isometry3::translation(tip.x, tip.y + 5e-3 + 0.05 + 1e-3, tip.z);
     let cube = BodyConfig { mass: 1.0, half: [0.05; 3], material: METAL, pose, velocity: [0.0; 3], spin: [0.0; 3] };
     let cube = scene.add_body(&cube).unwrap();
@@ -316,6 +316,11 @@ fn robots_that_cannot_be_are_refused() {
     let Err(SceneError::Leaning { angle }) = scene.add_robot(&mechanism, &leaning) else { panic!("it leans") };
     assert!((angle - 0.1).abs() < 1e-9);
     let id = scene.add_robot(&mechanism, &Isometry3::identity()).unwrap();
+    // The robot also refuses a gravity of another direction.
+    let Err(SceneError::Leaning { angle }) = scene.set_gravity([0.1 * G, 0.0, -G]) else { panic!("it leans") };
+    assert!((angle - 0.1_f64.atan()).abs() < 1e-9);
+    assert_eq!(scene.set_gravity([0.0, f64::NAN, 0.0]), Err(SceneError::NotFinite { what: "the gravity" }));
+    assert_eq!(scene.set_gravity([0.0, 0.0, -1.62]), Ok(()));
     let mut other = Scene::new();
     assert_eq!(other.add_robot(&mechanism, &Isometry3::identity()), Err(SceneError::Taken));
     let tip = TipConfig { centre: [0.0; 3], radius: -1.0 };
