@@ -10,7 +10,8 @@
 //! * Robots are [`Mechanism`]s. Their tools have tips, which are spheres ([`TipConfig`]). The transpose of the Jacobian
 //!   converts forces on tips and in grippers to motor torques. Tips have no mass of their own.
 //! * A grip holds a body by a spring and a damper in six dimensions ([`GripConfig`]). A body may be held by several
-//!   grippers. The tips of a robot do not touch the bodies that the robot holds.
+//!   grippers. The tips of a robot do not touch the bodies that the robot holds. A tip that is inside a body at
+//!   its release touches the body again after the tip has left the body, so that no energy appears.
 //! * Sensors between flange and tool measure the wrench of these forces ([`SensorConfig`]).
 //!
 //! The scene advances in steps of 100 µs ([`STEP`]). Each step has three parts. First, the motors of the robots move by
@@ -65,6 +66,7 @@ use body::{Body, CORNERS};
 pub use body::{BodyConfig, BodyState};
 use contact::{Sphere, Surface};
 pub use error::SceneError;
+use forces::holds;
 pub use grip::GripConfig;
 use grip::{End, Hold};
 use motion::{Motion, Moving};
@@ -190,6 +192,8 @@ struct TipOn {
     arm: usize,
     tip: usize,
     ground: Ground,
+    /// The robot holds the body, or the tip has been inside the body since the robot held it: no contact.
+    inside: bool,
     bristle: Vector3<f64>,
     next: Vector3<f64>,
 }
@@ -329,7 +333,11 @@ impl Scene {
         arm.tips.push(Sphere { centre: config.centre.into(), radius: config.radius });
         let walls = (0..self.walls.len()).map(Ground::Wall);
         let bodies = (0..self.bodies.len()).map(Ground::Body);
-        self.tips.extend(walls.chain(bodies).map(|ground| TipOn::new(robot.0, tip, ground)));
+        let grips = &self.grips;
+        self.tips.extend(walls.chain(bodies).map(|ground| {
+            let inside = matches!(ground, Ground::Body(body) if holds(grips, robot.0, body));
+            TipOn { inside, ..TipOn::new(robot.0, tip, ground) }
+        }));
         Ok(())
     }
 
@@ -375,11 +383,15 @@ impl Scene {
                 }
             }
         };
+        if let Holder::Robot(RobotId(arm)) = holder {
+            let of_body = |pair: &&mut TipOn| pair.arm == arm && pair.ground == Ground::Body(body.0);
+            self.tips.iter_mut().filter(of_body).for_each(|pair| pair.inside = true);
+        }
         self.grips.push(Some(Grip { config: *config, holder, anchor, body: body.0, held, hold: Hold::default() }));
         Ok(GripId(self.grips.len() - 1))
     }
 
-    /// Opens a gripper.
+    /// Opens a gripper. A tip inside the body touches the body again after the tip has left the body.
     pub fn release(&mut self, grip: GripId) {
         self.grips[grip.0] = None;
     }
@@ -429,7 +441,7 @@ impl Scene {
         };
         self.bodies.iter().map(of_body).sum::<f64>()
             + self.corners.iter().map(of_pair).sum::<f64>()
-            + self.tips.iter().map(of_tip).sum::<f64>()
+            + self.tips.iter().filter(|pair| !pair.inside).map(of_tip).sum::<f64>()
             + self.grips.iter().flatten().map(of_grip).sum::<f64>()
     }
 
@@ -513,7 +525,7 @@ impl CornersOn {
 
 impl TipOn {
     fn new(arm: usize, tip: usize, ground: Ground) -> Self {
-        Self { arm, tip, ground, bristle: Vector3::zeros(), next: Vector3::zeros() }
+        Self { arm, tip, ground, inside: false, bristle: Vector3::zeros(), next: Vector3::zeros() }
     }
 }
 
