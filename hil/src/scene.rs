@@ -71,7 +71,7 @@ pub use grip::GripConfig;
 use grip::{End, Hold};
 use motion::{Motion, Moving};
 use probe::Sensor;
-pub use probe::{BodyProbe, SensorConfig, SensorProbe, WrenchProbe};
+pub use probe::{BodyProbe, SensorConfig, SensorProbe, UnsolvedProbe, WrenchProbe};
 pub use surface::{Material, Shape};
 
 /// Duration of a step.
@@ -146,7 +146,7 @@ pub struct Scene {
     corners: Vec<CornersOn>,
     tips: Vec<TipOn>,
     grips: Vec<Option<Grip>>,
-    unsolved: u64,
+    unsolved: UnsolvedProbe,
 }
 
 struct Wall {
@@ -227,7 +227,7 @@ impl Scene {
             corners: Vec::new(),
             tips: Vec::new(),
             grips: Vec::new(),
-            unsolved: 0,
+            unsolved: UnsolvedProbe::default(),
         }
     }
 
@@ -457,7 +457,12 @@ impl Scene {
 
     /// Number of parts of steps with the duration [`SHORTEST`] whose equations were not solved.
     pub fn unsolved(&self) -> u64 {
-        self.unsolved
+        self.unsolved.count()
+    }
+
+    /// A probe of the count of [`unsolved`](Self::unsolved) parts of steps.
+    pub fn watch_unsolved(&self) -> UnsolvedProbe {
+        self.unsolved.clone()
     }
 
     /// Time of the last step.

@@ -16,7 +16,9 @@ impl Scene {
         }
         let solved = self.solve(from, to);
         if solved || halvings == 0 {
-            self.unsolved += u64::from(!solved);
+            if !solved {
+                self.unsolved.add();
+            }
             self.finish_bodies();
             return;
         }

@@ -316,3 +316,18 @@ fn parts_that_cannot_be_are_refused() {
     let refused = scene.hold(&grip, Holder::World, &Isometry3::identity(), body, None);
     assert_eq!(refused, Err(SceneError::Grip { stiffness: 1e5, damping: -1.0 }));
 }
+
+#[test]
+fn parts_of_steps_that_are_not_solved_are_counted() {
+    let mut scene = Scene::new();
+    let unsolved = scene.watch_unsolved();
+    // The stiffness demands parts of a step far below the shortest part.
+    scene.add_wall(&floor(Material { stiffness: 1e15, ..METAL })).unwrap();
+    let light = BodyConfig { mass: 1e-6, velocity: [0.1, 0.2, -1.0], spin: [3.0, 2.0, 1.0], ..cube(at(0.0, 0.0, 0.1)) };
+    scene.add_body(&light).unwrap();
+    assert!((0..2_000).any(|_| {
+        scene.step();
+        unsolved.count() > 0
+    }));
+    assert_eq!(unsolved.count(), scene.unsolved());
+}

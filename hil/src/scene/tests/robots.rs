@@ -374,6 +374,23 @@ fn a_tip_that_has_left_a_released_body_touches_the_body_again() {
 }
 
 #[test]
+fn shaft_of_a_robot_in_a_scene_is_read_without_lag() {
+    let robot = Robot::irb6(DOWN);
+    let mut scene = Scene::new();
+    scene.add_robot(&robot.mechanism, &Isometry3::identity()).unwrap();
+    let mut axis = robot.axes.into_iter().next().unwrap();
+    let shaft = axis.probe();
+    let demand = Demand::Torque(0.5);
+    // A drive in a scene begins a chunk of ten sub-steps, and the scene reads between them.
+    axis.begin(demand);
+    for sub_step in 0..10 {
+        let before = shaft.angle();
+        axis.sub_step(sub_step, demand);
+        assert!(shaft.angle() == axis.angle() && shaft.angle() != before, "sub-step {sub_step}");
+    }
+}
+
+#[test]
 fn robots_that_cannot_be_are_refused() {
     let mut scene = Scene::new();
     let mechanism = Mechanism::new(MechanismConfig::Irb6);
