@@ -2,7 +2,8 @@
 //! them.
 //!
 //! The bases of the arms are not exactly where the cell file says. Two stiff arms on one bar then strain the bar. The
-//! arms first carry the bar without regulation of the internal force, and then with regulation from both wrists.
+//! arms carry the bar three times along the same course: without regulation of the internal force, with regulation by the
+//! coordinator in each macrostep, and with regulation by the force law of each arm in each servo period.
 //!
 //! ```sh
 //! cargo run --release --example hold_bar -- --bench lockstep
@@ -84,9 +85,8 @@ impl Arms {
     /// The arms of the cell, with tools that point down.
     pub(crate) fn of(cell: &Cell) -> Result<Self, TaskError> {
         let robots = cell.robots(["left", "right"])?;
-        let down = |x: f64, yaw: f64| {
-            Pose::from_parts([x, 0.0, 0.0].into(), UnitQuaternion::from_euler_angles(PI, 0.0, yaw))
-        };
+        let down =
+            |x: f64, yaw: f64| Pose::from_parts([x, 0.0, 0.0].into(), UnitQuaternion::from_euler_angles(PI, 0.0, yaw));
         let grips = Grips {
             cell_from_base: robots.each_ref().map(Robot::cell_from_base),
             object_from_tool: [down(-GRIP, 0.0), down(GRIP, PI)],
@@ -124,7 +124,7 @@ impl Arms {
         self.carry(cell, &approach, Regulation::None, |_| ()).await?;
         self.jaws.iter().for_each(|jaws| jaws.set(true));
         cell.sleep(Duration::from_millis(200)).await;
-        self.carry(cell, &lift, Regulation::MACROSTEP, |_| ()).await?;
+        self.carry(cell, &lift, Regulation::CYCLE, |_| ()).await?;
         Ok(())
     }
 
@@ -143,7 +143,7 @@ impl Arms {
             let mut team = cell.team([left, right]);
             prepare(&mut team);
             let carry = Carry::new(*grips, path.clone(), regulation, LIMIT);
-            let outcome = team.execute(carry, [Hold { stale: STALE }; 2]).await;
+            let outcome = team.execute(carry, [Hold::new(STALE); 2]).await;
             ended.set(true);
             outcome
         };
@@ -167,19 +167,23 @@ impl Arms {
     }
 }
 
-/// Takes the bar and carries it twice.
+/// Takes the bar and carries it three times.
 pub(crate) async fn hold(cell: &mut Cell) -> Outcome {
     let mut arms = Arms::of(cell)?;
     // A path out of reach is refused before the first motion.
     let course = arms.path(&COURSE)?;
     arms.take(cell).await?;
     let stiff = arms.carry(cell, &course, Regulation::None, |_| ()).await?;
-    let regulated = arms.carry(cell, &course, Regulation::MACROSTEP, |_| ()).await?;
+    let slow = arms.carry(cell, &course, Regulation::MACROSTEP, |_| ()).await?;
+    let regulated = arms.carry(cell, &course, Regulation::CYCLE, |_| ()).await?;
     let [path, force] = regulated.rms();
     cell.figure("object_path_rms_mm", 1e3 * path);
     cell.figure("internal_force_rms_n", force);
     cell.figure("internal_force_peak_n", regulated.peak);
-    cell.figure("start_skew_cycles_max", f64::from(stiff.most_skew.max(regulated.most_skew)));
+    let skews = [&stiff, &slow, &regulated].map(|figures| figures.most_skew);
+    cell.figure("start_skew_cycles_max", f64::from(skews.into_iter().max().unwrap_or(0)));
+    cell.figure("macrostep_internal_force_rms_n", slow.rms()[1]);
+    cell.figure("macrostep_internal_force_peak_n", slow.peak);
     cell.figure("unregulated_internal_force_rms_n", stiff.rms()[1]);
     cell.figure("unregulated_internal_force_peak_n", stiff.peak);
     arms.disable().await

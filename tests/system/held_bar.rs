@@ -61,7 +61,10 @@ fn cell(change: impl FnOnce(&mut Cell)) -> CellFile {
 }
 
 /// Runs a task in lockstep.
-fn run(file: &CellFile, task: impl AsyncFn(&mut tasks::Cell) -> Outcome + Send + Sync + 'static) -> (RunReport, Vec<Truth>) {
+fn run(
+    file: &CellFile,
+    task: impl AsyncFn(&mut tasks::Cell) -> Outcome + Send + Sync + 'static,
+) -> (RunReport, Vec<Truth>) {
     let directory = Directory::new();
     let path = directory.path("truth.csv");
     let options = RunOptions { truth: Some(path.clone()), ..RunOptions::on(BenchKind::Lockstep) };
@@ -89,7 +92,7 @@ fn a_bar_is_carried_within_the_bounds_of_path_and_internal_force() {
     let figure = |name: &str| report.figures[name];
     assert_eq!(figure("start_skew_cycles_max"), 0.0);
     assert!(figure("object_path_rms_mm") < 0.5);
-    // The second carriage is regulated, and ends with the last motion of the bar.
+    // The third carriage is regulated in each period, and ends with the last motion of the bar.
     let course = course();
     let last = truth[truth.len() - 1].place;
     let end = truth.iter().rposition(|it| (it.place - last).norm() > 1e-3).unwrap();
@@ -98,7 +101,8 @@ fn a_bar_is_carried_within_the_bounds_of_path_and_internal_force() {
     let internal = |from, to| rms_and_peak(window(from, to).map(|it| it.internal.unwrap().norm()));
     let duration = course.duration();
     let [rms, peak] = internal(end - duration + 0.2, end);
-    let [stiff_rms, stiff_peak] = internal(end - 2.0 * duration, end - duration - 0.2);
+    // Some macrosteps lie between two carriages.
+    let [stiff_rms, stiff_peak] = internal(end - 3.0 * duration, end - 2.0 * duration - 0.4);
     let [path, _] = rms_and_peak(window(end - duration + 0.2, end).map(|it| course.distance(&it.place)));
     println!("internal {rms:.2} N rms, {peak:.2} N peak; path {:.3} mm rms", 1e3 * path);
     println!("without regulation: {stiff_rms:.2} N rms, {stiff_peak:.2} N peak");
@@ -124,7 +128,7 @@ fn faulted(message: Option<DisturbedMessage>, change: impl FnOnce(&mut Cell)) ->
         // A rehearsal would refuse the disturbed motion.
         let message = message.filter(|_| !cell.rehearsing());
         let prepare = |team: &mut tasks::Team<2>| message.into_iter().for_each(|message| team.disturb(message));
-        let outcome = arms.carry(cell, &course, Regulation::MACROSTEP, prepare).await;
+        let outcome = arms.carry(cell, &course, Regulation::CYCLE, prepare).await;
         // The truth shows the arms at rest.
         cell.sleep(std::time::Duration::from_millis(500)).await;
         outcome.map(|_| ())
@@ -165,7 +169,7 @@ fn a_lost_doubled_or_swapped_message_stops_both_arms_and_does_not_tear_the_bar()
 }
 
 /// Time in the first leg of the course at its greatest speed, s since the emulated devices were switched on.
-const DURING: f64 = 19.0;
+const DURING: f64 = 19.5;
 
 #[test]
 fn a_wrist_that_falls_silent_stops_both_arms_and_does_not_tear_the_bar() {

@@ -19,23 +19,23 @@
 //! Each arm yields to a spring between two grips that both move. The stiffness that the law meets is therefore twice the
 //! stiffness of the two grips in series: 1e5 N/m for grips of 1e5 N/m each. The default compliance is stable up to
 //! 34 kN/m in each servo cycle, and up to 18 kN/m once per macrostep ([`law`](crate::law)). Inertia and damping
-//! multiplied by a factor multiply these limits by the same factor: [`Regulation::CYCLE`] uses 4, and
-//! [`Regulation::MACROSTEP`] uses 10.
+//! multiplied by a factor multiply these limits by the same factor: [`Regulation::CYCLE`] uses 4. In the coordinator, an
+//! answer is one macrostep older than a reading in a generator: [`Regulation::MACROSTEP`] uses a damper 40 times as
+//! strong.
 
 mod path;
 #[cfg(test)]
 mod tests;
 
+use std::f64::consts::PI;
 use std::time::Duration;
 
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
 
 use super::{Coordinator, NextOrders, Orders};
-use crate::generator::{
-    A, Answer, EffectorImage, Generator, GeneratorError, Next, Pose, Sample, Setpoint, V,
-};
-use crate::law::Compliance;
+use crate::generator::{A, Answer, EffectorImage, Generator, GeneratorError, Next, Pose, Sample, Setpoint, V};
+use crate::law::{Compliance, Direction, ForceTask, TaskAxes};
 use crate::path::PoseState;
 use crate::robot::{Arm, Axes, KinematicsError};
 use crate::sensor::ForceReading;
@@ -92,9 +92,7 @@ impl Grips {
     /// Pose of the object in the frame of the cell, by the poses of both tools in their base frames: the origin is the
     /// mean of the two origins that the tools give, and the orientation is that of the first.
     pub fn object(&self, tools: [&Pose; 2]) -> Pose {
-        let of = |member: usize| {
-            self.cell_from_base[member] * tools[member] * self.object_from_tool[member].inverse()
-        };
+        let of = |member: usize| self.cell_from_base[member] * tools[member] * self.object_from_tool[member].inverse();
         let (first, second) = (of(0), of(1));
         let mean = (first.translation.vector + second.translation.vector) / 2.0;
         Pose::from_parts(mean.into(), first.rotation)
@@ -145,18 +143,52 @@ pub enum Regulation {
     None,
     /// By the coordinator, once per macrostep, from the forces in the answers of both arms.
     Macrostep(Compliance),
+    /// By the force law of each arm, in each servo cycle, from the force at its own wrist. The desired force of each arm
+    /// is the mean of both in the answers, the part that moves the object. Both robots need a force law in the cell file.
+    Cycle(Compliance),
 }
 
 impl Regulation {
+    /// Regulation in each servo cycle of 2 ms, for two grips of 1e5 N/m: 80 kg and 800 N·s/m.
+    pub const CYCLE: Self = Self::Cycle(Compliance { inertia: 80.0, reciprocal_damping: 1.25e-3 });
+
     /// Regulation once per macrostep of 20 ms, for two grips of 1e5 N/m: 200 kg and 8,000 N·s/m.
     pub const MACROSTEP: Self = Self::Macrostep(Compliance { inertia: 200.0, reciprocal_damping: 1.25e-4 });
 }
 
-/// Order to an arm.
+/// Order to an arm. All vectors are in the axes of the base of the arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GripOrder {
-    /// Motion of the tool in its base frame.
+    /// Pose of the tool at the start of the path.
+    pub begin: Pose,
+    /// Motion of the tool.
     pub tool: PoseState,
+    /// What the force law of the arm does, if it regulates.
+    pub law: Option<GripLaw>,
+}
+
+/// Order to the force law of an arm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GripLaw {
+    /// Direction from the first grip to the second.
+    pub line: Vector3<f64>,
+    /// Desired force of the tool on the object along this direction, N.
+    pub force: f64,
+    /// Inertia and damping along this direction.
+    pub compliance: Compliance,
+}
+
+impl GripLaw {
+    /// The behaviour of the law: contact along the line, no other motion beside the path.
+    pub fn task(&self) -> ForceTask {
+        let mut task = ForceTask { axes: TaskAxes::Base, ..ForceTask::default() };
+        let turn = UnitQuaternion::rotation_between(&Vector3::x(), &self.line);
+        // Half a turn has no least rotation.
+        let turn = turn.unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), PI));
+        task.rotation = turn.scaled_axis();
+        task.directions[0] = Direction::Contact { force: self.force, compliance: self.compliance };
+        task
+    }
 }
 
 /// Answer of an arm.
@@ -185,6 +217,8 @@ pub struct Carried {
     pub step: u32,
     /// Internal force along the line between the grips, N: positive presses the object.
     pub pressed: f64,
+    /// Mean force of the grips on the object along this line, N.
+    pub mean: f64,
     /// Displacement of each grip along this line from its place on the object, m: positive outward.
     pub opening: f64,
     /// Velocity of this displacement, m/s.
@@ -204,13 +238,19 @@ impl Carry {
     fn orders(&self, memory: Carried, change: f64) -> NextOrders<GripOrder, Carried, 2> {
         let object = self.path.at(f64::from(memory.step) * self.macrostep);
         let line = self.grips.line(&object.pose);
+        let begin = self.path.at(0.0);
         let order = |member: usize| {
             let mut tool = self.grips.tool(member, &object);
-            let outward = self.grips.cell_from_base[member].rotation.inverse() * line * [-1.0, 1.0][member];
+            let line = self.grips.cell_from_base[member].rotation.inverse() * line;
+            let outward = line * [-1.0, 1.0][member];
             tool.pose.translation.vector += outward * memory.opening;
             tool.linear += outward * memory.rate;
             tool.linear_acceleration += outward * change;
-            GripOrder { tool }
+            let law = match self.regulation {
+                Regulation::Cycle(compliance) => Some(GripLaw { line, force: memory.mean, compliance }),
+                Regulation::None | Regulation::Macrostep(_) => None,
+            };
+            GripOrder { begin: self.grips.tool(member, &begin).pose, tool, law }
         };
         NextOrders::new([order(0), order(1)], memory)
     }
@@ -238,14 +278,17 @@ impl Coordinator<2> for Carry {
         forces: &[Sample<GripForce>; 2],
         (): &(),
     ) -> Result<Orders<Self, 2>, GeneratorError> {
-        let internal = self.grips.internal(forces.each_ref().map(|answer| answer.value.on_tool));
+        let on_tools = forces.each_ref().map(|answer| answer.value.on_tool);
+        let internal = self.grips.internal(on_tools);
         if internal.norm() > self.limit || !internal.norm().is_finite() {
             return Err(Self::TOO_GREAT);
         }
         let object = self.path.at(f64::from(memory.step) * self.macrostep);
-        let pressed = internal.dot(&self.grips.line(&object.pose));
+        let line = self.grips.line(&object.pose);
+        let [first, second] = self.grips.on_object(on_tools);
+        let (pressed, mean) = (internal.dot(&line), 0.5 * (first + second).dot(&line));
         let rate = match self.regulation {
-            Regulation::None => 0.0,
+            Regulation::None | Regulation::Cycle(_) => 0.0,
             Regulation::Macrostep(Compliance { inertia, reciprocal_damping: beta }) => {
                 let t = self.macrostep;
                 (beta * pressed * t + beta * inertia * memory.rate) / (t + beta * inertia)
@@ -253,35 +296,70 @@ impl Coordinator<2> for Carry {
         };
         let opening = memory.opening + (memory.rate + rate) / 2.0 * self.macrostep;
         let change = (rate - memory.rate) / self.macrostep;
-        Ok(self.orders(Carried { step: memory.step + 1, pressed, opening, rate }, change))
+        Ok(self.orders(Carried { step: memory.step + 1, pressed, mean, opening, rate }, change))
     }
 }
 
 /// The generator of an arm that holds an object. Class 7: reads its effector, its force sensor and the order of [`Carry`].
+///
+/// The regulation of an earlier motion may have left the tool beside its place on the object. The arm keeps this
+/// displacement. The memory is the displacement in the axes of the tool, m, once the first order has come.
 #[derive(Clone, Copy, Debug)]
 pub struct Hold {
     /// Greatest age of a sample of the force sensor. An older sample stops both arms.
-    pub stale: Duration,
+    stale: Duration,
+    /// Pose of the tool before the motion.
+    start: Pose,
+}
+
+/// Greatest distance between the tool and its place at the start of the path, m, and greatest angle, rad.
+const NEAR: (f64, f64) = (5e-3, 1e-3);
+
+impl Hold {
+    /// An arm whose force sensor gives a sample at least every `stale`.
+    pub fn new(stale: Duration) -> Self {
+        Self { stale, start: Pose::identity() }
+    }
+
+    fn displacement(&self, begin: &Pose) -> Result<Vector3<f64>, GeneratorError> {
+        let away = self.start.translation.vector - begin.translation.vector;
+        let (distance, angle) = (away.norm(), self.start.rotation.angle_to(&begin.rotation));
+        if distance > NEAR.0 || angle > NEAR.1 {
+            return Err(GeneratorError::NotAtStart { distance, angle });
+        }
+        Ok(begin.rotation.inverse() * away)
+    }
 }
 
 impl Generator for Hold {
-    type First = ();
+    type First = EffectorImage;
     type Every = (EffectorImage, V<ForceReading>, A<GripOrder>);
     type Out = Answer<GripForce>;
-    type Memory = ();
+    type Memory = Option<Vector3<f64>>;
 
-    fn first_step(&mut self, (): &(), _: Duration) -> Result<Next<(), Self::Out>, GeneratorError> {
-        Ok(Next::remember(()).with(Answer(GripForce::default())))
+    fn first_step(&mut self, e: &EffectorImage, _: Duration) -> Result<Next<Self::Memory, Self::Out>, GeneratorError> {
+        self.start = e.commanded.pose;
+        Ok(Next::remember(None).with(Answer(GripForce::default())))
     }
 
-    fn terminal(&self, (): &(), _: &Self::Every) -> bool {
+    fn terminal(&self, _: &Self::Memory, _: &Self::Every) -> bool {
         false // the coordinator ends the motion
     }
 
-    fn next_step(&self, (): &(), (e, v, a0): &Self::Every) -> Result<Next<(), Self::Out>, GeneratorError> {
-        let GripOrder { tool } = a0.0.sample().ok_or(GeneratorError::NothingReceived)?.value;
+    fn next_step(
+        &self,
+        displacement: &Self::Memory,
+        (e, v, a0): &Self::Every,
+    ) -> Result<Next<Self::Memory, Self::Out>, GeneratorError> {
+        let GripOrder { begin, mut tool, law } = a0.0.sample().ok_or(GeneratorError::NothingReceived)?.value;
+        let displacement = displacement.map_or_else(|| self.displacement(&begin), Ok)?;
+        tool.pose.translation.vector += tool.pose.rotation * displacement;
         let contact = v.0.younger_than(self.stale)?.in_tool()?;
         let on_tool = e.measured.pose.rotation * contact.force;
-        Ok(Next::command(Setpoint::Tool(tool), ()).with(Answer(GripForce { on_tool })))
+        let next = Next::command(Setpoint::Tool(tool), Some(displacement)).with(Answer(GripForce { on_tool }));
+        Ok(match law {
+            Some(law) => next.under(law.task()),
+            None => next,
+        })
     }
 }

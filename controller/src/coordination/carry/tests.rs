@@ -170,3 +170,38 @@ fn a_force_above_the_limit_ends_the_motion() {
     assert_eq!(carry.next_step(&first.memory, &answers(31.0), &()), Err(Carry::TOO_GREAT));
     assert_eq!(carry.next_step(&first.memory, &answers(f64::NAN), &()), Err(Carry::TOO_GREAT));
 }
+
+#[test]
+fn the_law_of_each_arm_gets_the_mean_force_along_the_line_between_the_grips() {
+    let compliance = Compliance { inertia: 80.0, reciprocal_damping: 1.25e-3 };
+    let mut carry = Carry::new(grips(), path(&ROUND), Regulation::CYCLE, 1e3);
+    let first = carry.first_step(&(), Duration::from_millis(20)).unwrap();
+    // The first grip pushes with 30 N, and the second with 10 N against it: 10 N accelerate half of the object each.
+    let on_tools = [Vector3::new(-30.0, 0.0, 0.0), Vector3::new(-10.0, 0.0, 0.0)];
+    let answers = on_tools.map(|on_tool| {
+        let value = GripForce { on_tool };
+        Sample { at: can::Instant::ZERO, age: Duration::ZERO, value }
+    });
+    let next = carry.next_step(&first.memory, &answers, &()).unwrap();
+    assert!((next.memory.pressed - 20.0).abs() < 1e-9 && (next.memory.mean - 10.0).abs() < 1e-9, "{:?}", next.memory);
+    for (order, x) in next.orders.iter().zip([1.0, -1.0]) {
+        let law = order.law.unwrap();
+        assert!((law.line - Vector3::new(x, 0.0, 0.0)).norm() < 1e-9);
+        let task = law.task();
+        let turned = UnitQuaternion::from_scaled_axis(task.rotation) * Vector3::x();
+        assert!((turned - law.line).norm() < 1e-9, "{turned}");
+        assert_eq!(task.directions[0], Direction::Contact { force: next.memory.mean, compliance });
+        assert_eq!(task.directions[1..], [Direction::HELD; 5]);
+    }
+}
+
+#[test]
+fn an_arm_keeps_its_displacement_from_the_start_and_refuses_a_great_one() {
+    let mut hold = Hold::new(Duration::from_millis(20));
+    let begin = pose(0.7, 0.0, 0.8, [PI, 0.0]);
+    hold.start = Pose::translation(1e-3, 0.0, 2e-3) * begin;
+    let displacement = hold.displacement(&begin).unwrap();
+    assert!((displacement - Vector3::new(1e-3, 0.0, -2e-3)).norm() < 1e-12, "{displacement}");
+    hold.start = Pose::translation(0.01, 0.0, 0.0) * begin;
+    assert!(matches!(hold.displacement(&begin), Err(GeneratorError::NotAtStart { .. })));
+}
