@@ -12,7 +12,7 @@ use std::time::Duration;
 use ::mrroc::cell::Cell;
 use serde_json::json;
 
-use crate::bench::{on_vcan_within, turn};
+use crate::bench::{on_vcan_within, patient_turn};
 use crate::mrroc::{Directory, Output, Running, example_program, text};
 use crate::steps::{self, Line, lines};
 use crate::vcan::{self, started};
@@ -131,7 +131,7 @@ fn check(program: &str, cell: &Path, directory: &Directory, run: impl Fn(&[OsStr
 
 #[test]
 fn an_example_of_each_class_has_the_steps_of_lockstep_on_emulated_buses_by_the_clock() {
-    let _turn = turn();
+    let _turn = patient_turn();
     // Most of their time the programs wait.
     thread::scope(|scope| {
         for (program, cell) in EXAMPLES {
@@ -147,7 +147,7 @@ fn an_example_of_each_class_has_the_steps_of_lockstep_on_emulated_buses_by_the_c
 
 #[test]
 fn an_example_has_the_steps_of_lockstep_on_pseudo_terminals_by_the_clock() {
-    let _turn = turn();
+    let _turn = patient_turn();
     for program in ["own_generator", "first_program"] {
         let directory = Directory::new();
         let cell = directory.cell("irb6-serial", crate::serial_cli::patient);
@@ -158,7 +158,7 @@ fn an_example_has_the_steps_of_lockstep_on_pseudo_terminals_by_the_clock() {
 #[test]
 fn an_example_of_each_class_has_the_steps_of_lockstep_on_vcan() {
     const TEST: &str = "step_benches::an_example_of_each_class_has_the_steps_of_lockstep_on_vcan";
-    let _turn = turn();
+    let _turn = patient_turn();
     on_vcan_within(LONGEST, TEST, |_| {
         for (program, cell) in EXAMPLES {
             let directory = Directory::new();
