@@ -4,6 +4,7 @@ mod chaining;
 mod endings;
 mod failures;
 mod images;
+mod laws;
 mod links;
 mod pace;
 mod planning;
@@ -138,6 +139,16 @@ impl Script {
         self.phase(Phase::Faulted);
     }
 
+    /// Ends the motion at a touch, as a cycle law does.
+    fn touch(&mut self) {
+        self.queue.clear();
+        self.done = 0;
+        self.moving = [0.0; MAX_AXES];
+        self.report.fault = Some(ServoFault { axis: None, cause: StopCause::Touched });
+        self.phase(Phase::Stopping);
+        self.phase(Phase::Standing);
+    }
+
     fn period(&mut self, now: Instant) {
         self.report.snapshot.at = now;
         self.report.snapshot.cycle += 1;
@@ -164,6 +175,7 @@ impl Script {
                     self.queue.clear();
                     self.done = 0;
                     self.moving = [0.0; MAX_AXES];
+                    self.report.fault = self.report.fault.filter(|fault| !fault.cause.needs_acknowledgement());
                     if matches!(self.report.snapshot.phase, Phase::Moving | Phase::Homing) {
                         self.phase(Phase::Stopping);
                         self.phase(Phase::Standing);
