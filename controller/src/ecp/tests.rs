@@ -175,7 +175,9 @@ impl Script {
                     self.queue.clear();
                     self.done = 0;
                     self.moving = [0.0; MAX_AXES];
-                    self.report.fault = self.report.fault.filter(|fault| !fault.cause.needs_acknowledgement());
+                    if self.report.fault.take_if(|fault| fault.cause.needs_acknowledgement()).is_some() {
+                        self.say();
+                    }
                     if matches!(self.report.snapshot.phase, Phase::Moving | Phase::Homing) {
                         self.phase(Phase::Stopping);
                         self.phase(Phase::Standing);
