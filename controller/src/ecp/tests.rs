@@ -19,8 +19,8 @@ use servo::{MAX_AXES, Macrostep, Publisher, ServoFault, StopCause};
 
 use super::*;
 use crate::generator::{
-    Axes, EffectorImage, Generator, GeneratorError, JerkLimited, MotionLimits, Newsmooth, Next, Pose, Setpoint,
-    SmoothPose, Wait,
+    Axes, AxesState, EffectorImage, Generator, GeneratorError, JerkLimited, MotionLimits, Newsmooth, Next, Pose,
+    Setpoint, SmoothPose, Wait,
 };
 use crate::robot::{Arm, Jacobian, Joints, KinematicsError, Limits, Link, Motors, Robot, Solutions, Space};
 
