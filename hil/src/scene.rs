@@ -10,7 +10,9 @@
 //! * Robots are [`Mechanism`]s. Their tools have tips, which are spheres ([`TipConfig`]). The transpose of the Jacobian
 //!   converts forces on tips and in grippers to motor torques. Tips have no mass of their own.
 //! * A grip holds a body by a spring and a damper in six dimensions ([`GripConfig`]). A body may be held by several
-//!   grippers. The tips of a robot do not touch the bodies that the robot holds.
+//!   grippers. The tips of a robot do not touch the bodies that the robot holds. A tip that is inside a body at
+//!   its release touches the body again after the tip has left the body, so that no energy appears. A digital output
+//!   may open and close a gripper ([`GripperConfig`]).
 //! * Light gates have beams, which bodies break ([`BeamConfig`]). Bodies may be placed on a conveyor at a later time
 //!   ([`Scene::place_body`]).
 //! * Sensors between flange and tool measure the wrench of these forces ([`SensorConfig`]).
@@ -52,32 +54,35 @@ mod conveyor;
 mod error;
 mod forces;
 mod grip;
+mod gripper;
 mod motion;
 mod probe;
 mod surface;
 #[cfg(test)]
 mod tests;
 
-use std::collections::VecDeque;
 use std::time::Duration;
 
 use can::Instant;
 use nalgebra::{Isometry3, Vector3};
 
-use crate::{AngleProbe, Mechanism};
+use crate::Mechanism;
 use arm::Arm;
-use beam::Beam;
+use beam::Beams;
 pub use beam::{BeamConfig, BeamEdge, BeamProbe, SHORTEST_RESPONSE};
 use body::{Body, CORNERS};
 pub use body::{BodyConfig, BodyState};
 use contact::{Sphere, Surface};
-use conveyor::{Coming, Drift};
+use conveyor::{Arrivals, Belt, Drift};
 pub use error::SceneError;
+use forces::holds;
 pub use grip::GripConfig;
 use grip::{End, Hold};
-use motion::{Motion, Moving, Place};
+use gripper::Gripper;
+pub use gripper::{GripProbe, GripperConfig};
+use motion::{Motion, Moving};
 use probe::Sensor;
-pub use probe::{BodyProbe, SensorConfig, SensorProbe, WrenchProbe};
+pub use probe::{BodyProbe, SensorConfig, SensorProbe, UnsolvedProbe, WrenchProbe};
 pub use surface::{Material, Shape};
 
 /// Duration of a step.
@@ -92,6 +97,9 @@ const REPETITIONS: u32 = 40;
 /// Tolerance of a solved step: the velocity changes between two iterations by at most the first value, m/s, plus the
 /// second value times the speed.
 const SOLVED: (f64, f64) = (1e-11, 1e-12);
+
+/// Greatest angle between the upward directions of a robot and of its scene, rad.
+const MOST_LEANING: f64 = 1e-3;
 
 /// A surface at rest in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -149,14 +157,10 @@ pub struct Scene {
     corners: Vec<CornersOn>,
     tips: Vec<TipOn>,
     grips: Vec<Option<Grip>>,
-    beams: Vec<Beam>,
-    /// Places of all bodies before the present step, for the beams.
-    before: Vec<Place>,
-    /// Bodies that are still to come, in the order of time.
-    coming: VecDeque<Coming>,
-    /// Bodies of [`Scene::place_body`] that have come.
-    placed: Vec<Option<BodyId>>,
-    unsolved: u64,
+    beams: Beams,
+    arrivals: Arrivals,
+    grippers: Vec<Gripper>,
+    unsolved: UnsolvedProbe,
 }
 
 struct Wall {
@@ -165,21 +169,6 @@ struct Wall {
     moving: Moving,
     belt: Option<Belt>,
     drift: Option<Drift>,
-}
-
-/// The drive of a belt.
-struct Belt {
-    shaft: AngleProbe,
-    /// Angle of the shaft at the last step, rad.
-    angle: f64,
-    /// Travel of the belt per angle of the shaft, m/rad, in the frame of the wall.
-    way: Vector3<f64>,
-}
-
-impl Drop for Belt {
-    fn drop(&mut self) {
-        self.shaft.remove_belt();
-    }
 }
 
 /// The solid that a sphere touches: the index of a wall or of a body.
@@ -203,6 +192,8 @@ struct TipOn {
     arm: usize,
     tip: usize,
     ground: Ground,
+    /// The robot holds the body, or the tip has been inside the body since the robot held it: no contact.
+    inside: bool,
     bristle: Vector3<f64>,
     next: Vector3<f64>,
 }
@@ -236,18 +227,23 @@ impl Scene {
             corners: Vec::new(),
             tips: Vec::new(),
             grips: Vec::new(),
-            beams: Vec::new(),
-            before: Vec::new(),
-            coming: VecDeque::new(),
-            placed: Vec::new(),
-            unsolved: 0,
+            beams: Beams::default(),
+            arrivals: Arrivals::default(),
+            grippers: Vec::new(),
+            unsolved: UnsolvedProbe::default(),
         }
     }
 
     /// Sets the gravitational acceleration of bodies and in force sensors, m/s², in the axes of the world. The weight
-    /// of mechanisms does not change.
-    pub fn set_gravity(&mut self, gravity: [f64; 3]) {
-        self.gravity = gravity.into();
+    /// of mechanisms does not change. Fails if a number is invalid, or if a robot of the scene has another upward direction.
+    pub fn set_gravity(&mut self, gravity: [f64; 3]) -> Result<(), SceneError> {
+        if !gravity.iter().all(|value| value.is_finite()) {
+            return Err(SceneError::NotFinite { what: "the gravity" });
+        }
+        let gravity = Vector3::from(gravity);
+        self.arms.iter().try_for_each(|arm| upright(&arm.up(), &gravity))?;
+        self.gravity = gravity;
+        Ok(())
     }
 
     /// Adds a wall. Fails if the surface is not passive or a number is invalid.
@@ -273,27 +269,9 @@ impl Scene {
         Ok(WallId(wall))
     }
 
-    /// Sets the velocity, m/s, of a belt on a wall of this scene, in the axes of the world.
-    pub fn set_belt(&mut self, wall: WallId, velocity: [f64; 3]) {
-        let wall = &mut self.walls[wall.0];
-        (wall.belt, wall.drift) = (None, None);
-        wall.surface.belt = wall.moving.axes.tr_mul(&Vector3::from(velocity));
-    }
-
-    /// Couples the belt on a wall of this scene to a motor. `way` is the travel of the belt per angle of the motor
-    /// shaft, m/rad, in the axes of the world. The motor must belong to a drive of the same [`World`](crate::World).
-    /// Friction on the belt does not load the motor.
-    pub fn drive_belt(&mut self, wall: WallId, shaft: AngleProbe, way: [f64; 3]) {
-        let wall = &mut self.walls[wall.0];
-        shaft.add_belt();
-        let way = wall.moving.axes.tr_mul(&Vector3::from(way));
-        wall.drift = None;
-        wall.belt = Some(Belt { angle: shaft.angle(), shaft, way });
-    }
-
     /// Adds a body. Fails if a number is invalid or the surface is not passive.
     pub fn add_body(&mut self, config: &BodyConfig) -> Result<BodyId, SceneError> {
-        check_body(config)?;
+        config.check()?;
         let body = self.bodies.len();
         self.bodies.push(Body::new(config));
         for wall in 0..self.walls.len() {
@@ -313,10 +291,7 @@ impl Scene {
     pub fn add_robot(&mut self, mechanism: &Mechanism, base: &Isometry3<f64>) -> Result<RobotId, SceneError> {
         finite(base, "the place of a robot")?;
         let up = base.rotation * Vector3::from(mechanism.up());
-        let angle = up.angle(&-self.gravity);
-        if angle > 1e-3 {
-            return Err(SceneError::Leaning { angle });
-        }
+        upright(&up, &self.gravity)?;
         if mechanism.enter_scene() {
             return Err(SceneError::Taken);
         }
@@ -337,7 +312,11 @@ impl Scene {
         arm.tips.push(Sphere { centre: config.centre.into(), radius: config.radius });
         let walls = (0..self.walls.len()).map(Ground::Wall);
         let bodies = (0..self.bodies.len()).map(Ground::Body);
-        self.tips.extend(walls.chain(bodies).map(|ground| TipOn::new(robot.0, tip, ground)));
+        let grips = &self.grips;
+        self.tips.extend(walls.chain(bodies).map(|ground| {
+            let inside = matches!(ground, Ground::Body(body) if holds(grips, robot.0, body));
+            TipOn { inside, ..TipOn::new(robot.0, tip, ground) }
+        }));
         Ok(())
     }
 
@@ -383,11 +362,15 @@ impl Scene {
                 }
             }
         };
+        if let Holder::Robot(RobotId(arm)) = holder {
+            let of_body = |pair: &&mut TipOn| pair.arm == arm && pair.ground == Ground::Body(body.0);
+            self.tips.iter_mut().filter(of_body).for_each(|pair| pair.inside = true);
+        }
         self.grips.push(Some(Grip { config: *config, holder, anchor, body: body.0, held, hold: Hold::default() }));
         Ok(GripId(self.grips.len() - 1))
     }
 
-    /// Opens a gripper.
+    /// Opens a gripper. A tip inside the body touches the body again after the tip has left the body.
     pub fn release(&mut self, grip: GripId) {
         self.grips[grip.0] = None;
     }
@@ -437,7 +420,7 @@ impl Scene {
         };
         self.bodies.iter().map(of_body).sum::<f64>()
             + self.corners.iter().map(of_pair).sum::<f64>()
-            + self.tips.iter().map(of_tip).sum::<f64>()
+            + self.tips.iter().filter(|pair| !pair.inside).map(of_tip).sum::<f64>()
             + self.grips.iter().flatten().map(of_grip).sum::<f64>()
     }
 
@@ -453,7 +436,12 @@ impl Scene {
 
     /// Number of parts of steps with the duration [`SHORTEST`] whose equations were not solved.
     pub fn unsolved(&self) -> u64 {
-        self.unsolved
+        self.unsolved.count()
+    }
+
+    /// A probe of the count of [`unsolved`](Self::unsolved) parts of steps.
+    pub fn watch_unsolved(&self) -> UnsolvedProbe {
+        self.unsolved.clone()
     }
 
     /// Time of the last step.
@@ -469,12 +457,13 @@ impl Scene {
 
     /// Advances by one step. The caller has already moved the motors of all robots to the end of the step.
     pub fn step(&mut self) {
-        self.place_due(self.now);
-        self.note_places();
+        self.place_due();
+        self.beams.note(&self.bodies);
         self.now += STEP;
         for arm in &mut self.arms {
             arm.follow();
         }
+        self.switch_grippers();
         for wall in &mut self.walls {
             if let Some(belt) = &mut wall.belt {
                 let angle = belt.shaft.angle();
@@ -490,10 +479,11 @@ impl Scene {
         for arm in &mut self.arms {
             arm.finish(&self.gravity);
         }
+        self.show_grippers();
         for (body, probe) in &self.probes {
             probe.show(self.bodies[*body].state());
         }
-        self.look_through_beams();
+        self.beams.look(&self.bodies, self.now);
     }
 
     fn meet_tips(&mut self, ground: Ground) {
@@ -527,7 +517,7 @@ impl CornersOn {
 
 impl TipOn {
     fn new(arm: usize, tip: usize, ground: Ground) -> Self {
-        Self { arm, tip, ground, bristle: Vector3::zeros(), next: Vector3::zeros() }
+        Self { arm, tip, ground, inside: false, bristle: Vector3::zeros(), next: Vector3::zeros() }
     }
 }
 
@@ -546,17 +536,10 @@ fn parts(pose: &Isometry3<f64>) -> (Vector3<f64>, nalgebra::Matrix3<f64>) {
     (pose.translation.vector, pose.rotation.to_rotation_matrix().into_inner())
 }
 
-fn check_body(config: &BodyConfig) -> Result<(), SceneError> {
-    passive(&config.material)?;
-    lengths(config.half)?;
-    finite(&config.pose, "the place of a body")?;
-    if !(config.mass > 0.0 && config.mass.is_finite()) {
-        return Err(SceneError::Mass { mass: config.mass });
-    }
-    if !config.velocity.iter().chain(&config.spin).all(|value| value.is_finite()) {
-        return Err(SceneError::NotFinite { what: "the velocity of a body" });
-    }
-    Ok(())
+/// Checks that a robot with the upward direction `up` stands upright. Without gravity, every direction is upright.
+fn upright(up: &Vector3<f64>, gravity: &Vector3<f64>) -> Result<(), SceneError> {
+    let angle = up.angle(&-gravity);
+    if angle > MOST_LEANING { Err(SceneError::Leaning { angle }) } else { Ok(()) }
 }
 
 fn passive(material: &Material) -> Result<(), SceneError> {

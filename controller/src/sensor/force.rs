@@ -4,11 +4,12 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use can::Instant;
-use drive::wrench::{WrenchFault, WrenchLink, WrenchState, ZeroRequest, Zeroing};
+use drive::wrench::{WrenchAxis, WrenchFault, WrenchLink, WrenchState, ZeroRequest, Zeroing};
 use nalgebra::UnitQuaternion;
 use servo::{Latest, Snapshot};
 use thiserror::Error;
 
+use super::zeroed_weight::{WeightPublisher, ZeroedWeight, zeroed_weight};
 use super::{VirtualSensor, try_lock};
 use crate::force::{Load, SensorMotion, Wrench};
 use crate::generator::{GeneratorError, SensorReading};
@@ -29,6 +30,21 @@ pub enum ForceError {
     /// Another thread reads the sensor at this moment.
     #[error("another thread reads the sensor: read again")]
     Busy,
+    /// The robot moves during a zeroing.
+    #[error("not zeroed, the robot moves: zero the sensor while the robot stands still")]
+    Moving,
+    /// The reading changed during a zeroing.
+    #[error("not zeroed, {axis} changed: let the robot stand still and without contact")]
+    Unsteady {
+        /// Channel of the sensor.
+        axis: WrenchAxis,
+    },
+    /// The sensor still reads a load after its bias command.
+    #[error("not zeroed, {axis} is loaded after the bias command: unload the tool, check the sensor")]
+    NotBiased {
+        /// Channel of the sensor.
+        axis: WrenchAxis,
+    },
     /// The driver did not complete a zeroing.
     #[error("not zeroed within {waited:?}: read the fault of the sensor")]
     NotZeroed {
@@ -36,6 +52,9 @@ pub enum ForceError {
         waited: Duration,
     },
 }
+
+/// Commanded velocity of a motor up to which the motor stands still, rad/s.
+const STANDSTILL: f64 = 1e-6;
 
 /// Reading of a force/torque sensor: the contact wrench on the tool, without the weight of the tool.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -85,20 +104,38 @@ pub struct ForceTorque {
     config: Arc<ForceSensorConfig>,
     tool_from_sensor: Pose,
     zero: Arc<Mutex<Zero>>,
+    zeroed_weight: ZeroedWeight,
 }
 
 /// Weight of the tool at the last zeroing, which the readings of the driver no longer contain.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Debug)]
 struct Zero {
     request: Option<ZeroRequest>,
     weight: Wrench,
+    publisher: WeightPublisher,
+}
+
+impl Zero {
+    fn note(&mut self, request: Option<ZeroRequest>, weight: Wrench) {
+        (self.request, self.weight) = (request, weight);
+        self.publisher.publish(request.map_or(0, ZeroRequest::number), &weight);
+    }
 }
 
 impl ForceTorque {
     /// The sensor of `link` at the robot whose states `robot` reads.
     pub fn new(link: WrenchLink, robot: Latest, config: ForceSensorConfig) -> Self {
         let tool_from_sensor = config.arm.flange_from_tool().inverse() * config.flange_from_sensor;
-        Self { link, robot, config: Arc::new(config), tool_from_sensor, zero: Arc::default() }
+        let (publisher, zeroed_weight) = zeroed_weight();
+        let zero = Zero { request: None, weight: Wrench::default(), publisher };
+        let zero = Arc::new(Mutex::new(zero));
+        Self { link, robot, config: Arc::new(config), tool_from_sensor, zero, zeroed_weight }
+    }
+
+    /// The weight of the tool at the last zeroing that this sensor or a clone has read, for a
+    /// [cycle law](crate::law::PositionForce).
+    pub fn zeroed_weight(&self) -> ZeroedWeight {
+        self.zeroed_weight.clone()
     }
 
     /// The link to the driver.
@@ -110,6 +147,13 @@ impl ForceTorque {
     /// of the sensor.
     pub fn weight(&self) -> Result<Wrench, ForceError> {
         self.weight_in(&self.robot.read())
+    }
+
+    /// Whether a zeroing can begin or go on: the robot stands still.
+    pub fn stands_still(&self) -> Result<(), ForceError> {
+        let robot = self.robot.read();
+        let moves = robot.commanded_velocity.iter().any(|velocity| velocity.abs() > STANDSTILL);
+        if moves { Err(ForceError::Moving) } else { Ok(()) }
     }
 
     /// The present reading and the time of its sample; `None` while another thread notes a zero.
@@ -128,10 +172,11 @@ impl ForceTorque {
         match state.zeroing {
             // The robot stands still until the zeroing is done.
             Zeroing::Done { request, .. } if zero.request < Some(request) => {
-                *zero = Zero { request: Some(request), weight };
+                zero.note(Some(request), weight);
             }
             // A bring-up ends the zero of the driver.
-            Zeroing::None => *zero = Zero::default(),
+            Zeroing::None if zero.request.is_some() => zero.note(None, Wrench::default()),
+            Zeroing::None => {}
             Zeroing::Done { .. } | Zeroing::UnderWay { .. } | Zeroing::Failed { .. } => {}
         }
         Ok(Wrench::from_components(state.wrench) + zero.weight - weight)
@@ -231,6 +276,20 @@ mod tests {
             assert!((in_tool.force - found.force).amax() < 1e-12);
             assert!((in_tool.torque - found.torque - arm.cross(&found.force)).amax() < 1e-12, "{in_tool:?}");
         }
+    }
+
+    #[test]
+    fn a_moving_robot_does_not_stand_still() {
+        let (mut publisher, robot) = latest();
+        let (_device, link) = RehearsedWrench::new();
+        let config = config();
+        let sensor = ForceTorque::new(link, robot, config.clone());
+        let mut snapshot = pitched(&config, 0.0);
+        publisher.publish(&snapshot);
+        assert_eq!(sensor.stands_still(), Ok(()));
+        snapshot.commanded_velocity[4] = -0.01;
+        publisher.publish(&snapshot);
+        assert_eq!(sensor.stands_still(), Err(ForceError::Moving));
     }
 
     #[test]

@@ -66,7 +66,32 @@ impl BeamProbe {
     }
 }
 
-pub(super) struct Beam {
+/// The light gates of a scene.
+#[derive(Default)]
+pub(super) struct Beams {
+    all: Vec<Beam>,
+    /// Places of all bodies before the present step.
+    before: Vec<Place>,
+}
+
+impl Beams {
+    /// Notes the places of all bodies before a step.
+    pub(super) fn note(&mut self, bodies: &[Body]) {
+        if !self.all.is_empty() {
+            self.before.clear();
+            self.before.extend(bodies.iter().map(|body| body.place));
+        }
+    }
+
+    /// Computes the edges of the step that ended at `now`.
+    pub(super) fn look(&mut self, bodies: &[Body], now: Instant) {
+        for beam in &mut self.all {
+            beam.look(bodies, &self.before, now);
+        }
+    }
+}
+
+struct Beam {
     ends: [Vector3<f64>; 2],
     response: Duration,
     jitter: f64,
@@ -78,7 +103,7 @@ pub(super) struct Beam {
 }
 
 impl Beam {
-    pub(super) fn new(config: &BeamConfig, probe: BeamProbe) -> Result<Self, SceneError> {
+    fn new(config: &BeamConfig, probe: BeamProbe) -> Result<Self, SceneError> {
         let ends = [Vector3::from(config.from), Vector3::from(config.to)];
         if !ends.iter().flat_map(|end| end.iter()).all(|value| value.is_finite()) {
             return Err(SceneError::NotFinite { what: "an end of a light gate" });
@@ -161,22 +186,7 @@ impl Scene {
     /// breaks a beam for less than a [`STEP`] may give no edge. Fails if the beam has no length, a number is not finite,
     /// or the response time is too short.
     pub fn add_beam(&mut self, config: &BeamConfig, probe: BeamProbe) -> Result<(), SceneError> {
-        self.beams.push(Beam::new(config, probe)?);
+        self.beams.all.push(Beam::new(config, probe)?);
         Ok(())
-    }
-
-    /// Notes the places of all bodies before a step.
-    pub(super) fn note_places(&mut self) {
-        if !self.beams.is_empty() {
-            self.before.clear();
-            self.before.extend(self.bodies.iter().map(|body| body.place));
-        }
-    }
-
-    /// Computes the edges of all light gates in the last step.
-    pub(super) fn look_through_beams(&mut self) {
-        for beam in &mut self.beams {
-            beam.look(&self.bodies, &self.before, self.now);
-        }
     }
 }

@@ -5,25 +5,19 @@ use std::time::Duration;
 use can::Instant;
 use hil::Scene;
 use hil::scene::{BeamConfig, BodyConfig, Material, Shape, WallConfig};
-use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Vector3};
 
-use super::plants::{EmulatedCell, SOUND};
-use crate::cell::{EmulatedObject, EmulatedScene, Model};
+use super::plants::EmulatedCell;
+use super::scene::SOUND;
+use crate::cell::{EmulatedObject, EmulatedScene};
 
 /// Thickness of a conveyor, m.
 const THICKNESS: f64 = 0.1;
 
 impl EmulatedCell<'_> {
-    /// Adds the conveyors, their objects and the light gates of the cell to a scene, whose axes are `upright` from the
-    /// base of a robot of this model.
-    pub(super) fn add_conveyors(
-        &self,
-        scene: &mut Scene,
-        around: &EmulatedScene,
-        model: Model,
-        upright: &UnitQuaternion<f64>,
-    ) {
-        let frames: Vec<_> = around.conveyor.iter().map(|it| upright * it.frame(model.up())).collect();
+    /// Adds the conveyors, their objects and the light gates of the cell to a scene in the frame of the cell.
+    pub(super) fn add_conveyors(&self, scene: &mut Scene, around: &EmulatedScene) {
+        let frames: Vec<_> = around.conveyor.iter().map(|it| it.frame()).collect();
         for (conveyor, frame) in around.conveyor.iter().zip(&frames) {
             let [length, width] = conveyor.size;
             let belt = WallConfig {
@@ -47,11 +41,10 @@ impl EmulatedCell<'_> {
             let at = Instant::ZERO + Duration::from_secs_f64(object.at_s);
             scene.place_body(at, &body(object, &frames[object.conveyor], material)).expect(SOUND);
         }
-        let point = |point: [f64; 3]| (upright * Point3::from(point)).coords.into();
         for (number, (gate, probe)) in around.gate.iter().zip(&self.beams).enumerate() {
             let config = BeamConfig {
-                from: point(gate.from),
-                to: point(gate.to),
+                from: gate.from,
+                to: gate.to,
                 response: gate.response(),
                 jitter: gate.jitter(),
                 seed: self.file.cell.seed.wrapping_mul(1000).wrapping_add(700 + number as u64),

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -77,12 +77,11 @@ pub struct EmulatedGate {
 }
 
 impl EmulatedConveyor {
-    /// The frame of the surface: origin in its centre, x along the direction of travel, and z along `up`.
-    pub fn frame(&self, up: [f64; 3]) -> Isometry3<f64> {
-        let (x, z) = (Vector3::from(self.direction).normalize(), Vector3::from(up).normalize());
-        let axes = Matrix3::from_columns(&[x, z.cross(&x), z]);
-        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
-        Isometry3::from_parts(self.position.into(), rotation)
+    /// The frame of the surface: origin in its centre, x along the direction of travel, and z upward.
+    pub fn frame(&self) -> Isometry3<f64> {
+        let [x, y, _] = self.direction;
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), y.atan2(x));
+        Isometry3::from_parts(self.position.into(), turn)
     }
 }
 

@@ -40,7 +40,7 @@ impl Stage {
         let drives = |bus| Box::new(IdealDrives::of(&file, bus, &courses, &faults)) as Box<dyn DriveGroup>;
         let (mut servo, links) = Servo::new(&setup::servo_config(&file), vec![drives(0), drives(1)]).unwrap();
         let rehearsed = Rehearsed { duration: Duration::ZERO, instructions: 8, moved: vec![moved; 2] };
-        let task = RunningTask::new(&file, program, links, (Vec::new(), &[]), &servo, &rehearsed);
+        let task = RunningTask::new(&file, program, links, (Vec::new(), Vec::new()), &servo, &rehearsed);
         let ((ask, asked), (answer, verdicts)) = (sync_channel(2), sync_channel(2));
         let carrying = task.begin(Rehearsals::Aside { ask, verdicts });
         let now = lockstep::bring_up(&mut servo, Instant::ZERO, |_| {}).unwrap();
@@ -368,4 +368,11 @@ fn a_fault_of_an_io_node_is_a_fault_of_the_run() {
     assert_eq!(faults, ["I/O node tool: node 40: I/O not started"]);
     let (_, rehearsed) = setup::rehearsed_io(&file);
     assert_eq!(io_faults(&file, &rehearsed).count(), 0);
+}
+
+#[test]
+fn contacts_that_were_not_solved_are_a_fault_of_the_run() {
+    assert!(of_contacts(0).is_none());
+    let fault = of_contacts(3).expect("a fault");
+    assert!(fault.what.starts_with("emulated contacts are wrong in 3 parts of steps: "), "{}", fault.what);
 }

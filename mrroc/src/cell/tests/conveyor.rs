@@ -71,7 +71,7 @@ fn the_frame_of_a_conveyor_has_its_travel_along_x_and_upward_along_z() {
     let cell = Cell::parse(CONVEYOR).unwrap();
     let mut conveyor = cell.scene.unwrap().conveyor[0];
     conveyor.direction = [0.0, 3.0, 0.0];
-    let frame = conveyor.frame([0.0, 0.0, 1.0]);
+    let frame = conveyor.frame();
     for (local, world) in
         [([0.0; 3], [0.5, 1.2, 0.5]), ([1.0, 0.0, 0.0], [0.5, 2.2, 0.5]), ([0.0, 1.0, 0.0], [-0.5, 1.2, 0.5])]
     {

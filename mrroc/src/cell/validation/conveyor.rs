@@ -1,5 +1,7 @@
 //! Checks of emulated conveyors, of objects on them, and of light gates.
 
+use nalgebra::Vector3;
+
 use super::{Checked, refused, within};
 use crate::cell::{Cell, EmulatedConveyor, EmulatedGate, EmulatedObject, EmulatedScene, Path, Range, quoted};
 
@@ -16,10 +18,8 @@ pub(super) fn check(cell: &Cell, scene: &EmulatedScene, path: &Path) -> Checked 
             return refused(path, key, format!("has {found} entries, may have {MOST}"));
         }
     }
-    let robot = cell.robot.iter().find(|robot| robot.name == scene.robot);
-    let up = robot.map_or([0.0, 0.0, 1.0], |robot| robot.model.up());
     for (index, conveyor) in scene.conveyor.iter().enumerate() {
-        check_conveyor(&path.then("conveyor").then(index), conveyor, up)?;
+        check_conveyor(&path.then("conveyor").then(index), conveyor)?;
     }
     for (index, object) in scene.object.iter().enumerate() {
         check_object(&path.then("object").then(index), object, &scene.conveyor)?;
@@ -30,18 +30,16 @@ pub(super) fn check(cell: &Cell, scene: &EmulatedScene, path: &Path) -> Checked 
     Ok(())
 }
 
-fn check_conveyor(path: &Path, conveyor: &EmulatedConveyor, up: [f64; 3]) -> Checked {
+fn check_conveyor(path: &Path, conveyor: &EmulatedConveyor) -> Checked {
     point(&path.then("position"), conveyor.position)?;
     for (axis, size) in conveyor.size.into_iter().enumerate() {
         within(&path.then("size"), axis, size, Range::new(1e-3, 100.0, "m"))?;
     }
-    let norm = |vector: [f64; 3]| vector.iter().map(|part| part * part).sum::<f64>().sqrt();
-    let length = norm(conveyor.direction);
+    let length = Vector3::from(conveyor.direction).norm();
     if !(length.is_finite() && length > 1e-6) {
         return refused(path, "direction", "has no direction");
     }
-    let rise: f64 = conveyor.direction.iter().zip(up).map(|(one, other)| one * other).sum();
-    if rise.abs() > LEVEL * length * norm(up) {
+    if conveyor.direction[2].abs() > LEVEL * length {
         return refused(path, "direction", "is not horizontal: give a direction without a vertical component");
     }
     within(path, "speed", conveyor.speed, Range::new(-10.0, 10.0, "m/s"))?;

@@ -5,6 +5,7 @@ mod axis;
 mod buses;
 mod conveyor;
 mod force;
+mod force_law;
 mod homing;
 mod io;
 mod meetings;
@@ -44,6 +45,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     buses::check_used(cell)?;
     io::check(cell)?;
     force::check(cell)?;
+    force_law::check(cell)?;
     scene::check(cell)?;
     meetings::check(cell)?;
     assembly::check(cell)?;
