@@ -46,7 +46,7 @@ fn run(scene: &mut Scene, until: f64) {
 #[test]
 fn edges_are_the_instants_at_which_a_body_enters_and_leaves_the_beam() {
     let mut scene = Scene::new();
-    scene.set_gravity([0.0; 3]);
+    scene.set_gravity([0.0; 3]).unwrap();
     let probe = BeamProbe::default();
     scene.add_beam(&beam(0.05), probe.clone()).unwrap();
     // 0.123 m/s is no whole number of steps per edge.
@@ -61,7 +61,7 @@ fn edges_are_the_instants_at_which_a_body_enters_and_leaves_the_beam() {
     // Above and beside the beam.
     for (y, z) in [(0.0, 0.1), (0.3, 0.0)] {
         let mut scene = Scene::new();
-        scene.set_gravity([0.0; 3]);
+        scene.set_gravity([0.0; 3]).unwrap();
         scene.add_beam(&beam(0.05), probe.clone()).unwrap();
         let body = parcel(0.0, 0.123);
         scene.add_body(&BodyConfig { pose: Isometry3::translation(0.0, y, z) * body.pose, ..body }).unwrap();
@@ -73,7 +73,7 @@ fn edges_are_the_instants_at_which_a_body_enters_and_leaves_the_beam() {
 #[test]
 fn a_body_that_is_placed_in_the_beam_breaks_the_beam_at_its_time() {
     let mut scene = Scene::new();
-    scene.set_gravity([0.0; 3]);
+    scene.set_gravity([0.0; 3]).unwrap();
     let probe = BeamProbe::default();
     scene.add_beam(&beam(-0.04), probe.clone()).unwrap();
     let at = Instant::ZERO + Duration::from_millis(20);
@@ -113,7 +113,7 @@ fn a_belt_carries_an_object_that_is_placed_on_it_at_rest() {
 fn jitter_delays_edges_and_repeats_with_its_seed() {
     let edges_of = |seed| {
         let mut scene = Scene::new();
-        scene.set_gravity([0.0; 3]);
+        scene.set_gravity([0.0; 3]).unwrap();
         let probe = BeamProbe::default();
         let jitter = Duration::from_millis(2);
         scene.add_beam(&BeamConfig { jitter, seed, ..beam(0.01) }, probe.clone()).unwrap();
@@ -136,7 +136,7 @@ fn an_input_of_a_module_is_high_while_the_beam_is_broken() {
     let mut world = World::new();
     let bus = world.add_bus(Bitrate::KBPS_1000);
     let mut scene = Scene::new();
-    scene.set_gravity([0.0; 3]);
+    scene.set_gravity([0.0; 3]).unwrap();
     let probe = BeamProbe::default();
     scene.add_beam(&BeamConfig { response: SHORTEST_RESPONSE, ..beam(0.01) }, probe.clone()).unwrap();
     // The beam is broken from 0.1 s to 0.9 s.
