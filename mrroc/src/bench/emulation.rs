@@ -9,7 +9,8 @@ use drive::cia401::IoConfig;
 use hil::{
     AxisController, AxisControllerConfig, BusId, Cabinet, Device, DigitalIo, DigitalIoConfig, Epos4, Epos4Config,
     EposSerial, EposSerialConfig, InputEdge, LineDevice, SerialForceSensor, SerialForceSensorConfig, TransducerConfig,
-    World, scene::SensorProbe,
+    World,
+    scene::{Scene, SensorProbe, UnsolvedProbe},
 };
 use serial::{Settings, VirtualLine};
 
@@ -88,6 +89,11 @@ impl Emulation {
             passed: Instant::ZERO,
         };
         (emulation, ends)
+    }
+
+    /// The count of unsolved parts of steps of the scene, if there is one.
+    pub fn unsolved(&self) -> Option<UnsolvedProbe> {
+        self.world.scene().map(Scene::watch_unsolved)
     }
 
     /// Connects the host and its end of a line by a pseudo-terminal, and returns the tty.

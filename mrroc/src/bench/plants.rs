@@ -108,11 +108,17 @@ pub fn plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
     let axis = &file.cell.robot[robot].axis[number];
     let home = file.arms[robot].robot().home()[number];
     let preset = file.cell.robot[robot].model.parameters().plant(axis.emulator.plant, number, home);
-    let plant = AxisConfig {
+    let mut plant = AxisConfig {
         counts_per_revolution: axis.counts_per_revolution(),
         start_angle: axis.emulator.start.unwrap_or(preset.start_angle),
         ..preset
     };
+    plant.amplifier.setpoint_filter = axis.emulator.setpoint_filter_s;
+    if let PlantConfig::Physical(motor) = &mut plant.plant {
+        let share = axis.emulator.dry_friction.unwrap_or(1.0);
+        motor.friction.coulomb *= share;
+        motor.friction.stiction *= share;
+    }
     bounded(plant, file.arms[robot].robot().motor_limits()[number])
 }
 

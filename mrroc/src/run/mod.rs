@@ -202,6 +202,7 @@ pub fn run(
     requests.stop_through(servo.stop_request());
 
     let began = clock::now();
+    let unsolved = bench.emulation.as_ref().and_then(Emulation::unsolved);
     let buses = Buses { wire: bench.wire, emulation: bench.emulation };
     let mut end = match options.bench {
         BenchKind::Lockstep => {
@@ -217,6 +218,7 @@ pub fn run(
             end.faults.push(fault);
         }
     }
+    end.faults.extend(unsolved.and_then(|unsolved| of_contacts(unsolved.count())));
     for fault in end.faults.iter_mut().chain(&mut end.recovered) {
         fault.add_cycles(&end.tracks);
     }
@@ -241,6 +243,16 @@ pub fn run(
         }
     }
     Ok(report)
+}
+
+/// The fault of a run in which the equations of `unsolved` parts of steps of the emulated contacts were not solved.
+fn of_contacts(unsolved: u64) -> Option<FaultReport> {
+    (unsolved > 0).then(|| {
+        FaultReport::of_run(format_args!(
+            "emulated contacts are wrong in {unsolved} parts of steps: reduce stiffness and damping of surfaces and grips, \
+             or use heavier bodies"
+        ))
+    })
 }
 
 /// What is beyond the ports of a run.
