@@ -5,6 +5,7 @@ mod families;
 mod force;
 mod io;
 mod names;
+mod scene;
 mod shape;
 
 use super::*;
