@@ -7,6 +7,7 @@
 //! joint for a program. The name of a key with another unit ends in that unit.
 
 mod axis_controller;
+mod conveyor;
 mod device_configuration;
 mod drives;
 mod error;
@@ -36,6 +37,7 @@ use servo::KeyProblem;
 use crate::bench::plants::upright_from_base;
 pub use crate::robots::{Model, Parameters};
 pub use axis_controller::{AxisController, Loop, Serial};
+pub use conveyor::{EmulatedConveyor, EmulatedGate, EmulatedObject};
 pub(crate) use device_configuration::DeviceConfiguration;
 pub use drive::axis_controller::{Control, Protocol};
 pub use drives::ENABLING;
@@ -130,6 +132,11 @@ pub struct Bus {
     /// Time-out of a node's boot, ms.
     #[serde(default = "defaults::count::<2_000, u32>")]
     pub boot_timeout_ms: u32,
+    /// Share of the capacity of the emulated bus that frames of further nodes take, 0 to 0.9, in addition to the
+    /// traffic of the cell. Half of the frames have a higher priority than all process data. Only the benches with a
+    /// virtual bus (lockstep, emulated) have these frames.
+    #[serde(default)]
+    pub emulated_load: f64,
 }
 
 /// One effector: its kinematics, axes and program.
