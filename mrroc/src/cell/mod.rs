@@ -369,7 +369,7 @@ pub struct Emulator {
     /// Whether the device is absent from its bus or line. An absent drive never boots.
     pub absent: bool,
     /// Time at which the emulated drive on CAN trips with an over-current, s since the emulated devices were switched on;
-    /// never where absent. A drive without power does not trip.
+    /// never where absent. A drive whose motor has no power at this time trips when the motor gets power.
     pub trips_at_s: Option<f64>,
 }
 

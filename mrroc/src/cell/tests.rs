@@ -6,6 +6,7 @@ mod families;
 mod force;
 mod io;
 mod names;
+mod scene;
 mod shape;
 
 use super::*;
