@@ -14,6 +14,9 @@ use super::{Outcome, TaskError};
 /// Servo periods that a zeroing may take beyond its samples.
 const SPARE: u32 = 100;
 
+/// Time for the tool to come to rest before a zeroing.
+const SETTLING: Duration = Duration::from_secs(2);
+
 /// A force/torque sensor at the flange of a robot.
 #[derive(Clone)]
 pub struct ForceSensor {
@@ -21,7 +24,7 @@ pub struct ForceSensor {
     sensor: ForceTorque,
     agents: Agents,
     period: Duration,
-    /// Longest duration of a zeroing.
+    /// Longest duration of a zeroing of a tool at rest.
     patience: Duration,
 }
 
@@ -58,12 +61,12 @@ impl ForceSensor {
 
     /// Makes the present reading the zero: the offset of the sensor, and any contact. The robot must stand still, homed and
     /// without contact, until the zeroing is done. Fails if the sensor has a fault or gives no samples, if the robot moves,
-    /// and if the reading changes by a tenth of the range. A constant contact force is not detected.
+    /// and if the reading still changes by a tenth of the range after two seconds. A constant contact force is not detected.
     pub async fn zero(&self) -> Outcome {
         // A sensor with a fault, or at a robot that is not homed, is refused before the request.
         self.read()?;
         self.stands_still()?;
-        let request = self.sensor.link().zero();
+        let mut request = self.sensor.link().zero();
         let mut waited = Duration::ZERO;
         loop {
             let zeroing = self.sensor.link().read().zeroing;
@@ -72,7 +75,10 @@ impl ForceSensor {
                 // The reading notes the weight of the tool in this orientation.
                 return self.read().map(|_| ());
             }
-            if zeroing.has_failed(request) || waited > self.patience {
+            let unsteady = matches!(zeroing, Zeroing::Failed { cause: ZeroFailure::Unsteady { .. }, .. });
+            if unsteady && zeroing.has_failed(request) && waited < SETTLING {
+                request = self.sensor.link().zero();
+            } else if zeroing.has_failed(request) || waited > SETTLING + self.patience {
                 self.read()?;
                 return Err(self.failed(match zeroing {
                     Zeroing::Failed { cause: ZeroFailure::Unsteady { axis }, .. } => ForceError::Unsteady { axis },
