@@ -66,14 +66,8 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     let on_interfaces = interfaces.iter().zip(&links).map(|(interface, link)| link.is_none().then_some(interface));
     interfaces::all_differ(&file.cell, on_interfaces)?;
     emulation::problems(&file).next().map_or(Ok(()), Err)?;
-    if let Some(bus) = links.iter().position(Option::is_none)
-        && !(file.cell.force_sensor.is_empty() && file.cell.scene.is_none())
-    {
-        bail!(
-            "bus {}: contacts and force sensors are emulated only together with all drives: put each bus behind --slcan",
-            file.cell.bus[bus].name
-        );
-    }
+    // Contacts and force sensors need one world of all drives. Buses of this world have transmission times.
+    let together = !(file.cell.force_sensor.is_empty() && file.cell.scene.is_none());
     let emulated = EmulatedCell::of(&file);
     let mut payloads = Payloads::of(&emulated, clock::now());
     let mut buses = Vec::new();
@@ -93,6 +87,10 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
             let port = BusPort::open(interface, bus.bitrate_kbps).with_context(on_bus)?;
             let port = port.holding(claims.into_iter().flatten());
             names.push(format!("{} on {interface}", bus.name));
+            if together {
+                lines.add_bus_on(&emulated, index, port);
+                continue;
+            }
             let now = clock::now();
             buses.push(EmulatedBus {
                 port,
@@ -115,7 +113,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         }
         names.push(format!("{} in {}", serial.name, directory.display()));
     }
-    let sensors = emulated.add_sensors(&mut lines.world);
+    let (sensors, _) = emulated.add_sensors(&mut lines.world);
     for (sensor, line) in file.cell.force_sensor.iter().zip(sensors) {
         let Some(directory) = &options.serial else {
             bail!("--serial DIR is missing: it is where the tty of {} is to be linked", sensor.name);
@@ -161,7 +159,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         } else {
             let served = lines.serve(&stop);
             stop.store(true, Ordering::Relaxed);
-            served.context("a pseudo-terminal fails")
+            served.context("an emulated bus or line fails")
         };
         threads.into_iter().map(|thread| thread.join().expect("serving a bus does not panic")).fold(served, Result::and)
     })?;

@@ -32,7 +32,7 @@ fn main() -> ExitCode {
         upright_from_base: UnitQuaternion::identity(),
         flange_from_sensor: Pose::identity(),
         load: Some(Load::of_weight(0.5, Vector3::new(0.0, 0.0, 0.05)).expect("the load is a body")),
-        zeroed_at: None,
+        zeroed: None,
         limits: ForceLimits {
             wrench: [100.0; 6],
             age: 3 * PERIOD,

@@ -44,7 +44,7 @@ fn ten_thousand_cycles_of_a_law_and_its_ends_do_not_allocate() {
             upright_from_base: UnitQuaternion::identity(),
             flange_from_sensor: Pose::identity(),
             load: Some(load),
-            zeroed_at: None,
+            zeroed: None,
             limits,
         };
         let (mut sensor, link) = RehearsedWrench::new();

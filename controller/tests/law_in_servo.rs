@@ -145,7 +145,7 @@ impl Rig {
             upright_from_base: UnitQuaternion::identity(),
             flange_from_sensor: Pose::identity(),
             load: None,
-            zeroed_at: None,
+            zeroed: None,
             limits,
         };
         let law = PositionForce::new(law, link).expect("the limits are sound");

@@ -11,7 +11,8 @@
 //!   converts forces on tips and in grippers to motor torques. Tips have no mass of their own.
 //! * A grip holds a body by a spring and a damper in six dimensions ([`GripConfig`]). A body may be held by several
 //!   grippers. The tips of a robot do not touch the bodies that the robot holds. A tip that is inside a body at
-//!   its release touches the body again after the tip has left the body, so that no energy appears.
+//!   its release touches the body again after the tip has left the body, so that no energy appears. A digital output
+//!   may open and close a gripper ([`GripperConfig`]).
 //! * Sensors between flange and tool measure the wrench of these forces ([`SensorConfig`]).
 //!
 //! The scene advances in steps of 100 µs ([`STEP`]). Each step has three parts. First, the motors of the robots move by
@@ -49,6 +50,7 @@ mod contact;
 mod error;
 mod forces;
 mod grip;
+mod gripper;
 mod motion;
 mod probe;
 mod surface;
@@ -69,6 +71,8 @@ pub use error::SceneError;
 use forces::holds;
 pub use grip::GripConfig;
 use grip::{End, Hold};
+use gripper::Gripper;
+pub use gripper::{GripProbe, GripperConfig};
 use motion::{Motion, Moving};
 use probe::Sensor;
 pub use probe::{BodyProbe, SensorConfig, SensorProbe, UnsolvedProbe, WrenchProbe};
@@ -146,6 +150,7 @@ pub struct Scene {
     corners: Vec<CornersOn>,
     tips: Vec<TipOn>,
     grips: Vec<Option<Grip>>,
+    grippers: Vec<Gripper>,
     unsolved: UnsolvedProbe,
 }
 
@@ -227,6 +232,7 @@ impl Scene {
             corners: Vec::new(),
             tips: Vec::new(),
             grips: Vec::new(),
+            grippers: Vec::new(),
             unsolved: UnsolvedProbe::default(),
         }
     }
@@ -482,6 +488,7 @@ impl Scene {
         for arm in &mut self.arms {
             arm.follow();
         }
+        self.switch_grippers();
         for wall in &mut self.walls {
             if let Some(belt) = &mut wall.belt {
                 let angle = belt.shaft.angle();
@@ -494,6 +501,7 @@ impl Scene {
         for arm in &mut self.arms {
             arm.finish(&self.gravity);
         }
+        self.show_grippers();
         for (body, probe) in &self.probes {
             probe.show(self.bodies[*body].state());
         }

@@ -41,7 +41,7 @@ use std::{collections::VecDeque, num::NonZeroU64, time::Duration};
 use can::Instant;
 use servo::{EffectorLink, Order, Phase, ServoReport, Snapshot};
 
-use crate::generator::{AxesState, EffectorImage, Execution, GeneratorError, Pace};
+use crate::generator::{Execution, Pace};
 use crate::robot::Arm;
 use crate::sensor::Sensors;
 
@@ -166,6 +166,10 @@ pub struct Ecp {
     /// list.
     awaited: bool,
     since_report: SinceReport,
+    /// Whether the last macrostep made has a cycle law.
+    under_law: bool,
+    /// Whether the cycle law ended the present or last motion at a touch.
+    touched: bool,
     /// Servo cycle after which the last barrier was sent.
     barrier_sent: Option<u64>,
     /// Number of the macrostep that the present fault of the servo ended; `None` if the effector stood.
@@ -208,6 +212,8 @@ impl Ecp {
             commanded: false,
             awaited: false,
             since_report: SinceReport::default(),
+            under_law: false,
+            touched: false,
             barrier_sent: None,
             fault_macrostep: None,
         }
@@ -303,21 +309,6 @@ impl Ecp {
     /// State of the effector in the last servo cycle.
     pub fn latest(&self) -> Snapshot {
         self.link.latest.read()
-    }
-
-    /// Image of the effector in the last servo cycle, in every phase, also with the drives off. Joints and pose are
-    /// meaningful after homing. The commanded state is the set-point of that cycle, or the measured position at rest in
-    /// a phase without set-points. Fails if the effector measures positions that its mechanism cannot take.
-    #[doc(alias = "get_position")]
-    pub fn image(&self) -> Result<EffectorImage, GeneratorError> {
-        let latest = self.latest();
-        let commanded = match latest.phase {
-            Phase::Standing | Phase::Moving | Phase::Stopping => {
-                AxesState::new(latest.commanded, latest.commanded_velocity)
-            }
-            Phase::Off | Phase::Enabling | Phase::Homing | Phase::Faulted => AxesState::at_rest(latest.measured),
-        };
-        self.effector.image(&latest, &commanded)
     }
 
     /// Receives the servo's reports, performs the actions due at `now`, and returns the end of an instruction, if
@@ -497,6 +488,12 @@ impl Ecp {
             self.activity,
             Activity::Stopping { .. } | Activity::Switching { order: Order::Stop | Order::Disable, .. }
         );
+        if !stops && self.is_stopped_by_touch() {
+            self.touched = true;
+            // The order also acknowledges the touch.
+            self.brake(Ok(()));
+            return None;
+        }
         if !stops {
             let met = match self.partner_stop() {
                 // The effector would stop here without the partner: the coordinator has ended the motion of the team,

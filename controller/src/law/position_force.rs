@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use can::Instant;
-use drive::wrench::{WrenchLink, WrenchState};
+use drive::wrench::{WrenchLink, WrenchState, Zeroing};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3, Vector6};
 use servo::{CycleLaw, LawFault, LawInput, LawOutput, LawParameters, MAX_AXES};
 use thiserror::Error;
@@ -12,6 +12,7 @@ use super::directions::{Behaviour, Frame, Guard};
 use super::resolve;
 use crate::force::{Load, SensorMotion, Wrench};
 use crate::robot::{Arm, Axes, Joints, KinematicsError, Motors, Pose};
+use crate::sensor::ZeroedWeight;
 
 /// Speeds from which a compliant direction must move as the law requires: m/s and rad/s. Below, rounding of the
 /// mechanism's singular directions is of no effect.
@@ -63,8 +64,11 @@ pub struct PositionForceConfig {
     pub flange_from_sensor: Pose,
     /// The load behind the sensor. `None`: the measured wrench is the wrench of the contact.
     pub load: Option<Load>,
-    /// Orientation of the sensor in the base at its zeroing; `None` if the sensor was not zeroed with the load.
-    pub zeroed_at: Option<UnitQuaternion<f64>>,
+    /// Weight of the load at the last zeroing of the sensor ([`ForceTorque::zeroed_weight`]). The law ends with a fault if
+    /// the sensor was not zeroed, or if the weight was not noted. `None`: the sensor is not zeroed, and has no offset.
+    ///
+    /// [`ForceTorque::zeroed_weight`]: crate::sensor::ForceTorque::zeroed_weight
+    pub zeroed: Option<ZeroedWeight>,
     /// Limits of the law.
     pub limits: ForceLimits,
 }
@@ -193,12 +197,10 @@ impl PositionForce {
         }
         let base_from_sensor = base_from_flange * self.config.flange_from_sensor;
         let measured = Wrench::from_components(state.wrench);
-        let contact = self.config.load.map_or(measured, |load| {
-            let upright = self.config.upright_from_base;
-            let motion = SensorMotion::at_rest(upright * base_from_sensor.rotation);
-            let zeroed_at = self.config.zeroed_at.map(|rotation| SensorMotion::at_rest(upright * rotation));
-            load.contact(&measured, &motion, zeroed_at.as_ref())
-        });
+        let zero = self.config.zeroed.as_ref().map_or(Ok(Wrench::default()), |weight| noted(weight, state.zeroing))?;
+        let orientation = self.config.upright_from_base * base_from_sensor.rotation;
+        let weight = self.config.load.map(|load| load.wrench(&SensorMotion::at_rest(orientation)));
+        let contact = measured + zero - weight.unwrap_or_default();
         let components = contact.components();
         for (channel, (value, limit)) in components.into_iter().zip(self.config.limits.wrench).enumerate() {
             if value.is_nan() || value.abs() > limit {
@@ -253,6 +255,15 @@ impl Touch {
         }
         self.count >= guard.samples
     }
+}
+
+/// The weight at the zeroing in force.
+fn noted(weight: &ZeroedWeight, zeroing: Zeroing) -> Result<Wrench, LawFault> {
+    let Zeroing::Done { request, .. } = zeroing else {
+        return Err(LawFault::NotZeroed);
+    };
+    let (noted, weight) = weight.read();
+    if noted == request.number() { Ok(weight) } else { Err(LawFault::NoWeight { request: request.number() }) }
 }
 
 /// Linear and angular part, both turned.

@@ -71,7 +71,7 @@ impl Rig {
             upright_from_base: UnitQuaternion::identity(),
             flange_from_sensor,
             load: None,
-            zeroed_at: None,
+            zeroed: None,
             limits,
         };
         let path = arm.motors(joints).unwrap();

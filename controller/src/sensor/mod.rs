@@ -29,6 +29,7 @@ mod marked;
 mod operator;
 #[cfg(test)]
 mod tests;
+mod zeroed_weight;
 
 use std::any::{Any, TypeId, type_name};
 use std::cell::Cell;
@@ -48,6 +49,7 @@ pub use operator::{
     Asking, Operator, OperatorAnswer, OperatorCommand, OperatorError, OperatorLink, OperatorPanel, OperatorTexts,
     Question, Reaction,
 };
+pub use zeroed_weight::ZeroedWeight;
 
 /// A sensor as an agent sees it.
 pub trait VirtualSensor: Send + 'static {

@@ -12,6 +12,7 @@ mod drives;
 mod error;
 mod file;
 mod force;
+mod force_law;
 mod home;
 mod io;
 mod meetings;
@@ -32,6 +33,7 @@ use controller::generator::Pose;
 use controller::robot::{self, Arm, Mass, ParameterError, Weight, WeightError};
 use servo::KeyProblem;
 
+use crate::bench::plants::upright_from_base;
 pub use crate::robots::{Model, Parameters};
 pub use axis_controller::{AxisController, Loop, Serial};
 pub(crate) use device_configuration::DeviceConfiguration;
@@ -40,12 +42,13 @@ pub use drives::ENABLING;
 pub use error::{CellError, Path, Step};
 pub use file::{CellFile, FileError};
 pub use force::{ForceSensor, ForceSensorEmulator};
+pub use force_law::ForceLaw;
 pub use io::{ErrorState, InputLine, IoNode, LinePlace, OutputLine};
 pub use meetings::Meeting;
 pub(crate) use program::smooth_pose;
 pub use program::{ProgramError, instruction_path};
 pub use read::LARGEST;
-pub use scene::{EmulatedPlane, EmulatedScene};
+pub use scene::{EmulatedBar, EmulatedBlock, EmulatedGripper, EmulatedPlane, EmulatedScene, EmulatedTip, Place};
 pub use servo::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
 pub use servo::thread::{Policy, Realtime, Scheduler, Wait};
 pub use servo::{Direction, FeedForward, Figure, Law, Range};
@@ -140,11 +143,21 @@ pub struct Robot {
     pub model: Model,
     /// Geometry, drive train, home positions and limits, in place of those of the model.
     pub parameters: Option<Parameters>,
+    /// Place of the base in the frame of the cell, for tasks with several robots and for the emulated surroundings; the
+    /// origin of this frame where absent.
+    #[serde(default)]
+    pub base: Place,
+    /// Difference between the place of the emulated base and `base`: a calibration error, in the frame of the base. Real
+    /// robots ignore this key.
+    #[serde(default)]
+    pub emulated_base_error: Place,
     /// Origin of the tool in the flange's frame, m.
     #[serde(default)]
     pub tool: [f64; 3],
     /// Masses of the links, for the feed-forward of the weight to the motors; no such feed-forward where absent.
     pub weight: Option<Weights>,
+    /// Force control in each servo cycle; generators cannot command forces where absent.
+    pub force_law: Option<ForceLaw>,
     /// The axes, base first.
     pub axis: Vec<Axis>,
     /// Instructions after homing, in order.
@@ -187,6 +200,11 @@ impl Robot {
             return format!("{before}axis {name}{behind}");
         }
         said
+    }
+
+    /// Pose of the base frame of the kinematics in the frame of the cell.
+    pub fn cell_from_base(&self) -> Pose {
+        self.base.pose() * upright_from_base(self.model)
     }
 
     /// Kinematics and drive train, or the error in the parameters.
@@ -321,6 +339,12 @@ pub struct Homing {
 pub struct Emulator {
     /// The plant behind the emulated drive.
     pub plant: Plant,
+    /// Dry friction of the emulated motor as a share of its nominal value; 1 where absent. Without dry friction, the axis
+    /// is linear. The plant `wut` has none.
+    pub dry_friction: Option<f64>,
+    /// Time constant of the filter of position set-points in the emulated drive, s; no filter where absent.
+    #[serde(default)]
+    pub setpoint_filter_s: f64,
     /// Initial motor position of the emulated axis, rad; 20 rad above its home position where absent.
     pub start: Option<f64>,
     /// Vendor-ID that the emulated drive reports; the drive's own where absent.
@@ -337,6 +361,9 @@ pub struct Emulator {
     pub protocol: Option<Protocol>,
     /// Whether the device is absent from its bus or line. An absent drive never boots.
     pub absent: bool,
+    /// Time at which the emulated drive on CAN trips with an over-current, s since the emulated devices were switched on;
+    /// never where absent. A drive without power does not trip.
+    pub trips_at_s: Option<f64>,
 }
 
 /// A payload of an emulated robot from a given time on. The payload replaces the previous one.

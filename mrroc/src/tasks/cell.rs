@@ -6,7 +6,7 @@ use std::time::Duration;
 use controller::coordination::{Late, LinkConfig};
 use controller::ecp::Task;
 use controller::executor::{Agent, Agents, LooseLink, Observer, Replacer};
-use controller::generator::{EffectorImage, Generator, Message, SensorReading};
+use controller::generator::{EffectorImage, Generator, Message, Pose, SensorReading};
 use controller::sensor::{ForceTorque, Shell, VirtualSensor};
 use drive::cia401::IoLink;
 use serde::de::DeserializeOwned;
@@ -162,6 +162,11 @@ impl Robot {
         Motions::of(&self.file, self.agent.robot())
     }
 
+    /// Pose of the robot's base in the frame of the cell, as the cell file gives it.
+    pub fn cell_from_base(&self) -> Pose {
+        self.file.cell.robot[self.agent.robot()].cell_from_base()
+    }
+
     /// State of the robot in the last servo cycle, in every phase, also with the drives off. Joints and pose are
     /// meaningful after homing.
     #[doc(alias = "get_position")]
@@ -208,6 +213,12 @@ impl Robot {
     /// link.
     pub fn coordinated<C: Message, R: Message>(&mut self) -> LooseLink<C, R> {
         self.agent.coordinated()
+    }
+
+    /// Whether the force law of the robot ended its last motion at a touch ([`Guard`](controller::law::Guard)). Such a
+    /// motion ends with success, like a motion to the end of its path.
+    pub fn has_touched(&self) -> bool {
+        self.agent.has_touched()
     }
 
     /// A handle that replaces a motion of this robot while the motion is awaited. If the new generator begins in motion,

@@ -14,8 +14,8 @@ use super::{Outcome, TaskError};
 /// Servo periods that a zeroing may take beyond its samples.
 const SPARE: u32 = 100;
 
-/// Time for the tool to come to rest before a zeroing.
-const SETTLING: Duration = Duration::from_secs(2);
+/// Longest time in which a zeroing whose samples differ is repeated.
+const SETTLING: Duration = Duration::from_secs(1);
 
 /// A force/torque sensor at the flange of a robot.
 #[derive(Clone)]
@@ -30,7 +30,7 @@ pub struct ForceSensor {
 
 impl ForceSensor {
     pub(super) fn new(name: &str, sensor: ForceTorque, agents: Agents, period: Duration, samples: u16) -> Self {
-        let patience = period * (u32::from(samples) + SPARE);
+        let patience = period * (u32::from(samples) + SPARE) + SETTLING;
         Self { name: name.into(), sensor, agents, period, patience }
     }
 
@@ -61,7 +61,7 @@ impl ForceSensor {
 
     /// Makes the present reading the zero: the offset of the sensor, and any contact. The robot must stand still, homed and
     /// without contact, until the zeroing is done. Fails if the sensor has a fault or gives no samples, if the robot moves,
-    /// and if the reading still changes by a tenth of the range after two seconds. A constant contact force is not detected.
+    /// and if the reading still changes by a tenth of the range after a second. A constant contact force is not detected.
     pub async fn zero(&self) -> Outcome {
         // A sensor with a fault, or at a robot that is not homed, is refused before the request.
         self.read()?;
@@ -76,7 +76,8 @@ impl ForceSensor {
                 return self.read().map(|_| ());
             }
             let unsteady = matches!(zeroing, Zeroing::Failed { cause: ZeroFailure::Unsteady { .. }, .. });
-            if unsteady && zeroing.has_failed(request) && waited < SETTLING {
+            if zeroing.has_failed(request) && unsteady && waited < SETTLING {
+                // The arm still oscillates after its last motion.
                 request = self.sensor.link().zero();
             } else if zeroing.has_failed(request) || waited > SETTLING + self.patience {
                 self.read()?;

@@ -118,6 +118,13 @@ pub enum ZeroFailure {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct ZeroRequest(u64);
 
+impl ZeroRequest {
+    /// The number, from 1.
+    pub const fn number(self) -> u64 {
+        self.0
+    }
+}
+
 impl ZeroFailure {
     fn number(self) -> u16 {
         match self {

@@ -136,7 +136,9 @@ fn check_emulator(path: &Path, axis: &Axis, place: Place<'_>, model: Limits, hom
         ("revision", emulator.revision.is_some()),
         ("counts_per_revolution", counts.is_some()),
         ("rated_torque", emulator.rated_torque.is_some()),
+        ("trips_at_s", emulator.trips_at_s.is_some()),
     ];
+    within(path, "trips_at_s", emulator.trips_at_s.unwrap_or(0.0), Range::new(0.0, 1e6, "s"))?;
     match place {
         Place::Bus(_) => {
             let because = "on a CAN bus: it is of serial lines";
@@ -151,6 +153,10 @@ fn check_emulator(path: &Path, axis: &Axis, place: Place<'_>, model: Limits, hom
             let given = emulator.address.is_some() && spoken == Protocol::HiMoxa;
             no_effect(path, "address", given, NO_ADDRESSES)?;
         }
+    }
+    within(path, "setpoint_filter_s", emulator.setpoint_filter_s, Range::new(0.0, 1.0, "s"))?;
+    if let Some(share) = emulator.dry_friction {
+        within(path, "dry_friction", share, Range::new(0.0, 10.0, ""))?;
     }
     if let Some(start) = emulator.start {
         let range = if homing::is_endless(model) {
