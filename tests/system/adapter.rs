@@ -26,6 +26,11 @@ impl Adapter {
         Self { pty: Pty::open().unwrap(), device: SlcanDevice::new(Bitrate::KBPS_1000), behind }
     }
 
+    /// Exchanges the device behind the adapter.
+    pub(crate) fn replace(&mut self, behind: Box<dyn Device>) {
+        self.behind = Some(behind);
+    }
+
     /// Serves the host while `body` runs. `body` receives the path of the host's end.
     pub(crate) fn served<T>(mut self, body: impl FnOnce(&Path) -> T) -> T {
         /// Stops the service, also if `body` panics.

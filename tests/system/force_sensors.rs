@@ -45,10 +45,10 @@ const SYNC_FRAME: Duration = Duration::from_micros(55);
 
 /// A load that the tests change. Each component changes with time, so that a reading has the time of its sample.
 #[derive(Clone, Default)]
-struct Load(Arc<Mutex<[f64; 6]>>);
+pub(crate) struct Load(Arc<Mutex<[f64; 6]>>);
 
 impl Load {
-    fn set(&self, load: [f64; 6]) {
+    pub(crate) fn set(&self, load: [f64; 6]) {
         *self.0.lock().unwrap() = load;
     }
 
@@ -78,13 +78,13 @@ fn is_of_its_time(state: &WrenchState, load: &Load, count: [f64; 2], late: Durat
 }
 
 /// A driver on an emulated sensor.
-struct Stage<G> {
-    world: World,
+pub(crate) struct Stage<G> {
+    pub(crate) world: World,
     group: G,
     link: WrenchLink,
-    load: Load,
-    states: Vec<AxisState>,
-    now: Instant,
+    pub(crate) load: Load,
+    pub(crate) states: Vec<AxisState>,
+    pub(crate) now: Instant,
 }
 
 impl<G: DriveGroup> Stage<G> {
@@ -93,7 +93,7 @@ impl<G: DriveGroup> Stage<G> {
         self.world.advance(self.now);
     }
 
-    fn bring_up(&mut self) -> Result<(), BringUpError> {
+    pub(crate) fn bring_up(&mut self) -> Result<(), BringUpError> {
         loop {
             match self.group.bring_up(self.now) {
                 Poll::Pending => self.pass(),
@@ -210,7 +210,7 @@ fn an_adapter_with_the_usual_latency_is_refused_with_the_remedy() {
     }
 }
 
-fn sensor(trigger: Trigger) -> WrenchNodeConfig {
+pub(crate) fn sensor(trigger: Trigger) -> WrenchNodeConfig {
     let node = NodeId::new(NODE).unwrap();
     let emulated = CanForceSensorConfig::new(node, TransducerConfig::default());
     let field = |axis| WrenchField { object: Object::new(0x2000, axis as u8 + 1), content: Content::I16(axis) };
@@ -237,10 +237,10 @@ fn sensor(trigger: Trigger) -> WrenchNodeConfig {
     }
 }
 
-const SYNC: Trigger = Trigger::Sync { every: 1 };
+pub(crate) const SYNC: Trigger = Trigger::Sync { every: 1 };
 
 /// A sensor on a bus, beside a drive or without one.
-fn on_bus(config: &WrenchNodeConfig, with_drive: bool) -> (Stage<CanBus<VirtualPort>>, DeviceId) {
+pub(crate) fn on_bus(config: &WrenchNodeConfig, with_drive: bool) -> (Stage<CanBus<VirtualPort>>, DeviceId) {
     let mut cell = Cell::parse(&text("irb6")).unwrap();
     // The emulated drive has the motor data of the velocity loop.
     closed_by_host(&mut cell.robot[0].axis[0], Irp6Axis::Column, DriveControl::Velocity);

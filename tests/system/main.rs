@@ -30,6 +30,7 @@ mod faults;
 mod feed_forward;
 mod force_cell;
 mod force_law;
+mod force_refusals;
 mod force_sensors;
 mod heap;
 mod held_bar;

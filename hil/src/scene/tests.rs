@@ -2,5 +2,6 @@
 
 mod beams;
 mod bodies;
+mod random;
 mod robots;
 mod world;

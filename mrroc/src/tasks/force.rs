@@ -24,7 +24,7 @@ pub struct ForceSensor {
     sensor: ForceTorque,
     agents: Agents,
     period: Duration,
-    /// Longest duration of a zeroing.
+    /// Longest duration of a zeroing of a tool at rest.
     patience: Duration,
 }
 
@@ -79,7 +79,7 @@ impl ForceSensor {
             if zeroing.has_failed(request) && unsteady && waited < SETTLING {
                 // The arm still oscillates after its last motion.
                 request = self.sensor.link().zero();
-            } else if zeroing.has_failed(request) || waited > self.patience {
+            } else if zeroing.has_failed(request) || waited > SETTLING + self.patience {
                 self.read()?;
                 return Err(self.failed(match zeroing {
                     Zeroing::Failed { cause: ZeroFailure::Unsteady { axis }, .. } => ForceError::Unsteady { axis },

@@ -13,6 +13,7 @@ mod force;
 mod force_driver;
 mod group;
 mod host;
+mod io_driver;
 mod latency;
 mod linux;
 mod master;

@@ -2,8 +2,7 @@
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
-use crate::plant::Noise;
-use crate::scene::{BodyConfig, BodyId, GripConfig, Holder, Material, Scene, SceneError, Shape, WallConfig};
+use crate::scene::{BodyConfig, GripConfig, Holder, Material, Scene, SceneError, Shape, WallConfig};
 
 const METAL: Material = Material { stiffness: 1e5, damping: 0.0, friction: 0.0 };
 
@@ -180,111 +179,6 @@ fn light_bar_in_a_strongly_damped_grip_beside_its_centre_is_solved() {
     // Checks that all steps are solved.
     run(&mut scene, 1_000);
     assert!(scene.energy() < energy, "{} of {energy}", scene.energy());
-}
-
-/// A random number between two limits.
-fn between(noise: &mut Noise, low: f64, high: f64) -> f64 {
-    low + 0.5 * (high - low) * (1.0 + noise.symmetric())
-}
-
-fn vector(noise: &mut Noise, size: f64) -> [f64; 3] {
-    [0; 3].map(|_: i32| size * noise.symmetric())
-}
-
-fn pose(noise: &mut Noise, size: f64) -> Isometry3<f64> {
-    let [x, y, z] = vector(noise, size);
-    let [a, b, c] = vector(noise, 3.0);
-    Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_euler_angles(a, b, c))
-}
-
-fn material(noise: &mut Noise) -> Material {
-    Material {
-        stiffness: 10.0_f64.powf(between(noise, 3.0, 6.0)),
-        damping: if noise.bits() & 1 == 0 { 0.0 } else { between(noise, 0.0, 500.0) },
-        friction: if noise.bits() & 1 == 0 { 0.0 } else { between(noise, 0.0, 1.0) },
-    }
-}
-
-/// A room of six walls with a post, bodies that fly about, and clamps on some of them.
-fn random_scene(noise: &mut Noise) -> (Scene, Vec<BodyId>) {
-    let mut scene = Scene::new();
-    if noise.bits() & 1 == 0 {
-        scene.set_gravity([0.0; 3]).unwrap();
-    }
-    let ceiling = UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0);
-    let quarter = std::f64::consts::FRAC_PI_2;
-    let sides = [quarter, -quarter].map(|angle| UnitQuaternion::from_euler_angles(angle, 0.0, 0.0));
-    let ends = [quarter, -quarter].map(|angle| UnitQuaternion::from_euler_angles(0.0, angle, 0.0));
-    for turn in [UnitQuaternion::identity(), ceiling].into_iter().chain(sides).chain(ends) {
-        let pose = Isometry3::from_parts(Translation3::identity(), turn) * at(0.0, 0.0, -0.2);
-        scene.add_wall(&WallConfig { shape: Shape::HalfSpace, pose, material: material(noise) }).unwrap();
-    }
-    let post = Shape::Box { half: [0.02, 0.03, 0.1] };
-    scene.add_wall(&WallConfig { shape: post, pose: pose(noise, 0.1), material: material(noise) }).unwrap();
-    let count = 1 + noise.bits() % 3;
-    let bodies: Vec<_> = (0..count)
-        .map(|_| {
-            let config = BodyConfig {
-                mass: 10.0_f64.powf(between(noise, -1.0, 1.0)),
-                half: [0; 3].map(|_: i32| between(noise, 0.01, 0.06)),
-                material: material(noise),
-                pose: pose(noise, 0.15),
-                velocity: vector(noise, 2.0),
-                spin: vector(noise, 20.0),
-            };
-            scene.add_body(&config).unwrap()
-        })
-        .collect();
-    for &body in &bodies {
-        if noise.bits().is_multiple_of(3) {
-            let config = GripConfig {
-                stiffness: 10.0_f64.powf(between(noise, 3.0, 5.5)),
-                damping: between(noise, 0.0, 300.0),
-                turning_stiffness: between(noise, 0.0, 2e3),
-                turning_damping: between(noise, 0.0, 6.0),
-            };
-            scene.hold(&config, Holder::World, &pose(noise, 0.15), body, None).unwrap();
-        }
-    }
-    (scene, bodies)
-}
-
-/// `MRROC_RANDOM_TIMES` multiplies the number of scenes.
-#[test]
-fn random_scenes_gain_no_energy() {
-    let times = std::env::var("MRROC_RANDOM_TIMES").map_or(1, |times| times.parse().expect("a number"));
-    let mut worst = 0.0_f64;
-    for seed in 0..100 * times {
-        let mut noise = Noise::new(seed);
-        let (mut scene, _) = random_scene(&mut noise);
-        // The energy of a scene may be near zero, because the potential energy is zero at height zero.
-        let mut least = scene.energy();
-        let scale = least.abs().max(0.1);
-        for step in 0..500 {
-            scene.step();
-            let energy = scene.energy();
-            worst = worst.max((energy - least) / scale);
-            assert!(energy - least < 1e-6 * scale, "seed {seed}, step {step}: {energy} J after {least}");
-            least = least.min(energy);
-        }
-        assert_eq!(scene.unsolved(), 0, "seed {seed}");
-    }
-    println!("largest share gained: {worst:e}");
-}
-
-#[test]
-fn one_scene_is_one_run_bit_for_bit() {
-    for seed in 0..10 {
-        let run = || {
-            let (mut scene, bodies) = random_scene(&mut Noise::new(seed));
-            for _ in 0..500 {
-                scene.step();
-            }
-            let bits = bodies.into_iter().map(|body| scene.body(body).pose.to_homogeneous().map(f64::to_bits));
-            bits.collect::<Vec<_>>()
-        };
-        assert_eq!(run(), run(), "seed {seed}");
-    }
 }
 
 #[test]

@@ -15,15 +15,15 @@ const METAL: Material = Material { stiffness: 1e5, damping: 300.0, friction: 0.0
 const G: f64 = 9.81;
 
 /// An IRb-6 without friction, and a demand for each motor.
-struct Robot {
-    mechanism: Mechanism,
+pub(super) struct Robot {
+    pub(super) mechanism: Mechanism,
     axes: Vec<PlantAxis>,
     demands: Vec<Demand>,
 }
 
 impl Robot {
     /// An IRb-6 at these motor angles from home, rad. Each motor holds its position.
-    fn irb6(motors: [f64; 5]) -> Self {
+    pub(super) fn irb6(motors: [f64; 5]) -> Self {
         let mechanism = Mechanism::new(MechanismConfig::Irb6);
         let axes = Irp6Axis::ALL.iter().zip(motors).enumerate().map(|(number, (axis, motor))| {
             let mut config = AxisConfig::irp6(*axis).with_home(0.0);
