@@ -158,9 +158,12 @@ fn check_stop(what: &str, (report, truth): &(RunReport, Vec<Truth>)) -> f64 {
 /// Macrostep in the first leg of the course at its greatest speed.
 const STEP: u64 = 40;
 
+/// A message that arrives after the deadline of its step, while the arms brake.
+const LATE: Disturbance = Disturbance::Late(std::time::Duration::from_millis(30));
+
 #[test]
-fn a_lost_doubled_or_swapped_message_stops_both_arms_and_does_not_tear_the_bar() {
-    for disturbance in [Disturbance::Lost, Disturbance::Doubled, Disturbance::Swapped] {
+fn a_lost_late_doubled_or_swapped_message_stops_both_arms_and_does_not_tear_the_bar() {
+    for disturbance in [Disturbance::Lost, LATE, Disturbance::Doubled, Disturbance::Swapped] {
         let message = DisturbedMessage { member: 1, answer: true, step: STEP, disturbance };
         check_stop(&format!("answer {disturbance:?}"), &faulted(Some(message), |_| ()));
     }

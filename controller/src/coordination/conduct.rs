@@ -190,7 +190,7 @@ impl<'a, K: Coordinator<N>, const N: usize> Conduct<'a, K, N> {
         let (step, now) = (self.step, desk.now);
         for (member, (link, answer)) in self.links.iter_mut().zip(&mut self.answers).enumerate() {
             if answer.is_none() {
-                let came = link.answer().map_err(|error| CoordinatorError::Link { step, member, error })?;
+                let came = link.answer_by(desk.now).map_err(|error| CoordinatorError::Link { step, member, error })?;
                 *answer = came.map(|(_, sample)| sample);
             }
         }

@@ -77,6 +77,8 @@ pub enum Disturbance {
     Doubled,
     /// The message has the number of the next step.
     Swapped,
+    /// The message arrives this much later.
+    Late(Duration),
 }
 
 /// A step, and the disturbance of its message.
@@ -89,14 +91,23 @@ fn push<T: Copy>(queue: &mut rtrb::Producer<Numbered<T>>, message: Numbered<T>, 
         Some((_, Disturbance::Lost)) => true,
         Some((_, Disturbance::Doubled)) => queue.push(message).is_ok() && queue.push(message).is_ok(),
         Some((step, Disturbance::Swapped)) => queue.push(Numbered { step: step + 1, ..message }).is_ok(),
+        Some((_, Disturbance::Late(late))) => queue.push(Numbered { due: message.due + late, ..message }).is_ok(),
     }
+}
+
+/// The next message that has arrived by `now`.
+fn pop<T: Copy>(queue: &mut rtrb::Consumer<Numbered<T>>, now: Instant) -> Option<Numbered<T>> {
+    queue.peek().is_ok_and(|message| message.due <= now).then(|| queue.pop().ok())?
 }
 
 /// A message with its number.
 #[derive(Clone, Copy, Debug)]
 struct Numbered<T> {
     step: u64,
+    /// Time at which the message was sent.
     at: Instant,
+    /// Time of its arrival: the same, unless the message is disturbed.
+    due: Instant,
     value: T,
 }
 
@@ -209,13 +220,18 @@ impl<C: Message, R: Message> CoordinatorEnd<C, R> {
         self.send(now, Directive::EndMotion)
     }
 
-    /// The next answer with its number, if the answer has arrived.
+    /// The next answer with its number, if the answer was sent.
     pub fn answer(&mut self) -> Result<Option<(u64, Sample<R>)>, LinkError> {
+        self.answer_by(Instant::FAR_FUTURE)
+    }
+
+    /// The next answer with its number, if the answer has arrived by `now`.
+    pub(crate) fn answer_by(&mut self, now: Instant) -> Result<Option<(u64, Sample<R>)>, LinkError> {
         let (answer, gapless) = match &mut self.answers {
-            Answers::All(queue) => (queue.pop().ok(), true),
+            Answers::All(queue) => (pop(queue, now), true),
             Answers::Latest(latest) => (lock(latest).take(), false),
         };
-        let Some(Numbered { step, at, value }) = answer else {
+        let Some(Numbered { step, at, value, .. }) = answer else {
             return Ok(None);
         };
         if step != self.next_answer && (gapless || step < self.next_answer) {
@@ -231,7 +247,7 @@ impl<C: Message, R: Message> CoordinatorEnd<C, R> {
     }
 
     fn send(&mut self, at: Instant, value: Directive<C>) -> bool {
-        let message = Numbered { step: self.next_order, at, value };
+        let message = Numbered { step: self.next_order, at, due: at, value };
         let sent = push(&mut self.orders, message, self.disturbed);
         self.next_order += u64::from(sent);
         sent
@@ -285,7 +301,7 @@ impl<C: Message, R: Message> MemberEnd<C, R> {
 
     /// Takes one order from the queue. Returns whether the queue had an order.
     fn take(&mut self, now: Instant) -> Result<bool, LinkError> {
-        let Ok(Numbered { step, at, value }) = self.orders.pop() else {
+        let Some(Numbered { step, at, value, .. }) = pop(&mut self.orders, now) else {
             return Ok(false);
         };
         // The end of the motion is never too late.
@@ -387,7 +403,7 @@ impl<C: Message, R: Message> MemberLink for MemberEnd<C, R> {
         let Some(&value) = answer.downcast_ref::<R>() else {
             return false;
         };
-        let answer = Numbered { step: self.next_answer, at, value };
+        let answer = Numbered { step: self.next_answer, at, due: at, value };
         match &mut self.answers {
             Answers::All(queue) => {
                 if !push(queue, answer, self.disturbed) {

@@ -159,9 +159,12 @@ fn a_team_moves_as_its_coordinator_orders_and_stands_at_the_end() {
     assert!(heights.iter().all(|both| (both[0] - both[1]).abs() < 1e-4), "the arms leave each other");
 }
 
+/// A message that arrives after the deadline of its step, while the arms brake.
+const LATE: Disturbance = Disturbance::Late(Duration::from_millis(30));
+
 #[test]
-fn a_message_that_is_lost_doubled_or_swapped_stops_both_arms_together() {
-    for disturbance in [Disturbance::Lost, Disturbance::Doubled, Disturbance::Swapped] {
+fn a_message_that_is_lost_late_doubled_or_swapped_stops_both_arms_together() {
+    for disturbance in [Disturbance::Lost, LATE, Disturbance::Doubled, Disturbance::Swapped] {
         for answer in [false, true] {
             let (faults, heights) = run(Some(DisturbedMessage { member: 1, answer, step: 40, disturbance }));
             let causes: Vec<_> = faults.iter().map(|fault| &fault.what).collect();
