@@ -11,7 +11,8 @@
 //!   converts forces on tips and in grippers to motor torques. Tips have no mass of their own.
 //! * A grip holds a body by a spring and a damper in six dimensions ([`GripConfig`]). A body may be held by several
 //!   grippers. The tips of a robot do not touch the bodies that the robot holds.
-//! * Sensors between flange and tool measure the wrench of these forces ([`SensorConfig`]).
+//! * Sensors between flange and tool measure the wrench of these forces ([`SensorConfig`]). Switches of touch probes close
+//!   at a force on the tips ([`Scene::add_touch`]).
 //!
 //! The scene advances in steps of 100 µs ([`STEP`]). Each step has three parts. First, the motors of the robots move by
 //! one sub-step under the forces of the last step. Then the bodies move. Last, the forces at the end of the step are
@@ -59,7 +60,7 @@ use std::time::Duration;
 use can::Instant;
 use nalgebra::{Isometry3, Vector3};
 
-use crate::{AngleProbe, Mechanism};
+use crate::{AngleProbe, InputProbe, Mechanism};
 use arm::Arm;
 use body::{Body, CORNERS};
 pub use body::{BodyConfig, BodyState};
@@ -68,8 +69,8 @@ pub use error::SceneError;
 pub use grip::GripConfig;
 use grip::{End, Hold};
 use motion::{Motion, Moving};
-use probe::Sensor;
 pub use probe::{BodyProbe, SensorConfig, SensorProbe, WrenchProbe};
+use probe::{Sensor, Touch};
 pub use surface::{Material, Shape};
 
 /// Duration of a step.
@@ -336,6 +337,17 @@ impl Scene {
         }
         let (sensor, probe) = Sensor::new(config);
         self.arms[robot.0].sensors.push(sensor);
+        Ok(probe)
+    }
+
+    /// Adds a touch probe to the tool of a robot of this scene: a switch that is closed (high) while the sum of the forces
+    /// on the tips of the tool is at least `threshold`, N. Fails unless the threshold is above zero and finite.
+    pub fn add_touch(&mut self, robot: RobotId, threshold: f64) -> Result<InputProbe, SceneError> {
+        if !(threshold > 0.0 && threshold.is_finite()) {
+            return Err(SceneError::Threshold { threshold });
+        }
+        let (touch, probe) = Touch::new(threshold);
+        self.arms[robot.0].touches.push(touch);
         Ok(probe)
     }
 

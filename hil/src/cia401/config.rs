@@ -6,6 +6,7 @@ use std::time::Duration;
 use can::Instant;
 use canopen::NodeId;
 
+use super::probe::InputProbe;
 use crate::plant::AngleProbe;
 
 /// Greatest number of bytes of inputs, and of outputs.
@@ -40,6 +41,9 @@ pub struct DigitalIoConfig {
     pub edges: Vec<InputEdge>,
     /// Light gates. A gate overwrites the level of its input every millisecond. Such an input has one gate and no edges.
     pub light_gates: Vec<LightGate>,
+    /// Inputs whose levels the scene of the [`World`](crate::World) computes, each with its source. Such an input has no
+    /// other source. Without a scene, the level stays low.
+    pub probes: Vec<(u8, InputProbe)>,
 }
 
 impl DigitalIoConfig {
@@ -59,6 +63,7 @@ impl DigitalIoConfig {
             answer_delay: Duration::from_micros(300),
             edges: Vec::new(),
             light_gates: Vec::new(),
+            probes: Vec::new(),
         }
     }
 }

@@ -2,8 +2,8 @@
 //!
 //! [`DigitalIo`] is a [`Device`] with the same communication as the emulated drives. Inputs have polarity, filter and
 //! interrupt masks. Outputs have polarity, filter mask and error value. A bench schedules edges of inputs
-//! ([`InputEdge`], [`DigitalIo::set_input`]), connects inputs to axes ([`LightGate`]), and reads outputs with the time
-//! of their last change ([`DigitalIo::output`]).
+//! ([`InputEdge`], [`DigitalIo::set_input`]), connects inputs to axes ([`LightGate`]) or to the scene ([`InputProbe`]),
+//! and reads outputs with the time of their last change ([`DigitalIo::output`]).
 //!
 //! ```
 //! # use std::time::Duration;
@@ -40,6 +40,7 @@ mod eds;
 mod inputs;
 mod lines;
 mod outputs;
+mod probe;
 mod table;
 #[cfg(test)]
 mod tests;
@@ -57,6 +58,7 @@ pub use config::{DigitalIoConfig, InputEdge, LightGate, MAX_BYTES};
 use inputs::Inputs;
 pub use outputs::OutputState;
 use outputs::Outputs;
+pub use probe::InputProbe;
 use table::{INPUTS, OUTPUTS, SHAPE, table};
 
 /// Reason that a module cannot have a configuration or an edge.
@@ -86,7 +88,8 @@ impl DigitalIo {
         }
         let inputs = 8 * config.input_bytes;
         let gates = config.light_gates.iter().map(|gate| gate.index);
-        for index in gates.chain(config.edges.iter().map(|edge| edge.index)) {
+        let probes = config.probes.iter().map(|(index, _)| *index);
+        for index in gates.chain(config.edges.iter().map(|edge| edge.index)).chain(probes) {
             check(index, inputs)?;
         }
         let table = table(&config);
@@ -109,6 +112,7 @@ impl DigitalIo {
                 config.filter_time,
                 config.edges,
                 config.light_gates,
+                config.probes,
                 config.power_on,
             ),
             outputs: Outputs::new(&table, config.output_bytes),
@@ -170,6 +174,14 @@ impl Device for DigitalIo {
 
     fn handle_timeout(&mut self, now: Instant) {
         self.node.handle_timeout(now);
+    }
+
+    fn sense(&mut self, now: Instant) -> bool {
+        let has_changed = self.node.application.inputs.as_mut().is_some_and(|inputs| inputs.sense(now));
+        if has_changed {
+            self.node.schedule();
+        }
+        has_changed
     }
 }
 

@@ -7,6 +7,7 @@ use nalgebra::{Isometry3, Matrix3, Vector3};
 
 use super::body::BodyState;
 use super::motion::{Moving, Wrench};
+use crate::InputProbe;
 
 /// Source of the true wrench on a force/torque sensor, for an emulated device.
 pub trait WrenchProbe: Send {
@@ -70,6 +71,25 @@ impl BodyProbe {
 
     pub(super) fn show(&self, state: BodyState) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = state;
+    }
+}
+
+/// A switch of a touch probe at the tool of a robot: closed while the force on the tips reaches a threshold.
+pub(super) struct Touch {
+    /// Contact force that closes the switch, N.
+    threshold: f64,
+    probe: InputProbe,
+}
+
+impl Touch {
+    pub(super) fn new(threshold: f64) -> (Self, InputProbe) {
+        let probe = InputProbe::default();
+        (Self { threshold, probe: probe.clone() }, probe)
+    }
+
+    /// Sets the switch. `force`: sum of the forces on the tips, N.
+    pub(super) fn measure(&self, force: &Vector3<f64>) {
+        self.probe.set(force.norm() >= self.threshold);
     }
 }
 
