@@ -44,7 +44,7 @@ pub use plant::{
     AngleProbe, AxisConfig, Demand, Feedback, Irp6Axis, Mechanism, MechanismConfig, Mount, PlantAxis, PlantConfig, Trip,
 };
 pub use pty::{Pty, PtyError};
-pub use scene::{Scene, WrenchProbe};
+pub use scene::{Scene, View, WrenchProbe};
 pub use slcan::{SlcanCounts, SlcanDevice};
-pub use ultrasonic::{EchoProbe, UltrasonicConfig, UltrasonicError, UltrasonicMatrix};
+pub use ultrasonic::{EchoProbe, SceneEchoes, UltrasonicConfig, UltrasonicError, UltrasonicMatrix};
 pub use world::{BusId, DeviceId, LineId, World};

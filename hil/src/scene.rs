@@ -12,7 +12,7 @@
 //! * A grip holds a body by a spring and a damper in six dimensions ([`GripConfig`]). A body may be held by several
 //!   grippers. The tips of a robot do not touch the bodies that the robot holds.
 //! * Sensors between flange and tool measure the wrench of these forces ([`SensorConfig`]). Switches of touch probes close
-//!   at a force on the tips ([`Scene::add_touch`]).
+//!   at a force on the tips ([`Scene::add_touch`]). Sensors at a distance see walls and bodies through a [`View`].
 //!
 //! The scene advances in steps of 100 µs ([`STEP`]). Each step has three parts. First, the motors of the robots move by
 //! one sub-step under the forces of the last step. Then the bodies move. Last, the forces at the end of the step are
@@ -54,6 +54,7 @@ mod probe;
 mod surface;
 #[cfg(test)]
 mod tests;
+mod view;
 
 use std::time::Duration;
 
@@ -72,6 +73,7 @@ use motion::{Motion, Moving};
 pub use probe::{BodyProbe, SensorConfig, SensorProbe, WrenchProbe};
 use probe::{Sensor, Touch};
 pub use surface::{Material, Shape};
+pub use view::{Hit, View};
 
 /// Duration of a step.
 pub const STEP: Duration = Duration::from_micros(100);

@@ -7,7 +7,7 @@ use thiserror::Error;
 use super::TimingError;
 use crate::path::PathError;
 use crate::robot::KinematicsError;
-use crate::sensor::ForceError;
+use crate::sensor::{EchoError, ForceError};
 
 /// Reasons why a generator refuses a motion or gives it up.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
@@ -127,6 +127,9 @@ pub enum GeneratorError {
     /// The sensor whose reading the step needs has none.
     #[error("force sensor: {0}")]
     Force(ForceError),
+    /// The ultrasonic matrix whose reading the step needs has no place of a box.
+    #[error("ultrasonic matrix: {0}")]
+    Echo(EchoError),
     /// Reason of a user's generator, with a number defined by that generator.
     #[error("generator error {0}")]
     User(u16),

@@ -29,6 +29,7 @@ mod marked;
 mod operator;
 #[cfg(test)]
 mod tests;
+mod ultrasonic;
 
 use std::any::{Any, TypeId, type_name};
 use std::cell::Cell;
@@ -48,6 +49,7 @@ pub use operator::{
     Asking, Operator, OperatorAnswer, OperatorCommand, OperatorError, OperatorLink, OperatorPanel, OperatorTexts,
     Question, Reaction,
 };
+pub use ultrasonic::{BoxLocator, BoxPlace, BoxReading, EchoError, MOST_SCANS, MatrixConfig};
 
 /// A sensor as an agent sees it.
 pub trait VirtualSensor: Send + 'static {
