@@ -15,7 +15,8 @@ use hdrhistogram::Histogram;
 use mrroc_controller::force::Load;
 use mrroc_controller::law::{Compliance, Direction, ForceLimits, ForceTask, Guard, PositionForce, PositionForceConfig};
 use mrroc_controller::robot::{Arm, Polycrank, PolycrankParameters, Pose};
-use nalgebra::Vector3;
+use mrroc_controller::sensor::ZeroedWeight;
+use nalgebra::{UnitQuaternion, Vector3};
 use servo::{CycleLaw, Knot, LawAxis, LawInput, LawOutput, LawParameters, MAX_AXES};
 
 /// Greatest time of a cycle at the 99th percentile, µs.
@@ -29,9 +30,10 @@ fn main() -> ExitCode {
     let motors = arm.motors(&[0.3, 1.2, -0.7, 0.4, 1.3, -0.6, 0.2, 0.0]).expect("the joints are within their limits");
     let config = PositionForceConfig {
         arm,
+        upright_from_base: UnitQuaternion::identity(),
         flange_from_sensor: Pose::identity(),
         load: Some(Load::of_weight(0.5, Vector3::new(0.0, 0.0, 0.05)).expect("the load is a body")),
-        zeroed_at: None,
+        zeroed: ZeroedWeight::none(),
         limits: ForceLimits {
             wrench: [100.0; 6],
             age: 3 * PERIOD,

@@ -13,7 +13,8 @@ use mrroc_controller::law::{Compliance, Direction, ForceLimits, ForceTask, Guard
 use mrroc_controller::robot::{
     Arm, Axes, Irb6, Irb6Parameters, Irp6, Irp6Parameters, Polycrank, PolycrankParameters, Pose, Robot,
 };
-use nalgebra::Vector3;
+use mrroc_controller::sensor::ZeroedWeight;
+use nalgebra::{UnitQuaternion, Vector3};
 use servo::{CycleLaw, Knot, LawAxis, LawInput, LawOutput, LawParameters, MAX_AXES};
 
 const PERIOD: Duration = Duration::from_millis(2);
@@ -41,9 +42,10 @@ fn ten_thousand_cycles_of_a_law_and_its_ends_do_not_allocate() {
         let load = Load::of_weight(0.5, Vector3::new(0.0, 0.0, 0.05)).expect("the load is a body");
         let config = PositionForceConfig {
             arm,
+            upright_from_base: UnitQuaternion::identity(),
             flange_from_sensor: Pose::identity(),
             load: Some(load),
-            zeroed_at: None,
+            zeroed: ZeroedWeight::none(),
             limits,
         };
         let (mut sensor, link) = RehearsedWrench::new();

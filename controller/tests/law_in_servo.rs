@@ -13,6 +13,7 @@ use mrroc_controller::law::{
     Compliance, Direction, ForceLimits, ForceTask, Guard, PositionForce, PositionForceConfig, TaskAxes,
 };
 use mrroc_controller::robot::{Arm, Axes, Irb6, Irb6Parameters, Pose};
+use mrroc_controller::sensor::ZeroedWeight;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use servo::{
     EffectorConfig, EffectorLink, LawBound, MAX_AXES, Macrostep, Order, Phase, PositionLoop, Servo, ServoAxisConfig,
@@ -142,9 +143,10 @@ impl Rig {
         };
         let law = PositionForceConfig {
             arm: arm.clone(),
+            upright_from_base: UnitQuaternion::identity(),
             flange_from_sensor: Pose::identity(),
             load: None,
-            zeroed_at: None,
+            zeroed: ZeroedWeight::none(),
             limits,
         };
         let law = PositionForce::new(law, link).expect("the limits are sound");

@@ -19,6 +19,8 @@ pub struct AmplifierConfig {
     pub max_voltage: f64,
     /// Inertia for which the loops are tuned, kg·m².
     pub inertia: f64,
+    /// Time constant of the low-pass filter of position set-points, s; 0 without a filter.
+    pub setpoint_filter: f64,
 }
 
 impl AmplifierConfig {
@@ -46,6 +48,8 @@ struct Gains {
     velocity: f64,
     /// Torque per velocity error and outer step. The integral acts below `ωv / 5`.
     velocity_integral: f64,
+    /// Weight of the newest position set-point in the filter, per outer step.
+    setpoint_share: f64,
     /// Torque per demanded acceleration, kg·m²: `J`.
     inertia: f64,
     /// Torque per demanded velocity, N·m·s/rad: `b`.
@@ -80,6 +84,7 @@ impl Gains {
             position: bandwidth / SPACING,
             velocity: inertia * bandwidth,
             velocity_integral: inertia * bandwidth * bandwidth / SPACING * OUTER_STEP,
+            setpoint_share: 1.0 - (-OUTER_STEP / config.setpoint_filter.max(1e-9)).exp(),
             inertia,
             viscous,
             current,
@@ -102,6 +107,8 @@ pub(crate) struct Amplifier {
     ahead: f64,
     /// Observed velocity, counts/s.
     pub(crate) observed_velocity: f64,
+    /// Output of the set-point filter, counts; `None` while the position loop is open.
+    filtered: Option<f64>,
     /// Whether the velocity loop was closed in the previous outer step.
     closed: bool,
     /// Feed-forward velocity of the previous outer step, rad/s, and its filtered rate of change, rad/s².
@@ -129,6 +136,7 @@ impl Amplifier {
             counts: 0,
             ahead: 0.5,
             observed_velocity: 0.0,
+            filtered: None,
             closed: false,
             velocity: 0.0,
             acceleration: 0.0,
@@ -159,6 +167,7 @@ impl Amplifier {
 
     /// Resets every loop. Called when the power stage is off.
     pub(crate) fn release(&mut self) {
+        self.filtered = None;
         self.closed = false;
         self.torque_integral = 0.0;
         self.current = 0.0;
@@ -188,6 +197,9 @@ impl Amplifier {
 
     /// One step of the outer loops. `sub_step` counts sub-steps since the demand was set.
     pub(crate) fn regulate(&mut self, demand: &Demand, sub_step: u32, counts: i32) {
+        if !matches!(demand, Demand::Position { .. }) {
+            self.filtered = None;
+        }
         let (velocity, correction) = match *demand {
             Demand::Off => return self.release(),
             Demand::Current(_) | Demand::Duty(_) => return,
@@ -201,6 +213,7 @@ impl Amplifier {
             Demand::Velocity(velocity) => (velocity, 0.0),
             Demand::Position { counts: start, velocity } => {
                 let here = start + velocity * f64::from(sub_step) * SUB_STEP;
+                let (here, velocity) = self.filter(here, velocity);
                 (velocity, self.gains.position * (here - f64::from(counts)))
             }
         };
@@ -215,6 +228,17 @@ impl Amplifier {
         if self.current == wanted || velocity_error * wanted < 0.0 {
             self.torque_integral += self.gains.velocity_integral * velocity_error;
         }
+    }
+
+    /// Set-point behind the filter, counts, and its velocity, counts/s.
+    fn filter(&mut self, counts: f64, velocity: f64) -> (f64, f64) {
+        if self.config.setpoint_filter == 0.0 {
+            return (counts, velocity);
+        }
+        let last = self.filtered.unwrap_or(counts);
+        let filtered = last + self.gains.setpoint_share * (counts - last);
+        self.filtered = Some(filtered);
+        (filtered, (filtered - last) / OUTER_STEP)
     }
 
     /// Torque that an ideal axis needs for the demanded motion, N·m.

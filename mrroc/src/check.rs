@@ -96,8 +96,10 @@ fn assemble(file: &CellFile, program: &Program, rehearsed: &Rehearsed) -> anyhow
     let lines = emulated_lines(file, BenchKind::Lockstep, &mut emulation, ends.lines)?;
     let sensors = emulated_sensors(file, BenchKind::Lockstep, &mut emulation, ends.sensors)?;
     let devices = setup::devices(file, ends.ports, lines, sensors, None)?;
-    let (servo, links) = Servo::new(&setup::servo_config(file), devices.groups)?;
-    RunningTask::new(&Arc::new(file.clone()), program, links, (devices.io, &devices.sensors), &servo, rehearsed);
+    let (mut servo, links) = Servo::new(&setup::servo_config(file), devices.groups)?;
+    let sensors = setup::force_sensors(file, &devices.sensors, &links);
+    setup::install_laws(file, &mut servo, &sensors)?;
+    RunningTask::new(&Arc::new(file.clone()), program, links, (devices.io, sensors), &servo, rehearsed);
     Ok(())
 }
 

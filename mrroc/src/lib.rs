@@ -84,8 +84,9 @@ pub mod prelude {
         A, Accelerations, Answer, AxesState, ConstantVelocity, Contour, EffectorImage, FeedLimits, Generator,
         GeneratorError, JerkLimited, Jog, LineLimits, MotionLimits, Newsmooth, Next, OperatorReaction, Pace,
         Polynomial, Pose, Received, Sample, Selected, Selection, SelectionMemory, SensorReading, Setpoint, SmoothPose,
-        StraightLine, Tell, TimeOptimal, Transparent, V, Wait, WeightedSum, WithImages,
+        StraightLine, Tell, TimeOptimal, Transparent, UnderLaw, V, Wait, WeightedSum, WithImages,
     };
+    pub use controller::law::{Compliance, Direction, ForceTask, Guard, TaskAxes};
     pub use controller::path::{BSpline, Curve, JointPath, Path, PoseState, SplineEnds};
     pub use controller::robot::Space;
     pub use controller::sensor::{

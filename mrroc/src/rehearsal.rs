@@ -167,6 +167,7 @@ fn run(
     let (mut servo, links) = Servo::new(&config, groups.collect())?;
     let (mut rehearsed_sensors, sensor_links) = setup::rehearsed_sensors(file);
     let sensors = setup::force_sensors(file, &sensor_links, &links);
+    setup::install_rehearsed_laws(file, &mut servo)?;
     let subcontrollers = setup::subcontrollers(file, links);
     let (mut nodes, io) = setup::rehearsed_io(file);
     let equipment = Equipment {

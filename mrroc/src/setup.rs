@@ -7,6 +7,7 @@ use can::{Instant, Port};
 use controller::ecp::{Ecp, EcpConfig, Meetings, Subcontrollers};
 use controller::force::Load;
 use controller::generator::Pace;
+use controller::law::{PositionForce, PositionForceConfig, RehearsedLaw};
 use controller::robot::{Limits, Mass};
 use controller::sensor::{ForceSensorConfig, ForceTorque};
 use drive::bus::CanBus;
@@ -15,10 +16,10 @@ use drive::cia402::{AxisConfig, CyclicMode};
 use drive::wrench::{RehearsedWrench, SerialWrenchSensor, WrenchLink};
 use drive::{DriveGroup, axis_controller::AxisControllerGroup};
 use serial::Line;
-use servo::{EffectorConfig, EffectorLink, HostHoming, ServoAxisConfig, ServoConfig};
+use servo::{CycleLaw, EffectorConfig, EffectorLink, HostHoming, Servo, ServoAxisConfig, ServoConfig};
 
 use crate::bench::plants::upright_from_base;
-use crate::cell::{Bus, CellFile, DeviceConfiguration, ENABLING, Homing, IoNode, Path, Robot, Serial};
+use crate::cell::{Bus, CellFile, DeviceConfiguration, ENABLING, ForceLaw, Homing, IoNode, Path, Robot, Serial};
 
 /// Least homing time-out of an effector. The value also applies to a search by the drive of an axis without ends,
 /// because the distance of such a search is unknown.
@@ -139,6 +140,46 @@ pub fn force_sensors(file: &CellFile, links: &[WrenchLink], robots: &[EffectorLi
         ForceTorque::new(link.clone(), robots[robot].latest.clone(), config)
     };
     links.iter().enumerate().map(sensor).collect()
+}
+
+/// Installs the force laws of the cell in its servo, on the virtual force sensors. Call this function before the first
+/// cycle.
+pub fn install_laws(file: &CellFile, servo: &mut Servo, sensors: &[ForceTorque]) -> anyhow::Result<()> {
+    install(file, servo, |robot, law| {
+        let number = law.sensor(&file.cell.force_sensor).expect("a parsed cell has the sensor of a law");
+        let (given, sensor) = (&file.cell.force_sensor[number], &sensors[number]);
+        let Mass { mass, centre } = given.tool;
+        let load = Load::of_weight(mass, centre.into()).expect("a parsed cell has sound tools");
+        let config = PositionForceConfig {
+            arm: file.arms[robot].clone(),
+            upright_from_base: upright_from_base(file.cell.robot[robot].model),
+            flange_from_sensor: given.flange_from_sensor(),
+            load: (!load.is_none()).then_some(load),
+            zeroed: sensor.zeroed_weight(),
+            limits: law.limits(&file.cell),
+        };
+        Ok(Box::new(PositionForce::new(config, sensor.link().clone())?))
+    })
+}
+
+/// Installs laws that check their parameters and move nothing, for a rehearsal.
+pub fn install_rehearsed_laws(file: &CellFile, servo: &mut Servo) -> anyhow::Result<()> {
+    install(file, servo, |_, _| Ok(Box::new(RehearsedLaw)))
+}
+
+fn install(
+    file: &CellFile,
+    servo: &mut Servo,
+    make: impl Fn(usize, &ForceLaw) -> anyhow::Result<Box<dyn CycleLaw>>,
+) -> anyhow::Result<()> {
+    for (index, robot) in file.cell.robot.iter().enumerate() {
+        if let Some(law) = &robot.force_law {
+            let made = make(index, law)?;
+            let refused = |error| file.refuse(&Path::to("robot").then(index).then("force_law"), error);
+            servo.install_law(index, made, &law.bounds()).map_err(refused)?;
+        }
+    }
+    Ok(())
 }
 
 /// The servo of the whole cell.

@@ -129,6 +129,11 @@ pub enum LawFault {
     /// The force/torque sensor of the law has a fault.
     #[error("{0}")]
     Sensor(drive::wrench::WrenchFault),
+    /// The sensor of the law was zeroed, and the weight of the tool at the zeroing is not noted yet.
+    #[error(
+        "its sensor was zeroed by request {request}, and the weight of the tool at that moment is unknown: read the sensor after a zeroing"
+    )]
+    NoWeight { request: u64 },
     /// The mechanism cannot make the motion of the law at its present position: a limit or a singularity.
     #[error("the robot cannot make the motion of the law here: a limit of an axis or a singularity is too near")]
     Unreachable,

@@ -166,6 +166,10 @@ pub struct Ecp {
     /// list.
     awaited: bool,
     since_report: SinceReport,
+    /// Whether the last macrostep made has a cycle law.
+    under_law: bool,
+    /// Whether the cycle law ended the present or last motion at a touch.
+    touched: bool,
     /// Servo cycle after which the last barrier was sent.
     barrier_sent: Option<u64>,
     /// Number of the macrostep that the present fault of the servo ended; `None` if the effector stood.
@@ -208,6 +212,8 @@ impl Ecp {
             commanded: false,
             awaited: false,
             since_report: SinceReport::default(),
+            under_law: false,
+            touched: false,
             barrier_sent: None,
             fault_macrostep: None,
         }
@@ -497,6 +503,12 @@ impl Ecp {
             self.activity,
             Activity::Stopping { .. } | Activity::Switching { order: Order::Stop | Order::Disable, .. }
         );
+        if !stops && self.is_stopped_by_touch() {
+            self.touched = true;
+            // The order also acknowledges the touch.
+            self.brake(Ok(()));
+            return None;
+        }
         if !stops {
             let met = match self.partner_stop() {
                 // The effector would stop here without the partner: the coordinator has ended the motion of the team,

@@ -6,13 +6,13 @@ use std::num::NonZeroU64;
 use std::time::Duration;
 
 use can::Instant;
-use servo::{Macrostep, Order, Phase, Snapshot};
+use servo::{Macrostep, Order, Phase, Snapshot, StopCause};
 
 use super::around::Around;
 use super::task::Instruction;
 use super::{Activity, BURST, ChartPhase, Ecp, EcpError, ReplaceRefused, STILL, StepEvent};
 use crate::coordination::{LinkError, MemberLink, Turn};
-use crate::generator::{Axes, AxesState, Execution, Generator, GeneratorError, Pace, Run, Setpoint, Step};
+use crate::generator::{Axes, AxesState, EffectorCommand, Execution, Generator, GeneratorError, Pace, Run, Step};
 use crate::sensor::{Prompt, Sensors};
 
 /// Most bursts of short macrosteps in one poll.
@@ -41,6 +41,18 @@ impl Ecp {
         Ok(())
     }
 
+    /// Whether the cycle law ended the present or last motion at a touch ([`StopCause::Touched`]). Such a motion ends with
+    /// success.
+    pub fn has_touched(&self) -> bool {
+        self.touched
+    }
+
+    /// Whether the servo has stopped the effector because its cycle law met a touch.
+    pub(super) fn is_stopped_by_touch(&self) -> bool {
+        let fault = self.report.and_then(|report| report.fault);
+        fault.is_some_and(|fault| fault.cause == StopCause::Touched)
+    }
+
     pub(super) fn begin_run(&mut self, run: Box<dyn Execution + Send>, now: Instant) -> Option<Result<(), EcpError>> {
         // The last report may be old: an effector at rest sends none.
         let latest = self.latest();
@@ -53,7 +65,7 @@ impl Ecp {
         }
         self.base = self.sent;
         self.chart = Some(ChartPhase::FirstStep);
-        (self.replacement, self.ended_by_team) = (None, false);
+        (self.replacement, self.ended_by_team, self.under_law, self.touched) = (None, false, false, false);
         self.pace = match run.pace(self.config.pace) {
             Ok(pace) => pace,
             Err(error) => return self.fail(EcpError::Generator { step: 0, error }),
@@ -179,11 +191,11 @@ impl Ecp {
             now: cycle,
         };
         let commanded = match first.and_then(|()| run.commit(&mut around)) {
-            Ok(Step::Continue(None)) => Ok(()),
-            Ok(Step::Continue(Some(_))) if self.links.team.is_some() && !self.in_motion => {
+            Ok(Step::Continue(EffectorCommand { setpoint: None, .. })) => Ok(()),
+            Ok(Step::Continue(_)) if self.links.team.is_some() && !self.in_motion => {
                 Err(EcpError::Generator { step: 0, error: GeneratorError::CommandsAtFirst })
             }
-            Ok(Step::Continue(setpoint)) => self.command(setpoint),
+            Ok(Step::Continue(command)) => self.command(&command),
             Ok(Step::Ended) => return self.conclude().then_some(Ok(())),
             Err(error) => Err(EcpError::Generator { step: 0, error }),
         };
@@ -203,7 +215,7 @@ impl Ecp {
         // The servo sends no report while a step of an effector at rest waits for its images.
         let owed = !matches!(self.activity, Activity::Running(_)) || self.outstanding() > 0 || !self.outbox.is_empty();
         let limit = if owed { self.config.silence + self.macrostep() } else { self.config.planning };
-        if !matches!(phase, Phase::Standing | Phase::Moving) {
+        if !(matches!(phase, Phase::Standing | Phase::Moving) || self.is_settling()) {
             self.break_off(now);
         } else if waited > limit {
             // Slowed motion reports later.
@@ -231,6 +243,12 @@ impl Ecp {
             }
         }
         None
+    }
+
+    /// Whether the effector brakes at the end of its motion, because its cycle law still moved it.
+    fn is_settling(&self) -> bool {
+        let ended = matches!(self.activity, Activity::Arriving) && self.under_law && self.outstanding() == 0;
+        ended && self.phase() == Phase::Stopping && self.report.is_some_and(|report| report.fault.is_none())
     }
 
     /// Stops a motion whose generator ended in motion, once its last macrostep is reported. If images are read after
@@ -282,9 +300,9 @@ impl Ecp {
             now: cycle,
         };
         match run.next_step(&mut around) {
-            Ok(Step::Continue(setpoint)) => {
+            Ok(Step::Continue(command)) => {
                 self.sensors.initiate(cycle);
-                if let Err(error) = self.command(setpoint) {
+                if let Err(error) = self.command(&command) {
                     self.brake(Err(error));
                 } else if let Activity::Running(run) = &self.activity {
                     self.journal.note(cycle, StepEvent::Exchange, None);
@@ -332,7 +350,8 @@ impl Ecp {
     fn conclude(&mut self) -> bool {
         let next = self.task.instructions.front();
         let begins = next.is_some_and(|next| matches!(next, Instruction::Run(run) if run.begins_in_motion()));
-        if begins && self.ends_in_motion() {
+        // A law ends with its motion, and the plan of the next motion begins where the law has moved the effector.
+        if begins && self.ends_in_motion() && !self.under_law {
             self.in_motion = true;
             return true;
         }
@@ -367,7 +386,7 @@ impl Ecp {
     }
 
     /// Converts the generator's set-point to a macrostep and puts the macrostep into the outbox.
-    fn command(&mut self, setpoint: Option<Setpoint>) -> Result<(), EcpError> {
+    fn command(&mut self, &EffectorCommand { setpoint, law }: &EffectorCommand) -> Result<(), EcpError> {
         let step = self.sent - self.base;
         self.commanded |= setpoint.is_some();
         if let Some(axis) = setpoint.and_then(|setpoint| setpoint.not_finite()) {
@@ -383,6 +402,7 @@ impl Ecp {
         self.effector.commanded = motors;
         self.margin = self.config.period * u32::from(self.pace.periods.saturating_sub(self.pace.read_at));
         self.sent += 1;
+        self.under_law = law.is_some();
         self.outbox.push_back(Order::Move(Macrostep {
             number: self.sent,
             steps: self.pace.periods,
@@ -391,7 +411,7 @@ impl Ecp {
             velocity: motors.velocity,
             acceleration: motors.acceleration,
             torque,
-            law: None,
+            law,
         }));
         Ok(())
     }

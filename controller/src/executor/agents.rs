@@ -309,6 +309,11 @@ impl Agent {
         self.robot
     }
 
+    /// Whether the cycle law of the effector ended its last motion at a touch. See [`Ecp::has_touched`].
+    pub fn has_touched(&self) -> bool {
+        self.agents.0.borrow().subcontrollers.ecps()[self.robot].has_touched()
+    }
+
     /// Gives the effector's agent a virtual sensor, as [`Sensors::install`](crate::sensor::Sensors::install).
     pub fn sense<S: VirtualSensor>(&mut self, sensor: S, shell: Shell, period: u16) -> Result<(), SensorRefused> {
         self.agents.0.borrow_mut().at(self.robot).0.sensors().install(sensor, shell, period)

@@ -4,6 +4,8 @@ use std::any::type_name;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
 
+use servo::LawParameters;
+
 use super::{Generator, GeneratorError, Images, Next, Outputs, Pace, Partners, Setpoint};
 use crate::ecp::StepEvent;
 
@@ -74,12 +76,21 @@ impl<F: Functions> Chart<F> {
     }
 }
 
+/// (5) The command of a step to the effector for one macrostep.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct EffectorCommand {
+    /// State at the end of the macrostep; `None` lets the effector stand.
+    pub setpoint: Option<Setpoint>,
+    /// Parameters of the effector's cycle law.
+    pub law: Option<LawParameters>,
+}
+
 /// Result of one turn of the flow chart.
 #[expect(clippy::large_enum_variant, reason = "nearly every result is a set-point, and a box would allocate")]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Step {
     /// Continue: command the effector or let the effector stand.
-    Continue(Option<Setpoint>),
+    Continue(EffectorCommand),
     /// The terminal condition holds.
     Ended,
 }
@@ -139,7 +150,7 @@ impl<G: Generator> Functions for Control<G> {
     type First = G::First;
     type Every = G::Every;
     type Memory = G::Memory;
-    type Results = (Option<Setpoint>, G::Out);
+    type Results = (EffectorCommand, G::Out);
 
     fn first_step(
         &mut self,
@@ -158,14 +169,14 @@ impl<G: Generator> Functions for Control<G> {
     }
 }
 
-fn results<M, O>(Next { effector, out, memory }: Next<M, O>) -> ((Option<Setpoint>, O), M) {
-    ((effector, out), memory)
+fn results<M, O>(Next { effector, law, out, memory }: Next<M, O>) -> ((EffectorCommand, O), M) {
+    ((EffectorCommand { setpoint: effector, law }, out), memory)
 }
 
 pub(crate) struct Run<G: Generator> {
     chart: Chart<Control<G>>,
     first: Option<G::First>,
-    planned: Option<(Option<Setpoint>, G::Out)>,
+    planned: Option<(EffectorCommand, G::Out)>,
 }
 
 impl<G: Generator> Run<G> {
@@ -192,23 +203,23 @@ impl<G: Generator> Execution for Run<G> {
     }
 
     fn commit(&mut self, partners: &mut dyn Partners) -> Result<Step, GeneratorError> {
-        let Some((setpoint, out)) = self.planned.take() else {
+        let Some((command, out)) = self.planned.take() else {
             return Ok(Step::Ended);
         };
         partners.note(StepEvent::Functions);
         out.deliver(partners)?;
-        Ok(Step::Continue(setpoint))
+        Ok(Step::Continue(command))
     }
 
     fn next_step(&mut self, partners: &mut dyn Partners) -> Result<Step, GeneratorError> {
         let images = G::Every::fetch(partners)?;
         partners.note(StepEvent::TerminalCondition);
-        let Some((setpoint, out)) = self.chart.next_step(&images)? else {
+        let Some((command, out)) = self.chart.next_step(&images)? else {
             return Ok(Step::Ended);
         };
         partners.note(StepEvent::Functions);
         out.deliver(partners)?;
-        Ok(Step::Continue(setpoint))
+        Ok(Step::Continue(command))
     }
 
     fn pace(&self, cell: Pace) -> Result<Pace, GeneratorError> {

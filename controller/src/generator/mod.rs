@@ -49,6 +49,7 @@
 //! | [`Transparent`] | as a coordinator orders in every step | of the orders | 5 | no | no |
 //! | [`Selection`] | motion of one of two generators, selected in every step | of the parts | of the parts and `e` | if both do | if one does |
 //! | [`WeightedSum`] | weighted sum of two generators | joints or motors | of the parts | if both do | if both end in the same step |
+//! | [`UnderLaw`] | motion of a generator, displaced by a cycle law | of the part | of the part | as the part | as the part |
 //! | [`WithImages`] | motion of a generator, with more images declared | of the part | as declared | as the part | as the part |
 //!
 //! [`Ecp::image`](crate::ecp::Ecp::image) reads the position of an effector without a generator. An effector with its
@@ -79,6 +80,7 @@ mod selection;
 mod tests;
 mod time_optimal;
 mod transparent;
+mod under_law;
 mod wait;
 mod weighted_sum;
 mod with_images;
@@ -86,14 +88,14 @@ mod with_images;
 use std::fmt::Debug;
 use std::time::Duration;
 
-use servo::MAX_AXES;
+use servo::{LawParameters, MAX_AXES};
 
 pub use crate::robot::{Axes, Pose};
 pub use constant_velocity::ConstantVelocity;
 pub use contour::Contour;
 pub use error::GeneratorError;
 pub(crate) use execution::{Chart, Functions, Run};
-pub use execution::{Description, Execution, Step};
+pub use execution::{Description, EffectorCommand, Execution, Step};
 pub use feed::{Feed, FeedLimits, FeedState};
 pub use image::{Accelerations, AxesState, EffectorImage, EffectorState, Setpoint};
 pub use images::{A, Bundle, Images, Message, Partners, Readings, Received, Sample, SensorReading, V};
@@ -108,6 +110,7 @@ pub use polynomial::Polynomial;
 pub use selection::{Selected, Selection, SelectionMemory};
 pub use time_optimal::TimeOptimal;
 pub use transparent::Transparent;
+pub use under_law::UnderLaw;
 pub use wait::Wait;
 pub use weighted_sum::{SumMemory, WeightedSum};
 pub use with_images::{Includes, WithImages};
@@ -212,6 +215,14 @@ pub trait Generator: Send + Sync + 'static {
         memory: &Self::Memory,
         images: &Self::Every,
     ) -> Result<Next<Self::Memory, Self::Out>, GeneratorError>;
+
+    /// This generator with the same parameters of the effector's cycle law in all macrosteps.
+    fn under(self, law: impl Into<LawParameters>) -> UnderLaw<Self>
+    where
+        Self: Sized,
+    {
+        UnderLaw::new(self, law)
+    }
 }
 
 /// Length of a macrostep and time of its images, in servo periods.
@@ -246,6 +257,9 @@ pub struct Next<M, O = ()> {
     /// (5) The effector's state at the end of the next macrostep. With `None`, a first step sends no macrostep, and a
     /// next step lets the effector stand for one macrostep.
     pub effector: Option<Setpoint>,
+    /// Parameters of the effector's cycle law during this macrostep; `None` without a law. Once a macrostep of a motion
+    /// has parameters, all later ones of this motion must have them.
+    pub law: Option<LawParameters>,
     /// (6) and (7) The other outputs.
     pub out: O,
     /// (8) The memory of the next step.
@@ -255,16 +269,27 @@ pub struct Next<M, O = ()> {
 impl<M> Next<M> {
     /// A result with a command to the effector.
     pub const fn command(effector: Setpoint, memory: M) -> Self {
-        Self { effector: Some(effector), out: (), memory }
+        Self { effector: Some(effector), law: None, out: (), memory }
     }
 
     /// A result without a command to the effector.
     pub const fn remember(memory: M) -> Self {
-        Self { effector: None, out: (), memory }
+        Self { effector: None, law: None, out: (), memory }
     }
 
     /// The same result with these outputs.
     pub fn with<O: Outputs>(self, out: O) -> Next<M, O> {
-        Next { effector: self.effector, out, memory: self.memory }
+        Next { effector: self.effector, law: self.law, out, memory: self.memory }
+    }
+}
+
+impl<M, O> Next<M, O> {
+    /// The same result with the cycle law of the effector, for example with a [`ForceTask`](crate::law::ForceTask).
+    ///
+    /// In each servo period, the law adds a displacement to the interpolated path. A macrostep without a set-point stands
+    /// on the path, and the law goes on. In a first step without a set-point, the law has no effect.
+    #[must_use]
+    pub fn under(self, law: impl Into<LawParameters>) -> Self {
+        Self { law: Some(law.into()), ..self }
     }
 }

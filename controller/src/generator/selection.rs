@@ -146,10 +146,10 @@ where
         macrostep: Duration,
     ) -> Result<Next<Self::Memory, A::Out>, GeneratorError> {
         self.macrostep = macrostep.as_secs_f64();
-        let Next { effector, out, memory: first } = self.first.first_step(images, macrostep)?;
+        let Next { effector, law, out, memory: first } = self.first.first_step(images, macrostep)?;
         let second = self.second.first_step(images, macrostep)?.memory;
         let memory = SelectionMemory { selected: Selected::First, steps: 0, first, second };
-        Ok(Next { effector, out, memory })
+        Ok(Next { effector, law, out, memory })
     }
 
     fn terminal(&self, memory: &Self::Memory, images: &A::Every) -> bool {
@@ -170,12 +170,12 @@ where
         let memory = SelectionMemory { selected, steps, ..*memory };
         let next = match selected {
             Selected::First => {
-                let Next { effector, out, memory: first } = self.first.next_step(&memory.first, images)?;
-                Next { effector, out, memory: SelectionMemory { first, ..memory } }
+                let Next { effector, law, out, memory: first } = self.first.next_step(&memory.first, images)?;
+                Next { effector, law, out, memory: SelectionMemory { first, ..memory } }
             }
             Selected::Second => {
-                let Next { effector, out, memory: second } = self.second.next_step(&memory.second, images)?;
-                Next { effector, out, memory: SelectionMemory { second, ..memory } }
+                let Next { effector, law, out, memory: second } = self.second.next_step(&memory.second, images)?;
+                Next { effector, law, out, memory: SelectionMemory { second, ..memory } }
             }
         };
         if changed {

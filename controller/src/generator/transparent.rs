@@ -62,7 +62,7 @@ fn follow(
     if let Some(axis) = effector.and_then(|setpoint| setpoint.not_finite()) {
         return Err(GeneratorError::OrderNotFinite { axis });
     }
-    Ok(Next { effector, out: Answer(*e), memory: () })
+    Ok(Next { effector, law: None, out: Answer(*e), memory: () })
 }
 
 impl Generator for Transparent {

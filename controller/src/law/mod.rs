@@ -28,6 +28,7 @@
 
 mod directions;
 mod position_force;
+mod rehearsed;
 mod resolve;
 
 #[cfg(test)]
@@ -35,3 +36,4 @@ mod tests;
 
 pub use directions::{Compliance, Direction, ForceTask, Guard, TaskAxes};
 pub use position_force::{ForceLimits, PositionForce, PositionForceConfig, PositionForceError};
+pub use rehearsed::RehearsedLaw;

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use can::Instant;
-use drive::wrench::{WrenchLink, WrenchState};
+use drive::wrench::{WrenchLink, WrenchState, Zeroing};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3, Vector6};
 use servo::{CycleLaw, LawFault, LawInput, LawOutput, LawParameters, MAX_AXES};
 use thiserror::Error;
@@ -12,6 +12,7 @@ use super::directions::{Behaviour, Frame, Guard};
 use super::resolve;
 use crate::force::{Load, SensorMotion, Wrench};
 use crate::robot::{Arm, Axes, Joints, KinematicsError, Motors, Pose};
+use crate::sensor::ZeroedWeight;
 
 /// Speeds from which a compliant direction must move as the law requires: m/s and rad/s. Below, rounding of the
 /// mechanism's singular directions is of no effect.
@@ -57,12 +58,17 @@ struct Touch {
 pub struct PositionForceConfig {
     /// The arm and its tool.
     pub arm: Arm,
+    /// Rotation from the axes of the robot's base to axes whose z points upward.
+    pub upright_from_base: UnitQuaternion<f64>,
     /// Pose of the sensor's frame at the flange.
     pub flange_from_sensor: Pose,
     /// The load behind the sensor. `None`: the measured wrench is the wrench of the contact.
     pub load: Option<Load>,
-    /// Orientation of the sensor in the base at its zeroing; `None` if the sensor was not zeroed with the load.
-    pub zeroed_at: Option<UnitQuaternion<f64>>,
+    /// Weight of the load at the last zeroing of the sensor ([`ForceTorque::zeroed_weight`]). A law with a load ends with
+    /// a fault if the sensor was zeroed and the weight was not noted.
+    ///
+    /// [`ForceTorque::zeroed_weight`]: crate::sensor::ForceTorque::zeroed_weight
+    pub zeroed: ZeroedWeight,
     /// Limits of the law.
     pub limits: ForceLimits,
 }
@@ -191,11 +197,19 @@ impl PositionForce {
         }
         let base_from_sensor = base_from_flange * self.config.flange_from_sensor;
         let measured = Wrench::from_components(state.wrench);
-        let contact = self.config.load.map_or(measured, |load| {
-            let motion = SensorMotion::at_rest(base_from_sensor.rotation);
-            let zeroed_at = self.config.zeroed_at.map(SensorMotion::at_rest);
-            load.contact(&measured, &motion, zeroed_at.as_ref())
-        });
+        let contact = match &self.config.load {
+            None => measured,
+            Some(load) => {
+                let (noted, zero) = self.config.zeroed.read();
+                if let Zeroing::Done { request, .. } = state.zeroing
+                    && request.number() != noted
+                {
+                    return Err(LawFault::NoWeight { request: request.number() });
+                }
+                let orientation = self.config.upright_from_base * base_from_sensor.rotation;
+                measured + zero - load.wrench(&SensorMotion::at_rest(orientation))
+            }
+        };
         let components = contact.components();
         for (channel, (value, limit)) in components.into_iter().zip(self.config.limits.wrench).enumerate() {
             if value.is_nan() || value.abs() > limit {

@@ -15,6 +15,7 @@ use servo::{CycleLaw, Knot, LawAxis, LawInput, LawOutput, MAX_AXES};
 use super::{Compliance, Direction, ForceLimits, ForceTask, PositionForce, PositionForceConfig, TaskAxes};
 use crate::force::Wrench;
 use crate::robot::{Arm, Axes, Irp6, Irp6Parameters, Pose};
+use crate::sensor::ZeroedWeight;
 
 /// The servo period, s.
 const T: f64 = 0.002;
@@ -66,7 +67,14 @@ impl Rig {
     fn new(arm: Arm, joints: &Axes, tau: f64, delay: usize, limits: ForceLimits) -> Self {
         let (sensor, link) = RehearsedWrench::new();
         let flange_from_sensor = flange_from_sensor();
-        let config = PositionForceConfig { arm: arm.clone(), flange_from_sensor, load: None, zeroed_at: None, limits };
+        let config = PositionForceConfig {
+            arm: arm.clone(),
+            upright_from_base: UnitQuaternion::identity(),
+            flange_from_sensor,
+            load: None,
+            zeroed: ZeroedWeight::none(),
+            limits,
+        };
         let path = arm.motors(joints).unwrap();
         Self {
             law: PositionForce::new(config, link).unwrap(),

@@ -9,6 +9,7 @@ use nalgebra::UnitQuaternion;
 use servo::{Latest, Snapshot};
 use thiserror::Error;
 
+use super::zeroed_weight::{WeightPublisher, ZeroedWeight, zeroed_weight};
 use super::{VirtualSensor, try_lock};
 use crate::force::{Load, SensorMotion, Wrench};
 use crate::generator::{GeneratorError, SensorReading};
@@ -85,20 +86,38 @@ pub struct ForceTorque {
     config: Arc<ForceSensorConfig>,
     tool_from_sensor: Pose,
     zero: Arc<Mutex<Zero>>,
+    zeroed_weight: ZeroedWeight,
 }
 
 /// Weight of the tool at the last zeroing, which the readings of the driver no longer contain.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Debug)]
 struct Zero {
     request: Option<ZeroRequest>,
     weight: Wrench,
+    publisher: WeightPublisher,
+}
+
+impl Zero {
+    fn note(&mut self, request: Option<ZeroRequest>, weight: Wrench) {
+        (self.request, self.weight) = (request, weight);
+        self.publisher.publish(request.map_or(0, ZeroRequest::number), &weight);
+    }
 }
 
 impl ForceTorque {
     /// The sensor of `link` at the robot whose states `robot` reads.
     pub fn new(link: WrenchLink, robot: Latest, config: ForceSensorConfig) -> Self {
         let tool_from_sensor = config.arm.flange_from_tool().inverse() * config.flange_from_sensor;
-        Self { link, robot, config: Arc::new(config), tool_from_sensor, zero: Arc::default() }
+        let (publisher, zeroed_weight) = zeroed_weight();
+        let zero = Zero { request: None, weight: Wrench::default(), publisher };
+        let zero = Arc::new(Mutex::new(zero));
+        Self { link, robot, config: Arc::new(config), tool_from_sensor, zero, zeroed_weight }
+    }
+
+    /// The weight of the tool at the last zeroing that this sensor or a clone has read, for a
+    /// [cycle law](crate::law::PositionForce).
+    pub fn zeroed_weight(&self) -> ZeroedWeight {
+        self.zeroed_weight.clone()
     }
 
     /// The link to the driver.
@@ -128,10 +147,11 @@ impl ForceTorque {
         match state.zeroing {
             // The robot stands still until the zeroing is done.
             Zeroing::Done { request, .. } if zero.request < Some(request) => {
-                *zero = Zero { request: Some(request), weight };
+                zero.note(Some(request), weight);
             }
             // A bring-up ends the zero of the driver.
-            Zeroing::None => *zero = Zero::default(),
+            Zeroing::None if zero.request.is_some() => zero.note(None, Wrench::default()),
+            Zeroing::None => {}
             Zeroing::Done { .. } | Zeroing::UnderWay { .. } | Zeroing::Failed { .. } => {}
         }
         Ok(Wrench::from_components(state.wrench) + zero.weight - weight)

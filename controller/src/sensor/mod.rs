@@ -30,6 +30,7 @@ mod operator;
 #[cfg(test)]
 mod tests;
 mod ultrasonic;
+mod zeroed_weight;
 
 use std::any::{Any, TypeId, type_name};
 use std::cell::Cell;
@@ -50,6 +51,7 @@ pub use operator::{
     Question, Reaction,
 };
 pub use ultrasonic::{BoxLocator, BoxPlace, BoxReading, EchoError, MOST_SCANS, MatrixConfig};
+pub use zeroed_weight::ZeroedWeight;
 
 /// A sensor as an agent sees it.
 pub trait VirtualSensor: Send + 'static {

@@ -80,6 +80,7 @@ impl MotorData {
                 torque_ripple: 0.01,
             }),
             amplifier: AmplifierConfig {
+                setpoint_filter: 0.0,
                 max_current: self.max_current,
                 trip_current: self.trip_current,
                 max_voltage: self.max_voltage,

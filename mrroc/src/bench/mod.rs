@@ -202,7 +202,7 @@ pub(crate) fn emulated_sensors(
 
 fn sensor_ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<Box<dyn Line>>> {
     let open = |sensor: &ForceSensor| {
-        let tty = Tty::open(&sensor_tty(sensor, directory), sensor.settings());
+        let tty = Tty::open(sensor_tty(sensor, directory), sensor.settings());
         Ok(Box::new(tty.with_context(|| format!("force sensor {}", sensor.name))?) as Box<dyn Line>)
     };
     file.cell.force_sensor.iter().map(open).collect()

@@ -11,7 +11,7 @@ use hil::scene::{Material, SensorConfig, SensorProbe, Shape, TipConfig, WallConf
 use hil::{AxisConfig, Mechanism, Mount, Scene, plant::PlantConfig};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
-use crate::cell::{CellFile, EmulatedPayload, EmulatedPlane, Model, Path, Robot};
+use crate::cell::{CellFile, EmulatedBlock, EmulatedPayload, EmulatedPlane, Model, Path, Robot};
 
 /// A cell whose devices are emulated.
 pub struct EmulatedCell<'a> {
@@ -77,6 +77,9 @@ impl EmulatedCell<'_> {
                 for plane in &around.plane {
                     scene.add_wall(&wall(plane, &upright)).expect(SOUND);
                 }
+                for block in &around.block {
+                    scene.add_wall(&block_wall(block, &upright)).expect(SOUND);
+                }
             }
         }
         ((count > 0).then_some(scene), probes)
@@ -97,6 +100,14 @@ fn wall(plane: &EmulatedPlane, upright: &UnitQuaternion<f64>) -> WallConfig {
     let pose = Isometry3::from_parts((normal * plane.height).into(), facing);
     let &EmulatedPlane { stiffness, damping, friction, .. } = plane;
     WallConfig { shape: Shape::HalfSpace, pose: upright * pose, material: Material { stiffness, damping, friction } }
+}
+
+/// A block of the cell file in a scene whose axes are `upright`.
+fn block_wall(block: &EmulatedBlock, upright: &UnitQuaternion<f64>) -> WallConfig {
+    let &EmulatedBlock { centre, size, stiffness, damping, friction } = block;
+    let pose = Isometry3::from_parts(centre.into(), UnitQuaternion::identity());
+    let shape = Shape::Box { half: size.map(|edge| edge / 2.0) };
+    WallConfig { shape, pose: upright * pose, material: Material { stiffness, damping, friction } }
 }
 
 /// Reason that the parts of a scene are accepted.
@@ -165,11 +176,17 @@ pub fn plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
     let axis = &file.cell.robot[robot].axis[number];
     let home = file.arms[robot].robot().home()[number];
     let preset = file.cell.robot[robot].model.parameters().plant(axis.emulator.plant, number, home);
-    let plant = AxisConfig {
+    let mut plant = AxisConfig {
         counts_per_revolution: axis.counts_per_revolution(),
         start_angle: axis.emulator.start.unwrap_or(preset.start_angle),
         ..preset
     };
+    plant.amplifier.setpoint_filter = axis.emulator.setpoint_filter_s;
+    if let PlantConfig::Physical(motor) = &mut plant.plant {
+        let share = axis.emulator.dry_friction.unwrap_or(1.0);
+        motor.friction.coulomb *= share;
+        motor.friction.stiction *= share;
+    }
     bounded(plant, file.arms[robot].robot().motor_limits()[number])
 }
 

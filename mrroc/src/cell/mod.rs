@@ -12,6 +12,7 @@ mod drives;
 mod error;
 mod file;
 mod force;
+mod force_law;
 mod home;
 mod io;
 mod meetings;
@@ -40,12 +41,13 @@ pub use drives::ENABLING;
 pub use error::{CellError, Path, Step};
 pub use file::{CellFile, FileError};
 pub use force::{ForceSensor, ForceSensorEmulator};
+pub use force_law::ForceLaw;
 pub use io::{ErrorState, InputLine, IoNode, LinePlace, OutputLine};
 pub use meetings::Meeting;
 pub(crate) use program::smooth_pose;
 pub use program::{ProgramError, instruction_path};
 pub use read::LARGEST;
-pub use scene::{EmulatedPlane, EmulatedScene};
+pub use scene::{EmulatedBlock, EmulatedPlane, EmulatedScene};
 pub use servo::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
 pub use servo::thread::{Policy, Realtime, Scheduler, Wait};
 pub use servo::{Direction, FeedForward, Figure, Law, Range};
@@ -145,6 +147,8 @@ pub struct Robot {
     pub tool: [f64; 3],
     /// Masses of the links, for the feed-forward of the weight to the motors; no such feed-forward where absent.
     pub weight: Option<Weights>,
+    /// Force control in each servo cycle; generators cannot command forces where absent.
+    pub force_law: Option<ForceLaw>,
     /// The axes, base first.
     pub axis: Vec<Axis>,
     /// Instructions after homing, in order.
@@ -321,6 +325,12 @@ pub struct Homing {
 pub struct Emulator {
     /// The plant behind the emulated drive.
     pub plant: Plant,
+    /// Dry friction of the emulated motor as a share of its nominal value; 1 where absent. Without dry friction, the axis
+    /// is linear. The plant `wut` has none.
+    pub dry_friction: Option<f64>,
+    /// Time constant of the filter of position set-points in the emulated drive, s; no filter where absent.
+    #[serde(default)]
+    pub setpoint_filter_s: f64,
     /// Initial motor position of the emulated axis, rad; 20 rad above its home position where absent.
     pub start: Option<f64>,
     /// Vendor-ID that the emulated drive reports; the drive's own where absent.

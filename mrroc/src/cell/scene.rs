@@ -16,6 +16,9 @@ pub struct EmulatedScene {
     /// The planes.
     #[serde(default)]
     pub plane: Vec<EmulatedPlane>,
+    /// The blocks.
+    #[serde(default)]
+    pub block: Vec<EmulatedBlock>,
 }
 
 /// A plane with the solid half-space behind it.
@@ -30,6 +33,24 @@ pub struct EmulatedPlane {
     /// Force per penetration, N/m.
     pub stiffness: f64,
     /// Force per velocity of penetration, N·s/m.
+    pub damping: f64,
+    /// Largest ratio of friction force to normal force.
+    #[serde(default)]
+    pub friction: f64,
+}
+
+/// A box that stands still, with its edges along the axes of the frame.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EmulatedBlock {
+    /// Centre of the box, m.
+    pub centre: [f64; 3],
+    /// Lengths of the edges, m.
+    pub size: [f64; 3],
+    /// Force per penetration, N/m.
+    pub stiffness: f64,
+    /// Force per velocity of penetration, N·s/m.
+    #[serde(default)]
     pub damping: f64,
     /// Largest ratio of friction force to normal force.
     #[serde(default)]

@@ -168,13 +168,15 @@ pub fn run(
     let bench = Bench::open(file, options.bench, &options.places, options.trace.is_some())?;
     let devices = setup::devices(file, bench.ports, bench.lines, bench.sensors, None)?;
     let (mut servo, links) = Servo::new(&setup::servo_config(file), devices.groups)?;
+    let sensors = setup::force_sensors(file, &devices.sensors, &links);
+    setup::install_laws(file, &mut servo, &sensors)?;
     servo.follow_override(requests.speed.clone());
     outputs.begin()?;
     let lag = record.as_ref().map_or(RECORDS, |_| LOGGED_RECORDS);
     let axes = record.map(|sink| AxisLog::new(sink, file)).transpose();
     let frames = trace.map(|sink| FrameLog::new(sink, &bench.interfaces, bench.traces));
     let cell = Arc::new(file.clone());
-    let mut task = RunningTask::new(&cell, program, links, (devices.io, &devices.sensors), &servo, &rehearsed);
+    let mut task = RunningTask::new(&cell, program, links, (devices.io, sensors), &servo, &rehearsed);
     let steps = steps.map(|sink| StepFile::new(sink, file, task.keep_steps(STEPS))).transpose();
     let logs = Logs {
         records: servo.record(lag * file.cell.robot.len()),

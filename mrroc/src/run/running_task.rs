@@ -12,7 +12,6 @@ use controller::generator::{Axes, PlannedStart};
 use controller::sensor::ForceTorque;
 use drive::Fault;
 use drive::cia401::IoLink;
-use drive::wrench::WrenchLink;
 use servo::{EffectorLink, Phase, Servo, ServoFault, SpeedOverride, StopCause, StopRequest};
 use thiserror::Error;
 
@@ -93,14 +92,14 @@ impl RunningTask {
         file: &Arc<CellFile>,
         program: &Program,
         links: Vec<EffectorLink>,
-        (io, sensors): (Vec<IoLink>, &[WrenchLink]),
+        (io, sensors): (Vec<IoLink>, Vec<ForceTorque>),
         servo: &Servo,
         rehearsed: &Rehearsed,
     ) -> Self {
         Self {
             file: Arc::clone(file),
             program: program.clone(),
-            sensors: setup::force_sensors(file, sensors, &links),
+            sensors,
             subcontrollers: setup::subcontrollers(file, links),
             io,
             figures: Figures::default(),

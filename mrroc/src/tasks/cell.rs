@@ -210,6 +210,12 @@ impl Robot {
         self.agent.coordinated()
     }
 
+    /// Whether the force law of the robot ended its last motion at a touch ([`Guard`](controller::law::Guard)). Such a
+    /// motion ends with success, like a motion to the end of its path.
+    pub fn has_touched(&self) -> bool {
+        self.agent.has_touched()
+    }
+
     /// A handle that replaces a motion of this robot while the motion is awaited. If the new generator begins in motion,
     /// such as [`JerkLimited`](controller::generator::JerkLimited), the robot continues without a stop.
     pub fn replacer(&self) -> Replacer {

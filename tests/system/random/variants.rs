@@ -13,7 +13,7 @@ use crate::host_closed::closed_by_host;
 use crate::mrroc::{examples, shorten, text};
 
 /// Examples of which every variant has further keys.
-const WITH_KEYS: [&str; 3] = ["irb6", "irb6-serial", "irb6-hi-moxa"];
+const WITH_KEYS: [&str; 4] = ["irb6", "irb6-serial", "irb6-hi-moxa", "irb6-wrist"];
 
 /// The cells that are altered: examples with further keys, and all other examples.
 pub(super) fn all() -> Vec<String> {
@@ -22,6 +22,7 @@ pub(super) fn all() -> Vec<String> {
         written("irb6", by_torque),
         written("irb6-serial", on_lines),
         written("irb6-hi-moxa", other_law),
+        written("irb6-wrist", by_touch),
         written("lab", two_that_meet),
     ];
     let others = examples().into_iter().filter(|name| !WITH_KEYS.contains(&name.as_str()));
@@ -85,6 +86,14 @@ fn on_can(cell: &mut Cell) {
     }));
     let payload = EmulatedPayload { at_s: 0.5, mass: 1.0, centre: [0.0, 0.0, 0.1] };
     robot.emulated_payload = vec![payload, EmulatedPayload { mass: 0.0, ..payload }];
+}
+
+/// Adds every key that a force sensor may have.
+fn by_touch(cell: &mut Cell) {
+    let sensor = &mut cell.force_sensor[0];
+    sensor.quaternion = Some([1.0, 0.0, 0.0, 0.0]);
+    (sensor.force_per_count, sensor.torque_per_count) = (Some(10.0 / 115.0), Some(5.0 / 940.0));
+    sensor.emulator.silent_from_s = Some(1e5);
 }
 
 /// The parameters with finite joint limits, because a cell file cannot contain infinite limits.

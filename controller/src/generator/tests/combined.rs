@@ -57,12 +57,14 @@ impl Generator for Drift {
 /// The states of a generator on an effector that follows exactly, and the result of the motion.
 fn followed(generator: impl Generator) -> (Vec<AxesState>, Result<(), GeneratorError>) {
     let (mut run, mut partners) = (Run::new(generator), Standing::at(home()));
-    assert_eq!(begin(&mut run, &mut partners, MACROSTEP), Ok(Step::Continue(None)));
+    assert_eq!(begin(&mut run, &mut partners, MACROSTEP), Ok(Step::Continue(EffectorCommand::default())));
     let mut states = vec![partners.0];
     loop {
         match run.next_step(&mut partners) {
-            Ok(Step::Continue(Some(Setpoint::Joints(state)))) => partners.0 = state,
-            Ok(Step::Continue(None)) => partners.0 = AxesState::at_rest(partners.0.position),
+            Ok(Step::Continue(EffectorCommand { setpoint: Some(Setpoint::Joints(state)), .. })) => partners.0 = state,
+            Ok(Step::Continue(EffectorCommand { setpoint: None, .. })) => {
+                partners.0 = AxesState::at_rest(partners.0.position);
+            }
             Ok(Step::Continue(other)) => panic!("{other:?}"),
             Ok(Step::Ended) => return (states, Ok(())),
             Err(error) => return (states, Err(error)),
@@ -152,7 +154,7 @@ fn a_generator_with_images_has_the_class_of_what_it_declares() {
     let Description { first, every, .. } = run.description();
     assert_eq!((first, every), (0, 1));
     let mut partners = Count(std::cell::Cell::new(0));
-    assert_eq!(begin(&mut run, &mut partners, MACROSTEP), Ok(Step::Continue(None)));
+    assert_eq!(begin(&mut run, &mut partners, MACROSTEP), Ok(Step::Continue(EffectorCommand::default())));
     while run.next_step(&mut partners).unwrap() != Step::Ended {}
     assert_eq!(partners.0.get(), 3);
     assert_eq!(run.macrosteps_ahead(100), 1);

@@ -27,7 +27,9 @@ fn moved(generator: ConstantVelocity, start: AxesState) -> Result<Vec<AxesState>
     let (mut run, mut partners) = (Run::new(generator), Moving(start));
     begin(&mut run, &mut partners, MACROSTEP)?;
     let mut states = vec![start];
-    while let Step::Continue(Some(Setpoint::Joints(state))) = run.next_step(&mut partners)? {
+    while let Step::Continue(EffectorCommand { setpoint: Some(Setpoint::Joints(state)), .. }) =
+        run.next_step(&mut partners)?
+    {
         states.push(state);
     }
     Ok(states)

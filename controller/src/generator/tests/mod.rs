@@ -59,10 +59,10 @@ fn walk<G: Generator>(generator: G, start: &Standing) -> Result<Vec<AxesState>, 
     let mut run = Run::new(generator);
     let mut start = Standing(start.0, start.1);
     let mut states = vec![start.0];
-    let Step::Continue(None) = begin(&mut run, &mut start, MACROSTEP)? else {
+    let Step::Continue(EffectorCommand { setpoint: None, .. }) = begin(&mut run, &mut start, MACROSTEP)? else {
         panic!("planned generators ask for nothing at first")
     };
-    while let Step::Continue(setpoint) = run.next_step(&mut start)? {
+    while let Step::Continue(EffectorCommand { setpoint, .. }) = run.next_step(&mut start)? {
         states.push(match setpoint {
             Some(Setpoint::Joints(state) | Setpoint::Motors(state)) => state,
             other => panic!("{other:?} from a planned generator"),
@@ -279,9 +279,9 @@ fn wait_stands_for_its_time_rounded_up_to_a_macrostep() {
     for (millis, macrosteps) in [(0, 0), (1, 1), (20, 1), (21, 2), (1_000, 50)] {
         let mut run = Run::new(Wait { duration: Duration::from_millis(millis) });
         let mut source = Standing::at([0.0; 8]);
-        assert_eq!(begin(&mut run, &mut source, MACROSTEP), Ok(Step::Continue(None)));
+        assert_eq!(begin(&mut run, &mut source, MACROSTEP), Ok(Step::Continue(EffectorCommand::default())));
         for _ in 0..macrosteps {
-            assert_eq!(run.next_step(&mut source), Ok(Step::Continue(None)), "{millis} ms");
+            assert_eq!(run.next_step(&mut source), Ok(Step::Continue(EffectorCommand::default())), "{millis} ms");
         }
         assert_eq!(run.next_step(&mut source), Ok(Step::Ended), "{millis} ms");
     }
@@ -348,7 +348,7 @@ fn only_declared_images_are_fetched_and_one_snapshot_serves_terminal_condition_a
     fn fetches<F: Images, E: Images>() -> (u8, bool, usize, usize) {
         let mut source = Counting(std::cell::Cell::new(0));
         let mut run = Run::new(Reader::<F, E>(std::marker::PhantomData));
-        assert_eq!(begin(&mut run, &mut source, MACROSTEP), Ok(Step::Continue(None)));
+        assert_eq!(begin(&mut run, &mut source, MACROSTEP), Ok(Step::Continue(EffectorCommand::default())));
         let first = source.0.replace(0);
         while run.next_step(&mut source).unwrap() != Step::Ended {}
         (F::CLASS | E::CLASS, run.macrosteps_ahead(100) > 1, first, source.0.get())

@@ -83,7 +83,7 @@ fn walk(line: StraightLine, start: &AtMotors) -> Result<Vec<AxesState>, Generato
     let mut states = vec![start.0.joints];
     let mut start = AtMotors(start.0);
     begin(&mut run, &mut start, MACROSTEP)?;
-    while let Step::Continue(setpoint) = run.next_step(&mut start)? {
+    while let Step::Continue(EffectorCommand { setpoint, .. }) = run.next_step(&mut start)? {
         let Some(Setpoint::Joints(state)) = setpoint else { panic!("{setpoint:?} from a line") };
         states.push(state);
     }

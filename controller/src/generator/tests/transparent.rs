@@ -38,7 +38,7 @@ fn a_transparent_member_sends_each_order_unchanged_and_answers_its_image() {
     let Description { first, every, .. } = run.description();
     assert_eq!((first, every), (5, 5));
     let mut team = Team { order: new(None), answers: 0 };
-    assert_eq!(begin(&mut run, &mut team, MACROSTEP), Ok(Step::Continue(None)));
+    assert_eq!(begin(&mut run, &mut team, MACROSTEP), Ok(Step::Continue(EffectorCommand::default())));
     let orders = [
         Some(Setpoint::Joints(AxesState::new([0.3; 8], [1.0; 8]))),
         Some(Setpoint::Motors(AxesState::at_rest([7.0; 8]))),
@@ -47,7 +47,7 @@ fn a_transparent_member_sends_each_order_unchanged_and_answers_its_image() {
     ];
     for (step, order) in orders.into_iter().enumerate() {
         team.order = new(order);
-        assert_eq!(run.next_step(&mut team), Ok(Step::Continue(order)));
+        assert_eq!(run.next_step(&mut team), Ok(Step::Continue(EffectorCommand { setpoint: order, law: None })));
         assert_eq!(team.answers, step + 2);
     }
 }
@@ -67,7 +67,7 @@ fn an_order_that_is_missing_old_or_not_finite_is_refused_without_an_answer() {
         assert_eq!(begin(&mut Run::new(Transparent), &mut team, MACROSTEP), Err(refusal));
         let mut run = Run::new(Transparent);
         team.order = new(None);
-        assert_eq!(begin(&mut run, &mut team, MACROSTEP), Ok(Step::Continue(None)));
+        assert_eq!(begin(&mut run, &mut team, MACROSTEP), Ok(Step::Continue(EffectorCommand::default())));
         (team.order, team.answers) = (order, 0);
         assert_eq!(run.next_step(&mut team), Err(refusal));
         assert_eq!(team.answers, 0);

@@ -1,5 +1,7 @@
 //! Faults and refusals of the law, and the weight of the tool.
 
+use std::f64::consts::PI;
+
 use servo::{LawFault, LawParameters};
 
 use super::*;
@@ -7,6 +9,7 @@ use crate::force::{Load, SensorMotion};
 use crate::law::directions::Behaviour;
 use crate::law::{Guard, PositionForceError};
 use crate::robot::{Irb6, Irb6Parameters};
+use crate::sensor::ZeroedWeight;
 
 #[test]
 fn a_task_is_the_same_after_its_way_through_parameters() {
@@ -59,7 +62,14 @@ fn a_law_without_limits_is_refused() {
         let mut limits = WIDE;
         change(&mut limits);
         let flange_from_sensor = flange_from_sensor();
-        let config = PositionForceConfig { arm: irp6(), flange_from_sensor, load: None, zeroed_at: None, limits };
+        let config = PositionForceConfig {
+            arm: irp6(),
+            upright_from_base: UnitQuaternion::identity(),
+            flange_from_sensor,
+            load: None,
+            zeroed: ZeroedWeight::none(),
+            limits,
+        };
         let error: PositionForceError = PositionForce::new(config, RehearsedWrench::new().1).unwrap_err();
         assert_eq!(error.to_string(), format!("{expected}, it must be above 0 and finite"));
     }
@@ -115,19 +125,28 @@ fn the_weight_of_the_tool_is_no_contact() {
     let arm = irp6();
     let load = Load::of_weight(1.5, Vector3::new(0.0, 0.01, 0.1)).unwrap();
     let base_from_sensor = arm.forward(&START).unwrap() * arm.flange_from_tool().inverse() * flange_from_sensor();
-    let at_rest = SensorMotion::at_rest(base_from_sensor.rotation);
+    let standing = UnitQuaternion::identity();
+    let hanging = UnitQuaternion::from_euler_angles(PI, 0.0, 0.0);
     let other = UnitQuaternion::from_euler_angles(0.5, 0.1, 0.0);
-    for zeroed_at in [None, Some(other)] {
+    for (upright, zeroed_at) in [(standing, None), (standing, Some(other)), (hanging, None), (hanging, Some(other))] {
+        let at_rest = SensorMotion::at_rest(upright * base_from_sensor.rotation);
         let mut rig = Rig::new(arm.clone(), &START, 0.0, 0, WIDE);
+        let at_zero = |rotation| load.wrench(&SensorMotion::at_rest(upright * rotation));
+        let zero = zeroed_at.map_or_else(Wrench::default, at_zero);
         rig.law = {
             let (sensor, link) = RehearsedWrench::new();
             rig.sensor = sensor;
             let flange_from_sensor = flange_from_sensor();
-            let config =
-                PositionForceConfig { arm: arm.clone(), flange_from_sensor, load: Some(load), zeroed_at, limits: WIDE };
+            let config = PositionForceConfig {
+                arm: arm.clone(),
+                upright_from_base: upright,
+                flange_from_sensor,
+                load: Some(load),
+                zeroed: ZeroedWeight::of(0, &zero),
+                limits: WIDE,
+            };
             PositionForce::new(config, link).unwrap()
         };
-        let zero = zeroed_at.map_or_else(Wrench::default, |rotation| load.wrench(&SensorMotion::at_rest(rotation)));
         let measured = load.wrench(&at_rest) - zero;
         rig.sensor.advance(rig.now(), measured.components());
         let directions = [Direction::Contact { force: 0.0, compliance: Compliance::LINEAR }; 6];

@@ -98,6 +98,13 @@ pub enum Zeroing {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct ZeroRequest(u64);
 
+impl ZeroRequest {
+    /// The number, from 1.
+    pub const fn number(self) -> u64 {
+        self.0
+    }
+}
+
 impl Zeroing {
     /// Whether the zero of `request`, or of a later request, is in force.
     pub fn is_done(self, request: ZeroRequest) -> bool {

@@ -152,6 +152,10 @@ fn check_emulator(path: &Path, axis: &Axis, place: Place<'_>, model: Limits, hom
             no_effect(path, "address", given, NO_ADDRESSES)?;
         }
     }
+    within(path, "setpoint_filter_s", emulator.setpoint_filter_s, Range::new(0.0, 1.0, "s"))?;
+    if let Some(share) = emulator.dry_friction {
+        within(path, "dry_friction", share, Range::new(0.0, 10.0, ""))?;
+    }
     if let Some(start) = emulator.start {
         let range = if homing::is_endless(model) {
             Range::new(home - FARTHEST_START, home + FARTHEST_START, "rad of the motor: 1000 rad from home")

@@ -124,7 +124,8 @@ fn check_numbers(cell: &Cell, path: &Path, sensor: &ForceSensor) -> Checked {
     }
     if let Some(quaternion) = sensor.quaternion {
         let length = quaternion.iter().map(|part| part * part).sum::<f64>().sqrt();
-        if !((length - 1.0).abs() <= UNIT) {
+        let is_unit = (length - 1.0).abs() <= UNIT;
+        if !is_unit {
             return refused(path, "quaternion", format!("has the length {length:.3}, must be a unit quaternion"));
         }
     }

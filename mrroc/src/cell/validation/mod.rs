@@ -4,6 +4,7 @@ mod assembly;
 mod axis;
 mod buses;
 mod force;
+mod force_law;
 mod homing;
 mod io;
 mod meetings;
@@ -43,6 +44,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     buses::check_used(cell)?;
     io::check(cell)?;
     force::check(cell)?;
+    force_law::check(cell)?;
     scene::check(cell)?;
     meetings::check(cell)?;
     assembly::check(cell)?;

@@ -1,0 +1,56 @@
+//! Weight of a tool at the zeroing of its force/torque sensor, passed from the virtual sensor to a cycle law.
+
+use std::array;
+
+use drive::latest::{Latest, Publisher, latest};
+
+use crate::force::Wrench;
+
+/// Length of the encoded value: six components and the number of the request.
+const WORDS: usize = 7;
+
+/// Both ends of the weight at the last zeroing. There was no zeroing yet.
+pub(super) fn zeroed_weight() -> (WeightPublisher, ZeroedWeight) {
+    let (publisher, latest) = latest([0; WORDS]);
+    (WeightPublisher(publisher), ZeroedWeight(latest))
+}
+
+/// The writing end.
+#[derive(Debug)]
+pub(super) struct WeightPublisher(Publisher<WORDS>);
+
+impl WeightPublisher {
+    /// Publishes the weight at the zeroing with number `request`; 0 for none.
+    pub(super) fn publish(&mut self, request: u64, weight: &Wrench) {
+        let mut words = [request; WORDS];
+        for (word, component) in words.iter_mut().zip(weight.components()) {
+            *word = component.to_bits();
+        }
+        self.0.publish(&words);
+    }
+}
+
+/// Weight of the tool at the last zeroing of its sensor, which the measured wrench no longer contains. A read neither
+/// allocates nor waits for the writer.
+#[derive(Clone, Debug)]
+pub struct ZeroedWeight(Latest<WORDS>);
+
+impl ZeroedWeight {
+    /// The weight of a sensor that is never zeroed: none.
+    pub fn none() -> Self {
+        zeroed_weight().1
+    }
+
+    /// The weight `weight` at the zeroing with number `request`.
+    pub fn of(request: u64, weight: &Wrench) -> Self {
+        let (mut publisher, reader) = zeroed_weight();
+        publisher.publish(request, weight);
+        reader
+    }
+
+    /// Number of the zeroing, 0 before the first, and the weight at that time in the frame of the sensor.
+    pub fn read(&self) -> (u64, Wrench) {
+        let words = self.0.read();
+        (words[WORDS - 1], Wrench::from_components(array::from_fn(|component| f64::from_bits(words[component]))))
+    }
+}

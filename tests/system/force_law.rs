@@ -1,0 +1,156 @@
+//! Force control in the servo cycle: from the cell file to the figures of the examples, in lockstep.
+
+use std::fs;
+
+use ::mrroc::bench::BenchKind;
+use ::mrroc::cell::{Cell, CellFile};
+use ::mrroc::prelude::{Compliance, Direction, ForceTask, Generator, Guard, Outcome, RunOutcome, Wait};
+use ::mrroc::report::RunReport;
+use ::mrroc::tasks;
+use controller::robot::Joints;
+use hil::AxisConfig;
+use hil::plant::{Irp6Axis, Mechanism, MechanismConfig, PlantAxis};
+
+use crate::mrroc::{Directory, example, text};
+
+#[path = "../../examples/force_table.rs"]
+#[expect(dead_code, reason = "the program of the example has a main of its own")]
+mod force_table;
+
+#[path = "../../examples/guarded_approach.rs"]
+#[expect(dead_code, reason = "the program of the example has a main of its own")]
+mod guarded_approach;
+
+fn cell(name: &str, change: impl FnOnce(&mut Cell)) -> CellFile {
+    let directory = Directory::new();
+    CellFile::read(directory.cell(name, change)).unwrap()
+}
+
+fn completed(report: &RunReport) {
+    assert_eq!(report.outcome, RunOutcome::Completed, "{:?}", report.faults);
+}
+
+#[test]
+fn steps_of_the_force_have_the_overshoot_settling_and_stability_of_the_force_table() {
+    let file = CellFile::read(example("irb6-force")).unwrap();
+    let report = ::mrroc::run(&file, BenchKind::Lockstep, force_table::table).unwrap();
+    completed(&report);
+    let figures = &report.figures;
+    println!("{figures:#?}");
+    assert!(figures["worst_row_error_percent"] <= 5.0, "{figures:?}");
+    assert!((31.5..=38.5).contains(&figures["stability_limit_kn_per_m"]), "{figures:?}");
+    // The same law once per macrostep is stable only against softer blocks.
+    assert!(figures["macrostep_stability_limit_kn_per_m"] < 15.0, "{figures:?}");
+}
+
+#[test]
+fn the_peak_force_of_a_guarded_approach_is_within_the_kinetic_bound() {
+    let file = CellFile::read(example("irb6-guarded")).unwrap();
+    let report = ::mrroc::run(&file, BenchKind::Lockstep, guarded_approach::approach).unwrap();
+    completed(&report);
+    println!("{:#?}", report.figures);
+    assert_eq!(report.figures.keys().filter(|name| name.starts_with("peak_n_")).count(), 9);
+    assert!(report.figures["worst_peak_to_bound"] <= 1.1, "{:?}", report.figures);
+}
+
+/// The mass in the cell file, from which the example computes its bound, is that of the emulated arm.
+#[test]
+fn the_effective_mass_of_the_guarded_approach_is_that_of_the_mechanism() {
+    let file = CellFile::read(example("irb6-guarded")).unwrap();
+    let (arm, tool) = (&file.arms[0], file.cell.robot[0].tool);
+    let above = Joints::new(&[0.0, -1.571, 0.0, std::f64::consts::FRAC_PI_2, 0.0]).unwrap();
+    let (motors, home) = (arm.robot().motors_from_joints(&above).unwrap(), arm.robot().home());
+    let mechanism = Mechanism::new(MechanismConfig::Irb6);
+    for (number, (&angle, &zero)) in motors.iter().zip(home.iter()).enumerate() {
+        let axis = AxisConfig { start_angle: angle, ..AxisConfig::wut(Irp6Axis::Column) };
+        PlantAxis::mounted(&axis, 1, Some(&mechanism.mount(number, zero).unwrap()));
+    }
+    let found = mechanism.effective_mass(tool, [0.0, 0.0, 1.0]);
+    let text = text("irb6-guarded");
+    let given: f64 = text.split_once("effective_mass = ").unwrap().1.split_once('\n').unwrap().0.parse().unwrap();
+    assert!((found - given).abs() < 0.01 * given, "{found} kg");
+}
+
+/// Presses on the third block, for ten seconds or until the law ends the motion.
+async fn press(cell: &mut tasks::Cell, task: ForceTask) -> Outcome {
+    let mut irb6 = cell.robot("irb6")?;
+    let wrist = cell.force_sensor("wrist")?;
+    irb6.enable().await?;
+    irb6.home().await?;
+    let column = cell.file().cell.scene.as_ref().map_or(0.0, |scene| {
+        let [x, y, _] = scene.block[2].centre;
+        y.atan2(x)
+    });
+    irb6.execute(irb6.motions().joints(0.8, &[[column, -1.571, 0.0, std::f64::consts::FRAC_PI_2, 0.0]])?).await?;
+    wrist.zero().await?;
+    let outcome = irb6.execute(Wait { duration: std::time::Duration::from_secs(10) }.under(task)).await;
+    cell.figure("touched", f64::from(u8::from(irb6.has_touched())));
+    outcome?;
+    // The next motion begins where the law has moved the arm.
+    irb6.execute(irb6.motions().joints(0.3, &[[column, -1.571, 0.0, std::f64::consts::FRAC_PI_2, 0.0]])?).await?;
+    irb6.disable().await
+}
+
+fn pressing(force: f64, guard: Option<Guard>) -> ForceTask {
+    let mut task = ForceTask { guard, ..ForceTask::default() };
+    task.directions[2] = Direction::Contact { force, compliance: Compliance::LINEAR };
+    task
+}
+
+#[test]
+fn a_touch_ends_a_motion_with_success_and_the_next_motion_begins_there() {
+    let guard = Some(Guard { force: 3.0, torque: 1e3, samples: 2 });
+    let task = async move |cell: &mut tasks::Cell| press(cell, pressing(5.0, guard)).await;
+    let report = ::mrroc::run(&cell("irb6-force", |_| {}), BenchKind::Lockstep, task).unwrap();
+    completed(&report);
+    assert_eq!(report.figures["touched"], 1.0);
+}
+
+/// Each end of the law by a fault is one line with the robot and the cause, and the drives are switched off.
+#[test]
+fn a_law_that_cannot_go_on_stops_the_robot_with_a_fault_that_names_the_cause() {
+    type Change = fn(&mut Cell);
+    let cases: [(&str, f64, Change); 4] = [
+        ("cycle law: channel 2 of its sensor measures -1", 30.0, |cell| {
+            cell.robot[0].force_law.as_mut().unwrap().force[2] = 10.0;
+        }),
+        ("cycle law displaces by", 5.0, |cell| {
+            cell.robot[0].force_law.as_mut().unwrap().displacement = vec![0.5; 5];
+        }),
+        ("cycle law: no sample for 4 cycles", 5.0, |cell| cell.force_sensor[0].emulator.silent_from_s = Some(15.0)),
+        // The limit of the law is the range of the sensor.
+        ("force sensor wrist: Fz is saturated", 29.0, |cell| {
+            cell.force_sensor[0].force_range[2] = 15.0;
+            cell.robot[0].force_law.as_mut().unwrap().force[2] = 15.0;
+        }),
+    ];
+    for (expected, force, change) in cases {
+        let task = async move |cell: &mut tasks::Cell| press(cell, pressing(force, None)).await;
+        let report = ::mrroc::run(&cell("irb6-force", change), BenchKind::Lockstep, task).unwrap();
+        assert_eq!(report.outcome, RunOutcome::Faulted, "{expected}");
+        let faults: Vec<_> = report.faults.iter().map(|fault| fault.to_string()).collect();
+        assert!(faults.iter().any(|fault| fault.contains(expected)), "{expected}: {faults:?}");
+        assert!(!faults.iter().any(|fault| fault.contains("still has power")), "{faults:?}");
+    }
+}
+
+#[test]
+fn a_generator_that_sends_a_law_to_a_robot_without_one_is_refused_before_motion() {
+    let task = async |cell: &mut tasks::Cell| press(cell, pressing(5.0, None)).await;
+    let file = cell("irb6-force", |cell| cell.robot[0].force_law = None);
+    let error = ::mrroc::run(&file, BenchKind::Lockstep, task).unwrap_err().to_string();
+    assert!(error.contains("robot irb6: instruction") && error.contains("law"), "{error}");
+}
+
+#[test]
+fn a_force_law_without_a_limit_is_refused_with_file_line_and_key() {
+    let directory = Directory::new();
+    let whole = fs::read_to_string(example("irb6-force")).unwrap();
+    for key in ["force", "torque", "displacement", "velocity", "acceleration"] {
+        let (before, law) = whole.split_once("[robot.force_law]").unwrap();
+        let kept: Vec<_> = law.lines().filter(|line| !line.starts_with(&format!("{key} = "))).collect();
+        let path = directory.write("cell.toml", &format!("{before}[robot.force_law]{}", kept.join("\n")));
+        let error = CellFile::read(&path).err().unwrap().to_string();
+        assert!(error.contains(&format!("robot[0].force_law.{key}: is missing")), "{error}");
+    }
+}
