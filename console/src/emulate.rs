@@ -67,7 +67,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     interfaces::all_differ(&file.cell, on_interfaces)?;
     emulation::problems(&file).next().map_or(Ok(()), Err)?;
     if let Some(bus) = links.iter().position(Option::is_none)
-        && !(file.cell.force_sensor.is_empty() && file.cell.scene.is_none())
+        && !(file.cell.force_sensor.is_empty() && file.cell.ultrasonic.is_empty() && file.cell.scene.is_none())
     {
         bail!(
             "bus {}: contacts and force sensors are emulated only together with all drives: put each bus behind --slcan",
@@ -115,13 +115,16 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         }
         names.push(format!("{} in {}", serial.name, directory.display()));
     }
-    let sensors = emulated.add_sensors(&mut lines.world);
-    for (sensor, line) in file.cell.force_sensor.iter().zip(sensors) {
+    let mut sensors = emulated.add_sensors(&mut lines.world);
+    sensors.extend(emulated.add_matrices(&mut lines.world));
+    let of_force = file.cell.force_sensor.iter().map(|sensor| &sensor.name);
+    let names_of_sensors = of_force.chain(file.cell.ultrasonic.iter().map(|matrix| &matrix.name));
+    for (name, line) in names_of_sensors.zip(sensors) {
         let Some(directory) = &options.serial else {
-            bail!("--serial DIR is missing: it is where the tty of {} is to be linked", sensor.name);
+            bail!("--serial DIR is missing: it is where the tty of {name} is to be linked");
         };
-        lines.add_sensor(line, linked(&sensor.name, directory)?);
-        names.push(format!("{} in {}", sensor.name, directory.display()));
+        lines.add_sensor(line, linked(name, directory)?);
+        names.push(format!("{name} in {}", directory.display()));
     }
     if let Some(directory) = &options.service {
         if file.cell.bus.is_empty() {

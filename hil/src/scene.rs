@@ -11,8 +11,8 @@
 //!   converts forces on tips and in grippers to motor torques. Tips have no mass of their own.
 //! * A grip holds a body by a spring and a damper in six dimensions ([`GripConfig`]). A body may be held by several
 //!   grippers. The tips of a robot do not touch the bodies that the robot holds.
-//! * Sensors between flange and tool measure the wrench of these forces ([`SensorConfig`]). Switches of touch probes close
-//!   at a force on the tips ([`Scene::add_touch`]). Sensors at a distance see walls and bodies through a [`View`].
+//! * Sensors between flange and tool measure the wrench of these forces ([`SensorConfig`]). Forces on the tips actuate
+//!   switches of touch probes ([`Scene::add_touch`]). Sensors at a distance see walls and bodies through a [`View`].
 //!
 //! The scene advances in steps of 100 µs ([`STEP`]). Each step has three parts. First, the motors of the robots move by
 //! one sub-step under the forces of the last step. Then the bodies move. Last, the forces at the end of the step are
@@ -342,15 +342,21 @@ impl Scene {
         Ok(probe)
     }
 
-    /// Adds a touch probe to the tool of a robot of this scene: a switch that is closed (high) while the sum of the forces
-    /// on the tips of the tool is at least `threshold`, N. Fails unless the threshold is above zero and finite.
-    pub fn add_touch(&mut self, robot: RobotId, threshold: f64) -> Result<InputProbe, SceneError> {
+    /// Adds a touch probe to the tool of a robot of this scene. Its switch sets `input` to the level `touched` while the
+    /// sum of the forces on the tips of the tool is at least `threshold`, N, and else to the other level. Fails unless the
+    /// threshold is above zero and finite.
+    pub fn add_touch(
+        &mut self,
+        robot: RobotId,
+        threshold: f64,
+        touched: bool,
+        input: &InputProbe,
+    ) -> Result<(), SceneError> {
         if !(threshold > 0.0 && threshold.is_finite()) {
             return Err(SceneError::Threshold { threshold });
         }
-        let (touch, probe) = Touch::new(threshold);
-        self.arms[robot.0].touches.push(touch);
-        Ok(probe)
+        self.arms[robot.0].touches.push(Touch::new(threshold, touched, input));
+        Ok(())
     }
 
     /// Closes a gripper on a body of this scene. The spring of the grip is relaxed when two frames coincide: `gripper`,

@@ -99,7 +99,7 @@ pub mod prelude {
     pub use crate::cell::CellFile;
     pub use crate::motions::Motions;
     pub use crate::report::{AxisReport, Deviation, FaultReport, RobotReport, RunOutcome, RunReport};
-    pub use crate::tasks::{Cell, ForceSensor, InputLine, Outcome, OutputLine, Robot, TaskError, Team};
+    pub use crate::tasks::{Cell, ForceSensor, InputLine, Outcome, OutputLine, Robot, TaskError, Team, Ultrasonic};
 }
 
 /// The Rust blocks of the book, which the documentation tests compile.

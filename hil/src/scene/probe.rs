@@ -74,22 +74,24 @@ impl BodyProbe {
     }
 }
 
-/// A switch of a touch probe at the tool of a robot: closed while the force on the tips reaches a threshold.
+/// A switch of a touch probe at the tool of a robot, which the force on the tips actuates.
 pub(super) struct Touch {
-    /// Contact force that closes the switch, N.
+    /// Contact force that actuates the switch, N.
     threshold: f64,
+    /// Level of the input during a touch.
+    touched: bool,
     probe: InputProbe,
 }
 
 impl Touch {
-    pub(super) fn new(threshold: f64) -> (Self, InputProbe) {
-        let probe = InputProbe::default();
-        (Self { threshold, probe: probe.clone() }, probe)
+    pub(super) fn new(threshold: f64, touched: bool, probe: &InputProbe) -> Self {
+        probe.set(!touched);
+        Self { threshold, touched, probe: probe.clone() }
     }
 
     /// Sets the switch. `force`: sum of the forces on the tips, N.
     pub(super) fn measure(&self, force: &Vector3<f64>) {
-        self.probe.set(force.norm() >= self.threshold);
+        self.probe.set((force.norm() >= self.threshold) == self.touched);
     }
 }
 

@@ -8,7 +8,7 @@ use can::Instant;
 use canopen::cia402::HomingMethod;
 use controller::robot::Limits;
 use hil::scene::{Material, SensorConfig, SensorProbe, Shape, TipConfig, WallConfig};
-use hil::{AxisConfig, Mechanism, Mount, Scene, plant::PlantConfig};
+use hil::{AxisConfig, InputProbe, Mechanism, Mount, Scene, plant::PlantConfig};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use crate::cell::{CellFile, EmulatedBlock, EmulatedPayload, EmulatedPlane, Model, Path, Robot};
@@ -19,6 +19,8 @@ pub struct EmulatedCell<'a> {
     pub file: &'a CellFile,
     /// The mechanism of each robot that has one. The axes of a mechanism may be on several buses and lines.
     mechanisms: Vec<Option<Mechanism>>,
+    /// Switches of the touch probes of the scene.
+    pub(super) touches: Vec<InputProbe>,
 }
 
 impl<'a> EmulatedCell<'a> {
@@ -27,7 +29,9 @@ impl<'a> EmulatedCell<'a> {
         let mechanism =
             |robot: &Robot| robot.parameters.unwrap_or(robot.model.parameters()).mechanism().map(Mechanism::new);
         let mechanisms = file.cell.robot.iter().map(mechanism).collect();
-        Self { file, mechanisms }
+        let probes = file.cell.scene.iter().flat_map(|scene| &scene.touch_probe);
+        let touches = probes.map(|_| InputProbe::default()).collect();
+        Self { file, mechanisms, touches }
     }
 
     /// The mount of an axis in its robot; `None` if the axis moves its own load.
@@ -74,6 +78,9 @@ impl EmulatedCell<'_> {
                 let tool = Translation3::from(robot.tool);
                 let centre = (flange.inverse() * tool).translation.vector.into();
                 scene.add_tip(id, &TipConfig { centre, radius: around.tip_radius }).expect(SOUND);
+                for (probe, touch) in around.touch_probe.iter().zip(&self.touches) {
+                    scene.add_touch(id, probe.force, !probe.closed_at_rest, touch).expect(SOUND);
+                }
                 for plane in &around.plane {
                     scene.add_wall(&wall(plane, &upright)).expect(SOUND);
                 }

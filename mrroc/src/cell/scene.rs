@@ -3,6 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::touch::EmulatedTouchProbe;
+
 /// The surroundings of the emulated robots. Real robots ignore this table.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -19,6 +21,9 @@ pub struct EmulatedScene {
     /// The blocks.
     #[serde(default)]
     pub block: Vec<EmulatedBlock>,
+    /// The touch probes.
+    #[serde(default)]
+    pub touch_probe: Vec<EmulatedTouchProbe>,
 }
 
 /// A plane with the solid half-space behind it.

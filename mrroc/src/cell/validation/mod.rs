@@ -12,6 +12,8 @@ mod position_loop;
 mod program;
 mod robots;
 mod scene;
+mod touch;
+mod ultrasonic;
 mod weight;
 
 use servo::KeyError;
@@ -45,6 +47,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     io::check(cell)?;
     force::check(cell)?;
     force_law::check(cell)?;
+    ultrasonic::check(cell)?;
     scene::check(cell)?;
     meetings::check(cell)?;
     assembly::check(cell)?;

@@ -1,6 +1,6 @@
 //! Checks of the emulated surroundings.
 
-use super::{Checked, force::check_robot, refused, some, within};
+use super::{Checked, force::check_robot, refused, some, touch, within};
 use crate::cell::{Cell, EmulatedBlock, EmulatedPlane, Path, Range};
 
 /// Greatest number of planes and blocks of a scene.
@@ -36,7 +36,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
         }
         check_material(&path, stiffness, damping, friction)?;
     }
-    Ok(())
+    touch::check(cell, &path, &scene.touch_probe)
 }
 
 fn check_material(path: &Path, stiffness: f64, damping: f64, friction: f64) -> Checked {
