@@ -66,14 +66,9 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     let on_interfaces = interfaces.iter().zip(&links).map(|(interface, link)| link.is_none().then_some(interface));
     interfaces::all_differ(&file.cell, on_interfaces)?;
     emulation::problems(&file).next().map_or(Ok(()), Err)?;
-    if let Some(bus) = links.iter().position(Option::is_none)
-        && !(file.cell.force_sensor.is_empty() && file.cell.ultrasonic.is_empty() && file.cell.scene.is_none())
-    {
-        bail!(
-            "bus {}: contacts and force sensors are emulated only together with all drives: put each bus behind --slcan",
-            file.cell.bus[bus].name
-        );
-    }
+    // Contacts and sensors need one world of all drives. Buses of this world have transmission times.
+    let cell = &file.cell;
+    let together = !(cell.force_sensor.is_empty() && cell.ultrasonic.is_empty() && cell.scene.is_none());
     let emulated = EmulatedCell::of(&file);
     let mut payloads = Payloads::of(&emulated, clock::now());
     let mut buses = Vec::new();
@@ -93,6 +88,10 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
             let port = BusPort::open(interface, bus.bitrate_kbps).with_context(on_bus)?;
             let port = port.holding(claims.into_iter().flatten());
             names.push(format!("{} on {interface}", bus.name));
+            if together {
+                lines.add_bus_on(&emulated, index, port);
+                continue;
+            }
             let now = clock::now();
             buses.push(EmulatedBus {
                 port,
@@ -115,7 +114,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         }
         names.push(format!("{} in {}", serial.name, directory.display()));
     }
-    let mut sensors = emulated.add_sensors(&mut lines.world);
+    let (mut sensors, _) = emulated.add_sensors(&mut lines.world);
     sensors.extend(emulated.add_matrices(&mut lines.world));
     let of_force = file.cell.force_sensor.iter().map(|sensor| &sensor.name);
     let names_of_sensors = of_force.chain(file.cell.ultrasonic.iter().map(|matrix| &matrix.name));
@@ -164,7 +163,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         } else {
             let served = lines.serve(&stop);
             stop.store(true, Ordering::Relaxed);
-            served.context("a pseudo-terminal fails")
+            served.context("an emulated bus or line fails")
         };
         threads.into_iter().map(|thread| thread.join().expect("serving a bus does not panic")).fold(served, Result::and)
     })?;

@@ -31,7 +31,9 @@ mod world;
 
 pub use amplifier::AmplifierConfig;
 pub use axis_controller::{AxisController, AxisControllerConfig, Cabinet};
-pub use cia401::{DigitalIo, DigitalIoConfig, DigitalIoError, InputEdge, InputProbe, LightGate, OutputState};
+pub use cia401::{
+    DigitalIo, DigitalIoConfig, DigitalIoError, InputEdge, InputProbe, LightGate, OutputProbe, OutputState,
+};
 pub use device::{Device, LineDevice};
 pub use epos_serial::{EposSerial, EposSerialConfig};
 pub use epos4::{Epos4, Epos4Config};

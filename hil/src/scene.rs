@@ -10,7 +10,9 @@
 //! * Robots are [`Mechanism`]s. Their tools have tips, which are spheres ([`TipConfig`]). The transpose of the Jacobian
 //!   converts forces on tips and in grippers to motor torques. Tips have no mass of their own.
 //! * A grip holds a body by a spring and a damper in six dimensions ([`GripConfig`]). A body may be held by several
-//!   grippers. The tips of a robot do not touch the bodies that the robot holds.
+//!   grippers. The tips of a robot do not touch the bodies that the robot holds. A tip that is inside a body at
+//!   its release touches the body again after the tip has left the body, so that no energy appears. A digital output
+//!   may open and close a gripper ([`GripperConfig`]).
 //! * Sensors between flange and tool measure the wrench of these forces ([`SensorConfig`]). Forces on the tips actuate
 //!   switches of touch probes ([`Scene::add_touch`]). Sensors at a distance see walls and bodies through a [`View`].
 //!
@@ -49,6 +51,7 @@ mod contact;
 mod error;
 mod forces;
 mod grip;
+mod gripper;
 mod motion;
 mod probe;
 mod surface;
@@ -67,10 +70,13 @@ use body::{Body, CORNERS};
 pub use body::{BodyConfig, BodyState};
 use contact::{Sphere, Surface};
 pub use error::SceneError;
+use forces::holds;
 pub use grip::GripConfig;
 use grip::{End, Hold};
+use gripper::Gripper;
+pub use gripper::{GripProbe, GripperConfig};
 use motion::{Motion, Moving};
-pub use probe::{BodyProbe, SensorConfig, SensorProbe, WrenchProbe};
+pub use probe::{BodyProbe, SensorConfig, SensorProbe, UnsolvedProbe, WrenchProbe};
 use probe::{Sensor, Touch};
 pub use surface::{Material, Shape};
 pub use view::{Hit, View};
@@ -87,6 +93,9 @@ const REPETITIONS: u32 = 40;
 /// Tolerance of a solved step: the velocity changes between two iterations by at most the first value, m/s, plus the
 /// second value times the speed.
 const SOLVED: (f64, f64) = (1e-11, 1e-12);
+
+/// Greatest angle between the upward directions of a robot and of its scene, rad.
+const MOST_LEANING: f64 = 1e-3;
 
 /// A surface at rest in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -144,7 +153,8 @@ pub struct Scene {
     corners: Vec<CornersOn>,
     tips: Vec<TipOn>,
     grips: Vec<Option<Grip>>,
-    unsolved: u64,
+    grippers: Vec<Gripper>,
+    unsolved: UnsolvedProbe,
 }
 
 struct Wall {
@@ -190,6 +200,8 @@ struct TipOn {
     arm: usize,
     tip: usize,
     ground: Ground,
+    /// The robot holds the body, or the tip has been inside the body since the robot held it: no contact.
+    inside: bool,
     bristle: Vector3<f64>,
     next: Vector3<f64>,
 }
@@ -223,14 +235,21 @@ impl Scene {
             corners: Vec::new(),
             tips: Vec::new(),
             grips: Vec::new(),
-            unsolved: 0,
+            grippers: Vec::new(),
+            unsolved: UnsolvedProbe::default(),
         }
     }
 
     /// Sets the gravitational acceleration of bodies and in force sensors, m/s², in the axes of the world. The weight
-    /// of mechanisms does not change.
-    pub fn set_gravity(&mut self, gravity: [f64; 3]) {
-        self.gravity = gravity.into();
+    /// of mechanisms does not change. Fails if a number is invalid, or if a robot of the scene has another upward direction.
+    pub fn set_gravity(&mut self, gravity: [f64; 3]) -> Result<(), SceneError> {
+        if !gravity.iter().all(|value| value.is_finite()) {
+            return Err(SceneError::NotFinite { what: "the gravity" });
+        }
+        let gravity = Vector3::from(gravity);
+        self.arms.iter().try_for_each(|arm| upright(&arm.up(), &gravity))?;
+        self.gravity = gravity;
+        Ok(())
     }
 
     /// Adds a wall. Fails if the surface is not passive or a number is invalid.
@@ -302,10 +321,7 @@ impl Scene {
     pub fn add_robot(&mut self, mechanism: &Mechanism, base: &Isometry3<f64>) -> Result<RobotId, SceneError> {
         finite(base, "the place of a robot")?;
         let up = base.rotation * Vector3::from(mechanism.up());
-        let angle = up.angle(&-self.gravity);
-        if angle > 1e-3 {
-            return Err(SceneError::Leaning { angle });
-        }
+        upright(&up, &self.gravity)?;
         if mechanism.enter_scene() {
             return Err(SceneError::Taken);
         }
@@ -326,7 +342,11 @@ impl Scene {
         arm.tips.push(Sphere { centre: config.centre.into(), radius: config.radius });
         let walls = (0..self.walls.len()).map(Ground::Wall);
         let bodies = (0..self.bodies.len()).map(Ground::Body);
-        self.tips.extend(walls.chain(bodies).map(|ground| TipOn::new(robot.0, tip, ground)));
+        let grips = &self.grips;
+        self.tips.extend(walls.chain(bodies).map(|ground| {
+            let inside = matches!(ground, Ground::Body(body) if holds(grips, robot.0, body));
+            TipOn { inside, ..TipOn::new(robot.0, tip, ground) }
+        }));
         Ok(())
     }
 
@@ -389,11 +409,15 @@ impl Scene {
                 }
             }
         };
+        if let Holder::Robot(RobotId(arm)) = holder {
+            let of_body = |pair: &&mut TipOn| pair.arm == arm && pair.ground == Ground::Body(body.0);
+            self.tips.iter_mut().filter(of_body).for_each(|pair| pair.inside = true);
+        }
         self.grips.push(Some(Grip { config: *config, holder, anchor, body: body.0, held, hold: Hold::default() }));
         Ok(GripId(self.grips.len() - 1))
     }
 
-    /// Opens a gripper.
+    /// Opens a gripper. A tip inside the body touches the body again after the tip has left the body.
     pub fn release(&mut self, grip: GripId) {
         self.grips[grip.0] = None;
     }
@@ -443,7 +467,7 @@ impl Scene {
         };
         self.bodies.iter().map(of_body).sum::<f64>()
             + self.corners.iter().map(of_pair).sum::<f64>()
-            + self.tips.iter().map(of_tip).sum::<f64>()
+            + self.tips.iter().filter(|pair| !pair.inside).map(of_tip).sum::<f64>()
             + self.grips.iter().flatten().map(of_grip).sum::<f64>()
     }
 
@@ -459,7 +483,12 @@ impl Scene {
 
     /// Number of parts of steps with the duration [`SHORTEST`] whose equations were not solved.
     pub fn unsolved(&self) -> u64 {
-        self.unsolved
+        self.unsolved.count()
+    }
+
+    /// A probe of the count of [`unsolved`](Self::unsolved) parts of steps.
+    pub fn watch_unsolved(&self) -> UnsolvedProbe {
+        self.unsolved.clone()
     }
 
     /// Time of the last step.
@@ -479,6 +508,7 @@ impl Scene {
         for arm in &mut self.arms {
             arm.follow();
         }
+        self.switch_grippers();
         for wall in &mut self.walls {
             if let Some(belt) = &mut wall.belt {
                 let angle = belt.shaft.angle();
@@ -491,6 +521,7 @@ impl Scene {
         for arm in &mut self.arms {
             arm.finish(&self.gravity);
         }
+        self.show_grippers();
         for (body, probe) in &self.probes {
             probe.show(self.bodies[*body].state());
         }
@@ -527,7 +558,7 @@ impl CornersOn {
 
 impl TipOn {
     fn new(arm: usize, tip: usize, ground: Ground) -> Self {
-        Self { arm, tip, ground, bristle: Vector3::zeros(), next: Vector3::zeros() }
+        Self { arm, tip, ground, inside: false, bristle: Vector3::zeros(), next: Vector3::zeros() }
     }
 }
 
@@ -544,6 +575,12 @@ fn spring_energy(sphere: &Sphere, carrier: &Moving, surface: &Surface, ground: &
 
 fn parts(pose: &Isometry3<f64>) -> (Vector3<f64>, nalgebra::Matrix3<f64>) {
     (pose.translation.vector, pose.rotation.to_rotation_matrix().into_inner())
+}
+
+/// Checks that a robot with the upward direction `up` stands upright. Without gravity, every direction is upright.
+fn upright(up: &Vector3<f64>, gravity: &Vector3<f64>) -> Result<(), SceneError> {
+    let angle = up.angle(&-gravity);
+    if angle > MOST_LEANING { Err(SceneError::Leaning { angle }) } else { Ok(()) }
 }
 
 fn passive(material: &Material) -> Result<(), SceneError> {

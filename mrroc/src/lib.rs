@@ -44,6 +44,7 @@ mod trace;
 pub mod wire;
 
 pub use check::check;
+pub use controller::coordination::carry;
 pub use motions::{Motions, PoseSize};
 pub use program_main::{ProgramOptions, program, run_program};
 pub use tasks::Program;

@@ -125,10 +125,14 @@ pub fn devices(
 }
 
 /// The I/O nodes of a rehearsal whose emulated devices are switched on at [`Instant::ZERO`], and their links in the
-/// order of [`Cell::io`](crate::cell::Cell::io). The inputs follow the schedules of the cell file.
+/// order of [`Cell::io`](crate::cell::Cell::io). The inputs follow the schedules of the cell file. Touch probes
+/// stay at rest.
 pub fn rehearsed_io(file: &CellFile) -> (Vec<RehearsedIo>, Vec<IoLink>) {
     let node = |io: &IoNode| {
         let edges = io.emulated_edges().map(|(at, input, _)| (Instant::ZERO + at, input));
+        let probes = file.cell.scene.iter().flat_map(|scene| &scene.touch_probe).filter(|probe| probe.closed_at_rest);
+        let high = probes.filter_map(|probe| io.input.iter().find(|input| input.name == probe.input));
+        let edges = high.map(|input| (Instant::ZERO, input.line)).chain(edges);
         RehearsedIo::new(&io.config(file.cell.period()), edges)
     };
     file.cell.io.iter().map(node).unzip()

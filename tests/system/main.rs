@@ -32,6 +32,7 @@ mod force_cell;
 mod force_law;
 mod force_sensors;
 mod heap;
+mod held_bar;
 mod homing;
 mod host_closed;
 mod identify;

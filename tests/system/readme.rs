@@ -42,13 +42,15 @@ fn excerpts(page: &str) -> Vec<&str> {
 fn excerpts_of_cell_files_in_the_book_are_accepted() {
     let directory = Directory::new();
     let irb6 = fs::read_to_string(example("irb6")).unwrap();
+    let wrist = fs::read_to_string(example("irb6-wrist")).unwrap();
     // The book has a table of this name too.
     let irb6 = irb6.split("[task]").next().unwrap();
     let mut count = 0;
     for page in fs::read_dir(root().join("book/src")).unwrap() {
         let page = page.unwrap().path();
         for excerpt in excerpts(&fs::read_to_string(&page).unwrap()) {
-            let cell = directory.write("cell.toml", &format!("{irb6}\n{excerpt}"));
+            let base = if excerpt.starts_with("[robot.force_law]") { &*wrist } else { irb6 };
+            let cell = directory.write("cell.toml", &format!("{base}\n{excerpt}"));
             let check = mrroc(["check".as_ref(), cell.as_os_str()]);
             assert_eq!(check.status.code(), Some(0), "{page:?}: {excerpt}{check:?}");
             count += 1;

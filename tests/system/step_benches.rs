@@ -12,14 +12,14 @@ use std::time::Duration;
 use ::mrroc::cell::Cell;
 use serde_json::json;
 
-use crate::bench::{on_vcan_within, turn};
+use crate::bench::{on_vcan_within, patient_turn};
 use crate::mrroc::{Directory, Output, Running, example_program, text};
 use crate::steps::{self, Line, lines};
 use crate::vcan::{self, started};
 use crate::vcan_cells::{Interfaces, overloaded};
 
-/// One example per class, 0 to 7, with its cell.
-const EXAMPLES: [(&str, &str); 8] = [
+/// One example per class, 0 to 7, and an example of force control, with their cells.
+const EXAMPLES: [(&str, &str); 9] = [
     ("own_generator", "irb6"),
     ("feedback", "irb6"),
     ("until_touch", "irb6-touch"),
@@ -28,6 +28,7 @@ const EXAMPLES: [(&str, &str); 8] = [
     ("carry_bar", "two-irb6"),
     ("handshake", "irb6-touch"),
     ("raise_tray", "two-irb6-gate"),
+    ("force_table", "irb6-force"),
 ];
 
 /// Time limit of all runs in the test machine.
@@ -73,6 +74,19 @@ fn chart<'a>(file: &'a str, agent: &str) -> Vec<Step<'a>> {
 fn patient(cell: &mut Cell, edge: f64) {
     vcan::shorten(cell);
     (cell.period_us, cell.macrostep) = (20_000, 2);
+    for sensor in &mut cell.force_sensor {
+        sensor.tolerated_missing = 100;
+    }
+    for robot in &mut cell.robot {
+        if let Some(law) = &mut robot.force_law {
+            law.max_age_periods = 100;
+            // One row of the table.
+            for key in ["in_cycle", "in_macrosteps"] {
+                cell.task.insert(key.to_owned(), toml::Value::Array(Vec::new()));
+            }
+            cell.task.insert("rows".to_owned(), toml::Value::Array(vec![toml::Value::Integer(0)]));
+        }
+    }
     for io in &mut cell.io {
         io.event_timer_ms = 200;
         for input in &mut io.input {
@@ -117,7 +131,7 @@ fn check(program: &str, cell: &Path, directory: &Directory, run: impl Fn(&[OsStr
 
 #[test]
 fn an_example_of_each_class_has_the_steps_of_lockstep_on_emulated_buses_by_the_clock() {
-    let _turn = turn();
+    let _turn = patient_turn();
     // Most of their time the programs wait.
     thread::scope(|scope| {
         for (program, cell) in EXAMPLES {
@@ -133,7 +147,7 @@ fn an_example_of_each_class_has_the_steps_of_lockstep_on_emulated_buses_by_the_c
 
 #[test]
 fn an_example_has_the_steps_of_lockstep_on_pseudo_terminals_by_the_clock() {
-    let _turn = turn();
+    let _turn = patient_turn();
     for program in ["own_generator", "first_program"] {
         let directory = Directory::new();
         let cell = directory.cell("irb6-serial", crate::serial_cli::patient);
@@ -144,7 +158,7 @@ fn an_example_has_the_steps_of_lockstep_on_pseudo_terminals_by_the_clock() {
 #[test]
 fn an_example_of_each_class_has_the_steps_of_lockstep_on_vcan() {
     const TEST: &str = "step_benches::an_example_of_each_class_has_the_steps_of_lockstep_on_vcan";
-    let _turn = turn();
+    let _turn = patient_turn();
     on_vcan_within(LONGEST, TEST, |_| {
         for (program, cell) in EXAMPLES {
             let directory = Directory::new();
@@ -153,7 +167,12 @@ fn an_example_of_each_class_has_the_steps_of_lockstep_on_vcan() {
             let file = directory.write("cell.toml", &toml::to_string(&parsed).unwrap());
             let interfaces = Interfaces::of(&parsed);
             check(program, &file, &directory, |arguments| {
-                let options: Vec<_> = interfaces.options().map(OsString::from).collect();
+                let mut options: Vec<_> = interfaces.options().map(OsString::from).collect();
+                if !parsed.force_sensor.is_empty() {
+                    let mut ttys = OsString::from("--serial=");
+                    ttys.push(directory.path("ttys"));
+                    options.push(ttys);
+                }
                 let emulate = ["emulate".into(), file.clone().into()].into_iter().chain(options.clone());
                 let _emulators = started(|| Running::start(emulate));
                 let arguments = arguments.iter().cloned().chain(options).chain(["--bench=vcan".into()]);

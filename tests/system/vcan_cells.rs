@@ -10,7 +10,7 @@ use std::time::Duration;
 use ::mrroc::cell::{Cell, Control, Law};
 use serde_json::json;
 
-use crate::bench::{on_vcan_within, turn};
+use crate::bench::{on_vcan_within, patient_turn};
 use crate::lab::met;
 use crate::mrroc::{self, Directory, Output, Running, text};
 use crate::vcan::{shorten, started, wait_until};
@@ -199,7 +199,7 @@ pub(crate) fn overloaded(output: &Output) -> bool {
 #[test]
 fn the_whole_laboratory_completes_on_five_buses_and_five_lines() {
     const TEST: &str = "vcan_cells::the_whole_laboratory_completes_on_five_buses_and_five_lines";
-    let _turn = turn();
+    let _turn = patient_turn();
     on_vcan_within(LONGEST, TEST, |_| {
         let directory = Directory::new();
         completes("lab", &directory, slower_laboratory);
@@ -224,7 +224,7 @@ fn the_slower_laboratory_follows_its_set_points_in_virtual_time() {
 
 #[test]
 fn every_other_cell_on_can_completes() {
-    let _turn = turn();
+    let _turn = patient_turn();
     let test = "vcan_cells::every_other_cell_on_can_completes";
     on_vcan_within(LONGEST, test, |_| {
         for name in ["irp6", "irp6-track", "rnt", "polycrank", "irb6-touch"] {

@@ -11,8 +11,11 @@
 //! of a member takes order *m* and gives answer *m*. A [`LinkConfig`] states whether a member waits for its order, for
 //! how long, and the consequence of a late order.
 //!
+//! [`carry`] moves a rigid object that two arms hold.
+//!
 //! Read [`Coordinator`] first, then [`LinkConfig`].
 
+pub mod carry;
 mod conduct;
 mod coordinator;
 mod link;

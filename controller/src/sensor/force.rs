@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use can::Instant;
-use drive::wrench::{WrenchFault, WrenchLink, WrenchState, ZeroRequest, Zeroing};
+use drive::wrench::{WrenchAxis, WrenchFault, WrenchLink, WrenchState, ZeroRequest, Zeroing};
 use nalgebra::UnitQuaternion;
 use servo::{Latest, Snapshot};
 use thiserror::Error;
@@ -30,6 +30,21 @@ pub enum ForceError {
     /// Another thread reads the sensor at this moment.
     #[error("another thread reads the sensor: read again")]
     Busy,
+    /// The robot moves during a zeroing.
+    #[error("not zeroed, the robot moves: zero the sensor while the robot stands still")]
+    Moving,
+    /// The reading changed during a zeroing.
+    #[error("not zeroed, {axis} changed: let the robot stand still and without contact")]
+    Unsteady {
+        /// Channel of the sensor.
+        axis: WrenchAxis,
+    },
+    /// The sensor still reads a load after its bias command.
+    #[error("not zeroed, {axis} is loaded after the bias command: unload the tool, check the sensor")]
+    NotBiased {
+        /// Channel of the sensor.
+        axis: WrenchAxis,
+    },
     /// The driver did not complete a zeroing.
     #[error("not zeroed within {waited:?}: read the fault of the sensor")]
     NotZeroed {
@@ -37,6 +52,9 @@ pub enum ForceError {
         waited: Duration,
     },
 }
+
+/// Commanded velocity of a motor up to which the motor stands still, rad/s.
+const STANDSTILL: f64 = 1e-6;
 
 /// Reading of a force/torque sensor: the contact wrench on the tool, without the weight of the tool.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -129,6 +147,13 @@ impl ForceTorque {
     /// of the sensor.
     pub fn weight(&self) -> Result<Wrench, ForceError> {
         self.weight_in(&self.robot.read())
+    }
+
+    /// Whether a zeroing can begin or go on: the robot stands still.
+    pub fn stands_still(&self) -> Result<(), ForceError> {
+        let robot = self.robot.read();
+        let moves = robot.commanded_velocity.iter().any(|velocity| velocity.abs() > STANDSTILL);
+        if moves { Err(ForceError::Moving) } else { Ok(()) }
     }
 
     /// The present reading and the time of its sample; `None` while another thread notes a zero.
@@ -251,6 +276,20 @@ mod tests {
             assert!((in_tool.force - found.force).amax() < 1e-12);
             assert!((in_tool.torque - found.torque - arm.cross(&found.force)).amax() < 1e-12, "{in_tool:?}");
         }
+    }
+
+    #[test]
+    fn a_moving_robot_does_not_stand_still() {
+        let (mut publisher, robot) = latest();
+        let (_device, link) = RehearsedWrench::new();
+        let config = config();
+        let sensor = ForceTorque::new(link, robot, config.clone());
+        let mut snapshot = pitched(&config, 0.0);
+        publisher.publish(&snapshot);
+        assert_eq!(sensor.stands_still(), Ok(()));
+        snapshot.commanded_velocity[4] = -0.01;
+        publisher.publish(&snapshot);
+        assert_eq!(sensor.stands_still(), Err(ForceError::Moving));
     }
 
     #[test]

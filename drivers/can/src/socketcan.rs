@@ -12,7 +12,7 @@
 mod batch;
 
 use std::io;
-use std::os::fd::AsFd;
+use std::os::fd::{AsFd, BorrowedFd};
 
 use batch::Batch;
 use socketcan::{CanAddr, CanFilter, CanSocket, Socket, SocketOptions};
@@ -214,6 +214,12 @@ impl SocketCanPort {
         }
         self.counters.count_received(&into[..kept]);
         kept
+    }
+}
+
+impl AsFd for SocketCanPort {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.socket.as_fd()
     }
 }
 

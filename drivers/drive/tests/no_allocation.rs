@@ -97,7 +97,7 @@ impl Drives {
                 // An edge of every input in every cycle.
                 self.inputs = !self.inputs;
                 self.reply(0x180 + u16::from(IO), &[self.inputs], at);
-                self.reply(0x180 + u16::from(SENSOR), &[self.inputs, 0, 0, 0, 0, 0], at);
+                self.reply(0x180 + u16::from(SENSOR), &[self.inputs & 0x0F, 0, 0, 0, 0, 0], at);
                 self.reply(0x280 + u16::from(SENSOR), &[0; 6], at);
                 for node in 1..=AXES as u16 {
                     self.reply(0x180 + node, &[low, high, 0xE8, 3, 0, 0, 0, 0], at);

@@ -56,8 +56,8 @@ use crate::node::objects::Objects;
 use crate::node::{Application, Applied, Identity, Node, NodeConfig};
 pub use config::{DigitalIoConfig, InputEdge, LightGate, MAX_BYTES};
 use inputs::Inputs;
-pub use outputs::OutputState;
 use outputs::Outputs;
+pub use outputs::{OutputProbe, OutputState};
 pub use probe::InputProbe;
 use table::{INPUTS, OUTPUTS, SHAPE, table};
 
@@ -147,6 +147,13 @@ impl DigitalIo {
     /// Level of output `index`, counted from 0, and the time of its last change. An absent output is low.
     pub fn output(&self, index: u8) -> OutputState {
         self.node.application.outputs.as_ref().map_or(OutputState::default(), |outputs| outputs.state(index))
+    }
+
+    /// Connects a probe to the terminal of output `index`, counted from 0. The terminal of an absent output stays low.
+    pub fn connect(&mut self, index: u8, probe: &OutputProbe) {
+        if let Some(outputs) = &mut self.node.application.outputs {
+            outputs.connect(index, probe.clone());
+        }
     }
 
     /// Switches the supply off or on at `now`. A module without supply is silent, and its outputs are low.

@@ -9,6 +9,9 @@
 //! An error sets the outputs whose error mode is on to their error value. The others keep their level. The outputs stay
 //! so until the host writes 0x6200 again.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use can::Instant;
 
 use super::lines::{Lines, bit};
@@ -25,11 +28,26 @@ pub struct OutputState {
     pub changed_at: Option<Instant>,
 }
 
+/// Level at the terminal of one output, for a valve or a relay that the output switches. Clones read the same output.
+///
+/// The level is low until the probe is connected ([`DigitalIo::connect`](super::DigitalIo::connect)).
+#[derive(Clone, Debug, Default)]
+pub struct OutputProbe(Arc<AtomicBool>);
+
+impl OutputProbe {
+    /// Present level at the terminal.
+    pub fn level(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
 #[derive(Debug)]
 pub(super) struct Outputs {
     objects: OutputObjects,
     pub(super) terminals: u64,
     changed_at: [Option<Instant>; 64],
+    /// Probes with the indices of their outputs.
+    probes: Vec<(u8, OutputProbe)>,
     /// Whether an error set the outputs, and 0x6200 was not written since.
     failed: bool,
     /// Whether the terminals are off because of a reset of the node.
@@ -62,12 +80,25 @@ impl Outputs {
     /// Outputs of a module at power-on, all low; `None` for a module without outputs.
     pub(super) fn new(table: &[Entry], bytes: u8) -> Option<Self> {
         let objects = OutputObjects::of(table, bytes)?;
-        Some(Self { objects, terminals: 0, changed_at: [None; 64], failed: false, restarting: true })
+        Some(Self {
+            objects,
+            terminals: 0,
+            changed_at: [None; 64],
+            probes: Vec::new(),
+            failed: false,
+            restarting: true,
+        })
     }
 
     pub(super) fn state(&self, index: u8) -> OutputState {
         let changed_at = self.changed_at.get(usize::from(index)).copied().flatten();
         OutputState { level: self.terminals & bit(index) != 0, changed_at }
+    }
+
+    /// Shows the level of output `index` in `probe` from now on.
+    pub(super) fn connect(&mut self, index: u8, probe: OutputProbe) {
+        probe.0.store(self.terminals & bit(index) != 0, Ordering::Relaxed);
+        self.probes.push((index, probe));
     }
 
     /// Applies a write of 0x6200, which ends the state after an error.
@@ -114,5 +145,8 @@ impl Outputs {
             }
         }
         self.terminals = terminals;
+        for (index, probe) in &self.probes {
+            probe.0.store(terminals & bit(*index) != 0, Ordering::Relaxed);
+        }
     }
 }

@@ -32,6 +32,8 @@ pub struct Epos4Config {
     pub rated_torque: Option<f64>,
     /// Bits set in every statusword. An EPOS2 sets bit 8 in all its states.
     pub vendor_bits: u16,
+    /// Time at which the powered drive trips once with an over-current; never where absent.
+    pub trips_at: Option<Instant>,
     /// Seed of noise and ripple.
     pub seed: u64,
     /// Motor, load, sensors and inner loops.
@@ -55,6 +57,7 @@ impl Epos4Config {
             main_sensor_resolution: None,
             rated_torque: None,
             vendor_bits: 0,
+            trips_at: None,
             seed: u64::from(node.raw()),
             axis,
             mount: None,

@@ -64,6 +64,8 @@ pub(super) struct Drive {
     /// Time for which the position has been within the window around its target, s; `None` outside.
     in_window: Option<f64>,
     average_current: f64,
+    /// Time of an over-current to come.
+    trips_at: Option<Instant>,
     /// The present chunk of an axis in a scene.
     chunk: Option<Chunk>,
 }
@@ -113,6 +115,7 @@ impl Drive {
             standstill: Standstill::REACHED,
             in_window: None,
             average_current: 0.0,
+            trips_at: config.trips_at,
             chunk: None,
         }
     }
@@ -348,6 +351,10 @@ impl Drive {
     fn check(&mut self, demand: &Demand, (negative, positive): (bool, bool), objects: &Objects) -> Option<Error> {
         if !self.powered() {
             return None;
+        }
+        if self.trips_at.is_some_and(|at| at <= self.simulated) {
+            self.trips_at = None;
+            return Some(errors::OVER_CURRENT);
         }
         if let Some(trip) = self.feedback.trip {
             return Some(match trip {

@@ -132,7 +132,7 @@ pub struct PlantAxis {
 /// The angle of a motor shaft, read by another device. Clones read the same shaft.
 ///
 /// The angle is that of the last simulated sub-step. A drive that receives SYNC lags by up to a SYNC period, and a drive
-/// without any frame by up to 20 ms. The motor of a belt in a [`Scene`](crate::scene::Scene) does not lag.
+/// without any frame by up to 20 ms. The motor of a robot or a belt in a [`Scene`](crate::scene::Scene) does not lag.
 #[derive(Clone, Debug)]
 pub struct AngleProbe(Arc<Probed>);
 
@@ -252,19 +252,16 @@ impl PlantAxis {
         self.phase = (self.phase + 1) % OUTER;
         self.integrate(on);
         self.encoder.read(self.plant.angle(), &mut self.noise);
-        if let Some(probe) = self.probe.as_ref().filter(|probe| probe.in_scene()) {
+        if let Some(probe) = &self.probe {
             probe.show(self.plant.angle());
         }
     }
 
-    /// Reads the switches after `dt_steps` sub-steps, and publishes the angle of the shaft.
+    /// Reads the switches after `dt_steps` sub-steps.
     pub(crate) fn end(&mut self, dt_steps: u32) {
         let angle = self.plant.angle();
         if let (Plant::Wut(_), Some(mount)) = (&self.plant, &self.mount) {
             mount.load(angle);
-        }
-        if let Some(probe) = &self.probe {
-            probe.show(angle);
         }
         for contact in self.contacts.iter_mut().flatten() {
             contact.advance(angle, dt_steps, &mut self.noise);

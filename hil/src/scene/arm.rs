@@ -84,6 +84,11 @@ impl Arm {
         self.motion = Motion::between(&place(from), &place(to), dt);
     }
 
+    /// Upward direction of the mechanism, in the world.
+    pub(super) fn up(&self) -> Vector3<f64> {
+        self.base.1 * Vector3::from(self.mechanism.up())
+    }
+
     /// Place of the flange in the world.
     pub(super) fn place(&self) -> Isometry3<f64> {
         Isometry3::from_parts(self.now.origin.into(), self.now.turn)

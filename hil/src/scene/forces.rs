@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::body::Body;
-use super::contact::{Push, Surface, at_instant, over_step};
+use super::contact::{Push, Surface, at_instant, is_inside, over_step};
 use super::motion::{Motion, Wrench};
 use super::{CornersOn, Grip, Ground, Holder, REPETITIONS, RobotId, SOLVED, STEP_SECONDS, Scene, Shape, Wall, grip};
 
@@ -16,7 +16,9 @@ impl Scene {
         }
         let solved = self.solve(from, to);
         if solved || halvings == 0 {
-            self.unsolved += u64::from(!solved);
+            if !solved {
+                self.unsolved.add();
+            }
             self.finish_bodies();
             return;
         }
@@ -82,7 +84,7 @@ impl Scene {
             let Ground::Body(number) = pair.ground else {
                 continue;
             };
-            if holds(grips, pair.arm, number) {
+            if pair.inside {
                 pair.next = Vector3::zeros();
                 continue;
             }
@@ -135,7 +137,12 @@ impl Scene {
                     pair.bristle = push.map_or(Vector3::zeros(), |push| push.bristle);
                     push
                 }
-                Ground::Body(body) if holds(grips, pair.arm, body) => None,
+                Ground::Body(number) if pair.inside => {
+                    let body = &bodies[number];
+                    pair.inside =
+                        holds(grips, pair.arm, number) || is_inside(sphere, &arm.flange, &body.surface, &body.moving());
+                    None
+                }
                 Ground::Body(body) => {
                     let body = &bodies[body];
                     at_instant(sphere, &arm.flange, &body.surface, &body.moving(), &pair.bristle, 0.0)
@@ -194,6 +201,6 @@ fn far(body: &Body, on: Ground, walls: &[Wall], bodies: &[Body]) -> bool {
 }
 
 /// Whether a robot holds a body.
-fn holds(grips: &[Option<Grip>], arm: usize, body: usize) -> bool {
+pub(super) fn holds(grips: &[Option<Grip>], arm: usize, body: usize) -> bool {
     grips.iter().flatten().any(|grip| grip.body == body && grip.holder == Holder::Robot(RobotId(arm)))
 }

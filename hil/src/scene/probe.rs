@@ -1,5 +1,6 @@
 //! Measurements of the scene by devices.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use can::Instant;
@@ -92,6 +93,21 @@ impl Touch {
     /// Sets the switch. `force`: sum of the forces on the tips, N.
     pub(super) fn measure(&self, force: &Vector3<f64>) {
         self.probe.set((force.norm() >= self.threshold) == self.touched);
+    }
+}
+
+/// The number of parts of steps whose equations were not solved, for the report of a run. Clones read the same count.
+#[derive(Clone, Debug, Default)]
+pub struct UnsolvedProbe(Arc<AtomicU64>);
+
+impl UnsolvedProbe {
+    /// The count since the begin of the scene.
+    pub fn count(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    pub(super) fn add(&self) {
+        self.0.fetch_add(1, Ordering::Relaxed);
     }
 }
 

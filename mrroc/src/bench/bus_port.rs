@@ -2,7 +2,7 @@
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
-use std::os::fd::AsFd;
+use std::os::fd::{AsFd, BorrowedFd};
 use std::task::Poll;
 
 use anyhow::{Context, bail};
@@ -101,6 +101,15 @@ fn open_slcan(tty: Tty, kbps: u32, begin: Begin) -> anyhow::Result<SlcanPort<Tty
         }
         let until = port.poll_timeout().expect("it has a deadline while it is being opened");
         clock::wait_readable(port.line().as_fd(), until).map_err(PortError::Os)?;
+    }
+}
+
+impl AsFd for BusPort {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        match self {
+            Self::SocketCan(port, _) => port.as_fd(),
+            Self::Slcan(port) => port.line().as_fd(),
+        }
     }
 }
 

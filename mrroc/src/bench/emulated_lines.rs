@@ -1,5 +1,6 @@
-//! Emulated devices on pseudo-terminals, in step with the wall clock: CAN buses behind slcan adapters, serial axis
-//! controllers, and service ports. This module waits for bytes and for the devices' time.
+//! Emulated devices on pseudo-terminals and CAN interfaces, in step with the wall clock: CAN buses behind slcan adapters
+//! or on interfaces, serial axis controllers, force sensors, and service ports. This module waits for bytes, frames and
+//! the devices' time.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -8,12 +9,14 @@ use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use can::{Instant, clock};
+use can::{Frame, Instant, Port, Received, VirtualPort, clock};
+use canopen::sync::Sync;
 use hil::pty::{self, Interest};
 use hil::{DeviceId, Pty, SlcanDevice, World};
 use serial::{Line, VirtualLine};
 use servo::thread::set_fifo;
 
+use crate::bench::bus_port::BusPort;
 use crate::bench::{emulated_time::EmulatedTime, emulation, plants::EmulatedCell};
 
 /// Longest time between two checks for Ctrl-C.
@@ -32,14 +35,27 @@ const FINE_GRAIN: Duration = Duration::from_micros(100);
 /// Greatest number of bytes taken from a pseudo-terminal at a time. Further bytes wait in it.
 const CHUNK: usize = 4096;
 
-/// A world, and the pseudo-terminals for its hosts. The time of the world starts at [`Instant::ZERO`].
+/// Number of frames that a bus of the world holds for its interface, in each direction.
+const FRAMES: usize = 1024;
+
+/// A world, and the pseudo-terminals and CAN interfaces for its hosts. The time of the world starts at [`Instant::ZERO`].
 #[derive(Default)]
 pub struct EmulatedLines {
     /// The world.
     pub world: World,
     lines: Vec<EmulatedLine>,
+    buses: Vec<BridgedBus>,
     /// Whether a line is that of a force sensor.
     has_sensor: bool,
+}
+
+/// A bus of the world and the interface that continues it. Frames take their time on the bus of the world, and none on
+/// the interface.
+struct BridgedBus {
+    port: BusPort,
+    bus: VirtualPort,
+    /// Frames that the interface has not accepted yet.
+    outgoing: Vec<Frame>,
 }
 
 /// One pseudo-terminal and the device behind it.
@@ -68,6 +84,12 @@ impl EmulatedLines {
         self.add(pty, end);
     }
 
+    /// Adds CAN bus `index` of a cell, on the interface of `port`.
+    pub fn add_bus_on(&mut self, emulated: &EmulatedCell, index: usize, port: BusPort) {
+        let bus = emulated.add_bus(&mut self.world, index);
+        self.buses.push(BridgedBus { port, bus: self.world.host_port(bus, FRAMES), outgoing: Vec::new() });
+    }
+
     /// Adds a line of the world on `pty`.
     pub fn add_line(&mut self, line: VirtualLine, pty: Pty) {
         self.add(pty, End::Line { line, arrived: Vec::new() });
@@ -83,13 +105,13 @@ impl EmulatedLines {
         self.lines.push(EmulatedLine { pty, end, full: false });
     }
 
-    /// Whether there are no lines.
+    /// Whether there are neither lines nor buses.
     pub fn is_empty(&self) -> bool {
-        self.lines.is_empty()
+        self.lines.is_empty() && self.buses.is_empty()
     }
 
     /// Runs the devices until `stop`.
-    pub fn serve(&mut self, stop: &AtomicBool) -> io::Result<()> {
+    pub fn serve(&mut self, stop: &AtomicBool) -> anyhow::Result<()> {
         // The priority is below a controller on the same host and above everything else. If the priority is denied, a
         // busy host delays the devices.
         let _ = set_fifo(PRIORITY);
@@ -103,7 +125,8 @@ impl EmulatedLines {
                 let interest = Interest { read: line.end.room(&self.world) > 0, write: line.full };
                 (line.pty.as_fd(), interest)
             });
-            let readable = pty::wait(ends, wake)?;
+            let buses = self.buses.iter().map(|bus| (bus.port.as_fd(), Interest { read: true, write: false }));
+            let readable = pty::wait(ends.chain(buses), wake)?;
             // A pseudo-terminal does not tell when its bytes arrived. After a late wake-up of this program, the bytes
             // count as older than the events that fell due in between. A device must detect the silence of its host,
             // not a delay of this program.
@@ -115,12 +138,44 @@ impl EmulatedLines {
             for (line, _) in lines.filter(|(_, readable)| *readable) {
                 line.take(&mut self.world, passed)?;
             }
+            for bus in &mut self.buses {
+                bus.take(passed)?;
+            }
             passed = passed.max(now);
             self.world.advance(passed);
             for line in &mut self.lines {
                 line.deliver(&mut self.world, passed)?;
             }
+            for bus in &mut self.buses {
+                bus.deliver(passed)?;
+            }
         }
+        Ok(())
+    }
+}
+
+impl BridgedBus {
+    /// Puts the frames of the interface on the bus of the world, at `now`.
+    fn take(&mut self, now: Instant) -> anyhow::Result<()> {
+        let mut received = [Received { frame: Sync::default().encode(), at: Instant::ZERO }; 64];
+        let count = self.port.receive(clock::now(), &mut received)?;
+        for Received { frame, .. } in &received[..count] {
+            // A frame without room is lost, as in the overrun of a receiver.
+            self.bus.send(now, std::slice::from_ref(frame))?;
+        }
+        Ok(())
+    }
+
+    /// Sends the frames that have ended on the bus of the world by `now` to the interface. Frames that the interface does
+    /// not accept wait for the next call, and the oldest are lost.
+    fn deliver(&mut self, now: Instant) -> anyhow::Result<()> {
+        let mut received = [Received { frame: Sync::default().encode(), at: Instant::ZERO }; 64];
+        let count = self.bus.receive(now, &mut received)?;
+        self.outgoing.extend(received[..count].iter().map(|received| received.frame));
+        let sent = self.port.send(clock::now(), &self.outgoing)?;
+        self.outgoing.drain(..sent);
+        let surplus = self.outgoing.len().saturating_sub(FRAMES);
+        self.outgoing.drain(..surplus);
         Ok(())
     }
 }

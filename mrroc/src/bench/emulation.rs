@@ -1,5 +1,6 @@
 //! The emulated drives, I/O nodes and axis controllers of a cell.
 
+use std::io;
 use std::time::Duration;
 
 use can::{Frame, Instant, Port, StandardId, VirtualPort, timing::Bitrate};
@@ -8,12 +9,15 @@ use drive::cia401::IoConfig;
 use hil::{
     AxisController, AxisControllerConfig, BusId, Cabinet, Device, DigitalIo, DigitalIoConfig, Epos4, Epos4Config,
     EposSerial, EposSerialConfig, InputEdge, InputProbe, LineDevice, SerialForceSensor, SerialForceSensorConfig,
-    TransducerConfig, World, scene::SensorProbe,
+    TransducerConfig, World,
+    scene::{Scene, SensorProbe, UnsolvedProbe},
 };
 use serial::{Settings, VirtualLine};
 
 use crate::bench::bridge::{Bridge, BridgedTty};
 use crate::bench::plants::{EmulatedCell, Payloads, homing_problem, plant};
+use crate::bench::scene::{EmulatedSurroundings, SceneTruth};
+use crate::bench::truth::TruthLog;
 use crate::cell::{CellFile, EmulatedTouchProbe, ForceSensor, ForceSensorEmulator, IoNode, Protocol};
 
 /// Capacity of the host's end of a virtual bus in each direction, frames.
@@ -39,6 +43,9 @@ pub struct Emulation {
     /// Bridges of the lines whose host end is a tty.
     bridges: Vec<Bridge>,
     payloads: Payloads,
+    /// The true state of the scene.
+    truth: SceneTruth,
+    log: Option<TruthLog>,
     /// Time up to which the world was advanced.
     passed: Instant,
 }
@@ -70,7 +77,7 @@ impl Emulation {
             axes.map(|axis| emulated.add_line(&mut world, bundle, axis, &cabinet)).collect()
         });
         let lines = lines.collect();
-        let mut sensors = emulated.add_sensors(&mut world);
+        let (mut sensors, truth) = emulated.add_sensors(&mut world);
         sensors.extend(emulated.add_matrices(&mut world));
         let ends = HostEnds { lines, sensors, ports, listeners };
         let emulation = Self {
@@ -78,9 +85,16 @@ impl Emulation {
             buses,
             bridges: Vec::new(),
             payloads: Payloads::of(&emulated, Instant::ZERO),
+            truth,
+            log: None,
             passed: Instant::ZERO,
         };
         (emulation, ends)
+    }
+
+    /// The count of unsolved parts of steps of the scene, if there is one.
+    pub fn unsolved(&self) -> Option<UnsolvedProbe> {
+        self.world.scene().map(Scene::watch_unsolved)
     }
 
     /// Connects the host and its end of a line by a pseudo-terminal, and returns the tty.
@@ -108,6 +122,19 @@ impl Emulation {
             bridge.deliver(until);
         }
         self.passed = until;
+        if let Some(log) = &mut self.log {
+            log.write(until, &self.truth);
+        }
+    }
+
+    /// Writes the truth of the scene to `log` after each advance from now on.
+    pub fn log_truth(&mut self, log: TruthLog) {
+        self.log = Some(log);
+    }
+
+    /// Completes the file of the truth, if there is one.
+    pub fn finish(self) -> io::Result<()> {
+        self.log.map_or(Ok(()), TruthLog::finish)
     }
 }
 
@@ -162,10 +189,7 @@ impl EmulatedCell<'_> {
         };
         let drives = axes_present(self.file, bus).map(device);
         let cell = &self.file.cell;
-        let modules = cell.io_on(bus).map(|node| {
-            let probes = self.touches_at(node);
-            Box::new(module(&cell.io[node], probes, power_on)) as Box<dyn Device>
-        });
+        let modules = cell.io_on(bus).map(|node| Box::new(self.module(node, power_on)) as Box<dyn Device>);
         drives.chain(modules).collect()
     }
 
@@ -191,21 +215,21 @@ impl EmulatedCell<'_> {
     }
 
     /// Adds the lines of all force sensors and the scene that loads them, switched on at [`Instant::ZERO`]. The axes of
-    /// their robots are in `world` already. Returns the host's ends.
+    /// their robots are in `world` already. Returns the host's ends and the truth of the scene.
     ///
-    /// A sensor measures the weight and the inertia of its tool. The sensor of the robot that is in the scene of the cell
-    /// also measures the forces on the tip of the tool.
-    pub fn add_sensors(&self, world: &mut World) -> Vec<VirtualLine> {
-        let (scene, probes) = self.scene();
+    /// A sensor measures the weight and the inertia of its tool, the forces on the tip of the tool, and those of the
+    /// gripper.
+    pub fn add_sensors(&self, world: &mut World) -> (Vec<VirtualLine>, SceneTruth) {
+        let EmulatedSurroundings { scene, sensors, truth } = self.surroundings();
         if let Some(scene) = scene {
             world.set_scene(scene);
         }
-        let sensors = self.file.cell.force_sensor.iter().zip(probes).enumerate();
+        let sensors = self.file.cell.force_sensor.iter().zip(sensors).enumerate();
         let add = |(number, (sensor, probe)): (usize, (&ForceSensor, SensorProbe))| {
             let line = world.add_line(sensor.settings(), None, self.force_sensor(number, sensor, probe));
             world.host_line(line, LINE)
         };
-        sensors.map(add).collect()
+        (sensors.map(add).collect(), truth)
     }
 
     fn force_sensor(&self, number: usize, sensor: &ForceSensor, probe: SensorProbe) -> Box<dyn LineDevice> {
@@ -226,6 +250,20 @@ impl EmulatedCell<'_> {
             None => Box::new(device),
             Some(at) => Box::new(Unplugged { device, from: Instant::ZERO + Duration::from_secs_f64(at) }),
         }
+    }
+
+    /// The emulated module of I/O node `node`, with the valves of the grippers at its outputs and the touch probes at its
+    /// inputs.
+    fn module(&self, node: usize, power_on: Instant) -> DigitalIo {
+        let cell = &self.file.cell;
+        let mut module = module(&cell.io[node], self.touches_at(node), power_on);
+        let grippers = cell.scene.iter().flat_map(|scene| &scene.gripper);
+        for (gripper, valve) in grippers.zip(&self.valves) {
+            if let Some(place) = cell.output_line(&gripper.output).filter(|place| place.node == node) {
+                module.connect(place.line, valve);
+            }
+        }
+        module
     }
 
     fn axis_controller(
@@ -348,6 +386,7 @@ pub fn config(file: &CellFile, robot: usize, number: usize, power_on: Instant) -
         main_sensor_resolution: axis.emulator.counts_per_revolution,
         rated_torque: axis.emulator.rated_torque.or(Some(axis.cia402().rated_torque)),
         seed: seed(file, robot, number),
+        trips_at: axis.emulator.trips_at_s.map(|at| power_on + Duration::from_secs_f64(at)),
         power_on,
         ..usual
     }

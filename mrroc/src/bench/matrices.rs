@@ -7,7 +7,8 @@ use hil::{LineDevice, SceneEchoes, UltrasonicConfig, UltrasonicMatrix, View, Wor
 use serial::VirtualLine;
 
 use crate::bench::emulation::{Absent, LINE, Unplugged};
-use crate::bench::plants::{EmulatedCell, upright_from_base};
+use crate::bench::plants::EmulatedCell;
+use crate::bench::scene::base_of;
 use crate::cell::Ultrasonic;
 
 impl EmulatedCell<'_> {
@@ -41,7 +42,7 @@ impl EmulatedCell<'_> {
             seed: self.file.cell.seed.wrapping_mul(1000).wrapping_add(800 + number as u64),
             ..UltrasonicConfig::default()
         };
-        let echoes = SceneEchoes::new(view, upright_from_base(robot.model) * matrix.base_from_matrix(), &config);
+        let echoes = SceneEchoes::new(view, base_of(robot) * matrix.base_from_matrix(), &config);
         let device = UltrasonicMatrix::new(config, Box::new(echoes)).expect("a parsed cell has sound matrices");
         match emulator.silent_from_s {
             None => Box::new(device),

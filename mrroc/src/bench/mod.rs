@@ -9,6 +9,8 @@ pub mod emulation;
 pub mod interfaces;
 mod matrices;
 pub mod plants;
+pub mod scene;
+pub mod truth;
 
 use std::path::{Path, PathBuf};
 

@@ -7,18 +7,19 @@ use std::time::Duration;
 use can::Instant;
 use canopen::cia402::HomingMethod;
 use controller::robot::Limits;
-use hil::scene::{Material, SensorConfig, SensorProbe, Shape, TipConfig, WallConfig};
-use hil::{AxisConfig, InputProbe, Mechanism, Mount, Scene, plant::PlantConfig};
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use hil::{AxisConfig, InputProbe, Mechanism, Mount, OutputProbe, plant::PlantConfig};
+use nalgebra::{UnitQuaternion, Vector3};
 
-use crate::cell::{CellFile, EmulatedBlock, EmulatedPayload, EmulatedPlane, Model, Path, Robot};
+use crate::cell::{CellFile, EmulatedPayload, Model, Path, Robot};
 
 /// A cell whose devices are emulated.
 pub struct EmulatedCell<'a> {
     /// The cell.
     pub file: &'a CellFile,
     /// The mechanism of each robot that has one. The axes of a mechanism may be on several buses and lines.
-    mechanisms: Vec<Option<Mechanism>>,
+    pub(super) mechanisms: Vec<Option<Mechanism>>,
+    /// The terminal of the output that closes each gripper.
+    pub(super) valves: Vec<OutputProbe>,
     /// Switches of the touch probes of the scene.
     pub(super) touches: Vec<InputProbe>,
 }
@@ -29,9 +30,11 @@ impl<'a> EmulatedCell<'a> {
         let mechanism =
             |robot: &Robot| robot.parameters.unwrap_or(robot.model.parameters()).mechanism().map(Mechanism::new);
         let mechanisms = file.cell.robot.iter().map(mechanism).collect();
-        let probes = file.cell.scene.iter().flat_map(|scene| &scene.touch_probe);
-        let touches = probes.map(|_| InputProbe::default()).collect();
-        Self { file, mechanisms, touches }
+        let scene = file.cell.scene.as_ref();
+        let (grippers, probes) = scene.map_or((0, 0), |scene| (scene.gripper.len(), scene.touch_probe.len()));
+        let valves = (0..grippers).map(|_| OutputProbe::default()).collect();
+        let touches = (0..probes).map(|_| InputProbe::default()).collect();
+        Self { file, mechanisms, valves, touches }
     }
 
     /// The mount of an axis in its robot; `None` if the axis moves its own load.
@@ -41,84 +44,11 @@ impl<'a> EmulatedCell<'a> {
     }
 }
 
-impl EmulatedCell<'_> {
-    /// The scene of the cell with the robots that have force sensors or touch its planes, and a probe for each force
-    /// sensor. The axes must be mounted already. `None` without such robots.
-    ///
-    /// The scene has the base frame of the robot that touches the planes, turned upright. All robots of the scene have
-    /// their bases at its origin. Only one of them has a tip, so that they do not meet.
-    pub fn scene(&self) -> (Option<Scene>, Vec<SensorProbe>) {
-        let cell = &self.file.cell;
-        let touching = cell.scene.as_ref().map(|scene| scene.robot.as_str());
-        let mut scene = Scene::new();
-        let mut probes: Vec<_> = cell.force_sensor.iter().map(|_| SensorProbe::default()).collect();
-        let mut count = 0;
-        for (number, robot) in cell.robot.iter().enumerate() {
-            let sensors = (0..probes.len()).filter(|sensor| cell.robot_of_sensor(*sensor) == number);
-            let sensors: Vec<_> = sensors.collect();
-            let touches = touching == Some(robot.name.as_str());
-            let Some(mechanism) = self.mechanisms[number].as_ref().filter(|_| touches || !sensors.is_empty()) else {
-                continue;
-            };
-            count += 1;
-            let (base, flange) = robot.parameters.unwrap_or(robot.model.parameters()).mechanism_frames();
-            let upright = upright_from_base(robot.model);
-            let id = scene.add_robot(mechanism, &(upright * base)).expect(SOUND);
-            for sensor in sensors {
-                let given = &cell.force_sensor[sensor];
-                let config = SensorConfig {
-                    pose: flange.inverse() * given.flange_from_sensor(),
-                    mass: given.tool.mass,
-                    centre: given.tool.centre,
-                    inertia: [0.0; 3],
-                };
-                probes[sensor] = scene.add_sensor(id, &config).expect(SOUND);
-            }
-            if let Some(around) = cell.scene.as_ref().filter(|_| touches) {
-                let tool = Translation3::from(robot.tool);
-                let centre = (flange.inverse() * tool).translation.vector.into();
-                scene.add_tip(id, &TipConfig { centre, radius: around.tip_radius }).expect(SOUND);
-                for (probe, touch) in around.touch_probe.iter().zip(&self.touches) {
-                    scene.add_touch(id, probe.force, !probe.closed_at_rest, touch).expect(SOUND);
-                }
-                for plane in &around.plane {
-                    scene.add_wall(&wall(plane, &upright)).expect(SOUND);
-                }
-                for block in &around.block {
-                    scene.add_wall(&block_wall(block, &upright)).expect(SOUND);
-                }
-            }
-        }
-        ((count > 0).then_some(scene), probes)
-    }
-}
-
 /// The rotation from the base of a robot to axes whose z points upward.
 pub fn upright_from_base(model: Model) -> UnitQuaternion<f64> {
     let turned = UnitQuaternion::rotation_between(&model.up().into(), &Vector3::z());
     turned.unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI))
 }
-
-/// A plane of the cell file in a scene whose axes are `upright`.
-fn wall(plane: &EmulatedPlane, upright: &UnitQuaternion<f64>) -> WallConfig {
-    let normal = Vector3::from(plane.normal).normalize();
-    let facing = UnitQuaternion::rotation_between(&Vector3::z(), &normal);
-    let facing = facing.unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI));
-    let pose = Isometry3::from_parts((normal * plane.height).into(), facing);
-    let &EmulatedPlane { stiffness, damping, friction, .. } = plane;
-    WallConfig { shape: Shape::HalfSpace, pose: upright * pose, material: Material { stiffness, damping, friction } }
-}
-
-/// A block of the cell file in a scene whose axes are `upright`.
-fn block_wall(block: &EmulatedBlock, upright: &UnitQuaternion<f64>) -> WallConfig {
-    let &EmulatedBlock { centre, size, stiffness, damping, friction } = block;
-    let pose = Isometry3::from_parts(centre.into(), UnitQuaternion::identity());
-    let shape = Shape::Box { half: size.map(|edge| edge / 2.0) };
-    WallConfig { shape, pose: upright * pose, material: Material { stiffness, damping, friction } }
-}
-
-/// Reason that the parts of a scene are accepted.
-const SOUND: &str = "a parsed cell has a sound scene";
 
 /// The emulated payloads of a cell, in order of time.
 pub struct Payloads(VecDeque<(Instant, Mechanism, EmulatedPayload)>);

@@ -145,6 +145,14 @@ impl Cell {
     }
 }
 
+impl Cell {
+    /// Whether the terminal of the output called `name` is low while the output is true.
+    pub fn inverts(&self, name: &str) -> bool {
+        let mut outputs = self.io.iter().flat_map(|io| &io.output);
+        outputs.any(|output| output.name == name && output.inverted)
+    }
+}
+
 impl IoNode {
     /// Configuration of the node at the servo period `period`.
     pub fn config(&self, period: Duration) -> IoConfig {

@@ -35,6 +35,7 @@ use controller::generator::Pose;
 use controller::robot::{self, Arm, Mass, ParameterError, Weight, WeightError};
 use servo::KeyProblem;
 
+use crate::bench::plants::upright_from_base;
 pub use crate::robots::{Model, Parameters};
 pub use axis_controller::{AxisController, Loop, Serial};
 pub(crate) use device_configuration::DeviceConfiguration;
@@ -49,7 +50,7 @@ pub use meetings::Meeting;
 pub(crate) use program::smooth_pose;
 pub use program::{ProgramError, instruction_path};
 pub use read::LARGEST;
-pub use scene::{EmulatedBlock, EmulatedPlane, EmulatedScene};
+pub use scene::{EmulatedBar, EmulatedBlock, EmulatedGripper, EmulatedPlane, EmulatedScene, EmulatedTip, Place};
 pub use servo::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
 pub use servo::thread::{Policy, Realtime, Scheduler, Wait};
 pub use servo::{Direction, FeedForward, Figure, Law, Range};
@@ -149,6 +150,14 @@ pub struct Robot {
     pub model: Model,
     /// Geometry, drive train, home positions and limits, in place of those of the model.
     pub parameters: Option<Parameters>,
+    /// Place of the base in the frame of the cell, for tasks with several robots and for the emulated surroundings; the
+    /// origin of this frame where absent.
+    #[serde(default)]
+    pub base: Place,
+    /// Difference between the place of the emulated base and `base`: a calibration error, in the frame of the base. Real
+    /// robots ignore this key.
+    #[serde(default)]
+    pub emulated_base_error: Place,
     /// Origin of the tool in the flange's frame, m.
     #[serde(default)]
     pub tool: [f64; 3],
@@ -198,6 +207,11 @@ impl Robot {
             return format!("{before}axis {name}{behind}");
         }
         said
+    }
+
+    /// Pose of the base frame of the kinematics in the frame of the cell.
+    pub fn cell_from_base(&self) -> Pose {
+        self.base.pose() * upright_from_base(self.model)
     }
 
     /// Kinematics and drive train, or the error in the parameters.
@@ -354,6 +368,9 @@ pub struct Emulator {
     pub protocol: Option<Protocol>,
     /// Whether the device is absent from its bus or line. An absent drive never boots.
     pub absent: bool,
+    /// Time at which the emulated drive on CAN trips with an over-current, s since the emulated devices were switched on;
+    /// never where absent. A drive without power does not trip.
+    pub trips_at_s: Option<f64>,
 }
 
 /// A payload of an emulated robot from a given time on. The payload replaces the previous one.

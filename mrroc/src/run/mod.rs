@@ -48,6 +48,7 @@ use servo::{NotUp, Servo, Timing, lockstep, thread};
 
 use crate::bench::clockwork;
 use crate::bench::emulation::Emulation;
+use crate::bench::truth::TruthLog;
 use crate::bench::{Bench, BenchKind, Places};
 use crate::cell::{CellFile, printable};
 use crate::outputs::{Outputs, Replacement};
@@ -118,6 +119,10 @@ pub struct RunOptions {
     /// those around a moment of yours.
     #[arg(long, value_name = "FILE")]
     pub spikes: Option<PathBuf>,
+    /// Write the true places of bars and the true wrenches of grippers of the emulated scene to this file, as CSV, in each
+    /// servo period. Needs --bench lockstep. No controller reads the truth.
+    #[arg(long, value_name = "FILE")]
+    pub truth: Option<PathBuf>,
     /// Write report.html into this directory: tables and plots of the run in one file, which needs no network.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -148,6 +153,9 @@ pub fn run(
     if options.spikes.is_some() && options.bench == BenchKind::Lockstep {
         bail!("--spikes needs cycles by the clock, which --bench lockstep has none of");
     }
+    if options.truth.is_some() && options.bench != BenchKind::Lockstep {
+        bail!("--truth needs --bench lockstep, where the scene is in step with the servo");
+    }
     if let Some(percent) = options.speed {
         let fraction = if percent > 0.0 { percent / 100.0 } else { f64::NAN };
         let set = requests.speed.set(fraction);
@@ -164,8 +172,9 @@ pub fn run(
     let record = outputs.open_if("--record", options.record.as_deref())?;
     let steps = outputs.open_if("--steps", options.steps.as_deref())?;
     let spikes = outputs.open_if("--spikes", options.spikes.as_deref())?;
+    let truth = outputs.open_if("--truth", options.truth.as_deref())?;
     let page = options.out.as_deref().map(|directory| outputs.open_in("--out", directory, REPORT)).transpose()?;
-    let bench = Bench::open(file, options.bench, &options.places, options.trace.is_some())?;
+    let mut bench = Bench::open(file, options.bench, &options.places, options.trace.is_some())?;
     let devices = setup::devices(file, bench.ports, bench.lines, bench.sensors, None)?;
     let (mut servo, links) = Servo::new(&setup::servo_config(file), devices.groups)?;
     let sensors = setup::force_sensors(file, &devices.sensors, &links);
@@ -186,10 +195,14 @@ pub fn run(
         steps: steps.context("--steps")?,
         frames: frames.transpose()?,
     };
+    if let (Some(sink), Some(emulation)) = (truth, &mut bench.emulation) {
+        emulation.log_truth(TruthLog::new(sink, file).context("--truth")?);
+    }
     let figures = task.figures();
     requests.stop_through(servo.stop_request());
 
     let began = clock::now();
+    let unsolved = bench.emulation.as_ref().and_then(Emulation::unsolved);
     let buses = Buses { wire: bench.wire, emulation: bench.emulation };
     let mut end = match options.bench {
         BenchKind::Lockstep => {
@@ -205,6 +218,7 @@ pub fn run(
             end.faults.push(fault);
         }
     }
+    end.faults.extend(unsolved.and_then(|unsolved| of_contacts(unsolved.count())));
     for fault in end.faults.iter_mut().chain(&mut end.recovered) {
         fault.add_cycles(&end.tracks);
     }
@@ -229,6 +243,16 @@ pub fn run(
         }
     }
     Ok(report)
+}
+
+/// The fault of a run in which the equations of `unsolved` parts of steps of the emulated contacts were not solved.
+fn of_contacts(unsolved: u64) -> Option<FaultReport> {
+    (unsolved > 0).then(|| {
+        FaultReport::of_run(format_args!(
+            "emulated contacts are wrong in {unsolved} parts of steps: reduce stiffness and damping of surfaces and grips, \
+             or use heavier bodies"
+        ))
+    })
 }
 
 /// What is beyond the ports of a run.
@@ -338,7 +362,8 @@ fn in_lockstep(
         // The request broke off the instructions of the task.
         faults.retain(|fault| fault.robot.is_none());
     }
-    faults.extend(written.err().map(FaultReport::of_run));
+    let truth = emulation.into_inner().finish().context("the truth of the scene cannot be written");
+    faults.extend(written.and(truth).err().map(FaultReport::of_run));
     Ok(RunEnd {
         servo,
         tracks,

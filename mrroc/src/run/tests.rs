@@ -369,3 +369,10 @@ fn a_fault_of_an_io_node_is_a_fault_of_the_run() {
     let (_, rehearsed) = setup::rehearsed_io(&file);
     assert_eq!(io_faults(&file, &rehearsed).count(), 0);
 }
+
+#[test]
+fn contacts_that_were_not_solved_are_a_fault_of_the_run() {
+    assert!(of_contacts(0).is_none());
+    let fault = of_contacts(3).expect("a fault");
+    assert!(fault.what.starts_with("emulated contacts are wrong in 3 parts of steps: "), "{}", fault.what);
+}

@@ -6,7 +6,7 @@ use std::time::Duration;
 use controller::coordination::{Late, LinkConfig};
 use controller::ecp::Task;
 use controller::executor::{Agent, Agents, LooseLink, Observer, Replacer};
-use controller::generator::{EffectorImage, Generator, Message, SensorReading};
+use controller::generator::{EffectorImage, Generator, Message, Pose, SensorReading};
 use controller::sensor::{ForceTorque, Shell, VirtualSensor};
 use drive::cia401::IoLink;
 use drive::ultrasonic::UltrasonicLink;
@@ -171,6 +171,11 @@ impl Robot {
     /// Generators of motions within the limits of the robot.
     pub fn motions(&self) -> Motions {
         Motions::of(&self.file, self.agent.robot())
+    }
+
+    /// Pose of the robot's base in the frame of the cell, as the cell file gives it.
+    pub fn cell_from_base(&self) -> Pose {
+        self.file.cell.robot[self.agent.robot()].cell_from_base()
     }
 
     /// State of the robot in the last servo cycle, in every phase, also with the drives off. Joints and pose are

@@ -1,5 +1,6 @@
 //! Errors of tasks.
 
+use controller::coordination::carry::CarryError;
 use controller::coordination::{CoordinatorError, LinkError};
 use controller::ecp::{Class, ReplaceRefused};
 use controller::executor::{InstructionError, SystemError};
@@ -170,6 +171,12 @@ impl From<GeneratorError> for TaskError {
 
 impl From<KinematicsError> for TaskError {
     fn from(error: KinematicsError) -> Self {
+        Self::Refused(error.into())
+    }
+}
+
+impl From<CarryError> for TaskError {
+    fn from(error: CarryError) -> Self {
         Self::Refused(error.into())
     }
 }

@@ -7,12 +7,15 @@ use controller::executor::Agents;
 use controller::force::Wrench;
 use controller::generator::GeneratorError;
 use controller::sensor::{ForceError, ForceReading, ForceTorque};
-use drive::wrench::WrenchFault;
+use drive::wrench::{WrenchFault, ZeroFailure, Zeroing};
 
 use super::{Outcome, TaskError};
 
 /// Servo periods that a zeroing may take beyond its samples.
 const SPARE: u32 = 100;
+
+/// Longest time in which a zeroing whose samples differ is repeated.
+const SETTLING: Duration = Duration::from_secs(1);
 
 /// A force/torque sensor at the flange of a robot.
 #[derive(Clone)]
@@ -27,7 +30,7 @@ pub struct ForceSensor {
 
 impl ForceSensor {
     pub(super) fn new(name: &str, sensor: ForceTorque, agents: Agents, period: Duration, samples: u16) -> Self {
-        let patience = period * (u32::from(samples) + SPARE);
+        let patience = period * (u32::from(samples) + SPARE) + SETTLING;
         Self { name: name.into(), sensor, agents, period, patience }
     }
 
@@ -57,21 +60,32 @@ impl ForceSensor {
     }
 
     /// Makes the present reading the zero: the offset of the sensor, and any contact. The robot must stand still, homed and
-    /// without contact, until the zeroing is done. Fails if the sensor has a fault or gives no samples.
+    /// without contact, until the zeroing is done. Fails if the sensor has a fault or gives no samples, if the robot moves,
+    /// and if the reading still changes by a tenth of the range after a second. A constant contact force is not detected.
     pub async fn zero(&self) -> Outcome {
         // A sensor with a fault, or at a robot that is not homed, is refused before the request.
         self.read()?;
-        let request = self.sensor.link().zero();
+        self.stands_still()?;
+        let mut request = self.sensor.link().zero();
         let mut waited = Duration::ZERO;
         loop {
             let zeroing = self.sensor.link().read().zeroing;
+            self.stands_still()?;
             if zeroing.is_done(request) {
                 // The reading notes the weight of the tool in this orientation.
                 return self.read().map(|_| ());
             }
-            if zeroing.has_failed(request) || waited > self.patience {
+            let unsteady = matches!(zeroing, Zeroing::Failed { cause: ZeroFailure::Unsteady { .. }, .. });
+            if zeroing.has_failed(request) && unsteady && waited < SETTLING {
+                // The arm still oscillates after its last motion.
+                request = self.sensor.link().zero();
+            } else if zeroing.has_failed(request) || waited > self.patience {
                 self.read()?;
-                return Err(self.failed(ForceError::NotZeroed { waited }));
+                return Err(self.failed(match zeroing {
+                    Zeroing::Failed { cause: ZeroFailure::Unsteady { axis }, .. } => ForceError::Unsteady { axis },
+                    Zeroing::Failed { cause: ZeroFailure::NotBiased { axis }, .. } => ForceError::NotBiased { axis },
+                    _ => ForceError::NotZeroed { waited },
+                }));
             }
             self.agents.sleep(self.period).await;
             waited += self.period;
@@ -87,6 +101,10 @@ impl ForceSensor {
     /// shows.
     pub fn reset_fault(&self) {
         self.sensor.link().reset_fault();
+    }
+
+    fn stands_still(&self) -> Outcome {
+        self.sensor.stands_still().map_err(|error| self.failed(error))
     }
 
     fn failed(&self, error: ForceError) -> TaskError {

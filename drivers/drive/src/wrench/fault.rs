@@ -29,6 +29,12 @@ pub enum WrenchFault {
     /// answer.
     #[error("{readings} readings since the last sample were no answer of the sensor: check its cable and restart it")]
     Garbage { readings: u32 },
+    /// Samples come at the declared rate, but more than a fifth of the last samples is missing.
+    #[error("{missing} of {of} samples missing: check cable, adapter and load of the connection")]
+    Missing { missing: u32, of: u32 },
+    /// CAN: too many samples are missing, and `samples` of them lacked a frame, or had a frame after the next SYNC.
+    #[error("{samples} samples without all their frames: reduce the load of the bus, or check the PDOs of the sensor")]
+    Incomplete { samples: u32 },
     /// The reading is at or beyond the configured range. The true load may be greater.
     #[error("{axis} is saturated at {counts} counts: unload the sensor, then reset the fault")]
     Saturated { axis: WrenchAxis, counts: i32 },
@@ -89,7 +95,9 @@ impl WrenchFault {
     pub(super) fn may_be_restart(self) -> bool {
         match self {
             Self::NotStarted | Self::Ended | Self::Silent { .. } | Self::Garbage { .. } | Self::Line(_) => true,
-            Self::Saturated { .. }
+            Self::Missing { .. }
+            | Self::Incomplete { .. }
+            | Self::Saturated { .. }
             | Self::OfAnotherRate { .. }
             | Self::Status { .. }
             | Self::HeartbeatLost { .. }
@@ -121,6 +129,11 @@ pub enum WrenchError {
     /// The node was started and sent no whole sample.
     #[error("no sample since the start, waited {waited:.1?}: check the PDOs of the sensor")]
     NoSamples { waited: Duration },
+    #[error("{missing} of {of} samples missing: check cable, adapter and load of the connection")]
+    Missing { missing: u32, of: u32 },
+    /// Every sample lacked a frame, or had a frame after the next SYNC.
+    #[error("{samples} samples without all their frames: reduce the load of the bus, or check the PDOs of the sensor")]
+    Incomplete { samples: u32 },
     #[error("a sample every {found:.1?}, declared was {declared:?}: set the rate of the sensor")]
     OfAnotherRate { declared: Duration, found: Duration },
     #[error("{axis} is saturated at {counts} counts: unload the sensor, check its cable")]
@@ -156,6 +169,8 @@ pub(super) fn words(fault: Option<WrenchFault>) -> [u64; 3] {
         WrenchFault::Port(PortError::Gone) => [13, 1, 0],
         WrenchFault::Port(PortError::Os(number)) => [13, 2, errno(number)],
         WrenchFault::BusOff => [14, 0, 0],
+        WrenchFault::Incomplete { samples } => [15, u64::from(samples), 0],
+        WrenchFault::Missing { missing, of } => [16, u64::from(missing), u64::from(of)],
     }
 }
 
@@ -187,6 +202,8 @@ pub(super) fn of_words([kind, a, b]: [u64; 3]) -> Option<WrenchFault> {
             _ => PortError::Os(number(b)),
         }),
         14 => WrenchFault::BusOff,
+        15 => WrenchFault::Incomplete { samples: a as u32 },
+        16 => WrenchFault::Missing { missing: a as u32, of: b as u32 },
         _ => WrenchFault::NotStarted,
     })
 }
@@ -200,7 +217,7 @@ pub(super) mod tests {
 
     /// Any fault, or none.
     pub(in crate::wrench) fn any_fault() -> impl Strategy<Value = Option<WrenchFault>> {
-        (0..=20_usize, any::<u32>(), any::<i32>(), any::<[u64; 2]>(), select(&WrenchAxis::ALL)).prop_map(
+        (0..=23_usize, any::<u32>(), any::<i32>(), any::<[u64; 2]>(), select(&WrenchAxis::ALL)).prop_map(
             |(kind, cycles, counts, [declared, found], axis)| {
                 let (waited, node) = (Duration::from_nanos(declared), cycles as u8);
                 [
@@ -223,6 +240,8 @@ pub(super) mod tests {
                     WrenchFault::Port(PortError::Gone),
                     WrenchFault::Port(PortError::Os(counts)),
                     WrenchFault::BusOff,
+                    WrenchFault::Incomplete { samples: cycles },
+                    WrenchFault::Missing { missing: cycles, of: found as u32 },
                 ]
                 .get(kind)
                 .copied()

@@ -9,9 +9,15 @@
 //! - **Serial.** One query leaves at the deadline of each cycle, and the answer is read in the next cycle. The time of
 //!   a sample is the arrival time of its query: one byte time after the write. The answer has neither header nor
 //!   checksum, so a reading counts if it has exactly the length of an answer. Any other reading is counted as garbage.
-//!   After a missing or damaged answer the next query waits until the line is quiet.
+//!   After a missing or damaged answer the next query waits until the line is quiet. An answer up to two periods late is
+//!   therefore recognised and dropped. A later answer can be taken for the answer to the next query. The following
+//!   reading then has no whole answer: the sample counts as missing after all, and a fault follows as if no sample had
+//!   come since the last answer in time. Only a single answer more than two periods late, followed by answers between
+//!   one and two periods late, is not detected. The time of such samples is one period too late.
 //! - **CAN.** A sample is one set of the configured TPDOs. With SYNC, the frames of a set belong to the same SYNC, and
-//!   the time of the sample is the time of this SYNC. With an event timer, the frames of a set are received within half
+//!   the time of the sample is the time of this SYNC. A frame that comes after the next SYNC makes its sample incomplete:
+//!   the sample has no frame of another SYNC. If not every frame has a counter, such a frame is detected by the order of
+//!   the frames, once a SYNC lacked a frame. With an event timer, the frames of a set are received within half
 //!   a sample period, and the time of the sample is the receive time of the first frame. A counter of the sensor
 //!   distinguishes new samples from repeated samples.
 //!
@@ -24,8 +30,10 @@
 //! |---|---|
 //! | [`Silent`](WrenchFault::Silent) | more than the tolerated samples in a row are missing |
 //! | [`Garbage`](WrenchFault::Garbage) | the same, and at least one reading among them was no answer |
+//! | [`Incomplete`](WrenchFault::Incomplete) | the same on CAN, and at least one sample among them lacked a frame |
 //! | [`Saturated`](WrenchFault::Saturated) | counts at or beyond the range, in more than the tolerated samples in a row |
 //! | [`OfAnotherRate`](WrenchFault::OfAnotherRate) | of 64 samples, the mean period differs from the declared one by more than a quarter; or answers come a cycle late |
+//! | [`Missing`](WrenchFault::Missing) | the same, but most of the samples came at the declared rate |
 //! | [`Status`](WrenchFault::Status) | an error bit of a status field |
 //! | [`Line`](WrenchFault::Line), [`Port`](WrenchFault::Port) and the others | the line, the bus or the node failed |
 //!
@@ -34,7 +42,8 @@
 //!
 //! # Zero
 //! After [`WrenchLink::zero`], the present load reads as zero. The zero is a mean of samples in the host, or the bias
-//! command of the sensor ([`ZeroMethod`]). The zero includes the weight of the tool in its present pose. Compensation
+//! command of the sensor ([`ZeroMethod`]). A zeroing fails if its samples differ by more than a tenth of the range, or if
+//! the sensor reads more than that after its bias command ([`ZeroFailure`]). The zero includes the weight of the tool in its present pose. Compensation
 //! of weight and inertia needs kinematics and is done by the controller.
 //!
 //! # Bring-up
@@ -69,5 +78,5 @@ pub(crate) use node::WrenchNode;
 pub use node_config::{Content, NodeQuantity, Trigger, WrenchField, WrenchNodeConfig, WrenchPdo, check};
 pub(crate) use program::program;
 pub use rehearsed::RehearsedWrench;
-pub use sampler::WrenchCounters;
-pub use state::{WrenchAxis, WrenchLink, WrenchState, ZeroRequest, Zeroing};
+pub use sampler::{WrenchCounters, ZERO_SCATTER};
+pub use state::{WrenchAxis, WrenchLink, WrenchState, ZeroFailure, ZeroRequest, Zeroing};

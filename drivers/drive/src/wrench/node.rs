@@ -31,7 +31,10 @@ pub(crate) struct WrenchNode {
     samples_within: Duration,
     heartbeat_lost_after: Duration,
     frames: Vec<FrameLayout>,
+    /// Every frame of a sample carries a counter.
+    numbered: bool,
     set: Set,
+    late: LateFrames,
     last_counter: Option<u32>,
     sampler: Sampler,
     sampling: Sampling,
@@ -62,11 +65,29 @@ struct FrameLayout {
     bytes: usize,
 }
 
+/// Detection of frames that come after the next SYNC. Without a counter, such a frame looks like a frame of that SYNC.
+///
+/// Frames become late one after the other. A SYNC without some of its frames therefore comes first. The missing frames
+/// are lost or late. A late frame comes before the frames of its own SYNC, so that the order of the frames changes.
+#[derive(Clone, Copy, Default)]
+struct LateFrames {
+    /// Frames that may come late: frame *n* in bit *n*. 0 after a whole sample.
+    owed: u8,
+    /// Order of the frames of the last accepted sample.
+    order: Option<Order>,
+}
+
+/// Numbers of the first frames of a sample in the order of their arrival: the first frame in the lowest four bits. Frame
+/// *n* has the number *n* + 1.
+type Order = u16;
+
 /// The frames of one sample that have arrived.
 #[derive(Clone, Copy, Default)]
 struct Set {
     /// Frame *n* in bit *n*.
     frames: u8,
+    /// The same frames in the order of their arrival.
+    order: Order,
     /// Time of the SYNC, or receive time of the first frame.
     at: Instant,
     counts: [i32; 6],
@@ -96,7 +117,9 @@ impl WrenchNode {
             samples_within: group.boot_timeout + COMPARISONS * pace.first_comparison(),
             heartbeat_lost_after: group.heartbeat_lost_after(),
             frames: config.pdos.iter().map(layout).collect(),
+            numbered: config.pdos.iter().all(|pdo| pdo.has_counter()),
             set: Set::default(),
+            late: LateFrames::default(),
             last_counter: None,
             sampler,
             sampling: Sampling::NotBegun,
@@ -114,7 +137,8 @@ impl WrenchNode {
 
     /// Ends operation. Bring-up begins.
     pub(crate) fn reset(&mut self) {
-        (self.set, self.last_counter, self.sampling) = (Set::default(), None, Sampling::NotBegun);
+        (self.set, self.late) = (Set::default(), LateFrames::default());
+        (self.last_counter, self.sampling) = (None, Sampling::NotBegun);
         self.sampler.reset();
     }
 
@@ -165,19 +189,30 @@ impl WrenchNode {
         }
         let at = if self.needs_sync() { syncs.of_answer(at)? } else { at };
         let read = Set { at, ..Set::of(frame, data) };
-        let bit = 1_u8 << index;
+        let (bit, all) = (1_u8 << index, u8::MAX >> (8 - self.frames.len()));
         let belongs = match self.trigger {
             Trigger::Sync { .. } => self.set.at == at,
             Trigger::EventTimer(_) => at.since(self.set.at) < self.apart,
         };
         let same = self.set.counter.is_none() || read.counter.is_none() || self.set.counter == read.counter;
         if self.set.frames == 0 || self.set.frames & bit != 0 || !belongs || !same {
-            self.sampler.counters.lost += u64::from(self.set.frames != 0);
+            if self.set.frames != 0 {
+                // The frames of a sample that is not complete are lost or late.
+                self.late.owed = all & !self.set.frames;
+                self.sampler.incomplete();
+            }
             self.set = Set { at, ..Set::default() };
         }
-        self.set.add(frame, &read, bit);
-        if usize::from(self.set.frames) + 1 == 1 << self.frames.len() {
+        self.set.add(frame, &read, index);
+        if self.set.frames != all {
+            return Some(());
+        }
+        if self.needs_sync() && !self.numbered && self.late.are_in(&self.set) {
+            // The late frames belong to a sample that was already counted as incomplete.
+            self.set.remove(self.late.owed);
+        } else {
             let set = std::mem::take(&mut self.set);
+            self.late = LateFrames { owed: 0, order: Some(set.order) };
             self.complete(&set);
         }
         Some(())
@@ -247,12 +282,45 @@ impl Set {
     }
 
     /// Adds the fields of a frame of this sample.
-    fn add(&mut self, frame: &FrameLayout, read: &Self, bit: u8) {
-        self.frames |= bit;
+    fn add(&mut self, frame: &FrameLayout, read: &Self, index: usize) {
+        self.order |= (index as Order + 1) << (4 * self.frames.count_ones());
+        self.frames |= 1 << index;
         self.errors |= read.errors;
         self.counter = self.counter.or(read.counter);
         for axis in frame.fields.iter().filter_map(|(_, content)| content.axis()) {
             self.counts[axis as usize] = read.counts[axis as usize];
+        }
+    }
+
+    /// The frames in the order of their arrival, by their index.
+    fn arrived(&self) -> impl DoubleEndedIterator<Item = u16> + use<> {
+        let (order, count) = (self.order, self.frames.count_ones());
+        (0..count).map(move |place| (order >> (4 * place) & 0xF) - 1)
+    }
+
+    /// The last `count` frames, frame *n* in bit *n*.
+    fn last(&self, count: u32) -> u8 {
+        self.arrived().rev().take(count as usize).fold(0, |frames, index| frames | 1 << index)
+    }
+
+    /// Removes frames. Their counts are those of the next frame with the same index.
+    fn remove(&mut self, frames: u8) {
+        let kept = self.arrived().filter(|index| frames & 1 << index == 0);
+        let order = kept.enumerate().fold(0, |order, (place, index)| order | (index + 1) << (4 * place));
+        (self.frames, self.order) = (self.frames & !frames, order);
+    }
+}
+
+impl LateFrames {
+    /// Whether frames of the last SYNC may be among those of the complete set.
+    fn are_in(&self, set: &Set) -> bool {
+        if self.owed == 0 {
+            return false;
+        }
+        match self.order {
+            Some(order) => set.order != order,
+            // The first sample since the start. A frame that was missing before must be behind all others.
+            None => set.last(self.owed.count_ones()) != self.owed,
         }
     }
 }

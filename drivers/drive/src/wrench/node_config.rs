@@ -123,6 +123,11 @@ impl Content {
 }
 
 impl WrenchPdo {
+    /// Whether the frames carry the number of their sample.
+    pub(super) fn has_counter(&self) -> bool {
+        self.fields.iter().any(|field| matches!(field.content, Content::Counter { .. }))
+    }
+
     pub(super) fn mapping(&self) -> Result<PdoMapping, MappingError> {
         let entry = |field: &WrenchField| Entry::new(field.object, field.content.bytes().saturating_mul(8));
         PdoMapping::new(&self.fields.iter().map(entry).collect::<Vec<_>>())

@@ -53,6 +53,17 @@ impl Pace {
     }
 }
 
+/// Result of a comparison with the declared rate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Comparison {
+    /// The mean period agrees with the declared period.
+    Agrees,
+    /// Most samples follow their predecessor by the declared period, but too many samples are missing.
+    Missing { missing: u32, of: u32 },
+    /// The mean period, which differs from the declared period.
+    Differs { found: Duration },
+}
+
 /// Count of the samples of a comparison.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Rate {
@@ -61,6 +72,10 @@ pub(super) struct Rate {
     length: u32,
     requests: u32,
     samples: u32,
+    /// Number of samples that followed their predecessor by the declared period.
+    regular: u32,
+    /// Number of requests up to the last sample.
+    answered: u32,
     /// Times of the first and the last sample.
     first: Instant,
     last: Instant,
@@ -78,7 +93,16 @@ impl Rate {
     }
 
     fn of(pace: Pace, length: u32) -> Self {
-        Self { pace, length, requests: 0, samples: 0, first: Instant::ZERO, last: Instant::ZERO }
+        Self {
+            pace,
+            length,
+            requests: 0,
+            samples: 0,
+            regular: 0,
+            answered: 0,
+            first: Instant::ZERO,
+            last: Instant::ZERO,
+        }
     }
 
     /// Counts a request whose answer is due by now.
@@ -91,7 +115,12 @@ impl Rate {
         if self.samples == 0 {
             self.first = at;
         }
-        self.last = at;
+        let declared = self.pace.declared();
+        self.regular += u32::from(match self.pace {
+            Pace::Requested { every, .. } => self.requests - self.answered == every,
+            Pace::Own { .. } => self.samples > 0 && at.since(self.last).abs_diff(declared) <= declared / TOLERANCE,
+        });
+        (self.last, self.answered) = (at, self.requests);
         self.samples += 1;
     }
 
@@ -104,9 +133,8 @@ impl Rate {
         }
     }
 
-    /// Ends the comparison if it has enough requests or samples, and begins the next. Returns the mean time between two
-    /// samples, and whether this time agrees with the declared period.
-    pub(super) fn compare(&mut self) -> Option<(Duration, bool)> {
+    /// Ends the comparison if it has enough requests or samples, and begins the next.
+    pub(super) fn compare(&mut self) -> Option<Comparison> {
         let complete = match self.pace {
             Pace::Requested { every, .. } => self.requests >= self.length.saturating_mul(every),
             // The time of a sample may be the time of its reading, which is up to a period late.
@@ -120,8 +148,21 @@ impl Rate {
         let declared = self.pace.declared();
         // A comparison without a sample passes here: the count of missing samples detects silence.
         let found = self.found().unwrap_or(declared);
-        *self = Self::of(self.pace, self.length);
-        Some((found, found.abs_diff(declared) <= declared / TOLERANCE))
+        let due = match self.pace {
+            Pace::Requested { every, .. } => self.requests / every,
+            Pace::Own { .. } => {
+                let periods = self.last.since(self.first).as_secs_f64() / declared.as_secs_f64();
+                periods.round() as u32 + 1
+            }
+        };
+        let ended = std::mem::replace(self, Self::of(self.pace, self.length));
+        Some(if found.abs_diff(declared) <= declared / TOLERANCE {
+            Comparison::Agrees
+        } else if found > declared && 2 * ended.regular > ended.samples {
+            Comparison::Missing { missing: due.saturating_sub(ended.samples), of: due }
+        } else {
+            Comparison::Differs { found }
+        })
     }
 }
 
@@ -134,7 +175,17 @@ mod tests {
     #[test]
     fn requests_without_a_sample_and_samples_without_a_request_change_the_rate() {
         // Of 64 requests so many gave a sample, or of 16 requests for the first comparison.
-        for (samples, right) in [(64, true), (52, true), (51, false), (32, false), (80, true), (90, false)] {
+        let differs = |samples| Comparison::Differs { found: PERIOD * 64 / samples };
+        for (samples, expected) in [
+            (64, Comparison::Agrees),
+            (52, Comparison::Agrees),
+            (51, Comparison::Missing { missing: 13, of: 64 }),
+            (43, Comparison::Missing { missing: 21, of: 64 }),
+            (32, differs(32)),
+            (16, differs(16)),
+            (80, Comparison::Agrees),
+            (90, differs(90)),
+        ] {
             let mut rate = Rate::new(Pace::Requested { every: 1, period: PERIOD });
             for request in 0..64_u32 {
                 assert_eq!(rate.compare(), None);
@@ -142,7 +193,7 @@ mod tests {
                 let before = samples * request / 64;
                 (before..samples * (request + 1) / 64).for_each(|_| rate.sampled(Instant::ZERO));
             }
-            assert_eq!(rate.compare(), Some((PERIOD * 64 / samples, right)), "{samples}");
+            assert_eq!(rate.compare(), Some(expected), "{samples}");
             assert_eq!(rate.compare(), None);
         }
     }
@@ -158,7 +209,8 @@ mod tests {
                 }
                 rate.compare()
             });
-            assert_eq!(result, Some((PERIOD * every, right)), "{every}");
+            let differs = Comparison::Differs { found: PERIOD * every };
+            assert_eq!(result, Some(if right { Comparison::Agrees } else { differs }), "{every}");
         }
     }
 
@@ -174,10 +226,29 @@ mod tests {
                 rate.sampled(now);
                 rate.compare()
             });
-            assert_eq!(result, Some((micros(found), right)));
+            let differs = Comparison::Differs { found: micros(found) };
+            assert_eq!(result, Some(if right { Comparison::Agrees } else { differs }));
             // At least 16 readings, so that a time of reading in place of reception does not count.
             assert!(now.since(Instant::ZERO) >= PERIOD * 16);
         }
+    }
+
+    #[test]
+    fn missing_samples_of_a_clock_are_counted() {
+        let mut rate = Rate::new(Pace::Own { declared: PERIOD, period: PERIOD });
+        // Every third sample is missing.
+        let result = (1..200).filter(|sample| sample % 3 > 0).find_map(|sample| {
+            rate.sampled(Instant::ZERO + PERIOD * sample);
+            rate.compare()
+        });
+        // Every second interval is the declared period, and the first as well.
+        assert_eq!(result, Some(Comparison::Differs { found: PERIOD * 3 / 2 }));
+        // Every fourth is missing.
+        let result = (1..200).filter(|sample| sample % 4 > 0).find_map(|sample| {
+            rate.sampled(Instant::ZERO + PERIOD * sample);
+            rate.compare()
+        });
+        assert_eq!(result, Some(Comparison::Missing { missing: 21, of: 86 }));
     }
 
     #[test]

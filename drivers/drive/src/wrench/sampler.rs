@@ -6,8 +6,14 @@ use can::Instant;
 
 use super::config::{Channel, WrenchConfig, ZeroMethod};
 use super::fault::{WrenchError, WrenchFault};
-use super::rate::{Pace, Rate};
-use super::state::{Requests, StatePublisher, WrenchAxis, WrenchLink, WrenchState, ZeroRequest, Zeroing};
+use super::rate::{Comparison, Pace, Rate};
+use super::state::{Requests, StatePublisher, WrenchAxis, WrenchLink, WrenchState, ZeroFailure, ZeroRequest, Zeroing};
+
+/// Greatest difference between two samples of a zeroing, and greatest reading after a bias command, as a part of the range.
+pub const ZERO_SCATTER: f64 = 0.1;
+
+/// Greatest difference between two samples that is always accepted, counts.
+const LEAST_SCATTER: i64 = 4;
 
 /// Counters of a sensor since bring-up. Counters only grow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -24,7 +30,7 @@ pub struct WrenchCounters {
     pub saturated: u64,
     /// CAN: samples with the counter value of the previous sample.
     pub repeated: u64,
-    /// CAN: lost samples. A frame of the sample is missing, or the counter of the sensor has a gap.
+    /// CAN: lost samples. A frame of the sample is missing or late, or the counter of the sensor has a gap.
     pub lost: u64,
 }
 
@@ -46,8 +52,10 @@ pub(super) struct Sampler {
     counts: [i32; 6],
     /// Counts that read as zero.
     offset: [f64; 6],
-    /// Sums of the counts of the zeroing under way.
+    /// Sums of the counts of the zeroing under way, and their least and greatest values.
     sums: [i64; 6],
+    least: [i32; 6],
+    greatest: [i32; 6],
     /// The bias command of the zeroing under way was sent.
     bias_sent: bool,
     rate: Rate,
@@ -57,14 +65,22 @@ pub(super) struct Sampler {
     resetting: bool,
     /// Cycles since the last sample, or since the last reset.
     waited: u32,
+    /// Cycles without a sample before a sample that a later reading may withdraw.
+    doubted: Option<u32>,
     /// Number of readings since the last sample that were no answer.
     garbage: u32,
     /// Number of late answers since the last sample.
     late: u32,
+    /// Number of samples without all their frames since the last sample.
+    incomplete: u32,
     /// Saturated samples in a row, and the first saturated channel of the last one.
     saturated: u32,
     saturated_at: Option<(WrenchAxis, i32)>,
+    /// First saturated channel of a sample of this cycle with which too many samples in a row were saturated.
+    overload: Option<(WrenchAxis, i32)>,
+    /// Error bits of the last sample, and of all samples since the last judgement.
     status: u32,
+    errors: u32,
     pub(super) counters: WrenchCounters,
 }
 
@@ -82,16 +98,22 @@ impl Sampler {
             counts: [0; 6],
             offset: [0.0; 6],
             sums: [0; 6],
+            least: [i32::MAX; 6],
+            greatest: [i32::MIN; 6],
             bias_sent: false,
             rate: Rate::first(pace),
             fresh: false,
             resetting: false,
             waited: 0,
+            doubted: None,
             garbage: 0,
             late: 0,
+            incomplete: 0,
             saturated: 0,
             saturated_at: None,
+            overload: None,
             status: 0,
+            errors: 0,
             counters: WrenchCounters::default(),
         };
         (sampler, link)
@@ -101,14 +123,15 @@ impl Sampler {
     pub(super) fn reset(&mut self) {
         let zeroing = match self.state.zeroing {
             Zeroing::None | Zeroing::Done { .. } => Zeroing::None,
-            Zeroing::UnderWay { request, .. } | Zeroing::Failed { request } => Zeroing::Failed { request },
+            Zeroing::UnderWay { request, .. } => Zeroing::Failed { request, cause: ZeroFailure::Interrupted },
+            failed @ Zeroing::Failed { .. } => failed,
         };
         self.state = WrenchState { zeroing, ..WrenchState::NOT_STARTED };
         self.offset = [0.0; 6];
         self.rate = Rate::first(self.pace);
         self.counters = WrenchCounters::default();
         self.forget_streaks();
-        (self.status, self.fresh) = (0, false);
+        (self.status, self.errors, self.fresh) = (0, 0, false);
         self.publish();
     }
 
@@ -118,15 +141,16 @@ impl Sampler {
         self.rate = Rate::new(self.pace);
         self.counters = WrenchCounters::default();
         self.forget_streaks();
+        self.errors = 0;
         // An earlier request for a reset is dropped: there is no fault to clear.
         self.requests.take_reset();
         self.publish();
     }
 
     fn forget_streaks(&mut self) {
-        (self.garbage, self.late, self.saturated) = (0, 0, 0);
-        self.saturated_at = None;
-        (self.resetting, self.waited) = (false, 0);
+        (self.garbage, self.late, self.incomplete, self.saturated) = (0, 0, 0, 0);
+        (self.saturated_at, self.overload) = (None, None);
+        (self.resetting, self.waited, self.doubted) = (false, 0, None);
     }
 
     /// Begins the reading of a cycle. A requested reset begins here, so that a sample of this cycle can end the fault.
@@ -144,6 +168,7 @@ impl Sampler {
     /// Takes a whole sample with the time `sampled`.
     pub(super) fn take(&mut self, counts: [i32; 6], sampled: Instant) {
         self.rate.sampled(sampled);
+        self.doubted = None;
         let mut channels = WrenchAxis::ALL.into_iter().zip(counts).zip(self.config.channels);
         let beyond =
             |(_, count): (WrenchAxis, i32), channel: Channel| count.unsigned_abs() >= channel.range.unsigned_abs();
@@ -151,9 +176,12 @@ impl Sampler {
         if self.saturated_at.is_some() {
             self.saturated = self.saturated.saturating_add(1);
             self.counters.saturated += 1;
+            if self.saturated > self.config.tolerated_saturated {
+                self.overload = self.saturated_at;
+            }
             return;
         }
-        (self.saturated, self.garbage, self.late) = (0, 0, 0);
+        (self.saturated, self.garbage, self.late, self.incomplete) = (0, 0, 0, 0);
         (self.counts, self.state.sampled, self.fresh) = (counts, sampled, true);
         if std::mem::take(&mut self.resetting) {
             self.state.fault = None;
@@ -169,9 +197,20 @@ impl Sampler {
     /// Adds the last sample to a zeroing that has taken `samples` samples so far.
     fn zero(&mut self, request: ZeroRequest, samples: u16) -> Zeroing {
         let ZeroMethod::Host { samples: wanted } = self.config.zero else {
-            let done = self.bias_sent;
-            return if done { Zeroing::Done { request, samples } } else { Zeroing::UnderWay { request, samples } };
+            return match self.exceeding(self.counts.map(i64::from)) {
+                _ if !self.bias_sent => Zeroing::UnderWay { request, samples },
+                Some(axis) => Zeroing::Failed { request, cause: ZeroFailure::NotBiased { axis } },
+                None => Zeroing::Done { request, samples },
+            };
         };
+        for (axis, counts) in self.counts.into_iter().enumerate() {
+            self.least[axis] = self.least[axis].min(counts);
+            self.greatest[axis] = self.greatest[axis].max(counts);
+        }
+        let spread = std::array::from_fn(|axis| i64::from(self.greatest[axis]) - i64::from(self.least[axis]));
+        if let Some(axis) = self.exceeding(spread) {
+            return Zeroing::Failed { request, cause: ZeroFailure::Unsteady { axis } };
+        }
         self.sums.iter_mut().zip(self.counts).for_each(|(sum, count)| *sum += i64::from(count));
         let samples = samples + 1;
         if samples < wanted {
@@ -180,6 +219,15 @@ impl Sampler {
         self.offset = self.sums.map(|sum| sum as f64 / f64::from(samples));
         self.scale();
         Zeroing::Done { request, samples }
+    }
+
+    /// The first channel with more than [`ZERO_SCATTER`] of its range, and more than the noise of a count.
+    fn exceeding(&self, counts: [i64; 6]) -> Option<WrenchAxis> {
+        let mut channels = WrenchAxis::ALL.into_iter().zip(counts).zip(self.config.channels);
+        let exceeds = |counts: i64, range: i32| {
+            counts.abs() > LEAST_SCATTER && counts.abs() as f64 > ZERO_SCATTER * f64::from(range)
+        };
+        channels.find(|((_, counts), channel)| exceeds(*counts, channel.range)).map(|((axis, _), _)| axis)
     }
 
     fn scale(&mut self) {
@@ -200,9 +248,30 @@ impl Sampler {
         self.counters.late += 1;
     }
 
-    /// Takes the error bits of a status field of the last frame.
+    /// The sample of this cycle may be older than its time: [`withdraw`](Self::withdraw) may follow in the next cycle.
+    pub(super) fn doubt(&mut self) {
+        self.doubted = self.fresh.then_some(self.waited);
+    }
+
+    /// The sample of the last cycle was that of an earlier query. The sample counts as missing and as a late answer.
+    pub(super) fn withdraw(&mut self) {
+        if let Some(waited) = self.doubted.take() {
+            // The cycle of the sample counts as a cycle without a sample.
+            self.waited = waited.saturating_add(1);
+            self.late();
+        }
+    }
+
+    /// Counts a sample without all its frames.
+    pub(super) fn incomplete(&mut self) {
+        self.incomplete = self.incomplete.saturating_add(1);
+        self.counters.lost += 1;
+    }
+
+    /// Takes the error bits of the status field of a sample.
     pub(super) fn status(&mut self, errors: u32) {
         self.status = errors;
+        self.errors |= errors;
     }
 
     /// Whether the bias command of the sensor is to be sent.
@@ -222,7 +291,7 @@ impl Sampler {
             self.state.fault = None;
         }
         if let Zeroing::UnderWay { request, .. } = self.state.zeroing {
-            self.state.zeroing = Zeroing::Failed { request };
+            self.state.zeroing = Zeroing::Failed { request, cause: ZeroFailure::Interrupted };
         }
         self.state.fault.get_or_insert(fault);
     }
@@ -251,11 +320,13 @@ impl Sampler {
         self.check_samples()?;
         let declared = self.pace.declared();
         match self.rate.compare() {
-            Some((found, false)) => Err(WrenchError::OfAnotherRate { declared, found }),
-            Some((_, true)) if self.has_sample() => Ok(true),
-            Some((_, true)) | None if waited <= within => Ok(false),
-            Some((_, true)) | None => Err(match self.rate.found() {
+            Some(Comparison::Differs { found }) => Err(WrenchError::OfAnotherRate { declared, found }),
+            Some(Comparison::Missing { missing, of }) => Err(WrenchError::Missing { missing, of }),
+            Some(Comparison::Agrees) if self.has_sample() => Ok(true),
+            Some(Comparison::Agrees) | None if waited <= within => Ok(false),
+            Some(Comparison::Agrees) | None => Err(match self.rate.found() {
                 Some(found) => WrenchError::OfAnotherRate { declared, found },
+                None if self.incomplete > 0 => WrenchError::Incomplete { samples: self.incomplete },
                 None => WrenchError::NoSamples { waited },
             }),
         }
@@ -287,13 +358,13 @@ impl Sampler {
     }
 
     fn judge(&mut self) {
-        if self.status != 0 {
-            self.latch(WrenchFault::Status { status: self.status });
+        let status = self.status | std::mem::take(&mut self.errors);
+        if status != 0 {
+            self.latch(WrenchFault::Status { status });
         }
         let silent = self.waited >= self.pace.silent_after(self.config.tolerated_missing);
-        if let Some((axis, counts)) = self.saturated_at
-            && (silent || self.saturated > self.config.tolerated_saturated)
-        {
+        let saturated = self.overload.take().or(self.saturated_at.filter(|_| silent));
+        if let Some((axis, counts)) = saturated {
             self.latch(WrenchFault::Saturated { axis, counts });
         }
         let declared = self.pace.declared();
@@ -304,12 +375,16 @@ impl Sampler {
             } else if self.late > 0 {
                 // A late answer is complete in the second reading after its query.
                 WrenchFault::OfAnotherRate { declared, found: 2 * declared }
+            } else if self.incomplete > 0 {
+                WrenchFault::Incomplete { samples: self.incomplete }
             } else {
                 WrenchFault::Silent { cycles }
             });
         }
-        if let Some((found, false)) = self.rate.compare() {
-            self.latch(WrenchFault::OfAnotherRate { declared, found });
+        match self.rate.compare() {
+            Some(Comparison::Differs { found }) => self.latch(WrenchFault::OfAnotherRate { declared, found }),
+            Some(Comparison::Missing { missing, of }) => self.latch(WrenchFault::Missing { missing, of }),
+            Some(Comparison::Agrees) | None => {}
         }
     }
 
@@ -320,9 +395,10 @@ impl Sampler {
         }
         self.taken = requested;
         if let Some(request) = requested {
-            (self.sums, self.bias_sent) = ([0; 6], false);
+            (self.sums, self.least, self.greatest) = ([0; 6], [i32::MAX; 6], [i32::MIN; 6]);
+            self.bias_sent = false;
             self.state.zeroing = match self.state.fault {
-                Some(_) => Zeroing::Failed { request },
+                Some(_) => Zeroing::Failed { request, cause: ZeroFailure::Interrupted },
                 None => Zeroing::UnderWay { request, samples: 0 },
             };
         }

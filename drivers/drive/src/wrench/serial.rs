@@ -27,6 +27,7 @@ pub struct SerialWrenchSensor<L: Line> {
     sampler: Sampler,
     bring_up: Option<BringUp>,
     exchange: Exchange,
+    order: AnswerOrder,
     buffer: Box<[u8; READING]>,
     counters: GroupCounters,
     /// Number of the cycle, from 0 at the end of bring-up.
@@ -46,6 +47,17 @@ enum Exchange {
     Draining { heard: usize },
 }
 
+/// Whether each answer belongs to the last query.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum AnswerOrder {
+    /// No answer was given up since two answers came in consecutive cycles.
+    Known,
+    /// An answer was given up, and may still come in place of the next answer.
+    Unknown,
+    /// The next answer has come. If this was the answer that was given up, the following reading has no whole answer.
+    Unconfirmed,
+}
+
 impl<L: Line> SerialWrenchSensor<L> {
     /// A sensor that has received nothing yet, and the controller's end of it.
     pub fn new(line: L, config: SerialWrenchConfig) -> Result<(Self, WrenchLink), ConfigError> {
@@ -58,6 +70,7 @@ impl<L: Line> SerialWrenchSensor<L> {
             sampler,
             bring_up: None,
             exchange: Exchange::Idle,
+            order: AnswerOrder::Known,
             buffer: Box::new([0; READING]),
             counters: GroupCounters::default(),
             cycle: 0,
@@ -73,9 +86,25 @@ impl<L: Line> SerialWrenchSensor<L> {
     /// Takes the bytes of one reading.
     fn take(&mut self, count: usize) {
         let sampler = &mut self.sampler;
-        self.exchange = match (self.exchange, <[u8; REPLY]>::try_from(&self.buffer[..count])) {
+        let reply = <[u8; REPLY]>::try_from(&self.buffer[..count]);
+        let expected = match self.exchange {
+            Exchange::Queried { .. } => reply.is_ok(),
+            Exchange::Idle | Exchange::Draining { .. } => count == 0,
+        };
+        if self.order == AnswerOrder::Unconfirmed && !expected {
+            sampler.withdraw();
+            self.order = AnswerOrder::Unknown;
+        }
+        self.exchange = match (self.exchange, reply) {
             (Exchange::Queried { arrives }, Ok(reply)) => {
                 sampler.take(Reply::decode(reply).counts.map(i32::from), arrives);
+                self.order = match self.order {
+                    AnswerOrder::Unknown => {
+                        sampler.doubt();
+                        AnswerOrder::Unconfirmed
+                    }
+                    AnswerOrder::Known | AnswerOrder::Unconfirmed => AnswerOrder::Known,
+                };
                 Exchange::Idle
             }
             (Exchange::Queried { .. }, Err(_)) => {
@@ -86,7 +115,11 @@ impl<L: Line> SerialWrenchSensor<L> {
                 }
                 Exchange::Draining { heard: count }
             }
-            (Exchange::Idle | Exchange::Draining { .. }, _) if count == 0 => Exchange::Idle,
+            (Exchange::Idle, _) if count == 0 => Exchange::Idle,
+            (Exchange::Draining { .. }, _) if count == 0 => {
+                self.order = AnswerOrder::Unknown;
+                Exchange::Idle
+            }
             (Exchange::Draining { heard }, _) if heard + count == REPLY => {
                 sampler.late();
                 Exchange::Idle
@@ -145,7 +178,7 @@ impl<L: Line> DriveGroup for SerialWrenchSensor<L> {
             Ok(false) => return Poll::Pending,
             Ok(true) => {
                 sampler.begin(now);
-                (self.exchange, self.cycle) = (Exchange::Idle, 0);
+                (self.exchange, self.order, self.cycle) = (Exchange::Idle, AnswerOrder::Known, 0);
             }
             Err(_) => {}
         }

@@ -85,12 +85,32 @@ pub enum Zeroing {
         /// Number of samples in the mean; 0 if the sensor has executed its bias command.
         samples: u16,
     },
-    /// A fault or a new bring-up ended the zeroing. After a fault, the previous zero is still in force, unless the sensor
-    /// had already executed its bias command ([`ZeroMethod::Device`](super::ZeroMethod::Device)). After a new bring-up,
-    /// the wrench is relative to the zero that the sensor itself has.
+    /// The zeroing failed. The previous zero is still in force, unless the sensor had already executed its bias command
+    /// ([`ZeroMethod::Device`](super::ZeroMethod::Device)). After a new bring-up, the wrench is relative to the zero that
+    /// the sensor itself has.
     Failed {
         /// The request that was not carried out.
         request: ZeroRequest,
+        /// Why the zeroing failed.
+        cause: ZeroFailure,
+    },
+}
+
+/// Why a zeroing failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ZeroFailure {
+    /// A fault of the sensor, or a new bring-up.
+    Interrupted,
+    /// The samples differ by more than [`ZERO_SCATTER`](super::ZERO_SCATTER) of the range: the robot moved, or the tool
+    /// touched something.
+    Unsteady {
+        /// Channel with this difference.
+        axis: WrenchAxis,
+    },
+    /// After the bias command, a channel reads more than [`ZERO_SCATTER`](super::ZERO_SCATTER) of the range.
+    NotBiased {
+        /// Channel with this reading.
+        axis: WrenchAxis,
     },
 }
 
@@ -105,6 +125,25 @@ impl ZeroRequest {
     }
 }
 
+impl ZeroFailure {
+    fn number(self) -> u16 {
+        match self {
+            Self::Interrupted => 0,
+            Self::Unsteady { axis } => 1 + axis as u16,
+            Self::NotBiased { axis } => 7 + axis as u16,
+        }
+    }
+
+    fn of_number(number: u16) -> Self {
+        let axis = |first| WrenchAxis::ALL[usize::from(number - first) % 6];
+        match number {
+            0 => Self::Interrupted,
+            1..=6 => Self::Unsteady { axis: axis(1) },
+            _ => Self::NotBiased { axis: axis(7) },
+        }
+    }
+}
+
 impl Zeroing {
     /// Whether the zero of `request`, or of a later request, is in force.
     pub fn is_done(self, request: ZeroRequest) -> bool {
@@ -113,7 +152,7 @@ impl Zeroing {
 
     /// Whether `request`, or a later request, has failed.
     pub fn has_failed(self, request: ZeroRequest) -> bool {
-        matches!(self, Self::Failed { request: failed } if failed >= request)
+        matches!(self, Self::Failed { request: failed, .. } if failed >= request)
     }
 }
 
@@ -146,7 +185,7 @@ impl WrenchState {
             Zeroing::None => (0, ZeroRequest(0), 0),
             Zeroing::UnderWay { request, samples } => (1, request, samples),
             Zeroing::Done { request, samples } => (2, request, samples),
-            Zeroing::Failed { request } => (3, request, 0),
+            Zeroing::Failed { request, cause } => (3, request, cause.number()),
         };
         let mut words = [0; WORDS];
         for (word, component) in words.iter_mut().zip(self.wrench) {
@@ -178,7 +217,7 @@ impl WrenchState {
             zeroing: match zeroing as u8 {
                 1 => Zeroing::UnderWay { request, samples: zeroed },
                 2 => Zeroing::Done { request, samples: zeroed },
-                3 => Zeroing::Failed { request },
+                3 => Zeroing::Failed { request, cause: ZeroFailure::of_number(zeroed) },
                 _ => Zeroing::None,
             },
             fault: fault::of_words(array::from_fn(|word| words[13 + word])),
@@ -221,7 +260,8 @@ impl WrenchLink {
     /// [`WrenchState::zeroing`] shows the progress of the returned request. A request during a zeroing restarts the
     /// zeroing. A request before operation takes effect in the first cycle. A request during a fault fails.
     ///
-    /// The robot must stand still until the zeroing is done.
+    /// The robot must stand still until the zeroing is done. The zeroing fails if its samples differ too much
+    /// ([`ZeroFailure`]). A constant contact force is not detected: the force becomes part of the zero.
     pub fn zero(&self) -> ZeroRequest {
         ZeroRequest(self.requests.0.zero.fetch_add(1, Ordering::AcqRel) + 1)
     }
@@ -259,6 +299,7 @@ mod tests {
             [cycle, at, sampled, samples] in any::<[u64; 4]>(),
             age in any::<u32>(),
             (zeroing, request, zeroed) in (0..=3, any::<u64>(), any::<u16>()),
+            failure in 0..13_u16,
             fault in fault::tests::any_fault(),
         ) {
             let request = ZeroRequest(request);
@@ -272,7 +313,7 @@ mod tests {
                 zeroing: match zeroing {
                     1 => Zeroing::UnderWay { request, samples: zeroed },
                     2 => Zeroing::Done { request, samples: zeroed },
-                    3 => Zeroing::Failed { request },
+                    3 => Zeroing::Failed { request, cause: ZeroFailure::of_number(failure) },
                     _ => Zeroing::None,
                 },
                 fault,
@@ -294,7 +335,7 @@ mod tests {
         assert_eq!(requests.zero(), Some(second));
         let done = Zeroing::Done { request: first, samples: 10 };
         assert!(done.is_done(first) && !done.is_done(second) && !done.has_failed(first));
-        let failed = Zeroing::Failed { request: second };
+        let failed = Zeroing::Failed { request: second, cause: ZeroFailure::Interrupted };
         assert!(failed.has_failed(first) && failed.has_failed(second) && !failed.is_done(first));
         assert!(!requests.take_reset());
         link.reset_fault();

@@ -14,6 +14,8 @@ pub(crate) struct Board {
     pub(crate) load: [i16; 6],
     /// Load at the last `b`.
     pub(crate) bias: [i16; 6],
+    /// The board ignores `b`.
+    pub(crate) without_bias: bool,
     /// Number of queries to lose.
     pub(crate) mute: u32,
     /// The board hears nothing.
@@ -39,6 +41,7 @@ impl Board {
         Self {
             load: [0; 6],
             bias: [0; 6],
+            without_bias: false,
             mute: 0,
             deaf: false,
             full: false,
@@ -59,6 +62,7 @@ impl Board {
 
     fn hear(&mut self, byte: u8) {
         match byte {
+            0x62 if self.without_bias => {}
             0x62 => self.bias = self.load,
             0x71 if self.mute > 0 => self.mute -= 1,
             0x71 => {

@@ -77,9 +77,38 @@ fn answers_that_are_always_a_cycle_late_are_another_rate() {
 }
 
 #[test]
-fn more_than_a_quarter_of_missing_samples_is_another_rate() {
+fn answers_of_another_query_are_withdrawn_before_they_exceed_the_tolerated_samples() {
+    // Answers come more than two periods late: after a quiet reading.
+    let tolerated = WrenchConfig::ATI.tolerated_missing as usize;
+    let mut rig = Rig::up();
+    let mut loads = Vec::new();
+    let mut cycle = |rig: &mut Rig| {
+        rig.line.board().load[0] = loads.len() as i16;
+        loads.push(rig.now + PERIOD);
+        let state = rig.cycle();
+        let queried = loads.iter().rposition(|at| *at < state.sampled).unwrap_or(0);
+        let wrong = state.age == 0 && ((state.wrench[0] / FORCE).round() as usize) != queried;
+        (state, wrong)
+    };
+    assert!((0..5).all(|_| !cycle(&mut rig).1));
+    rig.line.board().delay = 2;
+    assert_eq!(cycle(&mut rig).0.age, 0);
+    let states: Vec<_> = (0..=tolerated).map(|_| cycle(&mut rig)).collect();
+    assert_eq!(states.iter().filter(|(_, wrong)| *wrong).count(), 1, "{states:?}");
+    let late = WrenchFault::OfAnotherRate { declared: PERIOD, found: 2 * PERIOD };
+    assert_eq!(states[tolerated].0.fault, Some(late), "{states:?}");
+    // Once the answers are in time, the reset holds.
+    rig.line.board().delay = 0;
+    (0..4).for_each(|_| _ = cycle(&mut rig));
+    rig.link.reset_fault();
+    let states: Vec<_> = (0..70).map(|_| cycle(&mut rig)).collect();
+    assert!(states[4..].iter().all(|(state, wrong)| state.fault.is_none() && state.age == 0 && !wrong), "{states:?}");
+}
+
+#[test]
+fn more_than_a_fifth_of_missing_samples_is_a_fault_that_counts_them() {
     // One query in six is lost, which costs two samples of seven; or one in ten, which costs two of eleven.
-    for (lost_of, rate) in [(6, true), (10, false)] {
+    for (lost_of, fails) in [(6, true), (10, false)] {
         let mut rig = Rig::up();
         rig.run(3);
         let mut heard = 0;
@@ -92,10 +121,8 @@ fn more_than_a_quarter_of_missing_samples_is_another_rate() {
             rig.cycle().fault
         });
         match fault {
-            Some(WrenchFault::OfAnotherRate { declared, found }) => {
-                assert!(rate && declared == PERIOD && found > PERIOD * 5 / 4, "{lost_of}: {fault:?}");
-            }
-            _ => assert!(!rate && fault.is_none(), "{lost_of}: {fault:?}"),
+            Some(WrenchFault::Missing { missing: 18..=20, of: 64 }) => assert!(fails, "{lost_of}: {fault:?}"),
+            _ => assert!(!fails && fault.is_none(), "{lost_of}: {fault:?}"),
         }
     }
 }
@@ -207,6 +234,10 @@ fn a_reset_makes_no_old_wrench_valid() {
 fn faults_say_what_to_check() {
     let table = [
         (WrenchFault::Silent { cycles: 4 }, "no sample for 4 cycles: check cable and supply of the sensor"),
+        (
+            WrenchFault::Missing { missing: 18, of: 64 },
+            "18 of 64 samples missing: check cable, adapter and load of the connection",
+        ),
         (
             WrenchFault::Saturated { axis: WrenchAxis::Tz, counts: -940 },
             "Tz is saturated at -940 counts: unload the sensor, then reset the fault",

@@ -15,7 +15,7 @@ use board::{Board, SharedBoard};
 use can::Instant;
 use mrroc_drive::wrench::{
     Channel, ConfigError, SerialWrenchConfig, SerialWrenchSensor, WrenchAxis, WrenchConfig, WrenchError, WrenchFault,
-    WrenchLink, WrenchState, ZeroMethod, ZeroRequest, Zeroing,
+    WrenchLink, WrenchState, ZeroFailure, ZeroMethod, ZeroRequest, Zeroing,
 };
 use mrroc_drive::{BringUpError, DriveGroup};
 use serial::LineError;

@@ -39,6 +39,42 @@ fn the_mean_of_ten_samples_becomes_the_zero() {
 }
 
 #[test]
+fn samples_that_differ_by_a_tenth_of_the_range_make_no_zero() {
+    for (step, channel, axis) in [(74, 0, None), (75, 0, Some(WrenchAxis::Fx)), (-95, 5, Some(WrenchAxis::Tz))] {
+        let mut rig = Rig::up();
+        rig.line.board().load[2] = 115;
+        let before = rig.run(3);
+        let request = rig.link.zero();
+        rig.run(5);
+        rig.line.board().load[channel] = step;
+        let (_, state) = until_zeroed(&mut rig, request);
+        // 10 % of 747 counts of force, and of 940 counts of torque.
+        match axis {
+            None => assert_eq!(state.zeroing, Zeroing::Done { request, samples: 10 }),
+            Some(axis) => {
+                assert_eq!(state.zeroing, Zeroing::Failed { request, cause: ZeroFailure::Unsteady { axis } });
+                // The zero before is still in force, and a steady load is zeroed.
+                assert_eq!((state.wrench[2], state.fault), (before.wrench[2], None));
+                let request = rig.link.zero();
+                assert!(until_zeroed(&mut rig, request).1.zeroing.is_done(request));
+            }
+        }
+    }
+}
+
+#[test]
+fn a_bias_command_without_effect_is_a_failed_zeroing() {
+    let mut rig = by_device();
+    rig.line.board().load = [115, 0, 0, 0, 0, 0];
+    rig.run(3);
+    rig.line.board().without_bias = true;
+    let request = rig.link.zero();
+    let (_, state) = until_zeroed(&mut rig, request);
+    let cause = ZeroFailure::NotBiased { axis: WrenchAxis::Fx };
+    assert_eq!((state.zeroing, state.fault), (Zeroing::Failed { request, cause }, None));
+}
+
+#[test]
 fn a_request_during_a_zeroing_begins_it_anew() {
     let mut rig = Rig::up();
     rig.run(3);
@@ -78,11 +114,11 @@ fn a_missing_answer_delays_a_zeroing_and_a_fault_ends_it() {
     rig.run(3);
     rig.line.board().deaf = true;
     let (_, state) = until_zeroed(&mut rig, request);
-    assert_eq!(state.zeroing, Zeroing::Failed { request });
+    assert_eq!(state.zeroing, Zeroing::Failed { request, cause: ZeroFailure::Interrupted });
     assert!(matches!(state.fault, Some(WrenchFault::Silent { .. })), "{state:?}");
     // During a fault no request is carried out.
     let refused = rig.link.zero();
-    assert_eq!(rig.cycle().zeroing, Zeroing::Failed { request: refused });
+    assert_eq!(rig.cycle().zeroing, Zeroing::Failed { request: refused, cause: ZeroFailure::Interrupted });
     rig.line.board().deaf = false;
     rig.link.reset_fault();
     let state = rig.run(4);
@@ -112,7 +148,7 @@ fn a_new_bring_up_ends_a_zeroing_as_failed() {
     // Another node of the bus may need the bring-up: the sensor has no fault.
     assert_eq!(rig.bring_up(), Ok(()));
     let state = rig.run(20);
-    assert_eq!((state.fault, state.zeroing), (None, Zeroing::Failed { request }));
+    assert_eq!((state.fault, state.zeroing), (None, Zeroing::Failed { request, cause: ZeroFailure::Interrupted }));
     let request = rig.link.zero();
     rig.run(1);
     until_zeroed(&mut rig, request);

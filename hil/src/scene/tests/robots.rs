@@ -295,7 +295,7 @@ fn tip_pushes_a_box_away() {
     let id = scene.add_robot(&robot.mechanism, &Isometry3::identity()).unwrap();
     scene.add_tip(id, &TipConfig { centre: [0.0, 0.0, 0.2], radius: 5e-3 }).unwrap();
     let tip = scene.flange(id) * nalgebra::Point3::new(0.0, 0.0, 0.2);
-    scene.set_gravity([0.0, 0.0, -G]);
+    scene.set_gravity([0.0, 0.0, -G]).unwrap();
     let pose = Isometry3::translation(tip.x, tip.y + 5e-3 + 0.05 + 1e-3, tip.z);
     let cube = BodyConfig { mass: 1.0, half: [0.05; 3], material: METAL, pose, velocity: [0.0; 3], spin: [0.0; 3] };
     let cube = scene.add_body(&cube).unwrap();
@@ -309,6 +309,88 @@ fn tip_pushes_a_box_away() {
 }
 
 #[test]
+fn a_body_that_is_released_around_a_tip_falls_and_gains_no_energy() {
+    for late_tip in [false, true] {
+        let mut robot = Robot::irb6(DOWN);
+        let mut scene = Scene::new();
+        let id = scene.add_robot(&robot.mechanism, &Isometry3::identity()).unwrap();
+        let tip = TipConfig { centre: [0.0, 0.0, 0.2], radius: 5e-3 };
+        if !late_tip {
+            scene.add_tip(id, &tip).unwrap();
+        }
+        let at = scene.flange(id) * nalgebra::Point3::new(0.0, 0.0, 0.2);
+        // The tip is 10 mm below the upper face and beside the centre.
+        let pose = Isometry3::translation(at.x + 0.01, at.y, at.z - 0.04);
+        let still = [0.0; 3];
+        let cube = BodyConfig { mass: 1.0, half: [0.05; 3], material: METAL, pose, velocity: still, spin: still };
+        let cube = scene.add_body(&cube).unwrap();
+        let gripper = Isometry3::translation(0.0, 0.0, 0.2);
+        let grip = scene.hold(&GripConfig::NOMINAL, Holder::Robot(id), &gripper, cube, None).unwrap();
+        if late_tip {
+            scene.add_tip(id, &tip).unwrap();
+        }
+        run(&mut scene, &mut [&mut robot], 1_000);
+        let held = scene.energy();
+        let spring = 0.5 * (G / 1e5) * G;
+        let body = scene.body(cube).pose.translation.z * G;
+        assert!((held - body - spring).abs() < 0.02, "{held} J for {body} J");
+        scene.release(grip);
+        run(&mut scene, &mut [&mut robot], 500);
+        // After 50 ms, 12 mm of free fall: the upper face is 2 mm above the centre of the tip.
+        let velocity = scene.body(cube).velocity;
+        assert!((velocity.z + 0.05 * G).abs() < 0.05 && velocity.xy().norm() < 0.05, "{velocity}");
+        assert!(scene.energy() <= held + 1e-3, "{} J after {held} J", scene.energy());
+    }
+}
+
+#[test]
+fn a_tip_that_has_left_a_released_body_touches_the_body_again() {
+    let mut robot = Robot::irb6(DOWN);
+    let mut scene = Scene::new();
+    let id = scene.add_robot(&robot.mechanism, &Isometry3::identity()).unwrap();
+    scene.add_tip(id, &TipConfig { centre: [0.0, 0.0, 0.2], radius: 5e-3 }).unwrap();
+    let at = scene.flange(id) * nalgebra::Point3::new(0.0, 0.0, 0.2);
+    let pose = Isometry3::translation(at.x, at.y, at.z - 0.046);
+    let still = [0.0; 3];
+    let cube = BodyConfig { mass: 1.0, half: [0.05; 3], material: METAL, pose, velocity: still, spin: still };
+    let cube = scene.add_body(&cube).unwrap();
+    // A springy floor 20 mm below throws the cube back against the tip.
+    let springy = Material { stiffness: 1e4, damping: 0.0, friction: 0.0 };
+    let floor = Isometry3::translation(0.0, 0.0, at.z - 0.046 - 0.05 - 0.02);
+    scene.add_wall(&WallConfig { shape: Shape::HalfSpace, pose: floor, material: springy }).unwrap();
+    let gripper = Isometry3::translation(0.0, 0.0, 0.2);
+    let grip = scene.hold(&GripConfig::NOMINAL, Holder::Robot(id), &gripper, cube, None).unwrap();
+    run(&mut scene, &mut [&mut robot], 10);
+    scene.release(grip);
+    let mut highest = f64::MIN;
+    for _ in 0..3_000 {
+        run(&mut scene, &mut [&mut robot], 1);
+        let leaving = scene.body(cube).velocity.z > 0.0;
+        highest = if leaving { highest.max(scene.body(cube).pose.translation.z) } else { highest };
+    }
+    // The upper face reaches the lowest point of the tip, 5 mm below the tip, and goes no further than its spring.
+    let top = highest + 0.05 - (at.z - 5e-3);
+    assert!((-1e-3..1.5e-3).contains(&top), "{top} m");
+}
+
+#[test]
+fn shaft_of_a_robot_in_a_scene_is_read_without_lag() {
+    let robot = Robot::irb6(DOWN);
+    let mut scene = Scene::new();
+    scene.add_robot(&robot.mechanism, &Isometry3::identity()).unwrap();
+    let mut axis = robot.axes.into_iter().next().unwrap();
+    let shaft = axis.probe();
+    let demand = Demand::Torque(0.5);
+    // A drive in a scene begins a chunk of ten sub-steps, and the scene reads between them.
+    axis.begin(demand);
+    for sub_step in 0..10 {
+        let before = shaft.angle();
+        axis.sub_step(sub_step, demand);
+        assert!(shaft.angle() == axis.angle() && shaft.angle() != before, "sub-step {sub_step}");
+    }
+}
+
+#[test]
 fn robots_that_cannot_be_are_refused() {
     let mut scene = Scene::new();
     let mechanism = Mechanism::new(MechanismConfig::Irb6);
@@ -316,6 +398,11 @@ fn robots_that_cannot_be_are_refused() {
     let Err(SceneError::Leaning { angle }) = scene.add_robot(&mechanism, &leaning) else { panic!("it leans") };
     assert!((angle - 0.1).abs() < 1e-9);
     let id = scene.add_robot(&mechanism, &Isometry3::identity()).unwrap();
+    // The robot also refuses a gravity of another direction.
+    let Err(SceneError::Leaning { angle }) = scene.set_gravity([0.1 * G, 0.0, -G]) else { panic!("it leans") };
+    assert!((angle - 0.1_f64.atan()).abs() < 1e-9);
+    assert_eq!(scene.set_gravity([0.0, f64::NAN, 0.0]), Err(SceneError::NotFinite { what: "the gravity" }));
+    assert_eq!(scene.set_gravity([0.0, 0.0, -1.62]), Ok(()));
     let mut other = Scene::new();
     assert_eq!(other.add_robot(&mechanism, &Isometry3::identity()), Err(SceneError::Taken));
     let tip = TipConfig { centre: [0.0; 3], radius: -1.0 };

@@ -136,7 +136,9 @@ fn check_emulator(path: &Path, axis: &Axis, place: Place<'_>, model: Limits, hom
         ("revision", emulator.revision.is_some()),
         ("counts_per_revolution", counts.is_some()),
         ("rated_torque", emulator.rated_torque.is_some()),
+        ("trips_at_s", emulator.trips_at_s.is_some()),
     ];
+    within(path, "trips_at_s", emulator.trips_at_s.unwrap_or(0.0), Range::new(0.0, 1e6, "s"))?;
     match place {
         Place::Bus(_) => {
             let because = "on a CAN bus: it is of serial lines";

@@ -1,14 +1,18 @@
 //! Checks of touch probes in the emulated surroundings.
 
 use super::{Checked, refused, within};
-use crate::cell::{Cell, EmulatedTouchProbe, Path, Range, quoted};
+use crate::cell::{Cell, EmulatedScene, Path, Range, quoted};
 
 /// Greatest number of touch probes of a scene.
 const MOST: usize = 32;
 
-pub(super) fn check(cell: &Cell, path: &Path, probes: &[EmulatedTouchProbe]) -> Checked {
+pub(super) fn check(cell: &Cell, path: &Path, scene: &EmulatedScene) -> Checked {
+    let probes = &scene.touch_probe;
     if probes.len() > MOST {
         return refused(path, "touch_probe", format!("has {} probes, may have {MOST}", probes.len()));
+    }
+    if !probes.is_empty() && scene.robot.is_none() {
+        return refused(path, "robot", "is missing: touch probes are at the tool of this robot");
     }
     for (index, probe) in probes.iter().enumerate() {
         let path = path.then("touch_probe").then(index);

@@ -56,6 +56,17 @@ pub(super) fn pdo(number: PdoNumber, cob_id: u16, fields: Vec<WrenchField>) -> W
     WrenchPdo { number, cob_id: StandardId::new(cob_id).unwrap(), fields, mapped: true }
 }
 
+/// The same sensor without counter and status.
+pub(super) fn uncounted() -> WrenchNodeConfig {
+    let mut config = sensor_config();
+    for field in config.pdos.iter_mut().flat_map(|pdo| &mut pdo.fields) {
+        if field.content.axis().is_none() {
+            field.content = Content::Ignored { bytes: 1 };
+        }
+    }
+    config
+}
+
 /// The same sensor with an event timer of this many milliseconds.
 pub(super) fn timed(millis: u64) -> WrenchNodeConfig {
     WrenchNodeConfig { trigger: Trigger::EventTimer(Duration::from_millis(millis)), ..sensor_config() }
@@ -94,6 +105,10 @@ pub(super) struct Sender {
     pub(super) timer: Option<Duration>,
     /// The second frame of a sample is left out.
     pub(super) halved: bool,
+    /// The second frame of a sample is sent after the next SYNC.
+    pub(super) straddling: bool,
+    /// The second frame of the last sample.
+    held: Option<String>,
     /// The frames of a sample in place of the two PDOs.
     pub(super) frames: Option<Vec<String>>,
     started: bool,
@@ -158,6 +173,8 @@ impl Bench {
                     Trigger::EventTimer(timer) => Some(timer),
                 },
                 halved: false,
+                straddling: false,
+                held: None,
                 frames: None,
                 started: false,
                 syncs: 0,
@@ -205,7 +222,11 @@ impl Bench {
                 "080#" if self.sender.started && self.sender.timer.is_none() && self.sender.every > 0 => {
                     self.sender.syncs += 1;
                     if self.sender.syncs.is_multiple_of(self.sender.every) {
-                        let frames = self.sender.sample();
+                        let mut frames: Vec<_> = self.sender.held.take().into_iter().collect();
+                        frames.extend(self.sender.sample());
+                        if self.sender.straddling {
+                            self.sender.held = frames.pop();
+                        }
                         bus.inbox.extend(frames.iter().map(|text| Received { frame: frame(text), at }));
                     }
                 }

@@ -159,6 +159,10 @@ fn an_absent_or_silent_sensor_is_an_error_that_names_its_node() {
         assert_eq!(bench.bring_up(), Ok(()));
         assert_eq!(bench.run(3).age, 0);
     }
+    let mut bench = Bench::down(&uncounted());
+    bench.sender.straddling = true;
+    let straddling = bench.bring_up().unwrap_err();
+    assert!(matches!(error(straddling), WrenchError::Incomplete { .. }), "{straddling}");
     let mut bench = Bench::down(&sensor_config());
     bench.stores[0].starts = false;
     assert!(matches!(bench.bring_up(), Err(BringUpError::NotOperational { node: SENSOR, .. })));

@@ -70,6 +70,25 @@ fn an_error_bit_of_the_status_is_a_fault_as_long_as_it_is_set() {
 }
 
 #[test]
+fn every_sample_of_a_cycle_is_judged() {
+    // Two samples per cycle; the second is in order.
+    let forces = |counter: u8, fx: &str, status: u8| format!("189#{fx}00000000{counter:02X}{status:02X}");
+    let torques = |counter: u8| format!("289#000000000000{counter:02X}");
+    for (fx, status, fault) in [
+        ("0000", 0x08, WrenchFault::Status { status: 8 }),
+        ("204E", 0x00, WrenchFault::Saturated { axis: WrenchAxis::Fx, counts: 20_000 }),
+    ] {
+        let mut bench = Bench::up_with(&timed(1));
+        assert_eq!(bench.run(10).fault, None);
+        bench.mute();
+        bench.cycle();
+        let samples = [forces(50, fx, status), torques(50), forces(51, "0000", 0), torques(51)];
+        let state = bench.cycle_with(&samples.each_ref().map(String::as_str));
+        assert_eq!(state.fault, Some(fault));
+    }
+}
+
+#[test]
 fn a_sensor_that_changes_its_rate_in_operation_is_of_another_rate() {
     let other = |declared, found| WrenchFault::OfAnotherRate { declared, found };
     let millis = Duration::from_millis;

@@ -70,7 +70,7 @@ fn a_sample_without_its_second_frame_is_no_sample() {
     let state = bench.cycle();
     assert_eq!((state.age, state.wrench), (2, [0.0; 6]));
     bench.sender.halved = false;
-    assert_eq!(bench.cycle().fault, Some(WrenchFault::Silent { cycles: 3 }));
+    assert_eq!(bench.cycle().fault, Some(WrenchFault::Incomplete { samples: 2 }));
 }
 
 #[test]
@@ -99,6 +99,60 @@ fn frames_with_different_counters_make_no_sample() {
     bench.cycle();
     let state = bench.cycle();
     assert!(close(state.wrench, scaled([1_000, 0, 0, 1_000, 0, 0])), "{state:?}");
+}
+
+/// A load whose forces and torques name the sample.
+fn numbered(sample: i16) -> [i16; 6] {
+    [sample, 0, 0, sample, 0, 0]
+}
+
+/// One cycle after which the sensor measures the next load.
+fn numbered_cycle(bench: &mut Bench, sample: &mut i16) -> WrenchState {
+    *sample += 1;
+    bench.sender.load = numbered(*sample);
+    bench.cycle()
+}
+
+#[test]
+fn torques_of_one_period_and_forces_of_the_next_make_no_sample() {
+    let mut bench = Bench::up_with(&uncounted());
+    let mut sample = 0;
+    let whole = |state: &WrenchState| (state.wrench[0] * 100.0).round() == (state.wrench[3] * 1_000.0).round();
+    for _ in 0..5 {
+        let state = numbered_cycle(&mut bench, &mut sample);
+        assert!(whole(&state) && state.age == 0, "{state:?}");
+    }
+    // The torques of each sample come after the next SYNC, before the forces of that SYNC.
+    bench.sender.straddling = true;
+    let states: Vec<_> = (0..5).map(|_| numbered_cycle(&mut bench, &mut sample)).collect();
+    assert!(states.iter().all(whole), "{states:?}");
+    assert_eq!(states.iter().map(|state| state.age).collect::<Vec<_>>(), [0, 1, 2, 3, 4]);
+    assert_eq!(states[3].fault, Some(WrenchFault::Incomplete { samples: 2 }));
+    // The first period with all its frames is a sample, although the last late frame comes with it.
+    bench.sender.straddling = false;
+    bench.link.reset_fault();
+    numbered_cycle(&mut bench, &mut sample);
+    let state = numbered_cycle(&mut bench, &mut sample);
+    assert_eq!((whole(&state), state.age, state.fault), (true, 0, None));
+}
+
+#[test]
+fn a_lost_frame_costs_one_sample_in_any_order_of_the_frames() {
+    let frames = ["189#E803000000000000", "289#E8030000000000"].map(ToOwned::to_owned);
+    for order in [[0, 1], [1, 0]] {
+        for lost in [0, 1] {
+            let mut bench = Bench::down(&uncounted());
+            let all: Vec<_> = order.iter().map(|&frame| frames[frame].clone()).collect();
+            bench.sender.frames = Some(all.clone());
+            assert_eq!(bench.bring_up(), Ok(()));
+            bench.run(3);
+            bench.sender.frames = Some(vec![frames[lost].clone()]);
+            bench.cycle();
+            bench.sender.frames = Some(all);
+            let ages: Vec<_> = (0..3).map(|_| bench.cycle().age).collect();
+            assert_eq!(ages, [1, 0, 0], "{order:?}, {lost} alone");
+        }
+    }
 }
 
 #[test]

@@ -1,0 +1,139 @@
+//! The emulated surroundings of the robots of a cell.
+
+use std::f64::consts::PI;
+
+use hil::scene::{
+    BodyConfig, BodyProbe, GripProbe, GripperConfig, Material, RobotId, SensorConfig, SensorProbe, Shape, TipConfig,
+    WallConfig,
+};
+use hil::{Mechanism, Scene};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+
+use crate::bench::plants::{EmulatedCell, upright_from_base};
+use crate::cell::{EmulatedBar, EmulatedBlock, EmulatedPlane, Robot};
+
+/// The scene of a cell, and what its devices measure.
+pub struct EmulatedSurroundings {
+    /// The scene; `None` for a cell without force sensors and without surroundings.
+    pub scene: Option<Scene>,
+    /// The wrench on each force sensor.
+    pub sensors: Vec<SensorProbe>,
+    /// The true state of bars and grippers.
+    pub truth: SceneTruth,
+}
+
+/// True places of all bars, and true wrenches of all grippers, for recordings and tests. No controller reads this state.
+#[derive(Clone, Debug, Default)]
+pub struct SceneTruth {
+    /// The bars, in the order of the cell file.
+    pub bars: Vec<BodyProbe>,
+    /// The grippers, in the order of the cell file.
+    pub grips: Vec<GripProbe>,
+}
+
+impl EmulatedCell<'_> {
+    /// The scene of the cell in the frame of the cell: the robots that have force sensors, tips or grippers, the planes,
+    /// blocks and bars. The axes must be mounted already. Tools of robots do not meet each other.
+    pub fn surroundings(&self) -> EmulatedSurroundings {
+        let cell = &self.file.cell;
+        let around = cell.scene.clone().unwrap_or_default();
+        let mut scene = Scene::new();
+        let mut sensors: Vec<_> = cell.force_sensor.iter().map(|_| SensorProbe::default()).collect();
+        let mut grips = vec![GripProbe::default(); around.gripper.len()];
+        let mut count = 0;
+        for plane in &around.plane {
+            scene.add_wall(&wall(plane)).expect(SOUND);
+        }
+        for block in &around.block {
+            scene.add_wall(&block_wall(block)).expect(SOUND);
+        }
+        let bars = around.bar.iter().map(|bar| scene.add_body(&body(bar)).expect(SOUND));
+        let bars: Vec<_> = bars.collect();
+        for (number, robot) in cell.robot.iter().enumerate() {
+            let own: Vec<_> = (0..sensors.len()).filter(|sensor| cell.robot_of_sensor(*sensor) == number).collect();
+            let tip = around.tips().find(|(name, _)| *name == robot.name).map(|(_, radius)| radius);
+            let gripper = around.gripper.iter().position(|gripper| gripper.robot == robot.name);
+            if own.is_empty() && tip.is_none() && gripper.is_none() {
+                continue;
+            }
+            let Some(mechanism) = self.mechanisms[number].as_ref() else {
+                continue;
+            };
+            count += 1;
+            let (id, flange) = add_robot(&mut scene, mechanism, robot);
+            for sensor in own {
+                let given = &cell.force_sensor[sensor];
+                let config = SensorConfig {
+                    pose: flange.inverse() * given.flange_from_sensor(),
+                    mass: given.tool.mass,
+                    centre: given.tool.centre,
+                    inertia: [0.0; 3],
+                };
+                sensors[sensor] = scene.add_sensor(id, &config).expect(SOUND);
+            }
+            let tool = flange.inverse() * Translation3::from(robot.tool);
+            if let Some(radius) = tip {
+                let centre = tool.translation.vector.into();
+                scene.add_tip(id, &TipConfig { centre, radius }).expect(SOUND);
+            }
+            if around.robot.as_ref() == Some(&robot.name) {
+                for (probe, input) in around.touch_probe.iter().zip(&self.touches) {
+                    scene.add_touch(id, probe.force, !probe.closed_at_rest, input).expect(SOUND);
+                }
+            }
+            if let Some(number) = gripper {
+                let gripper = &around.gripper[number];
+                let closed_at = !self.file.cell.inverts(&gripper.output);
+                let config = GripperConfig { grip: gripper.grip(), pose: tool, reach: gripper.reach, closed_at };
+                grips[number] = scene.add_gripper(id, &config, &self.valves[number]).expect(SOUND);
+            }
+        }
+        let bars = bars.into_iter().map(|bar| scene.watch(bar)).collect();
+        let needed = count > 0 || !around.bar.is_empty() || !cell.ultrasonic.is_empty();
+        EmulatedSurroundings { scene: needed.then_some(scene), sensors, truth: SceneTruth { bars, grips } }
+    }
+}
+
+/// Place of the base frame of a robot in the frame of the cell.
+pub(super) fn base_of(robot: &Robot) -> Isometry3<f64> {
+    robot.base.pose() * robot.emulated_base_error.pose() * upright_from_base(robot.model)
+}
+
+/// Adds a robot, and returns its flange frame of the cell file in the flange frame of the mechanism.
+fn add_robot(scene: &mut Scene, mechanism: &Mechanism, robot: &Robot) -> (RobotId, Isometry3<f64>) {
+    let (base, flange) = robot.parameters.unwrap_or(robot.model.parameters()).mechanism_frames();
+    (scene.add_robot(mechanism, &(base_of(robot) * base)).expect(SOUND), flange)
+}
+
+/// Surfaces of bars. Tips and corners of other bars touch them.
+const STEEL: Material = Material { stiffness: 1e5, damping: 300.0, friction: 0.3 };
+
+fn body(bar: &EmulatedBar) -> BodyConfig {
+    BodyConfig {
+        mass: bar.mass,
+        half: [0.5 * bar.length, 0.5 * bar.width, 0.5 * bar.width],
+        material: STEEL,
+        pose: bar.place.pose(),
+        velocity: [0.0; 3],
+        spin: [0.0; 3],
+    }
+}
+
+fn wall(plane: &EmulatedPlane) -> WallConfig {
+    let normal = Vector3::from(plane.normal).normalize();
+    let facing = UnitQuaternion::rotation_between(&Vector3::z(), &normal);
+    let facing = facing.unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI));
+    let pose = Isometry3::from_parts((normal * plane.height).into(), facing);
+    let &EmulatedPlane { stiffness, damping, friction, .. } = plane;
+    WallConfig { shape: Shape::HalfSpace, pose, material: Material { stiffness, damping, friction } }
+}
+
+fn block_wall(block: &EmulatedBlock) -> WallConfig {
+    let &EmulatedBlock { centre, size, stiffness, damping, friction } = block;
+    let pose = Isometry3::from_parts(centre.into(), UnitQuaternion::identity());
+    let shape = Shape::Box { half: size.map(|edge| edge / 2.0) };
+    WallConfig { shape, pose, material: Material { stiffness, damping, friction } }
+}
+
+/// Reason that the parts of a scene are accepted.
+const SOUND: &str = "a parsed cell has a sound scene";

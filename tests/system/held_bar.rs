@@ -1,0 +1,190 @@
+//! Two arms that hold one bar: path, internal force, and stops after faults, by the truth of the emulated scene.
+
+use std::fs;
+use std::path::Path;
+
+use ::mrroc::bench::BenchKind;
+use ::mrroc::carry::{ObjectPath, Regulation};
+use ::mrroc::cell::{Cell, CellFile};
+use ::mrroc::prelude::{Outcome, RunOutcome};
+use ::mrroc::report::RunReport;
+use ::mrroc::run::{Requests, RunOptions};
+use ::mrroc::tasks::{self, Program};
+use controller::coordination::Disturbance;
+use controller::executor::DisturbedMessage;
+use nalgebra::Vector3;
+
+use crate::mrroc::Directory;
+
+#[path = "../../examples/hold_bar.rs"]
+#[expect(dead_code, reason = "the program of the example has a main of its own")]
+mod hold_bar;
+
+use hold_bar::{Arms, COURSE, LIMITS};
+
+/// The bar and its grips at one time.
+#[derive(Clone, Copy, Debug)]
+struct Truth {
+    /// Time, s.
+    at: f64,
+    /// Middle of the bar, m.
+    place: Vector3<f64>,
+    /// Internal force, N; `None` while a gripper is open.
+    internal: Option<Vector3<f64>>,
+}
+
+/// The lines of a file of the truth.
+fn truth(path: &Path) -> Vec<Truth> {
+    let text = fs::read_to_string(path).unwrap();
+    let mut lines = text.lines();
+    let names: Vec<_> = lines.next().unwrap().split(',').collect();
+    let column = |name: &str| names.iter().position(|it| *it == name).unwrap();
+    let vector = |name: &str, suffix: &str| ["x", "y", "z"].map(|axis| column(&format!("{name}{axis}{suffix}")));
+    let (place, left, right) = (vector("bar.", "_m"), vector("left.f", "_n"), vector("right.f", "_n"));
+    let line = |line: &str| {
+        let fields: Vec<_> = line.split(',').collect();
+        let number = |column: usize| fields[column].parse::<f64>().ok();
+        let of = |columns: [usize; 3]| {
+            let [x, y, z] = columns.map(number);
+            Some(Vector3::new(x?, y?, z?))
+        };
+        let internal = of(left).zip(of(right)).map(|(left, right)| (left - right) / 2.0);
+        Truth { at: number(0).unwrap(), place: of(place).unwrap(), internal }
+    };
+    lines.map(line).collect()
+}
+
+/// The example cell after a change.
+fn cell(change: impl FnOnce(&mut Cell)) -> CellFile {
+    let directory = Directory::new();
+    CellFile::read(directory.cell("two-irb6-bar", change)).unwrap()
+}
+
+/// Runs a task in lockstep.
+fn run(
+    file: &CellFile,
+    task: impl AsyncFn(&mut tasks::Cell) -> Outcome + Send + Sync + 'static,
+) -> (RunReport, Vec<Truth>) {
+    let directory = Directory::new();
+    let path = directory.path("truth.csv");
+    let options = RunOptions { truth: Some(path.clone()), ..RunOptions::on(BenchKind::Lockstep) };
+    let report = ::mrroc::run::run(file, &options, &Requests::default(), &Program::of(task), &mut |_| {}).unwrap();
+    (report, truth(&path))
+}
+
+fn course() -> ObjectPath {
+    ObjectPath::through(&COURSE, &LIMITS).unwrap()
+}
+
+/// Root of the mean square, and greatest value.
+fn rms_and_peak(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    let (mut count, mut squares, mut peak) = (0, 0.0, 0.0_f64);
+    for value in values {
+        (count, squares, peak) = (count + 1, squares + value * value, peak.max(value));
+    }
+    [(squares / f64::from(count)).sqrt(), peak]
+}
+
+#[test]
+fn a_bar_is_carried_within_the_bounds_of_path_and_internal_force() {
+    let (report, truth) = run(&cell(|_| ()), hold_bar::hold);
+    assert_eq!(report.outcome, RunOutcome::Completed, "{:?}", report.faults);
+    let figure = |name: &str| report.figures[name];
+    assert_eq!(figure("start_skew_cycles_max"), 0.0);
+    assert!(figure("object_path_rms_mm") < 0.5);
+    // The third carriage is regulated in each period, and ends with the last motion of the bar.
+    let course = course();
+    let last = truth[truth.len() - 1].place;
+    let end = truth.iter().rposition(|it| (it.place - last).norm() > 1e-3).unwrap();
+    let end = truth[end].at;
+    let window = |from: f64, to: f64| truth.iter().filter(move |it| it.at > from && it.at < to);
+    let internal = |from, to| rms_and_peak(window(from, to).map(|it| it.internal.unwrap().norm()));
+    let duration = course.duration();
+    let [rms, peak] = internal(end - duration + 0.2, end);
+    // Some macrosteps lie between two carriages.
+    let [stiff_rms, stiff_peak] = internal(end - 3.0 * duration, end - 2.0 * duration - 0.4);
+    let [path, _] = rms_and_peak(window(end - duration + 0.2, end).map(|it| course.distance(&it.place)));
+    println!("internal {rms:.2} N rms, {peak:.2} N peak; path {:.3} mm rms", 1e3 * path);
+    println!("without regulation: {stiff_rms:.2} N rms, {stiff_peak:.2} N peak");
+    assert!(rms < 10.0 && peak < 30.0 && path < 5e-4, "{rms} N, {peak} N, {path} m");
+    assert!(stiff_rms > 20.0 && stiff_peak > 40.0, "{stiff_rms} N, {stiff_peak} N");
+    // The controller measures what the grips do.
+    for (figure, truth) in [
+        (figure("internal_force_rms_n"), rms),
+        (figure("internal_force_peak_n"), peak),
+        (figure("unregulated_internal_force_rms_n"), stiff_rms),
+        (figure("unregulated_internal_force_peak_n"), stiff_peak),
+    ] {
+        assert!((figure - truth).abs() < 2.0 + 0.1 * truth, "{figure} N measured of {truth} N");
+    }
+}
+
+/// Carries the bar along its course until a fault, with a message disturbed.
+fn faulted(message: Option<DisturbedMessage>, change: impl FnOnce(&mut Cell)) -> (RunReport, Vec<Truth>) {
+    run(&cell(change), async move |cell: &mut tasks::Cell| {
+        let mut arms = Arms::of(cell)?;
+        let course = arms.path(&COURSE)?;
+        arms.take(cell).await?;
+        // A rehearsal would refuse the disturbed motion.
+        let message = message.filter(|_| !cell.rehearsing());
+        let prepare = |team: &mut tasks::Team<2>| message.into_iter().for_each(|message| team.disturb(message));
+        let outcome = arms.carry(cell, &course, Regulation::CYCLE, prepare).await;
+        // The truth shows the arms at rest.
+        cell.sleep(std::time::Duration::from_millis(500)).await;
+        outcome.map(|_| ())
+    })
+}
+
+/// Checks a stop from the greatest speed, 0.1 m/s: the bar stands within the bound, and the arms do not tear it. Returns the
+/// time at which the stop began, s.
+#[track_caller]
+fn check_stop(what: &str, (report, truth): &(RunReport, Vec<Truth>)) -> f64 {
+    assert_eq!(report.outcome, RunOutcome::Faulted, "{what}");
+    let peak = truth.iter().filter_map(|it| it.internal).map(|it| it.norm()).fold(0.0, f64::max);
+    let speeds: Vec<_> = truth.windows(2).map(|two| (two[1].place - two[0].place).norm() / 2e-3).collect();
+    let began = speeds.iter().rposition(|speed| *speed > 0.09).unwrap();
+    let rest = speeds.iter().rposition(|speed| *speed > 2e-3).unwrap();
+    let stop = truth[rest].at - truth[began].at;
+    let way = (truth[rest].place - truth[began].place).norm();
+    println!("{what}: stop of {:.0} ms and {:.2} mm, internal force up to {peak:.1} N", 1e3 * stop, 1e3 * way);
+    let causes: Vec<_> = report.faults.iter().map(ToString::to_string).collect();
+    println!("  {causes:?}");
+    assert!(stop < 0.1 && way < 5e-3, "{what}: {stop} s, {way} m");
+    assert!(peak < 100.0, "{what}: {peak} N");
+    assert!(truth.iter().rev().take(100).all(|it| it.internal.is_some()), "{what}: the bar was dropped");
+    truth[began].at
+}
+
+/// Macrostep in the first leg of the course at its greatest speed.
+const STEP: u64 = 40;
+
+#[test]
+fn a_lost_doubled_or_swapped_message_stops_both_arms_and_does_not_tear_the_bar() {
+    for disturbance in [Disturbance::Lost, Disturbance::Doubled, Disturbance::Swapped] {
+        let message = DisturbedMessage { member: 1, answer: true, step: STEP, disturbance };
+        check_stop(&format!("answer {disturbance:?}"), &faulted(Some(message), |_| ()));
+    }
+    let order = DisturbedMessage { member: 0, answer: false, step: STEP, disturbance: Disturbance::Lost };
+    check_stop("order Lost", &faulted(Some(order), |_| ()));
+}
+
+/// Time in the first leg of the course at its greatest speed, s since the emulated devices were switched on.
+const DURING: f64 = 19.5;
+
+#[test]
+fn a_wrist_that_falls_silent_stops_both_arms_and_does_not_tear_the_bar() {
+    let run = faulted(None, |cell| cell.force_sensor[1].emulator.silent_from_s = Some(DURING));
+    let began = check_stop("right wrist silent", &run);
+    // Three missing samples are tolerated, and the macrostep that has begun ends.
+    assert!((0.0..0.05).contains(&(began - DURING)), "{began} s");
+    assert!(run.0.faults.iter().any(|fault| fault.what.contains("force sensor")), "{:?}", run.0.faults);
+}
+
+#[test]
+fn a_drive_that_trips_stops_both_arms_and_does_not_tear_the_bar() {
+    for axis in 0..5 {
+        let run = faulted(None, |cell| cell.robot[1].axis[axis].emulator.trips_at_s = Some(DURING));
+        let began = check_stop(&format!("axis {axis} of the right arm trips"), &run);
+        assert!((-0.01..0.02).contains(&(began - DURING)), "{began} s");
+    }
+}
