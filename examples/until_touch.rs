@@ -54,7 +54,8 @@ pub(crate) async fn find(cell: &mut Cell) -> Outcome {
     irb6.home().await?;
     irb6.sense(probe.sensor(), Shell::NonInteractive, 1)?;
     irb6.execute(UntilTouch { probe: probe.number(), speed: 0.05, travel: 1.0, macrostep: 0.0 }).await?;
-    if !probe.level()? && !cell.rehearsing() {
+    let has_touched = probe.read().is_some_and(|input| input.level);
+    if !has_touched && !cell.rehearsing() {
         return Err(TaskError::Refused(mrroc::Error::msg("the probe met nothing on its way")));
     }
     gripper.set(true);
