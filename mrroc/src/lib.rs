@@ -91,8 +91,8 @@ pub mod prelude {
     pub use controller::path::{BSpline, Curve, JointPath, Path, PoseState, SplineEnds};
     pub use controller::robot::Space;
     pub use controller::sensor::{
-        BoxLocator, BoxPlace, BoxReading, DigitalInputs, EchoError, ForceError, ForceReading, ForceTorque, JogCommand, JogHandle, JogPanel, JogReading, Marked,
-        Operator, Question, Reaction, Shell, VirtualSensor,
+        BoxLocator, BoxPlace, BoxReading, DigitalInputs, EchoError, ForceError, ForceReading, ForceTorque, JogCommand,
+        JogHandle, JogPanel, JogReading, Marked, Operator, Question, Reaction, Shell, VirtualSensor,
     };
     pub use drive::cia401::InputImage;
 

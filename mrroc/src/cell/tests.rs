@@ -5,6 +5,7 @@ mod families;
 mod force;
 mod io;
 mod names;
+mod ranging;
 mod shape;
 
 use super::*;

@@ -253,7 +253,7 @@ impl<'a> Problem<'a> {
         let covariance = regular.try_inverse().unwrap_or(Matrix4::identity());
         let deviation: [f64; 3] = std::array::from_fn(|axis| covariance[(axis, axis)].max(0.0).sqrt());
         let worst = deviation[0].max(deviation[1]);
-        if !(worst <= MOST_DEVIATION) {
+        if worst.is_nan() || worst > MOST_DEVIATION {
             return Err(EchoError::Uncertain { deviation: worst, most: MOST_DEVIATION });
         }
         let (mut sum, mut used, mut outliers) = (0.0, 0_u16, 0_u16);
