@@ -66,8 +66,9 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     let on_interfaces = interfaces.iter().zip(&links).map(|(interface, link)| link.is_none().then_some(interface));
     interfaces::all_differ(&file.cell, on_interfaces)?;
     emulation::problems(&file).next().map_or(Ok(()), Err)?;
-    // Contacts and force sensors need one world of all drives. Buses of this world have transmission times.
-    let together = !(file.cell.force_sensor.is_empty() && file.cell.scene.is_none());
+    // Contacts and sensors need one world of all drives. Buses of this world have transmission times.
+    let cell = &file.cell;
+    let together = !(cell.force_sensor.is_empty() && cell.ultrasonic.is_empty() && cell.scene.is_none());
     let emulated = EmulatedCell::of(&file);
     let mut payloads = Payloads::of(&emulated, clock::now());
     let mut buses = Vec::new();
@@ -113,13 +114,16 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         }
         names.push(format!("{} in {}", serial.name, directory.display()));
     }
-    let (sensors, _) = emulated.add_sensors(&mut lines.world);
-    for (sensor, line) in file.cell.force_sensor.iter().zip(sensors) {
+    let (mut sensors, _) = emulated.add_sensors(&mut lines.world);
+    sensors.extend(emulated.add_matrices(&mut lines.world));
+    let of_force = file.cell.force_sensor.iter().map(|sensor| &sensor.name);
+    let names_of_sensors = of_force.chain(file.cell.ultrasonic.iter().map(|matrix| &matrix.name));
+    for (name, line) in names_of_sensors.zip(sensors) {
         let Some(directory) = &options.serial else {
-            bail!("--serial DIR is missing: it is where the tty of {} is to be linked", sensor.name);
+            bail!("--serial DIR is missing: it is where the tty of {name} is to be linked");
         };
-        lines.add_sensor(line, linked(&sensor.name, directory)?);
-        names.push(format!("{} in {}", sensor.name, directory.display()));
+        lines.add_sensor(line, linked(name, directory)?);
+        names.push(format!("{name} in {}", directory.display()));
     }
     if let Some(directory) = &options.service {
         if file.cell.bus.is_empty() {

@@ -110,6 +110,15 @@ impl VirtualBus {
         }
     }
 
+    /// Lets the devices read what the scene computed in its step at `now`.
+    pub(crate) fn sense(&mut self, now: Instant) {
+        for attached in &mut self.devices {
+            if attached.device.sense(now) {
+                attached.collect(now);
+            }
+        }
+    }
+
     /// Processes all events up to and including `until`. A frame that lasts longer stays on the wire.
     ///
     /// May be called ahead of time if the host sends nothing before `until`. A frame sent for a past instant becomes

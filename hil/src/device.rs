@@ -27,6 +27,13 @@ pub trait Device: Any + Send {
     fn advance_mechanics(&mut self, _now: Instant) -> bool {
         false
     }
+
+    /// Reads what the scene computed for this device in its step at `now`. The world calls this function after each step
+    /// of the scene. Returns whether the device may have something to send or requests another time-out. A device that
+    /// does not measure the scene does nothing.
+    fn sense(&mut self, _now: Instant) -> bool {
+        false
+    }
 }
 
 /// A device on a serial line, as a function of (bytes, now): no thread, no clock, no tty.

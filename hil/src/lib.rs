@@ -31,7 +31,9 @@ mod world;
 
 pub use amplifier::AmplifierConfig;
 pub use axis_controller::{AxisController, AxisControllerConfig, Cabinet};
-pub use cia401::{DigitalIo, DigitalIoConfig, DigitalIoError, InputEdge, LightGate, OutputProbe, OutputState};
+pub use cia401::{
+    DigitalIo, DigitalIoConfig, DigitalIoError, InputEdge, InputProbe, LightGate, OutputProbe, OutputState,
+};
 pub use device::{Device, LineDevice};
 pub use epos_serial::{EposSerial, EposSerialConfig};
 pub use epos4::{Epos4, Epos4Config};
@@ -44,7 +46,7 @@ pub use plant::{
     AngleProbe, AxisConfig, Demand, Feedback, Irp6Axis, Mechanism, MechanismConfig, Mount, PlantAxis, PlantConfig, Trip,
 };
 pub use pty::{Pty, PtyError};
-pub use scene::{Scene, WrenchProbe};
+pub use scene::{Scene, View, WrenchProbe};
 pub use slcan::{SlcanCounts, SlcanDevice};
-pub use ultrasonic::{EchoProbe, UltrasonicConfig, UltrasonicError, UltrasonicMatrix};
+pub use ultrasonic::{EchoProbe, SceneEchoes, UltrasonicConfig, UltrasonicError, UltrasonicMatrix};
 pub use world::{BusId, DeviceId, LineId, World};

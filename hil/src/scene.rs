@@ -16,6 +16,8 @@
 //! * Light gates have beams, which bodies break ([`BeamConfig`]). Bodies may be placed on a conveyor at a later time
 //!   ([`Scene::place_body`]).
 //! * Sensors between flange and tool measure the wrench of these forces ([`SensorConfig`]).
+//! * Sensors between flange and tool measure the wrench of these forces ([`SensorConfig`]). Forces on the tips actuate
+//!   switches of touch probes ([`Scene::add_touch`]). Sensors at a distance see walls and bodies through a [`View`].
 //!
 //! The scene advances in steps of 100 µs ([`STEP`]). Each step has three parts. First, the motors of the robots move by
 //! one sub-step under the forces of the last step. Then the bodies move. Last, the forces at the end of the step are
@@ -60,6 +62,7 @@ mod probe;
 mod surface;
 #[cfg(test)]
 mod tests;
+mod view;
 
 use std::time::Duration;
 
@@ -67,6 +70,7 @@ use can::Instant;
 use nalgebra::{Isometry3, Vector3};
 
 use crate::Mechanism;
+use crate::{AngleProbe, InputProbe, Mechanism};
 use arm::Arm;
 use beam::Beams;
 pub use beam::{BeamConfig, BeamEdge, BeamProbe, SHORTEST_RESPONSE};
@@ -81,9 +85,10 @@ use grip::{End, Hold};
 use gripper::Gripper;
 pub use gripper::{GripProbe, GripperConfig};
 use motion::{Motion, Moving};
-use probe::Sensor;
 pub use probe::{BodyProbe, SensorConfig, SensorProbe, UnsolvedProbe, WrenchProbe};
+use probe::{Sensor, Touch};
 pub use surface::{Material, Shape};
+pub use view::{Hit, View};
 
 /// Duration of a step.
 pub const STEP: Duration = Duration::from_micros(100);
@@ -330,6 +335,23 @@ impl Scene {
         let (sensor, probe) = Sensor::new(config);
         self.arms[robot.0].sensors.push(sensor);
         Ok(probe)
+    }
+
+    /// Adds a touch probe to the tool of a robot of this scene. Its switch sets `input` to the level `touched` while the
+    /// sum of the forces on the tips of the tool is at least `threshold`, N, and else to the other level. Fails unless the
+    /// threshold is above zero and finite.
+    pub fn add_touch(
+        &mut self,
+        robot: RobotId,
+        threshold: f64,
+        touched: bool,
+        input: &InputProbe,
+    ) -> Result<(), SceneError> {
+        if !(threshold > 0.0 && threshold.is_finite()) {
+            return Err(SceneError::Threshold { threshold });
+        }
+        self.arms[robot.0].touches.push(Touch::new(threshold, touched, input));
+        Ok(())
     }
 
     /// Closes a gripper on a body of this scene. The spring of the grip is relaxed when two frames coincide: `gripper`,

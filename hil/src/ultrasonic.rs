@@ -1,27 +1,6 @@
 //! An emulated ultrasonic matrix at a serial line: N × N transducers that look along one axis and measure echo times.
 //!
-//! No source gives a protocol of such a matrix, and this project defines the protocol. The line has 115200 baud and
-//! 8N1. Requests and replies are frames. Numbers have the high byte first:
-//!
-//! | offset | content |
-//! |---|---|
-//! | 0 | 0xA5 |
-//! | 1 | length n of the body |
-//! | 2 … n + 1 | body: command, then its data |
-//! | n + 2 | CRC-8 over bytes 1 … n + 1: polynomial 0x07, initial value 0, high bit first, not inverted |
-//!
-//! | command | request | reply |
-//! |---|---|---|
-//! | 0x01 identify | | elements per row and column u8, pitch u16 in 0.1 mm, firing slot u16 in µs |
-//! | 0x02 pair | emitter row, emitter column, receiver row, receiver column | the same four bytes, echo time u16 in µs |
-//! | 0x03 row | row | row, then one echo time per element of the row, from column 0 |
-//! | 0xFF refusal | | refused command, reason: 1 unknown command, 2 wrong length, 3 no such element |
-//!
-//! An echo time is the time from emission to the first echo. [`NO_ECHO`] means that no echo was received. A measurement
-//! begins when the last bit of the request has arrived. Each emission takes one firing slot. In a row query, the
-//! elements of the row emit one after the other. The reply begins [`UltrasonicConfig::answer_delay`] after the last
-//! slot. A request that arrives during a measurement or a reply is lost. A frame with a wrong CRC is not answered. A
-//! frame that is interrupted for longer than [`GAP`] is discarded.
+//! [`serial::ultrasonic`] has the protocol. The reply begins [`UltrasonicConfig::answer_delay`] after the last firing slot.
 //!
 //! The echo of a pair is a model: the wave is reflected by a surface parallel to the matrix, halfway between emitter
 //! and receiver. The distance of this surface is the larger of the distances of the two elements, since no nearer
@@ -30,19 +9,21 @@
 //! surface.
 
 mod frames;
+mod probe;
 #[cfg(test)]
 mod tests;
 
 use std::time::Duration;
 
 use can::Instant;
-use serial::{Settings, StopBits};
+use serial::Settings;
+pub use serial::ultrasonic::{GAP, MAX_SIZE, NO_ECHO};
 use thiserror::Error;
 
 use crate::plant::Noise;
 use crate::{LineDevice, outbox::Outbox};
 use frames::Receiver;
-pub use frames::{GAP, NO_ECHO};
+pub use probe::SceneEchoes;
 
 /// Source of the distances in front of a matrix, for the emulated device.
 pub trait EchoProbe: Send {
@@ -50,9 +31,6 @@ pub trait EchoProbe: Send {
     /// surface in the cone. `now` never decreases.
     fn distance(&mut self, element: (usize, usize), now: Instant) -> Option<f64>;
 }
-
-/// Greatest number of elements per row and column.
-pub const MAX_SIZE: u8 = 64;
 
 /// Configuration of a matrix.
 #[derive(Clone, Debug, PartialEq)]
@@ -171,7 +149,7 @@ pub struct UltrasonicMatrix {
 
 impl UltrasonicMatrix {
     /// Settings of the line: 115200 8N1.
-    pub const SETTINGS: Settings = Settings { baud: 115_200, stop_bits: StopBits::One };
+    pub const SETTINGS: Settings = serial::ultrasonic::SETTINGS;
 
     /// A matrix at rest.
     pub fn new(config: UltrasonicConfig, probe: Box<dyn EchoProbe>) -> Result<Self, UltrasonicError> {

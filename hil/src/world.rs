@@ -133,6 +133,9 @@ impl World {
             if let Some(scene) = &mut self.scene {
                 scene.step();
             }
+            for bus in &mut self.buses {
+                bus.sense(step);
+            }
         }
         self.advance_wires(until);
         self.now = self.now.max(until);

@@ -10,11 +10,13 @@ use drive::bus::{Traffic, traffic};
 use drive::cia402::AxisConfig;
 use drive::wrench::WrenchNodeConfig;
 use serde::Serialize;
-use serial::ati;
+use serial::{ati, ultrasonic::Request};
 
 use crate::bench::{emulation, traffic::further};
 use crate::cell::{CellFile, ForceSensor, Path, Protocol};
 use crate::setup;
+use crate::cell::{CellFile, ForceSensor, Path, Protocol, Ultrasonic};
+use crate::{bench::emulation, setup};
 
 /// Budget of one bus.
 #[derive(Debug, Serialize)]
@@ -29,22 +31,27 @@ pub struct BusBudget {
     pub messages: Vec<MessageBudget>,
     /// The bit rate; for a bundle, the sum of all lines.
     pub bits_per_second: f64,
-    /// Absent for a CAN bus and for a force sensor.
+    /// Absent for a CAN bus and for a sensor.
     pub serial: Option<Bundle>,
-    /// The line of a force sensor; absent for a bus and for a bundle of lines.
+    /// The line of a sensor; absent for a bus and for a bundle of lines.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sensor: Option<SensorBudget>,
 }
 
-/// The line of a force sensor.
+/// The line of a force sensor or of an ultrasonic matrix.
 #[derive(Debug, Serialize)]
 pub struct SensorBudget {
+    /// Kind of the sensor.
+    pub what: &'static str,
     /// Name of the robot.
     pub robot: String,
     /// The tty.
     pub line: String,
     /// Baud rate, bit/s.
     pub baud: u32,
+    /// Duration of a scan of an ultrasonic matrix, ms.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scan_ms: Option<f64>,
 }
 
 /// A bundle of serial lines. Each line carries the messages of one axis. Loads and times apply to one line.
@@ -91,7 +98,8 @@ pub fn check(file: &CellFile) -> anyhow::Result<Vec<BusBudget>> {
     let buses = (0..file.cell.bus.len()).map(|bus| check_bus(file, bus, &[]));
     let lines = (0..file.cell.serial.len()).map(|bundle| check_lines(file, bundle));
     let sensors = file.cell.force_sensor.iter().map(|sensor| Ok(of_sensor(file.cell.period(), sensor)));
-    buses.chain(lines).chain(sensors).collect()
+    let matrices = file.cell.ultrasonic.iter().map(|matrix| Ok(of_matrix(file.cell.period(), matrix)));
+    buses.chain(lines).chain(sensors).chain(matrices).collect()
 }
 
 /// Longest time from the queueing of an event-driven message to its last bit on bus `index`, with the frames of further
@@ -229,7 +237,43 @@ fn of_sensor(period: Duration, sensor: &ForceSensor) -> BusBudget {
         messages: vec![message("query", ati::REQUEST, asked), message("answer", ati::REPLY, answered)],
         bits_per_second: f64::from(sensor.baud),
         serial: None,
-        sensor: Some(SensorBudget { robot: sensor.robot.clone(), line: sensor.line.clone(), baud: sensor.baud }),
+        sensor: Some(SensorBudget {
+            what: "force sensor",
+            robot: sensor.robot.clone(),
+            line: sensor.line.clone(),
+            baud: sensor.baud,
+            scan_ms: None,
+        }),
+    }
+}
+
+/// The line of an ultrasonic matrix carries one query and one reply per row. Both may take longer than a period.
+fn of_matrix(period: Duration, matrix: &Ultrasonic) -> BusBudget {
+    let (config, query) = (matrix.config(period), Request::Row(0));
+    let (request, reply) = (query.encode().1, query.reply_length(matrix.size));
+    let row = config.scan_time() / u32::from(matrix.size);
+    let message = |what, bytes: usize| MessageBudget {
+        what,
+        cob_id: None,
+        bytes: bytes as u8,
+        period_us: row.as_micros(),
+        response_us: None,
+    };
+    let share = 100.0 * config.settings.line_time(reply).as_secs_f64() / row.as_secs_f64();
+    BusBudget {
+        name: matrix.name.clone(),
+        load_percent: share,
+        worst_case_percent: share,
+        messages: vec![message("query", request), message("reply", reply)],
+        bits_per_second: f64::from(matrix.baud),
+        serial: None,
+        sensor: Some(SensorBudget {
+            what: "ultrasonic matrix",
+            robot: matrix.robot.clone(),
+            line: matrix.line.clone(),
+            baud: matrix.baud,
+            scan_ms: Some(config.scan_time().as_secs_f64() * 1e3),
+        }),
     }
 }
 

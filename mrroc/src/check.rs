@@ -99,7 +99,14 @@ fn assemble(file: &CellFile, program: &Program, rehearsed: &Rehearsed) -> anyhow
     let (mut servo, links) = Servo::new(&setup::servo_config(file), devices.groups)?;
     let sensors = setup::force_sensors(file, &devices.sensors, &links);
     setup::install_laws(file, &mut servo, &sensors)?;
-    RunningTask::new(&Arc::new(file.clone()), program, links, (devices.io, sensors), &servo, rehearsed);
+    RunningTask::new(
+        &Arc::new(file.clone()),
+        program,
+        links,
+        (devices.io, sensors, devices.matrices),
+        &servo,
+        rehearsed,
+    );
     Ok(())
 }
 
@@ -148,15 +155,13 @@ impl fmt::Display for CheckReport {
 impl CheckReport {
     fn write_bus(&self, f: &mut fmt::Formatter<'_>, bus: &BusBudget) -> fmt::Result {
         let (load, worst) = (bus.load_percent, bus.worst_case_percent);
-        if let Some(SensorBudget { robot, line, baud }) = &bus.sensor {
-            writeln!(
-                f,
-                "\nforce sensor {} of {robot}: {} at {baud} bit/s, the answer has come after {worst:.1} % of {} µs at the \
-                 worst",
-                bus.name,
-                printable(line),
-                self.period_us
-            )?;
+        if let Some(SensorBudget { what, robot, line, baud, scan_ms }) = &bus.sensor {
+            let line = printable(line);
+            write!(f, "\n{what} {} of {robot}: {line} at {baud} bit/s, ", bus.name)?;
+            match scan_ms {
+                Some(scan) => writeln!(f, "a scan takes {scan:.0} ms")?,
+                None => writeln!(f, "the answer has come after {worst:.1} % of {} µs at the worst", self.period_us)?,
+            }
             return write_messages(f, &bus.messages);
         }
         match &bus.serial {

@@ -166,6 +166,7 @@ fn run(
     }
     let (mut servo, links) = Servo::new(&config, groups.collect())?;
     let (mut rehearsed_sensors, sensor_links) = setup::rehearsed_sensors(file);
+    let (mut rehearsed_matrices, matrices) = setup::rehearsed_matrices(file);
     let sensors = setup::force_sensors(file, &sensor_links, &links);
     setup::install_rehearsed_laws(file, &mut servo)?;
     let subcontrollers = setup::subcontrollers(file, links);
@@ -174,6 +175,7 @@ fn run(
         subcontrollers,
         io,
         sensors: sensors.clone(),
+        matrices,
         speed: servo.speed_override(),
         figures: Figures::default(),
     };
@@ -188,6 +190,7 @@ fn run(
         start,
         |now| {
             nodes.iter_mut().for_each(|node| node.advance(now));
+            rehearsed_matrices.iter_mut().for_each(|matrix| matrix.advance(now));
             for (rehearsed, sensor) in rehearsed_sensors.iter_mut().zip(&sensors) {
                 // A robot that is not homed has no known orientation.
                 rehearsed.advance(now, sensor.weight().unwrap_or_default().components());

@@ -13,13 +13,16 @@ use controller::sensor::{ForceSensorConfig, ForceTorque};
 use drive::bus::CanBus;
 use drive::cia401::{IoLink, RehearsedIo};
 use drive::cia402::{AxisConfig, CyclicMode};
+use drive::ultrasonic::{RehearsedUltrasonic, UltrasonicLink, UltrasonicMatrix};
 use drive::wrench::{RehearsedWrench, SerialWrenchSensor, WrenchLink};
 use drive::{DriveGroup, axis_controller::AxisControllerGroup};
 use serial::Line;
 use servo::{CycleLaw, EffectorConfig, EffectorLink, HostHoming, Servo, ServoAxisConfig, ServoConfig};
 
 use crate::bench::plants::upright_from_base;
-use crate::cell::{Bus, CellFile, DeviceConfiguration, ENABLING, ForceLaw, Homing, IoNode, Path, Robot, Serial};
+use crate::cell::{
+    Bus, CellFile, DeviceConfiguration, ENABLING, ForceLaw, Homing, IoNode, Path, Robot, Serial, Ultrasonic,
+};
 
 /// Least homing time-out of an effector. The value also applies to a search by the drive of an axis without ends,
 /// because the distance of such a search is unknown.
@@ -52,7 +55,8 @@ pub fn axis_configs(file: &CellFile, bus: usize) -> Vec<AxisConfig> {
 
 /// The devices of a cell on their ports and lines.
 pub struct Devices {
-    /// One drive group per bus, per bundle of lines and per force sensor, in the order of [`Cell::groups`](crate::cell::Cell::groups).
+    /// One drive group per bus, per bundle of lines, per force sensor and per ultrasonic matrix, in the order of
+    /// [`Cell::groups`](crate::cell::Cell::groups).
     pub groups: Vec<Box<dyn DriveGroup>>,
     /// One link per I/O node, in the order of [`Cell::io`](crate::cell::Cell::io). Inputs are valid from the end of
     /// bring-up until the groups are dropped.
@@ -60,10 +64,13 @@ pub struct Devices {
     /// One link per force sensor, in the order of [`Cell::force_sensor`](crate::cell::Cell::force_sensor). Readings are
     /// valid from the end of bring-up until the groups are dropped.
     pub sensors: Vec<WrenchLink>,
+    /// One link per ultrasonic matrix, in the order of [`Cell::ultrasonic`](crate::cell::Cell::ultrasonic).
+    pub matrices: Vec<UltrasonicLink>,
 }
 
-/// The drive groups, I/O nodes and force sensors of a cell, on the given ports and lines. The drive of axis `with_torque`, given as
-/// robot and axis number, takes a torque beside the position.
+/// The drive groups, I/O nodes and sensors of a cell, on the given ports and lines. `sensor_lines`: the lines of the force
+/// sensors, then of the ultrasonic matrices. The drive of axis `with_torque`, given as robot and axis number, takes a
+/// torque beside the position.
 pub fn devices(
     file: &CellFile,
     ports: Vec<Box<dyn Port>>,
@@ -100,21 +107,32 @@ pub fn devices(
     let bundles = file.cell.serial.iter().enumerate().zip(lines).map(bundle);
     let mut groups = buses.chain(bundles).collect::<anyhow::Result<Vec<_>>>()?;
     links.sort_by_key(|(node, _)| *node);
-    let mut sensors = Vec::new();
-    for ((index, sensor), line) in file.cell.force_sensor.iter().enumerate().zip(sensor_lines) {
+    let (mut sensors, mut matrices) = (Vec::new(), Vec::new());
+    let mut sensor_lines = sensor_lines.into_iter();
+    for ((index, sensor), line) in file.cell.force_sensor.iter().enumerate().zip(sensor_lines.by_ref()) {
         let driver = SerialWrenchSensor::new(line, sensor.config(file.cell.period()));
         let (driver, link) = driver.map_err(|error| file.refuse(&Path::to("force_sensor").then(index), error))?;
         groups.push(Box::new(driver));
         sensors.push(link);
     }
-    Ok(Devices { groups, io: links.into_iter().map(|(_, link)| link).collect(), sensors })
+    for ((index, matrix), line) in file.cell.ultrasonic.iter().enumerate().zip(sensor_lines) {
+        let driver = UltrasonicMatrix::new(line, matrix.config(file.cell.period()));
+        let (driver, link) = driver.map_err(|error| file.refuse(&Path::to("ultrasonic").then(index), error))?;
+        groups.push(Box::new(driver));
+        matrices.push(link);
+    }
+    Ok(Devices { groups, io: links.into_iter().map(|(_, link)| link).collect(), sensors, matrices })
 }
 
 /// The I/O nodes of a rehearsal whose emulated devices are switched on at [`Instant::ZERO`], and their links in the
-/// order of [`Cell::io`](crate::cell::Cell::io). The inputs follow the schedules of the cell file.
+/// order of [`Cell::io`](crate::cell::Cell::io). The inputs follow the schedules of the cell file. Touch probes
+/// stay at rest.
 pub fn rehearsed_io(file: &CellFile) -> (Vec<RehearsedIo>, Vec<IoLink>) {
     let node = |io: &IoNode| {
         let edges = io.emulated_edges().map(|(at, input, _)| (Instant::ZERO + at, input));
+        let probes = file.cell.scene.iter().flat_map(|scene| &scene.touch_probe).filter(|probe| probe.closed_at_rest);
+        let high = probes.filter_map(|probe| io.input.iter().find(|input| input.name == probe.input));
+        let edges = high.map(|input| (Instant::ZERO, input.line)).chain(edges);
         RehearsedIo::new(&io.config(file.cell.period()), edges)
     };
     file.cell.io.iter().map(node).unzip()
@@ -124,6 +142,14 @@ pub fn rehearsed_io(file: &CellFile) -> (Vec<RehearsedIo>, Vec<IoLink>) {
 /// [`Cell::force_sensor`](crate::cell::Cell::force_sensor).
 pub fn rehearsed_sensors(file: &CellFile) -> (Vec<RehearsedWrench>, Vec<WrenchLink>) {
     file.cell.force_sensor.iter().map(|_| RehearsedWrench::new()).unzip()
+}
+
+/// The ultrasonic matrices of a rehearsal, and their links in the order of
+/// [`Cell::ultrasonic`](crate::cell::Cell::ultrasonic).
+pub fn rehearsed_matrices(file: &CellFile) -> (Vec<RehearsedUltrasonic>, Vec<UltrasonicLink>) {
+    let period = file.cell.period();
+    let matrix = |given: &Ultrasonic| RehearsedUltrasonic::new(given.config(period).scan_time());
+    file.cell.ultrasonic.iter().map(matrix).unzip()
 }
 
 /// The virtual force sensors of a cell, on the links to their drivers and to the servo.

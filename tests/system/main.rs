@@ -51,6 +51,7 @@ mod outside;
 mod peers;
 mod qemu;
 mod random;
+mod ranging;
 mod reaction;
 mod readme;
 mod referenced;

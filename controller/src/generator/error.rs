@@ -8,6 +8,7 @@ use super::TimingError;
 use crate::path::PathError;
 use crate::robot::KinematicsError;
 use crate::sensor::{ForceError, GateError};
+use crate::sensor::{EchoError, ForceError};
 
 /// Reasons why a generator refuses a motion or gives it up.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
@@ -130,6 +131,9 @@ pub enum GeneratorError {
     /// The light gates whose reading the step needs have no velocity and place of an object.
     #[error("light gates: {0}")]
     Gates(GateError),
+    /// The ultrasonic matrix whose reading the step needs has no place of a box.
+    #[error("ultrasonic matrix: {0}")]
+    Echo(EchoError),
     /// Reason of a user's generator, with a number defined by that generator.
     #[error("generator error {0}")]
     User(u16),

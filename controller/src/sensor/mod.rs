@@ -30,6 +30,7 @@ mod marked;
 mod operator;
 #[cfg(test)]
 mod tests;
+mod ultrasonic;
 mod zeroed_weight;
 
 use std::any::{Any, TypeId, type_name};
@@ -54,6 +55,7 @@ pub use operator::{
     Asking, Operator, OperatorAnswer, OperatorCommand, OperatorError, OperatorLink, OperatorPanel, OperatorTexts,
     Question, Reaction,
 };
+pub use ultrasonic::{BoxLocator, BoxPlace, BoxReading, EchoError, MOST_SCANS, MatrixConfig};
 pub use zeroed_weight::ZeroedWeight;
 
 /// A sensor as an agent sees it.

@@ -10,6 +10,7 @@ use thiserror::Error;
 
 use crate::axis_controller::{AxisControllerError, AxisControllerFault};
 use crate::bus::Sign;
+use crate::ultrasonic::UltrasonicError;
 use crate::wrench::WrenchError;
 
 /// A latched condition of one axis, cleared by [`AxisCommand::ResetFault`](crate::AxisCommand::ResetFault).
@@ -144,6 +145,9 @@ pub enum BringUpError {
     /// A force/torque sensor on a CAN bus could not be brought up.
     #[error("node {node}: force sensor: {error}")]
     WrenchNode { node: u8, error: WrenchError },
+    /// An ultrasonic matrix on a serial line of its own could not be brought up.
+    #[error("ultrasonic matrix: {error}")]
+    Ultrasonic { error: UltrasonicError },
     #[error("another controller is at work: it sent {sign}; end it before this one is started")]
     OtherController { sign: Sign },
     #[error("bus: {0}")]
@@ -168,9 +172,11 @@ impl BringUpError {
             | Self::TimedOut { node, .. }
             | Self::ModeUnsupported { node, .. }
             | Self::WrenchNode { node, .. } => Some(node),
-            Self::AxisController { .. } | Self::WrenchLine { .. } | Self::OtherController { .. } | Self::Port(_) => {
-                None
-            }
+            Self::AxisController { .. }
+            | Self::WrenchLine { .. }
+            | Self::Ultrasonic { .. }
+            | Self::OtherController { .. }
+            | Self::Port(_) => None,
         }
     }
 
@@ -193,6 +199,7 @@ impl BringUpError {
             | Self::NotOperational { .. }
             | Self::AxisController { .. }
             | Self::WrenchLine { .. }
+            | Self::Ultrasonic { .. }
             | Self::WrenchNode { .. }
             | Self::OtherController { .. }
             | Self::Port(_) => None,

@@ -15,6 +15,7 @@ mod group;
 pub mod latest;
 mod scale;
 mod state;
+pub mod ultrasonic;
 mod warning;
 pub mod wrench;
 

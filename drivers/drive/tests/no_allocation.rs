@@ -20,6 +20,7 @@ use mrroc_drive::axis_controller::{self, AxisControllerGroup, Control, Protocol}
 use mrroc_drive::bus::CanBus;
 use mrroc_drive::cia401::IoConfig;
 use mrroc_drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity};
+use mrroc_drive::ultrasonic::{UltrasonicConfig, UltrasonicMatrix};
 use mrroc_drive::wrench::{
     Channel, Content, SerialWrenchConfig, SerialWrenchSensor, Trigger, WrenchAxis, WrenchConfig, WrenchField,
     WrenchLink, WrenchNodeConfig, WrenchPdo, ZeroMethod,
@@ -450,4 +451,94 @@ fn no_cycle_of_a_serial_force_sensor_allocates() {
         assert_eq!(faults.len(), 6, "{faults:?}");
         assert_eq!(link.read().fault, None);
     }
+}
+
+/// The line of a matrix of 3 × 3 elements that answers in the next reading.
+#[derive(Clone, Copy, Default)]
+struct MatrixLine {
+    /// Frame to read and its length.
+    frame: [u8; 16],
+    length: usize,
+    deaf: bool,
+    broken: bool,
+    gone: bool,
+}
+
+impl serial::Line for MatrixLine {
+    fn read(&mut self, _now: Instant, buffer: &mut [u8]) -> Result<usize, serial::LineError> {
+        if self.gone {
+            return Err(serial::LineError::Gone);
+        }
+        let length = std::mem::take(&mut self.length);
+        buffer[..length].copy_from_slice(&self.frame[..length]);
+        Ok(length)
+    }
+
+    fn write(&mut self, _now: Instant, bytes: &[u8]) -> Result<usize, serial::LineError> {
+        let body: &[u8] = match bytes[2] {
+            serial::ultrasonic::IDENTIFY => &[1, 3, 0, 200, 0x0D, 0xAC],
+            _ => &[3, bytes[3], 7, 0, 7, 1, 0xFF, 0xFF],
+        };
+        if !self.deaf {
+            self.length = serial::ultrasonic::encode(body, &mut self.frame).unwrap();
+            self.frame[self.length - 1] ^= u8::from(self.broken);
+        }
+        Ok(bytes.len())
+    }
+
+    fn discard_unsent(&mut self) {}
+
+    fn counters(&self) -> serial::LineCounters {
+        serial::LineCounters::default()
+    }
+}
+
+/// A line that a test changes between two cycles.
+#[derive(Clone, Default)]
+struct SharedLine(std::sync::Arc<std::sync::Mutex<MatrixLine>>);
+
+impl serial::Line for SharedLine {
+    fn read(&mut self, now: Instant, buffer: &mut [u8]) -> Result<usize, serial::LineError> {
+        self.0.lock().unwrap().read(now, buffer)
+    }
+
+    fn write(&mut self, now: Instant, bytes: &[u8]) -> Result<usize, serial::LineError> {
+        self.0.lock().unwrap().write(now, bytes)
+    }
+
+    fn discard_unsent(&mut self) {}
+
+    fn counters(&self) -> serial::LineCounters {
+        serial::LineCounters::default()
+    }
+}
+
+#[test]
+fn no_cycle_of_an_ultrasonic_matrix_allocates() {
+    let line = SharedLine::default();
+    let config = UltrasonicConfig { size: 3, ..UltrasonicConfig::new(PERIOD) };
+    let (mut matrix, link) = UltrasonicMatrix::new(line.clone(), config).unwrap();
+    let mut now = Instant::ZERO;
+    while matrix.bring_up(now).map(Result::unwrap).is_pending() {
+        now += PERIOD;
+    }
+    let mut faults = Vec::with_capacity(5);
+    for (deaf, broken, gone) in
+        [(false, false, false), (true, false, false), (false, true, false), (false, false, true), (false, false, false)]
+    {
+        *line.0.lock().unwrap() = MatrixLine { deaf, broken, gone, ..MatrixLine::default() };
+        link.reset_fault();
+        for _ in 0..400 {
+            now += PERIOD;
+            let before = ALLOCATIONS.get();
+            matrix.read(now, &mut []);
+            matrix.write(now, &[]);
+            matrix.send(now);
+            link.read();
+            assert_eq!(ALLOCATIONS.get() - before, 0, "deaf {deaf}, broken {broken}, gone {gone}");
+        }
+        faults.extend(link.read().fault);
+    }
+    assert_eq!(faults.len(), 3, "{faults:?}");
+    assert!(link.read().measured().is_some());
 }

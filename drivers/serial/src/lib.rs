@@ -1,8 +1,8 @@
-//! Serial lines and the telegrams of axis controllers and force/torque sensors on them.
+//! Serial lines and the telegrams of axis controllers and sensors on them.
 //!
 //! A [`Line`] carries bytes and never waits. [`hi_moxa`] and [`nfv2`] have the telegrams of the axis controllers of the
 //! IRb-6 and IRp-6 at Warsaw University of Technology. [`ati`] has the telegrams of the force/torque sensors of these
-//! robots. [`epos2`] and [`epos4`] have the frames of maxon's service ports. Telegrams and frames are layouts only, in
+//! robots. [`ultrasonic`] has the frames of an ultrasonic matrix. [`epos2`] and [`epos4`] have the frames of maxon's service ports. Telegrams and frames are layouts only, in
 //! both directions, shared by drivers and emulators. [`service`] is the client of the service ports. Read [`Line`]
 //! first.
 
@@ -15,6 +15,7 @@ pub mod nfv2;
 pub mod service;
 mod slcan_port;
 mod tty;
+pub mod ultrasonic;
 mod virtual_line;
 
 pub use line::{Line, LineCounters, LineError, Settings, StopBits};

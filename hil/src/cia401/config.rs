@@ -6,6 +6,7 @@ use std::time::Duration;
 use can::Instant;
 use canopen::NodeId;
 
+use super::probe::InputProbe;
 use crate::plant::AngleProbe;
 use crate::scene::BeamProbe;
 
@@ -44,6 +45,9 @@ pub struct DigitalIoConfig {
     /// Light gates of the scene and their inputs, counted from 0. An input is high while the beam is broken. Such an input
     /// has no edges of its own.
     pub beams: Vec<(u8, BeamProbe)>,
+    /// Inputs whose levels the scene of the [`World`](crate::World) computes, each with its source. Such an input has no
+    /// other source. Without a scene, the level stays low.
+    pub probes: Vec<(u8, InputProbe)>,
 }
 
 impl DigitalIoConfig {
@@ -64,6 +68,7 @@ impl DigitalIoConfig {
             edges: Vec::new(),
             light_gates: Vec::new(),
             beams: Vec::new(),
+            probes: Vec::new(),
         }
     }
 }

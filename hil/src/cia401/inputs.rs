@@ -1,9 +1,9 @@
 //! Inputs: terminal, filter, polarity, and the interrupts that trigger TPDOs (CiA 401).
 //!
 //! ```text
-//! edges, light gates ──► terminal ──► filter 0x6003 ──► polarity 0x6002 ──► 0x6000
-//!                                                                              │ change
-//!                          TPDO event ◄── 0x6005 ◄── 0x6006, 0x6007, 0x6008 ◄──┘
+//! edges, light gates, scene ──► terminal ──► filter 0x6003 ──► polarity 0x6002 ──► 0x6000
+//!                                                                                     │ change
+//!                                 TPDO event ◄── 0x6005 ◄── 0x6006, 0x6007, 0x6008 ◄──┘
 //! ```
 
 use std::collections::VecDeque;
@@ -14,6 +14,7 @@ use canopen::Object;
 
 use super::config::{InputEdge, LightGate};
 use super::lines::{Lines, bit};
+use super::probe::InputProbe;
 use super::table;
 use crate::node::objects::Objects;
 use crate::node::table::{Entry, Slot};
@@ -33,6 +34,8 @@ pub(super) struct Inputs {
     /// Edges to come, in ascending order.
     edges: VecDeque<InputEdge>,
     gates: Vec<LightGate>,
+    /// Inputs with levels of the scene, and the last level of each.
+    probes: Vec<(u8, InputProbe, bool)>,
     /// Time of the next look of the light gates.
     look_at: Instant,
     /// Time up to which the inputs have been simulated.
@@ -73,6 +76,7 @@ impl Inputs {
         filter_time: Duration,
         mut edges: Vec<InputEdge>,
         gates: Vec<LightGate>,
+        probes: Vec<(u8, InputProbe)>,
         now: Instant,
     ) -> Option<Self> {
         edges.sort_by_key(|edge| edge.at);
@@ -84,6 +88,7 @@ impl Inputs {
             filter_time,
             edges: edges.into(),
             gates,
+            probes: probes.into_iter().map(|(index, probe)| (index, probe, false)).collect(),
             look_at: now,
             now,
         })
@@ -93,6 +98,21 @@ impl Inputs {
     pub(super) fn schedule(&mut self, edge: InputEdge) {
         let at = self.edges.partition_point(|other| other.at <= edge.at);
         self.edges.insert(at, edge);
+    }
+
+    /// Takes over the levels that the scene computed for `now`. Returns whether a level has changed.
+    pub(super) fn sense(&mut self, now: Instant) -> bool {
+        let mut has_changed = false;
+        for (index, probe, last) in &mut self.probes {
+            let level = probe.level();
+            if level != *last {
+                *last = level;
+                let at = self.edges.partition_point(|other| other.at <= now);
+                self.edges.insert(at, InputEdge { at: now, index: *index, level });
+                has_changed = true;
+            }
+        }
+        has_changed
     }
 
     /// Time of the next edge, look or end of a filter time.

@@ -4,6 +4,8 @@
 //! interrupt masks. Outputs have polarity, filter mask and error value. A bench schedules edges of inputs
 //! ([`InputEdge`], [`DigitalIo::set_input`]), connects inputs to axes ([`LightGate`]) and to light gates of the scene
 //! ([`BeamProbe`](crate::scene::BeamProbe)), and reads outputs with the time of their last change ([`DigitalIo::output`]).
+//! ([`InputEdge`], [`DigitalIo::set_input`]), connects inputs to axes ([`LightGate`]) or to the scene ([`InputProbe`]),
+//! and reads outputs with the time of their last change ([`DigitalIo::output`]).
 //!
 //! ```
 //! # use std::time::Duration;
@@ -40,6 +42,7 @@ mod eds;
 mod inputs;
 mod lines;
 mod outputs;
+mod probe;
 mod table;
 #[cfg(test)]
 mod tests;
@@ -58,6 +61,7 @@ pub use config::{DigitalIoConfig, InputEdge, LightGate, MAX_BYTES};
 use inputs::Inputs;
 use outputs::Outputs;
 pub use outputs::{OutputProbe, OutputState};
+pub use probe::InputProbe;
 use table::{INPUTS, OUTPUTS, SHAPE, table};
 
 /// Reason that a module cannot have a configuration or an edge.
@@ -90,6 +94,8 @@ impl DigitalIo {
         let gates = config.light_gates.iter().map(|gate| gate.index);
         let beams = config.beams.iter().map(|(index, _)| *index);
         for index in gates.chain(beams).chain(config.edges.iter().map(|edge| edge.index)) {
+        let probes = config.probes.iter().map(|(index, _)| *index);
+        for index in gates.chain(config.edges.iter().map(|edge| edge.index)).chain(probes) {
             check(index, inputs)?;
         }
         let table = table(&config);
@@ -112,6 +118,7 @@ impl DigitalIo {
                 config.filter_time,
                 config.edges,
                 config.light_gates,
+                config.probes,
                 config.power_on,
             ),
             outputs: Outputs::new(&table, config.output_bytes),
@@ -197,6 +204,12 @@ impl Device for DigitalIo {
             self.node.schedule();
         }
         taken
+    fn sense(&mut self, now: Instant) -> bool {
+        let has_changed = self.node.application.inputs.as_mut().is_some_and(|inputs| inputs.sense(now));
+        if has_changed {
+            self.node.schedule();
+        }
+        has_changed
     }
 }
 

@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use super::contact::Sphere;
 use super::motion::{Motion, Moving, Place, Wrench};
-use super::probe::Sensor;
+use super::probe::{Sensor, Touch};
 use crate::plant::{Kinematics, Mechanism};
 
 pub(super) struct Arm {
@@ -21,8 +21,12 @@ pub(super) struct Arm {
     pub(super) motion: Motion,
     pub(super) tips: Vec<Sphere>,
     pub(super) sensors: Vec<Sensor>,
+    /// Switches that the tips of the tool close.
+    pub(super) touches: Vec<Touch>,
     /// Wrench of the forces on the tool about the origin of the flange, in the axes of the world.
     pub(super) wrench: Wrench,
+    /// Sum of the forces on the tips, N, in the axes of the world.
+    tip_force: Vector3<f64>,
 }
 
 impl Arm {
@@ -41,7 +45,9 @@ impl Arm {
             motion: Motion::standing(Vector3::zeros(), Matrix3::identity()),
             tips: Vec::new(),
             sensors: Vec::new(),
+            touches: Vec::new(),
             wrench: Wrench::default(),
+            tip_force: Vector3::zeros(),
         };
         arm.follow();
         arm.before = arm.now;
@@ -68,6 +74,7 @@ impl Arm {
             self.now.turn = UnitQuaternion::new_unchecked(-self.now.turn.into_inner());
         }
         self.wrench = Wrench::default();
+        self.tip_force = Vector3::zeros();
     }
 
     /// Sets the motion of the flange over a part of the last step: from the share `from` of the step to the share `to`.
@@ -92,10 +99,19 @@ impl Arm {
         self.wrench.push(&(at - self.flange.origin), force);
     }
 
-    /// Applies the forces to the sensors and to the motors.
+    /// Adds a force, N, on a tip of the tool at a point, m. Both are in the axes of the world.
+    pub(super) fn push_tip(&mut self, at: &Vector3<f64>, force: &Vector3<f64>) {
+        self.tip_force += force;
+        self.push(at, force);
+    }
+
+    /// Applies the forces to the sensors, the switches and the motors.
     pub(super) fn finish(&mut self, gravity: &Vector3<f64>) {
         for sensor in &mut self.sensors {
             sensor.measure(&self.flange, &self.wrench, gravity);
+        }
+        for touch in &self.touches {
+            touch.measure(&self.tip_force);
         }
         let axes = &self.base.1;
         let (force, torque) = (axes.tr_mul(&self.wrench.force), axes.tr_mul(&self.wrench.torque));

@@ -149,8 +149,8 @@ impl Scene {
                 }
             };
             if let Some(push) = push {
-                arm.push(&push.centre, &push.normal);
-                arm.push(&push.touch, &push.drag);
+                arm.push_tip(&push.centre, &push.normal);
+                arm.push_tip(&push.touch, &push.drag);
             }
         }
         for grip in grips.iter_mut().flatten() {

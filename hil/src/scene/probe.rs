@@ -8,6 +8,7 @@ use nalgebra::{Isometry3, Matrix3, Vector3};
 
 use super::body::BodyState;
 use super::motion::{Moving, Wrench};
+use crate::InputProbe;
 
 /// Source of the true wrench on a force/torque sensor, for an emulated device.
 pub trait WrenchProbe: Send {
@@ -71,6 +72,27 @@ impl BodyProbe {
 
     pub(super) fn show(&self, state: BodyState) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = state;
+    }
+}
+
+/// A switch of a touch probe at the tool of a robot, which the force on the tips actuates.
+pub(super) struct Touch {
+    /// Contact force that actuates the switch, N.
+    threshold: f64,
+    /// Level of the input during a touch.
+    touched: bool,
+    probe: InputProbe,
+}
+
+impl Touch {
+    pub(super) fn new(threshold: f64, touched: bool, probe: &InputProbe) -> Self {
+        probe.set(!touched);
+        Self { threshold, touched, probe: probe.clone() }
+    }
+
+    /// Sets the switch. `force`: sum of the forces on the tips, N.
+    pub(super) fn measure(&self, force: &Vector3<f64>) {
+        self.probe.set((force.norm() >= self.threshold) == self.touched);
     }
 }
 

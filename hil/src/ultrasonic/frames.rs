@@ -1,40 +1,21 @@
 //! Frames of the ultrasonic matrix: reception of requests, and the layout of replies.
 
-use std::time::Duration;
-
 use can::Instant;
-
-/// Echo time in a reply if no echo was received.
-pub const NO_ECHO: u16 = 0xFFFF;
-
-/// A request with a longer gap between two bytes is discarded.
-pub const GAP: Duration = Duration::from_millis(5);
-
-pub(super) const IDENTIFY: u8 = 0x01;
-pub(super) const PAIR: u8 = 0x02;
-pub(super) const ROW: u8 = 0x03;
-pub(super) const REFUSAL: u8 = 0xFF;
+use serial::ultrasonic::{FRAME, GAP, START};
+pub(super) use serial::ultrasonic::{IDENTIFY, PAIR, REFUSAL, ROW, crc};
 
 /// Reasons of a refusal.
 pub(super) const UNKNOWN_COMMAND: u8 = 1;
 pub(super) const WRONG_LENGTH: u8 = 2;
 pub(super) const NO_ELEMENT: u8 = 3;
 
-const START: u8 = 0xA5;
 /// Greatest length of the body of a request that is received. A longer body is no request.
 const MAX_BODY: usize = 8;
 
-/// CRC-8 with polynomial 0x07, initial value 0, high bit first.
-pub(super) fn crc(bytes: &[u8]) -> u8 {
-    let shift = |crc: u8| if crc & 0x80 == 0 { crc << 1 } else { crc << 1 ^ 0x07 };
-    bytes.iter().fold(0, |crc, byte| (0..8).fold(crc ^ byte, |crc, _| shift(crc)))
-}
-
 /// The frame of a body of at most 255 bytes.
 pub(super) fn encode(body: &[u8]) -> Vec<u8> {
-    let mut frame = vec![START, body.len() as u8];
-    frame.extend(body);
-    frame.push(crc(&frame[1..]));
+    let mut frame = vec![0; body.len() + FRAME];
+    serial::ultrasonic::encode(body, &mut frame).expect("a reply has at most 130 bytes");
     frame
 }
 

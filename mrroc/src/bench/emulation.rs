@@ -11,6 +11,9 @@ use hil::{
     EposSerial, EposSerialConfig, InputEdge, LineDevice, SerialForceSensor, SerialForceSensorConfig, TransducerConfig,
     World,
     scene::{BeamProbe, Scene, SensorProbe, UnsolvedProbe},
+    EposSerial, EposSerialConfig, InputEdge, InputProbe, LineDevice, SerialForceSensor, SerialForceSensorConfig,
+    TransducerConfig, World,
+    scene::{Scene, SensorProbe, UnsolvedProbe},
 };
 use serial::{Settings, VirtualLine};
 
@@ -20,6 +23,7 @@ use crate::bench::scene::{EmulatedSurroundings, SceneTruth};
 use crate::bench::traffic::BusLoad;
 use crate::bench::truth::TruthLog;
 use crate::cell::{CellFile, EmulatedGate, ForceSensor, ForceSensorEmulator, IoNode, Protocol};
+use crate::cell::{CellFile, EmulatedTouchProbe, ForceSensor, ForceSensorEmulator, IoNode, Protocol};
 
 /// Capacity of the host's end of a virtual bus in each direction, frames.
 const QUEUE: usize = 256;
@@ -28,7 +32,7 @@ const QUEUE: usize = 256;
 const HEARD: usize = 1 << 15;
 
 /// Capacity of the host's end of a virtual line in each direction, bytes: that of a tty's buffer.
-const LINE: usize = 4096;
+pub(super) const LINE: usize = 4096;
 
 /// Time between two frames of the background traffic: a quarter of the capacity of a 1 Mbit/s bus.
 const CHATTER: Duration = Duration::from_micros(500);
@@ -59,7 +63,7 @@ pub struct HostEnds {
     pub listeners: Vec<VirtualPort>,
     /// The lines of each bundle, in the order of [`Cell::axes_on`](crate::cell::Cell::axes_on).
     pub lines: Vec<Vec<VirtualLine>>,
-    /// The line of each force sensor.
+    /// The line of each force sensor, then of each ultrasonic matrix.
     pub sensors: Vec<VirtualLine>,
 }
 
@@ -78,7 +82,8 @@ impl Emulation {
             axes.map(|axis| emulated.add_line(&mut world, bundle, axis, &cabinet)).collect()
         });
         let lines = lines.collect();
-        let (sensors, truth) = emulated.add_sensors(&mut world);
+        let (mut sensors, truth) = emulated.add_sensors(&mut world);
+        sensors.extend(emulated.add_matrices(&mut world));
         let ends = HostEnds { lines, sensors, ports, listeners };
         let emulation = Self {
             world,
@@ -214,6 +219,15 @@ impl EmulatedCell<'_> {
             Some((place.line, probe.clone()))
         };
         gates.filter_map(beam).collect()
+    /// The switches of the touch probes at the inputs of I/O node `node`, with the numbers of the inputs.
+    fn touches_at(&self, node: usize) -> Vec<(u8, InputProbe)> {
+        let cell = &self.file.cell;
+        let probes = cell.scene.iter().flat_map(|scene| &scene.touch_probe).zip(&self.touches);
+        let at_node = |(probe, touch): (&EmulatedTouchProbe, &InputProbe)| {
+            let place = cell.input_line(&probe.input).filter(|place| place.node == node)?;
+            Some((place.line, touch.clone()))
+        };
+        probes.filter_map(at_node).collect()
     }
 
     /// Adds the line of an axis of bundle `bundle`, with its axis controller in `cabinet`, switched on at
@@ -269,6 +283,11 @@ impl EmulatedCell<'_> {
     fn module(&self, node: usize, power_on: Instant) -> DigitalIo {
         let cell = &self.file.cell;
         let mut module = module(&cell.io[node], self.beams_at(node), power_on);
+    /// The emulated module of I/O node `node`, with the valves of the grippers at its outputs and the touch probes at its
+    /// inputs.
+    fn module(&self, node: usize, power_on: Instant) -> DigitalIo {
+        let cell = &self.file.cell;
+        let mut module = module(&cell.io[node], self.touches_at(node), power_on);
         let grippers = cell.scene.iter().flat_map(|scene| &scene.gripper);
         for (gripper, valve) in grippers.zip(&self.valves) {
             if let Some(place) = cell.output_line(&gripper.output).filter(|place| place.node == node) {
@@ -315,7 +334,7 @@ pub fn add_service_port(world: &mut World, file: &CellFile, (robot, number): (us
 }
 
 /// The end of a line without a device.
-struct Absent;
+pub(super) struct Absent;
 
 impl LineDevice for Absent {
     fn receive(&mut self, _byte: u8, _now: Instant) {}
@@ -329,12 +348,12 @@ impl LineDevice for Absent {
 }
 
 /// A sensor whose cable breaks at a given time.
-struct Unplugged {
-    device: SerialForceSensor,
-    from: Instant,
+pub(super) struct Unplugged<D> {
+    pub(super) device: D,
+    pub(super) from: Instant,
 }
 
-impl LineDevice for Unplugged {
+impl<D: LineDevice> LineDevice for Unplugged<D> {
     fn receive(&mut self, byte: u8, now: Instant) {
         if now < self.from {
             self.device.receive(byte, now);
@@ -356,6 +375,8 @@ impl LineDevice for Unplugged {
 
 /// The emulated module of an I/O node, with the scheduled edges and the light gates of its inputs.
 fn module(io: &IoNode, beams: Vec<(u8, BeamProbe)>, power_on: Instant) -> DigitalIo {
+/// The emulated module of an I/O node, with the scheduled edges of its inputs and the inputs of the scene.
+fn module(io: &IoNode, probes: Vec<(u8, InputProbe)>, power_on: Instant) -> DigitalIo {
     // The time between two cycles does not matter here.
     let IoConfig { node, inputs, outputs, .. } = io.config(Duration::ZERO);
     let usual = DigitalIoConfig::new(node);
@@ -369,6 +390,7 @@ fn module(io: &IoNode, beams: Vec<(u8, BeamProbe)>, power_on: Instant) -> Digita
         power_on,
         edges: io.emulated_edges().map(edge).collect(),
         beams,
+        probes,
         ..usual
     };
     DigitalIo::new(config).expect("a parsed cell has up to 64 lines of a kind, and edges of its inputs")

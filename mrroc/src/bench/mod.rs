@@ -8,6 +8,7 @@ pub mod emulated_lines;
 pub mod emulated_time;
 pub mod emulation;
 pub mod interfaces;
+mod matrices;
 pub mod plants;
 pub mod scene;
 pub(crate) mod traffic;
@@ -18,11 +19,11 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use can::{Port, SocketCanOptions, TraceReader, Tracer};
 use clap::{Args, ValueEnum};
-use serial::{Line, Tty, VirtualLine};
+use serial::{Line, Settings, Tty, VirtualLine};
 
 use crate::bench::bus_port::{BusPort, prepare_card};
 use crate::bench::{emulation::Emulation, interfaces::Interface};
-use crate::cell::{CellFile, ForceSensor, Serial};
+use crate::cell::{Cell, CellFile, Serial};
 use crate::wire::{Listener, Wire};
 
 /// Frames by which a trace may lag behind the bus: some seconds of a full bus.
@@ -85,7 +86,7 @@ impl Places {
         let bus = interfaces.iter().find(may_be_hardware);
         let directory = self.serial.as_deref();
         let ttys = (0..file.cell.serial.len()).flat_map(|bundle| tty_paths(file, bundle, directory));
-        let sensors = file.cell.force_sensor.iter().map(|it| (it.name.clone(), sensor_tty(it, directory)));
+        let sensors = sensor_lines(&file.cell).map(|it| (it.name.to_owned(), sensor_tty(&it, directory)));
         let tty = ttys.chain(sensors).find(|(_, path)| is_device(path));
         if let Some(name) = bus.map(Interface::to_string).or(tty.map(|(_, path)| path.display().to_string())) {
             bail!("--bench vcan: {name} may be hardware, which takes --bench card");
@@ -100,7 +101,7 @@ pub struct Bench {
     pub ports: Vec<Box<dyn Port>>,
     /// The lines of each bundle of the cell.
     pub lines: Vec<Vec<Box<dyn Line>>>,
-    /// The line of each force sensor of the cell.
+    /// The line of each force sensor of the cell, then of each ultrasonic matrix.
     pub sensors: Vec<Box<dyn Line>>,
     /// The interface of each port: the cell's, or the one given in its place.
     pub interfaces: Vec<Interface>,
@@ -188,33 +189,58 @@ pub(crate) fn emulated_lines(
     lines.into_iter().zip(&file.cell.serial).map(bundle).collect()
 }
 
-/// The host's ends of the emulated lines of force sensors: virtual lines in lockstep, ttys in real time.
+/// A sensor on a serial line of its own.
+struct SensorLine<'a> {
+    what: &'static str,
+    name: &'a str,
+    line: &'a str,
+    settings: Settings,
+}
+
+/// The lines of all force sensors, then of all ultrasonic matrices.
+fn sensor_lines(cell: &Cell) -> impl Iterator<Item = SensorLine<'_>> {
+    let sensors = cell.force_sensor.iter().map(|it| SensorLine {
+        what: "force sensor",
+        name: &it.name,
+        line: &it.line,
+        settings: it.settings(),
+    });
+    let matrices = cell.ultrasonic.iter().map(|it| SensorLine {
+        what: "ultrasonic matrix",
+        name: &it.name,
+        line: &it.line,
+        settings: it.settings(),
+    });
+    sensors.chain(matrices)
+}
+
+/// The host's ends of the emulated lines of sensors: virtual lines in lockstep, ttys in real time.
 pub(crate) fn emulated_sensors(
     file: &CellFile,
     kind: BenchKind,
     emulation: &mut Emulation,
     lines: Vec<VirtualLine>,
 ) -> anyhow::Result<Vec<Box<dyn Line>>> {
-    let line = |(line, sensor): (VirtualLine, &ForceSensor)| -> anyhow::Result<Box<dyn Line>> {
+    let line = |(line, sensor): (VirtualLine, SensorLine<'_>)| -> anyhow::Result<Box<dyn Line>> {
         Ok(match kind {
-            BenchKind::Emulated => Box::new(emulation.on_tty(line, sensor.settings())?),
+            BenchKind::Emulated => Box::new(emulation.on_tty(line, sensor.settings)?),
             _ => Box::new(line),
         })
     };
-    lines.into_iter().zip(&file.cell.force_sensor).map(line).collect()
+    lines.into_iter().zip(sensor_lines(&file.cell)).map(line).collect()
 }
 
 fn sensor_ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<Box<dyn Line>>> {
-    let open = |sensor: &ForceSensor| {
-        let tty = Tty::open(sensor_tty(sensor, directory), sensor.settings());
-        Ok(Box::new(tty.with_context(|| format!("force sensor {}", sensor.name))?) as Box<dyn Line>)
+    let open = |sensor: SensorLine<'_>| {
+        let tty = Tty::open(sensor_tty(&sensor, directory), sensor.settings);
+        Ok(Box::new(tty.with_context(|| format!("{} {}", sensor.what, sensor.name))?) as Box<dyn Line>)
     };
-    file.cell.force_sensor.iter().map(open).collect()
+    sensor_lines(&file.cell).map(open).collect()
 }
 
-/// The tty of a force sensor, named in the cell, or made in `directory` by `mrroc emulate --serial`.
-fn sensor_tty(sensor: &ForceSensor, directory: Option<&Path>) -> PathBuf {
-    directory.map_or_else(|| PathBuf::from(&sensor.line), |directory| directory.join(&sensor.name))
+/// The tty of a sensor, named in the cell, or made in `directory` by `mrroc emulate --serial`.
+fn sensor_tty(sensor: &SensorLine<'_>, directory: Option<&Path>) -> PathBuf {
+    directory.map_or_else(|| PathBuf::from(sensor.line), |directory| directory.join(sensor.name))
 }
 
 fn ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<Vec<Box<dyn Line>>>> {

@@ -9,6 +9,7 @@ use canopen::cia402::HomingMethod;
 use controller::robot::Limits;
 use hil::scene::BeamProbe;
 use hil::{AxisConfig, Mechanism, Mount, OutputProbe, plant::PlantConfig};
+use hil::{AxisConfig, InputProbe, Mechanism, Mount, OutputProbe, plant::PlantConfig};
 use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::cell::{CellFile, EmulatedPayload, Model, Path, Robot};
@@ -23,6 +24,8 @@ pub struct EmulatedCell<'a> {
     pub(super) valves: Vec<OutputProbe>,
     /// The outputs of the light gates of the scene.
     pub(super) beams: Vec<BeamProbe>,
+    /// Switches of the touch probes of the scene.
+    pub(super) touches: Vec<InputProbe>,
 }
 
 impl<'a> EmulatedCell<'a> {
@@ -36,6 +39,11 @@ impl<'a> EmulatedCell<'a> {
         let valves = (0..grippers).map(|_| OutputProbe::default()).collect();
         let beams = (0..gates).map(|_| BeamProbe::default()).collect();
         Self { file, mechanisms, valves, beams }
+        let scene = file.cell.scene.as_ref();
+        let (grippers, probes) = scene.map_or((0, 0), |scene| (scene.gripper.len(), scene.touch_probe.len()));
+        let valves = (0..grippers).map(|_| OutputProbe::default()).collect();
+        let touches = (0..probes).map(|_| InputProbe::default()).collect();
+        Self { file, mechanisms, valves, touches }
     }
 
     /// The mount of an axis in its robot; `None` if the axis moves its own load.

@@ -77,6 +77,11 @@ impl EmulatedCell<'_> {
                 let centre = tool.translation.vector.into();
                 scene.add_tip(id, &TipConfig { centre, radius }).expect(SOUND);
             }
+            if around.robot.as_ref() == Some(&robot.name) {
+                for (probe, input) in around.touch_probe.iter().zip(&self.touches) {
+                    scene.add_touch(id, probe.force, !probe.closed_at_rest, input).expect(SOUND);
+                }
+            }
             if let Some(number) = gripper {
                 let gripper = &around.gripper[number];
                 let closed_at = !self.file.cell.inverts(&gripper.output);
@@ -86,15 +91,20 @@ impl EmulatedCell<'_> {
         }
         let bars = bars.into_iter().map(|bar| scene.watch(bar)).collect();
         let needed = count > 0 || !around.bar.is_empty() || !around.conveyor.is_empty();
+        let needed = count > 0 || !around.bar.is_empty() || !cell.ultrasonic.is_empty();
         EmulatedSurroundings { scene: needed.then_some(scene), sensors, truth: SceneTruth { bars, grips } }
     }
+}
+
+/// Place of the base frame of a robot in the frame of the cell.
+pub(super) fn base_of(robot: &Robot) -> Isometry3<f64> {
+    robot.base.pose() * robot.emulated_base_error.pose() * upright_from_base(robot.model)
 }
 
 /// Adds a robot, and returns its flange frame of the cell file in the flange frame of the mechanism.
 fn add_robot(scene: &mut Scene, mechanism: &Mechanism, robot: &Robot) -> (RobotId, Isometry3<f64>) {
     let (base, flange) = robot.parameters.unwrap_or(robot.model.parameters()).mechanism_frames();
-    let place = robot.base.pose() * robot.emulated_base_error.pose() * upright_from_base(robot.model);
-    (scene.add_robot(mechanism, &(place * base)).expect(SOUND), flange)
+    (scene.add_robot(mechanism, &(base_of(robot) * base)).expect(SOUND), flange)
 }
 
 /// Surfaces of bars. Tips and corners of other bars touch them.

@@ -23,6 +23,8 @@ mod scene;
 #[cfg(test)]
 mod tests;
 mod text;
+mod touch;
+mod ultrasonic;
 mod validation;
 
 use std::sync::Arc;
@@ -55,6 +57,8 @@ pub use servo::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig}
 pub use servo::thread::{Policy, Realtime, Scheduler, Wait};
 pub use servo::{Direction, FeedForward, Figure, Law, Range};
 pub use text::{printable, quoted};
+pub use touch::EmulatedTouchProbe;
+pub use ultrasonic::{Ultrasonic, UltrasonicEmulator};
 
 /// One controller: all robots that share one servo cycle.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -94,6 +98,9 @@ pub struct Cell {
     /// The force/torque sensors.
     #[serde(default)]
     pub force_sensor: Vec<ForceSensor>,
+    /// The ultrasonic matrices.
+    #[serde(default)]
+    pub ultrasonic: Vec<Ultrasonic>,
     /// The surroundings of the emulated robots; empty where absent.
     pub scene: Option<EmulatedScene>,
     /// The robots.

@@ -6,6 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::conveyor::{EmulatedConveyor, EmulatedGate, EmulatedObject};
+use super::touch::EmulatedTouchProbe;
 
 /// The surroundings of the emulated robots. Real robots ignore this table.
 ///
@@ -43,6 +44,9 @@ pub struct EmulatedScene {
     /// The light gates.
     #[serde(default)]
     pub gate: Vec<EmulatedGate>,
+    /// The touch probes.
+    #[serde(default)]
+    pub touch_probe: Vec<EmulatedTouchProbe>,
 }
 
 /// A sphere at the origin of a tool.

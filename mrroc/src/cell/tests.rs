@@ -7,6 +7,7 @@ mod force;
 mod io;
 mod names;
 mod scene;
+mod ranging;
 mod shape;
 
 use super::*;

@@ -119,9 +119,9 @@ impl RunReport {
         let groups = end.servo.group_counters().zip(budgets).enumerate();
         let buses = groups.map(|(index, (group, budget))| BusReport {
             name: budget.name.clone(),
-            lines: (index >= file.cell.bus.len()).then(|| match file.cell.sensor_of_group(index) {
-                Some(_) => 1,
-                None => file.cell.axes_on(index).count(),
+            lines: (index >= file.cell.bus.len()).then(|| {
+                let is_sensor = index >= file.cell.group_of_sensor(0);
+                if is_sensor { 1 } else { file.cell.axes_on(index).count() }
             }),
             frames: group.port.sent + group.port.received,
             load_percent: 100.0 * group.port.bits as f64 / (budget.bits_per_second * end.cell_time.as_secs_f64()),

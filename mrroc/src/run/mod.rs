@@ -185,7 +185,7 @@ pub fn run(
     let axes = record.map(|sink| AxisLog::new(sink, file)).transpose();
     let frames = trace.map(|sink| FrameLog::new(sink, &bench.interfaces, bench.traces));
     let cell = Arc::new(file.clone());
-    let mut task = RunningTask::new(&cell, program, links, (devices.io, sensors), &servo, &rehearsed);
+    let mut task = RunningTask::new(&cell, program, links, (devices.io, sensors, devices.matrices), &servo, &rehearsed);
     let steps = steps.map(|sink| StepFile::new(sink, file, task.keep_steps(STEPS))).transpose();
     let logs = Logs {
         records: servo.record(lag * file.cell.robot.len()),
@@ -296,6 +296,10 @@ pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
     if let Some(sensor) = file.cell.sensor_of_group(bus) {
         let cause: &dyn Display = if let BringUpError::WrenchLine { error } = &error { error } else { &error };
         return anyhow!("force sensor {}, line {}: {cause}", sensor.name, printable(&sensor.line));
+    }
+    if let Some(matrix) = file.cell.matrix_of_group(bus) {
+        let cause: &dyn Display = if let BringUpError::Ultrasonic { error } = &error { error } else { &error };
+        return anyhow!("ultrasonic matrix {}, line {}: {cause}", matrix.name, printable(&matrix.line));
     }
     let axis = file.cell.axes_on(bus).enumerate().find(|&(index, (robot, axis))| match error.line() {
         Some(line) => index == line,

@@ -12,6 +12,7 @@ use controller::generator::{Axes, PlannedStart};
 use controller::sensor::ForceTorque;
 use drive::Fault;
 use drive::cia401::IoLink;
+use drive::ultrasonic::UltrasonicLink;
 use servo::{EffectorLink, Phase, Servo, ServoFault, SpeedOverride, StopCause, StopRequest};
 use thiserror::Error;
 
@@ -31,6 +32,8 @@ pub(crate) struct RunningTask {
     io: Vec<IoLink>,
     /// One virtual sensor per force sensor, in the order of [`Cell::force_sensor`](crate::cell::Cell::force_sensor).
     sensors: Vec<ForceTorque>,
+    /// One link per ultrasonic matrix.
+    matrices: Vec<UltrasonicLink>,
     /// Figures that the task reports.
     figures: Figures,
     /// Number of instructions in the rehearsal.
@@ -87,12 +90,13 @@ pub(super) enum Rehearsals {
 struct NoRehearsals;
 
 impl RunningTask {
-    /// A task that was rehearsed, on the `links` to `servo` and on the I/O nodes and force sensors of the cell.
+    /// A task that was rehearsed, on the `links` to `servo` and on the I/O nodes, force sensors and ultrasonic
+    /// matrices of the cell.
     pub(crate) fn new(
         file: &Arc<CellFile>,
         program: &Program,
         links: Vec<EffectorLink>,
-        (io, sensors): (Vec<IoLink>, Vec<ForceTorque>),
+        (io, sensors, matrices): (Vec<IoLink>, Vec<ForceTorque>, Vec<UltrasonicLink>),
         servo: &Servo,
         rehearsed: &Rehearsed,
     ) -> Self {
@@ -100,6 +104,7 @@ impl RunningTask {
             file: Arc::clone(file),
             program: program.clone(),
             sensors,
+            matrices,
             subcontrollers: setup::subcontrollers(file, links),
             io,
             figures: Figures::default(),
@@ -139,9 +144,28 @@ impl RunningTask {
 
     /// Begins the task on the calling thread.
     pub(super) fn begin(self, rehearsals: Rehearsals) -> Carrying {
-        let Self { file, program, subcontrollers, io, sensors, figures, instructions, moved, stop, speed, turns } =
-            self;
-        let equipment = Equipment { subcontrollers, io: io.clone(), sensors: sensors.clone(), speed, figures };
+        let Self {
+            file,
+            program,
+            subcontrollers,
+            io,
+            sensors,
+            matrices,
+            figures,
+            instructions,
+            moved,
+            stop,
+            speed,
+            turns,
+        } = self;
+        let equipment = Equipment {
+            subcontrollers,
+            io: io.clone(),
+            sensors: sensors.clone(),
+            matrices: matrices.clone(),
+            speed,
+            figures,
+        };
         let mut executor = program.begin(&file, equipment, false, turns);
         let robots = homes(&file).into_iter().zip(moved).map(|(home, moved)| RunningRobot::at(home, moved));
         let robots: Vec<_> = robots.collect();
@@ -152,6 +176,7 @@ impl RunningTask {
             program,
             io,
             sensors,
+            matrices,
             instructions,
             stop,
             rehearsals,
@@ -169,6 +194,7 @@ pub(super) struct Carrying {
     program: Program,
     io: Vec<IoLink>,
     sensors: Vec<ForceTorque>,
+    matrices: Vec<UltrasonicLink>,
     instructions: u64,
     stop: StopRequest,
     rehearsals: Rehearsals,
@@ -302,7 +328,7 @@ impl Carrying {
             faults.push(of_instruction.map_or_else(|| FaultReport::of_run(&error), |error| describe(file, error)));
         }
         faults.extend(io_faults(file, &self.io));
-        for fault in force_faults(file, &self.sensors) {
+        for fault in force_faults(file, &self.sensors).chain(matrix_faults(file, &self.matrices)) {
             // The task may have ended by this error.
             if !faults.iter().any(|known| known.is_same(&fault)) {
                 faults.push(fault);
@@ -417,6 +443,13 @@ fn force_faults(file: &CellFile, sensors: &[ForceTorque]) -> impl Iterator<Item 
     let sensors = file.cell.force_sensor.iter().zip(sensors);
     let faults = sensors.filter_map(|(given, sensor)| Some((given, sensor.link().read().fault?)));
     faults.map(|(given, fault)| FaultReport::of_run(format!("force sensor {}: {fault}", given.name)))
+}
+
+/// The latched faults of the ultrasonic matrices of a cell. The axes do not stop by such a fault.
+fn matrix_faults(file: &CellFile, matrices: &[UltrasonicLink]) -> impl Iterator<Item = FaultReport> {
+    let matrices = file.cell.ultrasonic.iter().zip(matrices);
+    let faults = matrices.filter_map(|(given, link)| Some((given, link.read().fault?)));
+    faults.map(|(given, fault)| FaultReport::of_run(format!("ultrasonic matrix {}: {fault}", given.name)))
 }
 
 /// The fault that the servo latched for each robot, unless the task `received` it, and a fault if some robots still

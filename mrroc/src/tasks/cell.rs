@@ -9,10 +9,12 @@ use controller::executor::{Agent, Agents, LooseLink, Observer, Replacer};
 use controller::generator::{EffectorImage, Generator, Message, Pose, SensorReading};
 use controller::sensor::{ForceTorque, Shell, VirtualSensor};
 use drive::cia401::{IoLink, LatestInputs};
+use drive::cia401::IoLink;
+use drive::ultrasonic::UltrasonicLink;
 use serde::de::DeserializeOwned;
 use servo::SpeedOverride;
 
-use super::{Desk, Figures, ForceSensor, InputLine, Outcome, OutputLine, TaskError, Team};
+use super::{Desk, Figures, ForceSensor, InputLine, Outcome, OutputLine, TaskError, Team, Ultrasonic};
 use crate::cell::CellFile;
 use crate::motions::Motions;
 
@@ -22,6 +24,7 @@ pub struct Cell {
     pub(super) agents: Agents,
     io: Vec<IoLink>,
     sensors: Vec<ForceTorque>,
+    matrices: Vec<UltrasonicLink>,
     speed: SpeedOverride,
     figures: Figures,
     pub(super) desk: Desk,
@@ -41,12 +44,12 @@ impl Cell {
     pub(super) fn new(
         file: &Arc<CellFile>,
         agents: Agents,
-        (io, sensors): (Vec<IoLink>, Vec<ForceTorque>),
+        (io, sensors, matrices): (Vec<IoLink>, Vec<ForceTorque>, Vec<UltrasonicLink>),
         speed: SpeedOverride,
         figures: Figures,
         desk: Desk,
     ) -> Self {
-        Self { file: Arc::clone(file), agents, io, sensors, speed, figures, desk }
+        Self { file: Arc::clone(file), agents, io, sensors, matrices, speed, figures, desk }
     }
 
     /// The cell file.
@@ -103,6 +106,15 @@ impl Cell {
         };
         let period = self.file.cell.period();
         Ok(ForceSensor::new(&given.name, sensor.clone(), self.agents.clone(), period, given.zero_samples))
+    }
+
+    /// The ultrasonic matrix called `name`.
+    pub fn ultrasonic(&self, name: &str) -> Result<Ultrasonic, TaskError> {
+        let mut given = self.file.cell.ultrasonic.iter().zip(&self.matrices);
+        let Some((given, link)) = given.find(|(given, _)| given.name == name) else {
+            return Err(TaskError::UnknownUltrasonic { name: name.to_owned() });
+        };
+        Ok(Ultrasonic::new(given, link.clone(), self.agents.clone(), self.file.cell.period()))
     }
 
     /// Reports a number of this run, such as the accuracy of a motion. The report and `--json` show the number under

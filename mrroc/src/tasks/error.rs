@@ -7,7 +7,7 @@ use controller::executor::{InstructionError, SystemError};
 use controller::generator::GeneratorError;
 use controller::path::PathError;
 use controller::robot::KinematicsError;
-use controller::sensor::{ForceError, OperatorError, SensorRefused};
+use controller::sensor::{EchoError, ForceError, OperatorError, SensorRefused};
 use thiserror::Error;
 
 use crate::cell::FileError;
@@ -66,6 +66,20 @@ pub enum TaskError {
         /// The reason.
         error: ForceError,
     },
+    /// The cell has no ultrasonic matrix of this name.
+    #[error("the cell has no ultrasonic matrix {name:?}: add it as [[ultrasonic]]")]
+    UnknownUltrasonic {
+        /// The requested name.
+        name: String,
+    },
+    /// An ultrasonic matrix gives no place of a box.
+    #[error("ultrasonic matrix {name}: {error}")]
+    Ultrasonic {
+        /// Name of the matrix.
+        name: Box<str>,
+        /// The reason.
+        error: EchoError,
+    },
     /// The robot already has a handle.
     #[error("robot {name:?} is in use: a robot has one handle at a time")]
     RobotInUse {
@@ -122,6 +136,8 @@ impl TaskError {
             | Self::UnknownOutput { .. }
             | Self::UnknownForceSensor { .. }
             | Self::ForceSensor { .. }
+            | Self::UnknownUltrasonic { .. }
+            | Self::Ultrasonic { .. }
             | Self::RobotInUse { .. }
             | Self::Parameters(_)
             | Self::NotRehearsed { .. }

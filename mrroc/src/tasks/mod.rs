@@ -12,6 +12,7 @@ mod teach;
 mod team;
 #[cfg(test)]
 pub(crate) mod tests;
+mod ultrasonic;
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -20,6 +21,7 @@ use controller::ecp::Subcontrollers;
 use controller::executor::{Agents, Executor, Turns};
 use controller::sensor::{ForceTorque, OperatorLink};
 use drive::cia401::IoLink;
+use drive::ultrasonic::UltrasonicLink;
 use servo::SpeedOverride;
 
 use crate::cell::CellFile;
@@ -33,6 +35,7 @@ pub use gates::{GateDirection, GatePlace, GateTrack};
 pub use lines::{InputLine, OutputLine};
 use operator::Desk;
 pub use team::Team;
+pub use ultrasonic::Ultrasonic;
 
 /// A task in a form that can be boxed.
 trait Carry: Send + Sync {
@@ -52,6 +55,8 @@ pub(crate) struct Equipment {
     pub io: Vec<IoLink>,
     /// One virtual sensor per force sensor, in the order of [`Cell::force_sensor`](crate::cell::Cell::force_sensor).
     pub sensors: Vec<ForceTorque>,
+    /// One link per ultrasonic matrix, in the order of [`Cell::ultrasonic`](crate::cell::Cell::ultrasonic).
+    pub matrices: Vec<UltrasonicLink>,
     pub speed: SpeedOverride,
     pub figures: Figures,
 }
@@ -85,10 +90,10 @@ impl Program {
         rehearsing: bool,
         turns: Turns,
     ) -> Executor<TaskError> {
-        let Equipment { subcontrollers, io, sensors, speed, figures } = equipment;
+        let Equipment { subcontrollers, io, sensors, matrices, speed, figures } = equipment;
         let agents = Agents::new(subcontrollers);
         let desk = Desk { link: self.operator.clone(), rehearsing };
-        let devices = (io, sensors);
+        let devices = (io, sensors, matrices);
         let (task, mut cell) = (Arc::clone(&self.task), Cell::new(file, agents.clone(), devices, speed, figures, desk));
         Executor::new(agents, async move { task.carry(&mut cell).await }, turns)
     }

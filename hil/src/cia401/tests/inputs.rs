@@ -1,7 +1,8 @@
 //! Inputs: edges at their time, polarity, filter, interrupt masks, light gates.
 
 use super::*;
-use crate::{AxisConfig, Epos4, Epos4Config, Irp6Axis};
+use crate::scene::STEP;
+use crate::{AxisConfig, Epos4, Epos4Config, Irp6Axis, Scene};
 
 #[test]
 fn an_edge_is_a_pdo_at_the_time_of_the_edge() {
@@ -152,4 +153,48 @@ fn a_light_gate_is_high_while_an_axis_is_inside_its_interval() {
     assert_eq!(sent.len(), 2, "{sent:?}");
     assert!(sent[0].0 == "185#40" && (0.5..0.51).contains(&sent[0].1), "{sent:?}");
     assert!(sent[1].0 == "185#00" && (1.5..1.51).contains(&sent[1].1), "{sent:?}");
+}
+
+#[test]
+fn level_of_the_scene_is_a_pdo_at_the_next_step() {
+    let probe = InputProbe::default();
+    let mut bench = Bench::operational(DigitalIoConfig { probes: vec![(2, probe.clone())], ..config() });
+    bench.world.set_scene(Scene::new());
+    let mut stamps = Vec::new();
+    for level in [true, false] {
+        probe.set(level);
+        let begun = bench.now;
+        let heard = bench.run_micros(1_000);
+        stamps.extend(heard.iter().map(|one| (one.frame.to_string(), one.at.since(begun))));
+    }
+    // The first step follows after 100 µs. One byte takes 55 to 66 bits of 1 µs.
+    let frame = STEP + Duration::from_micros(50)..STEP + Duration::from_micros(70);
+    let texts: Vec<_> = stamps.iter().map(|(text, _)| text.as_str()).collect();
+    assert_eq!(texts, ["185#04", "185#00"]);
+    assert!(stamps.iter().all(|(_, after)| frame.contains(after)), "{stamps:?}");
+}
+
+#[test]
+fn level_of_the_scene_at_a_module_without_supply_is_that_after_power_on() {
+    let probe = InputProbe::default();
+    let mut bench = Bench::operational(DigitalIoConfig { probes: vec![(0, probe.clone())], ..config() });
+    bench.world.set_scene(Scene::new());
+    let now = bench.now;
+    let switch = |on| move |module: &mut DigitalIo| module.set_power(on, now);
+    bench.world.change(bench.device, now, switch(false)).unwrap();
+    for level in [true, false, true] {
+        probe.set(level);
+        assert_eq!(bench.run(10), Vec::<String>::new());
+    }
+    let now = bench.now;
+    bench.world.change(bench.device, now, move |module: &mut DigitalIo| module.set_power(true, now)).unwrap();
+    assert_eq!(bench.run(60), ["705#00"]);
+    assert_eq!(bench.say("000#0105"), ["185#01"]);
+}
+
+#[test]
+fn source_of_an_absent_input_is_refused() {
+    let probes = vec![(8, InputProbe::default())];
+    let refused = DigitalIo::new(DigitalIoConfig { probes, ..config() }).err();
+    assert_eq!(refused, Some(DigitalIoError::NoInput { index: 8, inputs: 8 }));
 }

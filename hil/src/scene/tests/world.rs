@@ -10,11 +10,11 @@ use serial::{Line, Settings};
 
 use crate::plant::{AxisConfig, Demand, FrictionConfig, Irp6Axis, Mechanism, MechanismConfig, PlantAxis, PlantConfig};
 use crate::scene::{
-    BodyConfig, Material, RobotId, STEP, Scene, SensorConfig, SensorProbe, Shape, TipConfig, WallConfig,
+    BodyConfig, Material, RobotId, STEP, Scene, SceneError, SensorConfig, SensorProbe, Shape, TipConfig, WallConfig,
 };
 use crate::{
-    AxisController, AxisControllerConfig, Device, Epos4, Epos4Config, SerialForceSensor, SerialForceSensorConfig,
-    TransducerConfig, World,
+    AxisController, AxisControllerConfig, Device, Epos4, Epos4Config, InputProbe, SerialForceSensor,
+    SerialForceSensorConfig, TransducerConfig, World,
 };
 
 /// An IRb-6 without power or brakes: two drives on one bus, one on another, two on lines. Its tip hangs 5 mm over a
@@ -61,6 +61,37 @@ fn robot_without_power_falls_on_the_floor_and_stays() {
     let force = -probe.last()[2];
     let weight = 9.81 * (14.0 * 0.25 + 5.35 * 0.67) / 0.67;
     assert!((0.2 * weight..1.5 * weight).contains(&force), "{force} N of {weight}");
+}
+
+#[test]
+fn touch_probe_is_actuated_at_its_threshold() {
+    let (mut world, robot, sensor) = world();
+    let scene = world.scene_mut().unwrap();
+    let [switch, opener] = [true, false].map(|touched| {
+        let input = InputProbe::default();
+        scene.add_touch(robot, 5.0, touched, &input).unwrap();
+        input
+    });
+    assert!(opener.level() && !switch.level());
+    let mut has_closed = false;
+    for step in 1..=5_000 {
+        world.advance(Instant::ZERO + STEP * step);
+        // The sensor has no mass beyond it: it measures the force on the tip only.
+        let [x, y, z, ..] = sensor.last();
+        assert_eq!(switch.level(), Vector3::new(x, y, z).norm() >= 5.0, "step {step}");
+        assert_eq!(opener.level(), !switch.level());
+        has_closed |= switch.level();
+    }
+    assert!(has_closed);
+}
+
+#[test]
+fn touch_probe_without_a_threshold_is_refused() {
+    let (mut world, robot, _) = world();
+    for threshold in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        let refused = world.scene_mut().unwrap().add_touch(robot, threshold, true, &InputProbe::default()).err();
+        assert!(matches!(refused, Some(SceneError::Threshold { .. })), "{threshold}: {refused:?}");
+    }
 }
 
 #[test]

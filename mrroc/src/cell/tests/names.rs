@@ -3,6 +3,7 @@
 use super::*;
 
 const NAMES: [(&str, &str, &str, &str); 11] = [
+const NAMES: [(&str, &str, &str, &str); 12] = [
     ("cell", "name = \"lab\"", "name = NAME", "name"),
     ("bus", "name = \"track-base\"", "name = NAME", "bus[0].name"),
     ("bundle", "name = \"irb6\"\nprotocol", "name = NAME\nprotocol", "serial[0].name"),
@@ -40,6 +41,16 @@ const NAMES: [(&str, &str, &str, &str); 11] = [
         "bar",
         "period_us = 2000",
         "scene = { bar = [{ name = NAME, mass = 1, length = 1, width = 1, place = { position = [0, 0, 0] } }] }\n\
+        "ultrasonic matrix",
+        "period_us = 2000",
+        "ultrasonic = [{ name = NAME, robot = \"a\", line = \"a\", size = 12, pitch = 0.02, half_cone = 0.14, \
+         position = [0, 0, 0], quaternion = [1, 0, 0, 0] }]\nperiod_us = 2000",
+        "ultrasonic[0].name",
+    ),
+    (
+        "bar",
+        "period_us = 2000",
+        "scene = { bar = [{ name = NAME, mass = 1, length = 1, width = 0.1, place = { position = [0, 0, 0] } }] }\n\
          period_us = 2000",
         "scene.bar[0].name",
     ),

@@ -41,17 +41,22 @@ pub(super) fn check(cell: &Cell) -> Checked {
 /// The name is that of no bus, no bundle of lines, no axis and no other sensor.
 fn check_name(cell: &Cell, sensors: &Path, index: usize) -> Checked {
     let (path, own) = (sensors.then(index), &cell.force_sensor[index].name);
-    name(&path, "name", own)?;
-    unique(sensors, "name", index, cell.force_sensor.iter().map(|it| &it.name), |it| format!("force sensor {it:?}"))?;
-    let bus = cell.bus.iter().position(|bus| bus.name == *own).map(|bus| Path::to("bus").then(bus));
-    let bundle = || cell.serial.iter().position(|it| it.name == *own).map(|it| Path::to("serial").then(it));
+    check_name_of(cell, &path, own)?;
+    unique(sensors, "name", index, cell.force_sensor.iter().map(|it| &it.name), |it| format!("force sensor {it:?}"))
+}
+
+/// The name of a sensor is that of no bus, no bundle of lines and no axis.
+pub(super) fn check_name_of(cell: &Cell, path: &Path, own: &str) -> Checked {
+    name(path, "name", own)?;
+    let bus = cell.bus.iter().position(|bus| bus.name == own).map(|bus| Path::to("bus").then(bus));
+    let bundle = || cell.serial.iter().position(|it| it.name == own).map(|it| Path::to("serial").then(it));
     let axis = || {
         let axes = cell.robot.iter().enumerate();
         let mut axes = axes.flat_map(|(robot, it)| it.axis.iter().enumerate().map(move |axis| (robot, axis)));
-        axes.find(|(_, (_, axis))| axis.name == *own).map(|(robot, (axis, _))| Path::axis(robot, axis))
+        axes.find(|(_, (_, axis))| axis.name == own).map(|(robot, (axis, _))| Path::axis(robot, axis))
     };
     match bus.or_else(bundle).or_else(axis) {
-        Some(first) => refused(&path, "name", twice(&format!("the name {own:?}"), &first)),
+        Some(first) => refused(path, "name", twice(&format!("the name {own:?}"), &first)),
         None => Ok(()),
     }
 }
@@ -76,21 +81,26 @@ pub(super) fn check_robot(cell: &Cell, path: &Path, robot: &str, key: &'static s
 /// The line is that of no axis controller, no adapter of a bus and no other sensor.
 fn check_line(cell: &Cell, sensors: &Path, index: usize) -> Checked {
     let (path, line) = (sensors.then(index), &cell.force_sensor[index].line);
-    buses::text(&path, "line", line)?;
-    unique(sensors, "line", index, cell.force_sensor.iter().map(|it| &it.line), |line| format!("line {line:?}"))?;
+    check_line_of(cell, &path, line, "a force sensor")?;
+    unique(sensors, "line", index, cell.force_sensor.iter().map(|it| &it.line), |line| format!("line {line:?}"))
+}
+
+/// The line of a sensor is that of no axis controller and no adapter of a bus.
+pub(super) fn check_line_of(cell: &Cell, path: &Path, line: &str, what: &str) -> Checked {
+    buses::text(path, "line", line)?;
     for (robot, it) in cell.robot.iter().enumerate() {
-        let shared = it.axis.iter().position(|axis| axis.controller.as_ref().is_some_and(|it| it.line == *line));
+        let shared = it.axis.iter().position(|axis| axis.controller.as_ref().is_some_and(|it| it.line == line));
         if let Some(axis) = shared {
-            let what = twice(&format!("line {line:?}"), &Path::axis(robot, axis).then("controller"));
-            return refused(&path, "line", format!("{what}: a force sensor needs a line of its own"));
+            let shared = twice(&format!("line {line:?}"), &Path::axis(robot, axis).then("controller"));
+            return refused(path, "line", format!("{shared}: {what} needs a line of its own"));
         }
     }
     let adapter = cell.bus.iter().position(|bus| match Interface::parse(&bus.interface) {
-        Interface::Slcan { path, .. } | Interface::Epos { path, .. } => path == *line,
+        Interface::Slcan { path, .. } | Interface::Epos { path, .. } => path == line,
         Interface::SocketCan(_) => false,
     });
     match adapter {
-        Some(bus) => refused(&path, "line", twice(&format!("line {line:?}"), &Path::to("bus").then(bus))),
+        Some(bus) => refused(path, "line", twice(&format!("line {line:?}"), &Path::to("bus").then(bus))),
         None => Ok(()),
     }
 }
@@ -123,11 +133,7 @@ fn check_numbers(cell: &Cell, path: &Path, sensor: &ForceSensor) -> Checked {
         within(&path.then("position"), axis, part, NEAR)?;
     }
     if let Some(quaternion) = sensor.quaternion {
-        let length = quaternion.iter().map(|part| part * part).sum::<f64>().sqrt();
-        let is_unit = (length - 1.0).abs() <= UNIT;
-        if !is_unit {
-            return refused(path, "quaternion", format!("has the length {length:.3}, must be a unit quaternion"));
-        }
+        check_quaternion(path, quaternion)?;
     }
     let tool = path.then("tool");
     within(&tool, "mass", sensor.tool.mass, Range::new(0.0, Mass::MOST, "kg"))?;
@@ -143,6 +149,15 @@ fn check_numbers(cell: &Cell, path: &Path, sensor: &ForceSensor) -> Checked {
         within(&emulator.then("noise"), channel, noise, Range::new(0.0, 1e5, "N or N·m"))?;
     }
     check_load(path, sensor)
+}
+
+/// The quaternion of the table at `path` has unit length.
+pub(super) fn check_quaternion(path: &Path, quaternion: [f64; 4]) -> Checked {
+    let length = quaternion.iter().map(|part| part * part).sum::<f64>().sqrt();
+    if (length - 1.0).abs() <= UNIT {
+        return Ok(());
+    }
+    refused(path, "quaternion", format!("has the length {length:.3}, must be a unit quaternion"))
 }
 
 /// No channel is saturated by the weight of the tool in any orientation, nor by the emulated offset and noise in addition.

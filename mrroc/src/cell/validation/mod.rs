@@ -13,6 +13,8 @@ mod position_loop;
 mod program;
 mod robots;
 mod scene;
+mod touch;
+mod ultrasonic;
 mod weight;
 
 use servo::KeyError;
@@ -46,6 +48,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     io::check(cell)?;
     force::check(cell)?;
     force_law::check(cell)?;
+    ultrasonic::check(cell)?;
     scene::check(cell)?;
     meetings::check(cell)?;
     assembly::check(cell)?;

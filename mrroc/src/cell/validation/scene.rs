@@ -1,6 +1,7 @@
 //! Checks of the emulated surroundings.
 
 use super::{Checked, conveyor, force::check_robot, name, refused, robots::NEAR, twice, unique, within};
+use super::{Checked, force::check_robot, name, refused, robots::NEAR, touch, twice, unique, within};
 use crate::cell::{Cell, EmulatedBar, EmulatedBlock, EmulatedGripper, EmulatedPlane, Path, Place, Range, quoted};
 
 /// Greatest number of planes, blocks, tips, bars or grippers of a scene.
@@ -59,6 +60,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
         unique(&grippers, "robot", index, scene.gripper.iter().map(|it| &it.robot), |it| format!("robot {it:?}"))?;
     }
     conveyor::check(cell, scene, &path)
+    touch::check(cell, &path, scene)
 }
 
 const RADIUS: Range = Range::new(0.0, 1.0, "m");

@@ -205,6 +205,10 @@ fn wanted(tree: &Tree, cell: Option<&Cell>) -> (Vec<can_interfaces::Wanted>, Vec
         let path = sensor.line.clone();
         lines.push(serial_lines::Wanted { of: format!("force sensor {}, {path}", sensor.name), path });
     }
+    for matrix in &cell.ultrasonic {
+        let path = matrix.line.clone();
+        lines.push(serial_lines::Wanted { of: format!("ultrasonic matrix {}, {path}", matrix.name), path });
+    }
     for bundle in cell.bus.len()..cell.groups().count() {
         lines.extend(cell.axes_on(bundle).map(|(robot, axis)| {
             let (robot, axis) = (&cell.robot[robot], &cell.robot[robot].axis[axis]);
