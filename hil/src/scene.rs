@@ -69,8 +69,7 @@ use std::time::Duration;
 use can::Instant;
 use nalgebra::{Isometry3, Vector3};
 
-use crate::Mechanism;
-use crate::{AngleProbe, InputProbe, Mechanism};
+use crate::{InputProbe, Mechanism};
 use arm::Arm;
 use beam::Beams;
 pub use beam::{BeamConfig, BeamEdge, BeamProbe, SHORTEST_RESPONSE};

@@ -13,10 +13,8 @@ use serde::Serialize;
 use serial::{ati, ultrasonic::Request};
 
 use crate::bench::{emulation, traffic::further};
-use crate::cell::{CellFile, ForceSensor, Path, Protocol};
-use crate::setup;
 use crate::cell::{CellFile, ForceSensor, Path, Protocol, Ultrasonic};
-use crate::{bench::emulation, setup};
+use crate::setup;
 
 /// Budget of one bus.
 #[derive(Debug, Serialize)]

@@ -7,8 +7,7 @@ use thiserror::Error;
 use super::TimingError;
 use crate::path::PathError;
 use crate::robot::KinematicsError;
-use crate::sensor::{ForceError, GateError};
-use crate::sensor::{EchoError, ForceError};
+use crate::sensor::{EchoError, ForceError, GateError};
 
 /// Reasons why a generator refuses a motion or gives it up.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]

@@ -93,9 +93,8 @@ impl DigitalIo {
         let inputs = 8 * config.input_bytes;
         let gates = config.light_gates.iter().map(|gate| gate.index);
         let beams = config.beams.iter().map(|(index, _)| *index);
-        for index in gates.chain(beams).chain(config.edges.iter().map(|edge| edge.index)) {
         let probes = config.probes.iter().map(|(index, _)| *index);
-        for index in gates.chain(config.edges.iter().map(|edge| edge.index)).chain(probes) {
+        for index in gates.chain(beams).chain(config.edges.iter().map(|edge| edge.index)).chain(probes) {
             check(index, inputs)?;
         }
         let table = table(&config);
@@ -204,6 +203,8 @@ impl Device for DigitalIo {
             self.node.schedule();
         }
         taken
+    }
+
     fn sense(&mut self, now: Instant) -> bool {
         let has_changed = self.node.application.inputs.as_mut().is_some_and(|inputs| inputs.sense(now));
         if has_changed {

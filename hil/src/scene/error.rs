@@ -49,6 +49,7 @@ pub enum SceneError {
     Response {
         /// Response time.
         response: Duration,
+    },
     /// The threshold of a touch probe is not above zero or not finite.
     #[error("a touch probe that closes at {threshold} N: use a force above zero")]
     Threshold {

@@ -8,12 +8,9 @@ use canopen::{NodeId, cia401::blocks};
 use drive::cia401::IoConfig;
 use hil::{
     AxisController, AxisControllerConfig, BusId, Cabinet, Device, DigitalIo, DigitalIoConfig, Epos4, Epos4Config,
-    EposSerial, EposSerialConfig, InputEdge, LineDevice, SerialForceSensor, SerialForceSensorConfig, TransducerConfig,
-    World,
-    scene::{BeamProbe, Scene, SensorProbe, UnsolvedProbe},
     EposSerial, EposSerialConfig, InputEdge, InputProbe, LineDevice, SerialForceSensor, SerialForceSensorConfig,
     TransducerConfig, World,
-    scene::{Scene, SensorProbe, UnsolvedProbe},
+    scene::{BeamProbe, Scene, SensorProbe, UnsolvedProbe},
 };
 use serial::{Settings, VirtualLine};
 
@@ -22,8 +19,7 @@ use crate::bench::plants::{EmulatedCell, Payloads, homing_problem, plant};
 use crate::bench::scene::{EmulatedSurroundings, SceneTruth};
 use crate::bench::traffic::BusLoad;
 use crate::bench::truth::TruthLog;
-use crate::cell::{CellFile, EmulatedGate, ForceSensor, ForceSensorEmulator, IoNode, Protocol};
-use crate::cell::{CellFile, EmulatedTouchProbe, ForceSensor, ForceSensorEmulator, IoNode, Protocol};
+use crate::cell::{CellFile, EmulatedGate, EmulatedTouchProbe, ForceSensor, ForceSensorEmulator, IoNode, Protocol};
 
 /// Capacity of the host's end of a virtual bus in each direction, frames.
 const QUEUE: usize = 256;
@@ -219,6 +215,8 @@ impl EmulatedCell<'_> {
             Some((place.line, probe.clone()))
         };
         gates.filter_map(beam).collect()
+    }
+
     /// The switches of the touch probes at the inputs of I/O node `node`, with the numbers of the inputs.
     fn touches_at(&self, node: usize) -> Vec<(u8, InputProbe)> {
         let cell = &self.file.cell;
@@ -278,16 +276,11 @@ impl EmulatedCell<'_> {
         }
     }
 
-    /// The emulated module of I/O node `node`, with the light gates at its inputs and the valves of the grippers at its
-    /// outputs.
+    /// The emulated module of I/O node `node`, with light gates and touch probes at its inputs, and with the valves of the
+    /// grippers at its outputs.
     fn module(&self, node: usize, power_on: Instant) -> DigitalIo {
         let cell = &self.file.cell;
-        let mut module = module(&cell.io[node], self.beams_at(node), power_on);
-    /// The emulated module of I/O node `node`, with the valves of the grippers at its outputs and the touch probes at its
-    /// inputs.
-    fn module(&self, node: usize, power_on: Instant) -> DigitalIo {
-        let cell = &self.file.cell;
-        let mut module = module(&cell.io[node], self.touches_at(node), power_on);
+        let mut module = module(&cell.io[node], self.beams_at(node), self.touches_at(node), power_on);
         let grippers = cell.scene.iter().flat_map(|scene| &scene.gripper);
         for (gripper, valve) in grippers.zip(&self.valves) {
             if let Some(place) = cell.output_line(&gripper.output).filter(|place| place.node == node) {
@@ -373,10 +366,8 @@ impl<D: LineDevice> LineDevice for Unplugged<D> {
     }
 }
 
-/// The emulated module of an I/O node, with the scheduled edges and the light gates of its inputs.
-fn module(io: &IoNode, beams: Vec<(u8, BeamProbe)>, power_on: Instant) -> DigitalIo {
-/// The emulated module of an I/O node, with the scheduled edges of its inputs and the inputs of the scene.
-fn module(io: &IoNode, probes: Vec<(u8, InputProbe)>, power_on: Instant) -> DigitalIo {
+/// The emulated module of an I/O node, with the scheduled edges, light gates and touch probes of its inputs.
+fn module(io: &IoNode, beams: Vec<(u8, BeamProbe)>, probes: Vec<(u8, InputProbe)>, power_on: Instant) -> DigitalIo {
     // The time between two cycles does not matter here.
     let IoConfig { node, inputs, outputs, .. } = io.config(Duration::ZERO);
     let usual = DigitalIoConfig::new(node);

@@ -8,7 +8,6 @@ use can::Instant;
 use canopen::cia402::HomingMethod;
 use controller::robot::Limits;
 use hil::scene::BeamProbe;
-use hil::{AxisConfig, Mechanism, Mount, OutputProbe, plant::PlantConfig};
 use hil::{AxisConfig, InputProbe, Mechanism, Mount, OutputProbe, plant::PlantConfig};
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -34,16 +33,13 @@ impl<'a> EmulatedCell<'a> {
         let mechanism =
             |robot: &Robot| robot.parameters.unwrap_or(robot.model.parameters()).mechanism().map(Mechanism::new);
         let mechanisms = file.cell.robot.iter().map(mechanism).collect();
-        let grippers = file.cell.scene.as_ref().map_or(0, |scene| scene.gripper.len());
-        let gates = file.cell.scene.as_ref().map_or(0, |scene| scene.gate.len());
+        let scene = file.cell.scene.as_ref();
+        let [grippers, gates, probes] =
+            scene.map_or([0; 3], |scene| [scene.gripper.len(), scene.gate.len(), scene.touch_probe.len()]);
         let valves = (0..grippers).map(|_| OutputProbe::default()).collect();
         let beams = (0..gates).map(|_| BeamProbe::default()).collect();
-        Self { file, mechanisms, valves, beams }
-        let scene = file.cell.scene.as_ref();
-        let (grippers, probes) = scene.map_or((0, 0), |scene| (scene.gripper.len(), scene.touch_probe.len()));
-        let valves = (0..grippers).map(|_| OutputProbe::default()).collect();
         let touches = (0..probes).map(|_| InputProbe::default()).collect();
-        Self { file, mechanisms, valves, touches }
+        Self { file, mechanisms, valves, beams, touches }
     }
 
     /// The mount of an axis in its robot; `None` if the axis moves its own load.

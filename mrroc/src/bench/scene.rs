@@ -90,8 +90,8 @@ impl EmulatedCell<'_> {
             }
         }
         let bars = bars.into_iter().map(|bar| scene.watch(bar)).collect();
-        let needed = count > 0 || !around.bar.is_empty() || !around.conveyor.is_empty();
-        let needed = count > 0 || !around.bar.is_empty() || !cell.ultrasonic.is_empty();
+        let moving = !around.bar.is_empty() || !around.conveyor.is_empty();
+        let needed = count > 0 || moving || !cell.ultrasonic.is_empty();
         EmulatedSurroundings { scene: needed.then_some(scene), sensors, truth: SceneTruth { bars, grips } }
     }
 }

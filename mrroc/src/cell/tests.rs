@@ -6,8 +6,8 @@ mod families;
 mod force;
 mod io;
 mod names;
-mod scene;
 mod ranging;
+mod scene;
 mod shape;
 
 use super::*;

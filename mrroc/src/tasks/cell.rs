@@ -9,7 +9,6 @@ use controller::executor::{Agent, Agents, LooseLink, Observer, Replacer};
 use controller::generator::{EffectorImage, Generator, Message, Pose, SensorReading};
 use controller::sensor::{ForceTorque, Shell, VirtualSensor};
 use drive::cia401::{IoLink, LatestInputs};
-use drive::cia401::IoLink;
 use drive::ultrasonic::UltrasonicLink;
 use serde::de::DeserializeOwned;
 use servo::SpeedOverride;

@@ -2,7 +2,6 @@
 
 use super::*;
 
-const NAMES: [(&str, &str, &str, &str); 11] = [
 const NAMES: [(&str, &str, &str, &str); 12] = [
     ("cell", "name = \"lab\"", "name = NAME", "name"),
     ("bus", "name = \"track-base\"", "name = NAME", "bus[0].name"),
@@ -38,9 +37,6 @@ const NAMES: [(&str, &str, &str, &str); 12] = [
         "force_sensor[0].name",
     ),
     (
-        "bar",
-        "period_us = 2000",
-        "scene = { bar = [{ name = NAME, mass = 1, length = 1, width = 1, place = { position = [0, 0, 0] } }] }\n\
         "ultrasonic matrix",
         "period_us = 2000",
         "ultrasonic = [{ name = NAME, robot = \"a\", line = \"a\", size = 12, pitch = 0.02, half_cone = 0.14, \

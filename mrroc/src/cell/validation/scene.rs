@@ -1,7 +1,6 @@
 //! Checks of the emulated surroundings.
 
-use super::{Checked, conveyor, force::check_robot, name, refused, robots::NEAR, twice, unique, within};
-use super::{Checked, force::check_robot, name, refused, robots::NEAR, touch, twice, unique, within};
+use super::{Checked, conveyor, force::check_robot, name, refused, robots::NEAR, touch, twice, unique, within};
 use crate::cell::{Cell, EmulatedBar, EmulatedBlock, EmulatedGripper, EmulatedPlane, Path, Place, Range, quoted};
 
 /// Greatest number of planes, blocks, tips, bars or grippers of a scene.
@@ -59,7 +58,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
         check_gripper(cell, &grippers.then(index), gripper)?;
         unique(&grippers, "robot", index, scene.gripper.iter().map(|it| &it.robot), |it| format!("robot {it:?}"))?;
     }
-    conveyor::check(cell, scene, &path)
+    conveyor::check(cell, scene, &path)?;
     touch::check(cell, &path, scene)
 }
 
