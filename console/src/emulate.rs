@@ -71,13 +71,15 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     let emulated = EmulatedCell::of(&file);
     let mut payloads = Payloads::of(&emulated, clock::now());
     let mut buses = Vec::new();
+    // The buses of the world, one per bus of the cell if all are in it.
+    let mut of_world = Vec::new();
     let mut lines = EmulatedLines::default();
     let mut names = Vec::new();
     for (index, bus) in file.cell.bus.iter().enumerate() {
         if let Some(link) = links[index] {
             let pty = Pty::linked(Path::new(link)).with_context(|| format!("--slcan {link}"))?;
             names.push(format!("{} behind {link}", bus.name));
-            lines.add_bus(&emulated, index, pty);
+            of_world.push(lines.add_bus(&emulated, index, pty));
         } else {
             let interface = &interfaces[index];
             let on_bus = || format!("bus {}", bus.name);
@@ -88,7 +90,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
             let port = port.holding(claims.into_iter().flatten());
             names.push(format!("{} on {interface}", bus.name));
             if together {
-                lines.add_bus_on(&emulated, index, port);
+                of_world.push(lines.add_bus_on(&emulated, index, port));
                 continue;
             }
             let now = clock::now();
@@ -113,8 +115,8 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         }
         names.push(format!("{} in {}", serial.name, directory.display()));
     }
-    let (sensors, _) = emulated.add_sensors(&mut lines.world);
-    for (sensor, line) in file.cell.force_sensor.iter().zip(sensors) {
+    let (sensors, _) = emulated.add_sensors(&mut lines.world, &of_world);
+    for (sensor, line) in file.cell.serial_sensors().map(|sensor| &file.cell.force_sensor[sensor]).zip(sensors) {
         let Some(directory) = &options.serial else {
             bail!("--serial DIR is missing: it is where the tty of {} is to be linked", sensor.name);
         };

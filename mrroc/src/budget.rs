@@ -86,10 +86,10 @@ pub struct MessageBudget {
 
 /// Computes the budget of every bus, and refuses a cell that exceeds it.
 pub fn check(file: &CellFile) -> anyhow::Result<Vec<BusBudget>> {
-    // A cell file names no force/torque sensors on CAN buses.
-    let buses = (0..file.cell.bus.len()).map(|bus| check_bus(file, bus, &[]));
+    let buses = (0..file.cell.bus.len()).map(|bus| check_bus(file, bus, &file.cell.sensor_configs(bus)));
     let lines = (0..file.cell.serial.len()).map(|bundle| check_lines(file, bundle));
-    let sensors = file.cell.force_sensor.iter().map(|sensor| Ok(of_sensor(file.cell.period(), sensor)));
+    let sensors = file.cell.serial_sensors().map(|sensor| &file.cell.force_sensor[sensor]);
+    let sensors = sensors.map(|sensor| Ok(of_sensor(file.cell.period(), sensor)));
     buses.chain(lines).chain(sensors).collect()
 }
 
@@ -212,9 +212,9 @@ fn of_sensor(period: Duration, sensor: &ForceSensor) -> BusBudget {
         load_percent: share(settings.line_time(ati::REPLY)),
         worst_case_percent: share(answered),
         messages: vec![message("query", ati::REQUEST, asked), message("answer", ati::REPLY, answered)],
-        bits_per_second: f64::from(sensor.baud),
+        bits_per_second: f64::from(settings.baud),
         serial: None,
-        sensor: Some(SensorBudget { robot: sensor.robot.clone(), line: sensor.line.clone(), baud: sensor.baud }),
+        sensor: Some(SensorBudget { robot: sensor.robot.clone(), line: sensor.tty().to_owned(), baud: settings.baud }),
     }
 }
 

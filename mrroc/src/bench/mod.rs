@@ -4,6 +4,7 @@ pub mod bridge;
 pub mod bus_port;
 pub mod clockwork;
 pub mod emulated_lines;
+mod emulated_sensors;
 pub mod emulated_time;
 pub mod emulation;
 pub mod interfaces;
@@ -83,7 +84,7 @@ impl Places {
         let bus = interfaces.iter().find(may_be_hardware);
         let directory = self.serial.as_deref();
         let ttys = (0..file.cell.serial.len()).flat_map(|bundle| tty_paths(file, bundle, directory));
-        let sensors = file.cell.force_sensor.iter().map(|it| (it.name.clone(), sensor_tty(it, directory)));
+        let sensors = serial_sensors(file).map(|it| (it.name.clone(), sensor_tty(it, directory)));
         let tty = ttys.chain(sensors).find(|(_, path)| is_device(path));
         if let Some(name) = bus.map(Interface::to_string).or(tty.map(|(_, path)| path.display().to_string())) {
             bail!("--bench vcan: {name} may be hardware, which takes --bench card");
@@ -98,7 +99,7 @@ pub struct Bench {
     pub ports: Vec<Box<dyn Port>>,
     /// The lines of each bundle of the cell.
     pub lines: Vec<Vec<Box<dyn Line>>>,
-    /// The line of each force sensor of the cell.
+    /// The line of each force sensor on a serial line.
     pub sensors: Vec<Box<dyn Line>>,
     /// The interface of each port: the cell's, or the one given in its place.
     pub interfaces: Vec<Interface>,
@@ -199,7 +200,7 @@ pub(crate) fn emulated_sensors(
             _ => Box::new(line),
         })
     };
-    lines.into_iter().zip(&file.cell.force_sensor).map(line).collect()
+    lines.into_iter().zip(serial_sensors(file)).map(line).collect()
 }
 
 fn sensor_ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<Box<dyn Line>>> {
@@ -207,12 +208,16 @@ fn sensor_ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<
         let tty = Tty::open(sensor_tty(sensor, directory), sensor.settings());
         Ok(Box::new(tty.with_context(|| format!("force sensor {}", sensor.name))?) as Box<dyn Line>)
     };
-    file.cell.force_sensor.iter().map(open).collect()
+    serial_sensors(file).map(open).collect()
+}
+
+fn serial_sensors(file: &CellFile) -> impl Iterator<Item = &ForceSensor> {
+    file.cell.serial_sensors().map(|sensor| &file.cell.force_sensor[sensor])
 }
 
 /// The tty of a force sensor, named in the cell, or made in `directory` by `mrroc emulate --serial`.
 fn sensor_tty(sensor: &ForceSensor, directory: Option<&Path>) -> PathBuf {
-    directory.map_or_else(|| PathBuf::from(&sensor.line), |directory| directory.join(&sensor.name))
+    directory.map_or_else(|| PathBuf::from(sensor.tty()), |directory| directory.join(&sensor.name))
 }
 
 fn ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<Vec<Box<dyn Line>>>> {

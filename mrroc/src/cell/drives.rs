@@ -38,11 +38,12 @@ impl Cell {
         Duration::from_micros(u64::from(self.period_us))
     }
 
-    /// The names of the drive groups: every CAN bus, then every bundle of serial lines, then every force sensor.
+    /// The names of the drive groups: every CAN bus, then every bundle of serial lines, then every force sensor
+    /// on a serial line.
     pub fn groups(&self) -> impl Iterator<Item = &str> {
         let buses = self.bus.iter().map(|bus| bus.name.as_str());
         let bundles = self.serial.iter().map(|serial| serial.name.as_str());
-        buses.chain(bundles).chain(self.force_sensor.iter().map(|sensor| sensor.name.as_str()))
+        buses.chain(bundles).chain(self.serial_sensors().map(|sensor| self.force_sensor[sensor].name.as_str()))
     }
 
     /// The axes of drive group `group` of [`groups`](Self::groups), as pairs of robot and axis number, in their order
