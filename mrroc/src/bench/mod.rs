@@ -3,6 +3,7 @@
 pub mod bridge;
 pub mod bus_port;
 pub mod clockwork;
+mod conveyors;
 pub mod emulated_lines;
 mod emulated_sensors;
 pub mod emulated_time;
@@ -10,6 +11,7 @@ pub mod emulation;
 pub mod interfaces;
 pub mod plants;
 pub mod scene;
+pub(crate) mod traffic;
 pub mod truth;
 
 use std::path::{Path, PathBuf};

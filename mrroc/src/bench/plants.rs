@@ -7,6 +7,7 @@ use std::time::Duration;
 use can::Instant;
 use canopen::cia402::HomingMethod;
 use controller::robot::Limits;
+use hil::scene::BeamProbe;
 use hil::{AxisConfig, Mechanism, Mount, OutputProbe, plant::PlantConfig};
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -20,6 +21,8 @@ pub struct EmulatedCell<'a> {
     pub(super) mechanisms: Vec<Option<Mechanism>>,
     /// The terminal of the output that closes each gripper.
     pub(super) valves: Vec<OutputProbe>,
+    /// The outputs of the light gates of the scene.
+    pub(super) beams: Vec<BeamProbe>,
 }
 
 impl<'a> EmulatedCell<'a> {
@@ -29,7 +32,10 @@ impl<'a> EmulatedCell<'a> {
             |robot: &Robot| robot.parameters.unwrap_or(robot.model.parameters()).mechanism().map(Mechanism::new);
         let mechanisms = file.cell.robot.iter().map(mechanism).collect();
         let grippers = file.cell.scene.as_ref().map_or(0, |scene| scene.gripper.len());
-        Self { file, mechanisms, valves: (0..grippers).map(|_| OutputProbe::default()).collect() }
+        let gates = file.cell.scene.as_ref().map_or(0, |scene| scene.gate.len());
+        let valves = (0..grippers).map(|_| OutputProbe::default()).collect();
+        let beams = (0..gates).map(|_| BeamProbe::default()).collect();
+        Self { file, mechanisms, valves, beams }
     }
 
     /// The mount of an axis in its robot; `None` if the axis moves its own load.

@@ -5,6 +5,8 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::conveyor::{EmulatedConveyor, EmulatedGate, EmulatedObject};
+
 /// The surroundings of the emulated robots. Real robots ignore this table.
 ///
 /// All places are in the frame of the cell, whose z axis points upward. A robot without `base` has its base at the origin
@@ -32,6 +34,15 @@ pub struct EmulatedScene {
     /// The grippers.
     #[serde(default)]
     pub gripper: Vec<EmulatedGripper>,
+    /// The conveyors.
+    #[serde(default)]
+    pub conveyor: Vec<EmulatedConveyor>,
+    /// The objects that are placed on conveyors.
+    #[serde(default)]
+    pub object: Vec<EmulatedObject>,
+    /// The light gates.
+    #[serde(default)]
+    pub gate: Vec<EmulatedGate>,
 }
 
 /// A sphere at the origin of a tool.

@@ -1,8 +1,8 @@
 //! Example cells with short programs, and with every key that a cell file can have.
 
 use ::mrroc::cell::{
-    Cell, Direction, DriveControl, EmulatedPayload, EmulatedTemperature, FieldContent, Instruction, JointGenerator,
-    Joints, Law, LineInstruction, Parameter, Parameters, Protocol, SensorField, Weights,
+    Cell, Direction, DriveControl, EmulatedPayload, EmulatedTemperature, EmulatedTip, FieldContent, Instruction,
+    JointGenerator, Joints, Law, LineInstruction, Parameter, Parameters, Protocol, SensorField, Weights,
 };
 use controller::robot::Mass;
 use hil::plant::Irp6Axis;
@@ -98,6 +98,9 @@ fn by_touch(cell: &mut Cell) {
     (sensor.baud, sensor.rate_hz) = (Some(115_200), Some(1_000));
     sensor.emulator.drift = [0.1, 0.1, 0.1, 0.001, 0.001, 0.001];
     sensor.emulator.temperature = Some(EmulatedTemperature { start: 20.0, end: 30.0, time_constant_s: 60.0 });
+    let scene = cell.scene.as_mut().expect("the cell has a table under the tool");
+    scene.tip = vec![EmulatedTip { robot: scene.robot.take().expect("a robot touches the table"), radius: 0.0 }];
+    cell.robot[0].axis[0].emulator.trips_at_s = Some(1e5);
 }
 
 /// Adds every key that a force sensor on a CAN bus may have.

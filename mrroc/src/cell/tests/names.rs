@@ -39,7 +39,7 @@ const NAMES: [(&str, &str, &str, &str); 11] = [
     (
         "bar",
         "period_us = 2000",
-        "scene = { bar = [{ name = NAME, mass = 1, length = 1, width = 0.1, place = { position = [0, 0, 1] } }] }\n\
+        "scene = { bar = [{ name = NAME, mass = 1, length = 1, width = 1, place = { position = [0, 0, 0] } }] }\n\
          period_us = 2000",
         "scene.bar[0].name",
     ),

@@ -1,6 +1,6 @@
 //! Checks of the emulated surroundings.
 
-use super::{Checked, force::check_robot, name, refused, robots::NEAR, twice, unique, within};
+use super::{Checked, conveyor, force::check_robot, name, refused, robots::NEAR, twice, unique, within};
 use crate::cell::{Cell, EmulatedBar, EmulatedBlock, EmulatedGripper, EmulatedPlane, Path, Place, Range, quoted};
 
 /// Greatest number of planes, blocks, tips, bars or grippers of a scene.
@@ -30,8 +30,8 @@ pub(super) fn check(cell: &Cell) -> Checked {
             return refused(&path, key, format!("has {found} entries, may have {MOST}"));
         }
     }
-    if scene.plane.is_empty() && scene.block.is_empty() && scene.bar.is_empty() {
-        return refused(&path, "plane", "has no planes, blocks and bars, must have at least one");
+    if scene.plane.is_empty() && scene.block.is_empty() && scene.bar.is_empty() && scene.conveyor.is_empty() {
+        return refused(&path, "plane", "has no planes, blocks, bars and conveyors, must have at least one");
     }
     if let Some(robot) = &scene.robot {
         check_robot(cell, &path, robot, "robot")?;
@@ -58,7 +58,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
         check_gripper(cell, &grippers.then(index), gripper)?;
         unique(&grippers, "robot", index, scene.gripper.iter().map(|it| &it.robot), |it| format!("robot {it:?}"))?;
     }
-    Ok(())
+    conveyor::check(cell, scene, &path)
 }
 
 const RADIUS: Range = Range::new(0.0, 1.0, "m");
