@@ -157,3 +157,33 @@ fn word(command: AxisCommand) -> &'static str {
         AxisCommand::Seek(_) => "Seek",
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    /// The first two lines of a recording of a robot of an example cell whose axes are displaced by 0.25 rad.
+    fn recorded(cell: &str) -> [String; 2] {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells").join(cell);
+        let (file, directory) = (CellFile::read(&path).unwrap(), tempfile::tempdir().unwrap());
+        let path = directory.path().join("record.csv");
+        let mut log = AxisLog::new(File::create(&path).unwrap(), &file).unwrap();
+        let mut record = Record { axes: 5, ..Record::default() };
+        record.axis.iter_mut().for_each(|axis| axis.displacement = 0.25);
+        log.write(&record).unwrap();
+        log.flush().unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let mut lines = text.lines().map(str::to_owned);
+        std::array::from_fn(|_| lines.next().unwrap())
+    }
+
+    #[test]
+    fn a_recording_has_the_displacement_only_in_a_cell_with_a_force_law() {
+        let [head, first] = recorded("irb6-force.toml");
+        assert!(head.ends_with(",dt_s,displacement_rad") && first.ends_with(",0.000000000,0.25"), "{head}\n{first}");
+        let [head, first] = recorded("irb6-wrist.toml");
+        assert!(head.ends_with(",homing,dt_s") && first.ends_with(",0.000000000"), "{head}\n{first}");
+    }
+}
