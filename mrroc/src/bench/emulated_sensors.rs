@@ -101,7 +101,6 @@ impl EmulatedCell<'_> {
                 time_constant: Duration::from_secs_f64(given.time_constant_s),
             }),
             seed,
-            ..TransducerConfig::default()
         }
     }
 }
