@@ -72,13 +72,15 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     let emulated = EmulatedCell::of(&file);
     let mut payloads = Payloads::of(&emulated, clock::now());
     let mut buses = Vec::new();
+    // The buses of the world, one per bus of the cell if all are in it.
+    let mut of_world = Vec::new();
     let mut lines = EmulatedLines::default();
     let mut names = Vec::new();
     for (index, bus) in file.cell.bus.iter().enumerate() {
         if let Some(link) = links[index] {
             let pty = Pty::linked(Path::new(link)).with_context(|| format!("--slcan {link}"))?;
             names.push(format!("{} behind {link}", bus.name));
-            lines.add_bus(&emulated, index, pty);
+            of_world.push(lines.add_bus(&emulated, index, pty));
         } else {
             let interface = &interfaces[index];
             let on_bus = || format!("bus {}", bus.name);
@@ -89,7 +91,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
             let port = port.holding(claims.into_iter().flatten());
             names.push(format!("{} on {interface}", bus.name));
             if together {
-                lines.add_bus_on(&emulated, index, port);
+                of_world.push(lines.add_bus_on(&emulated, index, port));
                 continue;
             }
             let now = clock::now();
@@ -114,9 +116,9 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         }
         names.push(format!("{} in {}", serial.name, directory.display()));
     }
-    let (mut sensors, _) = emulated.add_sensors(&mut lines.world);
+    let (mut sensors, _) = emulated.add_sensors(&mut lines.world, &of_world);
     sensors.extend(emulated.add_matrices(&mut lines.world));
-    let of_force = file.cell.force_sensor.iter().map(|sensor| &sensor.name);
+    let of_force = file.cell.serial_sensors().map(|sensor| &file.cell.force_sensor[sensor].name);
     let names_of_sensors = of_force.chain(file.cell.ultrasonic.iter().map(|matrix| &matrix.name));
     for (name, line) in names_of_sensors.zip(sensors) {
         let Some(directory) = &options.serial else {

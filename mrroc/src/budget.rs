@@ -92,10 +92,10 @@ pub struct MessageBudget {
 
 /// Computes the budget of every bus, and refuses a cell that exceeds it.
 pub fn check(file: &CellFile) -> anyhow::Result<Vec<BusBudget>> {
-    // A cell file names no force/torque sensors on CAN buses.
-    let buses = (0..file.cell.bus.len()).map(|bus| check_bus(file, bus, &[]));
+    let buses = (0..file.cell.bus.len()).map(|bus| check_bus(file, bus, &file.cell.sensor_configs(bus)));
     let lines = (0..file.cell.serial.len()).map(|bundle| check_lines(file, bundle));
-    let sensors = file.cell.force_sensor.iter().map(|sensor| Ok(of_sensor(file.cell.period(), sensor)));
+    let sensors = file.cell.serial_sensors().map(|sensor| &file.cell.force_sensor[sensor]);
+    let sensors = sensors.map(|sensor| Ok(of_sensor(file.cell.period(), sensor)));
     let matrices = file.cell.ultrasonic.iter().map(|matrix| Ok(of_matrix(file.cell.period(), matrix)));
     buses.chain(lines).chain(sensors).chain(matrices).collect()
 }
@@ -233,13 +233,13 @@ fn of_sensor(period: Duration, sensor: &ForceSensor) -> BusBudget {
         load_percent: share(settings.line_time(ati::REPLY)),
         worst_case_percent: share(answered),
         messages: vec![message("query", ati::REQUEST, asked), message("answer", ati::REPLY, answered)],
-        bits_per_second: f64::from(sensor.baud),
+        bits_per_second: f64::from(settings.baud),
         serial: None,
         sensor: Some(SensorBudget {
             what: "force sensor",
             robot: sensor.robot.clone(),
-            line: sensor.line.clone(),
-            baud: sensor.baud,
+            line: sensor.tty().to_owned(),
+            baud: settings.baud,
             scan_ms: None,
         }),
     }

@@ -55,7 +55,7 @@ pub fn axis_configs(file: &CellFile, bus: usize) -> Vec<AxisConfig> {
 
 /// The devices of a cell on their ports and lines.
 pub struct Devices {
-    /// One drive group per bus, per bundle of lines, per force sensor and per ultrasonic matrix, in the order of
+    /// One drive group per bus, per bundle of lines, per force sensor on a line and per ultrasonic matrix, in the order of
     /// [`Cell::groups`](crate::cell::Cell::groups).
     pub groups: Vec<Box<dyn DriveGroup>>,
     /// One link per I/O node, in the order of [`Cell::io`](crate::cell::Cell::io). Inputs are valid from the end of
@@ -78,7 +78,7 @@ pub fn devices(
     sensor_lines: Vec<Box<dyn Line>>,
     with_torque: Option<(usize, usize)>,
 ) -> anyhow::Result<Devices> {
-    let mut links = Vec::new();
+    let (mut links, mut sensors) = (Vec::new(), Vec::new());
     let group = |((index, _), port): ((usize, &Bus), _)| {
         let mut axes = axis_configs(file, index);
         for (axis, place) in axes.iter_mut().zip(file.cell.axes_on(index)) {
@@ -87,9 +87,11 @@ pub fn devices(
             }
         }
         let config = file.cell.group_config(index);
-        let bus = CanBus::with_io(port, config, &axes, &file.cell.io_configs(index));
+        let (io, nodes) = (file.cell.io_configs(index), file.cell.sensor_configs(index));
+        let bus = CanBus::with_sensors(port, config, &axes, &io, &nodes);
         let refused = |error| file.refuse(&Path::to("bus").then(index), error);
-        let (group, of_bus) = bus.map_err(refused)?;
+        let (group, of_bus, of_sensors) = bus.map_err(refused)?;
+        sensors.extend(file.cell.sensors_on(index).zip(of_sensors));
         links.extend(file.cell.io_on(index).zip(of_bus));
         Ok(Box::new(group) as Box<dyn DriveGroup>)
     };
@@ -107,13 +109,13 @@ pub fn devices(
     let bundles = file.cell.serial.iter().enumerate().zip(lines).map(bundle);
     let mut groups = buses.chain(bundles).collect::<anyhow::Result<Vec<_>>>()?;
     links.sort_by_key(|(node, _)| *node);
-    let (mut sensors, mut matrices) = (Vec::new(), Vec::new());
+    let mut matrices = Vec::new();
     let mut sensor_lines = sensor_lines.into_iter();
-    for ((index, sensor), line) in file.cell.force_sensor.iter().enumerate().zip(sensor_lines.by_ref()) {
-        let driver = SerialWrenchSensor::new(line, sensor.config(file.cell.period()));
+    for (index, line) in file.cell.serial_sensors().zip(sensor_lines.by_ref()) {
+        let driver = SerialWrenchSensor::new(line, file.cell.force_sensor[index].config(file.cell.period()));
         let (driver, link) = driver.map_err(|error| file.refuse(&Path::to("force_sensor").then(index), error))?;
         groups.push(Box::new(driver));
-        sensors.push(link);
+        sensors.push((index, link));
     }
     for ((index, matrix), line) in file.cell.ultrasonic.iter().enumerate().zip(sensor_lines) {
         let driver = UltrasonicMatrix::new(line, matrix.config(file.cell.period()));
@@ -121,6 +123,8 @@ pub fn devices(
         groups.push(Box::new(driver));
         matrices.push(link);
     }
+    sensors.sort_by_key(|(sensor, _)| *sensor);
+    let sensors = sensors.into_iter().map(|(_, link)| link).collect();
     Ok(Devices { groups, io: links.into_iter().map(|(_, link)| link).collect(), sensors, matrices })
 }
 

@@ -50,28 +50,32 @@ impl FrameLog {
 /// A CSV file of every axis in every cycle.
 pub(crate) struct AxisLog {
     names: Vec<Vec<String>>,
+    /// Whether each robot has a force law. The file has a column of displacements if one of them has.
+    laws: Vec<bool>,
     writer: BufWriter<File>,
 }
 
 impl AxisLog {
     pub(crate) fn new(sink: File, file: &CellFile) -> io::Result<Self> {
         let mut writer = BufWriter::new(sink);
-        writeln!(
+        let laws: Vec<_> = file.cell.robot.iter().map(|robot| robot.force_law.is_some()).collect();
+        write!(
             writer,
             "cycle,time_s,axis,phase,command,commanded_rad,measured_rad,counts,\
              velocity_rad_per_s,torque_nm,homing,dt_s"
         )?;
+        writeln!(writer, "{}", if laws.contains(&true) { ",displacement_rad" } else { "" })?;
         let robots = file.cell.robot.iter().enumerate();
         let names =
             robots.map(|(robot, value)| (0..value.axis.len()).map(|axis| file.axis_name(robot, axis)).collect());
-        Ok(Self { names: names.collect(), writer })
+        Ok(Self { names: names.collect(), laws, writer })
     }
 
     pub(crate) fn write(&mut self, record: &Record) -> io::Result<()> {
         let names = &self.names[usize::from(record.effector)];
         for (axis, name) in record.axis.iter().zip(names) {
             let seconds = record.at.as_nanos() as f64 / 1e9;
-            writeln!(
+            write!(
                 self.writer,
                 "{},{seconds:.9},{name},{:?},{},{},{},{},{},{},{:?},{:.9}",
                 record.cycle,
@@ -85,6 +89,11 @@ impl AxisLog {
                 axis.homing,
                 record.dt.as_secs_f64(),
             )?;
+            match self.laws[usize::from(record.effector)] {
+                true => writeln!(self.writer, ",{}", axis.displacement)?,
+                false if self.laws.contains(&true) => writeln!(self.writer, ",")?,
+                false => writeln!(self.writer)?,
+            }
         }
         Ok(())
     }
@@ -146,5 +155,35 @@ fn word(command: AxisCommand) -> &'static str {
         AxisCommand::Home => "Home",
         AxisCommand::Follow(_) => "Follow",
         AxisCommand::Seek(_) => "Seek",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    /// The first two lines of a recording of a robot of an example cell whose axes are displaced by 0.25 rad.
+    fn recorded(cell: &str) -> [String; 2] {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells").join(cell);
+        let (file, directory) = (CellFile::read(&path).unwrap(), tempfile::tempdir().unwrap());
+        let path = directory.path().join("record.csv");
+        let mut log = AxisLog::new(File::create(&path).unwrap(), &file).unwrap();
+        let mut record = Record { axes: 5, ..Record::default() };
+        record.axis.iter_mut().for_each(|axis| axis.displacement = 0.25);
+        log.write(&record).unwrap();
+        log.flush().unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let mut lines = text.lines().map(str::to_owned);
+        std::array::from_fn(|_| lines.next().unwrap())
+    }
+
+    #[test]
+    fn a_recording_has_the_displacement_only_in_a_cell_with_a_force_law() {
+        let [head, first] = recorded("irb6-force.toml");
+        assert!(head.ends_with(",dt_s,displacement_rad") && first.ends_with(",0.000000000,0.25"), "{head}\n{first}");
+        let [head, first] = recorded("irb6-wrist.toml");
+        assert!(head.ends_with(",homing,dt_s") && first.ends_with(",0.000000000"), "{head}\n{first}");
     }
 }

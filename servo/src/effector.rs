@@ -512,9 +512,11 @@ impl Effector {
             faulted: self.fault.is_some(),
             ..Record::default()
         };
-        for (axis, kept) in self.axes.iter().zip(&mut record.axis) {
+        let displacements = self.law.as_ref().map_or([0.0; MAX_AXES], law::Installed::displacements);
+        for ((axis, kept), displacement) in self.axes.iter().zip(&mut record.axis).zip(displacements) {
             *kept = AxisRecord {
                 commanded: axis.knot.position,
+                displacement,
                 command: axis.command,
                 excitation: axis.excitation,
                 measured: axis.state.position,

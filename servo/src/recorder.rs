@@ -33,6 +33,8 @@ pub struct Record {
 pub struct AxisRecord {
     /// Motor position commanded in this cycle, rad.
     pub commanded: f64,
+    /// Displacement from the planned path by the [cycle law](crate::CycleLaw) of the effector, rad; part of `commanded`.
+    pub displacement: f64,
     /// Command to the drive in this cycle.
     pub command: AxisCommand,
     /// Value added by the [`Excitation`](crate::Excitation) of the axis, in its unit; zero unless the axis is

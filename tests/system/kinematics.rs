@@ -317,3 +317,42 @@ fn a_description_is_what_urdf_rs_reads_and_reaches_the_flange() {
         assert!(read.links.iter().filter(|link| !link.visual.is_empty()).count() >= axes, "{robot}");
     }
 }
+
+/// Name, centre in the frame of the cell, m, and edges, m, of a box.
+type Drawn = (&'static str, [f64; 3], [f64; 3]);
+
+#[test]
+fn a_description_from_a_cell_has_its_scene_fixed_to_the_world() {
+    let bar: &[Drawn] =
+        &[("plane_0", [0.0, 0.0, 0.775], [4.0, 4.0, 0.01]), ("bar_0", [1.1, 0.0, 0.8], [0.9, 0.04, 0.04])];
+    let belt: &[Drawn] =
+        &[("conveyor_0", [0.5, 1.2, 0.45], [1.2, 0.3, 0.1]), ("object_0", [0.0, 1.2, 0.53], [0.08, 0.1, 0.06])];
+    for (name, robot, boxes) in [("two-irb6-bar", "right", bar), ("irb6-conveyor", "irb6", belt)] {
+        let path = crate::mrroc::example(name);
+        let output = mrroc(["urdf", "--robot", robot, "--cell", path.to_str().unwrap()]);
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        let read = urdf_rs::read_from_string(&output.stdout).unwrap();
+        // One tree: every link but the world is the child of one joint.
+        let is_child = |link: &str| read.joints.iter().filter(|joint| joint.child.link == link).count();
+        for link in &read.links {
+            assert_eq!(is_child(&link.name), usize::from(link.name != "world"), "{name}: {}", link.name);
+        }
+        let place = |link: &str| read.joints.iter().find(|joint| joint.child.link == link).unwrap();
+        let cell = ::mrroc::cell::Cell::parse(&crate::mrroc::text(name)).unwrap();
+        let base = cell.robot.iter().find(|it| it.name == robot).unwrap().cell_from_base();
+        assert_eq!(place("base_link").parent.link, "world");
+        assert_eq!(place("base_link").origin.xyz.0, <[f64; 3]>::from(base.translation.vector));
+        for (link, centre, size) in boxes {
+            let joint = place(link);
+            assert_eq!((joint.parent.link.as_str(), &joint.joint_type), ("world", &urdf_rs::JointType::Fixed));
+            let apart = joint.origin.xyz.0.iter().zip(centre).all(|(found, expected)| (found - expected).abs() < 1e-12);
+            assert!(apart, "{link}: {:?}", joint.origin.xyz);
+            let drawn = &read.links.iter().find(|it| it.name == *link).unwrap().visual[0];
+            let urdf_rs::Geometry::Box { size: found } = &drawn.geometry else {
+                panic!("{link}: {:?}", drawn.geometry);
+            };
+            assert_eq!(found.0, *size, "{link}");
+            assert!(drawn.material.as_ref().is_some_and(|material| material.color.is_some()), "{link}");
+        }
+    }
+}

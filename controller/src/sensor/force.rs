@@ -22,7 +22,7 @@ pub enum ForceError {
     #[error("{0}")]
     Sensor(WrenchFault),
     /// The orientation of the sensor is unknown, and with it the weight of the tool.
-    #[error("the weight of the tool is compensated only on a homed robot: home the robot first")]
+    #[error("the weight of the tool and other frames need a homed robot: home the robot first")]
     NotHomed,
     /// The robot measures positions that its mechanism cannot take.
     #[error("the orientation of the sensor is unknown: {0}")]
@@ -61,6 +61,8 @@ const STANDSTILL: f64 = 1e-6;
 pub struct ForceReading {
     contact: Result<Wrench, ForceError>,
     tool_from_sensor: Pose,
+    /// Frame of the sensor in the frame of the robot's base at the last servo cycle.
+    base_from_sensor: Result<Pose, ForceError>,
 }
 
 impl SensorReading for ForceReading {}
@@ -74,6 +76,19 @@ impl ForceReading {
     /// The contact wrench in the frame of the tool: the torques are about the origin of the tool.
     pub fn in_tool(&self) -> Result<Wrench, GeneratorError> {
         Ok(self.in_sensor()?.seen_from(&self.tool_from_sensor))
+    }
+
+    /// The contact wrench in the frame of the robot's base: the torques are about the origin of the base. Fails on a robot
+    /// that is not homed.
+    pub fn in_base(&self) -> Result<Wrench, GeneratorError> {
+        self.in_frame(&Pose::identity())
+    }
+
+    /// The contact wrench in a frame at rest, given in the frame of the robot's base: the torques are about the origin of
+    /// the given frame. Fails on a robot that is not homed.
+    pub fn in_frame(&self, base_from_frame: &Pose) -> Result<Wrench, GeneratorError> {
+        let base_from_sensor = self.base_from_sensor.map_err(GeneratorError::Force)?;
+        Ok(self.in_sensor()?.seen_from(&(base_from_frame.inverse() * base_from_sensor)))
     }
 }
 
@@ -146,7 +161,7 @@ impl ForceTorque {
     /// The wrench that the weight of the tool puts on the sensor in the orientation of the last servo cycle, in the frame
     /// of the sensor.
     pub fn weight(&self) -> Result<Wrench, ForceError> {
-        self.weight_in(&self.robot.read())
+        self.weight_in(&self.base_from_sensor(&self.robot.read()))
     }
 
     /// Whether a zeroing can begin or go on: the robot stands still.
@@ -160,15 +175,22 @@ impl ForceTorque {
     pub fn read(&self) -> Option<(Instant, ForceReading)> {
         let state = self.link.read();
         let mut zero = try_lock(&self.zero)?;
-        let contact = self.contact(&state, &mut zero);
-        Some((state.sampled, ForceReading { contact, tool_from_sensor: self.tool_from_sensor }))
+        let robot = self.robot.read();
+        let base_from_sensor = self.base_from_sensor(&robot);
+        let contact = self.contact(&state, &base_from_sensor, &mut zero);
+        Some((state.sampled, ForceReading { contact, tool_from_sensor: self.tool_from_sensor, base_from_sensor }))
     }
 
-    fn contact(&self, state: &WrenchState, zero: &mut Zero) -> Result<Wrench, ForceError> {
+    fn contact(
+        &self,
+        state: &WrenchState,
+        base_from_sensor: &Result<Pose, ForceError>,
+        zero: &mut Zero,
+    ) -> Result<Wrench, ForceError> {
         if let Some(fault) = state.fault {
             return Err(ForceError::Sensor(fault));
         }
-        let weight = self.weight_in(&self.robot.read())?;
+        let weight = self.weight_in(base_from_sensor)?;
         match state.zeroing {
             // The robot stands still until the zeroing is done.
             Zeroing::Done { request, .. } if zero.request < Some(request) => {
@@ -182,19 +204,23 @@ impl ForceTorque {
         Ok(Wrench::from_components(state.wrench) + zero.weight - weight)
     }
 
-    fn weight_in(&self, robot: &Snapshot) -> Result<Wrench, ForceError> {
-        let ForceSensorConfig { arm, upright_from_base, flange_from_sensor, load } = &*self.config;
+    fn weight_in(&self, base_from_sensor: &Result<Pose, ForceError>) -> Result<Wrench, ForceError> {
+        let ForceSensorConfig { upright_from_base, load, .. } = &*self.config;
         if load.is_none() {
             return Ok(Wrench::default());
         }
+        let orientation = upright_from_base * (*base_from_sensor)?.rotation;
+        Ok(load.wrench(&SensorMotion::at_rest(orientation)))
+    }
+
+    fn base_from_sensor(&self, robot: &Snapshot) -> Result<Pose, ForceError> {
+        let ForceSensorConfig { arm, flange_from_sensor, .. } = &*self.config;
         if !robot.homed {
             return Err(ForceError::NotHomed);
         }
         let joints = arm.joints(&robot.measured).map_err(ForceError::Orientation)?;
         let base_from_tool = arm.forward(&joints).map_err(ForceError::Orientation)?;
-        let base_from_flange = base_from_tool.rotation * arm.flange_from_tool().rotation.inverse();
-        let orientation = upright_from_base * base_from_flange * flange_from_sensor.rotation;
-        Ok(load.wrench(&SensorMotion::at_rest(orientation)))
+        Ok(base_from_tool * arm.flange_from_tool().inverse() * flange_from_sensor)
     }
 }
 
@@ -276,6 +302,47 @@ mod tests {
             assert!((in_tool.force - found.force).amax() < 1e-12);
             assert!((in_tool.torque - found.torque - arm.cross(&found.force)).amax() < 1e-12, "{in_tool:?}");
         }
+    }
+
+    #[test]
+    fn the_wrench_on_a_turned_arm_is_that_of_the_base_and_of_any_frame_in_it() {
+        let (mut publisher, robot) = latest();
+        let (mut device, link) = RehearsedWrench::new();
+        let config = ForceSensorConfig { load: Load::of_weight(0.0, Vector3::zeros()).unwrap(), ..config() };
+        let sensor = ForceTorque::new(link, robot, config.clone());
+        // A force of the table on the tip of the tool, upward and sideways, without a torque about the tip.
+        let force = Vector3::new(4.0, -1.0, 20.0);
+        let mut found = Vec::new();
+        for turn in [0.0, 0.7, -1.9] {
+            let mut joints = [0.0; servo::MAX_AXES];
+            joints[..5].copy_from_slice(&[turn, -1.571, 0.1, 0.9, 0.4]);
+            let measured = config.arm.motors(&joints).unwrap();
+            let snapshot = Snapshot { homed: true, axes: 5, measured, ..Snapshot::default() };
+            publisher.publish(&snapshot);
+            let base_from_tool = config.arm.forward(&joints).unwrap();
+            let at_tip = Wrench { force: base_from_tool.rotation.inverse() * force, torque: Vector3::zeros() };
+            // The tip is 160 mm beyond the sensor.
+            let at_sensor = at_tip.seen_from(&Pose::translation(0.0, 0.0, 0.16));
+            device.advance(Instant::from_nanos(1), at_sensor.components());
+            let (_, reading) = sensor.read().unwrap();
+            let tip = base_from_tool.translation.vector;
+            let expected = Wrench { force, torque: tip.cross(&force) };
+            let in_base = reading.in_base().unwrap();
+            let off = in_base - expected;
+            assert!(off.force.amax() < 1e-9 && off.torque.amax() < 1e-9, "{turn}: {in_base:?}");
+            // About the tip there is no torque, in axes turned by a right angle about z.
+            let quarter = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
+            let at_tip = reading.in_frame(&Pose::from_parts(tip.into(), quarter)).unwrap();
+            let turned = Vector3::new(-1.0, -4.0, 20.0);
+            assert!((at_tip.force - turned).amax() < 1e-9 && at_tip.torque.amax() < 1e-9, "{turn}: {at_tip:?}");
+            found.push(reading.in_tool().unwrap().force);
+            publisher.publish(&Snapshot { homed: false, ..snapshot });
+            let lost = sensor.read().unwrap().1;
+            assert_eq!(lost.in_base(), Err(GeneratorError::Force(ForceError::NotHomed)));
+            assert!(lost.in_sensor().is_ok());
+        }
+        // The same force is another one in the frame of the turned tool.
+        assert!((found[0] - found[1]).norm() > 1.0, "{found:?}");
     }
 
     #[test]

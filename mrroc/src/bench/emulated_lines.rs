@@ -12,7 +12,7 @@ use std::time::Duration;
 use can::{Frame, Instant, Port, Received, VirtualPort, clock};
 use canopen::sync::Sync;
 use hil::pty::{self, Interest};
-use hil::{DeviceId, Pty, SlcanDevice, World};
+use hil::{BusId, DeviceId, Pty, SlcanDevice, World};
 use serial::{Line, VirtualLine};
 use servo::thread::set_fifo;
 
@@ -77,17 +77,19 @@ enum End {
 
 impl EmulatedLines {
     /// Adds CAN bus `index` of a cell, behind an slcan adapter on `pty`.
-    pub fn add_bus(&mut self, emulated: &EmulatedCell, index: usize, pty: Pty) {
+    pub fn add_bus(&mut self, emulated: &EmulatedCell, index: usize, pty: Pty) -> BusId {
         let bus = emulated.add_bus(&mut self.world, index);
         let adapter = Box::new(SlcanDevice::new(emulation::bitrate(emulated.file, index)));
         let end = End::Adapter(self.world.add_device(bus, adapter));
         self.add(pty, end);
+        bus
     }
 
     /// Adds CAN bus `index` of a cell, on the interface of `port`.
-    pub fn add_bus_on(&mut self, emulated: &EmulatedCell, index: usize, port: BusPort) {
+    pub fn add_bus_on(&mut self, emulated: &EmulatedCell, index: usize, port: BusPort) -> BusId {
         let bus = emulated.add_bus(&mut self.world, index);
         self.buses.push(BridgedBus { port, bus: self.world.host_port(bus, FRAMES), outgoing: Vec::new() });
+        bus
     }
 
     /// Adds a line of the world on `pty`.

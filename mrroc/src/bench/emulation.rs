@@ -8,18 +8,18 @@ use canopen::{NodeId, cia401::blocks};
 use drive::cia401::IoConfig;
 use hil::{
     AxisController, AxisControllerConfig, BusId, Cabinet, Device, DigitalIo, DigitalIoConfig, Epos4, Epos4Config,
-    EposSerial, EposSerialConfig, InputEdge, InputProbe, LineDevice, SerialForceSensor, SerialForceSensorConfig,
-    TransducerConfig, World,
-    scene::{BeamProbe, Scene, SensorProbe, UnsolvedProbe},
+    EposSerial, EposSerialConfig, InputEdge, InputProbe, LineDevice, World,
+    scene::{BeamProbe, Scene, UnsolvedProbe},
 };
 use serial::{Settings, VirtualLine};
 
 use crate::bench::bridge::{Bridge, BridgedTty};
+use crate::bench::emulated_sensors;
 use crate::bench::plants::{EmulatedCell, Payloads, homing_problem, plant};
-use crate::bench::scene::{EmulatedSurroundings, SceneTruth};
+use crate::bench::scene::SceneTruth;
 use crate::bench::traffic::BusLoad;
 use crate::bench::truth::TruthLog;
-use crate::cell::{CellFile, EmulatedGate, EmulatedTouchProbe, ForceSensor, ForceSensorEmulator, IoNode, Protocol};
+use crate::cell::{CellFile, EmulatedGate, EmulatedTouchProbe, IoNode, Protocol};
 
 /// Capacity of the host's end of a virtual bus in each direction, frames.
 const QUEUE: usize = 256;
@@ -59,7 +59,7 @@ pub struct HostEnds {
     pub listeners: Vec<VirtualPort>,
     /// The lines of each bundle, in the order of [`Cell::axes_on`](crate::cell::Cell::axes_on).
     pub lines: Vec<Vec<VirtualLine>>,
-    /// The line of each force sensor, then of each ultrasonic matrix.
+    /// The line of each force sensor on a serial line, then of each ultrasonic matrix.
     pub sensors: Vec<VirtualLine>,
 }
 
@@ -78,7 +78,7 @@ impl Emulation {
             axes.map(|axis| emulated.add_line(&mut world, bundle, axis, &cabinet)).collect()
         });
         let lines = lines.collect();
-        let (mut sensors, truth) = emulated.add_sensors(&mut world);
+        let (mut sensors, truth) = emulated.add_sensors(&mut world, &buses);
         sensors.extend(emulated.add_matrices(&mut world));
         let ends = HostEnds { lines, sensors, ports, listeners };
         let emulation = Self {
@@ -176,11 +176,12 @@ impl Device for Chatter {
 /// Functions that the cell needs and its emulation lacks. Real robots may have them.
 pub fn problems(file: &CellFile) -> impl Iterator<Item = anyhow::Error> {
     let axes = (0..file.cell.bus.len()).flat_map(|bus| file.cell.axes_on(bus));
-    axes.filter_map(|axis| homing_problem(file, axis)).map(|(key, problem)| file.refuse(&key, problem))
+    let homing = axes.filter_map(|axis| homing_problem(file, axis)).map(|(key, problem)| file.refuse(&key, problem));
+    homing.chain(emulated_sensors::problems(file))
 }
 
 impl EmulatedCell<'_> {
-    /// Adds bus `bus` with its devices, switched on at [`Instant::ZERO`].
+    /// Adds bus `bus` with its drives and modules, switched on at [`Instant::ZERO`].
     pub fn add_bus(&self, world: &mut World, bus: usize) -> BusId {
         let id = world.add_bus(bitrate(self.file, bus));
         for device in self.devices(bus, Instant::ZERO) {
@@ -194,7 +195,8 @@ impl EmulatedCell<'_> {
         id
     }
 
-    /// The devices on bus `bus`, switched on at `power_on`.
+    /// The drives and modules on bus `bus`, switched on at `power_on`. [`add_sensors`](Self::add_sensors) adds its force
+    /// sensors.
     pub fn devices(&self, bus: usize, power_on: Instant) -> Vec<Box<dyn Device>> {
         let device = |(robot, number): (usize, usize)| {
             let config = config(self.file, robot, number, power_on);
@@ -236,44 +238,6 @@ impl EmulatedCell<'_> {
         let device = self.axis_controller(bundle.protocol, axis, cabinet);
         let line = world.add_line(bundle.settings(), latency, device);
         world.host_line(line, LINE)
-    }
-
-    /// Adds the lines of all force sensors and the scene that loads them, switched on at [`Instant::ZERO`]. The axes of
-    /// their robots are in `world` already. Returns the host's ends and the truth of the scene.
-    ///
-    /// A sensor measures the weight and the inertia of its tool, the forces on the tip of the tool, and those of the
-    /// gripper.
-    pub fn add_sensors(&self, world: &mut World) -> (Vec<VirtualLine>, SceneTruth) {
-        let EmulatedSurroundings { scene, sensors, truth } = self.surroundings();
-        if let Some(scene) = scene {
-            world.set_scene(scene);
-        }
-        let sensors = self.file.cell.force_sensor.iter().zip(sensors).enumerate();
-        let add = |(number, (sensor, probe)): (usize, (&ForceSensor, SensorProbe))| {
-            let line = world.add_line(sensor.settings(), None, self.force_sensor(number, sensor, probe));
-            world.host_line(line, LINE)
-        };
-        (sensors.map(add).collect(), truth)
-    }
-
-    fn force_sensor(&self, number: usize, sensor: &ForceSensor, probe: SensorProbe) -> Box<dyn LineDevice> {
-        let ForceSensorEmulator { absent, silent_from_s, offset, noise } = sensor.emulator;
-        if absent {
-            return Box::new(Absent);
-        }
-        let seed = self.file.cell.seed.wrapping_mul(1000).wrapping_add(900 + number as u64);
-        // A negative count is that of a transducer with the opposite sense.
-        let gain = std::array::from_fn(|channel| sensor.counts()[channel / 3].signum());
-        let transducer =
-            TransducerConfig { gain, range: sensor.ranges(), offset, noise, seed, ..TransducerConfig::default() };
-        let [force_per_count, torque_per_count] = sensor.counts().map(f64::abs);
-        let config =
-            SerialForceSensorConfig { force_per_count, torque_per_count, ..SerialForceSensorConfig::new(transducer) };
-        let device = SerialForceSensor::new(config, Box::new(probe)).expect("a parsed cell has sound sensors");
-        match silent_from_s {
-            None => Box::new(device),
-            Some(at) => Box::new(Unplugged { device, from: Instant::ZERO + Duration::from_secs_f64(at) }),
-        }
     }
 
     /// The emulated module of I/O node `node`, with light gates and touch probes at its inputs, and with the valves of the
@@ -340,32 +304,6 @@ impl LineDevice for Absent {
     fn handle_timeout(&mut self, _now: Instant) {}
 }
 
-/// A sensor whose cable breaks at a given time.
-pub(super) struct Unplugged<D> {
-    pub(super) device: D,
-    pub(super) from: Instant,
-}
-
-impl<D: LineDevice> LineDevice for Unplugged<D> {
-    fn receive(&mut self, byte: u8, now: Instant) {
-        if now < self.from {
-            self.device.receive(byte, now);
-        }
-    }
-
-    fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
-        self.device.poll_transmit(now).filter(|_| now < self.from)
-    }
-
-    fn poll_timeout(&self) -> Option<Instant> {
-        self.device.poll_timeout()
-    }
-
-    fn handle_timeout(&mut self, now: Instant) {
-        self.device.handle_timeout(now);
-    }
-}
-
 /// The emulated module of an I/O node, with the scheduled edges, light gates and touch probes of its inputs.
 fn module(io: &IoNode, beams: Vec<(u8, BeamProbe)>, probes: Vec<(u8, InputProbe)>, power_on: Instant) -> DigitalIo {
     // The time between two cycles does not matter here.
@@ -390,7 +328,9 @@ fn module(io: &IoNode, beams: Vec<(u8, BeamProbe)>, probes: Vec<(u8, InputProbe)
 /// The node-IDs of the emulated devices on bus `bus`.
 pub fn nodes_present(file: &CellFile, bus: usize) -> impl Iterator<Item = u8> {
     let drives = axes_present(file, bus).map(move |(robot, axis)| file.cell.robot[robot].axis[axis].node);
-    drives.chain(file.cell.io_on(bus).map(move |node| file.cell.io[node].node))
+    let modules = file.cell.io_on(bus).map(move |node| file.cell.io[node].node);
+    let sensors = file.cell.sensors_on(bus).filter(|&sensor| !file.cell.force_sensor[sensor].emulator.absent);
+    drives.chain(modules).chain(sensors.filter_map(|sensor| file.cell.node_of_sensor(sensor)))
 }
 
 /// The axes on bus `bus` that have a drive, as pairs of robot and axis number.

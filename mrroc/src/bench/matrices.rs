@@ -2,11 +2,11 @@
 
 use std::time::Duration;
 
-use can::Instant;
 use hil::{LineDevice, SceneEchoes, UltrasonicConfig, UltrasonicMatrix, View, World};
 use serial::VirtualLine;
 
-use crate::bench::emulation::{Absent, LINE, Unplugged};
+use crate::bench::emulated_sensors::Unplugged;
+use crate::bench::emulation::{Absent, LINE};
 use crate::bench::plants::EmulatedCell;
 use crate::bench::scene::base_of;
 use crate::cell::Ultrasonic;
@@ -46,7 +46,7 @@ impl EmulatedCell<'_> {
         let device = UltrasonicMatrix::new(config, Box::new(echoes)).expect("a parsed cell has sound matrices");
         match emulator.silent_from_s {
             None => Box::new(device),
-            Some(at) => Box::new(Unplugged { device, from: Instant::ZERO + Duration::from_secs_f64(at) }),
+            Some(at) => Box::new(Unplugged::new(device, at)),
         }
     }
 }

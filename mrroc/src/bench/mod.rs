@@ -5,6 +5,7 @@ pub mod bus_port;
 pub mod clockwork;
 mod conveyors;
 pub mod emulated_lines;
+mod emulated_sensors;
 pub mod emulated_time;
 pub mod emulation;
 pub mod interfaces;
@@ -101,7 +102,7 @@ pub struct Bench {
     pub ports: Vec<Box<dyn Port>>,
     /// The lines of each bundle of the cell.
     pub lines: Vec<Vec<Box<dyn Line>>>,
-    /// The line of each force sensor of the cell, then of each ultrasonic matrix.
+    /// The line of each force sensor on a serial line, then of each ultrasonic matrix.
     pub sensors: Vec<Box<dyn Line>>,
     /// The interface of each port: the cell's, or the one given in its place.
     pub interfaces: Vec<Interface>,
@@ -197,12 +198,12 @@ struct SensorLine<'a> {
     settings: Settings,
 }
 
-/// The lines of all force sensors, then of all ultrasonic matrices.
+/// The lines of all force sensors on serial lines, then of all ultrasonic matrices.
 fn sensor_lines(cell: &Cell) -> impl Iterator<Item = SensorLine<'_>> {
-    let sensors = cell.force_sensor.iter().map(|it| SensorLine {
+    let sensors = cell.serial_sensors().map(|sensor| &cell.force_sensor[sensor]).map(|it| SensorLine {
         what: "force sensor",
         name: &it.name,
-        line: &it.line,
+        line: it.tty(),
         settings: it.settings(),
     });
     let matrices = cell.ultrasonic.iter().map(|it| SensorLine {

@@ -38,12 +38,12 @@ impl Cell {
         Duration::from_micros(u64::from(self.period_us))
     }
 
-    /// The names of the drive groups: every CAN bus, then every bundle of serial lines, every force sensor, and
-    /// every ultrasonic matrix.
+    /// The names of the drive groups: every CAN bus, then every bundle of serial lines, every force sensor on a serial
+    /// line, and every ultrasonic matrix.
     pub fn groups(&self) -> impl Iterator<Item = &str> {
         let buses = self.bus.iter().map(|bus| bus.name.as_str());
         let bundles = self.serial.iter().map(|serial| serial.name.as_str());
-        let sensors = self.force_sensor.iter().map(|sensor| sensor.name.as_str());
+        let sensors = self.serial_sensors().map(|sensor| self.force_sensor[sensor].name.as_str());
         let matrices = self.ultrasonic.iter().map(|matrix| matrix.name.as_str());
         buses.chain(bundles).chain(sensors).chain(matrices)
     }

@@ -1,4 +1,4 @@
-//! The keys of force/torque sensors on serial lines.
+//! The keys of force/torque sensors, and those of sensors on serial lines.
 
 use std::time::Duration;
 
@@ -9,16 +9,23 @@ use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Cell, defaults};
+use super::{CanForceSensor, Cell, defaults};
+
+/// Usual baud rate of a sensor, bit/s.
+const BAUD: u32 = 115_200;
+
+/// Usual sample rate of a sensor on a serial line, Hz.
+const RATE: u32 = 1_000;
 
 /// Part of a count by which a range may miss a whole number of counts through rounding.
 const ROUNDING: f64 = 1e-6;
 
-/// A force/torque sensor between the flange and the tool of a robot, on a serial line of its own: an ATI transducer behind
-/// the controller board of the IRp-6 laboratory, 8 data bits and 1 stop bit.
+/// A force/torque sensor between the flange and the tool of a robot: on a serial line of its own (`line`), or on a CAN bus
+/// (`can`).
 ///
-/// The host queries the sensor in each servo period. The line carries a query of 1 byte and an answer of 14 bytes within
-/// the period.
+/// The sensor on a serial line is an ATI transducer behind the controller board of the IRp-6 laboratory, 8 data bits and
+/// 1 stop bit. The host queries the sensor in each servo period. The line carries a query of 1 byte and an answer of
+/// 14 bytes within the period.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ForceSensor {
@@ -27,21 +34,22 @@ pub struct ForceSensor {
     pub name: String,
     /// The robot at whose flange the sensor sits.
     pub robot: String,
-    /// The tty, `/dev/serial/by-id/…` for one that keeps its name; unused on the benches without hardware.
-    pub line: String,
-    /// Bits per second of the line.
-    #[serde(default = "defaults::count::<115_200, u32>")]
-    pub baud: u32,
-    /// Samples per second that the sensor can take, at least one per servo period.
-    #[serde(default = "defaults::count::<1_000, u32>")]
-    pub rate_hz: u32,
+    /// The tty of a sensor on a serial line, `/dev/serial/by-id/…` for one that keeps its name; unused on the benches
+    /// without hardware.
+    pub line: Option<String>,
+    /// The node of a sensor on a CAN bus.
+    pub can: Option<CanForceSensor>,
+    /// Bits per second of the line; 115200 where absent. Only with `line`.
+    pub baud: Option<u32>,
+    /// Samples per second that the sensor can take, at least one per servo period; 1000 where absent. Only with `line`.
+    pub rate_hz: Option<u32>,
     /// Forces along x, y and z at which the sensor is saturated, N.
     pub force_range: [f64; 3],
     /// Torques about x, y and z at which the sensor is saturated, N·m.
     pub torque_range: [f64; 3],
-    /// Force of one count, N; 10/115 where absent. A negative value inverts the sense.
+    /// Force of one count, N; 10/115 where absent, required on a CAN bus. A negative value inverts the sense.
     pub force_per_count: Option<f64>,
-    /// Torque of one count, N·m; 5/940 where absent. A negative value inverts the sense.
+    /// Torque of one count, N·m; 5/940 where absent, required on a CAN bus. A negative value inverts the sense.
     pub torque_per_count: Option<f64>,
     /// Origin of the sensor in the flange's frame, m.
     #[serde(default)]
@@ -67,7 +75,7 @@ pub struct ForceSensor {
 #[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ForceSensorEmulator {
-    /// Whether the sensor is absent from its line.
+    /// Whether the sensor is absent from its line or bus.
     pub absent: bool,
     /// Time at which the cable of the emulated sensor breaks, s since the emulated devices were switched on; never where
     /// absent.
@@ -76,17 +84,43 @@ pub struct ForceSensorEmulator {
     pub offset: [f64; 6],
     /// Standard deviation of the noise of a sample: forces, N, then torques, N·m.
     pub noise: [f64; 6],
+    /// Change of the reading per change of temperature since power-on: forces, N/K, then torques, N·m/K.
+    pub drift: [f64; 6],
+    /// Temperature of the emulated sensor; constant where absent.
+    pub temperature: Option<EmulatedTemperature>,
+}
+
+/// First-order temperature course of an emulated sensor from power-on: `end + (start - end) exp(-t / time_constant_s)`.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EmulatedTemperature {
+    /// Temperature at power-on, °C. The drift is zero at this temperature.
+    pub start: f64,
+    /// Final temperature, °C.
+    pub end: f64,
+    /// Time constant, s.
+    pub time_constant_s: f64,
+}
+
+impl ForceSensorEmulator {
+    /// Final drift of the reading: forces, N, then torques, N·m.
+    pub fn final_drift(&self) -> [f64; 6] {
+        let warming = self.temperature.map_or(0.0, |temperature| temperature.end - temperature.start);
+        self.drift.map(|drift| drift * warming)
+    }
 }
 
 impl Cell {
-    /// The drive group of force sensor `sensor` in [`groups`](Self::groups).
-    pub fn group_of_sensor(&self, sensor: usize) -> usize {
-        self.bus.len() + self.serial.len() + sensor
+    /// Indices in [`force_sensor`](Self::force_sensor) of the sensors on serial lines.
+    pub fn serial_sensors(&self) -> impl Iterator<Item = usize> {
+        (0..self.force_sensor.len()).filter(|&sensor| self.force_sensor[sensor].can.is_none())
     }
 
-    /// The force sensor with drive group `group` of [`groups`](Self::groups); `None` for a bus or a bundle of lines.
+    /// The sensor on a serial line with drive group `group` of [`groups`](Self::groups); `None` for a bus or a bundle of
+    /// lines.
     pub fn sensor_of_group(&self, group: usize) -> Option<&ForceSensor> {
-        self.force_sensor.get(group.checked_sub(self.group_of_sensor(0))?)
+        let number = group.checked_sub(self.bus.len() + self.serial.len())?;
+        self.serial_sensors().nth(number).map(|sensor| &self.force_sensor[sensor])
     }
 
     /// Index of the robot at whose flange force sensor `sensor` sits.
@@ -104,9 +138,14 @@ impl ForceSensor {
         [given[0].unwrap_or(usual[0].scale), given[1].unwrap_or(usual[3].scale)]
     }
 
+    /// The tty of a sensor on a serial line; empty for a sensor on a CAN bus.
+    pub fn tty(&self) -> &str {
+        self.line.as_deref().unwrap_or_default()
+    }
+
     /// Settings of the line.
     pub fn settings(&self) -> Settings {
-        Settings { baud: self.baud, stop_bits: StopBits::One }
+        Settings { baud: self.baud.unwrap_or(BAUD), stop_bits: StopBits::One }
     }
 
     /// Ranges of all channels, N and N·m.
@@ -115,20 +154,35 @@ impl ForceSensor {
         [fx, fy, fz, tx, ty, tz]
     }
 
-    /// Configuration of the driver at the servo period `period`.
-    pub fn config(&self, period: Duration) -> SerialWrenchConfig {
+    /// Scales, ranges and tolerances.
+    pub fn wrench_config(&self) -> WrenchConfig {
         let ranges = self.ranges();
         let channel = |axis: usize| {
             let scale = self.counts()[axis / 3];
             Channel { scale, range: (ranges[axis] / scale.abs() + ROUNDING).floor() as i32 }
         };
-        let sensor = WrenchConfig {
+        WrenchConfig {
             channels: std::array::from_fn(channel),
             tolerated_missing: self.tolerated_missing,
             zero: ZeroMethod::Host { samples: self.zero_samples },
             ..WrenchConfig::ATI
-        };
+        }
+    }
+
+    /// Configuration of the driver of a sensor on a serial line, at the servo period `period`.
+    pub fn config(&self, period: Duration) -> SerialWrenchConfig {
+        let sensor = self.wrench_config();
         SerialWrenchConfig { settings: self.settings(), sensor, ..SerialWrenchConfig::new(period) }
+    }
+
+    /// Samples per second that a sensor on a serial line can take.
+    pub fn samples_per_second(&self) -> u32 {
+        self.rate_hz.unwrap_or(RATE)
+    }
+
+    /// Time between two samples at the servo period `period`.
+    pub fn sample_period(&self, period: Duration) -> Duration {
+        self.can.as_ref().map_or(period, |can| can.sample_period(period))
     }
 
     /// Frame of the sensor in the flange's frame.

@@ -7,6 +7,7 @@
 //! joint for a program. The name of a key with another unit ends in that unit.
 
 mod axis_controller;
+mod can_force_sensor;
 mod conveyor;
 mod device_configuration;
 mod drives;
@@ -39,13 +40,14 @@ use servo::KeyProblem;
 use crate::bench::plants::upright_from_base;
 pub use crate::robots::{Model, Parameters};
 pub use axis_controller::{AxisController, Loop, Serial};
+pub use can_force_sensor::{CanForceSensor, FieldContent, SensorField, SensorPdo};
 pub use conveyor::{EmulatedConveyor, EmulatedGate, EmulatedObject};
 pub(crate) use device_configuration::DeviceConfiguration;
 pub use drive::axis_controller::{Control, Protocol};
 pub use drives::ENABLING;
 pub use error::{CellError, Path, Step};
 pub use file::{CellFile, FileError};
-pub use force::{ForceSensor, ForceSensorEmulator};
+pub use force::{EmulatedTemperature, ForceSensor, ForceSensorEmulator};
 pub use force_law::ForceLaw;
 pub use io::{ErrorState, InputLine, IoNode, LinePlace, OutputLine};
 pub use meetings::Meeting;

@@ -86,7 +86,7 @@ fn deviation() -> f64 {
 impl Cell {
     /// The drive group of ultrasonic matrix `matrix` in [`groups`](Self::groups).
     pub fn group_of_matrix(&self, matrix: usize) -> usize {
-        self.group_of_sensor(self.force_sensor.len()) + matrix
+        self.bus.len() + self.serial.len() + self.serial_sensors().count() + matrix
     }
 
     /// The ultrasonic matrix with drive group `group` of [`groups`](Self::groups); `None` for any other group.

@@ -120,7 +120,7 @@ impl RunReport {
         let buses = groups.map(|(index, (group, budget))| BusReport {
             name: budget.name.clone(),
             lines: (index >= file.cell.bus.len()).then(|| {
-                let is_sensor = index >= file.cell.group_of_sensor(0);
+                let is_sensor = index >= file.cell.bus.len() + file.cell.serial.len();
                 if is_sensor { 1 } else { file.cell.axes_on(index).count() }
             }),
             frames: group.port.sent + group.port.received,

@@ -295,7 +295,7 @@ pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
     };
     if let Some(sensor) = file.cell.sensor_of_group(bus) {
         let cause: &dyn Display = if let BringUpError::WrenchLine { error } = &error { error } else { &error };
-        return anyhow!("force sensor {}, line {}: {cause}", sensor.name, printable(&sensor.line));
+        return anyhow!("force sensor {}, line {}: {cause}", sensor.name, printable(sensor.tty()));
     }
     if let Some(matrix) = file.cell.matrix_of_group(bus) {
         let cause: &dyn Display = if let BringUpError::Ultrasonic { error } = &error { error } else { &error };
@@ -308,8 +308,11 @@ pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
     let axis = axis.map(|(_, (robot, axis))| format!(", axis {}", file.axis_name(robot, axis)));
     let mut io = file.cell.io_on(bus).map(|node| &file.cell.io[node]);
     let io = io.find(|io| error.node() == Some(io.node)).map(|io| format!(", I/O node {}", io.name));
+    let mut sensors = file.cell.sensors_on(bus);
+    let sensor = sensors.find(|&sensor| error.node().is_some() && error.node() == file.cell.node_of_sensor(sensor));
+    let sensor = sensor.map(|sensor| format!(", force sensor {}", file.cell.force_sensor[sensor].name));
     let name = file.cell.groups().nth(bus).expect("the servo has the groups of the cell");
-    anyhow!("bus {name}{}: {error}", axis.or(io).unwrap_or_default())
+    anyhow!("bus {name}{}: {error}", axis.or(io).or(sensor).unwrap_or_default())
 }
 
 fn in_lockstep(

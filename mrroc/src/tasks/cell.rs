@@ -103,7 +103,7 @@ impl Cell {
         let Some((given, sensor)) = given.find(|(given, _)| given.name == name) else {
             return Err(TaskError::UnknownForceSensor { name: name.to_owned() });
         };
-        let period = self.file.cell.period();
+        let period = given.sample_period(self.file.cell.period());
         Ok(ForceSensor::new(&given.name, sensor.clone(), self.agents.clone(), period, given.zero_samples))
     }
 

@@ -6,6 +6,7 @@ use can::Instant;
 use controller::executor::Agents;
 use controller::force::Wrench;
 use controller::generator::GeneratorError;
+use controller::robot::Pose;
 use controller::sensor::{ForceError, ForceReading, ForceTorque};
 use drive::wrench::{WrenchFault, ZeroFailure, Zeroing};
 
@@ -57,6 +58,16 @@ impl ForceSensor {
     /// The contact wrench on the tool in the frame of the tool, by the last sample.
     pub fn in_tool(&self) -> Result<Wrench, TaskError> {
         Ok(self.read()?.1.in_tool()?)
+    }
+
+    /// The contact wrench on the tool in the frame of the robot's base, by the last sample.
+    pub fn in_base(&self) -> Result<Wrench, TaskError> {
+        Ok(self.read()?.1.in_base()?)
+    }
+
+    /// The contact wrench on the tool in a frame at rest, given in the frame of the robot's base, by the last sample.
+    pub fn in_frame(&self, base_from_frame: &Pose) -> Result<Wrench, TaskError> {
+        Ok(self.read()?.1.in_frame(base_from_frame)?)
     }
 
     /// Makes the present reading the zero: the offset of the sensor, and any contact. The robot must stand still, homed and

@@ -1,8 +1,8 @@
 //! Example cells with short programs, and with every key that a cell file can have.
 
 use ::mrroc::cell::{
-    Cell, Direction, DriveControl, EmulatedPayload, EmulatedTip, Instruction, JointGenerator, Joints, Law,
-    LineInstruction, Parameter, Parameters, Protocol, Weights,
+    Cell, Direction, DriveControl, EmulatedPayload, EmulatedTemperature, EmulatedTip, FieldContent, Instruction,
+    JointGenerator, Joints, Law, LineInstruction, Parameter, Parameters, Protocol, SensorField, Weights,
 };
 use controller::robot::Mass;
 use hil::plant::Irp6Axis;
@@ -13,7 +13,7 @@ use crate::host_closed::closed_by_host;
 use crate::mrroc::{examples, shorten, text};
 
 /// Examples of which every variant has further keys.
-const WITH_KEYS: [&str; 4] = ["irb6", "irb6-serial", "irb6-hi-moxa", "irb6-wrist"];
+const WITH_KEYS: [&str; 5] = ["irb6", "irb6-serial", "irb6-hi-moxa", "irb6-wrist", "irb6-can-wrist"];
 
 /// The cells that are altered: examples with further keys, and all other examples.
 pub(super) fn all() -> Vec<String> {
@@ -23,6 +23,7 @@ pub(super) fn all() -> Vec<String> {
         written("irb6-serial", on_lines),
         written("irb6-hi-moxa", other_law),
         written("irb6-wrist", by_touch),
+        written("irb6-can-wrist", by_frames),
         written("lab", two_that_meet),
     ];
     let others = examples().into_iter().filter(|name| !WITH_KEYS.contains(&name.as_str()));
@@ -94,9 +95,22 @@ fn by_touch(cell: &mut Cell) {
     sensor.quaternion = Some([1.0, 0.0, 0.0, 0.0]);
     (sensor.force_per_count, sensor.torque_per_count) = (Some(10.0 / 115.0), Some(5.0 / 940.0));
     sensor.emulator.silent_from_s = Some(1e5);
+    (sensor.baud, sensor.rate_hz) = (Some(115_200), Some(1_000));
+    sensor.emulator.drift = [0.1, 0.1, 0.1, 0.001, 0.001, 0.001];
+    sensor.emulator.temperature = Some(EmulatedTemperature { start: 20.0, end: 30.0, time_constant_s: 60.0 });
     let scene = cell.scene.as_mut().expect("the cell has a table under the tool");
     scene.tip = vec![EmulatedTip { robot: scene.robot.take().expect("a robot touches the table"), radius: 0.0 }];
     cell.robot[0].axis[0].emulator.trips_at_s = Some(1e5);
+}
+
+/// Adds every key that a force sensor on a CAN bus may have.
+fn by_frames(cell: &mut Cell) {
+    let can = cell.force_sensor[0].can.as_mut().expect("a sensor on a CAN bus");
+    (can.revision, can.device_type, can.event_timer_ms) = (Some(0x0001_0000), Some(0), Some(2));
+    can.parameter = vec![Parameter { index: 0x2003, subindex: 0, value: 0, bytes: 1 }];
+    can.pdo[0].cob_id = Some(0x190);
+    let status = SensorField { index: 0x2002, subindex: 0, content: FieldContent::Status, bytes: 1, errors: Some(0) };
+    can.pdo[0].field.push(status);
 }
 
 /// The parameters with finite joint limits, because a cell file cannot contain infinite limits.

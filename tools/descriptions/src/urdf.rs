@@ -2,12 +2,17 @@
 //!
 //! The links are those of `base_from_flange`, and each is drawn as a rod. The description contains no masses. A viewer
 //! needs none, and a library of rigid bodies assumes zero.
+//!
+//! A robot of a cell with a scene stands on the link `world`, the frame of the cell in metres with z upward. The planes,
+//! blocks, conveyors, objects and bars of the scene are boxes fixed to this link.
+
+mod scene;
 
 use std::fmt::{self, Write as _};
 
 use anyhow::{Context as _, ensure};
 use controller::robot::{Link, LinkKind};
-use mrroc::cell::Parameters;
+use mrroc::cell::{CellFile, EmulatedScene, Parameters};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use crate::kinematics::{Machine, Which};
@@ -22,12 +27,29 @@ pub fn urdf(which: &Which) -> anyhow::Result<String> {
     let machine = Machine::find(which)?;
     let links = machine.robot.links();
     ensure!(!links.is_empty(), "{}: no serial arm, and no description of one", machine.name);
+    let around = surroundings(which)?;
     let mut text = String::new();
-    write(&mut text, &machine, &links).context("the description cannot be written")?;
+    write(&mut text, &machine, &links, around.as_ref()).context("the description cannot be written")?;
     Ok(text)
 }
 
-fn write(text: &mut String, machine: &Machine, links: &[Link]) -> fmt::Result {
+/// The scene of the robot's cell and the base of the robot in its frame; `None` without a cell or a scene.
+fn surroundings(which: &Which) -> anyhow::Result<Option<(EmulatedScene, Isometry3<f64>)>> {
+    let Some(path) = &which.cell else {
+        return Ok(None);
+    };
+    let cell = CellFile::read(path)?.cell;
+    let robot = cell.robot.iter().find(|robot| robot.name == which.robot);
+    let base = robot.map(|robot| robot.cell_from_base());
+    Ok(cell.scene.clone().zip(base))
+}
+
+fn write(
+    text: &mut String,
+    machine: &Machine,
+    links: &[Link],
+    around: Option<&(EmulatedScene, Isometry3<f64>)>,
+) -> fmt::Result {
     writeln!(text, "<?xml version=\"1.0\"?>")?;
     writeln!(
         text,
@@ -48,8 +70,10 @@ fn write(text: &mut String, machine: &Machine, links: &[Link]) -> fmt::Result {
         writeln!(text, "-->")?;
     }
     writeln!(text, "<robot name=\"{}\">", escaped(&machine.name))?;
-    if let Parameters::Polycrank(_) = machine.parameters {
-        mounting(text)?;
+    match (around, machine.parameters) {
+        (Some((scene, world_from_base)), _) => scene::write(text, scene, world_from_base)?,
+        (None, Parameters::Polycrank(_)) => mounting(text)?,
+        (None, _) => {}
     }
     let rods = links.first().map(|link| rod(&link.parent_from_link.translation.vector));
     body(text, "base_link", &[rods.flatten()])?;

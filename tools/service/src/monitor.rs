@@ -103,6 +103,11 @@ fn of_cell(bus: &Bus) -> Decoder {
         setups.retain(|setup| !setup.mapping.entries().is_empty());
         add(io.node, setups);
     }
+    for sensor in file.cell.sensor_configs(*index) {
+        let vendor = sensor.identity.map(|identity| identity.vendor);
+        decoder.identify(sensor.node, Identification { vendor, device_type: sensor.device_type });
+        add(sensor.node, sensor.pdo_setups().expect("a parsed cell has possible process data"));
+    }
     decoder.add_pdos(pdos);
     decoder
 }

@@ -75,7 +75,7 @@ pub use self::serial::SerialWrenchSensor;
 pub use config::{Channel, ConfigError, SerialWrenchConfig, WrenchConfig, ZeroMethod};
 pub use fault::{WrenchError, WrenchFault};
 pub(crate) use node::WrenchNode;
-pub use node_config::{Content, NodeQuantity, Trigger, WrenchField, WrenchNodeConfig, WrenchPdo, check};
+pub use node_config::{Content, NodeQuantity, Trigger, WrenchField, WrenchNodeConfig, WrenchPdo, check, reserved};
 pub(crate) use program::program;
 pub use rehearsed::RehearsedWrench;
 pub use sampler::{WrenchCounters, ZERO_SCATTER};

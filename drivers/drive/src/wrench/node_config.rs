@@ -197,8 +197,9 @@ pub fn check(
     Ok(())
 }
 
-/// Refuses the objects of communication, which belong to the driver.
-fn reserved(object: Object) -> Option<cia402::Reserved> {
+/// Why the host may not write `object` of a sensor: the objects of communication belong to the driver. `None` for an object
+/// that the configuration may write.
+pub fn reserved(object: Object) -> Option<cia402::Reserved> {
     match object.index {
         0x1000..=0x1FFF => {
             let found = cia402::reserved(0, object.index, object.subindex)?;

@@ -164,7 +164,7 @@ fn a_bus_without_axes_and_a_period_beyond_the_drives_are_refused() {
     let bus = "[[bus]]\nname = \"spare\"\ninterface = \"can1\"\n\n[[robot]]";
     let error = Cell::parse(&IRB6.replacen("[[robot]]", bus, 1)).unwrap_err();
     assert_eq!((error.key.as_str(), error.line), ("bus[1]", line_of(IRB6, "[[robot]]")));
-    assert!(error.to_string().contains("no axis and no I/O node has bus = \"spare\""), "{error}");
+    assert!(error.to_string().contains("no axis, no I/O node and no force sensor has bus = \"spare\""), "{error}");
     let bundle = "[[serial]]\nname = \"spare\"\n\n[[robot]]";
     let error = Cell::parse(&IRB6.replacen("[[robot]]", bundle, 1)).unwrap_err();
     assert_eq!(error.key, "serial[0]");

@@ -52,7 +52,7 @@ fn a_bus_may_have_io_nodes_alone_and_a_bus_without_a_node_is_refused() {
     assert_eq!((cell.frames_per_cycle(0), cell.frames_per_cycle(1)), (5 + 3, 1 + 3));
     let unused = cabinet().replacen("bus = \"cabinet\"", "bus = \"arm\"", 1);
     let shown = Cell::parse(&unused).unwrap_err().to_string();
-    let expected = "bus[1]: no axis and no I/O node has bus = \"cabinet\": leave it out, or name it in one of them";
+    let expected = "bus[1]: no axis, no I/O node and no force sensor has bus = \"cabinet\": leave it out, or name it in one of them";
     assert!(shown.ends_with(expected), "{shown}");
 }
 

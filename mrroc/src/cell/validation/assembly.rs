@@ -4,9 +4,9 @@
 //! drivers and the servo.
 
 use controller::robot::ParameterError;
-use drive::{axis_controller, cia401, cia402};
+use drive::{axis_controller, cia401, cia402, wrench};
 
-use super::Checked;
+use super::{Checked, can_force_sensor};
 use crate::cell::{Cell, Path};
 
 pub(super) fn check(cell: &Cell) -> Checked {
@@ -25,12 +25,18 @@ pub(super) fn check(cell: &Cell) -> Checked {
             (place_of_drive(cell, &bus, &axes, error), error.to_string())
         })?;
         let io = cell.io_configs(index);
-        cia401::check(&cell.group_config(index), &configs, &io).map_err(|error| {
+        let sensors = cell.sensor_configs(index);
+        let group = cell.group_config(index);
+        let only_sensors = axes.is_empty() && io.is_empty() && !sensors.is_empty();
+        let checked = if only_sensors { Ok(()) } else { cia401::check(&group, &configs, &io) };
+        checked.map_err(|error| {
             let nodes = Path::to("io");
             let concerned = cell.io_on(index).find(|&node| concerns(error, cell.io[node].node));
             let place = concerned.map_or(nodes.clone(), |node| nodes.then(node));
             (place_of_io(place, error), error.to_string())
         })?;
+        wrench::check(&group, &configs, &io, &sensors)
+            .map_err(|error| (can_force_sensor::place_of(cell, index, &error), error.to_string()))?;
     }
     for (index, bundle) in cell.serial.iter().enumerate() {
         let axes: Vec<_> = cell.axes_on(cell.bus.len() + index).collect();

@@ -12,7 +12,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     check_serial(cell)
 }
 
-/// A bus needs an axis or an I/O node. A bundle of serial lines needs an axis.
+/// A bus needs an axis, an I/O node or a force sensor. A bundle of serial lines needs an axis.
 pub(super) fn check_used(cell: &Cell) -> Checked {
     for (group, name) in cell.groups().take(cell.bus.len() + cell.serial.len()).enumerate() {
         if cell.axes_on(group).next().is_some() {
@@ -20,10 +20,11 @@ pub(super) fn check_used(cell: &Cell) -> Checked {
         }
         let top = Path::default();
         match group.checked_sub(cell.bus.len()) {
-            None if cell.io_on(group).next().is_some() => {}
+            None if cell.io_on(group).next().is_some() || cell.sensors_on(group).next().is_some() => {}
             None => {
-                let why =
-                    format!("no axis and no I/O node has bus = {name:?}: leave it out, or name it in one of them");
+                let why = format!(
+                    "no axis, no I/O node and no force sensor has bus = {name:?}: leave it out, or name it in one of them"
+                );
                 return refused(&top.then("bus"), group, why);
             }
             Some(bundle) => {

@@ -3,9 +3,10 @@
 use controller::robot::Mass;
 use drive::wrench::ConfigError;
 
-use super::{Checked, buses, name, refused, robots::NEAR, twice, unique, within};
+use super::can_force_sensor::greatest_count;
+use super::{Checked, buses, can_force_sensor, name, no_effect, refused, robots::NEAR, twice, unique, within};
 use crate::bench::interfaces::Interface;
-use crate::cell::{Cell, ForceSensor, Path, Plant, Range, quoted};
+use crate::cell::{Cell, EmulatedTemperature, ForceSensor, Path, Plant, Range, quoted};
 
 /// Greatest number of force sensors of a cell.
 const MOST: usize = 32;
@@ -31,8 +32,16 @@ pub(super) fn check(cell: &Cell) -> Checked {
         let path = sensors.then(index);
         check_name(cell, &sensors, index)?;
         check_robot(cell, &path, &sensor.robot, "robot")?;
-        check_line(cell, &sensors, index)?;
+        match &sensor.can {
+            Some(can) if sensor.line.is_none() => can_force_sensor::check_keys(cell, &path, index, sensor, can)?,
+            Some(_) => return refused(&path, "line", "is given beside can: a sensor is on a line or on a bus"),
+            None => check_line(cell, &sensors, index)?,
+        }
         check_numbers(cell, &path, sensor)?;
+        if sensor.can.is_some() {
+            // The driver of the bus checks the sensor with all other nodes of the bus.
+            continue;
+        }
         sensor.config(cell.period()).check().map_err(|error| (place_of(&path, error), error.to_string()))?;
     }
     Ok(())
@@ -80,9 +89,13 @@ pub(super) fn check_robot(cell: &Cell, path: &Path, robot: &str, key: &'static s
 
 /// The line is that of no axis controller, no adapter of a bus and no other sensor.
 fn check_line(cell: &Cell, sensors: &Path, index: usize) -> Checked {
-    let (path, line) = (sensors.then(index), &cell.force_sensor[index].line);
+    let path = sensors.then(index);
+    let Some(line) = &cell.force_sensor[index].line else {
+        return refused(&path, "line", "is missing: give the tty as line, or the node on a CAN bus as can");
+    };
     check_line_of(cell, &path, line, "a force sensor")?;
-    unique(sensors, "line", index, cell.force_sensor.iter().map(|it| &it.line), |line| format!("line {line:?}"))
+    let earlier = cell.force_sensor[..index].iter().position(|it| it.line.as_ref() == Some(line));
+    earlier.map_or(Ok(()), |first| refused(&path, "line", twice(&format!("line {line:?}"), &sensors.then(first))))
 }
 
 /// The line of a sensor is that of no axis controller and no adapter of a bus.
@@ -106,12 +119,13 @@ pub(super) fn check_line_of(cell: &Cell, path: &Path, line: &str, what: &str) ->
 }
 
 fn check_numbers(cell: &Cell, path: &Path, sensor: &ForceSensor) -> Checked {
-    within(path, "baud", sensor.baud, Range::new(9_600.0, 4e6, "bit/s"))?;
+    within(path, "baud", sensor.settings().baud, Range::new(9_600.0, 4e6, "bit/s"))?;
     let needed = 1e6 / f64::from(cell.period_us);
-    if f64::from(sensor.rate_hz) < needed {
+    if sensor.can.is_none() && f64::from(sensor.samples_per_second()) < needed {
         let why = format!(
             "is {}, must be {needed:.0} (Hz) at the least: the servo takes a sample in each period of {} µs",
-            sensor.rate_hz, cell.period_us
+            sensor.samples_per_second(),
+            cell.period_us
         );
         return refused(path, "rate_hz", why);
     }
@@ -124,8 +138,10 @@ fn check_numbers(cell: &Cell, path: &Path, sensor: &ForceSensor) -> Checked {
     let ranges = [("force_range", sensor.force_range, "N"), ("torque_range", sensor.torque_range, "N·m")];
     for ((key, ranges, unit), count) in ranges.into_iter().zip(sensor.counts()) {
         for (axis, range) in ranges.into_iter().enumerate() {
-            // A reading has 16 bits.
-            let most = f64::from(i16::MAX) * count.abs();
+            let component = axis + if key == "force_range" { 0 } else { 3 };
+            // A reading on a serial line has 16 bits.
+            let greatest = sensor.can.as_ref().map_or(f64::from(i16::MAX), |can| greatest_count(can, component));
+            let most = greatest * count.abs();
             within(&path.then(key), axis, range, Range::new(count.abs(), most, unit))?;
         }
     }
@@ -148,6 +164,19 @@ fn check_numbers(cell: &Cell, path: &Path, sensor: &ForceSensor) -> Checked {
         within(&emulator.then("offset"), channel, offset, Range::new(-1e5, 1e5, "N or N·m"))?;
         within(&emulator.then("noise"), channel, noise, Range::new(0.0, 1e5, "N or N·m"))?;
     }
+    for (channel, drift) in sensor.emulator.drift.into_iter().enumerate() {
+        within(&emulator.then("drift"), channel, drift, Range::new(-1e3, 1e3, "N/K or N·m/K"))?;
+    }
+    match sensor.emulator.temperature {
+        None => no_effect(&emulator, "drift", sensor.emulator.drift != [0.0; 6], "without temperature")?,
+        Some(EmulatedTemperature { start, end, time_constant_s }) => {
+            let path = emulator.then("temperature");
+            let celsius = Range::new(-273.15, 1e3, "°C");
+            within(&path, "start", start, celsius)?;
+            within(&path, "end", end, celsius)?;
+            within(&path, "time_constant_s", time_constant_s, Range::new(0.0, LATEST, "s"))?;
+        }
+    }
     check_load(path, sensor)
 }
 
@@ -160,18 +189,19 @@ pub(super) fn check_quaternion(path: &Path, quaternion: [f64; 4]) -> Checked {
     refused(path, "quaternion", format!("has the length {length:.3}, must be a unit quaternion"))
 }
 
-/// No channel is saturated by the weight of the tool in any orientation, nor by the emulated offset and noise in addition.
+/// No channel is saturated by the weight of the tool in any orientation, nor by the emulated offset, drift and noise in addition.
 fn check_load(path: &Path, sensor: &ForceSensor) -> Checked {
     let weight = sensor.tool.mass * GRAVITY;
     let [x, y, z] = sensor.tool.centre;
     let torques = [y.hypot(z), z.hypot(x), x.hypot(y)].map(|arm| weight * arm);
     let loads = [[weight; 3], torques].concat();
     for (channel, (load, range)) in loads.into_iter().zip(sensor.ranges()).enumerate() {
-        let load = load + sensor.emulator.offset[channel].abs() + NOISE * sensor.emulator.noise[channel];
+        let drift = sensor.emulator.final_drift()[channel].abs();
+        let load = load + sensor.emulator.offset[channel].abs() + drift + NOISE * sensor.emulator.noise[channel];
         if load >= range {
             let (key, unit) = if channel < 3 { ("force_range", "N") } else { ("torque_range", "N·m") };
             let why = format!(
-                "is {range} {unit}, and the tool with the emulated offset and noise alone can load the channel by {load:.3} \
+                "is {range} {unit}, and the tool with the emulated offset, drift and noise alone can load the channel by {load:.3} \
                  {unit}"
             );
             return refused(&path.then(key), channel % 3, why);

@@ -42,5 +42,7 @@ fn check_law(cell: &Cell, robot: &Robot, path: &Path, law: &ForceLaw) -> Checked
         let most = Range::new(1e-9, given.max_acceleration, "rad/s²");
         within(&path.then("acceleration"), axis, law.acceleration[axis], most)?;
     }
-    within(path, "max_age_periods", law.max_age_periods, Range::new(2.0, 1000.0, "periods"))
+    // A sample is one period old when the next one is due in the same cycle.
+    let interval = sensor.sample_period(cell.period()).div_duration_f64(cell.period()).ceil();
+    within(path, "max_age_periods", law.max_age_periods, Range::new(1.0 + interval, 1000.0, "periods"))
 }

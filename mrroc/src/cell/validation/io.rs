@@ -4,7 +4,7 @@ use drive::cia401;
 
 use super::axis::{Place, check_parameters};
 use super::{Checked, name, refused, twice, unique, within};
-use crate::cell::{Axis, Cell, InputLine, IoNode, Path, Range, quoted};
+use crate::cell::{Axis, Cell, InputLine, Path, Range, quoted};
 
 /// Latest time of an emulated edge, s.
 const LATEST_EDGE: f64 = 1e6;
@@ -19,7 +19,12 @@ pub(super) fn check(cell: &Cell) -> Checked {
         let path = nodes.then(index);
         name(&path, "name", &io.name)?;
         unique(&nodes, "name", index, cell.io.iter().map(|it| &it.name), |name| format!("I/O node {name:?}"))?;
-        check_bus(cell, &path, index, io)?;
+        check_node(cell, &path, &io.bus, io.node, "an I/O node")?;
+        let earlier = cell.io[..index].iter().position(|other| other.bus == io.bus && other.node == io.node);
+        if let Some(first) = earlier {
+            let what = format!("node {} of bus {:?}", io.node, io.bus);
+            return refused(&path, "node", twice(&what, &nodes.then(first)));
+        }
         let period = f64::from(cell.period_us) / 1e3;
         let timer = Range::new(period, f64::from(u16::MAX), "ms; the servo period at the least");
         within(&path, "event_timer_ms", io.event_timer_ms, timer)?;
@@ -38,32 +43,29 @@ pub(super) fn check(cell: &Cell) -> Checked {
     Ok(())
 }
 
-/// The bus is a CAN bus of the cell, and the node-ID is neither that of the host nor of another device.
-fn check_bus(cell: &Cell, path: &Path, index: usize, io: &IoNode) -> Checked {
-    let bus = match Place::of(cell, &io.bus) {
+/// The bus is a CAN bus of the cell, and the node-ID is neither that of the host nor of a drive. `device`: the kind of the
+/// node, with its article.
+pub(super) fn check_node(cell: &Cell, path: &Path, name: &str, node: u8, device: &str) -> Checked {
+    let bus = match Place::of(cell, name) {
         Some(Place::Bus(bus)) => bus,
         Some(Place::Serial(_)) => {
-            let why = format!("{} is a bundle of serial lines: an I/O node is on a CAN bus", quoted(&io.bus));
+            let why = format!("{} is a bundle of serial lines: {device} is on a CAN bus", quoted(name));
             return refused(path, "bus", why);
         }
-        None => return refused(path, "bus", format!("no bus is called {}", quoted(&io.bus))),
+        None => return refused(path, "bus", format!("no bus is called {}", quoted(name))),
     };
-    within(path, "node", io.node, Range::new(1.0, 127.0, ""))?;
-    let what = format!("node {} of bus {:?}", io.node, bus.name);
-    if io.node == bus.host_node {
+    within(path, "node", node, Range::new(1.0, 127.0, ""))?;
+    let what = format!("node {node} of bus {:?}", bus.name);
+    if node == bus.host_node {
         return refused(path, "node", twice(&what, &"the host"));
     }
     for (robot, value) in cell.robot.iter().enumerate() {
-        let same = |axis: &Axis| axis.bus == io.bus && axis.node == io.node;
+        let same = |axis: &Axis| axis.bus == name && axis.node == node;
         if let Some(axis) = value.axis.iter().position(same) {
             return refused(path, "node", twice(&what, &Path::axis(robot, axis)));
         }
     }
-    let earlier = cell.io[..index].iter().position(|other| other.bus == io.bus && other.node == io.node);
-    match earlier {
-        Some(first) => refused(path, "node", twice(&what, &Path::to("io").then(first))),
-        None => Ok(()),
-    }
+    Ok(())
 }
 
 /// The names differ from all names of lines so far, and the numbers from each other.

@@ -3,6 +3,7 @@
 mod assembly;
 mod axis;
 mod buses;
+mod can_force_sensor;
 mod conveyor;
 mod force;
 mod force_law;

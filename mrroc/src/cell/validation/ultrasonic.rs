@@ -35,7 +35,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
             if sensor.name == matrix.name {
                 return refused(&path, "name", twice(&format!("the name {:?}", matrix.name), &first));
             }
-            if sensor.line == matrix.line {
+            if sensor.line.as_ref() == Some(&matrix.line) {
                 return refused(&path, "line", twice(&format!("line {:?}", matrix.line), &first));
             }
         }

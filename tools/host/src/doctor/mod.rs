@@ -201,8 +201,8 @@ fn wanted(tree: &Tree, cell: Option<&Cell>) -> (Vec<can_interfaces::Wanted>, Vec
             }
         }
     }
-    for sensor in &cell.force_sensor {
-        let path = sensor.line.clone();
+    for sensor in cell.serial_sensors().map(|sensor| &cell.force_sensor[sensor]) {
+        let path = sensor.tty().to_owned();
         lines.push(serial_lines::Wanted { of: format!("force sensor {}, {path}", sensor.name), path });
     }
     for matrix in &cell.ultrasonic {
