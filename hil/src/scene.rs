@@ -13,6 +13,7 @@
 //!   grippers. The tips of a robot do not touch the bodies that the robot holds. A tip that is inside a body at
 //!   its release touches the body again after the tip has left the body, so that no energy appears. A digital output
 //!   may open and close a gripper ([`GripperConfig`]).
+//! * Workpieces are height fields ([`WorkpieceConfig`]), which cutting tools of robots carve ([`CutterConfig`]).
 //! * Sensors between flange and tool measure the wrench of these forces ([`SensorConfig`]).
 //!
 //! The scene advances in steps of 100 µs ([`STEP`]). Each step has three parts. First, the motors of the robots move by
@@ -33,7 +34,7 @@
 //! the contact)². For 1e5 N/m and 5 kg the error is 2e-4 of the energy of the impact. Friction in the gears dissipates
 //! more.
 //!
-//! Left out: contacts of edges with edges and of tips with tips; bending of links and tools; material that a tool cuts.
+//! Left out: contacts of edges with edges and of tips with tips; bending of links and tools.
 //! Joints and gears are rigid: a force in a direction in which no motor moves the tool does not move the robot. Forces
 //! do not act on a motor with the regression model.
 //!
@@ -47,6 +48,7 @@
 mod arm;
 mod body;
 mod contact;
+mod cutter;
 mod error;
 mod forces;
 mod grip;
@@ -56,6 +58,7 @@ mod probe;
 mod surface;
 #[cfg(test)]
 mod tests;
+mod workpiece;
 
 use std::time::Duration;
 
@@ -67,6 +70,8 @@ use arm::Arm;
 use body::{Body, CORNERS};
 pub use body::{BodyConfig, BodyState};
 use contact::{Sphere, Surface};
+pub use cutter::CutterConfig;
+use cutter::Cutting;
 pub use error::SceneError;
 use forces::holds;
 pub use grip::GripConfig;
@@ -77,6 +82,7 @@ use motion::{Motion, Moving};
 use probe::Sensor;
 pub use probe::{BodyProbe, SensorConfig, SensorProbe, UnsolvedProbe, WrenchProbe};
 pub use surface::{Material, Shape};
+pub use workpiece::{HeightField, MOST_CELLS, WorkpieceConfig, WorkpieceProbe};
 
 /// Duration of a step.
 pub const STEP: Duration = Duration::from_micros(100);
@@ -151,6 +157,7 @@ pub struct Scene {
     tips: Vec<TipOn>,
     grips: Vec<Option<Grip>>,
     grippers: Vec<Gripper>,
+    cutting: Cutting,
     unsolved: UnsolvedProbe,
 }
 
@@ -233,6 +240,7 @@ impl Scene {
             tips: Vec::new(),
             grips: Vec::new(),
             grippers: Vec::new(),
+            cutting: Cutting::default(),
             unsolved: UnsolvedProbe::default(),
         }
     }
@@ -449,6 +457,7 @@ impl Scene {
             + self.corners.iter().map(of_pair).sum::<f64>()
             + self.tips.iter().filter(|pair| !pair.inside).map(of_tip).sum::<f64>()
             + self.grips.iter().flatten().map(of_grip).sum::<f64>()
+            + self.cutting.energy()
     }
 
     /// Momentum, kg·m/s, and angular momentum about the origin of the world, kg·m²/s, of all bodies.
@@ -498,6 +507,7 @@ impl Scene {
         }
         self.move_bodies(0.0, 1.0, HALVINGS);
         self.load_arms();
+        self.cutting.step(&mut self.arms);
         for arm in &mut self.arms {
             arm.finish(&self.gravity);
         }
