@@ -42,6 +42,7 @@ mod kinematics;
 mod lab;
 mod loops;
 mod lss;
+mod milling;
 mod motion;
 mod mrroc;
 mod outputs;

@@ -2,6 +2,7 @@
 
 pub mod bridge;
 pub mod bus_port;
+pub mod carving;
 pub mod clockwork;
 pub mod emulated_lines;
 pub mod emulated_time;

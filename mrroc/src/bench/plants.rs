@@ -20,6 +20,8 @@ pub struct EmulatedCell<'a> {
     pub(super) mechanisms: Vec<Option<Mechanism>>,
     /// The terminal of the output that closes each gripper.
     pub(super) valves: Vec<OutputProbe>,
+    /// The terminal of the output that turns each spindle.
+    pub(super) spindles: Vec<OutputProbe>,
 }
 
 impl<'a> EmulatedCell<'a> {
@@ -29,7 +31,9 @@ impl<'a> EmulatedCell<'a> {
             |robot: &Robot| robot.parameters.unwrap_or(robot.model.parameters()).mechanism().map(Mechanism::new);
         let mechanisms = file.cell.robot.iter().map(mechanism).collect();
         let grippers = file.cell.scene.as_ref().map_or(0, |scene| scene.gripper.len());
-        Self { file, mechanisms, valves: (0..grippers).map(|_| OutputProbe::default()).collect() }
+        let cutters = file.cell.scene.as_ref().map_or(0, |scene| scene.cutter.len());
+        let terminals = |count| (0..count).map(|_| OutputProbe::default()).collect();
+        Self { file, mechanisms, valves: terminals(grippers), spindles: terminals(cutters) }
     }
 
     /// The mount of an axis in its robot; `None` if the axis moves its own load.

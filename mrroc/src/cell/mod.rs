@@ -23,6 +23,7 @@ mod scene;
 mod tests;
 mod text;
 mod validation;
+mod workpiece;
 
 use std::sync::Arc;
 
@@ -53,6 +54,7 @@ pub use servo::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig}
 pub use servo::thread::{Policy, Realtime, Scheduler, Wait};
 pub use servo::{Direction, FeedForward, Figure, Law, Range};
 pub use text::{printable, quoted};
+pub use workpiece::{EmulatedCutter, EmulatedWorkpiece};
 
 /// One controller: all robots that share one servo cycle.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]

@@ -5,6 +5,8 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::{EmulatedCutter, EmulatedWorkpiece};
+
 /// The surroundings of the emulated robots. Real robots ignore this table.
 ///
 /// All places are in the frame of the cell, whose z axis points upward. A robot without `base` has its base at the origin
@@ -32,6 +34,12 @@ pub struct EmulatedScene {
     /// The grippers.
     #[serde(default)]
     pub gripper: Vec<EmulatedGripper>,
+    /// The workpieces, which cutting tools carve.
+    #[serde(default)]
+    pub workpiece: Vec<EmulatedWorkpiece>,
+    /// The cutting tools.
+    #[serde(default)]
+    pub cutter: Vec<EmulatedCutter>,
 }
 
 /// A sphere at the origin of a tool.

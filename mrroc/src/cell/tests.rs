@@ -6,6 +6,7 @@ mod force;
 mod io;
 mod names;
 mod shape;
+mod workpiece;
 
 use super::*;
 use controller::robot::Limits;

@@ -13,7 +13,7 @@ use crate::host_closed::closed_by_host;
 use crate::mrroc::{examples, shorten, text};
 
 /// Examples of which every variant has further keys.
-const WITH_KEYS: [&str; 4] = ["irb6", "irb6-serial", "irb6-hi-moxa", "irb6-wrist"];
+const WITH_KEYS: [&str; 5] = ["irb6", "irb6-serial", "irb6-hi-moxa", "irb6-wrist", "irb6-milling"];
 
 /// The cells that are altered: examples with further keys, and all other examples.
 pub(super) fn all() -> Vec<String> {
@@ -23,6 +23,7 @@ pub(super) fn all() -> Vec<String> {
         written("irb6-serial", on_lines),
         written("irb6-hi-moxa", other_law),
         written("irb6-wrist", by_touch),
+        written("irb6-milling", by_spindle),
         written("lab", two_that_meet),
     ];
     let others = examples().into_iter().filter(|name| !WITH_KEYS.contains(&name.as_str()));
@@ -94,6 +95,14 @@ fn by_touch(cell: &mut Cell) {
     sensor.quaternion = Some([1.0, 0.0, 0.0, 0.0]);
     (sensor.force_per_count, sensor.torque_per_count) = (Some(10.0 / 115.0), Some(5.0 / 940.0));
     sensor.emulator.silent_from_s = Some(1e5);
+}
+
+/// Adds every key that a cutting tool may have.
+fn by_spindle(cell: &mut Cell) {
+    let touch = Cell::parse(&text("irb6-touch")).expect("the example cells are sound");
+    cell.io = touch.io;
+    let scene = cell.scene.as_mut().expect("the example has a scene");
+    scene.cutter[0].spindle = Some(cell.io[0].output[0].name.clone());
 }
 
 /// The parameters with finite joint limits, because a cell file cannot contain infinite limits.

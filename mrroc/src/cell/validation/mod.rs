@@ -13,6 +13,7 @@ mod program;
 mod robots;
 mod scene;
 mod weight;
+mod workpiece;
 
 use servo::KeyError;
 
