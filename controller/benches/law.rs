@@ -15,7 +15,6 @@ use hdrhistogram::Histogram;
 use mrroc_controller::force::Load;
 use mrroc_controller::law::{Compliance, Direction, ForceLimits, ForceTask, Guard, PositionForce, PositionForceConfig};
 use mrroc_controller::robot::{Arm, Polycrank, PolycrankParameters, Pose};
-use mrroc_controller::sensor::ZeroedWeight;
 use nalgebra::{UnitQuaternion, Vector3};
 use servo::{CycleLaw, Knot, LawAxis, LawInput, LawOutput, LawParameters, MAX_AXES};
 
@@ -33,7 +32,7 @@ fn main() -> ExitCode {
         upright_from_base: UnitQuaternion::identity(),
         flange_from_sensor: Pose::identity(),
         load: Some(Load::of_weight(0.5, Vector3::new(0.0, 0.0, 0.05)).expect("the load is a body")),
-        zeroed: ZeroedWeight::none(),
+        zeroed: None,
         limits: ForceLimits {
             wrench: [100.0; 6],
             age: 3 * PERIOD,

@@ -13,7 +13,6 @@ use mrroc_controller::law::{Compliance, Direction, ForceLimits, ForceTask, Guard
 use mrroc_controller::robot::{
     Arm, Axes, Irb6, Irb6Parameters, Irp6, Irp6Parameters, Polycrank, PolycrankParameters, Pose, Robot,
 };
-use mrroc_controller::sensor::ZeroedWeight;
 use nalgebra::{UnitQuaternion, Vector3};
 use servo::{CycleLaw, Knot, LawAxis, LawInput, LawOutput, LawParameters, MAX_AXES};
 
@@ -45,7 +44,7 @@ fn ten_thousand_cycles_of_a_law_and_its_ends_do_not_allocate() {
             upright_from_base: UnitQuaternion::identity(),
             flange_from_sensor: Pose::identity(),
             load: Some(load),
-            zeroed: ZeroedWeight::none(),
+            zeroed: None,
             limits,
         };
         let (mut sensor, link) = RehearsedWrench::new();

@@ -13,7 +13,6 @@ use mrroc_controller::law::{
     Compliance, Direction, ForceLimits, ForceTask, Guard, PositionForce, PositionForceConfig, TaskAxes,
 };
 use mrroc_controller::robot::{Arm, Axes, Irb6, Irb6Parameters, Pose};
-use mrroc_controller::sensor::ZeroedWeight;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use servo::{
     EffectorConfig, EffectorLink, LawBound, MAX_AXES, Macrostep, Order, Phase, PositionLoop, Servo, ServoAxisConfig,
@@ -146,7 +145,7 @@ impl Rig {
             upright_from_base: UnitQuaternion::identity(),
             flange_from_sensor: Pose::identity(),
             load: None,
-            zeroed: ZeroedWeight::none(),
+            zeroed: None,
             limits,
         };
         let law = PositionForce::new(law, link).expect("the limits are sound");

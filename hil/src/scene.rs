@@ -14,6 +14,8 @@
 //!   its release touches the body again after the tip has left the body, so that no energy appears. A digital output
 //!   may open and close a gripper ([`GripperConfig`]).
 //! * Workpieces are height fields ([`WorkpieceConfig`]), which cutting tools of robots carve ([`CutterConfig`]).
+//! * Light gates have beams, which bodies break ([`BeamConfig`]). Bodies may be placed on a conveyor at a later time
+//!   ([`Scene::place_body`]).
 //! * Sensors between flange and tool measure the wrench of these forces ([`SensorConfig`]).
 //!
 //! The scene advances in steps of 100 µs ([`STEP`]). Each step has three parts. First, the motors of the robots move by
@@ -46,8 +48,10 @@
 //! need only the distance of a point from a box, which [`Shape`] computes in twenty lines.
 
 mod arm;
+mod beam;
 mod body;
 mod contact;
+mod conveyor;
 mod cutter;
 mod error;
 mod forces;
@@ -65,11 +69,14 @@ use std::time::Duration;
 use can::Instant;
 use nalgebra::{Isometry3, Vector3};
 
-use crate::{AngleProbe, Mechanism};
+use crate::Mechanism;
 use arm::Arm;
+use beam::Beams;
+pub use beam::{BeamConfig, BeamEdge, BeamProbe, SHORTEST_RESPONSE};
 use body::{Body, CORNERS};
 pub use body::{BodyConfig, BodyState};
 use contact::{Sphere, Surface};
+use conveyor::{Arrivals, Belt, Drift};
 pub use cutter::CutterConfig;
 use cutter::Cutting;
 pub use error::SceneError;
@@ -156,6 +163,8 @@ pub struct Scene {
     corners: Vec<CornersOn>,
     tips: Vec<TipOn>,
     grips: Vec<Option<Grip>>,
+    beams: Beams,
+    arrivals: Arrivals,
     grippers: Vec<Gripper>,
     cutting: Cutting,
     unsolved: UnsolvedProbe,
@@ -166,21 +175,7 @@ struct Wall {
     motion: Motion,
     moving: Moving,
     belt: Option<Belt>,
-}
-
-/// The drive of a belt.
-struct Belt {
-    shaft: AngleProbe,
-    /// Angle of the shaft at the last step, rad.
-    angle: f64,
-    /// Travel of the belt per angle of the shaft, m/rad, in the frame of the wall.
-    way: Vector3<f64>,
-}
-
-impl Drop for Belt {
-    fn drop(&mut self) {
-        self.shaft.remove_belt();
-    }
+    drift: Option<Drift>,
 }
 
 /// The solid that a sphere touches: the index of a wall or of a body.
@@ -239,6 +234,8 @@ impl Scene {
             corners: Vec::new(),
             tips: Vec::new(),
             grips: Vec::new(),
+            beams: Beams::default(),
+            arrivals: Arrivals::default(),
             grippers: Vec::new(),
             cutting: Cutting::default(),
             unsolved: UnsolvedProbe::default(),
@@ -271,6 +268,7 @@ impl Scene {
             motion: Motion::standing(origin, axes),
             moving: Moving { origin, axes, velocity: Vector3::zeros(), spin: Vector3::zeros() },
             belt: None,
+            drift: None,
         });
         for body in 0..self.bodies.len() {
             self.corners.push(CornersOn::new(body, Ground::Wall(wall)));
@@ -279,34 +277,9 @@ impl Scene {
         Ok(WallId(wall))
     }
 
-    /// Sets the velocity, m/s, of a belt on a wall of this scene, in the axes of the world.
-    pub fn set_belt(&mut self, wall: WallId, velocity: [f64; 3]) {
-        let wall = &mut self.walls[wall.0];
-        wall.belt = None;
-        wall.surface.belt = wall.moving.axes.tr_mul(&Vector3::from(velocity));
-    }
-
-    /// Couples the belt on a wall of this scene to a motor. `way` is the travel of the belt per angle of the motor
-    /// shaft, m/rad, in the axes of the world. The motor must belong to a drive of the same [`World`](crate::World).
-    /// Friction on the belt does not load the motor.
-    pub fn drive_belt(&mut self, wall: WallId, shaft: AngleProbe, way: [f64; 3]) {
-        let wall = &mut self.walls[wall.0];
-        shaft.add_belt();
-        let way = wall.moving.axes.tr_mul(&Vector3::from(way));
-        wall.belt = Some(Belt { angle: shaft.angle(), shaft, way });
-    }
-
     /// Adds a body. Fails if a number is invalid or the surface is not passive.
     pub fn add_body(&mut self, config: &BodyConfig) -> Result<BodyId, SceneError> {
-        passive(&config.material)?;
-        lengths(config.half)?;
-        finite(&config.pose, "the place of a body")?;
-        if !(config.mass > 0.0 && config.mass.is_finite()) {
-            return Err(SceneError::Mass { mass: config.mass });
-        }
-        if !config.velocity.iter().chain(&config.spin).all(|value| value.is_finite()) {
-            return Err(SceneError::NotFinite { what: "the velocity of a body" });
-        }
+        config.check()?;
         let body = self.bodies.len();
         self.bodies.push(Body::new(config));
         for wall in 0..self.walls.len() {
@@ -493,6 +466,8 @@ impl Scene {
 
     /// Advances by one step. The caller has already moved the motors of all robots to the end of the step.
     pub fn step(&mut self) {
+        self.place_due();
+        self.beams.note(&self.bodies);
         self.now += STEP;
         for arm in &mut self.arms {
             arm.follow();
@@ -503,6 +478,9 @@ impl Scene {
                 let angle = belt.shaft.angle();
                 wall.surface.belt = belt.way * ((angle - belt.angle) / STEP_SECONDS);
                 belt.angle = angle;
+            }
+            if let Some(drift) = &wall.drift {
+                wall.surface.belt = drift.at(self.now);
             }
         }
         self.move_bodies(0.0, 1.0, HALVINGS);
@@ -515,6 +493,7 @@ impl Scene {
         for (body, probe) in &self.probes {
             probe.show(self.bodies[*body].state());
         }
+        self.beams.look(&self.bodies, self.now);
     }
 
     fn meet_tips(&mut self, ground: Ground) {

@@ -12,8 +12,9 @@ use drive::wrench::WrenchNodeConfig;
 use serde::Serialize;
 use serial::ati;
 
+use crate::bench::{emulation, traffic::further};
 use crate::cell::{CellFile, ForceSensor, Path, Protocol};
-use crate::{bench::emulation, setup};
+use crate::setup;
 
 /// Budget of one bus.
 #[derive(Debug, Serialize)]
@@ -91,6 +92,20 @@ pub fn check(file: &CellFile) -> anyhow::Result<Vec<BusBudget>> {
     let lines = (0..file.cell.serial.len()).map(|bundle| check_lines(file, bundle));
     let sensors = file.cell.force_sensor.iter().map(|sensor| Ok(of_sensor(file.cell.period(), sensor)));
     buses.chain(lines).chain(sensors).collect()
+}
+
+/// Longest time from the queueing of an event-driven message to its last bit on bus `index`, with the frames of further
+/// emulated nodes. Refuses a bus beyond its budget.
+pub(crate) fn longest_response(file: &CellFile, index: usize, id: StandardId) -> anyhow::Result<Duration> {
+    check_bus(file, index, &[])?;
+    let (bitrate, period) = (emulation::bitrate(file, index), file.cell.period());
+    let axes = setup::axis_configs(file, index);
+    let io = file.cell.io_configs(index);
+    let mut messages = messages(&traffic(&file.cell.group_config(index), &axes, &io, &[]), period);
+    messages.extend(further(bitrate, file.cell.bus[index].emulated_load));
+    let analysis = schedule::analyse(bitrate, period, &messages);
+    let found = messages.iter().zip(&analysis.responses).find(|(message, _)| message.id == id);
+    found.map(|(_, response)| *response).ok_or_else(|| anyhow!("the bus has no message {:#05x}", id.raw()))
 }
 
 fn check_bus(file: &CellFile, index: usize, sensors: &[WrenchNodeConfig]) -> anyhow::Result<BusBudget> {

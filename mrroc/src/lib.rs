@@ -91,8 +91,8 @@ pub mod prelude {
     pub use controller::path::{BSpline, Curve, JointPath, Path, PoseState, SplineEnds};
     pub use controller::robot::Space;
     pub use controller::sensor::{
-        DigitalInputs, ForceError, ForceReading, ForceTorque, JogCommand, JogHandle, JogPanel, JogReading, Marked,
-        Operator, Question, Reaction, Shell, VirtualSensor,
+        DigitalInputs, ForceError, ForceReading, ForceTorque, GateError, GateReading, JogCommand, JogHandle, JogPanel,
+        JogReading, LightGates, Marked, Operator, Passage, Question, Reaction, Shell, VirtualSensor,
     };
     pub use drive::cia401::InputImage;
 
@@ -100,7 +100,7 @@ pub mod prelude {
     pub use crate::cell::CellFile;
     pub use crate::motions::Motions;
     pub use crate::report::{AxisReport, Deviation, FaultReport, RobotReport, RunOutcome, RunReport};
-    pub use crate::tasks::{Cell, ForceSensor, InputLine, Outcome, OutputLine, Robot, TaskError, Team};
+    pub use crate::tasks::{Cell, ForceSensor, GateTrack, InputLine, Outcome, OutputLine, Robot, TaskError, Team};
 }
 
 /// The Rust blocks of the book, which the documentation tests compile.

@@ -155,7 +155,7 @@ pub fn install_laws(file: &CellFile, servo: &mut Servo, sensors: &[ForceTorque])
             upright_from_base: upright_from_base(file.cell.robot[robot].model),
             flange_from_sensor: given.flange_from_sensor(),
             load: (!load.is_none()).then_some(load),
-            zeroed: sensor.zeroed_weight(),
+            zeroed: Some(sensor.zeroed_weight()),
             limits: law.limits(&file.cell),
         };
         Ok(Box::new(PositionForce::new(config, sensor.link().clone())?))

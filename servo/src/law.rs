@@ -129,6 +129,11 @@ pub enum LawFault {
     /// The force/torque sensor of the law has a fault.
     #[error("{0}")]
     Sensor(drive::wrench::WrenchFault),
+    /// The sensor of the law was not zeroed since its bring-up, so that its offset would count as contact.
+    #[error(
+        "its sensor was not zeroed since it was switched on, or the zeroing failed: zero the sensor without contact"
+    )]
+    NotZeroed,
     /// The sensor of the law was zeroed, and the weight of the tool at the zeroing is not noted yet.
     #[error(
         "its sensor was zeroed by request {request}, and the weight of the tool at that moment is unknown: read the sensor after a zeroing"

@@ -135,6 +135,19 @@ fn a_law_that_cannot_go_on_stops_the_robot_with_a_fault_that_names_the_cause() {
 }
 
 #[test]
+fn a_law_whose_sensor_was_not_zeroed_stops_before_it_moves_the_arm() {
+    let task = async |cell: &mut tasks::Cell| {
+        let mut irb6 = cell.robot("irb6")?;
+        irb6.enable().await?;
+        irb6.home().await?;
+        irb6.execute(Wait { duration: std::time::Duration::from_secs(1) }.under(pressing(5.0, None))).await
+    };
+    let report = ::mrroc::run(&cell("irb6-force", |_| {}), BenchKind::Lockstep, task).unwrap();
+    let faults: Vec<_> = report.faults.iter().map(ToString::to_string).collect();
+    assert!(faults[0].starts_with("irb6: cycle law: its sensor was not zeroed"), "{faults:?}");
+}
+
+#[test]
 fn a_generator_that_sends_a_law_to_a_robot_without_one_is_refused_before_motion() {
     let task = async |cell: &mut tasks::Cell| press(cell, pressing(5.0, None)).await;
     let file = cell("irb6-force", |cell| cell.robot[0].force_law = None);

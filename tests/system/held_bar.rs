@@ -188,3 +188,15 @@ fn a_drive_that_trips_stops_both_arms_and_does_not_tear_the_bar() {
         assert!((-0.01..0.02).contains(&(began - DURING)), "{began} s");
     }
 }
+
+#[test]
+fn a_bar_that_does_not_reach_is_refused_in_one_line_before_motion() {
+    let file = cell(|cell| cell.robot[1].base.position[0] = 3.0);
+    let error = ::mrroc::run(&file, BenchKind::Lockstep, hold_bar::hold).unwrap_err();
+    let said = format!("{error:#}");
+    assert!(
+        said.contains("the grip of member 1 does not reach (1.500, 0.000, 0.860) m of the cell at 0.00 s"),
+        "{said}"
+    );
+    assert!(!said.contains('\n'), "{said}");
+}

@@ -40,6 +40,7 @@ mod inputs;
 mod jitter;
 mod kinematics;
 mod lab;
+mod light_gates;
 mod loops;
 mod lss;
 mod milling;

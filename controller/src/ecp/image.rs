@@ -4,8 +4,9 @@ use std::array;
 use std::time::Duration;
 
 use nalgebra::{UnitQuaternion, Vector3};
-use servo::{Knot, Snapshot, cubic_end_acceleration};
+use servo::{Knot, Phase, Snapshot, cubic_end_acceleration};
 
+use super::Ecp;
 use crate::generator::{Accelerations, Axes, AxesState, EffectorImage, EffectorState, GeneratorError, Pose, Setpoint};
 use crate::path::PoseState;
 use crate::robot::{Arm, KinematicsError};
@@ -95,6 +96,23 @@ impl Effector {
         let bend = || bend(duration_of(speed, push, STEP), &position, |t| at(t, 1.0));
         let acceleration = if stated { bend() } else { None };
         Ok(AxesState { position, velocity, acceleration })
+    }
+}
+
+impl Ecp {
+    /// Image of the effector in the last servo cycle, in every phase, also with the drives off. Joints and pose are
+    /// meaningful after homing. The commanded state is the set-point of that cycle, or the measured position at rest in
+    /// a phase without set-points. Fails if the effector measures positions that its mechanism cannot take.
+    #[doc(alias = "get_position")]
+    pub fn image(&self) -> Result<EffectorImage, GeneratorError> {
+        let latest = self.latest();
+        let commanded = match latest.phase {
+            Phase::Standing | Phase::Moving | Phase::Stopping => {
+                AxesState::new(latest.commanded, latest.commanded_velocity)
+            }
+            Phase::Off | Phase::Enabling | Phase::Homing | Phase::Faulted => AxesState::at_rest(latest.measured),
+        };
+        self.effector.image(&latest, &commanded)
     }
 }
 

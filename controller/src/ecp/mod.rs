@@ -41,7 +41,7 @@ use std::{collections::VecDeque, num::NonZeroU64, time::Duration};
 use can::Instant;
 use servo::{EffectorLink, Order, Phase, ServoReport, Snapshot};
 
-use crate::generator::{AxesState, EffectorImage, Execution, GeneratorError, Pace};
+use crate::generator::{Execution, Pace};
 use crate::robot::Arm;
 use crate::sensor::Sensors;
 
@@ -309,21 +309,6 @@ impl Ecp {
     /// State of the effector in the last servo cycle.
     pub fn latest(&self) -> Snapshot {
         self.link.latest.read()
-    }
-
-    /// Image of the effector in the last servo cycle, in every phase, also with the drives off. Joints and pose are
-    /// meaningful after homing. The commanded state is the set-point of that cycle, or the measured position at rest in
-    /// a phase without set-points. Fails if the effector measures positions that its mechanism cannot take.
-    #[doc(alias = "get_position")]
-    pub fn image(&self) -> Result<EffectorImage, GeneratorError> {
-        let latest = self.latest();
-        let commanded = match latest.phase {
-            Phase::Standing | Phase::Moving | Phase::Stopping => {
-                AxesState::new(latest.commanded, latest.commanded_velocity)
-            }
-            Phase::Off | Phase::Enabling | Phase::Homing | Phase::Faulted => AxesState::at_rest(latest.measured),
-        };
-        self.effector.image(&latest, &commanded)
     }
 
     /// Receives the servo's reports, performs the actions due at `now`, and returns the end of an instruction, if

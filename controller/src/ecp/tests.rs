@@ -4,6 +4,7 @@ mod chaining;
 mod endings;
 mod failures;
 mod images;
+mod laws;
 mod links;
 mod pace;
 mod planning;
@@ -18,8 +19,8 @@ use servo::{MAX_AXES, Macrostep, Publisher, ServoFault, StopCause};
 
 use super::*;
 use crate::generator::{
-    Axes, EffectorImage, Generator, GeneratorError, JerkLimited, MotionLimits, Newsmooth, Next, Pose, Setpoint,
-    SmoothPose, Wait,
+    Axes, AxesState, EffectorImage, Generator, GeneratorError, JerkLimited, MotionLimits, Newsmooth, Next, Pose,
+    Setpoint, SmoothPose, Wait,
 };
 use crate::robot::{Arm, Jacobian, Joints, KinematicsError, Limits, Link, Motors, Robot, Solutions, Space};
 
@@ -138,6 +139,16 @@ impl Script {
         self.phase(Phase::Faulted);
     }
 
+    /// Ends the motion at a touch, as a cycle law does.
+    fn touch(&mut self) {
+        self.queue.clear();
+        self.done = 0;
+        self.moving = [0.0; MAX_AXES];
+        self.report.fault = Some(ServoFault { axis: None, cause: StopCause::Touched });
+        self.phase(Phase::Stopping);
+        self.phase(Phase::Standing);
+    }
+
     fn period(&mut self, now: Instant) {
         self.report.snapshot.at = now;
         self.report.snapshot.cycle += 1;
@@ -164,6 +175,9 @@ impl Script {
                     self.queue.clear();
                     self.done = 0;
                     self.moving = [0.0; MAX_AXES];
+                    if self.report.fault.take_if(|fault| fault.cause.needs_acknowledgement()).is_some() {
+                        self.say();
+                    }
                     if matches!(self.report.snapshot.phase, Phase::Moving | Phase::Homing) {
                         self.phase(Phase::Stopping);
                         self.phase(Phase::Standing);

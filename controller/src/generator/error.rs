@@ -7,7 +7,7 @@ use thiserror::Error;
 use super::TimingError;
 use crate::path::PathError;
 use crate::robot::KinematicsError;
-use crate::sensor::ForceError;
+use crate::sensor::{ForceError, GateError};
 
 /// Reasons why a generator refuses a motion or gives it up.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
@@ -127,6 +127,9 @@ pub enum GeneratorError {
     /// The sensor whose reading the step needs has none.
     #[error("force sensor: {0}")]
     Force(ForceError),
+    /// The light gates whose reading the step needs have no velocity and place of an object.
+    #[error("light gates: {0}")]
+    Gates(GateError),
     /// Reason of a user's generator, with a number defined by that generator.
     #[error("generator error {0}")]
     User(u16),

@@ -64,11 +64,11 @@ pub struct PositionForceConfig {
     pub flange_from_sensor: Pose,
     /// The load behind the sensor. `None`: the measured wrench is the wrench of the contact.
     pub load: Option<Load>,
-    /// Weight of the load at the last zeroing of the sensor ([`ForceTorque::zeroed_weight`]). A law with a load ends with
-    /// a fault if the sensor was zeroed and the weight was not noted.
+    /// Weight of the load at the last zeroing of the sensor ([`ForceTorque::zeroed_weight`]). The law ends with a fault if
+    /// the sensor was not zeroed, or if the weight was not noted. `None`: the sensor is not zeroed, and has no offset.
     ///
     /// [`ForceTorque::zeroed_weight`]: crate::sensor::ForceTorque::zeroed_weight
-    pub zeroed: ZeroedWeight,
+    pub zeroed: Option<ZeroedWeight>,
     /// Limits of the law.
     pub limits: ForceLimits,
 }
@@ -197,19 +197,10 @@ impl PositionForce {
         }
         let base_from_sensor = base_from_flange * self.config.flange_from_sensor;
         let measured = Wrench::from_components(state.wrench);
-        let contact = match &self.config.load {
-            None => measured,
-            Some(load) => {
-                let (noted, zero) = self.config.zeroed.read();
-                if let Zeroing::Done { request, .. } = state.zeroing
-                    && request.number() != noted
-                {
-                    return Err(LawFault::NoWeight { request: request.number() });
-                }
-                let orientation = self.config.upright_from_base * base_from_sensor.rotation;
-                measured + zero - load.wrench(&SensorMotion::at_rest(orientation))
-            }
-        };
+        let zero = self.config.zeroed.as_ref().map_or(Ok(Wrench::default()), |weight| noted(weight, state.zeroing))?;
+        let orientation = self.config.upright_from_base * base_from_sensor.rotation;
+        let weight = self.config.load.map(|load| load.wrench(&SensorMotion::at_rest(orientation)));
+        let contact = measured + zero - weight.unwrap_or_default();
         let components = contact.components();
         for (channel, (value, limit)) in components.into_iter().zip(self.config.limits.wrench).enumerate() {
             if value.is_nan() || value.abs() > limit {
@@ -264,6 +255,15 @@ impl Touch {
         }
         self.count >= guard.samples
     }
+}
+
+/// The weight at the zeroing in force.
+fn noted(weight: &ZeroedWeight, zeroing: Zeroing) -> Result<Wrench, LawFault> {
+    let Zeroing::Done { request, .. } = zeroing else {
+        return Err(LawFault::NotZeroed);
+    };
+    let (noted, weight) = weight.read();
+    if noted == request.number() { Ok(weight) } else { Err(LawFault::NoWeight { request: request.number() }) }
 }
 
 /// Linear and angular part, both turned.

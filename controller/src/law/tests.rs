@@ -15,7 +15,6 @@ use servo::{CycleLaw, Knot, LawAxis, LawInput, LawOutput, MAX_AXES};
 use super::{Compliance, Direction, ForceLimits, ForceTask, PositionForce, PositionForceConfig, TaskAxes};
 use crate::force::Wrench;
 use crate::robot::{Arm, Axes, Irp6, Irp6Parameters, Pose};
-use crate::sensor::ZeroedWeight;
 
 /// The servo period, s.
 const T: f64 = 0.002;
@@ -72,7 +71,7 @@ impl Rig {
             upright_from_base: UnitQuaternion::identity(),
             flange_from_sensor,
             load: None,
-            zeroed: ZeroedWeight::none(),
+            zeroed: None,
             limits,
         };
         let path = arm.motors(joints).unwrap();

@@ -24,6 +24,7 @@
 
 mod digital;
 mod force;
+mod gates;
 mod jog;
 mod marked;
 mod operator;
@@ -43,6 +44,10 @@ use crate::generator::{EffectorImage, GeneratorError, Message, Partners, Receive
 
 pub use digital::DigitalInputs;
 pub use force::{ForceError, ForceReading, ForceSensorConfig, ForceTorque};
+pub use gates::{
+    GateError, GateLine, GateReading, GatesRefused, LightGates, LightGatesConfig, MAX_GATES, MAX_OBJECTS, Passage,
+    Travel,
+};
 pub use jog::{JogCommand, JogHandle, JogPanel, JogReading};
 pub use marked::Marked;
 pub use operator::{

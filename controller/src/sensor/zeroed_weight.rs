@@ -36,11 +36,6 @@ impl WeightPublisher {
 pub struct ZeroedWeight(Latest<WORDS>);
 
 impl ZeroedWeight {
-    /// The weight of a sensor that is never zeroed: none.
-    pub fn none() -> Self {
-        zeroed_weight().1
-    }
-
     /// The weight `weight` at the zeroing with number `request`.
     pub fn of(request: u64, weight: &Wrench) -> Self {
         let (mut publisher, reader) = zeroed_weight();

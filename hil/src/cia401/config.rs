@@ -7,6 +7,7 @@ use can::Instant;
 use canopen::NodeId;
 
 use crate::plant::AngleProbe;
+use crate::scene::BeamProbe;
 
 /// Greatest number of bytes of inputs, and of outputs.
 pub const MAX_BYTES: u8 = 8;
@@ -40,6 +41,9 @@ pub struct DigitalIoConfig {
     pub edges: Vec<InputEdge>,
     /// Light gates. A gate overwrites the level of its input every millisecond. Such an input has one gate and no edges.
     pub light_gates: Vec<LightGate>,
+    /// Light gates of the scene and their inputs, counted from 0. An input is high while the beam is broken. Such an input
+    /// has no edges of its own.
+    pub beams: Vec<(u8, BeamProbe)>,
 }
 
 impl DigitalIoConfig {
@@ -59,6 +63,7 @@ impl DigitalIoConfig {
             answer_delay: Duration::from_micros(300),
             edges: Vec::new(),
             light_gates: Vec::new(),
+            beams: Vec::new(),
         }
     }
 }

@@ -2,8 +2,8 @@
 //!
 //! [`DigitalIo`] is a [`Device`] with the same communication as the emulated drives. Inputs have polarity, filter and
 //! interrupt masks. Outputs have polarity, filter mask and error value. A bench schedules edges of inputs
-//! ([`InputEdge`], [`DigitalIo::set_input`]), connects inputs to axes ([`LightGate`]), and reads outputs with the time
-//! of their last change ([`DigitalIo::output`]).
+//! ([`InputEdge`], [`DigitalIo::set_input`]), connects inputs to axes ([`LightGate`]) and to light gates of the scene
+//! ([`BeamProbe`](crate::scene::BeamProbe)), and reads outputs with the time of their last change ([`DigitalIo::output`]).
 //!
 //! ```
 //! # use std::time::Duration;
@@ -53,6 +53,7 @@ use crate::Device;
 use crate::node::errors::{self, Error as NodeError};
 use crate::node::objects::Objects;
 use crate::node::{Application, Applied, Identity, Node, NodeConfig};
+use crate::scene::{BeamEdge, BeamProbe};
 pub use config::{DigitalIoConfig, InputEdge, LightGate, MAX_BYTES};
 use inputs::Inputs;
 use outputs::Outputs;
@@ -74,6 +75,7 @@ pub struct DigitalIo {
     node: Node<Module>,
     /// Number of inputs.
     inputs: u8,
+    beams: Vec<(u8, BeamProbe)>,
 }
 
 impl DigitalIo {
@@ -86,7 +88,8 @@ impl DigitalIo {
         }
         let inputs = 8 * config.input_bytes;
         let gates = config.light_gates.iter().map(|gate| gate.index);
-        for index in gates.chain(config.edges.iter().map(|edge| edge.index)) {
+        let beams = config.beams.iter().map(|(index, _)| *index);
+        for index in gates.chain(beams).chain(config.edges.iter().map(|edge| edge.index)) {
             check(index, inputs)?;
         }
         let table = table(&config);
@@ -117,7 +120,7 @@ impl DigitalIo {
         let objects = Objects::new(Cow::Owned(table), config.node, &[]);
         let mut node = Node::new(node, objects, module);
         node.schedule();
-        Ok(Self { node, inputs })
+        Ok(Self { node, inputs, beams: config.beams })
     }
 
     /// Schedules a change of the terminal of input `index`, counted from 0, at time `at`. A time in the past means now.
@@ -177,6 +180,23 @@ impl Device for DigitalIo {
 
     fn handle_timeout(&mut self, now: Instant) {
         self.node.handle_timeout(now);
+    }
+
+    /// Takes the edges of the light gates.
+    fn advance_mechanics(&mut self, _now: Instant) -> bool {
+        let mut taken = false;
+        for (index, probe) in &self.beams {
+            while let Some(BeamEdge { at, broken }) = probe.take() {
+                if let Some(inputs) = &mut self.node.application.inputs {
+                    inputs.schedule(InputEdge { at, index: *index, level: broken });
+                }
+                taken = true;
+            }
+        }
+        if taken {
+            self.node.schedule();
+        }
+        taken
     }
 }
 

@@ -39,6 +39,11 @@ impl OutputProbe {
     pub fn level(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
+
+    /// Shows the level at the terminal.
+    pub(crate) fn show(&self, level: bool) {
+        self.0.store(level, Ordering::Relaxed);
+    }
 }
 
 #[derive(Debug)]
@@ -97,7 +102,7 @@ impl Outputs {
 
     /// Shows the level of output `index` in `probe` from now on.
     pub(super) fn connect(&mut self, index: u8, probe: OutputProbe) {
-        probe.0.store(self.terminals & bit(index) != 0, Ordering::Relaxed);
+        probe.show(self.terminals & bit(index) != 0);
         self.probes.push((index, probe));
     }
 
@@ -146,7 +151,7 @@ impl Outputs {
         }
         self.terminals = terminals;
         for (index, probe) in &self.probes {
-            probe.0.store(terminals & bit(*index) != 0, Ordering::Relaxed);
+            probe.show(terminals & bit(*index) != 0);
         }
     }
 }

@@ -32,7 +32,8 @@ pub struct Epos4Config {
     pub rated_torque: Option<f64>,
     /// Bits set in every statusword. An EPOS2 sets bit 8 in all its states.
     pub vendor_bits: u16,
-    /// Time at which the powered drive trips once with an over-current; never where absent.
+    /// Time at which the drive trips once with an over-current; never where absent. A drive whose motor has no power at
+    /// this time trips when the motor gets power.
     pub trips_at: Option<Instant>,
     /// Seed of noise and ripple.
     pub seed: u64,

@@ -5,6 +5,7 @@ use nalgebra::{Isometry3, Matrix3, Matrix6, Quaternion, UnitQuaternion, Vector3,
 use super::contact::{Sphere, Surface};
 use super::motion::{Motion, Moving, Place, Wrench};
 use super::surface::{Material, Shape};
+use super::{SceneError, finite, lengths, passive};
 
 /// A box or a bar that moves freely.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,6 +23,22 @@ pub struct BodyConfig {
     pub velocity: [f64; 3],
     /// Angular velocity in the world's axes, rad/s.
     pub spin: [f64; 3],
+}
+
+impl BodyConfig {
+    /// Refuses a body with an invalid number or a surface that is not passive.
+    pub(super) fn check(&self) -> Result<(), SceneError> {
+        passive(&self.material)?;
+        lengths(self.half)?;
+        finite(&self.pose, "the place of a body")?;
+        if !(self.mass > 0.0 && self.mass.is_finite()) {
+            return Err(SceneError::Mass { mass: self.mass });
+        }
+        if !self.velocity.iter().chain(&self.spin).all(|value| value.is_finite()) {
+            return Err(SceneError::NotFinite { what: "the velocity of a body" });
+        }
+        Ok(())
+    }
 }
 
 /// Place and motion of a body.

@@ -1,8 +1,10 @@
 //! Refusals of parts of a scene.
 
+use std::time::Duration;
+
 use thiserror::Error;
 
-use super::MOST_CELLS;
+use super::{MOST_CELLS, SHORTEST_RESPONSE};
 
 /// Why a part cannot be added to a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
@@ -59,6 +61,12 @@ pub enum SceneError {
     Mass {
         /// Mass, kg.
         mass: f64,
+    },
+    /// A light gate would report an edge before its device can take the edge.
+    #[error("a light gate with a response time of {response:.1?}: use at least {SHORTEST_RESPONSE:.1?}")]
+    Response {
+        /// Response time.
+        response: Duration,
     },
     /// A coordinate or an angle is NaN or infinite.
     #[error("{what} is not finite")]

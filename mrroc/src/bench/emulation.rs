@@ -11,15 +11,16 @@ use hil::{
     AxisController, AxisControllerConfig, BusId, Cabinet, Device, DigitalIo, DigitalIoConfig, Epos4, Epos4Config,
     EposSerial, EposSerialConfig, InputEdge, LineDevice, SerialForceSensor, SerialForceSensorConfig, TransducerConfig,
     World,
-    scene::{Scene, SensorProbe, UnsolvedProbe},
+    scene::{BeamProbe, Scene, SensorProbe, UnsolvedProbe},
 };
 use serial::{Settings, VirtualLine};
 
 use crate::bench::bridge::{Bridge, BridgedTty};
 use crate::bench::plants::{EmulatedCell, Payloads, homing_problem, plant};
 use crate::bench::scene::{EmulatedSurroundings, SceneTruth};
+use crate::bench::traffic::BusLoad;
 use crate::bench::truth::TruthLog;
-use crate::cell::{CellFile, ForceSensor, ForceSensorEmulator, IoNode, Protocol};
+use crate::cell::{CellFile, EmulatedGate, ForceSensor, ForceSensorEmulator, IoNode, Protocol};
 
 /// Capacity of the host's end of a virtual bus in each direction, frames.
 const QUEUE: usize = 256;
@@ -111,6 +112,13 @@ impl Emulation {
         }
     }
 
+    /// Place and motion of object `number` of the scene, counted from 0, in upright axes at the base of the robot of the
+    /// scene. `None` before the object is placed.
+    pub fn object(&self, number: usize) -> Option<hil::scene::BodyState> {
+        let scene = self.world.scene()?;
+        Some(scene.body(scene.placed(number)?))
+    }
+
     /// Advances the world to `until`. The host then has all frames and bytes that arrived by that time.
     pub fn advance(&mut self, until: Instant) {
         for bridge in &mut self.bridges {
@@ -183,6 +191,11 @@ impl EmulatedCell<'_> {
         for device in self.devices(bus, Instant::ZERO) {
             world.add_device(id, device);
         }
+        let share = self.file.cell.bus[bus].emulated_load;
+        if share > 0.0 {
+            let seed = self.file.cell.seed.wrapping_mul(1000).wrapping_add(600 + bus as u64);
+            world.add_device(id, Box::new(BusLoad::new(bitrate(self.file, bus), share, seed)));
+        }
         id
     }
 
@@ -196,6 +209,17 @@ impl EmulatedCell<'_> {
         let cell = &self.file.cell;
         let modules = cell.io_on(bus).map(|node| Box::new(self.module(node, power_on)) as Box<dyn Device>);
         drives.chain(modules).collect()
+    }
+
+    /// The light gates at the inputs of I/O node `node`, with the numbers of the inputs.
+    fn beams_at(&self, node: usize) -> Vec<(u8, BeamProbe)> {
+        let cell = &self.file.cell;
+        let gates = cell.scene.iter().flat_map(|scene| &scene.gate).zip(&self.beams);
+        let beam = |(gate, probe): (&EmulatedGate, &BeamProbe)| {
+            let place = cell.input_line(&gate.input).filter(|place| place.node == node)?;
+            Some((place.line, probe.clone()))
+        };
+        gates.filter_map(beam).collect()
     }
 
     /// Adds the line of an axis of bundle `bundle`, with its axis controller in `cabinet`, switched on at
@@ -246,10 +270,11 @@ impl EmulatedCell<'_> {
         }
     }
 
-    /// The emulated module of I/O node `node`, with the valves of the grippers and the spindles at its outputs.
+    /// The emulated module of I/O node `node`, with the light gates at its inputs, and the valves of the grippers and the
+    /// spindles at its outputs.
     fn module(&self, node: usize, power_on: Instant) -> DigitalIo {
         let cell = &self.file.cell;
-        let mut module = module(&cell.io[node], power_on);
+        let mut module = module(&cell.io[node], self.beams_at(node), power_on);
         let grippers = cell.scene.iter().flat_map(|scene| &scene.gripper);
         let valves = grippers.map(|gripper| Some(&gripper.output)).zip(&self.valves);
         let cutters = cell.scene.iter().flat_map(|scene| &scene.cutter);
@@ -339,8 +364,8 @@ impl LineDevice for Unplugged {
     }
 }
 
-/// The emulated module of an I/O node, with the scheduled edges of its inputs.
-fn module(io: &IoNode, power_on: Instant) -> DigitalIo {
+/// The emulated module of an I/O node, with the scheduled edges and the light gates of its inputs.
+fn module(io: &IoNode, beams: Vec<(u8, BeamProbe)>, power_on: Instant) -> DigitalIo {
     // The time between two cycles does not matter here.
     let IoConfig { node, inputs, outputs, .. } = io.config(Duration::ZERO);
     let usual = DigitalIoConfig::new(node);
@@ -353,6 +378,7 @@ fn module(io: &IoNode, power_on: Instant) -> DigitalIo {
         output_bytes: blocks(outputs),
         power_on,
         edges: io.emulated_edges().map(edge).collect(),
+        beams,
         ..usual
     };
     DigitalIo::new(config).expect("a parsed cell has up to 64 lines of a kind, and edges of its inputs")

@@ -4,12 +4,14 @@ pub mod bridge;
 pub mod bus_port;
 pub mod carving;
 pub mod clockwork;
+mod conveyors;
 pub mod emulated_lines;
 pub mod emulated_time;
 pub mod emulation;
 pub mod interfaces;
 pub mod plants;
 pub mod scene;
+pub(crate) mod traffic;
 pub mod truth;
 
 use std::path::{Path, PathBuf};

@@ -7,6 +7,7 @@ use std::time::Duration;
 use can::Instant;
 use canopen::cia402::HomingMethod;
 use controller::robot::Limits;
+use hil::scene::BeamProbe;
 use hil::{AxisConfig, Mechanism, Mount, OutputProbe, plant::PlantConfig};
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -22,6 +23,8 @@ pub struct EmulatedCell<'a> {
     pub(super) valves: Vec<OutputProbe>,
     /// The terminal of the output that turns each spindle.
     pub(super) spindles: Vec<OutputProbe>,
+    /// The outputs of the light gates of the scene.
+    pub(super) beams: Vec<BeamProbe>,
 }
 
 impl<'a> EmulatedCell<'a> {
@@ -32,8 +35,10 @@ impl<'a> EmulatedCell<'a> {
         let mechanisms = file.cell.robot.iter().map(mechanism).collect();
         let grippers = file.cell.scene.as_ref().map_or(0, |scene| scene.gripper.len());
         let cutters = file.cell.scene.as_ref().map_or(0, |scene| scene.cutter.len());
+        let gates = file.cell.scene.as_ref().map_or(0, |scene| scene.gate.len());
         let terminals = |count| (0..count).map(|_| OutputProbe::default()).collect();
-        Self { file, mechanisms, valves: terminals(grippers), spindles: terminals(cutters) }
+        let beams = (0..gates).map(|_| BeamProbe::default()).collect();
+        Self { file, mechanisms, valves: terminals(grippers), spindles: terminals(cutters), beams }
     }
 
     /// The mount of an axis in its robot; `None` if the axis moves its own load.

@@ -49,6 +49,7 @@ impl EmulatedCell<'_> {
         for block in &around.block {
             scene.add_wall(&block_wall(block)).expect(SOUND);
         }
+        self.add_conveyors(&mut scene, &around);
         let bars = around.bar.iter().map(|bar| scene.add_body(&body(bar)).expect(SOUND));
         let bars: Vec<_> = bars.collect();
         let workpieces = around.workpiece.iter().map(|it| scene.add_workpiece(&it.config()).expect(SOUND)).collect();
@@ -95,7 +96,7 @@ impl EmulatedCell<'_> {
             }
         }
         let bars = bars.into_iter().map(|bar| scene.watch(bar)).collect();
-        let needed = count > 0 || !around.bar.is_empty();
+        let needed = count > 0 || !around.bar.is_empty() || !around.conveyor.is_empty();
         let truth = SceneTruth { bars, grips, workpieces };
         EmulatedSurroundings { scene: needed.then_some(scene), sensors, truth }
     }
@@ -139,4 +140,4 @@ fn block_wall(block: &EmulatedBlock) -> WallConfig {
 }
 
 /// Reason that the parts of a scene are accepted.
-const SOUND: &str = "a parsed cell has a sound scene";
+pub(super) const SOUND: &str = "a parsed cell has a sound scene";

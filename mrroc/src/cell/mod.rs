@@ -7,6 +7,7 @@
 //! joint for a program. The name of a key with another unit ends in that unit.
 
 mod axis_controller;
+mod conveyor;
 mod device_configuration;
 mod drives;
 mod error;
@@ -37,6 +38,7 @@ use servo::KeyProblem;
 use crate::bench::plants::upright_from_base;
 pub use crate::robots::{Model, Parameters};
 pub use axis_controller::{AxisController, Loop, Serial};
+pub use conveyor::{EmulatedConveyor, EmulatedGate, EmulatedObject};
 pub(crate) use device_configuration::DeviceConfiguration;
 pub use drive::axis_controller::{Control, Protocol};
 pub use drives::ENABLING;
@@ -132,6 +134,11 @@ pub struct Bus {
     /// Time-out of a node's boot, ms.
     #[serde(default = "defaults::count::<2_000, u32>")]
     pub boot_timeout_ms: u32,
+    /// Share of the capacity of the emulated bus that frames of further nodes take, 0 to 0.9, in addition to the
+    /// traffic of the cell. Half of the frames have a higher priority than all process data. Only the benches with a
+    /// virtual bus (lockstep, emulated) have these frames.
+    #[serde(default)]
+    pub emulated_load: f64,
 }
 
 /// One effector: its kinematics, axes and program.
@@ -364,7 +371,7 @@ pub struct Emulator {
     /// Whether the device is absent from its bus or line. An absent drive never boots.
     pub absent: bool,
     /// Time at which the emulated drive on CAN trips with an over-current, s since the emulated devices were switched on;
-    /// never where absent. A drive without power does not trip.
+    /// never where absent. A drive whose motor has no power at this time trips when the motor gets power.
     pub trips_at_s: Option<f64>,
 }
 

@@ -5,6 +5,7 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::conveyor::{EmulatedConveyor, EmulatedGate, EmulatedObject};
 use super::{EmulatedCutter, EmulatedWorkpiece};
 
 /// The surroundings of the emulated robots. Real robots ignore this table.
@@ -34,6 +35,15 @@ pub struct EmulatedScene {
     /// The grippers.
     #[serde(default)]
     pub gripper: Vec<EmulatedGripper>,
+    /// The conveyors.
+    #[serde(default)]
+    pub conveyor: Vec<EmulatedConveyor>,
+    /// The objects that are placed on conveyors.
+    #[serde(default)]
+    pub object: Vec<EmulatedObject>,
+    /// The light gates.
+    #[serde(default)]
+    pub gate: Vec<EmulatedGate>,
     /// The workpieces, which cutting tools carve.
     #[serde(default)]
     pub workpiece: Vec<EmulatedWorkpiece>,

@@ -1,10 +1,12 @@
 //! Tests of whole cells: parsing, refusals, and the resulting configurations.
 
 mod bounds;
+mod conveyor;
 mod families;
 mod force;
 mod io;
 mod names;
+mod scene;
 mod shape;
 mod workpiece;
 

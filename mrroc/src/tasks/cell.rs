@@ -8,7 +8,7 @@ use controller::ecp::Task;
 use controller::executor::{Agent, Agents, LooseLink, Observer, Replacer};
 use controller::generator::{EffectorImage, Generator, Message, Pose, SensorReading};
 use controller::sensor::{ForceTorque, Shell, VirtualSensor};
-use drive::cia401::IoLink;
+use drive::cia401::{IoLink, LatestInputs};
 use serde::de::DeserializeOwned;
 use servo::SpeedOverride;
 
@@ -142,6 +142,11 @@ impl Cell {
     pub fn team<'a, const N: usize>(&self, members: [&'a mut Robot; N]) -> Team<'a, N> {
         let deadline = self.file.cell.period();
         Team::new(&self.file, members, LinkConfig { blocking: true, deadline, late: Late::Stop })
+    }
+
+    /// The inputs of I/O node `node`, in the order of the cell file.
+    pub(super) fn link(&self, node: usize) -> LatestInputs {
+        self.io[node].inputs.clone()
     }
 
     fn robot_at(&self, robot: usize) -> Result<Robot, TaskError> {

@@ -1,8 +1,8 @@
 //! Example cells with short programs, and with every key that a cell file can have.
 
 use ::mrroc::cell::{
-    Cell, Direction, DriveControl, EmulatedPayload, Instruction, JointGenerator, Joints, Law, LineInstruction,
-    Parameter, Parameters, Protocol, Weights,
+    Cell, Direction, DriveControl, EmulatedPayload, EmulatedTip, Instruction, JointGenerator, Joints, Law,
+    LineInstruction, Parameter, Parameters, Protocol, Weights,
 };
 use controller::robot::Mass;
 use hil::plant::Irp6Axis;
@@ -95,6 +95,9 @@ fn by_touch(cell: &mut Cell) {
     sensor.quaternion = Some([1.0, 0.0, 0.0, 0.0]);
     (sensor.force_per_count, sensor.torque_per_count) = (Some(10.0 / 115.0), Some(5.0 / 940.0));
     sensor.emulator.silent_from_s = Some(1e5);
+    let scene = cell.scene.as_mut().expect("the cell has a table under the tool");
+    scene.tip = vec![EmulatedTip { robot: scene.robot.take().expect("a robot touches the table"), radius: 0.0 }];
+    cell.robot[0].axis[0].emulator.trips_at_s = Some(1e5);
 }
 
 /// Adds every key that a cutting tool may have.

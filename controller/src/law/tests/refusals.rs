@@ -67,7 +67,7 @@ fn a_law_without_limits_is_refused() {
             upright_from_base: UnitQuaternion::identity(),
             flange_from_sensor,
             load: None,
-            zeroed: ZeroedWeight::none(),
+            zeroed: None,
             limits,
         };
         let error: PositionForceError = PositionForce::new(config, RehearsedWrench::new().1).unwrap_err();
@@ -132,26 +132,56 @@ fn the_weight_of_the_tool_is_no_contact() {
         let at_rest = SensorMotion::at_rest(upright * base_from_sensor.rotation);
         let mut rig = Rig::new(arm.clone(), &START, 0.0, 0, WIDE);
         let at_zero = |rotation| load.wrench(&SensorMotion::at_rest(upright * rotation));
-        let zero = zeroed_at.map_or_else(Wrench::default, at_zero);
         rig.law = {
             let (sensor, link) = RehearsedWrench::new();
             rig.sensor = sensor;
+            let zeroed = zeroed_at.map(|rotation| {
+                link.zero();
+                rig.sensor.advance(rig.now(), at_zero(rotation).components());
+                ZeroedWeight::of(1, &at_zero(rotation))
+            });
             let flange_from_sensor = flange_from_sensor();
             let config = PositionForceConfig {
                 arm: arm.clone(),
                 upright_from_base: upright,
                 flange_from_sensor,
                 load: Some(load),
-                zeroed: ZeroedWeight::of(0, &zero),
+                zeroed,
                 limits: WIDE,
             };
             PositionForce::new(config, link).unwrap()
         };
-        let measured = load.wrench(&at_rest) - zero;
-        rig.sensor.advance(rig.now(), measured.components());
+        rig.sensor.advance(rig.now(), load.wrench(&at_rest).components());
         let directions = [Direction::Contact { force: 0.0, compliance: Compliance::LINEAR }; 6];
         let task = ForceTask { directions, ..ForceTask::default() };
         let LawOutput::Displacement(displacement) = rig.shift(&task, T) else { panic!("no end") };
         assert!(displacement.iter().all(|it| it.abs() < 1e-9), "{displacement:?}");
     }
+}
+
+#[test]
+fn a_sensor_that_was_not_zeroed_and_a_weight_that_was_not_noted_are_faults() {
+    let zeroed_by = |requests: u64, noted: u64| {
+        let mut rig = Rig::new(irp6(), &START, 0.0, 0, WIDE);
+        let (sensor, link) = RehearsedWrench::new();
+        rig.sensor = sensor;
+        let config = PositionForceConfig {
+            arm: irp6(),
+            upright_from_base: UnitQuaternion::identity(),
+            flange_from_sensor: flange_from_sensor(),
+            load: None,
+            zeroed: Some(ZeroedWeight::of(noted, &Wrench::default())),
+            limits: WIDE,
+        };
+        for _ in 0..requests {
+            link.zero();
+            rig.sensor.advance(rig.now(), [0.0; 6]);
+        }
+        rig.sensor.advance(rig.now(), [0.0; 6]);
+        rig.law = PositionForce::new(config, link).unwrap();
+        rig.shift(&ForceTask::default(), T)
+    };
+    assert_eq!(zeroed_by(0, 0), LawOutput::Fault(LawFault::NotZeroed));
+    assert_eq!(zeroed_by(2, 1), LawOutput::Fault(LawFault::NoWeight { request: 2 }));
+    assert!(matches!(zeroed_by(2, 2), LawOutput::Displacement(_)));
 }

@@ -9,6 +9,7 @@ use can::Instant;
 use canopen::NodeId;
 use canopen::cia401::CHANNELS;
 
+use super::edges::{self, Edge, EdgesLost, History};
 use super::fault::{self, IoFault};
 use crate::latest::{Latest, Publisher, latest};
 
@@ -76,13 +77,14 @@ pub struct InputImage {
     pub(super) edges: [u64; INPUTS],
     /// Zero without an edge.
     pub(super) last_edge: [Instant; INPUTS],
+    pub(super) history: History,
 }
 
 /// Words of an image in front of those of each input: counters, times, levels, outputs, fault and error.
 const HEAD: usize = 13;
 
 /// Words of an image.
-const WORDS: usize = HEAD + 2 * INPUTS;
+const WORDS: usize = HEAD + 2 * INPUTS + edges::WORDS;
 
 /// The writing end of the image of a node.
 pub(super) type ImagePublisher = Publisher<WORDS>;
@@ -102,6 +104,7 @@ impl InputImage {
             levels: 0,
             edges: [0; INPUTS],
             last_edge: [Instant::ZERO; INPUTS],
+            history: History::EMPTY,
         }
     }
 
@@ -117,6 +120,18 @@ impl InputImage {
             edges,
             last_edge: (edges > 0).then_some(self.last_edge[index]),
         })
+    }
+
+    /// Number of edges of all inputs since the end of bring-up. Edges during a fault are not counted.
+    pub fn edge_count(&self) -> u64 {
+        self.history.count
+    }
+
+    /// The edges of all inputs after the first `seen` edges, oldest first. `seen` is the
+    /// [`edge_count`](Self::edge_count) of the last image that the reader took, and zero for all edges. Fails if the
+    /// image has some of them no more: an image has the last [`EDGES`](super::EDGES).
+    pub fn edges_since(&self, seen: u64) -> Result<impl Iterator<Item = Edge> + '_, EdgesLost> {
+        self.history.since(seen)
     }
 
     /// Time from the last frame of the node to the cycle of the image.
@@ -145,7 +160,9 @@ impl InputImage {
             u64::from(error.code) | u64::from(error.register) << 16,
             error.at.as_nanos(),
         ]);
-        let (edges, times) = words[HEAD..].split_at_mut(INPUTS);
+        let (lines, history) = words[HEAD..].split_at_mut(2 * INPUTS);
+        self.history.write(history);
+        let (edges, times) = lines.split_at_mut(INPUTS);
         edges.copy_from_slice(&self.edges);
         for (word, time) in times.iter_mut().zip(self.last_edge) {
             *word = time.as_nanos();
@@ -169,6 +186,7 @@ impl InputImage {
             error: (words[5] & 1 << 9 != 0).then_some(error),
             edges: array::from_fn(|input| words[HEAD + input]),
             last_edge: array::from_fn(|input| time(HEAD + INPUTS + input)),
+            history: History::read(&words[HEAD + 2 * INPUTS..]),
         }
     }
 }
@@ -286,6 +304,7 @@ mod tests {
                 levels,
                 edges: array::from_fn(|input| edges.wrapping_add(input as u64)),
                 last_edge: array::from_fn(|input| time(edges ^ input as u64)),
+                history: History::EMPTY,
             };
             let first = InputImage::not_started(NodeId::MIN, inputs);
             let (mut publisher, link) = IoLink::new(NodeId::MIN, &first, 0);

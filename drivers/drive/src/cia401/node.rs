@@ -10,6 +10,7 @@ use canopen::pdo::PdoNumber;
 use canopen::{NodeId, cob};
 
 use super::config::{IoConfig, mask};
+use super::edges::Edge;
 use super::fault::IoFault;
 use super::image::{ImagePublisher, InputImage, IoError, IoLink, OutputCommand, ResetRequest, SentOutputs};
 use crate::BringUpError;
@@ -219,6 +220,8 @@ impl IoNode {
             let input = changed.trailing_zeros() as usize;
             image.edges[input] += 1;
             image.last_edge[input] = at;
+            let level = levels >> input & 1 == 1;
+            image.history.push(Edge { input: input as u8, level, at, previous: image.received });
             changed &= changed - 1;
         }
         (image.levels, image.received, image.heard) = (levels, at, at);

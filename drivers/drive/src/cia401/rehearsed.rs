@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use can::Instant;
 
 use super::config::{IoConfig, mask};
+use super::edges::Edge;
 use super::image::{ImagePublisher, InputImage, IoLink, OutputCommand, SentOutputs};
 
 /// An I/O node without a wire, beside the ideal drives of a rehearsal. Only for rehearsals: a reader cannot tell the
@@ -43,6 +44,8 @@ impl RehearsedIo {
             image.levels ^= 1 << input;
             image.edges[index] += 1;
             image.last_edge[index] = at;
+            let level = image.levels >> input & 1 == 1;
+            image.history.push(Edge { input, level, at, previous: image.received });
         }
         let levels = self.commanded.levels() & self.outputs;
         if self.outputs != 0 && image.sent.is_none_or(|sent| sent.levels != levels) {

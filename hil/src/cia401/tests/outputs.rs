@@ -45,6 +45,28 @@ fn an_output_has_the_time_of_its_change() {
 }
 
 #[test]
+fn a_probe_shows_the_level_at_the_terminal_of_its_output() {
+    let mut module = DigitalIo::new(config()).unwrap();
+    let (probe, absent) = (OutputProbe::default(), OutputProbe::default());
+    module.connect(1, &probe);
+    module.connect(60, &absent);
+    let mut world = World::new();
+    let bus = world.add_bus(Bitrate::KBPS_1000);
+    let port = world.host_port(bus, 256);
+    let device = world.add_device(bus, Box::new(module));
+    let mut bench = Bench { world, bus, port, device, now: Instant::ZERO };
+    bench.run(60);
+    bench.say("000#0105");
+    for (command, level) in [("205#02", true), ("205#03", true), ("205#01", false), ("205#02", true)] {
+        bench.say(command);
+        assert_eq!((probe.level(), absent.level()), (level, false), "{command}");
+    }
+    // A reset of the node switches the outputs off.
+    bench.say("000#8105");
+    assert!(!probe.level());
+}
+
+#[test]
 fn a_synchronous_rpdo_waits_for_sync() {
     let mut bench = Bench::booted(config());
     bench.write("001402", 1, 1);

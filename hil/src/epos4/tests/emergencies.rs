@@ -154,3 +154,20 @@ fn a_sync_with_data_is_not_taken_and_says_so() {
         assert!(heard[1].starts_with("382#3712"), "{heard:?}");
     }
 }
+
+#[test]
+fn a_drive_trips_once_at_its_time() {
+    let mut bench = Bench::booted(Epos4Config { trips_at: Some(Instant::ZERO + Duration::from_secs(1)), ..config() });
+    bench.cyclic();
+    let start = bench.read("646000");
+    while bench.now < Instant::ZERO + Duration::from_millis(990) {
+        bench.follow(1, |_| start);
+    }
+    assert_eq!((bench.statusword() & 0x6F, bench.read("3F6000")), (0x27, 0));
+    bench.follow(10, |_| start);
+    assert_eq!((bench.statusword() & 0x4F, bench.read("3F6000")), (0x08, 0x2310));
+    check_reset(&mut bench);
+    bench.enable(8);
+    bench.follow(20, |_| start);
+    assert_eq!((bench.statusword() & 0x6F, bench.read("3F6000")), (0x27, 0));
+}

@@ -4,10 +4,11 @@ use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
+use crate::OutputProbe;
 use crate::plant::{AxisConfig, Demand, FrictionConfig, Irp6Axis, Mechanism, MechanismConfig, PlantAxis, PlantConfig};
 use crate::scene::{
-    BodyConfig, GripConfig, Holder, Material, RobotId, Scene, SceneError, SensorConfig, SensorProbe, Shape, TipConfig,
-    WallConfig,
+    BodyConfig, GripConfig, GripperConfig, Holder, Material, RobotId, Scene, SceneError, SensorConfig, SensorProbe,
+    Shape, TipConfig, WallConfig,
 };
 
 const METAL: Material = Material { stiffness: 1e5, damping: 300.0, friction: 0.0 };
@@ -289,6 +290,44 @@ fn bar_held_by_two_arms_is_strained_as_its_springs_say() {
 }
 
 #[test]
+fn gripper_holds_the_body_that_its_jaws_reach_while_its_output_has_the_level() {
+    for closed_at in [true, false] {
+        let mut robot = Robot::irb6(DOWN);
+        let mut scene = Scene::new();
+        let id = scene.add_robot(&robot.mechanism, &Isometry3::identity()).unwrap();
+        let output = OutputProbe::default();
+        output.show(!closed_at);
+        let pose = Isometry3::translation(0.0, 0.0, 0.2);
+        let config = GripperConfig { grip: GripConfig::NOMINAL, pose, reach: 2e-3, closed_at };
+        let probe = scene.add_gripper(id, &config, &output).unwrap();
+        let at = scene.flange(id) * nalgebra::Point3::new(0.0, 0.0, 0.2);
+        // The jaws are 1 mm above the upper face of one box, and 1 m away from the other.
+        let cube = |x: f64, gap: f64| {
+            let pose = Isometry3::translation(at.x + x, at.y, at.z - gap - 0.05);
+            BodyConfig { mass: 1.0, half: [0.05; 3], material: METAL, pose, velocity: [0.0; 3], spin: [0.0; 3] }
+        };
+        let cubes = [cube(1.0, 0.0), cube(0.0, 1e-3)].map(|cube| scene.add_body(&cube).unwrap());
+        let height = |scene: &Scene, body: usize| scene.body(cubes[body]).pose.translation.z;
+        let start = height(&scene, 1);
+        run(&mut scene, &mut [&mut robot], 10);
+        assert_eq!(probe.last(), None);
+        output.show(closed_at);
+        run(&mut scene, &mut [&mut robot], 5_000);
+        // The held box hangs by its weight, and the other one falls.
+        let [.., force, _, _, _] = probe.last().unwrap();
+        assert!((force - G).abs() < 0.2 && (height(&scene, 1) - start).abs() < 1e-3, "{force} N");
+        assert!(height(&scene, 0) < start - 1.0);
+        output.show(!closed_at);
+        run(&mut scene, &mut [&mut robot], 5_000);
+        assert!(probe.last().is_none() && height(&scene, 1) < start - 1.0);
+        // Closed again, the jaws reach nothing.
+        output.show(closed_at);
+        run(&mut scene, &mut [&mut robot], 10);
+        assert_eq!(probe.last(), None);
+    }
+}
+
+#[test]
 fn tip_pushes_a_box_away() {
     let mut robot = Robot::irb6(DOWN);
     let mut scene = Scene::new();
@@ -410,6 +449,10 @@ fn robots_that_cannot_be_are_refused() {
     let sensor = SensorConfig { centre: [f64::NAN; 3], ..sensor(1.0) };
     let refused = scene.add_sensor(id, &sensor).unwrap_err();
     assert_eq!(refused, SceneError::NotFinite { what: "the mass beyond a force sensor" });
+    let gripper =
+        GripperConfig { grip: GripConfig::NOMINAL, pose: Isometry3::identity(), reach: -1.0, closed_at: true };
+    let refused = scene.add_gripper(id, &gripper, &OutputProbe::default()).unwrap_err();
+    assert_eq!(refused, SceneError::Length { what: "the reach of a gripper", value: -1.0 });
     // The robot is free again after the end of its scene.
     drop(scene);
     assert!(other.add_robot(&mechanism, &Isometry3::identity()).is_ok());

@@ -22,9 +22,9 @@ fn a_workpiece_or_a_tool_that_cannot_be_is_refused_with_line_key_and_reason() {
     let workpiece = &MILLING[MILLING.find("[[scene.workpiece]]").unwrap()..MILLING.find("[[scene.cutter]]").unwrap()];
     let size = "size = [0.08, 0.12, 0.005]";
     let cases = [
-        (size, "size = [0.0, 0.12, 0.005]", "scene.workpiece[0].size[0]: is 0, must be between 0.0001 and 10 m"),
+        (size, "size = [0.0, 0.12, 0.005]", "scene.workpiece[0].size[0]: is 0, must be between 0.0001 and 10 (m)"),
         (size, "size = [0.08, 0.12, 0.0]", "scene.workpiece[0].size[2]: is 0, must be between"),
-        (size, "size = [0.08, 0.12, nan]", "scene.workpiece[0].size[2]: is "),
+        (size, "size = [0.08, 0.12, nan]", "scene.workpiece[0].size[2]: must be a finite number"),
         (
             size,
             "size = [1.0, 1.0, 0.005]\ncell_width = 1e-4",

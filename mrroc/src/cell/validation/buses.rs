@@ -63,6 +63,7 @@ fn check_buses(cell: &Cell) -> Checked {
         name(&path, "name", &bus.name)?;
         unique(&buses, "name", index, cell.bus.iter().map(|it| &it.name), |name| format!("bus {name:?}"))?;
         text(&path, "interface", &bus.interface)?;
+        within(&path, "emulated_load", bus.emulated_load, Range::new(0.0, 0.9, ""))?;
         let interfaces = cell.bus.iter().map(|it| &it.interface);
         unique(&buses, "interface", index, interfaces, |interface| format!("interface {}", quoted(interface)))?;
         let kbps = bus.bitrate_kbps;

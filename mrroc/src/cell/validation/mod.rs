@@ -3,6 +3,7 @@
 mod assembly;
 mod axis;
 mod buses;
+mod conveyor;
 mod force;
 mod force_law;
 mod homing;

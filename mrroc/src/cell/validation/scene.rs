@@ -1,6 +1,6 @@
 //! Checks of the emulated surroundings.
 
-use super::{Checked, force::check_robot, name, refused, robots::NEAR, twice, unique, within};
+use super::{Checked, conveyor, force::check_robot, name, refused, robots::NEAR, twice, unique, within};
 use crate::cell::{Cell, EmulatedBar, EmulatedBlock, EmulatedGripper, EmulatedPlane, Path, Place, Range, quoted};
 
 /// Greatest number of planes, blocks, tips, bars, grippers, workpieces or cutting tools of a scene.
@@ -32,8 +32,13 @@ pub(super) fn check(cell: &Cell) -> Checked {
             return refused(&path, key, format!("has {found} entries, may have {MOST}"));
         }
     }
-    if scene.plane.is_empty() && scene.block.is_empty() && scene.bar.is_empty() && scene.workpiece.is_empty() {
-        return refused(&path, "plane", "has no planes, blocks, bars and workpieces, must have at least one");
+    let solids = scene.plane.len() + scene.block.len() + scene.bar.len() + scene.conveyor.len() + scene.workpiece.len();
+    if solids == 0 {
+        return refused(
+            &path,
+            "plane",
+            "has no planes, blocks, bars, conveyors and workpieces, must have at least one",
+        );
     }
     if let Some(robot) = &scene.robot {
         check_robot(cell, &path, robot, "robot")?;
@@ -60,6 +65,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
         check_gripper(cell, &grippers.then(index), gripper)?;
         unique(&grippers, "robot", index, scene.gripper.iter().map(|it| &it.robot), |it| format!("robot {it:?}"))?;
     }
+    conveyor::check(cell, scene, &path)?;
     super::workpiece::check(cell, scene, &path)
 }
 

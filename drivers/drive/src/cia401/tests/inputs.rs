@@ -45,6 +45,33 @@ fn every_frame_of_a_cycle_counts_with_its_own_time() {
 }
 
 #[test]
+fn edges_of_all_inputs_are_kept_in_their_order_with_the_frame_before() {
+    let mut bench = up();
+    cycle(&mut bench, &[]);
+    let before = image(&bench).received;
+    let frames = [("185#0200", 1_500), ("185#0302", 700), ("185#0202", 100)];
+    for (text, ago) in frames {
+        let at = bench.now + PERIOD - Duration::from_micros(ago);
+        bench.bus.0.lock().unwrap().inbox.push_back(Received { frame: frame(text), at });
+    }
+    cycle(&mut bench, &[]);
+    let ago = |micros| bench.now - Duration::from_micros(micros);
+    let edge = |input, level, at, previous| Edge { input, level, at, previous };
+    let expected = [
+        edge(0, false, ago(1_500), before),
+        edge(1, true, ago(1_500), before),
+        edge(9, false, ago(1_500), before),
+        edge(0, true, ago(700), ago(1_500)),
+        edge(9, true, ago(700), ago(1_500)),
+        edge(0, false, ago(100), ago(700)),
+    ];
+    let image = image(&bench);
+    assert_eq!(image.edges_since(0).unwrap().collect::<Vec<_>>(), expected);
+    assert_eq!(image.edges_since(4).unwrap().collect::<Vec<_>>(), expected[4..]);
+    assert_eq!((image.edge_count(), image.edges_since(6).unwrap().count()), (6, 0));
+}
+
+#[test]
 fn inputs_beyond_the_configured_ones_are_no_inputs() {
     let mut bench = up();
     cycle(&mut bench, &["185#FFFF"]);
