@@ -13,6 +13,7 @@
 //!   grippers. The tips of a robot do not touch the bodies that the robot holds. A tip that is inside a body at
 //!   its release touches the body again after the tip has left the body, so that no energy appears. A digital output
 //!   may open and close a gripper ([`GripperConfig`]).
+//! * Workpieces are height fields ([`WorkpieceConfig`]), which cutting tools of robots carve ([`CutterConfig`]).
 //! * Light gates have beams, which bodies break ([`BeamConfig`]). Bodies may be placed on a conveyor at a later time
 //!   ([`Scene::place_body`]).
 //! * Sensors between flange and tool measure the wrench of these forces ([`SensorConfig`]).
@@ -37,7 +38,7 @@
 //! the contact)². For 1e5 N/m and 5 kg the error is 2e-4 of the energy of the impact. Friction in the gears dissipates
 //! more.
 //!
-//! Left out: contacts of edges with edges and of tips with tips; bending of links and tools; material that a tool cuts.
+//! Left out: contacts of edges with edges and of tips with tips; bending of links and tools.
 //! Joints and gears are rigid: a force in a direction in which no motor moves the tool does not move the robot. Forces
 //! do not act on a motor with the regression model.
 //!
@@ -53,6 +54,7 @@ mod beam;
 mod body;
 mod contact;
 mod conveyor;
+mod cutter;
 mod error;
 mod forces;
 mod grip;
@@ -63,6 +65,7 @@ mod surface;
 #[cfg(test)]
 mod tests;
 mod view;
+mod workpiece;
 
 use std::time::Duration;
 
@@ -77,6 +80,8 @@ use body::{Body, CORNERS};
 pub use body::{BodyConfig, BodyState};
 use contact::{Sphere, Surface};
 use conveyor::{Arrivals, Belt, Drift};
+pub use cutter::CutterConfig;
+use cutter::Cutting;
 pub use error::SceneError;
 use forces::holds;
 pub use grip::GripConfig;
@@ -88,6 +93,7 @@ pub use probe::{BodyProbe, SensorConfig, SensorProbe, UnsolvedProbe, WrenchProbe
 use probe::{Sensor, Touch};
 pub use surface::{Material, Shape};
 pub use view::{Hit, View};
+pub use workpiece::{HeightField, MOST_CELLS, WorkpieceConfig, WorkpieceProbe};
 
 /// Duration of a step.
 pub const STEP: Duration = Duration::from_micros(100);
@@ -164,6 +170,7 @@ pub struct Scene {
     beams: Beams,
     arrivals: Arrivals,
     grippers: Vec<Gripper>,
+    cutting: Cutting,
     unsolved: UnsolvedProbe,
 }
 
@@ -234,6 +241,7 @@ impl Scene {
             beams: Beams::default(),
             arrivals: Arrivals::default(),
             grippers: Vec::new(),
+            cutting: Cutting::default(),
             unsolved: UnsolvedProbe::default(),
         }
     }
@@ -443,6 +451,7 @@ impl Scene {
             + self.corners.iter().map(of_pair).sum::<f64>()
             + self.tips.iter().filter(|pair| !pair.inside).map(of_tip).sum::<f64>()
             + self.grips.iter().flatten().map(of_grip).sum::<f64>()
+            + self.cutting.energy()
     }
 
     /// Momentum, kg·m/s, and angular momentum about the origin of the world, kg·m²/s, of all bodies.
@@ -497,6 +506,7 @@ impl Scene {
         }
         self.move_bodies(0.0, 1.0, HALVINGS);
         self.load_arms();
+        self.cutting.step(&mut self.arms);
         for arm in &mut self.arms {
             arm.finish(&self.gravity);
         }

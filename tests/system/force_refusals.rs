@@ -73,7 +73,7 @@ fn refused_on_line(latency: Option<Duration>, device: Box<dyn LineDevice>) -> St
             }
         }
     };
-    why_not_up(&file, NotUp::Group(file.cell.group_of_sensor(0), error)).to_string()
+    why_not_up(&file, NotUp::Group(file.cell.bus.len() + file.cell.serial.len(), error)).to_string()
 }
 
 async fn home(cell: &mut tasks::Cell) -> Outcome {

@@ -44,6 +44,7 @@ mod lab;
 mod light_gates;
 mod loops;
 mod lss;
+mod milling;
 mod motion;
 mod mrroc;
 mod outputs;

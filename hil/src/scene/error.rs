@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use thiserror::Error;
 
-use super::SHORTEST_RESPONSE;
+use super::{MOST_CELLS, SHORTEST_RESPONSE};
 
 /// Why a part cannot be added to a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
@@ -37,6 +37,24 @@ pub enum SceneError {
         what: &'static str,
         /// Value, m.
         value: f64,
+    },
+    /// The height field of a workpiece is too large.
+    #[error(
+        "a height field of {columns} by {rows} cells: use at most {MOST_CELLS} cells, by wider cells or a smaller workpiece"
+    )]
+    Cells {
+        /// Cells along x.
+        columns: usize,
+        /// Cells along y.
+        rows: usize,
+    },
+    /// A cutting force below zero would add energy.
+    #[error("cutting forces of {specific} N/m² and {edge} N/m: use no value below zero")]
+    CuttingForce {
+        /// Force per area, N/m².
+        specific: f64,
+        /// Force per width, N/m.
+        edge: f64,
     },
     /// A mass is not above zero.
     #[error("a body of {mass} kg: use a mass above zero")]

@@ -6,6 +6,7 @@ use std::time::Duration;
 use can::{Frame, Instant, Port, StandardId, VirtualPort, timing::Bitrate};
 use canopen::{NodeId, cia401::blocks};
 use drive::cia401::IoConfig;
+use hil::scene::WorkpieceProbe;
 use hil::{
     AxisController, AxisControllerConfig, BusId, Cabinet, Device, DigitalIo, DigitalIoConfig, Epos4, Epos4Config,
     EposSerial, EposSerialConfig, InputEdge, InputProbe, LineDevice, World,
@@ -140,6 +141,11 @@ impl Emulation {
         self.log = Some(log);
     }
 
+    /// The height fields of the workpieces, in the order of the cell file.
+    pub fn workpieces(&self) -> &[WorkpieceProbe] {
+        &self.truth.workpieces
+    }
+
     /// Completes the file of the truth, if there is one.
     pub fn finish(self) -> io::Result<()> {
         self.log.map_or(Ok(()), TruthLog::finish)
@@ -241,14 +247,18 @@ impl EmulatedCell<'_> {
     }
 
     /// The emulated module of I/O node `node`, with light gates and touch probes at its inputs, and with the valves of the
-    /// grippers at its outputs.
+    /// grippers and the spindles at its outputs.
     fn module(&self, node: usize, power_on: Instant) -> DigitalIo {
         let cell = &self.file.cell;
         let mut module = module(&cell.io[node], self.beams_at(node), self.touches_at(node), power_on);
         let grippers = cell.scene.iter().flat_map(|scene| &scene.gripper);
-        for (gripper, valve) in grippers.zip(&self.valves) {
-            if let Some(place) = cell.output_line(&gripper.output).filter(|place| place.node == node) {
-                module.connect(place.line, valve);
+        let valves = grippers.map(|gripper| Some(&gripper.output)).zip(&self.valves);
+        let cutters = cell.scene.iter().flat_map(|scene| &scene.cutter);
+        let spindles = cutters.map(|cutter| cutter.spindle.as_ref()).zip(&self.spindles);
+        for (output, terminal) in valves.chain(spindles) {
+            let place = output.and_then(|output| cell.output_line(output));
+            if let Some(place) = place.filter(|place| place.node == node) {
+                module.connect(place.line, terminal);
             }
         }
         module

@@ -2,6 +2,7 @@
 
 pub mod bridge;
 pub mod bus_port;
+pub mod carving;
 pub mod clockwork;
 mod conveyors;
 pub mod emulated_lines;

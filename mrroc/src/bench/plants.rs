@@ -21,6 +21,8 @@ pub struct EmulatedCell<'a> {
     pub(super) mechanisms: Vec<Option<Mechanism>>,
     /// The terminal of the output that closes each gripper.
     pub(super) valves: Vec<OutputProbe>,
+    /// The terminal of the output that turns each spindle.
+    pub(super) spindles: Vec<OutputProbe>,
     /// The outputs of the light gates of the scene.
     pub(super) beams: Vec<BeamProbe>,
     /// Switches of the touch probes of the scene.
@@ -34,12 +36,13 @@ impl<'a> EmulatedCell<'a> {
             |robot: &Robot| robot.parameters.unwrap_or(robot.model.parameters()).mechanism().map(Mechanism::new);
         let mechanisms = file.cell.robot.iter().map(mechanism).collect();
         let scene = file.cell.scene.as_ref();
-        let [grippers, gates, probes] =
-            scene.map_or([0; 3], |scene| [scene.gripper.len(), scene.gate.len(), scene.touch_probe.len()]);
-        let valves = (0..grippers).map(|_| OutputProbe::default()).collect();
+        let [grippers, cutters, gates, probes] = scene.map_or([0; 4], |scene| {
+            [scene.gripper.len(), scene.cutter.len(), scene.gate.len(), scene.touch_probe.len()]
+        });
+        let terminals = |count| (0..count).map(|_| OutputProbe::default()).collect();
         let beams = (0..gates).map(|_| BeamProbe::default()).collect();
         let touches = (0..probes).map(|_| InputProbe::default()).collect();
-        Self { file, mechanisms, valves, beams, touches }
+        Self { file, mechanisms, valves: terminals(grippers), spindles: terminals(cutters), beams, touches }
     }
 
     /// The mount of an axis in its robot; `None` if the axis moves its own load.

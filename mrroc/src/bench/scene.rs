@@ -3,8 +3,8 @@
 use std::f64::consts::PI;
 
 use hil::scene::{
-    BodyConfig, BodyProbe, GripProbe, GripperConfig, Material, RobotId, SensorConfig, SensorProbe, Shape, TipConfig,
-    WallConfig,
+    BodyConfig, BodyProbe, CutterConfig, GripProbe, GripperConfig, Material, RobotId, SensorConfig, SensorProbe, Shape,
+    TipConfig, WallConfig, WorkpieceProbe,
 };
 use hil::{Mechanism, Scene};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
@@ -29,11 +29,13 @@ pub struct SceneTruth {
     pub bars: Vec<BodyProbe>,
     /// The grippers, in the order of the cell file.
     pub grips: Vec<GripProbe>,
+    /// The workpieces, in the order of the cell file.
+    pub workpieces: Vec<WorkpieceProbe>,
 }
 
 impl EmulatedCell<'_> {
-    /// The scene of the cell in the frame of the cell: the robots that have force sensors, tips or grippers, the planes,
-    /// blocks and bars. The axes must be mounted already. Tools of robots do not meet each other.
+    /// The scene of the cell in the frame of the cell: the robots that have force sensors, tips, grippers or cutting
+    /// tools, the planes, blocks, bars and workpieces. The axes must be mounted already. Tools of robots do not meet each other.
     pub fn surroundings(&self) -> EmulatedSurroundings {
         let cell = &self.file.cell;
         let around = cell.scene.clone().unwrap_or_default();
@@ -50,11 +52,13 @@ impl EmulatedCell<'_> {
         self.add_conveyors(&mut scene, &around);
         let bars = around.bar.iter().map(|bar| scene.add_body(&body(bar)).expect(SOUND));
         let bars: Vec<_> = bars.collect();
+        let workpieces = around.workpiece.iter().map(|it| scene.add_workpiece(&it.config()).expect(SOUND)).collect();
         for (number, robot) in cell.robot.iter().enumerate() {
             let own: Vec<_> = (0..sensors.len()).filter(|sensor| cell.robot_of_sensor(*sensor) == number).collect();
             let tip = around.tips().find(|(name, _)| *name == robot.name).map(|(_, radius)| radius);
             let gripper = around.gripper.iter().position(|gripper| gripper.robot == robot.name);
-            if own.is_empty() && tip.is_none() && gripper.is_none() {
+            let cutter = around.cutter.iter().position(|cutter| cutter.robot == robot.name);
+            if own.is_empty() && tip.is_none() && gripper.is_none() && cutter.is_none() {
                 continue;
             }
             let Some(mechanism) = self.mechanisms[number].as_ref() else {
@@ -88,11 +92,19 @@ impl EmulatedCell<'_> {
                 let config = GripperConfig { grip: gripper.grip(), pose: tool, reach: gripper.reach, closed_at };
                 grips[number] = scene.add_gripper(id, &config, &self.valves[number]).expect(SOUND);
             }
+            if let Some(number) = cutter {
+                let cutter = &around.cutter[number];
+                let turning_at = !cutter.spindle.as_ref().is_some_and(|output| self.file.cell.inverts(output));
+                let config = CutterConfig { pose: tool, diameter: cutter.diameter, turning_at };
+                let spindle = cutter.spindle.as_ref().map(|_| &self.spindles[number]);
+                scene.add_cutter(id, &config, spindle).expect(SOUND);
+            }
         }
         let bars = bars.into_iter().map(|bar| scene.watch(bar)).collect();
         let moving = !around.bar.is_empty() || !around.conveyor.is_empty();
         let needed = count > 0 || moving || !cell.ultrasonic.is_empty();
-        EmulatedSurroundings { scene: needed.then_some(scene), sensors, truth: SceneTruth { bars, grips } }
+        let truth = SceneTruth { bars, grips, workpieces };
+        EmulatedSurroundings { scene: needed.then_some(scene), sensors, truth }
     }
 }
 

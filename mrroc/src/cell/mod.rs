@@ -27,6 +27,7 @@ mod text;
 mod touch;
 mod ultrasonic;
 mod validation;
+mod workpiece;
 
 use std::sync::Arc;
 
@@ -61,6 +62,7 @@ pub use servo::{Direction, FeedForward, Figure, Law, Range};
 pub use text::{printable, quoted};
 pub use touch::EmulatedTouchProbe;
 pub use ultrasonic::{Ultrasonic, UltrasonicEmulator};
+pub use workpiece::{EmulatedCutter, EmulatedWorkpiece};
 
 /// One controller: all robots that share one servo cycle.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]

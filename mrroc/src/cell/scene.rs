@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::conveyor::{EmulatedConveyor, EmulatedGate, EmulatedObject};
 use super::touch::EmulatedTouchProbe;
+use super::{EmulatedCutter, EmulatedWorkpiece};
 
 /// The surroundings of the emulated robots. Real robots ignore this table.
 ///
@@ -47,6 +48,12 @@ pub struct EmulatedScene {
     /// The touch probes.
     #[serde(default)]
     pub touch_probe: Vec<EmulatedTouchProbe>,
+    /// The workpieces, which cutting tools carve.
+    #[serde(default)]
+    pub workpiece: Vec<EmulatedWorkpiece>,
+    /// The cutting tools.
+    #[serde(default)]
+    pub cutter: Vec<EmulatedCutter>,
 }
 
 /// A sphere at the origin of a tool.

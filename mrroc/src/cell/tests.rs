@@ -9,6 +9,7 @@ mod names;
 mod ranging;
 mod scene;
 mod shape;
+mod workpiece;
 
 use super::*;
 use controller::robot::Limits;

@@ -46,6 +46,7 @@ use clap::Args;
 use drive::BringUpError;
 use servo::{NotUp, Servo, Timing, lockstep, thread};
 
+use crate::bench::carving::{self, Carving};
 use crate::bench::clockwork;
 use crate::bench::emulation::Emulation;
 use crate::bench::truth::TruthLog;
@@ -123,6 +124,10 @@ pub struct RunOptions {
     /// servo period. Needs --bench lockstep. No controller reads the truth.
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,
+    /// Write the height field of each emulated workpiece after the run into this directory, as NAME.pgm with 16 bits of
+    /// grey. Needs an emulated bench.
+    #[arg(long, value_name = "DIR")]
+    pub carved: Option<PathBuf>,
     /// Write report.html into this directory: tables and plots of the run in one file, which needs no network.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -156,6 +161,9 @@ pub fn run(
     if options.truth.is_some() && options.bench != BenchKind::Lockstep {
         bail!("--truth needs --bench lockstep, where the scene is in step with the servo");
     }
+    if options.carved.is_some() && !matches!(options.bench, BenchKind::Lockstep | BenchKind::Emulated) {
+        bail!("--carved needs --bench lockstep or emulated, whose workpieces are in this process");
+    }
     if let Some(percent) = options.speed {
         let fraction = if percent > 0.0 { percent / 100.0 } else { f64::NAN };
         let set = requests.speed.set(fraction);
@@ -173,6 +181,7 @@ pub fn run(
     let steps = outputs.open_if("--steps", options.steps.as_deref())?;
     let spikes = outputs.open_if("--spikes", options.spikes.as_deref())?;
     let truth = outputs.open_if("--truth", options.truth.as_deref())?;
+    let carved = carving::open(&mut outputs, file, options.carved.as_deref())?;
     let page = options.out.as_deref().map(|directory| outputs.open_in("--out", directory, REPORT)).transpose()?;
     let mut bench = Bench::open(file, options.bench, &options.places, options.trace.is_some())?;
     let devices = setup::devices(file, bench.ports, bench.lines, bench.sensors, None)?;
@@ -198,6 +207,7 @@ pub fn run(
     if let (Some(sink), Some(emulation)) = (truth, &mut bench.emulation) {
         emulation.log_truth(TruthLog::new(sink, file).context("--truth")?);
     }
+    let carving = bench.emulation.as_ref().map(|emulation| Carving::new(emulation.workpieces(), carved));
     let figures = task.figures();
     requests.stop_through(servo.stop_request());
 
@@ -224,6 +234,9 @@ pub fn run(
     }
     if let Some(Err(error)) = spikes.map(|file| spikes::write(file, "servo", take(&mut end.spikes))) {
         end.faults.push(FaultReport::of_run(error));
+    }
+    if let Some(Err(error)) = carving.map(Carving::write) {
+        end.faults.push(FaultReport::of_run(format_args!("--carved: the pictures cannot be written: {error}")));
     }
     let outcome = match (interrupted, end.faults.is_empty()) {
         (_, false) => RunOutcome::Faulted,

@@ -13,7 +13,7 @@ use crate::host_closed::closed_by_host;
 use crate::mrroc::{examples, shorten, text};
 
 /// Examples of which every variant has further keys.
-const WITH_KEYS: [&str; 5] = ["irb6", "irb6-serial", "irb6-hi-moxa", "irb6-wrist", "irb6-can-wrist"];
+const WITH_KEYS: [&str; 6] = ["irb6", "irb6-serial", "irb6-hi-moxa", "irb6-wrist", "irb6-can-wrist", "irb6-milling"];
 
 /// The cells that are altered: examples with further keys, and all other examples.
 pub(super) fn all() -> Vec<String> {
@@ -24,6 +24,7 @@ pub(super) fn all() -> Vec<String> {
         written("irb6-hi-moxa", other_law),
         written("irb6-wrist", by_touch),
         written("irb6-can-wrist", by_frames),
+        written("irb6-milling", by_spindle),
         written("lab", two_that_meet),
     ];
     let others = examples().into_iter().filter(|name| !WITH_KEYS.contains(&name.as_str()));
@@ -111,6 +112,14 @@ fn by_frames(cell: &mut Cell) {
     can.pdo[0].cob_id = Some(0x190);
     let status = SensorField { index: 0x2002, subindex: 0, content: FieldContent::Status, bytes: 1, errors: Some(0) };
     can.pdo[0].field.push(status);
+}
+
+/// Adds every key that a cutting tool may have.
+fn by_spindle(cell: &mut Cell) {
+    let touch = Cell::parse(&text("irb6-touch")).expect("the example cells are sound");
+    cell.io = touch.io;
+    let scene = cell.scene.as_mut().expect("the example has a scene");
+    scene.cutter[0].spindle = Some(cell.io[0].output[0].name.clone());
 }
 
 /// The parameters with finite joint limits, because a cell file cannot contain infinite limits.

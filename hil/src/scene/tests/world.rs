@@ -10,7 +10,8 @@ use serial::{Line, Settings};
 
 use crate::plant::{AxisConfig, Demand, FrictionConfig, Irp6Axis, Mechanism, MechanismConfig, PlantAxis, PlantConfig};
 use crate::scene::{
-    BodyConfig, Material, RobotId, STEP, Scene, SceneError, SensorConfig, SensorProbe, Shape, TipConfig, WallConfig,
+    BodyConfig, CutterConfig, Material, RobotId, STEP, Scene, SceneError, SensorConfig, SensorProbe, Shape, TipConfig,
+    WallConfig, WorkpieceConfig,
 };
 use crate::{
     AxisController, AxisControllerConfig, Device, Epos4, Epos4Config, InputProbe, SerialForceSensor,
@@ -20,6 +21,11 @@ use crate::{
 /// An IRb-6 without power or brakes: two drives on one bus, one on another, two on lines. Its tip hangs 5 mm over a
 /// floor.
 fn world() -> (World, RobotId, SensorProbe) {
+    world_with(|_, _| ())
+}
+
+/// The same with parts that `add` adds to the scene.
+fn world_with(add: impl FnOnce(&mut Scene, RobotId)) -> (World, RobotId, SensorProbe) {
     let mechanism = Mechanism::new(MechanismConfig::Irb6);
     let mut world = World::new();
     let buses = [Bitrate::KBPS_1000, Bitrate::KBPS_500].map(|rate| world.add_bus(rate));
@@ -43,6 +49,7 @@ fn world() -> (World, RobotId, SensorProbe) {
     let material = Material { stiffness: 1e5, damping: 300.0, friction: 0.3 };
     let pose = Isometry3::translation(0.0, 0.0, 0.455 - 0.095 - 0.2 - 0.01 - 5e-3);
     scene.add_wall(&WallConfig { shape: Shape::HalfSpace, pose, material }).unwrap();
+    add(&mut scene, robot);
     world.set_scene(scene);
     (world, robot, probe)
 }
@@ -109,6 +116,42 @@ fn runs_in_a_scene_do_not_depend_on_how_the_world_is_advanced() {
     };
     let once = run(500_000);
     for micros in [500_000, 2_000, 1_370, 100, 33] {
+        assert!(run(micros) == once, "advanced by {micros} µs");
+    }
+}
+
+#[test]
+fn cuts_do_not_depend_on_how_the_world_is_advanced() {
+    let run = |micros: u64| {
+        let mut board = None;
+        let (mut world, robot, probe) = world_with(|scene, robot| {
+            // The face is 2 mm below the end of the tool, which falls into the board.
+            let end = scene.flange(robot) * Point3::new(0.0, 0.0, 0.2);
+            let config = WorkpieceConfig {
+                pose: Isometry3::translation(end.x, end.y, end.z - 2e-3),
+                size: [0.02, 0.02, 0.01],
+                cell: 2e-4,
+                specific_force: WorkpieceConfig::FIBREBOARD_SPECIFIC_FORCE,
+                edge_force: WorkpieceConfig::FIBREBOARD_EDGE_FORCE,
+                material: Material::NOMINAL,
+            };
+            board = Some(scene.add_workpiece(&config).unwrap());
+            let pose = Isometry3::translation(0.0, 0.0, 0.2);
+            scene.add_cutter(robot, &CutterConfig { pose, diameter: 4e-3, turning_at: true }, None).unwrap();
+        });
+        let end = Instant::ZERO + Duration::from_millis(500);
+        let mut now = Instant::ZERO;
+        while now < end {
+            now = (now + Duration::from_micros(micros)).min(end);
+            world.advance(now);
+        }
+        let field = board.unwrap().field();
+        assert!(field.removed() > 1e-9, "{} m³", field.removed());
+        let flange = world.scene().unwrap().flange(robot).to_homogeneous().map(f64::to_bits);
+        (flange, probe.last().map(f64::to_bits), field)
+    };
+    let once = run(500_000);
+    for micros in [500_000, 1_370, 33] {
         assert!(run(micros) == once, "advanced by {micros} µs");
     }
 }

@@ -2,7 +2,7 @@
 
 use super::*;
 
-const NAMES: [(&str, &str, &str, &str); 12] = [
+const NAMES: [(&str, &str, &str, &str); 13] = [
     ("cell", "name = \"lab\"", "name = NAME", "name"),
     ("bus", "name = \"track-base\"", "name = NAME", "bus[0].name"),
     ("bundle", "name = \"irb6\"\nprotocol", "name = NAME\nprotocol", "serial[0].name"),
@@ -49,6 +49,12 @@ const NAMES: [(&str, &str, &str, &str); 12] = [
         "scene = { bar = [{ name = NAME, mass = 1, length = 1, width = 0.1, place = { position = [0, 0, 0] } }] }\n\
          period_us = 2000",
         "scene.bar[0].name",
+    ),
+    (
+        "workpiece",
+        "period_us = 2000",
+        "scene = { workpiece = [{ name = NAME, size = [1, 1, 1], place = { position = [0, 0, 0] } }] }\nperiod_us = 2000",
+        "scene.workpiece[0].name",
     ),
 ];
 

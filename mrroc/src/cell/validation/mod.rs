@@ -17,6 +17,7 @@ mod scene;
 mod touch;
 mod ultrasonic;
 mod weight;
+mod workpiece;
 
 use servo::KeyError;
 

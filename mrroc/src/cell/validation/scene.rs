@@ -3,11 +3,11 @@
 use super::{Checked, conveyor, force::check_robot, name, refused, robots::NEAR, touch, twice, unique, within};
 use crate::cell::{Cell, EmulatedBar, EmulatedBlock, EmulatedGripper, EmulatedPlane, Path, Place, Range, quoted};
 
-/// Greatest number of planes, blocks, tips, bars or grippers of a scene.
+/// Greatest number of planes, blocks, tips, bars, grippers, workpieces or cutting tools of a scene.
 const MOST: usize = 32;
 
 /// Coordinates in a cell.
-const WITHIN: Range = Range::new(-100.0, 100.0, "m");
+pub(super) const WITHIN: Range = Range::new(-100.0, 100.0, "m");
 
 /// Angle of a place.
 const TURN: Range = Range::new(-10.0, 10.0, "rad");
@@ -24,14 +24,21 @@ pub(super) fn check(cell: &Cell) -> Checked {
         ("block", scene.block.len()),
         ("bar", scene.bar.len()),
         ("gripper", scene.gripper.len()),
+        ("workpiece", scene.workpiece.len()),
+        ("cutter", scene.cutter.len()),
     ];
     for (key, found) in counts {
         if found > MOST {
             return refused(&path, key, format!("has {found} entries, may have {MOST}"));
         }
     }
-    if scene.plane.is_empty() && scene.block.is_empty() && scene.bar.is_empty() && scene.conveyor.is_empty() {
-        return refused(&path, "plane", "has no planes, blocks, bars and conveyors, must have at least one");
+    let solids = scene.plane.len() + scene.block.len() + scene.bar.len() + scene.conveyor.len() + scene.workpiece.len();
+    if solids == 0 {
+        return refused(
+            &path,
+            "plane",
+            "has no planes, blocks, bars, conveyors and workpieces, must have at least one",
+        );
     }
     if let Some(robot) = &scene.robot {
         check_robot(cell, &path, robot, "robot")?;
@@ -59,7 +66,8 @@ pub(super) fn check(cell: &Cell) -> Checked {
         unique(&grippers, "robot", index, scene.gripper.iter().map(|it| &it.robot), |it| format!("robot {it:?}"))?;
     }
     conveyor::check(cell, scene, &path)?;
-    touch::check(cell, &path, scene)
+    touch::check(cell, &path, scene)?;
+    super::workpiece::check(cell, scene, &path)
 }
 
 const RADIUS: Range = Range::new(0.0, 1.0, "m");
@@ -110,7 +118,7 @@ fn check_block(path: &Path, block: &EmulatedBlock) -> Checked {
     check_material(path, stiffness, damping, friction)
 }
 
-fn check_material(path: &Path, stiffness: f64, damping: f64, friction: f64) -> Checked {
+pub(super) fn check_material(path: &Path, stiffness: f64, damping: f64, friction: f64) -> Checked {
     within(path, "stiffness", stiffness, Range::new(1.0, 1e8, "N/m"))?;
     within(path, "damping", damping, Range::new(0.0, 1e6, "N·s/m"))?;
     within(path, "friction", friction, Range::new(0.0, 10.0, ""))
@@ -137,7 +145,7 @@ fn check_gripper(cell: &Cell, path: &Path, gripper: &EmulatedGripper) -> Checked
     within(path, "turning_damping", gripper.turning_damping, Range::new(0.0, 1e6, "N·m·s/rad"))
 }
 
-fn check_place(path: &Path, place: &Place, range: Range) -> Checked {
+pub(super) fn check_place(path: &Path, place: &Place, range: Range) -> Checked {
     let position = path.then("position");
     for (axis, part) in place.position.into_iter().enumerate() {
         within(&position, axis, part, range)?;

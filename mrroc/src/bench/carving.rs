@@ -1,0 +1,62 @@
+//! Pictures of the workpieces of an emulated scene.
+//!
+//! A picture is a binary PGM file with 16 bits per pixel, one pixel per cell of the height field. The grey value is
+//! 65535 · (1 + height / thickness): white is the uncut face, and black a hole through the workpiece. The first row
+//! has the greatest y, and the first pixel of a row has the least x. Comments in the file state the scale.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+
+use hil::scene::{HeightField, WorkpieceProbe};
+
+use crate::cell::CellFile;
+use crate::outputs::Outputs;
+
+/// Files of the pictures of all workpieces, which are written after the run.
+pub struct Carving(Vec<(WorkpieceProbe, File)>);
+
+impl Carving {
+    /// The pictures of these workpieces, in the same order.
+    pub fn new(workpieces: &[WorkpieceProbe], files: Vec<File>) -> Self {
+        Self(workpieces.iter().cloned().zip(files).collect())
+    }
+
+    /// Writes the pictures of the present height fields.
+    pub fn write(self) -> io::Result<()> {
+        for (workpiece, file) in self.0 {
+            let mut sink = BufWriter::new(file);
+            write_picture(&mut sink, &workpiece.field())?;
+            sink.flush()?;
+        }
+        Ok(())
+    }
+}
+
+/// Opens a file for each workpiece of a cell in `directory`, in the order of the cell file.
+pub fn open(outputs: &mut Outputs, file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<File>> {
+    let Some(directory) = directory else {
+        return Ok(Vec::new());
+    };
+    let workpieces = file.cell.scene.iter().flat_map(|scene| &scene.workpiece);
+    workpieces.map(|it| outputs.open_in("--carved", directory, &format!("{}.pgm", it.name))).collect()
+}
+
+/// Greatest grey value.
+const WHITE: f64 = 65_535.0;
+
+fn write_picture(sink: &mut impl Write, field: &HeightField) -> io::Result<()> {
+    let [columns, rows] = field.cells();
+    writeln!(sink, "P5")?;
+    writeln!(sink, "# width of a pixel: {} m", field.width())?;
+    writeln!(sink, "# height per grey level: {:e} m; 65535 is the uncut face", field.thickness() / WHITE)?;
+    writeln!(sink, "{columns} {rows}\n65535")?;
+    for row in (0..rows).rev() {
+        for column in 0..columns {
+            let share = 1.0 + field.height(column, row) / field.thickness();
+            let grey = (share.clamp(0.0, 1.0) * WHITE).round() as u16;
+            sink.write_all(&grey.to_be_bytes())?;
+        }
+    }
+    Ok(())
+}
