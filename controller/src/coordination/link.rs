@@ -91,7 +91,7 @@ fn push<T: Copy>(queue: &mut rtrb::Producer<Numbered<T>>, message: Numbered<T>, 
         Some((_, Disturbance::Lost)) => true,
         Some((_, Disturbance::Doubled)) => queue.push(message).is_ok() && queue.push(message).is_ok(),
         Some((step, Disturbance::Swapped)) => queue.push(Numbered { step: step + 1, ..message }).is_ok(),
-        Some((_, Disturbance::Late(late))) => queue.push(Numbered { due: message.due + late, ..message }).is_ok(),
+        Some((_, Disturbance::Late(late))) => queue.push(Numbered { due: message.at + late, ..message }).is_ok(),
     }
 }
 
@@ -106,7 +106,7 @@ struct Numbered<T> {
     step: u64,
     /// Time at which the message was sent.
     at: Instant,
-    /// Time of its arrival: the same, unless the message is disturbed.
+    /// Time before which a disturbed message does not arrive; zero for any other.
     due: Instant,
     value: T,
 }
@@ -247,7 +247,7 @@ impl<C: Message, R: Message> CoordinatorEnd<C, R> {
     }
 
     fn send(&mut self, at: Instant, value: Directive<C>) -> bool {
-        let message = Numbered { step: self.next_order, at, due: at, value };
+        let message = Numbered { step: self.next_order, at, due: Instant::ZERO, value };
         let sent = push(&mut self.orders, message, self.disturbed);
         self.next_order += u64::from(sent);
         sent
@@ -403,7 +403,7 @@ impl<C: Message, R: Message> MemberLink for MemberEnd<C, R> {
         let Some(&value) = answer.downcast_ref::<R>() else {
             return false;
         };
-        let answer = Numbered { step: self.next_answer, at, due: at, value };
+        let answer = Numbered { step: self.next_answer, at, due: Instant::ZERO, value };
         match &mut self.answers {
             Answers::All(queue) => {
                 if !push(queue, answer, self.disturbed) {

@@ -12,7 +12,7 @@ use crate::bench::scene::base_of;
 use crate::cell::Ultrasonic;
 
 impl EmulatedCell<'_> {
-    /// Adds the lines of all ultrasonic matrices, switched on at [`Instant::ZERO`]. The scene is in `world` already.
+    /// Adds the lines of all ultrasonic matrices, switched on at time zero. The scene is in `world` already.
     /// Returns the host's ends.
     pub fn add_matrices(&self, world: &mut World) -> Vec<VirtualLine> {
         let matrices = self.file.cell.ultrasonic.iter().enumerate();

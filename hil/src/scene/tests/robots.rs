@@ -313,9 +313,15 @@ fn gripper_holds_the_body_that_its_jaws_reach_while_its_output_has_the_level() {
         assert_eq!(probe.last(), None);
         output.show(closed_at);
         run(&mut scene, &mut [&mut robot], 5_000);
-        // The held box hangs by its weight, and the other one falls.
-        let [.., force, _, _, _] = probe.last().unwrap();
-        assert!((force - G).abs() < 0.2 && (height(&scene, 1) - start).abs() < 1e-3, "{force} N");
+        // The held box hangs by its weight, and the other one falls. The motors oscillate by a count.
+        const STEPS: u32 = 2_000;
+        let mut force = 0.0;
+        for _ in 0..STEPS {
+            run(&mut scene, &mut [&mut robot], 1);
+            let [.., z, _, _, _] = probe.last().unwrap();
+            force += z / f64::from(STEPS);
+        }
+        assert!((force - G).abs() < 0.1 && (height(&scene, 1) - start).abs() < 1e-3, "{force} N");
         assert!(height(&scene, 0) < start - 1.0);
         output.show(!closed_at);
         run(&mut scene, &mut [&mut robot], 5_000);
