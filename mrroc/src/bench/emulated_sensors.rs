@@ -188,7 +188,7 @@ fn is_emulated(field: &SensorField, content: Content) -> bool {
     match content {
         Content::I16(axis) => object == (0x2000, axis as u8 + 1, 2),
         Content::I32(axis) => object == (0x2001, axis as u8 + 1, 4),
-        Content::Status { .. } => object == (0x2002, 0, 1),
+        Content::Status { .. } => object == (0x2002, 0, 2),
         Content::Counter { .. } => false,
         Content::Ignored { .. } => field.content == FieldContent::Ignored && object == (0x2005, 0, 2),
     }

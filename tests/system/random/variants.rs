@@ -13,7 +13,8 @@ use crate::host_closed::closed_by_host;
 use crate::mrroc::{examples, shorten, text};
 
 /// Examples of which every variant has further keys.
-const WITH_KEYS: [&str; 6] = ["irb6", "irb6-serial", "irb6-hi-moxa", "irb6-wrist", "irb6-can-wrist", "irb6-milling"];
+const WITH_KEYS: [&str; 7] =
+    ["irb6", "irb6-serial", "irb6-hi-moxa", "irb6-wrist", "irb6-can-wrist", "irb6-milling", "irb6-sonar"];
 
 /// The cells that are altered: examples with further keys, and all other examples.
 pub(super) fn all() -> Vec<String> {
@@ -25,6 +26,7 @@ pub(super) fn all() -> Vec<String> {
         written("irb6-wrist", by_touch),
         written("irb6-can-wrist", by_frames),
         written("irb6-milling", by_spindle),
+        written("irb6-sonar", by_echoes),
         written("lab", two_that_meet),
     ];
     let others = examples().into_iter().filter(|name| !WITH_KEYS.contains(&name.as_str()));
@@ -110,8 +112,15 @@ fn by_frames(cell: &mut Cell) {
     (can.revision, can.device_type, can.event_timer_ms) = (Some(0x0001_0000), Some(0), Some(2));
     can.parameter = vec![Parameter { index: 0x2003, subindex: 0, value: 0, bytes: 1 }];
     can.pdo[0].cob_id = Some(0x190);
-    let status = SensorField { index: 0x2002, subindex: 0, content: FieldContent::Status, bytes: 1, errors: Some(0) };
+    let status = SensorField { index: 0x2002, subindex: 0, content: FieldContent::Status, bytes: 2, errors: Some(0) };
     can.pdo[0].field.push(status);
+}
+
+/// Adds every key that an emulated ultrasonic matrix may have.
+fn by_echoes(cell: &mut Cell) {
+    let matrix = &mut cell.ultrasonic[0];
+    let emulator = &mut matrix.emulator;
+    (emulator.noise, emulator.silent_from_s, emulator.size) = (Some(1e-3), Some(1e5), Some(matrix.size));
 }
 
 /// Adds every key that a cutting tool may have.
