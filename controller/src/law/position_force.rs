@@ -257,7 +257,7 @@ impl Touch {
     }
 }
 
-/// The weight at the zeroing in force.
+/// The weight at the last zeroing, whose zero is still valid.
 fn noted(weight: &ZeroedWeight, zeroing: Zeroing) -> Result<Wrench, LawFault> {
     let Zeroing::Done { request, .. } = zeroing else {
         return Err(LawFault::NotZeroed);

@@ -108,8 +108,7 @@ impl ForceSensor {
         self.sensor.link().read().fault
     }
 
-    /// Requests a reset of the fault of the sensor, and does not wait. The driver latches again what the sensor still
-    /// shows.
+    /// Requests a reset of the fault of the sensor, and does not wait. A fault that persists is latched again.
     pub fn reset_fault(&self) {
         self.sensor.link().reset_fault();
     }

@@ -190,7 +190,7 @@ impl<L: Line> UltrasonicMatrix<L> {
         if self.next < self.config.queries() {
             return;
         }
-        // A scan without any reply is no scan.
+        // A scan without any reply is not published.
         if self.missing < self.config.queries() as u32 {
             self.own_counters.scans += 1;
             if std::mem::take(&mut self.resetting) {
