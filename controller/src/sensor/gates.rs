@@ -184,7 +184,7 @@ struct Object {
     backs: [Option<Mark>; MAX_GATES],
 }
 
-/// Light gates along a line of travel, at inputs of one I/O node. See the [module](self).
+/// Light gates along a line of travel, at inputs of one I/O node.
 pub struct LightGates {
     inputs: LatestInputs,
     track: Track,

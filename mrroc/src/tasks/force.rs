@@ -90,7 +90,7 @@ impl ForceSensor {
             if zeroing.has_failed(request) && unsteady && waited < SETTLING {
                 // The arm still oscillates after its last motion.
                 request = self.sensor.link().zero();
-            } else if zeroing.has_failed(request) || waited > SETTLING + self.patience {
+            } else if zeroing.has_failed(request) || waited > self.patience {
                 self.read()?;
                 return Err(self.failed(match zeroing {
                     Zeroing::Failed { cause: ZeroFailure::Unsteady { axis }, .. } => ForceError::Unsteady { axis },

@@ -19,7 +19,7 @@
 //! # Stability
 //! Each arm yields to a spring between two grips that both move. The stiffness that the law meets is therefore twice the
 //! stiffness of the two grips in series: 1e5 N/m for grips of 1e5 N/m each. The default compliance is stable up to
-//! 34 kN/m in each servo cycle, and up to 18 kN/m once per macrostep ([`law`](crate::law)). Inertia and damping
+//! 34 kN/m in each servo cycle, and up to 9 kN/m once per macrostep in a whole cell ([`law`](crate::law)). Inertia and damping
 //! multiplied by a factor multiply these limits by the same factor: [`Regulation::CYCLE`] uses 4. In the coordinator, an
 //! answer is one macrostep older than a reading in a generator. [`Regulation::MACROSTEP`] therefore has 40 times the
 //! damping.
@@ -227,12 +227,18 @@ pub struct Carried {
     pub rate: f64,
 }
 
+/// Greatest displacement of each grip by the regulation of each macrostep, m.
+const FARTHEST: f64 = 5e-3;
+
 impl Carry {
     /// Error of a motion whose internal force exceeds the limit of the coordinator.
     pub const TOO_GREAT: GeneratorError = GeneratorError::User(30);
 
+    /// Error of a motion in which the regulation of each macrostep has displaced the grips by more than 5 mm.
+    pub const TOO_FAR: GeneratorError = GeneratorError::User(31);
+
     /// Carries the object along a path. An internal force above `limit`, N, in any direction stops both arms
-    /// ([`Self::TOO_GREAT`]).
+    /// ([`Self::TOO_GREAT`]). A limit that is not finite stops them at the first step.
     pub fn new(grips: Grips, path: ObjectPath, regulation: Regulation, limit: f64) -> Self {
         Self { grips, path, regulation, limit, macrostep: 0.0 }
     }
@@ -282,7 +288,8 @@ impl Coordinator<2> for Carry {
     ) -> Result<Orders<Self, 2>, GeneratorError> {
         let on_tools = forces.each_ref().map(|answer| answer.value.on_tool);
         let internal = self.grips.internal(on_tools);
-        if internal.norm() > self.limit || !internal.norm().is_finite() {
+        let is_safe = self.limit.is_finite() && internal.norm() <= self.limit;
+        if !is_safe {
             return Err(Self::TOO_GREAT);
         }
         let object = self.path.at(f64::from(memory.step) * self.macrostep);
@@ -297,6 +304,9 @@ impl Coordinator<2> for Carry {
             }
         };
         let opening = memory.opening + (memory.rate + rate) / 2.0 * self.macrostep;
+        if opening.abs() > FARTHEST {
+            return Err(Self::TOO_FAR);
+        }
         let change = (rate - memory.rate) / self.macrostep;
         Ok(self.orders(Carried { step: memory.step + 1, pressed, mean, opening, rate }, change))
     }
