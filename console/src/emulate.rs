@@ -15,6 +15,7 @@ use clap::Args;
 use hil::{Cabinet, Device, Pty};
 
 use mrroc::bench::bus_port::BusPort;
+use mrroc::bench::camera_wire;
 use mrroc::bench::emulated_lines::EmulatedLines;
 use mrroc::bench::emulated_time::EmulatedTime;
 use mrroc::bench::plants::{EmulatedCell, Payloads};
@@ -68,7 +69,8 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     emulation::problems(&file).next().map_or(Ok(()), Err)?;
     // Contacts and sensors need one world of all drives. Buses of this world have transmission times.
     let cell = &file.cell;
-    let together = !(cell.force_sensor.is_empty() && cell.ultrasonic.is_empty() && cell.scene.is_none());
+    let sensors = !(cell.force_sensor.is_empty() && cell.ultrasonic.is_empty() && cell.camera.is_empty());
+    let together = sensors || cell.scene.is_some();
     let emulated = EmulatedCell::of(&file);
     let mut payloads = Payloads::of(&emulated, clock::now());
     let mut buses = Vec::new();
@@ -126,6 +128,12 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         };
         lines.add_sensor(line, linked(name, directory)?);
         names.push(format!("{name} in {}", directory.display()));
+    }
+    let mut cameras = camera_wire::Threads::default();
+    for (number, camera) in file.cell.camera.iter().enumerate() {
+        let address = camera.address.parse().expect("a parsed cell has addresses of cameras");
+        cameras.serve(&file, number, &mut lines.world, address)?;
+        names.push(format!("{} at {address}", camera.name));
     }
     if let Some(directory) = &options.service {
         if file.cell.bus.is_empty() {

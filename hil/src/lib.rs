@@ -6,11 +6,12 @@
 //! device. A [scene] contains the bodies and surfaces around the robots. Four devices are attached to a bus: the axis
 //! controller [`Epos4`], the input and output module [`DigitalIo`], the sensor [`CanForceSensor`], and the adapter
 //! [`SlcanDevice`]. The adapter connects a host without a CAN card to a bus. The sensors at a line are
-//! [`SerialForceSensor`] and [`UltrasonicMatrix`]. Read [`Device`] and [`World`] first.
+//! [`SerialForceSensor`] and [`UltrasonicMatrix`]. A [`Camera`] is on neither: it gives the bytes of a network connection. Read [`Device`] and [`World`] first.
 
 mod amplifier;
 pub mod axis_controller;
 pub mod bus;
+pub mod camera;
 pub mod cia401;
 mod device;
 pub mod epos4;
@@ -31,6 +32,7 @@ mod world;
 
 pub use amplifier::AmplifierConfig;
 pub use axis_controller::{AxisController, AxisControllerConfig, Cabinet};
+pub use camera::Camera;
 pub use cia401::{
     DigitalIo, DigitalIoConfig, DigitalIoError, InputEdge, InputProbe, LightGate, OutputProbe, OutputState,
 };

@@ -103,7 +103,7 @@ fn assemble(file: &CellFile, program: &Program, rehearsed: &Rehearsed) -> anyhow
         &Arc::new(file.clone()),
         program,
         links,
-        (devices.io, sensors, devices.matrices),
+        (devices.io, sensors, devices.matrices, setup::rehearsed_cameras(file)),
         &servo,
         rehearsed,
     );

@@ -91,9 +91,9 @@ pub mod prelude {
     pub use controller::path::{BSpline, Curve, JointPath, Path, PoseState, SplineEnds};
     pub use controller::robot::Space;
     pub use controller::sensor::{
-        BoxLocator, BoxPlace, BoxReading, DigitalInputs, EchoError, ForceError, ForceReading, ForceTorque, GateError,
-        GateReading, JogCommand, JogHandle, JogPanel, JogReading, LightGates, Marked, Operator, Passage, Question,
-        Reaction, Shell, VirtualSensor,
+        Blob, BlobFinder, BlobPlace, BlobReading, BoxLocator, BoxPlace, BoxReading, DigitalInputs, EchoError,
+        ForceError, ForceReading, ForceTorque, GateError, GateReading, JogCommand, JogHandle, JogPanel, JogReading,
+        LightGates, Marked, Operator, Passage, Question, Reaction, Shell, SightError, ViewedPlane, VirtualSensor,
     };
     pub use drive::cia401::InputImage;
 
@@ -102,7 +102,7 @@ pub mod prelude {
     pub use crate::motions::Motions;
     pub use crate::report::{AxisReport, Deviation, FaultReport, RobotReport, RunOutcome, RunReport};
     pub use crate::tasks::{
-        Cell, ForceSensor, GateTrack, InputLine, Outcome, OutputLine, Robot, TaskError, Team, Ultrasonic,
+        Camera, Cell, ForceSensor, GateTrack, InputLine, Outcome, OutputLine, Robot, TaskError, Team, Ultrasonic,
     };
 }
 

@@ -176,6 +176,7 @@ fn run(
         io,
         sensors: sensors.clone(),
         matrices,
+        cameras: setup::rehearsed_cameras(file),
         speed: servo.speed_override(),
         figures: Figures::default(),
     };

@@ -11,6 +11,7 @@ use controller::law::{PositionForce, PositionForceConfig, RehearsedLaw};
 use controller::robot::{Limits, Mass};
 use controller::sensor::{ForceSensorConfig, ForceTorque};
 use drive::bus::CanBus;
+use drive::camera::CameraLink;
 use drive::cia401::{IoLink, RehearsedIo};
 use drive::cia402::{AxisConfig, CyclicMode};
 use drive::ultrasonic::{RehearsedUltrasonic, UltrasonicLink, UltrasonicMatrix};
@@ -154,6 +155,12 @@ pub fn rehearsed_matrices(file: &CellFile) -> (Vec<RehearsedUltrasonic>, Vec<Ult
     let period = file.cell.period();
     let matrix = |given: &Ultrasonic| RehearsedUltrasonic::new(given.config(period).scan_time());
     file.cell.ultrasonic.iter().map(matrix).unzip()
+}
+
+/// The links to the cameras of a rehearsal, in the order of [`Cell::camera`](crate::cell::Cell::camera). The cameras give no
+/// pictures.
+pub fn rehearsed_cameras(file: &CellFile) -> Vec<CameraLink> {
+    file.cell.camera.iter().map(|_| CameraLink::rehearsed()).collect()
 }
 
 /// The virtual force sensors of a cell, on the links to their drivers and to the servo.

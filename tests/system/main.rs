@@ -8,6 +8,7 @@ mod agreement;
 mod allocations;
 mod architecture;
 mod bench;
+mod camera;
 mod card;
 mod cell;
 mod cli_check;

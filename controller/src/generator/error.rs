@@ -7,7 +7,7 @@ use thiserror::Error;
 use super::TimingError;
 use crate::path::PathError;
 use crate::robot::KinematicsError;
-use crate::sensor::{EchoError, ForceError, GateError};
+use crate::sensor::{EchoError, ForceError, GateError, SightError};
 
 /// Reasons why a generator refuses a motion or gives it up.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
@@ -136,6 +136,9 @@ pub enum GeneratorError {
     /// The ultrasonic matrix whose reading the step needs has no place of a box.
     #[error("ultrasonic matrix: {0}")]
     Echo(EchoError),
+    /// The camera whose reading the step needs has no place of an object.
+    #[error("camera: {0}")]
+    Sight(SightError),
     /// Reason of a user's generator, with a number defined by that generator.
     #[error("generator error {0}")]
     User(u16),

@@ -22,6 +22,7 @@
 //!
 //! Read [`VirtualSensor`] first, then [`DigitalInputs`] as an example.
 
+mod camera;
 mod digital;
 mod force;
 mod gates;
@@ -43,6 +44,9 @@ use thiserror::Error;
 
 use crate::generator::{EffectorImage, GeneratorError, Message, Partners, Received, Sample, SensorReading};
 
+pub use camera::{
+    Blob, BlobFinder, BlobPlace, BlobReading, BlobSearch, LEAST_AREA, LEAST_CONTRAST, Pinhole, SightError, ViewedPlane,
+};
 pub use digital::DigitalInputs;
 pub use force::{ForceError, ForceReading, ForceSensorConfig, ForceTorque};
 pub use gates::{

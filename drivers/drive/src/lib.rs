@@ -7,6 +7,7 @@
 
 pub mod axis_controller;
 pub mod bus;
+pub mod camera;
 pub mod cia401;
 pub mod cia402;
 mod command;

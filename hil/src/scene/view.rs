@@ -20,6 +20,8 @@ const STEEPEST: f64 = 30.0 * std::f64::consts::PI / 180.0;
 #[derive(Clone, Debug)]
 pub struct View {
     walls: Vec<(Shape, Isometry3<f64>)>,
+    /// Whether each wall is a plane or a belt.
+    grounds: Vec<bool>,
     bodies: Vec<([f64; 3], BodyProbe)>,
 }
 
@@ -48,18 +50,29 @@ impl Scene {
             let turn = nalgebra::Rotation3::from_matrix_unchecked(wall.moving.axes);
             (wall.surface.shape, Isometry3::from_parts(wall.moving.origin.into(), turn.into()))
         };
-        View { walls: self.walls.iter().map(place).collect(), bodies }
+        let ground = |wall: &super::Wall| {
+            let surface = &wall.surface;
+            let driven = wall.belt.is_some() || wall.drift.is_some() || surface.belt != Vector3::zeros();
+            driven || surface.shape == Shape::HalfSpace
+        };
+        let grounds = self.walls.iter().map(ground).collect();
+        View { walls: self.walls.iter().map(place).collect(), grounds, bodies }
     }
 }
 
 impl View {
     /// A view without any surface.
-    pub const EMPTY: Self = Self { walls: Vec::new(), bodies: Vec::new() };
+    pub const EMPTY: Self = Self { walls: Vec::new(), grounds: Vec::new(), bodies: Vec::new() };
 
     /// The surfaces with their present places.
     fn solids(&self) -> impl Iterator<Item = (Shape, Isometry3<f64>)> {
         let bodies = self.bodies.iter().map(|(half, probe)| (Shape::Box { half: *half }, probe.state().pose));
         self.walls.iter().copied().chain(bodies)
+    }
+
+    /// Whether surface `surface` of a [`Hit`] is a plane or a belt, on which objects stand.
+    pub fn is_ground(&self, surface: usize) -> bool {
+        self.grounds.get(surface).is_some_and(|ground| *ground)
     }
 
     /// The first surface on a ray from `origin` along `direction`, in the world.

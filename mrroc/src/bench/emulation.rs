@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use can::{Frame, Instant, Port, StandardId, VirtualPort, timing::Bitrate};
 use canopen::{NodeId, cia401::blocks};
+use drive::camera::{CameraFault, CameraLink};
 use drive::cia401::IoConfig;
 use hil::scene::WorkpieceProbe;
 use hil::{
@@ -15,6 +16,7 @@ use hil::{
 use serial::{Settings, VirtualLine};
 
 use crate::bench::bridge::{Bridge, BridgedTty};
+use crate::bench::cameras::{CameraInMemory, emulated};
 use crate::bench::emulated_sensors;
 use crate::bench::plants::{EmulatedCell, Payloads, homing_problem, plant};
 use crate::bench::scene::SceneTruth;
@@ -45,6 +47,8 @@ pub struct Emulation {
     /// Bridges of the lines whose host end is a tty.
     bridges: Vec<Bridge>,
     payloads: Payloads,
+    /// The cameras that are connected in memory.
+    cameras: Vec<CameraInMemory>,
     /// The true state of the scene.
     truth: SceneTruth,
     log: Option<TruthLog>,
@@ -86,6 +90,7 @@ impl Emulation {
             world,
             buses,
             bridges: Vec::new(),
+            cameras: Vec::new(),
             payloads: Payloads::of(&emulated, Instant::ZERO),
             truth,
             log: None,
@@ -104,6 +109,20 @@ impl Emulation {
         let (bridge, tty) = Bridge::new(line, settings)?;
         self.bridges.push(bridge);
         Ok(tty)
+    }
+
+    /// Adds camera `number`, connected in memory, before the world is advanced. Returns the link of its receiver, or the
+    /// reason why the camera is refused.
+    pub(super) fn add_camera(&mut self, file: &CellFile, number: usize) -> Result<CameraLink, CameraFault> {
+        let camera = emulated(file, number, &mut self.world);
+        let (camera, link) = CameraInMemory::connect(&file.cell.camera[number], camera)?;
+        self.cameras.push(camera);
+        Ok(link)
+    }
+
+    /// The world, for devices on other connections.
+    pub(super) fn world_mut(&mut self) -> &mut World {
+        &mut self.world
     }
 
     /// Adds background traffic to every bus: a node that sends frames of the lowest priority.
@@ -126,7 +145,13 @@ impl Emulation {
             bridge.take(self.passed);
         }
         self.payloads.take_over(self.passed);
+        let next = |cameras: &[CameraInMemory]| cameras.iter().map(CameraInMemory::next).min();
+        while let Some(at) = next(&self.cameras).filter(|at| *at <= until) {
+            self.world.advance(at);
+            self.cameras.iter_mut().for_each(|camera| camera.expose(at));
+        }
         self.world.advance(until);
+        self.cameras.iter_mut().for_each(|camera| camera.deliver(until));
         for bridge in &mut self.bridges {
             bridge.deliver(until);
         }

@@ -2,6 +2,8 @@
 
 pub mod bridge;
 pub mod bus_port;
+pub mod camera_wire;
+mod cameras;
 pub mod carving;
 pub mod clockwork;
 mod conveyors;

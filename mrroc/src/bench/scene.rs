@@ -103,7 +103,7 @@ impl EmulatedCell<'_> {
         }
         let bars = bars.into_iter().map(|bar| scene.watch(bar)).collect();
         let moving = !around.bar.is_empty() || !around.conveyor.is_empty();
-        let needed = count > 0 || moving || !cell.ultrasonic.is_empty();
+        let needed = count > 0 || moving || !cell.ultrasonic.is_empty() || !cell.camera.is_empty();
         let truth = SceneTruth { bars, grips, workpieces };
         EmulatedSurroundings { scene: needed.then_some(scene), sensors, truth }
     }

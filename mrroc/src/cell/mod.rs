@@ -7,6 +7,7 @@
 //! joint for a program. The name of a key with another unit ends in that unit.
 
 mod axis_controller;
+mod camera;
 mod can_force_sensor;
 mod conveyor;
 mod device_configuration;
@@ -41,6 +42,7 @@ use servo::KeyProblem;
 use crate::bench::plants::upright_from_base;
 pub use crate::robots::{Model, Parameters};
 pub use axis_controller::{AxisController, Loop, Serial};
+pub use camera::{Camera, CameraEmulator};
 pub use can_force_sensor::{CanForceSensor, FieldContent, SensorField, SensorPdo};
 pub use conveyor::{EmulatedConveyor, EmulatedGate, EmulatedObject};
 pub(crate) use device_configuration::DeviceConfiguration;
@@ -105,6 +107,9 @@ pub struct Cell {
     /// The ultrasonic matrices.
     #[serde(default)]
     pub ultrasonic: Vec<Ultrasonic>,
+    /// The network cameras.
+    #[serde(default)]
+    pub camera: Vec<Camera>,
     /// The surroundings of the emulated robots; empty where absent.
     pub scene: Option<EmulatedScene>,
     /// The robots.

@@ -1,6 +1,7 @@
 //! Tests of whole cells: parsing, refusals, and the resulting configurations.
 
 mod bounds;
+mod camera;
 mod conveyor;
 mod families;
 mod force;

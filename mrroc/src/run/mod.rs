@@ -8,6 +8,7 @@
 //! - rehearsal: rehearses the task from new positions of the robots;
 //! - files: reads the records of the servo and writes the files;
 //! - wire: listens to the buses;
+//! - camera, one per camera: receives pictures;
 //! - the caller: receives the progress and watches the task.
 //!
 //! A run in lockstep has the caller and one thread for everything else. Planning and rehearsal by the wall clock are
@@ -46,6 +47,7 @@ use clap::Args;
 use drive::BringUpError;
 use servo::{NotUp, Servo, Timing, lockstep, thread};
 
+use crate::bench::camera_wire::Cameras;
 use crate::bench::carving::{self, Carving};
 use crate::bench::clockwork;
 use crate::bench::emulation::Emulation;
@@ -184,6 +186,7 @@ pub fn run(
     let carved = carving::open(&mut outputs, file, options.carved.as_deref())?;
     let page = options.out.as_deref().map(|directory| outputs.open_in("--out", directory, REPORT)).transpose()?;
     let mut bench = Bench::open(file, options.bench, &options.places, options.trace.is_some())?;
+    let cameras = Cameras::open(file, options.bench, bench.emulation.as_mut())?;
     let devices = setup::devices(file, bench.ports, bench.lines, bench.sensors, None)?;
     let (mut servo, links) = Servo::new(&setup::servo_config(file), devices.groups)?;
     let sensors = setup::force_sensors(file, &devices.sensors, &links);
@@ -194,7 +197,14 @@ pub fn run(
     let axes = record.map(|sink| AxisLog::new(sink, file)).transpose();
     let frames = trace.map(|sink| FrameLog::new(sink, &bench.interfaces, bench.traces));
     let cell = Arc::new(file.clone());
-    let mut task = RunningTask::new(&cell, program, links, (devices.io, sensors, devices.matrices), &servo, &rehearsed);
+    let mut task = RunningTask::new(
+        &cell,
+        program,
+        links,
+        (devices.io, sensors, devices.matrices, cameras.links()),
+        &servo,
+        &rehearsed,
+    );
     let steps = steps.map(|sink| StepFile::new(sink, file, task.keep_steps(STEPS))).transpose();
     let logs = Logs {
         records: servo.record(lag * file.cell.robot.len()),

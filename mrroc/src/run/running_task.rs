@@ -11,6 +11,7 @@ use controller::executor::{Ended, Executor, InstructionError, News, NotedError, 
 use controller::generator::{Axes, PlannedStart};
 use controller::sensor::ForceTorque;
 use drive::Fault;
+use drive::camera::CameraLink;
 use drive::cia401::IoLink;
 use drive::ultrasonic::UltrasonicLink;
 use servo::{EffectorLink, Phase, Servo, ServoFault, SpeedOverride, StopCause, StopRequest};
@@ -34,6 +35,8 @@ pub(crate) struct RunningTask {
     sensors: Vec<ForceTorque>,
     /// One link per ultrasonic matrix.
     matrices: Vec<UltrasonicLink>,
+    /// One link per camera.
+    cameras: Vec<CameraLink>,
     /// Figures that the task reports.
     figures: Figures,
     /// Number of instructions in the rehearsal.
@@ -90,13 +93,13 @@ pub(super) enum Rehearsals {
 struct NoRehearsals;
 
 impl RunningTask {
-    /// A task that was rehearsed, on the `links` to `servo` and on the I/O nodes, force sensors and ultrasonic
-    /// matrices of the cell.
+    /// A task that was rehearsed, on the `links` to `servo` and on the I/O nodes, force sensors, ultrasonic
+    /// matrices and cameras of the cell.
     pub(crate) fn new(
         file: &Arc<CellFile>,
         program: &Program,
         links: Vec<EffectorLink>,
-        (io, sensors, matrices): (Vec<IoLink>, Vec<ForceTorque>, Vec<UltrasonicLink>),
+        (io, sensors, matrices, cameras): (Vec<IoLink>, Vec<ForceTorque>, Vec<UltrasonicLink>, Vec<CameraLink>),
         servo: &Servo,
         rehearsed: &Rehearsed,
     ) -> Self {
@@ -105,6 +108,7 @@ impl RunningTask {
             program: program.clone(),
             sensors,
             matrices,
+            cameras,
             subcontrollers: setup::subcontrollers(file, links),
             io,
             figures: Figures::default(),
@@ -151,6 +155,7 @@ impl RunningTask {
             io,
             sensors,
             matrices,
+            cameras,
             figures,
             instructions,
             moved,
@@ -163,6 +168,7 @@ impl RunningTask {
             io: io.clone(),
             sensors: sensors.clone(),
             matrices: matrices.clone(),
+            cameras,
             speed,
             figures,
         };

@@ -40,7 +40,14 @@ impl Stage {
         let drives = |bus| Box::new(IdealDrives::of(&file, bus, &courses, &faults)) as Box<dyn DriveGroup>;
         let (mut servo, links) = Servo::new(&setup::servo_config(&file), vec![drives(0), drives(1)]).unwrap();
         let rehearsed = Rehearsed { duration: Duration::ZERO, instructions: 8, moved: vec![moved; 2] };
-        let task = RunningTask::new(&file, program, links, (Vec::new(), Vec::new(), Vec::new()), &servo, &rehearsed);
+        let task = RunningTask::new(
+            &file,
+            program,
+            links,
+            (Vec::new(), Vec::new(), Vec::new(), Vec::new()),
+            &servo,
+            &rehearsed,
+        );
         let ((ask, asked), (answer, verdicts)) = (sync_channel(2), sync_channel(2));
         let carrying = task.begin(Rehearsals::Aside { ask, verdicts });
         let now = lockstep::bring_up(&mut servo, Instant::ZERO, |_| {}).unwrap();

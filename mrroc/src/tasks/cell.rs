@@ -8,12 +8,13 @@ use controller::ecp::Task;
 use controller::executor::{Agent, Agents, LooseLink, Observer, Replacer};
 use controller::generator::{EffectorImage, Generator, Message, Pose, SensorReading};
 use controller::sensor::{ForceTorque, Shell, VirtualSensor};
+use drive::camera::CameraLink;
 use drive::cia401::{IoLink, LatestInputs};
 use drive::ultrasonic::UltrasonicLink;
 use serde::de::DeserializeOwned;
 use servo::SpeedOverride;
 
-use super::{Desk, Figures, ForceSensor, InputLine, Outcome, OutputLine, TaskError, Team, Ultrasonic};
+use super::{Camera, Desk, Figures, ForceSensor, InputLine, Outcome, OutputLine, TaskError, Team, Ultrasonic};
 use crate::cell::CellFile;
 use crate::motions::Motions;
 
@@ -24,6 +25,7 @@ pub struct Cell {
     io: Vec<IoLink>,
     sensors: Vec<ForceTorque>,
     matrices: Vec<UltrasonicLink>,
+    cameras: Vec<CameraLink>,
     speed: SpeedOverride,
     figures: Figures,
     pub(super) desk: Desk,
@@ -43,12 +45,12 @@ impl Cell {
     pub(super) fn new(
         file: &Arc<CellFile>,
         agents: Agents,
-        (io, sensors, matrices): (Vec<IoLink>, Vec<ForceTorque>, Vec<UltrasonicLink>),
+        (io, sensors, matrices, cameras): (Vec<IoLink>, Vec<ForceTorque>, Vec<UltrasonicLink>, Vec<CameraLink>),
         speed: SpeedOverride,
         figures: Figures,
         desk: Desk,
     ) -> Self {
-        Self { file: Arc::clone(file), agents, io, sensors, matrices, speed, figures, desk }
+        Self { file: Arc::clone(file), agents, io, sensors, matrices, cameras, speed, figures, desk }
     }
 
     /// The cell file.
@@ -114,6 +116,15 @@ impl Cell {
             return Err(TaskError::UnknownUltrasonic { name: name.to_owned() });
         };
         Ok(Ultrasonic::new(given, link.clone(), self.agents.clone(), self.file.cell.period()))
+    }
+
+    /// The camera called `name`.
+    pub fn camera(&self, name: &str) -> Result<Camera, TaskError> {
+        let mut given = self.file.cell.camera.iter().zip(&self.cameras);
+        let Some((given, link)) = given.find(|(given, _)| given.name == name) else {
+            return Err(TaskError::UnknownCamera { name: name.to_owned() });
+        };
+        Ok(Camera::new(given, link.clone(), self.agents.clone(), self.file.cell.period()))
     }
 
     /// Reports a number of this run, such as the accuracy of a motion. The report and `--json` show the number under

@@ -7,7 +7,7 @@ use controller::executor::{InstructionError, SystemError};
 use controller::generator::GeneratorError;
 use controller::path::PathError;
 use controller::robot::KinematicsError;
-use controller::sensor::{EchoError, ForceError, OperatorError, SensorRefused};
+use controller::sensor::{EchoError, ForceError, OperatorError, SensorRefused, SightError};
 use thiserror::Error;
 
 use crate::cell::FileError;
@@ -80,6 +80,20 @@ pub enum TaskError {
         /// The reason.
         error: EchoError,
     },
+    /// The cell has no camera of this name.
+    #[error("the cell has no camera {name:?}: add it as [[camera]]")]
+    UnknownCamera {
+        /// The requested name.
+        name: String,
+    },
+    /// A camera gives no place of an object.
+    #[error("camera {name}: {error}")]
+    Camera {
+        /// Name of the camera.
+        name: Box<str>,
+        /// The reason.
+        error: SightError,
+    },
     /// The robot already has a handle.
     #[error("robot {name:?} is in use: a robot has one handle at a time")]
     RobotInUse {
@@ -138,6 +152,8 @@ impl TaskError {
             | Self::ForceSensor { .. }
             | Self::UnknownUltrasonic { .. }
             | Self::Ultrasonic { .. }
+            | Self::UnknownCamera { .. }
+            | Self::Camera { .. }
             | Self::RobotInUse { .. }
             | Self::Parameters(_)
             | Self::NotRehearsed { .. }

@@ -1,5 +1,6 @@
 //! Tasks of a cell: `async` functions that use its robots.
 
+mod camera;
 mod carried;
 mod cell;
 mod error;
@@ -20,12 +21,14 @@ use std::sync::Arc;
 use controller::ecp::Subcontrollers;
 use controller::executor::{Agents, Executor, Turns};
 use controller::sensor::{ForceTorque, OperatorLink};
+use drive::camera::CameraLink;
 use drive::cia401::IoLink;
 use drive::ultrasonic::UltrasonicLink;
 use servo::SpeedOverride;
 
 use crate::cell::CellFile;
 
+pub use camera::Camera;
 pub use carried::CarriedTask;
 pub use cell::{Cell, Robot};
 pub use error::{Outcome, TaskError};
@@ -57,6 +60,8 @@ pub(crate) struct Equipment {
     pub sensors: Vec<ForceTorque>,
     /// One link per ultrasonic matrix, in the order of [`Cell::ultrasonic`](crate::cell::Cell::ultrasonic).
     pub matrices: Vec<UltrasonicLink>,
+    /// One link per camera, in the order of [`Cell::camera`](crate::cell::Cell::camera).
+    pub cameras: Vec<CameraLink>,
     pub speed: SpeedOverride,
     pub figures: Figures,
 }
@@ -90,10 +95,10 @@ impl Program {
         rehearsing: bool,
         turns: Turns,
     ) -> Executor<TaskError> {
-        let Equipment { subcontrollers, io, sensors, matrices, speed, figures } = equipment;
+        let Equipment { subcontrollers, io, sensors, matrices, cameras, speed, figures } = equipment;
         let agents = Agents::new(subcontrollers);
         let desk = Desk { link: self.operator.clone(), rehearsing };
-        let devices = (io, sensors, matrices);
+        let devices = (io, sensors, matrices, cameras);
         let (task, mut cell) = (Arc::clone(&self.task), Cell::new(file, agents.clone(), devices, speed, figures, desk));
         Executor::new(agents, async move { task.carry(&mut cell).await }, turns)
     }

@@ -13,8 +13,16 @@ use crate::host_closed::closed_by_host;
 use crate::mrroc::{examples, shorten, text};
 
 /// Examples of which every variant has further keys.
-const WITH_KEYS: [&str; 7] =
-    ["irb6", "irb6-serial", "irb6-hi-moxa", "irb6-wrist", "irb6-can-wrist", "irb6-milling", "irb6-sonar"];
+const WITH_KEYS: [&str; 8] = [
+    "irb6-camera",
+    "irb6",
+    "irb6-serial",
+    "irb6-hi-moxa",
+    "irb6-wrist",
+    "irb6-can-wrist",
+    "irb6-milling",
+    "irb6-sonar",
+];
 
 /// The cells that are altered: examples with further keys, and all other examples.
 pub(super) fn all() -> Vec<String> {
@@ -27,6 +35,7 @@ pub(super) fn all() -> Vec<String> {
         written("irb6-can-wrist", by_frames),
         written("irb6-milling", by_spindle),
         written("irb6-sonar", by_echoes),
+        written("irb6-camera", by_sight),
         written("lab", two_that_meet),
     ];
     let others = examples().into_iter().filter(|name| !WITH_KEYS.contains(&name.as_str()));
@@ -121,6 +130,14 @@ fn by_echoes(cell: &mut Cell) {
     let matrix = &mut cell.ultrasonic[0];
     let emulator = &mut matrix.emulator;
     (emulator.noise, emulator.silent_from_s, emulator.size) = (Some(1e-3), Some(1e5), Some(matrix.size));
+}
+
+/// Adds every key that an emulated camera may have.
+fn by_sight(cell: &mut Cell) {
+    let camera = &mut cell.camera[0];
+    let emulator = &mut camera.emulator;
+    (emulator.silent_from_s, emulator.width, emulator.period_ms) =
+        (Some(1e5), Some(camera.width), Some(camera.period_ms));
 }
 
 /// Adds every key that a cutting tool may have.

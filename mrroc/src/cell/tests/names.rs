@@ -2,7 +2,7 @@
 
 use super::*;
 
-const NAMES: [(&str, &str, &str, &str); 13] = [
+const NAMES: [(&str, &str, &str, &str); 14] = [
     ("cell", "name = \"lab\"", "name = NAME", "name"),
     ("bus", "name = \"track-base\"", "name = NAME", "bus[0].name"),
     ("bundle", "name = \"irb6\"\nprotocol", "name = NAME\nprotocol", "serial[0].name"),
@@ -35,6 +35,14 @@ const NAMES: [(&str, &str, &str, &str); 13] = [
         "force_sensor = [{ name = NAME, robot = \"a\", line = \"a\", force_range = [1, 1, 1], torque_range = [1, 1, 1] }]\n\
          period_us = 2000",
         "force_sensor[0].name",
+    ),
+    (
+        "camera",
+        "period_us = 2000",
+        "camera = [{ name = NAME, robot = \"a\", address = \"127.0.0.1:5600\", field_of_view = 0.8, \
+         position = [0.0, 0.0, 1.0], quaternion = [1.0, 0.0, 0.0, 0.0] }]\n\
+         period_us = 2000",
+        "camera[0].name",
     ),
     (
         "ultrasonic matrix",

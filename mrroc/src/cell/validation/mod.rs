@@ -3,6 +3,7 @@
 mod assembly;
 mod axis;
 mod buses;
+mod camera;
 mod can_force_sensor;
 mod conveyor;
 mod force;
@@ -51,6 +52,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     force::check(cell)?;
     force_law::check(cell)?;
     ultrasonic::check(cell)?;
+    camera::check(cell)?;
     scene::check(cell)?;
     meetings::check(cell)?;
     assembly::check(cell)?;
