@@ -58,6 +58,13 @@ pub struct DeviceId {
     number: usize,
 }
 
+impl DeviceId {
+    /// The bus of the device.
+    pub fn bus(self) -> BusId {
+        self.bus
+    }
+}
+
 /// One serial line of one [`World`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct LineId(usize);

@@ -454,6 +454,16 @@ impl Rig {
         Duration::from_millis(u64::from(self.cell.bus[0].heartbeat_ms))
     }
 
+    /// Attaches a device to the bus of the first axis.
+    pub(crate) fn attach(&mut self, device: Box<dyn Device>) {
+        match self.drives[0] {
+            DriveId::Node(first) => {
+                self.world.add_device(first.bus(), device);
+            }
+            DriveId::Line(_) => panic!("a serial line has one device"),
+        }
+    }
+
     /// Unplugs the cable of a drive, or plugs it in again.
     pub(crate) fn unplug(&self, axis: usize, unplugged: bool) {
         self.plugs[axis].store(unplugged, Ordering::Relaxed);

@@ -7,11 +7,11 @@ use std::rc::Rc;
 use std::time::Duration;
 
 use can::candump::Direction;
-use can::{Frame, StandardId};
+use can::{Frame, Instant, StandardId};
 use canopen::cia402::ModeOfOperation;
 use canopen::emcy::Emergency;
 use drive::Fault;
-use hil::PlantConfig;
+use hil::{Device, PlantConfig};
 use servo::{MAX_AXES, Macrostep, Order, Phase, StopCause};
 
 use crate::cell::{Rig, Setup, traced};
@@ -215,8 +215,44 @@ fn refused_set_points_are_dropped_and_never_sent_later() {
     rig.follow(&mut motion, |rig| rig.phase() == Phase::Standing);
 }
 
+/// A device that sends the host's heartbeat in the host's place.
+struct Forger {
+    heartbeat: Frame,
+    period: Duration,
+    next: Instant,
+}
+
+impl Device for Forger {
+    fn handle(&mut self, _: &Frame, _: Instant) {}
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        (now >= self.next).then(|| {
+            self.next = now + self.period;
+            self.heartbeat
+        })
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        Some(self.next)
+    }
+
+    fn handle_timeout(&mut self, _: Instant) {}
+}
+
 #[test]
 fn drives_whose_host_dies_stop_by_themselves() {
+    // Each drive detects the loss by itself and reports it: heartbeat error.
+    die(false, 0x8130);
+}
+
+#[test]
+fn drives_whose_host_dies_stop_although_its_heartbeat_is_forged() {
+    // RPDO time-out.
+    die(true, 0x8250);
+}
+
+/// Lets the host die in motion, and asserts that each drive stops by itself and reports `code`.
+fn die(forged: bool, code: u16) {
     let (mut rig, mut trace) = traced(Setup::of("irb6"));
     let emergencies = Rc::new(RefCell::new(Vec::new()));
     let heard = emergencies.clone();
@@ -231,6 +267,11 @@ fn drives_whose_host_dies_stop_by_themselves() {
     let mut motion = rig.in_motion();
     let (watched, nodes) = (rig.heartbeat() * 3, rig.scales.len());
     let died_at = rig.angles();
+    if forged {
+        let heartbeat = Frame::new(StandardId::new(0x77F).expect("an identifier"), &[0x05]).expect("a frame");
+        let period = rig.heartbeat();
+        rig.attach(Box::new(Forger { heartbeat, period, next: rig.now + rig.period }));
+    }
     let braking = Duration::from_secs_f64(Motion::VELOCITY / 1500.0);
     let end = rig.now + watched + braking;
     while rig.now < end {
@@ -248,8 +289,7 @@ fn drives_whose_host_dies_stop_by_themselves() {
     }
     let (_, cause) = fault_of(&mut rig, &mut motion);
     assert!(matches!(cause, StopCause::Drive(_)), "{cause}");
-    // Each drive detects the loss by itself and reports it: heartbeat error.
-    let expected: Vec<_> = (1..=nodes as u8).map(|node| (node, 0x8130)).collect();
+    let expected: Vec<_> = (1..=nodes as u8).map(|node| (node, code)).collect();
     assert_eq!(emergencies.borrow()[..nodes], expected);
     // The drives stayed operational. A reset is therefore sufficient, and the power returns without a jump.
     rig.order(Order::ResetFault);

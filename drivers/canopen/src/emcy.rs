@@ -45,6 +45,13 @@ impl Emergency {
     pub fn is_reset(&self) -> bool {
         self.code & 0xFF00 == 0
     }
+
+    /// Whether the error leaves the function of the device as it is: lost frames (0x8110) and error passive (0x8120)
+    /// concern the bus only, and their consequences have faults of their own. Any other code, also an unknown one, reports
+    /// an error of the device (CiA 301 §7.2.7.1).
+    pub fn leaves_device_working(&self) -> bool {
+        matches!(self.code, 0x8110 | 0x8120)
+    }
 }
 
 /// Object 0x1001 (CiA 301 §7.5.2.2): the kinds of error that are present.
@@ -95,6 +102,20 @@ mod tests {
         assert!(emergency.error_register.contains(ErrorRegister::DEVICE_PROFILE));
         assert!(!emergency.error_register.contains(ErrorRegister::VOLTAGE));
         assert!(!emergency.is_reset());
+    }
+
+    #[test]
+    fn errors_of_the_bus_alone_leave_the_device_working() {
+        let of =
+            |code| Emergency { node: NodeId::new(3).unwrap(), code, error_register: ErrorRegister(0), vendor: [0; 5] };
+        for code in [0x8110, 0x8120] {
+            assert!(of(code).leaves_device_working(), "{code:#06x}");
+        }
+        for code in
+            [0x1000, 0x2310, 0x3210, 0x4210, 0x5000, 0x6100, 0x7300, 0x8130, 0x8140, 0x8250, 0x8611, 0x9000, 0xFF01]
+        {
+            assert!(!of(code).leaves_device_working(), "{code:#06x}");
+        }
     }
 
     #[test]

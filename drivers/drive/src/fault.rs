@@ -17,8 +17,8 @@ use crate::wrench::WrenchError;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum Fault {
-    /// The drive reported a fault (EMCY and object 0x603F, CiA 402-2 §8.4.3), with a code of CiA 402-2 §7.1 or of the
-    /// vendor.
+    /// The drive reported an error by its statusword (code in EMCY and object 0x603F, CiA 402-2 §8.4.3), or by an EMCY alone
+    /// while it was commanded to be on. The code is of CiA 402-2 §7.1 or of the vendor.
     #[error("node {node}: drive fault {code:#06x} ({text})", text = FaultTable::Epos4.text(*.code))]
     Drive { node: u8, code: u16 },
     /// Answers were missing for more cycles than the cell tolerates.

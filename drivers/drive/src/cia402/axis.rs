@@ -221,11 +221,15 @@ impl CanAxis {
         }
     }
 
+    /// Takes an EMCY. An error of a drive that is commanded to be on is a fault, also if the drive itself goes on.
     pub(super) fn emergency(&mut self, emergency: &Emergency) {
         if emergency.is_reset() {
             self.error_code = 0;
-        } else {
-            self.name_fault(emergency.code);
+            return;
+        }
+        self.name_fault(emergency.code);
+        if self.goal == Goal::On && !emergency.leaves_device_working() {
+            self.latch(self.drive_fault(emergency.code));
         }
     }
 

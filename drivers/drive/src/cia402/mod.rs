@@ -34,7 +34,7 @@
 //! [`AxisConfig::configuration`] is written first, and may hold no [`reserved`] object. Those objects belong to this
 //! driver, which writes and reads back the following last, before operation:
 //! - heartbeats (0x1016:01, 0x1017);
-//! - reactions (0x1029:01, 0x6007, 0x605A, 0x6085);
+//! - reactions (0x1029:01, 0x6007, 0x605A, 0x6085), and the deadline of set-points (0x1400:05), where the drive has one;
 //! - interpolation period (0x60C2);
 //! - following error window (0x6065);
 //! - homing (0x6098, 0x6099, 0x609A, 0x607C and maxon's 0x30B0, 0x30B1);
@@ -154,8 +154,9 @@ impl Cia402Group {
         self.drives[drive].axis.heard(state, at);
     }
 
-    /// Takes an EMCY. Returns whether the EMCY is a warning. An EMCY that explains a fault may arrive before the
-    /// statusword that shows the fault, and is a warning until then.
+    /// Takes an EMCY. Returns whether the EMCY is a warning: an error of the bus alone, or of a drive that is not commanded to
+    /// be on, or an error beside an earlier fault. An EMCY that explains a fault may arrive before the statusword that
+    /// shows the fault, and is a warning until then.
     pub(crate) fn emergency(&mut self, drive: usize, emergency: &Emergency) -> bool {
         let axis = &mut self.drives[drive].axis;
         axis.emergency(emergency);

@@ -83,13 +83,17 @@ pub fn pdo_setups(node: NodeId, mode: CyclicMode) -> [PdoSetup; 3] {
     [request, answer, shown]
 }
 
-/// The writes after which a drive exchanges these PDOs and no others.
-pub(super) fn mapping_writes(node: NodeId, mode: CyclicMode) -> impl Iterator<Item = Write> {
+/// The writes after which a drive exchanges these PDOs and no others. A drive with deadline monitoring of RPDOs stops by
+/// itself `deadline` milliseconds after the last set-point, also while another sender keeps up the host's heartbeat.
+pub(super) fn mapping_writes(node: NodeId, mode: CyclicMode, deadline: u16) -> impl Iterator<Item = Write> {
     use PdoNumber::{Four, Three, Two};
     let rpdo = |number| PdoCobId::new(cob::rpdo(number, node));
     let tpdo = |number| PdoCobId::new(cob::tpdo(number, node)).without_rtr();
     let off = |kind: PdoKind, number, cob_id: PdoCobId| Write::new(kind.communication(number, 1), cob_id.invalid().0);
-    let setups = pdo_setups(node, mode);
+    let mut setups = pdo_setups(node, mode);
+    for request in setups.iter_mut().filter(|setup| setup.kind == PdoKind::Rpdo) {
+        request.event_timer = Some(deadline);
+    }
     [Two, Three, Four]
         .map(|number| off(PdoKind::Rpdo, number, rpdo(number)))
         .into_iter()

@@ -94,7 +94,8 @@ pub(crate) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         steps.push(Step::Agree(agreement));
     }
     let mut maps_mode = false;
-    for write in process_data::mapping_writes(axis.node, axis.mode) {
+    let (_, deadline) = group.heartbeat_times()?;
+    for write in process_data::mapping_writes(axis.node, axis.mode, deadline) {
         maps_mode |= process_data::maps_mode(write.object);
         steps.push(match process_data::may_be_absent(write.object) {
             // All of TPDO 2 but its first write, which switches it off.
