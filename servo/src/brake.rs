@@ -9,9 +9,14 @@ use crate::{Knot, MAX_AXES};
 /// that the slowest motor needs at its greatest acceleration. All steps stay in proportion, so the motors stop along
 /// the straight line of their motion. No motor brakes harder than its limit, the velocity has no jump at either end,
 /// and the last set-point is exactly at rest. Motor *i* travels v·dt·(N − 1) / 2.
+///
+/// A motor that would travel beyond its position limit leaves the straight line: it brakes over fewer periods, at most as
+/// hard as its greatest acceleration, and rests at its limit.
 #[derive(Clone, Copy, Debug)]
 pub struct StraightStop {
     from: [Knot; MAX_AXES],
+    /// Greatest number of periods of each motor, by its room.
+    most: [u32; MAX_AXES],
     /// Number of periods of the stop.
     periods: u32,
     /// Periods already commanded.
@@ -24,19 +29,46 @@ pub struct StraightStop {
 /// an absurd configuration.
 const MOST_PERIODS: f64 = 1e9;
 
-impl StraightStop {
-    /// A stop starting at `from`, with a knot and the greatest acceleration, rad/s², of each motor, in periods of `dt`
-    /// seconds. A knot is the last position sent, and the step to it divided by `dt`.
-    pub fn new(from: impl IntoIterator<Item = (Knot, f64)>, dt: f64) -> Self {
-        let mut knots = [Knot::default(); MAX_AXES];
-        let mut duration: f64 = 0.0;
-        for (axis, (knot, acceleration)) in from.into_iter().enumerate() {
-            knots[axis] = knot;
-            duration = duration.max(knot.velocity.abs() / acceleration);
-        }
+/// A motor at the beginning of a stop.
+#[derive(Clone, Copy, Debug)]
+pub struct Braking {
+    /// The last position sent, and the step to it divided by the period.
+    pub from: Knot,
+    /// Greatest acceleration, rad/s².
+    pub max_acceleration: f64,
+    /// Distance to the position limit ahead, rad.
+    pub room: f64,
+}
+
+impl Braking {
+    /// Least number of periods of `dt` seconds until rest.
+    pub(crate) fn least_periods(&self, dt: f64) -> u32 {
         // Rounding must not add a period to a stop of a whole number of periods.
-        let periods = (duration / dt - 1e-9).ceil().clamp(0.0, MOST_PERIODS);
-        Self { from: knots, periods: periods as u32, done: 0, dt }
+        (self.from.velocity.abs() / self.max_acceleration / dt - 1e-9).ceil().clamp(0.0, MOST_PERIODS) as u32
+    }
+
+    /// Distance travelled over `periods`, rad.
+    pub(crate) fn way(&self, periods: u32, dt: f64) -> f64 {
+        self.from.velocity.abs() * dt * f64::from(periods.saturating_sub(1)) / 2.0
+    }
+
+    /// Greatest number of periods for which the room suffices, at least the least number.
+    fn most_periods(&self, dt: f64) -> u32 {
+        let most = 2.0 * self.room.max(0.0) / (self.from.velocity.abs() * dt) + 1.0 + 1e-9;
+        // NaN, of a motor at rest without room, becomes 0.
+        (most.floor().min(MOST_PERIODS) as u32).max(self.least_periods(dt))
+    }
+}
+
+impl StraightStop {
+    /// A stop of motors in periods of `dt` seconds.
+    pub fn new(motors: impl IntoIterator<Item = Braking>, dt: f64) -> Self {
+        let (mut from, mut most, mut periods) = ([Knot::default(); MAX_AXES], [u32::MAX; MAX_AXES], 0);
+        for (axis, motor) in motors.into_iter().enumerate() {
+            (from[axis], most[axis]) = (motor.from, motor.most_periods(dt));
+            periods = periods.max(motor.least_periods(dt));
+        }
+        Self { from, most, periods, done: 0, dt }
     }
 
     /// Number of periods of the stop.
@@ -60,12 +92,12 @@ impl StraightStop {
 
     /// Present set-point of motor `axis`.
     pub fn at(&self, axis: usize) -> Knot {
-        let from = self.from[axis];
-        if self.periods == 0 {
+        let (from, periods) = (self.from[axis], self.periods.min(self.most[axis]));
+        if periods == 0 {
             return Knot::at_rest(from.position);
         }
         // The sum of the steps 1 − i / N for i = 1 ..= done.
-        let (done, periods) = (f64::from(self.done), f64::from(self.periods));
+        let (done, periods) = (f64::from(self.done.min(periods)), f64::from(periods));
         let steps = done - done * (done + 1.0) / (2.0 * periods);
         Knot::new(from.position + from.velocity * self.dt * steps, from.velocity * (1.0 - done / periods))
     }
@@ -89,7 +121,8 @@ mod tests {
             let from: Vec<Knot> =
                 motors.iter().map(|&(position, velocity, _)| Knot::new(position, velocity)).collect();
             let limits: Vec<f64> = motors.iter().map(|m| m.2).collect();
-            let mut stop = StraightStop::new(from.iter().copied().zip(limits.iter().copied()), DT);
+            let free = |(&from, &max_acceleration)| Braking { from, max_acceleration, room: f64::INFINITY };
+            let mut stop = StraightStop::new(from.iter().zip(&limits).map(free), DT);
             let mut last = from.clone();
             // The positions sent before the stop: constant velocity.
             let mut step: Vec<f64> = from.iter().map(|k| k.velocity * DT).collect();
@@ -123,7 +156,7 @@ mod tests {
     #[test]
     fn a_stop_at_rest_is_over_at_once() {
         let knot = Knot::at_rest(1.0);
-        let mut stop = StraightStop::new([(knot, 10.0)], DT);
+        let mut stop = StraightStop::new([Braking { from: knot, max_acceleration: 10.0, room: 0.0 }], DT);
         assert!(!stop.advance());
         assert_eq!(stop.at(0), knot);
     }
@@ -131,9 +164,27 @@ mod tests {
     #[test]
     fn the_slowest_axis_sets_the_time_and_no_period_is_lost() {
         let from = [Knot::new(0.0, 1.0), Knot::new(0.0, -1.0)];
-        let mut stop = StraightStop::new(from.into_iter().zip([100.0, 50.0]), DT);
+        let free = |(from, max_acceleration)| Braking { from, max_acceleration, room: f64::INFINITY };
+        let mut stop = StraightStop::new(from.into_iter().zip([100.0, 50.0]).map(free), DT);
         let periods = std::iter::from_fn(|| stop.advance().then_some(())).count();
         assert_eq!(periods, 20);
         assert!((stop.at(1).position + 0.0095).abs() < 1e-12);
+    }
+    #[test]
+    fn a_motor_near_its_limit_rests_before_it_while_the_others_brake_on() {
+        // The first motor needs 20 periods, the second 5 of the 20, and has room for 8.
+        let slow = Braking { from: Knot::new(0.0, 1.0), max_acceleration: 50.0, room: f64::INFINITY };
+        let near = Braking { from: Knot::new(2.0, -1.0), max_acceleration: 200.0, room: 0.0035 };
+        let mut stop = StraightStop::new([slow, near], DT).lasting(30);
+        let (mut periods, mut last) = (0, Knot::new(2.0, -1.0));
+        while stop.advance() {
+            periods += 1;
+            let next = stop.at(1);
+            let acceleration = ((next.position - last.position) / DT - last.velocity) / DT;
+            assert!(acceleration.abs() <= 200.0 * (1.0 + RELATIVE_TOLERANCE), "{acceleration}");
+            assert!(next.position >= 2.0 - 0.0035 - 1e-12);
+            last = Knot::new(next.position, (next.position - last.position) / DT);
+        }
+        assert_eq!((periods, stop.at(1)), (30, Knot::at_rest(2.0 - 0.0035)));
     }
 }

@@ -14,7 +14,7 @@ use crate::{
     After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Knot, MAX_AXES, Order, Publisher, Record,
     ServoAxisConfig, ServoEvent, ServoFault, ServoReport, ServoState, Snapshot, StopCause, StraightStop, latest,
 };
-use crate::{axis::ServoAxis, interpolate::Segment, motion_time::Motion, team::Team};
+use crate::{axis::ServoAxis, interpolate::Segment, limit, motion_time::Motion, team::Team};
 
 /// Longest wait for standstill after the last set-point of a stop. The power is then switched off.
 const STANDSTILL_WAIT: Duration = Duration::from_millis(100);
@@ -354,8 +354,8 @@ impl Effector {
 
     /// A straight stop from the last set-points.
     fn begin_stop(&mut self, tick: &Tick) {
-        let from = self.axes.iter().map(|axis| (axis.last_step(tick.dt), axis.config.max_acceleration));
-        self.stop = StraightStop::new(from, tick.dt);
+        let motors = self.axes.iter().map(|axis| limit::braking(&axis.config, axis.last_step(tick.dt)));
+        self.stop = StraightStop::new(motors, tick.dt);
     }
 
     /// Advances the set-points by one period, and the state with them.

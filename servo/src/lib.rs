@@ -44,7 +44,7 @@ pub mod thread;
 mod timing;
 
 pub use ::drive::Switches;
-pub use brake::StraightStop;
+pub use brake::{Braking, StraightStop};
 pub use config::{
     Direction, EffectorConfig, FeedForward, Figure, HomingLeg, HostHoming, HostLoop, KeyError, KeyProblem, Law,
     LoopBounds, MAX_EFFECTORS, Output, PositionLoop, Range, ServoAxisConfig, ServoConfig, ServoError,

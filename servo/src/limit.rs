@@ -1,6 +1,6 @@
 //! Limits of the set-points sent.
 
-use crate::{ServoAxisConfig, StopCause};
+use crate::{Braking, Knot, ServoAxisConfig, StopCause};
 
 /// Fraction by which a finite difference of sent positions may exceed a limit.
 ///
@@ -14,12 +14,14 @@ pub(crate) const RELATIVE_TOLERANCE: f64 = 1e-3;
 /// interpolation. The shortest count of a drive is above 10⁻⁷ rad.
 const POSITION_TOLERANCE: f64 = 1e-8;
 
+/// Fraction of a braking distance that counts as rounding.
+const ROUNDING: f64 = 1e-6;
+
 /// Checks whether `next` may follow `last` and `before_last`, in periods of `dt` seconds.
 ///
 /// Speed and acceleration are the first and second difference of the positions sent, with a tolerance of a thousandth.
-/// Positions have a tolerance of 10⁻⁸ rad. An axis beyond a position limit may move back towards the limit. A stop
-/// begun near a position limit overshoots it by at most v² / 2a. In a team, the overshoot is at most v·T / 2, where T
-/// is the duration of the slowest stop of the team. The limit must keep at least this distance from any obstacle.
+/// Positions have a tolerance of 10⁻⁸ rad. An axis beyond a position limit may move back towards the limit. A stop from
+/// `next` with the greatest acceleration must end within the position limit, so that no stop overshoots it.
 pub(crate) fn check(
     limits: &ServoAxisConfig,
     before_last: f64,
@@ -39,6 +41,25 @@ pub(crate) fn check(
     if acceleration.abs() > limits.max_acceleration * (1.0 + RELATIVE_TOLERANCE) {
         return Err(StopCause::AccelerationLimit { acceleration, limit: limits.max_acceleration });
     }
+    check_room(limits, Knot::new(next, velocity), dt)
+}
+
+/// The motor at `from` in a stop. An axis beyond a position limit has no room.
+pub(crate) fn braking(limits: &ServoAxisConfig, from: Knot) -> Braking {
+    let ahead =
+        if from.velocity > 0.0 { limits.max_position - from.position } else { from.position - limits.min_position };
+    Braking { from, max_acceleration: limits.max_acceleration, room: ahead }
+}
+
+fn check_room(limits: &ServoAxisConfig, from: Knot, dt: f64) -> Result<(), StopCause> {
+    let braking = braking(limits, from);
+    let way = braking.way(braking.least_periods(dt), dt);
+    // An axis that moves back from beyond the other limit has more room than the whole range.
+    if way > braking.room.max(0.0) + POSITION_TOLERANCE + way * ROUNDING {
+        let upper = from.velocity > 0.0;
+        let limit = if upper { limits.max_position } else { limits.min_position };
+        return Err(StopCause::NoRoomToStop { rest: from.position + way.copysign(from.velocity), limit });
+    }
     Ok(())
 }
 
@@ -56,6 +77,7 @@ pub(crate) fn check_position(limits: &ServoAxisConfig, last: f64, next: f64) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::StraightStop;
     use proptest::prelude::*;
 
     const DT: f64 = 0.01;
@@ -90,10 +112,14 @@ mod tests {
     fn each_limit_is_named_with_both_sides() {
         type Case = (f64, f64, f64, Option<StopCause>);
         let beyond = |position, limit| Some(StopCause::PositionLimit { position, limit });
-        let cases: [Case; 11] = [
+        let cases: [Case; 15] = [
             (0.0, 0.0, 0.0, None),
             (0.0, 0.0, 0.01, None),
-            (9.96, 9.98, 10.0, None),
+            (9.98, 9.99, 10.0, None),
+            (9.96, 9.98, 9.99, None),
+            (9.96, 9.98, 10.0, Some(StopCause::NoRoomToStop { rest: 10.01, limit: 10.0 })),
+            (-9.96, -9.98, -10.0, Some(StopCause::NoRoomToStop { rest: -10.01, limit: -10.0 })),
+            (11.0, 10.98, 10.96, None),
             (9.98, 10.0, 10.02, beyond(10.02, 10.0)),
             (-9.98, -10.0, -10.02, beyond(-10.02, -10.0)),
             (11.0, 11.0, 11.0, None),
@@ -124,6 +150,10 @@ mod tests {
                 prop_assert!((v + dv).abs() <= 5.0 * 1.001 + 1e-9);
                 prop_assert!(dv.abs() <= 1.0 * 1.001 + 1e-9);
                 prop_assert!(next.abs() <= 10.0 || next.abs() <= last.abs());
+                // A stop that begins there does not overshoot the limit.
+                let mut stop = StraightStop::new([braking(&limits(), Knot::new(next, v + dv))], DT);
+                while stop.advance() {}
+                prop_assert!(stop.at(0).position.abs() <= 10.0_f64.max(next.abs()) + 1e-6);
             }
         }
     }

@@ -157,6 +157,10 @@ pub enum StopCause {
     /// A set-point beyond a position limit. The set-point was not sent.
     #[error("set-point {position:.4} rad is beyond the limit {limit:.4} rad")]
     PositionLimit { position: f64, limit: f64 },
+    /// A set-point so fast and so near to a position limit that a stop from it would end at `rest`, beyond the limit. The
+    /// set-point was not sent.
+    #[error("set-point leaves no room to stop: the axis would rest at {rest:.4} rad, beyond the limit {limit:.4} rad")]
+    NoRoomToStop { rest: f64, limit: f64 },
     /// A set-point that needs more speed than permitted. The set-point was not sent.
     #[error("set-point needs {velocity:.3} rad/s, the limit is {limit:.3} rad/s")]
     VelocityLimit { velocity: f64, limit: f64 },
