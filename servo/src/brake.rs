@@ -90,6 +90,13 @@ impl StraightStop {
         under_way
     }
 
+    /// Distance, rad, by which motor `axis` is ahead if it is `beyond` its set-point by this signed distance. A motor that
+    /// began the stop at rest is ahead in both directions.
+    pub(crate) fn ahead(&self, axis: usize, beyond: f64) -> f64 {
+        let velocity = self.from[axis].velocity;
+        if velocity == 0.0 { beyond.abs() } else { beyond * velocity.signum() }
+    }
+
     /// Present set-point of motor `axis`.
     pub fn at(&self, axis: usize) -> Knot {
         let (from, periods) = (self.from[axis], self.periods.min(self.most[axis]));

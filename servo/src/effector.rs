@@ -12,7 +12,8 @@ use drive::{AxisCommand, AxisState, Power};
 
 use crate::{
     After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Knot, MAX_AXES, Order, Publisher, Record,
-    ServoAxisConfig, ServoEvent, ServoFault, ServoReport, ServoState, Snapshot, StopCause, StraightStop, latest,
+    ServoAxisConfig, ServoEvent, ServoFault, ServoReport, ServoState, Snapshot, StopCategory, StopCause, StraightStop,
+    latest,
 };
 use crate::{axis::ServoAxis, interpolate::Segment, limit, motion_time::Motion, team::Team};
 
@@ -74,6 +75,8 @@ pub(crate) struct Effector {
     next: [Knot; MAX_AXES],
     law: Option<law::Installed>,
     stop: StraightStop,
+    /// Distance of each motor ahead of its set-point, rad, when the envelope of the stop was set.
+    ahead: [f64; MAX_AXES],
     /// The motion ended in this cycle while the law still moved the effector, which brakes to a stand.
     pub(crate) settling: bool,
     /// Bit set of the effectors that brake together with this one.
@@ -121,6 +124,7 @@ impl Effector {
             next: [Knot::default(); MAX_AXES],
             law: None,
             stop: StraightStop::new([], 1.0),
+            ahead: [0.0; MAX_AXES],
             settling: false,
             braking_with: 0,
             stop_restarted: false,
@@ -257,7 +261,7 @@ impl Effector {
             } else if beyond || error.is_nan() {
                 let host_closed = axis.is_host_closed();
                 let cause = StopCause::FollowingError { error, limit };
-                if host_closed {
+                if host_closed || !self.is_within_envelope(index) {
                     self.lose(tick, index, cause);
                 } else {
                     self.fail(tick, index, cause);
@@ -272,17 +276,38 @@ impl Effector {
         self.apply(tick, ServoEvent::Fault);
     }
 
-    /// Latches a fault of a position loop. Such a loop cannot brake, so the power is switched off at once.
+    /// Latches a fault of a position loop that cannot brake, so the power is switched off at once.
     fn lose(&mut self, tick: &Tick, axis: usize, cause: StopCause) {
         self.latch(Some(axis), cause);
+        self.fault.iter_mut().for_each(|fault| fault.category = StopCategory::Zero);
         self.apply(tick, ServoEvent::ControlLost);
+    }
+
+    /// Whether the motor of axis `index`, beyond its following error, is within the envelope of a stop of category 1. A
+    /// stop of category 2 has its envelope in the following error itself.
+    fn is_within_envelope(&self, index: usize) -> bool {
+        let axis = &self.axes[index];
+        match self.state {
+            ServoState::Braking(After::Off | After::Fault) => {
+                self.stop.ahead(index, -axis.error()) <= self.ahead[index] + axis.config.following_error
+            }
+            _ => true,
+        }
+    }
+
+    /// Sets the envelope of a stop at the present distances.
+    fn set_envelope(&mut self) {
+        self.ahead = self.each(|axis| axis.error());
+        for (index, ahead) in self.ahead[..self.axes.len()].iter_mut().enumerate() {
+            *ahead = self.stop.ahead(index, -*ahead).max(0.0);
+        }
     }
 
     fn latch(&mut self, axis: Option<usize>, cause: StopCause) {
         let axis = axis.map(|axis| axis as u8);
         // A fault of the effector itself replaces that of a partner, and the end of a motion by its law.
         let first = self.fault.filter(|_| !self.needs_acknowledgement());
-        self.fault = Some(first.unwrap_or(ServoFault { axis, cause }));
+        self.fault = Some(first.unwrap_or(ServoFault::new(axis, cause)));
     }
 
     /// Changes the state by `event`; false if the event is refused.
@@ -311,11 +336,14 @@ impl Effector {
         self.news |= next.phase() != last.phase() || last == ServoState::Resetting;
         match (last, next) {
             // The stop continues; only the state after it changes.
-            (ServoState::Braking(_), ServoState::Braking(_)) | (ServoState::Halting(_), ServoState::Halting(_)) => {
+            (ServoState::Braking(_), ServoState::Braking(_)) => {
+                self.set_envelope();
                 return;
             }
+            (ServoState::Halting(_), ServoState::Halting(_)) => return,
             (_, ServoState::Braking(_)) => {
                 self.begin_stop(tick);
+                self.set_envelope();
                 (self.stop_restarted, self.braking_with) = (false, 0);
             }
             (_, ServoState::Halting(_)) => self.halted = false,

@@ -59,6 +59,6 @@ pub use motion_time::{OverrideError, SpeedOverride};
 pub use recorder::{AxisRecord, Record};
 pub use search::HomingFailure;
 pub use servo::{NotUp, Servo, StopRequest};
-pub use state::{After, Answer, ServoEvent, ServoState};
+pub use state::{After, Answer, ServoEvent, ServoState, StopCategory};
 pub use statistics::{Counters, TrackingError};
 pub use timing::Timing;

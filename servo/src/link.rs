@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use thiserror::Error;
 
-use crate::{HomingFailure, Latest, LawFault, LawParameters, Snapshot};
+use crate::{HomingFailure, Latest, LawFault, LawParameters, Snapshot, StopCategory};
 
 /// Greatest number of axes of one effector.
 pub const MAX_AXES: usize = 8;
@@ -135,6 +135,15 @@ pub struct ServoFault {
     pub axis: Option<u8>,
     /// Cause of the stop.
     pub cause: StopCause,
+    /// Category of the stop, the strictest one if the stop was escalated.
+    pub category: StopCategory,
+}
+
+impl ServoFault {
+    /// A fault that stops with the [category](StopCause::category) of its cause.
+    pub fn new(axis: Option<u8>, cause: StopCause) -> Self {
+        Self { axis, cause, category: cause.category() }
+    }
 }
 
 /// Cause of a stop. Positions are motor positions, rad.
@@ -231,6 +240,38 @@ pub enum StopCause {
 }
 
 impl StopCause {
+    /// Category of the stop. [`FollowingError`](Self::FollowingError) of a loop that the servo closes has category 0
+    /// instead, because such a loop cannot brake. A stop that [leaves its envelope](crate::ServoState) becomes stricter.
+    pub fn category(&self) -> StopCategory {
+        match self {
+            Self::Partner { .. } | Self::Touched => StopCategory::Two,
+            Self::Runaway { .. } => StopCategory::Zero,
+            Self::Drive(_)
+            | Self::FollowingError { .. }
+            | Self::LimitSwitch { .. }
+            | Self::PositionLimit { .. }
+            | Self::NoRoomToStop { .. }
+            | Self::VelocityLimit { .. }
+            | Self::AccelerationLimit { .. }
+            | Self::NotFinite
+            | Self::Malformed { .. }
+            | Self::UnequalSteps { .. }
+            | Self::OutOfSequence { .. }
+            | Self::NotAMember { .. }
+            | Self::Law(_)
+            | Self::LawDisplacement { .. }
+            | Self::LawSpeed { .. }
+            | Self::LawLeft { .. }
+            | Self::NoLaw { .. }
+            | Self::NotHomed
+            | Self::NotReady { .. }
+            | Self::Starved { .. }
+            | Self::HomingFailed
+            | Self::NoReference(_)
+            | Self::Overrun { .. } => StopCategory::One,
+        }
+    }
+
     /// Whether the stop leaves the effector standing with power on, and motion is refused until a stop or disable order
     /// acknowledges the cause.
     pub fn needs_acknowledgement(&self) -> bool {

@@ -1,5 +1,7 @@
 //! State machine of an effector.
 
+use serde::Serialize;
+
 use crate::Phase;
 
 /// State of an effector: [`Phase`] plus details for the servo.
@@ -10,6 +12,13 @@ use crate::Phase;
 /// ([`ServoState::Halting`]). The state after braking is decided when braking begins and can only become stricter: stand,
 /// then off, then faulted. A fault of an effector at rest takes its power at once. The loss of a loop that the servo
 /// closes takes the power at once in every state (category 0).
+///
+/// # Envelope of a stop
+/// A stop by set-points bounds the position of each motor in each cycle: a motor whose drive closes the position loop may
+/// be ahead of its set-point, in the direction of the stop, by at most its following error, plus the distance by which it
+/// was ahead when the stop began. A motor that leaves this envelope does not brake. Its stop becomes stricter by one
+/// category, and the envelope is set anew at this distance: a stop of category 2 becomes one of category 1, and a stop of
+/// category 1 takes the power at once (category 0).
 ///
 /// ```text
 /// Off ──Enable──▶ Enabling ──Done──▶ Standing ──Move──▶ Moving ──Done──▶ Standing
@@ -57,6 +66,38 @@ pub enum After {
     Off,
     /// Switch the drives off and latch the fault (category 1).
     Fault,
+}
+
+impl After {
+    /// The category of a stop that ends in this state.
+    pub fn category(self) -> StopCategory {
+        match self {
+            Self::Stand => StopCategory::Two,
+            Self::Off | Self::Fault => StopCategory::One,
+        }
+    }
+}
+
+/// Stop category (IEC 60204-1). A stop can only become stricter, in the order of the variants.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(into = "u8")]
+pub enum StopCategory {
+    /// Category 2: a controlled stop, after which the power stays on.
+    Two,
+    /// Category 1: a controlled stop, after which the power is removed.
+    One,
+    /// Category 0: the power is removed at once.
+    Zero,
+}
+
+impl From<StopCategory> for u8 {
+    fn from(category: StopCategory) -> Self {
+        match category {
+            StopCategory::Two => 2,
+            StopCategory::One => 1,
+            StopCategory::Zero => 0,
+        }
+    }
 }
 
 /// Event at an effector.

@@ -51,7 +51,7 @@ fn a_line_that_hangs_in_motion_stops_the_arm_by_the_name_of_its_axis() {
                 // A drive that receives nothing has no watchdog. The other drives stop it: they open the emergency stop
                 // of the cabinet.
                 let limit = rig.period * (tolerated + 3);
-                let ServoFault { axis, cause } = rig.fault_within(limit, &mut motion, RUN_OUT);
+                let ServoFault { axis, cause, .. } = rig.fault_within(limit, &mut motion, RUN_OUT);
                 assert_eq!(axis, Some(2), "{cell}, {how:?}, {direction}");
                 let cycles = tolerated + 1;
                 let silent = AxisControllerFault::Silent { cycles };
@@ -79,7 +79,7 @@ fn a_line_that_hangs_up_in_motion_stops_the_arm_in_time_and_is_the_cause() {
                 rig.feed(&mut motion);
                 rig.cycle();
             }
-            let ServoFault { axis, cause } = rig.servo.fault(0).unwrap();
+            let ServoFault { axis, cause, .. } = rig.servo.fault(0).unwrap();
             let gone = AxisControllerFault::Line(LineError::Gone);
             let line = lost[0] as u8;
             assert_eq!(axis, Some(line), "{cell}, lines {lost:?}");

@@ -144,7 +144,7 @@ impl Script {
         self.queue.clear();
         self.done = 0;
         self.moving = [0.0; MAX_AXES];
-        self.report.fault = Some(ServoFault { axis: None, cause: StopCause::Touched });
+        self.report.fault = Some(ServoFault::new(None, StopCause::Touched));
         self.phase(Phase::Stopping);
         self.phase(Phase::Standing);
     }
@@ -198,10 +198,8 @@ impl Script {
         }
         let Some(macrostep) = self.queue.front().copied() else {
             if self.moving != [0.0; MAX_AXES] {
-                self.fail(ServoFault {
-                    axis: Some(0),
-                    cause: StopCause::Starved { last: self.report.snapshot.macrostep },
-                });
+                let last = self.report.snapshot.macrostep;
+                self.fail(ServoFault::new(Some(0), StopCause::Starved { last }));
             } else if self.report.snapshot.phase == Phase::Moving {
                 self.phase(Phase::Standing);
             }

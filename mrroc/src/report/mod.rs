@@ -22,7 +22,7 @@ use controller::executor::InstructionError;
 use drive::{Warning, Warnings};
 use serde::Serialize;
 use servo::thread::{AccountReads, LateCycle, Spike, WaitReport};
-use servo::{Histogram, Servo, Timing};
+use servo::{Histogram, Servo, StopCategory, Timing};
 
 use crate::{budget::BusBudget, cell::CellFile, wire::WireReport};
 
@@ -191,6 +191,8 @@ pub struct FaultReport {
     pub axis: Option<String>,
     /// What happened.
     pub what: String,
+    /// Category of the stop (IEC 60204-1), 0 to 2; null without a stop by the servo.
+    pub stop_category: Option<StopCategory>,
     /// Place in the task, for an error of an instruction.
     #[serde(flatten)]
     pub place: Option<ErrorPlace>,
@@ -234,6 +236,7 @@ impl FaultReport {
             robot: Some(file.cell.robot[robot].name.clone()),
             axis: axis.map(|axis| file.axis_name(robot, axis)),
             what,
+            stop_category: None,
             place: None,
             last_cycles: None,
             cycle: None,
@@ -242,7 +245,15 @@ impl FaultReport {
 
     /// A fault of the run itself.
     pub fn of_run(what: impl fmt::Display) -> Self {
-        Self { robot: None, axis: None, what: format!("{what:#}"), place: None, last_cycles: None, cycle: None }
+        Self {
+            robot: None,
+            axis: None,
+            what: format!("{what:#}"),
+            stop_category: None,
+            place: None,
+            last_cycles: None,
+            cycle: None,
+        }
     }
 
     /// Adds the last cycles up to a fault of the servo.

@@ -432,9 +432,11 @@ fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultRep
     };
     if let Some((what, axis)) = of_bus.zip(axis) {
         let bus = &file.cell.robot[robot].axis[axis].bus;
-        return FaultReport::of_robot(file, robot, None, format!("bus {bus}: {what}"));
+        let of_bus = FaultReport::of_robot(file, robot, None, format!("bus {bus}: {what}"));
+        return FaultReport { stop_category: Some(fault.category), ..of_bus };
     }
-    FaultReport::of_robot(file, robot, axis, fault.cause.to_string())
+    let of_axis = FaultReport::of_robot(file, robot, axis, fault.cause.to_string());
+    FaultReport { stop_category: Some(fault.category), ..of_axis }
 }
 
 /// The latched faults of the I/O nodes of a cell. The axes do not stop by such a fault.
@@ -474,6 +476,7 @@ pub(crate) fn servo_faults(file: &CellFile, servo: &Servo, received: &[bool]) ->
         faults.push(FaultReport {
             robot: Some(names.join(" or ")),
             axis: None,
+            stop_category: None,
             place: None,
             cycle: None,
             last_cycles: None,

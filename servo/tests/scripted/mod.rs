@@ -123,6 +123,8 @@ pub struct Drive {
     pub stubborn: bool,
     /// The drive has power but ignores set-points.
     pub deaf: bool,
+    /// Speed, rad/s, at which the motor runs under power, whatever its set-points.
+    pub runs_at: Option<f64>,
     /// The search of the drive finds nothing.
     pub homing_fails: bool,
     /// Number of SYNCs that homing takes; homing never ends if zero.
@@ -215,6 +217,9 @@ impl Drive {
                 }
             }
             _ => self.target = None,
+        }
+        if let Some(speed) = self.runs_at.filter(|_| on) {
+            state.position = before + speed * dt;
         }
         if !matches!(self.pending, AxisCommand::Home) {
             self.homing = 0;

@@ -179,7 +179,7 @@ fn a_chain_with_one_macrostep_ahead_allows_a_plan_that_comes_one_poll_later() {
 
 #[test]
 fn a_fault_while_a_motion_is_planned_in_motion_leaves_nothing_for_the_next_motion() {
-    let fault = ServoFault { axis: Some(0), cause: StopCause::FollowingError { error: 2.0, limit: 1.5 } };
+    let fault = ServoFault::new(Some(0), StopCause::FollowingError { error: 2.0, limit: 1.5 });
     let mut bench = Bench::ready();
     let held = planning::Held::on(&mut bench);
     bench.ecp.execute(Task::new().run(through(0.5, 0.6)).run(jerk_limited(1.0))).unwrap();

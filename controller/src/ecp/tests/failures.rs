@@ -31,7 +31,7 @@ fn what_a_generator_must_not_ask_for_is_refused_with_everything_at_rest() {
 
 #[test]
 fn a_servo_fault_ends_the_task_and_is_passed_on() {
-    let fault = ServoFault { axis: Some(1), cause: StopCause::FollowingError { error: 2.0, limit: 1.5 } };
+    let fault = ServoFault::new(Some(1), StopCause::FollowingError { error: 2.0, limit: 1.5 });
     let mut bench = Bench::ready();
     bench.ecp.execute(Task::new().run(to(1.0, 0.0, 0.0)).run(to(0.0, 0.0, 0.0))).unwrap();
     let events = bench.go_on(|bench| {
@@ -47,7 +47,7 @@ fn a_servo_fault_ends_the_task_and_is_passed_on() {
 
 #[test]
 fn a_fault_keeps_the_number_of_its_macrostep_whatever_was_computed_after_it() {
-    let fault = ServoFault { axis: Some(1), cause: StopCause::FollowingError { error: 2.0, limit: 1.5 } };
+    let fault = ServoFault::new(Some(1), StopCause::FollowingError { error: 2.0, limit: 1.5 });
     // Before the images of macrostep 10 are reported, after that, and in its first period.
     for period in [5, 9, 1] {
         let mut bench = Bench::ready();
@@ -69,7 +69,7 @@ fn a_fault_keeps_the_number_of_its_macrostep_whatever_was_computed_after_it() {
 
 #[test]
 fn a_fault_in_a_macrostep_of_the_motion_before_has_no_step_in_the_next_one_and_a_fault_at_rest_no_macrostep() {
-    let fault = ServoFault { axis: Some(1), cause: StopCause::FollowingError { error: 2.0, limit: 1.5 } };
+    let fault = ServoFault::new(Some(1), StopCause::FollowingError { error: 2.0, limit: 1.5 });
     let mut bench = Bench::ready();
     let through = JerkLimited::new(Space::Joint, 3, limits(), &[axis_0(0.3)]).unwrap().ending_at(axis_0(0.3)).unwrap();
     let back = JerkLimited::new(Space::Joint, 3, limits(), &[axis_0(0.0)]).unwrap();
@@ -94,7 +94,7 @@ fn a_fault_in_a_macrostep_of_the_motion_before_has_no_step_in_the_next_one_and_a
 
 #[test]
 fn a_stop_that_does_not_end_is_reported_by_the_fault_that_began_it() {
-    let fault = ServoFault { axis: Some(1), cause: StopCause::Runaway { velocity: 300.0, limit: 250.0 } };
+    let fault = ServoFault::new(Some(1), StopCause::Runaway { velocity: 300.0, limit: 250.0 });
     let mut bench = Bench::ready();
     let task = Task::new().run(to(1.0, 0.0, 0.0));
     bench.ecp.execute(task).unwrap();

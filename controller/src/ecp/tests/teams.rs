@@ -132,7 +132,7 @@ fn effector(group: usize) -> EffectorConfig {
 }
 
 fn stopped_by(effector: u8) -> Result<(), EcpError> {
-    Err(EcpError::Servo(ServoFault { axis: None, cause: StopCause::Partner { effector } }))
+    Err(EcpError::Servo(ServoFault::new(None, StopCause::Partner { effector })))
 }
 
 #[test]
@@ -189,7 +189,7 @@ fn a_fault_of_one_member_ends_the_instruction_of_its_partner_which_stands_and_mo
     cell.until(|cell| cell.team_macrosteps() == [20; 2]);
     *cell.faults[1].lock().unwrap() = Some(FAULT);
     cell.until(|cell| cell.ecps.iter().all(|ecp| ecp.status().instruction.is_none()));
-    let fault = EcpError::Servo(ServoFault { axis: Some(0), cause: StopCause::Drive(FAULT) });
+    let fault = EcpError::Servo(ServoFault::new(Some(0), StopCause::Drive(FAULT)));
     assert_eq!(cell.outcomes, [vec![Ok(()), stopped_by(1)], vec![Ok(()), Err(fault)]]);
     assert_eq!(stopped_by(1).unwrap_err().class(), Class::NonFatal);
     cell.until(|cell| cell.phases()[1] == Phase::Faulted);
@@ -232,7 +232,7 @@ fn a_tie_without_its_own_robot_or_with_one_that_does_not_exist_is_refused() {
         let mut cell = Cell::standing();
         assert_eq!(cell.run([Task::new().tie(members), Task::new()])[0], [Ok(())]);
         cell.until(|cell| cell.phases()[0] == Phase::Faulted);
-        let refused = ServoFault { axis: None, cause: StopCause::NotAMember { members } };
+        let refused = ServoFault::new(None, StopCause::NotAMember { members });
         assert_eq!(cell.servo.fault(0), Some(refused));
     }
 }

@@ -193,7 +193,7 @@ fn a_touch_brakes_in_its_cycle_and_refuses_motion_until_it_is_acknowledged() {
     assert_eq!((rig.phase(), rig.cause()), (Phase::Standing, Some(StopCause::Touched)));
     keeps_limits(&rig.positions(0)).unwrap();
     let report = rig.reports().last().copied().unwrap();
-    assert_eq!(report.fault, Some(ServoFault { axis: None, cause: StopCause::Touched }));
+    assert_eq!(report.fault, Some(ServoFault::new(None, StopCause::Touched)));
     assert_eq!(rig.servo.counters().refused_orders, 14, "the macrosteps behind the touch are dropped");
     let at = *rig.positions(0).last().unwrap();
     rig.order(Order::Stop);

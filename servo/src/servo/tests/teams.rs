@@ -81,7 +81,7 @@ impl Cell {
 }
 
 fn partner(effector: u8) -> Option<ServoFault> {
-    Some(ServoFault { axis: None, cause: StopCause::Partner { effector } })
+    Some(ServoFault::new(None, StopCause::Partner { effector }))
 }
 
 /// `count` macrosteps of 10 periods from zero: 400 rad/s² during four of them, then 16 rad/s, all times `scale`. The
@@ -339,7 +339,7 @@ fn a_barrier_without_its_effector_or_with_one_that_does_not_exist_is_a_fault() {
             cell.order(0, barrier);
             cell.run(5);
             let cause = StopCause::NotAMember { members };
-            assert_eq!(cell.servo.fault(0), Some(ServoFault { axis: None, cause }));
+            assert_eq!(cell.servo.fault(0), Some(ServoFault::new(None, cause)));
             assert_eq!(cell.phases(), [Phase::Faulted, Phase::Standing]);
         }
     }

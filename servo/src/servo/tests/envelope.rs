@@ -1,0 +1,89 @@
+//! Categories of stops, and motors that leave the envelope of a stop.
+
+use super::*;
+use crate::{After, ServoState, StopCategory};
+
+/// An effector that moves at 10 rad/s, whose second motor then runs at `speed`, and `order` stops it.
+fn stopping(order: Order, speed: Option<f64>) -> Rig {
+    let mut rig = Rig::standing(2);
+    rig.accelerate(500.0, 2, 20);
+    rig.run(40);
+    rig.order(order);
+    rig.world().axes[1].runs_at = speed;
+    rig
+}
+
+fn category(rig: &Rig) -> Option<StopCategory> {
+    rig.servo.fault(0).map(|fault| fault.category)
+}
+
+#[test]
+fn a_motor_that_runs_on_makes_a_stop_of_category_2_one_of_1_and_then_of_0() {
+    let mut rig = stopping(Order::Stop, Some(200.0));
+    let start = rig.world().axes[1].state.position;
+    let following_error = scripted::config(2).effectors[0].axes[1].following_error;
+    let mut seen = Vec::new();
+    for _ in 0..50 {
+        rig.run(1);
+        let now = (rig.servo.state(0).unwrap(), category(&rig));
+        if seen.last() != Some(&now) {
+            seen.push(now);
+        }
+    }
+    let expected = [
+        (ServoState::Braking(After::Stand), None),
+        (ServoState::Braking(After::Fault), Some(StopCategory::One)),
+        (ServoState::Faulted, Some(StopCategory::Zero)),
+    ];
+    assert_eq!(seen, expected);
+    assert!(matches!(rig.cause(), Some(StopCause::FollowingError { .. })));
+    // The way of the stop, two following errors, and the way during the delay of two periods and the switching off.
+    let way = rig.world().axes[1].state.position - start;
+    assert!(way < 0.5 * 10.0 * 0.01 + 2.0 * following_error + 200.0 * 6.0 * DT, "{way} rad");
+}
+
+#[test]
+fn a_motor_that_does_not_brake_loses_its_power_in_a_stop_of_category_1() {
+    let mut rig = stopping(Order::Disable, Some(200.0));
+    rig.run_until(Phase::Faulted);
+    assert_eq!(category(&rig), Some(StopCategory::Zero));
+    assert_eq!(rig.last_sent(), [AxisCommand::Off; 2]);
+}
+
+#[test]
+fn motors_that_lag_or_stand_still_stay_within_the_envelope() {
+    // A blocked motor does not reach its set-points.
+    for speed in [None, Some(0.0)] {
+        for (order, end) in [(Order::Stop, Phase::Standing), (Order::Disable, Phase::Off)] {
+            let mut rig = stopping(order, speed);
+            rig.run_until(end);
+            assert_eq!(category(&rig), None);
+            keeps_limits(&rig.positions(0)).unwrap();
+        }
+    }
+    // Blocked in motion until its following error stops it: the other motor brakes on, although the error remains.
+    let mut rig = stopping(Order::Enable, Some(0.0));
+    rig.run_until(Phase::Faulted);
+    assert_eq!(category(&rig), Some(StopCategory::One));
+    keeps_limits(&rig.positions(0)).unwrap();
+}
+
+#[test]
+fn each_state_after_a_stop_has_its_category() {
+    let table = [(After::Stand, 2), (After::Off, 1), (After::Fault, 1)];
+    for (after, number) in table {
+        assert_eq!(u8::from(after.category()), number, "{after:?}");
+    }
+    assert!(StopCategory::Zero > StopCategory::One && StopCategory::One > StopCategory::Two);
+    let causes = [
+        (StopCause::Partner { effector: 1 }, StopCategory::Two),
+        (StopCause::Touched, StopCategory::Two),
+        (StopCause::Runaway { velocity: 1.0, limit: 0.5 }, StopCategory::Zero),
+        (StopCause::Overrun { missed: 4 }, StopCategory::One),
+        (StopCause::Drive(FAULT), StopCategory::One),
+    ];
+    for (cause, expected) in causes {
+        assert_eq!(cause.category(), expected, "{cause}");
+        assert_eq!(cause.needs_acknowledgement(), expected == StopCategory::Two);
+    }
+}
