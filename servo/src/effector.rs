@@ -8,7 +8,7 @@ mod orders;
 use std::time::Duration;
 
 use can::Instant;
-use drive::{AxisCommand, AxisState, Power};
+use drive::{AxisCommand, AxisState, EmergencyStop, Power};
 
 use crate::{
     After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Knot, MAX_AXES, Order, Publisher, Record,
@@ -41,6 +41,8 @@ pub(crate) struct Tick {
     pub(crate) effectors: u32,
     /// Deadlines missed in a row, if they exceed the limit.
     pub(crate) overrun: Option<u32>,
+    /// An input of the emergency stop that demands a stop.
+    pub(crate) emergency: Option<EmergencyStop>,
     /// Advance of the motion time.
     pub(crate) motion: Motion,
     /// Periods since the last cycle: 1 plus the number of missed deadlines.
@@ -221,6 +223,9 @@ impl Effector {
     /// A closed limit switch stops an effector that continues towards the switch, or that the switch holds back from
     /// its commanded position. An axis may rest on the switch or move away from the switch.
     fn check(&mut self, tick: &Tick) {
+        if let Some(emergency) = tick.emergency {
+            self.fail(tick, None, StopCause::EmergencyStop(emergency));
+        }
         if let Some(missed) = tick.overrun {
             // In the missed cycles, the drives stood at their last set-points or continued by them.
             let late = tick.periods - 1;
@@ -432,7 +437,8 @@ impl Effector {
                 }
             }
             ServoState::Resetting => {
-                if self.axes.iter().all(|axis| axis.state.fault.is_none()) {
+                let cleared = self.axes.iter().all(|axis| axis.state.fault.is_none());
+                if cleared && tick.emergency.is_none() {
                     self.apply(tick, ServoEvent::Done);
                 } else if waited > self.enabling_timeout {
                     let late = self.first(|axis| axis.state.fault.is_some());

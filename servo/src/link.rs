@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use drive::EmergencyStop;
 use thiserror::Error;
 
 use crate::{HomingFailure, Latest, LawFault, LawParameters, Snapshot, StopCategory};
@@ -234,6 +235,9 @@ pub enum StopCause {
     /// Homing by the servo did not find the reference.
     #[error("homing: {0}")]
     NoReference(HomingFailure),
+    /// An input of the emergency stop is open, or not known. All effectors stop, and stay off while the cause persists.
+    #[error("{0}")]
+    EmergencyStop(EmergencyStop),
     /// More deadlines in a row were missed than the cell permits.
     #[error("{missed} cycles in a row missed their deadline")]
     Overrun { missed: u32 },
@@ -268,6 +272,7 @@ impl StopCause {
             | Self::Starved { .. }
             | Self::HomingFailed
             | Self::NoReference(_)
+            | Self::EmergencyStop(_)
             | Self::Overrun { .. } => StopCategory::One,
         }
     }

@@ -257,6 +257,7 @@ impl Servo {
             stop: self.stop.is_requested(),
             effectors: !u32::MAX.checked_shl(effectors.len() as u32).unwrap_or(0),
             overrun: (row > self.max_missed_in_row).then_some(row),
+            emergency: self.groups.iter().find_map(|group| group.drives.emergency_stop()),
         }
     }
 

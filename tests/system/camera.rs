@@ -11,6 +11,9 @@ use crate::mrroc::{Directory, example};
 #[expect(dead_code, reason = "the program of the example has a main of its own")]
 mod look;
 
+/// A change of a cell.
+type Change = fn(&mut Cell);
+
 /// The cell of the example after a change.
 fn cell(change: impl FnOnce(&mut Cell)) -> CellFile {
     CellFile::read(Directory::new().cell("irb6-camera", change)).unwrap()
@@ -74,7 +77,7 @@ fn silence_of_the_camera_ends_the_task_by_its_fault_with_the_age() {
 
 #[test]
 fn absent_silent_garbled_and_other_cameras_are_refused_before_motion() {
-    let cases: [(fn(&mut Cell), &str); 5] = [
+    let cases: [(Change, &str); 5] = [
         (|cell| cell.camera[0].emulator.absent = true, "no connection, waited"),
         (|cell| cell.camera[0].emulator.silent_from_s = Some(0.0), "no picture for"),
         (|cell| cell.camera[0].emulator.garbled = true, "no valid picture for"),

@@ -67,6 +67,7 @@ impl Stage {
             inhibit_time: Duration::from_millis(1),
             event_timer: Duration::from_millis(100),
             inverted_inputs: 0,
+            emergency_inputs: 0,
             filtered_inputs: 0,
             inverted_outputs: 0,
             // Output 7 keeps its level.

@@ -24,6 +24,7 @@ mod datasheet;
 mod digital_io;
 mod doctor;
 mod drive_parameters;
+mod emergency_stop;
 mod emulate_slcan;
 mod epos_service;
 mod error_classes;

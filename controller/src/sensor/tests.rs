@@ -183,6 +183,7 @@ fn node(raw: u8, high: u8) -> (RehearsedIo, DigitalInputs, drive::cia401::Output
         inhibit_time: Duration::from_millis(1),
         event_timer: Duration::from_millis(100),
         inverted_inputs: 0,
+        emergency_inputs: 0,
         filtered_inputs: 0,
         inverted_outputs: 0,
         error_mode: 0,

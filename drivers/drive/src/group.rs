@@ -3,6 +3,7 @@
 use std::task::Poll;
 
 use can::{Counters, Instant};
+use thiserror::Error;
 
 use crate::{AxisCommand, AxisState, BringUpError, Warnings};
 
@@ -43,6 +44,11 @@ pub trait DriveGroup: Send {
     /// no set-point: a group that can attribute set-points to axes ignores such axes in the return value.
     fn send(&mut self, now: Instant) -> bool;
 
+    /// An input of the emergency stop that is open or not known at the last [`read`](Self::read).
+    fn emergency_stop(&self) -> Option<EmergencyStop> {
+        None
+    }
+
     /// The counters of the group.
     fn counters(&self) -> GroupCounters;
 
@@ -51,6 +57,21 @@ pub trait DriveGroup: Send {
         static NONE: Warnings = Warnings::NONE;
         &NONE
     }
+}
+
+/// An input of the emergency stop that demands a stop: its contact is open, or its level is not known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error(
+    "emergency stop by input {input} of node {node}: {}",
+    if *.known { "the contact is open" } else { "the node has a fault, and the level is not known" }
+)]
+pub struct EmergencyStop {
+    /// Node-ID of the I/O node.
+    pub node: u8,
+    /// Number of the input.
+    pub input: u8,
+    /// Whether the node works, so that the contact is known to be open.
+    pub known: bool,
 }
 
 /// Counters of a group. Counters only grow.

@@ -22,7 +22,7 @@ pub mod wrench;
 
 pub use command::{AxisCommand, Finite, Setpoint};
 pub use fault::{BringUpError, Fault, Refusal};
-pub use group::{DriveGroup, GroupCounters};
+pub use group::{DriveGroup, EmergencyStop, GroupCounters};
 pub use scale::{Increments, Scale};
 pub(crate) use scale::{Milliamperes, Permille};
 pub use state::{AxisState, Homing, Power, Switches};

@@ -246,6 +246,7 @@ fn no_cycle_allocates() {
         inhibit_time: PERIOD,
         event_timer: Duration::from_millis(100),
         inverted_inputs: 0,
+        emergency_inputs: 0,
         filtered_inputs: 0,
         inverted_outputs: 0,
         error_mode: 0xFF,

@@ -60,6 +60,10 @@ pub struct InputLine {
     /// Whether the input is true while its terminal is low.
     #[serde(default)]
     pub inverted: bool,
+    /// Whether the input is a contact of the emergency stop. While the input is false, or its node has a fault, every robot
+    /// of the cell brakes, and its drives go off and stay off. A normally closed contact is true while it is closed.
+    #[serde(default)]
+    pub emergency_stop: bool,
     /// Whether the node filters the input (object 0x6003). The node determines the filter time.
     #[serde(default)]
     pub filtered: bool,
@@ -166,6 +170,7 @@ impl IoNode {
             inhibit_time: self.inhibit_us.map_or(period, |micros| Duration::from_micros(micros.into())),
             event_timer: Duration::from_millis(self.event_timer_ms.into()),
             inverted_inputs: inputs(|input| input.inverted),
+            emergency_inputs: inputs(|input| input.emergency_stop),
             filtered_inputs: inputs(|input| input.filtered),
             inverted_outputs: outputs(|output| output.inverted),
             error_mode: outputs(|output| output.error_state != ErrorState::Keep),

@@ -10,10 +10,10 @@ use controller::ecp::{EcpError, StepRecords, Subcontrollers};
 use controller::executor::{Ended, Executor, InstructionError, News, NotedError, SystemError, Turns};
 use controller::generator::{Axes, PlannedStart};
 use controller::sensor::ForceTorque;
-use drive::Fault;
 use drive::camera::CameraLink;
 use drive::cia401::IoLink;
 use drive::ultrasonic::UltrasonicLink;
+use drive::{EmergencyStop, Fault};
 use servo::{EffectorLink, Phase, Servo, ServoFault, SpeedOverride, StopCause, StopRequest};
 use thiserror::Error;
 
@@ -435,8 +435,23 @@ fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultRep
         let of_bus = FaultReport::of_robot(file, robot, None, format!("bus {bus}: {what}"));
         return FaultReport { stop_category: Some(fault.category), ..of_bus };
     }
-    let of_axis = FaultReport::of_robot(file, robot, axis, fault.cause.to_string());
+    let what = match fault.cause {
+        StopCause::EmergencyStop(stop) => emergency_stop(file, &stop),
+        cause => cause.to_string(),
+    };
+    let of_axis = FaultReport::of_robot(file, robot, axis, what);
     FaultReport { stop_category: Some(fault.category), ..of_axis }
+}
+
+/// An emergency stop, with the names of the I/O node and its input.
+fn emergency_stop(file: &CellFile, stop: &EmergencyStop) -> String {
+    let nodes = file.cell.io.iter().filter(|io| io.node == stop.node);
+    let inputs = nodes.flat_map(|io| io.input.iter().map(move |input| (io, input)));
+    let found = inputs.into_iter().find(|(_, input)| input.line == stop.input && input.emergency_stop);
+    match found {
+        Some((io, input)) => format!("input {} of I/O node {}: {stop}", input.name, io.name),
+        None => stop.to_string(),
+    }
 }
 
 /// The latched faults of the I/O nodes of a cell. The axes do not stop by such a fault.

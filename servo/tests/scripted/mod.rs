@@ -10,7 +10,8 @@ use std::time::Duration;
 
 use can::{Instant, clock};
 use drive::{
-    AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Homing, Increments, Power, Setpoint,
+    AxisCommand, AxisState, BringUpError, DriveGroup, EmergencyStop, Fault, GroupCounters, Homing, Increments, Power,
+    Setpoint,
 };
 
 use super::regulator::CascadeConfig;
@@ -93,6 +94,7 @@ pub struct World {
     pub gone: bool,
     /// Duration of each call of `write` on the wall clock.
     pub work: Duration,
+    pub emergency: Option<EmergencyStop>,
 }
 
 /// How a drive reports that the index pulse set its counter.
@@ -326,6 +328,10 @@ impl DriveGroup for Scripted {
             }
             *state = drive.seen;
         }
+    }
+
+    fn emergency_stop(&self) -> Option<EmergencyStop> {
+        self.world().emergency
     }
 
     fn write(&mut self, _: Instant, commands: &[AxisCommand]) {

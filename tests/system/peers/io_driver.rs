@@ -79,6 +79,7 @@ fn config() -> (GroupConfig, IoConfig) {
         inhibit_time: Duration::from_millis(1),
         event_timer: Duration::from_millis(500),
         inverted_inputs: 0,
+        emergency_inputs: 0,
         filtered_inputs: 0,
         // Output 9 is inverted. Outputs 0 and 9 take an error value, the others keep their level.
         inverted_outputs: 1 << 9,

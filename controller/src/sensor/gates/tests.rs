@@ -257,6 +257,7 @@ fn a_sensor_reads_the_edges_of_its_node_and_its_fault() {
         inhibit_time: INHIBIT,
         event_timer: Duration::from_millis(100),
         inverted_inputs: 0,
+        emergency_inputs: 0,
         filtered_inputs: 0,
         inverted_outputs: 0,
         error_mode: 0,

@@ -50,7 +50,7 @@ pub use traffic::{Traffic, traffic};
 use crate::cia401::{self, IoConfig, IoFault, IoLink, IoNode};
 use crate::cia402::{self, AxisConfig, Cia402Group, ConfigError, GroupConfig};
 use crate::wrench::{self, WrenchLink, WrenchNode, WrenchNodeConfig};
-use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Warning, Warnings};
+use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, EmergencyStop, Fault, GroupCounters, Warning, Warnings};
 use bring_up::Profile;
 use own_heartbeat::OwnHeartbeat;
 use routes::{Place, Routes};
@@ -565,6 +565,10 @@ impl<P: Port> DriveGroup for CanBus<P> {
         self.batch.clear();
         self.cycle += 1;
         taken >= syncs + setpoints
+    }
+
+    fn emergency_stop(&self) -> Option<EmergencyStop> {
+        self.io.iter().find_map(IoNode::emergency_stop)
     }
 
     fn counters(&self) -> GroupCounters {

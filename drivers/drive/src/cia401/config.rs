@@ -34,6 +34,9 @@ pub struct IoConfig {
     pub event_timer: Duration,
     /// Inputs whose level is inverted, input *n* in bit *n*. The driver inverts them, so a node may lack object 0x6002.
     pub inverted_inputs: u64,
+    /// Inputs of the emergency stop, input *n* in bit *n*. While one of them is false after its inversion, or the node has a
+    /// fault, all effectors of the servo are stopped.
+    pub emergency_inputs: u64,
     /// Inputs that the node filters (0x6003), input *n* in bit *n*. The filter time belongs to the node.
     pub filtered_inputs: u64,
     /// Outputs whose level is inverted at the terminal, output *n* in bit *n*. The driver inverts them.
@@ -60,7 +63,7 @@ pub enum IoQuantity {
     InhibitTime,
     #[error("event timer is not 1 to 65535 whole milliseconds")]
     EventTimer,
-    #[error("filter or inversion has a bit beyond the inputs")]
+    #[error("filter, inversion or emergency stop has a bit beyond the inputs")]
     InputMask,
     #[error("error mode, error value or inversion has a bit beyond the outputs")]
     OutputMask,
@@ -83,7 +86,7 @@ pub fn check(group: &GroupConfig, axes: &[AxisConfig], io: &[IoConfig]) -> Resul
         if config.inputs.max(config.outputs) > CHANNELS || config.inputs.max(config.outputs) == 0 {
             return Err(out_of_range(IoQuantity::Channels));
         }
-        if (config.inverted_inputs | config.filtered_inputs) & !mask(config.inputs) != 0 {
+        if (config.inverted_inputs | config.filtered_inputs | config.emergency_inputs) & !mask(config.inputs) != 0 {
             return Err(out_of_range(IoQuantity::InputMask));
         }
         if (config.error_mode | config.error_value | config.inverted_outputs) & !mask(config.outputs) != 0 {

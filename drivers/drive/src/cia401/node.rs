@@ -13,9 +13,9 @@ use super::config::{IoConfig, mask};
 use super::edges::Edge;
 use super::fault::IoFault;
 use super::image::{ImagePublisher, InputImage, IoError, IoLink, OutputCommand, ResetRequest, SentOutputs};
-use crate::BringUpError;
 use crate::bus::Member;
 use crate::cia402::GroupConfig;
+use crate::{BringUpError, EmergencyStop};
 
 /// State of one I/O node: its inputs, the outputs sent and the latched fault.
 ///
@@ -29,6 +29,7 @@ pub(crate) struct IoNode {
     inputs: u8,
     outputs: u8,
     inverted_inputs: u64,
+    emergency_inputs: u64,
     inverted_outputs: u64,
     error_mode: u64,
     error_value: u64,
@@ -85,6 +86,7 @@ impl IoNode {
             inputs: config.inputs,
             outputs: config.outputs,
             inverted_inputs: config.inverted_inputs,
+            emergency_inputs: config.emergency_inputs,
             inverted_outputs: config.inverted_outputs,
             error_mode: config.error_mode,
             error_value: config.error_value,
@@ -252,6 +254,14 @@ impl IoNode {
         }
         (self.image.cycle, self.image.at) = (cycle, now);
         self.publisher.publish(&self.image.words());
+    }
+
+    /// The first input of the emergency stop that is open or not known.
+    pub(crate) fn emergency_stop(&self) -> Option<EmergencyStop> {
+        let known = self.image.fault.is_none();
+        let open = if known { self.emergency_inputs & !self.image.levels } else { self.emergency_inputs };
+        let input = open.trailing_zeros() as u8;
+        (open != 0).then_some(EmergencyStop { node: self.node.raw(), input, known })
     }
 
     /// Latches silence, a node that left the state operational, and outputs that are not sent.

@@ -77,6 +77,7 @@ mod tests {
             inhibit_time: Duration::from_millis(1),
             event_timer: Duration::from_millis(100),
             inverted_inputs: 0b100,
+            emergency_inputs: 0,
             filtered_inputs: 0,
             inverted_outputs: 0b10,
             error_mode: 0b11,

@@ -1,5 +1,7 @@
 //! Categories of stops, and motors that leave the envelope of a stop.
 
+use drive::EmergencyStop;
+
 use super::*;
 use crate::{After, ServoState, StopCategory};
 
@@ -86,4 +88,41 @@ fn each_state_after_a_stop_has_its_category() {
         assert_eq!(cause.category(), expected, "{cause}");
         assert_eq!(cause.needs_acknowledgement(), expected == StopCategory::Two);
     }
+}
+
+#[test]
+fn an_emergency_stop_brakes_and_holds_the_effector_off_until_it_is_released_and_reset() {
+    let emergency = EmergencyStop { node: 40, input: 5, known: true };
+    let mut rig = Rig::standing(2);
+    rig.accelerate(500.0, 2, 20);
+    rig.run(40);
+    rig.world().emergency = Some(emergency);
+    rig.run(1);
+    assert_eq!(rig.phase(), Phase::Stopping);
+    rig.run_until(Phase::Faulted);
+    keeps_limits(&rig.positions(0)).unwrap();
+    let fault = rig.servo.fault(0).unwrap();
+    assert_eq!((fault.axis, fault.cause), (None, StopCause::EmergencyStop(emergency)));
+    assert_eq!(fault.category, StopCategory::One);
+    assert_eq!(fault.to_string(), "emergency stop by input 5 of node 40: the contact is open");
+    // No reset while the contact is open, and no power before a reset.
+    rig.order(Order::ResetFault);
+    for _ in 0..10 {
+        rig.run(1);
+        assert_eq!(rig.phase(), Phase::Faulted);
+    }
+    assert_eq!(rig.servo.state(0), Some(ServoState::Faulted));
+    rig.world().emergency = None;
+    rig.order(Order::Enable);
+    rig.run(10);
+    assert_eq!((rig.phase(), rig.last_sent()), (Phase::Faulted, vec![AxisCommand::Off; 2]));
+    rig.order(Order::ResetFault);
+    rig.run_until(Phase::Off);
+    assert_eq!(rig.cause(), None);
+    rig.order(Order::Enable);
+    rig.run_until(Phase::Standing);
+    // At rest the power goes at once.
+    rig.world().emergency = Some(EmergencyStop { known: false, ..emergency });
+    rig.run(1);
+    assert_eq!((rig.phase(), rig.last_sent()), (Phase::Faulted, vec![AxisCommand::Off; 2]));
 }

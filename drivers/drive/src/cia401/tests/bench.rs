@@ -22,6 +22,7 @@ pub(super) fn io_config(raw: u8) -> IoConfig {
         inhibit_time: Duration::from_millis(1),
         event_timer: Duration::from_millis(50),
         inverted_inputs: 0,
+        emergency_inputs: 0,
         filtered_inputs: 0,
         inverted_outputs: 0,
         error_mode: 0b1011,

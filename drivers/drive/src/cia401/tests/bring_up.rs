@@ -259,6 +259,7 @@ fn quantities_that_a_node_cannot_hold_are_refused() {
         (IoConfig { error_value: 1 << 63, ..io() }, IoQuantity::OutputMask),
         (IoConfig { inverted_outputs: 0b1_0000, ..io() }, IoQuantity::OutputMask),
         (IoConfig { inverted_inputs: 1 << 10, ..io() }, IoQuantity::InputMask),
+        (IoConfig { emergency_inputs: 1 << 10, ..io() }, IoQuantity::InputMask),
         (IoConfig { filtered_inputs: 1 << 63, ..io() }, IoQuantity::InputMask),
         (IoConfig { inhibit_time: micros(0), ..io() }, IoQuantity::InhibitTime),
         (IoConfig { inhibit_time: micros(150), ..io() }, IoQuantity::InhibitTime),
