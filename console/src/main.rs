@@ -58,6 +58,9 @@ enum Command {
         #[command(flatten)]
         options: mrroc::ProgramOptions,
     },
+    /// Stop the controller of a cell that runs on this computer in another process: its robots brake, and their drives go
+    /// off.
+    Stop(service::stop::Options),
     /// Emulate the axis controllers of a cell: on a CAN interface, behind an slcan adapter, or on serial lines.
     Emulate(emulate::Options),
     /// List the nodes of a bus: by SDO requests to every node-ID, by LSS requests, and by heartbeats. Do not use while
@@ -135,6 +138,7 @@ fn main() -> ExitCode {
         Command::Run { cell, task, options } => {
             CellFile::read(&cell).and_then(|file| mrroc::run_program(&file, &options, &task.program()))
         }
+        Command::Stop(options) => service::stop::stop(&options),
         Command::Emulate(options) => emulate::emulate(&options),
         Command::Scan(options) => {
             service::scan::scan(&options).and_then(|scanned| streams::answer(&scanned, options.json))

@@ -150,6 +150,32 @@ pub(crate) fn output_on(
     panic!("the host delays answers at every start");
 }
 
+/// `mrroc stop` finds the controller by its locks.
+#[test]
+fn a_running_controller_is_stopped_by_another_process() {
+    let _turn = turn();
+    let directory = Directory::new();
+    let cell = directory.cell("irb6-serial", patient);
+    let ttys = directory.path("ttys");
+    let stop = || mrroc(["stop".as_ref(), cell.as_os_str(), "--serial".as_ref(), ttys.as_os_str()]);
+    let _emulator = emulate(&cell, &ttys);
+    let alone = stop();
+    assert_eq!(alone.status.code(), Some(2), "{alone:?}");
+    assert!(alone.stderr.contains("no process of this computer controls"), "{alone:?}");
+
+    let record = directory.path("record.csv");
+    let moving = |text: &str| text.matches(",wrist-roll,Moving,").count() > 50;
+    let run = output_on(&cell, &ttys, &record, |run| {
+        run.ended_before(&record, moving)?;
+        let stopped = stop();
+        assert_eq!(stopped.status.code(), Some(0), "{stopped:?}");
+        assert!(stopped.stdout.contains(&format!("process {}: ended", run.id())), "{stopped:?}");
+        Ok(())
+    });
+    assert_eq!((run.status.code(), &run.json()["outcome"]), (Some(1), &"stopped".into()), "{run:?}");
+    assert_eq!(rows(&record).last().unwrap().0, "Off");
+}
+
 /// Rows of the wrist roll in a record: phase and measured position, rad.
 fn rows(record: &Path) -> Vec<(String, f64)> {
     let text = fs::read_to_string(record).unwrap();

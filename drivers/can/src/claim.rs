@@ -44,6 +44,13 @@ pub enum ClaimError {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Holder(Option<u32>);
 
+impl Holder {
+    /// The process ID in the holder's own namespace; `None` if the holder has ended or hides it.
+    pub fn process(self) -> Option<u32> {
+        self.0
+    }
+}
+
 /// As `process 4711`, or `another process`.
 impl std::fmt::Display for Holder {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {

@@ -88,14 +88,30 @@ impl Places {
             Interface::Slcan { path, .. } | Interface::Epos { path, .. } => is_device(path.as_ref()),
         };
         let bus = interfaces.iter().find(may_be_hardware);
-        let directory = self.serial.as_deref();
-        let ttys = (0..file.cell.serial.len()).flat_map(|bundle| tty_paths(file, bundle, directory));
-        let sensors = sensor_lines(&file.cell).map(|it| (it.name.to_owned(), sensor_tty(&it, directory)));
-        let tty = ttys.chain(sensors).find(|(_, path)| is_device(path));
-        if let Some(name) = bus.map(Interface::to_string).or(tty.map(|(_, path)| path.display().to_string())) {
+        let ttys = self.ttys(file);
+        let tty = ttys.iter().find(|path| is_device(path));
+        if let Some(name) = bus.map(Interface::to_string).or(tty.map(|path| path.display().to_string())) {
             bail!("--bench vcan: {name} may be hardware, which takes --bench card");
         }
         Ok(())
+    }
+
+    /// The ttys of the axes, then those of the sensors.
+    fn ttys(&self, file: &CellFile) -> Vec<PathBuf> {
+        let directory = self.serial.as_deref();
+        let ttys = (0..file.cell.serial.len()).flat_map(|bundle| tty_paths(file, bundle, directory));
+        let sensors = sensor_lines(&file.cell).map(|it| sensor_tty(&it, directory));
+        ttys.map(|(_, path)| path).chain(sensors).collect()
+    }
+
+    /// The interfaces of the buses, and the ttys of axes, sensors and slcan adapters.
+    pub fn all(&self, file: &CellFile) -> anyhow::Result<(Vec<Interface>, Vec<PathBuf>)> {
+        let (interfaces, mut ttys) = (interfaces::resolve(&file.cell, &self.can)?, self.ttys(file));
+        ttys.extend(interfaces.iter().filter_map(|interface| match interface {
+            Interface::SocketCan(_) => None,
+            Interface::Slcan { path, .. } | Interface::Epos { path, .. } => Some(PathBuf::from(path)),
+        }));
+        Ok((interfaces, ttys))
     }
 }
 

@@ -17,6 +17,7 @@ pub mod nmt;
 pub mod pdo_map;
 pub mod scan;
 pub mod sdo;
+pub mod stop;
 pub mod survey;
 pub mod talk;
 #[cfg(test)]

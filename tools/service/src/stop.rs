@@ -1,0 +1,123 @@
+//! `mrroc stop`: stops the controller of a cell that runs on this computer, in another process.
+//!
+//! The controller is the process that has claimed a CAN interface of the cell, or has locked one of its serial lines. It gets
+//! SIGTERM: its robots brake, and their drives go off (category 1).
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::os::linux::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use can::clock;
+use clap::Args;
+use mrroc::bench::Places;
+use mrroc::cell::CellFile;
+use nix::sys::signal::{Signal, kill};
+use nix::sys::stat::{major, minor};
+use nix::unistd::Pid;
+
+use super::say;
+
+/// Time between two looks whether the controller has ended.
+const LOOK: Duration = Duration::from_millis(20);
+
+/// Options of `mrroc stop`.
+#[derive(Args)]
+pub struct Options {
+    /// The cell file of the running controller.
+    cell: PathBuf,
+    /// The interface of a bus in place of the cell's: IFACE, or BUS=IFACE once for each of several buses.
+    #[arg(long, value_name = "IFACE")]
+    can: Vec<String>,
+    /// The directory with the ttys of the controller, in place of the cell's lines.
+    #[arg(long, value_name = "DIR")]
+    serial: Option<PathBuf>,
+    /// Longest wait until the controller has ended, s.
+    #[arg(long, value_name = "S", default_value_t = 30)]
+    timeout: u64,
+}
+
+/// Stops the controller of a cell, and waits until its process has ended. Exit status 1: the process did not end in time.
+/// An error: no controller was found, or it must not be signalled.
+pub fn stop(options: &Options) -> anyhow::Result<ExitCode> {
+    let places = Places { can: options.can.clone(), serial: options.serial.clone(), set_bitrate: false };
+    let found = controllers(&CellFile::read(&options.cell)?, &places)?;
+    if found.is_empty() {
+        bail!("no process of this computer controls an interface or a line of {}", options.cell.display());
+    }
+    for &process in &found {
+        kill(process, Signal::SIGTERM).with_context(|| format!("process {process} cannot be stopped"))?;
+        say(format_args!("process {process}: told to stop"))?;
+    }
+    let deadline = clock::now() + Duration::from_secs(options.timeout);
+    for process in found {
+        while is_running(process) {
+            if clock::now() > deadline {
+                say(format_args!("process {process}: has not ended after {} s", options.timeout))?;
+                return Ok(ExitCode::from(1));
+            }
+            clock::sleep_until(clock::now() + LOOK);
+        }
+        say(format_args!("process {process}: ended"))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Whether the process exists and has not ended. A process that has ended exists until its parent asks for its status.
+fn is_running(process: Pid) -> bool {
+    // The state follows the name of the program, which is in parentheses and may contain any character.
+    let status = fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
+    let state = status.rsplit_once(") ").and_then(|(_, rest)| rest.chars().next());
+    !matches!(state, None | Some('Z' | 'X'))
+}
+
+/// The processes that control a bus or a line of the cell, each once.
+fn controllers(file: &CellFile, places: &Places) -> anyhow::Result<BTreeSet<Pid>> {
+    let (interfaces, ttys) = places.all(file)?;
+    let mut found = BTreeSet::new();
+    for interface in &interfaces {
+        // An interface that does not exist has no controller.
+        if let Some(holder) = interface.controller().ok().flatten() {
+            let process = holder.process().with_context(|| format!("{interface}: its controller hides its process"))?;
+            found.insert(Pid::from_raw(process.cast_signed()));
+        }
+    }
+    let locks = fs::read_to_string("/proc/locks").context("/proc/locks")?;
+    found.extend(ttys.iter().filter_map(|tty| holder_of(&locks, tty)));
+    Ok(found)
+}
+
+/// The process that has locked the file at `path`, by the kernel's list of locks.
+fn holder_of(locks: &str, path: &Path) -> Option<Pid> {
+    let file = fs::metadata(path).ok()?;
+    let (major, minor) = (major(file.st_dev()), minor(file.st_dev()));
+    let place = format!("{major:02x}:{minor:02x}:{}", file.st_ino());
+    locks.lines().find_map(|line| {
+        // `1: FLOCK  ADVISORY  WRITE 4711 00:18:5 0 EOF`
+        let mut words = line.split_whitespace().skip(1);
+        let (kind, process) = (words.next()?, words.nth(2)?);
+        let holds = kind == "FLOCK" && words.next()? == place;
+        process.parse().ok().filter(|_| holds).map(Pid::from_raw)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_holder_of_a_locked_file_is_this_process() {
+        let path = std::env::temp_dir().join(format!("mrroc-lock-{}", std::process::id()));
+        let file = fs::File::create_new(&path).unwrap();
+        let holder = || holder_of(&fs::read_to_string("/proc/locks").unwrap(), &path);
+        assert_eq!(holder(), None);
+        file.lock().unwrap();
+        let held = holder();
+        fs::remove_file(&path).unwrap();
+        assert_eq!(held, Some(Pid::this()));
+        assert_eq!(holder_of("1: FLOCK ADVISORY WRITE 1 00:00:1 0 EOF", Path::new("/nowhere")), None);
+    }
+}
