@@ -51,7 +51,7 @@ fn main() -> ExitCode {
         ..ForceTask::default()
     };
     let parameters: LawParameters = task.into();
-    let mut times: Histogram<u64> = Histogram::new(3).expect("three digits are allowed");
+    let mut times: Histogram<u64> = Histogram::new_with_max(1_000_000_000, 3).expect("three digits are allowed");
     let mut displacement = [0.0; MAX_AXES];
     for cycle in 0..cycles {
         let now = Instant::ZERO + PERIOD * (cycle + 1);

@@ -32,7 +32,7 @@ fn main() {
     for (name, moves) in [("rests", false), ("moves", true)] {
         let (mut matrix, link) = RehearsedUltrasonic::new(SCAN);
         let mut locator = BoxLocator::new(link, config, SIZE, 1);
-        let mut times: Histogram<u64> = Histogram::new(3).expect("three digits are allowed");
+        let mut times: Histogram<u64> = Histogram::new_with_max(1_000_000_000, 3).expect("three digits are allowed");
         let mut found = 0;
         for reading in 1..=readings {
             let number = if moves { f64::from(reading) } else { 0.0 };

@@ -131,6 +131,7 @@ fn a_zero_that_is_not_that_of_an_unloaded_sensor_is_refused_with_its_size() {
             let sensor = &mut cell.force_sensor[0];
             (sensor.force_range, sensor.max_offset) = ([65.0; 3], greatest);
             sensor.emulator.offset[1] = force;
+            cell.robot[0].force_law = None;
         })
     };
     let accepted = [offset(-12.5, None), offset(20.0, Some([25.0, 25.0, 25.0, 1.0, 1.0, 1.0]))];

@@ -13,8 +13,9 @@ impl SensorMotion {
     /// Motion at `time` of the sensor at `flange_from_sensor`, by the set-points of its arm. `orientation`: rotation from
     /// the axes of the sensor to axes whose z points upward.
     ///
-    /// Velocities and accelerations are differences of three set-points, one servo period apart. Their delay is that of the
-    /// drive group ([`Trail::around`]) plus `lag`, by which the arm follows later. The motion of the sensor is zero
+    /// Velocities and accelerations are differences of three set-points, one servo period apart. The set-points are those
+    /// that the arm executes at `time`, behind the servo by the delay of the drive group ([`Trail::around`]) plus `lag`. The
+    /// motion of the sensor is zero
     /// while the set-points stand. Fails where the set-points are out of the reach of the kinematics. All numbers are finite.
     pub fn commanded(
         arm: &Arm,

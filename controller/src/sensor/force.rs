@@ -141,8 +141,8 @@ pub struct ForceSensorConfig {
 ///
 /// # Inertia
 /// The accelerations are those of the set-points that the drives execute at the time of the sample
-/// ([`SensorMotion::commanded`]): behind their cycle by the delay of the drive group and by [`ForceSensorConfig::lag`]. A
-/// jerk *j* of the tool leaves an error of mass times *j* times the error of the lag. Vibrations of the arm, and motions
+/// ([`SensorMotion::commanded`]). The drives execute a set-point later than the servo sends it, by the delay of the drive
+/// group plus [`ForceSensorConfig::lag`]. A jerk *j* of the tool leaves an error of mass times *j* times the error of the lag. Vibrations of the arm, and motions
 /// that are not commanded, for example a collision, read as forces of the tool. A sample older than 14 periods is compensated
 /// with the set-points of 14 periods before the last cycle. A load of [`Load::of_weight`] is a point mass: its angular
 /// acceleration has no moment of its own.

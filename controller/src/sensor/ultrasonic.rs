@@ -140,8 +140,9 @@ impl BoxReading {
 /// An ultrasonic matrix that finds a box. Reads scans by rows.
 ///
 /// The box is at rest during the scans of a reading. The place is computed once per scan, while the agent is
-/// polled. The computation takes at most 1 ms for 144 elements on a PC, and about half of it while the box stays where it
-/// was (`cargo bench -p mrroc-controller --bench locator`). The time of a reading is the end of its last scan.
+/// polled. The computation ends after 24 iterations at most, and after 12 while the box stays where it was
+/// (`cargo bench -p mrroc-controller --bench locator` measures the time). The time of a reading is the end of its last
+/// scan.
 pub struct BoxLocator {
     link: UltrasonicLink,
     config: MatrixConfig,
