@@ -40,6 +40,9 @@ fn rms_and_peak(values: impl Iterator<Item = f64> + Clone) -> [f64; 2] {
     [(squares / f64::max(count, 1.0)).sqrt(), values.fold(0.0, f64::max)]
 }
 
+/// A component of a reading and of the same sample without the inertia of the tool subtracted.
+type Length = fn(&(Wrench, Wrench)) -> f64;
+
 /// Moves fast in free space, first on the planned path, then with a guard that would end the motion at a touch.
 async fn swing(cell: &mut tasks::Cell) -> Outcome {
     let mut irb6 = cell.robot("irb6")?;
@@ -80,7 +83,7 @@ async fn swing(cell: &mut tasks::Cell) -> Outcome {
     join(motion, watch).await?;
     cell.figure("touched", f64::from(u8::from(irb6.has_touched())));
     let seen = seen.take();
-    let figures: [(&str, fn(&(Wrench, Wrench)) -> f64); 4] = [
+    let figures: [(&str, Length); 4] = [
         ("force_n", |(read, _)| read.force.norm()),
         ("torque_nm", |(read, _)| read.torque.norm()),
         ("force_without_compensation_n", |(_, measured)| measured.force.norm()),
