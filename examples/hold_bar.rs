@@ -99,7 +99,8 @@ impl Arms {
     pub(crate) fn path(&self, places: &[[f64; 4]]) -> Result<ObjectPath, TaskError> {
         let path = ObjectPath::through(places, &LIMITS)?;
         let [left, right] = self.robots.each_ref().map(Robot::motions);
-        self.grips.check(&path, [left.arm(), right.arm()], [BENT; 2])?;
+        let fastest = [&left, &right].map(|motions| motions.limits().max_velocity);
+        self.grips.check(&path, [left.arm(), right.arm()], [BENT; 2], fastest)?;
         Ok(path)
     }
 

@@ -16,7 +16,7 @@ use mrroc_controller::force::Load;
 use mrroc_controller::law::{Compliance, Direction, ForceLimits, ForceTask, Guard, PositionForce, PositionForceConfig};
 use mrroc_controller::robot::{Arm, Polycrank, PolycrankParameters, Pose};
 use nalgebra::{UnitQuaternion, Vector3};
-use servo::{CycleLaw, Knot, LawAxis, LawInput, LawOutput, LawParameters, MAX_AXES};
+use servo::{CycleLaw, Knot, LawAxis, LawInput, LawOutput, LawParameters, MAX_AXES, Trail};
 
 /// Greatest time of a cycle at the 99th percentile, µs.
 const WITHIN: f64 = 5.0;
@@ -32,6 +32,7 @@ fn main() -> ExitCode {
         upright_from_base: UnitQuaternion::identity(),
         flange_from_sensor: Pose::identity(),
         load: Some(Load::of_weight(0.5, Vector3::new(0.0, 0.0, 0.05)).expect("the load is a body")),
+        lag: Duration::ZERO,
         zeroed: None,
         limits: ForceLimits {
             wrench: [100.0; 6],
@@ -50,18 +51,22 @@ fn main() -> ExitCode {
         ..ForceTask::default()
     };
     let parameters: LawParameters = task.into();
-    let mut times: Histogram<u64> = Histogram::new(3).expect("three digits are allowed");
+    let mut times: Histogram<u64> = Histogram::new_with_max(1_000_000_000, 3).expect("three digits are allowed");
     let mut displacement = [0.0; MAX_AXES];
     for cycle in 0..cycles {
         let now = Instant::ZERO + PERIOD * (cycle + 1);
         let push = (0.01 * f64::from(cycle)).sin();
         sensor.advance(now, [5.0 * push, 3.0 * push, 10.0 * push, 0.1 * push, 0.0, 0.2 * push]);
+        // The motors accelerate by 10 rad/s².
+        let path = |after: f64| motors.map(|motor| motor + 5.0 * after * after);
+        let trail = Trail::along(now, 0.002, 3, path);
         let given: [LawAxis; MAX_AXES] = std::array::from_fn(|axis| LawAxis {
             planned: Knot::at_rest(motors[axis]),
             displacement: displacement[axis],
             ..LawAxis::default()
         });
-        let input = LawInput { now, period: 0.002, periods: 1, rate: 1.0, macrostep: 1, axes: &given[..7] };
+        let input =
+            LawInput { now, period: 0.002, periods: 1, rate: 1.0, macrostep: 1, axes: &given[..7], trail: &trail };
         if cycle == 0 {
             law.begin(&input, &parameters);
         }

@@ -3,9 +3,12 @@
 //! A sensor between flange and tool measures the sum of two wrenches: the contact wrench on the tool, and the wrench of
 //! weight and inertia of the load behind the sensor. [`Load::wrench`] computes the second wrench, and [`Load::contact`]
 //! subtracts it from a measurement. [`Wrench::seen_from`] expresses a wrench in another frame. All functions are pure:
-//! the caller passes angular velocity and accelerations.
+//! the caller passes angular velocity and accelerations, for example those of the set-points
+//! ([`SensorMotion::commanded`]).
 //!
 //! Not modelled: forces of cables, hoses and coolant.
+
+mod motion;
 
 use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
 use thiserror::Error;

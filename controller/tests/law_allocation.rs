@@ -14,7 +14,7 @@ use mrroc_controller::robot::{
     Arm, Axes, Irb6, Irb6Parameters, Irp6, Irp6Parameters, Polycrank, PolycrankParameters, Pose, Robot,
 };
 use nalgebra::{UnitQuaternion, Vector3};
-use servo::{CycleLaw, Knot, LawAxis, LawInput, LawOutput, LawParameters, MAX_AXES};
+use servo::{CycleLaw, Knot, LawAxis, LawInput, LawOutput, LawParameters, MAX_AXES, Trail};
 
 const PERIOD: Duration = Duration::from_millis(2);
 
@@ -44,6 +44,7 @@ fn ten_thousand_cycles_of_a_law_and_its_ends_do_not_allocate() {
             upright_from_base: UnitQuaternion::identity(),
             flange_from_sensor: Pose::identity(),
             load: Some(load),
+            lag: Duration::ZERO,
             zeroed: None,
             limits,
         };
@@ -60,13 +61,16 @@ fn ten_thousand_cycles_of_a_law_and_its_ends_do_not_allocate() {
             if let Some(push) = push {
                 sensor.advance(now, [0.0, 0.0, push, 0.0, 0.0, 0.0]);
             }
+            // The motors accelerate by 10 rad/s².
+            let path = |after: f64| motors.map(|motor| motor + 5.0 * after * after);
+            let trail = Trail::along(now, 0.002, 3, path);
             let given: [LawAxis; MAX_AXES] = std::array::from_fn(|axis| LawAxis {
                 planned: Knot::at_rest(motors[axis]),
                 displacement: displacement[axis],
                 ..LawAxis::default()
             });
             let axes = &given[..axes];
-            let input = LawInput { now, period: 0.002, periods: 1, rate: 1.0, macrostep: 1, axes };
+            let input = LawInput { now, period: 0.002, periods: 1, rate: 1.0, macrostep: 1, axes, trail: &trail };
             assert_eq!(law.check(&parameters), Ok(()));
             if first {
                 law.begin(&input, &parameters);

@@ -145,6 +145,7 @@ impl Rig {
             upright_from_base: UnitQuaternion::identity(),
             flange_from_sensor: Pose::identity(),
             load: None,
+            lag: Duration::ZERO,
             zeroed: None,
             limits,
         };

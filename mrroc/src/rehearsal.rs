@@ -194,7 +194,7 @@ fn run(
             rehearsed_matrices.iter_mut().for_each(|matrix| matrix.advance(now));
             for (rehearsed, sensor) in rehearsed_sensors.iter_mut().zip(&sensors) {
                 // A robot that is not homed has no known orientation.
-                rehearsed.advance(now, sensor.weight().unwrap_or_default().components());
+                rehearsed.advance(now, sensor.load(now).unwrap_or_default().components());
             }
             let busy = executor.poll(now, |_, news| {
                 if let News::Ended { robot, moved: commanded } = news {

@@ -5,10 +5,9 @@ use std::time::Duration;
 
 use can::{Instant, Port};
 use controller::ecp::{Ecp, EcpConfig, Meetings, Subcontrollers};
-use controller::force::Load;
 use controller::generator::Pace;
 use controller::law::{PositionForce, PositionForceConfig, RehearsedLaw};
-use controller::robot::{Limits, Mass};
+use controller::robot::Limits;
 use controller::sensor::{ForceSensorConfig, ForceTorque};
 use drive::bus::CanBus;
 use drive::camera::CameraLink;
@@ -167,12 +166,13 @@ pub fn rehearsed_cameras(file: &CellFile) -> Vec<CameraLink> {
 pub fn force_sensors(file: &CellFile, links: &[WrenchLink], robots: &[EffectorLink]) -> Vec<ForceTorque> {
     let sensor = |(number, link): (usize, &WrenchLink)| {
         let (given, robot) = (&file.cell.force_sensor[number], file.cell.robot_of_sensor(number));
-        let Mass { mass, centre } = given.tool;
         let config = ForceSensorConfig {
             arm: file.arms[robot].clone(),
             upright_from_base: upright_from_base(file.cell.robot[robot].model),
             flange_from_sensor: given.flange_from_sensor(),
-            load: Load::of_weight(mass, centre.into()).expect("a parsed cell has sound tools"),
+            lag: given.tool_lag(),
+            load: given.load().expect("a parsed cell has sound tools"),
+            max_offset: given.max_offsets(),
         };
         ForceTorque::new(link.clone(), robots[robot].latest.clone(), config)
     };
@@ -185,12 +185,12 @@ pub fn install_laws(file: &CellFile, servo: &mut Servo, sensors: &[ForceTorque])
     install(file, servo, |robot, law| {
         let number = law.sensor(&file.cell.force_sensor).expect("a parsed cell has the sensor of a law");
         let (given, sensor) = (&file.cell.force_sensor[number], &sensors[number]);
-        let Mass { mass, centre } = given.tool;
-        let load = Load::of_weight(mass, centre.into()).expect("a parsed cell has sound tools");
+        let load = given.load().expect("a parsed cell has sound tools");
         let config = PositionForceConfig {
             arm: file.arms[robot].clone(),
             upright_from_base: upright_from_base(file.cell.robot[robot].model),
             flange_from_sensor: given.flange_from_sensor(),
+            lag: given.tool_lag(),
             load: (!load.is_none()).then_some(load),
             zeroed: Some(sensor.zeroed_weight()),
             limits: law.limits(&file.cell),

@@ -261,6 +261,11 @@ impl ServoAxis {
         self.state.velocity.abs() <= STILL * self.config.max_velocity
     }
 
+    /// Commanded positions, rad, the newest first, and the delay of the drive group.
+    pub(crate) fn past(&self) -> (&[f64; REMEMBERED], u8) {
+        (&self.commanded, self.delay as u8)
+    }
+
     /// Stores `command` for the write and remembers the set-point.
     pub(crate) fn command(&mut self, command: AxisCommand) {
         let follows = matches!(command, AxisCommand::Follow(_) | AxisCommand::Seek(_));

@@ -14,6 +14,7 @@ use crate::{
     After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Knot, MAX_AXES, Order, Publisher, Record,
     ServoAxisConfig, ServoEvent, ServoFault, ServoReport, ServoState, Snapshot, StopCategory, StopCause, StraightStop,
     latest,
+    ServoAxisConfig, ServoEvent, ServoFault, ServoReport, ServoState, Snapshot, StopCause, StraightStop, Trail, latest,
 };
 use crate::{axis::ServoAxis, interpolate::Segment, limit, motion_time::Motion, team::Team};
 
@@ -59,6 +60,8 @@ pub(crate) struct Effector {
     scanned: usize,
     reports: rtrb::Producer<ServoReport>,
     latest: Publisher,
+    /// Time of the cycle that found the last set-points.
+    commanded_at: Instant,
     pub(crate) state: ServoState,
     /// Time at which `state` was entered.
     since: Instant,
@@ -114,6 +117,7 @@ impl Effector {
             scanned: 0,
             reports,
             latest: publisher,
+            commanded_at: Instant::ZERO,
             state: ServoState::Off,
             since: Instant::ZERO,
             fault: None,
@@ -188,10 +192,12 @@ impl Effector {
                 self.advance(tick);
             }
             self.command(tick);
+            self.commanded_at = tick.now;
         }
         let due = self.due && self.state == ServoState::Moving;
         let snapshot = self.snapshot(tick);
         self.latest.publish(&snapshot);
+        self.latest.publish_trail(&self.trail(tick.dt));
         if due || self.news {
             let reached = self.state != ServoState::Moving || self.segment.as_ref().is_none_or(Segment::is_reported);
             let report = ServoReport { snapshot, reached, fault: self.fault };
@@ -511,6 +517,16 @@ impl Effector {
     /// A value of each axis, in the order of a macrostep.
     fn each<T: Default>(&self, value: impl Fn(&ServoAxis) -> T) -> [T; MAX_AXES] {
         std::array::from_fn(|axis| self.axes.get(axis).map(&value).unwrap_or_default())
+    }
+
+    /// The set-points up to the last cycle that found some, at the servo period `period`, s.
+    fn trail(&self, period: f64) -> Trail {
+        let mut trail = Trail { at: self.commanded_at, period, ..Trail::default() };
+        for (index, axis) in self.axes.iter().enumerate() {
+            let (past, delay) = axis.past();
+            (trail.positions[index], trail.delays[index]) = (*past, delay);
+        }
+        trail
     }
 
     fn snapshot(&self, tick: &Tick) -> Snapshot {

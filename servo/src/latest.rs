@@ -7,7 +7,7 @@ use std::array;
 use can::Instant;
 use drive::Switches;
 
-use crate::{MAX_AXES, Phase};
+use crate::{MAX_AXES, Phase, Trail, trail};
 
 /// State of one effector in one cycle. The arrays hold one value per axis; entries from [`axes`](Self::axes) on are zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -122,28 +122,40 @@ impl Snapshot {
 /// Both ends of a latest value. Before the first snapshot, the value is [`Snapshot::default`].
 pub fn latest() -> (Publisher, Latest) {
     let (publisher, latest) = drive::latest::latest(Snapshot::default().words());
-    (Publisher(publisher), Latest(latest))
+    let (trails, trail) = drive::latest::latest(Trail::default().words());
+    (Publisher(publisher, trails), Latest(latest, trail))
 }
 
 /// The writing end. There is one per value.
 #[derive(Debug)]
-pub struct Publisher(drive::latest::Publisher<WORDS>);
+pub struct Publisher(drive::latest::Publisher<WORDS>, drive::latest::Publisher<{ trail::WORDS }>);
 
 impl Publisher {
     /// Replaces the value. The function neither waits nor allocates.
     pub fn publish(&mut self, snapshot: &Snapshot) {
         self.0.publish(&snapshot.words());
     }
+
+    /// Replaces the last set-points. The function neither waits nor allocates.
+    pub fn publish_trail(&mut self, trail: &Trail) {
+        self.1.publish(&trail.words());
+    }
 }
 
 /// The reading end. Clones read the same value. A read does not change the value and does not delay the servo.
 #[derive(Clone, Debug)]
-pub struct Latest(drive::latest::Latest<WORDS>);
+pub struct Latest(drive::latest::Latest<WORDS>, drive::latest::Latest<{ trail::WORDS }>);
 
 impl Latest {
     /// The latest snapshot. All its fields are of one cycle.
     pub fn read(&self) -> Snapshot {
         Snapshot::from_words(&self.0.read())
+    }
+
+    /// The last set-points. All of them end with the same cycle, which may be one cycle later or earlier than that of a
+    /// snapshot.
+    pub fn trail(&self) -> Trail {
+        Trail::from_words(&self.1.read())
     }
 }
 

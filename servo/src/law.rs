@@ -10,7 +10,7 @@
 use can::Instant;
 use thiserror::Error;
 
-use crate::{Knot, MAX_AXES, ServoAxisConfig};
+use crate::{Knot, MAX_AXES, ServoAxisConfig, Trail};
 
 /// Number of parameters of a cycle law in a macrostep.
 pub const LAW_PARAMETERS: usize = 40;
@@ -74,6 +74,8 @@ pub struct LawInput<'a> {
     pub macrostep: u64,
     /// The axes of the effector.
     pub axes: &'a [LawAxis],
+    /// Set-points of the last cycles, without this cycle.
+    pub trail: &'a Trail,
 }
 
 /// Data of one axis for a law.

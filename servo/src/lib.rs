@@ -42,6 +42,7 @@ mod statistics;
 mod team;
 pub mod thread;
 mod timing;
+mod trail;
 
 pub use ::drive::Switches;
 pub use brake::{Braking, StraightStop};
@@ -62,3 +63,4 @@ pub use servo::{NotUp, Servo, StopRequest};
 pub use state::{After, Answer, ServoEvent, ServoState, StopCategory};
 pub use statistics::{Counters, TrackingError};
 pub use timing::Timing;
+pub use trail::Trail;

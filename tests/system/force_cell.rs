@@ -42,7 +42,7 @@ fn the_contact_force_is_stiffness_times_indentation() {
         // Half a count of the sensor is 9 µm at 5,000 N/m, and a count of a motor up to 9 µm of the tool.
         let error = (force / stiffness - indentation).abs();
         assert!(error < 2e-5, "{force} N at {indentation} m and {stiffness} N/m");
-        // In motion, the damper of the table and the inertia of the tool add up to 3 N to the reading. Up to the stop, the
+        // In motion, the damper of the table adds up to 3 N to the reading. Up to the stop, the
         // tool moves on for three macrosteps of 0.2 mm.
         let range = 17.0..20.0 + 6e-4 * stiffness;
         assert!(range.contains(&force), "{force} N at {stiffness} N/m");

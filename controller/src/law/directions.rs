@@ -95,9 +95,13 @@ impl Gains {
     }
 }
 
-/// End of a motion at a touch. The inertia of the tool counts as contact: the thresholds must exceed the mass behind the
-/// sensor times the greatest acceleration of the motion. The touch counts if force or torque of the contact exceeds its threshold in a number of
+/// End of a motion at a touch. The touch counts if force or torque of the contact exceeds its threshold in a number of
 /// samples in a row.
+///
+/// Weight and inertia of the declared tool are no contact ([`SensorMotion::commanded`](crate::force::SensorMotion::commanded)).
+/// The thresholds must exceed the noise of the sensor, and what the compensation leaves: the forces of vibrations, and the
+/// mass behind the sensor times the greatest jerk times the error of the lag. For 2 kg on an emulated IRb-6 at 5.5 m/s², the
+/// rest is 2.7 N, in place of 11 N without compensation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Guard {
     /// Threshold of the absolute value of the force, N.

@@ -2,7 +2,6 @@
 
 use std::time::Duration;
 
-use can::Instant;
 use drive::wrench::{WrenchLink, WrenchState, Zeroing};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3, Vector6};
 use servo::{CycleLaw, LawFault, LawInput, LawOutput, LawParameters, MAX_AXES};
@@ -62,8 +61,11 @@ pub struct PositionForceConfig {
     pub upright_from_base: UnitQuaternion<f64>,
     /// Pose of the sensor's frame at the flange.
     pub flange_from_sensor: Pose,
-    /// The load behind the sensor. `None`: the measured wrench is the wrench of the contact.
+    /// The load behind the sensor. Its weight, and its inertia by the set-points at the time of the sample
+    /// ([`SensorMotion::commanded`]), are subtracted. `None`: the measured wrench is the wrench of the contact.
     pub load: Option<Load>,
+    /// Time by which the tool follows its set-points later than by the delay of the drive group.
+    pub lag: Duration,
     /// Weight of the load at the last zeroing of the sensor ([`ForceTorque::zeroed_weight`]). The law ends with a fault if
     /// the sensor was not zeroed, or if the weight was not noted. `None`: the sensor is not zeroed, and has no offset.
     ///
@@ -143,7 +145,7 @@ impl PositionForce {
         }
         let base_from_task = Isometry3::from_parts(base_from_tool.translation, to_base);
         let state = self.sensor.read();
-        let force = self.contact(&state, input.now, &base_from_flange, &base_from_task)?;
+        let force = self.contact(&state, input, &base_from_flange, &base_from_task)?;
         if behaviour.guard.is_some_and(|guard| self.touch.counts(&guard, state.samples, &force)) {
             return Ok(LawOutput::Touched);
         }
@@ -184,14 +186,14 @@ impl PositionForce {
     fn contact(
         &self,
         state: &WrenchState,
-        now: Instant,
+        input: &LawInput<'_>,
         base_from_flange: &Pose,
         base_from_task: &Pose,
     ) -> Result<[f64; 6], LawFault> {
         if let Some(fault) = state.fault {
             return Err(LawFault::Sensor(fault));
         }
-        let (age, limit) = (now.since(state.sampled), self.config.limits.age);
+        let (age, limit) = (input.now.since(state.sampled), self.config.limits.age);
         if age > limit {
             return Err(LawFault::Silent { age: age.as_secs_f64(), limit: limit.as_secs_f64() });
         }
@@ -199,8 +201,16 @@ impl PositionForce {
         let measured = Wrench::from_components(state.wrench);
         let zero = self.config.zeroed.as_ref().map_or(Ok(Wrench::default()), |weight| noted(weight, state.zeroing))?;
         let orientation = self.config.upright_from_base * base_from_sensor.rotation;
-        let weight = self.config.load.map(|load| load.wrench(&SensorMotion::at_rest(orientation)));
-        let contact = measured + zero - weight.unwrap_or_default();
+        let of_load = match &self.config.load {
+            None => Wrench::default(),
+            Some(load) => {
+                let PositionForceConfig { arm, flange_from_sensor, lag, .. } = &self.config;
+                let time = state.sampled;
+                let motion = SensorMotion::commanded(arm, flange_from_sensor, orientation, input.trail, time, *lag);
+                load.wrench(&motion.map_err(refused)?)
+            }
+        };
+        let contact = measured + zero - of_load;
         let components = contact.components();
         for (channel, (value, limit)) in components.into_iter().zip(self.config.limits.wrench).enumerate() {
             if value.is_nan() || value.abs() > limit {

@@ -10,7 +10,7 @@ use std::time::Duration;
 use can::Instant;
 use drive::wrench::RehearsedWrench;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use servo::{CycleLaw, Knot, LawAxis, LawInput, LawOutput, MAX_AXES};
+use servo::{CycleLaw, Knot, LawAxis, LawInput, LawOutput, MAX_AXES, Trail};
 
 use super::{Compliance, Direction, ForceLimits, ForceTask, PositionForce, PositionForceConfig, TaskAxes};
 use crate::force::Wrench;
@@ -71,6 +71,7 @@ impl Rig {
             upright_from_base: UnitQuaternion::identity(),
             flange_from_sensor,
             load: None,
+            lag: Duration::ZERO,
             zeroed: None,
             limits,
         };
@@ -124,7 +125,15 @@ impl Rig {
             ..LawAxis::default()
         });
         let axes = &axes[..self.arm.axes()];
-        let input = LawInput { now: self.now(), period: dt, periods: 1, rate: 1.0, macrostep: 1, axes };
+        let input = LawInput {
+            now: self.now(),
+            period: dt,
+            periods: 1,
+            rate: 1.0,
+            macrostep: 1,
+            axes,
+            trail: &Trail::default(),
+        };
         let parameters = (*task).into();
         self.law.check(&parameters).unwrap();
         if !std::mem::replace(&mut self.began, true) {

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use can::Instant;
-use drive::wrench::{WrenchAxis, WrenchFault, WrenchLink, WrenchState, ZeroRequest, Zeroing};
+use drive::wrench::{WrenchAxis, WrenchFault, WrenchLink, WrenchState, ZeroRequest};
 use nalgebra::UnitQuaternion;
 use servo::{Latest, Snapshot};
 use thiserror::Error;
@@ -27,12 +27,29 @@ pub enum ForceError {
     /// The robot measures positions that its mechanism cannot take.
     #[error("the orientation of the sensor is unknown: {0}")]
     Orientation(KinematicsError),
+    /// The set-points of the robot give no acceleration of the tool.
+    #[error("the acceleration of the tool is unknown: {0}")]
+    Acceleration(KinematicsError),
     /// Another thread reads the sensor at this moment.
     #[error("another thread reads the sensor: read again")]
     Busy,
     /// The robot moves during a zeroing.
     #[error("not zeroed, the robot moves: zero the sensor while the robot stands still")]
     Moving,
+    /// The reading before a zeroing is not that of an unloaded tool.
+    #[error(
+        "not zeroed, {axis} reads {value:.2} {} besides the weight of the tool, at most {limit:.2}: remove the contact, or check \
+         the mass of the tool",
+        unit(*.axis)
+    )]
+    Offset {
+        /// Channel of the sensor.
+        axis: WrenchAxis,
+        /// Reading without the load of the tool, N or N·m.
+        value: f64,
+        /// Greatest reading of an unloaded tool, N or N·m.
+        limit: f64,
+    },
     /// The reading changed during a zeroing.
     #[error("not zeroed, {axis} changed: let the robot stand still and without contact")]
     Unsteady {
@@ -53,10 +70,17 @@ pub enum ForceError {
     },
 }
 
+fn unit(axis: WrenchAxis) -> &'static str {
+    match axis {
+        WrenchAxis::Fx | WrenchAxis::Fy | WrenchAxis::Fz => "N",
+        WrenchAxis::Tx | WrenchAxis::Ty | WrenchAxis::Tz => "N·m",
+    }
+}
+
 /// Commanded velocity of a motor up to which the motor stands still, rad/s.
 const STANDSTILL: f64 = 1e-6;
 
-/// Reading of a force/torque sensor: the contact wrench on the tool, without the weight of the tool.
+/// Reading of a force/torque sensor: the contact wrench on the tool, without weight and inertia of the tool.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForceReading {
     contact: Result<Wrench, ForceError>,
@@ -103,13 +127,25 @@ pub struct ForceSensorConfig {
     pub flange_from_sensor: Pose,
     /// Load of all parts that are mounted on the tool side of the sensor.
     pub load: Load,
+    /// Time by which the tool follows its set-points later than by the delay of the drive group.
+    pub lag: Duration,
+    /// Greatest absolute reading of each channel before a zeroing, without the load of the tool, N and N·m
+    /// ([`ForceTorque::can_be_zeroed`]).
+    pub max_offset: [f64; 6],
 }
 
 /// A force/torque sensor at the flange of a robot. Clones read the same sensor and have the same zero.
 ///
-/// A reading is the wrench of the last sample minus the weight of the tool in the orientation of the last servo cycle. The
-/// time of the reading is that of the sample, one servo period or more before. The inertia of the tool is not compensated:
-/// an acceleration *a* of the tool reads as a force of its mass times *a*.
+/// A reading is the wrench of the last sample, minus the weight of the tool in the orientation of the last servo cycle, and
+/// minus the inertial wrench of the tool. The time of the reading is that of the sample, one servo period or more before.
+///
+/// # Inertia
+/// The accelerations are those of the set-points that the drives execute at the time of the sample
+/// ([`SensorMotion::commanded`]). The drives execute a set-point later than the servo sends it, by the delay of the drive
+/// group plus [`ForceSensorConfig::lag`]. A jerk *j* of the tool leaves an error of mass times *j* times the error of the lag. Vibrations of the arm, and motions
+/// that are not commanded, for example a collision, read as forces of the tool. A sample older than 14 periods is compensated
+/// with the set-points of 14 periods before the last cycle. A load of [`Load::of_weight`] is a point mass: its angular
+/// acceleration has no moment of its own.
 ///
 /// A reading of a sensor with a fault is an error ([`ForceReading::in_sensor`]).
 #[derive(Clone, Debug)]
@@ -164,6 +200,26 @@ impl ForceTorque {
         self.weight_in(&self.base_from_sensor(&self.robot.read()))
     }
 
+    /// The wrench that weight and inertia of the tool put on the sensor, in the frame of the sensor: orientation of the
+    /// last servo cycle, accelerations of the set-points at `time`.
+    pub fn load(&self, time: Instant) -> Result<Wrench, ForceError> {
+        self.load_at(time, &self.base_from_sensor(&self.robot.read()))
+    }
+
+    /// Whether the present reading may become the zero. The contact wrench before the zeroing, relative to the last zero
+    /// if there is one, is at most the greatest offset of an unloaded sensor ([`ForceError::Offset`]). A greater wrench is a
+    /// contact, or the weight of another tool.
+    pub fn can_be_zeroed(&self) -> Result<(), ForceError> {
+        let (_, reading) = self.read().ok_or(ForceError::Busy)?;
+        let channels = WrenchAxis::ALL.into_iter().zip(reading.contact?.components()).zip(self.config.max_offset);
+        for ((axis, value), limit) in channels {
+            if value.is_nan() || value.abs() > limit {
+                return Err(ForceError::Offset { axis, value, limit });
+            }
+        }
+        Ok(())
+    }
+
     /// Whether a zeroing can begin or go on: the robot stands still.
     pub fn stands_still(&self) -> Result<(), ForceError> {
         let robot = self.robot.read();
@@ -190,18 +246,22 @@ impl ForceTorque {
         if let Some(fault) = state.fault {
             return Err(ForceError::Sensor(fault));
         }
-        let weight = self.weight_in(base_from_sensor)?;
-        match state.zeroing {
-            // The robot stands still until the zeroing is done.
-            Zeroing::Done { request, .. } if zero.request < Some(request) => {
-                zero.note(Some(request), weight);
-            }
-            // A bring-up ends the zero of the driver.
-            Zeroing::None if zero.request.is_some() => zero.note(None, Wrench::default()),
-            Zeroing::None => {}
-            Zeroing::Done { .. } | Zeroing::UnderWay { .. } | Zeroing::Failed { .. } => {}
+        if state.zeroed != zero.request {
+            // The robot stands still until the zeroing is done. A bring-up ends the zero of the driver.
+            let weight = state.zeroed.map_or(Ok(Wrench::default()), |_| self.weight_in(base_from_sensor))?;
+            zero.note(state.zeroed, weight);
         }
-        Ok(Wrench::from_components(state.wrench) + zero.weight - weight)
+        Ok(Wrench::from_components(state.wrench) + zero.weight - self.load_at(state.sampled, base_from_sensor)?)
+    }
+
+    fn load_at(&self, time: Instant, base_from_sensor: &Result<Pose, ForceError>) -> Result<Wrench, ForceError> {
+        let ForceSensorConfig { arm, flange_from_sensor, upright_from_base, load, lag, .. } = &*self.config;
+        if load.is_none() {
+            return Ok(Wrench::default());
+        }
+        let orientation = upright_from_base * (*base_from_sensor)?.rotation;
+        let motion = SensorMotion::commanded(arm, flange_from_sensor, orientation, &self.robot.trail(), time, *lag);
+        Ok(load.wrench(&motion.map_err(ForceError::Acceleration)?))
     }
 
     fn weight_in(&self, base_from_sensor: &Result<Pose, ForceError>) -> Result<Wrench, ForceError> {
@@ -234,142 +294,4 @@ impl VirtualSensor for ForceTorque {
 }
 
 #[cfg(test)]
-mod tests {
-    use drive::wrench::RehearsedWrench;
-    use nalgebra::Vector3;
-    use servo::latest;
-
-    use super::*;
-    use crate::robot::{Irb6Parameters, RobotParameters};
-
-    /// Weight of the tool, N.
-    const WEIGHT: f64 = 2.0 * 9.81;
-
-    /// A sensor 90 mm beyond the flange of an IRb-6, whose tool points 250 mm further.
-    fn config() -> ForceSensorConfig {
-        let along_z = |length| Pose::translation(0.0, 0.0, length);
-        ForceSensorConfig {
-            arm: Arm::new(Irb6Parameters::irb6().robot().unwrap(), along_z(0.25)),
-            upright_from_base: UnitQuaternion::identity(),
-            flange_from_sensor: along_z(0.09),
-            load: Load::of_weight(2.0, Vector3::new(0.0, 0.0, 0.1)).unwrap(),
-        }
-    }
-
-    /// A homed IRb-6 with this pitch of the wrist, rad.
-    fn pitched(config: &ForceSensorConfig, pitch: f64) -> Snapshot {
-        let mut joints = [0.0; servo::MAX_AXES];
-        joints[..5].copy_from_slice(&[0.2, -1.571, 0.1, pitch, 0.4]);
-        Snapshot { homed: true, axes: 5, measured: config.arm.motors(&joints).unwrap(), ..Snapshot::default() }
-    }
-
-    fn sum(parts: [[f64; 6]; 3]) -> [f64; 6] {
-        std::array::from_fn(|axis| parts.iter().map(|part| part[axis]).sum())
-    }
-
-    #[test]
-    fn contact_is_read_without_the_weight_of_the_tool_and_the_zero_in_every_orientation() {
-        let (mut publisher, robot) = latest();
-        let (mut device, link) = RehearsedWrench::new();
-        let config = config();
-        let sensor = ForceTorque::new(link.clone(), robot, config.clone());
-        publisher.publish(&pitched(&config, -0.5));
-        let offset = [3.0, -5.0, 8.0, 0.1, 0.2, -0.3];
-        let weight = || sensor.weight().unwrap().components();
-        assert!((Vector3::from_column_slice(&weight()[..3]).norm() - WEIGHT).abs() < 1e-9);
-        let mut now = Instant::ZERO;
-        let mut read = |load: [f64; 6]| {
-            now += Duration::from_millis(2);
-            device.advance(now, load);
-            let (at, reading) = sensor.read().unwrap();
-            assert_eq!(at, now);
-            reading
-        };
-        // Before the zeroing the offset remains.
-        let found = read(sum([offset, weight(), [0.0; 6]])).in_sensor().unwrap().components();
-        assert!(found.iter().zip(offset).all(|(found, offset)| (found - offset).abs() < 1e-9), "{found:?}");
-        link.zero();
-        let contact = [1.0, 2.0, -30.0, 0.4, 0.5, 0.6];
-        for (pitch, contact) in [(-0.5, [0.0; 6]), (-0.5, contact), (0.8, [0.0; 6]), (1.2, contact)] {
-            publisher.publish(&pitched(&config, pitch));
-            let reading = read(sum([offset, weight(), contact]));
-            let found = reading.in_sensor().unwrap();
-            let off = found - Wrench::from_components(contact);
-            assert!(off.force.amax() < 1e-9 && off.torque.amax() < 1e-9, "{pitch}: {found:?}");
-            // The origin of the tool is 160 mm beyond that of the sensor.
-            let in_tool = reading.in_tool().unwrap();
-            let arm = Vector3::new(0.0, 0.0, -0.16);
-            assert!((in_tool.force - found.force).amax() < 1e-12);
-            assert!((in_tool.torque - found.torque - arm.cross(&found.force)).amax() < 1e-12, "{in_tool:?}");
-        }
-    }
-
-    #[test]
-    fn the_wrench_on_a_turned_arm_is_that_of_the_base_and_of_any_frame_in_it() {
-        let (mut publisher, robot) = latest();
-        let (mut device, link) = RehearsedWrench::new();
-        let config = ForceSensorConfig { load: Load::of_weight(0.0, Vector3::zeros()).unwrap(), ..config() };
-        let sensor = ForceTorque::new(link, robot, config.clone());
-        // A force of the table on the tip of the tool, upward and sideways, without a torque about the tip.
-        let force = Vector3::new(4.0, -1.0, 20.0);
-        let mut found = Vec::new();
-        for turn in [0.0, 0.7, -1.9] {
-            let mut joints = [0.0; servo::MAX_AXES];
-            joints[..5].copy_from_slice(&[turn, -1.571, 0.1, 0.9, 0.4]);
-            let measured = config.arm.motors(&joints).unwrap();
-            let snapshot = Snapshot { homed: true, axes: 5, measured, ..Snapshot::default() };
-            publisher.publish(&snapshot);
-            let base_from_tool = config.arm.forward(&joints).unwrap();
-            let at_tip = Wrench { force: base_from_tool.rotation.inverse() * force, torque: Vector3::zeros() };
-            // The tip is 160 mm beyond the sensor.
-            let at_sensor = at_tip.seen_from(&Pose::translation(0.0, 0.0, 0.16));
-            device.advance(Instant::from_nanos(1), at_sensor.components());
-            let (_, reading) = sensor.read().unwrap();
-            let tip = base_from_tool.translation.vector;
-            let expected = Wrench { force, torque: tip.cross(&force) };
-            let in_base = reading.in_base().unwrap();
-            let off = in_base - expected;
-            assert!(off.force.amax() < 1e-9 && off.torque.amax() < 1e-9, "{turn}: {in_base:?}");
-            // About the tip there is no torque, in axes turned by a right angle about z.
-            let quarter = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
-            let at_tip = reading.in_frame(&Pose::from_parts(tip.into(), quarter)).unwrap();
-            let turned = Vector3::new(-1.0, -4.0, 20.0);
-            assert!((at_tip.force - turned).amax() < 1e-9 && at_tip.torque.amax() < 1e-9, "{turn}: {at_tip:?}");
-            found.push(reading.in_tool().unwrap().force);
-            publisher.publish(&Snapshot { homed: false, ..snapshot });
-            let lost = sensor.read().unwrap().1;
-            assert_eq!(lost.in_base(), Err(GeneratorError::Force(ForceError::NotHomed)));
-            assert!(lost.in_sensor().is_ok());
-        }
-        // The same force has other components in the frame of the turned tool.
-        assert!((found[0] - found[1]).norm() > 1.0, "{found:?}");
-    }
-
-    #[test]
-    fn a_moving_robot_does_not_stand_still() {
-        let (mut publisher, robot) = latest();
-        let (_device, link) = RehearsedWrench::new();
-        let config = config();
-        let sensor = ForceTorque::new(link, robot, config.clone());
-        let mut snapshot = pitched(&config, 0.0);
-        publisher.publish(&snapshot);
-        assert_eq!(sensor.stands_still(), Ok(()));
-        snapshot.commanded_velocity[4] = -0.01;
-        publisher.publish(&snapshot);
-        assert_eq!(sensor.stands_still(), Err(ForceError::Moving));
-    }
-
-    #[test]
-    fn a_reading_of_a_robot_that_is_not_homed_is_an_error() {
-        let (mut publisher, robot) = latest();
-        let (mut device, link) = RehearsedWrench::new();
-        let config = config();
-        device.advance(Instant::from_nanos(1), [0.0; 6]);
-        let sensor = ForceTorque::new(link, robot, config.clone());
-        let read = || sensor.read().unwrap().1.in_sensor();
-        publisher.publish(&Snapshot { homed: false, ..pitched(&config, 0.0) });
-        assert_eq!(read(), Err(GeneratorError::Force(ForceError::NotHomed)));
-        publisher.publish(&pitched(&config, 0.0));
-        assert!(read().is_ok());
-    }
-}
+mod tests;

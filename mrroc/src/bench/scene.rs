@@ -73,7 +73,7 @@ impl EmulatedCell<'_> {
                     pose: flange.inverse() * given.flange_from_sensor(),
                     mass: given.tool.mass,
                     centre: given.tool.centre,
-                    inertia: [0.0; 3],
+                    inertia: given.tool_inertia,
                 };
                 sensors[sensor] = scene.add_sensor(id, &config).expect(SOUND);
             }

@@ -2,10 +2,11 @@
 
 use std::time::Duration;
 
+use controller::force::{Load, LoadError};
 use controller::robot::{Mass, Pose};
 use drive::axis_controller::{Settings, StopBits};
 use drive::wrench::{Channel, SerialWrenchConfig, WrenchConfig, ZeroMethod};
-use nalgebra::{Quaternion, Translation3, UnitQuaternion};
+use nalgebra::{Matrix3, Quaternion, Translation3, UnitQuaternion};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -16,6 +17,9 @@ const BAUD: u32 = 115_200;
 
 /// Usual sample rate of a sensor on a serial line, Hz.
 const RATE: u32 = 1_000;
+
+/// Greatest offset that a zeroing usually accepts, as a share of the range.
+const USUAL_OFFSET: f64 = 0.2;
 
 /// Part of a count by which a range may miss a whole number of counts through rounding.
 const ROUNDING: f64 = 1e-6;
@@ -56,10 +60,22 @@ pub struct ForceSensor {
     pub position: [f64; 3],
     /// Orientation of the sensor in the flange's frame as w, x, y, z; that of the flange where absent.
     pub quaternion: Option<[f64; 4]>,
-    /// Mass of the tool and of all other parts behind the sensor, and its centre in the sensor's frame. The weight of this
-    /// mass is compensated.
+    /// Mass of the tool and of all other parts behind the sensor, and its centre in the sensor's frame. Weight and inertia
+    /// of this mass are compensated.
     #[serde(default)]
     pub tool: Mass,
+    /// Moments of inertia of these parts about their centre, in the axes of the sensor, kg·m²; zero where absent, as of a
+    /// point mass. Products of inertia are zero.
+    #[serde(default)]
+    pub tool_inertia: [f64; 3],
+    /// Time by which the tool follows its set-points later than by the delay of its drives' protocol, s: the lag of the
+    /// drives' own loops. The compensation of the inertia uses the set-points of this time before a sample. The default is
+    /// the lag of the emulated drives.
+    #[serde(default = "lag")]
+    pub tool_lag_s: f64,
+    /// Greatest reading that a zeroing accepts without the weight of the tool: forces along x, y and z, N, then torques
+    /// about x, y and z, N·m; a fifth of each range where absent. A greater reading counts as a contact or as another tool.
+    pub max_offset: Option<[f64; 6]>,
     /// Samples whose mean becomes the zero of the sensor.
     #[serde(default = "defaults::count::<10, u16>")]
     pub zero_samples: u16,
@@ -69,6 +85,10 @@ pub struct ForceSensor {
     /// Settings of the emulated sensor, on the benches without hardware.
     #[serde(default)]
     pub emulator: ForceSensorEmulator,
+}
+
+fn lag() -> f64 {
+    0.002
 }
 
 /// What stands in for a force/torque sensor on the benches without hardware.
@@ -152,6 +172,22 @@ impl ForceSensor {
     pub fn ranges(&self) -> [f64; 6] {
         let ([fx, fy, fz], [tx, ty, tz]) = (self.force_range, self.torque_range);
         [fx, fy, fz, tx, ty, tz]
+    }
+
+    /// The lag of the tool behind its set-points.
+    pub fn tool_lag(&self) -> Duration {
+        Duration::from_secs_f64(self.tool_lag_s)
+    }
+
+    /// Greatest offsets that a zeroing accepts, N and N·m.
+    pub fn max_offsets(&self) -> [f64; 6] {
+        self.max_offset.unwrap_or(self.ranges().map(|range| USUAL_OFFSET * range))
+    }
+
+    /// The load behind the sensor. Fails if the moments of inertia are not those of a body.
+    pub fn load(&self) -> Result<Load, LoadError> {
+        let Mass { mass, centre } = self.tool;
+        Load::new(mass, centre.into(), Matrix3::from_diagonal(&self.tool_inertia.into()))
     }
 
     /// Scales, ranges and tolerances.

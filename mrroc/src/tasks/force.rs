@@ -72,11 +72,23 @@ impl ForceSensor {
 
     /// Makes the present reading the zero: the offset of the sensor, and any contact. The robot must stand still, homed and
     /// without contact, until the zeroing is done. Fails if the sensor has a fault or gives no samples, if the robot moves,
-    /// and if the reading still changes by a tenth of the range after a second. A constant contact force is not detected.
+    /// and if the reading still changes by a tenth of the range after a second. Also fails if the reading before the zeroing,
+    /// without the weight of the tool, exceeds `max_offset` of the cell file for a second ([`ForceError::Offset`]): a contact,
+    /// or another tool. A smaller constant contact force is not detected.
     pub async fn zero(&self) -> Outcome {
         // A sensor with a fault, or at a robot that is not homed, is refused before the request.
         self.read()?;
         self.stands_still()?;
+        let mut waited = Duration::ZERO;
+        while let Err(error) = self.sensor.can_be_zeroed() {
+            // The arm may still oscillate after its last motion.
+            if waited >= SETTLING || !matches!(error, ForceError::Offset { .. }) {
+                return Err(self.failed(error));
+            }
+            self.agents.sleep(self.period).await;
+            waited += self.period;
+            self.stands_still()?;
+        }
         let mut request = self.sensor.link().zero();
         let mut waited = Duration::ZERO;
         loop {

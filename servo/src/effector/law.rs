@@ -82,7 +82,11 @@ impl Effector {
     /// Adds the displacements of this cycle to the interpolated set-points in `next`, if the macrostep has a law.
     pub(super) fn displace(&mut self, tick: &Tick) -> Result<(), Failed> {
         let parameters = self.segment.as_ref().and_then(Segment::law);
-        let (Some(installed), Some(parameters)) = (&mut self.law, parameters) else {
+        let Some(parameters) = parameters.filter(|_| self.law.is_some()) else {
+            return Ok(());
+        };
+        let trail = self.trail(tick.dt);
+        let Some(installed) = &mut self.law else {
             return Ok(());
         };
         let mut seen = [LawAxis::default(); MAX_AXES];
@@ -105,6 +109,7 @@ impl Effector {
             rate: tick.motion.rate,
             macrostep: self.macrostep,
             axes: &seen[..self.axes.len()],
+            trail: &trail,
         };
         if !installed.active {
             installed.law.begin(&input, parameters);

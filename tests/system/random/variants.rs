@@ -105,6 +105,8 @@ fn on_can(cell: &mut Cell) {
 fn by_touch(cell: &mut Cell) {
     let sensor = &mut cell.force_sensor[0];
     sensor.quaternion = Some([1.0, 0.0, 0.0, 0.0]);
+    (sensor.tool_inertia, sensor.tool_lag_s) = ([0.01, 0.01, 0.005], 0.003);
+    sensor.max_offset = Some([20.0, 20.0, 20.0, 1.0, 1.0, 1.0]);
     (sensor.force_per_count, sensor.torque_per_count) = (Some(10.0 / 115.0), Some(5.0 / 940.0));
     sensor.emulator.silent_from_s = Some(1e5);
     (sensor.baud, sensor.rate_hz) = (Some(115_200), Some(1_000));

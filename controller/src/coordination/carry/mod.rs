@@ -2,8 +2,8 @@
 //!
 //! In each macrostep, [`Carry`] computes the pose X of the object and orders each arm the pose X · G of its grip. The
 //! arms run [`Hold`]. With two arms of five axes and vertical tools, the object has four motions: x, y, z and the
-//! rotation about the vertical axis ([`ObjectPath`]). [`Grips::check`] refuses a path that an arm cannot follow, before
-//! any motion.
+//! rotation about the vertical axis ([`ObjectPath`]). [`Grips::check`] refuses a path that an arm cannot follow, or on
+//! which a joint is too fast, before any motion.
 //!
 //! # Internal force
 //! With p₁ and p₂ the forces of the two grips on the object, the sum p₁ + p₂ moves the object. Half of the difference,
@@ -61,6 +61,12 @@ pub enum CarryError {
         .at[0], .at[1], .at[2]
     )]
     Unreachable { member: usize, time: f64, at: [f64; 3], cause: KinematicsError },
+    /// A joint would move faster than its limit, rad/s (m/s for a linear joint). Axes count from 0.
+    #[error(
+        "joint {axis} of member {member} would move at {velocity:.3} rad/s (m/s) at {time:.2} s of the path, at most {limit:.3}: \
+         carry the object more slowly, or farther from the axes of the arm"
+    )]
+    TooFast { member: usize, axis: usize, time: f64, velocity: f64, limit: f64 },
 }
 
 /// Geometry of two arms and of the object that they hold.
@@ -117,8 +123,16 @@ impl Grips {
         [-(first * on_tools[0]), -(second * on_tools[1])]
     }
 
-    /// Checks that both arms can follow the path. The postures at the start of the path are near these joint positions.
-    pub fn check(&self, path: &ObjectPath, arms: [&Arm; 2], near: [Axes; 2]) -> Result<(), CarryError> {
+    /// Checks that both arms can follow the path, and that no joint is faster than its limit. The postures at the start of
+    /// the path are near the joint positions `near`. `fastest`: greatest speeds of the joints of each arm, rad/s (m/s for a
+    /// linear joint). Speeds are means over 20 ms. Accelerations are not checked.
+    pub fn check(
+        &self,
+        path: &ObjectPath,
+        arms: [&Arm; 2],
+        near: [Axes; 2],
+        fastest: [Axes; 2],
+    ) -> Result<(), CarryError> {
         let steps = (path.duration() / CHECKED_EVERY).ceil() as u32;
         for (member, (arm, mut near)) in arms.into_iter().zip(near).enumerate() {
             for step in 0..=steps {
@@ -126,10 +140,19 @@ impl Grips {
                 let object = path.at(time);
                 let pose = self.tool(member, &object).pose;
                 let reached = arm.inverse(&pose, &near).and_then(|joints| arm.motors(&joints).map(|_| joints));
+                let last = near;
                 near = reached.map_err(|cause| {
                     let at = (object.pose * self.object_from_tool[member]).translation.vector.into();
                     CarryError::Unreachable { member, time, at, cause }
                 })?;
+                for axis in (0..arm.axes()).filter(|_| step > 0) {
+                    let velocity = (near[axis] - last[axis]).abs() / CHECKED_EVERY;
+                    let limit = fastest[member][axis];
+                    let within = velocity <= limit;
+                    if !within {
+                        return Err(CarryError::TooFast { member, axis, time, velocity, limit });
+                    }
+                }
             }
         }
         Ok(())

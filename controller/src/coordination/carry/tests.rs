@@ -88,7 +88,7 @@ fn paths_without_length_or_limits_are_refused() {
 #[test]
 fn a_bar_within_reach_is_accepted_and_one_that_does_not_reach_is_refused_with_its_place() {
     let arm = arm();
-    let check = |places: &[[f64; 4]]| grips().check(&path(places), [&arm, &arm], [BENT; 2]);
+    let check = |places: &[[f64; 4]]| grips().check(&path(places), [&arm, &arm], [BENT; 2], [[1.0; 8]; 2]);
     assert_eq!(check(&ROUND), Ok(()));
     // Too close to the left arm.
     let far = check(&[[1.1, 0.0, 0.8, 0.0], [0.6, 0.0, 0.8, 0.0]]).unwrap_err();
@@ -99,11 +99,32 @@ fn a_bar_within_reach_is_accepted_and_one_that_does_not_reach_is_refused_with_it
     // A bar that leans needs a sixth axis.
     let mut leaning = grips();
     leaning.object_from_tool[0] = pose(-0.4, 0.0, 0.0, [PI - 0.1, 0.0]);
-    let refused = leaning.check(&path(&ROUND), [&arm, &arm], [BENT; 2]).unwrap_err();
+    let refused = leaning.check(&path(&ROUND), [&arm, &arm], [BENT; 2], [[1.0; 8]; 2]).unwrap_err();
     assert!(
         matches!(refused, CarryError::Unreachable { member: 0, cause: KinematicsError::ToolPlane { .. }, .. }),
         "{refused}"
     );
+}
+
+#[test]
+fn a_path_on_which_a_joint_is_too_fast_is_refused_with_arm_and_axis() {
+    let arm = arm();
+    let check = |fastest| grips().check(&path(&ROUND), [&arm, &arm], [BENT; 2], fastest);
+    // The tool of each arm is 0.7 m from its column, and moves at up to 0.1 m/s.
+    let mut fastest = [[1.0; 8]; 2];
+    fastest[1][0] = 0.05;
+    let refused = check(fastest).unwrap_err();
+    let CarryError::TooFast { member: 1, axis: 0, time, velocity, limit: 0.05 } = refused else { panic!("{refused}") };
+    // The second leg, after 0.06 m upward, moves the bar sideways.
+    assert!(time > 0.6 && (0.05..0.16).contains(&velocity), "{refused}");
+    let said = refused.to_string();
+    assert!(said.starts_with("joint 0 of member 1 would move at 0.0") && !said.contains('\n'), "{said}");
+    fastest[1][0] = 0.2;
+    assert_eq!(check(fastest), Ok(()));
+    for none in [f64::NAN, 0.0] {
+        fastest[0][2] = none;
+        assert!(matches!(check(fastest), Err(CarryError::TooFast { member: 0, axis: 2, .. })), "{none}");
+    }
 }
 
 #[test]

@@ -67,6 +67,7 @@ fn a_law_without_limits_is_refused() {
             upright_from_base: UnitQuaternion::identity(),
             flange_from_sensor,
             load: None,
+            lag: Duration::ZERO,
             zeroed: None,
             limits,
         };
@@ -146,6 +147,7 @@ fn the_weight_of_the_tool_is_no_contact() {
                 upright_from_base: upright,
                 flange_from_sensor,
                 load: Some(load),
+                lag: Duration::ZERO,
                 zeroed,
                 limits: WIDE,
             };
@@ -170,6 +172,7 @@ fn a_sensor_that_was_not_zeroed_and_a_weight_that_was_not_noted_are_faults() {
             upright_from_base: UnitQuaternion::identity(),
             flange_from_sensor: flange_from_sensor(),
             load: None,
+            lag: Duration::ZERO,
             zeroed: Some(ZeroedWeight::of(noted, &Wrench::default())),
             limits: WIDE,
         };

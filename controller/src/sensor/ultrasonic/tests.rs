@@ -80,7 +80,7 @@ fn echoes(case: &Case, dice: &mut Dice) -> Echoes {
 const USUAL: Case = Case { x: 0.0, y: 0.0, yaw: 0.0, scans: 10, noise: 1e-3, lost: 0.1, wrong: 0.0 };
 
 fn place(case: &Case, dice: &mut Dice) -> Result<fit::Fitted, EchoError> {
-    fit::locate(&echoes(case, dice), &config(), SIZE)
+    fit::locate(&echoes(case, dice), &config(), SIZE, None)
 }
 
 #[test]
@@ -104,13 +104,28 @@ fn box_is_found_within_3_mm_with_one_echo_in_ten_lost() {
 }
 
 #[test]
+fn a_box_is_found_from_its_last_place_also_after_it_was_moved() {
+    let mut dice = Dice::of(0x5EED_0005);
+    let (mut last, mut worst) = (None, 0.0_f64);
+    for number in 0..200 {
+        // The box moves every fifth time.
+        let place = Dice::of(1 + number / 5).0.within(-0.05, 0.05);
+        let case = Case { x: place, y: -0.5 * place, yaw: 30.0 * place, ..USUAL };
+        let found = fit::locate(&echoes(&case, &mut dice), &config(), SIZE, last.as_ref()).unwrap();
+        worst = worst.max((found.x - case.x).hypot(found.y - case.y));
+        last = Some(found);
+    }
+    assert!(worst < 3e-3, "{worst} m");
+}
+
+#[test]
 fn wrong_echoes_are_excluded_as_outliers() {
     let mut dice = Dice::of(0x5EED_0002);
     for number in 0..50 {
         let case = Case { x: 0.013, y: -0.027, yaw: 0.4, wrong: 0.02, ..USUAL };
         let echoes = echoes(&case, &mut dice);
         assert!(echoes.outliers > 0);
-        let found = fit::locate(&echoes, &config(), SIZE).unwrap();
+        let found = fit::locate(&echoes, &config(), SIZE, None).unwrap();
         let error = (found.x - case.x).hypot(found.y - case.y);
         assert!(error < 3e-3, "case {number}: {error} m");
     }
@@ -138,9 +153,9 @@ fn readings_without_a_place_are_typed_errors() {
     assert!(matches!(lost, EchoError::TooFewEchoes { found: ..72, elements: 144, needed: 72 }), "{lost}");
     let away = place(&Case { x: 0.5, ..USUAL }, &mut dice).unwrap_err();
     assert!(matches!(away, EchoError::NothingFound { .. }), "{away}");
-    let lower = fit::locate(&echoes(&USUAL, &mut dice), &config(), [0.08, 0.06, 0.1]).unwrap_err();
+    let lower = fit::locate(&echoes(&USUAL, &mut dice), &config(), [0.08, 0.06, 0.1], None).unwrap_err();
     assert!(matches!(lower, EchoError::NothingFound { height: 0.1, .. }), "{lower}");
-    let longer = fit::locate(&echoes(&USUAL, &mut dice), &config(), [0.2, 0.02, 0.05]).unwrap_err();
+    let longer = fit::locate(&echoes(&USUAL, &mut dice), &config(), [0.2, 0.02, 0.05], None).unwrap_err();
     assert!(matches!(longer, EchoError::Unlike { .. } | EchoError::Uncertain { .. }), "{longer}");
     assert_eq!(EchoError::NoScan { found: 1, needed: 10 }.to_string(), "1 of 10 scans: wait for the next scan");
 }

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use can::Instant;
+use serial::ultrasonic::NO_ECHO;
 
 use super::state::{Scan, StatePublisher, UltrasonicLink, UltrasonicState};
 
@@ -21,6 +22,18 @@ impl RehearsedUltrasonic {
         let state = UltrasonicState { fault: None, ..UltrasonicState::NOT_STARTED };
         publisher.publish(&state.words());
         (Self { state, publisher, scan_time }, link)
+    }
+
+    /// Completes a scan at `now`, for benchmarks: `echo` gives the echo time of each shot and number ([`Scan::echo`]).
+    pub fn scan(&mut self, now: Instant, echo: impl Fn(usize, usize) -> Option<Duration>) {
+        let scan = &mut self.state.scan;
+        (scan.number, scan.ended) = (scan.number + 1, now);
+        for (shot, times) in scan.times.iter_mut().enumerate() {
+            for (number, time) in times.iter_mut().enumerate() {
+                *time = echo(shot, number).map_or(NO_ECHO, |echo| echo.as_micros() as u16);
+            }
+        }
+        self.advance(now);
     }
 
     /// Advances the matrix by one cycle, to `now`.

@@ -2,7 +2,7 @@
 
 use can::Instant;
 
-use super::state::{Requests, StatePublisher, WrenchLink, WrenchState, ZeroRequest, Zeroing};
+use super::state::{Requests, StatePublisher, WrenchLink, WrenchState, ZeroFailure, ZeroRequest, Zeroing};
 
 /// A sensor without a wire, for the ideal drives of a rehearsal. Only for rehearsals: through its link, a reader cannot
 /// distinguish the sensor from a real sensor.
@@ -31,6 +31,7 @@ impl RehearsedWrench {
         if let Some(request) = requested.filter(|_| requested > self.zeroed) {
             (self.zeroed, self.offset) = (requested, load);
             self.state.zeroing = Zeroing::Done { request, samples: 1 };
+            self.state.zeroed = Some(request);
         }
         let components = self.state.wrench.iter_mut().zip(load.iter().zip(self.offset));
         components.for_each(|(component, (load, offset))| *component = load - offset);
@@ -38,6 +39,17 @@ impl RehearsedWrench {
         self.state.samples += 1;
         self.publisher.publish(&self.state.words());
         self.state.cycle += 1;
+    }
+}
+
+impl RehearsedWrench {
+    /// Ends the zero, like a new bring-up. A zeroing that is requested and not carried out fails.
+    pub fn restart(&mut self) {
+        let requested = self.requests.zero();
+        let failed = |request| Zeroing::Failed { request, cause: ZeroFailure::Interrupted };
+        self.state.zeroing = requested.filter(|_| requested > self.zeroed).map_or(Zeroing::None, failed);
+        (self.zeroed, self.state.zeroed, self.offset) = (requested, None, [0.0; 6]);
+        self.publisher.publish(&self.state.words());
     }
 }
 

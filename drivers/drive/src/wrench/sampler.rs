@@ -193,6 +193,9 @@ impl Sampler {
         self.scale();
         if let Zeroing::UnderWay { request, samples } = self.state.zeroing {
             self.state.zeroing = self.zero(request, samples);
+            if let Zeroing::Done { request, .. } = self.state.zeroing {
+                self.state.zeroed = Some(request);
+            }
         }
     }
 
@@ -352,7 +355,7 @@ impl Sampler {
             && fault.may_be_restart()
             && matches!(self.state.zeroing, Zeroing::Done { .. })
         {
-            self.state.zeroing = Zeroing::None;
+            (self.state.zeroing, self.state.zeroed) = (Zeroing::None, None);
         }
         self.rate = Rate::new(self.pace);
         self.forget_streaks();

@@ -61,6 +61,8 @@ pub struct WrenchState {
     pub age: u32,
     /// State of the zero.
     pub zeroing: Zeroing,
+    /// The request whose zero is in force; `None` if the sensor was not zeroed since bring-up, or lost its own zero.
+    pub zeroed: Option<ZeroRequest>,
     /// The latched fault.
     pub fault: Option<WrenchFault>,
 }
@@ -157,7 +159,7 @@ impl Zeroing {
 }
 
 /// Length of an encoded state, words of 64 bits.
-const WORDS: usize = 16;
+const WORDS: usize = 17;
 
 /// The writing end of the states of a sensor.
 pub(super) type StatePublisher = Publisher<WORDS>;
@@ -172,6 +174,7 @@ impl WrenchState {
         samples: 0,
         age: 0,
         zeroing: Zeroing::None,
+        zeroed: None,
         fault: Some(WrenchFault::NotStarted),
     };
 
@@ -191,7 +194,7 @@ impl WrenchState {
         for (word, component) in words.iter_mut().zip(self.wrench) {
             *word = component.to_bits();
         }
-        words[6..13].copy_from_slice(&[
+        words[6..14].copy_from_slice(&[
             self.cycle,
             self.at.as_nanos(),
             self.sampled.as_nanos(),
@@ -199,13 +202,14 @@ impl WrenchState {
             u64::from(self.age),
             zeroing | u64::from(samples) << 8,
             request.0,
+            self.zeroed.map_or(0, ZeroRequest::number),
         ]);
-        words[13..].copy_from_slice(&fault::words(self.fault));
+        words[14..].copy_from_slice(&fault::words(self.fault));
         words
     }
 
     pub(super) fn from_words(words: &[u64; WORDS]) -> Self {
-        let [cycle, at, sampled, samples, age, zeroing, request] = array::from_fn(|word| words[6 + word]);
+        let [cycle, at, sampled, samples, age, zeroing, request, in_force] = array::from_fn(|word| words[6 + word]);
         let (request, zeroed) = (ZeroRequest(request), (zeroing >> 8) as u16);
         Self {
             cycle,
@@ -220,7 +224,8 @@ impl WrenchState {
                 3 => Zeroing::Failed { request, cause: ZeroFailure::of_number(zeroed) },
                 _ => Zeroing::None,
             },
-            fault: fault::of_words(array::from_fn(|word| words[13 + word])),
+            zeroed: (in_force > 0).then_some(ZeroRequest(in_force)),
+            fault: fault::of_words(array::from_fn(|word| words[14 + word])),
         }
     }
 }
@@ -316,6 +321,7 @@ mod tests {
                     3 => Zeroing::Failed { request, cause: ZeroFailure::of_number(failure) },
                     _ => Zeroing::None,
                 },
+                zeroed: (cycle > 0).then_some(ZeroRequest(cycle)),
                 fault,
             };
             let (mut publisher, _, link) = WrenchLink::new();

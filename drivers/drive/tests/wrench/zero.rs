@@ -140,15 +140,18 @@ fn a_new_bring_up_forgets_the_zero() {
 }
 
 #[test]
-fn a_new_bring_up_ends_a_zeroing_as_failed() {
+fn a_new_bring_up_ends_the_zero_and_a_zeroing_as_failed() {
     let mut rig = Rig::up();
     rig.run(3);
+    let first = rig.link.zero();
+    assert_eq!(until_zeroed(&mut rig, first).1.zeroed, Some(first));
     let request = rig.link.zero();
     assert!(matches!(rig.run(3).zeroing, Zeroing::UnderWay { .. }));
     // Another node of the bus may need the bring-up: the sensor has no fault.
     assert_eq!(rig.bring_up(), Ok(()));
     let state = rig.run(20);
     assert_eq!((state.fault, state.zeroing), (None, Zeroing::Failed { request, cause: ZeroFailure::Interrupted }));
+    assert_eq!(state.zeroed, None);
     let request = rig.link.zero();
     rig.run(1);
     until_zeroed(&mut rig, request);

@@ -53,6 +53,19 @@ fn a_sensor_that_cannot_be_is_refused_with_line_key_and_reason() {
         ),
         (WRIST, "position = ", "rate_hz = 499\nposition = ", "force_sensor[0].rate_hz: is 499, must be 500 (Hz)"),
         (WRIST, "position = ", "baud = 57600\nposition = ", "force_sensor[0].baud: a period of 2ms is too short"),
+        (WRIST, "position = ", "tool_lag_s = 0.1\nposition = ", "force_sensor[0].tool_lag_s: is 0.1, must be between"),
+        (
+            WRIST,
+            "position = ",
+            "tool_inertia = [0.01, 0.01, 0.03]\nposition = ",
+            "force_sensor[0].tool_inertia: the inertia about the centre of mass is not that of a body",
+        ),
+        (
+            WRIST,
+            "position = ",
+            "max_offset = [66.0, 10.0, 10.0, 1.0, 1.0, 1.0]\nposition = ",
+            "force_sensor[0].max_offset[0]: is 66, must be between",
+        ),
         (WRIST, "position = ", "zero_samples = 0\nposition = ", "force_sensor[0].zero_samples: is 0, must be between"),
         (
             WRIST,

@@ -156,6 +156,17 @@ fn check_numbers(cell: &Cell, path: &Path, sensor: &ForceSensor) -> Checked {
     for (axis, part) in sensor.tool.centre.into_iter().enumerate() {
         within(&tool.then("centre"), axis, part, NEAR)?;
     }
+    for (axis, moment) in sensor.tool_inertia.into_iter().enumerate() {
+        within(&path.then("tool_inertia"), axis, moment, Range::new(0.0, 1e3, "kg·m²"))?;
+    }
+    if let Err(error) = sensor.load() {
+        return refused(path, "tool_inertia", error.to_string());
+    }
+    within(path, "tool_lag_s", sensor.tool_lag_s, Range::new(0.0, 0.02, "s"))?;
+    let greatest = sensor.max_offset.into_iter().flatten().zip(sensor.ranges());
+    for (channel, (offset, range)) in greatest.enumerate() {
+        within(&path.then("max_offset"), channel, offset, Range::new(0.0, range, "N or N·m"))?;
+    }
     within(path, "zero_samples", sensor.zero_samples, Range::new(1.0, 10_000.0, "samples"))?;
     within(path, "tolerated_missing", sensor.tolerated_missing, Range::new(0.0, 1000.0, "samples"))?;
     let emulator = path.then("emulator");

@@ -52,3 +52,20 @@ fn torque_and_switches_are_those_of_the_sample() {
     assert_eq!(snapshot.torque[0], 0.125);
     assert!(snapshot.switches[0].upper_limit && !snapshot.switches[0].lower_limit);
 }
+
+#[test]
+fn the_trail_has_at_the_time_of_a_sample_the_set_point_that_the_sample_shows() {
+    let mut rig = Rig::standing(1);
+    rig.accelerate(500.0, 4, 2);
+    let mut accelerated = 0;
+    for cycle in 0..30 {
+        rig.run(1);
+        let (snapshot, trail) = (rig.link.latest.read(), rig.link.latest.trail());
+        let [before, there, after] = trail.around(snapshot.sampled[0]).map(|motors| motors[0]);
+        assert!((there - snapshot.measured[0]).abs() < 1e-12, "{cycle}: {there} {snapshot:?}");
+        let period = trail.period();
+        accelerated += u32::from(((before - 2.0 * there + after) / (period * period) - 500.0).abs() < 1e-3);
+    }
+    // The motion accelerates for 40 periods.
+    assert!(accelerated >= 10, "{accelerated}");
+}
