@@ -47,7 +47,8 @@ fn main() {
                 // Noise of up to 1 mm, and one echo in ten is lost.
                 let mixed = (row * 31 + column * 17 + reading as usize * 101) * 7919 % 1009;
                 let noise = 1e-3 * (mixed as f64 / 504.5 - 1.0);
-                (mixed % 10 > 0).then(|| Duration::from_secs_f64(2.0 * (distance + noise) / config.speed_of_sound))
+                (!mixed.is_multiple_of(10))
+                    .then(|| Duration::from_secs_f64(2.0 * (distance + noise) / config.speed_of_sound))
             });
             let begun = clock::now();
             let (_, reading) = locator.read();

@@ -141,6 +141,7 @@ fn a_poll_of_light_gates_does_not_allocate() {
         inhibit_time: Duration::from_millis(1),
         event_timer: Duration::from_millis(100),
         inverted_inputs: 0,
+        emergency_inputs: 0,
         filtered_inputs: 0,
         inverted_outputs: 0,
         error_mode: 0,

@@ -13,8 +13,7 @@ use drive::{AxisCommand, AxisState, EmergencyStop, Power};
 use crate::{
     After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Knot, MAX_AXES, Order, Publisher, Record,
     ServoAxisConfig, ServoEvent, ServoFault, ServoReport, ServoState, Snapshot, StopCategory, StopCause, StraightStop,
-    latest,
-    ServoAxisConfig, ServoEvent, ServoFault, ServoReport, ServoState, Snapshot, StopCause, StraightStop, Trail, latest,
+    Trail, latest,
 };
 use crate::{axis::ServoAxis, interpolate::Segment, limit, motion_time::Motion, team::Team};
 

@@ -18,6 +18,9 @@ const SPARE: u32 = 100;
 /// Longest time in which a zeroing whose samples differ is repeated.
 const SETTLING: Duration = Duration::from_secs(1);
 
+/// Time for which the reading must be within `max_offset` before a zeroing.
+const CALM: Duration = Duration::from_millis(200);
+
 /// A force/torque sensor at the flange of a robot.
 #[derive(Clone)]
 pub struct ForceSensor {
@@ -79,11 +82,13 @@ impl ForceSensor {
         // A sensor with a fault, or at a robot that is not homed, is refused before the request.
         self.read()?;
         self.stands_still()?;
-        let mut waited = Duration::ZERO;
-        while let Err(error) = self.sensor.can_be_zeroed() {
-            // The arm may still oscillate after its last motion.
-            if waited >= SETTLING || !matches!(error, ForceError::Offset { .. }) {
-                return Err(self.failed(error));
+        let (mut waited, mut calm) = (Duration::ZERO, Duration::ZERO);
+        while calm < CALM {
+            match self.sensor.can_be_zeroed() {
+                Ok(()) => calm += self.period,
+                // The arm may still oscillate after its last motion.
+                Err(ForceError::Offset { .. }) if waited < SETTLING => calm = Duration::ZERO,
+                Err(error) => return Err(self.failed(error)),
             }
             self.agents.sleep(self.period).await;
             waited += self.period;
