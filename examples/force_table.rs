@@ -2,7 +2,8 @@
 //!
 //! The figures compare overshoot, settling time and steady error with the table of the MRROC++ force law (inertia 20 kg,
 //! reciprocal damping 0.005 m/(N·s)), and give the stiffness at which oscillations no longer decay. The table holds for
-//! position loops with a lag of 4 ms to 10 ms. The set-point filters of the emulated drives give them 4 ms.
+//! position loops with a lag of 4 ms to 10 ms. The emulated position loops have set-point filters of
+//! 3 ms and lag 4 ms.
 //!
 //! ```sh
 //! cargo run --release --example force_table -- --bench lockstep
@@ -97,7 +98,7 @@ struct Bench<'a> {
     wrist: ForceSensor,
 }
 
-/// A motion as the sensor saw it: force of the tool on the block in each servo period from the begin of the motion, N.
+/// A motion as the sensor saw it: force of the tool on the block in each servo period from the start of the motion, N.
 struct Seen(Vec<f64>);
 
 impl Bench<'_> {

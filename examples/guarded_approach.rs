@@ -1,5 +1,5 @@
 //! Guarded approach: the tool moves down to blocks of known stiffness at several velocities, and stops in the servo cycle
-//! that sees the touch.
+//! that detects the touch.
 //!
 //! The figures compare the peak force with the bound of [the book](../book/src/force.md): the tool moves on for two servo
 //! periods, and then at most the kinetic energy of the arm is stored in the block.

@@ -128,7 +128,7 @@ impl Arms {
         Ok(())
     }
 
-    /// Carries the bar along a path, by a team that `prepare` may change.
+    /// Carries the bar along a path. `prepare` may change the team before the motion.
     pub(crate) async fn carry(
         &mut self,
         cell: &Cell,

@@ -1,7 +1,7 @@
 //! An ultrasonic matrix finds a box at a wall, and the arm turns towards the box.
 //!
-//! The matrix looks at the wall. Its position, its cones and the noise are in the cell file. The place of the box follows
-//! from the means of several scans. A rehearsal has no surroundings, and ends where the place is needed.
+//! The matrix faces the wall. The cell file has the position, the cones and the noise of the matrix. The place of the
+//! box follows from the means of several scans. A rehearsal has no surroundings, and ends where the place is needed.
 //!
 //! ```sh
 //! cargo run --release --example locate_box -- --bench lockstep

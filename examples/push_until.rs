@@ -1,7 +1,7 @@
 //! Class 3, effector and sensor: the tool moves down until the force sensor at the wrist measures a force, and stops.
 //!
 //! The approach is guarded at the rate of the macrosteps. From the sample of the sensor to the stop, the tool moves on for
-//! up to two macrosteps: the force exceeds the limit by the stiffness of the contact times that way.
+//! up to two macrosteps. The force exceeds the limit by the stiffness of the contact times this displacement.
 //!
 //! ```sh
 //! cargo run --release --example push_until -- --bench lockstep
@@ -27,7 +27,7 @@ struct PushUntil {
     velocity: f64,
     /// Acceleration of the tool, m/s².
     acceleration: f64,
-    /// Greatest way of the tool, m.
+    /// Greatest displacement of the tool, m.
     travel: f64,
     /// Duration of a macrostep, s.
     macrostep: f64,

@@ -10,9 +10,9 @@
 //! * Robots are [`Mechanism`]s. Their tools have tips, which are spheres ([`TipConfig`]). The transpose of the Jacobian
 //!   converts forces on tips and in grippers to motor torques. Tips have no mass of their own.
 //! * A grip holds a body by a spring and a damper in six dimensions ([`GripConfig`]). A body may be held by several
-//!   grippers. The tips of a robot do not touch the bodies that the robot holds. A tip that is inside a body at
-//!   its release touches the body again after the tip has left the body, so that no energy appears. A digital output
-//!   may open and close a gripper ([`GripperConfig`]).
+//!   grippers. The tips of a robot do not touch the bodies that the robot holds. If a tip is inside a body when
+//!   the robot releases the body, their contact begins only after the tip has left the body. The release therefore adds
+//!   no energy. A digital output may open and close a gripper ([`GripperConfig`]).
 //! * Workpieces are height fields ([`WorkpieceConfig`]), which cutting tools of robots carve ([`CutterConfig`]).
 //! * Light gates have beams, which bodies break ([`BeamConfig`]). Bodies may be placed on a conveyor at a later time
 //!   ([`Scene::place_body`]).
@@ -345,8 +345,8 @@ impl Scene {
     }
 
     /// Adds a touch probe to the tool of a robot of this scene. Its switch sets `input` to the level `touched` while the
-    /// sum of the forces on the tips of the tool is at least `threshold`, N, and else to the other level. Fails unless the
-    /// threshold is above zero and finite.
+    /// sum of the forces on the tips of the tool is at least `threshold`, N, otherwise to the other level. Fails unless
+    /// the threshold is above zero and finite.
     pub fn add_touch(
         &mut self,
         robot: RobotId,
@@ -399,7 +399,7 @@ impl Scene {
         Ok(GripId(self.grips.len() - 1))
     }
 
-    /// Opens a gripper. A tip inside the body touches the body again after the tip has left the body.
+    /// Opens a gripper. The contact of a tip that is inside the body begins only after the tip has left the body.
     pub fn release(&mut self, grip: GripId) {
         self.grips[grip.0] = None;
     }

@@ -103,11 +103,12 @@ pub fn check(file: &CellFile) -> anyhow::Result<Vec<BusBudget>> {
 /// Longest time from the queueing of an event-driven message to its last bit on bus `index`, with the frames of further
 /// emulated nodes. Refuses a bus beyond its budget.
 pub(crate) fn longest_response(file: &CellFile, index: usize, id: StandardId) -> anyhow::Result<Duration> {
-    check_bus(file, index, &[])?;
+    let sensors = file.cell.sensor_configs(index);
+    check_bus(file, index, &sensors)?;
     let (bitrate, period) = (emulation::bitrate(file, index), file.cell.period());
     let axes = setup::axis_configs(file, index);
     let io = file.cell.io_configs(index);
-    let mut messages = messages(&traffic(&file.cell.group_config(index), &axes, &io, &[]), period);
+    let mut messages = messages(&traffic(&file.cell.group_config(index), &axes, &io, &sensors), period);
     messages.extend(further(bitrate, file.cell.bus[index].emulated_load));
     let analysis = schedule::analyse(bitrate, period, &messages);
     let found = messages.iter().zip(&analysis.responses).find(|(message, _)| message.id == id);

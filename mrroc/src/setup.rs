@@ -70,7 +70,7 @@ pub struct Devices {
 
 /// The drive groups, I/O nodes and sensors of a cell, on the given ports and lines. `sensor_lines`: the lines of the force
 /// sensors, then of the ultrasonic matrices. The drive of axis `with_torque`, given as robot and axis number, takes a
-/// torque beside the position.
+/// torque in addition to the position.
 pub fn devices(
     file: &CellFile,
     ports: Vec<Box<dyn Port>>,

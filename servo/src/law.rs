@@ -131,7 +131,7 @@ pub enum LawFault {
     Sensor(drive::wrench::WrenchFault),
     /// The sensor of the law was not zeroed since its bring-up, so that its offset would count as contact.
     #[error(
-        "its sensor was not zeroed since it was switched on, or the zeroing failed: zero the sensor without contact"
+        "its sensor was not zeroed since it was switched on, or a zeroing is under way or has failed: zero the sensor without contact"
     )]
     NotZeroed,
     /// The sensor of the law was zeroed, and the weight of the tool at the zeroing is not noted yet.

@@ -24,8 +24,8 @@ pub(crate) fn turn() -> MutexGuard<'static, ()> {
     turn_of(&TURN, "-15")
 }
 
-/// The turn of a test by the clock that repeats a run which the host disturbed. One such test runs beside a test of
-/// [`turn`], whose programs precede.
+/// The turn of a test by the clock that repeats a run after a disturbance by the host. One such test runs at the same
+/// time as a test of [`turn`]. The programs of the test of [`turn`] have a higher priority.
 pub(crate) fn patient_turn() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
     turn_of(&TURN, "-8")

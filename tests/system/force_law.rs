@@ -144,6 +144,7 @@ fn a_law_whose_sensor_was_not_zeroed_stops_before_it_moves_the_arm() {
     };
     let report = ::mrroc::run(&cell("irb6-force", |_| {}), BenchKind::Lockstep, task).unwrap();
     let faults: Vec<_> = report.faults.iter().map(ToString::to_string).collect();
+    assert_eq!(report.outcome, RunOutcome::Faulted);
     assert!(faults[0].starts_with("irb6: cycle law: its sensor was not zeroed"), "{faults:?}");
 }
 

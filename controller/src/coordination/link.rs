@@ -106,7 +106,7 @@ struct Numbered<T> {
     step: u64,
     /// Time at which the message was sent.
     at: Instant,
-    /// Time before which a disturbed message does not arrive; zero for any other.
+    /// Time before which a delayed message does not arrive; zero for a message without delay.
     due: Instant,
     value: T,
 }

@@ -245,7 +245,7 @@ impl Ecp {
         None
     }
 
-    /// Whether the effector brakes at the end of its motion, because its cycle law still moved it.
+    /// Whether the effector brakes at the end of its path because its cycle law still moved the effector.
     fn is_settling(&self) -> bool {
         let ended = matches!(self.activity, Activity::Arriving) && self.under_law && self.outstanding() == 0;
         ended && self.phase() == Phase::Stopping && self.report.is_some_and(|report| report.fault.is_none())

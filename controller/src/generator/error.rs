@@ -107,6 +107,9 @@ pub enum GeneratorError {
     Weight { weight: f64 },
     #[error("a weighted sum takes set-points of one space from both generators, of joints or of motors")]
     NotAdded,
+    /// A part of a combination has a force law that the combination cannot carry.
+    #[error("one part of a combination of generators is under a force law: put the whole combination under the law")]
+    LawOfPart,
     #[error("one generator of a weighted sum ended in motion before the other generator ended")]
     EndedInMotion,
     /// A panic in a step. The panic hook received its message.

@@ -286,8 +286,8 @@ impl<M> Next<M> {
 impl<M, O> Next<M, O> {
     /// The same result with the cycle law of the effector, for example with a [`ForceTask`](crate::law::ForceTask).
     ///
-    /// In each servo period, the law adds a displacement to the interpolated path. A macrostep without a set-point stands
-    /// on the path, and the law goes on. In a first step without a set-point, the law has no effect.
+    /// In each servo period, the law adds a displacement to the interpolated path. In a macrostep without a set-point,
+    /// the path stands still and the law continues. In a first step without a set-point, the law has no effect.
     #[must_use]
     pub fn under(self, law: impl Into<LawParameters>) -> Self {
         Self { law: Some(law.into()), ..self }

@@ -147,7 +147,11 @@ where
     ) -> Result<Next<Self::Memory, A::Out>, GeneratorError> {
         self.macrostep = macrostep.as_secs_f64();
         let Next { effector, law, out, memory: first } = self.first.first_step(images, macrostep)?;
-        let second = self.second.first_step(images, macrostep)?.memory;
+        let Next { law: other, memory: second, .. } = self.second.first_step(images, macrostep)?;
+        // A motion under a law stays under it.
+        if law.is_some() != other.is_some() {
+            return Err(GeneratorError::LawOfPart);
+        }
         let memory = SelectionMemory { selected: Selected::First, steps: 0, first, second };
         Ok(Next { effector, law, out, memory })
     }

@@ -80,7 +80,7 @@ struct Summand<M> {
 impl<M> Summand<M> {
     /// The generator after its first step, which began at `start`. Also returns whether the step sends a macrostep.
     fn begin(space: Space, next: Next<M>, start: &Axes) -> Result<(Self, bool), GeneratorError> {
-        let state = stated(space, next.effector, start)?;
+        let state = stated(space, without_law(&next)?, start)?;
         Ok((Self { memory: next.memory, state, ended: false }, next.effector.is_some()))
     }
 
@@ -97,7 +97,7 @@ impl<M> Summand<M> {
     {
         if !self.ends(generator, images) {
             let next = generator.next_step(&self.memory, images)?;
-            let state = stated(space, next.effector, &self.state.position)?;
+            let state = stated(space, without_law(&next)?, &self.state.position)?;
             return Ok(Self { memory: next.memory, state, ended: false });
         }
         if self.state.velocity.iter().any(|velocity| velocity.abs() > STILL) {
@@ -105,6 +105,11 @@ impl<M> Summand<M> {
         }
         Ok(Self { state: AxesState::at_rest(self.state.position), ended: true, ..*self })
     }
+}
+
+/// The set-point of a part that is not under a force law.
+fn without_law<M>(next: &Next<M>) -> Result<Option<Setpoint>, GeneratorError> {
+    if next.law.is_some() { Err(GeneratorError::LawOfPart) } else { Ok(next.effector) }
 }
 
 /// State of a set-point; without one, standstill at the position before.

@@ -93,13 +93,10 @@ impl Gains {
         let drive = beta * (self.force - force - self.stiffness * displacement) + self.velocity;
         (drive * dt + beta * inertia * last) / (dt + beta * inertia + beta * self.stiffness * dt * dt)
     }
-
-    pub(super) fn is_compliant(&self) -> bool {
-        self.compliance.reciprocal_damping > 0.0
-    }
 }
 
-/// End of a motion at a touch. The touch counts if force or torque of the contact exceeds its threshold in a number of
+/// End of a motion at a touch. The inertia of the tool counts as contact: the thresholds must exceed the mass behind the
+/// sensor times the greatest acceleration of the motion. The touch counts if force or torque of the contact exceeds its threshold in a number of
 /// samples in a row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Guard {

@@ -156,9 +156,9 @@ impl PositionForce {
         let jacobian = resolve::at_tool(&jacobian, &lever);
         let rates = resolve::joint_velocities(&jacobian, &turned(&to_base, &wanted)).ok_or(LawFault::NotFinite)?;
         let made = turned(&to_base.inverse(), &(jacobian * rates));
-        for (i, gains) in behaviour.gains.iter().enumerate() {
+        for i in 0..6 {
             let noticeable = wanted[i].abs() > NOTICEABLE[i / 3];
-            if gains.is_compliant() && noticeable && (made[i] - wanted[i]).abs() > LACKING * wanted[i].abs() {
+            if noticeable && (made[i] - wanted[i]).abs() > LACKING * wanted[i].abs() {
                 return Err(LawFault::Unreachable);
             }
         }
@@ -257,7 +257,7 @@ impl Touch {
     }
 }
 
-/// The weight at the zeroing in force.
+/// The weight at the last zeroing, whose zero is still valid.
 fn noted(weight: &ZeroedWeight, zeroing: Zeroing) -> Result<Wrench, LawFault> {
     let Zeroing::Done { request, .. } = zeroing else {
         return Err(LawFault::NotZeroed);

@@ -5,7 +5,7 @@ use servo::{CycleLaw, LawFault, LawInput, LawOutput, LawParameters, MAX_AXES};
 use super::directions::Behaviour;
 
 /// Law of a rehearsal in place of [`PositionForce`](super::PositionForce): checks the parameters of each macrostep, and
-/// leaves the set-points on the planned path. A guard meets no touch.
+/// leaves the set-points on the planned path. A guard never detects a touch.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RehearsedLaw;
 

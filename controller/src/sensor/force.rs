@@ -101,7 +101,7 @@ pub struct ForceSensorConfig {
     pub upright_from_base: UnitQuaternion<f64>,
     /// Frame of the sensor in the frame of the flange.
     pub flange_from_sensor: Pose,
-    /// All that is mounted behind the sensor.
+    /// Load of all parts that are mounted on the tool side of the sensor.
     pub load: Load,
 }
 
@@ -341,7 +341,7 @@ mod tests {
             assert_eq!(lost.in_base(), Err(GeneratorError::Force(ForceError::NotHomed)));
             assert!(lost.in_sensor().is_ok());
         }
-        // The same force is another one in the frame of the turned tool.
+        // The same force has other components in the frame of the turned tool.
         assert!((found[0] - found[1]).norm() > 1.0, "{found:?}");
     }
 

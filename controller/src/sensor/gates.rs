@@ -106,8 +106,8 @@ pub enum GateError {
     /// The sensor was read too rarely. Objects between the gates are forgotten.
     #[error("{0}")]
     Lost(EdgesLost),
-    /// An object broke a beam without having broken the beam before. The other beam is out of order, or the object was
-    /// already beyond it when the sensor began.
+    /// An object broke a beam without having broken the previous beam. The previous gate is out of order, or the object
+    /// was already beyond that gate when the sensor began.
     #[error("gate {gate} has no edge of an object that reached gate {reached}: check the beam of gate {gate}")]
     Missing {
         /// Gate without an edge.
@@ -159,8 +159,8 @@ pub struct GateReading {
 impl SensorReading for GateReading {}
 
 impl GateReading {
-    /// The last object that reached the last gate on its way; `None` before the first. A [`GateError`] of a later object
-    /// takes the place of the passage, until another object reaches its last gate.
+    /// The last object that reached the last gate on its way; `None` before the first object. After a [`GateError`] of
+    /// a later object, the reading is this error until another object reaches its last gate.
     pub fn passage(&self) -> Result<Option<Passage>, GeneratorError> {
         self.last.map_err(GeneratorError::Gates)
     }
@@ -184,7 +184,7 @@ struct Object {
     backs: [Option<Mark>; MAX_GATES],
 }
 
-/// Light gates along a line of travel, at inputs of one I/O node. See the [module](self).
+/// Light gates along a line of travel, at inputs of one I/O node.
 pub struct LightGates {
     inputs: LatestInputs,
     track: Track,
@@ -369,7 +369,7 @@ impl Track {
         self.objects[free] = Some(object);
     }
 
-    /// The beam of `gate` is free. The back of an object that was there at the beginning is ignored.
+    /// The beam of `gate` is free. The back of an object that was in the beam at the start is ignored.
     fn back(&mut self, gate: usize, mark: Mark) {
         let is_there = |object: &Object| object.fronts[gate].is_some() && object.backs[gate].is_none();
         let Some((index, mut object)) = self.find(is_there) else {

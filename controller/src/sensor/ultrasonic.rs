@@ -1,8 +1,8 @@
 //! An ultrasonic matrix as a virtual sensor: the place of a box.
 //!
-//! The matrix looks at a floor parallel to its plane. A box of known size stands on the floor. The echo time of each
-//! element gives the distance of the nearest surface in its cone. The place of the box is the least-squares solution of
-//! all distances ([`fit`]).
+//! The matrix faces a flat surface parallel to its plane, called the floor. A box of known size stands on the floor.
+//! The echo time of each element gives the distance of the nearest surface in its cone. The place of the box is the
+//! least-squares solution of all distances ([`fit`]).
 
 mod fit;
 #[cfg(test)]
@@ -71,7 +71,7 @@ pub enum EchoError {
         /// Permitted standard deviation, m.
         most: f64,
     },
-    /// The echoes are not those of a box of this size.
+    /// The echoes do not fit a box of this size.
     #[error("the echoes differ from those of the box by {residual:.4} m rms, at most {most} m: check its size")]
     Unlike {
         /// Root of the mean square of the residuals, m.
@@ -139,8 +139,8 @@ impl BoxReading {
 
 /// An ultrasonic matrix that finds a box. Reads scans by rows.
 ///
-/// The box is at rest during the scans of a reading. The place is computed once per scan, in the turn of the agent, in
-/// a few milliseconds. The time of a reading is the end of its last scan.
+/// The box is at rest during the scans of a reading. The place is computed once per scan, while the agent is
+/// polled. The computation takes a few milliseconds. The time of a reading is the end of its last scan.
 pub struct BoxLocator {
     link: UltrasonicLink,
     config: MatrixConfig,

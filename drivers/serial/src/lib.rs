@@ -2,9 +2,9 @@
 //!
 //! A [`Line`] carries bytes and never waits. [`hi_moxa`] and [`nfv2`] have the telegrams of the axis controllers of the
 //! IRb-6 and IRp-6 at Warsaw University of Technology. [`ati`] has the telegrams of the force/torque sensors of these
-//! robots. [`ultrasonic`] has the frames of an ultrasonic matrix. [`epos2`] and [`epos4`] have the frames of maxon's service ports. Telegrams and frames are layouts only, in
-//! both directions, shared by drivers and emulators. [`service`] is the client of the service ports. Read [`Line`]
-//! first.
+//! robots. [`ultrasonic`] has the frames of an ultrasonic matrix. [`epos2`] and [`epos4`] have the frames of
+//! maxon's service ports. Telegrams and frames are layouts only, in both directions, shared by drivers and emulators.
+//! [`service`] is the client of the service ports. Read [`Line`] first.
 
 pub mod ati;
 pub mod epos2;

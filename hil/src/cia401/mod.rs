@@ -2,10 +2,9 @@
 //!
 //! [`DigitalIo`] is a [`Device`] with the same communication as the emulated drives. Inputs have polarity, filter and
 //! interrupt masks. Outputs have polarity, filter mask and error value. A bench schedules edges of inputs
-//! ([`InputEdge`], [`DigitalIo::set_input`]), connects inputs to axes ([`LightGate`]) and to light gates of the scene
-//! ([`BeamProbe`](crate::scene::BeamProbe)), and reads outputs with the time of their last change ([`DigitalIo::output`]).
-//! ([`InputEdge`], [`DigitalIo::set_input`]), connects inputs to axes ([`LightGate`]) or to the scene ([`InputProbe`]),
-//! and reads outputs with the time of their last change ([`DigitalIo::output`]).
+//! ([`InputEdge`], [`DigitalIo::set_input`]), or connects inputs to axes ([`LightGate`]), to light gates of the scene
+//! ([`BeamProbe`]) or to other levels of the scene ([`InputProbe`]). A bench reads outputs
+//! with the time of their last change ([`DigitalIo::output`]).
 //!
 //! ```
 //! # use std::time::Duration;

@@ -13,7 +13,7 @@ use super::surface::Shape;
 use super::{STEP, Scene, SceneError};
 use crate::plant::Noise;
 
-/// Shortest response time of a light gate. A device takes the edges of a step at the beginning of the next step but one.
+/// Shortest response time of a light gate. A device reads the edges of step n at the beginning of step n + 2.
 pub const SHORTEST_RESPONSE: Duration = Duration::from_micros(200);
 
 /// Edges that a light gate keeps until its device takes them. Further edges replace the oldest.

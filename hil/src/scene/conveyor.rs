@@ -78,8 +78,8 @@ impl Scene {
         wall.belt = Some(Belt { angle: shaft.angle(), shaft, way });
     }
 
-    /// Drives the belt on a wall of this scene at a mean `velocity`, m/s, in the axes of the world. The speed deviates by
-    /// up to the `share` of the mean, as a sine of the given period.
+    /// Drives the belt on a wall of this scene at a mean `velocity`, m/s, in the axes of the world. The deviation of
+    /// the speed is a sine of the given period, with the amplitude `share` times the mean.
     pub fn drift_belt(&mut self, wall: WallId, velocity: [f64; 3], share: f64, period: Duration) {
         self.set_belt(wall, velocity);
         let wall = &mut self.walls[wall.0];

@@ -3,13 +3,13 @@
 //! A cutting tool is a cylinder with a flat end. While its spindle turns, the tool removes the material above its end.
 //! The cutting force acts at the centre of the end, against the velocity along the upper face of the workpiece. Its
 //! magnitude is F = K_c·b·h + K_e·b for a cut of width b and depth h. Width and depth are those of the material that is
-//! really removed: each removed cell gives the work K_c · volume + K_e · area. The tool does this work over the next
-//! two cell widths or so of its way, because a cell disappears at once.
+//! actually removed: each removed cell gives the work K_c · volume + K_e · area. A cell is removed in one step. The
+//! tool therefore does its work gradually: the remaining work decreases to 1/e over two cell widths of travel.
 //!
-//! The end of a tool that cuts downward feels a thrust of K_e times its diameter, times the share of the end that cuts.
+//! A thrust acts on the end of a tool that cuts downward: K_e times the diameter, times the share of the end that cuts.
 //!
-//! The spindle supplies the power of the cut. Cutting force and thrust never have a component along the velocity, and
-//! never add energy to a mechanism. Below [`SLOW`], both decrease in proportion to the velocity and are zero at rest.
+//! The spindle supplies the power of the cut. Cutting force and thrust act against the velocity, and therefore never
+//! add energy to a mechanism. Below [`SLOW`], both decrease in proportion to the velocity and are zero at rest.
 //!
 //! Without the spindle, or leaning by more than [`MOST_LEANING`], a tool rests on the material under its end by spring,
 //! damper and friction. Material beside the end then does not push the tool sideways.
@@ -35,15 +35,15 @@ const STEEPEST: f64 = 5e4;
 /// Greatest angle between the axis of a tool that cuts and the normal of the workpiece, rad.
 const MOST_LEANING: f64 = 0.2;
 
-/// Way over which the work of a removed cell is done, in cell widths.
+/// Travel over which the remaining work of a removed cell decreases to 1/e, cell widths.
 const SPREAD: f64 = 2.0;
 
 /// A cutting tool of a robot: a cylinder with a flat end.
 ///
-/// While the spindle turns, the tool removes the material above its end, and feels the cutting force
-/// K_c · b · h + K_e · b of the width b and depth h that are really removed. The force acts against the velocity, and never adds
-/// energy. Below 1 mm/s the force decreases in proportion to the velocity. Without the spindle, or at more than 0.2 rad to
-/// the normal of the workpiece, the tool rests on the material and removes nothing.
+/// While the spindle turns, the tool removes the material above its end. The cutting force K_c · b · h + K_e · b acts
+/// on the tool, with width b and depth h of the material that is actually removed. The force acts against the velocity,
+/// and never adds energy. Below 1 mm/s the force decreases in proportion to the velocity. Without the spindle, or at
+/// more than 0.2 rad to the normal of the workpiece, the tool rests on the material and removes nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CutterConfig {
     /// Place of the end in the flange frame of [`Mechanism::set_payload`](crate::Mechanism::set_payload): origin at the
@@ -100,8 +100,8 @@ impl Cut {
         Self { cutter, workpiece, before: None, pending: 0.0, support: None, bristle: Vector3::zeros() }
     }
 
-    /// Moves the tool to `end`, where its velocity is `velocity`, m/s. Returns the force on the tool, N. All vectors are in the
-    /// frame of the workpiece.
+    /// Moves the tool to `end`, where its velocity is `velocity`, m/s. Returns the force on the tool, N. All vectors
+    /// are in the frame of the workpiece.
     fn step(
         &mut self,
         config: &WorkpieceConfig,

@@ -12,8 +12,8 @@ use crate::OutputProbe;
 ///
 /// The gripper closes in the step in which its output takes the level `closed_at`. It then holds the first body of the
 /// scene whose surface is at most `reach` away from the gripper's origin, or which contains the origin. The spring of
-/// the grip is relaxed in the pose in which the gripper finds the body: jaws adapt to the place of a part. A gripper that
-/// finds no body holds nothing until it closes again. Jaws take no time to close.
+/// the grip is unloaded in the pose in which the gripper finds the body, because jaws adapt to the place of a part. A
+/// gripper that finds no body holds nothing until it closes again. Jaws take no time to close.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GripperConfig {
     /// Springs and dampers of the closed gripper.

@@ -107,7 +107,7 @@ impl Touch {
 pub struct UnsolvedProbe(Arc<AtomicU64>);
 
 impl UnsolvedProbe {
-    /// The count since the begin of the scene.
+    /// The count since the start of the scene.
     pub fn count(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }

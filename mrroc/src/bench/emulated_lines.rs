@@ -29,7 +29,7 @@ const PRIORITY: u8 = 60;
 /// UART interrupt needs no wake-up. The request and the answer of a 2 ms cell take 0.4 ms.
 const GRAIN: Duration = Duration::from_micros(500);
 
-/// As [`GRAIN`], with a force sensor: its query and answer take most of a period.
+/// As [`GRAIN`], in a world with a sensor. The query and the answer of a force sensor take most of a period.
 const FINE_GRAIN: Duration = Duration::from_micros(100);
 
 /// Greatest number of bytes taken from a pseudo-terminal at a time. Further bytes wait in it.
@@ -45,7 +45,7 @@ pub struct EmulatedLines {
     pub world: World,
     lines: Vec<EmulatedLine>,
     buses: Vec<BridgedBus>,
-    /// Whether a line is that of a force sensor.
+    /// Whether a line is that of a force sensor or an ultrasonic matrix.
     has_sensor: bool,
 }
 
@@ -97,7 +97,7 @@ impl EmulatedLines {
         self.add(pty, End::Line { line, arrived: Vec::new() });
     }
 
-    /// Adds the line of a force sensor of the world on `pty`.
+    /// Adds the line of a force sensor or an ultrasonic matrix of the world on `pty`.
     pub fn add_sensor(&mut self, line: VirtualLine, pty: Pty) {
         self.has_sensor = true;
         self.add_line(line, pty);

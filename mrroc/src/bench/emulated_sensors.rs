@@ -64,7 +64,7 @@ impl EmulatedCell<'_> {
 
     fn on_bus(&self, number: usize, sensor: &ForceSensor, probe: SensorProbe) -> Box<dyn Device> {
         let can = sensor.can.as_ref().expect("the sensor is on a bus");
-        // The resolution of the node has whole µN. The gain of the transducer makes up for the rest.
+        // The resolution of the node is a whole number of µN. The gain of the transducer compensates the rounding.
         let whole = sensor.counts().map(|count| (count.abs() * MICRO).round().max(1.0));
         let gain = std::array::from_fn(|kind| whole[kind] / MICRO / sensor.counts()[kind]);
         let resolution = Resolution { force_micronewtons: whole[0] as u32, torque_micronewton_metres: whole[1] as u32 };
@@ -158,7 +158,7 @@ impl<D: Device> Device for Unplugged<D> {
     }
 }
 
-/// Process data of force sensors that the emulated node lacks. Its objects are those of `force-sensor-emulated.eds`.
+/// Process data of force sensors that the emulated node lacks. The node has the objects of `force-sensor-emulated.eds`.
 pub(super) fn problems(file: &CellFile) -> impl Iterator<Item = anyhow::Error> {
     let sensors = file.cell.force_sensor.iter().enumerate();
     let nodes = sensors.filter_map(|(number, sensor)| Some((number, sensor.can.as_ref()?, sensor.node_config()?)));

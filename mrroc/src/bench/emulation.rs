@@ -113,8 +113,8 @@ impl Emulation {
         }
     }
 
-    /// Place and motion of object `number` of the scene, counted from 0, in upright axes at the base of the robot of the
-    /// scene. `None` before the object is placed.
+    /// Place and motion of object `number` of the scene, counted from 0, in the frame of the cell.
+    /// `None` before the object is placed.
     pub fn object(&self, number: usize) -> Option<hil::scene::BodyState> {
         let scene = self.world.scene()?;
         Some(scene.body(scene.placed(number)?))

@@ -35,7 +35,8 @@ pub struct SceneTruth {
 
 impl EmulatedCell<'_> {
     /// The scene of the cell in the frame of the cell: the robots that have force sensors, tips, grippers or cutting
-    /// tools, the planes, blocks, bars and workpieces. The axes must be mounted already. Tools of robots do not meet each other.
+    /// tools, the planes, blocks, bars and workpieces. The axes must be mounted already. The tools of two
+    /// robots have no contact with each other.
     pub fn surroundings(&self) -> EmulatedSurroundings {
         let cell = &self.file.cell;
         let around = cell.scene.clone().unwrap_or_default();
@@ -149,5 +150,5 @@ fn block_wall(block: &EmulatedBlock) -> WallConfig {
     WallConfig { shape, pose, material: Material { stiffness, damping, friction } }
 }
 
-/// Reason that the parts of a scene are accepted.
+/// Reason why the scene accepts all parts.
 pub(super) const SOUND: &str = "a parsed cell has a sound scene";

@@ -8,8 +8,9 @@ use can::{Frame, Instant, StandardId};
 use hil::Device;
 use hil::plant::Noise;
 
-/// Identifiers of the frames, used in turn. No CANopen device has them: the first has a higher priority than all process
-/// data (0x101 to 0x180 are reserved, CiA 301 §7.3.5), and the second a lower priority than all objects but LSS.
+/// Identifiers of the frames, used in turn. No CANopen device uses these identifiers: the first has a higher priority
+/// than all process data (0x101 to 0x180 are reserved, CiA 301 §7.3.5), and the second a lower priority than all
+/// objects but LSS.
 const IDS: [u16; 2] = [0x17F, 0x7A0];
 
 /// A node that sends frames of eight bytes at random intervals and ignores received frames.

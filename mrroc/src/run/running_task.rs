@@ -329,7 +329,7 @@ impl Carrying {
         }
         faults.extend(io_faults(file, &self.io));
         for fault in force_faults(file, &self.sensors).chain(matrix_faults(file, &self.matrices)) {
-            // The task may have ended by this error.
+            // This error may have ended the task.
             if !faults.iter().any(|known| known.is_same(&fault)) {
                 faults.push(fault);
             }

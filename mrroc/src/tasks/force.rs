@@ -90,7 +90,7 @@ impl ForceSensor {
             if zeroing.has_failed(request) && unsteady && waited < SETTLING {
                 // The arm still oscillates after its last motion.
                 request = self.sensor.link().zero();
-            } else if zeroing.has_failed(request) || waited > SETTLING + self.patience {
+            } else if zeroing.has_failed(request) || waited > self.patience {
                 self.read()?;
                 return Err(self.failed(match zeroing {
                     Zeroing::Failed { cause: ZeroFailure::Unsteady { axis }, .. } => ForceError::Unsteady { axis },
@@ -108,8 +108,7 @@ impl ForceSensor {
         self.sensor.link().read().fault
     }
 
-    /// Requests a reset of the fault of the sensor, and does not wait. The driver latches again what the sensor still
-    /// shows.
+    /// Requests a reset of the fault of the sensor, and does not wait. A fault that persists is latched again.
     pub fn reset_fault(&self) {
         self.sensor.link().reset_fault();
     }

@@ -57,8 +57,8 @@ pub enum GateDirection {
 }
 
 impl Cell {
-    /// A virtual sensor of light gates. The delays of edges follow from the response of the gates, the bit rate and the
-    /// traffic of the bus at the worst, and the inhibit time of the node. Refuses an unknown input, inputs of several
+    /// A virtual sensor of light gates. The delays of edges follow from the response of the gates, the bit rate, the
+    /// worst-case traffic of the bus, and the inhibit time of the node. Refuses an unknown input, inputs of several
     /// nodes, and impossible places and speeds.
     pub fn light_gates(&self, track: &GateTrack) -> Result<LightGates, TaskError> {
         let cell = &self.file().cell;

@@ -7,10 +7,11 @@
 //!
 //! # Internal force
 //! With p₁ and p₂ the forces of the two grips on the object, the sum p₁ + p₂ moves the object. Half of the difference,
-//! (p₁ − p₂) / 2, is the internal force: it strains the object and the arms, and does no work on the object. Both are
-//! expressed in the axes of the cell. Errors of the calibration of the bases, of the kinematics, and of the position
-//! loops cause internal forces. The object and the arms are stiff only along the line between the grips: across this
-//! line, a displacement turns the object. The line is therefore the internal direction that is regulated.
+//! (p₁ − p₂) / 2, is the internal force. Its component along the line between the grips strains the object and the
+//! arms, and does no work on a rigid object. Sum and difference are expressed in the axes of the cell. Errors of the
+//! calibration of the bases, of the kinematics, and of the position loops cause internal forces. The object and the
+//! arms are stiff only along the line between the grips: across this line, a displacement turns the object. The line is
+//! therefore the internal direction that is regulated.
 //!
 //! [`Regulation`] yields to the internal force along this line. Both arms yield by the same amount in opposite
 //! directions, so that the object keeps its path.
@@ -18,10 +19,10 @@
 //! # Stability
 //! Each arm yields to a spring between two grips that both move. The stiffness that the law meets is therefore twice the
 //! stiffness of the two grips in series: 1e5 N/m for grips of 1e5 N/m each. The default compliance is stable up to
-//! 34 kN/m in each servo cycle, and up to 18 kN/m once per macrostep ([`law`](crate::law)). Inertia and damping
+//! 34 kN/m in each servo cycle, and up to 9 kN/m once per macrostep in a whole cell ([`law`](crate::law)). Inertia and damping
 //! multiplied by a factor multiply these limits by the same factor: [`Regulation::CYCLE`] uses 4. In the coordinator, an
-//! answer is one macrostep older than a reading in a generator: [`Regulation::MACROSTEP`] uses a damper 40 times as
-//! strong.
+//! answer is one macrostep older than a reading in a generator. [`Regulation::MACROSTEP`] therefore has 40 times the
+//! damping.
 
 mod path;
 #[cfg(test)]
@@ -89,8 +90,8 @@ impl Grips {
         }
     }
 
-    /// Pose of the object in the frame of the cell, by the poses of both tools in their base frames: the origin is the
-    /// mean of the two origins that the tools give, and the orientation is that of the first.
+    /// Pose of the object in the frame of the cell, from the poses of both tools in their base frames. Each tool gives an
+    /// estimate of the pose. The origin is the mean of both estimates, and the orientation is that of the first tool.
     pub fn object(&self, tools: [&Pose; 2]) -> Pose {
         let of = |member: usize| self.cell_from_base[member] * tools[member] * self.object_from_tool[member].inverse();
         let (first, second) = (of(0), of(1));
@@ -116,7 +117,7 @@ impl Grips {
         [-(first * on_tools[0]), -(second * on_tools[1])]
     }
 
-    /// Checks that both arms can follow the path, from postures near these joint positions on.
+    /// Checks that both arms can follow the path. The postures at the start of the path are near these joint positions.
     pub fn check(&self, path: &ObjectPath, arms: [&Arm; 2], near: [Axes; 2]) -> Result<(), CarryError> {
         let steps = (path.duration() / CHECKED_EVERY).ceil() as u32;
         for (member, (arm, mut near)) in arms.into_iter().zip(near).enumerate() {
@@ -144,7 +145,8 @@ pub enum Regulation {
     /// By the coordinator, once per macrostep, from the forces in the answers of both arms.
     Macrostep(Compliance),
     /// By the force law of each arm, in each servo cycle, from the force at its own wrist. The desired force of each arm
-    /// is the mean of both in the answers, the part that moves the object. Both robots need a force law in the cell file.
+    /// is the mean of the grip forces of both arms in their last answers: the part that moves the object. Both robots
+    /// need a force law in the cell file.
     Cycle(Compliance),
 }
 
@@ -225,12 +227,18 @@ pub struct Carried {
     pub rate: f64,
 }
 
+/// Greatest displacement of each grip by the regulation of each macrostep, m.
+const FARTHEST: f64 = 5e-3;
+
 impl Carry {
     /// Error of a motion whose internal force exceeds the limit of the coordinator.
     pub const TOO_GREAT: GeneratorError = GeneratorError::User(30);
 
+    /// Error of a motion in which the regulation of each macrostep has displaced the grips by more than 5 mm.
+    pub const TOO_FAR: GeneratorError = GeneratorError::User(31);
+
     /// Carries the object along a path. An internal force above `limit`, N, in any direction stops both arms
-    /// ([`Self::TOO_GREAT`]).
+    /// ([`Self::TOO_GREAT`]). A limit that is not finite stops them at the first step.
     pub fn new(grips: Grips, path: ObjectPath, regulation: Regulation, limit: f64) -> Self {
         Self { grips, path, regulation, limit, macrostep: 0.0 }
     }
@@ -280,7 +288,8 @@ impl Coordinator<2> for Carry {
     ) -> Result<Orders<Self, 2>, GeneratorError> {
         let on_tools = forces.each_ref().map(|answer| answer.value.on_tool);
         let internal = self.grips.internal(on_tools);
-        if internal.norm() > self.limit || !internal.norm().is_finite() {
+        let is_safe = self.limit.is_finite() && internal.norm() <= self.limit;
+        if !is_safe {
             return Err(Self::TOO_GREAT);
         }
         let object = self.path.at(f64::from(memory.step) * self.macrostep);
@@ -295,6 +304,9 @@ impl Coordinator<2> for Carry {
             }
         };
         let opening = memory.opening + (memory.rate + rate) / 2.0 * self.macrostep;
+        if opening.abs() > FARTHEST {
+            return Err(Self::TOO_FAR);
+        }
         let change = (rate - memory.rate) / self.macrostep;
         Ok(self.orders(Carried { step: memory.step + 1, pressed, mean, opening, rate }, change))
     }

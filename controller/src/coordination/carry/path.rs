@@ -13,12 +13,12 @@ pub struct ObjectLimits {
     pub velocity: f64,
     /// Greatest acceleration of the object's origin along a leg, m/s².
     pub acceleration: f64,
-    /// Distance from the origin, m, of the point whose speed the rotation about the origin must not make greater than
-    /// `velocity`: that of the outermost grip.
+    /// Distance of the outermost grip from the origin, m. The speed of this grip by the rotation about the origin is at
+    /// most `velocity`.
     pub radius: f64,
 }
 
-/// Path of an upright object through places with rests at all of them.
+/// Path of an upright object through places. The object stops at each place.
 ///
 /// On each leg, position and yaw change in proportion. The speed rises as a cubic of the time, stays, and falls.
 #[derive(Clone, Debug, PartialEq)]

@@ -47,7 +47,7 @@ fn a_motion_under_a_law_that_ends_at_speed_is_braked_before_the_next_motion() {
     let mut bench = Bench::ready();
     assert_eq!(bench.run(Task::new().run(through().under(press())).run(back().under(press()))), finished(2));
     assert!(bench.servo.log.contains(&Order::Stop));
-    // Without laws the motions are one.
+    // Without laws, both motions are one continuous motion.
     let mut bench = Bench::ready();
     assert_eq!(bench.run(Task::new().run(through()).run(back())), finished(2));
     assert!(!bench.servo.log.contains(&Order::Stop));

@@ -233,3 +233,23 @@ fn a_sum_without_a_meaning_is_refused() {
     let both = walk(WeightedSum::new(Space::Joint, ending(), ending(), 0.5).unwrap(), &start).unwrap();
     assert!((both[both.len() - 1].velocity[0] - 0.5).abs() < 1e-9);
 }
+
+#[test]
+fn a_combination_does_not_drop_the_force_law_of_a_part() {
+    use crate::law::{ForceTask, Guard};
+    let guard = ForceTask { guard: Some(Guard { force: 5.0, torque: 1.0, samples: 1 }), ..ForceTask::default() };
+    let refused = |mut run: Box<dyn Execution>| {
+        let mut partners = Standing::at(home());
+        run.initiate(&partners).unwrap();
+        let begun = run.plan(MACROSTEP).and_then(|()| run.commit(&mut partners));
+        begun.and_then(|_| run.next_step(&mut partners)).err()
+    };
+    let drift = || Drift { velocity: 0.1, steps: 3 };
+    let sum = WeightedSum::new(Space::Joint, drift().under(guard), drift(), 0.5).unwrap();
+    assert_eq!(refused(Box::new(Run::new(sum))), Some(GeneratorError::LawOfPart));
+    let first = |_: &SelectionMemory<_, _>, _: &EffectorImage| Selected::First;
+    let one = Selection::between(arm(), LIMITS, drift().under(guard), drift(), first).unwrap();
+    assert_eq!(refused(Box::new(Run::new(one))), Some(GeneratorError::LawOfPart));
+    let both = Selection::between(arm(), LIMITS, drift().under(guard), drift().under(guard), first).unwrap();
+    assert_eq!(refused(Box::new(Run::new(both))), None);
+}

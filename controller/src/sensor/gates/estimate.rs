@@ -104,7 +104,7 @@ pub(super) fn passage(object: &Object, gates: &[GateLine]) -> Option<Passage> {
     })
 }
 
-/// Time per way, s/m, by least squares over the gates; `None` with fewer than two marks.
+/// Time per distance, s/m, by least squares over the gates; `None` with fewer than two marks.
 fn slowness(marks: &[Option<Mark>; MAX_GATES], gates: &[GateLine]) -> Option<f64> {
     let known = || gates.iter().zip(marks).filter_map(|(gate, mark)| Some((gate.place, mark.as_ref()?.at)));
     let (origin, start) = known().next()?;

@@ -182,7 +182,7 @@ fn an_error_names_the_gate_and_the_time() {
         (Forward, &[(0, true, 1.0), (0, false, 1.5)], 22.0, slow(1)),
         (Either, &[(1, true, 1.0), (1, false, 1.5)], 22.0, slow(0)),
         (Forward, &[(0, true, 1.0), (1, true, 1.3)], 1.3, GateError::TooFast { gate: 1, after: ms(300) }),
-        // Gates of which only the frames are in the right order.
+        // Only the frames of these gates are in the right order, not the edges of the light.
         (Forward, &[(0, true, 1.0), (1, true, 1.0)], 1.0, GateError::TooFast { gate: 1, after: ms(0) }),
         // The second object has no edge at the first gate, and its edges at the second gate count for the first one.
         (

@@ -38,7 +38,7 @@ const SOLVED: usize = 2;
 /// Greatest number of iterations of a solution.
 const ITERATIONS: usize = 20;
 
-/// Part of the elements that may be outliers: one in this number.
+/// One element in this number may be an outlier.
 const OUTLIERS: usize = 10;
 
 /// Least standard deviation of the mean of several distances, m: echo times have a resolution of 1 µs.
@@ -244,7 +244,7 @@ impl<'a> Problem<'a> {
         (place, cost)
     }
 
-    /// The result of a solution, or the reason why the solution is not one.
+    /// The result of a solution, or the reason why the solution is refused.
     fn judge(&self, place: &Vector4<f64>) -> Result<Fitted, EchoError> {
         let (normal, _) = self.linearise(place);
         // A square face or a single row leaves the rotation open. A weak prior of half a turn keeps the matrix regular.

@@ -128,8 +128,8 @@ impl InputImage {
     }
 
     /// The edges of all inputs after the first `seen` edges, oldest first. `seen` is the
-    /// [`edge_count`](Self::edge_count) of the last image that the reader took, and zero for all edges. Fails if the
-    /// image has some of them no more: an image has the last [`EDGES`](super::EDGES).
+    /// [`edge_count`](Self::edge_count) of the last image that the reader took, and zero for all edges. Fails if
+    /// the image no longer has all of them: an image has the last [`EDGES`](super::EDGES) edges.
     pub fn edges_since(&self, seen: u64) -> Result<impl Iterator<Item = Edge> + '_, EdgesLost> {
         self.history.since(seen)
     }

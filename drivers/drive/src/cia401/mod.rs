@@ -6,8 +6,8 @@
 //! - **Inputs.** The node sends TPDO 1 when an input changes, at most once per inhibit time, and at least once per
 //!   event timer. [`InputImage`] has the level, the number of edges and the time of the last edge of each input. The
 //!   time of an edge is the receive time of the frame that showed it first. An input that changes twice within the
-//!   inhibit time may show no edge. [`InputImage::edges_since`] has the last edges of all inputs in their order: a
-//!   reader in every macrostep misses none.
+//!   inhibit time may show no edge. [`InputImage::edges_since`] has the last 32 edges of all inputs in their
+//!   order. A reader that reads before 32 further edges have come misses no edge.
 //! - **Outputs.** [`OutputCommand`] is a word of levels. The owner of the bus sends RPDO 1 in the cycle after a change,
 //!   and repeats it once per heartbeat period: a lost frame is repaired within a heartbeat period. The node takes the
 //!   levels at once. Before the first command the outputs are commanded to their error values. An output that keeps its

@@ -8,7 +8,7 @@ use super::config::UltrasonicConfig;
 use super::fault::UltrasonicError;
 use super::receiver::Receiver;
 
-/// Bring-up of a matrix: the line is drained until it is quiet, and the identity is asked for and compared.
+/// Bring-up of a matrix: the driver drains the line, requests the identity and compares the identity.
 ///
 /// ```text
 /// drain ──quiet for a period──► asked ──identity──► ready, or another matrix
@@ -16,7 +16,7 @@ use super::receiver::Receiver;
 ///   └──── other frames, or no answer in time
 /// ```
 ///
-/// A matrix in the middle of a measurement ignores requests, so that the question is repeated until
+/// A matrix ignores requests during a measurement. The request is therefore repeated until
 /// [`UltrasonicConfig::boot_timeout`].
 #[derive(Clone, Debug)]
 pub(super) struct BringUp {

@@ -37,7 +37,7 @@ pub struct UltrasonicConfig {
     pub scan: ScanKind,
     /// Number of queries in a row that may remain without a valid reply. One more is a fault.
     pub tolerated_missing: u32,
-    /// Time limit of bring-up: from its begin to the identity.
+    /// Time limit of bring-up, from its start to the identity.
     pub boot_timeout: Duration,
 }
 

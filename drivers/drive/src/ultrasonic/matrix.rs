@@ -62,8 +62,8 @@ enum Exchange {
     Idle,
     /// The query was sent at `at`.
     Queried { query: Request, at: Instant },
-    /// The last query had no reply in its time. The next query waits for a reading without bytes.
-    Draining,
+    /// The last query has ended without its reply. The next query waits for a reading without bytes, since this time.
+    Draining { since: Instant },
 }
 
 impl<L: Line> UltrasonicMatrix<L> {
@@ -116,7 +116,7 @@ impl<L: Line> UltrasonicMatrix<L> {
 
     /// Takes the bytes of one reading.
     fn take(&mut self, count: usize, now: Instant) {
-        if count == 0 && self.exchange == Exchange::Draining {
+        if count == 0 && matches!(self.exchange, Exchange::Draining { .. }) {
             self.receiver.restart();
             self.exchange = Exchange::Idle;
             return;
@@ -190,7 +190,7 @@ impl<L: Line> UltrasonicMatrix<L> {
         if self.next < self.config.queries() {
             return;
         }
-        // A scan without any reply is no scan.
+        // A scan without any reply is not published.
         if self.missing < self.config.queries() as u32 {
             self.own_counters.scans += 1;
             if std::mem::take(&mut self.resetting) {
@@ -203,12 +203,15 @@ impl<L: Line> UltrasonicMatrix<L> {
         (self.scan, self.next) = (Scan::NONE, 0);
     }
 
-    /// Ends a query without a reply in its time.
+    /// Ends a query without a reply in its time. A line that does not become quiet delays the next query, which then
+    /// counts as missing too.
     fn judge(&mut self, now: Instant) {
-        let Exchange::Queried { query, at } = self.exchange else {
-            return;
+        let (query, since) = match self.exchange {
+            Exchange::Idle => return,
+            Exchange::Queried { query, at } => (query, at),
+            Exchange::Draining { since } => (self.config.query(self.next), since),
         };
-        if now.since(at) <= self.config.answer_timeout(query) {
+        if now.since(since) <= self.config.answer_timeout(query) {
             return;
         }
         if self.receiver.is_within() {
@@ -216,7 +219,7 @@ impl<L: Line> UltrasonicMatrix<L> {
             self.garbage = self.garbage.saturating_add(1);
         }
         self.finish(now, false);
-        self.exchange = Exchange::Draining;
+        self.exchange = Exchange::Draining { since: now };
         if self.missing > self.config.tolerated_missing {
             self.latch(match self.garbage {
                 0 => UltrasonicFault::Silent { queries: self.missing },
@@ -261,6 +264,10 @@ impl<L: Line> DriveGroup for UltrasonicMatrix<L> {
         if self.requests.take_reset() && self.state.fault.is_some() {
             // The scan that ends the fault begins after the request.
             (self.scan, self.next, self.resetting) = (Scan::NONE, 0, true);
+            if matches!(self.exchange, Exchange::Queried { .. }) {
+                // The reply to a query before the request is dropped.
+                self.exchange = Exchange::Draining { since: now };
+            }
             (self.missing, self.garbage) = (0, 0);
         }
         match self.line.read(now, &mut self.buffer[..]) {
@@ -281,7 +288,7 @@ impl<L: Line> DriveGroup for UltrasonicMatrix<L> {
             Exchange::Idle => {}
             Exchange::Queried { .. } => return true,
             // A stalled line may still hold the last query.
-            Exchange::Draining => {
+            Exchange::Draining { .. } => {
                 self.line.discard_unsent();
                 return true;
             }

@@ -46,8 +46,8 @@ impl Scan {
         (time != NO_ECHO).then(|| Duration::from_micros(u64::from(time)))
     }
 
-    /// Time of emission `number` of shot `shot` of a scan by rows with firing slots of the duration `slot`. The last
-    /// servo period before the emission is not known better than by the tty of the line.
+    /// Time of emission `number` of shot `shot` of a scan by rows with firing slots of the duration `slot`. The
+    /// time does not include the delays of tty and adapter: the true emission may be some milliseconds later.
     pub fn emission(&self, shot: usize, number: usize, slot: Duration) -> Instant {
         self.shots.get(shot).copied().unwrap_or(self.ended) + slot * number as u32
     }

@@ -16,10 +16,10 @@
 //!   one and two periods late, is not detected. The time of such samples is one period too late.
 //! - **CAN.** A sample is one set of the configured TPDOs. With SYNC, the frames of a set belong to the same SYNC, and
 //!   the time of the sample is the time of this SYNC. A frame that comes after the next SYNC makes its sample incomplete:
-//!   the sample has no frame of another SYNC. If not every frame has a counter, such a frame is detected by the order of
-//!   the frames, once a SYNC lacked a frame. With an event timer, the frames of a set are received within half
-//!   a sample period, and the time of the sample is the receive time of the first frame. A counter of the sensor
-//!   distinguishes new samples from repeated samples.
+//!   a sample never has a frame of another SYNC. If not every frame has a counter, the driver detects such a frame by
+//!   the order of the frames after a SYNC that lacked a frame. With an event timer, the frames of a set are received
+//!   within half a sample period, and the time of the sample is the receive time of the first frame. A counter of the
+//!   sensor distinguishes new samples from repeated samples.
 //!
 //! # Faults
 //! A fault is latched until [`WrenchLink::reset_fault`] or the next bring-up. During a fault the state keeps the wrench
@@ -30,10 +30,10 @@
 //! |---|---|
 //! | [`Silent`](WrenchFault::Silent) | more than the tolerated samples in a row are missing |
 //! | [`Garbage`](WrenchFault::Garbage) | the same, and at least one reading among them was no answer |
-//! | [`Incomplete`](WrenchFault::Incomplete) | the same on CAN, and at least one sample among them lacked a frame |
+//! | [`Incomplete`](WrenchFault::Incomplete) | as `Silent`, on CAN; at least one of the samples lacked a frame |
 //! | [`Saturated`](WrenchFault::Saturated) | counts at or beyond the range, in more than the tolerated samples in a row |
 //! | [`OfAnotherRate`](WrenchFault::OfAnotherRate) | of 64 samples, the mean period differs from the declared one by more than a quarter; or answers come a cycle late |
-//! | [`Missing`](WrenchFault::Missing) | the same, but most of the samples came at the declared rate |
+//! | [`Missing`](WrenchFault::Missing) | as `OfAnotherRate`, but most samples came at the declared rate |
 //! | [`Status`](WrenchFault::Status) | an error bit of a status field |
 //! | [`Line`](WrenchFault::Line), [`Port`](WrenchFault::Port) and the others | the line, the bus or the node failed |
 //!
@@ -42,9 +42,10 @@
 //!
 //! # Zero
 //! After [`WrenchLink::zero`], the present load reads as zero. The zero is a mean of samples in the host, or the bias
-//! command of the sensor ([`ZeroMethod`]). A zeroing fails if its samples differ by more than a tenth of the range, or if
-//! the sensor reads more than that after its bias command ([`ZeroFailure`]). The zero includes the weight of the tool in its present pose. Compensation
-//! of weight and inertia needs kinematics and is done by the controller.
+//! command of the sensor ([`ZeroMethod`]). A zeroing fails if its samples differ by more than a tenth of the range, or
+//! if the sensor reads more than a tenth of the range after its bias command ([`ZeroFailure`]). The zero includes the
+//! weight of the tool in its present pose. Compensation of weight and inertia needs kinematics and is done by the
+//! controller.
 //!
 //! # Bring-up
 //! On a serial line, bring-up ends after eight answers, most of them within a period. On CAN, bring-up ends when the

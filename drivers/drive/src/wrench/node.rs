@@ -71,7 +71,7 @@ struct FrameLayout {
 /// are lost or late. A late frame comes before the frames of its own SYNC, so that the order of the frames changes.
 #[derive(Clone, Copy, Default)]
 struct LateFrames {
-    /// Frames that may come late: frame *n* in bit *n*. 0 after a whole sample.
+    /// Missing frames that may still come late: frame *n* in bit *n*. 0 after a complete sample.
     owed: u8,
     /// Order of the frames of the last accepted sample.
     order: Option<Order>,
@@ -303,7 +303,7 @@ impl Set {
         self.arrived().rev().take(count as usize).fold(0, |frames, index| frames | 1 << index)
     }
 
-    /// Removes frames. Their counts are those of the next frame with the same index.
+    /// Removes frames. The next frame with the same index replaces their counts.
     fn remove(&mut self, frames: u8) {
         let kept = self.arrived().filter(|index| frames & 1 << index == 0);
         let order = kept.enumerate().fold(0, |order, (place, index)| order | (index + 1) << (4 * place));

@@ -9,7 +9,8 @@ use super::fault::{WrenchError, WrenchFault};
 use super::rate::{Comparison, Pace, Rate};
 use super::state::{Requests, StatePublisher, WrenchAxis, WrenchLink, WrenchState, ZeroFailure, ZeroRequest, Zeroing};
 
-/// Greatest difference between two samples of a zeroing, and greatest reading after a bias command, as a part of the range.
+/// Greatest difference between two samples of a zeroing, and greatest reading after a bias command, as a share of the
+/// range.
 pub const ZERO_SCATTER: f64 = 0.1;
 
 /// Greatest difference between two samples that is always accepted, counts.
@@ -65,7 +66,7 @@ pub(super) struct Sampler {
     resetting: bool,
     /// Cycles since the last sample, or since the last reset.
     waited: u32,
-    /// Cycles without a sample before a sample that a later reading may withdraw.
+    /// Cycles without a sample that preceded the present sample, while a later reading may still withdraw this sample.
     doubted: Option<u32>,
     /// Number of readings since the last sample that were no answer.
     garbage: u32,
@@ -76,7 +77,8 @@ pub(super) struct Sampler {
     /// Saturated samples in a row, and the first saturated channel of the last one.
     saturated: u32,
     saturated_at: Option<(WrenchAxis, i32)>,
-    /// First saturated channel of a sample of this cycle with which too many samples in a row were saturated.
+    /// First saturated channel of the sample of this cycle that exceeded the tolerated number of saturated samples in a
+    /// row.
     overload: Option<(WrenchAxis, i32)>,
     /// Error bits of the last sample, and of all samples since the last judgement.
     status: u32,

@@ -50,11 +50,11 @@ enum Exchange {
 /// Whether each answer belongs to the last query.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum AnswerOrder {
-    /// No answer was given up since two answers came in consecutive cycles.
+    /// Each answer belongs to the last query: two answers came in consecutive cycles, and no answer timed out since.
     Known,
-    /// An answer was given up, and may still come in place of the next answer.
+    /// An answer timed out, and may still come in place of the next answer.
     Unknown,
-    /// The next answer has come. If this was the answer that was given up, the following reading has no whole answer.
+    /// The next answer has come. If this was the answer that timed out, the following reading has no whole answer.
     Unconfirmed,
 }
 

@@ -36,6 +36,34 @@ fn bytes_between_replies_are_counted_and_tolerated() {
 }
 
 #[test]
+fn a_line_that_is_never_quiet_is_garbage() {
+    let mut rig = Rig::up();
+    rig.line.script().mute = u32::MAX;
+    let state = (0..1_000).find_map(|_| {
+        rig.line.script().outbox.extend([0x00, 0x7F]);
+        Some(rig.cycle()).filter(|state| state.fault.is_some())
+    });
+    let fault = state.and_then(|state| state.fault);
+    assert!(matches!(fault, Some(UltrasonicFault::Garbage { .. })), "{fault:?}");
+}
+
+#[test]
+fn a_reset_in_a_scan_begins_the_next_scan_with_its_first_query() {
+    let mut rig = Rig::up();
+    rig.line.script().mute = 4;
+    rig.until(|state| state.fault.is_some());
+    // A later row of a scan is under way.
+    while !matches!(rig.line.script().heard.last().map(|body| &body[..]), Some([3, 1..=9])) {
+        rig.cycle();
+    }
+    rig.line.script().heard.clear();
+    rig.link.reset_fault();
+    rig.until(|state| state.fault.is_none());
+    let rows: Vec<_> = rig.line.script().heard.iter().map(|body| body[1]).collect();
+    assert_eq!(rows[..3], [0, 1, 2]);
+}
+
+#[test]
 fn refusals_and_a_lost_line_are_faults_at_once() {
     let mut rig = Rig::up();
     rig.line.script().refusal = Some(3);

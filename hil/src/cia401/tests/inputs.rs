@@ -13,7 +13,7 @@ fn an_edge_is_a_pdo_at_the_time_of_the_edge() {
     let heard = bench.run_micros(5_000);
     let sent: Vec<_> =
         heard.iter().map(|received| (received.frame.to_string(), received.at.since(begun).as_micros())).collect();
-    // One byte takes 55 to 66 bits of 1 µs.
+    // A frame with one byte takes 55 to 65 bits of 1 µs.
     assert_eq!(sent.len(), 2, "{sent:?}");
     assert!(sent[0].0 == "185#08" && (1_550..1_570).contains(&sent[0].1), "{sent:?}");
     assert!(sent[1].0 == "185#00" && (2_550..2_570).contains(&sent[1].1), "{sent:?}");
@@ -167,7 +167,7 @@ fn level_of_the_scene_is_a_pdo_at_the_next_step() {
         let heard = bench.run_micros(1_000);
         stamps.extend(heard.iter().map(|one| (one.frame.to_string(), one.at.since(begun))));
     }
-    // The first step follows after 100 µs. One byte takes 55 to 66 bits of 1 µs.
+    // The first step follows after 100 µs. A frame with one byte takes 55 to 65 bits of 1 µs.
     let frame = STEP + Duration::from_micros(50)..STEP + Duration::from_micros(70);
     let texts: Vec<_> = stamps.iter().map(|(text, _)| text.as_str()).collect();
     assert_eq!(texts, ["185#04", "185#00"]);

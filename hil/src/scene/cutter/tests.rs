@@ -146,7 +146,7 @@ fn a_tool_without_spindle_rests_on_the_material_and_cuts_nothing() {
     let force = tool.step(Vector3::zeros(), true);
     assert_eq!(force, Vector3::zeros());
     assert!(tool.field.removed() > 0.0);
-    // Beside the workpiece is nothing.
+    // There is no material beside the workpiece.
     let mut tool = Moved::new(3e-3, [0.03, 0.0, 1e-4]);
     assert_eq!(tool.go([0.03, 0.0, -1e-3], 5e-3, false), Vector3::zeros());
 }
@@ -179,7 +179,7 @@ fn cuts_and_contacts_on_random_paths_add_no_energy() {
         let mut tool = Moved::new(1.5e-3 + 1e-3 * random.next(), [0.01 * random.next(), 0.005 * random.next(), 1e-3]);
         let mut turning = true;
         for leg in 0..40 {
-            // Some legs change the spindle, of others the speed is low.
+            // Some legs switch the spindle, and other legs have a low speed.
             turning ^= leg % 5 == 4;
             let to = [0.01 * random.next(), 0.005 * random.next(), 1e-3 * random.next()];
             let speed = [2e-4, 2e-2, 1e-1][leg % 3];

@@ -223,7 +223,7 @@ fn random_scenes_gain_no_energy_and_free_impacts_keep_momentum() {
         let speeds = case.bodies.iter().map(|&body| case.scene.body(body).velocity).collect::<Vec<_>>();
         let reach: f64 = speeds.iter().map(Vector3::norm).sum();
         for step in 0..STEPS {
-            // An opened grip takes the energy of its springs away.
+            // A grip that opens removes the energy of its springs.
             case.step(step);
             let energy = case.energy((step + 1) as f64 * 1e-4);
             gained = gained.max((energy - least) / scale);

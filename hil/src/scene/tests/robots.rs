@@ -140,7 +140,7 @@ fn sensor(mass: f64) -> SensorConfig {
 #[test]
 fn robot_far_from_all_surfaces_moves_and_measures_as_if_the_flange_were_computed_in_each_step() {
     const STEPS: usize = 6_000;
-    let run = |with_body: bool| {
+    let follow = |with_body: bool| {
         let mut robot = Robot::irb6(DOWN);
         // The column turns, and the upper arm falls on the floor.
         robot.demands[0] = Demand::Torque(0.02);
@@ -160,7 +160,7 @@ fn robot_far_from_all_surfaces_moves_and_measures_as_if_the_flange_were_computed
         }
         let (mut seen, mut far, mut touched) = (Vec::new(), 0, 0);
         for step in 0..STEPS {
-            self::run(&mut scene, &mut [&mut robot], 1);
+            run(&mut scene, &mut [&mut robot], 1);
             far += usize::from(scene.arms[id.0].is_far());
             touched += usize::from(scene.arms[id.0].wrench.force.norm() > 0.0);
             let flange = scene.flange(id).to_homogeneous().map(f64::to_bits);
@@ -171,7 +171,7 @@ fn robot_far_from_all_surfaces_moves_and_measures_as_if_the_flange_were_computed
         }
         (seen, far, touched)
     };
-    let ((seen, far, touched), (computed, never, _)) = (run(false), run(true));
+    let ((seen, far, touched), (computed, never, _)) = (follow(false), follow(true));
     assert!(far > STEPS / 10 && touched > STEPS / 100, "{far} steps far, {touched} steps in contact");
     assert_eq!(never, 0);
     for (step, (seen, computed)) in seen.iter().zip(&computed).enumerate() {

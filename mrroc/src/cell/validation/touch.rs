@@ -30,6 +30,9 @@ pub(super) fn check(cell: &Cell, path: &Path, scene: &EmulatedScene) -> Checked 
         if probes[..index].iter().any(|other| other.input == probe.input) {
             return refused(&path, "input", format!("is {}, which has a touch probe already", quoted(&probe.input)));
         }
+        if scene.gate.iter().any(|gate| gate.input == probe.input) {
+            return refused(&path, "input", format!("is {}, which has a light gate already", quoted(&probe.input)));
+        }
         within(&path, "force", probe.force, Range::new(1e-3, 1e4, "N"))?;
     }
     Ok(())
