@@ -260,7 +260,7 @@ impl Mechanism {
         let mut shafts = Shafts { angles, velocities, pose: [0.0; 3] };
         if self.0.iterates {
             let mut robot = self.lock();
-            let motors = robot.from_home(&angles);
+            let motors = robot.relative_to_home(&angles);
             shafts.pose = robot.track(&motors);
         }
         shafts
@@ -269,7 +269,7 @@ impl Mechanism {
     /// The flange with the motor shafts at these angles.
     pub(crate) fn kinematics_at(&self, shafts: &Shafts) -> Kinematics {
         let mut robot = self.lock();
-        let motors = robot.from_home(&shafts.angles);
+        let motors = robot.relative_to_home(&shafts.angles);
         robot.kinematics(&motors, &shafts.pose)
     }
 
@@ -329,7 +329,7 @@ impl Mount {
 
 impl Robot {
     /// Motor angles relative to home, rad, with the motor shafts at these angles, rad.
-    fn from_home(&self, angles: &[f64; AXES]) -> [f64; AXES] {
+    fn relative_to_home(&self, angles: &[f64; AXES]) -> [f64; AXES] {
         let mut motors = self.motors;
         let angles = angles.iter().zip(&self.homes).take(self.count);
         for (motor, (angle, home)) in motors.iter_mut().zip(angles) {
