@@ -102,21 +102,29 @@ impl VirtualBus {
 
     /// Advances the motors of the scene's robots and belts to `now`. The events of the bus before `now` have been
     /// processed.
-    pub(crate) fn advance_mechanics(&mut self, now: Instant) {
+    /// Returns whether a device may have something to send.
+    pub(crate) fn advance_mechanics(&mut self, now: Instant) -> bool {
+        let mut changed = false;
         for attached in &mut self.devices {
             if attached.device.advance_mechanics(now) {
                 attached.collect(now);
+                changed = true;
             }
         }
+        changed
     }
 
-    /// Lets the devices read what the scene computed in its step at `now`.
-    pub(crate) fn sense(&mut self, now: Instant) {
+    /// Lets the devices read what the scene computed in its step at `now`. Returns whether a device may have something to
+    /// send or requests another time-out.
+    pub(crate) fn sense(&mut self, now: Instant) -> bool {
+        let mut changed = false;
         for attached in &mut self.devices {
             if attached.device.sense(now) {
                 attached.collect(now);
+                changed = true;
             }
         }
+        changed
     }
 
     /// Processes all events up to and including `until`. A frame that lasts longer stays on the wire.
@@ -124,15 +132,27 @@ impl VirtualBus {
     /// May be called ahead of time if the host sends nothing before `until`. A frame sent for a past instant becomes
     /// pending at once.
     pub fn advance(&mut self, until: Instant) {
-        while let Some((at, event)) = self.next().filter(|&(at, _)| at <= until) {
+        self.advance_to(until);
+    }
+
+    /// As [`VirtualBus::advance`]. Returns the time of the next event known then; [`Instant::FAR_FUTURE`] without one.
+    pub(crate) fn advance_to(&mut self, until: Instant) -> Instant {
+        let next = loop {
+            let Some((at, event)) = self.next() else {
+                break Instant::FAR_FUTURE;
+            };
+            if at > until {
+                break at;
+            }
             self.now = self.now.max(at);
             match event {
                 BusEvent::TimeOut => self.time_out(),
                 BusEvent::FrameEnd => self.end_frame(),
                 BusEvent::FrameStart => self.start_frame(),
             }
-        }
+        };
         self.now = self.now.max(until);
+        next
     }
 
     /// Time of the next event known now: the instant up to which a waiting test bench can advance.

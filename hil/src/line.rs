@@ -218,11 +218,14 @@ impl SerialLine {
 
     /// Advances the motors of the scene's robots and belts to `now`. The events of the line before `now` have been
     /// processed.
-    pub(crate) fn advance_mechanics(&mut self, now: Instant) {
-        if self.device.advance_mechanics(now) {
+    /// Returns whether the device may have something to send.
+    pub(crate) fn advance_mechanics(&mut self, now: Instant) -> bool {
+        let changed = self.device.advance_mechanics(now);
+        if changed {
             self.now = self.now.max(now);
             self.collect();
         }
+        changed
     }
 
     /// Processes all events up to and including `until`. A byte that lasts longer stays on the wire.
@@ -230,8 +233,19 @@ impl SerialLine {
     /// May be called ahead of time if the host writes nothing before `until`. Bytes written for a past instant go on
     /// the line at once.
     pub fn advance(&mut self, until: Instant) {
+        self.advance_to(until);
+    }
+
+    /// As [`SerialLine::advance`]. Returns the time of the next event known then; [`Instant::FAR_FUTURE`] without one.
+    pub(crate) fn advance_to(&mut self, until: Instant) -> Instant {
         self.take_from_host();
-        while let Some((at, event)) = self.next().filter(|&(at, _)| at <= until) {
+        let next = loop {
+            let Some((at, event)) = self.next() else {
+                break Instant::FAR_FUTURE;
+            };
+            if at > until {
+                break at;
+            }
             self.now = self.now.max(at);
             match event {
                 LineEvent::TimeOut => {
@@ -263,8 +277,9 @@ impl SerialLine {
                 }
                 LineEvent::Packet => self.run_adapter(),
             }
-        }
+        };
         self.now = self.now.max(until);
+        next
     }
 
     /// Time of the next event known now: the instant up to which a waiting test bench can advance.

@@ -26,7 +26,7 @@ mod wut;
 pub use axis::{AngleProbe, AxisConfig, Demand, Feedback, PlantAxis, PlantConfig, Trip};
 pub use friction::FrictionConfig;
 pub use irp6::Irp6Axis;
-pub(crate) use mechanism::Kinematics;
+pub(crate) use mechanism::{Kinematics, Shafts};
 pub use mechanism::{Load, Mechanism, MechanismConfig, Mount};
 pub use motor::{EndStops, Gravity, MotorConfig};
 pub use noise::Noise;

@@ -24,6 +24,9 @@
 //! computed. The result depends only on the configuration and on the demands on the motors. Two runs of the same build
 //! are equal bit for bit.
 //!
+//! The flange of a robot is not computed in the steps in which no tip can reach a surface. A scene with bodies or with
+//! cutting tools at workpieces computes each flange in each step. The results are the same bit for bit.
+//!
 //! # Momentum and energy
 //!
 //! The integration of bodies is implicit. The work of a spring force over a step is exactly the decrease of the
@@ -77,7 +80,7 @@ use beam::Beams;
 pub use beam::{BeamConfig, BeamEdge, BeamProbe, SHORTEST_RESPONSE};
 use body::{Body, CORNERS};
 pub use body::{BodyConfig, BodyState};
-use contact::{Sphere, Surface};
+use contact::{Sphere, Surface, clearance};
 use conveyor::{Arrivals, Belt, Drift};
 pub use cutter::CutterConfig;
 use cutter::Cutting;
@@ -88,8 +91,8 @@ use grip::{End, Hold};
 use gripper::Gripper;
 pub use gripper::{GripProbe, GripperConfig};
 use motion::{Motion, Moving};
+use probe::Touch;
 pub use probe::{BodyProbe, SensorConfig, SensorProbe, UnsolvedProbe, WrenchProbe};
-use probe::{Sensor, Touch};
 pub use surface::{Material, Shape};
 pub use view::{Hit, View};
 pub use workpiece::{HeightField, MOST_CELLS, WorkpieceConfig, WorkpieceProbe};
@@ -319,8 +322,8 @@ impl Scene {
             return Err(SceneError::Length { what: "the radius of a tip", value: config.radius });
         }
         let arm = &mut self.arms[robot.0];
-        let tip = arm.tips.len();
-        arm.tips.push(Sphere { centre: config.centre.into(), radius: config.radius });
+        let tip = arm.tips().len();
+        arm.add_tip(Sphere { centre: config.centre.into(), radius: config.radius });
         let walls = (0..self.walls.len()).map(Ground::Wall);
         let bodies = (0..self.bodies.len()).map(Ground::Body);
         let grips = &self.grips;
@@ -338,9 +341,7 @@ impl Scene {
         if !(config.mass.is_finite() && values.clone().all(|value| value.is_finite())) {
             return Err(SceneError::NotFinite { what: "the mass beyond a force sensor" });
         }
-        let (sensor, probe) = Sensor::new(config);
-        self.arms[robot.0].sensors.push(sensor);
-        Ok(probe)
+        Ok(self.arms[robot.0].add_sensor(config))
     }
 
     /// Adds a touch probe to the tool of a robot of this scene. Its switch sets `input` to the level `touched` while the
@@ -439,7 +440,7 @@ impl Scene {
         let of_tip = |pair: &TipOn| {
             let (surface, ground) = self.ground(pair.ground);
             let arm = &self.arms[pair.arm];
-            spring_energy(&arm.tips[pair.tip], &arm.flange, surface, &ground, &pair.bristle)
+            spring_energy(&arm.tips()[pair.tip], &arm.flange, surface, &ground, &pair.bristle)
         };
         let of_grip = |grip: &Grip| {
             let holder = self.holder(grip.holder);
@@ -489,8 +490,9 @@ impl Scene {
         self.place_due();
         self.beams.note(&self.bodies);
         self.now += STEP;
+        let alone = self.bodies.is_empty() && self.cutting.is_empty();
         for arm in &mut self.arms {
-            arm.follow();
+            arm.follow(alone);
         }
         self.switch_grippers();
         for wall in &mut self.walls {
@@ -517,8 +519,9 @@ impl Scene {
     }
 
     fn meet_tips(&mut self, ground: Ground) {
-        for (number, arm) in self.arms.iter().enumerate() {
-            self.tips.extend((0..arm.tips.len()).map(|tip| TipOn::new(number, tip, ground)));
+        for (number, arm) in self.arms.iter_mut().enumerate() {
+            arm.catch_up();
+            self.tips.extend((0..arm.tips().len()).map(|tip| TipOn::new(number, tip, ground)));
         }
     }
 
@@ -553,9 +556,7 @@ impl TipOn {
 
 /// Energy of the spring and of the bristle between a sphere and a surface, J.
 fn spring_energy(sphere: &Sphere, carrier: &Moving, surface: &Surface, ground: &Moving, bristle: &Vector3<f64>) -> f64 {
-    let centre = carrier.origin + carrier.axes * sphere.centre;
-    let (gap, _) = surface.shape.gap(&ground.axes.tr_mul(&(centre - ground.origin)));
-    let gap = gap - sphere.radius;
+    let gap = clearance(sphere, carrier, surface, ground);
     if gap >= 0.0 {
         return 0.0;
     }

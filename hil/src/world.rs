@@ -43,6 +43,8 @@ pub struct World {
     buses: Vec<VirtualBus>,
     lines: Vec<SerialLine>,
     scene: Option<Scene>,
+    /// Time of the next event of each bus, then of each line, during an advance.
+    next: Vec<Instant>,
     /// Latest instant to which the world was advanced.
     now: Instant,
 }
@@ -128,33 +130,53 @@ impl World {
 
     /// Processes all events and all steps of the scene up to and including `until`. The events of each bus and each
     /// line are processed in the order of their times. A step precedes the events of the same instant.
+    ///
+    /// A host sends nothing during an advance. A bus or a line is therefore left out of the steps of the scene in which
+    /// it has no event.
     pub fn advance(&mut self, until: Instant) {
-        while let Some(step) = self.scene.as_ref().map(|scene| scene.now() + STEP).filter(|step| *step <= until) {
-            self.advance_wires(step - Duration::from_nanos(1));
-            for bus in &mut self.buses {
-                bus.advance_mechanics(step);
-            }
-            for line in &mut self.lines {
-                line.advance_mechanics(step);
-            }
-            if let Some(scene) = &mut self.scene {
+        let Self { buses, lines, scene, next, now } = self;
+        if let Some(scene) = scene {
+            // Each host may have sent since the last advance.
+            next.clear();
+            next.resize(buses.len() + lines.len(), Instant::ZERO);
+            let (on_buses, on_lines) = next.split_at_mut(buses.len());
+            loop {
+                let step = scene.now() + STEP;
+                if step > until {
+                    break;
+                }
+                let before = step - Duration::from_nanos(1);
+                for (bus, next) in buses.iter_mut().zip(on_buses.iter_mut()) {
+                    if *next <= before {
+                        *next = bus.advance_to(before);
+                    }
+                }
+                for (line, next) in lines.iter_mut().zip(on_lines.iter_mut()) {
+                    if *next <= before {
+                        *next = line.advance_to(before);
+                    }
+                }
+                for (bus, next) in buses.iter_mut().zip(on_buses.iter_mut()) {
+                    if bus.advance_mechanics(step) {
+                        *next = Instant::ZERO;
+                    }
+                }
+                for (line, next) in lines.iter_mut().zip(on_lines.iter_mut()) {
+                    if line.advance_mechanics(step) {
+                        *next = Instant::ZERO;
+                    }
+                }
                 scene.step();
+                for (bus, next) in buses.iter_mut().zip(on_buses.iter_mut()) {
+                    if bus.sense(step) {
+                        *next = Instant::ZERO;
+                    }
+                }
             }
-            for bus in &mut self.buses {
-                bus.sense(step);
-            }
         }
-        self.advance_wires(until);
-        self.now = self.now.max(until);
-    }
-
-    fn advance_wires(&mut self, until: Instant) {
-        for bus in &mut self.buses {
-            bus.advance(until);
-        }
-        for line in &mut self.lines {
-            line.advance(until);
-        }
+        buses.iter_mut().for_each(|bus| bus.advance(until));
+        lines.iter_mut().for_each(|line| line.advance(until));
+        *now = (*now).max(until);
     }
 
     /// Time of the next event known now; `None` if no event occurs before a host sends. A waiting bench advances to

@@ -3,13 +3,23 @@
 //! `lockstep` counts cycles of servo, bus and emulated drives together. The result divided by the 500 cycles per second
 //! is the speed of a lockstep run in multiples of real time. `servo cycle` is the servo and the group alone. Its port
 //! answers every SYNC from a table and makes no system call.
+//!
+//! `laboratory` runs all robots of `cells/lab.toml` with their programs, without their rehearsal. The second run has a
+//! scene: a force sensor on each of the four arms, and three planes around the tip of one arm. Both runs print their speed
+//! in multiples of real time.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use ::mrroc::bench::BenchKind;
+use ::mrroc::cell::CellFile;
+use ::mrroc::report::RunOutcome;
+use ::mrroc::run::{Requests, RunOptions};
+use ::mrroc::tasks::CarriedTask;
 use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received, StandardId, VirtualPort};
-use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use criterion::{Criterion, SamplingMode, Throughput, criterion_group, criterion_main};
 use servo::Phase;
 
 #[path = "../system/allocations.rs"]
@@ -160,5 +170,86 @@ fn servo_cycle(criterion: &mut Criterion) {
     assert_eq!(rig.servo.fault(0), None);
 }
 
-criterion_group!(benches, servo_cycle, lockstep);
+/// The arms of the laboratory, which have force sensors in its scene.
+const ARMS: [&str; 4] = ["irb6", "irp6-track", "rnt", "polycrank"];
+
+/// Planes around the tip of the IRb-6: a table, and two walls.
+const PLANES: &str = r#"
+[scene]
+robot = "irb6"
+tip_radius = 0.005
+
+[[scene.plane]]
+height = 1.0
+stiffness = 1e3
+damping = 10.0
+friction = 0.3
+
+[[scene.plane]]
+normal = [-1.0, 0.0, 0.0]
+height = -1.5
+stiffness = 1e5
+damping = 100.0
+friction = 0.3
+
+[[scene.plane]]
+normal = [0.0, 1.0, 0.0]
+height = -1.5
+stiffness = 1e5
+damping = 100.0
+friction = 0.3
+"#;
+
+/// The laboratory with its scene, as the text of a cell file.
+fn with_contacts(laboratory: &str) -> String {
+    let sensor = |(number, robot): (usize, &str)| {
+        let range = "force_range = [2000.0, 2000.0, 2000.0]\ntorque_range = [100.0, 100.0, 100.0]";
+        let tool = "tool = { mass = 0.5, centre = [0.0, 0.0, 0.1] }";
+        let line = format!("/dev/ttyF{number}");
+        format!(
+            "\n[[force_sensor]]\nname = \"wrist-{robot}\"\nrobot = \"{robot}\"\nline = \"{line}\"\n{range}\n{tool}\n"
+        )
+    };
+    let sensors: String = ARMS.into_iter().enumerate().map(sensor).collect();
+    format!("{laboratory}{sensors}{PLANES}")
+}
+
+fn laboratory(criterion: &mut Criterion) {
+    let cells = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells");
+    let plain = std::fs::read_to_string(cells.join("lab.toml")).expect("the example cells are there");
+    let mut group = criterion.benchmark_group("laboratory");
+    group.sample_size(10).sampling_mode(SamplingMode::Flat).warm_up_time(Duration::from_millis(1));
+    for (name, text) in [("alone", plain.clone()), ("with contacts", with_contacts(&plain))] {
+        let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("laboratory.toml");
+        std::fs::write(&path, text).expect("the directory of the target is writable");
+        let file = CellFile::read(&path).expect("the cell is sound");
+        // The time of one run, without its rehearsal, and its speed in multiples of real time.
+        let run = || {
+            let (options, program) = (RunOptions::on(BenchKind::Lockstep), CarriedTask::Programs.program());
+            let run = ::mrroc::run::run(&file, &options, &Requests::default(), &program, &mut |_| {});
+            let report = run.expect("the cell can run");
+            assert_eq!(report.outcome, RunOutcome::Completed, "{report}");
+            let real_time = report.cycle.cycles as f64 / SECOND as f64;
+            (Duration::from_secs_f64(real_time / report.realtime_factor), report.realtime_factor)
+        };
+        let mut factors = Vec::new();
+        group.bench_function(name, |bencher| {
+            bencher.iter_custom(|times| {
+                let runs = (0..times).map(|_| {
+                    let (wall, factor) = run();
+                    factors.push(factor);
+                    wall
+                });
+                runs.sum()
+            });
+        });
+        factors.sort_by(f64::total_cmp);
+        if let (Some(least), Some(most)) = (factors.first(), factors.last()) {
+            let median = factors[factors.len() / 2];
+            println!("laboratory {name}: {median:.1} times real time ({least:.1} to {most:.1})");
+        }
+    }
+}
+
+criterion_group!(benches, servo_cycle, lockstep, laboratory);
 criterion_main!(benches);

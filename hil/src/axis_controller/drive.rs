@@ -11,6 +11,7 @@ use super::AxisControllerConfig;
 use crate::{Demand, Feedback, PlantAxis, Trip};
 
 const SUB_STEP: Duration = Duration::from_micros(100);
+const SUB_STEP_NANOS: u64 = SUB_STEP.as_nanos() as u64;
 /// Number of sub-steps between checks of the switches and the index pulse: 1 ms.
 const CHUNK: u32 = 10;
 /// Longest interval between two advances of the axis.
@@ -115,7 +116,8 @@ impl Drive {
         if !self.axis.in_scene() {
             return;
         }
-        while now.since(self.inner + self.chunk.map_or(0, |(steps, _)| steps) * SUB_STEP) >= SUB_STEP {
+        let reached = self.inner.as_nanos() + self.chunk.map_or(0, |(steps, _)| u64::from(steps)) * SUB_STEP_NANOS;
+        for _ in 0..now.as_nanos().saturating_sub(reached) / SUB_STEP_NANOS {
             let (steps, demand) = self.chunk.unwrap_or_else(|| {
                 self.check_supply();
                 let demand = self.demand();

@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use chain::Body;
 pub use chain::Load;
 use irp6::Irp6;
-pub(crate) use kinematics::Kinematics;
+pub(crate) use kinematics::{Kinematics, Shafts};
 use nalgebra::Vector3;
 use polycrank::Polycrank;
 use rnt::Rnt;
@@ -68,6 +68,8 @@ struct Shared {
     /// The motor shafts in each sub-step, if the mechanism is in a scene.
     shafts: [Shaft; AXES],
     in_scene: AtomicBool,
+    /// Whether the pose follows from the motor angles by iteration from the last pose.
+    iterates: bool,
 }
 
 /// The place of one axis in a [`Mechanism`].
@@ -135,7 +137,8 @@ impl Mechanism {
         };
         let robot = Robot { links, count, homes: [0.0; AXES], motors: [0.0; AXES] };
         let shafts = std::array::from_fn(|_| Shaft::default());
-        Self(Arc::new(Shared { robot: Mutex::new(robot), shafts, in_scene: AtomicBool::new(false) }))
+        let iterates = matches!(robot.links, Links::Rnt(_));
+        Self(Arc::new(Shared { robot: Mutex::new(robot), shafts, in_scene: AtomicBool::new(false), iterates }))
     }
 
     /// Number of axes of the robot.
@@ -240,21 +243,44 @@ impl Mechanism {
     /// The flange at the present motor angles, and the velocities of the motor shafts, rad/s. Without a scene, the
     /// angles are the last angles of [`Mechanism::load`], and the velocities are zero.
     pub(crate) fn kinematics(&self) -> (Kinematics, [f64; AXES]) {
-        let mut robot = self.lock();
-        let mut motors = robot.motors;
-        let mut velocities = [0.0; AXES];
         if self.in_scene() {
-            for (number, shaft) in self.0.shafts[..robot.count].iter().enumerate() {
-                motors[number] = shaft.angle() - robot.homes[number];
-                velocities[number] = shaft.velocity();
-            }
+            let shafts = self.shafts();
+            return (self.kinematics_at(&shafts), shafts.velocities);
         }
-        let kinematics = match &mut robot.links {
-            Links::Irp6(irp6) => irp6.kinematics(&motors),
-            Links::Rnt(rnt) => rnt.kinematics(&motors),
-            Links::Polycrank(polycrank) => polycrank.kinematics(&motors),
-        };
-        (kinematics, velocities)
+        let mut robot = self.lock();
+        let motors = robot.motors;
+        let pose = robot.track(&motors);
+        (robot.kinematics(&motors, &pose), [0.0; AXES])
+    }
+
+    /// The motor shafts of a mechanism in a scene.
+    pub(crate) fn shafts(&self) -> Shafts {
+        let shafts = &self.0.shafts;
+        let (angles, velocities) = (shafts.each_ref().map(Shaft::angle), shafts.each_ref().map(Shaft::velocity));
+        let mut shafts = Shafts { angles, velocities, pose: [0.0; 3] };
+        if self.0.iterates {
+            let mut robot = self.lock();
+            let motors = robot.relative_to_home(&angles);
+            shafts.pose = robot.track(&motors);
+        }
+        shafts
+    }
+
+    /// The flange with the motor shafts at these angles.
+    pub(crate) fn kinematics_at(&self, shafts: &Shafts) -> Kinematics {
+        let mut robot = self.lock();
+        let motors = robot.relative_to_home(&shafts.angles);
+        robot.kinematics(&motors, &shafts.pose)
+    }
+
+    /// Greatest displacement of a point of the tool per rad of each motor, m/rad, in all poses. The point is at most
+    /// `distance`, m, from the origin of the flange. `None` if no bound is known.
+    pub(crate) fn travel(&self, distance: f64) -> Option<[f64; AXES]> {
+        match &self.lock().links {
+            Links::Irp6(irp6) => Some(irp6.travel(distance)),
+            Links::Rnt(_) => None,
+            Links::Polycrank(polycrank) => Some(polycrank.travel(distance)),
+        }
     }
 
     /// Sets the wrench that loads the motors until the next call: a force, N, at the origin of the flange, and a
@@ -302,6 +328,32 @@ impl Mount {
 }
 
 impl Robot {
+    /// Motor angles relative to home, rad, with the motor shafts at these angles, rad.
+    fn relative_to_home(&self, angles: &[f64; AXES]) -> [f64; AXES] {
+        let mut motors = self.motors;
+        let angles = angles.iter().zip(&self.homes).take(self.count);
+        for (motor, (angle, home)) in motors.iter_mut().zip(angles) {
+            *motor = angle - home;
+        }
+        motors
+    }
+
+    /// Moves a platform whose pose is found by iteration towards these motor angles. Returns [`Shafts::pose`].
+    fn track(&mut self, motors: &[f64; AXES]) -> [f64; 3] {
+        match &mut self.links {
+            Links::Rnt(rnt) => rnt.track(motors),
+            Links::Irp6(_) | Links::Polycrank(_) => [0.0; 3],
+        }
+    }
+
+    fn kinematics(&mut self, motors: &[f64; AXES], pose: &[f64; 3]) -> Kinematics {
+        match &mut self.links {
+            Links::Irp6(irp6) => irp6.kinematics(motors),
+            Links::Rnt(rnt) => rnt.kinematics(motors, pose),
+            Links::Polycrank(polycrank) => polycrank.kinematics(motors),
+        }
+    }
+
     fn load(&mut self, number: usize) -> Loaded {
         match &mut self.links {
             Links::Irp6(irp6) => irp6.load(number, &self.motors),

@@ -94,10 +94,10 @@ fn along(vector: &Vector3<f64>, normal: &Vector3<f64>) -> Vector3<f64> {
     vector - normal * normal.dot(vector)
 }
 
-/// Whether a sphere penetrates a surface.
-pub(super) fn is_inside(sphere: &Sphere, carrier: &Moving, surface: &Surface, ground: &Moving) -> bool {
+/// Distance of a sphere from a surface, m. A negative distance is a penetration.
+pub(super) fn clearance(sphere: &Sphere, carrier: &Moving, surface: &Surface, ground: &Moving) -> f64 {
     let arm = carrier.origin + carrier.axes * sphere.centre - ground.origin;
-    surface.shape.gap(&ground.axes.tr_mul(&arm)).0 < sphere.radius
+    surface.shape.gap(&ground.axes.tr_mul(&arm)).0 - sphere.radius
 }
 
 /// Forces at one instant; `None` without a contact. The motion of the last `dt` seconds displaces the bristle first.

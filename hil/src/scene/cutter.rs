@@ -196,6 +196,11 @@ impl Cutting {
         }
     }
 
+    /// Whether no tool can meet a workpiece.
+    pub(super) fn is_empty(&self) -> bool {
+        self.cuts.is_empty()
+    }
+
     /// Energy of the springs between tools and workpieces, J.
     pub(super) fn energy(&self) -> f64 {
         self.cuts.iter().map(|cut| cut.energy(&self.workpieces[cut.workpiece].config.material)).sum()

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::body::Body;
-use super::contact::{Push, Surface, at_instant, is_inside, over_step};
+use super::contact::{Push, Surface, at_instant, clearance, over_step};
 use super::motion::{Motion, Wrench};
 use super::{CornersOn, Grip, Ground, Holder, REPETITIONS, RobotId, SOLVED, STEP_SECONDS, Scene, Shape, Wall, grip};
 
@@ -89,7 +89,7 @@ impl Scene {
                 continue;
             }
             let (arm, body) = (&arms[pair.arm], &mut bodies[number]);
-            let push = over_step(&arm.tips[pair.tip], &arm.motion, &body.surface, &body.motion, &pair.bristle, dt);
+            let push = over_step(&arm.tips()[pair.tip], &arm.motion, &body.surface, &body.motion, &pair.bristle, dt);
             pair.next = push.map_or(Vector3::zeros(), |push| push.bristle);
             if let Some(push) = push {
                 body.take(&push, -1.0);
@@ -124,28 +124,36 @@ impl Scene {
     /// Computes the forces on all robots at the end of the step.
     pub(super) fn load_arms(&mut self) {
         let Self { walls, bodies, arms, tips, grips, .. } = self;
+        for arm in arms.iter_mut().filter(|arm| !arm.is_far()) {
+            arm.set_clearance(f64::INFINITY);
+        }
         for pair in tips {
             let arm = &mut arms[pair.arm];
-            let sphere = &arm.tips[pair.tip];
+            if arm.is_far() {
+                continue;
+            }
+            let sphere = arm.tips()[pair.tip];
             let push = match pair.ground {
                 Ground::Wall(wall) => {
                     let wall = &walls[wall];
                     // The bristle of a tip on a wall is displaced once per step, here, by the motion over the whole
                     // step.
                     let push =
-                        at_instant(sphere, &arm.flange, &wall.surface, &wall.moving, &pair.bristle, STEP_SECONDS);
+                        at_instant(&sphere, &arm.flange, &wall.surface, &wall.moving, &pair.bristle, STEP_SECONDS);
                     pair.bristle = push.map_or(Vector3::zeros(), |push| push.bristle);
+                    let distance = clearance(&sphere, &arm.flange, &wall.surface, &wall.moving);
+                    arm.limit_clearance(distance.max(0.0));
                     push
                 }
                 Ground::Body(number) if pair.inside => {
                     let body = &bodies[number];
-                    pair.inside =
-                        holds(grips, pair.arm, number) || is_inside(sphere, &arm.flange, &body.surface, &body.moving());
+                    pair.inside = holds(grips, pair.arm, number)
+                        || clearance(&sphere, &arm.flange, &body.surface, &body.moving()) < 0.0;
                     None
                 }
                 Ground::Body(body) => {
                     let body = &bodies[body];
-                    at_instant(sphere, &arm.flange, &body.surface, &body.moving(), &pair.bristle, 0.0)
+                    at_instant(&sphere, &arm.flange, &body.surface, &body.moving(), &pair.bristle, 0.0)
                 }
             };
             if let Some(push) = push {

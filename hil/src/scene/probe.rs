@@ -6,9 +6,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use can::Instant;
 use nalgebra::{Isometry3, Matrix3, Vector3};
 
+use super::arm::Seat;
 use super::body::BodyState;
 use super::motion::{Moving, Wrench};
 use crate::InputProbe;
+use crate::plant::Shafts;
 
 /// Source of the true wrench on a force/torque sensor, for an emulated device.
 pub trait WrenchProbe: Send {
@@ -38,15 +40,19 @@ pub struct SensorConfig {
 
 /// A [`WrenchProbe`] of one sensor of a scene. Clones read the same sensor.
 ///
-/// The wrench was computed at the last step of the scene, up to 100 µs ago. Its accelerations are means over the last
+/// The wrench is that of the last step of the scene, up to 100 µs ago. Its accelerations are means over the last
 /// millisecond.
 #[derive(Clone, Debug, Default)]
-pub struct SensorProbe(Arc<Mutex<[f64; 6]>>);
+pub struct SensorProbe(Option<Arc<ForceSensor>>);
 
 impl SensorProbe {
+    pub(super) fn new(sensor: ForceSensor) -> Self {
+        Self(Some(Arc::new(sensor)))
+    }
+
     /// The wrench at the last step, N and N·m, in the order of [`WrenchProbe::wrench`].
     pub fn last(&self) -> [f64; 6] {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.as_ref().map_or([0.0; 6], |sensor| sensor.measure())
     }
 }
 
@@ -114,42 +120,87 @@ impl UnsolvedProbe {
 /// Steps over which accelerations are means: 1 ms.
 const WINDOW: usize = 10;
 
-pub(super) struct Sensor {
+/// The last steps of a robot, for its force sensors. A sensor that is read seldom costs little in each step: the flange
+/// of a step without contacts is computed when a sensor is read.
+#[derive(Debug, Default)]
+pub(super) struct History {
+    /// The last steps. Step `n` is at `n % (WINDOW + 1)`.
+    past: [Past; WINDOW + 1],
+    /// Number of recorded steps, and of the last step.
+    steps: u64,
+    /// The forces on the tool at the last step, about the origin of the flange, in the axes of the world.
+    wrench: Wrench,
+    /// Gravitational acceleration, m/s², in the axes of the world.
+    gravity: Vector3<f64>,
+}
+
+#[derive(Debug, Default)]
+struct Past {
+    shafts: Shafts,
+    /// The flange, if the scene has computed the flange.
+    flange: Option<Moving>,
+}
+
+impl History {
+    /// Records a step. `flange`: the flange, if the scene has computed the flange.
+    pub(super) fn record(&mut self, shafts: &Shafts, flange: Option<&Moving>, wrench: &Wrench, gravity: &Vector3<f64>) {
+        self.steps += 1;
+        let past = &mut self.past[place_of(self.steps)];
+        past.shafts = *shafts;
+        past.flange = flange.copied();
+        (self.wrench, self.gravity) = (*wrench, *gravity);
+    }
+
+    /// The flange at one of the last steps.
+    fn flange(&self, step: u64, seat: &Seat) -> Moving {
+        let past = &self.past[place_of(step)];
+        past.flange.unwrap_or_else(|| seat.flange(&past.shafts))
+    }
+}
+
+/// Index of a step in [`History::past`].
+fn place_of(step: u64) -> usize {
+    (step % (WINDOW as u64 + 1)) as usize
+}
+
+/// A force sensor of a robot.
+#[derive(Debug)]
+pub(super) struct ForceSensor {
     /// Origin and axes in the flange frame.
     origin: Vector3<f64>,
     axes: Matrix3<f64>,
     mass: f64,
     centre: Vector3<f64>,
     inertia: Vector3<f64>,
-    /// Velocities, m/s, and angular velocities, rad/s, of the flange at the last steps. The oldest entry is at `next`.
-    past: [(Vector3<f64>, Vector3<f64>); WINDOW],
-    next: usize,
-    /// Number of valid entries of `past`.
-    count: usize,
-    probe: SensorProbe,
+    seat: Seat,
+    history: Arc<Mutex<History>>,
+    /// Number of recorded steps of the robot before the sensor was added.
+    since: u64,
 }
 
-impl Sensor {
-    pub(super) fn new(config: &SensorConfig) -> (Self, SensorProbe) {
-        let probe = SensorProbe::default();
-        let sensor = Self {
+impl ForceSensor {
+    pub(super) fn new(config: &SensorConfig, seat: &Seat, history: &Arc<Mutex<History>>) -> Self {
+        Self {
             origin: config.pose.translation.vector,
             axes: config.pose.rotation.to_rotation_matrix().into_inner(),
             mass: config.mass,
             centre: config.centre.into(),
             inertia: config.inertia.into(),
-            past: [(Vector3::zeros(), Vector3::zeros()); WINDOW],
-            next: 0,
-            count: 0,
-            probe: probe.clone(),
-        };
-        (sensor, probe)
+            seat: seat.clone(),
+            since: history.lock().unwrap_or_else(PoisonError::into_inner).steps,
+            history: Arc::clone(history),
+        }
     }
 
-    /// Measures. `wrench`: the forces on the tool about the origin of the flange, in the axes of the world. `gravity`,
-    /// m/s², is in the axes of the world.
-    pub(super) fn measure(&mut self, flange: &Moving, wrench: &Wrench, gravity: &Vector3<f64>) {
-        let (acceleration, turning) = self.accelerations(flange);
+    /// The wrench at the last step; zero before the first step.
+    fn measure(&self) -> [f64; 6] {
+        let history = self.history.lock().unwrap_or_else(PoisonError::into_inner);
+        if history.steps == self.since {
+            return [0.0; 6];
+        }
+        let flange = history.flange(history.steps, &self.seat);
+        let (acceleration, turning) = self.accelerations(&history, &flange);
+        let History { wrench, gravity, .. } = &*history;
         let axes = flange.axes * self.axes;
         let origin = flange.axes * self.origin;
         let arm = axes * self.centre;
@@ -163,21 +214,17 @@ impl Sensor {
             - of_spin(&turning)
             - spin.cross(&of_spin(&spin));
         let (force, torque) = (axes.tr_mul(&force), axes.tr_mul(&torque));
-        let measured = [force.x, force.y, force.z, torque.x, torque.y, torque.z];
-        *self.probe.0.lock().unwrap_or_else(PoisonError::into_inner) = measured;
+        [force.x, force.y, force.z, torque.x, torque.y, torque.z]
     }
 
     /// Acceleration of the flange's origin, m/s², and angular acceleration, rad/s².
-    fn accelerations(&mut self, flange: &Moving) -> (Vector3<f64>, Vector3<f64>) {
-        let now = (flange.velocity, flange.spin);
-        let before = if self.count < WINDOW { self.past[0] } else { self.past[self.next] };
-        let passed = self.count as f64 * super::STEP_SECONDS;
-        self.past[self.next] = now;
-        self.next = (self.next + 1) % WINDOW;
-        self.count = (self.count + 1).min(WINDOW);
-        if passed == 0.0 {
+    fn accelerations(&self, history: &History, now: &Moving) -> (Vector3<f64>, Vector3<f64>) {
+        let count = (history.steps - self.since - 1).min(WINDOW as u64);
+        if count == 0 {
             return (Vector3::zeros(), Vector3::zeros());
         }
-        ((now.0 - before.0) / passed, (now.1 - before.1) / passed)
+        let before = history.flange(history.steps - count, &self.seat);
+        let passed = count as f64 * super::STEP_SECONDS;
+        ((now.velocity - before.velocity) / passed, (now.spin - before.spin) / passed)
     }
 }

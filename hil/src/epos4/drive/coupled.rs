@@ -15,6 +15,7 @@ use crate::node::errors::Error;
 use crate::node::objects::Objects;
 
 const SUB_STEP: Duration = Duration::from_micros(100);
+const SUB_STEP_NANOS: u64 = SUB_STEP.as_nanos() as u64;
 
 /// A chunk in progress.
 #[derive(Clone, Copy, Debug)]
@@ -44,20 +45,24 @@ struct Generator {
 impl Drive {
     /// Advances the axis to `now`, or to the error at the end of a chunk.
     pub(in super::super) fn advance_sub_steps(&mut self, now: Instant, objects: &mut Objects) -> Option<Error> {
-        while now.since(self.reached()) >= SUB_STEP {
-            let mut chunk = match self.chunk.take() {
-                Some(chunk) => chunk,
-                None => self.begin_chunk(objects),
+        // A chunk is long, and this code runs for each sub-step: the chunk stays in its place, and the times are integers.
+        let steps = self.chunk.as_ref().map_or(0, |chunk| chunk.steps);
+        let reached = self.simulated.as_nanos() + u64::from(steps) * SUB_STEP_NANOS;
+        for _ in 0..now.as_nanos().saturating_sub(reached) / SUB_STEP_NANOS {
+            if self.chunk.is_none() {
+                self.chunk = Some(self.begin_chunk(objects));
+            }
+            let Some(chunk) = &mut self.chunk else {
+                continue;
             };
             self.axis.sub_step(chunk.steps, chunk.demand);
             chunk.steps += 1;
             if chunk.steps < CHUNK {
-                self.chunk = Some(chunk);
-            } else {
-                let error = self.end_chunk(&chunk, objects);
-                if error.is_some() {
-                    return error;
-                }
+                continue;
+            }
+            let error = self.chunk.take().and_then(|chunk| self.end_chunk(&chunk, objects));
+            if error.is_some() {
+                return error;
             }
         }
         None
@@ -73,11 +78,6 @@ impl Drive {
         self.generate(chunk.steps, objects);
         self.axis.set_index(index);
         self.end_chunk(&chunk, objects)
-    }
-
-    /// Time up to which the axis has been simulated, within the chunk in progress.
-    fn reached(&self) -> Instant {
-        self.simulated + self.chunk.map_or(0, |chunk| chunk.steps) * SUB_STEP
     }
 
     fn begin_chunk(&mut self, objects: &Objects) -> Chunk {

@@ -142,6 +142,11 @@ pub(super) struct Chain<const N: usize> {
 }
 
 impl<const N: usize> Chain<N> {
+    /// Greatest distance of the last frame from any joint, m.
+    pub(super) fn length(&self) -> f64 {
+        self.links.iter().map(|link| link.reach.norm()).sum()
+    }
+
     /// Load on a motor that, at 1 rad/s, moves the base with `base` and turns the joints, at `angles`, at `rates`.
     pub(super) fn load(&mut self, base: &Motion, angles: &[f64; N], rates: &[f64; N]) -> Load {
         let mut motion = *base;

@@ -32,6 +32,9 @@ pub(super) struct Irp6 {
     pub(super) chain: Chain<6>,
     lower: Screw,
     upper: Screw,
+    /// The last motor angles of the lower and of the upper arm, rad, with the joint angles and gear ratios there. Both
+    /// motors stand still while the load of another motor is computed, so the values are kept.
+    kept: [(f64, (f64, f64)); 2],
     /// Number of the first axis of the arm: 1 on the track, otherwise 0.
     first: usize,
 }
@@ -71,6 +74,8 @@ impl Irp6 {
             },
             lower,
             upper,
+            // No motor angle equals NaN.
+            kept: [(f64::NAN, (0.0, 0.0)); 2],
             first: usize::from(on_track),
         }
     }
@@ -121,10 +126,29 @@ impl Irp6 {
         kinematics
     }
 
-    fn posture(&self, motors: &[f64; AXES]) -> Posture {
-        let arm = |axis: usize| motors[self.first + axis];
-        let (lower, lower_gear) = self.lower.joint(arm(1));
-        let (upper, upper_gear) = self.upper.joint(arm(2));
+    /// Greatest displacement of a point of the tool, at most `distance`, m, from the origin of the flange, per rad of each
+    /// motor, m/rad.
+    pub(super) fn travel(&self, distance: f64) -> [f64; AXES] {
+        let arm = self.chain.length() + distance;
+        let mut posture = Posture { angles: [0.0; 6], lower_gear: 1.0, upper_gear: 1.0 };
+        posture.lower_gear /= self.lower.steepest();
+        posture.upper_gear /= self.upper.steepest();
+        std::array::from_fn(|number| match number.checked_sub(self.first) {
+            None => 1.0 / TRACK,
+            Some(axis) => arm * posture.rates(axis).0.iter().map(|rate| rate.abs()).sum::<f64>(),
+        })
+    }
+
+    fn posture(&mut self, motors: &[f64; AXES]) -> Posture {
+        let first = self.first;
+        let arm = |axis: usize| motors[first + axis];
+        let [(lower, lower_gear), (upper, upper_gear)] = [(&self.lower, 1), (&self.upper, 2)].map(|(screw, axis)| {
+            let (motor, kept) = (arm(axis), &mut self.kept[axis - 1]);
+            if kept.0 != motor {
+                *kept = (motor, screw.joint(motor));
+            }
+            kept.1
+        });
         let pitch = arm(3) / PITCH;
         let roll = (arm(4) - arm(3)) / ROLL;
         // Parallelogram and rods keep the inclination of each link to the horizontal. The joint angles of the chain are

@@ -41,6 +41,22 @@ impl Twist {
     }
 }
 
+/// The motor shafts of a mechanism at one instant. Absent motors stand at zero.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Shafts {
+    /// Angles, rad.
+    pub(crate) angles: [f64; AXES],
+    /// Velocities, rad/s.
+    pub(crate) velocities: [f64; AXES],
+    /// Pose of a platform that is found by iteration from its last pose. Zero for other mechanisms.
+    pub(super) pose: [f64; 3],
+}
+
+impl Shafts {
+    /// Number of shafts.
+    pub(crate) const COUNT: usize = AXES;
+}
+
 /// The flange of a mechanism in one pose.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Kinematics {
@@ -125,6 +141,44 @@ mod tests {
                     assert!((twist.spin - spin).norm() < 1e-9, "{config:?} {number}: {twist:?} {spin}");
                 }
             }
+        }
+    }
+
+    #[test]
+    fn no_point_of_a_tool_moves_farther_than_the_travel_of_the_motors() {
+        let mut noise = Noise::new(7);
+        for config in ROBOTS {
+            let distance = 0.4;
+            let Some(travel) = Mechanism::new(config).travel(distance) else {
+                assert!(matches!(config, MechanismConfig::Rnt { .. }), "{config:?}");
+                continue;
+            };
+            // The farthest motion of each motor, as a share of its travel.
+            let mut most = vec![0.0_f64; Mechanism::new(config).axes()];
+            for _ in 0..500 {
+                let from = pose(config, &mut noise);
+                let point =
+                    Vector3::new(noise.symmetric(), noise.symmetric(), noise.symmetric()).normalize() * distance;
+                let place = |motors: &[f64]| {
+                    let flange = at(config, motors).1.flange;
+                    flange.origin + flange.axes * point
+                };
+                let start = place(&from);
+                for size in [1e-3, 1.0, 100.0] {
+                    let step: Vec<_> = from.iter().map(|_| size * noise.symmetric()).collect();
+                    let to: Vec<_> = from.iter().zip(&step).map(|(from, step)| from + step).collect();
+                    let bound: f64 = step.iter().zip(travel).map(|(step, travel)| step.abs() * travel).sum();
+                    let moved = (place(&to) - start).norm();
+                    assert!(moved <= bound, "{config:?}: {moved} m of {bound} m from {from:?} to {to:?}");
+                }
+                for (number, most) in most.iter_mut().enumerate() {
+                    let mut to = from.clone();
+                    to[number] += 1e-3;
+                    *most = most.max((place(&to) - start).norm() / (1e-3 * travel[number]));
+                }
+            }
+            // A bound that is far too great would have no effect in a scene. Screws are steep only when stretched.
+            assert!(most.iter().all(|share| (1e-3..1.0 + 1e-6).contains(share)), "{config:?}: {most:?}");
         }
     }
 

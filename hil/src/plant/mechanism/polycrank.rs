@@ -54,6 +54,13 @@ impl Polycrank {
         Kinematics { flange, motors }
     }
 
+    /// Greatest displacement of a point of the tool, at most `distance`, m, from the origin of the flange, per rad of each
+    /// motor, m/rad.
+    pub(super) fn travel(&self, distance: f64) -> [f64; AXES] {
+        let arm = self.chain.length() + distance;
+        std::array::from_fn(|number| arm * self.rates(number).iter().map(|rate| rate.abs()).sum::<f64>())
+    }
+
     fn angles(&self, motors: &[f64; AXES]) -> [f64; AXES] {
         let mut angles = motors.map(|motor| motor / RATIO);
         if self.coupled {

@@ -92,7 +92,7 @@ impl Rnt {
     /// One step of Newton's method towards the pose that the leg lengths determine. Returns the largest error of a
     /// leg length before the step, m. If no pose fits the leg lengths, the platform keeps its last valid pose.
     fn follow(&mut self, motors: &[f64; AXES]) -> f64 {
-        let legs = self.pose.legs();
+        let legs = self.pose.legs(&self.pose.axes());
         let mut step = Vector::zeros();
         let mut worst = 0.0_f64;
         for (leg, (length, column)) in legs.iter().enumerate() {
@@ -113,12 +113,13 @@ impl Rnt {
 
     pub(super) fn load(&mut self, number: usize, motors: &[f64; AXES]) -> Loaded {
         self.follow(motors);
-        let mut base = Motion::standing(self.pose.into_platform(UP));
+        let axes = self.pose.axes();
+        let mut base = Motion::standing(into_platform(&axes, UP));
         let mut rates = [0.0; 3];
         let angles = [3, 4, 5].map(|axis| motors[axis] / GEAR);
         let (turning, load) = if number < 3 {
-            let (_, rate) = self.pose.legs()[number];
-            base = self.pose.motion(rate / LEG, base.up);
+            let (_, rate) = self.pose.legs(&axes)[number];
+            base = self.pose.motion(&axes, rate / LEG, base.up);
             let halves = self.platform.map(|body| body.load(&base));
             // The base of the wrist's chain moves with the wrist centre.
             base.velocity += WRIST * base.spin.cross(&Vector::z());
@@ -130,20 +131,26 @@ impl Rnt {
         Loaded { links: load.and(self.wrist.load(&base, &angles, &rates)), turning, ratio: 1.0 }
     }
 
-    /// The flange, and its motion per rad/s of each motor. The origin of the base frame is the centre of the legs'
-    /// joints in the base. Axis z is along the central leg.
-    pub(super) fn kinematics(&mut self, motors: &[f64; AXES]) -> Kinematics {
+    /// Moves the platform by one step of Newton's method. Returns its pose for [`Rnt::kinematics`].
+    pub(super) fn track(&mut self, motors: &[f64; AXES]) -> [f64; 3] {
         self.follow(motors);
-        let axes = Matrix3::from_columns(&self.pose.axes());
-        let centre = axes * Vector::new(0.0, 0.0, self.pose.extension + WRIST);
+        [self.pose.alpha, self.pose.beta, self.pose.extension]
+    }
+
+    /// The flange, and its motion per rad/s of each motor, in a pose of [`Rnt::track`]. The origin of the base frame is
+    /// the centre of the legs' joints in the base. Axis z is along the central leg.
+    pub(super) fn kinematics(&mut self, motors: &[f64; AXES], &[alpha, beta, extension]: &[f64; 3]) -> Kinematics {
+        let pose = Pose { alpha, beta, extension };
+        let columns = pose.axes();
+        let axes = Matrix3::from_columns(&columns);
+        let centre = axes * Vector::new(0.0, 0.0, pose.extension + WRIST);
         let angles = [3, 4, 5].map(|axis| motors[axis] / GEAR);
         let (flange, joints) = self.wrist.place(Frame { axes, origin: centre }, &angles);
         let mut twists = [Twist::default(); AXES];
-        for (twist, (_, rate)) in twists.iter_mut().zip(self.pose.legs()) {
-            let platform = self.pose.motion(rate / LEG, UP);
+        for (twist, (_, rate)) in twists.iter_mut().zip(pose.legs(&columns)) {
+            let platform = pose.motion(&columns, rate / LEG, UP);
             let spin = axes * platform.spin;
-            let velocity =
-                axes * platform.velocity + spin.cross(&(flange.origin - axes.column(2) * self.pose.extension));
+            let velocity = axes * platform.velocity + spin.cross(&(flange.origin - axes.column(2) * pose.extension));
             *twist = Twist { velocity, spin };
         }
         for (twist, joint) in twists[3..6].iter_mut().zip(joints) {
@@ -166,21 +173,17 @@ impl Pose {
         [Vector::new(cb, sa * sb, -ca * sb), Vector::new(0.0, ca, sa), Vector::new(sb, -sa * cb, ca * cb)]
     }
 
-    fn into_platform(self, vector: Vector) -> Vector {
-        self.axes().map(|axis| axis.dot(&vector)).into()
-    }
-
-    /// Motion of the platform's frame when the pose changes at these rates.
-    fn motion(&self, rates: Vector, up: Vector) -> Motion {
-        let spin = rates[0] * Vector::x() + rates[1] * self.axes()[1];
-        let spin = self.into_platform(spin);
+    /// Motion of the platform's frame, which has these axes, when the pose changes at these rates.
+    fn motion(&self, axes: &[Vector; 3], rates: Vector, up: Vector) -> Motion {
+        let spin = rates[0] * Vector::x() + rates[1] * axes[1];
+        let spin = into_platform(axes, spin);
         let along = self.extension * Vector::z();
         Motion { up, spin, velocity: rates[2] * Vector::z() + spin.cross(&along) }
     }
 
     /// For each leg: its length, m, and the change of the pose per metre of its length, other lengths being constant.
-    fn legs(&self) -> [(f64, Vector); 3] {
-        let [x, y, z] = self.axes();
+    /// `axes`: the axes of the platform.
+    fn legs(&self, &[x, y, z]: &[Vector; 3]) -> [(f64, Vector); 3] {
         let legs = CIRCLE.map(|[cos, sin]| {
             let from_base = PLATFORM_RADIUS * cos * x + PLATFORM_RADIUS * sin * y;
             let joint = from_base + self.extension * z;
@@ -200,6 +203,11 @@ impl Pose {
     }
 }
 
+/// A vector of the base frame in the axes of the platform.
+fn into_platform(axes: &[Vector; 3], vector: Vector) -> Vector {
+    axes.map(|axis| axis.dot(&vector)).into()
+}
+
 /// Cosine and sine of 0°, 120° and 240°.
 const CIRCLE: [[f64; 2]; 3] = [[1.0, 0.0], [-0.5, 0.866_025_403_784_438_6], [-0.5, -0.866_025_403_784_438_6]];
 
@@ -211,7 +219,7 @@ mod tests {
     fn platform_is_where_its_legs_hold_it() {
         let pose = Pose { alpha: 0.2, beta: -0.1, extension: 0.9 };
         let golden = [0.953_705_712, 0.960_914_436, 0.842_363_921];
-        for ((length, _), expected) in pose.legs().iter().zip(golden) {
+        for ((length, _), expected) in pose.legs(&pose.axes()).iter().zip(golden) {
             assert!((length - expected).abs() < 1e-9, "{length} for {expected}");
         }
         let mut rnt = Rnt::new([0.75; 3]);
@@ -241,7 +249,7 @@ mod tests {
         assert!(rnt.pose.is_possible());
         motors[0] = 0.02 * LEG;
         rnt.settle(&motors);
-        for (leg, (length, _)) in rnt.pose.legs().iter().enumerate() {
+        for (leg, (length, _)) in rnt.pose.legs(&rnt.pose.axes()).iter().enumerate() {
             let expected = rnt.length(leg, &motors);
             assert!((length - expected).abs() < 1e-9, "{length} for {expected}");
         }
@@ -292,7 +300,7 @@ mod tests {
             let leg = k as usize % 3;
             motors[leg] = at(leg, t);
             rnt.load(leg, &motors);
-            let legs = rnt.pose.legs();
+            let legs = rnt.pose.legs(&rnt.pose.axes());
             let off = legs[leg].0 - rnt.length(leg, &motors);
             assert!(off.abs() < 1e-6, "{off} m at {t} s");
         }

@@ -2,6 +2,9 @@
 
 use std::f64::consts::TAU;
 
+/// Greatest magnitude of the cosine of the angle between crank and pivot.
+const STRETCHED: f64 = 0.999;
+
 /// The nut pulls on a crank. The other end of the screw turns about a pivot beside the axis of the crank.
 ///
 /// The sides of the triangle are the crank, the line between axis and pivot, and the screw. The length of the screw
@@ -46,10 +49,16 @@ impl Screw {
         let length = self.home + from_home / self.per_length;
         let cos = (self.squares - length * length) / (2.0 * self.product);
         // A motor far outside its range leaves the triangle stretched or folded. The clamp keeps the ratio finite.
-        let cos = cos.clamp(-0.999, 0.999);
+        let cos = cos.clamp(-STRETCHED, STRETCHED);
         let sin = (1.0 - cos * cos).sqrt();
         let gear = self.per_length * self.product * sin / length;
         (cos.acos() - self.opposite, gear)
+    }
+
+    /// Greatest change of the joint angle per motor angle.
+    pub(super) fn steepest(&self) -> f64 {
+        let longest = (self.squares + 2.0 * self.product * STRETCHED).sqrt();
+        longest / (self.per_length * self.product * (1.0 - STRETCHED * STRETCHED).sqrt())
     }
 }
 

@@ -136,6 +136,62 @@ fn sensor(mass: f64) -> SensorConfig {
     SensorConfig { pose: Isometry3::identity(), mass, centre: [0.0, 0.0, 0.1], inertia: [0.0; 3] }
 }
 
+/// A free body makes the scene compute the flange in each step. Here the body is out of the robot's reach.
+#[test]
+fn robot_far_from_all_surfaces_moves_and_measures_as_if_the_flange_were_computed_in_each_step() {
+    const STEPS: usize = 6_000;
+    let follow = |with_body: bool| {
+        let mut robot = Robot::irb6(DOWN);
+        // The column turns, and the upper arm falls on the floor.
+        robot.demands[0] = Demand::Torque(0.02);
+        robot.demands[2] = Demand::Torque(0.0);
+        let (mut scene, id) = over_floor(&robot, 0.1);
+        let probe = scene.add_sensor(id, &sensor(0.7)).unwrap();
+        let cube = BodyConfig {
+            mass: 1.0,
+            half: [0.05; 3],
+            material: METAL,
+            pose: Isometry3::translation(50.0, 0.0, 20.0),
+            velocity: [0.0; 3],
+            spin: [0.0; 3],
+        };
+        if with_body {
+            scene.add_body(&cube).unwrap();
+        }
+        let (mut seen, mut far, mut touched) = (Vec::new(), 0, 0);
+        for step in 0..STEPS {
+            run(&mut scene, &mut [&mut robot], 1);
+            far += usize::from(scene.arms[id.0].is_far());
+            touched += usize::from(scene.arms[id.0].wrench.force.norm() > 0.0);
+            let flange = scene.flange(id).to_homogeneous().map(f64::to_bits);
+            let motors: Vec<_> = robot.axes.iter().map(|axis| axis.angle().to_bits()).collect();
+            // A sensor may be read seldom.
+            let measured = (step % 20 < 2).then(|| probe.last().map(f64::to_bits));
+            seen.push((flange, motors, measured));
+        }
+        (seen, far, touched)
+    };
+    let ((seen, far, touched), (computed, never, _)) = (follow(false), follow(true));
+    assert!(far > STEPS / 10 && touched > STEPS / 100, "{far} steps far, {touched} steps in contact");
+    assert_eq!(never, 0);
+    for (step, (seen, computed)) in seen.iter().zip(&computed).enumerate() {
+        assert!(seen == computed, "step {step}");
+    }
+}
+
+#[test]
+fn surface_that_is_added_near_a_robot_is_felt_in_the_next_step() {
+    let mut robot = Robot::irb6(DOWN);
+    let (mut scene, id) = over_floor(&robot, 0.5);
+    run(&mut scene, &mut [&mut robot], 10);
+    assert!(scene.arms[id.0].is_far());
+    let tip = scene.flange(id) * nalgebra::Point3::new(0.0, 0.0, 0.2);
+    let pose = Isometry3::translation(0.0, 0.0, tip.z - 5e-3 + 1e-4);
+    scene.add_wall(&WallConfig { shape: Shape::HalfSpace, pose, material: METAL }).unwrap();
+    run(&mut scene, &mut [&mut robot], 1);
+    assert!(scene.arms[id.0].wrench.force.z > 5.0, "{}", scene.arms[id.0].wrench.force);
+}
+
 #[test]
 fn torque_limited_arm_presses_with_the_force_of_its_torque() {
     let mut robot = Robot::irb6(DOWN);
