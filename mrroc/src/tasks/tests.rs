@@ -132,7 +132,7 @@ fn an_error_that_the_task_handles_is_listed_and_the_run_completes() {
     assert_eq!((report.outcome, &report.faults[..]), (RunOutcome::Completed, &[][..]));
     let recovered = serde_json::to_value(&report.recovered).unwrap();
     let expected = serde_json::json!([{
-        "robot": "left", "axis": null, "what": "step 0: generator error 7",
+        "robot": "left", "axis": null, "stop_category": null, "what": "step 0: generator error 7",
         "class": "non-fatal", "instruction": 2, "step": 0, "phase": "first-step",
     }]);
     assert_eq!(recovered, expected);
