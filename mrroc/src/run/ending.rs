@@ -3,6 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use crate::recording::FlightRequest;
 use can::Instant;
 use servo::thread::{Finished, POWER_OFF_WAIT, Running};
 use servo::{Servo, SpeedOverride, StopRequest};
@@ -14,6 +15,8 @@ pub struct Requests {
     pub(super) stop: Arc<AtomicBool>,
     /// Set to keep the servo cycles around this moment (`--spikes`).
     pub spikes: Arc<AtomicBool>,
+    /// Set to write the last seconds ([`RunOptions::flight`](super::RunOptions::flight)).
+    pub flight: FlightRequest,
     /// Speed of all motion by the operator: override, pause and resume. A task can slow further, and cannot lift it.
     pub speed: SpeedOverride,
     servo: Arc<Mutex<Option<StopRequest>>>,
