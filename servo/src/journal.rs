@@ -1,7 +1,7 @@
-//! Journal of a servo: everything that its outputs depend on and that its groups do not read from their ports.
+//! Journal of a servo: all inputs of the servo, except the inputs that its groups read from ports.
 //!
-//! The journal has the calls of the servo with their times, and what the cycle found: orders, missed deadlines, stop
-//! requests, the speed override, and words that other threads set. A servo with the same configuration, the same ports
+//! The journal has the calls of the servo with their times. For each cycle, the journal has the new orders, the missed
+//! deadlines, the stop request, the speed override, and the words that other threads set. A servo with the same configuration, the same ports
 //! and the same journal gives the same outputs bit for bit. Another thread drains the journal. Writing to the journal
 //! neither allocates nor waits; entries that do not fit are counted, and the journal is then incomplete.
 

@@ -100,9 +100,9 @@ impl Flights {
         self.request.take() || self.due.is_some_and(|due| time >= due)
     }
 
-    /// Whether the file of a fault is not written yet.
-    pub(super) fn is_pending(&self) -> bool {
-        self.due.is_some()
+    /// Whether the end of the run needs a file: a fault has none yet.
+    pub(super) fn is_wanted(&self, faulted: bool) -> bool {
+        self.due.is_some() || faulted && self.written == 0
     }
 
     /// Writes the window to a new file, and says where or why not.

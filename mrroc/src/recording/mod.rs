@@ -24,6 +24,7 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use anyhow::{Context, bail};
 use can::{Instant, InterfaceName, TraceEntry, TraceEvent, candump};
@@ -45,14 +46,11 @@ pub use flight::Flights;
 pub use replay::{Replay, ReplayOptions, replay};
 pub(crate) use sources::{Layout, words};
 
-/// Number of drains after which the file is completed on the disk: a second at 20 ms.
-const DRAINS: u32 = 50;
+/// Number of drains after which the file is completed on the disk: half a second at 20 ms.
+const DRAINS: u32 = 25;
 
 /// Time of the run after which the file is completed on the disk.
-const FLUSH: std::time::Duration = std::time::Duration::from_secs(1);
-
-/// Most losses of entries that are reported by a message of their own.
-const LOSSES: u64 = 1 << 32;
+const FLUSH: Duration = Duration::from_millis(500);
 
 /// The sinks of a recording.
 pub(crate) struct Recorder {
@@ -70,6 +68,9 @@ pub(crate) struct Recorder {
     body: Vec<u8>,
     latest: Instant,
     lost: u64,
+    /// Number of the next cycle of each robot, and cycles that found no room.
+    next: Vec<u64>,
+    gaps: u64,
 }
 
 /// A recording of the whole run.
@@ -100,6 +101,8 @@ impl Recorder {
             body: Vec::with_capacity(4096),
             latest: Instant::ZERO,
             lost: 0,
+            next: vec![0; file.cell.robot.len()],
+            gaps: 0,
         }
     }
 
@@ -159,6 +162,9 @@ impl Recorder {
 
     /// Takes a record of the servo.
     pub(crate) fn record(&mut self, record: &Record) {
+        let robot = usize::from(record.effector);
+        self.gaps += record.cycle.saturating_sub(self.next[robot]);
+        self.next[robot] = record.cycle + 1;
         self.message(self.layout.robot(record.effector.into()), record.at, &RobotCycle::of(record));
     }
 
@@ -179,7 +185,7 @@ impl Recorder {
 
     /// Completes a drain: writes what is due to the disk. `lost`: entries of all queues that found no room.
     pub(crate) fn drained(&mut self, lost: u64) {
-        let lost = (lost + self.journal.lost()).min(LOSSES);
+        let lost = lost + self.journal.lost() + self.gaps;
         if lost > self.lost {
             self.lost = lost;
             self.message(self.layout.lost(), self.latest, &Lost { entries: lost });
@@ -196,10 +202,10 @@ impl Recorder {
         }
     }
 
-    /// Completes the files. `failed`: the run ended in a fault.
-    pub(crate) fn finish(mut self, lost: u64) -> anyhow::Result<()> {
+    /// Completes the files. `faulted`: the run ended in a fault, of a robot or of the task.
+    pub(crate) fn finish(mut self, lost: u64, faulted: bool) -> anyhow::Result<()> {
         self.drained(lost);
-        if self.flights.as_ref().is_some_and(Flights::is_pending) {
+        if self.flights.as_ref().is_some_and(|flights| flights.is_wanted(faulted)) {
             self.write_flight();
         }
         self.stream.map_or(Ok(()), Stream::finish)

@@ -49,6 +49,8 @@ pub struct Replay {
     pub bench: String,
     /// Replayed cycles.
     pub cycles: u64,
+    /// Time of the last replayed call, s.
+    pub end_s: f64,
     /// Outputs that are equal bit for bit: cycles of robots, faults, frames and parts of telegrams.
     pub equal: u64,
     /// Why the recording ends early, if it does.
@@ -180,6 +182,7 @@ impl Replaying {
             cell: cell.name.clone(),
             bench: text("bench"),
             cycles: 0,
+            end_s: 0.0,
             equal: 0,
             cut: content.cut.clone(),
             differs_in: None,
@@ -283,7 +286,7 @@ impl Replaying {
             }
             self.compare();
         }
-        self.result.equal = self.comparison.equal;
+        (self.result.equal, self.result.end_s) = (self.comparison.equal, place.time_s);
         self.result.differences = self.comparison.found;
         self.result.differs_in = (!self.result.differences.is_empty()).then_some(place);
         Ok(self.result)

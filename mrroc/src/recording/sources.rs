@@ -11,7 +11,7 @@ use super::schema::Schema;
 use crate::cell::CellFile;
 use crate::setup::Devices;
 
-/// Channels of a recording: those of the servo, then those of robots, buses and lines.
+/// Channels of a recording: first the servo's, then one per robot, per bus and per line.
 #[derive(Clone, Debug)]
 pub(crate) struct Layout {
     channels: Vec<Channel>,
@@ -81,7 +81,8 @@ impl Layout {
         (FIXED + self.robots + bus) as u16
     }
 
-    /// Line `line`: lines of axes by bundle, then those of force sensors, then those of ultrasonic matrices.
+    /// The channel of line `line`. Lines of axes by bundle come first, then lines of force sensors, then lines of ultrasonic
+    /// matrices.
     pub(super) fn line(&self, line: usize) -> u16 {
         (FIXED + self.robots + self.buses + line) as u16
     }

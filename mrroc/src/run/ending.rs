@@ -3,10 +3,11 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::recording::FlightRequest;
 use can::Instant;
 use servo::thread::{Finished, POWER_OFF_WAIT, Running};
 use servo::{Servo, SpeedOverride, StopRequest};
+
+use crate::recording::FlightRequest;
 
 /// Requests to a run, from a signal handler or another thread.
 #[derive(Clone, Debug, Default)]

@@ -19,6 +19,9 @@ use crate::{cell::CellFile, report::Tracks};
 /// Longest wait for the files of a run once it has ended.
 const FILES_WAIT: Duration = Duration::from_secs(2);
 
+/// The same for a recording, which may be long.
+const RECORDING_WAIT: Duration = Duration::from_secs(10);
+
 /// How often the files of a run are written, at the least.
 const DRAIN: Duration = Duration::from_millis(20);
 
@@ -29,6 +32,8 @@ pub(super) struct Logs {
     pub(super) buses: Vec<TraceReader>,
     pub(super) lines: Vec<LineTraceReader>,
     pub(super) recorder: Option<Recorder>,
+    /// The run ended in a fault.
+    pub(super) faulted: Arc<AtomicBool>,
     pub(super) tracks: Tracks,
     pub(super) frames: Option<FrameLog>,
     pub(super) axes: Option<AxisLog>,
@@ -112,7 +117,8 @@ impl Logs {
     pub(super) fn finish(mut self) -> (anyhow::Result<()>, Tracks) {
         self.drain();
         let lost = self.lost();
-        let recorded = self.recorder.map_or(Ok(()), |recorder| recorder.finish(lost));
+        let recorded =
+            self.recorder.map_or(Ok(()), |recorder| recorder.finish(lost, self.faulted.load(Ordering::Relaxed)));
         let frames = self.frames.filter(|_| self.failed.is_none());
         let lost = self.buses.iter().map(TraceReader::lost).sum::<u64>();
         let finished = frames.map(|mut frames| frames.flush().map(|()| lost)).transpose();
@@ -135,6 +141,7 @@ impl Logs {
 /// The files of a run, written by a thread of its own: a file that takes nothing any more holds up nothing else.
 pub(super) struct Writing {
     what: String,
+    wait: Duration,
     thread: Background<(anyhow::Result<()>, Tracks)>,
 }
 
@@ -144,16 +151,17 @@ impl Writing {
         let files = [("trace", logs.frames.is_some()), ("record", logs.is_recorded()), ("steps", logs.steps.is_some())];
         let kept: Vec<_> = files.into_iter().filter_map(|(file, kept)| kept.then_some(file)).collect();
         let what = if kept.is_empty() { "records".to_owned() } else { kept.join(" or the ") };
+        let wait = if logs.recorder.is_some() { RECORDING_WAIT } else { FILES_WAIT };
         let drain = move |logs: &mut Logs| {
             failed.fetch_or(!logs.drain(), Ordering::Relaxed);
         };
         let thread = Background::start("files", DRAIN, logs, drain, Logs::finish);
-        Ok(Self { what, thread: thread.context("no thread to write the files can be made")? })
+        Ok(Self { what, wait, thread: thread.context("no thread to write the files can be made")? })
     }
 
     /// Writes the rest, unless that takes too long: then nothing is known of the robots either.
     pub(super) fn finish(self, file: &CellFile) -> (anyhow::Result<()>, Tracks) {
-        self.thread.finish(FILES_WAIT).unwrap_or_else(|| {
+        self.thread.finish(self.wait).unwrap_or_else(|| {
             let late = anyhow!("the {} cannot be written in time", self.what);
             (Err(late), Tracks::new(file, false))
         })

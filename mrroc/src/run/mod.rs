@@ -207,7 +207,7 @@ pub fn run(
     setup::install_laws(file, &mut servo, &sensors)?;
     servo.follow_override(requests.speed.clone());
     outputs.begin()?;
-    let lag = record.as_ref().map_or(RECORDS, |_| LOGGED_RECORDS);
+    let lag = if record.is_some() || recording.is_some() { LOGGED_RECORDS } else { RECORDS };
     let axes = record.map(|sink| AxisLog::new(sink, file)).transpose();
     let names = log_names(&bench.interfaces)?;
     let cell = Arc::new(file.clone());
@@ -233,6 +233,7 @@ pub fn run(
         buses: bench.traces,
         lines,
         recorder,
+        faulted: Arc::default(),
         tracks: Tracks::new(file, page.is_some()),
         failed: None,
         axes: axes.context("--record")?,
@@ -408,7 +409,9 @@ fn in_lockstep(
         },
     );
     let TaskErrors { mut faults, recovered, received } = carrying.finish();
-    let (written, tracks) = logs.into_inner().finish();
+    let logs = logs.into_inner();
+    logs.faulted.store(!faults.is_empty(), Ordering::Relaxed);
+    let (written, tracks) = logs.finish();
     if interrupted.load(Ordering::Relaxed) {
         // The request broke off the instructions of the task.
         faults.retain(|fault| fault.robot.is_none());
@@ -440,6 +443,7 @@ fn by_the_clock(
 ) -> anyhow::Result<RunEnd> {
     let began = clock::now();
     let done = Arc::new(AtomicBool::new(false));
+    let faulted = logs.faulted.clone();
     let writing = Writing::start(logs, done.clone())?;
     let listening = wire.listen()?;
     let finished = done.clone();
@@ -506,6 +510,7 @@ fn by_the_clock(
         // The request broke off the instructions of the task.
         faults.retain(|fault| fault.robot.is_none());
     }
+    faulted.store(!faults.is_empty() || ended.panicked.is_some(), Ordering::Relaxed);
     let (written, tracks) = writing.finish(file);
     faults.extend(written.err().map(FaultReport::of_run));
     if let Some(panicked) = ended.panicked {
