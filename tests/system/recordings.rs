@@ -184,8 +184,7 @@ fn a_killed_run_leaves_a_recording_up_to_the_last_second() {
     let log = recording.with_extension("log");
     let last = || {
         let text = fs::read_to_string(&log).unwrap_or_default();
-        let line = text.lines().rev().nth(1)?.strip_prefix('(')?.split(')').next()?.parse::<f64>().ok();
-        line
+        text.lines().rev().nth(1)?.strip_prefix('(')?.split(')').next()?.parse::<f64>().ok()
     };
     let first = last().unwrap_or(0.0);
     wait_until("several seconds are on the disk", || last().is_some_and(|last| last > first + 3.0));

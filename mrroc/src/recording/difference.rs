@@ -78,17 +78,17 @@ impl Comparison {
             Some(message) => {
                 let mut differences = Vec::new();
                 if message.time != time {
-                    differences.push(of(topic, "time", &message.time, &time));
+                    differences.push(of(topic, "time", message.time, time));
                 }
                 differences.extend(fields(*kind, topic, &message.body, body));
                 if differences.is_empty() {
-                    differences.push(of(topic, "encoding", &format!("{:?}", message.body), &format!("{body:?}")));
+                    differences.push(of(topic, "encoding", format!("{:?}", message.body), format!("{body:?}")));
                 }
                 self.note(differences);
             }
             None if self.cut => {}
             None => {
-                let difference = of(topic, "output", "nothing", &shown(*kind, body));
+                let difference = of(topic, "output", "nothing", shown(*kind, body));
                 self.note([difference]);
             }
         }
@@ -99,7 +99,7 @@ impl Comparison {
         let mut found = Vec::new();
         for (kind, topic, messages) in self.expected.values_mut() {
             while let Some(message) = messages.front().filter(|message| message.time < now) {
-                found.push(of(topic, "output", &shown(*kind, &message.body), "nothing"));
+                found.push(of(topic, "output", shown(*kind, &message.body), "nothing"));
                 messages.pop_front();
             }
         }

@@ -131,12 +131,12 @@ impl Recorder {
         while let Some(entry) = self.journal.read() {
             let now = entry.now;
             match entry.event {
-                JournalEvent::BringUp { stop } => self.call(now, Call { stop, ..named("bring_up") }),
+                JournalEvent::BringUp { stop } => self.call(now, &Call { stop, ..named("bring_up") }),
                 JournalEvent::Cycle { number, missed, stop, rate } => {
-                    self.call(now, Call { cycle: number, missed, stop, rate, ..named("cycle") });
+                    self.call(now, &Call { cycle: number, missed, stop, rate, ..named("cycle") });
                 }
-                JournalEvent::Sent => self.call(now, named("sent")),
-                JournalEvent::Cut => self.call(now, named("cut")),
+                JournalEvent::Sent => self.call(now, &named("sent")),
+                JournalEvent::Cut => self.call(now, &named("cut")),
                 JournalEvent::Orders { effector, count } => {
                     for _ in 0..count {
                         let Some(order) = self.journal.order() else { break };
@@ -217,8 +217,8 @@ impl Recorder {
         }
     }
 
-    fn call(&mut self, now: Instant, call: Call) {
-        self.message(self.layout.calls(), now, &call);
+    fn call(&mut self, now: Instant, call: &Call) {
+        self.message(self.layout.calls(), now, call);
     }
 
     fn message(&mut self, channel: u16, time: Instant, message: &impl Message) {
