@@ -18,6 +18,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use mrroc::cell::{Cell, CellFile};
 use mrroc::outputs::Measured;
+use mrroc::recording::{self, ReplayOptions};
 use mrroc::{streams, tasks::CarriedTask};
 use serde::Serialize;
 
@@ -61,6 +62,21 @@ enum Command {
     /// Stop the controller of a cell that runs on this computer in another process: its robots brake, and their drives go
     /// off.
     Stop(service::stop::Options),
+    /// Replay a recording of `run --record FILE.mcap` through the drivers and the servo of this version, and compare all
+    /// outputs bit for bit. Opens no device.
+    Replay {
+        /// The recording.
+        file: PathBuf,
+        /// The cell file to use in place of the recorded one, for example with another limit.
+        #[arg(long)]
+        cell: Option<PathBuf>,
+        /// Print every value that differs in the first differing cycle.
+        #[arg(long)]
+        diff: bool,
+        /// Print one JSON object.
+        #[arg(long)]
+        json: bool,
+    },
     /// Emulate the axis controllers of a cell: on a CAN interface, behind an slcan adapter, or on serial lines.
     Emulate(emulate::Options),
     /// List the nodes of a bus: by SDO requests to every node-ID, by LSS requests, and by heartbeats. Do not use while
@@ -139,6 +155,7 @@ fn main() -> ExitCode {
             CellFile::read(&cell).and_then(|file| mrroc::run_program(&file, &options, &task.program()))
         }
         Command::Stop(options) => service::stop::stop(&options),
+        Command::Replay { file, cell, diff, json } => replay(&file, cell, diff, json),
         Command::Emulate(options) => emulate::emulate(&options),
         Command::Scan(options) => {
             service::scan::scan(&options).and_then(|scanned| streams::answer(&scanned, options.json))
@@ -176,6 +193,18 @@ fn check(cell: &Path, task: CarriedTask, json: bool) -> anyhow::Result<ExitCode>
         ));
     }
     streams::answer(&checked, json)
+}
+
+/// Replays a recording. Exit status 1 if an output differs.
+fn replay(file: &Path, cell: Option<PathBuf>, diff: bool, json: bool) -> anyhow::Result<ExitCode> {
+    let replayed = recording::replay(file, &ReplayOptions { cell })?;
+    streams::answer(&replayed, json)?;
+    if diff && !json {
+        for difference in &replayed.differences {
+            streams::say(difference)?;
+        }
+    }
+    Ok(ExitCode::from(u8::from(!replayed.is_equal())))
 }
 
 /// Measures the jitter behind a progress bar, and prints the report.

@@ -31,6 +31,7 @@ mod motions;
 mod operator;
 pub mod outputs;
 mod program_main;
+pub mod recording;
 pub mod rehearsal;
 pub mod report;
 pub mod robots;

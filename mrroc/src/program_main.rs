@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
 
 use anyhow::Context;
 use clap::{Args, Parser};
@@ -59,7 +60,9 @@ pub fn program(cell: &str, task: impl AsyncFn(&mut Cell) -> Outcome + Send + Syn
 pub fn run_program(file: &CellFile, options: &ProgramOptions, program: &Program) -> anyhow::Result<ExitCode> {
     signals::block_suspension()?;
     let requests = Requests::default();
-    flag::register(SIGUSR1, requests.spikes.clone()).context("SIGUSR1 cannot be caught")?;
+    for request in [&requests.spikes, &requests.flight.0] {
+        flag::register(SIGUSR1, Arc::clone(request)).context("SIGUSR1 cannot be caught")?;
+    }
     let (asked, motion) = (requests.clone(), Motion::on(options.run.bench));
     signals::on_ending_of_motion(motion.clone(), move |_| asked.stop())?;
     let mut bar = Bar::new(file, !options.json)?;

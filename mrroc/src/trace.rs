@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{self, BufWriter, Write};
 
 use anyhow::Context;
-use can::{TraceReader, candump};
+use can::{Traced, candump};
 use controller::ecp::{StepRecord, StepRecords};
 use drive::AxisCommand;
 use servo::Record;
@@ -13,38 +13,34 @@ use crate::{bench::interfaces::Interface, cell::CellFile};
 
 /// A candump log of every frame that passed the ports of a run.
 pub(crate) struct FrameLog {
-    readers: Vec<TraceReader>,
     names: Vec<can::InterfaceName>,
     writer: BufWriter<File>,
 }
 
 impl FrameLog {
-    pub(crate) fn new(file: File, interfaces: &[Interface], readers: Vec<TraceReader>) -> anyhow::Result<Self> {
-        let name = |(bus, interface): (usize, &Interface)| {
-            let name = interface.log_name(bus);
-            can::InterfaceName::new(&name).with_context(|| format!("{name:?} is no interface name"))
-        };
-        let names = interfaces.iter().enumerate().map(name).collect::<anyhow::Result<_>>()?;
-        Ok(Self { readers, names, writer: BufWriter::new(file) })
+    pub(crate) fn new(file: File, names: Vec<can::InterfaceName>) -> Self {
+        Self { names, writer: BufWriter::new(file) }
     }
 
-    /// Writes what has passed since the last call.
-    pub(crate) fn drain(&mut self) -> io::Result<()> {
-        for (reader, name) in self.readers.iter_mut().zip(&self.names) {
-            while let Some(traced) = reader.read() {
-                let entry = candump::Entry { at: traced.at, interface: *name, frame: traced.frame, direction: None };
-                writeln!(self.writer, "{entry}")?;
-            }
-        }
-        Ok(())
+    /// Writes a frame of bus `bus`.
+    pub(crate) fn write(&mut self, bus: usize, traced: &Traced) -> io::Result<()> {
+        let Traced { at, frame, .. } = *traced;
+        let entry = candump::Entry { at, interface: self.names[bus], frame, direction: None };
+        writeln!(self.writer, "{entry}")
     }
 
-    /// Writes the rest and returns how many frames were lost because the file was too slow.
-    pub(crate) fn finish(mut self) -> io::Result<u64> {
-        self.drain()?;
-        self.writer.flush()?;
-        Ok(self.readers.iter().map(TraceReader::lost).sum())
+    pub(crate) fn flush(&mut self) -> io::Result<()> {
+        self.writer.flush()
     }
+}
+
+/// Names of the interfaces of a run in candump logs.
+pub(crate) fn log_names(interfaces: &[Interface]) -> anyhow::Result<Vec<can::InterfaceName>> {
+    let name = |(bus, interface): (usize, &Interface)| {
+        let name = interface.log_name(bus);
+        can::InterfaceName::new(&name).with_context(|| format!("{name:?} is no interface name"))
+    };
+    interfaces.iter().enumerate().map(name).collect()
 }
 
 /// A CSV file of every axis in every cycle.

@@ -55,6 +55,8 @@ pub(crate) struct Effector {
     enabling_timeout: Duration,
     homing_timeout: Duration,
     orders: rtrb::Consumer<Order>,
+    /// Number of orders in the queue that this cycle sees. Later orders wait for the next cycle.
+    visible: usize,
     /// Number of orders at the front of the queue that were checked and are neither stop nor disable.
     scanned: usize,
     reports: rtrb::Producer<ServoReport>,
@@ -113,6 +115,7 @@ impl Effector {
             enabling_timeout: config.enabling_timeout,
             homing_timeout: config.homing_timeout,
             orders,
+            visible: 0,
             scanned: 0,
             reports,
             latest: publisher,
@@ -146,6 +149,10 @@ impl Effector {
     /// The bit of this effector in a bit set of effectors.
     pub(crate) fn bit(&self) -> u32 {
         1 << self.index
+    }
+
+    pub(crate) fn index(&self) -> u8 {
+        self.index
     }
 
     /// Whether the effector is in a team with others.

@@ -24,6 +24,7 @@ mod histogram;
 mod host_loop;
 pub mod identify;
 mod interpolate;
+mod journal;
 mod latest;
 mod law;
 mod limit;
@@ -53,6 +54,7 @@ pub use config::{
 pub use excitation::{Excitation, ExcitationError, most as greatest_excitation};
 pub use histogram::Histogram;
 pub use interpolate::{Knot, cubic_end_acceleration, quintic};
+pub use journal::{JournalEntry, JournalEvent, JournalReader};
 pub use latest::{Latest, Publisher, Snapshot, latest};
 pub use law::{CycleLaw, LAW_PARAMETERS, LawAxis, LawBound, LawError, LawFault, LawInput, LawOutput, LawParameters};
 pub use link::{EffectorLink, MAX_AXES, Macrostep, Order, Phase, ServoFault, ServoReport, StopCause};

@@ -197,9 +197,13 @@ impl MotionTime {
         Self { requested, operator, rate: 1.0, change: 0.0 }
     }
 
-    /// Advances by a cycle of `dt` seconds. `bounds` gives the bounds at the present rate.
-    pub(crate) fn advance(&mut self, dt: f64, bounds: impl FnOnce(f64) -> Bounds) -> Motion {
-        let target = self.requested.target() * self.operator.target();
+    /// The requested rate.
+    pub(crate) fn target(&self) -> f64 {
+        self.requested.target() * self.operator.target()
+    }
+
+    /// Advances by a cycle of `dt` seconds towards the rate `target`. `bounds` gives the bounds at the present rate.
+    pub(crate) fn advance(&mut self, target: f64, dt: f64, bounds: impl FnOnce(f64) -> Bounds) -> Motion {
         let last = self.rate;
         if target != self.rate || self.change != 0.0 {
             self.follow(target, bounds(self.rate), dt);
@@ -265,7 +269,7 @@ mod tests {
     fn without_an_override_each_cycle_is_exactly_one_period() {
         let mut time = MotionTime::new();
         for _ in 0..1000 {
-            let motion = time.advance(DT, |_| unreachable!("the rate does not change"));
+            let motion = time.advance(time.target(), DT, |_| unreachable!("the rate does not change"));
             assert_eq!(motion, Motion { periods: 1.0, rate: 1.0, change: 0.0 });
         }
     }
@@ -291,7 +295,7 @@ mod tests {
             for (fraction, cycles) in steps {
                 time.requested.set(fraction).unwrap();
                 for _ in 0..cycles + 500 {
-                    let motion = time.advance(DT, |rate| Bounds::of_axis(at(t), rate, &limits));
+                    let motion = time.advance(time.target(), DT, |rate| Bounds::of_axis(at(t), rate, &limits));
                     t += motion.periods * DT;
                     let [a, b, c] = last;
                     let d = at(t).position;
@@ -312,11 +316,11 @@ mod tests {
         time.requested.pause();
         let limits = limits(100.0, 300.0, 3000.0);
         let bounds = |rate| Bounds::of_axis(Knot::new(0.0, 100.0), rate, &limits);
-        let cycles = (1..).find(|_| time.advance(DT, bounds).rate == 0.0).unwrap();
+        let cycles = (1..).find(|_| time.advance(time.target(), DT, bounds).rate == 0.0).unwrap();
         let seconds = f64::from(cycles) * DT;
         assert!((0.83..1.0).contains(&seconds), "{seconds}");
-        assert_eq!(time.advance(DT, bounds), Motion { periods: 0.0, rate: 0.0, change: 0.0 });
+        assert_eq!(time.advance(time.target(), DT, bounds), Motion { periods: 0.0, rate: 0.0, change: 0.0 });
         time.requested.resume();
-        assert!((1..1000).any(|_| time.advance(DT, bounds).rate == 1.0));
+        assert!((1..1000).any(|_| time.advance(time.target(), DT, bounds).rate == 1.0));
     }
 }

@@ -1,7 +1,7 @@
 //! The cycle of the servo.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::{task::Poll, time::Duration};
 
 use can::Instant;
@@ -9,6 +9,7 @@ use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Pow
 
 use crate::axis::ServoAxis;
 use crate::effector::{Effector, Tick};
+use crate::journal::{Journal, JournalEvent, JournalReader};
 use crate::motion_time::{Bounds, MotionTime, SpeedOverride};
 use crate::{
     Counters, CycleLaw, EffectorLink, Excitation, ExcitationError, LawBound, LawError, Record, ServoConfig, ServoError,
@@ -49,6 +50,7 @@ pub struct Servo {
     stop: StopRequest,
     motion_time: MotionTime,
     recorder: Option<Recorder>,
+    journal: Option<Journal>,
     cycles: u64,
     /// Time of the last SYNC.
     sent: Option<Instant>,
@@ -128,6 +130,7 @@ impl Servo {
             stop: StopRequest::default(),
             motion_time: MotionTime::new(),
             recorder: None,
+            journal: None,
             cycles: 0,
             sent: None,
             missed: 0,
@@ -139,9 +142,21 @@ impl Servo {
 
     /// Advances the bring-up of every group. Call this function every period until it is ready.
     pub fn bring_up(&mut self, now: Instant) -> Poll<Result<(), NotUp>> {
-        if self.stop.is_requested() {
+        let stop = self.stop.is_requested();
+        if let Some(journal) = &mut self.journal {
+            journal.note(now, JournalEvent::BringUp { stop });
+        }
+        if stop {
             return Poll::Ready(Err(NotUp::Stopped));
         }
+        let result = self.bring_up_groups(now);
+        if let Some(journal) = &mut self.journal {
+            journal.note_words(now);
+        }
+        result
+    }
+
+    fn bring_up_groups(&mut self, now: Instant) -> Poll<Result<(), NotUp>> {
         let mut up = true;
         for (index, group) in self.groups.iter_mut().enumerate().filter(|(_, g)| !g.is_up) {
             match group.drives.bring_up(now) {
@@ -180,7 +195,14 @@ impl Servo {
     /// Finds and checks the set-points: the second part, without access to a bus.
     pub fn compute(&mut self, now: Instant) {
         let tick = self.tick(now);
-        for effector in &mut self.effectors {
+        for (index, effector) in self.effectors.iter_mut().enumerate() {
+            let mut kept = 0;
+            effector.receive_orders(|order| {
+                kept += self.journal.as_mut().map_or(0, |journal| u32::from(journal.keep(order)));
+            });
+            if let Some(journal) = self.journal.as_mut().filter(|_| kept > 0) {
+                journal.note(now, JournalEvent::Orders { effector: index as u8, count: kept });
+            }
             effector.set_states(|group, index| self.groups[group].states[index], &tick);
             let refused = effector.axes.iter().map(|axis| self.groups[axis.config.group].refused()).max();
             effector.begin_cycle(refused.unwrap_or(0), &tick);
@@ -190,6 +212,9 @@ impl Servo {
             effector.end_cycle(&tick);
             for (group, index, command) in effector.commands() {
                 self.groups[group].commands[index] = command;
+            }
+            if let Some(journal) = &mut self.journal {
+                journal.note_fault(now, usize::from(effector.index()), effector.fault);
             }
             if let Some(recorder) = &mut self.recorder {
                 recorder.record(Record {
@@ -219,6 +244,18 @@ impl Servo {
             let taken = group.drives.send(now);
             group.refused_in_row = if taken { 0 } else { group.refused_in_row.saturating_add(1) };
         }
+        if let Some(journal) = &mut self.journal {
+            journal.note_words(now);
+            journal.note(now, JournalEvent::Sent);
+        }
+    }
+
+    /// Adds the punctuality of the last cycle to the journal: the time from the deadline to [`send`](Self::send), and
+    /// the duration of the cycle.
+    pub fn note_timing(&mut self, now: Instant, late: Duration, step: Duration) {
+        if let Some(journal) = &mut self.journal {
+            journal.note(now, JournalEvent::Timing { late, step });
+        }
     }
 
     /// Reports that `count` deadlines passed without a cycle since the last one.
@@ -247,14 +284,18 @@ impl Servo {
         let effectors = &self.effectors;
         let refuses = |axis: &ServoAxis| self.groups[axis.config.group].refused() > 0;
         let held = effectors.iter().any(|it| it.state == ServoState::Moving && it.axes.iter().any(refuses));
+        let (stop, target) = (self.stop.is_requested(), self.motion_time.target());
+        if let Some(journal) = &mut self.journal {
+            journal.note(now, JournalEvent::Cycle { number, missed, stop, rate: target });
+        }
         let bounds = |rate| effectors.iter().map(|it| it.rate_bounds(rate)).fold(Bounds::NONE, Bounds::within);
         Tick {
             number,
             now,
             dt,
-            motion: if held { self.motion_time.hold() } else { self.motion_time.advance(dt, bounds) },
+            motion: if held { self.motion_time.hold() } else { self.motion_time.advance(target, dt, bounds) },
             periods: missed.saturating_add(1),
-            stop: self.stop.is_requested(),
+            stop,
             effectors: !u32::MAX.checked_shl(effectors.len() as u32).unwrap_or(0),
             overrun: (row > self.max_missed_in_row).then_some(row),
             emergency: self.groups.iter().find_map(|group| group.drives.emergency_stop()),
@@ -267,6 +308,9 @@ impl Servo {
     /// least two calls a period apart are necessary.
     #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     pub fn cut_power(&mut self, now: Instant) {
+        if let Some(journal) = &mut self.journal {
+            journal.note(now, JournalEvent::Cut);
+        }
         for group in &mut self.groups {
             group.commands.fill(AxisCommand::Off);
             group.drives.write(now, &group.commands);
@@ -280,6 +324,15 @@ impl Servo {
         let (recorder, records) = Recorder::new(capacity);
         self.recorder = Some(recorder);
         records
+    }
+
+    /// Starts a journal of at most `entries` entries and `orders` orders that were not read yet. Each change of one of
+    /// `words` is an entry: words that groups and cycle laws set to the values that they took from other threads. Call this
+    /// function before the bring-up. Another thread drains the journal. What does not fit is counted.
+    pub fn keep_journal(&mut self, entries: usize, orders: usize, words: Vec<Arc<AtomicU64>>) -> JournalReader {
+        let (journal, reader) = Journal::new(entries, orders, words, self.effectors.len());
+        self.journal = Some(journal);
+        reader
     }
 
     /// Excites axis `axis` of effector `effector` during the macrosteps given in the excitation. Call this function

@@ -338,6 +338,7 @@ impl Run {
         self.timing.sync.record(sending.since(self.deadline));
         self.timing.step.record(preparation + transfer);
         self.timing.record_bus(&self.servo);
+        self.servo.note_timing(due, sending.since(self.deadline), preparation + transfer);
         let before = self.waited(begun, awake);
         let spent = Spent {
             own: before.own + computed.since(read),

@@ -66,6 +66,8 @@ fn moves_and_stops(config: &ServoConfig) {
     let (mut servo, mut links) = Servo::new(config, vec![group]).expect("the configuration is sound");
     let link = &mut links[0];
     let mut records = servo.record(1000);
+    let mut journal = servo.keep_journal(1000, 100, Vec::new());
+    let mut orders = 0;
     let mut timing = Timing::default();
     let mut now = Instant::ZERO;
     let mut cycle = |servo: &mut Servo| {
@@ -96,7 +98,10 @@ fn moves_and_stops(config: &ServoConfig) {
         for _ in 0..10 {
             cycle(&mut servo);
             moving += u64::from(servo.state(0).is_some_and(|s| s.phase() == Phase::Moving));
-            while records.pop().is_ok() || link.reports.pop().is_ok() {}
+            while records.pop().is_ok() || link.reports.pop().is_ok() || journal.read().is_some() {}
+            while journal.order().is_some() {
+                orders += 1;
+            }
         }
     }
     // A stop does not allocate either: a stream that ends in motion, a fault, drives off.
@@ -117,6 +122,7 @@ fn moves_and_stops(config: &ServoConfig) {
     assert_eq!(moving, 10_000);
     assert_eq!(servo.fault(0).map(|fault| fault.cause), Some(StopCause::Starved { last: 1000 }));
     assert_eq!(servo.counters().dropped_records, 0);
+    assert_eq!((orders, journal.lost()), (1001, 0));
 
     drop(vec![0u8]);
     assert_eq!(CALLS.with(Cell::get) - before, 2, "the counter counts");

@@ -58,6 +58,7 @@ mod random;
 mod ranging;
 mod reaction;
 mod readme;
+mod recordings;
 mod referenced;
 mod regression;
 mod repetition;

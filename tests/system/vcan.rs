@@ -14,6 +14,7 @@ use std::task::Poll;
 use std::time::Duration;
 
 use ::mrroc::cell::{Axis, Cell, Wait};
+use ::mrroc::recording::{ReplayOptions, replay};
 use can::candump::Entry;
 use can::{Frame, Instant, Port, Received, SocketCanOptions, SocketCanPort, clock};
 use canopen::cia402::{PowerState, Statusword};
@@ -59,6 +60,7 @@ pub(crate) fn shorten(cell: &mut Cell) {
     cell.period_us = 10_000;
     cell.macrostep = 4;
     cell.max_missed_in_row = 300;
+    cell.flight_recorder_s = 120;
     // The emulators use the same, only processor.
     cell.realtime.wait = Wait::Plain;
     for bus in &mut cell.bus {
@@ -103,6 +105,14 @@ impl Stage<'_> {
     }
 
     /// Starts the controller with output files for states, trace and report.
+    /// Asserts that the file of the flight recorder replays bit for bit, with the fault.
+    fn replays_fault(&self) {
+        let recording = self.directory.path("flight-irb6-1.mcap");
+        let replay = replay(&recording, &ReplayOptions::default()).unwrap();
+        assert!(replay.is_equal() && replay.cycles > 100, "{replay}");
+        assert_eq!(replay.bench, "vcan");
+    }
+
     pub(crate) fn start_controller(&self) -> Running {
         let path = |name| self.directory.path(name).into_os_string();
         Running::start([
@@ -114,6 +124,8 @@ impl Stage<'_> {
             self.interface.into(),
             "--json".into(),
             "--force".into(),
+            "--flight".into(),
+            path("."),
             "--record".into(),
             path("states.csv"),
             "--trace".into(),
@@ -335,6 +347,7 @@ fn drives_that_vanish_in_motion_are_a_fault() {
         emulators.signal("KILL");
         let silence = format!("no answer for {} cycles", stage.cell.bus[0].tolerated_missing + 1);
         faulted(&controller.output(), &[&silence, "no heartbeat"]);
+        stage.replays_fault();
     });
 }
 
@@ -348,6 +361,7 @@ fn an_interface_that_goes_down_in_motion_is_a_fault() {
         let up = ["link", "set", stage.interface, "up"];
         assert!(Command::new("ip").args(up).status().unwrap().success());
         faulted(&output, &["bus arm: interface is down"]);
+        stage.replays_fault();
     });
 }
 

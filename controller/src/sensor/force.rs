@@ -1,9 +1,11 @@
 //! A force/torque sensor between flange and tool as a virtual sensor.
 
-use std::sync::{Arc, Mutex};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use can::Instant;
+use drive::Word;
 use drive::wrench::{WrenchAxis, WrenchFault, WrenchLink, WrenchState, ZeroRequest};
 use nalgebra::UnitQuaternion;
 use servo::{Latest, Snapshot};
@@ -181,6 +183,22 @@ impl ForceTorque {
         let zero = Zero { request: None, weight: Wrench::default(), publisher };
         let zero = Arc::new(Mutex::new(zero));
         Self { link, robot, config: Arc::new(config), tool_from_sensor, zero, zeroed_weight }
+    }
+
+    /// The words that a cycle law takes from this sensor.
+    pub fn words(&self) -> Vec<Word> {
+        let word = |(index, taken): (usize, &Arc<AtomicU64>)| {
+            let (zero, all) = (Arc::clone(&self.zero), self.zeroed_weight.taken().clone());
+            let repeat = move |value| {
+                let mut words = all.each_ref().map(|word| word.load(Ordering::Relaxed));
+                words[index] = value;
+                // The law takes the words in the next cycle; the words set before are kept until then.
+                all[index].store(value, Ordering::Relaxed);
+                zero.lock().unwrap_or_else(PoisonError::into_inner).publisher.repeat(&words);
+            };
+            Word { taken: Arc::clone(taken), repeat: Box::new(repeat) }
+        };
+        self.zeroed_weight.taken().iter().enumerate().map(word).collect()
     }
 
     /// The weight of the tool at the last zeroing that this sensor or a clone has read, for a

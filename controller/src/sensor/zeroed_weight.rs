@@ -1,18 +1,21 @@
 //! Weight of a tool at the zeroing of its force/torque sensor, passed from the virtual sensor to a cycle law.
 
 use std::array;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use drive::latest::{Latest, Publisher, latest};
 
 use crate::force::Wrench;
 
 /// Length of the encoded value: six components and the number of the request.
-const WORDS: usize = 7;
+pub(super) const WORDS: usize = 7;
 
 /// Both ends of the weight at the last zeroing. There was no zeroing yet.
 pub(super) fn zeroed_weight() -> (WeightPublisher, ZeroedWeight) {
     let (publisher, latest) = latest([0; WORDS]);
-    (WeightPublisher(publisher), ZeroedWeight(latest))
+    let taken = array::from_fn(|_| Arc::default());
+    (WeightPublisher(publisher), ZeroedWeight { latest, taken })
 }
 
 /// The writing end.
@@ -28,12 +31,21 @@ impl WeightPublisher {
         }
         self.0.publish(&words);
     }
+
+    /// Publishes the words that a law took in an earlier run.
+    pub(super) fn repeat(&mut self, words: &[u64; WORDS]) {
+        self.0.publish(words);
+    }
 }
 
 /// Weight of the tool at the last zeroing of its sensor, which the measured wrench no longer contains. A read neither
 /// allocates nor waits for the writer.
 #[derive(Clone, Debug)]
-pub struct ZeroedWeight(Latest<WORDS>);
+pub struct ZeroedWeight {
+    latest: Latest<WORDS>,
+    /// The words that the law took last.
+    taken: [Arc<AtomicU64>; WORDS],
+}
 
 impl ZeroedWeight {
     /// The weight `weight` at the zeroing with number `request`.
@@ -43,9 +55,17 @@ impl ZeroedWeight {
         reader
     }
 
+    /// The words that the law took last.
+    pub(super) fn taken(&self) -> &[Arc<AtomicU64>; WORDS] {
+        &self.taken
+    }
+
     /// Number of the zeroing, 0 before the first, and the weight at that time in the frame of the sensor.
     pub fn read(&self) -> (u64, Wrench) {
-        let words = self.0.read();
+        let words = self.latest.read();
+        for (taken, word) in self.taken.iter().zip(words) {
+            taken.store(word, Ordering::Relaxed);
+        }
         (words[WORDS - 1], Wrench::from_components(array::from_fn(|component| f64::from_bits(words[component]))))
     }
 }

@@ -1,7 +1,8 @@
 //! Recording what passes through a port.
 //!
 //! [`Tracer`] wraps any port and never waits for the reader of the trace: what does not fit is counted
-//! and left out. A line of a file is a [`candump::Entry`](crate::candump::Entry).
+//! and left out. A frame of the trace is a line of a file as a [`candump::Entry`](crate::candump::Entry). A trace
+//! without losses is enough to replay the port: see [`ReplayPort`](crate::ReplayPort).
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -22,47 +23,116 @@ pub struct Traced {
     pub direction: Direction,
 }
 
-/// A port that records every frame it sends and receives.
+/// One result of a call of a port.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TraceEntry {
+    /// Time that the caller of the port gave.
+    pub now: Instant,
+    /// The result.
+    pub event: TraceEvent,
+}
+
+/// What a call of a port resulted in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TraceEvent {
+    /// A frame passed.
+    Frame(Traced),
+    /// Frames were offered and not accepted. The accepted frames of the same call are traced before.
+    Refused {
+        /// Number of these frames.
+        count: u32,
+    },
+    /// Sending or receiving failed.
+    Failed {
+        /// The call that failed.
+        direction: Direction,
+        /// The error.
+        error: PortError,
+    },
+    /// The state of the CAN controller changed, or frames were lost, or error frames were counted.
+    Condition {
+        /// The call that showed the change.
+        direction: Direction,
+        /// The state after the call.
+        state: ControllerState,
+        /// Value of [`Counters::dropped`].
+        dropped: u64,
+        /// Value of [`Counters::errors`].
+        errors: u64,
+    },
+}
+
+/// State of a port that its frames do not show.
+type Condition = (ControllerState, u64, u64);
+
+/// A port that records its results.
 ///
-/// Frames that the port below refuses, and error frames, which it consumes, are not in the trace.
+/// Error frames, which the port below consumes, are in the trace as counts.
 pub struct Tracer<P> {
     port: P,
-    trace: Producer<Traced>,
+    trace: Producer<TraceEntry>,
     lost: Arc<AtomicU64>,
+    condition: Condition,
 }
 
 impl<P: Port> Tracer<P> {
-    /// Wraps `port`; the trace holds up to `capacity` frames that were not read yet.
+    /// Wraps `port`; the trace holds up to `capacity` results that were not read yet.
     pub fn new(port: P, capacity: usize) -> (Self, TraceReader) {
         let (trace, entries) = RingBuffer::new(capacity);
         let lost = Arc::new(AtomicU64::new(0));
         let reader = TraceReader { entries, lost: Arc::clone(&lost) };
-        (Self { port, trace, lost }, reader)
+        (Self { port, trace, lost, condition: Condition::default() }, reader)
     }
 
-    fn record(&mut self, at: Instant, frame: Frame, direction: Direction) {
-        let traced = Traced { at, frame, direction };
-        if self.trace.push(traced).is_err() {
+    fn record(&mut self, now: Instant, event: TraceEvent) {
+        if self.trace.push(TraceEntry { now, event }).is_err() {
             self.lost.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Records a change of what the frames do not show.
+    fn look(&mut self, now: Instant, direction: Direction) {
+        let Counters { dropped, errors, .. } = self.port.counters();
+        let state = self.port.state();
+        if self.condition != (state, dropped, errors) {
+            self.condition = (state, dropped, errors);
+            self.record(now, TraceEvent::Condition { direction, state, dropped, errors });
         }
     }
 }
 
 impl<P: Port> Port for Tracer<P> {
     fn send(&mut self, now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
-        let taken = self.port.send(now, frames)?;
-        for &frame in &frames[..taken] {
-            self.record(now, frame, Direction::Sent);
+        let direction = Direction::Sent;
+        let sent = self.port.send(now, frames);
+        match sent {
+            Ok(taken) => {
+                for &frame in &frames[..taken] {
+                    self.record(now, TraceEvent::Frame(Traced { at: now, frame, direction }));
+                }
+                if taken < frames.len() {
+                    self.record(now, TraceEvent::Refused { count: (frames.len() - taken) as u32 });
+                }
+            }
+            Err(error) => self.record(now, TraceEvent::Failed { direction, error }),
         }
-        Ok(taken)
+        self.look(now, direction);
+        sent
     }
 
     fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
-        let count = self.port.receive(now, into)?;
-        for &Received { frame, at } in &into[..count] {
-            self.record(at, frame, Direction::Received);
+        let direction = Direction::Received;
+        let received = self.port.receive(now, into);
+        match received {
+            Ok(count) => {
+                for &Received { frame, at } in &into[..count] {
+                    self.record(now, TraceEvent::Frame(Traced { at, frame, direction }));
+                }
+            }
+            Err(error) => self.record(now, TraceEvent::Failed { direction, error }),
         }
-        Ok(count)
+        self.look(now, direction);
+        received
     }
 
     fn counters(&self) -> Counters {
@@ -76,17 +146,26 @@ impl<P: Port> Port for Tracer<P> {
 
 /// The reading end of a trace, for another thread.
 pub struct TraceReader {
-    entries: Consumer<Traced>,
+    entries: Consumer<TraceEntry>,
     lost: Arc<AtomicU64>,
 }
 
 impl TraceReader {
-    /// The oldest frame that was not read yet.
+    /// The oldest frame that was not read yet. Other results before it are left out.
     pub fn read(&mut self) -> Option<Traced> {
+        loop {
+            if let TraceEvent::Frame(traced) = self.read_entry()?.event {
+                return Some(traced);
+            }
+        }
+    }
+
+    /// The oldest result that was not read yet.
+    pub fn read_entry(&mut self) -> Option<TraceEntry> {
         self.entries.pop().ok()
     }
 
-    /// Frames left out of the trace since it was full.
+    /// Results left out of the trace since it was full.
     pub fn lost(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
     }
@@ -122,11 +201,15 @@ mod tests {
         assert_eq!(port.send(at(1), &[frame(1), frame(2), frame(3)]), Ok(2));
         peer.deliver(received(4, 5), 47);
         assert_eq!(receive(&mut port, 9), [received(4, 5)]);
-        let traced = |id, nanos, direction| Some(Traced { at: at(nanos), frame: frame(id), direction });
-        assert_eq!(trace.read(), traced(1, 1, Direction::Sent));
-        assert_eq!(trace.read(), traced(2, 1, Direction::Sent));
-        assert_eq!(trace.read(), traced(4, 5, Direction::Received));
-        assert_eq!(trace.read(), None);
+        let traced = |id, now, nanos, direction| {
+            let event = TraceEvent::Frame(Traced { at: at(nanos), frame: frame(id), direction });
+            Some(TraceEntry { now: at(now), event })
+        };
+        assert_eq!(trace.read_entry(), traced(1, 1, 1, Direction::Sent));
+        assert_eq!(trace.read_entry(), traced(2, 1, 1, Direction::Sent));
+        assert_eq!(trace.read_entry(), Some(TraceEntry { now: at(1), event: TraceEvent::Refused { count: 1 } }));
+        assert_eq!(trace.read_entry(), traced(4, 9, 5, Direction::Received));
+        assert_eq!(trace.read_entry(), None);
         assert_eq!((trace.lost(), port.counters().refused), (0, 1));
     }
 

@@ -18,6 +18,7 @@ mod scale;
 mod state;
 pub mod ultrasonic;
 mod warning;
+mod word;
 pub mod wrench;
 
 pub use command::{AxisCommand, Finite, Setpoint};
@@ -27,3 +28,5 @@ pub use scale::{Increments, Scale};
 pub(crate) use scale::{Milliamperes, Permille};
 pub use state::{AxisState, Homing, Power, Switches};
 pub use warning::{Warning, Warnings};
+pub(crate) use word::Request;
+pub use word::Word;

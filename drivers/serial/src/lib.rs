@@ -12,6 +12,7 @@ pub mod epos2;
 pub mod epos4;
 pub mod hi_moxa;
 mod line;
+mod line_tracer;
 pub mod nfv2;
 pub mod service;
 mod slcan_port;
@@ -20,6 +21,7 @@ pub mod ultrasonic;
 mod virtual_line;
 
 pub use line::{Line, LineCounters, LineError, Settings, StopBits};
+pub use line_tracer::{CHUNK as TRACE_CHUNK, LineEntry, LineEvent, LineTraceReader, LineTracer, ReplayLine};
 pub use slcan_port::{SlcanError, SlcanPort};
 pub use tty::{OpenError, Tty};
 pub use virtual_line::{TimedByte, VirtualLine, VirtualLinePeer, virtual_line};

@@ -18,12 +18,13 @@ pub mod scene;
 pub(crate) mod traffic;
 pub mod truth;
 
+use std::mem::take;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use can::{Port, SocketCanOptions, TraceReader, Tracer};
 use clap::{Args, ValueEnum};
-use serial::{Line, Settings, Tty, VirtualLine};
+use serial::{Line, LineTraceReader, LineTracer, Settings, Tty, VirtualLine};
 
 use crate::bench::bus_port::{BusPort, prepare_card};
 use crate::bench::{emulation::Emulation, interfaces::Interface};
@@ -134,6 +135,20 @@ pub struct Bench {
 }
 
 impl Bench {
+    /// Records what passes over every line from now on: the lines of the bundles, then those of sensors.
+    pub(crate) fn trace_lines(&mut self) -> Vec<LineTraceReader> {
+        let mut readers = Vec::new();
+        let mut traced = |line| {
+            let (line, reader) = LineTracer::new(line, TRACE / 4);
+            readers.push(reader);
+            Box::new(line) as Box<dyn Line>
+        };
+        let bundles = take(&mut self.lines).into_iter();
+        self.lines = bundles.map(|bundle| bundle.into_iter().map(&mut traced).collect()).collect();
+        self.sensors = take(&mut self.sensors).into_iter().map(traced).collect();
+        readers
+    }
+
     /// Opens the bench `kind` for a cell.
     pub fn open(file: &CellFile, kind: BenchKind, places: &Places, trace: bool) -> anyhow::Result<Self> {
         let (can, serial) = (&places.can, places.serial.as_deref());

@@ -86,6 +86,10 @@ pub struct Cell {
     /// Longest wait of a robot for its partners at a meeting, s. A longer wait stops the cell by a fault.
     #[serde(default = "defaults::count::<600, u32>")]
     pub meeting_timeout_s: u32,
+    /// Seconds of every cycle, frame and telegram that the flight recorder keeps in memory for `--flight`, at most 600; 0
+    /// for none.
+    #[serde(default = "defaults::count::<10, u32>")]
+    pub flight_recorder_s: u32,
     /// Seed of all random values in the emulators.
     #[serde(default = "defaults::count::<1, u64>")]
     pub seed: u64,

@@ -7,6 +7,8 @@ use can::Instant;
 use servo::thread::{Finished, POWER_OFF_WAIT, Running};
 use servo::{Servo, SpeedOverride, StopRequest};
 
+use crate::recording::FlightRequest;
+
 /// Requests to a run, from a signal handler or another thread.
 #[derive(Clone, Debug, Default)]
 pub struct Requests {
@@ -14,6 +16,8 @@ pub struct Requests {
     pub(super) stop: Arc<AtomicBool>,
     /// Set to keep the servo cycles around this moment (`--spikes`).
     pub spikes: Arc<AtomicBool>,
+    /// Set to write the last seconds ([`RunOptions::flight`](super::RunOptions::flight)).
+    pub flight: FlightRequest,
     /// Speed of all motion by the operator: override, pause and resume. A task can slow further, and cannot lift it.
     pub speed: SpeedOverride,
     servo: Arc<Mutex<Option<StopRequest>>>,

@@ -55,9 +55,10 @@ use crate::bench::truth::TruthLog;
 use crate::bench::{Bench, BenchKind, Places};
 use crate::cell::{CellFile, printable};
 use crate::outputs::{Outputs, Replacement};
+use crate::recording::{self, Facts, Flights, Recorder};
 use crate::report::{self, FaultReport, RunEnd, RunOutcome, RunReport, Tracks};
 use crate::tasks::Program;
-use crate::trace::{AxisLog, FrameLog, StepFile};
+use crate::trace::{AxisLog, FrameLog, StepFile, log_names};
 use crate::wire::Wire;
 use crate::{budget, rehearsal, setup, spikes, streams};
 pub(crate) use background::Background;
@@ -77,6 +78,12 @@ const RECORDS: usize = 1 << 11;
 
 /// Records that an axis log may lag behind the servo, per effector.
 const LOGGED_RECORDS: usize = 1 << 13;
+
+/// Entries of the journal that a recording may lag behind the servo: some seconds.
+const JOURNAL: usize = 1 << 14;
+
+/// Orders that a recording may lag behind the servo: some seconds, and the full queues of several robots.
+const ORDERS: usize = 1 << 11;
 
 /// Events that a file of steps may lag behind the controller, per robot.
 const STEPS: usize = 1 << 14;
@@ -111,9 +118,14 @@ pub struct RunOptions {
     /// Write every frame to this file, as candump does.
     #[arg(long, value_name = "FILE")]
     pub trace: Option<PathBuf>,
-    /// Write every axis in every cycle to this file, as CSV.
+    /// Write every axis in every cycle to this file, as CSV. A file called NAME.mcap is a recording for `mrroc replay`: all
+    /// cycles, frames and telegrams, with the frames as a candump log in NAME.log beside it.
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
+    /// Write the last seconds to a new file in this directory after each fault of a robot, and at SIGUSR1. With --bench
+    /// card, the default is the working directory.
+    #[arg(long, value_name = "DIR")]
+    pub flight: Option<PathBuf>,
     /// Write every step of every generator to this file, as CSV: the events of the flow chart, the ages of the images, and a
     /// digest of the memory.
     #[arg(long, value_name = "FILE")]
@@ -179,40 +191,57 @@ pub fn run(
     let mut outputs = Outputs::new(options.replacement);
     outputs.reads(file);
     let trace = outputs.open_if("--trace", options.trace.as_deref())?;
-    let record = outputs.open_if("--record", options.record.as_deref())?;
+    let recording = options.record.as_deref().filter(|path| recording::is_recording(path));
+    let record = outputs.open_if("--record", options.record.as_deref().filter(|_| recording.is_none()))?;
+    let recording = recording.map(|path| recording::open(&mut outputs, path)).transpose()?;
     let steps = outputs.open_if("--steps", options.steps.as_deref())?;
     let spikes = outputs.open_if("--spikes", options.spikes.as_deref())?;
     let truth = outputs.open_if("--truth", options.truth.as_deref())?;
     let carved = carving::open(&mut outputs, file, options.carved.as_deref())?;
     let page = options.out.as_deref().map(|directory| outputs.open_in("--out", directory, REPORT)).transpose()?;
-    let mut bench = Bench::open(file, options.bench, &options.places, options.trace.is_some())?;
+    let flight = recording::flight_directory(file, options)?;
+    let is_recorded = recording.is_some() || flight.is_some();
+    let mut bench = Bench::open(file, options.bench, &options.places, options.trace.is_some() || is_recorded)?;
+    let lines = if is_recorded { bench.trace_lines() } else { Vec::new() };
     let cameras = Cameras::open(file, options.bench, bench.emulation.as_mut())?;
-    let devices = setup::devices(file, bench.ports, bench.lines, bench.sensors, None)?;
-    let (mut servo, links) = Servo::new(&setup::servo_config(file), devices.groups)?;
+    let mut devices = setup::devices(file, bench.ports, bench.lines, bench.sensors, None)?;
+    let (mut servo, links) = Servo::new(&setup::servo_config(file), take(&mut devices.groups))?;
     let sensors = setup::force_sensors(file, &devices.sensors, &links);
     setup::install_laws(file, &mut servo, &sensors)?;
     servo.follow_override(requests.speed.clone());
     outputs.begin()?;
-    let lag = record.as_ref().map_or(RECORDS, |_| LOGGED_RECORDS);
+    let lag = if record.is_some() || recording.is_some() { LOGGED_RECORDS } else { RECORDS };
     let axes = record.map(|sink| AxisLog::new(sink, file)).transpose();
-    let frames = trace.map(|sink| FrameLog::new(sink, &bench.interfaces, bench.traces));
+    let names = log_names(&bench.interfaces)?;
     let cell = Arc::new(file.clone());
-    let mut task = RunningTask::new(
-        &cell,
-        program,
-        links,
-        (devices.io, sensors, devices.matrices, cameras.links()),
-        &servo,
-        &rehearsed,
-    );
+    let recorder = is_recorded.then(|| -> anyhow::Result<Recorder> {
+        let facts = Facts::of_run(file, options.bench)?;
+        let words = recording::words(&devices, &sensors).into_iter().map(|word| word.taken).collect();
+        let journal = servo.keep_journal(JOURNAL, ORDERS, words);
+        let mut recorder = Recorder::new(&cell, facts, journal, names.clone());
+        if let Some((mcap, frames)) = recording {
+            recorder.stream_to(mcap, frames)?;
+        }
+        if let Some(directory) = flight {
+            recorder.keep_window(Flights::new(file, &directory, requests.flight.clone()));
+        }
+        Ok(recorder)
+    });
+    let recorder = recorder.transpose().context("--record")?;
+    let frames = trace.map(|sink| FrameLog::new(sink, names));
+    let mut task = RunningTask::new(&cell, program, links, (devices.io, sensors, devices.matrices, cameras.links()), &servo, &rehearsed);
     let steps = steps.map(|sink| StepFile::new(sink, file, task.keep_steps(STEPS))).transpose();
     let logs = Logs {
         records: servo.record(lag * file.cell.robot.len()),
+        buses: bench.traces,
+        lines,
+        recorder,
+        faulted: Arc::default(),
         tracks: Tracks::new(file, page.is_some()),
         failed: None,
         axes: axes.context("--record")?,
         steps: steps.context("--steps")?,
-        frames: frames.transpose()?,
+        frames,
     };
     if let (Some(sink), Some(emulation)) = (truth, &mut bench.emulation) {
         emulation.log_truth(TruthLog::new(sink, file).context("--truth")?);
@@ -383,7 +412,9 @@ fn in_lockstep(
         },
     );
     let TaskErrors { mut faults, recovered, received } = carrying.finish();
-    let (written, tracks) = logs.into_inner().finish();
+    let logs = logs.into_inner();
+    logs.faulted.store(!faults.is_empty(), Ordering::Relaxed);
+    let (written, tracks) = logs.finish();
     if interrupted.load(Ordering::Relaxed) {
         // The request broke off the instructions of the task.
         faults.retain(|fault| fault.robot.is_none());
@@ -415,6 +446,7 @@ fn by_the_clock(
 ) -> anyhow::Result<RunEnd> {
     let began = clock::now();
     let done = Arc::new(AtomicBool::new(false));
+    let faulted = logs.faulted.clone();
     let writing = Writing::start(logs, done.clone())?;
     let listening = wire.listen()?;
     let finished = done.clone();
@@ -481,6 +513,7 @@ fn by_the_clock(
         // The request broke off the instructions of the task.
         faults.retain(|fault| fault.robot.is_none());
     }
+    faulted.store(!faults.is_empty() || ended.panicked.is_some(), Ordering::Relaxed);
     let (written, tracks) = writing.finish(file);
     faults.extend(written.err().map(FaultReport::of_run));
     if let Some(panicked) = ended.panicked {

@@ -19,13 +19,23 @@ impl Barrier {
 }
 
 impl Effector {
+    /// Makes the orders that have arrived visible to this cycle, and calls `note` with each of them.
+    pub(crate) fn receive_orders(&mut self, note: impl FnMut(&Order)) {
+        let (seen, arrived) = (self.visible, self.orders.slots());
+        self.visible = arrived;
+        if let Ok(chunk) = self.orders.read_chunk(arrived) {
+            let (front, back) = chunk.as_slices();
+            front.iter().chain(back).skip(seen).for_each(note);
+        }
+    }
+
     /// Finds stops anywhere in the queue and executes them first. Orders queued before the stop keep their order,
     /// but motion, barriers and homing among them are dropped.
     pub(super) fn take_stops(&mut self, tick: &Tick) {
         if tick.stop {
             self.apply(tick, ServoEvent::Disable);
         }
-        let waiting = self.orders.slots();
+        let waiting = self.visible;
         let Ok(chunk) = self.orders.read_chunk(waiting) else {
             return;
         };
@@ -48,16 +58,23 @@ impl Effector {
     }
 
     pub(super) fn pop(&mut self) -> Option<Order> {
+        self.front()?;
         let order = self.orders.pop().ok()?;
+        self.visible -= 1;
         self.scanned = self.scanned.saturating_sub(1);
         Some(order)
+    }
+
+    /// The first order of the queue that this cycle sees.
+    fn front(&self) -> Option<&Order> {
+        if self.visible == 0 { None } else { self.orders.peek().ok() }
     }
 
     /// Executes orders from the front of the queue until an order has to wait. Macrosteps and barriers are left to
     /// [`team::coordinate`](crate::team::coordinate).
     pub(super) fn take_orders(&mut self, tick: &Tick) {
-        for _ in 0..self.orders.slots() {
-            let Ok(&order) = self.orders.peek() else {
+        for _ in 0..self.visible {
+            let Some(&order) = self.front() else {
                 return;
             };
             let refused = tick.stop || self.needs_acknowledgement() && order.is_motion();
@@ -104,7 +121,7 @@ impl Effector {
         if self.state != ServoState::Standing || self.refused > 0 || self.needs_acknowledgement() {
             return None;
         }
-        let barrier = self.orders.peek().ok().and_then(Order::barrier);
+        let barrier = self.front().and_then(Order::barrier);
         barrier.filter(|barrier| self.may_meet(barrier.members(), tick))
     }
 
@@ -123,14 +140,14 @@ impl Effector {
         if self.refused > 0 || self.needs_acknowledgement() || !self.is_at_boundary(tick) {
             return None;
         }
-        self.orders.peek().ok().and_then(Order::macrostep)
+        self.front().and_then(Order::macrostep)
     }
 
     /// Whether the effector waits for partners.
     pub(super) fn is_waiting(&self) -> bool {
         let partners = |order: &Order| order.barrier().is_some() || order.macrostep().is_some() && self.is_tied();
         let stands = self.state == ServoState::Standing && !self.needs_acknowledgement();
-        stands && self.orders.peek().is_ok_and(partners)
+        stands && self.front().is_some_and(partners)
     }
 }
 

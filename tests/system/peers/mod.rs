@@ -18,6 +18,7 @@ mod latency;
 mod linux;
 mod master;
 mod nodes;
+mod recordings;
 mod serial;
 mod slave;
 mod splines;

@@ -6,7 +6,7 @@ pub(crate) struct Draw(pub(crate) u64);
 
 impl Draw {
     /// The sequence of case `case` of a test with this seed.
-    pub(super) fn of(seed: u64, case: u64) -> Self {
+    pub(crate) fn of(seed: u64, case: u64) -> Self {
         let mut draw = Self(seed);
         // Neighbouring seeds and cases give unrelated sequences.
         Self(draw.next() ^ case.wrapping_mul(0xd134_2543_de82_ef95))

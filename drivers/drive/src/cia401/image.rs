@@ -2,7 +2,7 @@
 
 use std::array;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use can::Instant;
@@ -12,6 +12,7 @@ use canopen::cia401::CHANNELS;
 use super::edges::{self, Edge, EdgesLost, History};
 use super::fault::{self, IoFault};
 use crate::latest::{Latest, Publisher, latest};
+use crate::{Request, Word};
 
 /// Greatest number of inputs of a node.
 const INPUTS: usize = CHANNELS as usize;
@@ -205,27 +206,38 @@ impl LatestInputs {
 /// The commanded levels of the outputs of a node, for any number of writers. A write does not wait. The owner of the
 /// bus takes the word once per cycle and sends it if it changed. Two changes within a cycle may become one or none.
 #[derive(Clone, Debug)]
-pub struct OutputCommand(Arc<AtomicU64>);
+pub struct OutputCommand {
+    levels: Arc<AtomicU64>,
+    /// The levels that the owner of the bus took last.
+    taken: Arc<AtomicU64>,
+}
 
 impl OutputCommand {
     /// Commands the level of output `number`, from 0. An output that the node lacks is ignored.
     pub fn set(&self, number: u8, level: bool) {
         let bit = 1_u64.checked_shl(number.into()).unwrap_or(0);
         if level {
-            self.0.fetch_or(bit, Ordering::AcqRel);
+            self.levels.fetch_or(bit, Ordering::AcqRel);
         } else {
-            self.0.fetch_and(!bit, Ordering::AcqRel);
+            self.levels.fetch_and(!bit, Ordering::AcqRel);
         }
     }
 
     /// Commands all outputs at once, output *n* by bit *n*.
     pub fn set_all(&self, levels: u64) {
-        self.0.store(levels, Ordering::Release);
+        self.levels.store(levels, Ordering::Release);
     }
 
     /// The commanded levels.
     pub fn levels(&self) -> u64 {
-        self.0.load(Ordering::Acquire)
+        self.levels.load(Ordering::Acquire)
+    }
+
+    /// The commanded levels, as the owner of the bus takes them.
+    pub(super) fn take(&self) -> u64 {
+        let levels = self.levels();
+        self.taken.store(levels, Ordering::Relaxed);
+        levels
     }
 }
 
@@ -239,26 +251,16 @@ pub struct IoLink {
     /// Commands to the outputs. A bring-up sets them to the levels of the error state
     /// ([`IoConfig::error_mode`](super::IoConfig::error_mode)), and so does a reset.
     pub outputs: OutputCommand,
-    reset: ResetRequest,
-}
-
-/// A request to reset the fault of a node. The owner of the bus takes the request.
-#[derive(Clone, Debug, Default)]
-pub(super) struct ResetRequest(Arc<AtomicBool>);
-
-impl ResetRequest {
-    /// Whether there was a request.
-    pub(super) fn take(&self) -> bool {
-        self.0.load(Ordering::Acquire) && self.0.swap(false, Ordering::AcqRel)
-    }
+    reset: Request,
 }
 
 impl IoLink {
     /// The link of a node whose first image is `image`, and the writing end of its images.
     pub(super) fn new(node: NodeId, image: &InputImage, levels: u64) -> (ImagePublisher, Self) {
         let (publisher, inputs) = latest(image.words());
-        let outputs = OutputCommand(Arc::new(AtomicU64::new(levels)));
-        (publisher, Self { node, inputs: LatestInputs(inputs), outputs, reset: ResetRequest::default() })
+        let [commanded, taken] = [levels; 2].map(|levels| Arc::new(AtomicU64::new(levels)));
+        let outputs = OutputCommand { levels: commanded, taken };
+        (publisher, Self { node, inputs: LatestInputs(inputs), outputs, reset: Request::default() })
     }
 
     /// Requests a reset of the fault of the node, and does not wait. The owner of the bus resets the communication of
@@ -268,10 +270,17 @@ impl IoLink {
     ///
     /// A node without a fault ignores the request.
     pub fn reset_fault(&self) {
-        self.reset.0.store(true, Ordering::Release);
+        self.reset.request();
     }
 
-    pub(super) fn reset_request(&self) -> ResetRequest {
+    /// The words that the owner of the bus takes.
+    pub fn words(&self) -> [Word; 2] {
+        let outputs = self.outputs.clone();
+        let taken = Arc::clone(&outputs.taken);
+        [Word { taken, repeat: Box::new(move |levels| outputs.set_all(levels)) }, self.reset.word()]
+    }
+
+    pub(super) fn reset_request(&self) -> Request {
         self.reset.clone()
     }
 }

@@ -12,10 +12,10 @@ use canopen::{NodeId, cob};
 use super::config::{IoConfig, mask};
 use super::edges::Edge;
 use super::fault::IoFault;
-use super::image::{ImagePublisher, InputImage, IoError, IoLink, OutputCommand, ResetRequest, SentOutputs};
+use super::image::{ImagePublisher, InputImage, IoError, IoLink, OutputCommand, SentOutputs};
 use crate::bus::Member;
 use crate::cia402::GroupConfig;
-use crate::{BringUpError, EmergencyStop};
+use crate::{BringUpError, EmergencyStop, Request};
 
 /// State of one I/O node: its inputs, the outputs sent and the latched fault.
 ///
@@ -57,7 +57,7 @@ pub(crate) struct IoNode {
     repeating: bool,
     /// Cycles in a row whose output command the port did not take.
     not_sent: u32,
-    reset: ResetRequest,
+    reset: Request,
     recovery: Recovery,
 }
 
@@ -291,7 +291,7 @@ impl IoNode {
         let mask = mask(self.outputs);
         let last = self.image.sent.map(|sent| sent.levels);
         let levels = match self.image.fault {
-            None => self.commanded.levels(),
+            None => self.commanded.take(),
             // The error state of the node itself. A node that was never sent a command stays as it is.
             Some(_) => {
                 self.kept?;

@@ -1,8 +1,6 @@
 //! State of an ultrasonic matrix in one cycle, its reader and its requests.
 
 use std::array;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use can::Instant;
@@ -10,6 +8,7 @@ use serial::ultrasonic::NO_ECHO;
 
 use super::fault::{self, UltrasonicFault};
 use crate::latest::{Latest, Publisher, latest};
+use crate::{Request, Word};
 
 /// Greatest number of shots of a scan.
 pub const MOST_SHOTS: usize = 16;
@@ -120,18 +119,18 @@ impl UltrasonicState {
 #[derive(Clone, Debug)]
 pub struct UltrasonicLink {
     latest: Latest<WORDS>,
-    reset: Arc<AtomicBool>,
+    reset: Request,
 }
 
 /// The driver's end of the requests.
 #[derive(Debug)]
-pub(super) struct Requests(Arc<AtomicBool>);
+pub(super) struct Requests(Request);
 
 impl UltrasonicLink {
     pub(super) fn new() -> (StatePublisher, Requests, Self) {
         let (publisher, latest) = latest(UltrasonicState::NOT_STARTED.words());
-        let reset = Arc::<AtomicBool>::default();
-        (publisher, Requests(Arc::clone(&reset)), Self { latest, reset })
+        let reset = Request::default();
+        (publisher, Requests(reset.clone()), Self { latest, reset })
     }
 
     /// The state of the last cycle.
@@ -142,14 +141,19 @@ impl UltrasonicLink {
     /// Requests a reset of the latched fault. The fault ends with the next complete scan. A fault that persists is
     /// latched again.
     pub fn reset_fault(&self) {
-        self.reset.store(true, Ordering::Release);
+        self.reset.request();
+    }
+
+    /// The word that the driver takes.
+    pub fn word(&self) -> Word {
+        self.reset.word()
     }
 }
 
 impl Requests {
     /// Whether there was a request for a reset since the last call.
     pub(super) fn take_reset(&self) -> bool {
-        self.0.load(Ordering::Acquire) && self.0.swap(false, Ordering::AcqRel)
+        self.0.take()
     }
 }
 

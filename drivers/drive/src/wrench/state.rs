@@ -3,12 +3,13 @@
 use std::array;
 use std::fmt;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use can::Instant;
 
 use super::fault::{self, WrenchFault};
 use crate::latest::{Latest, Publisher, latest};
+use crate::{Request, Word};
 
 /// One component of a wrench, in the order of [`WrenchState::wrench`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -245,7 +246,9 @@ pub(super) struct Requests(Arc<RequestWords>);
 struct RequestWords {
     /// Number of the last request for a zero.
     zero: AtomicU64,
-    reset: AtomicBool,
+    /// Number of the request for a zero that the driver took last.
+    taken: Arc<AtomicU64>,
+    reset: Request,
 }
 
 impl WrenchLink {
@@ -274,7 +277,14 @@ impl WrenchLink {
     /// Requests a reset of the latched fault. The fault ends with the next sample, so that no old wrench becomes valid.
     /// A fault that persists is latched again.
     pub fn reset_fault(&self) {
-        self.requests.0.reset.store(true, Ordering::Release);
+        self.requests.0.reset.request();
+    }
+
+    /// The words that the driver takes.
+    pub fn words(&self) -> [Word; 2] {
+        let requests = self.requests.clone();
+        let repeat = move |number| requests.0.zero.store(number, Ordering::Release);
+        [Word { taken: Arc::clone(&self.requests.0.taken), repeat: Box::new(repeat) }, self.requests.0.reset.word()]
     }
 }
 
@@ -282,12 +292,13 @@ impl Requests {
     /// The last request for a zero; `None` before the first.
     pub(super) fn zero(&self) -> Option<ZeroRequest> {
         let number = self.0.zero.load(Ordering::Acquire);
+        self.0.taken.store(number, Ordering::Relaxed);
         (number > 0).then_some(ZeroRequest(number))
     }
 
     /// Whether there was a request for a reset since the last call.
     pub(super) fn take_reset(&self) -> bool {
-        self.0.reset.load(Ordering::Acquire) && self.0.reset.swap(false, Ordering::AcqRel)
+        self.0.reset.take()
     }
 }
 

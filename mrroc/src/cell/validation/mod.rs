@@ -45,6 +45,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     within(top, "max_missed_in_row", cell.max_missed_in_row, Range::new(1.0, 1e6, "periods"))?;
     cell.realtime.check(cell.period()).map_err(|refusal| by_servo(&top.then("realtime"), refusal))?;
     buses::check(cell)?;
+    within(top, "flight_recorder_s", cell.flight_recorder_s, Range::new(0.0, 600.0, "s"))?;
     within(top, "meeting_timeout_s", cell.meeting_timeout_s, Range::new(1.0, 86_400.0, "s"))?;
     robots::check(cell)?;
     buses::check_used(cell)?;

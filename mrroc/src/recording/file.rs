@@ -1,0 +1,174 @@
+//! MCAP files: chunks that are complete on the disk after each second, and a reader for files that end anywhere.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, Write};
+
+use anyhow::{Context, anyhow};
+use can::Instant;
+use mcap::read::{ChunkFlattener, Options};
+use mcap::records::{MessageHeader, Metadata, Record};
+use mcap::write::NoSeek;
+use mcap::{Compression, WriteOptions, Writer};
+
+use super::messages::descriptors;
+use super::schema::PACKAGE;
+
+/// Name of the metadata of a recording.
+const METADATA: &str = "mrroc";
+
+/// Most bytes of a chunk before compression.
+const CHUNK: u64 = 1 << 20;
+
+/// Number of the first channel in a file.
+const FIRST: u16 = 1;
+
+/// Profile of the files, and version of the messages.
+const PROFILE: &str = "mrroc-1";
+
+/// A channel of a recording.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Channel {
+    pub(super) topic: String,
+    /// Name of the message.
+    pub(super) message: &'static str,
+}
+
+/// What a recording says of itself: texts by name, and the files that the run has read.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Facts {
+    pub(super) texts: BTreeMap<String, String>,
+    /// Files by path.
+    pub(super) files: Vec<(String, Vec<u8>)>,
+}
+
+/// A file that counts the bytes written, and synchronises the data with the disk when it is flushed.
+struct Synced(File);
+
+impl Write for Synced {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        // A pipe or a device has no disk.
+        let _ = self.0.sync_data();
+        Ok(())
+    }
+}
+
+/// An MCAP file under way.
+pub(super) struct McapFile(Writer<NoSeek<Synced>>);
+
+impl McapFile {
+    /// Begins a file with its facts and channels.
+    pub(super) fn new(file: File, facts: &Facts, channels: &[Channel]) -> anyhow::Result<Self> {
+        let options = WriteOptions::new()
+            .compression(Some(Compression::Lz4))
+            .chunk_size(Some(CHUNK))
+            .disable_seeking(true)
+            .profile(PROFILE)
+            .library(concat!("mrroc ", env!("CARGO_PKG_VERSION")));
+        let mut writer = options.create(NoSeek::new(Synced(file)))?;
+        writer.write_metadata(&Metadata { name: METADATA.to_owned(), metadata: facts.texts.clone() })?;
+        for (name, data) in &facts.files {
+            writer.attach(&mcap::Attachment {
+                log_time: 0,
+                create_time: 0,
+                name: name.clone(),
+                media_type: "text/plain".to_owned(),
+                data: Cow::Borrowed(data),
+            })?;
+        }
+        let descriptors = descriptors();
+        for (index, channel) in channels.iter().enumerate() {
+            let schema = writer.add_schema(&format!("{PACKAGE}.{}", channel.message), "protobuf", &descriptors)?;
+            let id = writer.add_channel(schema, &channel.topic, "protobuf", &BTreeMap::new())?;
+            debug_assert_eq!(usize::from(id), index + usize::from(FIRST));
+        }
+        writer.flush()?;
+        Ok(Self(writer))
+    }
+
+    /// Adds a message of channel `channel`.
+    pub(super) fn write(&mut self, channel: u16, time: Instant, number: u32, body: &[u8]) -> anyhow::Result<()> {
+        let time = time.as_nanos();
+        let header =
+            MessageHeader { channel_id: channel + FIRST, sequence: number, log_time: time, publish_time: time };
+        Ok(self.0.write_to_known_channel(&header, body)?)
+    }
+
+    /// Completes the chunk under way on the disk.
+    pub(super) fn flush(&mut self) -> anyhow::Result<()> {
+        Ok(self.0.flush()?)
+    }
+
+    /// Completes the file.
+    pub(super) fn finish(mut self) -> anyhow::Result<()> {
+        self.0.finish()?;
+        Ok(())
+    }
+}
+
+/// A message that was read.
+pub(super) struct Stored {
+    pub(super) channel: u16,
+    pub(super) time: Instant,
+    pub(super) body: Vec<u8>,
+}
+
+/// A recording that was read.
+#[derive(Default)]
+pub(super) struct Content {
+    pub(super) facts: Facts,
+    /// Topic and message name by channel.
+    pub(super) channels: BTreeMap<u16, (String, String)>,
+    /// The messages in the order of the file.
+    pub(super) messages: Vec<Stored>,
+    /// Where and why reading ended before the end of the file.
+    pub(super) cut: Option<String>,
+}
+
+impl Content {
+    /// Reads a recording. A file that was cut gives its whole chunks.
+    pub(super) fn read(bytes: &[u8]) -> anyhow::Result<Self> {
+        let records = ChunkFlattener::new_with_options(bytes, Options::IgnoreEndMagic.into());
+        let records = records.context("no MCAP file")?;
+        let (mut content, mut schemas) = (Self::default(), BTreeMap::new());
+        let mut ended = false;
+        for record in records {
+            match record {
+                Ok(Record::Header(header)) if header.profile != PROFILE => {
+                    return Err(anyhow!("the profile is {:?}, and this version reads {PROFILE:?}", header.profile));
+                }
+                Ok(Record::Schema { header, .. }) => {
+                    schemas.insert(header.id, header.name);
+                }
+                Ok(Record::Channel(channel)) => {
+                    let schema = schemas.get(&channel.schema_id).cloned().unwrap_or_default();
+                    content.channels.insert(channel.id.saturating_sub(FIRST), (channel.topic, schema));
+                }
+                Ok(Record::Metadata(metadata)) if metadata.name == METADATA => content.facts.texts = metadata.metadata,
+                Ok(Record::Attachment { header, data, .. }) => {
+                    content.facts.files.push((header.name, data.into_owned()));
+                }
+                Ok(Record::Message { header, data }) => content.messages.push(Stored {
+                    channel: header.channel_id.saturating_sub(FIRST),
+                    time: Instant::from_nanos(header.log_time),
+                    body: data.into_owned(),
+                }),
+                Ok(Record::DataEnd(_)) => ended = true,
+                Ok(_) => {}
+                Err(error) => {
+                    content.cut = Some(error.to_string());
+                    break;
+                }
+            }
+        }
+        if !ended && content.cut.is_none() {
+            content.cut = Some("the end is missing".to_owned());
+        }
+        Ok(content)
+    }
+}

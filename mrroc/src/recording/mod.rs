@@ -1,0 +1,339 @@
+//! Recordings of a run: every cycle, frame and telegram, and all that a replay needs.
+//!
+//! A recording is an MCAP file of the Protobuf messages in [`messages`], with the frames of the buses in a candump log
+//! beside it. `--record FILE.mcap` streams a whole run. The flight recorder keeps the last seconds in memory and writes
+//! them after a fault and on request. Both are fed by the thread that writes the files of a run, from the queues of the
+//! servo thread: the cycle stores fixed-size entries, and neither allocates nor waits for a file.
+//!
+//! Protobuf and not JSON, because a cycle of an axis has 60 bytes instead of 250, floating-point numbers are exact, and
+//! tools such as PlotJuggler and Foxglove plot the fields of both.
+//!
+//! Read [`Recorder`] for what is written, [`replay`](self::replay()) for how a recording runs again.
+
+mod difference;
+mod file;
+mod flight;
+mod messages;
+mod replay;
+mod schema;
+mod sources;
+mod window;
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use can::{Instant, InterfaceName, TraceEntry, TraceEvent, candump};
+use prost::Message;
+use serial::LineEntry;
+use servo::{JournalEvent, JournalReader, Record};
+
+use crate::bench::BenchKind;
+use crate::cell::CellFile;
+use crate::outputs::Outputs;
+use crate::run::RunOptions;
+use file::McapFile;
+use messages::{BusEvent, Call, LineData, Lost, RobotCycle, RobotFault, RobotOrder, Timing, Word};
+use window::Window;
+
+pub use difference::Difference;
+pub(crate) use file::Facts;
+pub use flight::Flights;
+pub use replay::{Replay, ReplayOptions, replay};
+pub(crate) use sources::{Layout, words};
+
+/// Number of drains after which the file is completed on the disk: half a second at 20 ms.
+const DRAINS: u32 = 25;
+
+/// Time of the run after which the file is completed on the disk.
+const FLUSH: Duration = Duration::from_millis(500);
+
+/// The sinks of a recording.
+pub(crate) struct Recorder {
+    layout: Layout,
+    facts: Facts,
+    journal: JournalReader,
+    /// Robots and axes, for faults in words.
+    file: Arc<CellFile>,
+    interfaces: Vec<InterfaceName>,
+    stream: Option<Stream>,
+    window: Option<Window>,
+    flights: Option<Flights>,
+    /// Next number of a message, by channel.
+    numbers: Vec<u32>,
+    body: Vec<u8>,
+    latest: Instant,
+    lost: u64,
+    /// Number of the next cycle of each robot, and cycles that found no room.
+    next: Vec<u64>,
+    gaps: u64,
+}
+
+/// A recording of the whole run.
+struct Stream {
+    mcap: Option<McapFile>,
+    frames: BufWriter<File>,
+    drains: u32,
+    flushed: Instant,
+    /// Messages that are missing since a failure.
+    missing: u64,
+    failure: Option<anyhow::Error>,
+}
+
+impl Recorder {
+    /// A recorder of `journal` without sinks.
+    pub(crate) fn new(file: &Arc<CellFile>, facts: Facts, journal: JournalReader, names: Vec<InterfaceName>) -> Self {
+        let layout = Layout::of(file);
+        Self {
+            numbers: vec![0; layout.channels().len()],
+            layout,
+            facts,
+            journal,
+            file: Arc::clone(file),
+            interfaces: names,
+            stream: None,
+            window: None,
+            flights: None,
+            body: Vec::with_capacity(4096),
+            latest: Instant::ZERO,
+            lost: 0,
+            next: vec![0; file.cell.robot.len()],
+            gaps: 0,
+        }
+    }
+
+    /// Streams the whole run to `mcap`, and the frames of the buses to `frames`.
+    pub(crate) fn stream_to(&mut self, mcap: File, frames: File) -> anyhow::Result<()> {
+        let mcap = McapFile::new(mcap, &self.facts, self.layout.channels())?;
+        self.stream = Some(Stream {
+            mcap: Some(mcap),
+            frames: BufWriter::new(frames),
+            drains: 0,
+            flushed: Instant::ZERO,
+            missing: 0,
+            failure: None,
+        });
+        Ok(())
+    }
+
+    /// Keeps the last seconds in memory, for `flights`.
+    pub(crate) fn keep_window(&mut self, flights: Flights) {
+        self.window = Some(Window::new(flights.span(), flights.messages(), flights.bytes()));
+        self.flights = Some(flights);
+    }
+
+    /// Takes the journal of the servo.
+    pub(crate) fn drain_journal(&mut self) {
+        while let Some(entry) = self.journal.read() {
+            let now = entry.now;
+            match entry.event {
+                JournalEvent::BringUp { stop } => self.call(now, &Call { stop, ..named("bring_up") }),
+                JournalEvent::Cycle { number, missed, stop, rate } => {
+                    self.call(now, &Call { cycle: number, missed, stop, rate, ..named("cycle") });
+                }
+                JournalEvent::Sent => self.call(now, &named("sent")),
+                JournalEvent::Cut => self.call(now, &named("cut")),
+                JournalEvent::Orders { effector, count } => {
+                    for _ in 0..count {
+                        let Some(order) = self.journal.order() else { break };
+                        self.message(self.layout.orders(), now, &RobotOrder::of(effector, &order));
+                    }
+                }
+                JournalEvent::Fault { effector, fault } => {
+                    let message = RobotFault::of(&self.file, effector.into(), fault);
+                    self.message(self.layout.faults(), now, &message);
+                    if let (Some(flights), true) = (&mut self.flights, fault.is_some()) {
+                        flights.fault_at(now);
+                    }
+                }
+                JournalEvent::Word { index, value } => {
+                    self.message(self.layout.words(), now, &Word { index: index.into(), value });
+                }
+                JournalEvent::Timing { late, step } => {
+                    self.message(self.layout.timing(), now, &Timing::of(late, step));
+                }
+            }
+        }
+    }
+
+    /// Takes a record of the servo.
+    pub(crate) fn record(&mut self, record: &Record) {
+        let robot = usize::from(record.effector);
+        self.gaps += record.cycle.saturating_sub(self.next[robot]);
+        self.next[robot] = record.cycle + 1;
+        self.message(self.layout.robot(record.effector.into()), record.at, &RobotCycle::of(record));
+    }
+
+    /// Takes a result of the port of bus `bus`.
+    pub(crate) fn bus(&mut self, bus: usize, entry: &TraceEntry) {
+        self.message(self.layout.bus(bus), entry.now, &BusEvent::of(entry));
+        if let (Some(stream), TraceEvent::Frame(traced)) = (&mut self.stream, entry.event) {
+            let line = candump_line(self.interfaces[bus], traced);
+            let written = writeln!(stream.frames, "{line}");
+            stream.note(written.map_err(Into::into));
+        }
+    }
+
+    /// Takes a result of line `line`.
+    pub(crate) fn line(&mut self, line: usize, entry: &LineEntry) {
+        self.message(self.layout.line(line), entry.now, &LineData::of(entry));
+    }
+
+    /// Completes a drain: writes what is due to the disk. `lost`: entries of all queues that found no room.
+    pub(crate) fn drained(&mut self, lost: u64) {
+        let lost = lost + self.journal.lost() + self.gaps;
+        if lost > self.lost {
+            self.lost = lost;
+            self.message(self.layout.lost(), self.latest, &Lost { entries: lost });
+        }
+        if let Some(stream) = &mut self.stream {
+            stream.drains += 1;
+            if stream.drains >= DRAINS || self.latest.since(stream.flushed) >= FLUSH {
+                (stream.drains, stream.flushed) = (0, self.latest);
+                stream.flush();
+            }
+        }
+        if self.flights.as_mut().is_some_and(|flights| flights.is_due(self.latest)) {
+            self.write_flight();
+        }
+    }
+
+    /// Completes the files. `faulted`: the run ended in a fault, of a robot or of the task.
+    pub(crate) fn finish(mut self, lost: u64, faulted: bool) -> anyhow::Result<()> {
+        self.drained(lost);
+        if self.flights.as_ref().is_some_and(|flights| flights.is_wanted(faulted)) {
+            self.write_flight();
+        }
+        self.stream.map_or(Ok(()), Stream::finish)
+    }
+
+    fn write_flight(&mut self) {
+        if let (Some(flights), Some(window)) = (&mut self.flights, &self.window) {
+            flights.write(window, &self.facts, &self.layout, &self.interfaces);
+        }
+    }
+
+    fn call(&mut self, now: Instant, call: &Call) {
+        self.message(self.layout.calls(), now, call);
+    }
+
+    fn message(&mut self, channel: u16, time: Instant, message: &impl Message) {
+        self.body.clear();
+        // A vector grows as needed, so encoding cannot fail.
+        let _ = message.encode(&mut self.body);
+        self.latest = self.latest.max(time);
+        let number = &mut self.numbers[usize::from(channel)];
+        *number = number.wrapping_add(1);
+        if let Some(window) = &mut self.window {
+            window.push(channel, time, *number, &self.body);
+        }
+        if let Some(stream) = &mut self.stream {
+            let written = stream.mcap.as_mut().map(|mcap| mcap.write(channel, time, *number, &self.body));
+            match written {
+                Some(written) => stream.note(written),
+                None => stream.missing += 1,
+            }
+        }
+    }
+}
+
+impl Stream {
+    /// Ends the recording at its first failure, which is said once. The run goes on.
+    fn note(&mut self, written: anyhow::Result<()>) {
+        let Err(error) = written else { return };
+        if self.failure.is_none() {
+            crate::streams::warn(format_args!("mrroc: the recording ends here, and the run goes on: {error:#}"));
+            self.failure = Some(error);
+        }
+        self.missing += 1;
+        // The file keeps what was written, without its end.
+        self.mcap = None;
+    }
+
+    fn flush(&mut self) {
+        if let Some(mcap) = &mut self.mcap {
+            let flushed = mcap.flush().and_then(|()| Ok(self.frames.flush()?));
+            self.note(flushed);
+        }
+    }
+
+    fn finish(mut self) -> anyhow::Result<()> {
+        if let Some(mcap) = self.mcap.take() {
+            let finished = mcap.finish().and_then(|()| Ok(self.frames.flush()?));
+            self.note(finished);
+        }
+        match self.failure {
+            None => Ok(()),
+            Some(error) => Err(error.context(format!("the recording lacks {} messages", self.missing))),
+        }
+    }
+}
+
+fn named(kind: &str) -> Call {
+    Call { kind: kind.to_owned(), ..Call::default() }
+}
+
+fn candump_line(interface: InterfaceName, traced: can::Traced) -> candump::Entry {
+    candump::Entry { at: traced.at, interface, frame: traced.frame, direction: Some(traced.direction) }
+}
+
+/// Whether the file of `--record` is a recording, and no CSV file.
+pub(crate) fn is_recording(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "mcap")
+}
+
+/// The files of a recording: MCAP and, beside it, a candump log.
+pub(crate) fn open(outputs: &mut Outputs, path: &Path) -> anyhow::Result<(File, File)> {
+    let mcap = outputs.open("--record", path)?;
+    Ok((mcap, outputs.open("--record, its candump log", &path.with_extension("log"))?))
+}
+
+/// The directory of the flight recorder, if the run has one.
+pub(crate) fn flight_directory(file: &CellFile, options: &RunOptions) -> anyhow::Result<Option<PathBuf>> {
+    let default = (options.bench == BenchKind::Card).then(|| PathBuf::from("."));
+    let directory = match options.flight.clone() {
+        Some(_) if file.cell.flight_recorder_s == 0 => {
+            bail!("--flight needs flight_recorder_s above 0 in the cell file")
+        }
+        given => given.or(default).filter(|_| file.cell.flight_recorder_s > 0),
+    };
+    if let Some(directory) = &directory
+        && !directory.is_dir()
+    {
+        bail!("--flight: {} is no directory", directory.display());
+    }
+    Ok(directory)
+}
+
+impl Facts {
+    /// The version, the bench, and the files that a run reads.
+    pub(crate) fn of_run(file: &CellFile, bench: BenchKind) -> anyhow::Result<Self> {
+        let directory = file.path.parent().unwrap_or(Path::new(""));
+        let name = |path: &Path| path.strip_prefix(directory).unwrap_or(path).to_string_lossy().into_owned();
+        let mut files = vec![(name(&file.path), file.text.clone().into_bytes())];
+        for path in file.configuration_files() {
+            files.push((name(path), std::fs::read(path).with_context(|| path.display().to_string())?));
+        }
+        let texts = [("version", env!("CARGO_PKG_VERSION")), ("bench", bench.name()), ("cell", &file.cell.name)];
+        Ok(Self { texts: texts.map(|(key, text)| (key.to_owned(), text.to_owned())).into(), files })
+    }
+}
+
+/// A request to write the last seconds, from a signal or a program.
+#[derive(Clone, Debug, Default)]
+pub struct FlightRequest(pub Arc<AtomicBool>);
+
+impl FlightRequest {
+    /// Requests the file. The request is obeyed within some 20 ms.
+    pub fn request(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
+    fn take(&self) -> bool {
+        self.0.swap(false, Ordering::Relaxed)
+    }
+}
