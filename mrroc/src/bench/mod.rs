@@ -5,6 +5,7 @@ pub mod bus_port;
 pub mod carving;
 pub mod clockwork;
 mod conveyors;
+pub mod drive_ids;
 pub mod emulated_lines;
 mod emulated_sensors;
 pub mod emulated_time;
