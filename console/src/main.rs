@@ -6,6 +6,7 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 mod emulate;
+mod faults;
 mod manual;
 mod usage;
 mod vm;
@@ -57,6 +58,16 @@ enum Command {
         task: CarriedTask,
         #[command(flatten)]
         options: mrroc::ProgramOptions,
+    },
+    /// Play faults of wires, drives and motors on each robot in each phase, in lockstep, and print how they end. Exit
+    /// status 1 if a row is red: a fault is not found, or a robot moves beyond its bound.
+    Faults {
+        /// The cell file.
+        cell: PathBuf,
+        #[command(flatten)]
+        options: mrroc::fault_table::FaultOptions,
+        #[command(flatten)]
+        replacement: mrroc::outputs::Replacement,
     },
     /// Emulate the axis controllers of a cell: on a CAN interface, behind an slcan adapter, or on serial lines.
     Emulate(emulate::Options),
@@ -135,6 +146,7 @@ fn main() -> ExitCode {
         Command::Run { cell, task, options } => {
             CellFile::read(&cell).and_then(|file| mrroc::run_program(&file, &options, &task.program()))
         }
+        Command::Faults { cell, options, replacement } => faults::faults(&cell, &options, replacement),
         Command::Emulate(options) => emulate::emulate(&options),
         Command::Scan(options) => {
             service::scan::scan(&options).and_then(|scanned| streams::answer(&scanned, options.json))

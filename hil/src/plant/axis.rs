@@ -314,8 +314,9 @@ impl PlantAxis {
                 }
             }
         }
-        if self.faults.trip.is_some() && on {
-            self.trip = self.faults.trip;
+        // Over-temperature holds without power. Over-current needs power, and lasts until the power is off.
+        if let Some(trip) = self.faults.trip.filter(|trip| on || *trip == Trip::OverTemperature) {
+            self.trip = Some(trip);
             self.amplifier.release();
         }
         if let Some(mount) = mount {

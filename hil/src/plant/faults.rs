@@ -77,4 +77,4 @@ impl PlantFaults {
 pub(super) const BLOCK: f64 = 1e6;
 
 /// Damping of a buffer relative to its stiffness, s.
-pub(super) const BUFFER_DAMPING: f64 = 1e-3;
+pub(super) const BUFFER_DAMPING: f64 = 5e-3;

@@ -1,64 +1,150 @@
-//! The fault table of a cell.
+//! The fault table of a cell: what each fault does to each robot in each phase, in lockstep.
+//!
+//! A row is one run of one robot: bring-up, enabling, reference, a fixed motion, and a fault that strikes one axis. The
+//! row ends with the detection, the stop and the recovery. Distances are those of the emulated plants, which no
+//! controller reads. To save time, robots start at home with their references, except in rows of homing.
+//!
+//! A row is red if the fault is not found by its detectors within its bound, if the robot moves beyond its bound, if a
+//! fault that should be tolerated stops the robot, or if a second run with the same seed ends otherwise.
 
 mod catalogue;
 mod detector;
+mod page;
 mod phase;
+mod row;
 mod stage;
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+use clap::Args;
 
 pub use detector::Detector;
 pub use phase::FaultPhase;
+pub use row::Row;
 
-use crate::cell::CellFile;
-use crate::scenario::FaultKind;
+use crate::cell::{CellFile, Plant};
 use catalogue::{CASES, FaultCase, Wire};
 
-/// Raw output for calibration.
-pub fn raw(file: &CellFile) -> anyhow::Result<()> {
-    let only = std::env::var("ONLY").unwrap_or_default();
-    for robot in 0..file.cell.robot.len() {
-        let partner = (robot + 1) % file.cell.robot.len();
-        for kind in FaultKind::ALL {
-            if !only.is_empty() && !only.split(',').any(|it| it == kind.name() || it == file.cell.robot[robot].name) {
+/// Options of `mrroc faults`.
+#[derive(Args, Clone, Debug, Default)]
+pub struct FaultOptions {
+    /// Write the table to this file, in Markdown.
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Play only these robots.
+    #[arg(long, value_name = "NAME")]
+    pub robot: Vec<String>,
+    /// Play only these faults, by their names in the table.
+    #[arg(long, value_name = "NAME")]
+    pub fault: Vec<String>,
+    /// Play only these phases.
+    #[arg(long, value_enum)]
+    pub phase: Vec<FaultPhase>,
+    /// Turn one detector off, to see its rows turn red.
+    #[arg(long, value_enum, value_name = "DETECTOR")]
+    pub without: Option<Detector>,
+    /// Play each row once. Without this option, a second run must end in the same verdict.
+    #[arg(long)]
+    pub once: bool,
+    /// Write only the worst phase of each fault and robot.
+    #[arg(long)]
+    pub summary: bool,
+}
+
+/// The rows of a cell.
+#[derive(Clone, Debug)]
+pub struct FaultTable {
+    /// Name of the cell.
+    pub cell: String,
+    /// The rows, in the order of faults, robots and phases.
+    pub rows: Vec<Row>,
+    without: Option<Detector>,
+}
+
+/// Plays all rows that the options select.
+pub fn fault_table(file: &CellFile, options: &FaultOptions) -> anyhow::Result<FaultTable> {
+    let cell = &file.cell;
+    for name in &options.robot {
+        if !cell.robot.iter().any(|robot| robot.name == *name) {
+            let names: Vec<_> = cell.robot.iter().map(|robot| robot.name.as_str()).collect();
+            bail!("--robot {name}: the cell has no such robot; there are {}", names.join(", "));
+        }
+    }
+    for name in &options.fault {
+        if !CASES.iter().any(|case| case.name == name) {
+            let names: Vec<_> = CASES.iter().map(|case| case.name).collect();
+            bail!("--fault {name:?}: there is no such fault; there are {}", names.join(", "));
+        }
+    }
+    let chosen = |list: &[String], name: &str| list.is_empty() || list.iter().any(|it| it == name);
+    let mut rows = Vec::new();
+    for case in CASES.iter().filter(|case| chosen(&options.fault, case.name)) {
+        for (robot, given) in cell.robot.iter().enumerate().filter(|(_, robot)| chosen(&options.robot, &robot.name)) {
+            let wire = if given.axis[0].drive.is_some() { Wire::Can } else { Wire::Serial };
+            if !case.wires.contains(&wire) {
                 continue;
             }
-            for phase in FaultPhase::ALL {
-                let robots: &[usize] = if phase == FaultPhase::Team { &[robot, partner] } else { &[robot] };
-                let mut reduced = file.with_robots(robots);
-                if phase != FaultPhase::Homing {
-                    for (robot, arm) in reduced.cell.robot.iter_mut().zip(&reduced.arms) {
-                        for (number, axis) in robot.axis.iter_mut().enumerate() {
-                            axis.emulator.start = Some(arm.robot().home()[number]);
-                            if axis.drive.is_some() {
-                                axis.homing.method = Some(37);
-                            }
-                        }
-                    }
-                }
-                let wire = if reduced.cell.robot[0].axis[0].drive.is_some() { Wire::Can } else { Wire::Serial };
-                let case = FaultCase { kind, ..CASES[0] };
-                let case = FaultCase { count: None, wires: &[Wire::Can], ..case };
-                let begun = std::time::Duration::ZERO;
-                let _ = (wire, begun);
-                let played = stage::play(&reduced, &case, phase, 0, None);
-                let text = match played {
-                    Ok(it) => {
-                        let o = it.observation;
-                        format!(
-                            "{:?} cat {:?} still {:?} dist {:.2} v {:.1} done {} {:?}",
-                            o.detected.map(|(at, fault)| (at, fault.to_string())),
-                            o.category,
-                            o.still_after,
-                            o.distances.iter().fold(0.0_f64, |a, b| a.max(*b)),
-                            it.velocity[0],
-                            o.completed,
-                            o.recovery
-                        )
-                    }
-                    Err(error) => format!("ERR {error:#}"),
-                };
-                println!("{} {} {}: {text}", file.cell.robot[robot].name, kind.name(), phase.name());
+            for phase in FaultPhase::ALL.into_iter().filter(|it| options.phase.is_empty() || options.phase.contains(it)) {
+                rows.push(row(file, robot, case, wire, phase, options));
             }
         }
     }
-    Ok(())
+    Ok(FaultTable { cell: cell.name.clone(), rows, without: options.without })
+}
+
+fn row(
+    file: &CellFile,
+    robot: usize,
+    case: &FaultCase,
+    wire: Wire,
+    phase: FaultPhase,
+    options: &FaultOptions,
+) -> Row {
+    let given = &file.cell.robot[robot];
+    let name = &given.name;
+    let expected = match (case.expected)(wire, phase) {
+        Ok(expected) => expected,
+        Err(reason) => return Row::without_meaning(case.name, name, phase, reason),
+    };
+    let partner = (1..file.cell.robot.len()).map(|next| (robot + next) % file.cell.robot.len()).next();
+    let robots: Vec<_> = match (phase, partner) {
+        (FaultPhase::Team, None) => {
+            return Row::without_meaning(case.name, name, phase, "the cell has one robot");
+        }
+        (FaultPhase::Team, Some(partner)) => vec![robot, partner],
+        _ => vec![robot],
+    };
+    if phase == FaultPhase::Contact && given.axis.iter().any(|axis| axis.emulator.plant == Plant::Wut) {
+        return Row::without_meaning(case.name, name, phase, "the emulated motor has no contacts");
+    }
+    let axis = if phase == FaultPhase::Homing { first_homed(file, robot) } else { 0 };
+    let staged = staged(file, &robots, phase);
+    let play = || stage::play(&staged, case, phase, axis, options.without);
+    let played = play();
+    let again = (!options.once).then(play);
+    Row::judge(&staged, (case, expected), phase, axis, played, again)
+}
+
+/// The axis that homes first.
+fn first_homed(file: &CellFile, robot: usize) -> usize {
+    let orders = file.cell.robot[robot].axis.iter().map(|axis| axis.homing.order).enumerate();
+    orders.min_by_key(|(_, order)| *order).map_or(0, |(axis, _)| axis)
+}
+
+/// The cell of a row: these robots alone. Except for homing, they start at home, and drives on CAN take their position
+/// there as their reference.
+fn staged(file: &CellFile, robots: &[usize], phase: FaultPhase) -> CellFile {
+    let mut staged = file.with_robots(robots);
+    if phase != FaultPhase::Homing {
+        for (robot, arm) in staged.cell.robot.iter_mut().zip(&staged.arms) {
+            for (number, axis) in robot.axis.iter_mut().enumerate() {
+                axis.emulator.start = Some(arm.robot().home()[number]);
+                if axis.drive.is_some() {
+                    axis.homing.method = Some(37);
+                }
+            }
+        }
+    }
+    staged
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use can::Instant;
 use hil::{DriveId, FaultInEffect, PlantFault, WorldFault};
 use serial::Line;
@@ -13,13 +13,13 @@ use super::detector::{Detector, Without};
 use super::phase::{CRUISE, FaultPhase, FixedMotion, RAMP};
 use crate::bench::emulation::Emulation;
 use crate::cell::CellFile;
-use crate::scenario::{FaultNumbers, axis_place};
+use crate::scenario::axis_place;
 use crate::setup;
 
 /// Longest preparation: enabling and referencing.
 const PREPARATION: Duration = Duration::from_secs(20);
-/// Time for which a row is observed after the strike.
-const OBSERVATION: Duration = Duration::from_millis(1500);
+/// Time for which a robot is observed after the detection.
+const STOPPED: Duration = Duration::from_millis(1200);
 /// Time for which all axes must stay at rest.
 const REST: Duration = Duration::from_millis(100);
 /// Velocity of a motor, rad/s, below which it is at rest.
@@ -42,8 +42,10 @@ pub(super) struct Observation {
     pub(super) still_after: Option<Duration>,
     /// Greatest distance of each motor from its position at the strike, rad.
     pub(super) distances: [f64; MAX_AXES],
-    /// Whether the planned motion ended.
+    /// Whether the planned motion ended, or homing goes on.
     pub(super) completed: bool,
+    /// Distance of each motor from its last set-point at the end of the observation, rad; `None` without a reference.
+    pub(super) strays: Option<[f64; MAX_AXES]>,
     pub(super) recovery: Recovery,
 }
 
@@ -249,8 +251,10 @@ impl<'a> Stage<'a> {
         let began = self.now;
         let at_strike = self.truth(0);
         let place = axis_place(self.file, self.emulation.ids(), (0, axis)).context("an axis without a drive")?;
-        let faults = case.kind.faults(&place, &case.numbers(FaultNumbers::default()));
-        let faults = faults.map_err(|problem| anyhow::anyhow!("{problem}"))?;
+        let mut faults = Vec::new();
+        for kind in [Some(case.kind), case.also].into_iter().flatten() {
+            faults.extend(kind.faults(&place, &case.numbers()).map_err(|problem| anyhow!("the fault {problem}"))?);
+        }
         let in_effect: Vec<FaultInEffect> = faults.iter().map(|fault| self.emulation.begin_fault(fault)).collect();
         let mut ended = false;
         let mut observed = Observation {
@@ -259,11 +263,17 @@ impl<'a> Stage<'a> {
             still_after: None,
             distances: [0.0; MAX_AXES],
             completed: false,
+            strays: None,
             recovery: Recovery::None,
         };
         let mut still_since = None;
         let mut was_moving = self.phase(0) == Phase::Moving || self.phase(0) == Phase::Homing;
-        while self.now.since(began) < OBSERVATION {
+        while self.now.since(began) < case.observed_for {
+            // A long observation ends after the stop.
+            let over = observed.detected.is_some_and(|(at, _)| self.now.since(began + at) >= STOPPED);
+            if over {
+                break;
+            }
             if !ended && case.lasts.is_some_and(|lasts| self.now.since(began) >= lasts) {
                 in_effect.iter().for_each(|fault| self.emulation.end_fault(fault));
                 ended = true;
@@ -294,6 +304,13 @@ impl<'a> Stage<'a> {
         }
         observed.still_after = still_since.filter(|since| self.now.since(*since) >= REST).map(|at| at.since(began));
         observed.completed = self.servo.fault(0).is_none() && matches!(self.phase(0), Phase::Standing | Phase::Homing);
+        let snapshot = self.links[0].latest.read();
+        if snapshot.homed {
+            let truth = self.truth(0);
+            let used = self.drives[0].len();
+            let stray = |axis: usize| if axis < used { (truth[axis].0 - snapshot.commanded[axis]).abs() } else { 0.0 };
+            observed.strays = Some(std::array::from_fn(stray));
+        }
         if !ended {
             in_effect.iter().for_each(|fault| self.emulation.end_fault(fault));
         }

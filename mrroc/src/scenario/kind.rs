@@ -178,9 +178,9 @@ impl Default for FaultNumbers {
             seed: 1,
             late: Duration::from_millis(5),
             increments: 20_000,
-            share: 0.3,
+            share: 0.05,
             distance: 1.0,
-            stiffness: 1.0,
+            stiffness: 20.0,
             code: 0x3210,
         }
     }
@@ -291,7 +291,7 @@ impl FaultKind {
             Self::Lost if probability >= 1.0 => fault(faults(none, WireFaults { stuck: Some(Stuck::Silent), ..none })),
             Self::Lost | Self::Torn => both(WireFaults { tear: 0.1 * probability, ..none }),
             Self::Late => fault(LineFaults { late, ..LineFaults::default() }),
-            Self::Duplicated => both(WireFaults { duplicate: probability, ..none }),
+            Self::Duplicated => both(WireFaults { duplicate: 0.01 * probability, ..none }),
             Self::Corrupted => both(WireFaults { bit_error_rate: 0.01 * probability, ..none }),
             Self::Garbage => Ok(vec![WorldFault::Bytes { line, to_host: true, bytes: (0..24).map(|it| it * 11).collect() }]),
             Self::WrongBaud => both(WireFaults { stuck: Some(Stuck::Garbled), ..none }),
