@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
 use thiserror::Error;
 
-use super::faults::{BLOCK, BUFFER_DAMPING, PlantFault, PlantFaults};
+use super::faults::{BLOCK, PlantFault, PlantFaults};
 use super::motor::{EndStops, Motor, MotorConfig};
 use super::switch::{Contact, Switch};
 use super::wut::{Wut, WutConfig};
@@ -421,7 +421,7 @@ impl PlantAxis {
                 } else {
                     (f64::NEG_INFINITY, angle + distance)
                 };
-                let damping = BUFFER_DAMPING * stiffness;
+                let damping = motor.critical_damping(stiffness);
                 let before = motor.set_buffers(Some(EndStops { negative, positive, stiffness, damping }));
                 self.faults.buffers.get_or_insert(before);
             }

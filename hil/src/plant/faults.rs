@@ -75,6 +75,3 @@ impl PlantFaults {
 
 /// Torque that blocks a shaft, N·m.
 pub(super) const BLOCK: f64 = 1e6;
-
-/// Damping of a buffer relative to its stiffness, s.
-pub(super) const BUFFER_DAMPING: f64 = 5e-3;

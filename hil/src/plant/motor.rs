@@ -170,6 +170,11 @@ impl Motor {
         std::mem::replace(&mut self.config.end_stops, buffers)
     }
 
+    /// The damping, N·m·s/rad, with which the motor comes off a spring without an oscillation.
+    pub(super) fn critical_damping(&self, stiffness: f64) -> f64 {
+        2.0 * (stiffness * self.config.inertia).sqrt()
+    }
+
     /// Reverses torque and back-EMF, as two swapped phases do.
     pub(super) fn reverse(&mut self) {
         self.config.torque_constant = -self.config.torque_constant;

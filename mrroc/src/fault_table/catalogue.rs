@@ -32,6 +32,8 @@ pub(super) enum Expected {
 pub(super) enum Within {
     /// The missing answers that the cell tolerates, and four periods.
     Answers,
+    /// The same. The wire is cut, so a drive on CAN stops by itself after three heartbeats of the host.
+    Cut,
     /// Four periods of the heartbeat.
     Heartbeat,
     /// The following error grows to its limit.
@@ -133,36 +135,36 @@ pub(super) const CASES: &[FaultCase] = &[
     FaultCase { name: "one frame corrupted", kind: K::Corrupted, wires: CAN, count: Some(1), ..USUAL },
     FaultCase {
         expected: |_, _| Ok(By(&[D::Answers])),
-        ..found("frames corrupted", K::Corrupted, CAN, Within::Answers)
+        ..found("frames corrupted", K::Corrupted, CAN, Within::Cut)
     },
     FaultCase {
         expected: |_, _| Ok(By(&[D::Answers])),
         ..found("bits inverted", K::Corrupted, SERIAL, Within::Time(ms(200)))
     },
     FaultCase { name: "answers reordered", kind: K::Reordered, wires: CAN, ..USUAL },
-    FaultCase { expected: |_, _| Ok(By(&[D::Port])), ..found("bus-off", K::BusOff, CAN, Within::Time(ms(6))) },
+    FaultCase { expected: |_, _| Ok(By(&[D::Port])), ..found("bus-off", K::BusOff, CAN, Within::Cut) },
     FaultCase { name: "error-passive", kind: K::ErrorPassive, wires: CAN, ..USUAL },
     FaultCase {
         expected: |_, _| Ok(By(&[D::Port])),
-        ..found("interface down", K::InterfaceDown, CAN, Within::Time(ms(6)))
+        ..found("interface down", K::InterfaceDown, CAN, Within::Cut)
     },
     FaultCase {
         lasts: Some(ms(50)),
         expected: |_, _| Ok(By(&[D::Port])),
-        ..found("interface down for 50 ms", K::InterfaceDown, CAN, Within::Time(ms(6)))
+        ..found("interface down for 50 ms", K::InterfaceDown, CAN, Within::Cut)
     },
     FaultCase {
         expected: |_, _| Ok(By(&[D::Sending])),
-        ..found("transmit queue full", K::QueueFull, CAN, Within::Answers)
+        ..found("transmit queue full", K::QueueFull, CAN, Within::Cut)
     },
     FaultCase {
         expected: |_, _| Ok(By(&[D::Answers, D::Port, D::Sending])),
-        ..found("no acknowledge", K::NoAcknowledge, CAN, Within::Answers)
+        ..found("no acknowledge", K::NoAcknowledge, CAN, Within::Cut)
     },
     FaultCase {
         lasts: Some(ms(100)),
         expected: |_, _| Ok(By(&[D::Answers, D::Port, D::Sending])),
-        ..found("no acknowledge for 100 ms", K::NoAcknowledge, CAN, Within::Answers)
+        ..found("no acknowledge for 100 ms", K::NoAcknowledge, CAN, Within::Cut)
     },
     FaultCase {
         expected: |_, _| Ok(By(&[D::Answers])),
@@ -180,15 +182,15 @@ pub(super) const CASES: &[FaultCase] = &[
         ..found("second master on the line", K::SecondMaster, SERIAL, Within::Time(ms(300)))
     },
     FaultCase {
-        expected: |_, _| Ok(By(&[D::Answers, D::NodeState, D::DriveStatus])),
+        expected: |_, _| Ok(By(&[D::Answers, D::NodeState, D::DriveStatus, D::Plausibility])),
         ..found("reset of a drive", K::NodeReset, BOTH, Within::Answers)
     },
     FaultCase {
         lasts: Some(ms(200)),
-        expected: |_, _| Ok(By(&[D::Answers, D::NodeState, D::DriveStatus])),
+        expected: |_, _| Ok(By(&[D::Answers, D::NodeState, D::DriveStatus, D::Plausibility])),
         ..found("power cycle of a drive", K::PowerCycle, BOTH, Within::Answers)
     },
-    FaultCase { expected: |_, _| Ok(By(&[D::Answers])), ..found("drive unplugged", K::Unplugged, BOTH, Within::Answers) },
+    FaultCase { expected: |_, _| Ok(By(&[D::Answers])), ..found("drive unplugged", K::Unplugged, BOTH, Within::Cut) },
     FaultCase {
         expected: |_, _| Ok(By(&[D::NodeState, D::Plausibility])),
         ..found("duplicate node-ID", K::DuplicateNode, CAN, Within::Time(ms(10)))
@@ -204,24 +206,26 @@ pub(super) const CASES: &[FaultCase] = &[
     FaultCase { expected: not_following, ..found("axis blocked", K::Blocked, BOTH, Within::Error) },
     FaultCase { expected: not_following, ..found("encoder frozen", K::EncoderFrozen, BOTH, Within::Error) },
     FaultCase {
-        expected: |_, _| Ok(By(&[D::Plausibility])),
-        ..found("encoder jumps", K::EncoderJump, BOTH, Within::Answers)
+        adapt: |numbers| numbers.increments = 4000,
+        expected: |_, _| Ok(By(&[D::Plausibility, D::DriveStatus])),
+        ..found("encoder jumps by a turn", K::EncoderJump, BOTH, Within::Answers)
     },
     FaultCase { expected: not_following, ..found("encoder inverted", K::EncoderInverted, BOTH, Within::Error) },
     FaultCase {
-        observed_for: Duration::from_secs(60),
+        observed_for: Duration::from_secs(40),
         expected: in_homing,
-        ..found("home switch dead", K::HomeSwitchDead, BOTH, Within::Time(Duration::from_secs(60)))
+        ..found("home switch dead", K::HomeSwitchDead, BOTH, Within::Time(Duration::from_secs(40)))
     },
     FaultCase {
-        observed_for: Duration::from_secs(60),
+        observed_for: Duration::from_secs(40),
         expected: in_homing,
-        ..found("index missing", K::IndexMissing, BOTH, Within::Time(Duration::from_secs(60)))
+        ..found("index missing", K::IndexMissing, BOTH, Within::Time(Duration::from_secs(40)))
     },
     FaultCase { name: "limit switches dead", kind: K::LimitSwitchesDead, ..USUAL },
     FaultCase {
         expected: |wire, phase| {
             Ok(match (wire, phase) {
+                (Can, P::Homing) => return Err("the search turns round at the switch"),
                 (Can, _) => By(&[D::DriveStatus]),
                 // The axis rests on the switch, or moves away from it.
                 (Serial, _) => Either(&[D::LimitSwitches]),
@@ -237,7 +241,11 @@ pub(super) const CASES: &[FaultCase] = &[
         expected: |_, _| Ok(By(&[D::DriveStatus])),
         ..found("over-temperature", K::OverTemperature, BOTH, Within::Time(ms(10)))
     },
-    FaultCase { expected: not_following, ..found("supply sags", K::SaggingSupply, BOTH, Within::Error) },
+    FaultCase {
+        // The search may be so slow that the supply suffices.
+        expected: |wire, phase| if phase == P::Homing { Ok(Either(NOT_FOLLOWING)) } else { not_following(wire, phase) },
+        ..found("supply sags", K::SaggingSupply, BOTH, Within::Error)
+    },
     FaultCase {
         also: Some(K::OverCurrent),
         expected: |_, _| Ok(By(&[D::DriveStatus])),
@@ -252,6 +260,9 @@ pub(super) const CASES: &[FaultCase] = &[
     },
     FaultCase { expected: not_following, ..found("collision", K::Collision, BOTH, Within::Error) },
 ];
+
+/// Margin of the bound of the distance for the loops of the drives.
+const MARGIN: f64 = 1.1;
 
 /// Bounds of a row: time to the detection, and distance of each motor, rad.
 pub(super) struct Bounds {
@@ -271,8 +282,8 @@ impl FaultCase {
     ///
     /// A motor moves on until the detection, and for the four periods from sample to effect. The stop then brakes with the
     /// deceleration of the limit. Twice the following error is added: the motor may be so far behind its set-point at
-    /// the strike, and so far beside it at the end. A fault that the following error finds has no bound of time but one of
-    /// distance, which the following error is.
+    /// the strike, and so far beside it at the end. A fault that the following error finds is bounded by this distance,
+    /// and its time is four times that of the distance to the obstacle and to the limit of the error.
     pub(super) fn bounds(&self, file: &CellFile, axis: usize, velocity: &[f64; MAX_AXES]) -> Bounds {
         let cell = &file.cell;
         let robot = &cell.robot[0];
@@ -280,20 +291,22 @@ impl FaultCase {
         let bus = cell.bus.iter().find(|bus| bus.name == *name);
         let bundle = cell.serial.iter().find(|serial| serial.name == *name);
         let tolerated = bus.map(|bus| bus.tolerated_missing).or(bundle.map(|it| it.tolerated_missing)).unwrap_or(0);
+        let answers = cell.period() * (tolerated + 4);
+        let silence = ms(4 * bus.map_or(100, |bus| u64::from(bus.heartbeat_ms)));
+        let way = self.numbers().distance + robot.axis[axis].following_error;
         let (detection, blind) = match self.within {
-            Within::Answers => (cell.period() * (tolerated + 4), cell.period() * (tolerated + 4)),
-            Within::Heartbeat => {
-                let silence = ms(4 * bus.map_or(100, |bus| u64::from(bus.heartbeat_ms)));
-                (silence, silence)
-            }
-            Within::Error => (ms(150), Duration::ZERO),
+            Within::Answers => (answers, answers),
+            Within::Cut => (answers, bus.map_or(answers, |bus| ms(3 * u64::from(bus.heartbeat_ms)))),
+            Within::Heartbeat => (silence, silence),
+            Within::Error => (Duration::from_secs_f64(4.0 * way / velocity[axis].abs()) + ms(50), Duration::ZERO),
             Within::Time(time) => (time, time),
         };
         let blind = (blind + 4 * cell.period()).as_secs_f64();
         let distance = |number: usize| {
             let speed = velocity[number].abs();
             let given = robot.axis.get(number)?;
-            Some(speed * blind + speed * speed / (2.0 * given.max_acceleration) + 2.0 * given.following_error)
+            let braking = speed * speed / (2.0 * given.max_acceleration);
+            Some(MARGIN * (speed * blind + braking + 2.0 * given.following_error))
         };
         Bounds { detection, distance: std::array::from_fn(|number| distance(number).unwrap_or(f64::INFINITY)) }
     }

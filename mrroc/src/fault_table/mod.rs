@@ -119,6 +119,10 @@ fn row(
         return Row::without_meaning(case.name, name, phase, "the emulated motor has no contacts");
     }
     let axis = if phase == FaultPhase::Homing { first_homed(file, robot) } else { 0 };
+    let in_place = |method| matches!(method, 35 | 37);
+    if phase == FaultPhase::Homing && given.axis[axis].homing.method.is_some_and(in_place) {
+        return Row::without_meaning(case.name, name, phase, "homing moves nothing");
+    }
     let staged = staged(file, &robots, phase);
     let play = || stage::play(&staged, case, phase, axis, options.without);
     let played = play();

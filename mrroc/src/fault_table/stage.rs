@@ -18,6 +18,8 @@ use crate::setup;
 
 /// Longest preparation: enabling and referencing.
 const PREPARATION: Duration = Duration::from_secs(20);
+/// Greatest time-out of homing. The cell's own is minutes.
+const HOMING: Duration = Duration::from_secs(30);
 /// Time for which a robot is observed after the detection.
 const STOPPED: Duration = Duration::from_millis(1200);
 /// Time for which all axes must stay at rest.
@@ -73,6 +75,8 @@ struct Stage<'a> {
     /// Drives of the axes, robot after robot.
     drives: Vec<Vec<DriveId>>,
     motions: Vec<FixedMotion>,
+    /// The spring of a row of contact.
+    spring: Option<FaultInEffect>,
     now: Instant,
 }
 
@@ -122,6 +126,9 @@ impl<'a> Stage<'a> {
         let lines = ends.lines.into_iter().map(|bundle| bundle.into_iter().map(boxed).collect()).collect();
         let groups = setup::devices(file, ends.ports, lines, Vec::new(), None)?.groups;
         let mut config = setup::servo_config(file);
+        for effector in &mut config.effectors {
+            effector.homing_timeout = effector.homing_timeout.min(HOMING);
+        }
         let groups = match without {
             None => groups,
             Some(detector) => {
@@ -139,7 +146,7 @@ impl<'a> Stage<'a> {
             (0..given.axis.len()).map(axis).collect::<anyhow::Result<_>>()
         });
         let drives = drives.collect::<anyhow::Result<_>>()?;
-        Ok(Self { file, servo, links, emulation, drives, motions: Vec::new(), now })
+        Ok(Self { file, servo, links, emulation, drives, motions: Vec::new(), spring: None, now })
     }
 
     fn cycle(&mut self) {
@@ -236,7 +243,7 @@ impl<'a> Stage<'a> {
         };
         let way = self.motions[0].velocity[axis].abs() * (CRUISE + RAMP).as_secs_f64();
         let fault = PlantFault::Buffer { distance: 0.25 * way, stiffness: rated / 3.0 / (0.75 * way).max(1e-3) };
-        self.emulation.begin_fault(&WorldFault::Plant { drive: self.drives[0][axis], fault });
+        self.spring = Some(self.emulation.begin_fault(&WorldFault::Plant { drive: self.drives[0][axis], fault }));
         Ok(())
     }
 
@@ -322,6 +329,10 @@ impl<'a> Stage<'a> {
 
     fn recover(&mut self) -> Recovery {
         self.motions.clear();
+        // A spring would push an arm without a brake while its power is off.
+        if let Some(spring) = self.spring.take() {
+            self.emulation.end_fault(&spring);
+        }
         // A drive that restarted needs time to boot.
         for _ in 0..50 {
             self.cycle();
