@@ -19,6 +19,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use mrroc::cell::{Cell, CellFile};
 use mrroc::outputs::Measured;
+use mrroc::scenario::Scenario;
 use mrroc::{streams, tasks::CarriedTask};
 use serde::Serialize;
 
@@ -124,6 +125,9 @@ enum Command {
         /// Print the reference in Markdown.
         #[arg(long)]
         reference: bool,
+        /// Print the schema of scenario files.
+        #[arg(long, conflicts_with = "reference")]
+        scenario: bool,
     },
     /// Write the manual pages and the completions for bash, zsh and fish into a directory.
     #[command(hide = true)]
@@ -164,7 +168,8 @@ fn main() -> ExitCode {
         Command::Datasheet(options) => descriptions::datasheet::datasheet(&options).and_then(streams::print),
         Command::Urdf(which) => descriptions::urdf::urdf(&which).and_then(streams::print),
         Command::Vm { machine } => vm::vm(&machine),
-        Command::Schema { reference } => schema(reference),
+        Command::Schema { scenario: true, .. } => scenario_schema(),
+        Command::Schema { reference, .. } => schema(reference),
         Command::Manual { directory, replacement } => manual::write(Arguments::command(), &directory, replacement),
     };
     result.unwrap_or_else(|refusal| {
@@ -207,6 +212,10 @@ fn measurement<R: Serialize + Display>(measured: Measured<R>, json: bool) -> Exi
         streams::warn(format_args!("mrroc: {failure:#}"));
     }
     ExitCode::from(u8::from(!complete || !failures.is_empty()))
+}
+
+fn scenario_schema() -> anyhow::Result<ExitCode> {
+    streams::print(serde_json::to_string_pretty(&Scenario::schema())? + "\n")
 }
 
 fn schema(reference: bool) -> anyhow::Result<ExitCode> {

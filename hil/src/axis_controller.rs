@@ -58,7 +58,14 @@ pub struct AxisController {
     unplugged: bool,
     /// The unit has no supply.
     dead: bool,
+    /// The unit repeats its last answer.
+    frozen: bool,
+    /// The last answer.
+    answer: Vec<u8>,
 }
+
+/// Room for an answer, bytes.
+const ANSWER: usize = 64;
 
 enum Telegrams {
     Nfv2(Box<Nfv2>),
@@ -93,6 +100,8 @@ impl AxisController {
             answer_delay: config.answer_delay,
             unplugged: false,
             dead: false,
+            frozen: false,
+            answer: Vec::with_capacity(ANSWER),
         }
     }
 
@@ -109,7 +118,14 @@ impl LineDevice for AxisController {
             return;
         }
         let drive = &mut self.drive;
-        let answer = |bytes: &[u8]| self.outbox.put(now + self.answer_delay, bytes);
+        let (frozen, last) = (self.frozen, &mut self.answer);
+        let answer = |bytes: &[u8]| {
+            if !frozen {
+                last.clear();
+                last.extend_from_slice(bytes);
+            }
+            self.outbox.put(now + self.answer_delay, last);
+        };
         match &mut self.telegrams {
             Telegrams::Nfv2(nfv2) => nfv2.receive(byte, now, drive, answer),
             Telegrams::HiMoxa(hi_moxa) => hi_moxa.receive(byte, now, drive, answer),
@@ -141,6 +157,7 @@ impl LineDevice for AxisController {
         self.drive.catch_up(now);
         match fault {
             DeviceFault::Unplugged => self.unplugged = on,
+            DeviceFault::AnswersFrozen => self.frozen = on,
             DeviceFault::Reset if on => self.drive.restart(),
             DeviceFault::Reset => {}
             DeviceFault::PowerOff => {

@@ -87,7 +87,8 @@ impl VirtualBus {
 
     /// Adds a device and returns its number on this bus, counted from 0.
     pub fn attach_device(&mut self, device: Box<dyn Device>) -> usize {
-        let mut attached = Attached { device, pending: VecDeque::with_capacity(QUEUE), time_out: None, unplugged: false };
+        let mut attached =
+            Attached { device, pending: VecDeque::with_capacity(QUEUE), time_out: None, unplugged: false };
         attached.collect(self.now);
         self.devices.push(attached);
         self.devices.len() - 1

@@ -15,6 +15,8 @@ pub enum DeviceFault {
     Reset,
     /// The device has no supply. It restarts at the end of the fault.
     PowerOff,
+    /// The device executes requests, and repeats its last answer. Only axis controllers on serial lines have this fault.
+    AnswersFrozen,
 }
 
 /// A device on a bus, as a function of (state, input, now): no thread, no clock, no socket.

@@ -31,10 +31,10 @@ mod world;
 
 pub use amplifier::AmplifierConfig;
 pub use axis_controller::{AxisController, AxisControllerConfig, Cabinet};
+pub use bus::{FrameFault, Frames, HostFault};
 pub use cia401::{
     DigitalIo, DigitalIoConfig, DigitalIoError, InputEdge, InputProbe, LightGate, OutputProbe, OutputState,
 };
-pub use bus::{FrameFault, Frames, HostFault};
 pub use device::{Device, DeviceFault, LineDevice};
 pub use epos_serial::{EposSerial, EposSerialConfig};
 pub use epos4::{Epos4, Epos4Config};

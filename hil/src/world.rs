@@ -29,10 +29,11 @@ use std::{any::Any, time::Duration};
 use can::{Frame, Instant, VirtualPort, timing::Bitrate, virtual_port};
 use serial::{Settings, VirtualLine, virtual_line};
 
-use crate::scene::{STEP, Scene};
 use crate::plant::PlantFault;
+use crate::scene::{STEP, Scene};
 use crate::{
-    Device, DeviceFault, FrameFault, Frames, HostFault, LineDevice, LineFaults, PlantAxis, bus::VirtualBus, line::SerialLine,
+    Device, DeviceFault, FrameFault, Frames, HostFault, LineDevice, LineFaults, PlantAxis, bus::VirtualBus,
+    line::SerialLine,
 };
 
 /// Buses and lines with their devices, advanced together.

@@ -26,6 +26,7 @@ mod drive_parameters;
 mod emulate_slcan;
 mod epos_service;
 mod error_classes;
+mod fault_table;
 mod faults;
 mod feed_forward;
 mod force_cell;

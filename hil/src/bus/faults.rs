@@ -1,5 +1,8 @@
 //! Faults of a virtual bus: of frames on the wire, and of the controller of the host.
 
+#[cfg(test)]
+mod tests;
+
 use std::time::Duration;
 
 use can::{Frame, Instant, Received, StandardId};
@@ -79,7 +82,9 @@ impl FrameFaultInEffect {
             Frames::Id(wanted) => id == wanted,
             Frames::Node(node) => raw & 0x7F == u16::from(node) && raw > cob::SYNC.raw(),
             Frames::FromNode(node) => {
-                raw & 0x7F == u16::from(node) && raw > cob::SYNC.raw() && matches!(sender, End::Device(_) | End::Foreign(_))
+                raw & 0x7F == u16::from(node)
+                    && raw > cob::SYNC.raw()
+                    && matches!(sender, End::Device(_) | End::Foreign(_))
             }
             Frames::FromHost => matches!(sender, End::Host(_)),
         };

@@ -129,7 +129,7 @@ impl Device for Epos4 {
             DeviceFault::Reset if on => self.node.restart(now),
             DeviceFault::Reset => {}
             DeviceFault::PowerOff => self.node.set_power(!on, now),
-            DeviceFault::Unplugged => return false,
+            DeviceFault::Unplugged | DeviceFault::AnswersFrozen => return false,
         }
         true
     }

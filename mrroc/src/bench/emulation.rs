@@ -8,8 +8,9 @@ use canopen::{NodeId, cia401::blocks};
 use drive::cia401::IoConfig;
 use hil::scene::WorkpieceProbe;
 use hil::{
-    AxisController, AxisControllerConfig, BusId, Cabinet, Device, DigitalIo, DigitalIoConfig, Epos4, Epos4Config,
-    DriveId, EposSerial, EposSerialConfig, FaultInEffect, InputEdge, InputProbe, LineDevice, PlantAxis, World, WorldFault,
+    AxisController, AxisControllerConfig, BusId, Cabinet, Device, DigitalIo, DigitalIoConfig, DriveId, Epos4,
+    Epos4Config, EposSerial, EposSerialConfig, FaultInEffect, InputEdge, InputProbe, LineDevice, PlantAxis, World,
+    WorldFault,
     scene::{BeamProbe, Scene, UnsolvedProbe},
 };
 use serial::{Settings, VirtualLine};

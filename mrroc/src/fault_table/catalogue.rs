@@ -112,7 +112,7 @@ fn not_following(_: Wire, phase: FaultPhase) -> Result<Expected, &'static str> {
 /// A switch or an index pulse that only homing reads.
 fn in_homing(_: Wire, phase: FaultPhase) -> Result<Expected, &'static str> {
     match phase {
-        P::Homing => Ok(By(&[D::TimeOuts, D::LimitSwitches, D::DriveStatus, D::Limits])),
+        P::Homing => Ok(By(&[D::TimeOuts, D::LimitSwitches, D::DriveStatus])),
         _ => Err("only homing reads it"),
     }
 }
@@ -121,7 +121,10 @@ fn in_homing(_: Wire, phase: FaultPhase) -> Result<Expected, &'static str> {
 pub(super) const CASES: &[FaultCase] = &[
     FaultCase { name: "one answer lost", count: Some(1), lasts: Some(ms(2)), ..USUAL },
     FaultCase { expected: |_, _| Ok(By(&[D::Answers])), ..found("answers lost", K::Lost, BOTH, Within::Answers) },
-    FaultCase { expected: |_, _| Ok(By(&[D::Answers])), ..found("answers 5 ms late", K::Late, BOTH, Within::Time(ms(100))) },
+    FaultCase {
+        expected: |_, _| Ok(By(&[D::Answers])),
+        ..found("answers 5 ms late", K::Late, BOTH, Within::Time(ms(100)))
+    },
     FaultCase {
         adapt: |numbers| numbers.late = ms(40),
         expected: |_, _| Ok(By(&[D::Answers])),
@@ -133,10 +136,7 @@ pub(super) const CASES: &[FaultCase] = &[
         ..found("bytes twice", K::Duplicated, SERIAL, Within::Time(ms(1000)))
     },
     FaultCase { name: "one frame corrupted", kind: K::Corrupted, wires: CAN, count: Some(1), ..USUAL },
-    FaultCase {
-        expected: |_, _| Ok(By(&[D::Answers])),
-        ..found("frames corrupted", K::Corrupted, CAN, Within::Cut)
-    },
+    FaultCase { expected: |_, _| Ok(By(&[D::Answers])), ..found("frames corrupted", K::Corrupted, CAN, Within::Cut) },
     FaultCase {
         expected: |_, _| Ok(By(&[D::Answers])),
         ..found("bits inverted", K::Corrupted, SERIAL, Within::Time(ms(200)))
@@ -144,10 +144,7 @@ pub(super) const CASES: &[FaultCase] = &[
     FaultCase { name: "answers reordered", kind: K::Reordered, wires: CAN, ..USUAL },
     FaultCase { expected: |_, _| Ok(By(&[D::Port])), ..found("bus-off", K::BusOff, CAN, Within::Cut) },
     FaultCase { name: "error-passive", kind: K::ErrorPassive, wires: CAN, ..USUAL },
-    FaultCase {
-        expected: |_, _| Ok(By(&[D::Port])),
-        ..found("interface down", K::InterfaceDown, CAN, Within::Cut)
-    },
+    FaultCase { expected: |_, _| Ok(By(&[D::Port])), ..found("interface down", K::InterfaceDown, CAN, Within::Cut) },
     FaultCase {
         lasts: Some(ms(50)),
         expected: |_, _| Ok(By(&[D::Port])),
@@ -171,8 +168,14 @@ pub(super) const CASES: &[FaultCase] = &[
         ..found("telegrams torn", K::Torn, SERIAL, Within::Time(ms(200)))
     },
     FaultCase { name: "garbage on the line", kind: K::Garbage, wires: SERIAL, ..USUAL },
-    FaultCase { expected: |_, _| Ok(By(&[D::Answers])), ..found("wrong baud rate", K::WrongBaud, SERIAL, Within::Answers) },
-    FaultCase { expected: |_, _| Ok(By(&[D::Port])), ..found("hang-up of a line", K::HangUp, SERIAL, Within::Time(ms(6))) },
+    FaultCase {
+        expected: |_, _| Ok(By(&[D::Answers])),
+        ..found("wrong baud rate", K::WrongBaud, SERIAL, Within::Answers)
+    },
+    FaultCase {
+        expected: |_, _| Ok(By(&[D::Port])),
+        ..found("hang-up of a line", K::HangUp, SERIAL, Within::Time(ms(6)))
+    },
     FaultCase {
         expected: |_, _| Ok(By(&[D::OtherController])),
         ..found("second master on the bus", K::SecondMaster, CAN, Within::Time(ms(8)))
@@ -202,6 +205,18 @@ pub(super) const CASES: &[FaultCase] = &[
     FaultCase {
         expected: |_, _| Ok(By(&[D::DriveStatus])),
         ..found("forged EMCY", K::ForgedEmergency, CAN, Within::Time(ms(10)))
+    },
+    FaultCase {
+        expected: |_, phase| {
+            Ok(match phase {
+                // The set-points do not change at rest.
+                P::Idle => Tolerated,
+                P::Homing => By(&[D::Frozen]),
+                P::Braking => Either(&[D::Frozen, D::FollowingError]),
+                P::Accelerating | P::Cruising | P::Contact | P::Team => By(&[D::Frozen, D::FollowingError]),
+            })
+        },
+        ..found("answers stay the same", K::AnswersFrozen, SERIAL, Within::Error)
     },
     FaultCase { expected: not_following, ..found("axis blocked", K::Blocked, BOTH, Within::Error) },
     FaultCase { expected: not_following, ..found("encoder frozen", K::EncoderFrozen, BOTH, Within::Error) },

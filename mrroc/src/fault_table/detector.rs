@@ -1,11 +1,13 @@
 //! Detectors of faults, and their removal for a demonstration.
 
+use std::task::Poll;
+use std::time::Duration;
+
 use can::Instant;
 use clap::ValueEnum;
 use drive::axis_controller::AxisControllerFault;
 use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Switches, Warnings};
 use servo::{PositionLoop, ServoConfig, StopCause};
-use std::task::Poll;
 
 /// Detectors of the controller. Each stop has one cause, and each cause belongs to one detector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, ValueEnum)]
@@ -36,8 +38,6 @@ pub enum Detector {
     OtherController,
     /// Time-outs of enabling and homing.
     TimeOuts,
-    /// Limits of position, velocity and acceleration of set-points.
-    Limits,
 }
 
 impl Detector {
@@ -57,7 +57,6 @@ impl Detector {
             Self::Sending => "sending",
             Self::OtherController => "other controller",
             Self::TimeOuts => "time-outs",
-            Self::Limits => "limits",
         }
     }
 
@@ -68,10 +67,6 @@ impl Detector {
             StopCause::FollowingError { .. } => Self::FollowingError,
             StopCause::Runaway { .. } => Self::Runaway,
             StopCause::LimitSwitch { .. } => Self::LimitSwitches,
-            StopCause::PositionLimit { .. }
-            | StopCause::VelocityLimit { .. }
-            | StopCause::AccelerationLimit { .. }
-            | StopCause::NotFinite => Self::Limits,
             StopCause::NotReady { .. } | StopCause::HomingFailed | StopCause::NoReference(_) => Self::TimeOuts,
             _ => return None,
         })
@@ -82,9 +77,10 @@ impl Detector {
             Fault::Drive { .. } => Self::DriveStatus,
             Fault::Silent { .. } => Self::Answers,
             Fault::HeartbeatLost { .. } => Self::Heartbeat,
-            Fault::LeftOperational { .. } | Fault::PowerLost { .. } | Fault::ModeChanged { .. } | Fault::Stuck { .. } => {
-                Self::NodeState
-            }
+            Fault::LeftOperational { .. }
+            | Fault::PowerLost { .. }
+            | Fault::ModeChanged { .. }
+            | Fault::Stuck { .. } => Self::NodeState,
             Fault::Implausible { .. } => Self::Plausibility,
             Fault::NotSent { .. } | Fault::HeartbeatNotSent { .. } | Fault::HostLate { .. } => Self::Sending,
             Fault::OtherController { .. } => Self::OtherController,
@@ -111,8 +107,14 @@ impl Detector {
 
     /// Removes the detector from the configuration of a servo, if it is there.
     pub(super) fn remove_from(self, config: &mut ServoConfig) {
+        if self == Self::TimeOuts {
+            config.effectors.iter_mut().for_each(|effector| effector.homing_timeout = NEVER);
+        }
         let axes = config.effectors.iter_mut().flat_map(|effector| &mut effector.axes);
         match self {
+            Self::TimeOuts => axes.filter_map(|axis| axis.homing.as_mut()).for_each(|homing| {
+                (homing.search.timeout, homing.zero.timeout) = (NEVER, NEVER);
+            }),
             Self::FollowingError => axes.for_each(|axis| axis.following_error = 1e9),
             Self::Runaway => axes.for_each(|axis| {
                 if let PositionLoop::Host(host) = &mut axis.position_loop {
@@ -124,15 +126,18 @@ impl Detector {
     }
 }
 
-/// A drive group whose reports of one detector do not reach the servo.
+/// Time that no row lasts.
+const NEVER: Duration = Duration::from_secs(3600);
+
+/// A drive group whose reports of some detectors do not reach the servo.
 pub(super) struct Without {
     group: Box<dyn DriveGroup>,
-    without: Detector,
+    without: Vec<Detector>,
 }
 
 impl Without {
-    pub(super) fn new(group: Box<dyn DriveGroup>, without: Detector) -> Box<dyn DriveGroup> {
-        Box::new(Self { group, without })
+    pub(super) fn new(group: Box<dyn DriveGroup>, without: &[Detector]) -> Box<dyn DriveGroup> {
+        if without.is_empty() { group } else { Box::new(Self { group, without: without.to_vec() }) }
     }
 }
 
@@ -153,10 +158,11 @@ impl DriveGroup for Without {
         self.group.read(now, states);
         let mut hidden = false;
         for state in states.iter_mut() {
-            if self.without == Detector::LimitSwitches {
+            if self.without.contains(&Detector::LimitSwitches) {
                 state.switches = Switches { home: state.switches.home, ..Switches::default() };
             }
-            if state.fault.is_some_and(|fault| Detector::of_drive(&fault) == Some(self.without)) {
+            let detector = state.fault.and_then(|fault| Detector::of_drive(&fault));
+            if detector.is_some_and(|detector| self.without.contains(&detector)) {
                 state.fault = None;
                 hidden = true;
             }

@@ -41,9 +41,9 @@ pub struct FaultOptions {
     /// Play only these phases.
     #[arg(long, value_enum)]
     pub phase: Vec<FaultPhase>,
-    /// Turn one detector off, to see its rows turn red.
+    /// Turn a detector off, to see its rows turn red. May be given several times.
     #[arg(long, value_enum, value_name = "DETECTOR")]
-    pub without: Option<Detector>,
+    pub without: Vec<Detector>,
     /// Play each row once. Without this option, a second run must end in the same verdict.
     #[arg(long)]
     pub once: bool,
@@ -59,7 +59,7 @@ pub struct FaultTable {
     pub cell: String,
     /// The rows, in the order of faults, robots and phases.
     pub rows: Vec<Row>,
-    without: Option<Detector>,
+    without: Vec<Detector>,
 }
 
 /// Plays all rows that the options select.
@@ -85,22 +85,16 @@ pub fn fault_table(file: &CellFile, options: &FaultOptions) -> anyhow::Result<Fa
             if !case.wires.contains(&wire) {
                 continue;
             }
-            for phase in FaultPhase::ALL.into_iter().filter(|it| options.phase.is_empty() || options.phase.contains(it)) {
+            for phase in FaultPhase::ALL.into_iter().filter(|it| options.phase.is_empty() || options.phase.contains(it))
+            {
                 rows.push(row(file, robot, case, wire, phase, options));
             }
         }
     }
-    Ok(FaultTable { cell: cell.name.clone(), rows, without: options.without })
+    Ok(FaultTable { cell: cell.name.clone(), rows, without: options.without.clone() })
 }
 
-fn row(
-    file: &CellFile,
-    robot: usize,
-    case: &FaultCase,
-    wire: Wire,
-    phase: FaultPhase,
-    options: &FaultOptions,
-) -> Row {
+fn row(file: &CellFile, robot: usize, case: &FaultCase, wire: Wire, phase: FaultPhase, options: &FaultOptions) -> Row {
     let given = &file.cell.robot[robot];
     let name = &given.name;
     let expected = match (case.expected)(wire, phase) {
@@ -124,7 +118,7 @@ fn row(
         return Row::without_meaning(case.name, name, phase, "homing moves nothing");
     }
     let staged = staged(file, &robots, phase);
-    let play = || stage::play(&staged, case, phase, axis, options.without);
+    let play = || stage::play(&staged, case, phase, axis, &options.without);
     let played = play();
     let again = (!options.once).then(play);
     Row::judge(&staged, (case, expected), phase, axis, played, again)

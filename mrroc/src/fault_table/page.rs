@@ -25,7 +25,7 @@ impl FaultTable {
     /// The page, with all rows or with the worst phase of each fault and robot.
     pub fn page(&self, summary: bool) -> String {
         let mut page = format!("# Fault table of the cell {}\n\n{HEAD}\n\n", self.cell);
-        if let Some(detector) = self.without {
+        for detector in &self.without {
             let _ = writeln!(page, "The detector \u{201c}{}\u{201d} was off.\n", detector.name());
         }
         let _ = writeln!(page, "{self}.\n");
@@ -62,7 +62,8 @@ impl FaultTable {
             groups.entry((faults.len(), &row.robot)).or_default().push(row);
         }
         let badness = |row: &&Row| {
-            let share = row.result.as_ref().filter(|it| it.detection.is_some()).map_or(0.0, |it| it.distance / it.bound);
+            let share =
+                row.result.as_ref().filter(|it| it.detection.is_some()).map_or(0.0, |it| it.distance / it.bound);
             share + if row.is_red() { 1e6 } else { 0.0 }
         };
         let groups = groups.into_values().filter_map(|rows| {

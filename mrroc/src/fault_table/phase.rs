@@ -28,15 +28,8 @@ pub enum FaultPhase {
 
 impl FaultPhase {
     /// All phases.
-    pub const ALL: [Self; 7] = [
-        Self::Idle,
-        Self::Homing,
-        Self::Accelerating,
-        Self::Cruising,
-        Self::Braking,
-        Self::Contact,
-        Self::Team,
-    ];
+    pub const ALL: [Self; 7] =
+        [Self::Idle, Self::Homing, Self::Accelerating, Self::Cruising, Self::Braking, Self::Contact, Self::Team];
 
     /// Name in tables.
     pub fn name(self) -> &'static str {

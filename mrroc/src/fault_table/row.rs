@@ -112,7 +112,8 @@ impl Row {
             if !seen.completed {
                 red("the motion does not end");
             }
-            let strays = |axis: usize| seen.strays.is_some_and(|strays| strays[axis] > 2.0 * robot.axis[axis].following_error);
+            let strays =
+                |axis: usize| seen.strays.is_some_and(|strays| strays[axis] > 2.0 * robot.axis[axis].following_error);
             if (0..robot.axis.len()).any(strays) {
                 red("strays from its set-points");
             }

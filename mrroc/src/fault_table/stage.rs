@@ -92,7 +92,7 @@ pub(super) fn play(
     case: &FaultCase,
     phase: FaultPhase,
     axis: usize,
-    without: Option<Detector>,
+    without: &[Detector],
 ) -> anyhow::Result<Played> {
     let mut stage = Stage::new(file, phase, without)?;
     stage.prepare(phase)?;
@@ -120,7 +120,7 @@ pub(super) fn play(
 }
 
 impl<'a> Stage<'a> {
-    fn new(file: &'a CellFile, phase: FaultPhase, without: Option<Detector>) -> anyhow::Result<Self> {
+    fn new(file: &'a CellFile, phase: FaultPhase, without: &[Detector]) -> anyhow::Result<Self> {
         let (mut emulation, ends) = Emulation::with(file, phase != FaultPhase::Homing);
         let boxed = |line| Box::new(line) as Box<dyn Line>;
         let lines = ends.lines.into_iter().map(|bundle| bundle.into_iter().map(boxed).collect()).collect();
@@ -129,13 +129,8 @@ impl<'a> Stage<'a> {
         for effector in &mut config.effectors {
             effector.homing_timeout = effector.homing_timeout.min(HOMING);
         }
-        let groups = match without {
-            None => groups,
-            Some(detector) => {
-                detector.remove_from(&mut config);
-                groups.into_iter().map(|group| Without::new(group, detector)).collect()
-            }
-        };
+        without.iter().for_each(|detector| detector.remove_from(&mut config));
+        let groups = groups.into_iter().map(|group| Without::new(group, without)).collect();
         let (mut servo, links) = Servo::new(&config, groups)?;
         let up = lockstep::bring_up(&mut servo, Instant::ZERO, |next| emulation.advance(next));
         let now = up.map_err(|why| crate::run::why_not_up(file, why)).context("bring-up")?;

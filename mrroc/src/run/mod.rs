@@ -54,6 +54,7 @@ use crate::bench::{Bench, BenchKind, Places};
 use crate::cell::{CellFile, printable};
 use crate::outputs::{Outputs, Replacement};
 use crate::report::{self, FaultReport, RunEnd, RunOutcome, RunReport, Tracks};
+use crate::scenario::Scenario;
 use crate::tasks::Program;
 use crate::trace::{AxisLog, FrameLog, StepFile};
 use crate::wire::Wire;
@@ -128,6 +129,9 @@ pub struct RunOptions {
     /// grey. Needs an emulated bench.
     #[arg(long, value_name = "DIR")]
     pub carved: Option<PathBuf>,
+    /// Play the faults of this scenario file on the emulated side of the wires. Needs --bench lockstep or emulated.
+    #[arg(long, value_name = "FILE")]
+    pub scenario: Option<PathBuf>,
     /// Write report.html into this directory: tables and plots of the run in one file, which needs no network.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -164,6 +168,10 @@ pub fn run(
     if options.carved.is_some() && !matches!(options.bench, BenchKind::Lockstep | BenchKind::Emulated) {
         bail!("--carved needs --bench lockstep or emulated, whose workpieces are in this process");
     }
+    if options.scenario.is_some() && !matches!(options.bench, BenchKind::Lockstep | BenchKind::Emulated) {
+        bail!("--scenario needs --bench lockstep or emulated; elsewhere `mrroc emulate --scenario` plays it");
+    }
+    let scenario = options.scenario.as_deref().map(Scenario::read).transpose()?;
     if let Some(percent) = options.speed {
         let fraction = if percent > 0.0 { percent / 100.0 } else { f64::NAN };
         let set = requests.speed.set(fraction);
@@ -184,6 +192,9 @@ pub fn run(
     let carved = carving::open(&mut outputs, file, options.carved.as_deref())?;
     let page = options.out.as_deref().map(|directory| outputs.open_in("--out", directory, REPORT)).transpose()?;
     let mut bench = Bench::open(file, options.bench, &options.places, options.trace.is_some())?;
+    if let (Some(scenario), Some(emulation)) = (&scenario, &mut bench.emulation) {
+        emulation.play(scenario, file)?;
+    }
     let devices = setup::devices(file, bench.ports, bench.lines, bench.sensors, None)?;
     let (mut servo, links) = Servo::new(&setup::servo_config(file), devices.groups)?;
     let sensors = setup::force_sensors(file, &devices.sensors, &links);

@@ -52,6 +52,8 @@ pub enum FaultKind {
     Unplugged,
     /// A second node has the node-ID of a drive.
     DuplicateNode,
+    /// A drive on a serial line repeats its last answer.
+    AnswersFrozen,
     /// The heartbeats of a node do not arrive.
     HeartbeatSilent,
     /// A forged EMCY with `code`.
@@ -88,7 +90,7 @@ pub enum FaultKind {
 
 impl FaultKind {
     /// The kinds, each once.
-    pub const ALL: [Self; 35] = [
+    pub const ALL: [Self; 36] = [
         Self::Lost,
         Self::Late,
         Self::Duplicated,
@@ -108,6 +110,7 @@ impl FaultKind {
         Self::PowerCycle,
         Self::Unplugged,
         Self::DuplicateNode,
+        Self::AnswersFrozen,
         Self::HeartbeatSilent,
         Self::ForgedEmergency,
         Self::Blocked,
@@ -199,7 +202,11 @@ impl FaultKind {
             let drive = place.drive().ok_or("is a fault of an axis: name the axis")?;
             return Ok(vec![WorldFault::Plant { drive, fault }]);
         }
+        if self == Self::AnswersFrozen && !matches!(place, FaultPlace::Line(_)) {
+            return Err("is a fault of a serial line, and the place is on a bus");
+        }
         let device = match self {
+            Self::AnswersFrozen => Some(DeviceFault::AnswersFrozen),
             Self::NodeReset => Some(DeviceFault::Reset),
             Self::PowerCycle => Some(DeviceFault::PowerOff),
             Self::Unplugged => Some(DeviceFault::Unplugged),
@@ -293,7 +300,9 @@ impl FaultKind {
             Self::Late => fault(LineFaults { late, ..LineFaults::default() }),
             Self::Duplicated => both(WireFaults { duplicate: 0.01 * probability, ..none }),
             Self::Corrupted => both(WireFaults { bit_error_rate: 0.01 * probability, ..none }),
-            Self::Garbage => Ok(vec![WorldFault::Bytes { line, to_host: true, bytes: (0..24).map(|it| it * 11).collect() }]),
+            Self::Garbage => {
+                Ok(vec![WorldFault::Bytes { line, to_host: true, bytes: (0..24).map(|it| it * 11).collect() }])
+            }
             Self::WrongBaud => both(WireFaults { stuck: Some(Stuck::Garbled), ..none }),
             Self::HangUp => Ok(vec![WorldFault::HangUp { line }]),
             // The other program reads the line too, and takes bytes of the answers.

@@ -152,6 +152,24 @@ impl Scenario {
         Ok(scenario)
     }
 
+    /// The JSON schema of scenario files.
+    pub fn schema() -> schemars::Schema {
+        schemars::schema_for!(ScenarioText)
+    }
+
+    /// The scenario of one fault that begins at once, in one line: the kind, then KEY=VALUE for each other key of a fault.
+    pub fn of_line(line: &str) -> anyhow::Result<Self> {
+        let mut words = line.split_whitespace();
+        let kind = words.next().context("the kind of the fault is missing")?;
+        let mut text = format!("[[fault]]\nat = 0.0\nkind = {kind:?}\n");
+        for word in words {
+            let (key, value) = word.split_once('=').with_context(|| format!("{word:?} is not KEY=VALUE"))?;
+            let number = value.parse::<f64>().is_ok() || value.starts_with("0x");
+            text += &if number { format!("{key} = {value}\n") } else { format!("{key} = {value:?}\n") };
+        }
+        Self::parse(Path::new("fault"), &text)
+    }
+
     /// The faults in the world of a cell.
     pub fn resolve(&self, file: &CellFile, ids: &DriveIds) -> anyhow::Result<Vec<PlacedFault>> {
         let faults = self.scenario.fault.iter().enumerate();
@@ -171,7 +189,8 @@ impl Scenario {
 impl FaultText {
     /// Checks all that needs no cell.
     fn check(&self) -> Result<(), Problem> {
-        let times = usize::from(self.at.is_some()) + usize::from(self.when.is_some()) + usize::from(self.cycle.is_some());
+        let times =
+            usize::from(self.at.is_some()) + usize::from(self.when.is_some()) + usize::from(self.cycle.is_some());
         if times != 1 {
             return Err(("at", format!("one of at, when and cycle is needed, and {times} are given")));
         }

@@ -49,18 +49,30 @@ const IDLE: Duration = Duration::from_millis(100);
 impl ScenarioRun {
     /// The scenario in the world of a cell, or what is wrong with it.
     pub fn new(scenario: &Scenario, file: &CellFile, ids: &DriveIds) -> anyhow::Result<Self> {
+        let mut run = Self::empty(file);
+        run.add(scenario, file, ids)?;
+        Ok(run)
+    }
+
+    /// A run without faults, in a world of this period.
+    pub fn empty(file: &CellFile) -> Self {
+        Self { faults: Vec::new(), passed: Instant::ZERO, period: file.cell.period(), look_at: Instant::ZERO }
+    }
+
+    /// Adds the faults of a scenario. Faults of the past begin at once.
+    pub fn add(&mut self, scenario: &Scenario, file: &CellFile, ids: &DriveIds) -> anyhow::Result<()> {
         let faults = scenario.resolve(file, ids)?;
-        let planned = faults.into_iter().map(|fault| Planned {
+        let still_since = self.passed;
+        self.faults.extend(faults.into_iter().map(|fault| Planned {
             time: fault.time,
             duration: fault.duration,
             faults: fault.faults,
             watched: fault.watched,
             speed: 0.0,
-            still_since: Instant::ZERO,
+            still_since,
             state: State::Waiting,
-        });
-        let period = file.cell.period();
-        Ok(Self { faults: planned.collect(), passed: Instant::ZERO, period, look_at: Instant::ZERO })
+        }));
+        Ok(())
     }
 
     /// Begins and ends the faults that are due by `until`, in the order of their times.
@@ -94,7 +106,8 @@ impl ScenarioRun {
             if !matches!(fault.state, State::Waiting) {
                 continue;
             }
-            let share = |(drive, most): &(DriveId, f64)| world.plant(*drive).map_or(0.0, |it| it.velocity().abs() / most);
+            let share =
+                |(drive, most): &(DriveId, f64)| world.plant(*drive).map_or(0.0, |it| it.velocity().abs() / most);
             let speed = fault.watched.iter().map(share).fold(0.0, f64::max);
             let change = speed - fault.speed;
             fault.speed = speed;
