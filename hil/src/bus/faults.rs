@@ -34,9 +34,7 @@ pub enum Frames {
     All,
     /// Frames with this COB-ID.
     Id(StandardId),
-    /// Frames to and from a node, by the predefined connection set (CiA 301 §7.3.5).
-    Node(u8),
-    /// Frames that a node sends: TPDOs, SDO answers, EMCY and heartbeat.
+    /// Frames that a node sends, by the predefined connection set (CiA 301 §7.3.5): TPDOs, SDO answers, EMCY and heartbeat.
     FromNode(u8),
     /// Frames that the host sends.
     FromHost,
@@ -80,7 +78,6 @@ impl FrameFaultInEffect {
         let concerned = match self.frames {
             Frames::All => true,
             Frames::Id(wanted) => id == wanted,
-            Frames::Node(node) => raw & 0x7F == u16::from(node) && raw > cob::SYNC.raw(),
             Frames::FromNode(node) => {
                 raw & 0x7F == u16::from(node)
                     && raw > cob::SYNC.raw()

@@ -405,8 +405,8 @@ fn a_fault_of_the_plant_shows_in_the_feedback_and_not_beyond() {
     let moved = f64::from(inverted.feedback().counts - sound.feedback().counts);
     assert!(moved * (inverted.angle() - sound.angle()) < 0.0, "the counter runs backwards");
     let (sound, jumped) = under_fault(PlantFault::EncoderJump(4000));
-    let turned = (jumped.angle() - sound.angle()) * f64::from(AxisConfig::irp6(Irp6Axis::ALL[0]).counts_per_revolution)
-        / std::f64::consts::TAU;
+    let turned =
+        (jumped.angle() - sound.angle()) * f64::from(AxisConfig::irp6(Irp6Axis::ALL[0]).counts_per_revolution) / TAU;
     let counted = f64::from(jumped.feedback().counts - sound.feedback().counts);
     assert!((counted - turned - 4000.0).abs() < 3.0, "{counted} of {turned}");
     let (_, closed) = under_fault(PlantFault::LimitSwitchClosed);

@@ -22,7 +22,7 @@ impl FaultTable {
         self.rows.iter().filter(|row| row.result.is_some()).count()
     }
 
-    /// The page, with all rows or with the worst phase of each fault and robot.
+    /// The page, with all rows and the red ones first, or with the worst phase of each fault and robot.
     pub fn page(&self, summary: bool) -> String {
         let mut page = format!("# Fault table of the cell {}\n\n{HEAD}\n\n", self.cell);
         for detector in &self.without {
@@ -30,29 +30,28 @@ impl FaultTable {
         }
         let _ = writeln!(page, "{self}.\n");
         let red: Vec<_> = self.red().collect();
-        if !red.is_empty() {
+        if !red.is_empty() && !summary {
             let _ = writeln!(page, "## Red rows\n\n{TITLES}");
             for row in red {
-                let _ = writeln!(page, "{}", line(row, &row.phase.name()));
+                let _ = writeln!(page, "{}", line(row));
             }
             page.push('\n');
         }
         let _ = writeln!(page, "## {}\n\n{TITLES}", if summary { "Worst phases" } else { "All rows" });
         if summary {
-            for (row, phases) in self.worst() {
-                let _ = writeln!(page, "{}", line(row, &phases));
+            for row in self.worst() {
+                let _ = writeln!(page, "{}", line(row));
             }
         } else {
             for row in &self.rows {
-                let _ = writeln!(page, "{}", line(row, &row.phase.name()));
+                let _ = writeln!(page, "{}", line(row));
             }
         }
         page
     }
 
-    /// The worst row of each fault and robot, with the name of its phase: a red one, or the one with the greatest share of
-    /// its bound.
-    fn worst(&self) -> Vec<(&Row, String)> {
+    /// The worst row of each fault and robot: a red one, or the one with the greatest share of its bound.
+    fn worst(&self) -> Vec<&Row> {
         let mut groups = BTreeMap::<(usize, &str), Vec<&Row>>::new();
         let mut faults = Vec::new();
         for row in self.rows.iter().filter(|row| row.result.is_some()) {
@@ -66,11 +65,8 @@ impl FaultTable {
                 row.result.as_ref().filter(|it| it.detection.is_some()).map_or(0.0, |it| it.distance / it.bound);
             share + if row.is_red() { 1e6 } else { 0.0 }
         };
-        let groups = groups.into_values().filter_map(|rows| {
-            let worst = rows.into_iter().max_by(|one, other| badness(one).total_cmp(&badness(other)))?;
-            Some((worst, worst.phase.name().to_owned()))
-        });
-        groups.collect()
+        let worst = |rows: Vec<_>| rows.into_iter().max_by(|one, other| badness(one).total_cmp(&badness(other)));
+        groups.into_values().filter_map(worst).collect()
     }
 }
 
@@ -87,8 +83,9 @@ impl Display for FaultTable {
 const TITLES: &str = "| fault | robot | phase | detected by | after | stop | at rest after | distance (bound) | brought back by |\n\
 |---|---|---|---|---|---|---|---|---|";
 
-fn line(row: &Row, phase: &dyn Display) -> String {
-    let Row { fault, robot, reasons, result, .. } = row;
+fn line(row: &Row) -> String {
+    let Row { fault, robot, reasons, result, phase } = row;
+    let phase = phase.name();
     let Some(result) = result else {
         return format!("| {fault} | {robot} | {phase} | — ({}) | | | | | |", reasons.join(", "));
     };
