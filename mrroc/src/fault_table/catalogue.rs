@@ -216,7 +216,8 @@ pub(super) const CASES: &[FaultCase] = &[
                 P::Accelerating | P::Cruising | P::Contact | P::Team => By(&[D::Frozen, D::FollowingError]),
             })
         },
-        ..found("answers stay the same", K::AnswersFrozen, SERIAL, Within::Error)
+        // Equal answers of 25 cycles are a fault.
+        ..found("answers stay the same", K::AnswersFrozen, SERIAL, Within::Time(ms(60)))
     },
     FaultCase { expected: not_following, ..found("axis blocked", K::Blocked, BOTH, Within::Error) },
     FaultCase { expected: not_following, ..found("encoder frozen", K::EncoderFrozen, BOTH, Within::Error) },
@@ -295,10 +296,12 @@ impl FaultCase {
 
     /// Declared bounds on robot 0 of a cell whose motors move at `velocity`, rad/s.
     ///
-    /// A motor moves on until the detection, and for the four periods from sample to effect. The stop then brakes with the
-    /// deceleration of the limit. Twice the following error is added: the motor may be so far behind its set-point at
-    /// the strike, and so far beside it at the end. A fault that the following error finds is bounded by this distance,
-    /// and its time is four times that of the distance to the obstacle and to the limit of the error.
+    /// The distance of a motor is the sum of three parts, with a margin. The motor moves on until the detection, and for the
+    /// four periods from sample to effect. The stop brakes with the deceleration of the limit. Twice the following error
+    /// is added, for the distances between motor and set-point at the strike and at the end.
+    ///
+    /// The following error itself limits the distance until it finds a fault. The time of such a detection is four times the
+    /// time at constant speed to the obstacle and to the limit of the error.
     pub(super) fn bounds(&self, file: &CellFile, axis: usize, velocity: &[f64; MAX_AXES]) -> Bounds {
         let cell = &file.cell;
         let robot = &cell.robot[0];

@@ -4,8 +4,8 @@
 //! row ends with the detection, the stop and the recovery. Distances are those of the emulated plants, which no
 //! controller reads. To save time, robots start at home with their references, except in rows of homing.
 //!
-//! A row is red if the fault is not found by its detectors within its bound, if the robot moves beyond its bound, if a
-//! fault that should be tolerated stops the robot, or if a second run with the same seed ends otherwise.
+//! A row is red if the detectors of its fault do not find the fault within its bound, or if the robot moves beyond its
+//! bound. A row is also red if a tolerable fault stops the robot, or if a second run with the same seed ends differently.
 
 mod catalogue;
 mod detector;

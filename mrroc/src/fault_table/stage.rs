@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
 use can::Instant;
-use hil::{DriveId, FaultInEffect, PlantFault, WorldFault};
+use hil::{DriveId, FaultInEffect, PlantAxis, PlantFault, WorldFault};
 use serial::Line;
 use servo::{EffectorLink, MAX_AXES, Order, Phase, Servo, ServoFault, ServoState, StopCause, lockstep};
 
@@ -23,9 +23,9 @@ const HOMING: Duration = Duration::from_secs(30);
 /// Time for which a robot is observed after the detection.
 const STOPPED: Duration = Duration::from_millis(1200);
 /// Time for which all axes must stay at rest.
-const REST: Duration = Duration::from_millis(100);
-/// Velocity of a motor, rad/s, below which it is at rest.
-const SLOW: f64 = 0.5;
+const REST: Duration = Duration::from_millis(300);
+/// Distance, rad, within which a motor is at rest. A motor that a loop holds trembles by an increment of its encoder.
+const TREMBLE: f64 = 0.1;
 /// Longest reset.
 const RESET: Duration = Duration::from_secs(2);
 /// Longest enabling.
@@ -242,9 +242,10 @@ impl<'a> Stage<'a> {
         Ok(())
     }
 
-    fn truth(&self, robot: usize) -> [(f64, f64); MAX_AXES] {
+    /// True positions of the motors of a robot, rad.
+    fn truth(&self, robot: usize) -> [f64; MAX_AXES] {
         let drives = &self.drives[robot];
-        let plant = |axis: usize| self.emulation.plant(*drives.get(axis)?).map(|it| (it.angle(), it.velocity()));
+        let plant = |axis: usize| self.emulation.plant(*drives.get(axis)?).map(PlantAxis::angle);
         std::array::from_fn(|axis| plant(axis).unwrap_or_default())
     }
 
@@ -268,7 +269,8 @@ impl<'a> Stage<'a> {
             strays: None,
             recovery: Recovery::None,
         };
-        let mut still_since = None;
+        let places = |stage: &Self| -> Vec<_> { (0..stage.links.len()).map(|robot| stage.truth(robot)).collect() };
+        let (mut anchor, mut still_since) = (places(self), began);
         let mut was_moving = self.phase(0) == Phase::Moving || self.phase(0) == Phase::Homing;
         while self.now.since(began) < case.observed_for {
             // A long observation ends after the stop.
@@ -295,22 +297,21 @@ impl<'a> Stage<'a> {
             was_moving = matches!(state.phase(), Phase::Moving | Phase::Homing);
             let truth = self.truth(0);
             for (number, distance) in observed.distances.iter_mut().enumerate() {
-                *distance = distance.max((truth[number].0 - at_strike[number].0).abs());
+                *distance = distance.max((truth[number] - at_strike[number]).abs());
             }
-            let all_slow = |robot| self.truth(robot).iter().all(|(_, velocity)| velocity.abs() < SLOW);
-            if (0..self.links.len()).all(all_slow) {
-                still_since.get_or_insert(self.now);
-            } else {
-                still_since = None;
+            let here = places(self);
+            let moved = here.iter().flatten().zip(anchor.iter().flatten()).any(|(it, was)| (it - was).abs() > TREMBLE);
+            if moved {
+                (anchor, still_since) = (here, self.now);
             }
         }
-        observed.still_after = still_since.filter(|since| self.now.since(*since) >= REST).map(|at| at.since(began));
+        observed.still_after = (self.now.since(still_since) >= REST).then(|| still_since.since(began));
         observed.completed = self.servo.fault(0).is_none() && matches!(self.phase(0), Phase::Standing | Phase::Homing);
         let snapshot = self.links[0].latest.read();
         if snapshot.homed {
             let truth = self.truth(0);
             let used = self.drives[0].len();
-            let stray = |axis: usize| if axis < used { (truth[axis].0 - snapshot.commanded[axis]).abs() } else { 0.0 };
+            let stray = |axis: usize| if axis < used { (truth[axis] - snapshot.commanded[axis]).abs() } else { 0.0 };
             observed.strays = Some(std::array::from_fn(stray));
         }
         if !ended {
@@ -352,7 +353,7 @@ impl<'a> Stage<'a> {
             return Recovery::Restart;
         }
         let after = self.truth(0);
-        let jump = before.iter().zip(after).map(|(before, after)| (after.0 - before.0).abs()).fold(0.0, f64::max);
+        let jump = before.iter().zip(after).map(|(before, after)| (after - before).abs()).fold(0.0, f64::max);
         if jump > JUMP {
             return Recovery::Jumped(jump);
         }
