@@ -69,7 +69,7 @@ fn a_detector_that_is_off_turns_its_rows_red() {
         (D::Port, "hang-up of a line", "irb6", Cruising),
         (D::Sending, "transmit queue full", "irp6-track", Cruising),
         (D::OtherController, "second master on the bus", "irp6-track", Cruising),
-        (D::TimeOuts, "home switch dead", "irb6", Homing),
+        (D::TimeOuts, "index missing", "irb6", Homing),
     ] {
         let on = FaultOptions {
             robot: names(&[robot]),

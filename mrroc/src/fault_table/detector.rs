@@ -36,7 +36,7 @@ pub enum Detector {
     Sending,
     /// Signs of another controller on the bus.
     OtherController,
-    /// Time-outs of enabling and homing.
+    /// Time-outs of enabling and homing, and the longest distances of a search.
     TimeOuts,
 }
 
@@ -113,7 +113,9 @@ impl Detector {
         let axes = config.effectors.iter_mut().flat_map(|effector| &mut effector.axes);
         match self {
             Self::TimeOuts => axes.filter_map(|axis| axis.homing.as_mut()).for_each(|homing| {
-                (homing.search.timeout, homing.zero.timeout) = (NEVER, NEVER);
+                for leg in [&mut homing.search, &mut homing.zero] {
+                    (leg.timeout, leg.distance) = (NEVER, 1e6);
+                }
             }),
             Self::FollowingError => axes.for_each(|axis| axis.following_error = 1e9),
             Self::Runaway => axes.for_each(|axis| {
