@@ -6,6 +6,7 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
@@ -16,11 +17,12 @@ use hil::{Cabinet, Device, Pty};
 
 use mrroc::bench::bus_port::BusPort;
 use mrroc::bench::camera_wire;
-use mrroc::bench::emulated_lines::EmulatedLines;
+use mrroc::bench::emulated_lines::{EmulatedLines, LiveFaults};
 use mrroc::bench::emulated_time::EmulatedTime;
 use mrroc::bench::plants::{EmulatedCell, Payloads};
 use mrroc::bench::{emulation, interfaces};
 use mrroc::cell::CellFile;
+use mrroc::scenario::{Scenario, ScenarioRun};
 use mrroc::signals;
 
 /// Longest time between two checks for Ctrl-C.
@@ -49,7 +51,17 @@ pub(crate) struct Options {
     /// the axis, but is not the drive on the bus. A value written to either of the two does not reach the other.
     #[arg(long, value_name = "DIR")]
     service: Option<PathBuf>,
+    /// Play the faults of this scenario file.
+    #[arg(long, value_name = "FILE")]
+    scenario: Option<PathBuf>,
+    /// Read faults from standard input, one per line: the kind, then KEY=VALUE as in a scenario file, for example
+    /// `lost axis=irb6/column duration=0.1`.
+    #[arg(long)]
+    live: bool,
 }
+
+/// Faults that may wait for the emulation.
+const LIVE: usize = 64;
 
 /// Emulates the drives of a cell until Ctrl-C.
 pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
@@ -67,10 +79,12 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     let on_interfaces = interfaces.iter().zip(&links).map(|(interface, link)| link.is_none().then_some(interface));
     interfaces::all_differ(&file.cell, on_interfaces)?;
     emulation::problems(&file).next().map_or(Ok(()), Err)?;
-    // Contacts and sensors need one world of all drives. Buses of this world have transmission times.
+    let scenario = options.scenario.as_deref().map(Scenario::read).transpose()?;
+    // Contacts, sensors and faults need one world of all drives. Buses of this world have transmission times.
     let cell = &file.cell;
+    let faulty = scenario.is_some() || options.live;
     let sensors = !(cell.force_sensor.is_empty() && cell.ultrasonic.is_empty() && cell.camera.is_empty());
-    let together = sensors || cell.scene.is_some();
+    let together = faulty || sensors || cell.scene.is_some();
     let emulated = EmulatedCell::of(&file);
     let mut payloads = Payloads::of(&emulated, clock::now());
     let mut buses = Vec::new();
@@ -148,6 +162,16 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         }
         names.push(format!("of service ports in {}", directory.display()));
     }
+    if faulty {
+        let ids = emulated.ids();
+        let mut run = ScenarioRun::empty(&file);
+        scenario.iter().try_for_each(|scenario| run.add(scenario, &file, &ids))?;
+        let live = options.live.then(|| {
+            let tell = |said: &str| mrroc::streams::warn(format_args!("mrroc: {said}"));
+            LiveFaults { lines: standard_input(), file: file.clone(), ids, tell: Box::new(tell) }
+        });
+        lines.play(run, live);
+    }
     let stop = signals::ending_flag()?;
     mrroc::streams::say(format_args!("{} emulated: bus {}; Ctrl-C ends it", file.cell.name, names.join(", bus ")))?;
     std::thread::scope(|scope| {
@@ -178,6 +202,16 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         threads.into_iter().map(|thread| thread.join().expect("serving a bus does not panic")).fold(served, Result::and)
     })?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// The lines of standard input. The thread that reads them ends with the process.
+fn standard_input() -> Receiver<String> {
+    let (send, lines) = sync_channel(LIVE);
+    std::thread::spawn(move || {
+        let mut ended = std::io::stdin().lines().map_while(Result::ok).map(|line| send.send(line).is_err());
+        ended.any(|gone| gone)
+    });
+    lines
 }
 
 /// A pseudo-terminal and a symbolic link to it in `directory`. The link has the name of `axis`, which gives robot and

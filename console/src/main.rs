@@ -6,6 +6,7 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 mod emulate;
+mod faults;
 mod manual;
 mod usage;
 mod vm;
@@ -19,6 +20,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use mrroc::cell::{Cell, CellFile};
 use mrroc::outputs::Measured;
 use mrroc::recording::{self, ReplayOptions};
+use mrroc::scenario::Scenario;
 use mrroc::{streams, tasks::CarriedTask};
 use serde::Serialize;
 
@@ -77,6 +79,16 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
+    /// Play faults of wires, drives and motors on each robot in each phase, in lockstep, and print how they end. Exit
+    /// status 1 if a row is red: a fault is not found, or a robot moves beyond its bound.
+    Faults {
+        /// The cell file.
+        cell: PathBuf,
+        #[command(flatten)]
+        options: mrroc::fault_table::FaultOptions,
+        #[command(flatten)]
+        replacement: mrroc::outputs::Replacement,
+    },
     /// Emulate the axis controllers of a cell: on a CAN interface, behind an slcan adapter, or on serial lines.
     Emulate(emulate::Options),
     /// List the nodes of a bus: by SDO requests to every node-ID, by LSS requests, and by heartbeats. Do not use while
@@ -132,6 +144,9 @@ enum Command {
         /// Print the reference in Markdown.
         #[arg(long)]
         reference: bool,
+        /// Print the schema of scenario files.
+        #[arg(long, conflicts_with = "reference")]
+        scenario: bool,
     },
     /// Write the manual pages and the completions for bash, zsh and fish into a directory.
     #[command(hide = true)]
@@ -156,6 +171,7 @@ fn main() -> ExitCode {
         }
         Command::Stop(options) => service::stop::stop(&options),
         Command::Replay { file, cell, diff, json } => replay(&file, cell, diff, json),
+        Command::Faults { cell, options, replacement } => faults::faults(&cell, &options, replacement),
         Command::Emulate(options) => emulate::emulate(&options),
         Command::Scan(options) => {
             service::scan::scan(&options).and_then(|scanned| streams::answer(&scanned, options.json))
@@ -173,7 +189,8 @@ fn main() -> ExitCode {
         Command::Datasheet(options) => descriptions::datasheet::datasheet(&options).and_then(streams::print),
         Command::Urdf(which) => descriptions::urdf::urdf(&which).and_then(streams::print),
         Command::Vm { machine } => vm::vm(&machine),
-        Command::Schema { reference } => schema(reference),
+        Command::Schema { scenario: true, .. } => scenario_schema(),
+        Command::Schema { reference, .. } => schema(reference),
         Command::Manual { directory, replacement } => manual::write(Arguments::command(), &directory, replacement),
     };
     result.unwrap_or_else(|refusal| {
@@ -228,6 +245,10 @@ fn measurement<R: Serialize + Display>(measured: Measured<R>, json: bool) -> Exi
         streams::warn(format_args!("mrroc: {failure:#}"));
     }
     ExitCode::from(u8::from(!complete || !failures.is_empty()))
+}
+
+fn scenario_schema() -> anyhow::Result<ExitCode> {
+    streams::print(serde_json::to_string_pretty(&Scenario::schema())? + "\n")
 }
 
 fn schema(reference: bool) -> anyhow::Result<ExitCode> {

@@ -43,7 +43,7 @@ use std::time::Duration;
 use can::Instant;
 
 use crate::plant::{AxisConfig, Mount};
-use crate::{LineDevice, PlantAxis, outbox::Outbox};
+use crate::{DeviceFault, LineDevice, PlantAxis, outbox::Outbox};
 use drive::Drive;
 use hi_moxa::HiMoxa;
 use nfv2::Nfv2;
@@ -54,7 +54,18 @@ pub struct AxisController {
     telegrams: Telegrams,
     outbox: Outbox,
     answer_delay: Duration,
+    /// The unit is cut off its line.
+    unplugged: bool,
+    /// The unit has no supply.
+    dead: bool,
+    /// The unit repeats its last answer.
+    frozen: bool,
+    /// The last answer.
+    answer: Vec<u8>,
 }
+
+/// Room for an answer, bytes.
+const ANSWER: usize = 64;
 
 enum Telegrams {
     Nfv2(Box<Nfv2>),
@@ -82,7 +93,16 @@ impl AxisController {
     }
 
     fn new(telegrams: Telegrams, config: &AxisControllerConfig) -> Self {
-        Self { drive: Drive::new(config), telegrams, outbox: Outbox::new(), answer_delay: config.answer_delay }
+        Self {
+            drive: Drive::new(config),
+            telegrams,
+            outbox: Outbox::new(),
+            answer_delay: config.answer_delay,
+            unplugged: false,
+            dead: false,
+            frozen: false,
+            answer: Vec::with_capacity(ANSWER),
+        }
     }
 
     /// The simulated axis, including state that no drive can measure.
@@ -94,8 +114,18 @@ impl AxisController {
 impl LineDevice for AxisController {
     fn receive(&mut self, byte: u8, now: Instant) {
         self.outbox.run(now);
+        if self.unplugged || self.dead {
+            return;
+        }
         let drive = &mut self.drive;
-        let answer = |bytes: &[u8]| self.outbox.put(now + self.answer_delay, bytes);
+        let (frozen, last) = (self.frozen, &mut self.answer);
+        let answer = |bytes: &[u8]| {
+            if !frozen {
+                last.clear();
+                last.extend_from_slice(bytes);
+            }
+            self.outbox.put(now + self.answer_delay, last);
+        };
         match &mut self.telegrams {
             Telegrams::Nfv2(nfv2) => nfv2.receive(byte, now, drive, answer),
             Telegrams::HiMoxa(hi_moxa) => hi_moxa.receive(byte, now, drive, answer),
@@ -103,7 +133,8 @@ impl LineDevice for AxisController {
     }
 
     fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
-        self.outbox.poll_transmit(now)
+        let byte = self.outbox.poll_transmit(now);
+        byte.filter(|_| !self.unplugged && !self.dead)
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
@@ -120,6 +151,29 @@ impl LineDevice for AxisController {
     fn advance_mechanics(&mut self, now: Instant) -> bool {
         self.drive.advance_mechanics(now);
         false
+    }
+
+    fn set_fault(&mut self, fault: DeviceFault, on: bool, now: Instant) -> bool {
+        self.drive.catch_up(now);
+        match fault {
+            DeviceFault::Unplugged => self.unplugged = on,
+            DeviceFault::AnswersFrozen => self.frozen = on,
+            DeviceFault::Reset if on => self.drive.restart(),
+            DeviceFault::Reset => {}
+            DeviceFault::PowerOff => {
+                self.dead = on;
+                self.drive.restart();
+            }
+        }
+        true
+    }
+
+    fn plant(&self) -> Option<&PlantAxis> {
+        Some(self.axis())
+    }
+
+    fn plant_mut(&mut self) -> Option<&mut PlantAxis> {
+        Some(&mut self.drive.axis)
     }
 }
 

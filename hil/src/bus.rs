@@ -6,18 +6,25 @@
 //! The order at one instant is: time-outs of devices, the end of a frame, the start of the next frame. The same input
 //! gives the same frames at the same instants.
 //!
-//! Left out: errors on the wire, acknowledgement, and bit errors of nodes that send the same identifier. A single
+//! [`FrameFault`] and [`HostFault`] are the faults of the wire and of the controller of the host. Left out: other errors
+//! on the wire, error counters of the devices, and bit errors of nodes that send the same identifier. A single
 //! node transmits as if its frames were acknowledged. Of two nodes that send the same identifier at once, the node
 //! attached first wins.
 //!
 //! Nothing allocates once the queues have reached their working size. Read [`VirtualBus::advance`] first.
 
+mod faults;
+
+pub use faults::{FrameFault, Frames, HostFault};
+
 use std::collections::VecDeque;
+use std::time::Duration;
 
 use can::timing::{Bitrate, INTERMISSION, bits_on_wire};
 use can::{Frame, Id, Instant, Received, VirtualPeer};
 
-use crate::Device;
+use crate::{Device, DeviceFault};
+use faults::{BusFaults, ERROR_FRAME, HeldFrame, report};
 
 /// Capacity of a device's transmit queue on the bus. Further frames wait inside the device.
 const QUEUE: usize = 32;
@@ -31,6 +38,7 @@ pub struct VirtualBus {
     /// End of the intermission after the last frame.
     free_at: Instant,
     on_wire: Option<Transmission>,
+    faults: BusFaults,
 }
 
 struct Attached {
@@ -38,6 +46,8 @@ struct Attached {
     /// Frames that the device wants to send, with the times since which they are pending.
     pending: VecDeque<Received>,
     time_out: Option<Instant>,
+    /// The device is cut off the bus. It goes on by itself.
+    unplugged: bool,
 }
 
 #[derive(Clone, Copy)]
@@ -48,10 +58,12 @@ struct Transmission {
     bits: u32,
 }
 
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 enum End {
     Host(usize),
     Device(usize),
+    /// A node that is not part of the cell.
+    Foreign(usize),
 }
 
 impl VirtualBus {
@@ -64,6 +76,7 @@ impl VirtualBus {
             now: Instant::ZERO,
             free_at: Instant::ZERO,
             on_wire: None,
+            faults: BusFaults::default(),
         }
     }
 
@@ -74,7 +87,8 @@ impl VirtualBus {
 
     /// Adds a device and returns its number on this bus, counted from 0.
     pub fn attach_device(&mut self, device: Box<dyn Device>) -> usize {
-        let mut attached = Attached { device, pending: VecDeque::with_capacity(QUEUE), time_out: None };
+        let mut attached =
+            Attached { device, pending: VecDeque::with_capacity(QUEUE), time_out: None, unplugged: false };
         attached.collect(self.now);
         self.devices.push(attached);
         self.devices.len() - 1
@@ -83,6 +97,11 @@ impl VirtualBus {
     /// A device by the number that [`VirtualBus::attach_device`] gave it.
     pub fn device(&self, number: usize) -> Option<&dyn Device> {
         self.devices.get(number).map(|attached| attached.device.as_ref())
+    }
+
+    /// A device, to change its faults.
+    pub(crate) fn device_mut(&mut self, number: usize) -> Option<&mut dyn Device> {
+        self.devices.get_mut(number).map(|attached| attached.device.as_mut())
     }
 
     /// Applies `change` to a device at `now`, after advancing the bus to `now`. Returns `None` if there is no such
@@ -98,6 +117,76 @@ impl VirtualBus {
         let result = change(attached.device.as_mut());
         attached.collect(self.now);
         Some(result)
+    }
+
+    /// Begins a fault of frames at `now`, and returns its number. Each frame that the fault concerns is damaged with this
+    /// probability, and at most `count` frames are. `seed` determines which.
+    pub fn begin_frame_fault(
+        &mut self,
+        frames: Frames,
+        fault: FrameFault,
+        (probability, count, seed): (f64, Option<u32>, u64),
+    ) -> u64 {
+        self.faults.add(frames, fault, probability, count, seed)
+    }
+
+    /// Ends a fault of frames at `now`. A frame that waits for the next frame is delivered.
+    pub fn end_frame_fault(&mut self, number: u64, now: Instant) {
+        // The numbers of the other foreign nodes change.
+        self.on_wire = self.on_wire.filter(|wire| !matches!(wire.sender, End::Foreign(_)));
+        self.faults.remove(number, now);
+    }
+
+    /// Begins or ends a fault of the controller or the interface of the first host at `now`.
+    pub fn set_host_fault(&mut self, fault: HostFault, on: bool, now: Instant) {
+        let Some(host) = self.hosts.first_mut() else {
+            return;
+        };
+        match fault {
+            HostFault::Down => host.set_down(on),
+            HostFault::QueueFull => host.set_full(on),
+            HostFault::ErrorPassive => {}
+            HostFault::BusOff | HostFault::Unacknowledged => self.faults.cut_off = on,
+        }
+        if fault == HostFault::BusOff {
+            // The kernel discards the frames of a controller that leaves the bus.
+            while host.take_sent().is_some() {}
+        }
+        if on && self.faults.cut_off {
+            self.on_wire = self.on_wire.filter(|wire| wire.sender != End::Host(0));
+        }
+        let said = match (fault, on) {
+            (HostFault::BusOff, true) => report::bus_off(),
+            (HostFault::BusOff, false) => report::restarted(),
+            (HostFault::ErrorPassive, true) => report::passive(),
+            (HostFault::Unacknowledged, true) => report::unacknowledged(),
+            (HostFault::ErrorPassive | HostFault::Unacknowledged, false) => report::active(),
+            (HostFault::Down | HostFault::QueueFull, _) => return,
+        };
+        host.deliver(Received { frame: said, at: now }, 0);
+    }
+
+    /// Lets a node that is not part of the cell send a frame at `at`, and again after each time `every`. Returns the number
+    /// of the fault for [`end_frame_fault`](Self::end_frame_fault).
+    pub fn begin_foreign(&mut self, frame: Frame, at: Instant, every: Option<Duration>) -> u64 {
+        self.faults.add_foreign(frame, at, every)
+    }
+
+    /// Begins or ends a fault of a device at `now`, after advancing the bus to `now`. Returns whether there is a device
+    /// of this number that has the fault.
+    pub fn set_device_fault(&mut self, number: usize, fault: DeviceFault, on: bool, now: Instant) -> bool {
+        self.advance(now);
+        let Some(attached) = self.devices.get_mut(number) else {
+            return false;
+        };
+        let known = if fault == DeviceFault::Unplugged {
+            attached.unplugged = on;
+            true
+        } else {
+            attached.device.set_fault(fault, on, now)
+        };
+        attached.collect(now);
+        known
     }
 
     /// Advances the motors of the scene's robots and belts to `now`. The events of the bus before `now` have been
@@ -147,6 +236,7 @@ impl VirtualBus {
             self.now = self.now.max(at);
             match event {
                 BusEvent::TimeOut => self.time_out(),
+                BusEvent::HeldFrame => self.deliver_held(),
                 BusEvent::FrameEnd => self.end_frame(),
                 BusEvent::FrameStart => self.start_frame(),
             }
@@ -166,6 +256,10 @@ impl VirtualBus {
             Some(transmission) => Some((transmission.ends, BusEvent::FrameEnd)),
             None => self.heads().map(|(_, head)| head.at).min().map(|at| (at.max(self.free_at), BusEvent::FrameStart)),
         };
+        let wire = match self.faults.next_held() {
+            Some(at) if wire.as_ref().is_none_or(|(wire_at, _)| at <= *wire_at) => Some((at, BusEvent::HeldFrame)),
+            _ => wire,
+        };
         match time_out {
             Some(at) if wire.as_ref().is_none_or(|(wire_at, _)| at <= *wire_at) => Some((at, BusEvent::TimeOut)),
             _ => wire,
@@ -176,9 +270,12 @@ impl VirtualBus {
     fn heads(&self) -> impl Iterator<Item = (End, &Received)> {
         let hosts = self.hosts.iter().enumerate();
         let devices = self.devices.iter().enumerate();
+        let cut_off = self.faults.cut_off;
         hosts
+            .filter(move |(at, _)| !(cut_off && *at == 0))
             .filter_map(|(at, host)| Some((End::Host(at), host.peek_sent()?)))
             .chain(devices.filter_map(|(at, device)| Some((End::Device(at), device.pending.front()?))))
+            .chain(self.faults.foreign.iter().enumerate().map(|(at, foreign)| (End::Foreign(at), &foreign.next)))
     }
 
     fn time_out(&mut self) {
@@ -206,7 +303,7 @@ impl VirtualBus {
         };
         let bits = match sender {
             End::Host(at) => self.hosts[at].bits_of_sent(),
-            End::Device(_) => bits_on_wire(&head.frame),
+            End::Device(_) | End::Foreign(_) => bits_on_wire(&head.frame),
         };
         if bits == 0 {
             // An error frame is a report of the host's controller and is not transmitted.
@@ -222,32 +319,81 @@ impl VirtualBus {
         let Some(ended) = self.on_wire.take() else {
             return;
         };
-        self.remove(ended.sender);
-        let (frame, at) = (ended.frame, ended.ends);
+        let received = Received { frame: ended.frame, at: ended.ends };
+        let Some((fault, number)) = self.faults.strike(&ended.frame, ended.sender) else {
+            self.remove(ended.sender);
+            return self.deliver(received, ended.sender, ended.bits);
+        };
+        let sender = ended.sender;
+        let held = |due| HeldFrame { due, received, sender, fault: number };
+        match fault {
+            FrameFault::Corrupted => {
+                // The sender keeps the frame for its next attempt.
+                self.free_at = ended.ends + self.bitrate.duration(ERROR_FRAME);
+                for host in &mut self.hosts {
+                    host.deliver(Received { frame: report::bus_error(), at: ended.ends }, ERROR_FRAME);
+                }
+                return self.collect_all(ended.ends);
+            }
+            FrameFault::Lost => {}
+            FrameFault::Late(late) => self.faults.held.push(held(Some(ended.ends + late))),
+            FrameFault::Duplicated => {
+                self.faults.held.push(held(Some(ended.ends + self.bitrate.duration(ended.bits))));
+                self.remove(sender);
+                return self.deliver(received, sender, ended.bits);
+            }
+            FrameFault::Swapped if self.faults.waits(number) => {
+                self.remove(sender);
+                self.deliver(received, sender, ended.bits);
+                return self.faults.release(number, ended.ends);
+            }
+            FrameFault::Swapped => self.faults.held.push(held(None)),
+        }
+        self.remove(sender);
+        self.collect_all(ended.ends);
+    }
+
+    /// Delivers the held frames that are due.
+    fn deliver_held(&mut self) {
+        while let Some(held) = self.faults.take_held(self.now) {
+            let received = Received { at: self.now, ..held.received };
+            self.deliver(received, held.sender, bits_on_wire(&received.frame));
+        }
+    }
+
+    /// Hands a frame to all nodes except its sender.
+    fn deliver(&mut self, received: Received, sender: End, bits: u32) {
+        let Received { frame, at } = received;
         for (number, host) in self.hosts.iter_mut().enumerate() {
-            if ended.sender != End::Host(number) {
+            if sender != End::Host(number) && !(self.faults.cut_off && number == 0) {
                 // A host with a full queue loses the frame and counts the loss, as the driver of a CAN card does.
-                host.deliver(Received { frame, at }, ended.bits);
+                host.deliver(received, bits);
             }
         }
         for (number, attached) in self.devices.iter_mut().enumerate() {
-            if ended.sender != End::Device(number) {
+            if sender != End::Device(number) && !attached.unplugged {
                 attached.device.handle(&frame, at);
             }
             attached.collect(at);
         }
     }
 
+    fn collect_all(&mut self, now: Instant) {
+        self.devices.iter_mut().for_each(|attached| attached.collect(now));
+    }
+
     fn remove(&mut self, sender: End) {
         match sender {
             End::Host(at) => _ = self.hosts[at].take_sent(),
             End::Device(at) => _ = self.devices[at].pending.pop_front(),
+            End::Foreign(at) => self.faults.sent_foreign(at, self.now),
         }
     }
 }
 
 enum BusEvent {
     TimeOut,
+    HeldFrame,
     FrameEnd,
     FrameStart,
 }
@@ -259,6 +405,10 @@ impl Attached {
                 break;
             };
             self.pending.push_back(Received { frame, at: now });
+        }
+        if self.unplugged {
+            // Nobody hears these frames. The real controller would repeat the first one for ever.
+            self.pending.clear();
         }
         self.time_out = self.device.poll_timeout();
     }

@@ -4,6 +4,21 @@ use std::any::Any;
 
 use can::{Frame, Instant};
 
+use crate::PlantAxis;
+
+/// A fault of a device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DeviceFault {
+    /// The device is cut off its bus or line, and goes on by itself.
+    Unplugged,
+    /// The device resets itself once, as its own watchdog does. A drive loses power and reference.
+    Reset,
+    /// The device has no supply. It restarts at the end of the fault.
+    PowerOff,
+    /// The device executes requests, and repeats its last answer. Only axis controllers on serial lines have this fault.
+    AnswersFrozen,
+}
+
 /// A device on a bus, as a function of (state, input, now): no thread, no clock, no socket.
 ///
 /// The caller, which is the virtual bus or a socket loop, guarantees two things: `now` never decreases, and
@@ -34,6 +49,21 @@ pub trait Device: Any + Send {
     fn sense(&mut self, _now: Instant) -> bool {
         false
     }
+
+    /// Begins or ends a fault at `now`. Returns whether the device has this fault.
+    fn set_fault(&mut self, _fault: DeviceFault, _on: bool, _now: Instant) -> bool {
+        false
+    }
+
+    /// The motor of the device with its load, if it has one. The motor has the state of its last sub-step.
+    fn plant(&self) -> Option<&PlantAxis> {
+        None
+    }
+
+    /// The same, to change its faults.
+    fn plant_mut(&mut self) -> Option<&mut PlantAxis> {
+        None
+    }
 }
 
 /// A device on a serial line, as a function of (bytes, now): no thread, no clock, no tty.
@@ -59,5 +89,20 @@ pub trait LineDevice: Any + Send {
     /// such motors does nothing.
     fn advance_mechanics(&mut self, _now: Instant) -> bool {
         false
+    }
+
+    /// Begins or ends a fault at `now`. Returns whether the device has this fault.
+    fn set_fault(&mut self, _fault: DeviceFault, _on: bool, _now: Instant) -> bool {
+        false
+    }
+
+    /// The motor of the device with its load, if it has one. The motor has the state of its last sub-step.
+    fn plant(&self) -> Option<&PlantAxis> {
+        None
+    }
+
+    /// The same, to change its faults.
+    fn plant_mut(&mut self) -> Option<&mut PlantAxis> {
+        None
     }
 }

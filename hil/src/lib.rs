@@ -32,11 +32,12 @@ mod world;
 
 pub use amplifier::AmplifierConfig;
 pub use axis_controller::{AxisController, AxisControllerConfig, Cabinet};
+pub use bus::{FrameFault, Frames, HostFault};
 pub use camera::Camera;
 pub use cia401::{
     DigitalIo, DigitalIoConfig, DigitalIoError, InputEdge, InputProbe, LightGate, OutputProbe, OutputState,
 };
-pub use device::{Device, LineDevice};
+pub use device::{Device, DeviceFault, LineDevice};
 pub use epos_serial::{EposSerial, EposSerialConfig};
 pub use epos4::{Epos4, Epos4Config};
 pub use force_sensor::{
@@ -45,10 +46,11 @@ pub use force_sensor::{
 };
 pub use line::{LineFaults, LineStatistics, Stuck, WireFaults};
 pub use plant::{
-    AngleProbe, AxisConfig, Demand, Feedback, Irp6Axis, Mechanism, MechanismConfig, Mount, PlantAxis, PlantConfig, Trip,
+    AngleProbe, AxisConfig, Demand, Feedback, Irp6Axis, Mechanism, MechanismConfig, Mount, PlantAxis, PlantConfig,
+    PlantFault, Trip,
 };
 pub use pty::{Pty, PtyError};
 pub use scene::{Scene, View, WrenchProbe};
 pub use slcan::{SlcanCounts, SlcanDevice};
 pub use ultrasonic::{EchoProbe, SceneEchoes, UltrasonicConfig, UltrasonicError, UltrasonicMatrix};
-pub use world::{BusId, DeviceId, LineId, World};
+pub use world::{BusId, DeviceId, DriveId, FaultInEffect, LineId, World, WorldFault};

@@ -23,7 +23,7 @@ use std::{any::Any, time::Duration};
 use can::Instant;
 use serial::{Settings, TimedByte, VirtualLinePeer};
 
-use crate::LineDevice;
+use crate::{DeviceFault, LineDevice};
 use faults::Wire;
 
 /// Bytes of the line in a full packet of a USB adapter. Two more bytes of the packet carry the state of the adapter.
@@ -38,6 +38,9 @@ pub struct SerialLine {
     to_device: Direction,
     to_host: Direction,
     adapter: Option<Adapter>,
+    /// Delay of bytes to the host, and the time of the last delivery.
+    late: Duration,
+    delivered: Instant,
 }
 
 /// Counters of a line, before and after the effect of its faults.
@@ -176,6 +179,8 @@ impl SerialLine {
             to_device: Direction::new(settings),
             to_host: Direction::new(settings),
             adapter: latency.map(|latency| Adapter { latency, since: Instant::ZERO, bytes: [0; USB_PACKET], count: 0 }),
+            late: Duration::ZERO,
+            delivered: Instant::ZERO,
         };
         line.collect();
         line
@@ -202,6 +207,47 @@ impl SerialLine {
     pub fn set_faults(&mut self, faults: &LineFaults) {
         self.to_device.wire.set(faults.to_device, faults.seed);
         self.to_host.wire.set(faults.to_host, !faults.seed);
+        self.late = faults.late;
+    }
+
+    /// Passes bytes of a third party at `now`, to the host or to the device, without time on the line.
+    pub fn inject(&mut self, bytes: &[u8], to_host: bool, now: Instant) {
+        self.advance(now);
+        for &byte in bytes {
+            if to_host {
+                self.deliver(TimedByte { byte, at: now });
+            } else {
+                self.device.receive(byte, now);
+            }
+        }
+        self.collect();
+    }
+
+    /// Begins or ends a fault of the device at `now`, after advancing the line to `now`. Returns whether the device has
+    /// the fault.
+    pub fn set_device_fault(&mut self, fault: DeviceFault, on: bool, now: Instant) -> bool {
+        self.advance(now);
+        let known = self.device.set_fault(fault, on, now);
+        self.collect();
+        known
+    }
+
+    /// The device, to change its faults.
+    pub(crate) fn device_mut(&mut self) -> &mut dyn LineDevice {
+        self.device.as_mut()
+    }
+
+    /// The device, of any type.
+    pub(crate) fn any_device(&self) -> &dyn LineDevice {
+        self.device.as_ref()
+    }
+
+    /// Delivers a byte to the host. Times of delivery do not decrease.
+    fn deliver(&mut self, byte: TimedByte) {
+        self.delivered = self.delivered.max(byte.at + self.late);
+        if let Some(host) = &mut self.host {
+            host.deliver(TimedByte { at: self.delivered, ..byte });
+        }
     }
 
     /// Counters up to the last [`SerialLine::advance`].
@@ -267,10 +313,9 @@ impl SerialLine {
                     // The timer may have expired, with no byte to deliver, while the byte was on its way.
                     self.run_adapter();
                     for arrived in self.to_host.finish().into_iter().flatten() {
-                        match (&mut self.adapter, &mut self.host) {
-                            (Some(adapter), host) => adapter.collect(arrived, host.as_mut()),
-                            (None, Some(host)) => host.deliver(arrived),
-                            (None, None) => {}
+                        match &mut self.adapter {
+                            Some(adapter) => adapter.collect(arrived, self.host.as_mut()),
+                            None => self.deliver(arrived),
                         }
                     }
                     self.collect();

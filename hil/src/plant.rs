@@ -13,6 +13,7 @@
 
 mod axis;
 mod encoder;
+mod faults;
 mod friction;
 mod irp6;
 mod lab;
@@ -24,6 +25,7 @@ mod thermal;
 mod wut;
 
 pub use axis::{AngleProbe, AxisConfig, Demand, Feedback, PlantAxis, PlantConfig, Trip};
+pub use faults::PlantFault;
 pub use friction::FrictionConfig;
 pub use irp6::Irp6Axis;
 pub(crate) use mechanism::{Kinematics, Shafts};

@@ -26,11 +26,15 @@
 
 use std::{any::Any, time::Duration};
 
-use can::{Instant, VirtualPort, timing::Bitrate, virtual_port};
+use can::{Frame, Instant, VirtualPort, timing::Bitrate, virtual_port};
 use serial::{Settings, VirtualLine, virtual_line};
 
+use crate::plant::PlantFault;
 use crate::scene::{STEP, Scene};
-use crate::{Device, LineDevice, bus::VirtualBus, line::SerialLine};
+use crate::{
+    Device, DeviceFault, FrameFault, Frames, HostFault, LineDevice, LineFaults, PlantAxis, bus::VirtualBus,
+    line::SerialLine,
+};
 
 /// Buses and lines with their devices, advanced together.
 ///
@@ -70,6 +74,94 @@ impl DeviceId {
 /// One serial line of one [`World`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct LineId(usize);
+
+/// A drive of one [`World`], on a bus or at a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum DriveId {
+    /// A drive on a bus.
+    Node(DeviceId),
+    /// An axis controller at a line.
+    Line(LineId),
+}
+
+/// A fault of the wire, of a device or of a plant. [`World::begin_fault`] begins it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum WorldFault {
+    /// A fault of single frames.
+    Frames {
+        /// The bus.
+        bus: BusId,
+        /// Frames that the fault concerns.
+        frames: Frames,
+        /// The fault.
+        fault: FrameFault,
+        /// Probability that the fault damages a frame that it concerns.
+        probability: f64,
+        /// Greatest number of damaged frames.
+        count: Option<u32>,
+        /// Seed of the probability.
+        seed: u64,
+    },
+    /// A fault of the controller or the interface of the host.
+    Host {
+        /// The bus.
+        bus: BusId,
+        /// The fault.
+        fault: HostFault,
+    },
+    /// A node that is not part of the cell sends a frame.
+    Foreign {
+        /// The bus.
+        bus: BusId,
+        /// The frame.
+        frame: Frame,
+        /// Time between two frames; `None` for a single frame.
+        every: Option<Duration>,
+    },
+    /// A fault of a serial line.
+    Line {
+        /// The line.
+        line: LineId,
+        /// The faults of both directions.
+        faults: LineFaults,
+    },
+    /// The host's end of a serial line is gone for ever.
+    HangUp {
+        /// The line.
+        line: LineId,
+    },
+    /// A third party sends bytes on a serial line, once.
+    Bytes {
+        /// The line.
+        line: LineId,
+        /// Whether the host receives the bytes. Otherwise the device does.
+        to_host: bool,
+        /// The bytes.
+        bytes: Vec<u8>,
+    },
+    /// A fault of a drive.
+    Device {
+        /// The drive.
+        drive: DriveId,
+        /// The fault.
+        fault: DeviceFault,
+    },
+    /// A fault of a motor, its sensors or its power stage.
+    Plant {
+        /// The drive of the motor.
+        drive: DriveId,
+        /// The fault.
+        fault: PlantFault,
+    },
+}
+
+/// A fault in effect.
+#[derive(Clone, Debug)]
+pub struct FaultInEffect {
+    fault: WorldFault,
+    /// Number of the fault on its bus.
+    number: u64,
+}
 
 impl World {
     /// A world without buses and lines, at [`Instant::ZERO`].
@@ -206,6 +298,72 @@ impl World {
         device.downcast_ref()
     }
 
+    /// Begins a fault at `now`, after advancing the world to `now`.
+    pub fn begin_fault(&mut self, fault: &WorldFault, now: Instant) -> FaultInEffect {
+        self.advance(now);
+        let number = match fault {
+            WorldFault::Frames { bus, frames, fault, probability, count, seed } => {
+                self.buses[bus.0].begin_frame_fault(*frames, *fault, (*probability, *count, *seed))
+            }
+            WorldFault::Foreign { bus, frame, every } => self.buses[bus.0].begin_foreign(*frame, now, *every),
+            _ => {
+                self.switch_fault(fault, true, now);
+                0
+            }
+        };
+        FaultInEffect { fault: fault.clone(), number }
+    }
+
+    /// Ends a fault at `now`, after advancing the world to `now`. A single event has no end: a reset, a jump, a hang-up.
+    pub fn end_fault(&mut self, in_effect: &FaultInEffect, now: Instant) {
+        self.advance(now);
+        match &in_effect.fault {
+            WorldFault::Frames { bus, .. } | WorldFault::Foreign { bus, .. } => {
+                self.buses[bus.0].end_frame_fault(in_effect.number, now);
+            }
+            fault => self.switch_fault(fault, false, now),
+        }
+    }
+
+    fn switch_fault(&mut self, fault: &WorldFault, on: bool, now: Instant) {
+        match fault {
+            WorldFault::Host { bus, fault } => self.buses[bus.0].set_host_fault(*fault, on, now),
+            WorldFault::Line { line, faults } => {
+                let faults = if on { *faults } else { LineFaults::default() };
+                self.lines[line.0].set_faults(&faults);
+            }
+            WorldFault::HangUp { line } if on => self.lines[line.0].hang_up(),
+            WorldFault::Bytes { line, to_host, bytes } if on => self.lines[line.0].inject(bytes, *to_host, now),
+            WorldFault::Device { drive, fault } => {
+                let _ = match drive {
+                    DriveId::Node(id) => self.buses[id.bus.0].set_device_fault(id.number, *fault, on, now),
+                    DriveId::Line(id) => self.lines[id.0].set_device_fault(*fault, on, now),
+                };
+            }
+            WorldFault::Plant { drive, fault } => {
+                let plant = match drive {
+                    DriveId::Node(id) => self.buses[id.bus.0].device_mut(id.number).and_then(Device::plant_mut),
+                    DriveId::Line(id) => self.lines[id.0].device_mut().plant_mut(),
+                };
+                if let Some(plant) = plant {
+                    plant.set_fault(*fault, on);
+                }
+            }
+            WorldFault::Frames { .. }
+            | WorldFault::Foreign { .. }
+            | WorldFault::HangUp { .. }
+            | WorldFault::Bytes { .. } => {}
+        }
+    }
+
+    /// The motor of a drive with its true state, as of its last sub-step; `None` for a device without a motor.
+    pub fn plant(&self, drive: DriveId) -> Option<&PlantAxis> {
+        match drive {
+            DriveId::Node(id) => self.buses.get(id.bus.0)?.device(id.number)?.plant(),
+            DriveId::Line(id) => self.lines.get(id.0)?.any_device().plant(),
+        }
+    }
+
     /// A line, to examine its counters and its device. `line` must belong to this world.
     pub fn line(&self, line: LineId) -> &SerialLine {
         &self.lines[line.0]
@@ -220,7 +378,7 @@ impl World {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use can::{Frame, Port, StandardId};
+    use can::{Port, StandardId};
     use serial::Line;
 
     /// Sends every byte back at once.

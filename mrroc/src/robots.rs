@@ -164,6 +164,17 @@ impl Parameters {
 }
 
 impl Model {
+    /// Whether joint `axis` is linear: its position is in m.
+    pub fn is_linear(self, axis: usize) -> bool {
+        match self {
+            Self::Gripper | Self::Conveyor => true,
+            Self::Irp6Track | Self::Irp6TrackCalibrated => axis == 0,
+            // The extension of the central leg.
+            Self::Rnt => axis == 2,
+            Self::Irb6 | Self::Irp6 | Self::Irp6Calibrated | Self::Polycrank => false,
+        }
+    }
+
     /// All models.
     pub const ALL: [Self; 9] = [
         Self::Irb6,

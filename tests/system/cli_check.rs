@@ -167,6 +167,17 @@ fn the_published_schema_is_the_one_the_command_prints() {
 }
 
 #[test]
+fn the_published_schema_of_scenarios_is_the_one_the_command_prints() {
+    let printed = mrroc(["schema", "--scenario"]);
+    assert_eq!(printed.status.code(), Some(0));
+    let published = fs::read_to_string(root().join("cells/scenario.schema.json")).unwrap();
+    assert!(
+        printed.stdout == published,
+        "cells/scenario.schema.json is not what the command reads: `mrroc schema --scenario > cells/scenario.schema.json`"
+    );
+}
+
+#[test]
 fn the_published_reference_is_the_one_the_command_prints() {
     let printed = mrroc(["schema", "--reference"]);
     assert_eq!(printed.status.code(), Some(0));

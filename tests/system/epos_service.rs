@@ -172,7 +172,7 @@ fn a_bad_line_costs_time_and_gives_no_wrong_value() {
     for dialect in DIALECTS {
         for (number, faults) in bad.into_iter().enumerate() {
             let mut stage = Stage::new(dialect);
-            let line = LineFaults { seed: 7, to_device: faults, to_host: faults };
+            let line = LineFaults { seed: 7, to_device: faults, to_host: faults, ..LineFaults::default() };
             stage.world.line_mut(stage.line).set_faults(&line);
             let mut right = 0;
             // A write whose confirmation was lost may have been performed.

@@ -39,7 +39,7 @@ fn beyond_every_limit(rig: &mut Rig, _: &Watcher) {
 
 fn hang(rig: &mut Rig, _: &Watcher) {
     let wire = WireFaults { stuck: Some(Stuck::Silent), ..WireFaults::default() };
-    let faults = LineFaults { seed: 1, to_device: wire, to_host: wire };
+    let faults = LineFaults { seed: 1, to_device: wire, to_host: wire, ..LineFaults::default() };
     rig.set_line_faults(2, &faults);
 }
 

@@ -28,6 +28,7 @@ mod emergency_stop;
 mod emulate_slcan;
 mod epos_service;
 mod error_classes;
+mod fault_table;
 mod faults;
 mod feed_forward;
 mod force_cell;

@@ -18,7 +18,7 @@ const RUN_OUT: f64 = 12.0;
 
 /// Line faults in both directions.
 fn both(wire: WireFaults) -> LineFaults {
-    LineFaults { seed: 1, to_device: wire, to_host: wire }
+    LineFaults { seed: 1, to_device: wire, to_host: wire, ..LineFaults::default() }
 }
 
 fn stuck(how: Stuck) -> WireFaults {

@@ -5,7 +5,7 @@
 //! Read [`VirtualPort`] for what a driver sees, [`VirtualPeer`] for what a bus does with it.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use rtrb::{Consumer, Producer, RingBuffer};
 
@@ -19,15 +19,15 @@ use crate::{ControllerState, Counters, Frame, Instant, Port, PortError, Received
 pub fn virtual_port(capacity: usize) -> (VirtualPort, VirtualPeer) {
     let (to_bus, sent) = RingBuffer::new(capacity);
     let (to_host, received) = RingBuffer::new(capacity);
-    let dropped = Arc::new(AtomicU64::new(0));
+    let shared = Arc::new(Shared::default());
     let port = VirtualPort {
         to_bus,
         received,
-        dropped: Arc::clone(&dropped),
+        shared: Arc::clone(&shared),
         counters: Counters::default(),
         state: ControllerState::Active,
     };
-    let peer = VirtualPeer { sent, to_host, dropped };
+    let peer = VirtualPeer { sent, to_host, shared };
     (port, peer)
 }
 
@@ -39,9 +39,19 @@ pub fn virtual_port(capacity: usize) -> (VirtualPort, VirtualPeer) {
 pub struct VirtualPort {
     to_bus: Producer<Counted>,
     received: Consumer<Counted>,
-    dropped: Arc<AtomicU64>,
+    shared: Arc<Shared>,
     counters: Counters,
     state: ControllerState,
+}
+
+/// State of the interface that both ends share.
+#[derive(Debug, Default)]
+struct Shared {
+    dropped: AtomicU64,
+    /// The interface is down.
+    down: AtomicBool,
+    /// The transmit queue takes nothing.
+    full: AtomicBool,
 }
 
 /// A frame and its number of bits on the wire, which are counted once.
@@ -57,8 +67,13 @@ impl Port for VirtualPort {
             self.counters.refused += frames.len() as u64;
             return Err(PortError::Gone);
         }
+        if self.shared.down.load(Ordering::Relaxed) {
+            self.counters.refused += frames.len() as u64;
+            return Err(PortError::Down);
+        }
+        let full = self.shared.full.load(Ordering::Relaxed);
         let mut taken = 0;
-        for &frame in frames {
+        for &frame in frames.iter().filter(|_| !full) {
             let bits = bits_on_wire(&frame);
             if self.to_bus.push(Counted { received: Received { frame, at: now }, bits }).is_err() {
                 break;
@@ -74,6 +89,10 @@ impl Port for VirtualPort {
     fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
         // Asked before the queue is read: what was delivered before the end was dropped still counts.
         let gone = self.received.is_abandoned();
+        if self.shared.down.load(Ordering::Relaxed) {
+            while self.received.pop().is_ok() {}
+            return Err(PortError::Down);
+        }
         let mut count = 0;
         while count < into.len() {
             let Ok(&Counted { received, bits }) = self.received.peek() else {
@@ -100,7 +119,7 @@ impl Port for VirtualPort {
     }
 
     fn counters(&self) -> Counters {
-        Counters { dropped: self.dropped.load(Ordering::Relaxed), ..self.counters }
+        Counters { dropped: self.shared.dropped.load(Ordering::Relaxed), ..self.counters }
     }
 
     fn state(&self) -> ControllerState {
@@ -114,7 +133,7 @@ impl Port for VirtualPort {
 pub struct VirtualPeer {
     sent: Consumer<Counted>,
     to_host: Producer<Counted>,
-    dropped: Arc<AtomicU64>,
+    shared: Arc<Shared>,
 }
 
 impl VirtualPeer {
@@ -144,9 +163,23 @@ impl VirtualPeer {
     pub fn deliver(&mut self, received: Received, bits: u32) -> bool {
         let delivered = self.to_host.push(Counted { received, bits }).is_ok();
         if !delivered {
-            self.dropped.fetch_add(1, Ordering::Relaxed);
+            self.shared.dropped.fetch_add(1, Ordering::Relaxed);
         }
         delivered
+    }
+
+    /// Takes the interface down, or brings it up. While the interface is down, both calls of the host fail with
+    /// [`PortError::Down`]. The frames in both queues are lost, as in the kernel.
+    pub fn set_down(&mut self, down: bool) {
+        self.shared.down.store(down, Ordering::Relaxed);
+        if down {
+            while self.sent.pop().is_ok() {}
+        }
+    }
+
+    /// Fills the transmit queue of the host, or empties it: a full queue takes no frame.
+    pub fn set_full(&mut self, full: bool) {
+        self.shared.full.store(full, Ordering::Relaxed);
     }
 }
 
@@ -224,6 +257,23 @@ mod tests {
         assert_eq!(receive(&mut port, 5).unwrap().len(), 1);
         assert_eq!(port.state(), ControllerState::BusOff);
         assert_eq!(port.counters().errors, 1);
+    }
+
+    #[test]
+    fn an_interface_that_is_down_loses_its_frames() {
+        let (mut port, mut peer) = virtual_port(4);
+        assert_eq!(port.send(at(1), &[frame(1)]), Ok(1));
+        peer.deliver(received(2, 1), 47);
+        peer.set_down(true);
+        assert_eq!(port.send(at(2), &[frame(3)]), Err(PortError::Down));
+        assert_eq!(receive(&mut port, 2), Err(PortError::Down));
+        peer.set_down(false);
+        assert_eq!((peer.take_sent(), receive(&mut port, 3).unwrap()), (None, vec![]));
+        peer.set_full(true);
+        assert_eq!(port.send(at(3), &[frame(4)]), Ok(0));
+        peer.set_full(false);
+        assert_eq!(port.send(at(4), &[frame(4)]), Ok(1));
+        assert_eq!(port.counters().refused, 2);
     }
 
     #[test]

@@ -179,6 +179,15 @@ impl Drive {
         }
     }
 
+    /// Restarts the unit: manual mode, no reference, and the counter begins at zero.
+    pub(super) fn restart(&mut self) {
+        self.set_mode(Mode::Manual);
+        self.set_point = 0.0;
+        self.search = Search::Off;
+        self.offset = self.feedback.counts.wrapping_neg();
+        self.synchronized = false;
+    }
+
     /// Changes the mode. Setting the current mode again keeps the set-point. Only manual mode leaves error mode.
     pub(super) fn set_mode(&mut self, mode: Mode) {
         if self.mode == Mode::Error && mode != Mode::Manual {

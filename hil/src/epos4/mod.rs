@@ -39,7 +39,7 @@ use crate::node::objects::Objects;
 use crate::node::table::Slot;
 use crate::node::{Identity, Node, NodeConfig};
 use crate::plant::AngleProbe;
-use crate::{Device, PlantAxis};
+use crate::{Device, DeviceFault, PlantAxis};
 pub use config::Epos4Config;
 use drive::Drive;
 use table::{TABLE, slot};
@@ -122,5 +122,23 @@ impl Device for Epos4 {
 
     fn advance_mechanics(&mut self, now: Instant) -> bool {
         self.node.advance_mechanics(now)
+    }
+
+    fn set_fault(&mut self, fault: DeviceFault, on: bool, now: Instant) -> bool {
+        match fault {
+            DeviceFault::Reset if on => self.node.restart(now),
+            DeviceFault::Reset => {}
+            DeviceFault::PowerOff => self.node.set_power(!on, now),
+            DeviceFault::Unplugged | DeviceFault::AnswersFrozen => return false,
+        }
+        true
+    }
+
+    fn plant(&self) -> Option<&PlantAxis> {
+        Some(self.axis())
+    }
+
+    fn plant_mut(&mut self) -> Option<&mut PlantAxis> {
+        Some(&mut self.node.application.axis)
     }
 }

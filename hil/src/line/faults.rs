@@ -1,5 +1,7 @@
 //! Fault injection on a serial line.
 
+use std::time::Duration;
+
 use crate::plant::Noise;
 
 /// Faults of a line in each direction. The default is no fault.
@@ -11,6 +13,8 @@ pub struct LineFaults {
     pub to_device: WireFaults,
     /// From the device to the host.
     pub to_host: WireFaults,
+    /// Delay of all bytes from the device to the host, without a USB adapter.
+    pub late: Duration,
 }
 
 /// Faults of one direction.
@@ -33,6 +37,8 @@ pub enum Stuck {
     Silent,
     /// Every byte arrives with this value: 0x00 or 0xFF.
     At(u8),
+    /// Every byte arrives with a random value: the ends have different baud rates.
+    Garbled,
 }
 
 #[derive(Debug, Default)]
@@ -63,6 +69,7 @@ impl Wire {
             Some(Stuck::Silent) => None,
             _ if self.torn => None,
             Some(Stuck::At(level)) => Some(level),
+            Some(Stuck::Garbled) => Some(self.noise.bits() as u8),
             None => {
                 let flipped =
                     (0..8).fold(0, |flipped, bit| flipped | u8::from(self.happens(self.faults.bit_error_rate)) << bit);

@@ -261,6 +261,14 @@ impl<A: Application> Node<A> {
         self.schedule();
     }
 
+    /// Restarts the device by itself, as after a reset of the node.
+    pub(crate) fn restart(&mut self, now: Instant) {
+        self.catch_up(now, false);
+        self.lss.restart();
+        self.reset(true, now);
+        self.schedule();
+    }
+
     fn boot(&mut self, now: Instant) {
         self.boots_at = None;
         if self.id.is_none() {
@@ -359,7 +367,8 @@ impl<A: Application> Node<A> {
     /// Computes the time of the next time-out.
     pub(crate) fn schedule(&mut self) {
         if !self.powered {
-            self.wake_at = None;
+            // The motor turns on without power.
+            self.wake_at = self.application.poll_timeout(false);
             return;
         }
         let emergency = (self.emergency_at > self.now && self.errors.unannounced()).then_some(self.emergency_at);
@@ -440,10 +449,11 @@ impl<A: Application> Device for Node<A> {
     }
 
     fn handle_timeout(&mut self, now: Instant) {
+        self.catch_up(now, false);
         if !self.powered {
+            self.schedule();
             return;
         }
-        self.catch_up(now, false);
         if self.boots_at.is_some_and(|at| at <= now) {
             self.boot(now);
         }

@@ -5,7 +5,8 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
 use thiserror::Error;
 
-use super::motor::{Motor, MotorConfig};
+use super::faults::{BLOCK, PlantFault, PlantFaults};
+use super::motor::{EndStops, Motor, MotorConfig};
 use super::switch::{Contact, Switch};
 use super::wut::{Wut, WutConfig};
 use super::{SUB_STEP, encoder::Encoder, mechanism::Mount, noise::Noise};
@@ -127,6 +128,7 @@ pub struct PlantAxis {
     /// Sub-steps since the last step of the outer loops.
     phase: u32,
     probe: Option<AngleProbe>,
+    faults: PlantFaults,
 }
 
 /// The angle of a motor shaft, read by another device. Clones read the same shaft.
@@ -210,6 +212,7 @@ impl PlantAxis {
             trip: None,
             phase: 0,
             probe: None,
+            faults: PlantFaults::NONE,
         }
     }
 
@@ -251,7 +254,14 @@ impl PlantAxis {
         }
         self.phase = (self.phase + 1) % OUTER;
         self.integrate(on);
-        self.encoder.read(self.plant.angle(), &mut self.noise);
+        if !self.faults.frozen {
+            let angle = self.plant.angle();
+            let seen = self.faults.mirrored_at.map_or(angle, |mirror| 2.0 * mirror - angle);
+            self.encoder.read(seen, &mut self.noise);
+        }
+        if self.faults.index_missing {
+            self.encoder.latched = None;
+        }
         if let Some(probe) = &self.probe {
             probe.show(self.plant.angle());
         }
@@ -274,7 +284,8 @@ impl PlantAxis {
     }
 
     fn integrate(&mut self, on: bool) {
-        let brake = if on { 0.0 } else { self.brake };
+        let released = on || self.faults.brake_slips;
+        let brake = if released { 0.0 } else { self.brake } + if self.faults.blocked { BLOCK } else { 0.0 };
         let mount = self.mount.as_ref().filter(|mount| mount.in_scene());
         let outer = mount.map_or(0.0, |mount| mount.shaft().torque());
         match &mut self.plant {
@@ -288,6 +299,8 @@ impl PlantAxis {
             }
             Plant::Physical(motor) => {
                 let voltage = on.then(|| self.amplifier.voltage(motor.current));
+                let most = self.faults.supply * self.amplifier.config.max_voltage;
+                let voltage = if self.faults.supply < 1.0 { voltage.map(|it| it.clamp(-most, most)) } else { voltage };
                 motor.step(voltage, brake, outer);
                 self.trip = if motor.thermal.tripped {
                     Some(Trip::OverTemperature)
@@ -301,11 +314,13 @@ impl PlantAxis {
                 }
             }
         }
+        // Over-temperature holds without power. Over-current needs power, and lasts until the power is off.
+        if let Some(trip) = self.faults.trip.filter(|trip| on || *trip == Trip::OverTemperature) {
+            self.trip = Some(trip);
+            self.amplifier.release();
+        }
         if let Some(mount) = mount {
-            let (angle, velocity) = match &self.plant {
-                Plant::Wut(wut) => (wut.angle, wut.velocity),
-                Plant::Physical(motor) => (motor.angle, motor.velocity),
-            };
+            let (angle, velocity) = (self.plant.angle(), self.plant.velocity());
             mount.shaft().set(angle, velocity);
         }
     }
@@ -313,7 +328,8 @@ impl PlantAxis {
     /// Sensor readings after the last sub-step.
     pub fn feedback(&self) -> Feedback {
         let closed = |contact: &Option<Contact>| contact.as_ref().is_some_and(|it| it.closed);
-        let [home_switch, negative_limit, positive_limit] = self.contacts.each_ref().map(closed);
+        let stuck = |number: usize| self.faults.stuck[number].unwrap_or_else(|| closed(&self.contacts[number]));
+        let [home_switch, negative_limit, positive_limit] = std::array::from_fn(stuck);
         let current = match &self.plant {
             Plant::Wut(_) => self.amplifier.current,
             Plant::Physical(motor) => motor.current,
@@ -356,9 +372,76 @@ impl PlantAxis {
     pub fn angle(&self) -> f64 {
         self.plant.angle()
     }
+
+    /// The true velocity of the motor shaft, rad/s, which no drive can measure.
+    pub fn velocity(&self) -> f64 {
+        self.plant.velocity()
+    }
+
+    /// Begins or ends a fault. A jump of the encoder happens at the beginning and has no end.
+    pub fn set_fault(&mut self, fault: PlantFault, on: bool) {
+        let [home, negative, positive] = [0, 1, 2];
+        let faults = &mut self.faults;
+        match fault {
+            PlantFault::Blocked => faults.blocked = on,
+            PlantFault::EncoderFrozen => faults.frozen = on,
+            PlantFault::EncoderJump(increments) if on => self.encoder.jump(increments),
+            PlantFault::EncoderJump(_) => {}
+            PlantFault::EncoderInverted => faults.mirrored_at = on.then(|| self.plant.angle()),
+            PlantFault::HomeSwitchDead => faults.stuck[home] = on.then_some(false),
+            PlantFault::LimitSwitchesDead => {
+                (faults.stuck[negative], faults.stuck[positive]) = (on.then_some(false), on.then_some(false));
+            }
+            PlantFault::LimitSwitchClosed => faults.stuck[positive] = on.then_some(true),
+            PlantFault::IndexMissing => faults.index_missing = on,
+            PlantFault::OverCurrent => faults.trip = on.then_some(Trip::OverCurrent),
+            PlantFault::OverTemperature => {
+                faults.trip = on.then_some(Trip::OverTemperature);
+                self.trip = self.trip.filter(|_| on);
+            }
+            PlantFault::Sagging(share) => faults.supply = if on { share } else { 1.0 },
+            PlantFault::BrakeSlips => faults.brake_slips = on,
+            PlantFault::SwappedPhases => match &mut self.plant {
+                Plant::Wut(wut) => wut.reverse(),
+                Plant::Physical(motor) => motor.reverse(),
+            },
+            PlantFault::Buffer { distance, stiffness } => self.set_buffer(on.then_some((distance, stiffness))),
+        }
+    }
+
+    fn set_buffer(&mut self, buffer: Option<(f64, f64)>) {
+        let (angle, velocity) = (self.plant.angle(), self.plant.velocity());
+        let Plant::Physical(motor) = &mut self.plant else {
+            return;
+        };
+        match buffer {
+            Some((distance, stiffness)) => {
+                let (negative, positive) = if velocity < 0.0 {
+                    (angle - distance, f64::INFINITY)
+                } else {
+                    (f64::NEG_INFINITY, angle + distance)
+                };
+                let damping = motor.critical_damping(stiffness);
+                let before = motor.set_buffers(Some(EndStops { negative, positive, stiffness, damping }));
+                self.faults.buffers.get_or_insert(before);
+            }
+            None => {
+                if let Some(before) = self.faults.buffers.take() {
+                    motor.set_buffers(before);
+                }
+            }
+        }
+    }
 }
 
 impl Plant {
+    fn velocity(&self) -> f64 {
+        match self {
+            Self::Wut(wut) => wut.velocity,
+            Self::Physical(motor) => motor.velocity,
+        }
+    }
+
     fn angle(&self) -> f64 {
         match self {
             Self::Wut(wut) => wut.angle,

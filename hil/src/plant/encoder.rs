@@ -75,6 +75,11 @@ impl Encoder {
         self.latched = Some((index - self.at_power_on) as i32);
     }
 
+    /// Changes the counter by `increments`, without a motion.
+    pub(super) fn jump(&mut self, increments: i32) {
+        self.at_power_on -= i64::from(increments);
+    }
+
     /// The counter, which wraps at 32 bits.
     pub(crate) fn counts(&self) -> i32 {
         (self.counts - self.at_power_on) as i32

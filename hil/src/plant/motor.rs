@@ -165,6 +165,23 @@ impl Motor {
         self.angle += self.velocity * SUB_STEP;
     }
 
+    /// Replaces the buffers at the ends of travel, and returns the previous ones.
+    pub(super) fn set_buffers(&mut self, buffers: Option<EndStops>) -> Option<EndStops> {
+        std::mem::replace(&mut self.config.end_stops, buffers)
+    }
+
+    /// The damping, N·m·s/rad, with which the motor comes off a spring without an oscillation.
+    pub(super) fn critical_damping(&self, stiffness: f64) -> f64 {
+        2.0 * (stiffness * self.config.inertia).sqrt()
+    }
+
+    /// Reverses torque and back-EMF, as two swapped phases do.
+    pub(super) fn reverse(&mut self) {
+        self.config.torque_constant = -self.config.torque_constant;
+        self.torque_constant = -self.torque_constant;
+        self.torque_per_current = -self.torque_per_current;
+    }
+
     /// Updates the quantities that change slowly and need expensive functions.
     fn update(&mut self) {
         if self.sub_step == 0 {

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use super::{AxisConfig, Demand, Gravity, Irp6Axis, MotorConfig, PlantAxis, PlantConfig, Switch, Trip};
+use super::{AxisConfig, Demand, Gravity, Irp6Axis, MotorConfig, PlantAxis, PlantConfig, PlantFault, Switch, Trip};
 
 const TORQUE_CONSTANT: f64 = 0.105;
 
@@ -380,4 +380,49 @@ fn an_axis_trips_beyond_the_current_it_was_set_to() {
             assert_eq!(axis.feedback().trip, None);
         }
     }
+}
+
+/// An axis that holds its position, after `settle` under a fault and 200 ms.
+fn under_fault(fault: PlantFault) -> (PlantAxis, PlantAxis) {
+    let config = AxisConfig::irp6(Irp6Axis::ALL[0]);
+    let mut axis = PlantAxis::new(&config, 1);
+    let hold = Demand::Position { counts: 0.0, velocity: 0.0 };
+    axis.advance(1000, hold);
+    let sound = axis.clone();
+    axis.set_fault(fault, true);
+    axis.advance(2000, Demand::Velocity(4000.0));
+    (sound, axis)
+}
+
+#[test]
+fn a_fault_of_the_plant_shows_in_the_feedback_and_not_beyond() {
+    let (sound, blocked) = under_fault(PlantFault::Blocked);
+    assert!((blocked.angle() - sound.angle()).abs() < 1e-6, "a blocked shaft stands");
+    let (sound, frozen) = under_fault(PlantFault::EncoderFrozen);
+    assert_eq!(frozen.feedback().counts, sound.feedback().counts);
+    assert!((frozen.angle() - sound.angle()).abs() > 1.0, "the shaft turns");
+    let (sound, inverted) = under_fault(PlantFault::EncoderInverted);
+    let moved = f64::from(inverted.feedback().counts - sound.feedback().counts);
+    assert!(moved * (inverted.angle() - sound.angle()) < 0.0, "the counter runs backwards");
+    let (sound, jumped) = under_fault(PlantFault::EncoderJump(4000));
+    let turned =
+        (jumped.angle() - sound.angle()) * f64::from(AxisConfig::irp6(Irp6Axis::ALL[0]).counts_per_revolution) / TAU;
+    let counted = f64::from(jumped.feedback().counts - sound.feedback().counts);
+    assert!((counted - turned - 4000.0).abs() < 3.0, "{counted} of {turned}");
+    let (_, closed) = under_fault(PlantFault::LimitSwitchClosed);
+    assert!(closed.feedback().positive_limit);
+    for (fault, trip) in
+        [(PlantFault::OverCurrent, Trip::OverCurrent), (PlantFault::OverTemperature, Trip::OverTemperature)]
+    {
+        let (_, mut tripped) = under_fault(fault);
+        assert_eq!(tripped.feedback().trip, Some(trip));
+        tripped.set_fault(fault, false);
+        tripped.advance(10, Demand::Off);
+        assert_eq!(tripped.feedback().trip, None);
+    }
+    let (sound, collided) = under_fault(PlantFault::Buffer { distance: 0.5, stiffness: 20.0 });
+    let way = collided.angle() - sound.angle();
+    assert!(way > 0.4 && way < 1.5, "{way} rad against the buffer");
+    let (sound, reversed) = under_fault(PlantFault::SwappedPhases);
+    assert!(reversed.angle() < sound.angle() - 1.0, "a motor with swapped phases runs away");
 }

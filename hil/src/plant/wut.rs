@@ -51,6 +51,11 @@ impl Wut {
         self.angle += self.velocity * dt;
     }
 
+    /// Reverses torque and back-EMF, as two swapped phases do.
+    pub(super) fn reverse(&mut self) {
+        self.config.torque_constant = -self.config.torque_constant;
+    }
+
     /// The current that a voltage drives at the present speed, A.
     pub(crate) fn static_current(&self, voltage: f64) -> f64 {
         (voltage - self.config.torque_constant * self.velocity) / self.config.resistance

@@ -7,6 +7,7 @@
 use std::io;
 use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
 use can::{Frame, Instant, Port, Received, VirtualPort, clock};
@@ -17,7 +18,10 @@ use serial::{Line, VirtualLine};
 use servo::thread::set_fifo;
 
 use crate::bench::bus_port::BusPort;
+use crate::bench::drive_ids::DriveIds;
 use crate::bench::{emulated_time::EmulatedTime, emulation, plants::EmulatedCell};
+use crate::cell::CellFile;
+use crate::scenario::{Scenario, ScenarioRun};
 
 /// Longest time between two checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
@@ -47,6 +51,22 @@ pub struct EmulatedLines {
     buses: Vec<BridgedBus>,
     /// Whether a line is that of a force sensor or an ultrasonic matrix.
     has_sensor: bool,
+    /// Faults in the world.
+    scenario: Option<ScenarioRun>,
+    /// Faults that are given while the world runs.
+    live: Option<LiveFaults>,
+}
+
+/// Faults that are given while the world runs, each as one line.
+pub struct LiveFaults {
+    /// The lines.
+    pub lines: Receiver<String>,
+    /// The cell of the world.
+    pub file: CellFile,
+    /// Places in the world.
+    pub ids: DriveIds,
+    /// Tells the acceptance or the refusal of a line.
+    pub tell: Box<dyn FnMut(&str) + Send>,
 }
 
 /// A bus of the world and the interface that continues it. Frames take their time on the bus of the world, and none on
@@ -103,6 +123,22 @@ impl EmulatedLines {
         self.add_line(line, pty);
     }
 
+    /// Plays a scenario from now on, and takes faults while the world runs.
+    pub fn play(&mut self, scenario: ScenarioRun, live: Option<LiveFaults>) {
+        (self.scenario, self.live) = (Some(scenario), live);
+    }
+
+    /// Takes the faults that were given since the last call.
+    fn take_live(&mut self) {
+        let (Some(live), Some(run)) = (&mut self.live, &mut self.scenario) else {
+            return;
+        };
+        for line in live.lines.try_iter().filter(|line| !line.trim().is_empty()) {
+            let added = Scenario::of_line(&line).and_then(|scenario| run.add(&scenario, &live.file, &live.ids));
+            (live.tell)(&added.map_or_else(|error| format!("{error:#}"), |()| format!("in effect: {line}")));
+        }
+    }
+
     fn add(&mut self, pty: Pty, end: End) {
         self.lines.push(EmulatedLine { pty, end, full: false });
     }
@@ -122,7 +158,9 @@ impl EmulatedLines {
         let grain = if self.has_sensor { FINE_GRAIN } else { GRAIN };
         while !stop.load(Ordering::Relaxed) {
             let due = self.world.next_event().unwrap_or(Instant::FAR_FUTURE);
-            let wake = time.clock(due.max(passed + grain)).min(clock::now() + LOOK);
+            // Events of a scenario are looked for in each period.
+            let look = self.scenario.as_ref().map_or(LOOK, |_| GRAIN);
+            let wake = time.clock(due.max(passed + grain)).min(clock::now() + look);
             let ends = self.lines.iter().map(|line| {
                 let interest = Interest { read: line.end.room(&self.world) > 0, write: line.full };
                 (line.pty.as_fd(), interest)
@@ -144,6 +182,10 @@ impl EmulatedLines {
                 bus.take(passed)?;
             }
             passed = passed.max(now);
+            self.take_live();
+            if let Some(scenario) = &mut self.scenario {
+                scenario.advance(&mut self.world, passed);
+            }
             self.world.advance(passed);
             for line in &mut self.lines {
                 line.deliver(&mut self.world, passed)?;

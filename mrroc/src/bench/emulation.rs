@@ -9,20 +9,23 @@ use drive::camera::{CameraFault, CameraLink};
 use drive::cia401::IoConfig;
 use hil::scene::WorkpieceProbe;
 use hil::{
-    AxisController, AxisControllerConfig, BusId, Cabinet, Device, DigitalIo, DigitalIoConfig, Epos4, Epos4Config,
-    EposSerial, EposSerialConfig, InputEdge, InputProbe, LineDevice, World,
+    AxisController, AxisControllerConfig, BusId, Cabinet, Device, DigitalIo, DigitalIoConfig, DriveId, Epos4,
+    Epos4Config, EposSerial, EposSerialConfig, FaultInEffect, InputEdge, InputProbe, LineDevice, PlantAxis, World,
+    WorldFault,
     scene::{BeamProbe, Scene, UnsolvedProbe},
 };
 use serial::{Settings, VirtualLine};
 
 use crate::bench::bridge::{Bridge, BridgedTty};
 use crate::bench::cameras::{CameraInMemory, emulated};
+use crate::bench::drive_ids::DriveIds;
 use crate::bench::emulated_sensors;
 use crate::bench::plants::{EmulatedCell, Payloads, homing_problem, plant};
 use crate::bench::scene::SceneTruth;
 use crate::bench::traffic::BusLoad;
 use crate::bench::truth::TruthLog;
 use crate::cell::{CellFile, EmulatedGate, EmulatedTouchProbe, IoNode, Protocol};
+use crate::scenario::{Scenario, ScenarioRun};
 
 /// Capacity of the host's end of a virtual bus in each direction, frames.
 const QUEUE: usize = 256;
@@ -52,6 +55,8 @@ pub struct Emulation {
     /// The true state of the scene.
     truth: SceneTruth,
     log: Option<TruthLog>,
+    ids: DriveIds,
+    scenario: Option<ScenarioRun>,
     /// Time up to which the world was advanced.
     passed: Instant,
 }
@@ -71,8 +76,15 @@ pub struct HostEnds {
 impl Emulation {
     /// The world of a cell, switched on at [`Instant::ZERO`].
     pub fn of(file: &CellFile) -> (Self, HostEnds) {
+        Self::with(file, false)
+    }
+
+    /// The same. With `referenced`, the axis controllers on serial lines had power before: they have their reference if
+    /// they start at home.
+    pub fn with(file: &CellFile, referenced: bool) -> (Self, HostEnds) {
         let mut world = World::new();
         let emulated = EmulatedCell::of(file);
+        emulated.referenced.set(referenced);
         let buses: Vec<_> = (0..file.cell.bus.len()).map(|index| emulated.add_bus(&mut world, index)).collect();
         let mut ends = |queue| -> Vec<_> { buses.iter().map(|&bus| world.host_port(bus, queue)).collect() };
         let ports = ends(QUEUE).into_iter().map(|port| Box::new(port) as _).collect();
@@ -94,6 +106,8 @@ impl Emulation {
             payloads: Payloads::of(&emulated, Instant::ZERO),
             truth,
             log: None,
+            ids: emulated.ids(),
+            scenario: None,
             passed: Instant::ZERO,
         };
         (emulation, ends)
@@ -147,10 +161,10 @@ impl Emulation {
         self.payloads.take_over(self.passed);
         let next = |cameras: &[CameraInMemory]| cameras.iter().map(CameraInMemory::next).min();
         while let Some(at) = next(&self.cameras).filter(|at| *at <= until) {
-            self.world.advance(at);
+            self.advance_world(at);
             self.cameras.iter_mut().for_each(|camera| camera.expose(at));
         }
-        self.world.advance(until);
+        self.advance_world(until);
         self.cameras.iter_mut().for_each(|camera| camera.deliver(until));
         for bridge in &mut self.bridges {
             bridge.deliver(until);
@@ -159,6 +173,40 @@ impl Emulation {
         if let Some(log) = &mut self.log {
             log.write(until, &self.truth);
         }
+    }
+
+    /// Advances the world to `until`, with the faults of the scenario up to then.
+    fn advance_world(&mut self, until: Instant) {
+        if let Some(scenario) = &mut self.scenario {
+            scenario.advance(&mut self.world, until);
+        }
+        self.world.advance(until);
+    }
+
+    /// The buses and drives in the world.
+    pub fn ids(&self) -> &DriveIds {
+        &self.ids
+    }
+
+    /// Applies the faults of a scenario from now on.
+    pub fn play(&mut self, scenario: &Scenario, file: &CellFile) -> anyhow::Result<()> {
+        self.scenario = Some(ScenarioRun::new(scenario, file, &self.ids)?);
+        Ok(())
+    }
+
+    /// Begins a fault at the present time of the world.
+    pub fn begin_fault(&mut self, fault: &WorldFault) -> FaultInEffect {
+        self.world.begin_fault(fault, self.passed)
+    }
+
+    /// Ends a fault at the present time of the world.
+    pub fn end_fault(&mut self, fault: &FaultInEffect) {
+        self.world.end_fault(fault, self.passed);
+    }
+
+    /// The motor of a drive with its true state, which no controller reads.
+    pub fn plant(&self, drive: DriveId) -> Option<&PlantAxis> {
+        self.world.plant(drive)
     }
 
     /// Writes the truth of the scene to `log` after each advance from now on.
@@ -215,8 +263,13 @@ impl EmulatedCell<'_> {
     /// Adds bus `bus` with its drives and modules, switched on at [`Instant::ZERO`].
     pub fn add_bus(&self, world: &mut World, bus: usize) -> BusId {
         let id = world.add_bus(bitrate(self.file, bus));
+        let mut ids = self.ids.borrow_mut();
+        ids.buses.push(id);
+        let mut axes = axes_present(self.file, bus);
         for device in self.devices(bus, Instant::ZERO) {
-            world.add_device(id, device);
+            let device = world.add_device(id, device);
+            // The drives come before the modules.
+            ids.drives.extend(axes.next().map(|axis| (axis, DriveId::Node(device))));
         }
         let share = self.file.cell.bus[bus].emulated_load;
         if share > 0.0 {
@@ -268,6 +321,7 @@ impl EmulatedCell<'_> {
         let latency = bundle.emulated_latency_ms.map(|latency| Duration::from_millis(u64::from(latency)));
         let device = self.axis_controller(bundle.protocol, axis, cabinet);
         let line = world.add_line(bundle.settings(), latency, device);
+        self.ids.borrow_mut().drives.insert(axis, DriveId::Line(line));
         world.host_line(line, LINE)
     }
 
@@ -303,6 +357,7 @@ impl EmulatedCell<'_> {
             seed: seed(self.file, robot, number),
             cabinet: cabinet.clone(),
             mount: self.mount(robot, number),
+            synchronized: self.referenced.get(),
             ..AxisControllerConfig::new(plant(self.file, robot, number))
         };
         match axis.emulator.protocol.unwrap_or(protocol) {

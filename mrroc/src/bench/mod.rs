@@ -7,6 +7,7 @@ mod cameras;
 pub mod carving;
 pub mod clockwork;
 mod conveyors;
+pub mod drive_ids;
 pub mod emulated_lines;
 mod emulated_sensors;
 pub mod emulated_time;

@@ -1,5 +1,6 @@
 //! The motors, sensors, switches and mechanisms behind the emulated drives of a cell.
 
+use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 use std::f64::consts::PI;
 use std::time::Duration;
@@ -11,6 +12,7 @@ use hil::scene::BeamProbe;
 use hil::{AxisConfig, InputProbe, Mechanism, Mount, OutputProbe, plant::PlantConfig};
 use nalgebra::{UnitQuaternion, Vector3};
 
+use crate::bench::drive_ids::DriveIds;
 use crate::cell::{CellFile, EmulatedPayload, Model, Path, Robot};
 
 /// A cell whose devices are emulated.
@@ -27,6 +29,10 @@ pub struct EmulatedCell<'a> {
     pub(super) beams: Vec<BeamProbe>,
     /// Switches of the touch probes of the scene.
     pub(super) touches: Vec<InputProbe>,
+    /// Whether the axis controllers on serial lines had power before, and have their reference.
+    pub(super) referenced: Cell<bool>,
+    /// The buses and drives added to a world so far.
+    pub(super) ids: RefCell<DriveIds>,
 }
 
 impl<'a> EmulatedCell<'a> {
@@ -42,7 +48,21 @@ impl<'a> EmulatedCell<'a> {
         let terminals = |count| (0..count).map(|_| OutputProbe::default()).collect();
         let beams = (0..gates).map(|_| BeamProbe::default()).collect();
         let touches = (0..probes).map(|_| InputProbe::default()).collect();
-        Self { file, mechanisms, valves: terminals(grippers), spindles: terminals(cutters), beams, touches }
+        Self {
+            file,
+            mechanisms,
+            valves: terminals(grippers),
+            spindles: terminals(cutters),
+            beams,
+            touches,
+            referenced: Cell::new(false),
+            ids: RefCell::default(),
+        }
+    }
+
+    /// The buses and drives that were added to a world.
+    pub fn ids(&self) -> DriveIds {
+        self.ids.borrow().clone()
     }
 
     /// The mount of an axis in its robot; `None` if the axis moves its own load.

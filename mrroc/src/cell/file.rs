@@ -120,6 +120,28 @@ impl CellFile {
         bail!("{what} called {wanted:?} with a drive on CAN; there are {}", all.collect::<Vec<_>>().join(", "))
     }
 
+    /// The same cell with these robots only, and without programs, meetings, sensors, I/O nodes and scene. Buses without
+    /// a robot are left out.
+    pub fn with_robots(&self, robots: &[usize]) -> Self {
+        let mut file = self.clone();
+        file.cell.robot = robots.iter().map(|&robot| self.cell.robot[robot].clone()).collect();
+        file.arms = robots.iter().map(|&robot| self.arms[robot].clone()).collect();
+        file.configurations = robots.iter().map(|&robot| self.configurations[robot].clone()).collect();
+        let cell = &mut file.cell;
+        for robot in &mut cell.robot {
+            robot.program.clear();
+            robot.force_law = None;
+        }
+        cell.io.clear();
+        cell.force_sensor.clear();
+        cell.ultrasonic.clear();
+        cell.scene = None;
+        let used = |name: &str| robots.iter().any(|&robot| self.cell.robot[robot].axis.iter().any(|it| it.bus == name));
+        cell.bus.retain(|bus| used(&bus.name));
+        cell.serial.retain(|serial| used(&serial.name));
+        file
+    }
+
     /// Name of axis `axis` of robot `robot` in reports.
     pub fn axis_name(&self, robot: usize, axis: usize) -> String {
         let robot = &self.cell.robot[robot];

@@ -62,6 +62,12 @@ pub(super) fn read<'de, T: Deserialize<'de>>(text: &str, document: &'de DeValue<
     T::deserialize(whole).map_err(|refusal| refusal.of(text))
 }
 
+/// Reads a whole text.
+pub(crate) fn from_text<T: DeserializeOwned>(text: &str) -> Result<T, CellError> {
+    let document = parse(text)?;
+    read(text, &document)
+}
+
 /// Reads the table `task` of a document, empty where absent.
 pub(super) fn parameters<T: DeserializeOwned>(text: &str) -> Result<T, CellError> {
     let document = parse(text)?;

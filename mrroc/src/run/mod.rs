@@ -57,6 +57,7 @@ use crate::cell::{CellFile, printable};
 use crate::outputs::{Outputs, Replacement};
 use crate::recording::{self, Facts, Flights, Recorder};
 use crate::report::{self, FaultReport, RunEnd, RunOutcome, RunReport, Tracks};
+use crate::scenario::Scenario;
 use crate::tasks::Program;
 use crate::trace::{AxisLog, FrameLog, StepFile, log_names};
 use crate::wire::Wire;
@@ -142,6 +143,9 @@ pub struct RunOptions {
     /// grey. Needs an emulated bench.
     #[arg(long, value_name = "DIR")]
     pub carved: Option<PathBuf>,
+    /// Play the faults of this scenario file on the emulated side of the wires. Needs --bench lockstep or emulated.
+    #[arg(long, value_name = "FILE")]
+    pub scenario: Option<PathBuf>,
     /// Write report.html into this directory: tables and plots of the run in one file, which needs no network.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -178,6 +182,10 @@ pub fn run(
     if options.carved.is_some() && !matches!(options.bench, BenchKind::Lockstep | BenchKind::Emulated) {
         bail!("--carved needs --bench lockstep or emulated, whose workpieces are in this process");
     }
+    if options.scenario.is_some() && !matches!(options.bench, BenchKind::Lockstep | BenchKind::Emulated) {
+        bail!("--scenario needs --bench lockstep or emulated; elsewhere `mrroc emulate --scenario` plays it");
+    }
+    let scenario = options.scenario.as_deref().map(Scenario::read).transpose()?;
     if let Some(percent) = options.speed {
         let fraction = if percent > 0.0 { percent / 100.0 } else { f64::NAN };
         let set = requests.speed.set(fraction);
@@ -204,6 +212,9 @@ pub fn run(
     let mut bench = Bench::open(file, options.bench, &options.places, options.trace.is_some() || is_recorded)?;
     let lines = if is_recorded { bench.trace_lines() } else { Vec::new() };
     let cameras = Cameras::open(file, options.bench, bench.emulation.as_mut())?;
+    if let (Some(scenario), Some(emulation)) = (&scenario, &mut bench.emulation) {
+        emulation.play(scenario, file)?;
+    }
     let mut devices = setup::devices(file, bench.ports, bench.lines, bench.sensors, None)?;
     let (mut servo, links) = Servo::new(&setup::servo_config(file), take(&mut devices.groups))?;
     let sensors = setup::force_sensors(file, &devices.sensors, &links);
@@ -229,7 +240,14 @@ pub fn run(
     });
     let recorder = recorder.transpose().context("--record")?;
     let frames = trace.map(|sink| FrameLog::new(sink, names));
-    let mut task = RunningTask::new(&cell, program, links, (devices.io, sensors, devices.matrices, cameras.links()), &servo, &rehearsed);
+    let mut task = RunningTask::new(
+        &cell,
+        program,
+        links,
+        (devices.io, sensors, devices.matrices, cameras.links()),
+        &servo,
+        &rehearsed,
+    );
     let steps = steps.map(|sink| StepFile::new(sink, file, task.keep_steps(STEPS))).transpose();
     let logs = Logs {
         records: servo.record(lag * file.cell.robot.len()),

@@ -215,7 +215,7 @@ fn the_older_drive_does_not_answer_what_is_no_request() {
 fn a_bad_line_costs_telegrams_and_not_the_drive() {
     let wire = WireFaults { bit_error_rate: 0.002, tear: 0.005, duplicate: 0.005, stuck: None };
     for seed in 0..4 {
-        let faults = LineFaults { seed, to_device: wire, to_host: WireFaults::default() };
+        let faults = LineFaults { seed, to_device: wire, ..LineFaults::default() };
         let mut rig = Rig::nfv2(&column());
         let request = frame(ADDRESS, &[Command::SetMisc(Command::SET_SYNCHRONIZED)]);
         rig.world.line_mut(rig.line).set_faults(&faults);

@@ -1,0 +1,145 @@
+//! Phases in which faults strike, and the fixed motion of a robot.
+
+use std::time::Duration;
+
+use controller::robot::Arm;
+use servo::{MAX_AXES, Macrostep};
+
+use crate::cell::CellFile;
+
+/// Phases of a robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
+pub enum FaultPhase {
+    /// On and at rest.
+    Idle,
+    /// Searching for the reference.
+    Homing,
+    /// Becoming faster.
+    Accelerating,
+    /// At constant speed.
+    Cruising,
+    /// Becoming slower.
+    Braking,
+    /// At constant speed, with one axis against a spring.
+    Contact,
+    /// At constant speed, in a team with another robot.
+    Team,
+}
+
+impl FaultPhase {
+    /// All phases.
+    pub const ALL: [Self; 7] =
+        [Self::Idle, Self::Homing, Self::Accelerating, Self::Cruising, Self::Braking, Self::Contact, Self::Team];
+
+    /// Name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Idle => "idle",
+            Self::Homing => "homing",
+            Self::Accelerating => "accelerating",
+            Self::Cruising => "cruising",
+            Self::Braking => "braking",
+            Self::Contact => "contact",
+            Self::Team => "team",
+        }
+    }
+
+    /// Time of the strike after the beginning of the motion, of homing or of standing.
+    pub(super) fn strikes_after(self) -> Duration {
+        match self {
+            Self::Idle => Duration::from_millis(100),
+            Self::Homing => Duration::from_millis(400),
+            Self::Accelerating => RAMP / 2,
+            Self::Cruising | Self::Team => RAMP + CRUISE / 2,
+            Self::Contact => RAMP + CRUISE * 3 / 4,
+            Self::Braking => RAMP + CRUISE + RAMP / 2,
+        }
+    }
+
+    pub(super) fn moves(self) -> bool {
+        !matches!(self, Self::Idle | Self::Homing)
+    }
+}
+
+/// Duration of acceleration and of braking of the fixed motion.
+pub(super) const RAMP: Duration = Duration::from_millis(160);
+/// Duration at constant speed.
+pub(super) const CRUISE: Duration = Duration::from_millis(400);
+/// Share of the greatest velocity of a motor that the fixed motion uses at most.
+const SPEED: f64 = 0.25;
+/// Share of the greatest acceleration that the fixed motion uses at most.
+const EFFORT: f64 = 0.4;
+/// Share of the room of a motor that the fixed motion uses at most.
+const ROOM: f64 = 0.4;
+/// Servo periods of a macrostep.
+const STEPS: u16 = 10;
+
+/// The fixed motion of a robot: all motors accelerate, move at constant speed and brake at the same times, away from
+/// the nearer end of their range.
+#[derive(Clone, Debug)]
+pub(super) struct FixedMotion {
+    from: [f64; MAX_AXES],
+    /// Velocity at constant speed, rad/s.
+    pub(super) velocity: [f64; MAX_AXES],
+    period: f64,
+    sent: u64,
+    first: u64,
+}
+
+impl FixedMotion {
+    /// The motion of robot `robot` from `from`, rad of the motors.
+    pub(super) fn of(file: &CellFile, robot: usize, from: [f64; MAX_AXES], first: u64) -> Self {
+        let ramp = RAMP.as_secs_f64();
+        let way = ramp + CRUISE.as_secs_f64();
+        let arm: &Arm = &file.arms[robot];
+        let mut velocity = [0.0; MAX_AXES];
+        for (number, axis) in file.cell.robot[robot].axis.iter().enumerate() {
+            let range = arm.robot().motor_limits()[number];
+            let low = axis.min_position.map_or(range.low, |low| low.max(range.low));
+            let high = axis.max_position.map_or(range.high, |high| high.min(range.high));
+            let (up, down) = (high - from[number], from[number] - low);
+            let sign = if up >= down { 1.0 } else { -1.0 };
+            let most = [SPEED * axis.max_velocity, EFFORT * axis.max_acceleration * ramp, ROOM * up.max(down) / way];
+            velocity[number] = sign * most.into_iter().fold(f64::INFINITY, f64::min);
+        }
+        // A mechanism with closed loops takes no arbitrary motor positions.
+        for _ in 0..8 {
+            let end = std::array::from_fn(|axis| from[axis] + velocity[axis] * way);
+            if arm.joints(&end).is_ok_and(|joints| arm.motors(&joints).is_ok()) {
+                break;
+            }
+            velocity.iter_mut().for_each(|velocity| *velocity *= 0.5);
+        }
+        Self { from, velocity, period: file.cell.period().as_secs_f64(), sent: 0, first }
+    }
+
+    /// The next macrostep; `None` at the end of the motion.
+    pub(super) fn next(&mut self) -> Option<Macrostep> {
+        let (ramp, cruise) = (RAMP.as_secs_f64(), CRUISE.as_secs_f64());
+        let step = self.period * f64::from(STEPS);
+        if self.sent as f64 * step >= 2.0 * ramp + cruise - 1e-9 {
+            return None;
+        }
+        self.sent += 1;
+        let t = self.sent as f64 * step;
+        // Way and velocity, in units of the velocity at constant speed.
+        let (way, share) = if t < ramp {
+            (0.5 * t * t / ramp, t / ramp)
+        } else if t < ramp + cruise {
+            (t - 0.5 * ramp, 1.0)
+        } else {
+            let left = (2.0 * ramp + cruise - t).max(0.0);
+            (ramp + cruise - 0.5 * left * left / ramp, left / ramp)
+        };
+        Some(Macrostep {
+            number: self.first + self.sent,
+            steps: STEPS,
+            report_at: STEPS,
+            position: std::array::from_fn(|axis| self.from[axis] + self.velocity[axis] * way),
+            velocity: self.velocity.map(|velocity| velocity * share),
+            acceleration: None,
+            torque: [0.0; MAX_AXES],
+            law: None,
+        })
+    }
+}
