@@ -26,6 +26,7 @@ pub mod budget;
 pub mod cell;
 pub mod charts;
 pub mod check;
+pub mod guardian;
 pub mod input;
 mod motions;
 mod operator;

@@ -32,6 +32,7 @@ mod force_cell;
 mod force_law;
 mod force_refusals;
 mod force_sensors;
+mod guardian;
 mod heap;
 mod held_bar;
 mod homing;
