@@ -164,7 +164,7 @@ impl Bench {
                 let listeners = interfaces.iter().enumerate().map(listen).collect::<anyhow::Result<_>>()?;
                 let (lines, guarded) = ttys(file, serial)?;
                 let sensors = sensor_ttys(file, serial)?;
-                (ports, lines, sensors, listeners, None, Guardian::of_cell(file, guarded)?)
+                (ports, lines, sensors, listeners, None, Guardian::of_cell(file, &guarded)?)
             }
         };
         let (ports, traces) = if trace {

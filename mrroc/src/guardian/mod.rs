@@ -141,7 +141,7 @@ const LOST_HEARTBEAT: u8 = 2;
 impl Guardian {
     /// Starts the guardian of a cell's serial lines; `None` for a cell without such lines. Reports requests that the host
     /// denies in one warning. With [`Policy::Require`] a denied request refuses the start.
-    pub fn of_cell(file: &CellFile, lines: Vec<GuardedLine>) -> anyhow::Result<Option<Self>> {
+    pub fn of_cell(file: &CellFile, lines: &[GuardedLine]) -> anyhow::Result<Option<Self>> {
         if lines.is_empty() {
             return Ok(None);
         }
@@ -157,8 +157,9 @@ impl Guardian {
         Ok(Some(guardian))
     }
 
-    /// Starts a guardian and waits until it is ready. A ready guardian waits for the first completed cycle.
-    pub fn start(config: GuardianConfig, lines: Vec<GuardedLine>) -> Result<Self, GuardianError> {
+    /// Starts a guardian and waits until it is ready. A ready guardian waits for the first completed cycle. The guardian
+    /// inherits the descriptors of `lines`, which the caller may close afterwards.
+    pub fn start(config: GuardianConfig, lines: &[GuardedLine]) -> Result<Self, GuardianError> {
         let memory = |error: io::Error| GuardianError::Memory { errno: error.raw_os_error().unwrap_or(0) };
         let spawn = |error: io::Error| GuardianError::Spawn { errno: error.raw_os_error().unwrap_or(0) };
         let (ended, life) = io::pipe().map_err(spawn)?;

@@ -33,7 +33,7 @@ impl Rig {
         let line = Tty::open(drive.path(), Settings::AXIS_CONTROLLER).expect("its tty");
         let held = line.as_fd().try_clone_to_owned().expect("a descriptor");
         let guarded = GuardedLine { line: held, telegram: TELEGRAM.to_vec() };
-        let guardian = Guardian::start(CONFIG, vec![guarded]).expect("a guardian");
+        let guardian = Guardian::start(CONFIG, &[guarded]).expect("a guardian");
         Self { drive, guardian, stop: StopRequest::default(), _line: line }
     }
 
@@ -159,6 +159,6 @@ fn the_end_of_a_controller_stops_the_drives_unless_they_are_off() {
 
 #[test]
 fn lines_that_cannot_be_guarded_are_refused() {
-    let refused = Guardian::start(CONFIG, Vec::new()).map(drop);
+    let refused = Guardian::start(CONFIG, &[]).map(drop);
     assert_eq!(refused, Err(GuardianError::Lines { lines: 0 }));
 }

@@ -10,6 +10,8 @@
 //! - wire: listens to the buses;
 //! - the caller: receives the progress and watches the task.
 //!
+//! A cell with axis controllers on ttys has a second process, the [guardian](crate::guardian).
+//!
 //! A run in lockstep has the caller and one thread for everything else. Planning and rehearsal by the wall clock are
 //! not waited for. However a run ends, the run waits until the servo has braked the arms and switched them off. A run
 //! ends with its task, on a signal, when a file cannot be written, when the task hangs, and by a panic of the caller or
