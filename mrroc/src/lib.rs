@@ -27,6 +27,7 @@ pub mod cell;
 pub mod charts;
 pub mod check;
 pub mod fault_table;
+pub mod guardian;
 pub mod input;
 mod motions;
 mod operator;

@@ -9,13 +9,14 @@ use controller::generator::Pace;
 use controller::law::{PositionForce, PositionForceConfig, RehearsedLaw};
 use controller::robot::Limits;
 use controller::sensor::{ForceSensorConfig, ForceTorque};
+use drive::DriveGroup;
+use drive::axis_controller::{self, AxisControllerGroup};
 use drive::bus::CanBus;
 use drive::camera::CameraLink;
 use drive::cia401::{IoLink, RehearsedIo};
 use drive::cia402::{AxisConfig, CyclicMode};
 use drive::ultrasonic::{RehearsedUltrasonic, UltrasonicLink, UltrasonicMatrix};
 use drive::wrench::{RehearsedWrench, SerialWrenchSensor, WrenchLink};
-use drive::{DriveGroup, axis_controller::AxisControllerGroup};
 use serial::Line;
 use servo::{CycleLaw, EffectorConfig, EffectorLink, HostHoming, Servo, ServoAxisConfig, ServoConfig};
 
@@ -51,6 +52,15 @@ pub fn axis_configs(file: &CellFile, bus: usize) -> Vec<AxisConfig> {
         config
     };
     file.cell.axes_on(bus).map(config).collect()
+}
+
+/// The axis controllers of bundle `bundle`, in the order of `Cell::axes_on`.
+pub fn controller_configs(file: &CellFile, bundle: usize) -> Vec<axis_controller::AxisConfig> {
+    let config = |(robot, number): (usize, usize)| {
+        let axis = &file.cell.robot[robot].axis[number];
+        axis.controller_config(file.arms[robot].robot().home()[number])
+    };
+    file.cell.axes_on(file.cell.bus.len() + bundle).map(config).collect()
 }
 
 /// The devices of a cell on their ports and lines.
@@ -96,11 +106,7 @@ pub fn devices(
         Ok(Box::new(group) as Box<dyn DriveGroup>)
     };
     let bundle = |((index, bundle), lines): ((usize, &Serial), _)| {
-        let config = |(robot, number): (usize, usize)| {
-            let axis = &file.cell.robot[robot].axis[number];
-            axis.controller_config(file.arms[robot].robot().home()[number])
-        };
-        let axes: Vec<_> = file.cell.axes_on(file.cell.bus.len() + index).map(config).collect();
+        let axes = controller_configs(file, index);
         let group = AxisControllerGroup::new(lines, bundle.group_config(file.cell.period()), &axes);
         let refused = |error| file.refuse(&Path::to("serial").then(index), error);
         Ok(Box::new(group.map_err(refused)?) as Box<dyn DriveGroup>)

@@ -36,6 +36,7 @@ mod force_inertia;
 mod force_law;
 mod force_refusals;
 mod force_sensors;
+mod guardian;
 mod heap;
 mod held_bar;
 mod homing;

@@ -272,6 +272,11 @@ struct Stop {
 }
 
 impl Cabinet {
+    /// Whether a drive of the cabinet is in its error state, which opens the emergency stop.
+    pub fn has_error(&self) -> bool {
+        self.0.in_error.load(Ordering::Relaxed) > 0
+    }
+
     fn enter_error(&self, now: Instant) {
         if self.0.in_error.fetch_add(1, Ordering::Relaxed) == 0 {
             self.change(now);

@@ -150,6 +150,16 @@ impl EmulatedLines {
 
     /// Runs the devices until `stop`.
     pub fn serve(&mut self, stop: &AtomicBool) -> anyhow::Result<()> {
+        self.serve_observed(stop, |_, _| {})
+    }
+
+    /// Runs the devices until `stop`. `observe` is called with the world and its time after each advance, at least every
+    /// 50 ms.
+    pub fn serve_observed(
+        &mut self,
+        stop: &AtomicBool,
+        mut observe: impl FnMut(&World, Instant),
+    ) -> anyhow::Result<()> {
         // The priority is below a controller on the same host and above everything else. If the priority is denied, a
         // busy host delays the devices.
         let _ = set_fifo(PRIORITY);
@@ -187,6 +197,7 @@ impl EmulatedLines {
                 scenario.advance(&mut self.world, passed);
             }
             self.world.advance(passed);
+            observe(&self.world, passed);
             for line in &mut self.lines {
                 line.deliver(&mut self.world, passed)?;
             }

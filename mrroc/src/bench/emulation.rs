@@ -10,8 +10,8 @@ use drive::cia401::IoConfig;
 use hil::scene::WorkpieceProbe;
 use hil::{
     AxisController, AxisControllerConfig, BusId, Cabinet, Device, DigitalIo, DigitalIoConfig, DriveId, Epos4,
-    Epos4Config, EposSerial, EposSerialConfig, FaultInEffect, InputEdge, InputProbe, LineDevice, PlantAxis, World,
-    WorldFault,
+    Epos4Config, EposSerial, EposSerialConfig, FaultInEffect, InputEdge, InputProbe, LineDevice, LineId, PlantAxis,
+    World, WorldFault,
     scene::{BeamProbe, Scene, UnsolvedProbe},
 };
 use serial::{Settings, VirtualLine};
@@ -317,12 +317,24 @@ impl EmulatedCell<'_> {
     /// Adds the line of an axis of bundle `bundle`, with its axis controller in `cabinet`, switched on at
     /// [`Instant::ZERO`]. Returns the host's end.
     pub fn add_line(&self, world: &mut World, bundle: usize, axis: (usize, usize), cabinet: &Cabinet) -> VirtualLine {
+        let line = self.add_axis_controller(world, bundle, axis, cabinet);
+        world.host_line(line, LINE)
+    }
+
+    /// As [`add_line`](Self::add_line), without an end for a host.
+    pub fn add_axis_controller(
+        &self,
+        world: &mut World,
+        bundle: usize,
+        axis: (usize, usize),
+        cabinet: &Cabinet,
+    ) -> LineId {
         let bundle = &self.file.cell.serial[bundle];
         let latency = bundle.emulated_latency_ms.map(|latency| Duration::from_millis(u64::from(latency)));
         let device = self.axis_controller(bundle.protocol, axis, cabinet);
         let line = world.add_line(bundle.settings(), latency, device);
         self.ids.borrow_mut().drives.insert(axis, DriveId::Line(line));
-        world.host_line(line, LINE)
+        line
     }
 
     /// The emulated module of I/O node `node`, with light gates and touch probes at its inputs, and with the valves of the

@@ -20,16 +20,20 @@ pub(crate) mod traffic;
 pub mod truth;
 
 use std::mem::take;
+use std::os::fd::AsFd as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use can::{Port, SocketCanOptions, TraceReader, Tracer};
 use clap::{Args, ValueEnum};
+use drive::axis_controller::error_state_telegram;
 use serial::{Line, LineTraceReader, LineTracer, Settings, Tty, VirtualLine};
 
 use crate::bench::bus_port::{BusPort, prepare_card};
 use crate::bench::{emulation::Emulation, interfaces::Interface};
 use crate::cell::{Cell, CellFile, Serial};
+use crate::guardian::{GuardedLine, Guardian};
+use crate::setup;
 use crate::wire::{Listener, Wire};
 
 /// Frames by which a trace may lag behind the bus: some seconds of a full bus.
@@ -133,6 +137,8 @@ pub struct Bench {
     pub wire: Wire,
     /// The emulated cell, on the benches without hardware.
     pub emulation: Option<Emulation>,
+    /// The guardian of the ttys of axis controllers.
+    pub guardian: Option<Guardian>,
 }
 
 impl Bench {
@@ -159,7 +165,7 @@ impl Bench {
         let interfaces = interfaces::resolve(&file.cell, can)?;
         interfaces::all_differ(&file.cell, interfaces.iter().map(Some))?;
         places.check(file, kind)?;
-        let (ports, lines, sensors, listeners, emulation) = match kind {
+        let (ports, lines, sensors, listeners, emulation, guardian) = match kind {
             BenchKind::Lockstep | BenchKind::Emulated => {
                 if !can.is_empty() || serial.is_some() {
                     bail!("--can and --serial need --bench vcan or --bench card");
@@ -169,7 +175,7 @@ impl Bench {
                 let lines = emulated_lines(file, kind, &mut emulation, ends.lines)?;
                 let sensors = emulated_sensors(file, kind, &mut emulation, ends.sensors)?;
                 let listeners = ends.listeners.into_iter().map(Listener::Virtual).collect();
-                (ends.ports, lines, sensors, listeners, Some(emulation))
+                (ends.ports, lines, sensors, listeners, Some(emulation), None)
             }
             BenchKind::Vcan | BenchKind::Card => {
                 let open = |(index, interface): (usize, &Interface)| {
@@ -190,7 +196,9 @@ impl Bench {
                     Listener::open(file, index, interface).with_context(|| format!("bus {}", file.cell.bus[index].name))
                 };
                 let listeners = interfaces.iter().enumerate().map(listen).collect::<anyhow::Result<_>>()?;
-                (ports, ttys(file, serial)?, sensor_ttys(file, serial)?, listeners, None)
+                let (lines, guarded) = ttys(file, serial)?;
+                let sensors = sensor_ttys(file, serial)?;
+                (ports, lines, sensors, listeners, None, Guardian::of_cell(file, &guarded)?)
             }
         };
         let (ports, traces) = if trace {
@@ -202,7 +210,7 @@ impl Bench {
         } else {
             (ports, Vec::new())
         };
-        Ok(Self { ports, lines, sensors, interfaces, traces, wire: Wire::new(file, listeners), emulation })
+        Ok(Self { ports, lines, sensors, interfaces, traces, wire: Wire::new(file, listeners), emulation, guardian })
     }
 }
 
@@ -279,15 +287,26 @@ fn sensor_tty(sensor: &SensorLine<'_>, directory: Option<&Path>) -> PathBuf {
     directory.map_or_else(|| PathBuf::from(sensor.line), |directory| directory.join(sensor.name))
 }
 
-fn ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<Vec<Box<dyn Line>>>> {
-    let bundle = |(index, bundle): (usize, &Serial)| {
-        let open = |(axis, path): (String, PathBuf)| {
-            let tty = Tty::open(&path, bundle.settings());
-            Ok(Box::new(tty.with_context(|| format!("axis {axis}"))?) as Box<dyn Line>)
-        };
-        tty_paths(file, index, directory).into_iter().map(open).collect()
-    };
-    file.cell.serial.iter().enumerate().map(bundle).collect()
+/// The lines of each bundle.
+type Bundles = Vec<Vec<Box<dyn Line>>>;
+
+/// The ttys of axis controllers, and what a guardian needs of each.
+fn ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<(Bundles, Vec<GuardedLine>)> {
+    let mut guarded = Vec::new();
+    let mut bundles = Vec::new();
+    for (index, bundle) in file.cell.serial.iter().enumerate() {
+        let axes = setup::controller_configs(file, index);
+        let mut lines = Vec::new();
+        for ((axis, path), config) in tty_paths(file, index, directory).into_iter().zip(axes) {
+            let of_axis = || format!("axis {axis}");
+            let tty = Tty::open(&path, bundle.settings()).with_context(of_axis)?;
+            let line = tty.as_fd().try_clone_to_owned().with_context(of_axis)?;
+            guarded.push(GuardedLine { line, telegram: error_state_telegram(bundle.protocol, &config) });
+            lines.push(Box::new(tty) as Box<dyn Line>);
+        }
+        bundles.push(lines);
+    }
+    Ok((bundles, guarded))
 }
 
 /// The axes of bundle `bundle` and their ttys. The ttys are named in the cell, or `mrroc emulate --serial` made them

@@ -84,6 +84,10 @@ pub struct Cell {
     /// before it would jump. The number has no effect on the emulated benches, where time waits for the host.
     #[serde(default = "defaults::count::<3, u32>")]
     pub max_missed_in_row: u32,
+    /// Silence of the servo after which the guardian, a process beside the controller, puts every axis controller on a
+    /// serial line into its error state, ms: at least two periods, at most 1000. Where absent, the silence of
+    /// `max_missed_in_row` missed deadlines and one and a half periods, within 5 to 1000 ms.
+    pub guardian_ms: Option<u32>,
     /// Longest wait of a robot for its partners at a meeting, s. A longer wait stops the cell by a fault.
     #[serde(default = "defaults::count::<600, u32>")]
     pub meeting_timeout_s: u32,

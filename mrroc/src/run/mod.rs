@@ -11,6 +11,8 @@
 //! - camera, one per camera: receives pictures;
 //! - the caller: receives the progress and watches the task.
 //!
+//! A cell with axis controllers on ttys has a second process, the [guardian](crate::guardian).
+//!
 //! A run in lockstep has the caller and one thread for everything else. Planning and rehearsal by the wall clock are
 //! not waited for. However a run ends, the run waits until the servo has braked the arms and switched them off. A run
 //! ends with its task, on a signal, when a file cannot be written, when the task hangs, and by a panic of the caller or
@@ -54,6 +56,7 @@ use crate::bench::emulation::Emulation;
 use crate::bench::truth::TruthLog;
 use crate::bench::{Bench, BenchKind, Places};
 use crate::cell::{CellFile, printable};
+use crate::guardian::{Guardian, Pulse};
 use crate::outputs::{Outputs, Replacement};
 use crate::recording::{self, Facts, Flights, Recorder};
 use crate::report::{self, FaultReport, RunEnd, RunOutcome, RunReport, Tracks};
@@ -277,7 +280,7 @@ pub fn run(
             let work = move |tell: &mut dyn FnMut(Progress)| in_lockstep(servo, task, logs, buses, &stop, tell);
             watched("lockstep", &turns, progress, work)??
         }
-        _ => by_the_clock(file, servo, task, logs, buses, requests, progress)?,
+        _ => by_the_clock(file, servo, task, logs, (buses, bench.guardian), requests, progress)?,
     };
     let interrupted = requests.is_stopped();
     for fault in servo_faults(file, &end.servo, &end.received) {
@@ -458,7 +461,7 @@ fn by_the_clock(
     mut servo: Servo,
     mut task: RunningTask,
     logs: Logs,
-    Buses { wire, mut emulation }: Buses,
+    (Buses { wire, mut emulation }, mut guardian): (Buses, Option<Guardian>),
     requests: &Requests,
     progress: &mut dyn FnMut(Progress),
 ) -> anyhow::Result<RunEnd> {
@@ -479,7 +482,13 @@ fn by_the_clock(
     let trace = requests.spikes.clone();
     let realtime = file.cell.realtime;
     let (ticking, mut tick) = tick(file.cell.period());
-    let running = clockwork::start(servo, emulation, since, realtime, trace, move || ticking.sent(), until)?;
+    let stop_all = servo.stop_request();
+    let mut pulse = guardian.as_ref().map(|guardian| guardian.pulse(servo.stop_request()));
+    let sent = move || {
+        ticking.sent();
+        pulse.iter_mut().for_each(Pulse::beat);
+    };
+    let running = clockwork::start(servo, emulation, since, realtime, trace, sent, until)?;
     let turning = Turning::of(running, done.clone());
     let (tell, told) = sync_channel(NEWS);
     let (ask, asked) = sync_channel(file.cell.robot.len());
@@ -504,6 +513,9 @@ fn by_the_clock(
     let controller = Builder::new().name("controller".into()).spawn(control);
     let controller = controller.context("no thread for the controller can be made")?;
     let hung = loop {
+        if guardian.as_mut().is_some_and(|guardian| guardian.look(&stop_all).is_some()) {
+            done.store(true, Ordering::Relaxed);
+        }
         match told.recv_timeout(watch::LOOK) {
             Ok(seen) => progress(seen),
             Err(RecvTimeoutError::Disconnected) => break None,
@@ -527,10 +539,18 @@ fn by_the_clock(
         Some(first) => cycles(first).since(Instant::ZERO),
         None => clock::now().since(began),
     };
-    if requests.is_stopped() {
-        // The request broke off the instructions of the task.
+    let guarded = guardian.as_ref().and_then(Guardian::fault);
+    if let Some(guardian) = &mut guardian
+        && ended.servo.is_off()
+    {
+        guardian.all_off();
+    }
+    drop(guardian);
+    if requests.is_stopped() || guarded.is_some() {
+        // The request or the guardian broke off the instructions of the task.
         faults.retain(|fault| fault.robot.is_none());
     }
+    faults.splice(..0, guarded.map(FaultReport::of_run));
     faulted.store(!faults.is_empty() || ended.panicked.is_some(), Ordering::Relaxed);
     let (written, tracks) = writing.finish(file);
     faults.extend(written.err().map(FaultReport::of_run));

@@ -196,6 +196,7 @@ fn incremental(law: &IncrementalConfig, limit: f64) -> Law {
 /// Adds every key that an arm on serial lines may have.
 fn on_lines(cell: &mut Cell) {
     cell.serial[0].emulated_latency_ms = Some(1);
+    cell.guardian_ms = Some(9);
     let robot = &mut cell.robot[0];
     let load = Mass { mass: 1.0, centre: [0.0, 0.0, 0.1] };
     robot.weight = Some(Weights { masses: Some(robot.model.masses().to_vec()), load, up: Some(robot.model.up()) });

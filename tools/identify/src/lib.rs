@@ -29,6 +29,7 @@ use mrroc::bench::clockwork;
 use mrroc::bench::emulation::Emulation;
 use mrroc::bench::{Bench, BenchKind, Places};
 use mrroc::cell::CellFile;
+use mrroc::guardian::{Guardian, Pulse};
 use mrroc::outputs::{Measured, Outputs, Replacement};
 use mrroc::signals::Motion;
 use mrroc::{setup, signals};
@@ -167,7 +168,7 @@ pub fn identify(options: &Options) -> anyhow::Result<Measured<IdentifyReport>> {
     let files = options.out.as_deref();
     let files = files.map(|directory| open(&mut outputs, directory));
     let files = files.transpose()?;
-    let Bench { ports, lines: ttys, sensors, emulation, .. } =
+    let Bench { ports, lines: ttys, sensors, emulation, guardian, .. } =
         Bench::open(&file, options.bench, &options.places, false)?;
     let groups = setup::devices(&file, ports, ttys, sensors, with_torque)?.groups;
     let delay = groups[axis.group].delay();
@@ -181,7 +182,7 @@ pub fn identify(options: &Options) -> anyhow::Result<Measured<IdentifyReport>> {
     outputs.begin()?;
     let ended = match options.bench {
         BenchKind::Lockstep => in_lockstep(servo, session, emulation),
-        _ => by_the_clock(&file, servo, session, emulation),
+        _ => by_the_clock(&file, servo, session, emulation, guardian),
     };
     motion.is_over();
     let robot = &file.cell.robot[place.0];
@@ -368,20 +369,34 @@ fn by_the_clock(
     mut servo: Servo,
     mut session: Session,
     mut emulation: Option<Emulation>,
+    mut guardian: Option<Guardian>,
 ) -> Result<Session, Unmeasured> {
     let done = Arc::new(AtomicBool::new(false));
     let finished = done.clone();
     let since = clockwork::bring_up(&mut servo, &mut emulation).map_err(not_up)?;
     let realtime = file.cell.realtime;
     let until = move |_: &Servo| finished.load(Ordering::Relaxed);
-    let running = clockwork::start(servo, emulation, since, realtime, Arc::default(), || {}, until);
+    let stop = servo.stop_request();
+    let mut pulse = guardian.as_ref().map(|guardian| guardian.pulse(stop.clone()));
+    let sent = move || pulse.iter_mut().for_each(Pulse::beat);
+    let running = clockwork::start(servo, emulation, since, realtime, Arc::default(), sent, until);
     let running = running.map_err(|error| Unmeasured::Refused(error.into()))?;
     let turning = mrroc::run::Turning::of(running, done);
-    while !session.is_over() && !turning.is_finished() {
+    let mut guarded = None;
+    while !session.is_over() && !turning.is_finished() && guarded.is_none() {
         session.poll();
+        guarded = guardian.as_mut().and_then(|guardian| guardian.look(&stop));
         clock::sleep_until(clock::now() + POLL);
     }
     let ended = turning.end();
+    if let Some(guardian) = &mut guardian
+        && ended.servo.is_off()
+    {
+        guardian.all_off();
+    }
+    if let Some(fault) = guardian.and_then(|guardian| guardian.fault()) {
+        return Err(Unmeasured::Stopped(fault.to_string()));
+    }
     match ended.panicked {
         Some(panicked) => Err(Unmeasured::Stopped(format!("the servo thread panicked: {panicked:?}"))),
         None => Ok(session),

@@ -3,7 +3,8 @@
 //! [`AxisControllerGroup`] brings its drives up, exchanges one telegram and one answer with each drive per cycle, and
 //! checks the plausibility of every answer. These drives close at most the current loop, and **they have no watchdog**:
 //! a drive that hears nothing follows its last set-point for ever. So a telegram that takes torque away is repeated in
-//! every cycle, and a dropped group sends it last. If this process dies, only the cabinet's emergency stop helps.
+//! every cycle, and a dropped group sends it last. If this process dies, another process must send
+//! [`error_state_telegram`] to every drive.
 //!
 //! # Commands
 //! - [`Off`](AxisCommand::Off) sends a zero set-point and manual mode in every cycle. Manual mode clears the faults that
@@ -88,6 +89,7 @@ use crate::Power;
 use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters};
 use axis::SerialAxis;
 use bring_up::BringUp;
+use telegram::Dialect;
 
 /// Bytes of one reading: the whole buffer of the tty layer of Linux, so that no old bytes stay behind.
 const READING: usize = 4_096;
@@ -112,6 +114,13 @@ struct Controller<L> {
     axis: SerialAxis,
     bring_up: Option<BringUp>,
     setpoint: Option<i16>,
+}
+
+/// The bytes that put a drive into its error state: it opens its power stage and the emergency-stop circuit of its
+/// cabinet. For a process that stops the drives of a host that is silent. An NFv2 drive does not answer.
+pub fn error_state_telegram(protocol: Protocol, axis: &AxisConfig) -> Vec<u8> {
+    let dialect = Dialect { protocol, address: axis.address, control: axis.control };
+    dialect.error_state().bytes().to_vec()
 }
 
 /// Counters of one axis. Counters only grow.

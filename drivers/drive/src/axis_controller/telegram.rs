@@ -139,6 +139,17 @@ impl Dialect {
         }
     }
 
+    /// Puts the drive into its error state without an order to answer. In NFv2 the set-point is zeroed as well.
+    pub(super) fn error_state(self) -> Telegram {
+        match self.protocol {
+            Protocol::Nfv2 => {
+                let mut frame = self.frame(0).command(Command::SetMode(Mode::Error));
+                prefixed(Telegram::NONE.append(frame.finish().expect("a frame of two commands fits 256 bytes")))
+            }
+            Protocol::HiMoxa => set(Parameter::DriverMode(DriverMode::Error)),
+        }
+    }
+
     /// A request to set the greatest current, mA.
     pub(super) fn max_current(self, current: i16) -> Telegram {
         match self.protocol {
@@ -243,6 +254,9 @@ mod tests {
         for (telegram, bytes) in cases {
             assert_eq!(telegram.bytes(), bytes);
         }
+        let stop = [0, 0, 0, 0, 0, 0x23, 0x0B, 0xF4, 0x08, 0x14, 0x02, 0, 0, 0x10, 0x01, 0x00, 0x18];
+        assert_eq!(nfv2.error_state().bytes(), stop);
+        assert_eq!(moxa.error_state().bytes(), [0, 0, 0, 0, 0x23, 0x9F, 0x04, 0, 0, 0]);
         for first in [moxa.switch_on(0), moxa.switch_on(1), moxa.rest(ControllerMode::Manual, 0, false)] {
             assert_eq!(first.bytes(), moxa.zero().bytes());
         }

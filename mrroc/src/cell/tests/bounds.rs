@@ -182,6 +182,10 @@ fn a_message_gives_both_ends_of_a_range_and_counts_none_in_words() {
             "max_missed_in_row: is 1000001, must be between 1 and 1000000 (periods)",
         ),
         ("robot = []\nperiod_us = 2000", "robot: has no robots, must have at least one"),
+        (
+            "guardian_ms = 9\nperiod_us = 2000",
+            "guardian_ms: has no effect without axis controllers on serial lines: leave it out",
+        ),
     ];
     let head = &IRB6[..IRB6.find("[[robot]]").unwrap()];
     for (given, expected) in cases {
@@ -245,5 +249,25 @@ fn the_gains_of_every_law_of_the_robots_themselves_are_within_the_bounds() {
         // The rest of the line becomes a comment.
         let cell = cell.replacen(" #", " } }\n#", 1);
         Cell::parse(&cell).unwrap_or_else(|error| panic!("{law:?}: {error}"));
+    }
+}
+
+#[test]
+fn the_permitted_silence_follows_from_the_missed_deadlines_and_has_bounds() {
+    let silence = |keys: &str| {
+        let text = SERIAL.replacen("period_us = 2000", keys, 1);
+        Cell::parse(&text).map(|cell| cell.guardian_config().silence.as_millis()).map_err(|error| error.key)
+    };
+    let cases = [
+        ("period_us = 2000", Ok(9)),
+        ("period_us = 2000\nmax_missed_in_row = 20", Ok(43)),
+        ("period_us = 2000\nmax_missed_in_row = 1", Ok(5)),
+        ("period_us = 2000\nmax_missed_in_row = 100000", Ok(1000)),
+        ("period_us = 2000\nguardian_ms = 4", Ok(4)),
+        ("period_us = 2000\nguardian_ms = 3", Err("guardian_ms".to_owned())),
+        ("period_us = 2000\nguardian_ms = 1001", Err("guardian_ms".to_owned())),
+    ];
+    for (keys, expected) in cases {
+        assert_eq!(silence(keys), expected, "{keys}");
     }
 }

@@ -24,6 +24,7 @@ use servo::KeyError;
 
 use super::error::{Path, Step};
 use super::{Cell, Range, out_of_range, text};
+use crate::guardian::LONGEST_SILENCE_MS;
 
 /// Greatest number of robots of a cell, and of buses and bundles together.
 const MOST: usize = 32;
@@ -43,6 +44,10 @@ pub(super) fn check(cell: &Cell) -> Checked {
     }
     within(top, "macrostep", cell.macrostep, Range::new(1.0, 1000.0, "periods"))?;
     within(top, "max_missed_in_row", cell.max_missed_in_row, Range::new(1.0, 1e6, "periods"))?;
+    if let Some(silence) = cell.guardian_ms {
+        no_effect(top, "guardian_ms", cell.serial.is_empty(), "without axis controllers on serial lines")?;
+        within(top, "guardian_ms", silence, Range::new(2e-3 * f64::from(cell.period_us), LONGEST_SILENCE_MS, "ms"))?;
+    }
     cell.realtime.check(cell.period()).map_err(|refusal| by_servo(&top.then("realtime"), refusal))?;
     buses::check(cell)?;
     within(top, "flight_recorder_s", cell.flight_recorder_s, Range::new(0.0, 600.0, "s"))?;

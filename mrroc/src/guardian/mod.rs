@@ -1,0 +1,343 @@
+//! The guardian: a process beside the controller that stops drives which cannot watch their host.
+//!
+//! Axis controllers on serial lines follow their last set-point while the host is silent. The controller therefore starts
+//! a second process of its own program. The guardian has its own handles of the lines and watches a counter of completed
+//! servo cycles in shared memory. The guardian puts every drive on these lines into its error state:
+//!
+//! - after the silence of [`GuardianConfig::silence`] without a completed cycle, until cycles are completed again;
+//! - when the process of the controller ends and has not said that its drives are off.
+//!
+//! The guardian has a session of its own and blocks all signals. It requests a priority above the servo thread, locked
+//! memory, and exemption from the OOM killer. [`Guardian::of_cell`] reports a denied priority and denied locked memory.
+//!
+//! The controller watches the guardian as well. The servo thread looks at a heartbeat word of the guardian after each
+//! cycle ([`Pulse::beat`]), without a system call. The loss of the guardian stops all robots (category 1). After a stop by
+//! the guardian the run ends with [`GuardianFault::Stopped`].
+//!
+//! The program of the guardian is `/proc/self/exe`. A function in `.init_array` finds the variable [`VARIABLE`] in the
+//! environment before `main`, so programs with a `main` of their own need no code for the guardian.
+//!
+//! Left out: CAN interfaces, whose drives watch the heartbeat of the host, and hardware watchdogs. Read `process` for the
+//! states of the guardian, and `shared` for the shared memory.
+
+#![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
+
+mod process;
+mod shared;
+
+use std::io;
+use std::os::fd::{AsRawFd, OwnedFd, RawFd};
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use can::clock;
+use servo::StopRequest;
+use servo::thread::Policy;
+use thiserror::Error;
+
+use crate::cell::{Cell, CellFile};
+use crate::streams;
+use shared::{Denied, LONGEST_TELEGRAM, LineOrders, MOST_LINES, Orders, Phase, Words};
+
+/// Environment variable of a guardian process. The value is the number of the descriptor of the shared memory.
+pub const VARIABLE: &str = "MRROC_GUARDIAN";
+
+/// Name of a guardian process in lists of processes.
+pub const NAME: &str = "mrroc-guardian";
+
+/// Longest time until a new guardian is ready: it loads the program and locks its memory.
+const READY: Duration = Duration::from_secs(5);
+
+/// Longest time until a guardian that was told to end has ended.
+const END: Duration = Duration::from_secs(1);
+
+/// Interval of looks at a guardian that starts or ends.
+const LOOK: Duration = Duration::from_millis(1);
+
+/// Shortest time without a heartbeat after which the guardian is taken for lost. An ordinary host delays a process by
+/// tens of milliseconds.
+const LOST: Duration = Duration::from_millis(100);
+
+/// The same, as a multiple of the silence that the guardian permits the controller.
+const LOST_SILENCES: u32 = 5;
+
+/// A line that a guardian holds, and the bytes that put its drive into the error state.
+#[derive(Debug)]
+pub struct GuardedLine {
+    /// A duplicate of the descriptor of the line. Writing must not block.
+    pub line: OwnedFd,
+    /// At most 64 bytes.
+    pub telegram: Vec<u8>,
+}
+
+/// Times and priority of a guardian.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GuardianConfig {
+    /// Time without a completed servo cycle after which the guardian stops the drives.
+    pub silence: Duration,
+    /// The servo period. The guardian looks at the counter twice per period, so the stop begins at most half a period
+    /// after `silence`.
+    pub period: Duration,
+    /// Priority of the servo thread under SCHED_FIFO. The guardian requests the next higher one.
+    pub priority: u8,
+}
+
+/// Why a guardian did not start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
+pub enum GuardianError {
+    #[error("no shared memory (errno {errno})")]
+    Memory { errno: i32 },
+    #[error("the process cannot be started from /proc/self/exe (errno {errno})")]
+    Spawn { errno: i32 },
+    #[error("the process has ended at its start")]
+    Ended,
+    #[error("the process was not ready after {waited:?}")]
+    NotReady { waited: Duration },
+    #[error("{lines} lines, {MOST_LINES} at most, with telegrams of 1 to {LONGEST_TELEGRAM} bytes")]
+    Lines { lines: usize },
+}
+
+/// What ended a run with a guardian.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[expect(missing_docs, reason = "the messages document variants and fields")]
+pub enum GuardianFault {
+    /// The guardian stopped the drives.
+    #[error(
+        "no servo cycle for {silence:?}: the guardian put all drives on serial lines into their error state; check what \
+         delayed or suspended the controller (`mrroc doctor`)"
+    )]
+    Stopped { silence: Duration },
+    /// The guardian has ended, or does not run.
+    #[error(
+        "the guardian (process {pid}) has ended or was suspended: robots stopped, because drives on serial lines follow \
+         their last set-point when the controller fails; check who ended the process"
+    )]
+    Lost { pid: u32 },
+}
+
+/// A guardian process, as the controller sees it. Dropping this value ends the guardian. Unless [`Guardian::all_off`] was
+/// called, or no cycle was completed, the guardian stops the drives before.
+#[derive(Debug)]
+pub struct Guardian {
+    words: Arc<Words>,
+    child: Child,
+    /// The guardian notices the end of this process by the end of the pipe.
+    life: Option<io::PipeWriter>,
+    config: GuardianConfig,
+    verdict: Arc<AtomicU8>,
+    all_off: bool,
+}
+
+/// Verdict of the servo thread on the guardian.
+const FINE: u8 = 0;
+const STOPPED: u8 = 1;
+const LOST_HEARTBEAT: u8 = 2;
+
+impl Guardian {
+    /// Starts the guardian of a cell's serial lines; `None` for a cell without such lines. Reports requests that the host
+    /// denies in one warning. With [`Policy::Require`] a denied request refuses the start.
+    pub fn of_cell(file: &CellFile, lines: &[GuardedLine]) -> anyhow::Result<Option<Self>> {
+        if lines.is_empty() {
+            return Ok(None);
+        }
+        let guardian = Self::start(file.cell.guardian_config(), lines).context("guardian of the serial lines")?;
+        if let Some(denied) = guardian.denied() {
+            let told =
+                format!("the host denies the guardian of the serial lines {denied}: it may act late or not at all");
+            if file.cell.realtime.policy == Policy::Require {
+                bail!("{told}; the cell requires it");
+            }
+            streams::warn(format_args!("mrroc: {told}; `mrroc doctor` names the settings"));
+        }
+        Ok(Some(guardian))
+    }
+
+    /// Starts a guardian and waits until it is ready. A ready guardian waits for the first completed cycle. The guardian
+    /// inherits the descriptors of `lines`, which the caller may close afterwards.
+    pub fn start(config: GuardianConfig, lines: &[GuardedLine]) -> Result<Self, GuardianError> {
+        let memory = |error: io::Error| GuardianError::Memory { errno: error.raw_os_error().unwrap_or(0) };
+        let spawn = |error: io::Error| GuardianError::Spawn { errno: error.raw_os_error().unwrap_or(0) };
+        let (ended, life) = io::pipe().map_err(spawn)?;
+        let of_line = |line: &GuardedLine| LineOrders::new(line.line.as_raw_fd(), &line.telegram);
+        let orders = Orders::new(
+            &config,
+            ended.as_raw_fd(),
+            lines.iter().map(of_line).collect::<Option<Vec<_>>>().as_deref().unwrap_or_default(),
+        );
+        let orders = orders.ok_or(GuardianError::Lines { lines: lines.len() })?;
+        let (file, words) = shared::create(&orders).map_err(memory)?;
+        let inherited: Vec<RawFd> =
+            lines.iter().map(|line| line.line.as_raw_fd()).chain([ended.as_raw_fd(), file.as_raw_fd()]).collect();
+        let mut command = Command::new("/proc/self/exe");
+        command.arg0(NAME).env(VARIABLE, file.as_raw_fd().to_string()).current_dir("/");
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+        process::inherit(&mut command, inherited);
+        let child = command.spawn().map_err(spawn)?;
+        let verdict = Arc::new(AtomicU8::new(FINE));
+        let mut guardian = Self { words: Arc::new(words), child, life: Some(life), config, verdict, all_off: false };
+        guardian.wait_until_ready()?;
+        Ok(guardian)
+    }
+
+    fn wait_until_ready(&mut self) -> Result<(), GuardianError> {
+        let end = clock::now() + READY;
+        while self.words.looks.load(Ordering::Acquire) == 0 {
+            if !matches!(self.child.try_wait(), Ok(None)) {
+                return Err(GuardianError::Ended);
+            }
+            if clock::now() >= end {
+                return Err(GuardianError::NotReady { waited: READY });
+            }
+            clock::sleep_until(clock::now() + LOOK);
+        }
+        Ok(())
+    }
+
+    /// What the host denied to the guardian.
+    fn denied(&self) -> Option<Denied> {
+        Denied::of(self.words.denied.load(Ordering::Relaxed))
+    }
+
+    /// Process ID of the guardian.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// The servo thread's end of the guardian. `stop` brakes all robots and switches them off.
+    pub fn pulse(&self, stop: StopRequest) -> Pulse {
+        let lost =
+            LOST.max(self.config.silence.saturating_mul(LOST_SILENCES)).as_nanos() / self.config.period.as_nanos();
+        Pulse {
+            words: self.words.clone(),
+            stop,
+            verdict: self.verdict.clone(),
+            cycles: self.words.cycles.load(Ordering::Relaxed),
+            looks: 0,
+            unchanged: 0,
+            most_unchanged: u32::try_from(lost).unwrap_or(u32::MAX),
+        }
+    }
+
+    /// The fault of a guardian that stopped the drives, or that is lost. A guardian whose process has ended stops the
+    /// robots by `stop`. Not for the servo thread.
+    pub fn look(&mut self, stop: &StopRequest) -> Option<GuardianFault> {
+        if self.verdict.load(Ordering::Relaxed) == FINE && !matches!(self.child.try_wait(), Ok(None)) {
+            self.verdict.store(LOST_HEARTBEAT, Ordering::Relaxed);
+            stop.request();
+        }
+        self.fault()
+    }
+
+    /// The fault that was found so far.
+    pub fn fault(&self) -> Option<GuardianFault> {
+        match self.verdict.load(Ordering::Relaxed) {
+            FINE => None,
+            STOPPED => {
+                let silence = Duration::from_micros(self.words.silence_us.load(Ordering::Relaxed));
+                Some(GuardianFault::Stopped { silence })
+            }
+            _ => Some(GuardianFault::Lost { pid: self.pid() }),
+        }
+    }
+
+    /// Tells the guardian that all drives report no power. The drives stay as they are when the guardian ends.
+    pub fn all_off(&mut self) {
+        self.all_off = true;
+    }
+}
+
+impl Drop for Guardian {
+    fn drop(&mut self) {
+        let unused = self.words.cycles.load(Ordering::Relaxed) == 0;
+        let phase = if self.all_off || unused { Phase::End } else { Phase::Stop };
+        self.words.phase.store(phase as u32, Ordering::Release);
+        // The end of the pipe ends the wait of the guardian.
+        self.life = None;
+        let end = clock::now() + END;
+        while matches!(self.child.try_wait(), Ok(None)) {
+            if clock::now() >= end {
+                // A suspended guardian cannot end by itself. A failure means that it has ended.
+                let _ = self.child.kill();
+                let _ = self.child.wait();
+                return;
+            }
+            clock::sleep_until(clock::now() + LOOK);
+        }
+    }
+}
+
+/// The servo thread's end of a guardian. Dropping this value announces the end of the cycles: the guardian then waits for
+/// [`Guardian::all_off`] for a longer time.
+#[derive(Debug)]
+pub struct Pulse {
+    words: Arc<Words>,
+    stop: StopRequest,
+    verdict: Arc<AtomicU8>,
+    cycles: u64,
+    /// Heartbeat word of the guardian at the last change.
+    looks: u64,
+    /// Number of cycles without a change.
+    unchanged: u32,
+    most_unchanged: u32,
+}
+
+impl Pulse {
+    /// Tells the guardian that a servo cycle was completed, and checks the guardian. A guardian that stopped the drives or
+    /// shows no heartbeat stops all robots. Makes no system call.
+    pub fn beat(&mut self) {
+        self.cycles += 1;
+        self.words.cycles.store(self.cycles, Ordering::Release);
+        let looks = self.words.looks.load(Ordering::Relaxed);
+        self.unchanged = if looks == self.looks { self.unchanged.saturating_add(1) } else { 0 };
+        self.looks = looks;
+        let verdict = if self.words.stops.load(Ordering::Acquire) > 0 {
+            STOPPED
+        } else if self.unchanged > self.most_unchanged {
+            LOST_HEARTBEAT
+        } else {
+            return;
+        };
+        // The first verdict stays.
+        let _ = self.verdict.compare_exchange(FINE, verdict, Ordering::Relaxed, Ordering::Relaxed);
+        self.stop.request();
+    }
+}
+
+impl Drop for Pulse {
+    fn drop(&mut self) {
+        let words = &self.words.phase;
+        let _ = words.compare_exchange(Phase::Run as u32, Phase::Leave as u32, Ordering::AcqRel, Ordering::Relaxed);
+    }
+}
+
+/// Shortest silence without a key in the cell. An ordinary thread of a host without load wakes up within 2 ms.
+const SHORTEST_SILENCE: Duration = Duration::from_millis(5);
+
+/// Greatest silence that a cell file may give, ms.
+pub(crate) const LONGEST_SILENCE_MS: f64 = 1000.0;
+
+impl Cell {
+    /// Times and priority of the guardian of the cell's serial lines.
+    ///
+    /// The servo itself tolerates `max_missed_in_row` deadlines without a cycle, so two cycles may be one period more
+    /// apart. Half a period more is the greatest lateness of a cycle that counts as punctual.
+    pub fn guardian_config(&self) -> GuardianConfig {
+        let period = self.period();
+        let given = self.guardian_ms.map(|silence| Duration::from_millis(silence.into()));
+        let longest = Duration::from_secs_f64(LONGEST_SILENCE_MS * 1e-3);
+        let missed = period.saturating_mul(self.max_missed_in_row) + period * 3 / 2;
+        GuardianConfig {
+            silence: given.unwrap_or_else(|| missed.clamp(SHORTEST_SILENCE, longest)),
+            period,
+            priority: self.realtime.priority,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

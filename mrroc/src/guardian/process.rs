@@ -1,0 +1,290 @@
+//! The process of a guardian: its states, its loop, and its start before `main`.
+//!
+//! | state | the guardian | left by |
+//! |---|---|---|
+//! | waiting | looks at the counter | the first completed cycle |
+//! | watching | looks at the counter | the permitted silence |
+//! | stopping | writes the telegrams at each look | a completed cycle: watching |
+//! | last telegrams | writes the telegrams at each look, 20 times | their number: over |
+//! | over | ends | |
+//!
+//! From every state, the controller's order to end leads to over. The end of the controller's process, or its order to
+//! stop, leads to the last telegrams. [`State::next`] is the transition function.
+//!
+//! The loop does not allocate. A round writes one telegram per line and does not wait. Bytes that a line has not sent yet
+//! are discarded before the first telegram, and a line that still sends the last telegram gets no other.
+
+#![expect(unsafe_code, reason = "system calls before main, without the standard library")]
+
+use std::io;
+use std::os::fd::RawFd;
+use std::os::unix::process::CommandExt;
+use std::process::Command;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use super::shared::{Denied, LineOrders, Orders, Phase, Words};
+
+/// Rounds of telegrams after the end of the controller.
+const LAST_ROUNDS: u32 = 20;
+
+/// Permitted silence between the end of the servo thread and the order to end.
+const LEAVING: Duration = Duration::from_millis(500);
+
+/// States of a guardian. Times are on `CLOCK_MONOTONIC`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    /// No cycle was completed.
+    Waiting,
+    /// `cycles` were completed, the last one was seen at `since`.
+    Watching { cycles: u64, since: Duration },
+    /// The drives are being stopped, `since` as before.
+    Stopping { cycles: u64, since: Duration },
+    /// The last telegrams, of which `rounds` were begun.
+    Last { rounds: u32 },
+    /// The guardian ends.
+    Over,
+}
+
+/// What a guardian sees at a look.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    cycles: u64,
+    phase: Phase,
+    /// The process of the controller has ended.
+    alone: bool,
+}
+
+impl State {
+    /// The state after a look at `now`.
+    fn next(self, seen: Seen, now: Duration, silence: Duration) -> Self {
+        let silence = match (seen.phase, seen.alone, self) {
+            (_, _, Self::Over) | (Phase::End, _, _) => return Self::Over,
+            (Phase::Stop, _, _) | (_, true, _) | (_, _, Self::Last { .. }) => return self.next_last(),
+            (Phase::Leave, false, _) => silence.max(LEAVING),
+            (Phase::Run, false, _) => silence,
+        };
+        match self {
+            Self::Waiting if seen.cycles == 0 => self,
+            Self::Watching { cycles, since } if cycles == seen.cycles => {
+                if now.saturating_sub(since) < silence {
+                    self
+                } else {
+                    Self::Stopping { cycles, since }
+                }
+            }
+            Self::Stopping { cycles, .. } if cycles == seen.cycles => self,
+            _ => Self::Watching { cycles: seen.cycles, since: now },
+        }
+    }
+
+    fn next_last(self) -> Self {
+        match self {
+            Self::Last { rounds: LAST_ROUNDS.. } => Self::Over,
+            Self::Last { rounds } => Self::Last { rounds: rounds + 1 },
+            _ => Self::Last { rounds: 1 },
+        }
+    }
+
+    /// Whether the guardian writes telegrams in this state.
+    fn stops(self) -> bool {
+        matches!(self, Self::Stopping { .. } | Self::Last { .. })
+    }
+}
+
+/// Lets `command` inherit `descriptors` under their numbers.
+pub(super) fn inherit(command: &mut Command, descriptors: Vec<RawFd>) {
+    let keep = move || {
+        for descriptor in &descriptors {
+            // SAFETY: the call takes plain integers; the parent keeps the descriptors open until the child runs.
+            if unsafe { libc::fcntl(*descriptor, libc::F_SETFD, 0) } < 0 {
+                return Err(io::Error::last_os_error());
+            }
+        }
+        Ok(())
+    };
+    // SAFETY: between fork and exec only async-signal-safe calls are made, and nothing is allocated.
+    unsafe { command.pre_exec(keep) };
+    // The function must be in every program that can start a guardian.
+    std::hint::black_box(ENTRY);
+}
+
+/// The loader calls this function before `main`.
+#[used]
+#[unsafe(link_section = ".init_array")]
+static ENTRY: extern "C" fn() = entry;
+
+/// Turns a process with the variable of a guardian into a guardian. Other processes continue with `main`.
+extern "C" fn entry() {
+    // SAFETY: the name is a string with an end, and no other thread exists that could change the environment.
+    let given = unsafe { libc::getenv(c"MRROC_GUARDIAN".as_ptr()) };
+    if given.is_null() {
+        return;
+    }
+    // SAFETY: a value of the environment is a string with an end.
+    let memory = unsafe { libc::atoi(given) };
+    let status = guard(memory);
+    // SAFETY: ends the process; no destructor is needed.
+    unsafe { libc::_exit(status) }
+}
+
+/// Exit status of a process that got no orders.
+const NO_ORDERS: i32 = 2;
+
+/// Guards the lines of the orders in the memory file `memory` until the end. Returns the exit status.
+fn guard(memory: RawFd) -> i32 {
+    // An ordinary file under this number is not mapped before its orders are checked.
+    let Some(orders) = Orders::read(memory) else {
+        return NO_ORDERS;
+    };
+    let Ok(words) = Words::map(memory) else {
+        return NO_ORDERS;
+    };
+    words.denied.store(detach(&orders), Ordering::Relaxed);
+    let mut state = State::Waiting;
+    loop {
+        words.looks.fetch_add(1, Ordering::Release);
+        let alone = wait(orders.life, orders.look, state.stops());
+        let (cycles, phase) = (words.cycles.load(Ordering::Acquire), Phase::of(words.phase.load(Ordering::Acquire)));
+        let now = now();
+        let before = state;
+        state = state.next(Seen { cycles, phase, alone }, now, orders.silence);
+        if let State::Watching { since, .. } | State::Stopping { since, .. } = before
+            && state.stops() | before.stops()
+        {
+            words.silence_us.store(now.saturating_sub(since).as_micros() as u64, Ordering::Relaxed);
+        }
+        let begins = state.stops() && !before.stops();
+        if begins {
+            words.stops.fetch_add(1, Ordering::Release);
+        }
+        match state {
+            State::Over => return 0,
+            _ if state.stops() => orders.lines().iter().for_each(|line| write(line, begins)),
+            _ => {}
+        }
+    }
+}
+
+/// Waits for the next look, or for the end of the controller. Returns whether the controller has ended. The end of a pipe
+/// is permanent, so a guardian that is `busy` after this end waits by time only.
+fn wait(life: RawFd, look: Duration, busy: bool) -> bool {
+    let mut ended = libc::pollfd { fd: life, events: 0, revents: 0 };
+    let time =
+        libc::timespec { tv_sec: look.as_secs() as libc::time_t, tv_nsec: libc::c_long::from(look.subsec_nanos()) };
+    // SAFETY: one valid pollfd, a valid time, and no set of signals.
+    let ready = unsafe { libc::ppoll(&raw mut ended, 1, &raw const time, std::ptr::null()) };
+    let alone = ready > 0 && ended.revents != 0;
+    if alone && busy {
+        // SAFETY: a valid time, and no place for the rest.
+        unsafe { libc::nanosleep(&raw const time, std::ptr::null_mut()) };
+    }
+    alone
+}
+
+/// The time of `CLOCK_MONOTONIC`.
+fn now() -> Duration {
+    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: the call fills the structure. This clock exists on every Linux.
+    unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut time) };
+    Duration::new(time.tv_sec as u64, time.tv_nsec as u32)
+}
+
+/// Writes the telegram of a line. Errors are ignored, because the next round tries again.
+fn write(line: &LineOrders, begins: bool) {
+    let (descriptor, telegram) = (line.descriptor, line.telegram());
+    let mut unsent: libc::c_int = 0;
+    // SAFETY: the first call takes integers, the second stores one int, and the third reads as many bytes as stated.
+    unsafe {
+        if begins {
+            libc::tcflush(descriptor, libc::TCOFLUSH);
+        } else if libc::ioctl(descriptor, libc::TIOCOUTQ, &raw mut unsent) == 0 && unsent > 0 {
+            return;
+        }
+        libc::write(descriptor, telegram.as_ptr().cast(), telegram.len());
+    }
+}
+
+/// Makes the guardian independent of its controller, and puts it above the servo. Returns what the host denied.
+fn detach(orders: &Orders) -> u32 {
+    let mut denied = 0;
+    // SAFETY: all calls take plain integers or structures of this function, and change only this process, which has one
+    // thread. Locking memory changes where pages are kept, not their content.
+    unsafe {
+        let mut all: libc::sigset_t = std::mem::zeroed();
+        libc::sigfillset(&raw mut all);
+        libc::sigprocmask(libc::SIG_BLOCK, &raw const all, std::ptr::null_mut());
+        libc::setsid();
+        libc::prctl(libc::PR_SET_NAME, c"mrroc-guardian".as_ptr());
+        libc::prctl(libc::PR_SET_TIMERSLACK, 1 as libc::c_ulong);
+        // Without CAP_SYS_RESOURCE this is denied, and only the small memory of the guardian protects it.
+        let score = libc::open(c"/proc/self/oom_score_adj".as_ptr(), libc::O_WRONLY | libc::O_CLOEXEC);
+        if score >= 0 {
+            libc::write(score, c"-1000".as_ptr().cast(), 5);
+            libc::close(score);
+        }
+        if libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE) != 0 {
+            denied |= Denied::MEMORY;
+        }
+        let above = libc::sched_param { sched_priority: i32::from(orders.priority).saturating_add(1).min(99) };
+        if libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const above) != 0 {
+            denied |= Denied::PRIORITY;
+        }
+    }
+    denied
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SILENCE: Duration = Duration::from_millis(9);
+
+    const fn at(milliseconds: u64) -> Duration {
+        Duration::from_millis(milliseconds)
+    }
+
+    const WAITING: State = State::Waiting;
+    const WATCHING: State = State::Watching { cycles: 5, since: at(100) };
+    const STOPPING: State = State::Stopping { cycles: 5, since: at(100) };
+    const FIRST: State = State::Last { rounds: 1 };
+    const FINAL: State = State::Last { rounds: LAST_ROUNDS };
+
+    /// Each state, and the state after: the same count before and after the silence, another count, leaving before and
+    /// after the time for leaving, the end of the controller, an order to stop, an order to end.
+    #[test]
+    fn every_look_in_every_state_leads_where_the_table_says() {
+        let other = |now| State::Watching { cycles: 6, since: now };
+        let seen = |cycles, phase, alone| Seen { cycles, phase, alone };
+        let looks = [
+            (seen(5, Phase::Run, false), at(108)),
+            (seen(5, Phase::Run, false), at(109)),
+            (seen(6, Phase::Run, false), at(130)),
+            (seen(5, Phase::Leave, false), at(599)),
+            (seen(5, Phase::Leave, false), at(600)),
+            (seen(5, Phase::Run, true), at(101)),
+            (seen(6, Phase::Stop, false), at(101)),
+            (seen(5, Phase::End, true), at(101)),
+        ];
+        let (watching, stopping, over) = (WATCHING, STOPPING, State::Over);
+        let second = State::Last { rounds: 2 };
+        let table = [
+            (WATCHING, [watching, stopping, other(at(130)), watching, stopping, FIRST, FIRST, over]),
+            (STOPPING, [stopping, stopping, other(at(130)), stopping, stopping, FIRST, FIRST, over]),
+            (FIRST, [second, second, second, second, second, second, second, over]),
+            (FINAL, [over; 8]),
+            (State::Over, [over; 8]),
+        ];
+        for (state, row) in table {
+            for ((seen, now), next) in looks.into_iter().zip(row) {
+                assert_eq!(state.next(seen, now, SILENCE), next, "{state:?} {seen:?} {now:?}");
+            }
+        }
+        assert_eq!(WAITING.next(seen(0, Phase::Run, false), at(10_000), SILENCE), WAITING);
+        assert_eq!(WAITING.next(seen(6, Phase::Run, false), at(130), SILENCE), other(at(130)));
+        assert_eq!(WAITING.next(seen(0, Phase::Run, true), at(1), SILENCE), FIRST);
+        assert_eq!(WAITING.next(seen(0, Phase::End, true), at(1), SILENCE), over);
+        let writes = [WAITING, WATCHING, STOPPING, FIRST, State::Over].map(State::stops);
+        assert_eq!(writes, [false, false, true, true, false]);
+    }
+}
