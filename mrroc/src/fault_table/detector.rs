@@ -138,7 +138,8 @@ pub(super) struct Without {
 }
 
 impl Without {
-    pub(super) fn new(group: Box<dyn DriveGroup>, without: &[Detector]) -> Box<dyn DriveGroup> {
+    /// The group itself where all detectors are on.
+    pub(super) fn wrap(group: Box<dyn DriveGroup>, without: &[Detector]) -> Box<dyn DriveGroup> {
         if without.is_empty() { group } else { Box::new(Self { group, without: without.to_vec() }) }
     }
 }

@@ -130,7 +130,7 @@ impl<'a> Stage<'a> {
             effector.homing_timeout = effector.homing_timeout.min(HOMING);
         }
         without.iter().for_each(|detector| detector.remove_from(&mut config));
-        let groups = groups.into_iter().map(|group| Without::new(group, without)).collect();
+        let groups = groups.into_iter().map(|group| Without::wrap(group, without)).collect();
         let (mut servo, links) = Servo::new(&config, groups)?;
         let up = lockstep::bring_up(&mut servo, Instant::ZERO, |next| emulation.advance(next));
         let now = up.map_err(|why| crate::run::why_not_up(file, why)).context("bring-up")?;
