@@ -1,7 +1,7 @@
 //! One axis of an effector: state of its drive and history of its commands.
 
 use can::Instant;
-use drive::{AxisCommand, AxisState, Finite, Homing, Power, Setpoint};
+use drive::{AxisCommand, AxisState, Finite, Homing, Increments, Power, Setpoint};
 
 use crate::excitation::Playing;
 use crate::host_loop::Loop;
@@ -12,6 +12,16 @@ use crate::{HomingFailure, Knot, PositionLoop, ServoAxisConfig, ServoState, Stop
 pub(crate) const REMEMBERED: usize = 16;
 /// Fraction of the greatest velocity below which a motor counts as still.
 const STILL: f64 = 0.01;
+
+/// Shortest distance of set-points, increments, during which the measured position must change.
+const FROZEN: f64 = 16.0;
+
+/// The measured position at its last change, and the following error then, rad.
+#[derive(Clone, Copy, Default)]
+struct Change {
+    increments: Option<Increments>,
+    error: f64,
+}
 
 pub(crate) struct ServoAxis {
     pub(crate) config: ServoAxisConfig,
@@ -36,6 +46,10 @@ pub(crate) struct ServoAxis {
     pub(crate) playing: Option<Playing>,
     pub(crate) excitation: f64,
     reference: ReferenceWatch,
+    /// The last change of the measured position.
+    change: Change,
+    /// The axis is off while the others brake, because its measured position does not change.
+    pub(crate) cut: bool,
     host: Option<Loop>,
     /// The search of this homing, if the servo homes the axis.
     search: Option<Search>,
@@ -58,6 +72,8 @@ impl ServoAxis {
             playing: None,
             excitation: 0.0,
             reference: ReferenceWatch::default(),
+            change: Change::default(),
+            cut: false,
             host: match config.position_loop {
                 PositionLoop::Drive => None,
                 PositionLoop::Host(host) => Some(Loop::new(host, config.increments_per_radian, delay)),
@@ -241,6 +257,21 @@ impl ServoAxis {
         // `commanded` does not contain this cycle's command yet; its newest entry is one period old.
         let age = (self.delay - 1).saturating_add(self.state.age as usize).min(REMEMBERED - 1);
         self.commanded[age] - self.state.position
+    }
+
+    /// Distance by which the set-points moved since the measured position last changed, if it is so long that the
+    /// encoder fails or the axis is blocked, rad. `error` is the present following error.
+    pub(crate) fn frozen(&mut self, error: f64) -> Option<f64> {
+        let seen = Change { increments: Some(self.state.increments), error };
+        if self.state.age > 0 {
+            return None;
+        }
+        if self.change.increments != seen.increments || !self.follows() {
+            self.change = seen;
+        }
+        let travel = (error - self.change.error).abs();
+        let limit = (0.5 * self.config.following_error).max(FROZEN / self.config.increments_per_radian.abs());
+        (travel > limit).then_some(travel)
     }
 
     /// The closed limit switch that blocks motion in `sense`: true for the upper one. `None` for an axis without a

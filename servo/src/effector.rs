@@ -266,6 +266,11 @@ impl Effector {
                 continue;
             }
             axis.track(error, self.state);
+            if let Some(travel) = axis.frozen(error).filter(|_| commanding) {
+                axis.cut = true;
+                self.fail(tick, index, StopCause::Frozen { travel });
+                continue;
+            }
             let beyond = error.abs() > limit;
             // Direction of the last command, or of the position that the motor does not reach.
             let sense = if beyond { error } else { axis.knot.velocity };
@@ -369,7 +374,10 @@ impl Effector {
                 self.axes.iter_mut().for_each(|axis| axis.torque = 0.0);
             }
             (_, ServoState::Homing) => self.axes.iter_mut().for_each(ServoAxis::begin_homing),
-            (ServoState::Resetting, ServoState::Off) => self.fault = None,
+            (ServoState::Resetting, ServoState::Off) => {
+                self.fault = None;
+                self.axes.iter_mut().for_each(|axis| axis.cut = false);
+            }
             _ => {}
         }
         self.since = tick.now;
@@ -510,6 +518,7 @@ impl Effector {
             let command = match self.state {
                 ServoState::Off | ServoState::Faulted => AxisCommand::Off,
                 ServoState::Resetting => AxisCommand::ResetFault,
+                _ if axis.cut => AxisCommand::Off,
                 // With `Stand`, the group brakes a faulted axis if possible. `Off` would let the axis coast.
                 _ if axis.state.fault.is_some() => AxisCommand::Stand,
                 ServoState::Homing if axis.homes_itself(order) => AxisCommand::Home,

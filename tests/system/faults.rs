@@ -311,7 +311,7 @@ fn what_may_not_be_commanded_never_reaches_the_bus() {
     let bad: [BadStep; 6] = [
         ("NaN", |step| step.position[3] = f64::NAN, |cause| matches!(cause, StopCause::NotFinite)),
         ("endless", |step| step.velocity[0] = f64::INFINITY, |cause| matches!(cause, StopCause::NotFinite)),
-        ("beyond", |step| step.position[0] += 8.0, |cause| matches!(cause, StopCause::PositionLimit { .. })),
+        ("beyond", |step| step.position[0] += 8.0, |cause| matches!(cause, StopCause::NoRoomToStop { .. })),
         ("too fast", |step| step.position[4] -= 200.0, |cause| matches!(cause, StopCause::VelocityLimit { .. })),
         (
             "too hard",
@@ -324,8 +324,7 @@ fn what_may_not_be_commanded_never_reaches_the_bus() {
     let home = setup.cell.robot[0].arm().unwrap().robot().home()[0];
     setup.cell.robot[0].axis[0].max_position = Some(home + 7.0);
     let (mut rig, mut trace) = traced(setup);
-    // A stop that begins at the limit passes it by v² / 2a; here v is 12 rad/s.
-    let highest = rig.scales[0].increments(home + 7.0 + 0.06).unwrap().0;
+    let highest = rig.scales[0].increments(home + 7.0).unwrap().0;
     rig.after_cycle = Box::new(move |record| {
         for axis in record.axis {
             assert!(axis.commanded.is_finite());

@@ -38,6 +38,8 @@ pub(super) enum Within {
     Heartbeat,
     /// The following error grows to its limit.
     Error,
+    /// The same. Until then, the loop of the drive accelerates the motor.
+    Lost,
     /// This time.
     Time(Duration),
 }
@@ -121,10 +123,8 @@ fn in_homing(_: Wire, phase: FaultPhase) -> Result<Expected, &'static str> {
 pub(super) const CASES: &[FaultCase] = &[
     FaultCase { name: "one answer lost", count: Some(1), lasts: Some(ms(2)), ..USUAL },
     FaultCase { expected: |_, _| Ok(By(&[D::Answers])), ..found("answers lost", K::Lost, BOTH, Within::Answers) },
-    FaultCase {
-        expected: |_, _| Ok(By(&[D::Answers])),
-        ..found("answers 5 ms late", K::Late, BOTH, Within::Time(ms(100)))
-    },
+    // Not older than the last answer before a gap that the cell tolerates.
+    FaultCase { name: "answers 5 ms late", kind: K::Late, ..USUAL },
     FaultCase {
         adapt: |numbers| numbers.late = ms(40),
         expected: |_, _| Ok(By(&[D::Answers])),
@@ -220,13 +220,13 @@ pub(super) const CASES: &[FaultCase] = &[
         ..found("answers stay the same", K::AnswersFrozen, SERIAL, Within::Time(ms(60)))
     },
     FaultCase { expected: not_following, ..found("axis blocked", K::Blocked, BOTH, Within::Error) },
-    FaultCase { expected: not_following, ..found("encoder frozen", K::EncoderFrozen, BOTH, Within::Error) },
+    FaultCase { expected: not_following, ..found("encoder frozen", K::EncoderFrozen, BOTH, Within::Lost) },
     FaultCase {
         adapt: |numbers| numbers.increments = 4000,
         expected: |_, _| Ok(By(&[D::Plausibility, D::DriveStatus])),
         ..found("encoder jumps by a turn", K::EncoderJump, BOTH, Within::Answers)
     },
-    FaultCase { expected: not_following, ..found("encoder inverted", K::EncoderInverted, BOTH, Within::Error) },
+    FaultCase { expected: not_following, ..found("encoder inverted", K::EncoderInverted, BOTH, Within::Lost) },
     FaultCase {
         observed_for: Duration::from_secs(40),
         expected: in_homing,
@@ -272,13 +272,17 @@ pub(super) const CASES: &[FaultCase] = &[
             // A motor at rest under load runs away, and one without load does not.
             Ok(if phase == P::Idle { Either(NOT_FOLLOWING) } else { By(NOT_FOLLOWING) })
         },
-        ..found("motor phases swapped", K::SwappedPhases, BOTH, Within::Error)
+        ..found("motor phases swapped", K::SwappedPhases, BOTH, Within::Lost)
     },
     FaultCase { expected: not_following, ..found("collision", K::Collision, BOTH, Within::Error) },
 ];
 
 /// Margin of the bound of the distance for the loops of the drives.
 const MARGIN: f64 = 1.1;
+
+/// Acceleration of a motor whose loop is lost, as a multiple of its greatest permitted acceleration. The motor accelerates
+/// over its permitted following error, and runs out over this multiple of the error.
+const LOST: f64 = 8.0;
 
 /// Bounds of a row: time to the detection, and distance of each motor, rad.
 pub(super) struct Bounds {
@@ -316,7 +320,9 @@ impl FaultCase {
             Within::Answers => (answers, answers),
             Within::Cut => (answers, bus.map_or(answers, |bus| ms(3 * u64::from(bus.heartbeat_ms)))),
             Within::Heartbeat => (silence, silence),
-            Within::Error => (Duration::from_secs_f64(4.0 * way / velocity[axis].abs()) + ms(50), Duration::ZERO),
+            Within::Error | Within::Lost => {
+                (Duration::from_secs_f64(4.0 * way / velocity[axis].abs()) + ms(50), Duration::ZERO)
+            }
             Within::Time(time) => (time, time),
         };
         let blind = (blind + 4 * cell.period()).as_secs_f64();
@@ -324,7 +330,8 @@ impl FaultCase {
             let speed = velocity[number].abs();
             let given = robot.axis.get(number)?;
             let braking = speed * speed / (2.0 * given.max_acceleration);
-            Some(MARGIN * (speed * blind + braking + 2.0 * given.following_error))
+            let lost = if number == axis && self.within == Within::Lost { LOST * given.following_error } else { 0.0 };
+            Some(MARGIN * (speed * blind + braking + lost + 2.0 * given.following_error))
         };
         Bounds { detection, distance: std::array::from_fn(|number| distance(number).unwrap_or(f64::INFINITY)) }
     }

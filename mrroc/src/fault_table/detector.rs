@@ -22,7 +22,7 @@ pub enum Detector {
     NodeState,
     /// Positions that the motor cannot have reached.
     Plausibility,
-    /// Answers that stay the same while the set-points change.
+    /// Answers or measured positions that stay the same while the set-points change.
     Frozen,
     /// Distance between commanded and measured position.
     FollowingError,
@@ -65,6 +65,7 @@ impl Detector {
         Some(match cause {
             StopCause::Drive(fault) => Self::of_drive(fault)?,
             StopCause::FollowingError { .. } => Self::FollowingError,
+            StopCause::Frozen { .. } => Self::Frozen,
             StopCause::Runaway { .. } => Self::Runaway,
             StopCause::LimitSwitch { .. } => Self::LimitSwitches,
             StopCause::NotReady { .. } | StopCause::HomingFailed | StopCause::NoReference(_) => Self::TimeOuts,

@@ -21,9 +21,9 @@ const QUICK_STOP_RAMP_AND_HOLD: i16 = 6;
 /// Objects 0x605B to 0x605D (CiA 402-2 §8.4.6 to §8.4.8): the drive brakes on its profile deceleration (0x6084) before
 /// it takes the torque away, and at a halt.
 const BRAKE_ON_PROFILE: i16 = 1;
-/// Object 0x605E (CiA 402-2 §8.4.9): a fault brakes by the quick stop deceleration, where the fault lets the drive
-/// brake.
-const FAULT_ON_QUICK_STOP_RAMP: i16 = 2;
+/// Object 0x605E (CiA 402-2 §8.4.9): a fault takes the torque away at once. A drive with a following error does not
+/// control its motor: an encoder that fails or a motor with swapped phases would accelerate on a ramp.
+const FAULT_DISABLES: i16 = 0;
 
 /// All steps before a drive is started.
 pub(crate) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step>, ConfigError> {
@@ -65,7 +65,7 @@ pub(crate) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
             Write::new(SHUTDOWN_OPTION, BRAKE_ON_PROFILE),
             Write::new(DISABLE_OPERATION_OPTION, BRAKE_ON_PROFILE),
             Write::new(HALT_OPTION, BRAKE_ON_PROFILE),
-            Write::new(FAULT_REACTION_OPTION, FAULT_ON_QUICK_STOP_RAMP),
+            Write::new(FAULT_REACTION_OPTION, FAULT_DISABLES),
             Write::new(FOLLOWING_ERROR_TIME_OUT, 0_u16),
             Write::new(MIN_POSITION_RANGE, 0_i32),
             Write::new(MAX_POSITION_RANGE, 0_i32),

@@ -63,11 +63,21 @@ fn motors_that_lag_or_stand_still_stay_within_the_envelope() {
             keeps_limits(&rig.positions(0)).unwrap();
         }
     }
-    // Blocked in motion until its following error stops it: the other motor brakes on, although the error remains.
+    // Blocked in motion until this stops it: the other motor brakes on, although the error remains.
     let mut rig = stopping(Order::Enable, Some(0.0));
+    rig.run_until(Phase::Stopping);
+    assert!(matches!(rig.cause(), Some(StopCause::Frozen { .. })), "{:?}", rig.cause());
+    assert_eq!(rig.last_sent()[1], AxisCommand::Off);
     rig.run_until(Phase::Faulted);
     assert_eq!(category(&rig), Some(StopCategory::One));
     keeps_limits(&rig.positions(0)).unwrap();
+    // A reset gives the axis its power again.
+    rig.world().axes[1].runs_at = None;
+    rig.order(Order::ResetFault);
+    rig.run_until(Phase::Off);
+    rig.order(Order::Enable);
+    rig.run_until(Phase::Standing);
+    assert!(matches!(rig.last_sent()[1], AxisCommand::Follow(_)));
 }
 
 #[test]

@@ -101,7 +101,7 @@ fn a_blocked_motor_stops_the_effector() {
     rig.run(50);
     rig.world().axes[1].blocked = true;
     rig.run_until(Phase::Faulted);
-    assert!(matches!(rig.cause(), Some(StopCause::FollowingError { .. })));
+    assert!(matches!(rig.cause(), Some(StopCause::Frozen { .. })));
     assert_eq!(rig.servo.fault(0).unwrap().axis, Some(1));
     keeps_limits(&rig.positions(0)).unwrap();
 }

@@ -57,7 +57,7 @@ fn cases() -> Vec<Case> {
             cell.worlds[first].lock().unwrap().axes[0].state.fault = Some(FAULT);
         }),
         fault("bus that is gone", "Drive", |cell, first| cell.worlds[first].lock().unwrap().gone = true),
-        fault("blocked motor", "FollowingError", |cell, first| {
+        fault("blocked motor", "Frozen", |cell, first| {
             cell.worlds[first].lock().unwrap().axes[0].blocked = true;
         }),
         fault("limit switches", "LimitSwitch", |cell, first| {
