@@ -102,10 +102,12 @@ impl Drives {
                 self.reply(0x280 + u16::from(SENSOR), &[0; 6], at);
                 for node in 1..=AXES as u16 {
                     self.reply(0x180 + node, &[low, high, 0xE8, 3, 0, 0, 0, 0], at);
-                    // Each EMCY is another error without a fault, and there are more of them than the group keeps.
+                    // Each EMCY is another error, and there are more of them than the group keeps: lost frames, and after the
+                    // fault of the drive any other.
                     self.emergencies = self.emergencies.wrapping_add(1);
-                    let [code, vendor] = self.emergencies.to_le_bytes();
-                    self.reply(0x080 + node, &[code, 0xFF, 1, vendor, 0, 0, 0, 0], at);
+                    let [number, vendor] = self.emergencies.to_le_bytes();
+                    let [code, class] = if low & 0x08 == 0 { [0x10, 0x81] } else { [number, 0xFF] };
+                    self.reply(0x080 + node, &[code, class, 1, vendor, number, 0, 0, 0], at);
                 }
             }
             (0x600.., &[specifier, low, high, subindex, a, b, c, d]) => {
