@@ -1,6 +1,6 @@
 //! Recordings of a run: every cycle, frame and telegram, and all that a replay needs.
 //!
-//! A recording is an MCAP file of the Protobuf messages in [`messages`], with the frames of the buses in a candump log
+//! A recording is an MCAP file of the Protobuf messages in `messages`, with the frames of the buses in a candump log
 //! beside it. `--record FILE.mcap` streams a whole run. The flight recorder keeps the last seconds in memory and writes
 //! them after a fault and on request. Both are fed by the thread that writes the files of a run, from the queues of the
 //! servo thread: the cycle stores fixed-size entries, and neither allocates nor waits for a file.
@@ -8,7 +8,7 @@
 //! Protobuf and not JSON, because a cycle of an axis has 60 bytes instead of 250, floating-point numbers are exact, and
 //! tools such as PlotJuggler and Foxglove plot the fields of both.
 //!
-//! Read [`Recorder`] for what is written, [`replay`](self::replay()) for how a recording runs again.
+//! Read `Recorder` for what is written, [`replay`](self::replay()) for how a recording runs again.
 
 mod difference;
 mod file;
