@@ -10,10 +10,10 @@ use ::mrroc::cell::Cell;
 use canopen::sync::Sync;
 
 use crate::bench::{on_vcan_within, turn};
+use crate::cells_on_vcan::Interfaces;
 use crate::mrroc::{Directory, Running, text};
 use crate::second_controller::beside_a_master;
 use crate::vcan::{self, started};
-use crate::vcan_cells::Interfaces;
 
 #[test]
 fn a_system_error_of_one_robot_brakes_both_and_names_robot_step_and_phase() {

@@ -507,13 +507,13 @@ fn an_error_that_is_no_fault_is_in_the_report() {
         stage.change(|cell| cell.robot[0].program.truncate(1));
         let (_emulators, controller) = stage.start_moving();
         let port = SocketCanPort::open(stage.interface, &SocketCanOptions::default());
-        let temperature = Emergency {
+        let overrun = Emergency {
             node: NodeId::new(1).unwrap(),
-            code: 0x4210,
-            error_register: ErrorRegister::TEMPERATURE,
+            code: 0x8110,
+            error_register: ErrorRegister::COMMUNICATION,
             vendor: [0; 5],
         };
-        let frames = [temperature.encode(); 2];
+        let frames = [overrun.encode(); 2];
         assert_eq!(port.unwrap().send(clock::now(), &frames), Ok(2));
         let output = controller.output();
         assert_eq!(output.status.code(), Some(0), "{output:?}");
@@ -523,7 +523,7 @@ fn an_error_that_is_no_fault_is_in_the_report() {
             panic!("{report}");
         };
         assert_eq!(warning["axis"], "column", "{report}");
-        for (key, value) in [("node", 1), ("code", 0x4210), ("register", 8), ("count", 2)] {
+        for (key, value) in [("node", 1), ("code", 0x8110), ("register", 16), ("count", 2)] {
             assert_eq!(warning[key], value, "{report}");
         }
         assert!(warning["time_s"].as_f64().unwrap() > 0.0, "{report}");

@@ -13,10 +13,10 @@ use ::mrroc::cell::Cell;
 use serde_json::json;
 
 use crate::bench::{on_vcan_within, patient_turn};
+use crate::cells_on_vcan::{Interfaces, overloaded};
 use crate::mrroc::{Directory, Output, Running, example_program, text};
 use crate::steps::{self, Line, lines};
 use crate::vcan::{self, started};
-use crate::vcan_cells::{Interfaces, overloaded};
 
 /// One example per class, 0 to 7, and an example of force control, with their cells.
 const EXAMPLES: [(&str, &str); 9] = [
@@ -157,7 +157,7 @@ fn an_example_has_the_steps_of_lockstep_on_pseudo_terminals_by_the_clock() {
 
 #[test]
 fn an_example_of_each_class_has_the_steps_of_lockstep_on_vcan() {
-    const TEST: &str = "step_benches::an_example_of_each_class_has_the_steps_of_lockstep_on_vcan";
+    const TEST: &str = "bench_steps::an_example_of_each_class_has_the_steps_of_lockstep_on_vcan";
     let _turn = patient_turn();
     on_vcan_within(LONGEST, TEST, |_| {
         for (program, cell) in EXAMPLES {

@@ -198,7 +198,7 @@ pub(crate) fn overloaded(output: &Output) -> bool {
 
 #[test]
 fn the_whole_laboratory_completes_on_five_buses_and_five_lines() {
-    const TEST: &str = "vcan_cells::the_whole_laboratory_completes_on_five_buses_and_five_lines";
+    const TEST: &str = "cells_on_vcan::the_whole_laboratory_completes_on_five_buses_and_five_lines";
     let _turn = patient_turn();
     on_vcan_within(LONGEST, TEST, |_| {
         let directory = Directory::new();
@@ -225,7 +225,7 @@ fn the_slower_laboratory_follows_its_set_points_in_virtual_time() {
 #[test]
 fn every_other_cell_on_can_completes() {
     let _turn = patient_turn();
-    let test = "vcan_cells::every_other_cell_on_can_completes";
+    let test = "cells_on_vcan::every_other_cell_on_can_completes";
     on_vcan_within(LONGEST, test, |_| {
         for name in ["irp6", "irp6-track", "rnt", "polycrank", "irb6-touch"] {
             completes(name, &Directory::new(), |cell| {
