@@ -80,6 +80,10 @@ impl<P: Port> Port for Watched<P> {
         self.port.receive(now, into)
     }
 
+    fn bound_unsent(&mut self, most: usize) {
+        self.port.bound_unsent(most);
+    }
+
     fn counters(&self) -> Counters {
         self.port.counters()
     }

@@ -21,6 +21,14 @@ pub trait Port: Send {
     /// At most one read; an slcan adapter may write first. Error frames appear only in the counters and the state.
     fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError>;
 
+    /// Bounds the frames in flight: from now on [`send`](Self::send) accepts no frame while more than `most` frames
+    /// that it accepted earlier wait for the bus, as on a bus without acknowledgement. `usize::MAX` removes the bound.
+    ///
+    /// A port that does not learn when a frame was transmitted, such as an slcan adapter, ignores the bound.
+    fn bound_unsent(&mut self, most: usize) {
+        let _ = most;
+    }
+
     /// Counters since the port was opened.
     fn counters(&self) -> Counters;
 
@@ -34,6 +42,9 @@ impl<P: Port + ?Sized> Port for Box<P> {
     }
     fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
         (**self).receive(now, into)
+    }
+    fn bound_unsent(&mut self, most: usize) {
+        (**self).bound_unsent(most);
     }
     fn counters(&self) -> Counters {
         (**self).counters()

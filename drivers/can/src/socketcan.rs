@@ -76,13 +76,18 @@ pub enum OpenError {
     Down(InterfaceName),
     #[error("{interface}: {given} identifiers to accept, the kernel takes 512")]
     TooManyFilters { interface: InterfaceName, given: usize },
+    #[error(
+        "{interface}: the queue of the interface holds {length} frames, and a cycle queues up to {needed}: \
+         `ip link set {interface} txqueuelen {needed}`"
+    )]
+    ShortQueue { interface: InterfaceName, length: usize, needed: usize },
     #[error("{interface}: errno {errno}")]
     Os { interface: InterfaceName, errno: i32 },
 }
 
 /// A raw socket on one CAN interface.
 ///
-/// Frames sent are seen by the other sockets of the interface and not by this one. An interface that
+/// Frames sent are received by the other sockets of the interface, and not by this port. An interface that
 /// goes down is reported by every send, and once by receive; a removed one by every call.
 pub struct SocketCanPort {
     socket: CanSocket,
@@ -99,6 +104,12 @@ pub struct SocketCanPort {
     /// Of the frames that the last receive returned.
     card_stamps: Vec<Option<Instant>>,
     gone: bool,
+    /// The kernel filters the received frames by identifier.
+    filtered: bool,
+    /// Greatest number of frames in flight at which `send` accepts frames.
+    most_unsent: usize,
+    /// Frames accepted since the bound was set that the kernel has not returned as transmitted.
+    unsent: usize,
 }
 
 impl SocketCanPort {
@@ -119,6 +130,7 @@ impl SocketCanPort {
             Ok(Some(error)) | Err(error) => return Err(os(interface, &error)),
             Ok(None) => {}
         }
+        check_queue(interface, options.send_queue, queue_length(interface))?;
         let receive_buffer =
             socket.get_socket_option_int(libc::SOL_SOCKET, libc::SO_RCVBUF).map_err(|error| os(interface, &error))?;
         // Between binding and set-up any frame came in. A full bus takes a second to fill this many.
@@ -140,6 +152,9 @@ impl SocketCanPort {
             realtime_offset: (0..16).fold(0, |known, _| clock::realtime_offset(known)),
             card_stamps: Vec::with_capacity(BATCH),
             gone: false,
+            filtered: !options.accept.is_empty(),
+            most_unsent: usize::MAX,
+            unsent: 0,
         })
     }
 
@@ -168,8 +183,9 @@ impl SocketCanPort {
     fn failed(&mut self, errno: i32) -> PortError {
         match errno {
             libc::ENETDOWN => {
-                // A controller comes up active, and no error frame says so.
+                // A controller comes up active, and no error frame says so. The kernel has discarded waiting frames.
                 self.state = ControllerState::Active;
+                self.unsent = 0;
                 PortError::Down
             }
             libc::ENODEV | libc::ENXIO => {
@@ -189,8 +205,11 @@ impl SocketCanPort {
         for index in 0..count {
             let ancillary = self.batch.ancillary(index);
             if let Some(overflow) = ancillary.overflow {
-                self.counters.dropped += u64::from(overflow.wrapping_sub(self.overflow));
+                let lost = overflow.wrapping_sub(self.overflow);
+                self.counters.dropped += u64::from(lost);
                 self.overflow = overflow;
+                // Returned frames may be among the lost ones.
+                self.unsent = self.unsent.saturating_sub(lost as usize);
             }
             let Some(frame) = self.batch.frame(index) else {
                 self.counters.dropped += 1;
@@ -199,6 +218,14 @@ impl SocketCanPort {
             if let Some(state) = state_after(&frame, self.state) {
                 self.counters.errors += 1;
                 self.state = state;
+                if state == ControllerState::BusOff {
+                    // The driver has discarded the waiting frames.
+                    self.unsent = 0;
+                }
+                continue;
+            }
+            if self.batch.is_own(index) {
+                self.unsent = self.unsent.saturating_sub(1);
                 continue;
             }
             // The stamp is of CLOCK_REALTIME, which may have been set since it was taken.
@@ -231,6 +258,8 @@ impl Port for SocketCanPort {
         }
         let result = if self.gone {
             Err(PortError::Gone)
+        } else if self.unsent > self.most_unsent {
+            Ok(0)
         } else {
             match self.batch.send(&self.socket, frames) {
                 Ok(taken) => Ok(taken),
@@ -240,6 +269,9 @@ impl Port for SocketCanPort {
         };
         let taken = result.unwrap_or(0);
         self.counters.count_sent(&frames[..taken]);
+        if self.most_unsent < usize::MAX {
+            self.unsent += taken;
+        }
         self.counters.refused += (frames.len() - taken) as u64;
         result
     }
@@ -258,6 +290,17 @@ impl Port for SocketCanPort {
             Err(libc::EAGAIN | libc::EINTR) => Ok(0),
             Err(errno) => Err(self.failed(errno)),
         }
+    }
+
+    /// The kernel returns the port's own frames after their transmission, and so the port counts those in flight. A
+    /// driver without echo returns a frame as soon as it takes the frame. A port with identifiers to accept ignores the
+    /// bound, because the kernel filters the returned frames too.
+    fn bound_unsent(&mut self, most: usize) {
+        let bounded = most < usize::MAX && !self.filtered;
+        // An error leaves the port without a bound.
+        let bounded = self.socket.set_recv_own_msgs(bounded).is_ok() && bounded;
+        self.most_unsent = if bounded { most } else { usize::MAX };
+        self.unsent = 0;
     }
 
     fn counters(&self) -> Counters {
@@ -301,6 +344,21 @@ fn set_up(socket: &CanSocket, options: &SocketCanOptions) -> io::Result<()> {
     // Beyond the system's limit if we may, up to it if not.
     let receive_buffer = size(options.receive_queue);
     set(libc::SO_RCVBUFFORCE, receive_buffer).or_else(|_| set(libc::SO_RCVBUF, receive_buffer))
+}
+
+/// Length of the interface's own queue (`txqueuelen`), frames; `None` where the kernel does not show the length.
+fn queue_length(interface: InterfaceName) -> Option<usize> {
+    let text = std::fs::read_to_string(format!("/sys/class/net/{interface}/tx_queue_len"));
+    text.ok()?.trim().parse().ok()
+}
+
+/// Refuses a queue that fills before the send buffer of the socket: the kernel would drop frames that it accepted. An
+/// interface without a queue has the length zero.
+fn check_queue(interface: InterfaceName, needed: usize, length: Option<usize>) -> Result<(), OpenError> {
+    match length {
+        Some(length) if length > 0 && length < needed => Err(OpenError::ShortQueue { interface, length, needed }),
+        Some(_) | None => Ok(()),
+    }
 }
 
 fn why_not_opened(interface: InterfaceName, error: &io::Error) -> OpenError {
@@ -361,11 +419,25 @@ mod tests {
             realtime_offset: 0,
             card_stamps: Vec::new(),
             gone: false,
+            filtered: false,
+            most_unsent: 3,
+            unsent: 9,
         };
         assert_eq!(port.failed(libc::EIO), PortError::Os(libc::EIO));
         assert_eq!(port.state(), ControllerState::BusOff);
         assert_eq!(port.failed(libc::ENETDOWN), PortError::Down);
-        assert_eq!(port.state(), ControllerState::Active);
+        assert_eq!((port.state(), port.unsent), (ControllerState::Active, 0));
+    }
+
+    #[test]
+    fn an_interface_with_a_shorter_queue_than_a_cycle_is_refused() {
+        let interface = InterfaceName::new("can0").unwrap();
+        for (length, refused) in [(Some(3), true), (Some(8), true), (Some(9), false), (Some(0), false), (None, false)] {
+            let checked = check_queue(interface, 9, length);
+            assert_eq!(checked.is_err(), refused, "{length:?}");
+        }
+        let text = check_queue(interface, 9, Some(3)).unwrap_err().to_string();
+        assert!(text.contains("holds 3 frames") && text.contains("ip link set can0 txqueuelen 9"), "{text}");
     }
 
     #[test]

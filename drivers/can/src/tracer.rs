@@ -135,6 +135,10 @@ impl<P: Port> Port for Tracer<P> {
         received
     }
 
+    fn bound_unsent(&mut self, most: usize) {
+        self.port.bound_unsent(most);
+    }
+
     fn counters(&self) -> Counters {
         self.port.counters()
     }

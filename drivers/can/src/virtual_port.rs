@@ -26,6 +26,7 @@ pub fn virtual_port(capacity: usize) -> (VirtualPort, VirtualPeer) {
         shared: Arc::clone(&shared),
         counters: Counters::default(),
         state: ControllerState::Active,
+        most_unsent: usize::MAX,
     };
     let peer = VirtualPeer { sent, to_host, shared };
     (port, peer)
@@ -42,6 +43,8 @@ pub struct VirtualPort {
     shared: Arc<Shared>,
     counters: Counters,
     state: ControllerState,
+    /// Greatest number of frames in flight at which `send` accepts frames.
+    most_unsent: usize,
 }
 
 /// State of the interface that both ends share.
@@ -71,7 +74,8 @@ impl Port for VirtualPort {
             self.counters.refused += frames.len() as u64;
             return Err(PortError::Down);
         }
-        let full = self.shared.full.load(Ordering::Relaxed);
+        let unsent = self.to_bus.buffer().capacity() - self.to_bus.slots();
+        let full = self.shared.full.load(Ordering::Relaxed) || unsent > self.most_unsent;
         let mut taken = 0;
         for &frame in frames.iter().filter(|_| !full) {
             let bits = bits_on_wire(&frame);
@@ -116,6 +120,10 @@ impl Port for VirtualPort {
             self.counters.bits += u64::from(bits);
         }
         Ok(count)
+    }
+
+    fn bound_unsent(&mut self, most: usize) {
+        self.most_unsent = most;
     }
 
     fn counters(&self) -> Counters {
@@ -274,6 +282,20 @@ mod tests {
         peer.set_full(false);
         assert_eq!(port.send(at(4), &[frame(4)]), Ok(1));
         assert_eq!(port.counters().refused, 2);
+    }
+
+    #[test]
+    fn a_bounded_port_takes_nothing_while_earlier_frames_wait_for_the_bus() {
+        let (mut port, mut peer) = virtual_port(8);
+        port.bound_unsent(1);
+        assert_eq!(port.send(at(1), &[frame(1), frame(2)]), Ok(2));
+        assert_eq!(port.send(at(2), &[frame(3), frame(4)]), Ok(0));
+        assert_eq!(port.counters().refused, 2);
+        peer.take_sent();
+        assert_eq!(port.send(at(3), &[frame(5), frame(6)]), Ok(2), "one frame may wait");
+        assert_eq!(port.send(at(4), &[frame(7)]), Ok(0));
+        port.bound_unsent(usize::MAX);
+        assert_eq!(port.send(at(5), &[frame(8)]), Ok(1));
     }
 
     #[test]

@@ -28,6 +28,10 @@ pub enum Fault {
     /// drive continues with an old set-point.
     #[error("node {node}: set-point not taken by the bus for {cycles} cycles")]
     NotSent { node: u8, cycles: u32 },
+    /// The host's controller is error passive, and the bus took no frame of the host in these cycles: no other node
+    /// acknowledges the frames. At most the frames of one cycle wait in the controller.
+    #[error("bus: no node acknowledges the host's frames, for {cycles} cycles: check plug, supply and bit rate")]
+    NotAcknowledged { cycles: u32 },
     #[error("node {node}: no heartbeat for {waited:.1?}")]
     HeartbeatLost { node: u8, waited: Duration },
     /// The host sent no SYNC for longer than the drives' heartbeat time-out. The drives have stopped by themselves.

@@ -4,6 +4,7 @@ mod communication;
 mod configuration;
 mod data_sheet;
 mod emergencies;
+mod error_clearing;
 mod heartbeats;
 mod motion;
 mod process_data;

@@ -83,7 +83,10 @@ impl Detector {
             | Fault::ModeChanged { .. }
             | Fault::Stuck { .. } => Self::NodeState,
             Fault::Implausible { .. } => Self::Plausibility,
-            Fault::NotSent { .. } | Fault::HeartbeatNotSent { .. } | Fault::HostLate { .. } => Self::Sending,
+            Fault::NotSent { .. }
+            | Fault::NotAcknowledged { .. }
+            | Fault::HeartbeatNotSent { .. }
+            | Fault::HostLate { .. } => Self::Sending,
             Fault::OtherController { .. } => Self::OtherController,
             Fault::Port(_) | Fault::BusOff => Self::Port,
             Fault::AxisController { fault, .. } => return Self::of_axis_controller(*fault),

@@ -425,6 +425,9 @@ fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultRep
     // Some faults concern the bus and all axes on it.
     let of_bus = match fault.cause {
         StopCause::Drive(Fault::Port(error)) => Some(error.to_string()),
+        StopCause::Drive(Fault::NotAcknowledged { cycles }) => Some(format!(
+            "no node acknowledges the host's frames, for {cycles} cycles: check plug, supply and bit rate"
+        )),
         StopCause::Drive(Fault::OtherController { sign }) => {
             Some(format!("another controller is at work: it sent {sign}"))
         }

@@ -89,6 +89,11 @@ impl Batch {
         Frame::from_raw(raw.can_id, raw.can_dlc, raw.data)
     }
 
+    /// Whether this socket has sent the frame: the kernel returned it after its transmission.
+    pub(super) fn is_own(&self, index: usize) -> bool {
+        self.headers[index].msg_hdr.msg_flags & libc::MSG_CONFIRM != 0
+    }
+
     pub(super) fn ancillary(&self, index: usize) -> Ancillary {
         let mut found = Ancillary::default();
         let control = ptr::from_ref(&self.controls[index]).cast_mut().cast();

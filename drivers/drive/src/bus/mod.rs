@@ -7,7 +7,7 @@
 //!
 //! | frame | when |
 //! |---|---|
-//! | SYNC | every cycle, if a PDO of the bus is synchronous |
+//! | SYNC | every cycle, if a PDO of the bus is synchronous, except before the first stops after refused batches |
 //! | RPDO 1 of each drive | every cycle |
 //! | heartbeat of the host | once per heartbeat period |
 //! | RPDO 1 of an I/O node | after the first heartbeat of the host: changed or refused levels, and with each heartbeat |
@@ -21,6 +21,7 @@
 //! Read [`DriveGroup`] first, then [`CanBus::with_io`].
 
 mod bring_up;
+mod in_flight;
 mod other_controller;
 mod own_heartbeat;
 mod routes;
@@ -82,6 +83,10 @@ pub struct CanBus<P: Port> {
     turn: usize,
     /// Whether the nodes need SYNC.
     needs_sync: bool,
+    /// SYNCs in the batch: none or one.
+    batch_syncs: usize,
+    /// Cycles in a row, up to the last, in which the port took no frame of the batch.
+    refused: u32,
     syncs: Syncs,
     heartbeat: OwnHeartbeat,
     counters: GroupCounters,
@@ -207,6 +212,8 @@ impl<P: Port> CanBus<P> {
             service: None,
             turn: 0,
             needs_sync,
+            batch_syncs: 0,
+            refused: 0,
             syncs: Syncs::default(),
             heartbeat: OwnHeartbeat::due_at(Instant::ZERO),
             counters: GroupCounters::default(),
@@ -314,12 +321,6 @@ impl<P: Port> CanBus<P> {
         None
     }
 
-    /// Begins the batch of a cycle: with SYNC, if the nodes need SYNC.
-    fn begin_batch(&mut self) {
-        self.batch.clear();
-        self.batch.extend(self.needs_sync.then(|| Sync::default().encode()));
-    }
-
     fn order(&mut self, command: nmt::Command) {
         let frames = self.members.iter().map(|member| command.to(member.bring_up.node()).encode());
         self.batch.extend(frames);
@@ -383,12 +384,14 @@ impl<P: Port> CanBus<P> {
         if matches!(self.stage, Stage::Down | Stage::Up) {
             let until = now + self.config.listening();
             self.stage = Stage::Listening { until };
+            self.port.bound_unsent(usize::MAX);
             self.io.iter_mut().for_each(IoNode::reset);
             self.sensors.iter_mut().for_each(WrenchNode::reset);
         }
         let count = self.port.receive(now, &mut self.received)?;
         let mut heard = self.received[..count].iter();
-        if let Some(sign) = heard.find_map(|received| self.sign(&received.frame)) {
+        let ours = |node| self.routes.place(node).is_some();
+        if let Some(sign) = heard.find_map(|received| Sign::of_bring_up(&received.frame, self.config.host_node, ours)) {
             return Err(BringUpError::OtherController { sign });
         }
         if let Stage::Listening { until } = self.stage {
@@ -449,6 +452,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
             Ok(true) => {
                 self.stage = Stage::Up;
                 self.batch.clear();
+                self.bound_frames_in_flight();
                 // Operation starts from the same state, whatever the timing of bring-up.
                 self.turn = 0;
                 self.syncs = Syncs::default();
@@ -486,6 +490,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
         if self.port.state() == ControllerState::BusOff {
             self.latch_all(Fault::BusOff, IoFault::BusOff);
         }
+        self.check_acknowledgement();
         let lost_after = self.config.heartbeat_lost_after();
         let alone = self.syncs.last.map(|last| now.since(last));
         if let Some(waited) = alone.filter(|waited| *waited > lost_after) {
@@ -523,7 +528,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
         if self.batch.is_empty() {
             self.begin_batch();
         }
-        let syncs = usize::from(self.needs_sync);
+        let syncs = self.batch_syncs;
         let setpoints = self.batch.len() - syncs;
         let heartbeat = self.heartbeat.is_due(now);
         if heartbeat {
@@ -545,11 +550,12 @@ impl<P: Port> DriveGroup for CanBus<P> {
             self.latch_all(Fault::Port(error), IoFault::Port(error));
             0
         });
-        if self.needs_sync {
+        if syncs > 0 {
             self.syncs.send(now, taken > 0);
             self.counters.dropped_syncs += u64::from(taken == 0);
         }
-        self.drives.handed_over(taken, setpoints);
+        self.count_refused(taken);
+        self.drives.handed_over(taken, syncs, setpoints);
         let mut outputs = taken.saturating_sub(before_outputs);
         for io in &mut self.io {
             io.handed_over(&mut outputs, now, self.cycle);

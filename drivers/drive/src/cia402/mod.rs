@@ -225,12 +225,16 @@ impl Cia402Group {
         }
     }
 
-    /// Notes how many frames of the batch the port took: SYNC, then the set-points, of which the batch holds
-    /// `setpoints`.
-    pub(crate) fn handed_over(&mut self, taken: usize, setpoints: usize) {
+    /// Whether every drive has a fault, so that the group has no set-points. `false` without drives.
+    pub(crate) fn are_stopped(&self) -> bool {
+        !self.drives.is_empty() && self.drives.iter().all(|drive| drive.fault.is_some())
+    }
+
+    /// Notes how many frames of the batch the port took: `syncs` SYNCs, then `setpoints` set-points.
+    pub(crate) fn handed_over(&mut self, taken: usize, syncs: usize, setpoints: usize) {
         for (i, drive) in self.drives.iter_mut().enumerate() {
             // A SYNC alone carries no set-point that could be lost.
-            drive.axis.handed_over(taken > setpoints.min(i + 1));
+            drive.axis.handed_over(taken >= syncs + setpoints.min(i + 1));
         }
     }
 }

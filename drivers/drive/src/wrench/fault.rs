@@ -78,6 +78,7 @@ impl WrenchFault {
             Fault::Drive { .. }
             | Fault::Silent { .. }
             | Fault::NotSent { .. }
+            | Fault::NotAcknowledged { .. }
             | Fault::HeartbeatLost { .. }
             | Fault::HostLate { .. }
             | Fault::LeftOperational { .. }
@@ -165,6 +166,7 @@ pub(super) fn words(fault: Option<WrenchFault>) -> [u64; 3] {
         WrenchFault::OtherController { sign: Sign::Sync } => [12, 0, 0],
         WrenchFault::OtherController { sign: Sign::Heartbeat { node } } => [12, 1, u64::from(node)],
         WrenchFault::OtherController { sign: Sign::Setpoint { node } } => [12, 2, u64::from(node)],
+        WrenchFault::OtherController { sign: Sign::Write { node } } => [12, 3, u64::from(node)],
         WrenchFault::Port(PortError::Down) => [13, 0, 0],
         WrenchFault::Port(PortError::Gone) => [13, 1, 0],
         WrenchFault::Port(PortError::Os(number)) => [13, 2, errno(number)],
@@ -193,7 +195,8 @@ pub(super) fn of_words([kind, a, b]: [u64; 3]) -> Option<WrenchFault> {
             sign: match a {
                 0 => Sign::Sync,
                 1 => Sign::Heartbeat { node: b as u8 },
-                _ => Sign::Setpoint { node: b as u8 },
+                2 => Sign::Setpoint { node: b as u8 },
+                _ => Sign::Write { node: b as u8 },
             },
         },
         13 => WrenchFault::Port(match a {
@@ -236,6 +239,7 @@ pub(super) mod tests {
                     WrenchFault::OtherController { sign: Sign::Sync },
                     WrenchFault::OtherController { sign: Sign::Heartbeat { node } },
                     WrenchFault::OtherController { sign: Sign::Setpoint { node } },
+                    WrenchFault::OtherController { sign: Sign::Write { node } },
                     WrenchFault::Port(PortError::Down),
                     WrenchFault::Port(PortError::Gone),
                     WrenchFault::Port(PortError::Os(counts)),

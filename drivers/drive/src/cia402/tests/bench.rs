@@ -64,6 +64,8 @@ pub(crate) struct Bus {
     pub(crate) takes: Option<usize>,
     pub(crate) error: Option<PortError>,
     pub(crate) state: ControllerState,
+    /// The bound of frames in flight.
+    pub(crate) most_unsent: Option<usize>,
 }
 
 #[derive(Clone, Default)]
@@ -88,6 +90,10 @@ impl Port for BusEnd {
         let count = into.len().min(bus.inbox.len());
         into.iter_mut().zip(bus.inbox.drain(..count)).for_each(|(to, from)| *to = from);
         Ok(count)
+    }
+
+    fn bound_unsent(&mut self, most: usize) {
+        self.0.lock().unwrap().most_unsent = Some(most);
     }
 
     fn counters(&self) -> Counters {

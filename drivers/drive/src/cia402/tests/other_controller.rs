@@ -143,3 +143,42 @@ fn drives_and_service_commands_do_not_stop_a_robot() {
         assert_eq!(bench.states[0].fault, None, "{text}");
     }
 }
+
+/// Initiation of a download of four bytes, of one byte, and of a block.
+const WRITES: [&str; 3] = ["602#2316100132007F00", "602#2F60600008000000", "602#C6001F1000010000"];
+
+#[test]
+fn a_master_that_configures_a_node_of_ours_refuses_the_start() {
+    let listening = group_config().listening();
+    let sign = Sign::Write { node: 2 };
+    for text in WRITES {
+        for heard in [Duration::ZERO, listening - PERIOD, listening + 2 * PERIOD] {
+            let mut bench = Bench::new(group_config(), &[axis_config(2)]);
+            assert_eq!(listen(&mut bench, heard), Poll::Pending);
+            hear(&bench, text);
+            assert_eq!(bench.bring_up(), Err(BringUpError::OtherController { sign }), "{text} at {heard:?}");
+        }
+        // A write to another node, and a write in operation.
+        let mut bench = Bench::new(group_config(), &[axis_config(3)]);
+        hear(&bench, text);
+        assert_eq!(bench.bring_up(), Ok(()), "{text}");
+        let mut bench = Bench::up(&[2]);
+        bench.enable();
+        let mut answers = bench.answers(0x0737, 1_000);
+        answers.push(text.to_owned());
+        bench.cycle(&answers, &[AxisCommand::Stand]);
+        assert_eq!(bench.states[0].fault, None, "{text}");
+    }
+    let text = "another controller is at work: it sent a write to node 2 by SDO; end it before this one is started";
+    assert_eq!(BringUpError::OtherController { sign }.to_string(), text);
+}
+
+#[test]
+fn an_end_of_a_transfer_and_a_segment_are_no_signs() {
+    // A segment of a download, the end of a block, an abort, a read, and a read of a block.
+    for text in ["602#0011223344556677", "602#C100000000000000", "602#8000100000000405", "602#4000100000000000"] {
+        let mut bench = Bench::new(group_config(), &[axis_config(2)]);
+        hear(&bench, text);
+        assert_eq!(bench.bring_up(), Ok(()), "{text}");
+    }
+}

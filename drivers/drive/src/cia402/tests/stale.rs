@@ -1,0 +1,100 @@
+//! Set-points that waited for the bus: at most one cycle of them, and no drive acts on them.
+
+use can::ControllerState;
+
+use super::bench::*;
+
+const STAND: &[AxisCommand] = &[AxisCommand::Stand; 2];
+
+fn enabled() -> Bench {
+    let mut bench = Bench::up(&[1, 2]);
+    bench.enable();
+    bench
+}
+
+/// Runs cycles in which the port takes nothing, until both axes have a fault. Returns the number of these cycles.
+fn until_fault(bench: &mut Bench, state: ControllerState) -> u32 {
+    {
+        let mut bus = bench.bus.0.lock().unwrap();
+        (bus.takes, bus.state) = (Some(0), state);
+    }
+    for cycles in 1..10 {
+        assert_eq!(bench.cycle(NONE, STAND), NONE);
+        if bench.states.iter().all(|state| state.fault.is_some()) {
+            return cycles;
+        }
+    }
+    panic!("no fault");
+}
+
+#[test]
+fn at_most_one_cycle_of_motion_frames_is_in_flight() {
+    let bench = enabled();
+    // The heartbeat of the host and a service frame may wait behind the set-points.
+    assert_eq!(bench.bus.0.lock().unwrap().most_unsent, Some(2));
+    // Bring-up sends more.
+    let mut bench = bench;
+    let _ = bench.group.bring_up(bench.now);
+    assert_eq!(bench.bus.0.lock().unwrap().most_unsent, Some(usize::MAX));
+}
+
+#[test]
+fn after_a_bus_that_took_nothing_the_stops_reach_the_drives_before_the_next_sync() {
+    let mut bench = enabled();
+    until_fault(&mut bench, ControllerState::Active);
+    bench.bus.0.lock().unwrap().takes = None;
+    let frames = bench.cycle(NONE, STAND);
+    let heads: Vec<_> = frames.iter().map(|frame| &frame[..8]).collect();
+    assert_eq!(heads, ["201#0200", "202#0200"]);
+    let frames = bench.cycle(NONE, STAND);
+    assert_eq!((&frames[0][..], &frames[1][..8], &frames[2][..8]), ("080#", "201#0200", "202#0200"));
+}
+
+#[test]
+fn a_refusal_that_is_tolerated_omits_no_sync() {
+    let mut bench = enabled();
+    bench.bus.0.lock().unwrap().takes = Some(0);
+    bench.cycle(&bench.answers(0x0737, 1_000), STAND);
+    bench.bus.0.lock().unwrap().takes = None;
+    let frames = bench.cycle(NONE, STAND);
+    assert_eq!((&frames[0][..], &frames[1][..8]), ("080#", "201#0F00"));
+    assert!(bench.states.iter().all(|state| state.fault.is_none()));
+}
+
+#[test]
+fn a_bus_without_acknowledge_is_told_from_a_full_queue() {
+    let mut bench = enabled();
+    let cycles = until_fault(&mut bench, ControllerState::Passive);
+    let fault = Fault::NotAcknowledged { cycles: cycles - 1 };
+    assert!(bench.states.iter().all(|state| state.fault == Some(fault)), "{:?}", bench.states);
+    assert_eq!(cycles - 1, group_config().tolerated_missing);
+    let text = "bus: no node acknowledges the host's frames, for 2 cycles: check plug, supply and bit rate";
+    assert_eq!(fault.to_string(), text);
+    for state in [ControllerState::Active, ControllerState::Warning] {
+        let mut bench = enabled();
+        until_fault(&mut bench, state);
+        let fault = bench.states[0].fault;
+        assert!(matches!(fault, Some(Fault::Silent { .. } | Fault::NotSent { .. })), "{fault:?}");
+    }
+}
+
+#[test]
+fn after_a_reset_the_first_target_is_the_measured_position() {
+    let mut bench = enabled();
+    bench.cycle(&bench.answers(0x0737, 1_000), &[follow(1_500.0), follow(1_500.0)]);
+    until_fault(&mut bench, ControllerState::Passive);
+    {
+        let mut bus = bench.bus.0.lock().unwrap();
+        (bus.takes, bus.state) = (None, ControllerState::Active);
+    }
+    // The drives have stopped by themselves, elsewhere.
+    for statusword in [0x0707, 0x0740, 0x0740] {
+        bench.cycle(&bench.answers(statusword, 1_234), &[AxisCommand::ResetFault; 2]);
+    }
+    let target = answer(1, 0, 1_234)[8..16].to_owned();
+    for statusword in [0x0740, 0x0721, 0x0723, 0x0737, 0x0737, 0x0737] {
+        let frames = bench.cycle(&bench.answers(statusword, 1_234), STAND);
+        assert!(frames[1][8..].starts_with(&target), "{statusword:#06x}: {frames:?}");
+    }
+    assert!(bench.states.iter().all(|state| state.fault.is_none()), "{:?}", bench.states);
+}
