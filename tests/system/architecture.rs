@@ -10,7 +10,7 @@ fn root() -> PathBuf {
 }
 
 /// Each room and the rooms it may import, by their names in the workspace.
-const ARROWS: [(&str, &[&str]); 15] = [
+const ARROWS: [(&str, &[&str]); 16] = [
     ("drivers/can", &[]),
     ("drivers/canopen", &["can"]),
     ("drivers/master", &["can", "canopen"]),
@@ -26,6 +26,7 @@ const ARROWS: [(&str, &[&str]); 15] = [
     ("tools/service", &["can", "canopen", "master", "serial", "drive", "hil", "mrroc"]),
     ("console", &["can", "canopen", "hil", "mrroc", "descriptions", "host", "identify", "service"]),
     ("tests", &["can", "canopen", "master", "serial", "drive", "servo", "controller", "hil", "mrroc"]),
+    ("fuzz/targets", &["can", "canopen", "master", "serial", "drive", "controller", "hil", "mrroc"]),
 ];
 
 /// The crates below the library for robot programs.

@@ -111,6 +111,19 @@ impl McapFile {
     }
 }
 
+/// The bytes up to the first record whose length no file can have. The reader adds to a length without a check.
+fn sound_lengths(bytes: &[u8]) -> &[u8] {
+    let mut at = mcap::MAGIC.len();
+    while let Some([_, length @ ..]) = bytes.get(at..).and_then(|rest| rest.first_chunk::<9>()) {
+        let length = u64::from_le_bytes(*length);
+        if length > 1 << 48 {
+            return &bytes[..at];
+        }
+        at = at.saturating_add(9 + length as usize);
+    }
+    bytes
+}
+
 /// A message that was read.
 pub(super) struct Stored {
     pub(super) channel: u16,
@@ -133,7 +146,8 @@ pub(super) struct Content {
 impl Content {
     /// Reads a recording. A file that was cut gives its whole chunks.
     pub(super) fn read(bytes: &[u8]) -> anyhow::Result<Self> {
-        let records = ChunkFlattener::new_with_options(bytes, Options::IgnoreEndMagic.into());
+        let options = Options::IgnoreEndMagic | Options::ValidateChunkCrcs;
+        let records = ChunkFlattener::new_with_options(sound_lengths(bytes), options);
         let records = records.context("no MCAP file")?;
         let (mut content, mut schemas) = (Self::default(), BTreeMap::new());
         let mut ended = false;
@@ -170,5 +184,23 @@ impl Content {
             content.cut = Some("the end is missing".to_owned());
         }
         Ok(content)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_record_of_a_length_that_no_file_has_ends_a_recording() {
+        let mut bytes = mcap::MAGIC.to_vec();
+        bytes.extend([0x0F, 4, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
+        for length in [u64::MAX, u64::MAX - 8, 1 << 62] {
+            let damaged: Vec<u8> = bytes.iter().copied().chain([0x05]).chain(length.to_le_bytes()).collect();
+            let content = Content::read(&damaged).unwrap();
+            assert_eq!((content.messages.len(), content.channels.len()), (0, 0));
+        }
+        let damaged: Vec<u8> = mcap::MAGIC.iter().copied().chain([0x05]).chain(u64::MAX.to_le_bytes()).collect();
+        assert!(Content::read(&damaged).unwrap().cut.is_some());
     }
 }

@@ -207,7 +207,8 @@ impl Replaying {
                 );
             } else if channel >= layout.line(0) {
                 let entry = LineData::decode(body)?.entry(now).ok_or_else(damaged)?;
-                lines[usize::from(channel - layout.line(0))].push(entry);
+                // A message may name a channel that the file does not declare.
+                lines.get_mut(usize::from(channel - layout.line(0))).ok_or_else(damaged)?.push(entry);
                 if is_sent_bytes(&entry) {
                     comparison.expect(message);
                 }
@@ -400,4 +401,24 @@ fn traced_port(entries: Vec<TraceEntry>) -> (Box<dyn Port>, TraceReader) {
 fn traced_line(entries: Vec<LineEntry>) -> (Box<dyn Line>, LineTraceReader) {
     let (line, reader) = LineTracer::new(ReplayLine::new(entries), TRACE);
     (Box::new(line), reader)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::file::Stored;
+
+    #[test]
+    fn a_message_of_an_undeclared_channel_is_refused() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells/irb6.toml");
+        let file = CellFile::read(path).unwrap();
+        let layout = Layout::of(&file);
+        let channels = (0..).zip(layout.channels()).map(|(id, it)| (id, (it.topic.clone(), it.message.to_owned())));
+        let data = LineData { kind: "bytes".to_owned(), ..LineData::default() };
+        let channel = layout.channels().len() as u16;
+        let message = Stored { channel, time: Instant::ZERO, body: data.encode_to_vec() };
+        let content = Content { channels: channels.collect(), messages: vec![message], ..Content::default() };
+        let error = Replaying::new(content, &file).err().map(|error| error.to_string());
+        assert_eq!(error.as_deref(), Some("a message is damaged"));
+    }
 }
