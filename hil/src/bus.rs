@@ -85,6 +85,16 @@ impl VirtualBus {
         self.hosts.push(peer);
     }
 
+    /// Replaces the first node of the host: another program opens the interface. A frame of the old node on the wire is
+    /// cut off.
+    pub fn replace_host(&mut self, peer: VirtualPeer) {
+        self.on_wire = self.on_wire.filter(|wire| wire.sender != End::Host(0));
+        match self.hosts.first_mut() {
+            Some(host) => *host = peer,
+            None => self.hosts.push(peer),
+        }
+    }
+
     /// Adds a device and returns its number on this bus, counted from 0.
     pub fn attach_device(&mut self, device: Box<dyn Device>) -> usize {
         let mut attached =

@@ -81,7 +81,7 @@ impl Pty {
         // The lock must be held before the link shows the terminal to other emulators.
         hold(&pty.slave, mark_of(link)).map_err(|error| PtyError::Open(errno(&error)))?;
         if let Some(terminal) = left {
-            remove_left(link, &terminal)?;
+            remove_left(link, &terminal, &pty.path)?;
         }
         symlink(&pty.path, link).map_err(|error| match error.kind() {
             // Another emulator created the link first.
@@ -245,7 +245,9 @@ fn is_pseudo_terminal(file: &File) -> bool {
 /// Removes a link left by a killed emulator, unless another emulator has replaced the link in the meantime.
 ///
 /// The link is first renamed. Only one of two emulators can rename the link. The renamed link is then examined again.
-fn remove_left(link: &Path, terminal: &Path) -> Result<(), PtyError> {
+///
+/// The terminal `own` of this emulator may have the number of the terminal that was left. The lock on it is then our own.
+fn remove_left(link: &Path, terminal: &Path, own: &Path) -> Result<(), PtyError> {
     let mut aside = link.as_os_str().to_owned();
     aside.push(format!(".left-{}", std::process::id()));
     let aside = PathBuf::from(aside);
@@ -256,7 +258,7 @@ fn remove_left(link: &Path, terminal: &Path) -> Result<(), PtyError> {
     }
     let owner = fs::symlink_metadata(&aside).map_err(failed)?.uid();
     let moved = fs::read_link(&aside).map_err(failed)?;
-    let in_use = moved != terminal || is_in_use(terminal, mark_of(link), owner);
+    let in_use = moved != terminal || (terminal != own && is_in_use(terminal, mark_of(link), owner));
     if in_use {
         symlink(moved, link).map_err(failed)?;
     }
@@ -499,7 +501,7 @@ mod tests {
         let link = directory.0.join("can0");
         let faster = Pty::linked(&link).unwrap();
         for left in [Path::new("/dev/pts/4294967295"), faster.path()] {
-            assert_eq!(remove_left(&link, left), Err(PtyError::InUse));
+            assert_eq!(remove_left(&link, left, Path::new("/dev/pts/none")), Err(PtyError::InUse));
             assert_eq!(fs::read_link(&link).unwrap(), faster.path());
             assert_eq!(fs::read_dir(&directory.0).unwrap().count(), 1);
         }
@@ -515,5 +517,21 @@ mod tests {
         assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
         let nowhere = directory.0.join("missing/can0");
         assert_eq!(Pty::linked(&nowhere).unwrap_err(), PtyError::Link(libc::ENOENT));
+    }
+
+    #[test]
+    fn a_link_that_was_left_is_removed_also_if_its_terminal_is_our_new_one() {
+        let directory = Directory::new("reused");
+        let link = directory.0.join("axis");
+        // A killed emulator left the link, and the new terminal has the number of the old one.
+        let own = Pty::open().unwrap();
+        hold(&own.slave, mark_of(&link)).unwrap();
+        symlink(&own.path, &link).unwrap();
+        // For an emulator with another terminal, the terminal is in use.
+        let other = Pty::open().unwrap();
+        assert_eq!(remove_left(&link, &own.path, &other.path), Err(PtyError::InUse));
+        assert_eq!(fs::read_link(&link).unwrap(), own.path);
+        assert_eq!(remove_left(&link, &own.path, &own.path), Ok(()));
+        assert_eq!(fs::read_dir(&directory.0).unwrap().count(), 0);
     }
 }

@@ -188,6 +188,14 @@ impl World {
         port
     }
 
+    /// A port in place of the first port on a bus, with room for `capacity` frames each way. The frames of the old port
+    /// are dropped. `bus` must belong to this world.
+    pub fn replace_port(&mut self, bus: BusId, capacity: usize) -> VirtualPort {
+        let (port, peer) = virtual_port(capacity);
+        self.buses[bus.0].replace_host(peer);
+        port
+    }
+
     /// Adds a serial line with a device at its end. `latency` inserts a USB adapter with such a latency timer towards
     /// the host, for example the 16 ms of an FTDI adapter.
     pub fn add_line(&mut self, settings: Settings, latency: Option<Duration>, device: Box<dyn LineDevice>) -> LineId {

@@ -113,6 +113,23 @@ impl Emulation {
         (emulation, ends)
     }
 
+    /// New host's ends in place of the old ones, for a controller that starts again. Force sensors on serial lines and
+    /// ultrasonic matrices get none.
+    pub fn reconnect(&mut self, file: &CellFile) -> HostEnds {
+        let Self { world, buses, ids, .. } = self;
+        let ports = buses.iter().map(|&bus| Box::new(world.replace_port(bus, QUEUE)) as _).collect();
+        let lines = (0..file.cell.serial.len()).map(|bundle| {
+            let axes = file.cell.axes_on(file.cell.bus.len() + bundle);
+            let lines = axes.filter_map(|axis| match ids.drives.get(&axis) {
+                Some(DriveId::Line(line)) => Some(*line),
+                _ => None,
+            });
+            lines.map(|line| world.host_line(line, LINE)).collect()
+        });
+        let lines = lines.collect();
+        HostEnds { ports, listeners: Vec::new(), lines, sensors: Vec::new() }
+    }
+
     /// The count of unsolved parts of steps of the scene, if there is one.
     pub fn unsolved(&self) -> Option<UnsolvedProbe> {
         self.world.scene().map(Scene::watch_unsolved)

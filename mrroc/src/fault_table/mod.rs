@@ -12,6 +12,7 @@ mod detector;
 mod page;
 mod phase;
 mod row;
+pub mod soak;
 mod stage;
 
 use std::path::PathBuf;

@@ -1,0 +1,80 @@
+//! Random faults of a soak: which fault of the table strikes which axis, when and for how long.
+
+use std::time::Duration;
+
+use super::super::catalogue::{CASES, FaultCase, Wire};
+use crate::cell::CellFile;
+use crate::scenario::{FaultKind, FaultNumbers};
+
+/// Greatest delay of a fault after the beginning of its minute.
+const DELAY: f64 = 10.0;
+/// Shortest and longest duration of a fault without a duration of its own, s.
+const DURATIONS: (f64, f64) = (0.2, 3.0);
+
+/// SplitMix64: a small seeded generator with the same results on all platforms.
+#[derive(Clone, Debug)]
+pub(super) struct Random(pub(super) u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// A number from 0, below 1.
+    fn share(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    fn below(&mut self, end: usize) -> usize {
+        // A modulus prefers no number by more than one part in 2^50.
+        (self.next() % end.max(1) as u64) as usize
+    }
+}
+
+/// A fault of a soak.
+#[derive(Clone, Debug)]
+pub(super) struct PlannedFault {
+    /// Number of the case in the table.
+    pub(super) case: usize,
+    /// Robot and axis.
+    pub(super) axis: (usize, usize),
+    /// Delay after the beginning of the minute.
+    pub(super) delay: Duration,
+    /// Duration; `None` for a fault that only new ends of the host repair.
+    pub(super) lasts: Option<Duration>,
+    seed: u64,
+}
+
+impl PlannedFault {
+    /// A fault of the table on an axis of the cell, with equal probability of each robot and of each of its faults.
+    pub(super) fn random(file: &CellFile, random: &mut Random) -> Self {
+        let robots = &file.cell.robot;
+        let robot = random.below(robots.len());
+        let axis = random.below(robots[robot].axis.len());
+        let wire = if robots[robot].axis[axis].drive.is_some() { Wire::Can } else { Wire::Serial };
+        let cases: Vec<_> = (0..CASES.len()).filter(|case| CASES[*case].wires.contains(&wire)).collect();
+        let case = cases[random.below(cases.len())];
+        let delay = Duration::from_secs_f64(DELAY * random.share());
+        let (least, most) = DURATIONS;
+        let lasts = Duration::from_secs_f64(least + (most - least) * random.share());
+        let seed = random.next();
+        let lasts = match CASES[case] {
+            FaultCase { kind: FaultKind::HangUp, .. } => None,
+            FaultCase { lasts: Some(own), .. } => Some(own),
+            _ => Some(lasts),
+        };
+        Self { case, axis: (robot, axis), delay, lasts, seed }
+    }
+
+    pub(super) fn case(&self) -> &'static FaultCase {
+        &CASES[self.case]
+    }
+
+    pub(super) fn numbers(&self) -> FaultNumbers {
+        FaultNumbers { seed: self.seed, ..self.case().numbers() }
+    }
+}

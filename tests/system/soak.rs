@@ -1,0 +1,21 @@
+//! A soak of a minute. `cargo bench -p mrroc-tests --bench soak` runs hours.
+
+use std::time::Duration;
+
+use ::mrroc::cell::CellFile;
+use ::mrroc::fault_table::soak::{SoakOptions, soak};
+
+use crate::mrroc::example;
+
+#[test]
+fn a_minute_with_a_fault_loses_nothing_and_is_the_same_again() {
+    let file = CellFile::read(example("irb6")).unwrap();
+    let options = SoakOptions { duration: Duration::from_secs(60), seed: 1 };
+    let run = || soak(&file, &options, &mut |_| {}).unwrap();
+    let report = run();
+    assert!(report.is_good(), "{report}");
+    let sums = [report.sum(|kind| kind.injected), report.sum(|kind| kind.detected + kind.tolerated)];
+    assert_eq!(sums, [1, 1], "{report}");
+    assert!(report.references >= 1 && report.rounds >= 4, "{report}");
+    assert_eq!(run().to_string(), report.to_string());
+}
