@@ -41,6 +41,8 @@ mod heap;
 mod held_bar;
 mod homing;
 mod host_closed;
+mod host_dies;
+mod hostile_host;
 mod identify;
 mod inputs;
 mod jitter;
