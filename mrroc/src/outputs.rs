@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::Args;
 use nix::fcntl::{FcntlArg, OFlag, fcntl};
+use nix::unistd::geteuid;
 
 use crate::cell::CellFile;
 
@@ -135,6 +136,10 @@ impl Outputs {
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
             made => return Ok((made?, true)),
         }
+        let is_shared = refuse_planted(path)?;
+        if is_shared {
+            options.custom_flags(libc::O_NONBLOCK | libc::O_NOCTTY | libc::O_NOFOLLOW);
+        }
         let mut made = false;
         match fs::metadata(path) {
             Ok(found) if found.file_type().is_block_device() => bail!("a disk is no file to write"),
@@ -147,6 +152,9 @@ impl Outputs {
         match options.create(made).open(path) {
             Err(error) if error.raw_os_error() == Some(libc::ENXIO) => {
                 bail!("the file is a FIFO that no program reads, or a device that is not there: start the reader first")
+            }
+            Err(error) if is_shared && error.raw_os_error() == Some(libc::ELOOP) => {
+                bail!("the name is that of a link, in a directory where other users can change it: name another")
             }
             opened => {
                 let file = opened?;
@@ -179,6 +187,25 @@ impl Drop for Outputs {
     }
 }
 
+/// Refuses what another user may have planted under the name of an output: a link of another user, and a file of another
+/// user in a directory where all users can write. Root counts as no other user. Returns whether other users can replace
+/// what is under this name, so that no link must be followed.
+fn refuse_planted(path: &Path) -> anyhow::Result<bool> {
+    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let (Ok(found), Ok(directory)) = (fs::symlink_metadata(path), fs::metadata(parent)) else {
+        // Opening the file reports the error.
+        return Ok(false);
+    };
+    let is_foreign = |owner: u32| owner != 0 && owner != geteuid().as_raw();
+    let is_open = directory.mode() & 0o002 != 0;
+    if is_foreign(found.uid()) && (found.is_symlink() || is_open) {
+        let what = if found.is_symlink() { "link" } else { "file" };
+        bail!("the name is that of a {what} of another user: name another");
+    }
+    let is_sticky = directory.mode() & 0o1000 != 0;
+    Ok(is_foreign(directory.uid()) || (is_open && !is_sticky))
+}
+
 /// Lets a write to a full pipe wait, as a write to a file does.
 fn wait_for_room(file: &File) -> io::Result<()> {
     let flags = OFlag::from_bits_retain(fcntl(file, FcntlArg::F_GETFL)?);
@@ -193,7 +220,7 @@ fn identity(found: &Metadata) -> Identity {
 #[cfg(test)]
 mod tests {
     use std::io::{Read, Write};
-    use std::os::unix::fs::symlink;
+    use std::os::unix::fs::{PermissionsExt, lchown, symlink};
     use std::process::Command;
     use std::sync::mpsc;
     use std::thread;
@@ -223,6 +250,42 @@ mod tests {
         outputs.begin().unwrap();
         file.write_all(b"new").unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), "new");
+    }
+
+    #[test]
+    fn what_other_users_planted_is_neither_followed_nor_overwritten() {
+        const OTHER: u32 = 65_534;
+        let directory = tempfile::tempdir().unwrap();
+        let [victim, shared, sticky, own] = ["victim", "shared", "sticky", "own"].map(|it| directory.path().join(it));
+        fs::write(&victim, "precious").unwrap();
+        for (open, mode) in [(&shared, 0o777), (&sticky, 0o1777), (&own, 0o755)] {
+            fs::create_dir(open).unwrap();
+            fs::set_permissions(open, fs::Permissions::from_mode(mode)).unwrap();
+            symlink(&victim, open.join("link")).unwrap();
+            fs::write(open.join("file"), "theirs").unwrap();
+        }
+        // Without a sticky bit, others can plant a link at any moment, also in place of the user's own.
+        assert!(refusal(&mut Outputs::new(FORCE), &shared.join("link")).contains("can change it"));
+        Outputs::new(FORCE).open("--it", &shared.join("file")).unwrap();
+        for open in [&sticky, &own] {
+            Outputs::new(FORCE).open("--it", &open.join("link")).unwrap();
+        }
+        if geteuid().is_root() {
+            for name in ["link", "file"] {
+                let both = [&shared, &sticky].map(|open| open.join(name));
+                for path in both {
+                    lchown(&path, Some(OTHER), None).unwrap();
+                    assert!(refusal(&mut Outputs::new(FORCE), &path).contains("of another user"), "{path:?}");
+                }
+            }
+            lchown(own.join("link"), Some(OTHER), None).unwrap();
+            assert!(refusal(&mut Outputs::new(FORCE), &own.join("link")).contains("of another user"));
+            // In a directory of another user, that user can plant a link at any moment.
+            lchown(&own, Some(OTHER), None).unwrap();
+            lchown(own.join("link"), Some(0), None).unwrap();
+            assert!(refusal(&mut Outputs::new(FORCE), &own.join("link")).contains("can change it"));
+        }
+        assert_eq!(fs::read_to_string(&victim).unwrap(), "precious");
     }
 
     #[test]

@@ -47,6 +47,8 @@ impl Default for LawParameters {
 /// In each cycle under a law, a stop of the effector from the new set-points must end within the position limits.
 /// Otherwise the effector stops from the last set-points. A stop that lasts longer because of a partner in a team may end
 /// beyond a position limit, as without a law.
+///
+/// A panic of a law is caught: the effector brakes (category 1), and the law is not called again.
 pub trait CycleLaw: Send {
     /// Checks the parameters of a macrostep before the macrostep begins. A fault refuses the macrostep.
     fn check(&self, parameters: &LawParameters) -> Result<(), LawFault>;
@@ -144,6 +146,9 @@ pub enum LawFault {
     /// The mechanism cannot make the motion of the law at its present position: a limit or a singularity.
     #[error("the robot cannot make the motion of the law here: a limit of an axis or a singularity is too near")]
     Unreachable,
+    /// The law panicked. The panic hook received the message. The law refuses all later macrosteps.
+    #[error("it panicked")]
+    Panicked,
     /// A parameter of the macrostep is out of its range.
     #[error("parameter {index} is {value}, which its law does not accept")]
     Parameter { index: u8, value: f64 },

@@ -33,6 +33,7 @@ pub mod lockstep;
 mod motion_time;
 mod recorder;
 pub mod regulator;
+mod remedies;
 #[cfg(test)]
 #[path = "../tests/scripted/mod.rs"]
 mod scripted;

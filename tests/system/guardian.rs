@@ -25,7 +25,7 @@ use crate::mrroc::{Directory, SERIAL_CELLS};
 use crate::serial_cli::{patient, run_on};
 
 /// Number of attempts, because the host may disturb a run before the failure.
-const ATTEMPTS: usize = 5;
+pub(crate) const ATTEMPTS: usize = 5;
 
 /// Permitted silence, ms, on a host with other load.
 const SILENCE_MS: u32 = 20;
@@ -35,7 +35,7 @@ const STILL: f64 = 0.05;
 
 /// Ways in which a run fails.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Failure {
+pub(crate) enum Failure {
     /// SIGKILL.
     Kill,
     /// SIGSTOP, and SIGCONT after this time.
@@ -57,21 +57,21 @@ const FAILURES: [Failure; 6] = [
 
 /// The true state of the emulated robot at a time.
 #[derive(Clone, Debug)]
-struct Sample {
-    wall: Instant,
+pub(crate) struct Sample {
+    pub(crate) wall: Instant,
     /// Time of the emulator.
-    at: Instant,
+    pub(crate) at: Instant,
     /// Motor angles, rad.
-    motors: Vec<f64>,
+    pub(crate) motors: Vec<f64>,
     /// A drive is in its error state.
-    error: bool,
-    /// Number of bytes that hosts sent to all drives.
-    bytes: u64,
+    pub(crate) error: bool,
+    /// Number of bytes that hosts sent to all drives on serial lines, or of SYNC messages.
+    pub(crate) bytes: u64,
 }
 
 /// The emulated drives of a cell.
-struct Emulator {
-    samples: Arc<Mutex<Vec<Sample>>>,
+pub(crate) struct Emulator {
+    pub(crate) samples: Arc<Mutex<Vec<Sample>>>,
     over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
@@ -90,9 +90,6 @@ impl Emulator {
             lines.add_line(line, pty);
             ids.push(id);
         }
-        let samples = Arc::new(Mutex::new(Vec::new()));
-        let over = Arc::new(AtomicBool::new(false));
-        let (kept, ended) = (samples.clone(), over.clone());
         let angle = |world: &World, id: &LineId| {
             let drive = world.line(*id).device::<AxisController>().expect("an axis controller");
             drive.axis().angle()
@@ -100,15 +97,26 @@ impl Emulator {
         let observe = move |world: &World, at: Instant| {
             let motors = ids.iter().map(|id| angle(world, id)).collect();
             let bytes = ids.iter().map(|id| world.line(*id).statistics().to_device).sum();
-            let sample = Sample { wall: clock::now(), at, motors, error: cabinet.has_error(), bytes };
-            kept.lock().expect("no panic").push(sample);
+            Sample { wall: clock::now(), at, motors, error: cabinet.has_error(), bytes }
         };
+        Self::serve(lines, observe)
+    }
+
+    /// Serves `lines` on a thread of its own, with a sample at each advance.
+    pub(crate) fn serve(
+        mut lines: EmulatedLines,
+        mut sample: impl FnMut(&World, Instant) -> Sample + Send + 'static,
+    ) -> Self {
+        let samples = Arc::new(Mutex::new(Vec::new()));
+        let over = Arc::new(AtomicBool::new(false));
+        let (kept, ended) = (samples.clone(), over.clone());
+        let observe = move |world: &World, at: Instant| kept.lock().expect("no panic").push(sample(world, at));
         let serve = move || lines.serve_observed(&ended, observe).expect("the lines can be served");
         Self { samples, over, thread: Some(std::thread::spawn(serve)) }
     }
 
     /// Waits until no motor has moved for half a second, and returns all samples since `since`.
-    fn at_rest(&self, since: Instant) -> Vec<Sample> {
+    pub(crate) fn at_rest(&self, since: Instant) -> Vec<Sample> {
         const REST: Duration = Duration::from_millis(500);
         let end = clock::now() + Duration::from_secs(30);
         loop {
@@ -134,25 +142,25 @@ impl Drop for Emulator {
     }
 }
 
-fn moved(a: &Sample, b: &Sample) -> bool {
+pub(crate) fn moved(a: &Sample, b: &Sample) -> bool {
     a.motors.iter().zip(&b.motors).any(|(a, b)| (a - b).abs() > STILL)
 }
 
 /// Figures of one failure.
 #[derive(Clone, Copy, Debug, Default)]
-struct Figures {
+pub(crate) struct Figures {
     /// Time from the last sign of the controller to the first drive in its error state.
-    reaction: Duration,
+    pub(crate) reaction: Duration,
     /// Time from the last sign of the controller to standstill.
-    standstill: Duration,
+    pub(crate) standstill: Duration,
     /// Greatest distance of a joint meanwhile, degrees.
-    distance: f64,
+    pub(crate) distance: f64,
     /// Greatest motor velocity at the failure, rad/s.
-    velocity: f64,
+    pub(crate) velocity: f64,
 }
 
 impl Figures {
-    fn worst(self, other: Self) -> Self {
+    pub(crate) fn worst(self, other: Self) -> Self {
         Self {
             reaction: self.reaction.max(other.reaction),
             standstill: self.standstill.max(other.standstill),
@@ -173,7 +181,7 @@ impl fmt::Display for Figures {
 }
 
 /// Figures of `samples` for a failure at `event`.
-fn figures(file: &CellFile, samples: &[Sample], event: Instant) -> Figures {
+pub(crate) fn figures(file: &CellFile, samples: &[Sample], event: Instant) -> Figures {
     let arm = &file.arms[0];
     let joints = |sample: &Sample| {
         let mut motors = [0.0; 8];
@@ -213,10 +221,10 @@ fn child_of(parent: u32, name: &str) -> Option<u32> {
 }
 
 /// Delays every wait of the servo thread of process `pid` by a minute, until the value is dropped.
-struct Hang(Child);
+pub(crate) struct Hang(Child);
 
 impl Hang {
-    fn of(pid: u32) -> Self {
+    pub(crate) fn of(pid: u32) -> Self {
         let threads = fs::read_dir(format!("/proc/{pid}/task")).expect("the run").flatten().map(|entry| entry.path());
         let servo = |thread: &PathBuf| fs::read_to_string(thread.join("comm")).is_ok_and(|name| name.trim() == "servo");
         let thread = threads.into_iter().find(servo).expect("a servo thread");
@@ -354,7 +362,7 @@ fn guarded(name: &str, silence: Option<u32>, tries: usize) {
 const LATEST: Duration = Duration::from_millis(50);
 
 /// Longest run-out of a motor whose power stage is open.
-const RUN_OUT: Duration = Duration::from_secs(1);
+pub(crate) const RUN_OUT: Duration = Duration::from_secs(1);
 
 #[test]
 fn drives_of_a_run_that_fails_in_motion_are_stopped() {

@@ -74,7 +74,7 @@ pub enum PortError {
     #[error("interface was removed")]
     Gone,
     /// Any other error of the operating system, with its `errno`.
-    #[error("errno {0}")]
+    #[error("{}", std::io::Error::from_raw_os_error(*.0))]
     Os(i32),
 }
 

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use canopen::Object;
-use canopen::cia402::{FaultTable, ModeOfOperation};
+use canopen::cia402::{FaultTable, ModeOfOperation, PowerState, Statusword};
 use canopen::objects::{DEVICE_TYPE, SUPPORTED_MODES, VENDOR_ID};
 use canopen::sdo::AbortCode;
 use thiserror::Error;
@@ -19,7 +19,7 @@ use crate::wrench::WrenchError;
 pub enum Fault {
     /// The drive reported an error by its statusword (code in EMCY and object 0x603F, CiA 402-2 §8.4.3), or by an EMCY alone
     /// while it was commanded to be on. The code is of CiA 402-2 §7.1 or of the vendor.
-    #[error("node {node}: drive fault {code:#06x} ({text})", text = FaultTable::Epos4.text(*.code))]
+    #[error("node {node}: {}", of_code(*.code))]
     Drive { node: u8, code: u16 },
     /// Answers were missing for more cycles than the cell tolerates.
     #[error("node {node}: no answer for {cycles} cycles")]
@@ -30,7 +30,7 @@ pub enum Fault {
     NotSent { node: u8, cycles: u32 },
     /// The host's controller is error passive, and the bus took no frame of the host in these cycles: no other node
     /// acknowledges the frames. At most the frames of one cycle wait in the controller.
-    #[error("bus: no node acknowledges the host's frames, for {cycles} cycles: check plug, supply and bit rate")]
+    #[error("bus: no node acknowledges the host's frames, for {cycles} cycles")]
     NotAcknowledged { cycles: u32 },
     #[error("node {node}: no heartbeat for {waited:.1?}")]
     HeartbeatLost { node: u8, waited: Duration },
@@ -45,7 +45,7 @@ pub enum Fault {
     #[error("node {node}: left operational state")]
     LeftOperational { node: u8 },
     /// The drive left the state operation enabled without a command and without a fault (object 0x6041).
-    #[error("node {node}: power was lost (statusword {statusword:#06x})")]
+    #[error("node {node}: power was lost (statusword {statusword:#06x}, {})", state(*.statusword))]
     PowerLost { node: u8, statusword: u16 },
     /// The drive's position counter jumped by `moved` from the last plausible position. The position is refused as
     /// implausible. `within` is the longest time that may have passed since that position.
@@ -59,7 +59,10 @@ pub enum Fault {
     #[error("node {node}: mode of operation is {found}, commanded was {expected}")]
     ModeChanged { node: u8, expected: ModeOfOperation, found: ModeOfOperation },
     /// The drive did not reach the commanded state in time (object 0x6041).
-    #[error("node {node}: did not reach the asked state within {waited:.1?} (statusword {statusword:#06x})")]
+    #[error(
+        "node {node}: did not reach the asked state within {waited:.1?} (statusword {statusword:#06x}, {})",
+        state(*.statusword)
+    )]
     Stuck { node: u8, statusword: u16, waited: Duration },
     /// The drive refused a service request with an SDO abort code, or did not answer it in time (0x0504_0000).
     #[error("node {node}: {object} failed: {abort}", abort = AbortCode(*.code))]
@@ -217,6 +220,19 @@ impl BringUpError {
             _ => None,
         }
     }
+}
+
+/// `drive fault 0x2310 (over-current)`. A drive without an error code says so in words.
+fn of_code(code: u16) -> String {
+    match code {
+        0 => "drive fault, and the drive gives no error code (0x603F is 0, no EMCY)".to_owned(),
+        _ => format!("drive fault {code:#06x} ({})", FaultTable::Epos4.text(code)),
+    }
+}
+
+/// The power state of a statusword in words.
+fn state(statusword: u16) -> PowerState {
+    Statusword(statusword).power_state()
 }
 
 /// `4000` or `8000/3`.

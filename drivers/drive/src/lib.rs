@@ -14,6 +14,7 @@ mod command;
 mod fault;
 mod group;
 pub mod latest;
+mod remedies;
 mod scale;
 mod state;
 pub mod ultrasonic;

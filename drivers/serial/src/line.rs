@@ -53,7 +53,7 @@ pub enum LineError {
     #[error("line is gone")]
     Gone,
     /// Any other error of the operating system.
-    #[error("errno {0}")]
+    #[error("{}", std::io::Error::from_raw_os_error(*.0))]
     Os(i32),
 }
 

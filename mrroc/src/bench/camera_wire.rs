@@ -21,6 +21,7 @@ use crate::bench::BenchKind;
 use crate::bench::cameras::{emulated, patience};
 use crate::bench::emulation::Emulation;
 use crate::cell::{self, CellFile};
+use crate::run::crew;
 
 /// Longest wait for a connection.
 const CONNECT: Duration = Duration::from_secs(1);
@@ -54,7 +55,12 @@ pub struct Threads {
 impl Threads {
     fn start(&mut self, work: impl FnOnce(&AtomicBool) + Send + 'static) -> anyhow::Result<()> {
         let over = self.over.clone();
-        let thread = Builder::new().name("camera".into()).spawn(move || work(&over));
+        let crew = crew::current();
+        let body = move || {
+            let _member = crew::join(crew);
+            work(&over);
+        };
+        let thread = Builder::new().name("camera".into()).spawn(body);
         self.running.push(thread.context("no thread for a camera can be made")?);
         Ok(())
     }
@@ -162,6 +168,7 @@ fn read(stream: &mut TcpStream, receiver: &mut CameraReceiver, bytes: &mut [u8])
 fn listen(stream: TcpStream, mut receiver: CameraReceiver, mut bytes: Vec<u8>, address: SocketAddr, over: &AtomicBool) {
     let mut stream = Some(stream);
     while !over.load(Ordering::Relaxed) {
+        crew::point("camera");
         match &mut stream {
             Some(open) => {
                 if !read(open, &mut receiver, &mut bytes) {

@@ -108,15 +108,12 @@ pub enum GuardianError {
 pub enum GuardianFault {
     /// The guardian stopped the drives.
     #[error(
-        "no servo cycle for {silence:?}: the guardian put all drives on serial lines into their error state; check what \
-         delayed or suspended the controller (`mrroc doctor`)"
+        "no servo cycle for {silence:?}: the guardian put all drives on serial lines into their error state; check the host \
+         (`mrroc doctor`)"
     )]
     Stopped { silence: Duration },
     /// The guardian has ended, or does not run.
-    #[error(
-        "the guardian (process {pid}) has ended or was suspended: robots stopped, because drives on serial lines follow \
-         their last set-point when the controller fails; check who ended the process"
-    )]
+    #[error("the guardian (process {pid}) has ended or was suspended: all robots stopped; check who ended the process")]
     Lost { pid: u32 },
 }
 

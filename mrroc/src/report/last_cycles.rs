@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use serde::Serialize;
-use servo::{AxisRecord, Record};
+use servo::{AxisRecord, Phase, Record};
 
 /// Number of cycles up to a fault.
 const CYCLES: usize = 16;
@@ -45,6 +45,10 @@ pub(super) struct Recorded {
     faults: Vec<Vec<CycleState>>,
     /// Whether the last record has a latched fault.
     faulted: bool,
+    /// Cycles in which stops began, the last [`MOST_FAULTS`].
+    stops: VecDeque<u64>,
+    /// Whether the last record is of a robot with power that does not brake.
+    active: bool,
 }
 
 impl Recorded {
@@ -58,6 +62,22 @@ impl Recorded {
             self.faults.push(self.last.iter().map(|(record, time)| CycleState::of(record, *time)).collect());
         }
         self.faulted = record.faulted;
+        let active = match record.phase {
+            Phase::Enabling | Phase::Homing | Phase::Standing | Phase::Moving => true,
+            Phase::Off | Phase::Stopping | Phase::Faulted => false,
+        };
+        if self.active && !active {
+            if self.stops.len() == MOST_FAULTS {
+                self.stops.pop_front();
+            }
+            self.stops.push_back(record.cycle);
+        }
+        self.active = active;
+    }
+
+    /// Whether a stop began in cycle `cycle`, or in the cycle after.
+    pub(super) fn stopped_in(&self, cycle: u64) -> bool {
+        self.stops.iter().any(|stop| (cycle..=cycle.saturating_add(1)).contains(stop))
     }
 
     /// The cycles up to the fault that was latched in cycle `cycle`.

@@ -5,6 +5,7 @@
 //! keeps the cycles up to a fault.
 
 mod curves;
+mod fault;
 mod last_cycles;
 mod page;
 mod plots;
@@ -14,18 +15,16 @@ mod tool;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::mem::take;
-use std::num::NonZeroU64;
 use std::time::Duration;
 
-use controller::ecp::{ChartPhase, Class};
-use controller::executor::InstructionError;
 use drive::{Warning, Warnings};
 use serde::Serialize;
 use servo::thread::{AccountReads, LateCycle, Spike, WaitReport};
-use servo::{Histogram, Servo, StopCategory, Timing};
+use servo::{Histogram, Servo, Timing};
 
 use crate::{budget::BusBudget, cell::CellFile, wire::WireReport};
 
+pub use fault::{ErrorPlace, FaultReport};
 pub use last_cycles::{CycleState, LastCycles};
 pub(crate) use page::page;
 pub(crate) use tool::Tracks;
@@ -179,103 +178,6 @@ impl RunReport {
                 faults.count().to_string(),
             ]
         })
-    }
-}
-
-/// One fault, or an error that did not end the task.
-#[derive(Debug, PartialEq, Serialize)]
-pub struct FaultReport {
-    /// The robot; absent if it is not of one.
-    pub robot: Option<String>,
-    /// The axis, as in [`AxisReport::name`]; absent if it is not of one.
-    pub axis: Option<String>,
-    /// What happened.
-    pub what: String,
-    /// Category of the stop (IEC 60204-1), 0 to 2; null without a stop by the servo.
-    pub stop_category: Option<StopCategory>,
-    /// Place in the task, for an error of an instruction.
-    #[serde(flatten)]
-    pub place: Option<ErrorPlace>,
-    /// The axes of the robot in the last cycles up to a fault of the servo; absent if the records of these cycles were
-    /// lost.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub last_cycles: Option<LastCycles>,
-    /// The robot with a fault of the servo, and the number of a cycle in which the fault was latched.
-    #[serde(skip)]
-    pub(crate) cycle: Option<(usize, u64)>,
-}
-
-/// Place of an error in a task, and its class.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct ErrorPlace {
-    /// Class of the error.
-    pub class: Class,
-    /// Number of earlier instructions of the robot in the task.
-    pub instruction: usize,
-    /// Number of macrosteps of the motion before the error; null outside a motion.
-    pub step: Option<u64>,
-    /// Phase of the flow chart of the motion; null outside a motion.
-    pub phase: Option<ChartPhase>,
-    /// Number of the macrostep in which the servo stopped the robot, counted from the start of the run; absent for other
-    /// errors.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub macrostep: Option<NonZeroU64>,
-}
-
-impl ErrorPlace {
-    pub(crate) fn of(error: &InstructionError) -> Self {
-        let &InstructionError { instruction, step, phase, macrostep, .. } = error;
-        Self { class: error.class(), instruction, step, phase, macrostep }
-    }
-}
-
-impl FaultReport {
-    /// A fault of robot `robot`, or of one of its axes.
-    pub(crate) fn of_robot(file: &CellFile, robot: usize, axis: Option<usize>, what: String) -> Self {
-        Self {
-            robot: Some(file.cell.robot[robot].name.clone()),
-            axis: axis.map(|axis| file.axis_name(robot, axis)),
-            what,
-            stop_category: None,
-            place: None,
-            last_cycles: None,
-            cycle: None,
-        }
-    }
-
-    /// A fault of the run itself.
-    pub fn of_run(what: impl fmt::Display) -> Self {
-        Self {
-            robot: None,
-            axis: None,
-            what: format!("{what:#}"),
-            stop_category: None,
-            place: None,
-            last_cycles: None,
-            cycle: None,
-        }
-    }
-
-    /// Adds the last cycles up to a fault of the servo.
-    pub(crate) fn add_cycles(&mut self, tracks: &Tracks) {
-        self.last_cycles = self.cycle.and_then(|(robot, cycle)| tracks.up_to_fault(robot, cycle));
-    }
-
-    /// Whether `other` is the same fault, perhaps without its place.
-    pub(crate) fn is_same(&self, other: &Self) -> bool {
-        (&self.robot, &self.axis, &self.what) == (&other.robot, &other.axis, &other.what)
-    }
-}
-
-impl fmt::Display for FaultReport {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if let Some(robot) = &self.robot {
-            write!(f, "{robot}: ")?;
-        }
-        if let Some(axis) = &self.axis {
-            write!(f, "axis {axis}: ")?;
-        }
-        f.write_str(&self.what)
     }
 }
 

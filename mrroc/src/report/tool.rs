@@ -107,6 +107,12 @@ impl Tracks {
         Some(LastCycles { axes: self.axes[robot].clone(), cycles })
     }
 
+    /// Names of the robots that began to stop in cycle `cycle`, or in the cycle after.
+    pub(crate) fn stopped_in(&self, cycle: u64) -> Vec<String> {
+        let stopped = self.robots.iter().filter(|track| track.recorded.stopped_in(cycle));
+        stopped.map(|track| track.name.clone()).collect()
+    }
+
     pub(crate) fn reports(&self) -> Vec<RobotReport> {
         self.robots.iter().map(Track::report).collect()
     }

@@ -9,7 +9,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::{Builder, Thread};
 use std::time::Duration;
 
-use super::SMALL_STACK;
+use super::{SMALL_STACK, crew};
 
 /// A thread that works until this value is dropped, and then has a result.
 pub(crate) struct Background<T> {
@@ -30,9 +30,12 @@ impl<T: Send + 'static> Background<T> {
         let over = Arc::new(AtomicBool::new(false));
         let (tell, told) = sync_channel(1);
         let last = over.clone();
+        let (crew, member) = (crew::current(), name.to_owned());
         let body = move || {
+            let _member = crew::join(crew);
             while !last.load(Ordering::Relaxed) {
                 std::thread::park_timeout(period);
+                crew::point(&member);
                 work(&mut state);
             }
             // The receiver may have stopped waiting.

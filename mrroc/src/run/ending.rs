@@ -7,6 +7,7 @@ use can::Instant;
 use servo::thread::{Finished, POWER_OFF_WAIT, Running};
 use servo::{Servo, SpeedOverride, StopRequest};
 
+use super::crew::Crew;
 use crate::recording::FlightRequest;
 
 /// Requests to a run, from a signal handler or another thread.
@@ -21,6 +22,8 @@ pub struct Requests {
     /// Speed of all motion by the operator: override, pause and resume. A task can slow further, and cannot lift it.
     pub speed: SpeedOverride,
     servo: Arc<Mutex<Option<StopRequest>>>,
+    /// The threads of the run.
+    pub(crate) crew: Crew,
 }
 
 impl Requests {

@@ -22,8 +22,14 @@
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
 mod background;
+pub(crate) mod crew;
+mod descriptions;
 mod ending;
+#[cfg(test)]
+mod fault_lines;
 mod files;
+#[cfg(test)]
+mod panic_tests;
 mod running_task;
 #[cfg(test)]
 mod tests;
@@ -35,10 +41,9 @@ use std::cell::{Cell as Shared, RefCell};
 use std::fmt::Display;
 use std::io::Write as _;
 use std::mem::take;
-use std::panic::resume_unwind;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::Builder;
 use std::time::Duration;
@@ -69,10 +74,11 @@ pub(crate) use background::Background;
 use ending::Over;
 use files::{Logs, Writing};
 
+use descriptions::{of_guardian, of_servo_thread, servo_faults};
 pub use ending::{Requests, Turning, stopped_once};
 pub use running_task::Progress;
 pub(crate) use running_task::RunningTask;
-use running_task::{Rehearsals, TaskErrors, servo_faults};
+use running_task::{Rehearsals, TaskErrors};
 use tick::tick;
 pub(crate) use watch::returned;
 use watch::{Watch, watched};
@@ -202,6 +208,7 @@ pub fn run(
     let mut outputs = Outputs::new(options.replacement);
     outputs.reads(file);
     let trace = outputs.open_if("--trace", options.trace.as_deref())?;
+    let _member = requests.crew.join();
     let recording = options.record.as_deref().filter(|path| recording::is_recording(path));
     let record = outputs.open_if("--record", options.record.as_deref().filter(|_| recording.is_none()))?;
     let recording = recording.map(|path| recording::open(&mut outputs, path)).transpose()?;
@@ -270,6 +277,7 @@ pub fn run(
     let carving = bench.emulation.as_ref().map(|emulation| Carving::new(emulation.workpieces(), carved));
     let figures = task.figures();
     requests.stop_through(servo.stop_request());
+    requests.crew.stop_through(servo.stop_request());
 
     let began = clock::now();
     let unsolved = bench.emulation.as_ref().and_then(Emulation::unsolved);
@@ -283,6 +291,8 @@ pub fn run(
         _ => by_the_clock(file, servo, task, logs, (buses, bench.guardian), requests, progress)?,
     };
     let interrupted = requests.is_stopped();
+    let unwound = requests.crew.faults(file, end.faults.iter_mut().chain(&mut end.recovered));
+    end.faults.splice(..0, unwound);
     for fault in servo_faults(file, &end.servo, &end.received) {
         if !end.faults.iter().any(|known| known.is_same(&fault)) {
             end.faults.push(fault);
@@ -471,7 +481,8 @@ fn by_the_clock(
     let writing = Writing::start(logs, done.clone())?;
     let listening = wire.listen()?;
     let finished = done.clone();
-    let until = move |_: &Servo| finished.load(Ordering::Relaxed);
+    let crew = requests.crew.clone();
+    let until = move |_: &Servo| finished.load(Ordering::Relaxed) || crew.has_unwound();
     let since = match clockwork::bring_up(&mut servo, &mut emulation) {
         Ok(first) => first,
         Err(error) => {
@@ -484,7 +495,12 @@ fn by_the_clock(
     let (ticking, mut tick) = tick(file.cell.period());
     let stop_all = servo.stop_request();
     let mut pulse = guardian.as_ref().map(|guardian| guardian.pulse(servo.stop_request()));
+    let (crew, mut member) = (requests.crew.clone(), None);
     let sent = move || {
+        // The servo thread catches its panics.
+        member.get_or_insert_with(|| crew::attach(&crew));
+        crew.cycle();
+        crew::point("servo");
         ticking.sent();
         pulse.iter_mut().for_each(Pulse::beat);
     };
@@ -496,25 +512,38 @@ fn by_the_clock(
     // A panic of this thread must end the other threads too.
     let _over = Over(done.clone());
     let (rehearsed, over) = (task.rehearsed(), done.clone());
-    let rehearse = move || rehearse_aside(&rehearsed, asked, &answer, &over);
+    let crew = requests.crew.clone();
+    let rehearse = move || {
+        let _member = crew.join();
+        crew::point("rehearsal");
+        rehearse_aside(&rehearsed, asked, &answer, &over);
+    };
     Builder::new().name("rehearsal".into()).spawn(rehearse).context("no thread for rehearsals can be made")?;
-    let mut watch = Watch::of(&task.turns, true);
+    let rounds = Arc::new(AtomicU64::new(0));
+    let mut watch = Watch::of(&task.turns, true).of_rounds(rounds.clone());
+    let crew = requests.crew.clone();
     let (over, stop) = (done.clone(), requests.stop.clone());
     let control = move || {
+        let _member = crew.join();
         // Below the servo and above everything else; a host that denies this was named by the servo thread.
         let _ = thread::set_fifo(realtime.priority.saturating_sub(BELOW_SERVO).max(1));
         let show = |seen| _ = tell.try_send(seen);
         let mut carrying = task.begin(Rehearsals::Aside { ask, verdicts });
         while !over.load(Ordering::Relaxed) && carrying.poll(clock::now(), show) && !stop.load(Ordering::Relaxed) {
             tick.wait();
+            rounds.fetch_add(1, Ordering::Relaxed);
+            crew::point("controller");
         }
         carrying.finish()
     };
     let controller = Builder::new().name("controller".into()).spawn(control);
     let controller = controller.context("no thread for the controller can be made")?;
+    // Number of cycles at which a fault of the guardian was noticed.
+    let mut noticed = None;
     let hung = loop {
         if guardian.as_mut().is_some_and(|guardian| guardian.look(&stop_all).is_some()) {
             done.store(true, Ordering::Relaxed);
+            noticed.get_or_insert(requests.crew.cycles());
         }
         match told.recv_timeout(watch::LOOK) {
             Ok(seen) => progress(seen),
@@ -528,7 +557,8 @@ fn by_the_clock(
         }
     };
     let TaskErrors { mut faults, recovered, received } = match hung {
-        None => controller.join().unwrap_or_else(|panic| resume_unwind(panic)),
+        // The crew has the message of a panic.
+        None => controller.join().unwrap_or_default(),
         // The thread is left behind.
         Some(hung) => TaskErrors { faults: vec![FaultReport::of_run(hung)], ..TaskErrors::default() },
     };
@@ -550,13 +580,12 @@ fn by_the_clock(
         // The request or the guardian broke off the instructions of the task.
         faults.retain(|fault| fault.robot.is_none());
     }
-    faults.splice(..0, guarded.map(FaultReport::of_run));
-    faulted.store(!faults.is_empty() || ended.panicked.is_some(), Ordering::Relaxed);
+    let time = noticed.map(|cycles| crew::time_of(file, cycles));
+    faults.splice(..0, guarded.map(|fault| of_guardian(file, fault, time)));
+    faulted.store(!faults.is_empty() || ended.panicked.is_some() || requests.crew.has_unwound(), Ordering::Relaxed);
     let (written, tracks) = writing.finish(file);
     faults.extend(written.err().map(FaultReport::of_run));
-    if let Some(panicked) = ended.panicked {
-        faults.push(FaultReport::of_run(format!("the servo thread panicked: {panicked:?}")));
-    }
+    faults.splice(..0, ended.panicked.map(|panicked| of_servo_thread(file, panicked, requests.crew.cycles())));
     Ok(RunEnd {
         servo: ended.servo,
         tracks,

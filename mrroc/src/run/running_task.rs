@@ -6,21 +6,21 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
 
 use can::Instant;
-use controller::ecp::{EcpError, StepRecords, Subcontrollers};
-use controller::executor::{Ended, Executor, InstructionError, News, NotedError, SystemError, Turns};
+use controller::ecp::{StepRecords, Subcontrollers};
+use controller::executor::{Ended, Executor, News, NotedError, SystemError, Turns};
 use controller::generator::{Axes, PlannedStart};
 use controller::sensor::ForceTorque;
 use drive::camera::CameraLink;
 use drive::cia401::IoLink;
 use drive::ultrasonic::UltrasonicLink;
-use drive::{EmergencyStop, Fault};
-use servo::{EffectorLink, Phase, Servo, ServoFault, SpeedOverride, StopCause, StopRequest};
+use servo::{EffectorLink, Phase, Servo, SpeedOverride, StopRequest};
 use thiserror::Error;
 
+use super::descriptions::{describe, force_faults, io_faults, matrix_faults};
 use super::worker::Worker;
 use crate::cell::CellFile;
 use crate::rehearsal::{Course, Rehearsed, homes, rehearse_again};
-use crate::report::{ErrorPlace, FaultReport};
+use crate::report::FaultReport;
 use crate::setup;
 use crate::tasks::{Equipment, Figures, Program, TaskError};
 
@@ -175,6 +175,7 @@ impl RunningTask {
         let mut executor = program.begin(&file, equipment, false, turns);
         let robots = homes(&file).into_iter().zip(moved).map(|(home, moved)| RunningRobot::at(home, moved));
         let robots: Vec<_> = robots.collect();
+        let noticed = vec![None; io.len() + sensors.len() + matrices.len()];
         (0..robots.len()).for_each(|robot| executor.hold(robot, true));
         Carrying {
             executor,
@@ -189,6 +190,8 @@ impl RunningTask {
             verdicts: Vec::new(),
             robots,
             refusals: Vec::new(),
+            began: None,
+            noticed,
         }
     }
 }
@@ -209,6 +212,10 @@ pub(super) struct Carrying {
     robots: Vec<RunningRobot>,
     /// Refusals from the present positions of robots.
     refusals: Vec<FaultReport>,
+    /// Time of the first poll.
+    began: Option<Instant>,
+    /// Time since the first poll, s, of the fault of each I/O node, force sensor and ultrasonic matrix, in this order.
+    noticed: Vec<Option<f64>>,
 }
 
 /// A robot of a task under way.
@@ -275,6 +282,7 @@ impl Carrying {
     /// receives the progress and must not wait.
     pub(super) fn poll(&mut self, now: Instant, mut tell: impl FnMut(Progress)) -> bool {
         self.judge();
+        self.notice(now);
         let Self { executor, robots, .. } = self;
         let expected = self.instructions;
         let before: Vec<_> = robots.iter().map(|it| (it.phase, it.ended)).collect();
@@ -317,6 +325,17 @@ impl Carrying {
         busy
     }
 
+    /// Notes the times of new faults of devices that stop no axis.
+    fn notice(&mut self, now: Instant) {
+        let time = now.since(*self.began.get_or_insert(now)).as_secs_f64();
+        let io = self.io.iter().map(|link| link.inputs.read().fault.is_some());
+        let sensors = self.sensors.iter().map(|sensor| sensor.link().read().fault.is_some());
+        let matrices = self.matrices.iter().map(|link| link.read().fault.is_some());
+        for (noticed, faulted) in self.noticed.iter_mut().zip(io.chain(sensors).chain(matrices)) {
+            *noticed = faulted.then(|| noticed.unwrap_or(time));
+        }
+    }
+
     /// Ends the task, and returns its errors and the faults of the I/O nodes. The drive groups still exist.
     pub(super) fn finish(self) -> TaskErrors {
         let (ended, mut noted) = self.executor.finish();
@@ -333,8 +352,10 @@ impl Carrying {
             noted.retain(|noted| Some(&noted.error) != of_instruction);
             faults.push(of_instruction.map_or_else(|| FaultReport::of_run(&error), |error| describe(file, error)));
         }
-        faults.extend(io_faults(file, &self.io));
-        for fault in force_faults(file, &self.sensors).chain(matrix_faults(file, &self.matrices)) {
+        let mut noticed = self.noticed.into_iter().flatten();
+        let of_devices = io_faults(file, &self.io).chain(force_faults(file, &self.sensors));
+        for fault in of_devices.chain(matrix_faults(file, &self.matrices)) {
+            let fault = FaultReport { time_s: noticed.next(), ..fault };
             // This error may have ended the task.
             if !faults.iter().any(|known| known.is_same(&fault)) {
                 faults.push(fault);
@@ -406,100 +427,4 @@ impl Carrying {
             }
         }
     }
-}
-
-/// The error of an instruction, with the names of the cell.
-fn describe(file: &CellFile, error: &InstructionError) -> FaultReport {
-    let robot = error.robot;
-    let fault = match error.cause {
-        EcpError::Servo(fault) => describe_fault(file, robot, &fault),
-        cause => FaultReport::of_robot(file, robot, None, file.cell.robot[robot].naming_axes(cause)),
-    };
-    let servo = matches!(error.cause, EcpError::Servo(_));
-    FaultReport { place: Some(ErrorPlace::of(error)), cycle: servo.then_some((robot, error.cycle)), ..fault }
-}
-
-/// A fault of the servo, with the names of the cell.
-fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) -> FaultReport {
-    let axis = fault.axis.map(usize::from);
-    // Some faults concern the bus and all axes on it.
-    let of_bus = match fault.cause {
-        StopCause::Drive(Fault::Port(error)) => Some(error.to_string()),
-        StopCause::Drive(Fault::NotAcknowledged { cycles }) => Some(format!(
-            "no node acknowledges the host's frames, for {cycles} cycles: check plug, supply and bit rate"
-        )),
-        StopCause::Drive(Fault::OtherController { sign }) => {
-            Some(format!("another controller is at work: it sent {sign}"))
-        }
-        _ => None,
-    };
-    if let Some((what, axis)) = of_bus.zip(axis) {
-        let bus = &file.cell.robot[robot].axis[axis].bus;
-        let of_bus = FaultReport::of_robot(file, robot, None, format!("bus {bus}: {what}"));
-        return FaultReport { stop_category: Some(fault.category), ..of_bus };
-    }
-    let what = match fault.cause {
-        StopCause::EmergencyStop(stop) => emergency_stop(file, &stop),
-        cause => cause.to_string(),
-    };
-    let of_axis = FaultReport::of_robot(file, robot, axis, what);
-    FaultReport { stop_category: Some(fault.category), ..of_axis }
-}
-
-/// An emergency stop, with the names of the I/O node and its input.
-fn emergency_stop(file: &CellFile, stop: &EmergencyStop) -> String {
-    let nodes = file.cell.io.iter().filter(|io| io.node == stop.node);
-    let inputs = nodes.flat_map(|io| io.input.iter().map(move |input| (io, input)));
-    let found = inputs.into_iter().find(|(_, input)| input.line == stop.input && input.emergency_stop);
-    match found {
-        Some((io, input)) => format!("input {} of I/O node {}: {stop}", input.name, io.name),
-        None => stop.to_string(),
-    }
-}
-
-/// The latched faults of the I/O nodes of a cell. The axes do not stop by such a fault.
-pub(super) fn io_faults(file: &CellFile, links: &[IoLink]) -> impl Iterator<Item = FaultReport> {
-    let nodes = file.cell.io.iter().zip(links);
-    let faults = nodes.filter_map(|(io, link)| Some((io, link.inputs.read().fault?)));
-    faults.map(|(io, fault)| FaultReport::of_run(format!("I/O node {}: {fault}", io.name)))
-}
-
-/// The latched faults of the force sensors of a cell. The axes do not stop by such a fault.
-fn force_faults(file: &CellFile, sensors: &[ForceTorque]) -> impl Iterator<Item = FaultReport> {
-    let sensors = file.cell.force_sensor.iter().zip(sensors);
-    let faults = sensors.filter_map(|(given, sensor)| Some((given, sensor.link().read().fault?)));
-    faults.map(|(given, fault)| FaultReport::of_run(format!("force sensor {}: {fault}", given.name)))
-}
-
-/// The latched faults of the ultrasonic matrices of a cell. The axes do not stop by such a fault.
-fn matrix_faults(file: &CellFile, matrices: &[UltrasonicLink]) -> impl Iterator<Item = FaultReport> {
-    let matrices = file.cell.ultrasonic.iter().zip(matrices);
-    let faults = matrices.filter_map(|(given, link)| Some((given, link.read().fault?)));
-    faults.map(|(given, fault)| FaultReport::of_run(format!("ultrasonic matrix {}: {fault}", given.name)))
-}
-
-/// The fault that the servo latched for each robot, unless the task `received` it, and a fault if some robots still
-/// have power.
-pub(crate) fn servo_faults(file: &CellFile, servo: &Servo, received: &[bool]) -> Vec<FaultReport> {
-    let robots = &file.cell.robot;
-    let latched = |robot| {
-        let fault = describe_fault(file, robot, &servo.fault(robot)?);
-        Some(FaultReport { cycle: Some((robot, u64::MAX)), ..fault })
-    };
-    let unknown = (0..robots.len()).filter(|robot| received.get(*robot) != Some(&true));
-    let mut faults: Vec<_> = unknown.filter_map(latched).collect();
-    if !servo.is_off() {
-        // The servo reports the power of all robots together.
-        let names: Vec<_> = robots.iter().map(|robot| robot.name.as_str()).collect();
-        faults.push(FaultReport {
-            robot: Some(names.join(" or ")),
-            axis: None,
-            stop_category: None,
-            place: None,
-            cycle: None,
-            last_cycles: None,
-            what: "still has power, or did not say otherwise".into(),
-        });
-    }
-    faults
 }

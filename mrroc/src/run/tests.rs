@@ -7,7 +7,7 @@ use controller::generator::Axes;
 use drive::DriveGroup;
 use servo::Phase;
 
-use super::running_task::io_faults;
+use super::descriptions::io_faults;
 use super::*;
 use crate::prelude::*;
 use crate::rehearsal::{Course, IdealDrives, Rehearsed, homes, rehearse, rehearse_again};
@@ -85,7 +85,7 @@ impl Stage {
             if !self.turn() {
                 let errors = self.carrying.finish();
                 let faults = servo_faults(&self.file, &self.servo, &errors.received);
-                return (errors, faults.into_iter().filter(|fault| fault.cycle.is_some()).collect());
+                return (errors, faults.into_iter().filter(|fault| fault.latched.is_some()).collect());
             }
         }
         panic!("the task does not end: {:?}", self.phases);

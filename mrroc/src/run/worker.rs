@@ -9,6 +9,8 @@ use std::thread::Builder;
 
 use controller::ecp::{Plan, Planner};
 
+use super::crew;
+
 /// Handle of a planning thread, held by the controller.
 pub(super) struct Worker {
     plans: SyncSender<Plan>,
@@ -22,8 +24,11 @@ impl Worker {
     pub(super) fn start() -> io::Result<Self> {
         let (plans, taken) = sync_channel::<Plan>(1);
         let (computed, results) = sync_channel(1);
+        let crew = crew::current();
         let body = move || {
+            let _member = crew::join(crew);
             for mut plan in taken {
+                crew::point("planning");
                 plan.compute();
                 if computed.send(plan).is_err() {
                     return;

@@ -1,11 +1,16 @@
 //! The cycle law of an effector: its installation, its displacements, and their bounds.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
 use super::motion::Failed;
 use super::{Effector, Tick};
 use crate::axis::ServoAxis;
 use crate::interpolate::Segment;
 use crate::limit::{self, RELATIVE_TOLERANCE};
-use crate::{CycleLaw, Knot, LawAxis, LawBound, LawError, LawInput, LawOutput, MAX_AXES, Macrostep, StopCause};
+use crate::{
+    CycleLaw, Knot, LawAxis, LawBound, LawError, LawFault, LawInput, LawOutput, LawParameters, MAX_AXES, Macrostep,
+    StopCause,
+};
 
 /// A law and its state.
 pub(crate) struct Installed {
@@ -13,6 +18,8 @@ pub(crate) struct Installed {
     bounds: [LawBound; MAX_AXES],
     /// The law displaces the set-points of the motion under way.
     active: bool,
+    /// The law panicked, and is not called again.
+    panicked: bool,
     /// Present displacements: positions, velocities and accelerations. All are at rest at zero while not `active`.
     displacement: [Knot; MAX_AXES],
 }
@@ -47,6 +54,32 @@ impl Installed {
     }
 }
 
+impl Installed {
+    /// [`CycleLaw::check`]. A law that panicked refuses every macrostep.
+    fn check(&self, parameters: &LawParameters) -> Result<(), LawFault> {
+        if self.panicked {
+            return Err(LawFault::Panicked);
+        }
+        catch_unwind(AssertUnwindSafe(|| self.law.check(parameters))).unwrap_or(Err(LawFault::Panicked))
+    }
+
+    /// [`CycleLaw::begin`] in the first cycle of a motion, and [`CycleLaw::shift`].
+    fn shift(&mut self, input: &LawInput<'_>, parameters: &LawParameters) -> LawOutput {
+        let (law, active) = (&mut self.law, self.active);
+        let shifted = catch_unwind(AssertUnwindSafe(|| {
+            if !active {
+                law.begin(input, parameters);
+            }
+            law.shift(input, parameters)
+        }));
+        self.active = true;
+        shifted.unwrap_or_else(|_| {
+            self.panicked = true;
+            LawOutput::Fault(LawFault::Panicked)
+        })
+    }
+}
+
 impl Effector {
     pub(crate) fn install_law(&mut self, law: Box<dyn CycleLaw>, bounds: &[LawBound]) -> Result<(), LawError> {
         let effector = usize::from(self.index);
@@ -56,7 +89,8 @@ impl Effector {
         }
         let none = LawBound { displacement: 0.0, speed: 0.0 };
         let bounds = std::array::from_fn(|axis| bounds.get(axis).copied().unwrap_or(none));
-        self.law = Some(Installed { law, bounds, active: false, displacement: [Knot::default(); MAX_AXES] });
+        self.law =
+            Some(Installed { law, bounds, active: false, panicked: false, displacement: [Knot::default(); MAX_AXES] });
         Ok(())
     }
 
@@ -75,7 +109,7 @@ impl Effector {
             (Some(_), Some(parameters)) if !parameters.0.iter().all(|value| value.is_finite()) => {
                 Err(StopCause::NotFinite)
             }
-            (Some(installed), Some(parameters)) => installed.law.check(parameters).map_err(StopCause::Law),
+            (Some(installed), Some(parameters)) => installed.check(parameters).map_err(StopCause::Law),
         }
     }
 
@@ -111,11 +145,7 @@ impl Effector {
             axes: &seen[..self.axes.len()],
             trail: &trail,
         };
-        if !installed.active {
-            installed.law.begin(&input, parameters);
-            installed.active = true;
-        }
-        let displacements = match installed.law.shift(&input, parameters) {
+        let displacements = match installed.shift(&input, parameters) {
             LawOutput::Displacement(displacements) => displacements,
             LawOutput::Touched => return Err((None, StopCause::Touched)),
             LawOutput::Fault(fault) => return Err((None, StopCause::Law(fault))),

@@ -39,7 +39,7 @@ const fn epos4_range(code: u16) -> Option<&'static str> {
 
 /// The text of CiA for a code, or for its group.
 fn of_cia(code: u16) -> Option<&'static str> {
-    find(CIA, code).or_else(|| find(CIA, code & 0xFF00))
+    find(CIA, code).or_else(|| find(CIA, code & 0xFF00).filter(|_| code > 0x00FF))
 }
 
 fn find(table: &[(u16, &'static str)], code: u16) -> Option<&'static str> {
@@ -50,20 +50,20 @@ fn find(table: &[(u16, &'static str)], code: u16) -> Option<&'static str> {
 /// The error classes of EMCY (CiA 301 §7.2.7.1).
 const fn class(code: u16) -> &'static str {
     match code {
-        0x0000..=0x00FF => "no error",
+        0x0000 => "no error",
         0x1000..=0x1FFF => "generic error",
-        0x2000..=0x2FFF => "current",
-        0x3000..=0x3FFF => "voltage",
-        0x4000..=0x4FFF => "temperature",
-        0x5000..=0x5FFF => "hardware",
-        0x6000..=0x6FFF => "software",
-        0x7000..=0x7FFF => "additional modules",
-        0x8000..=0x80FF => "monitoring",
-        0x8100..=0x81FF => "communication",
-        0x8200..=0x82FF => "protocol",
-        0x8300..=0x8FFF => "monitoring",
+        0x2000..=0x2FFF => "error of class current",
+        0x3000..=0x3FFF => "error of class voltage",
+        0x4000..=0x4FFF => "error of class temperature",
+        0x5000..=0x5FFF => "error of class hardware",
+        0x6000..=0x6FFF => "error of class software",
+        0x7000..=0x7FFF => "error of class additional modules",
+        0x8000..=0x80FF => "error of class monitoring",
+        0x8100..=0x81FF => "error of class communication",
+        0x8200..=0x82FF => "error of class protocol",
+        0x8300..=0x8FFF => "error of class monitoring",
         0x9000..=0x9FFF => "external error",
-        0xF000..=0xF0FF => "additional functions",
+        0xF000..=0xF0FF => "error of class additional functions",
         0xFF00..=0xFFFF => "device specific",
         _ => "unknown error code",
     }
@@ -290,13 +290,15 @@ mod tests {
             (FaultTable::Cia402, 0x6185, "internal software"),
             (FaultTable::Cia402, 0x8613, "positioning controller"),
             (FaultTable::Epos4, 0x8613, "positioning controller"),
-            (FaultTable::Cia402, 0x6213, "software"),
+            (FaultTable::Cia402, 0x6213, "error of class software"),
             (FaultTable::Cia401, 0x2330, "load dump at the outputs"),
-            (FaultTable::Cia401, 0x2340, "current"),
+            (FaultTable::Cia401, 0x2340, "error of class current"),
             (FaultTable::Cia401, 0x8130, "heartbeat or life guard error"),
-            (FaultTable::Cia401, 0x8311, "monitoring"),
-            (FaultTable::Cia401, 0x6100, "software"),
+            (FaultTable::Cia401, 0x8311, "error of class monitoring"),
+            (FaultTable::Cia401, 0x6100, "error of class software"),
             (FaultTable::Cia402, 0xA123, "unknown error code"),
+            (FaultTable::Epos4, 0x0042, "unknown error code"),
+            (FaultTable::Epos4, 0x0000, "no error"),
         ];
         for (faults, code, text) in table {
             assert_eq!(faults.text(code), text, "{faults:?} {code:#06x}");

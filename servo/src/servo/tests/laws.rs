@@ -178,6 +178,34 @@ fn a_law_that_still_moves_at_the_end_of_the_motion_is_braked_to_a_stand() {
 }
 
 #[test]
+fn a_law_that_panics_brakes_the_effector_in_category_1_and_is_not_called_again() {
+    let (law, seen) = Scripted::new(|call, _| if call < 57 { all(0.0) } else { panic!("as the test asks") });
+    let mut rig = rig(1, law);
+    for macrostep in constant_speed(20) {
+        rig.order(Order::Move(with_law(macrostep, 0.0)));
+    }
+    rig.run(57);
+    let panicked = StopCause::Law(LawFault::Panicked);
+    assert_eq!((rig.phase(), rig.cause()), (Phase::Stopping, Some(panicked)));
+    let positions = rig.positions(0);
+    let step = |at: usize| positions[at] - positions[at - 1];
+    assert!((step(56) / step(55) - 0.95).abs() < 1e-9, "{} {}", step(56), step(55));
+    rig.run(100);
+    keeps_limits(&rig.positions(0)).unwrap();
+    assert_eq!((rig.phase(), rig.servo.is_off()), (Phase::Faulted, true));
+    assert_eq!(rig.servo.fault(0).map(|fault| fault.category), Some(crate::StopCategory::One));
+    let calls = seen.lock().unwrap().len();
+    rig.order(Order::ResetFault);
+    rig.run(2);
+    rig.order(Order::Enable);
+    rig.run_until(Phase::Standing);
+    let at = *rig.positions(0).last().unwrap();
+    rig.order(Order::Move(with_law(macrostep(21, 10, at, 0.0), 0.0)));
+    rig.run(3);
+    assert_eq!((rig.cause(), seen.lock().unwrap().len()), (Some(panicked), calls));
+}
+
+#[test]
 fn a_touch_brakes_in_its_cycle_and_refuses_motion_until_it_is_acknowledged() {
     let mut rig = rig(1, Scripted::law(|call, _| if call < 57 { all(0.0) } else { LawOutput::Touched }));
     for macrostep in constant_speed(20) {

@@ -143,7 +143,7 @@ fn an_emcy_of_an_io_node_has_the_text_of_its_profile_and_not_that_of_a_drive() {
         [
             "node 5: EMCY 0x2320 (short circuit at the outputs), error register 0x03",
             "node 2: EMCY 0x2320 (power stage protection), error register 0x03",
-            "node 5: EMCY 0x8182 (communication), error register 0x81",
+            "node 5: EMCY 0x8182 (error of class communication), error register 0x81",
         ]
     );
 }

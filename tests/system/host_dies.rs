@@ -1,0 +1,170 @@
+//! Drives on CAN whose host dies, is suspended or hangs in motion: they stop by themselves, because each drive watches the
+//! heartbeat of the host.
+//!
+//! `mrroc run` is a process of its own, and the emulator is in this process behind an slcan adapter. The true angles of the
+//! motors are read in the time of the emulator.
+//! `cargo test -p mrroc-tests host_dies_20 -- --ignored --nocapture` makes 20 tries of each failure and prints figures.
+
+use std::fs;
+use std::path::Path;
+use std::time::Duration;
+
+use ::mrroc::bench::emulated_lines::EmulatedLines;
+use ::mrroc::bench::plants::EmulatedCell;
+use ::mrroc::cell::{Cell, CellFile};
+use can::{Instant, Port, Received, clock};
+use canopen::sync::Sync;
+use hil::{Pty, World};
+
+use crate::bench::{patient_turn, turn};
+use crate::guardian::{ATTEMPTS, Emulator, Failure, Figures, Hang, RUN_OUT, Sample, figures, moved};
+use crate::mrroc::{Directory, Running, shorten};
+
+const FAILURES: [Failure; 5] = [
+    Failure::Kill,
+    Failure::Pause(Duration::from_millis(30)),
+    Failure::Pause(Duration::from_millis(400)),
+    Failure::Pause(Duration::from_secs(5)),
+    Failure::Hang,
+];
+
+/// Shortest silence of a host that has failed. The host may delay a cycle by less.
+const GAP: Duration = Duration::from_millis(20);
+
+/// Delays of the emulator by the host, which runs other tests meanwhile.
+const LATE: Duration = Duration::from_millis(50);
+
+/// The emulated drives of CAN bus 0 behind an adapter on `link`. Each sample has the number of SYNC messages.
+fn emulator(file: &CellFile, link: &Path) -> Emulator {
+    let emulated = EmulatedCell::of(file);
+    let mut lines = EmulatedLines::default();
+    let bus = lines.add_bus(&emulated, 0, Pty::linked(link).expect("a pseudo-terminal"));
+    let mut listener = lines.world.host_port(bus, 1 << 12);
+    let drives: Vec<_> = emulated.ids().drives.values().copied().collect();
+    let sync = Sync::default().encode();
+    let (mut syncs, mut frames) = (0, [Received { frame: sync, at: Instant::ZERO }; 64]);
+    let sample = move |world: &World, at: Instant| {
+        loop {
+            let count = listener.receive(Instant::FAR_FUTURE, &mut frames).expect("a virtual bus");
+            syncs += frames[..count].iter().filter(|received| received.frame == sync).count() as u64;
+            if count < frames.len() {
+                break;
+            }
+        }
+        let motors = drives.iter().map(|drive| world.plant(*drive).expect("a drive has a plant").angle()).collect();
+        Sample { wall: clock::now(), at, motors, error: false, bytes: syncs }
+    };
+    Emulator::serve(lines, sample)
+}
+
+struct Rig<'a> {
+    directory: &'a Directory,
+    file: &'a CellFile,
+    cell: &'a Path,
+    link: &'a Path,
+    emulator: &'a Emulator,
+}
+
+impl Rig<'_> {
+    fn start(&self, record: &Path) -> Running {
+        let can = format!("--can=slcan:{}", self.link.display());
+        let (cell, record) = (self.cell.as_os_str(), record.as_os_str());
+        let run = ["run".as_ref(), cell, "--bench=card".as_ref(), can.as_ref(), "--json".as_ref()];
+        Running::start(run.into_iter().chain(["--record".as_ref(), record]))
+    }
+
+    /// Lets a run fail in its cycle `rows` of motion. `None` if the host had disturbed the run before.
+    fn fails(&self, failure: Failure, rows: usize) -> Option<Figures> {
+        let record = self.directory.path("record.csv");
+        let _ = fs::remove_file(&record);
+        self.emulator.samples.lock().expect("no panic").clear();
+        let began = clock::now();
+        let run = self.start(&record);
+        let moving = ",wrist-roll,Moving,";
+        let broken = |text: &str| text.contains(",Stopping,") || text.contains(",Faulted,");
+        let begun = run.ended_before(&record, |text| text.matches(moving).count() > rows || broken(text));
+        if begun.is_err() || broken(&fs::read_to_string(&record).expect("the record")) {
+            println!("again, the host disturbed the run: {begun:?}");
+            return None;
+        }
+        let event = clock::now();
+        let mut hang = None;
+        match failure {
+            Failure::Kill => run.signal("KILL"),
+            Failure::Pause(time) => {
+                run.signal("STOP");
+                clock::sleep_until(clock::now() + time);
+                run.signal("CONT");
+            }
+            Failure::Hang => hang = Some(Hang::of(run.id())),
+            Failure::Unguarded => unreachable!("a cell without serial lines has no guardian"),
+        }
+        let stands = self.emulator.at_rest(began);
+        drop(hang);
+        let ended = run.output();
+        let after = self.emulator.at_rest(began);
+        if failure != Failure::Kill {
+            assert_eq!(ended.status.code(), Some(1), "{failure:?}: {ended:?}");
+            assert_ne!(ended.json()["faults"], serde_json::json!([]), "{failure:?}: {ended:?}");
+        }
+        // A drive without power falls by less than the brake's play.
+        let (rested, last) = (stands.last().expect("samples"), after.last().expect("samples"));
+        assert!(!moved(rested, last), "{failure:?}: the robot moved again: {rested:?} {last:?}");
+        Some(figures(self.file, &after, last_sync(&after, event)))
+    }
+
+    /// Lets runs fail until one was not disturbed before.
+    fn figures(&self, failure: Failure, rows: usize) -> Figures {
+        let figures = (0..ATTEMPTS).find_map(|_| self.fails(failure, rows));
+        figures.expect("a host that can run the cell for a moment")
+    }
+}
+
+/// Time of the last SYNC before the first silence of the host after `event`.
+fn last_sync(samples: &[Sample], event: Instant) -> Instant {
+    let pairs = samples.windows(2);
+    let syncs: Vec<_> = pairs.filter(|pair| pair[0].bytes != pair[1].bytes).map(|pair| &pair[1]).collect();
+    let gap = |pair: &&[&Sample]| pair[1].wall > event && pair[1].at.since(pair[0].at) >= GAP;
+    let last = syncs.windows(2).find(gap).map_or(*syncs.last().expect("SYNC messages"), |pair| pair[0]);
+    last.wall
+}
+
+/// Tries every failure `tries` times. All axes are at a standstill within three heartbeat periods and the run-out.
+fn dies(tries: usize) {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6", |cell: &mut Cell| {
+        shorten(cell);
+        cell.max_missed_in_row = 9;
+        cell.flight_recorder_s = 0;
+        for axis in &mut cell.robot[0].axis {
+            axis.following_error = 100.0;
+        }
+    });
+    let file = CellFile::read(&cell).expect("the cell");
+    let link = directory.path("can0");
+    let emulator = emulator(&file, &link);
+    let rig = Rig { directory: &directory, file: &file, cell: &cell, link: &link, emulator: &emulator };
+    let heartbeats = 3 * Duration::from_millis(u64::from(file.cell.bus[0].heartbeat_ms));
+    for failure in FAILURES {
+        let mut worst = Figures::default();
+        for number in 0..tries {
+            let figures = rig.figures(failure, 300 + 150 * (number % 8));
+            worst = worst.worst(figures);
+            assert!(figures.standstill <= heartbeats + LATE + RUN_OUT, "{failure:?}: {figures}");
+        }
+        println!("irb6 behind slcan, {failure:?}, worst of {tries}: {worst}");
+    }
+}
+
+#[test]
+fn drives_on_can_stop_by_themselves_when_their_host_fails_in_motion() {
+    let _turn = patient_turn();
+    dies(1);
+}
+
+#[test]
+#[ignore = "twenty tries of each failure, for figures"]
+fn host_dies_20() {
+    let _turn = turn();
+    dies(20);
+}
