@@ -109,6 +109,24 @@ mod tests {
     }
 
     #[test]
+    fn a_set_point_at_a_limit_with_its_tolerance_passes() {
+        // Periods and positions without rounding.
+        const DT: f64 = 0.5;
+        let limits = ServoAxisConfig { min_position: -1e3, max_position: 1e3, ..limits() };
+        let fastest = limits.max_velocity * (1.0 + RELATIVE_TOLERANCE);
+        let hardest = limits.max_acceleration * (1.0 + RELATIVE_TOLERANCE);
+        for sign in [1.0, -1.0] {
+            let step = sign * fastest * DT;
+            assert_eq!(check(&limits, -step, 0.0, step, DT), Ok(()));
+            let fast = ServoAxisConfig { max_velocity: 1e3, ..limits };
+            let step = sign * hardest * DT * DT;
+            assert_eq!(check(&fast, 0.0, 0.0, step, DT), Ok(()));
+            let beyond = sign * (limits.max_position + POSITION_TOLERANCE);
+            assert_eq!(check_position(&limits, 0.0, beyond), Ok(()));
+        }
+    }
+
+    #[test]
     fn each_limit_is_named_with_both_sides() {
         type Case = (f64, f64, f64, Option<StopCause>);
         let beyond = |position, limit| Some(StopCause::PositionLimit { position, limit });

@@ -90,6 +90,5 @@ fn converse(nodes: &mut Nodes, port: &mut VirtualPort, now: &mut Instant, input:
         while port.receive(*now, &mut into).is_ok_and(|count| count == into.len()) {}
         nodes.check();
     }
-    // Restarted nodes boot, and answer.
     Ok(())
 }
