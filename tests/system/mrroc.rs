@@ -184,6 +184,10 @@ impl Running {
     }
 
     fn spawn_with(command: &mut Command) -> Self {
+        // A run on a card writes its last seconds to its working directory after a fault.
+        if command.get_current_dir().is_none() {
+            command.current_dir(env!("CARGO_TARGET_TMPDIR"));
+        }
         let mut child = command
             .stderr(Stdio::piped())
             .spawn()
