@@ -265,6 +265,8 @@ fn replays(recording: &Recording, cell: &Cell, states: &str, tolerance: f64) {
     let (port, mut sent) = recording.port();
     let mut group = CanBus::new(port, config, &axes).unwrap();
     assert_eq!(recording.bring_up(&mut group), Poll::Ready(Ok(())));
+    // The group sends nothing while frames of an earlier cycle wait.
+    let mut replayed: Vec<_> = std::iter::from_fn(|| sent.take_sent()).collect();
 
     let rows: Vec<_> = states.lines().skip(1).map(Row::parse).collect();
     let cycles: Vec<_> = rows.chunks(axes.len()).collect();
@@ -287,12 +289,12 @@ fn replays(recording: &Recording, cell: &Cell, states: &str, tolerance: f64) {
         let commands: Vec<_> = cycle.iter().map(|row| row.command).collect();
         group.write(now, &commands);
         group.send(now);
+        replayed.extend(std::iter::from_fn(|| sent.take_sent()));
         syncs += 1;
     }
     assert_eq!((recording.syncs().count(), cycles.len()), (syncs, syncs));
 
-    let replayed = std::iter::from_fn(|| sent.take_sent());
-    let replayed = by_identifier(replayed.map(|sent| sent.frame));
+    let replayed = by_identifier(replayed.into_iter().map(|sent| sent.frame));
     let live = by_identifier(recording.from_host().map(|received| received.frame));
     for (id, live) in &live {
         let replayed = replayed.get(id).map_or(&[][..], Vec::as_slice);
