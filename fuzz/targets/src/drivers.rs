@@ -294,8 +294,8 @@ fn matrix(input: &mut Unstructured, in_bring_up: bool) {
         if let Some(scan) = state.measured() {
             assert!(state.fault.is_none());
             for shot in 0..shots {
-                let most = Duration::from_micros(65_534);
-                assert!((0..echoes).all(|echo| scan.echo(shot, echo).is_none_or(|time| time <= most)), "{scan:?}");
+                let within_slot = |echo| scan.echo(shot, echo).is_none_or(|time| time <= config.slot);
+                assert!((0..echoes).all(within_slot), "{scan:?}");
             }
         }
         if choice < 8 {

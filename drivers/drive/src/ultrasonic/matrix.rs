@@ -4,7 +4,7 @@ use std::task::Poll;
 
 use can::{Counters, Instant};
 use serial::Line;
-use serial::ultrasonic::{Element, Reply, Request};
+use serial::ultrasonic::{Element, NO_ECHO, Reply, Request};
 
 use super::bring_up::BringUp;
 use super::config::{UltrasonicConfig, UltrasonicConfigError};
@@ -121,6 +121,9 @@ impl<L: Line> UltrasonicMatrix<L> {
             self.exchange = Exchange::Idle;
             return;
         }
+        let slot = self.config.slot_on_wire();
+        // No echo is received after the firing slot.
+        let within_slot = |time: u16| time == NO_ECHO || time <= slot;
         let skipped = self.receiver.skipped;
         let mut strange = false;
         for index in 0..count {
@@ -131,7 +134,8 @@ impl<L: Line> UltrasonicMatrix<L> {
             let reply = Reply::decode(body);
             let taken = match (self.exchange, reply) {
                 (Exchange::Queried { query: Request::Row(asked), at }, Some(Reply::Row { row, times })) => {
-                    let fits = row == asked && times.iter().count() == usize::from(self.config.size);
+                    let whole = times.iter().count() == usize::from(self.config.size);
+                    let fits = row == asked && whole && times.iter().all(within_slot);
                     if fits {
                         let shot = usize::from(row);
                         self.scan.shots[shot] = at;
@@ -143,7 +147,7 @@ impl<L: Line> UltrasonicMatrix<L> {
                     Exchange::Queried { query: query @ Request::Pair { .. }, at },
                     Some(Reply::Pair { emitter, receiver, time }),
                 ) => {
-                    let fits = query == Request::Pair { emitter, receiver };
+                    let fits = query == Request::Pair { emitter, receiver } && within_slot(time);
                     if fits {
                         let number = |(row, column): Element| usize::from(row * self.config.size + column);
                         let (shot, echo) = (number(emitter), number(receiver) % MOST_ECHOES);

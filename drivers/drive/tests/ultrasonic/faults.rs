@@ -25,6 +25,16 @@ fn broken_replies_beyond_the_tolerance_are_garbage() {
 }
 
 #[test]
+fn echoes_after_the_firing_slot_are_garbage() {
+    for scan in [ScanKind::Rows, ScanKind::Pairs] {
+        let mut rig = Rig::up_with(UltrasonicConfig { scan, ..config() }, Script::new(3));
+        rig.line.script().late = u32::MAX;
+        let fault = rig.until(|state| state.fault.is_some()).fault;
+        assert!(matches!(fault, Some(UltrasonicFault::Garbage { .. })), "{fault:?}");
+    }
+}
+
+#[test]
 fn bytes_between_replies_are_counted_and_tolerated() {
     let mut rig = Rig::up();
     for _ in 0..50 {

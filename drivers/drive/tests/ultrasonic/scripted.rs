@@ -18,6 +18,8 @@ pub(crate) struct Script {
     pub(crate) mute: u32,
     /// Number of answers with a wrong checksum.
     pub(crate) broken: u32,
+    /// Number of answers whose echoes come after the firing slot.
+    pub(crate) late: u32,
     /// Answer every request with this refusal.
     pub(crate) refusal: Option<u8>,
     pub(crate) gone: bool,
@@ -39,6 +41,7 @@ impl Script {
             delay: 3,
             mute: 0,
             broken: 0,
+            late: 0,
             refusal: None,
             gone: false,
             request: Vec::new(),
@@ -59,7 +62,7 @@ impl Script {
             return 0xFFFF;
         }
         let number = |(row, column): (u8, u8)| u16::from(row) * 10 + u16::from(column);
-        2_000 + 100 * number(emitter) + number(receiver)
+        500 + 100 * number(emitter) + number(receiver)
     }
 
     fn hear(&mut self, byte: u8) {
@@ -95,6 +98,11 @@ impl Script {
             }
             _ => panic!("request {body:02x?}"),
         };
+        if self.late > 0 && body[0] != 1 {
+            self.late -= 1;
+            let end = answer.len();
+            answer[end - 2..].copy_from_slice(&(self.slot + 1).to_be_bytes());
+        }
         answer.insert(0, answer.len() as u8);
         answer.push(crc(&answer));
         answer.insert(0, 0xA5);
