@@ -20,7 +20,7 @@ use drive::bus::CanBus;
 use drive::{DriveGroup, Scale};
 use hil::plant::Switch;
 use hil::{
-    AxisController, AxisControllerConfig, Cabinet, Device, DeviceId, Epos4, Epos4Config, Irp6Axis, LineDevice,
+    AxisController, AxisControllerConfig, BusId, Cabinet, Device, DeviceId, Epos4, Epos4Config, Irp6Axis, LineDevice,
     LineFaults, LineId, Mechanism, World,
 };
 use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig, ServoFault};
@@ -454,14 +454,26 @@ impl Rig {
         Duration::from_millis(u64::from(self.cell.bus[0].heartbeat_ms))
     }
 
+    /// The bus of the first axis.
+    pub(crate) fn bus(&self) -> BusId {
+        match self.drives[0] {
+            DriveId::Node(first) => first.bus(),
+            DriveId::Line(_) => panic!("the robot is on serial lines"),
+        }
+    }
+
     /// Attaches a device to the bus of the first axis.
     pub(crate) fn attach(&mut self, device: Box<dyn Device>) {
-        match self.drives[0] {
-            DriveId::Node(first) => {
-                self.world.add_device(first.bus(), device);
-            }
-            DriveId::Line(_) => panic!("a serial line has one device"),
-        }
+        self.world.add_device(self.bus(), device);
+    }
+
+    /// Another controller for the same drives, on a port of its own.
+    pub(crate) fn another_controller(&mut self) -> CanBus<VirtualPort> {
+        let port = self.world.host_port(self.bus(), 256);
+        let home = self.arm.robot().home();
+        let axes = self.cell.robot[0].axis.iter().zip(home);
+        let configs: Vec<_> = axes.map(|(axis, home)| axis.drive_config(home)).collect();
+        CanBus::new(port, self.cell.group_config(0), &configs).expect("the group's configuration is sound")
     }
 
     /// Unplugs the cable of a drive, or plugs it in again.
