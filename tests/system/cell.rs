@@ -471,7 +471,7 @@ impl Rig {
     pub(crate) fn another_controller(&mut self) -> CanBus<VirtualPort> {
         let port = self.world.host_port(self.bus(), 256);
         let home = self.arm.robot().home();
-        let axes = self.cell.robot[0].axis.iter().zip(home);
+        let axes = self.cell.robot[0].axis.iter().zip(home.iter().copied());
         let configs: Vec<_> = axes.map(|(axis, home)| axis.drive_config(home)).collect();
         CanBus::new(port, self.cell.group_config(0), &configs).expect("the group's configuration is sound")
     }
