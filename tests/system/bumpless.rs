@@ -12,8 +12,9 @@ use crate::host_closed::closed_by_host;
 use crate::motion::Motion;
 use crate::mrroc::SERIAL_CELLS;
 
-/// Motion of a motor that takes up its load, rad.
+/// Motion of a motor that takes up its load, rad. A torque loop of the host begins without the torque that holds the load.
 const LOAD: f64 = 0.3;
+const LOAD_BY_TORQUE: f64 = 0.8;
 
 /// The time without answers of the drive of axis 2.
 const SILENCE: Duration = Duration::from_millis(20);
@@ -29,7 +30,7 @@ fn silence(rig: &mut Rig, on: bool) {
 }
 
 /// Stops the robot in motion by a silent drive, resets the fault, and enables again. Asserts that no motor moves.
-fn stop_and_enable_again(name: &str, setup: Setup) {
+fn stop_and_enable_again(name: &str, setup: Setup, load: f64) {
     let mut rig = setup.bring_up();
     rig.home();
     for round in 0..2 {
@@ -59,7 +60,7 @@ fn stop_and_enable_again(name: &str, setup: Setup) {
             farthest = moved.fold(farthest, f64::max);
         }
         assert_eq!((rig.phase(), rig.servo.fault(0)), (Phase::Standing, None), "{name}, round {round}");
-        assert!(farthest < LOAD, "{name}, round {round}: a motor moved by {farthest:.3} rad");
+        assert!(farthest < load, "{name}, round {round}: a motor moved by {farthest:.3} rad");
     }
 }
 
@@ -70,13 +71,14 @@ fn a_robot_on_can_that_is_enabled_again_after_a_fault_does_not_move() {
         for (axis, kind) in setup.cell.robot[0].axis.iter_mut().zip(Irp6Axis::ALL) {
             closed_by_host(axis, kind, control);
         }
-        stop_and_enable_again(&format!("{control:?}"), setup);
+        let load = if control == DriveControl::Torque { LOAD_BY_TORQUE } else { LOAD };
+        stop_and_enable_again(&format!("{control:?}"), setup, load);
     }
 }
 
 #[test]
 fn a_robot_on_serial_lines_that_is_enabled_again_after_a_fault_does_not_move() {
     for cell in SERIAL_CELLS {
-        stop_and_enable_again(cell, Setup::of(cell));
+        stop_and_enable_again(cell, Setup::of(cell), LOAD);
     }
 }

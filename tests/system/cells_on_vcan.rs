@@ -11,16 +11,15 @@ use ::mrroc::cell::{Cell, Control, Law};
 use serde_json::json;
 
 use crate::bench::{on_vcan_within, patient_turn};
-use crate::lab::met;
 use crate::mrroc::{self, Directory, Output, Running, text};
 use crate::vcan::{shorten, started, wait_until};
 
 /// Number of runs of a cell on an overloaded machine, and the time limit of all runs.
 const ATTEMPTS: usize = 4;
-const LONGEST: Duration = Duration::from_secs(340);
+pub(crate) const LONGEST: Duration = Duration::from_secs(340);
 
 /// File with every axis in every cycle of the last run.
-const RECORD: &str = "states.csv";
+pub(crate) const RECORD: &str = "states.csv";
 
 /// One interface for each bus of a cell, removed on drop.
 pub(crate) struct Interfaces(Vec<(String, String)>);
@@ -104,7 +103,7 @@ const WEIGHTS: [(&str, f64); 2] = [("upper-arm", -0.395), ("wrist-pitch", 0.037)
 /// With a tenth of the gains, a loop of the IRb-6 has a hundredth of its stiffness. The weight alone would turn the
 /// motor of the upper arm by 26 rad before the integral part holds it. This is most of the distance that a search may
 /// take. The weight is therefore fed forward.
-fn slower_laboratory(cell: &mut Cell) {
+pub(crate) fn slower_laboratory(cell: &mut Cell) {
     cell.period_us = 20_000;
     cell.macrostep = 2;
     cell.serial[0].tolerated_missing = 10;
@@ -119,7 +118,7 @@ fn slower_laboratory(cell: &mut Cell) {
 
 /// Runs example cell `name`, modified by `change`, as two processes. Asserts that the run completes without faults and
 /// with all axes homed. The record is in `directory`.
-fn completes(name: &str, directory: &Directory, change: impl FnOnce(&mut Cell)) {
+pub(crate) fn completes(name: &str, directory: &Directory, change: impl FnOnce(&mut Cell)) {
     let cell = slower(name, change);
     directory.write("cell.toml", &toml::to_string(&cell).unwrap());
     let interfaces = Interfaces::of(&cell);
@@ -194,17 +193,6 @@ pub(crate) fn overloaded(output: &Output) -> bool {
     let buses = report["buses"].as_array().unwrap().iter();
     let missed: u64 = buses.filter_map(|bus| bus["missed_answers"].as_u64()).sum();
     late || missed > 0
-}
-
-#[test]
-fn the_whole_laboratory_completes_on_five_buses_and_five_lines() {
-    const TEST: &str = "cells_on_vcan::the_whole_laboratory_completes_on_five_buses_and_five_lines";
-    let _turn = patient_turn();
-    on_vcan_within(LONGEST, TEST, |_| {
-        let directory = Directory::new();
-        completes("lab", &directory, slower_laboratory);
-        met(&directory.path(RECORD));
-    });
 }
 
 /// Checks the properties that a run on vcan cannot separate from delays of the test machine.

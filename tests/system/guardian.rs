@@ -31,7 +31,7 @@ pub(crate) const ATTEMPTS: usize = 5;
 const SILENCE_MS: u32 = 20;
 
 /// A motor that moves by less than this is at a standstill, rad. The gears reduce by about 150.
-const STILL: f64 = 0.05;
+const STILL: f64 = 0.1;
 
 /// Ways in which a run fails.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -90,6 +90,7 @@ mod steps;
 mod teach;
 mod uml;
 mod vcan;
+mod vcan_laboratory;
 mod vm;
 mod watch;
 mod weights;

@@ -17,7 +17,7 @@ use crate::motion::Motion;
 
 /// Distance that a motor may move after the release of the bus, rad. A drive that acts on an old set-point moves by more:
 /// one period at [`Motion::VELOCITY`] is 0.1 rad, and back from the end of its quick stop is 0.8 rad.
-const STANDS: f64 = 0.05;
+const STANDS: f64 = 0.09;
 
 /// All frames on the bus, with the times at which they ended.
 #[derive(Clone, Default)]

@@ -1,0 +1,18 @@
+//! The whole laboratory on virtual interfaces and pseudo-terminals. Its name lets it run late, when few other tests load the
+//! host.
+
+use crate::bench::{on_vcan_within, patient_turn};
+use crate::cells_on_vcan::{LONGEST, RECORD, completes, slower_laboratory};
+use crate::lab::met;
+use crate::mrroc::Directory;
+
+#[test]
+fn the_whole_laboratory_completes_on_five_buses_and_five_lines() {
+    const TEST: &str = "vcan_laboratory::the_whole_laboratory_completes_on_five_buses_and_five_lines";
+    let _turn = patient_turn();
+    on_vcan_within(LONGEST, TEST, |_| {
+        let directory = Directory::new();
+        completes("lab", &directory, slower_laboratory);
+        met(&directory.path(RECORD));
+    });
+}
