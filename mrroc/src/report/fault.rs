@@ -23,7 +23,7 @@ use crate::cell::CellFile;
 pub struct FaultReport {
     /// The robot; absent if it is not of one.
     pub robot: Option<String>,
-    /// The axis, as in [`AxisReport::name`]; absent if it is not of one.
+    /// The axis, as in [`AxisReport::name`](super::AxisReport::name); absent if it is not of one.
     pub axis: Option<String>,
     /// What happened.
     pub what: String,
