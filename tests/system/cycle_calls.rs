@@ -142,9 +142,10 @@ fn check(bench: &str, log: &Path, run: &Output, exchange: &[(&str, u64)]) {
         assert!(count + 2 >= reads, "{bench}: {count} × {call}, {reads} reads");
     }
     assert_eq!(reads_before_sync(&in_order, exchange), 0, "{bench}");
-    // The log is of the right thread, and strace lost no calls.
+    // The log is of the right thread, and strace lost no calls. A cycle sends nothing while frames of the cycle before wait.
     for call in exchange.iter().map(|(call, _)| *call).chain([WAIT]) {
-        assert!(calls.get(call).copied().unwrap_or(0) >= cycles - 1, "{bench}: {calls:?}");
+        let held_back = if call == "sendmmsg" { cycles / 8 } else { 0 };
+        assert!(calls.get(call).copied().unwrap_or(0) + held_back >= cycles - 1, "{bench}: {calls:?}");
     }
 }
 
