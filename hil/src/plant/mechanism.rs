@@ -68,8 +68,6 @@ struct Shared {
     /// The motor shafts in each sub-step, if the mechanism is in a scene.
     shafts: [Shaft; AXES],
     in_scene: AtomicBool,
-    /// Whether the pose follows from the motor angles by iteration from the last pose.
-    iterates: bool,
 }
 
 /// The place of one axis in a [`Mechanism`].
@@ -137,8 +135,7 @@ impl Mechanism {
         };
         let robot = Robot { links, count, homes: [0.0; AXES], motors: [0.0; AXES] };
         let shafts = std::array::from_fn(|_| Shaft::default());
-        let iterates = matches!(robot.links, Links::Rnt(_));
-        Self(Arc::new(Shared { robot: Mutex::new(robot), shafts, in_scene: AtomicBool::new(false), iterates }))
+        Self(Arc::new(Shared { robot: Mutex::new(robot), shafts, in_scene: AtomicBool::new(false) }))
     }
 
     /// Number of axes of the robot.
@@ -249,37 +246,38 @@ impl Mechanism {
         }
         let mut robot = self.lock();
         let motors = robot.motors;
-        let pose = robot.track(&motors);
-        (robot.kinematics(&motors, &pose), [0.0; AXES])
+        (robot.kinematics(&motors), [0.0; AXES])
     }
 
     /// The motor shafts of a mechanism in a scene.
     pub(crate) fn shafts(&self) -> Shafts {
         let shafts = &self.0.shafts;
-        let (angles, velocities) = (shafts.each_ref().map(Shaft::angle), shafts.each_ref().map(Shaft::velocity));
-        let mut shafts = Shafts { angles, velocities, pose: [0.0; 3] };
-        if self.0.iterates {
-            let mut robot = self.lock();
-            let motors = robot.relative_to_home(&angles);
-            shafts.pose = robot.track(&motors);
-        }
-        shafts
+        Shafts { angles: shafts.each_ref().map(Shaft::angle), velocities: shafts.each_ref().map(Shaft::velocity) }
     }
 
     /// The flange with the motor shafts at these angles.
     pub(crate) fn kinematics_at(&self, shafts: &Shafts) -> Kinematics {
         let mut robot = self.lock();
         let motors = robot.relative_to_home(&shafts.angles);
-        robot.kinematics(&motors, &shafts.pose)
+        robot.kinematics(&motors)
     }
 
-    /// Greatest displacement of a point of the tool per rad of each motor, m/rad, in all poses. The point is at most
-    /// `distance`, m, from the origin of the flange. `None` if no bound is known.
-    pub(crate) fn travel(&self, distance: f64) -> Option<[f64; AXES]> {
+    /// Greatest displacement of a point of the tool per rad of each motor, m/rad, within [`Mechanism::room`] of a pose.
+    /// The point is at most `distance`, m, from the origin of the flange.
+    pub(crate) fn travel(&self, distance: f64) -> [f64; AXES] {
         match &self.lock().links {
-            Links::Irp6(irp6) => Some(irp6.travel(distance)),
-            Links::Rnt(_) => None,
-            Links::Polycrank(polycrank) => Some(polycrank.travel(distance)),
+            Links::Irp6(irp6) => irp6.travel(distance),
+            Links::Rnt(rnt) => rnt.travel(distance),
+            Links::Polycrank(polycrank) => polycrank.travel(distance),
+        }
+    }
+
+    /// Displacement by the bound of [`Mechanism::travel`] from the last pose of [`Mechanism::kinematics_at`], m, for which
+    /// this bound holds.
+    pub(crate) fn room(&self) -> f64 {
+        match &self.lock().links {
+            Links::Irp6(_) | Links::Polycrank(_) => f64::INFINITY,
+            Links::Rnt(rnt) => rnt.room(),
         }
     }
 
@@ -338,18 +336,10 @@ impl Robot {
         motors
     }
 
-    /// Moves a platform whose pose is found by iteration towards these motor angles. Returns [`Shafts::pose`].
-    fn track(&mut self, motors: &[f64; AXES]) -> [f64; 3] {
-        match &mut self.links {
-            Links::Rnt(rnt) => rnt.track(motors),
-            Links::Irp6(_) | Links::Polycrank(_) => [0.0; 3],
-        }
-    }
-
-    fn kinematics(&mut self, motors: &[f64; AXES], pose: &[f64; 3]) -> Kinematics {
+    fn kinematics(&mut self, motors: &[f64; AXES]) -> Kinematics {
         match &mut self.links {
             Links::Irp6(irp6) => irp6.kinematics(motors),
-            Links::Rnt(rnt) => rnt.kinematics(motors, pose),
+            Links::Rnt(rnt) => rnt.kinematics(motors),
             Links::Polycrank(polycrank) => polycrank.kinematics(motors),
         }
     }

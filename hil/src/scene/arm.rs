@@ -38,8 +38,8 @@ pub(super) struct Arm {
 
 /// Distance that the tips of a robot can move without a contact.
 struct Reach {
-    /// Greatest displacement of a tip per rad of each motor, m/rad; `None` if no bound is known.
-    travel: Option<[f64; Shafts::COUNT]>,
+    /// Greatest displacement of a tip per rad of each motor, m/rad, within [`Mechanism::room`] of a pose.
+    travel: [f64; Shafts::COUNT],
     /// Distance from the nearest surface at the last computed step, m. Infinite without tips or surfaces. Zero: the next
     /// step is computed.
     clearance: f64,
@@ -56,11 +56,8 @@ impl Reach {
         if self.clearance.is_infinite() {
             return true;
         }
-        let Some(travel) = &self.travel else {
-            return false;
-        };
         let turned = angles.iter().zip(&self.angles).map(|(angle, last)| (angle - last).abs());
-        let moved: f64 = travel.iter().zip(turned).map(|(travel, turned)| travel * turned).sum();
+        let moved: f64 = self.travel.iter().zip(turned).map(|(travel, turned)| travel * turned).sum();
         // The comparison is false for NaN.
         moved < self.clearance * (1.0 - Self::MARGIN.0) - Self::MARGIN.1
     }
@@ -166,9 +163,9 @@ impl Arm {
         self.reach.angles = self.shafts.angles;
     }
 
-    /// Reduces the distance of the tips from the nearest surface, m.
+    /// Reduces the distance of the tips from the nearest surface, m, also to the displacement that can be bounded.
     pub(super) fn limit_clearance(&mut self, clearance: f64) {
-        self.reach.clearance = self.reach.clearance.min(clearance);
+        self.reach.clearance = self.reach.clearance.min(clearance).min(self.seat.mechanism.room());
     }
 
     /// Sets the motion of the flange over a part of the last step: from the share `from` of the step to the share `to`.

@@ -48,8 +48,6 @@ pub(crate) struct Shafts {
     pub(crate) angles: [f64; AXES],
     /// Velocities, rad/s.
     pub(crate) velocities: [f64; AXES],
-    /// Pose of a platform that is found by iteration from its last pose. Zero for other mechanisms.
-    pub(super) pose: [f64; 3],
 }
 
 impl Shafts {
@@ -149,10 +147,7 @@ mod tests {
         let mut noise = Noise::new(7);
         for config in ROBOTS {
             let distance = 0.4;
-            let Some(travel) = Mechanism::new(config).travel(distance) else {
-                assert!(matches!(config, MechanismConfig::Rnt { .. }), "{config:?}");
-                continue;
-            };
+            let travel = Mechanism::new(config).travel(distance);
             // The farthest motion of each motor, as a share of its travel.
             let mut most = vec![0.0_f64; Mechanism::new(config).axes()];
             for _ in 0..500 {
@@ -164,12 +159,13 @@ mod tests {
                     flange.origin + flange.axes * point
                 };
                 let start = place(&from);
+                let room = at(config, &from).0.room();
                 for size in [1e-3, 1.0, 100.0] {
                     let step: Vec<_> = from.iter().map(|_| size * noise.symmetric()).collect();
                     let to: Vec<_> = from.iter().zip(&step).map(|(from, step)| from + step).collect();
                     let bound: f64 = step.iter().zip(travel).map(|(step, travel)| step.abs() * travel).sum();
                     let moved = (place(&to) - start).norm();
-                    assert!(moved <= bound, "{config:?}: {moved} m of {bound} m from {from:?} to {to:?}");
+                    assert!(moved <= bound || bound > room, "{config:?}: {moved} m of {bound} m from {from:?} to {to:?}");
                 }
                 for (number, most) in most.iter_mut().enumerate() {
                     let mut to = from.clone();

@@ -45,8 +45,21 @@ struct Pose {
 
 /// Distance of the platform below which its joints jam, m.
 const SHORTEST: f64 = 0.3;
-/// Steps of Newton's method for the first pose. Each later pose takes one step.
+/// Steps of Newton's method for the first pose. Each later pose takes one step, or two after a longer way.
 const STEPS: usize = 12;
+/// Error of a leg length, m, above which a later pose takes two steps.
+const LONG_WAY: f64 = 1e-4;
+
+/// Poses for which [`RATES`] holds: greatest inclination about each axis, rad, and least and greatest extension, m.
+const MOBILE: (f64, f64, f64) = (0.5, 0.5, 1.4);
+/// Greatest angular velocity of the platform, rad/s, and its greatest speed along its own axis, m/s, caused by a leg at
+/// 1 m/s in the poses of [`MOBILE`]. A test compares them with all poses of a grid.
+const RATES: (f64, f64) = (3.2, 0.45);
+/// Distance of a pose from the end of [`MOBILE`], rad and m, from which a tool can move by [`ROOM`] within [`MOBILE`].
+const INSIDE: f64 = 0.1;
+/// Displacement of the tool by the bound of [`Rnt::travel`], m. The platform turns by less than [`INSIDE`] meanwhile,
+/// because the tool is more than [`ROOM`] / [`INSIDE`] from the centre of rotation.
+const ROOM: f64 = 0.08;
 
 impl Rnt {
     pub(super) fn new(home_lengths: [f64; 3]) -> Self {
@@ -131,16 +144,30 @@ impl Rnt {
         Loaded { links: load.and(self.wrist.load(&base, &angles, &rates)), turning, ratio: 1.0 }
     }
 
-    /// Moves the platform by one step of Newton's method. Returns its pose for [`Rnt::kinematics`].
-    pub(super) fn track(&mut self, motors: &[f64; AXES]) -> [f64; 3] {
-        self.follow(motors);
-        [self.pose.alpha, self.pose.beta, self.pose.extension]
+    /// Greatest displacement of a point of the tool, at most `distance`, m, from the origin of the flange, per rad of each
+    /// motor, m/rad. It holds in the poses of [`MOBILE`].
+    pub(super) fn travel(&self, distance: f64) -> [f64; AXES] {
+        let wrist = self.wrist.length() + distance;
+        let (spin, along) = RATES;
+        let leg = along + spin * (MOBILE.2 + WRIST + wrist);
+        [leg / LEG, leg / LEG, leg / LEG, wrist / GEAR, wrist / GEAR, wrist / GEAR, 0.0]
     }
 
-    /// The flange, and its motion per rad/s of each motor, in a pose of [`Rnt::track`]. The origin of the base frame is
-    /// the centre of the legs' joints in the base. Axis z is along the central leg.
-    pub(super) fn kinematics(&mut self, motors: &[f64; AXES], &[alpha, beta, extension]: &[f64; 3]) -> Kinematics {
-        let pose = Pose { alpha, beta, extension };
+    /// Displacement of the tool from the last pose, m, for which the bound of [`Rnt::travel`] holds.
+    pub(super) fn room(&self) -> f64 {
+        let Pose { alpha, beta, extension } = self.pose;
+        let inclined = alpha.abs().max(beta.abs()) > MOBILE.0 - INSIDE;
+        let inside = MOBILE.1 + INSIDE..=MOBILE.2 - INSIDE;
+        if inclined || !inside.contains(&extension) { 0.0 } else { ROOM }
+    }
+
+    /// The flange, and its motion per rad/s of each motor. The origin of the base frame is the centre of the legs' joints
+    /// in the base. Axis z is along the central leg.
+    pub(super) fn kinematics(&mut self, motors: &[f64; AXES]) -> Kinematics {
+        if self.follow(motors) > LONG_WAY {
+            self.follow(motors);
+        }
+        let pose = self.pose;
         let columns = pose.axes();
         let axes = Matrix3::from_columns(&columns);
         let centre = axes * Vector::new(0.0, 0.0, pose.extension + WRIST);
@@ -213,7 +240,7 @@ const CIRCLE: [[f64; 2]; 3] = [[1.0, 0.0], [-0.5, 0.866_025_403_784_438_6], [-0.
 
 #[cfg(test)]
 mod tests {
-    use super::{AXES, LEG, Pose, Rnt};
+    use super::{AXES, LEG, MOBILE, Pose, RATES, Rnt};
 
     #[test]
     fn platform_is_where_its_legs_hold_it() {
@@ -238,6 +265,26 @@ mod tests {
         for (found, expected) in found.iter().zip([0.2, -0.1, 0.9]) {
             assert!((found - expected).abs() < 1e-8, "{found} for {expected}");
         }
+    }
+
+    #[test]
+    fn no_leg_moves_the_platform_faster_than_its_bound() {
+        let (inclination, least, most) = MOBILE;
+        let grid = |from: f64, to: f64| (0..=24).map(move |k| from + (to - from) * f64::from(k) / 24.0);
+        let (mut spin, mut along) = (0.0_f64, 0.0_f64);
+        for alpha in grid(-inclination, inclination) {
+            for beta in grid(-inclination, inclination) {
+                for extension in grid(least, most) {
+                    let pose = Pose { alpha, beta, extension };
+                    for (_, rate) in pose.legs(&pose.axes()) {
+                        spin = spin.max(rate[0].hypot(rate[1]));
+                        along = along.max(rate[2].abs());
+                    }
+                }
+            }
+        }
+        assert!((0.8..0.95).contains(&(spin / RATES.0)), "{spin} rad/s");
+        assert!((0.8..0.95).contains(&(along / RATES.1)), "{along} m/s");
     }
 
     #[test]
