@@ -111,9 +111,9 @@ pub fn bits_on_wire(frame: &Frame) -> u32 {
 
 /// The CRC of the last `bits` of `content`, first bit highest, the rest being zero.
 fn crc15(content: u128, bits: u32) -> u16 {
-    static TABLE: Crc<u16> = Crc::<u16>::new(&CRC_15_CAN);
+    static TABLE: Crc<u16, crc::Table<16>> = Crc::<u16, crc::Table<16>>::new(&CRC_15_CAN);
     // The register starts at zero, so the zeros that fill up the first byte leave no trace.
-    TABLE.checksum(bytes(&content.to_be_bytes(), bits))
+    TABLE.checksum(&content.to_be_bytes())
 }
 
 /// How many stuff bits the last `bits` of `content` need, the rest being zero.

@@ -88,6 +88,8 @@ struct Robot {
     homes: [f64; AXES],
     /// Motor angles relative to home, rad.
     motors: [f64; AXES],
+    /// The last load of each motor, and the motor angles that it is for. A robot at rest keeps its loads.
+    loads: [Option<([f64; AXES], Loaded)>; AXES],
 }
 
 #[derive(Clone, Debug)]
@@ -133,7 +135,7 @@ impl Mechanism {
             MechanismConfig::Rnt { home_lengths } => (Links::Rnt(Rnt::new(home_lengths)), 6),
             MechanismConfig::Polycrank { coupled, at_home } => (Links::Polycrank(Polycrank::new(coupled, at_home)), 7),
         };
-        let robot = Robot { links, count, homes: [0.0; AXES], motors: [0.0; AXES] };
+        let robot = Robot { links, count, homes: [0.0; AXES], motors: [0.0; AXES], loads: [None; AXES] };
         let shafts = std::array::from_fn(|_| Shaft::default());
         Self(Arc::new(Shared { robot: Mutex::new(robot), shafts, in_scene: AtomicBool::new(false) }))
     }
@@ -170,6 +172,7 @@ impl Mechanism {
             Links::Polycrank(polycrank) => &mut polycrank.chain.payload,
         };
         *payload = Body::point(mass, centre);
+        robot.loads = [None; AXES];
     }
 
     /// Load on the motor of axis `number` in the present pose; zero for an absent axis.
@@ -345,10 +348,15 @@ impl Robot {
     }
 
     fn load(&mut self, number: usize) -> Loaded {
-        match &mut self.links {
+        if let Some((_, load)) = self.loads[number].filter(|(motors, _)| *motors == self.motors) {
+            return load;
+        }
+        let load = match &mut self.links {
             Links::Irp6(irp6) => irp6.load(number, &self.motors),
             Links::Rnt(rnt) => rnt.load(number, &self.motors),
             Links::Polycrank(polycrank) => polycrank.load(number, &self.motors),
-        }
+        };
+        self.loads[number] = Some((self.motors, load));
+        load
     }
 }
