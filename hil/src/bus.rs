@@ -381,10 +381,12 @@ impl VirtualBus {
             }
         }
         for (number, attached) in self.devices.iter_mut().enumerate() {
-            if sender != End::Device(number) && !attached.unplugged {
+            if sender == End::Device(number) || attached.unplugged {
+                attached.collect(at);
+            } else if attached.device.hears(&frame) {
                 attached.device.handle(&frame, at);
+                attached.collect(at);
             }
-            attached.collect(at);
         }
     }
 

@@ -24,6 +24,11 @@ pub enum DeviceFault {
 /// The caller, which is the virtual bus or a socket loop, guarantees two things: `now` never decreases, and
 /// [`handle_timeout`](Device::handle_timeout) is called before any later frame is handed in.
 pub trait Device: Any + Send {
+    /// Whether [`handle`](Device::handle) would do anything with a frame. A bus leaves out a device that ignores the frame.
+    fn hears(&self, _frame: &Frame) -> bool {
+        true
+    }
+
     /// Takes a frame that ended on the bus at `now`.
     fn handle(&mut self, frame: &Frame, now: Instant);
 

@@ -171,6 +171,10 @@ fn check(index: u8, inputs: u8) -> Result<(), DigitalIoError> {
 }
 
 impl Device for DigitalIo {
+    fn hears(&self, frame: &Frame) -> bool {
+        self.node.hears(frame)
+    }
+
     fn handle(&mut self, frame: &Frame, now: Instant) {
         self.node.handle(frame, now);
     }

@@ -104,6 +104,10 @@ impl Epos4 {
 }
 
 impl Device for Epos4 {
+    fn hears(&self, frame: &Frame) -> bool {
+        self.node.hears(frame)
+    }
+
     fn handle(&mut self, frame: &Frame, now: Instant) {
         self.node.handle(frame, now);
     }

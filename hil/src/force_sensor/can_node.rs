@@ -73,6 +73,10 @@ impl CanForceSensor {
 }
 
 impl Device for CanForceSensor {
+    fn hears(&self, frame: &Frame) -> bool {
+        self.node.hears(frame)
+    }
+
     fn handle(&mut self, frame: &Frame, now: Instant) {
         self.node.handle(frame, now);
     }

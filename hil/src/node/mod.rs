@@ -395,6 +395,17 @@ fn append(queue: &mut VecDeque<Frame>, frame: Frame) {
 }
 
 impl<A: Application> Device for Node<A> {
+    fn hears(&self, frame: &Frame) -> bool {
+        let Some(id) = frame.standard_data_id() else {
+            return false;
+        };
+        let error_control = 0x700..=0x77F;
+        [cob::SYNC, cob::NMT, cob::LSS_REQUEST].contains(&id)
+            || self.pdos.hears(id)
+            || error_control.contains(&id.raw())
+            || self.id.is_some_and(|node| id == cob::sdo_request(node))
+    }
+
     fn handle(&mut self, frame: &Frame, now: Instant) {
         self.now = now;
         let Some(id) = frame.standard_data_id().filter(|_| self.has_booted()) else {

@@ -171,6 +171,11 @@ impl Pdos {
         }
     }
 
+    /// Whether a frame with this identifier is an RPDO of this node.
+    pub(crate) fn hears(&self, id: StandardId) -> bool {
+        self.received.iter().flatten().any(|rpdo| rpdo.id == id)
+    }
+
     /// Takes a frame if the frame is an RPDO of this node.
     pub(crate) fn receive(&mut self, id: StandardId, data: &[u8], objects: &mut Objects, now: Instant) -> Reception {
         let Some((number, rpdo)) = self.rpdos().find(|(_, rpdo)| rpdo.id == id) else {
