@@ -51,11 +51,9 @@ impl Encoder {
             at += self.jitter * noise.symmetric();
         }
         let before = self.counts;
-        if at >= (before + 1) as f64 + self.jitter {
-            self.counts = floor(at - self.jitter);
-        } else if at < before as f64 - self.jitter {
-            self.counts = floor(at + self.jitter);
-        }
+        // The counter stays within the hysteresis. Without branches: a branch on the angle of a moving shaft cannot be
+        // predicted.
+        self.counts = before.max(floor(at - self.jitter)).min(floor(at + self.jitter));
         while self.counts >= self.index_below + self.counts_per_revolution {
             self.index_below += self.counts_per_revolution;
             self.latch(self.index_below);
