@@ -199,6 +199,11 @@ impl VirtualBus {
         known
     }
 
+    /// The devices.
+    pub(crate) fn devices(&self) -> impl Iterator<Item = &dyn Device> {
+        self.devices.iter().map(|attached| attached.device.as_ref())
+    }
+
     /// Advances the motors of the scene's robots and belts to `now`. The events of the bus before `now` have been
     /// processed.
     /// Returns whether a device may have something to send.

@@ -4,7 +4,7 @@ use std::any::Any;
 
 use can::{Frame, Instant};
 
-use crate::PlantAxis;
+use crate::{Mechanism, PlantAxis};
 
 /// A fault of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,6 +69,12 @@ pub trait Device: Any + Send {
     fn plant_mut(&mut self) -> Option<&mut PlantAxis> {
         None
     }
+
+    /// The robot in a scene whose motor the device drives, or whose forces it measures. A [`World`](crate::World) advances
+    /// the devices of a robot together, in single steps.
+    fn mechanism(&self) -> Option<&Mechanism> {
+        self.plant().and_then(PlantAxis::mechanism)
+    }
 }
 
 /// A device on a serial line, as a function of (bytes, now): no thread, no clock, no tty.
@@ -109,5 +115,11 @@ pub trait LineDevice: Any + Send {
     /// The same, to change its faults.
     fn plant_mut(&mut self) -> Option<&mut PlantAxis> {
         None
+    }
+
+    /// The robot in a scene whose motor the device drives, or whose forces it measures. A [`World`](crate::World) advances
+    /// the devices of a robot together, in single steps.
+    fn mechanism(&self) -> Option<&Mechanism> {
+        self.plant().and_then(PlantAxis::mechanism)
     }
 }

@@ -63,6 +63,7 @@ mod grip;
 mod gripper;
 mod motion;
 mod probe;
+mod separate;
 mod surface;
 #[cfg(test)]
 mod tests;
@@ -506,7 +507,8 @@ impl Scene {
             }
         }
         self.move_bodies(0.0, 1.0, HALVINGS);
-        self.load_arms();
+        self.push_tips(0..self.arms.len());
+        self.pull_grips();
         self.cutting.step(&mut self.arms);
         for arm in &mut self.arms {
             arm.finish(&self.gravity);

@@ -24,17 +24,20 @@
 //! deadline. No frame of the host is sent before that deadline. The port holds received frames back until their own
 //! times.
 
+mod groups;
+
 use std::{any::Any, time::Duration};
 
 use can::{Frame, Instant, VirtualPort, timing::Bitrate, virtual_port};
 use serial::{Settings, VirtualLine, virtual_line};
 
 use crate::plant::PlantFault;
-use crate::scene::{STEP, Scene};
+use crate::scene::Scene;
 use crate::{
     Device, DeviceFault, FrameFault, Frames, HostFault, LineDevice, LineFaults, PlantAxis, bus::VirtualBus,
     line::SerialLine,
 };
+use groups::Groups;
 
 /// Buses and lines with their devices, advanced together.
 ///
@@ -47,8 +50,8 @@ pub struct World {
     buses: Vec<VirtualBus>,
     lines: Vec<SerialLine>,
     scene: Option<Scene>,
-    /// Time of the next event of each bus, then of each line, during an advance.
-    next: Vec<Instant>,
+    /// Parts of the world that are advanced one after the other if there is a scene. `None` after a change.
+    groups: Option<Groups>,
     /// Latest instant to which the world was advanced.
     now: Instant,
 }
@@ -171,12 +174,14 @@ impl World {
 
     /// Adds a bus.
     pub fn add_bus(&mut self, bitrate: Bitrate) -> BusId {
+        self.groups = None;
         self.buses.push(VirtualBus::new(bitrate));
         BusId(self.buses.len() - 1)
     }
 
     /// Attaches a device to a bus. `bus` must belong to this world.
     pub fn add_device(&mut self, bus: BusId, device: Box<dyn Device>) -> DeviceId {
+        self.groups = None;
         let number = self.buses[bus.0].attach_device(device);
         DeviceId { bus, number }
     }
@@ -199,6 +204,7 @@ impl World {
     /// Adds a serial line with a device at its end. `latency` inserts a USB adapter with such a latency timer towards
     /// the host, for example the 16 ms of an FTDI adapter.
     pub fn add_line(&mut self, settings: Settings, latency: Option<Duration>, device: Box<dyn LineDevice>) -> LineId {
+        self.groups = None;
         self.lines.push(SerialLine::new(settings, latency, device));
         LineId(self.lines.len() - 1)
     }
@@ -214,6 +220,7 @@ impl World {
     /// present time of the world. The motors of the scene's robots and belts advance with the scene, in sub-steps of
     /// 100 µs. All other motors advance as without a scene.
     pub fn set_scene(&mut self, mut scene: Scene) {
+        self.groups = None;
         scene.begin(self.now);
         self.scene = Some(scene);
     }
@@ -225,6 +232,7 @@ impl World {
 
     /// The scene, mutable; `None` without a scene.
     pub fn scene_mut(&mut self) -> Option<&mut Scene> {
+        self.groups = None;
         self.scene.as_mut()
     }
 
@@ -234,45 +242,13 @@ impl World {
     /// A host sends nothing during an advance. A bus or a line is therefore left out of the steps of the scene in which
     /// it has no event.
     pub fn advance(&mut self, until: Instant) {
-        let Self { buses, lines, scene, next, now } = self;
+        let Self { buses, lines, scene, groups, now } = self;
         if let Some(scene) = scene {
-            // Each host may have sent since the last advance.
-            next.clear();
-            next.resize(buses.len() + lines.len(), Instant::ZERO);
-            let (on_buses, on_lines) = next.split_at_mut(buses.len());
-            loop {
-                let step = scene.now() + STEP;
-                if step > until {
-                    break;
-                }
-                let before = step - Duration::from_nanos(1);
-                for (bus, next) in buses.iter_mut().zip(on_buses.iter_mut()) {
-                    if *next <= before {
-                        *next = bus.advance_to(before);
-                    }
-                }
-                for (line, next) in lines.iter_mut().zip(on_lines.iter_mut()) {
-                    if *next <= before {
-                        *next = line.advance_to(before);
-                    }
-                }
-                for (bus, next) in buses.iter_mut().zip(on_buses.iter_mut()) {
-                    if bus.advance_mechanics(step) {
-                        *next = Instant::ZERO;
-                    }
-                }
-                for (line, next) in lines.iter_mut().zip(on_lines.iter_mut()) {
-                    if line.advance_mechanics(step) {
-                        *next = Instant::ZERO;
-                    }
-                }
-                scene.step();
-                for (bus, next) in buses.iter_mut().zip(on_buses.iter_mut()) {
-                    if bus.sense(step) {
-                        *next = Instant::ZERO;
-                    }
-                }
+            if groups.as_ref().is_none_or(|groups| !groups.fit(scene)) {
+                *groups = None;
             }
+            let groups = groups.get_or_insert_with(|| Groups::new(scene, buses, lines));
+            groups.advance(until, scene, buses, lines);
         }
         buses.iter_mut().for_each(|bus| bus.advance(until));
         lines.iter_mut().for_each(|line| line.advance(until));

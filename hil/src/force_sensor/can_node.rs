@@ -14,11 +14,11 @@ use canopen::Object;
 use super::table::{BIAS, BIAS_MARK, COUNTS_16, COUNTS_32, STATUS, TEMPERATURE, table};
 use super::transducer::{Transducer, counts, counts_16};
 use super::{CanForceSensorConfig, ForceSensorError, Resolution, WrenchProbe};
-use crate::Device;
 use crate::node::errors::Error as NodeError;
 use crate::node::objects::Objects;
 use crate::node::table::{Entry, Slot};
 use crate::node::{Application, Applied, Identity, Node, NodeConfig};
+use crate::{Device, Mechanism};
 
 /// A force/torque sensor on a CAN bus.
 pub struct CanForceSensor {
@@ -91,6 +91,10 @@ impl Device for CanForceSensor {
 
     fn handle_timeout(&mut self, now: Instant) {
         self.node.handle_timeout(now);
+    }
+
+    fn mechanism(&self) -> Option<&Mechanism> {
+        self.node.application.transducer.mechanism()
     }
 }
 

@@ -24,7 +24,7 @@ use serial::{Settings, StopBits};
 
 use super::transducer::{Transducer, counts_16};
 use super::{ForceSensorError, TransducerConfig, WrenchProbe};
-use crate::{LineDevice, outbox::Outbox};
+use crate::{LineDevice, Mechanism, outbox::Outbox};
 
 const BIAS: u8 = b'b';
 const QUERY: u8 = b'q';
@@ -154,5 +154,9 @@ impl LineDevice for SerialForceSensor {
 
     fn handle_timeout(&mut self, now: Instant) {
         self.outbox.run(now);
+    }
+
+    fn mechanism(&self) -> Option<&Mechanism> {
+        self.transducer.mechanism()
     }
 }

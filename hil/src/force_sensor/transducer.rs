@@ -5,6 +5,7 @@ use std::time::Duration;
 use can::Instant;
 
 use super::{Channel, ForceSensorError, WrenchProbe};
+use crate::Mechanism;
 use crate::plant::Noise;
 
 /// Errors and range of a transducer. The arrays have the order of [`Channel::ALL`].
@@ -120,6 +121,11 @@ impl Transducer {
         config.check()?;
         let noise = Noise::new(config.seed);
         Ok(Self { config, probe, power_on, noise, bias: [0.0; 6] })
+    }
+
+    /// The robot in a scene whose wrench the sensor measures.
+    pub(super) fn mechanism(&self) -> Option<&Mechanism> {
+        self.probe.mechanism()
     }
 
     /// Takes a sample at `now`.

@@ -6,10 +6,11 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use thiserror::Error;
 
 use super::faults::{BLOCK, PlantFault, PlantFaults};
+use super::mechanism::{Mechanism, Mount};
 use super::motor::{EndStops, Motor, MotorConfig};
 use super::switch::{Contact, Switch};
 use super::wut::{Wut, WutConfig};
-use super::{SUB_STEP, encoder::Encoder, mechanism::Mount, noise::Noise};
+use super::{SUB_STEP, encoder::Encoder, noise::Noise};
 use crate::amplifier::{Amplifier, AmplifierConfig, OUTER};
 
 /// Configuration of an axis.
@@ -276,6 +277,16 @@ impl PlantAxis {
         for contact in self.contacts.iter_mut().flatten() {
             contact.advance(angle, dt_steps, &mut self.noise);
         }
+    }
+
+    /// Whether another device reads the motor shaft.
+    pub(crate) fn is_probed(&self) -> bool {
+        self.probe.is_some()
+    }
+
+    /// The robot that the motor moves.
+    pub(crate) fn mechanism(&self) -> Option<&Mechanism> {
+        self.mount.as_ref().map(Mount::mechanism)
     }
 
     /// Whether the axis moves a robot or a belt in a scene. Such an axis advances with the scene, in single sub-steps.

@@ -84,6 +84,8 @@ pub(crate) const AXES: usize = 7;
 struct Robot {
     links: Links,
     count: usize,
+    /// Whether each axis has a mount.
+    mounted: [bool; AXES],
     /// Motor angles at home, rad.
     homes: [f64; AXES],
     /// Motor angles relative to home, rad.
@@ -135,7 +137,14 @@ impl Mechanism {
             MechanismConfig::Rnt { home_lengths } => (Links::Rnt(Rnt::new(home_lengths)), 6),
             MechanismConfig::Polycrank { coupled, at_home } => (Links::Polycrank(Polycrank::new(coupled, at_home)), 7),
         };
-        let robot = Robot { links, count, homes: [0.0; AXES], motors: [0.0; AXES], loads: [None; AXES] };
+        let robot = Robot {
+            links,
+            count,
+            mounted: [false; AXES],
+            homes: [0.0; AXES],
+            motors: [0.0; AXES],
+            loads: [None; AXES],
+        };
         let shafts = std::array::from_fn(|_| Shaft::default());
         Self(Arc::new(Shared { robot: Mutex::new(robot), shafts, in_scene: AtomicBool::new(false) }))
     }
@@ -152,6 +161,7 @@ impl Mechanism {
         if number >= robot.count {
             return None;
         }
+        robot.mounted[number] = true;
         robot.homes[number] = home;
         self.0.shafts[number].set(home + robot.motors[number], 0.0);
         Some(Mount { mechanism: self.clone(), number })
@@ -292,6 +302,16 @@ impl Mechanism {
         }
     }
 
+    /// Number of axes with a mount.
+    pub(crate) fn mounted(&self) -> usize {
+        self.lock().mounted.iter().filter(|mounted| **mounted).count()
+    }
+
+    /// Whether both refer to the same robot.
+    pub(crate) fn is(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
+
     fn lock(&self) -> MutexGuard<'_, Robot> {
         // A panic of another thread leaves valid numbers behind.
         self.0.robot.lock().unwrap_or_else(PoisonError::into_inner)
@@ -315,6 +335,10 @@ impl Mount {
         let mut robot = self.mechanism.lock();
         robot.motors[self.number] = angle - robot.homes[self.number];
         robot.load(self.number)
+    }
+
+    pub(super) fn mechanism(&self) -> &Mechanism {
+        &self.mechanism
     }
 
     /// Whether the mechanism is part of a scene.

@@ -72,6 +72,10 @@ pub(super) struct Seat {
 }
 
 impl Seat {
+    pub(super) fn mechanism(&self) -> &Mechanism {
+        &self.mechanism
+    }
+
     /// The flange in the world.
     pub(super) fn flange(&self, shafts: &Shafts) -> Moving {
         self.moving(&self.mechanism.kinematics_at(shafts), shafts)
@@ -184,6 +188,10 @@ impl Arm {
     pub(super) fn place(&self) -> Isometry3<f64> {
         let place = if self.is_far { place(&self.seat.flange(&self.shafts)) } else { place(&self.flange) };
         Isometry3::from_parts(place.origin.into(), place.turn)
+    }
+
+    pub(super) fn mechanism(&self) -> &Mechanism {
+        &self.seat.mechanism
     }
 
     /// The tips of the tool.

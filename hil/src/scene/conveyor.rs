@@ -47,13 +47,13 @@ impl Drift {
 #[derive(Default)]
 pub(super) struct Arrivals {
     /// Bodies that are still to come, in the order of time.
-    coming: VecDeque<Coming>,
+    pub(super) coming: VecDeque<Coming>,
     /// Bodies that have come, by their numbers.
     placed: Vec<Option<BodyId>>,
 }
 
 /// A body that is still to come.
-struct Coming {
+pub(super) struct Coming {
     number: usize,
     at: Instant,
     config: BodyConfig,

@@ -1,5 +1,7 @@
 //! One step of the bodies, and the forces on the robots at its end.
 
+use std::ops::Range;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::body::Body;
@@ -121,13 +123,13 @@ impl Scene {
         }
     }
 
-    /// Computes the forces on all robots at the end of the step.
-    pub(super) fn load_arms(&mut self) {
+    /// Computes the forces on the tips of these robots at the end of the step.
+    pub(super) fn push_tips(&mut self, robots: Range<usize>) {
         let Self { walls, bodies, arms, tips, grips, .. } = self;
-        for arm in arms.iter_mut().filter(|arm| !arm.is_far()) {
+        for arm in arms[robots.clone()].iter_mut().filter(|arm| !arm.is_far()) {
             arm.set_clearance(f64::INFINITY);
         }
-        for pair in tips {
+        for pair in tips.iter_mut().filter(|pair| robots.contains(&pair.arm)) {
             let arm = &mut arms[pair.arm];
             if arm.is_far() {
                 continue;
@@ -161,6 +163,11 @@ impl Scene {
                 arm.push_tip(&push.touch, &push.drag);
             }
         }
+    }
+
+    /// Computes the forces of all grippers at the end of the step.
+    pub(super) fn pull_grips(&mut self) {
+        let Self { bodies, arms, grips, .. } = self;
         for grip in grips.iter_mut().flatten() {
             let body = bodies[grip.body].moving();
             let Holder::Robot(RobotId(arm)) = grip.holder else {

@@ -9,13 +9,18 @@ use nalgebra::{Isometry3, Matrix3, Vector3};
 use super::arm::Seat;
 use super::body::BodyState;
 use super::motion::{Moving, Wrench};
-use crate::InputProbe;
 use crate::plant::Shafts;
+use crate::{InputProbe, Mechanism};
 
 /// Source of the true wrench on a force/torque sensor, for an emulated device.
 pub trait WrenchProbe: Send {
     /// Wrench at `now` in the frame of the sensor: three forces, N, then three torques, N·m. `now` never decreases.
     fn wrench(&mut self, now: Instant) -> [f64; 6];
+
+    /// The robot in a scene whose wrench this is.
+    fn mechanism(&self) -> Option<&Mechanism> {
+        None
+    }
 }
 
 /// A force/torque sensor between flange and tool.
@@ -59,6 +64,10 @@ impl SensorProbe {
 impl WrenchProbe for SensorProbe {
     fn wrench(&mut self, _now: Instant) -> [f64; 6] {
         self.last()
+    }
+
+    fn mechanism(&self) -> Option<&Mechanism> {
+        self.0.as_ref().map(|sensor| sensor.seat.mechanism())
     }
 }
 

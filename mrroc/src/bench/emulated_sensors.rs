@@ -5,7 +5,7 @@ use std::time::Duration;
 use can::{Frame, Instant};
 use drive::wrench::Content;
 use hil::{
-    BusId, CanForceSensor, CanForceSensorConfig, Device, LineDevice, Resolution, SerialForceSensor,
+    BusId, CanForceSensor, CanForceSensorConfig, Device, LineDevice, Mechanism, Resolution, SerialForceSensor,
     SerialForceSensorConfig, TemperatureCourse, TransducerConfig, World, scene::SensorProbe,
 };
 use serial::VirtualLine;
@@ -136,6 +136,10 @@ impl<D: LineDevice> LineDevice for Unplugged<D> {
     fn handle_timeout(&mut self, now: Instant) {
         self.device.handle_timeout(now);
     }
+
+    fn mechanism(&self) -> Option<&Mechanism> {
+        self.device.mechanism()
+    }
 }
 
 impl<D: Device> Device for Unplugged<D> {
@@ -155,6 +159,10 @@ impl<D: Device> Device for Unplugged<D> {
 
     fn handle_timeout(&mut self, now: Instant) {
         self.device.handle_timeout(now);
+    }
+
+    fn mechanism(&self) -> Option<&Mechanism> {
+        self.device.mechanism()
     }
 }
 

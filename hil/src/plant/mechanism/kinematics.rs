@@ -165,7 +165,10 @@ mod tests {
                     let to: Vec<_> = from.iter().zip(&step).map(|(from, step)| from + step).collect();
                     let bound: f64 = step.iter().zip(travel).map(|(step, travel)| step.abs() * travel).sum();
                     let moved = (place(&to) - start).norm();
-                    assert!(moved <= bound || bound > room, "{config:?}: {moved} m of {bound} m from {from:?} to {to:?}");
+                    assert!(
+                        moved <= bound || bound > room,
+                        "{config:?}: {moved} m of {bound} m from {from:?} to {to:?}"
+                    );
                 }
                 for (number, most) in most.iter_mut().enumerate() {
                     let mut to = from.clone();
