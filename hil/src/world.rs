@@ -43,8 +43,9 @@ use groups::Groups;
 ///
 /// Buses and lines influence each other only through the [`Scene`], if there is one. The state of the scene changes at
 /// its steps only. Before each step, all buses and lines are advanced to the time of the step. Between two steps, only
-/// the order of events on the same bus or line therefore matters. Without a scene, each bus and each line is advanced
-/// to the end in one call.
+/// the order of events on the same bus or line therefore matters. Robots of a scene without bodies, belts and other
+/// moving parts do not influence each other: the devices of each robot are then advanced through all steps of an interval,
+/// one robot after the other. Without a scene, each bus and each line is advanced to the end in one call.
 #[derive(Default)]
 pub struct World {
     buses: Vec<VirtualBus>,
@@ -239,8 +240,8 @@ impl World {
     /// Processes all events and all steps of the scene up to and including `until`. The events of each bus and each
     /// line are processed in the order of their times. A step precedes the events of the same instant.
     ///
-    /// A host sends nothing during an advance. A bus or a line is therefore left out of the steps of the scene in which
-    /// it has no event.
+    /// A host sends nothing during an advance. A bus or a line is therefore left out of the steps of the scene in which it
+    /// has no event.
     pub fn advance(&mut self, until: Instant) {
         let Self { buses, lines, scene, groups, now } = self;
         if let Some(scene) = scene {

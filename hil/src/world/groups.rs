@@ -26,9 +26,9 @@ pub(super) struct Groups {
 }
 
 impl Groups {
-    /// One group per robot and per bus or line without a robot if the robots of the scene do not influence each other.
-    /// Otherwise one group of all. The results are the same; separate groups are faster, because the data of one group
-    /// fit into the cache of a processor.
+    /// One group per robot and per bus without a robot, if the robots of the scene do not influence each other; a line
+    /// without a robot then needs no steps. Otherwise one group of all. The results are the same. Separate groups are
+    /// faster, because the data of one group fit into the cache of a processor.
     pub(super) fn new(scene: &Scene, buses: &[VirtualBus], lines: &[SerialLine]) -> Self {
         let robots: Option<Vec<Mechanism>> = scene.independent_robots().map(|robots| robots.cloned().collect());
         let robots = robots.filter(|robots| {
@@ -49,12 +49,18 @@ impl Groups {
         let mut groups: Vec<Group> =
             (0..robots.len()).map(|robot| Group::new(Vec::new(), Vec::new(), vec![robot])).collect();
         for (number, bus) in buses.iter().enumerate() {
-            let used = bus.devices().filter_map(|device| robot_of(device.mechanism(), &robots)).collect();
-            joined(&mut groups, used).buses.push(number);
+            let used: Vec<_> = bus.devices().filter_map(|device| robot_of(device.mechanism(), &robots)).collect();
+            match joined(&mut groups, &used) {
+                Some(group) => group.buses.push(number),
+                // Its devices may read the scene in each step.
+                None => groups.push(Group::new(vec![number], Vec::new(), Vec::new())),
+            }
         }
         for (number, line) in lines.iter().enumerate() {
-            let used = robot_of(line.any_device().mechanism(), &robots).into_iter().collect();
-            joined(&mut groups, used).lines.push(number);
+            let used = robot_of(line.any_device().mechanism(), &robots);
+            if let Some(group) = joined(&mut groups, used.as_slice()) {
+                group.lines.push(number);
+            }
         }
         for group in &mut groups {
             group.next = vec![Instant::ZERO; group.buses.len() + group.lines.len()];
@@ -145,16 +151,18 @@ fn robot_of(mechanism: Option<&Mechanism>, robots: &[Mechanism]) -> Option<usize
     robots.iter().position(|robot| robot.is(mechanism))
 }
 
-/// The group of all these robots, which become one group; a new group without robots.
-fn joined(groups: &mut Vec<Group>, robots: Vec<usize>) -> &mut Group {
+/// The group of all these robots, which become one group; `None` without robots.
+fn joined<'a>(groups: &'a mut Vec<Group>, robots: &[usize]) -> Option<&'a mut Group> {
     let mut of_robots = groups.extract_if(.., |group| group.robots.iter().any(|robot| robots.contains(robot)));
-    let mut group = of_robots.next().unwrap_or_else(|| Group::new(Vec::new(), Vec::new(), Vec::new()));
+    let mut group = of_robots.next()?;
     for other in of_robots {
         group.buses.extend(other.buses);
         group.lines.extend(other.lines);
         group.robots.extend(other.robots);
     }
     groups.push(group);
-    let last = groups.len() - 1;
-    &mut groups[last]
+    groups.last_mut()
 }
+
+#[cfg(test)]
+mod tests;

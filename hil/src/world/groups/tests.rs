@@ -1,0 +1,102 @@
+//! Robots that a world advances one after the other.
+
+use std::time::Duration;
+
+use can::{Instant, timing::Bitrate};
+use canopen::NodeId;
+use nalgebra::Isometry3;
+use serial::{Line, VirtualLine};
+
+use crate::plant::{AxisConfig, Irp6Axis, Mechanism, MechanismConfig};
+use crate::scene::{BodyConfig, Material, RobotId, Scene, SensorConfig, Shape, TipConfig, WallConfig};
+use crate::{Device, Epos4, Epos4Config, SerialForceSensor, SerialForceSensorConfig, TransducerConfig, World};
+
+/// Two IRb-6 without power or brakes over a floor, each with a force sensor at a line. The drives of the first are on two
+/// buses. The second bus has the drives of both robots if `shared`.
+struct Fallen {
+    world: World,
+    robots: [RobotId; 2],
+    lines: [VirtualLine; 2],
+}
+
+impl Fallen {
+    fn new(shared: bool, add: impl FnOnce(&mut Scene)) -> Self {
+        let mut world = World::new();
+        let buses = [(); 3].map(|()| world.add_bus(Bitrate::KBPS_1000));
+        let mut scene = Scene::new();
+        let material = Material { stiffness: 1e5, damping: 300.0, friction: 0.3 };
+        let pose = Isometry3::translation(0.0, 0.0, 0.1);
+        scene.add_wall(&WallConfig { shape: Shape::HalfSpace, pose, material }).unwrap();
+        let arms = [0, 1].map(|arm: usize| {
+            let mechanism = Mechanism::new(MechanismConfig::Irb6);
+            for (number, axis) in Irp6Axis::ALL.into_iter().take(5).enumerate() {
+                let bus = if arm == 0 { number % 2 } else { 2 - usize::from(shared && number == 3) };
+                let axis = AxisConfig { start_angle: 0.0, brake: 0.0, ..AxisConfig::irp6(axis).with_home(0.0) };
+                let node = NodeId::new((10 * arm + number + 1) as u8).unwrap();
+                let mount = mechanism.mount(number, 0.0);
+                let drive = Epos4::new(Epos4Config { mount, ..Epos4Config::new(node, axis) });
+                assert!(drive.plant().is_some_and(|plant| plant.mechanism().is_some_and(|it| it.is(&mechanism))));
+                world.add_device(buses[bus], Box::new(drive));
+            }
+            let robot = scene.add_robot(&mechanism, &Isometry3::translation(0.0, 3.0 * arm as f64, 0.0)).unwrap();
+            scene.add_tip(robot, &TipConfig { centre: [0.0, 0.0, 0.2], radius: 0.01 }).unwrap();
+            let config = SensorConfig { pose: Isometry3::identity(), mass: 1.0, centre: [0.0; 3], inertia: [0.1; 3] };
+            (robot, scene.add_sensor(robot, &config).unwrap())
+        });
+        add(&mut scene);
+        world.set_scene(scene);
+        let robots = [0, 1].map(|arm| arms[arm].0);
+        let lines = arms.map(|(_, probe)| {
+            let transducer = TransducerConfig { range: [4000.0; 6], ..TransducerConfig::default() };
+            let sensor = SerialForceSensor::new(SerialForceSensorConfig::new(transducer), Box::new(probe)).unwrap();
+            let line = world.add_line(SerialForceSensor::SETTINGS, None, Box::new(sensor));
+            world.host_line(line, 256)
+        });
+        Self { world, robots, lines }
+    }
+
+    /// Falls for some seconds in intervals of 2 ms: the bytes of the sensors, the bits of the flanges, and the number of
+    /// groups.
+    fn run(mut self) -> (Vec<u8>, Vec<u64>, usize) {
+        let (mut bytes, mut bits) = (Vec::new(), Vec::new());
+        for cycle in 0..1_500_u32 {
+            let now = Instant::ZERO + cycle * Duration::from_millis(2);
+            self.world.advance(now);
+            for line in &mut self.lines {
+                let mut reply = [0; 64];
+                let count = line.read(now, &mut reply).unwrap();
+                bytes.extend(&reply[..count]);
+                line.write(now, b"q").unwrap();
+            }
+            let scene = self.world.scene().unwrap();
+            let flanges = self.robots.map(|robot| scene.flange(robot).to_homogeneous().map(f64::to_bits));
+            bits.extend(flanges.iter().flatten());
+        }
+        let groups = self.world.groups.as_ref().map_or(0, |groups| groups.groups.len());
+        (bytes, bits, groups)
+    }
+}
+
+#[test]
+fn robots_that_do_not_meet_move_as_if_all_devices_advanced_together() {
+    for shared in [false, true] {
+        let separate = Fallen::new(shared, |_| ());
+        let (bytes, bits, groups) = separate.run();
+        // A bus with drives of both robots joins their groups.
+        assert_eq!(groups, if shared { 1 } else { 2 }, "shared: {shared}");
+        // A body far away makes the world advance all robots together.
+        let together = Fallen::new(shared, |scene| {
+            let body = BodyConfig {
+                mass: 1.0,
+                half: [0.1; 3],
+                material: Material { stiffness: 1e5, damping: 300.0, friction: 0.3 },
+                pose: Isometry3::translation(50.0, 0.0, 5e3),
+                velocity: [0.0; 3],
+                spin: [0.0; 3],
+            };
+            scene.add_body(&body).unwrap();
+        });
+        assert!(bytes.len() > 2 * 1_000 * 14, "{} bytes", bytes.len());
+        assert!(together.run() == (bytes, bits, 1), "shared: {shared}");
+    }
+}
