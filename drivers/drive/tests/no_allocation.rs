@@ -332,6 +332,20 @@ fn no_cycle_allocates() {
     }
     assert_eq!(io.inputs.read().fault, None);
     assert_eq!((states[0].power, states[0].fault), (Power::Off, None));
+    // A drive boots, and is brought back by a reset.
+    drives.lock().unwrap().reply(0x700 + 1, &[0], now);
+    let mut recovered = false;
+    for cycle in 0..500 {
+        now += PERIOD;
+        let command = if cycle < 10 { AxisCommand::Off } else { AxisCommand::ResetFault };
+        let before = ALLOCATIONS.get();
+        group.read(now, &mut states);
+        group.write(now, &[command; AXES]);
+        group.send(now);
+        assert_eq!(ALLOCATIONS.get() - before, 0, "cycle {cycle} of a recovery");
+        recovered |= states[0].recovering;
+    }
+    assert!(recovered && states[0].fault.is_none());
     // The allocation counter itself works.
     let before = ALLOCATIONS.get();
     drop(Box::new(1));

@@ -204,6 +204,11 @@ impl NodeBringUp {
         Client::new(self.node, self.group.sdo_timeout, self.group.sdo_retries)
     }
 
+    /// Time-out for the change to operational. The heartbeat that shows this state may be a period away.
+    pub(crate) fn start_timeout(&self) -> Duration {
+        self.group.boot_timeout + self.group.heartbeat_period
+    }
+
     /// Advances bring-up: takes the answer to the last request and makes the next request.
     pub(crate) fn advance(&mut self, sdo: &mut Client, now: Instant) -> Result<(), BringUpError> {
         let node = self.node.raw();
@@ -271,8 +276,7 @@ impl NodeBringUp {
             }
             Phase::Starting { since } => {
                 let waited = now.since(since);
-                // The heartbeat that shows the operational state may be a period away.
-                if waited > self.group.boot_timeout + self.group.heartbeat_period {
+                if waited > self.start_timeout() {
                     return Err(BringUpError::NotOperational { node, waited });
                 }
                 Ok(())

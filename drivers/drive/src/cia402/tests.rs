@@ -12,6 +12,7 @@ mod mode_watch;
 mod other_controller;
 mod own_heartbeat;
 mod plausibility;
+mod recovery;
 mod reserved;
 mod small_drives;
 mod stale;
