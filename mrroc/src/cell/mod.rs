@@ -12,6 +12,7 @@ mod can_force_sensor;
 mod conveyor;
 mod device_configuration;
 mod drives;
+mod emergency_contact;
 mod error;
 mod file;
 mod force;
@@ -48,6 +49,7 @@ pub use conveyor::{EmulatedConveyor, EmulatedGate, EmulatedObject};
 pub(crate) use device_configuration::DeviceConfiguration;
 pub use drive::axis_controller::{Control, Protocol};
 pub use drives::ENABLING;
+pub use emergency_contact::EmergencyContact;
 pub use error::{CellError, Path, Step};
 pub use file::{CellFile, FileError};
 pub use force::{EmulatedTemperature, ForceSensor, ForceSensorEmulator};
@@ -306,6 +308,8 @@ pub struct Drive {
     pub control: DriveControl,
     /// The position loop in the host, with `control = "velocity"` or `"torque"`.
     pub r#loop: Option<Loop>,
+    /// A digital input of the drive that is a contact of the emergency stop.
+    pub emergency_stop: Option<EmergencyContact>,
     /// Further objects to write before operation.
     #[serde(default)]
     pub parameter: Vec<Parameter>,

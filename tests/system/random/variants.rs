@@ -1,8 +1,8 @@
 //! Example cells with short programs, and with every key that a cell file can have.
 
 use ::mrroc::cell::{
-    Cell, Direction, DriveControl, EmulatedPayload, EmulatedTemperature, EmulatedTip, FieldContent, Instruction,
-    JointGenerator, Joints, Law, LineInstruction, Parameter, Parameters, Protocol, SensorField, Weights,
+    Cell, Direction, DriveControl, EmergencyContact, EmulatedPayload, EmulatedTemperature, EmulatedTip, FieldContent,
+    Instruction, JointGenerator, Joints, Law, LineInstruction, Parameter, Parameters, Protocol, SensorField, Weights,
 };
 use controller::robot::Mass;
 use hil::plant::Irp6Axis;
@@ -79,6 +79,7 @@ fn on_can(cell: &mut Cell) {
     (drive.product, drive.revision) = (Some(0x6150_0000), Some(0x0170_0000));
     drive.dcf = Some(DCF.into());
     drive.parameter = vec![Parameter { index: 0x6081, subindex: 0, value: 1_000, bytes: 4 }];
+    drive.emergency_stop = Some(EmergencyContact { input: 16, emulated_edges_s: vec![1e5] });
     axis.emulator.revision = Some(0x0170_0000);
     robot.program.push(Instruction::Joints(Joints {
         poses: vec![vec![0.01, -1.57, 0.01, 0.0, 0.0], vec![0.0, -1.58, 0.0, 0.01, 0.01]],

@@ -60,6 +60,8 @@ pub(crate) struct Learnt {
     pub(crate) position: Increments,
     /// Object 0x603F.
     pub(crate) error_code: u16,
+    /// Object 0x60FD, of a drive with a contact of the emergency stop.
+    pub(crate) inputs: u32,
     /// Mode of operation that the drive reported unasked since its start.
     pub(crate) mode_shown: Option<ModeOfOperation>,
 }
@@ -389,6 +391,7 @@ impl NodeBringUp {
             Step::Statusword => {
                 self.learnt.statusword = Statusword(transfer.number().map_err(error)?);
             }
+            Step::Inputs => self.learnt.inputs = transfer.number().map_err(error)?,
             Step::Position => {
                 self.learnt.position = Increments(transfer.number().map_err(error)?);
             }

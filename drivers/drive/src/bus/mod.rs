@@ -255,8 +255,9 @@ impl<P: Port> CanBus<P> {
                 (Place::Drive(drive), PdoNumber::Two) => {
                     self.drives.shows(drive, frame.data(), &mut self.members[drive])?;
                 }
+                (Place::Drive(drive), PdoNumber::Three) => self.drives.inputs(drive, frame.data())?,
                 (Place::Io(io), PdoNumber::One) => self.io[io].inputs(frame.data(), at)?,
-                (Place::Drive(_), PdoNumber::Three | PdoNumber::Four)
+                (Place::Drive(_), PdoNumber::Four)
                 | (Place::Io(_), PdoNumber::Two | PdoNumber::Three | PdoNumber::Four)
                 | (Place::Sensor(_), _) => return None,
             },
@@ -581,7 +582,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
     }
 
     fn emergency_stop(&self) -> Option<EmergencyStop> {
-        self.io.iter().find_map(IoNode::emergency_stop)
+        self.drives.emergency_stop().or_else(|| self.io.iter().find_map(IoNode::emergency_stop))
     }
 
     fn counters(&self) -> GroupCounters {

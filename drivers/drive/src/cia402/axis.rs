@@ -9,6 +9,7 @@ use canopen::nmt;
 use master::power::{self, PowerStateMachine};
 
 use super::config::{AxisConfig, CyclicMode, GroupConfig};
+use super::contact::Contact;
 use super::homing::Search;
 use super::measurement::Measurement;
 use super::process_data::{self, Answer};
@@ -16,7 +17,7 @@ use super::program::MAXON;
 use super::service::{ModeSwitch, Service};
 use super::target::Target;
 use crate::bus::Learnt;
-use crate::{AxisCommand, AxisState, BringUpError, Fault, Permille, Power, Refusal};
+use crate::{AxisCommand, AxisState, BringUpError, EmergencyStop, Fault, Permille, Power, Refusal};
 
 /// Answers until a controlword surely has its effect in the statusword. The drive latches the word at the next SYNC
 /// and acts on it afterwards. The SYNC after that samples the effect, and the following cycle reads the sample.
@@ -41,6 +42,7 @@ pub(super) struct CanAxis {
     measurement: Measurement,
     /// The last SYNC was answered.
     answered: bool,
+    contact: Option<Contact>,
     /// Cycles in a row whose set-point the port did not take.
     not_sent: u32,
     error_code: u16,
@@ -107,6 +109,7 @@ impl CanAxis {
             statusword: learnt.statusword,
             measurement: Measurement::new(&group, &config, learnt.position),
             answered: false,
+            contact: Contact::new(&config, group.tolerated_missing, learnt.inputs),
             not_sent: 0,
             error_code: learnt.error_code,
             error_age: 0,
@@ -224,6 +227,17 @@ impl CanAxis {
         }
     }
 
+    /// Takes the digital inputs. `None` for a drive without a contact of the emergency stop, and for an undecodable frame.
+    pub(super) fn inputs(&mut self, data: &[u8]) -> Option<()> {
+        self.contact.as_mut()?.take(data)
+    }
+
+    /// The demand of a stop by the contact of the emergency stop.
+    pub(super) fn emergency_stop(&self) -> Option<EmergencyStop> {
+        let works = self.operational && !self.booted && !self.state.recovering;
+        self.contact?.emergency_stop(works)
+    }
+
     /// Takes an EMCY. An error of a drive that is commanded to be on is a fault, also if the drive itself goes on.
     pub(super) fn emergency(&mut self, emergency: &Emergency) {
         if emergency.is_reset() {
@@ -257,6 +271,7 @@ impl CanAxis {
             self.state.age = self.state.age.saturating_add(1);
         }
         self.answered = false;
+        self.contact.iter_mut().for_each(|contact| contact.end_of_read(due));
         // The code of a warning does not name a later fault.
         self.error_age = self.error_age.saturating_add(1);
         if self.error_age > ANSWERS_TO_EFFECT {

@@ -43,7 +43,8 @@
 //! - following error window (0x6065);
 //! - homing (0x6098, 0x6099, 0x609A, 0x607C and maxon's 0x30B0, 0x30B1);
 //! - offsets (0x60B0 to 0x60B2);
-//! - process data: RPDO 1, TPDO 1 and TPDO 2 are mapped and the other PDOs switched off;
+//! - process data: RPDO 1, TPDO 1 and TPDO 2 are mapped, for a contact of the emergency stop TPDO 3 as well, and the other
+//!   PDOs switched off;
 //! - mode of operation (0x6060).
 //!
 //! Not supported: profile modes, interpolated position (EPOS2), and several axes behind one node-ID. Read
@@ -52,6 +53,7 @@
 mod agreement;
 mod axis;
 mod config;
+mod contact;
 mod homing;
 mod measurement;
 mod process_data;
@@ -84,7 +86,7 @@ pub use reserved::{Reserved, reserved};
 #[cfg(doc)]
 use crate::Power;
 use crate::bus::{Member, Syncs, begin_transfer};
-use crate::{AxisCommand, AxisState, Fault, Warnings};
+use crate::{AxisCommand, AxisState, EmergencyStop, Fault, Warnings};
 use axis::CanAxis;
 use process_data::Answer;
 use recovery::Recovery;
@@ -171,6 +173,16 @@ impl Cia402Group {
             drive.axis.shows(mode);
         }
         Some(())
+    }
+
+    /// Takes TPDO 3 of a drive. `None` means an undecodable or unexpected frame.
+    pub(crate) fn inputs(&mut self, drive: usize, data: &[u8]) -> Option<()> {
+        self.drives[drive].axis.inputs(data)
+    }
+
+    /// The first contact of the emergency stop that is open or not known.
+    pub(crate) fn emergency_stop(&self) -> Option<EmergencyStop> {
+        self.drives.iter().find_map(|drive| drive.axis.emergency_stop())
     }
 
     /// Takes an EMCY. Returns whether the EMCY is a warning: an error of the bus alone, or of a drive that is not commanded to

@@ -4,6 +4,7 @@ mod agreement;
 pub(crate) mod bench;
 mod bring_up;
 mod configuration;
+mod contact;
 mod cycle;
 mod error_clearing;
 mod faults;
