@@ -66,6 +66,7 @@ fn written(example: &str, change: impl FnOnce(&mut Cell)) -> String {
 /// Adds every key that an arm on CAN may have.
 fn on_can(cell: &mut Cell) {
     cell.realtime.margin = Some(std::time::Duration::from_micros(100));
+    cell.bus[0].guarded = true;
     cell.realtime.cpu = Some(0);
     cell.realtime.spin_share = Some(0.2);
     let robot = &mut cell.robot[0];
@@ -198,6 +199,7 @@ fn incremental(law: &IncrementalConfig, limit: f64) -> Law {
 fn on_lines(cell: &mut Cell) {
     cell.serial[0].emulated_latency_ms = Some(1);
     cell.guardian_ms = Some(9);
+    cell.watchdog = Some("/dev/watchdog".into());
     let robot = &mut cell.robot[0];
     let load = Mass { mass: 1.0, centre: [0.0, 0.0, 0.1] };
     robot.weight = Some(Weights { masses: Some(robot.model.masses().to_vec()), load, up: Some(robot.model.up()) });
