@@ -43,9 +43,8 @@ impl Cia402Group {
     /// Takes a heartbeat or boot-up message of a drive, received at `at`.
     pub(crate) fn heard(&mut self, drive: usize, state: NmtState, at: Instant, member: &mut Member, now: Instant) {
         let drive = &mut self.drives[drive];
-        drive.axis.heard(state, at);
         match (drive.recovery, state) {
-            (Recovery::None, _) => {}
+            (Recovery::None, _) => drive.axis.heard(state, at),
             (Recovery::Starting { .. }, NmtState::Initialising) => drive.give_up(None, member),
             _ => member.bring_up.heard(state, &mut member.sdo, now),
         }

@@ -86,6 +86,21 @@ fn a_node_in_another_state_is_brought_up_again_too() {
 }
 
 #[test]
+fn a_reference_that_the_drive_reports_counts_unless_its_counter_jumped() {
+    for (jumps, expected) in [(false, Homing::Attained), (true, Homing::NotHomed)] {
+        let mut bench = booted();
+        let position = if jumps { 1_000_000 } else { 1_000 };
+        for position in [1_000, position] {
+            let answers = [answer(1, 0x0737, 1_000), answer(2, 0x8740, position)];
+            bench.cycle(&answers, &OFF);
+        }
+        recover(&mut bench, &[&answer(2, 0x8240, 80)]);
+        bench.cycle(&[answer(1, 0x0737, 1_000), answer(2, 0x8240, 80)], &OFF);
+        assert_eq!((bench.states[1].fault, bench.states[1].homing), (None, expected), "jumps: {jumps}");
+    }
+}
+
+#[test]
 fn another_drive_in_its_place_is_refused_and_the_same_order_does_not_try_again() {
     let mut bench = booted();
     bench.stores[1].put(0x1018, 2, &[0x00, 0x00, 0x50, 0x61]);
