@@ -13,7 +13,7 @@ use anyhow::{Context, bail};
 use controller::sensor::{OperatorLink, OperatorPanel};
 
 use crate::bench::BenchKind;
-use crate::run::{Background, Requests, SMALL_STACK};
+use crate::run::{Background, Requests, SMALL_STACK, crew};
 use crate::streams;
 
 /// Lines that wait for a question. Standard input is read on when there is room again.
@@ -92,6 +92,8 @@ impl Console {
         requests: &Requests,
         show: impl FnMut(&str) + Send + 'static,
     ) -> anyhow::Result<Self> {
+        // A panic of a thread of the console must end the run.
+        let _member = requests.crew.join();
         let (sender, read) = sync_channel(LINES);
         spawn("operator input", move || read_lines(input, &sender))?;
         let (link, texts, lines) = if bench == BenchKind::Lockstep {
@@ -129,7 +131,12 @@ fn background<S: Send + 'static>(
 }
 
 fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> anyhow::Result<()> {
-    let thread = Builder::new().name(name.to_owned()).stack_size(SMALL_STACK).spawn(work);
+    let crew = crew::current();
+    let body = move || {
+        let _member = crew::join(crew);
+        work();
+    };
+    let thread = Builder::new().name(name.to_owned()).stack_size(SMALL_STACK).spawn(body);
     thread.context(NO_THREAD)?;
     Ok(())
 }

@@ -13,6 +13,10 @@ pub(crate) const REMEMBERED: usize = 16;
 /// Fraction of the greatest velocity below which a motor counts as still.
 const STILL: f64 = 0.01;
 
+/// Greatest number of missed cycles for which a motor is taken to have gone on at its measured velocity. The clock of a
+/// host that was suspended shows more.
+const MOST_EXTRAPOLATED: u32 = 100;
+
 /// Shortest distance of set-points, increments, during which the measured position must change.
 const FROZEN: f64 = 16.0;
 
@@ -211,6 +215,7 @@ impl ServoAxis {
         };
         let velocity = host.measured_velocity;
         // The sample shows the command of `delay` cycles ago. The newest command is one cycle old.
+        let missed = missed.min(MOST_EXTRAPOLATED);
         let shown = self.delay - 1 + self.state.age as usize + missed as usize;
         self.commanded = std::array::from_fn(|age| self.state.position + velocity * dt * (shown as f64 - age as f64));
         self.knot = Knot::new(self.commanded[0], velocity);

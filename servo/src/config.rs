@@ -40,8 +40,9 @@ pub struct EffectorConfig {
     pub axes: Vec<ServoAxisConfig>,
     /// Orders that may wait in its queue.
     pub queue: usize,
-    /// Longest time from [`Order::Enable`](crate::Order::Enable) to every axis on and following,
-    /// and from [`Order::ResetFault`](crate::Order::ResetFault) to every drive without a fault.
+    /// Longest time from [`Order::Enable`](crate::Order::Enable) to every axis on and following, and from
+    /// [`Order::ResetFault`](crate::Order::ResetFault) to every drive without a fault. A reset takes at most one second
+    /// more than the [recovery](drive::AxisState::recovering) of the drives.
     pub enabling_timeout: Duration,
     /// Longest time homing may take, all axes together.
     pub homing_timeout: Duration,

@@ -4,6 +4,7 @@ mod homing;
 mod law;
 mod motion;
 mod orders;
+mod reset;
 
 use std::time::Duration;
 
@@ -206,7 +207,8 @@ impl Effector {
         self.latest.publish_trail(&self.trail(tick.dt));
         if due || self.news {
             let reached = self.state != ServoState::Moving || self.segment.as_ref().is_none_or(Segment::is_reported);
-            let report = ServoReport { snapshot, reached, fault: self.fault };
+            let resetting = self.state == ServoState::Resetting;
+            let report = ServoReport { snapshot, reached, fault: self.fault, resetting };
             self.counters.dropped_reports += u64::from(self.reports.push(report).is_err());
         }
     }
@@ -456,15 +458,7 @@ impl Effector {
                     self.apply(tick, ServoEvent::Done);
                 }
             }
-            ServoState::Resetting => {
-                let cleared = self.axes.iter().all(|axis| axis.state.fault.is_none());
-                if cleared && tick.emergency.is_none() {
-                    self.apply(tick, ServoEvent::Done);
-                } else if waited > self.enabling_timeout {
-                    let late = self.first(|axis| axis.state.fault.is_some());
-                    self.fail(tick, late, StopCause::NotReady { waited });
-                }
-            }
+            ServoState::Resetting => self.reset(tick, waited),
         }
     }
 

@@ -126,6 +126,8 @@ pub struct ServoReport {
     /// The fault that stopped the effector, if any. [`StopCause::Partner`] and [`StopCause::Touched`] hold until the next
     /// stop or disable order, any other fault until its reset.
     pub fault: Option<ServoFault>,
+    /// A reset of the fault is under way. The next report with [`Phase::Faulted`] and without a reset reports its failure.
+    pub resetting: bool,
 }
 
 /// Fault by which the servo stopped an effector.

@@ -9,6 +9,9 @@
 //! that slot and waits for the next one, so two SYNCs are never closer than half a period. [`Servo::missed`] describes
 //! the effect of too many missed deadlines. An emulated cell can avoid this effect: see [`CellTime`].
 //!
+//! **A suspension** of the machine stops `CLOCK_MONOTONIC`, and no deadline passes. `CLOCK_BOOTTIME` goes on: the periods
+//! of the suspension count as missed deadlines, so a suspension of more than the tolerated number stops all effectors.
+//!
 //! **A late cycle** is explained: [`Timing::late`] counts the causes and keeps the worst cycles. The clock is read
 //! between the phases of a cycle. The kernel's account of the thread (`getrusage`, `/proc/thread-self/schedstat`) is
 //! read in the slack after SYNC: after each late or disturbed cycle, and after one quiet cycle in 16. The reading in
@@ -39,6 +42,7 @@ mod host;
 mod late;
 mod quantile;
 mod realtime;
+mod suspend;
 mod tracer;
 mod wait;
 
@@ -50,11 +54,12 @@ use std::thread::{Builder, JoinHandle};
 use std::time::Duration;
 
 use can::Instant;
-use can::clock::{now, sleep_until};
+use can::clock::{now, since_boot, sleep_until};
 use thiserror::Error;
 
 use self::explain::{Before, LATE};
 use self::quantile::LearntQuantile;
+use self::suspend::SuspendWatch;
 use crate::{NotUp, Servo, Timing};
 
 pub use self::account::{Account, AccountReads};
@@ -229,6 +234,9 @@ struct Run {
     panicked: Option<Panicked>,
     period: Duration,
     waiter: Waiter,
+    suspend: SuspendWatch,
+    /// Reads `CLOCK_BOOTTIME`.
+    since_boot: fn() -> Instant,
     /// Duration of preparation, if the wake-up follows it.
     preparation: Option<LearntQuantile>,
     /// Deadline of the next cycle, on the wall clock.
@@ -256,6 +264,8 @@ impl Run {
             panicked: None,
             period,
             waiter: Waiter::new(realtime, period),
+            suspend: SuspendWatch::default(),
+            since_boot,
             preparation: (realtime.wait != Wait::Plain)
                 .then(|| LearntQuantile::new(Duration::ZERO, period / LONGEST_PREPARATION)),
             deadline: Instant::ZERO,
@@ -305,6 +315,7 @@ impl Run {
     fn cycle(&mut self) -> bool {
         let begun = now();
         let awake = self.wait(begun);
+        self.check_suspension();
         let stepped = catch_unwind(AssertUnwindSafe(|| self.step(begun, &awake)));
         self.deadline += self.period;
         self.number += 1;
@@ -391,11 +402,27 @@ impl Run {
             }
             let slots = (late - self.period / 2).as_nanos() / self.period.as_nanos() + 1;
             let slots = u32::try_from(slots).unwrap_or(u32::MAX);
-            match self.time {
-                CellTime::Wall => self.servo.missed(slots),
-                CellTime::Nominal(_) => self.servo.slipped(slots),
-            }
+            self.count_missed(slots);
             self.deadline += self.period.saturating_mul(slots);
+        }
+    }
+
+    /// Counts the periods of a suspension of the machine as missed deadlines, which the clock of the deadlines does not
+    /// show.
+    fn check_suspension(&mut self) {
+        let before = now();
+        let boot = (self.since_boot)();
+        let asleep = self.suspend.observe(before, boot, now());
+        let slots = (asleep + self.period / 2).as_nanos() / self.period.as_nanos();
+        if slots > 0 {
+            self.count_missed(u32::try_from(slots).unwrap_or(u32::MAX));
+        }
+    }
+
+    fn count_missed(&mut self, slots: u32) {
+        match self.time {
+            CellTime::Wall => self.servo.missed(slots),
+            CellTime::Nominal(_) => self.servo.slipped(slots),
         }
     }
 

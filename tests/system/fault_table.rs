@@ -40,6 +40,12 @@ fn each_fault_ends_within_its_bound_or_is_known_not_to() {
     }
     let page = table.page(false);
     assert!(page.contains("| answers lost | irb6 | cruising | answers | 8 ms | 1 |"), "{page}");
+    // A reset configures a drive that booted again, and the robot homes.
+    for fault in ["reset of a drive", "power cycle of a drive", "duplicate node-ID"] {
+        let start = format!("| {fault} | irp6-track | cruising |");
+        let row = page.lines().find(|line| line.starts_with(&start)).unwrap_or_default();
+        assert!(row.ends_with("| reset, enable, home |"), "{fault}: {page}");
+    }
 }
 
 #[test]

@@ -26,6 +26,10 @@ const LOST: &str = "upper-arm";
 /// Longest stop, in cycles of 2 ms: braking, and the wait for drives that may brake by themselves.
 const LONGEST_STOP: usize = 175;
 
+/// Longest time from the hang-up to the end of the run, in cycles of 2 ms: the stop, and the wait for drives that report no
+/// power, of which one cannot be heard any more.
+const LONGEST_END: usize = 1_000;
+
 /// Number of attempts, because the host may disturb a run before the line hangs up.
 const ATTEMPTS: usize = 4;
 
@@ -129,6 +133,8 @@ fn ended_by_the_cause(report: &Value, record: &Path) -> String {
     assert_eq!(last, "Off", "{named}");
     let stop: Vec<_> = rows.iter().filter(|row| row.0 == "Stopping").collect();
     assert!(stop.len() <= LONGEST_STOP, "{} cycles of stopping", stop.len());
+    let end = rows.iter().skip_while(|row| row.0 != "Stopping").count();
+    assert!(end <= LONGEST_END, "{end} cycles until the end of the run");
     let (_, _, believed) = stop[0];
     for (phase, command, commanded) in rows.iter().skip_while(|row| row.0 != "Stopping") {
         assert_eq!(commanded, believed, "{named}: {phase}, {command}");

@@ -121,6 +121,8 @@ pub struct Ecp {
     activity: Activity,
     planning: Planning,
     report: Option<ServoReport>,
+    /// The servo ended a reset without success, in this instruction.
+    reset_failed: bool,
     /// Orders that wait for room in the servo's queue, or for the first macrosteps behind a barrier.
     outbox: VecDeque<Order>,
     /// Number of the last macrostep made.
@@ -188,6 +190,7 @@ impl Ecp {
             activity: Activity::Idle,
             planning: Planning::with(Box::new(AtOnce::default())),
             report: None,
+            reset_failed: false,
             outbox: VecDeque::with_capacity(config.most_orders() + 1),
             sent: 0,
             executed: 0,
@@ -334,6 +337,8 @@ impl Ecp {
                 let moved = before.snapshot.phase == Phase::Moving;
                 self.fault_macrostep = report.fault.filter(|_| moved).map(|_| macrostep);
             }
+            let failed = before.resetting && !report.resetting && report.snapshot.phase == Phase::Faulted;
+            self.reset_failed |= failed;
             self.report = Some(report);
             self.since_report.restart(report.snapshot.at);
         }
@@ -434,6 +439,7 @@ impl Ecp {
         let phase = self.phase();
         self.chart = None;
         (self.moves, self.commanded) = (matches!(instruction, Instruction::Run(_)), false);
+        self.reset_failed = false;
         let partner_stop = self.partner_stop();
         if let Some(error) = partner_stop
             && !matches!(instruction, Instruction::ResetFault | Instruction::Disable)
@@ -479,7 +485,8 @@ impl Ecp {
 
     fn advance(&mut self, now: Instant) -> Option<Result<(), EcpError>> {
         let phase = self.phase();
-        let clearing = matches!(self.activity, Activity::Switching { order: Order::ResetFault, .. });
+        let clearing =
+            matches!(self.activity, Activity::Switching { order: Order::ResetFault, .. }) && !self.reset_failed;
         if phase == Phase::Faulted && !clearing {
             self.clear_outbox();
             return Some(Err(self.cause_of(EcpError::Faulted)));

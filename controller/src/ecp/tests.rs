@@ -104,6 +104,8 @@ struct Script {
     /// Whether motion time stands still.
     paused: bool,
     fault: Option<ServoFault>,
+    /// Number of the next resets that fail.
+    failing_resets: u32,
 }
 
 impl Script {
@@ -186,6 +188,13 @@ impl Script {
                 // The partners of this script are always there.
                 Order::Meet { .. } | Order::Tie { .. } | Order::Untie => {}
                 Order::Disable => self.phase(Phase::Off),
+                Order::ResetFault if self.failing_resets > 0 => {
+                    self.failing_resets -= 1;
+                    for resetting in [true, false] {
+                        self.report.resetting = resetting;
+                        self.say();
+                    }
+                }
                 Order::ResetFault => {
                     self.report.fault = None;
                     self.phase(Phase::Off);
@@ -259,6 +268,7 @@ impl Bench {
             lost: false,
             paused: false,
             fault: None,
+            failing_resets: 0,
         };
         let ecp = Ecp::new(arm, EffectorLink { orders, reports, latest }, CONFIG);
         Self { ecp, servo, now: Instant::ZERO, poll_every: 1 }

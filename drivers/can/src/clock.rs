@@ -15,6 +15,11 @@ pub fn now() -> Instant {
     Instant::from_nanos(nanos(libc::CLOCK_MONOTONIC))
 }
 
+/// What `CLOCK_BOOTTIME` shows: as [`now`], and the time for which the machine was suspended.
+pub fn since_boot() -> Instant {
+    Instant::from_nanos(nanos(libc::CLOCK_BOOTTIME))
+}
+
 /// Sleeps until `deadline`; returns at once if it has passed. Signals do not shorten it.
 #[expect(unsafe_code, reason = "libc has no safe interface to this call")]
 pub fn sleep_until(deadline: Instant) {
@@ -82,7 +87,7 @@ fn nanos(clock: libc::clockid_t) -> u64 {
     let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
     // SAFETY: `time` is a valid timespec for the call to fill.
     let result = unsafe { libc::clock_gettime(clock, &mut time) };
-    assert_eq!(result, 0, "both clocks exist on every Linux");
+    assert_eq!(result, 0, "these clocks exist on every Linux");
     time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64
 }
 
@@ -95,6 +100,7 @@ mod tests {
         let first = now();
         assert!(now() >= first);
         assert!(first > Instant::ZERO);
+        assert!(since_boot() >= first, "the time of suspensions is added");
     }
 
     #[test]

@@ -15,6 +15,7 @@ mod interface;
 mod port;
 mod replay_port;
 pub mod schedule;
+pub mod send_only;
 pub mod slcan;
 mod socketcan;
 pub mod timing;

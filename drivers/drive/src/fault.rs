@@ -44,6 +44,9 @@ pub enum Fault {
     /// The node booted again, or left NMT state operational, during operation.
     #[error("node {node}: left operational state")]
     LeftOperational { node: u8 },
+    /// A reset of the fault failed: the node booted or left the state operational, and could not be brought up again.
+    #[error("reset failed: {error}")]
+    NotBack { error: BringUpError },
     /// The drive left the state operation enabled without a command and without a fault (object 0x6041).
     #[error("node {node}: power was lost (statusword {statusword:#06x}, {})", state(*.statusword))]
     PowerLost { node: u8, statusword: u16 },

@@ -66,9 +66,9 @@ pub trait DriveGroup: Send {
     if *.known { "the contact is open" } else { "the node has a fault, and the level is not known" }
 )]
 pub struct EmergencyStop {
-    /// Node-ID of the I/O node.
+    /// Node-ID of the I/O node or drive.
     pub node: u8,
-    /// Number of the input.
+    /// Number of the input; at a drive, the bit of object 0x60FD.
     pub input: u8,
     /// Whether the node works, so that the contact is known to be open.
     pub known: bool,

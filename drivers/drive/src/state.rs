@@ -32,6 +32,8 @@ pub struct AxisState {
     pub switches: Switches,
     /// The fault of the axis, latched until reset.
     pub fault: Option<Fault>,
+    /// A reset of the fault brings the drive up again. Every step has a deadline, and the fault ends or changes at the end.
+    pub recovering: bool,
 }
 
 /// Which switches of an axis are closed.

@@ -100,6 +100,7 @@ impl Drives {
                 self.reply(0x180 + u16::from(IO), &[self.inputs], at);
                 self.reply(0x180 + u16::from(SENSOR), &[self.inputs & 0x0F, 0, 0, 0, 0, 0], at);
                 self.reply(0x280 + u16::from(SENSOR), &[0; 6], at);
+                self.reply(0x380 + 1, &[0, 0, 1, 0], at);
                 for node in 1..=AXES as u16 {
                     self.reply(0x180 + node, &[low, high, 0xE8, 3, 0, 0, 0, 0], at);
                     // Each EMCY is another error, and there are more of them than the group keeps: lost frames, and after the
@@ -177,6 +178,7 @@ fn axis(raw: u8) -> AxisConfig {
         plausible_velocity: 100.0 * TAU,
         following_error: TAU,
         quick_stop_deceleration: TAU,
+        emergency_input: (raw == 1).then_some(16),
         configuration: Vec::new(),
     }
 }
@@ -226,6 +228,7 @@ fn no_cycle_allocates() {
         ((0, 0x6200, 0), [1, 0, 0, 0]),
         ((0, 0x1018, 1), [0xFB, 0, 0, 0]),
         ((0, 0x6502, 0), [0xA5, 3, 0, 0]),
+        ((0, 0x60FD, 0), [0, 0, 1, 0]),
         ((0, 0x6060, 0), [0; 4]),
         ((0, 0x603F, 0), [0x10, 0x23, 0, 0]),
         ((0, 0x3000, 5), 2_000_u32.to_le_bytes()),
@@ -314,6 +317,7 @@ fn no_cycle_allocates() {
         }
     }
     assert!(followed && homed && faulted && zeroed);
+    assert_eq!(group.emergency_stop(), None);
     assert_eq!((wrench.read().fault, wrench.read().age), (None, 0));
     assert_eq!(io.inputs.read().sent.map(|sent| sent.cycle), Some(cycles - 2));
     // The I/O node boots, and is brought back by a reset.
@@ -332,6 +336,20 @@ fn no_cycle_allocates() {
     }
     assert_eq!(io.inputs.read().fault, None);
     assert_eq!((states[0].power, states[0].fault), (Power::Off, None));
+    // A drive boots, and is brought back by a reset.
+    drives.lock().unwrap().reply(0x700 + 1, &[0], now);
+    let mut recovered = false;
+    for cycle in 0..500 {
+        now += PERIOD;
+        let command = if cycle < 10 { AxisCommand::Off } else { AxisCommand::ResetFault };
+        let before = ALLOCATIONS.get();
+        group.read(now, &mut states);
+        group.write(now, &[command; AXES]);
+        group.send(now);
+        assert_eq!(ALLOCATIONS.get() - before, 0, "cycle {cycle} of a recovery");
+        recovered |= states[0].recovering;
+    }
+    assert!(recovered && states[0].fault.is_none());
     // The allocation counter itself works.
     let before = ALLOCATIONS.get();
     drop(Box::new(1));

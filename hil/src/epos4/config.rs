@@ -35,12 +35,31 @@ pub struct Epos4Config {
     /// Time at which the drive trips once with an over-current; never where absent. A drive whose motor has no power at
     /// this time trips when the motor gets power.
     pub trips_at: Option<Instant>,
+    /// A contact at a digital input.
+    pub contact: Option<DriveContact>,
     /// Seed of noise and ripple.
     pub seed: u64,
     /// Motor, load, sensors and inner loops.
     pub axis: AxisConfig,
     /// Mounting point of the axis. `None`: the motor carries a load of its own.
     pub mount: Option<Mount>,
+}
+
+/// A contact at a digital input of a drive, closed at first.
+#[derive(Clone, Debug)]
+pub struct DriveContact {
+    /// Bit of object 0x60FD, set while the contact is closed.
+    pub bit: u8,
+    /// Times at which the contact changes, ascending.
+    pub edges: Vec<Instant>,
+}
+
+impl DriveContact {
+    /// The bits of object 0x60FD at `now`.
+    pub(super) fn levels(&self, now: Instant) -> u32 {
+        let changes = self.edges.iter().take_while(|&&edge| edge <= now).count();
+        u32::from(changes % 2 == 0) << self.bit
+    }
 }
 
 impl Epos4Config {
@@ -59,6 +78,7 @@ impl Epos4Config {
             rated_torque: None,
             vendor_bits: 0,
             trips_at: None,
+            contact: None,
             seed: u64::from(node.raw()),
             axis,
             mount: None,

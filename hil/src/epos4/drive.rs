@@ -23,7 +23,7 @@ use canopen::cia402::{Controlword, ModeOfOperation, PowerCommand, PowerState};
 use super::errors;
 use super::power::{Brake, Options, Transition, on_command, on_fault};
 use super::table::{slot, slot_of};
-use super::{Epos4Config, homing::Search, profile::Motion};
+use super::{DriveContact, Epos4Config, homing::Search, profile::Motion};
 use crate::node::errors::Error;
 use crate::node::objects::Objects;
 use crate::node::table::Slot;
@@ -66,6 +66,7 @@ pub(super) struct Drive {
     average_current: f64,
     /// Time of an over-current to come.
     trips_at: Option<Instant>,
+    contact: Option<DriveContact>,
     /// The present chunk of an axis in a scene.
     chunk: Option<Chunk>,
 }
@@ -116,6 +117,7 @@ impl Drive {
             in_window: None,
             average_current: 0.0,
             trips_at: config.trips_at,
+            contact: config.contact.clone(),
             chunk: None,
         }
     }

@@ -9,9 +9,9 @@ use drive::camera::{CameraFault, CameraLink};
 use drive::cia401::IoConfig;
 use hil::scene::WorkpieceProbe;
 use hil::{
-    AxisController, AxisControllerConfig, BusId, Cabinet, Device, DigitalIo, DigitalIoConfig, DriveId, Epos4,
-    Epos4Config, EposSerial, EposSerialConfig, FaultInEffect, InputEdge, InputProbe, LineDevice, LineId, PlantAxis,
-    World, WorldFault,
+    AxisController, AxisControllerConfig, BusId, Cabinet, Device, DigitalIo, DigitalIoConfig, DriveContact, DriveId,
+    Epos4, Epos4Config, EposSerial, EposSerialConfig, FaultInEffect, InputEdge, InputProbe, LineDevice, LineId,
+    PlantAxis, World, WorldFault,
     scene::{BeamProbe, Scene, UnsolvedProbe},
 };
 use serial::{Settings, VirtualLine};
@@ -24,7 +24,7 @@ use crate::bench::plants::{EmulatedCell, Payloads, homing_problem, plant};
 use crate::bench::scene::SceneTruth;
 use crate::bench::traffic::BusLoad;
 use crate::bench::truth::TruthLog;
-use crate::cell::{CellFile, EmulatedGate, EmulatedTouchProbe, IoNode, Protocol};
+use crate::cell::{Axis, CellFile, EmulatedGate, EmulatedTouchProbe, IoNode, Protocol};
 use crate::scenario::{Scenario, ScenarioRun};
 
 /// Capacity of the host's end of a virtual bus in each direction, frames.
@@ -471,9 +471,17 @@ pub fn config(file: &CellFile, robot: usize, number: usize, power_on: Instant) -
         rated_torque: axis.emulator.rated_torque.or(Some(axis.cia402().rated_torque)),
         seed: seed(file, robot, number),
         trips_at: axis.emulator.trips_at_s.map(|at| power_on + Duration::from_secs_f64(at)),
+        contact: contact(axis, power_on),
         power_on,
         ..usual
     }
+}
+
+/// The emulated contact of the emergency stop at a drive.
+fn contact(axis: &Axis, power_on: Instant) -> Option<DriveContact> {
+    let contact = axis.cia402().emergency_stop.as_ref()?;
+    let edges = contact.emulated_edges_s.iter().map(|&at| power_on + Duration::from_secs_f64(at)).collect();
+    Some(DriveContact { bit: contact.input, edges })
 }
 
 fn seed(file: &CellFile, robot: usize, number: usize) -> u64 {

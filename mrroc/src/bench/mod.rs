@@ -24,15 +24,16 @@ use std::os::fd::AsFd as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use can::{Port, SocketCanOptions, TraceReader, Tracer};
+use can::send_only::send_only;
+use can::{InterfaceName, Port, SocketCanOptions, TraceReader, Tracer};
 use clap::{Args, ValueEnum};
 use drive::axis_controller::error_state_telegram;
 use serial::{Line, LineTraceReader, LineTracer, Settings, Tty, VirtualLine};
 
 use crate::bench::bus_port::{BusPort, prepare_card};
 use crate::bench::{emulation::Emulation, interfaces::Interface};
-use crate::cell::{Cell, CellFile, Serial};
-use crate::guardian::{GuardedLine, Guardian};
+use crate::cell::{Bus, Cell, CellFile, Serial};
+use crate::guardian::{GuardedLine, Guardian, stop_of_all_nodes};
 use crate::setup;
 use crate::wire::{Listener, Wire};
 
@@ -196,7 +197,8 @@ impl Bench {
                     Listener::open(file, index, interface).with_context(|| format!("bus {}", file.cell.bus[index].name))
                 };
                 let listeners = interfaces.iter().enumerate().map(listen).collect::<anyhow::Result<_>>()?;
-                let (lines, guarded) = ttys(file, serial)?;
+                let (lines, mut guarded) = ttys(file, serial)?;
+                guarded.extend(guarded_buses(file, &interfaces)?);
                 let sensors = sensor_ttys(file, serial)?;
                 (ports, lines, sensors, listeners, None, Guardian::of_cell(file, &guarded)?)
             }
@@ -307,6 +309,20 @@ fn ttys(file: &CellFile, directory: Option<&Path>) -> anyhow::Result<(Bundles, V
         bundles.push(lines);
     }
     Ok((bundles, guarded))
+}
+
+/// A socket of each guarded bus, and the frame that stops its nodes.
+fn guarded_buses(file: &CellFile, interfaces: &[Interface]) -> anyhow::Result<Vec<GuardedLine>> {
+    let guarded = file.cell.bus.iter().zip(interfaces).filter(|(bus, _)| bus.guarded);
+    let line = |(bus, interface): (&Bus, &Interface)| {
+        let Interface::SocketCan(name) = interface else {
+            bail!("bus {}: guarded needs a SocketCAN interface, not {interface}", bus.name);
+        };
+        let name = InterfaceName::new(name).with_context(|| format!("bus {}: {name}", bus.name))?;
+        let line = send_only(name).with_context(|| format!("bus {}: guardian on {name}", bus.name))?;
+        Ok(GuardedLine { line, telegram: stop_of_all_nodes() })
+    };
+    guarded.map(line).collect()
 }
 
 /// The axes of bundle `bundle` and their ttys. The ttys are named in the cell, or `mrroc emulate --serial` made them

@@ -151,6 +151,7 @@ impl Axis {
             plausible_velocity: PLAUSIBLE * self.runaway_velocity(),
             following_error: self.following_error,
             quick_stop_deceleration: self.max_acceleration,
+            emergency_input: drive.emergency_stop.as_ref().map(|contact| contact.input),
             configuration: drive.parameter.iter().map(Parameter::setting).collect(),
         }
     }

@@ -12,6 +12,7 @@ mod can_force_sensor;
 mod conveyor;
 mod device_configuration;
 mod drives;
+mod emergency_contact;
 mod error;
 mod file;
 mod force;
@@ -48,6 +49,7 @@ pub use conveyor::{EmulatedConveyor, EmulatedGate, EmulatedObject};
 pub(crate) use device_configuration::DeviceConfiguration;
 pub use drive::axis_controller::{Control, Protocol};
 pub use drives::ENABLING;
+pub use emergency_contact::EmergencyContact;
 pub use error::{CellError, Path, Step};
 pub use file::{CellFile, FileError};
 pub use force::{EmulatedTemperature, ForceSensor, ForceSensorEmulator};
@@ -85,9 +87,13 @@ pub struct Cell {
     #[serde(default = "defaults::count::<3, u32>")]
     pub max_missed_in_row: u32,
     /// Silence of the servo after which the guardian, a process beside the controller, puts every axis controller on a
-    /// serial line into its error state, ms: at least two periods, at most 1000. Where absent, the silence of
+    /// serial line into its error state, and stops the nodes of guarded buses, ms: at least two periods, at most 1000. Where absent, the silence of
     /// `max_missed_in_row` missed deadlines and one and a half periods, within 5 to 1000 ms.
     pub guardian_ms: Option<u32>,
+    /// Hardware watchdog, for example `/dev/watchdog`, on the benches vcan and card. The guardian writes a byte to the file
+    /// every 100 ms while servo cycles are completed, and the letter V at an orderly end. The time-out of the watchdog must
+    /// be longer than 100 ms.
+    pub watchdog: Option<String>,
     /// Longest wait of a robot for its partners at a meeting, s. A longer wait stops the cell by a fault.
     #[serde(default = "defaults::count::<600, u32>")]
     pub meeting_timeout_s: u32,
@@ -157,6 +163,10 @@ pub struct Bus {
     /// Time-out of a node's boot, ms.
     #[serde(default = "defaults::count::<2_000, u32>")]
     pub boot_timeout_ms: u32,
+    /// Whether the guardian stops all nodes of the bus by an NMT command when the servo is silent. Drives stop by themselves
+    /// after three heartbeats, and the guardian earlier. The bus must have a SocketCAN interface.
+    #[serde(default)]
+    pub guarded: bool,
     /// Share of the capacity of the emulated bus that frames of further nodes take, 0 to 0.9, in addition to the
     /// traffic of the cell. Half of the frames have a higher priority than all process data. Only the benches with a
     /// virtual bus (lockstep, emulated) have these frames.
@@ -306,6 +316,8 @@ pub struct Drive {
     pub control: DriveControl,
     /// The position loop in the host, with `control = "velocity"` or `"torque"`.
     pub r#loop: Option<Loop>,
+    /// A digital input of the drive that is a contact of the emergency stop.
+    pub emergency_stop: Option<EmergencyContact>,
     /// Further objects to write before operation.
     #[serde(default)]
     pub parameter: Vec<Parameter>,

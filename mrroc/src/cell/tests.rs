@@ -3,6 +3,7 @@
 mod bounds;
 mod camera;
 mod conveyor;
+mod emergency_contact;
 mod families;
 mod force;
 mod io;

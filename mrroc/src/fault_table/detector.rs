@@ -79,6 +79,7 @@ impl Detector {
             Fault::Silent { .. } => Self::Answers,
             Fault::HeartbeatLost { .. } => Self::Heartbeat,
             Fault::LeftOperational { .. }
+            | Fault::NotBack { .. }
             | Fault::PowerLost { .. }
             | Fault::ModeChanged { .. }
             | Fault::Stuck { .. } => Self::NodeState,

@@ -7,6 +7,10 @@
 //! - after the silence of [`GuardianConfig::silence`] without a completed cycle, until cycles are completed again;
 //! - when the process of the controller ends and has not said that its drives are off.
 //!
+//! On request, the guardian stops the nodes of CAN buses in the same way, by an NMT command to all nodes: drives brake by
+//! their reaction to a lost connection, and outputs take their error state. A hardware watchdog gets a byte per 100 ms from
+//! the guardian as long as cycles are completed.
+//!
 //! The guardian has a session of its own and blocks all signals. It requests a priority above the servo thread, locked
 //! memory, and exemption from the OOM killer. [`Guardian::of_cell`] reports a denied priority and denied locked memory.
 //!
@@ -17,7 +21,7 @@
 //! The program of the guardian is `/proc/self/exe`. A function in `.init_array` finds the variable [`VARIABLE`] in the
 //! environment before `main`, so programs with a `main` of their own need no code for the guardian.
 //!
-//! Left out: CAN interfaces, whose drives watch the heartbeat of the host, and hardware watchdogs. Read `process` for the
+//! Read `process` for the
 //! states of the guardian, and `shared` for the shared memory.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
@@ -25,8 +29,10 @@
 mod process;
 mod shared;
 
+use std::fs::File;
 use std::io;
-use std::os::fd::{AsRawFd, OwnedFd, RawFd};
+use std::os::fd::{AsRawFd, OwnedFd};
+use std::os::unix::fs::OpenOptionsExt;
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -34,7 +40,8 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use can::clock;
+use can::{clock, send_only};
+use canopen::nmt;
 use servo::StopRequest;
 use servo::thread::Policy;
 use thiserror::Error;
@@ -65,13 +72,21 @@ const LOST: Duration = Duration::from_millis(100);
 /// The same, as a multiple of the silence that the guardian permits the controller.
 const LOST_SILENCES: u32 = 5;
 
-/// A line that a guardian holds, and the bytes that put its drive into the error state.
+/// A line or CAN socket that a guardian holds, and the bytes that put its drive, or the nodes of the bus, into the error
+/// state.
 #[derive(Debug)]
 pub struct GuardedLine {
     /// A duplicate of the descriptor of the line. Writing must not block.
     pub line: OwnedFd,
     /// At most 64 bytes.
     pub telegram: Vec<u8>,
+}
+
+/// The message to a CAN socket that puts all nodes of a bus into the NMT state stopped. Drives brake by their reaction to a
+/// lost connection (object 0x6007), and outputs take their error state.
+pub fn stop_of_all_nodes() -> Vec<u8> {
+    let frame = nmt::Request { command: nmt::Command::Stop, target: nmt::Target::All }.encode();
+    send_only::message(&frame).expect("an NMT command has a standard identifier").to_vec()
 }
 
 /// Times and priority of a guardian.
@@ -108,7 +123,7 @@ pub enum GuardianError {
 pub enum GuardianFault {
     /// The guardian stopped the drives.
     #[error(
-        "no servo cycle for {silence:?}: the guardian put all drives on serial lines into their error state; check the host \
+        "no servo cycle for {silence:?}: the guardian put all drives that it guards into their error state; check the host \
          (`mrroc doctor`)"
     )]
     Stopped { silence: Duration },
@@ -136,16 +151,20 @@ const STOPPED: u8 = 1;
 const LOST_HEARTBEAT: u8 = 2;
 
 impl Guardian {
-    /// Starts the guardian of a cell's serial lines; `None` for a cell without such lines. Reports requests that the host
-    /// denies in one warning. With [`Policy::Require`] a denied request refuses the start.
+    /// Starts the guardian of a cell's serial lines, guarded buses and watchdog; `None` for a cell without these. Reports
+    /// requests that the host denies in one warning. With [`Policy::Require`] a denied request refuses the start.
     pub fn of_cell(file: &CellFile, lines: &[GuardedLine]) -> anyhow::Result<Option<Self>> {
-        if lines.is_empty() {
+        let watchdog = file.cell.watchdog.as_ref().map(|path| {
+            let opened = File::options().write(true).custom_flags(libc::O_NONBLOCK).open(path);
+            opened.with_context(|| format!("watchdog {path}"))
+        });
+        let watchdog: Option<OwnedFd> = watchdog.transpose()?.map(OwnedFd::from);
+        if lines.is_empty() && watchdog.is_none() {
             return Ok(None);
         }
-        let guardian = Self::start(file.cell.guardian_config(), lines).context("guardian of the serial lines")?;
+        let guardian = Self::start(file.cell.guardian_config(), lines, watchdog.as_ref()).context("guardian")?;
         if let Some(denied) = guardian.denied() {
-            let told =
-                format!("the host denies the guardian of the serial lines {denied}: it may act late or not at all");
+            let told = format!("the host denies the guardian {denied}: it may act late or not at all");
             if file.cell.realtime.policy == Policy::Require {
                 bail!("{told}; the cell requires it");
             }
@@ -155,8 +174,13 @@ impl Guardian {
     }
 
     /// Starts a guardian and waits until it is ready. A ready guardian waits for the first completed cycle. The guardian
-    /// inherits the descriptors of `lines`, which the caller may close afterwards.
-    pub fn start(config: GuardianConfig, lines: &[GuardedLine]) -> Result<Self, GuardianError> {
+    /// inherits the descriptors of `lines` and `watchdog`, which the caller may close afterwards. A watchdog gets a byte per
+    /// 100 ms, and the letter V at an orderly end.
+    pub fn start(
+        config: GuardianConfig,
+        lines: &[GuardedLine],
+        watchdog: Option<&OwnedFd>,
+    ) -> Result<Self, GuardianError> {
         let memory = |error: io::Error| GuardianError::Memory { errno: error.raw_os_error().unwrap_or(0) };
         let spawn = |error: io::Error| GuardianError::Spawn { errno: error.raw_os_error().unwrap_or(0) };
         let (ended, life) = io::pipe().map_err(spawn)?;
@@ -165,11 +189,12 @@ impl Guardian {
             &config,
             ended.as_raw_fd(),
             lines.iter().map(of_line).collect::<Option<Vec<_>>>().as_deref().unwrap_or_default(),
+            watchdog.map(AsRawFd::as_raw_fd),
         );
         let orders = orders.ok_or(GuardianError::Lines { lines: lines.len() })?;
         let (file, words) = shared::create(&orders).map_err(memory)?;
-        let inherited: Vec<RawFd> =
-            lines.iter().map(|line| line.line.as_raw_fd()).chain([ended.as_raw_fd(), file.as_raw_fd()]).collect();
+        let inherited = lines.iter().map(|line| line.line.as_raw_fd()).chain([ended.as_raw_fd(), file.as_raw_fd()]);
+        let inherited = inherited.chain(watchdog.map(AsRawFd::as_raw_fd)).collect();
         let mut command = Command::new("/proc/self/exe");
         command.arg0(NAME).env(VARIABLE, file.as_raw_fd().to_string()).current_dir("/");
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());

@@ -11,6 +11,9 @@
 //! From every state, the controller's order to end leads to over. The end of the controller's process, or its order to
 //! stop, leads to the last telegrams. [`State::next`] is the transition function.
 //!
+//! A hardware watchdog gets a byte per [`WATCHDOG`] while the guardian is waiting or watching, and the letter V at an
+//! orderly end, which switches it off. In every other state and after every other end, the watchdog runs out.
+//!
 //! The loop does not allocate. A round writes one telegram per line and does not wait. Bytes that a line has not sent yet
 //! are discarded before the first telegram, and a line that still sends the last telegram gets no other.
 
@@ -30,6 +33,9 @@ const LAST_ROUNDS: u32 = 20;
 
 /// Permitted silence between the end of the servo thread and the order to end.
 const LEAVING: Duration = Duration::from_millis(500);
+
+/// Interval of bytes to a hardware watchdog.
+const WATCHDOG: Duration = Duration::from_millis(100);
 
 /// States of a guardian. Times are on `CLOCK_MONOTONIC`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -142,6 +148,7 @@ fn guard(memory: RawFd) -> i32 {
     };
     words.denied.store(detach(&orders), Ordering::Relaxed);
     let mut state = State::Waiting;
+    let mut watchdog = Watchdog { descriptor: orders.watchdog, due: Duration::ZERO };
     loop {
         words.looks.fetch_add(1, Ordering::Release);
         let alone = wait(orders.life, orders.look, state.stops());
@@ -158,10 +165,43 @@ fn guard(memory: RawFd) -> i32 {
         if begins {
             words.stops.fetch_add(1, Ordering::Release);
         }
+        watchdog.serve(state, phase, now);
         match state {
             State::Over => return 0,
             _ if state.stops() => orders.lines().iter().for_each(|line| write(line, begins)),
             _ => {}
+        }
+    }
+}
+
+/// A hardware watchdog: a file that must be written again and again.
+struct Watchdog {
+    /// -1 without a watchdog.
+    descriptor: RawFd,
+    /// Time of the next byte.
+    due: Duration,
+}
+
+impl Watchdog {
+    /// The byte to be written in `state`, if any.
+    fn byte(&mut self, state: State, phase: Phase, now: Duration) -> Option<u8> {
+        match state {
+            State::Waiting | State::Watching { .. } if now >= self.due => {
+                self.due = now + WATCHDOG;
+                Some(0)
+            }
+            State::Over if phase == Phase::End => Some(b'V'),
+            _ => None,
+        }
+    }
+
+    fn serve(&mut self, state: State, phase: Phase, now: Duration) {
+        if self.descriptor < 0 {
+            return;
+        }
+        if let Some(byte) = self.byte(state, phase, now) {
+            // SAFETY: reads one byte of this function. An error is repeated by the next byte, or lets the watchdog run out.
+            unsafe { libc::write(self.descriptor, (&raw const byte).cast(), 1) };
         }
     }
 }
@@ -249,6 +289,24 @@ mod tests {
     const STOPPING: State = State::Stopping { cycles: 5, since: at(100) };
     const FIRST: State = State::Last { rounds: 1 };
     const FINAL: State = State::Last { rounds: LAST_ROUNDS };
+
+    #[test]
+    fn a_watchdog_gets_bytes_while_all_is_well_and_is_switched_off_by_an_orderly_end_only() {
+        let mut watchdog = Watchdog { descriptor: -1, due: Duration::ZERO };
+        for (state, phase, now, expected) in [
+            (WAITING, Phase::Run, 1_000, Some(0)),
+            (WAITING, Phase::Run, 1_099, None),
+            (WATCHING, Phase::Run, 1_100, Some(0)),
+            (STOPPING, Phase::Run, 2_000, None),
+            (WATCHING, Phase::Leave, 2_001, Some(0)),
+            (FIRST, Phase::Run, 3_000, None),
+            (State::Over, Phase::Stop, 3_001, None),
+            (State::Over, Phase::Run, 3_002, None),
+            (State::Over, Phase::End, 3_003, Some(b'V')),
+        ] {
+            assert_eq!(watchdog.byte(state, phase, at(now)), expected, "{state:?} {phase:?} {now}");
+        }
+    }
 
     /// Each state, and the state after: the same count before and after the silence, another count, leaving before and
     /// after the time for leaving, the end of the controller, an order to stop, an order to end.

@@ -27,10 +27,10 @@ pub(super) const MOST_LINES: usize = 256;
 const ORDERS_AT: u64 = 65_536;
 
 /// First word of the orders: changes with their layout.
-const MAGIC: u64 = 0x4d52_5247_5541_0001;
+const MAGIC: u64 = 0x4d52_5247_5541_0002;
 
 /// Words in front of the lines.
-const HEAD: usize = 6;
+const HEAD: usize = 7;
 
 /// Words of a line: descriptor, length, telegram.
 const LINE: usize = 2 + LONGEST_TELEGRAM / 8;
@@ -167,17 +167,25 @@ pub(super) struct Orders {
     pub(super) priority: u8,
     /// The pipe whose end is the end of the controller.
     pub(super) life: RawFd,
+    /// The hardware watchdog; -1 without one.
+    pub(super) watchdog: RawFd,
     count: usize,
     lines: [LineOrders; MOST_LINES],
 }
 
 impl Orders {
-    /// `None` for no line, or too many.
-    pub(super) fn new(config: &GuardianConfig, life: RawFd, given: &[LineOrders]) -> Option<Self> {
+    /// `None` for too many lines, and for neither a line nor a watchdog.
+    pub(super) fn new(
+        config: &GuardianConfig,
+        life: RawFd,
+        given: &[LineOrders],
+        watchdog: Option<RawFd>,
+    ) -> Option<Self> {
         let mut lines = [LineOrders::NONE; MOST_LINES];
-        lines.get_mut(..given.len()).filter(|it| !it.is_empty())?.copy_from_slice(given);
+        lines.get_mut(..given.len()).filter(|it| !it.is_empty() || watchdog.is_some())?.copy_from_slice(given);
+        let watchdog = watchdog.unwrap_or(-1);
         let GuardianConfig { silence, period, priority } = *config;
-        Some(Self { silence, look: period / 2, priority, life, count: given.len(), lines })
+        Some(Self { silence, look: period / 2, priority, life, watchdog, count: given.len(), lines })
     }
 
     pub(super) fn lines(&self) -> &[LineOrders] {
@@ -186,8 +194,9 @@ impl Orders {
 
     fn encode(&self) -> Vec<u8> {
         let nanos = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
-        let head: [u64; HEAD] =
-            [MAGIC, nanos(self.silence), nanos(self.look), self.priority.into(), self.life as u64, self.count as u64];
+        let (life, watchdog) = (self.life as u64, self.watchdog as u64);
+        let times = [nanos(self.silence), nanos(self.look)];
+        let head: [u64; HEAD] = [MAGIC, times[0], times[1], self.priority.into(), life, self.count as u64, watchdog];
         let mut bytes: Vec<u8> = head.iter().flat_map(|word| word.to_le_bytes()).collect();
         for line in &self.lines {
             bytes.extend((line.descriptor as u64).to_le_bytes());
@@ -218,7 +227,8 @@ impl Orders {
             look: Duration::from_nanos(word(2)),
             priority: u8::try_from(word(3)).ok()?,
             life: word(4) as RawFd,
-            count: usize::try_from(word(5)).ok().filter(|count| (1..=MOST_LINES).contains(count))?,
+            count: usize::try_from(word(5)).ok().filter(|count| *count <= MOST_LINES)?,
+            watchdog: word(6) as RawFd,
             lines,
         })
     }
@@ -270,20 +280,21 @@ mod tests {
     fn orders_are_read_as_they_were_written_and_others_are_refused() {
         let line = |descriptor, bytes: &[u8]| LineOrders::new(descriptor, bytes).unwrap();
         let lines = [line(7, &[1, 2, 3]), line(9, &[0x55; LONGEST_TELEGRAM])];
-        let orders = Orders::new(&CONFIG, 5, &lines).unwrap();
+        let orders = Orders::new(&CONFIG, 5, &lines, Some(3)).unwrap();
         let (file, _words) = create(&orders).unwrap();
         let read = Orders::read(file.as_raw_fd()).unwrap();
         assert_eq!(read, orders);
         assert_eq!(read.lines(), lines);
-        assert_eq!((read.look, read.life), (Duration::from_millis(1), 5));
+        assert_eq!((read.look, read.life, read.watchdog), (Duration::from_millis(1), 5, 3));
         assert_eq!(Orders::read(-1), None);
-        for (at, byte) in [(0, 0), (8 * 5, 0), (8 * 5 + 1, 2), (8 * 7, 65)] {
+        for (at, byte) in [(0, 0), (8 * 5 + 1, 2), (8 * 8, 65)] {
             let mut bytes: [u8; ORDERS] = orders.encode().try_into().unwrap();
             bytes[at] = byte;
             assert_eq!(Orders::decode(&bytes), None, "byte {at}");
         }
-        assert_eq!(Orders::new(&CONFIG, 5, &[]), None);
-        assert_eq!(Orders::new(&CONFIG, 5, &[lines[0]; MOST_LINES + 1]), None);
+        assert_eq!(Orders::new(&CONFIG, 5, &[], None), None);
+        assert!(Orders::new(&CONFIG, 5, &[], Some(3)).is_some());
+        assert_eq!(Orders::new(&CONFIG, 5, &[lines[0]; MOST_LINES + 1], None), None);
         assert_eq!((LineOrders::new(3, &[]), LineOrders::new(3, &[0; 65])), (None, None));
     }
 

@@ -33,7 +33,7 @@ impl Rig {
         let line = Tty::open(drive.path(), Settings::AXIS_CONTROLLER).expect("its tty");
         let held = line.as_fd().try_clone_to_owned().expect("a descriptor");
         let guarded = GuardedLine { line: held, telegram: TELEGRAM.to_vec() };
-        let guardian = Guardian::start(CONFIG, &[guarded]).expect("a guardian");
+        let guardian = Guardian::start(CONFIG, &[guarded], None).expect("a guardian");
         Self { drive, guardian, stop: StopRequest::default(), _line: line }
     }
 
@@ -159,6 +159,65 @@ fn the_end_of_a_controller_stops_the_drives_unless_they_are_off() {
 
 #[test]
 fn lines_that_cannot_be_guarded_are_refused() {
-    let refused = Guardian::start(CONFIG, &[]).map(drop);
+    let refused = Guardian::start(CONFIG, &[], None).map(drop);
     assert_eq!(refused, Err(GuardianError::Lines { lines: 0 }));
+}
+
+/// Bytes of `source` until `count` are there, or until `quiet` without a byte.
+fn read_until(source: &mut impl io::Read, count: usize, quiet: Duration) -> Vec<u8> {
+    let (mut bytes, mut last) = (Vec::new(), clock::now());
+    while bytes.len() < count && clock::now().since(last) < quiet {
+        let mut some = [0; 64];
+        match source.read(&mut some) {
+            Ok(read) if read > 0 => {
+                bytes.extend_from_slice(&some[..read]);
+                last = clock::now();
+            }
+            _ => clock::sleep_until(clock::now() + LOOK),
+        }
+    }
+    bytes
+}
+
+#[test]
+fn a_watchdog_gets_a_byte_per_interval_and_is_switched_off_by_an_orderly_end_only() {
+    for off in [true, false] {
+        let (mut device, written) = io::pipe().expect("a pipe");
+        nix::fcntl::fcntl(&device, nix::fcntl::FcntlArg::F_SETFL(nix::fcntl::OFlag::O_NONBLOCK)).expect("a pipe");
+        let mut guardian = Guardian::start(CONFIG, &[], Some(&OwnedFd::from(written))).expect("a guardian");
+        let mut pulse = guardian.pulse(StopRequest::default());
+        pulse.beat();
+        assert_eq!(read_until(&mut device, 2, PATIENCE), [0, 0]);
+        if off {
+            guardian.all_off();
+            drop(guardian);
+            assert_eq!(read_until(&mut device, 1_000, Duration::from_millis(300)).last(), Some(&b'V'));
+            continue;
+        }
+        // No cycle is completed any more, so the bytes end. Cycles that go on bring them back.
+        let stops = || guardian.words.stops.load(Ordering::Relaxed);
+        wait_until(|| stops() > 0, "no stop");
+        read_until(&mut device, 1_000, Duration::from_millis(300));
+        pulse.beat();
+        assert_eq!(read_until(&mut device, 1, PATIENCE), [0]);
+        drop(guardian);
+        assert!(!read_until(&mut device, 1_000, Duration::from_millis(300)).contains(&b'V'));
+    }
+}
+
+#[test]
+fn the_nodes_of_a_guarded_bus_are_stopped_by_frames() {
+    let (bus, socket) = std::os::unix::net::UnixDatagram::pair().expect("sockets");
+    socket.set_nonblocking(true).expect("a socket");
+    let guarded = GuardedLine { line: socket.into(), telegram: stop_of_all_nodes() };
+    let guardian = Guardian::start(CONFIG, &[guarded], None).expect("a guardian");
+    let mut pulse = guardian.pulse(StopRequest::default());
+    pulse.beat();
+    let mut frame = [0; 32];
+    bus.set_read_timeout(Some(PATIENCE)).expect("a socket");
+    for _ in 0..3 {
+        let count = bus.recv(&mut frame).expect("a frame");
+        // Identifier 0, two bytes: the command stop to all nodes.
+        assert_eq!(frame[..count], [0, 0, 0, 0, 2, 0, 0, 0, 0x02, 0, 0, 0, 0, 0, 0, 0]);
+    }
 }

@@ -10,7 +10,7 @@ use servo::thread::Panicked;
 use servo::{Servo, ServoFault, StopCategory, StopCause};
 
 use super::crew::time_of;
-use crate::cell::CellFile;
+use crate::cell::{Axis, CellFile};
 use crate::guardian::GuardianFault;
 use crate::report::{ErrorPlace, FaultReport};
 
@@ -66,7 +66,16 @@ fn emergency_stop(file: &CellFile, stop: &EmergencyStop) -> String {
     let found = inputs.into_iter().find(|(_, input)| input.line == stop.input && input.emergency_stop);
     match found {
         Some((io, input)) => format!("input {} of I/O node {}: {stop}", input.name, io.name),
-        None => stop.to_string(),
+        None => {
+            let axes = (0..file.cell.robot.len()).flat_map(|robot| {
+                let axes = file.cell.robot[robot].axis.iter().enumerate();
+                axes.map(move |(number, axis)| (robot, number, axis))
+            });
+            let contact = |axis: &Axis| Some(axis.drive.as_ref()?.emergency_stop.as_ref()?.input);
+            let mut of_drives = axes.filter(|(.., axis)| axis.node == stop.node && contact(axis) == Some(stop.input));
+            let found = of_drives.next();
+            found.map_or(stop.to_string(), |(robot, number, _)| format!("{}: {stop}", file.axis_name(robot, number)))
+        }
     }
 }
 

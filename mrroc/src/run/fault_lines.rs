@@ -10,7 +10,7 @@ use drive::bus::Sign;
 use drive::cia401::IoFault;
 use drive::ultrasonic::UltrasonicFault;
 use drive::wrench::{WrenchAxis, WrenchFault};
-use drive::{Fault, Refusal};
+use drive::{BringUpError, Fault, Refusal};
 use serial::LineError;
 use servo::{HomingFailure, LawFault, ServoFault, StopCause};
 
@@ -71,6 +71,7 @@ fn of_drives() -> Vec<Fault> {
         Fault::HostLate { node, waited },
         Fault::HeartbeatNotSent { waited },
         Fault::LeftOperational { node },
+        Fault::NotBack { error: BringUpError::NeverBooted { node, waited } },
         Fault::PowerLost { node, statusword: 0x0240 },
         Fault::Implausible { node, moved: -123_456, most: 12_345, within: WAITED },
         Fault::ModeChanged {
@@ -103,6 +104,7 @@ fn of_drives() -> Vec<Fault> {
             | Fault::HostLate { .. }
             | Fault::HeartbeatNotSent { .. }
             | Fault::LeftOperational { .. }
+            | Fault::NotBack { .. }
             | Fault::PowerLost { .. }
             | Fault::Implausible { .. }
             | Fault::ModeChanged { .. }

@@ -15,20 +15,28 @@ async fn moving(cell: &mut Cell) -> Outcome {
     join(left.perform(list), right.perform(Task::new().enable().home().disable())).await
 }
 
-/// A run in which the thread `member` panics once the left robot is in `phase`. Returns the report and the record.
+/// A run of two arms in which the thread `member` panics once the left robot is in `phase`. Returns the report and the
+/// record.
 fn panicking(program: &Program, member: &'static str, phase: Option<Phase>) -> (RunReport, String) {
-    let (file, directory) = (two_arms(), tempfile::tempdir().unwrap());
+    panicking_in(&two_arms(), program, member, phase)
+}
+
+fn panicking_in(file: &CellFile, program: &Program, member: &'static str, phase: Option<Phase>) -> (RunReport, String) {
+    let directory = tempfile::tempdir().unwrap();
     let record = directory.path().join("record.csv");
     let options = RunOptions { record: Some(record.clone()), ..RunOptions::on(BenchKind::Emulated) };
     let requests = Requests::default();
     if phase.is_none() {
         requests.crew.plant(member);
     }
-    let report = run(&file, &options, &requests, program, &mut |news| {
+    // The operator's console of `mrroc run --operator`.
+    let console = crate::operator::Console::start(BenchKind::Emulated, &requests, |_| {});
+    let report = run(file, &options, &requests, program, &mut |news| {
         if news.robot == 0 && Some(news.phase) == phase {
             requests.crew.plant(member);
         }
     });
+    console.unwrap().finish();
     (report.unwrap(), std::fs::read_to_string(record).unwrap())
 }
 
@@ -45,7 +53,7 @@ const PHASES: [&str; 7] = ["Off", "Enabling", "Homing", "Standing", "Moving", "S
 
 #[test]
 fn a_panic_of_any_thread_stops_the_robots_in_category_1_and_is_reported() {
-    let members = ["files", "listener", "controller", "servo", "planning"];
+    let members = ["files", "listener", "controller", "servo", "planning", "operator lines", "operator output"];
     for member in members {
         let phase = if member == "planning" { Phase::Standing } else { Phase::Homing };
         let (report, record) = panicking(&Program::of(moving), member, Some(phase));
@@ -85,4 +93,19 @@ fn the_fault_of_a_task_that_panics_has_the_message() {
     let faults: Vec<_> = report.faults.iter().map(|fault| fault.what.as_str()).collect();
     assert!(faults[0].starts_with("the task panicked in thread controller: as the test asks"), "{faults:?}");
     assert_eq!(faults.len(), 1, "{faults:?}");
+}
+
+#[test]
+fn a_panic_of_the_thread_of_a_camera_stops_the_robot() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells/irb6-camera.toml");
+    let file = CellFile::read(path).unwrap();
+    let program = Program::of(async |cell: &mut Cell| {
+        let mut irb6 = cell.robot("irb6")?;
+        irb6.perform(Task::new().enable().home()).await
+    });
+    let (report, _) = panicking_in(&file, &program, "camera", Some(Phase::Standing));
+    let first = &report.faults[0];
+    assert_eq!(report.outcome, RunOutcome::Faulted);
+    assert!(first.what.starts_with("thread camera panicked: camera as the test asks"), "{report}");
+    assert_eq!((first.stop_category, &first.stopped[..]), (Some(StopCategory::One), &["irb6".to_owned()][..]));
 }

@@ -81,7 +81,7 @@ fn sync_stamp(interface: &str) -> SyncStamp {
 /// [`Cell::axes_on`]: crate::cell::Cell::axes_on
 fn answers(file: &CellFile, bus: usize) -> impl Iterator<Item = StandardId> {
     setup::axis_configs(file, bus).into_iter().map(|axis| {
-        let answer = pdo_setups(axis.node, axis.mode).into_iter().find(|setup| setup.kind == PdoKind::Tpdo);
+        let answer = pdo_setups(&axis).into_iter().find(|setup| setup.kind == PdoKind::Tpdo);
         answer.and_then(|setup| setup.cob_id.id()).expect("every axis answers under an 11-bit identifier")
     })
 }

@@ -1,13 +1,13 @@
 //! Tests of the servo thread in real time.
 
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
 use drive::Power;
 
 use super::*;
 use crate::scripted::{self, PERIOD, World};
-use crate::{EffectorLink, Order, ServoState};
+use crate::{EffectorLink, Order, ServoState, StopCause};
 
 /// A servo ordered to switch its drives on. The host of a test may be very late.
 fn rig() -> (Servo, EffectorLink, Arc<Mutex<World>>) {
@@ -114,6 +114,38 @@ fn missed_slots_are_skipped_and_never_caught_up() {
     let finished = run(servo, Realtime::PLAIN, CellTime::Wall, between, is_standing).unwrap();
     assert_eq!(finished.panicked, None);
     assert!(finished.servo.counters().missed_cycles >= 3);
+}
+
+/// Time added to `CLOCK_BOOTTIME` by the next test, ns.
+static SUSPENDED: AtomicU64 = AtomicU64::new(0);
+
+#[test]
+fn a_suspension_of_the_machine_stops_the_effectors_as_an_overrun() {
+    // More than the three tolerated deadlines, and fewer.
+    for (suspended, stops) in [(Duration::from_secs(7_200), true), (3 * PERIOD, false)] {
+        let mut config = scripted::config(2);
+        config.max_missed_in_row = 1_000_000;
+        let (group, _world) = scripted::group(2);
+        let (servo, mut links) = Servo::new(&config, vec![group]).unwrap();
+        links[0].orders.push(Order::Enable).unwrap();
+        let mut run = Run::new(servo, &Realtime::PLAIN, CellTime::Wall, Arc::default());
+        SUSPENDED.store(0, Ordering::Relaxed);
+        run.since_boot = || since_boot() + Duration::from_nanos(SUSPENDED.load(Ordering::Relaxed));
+        let mut cycles = 0;
+        let until = move |servo: &Servo| {
+            if is_standing(servo) {
+                cycles += 1;
+                SUSPENDED.store(suspended.as_nanos() as u64, Ordering::Relaxed);
+            }
+            cycles == 10 || servo.fault(0).is_some()
+        };
+        run.go(|_| {}, until);
+        let missed = run.servo.counters().missed_cycles;
+        assert!(missed >= suspended.as_nanos() as u64 / PERIOD.as_nanos() as u64, "{missed}");
+        let overrun = matches!(run.servo.fault(0).map(|fault| fault.cause), Some(StopCause::Overrun { .. }));
+        assert_eq!(overrun, stops, "{:?}", run.servo.fault(0));
+        assert!(run.servo.is_off());
+    }
 }
 
 #[test]

@@ -1,8 +1,8 @@
 //! Example cells with short programs, and with every key that a cell file can have.
 
 use ::mrroc::cell::{
-    Cell, Direction, DriveControl, EmulatedPayload, EmulatedTemperature, EmulatedTip, FieldContent, Instruction,
-    JointGenerator, Joints, Law, LineInstruction, Parameter, Parameters, Protocol, SensorField, Weights,
+    Cell, Direction, DriveControl, EmergencyContact, EmulatedPayload, EmulatedTemperature, EmulatedTip, FieldContent,
+    Instruction, JointGenerator, Joints, Law, LineInstruction, Parameter, Parameters, Protocol, SensorField, Weights,
 };
 use controller::robot::Mass;
 use hil::plant::Irp6Axis;
@@ -66,6 +66,7 @@ fn written(example: &str, change: impl FnOnce(&mut Cell)) -> String {
 /// Adds every key that an arm on CAN may have.
 fn on_can(cell: &mut Cell) {
     cell.realtime.margin = Some(std::time::Duration::from_micros(100));
+    cell.bus[0].guarded = true;
     cell.realtime.cpu = Some(0);
     cell.realtime.spin_share = Some(0.2);
     let robot = &mut cell.robot[0];
@@ -79,6 +80,7 @@ fn on_can(cell: &mut Cell) {
     (drive.product, drive.revision) = (Some(0x6150_0000), Some(0x0170_0000));
     drive.dcf = Some(DCF.into());
     drive.parameter = vec![Parameter { index: 0x6081, subindex: 0, value: 1_000, bytes: 4 }];
+    drive.emergency_stop = Some(EmergencyContact { input: 16, emulated_edges_s: vec![1e5] });
     axis.emulator.revision = Some(0x0170_0000);
     robot.program.push(Instruction::Joints(Joints {
         poses: vec![vec![0.01, -1.57, 0.01, 0.0, 0.0], vec![0.0, -1.58, 0.0, 0.01, 0.01]],
@@ -197,6 +199,7 @@ fn incremental(law: &IncrementalConfig, limit: f64) -> Law {
 fn on_lines(cell: &mut Cell) {
     cell.serial[0].emulated_latency_ms = Some(1);
     cell.guardian_ms = Some(9);
+    cell.watchdog = Some("/dev/watchdog".into());
     let robot = &mut cell.robot[0];
     let load = Mass { mass: 1.0, centre: [0.0, 0.0, 0.1] };
     robot.weight = Some(Weights { masses: Some(robot.model.masses().to_vec()), load, up: Some(robot.model.up()) });

@@ -94,7 +94,7 @@ fn of_cell(bus: &Bus) -> Decoder {
     };
     for axis in setup::axis_configs(file, *index) {
         decoder.identify(axis.node, Identification { vendor: Some(axis.identity.vendor), device_type: None });
-        add(axis.node, cia402::pdo_setups(axis.node, axis.mode).to_vec());
+        add(axis.node, cia402::pdo_setups(&axis));
     }
     for io in file.cell.io_configs(*index) {
         let device_type = Some(u32::from(PROFILE));

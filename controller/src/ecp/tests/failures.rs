@@ -46,6 +46,20 @@ fn a_servo_fault_ends_the_task_and_is_passed_on() {
 }
 
 #[test]
+fn a_failed_reset_ends_its_instruction_at_once_and_the_next_one_may_succeed() {
+    let fault = ServoFault::new(Some(1), StopCause::FollowingError { error: 2.0, limit: 1.5 });
+    let mut bench = Bench::ready();
+    (bench.servo.fault, bench.servo.failing_resets) = (Some(fault), 2);
+    assert_eq!(bench.run(Task::new().run(to(1.0, 0.0, 0.0))), failed(EcpError::Servo(fault)));
+    for _ in 0..2 {
+        let began = bench.now;
+        assert_eq!(bench.run(Task::new().reset_fault().enable()), failed(EcpError::Servo(fault)));
+        assert!(bench.now.since(began) < Duration::from_millis(100));
+    }
+    assert_eq!(bench.run(Task::new().reset_fault().enable()), finished(2));
+}
+
+#[test]
 fn a_fault_keeps_the_number_of_its_macrostep_whatever_was_computed_after_it() {
     let fault = ServoFault::new(Some(1), StopCause::FollowingError { error: 2.0, limit: 1.5 });
     // Before the images of macrostep 10 are reported, after that, and in its first period.

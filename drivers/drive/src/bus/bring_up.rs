@@ -60,6 +60,8 @@ pub(crate) struct Learnt {
     pub(crate) position: Increments,
     /// Object 0x603F.
     pub(crate) error_code: u16,
+    /// Object 0x60FD, of a drive with a contact of the emergency stop.
+    pub(crate) inputs: u32,
     /// Mode of operation that the drive reported unasked since its start.
     pub(crate) mode_shown: Option<ModeOfOperation>,
 }
@@ -204,6 +206,11 @@ impl NodeBringUp {
         Client::new(self.node, self.group.sdo_timeout, self.group.sdo_retries)
     }
 
+    /// Time-out for the change to operational. The heartbeat that shows this state may be a period away.
+    pub(crate) fn start_timeout(&self) -> Duration {
+        self.group.boot_timeout + self.group.heartbeat_period
+    }
+
     /// Advances bring-up: takes the answer to the last request and makes the next request.
     pub(crate) fn advance(&mut self, sdo: &mut Client, now: Instant) -> Result<(), BringUpError> {
         let node = self.node.raw();
@@ -271,8 +278,7 @@ impl NodeBringUp {
             }
             Phase::Starting { since } => {
                 let waited = now.since(since);
-                // The heartbeat that shows the operational state may be a period away.
-                if waited > self.group.boot_timeout + self.group.heartbeat_period {
+                if waited > self.start_timeout() {
                     return Err(BringUpError::NotOperational { node, waited });
                 }
                 Ok(())
@@ -385,6 +391,7 @@ impl NodeBringUp {
             Step::Statusword => {
                 self.learnt.statusword = Statusword(transfer.number().map_err(error)?);
             }
+            Step::Inputs => self.learnt.inputs = transfer.number().map_err(error)?,
             Step::Position => {
                 self.learnt.position = Increments(transfer.number().map_err(error)?);
             }

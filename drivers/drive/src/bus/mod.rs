@@ -11,7 +11,7 @@
 //! | RPDO 1 of each drive | every cycle |
 //! | heartbeat of the host | once per heartbeat period |
 //! | RPDO 1 of an I/O node | after the first heartbeat of the host: changed or refused levels, and with each heartbeat |
-//! | SDO request, or NMT command to an I/O node | one at most, during a change of mode or after a fault |
+//! | SDO request, or NMT command to one node | one at most, during a change of mode or after a fault |
 //!
 //! Bring-up listens for another controller, resets the communication of all nodes, configures and reads back every node
 //! by SDO, and starts all nodes together. Bring-up ends when every node shows the state operational, every I/O node
@@ -252,16 +252,19 @@ impl<P: Port> CanBus<P> {
                     let bus_time = self.drives.answered(drive, frame.data(), at, &self.syncs)?;
                     self.counters.last_bus_time = bus_time.max(self.counters.last_bus_time);
                 }
-                (Place::Drive(drive), PdoNumber::Two) => self.drives.shows(drive, frame.data())?,
+                (Place::Drive(drive), PdoNumber::Two) => {
+                    self.drives.shows(drive, frame.data(), &mut self.members[drive])?;
+                }
+                (Place::Drive(drive), PdoNumber::Three) => self.drives.inputs(drive, frame.data())?,
                 (Place::Io(io), PdoNumber::One) => self.io[io].inputs(frame.data(), at)?,
-                (Place::Drive(_), PdoNumber::Three | PdoNumber::Four)
+                (Place::Drive(_), PdoNumber::Four)
                 | (Place::Io(_), PdoNumber::Two | PdoNumber::Three | PdoNumber::Four)
                 | (Place::Sensor(_), _) => return None,
             },
             cob::Function::Heartbeat(node) => {
                 let state = Heartbeat::decode(&frame)?.state;
                 match self.routes.place(node)? {
-                    Place::Drive(drive) => self.drives.heard(drive, state, at),
+                    Place::Drive(drive) => self.drives.heard(drive, state, at, &mut self.members[drive], now),
                     Place::Io(io) => {
                         self.io[io].heard(state, at);
                         if self.io[io].recovers() {
@@ -499,6 +502,11 @@ impl<P: Port> DriveGroup for CanBus<P> {
         if let Some(waited) = self.heartbeat.missing(now, lost_after) {
             self.latch_all(Fault::HeartbeatNotSent { waited }, IoFault::HeartbeatNotSent { waited });
         }
+        if let Some(command) = self.drives.recover(&mut self.members, now, self.service.is_none()) {
+            self.service = Some(command);
+            // A drive that starts must have heard the host, or it would not notice the host's silence.
+            self.heartbeat.hasten(now);
+        }
         let due = self.syncs.attempted;
         let missed = self.drives.end_of_read(now, due, &mut self.members, &mut self.warnings, states);
         if self.syncs.sent {
@@ -574,7 +582,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
     }
 
     fn emergency_stop(&self) -> Option<EmergencyStop> {
-        self.io.iter().find_map(IoNode::emergency_stop)
+        self.drives.emergency_stop().or_else(|| self.io.iter().find_map(IoNode::emergency_stop))
     }
 
     fn counters(&self) -> GroupCounters {

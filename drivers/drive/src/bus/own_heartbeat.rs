@@ -20,6 +20,11 @@ impl OwnHeartbeat {
         Self { due: now, since: None, watched: false }
     }
 
+    /// Makes the next one due at `now`.
+    pub(crate) fn hasten(&mut self, now: Instant) {
+        self.due = now;
+    }
+
     pub(crate) fn is_due(&self, now: Instant) -> bool {
         now >= self.due
     }

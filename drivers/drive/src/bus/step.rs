@@ -36,6 +36,8 @@ pub(crate) enum Step {
     Position,
     /// Reads object 0x603F, used if the drive is in fault.
     ErrorCode,
+    /// Reads object 0x60FD.
+    Inputs,
 }
 
 /// What the absence of an object of [`Step::Set`] means.
@@ -90,6 +92,7 @@ impl Step {
             Self::Statusword => STATUSWORD,
             Self::Position => POSITION_ACTUAL,
             Self::ErrorCode => ERROR_CODE,
+            Self::Inputs => DIGITAL_INPUTS,
         }
     }
 

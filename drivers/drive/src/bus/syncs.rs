@@ -7,7 +7,7 @@ use crate::cia402::{self, AxisConfig};
 
 /// Whether a PDO of these nodes is synchronous (CiA 301 §7.5.2.35, §7.5.2.37). A bus without such a PDO carries no SYNC.
 pub(crate) fn needs_sync(axes: &[AxisConfig], io: &[IoConfig]) -> bool {
-    let drives = axes.iter().flat_map(|axis| cia402::pdo_setups(axis.node, axis.mode));
+    let drives = axes.iter().flat_map(cia402::pdo_setups);
     let io = io.iter().filter_map(|io| cia401::pdo_setups(io).ok()).flatten();
     let mut used = drives.chain(io).filter(|setup| !setup.mapping.entries().is_empty());
     used.any(|setup| setup.transmission.is_synchronous())

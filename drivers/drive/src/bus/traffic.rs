@@ -51,7 +51,7 @@ pub fn traffic(
         traffic.push(cyclic(cob::SYNC, 0, Sender::Host, "SYNC"));
     }
     traffic.push(Traffic { sender: Sender::Host, what: "host heartbeat", ..alive(config.host_node) });
-    for &AxisConfig { node, mode, .. } in axes {
+    for &AxisConfig { node, mode, emergency_input, .. } in axes {
         let (length, drive) = (request_len(mode) as u8, Sender::Node(node.raw()));
         let [answer, shown] = [PdoNumber::One, PdoNumber::Two].map(|number| cob::tpdo(number, node));
         traffic.extend([
@@ -60,6 +60,8 @@ pub fn traffic(
             frame(shown, 1, drive, SHOWN_APART, "mode of operation"),
             alive(node),
         ]);
+        let inputs = cob::tpdo(PdoNumber::Three, node);
+        traffic.extend(emergency_input.map(|_| cyclic(inputs, 4, drive, "digital inputs")));
     }
     for &IoConfig { node, inputs, outputs, inhibit_time, .. } in io {
         let [rpdo, tpdo] = [cob::rpdo(PdoNumber::One, node), cob::tpdo(PdoNumber::One, node)];

@@ -9,6 +9,7 @@ use canopen::nmt;
 use master::power::{self, PowerStateMachine};
 
 use super::config::{AxisConfig, CyclicMode, GroupConfig};
+use super::contact::Contact;
 use super::homing::Search;
 use super::measurement::Measurement;
 use super::process_data::{self, Answer};
@@ -16,7 +17,7 @@ use super::program::MAXON;
 use super::service::{ModeSwitch, Service};
 use super::target::Target;
 use crate::bus::Learnt;
-use crate::{AxisCommand, AxisState, Fault, Permille, Power, Refusal};
+use crate::{AxisCommand, AxisState, BringUpError, EmergencyStop, Fault, Permille, Power, Refusal};
 
 /// Answers until a controlword surely has its effect in the statusword. The drive latches the word at the next SYNC
 /// and acts on it afterwards. The SYNC after that samples the effect, and the following cycle reads the sample.
@@ -41,6 +42,7 @@ pub(super) struct CanAxis {
     measurement: Measurement,
     /// The last SYNC was answered.
     answered: bool,
+    contact: Option<Contact>,
     /// Cycles in a row whose set-point the port did not take.
     not_sent: u32,
     error_code: u16,
@@ -49,6 +51,8 @@ pub(super) struct CanAxis {
     heartbeat: Option<Instant>,
     operational: bool,
     booted: bool,
+    /// A reset of the fault demands a new bring-up of the drive.
+    recovery_due: bool,
 
     goal: Goal,
     /// Answers received in time since the goal changed.
@@ -105,12 +109,14 @@ impl CanAxis {
             statusword: learnt.statusword,
             measurement: Measurement::new(&group, &config, learnt.position),
             answered: false,
+            contact: Contact::new(&config, group.tolerated_missing, learnt.inputs),
             not_sent: 0,
             error_code: learnt.error_code,
             error_age: 0,
             heartbeat: None,
             operational: true,
             booted: false,
+            recovery_due: false,
             goal: Goal::Off,
             answers: 0,
             unsettled_since: None,
@@ -221,6 +227,17 @@ impl CanAxis {
         }
     }
 
+    /// Takes the digital inputs. `None` for a drive without a contact of the emergency stop, and for an undecodable frame.
+    pub(super) fn inputs(&mut self, data: &[u8]) -> Option<()> {
+        self.contact.as_mut()?.take(data)
+    }
+
+    /// The demand of a stop by the contact of the emergency stop.
+    pub(super) fn emergency_stop(&self) -> Option<EmergencyStop> {
+        let works = self.operational && !self.booted && !self.state.recovering;
+        self.contact?.emergency_stop(works)
+    }
+
     /// Takes an EMCY. An error of a drive that is commanded to be on is a fault, also if the drive itself goes on.
     pub(super) fn emergency(&mut self, emergency: &Emergency) {
         if emergency.is_reset() {
@@ -254,6 +271,7 @@ impl CanAxis {
             self.state.age = self.state.age.saturating_add(1);
         }
         self.answered = false;
+        self.contact.iter_mut().for_each(|contact| contact.end_of_read(due));
         // The code of a warning does not name a later fault.
         self.error_age = self.error_age.saturating_add(1);
         if self.error_age > ANSWERS_TO_EFFECT {
@@ -349,10 +367,11 @@ impl CanAxis {
         watched: bool,
         now: Instant,
     ) -> Frame {
-        if command == AxisCommand::ResetFault {
+        let goal = self.goal_of(command);
+        if command == AxisCommand::ResetFault && !self.state.recovering {
+            self.recovery_due |= goal != self.goal && self.is_lost(now);
             self.reset();
         }
-        let goal = self.goal_of(command);
         if goal != self.goal {
             self.goal = goal;
             self.answers = 0;
@@ -400,6 +419,50 @@ impl CanAxis {
             self.error_code = 0;
             self.unserved = false;
         }
+    }
+
+    /// Whether only a new bring-up helps: the drive booted, left the state operational, or is silent and may have done so
+    /// unheard.
+    fn is_lost(&self, now: Instant) -> bool {
+        let silent = self.state.age > self.group.tolerated_missing;
+        let unheard = self.heartbeat.is_some_and(|heard| now.since(heard) > self.group.heartbeat_lost_after());
+        self.booted || !self.operational || silent && unheard
+    }
+
+    /// Begins a recovery, if one is due. The reference is lost, unless the drive reports one at its end.
+    pub(super) fn begin_recovery(&mut self) -> bool {
+        let due = std::mem::take(&mut self.recovery_due);
+        if due {
+            self.state.recovering = true;
+            // A counter that jumped needs a search, whatever the drive reports.
+            let doubted = self.search.doubted;
+            self.search.forget();
+            self.search.doubted = doubted;
+            self.latch(Fault::LeftOperational { node: self.config.node.raw() });
+        }
+        due
+    }
+
+    /// Ends a recovery that failed.
+    pub(super) fn end_recovery(&mut self, error: Option<BringUpError>) {
+        let node = self.config.node.raw();
+        self.end_recovery_by(match error {
+            Some(error) => Fault::NotBack { error },
+            None => Fault::LeftOperational { node },
+        });
+    }
+
+    /// Ends a recovery by a fault.
+    pub(super) fn end_recovery_by(&mut self, fault: Fault) {
+        self.state.recovering = false;
+        self.state.fault = Some(fault);
+        // The node is not configured.
+        self.booted = true;
+    }
+
+    /// Whether the last SYNC was answered.
+    pub(super) fn is_answered(&self) -> bool {
+        self.answered
     }
 
     fn goal_of(&self, command: AxisCommand) -> Goal {

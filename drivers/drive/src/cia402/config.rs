@@ -65,6 +65,9 @@ pub struct AxisConfig {
     pub following_error: f64,
     /// Deceleration of a quick stop, rad/s² (object 0x6085).
     pub quick_stop_deceleration: f64,
+    /// Bit of object 0x60FD that is a normally closed contact of the emergency stop: set while the contact is closed. The
+    /// drive then sends the object at every SYNC, by TPDO 3.
+    pub emergency_input: Option<u8>,
     /// The objects of the device configuration file, then those of the cell, which prevail. They are downloaded in order
     /// before the settings of this driver. None of them may be [`reserved`](super::reserved).
     pub configuration: Vec<Setting>,

@@ -26,6 +26,10 @@
 //!   one service frame a cycle. On leaving, an unfinished search is halted, and the drive returns to the cyclic mode
 //!   with its present position as target.
 //! - An axis with a latched fault is braked by its quick stop. Only `Off` and `ResetFault` end this state.
+//! - [`ResetFault`](AxisCommand::ResetFault) brings a drive up again that booted, left the state operational, or sends
+//!   neither answers nor heartbeats: reset of its communication, identity, configuration with read-back, and start. The bus goes on
+//!   meanwhile. The reference is lost, unless the drive itself reports one. The change to `ResetFault` begins one
+//!   recovery; [`AxisState::recovering`] is true until its end.
 //!
 //! No set-point is clamped, queued or sent twice.
 //!
@@ -39,7 +43,8 @@
 //! - following error window (0x6065);
 //! - homing (0x6098, 0x6099, 0x609A, 0x607C and maxon's 0x30B0, 0x30B1);
 //! - offsets (0x60B0 to 0x60B2);
-//! - process data: RPDO 1, TPDO 1 and TPDO 2 are mapped and the other PDOs switched off;
+//! - process data: RPDO 1, TPDO 1 and TPDO 2 are mapped, for a contact of the emergency stop TPDO 3 as well, and the other
+//!   PDOs switched off;
 //! - mode of operation (0x6060).
 //!
 //! Not supported: profile modes, interpolated position (EPOS2), and several axes behind one node-ID. Read
@@ -48,11 +53,13 @@
 mod agreement;
 mod axis;
 mod config;
+mod contact;
 mod homing;
 mod measurement;
 mod process_data;
 mod program;
 mod recording;
+mod recovery;
 mod reserved;
 mod service;
 mod target;
@@ -64,7 +71,6 @@ use std::time::Duration;
 
 use can::{Frame, Instant};
 use canopen::emcy::Emergency;
-use canopen::nmt::NmtState;
 use master::sdo::Client;
 
 pub(crate) use agreement::Agreement;
@@ -80,9 +86,10 @@ pub use reserved::{Reserved, reserved};
 #[cfg(doc)]
 use crate::Power;
 use crate::bus::{Member, Syncs, begin_transfer};
-use crate::{AxisCommand, AxisState, Fault, Warnings};
+use crate::{AxisCommand, AxisState, EmergencyStop, Fault, Warnings};
 use axis::CanAxis;
 use process_data::Answer;
+use recovery::Recovery;
 use service::Service;
 use target::Target;
 
@@ -96,6 +103,7 @@ pub(crate) struct Cia402Group {
 struct Drive {
     axis: CanAxis,
     service: Option<Service>,
+    recovery: Recovery,
     setpoint: Option<Target>,
     /// Fault at the end of the last cycle.
     fault: Option<Fault>,
@@ -104,7 +112,13 @@ struct Drive {
 impl Cia402Group {
     /// Drives that have not been brought up. States and commands come in the order of `axes`.
     pub(crate) fn new(config: &GroupConfig, axes: &[AxisConfig]) -> Self {
-        let drive = |axis| Drive { axis: CanAxis::new(config, axis), service: None, setpoint: None, fault: None };
+        let drive = |axis| Drive {
+            axis: CanAxis::new(config, axis),
+            service: None,
+            recovery: Recovery::None,
+            setpoint: None,
+            fault: None,
+        };
         Self { drives: axes.iter().map(drive).collect() }
     }
 
@@ -113,12 +127,14 @@ impl Cia402Group {
     }
 
     pub(crate) fn latch_all(&mut self, fault: Fault) {
-        self.drives.iter_mut().for_each(|drive| drive.axis.latch(fault));
+        self.drives.iter_mut().for_each(|drive| drive.latch_of_bus(fault));
     }
 
     /// Discards the service requests under way, whose clients are replaced.
     pub(crate) fn forget_services(&mut self) {
-        self.drives.iter_mut().for_each(|drive| drive.service = None);
+        for drive in &mut self.drives {
+            (drive.service, drive.recovery) = (None, Recovery::None);
+        }
     }
 
     /// Starts operation after bring-up.
@@ -135,23 +151,38 @@ impl Cia402Group {
         let answer = Answer::decode(data)?;
         let sampled = syncs.of_answer(at)?;
         let fresh = Some(sampled) == syncs.last;
+        let recovers = self.drives[drive].recovers();
         let axis = &mut self.drives[drive].axis;
         if fresh {
             axis.in_time();
         }
-        axis.answered(answer, sampled, at);
+        // A drive that is being configured may count from elsewhere.
+        if !recovers {
+            axis.answered(answer, sampled, at);
+        }
         Some(if fresh { at.since(sampled) } else { Duration::ZERO })
     }
 
     /// Takes TPDO 2 of a drive. `None` means an undecodable frame.
-    pub(crate) fn shows(&mut self, drive: usize, data: &[u8]) -> Option<()> {
+    pub(crate) fn shows(&mut self, drive: usize, data: &[u8], member: &mut Member) -> Option<()> {
         let mode = mode_shown(data)?;
-        self.drives[drive].axis.shows(mode);
+        let drive = &mut self.drives[drive];
+        if drive.recovers() {
+            member.bring_up.shows(mode);
+        } else {
+            drive.axis.shows(mode);
+        }
         Some(())
     }
 
-    pub(crate) fn heard(&mut self, drive: usize, state: NmtState, at: Instant) {
-        self.drives[drive].axis.heard(state, at);
+    /// Takes TPDO 3 of a drive. `None` means an undecodable or unexpected frame.
+    pub(crate) fn inputs(&mut self, drive: usize, data: &[u8]) -> Option<()> {
+        self.drives[drive].axis.inputs(data)
+    }
+
+    /// The first contact of the emergency stop that is open or not known.
+    pub(crate) fn emergency_stop(&self) -> Option<EmergencyStop> {
+        self.drives.iter().find_map(|drive| drive.axis.emergency_stop())
     }
 
     /// Takes an EMCY. Returns whether the EMCY is a warning: an error of the bus alone, or of a drive that is not commanded to
@@ -241,7 +272,7 @@ impl Cia402Group {
 
 impl Drive {
     fn start_service(&mut self, sdo: &mut Client, now: Instant) {
-        if self.service.is_some() {
+        if self.service.is_some() || self.recovers() {
             return;
         }
         let Some(service) = self.axis.next_service() else {
@@ -252,6 +283,9 @@ impl Drive {
     }
 
     fn finish_service(&mut self, sdo: &mut Client, now: Instant) {
+        if self.recovers() {
+            return;
+        }
         sdo.handle_timeout(now);
         let Some(result) = sdo.poll() else {
             return;

@@ -5,15 +5,15 @@ use std::time::Duration;
 use can::Frame;
 use canopen::cia402::{Controlword, ModeOfOperation, Statusword};
 use canopen::objects::{
-    CONTROLWORD, MODE_OF_OPERATION_DISPLAY, POSITION_ACTUAL, STATUSWORD, TARGET_POSITION, TARGET_TORQUE,
-    TARGET_VELOCITY, TORQUE_ACTUAL, TORQUE_OFFSET,
+    CONTROLWORD, DIGITAL_INPUTS, MODE_OF_OPERATION_DISPLAY, POSITION_ACTUAL, STATUSWORD, TARGET_POSITION,
+    TARGET_TORQUE, TARGET_VELOCITY, TORQUE_ACTUAL, TORQUE_OFFSET,
 };
 use canopen::pdo::{Entry, PdoCobId, PdoKind, PdoMapping, PdoNumber, TransmissionType};
 use canopen::sdo::Write;
 use canopen::{NodeId, Object, cob};
 use master::pdo::{PdoSetup, remap};
 
-use super::config::CyclicMode;
+use super::config::{AxisConfig, CyclicMode};
 use super::target::Target;
 use crate::{Increments, Permille};
 
@@ -23,6 +23,9 @@ pub(super) const ANSWER: [Entry; 3] =
 
 /// Content of TPDO 2: the mode of operation that the drive is in.
 const SHOWN: [Entry; 1] = [Entry::new(MODE_OF_OPERATION_DISPLAY, 8)];
+
+/// Content of TPDO 3, of a drive with a contact of the emergency stop.
+const INPUTS: [Entry; 1] = [Entry::new(DIGITAL_INPUTS, 32)];
 
 /// Inhibit time of TPDO 2, which a drive sends when its mode changes. The inhibit time bounds the bus load, which is
 /// normally zero.
@@ -48,11 +51,13 @@ pub(crate) fn request_len(mode: CyclicMode) -> usize {
     bits.sum::<usize>() / 8
 }
 
-/// The PDOs of a drive in a mode. The drive receives the request and transmits the answer at every SYNC, and transmits
-/// its mode of operation when the mode changes.
+/// The PDOs of a drive. The drive receives the request and transmits the answer at every SYNC, and transmits its mode of
+/// operation when the mode changes. A drive with a contact of the emergency stop transmits its digital inputs at every
+/// SYNC.
 ///
 /// The default PDOs of an EPOS4 are event-driven with an inhibit time of 1 ms, which is longer than some periods.
-pub fn pdo_setups(node: NodeId, mode: CyclicMode) -> [PdoSetup; 3] {
+pub fn pdo_setups(axis: &AxisConfig) -> Vec<PdoSetup> {
+    let (node, mode) = (axis.node, axis.mode);
     let request = PdoSetup {
         kind: PdoKind::Rpdo,
         number: PdoNumber::One,
@@ -80,24 +85,32 @@ pub fn pdo_setups(node: NodeId, mode: CyclicMode) -> [PdoSetup; 3] {
         event_timer: Some(0),
         ..answer
     };
-    [request, answer, shown]
+    let inputs = axis.emergency_input.map(|_| PdoSetup {
+        number: PdoNumber::Three,
+        cob_id: PdoCobId::new(cob::tpdo(PdoNumber::Three, node)).without_rtr(),
+        mapping: PdoMapping::new(&INPUTS).expect("four bytes fit"),
+        ..answer
+    });
+    [request, answer].into_iter().chain(inputs).chain([shown]).collect()
 }
 
 /// The writes after which a drive exchanges these PDOs and no others. A drive with deadline monitoring of RPDOs stops by
 /// itself `deadline` milliseconds after the last set-point, also while another sender keeps up the host's heartbeat.
-pub(super) fn mapping_writes(node: NodeId, mode: CyclicMode, deadline: u16) -> impl Iterator<Item = Write> {
+pub(super) fn mapping_writes(axis: &AxisConfig, deadline: u16) -> impl Iterator<Item = Write> {
     use PdoNumber::{Four, Three, Two};
+    let node = axis.node;
     let rpdo = |number| PdoCobId::new(cob::rpdo(number, node));
-    let tpdo = |number| PdoCobId::new(cob::tpdo(number, node)).without_rtr();
+    let tpdo = move |number| PdoCobId::new(cob::tpdo(number, node)).without_rtr();
     let off = |kind: PdoKind, number, cob_id: PdoCobId| Write::new(kind.communication(number, 1), cob_id.invalid().0);
-    let mut setups = pdo_setups(node, mode);
+    let mut setups = pdo_setups(axis);
+    let unused = if axis.emergency_input.is_some() { &[Four][..] } else { &[Three, Four] };
     for request in setups.iter_mut().filter(|setup| setup.kind == PdoKind::Rpdo) {
         request.event_timer = Some(deadline);
     }
     [Two, Three, Four]
         .map(|number| off(PdoKind::Rpdo, number, rpdo(number)))
         .into_iter()
-        .chain([Three, Four].map(|number| off(PdoKind::Tpdo, number, tpdo(number))))
+        .chain(unused.iter().map(move |&number| off(PdoKind::Tpdo, number, tpdo(number))))
         .chain(setups.into_iter().flat_map(|setup| remap(&setup)))
 }
 

@@ -95,7 +95,7 @@ pub(crate) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
     }
     let mut maps_mode = false;
     let (_, deadline) = group.heartbeat_times()?;
-    for write in process_data::mapping_writes(axis.node, axis.mode, deadline) {
+    for write in process_data::mapping_writes(axis, deadline) {
         maps_mode |= process_data::maps_mode(write.object);
         steps.push(match process_data::may_be_absent(write.object) {
             // All of TPDO 2 but its first write, which switches it off.
@@ -106,5 +106,6 @@ pub(crate) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
     }
     steps.push(Step::required(Write::new(MODE_OF_OPERATION, mode.raw())));
     steps.extend([Step::Shown(mode), Step::Statusword, Step::Position, Step::ErrorCode]);
+    steps.extend(axis.emergency_input.map(|_| Step::Inputs));
     Ok(steps)
 }

@@ -82,6 +82,7 @@ impl WrenchFault {
             | Fault::HeartbeatLost { .. }
             | Fault::HostLate { .. }
             | Fault::LeftOperational { .. }
+            | Fault::NotBack { .. }
             | Fault::PowerLost { .. }
             | Fault::Implausible { .. }
             | Fault::ModeChanged { .. }

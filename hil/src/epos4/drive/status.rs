@@ -54,7 +54,8 @@ impl Drive {
         objects.set(slot!(MODE_OF_OPERATION_DISPLAY), i32::from(self.mode.raw()) as u32);
         let inputs = u32::from(self.feedback.negative_limit)
             | u32::from(self.feedback.positive_limit) << 1
-            | u32::from(self.feedback.home_switch) << 2;
+            | u32::from(self.feedback.home_switch) << 2
+            | self.contact.as_ref().map_or(0, |contact| contact.levels(self.simulated));
         objects.set(slot!(DIGITAL_INPUTS), inputs);
         objects.set(INPUT_STATES, inputs);
         let word = self.statusword(objects);

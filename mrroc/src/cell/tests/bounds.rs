@@ -184,7 +184,7 @@ fn a_message_gives_both_ends_of_a_range_and_counts_none_in_words() {
         ("robot = []\nperiod_us = 2000", "robot: has no robots, must have at least one"),
         (
             "guardian_ms = 9\nperiod_us = 2000",
-            "guardian_ms: has no effect without axis controllers on serial lines: leave it out",
+            "guardian_ms: has no effect without axis controllers on serial lines, a guarded bus or a watchdog: leave it out",
         ),
     ];
     let head = &IRB6[..IRB6.find("[[robot]]").unwrap()];

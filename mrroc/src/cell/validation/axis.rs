@@ -6,7 +6,7 @@ use std::time::Duration;
 use canopen::Object;
 use drive::cia402::{Reserved, reserved};
 
-use super::{Checked, buses, homing, no_effect, position_loop, refused, within};
+use super::{Checked, buses, homing, io, no_effect, position_loop, refused, within};
 use crate::cell::{
     Axis, AxisController, Bus, Cell, Control, Drive, Figure, Parameter, Path, Plant, Protocol, Range, Serial,
 };
@@ -181,6 +181,16 @@ fn check_drive(path: &Path, period: Duration, drive: &Drive, axis: &Axis) -> Che
     within(path, "rated_torque", drive.rated_torque, Range::new(1e-3, STRONGEST, "N·m"))?;
     if let Some(dcf) = &drive.dcf {
         buses::text(path, "dcf", dcf)?;
+    }
+    if let Some(contact) = &drive.emergency_stop {
+        let path = path.then("emergency_stop");
+        within(
+            &path,
+            "input",
+            contact.input,
+            Range::new(3.0, 31.0, "a bit of 0x60FD; 0 to 2 are limit and home switches"),
+        )?;
+        io::check_edges(&path, "emulated_edges_s", &contact.emulated_edges_s)?;
     }
     position_loop::check_drive(path, period, drive, axis)?;
     check_parameters(path, &drive.parameter, |object| reserved(drive.vendor, object.index, object.subindex))

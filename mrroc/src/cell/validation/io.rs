@@ -4,7 +4,7 @@ use drive::cia401;
 
 use super::axis::{Place, check_parameters};
 use super::{Checked, name, refused, twice, unique, within};
-use crate::cell::{Axis, Cell, InputLine, Path, Range, quoted};
+use crate::cell::{Axis, Cell, Path, Range, quoted};
 
 /// Latest time of an emulated edge, s.
 const LATEST_EDGE: f64 = 1e6;
@@ -37,7 +37,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
         let outputs: Vec<_> = io.output.iter().map(|output| (output.name.as_str(), output.line)).collect();
         check_lines(&path.then("output"), &outputs, &mut names)?;
         for (number, input) in io.input.iter().enumerate() {
-            check_edges(&path.then("input").then(number), input)?;
+            check_edges(&path.then("input").then(number), "emulated_edges_s", &input.emulated_edges_s)?;
         }
     }
     Ok(())
@@ -84,10 +84,10 @@ fn check_lines<'a>(path: &Path, lines: &[(&'a str, u8)], names: &mut Vec<(&'a st
 }
 
 /// The emulated edges come one after the other.
-fn check_edges(path: &Path, input: &InputLine) -> Checked {
-    let path = path.then("emulated_edges_s");
+pub(super) fn check_edges(path: &Path, key: &'static str, edges: &[f64]) -> Checked {
+    let path = path.then(key);
     let mut before = None;
-    for (number, &at) in input.emulated_edges_s.iter().enumerate() {
+    for (number, &at) in edges.iter().enumerate() {
         within(&path, number, at, Range::new(0.0, LATEST_EDGE, "s"))?;
         if before.is_some_and(|before| at <= before) {
             return refused(&path, number, "is not later than the edge before");

@@ -45,8 +45,13 @@ pub(super) fn check(cell: &Cell) -> Checked {
     within(top, "macrostep", cell.macrostep, Range::new(1.0, 1000.0, "periods"))?;
     within(top, "max_missed_in_row", cell.max_missed_in_row, Range::new(1.0, 1e6, "periods"))?;
     if let Some(silence) = cell.guardian_ms {
-        no_effect(top, "guardian_ms", cell.serial.is_empty(), "without axis controllers on serial lines")?;
+        let guards = !cell.serial.is_empty() || cell.bus.iter().any(|bus| bus.guarded) || cell.watchdog.is_some();
+        let because = "without axis controllers on serial lines, a guarded bus or a watchdog";
+        no_effect(top, "guardian_ms", !guards, because)?;
         within(top, "guardian_ms", silence, Range::new(2e-3 * f64::from(cell.period_us), LONGEST_SILENCE_MS, "ms"))?;
+    }
+    if let Some(watchdog) = &cell.watchdog {
+        buses::text(top, "watchdog", watchdog)?;
     }
     cell.realtime.check(cell.period()).map_err(|refusal| by_servo(&top.then("realtime"), refusal))?;
     buses::check(cell)?;

@@ -1,5 +1,7 @@
 //! Bring-up, enabling, homing and reset.
 
+use drive::Fault;
+
 use super::*;
 use crate::NotUp;
 
@@ -64,6 +66,51 @@ fn a_fault_that_cannot_be_reset_is_reported_as_such_and_stays() {
     assert_eq!(reports.len(), 2, "the order and its failure");
     let cause = reports[1].fault.map(|fault| fault.cause);
     assert_eq!(cause, Some(StopCause::Drive(FAULT)));
+}
+
+#[test]
+fn a_failed_reset_ends_after_a_second_and_reports_the_fault_that_persists() {
+    let mut config = scripted::config(2);
+    config.effectors[0].enabling_timeout = Duration::from_secs(5);
+    let mut rig = Rig::with(&config).stand();
+    rig.world().axes[1].stubborn = true;
+    rig.world().axes[1].state.fault = Some(FAULT);
+    rig.run_until(Phase::Faulted);
+    rig.reports();
+    rig.order(Order::ResetFault);
+    rig.run(1);
+    let other = Fault::LeftOperational { node: 2 };
+    rig.world().axes[1].state.fault = Some(other);
+    rig.run(1_010);
+    let reports = rig.reports();
+    assert_eq!(reports.iter().map(|report| report.resetting).collect::<Vec<_>>(), [true, false]);
+    assert_eq!(reports[1].fault.map(|fault| (fault.axis, fault.cause)), Some((Some(1), StopCause::Drive(other))));
+    assert_eq!(reports[1].snapshot.phase, Phase::Faulted);
+}
+
+#[test]
+fn a_reset_waits_for_a_drive_that_is_brought_up_again() {
+    for comes_back in [true, false] {
+        let mut rig = Rig::standing(2);
+        rig.world().axes[1].stubborn = true;
+        rig.world().axes[1].state.fault = Some(FAULT);
+        rig.run_until(Phase::Faulted);
+        rig.reports();
+        rig.order(Order::ResetFault);
+        rig.world().axes[1].state.recovering = true;
+        rig.run(2_000);
+        assert_eq!(rig.last_sent(), [AxisCommand::ResetFault; 2], "the reset goes on beyond the time-out of a reset");
+        rig.world().axes[1].state.recovering = false;
+        if comes_back {
+            rig.world().axes[1].stubborn = false;
+            rig.world().axes[1].state.homing = Homing::NotHomed;
+        }
+        rig.run(150);
+        let report = rig.reports().last().copied().unwrap();
+        let expected = if comes_back { (Phase::Off, false) } else { (Phase::Faulted, true) };
+        assert_eq!((report.snapshot.phase, report.fault.is_some()), expected);
+        assert_eq!(report.snapshot.homed, !comes_back, "the axis must home again");
+    }
 }
 
 #[test]

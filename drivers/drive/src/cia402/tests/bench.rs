@@ -52,6 +52,7 @@ pub(crate) fn axis_config(raw: u8) -> AxisConfig {
         plausible_velocity: tau * 1_000.0,
         following_error: tau / 2.0,
         quick_stop_deceleration: tau * 100.0,
+        emergency_input: None,
         configuration: vec![setting(0x3001, 1, &2_000_u32.to_le_bytes())],
     }
 }

@@ -143,12 +143,13 @@ fn leaving_operational_is_a_fault_until_the_node_is_back() {
         let mut bench = enabled();
         bench.cycle(&[answer(2, 0x0737, 1_000), state.to_owned()], STAND);
         assert_eq!(bench.states[0].fault, fault);
-        bench.cycle(&bench.answers(0x0740, 1_000), RESET);
-        bench.cycle(&bench.answers(0x0740, 1_000), RESET);
+        // Another master starts the node before the reset.
+        bench.cycle(&[answer(2, 0x0740, 1_000), "702#05".to_owned()], OFF);
         assert_eq!(bench.states[0].fault, fault);
-        bench.cycle(&[answer(2, 0x0740, 1_000), "702#05".to_owned()], RESET);
+        let sent = bench.cycle(&bench.answers(0x0740, 1_000), RESET);
+        assert!(!sent.iter().any(|frame| frame.starts_with("000#")), "{sent:?}");
         bench.cycle(&bench.answers(0x0740, 1_000), OFF);
-        assert_eq!(bench.states[0].fault, None);
+        assert_eq!((bench.states[0].fault, bench.states[0].recovering), (None, false));
     }
 }
 

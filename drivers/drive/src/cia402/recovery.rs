@@ -1,0 +1,114 @@
+//! Recovery of a drive that booted again or left the state operational: the steps of bring-up, one service frame a cycle,
+//! while the other nodes of the bus go on.
+//!
+//! ```text
+//!            reset of the fault             last step              heartbeat 0x05 and an answer to SYNC
+//!   faulted ──────────────────► Configuring ─────────► Starting ───────────────────────────────────────► off
+//!      ▲                             │ error              │ error, boot-up
+//!      └◄────────────────────────────┴────────────────────┘
+//! ```
+
+use can::{Frame, Instant};
+use canopen::nmt::{Command, NmtState};
+
+use super::{Cia402Group, Drive};
+use crate::bus::Member;
+use crate::{BringUpError, Fault};
+
+/// Where the recovery of a drive is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Recovery {
+    #[default]
+    None,
+    /// The node was sent a reset of its communication, and is configured.
+    Configuring,
+    /// The node was sent the NMT start at `since`.
+    Starting { since: Instant },
+}
+
+impl Cia402Group {
+    /// Advances the recoveries of all drives by one cycle, and begins those that a reset of the fault demands. With
+    /// `may_send`, a command to one node can be sent in this cycle. Returns the command.
+    pub(crate) fn recover(&mut self, members: &mut [Member], now: Instant, mut may_send: bool) -> Option<Frame> {
+        let mut frame = None;
+        for (drive, member) in self.drives.iter_mut().zip(members) {
+            if let Some(command) = drive.recover(member, now, may_send) {
+                frame = Some(command.to(member.bring_up.node()).encode());
+                may_send = false;
+            }
+        }
+        frame
+    }
+
+    /// Takes a heartbeat or boot-up message of a drive, received at `at`.
+    pub(crate) fn heard(&mut self, drive: usize, state: NmtState, at: Instant, member: &mut Member, now: Instant) {
+        let drive = &mut self.drives[drive];
+        match (drive.recovery, state) {
+            (Recovery::None, _) => drive.axis.heard(state, at),
+            (Recovery::Starting { .. }, NmtState::Initialising) => drive.give_up(None, member),
+            _ => member.bring_up.heard(state, &mut member.sdo, now),
+        }
+    }
+}
+
+impl Drive {
+    pub(super) fn recovers(&self) -> bool {
+        self.recovery != Recovery::None
+    }
+
+    fn recover(&mut self, member: &mut Member, now: Instant, may_send: bool) -> Option<Command> {
+        if self.recovery == Recovery::None {
+            if !may_send || !self.axis.begin_recovery() {
+                return None;
+            }
+            member.sdo.reset();
+            self.service = None;
+            member.bring_up.reset(now);
+            self.recovery = Recovery::Configuring;
+            return Some(Command::ResetCommunication);
+        }
+        let Member { bring_up, sdo } = member;
+        if let Err(error) = bring_up.advance(sdo, now) {
+            self.give_up(Some(error), member);
+            return None;
+        }
+        match self.recovery {
+            Recovery::Configuring if bring_up.configured() && may_send => {
+                bring_up.start(now);
+                self.recovery = Recovery::Starting { since: now };
+                return Some(Command::Start);
+            }
+            // The drive may act on controlwords from here. It is sent none that enables it before `begin`.
+            Recovery::Starting { .. } if bring_up.operational() && self.axis.is_answered() => {
+                self.recovery = Recovery::None;
+                self.axis.begin(now, bring_up.learnt);
+                // The answer that ended the recovery.
+                self.axis.in_time();
+                self.fault = None;
+            }
+            // The drive shows the state operational, and answers no SYNC.
+            Recovery::Starting { since } if now.since(since) > bring_up.start_timeout() => {
+                let (node, waited) = (bring_up.node().raw(), now.since(since));
+                self.give_up(Some(BringUpError::NotOperational { node, waited }), member);
+            }
+            Recovery::None | Recovery::Configuring | Recovery::Starting { .. } => {}
+        }
+        None
+    }
+
+    /// Ends a recovery without success. The next reset of the fault begins anew.
+    fn give_up(&mut self, error: Option<BringUpError>, member: &mut Member) {
+        member.sdo.reset();
+        self.recovery = Recovery::None;
+        self.axis.end_recovery(error);
+    }
+
+    /// Latches a fault. A fault of the bus ends a recovery, and replaces the fault before.
+    pub(super) fn latch_of_bus(&mut self, fault: Fault) {
+        if self.recovers() {
+            self.recovery = Recovery::None;
+            self.axis.end_recovery_by(fault);
+        }
+        self.axis.latch(fault);
+    }
+}

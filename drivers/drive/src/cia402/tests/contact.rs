@@ -1,0 +1,84 @@
+//! A contact of the emergency stop at a digital input of a drive.
+
+use super::bench::*;
+use crate::EmergencyStop;
+use crate::cia402::AxisConfig;
+
+const STAND: [AxisCommand; 2] = [AxisCommand::Stand; 2];
+const CLOSED: &str = "382#0000010000";
+
+/// Two drives, of which node 2 has the contact at bit 16, with these inputs at bring-up.
+fn bench(inputs: [u8; 4]) -> Bench {
+    let contact = AxisConfig { emergency_input: Some(16), ..axis_config(2) };
+    let mut bench = Bench::new(group_config(), &[axis_config(1), contact]);
+    bench.stores[1].put(0x60FD, 0, &inputs);
+    (0..=3).for_each(|subindex| bench.stores[1].put(0x1A02, subindex, if subindex == 0 { &[1] } else { &[0; 4] }));
+    bench
+}
+
+fn up() -> Bench {
+    let mut bench = bench([0, 0, 1, 0]);
+    assert_eq!(bench.bring_up(), Ok(()));
+    bench
+}
+
+fn cycle(bench: &mut Bench, inputs: &[&str]) -> Option<EmergencyStop> {
+    let mut answers = bench.answers(0x0740, 1_000);
+    answers.extend(inputs.iter().map(|text| (*text).to_owned()));
+    bench.cycle(&answers, &STAND);
+    bench.group.emergency_stop()
+}
+
+fn stop(known: bool) -> Option<EmergencyStop> {
+    Some(EmergencyStop { node: 2, input: 16, known })
+}
+
+#[test]
+fn an_open_contact_demands_a_stop_until_it_is_closed() {
+    let mut bench = up();
+    assert_eq!(bench.group.emergency_stop(), None, "bring-up read a closed contact");
+    assert_eq!(cycle(&mut bench, &["382#00000100"]), None);
+    assert_eq!(cycle(&mut bench, &["382#FFFFFEFF"]), stop(true), "every other input is set");
+    assert_eq!(cycle(&mut bench, &["382#00000100"]), None);
+    // A frame of another length, and the inputs of a drive without a contact, are unexpected.
+    let before = bench.group.counters().unexpected;
+    assert_eq!(cycle(&mut bench, &[CLOSED, "381#00000100"]), None);
+    assert_eq!(bench.group.counters().unexpected, before + 2);
+}
+
+#[test]
+fn a_contact_that_is_open_at_bring_up_demands_a_stop_at_once() {
+    let mut bench = bench([0xFF, 0xFF, 0xFE, 0xFF]);
+    assert_eq!(bench.bring_up(), Ok(()));
+    assert_eq!(bench.group.emergency_stop(), stop(true));
+}
+
+#[test]
+fn a_level_that_is_not_known_demands_a_stop() {
+    let mut bench = up();
+    cycle(&mut bench, &["382#00000100"]);
+    // Two missing frames are tolerated.
+    let stops: Vec<_> = (0..4).map(|_| cycle(&mut bench, NONE)).collect();
+    assert_eq!(stops, [None, None, stop(false), stop(false)]);
+    assert_eq!(cycle(&mut bench, &["382#00000100"]), None);
+    // A drive that booted may send its inputs before it is configured.
+    assert_eq!(cycle(&mut bench, &["382#00000100", "702#00"]), stop(false));
+    assert_eq!(cycle(&mut bench, &["382#00000100"]), stop(false));
+}
+
+#[test]
+fn the_inputs_are_sent_at_every_sync_and_a_drive_that_cannot_is_refused() {
+    let mut bench = up();
+    let objects = |bench: &Bench, subindex| bench.stores[1].objects[&(0x1A02, subindex)].clone();
+    assert_eq!((objects(&bench, 0), objects(&bench, 1)), (vec![1], vec![0x20, 0, 0xFD, 0x60]));
+    let of = |bench: &Bench, subindex| bench.stores[1].objects[&(0x1802, subindex)].clone();
+    assert_eq!((of(&bench, 1), of(&bench, 2)), (vec![0x82, 0x03, 0, 0x40], vec![1]));
+    bench = self::bench([0, 0, 1, 0]);
+    bench.stores[1].aborts.insert((0x1A02, 1), 0x0604_0041);
+    let refused = bench.bring_up().unwrap_err();
+    assert_eq!(refused.to_string(), "node 2: 0x1a02:01 refused: 0x06040041 (object cannot be mapped to the PDO)");
+    bench = self::bench([0, 0, 1, 0]);
+    bench.stores[1].objects.remove(&(0x60FD, 0));
+    let refused = bench.bring_up().unwrap_err();
+    assert!(refused.to_string().starts_with("node 2: 0x60fd:00 refused"), "{refused}");
+}

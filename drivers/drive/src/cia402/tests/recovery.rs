@@ -1,0 +1,186 @@
+//! Recovery of a drive that booted in operation, by a reset of its fault.
+
+use std::time::Duration;
+
+use can::PortError;
+
+use super::bench::*;
+use crate::{Homing, Power};
+
+const RESET: [AxisCommand; 2] = [AxisCommand::Stand, AxisCommand::ResetFault];
+const OFF: [AxisCommand; 2] = [AxisCommand::Stand, AxisCommand::Off];
+
+/// Two enabled drives, of which node 2 has booted.
+fn booted() -> Bench {
+    let mut bench = Bench::up(&[1, 2]);
+    bench.enable();
+    bench.cycle(&[answer(1, 0x0737, 1_000), "702#00".to_owned()], &[AxisCommand::Stand; 2]);
+    assert_eq!(bench.states[1].fault, Some(Fault::LeftOperational { node: 2 }));
+    bench
+}
+
+/// Cycles under a reset of node 2 until its recovery has ended. Node 1 goes on, and node 2 answers SYNC by `answers` once
+/// it was started. Returns the frames sent, cycle by cycle.
+fn recover(bench: &mut Bench, answers: &[&str]) -> Vec<Vec<String>> {
+    let (mut all, mut started) = (Vec::new(), false);
+    loop {
+        let mut frames = vec![answer(1, 0x0737, 1_000), "701#05".to_owned()];
+        frames.extend(answers.iter().filter(|_| started).map(|text| (*text).to_owned()));
+        let sent = bench.cycle(&frames, &RESET);
+        started |= sent.contains(&"000#0102".to_owned());
+        all.push(sent);
+        assert!(bench.states[0].following && bench.states[0].fault.is_none());
+        if all.len() > 2 && !bench.states[1].recovering {
+            return all;
+        }
+        assert!(all.len() < 3_000, "{:?}", bench.states[1]);
+    }
+}
+
+#[test]
+fn a_reset_brings_a_drive_that_booted_up_again_while_the_other_goes_on() {
+    let mut bench = booted();
+    // The drive counts from another place since it booted, and a hand moves the axis meanwhile.
+    bench.stores[1].put(0x6064, 0, &77_i32.to_le_bytes());
+    bench.stores[1].put(0x6085, 0, &[0; 4]);
+    let sent = recover(&mut bench, &[&answer(2, 0x0240, 80)]);
+    for cycle in &sent {
+        let service = cycle.iter().filter(|frame| frame.starts_with("000#") || frame.starts_with("60")).count();
+        assert!(service <= 1, "{cycle:?}");
+        assert_eq!(cycle[..2], ["080#", "201#0F00E8030000"], "the other drive holds its position");
+        // No controlword enables the drive.
+        assert!(
+            cycle.iter().filter(|frame| frame.starts_with("202#")).all(|frame| frame.starts_with("202#0000")
+                || frame.starts_with("202#8000")
+                || frame.starts_with("202#0600")),
+            "{cycle:?}"
+        );
+    }
+    let all: Vec<&String> = sent.iter().flatten().collect();
+    let commands: Vec<_> = all.iter().filter(|frame| frame.starts_with("000#")).collect();
+    assert_eq!(commands, [&&"000#8202".to_owned(), &&"000#0102".to_owned()]);
+    // The drive hears the host before it starts.
+    let start = sent.iter().find(|cycle| cycle.contains(&"000#0102".to_owned())).unwrap();
+    assert_eq!(start[start.len() - 2..], ["77F#05", "000#0102"]);
+    assert_eq!(bench.stores[1].objects[&(0x6085, 0)], bench.stores[0].objects[&(0x6085, 0)]);
+    let state = bench.states[1];
+    assert_eq!((state.fault, state.homing, state.power), (None, Homing::NotHomed, Power::Off));
+    // The next sample counts from the position that bring-up read, without a jump of the counter.
+    bench.cycle(&[answer(1, 0x0737, 1_000), answer(2, 0x0240, 81)], &OFF);
+    assert_eq!((bench.states[1].fault, bench.states[1].increments.0), (None, 81));
+    for statusword in [0x0240, 0x0221, 0x0223, 0x0237, 0x0237, 0x0237, 0x0237] {
+        bench.cycle(&[answer(1, 0x0737, 1_000), answer(2, statusword, 81)], &[AxisCommand::Stand; 2]);
+    }
+    assert!(bench.states[1].following);
+}
+
+#[test]
+fn a_node_in_another_state_is_brought_up_again_too() {
+    for state in ["702#7F", "702#04"] {
+        let mut bench = Bench::up(&[1, 2]);
+        bench.enable();
+        bench.cycle(&[answer(1, 0x0737, 1_000), answer(2, 0x0737, 1_000), state.to_owned()], &[AxisCommand::Stand; 2]);
+        recover(&mut bench, &[&answer(2, 0x0240, 1_000)]);
+        assert_eq!(bench.states[1].fault, None, "{state}");
+    }
+}
+
+#[test]
+fn a_reference_that_the_drive_reports_counts_unless_its_counter_jumped() {
+    for (jumps, expected) in [(false, Homing::Attained), (true, Homing::NotHomed)] {
+        let mut bench = booted();
+        let position = if jumps { 1_000_000 } else { 1_000 };
+        for position in [1_000, position] {
+            let answers = [answer(1, 0x0737, 1_000), answer(2, 0x8740, position)];
+            bench.cycle(&answers, &OFF);
+        }
+        recover(&mut bench, &[&answer(2, 0x8240, 80)]);
+        bench.cycle(&[answer(1, 0x0737, 1_000), answer(2, 0x8240, 80)], &OFF);
+        assert_eq!((bench.states[1].fault, bench.states[1].homing), (None, expected), "jumps: {jumps}");
+    }
+}
+
+#[test]
+fn another_drive_in_its_place_is_refused_and_the_same_order_does_not_try_again() {
+    let mut bench = booted();
+    bench.stores[1].put(0x1018, 2, &[0x00, 0x00, 0x50, 0x61]);
+    recover(&mut bench, &[]);
+    let error = BringUpError::WrongIdentity { node: 2, subindex: 2, expected: 0x6050_0000, found: 0x6150_0000 };
+    assert_eq!(bench.states[1].fault, Some(Fault::NotBack { error }));
+    for _ in 0..100 {
+        bench.cycle(&[answer(1, 0x0737, 1_000)], &RESET);
+        assert!(!bench.states[1].recovering && bench.states[1].fault.is_some());
+    }
+    // The right drive is back, and a new order finds it.
+    bench.stores[1].put(0x1018, 2, &[0x00, 0x00, 0x50, 0x60]);
+    bench.cycle(&[answer(1, 0x0737, 1_000)], &OFF);
+    recover(&mut bench, &[&answer(2, 0x0240, 80)]);
+    assert_eq!(bench.states[1].fault, None);
+}
+
+#[test]
+fn a_drive_that_stays_away_is_told_within_the_time_out_of_its_boot() {
+    let mut bench = booted();
+    (bench.stores[1].boots, bench.stores[1].mute) = (false, Some((0x1000, 0)));
+    let began = bench.now;
+    recover(&mut bench, &[]);
+    let fault = bench.states[1].fault.unwrap();
+    assert!(matches!(fault, Fault::NotBack { error: BringUpError::NeverBooted { node: 2, .. } }), "{fault}");
+    assert!(bench.now.since(began) < Duration::from_millis(1_020));
+    assert_eq!(fault.to_string(), "reset failed: node 2: never booted, waited 1.0s");
+}
+
+#[test]
+fn a_drive_that_does_not_answer_sync_after_its_start_is_told() {
+    let mut bench = booted();
+    let began = bench.now;
+    recover(&mut bench, &[]);
+    let fault = bench.states[1].fault.unwrap();
+    assert!(matches!(fault, Fault::NotBack { error: BringUpError::NotOperational { node: 2, .. } }), "{fault}");
+    assert!(bench.now.since(began) < Duration::from_secs(5));
+}
+
+#[test]
+fn a_boot_after_the_start_ends_the_recovery() {
+    let mut bench = booted();
+    recover(&mut bench, &["702#00"]);
+    assert_eq!(bench.states[1].fault, Some(Fault::LeftOperational { node: 2 }));
+    recover_after_off(&mut bench);
+}
+
+/// A new reset after one that failed.
+fn recover_after_off(bench: &mut Bench) {
+    bench.cycle(&[answer(1, 0x0737, 1_000)], &OFF);
+    recover(bench, &[&answer(2, 0x0240, 80)]);
+    assert_eq!(bench.states[1].fault, None);
+}
+
+#[test]
+fn a_fault_of_the_bus_ends_a_recovery_and_is_named() {
+    let mut bench = booted();
+    for _ in 0..20 {
+        bench.cycle(&[answer(1, 0x0737, 1_000)], &RESET);
+    }
+    assert!(bench.states[1].recovering);
+    bench.bus.0.lock().unwrap().error = Some(PortError::Down);
+    bench.cycle(NONE, &RESET);
+    let state = bench.states[1];
+    assert_eq!((state.fault, state.recovering), (Some(Fault::Port(PortError::Down)), false));
+    bench.bus.0.lock().unwrap().error = None;
+    bench.cycle(&[answer(1, 0x0737, 1_000)], &[AxisCommand::Off; 2]);
+    bench.cycle(&[answer(1, 0x0740, 1_000)], &[AxisCommand::ResetFault; 2]);
+    for statusword in [0x0740, 0x0721, 0x0723, 0x0737, 0x0737, 0x0737, 0x0737, 0x0737] {
+        bench.cycle(&[answer(1, statusword, 1_000)], &OFF);
+    }
+    recover_after_off(&mut bench);
+}
+
+#[test]
+fn without_a_reset_a_drive_that_booted_is_left_alone() {
+    let mut bench = booted();
+    for _ in 0..100 {
+        let sent = bench.cycle(&[answer(1, 0x0737, 1_000)], &OFF);
+        assert!(!sent.iter().any(|frame| frame.starts_with("000#") || frame.starts_with("602#")), "{sent:?}");
+    }
+    assert_eq!(bench.states[1].fault, Some(Fault::LeftOperational { node: 2 }));
+}
