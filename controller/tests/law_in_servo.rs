@@ -103,6 +103,7 @@ impl Rig {
             position_loop: PositionLoop::Drive,
             torque_offset: None,
             homing: None,
+            frozen: servo::FrozenWatch::Always,
         };
         let effector = EffectorConfig {
             name: "arm".into(),

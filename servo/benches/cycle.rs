@@ -59,6 +59,7 @@ fn servo(axes: usize, position_loop: PositionLoop) -> (Servo, EffectorLink) {
         position_loop,
         torque_offset: None,
         homing: None,
+        frozen: mrroc_servo::FrozenWatch::Always,
     };
     let config = ServoConfig {
         period: PERIOD,

@@ -158,8 +158,9 @@ pub enum StopCause {
     #[error("following error {error:.4} rad exceeds {limit:.4} rad")]
     FollowingError { error: f64, limit: f64 },
     /// The measured position does not change by one increment, while the set-points move by half the permitted following
-    /// error: the encoder fails, or the axis is blocked. The power of this axis is removed at once, and the others brake.
-    #[error("measured position stands still while set-points move by {travel:.4} rad")]
+    /// error, or while the motor cannot have braked so hard: the encoder fails, or the axis is blocked. The power of this
+    /// axis is removed at once, and the others brake.
+    #[error("measured position stands still where the motor must have moved by {travel:.4} rad")]
     Frozen { travel: f64 },
     /// The motor is faster than its position loop, closed by the servo, could make it: beyond `runaway_velocity`.
     #[error("motor runs away at {velocity:.1} rad/s, beyond {limit:.1} rad/s")]

@@ -84,6 +84,7 @@ fn main() {
         position_loop: PositionLoop::Drive,
         torque_offset: None,
         homing: None,
+        frozen: servo::FrozenWatch::Always,
     };
     let config = ServoConfig {
         period: PERIOD,

@@ -40,6 +40,8 @@ pub(super) enum Within {
     Error,
     /// The same. Until then, the loop of the drive accelerates the motor.
     Lost,
+    /// The same. In homing, the motor moves on along its search until then, more slowly than commanded.
+    Slowed,
     /// This time.
     Time(Duration),
 }
@@ -260,7 +262,7 @@ pub(super) const CASES: &[FaultCase] = &[
     FaultCase {
         // The search may be so slow that the supply suffices.
         expected: |wire, phase| if phase == P::Homing { Ok(Either(NOT_FOLLOWING)) } else { not_following(wire, phase) },
-        ..found("supply sags", K::SaggingSupply, BOTH, Within::Error)
+        ..found("supply sags", K::SaggingSupply, BOTH, Within::Slowed)
     },
     FaultCase {
         also: Some(K::OverCurrent),
@@ -305,8 +307,9 @@ impl FaultCase {
     /// is added, for the distances between motor and set-point at the strike and at the end.
     ///
     /// The following error itself limits the distance until it finds a fault. The time of such a detection is four times the
-    /// time at constant speed to the obstacle and to the limit of the error.
-    pub(super) fn bounds(&self, file: &CellFile, axis: usize, velocity: &[f64; MAX_AXES]) -> Bounds {
+    /// time at constant speed to the obstacle and to the limit of the error. A search that a sagging supply slows moves on
+    /// for this time, less the following error by which the motor is then late.
+    pub(super) fn bounds(&self, file: &CellFile, axis: usize, velocity: &[f64; MAX_AXES], phase: FaultPhase) -> Bounds {
         let cell = &file.cell;
         let robot = &cell.robot[0];
         let name = &robot.axis[axis].bus;
@@ -320,8 +323,11 @@ impl FaultCase {
             Within::Answers => (answers, answers),
             Within::Cut => (answers, bus.map_or(answers, |bus| ms(3 * u64::from(bus.heartbeat_ms)))),
             Within::Heartbeat => (silence, silence),
-            Within::Error | Within::Lost => {
-                (Duration::from_secs_f64(4.0 * way / velocity[axis].abs()) + ms(50), Duration::ZERO)
+            Within::Error | Within::Lost | Within::Slowed => {
+                let detection = Duration::from_secs_f64(4.0 * way / velocity[axis].abs()) + ms(50);
+                let late = Duration::from_secs_f64(robot.axis[axis].following_error / velocity[axis].abs());
+                let slowed = self.within == Within::Slowed && phase == P::Homing;
+                (detection, if slowed { detection - late } else { Duration::ZERO })
             }
             Within::Time(time) => (time, time),
         };

@@ -7,7 +7,7 @@ use can::Instant;
 use clap::ValueEnum;
 use drive::axis_controller::AxisControllerFault;
 use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Switches, Warnings};
-use servo::{PositionLoop, ServoConfig, StopCause};
+use servo::{FrozenWatch, PositionLoop, ServoConfig, StopCause};
 
 /// Detectors of the controller. Each stop has one cause, and each cause belongs to one detector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, ValueEnum)]
@@ -121,6 +121,7 @@ impl Detector {
                     (leg.timeout, leg.distance) = (NEVER, 1e6);
                 }
             }),
+            Self::Frozen => axes.for_each(|axis| axis.frozen = FrozenWatch::Off),
             Self::FollowingError => axes.for_each(|axis| axis.following_error = 1e9),
             Self::Runaway => axes.for_each(|axis| {
                 if let PositionLoop::Host(host) = &mut axis.position_loop {

@@ -121,6 +121,7 @@ fn effector(group: usize) -> EffectorConfig {
         position_loop: PositionLoop::Drive,
         torque_offset: None,
         homing: None,
+        frozen: servo::FrozenWatch::Always,
     };
     EffectorConfig {
         name: format!("robot {group}"),
