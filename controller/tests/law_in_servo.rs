@@ -104,6 +104,7 @@ impl Rig {
             torque_offset: None,
             homing: None,
             frozen: servo::FrozenWatch::Always,
+            brake_watch: true,
         };
         let effector = EffectorConfig {
             name: "arm".into(),

@@ -60,6 +60,7 @@ fn servo(axes: usize, position_loop: PositionLoop) -> (Servo, EffectorLink) {
         torque_offset: None,
         homing: None,
         frozen: mrroc_servo::FrozenWatch::Always,
+        brake_watch: true,
     };
     let config = ServoConfig {
         period: PERIOD,

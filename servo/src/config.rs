@@ -88,6 +88,9 @@ pub struct ServoAxisConfig {
     pub homing: Option<HostHoming>,
     /// When a measured position that stands still is a fault.
     pub frozen: FrozenWatch,
+    /// Whether the motors get their power again if this motor moves after an orderly power-off
+    /// ([`StopCause::BrakeSlips`](crate::StopCause::BrakeSlips)).
+    pub brake_watch: bool,
 }
 
 /// When a measured position that stands still, although the motor should move, stops the effector

@@ -5,6 +5,7 @@ mod homing;
 mod law;
 mod motion;
 mod orders;
+mod slip;
 
 use std::time::Duration;
 
@@ -84,6 +85,8 @@ pub(crate) struct Effector {
     pub(crate) settling: bool,
     /// Bit set of the effectors that brake together with this one.
     pub(crate) braking_with: u32,
+    /// Where the effector rests on its brakes after an orderly power-off, while the brakes are watched.
+    rest: Option<slip::Rest>,
     /// The present stop was restarted because a bus refused its set-points.
     stop_restarted: bool,
     /// While [`ServoState::Halting`]: the drives have come to rest.
@@ -132,6 +135,7 @@ impl Effector {
             ahead: [0.0; MAX_AXES],
             settling: false,
             braking_with: 0,
+            rest: None,
             stop_restarted: false,
             halted: false,
             macrostep: 0,
@@ -262,6 +266,7 @@ impl Effector {
             return;
         }
         self.state = next;
+        self.begin_brake_watch(last, next, tick);
         self.stopped |=
             matches!(next, ServoState::Off | ServoState::Braking(_) | ServoState::Halting(_) | ServoState::Faulted);
         // A macrostep that was cut off is never continued.
@@ -330,7 +335,8 @@ impl Effector {
     fn advance(&mut self, tick: &Tick) {
         let waited = tick.now.since(self.since);
         match self.state {
-            ServoState::Off | ServoState::Faulted | ServoState::Standing | ServoState::Moving => {}
+            ServoState::Off => self.watch_brakes(tick),
+            ServoState::Faulted | ServoState::Standing | ServoState::Moving => {}
             ServoState::Enabling => {
                 let on = |axis: &ServoAxis| axis.state.power == Power::On;
                 if self.axes.iter().all(on) && self.settle() {

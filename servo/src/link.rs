@@ -210,6 +210,10 @@ pub enum StopCause {
     /// acknowledges the cause.
     #[error("its cycle law ended the motion")]
     Touched,
+    /// A motor moved after an orderly power-off: its brake does not hold. The motors got their power again and hold the
+    /// effector, which refuses motion until an [`Order::Stop`] or [`Order::Disable`] acknowledges the cause.
+    #[error("brake does not hold: moved by {travel:.4} rad without power, and the motor holds again")]
+    BrakeSlips { travel: f64 },
     /// The cycle law reported a fault.
     #[error("cycle law: {0}")]
     Law(LawFault),
@@ -253,7 +257,7 @@ impl StopCause {
     /// instead, because such a loop cannot brake. A stop that [leaves its envelope](crate::ServoState) becomes stricter.
     pub fn category(&self) -> StopCategory {
         match self {
-            Self::Partner { .. } | Self::Touched => StopCategory::Two,
+            Self::Partner { .. } | Self::Touched | Self::BrakeSlips { .. } => StopCategory::Two,
             Self::Runaway { .. } => StopCategory::Zero,
             Self::Drive(_)
             | Self::FollowingError { .. }
@@ -286,7 +290,7 @@ impl StopCause {
     /// Whether the stop leaves the effector standing with power on, and motion is refused until a stop or disable order
     /// acknowledges the cause.
     pub fn needs_acknowledgement(&self) -> bool {
-        matches!(self, Self::Partner { .. } | Self::Touched)
+        matches!(self, Self::Partner { .. } | Self::Touched | Self::BrakeSlips { .. })
     }
 }
 

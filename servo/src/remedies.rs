@@ -27,6 +27,7 @@ impl StopCause {
             | Self::LawLeft { .. }
             | Self::NoLaw { .. } => DEFECT,
             Self::Partner { .. } => "see the fault of that robot",
+            Self::BrakeSlips { .. } => "support the arm before it is switched off, check the brake",
             Self::Touched => "see what the tool touches",
             Self::Law(fault) => return fault.remedy(),
             Self::NotHomed => "home the robot first",

@@ -85,6 +85,7 @@ fn main() {
         torque_offset: None,
         homing: None,
         frozen: servo::FrozenWatch::Always,
+        brake_watch: true,
     };
     let config = ServoConfig {
         period: PERIOD,

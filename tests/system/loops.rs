@@ -160,6 +160,7 @@ impl Rig {
             torque_offset: None,
             homing: None,
             frozen: servo::FrozenWatch::Always,
+            brake_watch: true,
         }
     }
 

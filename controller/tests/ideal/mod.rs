@@ -117,6 +117,7 @@ pub(crate) fn team<const AXES: usize>(
         torque_offset: None,
         homing: None,
         frozen: servo::FrozenWatch::Always,
+        brake_watch: true,
     };
     let effector = |group| EffectorConfig {
         name: format!("robot {group}"),

@@ -242,6 +242,7 @@ impl Robot {
             torque_offset: None,
             homing: axis.controller.is_some().then(|| axis.homing.by_host(limits)),
             frozen: axis.homing.frozen_watch(),
+            brake_watch: true,
         }
     }
 }

@@ -42,6 +42,8 @@ pub(super) enum Within {
     Lost,
     /// The same. In homing, the motor moves on along its search until then, more slowly than commanded.
     Slowed,
+    /// The arm falls within the watch of the brakes, and its motor catches it.
+    Fall,
     /// This time.
     Time(Duration),
 }
@@ -54,6 +56,8 @@ pub(super) struct FaultCase {
     pub(super) kind: FaultKind,
     /// A second fault of the same axis, which begins with the first.
     pub(super) also: Option<FaultKind>,
+    /// The robot is switched off by an order when the fault strikes.
+    pub(super) disables: bool,
     /// Wires on which the fault is played.
     pub(super) wires: &'static [Wire],
     /// Greatest number of damaged frames.
@@ -90,6 +94,7 @@ const USUAL: FaultCase = FaultCase {
     name: "",
     kind: K::Lost,
     also: None,
+    disables: false,
     wires: BOTH,
     count: None,
     lasts: None,
@@ -265,9 +270,11 @@ pub(super) const CASES: &[FaultCase] = &[
         ..found("supply sags", K::SaggingSupply, BOTH, Within::Slowed)
     },
     FaultCase {
-        also: Some(K::OverCurrent),
-        expected: |_, _| Ok(By(&[D::DriveStatus])),
-        ..found("brake does not hold at an over-current", K::BrakeSlips, BOTH, Within::Time(ms(10)))
+        disables: true,
+        observed_for: ms(3000),
+        // Friction or the balance of the arm may hold the axis.
+        expected: |_, _| Ok(Either(&[D::Brake])),
+        ..found("brake does not hold", K::BrakeSlips, BOTH, Within::Fall)
     },
     FaultCase {
         expected: |_, phase| {
@@ -290,6 +297,20 @@ const LOST: f64 = 8.0;
 pub(super) struct Bounds {
     pub(super) detection: Duration,
     pub(super) distance: [f64; MAX_AXES],
+}
+
+/// Time from the detection of a brake that does not hold to the torque of the motor: a drive on CAN passes three states,
+/// each with the answer to its controlword.
+const CATCHING: f64 = 0.040;
+
+/// Distance of a motor that falls, rad, until it is caught: the `limit` of the watch, the way until the motor has torque,
+/// and the way in which it brakes. Its weight accelerates the motor by at most half of its greatest `acceleration`, rad/s²,
+/// because the motor must accelerate upwards as well.
+fn fall(limit: f64, acceleration: f64) -> f64 {
+    let weight = 0.5 * acceleration;
+    let seen = (2.0 * weight * limit).sqrt();
+    let caught = seen + weight * CATCHING;
+    limit + (seen + caught) / 2.0 * CATCHING + caught * caught / (2.0 * weight)
 }
 
 impl FaultCase {
@@ -330,6 +351,7 @@ impl FaultCase {
                 (detection, if slowed { detection - late } else { Duration::ZERO })
             }
             Within::Time(time) => (time, time),
+            Within::Fall => (ms(1500), Duration::ZERO),
         };
         let blind = (blind + 4 * cell.period()).as_secs_f64();
         let distance = |number: usize| {
@@ -337,7 +359,9 @@ impl FaultCase {
             let given = robot.axis.get(number)?;
             let braking = speed * speed / (2.0 * given.max_acceleration);
             let lost = if number == axis && self.within == Within::Lost { LOST * given.following_error } else { 0.0 };
-            Some(MARGIN * (speed * blind + braking + lost + 2.0 * given.following_error))
+            let fall =
+                if self.within == Within::Fall { fall(given.following_error, given.max_acceleration) } else { 0.0 };
+            Some(MARGIN * (speed * blind + braking + lost + fall + 2.0 * given.following_error))
         };
         Bounds { detection, distance: std::array::from_fn(|number| distance(number).unwrap_or(f64::INFINITY)) }
     }

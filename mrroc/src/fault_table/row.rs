@@ -138,6 +138,7 @@ impl Row {
             linear,
             recovery: match seen.recovery {
                 Recovery::None => "—",
+                Recovery::Stop => "stop",
                 Recovery::Reset => "reset, enable",
                 Recovery::Home => "reset, enable, home",
                 Recovery::Restart => "restart",

@@ -44,6 +44,7 @@ pub fn config(axes: usize) -> ServoConfig {
         torque_offset: None,
         homing: None,
         frozen: FrozenWatch::Always,
+        brake_watch: true,
     };
     ServoConfig {
         period: PERIOD,

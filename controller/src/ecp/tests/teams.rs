@@ -122,6 +122,7 @@ fn effector(group: usize) -> EffectorConfig {
         torque_offset: None,
         homing: None,
         frozen: servo::FrozenWatch::Always,
+        brake_watch: true,
     };
     EffectorConfig {
         name: format!("robot {group}"),
