@@ -103,6 +103,8 @@ impl Rig {
             position_loop: PositionLoop::Drive,
             torque_offset: None,
             homing: None,
+            frozen: servo::FrozenWatch::Always,
+            brake_watch: true,
         };
         let effector = EffectorConfig {
             name: "arm".into(),

@@ -59,6 +59,8 @@ fn servo(axes: usize, position_loop: PositionLoop) -> (Servo, EffectorLink) {
         position_loop,
         torque_offset: None,
         homing: None,
+        frozen: mrroc_servo::FrozenWatch::Always,
+        brake_watch: true,
     };
     let config = ServoConfig {
         period: PERIOD,

@@ -3,8 +3,10 @@
 use can::Instant;
 use drive::{AxisCommand, AxisState, Finite, Homing, Increments, Power, Setpoint};
 
+use crate::config::FrozenWatch;
 use crate::excitation::Playing;
 use crate::host_loop::Loop;
+use crate::progress::Progress;
 use crate::search::Search;
 use crate::{HomingFailure, Knot, PositionLoop, ServoAxisConfig, ServoState, StopCause, TrackingError, limit};
 
@@ -52,6 +54,7 @@ pub(crate) struct ServoAxis {
     reference: ReferenceWatch,
     /// The last change of the measured position.
     change: Change,
+    progress: Progress,
     /// The axis is off while the others brake, because its measured position does not change.
     pub(crate) cut: bool,
     host: Option<Loop>,
@@ -77,6 +80,7 @@ impl ServoAxis {
             excitation: 0.0,
             reference: ReferenceWatch::default(),
             change: Change::default(),
+            progress: Progress::default(),
             cut: false,
             host: match config.position_loop {
                 PositionLoop::Drive => None,
@@ -93,6 +97,12 @@ impl ServoAxis {
         let led = self.search.is_some() && self.followed > 0;
         let attained = led && self.state.homing != Homing::Attained && state.homing == Homing::Attained;
         let step = self.reference.observe(&state, seeking, attained, self.config.max_acceleration, dt);
+        self.progress.observe(&state, f64::from(periods) * dt);
+        // The motor of an axis without power is not braked by a loop, and its counter may be set.
+        let set = step.is_some() && state.increments != self.state.increments;
+        if set || state.power != Power::On {
+            self.progress.forget();
+        }
         if let Some(step) = step
             && led
         {
@@ -264,11 +274,16 @@ impl ServoAxis {
         self.commanded[age] - self.state.position
     }
 
-    /// Distance by which the set-points moved since the measured position last changed, if it is so long that the
-    /// encoder fails or the axis is blocked, rad. `error` is the present following error.
+    /// The last set-points were repeated, because a bus refused some: the drive may have stopped the motor at once.
+    pub(crate) fn was_refused(&mut self) {
+        self.progress.forget();
+    }
+
+    /// Distance, rad, by which the set-points or the motor must have moved since the measured position last changed, if
+    /// the distance is so long that the encoder fails or the axis is blocked. `error` is the present following error.
     pub(crate) fn frozen(&mut self, error: f64) -> Option<f64> {
         let seen = Change { increments: Some(self.state.increments), error };
-        if self.state.age > 0 {
+        if self.state.age > 0 || self.config.frozen == FrozenWatch::Off {
             return None;
         }
         if self.change.increments != seen.increments || !self.follows() {
@@ -276,7 +291,21 @@ impl ServoAxis {
         }
         let travel = (error - self.change.error).abs();
         let limit = (0.5 * self.config.following_error).max(FROZEN / self.config.increments_per_radian.abs());
-        (travel > limit).then_some(travel)
+        let expected = travel * self.config.increments_per_radian.abs() >= 2.0 && self.follows();
+        (travel > limit).then_some(travel).or_else(|| self.stands_at_once().filter(|_| expected))
+    }
+
+    /// The same while the drive homes the axis, where the set-points are not known.
+    pub(crate) fn frozen_in_homing(&self) -> Option<f64> {
+        let searching = self.state.homing == Homing::InProgress && self.state.power == Power::On;
+        let by_drive = self.config.homing.is_none();
+        let watched = searching && by_drive && self.state.age == 0 && self.config.frozen == FrozenWatch::Always;
+        self.stands_at_once().filter(|_| watched)
+    }
+
+    fn stands_at_once(&self) -> Option<f64> {
+        let ServoAxisConfig { increments_per_radian, max_velocity, max_acceleration, .. } = self.config;
+        self.progress.frozen(increments_per_radian, max_velocity, max_acceleration)
     }
 
     /// The closed limit switch that blocks motion in `sense`: true for the upper one. `None` for an axis without a

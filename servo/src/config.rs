@@ -87,6 +87,24 @@ pub struct ServoAxisConfig {
     /// Possible only where the servo closes the position loop. After its counter was set, a drive that closes the
     /// loop would still follow positions of the old count, which are under way.
     pub homing: Option<HostHoming>,
+    /// When a measured position that stands still is a fault.
+    pub frozen: FrozenWatch,
+    /// Whether the motors get their power again if this motor moves after an orderly power-off
+    /// ([`StopCause::BrakeSlips`](crate::StopCause::BrakeSlips)).
+    pub brake_watch: bool,
+}
+
+/// When a measured position that stands still, although the motor should move, stops the effector
+/// ([`StopCause::Frozen`](crate::StopCause::Frozen)).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum FrozenWatch {
+    /// Never.
+    Off,
+    /// While the axis follows set-points. The drive homes the axis at a mechanical stop, where the motor stands still.
+    Following,
+    /// Also while the axis is homed.
+    #[default]
+    Always,
 }
 
 /// Error in the configuration of a [`Servo`](crate::Servo). Indices count from zero.

@@ -1,10 +1,12 @@
 //! The cycle of one effector: checks its axes, takes orders, finds the next set-points and checks them.
 
+mod check;
 mod homing;
 mod law;
 mod motion;
 mod orders;
 mod reset;
+mod slip;
 
 use std::time::Duration;
 
@@ -24,10 +26,6 @@ const STANDSTILL_WAIT: Duration = Duration::from_millis(100);
 /// Number of cycles in a row in which a bus may refuse the set-points of a stop. After that, the drives count as
 /// standing.
 const REFUSED_IN_STOP: u32 = 3;
-
-/// Commanded speed, rad/s, below which an axis at a limit switch counts as at rest. The speed covers rounding errors
-/// of generators.
-const CREEP: f64 = 1e-3;
 
 /// Data of a servo cycle for each of its effectors.
 #[derive(Clone, Copy)]
@@ -88,6 +86,8 @@ pub(crate) struct Effector {
     pub(crate) settling: bool,
     /// Bit set of the effectors that brake together with this one.
     pub(crate) braking_with: u32,
+    /// Where the effector rests on its brakes after an orderly power-off, while the brakes are watched.
+    rest: Option<slip::Rest>,
     /// The present stop was restarted because a bus refused its set-points.
     stop_restarted: bool,
     /// While [`ServoState::Halting`]: the drives have come to rest.
@@ -136,6 +136,7 @@ impl Effector {
             ahead: [0.0; MAX_AXES],
             settling: false,
             braking_with: 0,
+            rest: None,
             stop_restarted: false,
             halted: false,
             macrostep: 0,
@@ -232,68 +233,6 @@ impl Effector {
         }
     }
 
-    /// Checks drive faults, following errors, limit switches and overruns, and updates the tracking statistics.
-    ///
-    /// A closed limit switch stops an effector that continues towards the switch, or that the switch holds back from
-    /// its commanded position. An axis may rest on the switch or move away from the switch.
-    fn check(&mut self, tick: &Tick) {
-        if let Some(emergency) = tick.emergency {
-            self.fail(tick, None, StopCause::EmergencyStop(emergency));
-        }
-        if let Some(missed) = tick.overrun {
-            // In the missed cycles, the drives stood at their last set-points or continued by them.
-            let late = tick.periods - 1;
-            self.axes.iter_mut().for_each(|axis| axis.rest(late, tick.dt));
-            self.fail(tick, None, StopCause::Overrun { missed });
-        }
-        for index in 0..self.axes.len() {
-            let axis = &mut self.axes[index];
-            if let Some(fault) = axis.state.fault {
-                if self.state != ServoState::Resetting {
-                    self.fail(tick, index, StopCause::Drive(fault));
-                }
-                continue;
-            }
-            let (error, limit) = (axis.error(), axis.config.following_error);
-            let commanding = matches!(self.state, ServoState::Standing | ServoState::Moving | ServoState::Braking(_));
-            if !axis.is_watched() || !commanding && !axis.is_led() {
-                continue;
-            }
-            if let Some((velocity, limit)) = axis.runaway() {
-                self.lose(tick, index, StopCause::Runaway { velocity, limit });
-                continue;
-            }
-            if tick.overrun.is_some() && axis.is_host_closed() {
-                // The commands were adapted to the missed deadlines, but the sample is older.
-                continue;
-            }
-            axis.track(error, self.state);
-            if let Some(travel) = axis.frozen(error).filter(|_| commanding) {
-                axis.cut = true;
-                self.fail(tick, index, StopCause::Frozen { travel });
-                continue;
-            }
-            let beyond = error.abs() > limit;
-            // Direction of the last command, or of the position that the motor does not reach.
-            let sense = if beyond { error } else { axis.knot.velocity };
-            let judged = commanding && (beyond || sense.abs() > CREEP);
-            let switch = axis.limit_switch(sense).filter(|_| judged);
-            if let Some(upper) = switch {
-                // The drive itself stops this axis at the switch, and the loop of the axis works. The servo brakes the
-                // other axes.
-                self.fail(tick, index, StopCause::LimitSwitch { upper });
-            } else if beyond || error.is_nan() {
-                let host_closed = axis.is_host_closed();
-                let cause = StopCause::FollowingError { error, limit };
-                if host_closed || !self.is_within_envelope(index) {
-                    self.lose(tick, index, cause);
-                } else {
-                    self.fail(tick, index, cause);
-                }
-            }
-        }
-    }
-
     /// Latches the first fault and leaves the present state.
     fn fail(&mut self, tick: &Tick, axis: impl Into<Option<usize>>, cause: StopCause) {
         self.latch(axis.into(), cause);
@@ -305,26 +244,6 @@ impl Effector {
         self.latch(Some(axis), cause);
         self.fault.iter_mut().for_each(|fault| fault.category = StopCategory::Zero);
         self.apply(tick, ServoEvent::ControlLost);
-    }
-
-    /// Whether the motor of axis `index`, beyond its following error, is within the envelope of a stop of category 1. A
-    /// stop of category 2 has its envelope in the following error itself.
-    fn is_within_envelope(&self, index: usize) -> bool {
-        let axis = &self.axes[index];
-        match self.state {
-            ServoState::Braking(After::Off | After::Fault) => {
-                self.stop.ahead(index, -axis.error()) <= self.ahead[index] + axis.config.following_error
-            }
-            _ => true,
-        }
-    }
-
-    /// Sets the envelope of a stop at the present distances.
-    fn set_envelope(&mut self) {
-        self.ahead = self.each(|axis| axis.error());
-        for (index, ahead) in self.ahead[..self.axes.len()].iter_mut().enumerate() {
-            *ahead = self.stop.ahead(index, -*ahead).max(0.0);
-        }
     }
 
     fn latch(&mut self, axis: Option<usize>, cause: StopCause) {
@@ -349,6 +268,7 @@ impl Effector {
             return;
         }
         self.state = next;
+        self.begin_brake_watch(last, next, tick);
         self.stopped |=
             matches!(next, ServoState::Off | ServoState::Braking(_) | ServoState::Halting(_) | ServoState::Faulted);
         // A macrostep that was cut off is never continued.
@@ -417,7 +337,8 @@ impl Effector {
     fn advance(&mut self, tick: &Tick) {
         let waited = tick.now.since(self.since);
         match self.state {
-            ServoState::Off | ServoState::Faulted | ServoState::Standing | ServoState::Moving => {}
+            ServoState::Off => self.watch_brakes(tick),
+            ServoState::Faulted | ServoState::Standing | ServoState::Moving => {}
             ServoState::Enabling => {
                 let on = |axis: &ServoAxis| axis.state.power == Power::On;
                 if self.axes.iter().all(on) && self.settle() {

@@ -31,6 +31,7 @@ mod limit;
 mod link;
 pub mod lockstep;
 mod motion_time;
+mod progress;
 mod recorder;
 pub mod regulator;
 mod remedies;
@@ -49,8 +50,8 @@ mod trail;
 pub use ::drive::Switches;
 pub use brake::{Braking, StraightStop};
 pub use config::{
-    Direction, EffectorConfig, FeedForward, Figure, HomingLeg, HostHoming, HostLoop, KeyError, KeyProblem, Law,
-    LoopBounds, MAX_EFFECTORS, Output, PositionLoop, Range, ServoAxisConfig, ServoConfig, ServoError,
+    Direction, EffectorConfig, FeedForward, Figure, FrozenWatch, HomingLeg, HostHoming, HostLoop, KeyError, KeyProblem,
+    Law, LoopBounds, MAX_EFFECTORS, Output, PositionLoop, Range, ServoAxisConfig, ServoConfig, ServoError,
 };
 pub use excitation::{Excitation, ExcitationError, most as greatest_excitation};
 pub use histogram::Histogram;

@@ -160,8 +160,9 @@ pub enum StopCause {
     #[error("following error {error:.4} rad exceeds {limit:.4} rad")]
     FollowingError { error: f64, limit: f64 },
     /// The measured position does not change by one increment, while the set-points move by half the permitted following
-    /// error: the encoder fails, or the axis is blocked. The power of this axis is removed at once, and the others brake.
-    #[error("measured position stands still while set-points move by {travel:.4} rad")]
+    /// error, or while the motor cannot have braked so hard: the encoder fails, or the axis is blocked. The power of this
+    /// axis is removed at once, and the others brake.
+    #[error("measured position stands still where the motor must have moved by {travel:.4} rad")]
     Frozen { travel: f64 },
     /// The motor is faster than its position loop, closed by the servo, could make it: beyond `runaway_velocity`.
     #[error("motor runs away at {velocity:.1} rad/s, beyond {limit:.1} rad/s")]
@@ -211,6 +212,10 @@ pub enum StopCause {
     /// acknowledges the cause.
     #[error("its cycle law ended the motion")]
     Touched,
+    /// A motor moved after an orderly power-off: its brake does not hold. The motors got their power again and hold the
+    /// effector, which refuses motion until an [`Order::Stop`] or [`Order::Disable`] acknowledges the cause.
+    #[error("brake does not hold: moved by {travel:.4} rad without power, and the motor holds again")]
+    BrakeSlips { travel: f64 },
     /// The cycle law reported a fault.
     #[error("cycle law: {0}")]
     Law(LawFault),
@@ -254,7 +259,7 @@ impl StopCause {
     /// instead, because such a loop cannot brake. A stop that [leaves its envelope](crate::ServoState) becomes stricter.
     pub fn category(&self) -> StopCategory {
         match self {
-            Self::Partner { .. } | Self::Touched => StopCategory::Two,
+            Self::Partner { .. } | Self::Touched | Self::BrakeSlips { .. } => StopCategory::Two,
             Self::Runaway { .. } => StopCategory::Zero,
             Self::Drive(_)
             | Self::FollowingError { .. }
@@ -287,7 +292,7 @@ impl StopCause {
     /// Whether the stop leaves the effector standing with power on, and motion is refused until a stop or disable order
     /// acknowledges the cause.
     pub fn needs_acknowledgement(&self) -> bool {
-        matches!(self, Self::Partner { .. } | Self::Touched)
+        matches!(self, Self::Partner { .. } | Self::Touched | Self::BrakeSlips { .. })
     }
 }
 

@@ -33,6 +33,7 @@ use crate::Phase;
 ///                                    Faulted ◀────Fault───── Resetting
 ///
 /// any state ──ControlLost──▶ Faulted
+/// Off ──Slip──▶ Enabling
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ServoState {
@@ -122,6 +123,8 @@ pub enum ServoEvent {
     Fault,
     /// A position loop closed by the servo failed, and cannot brake.
     ControlLost,
+    /// A brake does not hold the effector after an orderly power-off.
+    Slip,
 }
 
 /// Effect of an event.
@@ -142,6 +145,8 @@ impl ServoState {
         use ServoState::{Braking, Enabling, Faulted, Halting, Homing, Moving, Off, Resetting, Standing};
         match (self, event) {
             (_, ServoEvent::ControlLost) => To(Faulted),
+            (Off, ServoEvent::Slip) => To(Enabling),
+            (_, ServoEvent::Slip) => Refuse,
 
             (Off, ServoEvent::Enable) => To(Enabling),
             (Off, ServoEvent::Stop | ServoEvent::Disable | ServoEvent::ResetFault) => To(Off),
@@ -243,22 +248,23 @@ mod tests {
             ServoEvent::Done,
             ServoEvent::Fault,
             ServoEvent::ControlLost,
+            ServoEvent::Slip,
         ];
         let table = [
-            //                      Enable Home Move Stop Disable Reset Done Fault ControlLost
-            (Off, "E--...-FF"),
-            (Enabling, ".ww.O.SFF"),
-            (Standing, ".HM.O.-FF"),
-            (Homing, ".ww45.S6F"),
-            (Moving, ".w.12.S3F"),
-            (Braking(After::Stand), "www.2-S3F"),
-            (Braking(After::Off), "www..-O3F"),
-            (Braking(After::Fault), "www..-F.F"),
-            (Halting(After::Stand), "www.5-S6F"),
-            (Halting(After::Off), "www..-O6F"),
-            (Halting(After::Fault), "www..-F.F"),
-            (Faulted, "---..R-.."),
-            (Resetting, "www...OFF"),
+            //                      Enable Home Move Stop Disable Reset Done Fault ControlLost Slip
+            (Off, "E--...-FFE"),
+            (Enabling, ".ww.O.SFF-"),
+            (Standing, ".HM.O.-FF-"),
+            (Homing, ".ww45.S6F-"),
+            (Moving, ".w.12.S3F-"),
+            (Braking(After::Stand), "www.2-S3F-"),
+            (Braking(After::Off), "www..-O3F-"),
+            (Braking(After::Fault), "www..-F.F-"),
+            (Halting(After::Stand), "www.5-S6F-"),
+            (Halting(After::Off), "www..-O6F-"),
+            (Halting(After::Fault), "www..-F.F-"),
+            (Faulted, "---..R-..-"),
+            (Resetting, "www...OFF-"),
         ];
         for (state, expected) in table {
             let row: String = events

@@ -12,8 +12,8 @@ use can::Instant;
 use can::clock::now;
 use drive::Homing;
 use mrroc_servo::{
-    CycleLaw, Direction, EffectorConfig, FeedForward, HomingLeg, HostHoming, HostLoop, Law, LawBound, LawFault,
-    LawInput, LawOutput, LawParameters, MAX_AXES, Macrostep, Order, Output, Phase, PositionLoop, Servo,
+    CycleLaw, Direction, EffectorConfig, FeedForward, FrozenWatch, HomingLeg, HostHoming, HostLoop, Law, LawBound,
+    LawFault, LawInput, LawOutput, LawParameters, MAX_AXES, Macrostep, Order, Output, Phase, PositionLoop, Servo,
     ServoAxisConfig, ServoConfig, StopCause, Timing, regulator, thread,
 };
 

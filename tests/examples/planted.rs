@@ -84,6 +84,8 @@ fn main() {
         position_loop: PositionLoop::Drive,
         torque_offset: None,
         homing: None,
+        frozen: servo::FrozenWatch::Always,
+        brake_watch: true,
     };
     let config = ServoConfig {
         period: PERIOD,

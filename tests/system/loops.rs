@@ -159,6 +159,8 @@ impl Rig {
             position_loop: PositionLoop::Host(self.host),
             torque_offset: None,
             homing: None,
+            frozen: servo::FrozenWatch::Always,
+            brake_watch: true,
         }
     }
 

@@ -9,6 +9,7 @@ mod allocations;
 mod architecture;
 mod bench;
 mod bench_steps;
+mod brakes;
 mod bumpless;
 mod camera;
 mod card;

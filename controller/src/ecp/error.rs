@@ -94,7 +94,10 @@ impl EcpError {
                 cause: StopCause::Overrun { .. } | StopCause::Drive(Fault::OtherController { .. }),
                 ..
             }) => Class::System,
-            Self::Servo(ServoFault { cause: StopCause::Partner { .. } | StopCause::Touched, .. }) => Class::NonFatal,
+            Self::Servo(ServoFault {
+                cause: StopCause::Partner { .. } | StopCause::Touched | StopCause::BrakeSlips { .. },
+                ..
+            }) => Class::NonFatal,
             Self::Servo(_) | Self::Faulted | Self::BrokenOff { .. } | Self::Silent { .. } | Self::TimedOut { .. } => {
                 Class::Fatal
             }

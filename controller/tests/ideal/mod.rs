@@ -116,6 +116,8 @@ pub(crate) fn team<const AXES: usize>(
         position_loop: PositionLoop::Drive,
         torque_offset: None,
         homing: None,
+        frozen: servo::FrozenWatch::Always,
+        brake_watch: true,
     };
     let effector = |group| EffectorConfig {
         name: format!("robot {group}"),

@@ -5,7 +5,7 @@ use std::time::Duration;
 use drive::Scale;
 use drive::axis_controller::{self, Settings, StopBits};
 use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, NodeId, Setting};
-use servo::{FeedForward, HomingLeg, HostHoming, HostLoop, Output, PositionLoop, ServoAxisConfig};
+use servo::{FeedForward, FrozenWatch, HomingLeg, HostHoming, HostLoop, Output, PositionLoop, ServoAxisConfig};
 
 use super::{
     Axis, AxisController, Cell, Control, Direction, Drive, DriveControl, Homing, Loop, Parameter, Robot, Serial,
@@ -242,11 +242,21 @@ impl Robot {
             position_loop: axis.position_loop(self.weight.is_some()),
             torque_offset: None,
             homing: axis.controller.is_some().then(|| axis.homing.by_host(limits)),
+            frozen: axis.homing.frozen_watch(),
+            brake_watch: true,
         }
     }
 }
 
 impl Homing {
+    /// A search for a mechanical stop (methods -1 to -4) ends with a motor that is held back.
+    fn frozen_watch(&self) -> FrozenWatch {
+        match self.method {
+            Some(-4..=-1) => FrozenWatch::Following,
+            _ => FrozenWatch::Always,
+        }
+    }
+
     /// The search by the host for a motor with these `limits`.
     fn by_host(&self, limits: Limits) -> HostHoming {
         let leg = |velocity: f64, distance: f64| HomingLeg {

@@ -40,6 +40,10 @@ pub(super) enum Within {
     Error,
     /// The same. Until then, the loop of the drive accelerates the motor.
     Lost,
+    /// The same. In homing, the motor moves on along its search until then, more slowly than commanded.
+    Slowed,
+    /// The arm falls within the watch of the brakes, and its motor catches it.
+    Fall,
     /// This time.
     Time(Duration),
 }
@@ -52,6 +56,8 @@ pub(super) struct FaultCase {
     pub(super) kind: FaultKind,
     /// A second fault of the same axis, which begins with the first.
     pub(super) also: Option<FaultKind>,
+    /// The robot is switched off by an order when the fault strikes.
+    pub(super) disables: bool,
     /// Wires on which the fault is played.
     pub(super) wires: &'static [Wire],
     /// Greatest number of damaged frames.
@@ -88,6 +94,7 @@ const USUAL: FaultCase = FaultCase {
     name: "",
     kind: K::Lost,
     also: None,
+    disables: false,
     wires: BOTH,
     count: None,
     lasts: None,
@@ -260,12 +267,14 @@ pub(super) const CASES: &[FaultCase] = &[
     FaultCase {
         // The search may be so slow that the supply suffices.
         expected: |wire, phase| if phase == P::Homing { Ok(Either(NOT_FOLLOWING)) } else { not_following(wire, phase) },
-        ..found("supply sags", K::SaggingSupply, BOTH, Within::Error)
+        ..found("supply sags", K::SaggingSupply, BOTH, Within::Slowed)
     },
     FaultCase {
-        also: Some(K::OverCurrent),
-        expected: |_, _| Ok(By(&[D::DriveStatus])),
-        ..found("brake does not hold at an over-current", K::BrakeSlips, BOTH, Within::Time(ms(10)))
+        disables: true,
+        observed_for: ms(3000),
+        // Friction or the balance of the arm may hold the axis.
+        expected: |_, _| Ok(Either(&[D::Brake])),
+        ..found("brake does not hold", K::BrakeSlips, BOTH, Within::Fall)
     },
     FaultCase {
         expected: |_, phase| {
@@ -290,6 +299,20 @@ pub(super) struct Bounds {
     pub(super) distance: [f64; MAX_AXES],
 }
 
+/// Time from the detection of a brake that does not hold to the torque of the motor: a drive on CAN passes three states,
+/// each with the answer to its controlword.
+const CATCHING: f64 = 0.040;
+
+/// Distance of a motor that falls, rad, until it is caught: the `limit` of the watch, the way until the motor has torque,
+/// and the way in which it brakes. Its weight accelerates the motor by at most half of its greatest `acceleration`, rad/s²,
+/// because the motor must accelerate upwards as well.
+fn fall(limit: f64, acceleration: f64) -> f64 {
+    let weight = 0.5 * acceleration;
+    let seen = (2.0 * weight * limit).sqrt();
+    let caught = seen + weight * CATCHING;
+    limit + (seen + caught) / 2.0 * CATCHING + caught * caught / (2.0 * weight)
+}
+
 impl FaultCase {
     /// The numbers of the fault.
     pub(super) fn numbers(&self) -> FaultNumbers {
@@ -305,8 +328,9 @@ impl FaultCase {
     /// is added, for the distances between motor and set-point at the strike and at the end.
     ///
     /// The following error itself limits the distance until it finds a fault. The time of such a detection is four times the
-    /// time at constant speed to the obstacle and to the limit of the error.
-    pub(super) fn bounds(&self, file: &CellFile, axis: usize, velocity: &[f64; MAX_AXES]) -> Bounds {
+    /// time at constant speed to the obstacle and to the limit of the error. A search that a sagging supply slows moves on
+    /// for this time, less the following error by which the motor is then late.
+    pub(super) fn bounds(&self, file: &CellFile, axis: usize, velocity: &[f64; MAX_AXES], phase: FaultPhase) -> Bounds {
         let cell = &file.cell;
         let robot = &cell.robot[0];
         let name = &robot.axis[axis].bus;
@@ -320,10 +344,14 @@ impl FaultCase {
             Within::Answers => (answers, answers),
             Within::Cut => (answers, bus.map_or(answers, |bus| ms(3 * u64::from(bus.heartbeat_ms)))),
             Within::Heartbeat => (silence, silence),
-            Within::Error | Within::Lost => {
-                (Duration::from_secs_f64(4.0 * way / velocity[axis].abs()) + ms(50), Duration::ZERO)
+            Within::Error | Within::Lost | Within::Slowed => {
+                let detection = Duration::from_secs_f64(4.0 * way / velocity[axis].abs()) + ms(50);
+                let late = Duration::from_secs_f64(robot.axis[axis].following_error / velocity[axis].abs());
+                let slowed = self.within == Within::Slowed && phase == P::Homing;
+                (detection, if slowed { detection - late } else { Duration::ZERO })
             }
             Within::Time(time) => (time, time),
+            Within::Fall => (ms(1500), Duration::ZERO),
         };
         let blind = (blind + 4 * cell.period()).as_secs_f64();
         let distance = |number: usize| {
@@ -331,7 +359,9 @@ impl FaultCase {
             let given = robot.axis.get(number)?;
             let braking = speed * speed / (2.0 * given.max_acceleration);
             let lost = if number == axis && self.within == Within::Lost { LOST * given.following_error } else { 0.0 };
-            Some(MARGIN * (speed * blind + braking + lost + 2.0 * given.following_error))
+            let fall =
+                if self.within == Within::Fall { fall(given.following_error, given.max_acceleration) } else { 0.0 };
+            Some(MARGIN * (speed * blind + braking + lost + fall + 2.0 * given.following_error))
         };
         Bounds { detection, distance: std::array::from_fn(|number| distance(number).unwrap_or(f64::INFINITY)) }
     }

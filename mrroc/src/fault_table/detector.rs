@@ -7,7 +7,7 @@ use can::Instant;
 use clap::ValueEnum;
 use drive::axis_controller::AxisControllerFault;
 use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Switches, Warnings};
-use servo::{PositionLoop, ServoConfig, StopCause};
+use servo::{FrozenWatch, PositionLoop, ServoConfig, StopCause};
 
 /// Detectors of the controller. Each stop has one cause, and each cause belongs to one detector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, ValueEnum)]
@@ -28,6 +28,8 @@ pub enum Detector {
     FollowingError,
     /// Greatest velocity under a loop of the host.
     Runaway,
+    /// Brakes that do not hold after an orderly power-off.
+    Brake,
     /// Limit switches.
     LimitSwitches,
     /// Errors of the port or the line of the host.
@@ -52,6 +54,7 @@ impl Detector {
             Self::Frozen => "frozen answers",
             Self::FollowingError => "following error",
             Self::Runaway => "runaway",
+            Self::Brake => "brake",
             Self::LimitSwitches => "limit switches",
             Self::Port => "port",
             Self::Sending => "sending",
@@ -66,6 +69,7 @@ impl Detector {
             StopCause::Drive(fault) => Self::of_drive(fault)?,
             StopCause::FollowingError { .. } => Self::FollowingError,
             StopCause::Frozen { .. } => Self::Frozen,
+            StopCause::BrakeSlips { .. } => Self::Brake,
             StopCause::Runaway { .. } => Self::Runaway,
             StopCause::LimitSwitch { .. } => Self::LimitSwitches,
             StopCause::NotReady { .. } | StopCause::HomingFailed | StopCause::NoReference(_) => Self::TimeOuts,
@@ -122,6 +126,8 @@ impl Detector {
                     (leg.timeout, leg.distance) = (NEVER, 1e6);
                 }
             }),
+            Self::Brake => axes.for_each(|axis| axis.brake_watch = false),
+            Self::Frozen => axes.for_each(|axis| axis.frozen = FrozenWatch::Off),
             Self::FollowingError => axes.for_each(|axis| axis.following_error = 1e9),
             Self::Runaway => axes.for_each(|axis| {
                 if let PositionLoop::Host(host) = &mut axis.position_loop {

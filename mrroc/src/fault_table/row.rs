@@ -82,7 +82,7 @@ impl Row {
         } else {
             velocity
         };
-        let bounds = case.bounds(file, axis, &speeds);
+        let bounds = case.bounds(file, axis, &speeds, phase);
         let mut reasons = Vec::new();
         let mut red = |reason: &str| reasons.push(reason.to_owned());
         let detector = seen.detected.and_then(|(_, fault)| Detector::of(&fault.cause));
@@ -138,6 +138,7 @@ impl Row {
             linear,
             recovery: match seen.recovery {
                 Recovery::None => "—",
+                Recovery::Stop => "stop",
                 Recovery::Reset => "reset, enable",
                 Recovery::Home => "reset, enable, home",
                 Recovery::Restart => "restart",

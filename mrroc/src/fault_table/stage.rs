@@ -56,6 +56,8 @@ pub(super) struct Observation {
 pub(super) enum Recovery {
     /// The robot never stopped.
     None,
+    /// A stop order: the robot stands with power on.
+    Stop,
     /// Reset of the fault, and enabling.
     Reset,
     /// As before, and homing, because a reference was lost.
@@ -259,6 +261,10 @@ impl<'a> Stage<'a> {
             faults.extend(kind.faults(&place, &case.numbers()).map_err(|problem| anyhow!("the fault {problem}"))?);
         }
         let in_effect: Vec<FaultInEffect> = faults.iter().map(|fault| self.emulation.begin_fault(fault)).collect();
+        if case.disables {
+            self.motions.clear();
+            self.order(0, Order::Disable);
+        }
         let mut ended = false;
         let mut observed = Observation {
             detected: None,
@@ -289,7 +295,7 @@ impl<'a> Stage<'a> {
             {
                 observed.detected = Some((self.now.since(began), fault));
                 observed.category = Some(match state {
-                    _ if matches!(fault.cause, StopCause::Partner { .. }) => 2,
+                    _ if matches!(fault.cause, StopCause::Partner { .. } | StopCause::BrakeSlips { .. }) => 2,
                     ServoState::Braking(_) | ServoState::Halting(_) => 1,
                     _ => u8::from(!was_moving),
                 });
@@ -306,7 +312,9 @@ impl<'a> Stage<'a> {
             }
         }
         observed.still_after = (self.now.since(still_since) >= REST).then(|| still_since.since(began));
-        observed.completed = self.servo.fault(0).is_none() && matches!(self.phase(0), Phase::Standing | Phase::Homing);
+        let off = case.disables && self.phase(0) == Phase::Off;
+        observed.completed =
+            self.servo.fault(0).is_none() && (off || matches!(self.phase(0), Phase::Standing | Phase::Homing));
         let snapshot = self.links[0].latest.read();
         if snapshot.homed {
             let truth = self.truth(0);
@@ -332,6 +340,12 @@ impl<'a> Stage<'a> {
         // A drive that restarted needs time to boot.
         for _ in 0..50 {
             self.cycle();
+        }
+        if self.phase(0) == Phase::Standing {
+            self.order(0, Order::Stop);
+            self.cycle();
+            let stands = self.servo.fault(0).is_none() && self.phase(0) == Phase::Standing;
+            return if stands { Recovery::Stop } else { Recovery::Restart };
         }
         self.order(0, Order::ResetFault);
         self.cycle();

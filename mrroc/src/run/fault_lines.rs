@@ -195,6 +195,7 @@ fn of_axes() -> Vec<StopCause> {
     let own = [
         C::FollowingError { error: -123.4567, limit: 12.0 },
         C::Frozen { travel: 123.4567 },
+        C::BrakeSlips { travel: -123.4567 },
         C::Runaway { velocity: -1234.5, limit: 300.0 },
         C::LimitSwitch { upper: true },
         C::PositionLimit { position: -1234.5678, limit: -1200.0 },
@@ -247,6 +248,7 @@ fn of_robots() -> Vec<StopCause> {
             C::Drive(_)
             | C::FollowingError { .. }
             | C::Frozen { .. }
+            | C::BrakeSlips { .. }
             | C::Runaway { .. }
             | C::LimitSwitch { .. }
             | C::PositionLimit { .. }

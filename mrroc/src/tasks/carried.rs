@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use controller::ecp::Task;
 use controller::executor::join_all;
 
-use super::{Cell, Outcome, Program, teach};
+use super::{Cell, Outcome, Program, Robot, teach};
 
 /// Built-in tasks of `mrroc run`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -52,5 +52,10 @@ async fn programs(cell: &mut Cell) -> Outcome {
 /// Homes all robots at the same time.
 async fn home(cell: &mut Cell) -> Outcome {
     let mut robots = cell.all_robots()?;
-    join_all(robots.iter_mut().map(|robot| robot.perform(Task::new().enable().home().disable()))).await
+    let home = async |robot: &mut Robot| {
+        robot.enable().await?;
+        robot.home().await?;
+        robot.disable().await
+    };
+    join_all(robots.iter_mut().map(home)).await
 }

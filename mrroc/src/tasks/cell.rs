@@ -36,7 +36,7 @@ pub struct Cell {
 /// An instruction returns an error only after its robot stands or is faulted. If the future of an instruction is dropped,
 /// the robot brakes, and the next instruction begins after standstill.
 pub struct Robot {
-    file: Arc<CellFile>,
+    pub(super) file: Arc<CellFile>,
     pub(super) agent: Agent,
     pub(super) desk: Desk,
 }
@@ -211,9 +211,11 @@ impl Robot {
         self.perform(Task::new().enable()).await
     }
 
-    /// Homes the axes, unless all axes are homed.
+    /// Homes the axes, unless all axes are homed. A motor that then stands beyond a position limit, because the arm fell
+    /// or was moved while it was off, moves back to within the limit at a twentieth of its greatest speed.
     pub async fn home(&mut self) -> Outcome {
-        self.perform(Task::new().home()).await
+        self.perform(Task::new().home()).await?;
+        self.return_within_limits().await
     }
 
     /// Executes the motion of a generator until its terminal condition holds and the robot stands.

@@ -9,6 +9,7 @@ mod force;
 mod gates;
 mod lines;
 mod operator;
+mod retreat;
 mod teach;
 mod team;
 #[cfg(test)]

@@ -32,7 +32,7 @@ impl Effector {
     /// Finds stops anywhere in the queue and executes them first. Orders queued before the stop keep their order,
     /// but motion, barriers and homing among them are dropped.
     pub(super) fn take_stops(&mut self, tick: &Tick) {
-        if tick.stop {
+        if tick.stop && !self.holds_for_brake() {
             self.apply(tick, ServoEvent::Disable);
         }
         let waiting = self.visible;

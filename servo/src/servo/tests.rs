@@ -1,5 +1,6 @@
 //! Tests of the cycle on scripted drives.
 
+mod brakes;
 mod envelope;
 mod host_homing;
 mod host_loops;

@@ -15,7 +15,9 @@ use drive::{
 };
 
 use super::regulator::CascadeConfig;
-use super::{EffectorConfig, FeedForward, HostLoop, Law, Output, PositionLoop, ServoAxisConfig, ServoConfig};
+use super::{
+    EffectorConfig, FeedForward, FrozenWatch, HostLoop, Law, Output, PositionLoop, ServoAxisConfig, ServoConfig,
+};
 
 pub const PERIOD: Duration = Duration::from_millis(1);
 pub const MAX_VELOCITY: f64 = 100.0;
@@ -41,6 +43,8 @@ pub fn config(axes: usize) -> ServoConfig {
         position_loop: PositionLoop::Drive,
         torque_offset: None,
         homing: None,
+        frozen: FrozenWatch::Always,
+        brake_watch: true,
     };
     ServoConfig {
         period: PERIOD,

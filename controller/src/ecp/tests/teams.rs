@@ -121,6 +121,8 @@ fn effector(group: usize) -> EffectorConfig {
         position_loop: PositionLoop::Drive,
         torque_offset: None,
         homing: None,
+        frozen: servo::FrozenWatch::Always,
+        brake_watch: true,
     };
     EffectorConfig {
         name: format!("robot {group}"),

@@ -54,14 +54,17 @@ fn a_motor_that_does_not_brake_loses_its_power_in_a_stop_of_category_1() {
 
 #[test]
 fn motors_that_lag_or_stand_still_stay_within_the_envelope() {
-    // A blocked motor does not reach its set-points.
-    for speed in [None, Some(0.0)] {
-        for (order, end) in [(Order::Stop, Phase::Standing), (Order::Disable, Phase::Off)] {
-            let mut rig = stopping(order, speed);
-            rig.run_until(end);
-            assert_eq!(category(&rig), None);
-            keeps_limits(&rig.positions(0)).unwrap();
-        }
+    for (order, end) in [(Order::Stop, Phase::Standing), (Order::Disable, Phase::Off)] {
+        let mut rig = stopping(order, None);
+        rig.run_until(end);
+        assert_eq!(category(&rig), None);
+        keeps_limits(&rig.positions(0)).unwrap();
+        // A blocked motor does not reach its set-points, and stands at once.
+        let mut rig = stopping(order, Some(0.0));
+        rig.run_until(Phase::Faulted);
+        assert!(matches!(rig.cause(), Some(StopCause::Frozen { .. })), "{:?}", rig.cause());
+        assert_eq!(category(&rig), Some(StopCategory::One));
+        keeps_limits(&rig.positions(0)).unwrap();
     }
     // Blocked in motion until this stops it: the other motor brakes on, although the error remains.
     let mut rig = stopping(Order::Enable, Some(0.0));

@@ -403,3 +403,22 @@ fn a_drive_fault_ends_the_search_of_every_axis() {
         assert_eq!(rig.last_sent(), [AxisCommand::Off; 2]);
     }
 }
+
+#[test]
+fn an_encoder_that_fails_in_a_search_takes_the_power_of_its_axis_alone() {
+    for config in configs(2) {
+        let mut rig = rig(&config);
+        rig.order(Order::Home);
+        rig.run(300);
+        assert_eq!(rig.phase(), Phase::Homing, "{:?}", rig.cause());
+        rig.world().axes[1].runs_at = Some(0.0);
+        rig.run(8);
+        assert_eq!(rig.phase(), Phase::Stopping);
+        assert!(matches!(rig.cause(), Some(StopCause::Frozen { .. })), "{:?}", rig.cause());
+        assert_eq!(rig.servo.fault(0).unwrap().axis, Some(1));
+        let sent = rig.last_sent();
+        assert_eq!(sent[1], AxisCommand::Off);
+        assert!(matches!(sent[0], AxisCommand::Follow(_)), "the other axis brakes: {sent:?}");
+        rig.run_until(Phase::Faulted);
+    }
+}

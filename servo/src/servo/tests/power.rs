@@ -3,6 +3,7 @@
 use drive::Fault;
 
 use super::*;
+use crate::FrozenWatch;
 use crate::NotUp;
 
 #[test]
@@ -230,4 +231,24 @@ fn homing_can_be_stopped_and_begun_again() {
     rig.run(1);
     rig.run_until(Phase::Standing);
     assert!(rig.reports().last().unwrap().snapshot.homed);
+}
+
+#[test]
+fn a_position_that_stands_at_once_while_the_drive_homes_stops_the_effector() {
+    for (watch, found) in [(FrozenWatch::Always, true), (FrozenWatch::Following, false), (FrozenWatch::Off, false)] {
+        let mut config = scripted::config(1);
+        config.effectors[0].axes[0].frozen = watch;
+        config.effectors[0].homing_timeout = Duration::from_secs(1);
+        let mut rig = Rig::with(&config);
+        rig.world().axes[0].homing_takes = 500;
+        rig.order(Order::Enable);
+        rig.order(Order::Home);
+        rig.world().axes[0].runs_at = Some(15.0);
+        rig.run(100);
+        assert_eq!(rig.phase(), Phase::Homing, "{:?}", rig.cause());
+        rig.world().axes[0].runs_at = None;
+        rig.run(10);
+        assert_eq!(matches!(rig.cause(), Some(StopCause::Frozen { .. })), found, "{watch:?}: {:?}", rig.cause());
+        assert_eq!(rig.last_sent()[0] == AxisCommand::Off, found);
+    }
 }

@@ -1,0 +1,109 @@
+//! Checks of the axes in each cycle, and the envelope of a stop.
+
+use super::{Effector, Tick};
+use crate::config::FrozenWatch;
+use crate::{After, ServoState, StopCause};
+
+/// Commanded speed, rad/s, below which an axis at a limit switch counts as at rest. The speed covers rounding errors
+/// of generators.
+const CREEP: f64 = 1e-3;
+
+impl Effector {
+    /// Checks drive faults, following errors, limit switches and overruns, and updates the tracking statistics.
+    ///
+    /// A closed limit switch stops an effector that continues towards the switch, or that the switch holds back from
+    /// its commanded position. An axis may rest on the switch or move away from the switch.
+    pub(super) fn check(&mut self, tick: &Tick) {
+        if let Some(emergency) = tick.emergency {
+            self.fail(tick, None, StopCause::EmergencyStop(emergency));
+        }
+        if let Some(missed) = tick.overrun {
+            // In the missed cycles, the drives stood at their last set-points or continued by them.
+            let late = tick.periods - 1;
+            self.axes.iter_mut().for_each(|axis| axis.rest(late, tick.dt));
+            self.fail(tick, None, StopCause::Overrun { missed });
+        }
+        for index in 0..self.axes.len() {
+            let axis = &mut self.axes[index];
+            if let Some(fault) = axis.state.fault {
+                if self.state != ServoState::Resetting {
+                    self.fail(tick, index, StopCause::Drive(fault));
+                }
+                continue;
+            }
+            let (error, limit) = (axis.error(), axis.config.following_error);
+            let commanding = matches!(self.state, ServoState::Standing | ServoState::Moving | ServoState::Braking(_));
+            let homing = self.state == ServoState::Homing;
+            if self.refused > 0 || self.held {
+                axis.was_refused();
+            }
+            if let Some(travel) = axis.frozen_in_homing().filter(|_| homing) {
+                self.freeze(tick, index, travel);
+                continue;
+            }
+            if !axis.is_watched() || !commanding && !axis.is_led() {
+                continue;
+            }
+            if let Some((velocity, limit)) = axis.runaway() {
+                self.lose(tick, index, StopCause::Runaway { velocity, limit });
+                continue;
+            }
+            if tick.overrun.is_some() && axis.is_host_closed() {
+                // The commands were adapted to the missed deadlines, but the sample is older.
+                continue;
+            }
+            axis.track(error, self.state);
+            let searching = matches!(self.state, ServoState::Homing | ServoState::Halting(_))
+                && axis.config.frozen == FrozenWatch::Always;
+            if let Some(travel) = axis.frozen(error).filter(|_| commanding || searching) {
+                self.freeze(tick, index, travel);
+                continue;
+            }
+            let beyond = error.abs() > limit;
+            // Direction of the last command, or of the position that the motor does not reach.
+            let sense = if beyond { error } else { axis.knot.velocity };
+            let judged = commanding && (beyond || sense.abs() > CREEP);
+            let switch = axis.limit_switch(sense).filter(|_| judged);
+            if let Some(upper) = switch {
+                // The drive itself stops this axis at the switch, and the loop of the axis works. The servo brakes the
+                // other axes.
+                self.fail(tick, index, StopCause::LimitSwitch { upper });
+            } else if beyond || error.is_nan() {
+                let host_closed = axis.is_host_closed();
+                let cause = StopCause::FollowingError { error, limit };
+                if host_closed || !self.is_within_envelope(index) {
+                    self.lose(tick, index, cause);
+                } else {
+                    self.fail(tick, index, cause);
+                }
+            }
+        }
+    }
+
+    /// Cuts the power of axis `index`, whose measured position stands still although its motor must have moved by
+    /// `travel`, rad. No loop can brake such an axis. The other axes brake.
+    fn freeze(&mut self, tick: &Tick, index: usize, travel: f64) {
+        self.axes[index].cut = true;
+        self.fail(tick, index, StopCause::Frozen { travel });
+    }
+
+    /// Whether the motor of axis `index`, beyond its following error, is within the envelope of a stop of category 1. A
+    /// stop of category 2 has its envelope in the following error itself.
+    fn is_within_envelope(&self, index: usize) -> bool {
+        let axis = &self.axes[index];
+        match self.state {
+            ServoState::Braking(After::Off | After::Fault) => {
+                self.stop.ahead(index, -axis.error()) <= self.ahead[index] + axis.config.following_error
+            }
+            _ => true,
+        }
+    }
+
+    /// Sets the envelope of a stop at the present distances.
+    pub(super) fn set_envelope(&mut self) {
+        self.ahead = self.each(|axis| axis.error());
+        for (index, ahead) in self.ahead[..self.axes.len()].iter_mut().enumerate() {
+            *ahead = self.stop.ahead(index, -*ahead).max(0.0);
+        }
+    }
+}

@@ -1,0 +1,147 @@
+//! Watch of the measured position of a motor that should move.
+//!
+//! An encoder that fails, or a motor that runs into a rigid obstacle, shows a position that stands still at once. A motor
+//! whose loop works brakes with at most its greatest acceleration: it moves on by a least distance, which follows from its
+//! last measured speed. A position that does not change by one increment over that distance is *frozen*.
+//!
+//! The speed is the mean of the last samples, less the speed that the motor may have lost within them. A motor that
+//! ends a motion, reverses in a search, or sticks at low speed is therefore not taken for a frozen one.
+
+use drive::{AxisState, Increments};
+
+/// Samples of the mean speed, and least number of equal samples in a row of a frozen position.
+const SAMPLES: usize = 4;
+
+/// Least distance, increments, of a motor whose position must have changed. One increment is the resolution.
+const LEAST: f64 = 2.0;
+
+/// Share of the greatest velocity below which dry friction may hold a motor at once.
+const SLOW: f64 = 0.02;
+
+/// The last samples of a measured position.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Progress {
+    last: Option<Increments>,
+    /// Increments and seconds of the last steps between two samples, the newest first.
+    steps: [(f64, f64); SAMPLES],
+    /// Time since the last sample, s.
+    waited: f64,
+    /// Steps up to the last change of the position: increments and s.
+    change: (f64, f64),
+    /// Samples since the last change, and the time since then, s.
+    standing: (usize, f64),
+}
+
+impl Progress {
+    /// Takes the state of a cycle, `elapsed` seconds after the last cycle.
+    pub(crate) fn observe(&mut self, state: &AxisState, elapsed: f64) {
+        self.waited += elapsed;
+        if state.age > 0 {
+            return;
+        }
+        let waited = std::mem::take(&mut self.waited);
+        let Some(last) = self.last.replace(state.increments) else {
+            return;
+        };
+        let moved = f64::from(state.increments.0.wrapping_sub(last.0));
+        self.steps.rotate_right(1);
+        self.steps[0] = (moved, waited);
+        if moved == 0.0 {
+            self.standing = (self.standing.0.saturating_add(1), self.standing.1 + waited);
+            return;
+        }
+        self.standing = (0, 0.0);
+        self.change = self.steps.iter().fold((0.0, 0.0), |sum, step| (sum.0 + step.0, sum.1 + step.1));
+    }
+
+    /// Forgets the speed, because the counter was set.
+    pub(crate) fn forget(&mut self) {
+        *self = Self::default();
+    }
+
+    /// Distance, rad, by which the motor must have moved since the measured position last changed, if the position is
+    /// frozen. The motor has `increments_per_radian` and brakes with at most `max_acceleration`, rad/s².
+    pub(crate) fn frozen(&self, increments_per_radian: f64, max_velocity: f64, max_acceleration: f64) -> Option<f64> {
+        let (samples, standing) = self.standing;
+        let (moved, time) = self.change;
+        if samples < SAMPLES || time <= 0.0 {
+            return None;
+        }
+        let scale = increments_per_radian.abs();
+        let speed = moved.abs() / scale / time - 0.5 * max_acceleration * time;
+        let braking = standing.min(speed / max_acceleration);
+        let distance = braking * (speed - 0.5 * max_acceleration * braking);
+        (speed > SLOW * max_velocity && distance * scale >= LEAST).then_some(distance)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DT: f64 = 0.002;
+
+    /// Whether and after how many samples the position is found frozen, of a motor with these counts per radian that
+    /// moves as `angle` says, rad by s, and is observed for half a second.
+    fn found(counts: f64, angle: impl Fn(f64) -> f64) -> Option<usize> {
+        let mut progress = Progress::default();
+        (0..250).find(|&number| {
+            let increments = Increments((angle(number as f64 * DT) * counts).floor() as i32);
+            progress.observe(&AxisState { increments, ..AxisState::default() }, DT);
+            progress.frozen(counts, 250.0, 1500.0).is_some()
+        })
+    }
+
+    /// Position at `t` of a motor that moves at `speed`, brakes with `deceleration` from 0.1 s, and reverses if it may.
+    fn braking(speed: f64, deceleration: f64, reverses: bool, t: f64) -> f64 {
+        let after = (t - 0.1).max(0.0);
+        let after = if reverses { after } else { after.min(speed / deceleration) };
+        speed * t.min(0.1) + after * (speed - 0.5 * deceleration * after)
+    }
+
+    #[test]
+    fn a_position_that_freezes_in_motion_is_found_after_four_samples() {
+        let fine = 4000.0 / std::f64::consts::TAU;
+        for speed in [15.0, -15.0, 60.0, 240.0] {
+            assert_eq!(found(fine, |t| speed * t.min(0.1)), Some(54), "{speed}");
+        }
+        // An encoder of 128 counts shows less than two counts in a period.
+        let coarse = 128.0 / std::f64::consts::TAU;
+        let found = found(coarse, |t| 40.0 * t.min(0.1));
+        assert!(found.is_some_and(|at| at <= 60), "{found:?}");
+    }
+
+    #[test]
+    fn a_motor_that_brakes_reverses_or_sticks_is_not_frozen() {
+        for counts in [128.0, 500.0, 4000.0, 65_536.0].map(|counts| counts / std::f64::consts::TAU) {
+            for speed in [0.5, 3.5, 15.0, 60.0, 240.0] {
+                for deceleration in [50.0, 150.0, 1000.0, 1500.0] {
+                    for reverses in [false, true] {
+                        let angle = |t| braking(speed, deceleration, reverses, t);
+                        assert_eq!(found(counts, angle), None, "{counts} {speed} {deceleration} {reverses}");
+                    }
+                }
+                // Dry friction holds a slow motor at once.
+                if speed < 5.0 {
+                    assert_eq!(found(counts, |t| speed * t.min(0.1)), None);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn answers_that_are_missing_do_not_make_a_position_stand() {
+        let mut progress = Progress::default();
+        for number in 0..200 {
+            // Three of four answers are missing.
+            let state =
+                AxisState { increments: Increments(20 * number), age: (number % 4) as u32, ..AxisState::default() };
+            progress.observe(&state, DT);
+            assert_eq!(progress.frozen(636.6, 250.0, 1500.0), None);
+        }
+        for number in 0..20 {
+            progress.observe(&AxisState { increments: Increments(4000), age: number, ..AxisState::default() }, DT);
+        }
+        assert_eq!(progress.frozen(636.6, 250.0, 1500.0), None, "one sample");
+    }
+}
