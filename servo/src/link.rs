@@ -162,7 +162,7 @@ pub enum StopCause {
     /// The measured position does not change by one increment, while the set-points move by half the permitted following
     /// error, or while the motor cannot have braked so hard: the encoder fails, or the axis is blocked. The power of this
     /// axis is removed at once, and the others brake.
-    #[error("measured position stands still where the motor must have moved by {travel:.4} rad")]
+    #[error("measured position stands still, but the motor must have moved by {travel:.4} rad")]
     Frozen { travel: f64 },
     /// The motor is faster than its position loop, closed by the servo, could make it: beyond `runaway_velocity`.
     #[error("motor runs away at {velocity:.1} rad/s, beyond {limit:.1} rad/s")]
@@ -214,7 +214,7 @@ pub enum StopCause {
     Touched,
     /// A motor moved after an orderly power-off: its brake does not hold. The motors got their power again and hold the
     /// effector, which refuses motion until an [`Order::Stop`] or [`Order::Disable`] acknowledges the cause.
-    #[error("brake does not hold: moved by {travel:.4} rad without power, and the motor holds again")]
+    #[error("brake does not hold: slipped by {travel:.4} rad, and the motor holds again")]
     BrakeSlips { travel: f64 },
     /// The cycle law reported a fault.
     #[error("cycle law: {0}")]

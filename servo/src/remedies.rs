@@ -12,7 +12,7 @@ impl StopCause {
         Some(match self {
             Self::Drive(fault) => return fault.remedy(),
             Self::FollowingError { .. } => "look for a collision, a blocked brake or a high load",
-            Self::Frozen { .. } => "check encoder, encoder cable and brake, then home the robot",
+            Self::Frozen { .. } => "check encoder, its cable and brake, then home",
             Self::Runaway { .. } => "check encoder, sign of the axis and motor phases",
             Self::LimitSwitch { .. } => "move the axis off the switch by hand, check its limits",
             Self::PositionLimit { .. }
@@ -27,7 +27,7 @@ impl StopCause {
             | Self::LawLeft { .. }
             | Self::NoLaw { .. } => DEFECT,
             Self::Partner { .. } => "see the fault of that robot",
-            Self::BrakeSlips { .. } => "support the arm before it is switched off, check the brake",
+            Self::BrakeSlips { .. } => "support the arm, check the brake",
             Self::Touched => "see what the tool touches",
             Self::Law(fault) => return fault.remedy(),
             Self::NotHomed => "home the robot first",
