@@ -95,7 +95,13 @@ fn again(test: &str, (variable, value): (&str, &str), timeout: Duration) -> uml:
         // Directory of the example cells.
         visible: vec![mrroc::root().to_owned()],
         timeout,
-        ..uml::Options::new([binary.as_os_str(), test.as_ref(), "--exact".as_ref(), "--nocapture".as_ref()])
+        ..uml::Options::new([
+            binary.as_os_str(),
+            test.as_ref(),
+            "--exact".as_ref(),
+            "--include-ignored".as_ref(),
+            "--nocapture".as_ref(),
+        ])
     }
 }
 

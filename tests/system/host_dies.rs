@@ -1,24 +1,28 @@
 //! Drives on CAN whose host dies, is suspended or hangs in motion: they stop by themselves, because each drive watches the
 //! heartbeat of the host.
 //!
-//! `mrroc run` is a process of its own, and the emulator is in this process behind an slcan adapter. The true angles of the
-//! motors are read in the time of the emulator.
-//! `cargo test -p mrroc-tests host_dies_20 -- --ignored --nocapture` makes 20 tries of each failure and prints figures.
+//! `mrroc run` is a process of its own, and the emulator is in this process: behind an slcan adapter, or on a virtual
+//! interface. The true angles of the motors are read in the time of the emulator.
+//! `cargo test -p mrroc-tests host_dies_20 -- --ignored --nocapture` makes 20 tries of each failure on both wires and
+//! prints figures.
 
 use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
+use ::mrroc::bench::bus_port::BusPort;
 use ::mrroc::bench::emulated_lines::EmulatedLines;
+use ::mrroc::bench::interfaces::Interface;
 use ::mrroc::bench::plants::EmulatedCell;
 use ::mrroc::cell::{Cell, CellFile};
 use can::{Instant, Port, Received, clock};
 use canopen::sync::Sync;
-use hil::{Pty, World};
+use hil::{BusId, Pty, World};
 
-use crate::bench::{patient_turn, turn};
+use crate::bench::{on_vcan_within, patient_turn, turn};
 use crate::guardian::{ATTEMPTS, Emulator, Failure, Figures, Hang, RUN_OUT, Sample, figures, moved};
 use crate::mrroc::{Directory, Running, shorten};
+use crate::vcan;
 
 const FAILURES: [Failure; 5] = [
     Failure::Kill,
@@ -28,17 +32,24 @@ const FAILURES: [Failure; 5] = [
     Failure::Hang,
 ];
 
-/// Shortest silence of a host that has failed. The host may delay a cycle by less.
-const GAP: Duration = Duration::from_millis(20);
+/// The failures that are longer than delays by a test machine.
+const LONG_FAILURES: [Failure; 4] = [FAILURES[0], FAILURES[2], FAILURES[3], FAILURES[4]];
 
-/// Delays of the emulator by the host, which runs other tests meanwhile.
-const LATE: Duration = Duration::from_millis(50);
+/// The way from the controller to the drives.
+struct Wire {
+    name: &'static str,
+    /// Arguments of `mrroc run`.
+    arguments: [String; 2],
+    /// Shortest silence of a host that has failed. The host may delay a cycle by less.
+    gap: Duration,
+    failures: &'static [Failure],
+}
 
-/// The emulated drives of CAN bus 0 behind an adapter on `link`. Each sample has the number of SYNC messages.
-fn emulator(file: &CellFile, link: &Path) -> Emulator {
+/// The emulated drives of CAN bus 0, which `connect` adds. Each sample has the number of SYNC messages.
+fn emulator(file: &CellFile, connect: impl FnOnce(&mut EmulatedLines, &EmulatedCell) -> BusId) -> Emulator {
     let emulated = EmulatedCell::of(file);
     let mut lines = EmulatedLines::default();
-    let bus = lines.add_bus(&emulated, 0, Pty::linked(link).expect("a pseudo-terminal"));
+    let bus = connect(&mut lines, &emulated);
     let mut listener = lines.world.host_port(bus, 1 << 12);
     let drives: Vec<_> = emulated.ids().drives.values().copied().collect();
     let sync = Sync::default().encode();
@@ -61,16 +72,16 @@ struct Rig<'a> {
     directory: &'a Directory,
     file: &'a CellFile,
     cell: &'a Path,
-    link: &'a Path,
+    wire: &'a Wire,
     emulator: &'a Emulator,
 }
 
 impl Rig<'_> {
     fn start(&self, record: &Path) -> Running {
-        let can = format!("--can=slcan:{}", self.link.display());
         let (cell, record) = (self.cell.as_os_str(), record.as_os_str());
-        let run = ["run".as_ref(), cell, "--bench=card".as_ref(), can.as_ref(), "--json".as_ref()];
-        Running::start(run.into_iter().chain(["--record".as_ref(), record]))
+        let wire = self.wire.arguments.iter().map(AsRef::as_ref);
+        let run = ["run".as_ref(), cell, "--json".as_ref(), "--force".as_ref(), "--record".as_ref(), record];
+        Running::start(run.into_iter().chain(wire))
     }
 
     /// Lets a run fail in its cycle `rows` of motion. `None` if the host had disturbed the run before.
@@ -110,7 +121,7 @@ impl Rig<'_> {
         // A drive without power falls by less than the brake's play.
         let (rested, last) = (stands.last().expect("samples"), after.last().expect("samples"));
         assert!(!moved(rested, last), "{failure:?}: the robot moved again: {rested:?} {last:?}");
-        Some(figures(self.file, &after, last_sync(&after, event)))
+        Some(figures(self.file, &after, last_sync(&after, event, self.wire.gap)))
     }
 
     /// Lets runs fail until one was not disturbed before.
@@ -120,17 +131,33 @@ impl Rig<'_> {
     }
 }
 
-/// Time of the last SYNC before the first silence of the host after `event`.
-fn last_sync(samples: &[Sample], event: Instant) -> Instant {
+/// Time of the last SYNC before the first silence of the host of at least `gap` after `event`.
+fn last_sync(samples: &[Sample], event: Instant, gap: Duration) -> Instant {
     let pairs = samples.windows(2);
     let syncs: Vec<_> = pairs.filter(|pair| pair[0].bytes != pair[1].bytes).map(|pair| &pair[1]).collect();
-    let gap = |pair: &&[&Sample]| pair[1].wall > event && pair[1].at.since(pair[0].at) >= GAP;
+    let gap = |pair: &&[&Sample]| pair[1].wall > event && pair[1].at.since(pair[0].at) >= gap;
     let last = syncs.windows(2).find(gap).map_or(*syncs.last().expect("SYNC messages"), |pair| pair[0]);
     last.wall
 }
 
 /// Tries every failure `tries` times. All axes are at a standstill within three heartbeat periods and the run-out.
-fn dies(tries: usize) {
+fn dies(directory: &Directory, cell: &Path, wire: &Wire, emulator: &Emulator, tries: usize) {
+    let file = CellFile::read(cell).expect("the cell");
+    let rig = Rig { directory, file: &file, cell, wire, emulator };
+    let heartbeats = 3 * Duration::from_millis(u64::from(file.cell.bus[0].heartbeat_ms));
+    for &failure in wire.failures {
+        let mut worst = Figures::default();
+        for number in 0..tries {
+            let figures = rig.figures(failure, 300 + 150 * (number % 8));
+            worst = worst.worst(figures);
+            assert!(figures.standstill <= heartbeats + RUN_OUT, "{failure:?}: {figures}");
+        }
+        println!("irb6 {}, {failure:?}, worst of {tries}: {worst}", wire.name);
+    }
+}
+
+/// Drives behind an slcan adapter.
+fn dies_behind_slcan(tries: usize) {
     let directory = Directory::new();
     let cell = directory.cell("irb6", |cell: &mut Cell| {
         shorten(cell);
@@ -142,29 +169,58 @@ fn dies(tries: usize) {
     });
     let file = CellFile::read(&cell).expect("the cell");
     let link = directory.path("can0");
-    let emulator = emulator(&file, &link);
-    let rig = Rig { directory: &directory, file: &file, cell: &cell, link: &link, emulator: &emulator };
-    let heartbeats = 3 * Duration::from_millis(u64::from(file.cell.bus[0].heartbeat_ms));
-    for failure in FAILURES {
-        let mut worst = Figures::default();
-        for number in 0..tries {
-            let figures = rig.figures(failure, 300 + 150 * (number % 8));
-            worst = worst.worst(figures);
-            assert!(figures.standstill <= heartbeats + LATE + RUN_OUT, "{failure:?}: {figures}");
-        }
-        println!("irb6 behind slcan, {failure:?}, worst of {tries}: {worst}");
-    }
+    let emulator =
+        emulator(&file, |lines, emulated| lines.add_bus(emulated, 0, Pty::linked(&link).expect("a pseudo-terminal")));
+    let can = format!("--can=slcan:{}", link.display());
+    let arguments = ["--bench=card".to_owned(), can];
+    let wire = Wire { name: "behind slcan", arguments, gap: Duration::from_millis(20), failures: &FAILURES };
+    dies(&directory, &cell, &wire, &emulator, tries);
+}
+
+/// Drives on a virtual interface, in the test machine.
+fn dies_on_vcan(test: &str, longest: Duration, tries: usize) {
+    on_vcan_within(longest, test, |interface| {
+        let directory = Directory::new();
+        let cell = directory.cell("irb6", |cell: &mut Cell| {
+            vcan::shorten(cell);
+            // The drives wait for three heartbeats, and the controller for 0.3 s.
+            cell.bus[0].heartbeat_ms = 200;
+            cell.bus[0].tolerated_missing = 30;
+            cell.max_missed_in_row = 30;
+            cell.flight_recorder_s = 0;
+        });
+        let file = CellFile::read(&cell).expect("the cell");
+        let port = BusPort::open(&Interface::parse(interface), file.cell.bus[0].bitrate_kbps).expect("the interface");
+        let emulator = emulator(&file, |lines, emulated| lines.add_bus_on(emulated, 0, port));
+        let arguments = ["--bench=vcan".to_owned(), format!("--can={interface}")];
+        let wire = Wire { name: "on vcan", arguments, gap: Duration::from_millis(200), failures: &LONG_FAILURES };
+        dies(&directory, &cell, &wire, &emulator, tries);
+    });
 }
 
 #[test]
 fn drives_on_can_stop_by_themselves_when_their_host_fails_in_motion() {
     let _turn = patient_turn();
-    dies(1);
+    dies_behind_slcan(1);
+}
+
+#[test]
+fn drives_on_vcan_stop_by_themselves_when_their_host_fails_in_motion() {
+    let _turn = patient_turn();
+    let test = "host_dies::drives_on_vcan_stop_by_themselves_when_their_host_fails_in_motion";
+    dies_on_vcan(test, Duration::from_secs(240), 1);
 }
 
 #[test]
 #[ignore = "twenty tries of each failure, for figures"]
 fn host_dies_20() {
     let _turn = turn();
-    dies(20);
+    dies_behind_slcan(20);
+}
+
+#[test]
+#[ignore = "twenty tries of each failure, for figures"]
+fn host_dies_20_on_vcan() {
+    let _turn = turn();
+    dies_on_vcan("host_dies::host_dies_20_on_vcan", Duration::from_secs(3600), 20);
 }

@@ -104,7 +104,6 @@ impl Stage<'_> {
         })
     }
 
-    /// Starts the controller with output files for states, trace and report.
     /// Asserts that the file of the flight recorder replays bit for bit, with the fault.
     fn replays_fault(&self) {
         let recording = self.directory.path("flight-irb6-1.mcap");
@@ -113,6 +112,7 @@ impl Stage<'_> {
         assert_eq!(replay.bench, "vcan");
     }
 
+    /// Starts the controller with output files for states, trace and report.
     pub(crate) fn start_controller(&self) -> Running {
         let path = |name| self.directory.path(name).into_os_string();
         Running::start([
