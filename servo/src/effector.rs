@@ -11,7 +11,7 @@ mod slip;
 use std::time::Duration;
 
 use can::Instant;
-use drive::{AxisCommand, AxisState, EmergencyStop, Power};
+use drive::{AxisCommand, AxisState, Power};
 
 use crate::{
     After, Answer, AxisRecord, Counters, EffectorConfig, EffectorLink, Knot, MAX_AXES, Order, Publisher, Record,
@@ -40,8 +40,8 @@ pub(crate) struct Tick {
     pub(crate) effectors: u32,
     /// Deadlines missed in a row, if they exceed the limit.
     pub(crate) overrun: Option<u32>,
-    /// An input of the emergency stop that demands a stop.
-    pub(crate) emergency: Option<EmergencyStop>,
+    /// The cause of a stop by an input of the emergency stop.
+    pub(crate) emergency: Option<StopCause>,
     /// Advance of the motion time.
     pub(crate) motion: Motion,
     /// Periods since the last cycle: 1 plus the number of missed deadlines.

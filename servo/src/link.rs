@@ -247,8 +247,8 @@ pub enum StopCause {
     #[error("homing: {0}")]
     NoReference(HomingFailure),
     /// An input of the emergency stop is open, or not known. All effectors stop, and stay off while the cause persists.
-    #[error("{0}")]
-    EmergencyStop(EmergencyStop),
+    #[error("{contact}")]
+    EmergencyStop { group: u8, contact: EmergencyStop },
     /// More deadlines in a row were missed than the cell permits.
     #[error("{missed} cycles in a row missed their deadline")]
     Overrun { missed: u32 },
@@ -284,7 +284,7 @@ impl StopCause {
             | Self::Starved { .. }
             | Self::HomingFailed
             | Self::NoReference(_)
-            | Self::EmergencyStop(_)
+            | Self::EmergencyStop { .. }
             | Self::Overrun { .. } => StopCategory::One,
         }
     }

@@ -35,7 +35,7 @@ impl StopCause {
             Self::Starved { .. } => "check the host with `mrroc doctor`",
             Self::HomingFailed => "check home switch, index and homing parameters",
             Self::NoReference(failure) => return failure.remedy(),
-            Self::EmergencyStop(_) => "release the emergency stop, then reset",
+            Self::EmergencyStop { .. } => "release the emergency stop, then reset",
             Self::Overrun { .. } => "check the host with `mrroc doctor`",
         })
     }

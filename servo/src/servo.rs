@@ -298,8 +298,14 @@ impl Servo {
             stop,
             effectors: !u32::MAX.checked_shl(effectors.len() as u32).unwrap_or(0),
             overrun: (row > self.max_missed_in_row).then_some(row),
-            emergency: self.groups.iter().find_map(|group| group.drives.emergency_stop()),
+            emergency: self.emergency_stop(),
         }
+    }
+
+    /// The first open or unknown contact of the emergency stop.
+    fn emergency_stop(&self) -> Option<StopCause> {
+        let mut groups = (0..).zip(&self.groups);
+        groups.find_map(|(group, it)| Some(StopCause::EmergencyStop { group, contact: it.drives.emergency_stop()? }))
     }
 
     /// Switches off the power of every axis without braking first (category 0).

@@ -1,11 +1,12 @@
 //! Drives on CAN whose host dies, is suspended or hangs in motion: they stop by themselves, because each drive watches the
-//! heartbeat of the host.
+//! heartbeat and the set-points of the host. Each drive reports the silence by an EMCY.
 //!
 //! `mrroc run` is a process of its own, and the emulator is in this process: behind an slcan adapter, or on a virtual
 //! interface. The true angles of the motors are read in the time of the emulator.
 //! `cargo test -p mrroc-tests host_dies_20 -- --ignored --nocapture` makes 20 tries of each failure on both wires and
 //! prints figures.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::time::Duration;
@@ -16,6 +17,7 @@ use ::mrroc::bench::interfaces::Interface;
 use ::mrroc::bench::plants::EmulatedCell;
 use ::mrroc::cell::{Cell, CellFile};
 use can::{Instant, Port, Received, clock};
+use canopen::emcy::Emergency;
 use canopen::sync::Sync;
 use hil::{BusId, Pty, World};
 
@@ -35,6 +37,9 @@ const FAILURES: [Failure; 5] = [
 /// The failures that are longer than delays by a test machine.
 const LONG_FAILURES: [Failure; 4] = [FAILURES[0], FAILURES[2], FAILURES[3], FAILURES[4]];
 
+/// Time between two looks of the emulator at its world.
+const GRAIN: Duration = Duration::from_millis(1);
+
 /// The way from the controller to the drives.
 struct Wire {
     name: &'static str,
@@ -45,7 +50,8 @@ struct Wire {
     failures: &'static [Failure],
 }
 
-/// The emulated drives of CAN bus 0, which `connect` adds. Each sample has the number of SYNC messages.
+/// The emulated drives of CAN bus 0, which `connect` adds. A sample has an error if each drive has sent an EMCY, and the
+/// number of SYNC messages.
 fn emulator(file: &CellFile, connect: impl FnOnce(&mut EmulatedLines, &EmulatedCell) -> BusId) -> Emulator {
     let emulated = EmulatedCell::of(file);
     let mut lines = EmulatedLines::default();
@@ -54,16 +60,24 @@ fn emulator(file: &CellFile, connect: impl FnOnce(&mut EmulatedLines, &EmulatedC
     let drives: Vec<_> = emulated.ids().drives.values().copied().collect();
     let sync = Sync::default().encode();
     let (mut syncs, mut frames) = (0, [Received { frame: sync, at: Instant::ZERO }; 64]);
+    let mut in_error = BTreeSet::new();
     let sample = move |world: &World, at: Instant| {
         loop {
             let count = listener.receive(Instant::FAR_FUTURE, &mut frames).expect("a virtual bus");
-            syncs += frames[..count].iter().filter(|received| received.frame == sync).count() as u64;
+            for Received { frame, .. } in &frames[..count] {
+                syncs += u64::from(*frame == sync);
+                match Emergency::decode(frame) {
+                    Some(end) if end.is_reset() => in_error.remove(&end.node.raw()),
+                    Some(begin) => in_error.insert(begin.node.raw()),
+                    None => false,
+                };
+            }
             if count < frames.len() {
                 break;
             }
         }
         let motors = drives.iter().map(|drive| world.plant(*drive).expect("a drive has a plant").angle()).collect();
-        Sample { wall: clock::now(), at, motors, error: false, bytes: syncs }
+        Sample { wall: clock::now(), at, motors, error: in_error.len() == drives.len(), bytes: syncs }
     };
     Emulator::serve(lines, sample)
 }
@@ -151,6 +165,9 @@ fn dies(directory: &Directory, cell: &Path, wire: &Wire, emulator: &Emulator, tr
             let figures = rig.figures(failure, 300 + 150 * (number % 8));
             worst = worst.worst(figures);
             assert!(figures.standstill <= heartbeats + RUN_OUT, "{failure:?}: {figures}");
+            let silent = !matches!(failure, Failure::Pause(time) if time < 2 * heartbeats);
+            let noticed = (Duration::from_nanos(1)..=heartbeats + GRAIN).contains(&figures.reaction);
+            assert!(noticed || !silent, "{failure:?}: the drives do not notice the silence in time: {figures}");
         }
         println!("irb6 {}, {failure:?}, worst of {tries}: {worst}", wire.name);
     }

@@ -40,7 +40,7 @@ pub(super) enum Within {
     Error,
     /// The same. Until then, the loop of the drive accelerates the motor.
     Lost,
-    /// The same. In homing, the motor moves on along its search until then, more slowly than commanded.
+    /// The same, and the motor loses at least a fifth of its speed. In homing, it moves on along its search until then.
     Slowed,
     /// The arm falls within the watch of the brakes, and its motor catches it.
     Fall,
@@ -54,9 +54,7 @@ pub(super) struct FaultCase {
     /// Name in the table.
     pub(super) name: &'static str,
     pub(super) kind: FaultKind,
-    /// A second fault of the same axis, which begins with the first.
-    pub(super) also: Option<FaultKind>,
-    /// The robot is switched off by an order when the fault strikes.
+    /// The fault strikes all axes of the robot, which is switched off by an order at the same time.
     pub(super) disables: bool,
     /// Wires on which the fault is played.
     pub(super) wires: &'static [Wire],
@@ -93,7 +91,6 @@ const NOT_FOLLOWING: &[Detector] = &[D::FollowingError, D::DriveStatus, D::Runaw
 const USUAL: FaultCase = FaultCase {
     name: "",
     kind: K::Lost,
-    also: None,
     disables: false,
     wires: BOTH,
     count: None,
@@ -272,7 +269,7 @@ pub(super) const CASES: &[FaultCase] = &[
     FaultCase {
         disables: true,
         observed_for: ms(3000),
-        // Friction or the balance of the arm may hold the axis.
+        // Friction or the balance of the arm may hold all axes.
         expected: |_, _| Ok(Either(&[D::Brake])),
         ..found("brake does not hold", K::BrakeSlips, BOTH, Within::Fall)
     },
@@ -328,8 +325,9 @@ impl FaultCase {
     /// is added, for the distances between motor and set-point at the strike and at the end.
     ///
     /// The following error itself limits the distance until it finds a fault. The time of such a detection is four times the
-    /// time at constant speed to the obstacle and to the limit of the error. A search that a sagging supply slows moves on
-    /// for this time, less the following error by which the motor is then late.
+    /// time at constant speed to the limit of the error, and to the obstacle of a collision. A motor that a sagging supply
+    /// slows has five times this time, because it may keep four fifths of its speed. In homing, it moves on for this time,
+    /// less the following error by which it is then late.
     pub(super) fn bounds(&self, file: &CellFile, axis: usize, velocity: &[f64; MAX_AXES], phase: FaultPhase) -> Bounds {
         let cell = &file.cell;
         let robot = &cell.robot[0];
@@ -339,16 +337,17 @@ impl FaultCase {
         let tolerated = bus.map(|bus| bus.tolerated_missing).or(bundle.map(|it| it.tolerated_missing)).unwrap_or(0);
         let answers = cell.period() * (tolerated + 4);
         let silence = ms(4 * bus.map_or(100, |bus| u64::from(bus.heartbeat_ms)));
-        let way = self.numbers().distance + robot.axis[axis].following_error;
+        let obstacle = if self.kind == K::Collision { self.numbers().distance } else { 0.0 };
+        let error = robot.axis[axis].following_error;
+        let at_speed = |way: f64| Duration::from_secs_f64(way / velocity[axis].abs());
         let (detection, blind) = match self.within {
             Within::Answers => (answers, answers),
             Within::Cut => (answers, bus.map_or(answers, |bus| ms(3 * u64::from(bus.heartbeat_ms)))),
             Within::Heartbeat => (silence, silence),
-            Within::Error | Within::Lost | Within::Slowed => {
-                let detection = Duration::from_secs_f64(4.0 * way / velocity[axis].abs()) + ms(50);
-                let late = Duration::from_secs_f64(robot.axis[axis].following_error / velocity[axis].abs());
-                let slowed = self.within == Within::Slowed && phase == P::Homing;
-                (detection, if slowed { detection - late } else { Duration::ZERO })
+            Within::Error | Within::Lost => (at_speed(4.0 * (obstacle + error)) + ms(50), Duration::ZERO),
+            Within::Slowed => {
+                let detection = at_speed(5.0 * error) + ms(50);
+                (detection, if phase == P::Homing { detection - at_speed(error) } else { Duration::ZERO })
             }
             Within::Time(time) => (time, time),
             Within::Fall => (ms(1500), Duration::ZERO),

@@ -118,6 +118,9 @@ impl Row {
                 red("strays from its set-points");
             }
         }
+        if detector == Some(Detector::Brake) && seen.recovery != Recovery::Stop {
+            red("is not held by its motors");
+        }
         if let Recovery::Jumped(_) = seen.recovery {
             red("jumps when it is enabled again");
         }

@@ -255,10 +255,11 @@ impl<'a> Stage<'a> {
     fn observe(&mut self, case: &FaultCase, axis: usize) -> anyhow::Result<Observation> {
         let began = self.now;
         let at_strike = self.truth(0);
-        let place = axis_place(self.file, self.emulation.ids(), (0, axis)).context("an axis without a drive")?;
+        let struck = if case.disables { 0..self.drives[0].len() } else { axis..axis + 1 };
         let mut faults = Vec::new();
-        for kind in [Some(case.kind), case.also].into_iter().flatten() {
-            faults.extend(kind.faults(&place, &case.numbers()).map_err(|problem| anyhow!("the fault {problem}"))?);
+        for axis in struck {
+            let place = axis_place(self.file, self.emulation.ids(), (0, axis)).context("an axis without a drive")?;
+            faults.extend(case.kind.faults(&place, &case.numbers()).map_err(|problem| anyhow!("the fault {problem}"))?);
         }
         let in_effect: Vec<FaultInEffect> = faults.iter().map(|fault| self.emulation.begin_fault(fault)).collect();
         if case.disables {

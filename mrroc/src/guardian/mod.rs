@@ -30,7 +30,7 @@ mod process;
 mod shared;
 
 use std::fs::File;
-use std::io;
+use std::io::{self, Write};
 use std::os::fd::{AsRawFd, OwnedFd};
 use std::os::unix::fs::OpenOptionsExt;
 use std::os::unix::process::CommandExt;
@@ -162,7 +162,13 @@ impl Guardian {
         if lines.is_empty() && watchdog.is_none() {
             return Ok(None);
         }
-        let guardian = Self::start(file.cell.guardian_config(), lines, watchdog.as_ref()).context("guardian")?;
+        let guardian = Self::start(file.cell.guardian_config(), lines, watchdog.as_ref()).inspect_err(|_| {
+            // Opening a watchdog has started it. Without a guardian, nothing else would switch it off.
+            if let Some(watchdog) = watchdog.as_ref().and_then(|watchdog| watchdog.try_clone().ok()) {
+                let _ = File::from(watchdog).write_all(b"V");
+            }
+        });
+        let guardian = guardian.context("guardian")?;
         if let Some(denied) = guardian.denied() {
             let told = format!("the host denies the guardian {denied}: it may act late or not at all");
             if file.cell.realtime.policy == Policy::Require {
@@ -185,16 +191,13 @@ impl Guardian {
         let spawn = |error: io::Error| GuardianError::Spawn { errno: error.raw_os_error().unwrap_or(0) };
         let (ended, life) = io::pipe().map_err(spawn)?;
         let of_line = |line: &GuardedLine| LineOrders::new(line.line.as_raw_fd(), &line.telegram);
-        let orders = Orders::new(
-            &config,
-            ended.as_raw_fd(),
-            lines.iter().map(of_line).collect::<Option<Vec<_>>>().as_deref().unwrap_or_default(),
-            watchdog.map(AsRawFd::as_raw_fd),
-        );
+        let line_orders = lines.iter().map(of_line).collect::<Option<Vec<_>>>();
+        let watchdog_descriptor = watchdog.map(AsRawFd::as_raw_fd);
+        let orders = line_orders.and_then(|lines| Orders::new(&config, ended.as_raw_fd(), &lines, watchdog_descriptor));
         let orders = orders.ok_or(GuardianError::Lines { lines: lines.len() })?;
         let (file, words) = shared::create(&orders).map_err(memory)?;
         let inherited = lines.iter().map(|line| line.line.as_raw_fd()).chain([ended.as_raw_fd(), file.as_raw_fd()]);
-        let inherited = inherited.chain(watchdog.map(AsRawFd::as_raw_fd)).collect();
+        let inherited = inherited.chain(watchdog_descriptor).collect();
         let mut command = Command::new("/proc/self/exe");
         command.arg0(NAME).env(VARIABLE, file.as_raw_fd().to_string()).current_dir("/");
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());

@@ -1,5 +1,6 @@
 //! A guardian process of this test's own program, with a pseudo-terminal for its line.
 
+use std::io::Read as _;
 use std::os::fd::AsFd as _;
 
 use can::Instant;
@@ -161,24 +162,25 @@ fn the_end_of_a_controller_stops_the_drives_unless_they_are_off() {
 fn lines_that_cannot_be_guarded_are_refused() {
     let refused = Guardian::start(CONFIG, &[], None).map(drop);
     assert_eq!(refused, Err(GuardianError::Lines { lines: 0 }));
+    // A watchdog makes an invalid telegram no better.
+    let (_device, written) = io::pipe().expect("a pipe");
+    let watchdog = OwnedFd::from(written);
+    for length in [0, 65] {
+        let guarded = GuardedLine { line: watchdog.try_clone().expect("a pipe"), telegram: vec![0; length] };
+        let refused = Guardian::start(CONFIG, &[guarded], Some(&watchdog)).map(drop);
+        assert_eq!(refused, Err(GuardianError::Lines { lines: 1 }), "{length} bytes");
+    }
 }
 
-/// Bytes of `source` until `count` are there, or until `quiet` without a byte.
-fn read_until(source: &mut impl io::Read, count: usize, quiet: Duration) -> Vec<u8> {
-    let (mut bytes, mut last) = (Vec::new(), clock::now());
-    while bytes.len() < count && clock::now().since(last) < quiet {
-        let mut some = [0; 64];
-        match source.read(&mut some) {
-            Ok(read) if read > 0 => {
-                bytes.extend_from_slice(&some[..read]);
-                last = clock::now();
-            }
-            _ => clock::sleep_until(clock::now() + LOOK),
-        }
-    }
+/// The bytes that are in `device` now.
+fn take(device: &mut io::PipeReader) -> Vec<u8> {
+    let mut bytes = vec![0; 1024];
+    let count = device.read(&mut bytes).unwrap_or(0);
+    bytes.truncate(count);
     bytes
 }
 
+/// The guardian writes to the watchdog before it ends, so all bytes are there after its end.
 #[test]
 fn a_watchdog_gets_a_byte_per_interval_and_is_switched_off_by_an_orderly_end_only() {
     for off in [true, false] {
@@ -186,22 +188,36 @@ fn a_watchdog_gets_a_byte_per_interval_and_is_switched_off_by_an_orderly_end_onl
         nix::fcntl::fcntl(&device, nix::fcntl::FcntlArg::F_SETFL(nix::fcntl::OFlag::O_NONBLOCK)).expect("a pipe");
         let mut guardian = Guardian::start(CONFIG, &[], Some(&OwnedFd::from(written))).expect("a guardian");
         let mut pulse = guardian.pulse(StopRequest::default());
-        pulse.beat();
-        assert_eq!(read_until(&mut device, 2, PATIENCE), [0, 0]);
+        let mut count = 0;
+        let mut fed = |device: &mut io::PipeReader, pulse: &mut Pulse, what: &str| {
+            let before = count;
+            wait_until(
+                || {
+                    pulse.beat();
+                    count += take(device).len();
+                    count >= before + 2
+                },
+                what,
+            );
+        };
+        fed(&mut device, &mut pulse, "no bytes");
         if off {
             guardian.all_off();
             drop(guardian);
-            assert_eq!(read_until(&mut device, 1_000, Duration::from_millis(300)).last(), Some(&b'V'));
+            assert_eq!(take(&mut device).last(), Some(&b'V'));
             continue;
         }
         // No cycle is completed any more, so the bytes end. Cycles that go on bring them back.
         let stops = || guardian.words.stops.load(Ordering::Relaxed);
         wait_until(|| stops() > 0, "no stop");
-        read_until(&mut device, 1_000, Duration::from_millis(300));
-        pulse.beat();
-        assert_eq!(read_until(&mut device, 1, PATIENCE), [0]);
+        take(&mut device);
+        let looks = || guardian.words.looks.load(Ordering::Relaxed);
+        let last = looks() + u64::try_from(250_000_000 / (CONFIG.period / 2).as_nanos()).expect("some looks");
+        wait_until(|| looks() > last, "the guardian does not run");
+        assert_eq!(take(&mut device), [], "bytes in a stop");
+        fed(&mut device, &mut pulse, "no bytes after the stop");
         drop(guardian);
-        assert!(!read_until(&mut device, 1_000, Duration::from_millis(300)).contains(&b'V'));
+        assert!(!take(&mut device).contains(&b'V'));
     }
 }
 

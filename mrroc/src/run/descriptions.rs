@@ -52,31 +52,28 @@ pub(super) fn describe_fault(file: &CellFile, robot: usize, fault: &ServoFault) 
         return FaultReport { stop_category: Some(fault.category), check: fault.cause.remedy(), ..of_bus };
     }
     let what = match fault.cause {
-        StopCause::EmergencyStop(stop) => emergency_stop(file, &stop),
+        StopCause::EmergencyStop { group, contact } => emergency_stop(file, group, &contact),
         cause => cause.to_string(),
     };
     let of_axis = FaultReport::of_robot(file, robot, axis, what);
     FaultReport { stop_category: Some(fault.category), check: fault.cause.remedy(), ..of_axis }
 }
 
-/// An emergency stop, with the names of the I/O node and its input.
-fn emergency_stop(file: &CellFile, stop: &EmergencyStop) -> String {
-    let nodes = file.cell.io.iter().filter(|io| io.node == stop.node);
-    let inputs = nodes.flat_map(|io| io.input.iter().map(move |input| (io, input)));
-    let found = inputs.into_iter().find(|(_, input)| input.line == stop.input && input.emergency_stop);
-    match found {
-        Some((io, input)) => format!("input {} of I/O node {}: {stop}", input.name, io.name),
-        None => {
-            let axes = (0..file.cell.robot.len()).flat_map(|robot| {
-                let axes = file.cell.robot[robot].axis.iter().enumerate();
-                axes.map(move |(number, axis)| (robot, number, axis))
-            });
-            let contact = |axis: &Axis| Some(axis.drive.as_ref()?.emergency_stop.as_ref()?.input);
-            let mut of_drives = axes.filter(|(.., axis)| axis.node == stop.node && contact(axis) == Some(stop.input));
-            let found = of_drives.next();
-            found.map_or(stop.to_string(), |(robot, number, _)| format!("{}: {stop}", file.axis_name(robot, number)))
-        }
+/// An emergency stop by a contact of drive group `group`, with the names of the I/O node and its input, or of the axis.
+fn emergency_stop(file: &CellFile, group: u8, contact: &EmergencyStop) -> String {
+    let bus = file.cell.groups().nth(group.into());
+    let nodes = file.cell.io.iter().filter(|io| bus == Some(&*io.bus) && io.node == contact.node);
+    let mut inputs = nodes.flat_map(|io| io.input.iter().map(move |input| (io, input)));
+    if let Some((io, input)) = inputs.find(|(_, input)| input.line == contact.input && input.emergency_stop) {
+        return format!("input {} of I/O node {}: {contact}", input.name, io.name);
     }
+    let is_contact = |&(robot, axis): &(usize, usize)| {
+        let axis = &file.cell.robot[robot].axis[axis];
+        let input = axis.drive.as_ref().and_then(|drive| drive.emergency_stop.as_ref()).map(|stop| stop.input);
+        axis.node == contact.node && input == Some(contact.input)
+    };
+    let drive = file.cell.axes_on(group.into()).find(is_contact);
+    drive.map_or(contact.to_string(), |(robot, axis)| format!("{}: {contact}", file.axis_name(robot, axis)))
 }
 
 /// The latched faults of the I/O nodes of a cell. The axes do not stop by such a fault.

@@ -236,8 +236,8 @@ fn of_robots() -> Vec<StopCause> {
         C::NoLaw { number: 123_456 },
         C::NotReady { waited: WAITED },
         C::Starved { last: 123_456 },
-        C::EmergencyStop(EmergencyStop { node: 40, input: 5, known: true }),
-        C::EmergencyStop(EmergencyStop { node: 40, input: 5, known: false }),
+        C::EmergencyStop { group: 0, contact: EmergencyStop { node: 40, input: 5, known: true } },
+        C::EmergencyStop { group: 0, contact: EmergencyStop { node: 40, input: 5, known: false } },
         C::Overrun { missed: 12 },
     ];
     let laws = laws.into_iter().chain(of_sensors().into_iter().map(LawFault::Sensor));
@@ -272,7 +272,7 @@ fn of_robots() -> Vec<StopCause> {
             | C::Starved { .. }
             | C::HomingFailed
             | C::NoReference(_)
-            | C::EmergencyStop(_)
+            | C::EmergencyStop { .. }
             | C::Overrun { .. } => {}
         }
     }

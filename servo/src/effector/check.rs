@@ -15,7 +15,7 @@ impl Effector {
     /// its commanded position. An axis may rest on the switch or move away from the switch.
     pub(super) fn check(&mut self, tick: &Tick) {
         if let Some(emergency) = tick.emergency {
-            self.fail(tick, None, StopCause::EmergencyStop(emergency));
+            self.fail(tick, None, emergency);
         }
         if let Some(missed) = tick.overrun {
             // In the missed cycles, the drives stood at their last set-points or continued by them.

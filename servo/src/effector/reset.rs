@@ -19,7 +19,7 @@ impl Effector {
             self.since = tick.now;
         } else if waited > self.enabling_timeout.min(RESET) {
             let of_drive = late.and_then(|index| self.axes[index].state.fault).map(StopCause::Drive);
-            let cause = of_drive.or(tick.emergency.map(StopCause::EmergencyStop));
+            let cause = of_drive.or(tick.emergency);
             let cause = cause.unwrap_or(StopCause::NotReady { waited });
             // The category is that of the stop, which the reset does not change.
             let category = self.fault.map_or(cause.category(), |fault| fault.category);

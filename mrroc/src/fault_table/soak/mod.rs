@@ -194,12 +194,9 @@ impl Soak<'_> {
             self.report.kind(strike.planned.case().name).injected += 1;
             let ids = self.stage.emulation.ids();
             let place = axis_place(&self.stage.file, ids, strike.planned.axis).expect("the stage has all drives");
-            let case = strike.planned.case();
-            for kind in [Some(case.kind), case.also].into_iter().flatten() {
-                let faults =
-                    kind.faults(&place, &strike.planned.numbers()).map_err(|why| anyhow!("the fault {why}"))?;
-                strike.in_effect.extend(faults.iter().map(|fault| self.stage.emulation.begin_fault(fault)));
-            }
+            let (kind, numbers) = (strike.planned.case().kind, strike.planned.numbers());
+            let faults = kind.faults(&place, &numbers).map_err(|why| anyhow!("the fault {why}"))?;
+            strike.in_effect.extend(faults.iter().map(|fault| self.stage.emulation.begin_fault(fault)));
         }
         let due = strike.planned.lasts.map_or(strike.at, |lasts| strike.at + lasts);
         if strike.begun && !strike.ended && self.stage.now >= due {

@@ -115,7 +115,7 @@ fn an_emergency_stop_brakes_and_holds_the_effector_off_until_it_is_released_and_
     rig.run_until(Phase::Faulted);
     keeps_limits(&rig.positions(0)).unwrap();
     let fault = rig.servo.fault(0).unwrap();
-    assert_eq!((fault.axis, fault.cause), (None, StopCause::EmergencyStop(emergency)));
+    assert_eq!((fault.axis, fault.cause), (None, StopCause::EmergencyStop { group: 0, contact: emergency }));
     assert_eq!(fault.category, StopCategory::One);
     assert_eq!(fault.to_string(), "emergency stop by input 5 of node 40: the contact is open");
     // No reset while the contact is open, and no power before a reset.
