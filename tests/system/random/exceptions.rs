@@ -33,7 +33,7 @@ const NO_LOOP: &str = "the rehearsal closes no loop";
 const LATE: &str = "the run finds out how late a device answers";
 
 /// Faults of a badly tuned loop.
-const OF_A_LOOP: &[&str] = &["following error", "overcurrent protection acted"];
+const OF_A_LOOP: &[&str] = &["following error", "overcurrent protection acted", "motor runs away"];
 
 const EXCEPTIONS: &[Exception] = &[
     refused("robot.axis.emulator.vendor", &["identity 0x1018:01"], OTHER_DRIVE),
@@ -54,12 +54,18 @@ const EXCEPTIONS: &[Exception] = &[
         "the emulated matrix is silent as the cell tells it",
     ),
     refused("force_sensor.can.", &["of the emulated sensor", "the emulated sensor has"], OTHER_DRIVE),
+    refused(
+        "force_sensor.can.parameter.",
+        &["does not exist", "does not match"],
+        "the objects of a sensor are in the sensor",
+    ),
+    faulted("force_sensor.position", &["is saturated"], "the torque of the tool at the sensor is known in a run only"),
     faulted("scene.", &["following error"], "the rehearsal has no surroundings in which the arm is blocked"),
     refused("camera.width", &["pixels, declared were"], OTHER_DRIVE),
     refused("camera.period_ms", &["a picture every"], OTHER_DRIVE),
     refused(
         "camera.emulator.",
-        &["pixels, declared were", "a picture every", "no connection", "no valid picture"],
+        &["pixels, declared were", "a picture every", "no connection", "no valid picture", "no picture for"],
         OTHER_DRIVE,
     ),
     faulted("robot.axis.emulator.trips_at_s", &["drive fault 0x2310"], "the emulated drive trips as the cell tells it"),
