@@ -13,7 +13,7 @@ use crate::journal::{Journal, JournalEvent, JournalReader};
 use crate::motion_time::{Bounds, MotionTime, SpeedOverride};
 use crate::{
     Counters, CycleLaw, EffectorLink, Excitation, ExcitationError, LawBound, LawError, Record, ServoConfig, ServoError,
-    ServoFault, ServoState, TrackingError,
+    ServoFault, ServoState, StopCause, TrackingError,
 };
 use crate::{excitation::Playing, recorder::Recorder, team};
 

@@ -214,7 +214,7 @@ fn a_watchdog_gets_a_byte_per_interval_and_is_switched_off_by_an_orderly_end_onl
         let looks = || guardian.words.looks.load(Ordering::Relaxed);
         let last = looks() + u64::try_from(250_000_000 / (CONFIG.period / 2).as_nanos()).expect("some looks");
         wait_until(|| looks() > last, "the guardian does not run");
-        assert_eq!(take(&mut device), [], "bytes in a stop");
+        assert_eq!(take(&mut device), [0; 0], "bytes in a stop");
         fed(&mut device, &mut pulse, "no bytes after the stop");
         drop(guardian);
         assert!(!take(&mut device).contains(&b'V'));

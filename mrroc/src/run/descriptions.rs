@@ -10,7 +10,7 @@ use servo::thread::Panicked;
 use servo::{Servo, ServoFault, StopCategory, StopCause};
 
 use super::crew::time_of;
-use crate::cell::{Axis, CellFile};
+use crate::cell::CellFile;
 use crate::guardian::GuardianFault;
 use crate::report::{ErrorPlace, FaultReport};
 
