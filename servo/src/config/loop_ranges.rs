@@ -1,8 +1,8 @@
 //! Ranges of the gains and the feed-forward of a position loop that the servo closes.
 //!
-//! The bounds of gains are no design, they exclude what no sampled loop can be. No error is corrected faster than in one
-//! period. One encoder count does not saturate the output. A position error of `following_error` changes the output by
-//! a thousandth of its limit at the least.
+//! The ranges do not design a loop. They exclude gains that are impossible in a sampled loop: an error is corrected in
+//! at least one period, and one encoder count does not saturate the output. A position error of `following_error`
+//! changes the output by at least a thousandth of its limit.
 
 use std::{f64::consts::TAU, time::Duration};
 
