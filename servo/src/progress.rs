@@ -2,8 +2,8 @@
 //!
 //! If an encoder fails or a motor runs into a rigid obstacle, the measured position stops abruptly. A motor whose loop
 //! works brakes with at most its greatest acceleration. The motor therefore moves on by a least distance, which follows
-//! from its last measured speed. The position is *frozen* if it does not change although the least distance is at least
-//! two increments.
+//! from its last measured speed. The position is *frozen* if at least four successive samples are equal and the least
+//! distance is at least two increments.
 //!
 //! The speed is the mean speed over the last samples, less the speed that the motor may have lost during these samples.
 //! A motor that ends a motion, reverses in a search, or sticks at low speed is therefore not frozen.
