@@ -2,8 +2,8 @@
 //!
 //! **Deadlines** lie one period apart on `CLOCK_MONOTONIC`. With [`Wait::Plain`], the thread sleeps until the deadline
 //! by an absolute `clock_nanosleep`, then prepares the cycle and sends. With [`Wait::Hybrid`], the thread sleeps until
-//! a margin before the deadline, prepares the cycle, spins to the deadline and sends. The margin includes the learnt
-//! duration of the preparation, so SYNC is sent at the deadline.
+//! a margin before the deadline, prepares the cycle, spins to the deadline and sends. The thread wakes earlier by the
+//! learnt duration of the preparation, so SYNC is sent at the deadline.
 //!
 //! **A missed deadline** is counted and skipped, never caught up. A thread that is late by half a period or more skips
 //! this slot and waits for the next slot. The time between two SYNCs is therefore never shorter than half a period.
@@ -28,7 +28,8 @@
 //! until every effector has braked and has no power, or until the longest time for stopping has passed. A panic of
 //! `between` or `until` ends the run in the same way (category 1), and neither is called again. A panic of the cycle
 //! itself switches the power off at once (category 0). [`Finished::panicked`] reports the panic, and the panic hook
-//! receives its message. If the process dies, only the drives' own reaction to silence stops them.
+//! receives its message. If the process dies, drives stop only by their own reaction to silence. For a drive without
+//! such a reaction, another process must stop the drive.
 //!
 //! **Real-time needs** are requested one by one: SCHED_FIFO or SCHED_DEADLINE, a CPU, locked memory, timer slack of 1
 //! ns, and no deep idle states while the thread runs (`/dev/cpu_dma_latency`). Threads and processes that the servo
