@@ -29,20 +29,20 @@
 //!
 //! # Momentum and energy
 //!
-//! The integration of bodies is implicit. The work of a spring force over a step is exactly the decrease of the
+//! The integration of bodies is implicit. The work of a spring force over a step is equal to the decrease of the
 //! spring's energy. Forces between bodies therefore conserve momentum, and surfaces at rest add no energy. Both
 //! statements hold at any stiffness, up to rounding. The equations of a step are solved by fixed-point iteration. A
-//! step that does not converge is halved, down to [`SHORTEST`]. [`Scene::unsolved`] counts the parts of this length
-//! that did not converge.
+//! step that does not converge is halved, down to [`SHORTEST`]. [`Scene::unsolved`] counts the steps of this shortest
+//! length that did not converge.
 //!
-//! Motors move by semi-implicit Euler, as without a scene. The contact forces on a motor are those at the beginning of
-//! its sub-step. The relative energy error of a contact with a robot is therefore about (step · natural frequency of
-//! the contact)². For 1e5 N/m and 5 kg the error is 2e-4 of the energy of the impact. Friction in the gears dissipates
-//! more.
+//! Motors are integrated by semi-implicit Euler, also without a scene. The contact forces on a motor are those at the
+//! beginning of its sub-step. The relative energy error of a contact with a robot is therefore about (step · natural
+//! frequency of the contact)². For 1e5 N/m and 5 kg the error is 2e-4 of the energy of the impact. Friction in the
+//! gears dissipates more.
 //!
-//! Left out: contacts of edges with edges and of tips with tips; bending of links and tools.
-//! Joints and gears are rigid: a force in a direction in which no motor moves the tool does not move the robot. Forces
-//! do not act on a motor with the regression model.
+//! Left out: contacts of edges with edges and of tips with tips, and bending of links and tools. Joints and gears are
+//! rigid. A force does not move the robot in a direction in which no motor moves the tool. Forces do not act on a motor
+//! with the regression model.
 //!
 //! # Rigid-body libraries
 //!

@@ -20,9 +20,9 @@
 //! assert_eq!(world.next_event(), None);
 //! ```
 //!
-//! On a wall-clock bench the world is advanced ahead of time: right after the host's turn, to the host's next
-//! deadline. No frame of the host is sent before that deadline. The port holds received frames back until their own
-//! times.
+//! On a wall-clock bench, the world is advanced ahead of time: immediately after the turn of the host, up to the next
+//! deadline of the host. The host sends no frame before this deadline. The port delays each received frame until the
+//! time of the frame.
 
 mod groups;
 

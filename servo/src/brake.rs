@@ -1,4 +1,4 @@
-//! The straight stop.
+//! The straight stop: all motors decelerate in proportion and come to rest at the same time.
 
 use crate::{Knot, MAX_AXES};
 

@@ -1,4 +1,5 @@
-//! A position loop closed by the servo. Inputs are set-points and samples; the output is velocity, torque or duty.
+//! A position loop closed by the servo. The inputs are set-points and samples. The output is a velocity, a torque or a
+//! duty.
 
 use drive::{AxisState, Finite, Setpoint};
 

@@ -1,31 +1,32 @@
 //! Frequency response of an axis, computed from the records of a servo, and the crossover and margin of its loop.
 //!
 //! An axis whose position loop the servo closes is excited at the input of its plant. The open loop is the ratio of the
-//! law's output to the drive's input, with its sign reversed. Disturbances that do not repeat with the excitation, and
-//! do not saturate the law, leave the ratio unchanged.
+//! law's output to the drive's input, with its sign reversed. A disturbance does not change the ratio if it is not
+//! periodic with the excitation and does not saturate the law.
 //!
 //! A loop that the drive closes is excited by a torque added to the torque of the drive's velocity loop (object
-//! 0x60B2), where the drive has that object. The added torque and the whole torque of the drive (0x6077) give the loop
-//! as cut at the torque. This open loop contains all loops of the drive: the crossover of the fastest loop and the
-//! margin of all. Hold and sampling of the drive are compensated, which requires the drive's own period; an unknown
-//! period counts as half a period of dead time. Without 0x60B2 the command is excited, and the closed loop is measured:
-//! how the sample follows the command whose effect it shows, [`DriveGroup::delay`](drive::DriveGroup::delay) cycles
-//! before.
+//! 0x60B2), where the drive has that object. The open loop, cut at the torque, follows from the added torque and the
+//! whole torque of the drive (0x6077). This open loop contains all loops of the drive: its crossover is the crossover
+//! of the fastest loop, and its margin is the margin of all loops together. Hold and sampling of the drive are
+//! compensated, which requires the drive's own period. An unknown period counts as half a period of dead time. Without
+//! 0x60B2, the command is excited, and the closed loop is measured. The closed loop is the response of the sample to
+//! the command of [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.
 //!
-//! Dry friction damps a motor that reverses during the excitation, and shows more margin than the loop has: 12° more at
-//! a light axis with a chirp of the greatest torque. A lower amplitude or a higher velocity shows the true margin.
+//! Dry friction damps a motor that reverses during the excitation. The measured margin is then greater than the margin
+//! of the loop: 12° greater for a light axis with a chirp of the greatest torque. Measure the true margin with a lower
+//! amplitude or a higher velocity.
 //!
 //! An axis is measured while it moves at constant velocity ([`Run`]), since dry friction holds an axis at rest.
-//! Sequences are periodic. Every two successive periods are transformed under a Hann window, which separates
-//! neighbouring lines, weighs every part of a sequence alike, and suppresses drift (Pintelon and Schoukens, System
-//! Identification, 2012, chapter 2). The coherence is the agreement of these blocks; since the blocks overlap, the
-//! coherence is slightly high.
+//! Sequences are periodic. Each pair of successive periods is a block, which is transformed under a Hann window. The
+//! window separates neighbouring lines, gives every part of a sequence the same weight, and suppresses drift (Pintelon
+//! and Schoukens, System Identification, 2012, chapter 2). The coherence is the agreement of the blocks. The blocks
+//! overlap, so the coherence is slightly too high.
 //!
 //! # The loops of the families
 //!
-//! Measured by `mrroc identify` on the emulated benches with nominal motors, at 10 rad/s of the motor and a period of
-//! 2 ms. Rows with one value are for the column, or for the axis named in the row. `tests/system/identify.rs` and
-//! `tests/system/loops` hold the figures.
+//! The values were measured by `mrroc identify` on the emulated benches with nominal motors, at a motor velocity of 10
+//! rad/s and a period of 2 ms. Rows with one value are for the column, or for the axis named in the row.
+//! `tests/system/identify.rs` and `tests/system/loops` hold the figures.
 //!
 //! | family | loop | gains | crossover, Hz | margin |
 //! |---|---|---|---|---|

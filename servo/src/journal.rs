@@ -1,9 +1,10 @@
 //! Journal of a servo: all inputs of the servo, except the inputs that its groups read from ports.
 //!
-//! The journal has the calls of the servo with their times. For each cycle, the journal has the new orders, the missed
-//! deadlines, the stop request, the speed override, and the words that other threads set. A servo with the same configuration, the same ports
-//! and the same journal gives the same outputs bit for bit. Another thread drains the journal. Writing to the journal
-//! neither allocates nor waits; entries that do not fit are counted, and the journal is then incomplete.
+//! The journal contains the calls of the servo with their times. For each cycle, the journal contains the new orders,
+//! the missed deadlines, the stop request, the speed override, and the words that other threads set. Two servos with
+//! the same configuration, ports and journal have the same outputs bit for bit. Another thread drains the journal.
+//! Writing to the journal neither allocates nor waits. Entries for which the journal has no room are counted, and the
+//! journal is then incomplete.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};

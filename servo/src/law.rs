@@ -4,8 +4,8 @@
 //! the axis states of the cycle and its own sensors, and returns a displacement of each motor from the interpolated
 //! path. The sum passes the same checks as any set-point. `servo` knows neither sensors nor the meaning of parameters.
 //!
-//! A sensor sample reaches a law as a latest value ([`drive::latest`]) that the law owns. The law knows the age of its
-//! sample from [`LawInput::now`].
+//! A law owns the reader of a latest value ([`drive::latest`]) for each of its sensors. The age of a sample follows
+//! from [`LawInput::now`].
 
 use can::Instant;
 use thiserror::Error;

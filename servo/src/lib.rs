@@ -1,8 +1,8 @@
 //! The fixed-period cycle: `Servo::step(now)` = read → check → regulate → limit → write.
 //!
-//! A cell has one [`Servo`], which steps every effector on one tick grid. Only [`thread`] waits for deadlines.
-//! [`lockstep`] runs the same functions in virtual time. The controller talks to an effector
-//! over an [`EffectorLink`], a macrostep at a time.
+//! A cell has one [`Servo`], which steps all effectors at the same deadlines. Only [`thread`] waits for deadlines.
+//! [`lockstep`] runs the same functions in virtual time. The controller commands an effector over an [`EffectorLink`],
+//! one macrostep at a time.
 //!
 //! Either the drives or the servo ([`HostLoop`]) close the position loops. The servo can also home the axes whose
 //! loops the servo closes ([`HostHoming`]).

@@ -1,8 +1,8 @@
-//! Motion time: the time by which all macrosteps of a cell advance. A speed override slows it.
+//! Motion time: the time by which all macrosteps of a cell advance. A speed override slows down the motion time.
 //!
 //! All effectors take their set-points at the same motion time. An override therefore changes neither the path of an
-//! effector nor the relation between effectors. An override acts in the next cycle on all macrosteps, also on queued
-//! macrosteps. Homing and stops do not depend on motion time.
+//! effector nor the synchronisation of effectors. An override acts from the next cycle on all macrosteps, including
+//! queued macrosteps. Homing and stops do not depend on motion time.
 //!
 //! The rate is the advance of motion time per real time, without unit: 1 without an override, 0 in a pause.
 

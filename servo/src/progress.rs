@@ -1,11 +1,12 @@
-//! Watch of the measured position of a motor that should move.
+//! Monitoring of the measured position of a motor that should move.
 //!
-//! An encoder that fails, or a motor that runs into a rigid obstacle, shows a position that stands still at once. A motor
-//! whose loop works brakes with at most its greatest acceleration: it moves on by a least distance, which follows from its
-//! last measured speed. A position that does not change by one increment over that distance is *frozen*.
+//! If an encoder fails or a motor runs into a rigid obstacle, the measured position stops abruptly. A motor whose loop
+//! works brakes with at most its greatest acceleration. The motor therefore moves on by a least distance, which follows
+//! from its last measured speed. The position is *frozen* if at least four successive samples are equal and the least
+//! distance is at least two increments.
 //!
-//! The speed is the mean of the last samples, less the speed that the motor may have lost within them. A motor that
-//! ends a motion, reverses in a search, or sticks at low speed is therefore not taken for a frozen one.
+//! The speed is the mean speed over the last samples, less the speed that the motor may have lost during these samples.
+//! A motor that ends a motion, reverses in a search, or sticks at low speed is therefore not frozen.
 
 use drive::{AxisState, Increments};
 

@@ -1,9 +1,9 @@
-//! The laws of the position loops that the servo closes, as pure objects: errors in, output out.
+//! Laws of the position loops that the servo closes, without I/O: the inputs are errors, and the result is one output.
 //!
-//! An output is a velocity, rad/s, a torque, N·m, or a duty, whichever the gains are for; it is limited, finite
-//! whatever comes in, and positive towards higher motor positions. Read [`Incremental`] for the IRp-6's own law,
-//! [`CascadeConfig`] for position over velocity, [`Proportional`] for position over a drive's velocity loop. How samples and
-//! set-points become errors is [`HostLoop`](crate::HostLoop)'s to say.
+//! An output is a velocity, rad/s, a torque, N·m, or a duty, depending on the gains. The output is limited, and finite
+//! for any input. A positive output moves the motor towards higher positions. Read [`Incremental`] for the law of the
+//! original IRp-6, [`CascadeConfig`] for position over velocity, and [`Proportional`] for position over the velocity
+//! loop of a drive. [`HostLoop`](crate::HostLoop) computes the errors from samples and set-points.
 
 mod incremental;
 mod proportional;

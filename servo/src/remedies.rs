@@ -1,4 +1,4 @@
-//! What a person checks next after a stop: one phrase per cause, for the line of a report.
+//! Checks for a person after a stop: one phrase per cause, for the fault line of a report.
 
 use crate::search::HomingFailure;
 use crate::{LawFault, StopCause};

@@ -1,8 +1,8 @@
 //! Coordination of the effectors of a cell: barriers, and teams that begin and stop their macrosteps together.
 //!
-//! Each effector first checks its axes and takes its stops. [`coordinate`] then decides for all effectors. Each
-//! effector takes its set-points only afterwards. An effector without partners is a team of its own. The result does
-//! not depend on the order of the effectors.
+//! Each effector first checks its axes and takes its stops. [`coordinate`] then decides for all effectors. Last, each
+//! effector takes its set-points. An effector without partners is a team with one member. The result does not depend on
+//! the order of the effectors.
 
 use crate::effector::{Effector, Tick};
 use crate::{Macrostep, ServoState, StopCause};

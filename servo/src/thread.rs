@@ -1,37 +1,42 @@
 //! The servo thread: waits for deadlines and steps the servo. No other part of this crate waits.
 //!
-//! **Deadlines** lie one period apart on `CLOCK_MONOTONIC`. With [`Wait::Plain`] the thread sleeps until the deadline by
-//! an absolute `clock_nanosleep`, then prepares the cycle and sends. With [`Wait::Hybrid`] the thread sleeps until a
-//! margin before the deadline, prepares the cycle, spins to the deadline and sends. The duration of preparing is learnt,
-//! and SYNC leaves at the deadline.
+//! **Deadlines** lie one period apart on `CLOCK_MONOTONIC`. With [`Wait::Plain`], the thread sleeps until the deadline
+//! by an absolute `clock_nanosleep`, then prepares the cycle and sends. With [`Wait::Hybrid`], the thread sleeps until
+//! a margin before the deadline, prepares the cycle, spins to the deadline and sends. The thread wakes earlier by the
+//! learnt duration of the preparation, so SYNC is sent at the deadline.
 //!
 //! **A missed deadline** is counted and skipped, never caught up. A thread that is late by half a period or more skips
-//! that slot and waits for the next one, so two SYNCs are never closer than half a period. [`Servo::missed`] describes
-//! the effect of too many missed deadlines. An emulated cell can avoid this effect: see [`CellTime`].
+//! this slot and waits for the next slot. The time between two SYNCs is therefore never shorter than half a period.
+//! [`Servo::missed`] describes the effect of too many missed deadlines. An emulated cell can avoid this effect: see
+//! [`CellTime`].
 //!
-//! **A suspension** of the machine stops `CLOCK_MONOTONIC`, and no deadline passes. `CLOCK_BOOTTIME` goes on: the periods
-//! of the suspension count as missed deadlines, so a suspension of more than the tolerated number stops all effectors.
+//! **A suspension** of the machine stops `CLOCK_MONOTONIC`, and no deadline passes. `CLOCK_BOOTTIME` continues. The
+//! periods of the suspension count as missed deadlines. If this number exceeds the tolerated number, all effectors
+//! stop.
 //!
 //! **A late cycle** is explained: [`Timing::late`] counts the causes and keeps the worst cycles. The clock is read
 //! between the phases of a cycle. The kernel's account of the thread (`getrusage`, `/proc/thread-self/schedstat`) is
 //! read in the slack after SYNC: after each late or disturbed cycle, and after one quiet cycle in 16. The reading in
-//! quiet cycles separates their accumulated delays from the delay of one cycle. The cycles around the worst are kept
-//! phase by phase, and so are the cycles around a requested moment: see [`Finished::spikes`] and [`start`].
+//! quiet cycles separates their accumulated delays from the delay of one cycle. The phases of the cycles around the
+//! worst cycle are kept, and also the phases of the cycles around a requested moment: see [`Finished::spikes`] and
+//! [`start`].
 //!
-//! **Time** seen by the control laws is the nominal period, however late a cycle is. [`Record::dt`](crate::Record)
-//! holds the real time.
+//! **Time** in the control laws is the nominal period, also in a late cycle. [`Record::dt`](crate::Record) holds the
+//! real time.
 //!
 //! **The end** always switches the drives off. When `until` returns true, the thread requests a stop. Cycles continue
 //! until every effector has braked and has no power, or until the longest time for stopping has passed. A panic of
 //! `between` or `until` ends the run in the same way (category 1), and neither is called again. A panic of the cycle
 //! itself switches the power off at once (category 0). [`Finished::panicked`] reports the panic, and the panic hook
-//! receives its message. If the process dies, only the drives' own reaction to silence stops them.
+//! receives its message. If the process dies, drives stop only by their own reaction to silence. For a drive without
+//! such a reaction, another process must stop the drive.
 //!
-//! **Real-time needs** are asked for one by one: SCHED_FIFO or SCHED_DEADLINE, a CPU, locked memory, timer slack of 1
-//! ns, and no deep idle states while the thread runs (`/dev/cpu_dma_latency`). Threads and processes that it starts do
-//! not inherit the scheduling. The wait decides when the thread runs: the kernel's period under SCHED_DEADLINE begins
-//! whenever the thread wakes, and only bounds its processor time. Requests that the host denies are returned as
-//! [`Denial`]s, which name the setting that grants the request. With [`Policy::Require`] a denial refuses the start.
+//! **Real-time needs** are requested one by one: SCHED_FIFO or SCHED_DEADLINE, a CPU, locked memory, timer slack of 1
+//! ns, and no deep idle states while the thread runs (`/dev/cpu_dma_latency`). Threads and processes that the servo
+//! thread starts do not inherit the scheduling. The wait determines when the thread runs. Under SCHED_DEADLINE, the
+//! kernel's period begins whenever the thread wakes, and only limits the processor time of the thread. Requests that
+//! the host denies are returned as [`Denial`]s, which name the setting that grants the request. With
+//! [`Policy::Require`] a denial refuses the start.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 

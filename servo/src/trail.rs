@@ -1,4 +1,4 @@
-//! The last set-points of an effector, and the motion that they command at a given time.
+//! The last set-points of an effector, and the commanded motion at a given time.
 
 use std::array;
 

@@ -1,4 +1,4 @@
-//! Conveyors: belts whose speed drifts, and bodies that are placed on them while the scene runs.
+//! Conveyors: belts with a drifting speed, and bodies that are placed on a belt while the scene runs.
 
 use std::collections::VecDeque;
 use std::f64::consts::TAU;

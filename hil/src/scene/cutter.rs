@@ -2,17 +2,20 @@
 //!
 //! A cutting tool is a cylinder with a flat end. While its spindle turns, the tool removes the material above its end.
 //! The cutting force acts at the centre of the end, against the velocity along the upper face of the workpiece. Its
-//! magnitude is F = K_c·b·h + K_e·b for a cut of width b and depth h. Width and depth are those of the material that is
-//! actually removed: each removed cell gives the work K_c · volume + K_e · area. A cell is removed in one step. The
-//! tool therefore does its work gradually: the remaining work decreases to 1/e over two cell widths of travel.
+//! magnitude is F = K_c·b·h + K_e·b for a cut of width b and depth h. Width and depth are the width and depth of the
+//! material that is actually removed: each removed cell needs the work K_c · volume + K_e · area. A cell is removed in
+//! one step. To avoid a jump of the force, the work is spread over the travel: the remaining work decreases to 1/e over
+//! two cell widths.
 //!
-//! A thrust acts on the end of a tool that cuts downward: K_e times the diameter, times the share of the end that cuts.
+//! A thrust acts on the end of a tool that cuts downward. The thrust is K_e times the diameter, times the share of the
+//! end that cuts.
 //!
 //! The spindle supplies the power of the cut. Cutting force and thrust act against the velocity, and therefore never
 //! add energy to a mechanism. Below [`SLOW`], both decrease in proportion to the velocity and are zero at rest.
 //!
-//! Without the spindle, or leaning by more than [`MOST_LEANING`], a tool rests on the material under its end by spring,
-//! damper and friction. Material beside the end then does not push the tool sideways.
+//! A tool does not cut if its spindle is at rest, or if the tool leans by more than [`MOST_LEANING`]. The tool then
+//! rests on the material under its end by spring, damper and friction. Material beside the end does not push the tool
+//! sideways.
 //!
 //! Left out: forces across the feed, the torque of the spindle, cuts by the side of a leaning tool, and undercuts.
 

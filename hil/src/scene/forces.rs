@@ -1,4 +1,4 @@
-//! One step of the bodies, and the forces on the robots at its end.
+//! One step of the bodies, and the forces on the robots at the end of the step.
 
 use std::ops::Range;
 

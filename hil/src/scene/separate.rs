@@ -1,4 +1,4 @@
-//! Steps of single robots, in a scene in which nothing moves but robots.
+//! Steps of single robots, in a scene in which only robots move.
 
 use can::Instant;
 

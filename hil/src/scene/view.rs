@@ -1,4 +1,4 @@
-//! The surfaces of a scene as sensors at a distance see them: rays and cones.
+//! View of sensors at a distance: rays and cones to the surfaces of a scene.
 
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 

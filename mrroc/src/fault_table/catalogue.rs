@@ -1,4 +1,4 @@
-//! The faults of the table: what each is, where and in which phases it has a meaning, and what is expected.
+//! Faults of the table: kind, wires and phases in which each fault has a meaning, and the expected detectors.
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! Detectors of faults, and their removal for a demonstration.
+//! Detectors of faults, and the removal of a detector, which makes its rows red.
 
 use std::task::Poll;
 use std::time::Duration;

@@ -1,11 +1,13 @@
-//! The fault table of a cell: what each fault does to each robot in each phase, in lockstep.
+//! The fault table of a cell: the effect of each fault on each robot in each phase, in lockstep.
 //!
-//! A row is one run of one robot: bring-up, enabling, reference, a fixed motion, and a fault that strikes one axis. The
-//! row ends with the detection, the stop and the recovery. Distances are those of the emulated plants, which no
-//! controller reads. To save time, robots start at home with their references, except in rows of homing.
+//! A row is one run of one robot: bring-up, enabling, reference, a fixed motion, and a fault that strikes one axis. A
+//! brake that does not hold is a fault of all axes. The row ends with the detection, the stop and the recovery.
+//! Distances are those of the emulated plants, which no controller reads. To save time, robots start at home with their
+//! references, except in rows of homing.
 //!
-//! A row is red if the detectors of its fault do not find the fault within its bound, or if the robot moves beyond its
-//! bound. A row is also red if a tolerable fault stops the robot, or if a second run with the same seed ends differently.
+//! A row is red if the expected detectors do not detect the fault within its bound, or if the robot moves beyond its
+//! bound. A row is also red if a fault that should be tolerated stops the robot. A second run with the same seed must
+//! end in the same way, otherwise the row is red.
 
 mod catalogue;
 mod detector;

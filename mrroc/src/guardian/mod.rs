@@ -1,28 +1,29 @@
 //! The guardian: a process beside the controller that stops drives which cannot watch their host.
 //!
-//! Axis controllers on serial lines follow their last set-point while the host is silent. The controller therefore starts
-//! a second process of its own program. The guardian has its own handles of the lines and watches a counter of completed
-//! servo cycles in shared memory. The guardian puts every drive on these lines into its error state:
+//! Axis controllers on serial lines follow their last set-point while the host is silent. The controller therefore
+//! starts a second process of its own program, the guardian. The guardian has its own handles of the lines, and
+//! monitors a counter of completed servo cycles in shared memory. In two cases, the guardian puts every drive on these
+//! lines into its error state:
 //!
-//! - after the silence of [`GuardianConfig::silence`] without a completed cycle, until cycles are completed again;
-//! - when the process of the controller ends and has not said that its drives are off.
+//! - after [`GuardianConfig::silence`] without a completed cycle, until a cycle is completed again;
+//! - when the process of the controller ends without the report that all drives are off.
 //!
-//! On request, the guardian stops the nodes of CAN buses in the same way, by an NMT command to all nodes: drives brake by
-//! their reaction to a lost connection, and outputs take their error state. A hardware watchdog gets a byte per 100 ms from
-//! the guardian as long as cycles are completed.
+//! If the cell requests it for a CAN bus, the guardian also stops the nodes of this bus, by an NMT command to all
+//! nodes. Drives then brake by their reaction to a lost connection, and outputs take their error state. The guardian
+//! writes one byte per 100 ms to a hardware watchdog before the first cycle, and as long as cycles are completed.
 //!
-//! The guardian has a session of its own and blocks all signals. It requests a priority above the servo thread, locked
+//! The guardian has its own session and blocks all signals. It requests a priority above the servo thread, locked
 //! memory, and exemption from the OOM killer. [`Guardian::of_cell`] reports a denied priority and denied locked memory.
 //!
-//! The controller watches the guardian as well. The servo thread looks at a heartbeat word of the guardian after each
-//! cycle ([`Pulse::beat`]), without a system call. The loss of the guardian stops all robots (category 1). After a stop by
-//! the guardian the run ends with [`GuardianFault::Stopped`].
+//! The controller also monitors the guardian. After each cycle, the servo thread checks a heartbeat word of the
+//! guardian ([`Pulse::beat`]), without a system call. The loss of the guardian stops all robots (category 1). After a
+//! stop by the guardian, the run ends with [`GuardianFault::Stopped`].
 //!
-//! The program of the guardian is `/proc/self/exe`. A function in `.init_array` finds the variable [`VARIABLE`] in the
-//! environment before `main`, so programs with a `main` of their own need no code for the guardian.
+//! The program of the guardian is `/proc/self/exe`. A function in `.init_array` runs before `main` and finds the
+//! variable [`VARIABLE`] in the environment. Programs with a `main` of their own therefore need no code for the
+//! guardian.
 //!
-//! Read `process` for the
-//! states of the guardian, and `shared` for the shared memory.
+//! Read `process` for the states of the guardian, and `shared` for the shared memory.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 

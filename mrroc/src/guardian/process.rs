@@ -5,17 +5,20 @@
 //! | waiting | looks at the counter | the first completed cycle |
 //! | watching | looks at the counter | the permitted silence |
 //! | stopping | writes the telegrams at each look | a completed cycle: watching |
-//! | last telegrams | writes the telegrams at each look, 20 times | their number: over |
+//! | last telegrams | writes the telegrams at each look, 20 times | the 20th time: over |
 //! | over | ends | |
 //!
-//! From every state, the controller's order to end leads to over. The end of the controller's process, or its order to
-//! stop, leads to the last telegrams. [`State::next`] is the transition function.
+//! In every state, the controller's order to end leads to over. The end of the controller's process, or the
+//! controller's order to stop, leads from every state but over to the last telegrams. [`State::next`] is the transition
+//! function.
 //!
-//! A hardware watchdog gets a byte per [`WATCHDOG`] while the guardian is waiting or watching, and the letter V at an
-//! orderly end, which switches it off. In every other state and after every other end, the watchdog runs out.
+//! A hardware watchdog gets one byte per [`WATCHDOG`] while the guardian is waiting or watching. At an orderly end, the
+//! watchdog gets the letter V, which switches the watchdog off. In every other state and after every other end, the
+//! watchdog expires.
 //!
-//! The loop does not allocate. A round writes one telegram per line and does not wait. Bytes that a line has not sent yet
-//! are discarded before the first telegram, and a line that still sends the last telegram gets no other.
+//! The loop does not allocate. A round writes one telegram per line and does not wait. Before the first telegram,
+//! unsent bytes of a line are discarded. A line that is still sending the previous telegram does not get another
+//! telegram.
 
 #![expect(unsafe_code, reason = "system calls before main, without the standard library")]
 

@@ -1,7 +1,8 @@
-//! Memory that a controller and its guardian share: words that both change, and the orders of the guardian.
+//! Memory that a controller and its guardian share: words that both processes change, and the orders to the guardian.
 //!
-//! A memory file has one page of [`Words`], which both processes map, and then the [`Orders`], which the controller writes
-//! before the guardian starts. The guardian reads the orders once, so a controller that fails cannot change them.
+//! A memory file begins with one page of [`Words`], which both processes map. The [`Orders`] follow. The controller
+//! writes the orders before the guardian starts. The guardian reads the orders once, so a controller that fails later
+//! cannot change the orders.
 
 #![expect(unsafe_code, reason = "mmap and memfd_create have no safe wrapper among our dependencies")]
 

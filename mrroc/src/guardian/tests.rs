@@ -1,4 +1,4 @@
-//! A guardian process of this test's own program, with a pseudo-terminal for its line.
+//! Tests of a guardian process, started from the test program itself, with a pseudo-terminal as its serial line.
 
 use std::io::Read as _;
 use std::os::fd::AsFd as _;

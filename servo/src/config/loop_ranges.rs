@@ -1,8 +1,8 @@
 //! Ranges of the gains and the feed-forward of a position loop that the servo closes.
 //!
-//! The bounds of gains are no design, they exclude what no sampled loop can be. No error is corrected faster than in one
-//! period. One encoder count does not saturate the output. A position error of `following_error` changes the output by
-//! a thousandth of its limit at the least.
+//! The ranges do not design a loop. The ranges exclude gains that are impossible in a sampled loop. The correction of
+//! an error takes at least one period. One encoder count does not saturate the output. A position error of
+//! `following_error` changes the output by at least a thousandth of its limit.
 
 use std::{f64::consts::TAU, time::Duration};
 

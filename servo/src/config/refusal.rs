@@ -1,4 +1,4 @@
-//! What a configuration is refused for: the key, and the value or the range that would be right.
+//! Reasons for the refusal of a configuration: the key, and the value or the range that is permitted.
 
 use std::fmt;
 

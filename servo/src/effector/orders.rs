@@ -1,4 +1,4 @@
-//! Orders of an effector: stops overtake the queue, all others wait for their turn.
+//! Orders of an effector: stop and disable orders overtake the queue, and all other orders wait for their turn.
 
 use super::{Effector, Tick};
 use crate::team::Team;

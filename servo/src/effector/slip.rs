@@ -1,10 +1,11 @@
-//! Watch of the brakes after an orderly power-off.
+//! Monitoring of the brakes after an orderly power-off.
 //!
-//! An effector that is switched off by an order rests on its brakes. If a motor then moves by its following error within
-//! the time of the watch, its brake does not hold, and the motors get their power again, as part of the same stop: they
-//! hold the effector where it is. Motion is refused until a stop or disable order acknowledges the fault.
+//! An effector that an order has switched off rests on its brakes. If a motor then moves by more than its following
+//! error within the monitoring time, its brake does not hold. As part of the same stop, the servo restores the power of
+//! all motors, and the motors hold the effector at its position. Motion is refused until a stop or disable order
+//! acknowledges the fault.
 //!
-//! After a fault, an emergency stop or a reset no power returns by itself, also if a brake slips.
+//! After a fault, an emergency stop or a reset, no power returns by itself, even if a brake slips.
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! Points of a frequency response from some periods of input and output.
+//! Frequency response, computed from several periods of input and output.
 
 use std::f64::consts::{FRAC_1_SQRT_2, TAU};
 

@@ -1,4 +1,4 @@
-//! Periodic excitation sequences of `length` cycles.
+//! Periodic excitation sequences.
 
 use std::f64::consts::{PI, TAU};
 

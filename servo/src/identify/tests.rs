@@ -1,4 +1,4 @@
-//! Identification of calculated loops.
+//! Tests of the identification on loops whose response is known by calculation.
 
 use std::f64::consts::TAU;
 

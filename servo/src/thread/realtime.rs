@@ -1,4 +1,4 @@
-//! Real-time needs of the servo thread, as a cell file states them.
+//! Real-time needs of the servo thread, as stated in a cell file.
 
 use std::time::Duration;
 

@@ -1,5 +1,5 @@
-//! Suspension of the machine: `CLOCK_MONOTONIC`, the clock of the deadlines, stands still meanwhile, and `CLOCK_BOOTTIME`
-//! goes on.
+//! Suspension of the machine: `CLOCK_MONOTONIC`, the clock of the deadlines, stops during a suspension, and
+//! `CLOCK_BOOTTIME` continues.
 
 use std::time::Duration;
 

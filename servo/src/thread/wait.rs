@@ -1,8 +1,8 @@
 //! The wait for a deadline: sleep until a margin before the deadline, then spin.
 //!
-//! Late wake-ups come in clusters. A margin that always covers them would take half a core. The learnt margin therefore
-//! covers the cluster only after its first late wake-up. Spin time that was not used is kept as credit, up to
-//! [`CREDIT`]. After a late wake-up the credit buys wake-ups up to half a period early for [`ALERT`] cycles.
+//! Late wake-ups come in clusters. A margin that always covers the clusters would take half a core. The margin
+//! therefore covers a cluster only after its first late wake-up. Unused spin time is kept as credit, up to [`CREDIT`].
+//! After a late wake-up, the credit is spent on wake-ups up to half a period early, for [`ALERT`] cycles.
 
 use std::{hint, time::Duration};
 

@@ -1,50 +1,52 @@
 //! CiA 402 drives on one CAN bus in the cyclic synchronous modes (CiA 402-2 §17 to §19), as the EPOS4 implements them.
 //!
 //! [`CanBus`](crate::bus::CanBus) brings the drives up and exchanges one RPDO and one TPDO with each drive per SYNC.
-//! The group leads the drives through the power states and through homing. The group monitors answers, heartbeats, EMCY
-//! and statuswords. Bring-up also sets and reads back the reaction of a drive that loses the host: after three missing
-//! host heartbeats, the drive brakes by its quick stop and holds.
+//! The group moves the drives through the power states and through homing, and monitors answers, heartbeats, EMCY and
+//! statuswords. Bring-up also sets and reads back the reaction of a drive that loses the host: after three missing host
+//! heartbeats, the drive brakes by its quick stop and holds.
 //!
 //! TPDO 2 reports a change of the mode of operation. A change that the group did not command is a fault. A drive
 //! normally sends nothing on TPDO 2, so the monitoring costs no bus load.
 //!
-//! Before its first frame the group listens ([`GroupConfig::listening`]). A frame that only another controller can
-//! have sent makes the group refuse the start. In operation, such a frame is a fault of every axis
-//! ([`Sign`](crate::bus::Sign)).
+//! Before its first frame, the group listens ([`GroupConfig::listening`]). The group refuses the start if a frame can
+//! only come from another controller. In operation, such a frame is a fault of every axis ([`Sign`](crate::bus::Sign)).
 //!
 //! # Commands
 //! - [`Off`](AxisCommand::Off) removes the voltage, also from a moving axis. The servo brakes the axis first where
 //!   necessary.
 //! - [`Stand`](AxisCommand::Stand) in CSP holds the position of the first answer that showed torque, or the last
-//!   set-point followed. In CSV and CST the command means zero velocity or torque, and a load may then move the axis:
-//!   follow at once.
-//! - [`Follow`](AxisCommand::Follow) is refused before [`Power::On`] was seen, with the wrong kind of set-point for
-//!   the mode, or beyond the drive's range. [`Fault::Refused`] names the axis, and no axis of the group changes its
-//!   target in that cycle. While [`AxisState::following`] is false during a change of mode, the set-point is ignored
-//!   and the drive stands.
-//! - [`Home`](AxisCommand::Home) changes to mode HM by service requests and searches. The whole group sends at most
-//!   one service frame a cycle. On leaving, an unfinished search is halted, and the drive returns to the cyclic mode
-//!   with its present position as target.
-//! - An axis with a latched fault is braked by its quick stop. Only `Off` and `ResetFault` end this state.
-//! - [`ResetFault`](AxisCommand::ResetFault) brings a drive up again that booted, left the state operational, or sends
-//!   neither answers nor heartbeats: reset of its communication, identity, configuration with read-back, and start. The bus goes on
-//!   meanwhile. The reference is lost, unless the drive itself reports one. The change to `ResetFault` begins one
-//!   recovery; [`AxisState::recovering`] is true until its end.
+//!   set-point followed. In CSV and CST, the command means zero velocity or torque. A load may then move the axis, so
+//!   the caller must send [`Follow`](AxisCommand::Follow) at once.
+//! - [`Follow`](AxisCommand::Follow) is refused before [`Power::On`], with the wrong kind of set-point for the mode, or
+//!   with a set-point beyond the range of the drive. [`Fault::Refused`] names the axis, and no axis of the group
+//!   changes its target in this cycle. During a change of mode, [`AxisState::following`] is false. The set-point is
+//!   then ignored, and the drive stands.
+//! - [`Home`](AxisCommand::Home) changes to the mode HM by service requests, and starts the search of the drive. The
+//!   whole group sends at most one service frame per cycle. Another command halts an unfinished search, and the drive
+//!   returns to the cyclic mode with its present position as target.
+//! - A quick stop brakes an axis with a latched fault, as long as the drive itself has no fault. Only `Off` and
+//!   `ResetFault` end this state.
+//! - [`ResetFault`](AxisCommand::ResetFault) brings up a drive that booted, left the state operational, or sends
+//!   neither answers nor heartbeats. The steps of this recovery are reset of the communication, check of the identity,
+//!   configuration with read-back, and start. The other nodes of the bus continue meanwhile. The reference is lost,
+//!   unless the drive itself reports a reference. The change of the command to `ResetFault` begins one recovery.
+//!   [`AxisState::recovering`] is true until the end of the recovery.
 //!
 //! No set-point is clamped, queued or sent twice.
 //!
 //! # Which objects are written
 //!
-//! [`AxisConfig::configuration`] is written first, and may hold no [`reserved`] object. Those objects belong to this
-//! driver, which writes and reads back the following last, before operation:
+//! [`AxisConfig::configuration`] is written first, and may not contain a [`reserved`] object. The reserved objects
+//! belong to this driver. Last, before operation, the driver writes and reads back these objects:
 //! - heartbeats (0x1016:01, 0x1017);
-//! - reactions (0x1029:01, 0x6007, 0x605A, 0x6085), and the deadline of set-points (0x1400:05), where the drive has one;
+//! - reactions (0x1029:01, 0x6007, 0x605A, 0x6085), and the deadline of set-points (0x1400:05), if the drive has this
+//!   object;
 //! - interpolation period (0x60C2);
 //! - following error window (0x6065);
 //! - homing (0x6098, 0x6099, 0x609A, 0x607C and maxon's 0x30B0, 0x30B1);
 //! - offsets (0x60B0 to 0x60B2);
-//! - process data: RPDO 1, TPDO 1 and TPDO 2 are mapped, for a contact of the emergency stop TPDO 3 as well, and the other
-//!   PDOs switched off;
+//! - process data: RPDO 1, TPDO 1 and TPDO 2 are mapped, and TPDO 3 for a contact of the emergency stop. The other PDOs
+//!   are switched off;
 //! - mode of operation (0x6060).
 //!
 //! Not supported: profile modes, interpolated position (EPOS2), and several axes behind one node-ID. Read

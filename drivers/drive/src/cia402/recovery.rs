@@ -1,5 +1,5 @@
-//! Recovery of a drive that booted again or left the state operational: the steps of bring-up, one service frame a cycle,
-//! while the other nodes of the bus go on.
+//! Recovery of a drive that booted again, left the state operational or is silent. The recovery consists of the steps
+//! of bring-up, with one service frame per cycle. The other nodes of the bus continue meanwhile.
 //!
 //! ```text
 //!            reset of the fault             last step              heartbeat 0x05 and an answer to SYNC

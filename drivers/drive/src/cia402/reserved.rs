@@ -1,10 +1,10 @@
 //! Objects of a drive that belong to the driver. Neither a cell nor a device configuration file may write them.
 //!
-//! Bring-up writes some of these objects itself. Writing the others would undo a part of bring-up or command the
-//! drive. The rest of the dictionary is free for tuning: controller gains, limits of torque, current, speed and
-//! position, position windows, inputs and outputs, motor data. A wrong limit makes an axis weak or slow, but the drive
-//! still brakes by the quick stop. Scale and rated torque may be written, and are compared with the cell afterwards
-//! (`agreement`).
+//! Bring-up writes some of these objects itself. Writing the other objects would undo a part of bring-up, or would
+//! command the drive. The rest of the dictionary is free for tuning: controller gains, limits of torque, current, speed
+//! and position, position windows, inputs and outputs, motor data. A wrong limit makes an axis weak or slow, but the
+//! drive still brakes by the quick stop. A cell may write scale and rated torque, which bring-up then compares with the
+//! cell (`agreement`).
 //!
 //! Vendor-specific objects are known for maxon only.
 

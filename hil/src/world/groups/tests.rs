@@ -1,4 +1,4 @@
-//! Robots that a world advances one after the other.
+//! Tests of robots that a world advances one after the other.
 
 use std::time::Duration;
 

@@ -1,11 +1,11 @@
 //! Soak: a cell works for hours of virtual time, with one random fault of the fault table per minute.
 //!
-//! Each robot moves between two poses without end. The task recovers by the means of a task: reset of the fault, enabling,
-//! and homing where the reference is lost. If that fails, the controller ends and another one is started on the same drives
-//! (a restart). If a restart fails too, the supply of the drives is switched off and on before the next one.
+//! Each robot moves continuously between two poses. After a fault, the task resets the fault, enables the robot, and
+//! homes the robot if its reference was lost. If all attempts fail, the controller ends, and another controller starts
+//! on the same drives (a restart). After three failed starts, the supply of the drives is switched off and on.
 //!
-//! At each pose, the true position of each motor is compared with the measured position. The difference must stay as it was
-//! after the reference was taken, within one increment of the encoder.
+//! At each pose, the true position of each motor is compared with the measured position. After the reference was taken,
+//! the difference may change by at most 1.1 increments of the encoder.
 //!
 //! The same seed gives the same soak.
 

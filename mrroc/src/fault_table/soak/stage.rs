@@ -1,4 +1,4 @@
-//! The emulated cell of a soak, and one controller after another on it.
+//! The emulated cell of a soak, and the successive controllers on this cell.
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -1,4 +1,4 @@
-//! The task of a soak: each robot moves between two poses, and recovers by the means of a task.
+//! The task of a soak: each robot moves between two poses, and the task recovers the robot from faults.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;

@@ -1,4 +1,4 @@
-//! Barriers and teams.
+//! Tests of barriers and teams.
 
 mod laws;
 mod stops;

@@ -1,5 +1,5 @@
-//! Errors that end when their cause ends: cases in which other CANopen stacks kept an error for ever, cleared the error of
-//! another cause, or stopped more than they had to.
+//! Errors that end when their cause ends. In these cases, other CANopen stacks kept an error for ever, cleared the
+//! error of another cause, or stopped more nodes than necessary.
 
 use std::time::Duration;
 

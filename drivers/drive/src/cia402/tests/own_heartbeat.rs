@@ -1,4 +1,4 @@
-//! The host's heartbeat, by which the drives know that they are not left alone.
+//! The heartbeat of the host, by which the drives monitor the host.
 
 use std::time::Duration;
 

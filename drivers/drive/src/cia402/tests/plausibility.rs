@@ -1,4 +1,4 @@
-//! Positions that a motor cannot have reached.
+//! Rejection of measured positions that the motor cannot have reached.
 
 use std::f64::consts::TAU;
 use std::time::Duration;

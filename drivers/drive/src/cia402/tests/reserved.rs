@@ -1,4 +1,5 @@
-//! The objects reserved for the driver, and the refusal of all other ways to write them.
+//! Objects reserved for the driver, and the refusal of a cell or a device configuration file that writes such an
+//! object.
 
 use super::bench::*;
 use crate::bus::Step;

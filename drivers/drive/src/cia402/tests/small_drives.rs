@@ -1,4 +1,4 @@
-//! Drives that lack what the watch of the mode of operation needs.
+//! Drives without some of the objects that the monitoring of the mode of operation needs.
 
 use super::bench::*;
 use crate::Power;

@@ -1,4 +1,4 @@
-//! Set-points that waited for the bus: at most one cycle of them, and no drive acts on them.
+//! Set-points that waited for the bus: the set-points of at most one cycle wait, and no drive acts on these set-points.
 
 use can::ControllerState;
 

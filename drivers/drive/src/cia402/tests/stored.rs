@@ -1,4 +1,5 @@
-//! Objects that a drive has stored and that decide how an axis brakes, when it stops by itself and which way it turns.
+//! Objects in the memory of a drive that determine how an axis brakes, when the axis stops by itself, and in which
+//! direction the axis turns.
 
 use super::bench::*;
 use crate::cia402::program::{MAXON, program};
