@@ -65,7 +65,7 @@ pub(crate) struct Sample {
     pub(crate) motors: Vec<f64>,
     /// A drive is in its error state.
     pub(crate) error: bool,
-    /// Number of bytes that hosts sent to all drives on serial lines, or of SYNC messages.
+    /// Number of bytes that hosts sent to all drives on serial lines, or of messages of the host on a bus.
     pub(crate) bytes: u64,
 }
 
