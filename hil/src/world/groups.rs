@@ -82,19 +82,20 @@ impl Groups {
         lines: &mut [SerialLine],
     ) {
         let start = scene.now();
-        let mut end = start;
+        let steps = until.since(start).as_nanos() as u64 / STEP.as_nanos() as u64;
+        let end = start + Duration::from_nanos(steps * STEP.as_nanos() as u64);
         for group in &mut self.groups {
-            end = start;
+            let mut now = start;
             group.next.fill(Instant::ZERO);
-            while end + STEP <= until {
-                end += STEP;
-                group.move_to(end, buses, lines);
+            while now < end {
+                now += STEP;
+                group.move_to(now, buses, lines);
                 if self.separate {
                     group.robots.iter().for_each(|&robot| scene.step_robot(robot));
                 } else {
                     scene.step();
                 }
-                group.sense(end, buses);
+                group.sense(now, buses);
             }
         }
         if self.separate {

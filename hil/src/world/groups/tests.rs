@@ -77,6 +77,18 @@ impl Fallen {
     }
 }
 
+/// A body that no robot reaches. It makes the world advance all devices together.
+fn distant_body() -> BodyConfig {
+    BodyConfig {
+        mass: 1.0,
+        half: [0.1; 3],
+        material: Material { stiffness: 1e5, damping: 300.0, friction: 0.3 },
+        pose: Isometry3::translation(50.0, 0.0, 5e3),
+        velocity: [0.0; 3],
+        spin: [0.0; 3],
+    }
+}
+
 #[test]
 fn robots_that_do_not_meet_move_as_if_all_devices_advanced_together() {
     for shared in [false, true] {
@@ -84,19 +96,23 @@ fn robots_that_do_not_meet_move_as_if_all_devices_advanced_together() {
         let (bytes, bits, groups) = separate.run();
         // A bus with drives of both robots joins their groups.
         assert_eq!(groups, if shared { 1 } else { 2 }, "shared: {shared}");
-        // A body far away makes the world advance all robots together.
         let together = Fallen::new(shared, |scene| {
-            let body = BodyConfig {
-                mass: 1.0,
-                half: [0.1; 3],
-                material: Material { stiffness: 1e5, damping: 300.0, friction: 0.3 },
-                pose: Isometry3::translation(50.0, 0.0, 5e3),
-                velocity: [0.0; 3],
-                spin: [0.0; 3],
-            };
-            scene.add_body(&body).unwrap();
+            scene.add_body(&distant_body()).unwrap();
         });
         assert!(bytes.len() > 2 * 1_000 * 14, "{} bytes", bytes.len());
         assert!(together.run() == (bytes, bits, 1), "shared: {shared}");
     }
+}
+
+#[test]
+fn a_scene_without_robots_and_buses_keeps_the_time_of_its_world() {
+    let mut world = World::new();
+    world.set_scene(Scene::new());
+    let start = Instant::ZERO + Duration::from_secs(10);
+    world.advance(start);
+    assert_eq!(world.scene().unwrap().now(), start);
+    let body = world.scene_mut().unwrap().add_body(&distant_body()).unwrap();
+    world.advance(start + Duration::from_millis(1));
+    let velocity = world.scene().unwrap().body(body).velocity;
+    assert!((velocity.z + 9.81e-3).abs() < 1e-9, "{velocity}");
 }
