@@ -245,9 +245,6 @@ impl World {
     pub fn advance(&mut self, until: Instant) {
         let Self { buses, lines, scene, groups, now } = self;
         if let Some(scene) = scene {
-            if groups.as_ref().is_none_or(|groups| !groups.fit(scene)) {
-                *groups = None;
-            }
             let groups = groups.get_or_insert_with(|| Groups::new(scene, buses, lines));
             groups.advance(until, scene, buses, lines);
         }

@@ -68,11 +68,6 @@ impl Groups {
         Self { groups, separate: true }
     }
 
-    /// Whether the groups are still those of the scene, which may have got bodies.
-    pub(super) fn fit(&self, scene: &Scene) -> bool {
-        !self.separate || scene.independent_robots().is_some()
-    }
-
     /// Advances to the last step of the scene up to `until`.
     pub(super) fn advance(
         &mut self,
