@@ -6,11 +6,15 @@ use std::time::Duration;
 use can::{Instant, timing::Bitrate};
 use canopen::NodeId;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
-use serial::{Line, VirtualLine};
+use serial::nfv2::{Command, FrameBuilder, Mode};
+use serial::{Line, Settings, VirtualLine};
 
 use crate::plant::{AxisConfig, Irp6Axis, Mechanism, MechanismConfig};
 use crate::scene::{BodyConfig, Material, RobotId, Scene, SensorConfig, Shape, TipConfig, WallConfig};
-use crate::{Device, Epos4, Epos4Config, SerialForceSensor, SerialForceSensorConfig, TransducerConfig, World};
+use crate::{
+    AxisController, AxisControllerConfig, Cabinet, Device, DigitalIo, DigitalIoConfig, DriveId, Epos4, Epos4Config,
+    LightGate, LineId, SerialForceSensor, SerialForceSensorConfig, TransducerConfig, World,
+};
 
 /// An IRb-6 and a second robot without power or brakes over a floor, each with a force sensor at a line. The drives of
 /// the first are on two buses. The second bus has the drives of both robots if `shared`.
@@ -132,6 +136,112 @@ fn robots_that_do_not_meet_move_as_if_all_devices_advanced_together() {
         assert_eq!(first.map(|bit| bit / 32), None, "cycle in which a flange differs, {second:?}, shared: {shared}");
         assert!(bytes == together_bytes, "{second:?}, shared: {shared}");
     }
+}
+
+/// Two robots in a scene, of one motor each. Their axis controllers are on two lines, in one cabinet.
+fn cabinet_of_two_robots(with_body: bool) -> (World, [LineId; 2], [VirtualLine; 2]) {
+    let mut world = World::new();
+    let mut scene = Scene::new();
+    let cabinet = Cabinet::default();
+    let lines = [0, 1].map(|arm| {
+        let mechanism = Mechanism::new(MechanismConfig::Irb6);
+        let mount = mechanism.mount(0, 0.0);
+        let config =
+            AxisControllerConfig { mount, cabinet: cabinet.clone(), ..AxisControllerConfig::new(irb6_axis(0)) };
+        scene.add_robot(&mechanism, &Isometry3::translation(0.0, 3.0 * f64::from(arm), 0.0)).unwrap();
+        world.add_line(Settings::AXIS_CONTROLLER, None, Box::new(AxisController::nfv2(ADDRESS, &config)))
+    });
+    if with_body {
+        scene.add_body(&distant_body()).unwrap();
+    }
+    world.set_scene(scene);
+    let hosts = lines.map(|line| world.host_line(line, 256));
+    (world, lines, hosts)
+}
+
+const ADDRESS: u8 = 8;
+
+#[test]
+fn emergency_stop_of_a_cabinet_of_two_robots_is_as_if_all_devices_advanced_together() {
+    let command = |host: &mut VirtualLine, at: Instant, commands: &[Command]| {
+        let mut frame = commands.iter().fold(FrameBuilder::new(ADDRESS), |frame, command| frame.command(*command));
+        host.write(at, frame.finish().unwrap()).unwrap();
+    };
+    let ms = |count| Instant::ZERO + Duration::from_millis(count);
+    let run = |with_body, closes| {
+        let (mut world, lines, [mut first, mut second]) = cabinet_of_two_robots(with_body);
+        command(&mut first, ms(0), &[Command::SetMode(Mode::Pwm), Command::SetPwm(30)]);
+        world.advance(ms(200));
+        let angle = |world: &World| world.plant(DriveId::Line(lines[0])).unwrap().angle();
+        let start = angle(&world);
+        // The second drive opens the stop, and closes the stop in the same interval.
+        command(&mut second, ms(203), &[Command::SetMode(Mode::Error)]);
+        if closes {
+            command(&mut second, ms(208), &[Command::SetMode(Mode::Manual)]);
+        }
+        let angles = [220, 1_000, 1_100].map(|end| {
+            world.advance(ms(end));
+            angle(&world)
+        });
+        assert!(start > 0.1, "{start} rad");
+        (angles, groups_of(&world))
+    };
+    for closes in [false, true] {
+        let (separate, groups) = run(false, closes);
+        let (together, _) = run(true, closes);
+        assert!(together[2] - together[1] < 1e-3, "the motor has no power: {together:?}, closes: {closes}");
+        assert_eq!(separate.map(f64::to_bits), together.map(f64::to_bits), "{separate:?} {together:?}");
+        assert_eq!(groups, 1);
+    }
+}
+
+#[test]
+fn robot_outside_the_scene_with_drives_on_buses_and_a_line_moves_as_if_all_devices_advanced_together() {
+    let run = |with_body| {
+        let mut world = World::new();
+        let buses = [(); 2].map(|()| world.add_bus(Bitrate::KBPS_1000));
+        let mechanism = Mechanism::new(MechanismConfig::Irb6);
+        // Lower arm, upper arm and wrist fall.
+        let drives = [1, 2, 3].map(|number| {
+            let (axis, mount) = (irb6_axis(number), mechanism.mount(number, 0.0));
+            if number == 3 {
+                let config = AxisControllerConfig { mount, ..AxisControllerConfig::new(axis) };
+                let device = Box::new(AxisController::nfv2(ADDRESS, &config));
+                return DriveId::Line(world.add_line(Settings::AXIS_CONTROLLER, None, device));
+            }
+            let config = Epos4Config { mount, ..Epos4Config::new(NodeId::new(1).unwrap(), axis) };
+            DriveId::Node(world.add_device(buses[number - 1], Box::new(Epos4::new(config))))
+        });
+        let mut scene = Scene::new();
+        if with_body {
+            scene.add_body(&distant_body()).unwrap();
+        }
+        world.set_scene(scene);
+        let mut angles = Vec::new();
+        for cycle in 1..=20_u32 {
+            world.advance(Instant::ZERO + cycle * Duration::from_millis(100));
+            angles.extend(drives.map(|drive| world.plant(drive).unwrap().angle()));
+        }
+        (angles, groups_of(&world))
+    };
+    let ((separate, groups), (together, _)) = (run(false), run(true));
+    assert!(together[together.len() - 2].abs() > 0.1, "{together:?}");
+    assert_eq!(separate, together);
+    assert_eq!(groups, 1);
+}
+
+#[test]
+fn light_gate_that_reads_a_shaft_on_another_bus_lets_all_devices_advance_together() {
+    let mut world = World::new();
+    let buses = [(); 2].map(|()| world.add_bus(Bitrate::KBPS_1000));
+    let mut drive = Epos4::new(Epos4Config::new(NodeId::new(1).unwrap(), irb6_axis(0)));
+    let gate = LightGate { index: 0, probe: drive.probe(), zero_angle: 0.0, ratio: 1.0, interval: 1.0..=2.0 };
+    let config = DigitalIoConfig { light_gates: vec![gate], ..DigitalIoConfig::new(NodeId::new(2).unwrap()) };
+    world.add_device(buses[0], Box::new(drive));
+    world.add_device(buses[1], Box::new(DigitalIo::new(config).unwrap()));
+    world.set_scene(Scene::new());
+    world.advance(Instant::ZERO + Duration::from_millis(1));
+    assert_eq!(groups_of(&world), 1);
 }
 
 #[test]
