@@ -175,6 +175,10 @@ impl LineDevice for AxisController {
     fn plant_mut(&mut self) -> Option<&mut PlantAxis> {
         Some(&mut self.drive.axis)
     }
+
+    fn cabinet(&self) -> Option<&Cabinet> {
+        Some(self.drive.cabinet())
+    }
 }
 
 /// A request interrupted for this long is discarded.

@@ -4,7 +4,7 @@ use std::any::Any;
 
 use can::{Frame, Instant};
 
-use crate::{Mechanism, PlantAxis};
+use crate::{Cabinet, Mechanism, PlantAxis};
 
 /// A fault of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,8 +70,8 @@ pub trait Device: Any + Send {
         None
     }
 
-    /// The robot in a scene whose motor the device drives, or whose forces it measures. A [`World`](crate::World) advances
-    /// the devices of a robot together, in single steps.
+    /// The robot whose motor the device drives, or whose forces it measures. A [`World`](crate::World) with a scene
+    /// advances the devices of a robot together, in single steps.
     fn mechanism(&self) -> Option<&Mechanism> {
         self.plant().and_then(PlantAxis::mechanism)
     }
@@ -117,9 +117,15 @@ pub trait LineDevice: Any + Send {
         None
     }
 
-    /// The robot in a scene whose motor the device drives, or whose forces it measures. A [`World`](crate::World) advances
-    /// the devices of a robot together, in single steps.
+    /// The robot whose motor the device drives, or whose forces it measures. A [`World`](crate::World) with a scene
+    /// advances the devices of a robot together, in single steps.
     fn mechanism(&self) -> Option<&Mechanism> {
         self.plant().and_then(PlantAxis::mechanism)
+    }
+
+    /// The cabinet whose emergency stop the device opens. A [`World`](crate::World) with a scene advances the devices
+    /// of a cabinet together, in single steps.
+    fn cabinet(&self) -> Option<&Cabinet> {
+        None
     }
 }

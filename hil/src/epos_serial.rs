@@ -22,7 +22,7 @@ use std::time::Duration;
 
 use can::Instant;
 
-use crate::{Device, Epos4, Epos4Config, LineDevice, outbox::Outbox};
+use crate::{Device, Epos4, Epos4Config, LineDevice, Mechanism, outbox::Outbox};
 use epos2::Exchange;
 use epos4::Frames;
 
@@ -110,6 +110,10 @@ impl LineDevice for EposSerial {
 
     fn advance_mechanics(&mut self, now: Instant) -> bool {
         self.service.epos.advance_mechanics(now)
+    }
+
+    fn mechanism(&self) -> Option<&Mechanism> {
+        self.service.epos.mechanism()
     }
 }
 

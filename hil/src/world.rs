@@ -41,11 +41,13 @@ use groups::Groups;
 
 /// Buses and lines with their devices, advanced together.
 ///
-/// Buses and lines influence each other only through the [`Scene`], if there is one. The state of the scene changes at
-/// its steps only. Before each step, all buses and lines are advanced to the time of the step. Between two steps, only
-/// the order of events on the same bus or line therefore matters. Robots of a scene without bodies, belts and other
-/// moving parts do not influence each other: the devices of each robot are then advanced through all steps of an interval,
-/// one robot after the other. Without a scene, each bus and each line is advanced to the end in one call.
+/// Buses and lines influence each other only through the [`Scene`], if there is one, through a robot
+/// ([`Mechanism`](crate::Mechanism)), through a [`Cabinet`](crate::Cabinet), and through a shaft that another device
+/// reads. The state of the scene changes at its steps only. Before each step, all buses and lines are advanced to the
+/// time of the step. Robots of a scene without bodies, belts and other moving parts do not influence each other: the
+/// devices of each robot are then advanced through all steps of an interval, one robot after the other. Devices with a
+/// common robot or cabinet are advanced together. Without a scene, each bus and each line is advanced to the end in one
+/// call, one after the other.
 #[derive(Default)]
 pub struct World {
     buses: Vec<VirtualBus>,
@@ -245,9 +247,6 @@ impl World {
     pub fn advance(&mut self, until: Instant) {
         let Self { buses, lines, scene, groups, now } = self;
         if let Some(scene) = scene {
-            if groups.as_ref().is_none_or(|groups| !groups.fit(scene)) {
-                *groups = None;
-            }
             let groups = groups.get_or_insert_with(|| Groups::new(scene, buses, lines));
             groups.advance(until, scene, buses, lines);
         }

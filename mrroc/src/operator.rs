@@ -86,7 +86,8 @@ impl Console {
         Self::reading(BufReader::new(stdin()), bench, requests, show)
     }
 
-    fn reading(
+    /// The same, with the lines of `input`.
+    pub(crate) fn reading(
         input: impl BufRead + Send + 'static,
         bench: BenchKind,
         requests: &Requests,
@@ -158,6 +159,7 @@ fn all_lines(read: &Receiver<String>, requests: &Requests) -> anyhow::Result<Vec
 /// Passes lines on until the end of the input, or until the run takes no more.
 fn read_lines(mut input: impl BufRead, lines: &SyncSender<String>) {
     loop {
+        crew::point("operator input");
         let mut line = Vec::new();
         let read = (&mut input).take(LONGEST + 1).read_until(b'\n', &mut line);
         let longer = line.len() as u64 > LONGEST && line.last() != Some(&b'\n');

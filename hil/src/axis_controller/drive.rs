@@ -243,6 +243,10 @@ impl Drive {
         self.axis.amplifier.set_current_gains(p + i, i);
     }
 
+    pub(super) fn cabinet(&self) -> &Cabinet {
+        &self.cabinet
+    }
+
     pub(super) fn position(&self) -> i32 {
         self.feedback.counts.wrapping_add(self.offset)
     }
@@ -275,6 +279,11 @@ impl Cabinet {
     /// Whether a drive of the cabinet is in its error state, which opens the emergency stop.
     pub fn has_error(&self) -> bool {
         self.0.in_error.load(Ordering::Relaxed) > 0
+    }
+
+    /// Whether both refer to the same cabinet.
+    pub(crate) fn is(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
     }
 
     fn enter_error(&self, now: Instant) {

@@ -185,9 +185,10 @@ impl Mechanism {
         robot.loads = [None; AXES];
     }
 
-    /// Load on the motor of axis `number` in the present pose; zero for an absent axis.
+    /// Load on the motor of axis `number` in the present pose; zero for an absent axis. The query does not change the
+    /// motion.
     pub fn load(&self, number: usize) -> Load {
-        let mut robot = self.lock();
+        let mut robot = self.lock().clone();
         if number >= robot.count {
             return Load::default();
         }
@@ -222,7 +223,7 @@ impl Mechanism {
         let arm = kinematics.flange.axes * Vector3::from(point);
         let force = Vector3::from(direction).normalize();
         let torques = kinematics.torques(&force, &arm.cross(&force));
-        let mut robot = self.lock();
+        let mut robot = self.lock().clone();
         let motors = torques.iter().take(robot.count).enumerate();
         let mobility: f64 = motors.map(|(number, torque)| torque * torque / robot.load(number).inertia()).sum();
         1.0 / mobility
@@ -275,22 +276,13 @@ impl Mechanism {
         robot.kinematics(&motors)
     }
 
-    /// Greatest displacement of a point of the tool per rad of each motor, m/rad, within [`Mechanism::room`] of a pose.
-    /// The point is at most `distance`, m, from the origin of the flange.
+    /// Greatest displacement of a point of the tool per rad of each motor, m/rad, within [`Kinematics::room`] of a
+    /// pose. The point is at most `distance`, m, from the origin of the flange.
     pub(crate) fn travel(&self, distance: f64) -> [f64; AXES] {
         match &self.lock().links {
             Links::Irp6(irp6) => irp6.travel(distance),
             Links::Rnt(rnt) => rnt.travel(distance),
             Links::Polycrank(polycrank) => polycrank.travel(distance),
-        }
-    }
-
-    /// Displacement by the bound of [`Mechanism::travel`] from the last pose of [`Mechanism::kinematics_at`], m, for which
-    /// this bound holds.
-    pub(crate) fn room(&self) -> f64 {
-        match &self.lock().links {
-            Links::Irp6(_) | Links::Polycrank(_) => f64::INFINITY,
-            Links::Rnt(rnt) => rnt.room(),
         }
     }
 

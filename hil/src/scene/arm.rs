@@ -38,7 +38,7 @@ pub(super) struct Arm {
 
 /// Distance that the tips of a robot can move without a contact.
 struct Reach {
-    /// Greatest displacement of a tip per rad of each motor, m/rad, within [`Mechanism::room`] of a pose.
+    /// Greatest displacement of a tip per rad of each motor, m/rad, within [`Kinematics::room`] of a pose.
     travel: [f64; Shafts::COUNT],
     /// Distance from the nearest surface at the last computed step, m. Infinite without tips or surfaces. Zero: the next
     /// step is computed.
@@ -169,7 +169,7 @@ impl Arm {
 
     /// Reduces the distance of the tips from the nearest surface, m, also to the displacement that can be bounded.
     pub(super) fn limit_clearance(&mut self, clearance: f64) {
-        self.reach.clearance = self.reach.clearance.min(clearance).min(self.seat.mechanism.room());
+        self.reach.clearance = self.reach.clearance.min(clearance).min(self.kinematics.room);
     }
 
     /// Sets the motion of the flange over a part of the last step: from the share `from` of the step to the share `to`.

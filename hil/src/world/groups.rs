@@ -7,13 +7,16 @@ use can::Instant;
 use super::VirtualBus;
 use crate::line::SerialLine;
 use crate::scene::{STEP, Scene};
-use crate::{Mechanism, PlantAxis};
+use crate::{Cabinet, Mechanism, PlantAxis};
 
 /// Buses and lines that advance together, in the steps of the scene.
 pub(super) struct Group {
+    /// Buses and lines in ascending order, as in the group of all.
     buses: Vec<usize>,
     lines: Vec<usize>,
     robots: Vec<usize>,
+    /// Couplings of the devices with other devices.
+    couplings: Vec<Coupling>,
     /// Time of the next event of each bus, then of each line, during an advance.
     next: Vec<Instant>,
 }
@@ -25,10 +28,28 @@ pub(super) struct Groups {
     separate: bool,
 }
 
+/// An object through which devices influence each other between two steps of the scene.
+enum Coupling {
+    /// A robot, whether in the scene or not.
+    Robot(Mechanism),
+    Cabinet(Cabinet),
+}
+
+impl PartialEq for Coupling {
+    fn eq(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Robot(one), Self::Robot(other)) => one.is(other),
+            (Self::Cabinet(one), Self::Cabinet(other)) => one.is(other),
+            (Self::Robot(_), Self::Cabinet(_)) | (Self::Cabinet(_), Self::Robot(_)) => false,
+        }
+    }
+}
+
 impl Groups {
-    /// One group per robot and per bus without a robot, if the robots of the scene do not influence each other; a line
-    /// without a robot then needs no steps. Otherwise one group of all. The results are the same. Separate groups are
-    /// faster, because the data of one group fit into the cache of a processor.
+    /// If the robots of the scene do not influence each other: one group per robot, and one per bus without a robot.
+    /// Buses and lines with a common robot or cabinet are in one group. A line that is coupled with nothing needs no
+    /// steps. Otherwise one group of all. The results are the same. Separate groups are faster, because the data of one
+    /// group fit into the cache of a processor.
     pub(super) fn new(scene: &Scene, buses: &[VirtualBus], lines: &[SerialLine]) -> Self {
         let robots: Option<Vec<Mechanism>> = scene.independent_robots().map(|robots| robots.cloned().collect());
         let robots = robots.filter(|robots| {
@@ -36,41 +57,31 @@ impl Groups {
             let motors: Vec<_> = of_buses.chain(lines.iter().filter_map(|line| line.any_device().plant())).collect();
             let of =
                 |axis: &PlantAxis, robot: &Mechanism| axis.mechanism().is_some_and(|mechanism| robot.is(mechanism));
-            // Each motor of a robot must be known here, and no other device may read its shaft.
-            robots.iter().all(|robot| {
-                let own: Vec<_> = motors.iter().filter(|axis| of(axis, robot)).collect();
-                own.len() == robot.mounted() && !own.iter().any(|axis| axis.is_probed())
-            })
+            let is_known = |robot: &Mechanism| motors.iter().filter(|axis| of(axis, robot)).count() == robot.mounted();
+            // Each motor of a robot must be known here, and no other device may read a shaft.
+            robots.iter().all(is_known) && !motors.iter().any(|axis| axis.is_probed())
         });
         let Some(robots) = robots else {
-            let all = Group::new((0..buses.len()).collect(), (0..lines.len()).collect(), Vec::new());
-            return Self { groups: vec![all], separate: false };
+            let mut all = Group::new(Vec::new());
+            (all.buses, all.lines) = ((0..buses.len()).collect(), (0..lines.len()).collect());
+            return Self { groups: vec![all.closed()], separate: false };
         };
-        let mut groups: Vec<Group> =
-            (0..robots.len()).map(|robot| Group::new(Vec::new(), Vec::new(), vec![robot])).collect();
+        let of_robot = |(number, robot)| Group { robots: vec![number], ..Group::new(vec![Coupling::Robot(robot)]) };
+        let mut groups: Vec<Group> = robots.into_iter().enumerate().map(of_robot).collect();
         for (number, bus) in buses.iter().enumerate() {
-            let used: Vec<_> = bus.devices().filter_map(|device| robot_of(device.mechanism(), &robots)).collect();
-            match joined(&mut groups, &used) {
-                Some(group) => group.buses.push(number),
-                // Its devices may read the scene in each step.
-                None => groups.push(Group::new(vec![number], Vec::new(), Vec::new())),
-            }
+            let robots = bus.devices().filter_map(|device| device.mechanism()).cloned().map(Coupling::Robot);
+            join(&mut groups, Group { buses: vec![number], ..Group::new(robots.collect()) });
         }
         for (number, line) in lines.iter().enumerate() {
-            let used = robot_of(line.any_device().mechanism(), &robots);
-            if let Some(group) = joined(&mut groups, used.as_slice()) {
-                group.lines.push(number);
-            }
+            let device = line.any_device();
+            let robot = device.mechanism().cloned().map(Coupling::Robot);
+            let cabinet = device.cabinet().cloned().map(Coupling::Cabinet);
+            let couplings = robot.into_iter().chain(cabinet).collect();
+            join(&mut groups, Group { lines: vec![number], ..Group::new(couplings) });
         }
-        for group in &mut groups {
-            group.next = vec![Instant::ZERO; group.buses.len() + group.lines.len()];
-        }
-        Self { groups, separate: true }
-    }
-
-    /// Whether the groups are still those of the scene, which may have got bodies.
-    pub(super) fn fit(&self, scene: &Scene) -> bool {
-        !self.separate || scene.independent_robots().is_some()
+        // The devices of a bus may read the scene in each step.
+        groups.retain(|group| !group.robots.is_empty() || !group.buses.is_empty() || group.lines.len() > 1);
+        Self { groups: groups.into_iter().map(Group::closed).collect(), separate: true }
     }
 
     /// Advances to the last step of the scene up to `until`.
@@ -82,19 +93,20 @@ impl Groups {
         lines: &mut [SerialLine],
     ) {
         let start = scene.now();
-        let mut end = start;
+        let steps = until.since(start).as_nanos() as u64 / STEP.as_nanos() as u64;
+        let end = start + Duration::from_nanos(steps * STEP.as_nanos() as u64);
         for group in &mut self.groups {
-            end = start;
+            let mut now = start;
             group.next.fill(Instant::ZERO);
-            while end + STEP <= until {
-                end += STEP;
-                group.move_to(end, buses, lines);
+            while now < end {
+                now += STEP;
+                group.move_to(now, buses, lines);
                 if self.separate {
                     group.robots.iter().for_each(|&robot| scene.step_robot(robot));
                 } else {
                     scene.step();
                 }
-                group.sense(end, buses);
+                group.sense(now, buses);
             }
         }
         if self.separate {
@@ -104,9 +116,17 @@ impl Groups {
 }
 
 impl Group {
-    fn new(buses: Vec<usize>, lines: Vec<usize>, robots: Vec<usize>) -> Self {
-        let next = vec![Instant::ZERO; buses.len() + lines.len()];
-        Self { buses, lines, robots, next }
+    /// A group of no bus and no line yet.
+    fn new(couplings: Vec<Coupling>) -> Self {
+        Self { buses: Vec::new(), lines: Vec::new(), robots: Vec::new(), couplings, next: Vec::new() }
+    }
+
+    /// The group with all its buses and lines.
+    fn closed(mut self) -> Self {
+        self.buses.sort_unstable();
+        self.lines.sort_unstable();
+        self.next = vec![Instant::ZERO; self.buses.len() + self.lines.len()];
+        self
     }
 
     /// Processes the events before `step`, and moves the motors to `step`. A bus or a line is left out of the steps in
@@ -145,23 +165,16 @@ impl Group {
     }
 }
 
-/// The number of a mechanism among the robots of the scene.
-fn robot_of(mechanism: Option<&Mechanism>, robots: &[Mechanism]) -> Option<usize> {
-    let mechanism = mechanism?;
-    robots.iter().position(|robot| robot.is(mechanism))
-}
-
-/// The group of all these robots, which become one group; `None` without robots.
-fn joined<'a>(groups: &'a mut Vec<Group>, robots: &[usize]) -> Option<&'a mut Group> {
-    let mut of_robots = groups.extract_if(.., |group| group.robots.iter().any(|robot| robots.contains(robot)));
-    let mut group = of_robots.next()?;
-    for other in of_robots {
+/// Adds a group, which becomes one with all groups that have one of its couplings.
+fn join(groups: &mut Vec<Group>, mut group: Group) {
+    let is_coupled = |other: &mut Group| other.couplings.iter().any(|coupling| group.couplings.contains(coupling));
+    for other in groups.extract_if(.., is_coupled).collect::<Vec<_>>() {
         group.buses.extend(other.buses);
         group.lines.extend(other.lines);
         group.robots.extend(other.robots);
+        group.couplings.extend(other.couplings);
     }
     groups.push(group);
-    groups.last_mut()
 }
 
 #[cfg(test)]

@@ -1,7 +1,10 @@
 //! A panic of each thread of a run by the wall clock, in motion: the robots brake and are switched off, and the report names
 //! the thread and the message.
 
+use std::io::{BufReader, Read};
+
 use super::*;
+use crate::operator::Console;
 use crate::prelude::*;
 use crate::tasks::tests::two_arms;
 use servo::{Phase, StopCategory};
@@ -30,14 +33,26 @@ fn panicking_in(file: &CellFile, program: &Program, member: &'static str, phase:
         requests.crew.plant(member);
     }
     // The operator's console of `mrroc run --operator`.
-    let console = crate::operator::Console::start(BenchKind::Emulated, &requests, |_| {});
+    let (press, keys) = sync_channel(1);
+    let console = Console::reading(BufReader::new(Keyboard(keys)), BenchKind::Emulated, &requests, |_| {});
     let report = run(file, &options, &requests, program, &mut |news| {
         if news.robot == 0 && Some(news.phase) == phase {
             requests.crew.plant(member);
+            // The thread that reads lines passes its point after a line.
+            let _ = press.try_send(());
         }
     });
     console.unwrap().finish();
     (report.unwrap(), std::fs::read_to_string(record).unwrap())
+}
+
+/// An input of empty lines, one for each message. The input ends with the sender.
+struct Keyboard(Receiver<()>);
+
+impl Read for Keyboard {
+    fn read(&mut self, into: &mut [u8]) -> std::io::Result<usize> {
+        Ok(self.0.recv().map_or(0, |()| b"\n".as_slice().read(into).unwrap_or(0)))
+    }
 }
 
 /// Whether the rows of the left column end with a controlled stop from motion, and then no power.
@@ -53,7 +68,8 @@ const PHASES: [&str; 7] = ["Off", "Enabling", "Homing", "Standing", "Moving", "S
 
 #[test]
 fn a_panic_of_any_thread_stops_the_robots_in_category_1_and_is_reported() {
-    let members = ["files", "listener", "controller", "servo", "planning", "operator lines", "operator output"];
+    let members =
+        ["files", "listener", "controller", "servo", "planning", "operator input", "operator lines", "operator output"];
     for member in members {
         let phase = if member == "planning" { Phase::Standing } else { Phase::Homing };
         let (report, record) = panicking(&Program::of(moving), member, Some(phase));

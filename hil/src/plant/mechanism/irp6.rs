@@ -115,7 +115,7 @@ impl Irp6 {
             base.origin[1] = motors[0] / TRACK;
         }
         let (flange, joints) = self.chain.place(base, &posture.angles);
-        let mut kinematics = Kinematics { flange, motors: [Twist::default(); AXES] };
+        let mut kinematics = Kinematics { flange, motors: [Twist::default(); AXES], room: f64::INFINITY };
         for (number, twist) in kinematics.motors.iter_mut().enumerate() {
             match number.checked_sub(self.first) {
                 None => twist.velocity[1] = 1.0 / TRACK,

@@ -62,6 +62,9 @@ pub(crate) struct Kinematics {
     pub(crate) flange: Frame,
     /// Motion of the flange per rad/s of each motor; zero for absent motors.
     pub(crate) motors: [Twist; AXES],
+    /// Displacement of a point of the tool from this pose, m, for which the bound of
+    /// [`Mechanism::travel`](super::Mechanism::travel) holds.
+    pub(crate) room: f64,
 }
 
 impl Kinematics {
@@ -159,7 +162,7 @@ mod tests {
                     flange.origin + flange.axes * point
                 };
                 let start = place(&from);
-                let room = at(config, &from).0.room();
+                let room = at(config, &from).1.room;
                 for size in [1e-3, 1.0, 100.0] {
                     let step: Vec<_> = from.iter().map(|_| size * noise.symmetric()).collect();
                     let to: Vec<_> = from.iter().zip(&step).map(|(from, step)| from + step).collect();

@@ -51,7 +51,7 @@ impl Polycrank {
         let angles = self.angles(motors);
         let (flange, joints) = self.chain.place(Frame::BASE, &angles);
         let motors = std::array::from_fn(|number| Twist::sum(&joints, &self.rates(number)));
-        Kinematics { flange, motors }
+        Kinematics { flange, motors, room: f64::INFINITY }
     }
 
     /// Greatest displacement of a point of the tool, at most `distance`, m, from the origin of the flange, per rad of each

@@ -45,10 +45,11 @@ struct Pose {
 
 /// Distance of the platform below which its joints jam, m.
 const SHORTEST: f64 = 0.3;
-/// Steps of Newton's method for the first pose. Each later pose takes one step, or two after a longer way.
+/// Greatest number of steps of Newton's method for a pose. The pose of a load takes one step from the last pose.
 const STEPS: usize = 12;
-/// Error of a leg length, m, above which a later pose takes two steps.
-const LONG_WAY: f64 = 1e-4;
+/// Error of a leg length, m, below which the next step of Newton's method is the last one. That step leaves an error of
+/// about 1e-12 m.
+const SOLVED: f64 = 1e-6;
 
 /// Poses for which [`RATES`] holds: greatest inclination about each axis, rad, and least and greatest extension, m.
 const MOBILE: (f64, f64, f64) = (0.5, 0.5, 1.4);
@@ -93,6 +94,10 @@ impl Rnt {
         self.home_lengths[leg] + motors[leg] / LEG
     }
 
+    fn lengths(&self, motors: &[f64; AXES]) -> [f64; 3] {
+        [0, 1, 2].map(|leg| self.length(leg, motors))
+    }
+
     /// Moves the platform to the pose that the leg lengths determine.
     pub(super) fn settle(&mut self, motors: &[f64; AXES]) {
         for _ in 0..STEPS {
@@ -105,19 +110,7 @@ impl Rnt {
     /// One step of Newton's method towards the pose that the leg lengths determine. Returns the largest error of a
     /// leg length before the step, m. If no pose fits the leg lengths, the platform keeps its last valid pose.
     fn follow(&mut self, motors: &[f64; AXES]) -> f64 {
-        let legs = self.pose.legs(&self.pose.axes());
-        let mut step = Vector::zeros();
-        let mut worst = 0.0_f64;
-        for (leg, (length, column)) in legs.iter().enumerate() {
-            let missing = self.length(leg, motors) - length;
-            worst = worst.max(missing.abs());
-            step += missing * column;
-        }
-        let next = Pose {
-            alpha: self.pose.alpha + step[0],
-            beta: self.pose.beta + step[1],
-            extension: self.pose.extension + step[2],
-        };
+        let (next, worst) = self.pose.towards(&self.lengths(motors));
         if next.is_possible() {
             self.pose = next;
         }
@@ -153,21 +146,11 @@ impl Rnt {
         [leg / LEG, leg / LEG, leg / LEG, wrist / GEAR, wrist / GEAR, wrist / GEAR, 0.0]
     }
 
-    /// Displacement of the tool from the last pose, m, for which the bound of [`Rnt::travel`] holds.
-    pub(super) fn room(&self) -> f64 {
-        let Pose { alpha, beta, extension } = self.pose;
-        let inclined = alpha.abs().max(beta.abs()) > MOBILE.0 - INSIDE;
-        let inside = MOBILE.1 + INSIDE..=MOBILE.2 - INSIDE;
-        if inclined || !inside.contains(&extension) { 0.0 } else { ROOM }
-    }
-
     /// The flange, and its motion per rad/s of each motor. The origin of the base frame is the centre of the legs' joints
-    /// in the base. Axis z is along the central leg.
+    /// in the base. Axis z is along the central leg. The result depends on the motor angles only. If no pose fits the leg
+    /// lengths, the platform has the pose of the last load.
     pub(super) fn kinematics(&mut self, motors: &[f64; AXES]) -> Kinematics {
-        if self.follow(motors) > LONG_WAY {
-            self.follow(motors);
-        }
-        let pose = self.pose;
+        let pose = Pose::of(&self.lengths(motors)).unwrap_or(self.pose);
         let columns = pose.axes();
         let axes = Matrix3::from_columns(&columns);
         let centre = axes * Vector::new(0.0, 0.0, pose.extension + WRIST);
@@ -183,11 +166,57 @@ impl Rnt {
         for (twist, joint) in twists[3..6].iter_mut().zip(joints) {
             *twist = Twist { velocity: joint.velocity / GEAR, spin: joint.spin / GEAR };
         }
-        Kinematics { flange, motors: twists }
+        Kinematics { flange, motors: twists, room: pose.room() }
     }
 }
 
 impl Pose {
+    /// The pose that the leg lengths determine, m; `None` if no pose fits them.
+    fn of(lengths: &[f64; 3]) -> Option<Self> {
+        let mut pose = Self::near(lengths);
+        for _ in 0..STEPS {
+            let (next, error) = pose.is_possible().then(|| pose.towards(lengths))?;
+            pose = next;
+            if error < SOLVED {
+                return Some(pose).filter(Self::is_possible);
+            }
+        }
+        None
+    }
+
+    /// The pose with these leg lengths, m, to the first order in its inclination.
+    fn near(lengths: &[f64; 3]) -> Self {
+        let squares = lengths.map(|length| length * length);
+        let mean = |weights: [f64; 3]| weights.iter().zip(squares).map(|(weight, it)| weight * it).sum::<f64>() / 3.0;
+        let reach = BASE_RADIUS - PLATFORM_RADIUS;
+        let extension = (mean([1.0; 3]) - reach * reach).sqrt();
+        let inclined = |axis: usize| mean(CIRCLE.map(|direction| direction[axis])) / (BASE_RADIUS * extension);
+        Self { alpha: inclined(1), beta: -inclined(0), extension }
+    }
+
+    /// One step of Newton's method towards the pose with these leg lengths, m, and the largest error of a leg length
+    /// before the step, m.
+    fn towards(&self, lengths: &[f64; 3]) -> (Self, f64) {
+        let legs = self.legs(&self.axes());
+        let mut step = Vector::zeros();
+        let mut worst = 0.0_f64;
+        for (expected, (length, column)) in lengths.iter().zip(legs) {
+            let missing = expected - length;
+            worst = worst.max(missing.abs());
+            step += missing * column;
+        }
+        let [alpha, beta, extension] = step.into();
+        let next = Self { alpha: self.alpha + alpha, beta: self.beta + beta, extension: self.extension + extension };
+        (next, worst)
+    }
+
+    /// Displacement of the tool from this pose, m, for which the bound of [`Rnt::travel`] holds.
+    fn room(&self) -> f64 {
+        let inclined = self.alpha.abs().max(self.beta.abs()) > MOBILE.0 - INSIDE;
+        let inside = MOBILE.1 + INSIDE..=MOBILE.2 - INSIDE;
+        if inclined || !inside.contains(&self.extension) { 0.0 } else { ROOM }
+    }
+
     /// Whether the pose lies outside the range in which the joints jam.
     fn is_possible(&self) -> bool {
         self.alpha.abs() < 1.0 && self.beta.abs() < 1.0 && (SHORTEST..2.0).contains(&self.extension)
@@ -265,6 +294,23 @@ mod tests {
         for (found, expected) in found.iter().zip([0.2, -0.1, 0.9]) {
             assert!((found - expected).abs() < 1e-8, "{found} for {expected}");
         }
+    }
+
+    #[test]
+    fn pose_follows_from_the_lengths_of_the_legs_alone() {
+        let grid = |from: f64, to: f64| (0..=12).map(move |k| from + (to - from) * f64::from(k) / 12.0);
+        for alpha in grid(-0.6, 0.6) {
+            for beta in grid(-0.6, 0.6) {
+                for extension in grid(0.4, 1.5) {
+                    let pose = Pose { alpha, beta, extension };
+                    let lengths = pose.legs(&pose.axes()).map(|(length, _)| length);
+                    let Some(found) = Pose::of(&lengths) else { panic!("no pose for {pose:?}") };
+                    let off = [found.alpha - alpha, found.beta - beta, found.extension - extension];
+                    assert!(off.iter().all(|off| off.abs() < 1e-10), "{found:?} for {pose:?}");
+                }
+            }
+        }
+        assert!(Pose::of(&[1.25, 0.75, 0.75]).is_none());
     }
 
     #[test]

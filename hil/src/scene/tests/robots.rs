@@ -14,9 +14,10 @@ use crate::scene::{
 const METAL: Material = Material { stiffness: 1e5, damping: 300.0, friction: 0.0 };
 const G: f64 = 9.81;
 
-/// An IRb-6 without friction, and a demand for each motor.
+/// A robot without friction, and a demand for each motor.
 pub(super) struct Robot {
     pub(super) mechanism: Mechanism,
+    base: Isometry3<f64>,
     axes: Vec<PlantAxis>,
     demands: Vec<Demand>,
 }
@@ -24,22 +25,35 @@ pub(super) struct Robot {
 impl Robot {
     /// An IRb-6 at these motor angles from home, rad. Each motor holds its position.
     pub(super) fn irb6(motors: [f64; 5]) -> Self {
-        let mechanism = Mechanism::new(MechanismConfig::Irb6);
-        let axes = Irp6Axis::ALL.iter().zip(motors).enumerate().map(|(number, (axis, motor))| {
-            let mut config = AxisConfig::irp6(*axis).with_home(0.0);
+        let axes = Irp6Axis::ALL.iter().zip(motors);
+        let axes = axes.map(|(axis, start_angle)| AxisConfig { start_angle, ..AxisConfig::irp6(*axis).with_home(0.0) });
+        Self::new(MechanismConfig::Irb6, Isometry3::identity(), axes)
+    }
+
+    /// An RNT that hangs with its wrist straight. Each motor holds its position.
+    fn rnt() -> Self {
+        let config = MechanismConfig::Rnt { home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3] };
+        let hanging = UnitQuaternion::from_euler_angles(PI, 0.0, 0.0);
+        let base = Isometry3::from_parts(Translation3::new(0.0, 0.0, 2.0), hanging);
+        Self::new(config, base, (0..).map_while(AxisConfig::rnt))
+    }
+
+    fn new(config: MechanismConfig, base: Isometry3<f64>, axes: impl Iterator<Item = AxisConfig>) -> Self {
+        let mechanism = Mechanism::new(config);
+        let axes = axes.enumerate().map(|(number, mut config)| {
             let PlantConfig::Physical(plant) = &mut config.plant else { unreachable!("the presets are physical") };
             plant.friction = FrictionConfig::NONE;
             plant.viscous = 0.0;
             plant.torque_ripple = 0.0;
             plant.end_stops = None;
-            config.start_angle = motor;
             config.edge_jitter = 0.0;
             config.brake = 0.0;
             let mount = mechanism.mount(number, 0.0);
             PlantAxis::mounted(&config, 1, mount.as_ref())
         });
-        let axes = axes.collect();
-        Self { mechanism, axes, demands: vec![Demand::Position { counts: 0.5, velocity: 0.0 }; 5] }
+        let axes: Vec<_> = axes.collect();
+        let demands = vec![Demand::Position { counts: 0.5, velocity: 0.0 }; axes.len()];
+        Self { mechanism, base, axes, demands }
     }
 
     fn advance(&mut self) {
@@ -80,10 +94,10 @@ fn run(scene: &mut Scene, robots: &mut [&mut Robot], steps: u32) {
     assert_eq!(scene.unsolved(), 0);
 }
 
-/// A scene in which an IRb-6 at the origin points a tip of radius 5 mm down at a floor, `above` m over it.
+/// A scene in which a robot points a tip of radius 5 mm down at a floor, `above` m over it.
 fn over_floor(robot: &Robot, above: f64) -> (Scene, RobotId) {
     let mut scene = Scene::new();
-    let id = scene.add_robot(&robot.mechanism, &Isometry3::identity()).unwrap();
+    let id = scene.add_robot(&robot.mechanism, &robot.base).unwrap();
     scene.add_tip(id, &TipConfig { centre: [0.0, 0.0, 0.2], radius: 5e-3 }).unwrap();
     let tip = scene.flange(id) * nalgebra::Point3::new(0.0, 0.0, 0.2);
     let pose = Isometry3::translation(0.0, 0.0, tip.z - 5e-3 - above);
@@ -136,16 +150,12 @@ fn sensor(mass: f64) -> SensorConfig {
     SensorConfig { pose: Isometry3::identity(), mass, centre: [0.0, 0.0, 0.1], inertia: [0.0; 3] }
 }
 
-/// A free body makes the scene compute the flange in each step. Here the body is out of the robot's reach.
-#[test]
-fn robot_far_from_all_surfaces_moves_and_measures_as_if_the_flange_were_computed_in_each_step() {
-    const STEPS: usize = 6_000;
-    let follow = |with_body: bool| {
-        let mut robot = Robot::irb6(DOWN);
-        // The column turns, and the upper arm falls on the floor.
-        robot.demands[0] = Demand::Torque(0.02);
-        robot.demands[2] = Demand::Torque(0.0);
-        let (mut scene, id) = over_floor(&robot, 0.1);
+/// Runs for `steps` steps from `above` m over a floor, and compares with a run with a free body out of the robot's
+/// reach, and with a run without queries. A free body makes the scene compute the flange in each step.
+fn compare_with_the_flange_of_each_step(steps: usize, above: f64, robot: impl Fn() -> Robot) {
+    let follow = |with_body: bool, is_watched: bool| {
+        let mut robot = robot();
+        let (mut scene, id) = over_floor(&robot, above);
         let probe = scene.add_sensor(id, &sensor(0.7)).unwrap();
         let cube = BodyConfig {
             mass: 1.0,
@@ -158,25 +168,53 @@ fn robot_far_from_all_surfaces_moves_and_measures_as_if_the_flange_were_computed
         if with_body {
             scene.add_body(&cube).unwrap();
         }
-        let (mut seen, mut far, mut touched) = (Vec::new(), 0, 0);
-        for step in 0..STEPS {
+        let (mut moved, mut seen, mut far, mut touched) = (Vec::new(), Vec::new(), 0, 0);
+        for step in 0..steps {
             run(&mut scene, &mut [&mut robot], 1);
             far += usize::from(scene.arms[id.0].is_far());
             touched += usize::from(scene.arms[id.0].wrench.force.norm() > 0.0);
-            let flange = scene.flange(id).to_homogeneous().map(f64::to_bits);
-            let motors: Vec<_> = robot.axes.iter().map(|axis| axis.angle().to_bits()).collect();
-            // A sensor may be read seldom.
-            let measured = (step % 20 < 2).then(|| probe.last().map(f64::to_bits));
-            seen.push((flange, motors, measured));
+            moved.push(robot.axes.iter().map(|axis| axis.angle().to_bits()).collect::<Vec<_>>());
+            if is_watched {
+                let flange = scene.flange(id).to_homogeneous().map(f64::to_bits);
+                // A sensor may be read seldom.
+                seen.push((flange, (step % 20 < 2).then(|| probe.last().map(f64::to_bits))));
+            }
         }
-        (seen, far, touched)
+        (moved, seen, far, touched)
     };
-    let ((seen, far, touched), (computed, never, _)) = (follow(false), follow(true));
-    assert!(far > STEPS / 10 && touched > STEPS / 100, "{far} steps far, {touched} steps in contact");
+    let (moved, seen, far, touched) = follow(false, true);
+    assert!(far > steps / 10 && touched > steps / 100, "{far} steps far, {touched} steps in contact");
+    let (computed, as_computed, never, _) = follow(true, true);
     assert_eq!(never, 0);
-    for (step, (seen, computed)) in seen.iter().zip(&computed).enumerate() {
-        assert!(seen == computed, "step {step}");
+    let (unwatched, ..) = follow(false, false);
+    for step in 0..steps {
+        assert!(moved[step] == computed[step] && seen[step] == as_computed[step], "step {step}");
+        assert!(moved[step] == unwatched[step], "step {step} without an observer");
     }
+}
+
+#[test]
+fn robot_far_from_all_surfaces_moves_and_measures_as_if_the_flange_were_computed_in_each_step() {
+    compare_with_the_flange_of_each_step(6_000, 0.1, || {
+        let mut robot = Robot::irb6(DOWN);
+        // The column turns, and the upper arm falls on the floor.
+        robot.demands[0] = Demand::Torque(0.02);
+        robot.demands[2] = Demand::Torque(0.0);
+        robot
+    });
+}
+
+#[test]
+fn platform_far_from_all_surfaces_moves_and_measures_as_if_the_flange_were_computed_in_each_step() {
+    compare_with_the_flange_of_each_step(6_000, 0.03, || {
+        let mut robot = Robot::rnt();
+        // The legs pull the platform down on the floor, and incline the platform. The wrist turns.
+        for (leg, torque) in [0.05, 0.1, 0.2].into_iter().enumerate() {
+            robot.demands[leg] = Demand::Torque(torque);
+        }
+        robot.demands[4] = Demand::Torque(5e-4);
+        robot
+    });
 }
 
 #[test]

@@ -1,44 +1,62 @@
 //! Tests of robots that a world advances one after the other.
 
+use std::f64::consts::PI;
 use std::time::Duration;
 
 use can::{Instant, timing::Bitrate};
 use canopen::NodeId;
-use nalgebra::Isometry3;
-use serial::{Line, VirtualLine};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+use serial::nfv2::{Command, FrameBuilder, Mode};
+use serial::{Line, Settings, VirtualLine};
 
 use crate::plant::{AxisConfig, Irp6Axis, Mechanism, MechanismConfig};
 use crate::scene::{BodyConfig, Material, RobotId, Scene, SensorConfig, Shape, TipConfig, WallConfig};
-use crate::{Device, Epos4, Epos4Config, SerialForceSensor, SerialForceSensorConfig, TransducerConfig, World};
+use crate::{
+    AxisController, AxisControllerConfig, Cabinet, Device, DigitalIo, DigitalIoConfig, DriveId, Epos4, Epos4Config,
+    LightGate, LineId, SerialForceSensor, SerialForceSensorConfig, TransducerConfig, World,
+};
 
-/// Two IRb-6 without power or brakes over a floor, each with a force sensor at a line. The drives of the first are on two
-/// buses. The second bus has the drives of both robots if `shared`.
+/// An IRb-6 and a second robot without power or brakes over a floor, each with a force sensor at a line. The drives of
+/// the first are on two buses. The second bus has the drives of both robots if `shared`.
 struct Fallen {
     world: World,
     robots: [RobotId; 2],
     lines: [VirtualLine; 2],
 }
 
+const RNT: MechanismConfig = MechanismConfig::Rnt { home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3] };
+
 impl Fallen {
-    fn new(shared: bool, add: impl FnOnce(&mut Scene)) -> Self {
+    fn new(second: MechanismConfig, shared: bool, add: impl FnOnce(&mut Scene)) -> Self {
         let mut world = World::new();
         let buses = [(); 3].map(|()| world.add_bus(Bitrate::KBPS_1000));
         let mut scene = Scene::new();
-        let material = Material { stiffness: 1e5, damping: 300.0, friction: 0.3 };
-        let pose = Isometry3::translation(0.0, 0.0, 0.1);
-        scene.add_wall(&WallConfig { shape: Shape::HalfSpace, pose, material }).unwrap();
+        scene.add_wall(&floor()).unwrap();
+        let arms = [MechanismConfig::Irb6, second].map(|config| (config, Mechanism::new(config)));
         let arms = [0, 1].map(|arm: usize| {
-            let mechanism = Mechanism::new(MechanismConfig::Irb6);
-            for (number, axis) in Irp6Axis::ALL.into_iter().take(5).enumerate() {
+            let (config, mechanism) = &arms[arm];
+            for number in 0..mechanism.axes() {
+                let axis = match config {
+                    MechanismConfig::Irb6 => irb6_axis(number),
+                    _ => AxisConfig { brake: 0.0, ..AxisConfig::rnt(number).unwrap() },
+                };
                 let bus = if arm == 0 { number % 2 } else { 2 - usize::from(shared && number == 3) };
-                let axis = AxisConfig { start_angle: 0.0, brake: 0.0, ..AxisConfig::irp6(axis).with_home(0.0) };
                 let node = NodeId::new((10 * arm + number + 1) as u8).unwrap();
                 let mount = mechanism.mount(number, 0.0);
                 let drive = Epos4::new(Epos4Config { mount, ..Epos4Config::new(node, axis) });
-                assert!(drive.plant().is_some_and(|plant| plant.mechanism().is_some_and(|it| it.is(&mechanism))));
+                assert!(drive.plant().is_some_and(|plant| plant.mechanism().is_some_and(|it| it.is(mechanism))));
                 world.add_device(buses[bus], Box::new(drive));
             }
-            let robot = scene.add_robot(&mechanism, &Isometry3::translation(0.0, 3.0 * arm as f64, 0.0)).unwrap();
+            let mut base = Isometry3::translation(0.0, 3.0 * arm as f64, 0.0);
+            if *config == RNT {
+                // The platform hangs, and a load beside its axis inclines the platform.
+                base = Isometry3::from_parts(
+                    Translation3::new(0.0, 3.0, 1.5),
+                    UnitQuaternion::from_euler_angles(PI, 0.0, 0.0),
+                );
+                mechanism.set_payload(60.0, [0.1, 0.05, 0.1]);
+            }
+            let robot = scene.add_robot(mechanism, &base).unwrap();
             scene.add_tip(robot, &TipConfig { centre: [0.0, 0.0, 0.2], radius: 0.01 }).unwrap();
             let config = SensorConfig { pose: Isometry3::identity(), mass: 1.0, centre: [0.0; 3], inertia: [0.1; 3] };
             (robot, scene.add_sensor(robot, &config).unwrap())
@@ -72,31 +90,169 @@ impl Fallen {
             let flanges = self.robots.map(|robot| scene.flange(robot).to_homogeneous().map(f64::to_bits));
             bits.extend(flanges.iter().flatten());
         }
-        let groups = self.world.groups.as_ref().map_or(0, |groups| groups.groups.len());
-        (bytes, bits, groups)
+        (bytes, bits, groups_of(&self.world))
+    }
+}
+
+fn groups_of(world: &World) -> usize {
+    world.groups.as_ref().map_or(0, |groups| groups.groups.len())
+}
+
+fn floor() -> WallConfig {
+    let material = Material { stiffness: 1e5, damping: 300.0, friction: 0.3 };
+    WallConfig { shape: Shape::HalfSpace, pose: Isometry3::translation(0.0, 0.0, 0.1), material }
+}
+
+/// An axis without a brake, at home.
+fn irb6_axis(number: usize) -> AxisConfig {
+    AxisConfig { start_angle: 0.0, brake: 0.0, ..AxisConfig::irp6(Irp6Axis::ALL[number]).with_home(0.0) }
+}
+
+/// A body that no robot reaches. It makes the world advance all devices together.
+fn distant_body() -> BodyConfig {
+    BodyConfig {
+        mass: 1.0,
+        half: [0.1; 3],
+        material: Material { stiffness: 1e5, damping: 300.0, friction: 0.3 },
+        pose: Isometry3::translation(50.0, 0.0, 5e3),
+        velocity: [0.0; 3],
+        spin: [0.0; 3],
     }
 }
 
 #[test]
 fn robots_that_do_not_meet_move_as_if_all_devices_advanced_together() {
-    for shared in [false, true] {
-        let separate = Fallen::new(shared, |_| ());
+    let cases = [(MechanismConfig::Irb6, false), (MechanismConfig::Irb6, true), (RNT, false)];
+    for (second, shared) in cases {
+        let separate = Fallen::new(second, shared, |_| ());
         let (bytes, bits, groups) = separate.run();
         // A bus with drives of both robots joins their groups.
         assert_eq!(groups, if shared { 1 } else { 2 }, "shared: {shared}");
-        // A body far away makes the world advance all robots together.
-        let together = Fallen::new(shared, |scene| {
-            let body = BodyConfig {
-                mass: 1.0,
-                half: [0.1; 3],
-                material: Material { stiffness: 1e5, damping: 300.0, friction: 0.3 },
-                pose: Isometry3::translation(50.0, 0.0, 5e3),
-                velocity: [0.0; 3],
-                spin: [0.0; 3],
-            };
-            scene.add_body(&body).unwrap();
-        });
+        let together = Fallen::new(second, shared, |scene| _ = scene.add_body(&distant_body()).unwrap());
         assert!(bytes.len() > 2 * 1_000 * 14, "{} bytes", bytes.len());
-        assert!(together.run() == (bytes, bits, 1), "shared: {shared}");
+        let (together_bytes, together_bits, groups) = together.run();
+        assert_eq!(groups, 1);
+        let first = bits.iter().zip(&together_bits).position(|(one, other)| one != other);
+        assert_eq!(first.map(|bit| bit / 32), None, "cycle in which a flange differs, {second:?}, shared: {shared}");
+        assert!(bytes == together_bytes, "{second:?}, shared: {shared}");
     }
+}
+
+/// Two robots in a scene, of one motor each. Their axis controllers are on two lines, in one cabinet.
+fn cabinet_of_two_robots(with_body: bool) -> (World, [LineId; 2], [VirtualLine; 2]) {
+    let mut world = World::new();
+    let mut scene = Scene::new();
+    let cabinet = Cabinet::default();
+    let lines = [0, 1].map(|arm| {
+        let mechanism = Mechanism::new(MechanismConfig::Irb6);
+        let mount = mechanism.mount(0, 0.0);
+        let config =
+            AxisControllerConfig { mount, cabinet: cabinet.clone(), ..AxisControllerConfig::new(irb6_axis(0)) };
+        scene.add_robot(&mechanism, &Isometry3::translation(0.0, 3.0 * f64::from(arm), 0.0)).unwrap();
+        world.add_line(Settings::AXIS_CONTROLLER, None, Box::new(AxisController::nfv2(ADDRESS, &config)))
+    });
+    if with_body {
+        scene.add_body(&distant_body()).unwrap();
+    }
+    world.set_scene(scene);
+    let hosts = lines.map(|line| world.host_line(line, 256));
+    (world, lines, hosts)
+}
+
+const ADDRESS: u8 = 8;
+
+#[test]
+fn emergency_stop_of_a_cabinet_of_two_robots_is_as_if_all_devices_advanced_together() {
+    let command = |host: &mut VirtualLine, at: Instant, commands: &[Command]| {
+        let mut frame = commands.iter().fold(FrameBuilder::new(ADDRESS), |frame, command| frame.command(*command));
+        host.write(at, frame.finish().unwrap()).unwrap();
+    };
+    let ms = |count| Instant::ZERO + Duration::from_millis(count);
+    let run = |with_body, closes| {
+        let (mut world, lines, [mut first, mut second]) = cabinet_of_two_robots(with_body);
+        command(&mut first, ms(0), &[Command::SetMode(Mode::Pwm), Command::SetPwm(30)]);
+        world.advance(ms(200));
+        let angle = |world: &World| world.plant(DriveId::Line(lines[0])).unwrap().angle();
+        let start = angle(&world);
+        // The second drive opens the stop, and closes the stop in the same interval.
+        command(&mut second, ms(203), &[Command::SetMode(Mode::Error)]);
+        if closes {
+            command(&mut second, ms(208), &[Command::SetMode(Mode::Manual)]);
+        }
+        let angles = [220, 1_000, 1_100].map(|end| {
+            world.advance(ms(end));
+            angle(&world)
+        });
+        assert!(start > 0.1, "{start} rad");
+        (angles, groups_of(&world))
+    };
+    for closes in [false, true] {
+        let (separate, groups) = run(false, closes);
+        let (together, _) = run(true, closes);
+        assert!(together[2] - together[1] < 1e-3, "the motor has no power: {together:?}, closes: {closes}");
+        assert_eq!(separate.map(f64::to_bits), together.map(f64::to_bits), "{separate:?} {together:?}");
+        assert_eq!(groups, 1);
+    }
+}
+
+#[test]
+fn robot_outside_the_scene_with_drives_on_buses_and_a_line_moves_as_if_all_devices_advanced_together() {
+    let run = |with_body| {
+        let mut world = World::new();
+        let buses = [(); 2].map(|()| world.add_bus(Bitrate::KBPS_1000));
+        let mechanism = Mechanism::new(MechanismConfig::Irb6);
+        // Lower arm, upper arm and wrist fall.
+        let drives = [1, 2, 3].map(|number| {
+            let (axis, mount) = (irb6_axis(number), mechanism.mount(number, 0.0));
+            if number == 3 {
+                let config = AxisControllerConfig { mount, ..AxisControllerConfig::new(axis) };
+                let device = Box::new(AxisController::nfv2(ADDRESS, &config));
+                return DriveId::Line(world.add_line(Settings::AXIS_CONTROLLER, None, device));
+            }
+            let config = Epos4Config { mount, ..Epos4Config::new(NodeId::new(1).unwrap(), axis) };
+            DriveId::Node(world.add_device(buses[number - 1], Box::new(Epos4::new(config))))
+        });
+        let mut scene = Scene::new();
+        if with_body {
+            scene.add_body(&distant_body()).unwrap();
+        }
+        world.set_scene(scene);
+        let mut angles = Vec::new();
+        for cycle in 1..=20_u32 {
+            world.advance(Instant::ZERO + cycle * Duration::from_millis(100));
+            angles.extend(drives.map(|drive| world.plant(drive).unwrap().angle()));
+        }
+        (angles, groups_of(&world))
+    };
+    let ((separate, groups), (together, _)) = (run(false), run(true));
+    assert!(together[together.len() - 2].abs() > 0.1, "{together:?}");
+    assert_eq!(separate, together);
+    assert_eq!(groups, 1);
+}
+
+#[test]
+fn light_gate_that_reads_a_shaft_on_another_bus_lets_all_devices_advance_together() {
+    let mut world = World::new();
+    let buses = [(); 2].map(|()| world.add_bus(Bitrate::KBPS_1000));
+    let mut drive = Epos4::new(Epos4Config::new(NodeId::new(1).unwrap(), irb6_axis(0)));
+    let gate = LightGate { index: 0, probe: drive.probe(), zero_angle: 0.0, ratio: 1.0, interval: 1.0..=2.0 };
+    let config = DigitalIoConfig { light_gates: vec![gate], ..DigitalIoConfig::new(NodeId::new(2).unwrap()) };
+    world.add_device(buses[0], Box::new(drive));
+    world.add_device(buses[1], Box::new(DigitalIo::new(config).unwrap()));
+    world.set_scene(Scene::new());
+    world.advance(Instant::ZERO + Duration::from_millis(1));
+    assert_eq!(groups_of(&world), 1);
+}
+
+#[test]
+fn a_scene_without_robots_and_buses_keeps_the_time_of_its_world() {
+    let mut world = World::new();
+    world.set_scene(Scene::new());
+    let start = Instant::ZERO + Duration::from_secs(10);
+    world.advance(start);
+    assert_eq!(world.scene().unwrap().now(), start);
+    let body = world.scene_mut().unwrap().add_body(&distant_body()).unwrap();
+    world.advance(start + Duration::from_millis(1));
+    let velocity = world.scene().unwrap().body(body).velocity;
+    assert!((velocity.z + 9.81e-3).abs() < 1e-9, "{velocity}");
 }
