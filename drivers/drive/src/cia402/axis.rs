@@ -434,10 +434,7 @@ impl CanAxis {
         let due = std::mem::take(&mut self.recovery_due);
         if due {
             self.state.recovering = true;
-            // A counter that jumped needs a search, whatever the drive reports.
-            let doubted = self.search.doubted;
             self.search.forget();
-            self.search.doubted = doubted;
             self.latch(Fault::LeftOperational { node: self.config.node.raw() });
         }
         due

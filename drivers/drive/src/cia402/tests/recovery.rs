@@ -87,16 +87,25 @@ fn a_node_in_another_state_is_brought_up_again_too() {
 
 #[test]
 fn a_reference_that_the_drive_reports_counts_unless_its_counter_jumped() {
-    for (jumps, expected) in [(false, Homing::Attained), (true, Homing::NotHomed)] {
-        let mut bench = booted();
-        let position = if jumps { 1_000_000 } else { 1_000 };
-        for position in [1_000, position] {
-            let answers = [answer(1, 0x0737, 1_000), answer(2, 0x8740, position)];
-            bench.cycle(&answers, &OFF);
+    let table = [
+        (&["boot", "stands"], Homing::Attained),
+        (&["boot", "jumps"], Homing::NotHomed),
+        (&["jumps", "boot"], Homing::NotHomed),
+    ];
+    for (order, expected) in table {
+        let mut bench = Bench::up(&[1, 2]);
+        bench.enable();
+        for event in order {
+            let position = if *event == "jumps" { 1_000_000 } else { 1_000 };
+            for position in [1_000, position] {
+                let mut frames = vec![answer(1, 0x0737, 1_000), answer(2, 0x8740, position)];
+                frames.extend((*event == "boot").then(|| "702#00".to_owned()));
+                bench.cycle(&frames, &OFF);
+            }
         }
         recover(&mut bench, &[&answer(2, 0x8240, 80)]);
         bench.cycle(&[answer(1, 0x0737, 1_000), answer(2, 0x8240, 80)], &OFF);
-        assert_eq!((bench.states[1].fault, bench.states[1].homing), (None, expected), "jumps: {jumps}");
+        assert_eq!((bench.states[1].fault, bench.states[1].homing), (None, expected), "{order:?}");
     }
 }
 
