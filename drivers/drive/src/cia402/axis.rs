@@ -410,11 +410,11 @@ impl CanAxis {
         self.not_sent = if taken { 0 } else { self.not_sent.saturating_add(1) };
     }
 
-    /// Clears the fault, unless the drive itself is in its fault state. A cause that persists is latched again at the
-    /// next reading.
+    /// Clears the fault, unless the drive itself is in its fault state or is not configured: only a recovery clears the
+    /// fault of such a drive. A cause that persists is latched again at the next reading.
     fn reset(&mut self) {
         let faulted = matches!(self.statusword.power_state(), PowerState::Fault | PowerState::FaultReactionActive);
-        if !faulted {
+        if !faulted && !self.booted {
             self.state.fault = None;
             self.error_code = 0;
             self.unserved = false;

@@ -118,7 +118,7 @@ fn another_drive_in_its_place_is_refused_and_the_same_order_does_not_try_again()
     assert_eq!(bench.states[1].fault, Some(Fault::NotBack { error }));
     for _ in 0..100 {
         bench.cycle(&[answer(1, 0x0737, 1_000)], &RESET);
-        assert!(!bench.states[1].recovering && bench.states[1].fault.is_some());
+        assert_eq!((bench.states[1].recovering, bench.states[1].fault), (false, Some(Fault::NotBack { error })));
     }
     // The right drive is back, and a new order finds it.
     bench.stores[1].put(0x1018, 2, &[0x00, 0x00, 0x50, 0x60]);
