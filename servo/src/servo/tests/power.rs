@@ -1,6 +1,6 @@
 //! Bring-up, enabling, homing and reset.
 
-use drive::Fault;
+use drive::{EmergencyStop, Fault};
 
 use super::*;
 use crate::FrozenWatch;
@@ -111,6 +111,36 @@ fn a_reset_waits_for_a_drive_that_is_brought_up_again() {
         let expected = if comes_back { (Phase::Off, false) } else { (Phase::Faulted, true) };
         assert_eq!((report.snapshot.phase, report.fault.is_some()), expected);
         assert_eq!(report.snapshot.homed, !comes_back, "the axis must home again");
+    }
+}
+
+#[test]
+fn a_reset_brings_back_a_drive_that_carries_the_contact_of_the_emergency_stop() {
+    let not_back = Fault::NotBack { error: scripted::NEVER_BOOTED };
+    for comes_back in [true, false] {
+        let mut rig = Rig::standing(2);
+        // The drive booted, so the level of its contact is not known.
+        rig.world().axes[1].stubborn = true;
+        rig.world().axes[1].state.fault = Some(Fault::LeftOperational { node: 2 });
+        rig.world().emergency = Some(EmergencyStop { node: 2, input: 16, known: false });
+        rig.run_until(Phase::Faulted);
+        rig.reports();
+        rig.order(Order::ResetFault);
+        rig.world().axes[1].state.recovering = true;
+        rig.run(2_000);
+        assert_eq!(rig.last_sent(), [AxisCommand::ResetFault; 2]);
+        rig.world().axes[1].state.recovering = false;
+        if comes_back {
+            rig.world().axes[1].stubborn = false;
+            rig.world().emergency = None;
+        } else {
+            rig.world().axes[1].state.fault = Some(not_back);
+        }
+        rig.run(150);
+        let report = rig.reports().last().copied().unwrap();
+        let fault = report.fault.map(|fault| (fault.axis, fault.cause));
+        let failed = (Phase::Faulted, Some((Some(1), StopCause::Drive(not_back))));
+        assert_eq!((report.snapshot.phase, fault), if comes_back { (Phase::Off, None) } else { failed });
     }
 }
 
