@@ -18,6 +18,10 @@ const LEAST: f64 = 2.0;
 /// Share of the greatest velocity below which dry friction may hold a motor at once.
 const SLOW: f64 = 0.02;
 
+/// Time for which a speed is remembered, in braking times of the motor, and least number of samples of this time.
+const MEMORY: f64 = 2.0;
+const LEAST_MEMORY: usize = 4 * SAMPLES;
+
 /// The last samples of a measured position.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Progress {
@@ -69,6 +73,11 @@ impl Progress {
         }
         let scale = increments_per_radian.abs();
         let speed = moved.abs() / scale / time - 0.5 * max_acceleration * time;
+        // No motor is faster than its greatest velocity: such a speed is that of a counter that was set.
+        let memory = MEMORY * speed.min(max_velocity) / max_acceleration;
+        if samples > LEAST_MEMORY && standing > memory {
+            return None;
+        }
         let braking = standing.min(speed / max_acceleration);
         let distance = braking * (speed - 0.5 * max_acceleration * braking);
         (speed > SLOW * max_velocity && distance * scale >= LEAST).then_some(distance)
@@ -126,6 +135,24 @@ mod tests {
                     assert_eq!(found(counts, |t| speed * t.min(0.1)), None);
                 }
             }
+        }
+    }
+
+    #[test]
+    fn a_speed_is_not_remembered_over_a_standstill() {
+        for speed in [15.0, 60.0, 240.0, 5000.0] {
+            let mut progress = Progress::default();
+            let frozen: Vec<bool> = (0..300)
+                .map(|number| {
+                    let angle = speed * DT * f64::from(number.min(50));
+                    let increments = Increments((angle * 4000.0 / std::f64::consts::TAU) as i32);
+                    progress.observe(&AxisState { increments, ..AxisState::default() }, DT);
+                    progress.frozen(4000.0 / std::f64::consts::TAU, 250.0, 1500.0).is_some()
+                })
+                .collect();
+            assert!(frozen[54..58].iter().all(|&found| found), "{speed}");
+            // A motor brakes from its greatest speed in 84 samples.
+            assert!(frozen[54 + 2 * 84..].iter().all(|&found| !found), "{speed}");
         }
     }
 

@@ -2,6 +2,7 @@
 
 use drive::{EmergencyStop, Fault};
 
+use super::scripted::AtIndex;
 use super::*;
 use crate::FrozenWatch;
 use crate::NotUp;
@@ -281,4 +282,22 @@ fn a_position_that_stands_at_once_while_the_drive_homes_stops_the_effector() {
         assert_eq!(matches!(rig.cause(), Some(StopCause::Frozen { .. })), found, "{watch:?}: {:?}", rig.cause());
         assert_eq!(rig.last_sent()[0] == AxisCommand::Off, found);
     }
+}
+
+#[test]
+fn a_count_that_comes_after_the_end_of_its_search_makes_no_motor_that_sticks_a_frozen_one() {
+    let mut rig = Rig::new(1);
+    rig.world().axes[0].state.position = 7.0;
+    (rig.world().axes[0].index, rig.world().axes[0].at_index) = (7.0, AtIndex::CounterLate);
+    rig.world().axes[0].changes_mode = 5;
+    rig.order(Order::Enable);
+    rig.order(Order::Home);
+    rig.run(40);
+    assert_eq!(rig.phases(), [Phase::Enabling, Phase::Standing, Phase::Homing, Phase::Standing]);
+    rig.world().axes[0].blocked = true;
+    rig.accelerate(500.0, 2, 10);
+    rig.run(10);
+    rig.world().axes[0].blocked = false;
+    rig.run(10);
+    assert_eq!((rig.phase(), rig.cause()), (Phase::Moving, None));
 }
