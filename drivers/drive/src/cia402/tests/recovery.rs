@@ -184,6 +184,37 @@ fn a_fault_of_the_bus_ends_a_recovery_and_is_named() {
     recover_after_off(&mut bench);
 }
 
+/// The frames to node 2 besides its set-points, in half a second after a fault of the bus. The port takes no frame
+/// behind the set-points in cycle `at` of the recovery, and fails in the next.
+fn sent_after_a_fault_of_the_bus(at: usize) -> Vec<String> {
+    let mut bench = booted();
+    let mut started = false;
+    for cycle in 0..=at {
+        let mut frames = vec![answer(1, 0x0737, 1_000)];
+        frames.extend(started.then(|| answer(2, 0x0240, 80)));
+        bench.bus.0.lock().unwrap().takes = (cycle == at).then_some(3);
+        started |= bench.cycle(&frames, &RESET).contains(&"000#0102".to_owned());
+    }
+    assert!(bench.states[1].recovering);
+    bench.bus.0.lock().unwrap().error = Some(PortError::Down);
+    bench.cycle(NONE, &RESET);
+    let mut bus = bench.bus.0.lock().unwrap();
+    (bus.error, bus.takes) = (None, None);
+    drop(bus);
+    let cycles = (0..250).flat_map(|_| bench.cycle(&[answer(1, 0x0740, 1_000)], &OFF)).collect::<Vec<_>>();
+    cycles.into_iter().filter(|frame| frame.starts_with("000#") || frame.starts_with("602#")).collect()
+}
+
+#[test]
+fn a_recovery_that_a_fault_of_the_bus_ended_sends_nothing_more() {
+    let start = recover(&mut booted(), &[&answer(2, 0x0240, 80)]);
+    let start = start.iter().position(|cycle| cycle.contains(&"000#0102".to_owned())).unwrap();
+    for at in [1, 2, start / 2, start - 1, start] {
+        let sent = sent_after_a_fault_of_the_bus(at);
+        assert!(sent.is_empty(), "cycle {at} of {start}: {sent:?}");
+    }
+}
+
 #[test]
 fn without_a_reset_a_drive_that_booted_is_left_alone() {
     let mut bench = booted();
