@@ -9,7 +9,7 @@
 //! |---|---|
 //! | SYNC | every cycle, if a PDO of the bus is synchronous, except before the first stops after refused batches |
 //! | RPDO 1 of each drive | every cycle |
-//! | heartbeat of the host | once per heartbeat period |
+//! | heartbeat of the host | once per heartbeat period, and with each NMT command of the recovery of a drive |
 //! | RPDO 1 of an I/O node | after the first heartbeat of the host: changed or refused levels, and with each heartbeat |
 //! | SDO request, or NMT command to one node | one at most, during a change of mode or after a fault |
 //!

@@ -26,11 +26,13 @@ pub(super) const ANSWERS_TO_EFFECT: u32 = 4;
 /// State of one drive during operation: last answer, commanded state and latched fault.
 ///
 /// Nothing here waits or allocates. The order of calls within a cycle is:
-/// 1. [`in_time`](Self::in_time), [`answered`](Self::answered), [`heard`](Self::heard) and
-///    [`emergency`](Self::emergency), as frames arrive;
-/// 2. [`end_of_read`](Self::end_of_read);
-/// 3. [`check`](Self::check) of every axis;
-/// 4. [`command`](Self::command) and [`handed_over`](Self::handed_over).
+/// 1. [`in_time`](Self::in_time), [`answered`](Self::answered), [`inputs`](Self::inputs), [`shows`](Self::shows),
+///    [`heard`](Self::heard) and [`emergency`](Self::emergency), as frames arrive;
+/// 2. in [`Cia402Group::recover`](super::Cia402Group::recover), [`begin_recovery`](Self::begin_recovery), or the end of
+///    a recovery: [`begin`](Self::begin) after success, [`end_recovery`](Self::end_recovery) after a failure;
+/// 3. [`end_of_read`](Self::end_of_read);
+/// 4. [`check`](Self::check) of every axis;
+/// 5. [`command`](Self::command) and [`handed_over`](Self::handed_over).
 #[derive(Clone, Debug)]
 pub(super) struct CanAxis {
     group: GroupConfig,
