@@ -98,9 +98,11 @@ impl ServoAxis {
         let attained = led && self.state.homing != Homing::Attained && state.homing == Homing::Attained;
         let step = self.reference.observe(&state, seeking, attained, self.config.max_acceleration, dt);
         self.progress.observe(&state, f64::from(periods) * dt);
-        // The motor of an axis without power is not braked by a loop, and its counter may be set.
+        // The motor of an axis without power is not braked by a loop, and its counter may be set. The new count may
+        // also come after the end of a search by the drive, before the drive follows set-points.
         let set = step.is_some() && state.increments != self.state.increments;
-        if set || state.power != Power::On {
+        let braked = state.power == Power::On && (state.following || state.homing == Homing::InProgress);
+        if set || !braked {
             self.progress.forget();
         }
         if let Some(step) = step

@@ -40,9 +40,11 @@ pub struct EffectorConfig {
     pub axes: Vec<ServoAxisConfig>,
     /// Orders that may wait in its queue.
     pub queue: usize,
-    /// Longest time from [`Order::Enable`](crate::Order::Enable) to every axis on and following, and from
-    /// [`Order::ResetFault`](crate::Order::ResetFault) to every drive without a fault. A reset takes at most one second
-    /// more than the [recovery](drive::AxisState::recovering) of the drives.
+    /// Longest time from [`Order::Enable`](crate::Order::Enable) to every axis on and following.
+    ///
+    /// A reset ends at the latest after this time or after one second, whichever is shorter, from
+    /// [`Order::ResetFault`](crate::Order::ResetFault) or from the end of the last
+    /// [recovery](drive::AxisState::recovering) of a drive.
     pub enabling_timeout: Duration,
     /// Longest time homing may take, all axes together.
     pub homing_timeout: Duration,

@@ -80,10 +80,10 @@ pub enum Order {
     /// Brake to a stand within the acceleration limits, drop the queued motion and keep the power on (category 2). The
     /// order overtakes the queue. A moving effector whose queue runs empty brakes in the same way, but as a fault.
     ///
-    /// The order also acknowledges [`StopCause::Partner`] and [`StopCause::Touched`].
+    /// The order also acknowledges [`StopCause::Partner`], [`StopCause::Touched`] and [`StopCause::BrakeSlips`].
     Stop,
     /// Brake like [`Order::Stop`], then switch the drives off (category 1). The order overtakes the queue, and
-    /// acknowledges [`StopCause::Partner`] and [`StopCause::Touched`].
+    /// acknowledges the same causes.
     Disable,
     /// Clear latched faults; the drives stay off.
     ResetFault,
@@ -123,8 +123,8 @@ pub struct ServoReport {
     pub snapshot: Snapshot,
     /// Whether `report_at` periods of the macrostep are executed, or the effector does not move by macrosteps.
     pub reached: bool,
-    /// The fault that stopped the effector, if any. [`StopCause::Partner`] and [`StopCause::Touched`] hold until the next
-    /// stop or disable order, any other fault until its reset.
+    /// The fault that stopped the effector, if any. [`StopCause::Partner`], [`StopCause::Touched`] and
+    /// [`StopCause::BrakeSlips`] hold until the next stop or disable order, any other fault until its reset.
     pub fault: Option<ServoFault>,
     /// A reset of the fault is under way. The next report with [`Phase::Faulted`] and without a reset reports its failure.
     pub resetting: bool,
@@ -234,7 +234,7 @@ pub enum StopCause {
     /// A macrostep for an axis without a reference. The macrostep was not begun.
     #[error("asked to move before it was homed")]
     NotHomed,
-    /// The drive did not follow in time, or still had a fault after a reset.
+    /// The drive did not follow in time.
     #[error("not ready within {waited:?}")]
     NotReady { waited: Duration },
     /// The macrostep queue ran empty while the effector moved.

@@ -6,7 +6,16 @@
 //! distance is at least two increments.
 //!
 //! The speed is the mean speed over the last samples, less the speed that the motor may have lost during these samples.
-//! A motor that ends a motion, reverses in a search, or sticks at low speed is therefore not frozen.
+//! A motor that ends a motion, reverses in a search, or sticks at low speed is therefore not frozen. The speed is
+//! kept for twice the time that the motor needs to brake, and not over a standstill.
+//!
+//! # Floor
+//! A position that stands still at once is not detected below a speed of 0.02 `max_velocity` + 2 `max_acceleration` ·
+//! period: 11 rad/s at 250 rad/s, 1500 rad/s² and 2 ms. The first term is dry friction, which may hold a slow motor at
+//! once. The second term is the speed that a motor may lose within four samples. The motor must also move on by at
+//! least two increments while it brakes: with an encoder of 128 counts per turn, this motor must be faster than
+//! 23 rad/s. At lower speeds, only the following error detects such a position, and in homing by the drive the drive
+//! itself or the time-out of homing.
 
 use drive::{AxisState, Increments};
 
@@ -18,6 +27,10 @@ const LEAST: f64 = 2.0;
 
 /// Share of the greatest velocity below which dry friction may hold a motor at once.
 const SLOW: f64 = 0.02;
+
+/// Time for which a speed is remembered, in braking times of the motor, and least number of samples of this time.
+const MEMORY: f64 = 2.0;
+const LEAST_MEMORY: usize = 4 * SAMPLES;
 
 /// The last samples of a measured position.
 #[derive(Clone, Copy, Debug, Default)]
@@ -70,6 +83,11 @@ impl Progress {
         }
         let scale = increments_per_radian.abs();
         let speed = moved.abs() / scale / time - 0.5 * max_acceleration * time;
+        // No motor is faster than its greatest velocity: such a speed is that of a counter that was set.
+        let memory = MEMORY * speed.min(max_velocity) / max_acceleration;
+        if samples > LEAST_MEMORY && standing > memory {
+            return None;
+        }
         let braking = standing.min(speed / max_acceleration);
         let distance = braking * (speed - 0.5 * max_acceleration * braking);
         (speed > SLOW * max_velocity && distance * scale >= LEAST).then_some(distance)
@@ -127,6 +145,24 @@ mod tests {
                     assert_eq!(found(counts, |t| speed * t.min(0.1)), None);
                 }
             }
+        }
+    }
+
+    #[test]
+    fn a_speed_is_not_remembered_over_a_standstill() {
+        for speed in [15.0, 60.0, 240.0, 5000.0] {
+            let mut progress = Progress::default();
+            let frozen: Vec<bool> = (0..300)
+                .map(|number| {
+                    let angle = speed * DT * f64::from(number.min(50));
+                    let increments = Increments((angle * 4000.0 / std::f64::consts::TAU) as i32);
+                    progress.observe(&AxisState { increments, ..AxisState::default() }, DT);
+                    progress.frozen(4000.0 / std::f64::consts::TAU, 250.0, 1500.0).is_some()
+                })
+                .collect();
+            assert!(frozen[54..58].iter().all(|&found| found), "{speed}");
+            // A motor brakes from its greatest speed in 84 samples.
+            assert!(frozen[54 + 2 * 84..].iter().all(|&found| !found), "{speed}");
         }
     }
 

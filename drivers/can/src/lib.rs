@@ -1,7 +1,7 @@
 //! CAN as the rest of the stack sees it: frames, identifiers, ports, recordings and bus time.
 //!
 //! Read [`Frame`] and [`Port`] first. Nothing here interprets a payload; that is `canopen`'s work.
-//! Only [`SocketCanPort`], [`Claim`], [`card`] and [`clock`] touch the operating system.
+//! Only [`SocketCanPort`], [`Claim`], [`card`], [`clock`] and [`send_only`] touch the operating system.
 
 pub mod candump;
 pub mod card;

@@ -204,6 +204,15 @@ impl Axis {
         }
     }
 
+    /// A search for a mechanical stop (methods -1 to -4) ends with a motor that is held back.
+    fn frozen_watch(&self) -> FrozenWatch {
+        match self.homing.method {
+            _ if !self.frozen_watch => FrozenWatch::Off,
+            Some(-4..=-1) => FrozenWatch::Following,
+            _ => FrozenWatch::Always,
+        }
+    }
+
     /// Position loop of the axis, closed by drive or host. `weighs` is true if the weight of the robot is known.
     pub(super) fn position_loop(&self, weighs: bool) -> PositionLoop {
         let Some((_, given, output)) = self.host_loop() else {
@@ -242,21 +251,13 @@ impl Robot {
             position_loop: axis.position_loop(self.weight.is_some()),
             torque_offset: None,
             homing: axis.controller.is_some().then(|| axis.homing.by_host(limits)),
-            frozen: axis.homing.frozen_watch(),
-            brake_watch: true,
+            frozen: axis.frozen_watch(),
+            brake_watch: axis.brake,
         }
     }
 }
 
 impl Homing {
-    /// A search for a mechanical stop (methods -1 to -4) ends with a motor that is held back.
-    fn frozen_watch(&self) -> FrozenWatch {
-        match self.method {
-            Some(-4..=-1) => FrozenWatch::Following,
-            _ => FrozenWatch::Always,
-        }
-    }
-
     /// The search by the host for a motor with these `limits`.
     fn by_host(&self, limits: Limits) -> HostHoming {
         let leg = |velocity: f64, distance: f64| HomingLeg {

@@ -283,6 +283,14 @@ pub struct Axis {
     pub max_position: Option<f64>,
     /// Greatest following error: distance between commanded and measured motor position, rad.
     pub following_error: f64,
+    /// Whether a brake holds the motor while its power is off. If the brake does not hold after an orderly power-off,
+    /// the motors of the robot get their power again. An axis without a brake may move then.
+    #[serde(default = "defaults::yes")]
+    pub brake: bool,
+    /// Whether the power of the axis is removed if its measured position stands still although the motor should move.
+    /// `false` for an axis that presses against rigid bodies: only `following_error` then detects a blocked motor.
+    #[serde(default = "defaults::yes")]
+    pub frozen_watch: bool,
     /// How the axis searches for its reference.
     pub homing: Homing,
     /// Settings of the emulated axis, on the benches without hardware.
@@ -563,6 +571,10 @@ mod defaults {
     pub(super) fn count<const COUNT: u32, T: TryFrom<u32>>() -> T {
         let count = T::try_from(COUNT).ok();
         count.expect("a key has room for its default")
+    }
+    /// The default of a key that is true where absent.
+    pub(super) fn yes() -> bool {
+        true
     }
     /// The default of a number, in hundredths.
     pub(super) fn hundredths<const COUNT: u8>() -> f64 {

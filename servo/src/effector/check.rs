@@ -13,8 +13,11 @@ impl Effector {
     ///
     /// A closed limit switch stops an effector that continues towards the switch, or that the switch holds back from
     /// its commanded position. An axis may rest on the switch or move away from the switch.
+    ///
+    /// A reset under way decides about drive faults and the emergency stop by itself: a contact at a drive that is
+    /// brought up again is not known until the end.
     pub(super) fn check(&mut self, tick: &Tick) {
-        if let Some(emergency) = tick.emergency {
+        if let Some(emergency) = tick.emergency.filter(|_| self.state != ServoState::Resetting) {
             self.fail(tick, None, emergency);
         }
         if let Some(missed) = tick.overrun {

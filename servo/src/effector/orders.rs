@@ -111,7 +111,7 @@ impl Effector {
         members & self.bit() != 0 && members & !tick.effectors == 0
     }
 
-    /// Whether a partner or the cycle law stopped this effector, and no order acknowledged the stop yet.
+    /// Whether a partner, the cycle law or a slipping brake stopped this effector, and no order acknowledged this yet.
     pub(super) fn needs_acknowledgement(&self) -> bool {
         self.fault.is_some_and(|fault| fault.cause.needs_acknowledgement())
     }

@@ -5,7 +5,8 @@
 //! all motors, and the motors hold the effector at its position. Motion is refused until a stop or disable order
 //! acknowledges the fault.
 //!
-//! After a fault, an emergency stop or a reset, no power returns by itself, even if a brake slips.
+//! After a fault, an emergency stop or a reset, no power returns by itself, even if a brake slips. The check of the axes is
+//! the first part of each cycle: a drive fault or an emergency stop makes the effector faulted, which ends the monitoring.
 
 use std::time::Duration;
 
@@ -30,7 +31,7 @@ impl Effector {
     pub(super) fn begin_brake_watch(&mut self, last: ServoState, next: ServoState, tick: &Tick) {
         use ServoState::{Braking, Enabling, Halting, Standing};
         let orderly = matches!(last, Standing | Enabling | Braking(After::Off) | Halting(After::Off));
-        let watched = next == ServoState::Off && orderly && tick.emergency.is_none();
+        let watched = next == ServoState::Off && orderly;
         self.rest = watched.then(|| Rest { since: tick.now, at: self.each(|axis| axis.state.position) });
     }
 
@@ -40,10 +41,6 @@ impl Effector {
             self.rest = None;
             return;
         };
-        if tick.emergency.is_some() || self.axes.iter().any(|axis| axis.state.fault.is_some()) {
-            self.rest = None;
-            return;
-        }
         let mut slipping = None;
         for (index, axis) in self.axes.iter().enumerate().filter(|(_, axis)| axis.state.age == 0) {
             // A drive that still brakes or holds the motor does not rest on its brake.

@@ -135,6 +135,8 @@ pub struct Drive {
     pub homing_fails: bool,
     /// Number of SYNCs that homing takes; homing never ends if zero.
     pub homing_takes: u32,
+    /// Number of SYNCs from the end of homing until the drive follows set-points.
+    pub changes_mode: u32,
     /// The set-point reaches the motor one SYNC later than with an ideal drive.
     pub lags: bool,
     /// The reported velocity, independent of the motion.
@@ -143,6 +145,8 @@ pub struct Drive {
     target: Option<f64>,
     enabling: u32,
     homing: u32,
+    /// SYNCs left of a change of the mode of operation.
+    changing: u32,
     /// Speed of a motor that is driven by torque, rad/s; its inertia is [`INERTIA`].
     pub spin: f64,
     /// Torque of the load, N·m.
@@ -176,6 +180,7 @@ impl Drive {
     fn sync(&mut self, dt: f64) {
         let state = &mut self.state;
         let before = state.position;
+        let homing = state.homing;
         let powered = state.fault.is_none() && !matches!(self.pending, AxisCommand::Off | AxisCommand::ResetFault);
         self.enabling = if powered { self.enabling + 1 } else { 0 };
         state.power = match self.enabling {
@@ -186,7 +191,9 @@ impl Drive {
         };
         let on = state.power == Power::On;
         let follows = matches!(self.pending, AxisCommand::Follow(_) | AxisCommand::Seek(_));
-        state.following = on && !self.deaf && follows;
+        let homes = matches!(self.pending, AxisCommand::Home);
+        self.changing = if homes { self.changes_mode } else { self.changing.saturating_sub(1) };
+        state.following = on && !self.deaf && follows && self.changing == 0;
         if self.pending == AxisCommand::ResetFault && !self.stubborn {
             state.fault = None;
         }
@@ -227,14 +234,13 @@ impl Drive {
         if let Some(speed) = self.runs_at.filter(|_| on) {
             state.position = before + speed * dt;
         }
-        if !matches!(self.pending, AxisCommand::Home) {
+        if !homes {
             self.homing = 0;
             if state.homing == Homing::InProgress {
                 state.homing = Homing::NotHomed;
             }
         }
         let before_jump = state.position;
-        let homing = state.homing;
         let passed = before.min(state.position)..before.max(state.position);
         if matches!(self.pending, AxisCommand::Seek(_)) && passed.contains(&self.index) {
             state.homing = Homing::Attained;

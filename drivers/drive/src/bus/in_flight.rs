@@ -37,7 +37,7 @@ impl<P: Port> CanBus<P> {
     pub(super) fn check_acknowledgement(&mut self) {
         let cycles = self.refused;
         if self.port.state() == ControllerState::Passive && cycles >= self.config.tolerated_missing.max(1) {
-            self.drives.latch_all(Fault::NotAcknowledged { cycles });
+            self.drives.latch_all(Fault::NotAcknowledged { cycles }, &mut self.members);
         }
     }
 }

@@ -9,7 +9,7 @@
 //! |---|---|
 //! | SYNC | every cycle, if a PDO of the bus is synchronous, except before the first stops after refused batches |
 //! | RPDO 1 of each drive | every cycle |
-//! | heartbeat of the host | once per heartbeat period |
+//! | heartbeat of the host | once per heartbeat period, and with each NMT command of the recovery of a drive |
 //! | RPDO 1 of an I/O node | after the first heartbeat of the host: changed or refused levels, and with each heartbeat |
 //! | SDO request, or NMT command to one node | one at most, during a change of mode or after a fault |
 //!
@@ -26,6 +26,7 @@ mod other_controller;
 mod own_heartbeat;
 mod routes;
 mod sensors;
+mod service;
 mod step;
 mod syncs;
 mod traffic;
@@ -55,6 +56,7 @@ use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, EmergencyStop, Fau
 use bring_up::Profile;
 use own_heartbeat::OwnHeartbeat;
 use routes::{Place, Routes};
+use service::ServiceFrame;
 
 /// Greatest number of SDO frames sent by one call of bring-up. A transmit queue of ten has room for them.
 const SDO_FRAMES_PER_CALL: usize = 8;
@@ -78,7 +80,7 @@ pub struct CanBus<P: Port> {
     /// During bring-up: frames that the port has not taken yet. In a cycle: SYNC, if it is needed, and the set-points.
     batch: Vec<Frame>,
     /// A service frame that the port has not taken yet.
-    service: Option<Frame>,
+    service: Option<ServiceFrame>,
     /// Index of the member whose SDO client sent last.
     turn: usize,
     /// Whether the nodes need SYNC.
@@ -224,13 +226,6 @@ impl<P: Port> CanBus<P> {
         Ok((bus, links, sensor_links))
     }
 
-    /// Latches a fault of the bus at every drive, I/O node and sensor.
-    fn latch_all(&mut self, fault: Fault, of_io: IoFault) {
-        self.drives.latch_all(fault);
-        self.io.iter_mut().for_each(|io| io.latch(of_io));
-        self.sensors.iter_mut().for_each(|sensor| sensor.latch_of_bus(fault));
-    }
-
     /// The sign of another controller in `frame`, if any.
     fn sign(&self, frame: &Frame) -> Option<Sign> {
         Sign::of(frame, self.config.host_node, |node| self.routes.place(node).is_some())
@@ -311,17 +306,6 @@ impl<P: Port> CanBus<P> {
             | cob::Function::SdoRequest(_) => return None,
         }
         Some(())
-    }
-
-    /// The next service frame; the nodes take turns.
-    fn next_sdo_frame(&mut self, now: Instant) -> Option<Frame> {
-        for _ in 0..self.members.len() {
-            self.turn = (self.turn + 1) % self.members.len();
-            if let Some(frame) = self.members[self.turn].sdo.poll_transmit(now) {
-                return Some(frame);
-            }
-        }
-        None
     }
 
     fn order(&mut self, command: nmt::Command) {
@@ -416,9 +400,9 @@ impl<P: Port> CanBus<P> {
         }
         if self.batch.is_empty() {
             while self.batch.len() < SDO_FRAMES_PER_CALL
-                && let Some(frame) = self.next_sdo_frame(now)
+                && let Some(service) = self.next_sdo_frame(now)
             {
-                self.batch.push(frame);
+                self.batch.push(service.frame);
             }
         }
         if !self.batch.is_empty() {
@@ -502,8 +486,8 @@ impl<P: Port> DriveGroup for CanBus<P> {
         if let Some(waited) = self.heartbeat.missing(now, lost_after) {
             self.latch_all(Fault::HeartbeatNotSent { waited }, IoFault::HeartbeatNotSent { waited });
         }
-        if let Some(command) = self.drives.recover(&mut self.members, now, self.service.is_none()) {
-            self.service = Some(command);
+        if let Some((drive, command)) = self.drives.recover(&mut self.members, now, self.service.is_none()) {
+            self.command_node(drive, command);
             // A drive that starts must have heard the host, or it would not notice the host's silence.
             self.heartbeat.hasten(now);
         }
@@ -515,11 +499,13 @@ impl<P: Port> DriveGroup for CanBus<P> {
         let synced = self.syncs.attempted && self.syncs.sent;
         self.sensors.iter_mut().for_each(|sensor| sensor.end_of_read(now, self.cycle, synced));
         self.syncs.attempted = false;
-        for (io, member) in self.io.iter_mut().zip(&mut self.members[self.drives.axes()..]) {
-            if let Some(command) = io.recover(member, now, self.service.is_none()) {
-                self.service = Some(command.to(member.bring_up.node()).encode());
+        for io in 0..self.io.len() {
+            let member = self.drives.axes() + io;
+            let command = self.io[io].recover(&mut self.members[member], now, self.service.is_none());
+            if let Some(command) = command {
+                self.command_node(member, command);
             }
-            io.end_of_read(now, self.cycle);
+            self.io[io].end_of_read(now, self.cycle);
         }
     }
 
@@ -548,10 +534,8 @@ impl<P: Port> DriveGroup for CanBus<P> {
         if self.heartbeat.watched {
             self.batch.extend(self.io.iter_mut().filter_map(|io| io.command(heartbeat)));
         }
-        if self.service.is_none() {
-            self.service = self.next_sdo_frame(now);
-        }
-        self.batch.extend(self.service);
+        self.take_service(now);
+        self.batch.extend(self.service.map(|service| service.frame));
         // On a bus without SYNC, the batch is empty in most cycles.
         let sent = if self.batch.is_empty() { Ok(0) } else { self.port.send(now, &self.batch) };
         let taken = sent.unwrap_or_else(|error| {

@@ -26,11 +26,13 @@ pub(super) const ANSWERS_TO_EFFECT: u32 = 4;
 /// State of one drive during operation: last answer, commanded state and latched fault.
 ///
 /// Nothing here waits or allocates. The order of calls within a cycle is:
-/// 1. [`in_time`](Self::in_time), [`answered`](Self::answered), [`heard`](Self::heard) and
-///    [`emergency`](Self::emergency), as frames arrive;
-/// 2. [`end_of_read`](Self::end_of_read);
-/// 3. [`check`](Self::check) of every axis;
-/// 4. [`command`](Self::command) and [`handed_over`](Self::handed_over).
+/// 1. [`in_time`](Self::in_time), [`answered`](Self::answered), [`inputs`](Self::inputs), [`shows`](Self::shows),
+///    [`heard`](Self::heard) and [`emergency`](Self::emergency), as frames arrive;
+/// 2. in [`Cia402Group::recover`](super::Cia402Group::recover), [`begin_recovery`](Self::begin_recovery), or the end of
+///    a recovery: [`begin`](Self::begin) after success, [`end_recovery`](Self::end_recovery) after a failure;
+/// 3. [`end_of_read`](Self::end_of_read);
+/// 4. [`check`](Self::check) of every axis;
+/// 5. [`command`](Self::command) and [`handed_over`](Self::handed_over).
 #[derive(Clone, Debug)]
 pub(super) struct CanAxis {
     group: GroupConfig,
@@ -410,11 +412,11 @@ impl CanAxis {
         self.not_sent = if taken { 0 } else { self.not_sent.saturating_add(1) };
     }
 
-    /// Clears the fault, unless the drive itself is in its fault state. A cause that persists is latched again at the
-    /// next reading.
+    /// Clears the fault, unless the drive itself is in its fault state or is not configured: only a recovery clears the
+    /// fault of such a drive. A cause that persists is latched again at the next reading.
     fn reset(&mut self) {
         let faulted = matches!(self.statusword.power_state(), PowerState::Fault | PowerState::FaultReactionActive);
-        if !faulted {
+        if !faulted && !self.booted {
             self.state.fault = None;
             self.error_code = 0;
             self.unserved = false;
@@ -434,10 +436,7 @@ impl CanAxis {
         let due = std::mem::take(&mut self.recovery_due);
         if due {
             self.state.recovering = true;
-            // A counter that jumped needs a search, whatever the drive reports.
-            let doubted = self.search.doubted;
             self.search.forget();
-            self.search.doubted = doubted;
             self.latch(Fault::LeftOperational { node: self.config.node.raw() });
         }
         due

@@ -66,7 +66,7 @@ pub struct AxisConfig {
     /// Deceleration of a quick stop, rad/s² (object 0x6085).
     pub quick_stop_deceleration: f64,
     /// Bit of object 0x60FD that is a normally closed contact of the emergency stop: set while the contact is closed. The
-    /// drive then sends the object at every SYNC, by TPDO 3.
+    /// drive then sends the object at every SYNC, by TPDO 3. The object has the bits 0 to 31.
     pub emergency_input: Option<u8>,
     /// The objects of the device configuration file, then those of the cell, which prevail. They are downloaded in order
     /// before the settings of this driver. None of them may be [`reserved`](super::reserved).
@@ -171,6 +171,8 @@ pub enum Quantity {
     ZeroSpeed,
     #[error("homing acceleration")]
     HomingAcceleration,
+    #[error("input of the emergency stop")]
+    EmergencyInput,
 }
 
 impl CyclicMode {
@@ -278,6 +280,9 @@ impl AxisConfig {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(out_of_range(quantity));
             }
+        }
+        if self.emergency_input.is_some_and(|input| u32::from(input) >= u32::BITS) {
+            return Err(out_of_range(Quantity::EmergencyInput));
         }
         let homing = &self.homing;
         Ok(DriveUnits {

@@ -114,9 +114,10 @@ impl Search {
         self.may_set_counter > 0
     }
 
-    /// Discards the reference: a node that booted has lost its counter.
+    /// Discards the reference: a node that booted has lost its counter. A counter that jumped still needs a search,
+    /// because a boot does not correct it.
     pub(super) fn forget(&mut self) {
-        *self = Self::default();
+        *self = Self { doubted: self.doubted, ..Self::default() };
     }
 
     pub(super) fn needs_homing_mode(&self) -> bool {

@@ -128,10 +128,6 @@ impl Cia402Group {
         self.drives.len()
     }
 
-    pub(crate) fn latch_all(&mut self, fault: Fault) {
-        self.drives.iter_mut().for_each(|drive| drive.latch_of_bus(fault));
-    }
-
     /// Discards the service requests under way, whose clients are replaced.
     pub(crate) fn forget_services(&mut self) {
         for drive in &mut self.drives {

@@ -8,7 +8,7 @@
 //!      └◄────────────────────────────┴────────────────────┘
 //! ```
 
-use can::{Frame, Instant};
+use can::Instant;
 use canopen::nmt::{Command, NmtState};
 
 use super::{Cia402Group, Drive};
@@ -28,16 +28,31 @@ pub(super) enum Recovery {
 
 impl Cia402Group {
     /// Advances the recoveries of all drives by one cycle, and begins those that a reset of the fault demands. With
-    /// `may_send`, a command to one node can be sent in this cycle. Returns the command.
-    pub(crate) fn recover(&mut self, members: &mut [Member], now: Instant, mut may_send: bool) -> Option<Frame> {
-        let mut frame = None;
-        for (drive, member) in self.drives.iter_mut().zip(members) {
+    /// `may_send`, a command to one node can be sent in this cycle. Returns the index of the drive and the command.
+    pub(crate) fn recover(
+        &mut self,
+        members: &mut [Member],
+        now: Instant,
+        mut may_send: bool,
+    ) -> Option<(usize, Command)> {
+        let mut sent = None;
+        for (index, (drive, member)) in self.drives.iter_mut().zip(members).enumerate() {
             if let Some(command) = drive.recover(member, now, may_send) {
-                frame = Some(command.to(member.bring_up.node()).encode());
+                sent = Some((index, command));
                 may_send = false;
             }
         }
-        frame
+        sent
+    }
+
+    /// Whether a drive is being brought up again.
+    pub(crate) fn recovers(&self, drive: usize) -> bool {
+        self.drives[drive].recovers()
+    }
+
+    /// Latches a fault of the bus at every drive. The fault ends all recoveries.
+    pub(crate) fn latch_all(&mut self, fault: Fault, members: &mut [Member]) {
+        self.drives.iter_mut().zip(members).for_each(|(drive, member)| drive.latch_of_bus(fault, member));
     }
 
     /// Takes a heartbeat or boot-up message of a drive, received at `at`.
@@ -104,8 +119,9 @@ impl Drive {
     }
 
     /// Latches a fault. A fault of the bus ends a recovery, and replaces the fault before.
-    pub(super) fn latch_of_bus(&mut self, fault: Fault) {
+    fn latch_of_bus(&mut self, fault: Fault, member: &mut Member) {
         if self.recovers() {
+            member.sdo.reset();
             self.recovery = Recovery::None;
             self.axis.end_recovery_by(fault);
         }

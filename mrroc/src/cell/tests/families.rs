@@ -129,3 +129,27 @@ fn a_homing_method_that_finds_an_end_of_the_travel_needs_home_to_be_there() {
         assert_eq!(method(&reversed, given).is_ok(), !possible, "{given}, reversed");
     }
 }
+
+#[test]
+fn an_axis_has_the_watches_of_its_cell() {
+    use servo::FrozenWatch::{Always, Following, Off};
+    let cases = [
+        ("", 11, (Always, true)),
+        ("brake = true\nfrozen_watch = true", 11, (Always, true)),
+        ("brake = false", 11, (Always, false)),
+        ("frozen_watch = false", 11, (Off, true)),
+        ("", -1, (Following, true)),
+        ("frozen_watch = false", -1, (Off, true)),
+    ];
+    for (given, method, expected) in cases {
+        let mut cell = Cell::parse(&with(IRB6, None, given).0).unwrap();
+        cell.robot[0].axis[0].homing.method = Some(method);
+        let config = cell.robot[0].servo_config(0, 0, 0, Limits { low: -1000.0, high: 1000.0 });
+        assert_eq!((config.frozen, config.brake_watch), expected, "{given} {method}");
+    }
+    let lab = Cell::parse(LAB).unwrap();
+    for robot in &lab.robot {
+        let held = !["gripper", "conveyor"].contains(&robot.name.as_str());
+        assert!(robot.axis.iter().all(|axis| axis.brake == held), "{}", robot.name);
+    }
+}

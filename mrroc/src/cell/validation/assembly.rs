@@ -84,6 +84,7 @@ fn place_of_drive(cell: &Cell, bus: &Path, axes: &[(usize, usize)], error: cia40
                 Quantity::SearchSpeed => axis.then("homing").then("search_velocity"),
                 Quantity::ZeroSpeed => axis.then("homing").then("zero_velocity"),
                 Quantity::HomingAcceleration => axis.then("homing").then("acceleration"),
+                Quantity::EmergencyInput => axis.then("drive").then("emergency_stop").then("input"),
             }
         }
     }

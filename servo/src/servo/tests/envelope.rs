@@ -118,13 +118,15 @@ fn an_emergency_stop_brakes_and_holds_the_effector_off_until_it_is_released_and_
     assert_eq!((fault.axis, fault.cause), (None, StopCause::EmergencyStop { group: 0, contact: emergency }));
     assert_eq!(fault.category, StopCategory::One);
     assert_eq!(fault.to_string(), "emergency stop by input 5 of node 40: the contact is open");
-    // No reset while the contact is open, and no power before a reset.
+    // A reset fails while the contact is open, and no power returns before a reset.
+    rig.reports();
     rig.order(Order::ResetFault);
-    for _ in 0..10 {
-        rig.run(1);
-        assert_eq!(rig.phase(), Phase::Faulted);
-    }
+    rig.run(10);
+    assert_eq!((rig.phase(), rig.servo.state(0)), (Phase::Faulted, Some(ServoState::Resetting)));
+    rig.run(110);
     assert_eq!(rig.servo.state(0), Some(ServoState::Faulted));
+    assert_eq!(rig.reports().iter().map(|report| report.resetting).collect::<Vec<_>>(), [true, false]);
+    assert_eq!(rig.servo.fault(0), Some(fault));
     rig.world().emergency = None;
     rig.order(Order::Enable);
     rig.run(10);

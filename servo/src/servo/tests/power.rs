@@ -1,7 +1,8 @@
 //! Bring-up, enabling, homing and reset.
 
-use drive::Fault;
+use drive::{EmergencyStop, Fault};
 
+use super::scripted::AtIndex;
 use super::*;
 use crate::FrozenWatch;
 use crate::NotUp;
@@ -111,6 +112,36 @@ fn a_reset_waits_for_a_drive_that_is_brought_up_again() {
         let expected = if comes_back { (Phase::Off, false) } else { (Phase::Faulted, true) };
         assert_eq!((report.snapshot.phase, report.fault.is_some()), expected);
         assert_eq!(report.snapshot.homed, !comes_back, "the axis must home again");
+    }
+}
+
+#[test]
+fn a_reset_brings_back_a_drive_that_carries_the_contact_of_the_emergency_stop() {
+    let not_back = Fault::NotBack { error: scripted::NEVER_BOOTED };
+    for comes_back in [true, false] {
+        let mut rig = Rig::standing(2);
+        // The drive booted, so the level of its contact is not known.
+        rig.world().axes[1].stubborn = true;
+        rig.world().axes[1].state.fault = Some(Fault::LeftOperational { node: 2 });
+        rig.world().emergency = Some(EmergencyStop { node: 2, input: 16, known: false });
+        rig.run_until(Phase::Faulted);
+        rig.reports();
+        rig.order(Order::ResetFault);
+        rig.world().axes[1].state.recovering = true;
+        rig.run(2_000);
+        assert_eq!(rig.last_sent(), [AxisCommand::ResetFault; 2]);
+        rig.world().axes[1].state.recovering = false;
+        if comes_back {
+            rig.world().axes[1].stubborn = false;
+            rig.world().emergency = None;
+        } else {
+            rig.world().axes[1].state.fault = Some(not_back);
+        }
+        rig.run(150);
+        let report = rig.reports().last().copied().unwrap();
+        let fault = report.fault.map(|fault| (fault.axis, fault.cause));
+        let failed = (Phase::Faulted, Some((Some(1), StopCause::Drive(not_back))));
+        assert_eq!((report.snapshot.phase, fault), if comes_back { (Phase::Off, None) } else { failed });
     }
 }
 
@@ -251,4 +282,22 @@ fn a_position_that_stands_at_once_while_the_drive_homes_stops_the_effector() {
         assert_eq!(matches!(rig.cause(), Some(StopCause::Frozen { .. })), found, "{watch:?}: {:?}", rig.cause());
         assert_eq!(rig.last_sent()[0] == AxisCommand::Off, found);
     }
+}
+
+#[test]
+fn a_count_that_comes_after_the_end_of_its_search_makes_no_motor_that_sticks_a_frozen_one() {
+    let mut rig = Rig::new(1);
+    rig.world().axes[0].state.position = 7.0;
+    (rig.world().axes[0].index, rig.world().axes[0].at_index) = (7.0, AtIndex::CounterLate);
+    rig.world().axes[0].changes_mode = 5;
+    rig.order(Order::Enable);
+    rig.order(Order::Home);
+    rig.run(40);
+    assert_eq!(rig.phases(), [Phase::Enabling, Phase::Standing, Phase::Homing, Phase::Standing]);
+    rig.world().axes[0].blocked = true;
+    rig.accelerate(500.0, 2, 10);
+    rig.run(10);
+    rig.world().axes[0].blocked = false;
+    rig.run(10);
+    assert_eq!((rig.phase(), rig.cause()), (Phase::Moving, None));
 }

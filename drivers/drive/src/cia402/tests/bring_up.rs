@@ -357,6 +357,8 @@ fn configurations_that_cannot_work_are_refused() {
         (with(|_, axes| axes[1].following_error = f64::NAN), out_of_range(Quantity::FollowingError)),
         (with(|_, axes| axes[1].quick_stop_deceleration = -1.0), out_of_range(Quantity::QuickStopDeceleration)),
         (with(|_, axes| axes[1].homing.zero_speed = 0.01), out_of_range(Quantity::ZeroSpeed)),
+        (with(|_, axes| axes[1].emergency_input = Some(31)), None),
+        (with(|_, axes| axes[1].emergency_input = Some(32)), out_of_range(Quantity::EmergencyInput)),
     ];
     for (found, expected) in table {
         assert_eq!(found, expected);

@@ -87,16 +87,25 @@ fn a_node_in_another_state_is_brought_up_again_too() {
 
 #[test]
 fn a_reference_that_the_drive_reports_counts_unless_its_counter_jumped() {
-    for (jumps, expected) in [(false, Homing::Attained), (true, Homing::NotHomed)] {
-        let mut bench = booted();
-        let position = if jumps { 1_000_000 } else { 1_000 };
-        for position in [1_000, position] {
-            let answers = [answer(1, 0x0737, 1_000), answer(2, 0x8740, position)];
-            bench.cycle(&answers, &OFF);
+    let table = [
+        (&["boot", "stands"], Homing::Attained),
+        (&["boot", "jumps"], Homing::NotHomed),
+        (&["jumps", "boot"], Homing::NotHomed),
+    ];
+    for (order, expected) in table {
+        let mut bench = Bench::up(&[1, 2]);
+        bench.enable();
+        for event in order {
+            let position = if *event == "jumps" { 1_000_000 } else { 1_000 };
+            for position in [1_000, position] {
+                let mut frames = vec![answer(1, 0x0737, 1_000), answer(2, 0x8740, position)];
+                frames.extend((*event == "boot").then(|| "702#00".to_owned()));
+                bench.cycle(&frames, &OFF);
+            }
         }
         recover(&mut bench, &[&answer(2, 0x8240, 80)]);
         bench.cycle(&[answer(1, 0x0737, 1_000), answer(2, 0x8240, 80)], &OFF);
-        assert_eq!((bench.states[1].fault, bench.states[1].homing), (None, expected), "jumps: {jumps}");
+        assert_eq!((bench.states[1].fault, bench.states[1].homing), (None, expected), "{order:?}");
     }
 }
 
@@ -109,7 +118,7 @@ fn another_drive_in_its_place_is_refused_and_the_same_order_does_not_try_again()
     assert_eq!(bench.states[1].fault, Some(Fault::NotBack { error }));
     for _ in 0..100 {
         bench.cycle(&[answer(1, 0x0737, 1_000)], &RESET);
-        assert!(!bench.states[1].recovering && bench.states[1].fault.is_some());
+        assert_eq!((bench.states[1].recovering, bench.states[1].fault), (false, Some(Fault::NotBack { error })));
     }
     // The right drive is back, and a new order finds it.
     bench.stores[1].put(0x1018, 2, &[0x00, 0x00, 0x50, 0x60]);
@@ -173,6 +182,37 @@ fn a_fault_of_the_bus_ends_a_recovery_and_is_named() {
         bench.cycle(&[answer(1, statusword, 1_000)], &OFF);
     }
     recover_after_off(&mut bench);
+}
+
+/// The frames to node 2 besides its set-points, in half a second after a fault of the bus. The port takes no frame
+/// behind the set-points in cycle `at` of the recovery, and fails in the next.
+fn sent_after_a_fault_of_the_bus(at: usize) -> Vec<String> {
+    let mut bench = booted();
+    let mut started = false;
+    for cycle in 0..=at {
+        let mut frames = vec![answer(1, 0x0737, 1_000)];
+        frames.extend(started.then(|| answer(2, 0x0240, 80)));
+        bench.bus.0.lock().unwrap().takes = (cycle == at).then_some(3);
+        started |= bench.cycle(&frames, &RESET).contains(&"000#0102".to_owned());
+    }
+    assert!(bench.states[1].recovering);
+    bench.bus.0.lock().unwrap().error = Some(PortError::Down);
+    bench.cycle(NONE, &RESET);
+    let mut bus = bench.bus.0.lock().unwrap();
+    (bus.error, bus.takes) = (None, None);
+    drop(bus);
+    let cycles = (0..250).flat_map(|_| bench.cycle(&[answer(1, 0x0740, 1_000)], &OFF)).collect::<Vec<_>>();
+    cycles.into_iter().filter(|frame| frame.starts_with("000#") || frame.starts_with("602#")).collect()
+}
+
+#[test]
+fn a_recovery_that_a_fault_of_the_bus_ended_sends_nothing_more() {
+    let start = recover(&mut booted(), &[&answer(2, 0x0240, 80)]);
+    let start = start.iter().position(|cycle| cycle.contains(&"000#0102".to_owned())).unwrap();
+    for at in [1, 2, start / 2, start - 1, start] {
+        let sent = sent_after_a_fault_of_the_bus(at);
+        assert!(sent.is_empty(), "cycle {at} of {start}: {sent:?}");
+    }
 }
 
 #[test]
