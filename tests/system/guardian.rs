@@ -25,7 +25,7 @@ use crate::mrroc::{Directory, SERIAL_CELLS};
 use crate::serial_cli::{patient, run_on};
 
 /// Number of attempts, because the host may disturb a run before the failure.
-pub(crate) const ATTEMPTS: usize = 5;
+pub(crate) const ATTEMPTS: usize = 12;
 
 /// Permitted silence, ms, on a host with other load.
 const SILENCE_MS: u32 = 20;

@@ -31,7 +31,7 @@ const LONGEST_STOP: usize = 175;
 const LONGEST_END: usize = 1_000;
 
 /// Number of attempts, because the host may disturb a run before the line hangs up.
-const ATTEMPTS: usize = 4;
+const ATTEMPTS: usize = 12;
 
 /// A cell with long time limits, and with loops that delays of a loaded host do not stop.
 fn cell_of(cell: &mut Cell) {

@@ -33,6 +33,9 @@ use crate::wire;
 /// Longest time until a process is ready.
 const PATIENCE: Duration = Duration::from_secs(30);
 
+/// Number of runs on a test machine that delays cycles.
+const ATTEMPTS: usize = 4;
+
 /// Number of lost heartbeats after which a drive stops.
 const LOST: u32 = 3;
 
@@ -321,14 +324,26 @@ fn by_identifier(frames: impl Iterator<Item = Frame>) -> BTreeMap<u16, Vec<Strin
 fn a_recorded_run_replays_into_the_same_axis_states() {
     on_stage("vcan::a_recorded_run_replays_into_the_same_axis_states", |stage| {
         stage.change(|cell| cell.robot[0].program.truncate(1));
-        let _candump = stage.start_candump();
-        let _emulators = stage.start_emulators();
-        let output = stage.start_controller().output();
-        let report = output.json();
-        assert_eq!(output.status.code(), Some(0), "{output:?}");
-        assert_eq!(report["outcome"], "completed", "{report}");
-        assert_eq!(report["faults"], serde_json::json!([]), "{report}");
-
+        let run = || {
+            let processes = (stage.start_candump(), stage.start_emulators());
+            let output = stage.start_controller().output();
+            let report = output.json();
+            assert_eq!(output.status.code(), Some(0), "{output:?}");
+            assert_eq!(report["outcome"], "completed", "{report}");
+            assert_eq!(report["faults"], serde_json::json!([]), "{report}");
+            (processes, report)
+        };
+        let (mut processes, mut report) = run();
+        for _ in 1..ATTEMPTS {
+            // A frame that comes between the reading of a cycle and its SYNC, in a cycle that the machine delays, belongs to
+            // this cycle in the recording and to the next cycle in the run.
+            if report["cycle"]["step_us"]["max"].as_f64() < Some(f64::from(stage.cell.period_us)) {
+                break;
+            }
+            println!("again, the machine delayed a cycle: {}", report["cycle"]["step_us"]);
+            drop(processes);
+            (processes, report) = run();
+        }
         let states = fs::read_to_string(stage.directory.path("states.csv")).unwrap();
         let sent = |name| stage.recording(name).from_host().count();
         wait_until("candump has written all", || sent("bus.log") == sent("trace.log"));

@@ -1,4 +1,4 @@
-//! The whole laboratory on virtual interfaces and pseudo-terminals. Its name lets it run late, when few other tests load the
+//! The whole laboratory on virtual interfaces and pseudo-terminals. `tests/run` runs this test when no other test loads the
 //! host.
 
 use crate::bench::{on_vcan_within, patient_turn};

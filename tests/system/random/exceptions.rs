@@ -48,6 +48,8 @@ const EXCEPTIONS: &[Exception] = &[
     refused("ultrasonic.size", &["elements, declared were"], OTHER_DRIVE),
     refused("ultrasonic.emulator.size", &["elements, declared were"], OTHER_DRIVE),
     refused("ultrasonic.emulator.absent", &["no answer, waited"], OTHER_DRIVE),
+    refused("ultrasonic.emulator.silent_from_s", &["no answer, waited"], OTHER_DRIVE),
+    refused("robot.parameters.", &["is saturated"], "the weight of the tool at the sensor is known in a run only"),
     faulted(
         "ultrasonic.emulator.silent_from_s",
         &["no reply to"],
