@@ -33,7 +33,8 @@ const NO_LOOP: &str = "the rehearsal closes no loop";
 const LATE: &str = "the run finds out how late a device answers";
 
 /// Faults of a badly tuned loop.
-const OF_A_LOOP: &[&str] = &["following error", "overcurrent protection acted", "motor runs away"];
+const OF_A_LOOP: &[&str] =
+    &["following error", "overcurrent protection acted", "motor runs away", "measured position stands still"];
 
 const EXCEPTIONS: &[Exception] = &[
     refused("robot.axis.emulator.vendor", &["identity 0x1018:01"], OTHER_DRIVE),
