@@ -15,8 +15,8 @@ use crate::mrroc::{self, Directory, Output, Running, text};
 use crate::vcan::{shorten, started, wait_until};
 
 /// Number of runs of a cell on an overloaded machine, and the time limit of all runs.
-const ATTEMPTS: usize = 4;
-pub(crate) const LONGEST: Duration = Duration::from_secs(340);
+const ATTEMPTS: usize = 8;
+pub(crate) const LONGEST: Duration = Duration::from_secs(600);
 
 /// File with every axis in every cycle of the last run.
 pub(crate) const RECORD: &str = "states.csv";
