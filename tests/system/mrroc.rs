@@ -17,7 +17,7 @@ use ::mrroc::cell::Cell;
 use can::candump;
 
 /// Upper bound for the duration of a command.
-const DEADLINE: Duration = Duration::from_secs(90);
+const DEADLINE: Duration = Duration::from_secs(300);
 
 /// The example cells by name.
 pub(crate) const CELLS: [&str; 2] = ["irb6", "irp6"];
