@@ -151,12 +151,12 @@ fn the_files_hold_what_the_report_says_and_the_same_each_time() {
     assert!(!svg.contains("NaN") && svg.ends_with("</svg>\n"));
 }
 
-/// Repeats `measure` on `bench` until its report is correct, up to eight times. Another process may delay frames and
-/// answers, and a run on an overloaded machine is discarded.
+/// Repeats `measure` on `bench` until its report is correct, up to eight times. On an overloaded machine, frames and
+/// answers are late, and a measurement ends with a fault. A refusal is a failure at once.
 fn in_the_end(measure: impl Fn() -> Output, bench: &str, is_right: impl Fn(&Value) -> bool) {
     let right = |run: &Output| {
-        let slow = ["took more than a period", "no answer to be believed"];
-        if slow.iter().any(|said| run.stderr.contains(said)) {
+        if run.status.code() == Some(1) || run.stderr.contains("took more than a period") {
+            println!("{bench}: {}", run.stderr);
             return false;
         }
         assert_eq!(run.status.code(), Some(0), "{run:?}");
@@ -196,9 +196,12 @@ fn a_loop_is_measured_over_the_ttys_of_another_process() {
     };
     let hardware = || on("card", &["--moves-hardware"]);
     refused(&on("card", &[]), &["--moves-hardware"]);
-    let unhomed = iter::repeat_with(hardware).take(20);
-    let unhomed = unhomed.map(|run| run.stderr).find(|said| !said.contains("took more than a period"));
-    assert!(unhomed.is_some_and(|said| said.contains("irb6/column: the robot is not homed")));
+    // Late answers may end the start before the refusal. No start may end in a measurement.
+    let mut unhomed = iter::repeat_with(hardware).take(20);
+    assert!(unhomed.any(|run| {
+        assert_ne!(run.status.code(), Some(0), "{run:?}");
+        run.stderr.contains("irb6/column: the robot is not homed")
+    }));
     in_the_end(|| on("vcan", &[]), "vcan", is_serial_column);
     in_the_end(hardware, "card", is_serial_column);
 }

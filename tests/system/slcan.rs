@@ -252,6 +252,7 @@ fn an_arm_runs_over_one_adapter_with_its_drives_emulated_behind_another() {
         assert!((received..=received + 60).contains(&sent), "{sent} {received}");
     }
     for counts in [here, there] {
-        assert_eq!((counts.refused, counts.lost, counts.unsaid), (0, 0, 0));
+        // A frame of which the line took a part is cut off by the closing, and the adapter refuses it.
+        assert!(counts.refused <= 1 && (counts.lost, counts.unsaid) == (0, 0), "{counts:?}");
     }
 }
