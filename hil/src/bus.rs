@@ -30,6 +30,8 @@ use faults::{BusFaults, ERROR_FRAME, HeldFrame, report};
 const QUEUE: usize = 32;
 
 /// A bus with its nodes: ports of the host, and devices.
+// Several threads may advance a world, and no cache line has data of two of them.
+#[repr(align(128))]
 pub struct VirtualBus {
     bitrate: Bitrate,
     hosts: Vec<VirtualPeer>,

@@ -53,4 +53,4 @@ pub use pty::{Pty, PtyError};
 pub use scene::{Scene, View, WrenchProbe};
 pub use slcan::{SlcanCounts, SlcanDevice};
 pub use ultrasonic::{EchoProbe, SceneEchoes, UltrasonicConfig, UltrasonicError, UltrasonicMatrix};
-pub use world::{BusId, DeviceId, DriveId, FaultInEffect, LineId, World, WorldFault};
+pub use world::{BusId, DeviceId, DriveId, FaultInEffect, Helpers, LineId, World, WorldFault};

@@ -30,6 +30,8 @@ use faults::Wire;
 pub const USB_PACKET: usize = 62;
 
 /// A line with a device at one end. The host's end can be attached and detached.
+// Several threads may advance a world, and no cache line has data of two of them.
+#[repr(align(128))]
 pub struct SerialLine {
     device: Box<dyn LineDevice>,
     host: Option<VirtualLinePeer>,

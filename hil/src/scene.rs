@@ -94,6 +94,7 @@ pub use gripper::{GripProbe, GripperConfig};
 use motion::{Motion, Moving};
 use probe::Touch;
 pub use probe::{BodyProbe, SensorConfig, SensorProbe, UnsolvedProbe, WrenchProbe};
+pub(crate) use separate::RobotOfScene;
 pub use surface::{Material, Shape};
 pub use view::{Hit, View};
 pub use workpiece::{HeightField, MOST_CELLS, WorkpieceConfig, WorkpieceProbe};
@@ -507,7 +508,7 @@ impl Scene {
             }
         }
         self.move_bodies(0.0, 1.0, HALVINGS);
-        self.push_tips(0..self.arms.len());
+        self.push_tips();
         self.pull_grips();
         self.cutting.step(&mut self.arms);
         for arm in &mut self.arms {

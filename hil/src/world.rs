@@ -25,6 +25,7 @@
 //! time of the frame.
 
 mod groups;
+mod helpers;
 
 use std::{any::Any, time::Duration};
 
@@ -38,6 +39,7 @@ use crate::{
     line::SerialLine,
 };
 use groups::Groups;
+pub use helpers::Helpers;
 
 /// Buses and lines with their devices, advanced together.
 ///
@@ -55,6 +57,7 @@ pub struct World {
     scene: Option<Scene>,
     /// Parts of the world that are advanced one after the other if there is a scene. `None` after a change.
     groups: Option<Groups>,
+    helpers: Option<Helpers>,
     /// Latest instant to which the world was advanced.
     now: Instant,
 }
@@ -228,6 +231,11 @@ impl World {
         self.scene = Some(scene);
     }
 
+    /// Lets helpers share the work of each advance with the thread that started them. The results are the same.
+    pub fn set_helpers(&mut self, helpers: Helpers) {
+        self.helpers = Some(helpers);
+    }
+
     /// The scene, if there is one.
     pub fn scene(&self) -> Option<&Scene> {
         self.scene.as_ref()
@@ -245,13 +253,9 @@ impl World {
     /// A host sends nothing during an advance. A bus or a line is therefore left out of the steps of the scene in which it
     /// has no event.
     pub fn advance(&mut self, until: Instant) {
-        let Self { buses, lines, scene, groups, now } = self;
-        if let Some(scene) = scene {
-            let groups = groups.get_or_insert_with(|| Groups::new(scene, buses, lines));
-            groups.advance(until, scene, buses, lines);
-        }
-        buses.iter_mut().for_each(|bus| bus.advance(until));
-        lines.iter_mut().for_each(|line| line.advance(until));
+        let Self { buses, lines, scene, groups, helpers, now } = self;
+        let groups = groups.get_or_insert_with(|| Groups::new(scene.as_ref(), buses, lines));
+        groups.advance(until, scene.as_mut(), buses, lines, helpers.as_ref());
         *now = (*now).max(until);
     }
 

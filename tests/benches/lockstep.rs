@@ -4,9 +4,9 @@
 //! is the speed of a lockstep run in multiples of real time. `servo cycle` is the servo and the group alone. Its port
 //! answers every SYNC from a table and makes no system call.
 //!
-//! `laboratory` runs all robots of `cells/lab.toml` with their programs, without their rehearsal. The second run has a
-//! scene: a force sensor on each of the four arms, and three planes around the tip of one arm. Both runs print their speed
-//! in multiples of real time.
+//! `laboratory` runs all robots of `cells/lab.toml` with their programs, without their rehearsal. The runs with contacts
+//! have a scene: a force sensor on each of the four arms, and three planes around the tip of one arm. One thread or two
+//! threads advance the emulated robots. Each run prints its speed in multiples of real time.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -219,13 +219,21 @@ fn laboratory(criterion: &mut Criterion) {
     let plain = std::fs::read_to_string(cells.join("lab.toml")).expect("the example cells are there");
     let mut group = criterion.benchmark_group("laboratory");
     group.sample_size(10).sampling_mode(SamplingMode::Flat).warm_up_time(Duration::from_millis(1));
-    for (name, text) in [("alone", plain.clone()), ("with contacts", with_contacts(&plain))] {
+    let contacts = with_contacts(&plain);
+    let cases = [
+        ("alone", &plain, 1),
+        ("alone, two threads", &plain, 2),
+        ("with contacts", &contacts, 1),
+        ("with contacts, two threads", &contacts, 2),
+    ];
+    for (name, text, threads) in cases {
         let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("laboratory.toml");
         std::fs::write(&path, text).expect("the directory of the target is writable");
         let file = CellFile::read(&path).expect("the cell is sound");
         // The time of one run, without its rehearsal, and its speed in multiples of real time.
         let run = || {
-            let (options, program) = (RunOptions::on(BenchKind::Lockstep), CarriedTask::Programs.program());
+            let options = RunOptions { threads: Some(threads), ..RunOptions::on(BenchKind::Lockstep) };
+            let program = CarriedTask::Programs.program();
             let run = ::mrroc::run::run(&file, &options, &Requests::default(), &program, &mut |_| {});
             let report = run.expect("the cell can run");
             assert_eq!(report.outcome, RunOutcome::Completed, "{report}");

@@ -1,8 +1,11 @@
 //! Complete programs of the example cells, run repeatedly.
 
+use std::fs;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 use crate::cell::{Setup, traced};
+use crate::cli_refusals::refused;
+use crate::mrroc::{Directory, example, mrroc, shorten};
 
 /// Hash of every frame of a whole run with time and direction, and the number of frames.
 fn run(seed: u64) -> (u64, u64) {
@@ -52,4 +55,25 @@ fn the_irb6_completes_its_program_with_twenty_seeds() {
 #[test]
 fn the_irp6_completes_its_program_with_twenty_seeds() {
     twenty_seeds("irp6");
+}
+
+#[test]
+fn robots_that_are_emulated_by_several_threads_do_the_same() {
+    let directory = Directory::new();
+    let cell = directory.cell("lab", shorten).display().to_string();
+    let records = [1, 2, 3].map(|threads: u8| {
+        let record = directory.path(&format!("{threads}.csv"));
+        let (threads, to) = (threads.to_string(), record.display().to_string());
+        let run = mrroc(["run", &cell, "--bench", "lockstep", "--threads", &threads, "--record", &to]);
+        assert_eq!(run.status.code(), Some(0), "{run:?}");
+        fs::read(record).unwrap()
+    });
+    assert!(records[0].len() > 1_000_000, "{} bytes", records[0].len());
+    assert!(records[0] == records[1] && records[0] == records[2]);
+}
+
+#[test]
+fn threads_of_an_emulation_that_keeps_pace_with_the_clock_are_refused() {
+    let cell = example("irb6").display().to_string();
+    refused(&mrroc(["run", &cell, "--bench", "emulated", "--threads", "2"]), &["--threads needs --bench lockstep"]);
 }

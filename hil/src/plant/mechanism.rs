@@ -63,6 +63,8 @@ pub enum MechanismConfig {
 pub struct Mechanism(Arc<Shared>);
 
 #[derive(Debug)]
+// Several threads may advance a world, and no cache line has data of two of them.
+#[repr(align(128))]
 struct Shared {
     robot: Mutex<Robot>,
     /// The motor shafts in each sub-step, if the mechanism is in a scene.

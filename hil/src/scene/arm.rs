@@ -11,6 +11,8 @@ use super::{SensorConfig, SensorProbe};
 use crate::plant::{Kinematics, Mechanism, Shafts};
 
 /// A robot. Its flange is not computed in the steps in which no force can act on the tool and nothing needs the flange.
+// Several threads may advance a world, and no cache line has data of two of them.
+#[repr(align(128))]
 pub(super) struct Arm {
     seat: Seat,
     kinematics: Kinematics,
@@ -161,10 +163,12 @@ impl Arm {
         self.reach.clearance = 0.0;
     }
 
-    /// Sets the distance of the tips from the nearest surface at this step, m; zero during a contact.
-    pub(super) fn set_clearance(&mut self, clearance: f64) {
-        self.reach.clearance = clearance;
-        self.reach.angles = self.shafts.angles;
+    /// Begins the computation of the distance of the tips from the nearest surface at this step.
+    pub(super) fn begin_clearance(&mut self) {
+        if !self.is_far {
+            self.reach.clearance = f64::INFINITY;
+            self.reach.angles = self.shafts.angles;
+        }
     }
 
     /// Reduces the distance of the tips from the nearest surface, m, also to the displacement that can be bounded.

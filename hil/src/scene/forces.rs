@@ -1,13 +1,14 @@
 //! One step of the bodies, and the forces on the robots at the end of the step.
 
-use std::ops::Range;
-
 use nalgebra::{Matrix3, Vector3};
 
+use super::arm::Arm;
 use super::body::Body;
 use super::contact::{Push, Surface, at_instant, clearance, over_step};
 use super::motion::{Motion, Wrench};
-use super::{CornersOn, Grip, Ground, Holder, REPETITIONS, RobotId, SOLVED, STEP_SECONDS, Scene, Shape, Wall, grip};
+use super::{
+    CornersOn, Grip, Ground, Holder, REPETITIONS, RobotId, SOLVED, STEP_SECONDS, Scene, Shape, TipOn, Wall, grip,
+};
 
 impl Scene {
     /// Moves the bodies over a part of the present step: from the share `from` of the step to the share `to`. A part
@@ -123,45 +124,12 @@ impl Scene {
         }
     }
 
-    /// Computes the forces on the tips of these robots at the end of the step.
-    pub(super) fn push_tips(&mut self, robots: Range<usize>) {
+    /// Computes the forces on the tips of all robots at the end of the step.
+    pub(super) fn push_tips(&mut self) {
         let Self { walls, bodies, arms, tips, grips, .. } = self;
-        for arm in arms[robots.clone()].iter_mut().filter(|arm| !arm.is_far()) {
-            arm.set_clearance(f64::INFINITY);
-        }
-        for pair in tips.iter_mut().filter(|pair| robots.contains(&pair.arm)) {
-            let arm = &mut arms[pair.arm];
-            if arm.is_far() {
-                continue;
-            }
-            let sphere = arm.tips()[pair.tip];
-            let push = match pair.ground {
-                Ground::Wall(wall) => {
-                    let wall = &walls[wall];
-                    // The bristle of a tip on a wall is displaced once per step, here, by the motion over the whole
-                    // step.
-                    let push =
-                        at_instant(&sphere, &arm.flange, &wall.surface, &wall.moving, &pair.bristle, STEP_SECONDS);
-                    pair.bristle = push.map_or(Vector3::zeros(), |push| push.bristle);
-                    let distance = clearance(&sphere, &arm.flange, &wall.surface, &wall.moving);
-                    arm.limit_clearance(distance.max(0.0));
-                    push
-                }
-                Ground::Body(number) if pair.inside => {
-                    let body = &bodies[number];
-                    pair.inside = holds(grips, pair.arm, number)
-                        || clearance(&sphere, &arm.flange, &body.surface, &body.moving()) < 0.0;
-                    None
-                }
-                Ground::Body(body) => {
-                    let body = &bodies[body];
-                    at_instant(&sphere, &arm.flange, &body.surface, &body.moving(), &pair.bristle, 0.0)
-                }
-            };
-            if let Some(push) = push {
-                arm.push_tip(&push.centre, &push.normal);
-                arm.push_tip(&push.touch, &push.drag);
-            }
+        arms.iter_mut().for_each(Arm::begin_clearance);
+        for pair in tips {
+            pair.push(&mut arms[pair.arm], walls, bodies, grips);
         }
     }
 
@@ -179,6 +147,41 @@ impl Scene {
             grip.hold = grip::at_instant(&grip.config, (&arm.flange, &grip.anchor), (&body, &grip.held));
             let origin = arm.flange.origin;
             grip.hold.pull(&mut arm.wrench, &origin);
+        }
+    }
+}
+
+impl TipOn {
+    /// Computes the force on the tip at the end of the step.
+    pub(super) fn push(&mut self, arm: &mut Arm, walls: &[Wall], bodies: &[Body], grips: &[Option<Grip>]) {
+        if arm.is_far() {
+            return;
+        }
+        let sphere = arm.tips()[self.tip];
+        let push = match self.ground {
+            Ground::Wall(wall) => {
+                let wall = &walls[wall];
+                // The bristle of a tip on a wall is displaced once per step, here, by the motion over the whole step.
+                let push = at_instant(&sphere, &arm.flange, &wall.surface, &wall.moving, &self.bristle, STEP_SECONDS);
+                self.bristle = push.map_or(Vector3::zeros(), |push| push.bristle);
+                let distance = clearance(&sphere, &arm.flange, &wall.surface, &wall.moving);
+                arm.limit_clearance(distance.max(0.0));
+                push
+            }
+            Ground::Body(number) if self.inside => {
+                let body = &bodies[number];
+                self.inside = holds(grips, self.arm, number)
+                    || clearance(&sphere, &arm.flange, &body.surface, &body.moving()) < 0.0;
+                None
+            }
+            Ground::Body(body) => {
+                let body = &bodies[body];
+                at_instant(&sphere, &arm.flange, &body.surface, &body.moving(), &self.bristle, 0.0)
+            }
+        };
+        if let Some(push) = push {
+            arm.push_tip(&push.centre, &push.normal);
+            arm.push_tip(&push.touch, &push.drag);
         }
     }
 }

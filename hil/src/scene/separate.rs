@@ -1,9 +1,10 @@
 //! Steps of single robots, in a scene in which only robots move.
 
 use can::Instant;
+use nalgebra::Vector3;
 
-use super::Scene;
 use super::arm::Arm;
+use super::{Scene, TipOn, Wall};
 use crate::Mechanism;
 
 impl Scene {
@@ -16,16 +17,38 @@ impl Scene {
         (at_rest && bare && silent).then(|| self.arms.iter().map(Arm::mechanism))
     }
 
-    /// Advances one of the [independent robots](Self::independent_robots) by one step. The caller has already moved the
-    /// robot's motors to the end of the step, and calls [`Scene::end_steps`] after the steps of all robots.
-    pub(crate) fn step_robot(&mut self, number: usize) {
-        self.arms[number].follow(true);
-        self.push_tips(number..number + 1);
-        self.arms[number].finish(&self.gravity);
+    /// The robots with what their steps need, if they are [independent](Self::independent_robots). The caller calls
+    /// [`Scene::end_steps`] after the steps of all robots.
+    pub(crate) fn robots(&mut self) -> impl Iterator<Item = RobotOfScene<'_>> {
+        let Self { arms, tips, walls, gravity, .. } = self;
+        let mut robots: Vec<_> =
+            arms.iter_mut().map(|arm| RobotOfScene { arm, tips: Vec::new(), walls, gravity }).collect();
+        tips.iter_mut().for_each(|pair| robots[pair.arm].tips.push(pair));
+        robots.into_iter()
     }
 
     /// Sets the time of the last step, after the steps of all independent robots.
     pub(crate) fn end_steps(&mut self, now: Instant) {
         self.now = now;
+    }
+}
+
+/// A robot that no other robot of the scene influences.
+pub(crate) struct RobotOfScene<'a> {
+    arm: &'a mut Arm,
+    tips: Vec<&'a mut TipOn>,
+    walls: &'a [Wall],
+    gravity: &'a Vector3<f64>,
+}
+
+impl RobotOfScene<'_> {
+    /// Advances the robot by one step. The caller has already moved its motors to the end of the step.
+    pub(crate) fn step(&mut self) {
+        self.arm.follow(true);
+        self.arm.begin_clearance();
+        for pair in &mut self.tips {
+            pair.push(self.arm, self.walls, &[], &[]);
+        }
+        self.arm.finish(self.gravity);
     }
 }

@@ -4,12 +4,14 @@ use std::time::Duration;
 
 use can::Instant;
 
-use super::VirtualBus;
+use super::{Helpers, VirtualBus};
 use crate::line::SerialLine;
-use crate::scene::{STEP, Scene};
+use crate::scene::{RobotOfScene, STEP, Scene};
 use crate::{Cabinet, Mechanism, PlantAxis};
 
-/// Buses and lines that advance together, in the steps of the scene.
+/// Buses and lines that advance together.
+// Several threads may advance a world, and no cache line has data of two of them.
+#[repr(align(128))]
 pub(super) struct Group {
     /// Buses and lines in ascending order, as in the group of all.
     buses: Vec<usize>,
@@ -45,16 +47,35 @@ impl PartialEq for Coupling {
     }
 }
 
+/// Interval of an advance.
+#[derive(Clone, Copy)]
+struct Interval {
+    /// The last step of the scene before the interval, and the last step in the interval; `None` without a scene.
+    steps: Option<(Instant, Instant)>,
+    until: Instant,
+}
+
+/// What advances a separate group.
+struct Part<'a> {
+    group: &'a mut Group,
+    buses: Vec<&'a mut VirtualBus>,
+    lines: Vec<&'a mut SerialLine>,
+    robots: Vec<RobotOfScene<'a>>,
+}
+
 impl Groups {
-    /// If the robots of the scene do not influence each other: one group per robot, and one per bus without a robot.
-    /// Buses and lines with a common robot or cabinet are in one group. A line that is coupled with nothing needs no
-    /// steps. Otherwise one group of all. The results are the same. Separate groups are faster, because the data of one
-    /// group fit into the cache of a processor.
-    pub(super) fn new(scene: &Scene, buses: &[VirtualBus], lines: &[SerialLine]) -> Self {
-        let robots: Option<Vec<Mechanism>> = scene.independent_robots().map(|robots| robots.cloned().collect());
+    /// If the robots do not influence each other: one group per robot, one per bus without a robot, and one for all lines
+    /// that are coupled with nothing. Buses and lines with a common robot or cabinet are in one group. Otherwise one group
+    /// of all. The results are the same. Separate groups are faster, because the data of one group fit into the cache of a
+    /// processor, and because threads can share them.
+    pub(super) fn new(scene: Option<&Scene>, buses: &[VirtualBus], lines: &[SerialLine]) -> Self {
+        let of_buses = buses.iter().flat_map(VirtualBus::devices).filter_map(|device| device.plant());
+        let motors: Vec<_> = of_buses.chain(lines.iter().filter_map(|line| line.any_device().plant())).collect();
+        let robots: Option<Vec<Mechanism>> = match scene {
+            Some(scene) => scene.independent_robots().map(|robots| robots.cloned().collect()),
+            None => Some(Vec::new()),
+        };
         let robots = robots.filter(|robots| {
-            let of_buses = buses.iter().flat_map(VirtualBus::devices).filter_map(|device| device.plant());
-            let motors: Vec<_> = of_buses.chain(lines.iter().filter_map(|line| line.any_device().plant())).collect();
             let of =
                 |axis: &PlantAxis, robot: &Mechanism| axis.mechanism().is_some_and(|mechanism| robot.is(mechanism));
             let is_known = |robot: &Mechanism| motors.iter().filter(|axis| of(axis, robot)).count() == robot.mounted();
@@ -72,46 +93,111 @@ impl Groups {
             let robots = bus.devices().filter_map(|device| device.mechanism()).cloned().map(Coupling::Robot);
             join(&mut groups, Group { buses: vec![number], ..Group::new(robots.collect()) });
         }
+        let mut uncoupled = Group::new(Vec::new());
         for (number, line) in lines.iter().enumerate() {
             let device = line.any_device();
             let robot = device.mechanism().cloned().map(Coupling::Robot);
             let cabinet = device.cabinet().cloned().map(Coupling::Cabinet);
-            let couplings = robot.into_iter().chain(cabinet).collect();
-            join(&mut groups, Group { lines: vec![number], ..Group::new(couplings) });
+            let couplings: Vec<_> = robot.into_iter().chain(cabinet).collect();
+            if couplings.is_empty() {
+                uncoupled.lines.push(number);
+            } else {
+                join(&mut groups, Group { lines: vec![number], ..Group::new(couplings) });
+            }
         }
-        // The devices of a bus may read the scene in each step.
-        groups.retain(|group| !group.robots.is_empty() || !group.buses.is_empty() || group.lines.len() > 1);
+        if !uncoupled.lines.is_empty() {
+            groups.push(uncoupled);
+        }
+        // The group with the most work begins first.
+        let motors = |group: &Group| {
+            let at_buses = group.buses.iter().flat_map(|&bus| buses[bus].devices());
+            at_buses.filter(|device| device.plant().is_some()).count() + group.lines.len()
+        };
+        groups.sort_by_key(|group| std::cmp::Reverse(motors(group)));
         Self { groups: groups.into_iter().map(Group::closed).collect(), separate: true }
     }
 
-    /// Advances to the last step of the scene up to `until`.
+    /// Advances to `until`, the scene to its last step up to then.
     pub(super) fn advance(
         &mut self,
         until: Instant,
-        scene: &mut Scene,
+        mut scene: Option<&mut Scene>,
         buses: &mut [VirtualBus],
         lines: &mut [SerialLine],
+        helpers: Option<&Helpers>,
     ) {
-        let start = scene.now();
-        let steps = until.since(start).as_nanos() as u64 / STEP.as_nanos() as u64;
-        let end = start + Duration::from_nanos(steps * STEP.as_nanos() as u64);
-        for group in &mut self.groups {
+        let steps = scene.as_ref().map(|scene| {
+            let start = scene.now();
+            let steps = until.since(start).as_nanos() as u64 / STEP.as_nanos() as u64;
+            (start, start + Duration::from_nanos(steps * STEP.as_nanos() as u64))
+        });
+        let interval = Interval { steps, until };
+        if self.separate {
+            let parts = self.parts(scene.as_deref_mut(), buses, lines);
+            let jobs = parts.into_iter().map(|part| move || part.advance(interval));
+            match helpers {
+                Some(helpers) => helpers.share(jobs),
+                None => jobs.for_each(|job| job()),
+            }
+            if let (Some(scene), Some((_, end))) = (scene, steps) {
+                scene.end_steps(end);
+            }
+            return;
+        }
+        let Some(all) = self.groups.first_mut() else {
+            return;
+        };
+        let (mut buses, mut lines) = (buses.iter_mut().collect::<Vec<_>>(), lines.iter_mut().collect::<Vec<_>>());
+        if let (Some(scene), Some((start, end))) = (scene, steps) {
+            all.next.fill(Instant::ZERO);
             let mut now = start;
-            group.next.fill(Instant::ZERO);
             while now < end {
                 now += STEP;
-                group.move_to(now, buses, lines);
-                if self.separate {
-                    group.robots.iter().for_each(|&robot| scene.step_robot(robot));
-                } else {
-                    scene.step();
-                }
-                group.sense(now, buses);
+                all.move_to(now, &mut buses, &mut lines);
+                scene.step();
+                all.sense(now, &mut buses);
             }
         }
-        if self.separate {
-            scene.end_steps(end);
+        buses.into_iter().for_each(|bus| bus.advance(until));
+        lines.into_iter().for_each(|line| line.advance(until));
+    }
+
+    fn parts<'a>(
+        &'a mut self,
+        scene: Option<&'a mut Scene>,
+        buses: &'a mut [VirtualBus],
+        lines: &'a mut [SerialLine],
+    ) -> Vec<Part<'a>> {
+        let mut buses: Vec<_> = buses.iter_mut().map(Some).collect();
+        let mut lines: Vec<_> = lines.iter_mut().map(Some).collect();
+        let mut robots: Vec<_> = scene.map(|scene| scene.robots().map(Some).collect()).unwrap_or_default();
+        let part = |group: &'a mut Group| {
+            let buses = group.buses.iter().filter_map(|&bus| buses[bus].take()).collect();
+            let lines = group.lines.iter().filter_map(|&line| lines[line].take()).collect();
+            let robots = group.robots.iter().filter_map(|&robot| robots[robot].take()).collect();
+            Part { group, buses, lines, robots }
+        };
+        self.groups.iter_mut().map(part).collect()
+    }
+}
+
+impl Part<'_> {
+    fn advance(mut self, interval: Interval) {
+        // The devices of a bus may read the scene in each step. A line that is coupled with nothing needs no steps.
+        let coupled_lines = self.lines.len() > 1 && !self.group.couplings.is_empty();
+        let stepped = !self.robots.is_empty() || !self.buses.is_empty() || coupled_lines;
+        if let Some((start, end)) = interval.steps.filter(|_| stepped) {
+            self.group.next.fill(Instant::ZERO);
+            let mut now = start;
+            while now < end {
+                now += STEP;
+                self.group.move_to(now, &mut self.buses, &mut self.lines);
+                self.robots.iter_mut().for_each(RobotOfScene::step);
+                self.group.sense(now, &mut self.buses);
+            }
         }
+        self.buses.into_iter().for_each(|bus| bus.advance(interval.until));
+        self.lines.into_iter().for_each(|line| line.advance(interval.until));
     }
 }
 
@@ -131,34 +217,34 @@ impl Group {
 
     /// Processes the events before `step`, and moves the motors to `step`. A bus or a line is left out of the steps in
     /// which it has no event.
-    fn move_to(&mut self, step: Instant, buses: &mut [VirtualBus], lines: &mut [SerialLine]) {
+    fn move_to(&mut self, step: Instant, buses: &mut [&mut VirtualBus], lines: &mut [&mut SerialLine]) {
         let before = step - Duration::from_nanos(1);
-        let (on_buses, on_lines) = self.next.split_at_mut(self.buses.len());
-        for (&bus, next) in self.buses.iter().zip(on_buses.iter_mut()) {
+        let (on_buses, on_lines) = self.next.split_at_mut(buses.len());
+        for (bus, next) in buses.iter_mut().zip(on_buses.iter_mut()) {
             if *next <= before {
-                *next = buses[bus].advance_to(before);
+                *next = bus.advance_to(before);
             }
         }
-        for (&line, next) in self.lines.iter().zip(on_lines.iter_mut()) {
+        for (line, next) in lines.iter_mut().zip(on_lines.iter_mut()) {
             if *next <= before {
-                *next = lines[line].advance_to(before);
+                *next = line.advance_to(before);
             }
         }
-        for (&bus, next) in self.buses.iter().zip(on_buses) {
-            if buses[bus].advance_mechanics(step) {
+        for (bus, next) in buses.iter_mut().zip(on_buses) {
+            if bus.advance_mechanics(step) {
                 *next = Instant::ZERO;
             }
         }
-        for (&line, next) in self.lines.iter().zip(on_lines) {
-            if lines[line].advance_mechanics(step) {
+        for (line, next) in lines.iter_mut().zip(on_lines) {
+            if line.advance_mechanics(step) {
                 *next = Instant::ZERO;
             }
         }
     }
 
-    fn sense(&mut self, step: Instant, buses: &mut [VirtualBus]) {
-        for (&bus, next) in self.buses.iter().zip(&mut self.next) {
-            if buses[bus].sense(step) {
+    fn sense(&mut self, step: Instant, buses: &mut [&mut VirtualBus]) {
+        for (bus, next) in buses.iter_mut().zip(&mut self.next) {
+            if bus.sense(step) {
                 *next = Instant::ZERO;
             }
         }

@@ -10,8 +10,8 @@ use drive::cia401::IoConfig;
 use hil::scene::WorkpieceProbe;
 use hil::{
     AxisController, AxisControllerConfig, BusId, Cabinet, Device, DigitalIo, DigitalIoConfig, DriveContact, DriveId,
-    Epos4, Epos4Config, EposSerial, EposSerialConfig, FaultInEffect, InputEdge, InputProbe, LineDevice, LineId,
-    PlantAxis, World, WorldFault,
+    Epos4, Epos4Config, EposSerial, EposSerialConfig, FaultInEffect, Helpers, InputEdge, InputProbe, LineDevice,
+    LineId, PlantAxis, World, WorldFault,
     scene::{BeamProbe, Scene, UnsolvedProbe},
 };
 use serial::{Settings, VirtualLine};
@@ -149,6 +149,12 @@ impl Emulation {
         let (camera, link) = CameraInMemory::connect(&file.cell.camera[number], camera)?;
         self.cameras.push(camera);
         Ok(link)
+    }
+
+    /// Lets further threads share the work of each advance by this thread.
+    pub fn add_helpers(&mut self, count: usize) -> io::Result<()> {
+        self.world.set_helpers(Helpers::of_this_thread(count)?);
+        Ok(())
     }
 
     /// The world, for devices on other connections.

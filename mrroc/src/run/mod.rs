@@ -155,6 +155,10 @@ pub struct RunOptions {
     /// Play the faults of this scenario file on the emulated side of the wires. Needs --bench lockstep or emulated.
     #[arg(long, value_name = "FILE")]
     pub scenario: Option<PathBuf>,
+    /// Advance the emulated robots with this number of threads, at most 64. Needs --bench lockstep. The result does not
+    /// depend on the number. Each thread occupies a processor.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
+    pub threads: Option<u8>,
     /// Write report.html into this directory: tables and plots of the run in one file, which needs no network.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -184,6 +188,9 @@ pub fn run(
 ) -> anyhow::Result<RunReport> {
     if options.spikes.is_some() && options.bench == BenchKind::Lockstep {
         bail!("--spikes needs cycles by the clock, which --bench lockstep has none of");
+    }
+    if options.threads.is_some() && options.bench != BenchKind::Lockstep {
+        bail!("--threads needs --bench lockstep: on the other benches, the robots move at the pace of the clock");
     }
     if options.truth.is_some() && options.bench != BenchKind::Lockstep {
         bail!("--truth needs --bench lockstep, where the scene is in step with the servo");
@@ -285,7 +292,14 @@ pub fn run(
     let mut end = match options.bench {
         BenchKind::Lockstep => {
             let (turns, stop) = (task.turns.clone(), requests.stop.clone());
-            let work = move |tell: &mut dyn FnMut(Progress)| in_lockstep(servo, task, logs, buses, &stop, tell);
+            let helpers = usize::from(options.threads.unwrap_or(1)).saturating_sub(1);
+            let work = move |tell: &mut dyn FnMut(Progress)| {
+                let mut buses = buses;
+                if let Some(emulation) = buses.emulation.as_mut().filter(|_| helpers > 0) {
+                    emulation.add_helpers(helpers).context("--threads")?;
+                }
+                in_lockstep(servo, task, logs, buses, &stop, tell)
+            };
             watched("lockstep", &turns, progress, work)??
         }
         _ => by_the_clock(file, servo, task, logs, (buses, bench.guardian), requests, progress)?,

@@ -13,7 +13,7 @@ use crate::plant::{AxisConfig, Irp6Axis, Mechanism, MechanismConfig};
 use crate::scene::{BodyConfig, Material, RobotId, Scene, SensorConfig, Shape, TipConfig, WallConfig};
 use crate::{
     AxisController, AxisControllerConfig, Cabinet, Device, DigitalIo, DigitalIoConfig, DriveId, Epos4, Epos4Config,
-    LightGate, LineId, SerialForceSensor, SerialForceSensorConfig, TransducerConfig, World,
+    Helpers, LightGate, LineId, SerialForceSensor, SerialForceSensorConfig, TransducerConfig, World,
 };
 
 /// An IRb-6 and a second robot without power or brakes over a floor, each with a force sensor at a line. The drives of
@@ -136,6 +136,15 @@ fn robots_that_do_not_meet_move_as_if_all_devices_advanced_together() {
         assert_eq!(first.map(|bit| bit / 32), None, "cycle in which a flange differs, {second:?}, shared: {shared}");
         assert!(bytes == together_bytes, "{second:?}, shared: {shared}");
     }
+}
+
+#[test]
+fn threads_that_share_the_work_change_nothing() {
+    let alone = Fallen::new(RNT, false, |_| ()).run();
+    let mut helped = Fallen::new(RNT, false, |_| ());
+    helped.world.set_helpers(Helpers::of_this_thread(2).unwrap());
+    assert!(helped.run() == alone);
+    assert!(Helpers::of_this_thread(1).is_err(), "a thread has helpers once");
 }
 
 /// Two robots in a scene, of one motor each. Their axis controllers are on two lines, in one cabinet.
