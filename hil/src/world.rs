@@ -47,15 +47,15 @@ pub use helpers::Helpers;
 /// ([`Mechanism`](crate::Mechanism)), through a [`Cabinet`](crate::Cabinet), and through a shaft that another device
 /// reads. The state of the scene changes at its steps only. Before each step, all buses and lines are advanced to the
 /// time of the step. Robots of a scene without bodies, belts and other moving parts do not influence each other: the
-/// devices of each robot are then advanced through all steps of an interval, one robot after the other. Devices with a
-/// common robot or cabinet are advanced together. Without a scene, each bus and each line is advanced to the end in one
-/// call, one after the other.
+/// devices of each robot are then advanced through all steps of an interval, one robot after the other or by several
+/// threads ([`Helpers`]). Devices with a common robot or cabinet are advanced together. Without a scene, each bus and each
+/// line is advanced to the end in one call.
 #[derive(Default)]
 pub struct World {
     buses: Vec<VirtualBus>,
     lines: Vec<SerialLine>,
     scene: Option<Scene>,
-    /// Parts of the world that are advanced one after the other if there is a scene. `None` after a change.
+    /// Parts of the world that do not influence each other within an advance. `None` after a change.
     groups: Option<Groups>,
     helpers: Option<Helpers>,
     /// Latest instant to which the world was advanced.

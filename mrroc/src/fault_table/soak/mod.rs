@@ -5,7 +5,8 @@
 //! on the same drives (a restart). After three failed starts, the supply of the drives is switched off and on.
 //!
 //! At each pose, the true position of each motor is compared with the measured position. After the reference was taken,
-//! the difference may change by at most 1.1 increments of the encoder.
+//! the difference may change by at most 1.1 increments of the encoder, plus the motion in two periods: a motor at a pose
+//! still moves within an increment, and the measured position is up to two periods old.
 //!
 //! The same seed gives the same soak.
 
@@ -240,15 +241,17 @@ impl Soak<'_> {
     /// Compares true and measured positions of a robot at rest.
     fn compare(&mut self, controller: &Controller, robot: usize) {
         let (truth, measured) = (self.stage.truth(robot), controller.measured(robot));
-        let difference: [f64; MAX_AXES] = std::array::from_fn(|axis| truth[axis] - measured[axis]);
+        let difference: [f64; MAX_AXES] = std::array::from_fn(|axis| truth[axis].0 - measured[axis]);
         let file = &self.stage.file;
+        let age = 2.0 * file.cell.period().as_secs_f64();
         for (axis, given) in file.cell.robot[robot].axis.iter().enumerate() {
-            let increments = difference[axis] / (TAU / f64::from(given.counts_per_revolution()));
-            self.report.note_reference(increments);
+            let increment = TAU / f64::from(given.counts_per_revolution());
+            self.report.note_reference(difference[axis] / increment);
             let Some(reference) = self.references[robot] else {
                 continue;
             };
-            let drift = ((difference[axis] - reference[axis]) / (TAU / f64::from(given.counts_per_revolution()))).abs();
+            let moved = truth[axis].1.abs() * age;
+            let drift = ((difference[axis] - reference[axis]).abs() - moved).max(0.0) / increment;
             self.report.note_drift(drift);
             if drift > DRIFT {
                 let name = file.axis_name(robot, axis);
