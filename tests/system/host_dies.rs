@@ -1,5 +1,6 @@
 //! Drives on CAN whose host dies, is suspended or hangs in motion: they stop by themselves, because each drive watches the
-//! heartbeat and the set-points of the host. Each drive reports the silence by an EMCY.
+//! heartbeat and the set-points of the host. Each drive reports the silence by an EMCY. On a guarded bus, the guardian stops
+//! all nodes before.
 //!
 //! `mrroc run` is a process of its own, and the emulator is in this process: behind an slcan adapter, or on a virtual
 //! interface. The true angles of the motors are read in the time of the emulator.
@@ -18,7 +19,7 @@ use ::mrroc::cell::{Cell, CellFile};
 use can::{Instant, Port, Received, clock};
 use canopen::emcy::Emergency;
 use canopen::sync::Sync;
-use canopen::{NodeId, cob};
+use canopen::{NodeId, cob, nmt};
 use hil::{BusId, Pty, World};
 
 use crate::bench::{on_vcan_within, patient_turn, turn};
@@ -44,11 +45,14 @@ struct Wire {
     arguments: [String; 2],
     /// Shortest silence of a host that has failed. The host may delay a cycle by less.
     gap: Duration,
+    /// Longest silence until the drives know of it.
+    silence: Duration,
     failures: &'static [Failure],
 }
 
-/// The emulated drives of CAN bus 0, which `connect` adds. A sample has an error if each drive has sent an EMCY. Its number
-/// of bytes is that of the SYNC messages and heartbeats of the host.
+/// The emulated drives of CAN bus 0, which `connect` adds. A sample has an error if each drive has sent an EMCY, or on a
+/// guarded bus if the last NMT command has stopped all nodes. Its number of bytes is that of the SYNC messages and heartbeats
+/// of the host.
 fn emulator(file: &CellFile, connect: impl FnOnce(&mut EmulatedLines, &EmulatedCell) -> BusId) -> Emulator {
     let emulated = EmulatedCell::of(file);
     let mut lines = EmulatedLines::default();
@@ -57,13 +61,17 @@ fn emulator(file: &CellFile, connect: impl FnOnce(&mut EmulatedLines, &EmulatedC
     let drives: Vec<_> = emulated.ids().drives.values().copied().collect();
     let sync = Sync::default().encode();
     let heartbeat = NodeId::new(file.cell.bus[0].host_node).map(cob::heartbeat);
-    let (mut signs, mut frames) = (0, [Received { frame: sync, at: Instant::ZERO }; 64]);
+    let guarded = file.cell.bus[0].guarded;
+    let (mut signs, mut stopped, mut frames) = (0, false, [Received { frame: sync, at: Instant::ZERO }; 64]);
     let mut in_error = BTreeSet::new();
     let sample = move |world: &World, at: Instant| {
         loop {
             let count = listener.receive(Instant::FAR_FUTURE, &mut frames).expect("a virtual bus");
             for Received { frame, .. } in &frames[..count] {
                 signs += u64::from(*frame == sync || frame.standard_data_id() == heartbeat);
+                if let Some(request) = nmt::Request::decode(frame) {
+                    stopped = request == nmt::Command::Stop.to_all();
+                }
                 match Emergency::decode(frame) {
                     Some(end) if end.is_reset() => in_error.remove(&end.node.raw()),
                     Some(begin) => in_error.insert(begin.node.raw()),
@@ -75,7 +83,8 @@ fn emulator(file: &CellFile, connect: impl FnOnce(&mut EmulatedLines, &EmulatedC
             }
         }
         let motors = drives.iter().map(|drive| world.plant(*drive).expect("a drive has a plant").angle()).collect();
-        Sample { wall: clock::now(), at, motors, error: in_error.len() == drives.len(), bytes: signs }
+        let error = if guarded { stopped } else { in_error.len() == drives.len() };
+        Sample { wall: clock::now(), at, motors, error, bytes: signs }
     };
     Emulator::serve(lines, sample)
 }
@@ -152,19 +161,23 @@ fn last_sign(samples: &[Sample], event: Instant, gap: Duration) -> Instant {
     last.wall
 }
 
-/// Tries every failure `tries` times. All axes are at a standstill within three heartbeat periods and the run-out.
+/// Silence after which a drive stops by itself: three heartbeats.
+fn of_drives(file: &CellFile) -> Duration {
+    3 * Duration::from_millis(u64::from(file.cell.bus[0].heartbeat_ms))
+}
+
+/// Tries every failure `tries` times. All axes are at a standstill after the permitted silence and the run-out.
 fn dies(directory: &Directory, cell: &Path, wire: &Wire, emulator: &Emulator, tries: usize) {
     let file = CellFile::read(cell).expect("the cell");
     let rig = Rig { directory, file: &file, cell, wire, emulator };
-    let heartbeats = 3 * Duration::from_millis(u64::from(file.cell.bus[0].heartbeat_ms));
     for &failure in wire.failures {
         let mut worst = Figures::default();
         for number in 0..tries {
             let figures = rig.figures(failure, 300 + 150 * (number % 8));
             worst = worst.worst(figures);
-            assert!(figures.standstill <= heartbeats + RUN_OUT, "{failure:?}: {figures}");
-            let silent = !matches!(failure, Failure::Pause(time) if time < 2 * heartbeats);
-            let noticed = (Duration::from_nanos(1)..=heartbeats + GRAIN).contains(&figures.reaction);
+            assert!(figures.standstill <= wire.silence + RUN_OUT, "{failure:?}: {figures}");
+            let silent = !matches!(failure, Failure::Pause(time) if time < 2 * wire.silence);
+            let noticed = (Duration::from_nanos(1)..=wire.silence + GRAIN).contains(&figures.reaction);
             assert!(noticed || !silent, "{failure:?}: the drives do not notice the silence in time: {figures}");
         }
         println!("irb6 {}, {failure:?}, worst of {tries}: {worst}", wire.name);
@@ -188,13 +201,14 @@ fn dies_behind_slcan(tries: usize) {
         emulator(&file, |lines, emulated| lines.add_bus(emulated, 0, Pty::linked(&link).expect("a pseudo-terminal")));
     let can = format!("--can=slcan:{}", link.display());
     let arguments = ["--bench=card".to_owned(), can];
-    let wire = Wire { name: "behind slcan", arguments, gap: Duration::from_millis(20), failures: &FAILURES };
+    let gap = Duration::from_millis(20);
+    let wire = Wire { name: "behind slcan", arguments, gap, silence: of_drives(&file), failures: &FAILURES };
     dies(&directory, &cell, &wire, &emulator, tries);
 }
 
 /// Drives on a virtual interface, in the test machine. Delays by this machine are as long as the other failures, so the host
-/// is only killed.
-fn dies_on_vcan(test: &str, longest: Duration, tries: usize) {
+/// is only killed. On a guarded bus, the guardian stops the nodes after 0.35 s, and the drives would stop after 0.6 s.
+fn dies_on_vcan(test: &str, longest: Duration, tries: usize, guarded: bool) {
     on_vcan_within(longest, test, |interface| {
         let directory = Directory::new();
         let cell = directory.cell("irb6", |cell: &mut Cell| {
@@ -204,12 +218,20 @@ fn dies_on_vcan(test: &str, longest: Duration, tries: usize) {
             cell.bus[0].tolerated_missing = 30;
             cell.max_missed_in_row = 30;
             cell.flight_recorder_s = 0;
+            if guarded {
+                cell.bus[0].guarded = true;
+                cell.guardian_ms = Some(350);
+            }
         });
         let file = CellFile::read(&cell).expect("the cell");
         let port = BusPort::open(&Interface::parse(interface), file.cell.bus[0].bitrate_kbps).expect("the interface");
         let emulator = emulator(&file, |lines, emulated| lines.add_bus_on(emulated, 0, port));
         let arguments = ["--bench=vcan".to_owned(), format!("--can={interface}")];
-        let wire = Wire { name: "on vcan", arguments, gap: Duration::from_millis(200), failures: &[Failure::Kill] };
+        let (gap, failures) = (Duration::from_millis(200), &[Failure::Kill]);
+        // The command of the guardian comes before the drives know of the silence.
+        let silence = of_drives(&file) - if guarded { file.cell.period() } else { Duration::ZERO };
+        let name = if guarded { "on guarded vcan" } else { "on vcan" };
+        let wire = Wire { name, arguments, gap, silence, failures };
         dies(&directory, &cell, &wire, &emulator, tries);
     });
 }
@@ -224,7 +246,14 @@ fn drives_on_can_stop_by_themselves_when_their_host_fails_in_motion() {
 fn drives_on_vcan_stop_by_themselves_when_their_host_fails_in_motion() {
     let _turn = patient_turn();
     let test = "host_dies::drives_on_vcan_stop_by_themselves_when_their_host_fails_in_motion";
-    dies_on_vcan(test, Duration::from_secs(240), 1);
+    dies_on_vcan(test, Duration::from_secs(240), 1, false);
+}
+
+#[test]
+fn the_guardian_of_a_vcan_stops_its_drives_when_their_host_is_killed_in_motion() {
+    let _turn = patient_turn();
+    let test = "host_dies::the_guardian_of_a_vcan_stops_its_drives_when_their_host_is_killed_in_motion";
+    dies_on_vcan(test, Duration::from_secs(240), 1, true);
 }
 
 #[test]
@@ -238,5 +267,5 @@ fn host_dies_20() {
 #[ignore = "twenty tries of each failure, for figures"]
 fn host_dies_20_on_vcan() {
     let _turn = turn();
-    dies_on_vcan("host_dies::host_dies_20_on_vcan", Duration::from_secs(3600), 20);
+    dies_on_vcan("host_dies::host_dies_20_on_vcan", Duration::from_secs(3600), 20, false);
 }
