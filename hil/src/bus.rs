@@ -30,7 +30,7 @@ use faults::{BusFaults, ERROR_FRAME, HeldFrame, report};
 const QUEUE: usize = 32;
 
 /// A bus with its nodes: ports of the host, and devices.
-// Several threads may advance a world, and no cache line has data of two of them.
+// Two of these, which different threads may advance, have no common cache line.
 #[repr(align(128))]
 pub struct VirtualBus {
     bitrate: Bitrate,

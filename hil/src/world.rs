@@ -254,8 +254,13 @@ impl World {
     /// has no event.
     pub fn advance(&mut self, until: Instant) {
         let Self { buses, lines, scene, groups, helpers, now } = self;
-        let groups = groups.get_or_insert_with(|| Groups::new(scene.as_ref(), buses, lines));
-        groups.advance(until, scene.as_mut(), buses, lines, helpers.as_ref());
+        if scene.is_some() || helpers.is_some() {
+            let groups = groups.get_or_insert_with(|| Groups::new(scene.as_ref(), buses, lines));
+            groups.advance(until, scene.as_mut(), buses, lines, helpers.as_ref());
+        } else {
+            buses.iter_mut().for_each(|bus| bus.advance(until));
+            lines.iter_mut().for_each(|line| line.advance(until));
+        }
         *now = (*now).max(until);
     }
 

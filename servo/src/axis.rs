@@ -112,6 +112,9 @@ impl ServoAxis {
         }
         if let Some(host) = &mut self.host {
             host.observe(&state, periods, dt);
+            if state.power != Power::On {
+                host.park(state.position, self.config.following_error, dt);
+            }
         }
         self.state = state;
         self.expected = None;
@@ -203,7 +206,7 @@ impl ServoAxis {
         self.knot = Knot::at_rest(self.state.position);
         self.commanded = [self.state.position; REMEMBERED];
         if let Some(host) = &mut self.host {
-            host.capture(self.state.position);
+            host.capture(self.state.position, self.torque);
         }
     }
 

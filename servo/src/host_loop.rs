@@ -12,6 +12,12 @@ use crate::{FeedForward, HostLoop, Knot, Law, Output};
 /// sample is punctual and shows the true velocity.
 const RUNAWAY_SAMPLES: u32 = 2;
 
+/// Cycles at rest after which the output of a loop counts as the one that holds the load.
+const REST: u32 = 25;
+
+/// Greatest error, and greatest motion between two samples, of a motor at rest, increments.
+const STILL: f64 = 2.0;
+
 /// The loop of one axis.
 ///
 /// Each cycle first [`observe`](Self::observe)s a sample and then [`regulate`](Self::regulate)s. Errors compare a
@@ -44,6 +50,13 @@ pub(crate) struct Loop {
     velocity_error: f64,
     /// Position error used by the law, rad.
     taken: f64,
+    /// Cycles at rest in a row.
+    rests: u32,
+    /// Output that held the load at the last rest, without the constant feed-forward. `None` before the first rest, and
+    /// after the motor was moved without power.
+    holding: Option<f64>,
+    /// Position, rad, where the motor rests.
+    parked: Option<f64>,
 }
 
 #[derive(Clone, Debug)]
@@ -78,6 +91,9 @@ impl Loop {
             error: 0.0,
             velocity_error: 0.0,
             taken: 0.0,
+            rests: 0,
+            holding: None,
+            parked: None,
         }
     }
 
@@ -128,6 +144,7 @@ impl Loop {
             }
             Regulator::Proportional(law) => law.step(self.error, feed_forward, integrated),
         };
+        self.learn(last_velocity == 0.0 && knot.velocity == 0.0 && *excitation == 0.0, torque, dt);
         let output = if *excitation == 0.0 {
             output
         } else {
@@ -141,6 +158,37 @@ impl Loop {
             Output::Velocity => Setpoint::Velocity(output),
             Output::Torque => Setpoint::Torque(output),
             Output::Duty => Setpoint::Duty(output),
+        }
+    }
+
+    /// Remembers the output that holds the load, if the motor has been at rest for some cycles. `still` says whether the
+    /// set-point is at rest, and `torque` is as in [`Self::regulate`].
+    fn learn(&mut self, still: bool, torque: f64, dt: f64) {
+        let rests = still && self.is_still(dt) && self.error.abs() * self.increments_per_radian <= STILL;
+        self.rests = if rests { self.rests.saturating_add(1) } else { 0 };
+        self.parked = self.sample.filter(|_| rests);
+        if self.rests >= REST {
+            let integral = match &self.law {
+                Regulator::Incremental(law) => law.integral(),
+                Regulator::Cascade { velocity_loop, .. } => velocity_loop.integral(),
+                // A velocity of the drive holds no load.
+                Regulator::Proportional(_) => return,
+            };
+            self.holding = Some(integral + self.config.feed_forward.weight.unwrap_or(0.0) * torque);
+        }
+    }
+
+    fn is_still(&self, dt: f64) -> bool {
+        self.cycles == 0 && self.measured_velocity.abs() * dt * self.increments_per_radian <= STILL
+    }
+
+    /// One cycle without power. A motor that leaves the position of its rest by more than `tolerance`, rad, may carry
+    /// another load: the output that held the old load is forgotten.
+    pub(crate) fn park(&mut self, position: f64, tolerance: f64, dt: f64) {
+        match self.parked {
+            Some(parked) if (position - parked).abs() > tolerance => self.holding = None,
+            Some(_) => {}
+            None => self.parked = self.is_still(dt).then_some(position),
         }
     }
 
@@ -171,12 +219,17 @@ impl Loop {
         }
     }
 
-    /// Restarts the loop at rest at `position`.
-    pub(crate) fn capture(&mut self, position: f64) {
+    /// Restarts the loop at rest at `position`. The integral part begins with the output that held the load at the last
+    /// rest, less the part that is fed forward for `torque`, as in [`Self::regulate`].
+    pub(crate) fn capture(&mut self, position: f64, torque: f64) {
+        let fed_forward = self.config.feed_forward.weight.unwrap_or(0.0) * torque;
+        let preset = self.holding.map_or(0.0, |holding| holding - fed_forward);
         match &mut self.law {
-            Regulator::Incremental(law) => law.reset(),
-            Regulator::Cascade { velocity_loop: law, .. } | Regulator::Proportional(law) => law.reset(),
+            Regulator::Incremental(law) => law.restart(preset),
+            Regulator::Cascade { velocity_loop, .. } => velocity_loop.restart(preset),
+            Regulator::Proportional(law) => law.reset(),
         }
+        self.rests = 0;
         self.follow([position; REMEMBERED], 0.0);
     }
 
@@ -213,7 +266,7 @@ impl Loop {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::regulator::CascadeConfig;
+    use crate::regulator::{CascadeConfig, IRP6};
 
     const DT: f64 = 0.002;
     const CASCADE: CascadeConfig =
@@ -235,7 +288,7 @@ mod tests {
     #[test]
     fn a_cascade_acts_on_both_errors_by_their_gains_and_integrates_the_velocity_error() {
         let mut held = cascade(FeedForward::default());
-        held.capture(0.1);
+        held.capture(0.1, 0.0);
         // Position errors of 0.1 and 0.096 rad; the second sample moved at 2 rad/s.
         for (position, expected) in [(0.0, 0.02 * 40.0 * 0.1), (0.004, 0.02 * (40.0 * 0.096 - 2.0) + 0.08 * 50.0 * DT)]
         {
@@ -294,7 +347,7 @@ mod tests {
 
     #[test]
     fn what_a_law_has_come_to_hold_by_itself_changes_hands_without_a_step() {
-        let incremental = Law::Incremental(crate::regulator::IRP6[1]);
+        let incremental = Law::Incremental(IRP6[1]);
         for law in [incremental, Law::Cascade(CASCADE)] {
             let mut held = Loop::new(
                 HostLoop {
@@ -307,7 +360,7 @@ mod tests {
                 2,
             );
             let knot = Knot::at_rest(0.01);
-            held.capture(0.0);
+            held.capture(0.0, 0.0);
             // An error caused by a weight, which the integral part then corrects.
             for (position, cycles) in [(0.0, 10), (0.01, 300)] {
                 let state = AxisState { position, ..AxisState::default() };
@@ -331,10 +384,50 @@ mod tests {
     }
 
     #[test]
+    fn a_loop_that_begins_again_holds_the_load_that_it_held_at_rest() {
+        for law in [Law::Incremental(IRP6[0]), Law::Cascade(CASCADE)] {
+            let feed_forward = FeedForward { weight: Some(1.0), ..FeedForward::default() };
+            let config = HostLoop { law, output: Output::Torque, feed_forward, runaway_velocity: 300.0 };
+            let mut held = Loop::new(config, 636.6, 2);
+            let rest_at = |held: &mut Loop, position: f64, cycles: u32| {
+                let state = AxisState { position, ..AxisState::default() };
+                let outputs = (0..cycles).map(|_| {
+                    held.observe(&state, 1, DT);
+                    torque(held.regulate(Knot::at_rest(0.01), 0.02, DT, &mut 0.0))
+                });
+                outputs.last().expect("cycles")
+            };
+            held.capture(0.0, 0.02);
+            assert!((torque(held.regulate(Knot::at_rest(0.0), 0.02, DT, &mut 0.0)) - 0.02).abs() < 1e-12, "{law:?}");
+            rest_at(&mut held, 0.0, 300);
+            let load = rest_at(&mut held, 0.01, 2 * REST);
+            assert!((load - 0.02).abs() > 1e-4, "{law:?}: {load} N·m");
+            // Two increments and more beside the set-point, the motor presses against something.
+            rest_at(&mut held, 0.0, 2 * REST);
+            for fed_forward in [0.0, 0.02, 0.5] {
+                let state = AxisState { position: 0.3, ..AxisState::default() };
+                (0..2).for_each(|_| held.observe(&state, 1, DT));
+                held.capture(0.3, fed_forward);
+                held.observe(&state, 1, DT);
+                let again = torque(held.regulate(Knot::at_rest(0.3), fed_forward, DT, &mut 0.0));
+                assert!((again - load).abs() < 1e-9, "{law:?}: {again} N·m for {load}");
+            }
+            // The arm is moved without power.
+            for position in [0.3, 0.3, 1.0] {
+                held.observe(&AxisState { position, ..AxisState::default() }, 1, DT);
+                held.park(position, 0.5, DT);
+            }
+            held.observe(&AxisState { position: 1.0, ..AxisState::default() }, 1, DT);
+            held.capture(1.0, 0.0);
+            assert_eq!(torque(held.regulate(Knot::at_rest(1.0), 0.0, DT, &mut 0.0)), 0.0, "{law:?}");
+        }
+    }
+
+    #[test]
     fn while_answers_are_missing_errors_stay_and_nothing_is_integrated() {
         let mut held = cascade(FeedForward::default());
         let knot = Knot::at_rest(0.1);
-        held.capture(0.0);
+        held.capture(0.0, 0.0);
         let mut state = AxisState::default();
         for _ in 0..5 {
             held.observe(&state, 1, DT);

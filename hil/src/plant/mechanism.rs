@@ -63,7 +63,7 @@ pub enum MechanismConfig {
 pub struct Mechanism(Arc<Shared>);
 
 #[derive(Debug)]
-// Several threads may advance a world, and no cache line has data of two of them.
+// Two of these, which different threads may advance, have no common cache line.
 #[repr(align(128))]
 struct Shared {
     robot: Mutex<Robot>,

@@ -10,7 +10,7 @@ use crate::scene::{RobotOfScene, STEP, Scene};
 use crate::{Cabinet, Mechanism, PlantAxis};
 
 /// Buses and lines that advance together.
-// Several threads may advance a world, and no cache line has data of two of them.
+// Two of these, which different threads may advance, have no common cache line.
 #[repr(align(128))]
 pub(super) struct Group {
     /// Buses and lines in ascending order, as in the group of all.

@@ -136,16 +136,27 @@ impl Incremental {
     /// Bumpless transfer: removes at most `output` from the integral part at rest and returns the amount removed. The next
     /// output is lower by that amount.
     pub fn give(&mut self, output: f64) -> f64 {
-        let IncrementalConfig { integral, gain, .. } = self.config;
-        let held = if integral { gain * self.output[0] } else { 0.0 };
-        let given = share(held, output);
-        self.output.iter_mut().for_each(|own| *own -= given / gain);
+        let given = share(self.integral(), output);
+        self.output.iter_mut().for_each(|own| *own -= given / self.config.gain);
         given
+    }
+
+    /// The integral part of the output, at rest; zero for a law without an integral part.
+    pub fn integral(&self) -> f64 {
+        if self.config.integral { self.config.gain * self.output[0] } else { 0.0 }
+    }
+
+    /// Forgets everything, and begins with an integral part of `output`, within the limit. A law without an integral part
+    /// begins at zero.
+    pub fn restart(&mut self, output: f64) {
+        let IncrementalConfig { integral, gain, limit, .. } = self.config;
+        let preset = if integral && output.is_finite() { output.clamp(-limit, limit) } else { 0.0 };
+        *self = Self { output: [preset / gain; 2], ..Self::new(self.config) };
     }
 
     /// Forgets everything.
     pub fn reset(&mut self) {
-        *self = Self::new(self.config);
+        self.restart(0.0);
     }
 }
 

@@ -112,9 +112,20 @@ impl Proportional {
         given
     }
 
+    /// The integral part of the output.
+    pub fn integral(&self) -> f64 {
+        self.integral
+    }
+
+    /// Forgets everything, and begins with an integral part of `output`, within the limit.
+    pub fn restart(&mut self, output: f64) {
+        let limit = self.config.limit;
+        self.integral = if output.is_finite() { output.clamp(-limit, limit) } else { 0.0 };
+    }
+
     /// Forgets everything.
     pub fn reset(&mut self) {
-        self.integral = 0.0;
+        self.restart(0.0);
     }
 }
 

@@ -5,8 +5,8 @@
 //! on the same drives (a restart). After three failed starts, the supply of the drives is switched off and on.
 //!
 //! At each pose, the true position of each motor is compared with the measured position. After the reference was taken,
-//! the difference may change by at most 1.1 increments of the encoder, plus the motion in two periods: a motor at a pose
-//! still moves within an increment, and the measured position is up to two periods old.
+//! the difference may change by at most 1.1 increments of the encoder. The measured position is up to two periods old, and
+//! a motor at a pose still moves within an increment. The nearest true position of the last two periods therefore counts.
 //!
 //! The same seed gives the same soak.
 
@@ -63,6 +63,8 @@ struct Soak<'a> {
     references: Vec<Option<[f64; MAX_AXES]>>,
     /// Rests whose positions were compared.
     compared: Vec<u64>,
+    /// True positions of the motors of each robot, rad, of the present cycle and of the two cycles before.
+    truths: Vec<[[f64; MAX_AXES]; 3]>,
     progress: &'a mut dyn FnMut(Duration),
 }
 
@@ -92,6 +94,7 @@ pub fn soak(file: &CellFile, options: &SoakOptions, progress: &mut dyn FnMut(Dur
         report: SoakReport::new(file, options),
         references: vec![None; robots],
         compared: vec![0; robots],
+        truths: vec![[[0.0; MAX_AXES]; 3]; robots],
         progress,
     };
     soak.run(options)
@@ -224,6 +227,8 @@ impl Soak<'_> {
             strike.detected = Some(self.stage.now.since(strike.at));
         }
         for robot in 0..self.compared.len() {
+            self.truths[robot].rotate_right(1);
+            self.truths[robot][0] = self.stage.truth(robot);
             if self.references[robot].is_some() && !controller.is_homed(robot) {
                 self.references[robot] = None;
             }
@@ -240,18 +245,18 @@ impl Soak<'_> {
 
     /// Compares true and measured positions of a robot at rest.
     fn compare(&mut self, controller: &Controller, robot: usize) {
-        let (truth, measured) = (self.stage.truth(robot), controller.measured(robot));
-        let difference: [f64; MAX_AXES] = std::array::from_fn(|axis| truth[axis].0 - measured[axis]);
+        let (truths, measured) = (&self.truths[robot], controller.measured(robot));
+        let differences = truths.map(|truth| std::array::from_fn(|axis| truth[axis] - measured[axis]));
+        let difference: [f64; MAX_AXES] = differences[0];
         let file = &self.stage.file;
-        let age = 2.0 * file.cell.period().as_secs_f64();
         for (axis, given) in file.cell.robot[robot].axis.iter().enumerate() {
             let increment = TAU / f64::from(given.counts_per_revolution());
             self.report.note_reference(difference[axis] / increment);
             let Some(reference) = self.references[robot] else {
                 continue;
             };
-            let moved = truth[axis].1.abs() * age;
-            let drift = ((difference[axis] - reference[axis]).abs() - moved).max(0.0) / increment;
+            let drifts = differences.map(|difference| (difference[axis] - reference[axis]).abs() / increment);
+            let drift = drifts.into_iter().fold(f64::INFINITY, f64::min);
             self.report.note_drift(drift);
             if drift > DRIFT {
                 let name = file.axis_name(robot, axis);

@@ -7,7 +7,7 @@ use anyhow::{Context, bail};
 use can::{Instant, Port, TraceReader, Tracer};
 use controller::ecp::StepRecords;
 use controller::executor::{Ended, Executor, Turns};
-use hil::{DeviceFault, DriveId, WorldFault};
+use hil::{DeviceFault, DriveId, PlantAxis, WorldFault};
 use serial::Line;
 use servo::{Latest, MAX_AXES, Record, Servo, ServoFault, lockstep};
 
@@ -186,12 +186,11 @@ impl Stage {
         plants.map(|plant| plant.feedback().current).any(|current| current.abs() > CURRENT)
     }
 
-    /// True positions, rad, and velocities, rad/s, of the motors of a robot.
-    pub(super) fn truth(&self, robot: usize) -> [(f64, f64); MAX_AXES] {
+    /// True positions of the motors of a robot, rad.
+    pub(super) fn truth(&self, robot: usize) -> [f64; MAX_AXES] {
         let drives = &self.drives[robot];
-        let plant = |axis: usize| self.emulation.plant(*drives.get(axis)?);
-        let state = |axis| plant(axis).map(|plant| (plant.angle(), plant.velocity()));
-        std::array::from_fn(|axis| state(axis).unwrap_or_default())
+        let plant = |axis: usize| self.emulation.plant(*drives.get(axis)?).map(PlantAxis::angle);
+        std::array::from_fn(|axis| plant(axis).unwrap_or_default())
     }
 }
 
