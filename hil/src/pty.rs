@@ -309,23 +309,6 @@ mod tests {
     const READ: Interest = Interest { read: true, write: false };
     const WRITE: Interest = Interest { read: false, write: true };
 
-    /// A directory that is removed at the end of the test.
-    struct Directory(PathBuf);
-
-    impl Directory {
-        fn new(name: &str) -> Self {
-            let path = std::env::temp_dir().join(format!("mrroc-pty-{}-{name}", std::process::id()));
-            fs::create_dir(&path).unwrap();
-            Self(path)
-        }
-    }
-
-    impl Drop for Directory {
-        fn drop(&mut self) {
-            let _ = fs::remove_dir_all(&self.0);
-        }
-    }
-
     fn host(path: &Path) -> File {
         OpenOptions::new().read(true).write(true).custom_flags(libc::O_NOCTTY | libc::O_NONBLOCK).open(path).unwrap()
     }
@@ -417,8 +400,8 @@ mod tests {
 
     #[test]
     fn a_link_lives_as_long_as_its_line() {
-        let directory = Directory::new("lives");
-        let link = directory.0.join("can0");
+        let directory = tempfile::tempdir().unwrap();
+        let link = directory.path().join("can0");
         symlink("/dev/pts/4294967295", &link).unwrap();
         let pty = Pty::linked(&link).unwrap();
         assert_eq!(fs::read_link(&link).unwrap(), pty.path());
@@ -428,8 +411,8 @@ mod tests {
 
     #[test]
     fn a_link_that_another_took_over_is_left_to_it() {
-        let directory = Directory::new("another");
-        let link = directory.0.join("can0");
+        let directory = tempfile::tempdir().unwrap();
+        let link = directory.path().join("can0");
         let first = Pty::linked(&link).unwrap();
         assert_eq!(Pty::linked(&link).unwrap_err(), PtyError::InUse);
         assert_eq!(fs::read_link(&link).unwrap(), first.path());
@@ -442,8 +425,8 @@ mod tests {
     /// A killed emulator leaves its link. The kernel then gives the number of its terminal to another terminal.
     #[test]
     fn a_link_to_a_terminal_that_no_emulator_holds_is_replaced() {
-        let directory = Directory::new("reused");
-        let link = directory.0.join("can0");
+        let directory = tempfile::tempdir().unwrap();
+        let link = directory.path().join("can0");
         let terminal = Pty::open().unwrap();
         symlink(terminal.path(), &link).unwrap();
         let pty = Pty::linked(&link).unwrap();
@@ -452,7 +435,7 @@ mod tests {
         let host = host(pty.path());
         // SAFETY: the descriptor is open, and the call takes plain integers.
         assert_eq!(unsafe { libc::flock(host.as_raw_fd(), libc::LOCK_EX) }, 0);
-        let roundabout = directory.0.join("../").join(directory.0.file_name().unwrap()).join("can0");
+        let roundabout = directory.path().join("../").join(directory.path().file_name().unwrap()).join("can0");
         for same in [&link, &roundabout] {
             assert_eq!(Pty::linked(same).unwrap_err(), PtyError::InUse);
         }
@@ -463,24 +446,24 @@ mod tests {
     /// Another emulator, with a link of its own, may hold the terminal that got the number.
     #[test]
     fn a_link_to_a_terminal_of_another_emulator_is_replaced_and_the_other_link_stays() {
-        let directory = Directory::new("reused-by-another");
-        let other = Pty::linked(&directory.0.join("can1")).unwrap();
-        let link = directory.0.join("can0");
+        let directory = tempfile::tempdir().unwrap();
+        let other = Pty::linked(&directory.path().join("can1")).unwrap();
+        let link = directory.path().join("can0");
         symlink(other.path(), &link).unwrap();
         let pty = Pty::linked(&link).unwrap();
         assert_eq!(fs::read_link(&link).unwrap(), pty.path());
-        assert_eq!(fs::read_link(directory.0.join("can1")).unwrap(), other.path());
-        assert_eq!(Pty::linked(&directory.0.join("can1")).unwrap_err(), PtyError::InUse);
+        assert_eq!(fs::read_link(directory.path().join("can1")).unwrap(), other.path());
+        assert_eq!(Pty::linked(&directory.path().join("can1")).unwrap_err(), PtyError::InUse);
     }
 
     #[test]
     fn a_link_to_anything_but_a_pseudo_terminal_is_left_alone() {
-        let directory = Directory::new("elsewhere");
-        let link = directory.0.join("can0");
-        let fifo = directory.0.join("fifo");
+        let directory = tempfile::tempdir().unwrap();
+        let link = directory.path().join("can0");
+        let fifo = directory.path().join("fifo");
         let made = std::process::Command::new("mkfifo").arg(&fifo).status();
         assert!(made.unwrap().success());
-        let planted = directory.0.join("planted");
+        let planted = directory.path().join("planted");
         let terminal = Pty::open().unwrap();
         symlink(terminal.path(), &planted).unwrap();
         let targets = ["/dev/null", "/tmp", "/dev/ttyUSB99", "/dev/pts/ptmx", "/dev/pts/../null"];
@@ -497,32 +480,32 @@ mod tests {
     /// abandoned terminal may be used again.
     #[test]
     fn a_link_that_another_emulator_replaces_meanwhile_is_left_to_it() {
-        let directory = Directory::new("faster");
-        let link = directory.0.join("can0");
+        let directory = tempfile::tempdir().unwrap();
+        let link = directory.path().join("can0");
         let faster = Pty::linked(&link).unwrap();
         for left in [Path::new("/dev/pts/4294967295"), faster.path()] {
             assert_eq!(remove_left(&link, left, Path::new("/dev/pts/none")), Err(PtyError::InUse));
             assert_eq!(fs::read_link(&link).unwrap(), faster.path());
-            assert_eq!(fs::read_dir(&directory.0).unwrap().count(), 1);
+            assert_eq!(fs::read_dir(&directory.path()).unwrap().count(), 1);
         }
     }
 
     #[test]
     fn what_is_no_link_is_not_replaced() {
-        let directory = Directory::new("taken");
-        let file = directory.0.join("can0");
+        let directory = tempfile::tempdir().unwrap();
+        let file = directory.path().join("can0");
         fs::write(&file, "precious").unwrap();
         assert_eq!(Pty::linked(&file).unwrap_err(), PtyError::NameTaken);
-        assert_eq!(Pty::linked(&directory.0).unwrap_err(), PtyError::NameTaken);
+        assert_eq!(Pty::linked(&directory.path()).unwrap_err(), PtyError::NameTaken);
         assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
-        let nowhere = directory.0.join("missing/can0");
+        let nowhere = directory.path().join("missing/can0");
         assert_eq!(Pty::linked(&nowhere).unwrap_err(), PtyError::Link(libc::ENOENT));
     }
 
     #[test]
     fn a_link_that_was_left_is_removed_also_if_its_terminal_is_our_new_one() {
-        let directory = Directory::new("reused");
-        let link = directory.0.join("axis");
+        let directory = tempfile::tempdir().unwrap();
+        let link = directory.path().join("axis");
         // A killed emulator left the link, and the new terminal has the number of the old one.
         let own = Pty::open().unwrap();
         hold(&own.slave, mark_of(&link)).unwrap();
@@ -532,6 +515,6 @@ mod tests {
         assert_eq!(remove_left(&link, &own.path, &other.path), Err(PtyError::InUse));
         assert_eq!(fs::read_link(&link).unwrap(), own.path);
         assert_eq!(remove_left(&link, &own.path, &own.path), Ok(()));
-        assert_eq!(fs::read_dir(&directory.0).unwrap().count(), 0);
+        assert_eq!(fs::read_dir(&directory.path()).unwrap().count(), 0);
     }
 }
