@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use controller::trajectory_file::{Coordinates, TrajectoryFile};
 
+use crate::bench::patient_turn;
 use crate::mrroc::{Directory, Output, Running, mrroc, shorten};
 
 /// Orders that teach three positions.
@@ -112,6 +113,7 @@ fn two_teach_ins_in_lockstep_with_the_same_lines_are_the_same_bit_for_bit() {
 
 #[test]
 fn a_teach_in_by_the_clock_ends_although_standard_input_stays_open() {
+    let _turn = patient_turn();
     let directory = Directory::new();
     let cell = cell(&directory, "file = 'poses.trj'\nvelocity = 1.0\nacceleration = 1.0");
     let run = teach(&cell, &ORDERS, &["--bench=emulated"]);
