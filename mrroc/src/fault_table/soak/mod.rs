@@ -6,7 +6,7 @@
 //!
 //! At each pose, the true position of each motor is compared with the measured position. After the reference was taken,
 //! the difference may change by at most 1.1 increments of the encoder. The measured position is up to two periods old, and
-//! a motor at a pose still moves within an increment. The nearest true position of the last two periods therefore counts.
+//! a motor at a pose still moves within an increment. The comparison therefore waits until no motor moved in two periods.
 //!
 //! The same seed gives the same soak.
 
@@ -40,6 +40,8 @@ const RECOVERY: Duration = Duration::from_secs(300);
 const ROUNDS: u64 = 2;
 /// Greatest change of the difference between true and measured position, increments of the encoder.
 const DRIFT: f64 = 1.1;
+/// Greatest motion in two periods of a motor that stands, increments of the encoder.
+const STILL: f64 = 0.01;
 /// Failed starts of a controller after which the supply is switched.
 const STARTS: u32 = 3;
 /// Starts of a controller after which the soak ends.
@@ -233,7 +235,7 @@ impl Soak<'_> {
                 self.references[robot] = None;
             }
             let rests = self.stage.counts[robot].rests.load(Ordering::Relaxed);
-            if rests != self.compared[robot] {
+            if rests != self.compared[robot] && self.stands(robot) {
                 self.compared[robot] = rests;
                 if sound {
                     self.compare(controller, robot);
@@ -243,11 +245,19 @@ impl Soak<'_> {
         going
     }
 
+    /// Whether no motor of a robot moved in the last two periods.
+    fn stands(&self, robot: usize) -> bool {
+        let [now, _, before] = &self.truths[robot];
+        self.stage.file.cell.robot[robot].axis.iter().enumerate().all(|(axis, given)| {
+            let increment = TAU / f64::from(given.counts_per_revolution());
+            (now[axis] - before[axis]).abs() <= STILL * increment
+        })
+    }
+
     /// Compares true and measured positions of a robot at rest.
     fn compare(&mut self, controller: &Controller, robot: usize) {
-        let (truths, measured) = (&self.truths[robot], controller.measured(robot));
-        let differences = truths.map(|truth| std::array::from_fn(|axis| truth[axis] - measured[axis]));
-        let difference: [f64; MAX_AXES] = differences[0];
+        let (truth, measured) = (self.truths[robot][0], controller.measured(robot));
+        let difference: [f64; MAX_AXES] = std::array::from_fn(|axis| truth[axis] - measured[axis]);
         let file = &self.stage.file;
         for (axis, given) in file.cell.robot[robot].axis.iter().enumerate() {
             let increment = TAU / f64::from(given.counts_per_revolution());
@@ -255,8 +265,7 @@ impl Soak<'_> {
             let Some(reference) = self.references[robot] else {
                 continue;
             };
-            let drifts = differences.map(|difference| (difference[axis] - reference[axis]).abs() / increment);
-            let drift = drifts.into_iter().fold(f64::INFINITY, f64::min);
+            let drift = (difference[axis] - reference[axis]).abs() / increment;
             self.report.note_drift(drift);
             if drift > DRIFT {
                 let name = file.axis_name(robot, axis);
