@@ -486,7 +486,7 @@ mod tests {
         for left in [Path::new("/dev/pts/4294967295"), faster.path()] {
             assert_eq!(remove_left(&link, left, Path::new("/dev/pts/none")), Err(PtyError::InUse));
             assert_eq!(fs::read_link(&link).unwrap(), faster.path());
-            assert_eq!(fs::read_dir(&directory.path()).unwrap().count(), 1);
+            assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 1);
         }
     }
 
@@ -496,7 +496,7 @@ mod tests {
         let file = directory.path().join("can0");
         fs::write(&file, "precious").unwrap();
         assert_eq!(Pty::linked(&file).unwrap_err(), PtyError::NameTaken);
-        assert_eq!(Pty::linked(&directory.path()).unwrap_err(), PtyError::NameTaken);
+        assert_eq!(Pty::linked(directory.path()).unwrap_err(), PtyError::NameTaken);
         assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
         let nowhere = directory.path().join("missing/can0");
         assert_eq!(Pty::linked(&nowhere).unwrap_err(), PtyError::Link(libc::ENOENT));
@@ -515,6 +515,6 @@ mod tests {
         assert_eq!(remove_left(&link, &own.path, &other.path), Err(PtyError::InUse));
         assert_eq!(fs::read_link(&link).unwrap(), own.path);
         assert_eq!(remove_left(&link, &own.path, &own.path), Ok(()));
-        assert_eq!(fs::read_dir(&directory.path()).unwrap().count(), 0);
+        assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 0);
     }
 }
