@@ -237,7 +237,7 @@ impl Soak<'_> {
             let rests = self.stage.counts[robot].rests.load(Ordering::Relaxed);
             if rests != self.compared[robot] && self.stands(robot) {
                 self.compared[robot] = rests;
-                if sound {
+                if sound && controller.is_homed(robot) {
                     self.compare(controller, robot);
                 }
             }
