@@ -13,7 +13,8 @@
 //!
 //! A cell with axis controllers on ttys has a second process, the [guardian](crate::guardian).
 //!
-//! A run in lockstep has the caller and one thread for everything else. Planning and rehearsal by the wall clock are
+//! A run in lockstep has the caller, one thread for everything else, and with `--threads` helpers of this thread that
+//! advance emulated robots. Planning and rehearsal by the wall clock are
 //! not waited for. However a run ends, the run waits until the servo has braked the arms and switched them off. A run
 //! ends with its task, on a signal, when a file cannot be written, when the task hangs, and by a panic of the caller or
 //! the controller. A file that takes nothing is not waited for. Whatever may still have power afterwards is a fault of
@@ -28,6 +29,7 @@ mod ending;
 #[cfg(test)]
 mod fault_lines;
 mod files;
+mod options;
 #[cfg(test)]
 mod panic_tests;
 mod running_task;
@@ -41,16 +43,14 @@ use std::cell::{Cell as Shared, RefCell};
 use std::fmt::Display;
 use std::io::Write as _;
 use std::mem::take;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::Builder;
 use std::time::Duration;
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, anyhow};
 use can::{Instant, clock};
-use clap::Args;
 use drive::BringUpError;
 use servo::{NotUp, Servo, Timing, lockstep, thread};
 
@@ -59,10 +59,10 @@ use crate::bench::carving::{self, Carving};
 use crate::bench::clockwork;
 use crate::bench::emulation::Emulation;
 use crate::bench::truth::TruthLog;
-use crate::bench::{Bench, BenchKind, Places};
+use crate::bench::{Bench, BenchKind};
 use crate::cell::{CellFile, printable};
 use crate::guardian::{Guardian, Pulse};
-use crate::outputs::{Outputs, Replacement};
+use crate::outputs::Outputs;
 use crate::recording::{self, Facts, Flights, Recorder};
 use crate::report::{self, FaultReport, RunEnd, RunOutcome, RunReport, Tracks};
 use crate::scenario::Scenario;
@@ -76,6 +76,7 @@ use files::{Logs, Writing};
 
 use descriptions::{of_guardian, of_servo_thread, servo_faults};
 pub use ending::{Requests, Turning, stopped_once};
+pub use options::RunOptions;
 pub use running_task::Progress;
 pub(crate) use running_task::RunningTask;
 use running_task::{Rehearsals, TaskErrors};
@@ -113,67 +114,6 @@ const REPORT: &str = "report.html";
 /// Bytes of the stack of a thread that reads queues and writes files; once memory is locked, all of it is.
 pub const SMALL_STACK: usize = 128 * 1024;
 
-/// What a run runs on and which files it writes.
-#[derive(Args, Debug, Default)]
-pub struct RunOptions {
-    /// What to run it on.
-    #[arg(long, value_enum, default_value = "emulated")]
-    pub bench: BenchKind,
-    /// Where the bench is found.
-    #[command(flatten)]
-    pub places: Places,
-    /// Move at this percentage of the programmed speed: above 0, at most 100.
-    #[arg(long, value_name = "PERCENT")]
-    pub speed: Option<f64>,
-    /// Write every frame to this file, as candump does.
-    #[arg(long, value_name = "FILE")]
-    pub trace: Option<PathBuf>,
-    /// Write every axis in every cycle to this file, as CSV. A file called NAME.mcap is a recording for `mrroc replay`: all
-    /// cycles, frames and telegrams, with the frames as a candump log in NAME.log beside it.
-    #[arg(long, value_name = "FILE")]
-    pub record: Option<PathBuf>,
-    /// Write the last seconds to a new file in this directory after each fault of a robot, and at SIGUSR1. With --bench
-    /// card, the default is the working directory.
-    #[arg(long, value_name = "DIR")]
-    pub flight: Option<PathBuf>,
-    /// Write every step of every generator to this file, as CSV: the events of the flow chart, the ages of the images, and a
-    /// digest of the memory.
-    #[arg(long, value_name = "FILE")]
-    pub steps: Option<PathBuf>,
-    /// Write the servo cycles around the latest ones to this file, phase by phase, for ui.perfetto.dev; SIGUSR1 adds
-    /// those around a moment of yours.
-    #[arg(long, value_name = "FILE")]
-    pub spikes: Option<PathBuf>,
-    /// Write the true places of bars and the true wrenches of grippers of the emulated scene to this file, as CSV, in each
-    /// servo period. Needs --bench lockstep. No controller reads the truth.
-    #[arg(long, value_name = "FILE")]
-    pub truth: Option<PathBuf>,
-    /// Write the height field of each emulated workpiece after the run into this directory, as NAME.pgm with 16 bits of
-    /// grey. Needs an emulated bench.
-    #[arg(long, value_name = "DIR")]
-    pub carved: Option<PathBuf>,
-    /// Play the faults of this scenario file on the emulated side of the wires. Needs --bench lockstep or emulated.
-    #[arg(long, value_name = "FILE")]
-    pub scenario: Option<PathBuf>,
-    /// Advance the emulated robots with this number of threads, at most 64. Needs --bench lockstep. The result does not
-    /// depend on the number. Each thread occupies a processor.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
-    pub threads: Option<u8>,
-    /// Write report.html into this directory: tables and plots of the run in one file, which needs no network.
-    #[arg(long, value_name = "DIR")]
-    pub out: Option<PathBuf>,
-    /// Replacement of files that are there.
-    #[command(flatten)]
-    pub replacement: Replacement,
-}
-
-impl RunOptions {
-    /// A run on `bench` that writes no files.
-    pub fn on(bench: BenchKind) -> Self {
-        Self { bench, ..Self::default() }
-    }
-}
-
 /// Rehearses a task, then runs it.
 ///
 /// `program` begins anew for every rehearsal on ideal drives and for the run. `progress` receives news on the caller's
@@ -186,21 +126,7 @@ pub fn run(
     program: &Program,
     progress: &mut dyn FnMut(Progress),
 ) -> anyhow::Result<RunReport> {
-    if options.spikes.is_some() && options.bench == BenchKind::Lockstep {
-        bail!("--spikes needs cycles by the clock, which --bench lockstep has none of");
-    }
-    if options.threads.is_some() && options.bench != BenchKind::Lockstep {
-        bail!("--threads needs --bench lockstep: on the other benches, the robots move at the pace of the clock");
-    }
-    if options.truth.is_some() && options.bench != BenchKind::Lockstep {
-        bail!("--truth needs --bench lockstep, where the scene is in step with the servo");
-    }
-    if options.carved.is_some() && !matches!(options.bench, BenchKind::Lockstep | BenchKind::Emulated) {
-        bail!("--carved needs --bench lockstep or emulated, whose workpieces are in this process");
-    }
-    if options.scenario.is_some() && !matches!(options.bench, BenchKind::Lockstep | BenchKind::Emulated) {
-        bail!("--scenario needs --bench lockstep or emulated; elsewhere `mrroc emulate --scenario` plays it");
-    }
+    options.check()?;
     let scenario = options.scenario.as_deref().map(Scenario::read).transpose()?;
     if let Some(percent) = options.speed {
         let fraction = if percent > 0.0 { percent / 100.0 } else { f64::NAN };
@@ -288,15 +214,14 @@ pub fn run(
 
     let began = clock::now();
     let unsolved = bench.emulation.as_ref().and_then(Emulation::unsolved);
-    let buses = Buses { wire: bench.wire, emulation: bench.emulation };
+    let mut buses = Buses { wire: bench.wire, emulation: bench.emulation };
     let mut end = match options.bench {
         BenchKind::Lockstep => {
             let (turns, stop) = (task.turns.clone(), requests.stop.clone());
-            let helpers = usize::from(options.threads.unwrap_or(1)).saturating_sub(1);
+            let threads = options.threads.map_or(1, usize::from);
             let work = move |tell: &mut dyn FnMut(Progress)| {
-                let mut buses = buses;
-                if let Some(emulation) = buses.emulation.as_mut().filter(|_| helpers > 0) {
-                    emulation.add_helpers(helpers).context("--threads")?;
+                if let Some(emulation) = buses.emulation.as_mut().filter(|_| threads > 1) {
+                    emulation.add_helpers(threads - 1).context("--threads")?;
                 }
                 in_lockstep(servo, task, logs, buses, &stop, tell)
             };
