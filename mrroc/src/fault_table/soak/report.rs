@@ -66,6 +66,8 @@ pub struct SoakReport {
     pub kinds: Vec<SoakKind>,
     /// Times at which a robot took its reference.
     pub references: u64,
+    /// Comparisons of true and measured positions of a robot at rest.
+    pub comparisons: u64,
     /// Least and greatest difference of true and measured position of any axis, increments of the encoder.
     pub reference_increments: (f64, f64),
     /// Greatest change of such a difference without homing, increments.
@@ -180,6 +182,7 @@ impl fmt::Display for SoakReport {
         row("not recovered", self.sum(|kind| kind.failed).to_string())?;
         row("other failures", (self.failures.len() as u64 - self.sum(|kind| kind.failed)).to_string())?;
         row("references taken", self.references.to_string())?;
+        row("comparisons at rest", self.comparisons.to_string())?;
         row("references that changed", self.drifts.len().to_string())?;
         row("greatest drift", format!("{:.2} increments", self.greatest_drift))?;
         let (least, most) = self.reference_increments;
