@@ -207,7 +207,8 @@ fn dies_behind_slcan(tries: usize) {
 }
 
 /// Drives on a virtual interface, in the test machine. Delays by this machine are as long as the other failures, so the host
-/// is only killed. On a guarded bus, the guardian stops the nodes after 0.35 s, and the drives would stop after 0.6 s.
+/// is only killed. On a guarded bus, the guardian sees the end of the host at once, and its command must come before the
+/// drives would stop by themselves, after 0.6 s.
 fn dies_on_vcan(test: &str, longest: Duration, tries: usize, guarded: bool) {
     on_vcan_within(longest, test, |interface| {
         let directory = Directory::new();
@@ -228,7 +229,6 @@ fn dies_on_vcan(test: &str, longest: Duration, tries: usize, guarded: bool) {
         let emulator = emulator(&file, |lines, emulated| lines.add_bus_on(emulated, 0, port));
         let arguments = ["--bench=vcan".to_owned(), format!("--can={interface}")];
         let (gap, failures) = (Duration::from_millis(200), &[Failure::Kill]);
-        // The command of the guardian comes before the drives know of the silence.
         let silence = of_drives(&file) - if guarded { file.cell.period() } else { Duration::ZERO };
         let name = if guarded { "on guarded vcan" } else { "on vcan" };
         let wire = Wire { name, arguments, gap, silence, failures };

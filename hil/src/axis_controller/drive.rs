@@ -267,7 +267,7 @@ impl Drive {
 #[derive(Clone, Debug, Default)]
 pub struct Cabinet(Arc<Stop>);
 
-/// The order of the two atomics does not matter: one thread moves all drives of a world.
+/// The order of the two atomics does not matter: one thread at a time moves the drives of a cabinet.
 #[derive(Debug, Default)]
 struct Stop {
     in_error: AtomicU32,

@@ -64,9 +64,9 @@ struct Part<'a> {
 }
 
 impl Groups {
-    /// If the robots do not influence each other: one group per robot, one per bus without a robot, and one for all lines
-    /// that are coupled with nothing. Buses and lines with a common robot or cabinet are in one group. Otherwise one group
-    /// of all. The results are the same. Separate groups are faster, because the data of one group fit into the cache of a
+    /// The groups of a world. Robots that may influence each other are in one group with everything else. Otherwise there is
+    /// one group for each robot, one for each bus without a robot, and one for all lines without couplings. Buses and lines
+    /// with a common robot or cabinet are in one group. The results are the same. Separate groups are faster, because the data of one group fit into the cache of a
     /// processor, and because threads can share them.
     pub(super) fn new(scene: Option<&Scene>, buses: &[VirtualBus], lines: &[SerialLine]) -> Self {
         let of_buses = buses.iter().flat_map(VirtualBus::devices).filter_map(|device| device.plant());
@@ -251,7 +251,7 @@ impl Group {
     }
 }
 
-/// Adds a group, which becomes one with all groups that have one of its couplings.
+/// Adds a group, and unites it with all groups that share a coupling with it.
 fn join(groups: &mut Vec<Group>, mut group: Group) {
     let is_coupled = |other: &mut Group| other.couplings.iter().any(|coupling| group.couplings.contains(coupling));
     for other in groups.extract_if(.., is_coupled).collect::<Vec<_>>() {

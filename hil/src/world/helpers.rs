@@ -8,6 +8,8 @@ use rayon::{Scope, ThreadPool, ThreadPoolBuilder, Yield};
 
 /// Threads that help a thread to advance a [`World`](crate::World).
 ///
+/// Only robots that cannot influence each other are shared out.
+///
 /// A helper waits for work without sleeping, and occupies a processor until this value is dropped. A helper that slept
 /// would wake later than an advance lasts.
 pub struct Helpers {

@@ -1,4 +1,4 @@
-//! Tests of robots that a world advances one after the other.
+//! Tests of robots that a world advances one after the other, or by several threads.
 
 use std::f64::consts::PI;
 use std::time::Duration;
