@@ -233,6 +233,7 @@ impl World {
 
     /// Lets helpers share the work of each advance with the thread that started them. The results are the same.
     pub fn set_helpers(&mut self, helpers: Helpers) {
+        self.groups = None;
         self.helpers = Some(helpers);
     }
 
@@ -255,7 +256,8 @@ impl World {
     pub fn advance(&mut self, until: Instant) {
         let Self { buses, lines, scene, groups, helpers, now } = self;
         if scene.is_some() || helpers.is_some() {
-            let groups = groups.get_or_insert_with(|| Groups::new(scene.as_ref(), buses, lines));
+            let threads = helpers.as_ref().map_or(1, Helpers::threads);
+            let groups = groups.get_or_insert_with(|| Groups::new(scene.as_ref(), buses, lines, threads));
             groups.advance(until, scene.as_mut(), buses, lines, helpers.as_ref());
         } else {
             buses.iter_mut().for_each(|bus| bus.advance(until));

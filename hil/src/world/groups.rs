@@ -17,6 +17,8 @@ pub(super) struct Group {
     buses: Vec<usize>,
     lines: Vec<usize>,
     robots: Vec<usize>,
+    /// Number of the thread that advances the group. It is always the same thread, whose cache has the data of the group.
+    thread: usize,
     /// Couplings of the devices with other devices.
     couplings: Vec<Coupling>,
     /// Time of the next event of each bus, then of each line, during an advance.
@@ -66,9 +68,9 @@ struct Part<'a> {
 impl Groups {
     /// The groups of a world. Robots that may influence each other are in one group with everything else. Otherwise there is
     /// one group for each robot, one for each bus without a robot, and one for all lines without couplings. Buses and lines
-    /// with a common robot or cabinet are in one group. The results are the same. Separate groups are faster, because the data of one group fit into the cache of a
-    /// processor, and because threads can share them.
-    pub(super) fn new(scene: Option<&Scene>, buses: &[VirtualBus], lines: &[SerialLine]) -> Self {
+    /// with a common robot or cabinet are in one group. The results are the same. Separate groups are faster, because the
+    /// data of one group fit into the cache of a processor, and because `threads` can share them.
+    pub(super) fn new(scene: Option<&Scene>, buses: &[VirtualBus], lines: &[SerialLine], threads: usize) -> Self {
         let of_buses = buses.iter().flat_map(VirtualBus::devices).filter_map(|device| device.plant());
         let motors: Vec<_> = of_buses.chain(lines.iter().filter_map(|line| line.any_device().plant())).collect();
         let robots: Option<Vec<Mechanism>> = match scene {
@@ -108,12 +110,18 @@ impl Groups {
         if !uncoupled.lines.is_empty() {
             groups.push(uncoupled);
         }
-        // The group with the most work begins first.
+        // From the group with the most work on, each goes to the thread with the least work. Of equals, the helper of the
+        // highest number takes it, and the helped thread, which has work of its own before and behind, comes last.
         let motors = |group: &Group| {
             let at_buses = group.buses.iter().flat_map(|&bus| buses[bus].devices());
             at_buses.filter(|device| device.plant().is_some()).count() + group.lines.len()
         };
         groups.sort_by_key(|group| std::cmp::Reverse(motors(group)));
+        let mut work = vec![0; threads];
+        for group in &mut groups {
+            group.thread = (0..threads).rev().min_by_key(|&thread| work[thread]).unwrap_or(0);
+            work[group.thread] += motors(group);
+        }
         Self { groups: groups.into_iter().map(Group::closed).collect(), separate: true }
     }
 
@@ -134,10 +142,14 @@ impl Groups {
         let interval = Interval { steps, until };
         if self.separate {
             let parts = self.parts(scene.as_deref_mut(), buses, lines);
-            let jobs = parts.into_iter().map(|part| move || part.advance(interval));
+            let advance = |parts: Vec<Part>| parts.into_iter().for_each(|part| part.advance(interval));
             match helpers {
-                Some(helpers) => helpers.share(jobs),
-                None => jobs.for_each(|job| job()),
+                Some(helpers) => {
+                    let mut shares: Vec<_> = (0..helpers.threads()).map(|_| Vec::new()).collect();
+                    parts.into_iter().for_each(|part| shares[part.group.thread].push(part));
+                    helpers.share(shares, advance);
+                }
+                None => advance(parts),
             }
             if let (Some(scene), Some((_, end))) = (scene, steps) {
                 scene.end_steps(end);
@@ -204,7 +216,7 @@ impl Part<'_> {
 impl Group {
     /// A group of no bus and no line yet.
     fn new(couplings: Vec<Coupling>) -> Self {
-        Self { buses: Vec::new(), lines: Vec::new(), robots: Vec::new(), couplings, next: Vec::new() }
+        Self { buses: Vec::new(), lines: Vec::new(), robots: Vec::new(), thread: 0, couplings, next: Vec::new() }
     }
 
     /// The group with all its buses and lines.

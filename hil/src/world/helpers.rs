@@ -1,10 +1,10 @@
 //! Threads that share the work of an advance.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::{hint, io};
 
-use rayon::{Scope, ThreadPool, ThreadPoolBuilder, Yield};
+use rayon::{ThreadPool, ThreadPoolBuilder, Yield};
 
 /// Threads that help a thread to advance a [`World`](crate::World).
 ///
@@ -39,12 +39,17 @@ impl Helpers {
         Ok(Self { pool, over })
     }
 
-    /// Runs jobs on all threads, and waits for their end.
-    pub(super) fn share<'a>(&self, jobs: impl IntoIterator<Item: FnOnce() + Send + 'a> + Send) {
-        self.pool.scope(|scope: &Scope<'a>| {
-            for job in jobs {
-                scope.spawn(move |_| job());
-            }
+    /// Number of threads, the helped one included.
+    pub(super) fn threads(&self) -> usize {
+        self.pool.current_num_threads()
+    }
+
+    /// Lets each thread take its share, and waits for the last. `shares` has one element for each thread.
+    pub(super) fn share<T: Send>(&self, shares: Vec<T>, advance: impl Fn(T) + Sync) {
+        let shares: Vec<_> = shares.into_iter().map(|share| Mutex::new(Some(share))).collect();
+        self.pool.broadcast(|thread| {
+            let mine = shares[thread.index()].lock().unwrap_or_else(PoisonError::into_inner).take();
+            mine.into_iter().for_each(&advance);
         });
     }
 }
