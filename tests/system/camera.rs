@@ -98,9 +98,14 @@ fn absent_silent_garbled_and_other_cameras_are_refused_before_motion() {
     let _turn = patient_turn();
     for bench in [BenchKind::Lockstep, BenchKind::Emulated] {
         for (change, expected) in cases {
-            let refused = ::mrroc::run(&cell(change), bench, look::look).unwrap_err().to_string();
-            assert!(refused.starts_with("camera eye, address 127.0.0.1:"), "{refused}");
-            assert!(refused.contains(expected), "{}: {refused}", bench.name());
+            // A busy host delays pictures by the clock, and the camera is then refused for another reason.
+            let tries = if bench == BenchKind::Lockstep { 1 } else { 8 };
+            let refused = || ::mrroc::run(&cell(change), bench, look::look).unwrap_err().to_string();
+            let mut refused = iter::repeat_with(refused).take(tries).inspect(|refused| {
+                assert!(refused.starts_with("camera eye, address 127.0.0.1:"), "{refused}");
+                println!("{}: {refused}", bench.name());
+            });
+            assert!(refused.any(|refused| refused.contains(expected)), "{}: {expected}", bench.name());
         }
     }
     let file = CellFile::read(example("irb6")).unwrap();
