@@ -30,7 +30,7 @@ use faults::{BusFaults, ERROR_FRAME, HeldFrame, report};
 const QUEUE: usize = 32;
 
 /// A bus with its nodes: ports of the host, and devices.
-// Two of these, which different threads may advance, have no common cache line.
+// Different threads may advance two buses. Two buses therefore share no cache line.
 #[repr(align(128))]
 pub struct VirtualBus {
     bitrate: Bitrate,

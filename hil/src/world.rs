@@ -47,9 +47,9 @@ pub use helpers::Helpers;
 /// ([`Mechanism`](crate::Mechanism)), through a [`Cabinet`](crate::Cabinet), and through a shaft that another device
 /// reads. The state of the scene changes at its steps only. Before each step, all buses and lines are advanced to the
 /// time of the step. Robots of a scene without bodies, belts and other moving parts do not influence each other: the
-/// devices of each robot are then advanced through all steps of an interval, one robot after the other or by several
-/// threads ([`Helpers`]). Devices with a common robot or cabinet are advanced together. Without a scene, each bus and each
-/// line is advanced to the end in one call.
+/// devices of each robot are then advanced through all steps of an interval. The robots are advanced one after the
+/// other, or several threads ([`Helpers`]) share them. Devices with a common robot or cabinet are advanced together.
+/// Without a scene, each bus and each line is advanced to the end in one call.
 #[derive(Default)]
 pub struct World {
     buses: Vec<VirtualBus>,
@@ -231,7 +231,8 @@ impl World {
         self.scene = Some(scene);
     }
 
-    /// Lets helpers share the work of each advance with the thread that started them. The results are the same.
+    /// Lets helpers share the work of each advance with the thread that started them. The helpers do not change the
+    /// results.
     pub fn set_helpers(&mut self, helpers: Helpers) {
         self.groups = None;
         self.helpers = Some(helpers);

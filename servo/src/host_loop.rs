@@ -12,10 +12,10 @@ use crate::{FeedForward, HostLoop, Knot, Law, Output};
 /// sample is punctual and shows the true velocity.
 const RUNAWAY_SAMPLES: u32 = 2;
 
-/// Cycles at rest after which the output of a loop counts as the one that holds the load.
+/// Number of cycles at rest after which the output of a loop counts as the output that holds the load.
 const REST: u32 = 25;
 
-/// Greatest error, and greatest motion between two samples, of a motor at rest, increments.
+/// Greatest position error of a motor at rest, and its greatest motion between two samples, increments.
 const STILL: f64 = 2.0;
 
 /// The loop of one axis.
@@ -50,12 +50,12 @@ pub(crate) struct Loop {
     velocity_error: f64,
     /// Position error used by the law, rad.
     taken: f64,
-    /// Cycles at rest in a row.
+    /// Number of consecutive cycles at rest.
     rests: u32,
     /// Output that held the load at the last rest, without the constant feed-forward. `None` before the first rest, and
     /// after the motor was moved without power.
     holding: Option<f64>,
-    /// Position, rad, where the motor rests.
+    /// Position of the motor at its last rest, rad. `None` after a motion under power.
     parked: Option<f64>,
 }
 
@@ -161,8 +161,8 @@ impl Loop {
         }
     }
 
-    /// Remembers the output that holds the load, if the motor has been at rest for some cycles. `still` says whether the
-    /// set-point is at rest, and `torque` is as in [`Self::regulate`].
+    /// Stores the output that holds the load, if the motor has been at rest for [`REST`] cycles. `still` says whether
+    /// the set-point is at rest. `torque` is as in [`Self::regulate`].
     fn learn(&mut self, still: bool, torque: f64, dt: f64) {
         let rests = still && self.is_still(dt) && self.error.abs() * self.increments_per_radian <= STILL;
         self.rests = if rests { self.rests.saturating_add(1) } else { 0 };
@@ -171,7 +171,7 @@ impl Loop {
             let integral = match &self.law {
                 Regulator::Incremental(law) => law.integral(),
                 Regulator::Cascade { velocity_loop, .. } => velocity_loop.integral(),
-                // A velocity of the drive holds no load.
+                // The velocity loop of the drive holds the load.
                 Regulator::Proportional(_) => return,
             };
             self.holding = Some(integral + self.config.feed_forward.weight.unwrap_or(0.0) * torque);
@@ -182,8 +182,8 @@ impl Loop {
         self.cycles == 0 && self.measured_velocity.abs() * dt * self.increments_per_radian <= STILL
     }
 
-    /// One cycle without power. A motor that leaves the position of its rest by more than `tolerance`, rad, may carry
-    /// another load: the output that held the old load is forgotten.
+    /// Processes one cycle without power. A motor that has moved from its rest position by more than `tolerance`, rad,
+    /// may carry another load. The output that held the old load is then discarded.
     pub(crate) fn park(&mut self, position: f64, tolerance: f64, dt: f64) {
         match self.parked {
             Some(parked) if (position - parked).abs() > tolerance => self.holding = None,
@@ -220,7 +220,7 @@ impl Loop {
     }
 
     /// Restarts the loop at rest at `position`. The integral part begins with the output that held the load at the last
-    /// rest, less the part that is fed forward for `torque`, as in [`Self::regulate`].
+    /// rest, less the weight feed-forward for `torque`. `torque` is as in [`Self::regulate`].
     pub(crate) fn capture(&mut self, position: f64, torque: f64) {
         let fed_forward = self.config.feed_forward.weight.unwrap_or(0.0) * torque;
         let preset = self.holding.map_or(0.0, |holding| holding - fed_forward);
@@ -402,7 +402,7 @@ mod tests {
             rest_at(&mut held, 0.0, 300);
             let load = rest_at(&mut held, 0.01, 2 * REST);
             assert!((load - 0.02).abs() > 1e-4, "{law:?}: {load} N·m");
-            // Two increments and more beside the set-point, the motor presses against something.
+            // The motor is blocked more than two increments away from its set-point. This output is not stored.
             rest_at(&mut held, 0.0, 2 * REST);
             for fed_forward in [0.0, 0.02, 0.5] {
                 let state = AxisState { position: 0.3, ..AxisState::default() };

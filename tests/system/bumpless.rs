@@ -12,7 +12,7 @@ use crate::host_closed::closed_by_host;
 use crate::motion::Motion;
 use crate::mrroc::SERIAL_CELLS;
 
-/// Motion of a motor that takes up its load, rad.
+/// Greatest motion of a motor while its loop takes up the load, rad.
 const LOAD: f64 = 0.15;
 
 /// The time without answers of the drive of axis 2.
@@ -28,11 +28,12 @@ fn silence(rig: &mut Rig, on: bool) {
     }
 }
 
-/// Stops the robot in motion by a silent drive, resets the fault, and enables again. Asserts that no motor moves.
+/// Stops the robot in motion by a silent drive, resets the fault, and enables again. Asserts that no motor moves by
+/// [`LOAD`] or more.
 fn stop_and_enable_again(name: &str, setup: Setup) {
     let mut rig = setup.bring_up();
     rig.home();
-    // The loops find the torque that holds the arm.
+    // In these cycles, each loop settles and stores the output that holds the arm.
     (0..100).for_each(|_| rig.cycle());
     for round in 0..2 {
         let mut motion = rig.in_motion();

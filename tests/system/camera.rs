@@ -60,7 +60,7 @@ fn pictures_in_lockstep_are_the_same_each_run() {
 #[test]
 fn box_is_located_within_1_mm_from_a_picture_over_tcp() {
     let _turn = patient_turn();
-    // On a busy host, a picture may be late. A run is repeated after such a fault.
+    // On a busy host, a picture may be late. A run that ended with a fault is repeated.
     let runs = iter::repeat_with(|| run(BenchKind::Emulated, |_| {})).take(8);
     let mut runs = runs.inspect(|run| run.faults.iter().for_each(|fault| println!("{}", fault.what)));
     let found = runs.find(|run| run.outcome == RunOutcome::Completed);

@@ -1,6 +1,6 @@
 //! Drives on CAN whose host dies, is suspended or hangs in motion: they stop by themselves, because each drive watches the
 //! heartbeat and the set-points of the host. Each drive reports the silence by an EMCY. On a guarded bus, the guardian stops
-//! all nodes before.
+//! all nodes before the drives stop by themselves.
 //!
 //! `mrroc run` is a process of its own, and the emulator is in this process: behind an slcan adapter, or on a virtual
 //! interface. The true angles of the motors are read in the time of the emulator.
@@ -45,14 +45,14 @@ struct Wire {
     arguments: [String; 2],
     /// Shortest silence of a host that has failed. The host may delay a cycle by less.
     gap: Duration,
-    /// Longest silence until the drives know of it.
+    /// Longest silence of the host until the drives detect the silence or receive the command of the guardian.
     silence: Duration,
     failures: &'static [Failure],
 }
 
-/// The emulated drives of CAN bus 0, which `connect` adds. A sample has an error if each drive has sent an EMCY, or on a
-/// guarded bus if the last NMT command has stopped all nodes. Its number of bytes is that of the SYNC messages and heartbeats
-/// of the host.
+/// The emulated drives of CAN bus 0, which `connect` adds. A sample has an error if each drive has sent an EMCY. On a
+/// guarded bus, a sample has an error instead if the last NMT command has stopped all nodes. The field `bytes` of a
+/// sample counts the SYNC messages and heartbeats of the host.
 fn emulator(file: &CellFile, connect: impl FnOnce(&mut EmulatedLines, &EmulatedCell) -> BusId) -> Emulator {
     let emulated = EmulatedCell::of(file);
     let mut lines = EmulatedLines::default();
@@ -161,12 +161,12 @@ fn last_sign(samples: &[Sample], event: Instant, gap: Duration) -> Instant {
     last.wall
 }
 
-/// Silence after which a drive stops by itself: three heartbeats.
+/// Silence after which a drive stops by itself: three heartbeat periods.
 fn of_drives(file: &CellFile) -> Duration {
     3 * Duration::from_millis(u64::from(file.cell.bus[0].heartbeat_ms))
 }
 
-/// Tries every failure `tries` times. All axes are at a standstill after the permitted silence and the run-out.
+/// Tries every failure `tries` times. All axes must come to a standstill within the longest silence plus the run-out.
 fn dies(directory: &Directory, cell: &Path, wire: &Wire, emulator: &Emulator, tries: usize) {
     let file = CellFile::read(cell).expect("the cell");
     let rig = Rig { directory, file: &file, cell, wire, emulator };
@@ -206,9 +206,9 @@ fn dies_behind_slcan(tries: usize) {
     dies(&directory, &cell, &wire, &emulator, tries);
 }
 
-/// Drives on a virtual interface, in the test machine. Delays by this machine are as long as the other failures, so the host
-/// is only killed. On a guarded bus, the guardian sees the end of the host at once, and its command must come before the
-/// drives would stop by themselves, after 0.6 s.
+/// Drives on a virtual interface, in the test machine. This machine may delay the host by as much as the other failures
+/// do. The only failure is therefore a kill. On a guarded bus, the guardian detects the end of the host at once. The
+/// command of the guardian must precede the time at which the drives would stop by themselves, after 0.6 s.
 fn dies_on_vcan(test: &str, longest: Duration, tries: usize, guarded: bool) {
     on_vcan_within(longest, test, |interface| {
         let directory = Directory::new();

@@ -152,7 +152,8 @@ fn the_files_hold_what_the_report_says_and_the_same_each_time() {
 }
 
 /// Repeats `measure` on `bench` until its report is correct, up to eight times. On an overloaded machine, frames and
-/// answers are late, and a measurement ends with a fault. A refusal is a failure at once.
+/// answers are late, and a measurement may end with a fault. A refused measurement fails the test at once, unless
+/// answers took more than a period.
 fn in_the_end(measure: impl Fn() -> Output, bench: &str, is_right: impl Fn(&Value) -> bool) {
     let right = |run: &Output| {
         if run.status.code() == Some(1) || run.stderr.contains("took more than a period") {
@@ -196,7 +197,7 @@ fn a_loop_is_measured_over_the_ttys_of_another_process() {
     };
     let hardware = || on("card", &["--moves-hardware"]);
     refused(&on("card", &[]), &["--moves-hardware"]);
-    // Late answers may end the start before the refusal. No start may end in a measurement.
+    // Late answers may abort a start before the refusal. No start may lead to a measurement.
     let mut unhomed = iter::repeat_with(hardware).take(20);
     assert!(unhomed.any(|run| {
         assert_ne!(run.status.code(), Some(0), "{run:?}");

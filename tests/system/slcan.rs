@@ -252,7 +252,7 @@ fn an_arm_runs_over_one_adapter_with_its_drives_emulated_behind_another() {
         assert!((received..=received + 60).contains(&sent), "{sent} {received}");
     }
     for counts in [here, there] {
-        // A frame of which the line took a part is cut off by the closing, and the adapter refuses it.
+        // The closing may cut off a frame that the line has taken only in part. The adapter refuses such a frame.
         assert!(counts.refused <= 1 && (counts.lost, counts.unsaid) == (0, 0), "{counts:?}");
     }
 }

@@ -57,13 +57,13 @@ pub enum MechanismConfig {
 ///
 /// The load of an axis follows from the last simulated positions of the other axes. The result is a function of
 /// configurations, seeds and the order of all calls. A [`World`](crate::World) keeps that order. If several threads
-/// advance the drives, the results stay valid but differ in their last bits from run to run. A drive without calls
-/// lags by up to 20 ms.
+/// advance the drives of one robot, the results stay valid but differ in their last bits from run to run. A drive
+/// without calls lags by up to 20 ms.
 #[derive(Clone, Debug)]
 pub struct Mechanism(Arc<Shared>);
 
 #[derive(Debug)]
-// Two of these, which different threads may advance, have no common cache line.
+// Different threads may advance two robots. Two robots therefore share no cache line.
 #[repr(align(128))]
 struct Shared {
     robot: Mutex<Robot>,

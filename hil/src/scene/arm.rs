@@ -11,7 +11,7 @@ use super::{SensorConfig, SensorProbe};
 use crate::plant::{Kinematics, Mechanism, Shafts};
 
 /// A robot. Its flange is not computed in the steps in which no force can act on the tool and nothing needs the flange.
-// Two of these, which different threads may advance, have no common cache line.
+// Different threads may advance two robots. Two robots therefore share no cache line.
 #[repr(align(128))]
 pub(super) struct Arm {
     seat: Seat,

@@ -17,8 +17,8 @@ impl Scene {
         (at_rest && bare && silent).then(|| self.arms.iter().map(Arm::mechanism))
     }
 
-    /// The robots with what their steps need, if they are [independent](Self::independent_robots). The caller calls
-    /// [`Scene::end_steps`] after the steps of all robots.
+    /// All robots, each with the data for its steps. The robots must be [independent](Self::independent_robots). The
+    /// caller calls [`Scene::end_steps`] after the steps of all robots.
     pub(crate) fn robots(&mut self) -> impl Iterator<Item = RobotOfScene<'_>> {
         let Self { arms, tips, walls, gravity, .. } = self;
         let mut robots: Vec<_> =
@@ -42,7 +42,7 @@ pub(crate) struct RobotOfScene<'a> {
 }
 
 impl RobotOfScene<'_> {
-    /// Advances the robot by one step. The caller has already moved its motors to the end of the step.
+    /// Advances the robot by one step. The caller has already moved the motors of the robot to the end of the step.
     pub(crate) fn step(&mut self) {
         self.arm.follow(true);
         self.arm.begin_clearance();

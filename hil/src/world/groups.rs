@@ -10,14 +10,15 @@ use crate::scene::{RobotOfScene, STEP, Scene};
 use crate::{Cabinet, Mechanism, PlantAxis};
 
 /// Buses and lines that advance together.
-// Two of these, which different threads may advance, have no common cache line.
+// Different threads may advance two groups. Two groups therefore share no cache line.
 #[repr(align(128))]
 pub(super) struct Group {
     /// Buses and lines in ascending order, as in the group of all.
     buses: Vec<usize>,
     lines: Vec<usize>,
     robots: Vec<usize>,
-    /// Number of the thread that advances the group. It is always the same thread, whose cache has the data of the group.
+    /// Number of the thread that advances the group. The thread is the same in every advance, so its cache keeps the
+    /// data of the group.
     thread: usize,
     /// Couplings of the devices with other devices.
     couplings: Vec<Coupling>,
@@ -52,12 +53,13 @@ impl PartialEq for Coupling {
 /// Interval of an advance.
 #[derive(Clone, Copy)]
 struct Interval {
-    /// The last step of the scene before the interval, and the last step in the interval; `None` without a scene.
+    /// Times of the last step of the scene before the interval and of the last step in the interval. `None` without a
+    /// scene.
     steps: Option<(Instant, Instant)>,
     until: Instant,
 }
 
-/// What advances a separate group.
+/// A separate group during an advance, with its buses, lines and robots.
 struct Part<'a> {
     group: &'a mut Group,
     buses: Vec<&'a mut VirtualBus>,
@@ -66,10 +68,11 @@ struct Part<'a> {
 }
 
 impl Groups {
-    /// The groups of a world. Robots that may influence each other are in one group with everything else. Otherwise there is
-    /// one group for each robot, one for each bus without a robot, and one for all lines without couplings. Buses and lines
-    /// with a common robot or cabinet are in one group. The results are the same. Separate groups are faster, because the
-    /// data of one group fit into the cache of a processor, and because `threads` can share them.
+    /// The groups of a world. If robots may influence each other through the scene, all buses and lines are in one
+    /// group. Otherwise there is one group for each robot, one for each bus without a robot, and one for all lines
+    /// without couplings. Buses and lines with a common robot or cabinet are in one group. The results do not depend on
+    /// the groups. Separate groups are faster, because the data of one group fit into the cache of a processor, and
+    /// because several threads can share the groups. `threads` is the number of threads.
     pub(super) fn new(scene: Option<&Scene>, buses: &[VirtualBus], lines: &[SerialLine], threads: usize) -> Self {
         let of_buses = buses.iter().flat_map(VirtualBus::devices).filter_map(|device| device.plant());
         let motors: Vec<_> = of_buses.chain(lines.iter().filter_map(|line| line.any_device().plant())).collect();
@@ -110,8 +113,9 @@ impl Groups {
         if !uncoupled.lines.is_empty() {
             groups.push(uncoupled);
         }
-        // From the group with the most work on, each goes to the thread with the least work. Of equals, the helper of the
-        // highest number takes it, and the helped thread, which has work of its own before and behind, comes last.
+        // The groups are assigned in descending order of their work, each group to the thread with the least work.
+        // Among threads with equal work, the thread with the highest number takes the group. The helped thread, number
+        // 0, comes last, because this thread also works before and after the advance.
         let motors = |group: &Group| {
             let at_buses = group.buses.iter().flat_map(|&bus| buses[bus].devices());
             at_buses.filter(|device| device.plant().is_some()).count() + group.lines.len()
@@ -125,7 +129,7 @@ impl Groups {
         Self { groups: groups.into_iter().map(Group::closed).collect(), separate: true }
     }
 
-    /// Advances to `until`, the scene to its last step up to then.
+    /// Advances the buses and lines to `until`, and the scene to its last step at or before `until`.
     pub(super) fn advance(
         &mut self,
         until: Instant,
@@ -195,7 +199,8 @@ impl Groups {
 
 impl Part<'_> {
     fn advance(mut self, interval: Interval) {
-        // The devices of a bus may read the scene in each step. A line that is coupled with nothing needs no steps.
+        // The devices of a bus may read the scene in each step. Without a robot or bus, only lines that are coupled
+        // with each other need steps.
         let coupled_lines = self.lines.len() > 1 && !self.group.couplings.is_empty();
         let stepped = !self.robots.is_empty() || !self.buses.is_empty() || coupled_lines;
         if let Some((start, end)) = interval.steps.filter(|_| stepped) {

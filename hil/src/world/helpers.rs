@@ -8,17 +8,17 @@ use rayon::{ThreadPool, ThreadPoolBuilder, Yield};
 
 /// Threads that help a thread to advance a [`World`](crate::World).
 ///
-/// Only robots that cannot influence each other are shared out.
+/// The threads share only robots, buses and lines that cannot influence each other.
 ///
-/// A helper waits for work without sleeping, and occupies a processor until this value is dropped. A helper that slept
-/// would wake later than an advance lasts.
+/// A helper waits for work without sleeping, and occupies a processor until this value is dropped. To wake a sleeping
+/// helper would take longer than an advance.
 pub struct Helpers {
     pool: ThreadPool,
     over: Arc<AtomicBool>,
 }
 
 impl Helpers {
-    /// Iterations between two looks for work.
+    /// Iterations of the spin loop between two checks for work.
     const PAUSE: u32 = 20;
 
     /// Starts `count` helpers of the calling thread. Fails if the thread has had helpers before, or if a thread cannot be
@@ -29,7 +29,8 @@ impl Helpers {
         let over = Arc::new(AtomicBool::new(false));
         let told = over.clone();
         pool.spawn_broadcast(move |thread| {
-            // Number 0 is the thread that is helped. It looks at its broadcasts when it waits for helpers.
+            // Thread 0 is the helped thread. This thread executes the closure while it waits for helpers, and must
+            // leave the closure at once.
             while thread.index() > 0 && !told.load(Ordering::Relaxed) {
                 if rayon::yield_now() == Some(Yield::Idle) {
                     (0..Self::PAUSE).for_each(|_| hint::spin_loop());
@@ -39,12 +40,13 @@ impl Helpers {
         Ok(Self { pool, over })
     }
 
-    /// Number of threads, the helped one included.
+    /// Number of threads, including the helped thread.
     pub(super) fn threads(&self) -> usize {
         self.pool.current_num_threads()
     }
 
-    /// Lets each thread take its share, and waits for the last. `shares` has one element for each thread.
+    /// Lets each thread advance its share, and waits until all threads have finished. `shares` has one element for each
+    /// thread.
     pub(super) fn share<T: Send>(&self, shares: Vec<T>, advance: impl Fn(T) + Sync) {
         let shares: Vec<_> = shares.into_iter().map(|share| Mutex::new(Some(share))).collect();
         self.pool.broadcast(|thread| {

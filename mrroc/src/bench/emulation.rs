@@ -151,7 +151,7 @@ impl Emulation {
         Ok(link)
     }
 
-    /// Lets further threads share the work of each advance by this thread.
+    /// Starts `count` threads that share the work of each advance with the calling thread.
     pub fn add_helpers(&mut self, count: usize) -> io::Result<()> {
         self.world.set_helpers(Helpers::of_this_thread(count)?);
         Ok(())

@@ -13,12 +13,11 @@
 //!
 //! A cell with axis controllers on ttys has a second process, the [guardian](crate::guardian).
 //!
-//! A run in lockstep has the caller, one thread for everything else, and with `--threads` helpers of this thread that
-//! advance emulated robots. Planning and rehearsal by the wall clock are
-//! not waited for. However a run ends, the run waits until the servo has braked the arms and switched them off. A run
-//! ends with its task, on a signal, when a file cannot be written, when the task hangs, and by a panic of the caller or
-//! the controller. A file that takes nothing is not waited for. Whatever may still have power afterwards is a fault of
-//! the run.
+//! A run in lockstep has the caller and one thread for everything else. With `--threads`, helpers of this second thread
+//! also advance emulated robots. A run by the wall clock does not wait for planning and rehearsal. However a run ends,
+//! the run waits until the servo has braked the arms and switched them off. A run ends with its task, on a signal, when
+//! a file cannot be written, when the task hangs, and by a panic of the caller or the controller. The run does not wait
+//! for a file that accepts no data. A drive that may still have power afterwards is a fault of the run.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 

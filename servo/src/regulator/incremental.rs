@@ -141,12 +141,12 @@ impl Incremental {
         given
     }
 
-    /// The integral part of the output, at rest; zero for a law without an integral part.
+    /// The integral part of the output. Valid at rest. Zero for a law without an integral part.
     pub fn integral(&self) -> f64 {
         if self.config.integral { self.config.gain * self.output[0] } else { 0.0 }
     }
 
-    /// Forgets everything, and begins with an integral part of `output`, within the limit. A law without an integral part
+    /// Resets the law, and presets its integral part to `output`, clamped to the limit. A law without an integral part
     /// begins at zero.
     pub fn restart(&mut self, output: f64) {
         let IncrementalConfig { integral, gain, limit, .. } = self.config;
@@ -154,7 +154,7 @@ impl Incremental {
         *self = Self { output: [preset / gain; 2], ..Self::new(self.config) };
     }
 
-    /// Forgets everything.
+    /// Resets the law to its state at rest with zero output.
     pub fn reset(&mut self) {
         self.restart(0.0);
     }

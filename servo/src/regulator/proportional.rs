@@ -117,13 +117,13 @@ impl Proportional {
         self.integral
     }
 
-    /// Forgets everything, and begins with an integral part of `output`, within the limit.
+    /// Resets the law, and presets its integral part to `output`, clamped to the limit.
     pub fn restart(&mut self, output: f64) {
         let limit = self.config.limit;
         self.integral = if output.is_finite() { output.clamp(-limit, limit) } else { 0.0 };
     }
 
-    /// Forgets everything.
+    /// Resets the law to its state at rest with zero output.
     pub fn reset(&mut self) {
         self.restart(0.0);
     }

@@ -2,8 +2,8 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Angle and velocity of a motor, and the torque that the forces on the robot cause at the motor. The
-/// thread that advances the drives of a robot also advances the robot in the scene, so relaxed atomics suffice.
+/// Angle and velocity of a motor, and the torque that the forces on the robot cause at the motor. The thread that
+/// advances the drives of a robot also advances the robot in the scene, so relaxed atomics suffice.
 #[derive(Debug, Default)]
 pub(in super::super) struct Shaft {
     angle: AtomicU64,

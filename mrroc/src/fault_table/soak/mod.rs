@@ -6,7 +6,8 @@
 //!
 //! At each pose, the true position of each motor is compared with the measured position. After the reference was taken,
 //! the difference may change by at most 1.1 increments of the encoder. The measured position is up to two periods old, and
-//! a motor at a pose still moves within an increment. The comparison therefore waits until no motor moved in two periods.
+//! a motor at a pose still moves by less than an increment. The comparison therefore waits until no motor of the robot
+//! has moved for two periods.
 //!
 //! The same seed gives the same soak.
 
@@ -40,7 +41,7 @@ const RECOVERY: Duration = Duration::from_secs(300);
 const ROUNDS: u64 = 2;
 /// Greatest change of the difference between true and measured position, increments of the encoder.
 const DRIFT: f64 = 1.1;
-/// Greatest motion in two periods of a motor that stands, increments of the encoder.
+/// Greatest motion of a motor at standstill within two periods, increments of the encoder.
 const STILL: f64 = 0.01;
 /// Failed starts of a controller after which the supply is switched.
 const STARTS: u32 = 3;
@@ -65,7 +66,7 @@ struct Soak<'a> {
     references: Vec<Option<[f64; MAX_AXES]>>,
     /// Rests whose positions were compared.
     compared: Vec<u64>,
-    /// True positions of the motors of each robot, rad, of the present cycle and of the two cycles before.
+    /// True positions of the motors of each robot, rad, in the present cycle and in the two cycles before.
     truths: Vec<[[f64; MAX_AXES]; 3]>,
     progress: &'a mut dyn FnMut(Duration),
 }
