@@ -258,6 +258,14 @@ impl Servo {
         }
     }
 
+    /// Reports that the last cycle ended by a panic. The cycle counts as a refused batch on every bus: the next one repeats
+    /// the set-points, which may not have been sent.
+    pub fn cycle_panicked(&mut self) {
+        for group in &mut self.groups {
+            group.refused_in_row = group.refused_in_row.saturating_add(1);
+        }
+    }
+
     /// Reports that `count` deadlines passed without a cycle since the last one.
     ///
     /// Misses before successive cycles count as one row, which a punctual cycle ends. A row longer than

@@ -26,10 +26,11 @@
 //!
 //! **The end** always switches the drives off. When `until` returns true, the thread requests a stop. Cycles continue
 //! until every effector has braked and has no power, or until the longest time for stopping has passed. A panic of
-//! `between` or `until` ends the run in the same way (category 1), and neither is called again. A panic of the cycle
-//! itself switches the power off at once (category 0). [`Finished::panicked`] reports the panic, and the panic hook
-//! receives its message. If the process dies, drives stop only by their own reaction to silence. For a drive without
-//! such a reaction, another process must stop the drive.
+//! `between` or `until` ends the run in the same way (category 1), and neither is called again. A panic of a cycle also
+//! ends the run in this way. If another cycle panics during the stop, the thread switches the power off at once
+//! (category 0). [`Finished::panicked`] reports the panic, and the panic hook receives its message. If the process dies,
+//! drives stop only by their own reaction to silence. For a drive without such a reaction, another process must stop the
+//! drive.
 //!
 //! **Real-time needs** are requested one by one: SCHED_FIFO or SCHED_DEADLINE, a CPU, locked memory, timer slack of 1
 //! ns, and no deep idle states while the thread runs (`/dev/cpu_dma_latency`). Threads and processes that the servo
@@ -78,7 +79,7 @@ pub use self::wait::{Awake, WaitReport, Waiter};
 
 /// Bytes of the thread's stack; `MCL_FUTURE` locks all of it.
 const STACK: usize = 512 * 1024;
-/// Number of cycles that switch the power off after a panic of the cycle.
+/// Number of cycles that switch the power off after a second panic of a cycle.
 const CUTS: u32 = 10;
 
 /// Least number of cycles after the end of a run. A drive obeys the command of a cycle at the SYNC of the next, and the
@@ -150,8 +151,10 @@ pub struct Finished {
 pub enum Panicked {
     /// `between` or `until`: the effectors were braked, then switched off (category 1).
     Caller,
-    /// The cycle, or a drive in it: the power was switched off at once (category 0).
+    /// One cycle, or a drive in it: the effectors were braked, then switched off (category 1).
     Cycle,
+    /// Two cycles: the stop after the first panic panicked too. The power was switched off at once (category 0).
+    TwoCycles,
 }
 
 impl std::fmt::Debug for Finished {
@@ -301,10 +304,8 @@ impl Run {
                 true
             });
         }
-        if self.panicked != Some(Panicked::Cycle) {
-            self.wind_down(between);
-        }
-        if self.panicked == Some(Panicked::Cycle) {
+        self.wind_down(between);
+        if self.panicked == Some(Panicked::TwoCycles) {
             self.cut_power();
         }
         self.timing.account = self.account.reads;
@@ -328,7 +329,11 @@ impl Run {
             *next += self.period;
         }
         if stepped.is_err() {
-            self.panicked = Some(Panicked::Cycle);
+            self.servo.cycle_panicked();
+            self.panicked = Some(match self.panicked {
+                None | Some(Panicked::Caller) => Panicked::Cycle,
+                Some(Panicked::Cycle | Panicked::TwoCycles) => Panicked::TwoCycles,
+            });
         }
         self.before.called = now();
         stepped.is_ok()
@@ -431,16 +436,19 @@ impl Run {
         }
     }
 
-    /// Brakes all effectors and switches them off. The emulated world continues if possible.
+    /// Brakes all effectors and switches them off, unless two cycles panic. The emulated world continues if possible.
     fn wind_down(&mut self, mut between: impl FnMut(Instant)) {
         self.servo.stop_request().request();
-        let mut alive = self.panicked.is_none();
+        let mut alive = self.panicked != Some(Panicked::Caller);
         let end = self.deadline + self.servo.longest_stop() + POWER_OFF_WAIT;
         let mut cycles = 0;
-        while (cycles < OFF_CYCLES || !self.servo.is_off()) && self.deadline < end && self.cycle() {
+        while (cycles < OFF_CYCLES || !self.servo.is_off()) && self.deadline < end {
+            if !self.cycle() && self.panicked == Some(Panicked::TwoCycles) {
+                return;
+            }
             cycles += 1;
             if alive && catch_unwind(AssertUnwindSafe(|| between(self.next()))).is_err() {
-                self.panicked = Some(Panicked::Caller);
+                self.panicked = self.panicked.or(Some(Panicked::Caller));
                 alive = false;
             }
         }

@@ -105,7 +105,8 @@ pub(super) fn matrix_faults(file: &CellFile, matrices: &[UltrasonicLink]) -> imp
 pub(super) fn of_servo_thread(file: &CellFile, panicked: Panicked, cycles: u64) -> FaultReport {
     let (what, category) = match panicked {
         Panicked::Caller => ("what the servo thread calls between its cycles panicked", StopCategory::One),
-        Panicked::Cycle => ("the servo cycle panicked", StopCategory::Zero),
+        Panicked::Cycle => ("the servo cycle panicked", StopCategory::One),
+        Panicked::TwoCycles => ("the servo cycle panicked, and panicked again in the stop", StopCategory::Zero),
     };
     let stopped = file.cell.robot.iter().map(|robot| robot.name.clone()).collect();
     let fault = FaultReport::of_run(what).checked_by("report this as a defect of the program");

@@ -344,6 +344,7 @@ fn all(file: &CellFile) -> Vec<(FaultReport, &'static str)> {
     all.push((of_guardian(file, GuardianFault::Lost { pid: 1_234_567 }, None), "guardian"));
     all.push((of_servo_thread(file, thread::Panicked::Caller, 7), "servo thread"));
     all.push((of_servo_thread(file, thread::Panicked::Cycle, 7), "servo cycle"));
+    all.push((of_servo_thread(file, thread::Panicked::TwoCycles, 7), "panicked again"));
     all
 }
 

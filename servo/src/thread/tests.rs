@@ -90,16 +90,33 @@ fn a_panic_of_the_caller_brakes_and_switches_off() {
     assert!(finished.servo.is_off() && !has_power(&world));
 }
 
-#[test]
-fn a_panic_of_the_cycle_takes_the_power() {
-    let (servo, _link, world) = rig();
+/// Runs until the effector stands; then `panics` cycles panic.
+fn with_panics(panics: u32) -> (Finished, EffectorLink, Arc<Mutex<World>>) {
+    let (servo, link, world) = rig();
     let script = Arc::clone(&world);
+    let mut scripted = false;
     let until = move |servo: &Servo| {
-        script.lock().unwrap().panic = is_standing(servo);
+        if is_standing(servo) && !scripted {
+            scripted = true;
+            script.lock().unwrap().panics = panics;
+        }
         false
     };
     let finished = run(servo, Realtime::PLAIN, CellTime::Wall, |_| {}, until).unwrap();
+    (finished, link, world)
+}
+
+#[test]
+fn after_a_panic_of_one_cycle_the_next_cycles_brake_and_switch_off() {
+    let (finished, _link, world) = with_panics(1);
     assert_eq!(finished.panicked, Some(Panicked::Cycle));
+    assert!(finished.servo.is_off() && !has_power(&world));
+}
+
+#[test]
+fn a_second_panic_of_a_cycle_takes_the_power() {
+    let (finished, _link, world) = with_panics(2);
+    assert_eq!(finished.panicked, Some(Panicked::TwoCycles));
     assert!(!has_power(&world));
 }
 

@@ -90,8 +90,8 @@ pub struct World {
     pub coming_up: u32,
     /// Bring-up fails with [`NEVER_BOOTED`].
     pub absent: bool,
-    /// The next call of `write` panics.
-    pub panic: bool,
+    /// Number of the next calls of `write` that panic.
+    pub panics: u32,
     /// Number of batches that the bus refuses.
     pub refuses: u32,
     /// The bus has failed: every read reports [`FAULT`] for every drive, and no batch is taken.
@@ -347,7 +347,8 @@ impl DriveGroup for Scripted {
     fn write(&mut self, _: Instant, commands: &[AxisCommand]) {
         self.written.copy_from_slice(commands);
         let mut world = self.world();
-        if std::mem::take(&mut world.panic) {
+        if world.panics > 0 {
+            world.panics -= 1;
             drop(world);
             panic!("scripted");
         }

@@ -1,5 +1,7 @@
 //! Causes and course of stops.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
 use super::*;
 
 #[test]
@@ -92,6 +94,22 @@ fn effectors_stop_each_for_itself_and_for_overruns_together() {
     assert_eq!(phases(&servo), [Phase::Faulted; 2]);
     assert_eq!(servo.fault(0).unwrap().cause, StopCause::Drive(FAULT));
     assert_eq!(servo.fault(1).unwrap().cause, StopCause::Overrun { missed: 3 });
+}
+
+#[test]
+fn after_a_cycle_that_panics_in_motion_a_stop_keeps_the_limits() {
+    let mut rig = Rig::standing(2);
+    rig.accelerate(500.0, 4, 50);
+    rig.run(60);
+    rig.world().panics = 1;
+    let panic = catch_unwind(AssertUnwindSafe(|| rig.run(1)));
+    assert!(panic.is_err());
+    rig.servo.cycle_panicked();
+    rig.servo.stop_request().request();
+    rig.run(1);
+    assert_eq!(rig.phase(), Phase::Stopping);
+    rig.run_until(Phase::Off);
+    keeps_limits(&rig.positions(0)).unwrap();
 }
 
 #[test]
