@@ -98,8 +98,11 @@ struct Bench<'a> {
     wrist: ForceSensor,
 }
 
-/// A motion as the sensor saw it: force of the tool on the block in each servo period from the start of the motion, N.
-struct Seen(Vec<f64>);
+/// A motion as the sensor saw it: force of the tool on the block, N, and the time of the sample since the first one, s.
+struct Seen {
+    forces: Vec<f64>,
+    times: Vec<f64>,
+}
 
 impl Bench<'_> {
     /// Moves above a block, and makes the present load the zero of the sensor.
@@ -116,10 +119,10 @@ impl Bench<'_> {
         Ok(block.stiffness)
     }
 
-    /// Executes a motion, and reads the sensor in each servo period.
+    /// Executes a motion, and reads the sensor in each servo period, or less often on a busy host.
     async fn watch(&mut self, generator: impl Generator) -> Result<Seen, TaskError> {
         let (cell, wrist) = (self.cell, self.wrist.clone());
-        let (ended, forces, observer) = (Shared::new(false), RefCell::new(Vec::new()), self.irb6.observer());
+        let (ended, samples, observer) = (Shared::new(false), RefCell::new(Vec::new()), self.irb6.observer());
         let before = observer.image()?.macrostep;
         let motion = async {
             let outcome = self.irb6.execute(generator).await;
@@ -129,14 +132,17 @@ impl Bench<'_> {
         let watch = async {
             while !ended.get() {
                 if observer.image()?.macrostep > before {
-                    forces.borrow_mut().push(-wrist.in_tool()?.force.z);
+                    let (at, reading) = wrist.read()?;
+                    samples.borrow_mut().push((at, -reading.in_tool()?.force.z));
                 }
                 cell.sleep(cell.file().cell.period()).await;
             }
             Outcome::Ok(())
         };
         join(motion, watch).await?;
-        Ok(Seen(forces.take()))
+        let (times, forces): (Vec<_>, Vec<_>) = samples.take().into_iter().unzip();
+        let times = times.iter().map(|at| at.since(times[0]).as_secs_f64()).collect();
+        Ok(Seen { forces, times })
     }
 
     /// A step of the force by the law in the servo cycle, from contact at the first force.
@@ -164,20 +170,20 @@ fn press(force: f64, seconds: f64) -> UnderLaw<Wait> {
 impl Seen {
     /// Forces between two shares of the duration.
     fn part(&self, from: f64, to: f64) -> &[f64] {
-        let at = |share: f64| (share * self.0.len() as f64) as usize;
-        &self.0[at(from)..at(to)]
+        let at = |share: f64| (share * self.forces.len() as f64) as usize;
+        &self.forces[at(from)..at(to)]
     }
 
     /// Overshoot, %, time until the force stays within 5 % of the step, s, and steady error, %.
     fn measure(&self, [first, second]: [f64; 2], period: f64) -> [f64; 3] {
         let step = second - first;
-        let peak = self.0.iter().copied().fold(second, f64::max);
-        let beyond = self.0.iter().rposition(|force| (force - second).abs() > 0.05 * step);
+        let peak = self.forces.iter().copied().fold(second, f64::max);
+        let beyond = self.forces.iter().rposition(|force| (force - second).abs() > 0.05 * step);
         let end = self.part(0.9, 1.0);
         let mean = end.iter().sum::<f64>() / end.len() as f64;
         [
             (peak - second) / step * 100.0,
-            beyond.map_or(0.0, |at| (at + 1) as f64 * period),
+            beyond.map_or(0.0, |at| self.times[at] + period),
             (mean - second) / step * 100.0,
         ]
     }

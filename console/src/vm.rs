@@ -31,13 +31,18 @@ pub(crate) enum Machine {
     /// signal that ended this program.
     Uml(Options),
     /// Run the command in a PC with Debian's PREEMPT_RT kernel and two Kvaser CAN cards on one bus. The interfaces can0
-    /// and can1 are down at first. Files are as in user-mode Linux. The machine is for functional tests; its timing is
-    /// not representative.
+    /// and can1 are down at first, and vcan0 is up. Files are as in user-mode Linux. The machine is for functional tests;
+    /// its timing is not representative.
     Qemu {
         /// Unpacked package on which linux-image-rt-amd64 depends. [default: target/qemu if it exists, otherwise the
         /// installed package in /]
         #[arg(long, value_name = "DIRECTORY")]
         kernel: Option<PathBuf>,
+        /// Let the clock of the machine count instructions, 1 ns each. The clock stands still while the host does other
+        /// work, so no program in the machine is late because of the host. A busy machine needs about ten times as long
+        /// as its clock shows. --timeout is in the time of the host.
+        #[arg(long)]
+        count_instructions: bool,
         #[command(flatten)]
         options: Options,
     },
@@ -101,11 +106,12 @@ pub(crate) fn vm(machine: &Machine) -> anyhow::Result<ExitCode> {
     })?;
     let status = match machine {
         Machine::Uml(options) => uml::run(&options.resolve(&cancellation)?, &mut stdout).map_err(anyhow::Error::from),
-        Machine::Qemu { kernel, options } => {
+        Machine::Qemu { kernel, count_instructions, options } => {
             let unpacked = Path::new(UNPACKED);
             let found = if unpacked.exists() { unpacked } else { Path::new("/") };
             let kernel = qemu::Kernel::below(kernel.as_deref().unwrap_or(found))?;
-            qemu::run(&kernel, &options.resolve(&cancellation)?, &mut stdout).map_err(Into::into)
+            let clock = if *count_instructions { qemu::Clock::Instructions } else { qemu::Clock::Host };
+            qemu::run(&kernel, clock, &options.resolve(&cancellation)?, &mut stdout).map_err(Into::into)
         }
     };
     match ended_by.load(Ordering::Relaxed) {

@@ -26,6 +26,8 @@ mount -t sysfs sysfs /sys
 step mount -t devtmpfs dev /dev
 for module in /*.ko; do step insmod "$module"; done
 ip link set lo up
+step ip link add dev vcan0 type vcan
+step ip link set vcan0 up
 
 step mount -t 9p -o trans=virtio,version=9p2000.L,ro,cache=loose,msize=262144 host /host
 step mount -o bind /host /root

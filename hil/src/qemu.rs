@@ -2,9 +2,11 @@
 //! Debian's PREEMPT_RT kernel boots in about five seconds on the host's own file system.
 //!
 //! The machine gives the guarantees of [`uml`](crate::uml). Interfaces `can0` and `can1` exist, down and without a bit
-//! rate, as on a PC after power-on. `ip` and `can-utils` work on the interfaces as on any card. The machine proves
-//! function and never timing: every instruction is emulated, on one processor. The emulated bus has neither bit times
-//! nor acknowledgement.
+//! rate, as on a PC after power-on. `ip` and `can-utils` work on the interfaces as on any card. `vcan0` exists and is up.
+//! The machine proves function and never the timing of hardware: every instruction is emulated, on one processor. The
+//! emulated bus has neither bit times nor acknowledgement.
+//!
+//! With [`Clock::Instructions`], a program by the clock runs as if the host had no other work.
 //!
 //! Read [`Kernel`], then [`run`]. The machine's first process is `qemu-init.sh`.
 
@@ -63,6 +65,17 @@ pub enum QemuError {
     Machine(#[from] MachineError),
 }
 
+/// The clock of a machine.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Clock {
+    /// The clock of the host. Programs in the machine are late while the host does other work.
+    #[default]
+    Host,
+    /// A count of the executed instructions, 1 ns each. The clock stands still while the host does other work, and idle
+    /// time passes at once. A busy machine needs about ten times as long as its clock shows.
+    Instructions,
+}
+
 /// A PREEMPT_RT kernel of Debian 12, and the files needed to boot it.
 #[derive(Clone, Debug)]
 pub struct Kernel {
@@ -111,9 +124,10 @@ impl Kernel {
 }
 
 /// Runs the command as [`uml::run`](crate::uml::run) does. The output of the command goes to `stdout` as it arrives.
-pub fn run(kernel: &Kernel, options: &Options, stdout: &mut dyn Write) -> Result<u8, QemuError> {
+/// The time-out of the options is in the time of the host.
+pub fn run(kernel: &Kernel, clock: Clock, options: &Options, stdout: &mut dyn Write) -> Result<u8, QemuError> {
     let control = Control::new("qemu", options.output.as_deref())?;
-    let machine = machine(control, kernel, options).map_err(host("start the test machine"))?;
+    let machine = machine(control, kernel, clock, options).map_err(host("start the test machine"))?;
     let control = &machine.control;
     let initramfs = initramfs(kernel, options, control).map_err(host("read the kernel"))?;
     fs::write(control.path.join("initramfs"), initramfs).map_err(host("write the machine's directory"))?;
@@ -143,7 +157,7 @@ fn setting(before: &str, path: &Path, behind: &str) -> OsString {
 }
 
 /// The machine, not started yet.
-fn machine(control: Control, kernel: &Kernel, options: &Options) -> io::Result<Machine> {
+fn machine(control: Control, kernel: &Kernel, clock: Clock, options: &Options) -> io::Result<Machine> {
     let shared = |path, tag, access| {
         let behind = format!(",mount_tag={tag},security_model=none,{access}multidevs=remap");
         setting("local,path=", path, &behind)
@@ -154,6 +168,10 @@ fn machine(control: Control, kernel: &Kernel, options: &Options) -> io::Result<M
     let command = [
         vec![QEMU.into()],
         words("-accel tcg -smp 1 -nodefaults -no-reboot -display none -monitor none"),
+        match clock {
+            Clock::Host => Vec::new(),
+            Clock::Instructions => words("-icount shift=0,sleep=off"),
+        },
         option("-m", options.memory_mib.to_string().into()),
         option("-kernel", kernel.image.clone().into()),
         option("-initrd", control.path.join("initramfs").into()),

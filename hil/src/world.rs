@@ -231,8 +231,8 @@ impl World {
         self.scene = Some(scene);
     }
 
-    /// Lets helpers share the work of each advance with the thread that started them. The helpers do not change the
-    /// results.
+    /// Lets helpers share the work of each advance with the thread that started them. Another thread that advances this
+    /// world works alone. The helpers do not change the results.
     pub fn set_helpers(&mut self, helpers: Helpers) {
         self.groups = None;
         self.helpers = Some(helpers);
@@ -255,12 +255,19 @@ impl World {
     /// A host sends nothing during an advance. A bus or a line is therefore left out of the steps of the scene in which it
     /// has no event.
     pub fn advance(&mut self, until: Instant) {
+        self.advance_beside(until, || {});
+    }
+
+    /// Advances the world as [`advance`](Self::advance), and does `work` at the same time if there are helpers, or before
+    /// the advance. `work` must not use the ports and lines of this world.
+    pub fn advance_beside(&mut self, until: Instant, work: impl FnOnce()) {
         let Self { buses, lines, scene, groups, helpers, now } = self;
         if scene.is_some() || helpers.is_some() {
             let threads = helpers.as_ref().map_or(1, Helpers::threads);
             let groups = groups.get_or_insert_with(|| Groups::new(scene.as_ref(), buses, lines, threads));
-            groups.advance(until, scene.as_mut(), buses, lines, helpers.as_ref());
+            groups.advance(until, scene.as_mut(), buses, lines, helpers.as_ref(), work);
         } else {
+            work();
             buses.iter_mut().for_each(|bus| bus.advance(until));
             lines.iter_mut().for_each(|line| line.advance(until));
         }

@@ -19,6 +19,9 @@ const STILL: f64 = 0.01;
 /// host that was suspended shows more.
 const MOST_EXTRAPOLATED: u32 = 100;
 
+/// Part of the range of positions, as a divisor. Farther from its last rest, a motor may carry another load.
+const SAME_LOAD: f64 = 8.0;
+
 /// Shortest distance of set-points, increments, during which the measured position must change.
 const FROZEN: f64 = 16.0;
 
@@ -58,6 +61,10 @@ pub(crate) struct ServoAxis {
     /// The axis is off while the others brake, because its measured position does not change.
     pub(crate) cut: bool,
     host: Option<Loop>,
+    /// Position of the motor at its last standstill under power, or else at its first standstill without power, rad.
+    parked: Option<f64>,
+    /// Whether the motor may have been moved since it has had no power.
+    displaced: bool,
     /// The search of this homing, if the servo homes the axis.
     search: Option<Search>,
 }
@@ -86,6 +93,8 @@ impl ServoAxis {
                 PositionLoop::Drive => None,
                 PositionLoop::Host(host) => Some(Loop::new(host, config.increments_per_radian, delay)),
             },
+            parked: None,
+            displaced: false,
             search: None,
         }
     }
@@ -112,12 +121,38 @@ impl ServoAxis {
         }
         if let Some(host) = &mut self.host {
             host.observe(&state, periods, dt);
-            if state.power != Power::On {
-                host.park(state.position, self.config.following_error, dt);
-            }
         }
         self.state = state;
         self.expected = None;
+        self.park(set);
+    }
+
+    /// Notes whether the motor is moved while it has no power. `set`: the counter was set.
+    fn park(&mut self, set: bool) {
+        let position = self.state.position;
+        if self.state.power == Power::On {
+            (self.parked, self.displaced) = (self.is_still().then_some(position), false);
+            return;
+        }
+        // Without a reference, the position is not comparable with earlier ones.
+        let moved = self.parked.is_some_and(|parked| (position - parked).abs() > self.config.following_error);
+        self.displaced |= moved || set || !self.is_homed();
+        if self.parked.is_none() && self.is_still() {
+            self.parked = Some(position);
+        }
+    }
+
+    /// Whether the output that held the load of the motor at its last rest holds it here. The function is called while
+    /// the motor has no power.
+    pub(crate) fn has_the_load_of_its_rest(&self) -> bool {
+        let reach = (self.config.max_position - self.config.min_position) / SAME_LOAD;
+        let near = |host: &Loop| host.distance_from_rest(self.state.position) <= reach;
+        !self.displaced && self.host.as_ref().is_none_or(near)
+    }
+
+    /// Discards what held the load of the motor at its last rest.
+    pub(crate) fn forget_load(&mut self) {
+        self.host.iter_mut().for_each(Loop::forget);
     }
 
     /// Counts the tracking error of a new sample, rad, while the effector is in `state`.

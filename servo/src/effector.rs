@@ -291,9 +291,15 @@ impl Effector {
                 (self.stop_restarted, self.braking_with) = (false, 0);
             }
             (_, ServoState::Halting(_)) => self.halted = false,
-            (_, ServoState::Enabling) if !self.stands_as_commanded() => {
-                // The arm was moved while it was off, so the old feed-forward torques are wrong.
-                self.axes.iter_mut().for_each(|axis| axis.torque = 0.0);
+            (_, ServoState::Enabling) => {
+                if !self.stands_as_commanded() {
+                    // The arm was moved while it was off, so the old feed-forward torques are wrong.
+                    self.axes.iter_mut().for_each(|axis| axis.torque = 0.0);
+                }
+                // The load of a motor depends on the positions of all motors of the arm.
+                if !self.axes.iter().all(ServoAxis::has_the_load_of_its_rest) {
+                    self.axes.iter_mut().for_each(ServoAxis::forget_load);
+                }
             }
             (_, ServoState::Homing) => self.axes.iter_mut().for_each(ServoAxis::begin_homing),
             (ServoState::Resetting, ServoState::Off) => {

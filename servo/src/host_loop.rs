@@ -18,6 +18,17 @@ const REST: u32 = 25;
 /// Greatest position error of a motor at rest, and its greatest motion between two samples, increments.
 const STILL: f64 = 2.0;
 
+/// The output that held the load at a rest.
+#[derive(Clone, Copy, Debug)]
+struct Held {
+    /// Output without the constant feed-forward.
+    output: f64,
+    /// Part of the output that fed the weight forward.
+    weight: f64,
+    /// Position of the motor, rad.
+    position: f64,
+}
+
 /// The loop of one axis.
 ///
 /// Each cycle first [`observe`](Self::observe)s a sample and then [`regulate`](Self::regulate)s. Errors compare a
@@ -52,11 +63,8 @@ pub(crate) struct Loop {
     taken: f64,
     /// Number of consecutive cycles at rest.
     rests: u32,
-    /// Output that held the load at the last rest, without the constant feed-forward. `None` before the first rest, and
-    /// after the motor was moved without power.
-    holding: Option<f64>,
-    /// Position of the motor at its last rest, rad. `None` after a motion under power.
-    parked: Option<f64>,
+    /// What held the load at the last rest. `None` before the first rest, and after [`forget`](Self::forget).
+    held: Option<Held>,
 }
 
 #[derive(Clone, Debug)]
@@ -92,8 +100,7 @@ impl Loop {
             velocity_error: 0.0,
             taken: 0.0,
             rests: 0,
-            holding: None,
-            parked: None,
+            held: None,
         }
     }
 
@@ -164,9 +171,15 @@ impl Loop {
     /// Stores the output that holds the load, if the motor has been at rest for [`REST`] cycles. `still` says whether
     /// the set-point is at rest. `torque` is as in [`Self::regulate`].
     fn learn(&mut self, still: bool, torque: f64, dt: f64) {
-        let rests = still && self.is_still(dt) && self.error.abs() * self.increments_per_radian <= STILL;
-        self.rests = if rests { self.rests.saturating_add(1) } else { 0 };
-        self.parked = self.sample.filter(|_| rests);
+        let sample = self.sample.filter(|_| {
+            let motion = self.measured_velocity.abs() * dt;
+            still && self.cycles == 0 && self.error.abs().max(motion) * self.increments_per_radian <= STILL
+        });
+        let Some(position) = sample else {
+            self.rests = 0;
+            return;
+        };
+        self.rests = self.rests.saturating_add(1);
         if self.rests >= REST {
             let integral = match &self.law {
                 Regulator::Incremental(law) => law.integral(),
@@ -174,22 +187,19 @@ impl Loop {
                 // The velocity loop of the drive holds the load.
                 Regulator::Proportional(_) => return,
             };
-            self.holding = Some(integral + self.config.feed_forward.weight.unwrap_or(0.0) * torque);
+            let weight = self.config.feed_forward.weight.unwrap_or(0.0) * torque;
+            self.held = Some(Held { output: integral + weight, weight, position });
         }
     }
 
-    fn is_still(&self, dt: f64) -> bool {
-        self.cycles == 0 && self.measured_velocity.abs() * dt * self.increments_per_radian <= STILL
+    /// Distance of `position` from the last rest, rad; 0 if no output is known that held a load.
+    pub(crate) fn distance_from_rest(&self, position: f64) -> f64 {
+        self.held.map_or(0.0, |held| (position - held.position).abs())
     }
 
-    /// Processes one cycle without power. A motor that has moved from its rest position by more than `tolerance`, rad,
-    /// may carry another load. The output that held the old load is then discarded.
-    pub(crate) fn park(&mut self, position: f64, tolerance: f64, dt: f64) {
-        match self.parked {
-            Some(parked) if (position - parked).abs() > tolerance => self.holding = None,
-            Some(_) => {}
-            None => self.parked = self.is_still(dt).then_some(position),
-        }
+    /// Discards the output that held the load at the last rest, because the load has changed.
+    pub(crate) fn forget(&mut self) {
+        self.held = None;
     }
 
     /// Bumpless transfer: moves the integral part of the law at rest, N·m, into the feed-forward torque, at most
@@ -219,11 +229,11 @@ impl Loop {
         }
     }
 
-    /// Restarts the loop at rest at `position`. The integral part begins with the output that held the load at the last
-    /// rest, less the weight feed-forward for `torque`. `torque` is as in [`Self::regulate`].
+    /// Restarts the loop at rest at `position`. The integral part begins with what held the load at the last rest, except
+    /// for the weight, which `torque` feeds forward. `torque` is as in [`Self::regulate`], or 0 if the weight is not
+    /// known. Then the integral part also begins with the weight at the last rest.
     pub(crate) fn capture(&mut self, position: f64, torque: f64) {
-        let fed_forward = self.config.feed_forward.weight.unwrap_or(0.0) * torque;
-        let preset = self.holding.map_or(0.0, |holding| holding - fed_forward);
+        let preset = self.held.map_or(0.0, |held| if torque == 0.0 { held.output } else { held.output - held.weight });
         match &mut self.law {
             Regulator::Incremental(law) => law.restart(preset),
             Regulator::Cascade { velocity_loop, .. } => velocity_loop.restart(preset),
@@ -244,6 +254,9 @@ impl Loop {
     pub(crate) fn shift(&mut self, step: f64) {
         self.references.iter_mut().for_each(|r| *r += step);
         self.sample = self.sample.map(|sample| sample + step);
+        if let Some(held) = &mut self.held {
+            held.position += step;
+        }
     }
 
     /// Following error, rad, for a sample `age` cycles old. The function is called before this cycle's command is
@@ -404,19 +417,18 @@ mod tests {
             assert!((load - 0.02).abs() > 1e-4, "{law:?}: {load} N·m");
             // The motor is blocked more than two increments away from its set-point. This output is not stored.
             rest_at(&mut held, 0.0, 2 * REST);
-            for fed_forward in [0.0, 0.02, 0.5] {
+            // The weight 0.02 was fed forward at the rest. Another weight is fed forward at another pose.
+            for (fed_forward, expected) in [(0.0, load), (0.02, load), (0.5, load - 0.02 + 0.5)] {
                 let state = AxisState { position: 0.3, ..AxisState::default() };
                 (0..2).for_each(|_| held.observe(&state, 1, DT));
                 held.capture(0.3, fed_forward);
                 held.observe(&state, 1, DT);
                 let again = torque(held.regulate(Knot::at_rest(0.3), fed_forward, DT, &mut 0.0));
-                assert!((again - load).abs() < 1e-9, "{law:?}: {again} N·m for {load}");
+                assert!((again - expected).abs() < 1e-9, "{law:?}: {again} N·m for {expected}");
             }
-            // The arm is moved without power.
-            for position in [0.3, 0.3, 1.0] {
-                held.observe(&AxisState { position, ..AxisState::default() }, 1, DT);
-                held.park(position, 0.5, DT);
-            }
+            assert!((held.distance_from_rest(0.3) - 0.29).abs() < 1e-9);
+            // The load changes.
+            held.forget();
             held.observe(&AxisState { position: 1.0, ..AxisState::default() }, 1, DT);
             held.capture(1.0, 0.0);
             assert_eq!(torque(held.regulate(Knot::at_rest(1.0), 0.0, DT, &mut 0.0)), 0.0, "{law:?}");

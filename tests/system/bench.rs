@@ -76,7 +76,7 @@ pub(crate) fn on_cards(test: &str, body: impl FnOnce(&str, &str)) {
         let timeout = Duration::from_secs(170);
         let options = again(test, ("HIL_CARDS", "can0,can1"), timeout);
         let mut output = Vec::new();
-        let outcome = qemu::run(&kernel, &options, &mut output);
+        let outcome = qemu::run(&kernel, qemu::Clock::Host, &options, &mut output);
         judge(test, &outcome, &output);
     }
 }

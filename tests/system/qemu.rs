@@ -1,13 +1,16 @@
 //! The test machine with cards: input files, output files, and clean-up.
 
 use std::fs;
+use std::io::{self, Write};
 use std::path::Path;
+use std::process::Command;
+use std::thread;
 use std::time::Duration;
 
-use hil::qemu::{Kernel, MachineError, Options, QemuError, run};
+use hil::qemu::{Clock, Kernel, MachineError, Options, QemuError, run};
 
 use crate::bench::kernel;
-use crate::uml::{Scratch, processes_of};
+use crate::uml::{Scratch, process_ids_of, processes_of};
 
 /// Characters with a special meaning in shells and in QEMU's options.
 const OUT: &str = "o\"u,t's $x";
@@ -23,7 +26,7 @@ fn shell(kernel: &Kernel, scratch: &Scratch, timeout: Duration, script: &str) ->
         ..Options::new(["sh", "-c", script])
     };
     let mut output = Vec::new();
-    let outcome = run(kernel, &options, &mut output);
+    let outcome = run(kernel, Clock::Host, &options, &mut output);
     assert_eq!(processes_of(scratch.path()), 0);
     (outcome, String::from_utf8_lossy(&output).into_owned())
 }
@@ -60,4 +63,54 @@ fn a_machine_that_does_not_end_by_itself_is_told_from_one_that_dies() {
     assert_eq!((outcome, &*output), (Err(MachineError::Died.into()), "begun\n"));
     assert_eq!(fs::read_dir(scratch.0.join(OUT)).unwrap().count(), 0);
     assert_eq!(scratch.names(), [OUT]);
+}
+
+/// Output of a machine. After the word `hold`, all processes of the machine stand still for [`HOLD`].
+struct Holding<'a> {
+    scratch: &'a Scratch,
+    output: String,
+}
+
+const HOLD: Duration = Duration::from_secs(4);
+
+impl Write for Holding<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.output.push_str(&String::from_utf8_lossy(bytes));
+        if self.output.ends_with("hold\n") {
+            for (signal, wait) in [("-STOP", HOLD), ("-CONT", Duration::ZERO)] {
+                // A process that has just ended makes the command fail.
+                let _ = Command::new("kill").arg(signal).args(process_ids_of(self.scratch.path())).status()?;
+                thread::sleep(wait);
+            }
+        }
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_clock_that_counts_instructions_stands_still_while_the_host_holds_the_machine() {
+    let Some(kernel) = kernel("qemu") else { return };
+    let scratch = Scratch::new("qemu-clock");
+    // Work that takes equally many instructions each time.
+    let work = "begin=$(date +%s%N); i=0; while [ $i -lt 300000 ]; do i=$((i + 1)); done; \
+                echo $((($(date +%s%N) - begin) / 1000000))";
+    let script = format!("{work}; echo hold; {work}");
+    let milliseconds = |clock| {
+        let options = Options { directory: scratch.0.clone(), ..Options::new(["sh", "-c", &script]) };
+        let mut holding = Holding { scratch: &scratch, output: String::new() };
+        assert_eq!(run(&kernel, clock, &options, &mut holding), Ok(0), "{}", holding.output);
+        let numbers = holding.output.lines().filter_map(|line| line.parse::<f64>().ok());
+        <[f64; 2]>::try_from(numbers.collect::<Vec<_>>()).unwrap()
+    };
+    let hold = HOLD.as_secs_f64() * 1e3;
+    let [alone, held] = milliseconds(Clock::Instructions);
+    println!("{alone} ms, and {held} ms with a hold of {hold} ms");
+    assert!(alone > 100.0 && (held - alone).abs() < 0.2 * hold);
+    // The clock of the host continues.
+    let [_, held] = milliseconds(Clock::Host);
+    assert!(held > 0.9 * hold, "{held} ms");
 }

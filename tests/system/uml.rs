@@ -42,9 +42,17 @@ impl Drop for Scratch {
 
 /// Number of processes with `word` on their command line.
 pub(crate) fn processes_of(word: &str) -> usize {
+    process_ids_of(word).len()
+}
+
+/// Processes with `word` on their command line.
+pub(crate) fn process_ids_of(word: &str) -> Vec<String> {
     let processes = fs::read_dir("/proc").unwrap().flatten();
-    let command_lines = processes.filter_map(|process| fs::read(process.path().join("cmdline")).ok());
-    command_lines.filter(|line| String::from_utf8_lossy(line).contains(word)).count()
+    let with_word = processes.filter(|process| {
+        let command_line = fs::read(process.path().join("cmdline")).unwrap_or_default();
+        String::from_utf8_lossy(&command_line).contains(word)
+    });
+    with_word.filter_map(|process| process.file_name().into_string().ok()).collect()
 }
 
 #[test]

@@ -11,7 +11,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder, Yield};
 /// The threads share only robots, buses and lines that cannot influence each other.
 ///
 /// A helper waits for work without sleeping, and occupies a processor until this value is dropped. To wake a sleeping
-/// helper would take longer than an advance.
+/// helper would take longer than an advance. More threads than processors make an advance much slower.
 pub struct Helpers {
     pool: ThreadPool,
     over: Arc<AtomicBool>,
@@ -37,7 +37,10 @@ impl Helpers {
                 }
             }
         });
-        Ok(Self { pool, over })
+        let helpers = Self { pool, over };
+        // Thread 0 executes its closure here, so that the helpers end also if nothing is ever shared.
+        helpers.share(vec![(); count + 1], || {}, |()| {});
+        Ok(helpers)
     }
 
     /// Number of threads, including the helped thread.
@@ -46,12 +49,22 @@ impl Helpers {
     }
 
     /// Lets each thread advance its share, and waits until all threads have finished. `shares` has one element for each
-    /// thread.
-    pub(super) fn share<T: Send>(&self, shares: Vec<T>, advance: impl Fn(T) + Sync) {
+    /// thread. The helped thread first does `work`. Any other calling thread works alone.
+    pub(super) fn share<T: Send>(&self, shares: Vec<T>, work: impl FnOnce(), advance: impl Fn(T) + Sync) {
+        if self.pool.current_thread_index() != Some(0) {
+            // The pool would wait for thread 0, which does not wait for work.
+            work();
+            shares.into_iter().for_each(advance);
+            return;
+        }
         let shares: Vec<_> = shares.into_iter().map(|share| Mutex::new(Some(share))).collect();
-        self.pool.broadcast(|thread| {
-            let mine = shares[thread.index()].lock().unwrap_or_else(PoisonError::into_inner).take();
-            mine.into_iter().for_each(&advance);
+        self.pool.in_place_scope(|scope| {
+            scope.spawn_broadcast(|_, thread| {
+                let mine = shares[thread.index()].lock().unwrap_or_else(PoisonError::into_inner).take();
+                mine.into_iter().for_each(&advance);
+            });
+            // This thread executes its own share at the end of the scope.
+            work();
         });
     }
 }

@@ -178,16 +178,27 @@ impl Emulation {
 
     /// Advances the world to `until`. The host then has all frames and bytes that arrived by that time.
     pub fn advance(&mut self, until: Instant) {
+        self.advance_beside(until, || {});
+    }
+
+    /// Advances the world as [`advance`](Self::advance). The helpers of [`add_helpers`](Self::add_helpers) advance while
+    /// this thread does `work`. `work` neither reads the wires nor writes to them.
+    pub fn advance_beside(&mut self, until: Instant, work: impl FnOnce()) {
+        let mut work = Some(work);
+        // The pictures of a camera must arrive after the work, which may read them.
+        if !self.cameras.is_empty() {
+            work.take().into_iter().for_each(|work| work());
+        }
         for bridge in &mut self.bridges {
             bridge.take(self.passed);
         }
         self.payloads.take_over(self.passed);
         let next = |cameras: &[CameraInMemory]| cameras.iter().map(CameraInMemory::next).min();
         while let Some(at) = next(&self.cameras).filter(|at| *at <= until) {
-            self.advance_world(at);
+            self.advance_world(at, || {});
             self.cameras.iter_mut().for_each(|camera| camera.expose(at));
         }
-        self.advance_world(until);
+        self.advance_world(until, || work.into_iter().for_each(|work| work()));
         self.cameras.iter_mut().for_each(|camera| camera.deliver(until));
         for bridge in &mut self.bridges {
             bridge.deliver(until);
@@ -199,11 +210,11 @@ impl Emulation {
     }
 
     /// Advances the world to `until`, with the faults of the scenario up to then.
-    fn advance_world(&mut self, until: Instant) {
+    fn advance_world(&mut self, until: Instant, work: impl FnOnce()) {
         if let Some(scenario) = &mut self.scenario {
             scenario.advance(&mut self.world, until);
         }
-        self.world.advance(until);
+        self.world.advance_beside(until, work);
     }
 
     /// The buses and drives in the world.

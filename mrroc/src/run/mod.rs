@@ -38,14 +38,14 @@ mod tick;
 mod watch;
 mod worker;
 
-use std::cell::{Cell as Shared, RefCell};
+use std::cell::Cell as Shared;
 use std::fmt::Display;
 use std::io::Write as _;
 use std::mem::take;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::thread::Builder;
+use std::thread::{Builder, available_parallelism};
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
@@ -217,7 +217,8 @@ pub fn run(
     let mut end = match options.bench {
         BenchKind::Lockstep => {
             let (turns, stop) = (task.turns.clone(), requests.stop.clone());
-            let threads = options.threads.map_or(1, usize::from);
+            let processors = available_parallelism().map_or(1, usize::from);
+            let threads = options.threads.map_or(1, usize::from).min(processors).min(file.cell.robot.len());
             let work = move |tell: &mut dyn FnMut(Progress)| {
                 if let Some(emulation) = buses.emulation.as_mut().filter(|_| threads > 1) {
                     emulation.add_helpers(threads - 1).context("--threads")?;
@@ -339,22 +340,18 @@ pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
 fn in_lockstep(
     mut servo: Servo,
     task: RunningTask,
-    logs: Logs,
-    Buses { wire, emulation }: Buses,
+    mut logs: Logs,
+    Buses { mut wire, emulation }: Buses,
     interrupted: &AtomicBool,
     progress: &mut dyn FnMut(Progress),
 ) -> anyhow::Result<RunEnd> {
     let (file, _) = task.rehearsed();
-    let emulation = RefCell::new(emulation.expect("lockstep has emulated drives"));
-    let wire = RefCell::new(wire);
-    let between = |next| {
-        emulation.borrow_mut().advance(next);
-        wire.borrow_mut().look();
-    };
+    let mut emulation = emulation.expect("lockstep has emulated drives");
     let mut reached = Instant::ZERO;
     let up = lockstep::bring_up(&mut servo, Instant::ZERO, |next| {
         reached = next;
-        between(next);
+        emulation.advance(next);
+        wire.look();
     });
     let start = match up {
         Ok(start) => start,
@@ -364,31 +361,35 @@ fn in_lockstep(
     };
     let done = Shared::new(false);
     let mut is_over = stopped_once(|| done.get());
-    let logs = RefCell::new(logs);
     let mut timing = Timing::default();
     let mut carrying = task.begin(Rehearsals::AtOnce);
+    let period = servo.period();
+    // The controller has no access to the wires, so it may work while helpers advance the emulated robots.
+    let mut control = |now| {
+        let going = logs.drain() && carrying.poll(now, &mut *progress);
+        done.set(!going || interrupted.load(Ordering::Relaxed));
+    };
     let end = lockstep::run(
         &mut servo,
         start,
-        |now| {
-            let going = logs.borrow_mut().drain() && carrying.poll(now, &mut *progress);
-            done.set(!going || interrupted.load(Ordering::Relaxed));
+        |_| {},
+        |next| {
+            emulation.advance_beside(next, || control(next - period));
+            wire.look();
         },
-        between,
         |servo, now| {
             timing.record_bus(servo);
             is_over(servo, now)
         },
     );
     let TaskErrors { mut faults, recovered, received } = carrying.finish();
-    let logs = logs.into_inner();
     logs.faulted.store(!faults.is_empty(), Ordering::Relaxed);
     let (written, tracks) = logs.finish();
     if interrupted.load(Ordering::Relaxed) {
         // The request broke off the instructions of the task.
         faults.retain(|fault| fault.robot.is_none());
     }
-    let truth = emulation.into_inner().finish().context("the truth of the scene cannot be written");
+    let truth = emulation.finish().context("the truth of the scene cannot be written");
     faults.extend(written.and(truth).err().map(FaultReport::of_run));
     Ok(RunEnd {
         servo,
@@ -399,7 +400,7 @@ fn in_lockstep(
         faults,
         recovered,
         received,
-        wire: wire.into_inner().reports(),
+        wire: wire.reports(),
         cell_time: end.since(Instant::ZERO),
     })
 }

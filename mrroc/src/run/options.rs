@@ -51,8 +51,8 @@ pub struct RunOptions {
     #[arg(long, value_name = "FILE")]
     pub scenario: Option<PathBuf>,
     /// Advance the emulated robots with this number of threads, at most 64. Needs --bench lockstep. The result does not
-    /// depend on the number. Each thread occupies a processor. One thread advances all robots that may influence each other,
-    /// for example through bodies or belts.
+    /// depend on the number. Each thread occupies a processor. There are no more threads than processors or robots. One
+    /// thread advances all robots that may influence each other, for example through bodies or belts.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
     pub threads: Option<u8>,
     /// Write report.html into this directory: tables and plots of the run in one file, which needs no network.

@@ -143,8 +143,19 @@ fn threads_that_share_the_work_change_nothing() {
     let alone = Fallen::new(RNT, false, |_| ()).run();
     let mut helped = Fallen::new(RNT, false, |_| ());
     helped.world.set_helpers(Helpers::of_this_thread(2).unwrap());
+    helped.world.advance(Instant::ZERO);
+    let groups = helped.world.groups.as_ref().unwrap().groups.iter();
+    assert!(groups.map(|group| group.thread).eq([2, 1]), "each robot has a thread");
     assert!(helped.run() == alone);
     assert!(Helpers::of_this_thread(1).is_err(), "a thread has helpers once");
+    // Another thread has no helpers.
+    let mut moved = Fallen::new(RNT, false, |_| ());
+    let run = std::thread::spawn(|| {
+        let other = std::thread::spawn(|| Helpers::of_this_thread(2).unwrap()).join().unwrap();
+        moved.world.set_helpers(other);
+        moved.run()
+    });
+    assert!(run.join().unwrap() == alone);
 }
 
 /// Two robots in a scene, of one motor each. Their axis controllers are on two lines, in one cabinet.

@@ -257,7 +257,7 @@ impl Soak<'_> {
 
     /// Compares true and measured positions of a robot at rest.
     fn compare(&mut self, controller: &Controller, robot: usize) {
-        self.report.comparisons += 1;
+        self.report.comparisons[robot] += 1;
         let (truth, measured) = (self.truths[robot][0], controller.measured(robot));
         let difference: [f64; MAX_AXES] = std::array::from_fn(|axis| truth[axis] - measured[axis]);
         let file = &self.stage.file;

@@ -66,9 +66,10 @@ pub struct SoakReport {
     pub kinds: Vec<SoakKind>,
     /// Times at which a robot took its reference.
     pub references: u64,
-    /// Comparisons of true and measured positions of a robot at rest.
-    pub comparisons: u64,
-    /// Least and greatest difference of true and measured position of any axis, increments of the encoder.
+    /// Comparisons of true and measured positions at rest, for each robot.
+    pub comparisons: Vec<u64>,
+    /// Least and greatest difference of true and measured position of any axis, increments of the encoder. An axis that
+    /// homes at its present position (CiA 402 method 37), such as a belt, can have any difference.
     pub reference_increments: (f64, f64),
     /// Greatest change of such a difference without homing, increments.
     pub greatest_drift: f64,
@@ -101,6 +102,7 @@ impl SoakReport {
             cell: file.cell.name.clone(),
             seed: options.seed,
             kinds: kinds.collect(),
+            comparisons: vec![0; file.cell.robot.len()],
             reference_increments: (f64::INFINITY, f64::NEG_INFINITY),
             ..Self::default()
         }
@@ -152,10 +154,14 @@ impl SoakReport {
         self.kinds.iter().map(count).sum()
     }
 
-    /// Whether nothing was lost, no reference changed and each fault was recovered from.
+    /// Whether nothing was lost, no reference changed and each fault was recovered from. The positions of each robot must
+    /// have been compared more than once.
     pub fn is_good(&self) -> bool {
         let lost = self.lost_records + self.lost_steps + self.lost_frames;
-        lost == 0 && self.failures.is_empty() && self.drifts.is_empty()
+        lost == 0
+            && self.failures.is_empty()
+            && self.drifts.is_empty()
+            && self.comparisons.iter().all(|&count| count > 1)
     }
 }
 
@@ -182,7 +188,7 @@ impl fmt::Display for SoakReport {
         row("not recovered", self.sum(|kind| kind.failed).to_string())?;
         row("other failures", (self.failures.len() as u64 - self.sum(|kind| kind.failed)).to_string())?;
         row("references taken", self.references.to_string())?;
-        row("comparisons at rest", self.comparisons.to_string())?;
+        row("comparisons at rest", self.comparisons.iter().sum::<u64>().to_string())?;
         row("references that changed", self.drifts.len().to_string())?;
         row("greatest drift", format!("{:.2} increments", self.greatest_drift))?;
         let (least, most) = self.reference_increments;

@@ -173,7 +173,8 @@ fn a_coordinator_that_panics_or_hangs_in_motion_leaves_all_robots_at_rest() {
         let record = fs::read_to_string(record).unwrap();
         assert!(record.contains("right.column,Moving,"), "{said}: nothing moved");
         let last: Vec<_> = record.lines().rev().take(10).map(|row| row.split(',').collect::<Vec<_>>()).collect();
-        let rests = |row: &Vec<&str>| row[4] == "Off" && row[8].parse::<f64>().unwrap().abs() < 0.1;
+        // The encoder may waver by an increment, which is 0.79 rad/s over a period.
+        let rests = |row: &Vec<&str>| row[4] == "Off" && row[8].parse::<f64>().unwrap().abs() < 0.8;
         assert!(last.iter().all(rests), "{last:?}");
     }
 }

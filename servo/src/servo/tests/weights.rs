@@ -116,3 +116,51 @@ fn a_stop_keeps_the_torque_and_the_next_power_begins_with_it() {
         }
     }
 }
+
+type Change = fn(&mut Rig);
+
+/// Changes of the load of axis 0 between two times of power, and whether the motor has power during the change.
+const CHANGES: [(&str, bool, Change); 4] = [
+    ("nothing", false, |_| {}),
+    ("axis 1 is moved", false, |rig| rig.world().axes[1].state.position += 10.0),
+    ("the reference of axis 1 is lost for a time", false, |rig| {
+        rig.world().axes[1].state.homing = Homing::NotHomed;
+        rig.run(3);
+        rig.world().axes[1].state.homing = Homing::Attained;
+    }),
+    // An eighth of the range of positions is 125 rad.
+    ("axis 0 ends far from its rest", true, |rig| rig.world().axes[0].state.position += 130.0),
+];
+
+#[test]
+fn what_held_a_load_is_forgotten_where_the_load_may_be_another() {
+    for config in laws(2) {
+        for (what, powered, change) in CHANGES {
+            let mut rig = loaded(&config, 0.0);
+            if powered {
+                change(&mut rig);
+                rig.run_until(Phase::Faulted);
+                rig.order(Order::ResetFault);
+            } else {
+                rig.order(Order::Disable);
+            }
+            rig.run_until(Phase::Off);
+            if !powered {
+                change(&mut rig);
+            }
+            rig.world().axes[0].load = 0.0;
+            rig.world().axes[0].spin = 0.0;
+            rig.run(5);
+            rig.world().sent.clear();
+            rig.order(Order::Enable);
+            rig.run(100);
+            let begun = |batch: &Vec<AxisCommand>| match batch[0] {
+                AxisCommand::Follow(Setpoint::Torque(torque)) => Some(torque.get()),
+                _ => None,
+            };
+            let first = rig.world().sent.iter().find_map(begun).unwrap();
+            let expected = if what == "nothing" { WEIGHT } else { 0.0 };
+            assert!((first - expected).abs() < 0.02, "{what}: {first} for {expected} N·m");
+        }
+    }
+}
