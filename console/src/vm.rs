@@ -30,9 +30,9 @@ pub(crate) enum Machine {
     /// program is on the PATH of the command. The exit status is that of the command, or 128 plus the number of the
     /// signal that ended this program.
     Uml(Options),
-    /// Run the command in a PC with Debian's PREEMPT_RT kernel and two Kvaser CAN cards on one bus. The interfaces can0
-    /// and can1 are down at first, and vcan0 is up. Files are as in user-mode Linux. The machine is for functional tests;
-    /// its timing is not representative.
+    /// Run the command in a PC with Debian's PREEMPT_RT kernel, two Kvaser CAN cards on one bus, vcan0 and a hardware
+    /// watchdog. The interfaces can0 and can1 are down at first, and vcan0 is up. Files are as in user-mode Linux. The
+    /// machine is for functional tests; its timing is not representative.
     Qemu {
         /// Unpacked package on which linux-image-rt-amd64 depends. [default: target/qemu if it exists, otherwise the
         /// installed package in /]

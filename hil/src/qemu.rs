@@ -3,6 +3,7 @@
 //!
 //! The machine gives the guarantees of [`uml`](crate::uml). Interfaces `can0` and `can1` exist, down and without a bit
 //! rate, as on a PC after power-on. `ip` and `can-utils` work on the interfaces as on any card. `vcan0` exists and is up.
+//! `/dev/watchdog` is a hardware watchdog of 30 s. When it expires, the machine ends ([`MachineError::Died`]).
 //! The machine proves function and never the timing of hardware: every instruction is emulated, on one processor. The
 //! emulated bus has neither bit times nor acknowledgement.
 //!
@@ -25,7 +26,7 @@ const QEMU: &str = "qemu-system-x86_64";
 const BUSYBOX: &str = "/bin/busybox";
 const INIT: &str = include_str!("qemu-init.sh");
 /// Modules that the machine needs beside those built into the kernel, each after its dependencies.
-const MODULES: [&str; 17] = [
+const MODULES: [&str; 19] = [
     "drivers/virtio/virtio_ring",
     "drivers/virtio/virtio",
     "drivers/virtio/virtio_pci_legacy_dev",
@@ -43,6 +44,8 @@ const MODULES: [&str; 17] = [
     "drivers/net/can/vcan",
     "drivers/net/can/sja1000/sja1000",
     "drivers/net/can/sja1000/kvaser_pci",
+    "drivers/watchdog/watchdog",
+    "drivers/watchdog/i6300esb",
 ];
 
 /// Reasons why a test machine did not deliver the exit status of its command.
@@ -176,7 +179,7 @@ fn machine(control: Control, kernel: &Kernel, clock: Clock, options: &Options) -
         option("-kernel", kernel.image.clone().into()),
         option("-initrd", control.path.join("initramfs").into()),
         option("-append", "console=ttyS0 quiet panic=-1 mitigations=off".into()),
-        words("-object can-bus,id=bus -device kvaser_pci,canbus=bus -device kvaser_pci,canbus=bus"),
+        words("-object can-bus,id=bus -device kvaser_pci,canbus=bus -device kvaser_pci,canbus=bus -device i6300esb"),
         option("-chardev", setting("file,id=log,append=on,path=", &log, "")),
         words("-serial chardev:log -chardev stdio,id=output,signal=off"),
         words("-device virtio-serial-pci -device virtconsole,chardev=output"),

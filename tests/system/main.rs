@@ -94,5 +94,6 @@ mod vcan;
 mod vcan_laboratory;
 mod vm;
 mod watch;
+mod watchdog;
 mod weights;
 mod wire;
