@@ -9,7 +9,8 @@ use crate::line::SerialLine;
 use crate::scene::{RobotOfScene, STEP, Scene};
 use crate::{Cabinet, Mechanism, PlantAxis};
 
-/// Divisor of the work of an advance that gives the work of a host in a period.
+/// Part of the work of an advance, as a divisor, that stands for the work of a host beside it. The work of the host in
+/// the laboratory is a fifth of an advance. With this greater value, the groups of the laboratory are shared best.
 const HOST: usize = 3;
 
 /// Buses and lines that advance together.
@@ -124,7 +125,7 @@ impl Groups {
         };
         groups.sort_by_key(|group| std::cmp::Reverse(motors(group)));
         let mut work = vec![0; threads];
-        // The helped thread, number 0, also does the work of a host, which was measured as a fifth of an advance.
+        // The helped thread, number 0, also does the work of a host.
         work[0] = groups.iter().map(motors).sum::<usize>() / HOST;
         for group in &mut groups {
             group.thread = (0..threads).rev().min_by_key(|&thread| work[thread]).unwrap_or(0);
