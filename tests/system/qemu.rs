@@ -77,9 +77,10 @@ impl Write for Holding<'_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.output.push_str(&String::from_utf8_lossy(bytes));
         if self.output.ends_with("hold\n") {
+            let machine = process_ids_of(self.scratch.path());
+            assert!(!machine.is_empty());
             for (signal, wait) in [("-STOP", HOLD), ("-CONT", Duration::ZERO)] {
-                // A process that has just ended makes the command fail.
-                let _ = Command::new("kill").arg(signal).args(process_ids_of(self.scratch.path())).status()?;
+                assert!(Command::new("kill").arg(signal).args(&machine).status()?.success());
                 thread::sleep(wait);
             }
         }
@@ -96,11 +97,14 @@ fn a_clock_that_counts_instructions_stands_still_while_the_host_holds_the_machin
     let Some(kernel) = kernel("qemu") else { return };
     let scratch = Scratch::new("qemu-clock");
     // Work that takes equally many instructions each time.
-    let work = "begin=$(date +%s%N); i=0; while [ $i -lt 300000 ]; do i=$((i + 1)); done; \
+    let work = "begin=$(date +%s%N); i=0; while [ $i -lt 100000 ]; do i=$((i + 1)); done; \
                 echo $((($(date +%s%N) - begin) / 1000000))";
     let script = format!("{work}; echo hold; {work}");
     let milliseconds = |clock| {
-        let options = Options { directory: scratch.0.clone(), ..Options::new(["sh", "-c", &script]) };
+        // The name of the output directory is on the command line of the machine.
+        let output = Some(scratch.0.join(OUT));
+        let timeout = Duration::from_secs(240);
+        let options = Options { directory: scratch.0.clone(), output, timeout, ..Options::new(["sh", "-c", &script]) };
         let mut holding = Holding { scratch: &scratch, output: String::new() };
         assert_eq!(run(&kernel, clock, &options, &mut holding), Ok(0), "{}", holding.output);
         let numbers = holding.output.lines().filter_map(|line| line.parse::<f64>().ok());
@@ -110,7 +114,10 @@ fn a_clock_that_counts_instructions_stands_still_while_the_host_holds_the_machin
     let [alone, held] = milliseconds(Clock::Instructions);
     println!("{alone} ms, and {held} ms with a hold of {hold} ms");
     assert!(alone > 100.0 && (held - alone).abs() < 0.2 * hold);
-    // The clock of the host continues.
-    let [_, held] = milliseconds(Clock::Host);
-    assert!(held > 0.9 * hold, "{held} ms");
+    // The clock of the host continues. On a busy host, the same work may take longer at first.
+    let continues = |[alone, held]: [f64; 2]| {
+        println!("{alone} ms, and {held} ms by the clock of the host");
+        held - alone > 0.5 * hold
+    };
+    assert!((0..3).any(|_| continues(milliseconds(Clock::Host))));
 }

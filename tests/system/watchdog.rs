@@ -12,8 +12,8 @@ use crate::vcan;
 
 /// The watchdog of the machine expires after 30 s.
 const SCRIPT: &str = "
-    chrt -f 70 \"$0\" emulate cell.toml --can vcan0 >/dev/null & sleep 1
-    drive() { exec \"$0\" run cell.toml --bench vcan --can vcan0 >/dev/null; }
+    chrt -f 70 \"$0\" emulate cell.toml --can vcan0 >/dev/null 2>&1 & sleep 1
+    drive() { exec \"$0\" run cell.toml --bench vcan --can vcan0 >/dev/null 2>&1; }
     (drive); echo ended $?
     sleep 60; echo on
     drive & sleep 4; kill -9 $! && echo killed
