@@ -145,9 +145,12 @@ impl ServoAxis {
     /// Whether the output that held the load of the motor at its last rest holds it here. The function is called while
     /// the motor has no power.
     pub(crate) fn has_the_load_of_its_rest(&self) -> bool {
+        !self.displaced && !self.is_far_from_rest()
+    }
+
+    fn is_far_from_rest(&self) -> bool {
         let reach = (self.config.max_position - self.config.min_position) / SAME_LOAD;
-        let near = |host: &Loop| host.distance_from_rest(self.state.position) <= reach;
-        !self.displaced && self.host.as_ref().is_none_or(near)
+        self.host.as_ref().is_some_and(|host| host.distance_from_rest(self.state.position) > reach)
     }
 
     /// Discards what held the load of the motor at its last rest.
@@ -240,6 +243,9 @@ impl ServoAxis {
     pub(crate) fn capture(&mut self) {
         self.knot = Knot::at_rest(self.state.position);
         self.commanded = [self.state.position; REMEMBERED];
+        if self.is_far_from_rest() {
+            self.forget_load();
+        }
         if let Some(host) = &mut self.host {
             host.capture(self.state.position, self.torque);
         }

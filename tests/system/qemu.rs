@@ -65,19 +65,22 @@ fn a_machine_that_does_not_end_by_itself_is_told_from_one_that_dies() {
     assert_eq!(scratch.names(), [OUT]);
 }
 
-/// Output of a machine. After the word `hold`, all processes of the machine stand still for [`HOLD`].
-struct Holding<'a> {
-    scratch: &'a Scratch,
+/// Output of the machine with [`MEMORY`]. After the word `hold`, the machine stands still for [`HOLD`].
+#[derive(Default)]
+struct Holding {
     output: String,
 }
 
 const HOLD: Duration = Duration::from_secs(4);
 
-impl Write for Holding<'_> {
+/// Memory of the machine that is held, MiB. No other machine of these tests has it.
+const MEMORY: u32 = 517;
+
+impl Write for Holding {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.output.push_str(&String::from_utf8_lossy(bytes));
         if self.output.ends_with("hold\n") {
-            let machine = process_ids_of(self.scratch.path());
+            let machine = process_ids_of(&format!("-m\0{MEMORY}\0"));
             assert!(!machine.is_empty());
             for (signal, wait) in [("-STOP", HOLD), ("-CONT", Duration::ZERO)] {
                 assert!(Command::new("kill").arg(signal).args(&machine).status()?.success());
@@ -100,11 +103,13 @@ fn a_clock_that_counts_instructions_stands_still_while_the_host_holds_the_machin
     let work = "begin=$(date +%s%N); i=0; while [ $i -lt 100000 ]; do i=$((i + 1)); done; \
                 echo $((($(date +%s%N) - begin) / 1000000))";
     let script = format!("{work}; echo hold; {work}");
-    // The name of the output directory is on the command line of the machine.
-    let output = Some(scratch.0.join(OUT));
-    let timeout = Duration::from_secs(240);
-    let options = Options { directory: scratch.0.clone(), output, timeout, ..Options::new(["sh", "-c", &script]) };
-    let mut holding = Holding { scratch: &scratch, output: String::new() };
+    let options = Options {
+        directory: scratch.0.clone(),
+        memory_mib: MEMORY,
+        timeout: Duration::from_secs(240),
+        ..Options::new(["sh", "-c", &script])
+    };
+    let mut holding = Holding::default();
     assert_eq!(run(&kernel, Clock::Instructions, &options, &mut holding), Ok(0), "{}", holding.output);
     let milliseconds: Vec<f64> = holding.output.lines().filter_map(|line| line.parse().ok()).collect();
     let [alone, held] = milliseconds[..] else { panic!("{}", holding.output) };
