@@ -99,10 +99,14 @@ impl Write for Holding {
 fn a_clock_that_counts_instructions_stands_still_while_the_host_holds_the_machine() {
     let Some(kernel) = kernel("qemu") else { return };
     let scratch = Scratch::new("qemu-clock");
-    // Work that takes equally many instructions each time.
-    let work = "begin=$(date +%s%N); i=0; while [ $i -lt 100000 ]; do i=$((i + 1)); done; \
-                echo $((($(date +%s%N) - begin) / 1000000))";
-    let script = format!("{work}; echo hold; {work}");
+    // Work that takes equally many instructions each time. The word is said after the clock was read.
+    let work = |word| {
+        format!(
+            "begin=$(date +%s%N); echo {word}; i=0; while [ $i -lt 100000 ]; do i=$((i + 1)); done; \
+             echo $((($(date +%s%N) - begin) / 1000000))"
+        )
+    };
+    let script = format!("{}; {}", work("alone"), work("hold"));
     let options = Options {
         directory: scratch.0.clone(),
         memory_mib: MEMORY,
