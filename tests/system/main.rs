@@ -70,6 +70,7 @@ mod readme;
 mod recordings;
 mod referenced;
 mod regression;
+mod relay;
 mod repetition;
 mod report;
 mod second_controller;
