@@ -2,10 +2,11 @@
 
 use std::fs;
 use std::hash::{DefaultHasher, Hash, Hasher};
+use std::thread;
 
 use crate::cell::{Setup, traced};
 use crate::cli_refusals::refused;
-use crate::mrroc::{Directory, example, mrroc, shorten};
+use crate::mrroc::{Directory, Running, example, mrroc, shorten};
 
 /// Hash of every frame of a whole run with time and direction, and the number of frames.
 fn run(seed: u64) -> (u64, u64) {
@@ -57,14 +58,26 @@ fn the_irp6_completes_its_program_with_twenty_seeds() {
     twenty_seeds("irp6");
 }
 
+/// Number of helpers among the threads of process `pid`.
+fn helpers_of(pid: u32) -> usize {
+    let threads = fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
+    let names = threads.filter_map(|thread| fs::read_to_string(thread.path().join("comm")).ok());
+    names.filter(|name| name.starts_with("helper-")).count()
+}
+
 #[test]
 fn robots_that_are_emulated_by_several_threads_do_the_same() {
     let directory = Directory::new();
     let cell = directory.cell("lab", shorten).display().to_string();
-    let records = [1, 2, 3].map(|threads: u8| {
+    let processors = thread::available_parallelism().unwrap().get();
+    let records = [1, 2, 3].map(|threads: usize| {
         let record = directory.path(&format!("{threads}.csv"));
-        let (threads, to) = (threads.to_string(), record.display().to_string());
-        let run = mrroc(["run", &cell, "--bench", "lockstep", "--threads", &threads, "--record", &to]);
+        let (count, to) = (threads.to_string(), record.display().to_string());
+        let run = Running::start(["run", &cell, "--bench", "lockstep", "--threads", &count, "--record", &to]);
+        // A helper more than the processors allow is left out.
+        let helpers = threads.min(processors) - 1;
+        run.wait_for(&record, |_| helpers_of(run.id()) == helpers);
+        let run = run.output();
         assert_eq!(run.status.code(), Some(0), "{run:?}");
         fs::read(record).unwrap()
     });

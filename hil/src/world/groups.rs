@@ -1,5 +1,6 @@
 //! Parts of a world that do not influence each other within an advance.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use can::Instant;
@@ -21,8 +22,8 @@ pub(super) struct Group {
     buses: Vec<usize>,
     lines: Vec<usize>,
     robots: Vec<usize>,
-    /// Number of the thread that advances the group. The thread is the same in every advance, so its cache keeps the
-    /// data of the group.
+    /// Number of the thread that advances the group, unless another thread has nothing left to do. The thread is mostly the
+    /// same in every advance, so its cache keeps the data of the group.
     thread: usize,
     /// Couplings of the devices with other devices.
     couplings: Vec<Coupling>,
@@ -153,16 +154,16 @@ impl Groups {
         let interval = Interval { steps, until };
         if self.separate {
             let parts = self.parts(scene.as_deref_mut(), buses, lines);
-            let advance = |parts: Vec<Part>| parts.into_iter().for_each(|part| part.advance(interval));
+            let advance = |part: Part| part.advance(interval);
             match helpers {
                 Some(helpers) => {
-                    let mut shares: Vec<_> = (0..helpers.threads()).map(|_| Vec::new()).collect();
-                    parts.into_iter().for_each(|part| shares[part.group.thread].push(part));
+                    let mut shares: Vec<_> = (0..helpers.threads()).map(|_| VecDeque::new()).collect();
+                    parts.into_iter().for_each(|part| shares[part.group.thread].push_back(part));
                     helpers.share(shares, work, advance);
                 }
                 None => {
                     work();
-                    advance(parts);
+                    parts.into_iter().for_each(advance);
                 }
             }
             if let (Some(scene), Some((_, end))) = (scene, steps) {

@@ -1,8 +1,9 @@
 //! Threads that share the work of an advance.
 
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::{hint, io};
+use std::{hint, io, iter};
 
 use rayon::{ThreadPool, ThreadPoolBuilder, Yield};
 
@@ -11,7 +12,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder, Yield};
 /// The threads share only robots, buses and lines that cannot influence each other.
 ///
 /// A helper waits for work without sleeping, and occupies a processor until this value is dropped. To wake a sleeping
-/// helper would take longer than an advance. More threads than processors make an advance much slower.
+/// helper would take longer than an advance. More threads than processors make an advance slower.
 pub struct Helpers {
     pool: ThreadPool,
     over: Arc<AtomicBool>,
@@ -39,7 +40,7 @@ impl Helpers {
         });
         let helpers = Self { pool, over };
         // Thread 0 executes its closure here, so that the helpers end also if nothing is ever shared.
-        helpers.share(vec![(); count + 1], || {}, |()| {});
+        helpers.share(vec![VecDeque::<()>::new(); count + 1], || {}, |()| {});
         Ok(helpers)
     }
 
@@ -48,23 +49,33 @@ impl Helpers {
         self.pool.current_num_threads()
     }
 
-    /// Lets each thread advance its share, and waits until all threads have finished. `shares` has one element for each
-    /// thread. The helped thread first does `work`. Any other calling thread works alone.
-    pub(super) fn share<T: Send>(&self, shares: Vec<T>, work: impl FnOnce(), advance: impl Fn(T) + Sync) {
+    /// Lets the threads advance all items of the shares, and waits until all items are done. `shares` has one element for
+    /// each thread. The helped thread first does `work`. Each thread begins with the items of its own share. A thread that
+    /// has finished takes items of other shares, from the last one on: the host may have given the processor of another
+    /// thread to another program. Any other calling thread works alone.
+    pub(super) fn share<T: Send>(&self, shares: Vec<VecDeque<T>>, work: impl FnOnce(), advance: impl Fn(T) + Sync) {
         if self.pool.current_thread_index() != Some(0) {
             // The pool would wait for thread 0, which does not wait for work.
             work();
-            shares.into_iter().for_each(advance);
+            shares.into_iter().flatten().for_each(advance);
             return;
         }
-        let shares: Vec<_> = shares.into_iter().map(|share| Mutex::new(Some(share))).collect();
+        let shares: Vec<_> = shares.into_iter().map(Mutex::new).collect();
+        let locked = |thread: usize| shares[thread].lock().unwrap_or_else(PoisonError::into_inner);
+        let help = || {
+            let own = rayon::current_thread_index().unwrap_or(0);
+            let of_others = || (0..shares.len()).find_map(|other| locked(other).pop_back());
+            let next = || {
+                // The lock is free again before another share is locked.
+                let mine = locked(own).pop_front();
+                mine.or_else(of_others)
+            };
+            iter::from_fn(next).for_each(&advance);
+        };
         self.pool.in_place_scope(|scope| {
-            scope.spawn_broadcast(|_, thread| {
-                let mine = shares[thread.index()].lock().unwrap_or_else(PoisonError::into_inner).take();
-                mine.into_iter().for_each(&advance);
-            });
-            // This thread executes its own share at the end of the scope.
+            (1..shares.len()).for_each(|_| scope.spawn(|_| help()));
             work();
+            help();
         });
     }
 }
