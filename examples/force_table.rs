@@ -98,7 +98,7 @@ struct Bench<'a> {
     wrist: ForceSensor,
 }
 
-/// A motion as the sensor saw it: force of the tool on the block, N, and the time of the sample since the first one, s.
+/// Samples of the sensor during a motion: forces of the tool on the block, N, and times since the first sample, s.
 struct Seen {
     forces: Vec<f64>,
     times: Vec<f64>,
@@ -168,7 +168,7 @@ fn press(force: f64, seconds: f64) -> UnderLaw<Wait> {
 }
 
 impl Seen {
-    /// Forces between two shares of the duration.
+    /// Forces between two fractions of the number of samples.
     fn part(&self, from: f64, to: f64) -> &[f64] {
         let at = |share: f64| (share * self.forces.len() as f64) as usize;
         &self.forces[at(from)..at(to)]

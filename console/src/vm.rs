@@ -30,17 +30,17 @@ pub(crate) enum Machine {
     /// program is on the PATH of the command. The exit status is that of the command, or 128 plus the number of the
     /// signal that ended this program.
     Uml(Options),
-    /// Run the command in a PC with Debian's PREEMPT_RT kernel, two Kvaser CAN cards on one bus, vcan0 and a hardware
-    /// watchdog. The interfaces can0 and can1 are down at first, and vcan0 is up. Files are as in user-mode Linux. The
-    /// machine is for functional tests; its timing is not representative.
+    /// Run the command in a PC with Debian's PREEMPT_RT kernel, a hardware watchdog, an interface vcan0, and two Kvaser
+    /// CAN cards on a bus of their own. The interfaces can0 and can1 are down at first, and vcan0 is up. Files are as
+    /// in user-mode Linux. The machine is for functional tests; its timing is not representative.
     Qemu {
         /// Unpacked package on which linux-image-rt-amd64 depends. [default: target/qemu if it exists, otherwise the
         /// installed package in /]
         #[arg(long, value_name = "DIRECTORY")]
         kernel: Option<PathBuf>,
         /// Let the clock of the machine count instructions, 1 ns each. The clock stands still while the host does other
-        /// work, so no program in the machine is late because of the host. A busy machine needs about ten times as long
-        /// as its clock shows. --timeout is in the time of the host.
+        /// work, so no program in the machine is late because of the host. While its processor is busy, the machine
+        /// needs about ten times as long as its clock shows. --timeout is in the time of the host.
         #[arg(long)]
         count_instructions: bool,
         #[command(flatten)]

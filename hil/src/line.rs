@@ -30,7 +30,7 @@ use faults::Wire;
 pub const USB_PACKET: usize = 62;
 
 /// A line with a device at one end. The host's end can be attached and detached.
-// Different threads may advance two lines. Two lines therefore share no cache line.
+// Different threads may advance two serial lines. Two serial lines therefore share no cache line.
 #[repr(align(128))]
 pub struct SerialLine {
     device: Box<dyn LineDevice>,

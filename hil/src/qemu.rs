@@ -2,12 +2,12 @@
 //! Debian's PREEMPT_RT kernel boots in about five seconds on the host's own file system.
 //!
 //! The machine gives the guarantees of [`uml`](crate::uml). Interfaces `can0` and `can1` exist, down and without a bit
-//! rate, as on a PC after power-on. `ip` and `can-utils` work on the interfaces as on any card. `vcan0` exists and is up.
-//! `/dev/watchdog` is a hardware watchdog of 30 s. When it expires, the machine ends ([`MachineError::Died`]).
-//! The machine proves function and never the timing of hardware: every instruction is emulated, on one processor. The
-//! emulated bus has neither bit times nor acknowledgement.
+//! rate, as on a PC after power-on. `ip` and `can-utils` work on the interfaces as on any card. `vcan0` exists and is
+//! up. `/dev/watchdog` is a hardware watchdog of 30 s. When the watchdog expires, the machine ends
+//! ([`MachineError::Died`]). The machine proves function and never the timing of hardware: every instruction is
+//! emulated, on one processor. The emulated bus has neither bit times nor acknowledgement.
 //!
-//! With [`Clock::Instructions`], a program by the clock runs as if the host had no other work.
+//! With [`Clock::Instructions`], a program that runs in real time behaves as if the host had no other work.
 //!
 //! Read [`Kernel`], then [`run`]. The machine's first process is `qemu-init.sh`.
 
@@ -75,7 +75,7 @@ pub enum Clock {
     #[default]
     Host,
     /// A count of the executed instructions, 1 ns each. The clock stands still while the host does other work, and idle
-    /// time passes at once. A busy machine needs about ten times as long as its clock shows.
+    /// time passes at once. While its processor is busy, the machine needs about ten times as long as its clock shows.
     Instructions,
 }
 

@@ -258,8 +258,8 @@ impl World {
         self.advance_beside(until, || {});
     }
 
-    /// Advances the world as [`advance`](Self::advance), and does `work` at the same time if there are helpers, or before
-    /// the advance. `work` must not use the ports and lines of this world.
+    /// Advances the world as [`advance`](Self::advance). The calling thread first does `work`, while helpers already
+    /// advance their shares. `work` must not use the ports and lines of this world.
     pub fn advance_beside(&mut self, until: Instant, work: impl FnOnce()) {
         let Self { buses, lines, scene, groups, helpers, now } = self;
         if scene.is_some() || helpers.is_some() {

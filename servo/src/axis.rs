@@ -19,7 +19,8 @@ const STILL: f64 = 0.01;
 /// host that was suspended shows more.
 const MOST_EXTRAPOLATED: u32 = 100;
 
-/// Part of the range of positions, as a divisor. Farther from its last rest, a motor may carry another load.
+/// Greatest distance of a motor from its last rest at which its load counts as unchanged: the range of positions,
+/// divided by this number.
 const SAME_LOAD: f64 = 8.0;
 
 /// Shortest distance of set-points, increments, during which the measured position must change.
@@ -61,9 +62,10 @@ pub(crate) struct ServoAxis {
     /// The axis is off while the others brake, because its measured position does not change.
     pub(crate) cut: bool,
     host: Option<Loop>,
-    /// Position of the motor at its last standstill under power, or else at its first standstill without power, rad.
+    /// Position of the motor in the last cycle with power, rad, if the motor was at a standstill. Otherwise the
+    /// position at the first standstill without power.
     parked: Option<f64>,
-    /// Whether the motor may have been moved since it has had no power.
+    /// Whether the motor may have been moved since the power was switched off.
     displaced: bool,
     /// The search of this homing, if the servo homes the axis.
     search: Option<Search>,
@@ -134,7 +136,7 @@ impl ServoAxis {
             (self.parked, self.displaced) = (self.is_still().then_some(position), false);
             return;
         }
-        // Without a reference, the position is not comparable with earlier ones.
+        // Without a reference, the position is not comparable with earlier positions.
         let moved = self.parked.is_some_and(|parked| (position - parked).abs() > self.config.following_error);
         self.displaced |= moved || set || !self.is_homed();
         if self.parked.is_none() && self.is_still() {
@@ -142,8 +144,8 @@ impl ServoAxis {
         }
     }
 
-    /// Whether the output that held the load of the motor at its last rest holds it here. The function is called while
-    /// the motor has no power.
+    /// Whether the output that held the load of the motor at its last rest also holds the load at the present position.
+    /// The function is called while the motor has no power.
     pub(crate) fn has_the_load_of_its_rest(&self) -> bool {
         !self.displaced && !self.is_far_from_rest()
     }
@@ -153,7 +155,7 @@ impl ServoAxis {
         self.host.as_ref().is_some_and(|host| host.distance_from_rest(self.state.position) > reach)
     }
 
-    /// Discards what held the load of the motor at its last rest.
+    /// Discards the output that held the load of the motor at its last rest.
     pub(crate) fn forget_load(&mut self) {
         self.host.iter_mut().for_each(Loop::forget);
     }

@@ -63,7 +63,7 @@ pub(crate) struct Loop {
     taken: f64,
     /// Number of consecutive cycles at rest.
     rests: u32,
-    /// What held the load at the last rest. `None` before the first rest, and after [`forget`](Self::forget).
+    /// Output that held the load at the last rest. `None` before the first rest, and after [`forget`](Self::forget).
     held: Option<Held>,
 }
 
@@ -192,7 +192,7 @@ impl Loop {
         }
     }
 
-    /// Distance of `position` from the last rest, rad; 0 if no output is known that held a load.
+    /// Distance of `position` from the last rest, rad. 0 if the output of a rest is not stored.
     pub(crate) fn distance_from_rest(&self, position: f64) -> f64 {
         self.held.map_or(0.0, |held| (position - held.position).abs())
     }
@@ -229,9 +229,9 @@ impl Loop {
         }
     }
 
-    /// Restarts the loop at rest at `position`. The integral part begins with what held the load at the last rest, except
-    /// for the weight, which `torque` feeds forward. `torque` is as in [`Self::regulate`], or 0 if the weight is not
-    /// known. Then the integral part also begins with the weight at the last rest.
+    /// Restarts the loop at rest at `position`. `torque` is as in [`Self::regulate`], or 0 if the weight is not known.
+    /// The integral part begins with the output that held the load at the last rest. The part of this output for the
+    /// weight is left out, unless `torque` is 0, because `torque` feeds the weight forward.
     pub(crate) fn capture(&mut self, position: f64, torque: f64) {
         let preset = self.held.map_or(0.0, |held| if torque == 0.0 { held.output } else { held.output - held.weight });
         match &mut self.law {

@@ -258,8 +258,8 @@ impl Servo {
         }
     }
 
-    /// Reports that the last cycle ended by a panic. The cycle counts as a refused batch on every bus: the next one repeats
-    /// the set-points, which may not have been sent.
+    /// Reports that the last cycle ended by a panic. The cycle counts as a refused batch on every bus: the next cycle
+    /// repeats the set-points, because the buses may not have taken them.
     pub fn cycle_panicked(&mut self) {
         for group in &mut self.groups {
             group.refused_in_row = group.refused_in_row.saturating_add(1);

@@ -1,7 +1,8 @@
 //! Soak of a cell in lockstep: `cargo bench -p mrroc-tests --bench soak -- irb6 --hours 24 --seed 1`.
 //!
-//! The first argument is the name of an example cell, or the path of a cell file. The program prints one table, or a JSON
-//! object with `--json`. Exit status 1 if anything was lost, a reference changed, or a fault was not recovered from.
+//! The first argument is the name of an example cell, or the path of a cell file. The program prints one table, or a
+//! JSON object with `--json`. The exit status is 1 if an entry was lost, a reference changed, a failure occurred, or
+//! the positions of a robot were compared less than twice.
 
 #![allow(clippy::disallowed_methods, reason = "the program measures its duration")]
 

@@ -73,7 +73,7 @@ struct Holding {
 
 const HOLD: Duration = Duration::from_secs(4);
 
-/// Memory of the machine that is held, MiB. No other machine of these tests has it.
+/// Memory of the machine that is held, MiB. No other machine of these tests has this size.
 const MEMORY: u32 = 517;
 
 impl Write for Holding {
@@ -99,7 +99,7 @@ impl Write for Holding {
 fn a_clock_that_counts_instructions_stands_still_while_the_host_holds_the_machine() {
     let Some(kernel) = kernel("qemu") else { return };
     let scratch = Scratch::new("qemu-clock");
-    // Work that takes equally many instructions each time. The word is said after the clock was read.
+    // A loop with the same number of instructions each time. The script reads the clock, and then prints the word.
     let work = |word| {
         format!(
             "begin=$(date +%s%N); echo {word}; i=0; while [ $i -lt 100000 ]; do i=$((i + 1)); done; \

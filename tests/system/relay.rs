@@ -31,7 +31,7 @@ use crate::vcan;
 /// Environment variable that makes this test the controller of a cell file.
 const CONTROLLER: &str = "RELAY_CELL";
 
-/// Period of the heartbeats of the host. Without a guardian, the node opens the relay by itself when it has heard no
+/// Period of the heartbeats of the host. Without a guardian, the node opens the relay by itself when it has received no
 /// heartbeat for three periods.
 const HEARTBEAT: Duration = Duration::from_secs(1);
 
@@ -44,7 +44,7 @@ const BY_NODE: Duration = Duration::from_millis(1900);
 const NODE: u8 = 40;
 const LINE: u8 = 0;
 
-/// What the emulator saw last.
+/// Latest observations of the emulator.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
     /// Time of the last SYNC or heartbeat of the host.

@@ -10,8 +10,8 @@ use crate::line::SerialLine;
 use crate::scene::{RobotOfScene, STEP, Scene};
 use crate::{Cabinet, Mechanism, PlantAxis};
 
-/// Part of the work of an advance, as a divisor, that stands for the work of a host beside it. The work of the host in
-/// the laboratory is a fifth of an advance. With this greater value, the groups of the laboratory are shared best.
+/// The work of the host beside an advance is counted as the work of the advance, divided by this number. In the
+/// laboratory, the measured work of the host is only a fifth of an advance, but a third distributes the groups best.
 const HOST: usize = 3;
 
 /// Buses and lines that advance together.
@@ -126,7 +126,7 @@ impl Groups {
         };
         groups.sort_by_key(|group| std::cmp::Reverse(motors(group)));
         let mut work = vec![0; threads];
-        // The helped thread, number 0, also does the work of a host.
+        // The helped thread, number 0, also does the work of the host.
         work[0] = groups.iter().map(motors).sum::<usize>() / HOST;
         for group in &mut groups {
             group.thread = (0..threads).rev().min_by_key(|&thread| work[thread]).unwrap_or(0);
@@ -211,8 +211,8 @@ impl Groups {
 
 impl Part<'_> {
     fn advance(mut self, interval: Interval) {
-        // The devices of a bus may read the scene in each step. Without a robot or bus, only lines that are coupled
-        // with each other need steps.
+        // The devices of a bus may read the scene in each step. In a group without robots and buses, only lines that
+        // are coupled with each other need steps.
         let coupled_lines = self.lines.len() > 1 && !self.group.couplings.is_empty();
         let stepped = !self.robots.is_empty() || !self.buses.is_empty() || coupled_lines;
         if let Some((start, end)) = interval.steps.filter(|_| stepped) {

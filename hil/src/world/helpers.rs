@@ -39,8 +39,8 @@ impl Helpers {
             }
         });
         let helpers = Self { pool, over };
-        // Thread 0 executes its closure here, so that the helpers end also if nothing is ever shared.
-        helpers.share(vec![VecDeque::<()>::new(); count + 1], || {}, |()| {});
+        // Thread 0 executes its closure here. The helpers then end even if no work is ever shared.
+        helpers.pool.broadcast(|_| ());
         Ok(helpers)
     }
 
@@ -52,10 +52,10 @@ impl Helpers {
     /// Lets the threads advance all items of the shares, and waits until all items are done. `shares` has one element for
     /// each thread. The helped thread first does `work`. Each thread begins with the items of its own share. A thread that
     /// has finished takes items of other shares, from the last one on: the host may have given the processor of another
-    /// thread to another program. Any other calling thread works alone.
+    /// thread to another program. Any other calling thread does `work` and all shares alone.
     pub(super) fn share<T: Send>(&self, shares: Vec<VecDeque<T>>, work: impl FnOnce(), advance: impl Fn(T) + Sync) {
         if self.pool.current_thread_index() != Some(0) {
-            // The pool would wait for thread 0, which does not wait for work.
+            // The pool would wait for the share of thread 0, but thread 0 executes shares only in its own calls.
             work();
             shares.into_iter().flatten().for_each(advance);
             return;

@@ -185,7 +185,7 @@ impl Emulation {
     /// this thread does `work`. `work` neither reads the wires nor writes to them.
     pub fn advance_beside(&mut self, until: Instant, work: impl FnOnce()) {
         let mut work = Some(work);
-        // The pictures of a camera must arrive after the work, which may read them.
+        // `work` may read pictures of cameras, so the pictures of this advance must arrive after `work`.
         if !self.cameras.is_empty() {
             work.take().into_iter().for_each(|work| work());
         }

@@ -1,4 +1,4 @@
-//! MCAP files: chunks that are complete on the disk after each second, and a reader for files that end anywhere.
+//! MCAP files: chunks that are completed on the disk twice per second, and a reader for files that end anywhere.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;

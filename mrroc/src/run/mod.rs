@@ -16,8 +16,9 @@
 //! A run in lockstep has the caller and one thread for everything else. With `--threads`, helpers of this second thread
 //! also advance emulated robots. A run by the wall clock does not wait for planning and rehearsal. However a run ends,
 //! the run waits until the servo has braked the arms and switched them off. A run ends with its task, on a signal, when
-//! a file cannot be written, when the task hangs, and by a panic of the caller or the controller. The run does not wait
-//! for a file that accepts no data. A drive that may still have power afterwards is a fault of the run.
+//! a trace, record or step file cannot be written, when the task hangs, and by a panic of the caller or the controller.
+//! The run waits only for a limited time for a file that accepts no data. A drive that may still have power afterwards
+//! is a fault of the run.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 

@@ -90,7 +90,7 @@ pub struct World {
     pub coming_up: u32,
     /// Bring-up fails with [`NEVER_BOOTED`].
     pub absent: bool,
-    /// Number of the next calls of `write` that panic.
+    /// Number of calls of `write` that panic, beginning with the next call.
     pub panics: u32,
     /// Number of batches that the bus refuses.
     pub refuses: u32,

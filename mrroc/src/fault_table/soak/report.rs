@@ -154,8 +154,8 @@ impl SoakReport {
         self.kinds.iter().map(count).sum()
     }
 
-    /// Whether nothing was lost, no reference changed and each fault was recovered from. The positions of each robot must
-    /// have been compared more than once.
+    /// Whether no entry was lost, no reference changed, no failure occurred, and the positions of each robot were
+    /// compared more than once.
     pub fn is_good(&self) -> bool {
         let lost = self.lost_records + self.lost_steps + self.lost_frames;
         lost == 0

@@ -119,7 +119,7 @@ fn a_stop_keeps_the_torque_and_the_next_power_begins_with_it() {
 
 type Change = fn(&mut Rig);
 
-/// Changes of the load of axis 0 between two times of power, and whether the motor has power during the change.
+/// Events after which the load of axis 0 may have changed, and whether the motor has power at the event.
 const CHANGES: [(&str, bool, Change); 4] = [
     ("nothing", false, |_| {}),
     ("axis 1 is moved", false, |rig| rig.world().axes[1].state.position += 10.0),
