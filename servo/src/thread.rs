@@ -5,7 +5,7 @@
 //! a margin before the deadline, prepares the cycle, spins to the deadline and sends. The thread wakes earlier by the
 //! learnt duration of the preparation, so SYNC is sent at the deadline.
 //!
-//! **A missed deadline** is counted and skipped, never caught up. A thread that is late by half a period or more skips
+//! **A missed deadline** is counted and skipped, never caught up. A thread that is late by more than half a period skips
 //! this slot and waits for the next slot. The time between two SYNCs is therefore never shorter than half a period.
 //! [`Servo::missed`] describes the effect of too many missed deadlines. An emulated cell can avoid this effect: see
 //! [`CellTime`].

@@ -91,7 +91,7 @@ fn main() -> ExitCode {
     let [emulated, slcan, serial] = tally.kinds;
     let [int, term, hup, kill] = tally.signals;
     println!(
-        "| cycles | emulated | slcan | serial | INT | TERM | HUP | KILL | links replaced | slowest end | duration |"
+        "| cycles | one process | slcan | ttys | INT | TERM | HUP | KILL | links replaced | slowest end | duration |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|");
     println!(

@@ -348,7 +348,7 @@ const SHORTEST_SILENCE: Duration = Duration::from_millis(5);
 pub(crate) const LONGEST_SILENCE_MS: f64 = 1000.0;
 
 impl Cell {
-    /// Times and priority of the guardian of the cell's serial lines.
+    /// Times and priority of the guardian of the cell.
     ///
     /// The servo itself tolerates `max_missed_in_row` deadlines without a cycle, so two cycles may be one period more
     /// apart. Half a period more is the greatest lateness of a cycle that counts as punctual.

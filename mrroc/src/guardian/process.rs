@@ -13,8 +13,8 @@
 //! function.
 //!
 //! A hardware watchdog gets one byte per [`WATCHDOG`] while the guardian is waiting or watching. At an orderly end, the
-//! watchdog gets the letter V, which switches the watchdog off. In every other state and after every other end, the
-//! watchdog expires.
+//! watchdog gets the letter V, which switches the watchdog off. After every other end, the watchdog expires. In a state
+//! without bytes, the watchdog expires if the state lasts longer than its time-out.
 //!
 //! The loop does not allocate. A round writes one telegram per line and does not wait. Before the first telegram,
 //! unsent bytes of a line are discarded. A line that is still sending the previous telegram does not get another

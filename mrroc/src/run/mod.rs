@@ -11,12 +11,13 @@
 //! - camera, one per camera: receives pictures;
 //! - the caller: receives the progress and watches the task.
 //!
-//! A cell with axis controllers on ttys has a second process, the [guardian](crate::guardian).
+//! A cell with axis controllers on ttys, a guarded bus or a hardware watchdog has a second process, the
+//! [guardian](crate::guardian).
 //!
 //! A run in lockstep has the caller and one thread for everything else. With `--threads`, helpers of this second thread
 //! also advance emulated robots. A run by the wall clock does not wait for planning and rehearsal. However a run ends,
 //! the run waits until the servo has braked the arms and switched them off. A run ends with its task, on a signal, when
-//! a trace, record or step file cannot be written, when the task hangs, and by a panic of the caller or the controller.
+//! a trace, record or step file cannot be written, when the task hangs, and by a panic of any of its threads.
 //! The run waits only for a limited time for a file that accepts no data. A drive that may still have power afterwards
 //! is a fault of the run.
 
