@@ -242,6 +242,44 @@ fn no_drive_is_handed_two_steps_at_once_after_a_batch_was_refused() {
 }
 
 #[test]
+fn a_motor_that_stands_because_the_other_bus_of_its_robot_refused_a_batch_is_not_frozen() {
+    let mut config = scripted::config(2);
+    let axis = &mut config.effectors[0].axes[1];
+    (axis.group, axis.index_in_group) = (1, 0);
+    let (groups, worlds): (Vec<_>, Vec<_>) = (0..2).map(|_| scripted::group(1)).unzip();
+    worlds.iter().for_each(|world| world.lock().unwrap().axes[0].state.homing = Homing::Attained);
+    let (mut servo, mut links) = Servo::new(&config, groups).unwrap();
+    let mut now = Instant::ZERO;
+    let mut run = |servo: &mut Servo, cycles| {
+        for _ in 0..cycles {
+            servo.step(now);
+            now += PERIOD;
+        }
+    };
+    links[0].orders.push(Order::Enable).unwrap();
+    run(&mut servo, 20);
+    // 500 rad/s² up to 20 rad/s.
+    let (mut position, mut velocity) = (0.0, 0.0);
+    for number in 1..=40 {
+        let a = if number <= 4 { 500.0 } else { 0.0 };
+        position += velocity * 10.0 * DT + 0.5 * a * (10.0 * DT).powi(2);
+        velocity += a * 10.0 * DT;
+        links[0].orders.push(Order::Move(macrostep(number, 10, position, velocity))).unwrap();
+    }
+    run(&mut servo, 60);
+    // The drive on bus 1 gets the same set-point again in each cycle, and answers each SYNC. Its motor starts late.
+    worlds[0].lock().unwrap().refuses = 8;
+    run(&mut servo, 8);
+    let here = worlds[1].lock().unwrap().axes[0].state.position;
+    worlds[1].lock().unwrap().axes[0].frozen = Some(here);
+    run(&mut servo, 3);
+    worlds[1].lock().unwrap().axes[0].frozen = None;
+    run(&mut servo, 50);
+    assert_eq!(worlds[0].lock().unwrap().refuses, 0);
+    assert_eq!(servo.state(0).unwrap().phase(), Phase::Moving, "{:?}", servo.fault(0));
+}
+
+#[test]
 fn an_overrun_stops_where_the_drives_already_stand() {
     let mut rig = Rig::standing(2);
     rig.accelerate(500.0, 4, 50);
