@@ -155,6 +155,8 @@ pub struct Drive {
     pub backwards: bool,
     /// The encoder stands still from this position on.
     pub frozen: Option<f64>,
+    /// Distance by which the motor is ahead of its set-points, rad.
+    pub ahead: f64,
     /// Number of cycles in which the contact of the home switch chatters, alternately open and closed.
     pub chatter: u32,
     /// While the index is sought, passing this position sets the counter to zero there.
@@ -273,7 +275,8 @@ impl Drive {
             self.seen.age += 1;
         } else {
             self.seen = *state;
-            self.seen.position = self.frozen.unwrap_or(state.position);
+            self.seen.position = self.frozen.unwrap_or(state.position) + self.ahead;
+            self.seen.increments.0 += (self.ahead * 1000.0).round() as i32;
             match self.at_index {
                 AtIndex::WordLate if set => self.seen.homing = homing,
                 AtIndex::CounterLate if set => {

@@ -53,6 +53,41 @@ fn a_motor_that_does_not_brake_loses_its_power_in_a_stop_of_category_1() {
 }
 
 #[test]
+fn a_motor_at_its_following_error_is_within_it() {
+    for sign in [1.0, -1.0] {
+        let mut rig = Rig::standing(1);
+        let limit = scripted::config(1).effectors[0].axes[0].following_error;
+        rig.world().axes[0].ahead = sign * limit;
+        rig.run(20);
+        assert_eq!(rig.phase(), Phase::Standing, "{:?}", rig.cause());
+        rig.world().axes[0].ahead = 1.001 * sign * limit;
+        rig.run(20);
+        assert!(matches!(rig.cause(), Some(StopCause::FollowingError { .. })));
+    }
+}
+
+/// The envelope of a motor that is already ahead begins there.
+#[test]
+fn a_motor_that_keeps_its_distance_ahead_in_a_stop_is_within_the_envelope() {
+    let limit = scripted::config(2).effectors[0].axes[1].following_error;
+    for sign in [1.0, -1.0] {
+        for (later, expected) in [(2.4, StopCategory::One), (2.6, StopCategory::Zero)] {
+            let mut rig = Rig::standing(2);
+            rig.accelerate(500.0 * sign, 2, 20);
+            rig.run(40);
+            rig.world().axes[1].ahead = 1.5 * limit * sign;
+            rig.run_until(Phase::Stopping);
+            assert!(matches!(rig.cause(), Some(StopCause::FollowingError { .. })), "{:?}", rig.cause());
+            rig.run(3);
+            assert_eq!((rig.phase(), category(&rig)), (Phase::Stopping, Some(StopCategory::One)));
+            rig.world().axes[1].ahead = later * limit * sign;
+            rig.run_until(Phase::Faulted);
+            assert_eq!(category(&rig), Some(expected), "{later} following errors ahead, {sign}");
+        }
+    }
+}
+
+#[test]
 fn motors_that_lag_or_stand_still_stay_within_the_envelope() {
     for (order, end) in [(Order::Stop, Phase::Standing), (Order::Disable, Phase::Off)] {
         let mut rig = stopping(order, None);

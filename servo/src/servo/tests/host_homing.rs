@@ -1,7 +1,7 @@
 //! Homing by the servo, for drives whose only homing function is an index latch.
 
 use super::*;
-use crate::{Direction, HomingFailure, HomingLeg, HostHoming};
+use crate::{Direction, FrozenWatch, HomingFailure, HomingLeg, HostHoming};
 
 const HOMING: HostHoming = HostHoming {
     direction: Direction::Negative,
@@ -401,6 +401,19 @@ fn a_drive_fault_ends_the_search_of_every_axis() {
         rig.run_until(Phase::Faulted);
         assert_eq!(rig.cause(), Some(StopCause::Drive(FAULT)));
         assert_eq!(rig.last_sent(), [AxisCommand::Off; 2]);
+    }
+}
+
+#[test]
+fn an_encoder_that_fails_in_a_search_may_be_watched_in_motion_alone() {
+    for mut config in configs(2) {
+        config.effectors[0].axes[1].frozen = FrozenWatch::Following;
+        let mut rig = rig(&config);
+        rig.order(Order::Home);
+        rig.run(300);
+        rig.world().axes[1].runs_at = Some(0.0);
+        rig.run(8);
+        assert_eq!((rig.phase(), rig.cause()), (Phase::Homing, None));
     }
 }
 
