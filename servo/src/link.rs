@@ -172,17 +172,19 @@ pub enum StopCause {
     #[error("ran onto the {} limit switch", if *.upper { "upper" } else { "lower" })]
     LimitSwitch { upper: bool },
     /// A set-point beyond a position limit. The set-point was not sent.
-    #[error("set-point {position:.4} rad is beyond the limit {limit:.4} rad")]
+    #[error("set-point of the motor, {position:.4} rad, is beyond its limit {limit:.4} rad")]
     PositionLimit { position: f64, limit: f64 },
     /// A set-point so fast and so near to a position limit that a stop from it would end at `rest`, beyond the limit. The
     /// set-point was not sent.
-    #[error("set-point leaves no room to stop: the axis would rest at {rest:.4} rad, beyond the limit {limit:.4} rad")]
+    #[error(
+        "set-point leaves no room to stop: the motor would rest at {rest:.4} rad, beyond its limit {limit:.4} rad"
+    )]
     NoRoomToStop { rest: f64, limit: f64 },
     /// A set-point that needs more speed than permitted. The set-point was not sent.
-    #[error("set-point needs {velocity:.3} rad/s, the limit is {limit:.3} rad/s")]
+    #[error("set-point needs a motor velocity of {velocity:.3} rad/s, the limit is {limit:.3} rad/s")]
     VelocityLimit { velocity: f64, limit: f64 },
     /// A set-point that needs more acceleration than permitted. The set-point was not sent.
-    #[error("set-point needs {acceleration:.2} rad/s², the limit is {limit:.2} rad/s²")]
+    #[error("set-point needs a motor acceleration of {acceleration:.2} rad/s², the limit is {limit:.2} rad/s²")]
     AccelerationLimit { acceleration: f64, limit: f64 },
     /// A set-point that is NaN or infinite. The set-point was not sent.
     #[error("set-point is not a finite number")]

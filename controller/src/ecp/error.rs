@@ -54,10 +54,10 @@ pub enum EcpError {
     #[error("step {step}, axis {axis}: set-point is not a finite number")]
     NotFinite { step: u64, axis: u8 },
     /// A motion was requested while the effector does not stand with its drives on.
-    #[error("effector is {phase:?}, a motion begins from Standing")]
+    #[error("effector is {phase:?}, a motion begins from Standing: call enable() before")]
     NotStanding { phase: Phase },
     /// A motion was requested while the effector is not homed.
-    #[error("effector is not homed")]
+    #[error("effector is not homed: call home() before")]
     NotHomed,
     /// The effector ended the motion early, without a fault.
     #[error("motion broke off, effector is {phase:?}")]

@@ -238,7 +238,7 @@ pub enum KinematicsError {
     #[error("{given} positions for a robot of {axes} axes")]
     AxisCount { axes: u8, given: u8 },
     /// The pose is too far away for the arm, or too near. `margin` is the missing distance in the best branch.
-    #[error("{margin:.6} m out of reach")]
+    #[error("pose is {margin:.6} m out of reach of the arm")]
     Unreachable { margin: f64 },
     /// The pose leaves an axis undetermined. `margin` is the distance of the flange from the axis, m, or the sine of
     /// the angle between the two axes.
@@ -252,14 +252,16 @@ pub enum KinematicsError {
     #[error("leg {leg} at {length:.6} m is beyond its limit {limit:.6} m")]
     LegLimit { leg: u8, length: f64, limit: f64 },
     /// A joint or a motor would exceed its limit. Positions are in rad (m for a linear joint).
-    #[error("axis {axis}: {space} at {value:.6} is beyond its limit {limit:.6}")]
+    #[error("axis {axis}: {space} at {value:.6} is beyond its limit {limit:.6} (rad, or m of a linear joint)")]
     BeyondLimit { space: Space, axis: u8, value: f64, limit: f64 },
     /// The pose lies beside the path of a device with one axis.
     #[error("{distance:.6} m and {angle:.6} rad off the only axis")]
     OffAxis { distance: f64, angle: f64 },
     /// The tool axis lies outside the vertical plane of a 5-axis arm. `residual` is the sine of the angle between them,
     /// with the sign of the normal (-sin th1, cos th1, 0).
-    #[error("tool axis leans {residual:.3e} out of the arm's plane")]
+    #[error(
+        "tool axis leans {residual:.3e} rad out of the arm's plane: its azimuth must be that of the position, atan2(y, x)"
+    )]
     ToolPlane { residual: f64 },
 }
 
