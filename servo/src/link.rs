@@ -176,9 +176,7 @@ pub enum StopCause {
     PositionLimit { position: f64, limit: f64 },
     /// A set-point so fast and so near to a position limit that a stop from it would end at `rest`, beyond the limit. The
     /// set-point was not sent.
-    #[error(
-        "set-point leaves no room to stop: the motor would rest at {rest:.4} rad, beyond its limit {limit:.4} rad"
-    )]
+    #[error("set-point leaves no room to stop: the motor would rest at {rest:.4} rad, beyond its limit {limit:.4} rad")]
     NoRoomToStop { rest: f64, limit: f64 },
     /// A set-point that needs more speed than permitted. The set-point was not sent.
     #[error("set-point needs a motor velocity of {velocity:.3} rad/s, the limit is {limit:.3} rad/s")]
