@@ -71,14 +71,14 @@ pub enum Service {
     /// fastscan answer its first question.
     IdentifyUnconfigured,
     /// Find the identity of a slave without a node-ID, the smallest if there are several, and put that
-    /// slave into configuration mode. Takes 134 times `timeout`, for slaves that agree answer at different
+    /// slave into configuration mode. Takes up to 135 times `timeout`, for slaves that agree answer at different
     /// times, and silence means no; it may be as short as the slowest slave's answer, some 10 ms.
     ///
     /// Slaves in configuration mode should be silent. One that answers every question, as CANopenNode's does, fails the
     /// scan with [`LssError::Untrue`]; [`Service::FastscanAbove`] avoids it.
     Fastscan,
     /// Find the smallest identity above this one in the same way. With all slaves in [`Mode::Waiting`] the ones found
-    /// before are passed over. Takes up to 270 times `timeout`.
+    /// before are passed over. Takes up to 271 times `timeout`.
     FastscanAbove(Identity),
 }
 

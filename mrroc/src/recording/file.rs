@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, Write};
 
-use anyhow::{Context, anyhow};
+use anyhow::anyhow;
 use can::Instant;
-use mcap::read::{ChunkFlattener, Options};
+use mcap::parse_record;
 use mcap::records::{MessageHeader, Metadata, Record};
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::write::NoSeek;
 use mcap::{Compression, WriteOptions, Writer};
 
@@ -111,6 +112,9 @@ impl McapFile {
     }
 }
 
+/// Greatest length of a record, bytes. A damaged length must not request more memory.
+const LONGEST: usize = 64 << 20;
+
 /// The bytes up to the first record whose length no file can have. The reader adds to a length without a check.
 fn sound_lengths(bytes: &[u8]) -> &[u8] {
     let mut at = mcap::MAGIC.len();
@@ -146,12 +150,23 @@ pub(super) struct Content {
 impl Content {
     /// Reads a recording. A file that was cut gives its whole chunks.
     pub(super) fn read(bytes: &[u8]) -> anyhow::Result<Self> {
-        let options = Options::IgnoreEndMagic | Options::ValidateChunkCrcs;
-        let records = ChunkFlattener::new_with_options(sound_lengths(bytes), options);
-        let records = records.context("no MCAP file")?;
+        let options = LinearReaderOptions::default().with_skip_end_magic(true).with_validate_chunk_crcs(true);
+        let mut reader = LinearReader::new_with_options(options.with_record_length_limit(LONGEST));
+        let mut rest = sound_lengths(bytes);
         let (mut content, mut schemas) = (Self::default(), BTreeMap::new());
         let mut ended = false;
-        for record in records {
+        while let Some(event) = reader.next_event() {
+            let record = match event {
+                Ok(LinearReadEvent::ReadRequest(wanted)) => {
+                    let (next, later) = rest.split_at(wanted.min(rest.len()));
+                    reader.insert(next.len()).copy_from_slice(next);
+                    reader.notify_read(next.len());
+                    rest = later;
+                    continue;
+                }
+                Ok(LinearReadEvent::Record { data, opcode }) => parse_record(opcode, data),
+                Err(error) => Err(error),
+            };
             match record {
                 Ok(Record::Header(header)) if header.profile != PROFILE => {
                     return Err(anyhow!("the profile is {:?}, and this version reads {PROFILE:?}", header.profile));
@@ -199,6 +214,20 @@ mod tests {
             let damaged: Vec<u8> = bytes.iter().copied().chain([0x05]).chain(length.to_le_bytes()).collect();
             let content = Content::read(&damaged).unwrap();
             assert_eq!((content.messages.len(), content.channels.len()), (0, 0));
+        }
+        // A message of this length in a chunk.
+        for length in [1 << 20, 1 << 50, u64::MAX] {
+            let message: Vec<u8> = [0x05].into_iter().chain(u64::to_le_bytes(length)).collect();
+            let mut chunk = [0; 16].to_vec();
+            chunk.extend((message.len() as u64).to_le_bytes());
+            // Neither a checksum nor a compression.
+            chunk.extend([0; 8]);
+            chunk.extend((message.len() as u64).to_le_bytes());
+            chunk.extend(&message);
+            let head = bytes.iter().copied().chain([0x06]).chain((chunk.len() as u64).to_le_bytes());
+            let damaged: Vec<u8> = head.chain(chunk).collect();
+            let content = Content::read(&damaged).unwrap();
+            assert!(content.messages.is_empty() && content.cut.is_some(), "{length}");
         }
         let damaged: Vec<u8> = mcap::MAGIC.iter().copied().chain([0x05]).chain(u64::MAX.to_le_bytes()).collect();
         assert!(Content::read(&damaged).unwrap().cut.is_some());
