@@ -152,7 +152,9 @@ impl ServoAxis {
 
     fn is_far_from_rest(&self) -> bool {
         let reach = (self.config.max_position - self.config.min_position) / SAME_LOAD;
-        self.host.as_ref().is_some_and(|host| host.distance_from_rest(self.state.position) > reach)
+        // A position that is not a number is far.
+        let near = |host: &Loop| host.distance_from_rest(self.state.position) <= reach;
+        !self.host.as_ref().is_none_or(near)
     }
 
     /// Discards the output that held the load of the motor at its last rest.

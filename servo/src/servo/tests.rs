@@ -121,14 +121,60 @@ impl Rig {
     /// Queues constant acceleration over `ramp` macrosteps of 10 periods, then `cruise` macrosteps of constant speed.
     /// The sequence ends in motion. Returns position and velocity at its end.
     fn accelerate(&mut self, acceleration: f64, ramp: u64, cruise: u64) -> (f64, f64) {
-        let (mut position, mut velocity) = (0.0, 0.0);
-        for number in 1..=ramp + cruise {
-            let a = if number <= ramp { acceleration } else { 0.0 };
-            position += velocity * 10.0 * DT + 0.5 * a * (10.0 * DT).powi(2);
-            velocity += a * 10.0 * DT;
-            self.order(Order::Move(macrostep(number, 10, position, velocity)));
+        let steps = accelerating(acceleration, ramp, cruise);
+        let end = steps.last().map_or((0.0, 0.0), |last| (last.position[0], last.velocity[0]));
+        steps.into_iter().for_each(|step| self.order(Order::Move(step)));
+        end
+    }
+}
+
+/// Macrosteps of 10 periods from zero: `ramp` of them with `acceleration`, then `cruise` of them at constant velocity.
+fn accelerating(acceleration: f64, ramp: u64, cruise: u64) -> Vec<Macrostep> {
+    let (mut position, mut velocity) = (0.0, 0.0);
+    let mut next = |number| {
+        let a = if number <= ramp { acceleration } else { 0.0 };
+        position += velocity * 10.0 * DT + 0.5 * a * (10.0 * DT).powi(2);
+        velocity += a * 10.0 * DT;
+        macrostep(number, 10, position, velocity)
+    };
+    (1..=ramp + cruise).map(&mut next).collect()
+}
+
+/// An effector of two axes, each on a bus of its own.
+struct TwoBuses {
+    servo: Servo,
+    links: Vec<EffectorLink>,
+    worlds: Vec<Arc<Mutex<World>>>,
+    now: Instant,
+}
+
+impl TwoBuses {
+    /// Homed and standing at zero.
+    fn standing(mut config: ServoConfig) -> Self {
+        let axis = &mut config.effectors[0].axes[1];
+        (axis.group, axis.index_in_group) = (1, 0);
+        let (groups, worlds): (Vec<_>, Vec<_>) = (0..2).map(|_| scripted::group(1)).unzip();
+        let (servo, links) = Servo::new(&config, groups).unwrap();
+        let mut buses = Self { servo, links, worlds, now: Instant::ZERO };
+        (0..2).for_each(|bus| buses.world(bus).axes[0].state.homing = Homing::Attained);
+        buses.order(Order::Enable);
+        buses.run(20);
+        buses
+    }
+
+    fn world(&self, bus: usize) -> MutexGuard<'_, World> {
+        self.worlds[bus].lock().unwrap()
+    }
+
+    fn order(&mut self, order: Order) {
+        self.links[0].orders.push(order).unwrap();
+    }
+
+    fn run(&mut self, cycles: usize) {
+        for _ in 0..cycles {
+            self.servo.step(self.now);
+            self.now += PERIOD;
         }
-        (position, velocity)
     }
 }
 

@@ -252,28 +252,12 @@ fn a_stop_after_an_overrun_begins_from_the_motion_measured() {
 fn a_bus_that_refuses_its_batch_does_not_stop_the_loops_of_another() {
     let mut config = scripted::host_config(2);
     config.effectors[0].axes[0].position_loop = PositionLoop::Drive;
-    config.effectors[0].axes[1].group = 1;
-    config.effectors[0].axes[1].index_in_group = 0;
-    let (groups, worlds): (Vec<_>, Vec<_>) = (0..2).map(|_| scripted::group(1)).unzip();
-    let world = |index: usize| worlds[index].lock().unwrap();
-    for index in 0..2 {
-        world(index).axes[0].state.homing = Homing::Attained;
-    }
-    let (mut servo, mut links) = Servo::new(&config, groups).unwrap();
-    let mut now = Instant::ZERO;
-    let mut run = |servo: &mut Servo, cycles| {
-        for _ in 0..cycles {
-            servo.step(now);
-            now += PERIOD;
-        }
-    };
-    links[0].orders.push(Order::Enable).unwrap();
-    run(&mut servo, 20);
-    world(1).axes[0].load = -0.5;
-    world(0).refuses = 50;
-    run(&mut servo, 50);
-    assert_eq!(servo.fault(0), None);
-    let drive = world(1).axes[0].clone();
+    let mut buses = TwoBuses::standing(config);
+    buses.world(1).axes[0].load = -0.5;
+    buses.world(0).refuses = 50;
+    buses.run(50);
+    assert_eq!(buses.servo.fault(0), None);
+    let drive = buses.world(1).axes[0].clone();
     assert!(drive.spin.abs() < 2.0, "falls at {} rad/s", drive.spin);
     assert!(drive.state.position > -0.1, "{}", drive.state.position);
 }

@@ -243,40 +243,19 @@ fn no_drive_is_handed_two_steps_at_once_after_a_batch_was_refused() {
 
 #[test]
 fn a_motor_that_stands_because_the_other_bus_of_its_robot_refused_a_batch_is_not_frozen() {
-    let mut config = scripted::config(2);
-    let axis = &mut config.effectors[0].axes[1];
-    (axis.group, axis.index_in_group) = (1, 0);
-    let (groups, worlds): (Vec<_>, Vec<_>) = (0..2).map(|_| scripted::group(1)).unzip();
-    worlds.iter().for_each(|world| world.lock().unwrap().axes[0].state.homing = Homing::Attained);
-    let (mut servo, mut links) = Servo::new(&config, groups).unwrap();
-    let mut now = Instant::ZERO;
-    let mut run = |servo: &mut Servo, cycles| {
-        for _ in 0..cycles {
-            servo.step(now);
-            now += PERIOD;
-        }
-    };
-    links[0].orders.push(Order::Enable).unwrap();
-    run(&mut servo, 20);
-    // 500 rad/s² up to 20 rad/s.
-    let (mut position, mut velocity) = (0.0, 0.0);
-    for number in 1..=40 {
-        let a = if number <= 4 { 500.0 } else { 0.0 };
-        position += velocity * 10.0 * DT + 0.5 * a * (10.0 * DT).powi(2);
-        velocity += a * 10.0 * DT;
-        links[0].orders.push(Order::Move(macrostep(number, 10, position, velocity))).unwrap();
-    }
-    run(&mut servo, 60);
+    let mut buses = TwoBuses::standing(scripted::config(2));
+    accelerating(500.0, 4, 36).into_iter().for_each(|step| buses.order(Order::Move(step)));
+    buses.run(60);
     // The drive on bus 1 gets the same set-point again in each cycle, and answers each SYNC. Its motor starts late.
-    worlds[0].lock().unwrap().refuses = 8;
-    run(&mut servo, 8);
-    let here = worlds[1].lock().unwrap().axes[0].state.position;
-    worlds[1].lock().unwrap().axes[0].frozen = Some(here);
-    run(&mut servo, 3);
-    worlds[1].lock().unwrap().axes[0].frozen = None;
-    run(&mut servo, 50);
-    assert_eq!(worlds[0].lock().unwrap().refuses, 0);
-    assert_eq!(servo.state(0).unwrap().phase(), Phase::Moving, "{:?}", servo.fault(0));
+    buses.world(0).refuses = 8;
+    buses.run(8);
+    let here = buses.world(1).axes[0].state.position;
+    buses.world(1).axes[0].frozen = Some(here);
+    buses.run(3);
+    buses.world(1).axes[0].frozen = None;
+    buses.run(50);
+    assert_eq!(buses.world(0).refuses, 0);
+    assert_eq!(buses.servo.state(0).unwrap().phase(), Phase::Moving, "{:?}", buses.servo.fault(0));
 }
 
 #[test]

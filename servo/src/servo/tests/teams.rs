@@ -87,14 +87,7 @@ fn partner(effector: u8) -> Option<ServoFault> {
 /// `count` macrosteps of 10 periods from zero: 400 rad/s² during four of them, then 16 rad/s, all times `scale`. The
 /// sequence ends in motion.
 fn motion(scale: f64, count: u64) -> Vec<Macrostep> {
-    let (mut position, mut velocity) = (0.0, 0.0);
-    let mut next = |number| {
-        let a = if number <= 4 { 400.0 * scale } else { 0.0 };
-        position += velocity * 10.0 * DT + 0.5 * a * (10.0 * DT).powi(2);
-        velocity += a * 10.0 * DT;
-        macrostep(number, 10, position, velocity)
-    };
-    (1..=count).map(&mut next).collect()
+    accelerating(400.0 * scale, 4, count - 4)
 }
 
 /// SplitMix64, below a bound.
