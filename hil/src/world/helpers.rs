@@ -85,3 +85,38 @@ impl Drop for Helpers {
         self.over.store(true, Ordering::Relaxed);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc;
+    use std::thread;
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn a_thread_without_work_takes_over_what_another_has_not_begun() {
+        // A thread has helpers once, so the helped thread is a new one.
+        let helped = thread::spawn(|| {
+            let helpers = Helpers::of_this_thread(1).unwrap();
+            let (tell, told) = mpsc::channel();
+            let told = Mutex::new(told);
+            // Both items are in the share of the helper. The first one ends after the second one.
+            let shares = vec![VecDeque::new(), VecDeque::from([0, 1])];
+            let done = Mutex::new(Vec::new());
+            helpers.share(
+                shares,
+                || {},
+                |item| {
+                    match item {
+                        0 => told.lock().unwrap().recv_timeout(Duration::from_secs(20)).unwrap(),
+                        _ => tell.send(()).unwrap(),
+                    }
+                    done.lock().unwrap().push(item);
+                },
+            );
+            assert_eq!(done.into_inner().unwrap(), [1, 0]);
+        });
+        helped.join().unwrap();
+    }
+}
