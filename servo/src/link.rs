@@ -159,9 +159,9 @@ pub enum StopCause {
     /// The following error, commanded minus measured position, exceeds the limit of the cell.
     #[error("following error {error:.4} rad exceeds {limit:.4} rad")]
     FollowingError { error: f64, limit: f64 },
-    /// The measured position does not change by one increment, while the set-points move by half the permitted following
-    /// error, or while the motor cannot have braked so hard: the encoder fails, or the axis is blocked. The power of this
-    /// axis is removed at once, and the others brake.
+    /// The encoder fails, or the axis is blocked. The measured position does not change by one increment. Meanwhile the
+    /// set-points move by half the permitted following error, or no brake could have stopped the motor so abruptly. The
+    /// power of this axis is removed at once, and the other axes brake.
     #[error("measured position stands still, but the motor must have moved by {travel:.4} rad")]
     Frozen { travel: f64 },
     /// The motor is faster than its position loop, closed by the servo, could make it: beyond `runaway_velocity`.
