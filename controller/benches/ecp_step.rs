@@ -117,7 +117,7 @@ fn main() -> ExitCode {
         homing: Duration::from_secs(120),
         meeting: Duration::from_secs(600),
     };
-    let (mut publisher, latest) = servo::latest();
+    let (mut publisher, latest) = servo::latest(servo::MAX_AXES);
     let mut ecp = Ecp::new(arm(), EffectorLink { orders, reports, latest }, config);
     ecp.sensors().install(ForceSensor, Shell::NonInteractive, 1).expect("the only sensor");
     let mut report = ServoReport { reached: true, ..ServoReport::default() };

@@ -92,7 +92,7 @@ fn allocations(generator: Result<impl Generator, GeneratorError>) -> (u64, u64) 
         homing: Duration::from_secs(120),
         meeting: Duration::from_secs(600),
     };
-    let (mut publisher, latest) = servo::latest();
+    let (mut publisher, latest) = servo::latest(servo::MAX_AXES);
     let mut ecp = Ecp::new(arm(), EffectorLink { orders, reports, latest }, config);
     ecp.sensors().install(DistanceSensor, Shell::NonInteractive, 1).expect("the only sensor");
     let mut report = ServoReport { reached: true, ..ServoReport::default() };

@@ -44,7 +44,8 @@ impl Robot {
     /// Returns the number of axes that answered.
     fn exchange(&mut self, command: Command) -> usize {
         for (address, host) in (0..).zip(&mut self.hosts) {
-            let mut frame = FrameBuilder::new(address)
+            let mut frame = FrameBuilder::new(address);
+            frame
                 .command(command)
                 .command(Command::ReadPosition)
                 .command(Command::ReadCurrent)

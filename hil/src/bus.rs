@@ -404,7 +404,7 @@ impl VirtualBus {
     fn remove(&mut self, sender: End) {
         match sender {
             End::Host(at) => _ = self.hosts[at].take_sent(),
-            End::Device(at) => _ = self.devices[at].pending.pop_front(),
+            End::Device(at) => self.devices[at].pop_pending(),
             End::Foreign(at) => self.faults.sent_foreign(at, self.now),
         }
     }
@@ -418,6 +418,14 @@ enum BusEvent {
 }
 
 impl Attached {
+    fn pop_pending(&mut self) {
+        self.pending.pop_front();
+        if self.pending.is_empty() {
+            // The next frame uses the same memory, which is in the cache of the processor.
+            self.pending.clear();
+        }
+    }
+
     fn collect(&mut self, now: Instant) {
         while self.pending.len() < QUEUE {
             let Some(frame) = self.device.poll_transmit(now) else {

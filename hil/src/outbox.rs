@@ -28,6 +28,10 @@ impl Outbox {
     pub(crate) fn poll_transmit(&mut self, now: Instant) -> Option<u8> {
         let &(_, byte) = self.bytes.front().filter(|(at, _)| *at <= now)?;
         self.bytes.pop_front();
+        if self.bytes.is_empty() {
+            // The next answer uses the same memory, which is in the cache of the processor.
+            self.bytes.clear();
+        }
         Some(byte)
     }
 

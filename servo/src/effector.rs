@@ -108,7 +108,7 @@ impl Effector {
         let (order_sender, orders) = rtrb::RingBuffer::new(config.queue);
         // One report per macrostep, plus the few changes of phase that one order can cause.
         let (reports, report_receiver) = rtrb::RingBuffer::new(config.queue + 16);
-        let (publisher, latest) = latest();
+        let (publisher, latest) = latest(config.axes.len());
         let stops = config.axes.iter().map(ServoAxisConfig::stopping_time);
         let effector = Self {
             index,

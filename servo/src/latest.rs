@@ -72,7 +72,8 @@ impl Snapshot {
         let rate = self.rate.to_bits();
         let common = [self.cycle, self.at.as_nanos(), self.macrostep, flags, rate, self.team_macrostep];
         words[..COMMON].copy_from_slice(&common);
-        for (axis, words) in words[COMMON..].chunks_exact_mut(PER_AXIS).enumerate() {
+        let axes = words[COMMON..].chunks_exact_mut(PER_AXIS).take(self.axes.into());
+        for (axis, words) in axes.enumerate() {
             let Switches { home, lower_limit, upper_limit } = self.switches[axis];
             words.copy_from_slice(&[
                 self.commanded[axis].to_bits(),
@@ -119,10 +120,11 @@ impl Snapshot {
     }
 }
 
-/// Both ends of a latest value. Before the first snapshot, the value is [`Snapshot::default`].
-pub fn latest() -> (Publisher, Latest) {
-    let (publisher, latest) = drive::latest::latest(Snapshot::default().words());
-    let (trails, trail) = drive::latest::latest(Trail::default().words());
+/// Both ends of the latest state of an effector of `axes` axes. Before the first snapshot, the value is
+/// [`Snapshot::default`].
+pub fn latest(axes: usize) -> (Publisher, Latest) {
+    let (publisher, latest) = drive::latest::latest_of(COMMON + PER_AXIS * axes, Snapshot::default().words());
+    let (trails, trail) = drive::latest::latest_of(trail::words_of(axes), Trail::default().words());
     (Publisher(publisher, trails), Latest(latest, trail))
 }
 
@@ -169,7 +171,10 @@ mod tests {
 
     /// A snapshot whose every field follows from `number`.
     fn of(number: u64) -> Snapshot {
-        let value = |offset: u64| array::from_fn(|axis| (number + offset) as f64 + axis as f64 / 8.0);
+        let axes = number as usize % (MAX_AXES + 1);
+        let value = |offset: u64| {
+            array::from_fn(|axis| if axis < axes { (number + offset) as f64 + axis as f64 / 8.0 } else { 0.0 })
+        };
         let bit = |bit: u64| (number >> bit) & 1 == 1;
         Snapshot {
             cycle: number,
@@ -180,23 +185,28 @@ mod tests {
             macrostep: number,
             team_macrostep: number / 3,
             waiting: bit(1),
-            axes: number as u8,
+            axes: axes as u8,
             commanded: value(0),
             measured: value(1),
             velocity: value(2),
             torque: value(3),
-            switches: [Switches { home: bit(0), lower_limit: bit(1), upper_limit: bit(2) }; MAX_AXES],
-            sampled: [Instant::from_nanos(number); MAX_AXES],
-            age: [number as u32; MAX_AXES],
+            switches: of_axes(axes, Switches { home: bit(0), lower_limit: bit(1), upper_limit: bit(2) }),
+            sampled: of_axes(axes, Instant::from_nanos(number)),
+            age: of_axes(axes, number as u32),
             commanded_velocity: value(4),
             displacement: value(5),
         }
     }
 
+    /// `value` for each axis, and the default beyond.
+    fn of_axes<T: Copy + Default>(axes: usize, value: T) -> [T; MAX_AXES] {
+        array::from_fn(|axis| if axis < axes { value } else { T::default() })
+    }
+
     proptest! {
         #[test]
         fn what_is_published_is_read(number in 0..u64::from(u32::MAX)) {
-            let (mut publisher, latest) = latest();
+            let (mut publisher, latest) = latest(MAX_AXES);
             publisher.publish(&of(number + 1));
             publisher.publish(&of(number));
             prop_assert_eq!(latest.read(), of(number));
@@ -206,14 +216,14 @@ mod tests {
 
     #[test]
     fn before_the_first_cycle_the_effector_is_off() {
-        let (_publisher, latest) = latest();
+        let (_publisher, latest) = latest(MAX_AXES);
         assert_eq!(latest.read(), Snapshot::default());
     }
 
     #[test]
     fn readers_never_see_two_cycles_in_one_snapshot_nor_an_earlier_one_after_a_later_one() {
         const LAST: u64 = 200_000;
-        let (mut publisher, latest) = latest();
+        let (mut publisher, latest) = latest(MAX_AXES);
         thread::scope(|scope| {
             for _ in 0..2 {
                 let latest = latest.clone();

@@ -8,7 +8,12 @@ use crate::MAX_AXES;
 use crate::axis::REMEMBERED;
 
 /// Words of a trail: time, period and delays, then the set-points of each axis.
-pub(crate) const WORDS: usize = 3 + MAX_AXES * REMEMBERED;
+pub(crate) const WORDS: usize = words_of(MAX_AXES);
+
+/// Words of the trail of an effector of `axes` axes.
+pub(crate) const fn words_of(axes: usize) -> usize {
+    3 + axes * REMEMBERED
+}
 
 /// Set-points of the last 16 cycles of an effector.
 ///

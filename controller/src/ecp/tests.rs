@@ -253,7 +253,7 @@ impl Bench {
     fn of(arm: Arm, room: usize) -> Self {
         let (orders, servo_orders) = rtrb::RingBuffer::new(room);
         let (servo_reports, reports) = rtrb::RingBuffer::new(64);
-        let (publisher, latest) = servo::latest();
+        let (publisher, latest) = servo::latest(MAX_AXES);
         let snapshot = Snapshot { axes: 3, rate: 1.0, ..Snapshot::default() };
         let servo = Script {
             orders: servo_orders,

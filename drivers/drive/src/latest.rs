@@ -3,7 +3,6 @@
 //! Neither side waits for the other. The writer fills two buffers alternately. A reader repeats its read if the writer
 //! began to overwrite the buffer.
 
-use std::array;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering, fence};
 
@@ -18,6 +17,8 @@ struct Copied<const N: usize> {
 
 #[derive(Debug)]
 struct Shared<const N: usize> {
+    /// Number of words that may differ from zero.
+    used: usize,
     /// Number of the last value published.
     published: AtomicU64,
     copies: [Copied<N>; 2],
@@ -31,8 +32,14 @@ impl<const N: usize> Shared<N> {
 
 /// Both ends of a latest value, which is `first` until another value is published.
 pub fn latest<const N: usize>(first: [u64; N]) -> (Publisher<N>, Latest<N>) {
+    latest_of(N, first)
+}
+
+/// As [`latest`], for values in which only the first `used` words may differ from zero. Publishing and reading are faster
+/// with fewer words.
+pub fn latest_of<const N: usize>(used: usize, first: [u64; N]) -> (Publisher<N>, Latest<N>) {
     let copy = |number| Copied { number: AtomicU64::new(number), words: first.map(AtomicU64::new) };
-    let shared = Arc::new(Shared { published: AtomicU64::new(1), copies: [copy(0), copy(1)] });
+    let shared = Arc::new(Shared { used: used.min(N), published: AtomicU64::new(1), copies: [copy(0), copy(1)] });
     (Publisher { shared: Arc::clone(&shared), number: 1 }, Latest(shared))
 }
 
@@ -51,7 +58,7 @@ impl<const N: usize> Publisher<N> {
         copy.number.store(0, Ordering::Relaxed);
         // A reader that sees a new word also sees that the copy is being written.
         fence(Ordering::Release);
-        for (place, word) in copy.words.iter().zip(words) {
+        for (place, word) in copy.words.iter().zip(words).take(self.shared.used) {
             place.store(*word, Ordering::Relaxed);
         }
         copy.number.store(self.number, Ordering::Release);
@@ -70,7 +77,10 @@ impl<const N: usize> Latest<N> {
             let number = self.0.published.load(Ordering::Acquire);
             let copy = self.0.copy(number);
             let before = copy.number.load(Ordering::Acquire);
-            let words = array::from_fn(|word| copy.words[word].load(Ordering::Relaxed));
+            let mut words = [0; N];
+            for (word, place) in words.iter_mut().zip(&copy.words).take(self.0.used) {
+                *word = place.load(Ordering::Relaxed);
+            }
             fence(Ordering::Acquire);
             // Otherwise the writer began to overwrite this buffer during the read.
             if before == number && copy.number.load(Ordering::Relaxed) == number {
@@ -94,6 +104,14 @@ mod tests {
         assert_eq!(latest.clone().read(), [1, 2]);
         publisher.publish(&[3, 4]);
         assert_eq!(latest.read(), [3, 4]);
+    }
+
+    #[test]
+    fn unused_words_stay_zero() {
+        let (mut publisher, latest) = latest_of(2, [7, 8, 0]);
+        assert_eq!(latest.read(), [7, 8, 0]);
+        publisher.publish(&[1, 2, 3]);
+        assert_eq!(latest.read(), [1, 2, 0]);
     }
 
     #[test]

@@ -202,7 +202,7 @@ impl FrameBuilder {
     }
 
     /// Appends a command of the host.
-    pub fn command(self, command: Command) -> Self {
+    pub fn command(&mut self, command: Command) -> &mut Self {
         match command {
             Command::SetMode(mode) => self.item(0x10, &[mode as u8]),
             Command::SetSpeed(speed) => self.item(0x11, &speed.to_le_bytes()),
@@ -222,7 +222,7 @@ impl FrameBuilder {
     }
 
     /// Appends an answer of a drive.
-    pub fn answer(self, answer: Answer) -> Self {
+    pub fn answer(&mut self, answer: Answer) -> &mut Self {
         match answer {
             Answer::Position(position) => self.item(0x1A, &position.to_le_bytes()),
             Answer::Current(current) => self.item(0x1B, &current.to_le_bytes()),
@@ -230,7 +230,7 @@ impl FrameBuilder {
         }
     }
 
-    fn item(mut self, code: u8, data: &[u8]) -> Self {
+    fn item(&mut self, code: u8, data: &[u8]) -> &mut Self {
         let end = self.length + 2 + data.len();
         // The last byte is reserved for the CRC.
         self.fits &= end < LONGEST;
@@ -393,8 +393,8 @@ mod tests {
             ),
         ];
         for (address, commands, bytes) in cases {
-            let add = |frame: FrameBuilder, command: &Command| frame.command(*command);
-            let mut builder = commands.iter().fold(FrameBuilder::new(address), add);
+            let mut builder = FrameBuilder::new(address);
+            commands.iter().for_each(|command| _ = builder.command(*command));
             assert_eq!(builder.finish(), Some(bytes), "{commands:?}");
             let frame = Frame::parse(bytes).unwrap();
             assert_eq!(frame.address, address);
@@ -406,7 +406,8 @@ mod tests {
     #[test]
     fn answers_are_the_bytes_of_the_line() {
         let answers = [Answer::Position(-1234), Answer::Current(250), Answer::Status(Status(Status::SYNCHRONIZED))];
-        let mut builder = answers.into_iter().fold(FrameBuilder::new(8), FrameBuilder::answer);
+        let mut builder = FrameBuilder::new(8);
+        answers.into_iter().for_each(|answer| _ = builder.answer(answer));
         assert_eq!(builder.finish(), Some(&ANSWER[..]));
         let parsed: Result<Vec<_>, _> = Frame::parse(&ANSWER).unwrap().answers().collect();
         assert_eq!(parsed, Ok(answers.to_vec()));
@@ -443,7 +444,8 @@ mod tests {
     #[test]
     fn what_does_not_fit_makes_no_frame() {
         let full = |count: usize| {
-            let mut builder = (0..count).fold(FrameBuilder::new(0), |frame, _| frame.command(Command::SetMisc(0)));
+            let mut builder = FrameBuilder::new(0);
+            (0..count).for_each(|_| _ = builder.command(Command::SetMisc(0)));
             builder.finish().map(<[u8]>::len)
         };
         assert_eq!(full(0), None);

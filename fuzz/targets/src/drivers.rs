@@ -184,12 +184,13 @@ fn line_faults(input: &mut Unstructured) -> arbitrary::Result<LineFaults> {
 fn answer(input: &mut Unstructured) -> arbitrary::Result<Vec<u8>> {
     Ok(match input.int_in_range(0..=4_u8)? {
         0..=1 => {
-            let mut frame = FrameBuilder::new(ADDRESS)
+            let mut frame = FrameBuilder::new(ADDRESS);
+            frame
                 .answer(Answer::Position(i32::arbitrary(input)?))
                 .answer(Answer::Current(i16::arbitrary(input)?))
                 .answer(Answer::Status(Status(u16::arbitrary(input)?)));
             if bool::arbitrary(input)? {
-                frame = frame.command(Command::ReadStatus);
+                frame.command(Command::ReadStatus);
             }
             frame.finish().map(<[u8]>::to_vec).unwrap_or_default()
         }

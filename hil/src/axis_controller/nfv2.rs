@@ -29,7 +29,7 @@ impl Nfv2 {
             drive.catch_up(now);
             let mut answer = FrameBuilder::new(self.address);
             for command in frame.commands().filter_map(Result::<_, Malformed>::ok) {
-                answer = obey(drive, command, answer);
+                obey(drive, command, &mut answer);
             }
             if own && let Some(bytes) = answer.finish() {
                 send(bytes);
@@ -47,7 +47,7 @@ fn possible(command: Command) -> bool {
     )
 }
 
-fn obey(drive: &mut Drive, command: Command, answer: FrameBuilder) -> FrameBuilder {
+fn obey(drive: &mut Drive, command: Command, answer: &mut FrameBuilder) {
     use serial::nfv2::Mode as M;
     match command {
         Command::SetMode(mode) => {
@@ -69,11 +69,10 @@ fn obey(drive: &mut Drive, command: Command, answer: FrameBuilder) -> FrameBuild
             drive.synchronized &= bits & Command::RESET_SYNCHRONIZED == 0;
         }
         Command::SetCurrentRegulator(gains) => drive.set_current_gains(gains),
-        Command::ReadPosition => return answer.answer(Answer::Position(drive.position())),
-        Command::ReadCurrent => return answer.answer(Answer::Current(drive.current())),
-        Command::ReadStatus => return answer.answer(Answer::Status(status(drive))),
+        Command::ReadPosition => _ = answer.answer(Answer::Position(drive.position())),
+        Command::ReadCurrent => _ = answer.answer(Answer::Current(drive.current())),
+        Command::ReadStatus => _ = answer.answer(Answer::Status(status(drive))),
     }
-    answer
 }
 
 fn status(drive: &Drive) -> Status {

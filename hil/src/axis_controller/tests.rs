@@ -90,7 +90,8 @@ impl Reading {
 
 fn frame(address: u8, commands: &[Command]) -> Vec<u8> {
     let all = commands.iter().chain(&READS);
-    let mut builder = all.fold(FrameBuilder::new(address), |frame, command| frame.command(*command));
+    let mut builder = FrameBuilder::new(address);
+    all.for_each(|command| _ = builder.command(*command));
     builder.finish().expect("it fits").to_vec()
 }
 

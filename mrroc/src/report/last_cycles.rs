@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use serde::Serialize;
-use servo::{AxisRecord, Phase, Record};
+use servo::{MAX_AXES, Phase, Record};
 
 /// Number of cycles up to a fault.
 const CYCLES: usize = 16;
@@ -40,8 +40,7 @@ pub struct CycleState {
 /// The cycles of one robot, record by record.
 #[derive(Default)]
 pub(super) struct Recorded {
-    /// The last records with their times, s.
-    last: VecDeque<(Record, f64)>,
+    last: VecDeque<Kept>,
     faults: Vec<Vec<CycleState>>,
     /// Whether the last record has a latched fault.
     faulted: bool,
@@ -51,15 +50,26 @@ pub(super) struct Recorded {
     active: bool,
 }
 
+/// What is kept of a record. A whole record is three times as long, and the records of all robots would fill the cache of
+/// the processor.
+struct Kept {
+    cycle: u64,
+    time: f64,
+    axes: usize,
+    /// Commanded position, measured position, velocity and torque of each axis.
+    axis: [[f64; 4]; MAX_AXES],
+}
+
 impl Recorded {
     /// Takes a record at `time`, s.
     pub(super) fn observe(&mut self, record: &Record, time: f64) {
         if self.last.len() == CYCLES {
             self.last.pop_front();
         }
-        self.last.push_back((*record, time));
+        let axis = record.axis.each_ref().map(|it| [it.commanded, it.measured, it.velocity, it.torque]);
+        self.last.push_back(Kept { cycle: record.cycle, time, axes: record.axes.into(), axis });
         if record.faulted && !self.faulted && self.faults.len() < MOST_FAULTS {
-            self.faults.push(self.last.iter().map(|(record, time)| CycleState::of(record, *time)).collect());
+            self.faults.push(self.last.iter().map(CycleState::of).collect());
         }
         self.faulted = record.faulted;
         let active = match record.phase {
@@ -88,16 +98,15 @@ impl Recorded {
 }
 
 impl CycleState {
-    fn of(record: &Record, time: f64) -> Self {
-        let axes = &record.axis[..usize::from(record.axes)];
-        let each = |value: fn(&AxisRecord) -> f64| axes.iter().map(value).collect();
+    fn of(kept: &Kept) -> Self {
+        let each = |value: usize| kept.axis[..kept.axes].iter().map(|axis| axis[value]).collect();
         Self {
-            cycle: record.cycle,
-            time_s: time,
-            commanded_rad: each(|axis| axis.commanded),
-            measured_rad: each(|axis| axis.measured),
-            velocity_rad_per_s: each(|axis| axis.velocity),
-            torque_nm: each(|axis| axis.torque),
+            cycle: kept.cycle,
+            time_s: kept.time,
+            commanded_rad: each(0),
+            measured_rad: each(1),
+            velocity_rad_per_s: each(2),
+            torque_nm: each(3),
         }
     }
 }

@@ -55,14 +55,19 @@ impl Logs {
         }
         let mut axes = self.axes.as_mut().filter(|_| self.failed.is_none());
         let mut recorded = Ok(());
-        while let Ok(record) = self.records.pop() {
-            self.tracks.observe(&record);
-            if let Some(recorder) = &mut self.recorder {
-                recorder.record(&record);
+        let count = self.records.slots();
+        if let Ok(records) = self.records.read_chunk(count) {
+            let (first, rest) = records.as_slices();
+            for record in first.iter().chain(rest) {
+                self.tracks.observe(record);
+                if let Some(recorder) = &mut self.recorder {
+                    recorder.record(record);
+                }
+                if let Some(axes) = axes.as_mut().filter(|_| recorded.is_ok()) {
+                    recorded = axes.write(record);
+                }
             }
-            if let Some(axes) = axes.as_mut().filter(|_| recorded.is_ok()) {
-                recorded = axes.write(&record);
-            }
+            records.commit_all();
         }
         if let Some(axes) = axes.filter(|_| recorded.is_ok()) {
             recorded = axes.flush();

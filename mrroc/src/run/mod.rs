@@ -88,6 +88,10 @@ use watch::{Watch, watched};
 /// Records that the evaluation may lag behind the servo, per effector: some seconds.
 const RECORDS: usize = 1 << 11;
 
+/// Records of a run in lockstep, per effector. Each cycle takes the records of the cycle before, and a short ring stays in
+/// the cache of the processor.
+const LOCKSTEP_RECORDS: usize = 4;
+
 /// Records that an axis log may lag behind the servo, per effector.
 const LOGGED_RECORDS: usize = 1 << 13;
 
@@ -165,7 +169,11 @@ pub fn run(
     setup::install_laws(file, &mut servo, &sensors)?;
     servo.follow_override(requests.speed.clone());
     outputs.begin()?;
-    let lag = if record.is_some() || recording.is_some() { LOGGED_RECORDS } else { RECORDS };
+    let lag = match options.bench {
+        BenchKind::Lockstep => LOCKSTEP_RECORDS,
+        _ if record.is_some() || recording.is_some() => LOGGED_RECORDS,
+        _ => RECORDS,
+    };
     let axes = record.map(|sink| AxisLog::new(sink, file)).transpose();
     let names = log_names(&bench.interfaces)?;
     let cell = Arc::new(file.clone());
@@ -366,8 +374,10 @@ fn in_lockstep(
     let mut timing = Timing::default();
     let mut carrying = task.begin(Rehearsals::AtOnce);
     let period = servo.period();
-    // The controller has no access to the wires, so it may work while helpers advance the emulated robots.
+    // The controller has no access to the wires, so it may work while helpers advance the emulated robots. The listeners
+    // then have the frames of the cycle before.
     let mut control = |now| {
+        wire.look();
         let going = logs.drain() && carrying.poll(now, &mut *progress);
         done.set(!going || interrupted.load(Ordering::Relaxed));
     };
@@ -375,15 +385,13 @@ fn in_lockstep(
         &mut servo,
         start,
         |_| {},
-        |next| {
-            emulation.advance_beside(next, || control(next - period));
-            wire.look();
-        },
+        |next| emulation.advance_beside(next, || control(next - period)),
         |servo, now| {
             timing.record_bus(servo);
             is_over(servo, now)
         },
     );
+    wire.look();
     let TaskErrors { mut faults, recovered, received } = carrying.finish();
     logs.faulted.store(!faults.is_empty(), Ordering::Relaxed);
     let (written, tracks) = logs.finish();

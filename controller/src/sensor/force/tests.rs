@@ -36,7 +36,7 @@ fn sum(parts: [[f64; 6]; 3]) -> [f64; 6] {
 
 #[test]
 fn contact_is_read_without_the_weight_of_the_tool_and_the_zero_in_every_orientation() {
-    let (mut publisher, robot) = latest();
+    let (mut publisher, robot) = latest(servo::MAX_AXES);
     let (mut device, link) = RehearsedWrench::new();
     let config = config();
     let sensor = ForceTorque::new(link.clone(), robot, config.clone());
@@ -73,7 +73,7 @@ fn contact_is_read_without_the_weight_of_the_tool_and_the_zero_in_every_orientat
 
 #[test]
 fn the_wrench_on_a_turned_arm_is_that_of_the_base_and_of_any_frame_in_it() {
-    let (mut publisher, robot) = latest();
+    let (mut publisher, robot) = latest(servo::MAX_AXES);
     let (mut device, link) = RehearsedWrench::new();
     let config = ForceSensorConfig { load: Load::of_weight(0.0, Vector3::zeros()).unwrap(), ..config() };
     let sensor = ForceTorque::new(link, robot, config.clone());
@@ -114,7 +114,7 @@ fn the_wrench_on_a_turned_arm_is_that_of_the_base_and_of_any_frame_in_it() {
 
 #[test]
 fn a_moving_robot_does_not_stand_still() {
-    let (mut publisher, robot) = latest();
+    let (mut publisher, robot) = latest(servo::MAX_AXES);
     let (_device, link) = RehearsedWrench::new();
     let config = config();
     let sensor = ForceTorque::new(link, robot, config.clone());
@@ -128,7 +128,7 @@ fn a_moving_robot_does_not_stand_still() {
 
 #[test]
 fn a_reading_of_a_robot_that_is_not_homed_is_an_error() {
-    let (mut publisher, robot) = latest();
+    let (mut publisher, robot) = latest(servo::MAX_AXES);
     let (mut device, link) = RehearsedWrench::new();
     let config = config();
     device.advance(Instant::from_nanos(1), [0.0; 6]);
@@ -142,7 +142,7 @@ fn a_reading_of_a_robot_that_is_not_homed_is_an_error() {
 
 #[test]
 fn an_accelerated_tool_reads_no_contact() {
-    let (mut publisher, robot) = latest();
+    let (mut publisher, robot) = latest(servo::MAX_AXES);
     let (mut device, link) = RehearsedWrench::new();
     let config = config();
     let sensor = ForceTorque::new(link, robot, config.clone());
@@ -174,7 +174,7 @@ fn an_accelerated_tool_reads_no_contact() {
 #[test]
 fn a_second_bring_up_ends_the_zero_also_if_a_zeroing_fails_with_it() {
     for interrupted in [false, true] {
-        let (mut publisher, robot) = latest();
+        let (mut publisher, robot) = latest(servo::MAX_AXES);
         let (mut device, link) = RehearsedWrench::new();
         let config = config();
         let sensor = ForceTorque::new(link.clone(), robot, config.clone());
@@ -200,7 +200,7 @@ fn a_second_bring_up_ends_the_zero_also_if_a_zeroing_fails_with_it() {
 
 #[test]
 fn a_contact_or_another_tool_is_not_zeroed() {
-    let (mut publisher, robot) = latest();
+    let (mut publisher, robot) = latest(servo::MAX_AXES);
     let (mut device, link) = RehearsedWrench::new();
     let config = config();
     let sensor = ForceTorque::new(link.clone(), robot, config.clone());

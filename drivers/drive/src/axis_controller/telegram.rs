@@ -66,12 +66,12 @@ impl Dialect {
             Protocol::Nfv2 => {
                 let mut frame = self.frame(setpoint);
                 if unreference {
-                    frame = frame.command(Command::SetMisc(Command::RESET_SYNCHRONIZED));
+                    frame.command(Command::SetMisc(Command::RESET_SYNCHRONIZED));
                 }
                 if tell {
-                    frame = frame.command(Command::SetMode(self.mode(mode)));
+                    frame.command(Command::SetMode(self.mode(mode)));
                 }
-                read(frame)
+                read(&mut frame)
             }
             Protocol::HiMoxa if unreference => set(Parameter::Synchronized(false)),
             Protocol::HiMoxa => moxa_setpoint(setpoint, mode == ControllerMode::Index),
@@ -143,7 +143,8 @@ impl Dialect {
     pub(super) fn error_state(self) -> Telegram {
         match self.protocol {
             Protocol::Nfv2 => {
-                let mut frame = self.frame(0).command(Command::SetMode(Mode::Error));
+                let mut frame = self.frame(0);
+                frame.command(Command::SetMode(Mode::Error));
                 prefixed(Telegram::NONE.append(frame.finish().expect("a frame of two commands fits 256 bytes")))
             }
             Protocol::HiMoxa => set(Parameter::DriverMode(DriverMode::Error)),
@@ -178,10 +179,12 @@ impl Dialect {
     }
 
     fn frame(self, setpoint: i16) -> FrameBuilder {
-        FrameBuilder::new(self.address).command(match self.control {
+        let mut frame = FrameBuilder::new(self.address);
+        frame.command(match self.control {
             Control::Current => Command::SetCurrent(setpoint),
             Control::Pwm => Command::SetPwm(setpoint),
-        })
+        });
+        frame
     }
 
     fn mode(self, mode: ControllerMode) -> Mode {
@@ -196,8 +199,8 @@ impl Dialect {
     }
 }
 
-fn read(frame: FrameBuilder) -> Telegram {
-    let mut frame = frame.command(Command::ReadPosition).command(Command::ReadCurrent).command(Command::ReadStatus);
+fn read(frame: &mut FrameBuilder) -> Telegram {
+    frame.command(Command::ReadPosition).command(Command::ReadCurrent).command(Command::ReadStatus);
     let bytes = frame.finish().expect("a frame of some commands fits 256 bytes");
     Telegram::NONE.append(bytes)
 }

@@ -119,9 +119,9 @@ impl Drive {
         let mut mode = None;
         for command in frame.commands().flatten() {
             match command {
-                Command::ReadPosition => answer = answer.answer(Answer::Position(self.position)),
-                Command::ReadCurrent => answer = answer.answer(Answer::Current(self.current)),
-                Command::ReadStatus => answer = answer.answer(Answer::Status(Status(self.status))),
+                Command::ReadPosition => _ = answer.answer(Answer::Position(self.position)),
+                Command::ReadCurrent => _ = answer.answer(Answer::Current(self.current)),
+                Command::ReadStatus => _ = answer.answer(Answer::Status(Status(self.status))),
                 Command::SetMode(new) => mode = Some(new),
                 Command::SetCurrent(value) | Command::SetPwm(value) => self.setpoint = value,
                 Command::SetMaxCurrent(value) => self.max_current = value,

@@ -184,7 +184,8 @@ const ADDRESS: u8 = 8;
 #[test]
 fn emergency_stop_of_a_cabinet_of_two_robots_is_as_if_all_devices_advanced_together() {
     let command = |host: &mut VirtualLine, at: Instant, commands: &[Command]| {
-        let mut frame = commands.iter().fold(FrameBuilder::new(ADDRESS), |frame, command| frame.command(*command));
+        let mut frame = FrameBuilder::new(ADDRESS);
+        commands.iter().for_each(|command| _ = frame.command(*command));
         host.write(at, frame.finish().unwrap()).unwrap();
     };
     let ms = |count| Instant::ZERO + Duration::from_millis(count);
