@@ -103,7 +103,7 @@ pub(crate) struct Amplifier {
     pub(crate) torque_constant: f64,
     radians_per_count: f64,
     /// The counter at the last reading, and the lead of the observer over the counter, counts.
-    counts: i32,
+    counts: f64,
     ahead: f64,
     /// Observed velocity, counts/s.
     pub(crate) observed_velocity: f64,
@@ -133,7 +133,7 @@ impl Amplifier {
             gains: Gains::new(&axis.amplifier, &axis.plant),
             torque_constant: axis.plant.torque_constant(),
             radians_per_count: TAU / f64::from(axis.counts_per_revolution),
-            counts: 0,
+            counts: 0.0,
             ahead: 0.5,
             observed_velocity: 0.0,
             filtered: None,
@@ -155,10 +155,10 @@ impl Amplifier {
         self.gains.current_integral = integral;
     }
 
-    /// Takes an encoder reading. Called each sub-step, with the power stage on or off. The angle within a count is
-    /// taken to be at the middle of the count.
-    pub(crate) fn observe(&mut self, counts: i32) {
-        self.ahead -= f64::from(counts.wrapping_sub(self.counts));
+    /// Takes an encoder reading, whole counts. Called each sub-step, with the power stage on or off. The angle within a
+    /// count is taken to be at the middle of the count.
+    pub(crate) fn observe(&mut self, counts: f64) {
+        self.ahead -= counts - self.counts;
         self.counts = counts;
         let error = 0.5 - self.ahead;
         self.observed_velocity += self.gains.observer_velocity * error;

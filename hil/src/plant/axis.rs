@@ -247,11 +247,10 @@ impl PlantAxis {
     /// One sub-step under `demand`; `number` counts the sub-steps since [`PlantAxis::begin`].
     #[inline]
     pub(crate) fn sub_step(&mut self, number: u32, demand: Demand) {
-        let counts = self.encoder.counts();
-        self.amplifier.observe(counts);
+        self.amplifier.observe(self.encoder.since_power_on());
         let on = demand != Demand::Off && self.trip.is_none();
         if self.phase == 0 && on {
-            self.amplifier.regulate(&demand, number, counts);
+            self.amplifier.regulate(&demand, number, self.encoder.counts());
         }
         self.phase = (self.phase + 1) % OUTER;
         self.integrate(on);

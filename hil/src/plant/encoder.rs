@@ -12,16 +12,19 @@ use super::noise::Noise;
 /// Edge jitter comes with a hysteresis of the same width, as in the comparators behind the disc. The counter leaves a
 /// count only beyond the band of the edge. The counter of a turning shaft changes somewhere within the band. The
 /// counter of a shaft at standstill does not change.
+///
+/// Counts are whole numbers in `f64`, exact up to 2⁵¹. The counter is read in each sub-step, and integers would need four
+/// conversions.
 #[derive(Clone, Debug)]
 pub(crate) struct Encoder {
     counts_per_radian: f64,
-    counts_per_revolution: i64,
-    at_power_on: i64,
+    counts_per_revolution: f64,
+    at_power_on: f64,
     jitter: f64,
     /// Counts from the zero of the disc.
-    counts: i64,
+    counts: f64,
     /// The nearest index at or below `counts`.
-    index_below: i64,
+    index_below: f64,
     /// The counter at the last index pulse since the latch was armed.
     pub(super) latched: Option<i32>,
 }
@@ -29,7 +32,7 @@ pub(crate) struct Encoder {
 impl Encoder {
     pub(crate) fn new(counts_per_revolution: u32, index_angle: f64, jitter: f64, angle: f64) -> Self {
         let counts_per_radian = f64::from(counts_per_revolution) / TAU;
-        let counts_per_revolution = i64::from(counts_per_revolution);
+        let counts_per_revolution = f64::from(counts_per_revolution);
         let counts = floor(angle * counts_per_radian);
         let index = floor(index_angle * counts_per_radian);
         Self {
@@ -51,9 +54,11 @@ impl Encoder {
             at += self.jitter * noise.symmetric();
         }
         let before = self.counts;
-        // The counter stays within the hysteresis. Without branches: a branch on the angle of a moving shaft cannot be
-        // predicted.
-        self.counts = before.max(floor(at - self.jitter)).min(floor(at + self.jitter));
+        // The counter stays within the hysteresis. The comparisons are instructions without branches: a branch on the
+        // angle of a moving shaft cannot be predicted.
+        let (low, high) = (floor(at - self.jitter), floor(at + self.jitter));
+        let above = if before > low { before } else { low };
+        self.counts = if above < high { above } else { high };
         while self.counts >= self.index_below + self.counts_per_revolution {
             self.index_below += self.counts_per_revolution;
             self.latch(self.index_below);
@@ -69,25 +74,37 @@ impl Encoder {
         }
     }
 
-    fn latch(&mut self, index: i64) {
-        self.latched = Some((index - self.at_power_on) as i32);
+    fn latch(&mut self, index: f64) {
+        self.latched = Some(wrapped(index - self.at_power_on));
     }
 
     /// Changes the counter by `increments`, without a motion.
     pub(super) fn jump(&mut self, increments: i32) {
-        self.at_power_on -= i64::from(increments);
+        self.at_power_on -= f64::from(increments);
     }
 
     /// The counter, which wraps at 32 bits.
     pub(crate) fn counts(&self) -> i32 {
-        (self.counts - self.at_power_on) as i32
+        wrapped(self.since_power_on())
+    }
+
+    /// The counter before it wraps.
+    pub(crate) fn since_power_on(&self) -> f64 {
+        self.counts - self.at_power_on
     }
 }
 
-/// `f64::floor` is a function call on targets without a rounding instruction. This function is inlined.
-fn floor(x: f64) -> i64 {
-    let towards_zero = x as i64;
-    towards_zero - i64::from(x < towards_zero as f64)
+fn wrapped(counts: f64) -> i32 {
+    counts as i64 as i32
+}
+
+/// `f64::floor` is a function call on targets without a rounding instruction. This function is inlined, and is valid up to
+/// 2⁵¹.
+fn floor(x: f64) -> f64 {
+    // Beyond 2⁵² the distance between two numbers is 1, so the sum is rounded to a whole number.
+    const WHOLE: f64 = 1.5 * (1_u64 << 52) as f64;
+    let nearest = x + WHOLE - WHOLE;
+    if nearest > x { nearest - 1.0 } else { nearest }
 }
 
 #[cfg(test)]
@@ -105,7 +122,7 @@ mod tests {
     #[test]
     fn floor_rounds_down_on_both_sides_of_zero() {
         for x in [0.0, 0.5, 1.0, -0.1, -1.0, -1.5, 1e9 + 0.25, -1e9 - 0.25] {
-            assert_eq!(floor(x) as f64, x.floor(), "{x}");
+            assert_eq!(floor(x), x.floor(), "{x}");
         }
     }
 
