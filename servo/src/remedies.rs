@@ -4,21 +4,21 @@ use crate::search::HomingFailure;
 use crate::{LawFault, StopCause};
 
 const DEFECT: &str = "report this as a defect of the program";
-const PROGRAM: &str = "correct the motion";
 
 impl StopCause {
     /// What to check next. `None` if the message says it.
     pub fn remedy(&self) -> Option<&'static str> {
         Some(match self {
             Self::Drive(fault) => return fault.remedy(),
-            Self::FollowingError { .. } => "look for a collision, a blocked brake or a high load",
+            Self::FollowingError { .. } => "look for a collision, a blocked brake, a high load or missing answers",
             Self::Frozen { .. } => "check encoder, its cable and brake, then home",
             Self::Runaway { .. } => "check encoder, sign of the axis and motor phases",
             Self::LimitSwitch { .. } => "move the axis off the switch by hand, check its limits",
-            Self::PositionLimit { .. }
-            | Self::NoRoomToStop { .. }
-            | Self::VelocityLimit { .. }
-            | Self::AccelerationLimit { .. } => PROGRAM,
+            Self::PositionLimit { .. } | Self::NoRoomToStop { .. } => "correct the motion",
+            // A set-point without its velocity stops the motor there.
+            Self::VelocityLimit { .. } | Self::AccelerationLimit { .. } => {
+                "check times and velocities of the set-points"
+            }
             Self::NotFinite | Self::LawDisplacement { .. } | Self::LawSpeed { .. } => "correct generator or law",
             Self::Malformed { .. }
             | Self::UnequalSteps { .. }

@@ -75,7 +75,7 @@ fn example_cells_parse_and_their_programs_can_be_built() {
 
 #[test]
 fn a_refusal_names_line_key_and_reason() {
-    let cases: [(&str, &str, &str, &str); 34] = [
+    let cases: [(&str, &str, &str, &str); 36] = [
         (
             "node = 1",
             "emulator = { counts_per_revolution = 3 }\nnode = 1",
@@ -142,7 +142,7 @@ fn a_refusal_names_line_key_and_reason() {
             "max_velocity = 250.0",
             "max_velocity = -1.0",
             "robot[0].axis[0].max_velocity",
-            "is -1, must be between 0.7667 and 100000 (rad/s of the motor",
+            "is -1, must be between 0.7667 and 10000 (rad/s of the motor",
         ),
         (
             "max_velocity = 250.0",
@@ -155,6 +155,18 @@ fn a_refusal_names_line_key_and_reason() {
             "min_position = 450.0\nmax_velocity = 1.0",
             "robot[0].axis[0].min_position",
             "is 450, not below the upper limit 450",
+        ),
+        (
+            "max_velocity = 250.0",
+            "max_position = -469.0\nmax_velocity = 1.0",
+            "robot[0].axis[0].max_position",
+            "is -469, must not be below the home position -15.9, where the motor stands after homing",
+        ),
+        (
+            "max_velocity = 250.0",
+            "min_position = 449.0\nmax_velocity = 1.0",
+            "robot[0].axis[0].min_position",
+            "is 449, must not be above the home position -15.9, where the motor stands after homing",
         ),
         (
             "max_velocity = 250.0",

@@ -15,8 +15,9 @@ use controller::robot::Limits;
 /// Least limit of the following error, encoder counts: a working loop has an error of some counts.
 const LEAST_ERROR: f64 = 10.0;
 
-/// Greatest velocity and acceleration of any motor, rad/s and rad/s².
-const FASTEST: (f64, f64) = (1e5, 1e7);
+/// Greatest velocity and acceleration of any motor, rad/s and rad/s². The fastest spindle motors turn at 10⁴ rad/s. A
+/// velocity in counts per second, given by mistake, is mostly greater.
+const FASTEST: (f64, f64) = (1e4, 1e7);
 
 /// Longest time of a stop from the greatest velocity, s.
 const LONGEST_STOP: f64 = 60.0;
@@ -99,6 +100,17 @@ fn check_positions(path: &Path, axis: &Axis, model: Limits, home: f64) -> Checke
             Some(_) => ("min_position", format!("is {low}, not below the upper limit {high}")),
             None => ("max_position", format!("is {high}, not above the lower limit {low}")),
         };
+        return refused(path, key, why);
+    }
+    let beyond = match home {
+        _ if home < low => Some(("min_position", low, "above")),
+        _ if home > high => Some(("max_position", high, "below")),
+        _ => None,
+    };
+    if let Some((key, limit, side)) = beyond {
+        let [limit, home] = [limit, home].map(Figure);
+        let why =
+            format!("is {limit}, must not be {side} the home position {home}, where the motor stands after homing");
         return refused(path, key, why);
     }
     let scale = axis.scale(home);
