@@ -81,3 +81,16 @@ fn no_power_returns_after_a_small_motion_a_second_a_fault_or_an_emergency_stop()
         off(rig, Phase::Faulted);
     }
 }
+
+#[test]
+fn no_power_returns_after_a_reset() {
+    let mut rig = Rig::standing(2);
+    rig.world().axes[0].state.fault = Some(FAULT);
+    rig.run_until(Phase::Faulted);
+    rig.world().axes[0].state.fault = None;
+    rig.order(Order::ResetFault);
+    rig.run_until(Phase::Off);
+    rig.world().axes[1].state.position += 0.6;
+    rig.run(200);
+    assert_eq!((rig.phase(), rig.cause()), (Phase::Off, None));
+}
