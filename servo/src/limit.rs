@@ -121,8 +121,23 @@ mod tests {
             let fast = ServoAxisConfig { max_velocity: 1e3, ..limits };
             let step = sign * hardest * DT * DT;
             assert_eq!(check(&fast, 0.0, 0.0, step, DT), Ok(()));
+            let harder = check(&fast, 0.0, 0.0, step * (1.0 + RELATIVE_TOLERANCE), DT);
+            assert!(matches!(harder, Err(StopCause::AccelerationLimit { .. })), "{harder:?}");
             let beyond = sign * (limits.max_position + POSITION_TOLERANCE);
             assert_eq!(check_position(&limits, 0.0, beyond), Ok(()));
+        }
+    }
+
+    #[test]
+    fn a_long_stop_ends_at_a_limit_up_to_its_rounding() {
+        let limits = ServoAxisConfig { max_acceleration: 0.0125, ..limits() };
+        for sign in [1.0, -1.0] {
+            let braking = braking(&limits, Knot::new(0.0, sign * 5.0));
+            let way = braking.way(braking.least_periods(DT), DT);
+            assert!(way > 999.0, "{way}");
+            let room = |share: f64| check_room(&limits, Knot::new(sign * (10.0 - share * way), sign * 5.0), DT);
+            assert_eq!(room(1.0 - ROUNDING / 2.0), Ok(()));
+            assert!(matches!(room(1.0 - 2.0 * ROUNDING), Err(StopCause::NoRoomToStop { .. })));
         }
     }
 
@@ -130,7 +145,7 @@ mod tests {
     fn each_limit_is_named_with_both_sides() {
         type Case = (f64, f64, f64, Option<StopCause>);
         let beyond = |position, limit| Some(StopCause::PositionLimit { position, limit });
-        let cases: [Case; 15] = [
+        let cases: [Case; 16] = [
             (0.0, 0.0, 0.0, None),
             (0.0, 0.0, 0.01, None),
             (9.98, 9.99, 10.0, None),
@@ -141,6 +156,7 @@ mod tests {
             (9.98, 10.0, 10.02, beyond(10.02, 10.0)),
             (-9.98, -10.0, -10.02, beyond(-10.02, -10.0)),
             (11.0, 11.0, 11.0, None),
+            (-11.0, -11.0, -11.0, None),
             (11.0, 11.0, 10.995, None),
             (11.0, 11.0, 11.005, beyond(11.005, 10.0)),
             (0.0, 0.05, 0.1, None),
