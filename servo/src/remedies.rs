@@ -16,9 +16,7 @@ impl StopCause {
             Self::LimitSwitch { .. } => "move the axis off the switch by hand, check its limits",
             Self::PositionLimit { .. } | Self::NoRoomToStop { .. } => "correct the motion",
             // A set-point without its velocity stops the motor there.
-            Self::VelocityLimit { .. } | Self::AccelerationLimit { .. } => {
-                "check times and velocities of the set-points"
-            }
+            Self::VelocityLimit { .. } | Self::AccelerationLimit { .. } => "check velocities of the set-points",
             Self::NotFinite | Self::LawDisplacement { .. } | Self::LawSpeed { .. } => "correct generator or law",
             Self::Malformed { .. }
             | Self::UnequalSteps { .. }

@@ -112,7 +112,7 @@ const ACCEPTED: &[Case] = &[
     ("irb6", "following_error = 2.0", "following_error = 0.016", ""),
     ("irb6", "following_error = 2.0", "following_error = 900.0", ""),
     ("irb6", "max_acceleration = 1500.0", "max_acceleration = 1e7", ""),
-    ("irb6", "max_velocity = 250.0", "max_velocity = 9e4", ""),
+    ("irb6", "max_velocity = 250.0", "max_velocity = 9e3", ""),
     ("irb6", "rated_torque = 0.42", "rated_torque = 0.001", ""),
     ("irb6", "rated_torque = 0.42", "rated_torque = 4294.0", ""),
     ("irb6", "vendor = 0xFB", "vendor = 1", ""),
