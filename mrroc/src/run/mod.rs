@@ -375,7 +375,7 @@ fn in_lockstep(
     let mut carrying = task.begin(Rehearsals::AtOnce);
     let period = servo.period();
     // The controller has no access to the wires, so it may work while helpers advance the emulated robots. The listeners
-    // then have the frames of the cycle before.
+    // then have at least the frames of the cycle before.
     let mut control = |now| {
         wire.look();
         let going = logs.drain() && carrying.poll(now, &mut *progress);
