@@ -32,6 +32,9 @@
 //! drives stop only by their own reaction to silence. For a drive without such a reaction, another process must stop the
 //! drive.
 //!
+//! **A hang** of the thread is visible to its starter, because [`Running::cycles`] stands still. [`Running::leave`]
+//! leaves the thread behind. A thread that comes back sends nothing, so drives react as to a silent host.
+//!
 //! **Real-time needs** are requested one by one: SCHED_FIFO or SCHED_DEADLINE, a CPU, locked memory, timer slack of 1
 //! ns, and no deep idle states while the thread runs (`/dev/cpu_dma_latency`). Threads and processes that the servo
 //! thread starts do not inherit the scheduling. The wait determines when the thread runs. Under SCHED_DEADLINE, the
@@ -53,7 +56,7 @@ mod tracer;
 mod wait;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, mpsc};
 use std::task::Poll;
 use std::thread::{Builder, JoinHandle};
@@ -117,18 +120,41 @@ pub enum StartError {
 
 /// A running servo thread. Dropping this value leaves the thread running.
 #[derive(Debug)]
-pub struct Running(JoinHandle<Finished>);
+pub struct Running {
+    thread: JoinHandle<Finished>,
+    words: Arc<Words>,
+}
+
+/// What a servo thread and its starter share.
+#[derive(Debug, Default)]
+struct Words {
+    /// Number of ended cycles.
+    cycles: AtomicU64,
+    /// The starter waits for the thread no longer.
+    left: AtomicBool,
+}
 
 impl Running {
     /// Whether the thread has ended.
     pub fn is_finished(&self) -> bool {
-        self.0.is_finished()
+        self.thread.is_finished()
+    }
+
+    /// Number of ended cycles, with cycles that panicked. The number stands still if the thread hangs.
+    pub fn cycles(&self) -> u64 {
+        self.words.cycles.load(Ordering::Relaxed)
+    }
+
+    /// Leaves a thread behind that hangs. If the thread comes back, it sends nothing and ends. A call to the drives in
+    /// which the thread hangs is completed.
+    pub fn leave(self) {
+        self.words.left.store(true, Ordering::Relaxed);
     }
 
     /// Waits for the end of the thread.
     pub fn join(self) -> Finished {
         // The thread catches every panic of the functions it calls.
-        self.0.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        self.thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     }
 }
 
@@ -200,8 +226,10 @@ pub fn start(
     until: impl FnMut(&Servo) -> bool + Send + 'static,
 ) -> Result<Running, StartError> {
     let (tell, told) = mpsc::sync_channel(1);
+    let words = Arc::new(Words::default());
+    let shared = Arc::clone(&words);
     let body = move || {
-        let mut run = Run::new(servo, &realtime, time, trace_request);
+        let mut run = Run::new(servo, &realtime, time, trace_request, shared);
         let mut denied = demand(&realtime, run.period);
         let latency = CpuLatency::demand();
         denied.extend(latency.as_ref().err());
@@ -214,7 +242,8 @@ pub fn start(
         Finished { servo: run.servo, timing: run.timing, spikes: run.tracer.finish(), denied, panicked: run.panicked }
     };
     let spawned = Builder::new().name("servo".into()).stack_size(STACK).spawn(body);
-    let running = Running(spawned.map_err(|e| StartError::Spawn { errno: e.raw_os_error().unwrap_or(0) })?);
+    let thread = spawned.map_err(|e| StartError::Spawn { errno: e.raw_os_error().unwrap_or(0) })?;
+    let running = Running { thread, words };
     match told.recv().unwrap_or_default() {
         Some(denial) if realtime.policy == Policy::Require => {
             // It has nothing to do; with it the servo goes, and every port is closed.
@@ -238,6 +267,7 @@ pub fn run(
 
 struct Run {
     servo: Servo,
+    words: Arc<Words>,
     timing: Timing,
     panicked: Option<Panicked>,
     period: Duration,
@@ -263,11 +293,12 @@ struct Run {
 }
 
 impl Run {
-    fn new(servo: Servo, realtime: &Realtime, time: CellTime, request: Arc<AtomicBool>) -> Self {
+    fn new(servo: Servo, realtime: &Realtime, time: CellTime, request: Arc<AtomicBool>, words: Arc<Words>) -> Self {
         let period = servo.period();
         let timing = Timing::default();
         Self {
             servo,
+            words,
             timing,
             panicked: None,
             period,
@@ -312,11 +343,16 @@ impl Run {
         self.timing.wait = WaitReport { preparation: self.preparation(), ..self.waiter.report() };
     }
 
+    /// Whether the starter waits for this thread no longer.
+    fn is_left(&self) -> bool {
+        self.words.left.load(Ordering::Relaxed)
+    }
+
     fn preparation(&self) -> Duration {
         self.preparation.map_or(Duration::ZERO, |learnt| learnt.get())
     }
 
-    /// Waits for the deadline and steps the servo; false if the step panicked.
+    /// Waits for the deadline and steps the servo; false if the step panicked, or if the starter waits no longer.
     #[cfg_attr(mrroc_rtsan, sanitize(realtime = "nonblocking"))]
     fn cycle(&mut self) -> bool {
         let begun = now();
@@ -336,19 +372,29 @@ impl Run {
             });
         }
         self.before.called = now();
-        stepped.is_ok()
+        self.words.cycles.fetch_add(1, Ordering::Relaxed);
+        stepped.is_ok() && !self.is_left()
     }
 
     fn step(&mut self, begun: Instant, awake: &Awake) {
+        if self.is_left() {
+            return;
+        }
         let reading = now();
         let due = self.cell_time(self.deadline.max(reading));
         self.servo.read(due);
         let read = now();
         self.servo.compute(due);
         let computed = now();
+        if self.is_left() {
+            return;
+        }
         self.servo.write(due);
         let written = now();
         let (sending, gap) = self.waiter.spin(written, self.deadline);
+        if self.is_left() {
+            return;
+        }
         self.servo.send(self.cell_time(sending));
         let done = now();
         // SYNC has left, and the rest runs in the slack.
@@ -438,12 +484,15 @@ impl Run {
 
     /// Brakes all effectors and switches them off, unless two cycles panic. The emulated world continues if possible.
     fn wind_down(&mut self, mut between: impl FnMut(Instant)) {
+        if self.is_left() {
+            return;
+        }
         self.servo.stop_request().request();
         let mut alive = self.panicked != Some(Panicked::Caller);
         let end = self.deadline + self.servo.longest_stop() + POWER_OFF_WAIT;
         let mut cycles = 0;
         while (cycles < OFF_CYCLES || !self.servo.is_off()) && self.deadline < end {
-            if !self.cycle() && self.panicked == Some(Panicked::TwoCycles) {
+            if !self.cycle() && (self.is_left() || self.panicked == Some(Panicked::TwoCycles)) {
                 return;
             }
             cycles += 1;
@@ -458,6 +507,9 @@ impl Run {
     fn cut_power(&mut self) {
         for _ in 0..CUTS {
             sleep_until(self.deadline);
+            if self.is_left() {
+                return;
+            }
             let _ = catch_unwind(AssertUnwindSafe(|| {
                 self.servo.cut_power(self.cell_time(now()));
             }));

@@ -121,6 +121,41 @@ fn a_second_panic_of_a_cycle_takes_the_power() {
 }
 
 #[test]
+fn a_thread_that_comes_back_after_its_starter_has_left_sends_nothing_and_ends() {
+    for in_cycle in [false, true] {
+        let (servo, _link, world) = rig();
+        world.lock().unwrap().log = true;
+        let (tell, told) = mpsc::channel();
+        let (free, freed) = mpsc::channel::<()>();
+        let mut calls = 0;
+        let between = move |_: Instant| {
+            calls += 1;
+            if calls == 5 {
+                tell.send(()).unwrap();
+                freed.recv().unwrap();
+            }
+            assert!(calls <= 5, "called again");
+        };
+        let running = start(servo, Realtime::PLAIN, CellTime::Wall, Arc::default(), between, |_| false).unwrap();
+        told.recv().unwrap();
+        assert_eq!(running.cycles(), 5);
+        let held = world.lock().unwrap();
+        let sent = held.sent.len();
+        if in_cycle {
+            // The drives do not return from the next call.
+            free.send(()).unwrap();
+            sleep_until(now() + 5 * PERIOD);
+        }
+        assert_eq!(running.cycles(), 5);
+        running.leave();
+        drop(held);
+        let _ = free.send(());
+        assert_eq!(told.recv(), Err(mpsc::RecvError), "the thread ends");
+        assert_eq!(world.lock().unwrap().sent.len(), sent, "in a cycle: {in_cycle}");
+    }
+}
+
+#[test]
 fn missed_slots_are_skipped_and_never_caught_up() {
     let (servo, _link, _world) = rig();
     let mut cycles = 0;
@@ -152,7 +187,7 @@ fn a_suspension_of_the_machine_stops_the_effectors_as_an_overrun() {
         let (group, _world) = scripted::group(2);
         let (servo, mut links) = Servo::new(&config, vec![group]).unwrap();
         links[0].orders.push(Order::Enable).unwrap();
-        let mut run = Run::new(servo, &Realtime::PLAIN, CellTime::Wall, Arc::default());
+        let mut run = Run::new(servo, &Realtime::PLAIN, CellTime::Wall, Arc::default(), Arc::default());
         SUSPENDED.store(0, Ordering::Relaxed);
         run.since_boot = || since_boot() + Duration::from_nanos(SUSPENDED.load(Ordering::Relaxed));
         let mut cycles = 0;
