@@ -6,8 +6,8 @@
 
 use std::fmt;
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::path::Path;
+use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -21,6 +21,7 @@ use can::{Instant, clock};
 use hil::{AxisController, Cabinet, LineId, Pty, World};
 
 use crate::bench::{patient_turn, turn};
+use crate::hang::Hang;
 use crate::mrroc::{Directory, SERIAL_CELLS};
 use crate::serial_cli::{patient, run_on};
 
@@ -40,7 +41,7 @@ pub(crate) enum Failure {
     Kill,
     /// SIGSTOP, and SIGCONT after this time.
     Pause(Duration),
-    /// The servo thread does not return from a system call.
+    /// The servo thread hangs until the end of the run.
     Hang,
     /// The guardian is killed.
     Unguarded,
@@ -77,7 +78,7 @@ pub(crate) struct Emulator {
 }
 
 impl Emulator {
-    fn start(file: &CellFile, ttys: &Path) -> Self {
+    pub(crate) fn start(file: &CellFile, ttys: &Path) -> Self {
         let emulated = EmulatedCell::of(file);
         let mut lines = EmulatedLines::default();
         let cabinet = Cabinet::default();
@@ -210,7 +211,7 @@ pub(crate) fn figures(file: &CellFile, samples: &[Sample], event: Instant) -> Fi
 }
 
 /// The child of process `parent` with this name.
-fn child_of(parent: u32, name: &str) -> Option<u32> {
+pub(crate) fn child_of(parent: u32, name: &str) -> Option<u32> {
     let processes = fs::read_dir("/proc").expect("Linux").flatten();
     let numbers = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
     numbers.into_iter().find(|pid| {
@@ -219,31 +220,6 @@ fn child_of(parent: u32, name: &str) -> Option<u32> {
             head.ends_with(&format!("({name}")) && tail.split(' ').nth(1) == Some(&parent.to_string())
         })
     })
-}
-
-/// Delays every wait of the servo thread of process `pid` by a minute, until the value is dropped.
-pub(crate) struct Hang(Child);
-
-impl Hang {
-    pub(crate) fn of(pid: u32) -> Self {
-        let threads = fs::read_dir(format!("/proc/{pid}/task")).expect("the run").flatten().map(|entry| entry.path());
-        let servo = |thread: &PathBuf| fs::read_to_string(thread.join("comm")).is_ok_and(|name| name.trim() == "servo");
-        let thread = threads.into_iter().find(servo).expect("a servo thread");
-        let thread = thread.file_name().expect("its number").to_owned();
-        let mut strace = Command::new("strace");
-        strace.args(["-qq", "-o", "/dev/null", "-e", "trace=clock_nanosleep"]);
-        strace.args(["-e", "inject=clock_nanosleep:delay_enter=60000000", "-p"]).arg(thread);
-        let strace = strace.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
-        Self(strace.expect("strace"))
-    }
-}
-
-impl Drop for Hang {
-    fn drop(&mut self) {
-        // Both calls fail if strace has ended, which does no harm.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
 }
 
 fn signal(pid: u32, name: &str) {
@@ -288,8 +264,8 @@ impl Rig<'_> {
             Failure::Unguarded => signal(guardian, "KILL"),
         }
         let stands = self.emulator.at_rest(began);
-        drop(hang);
         let ended = run.output();
+        drop(hang);
         let after = self.emulator.at_rest(began);
         let (rested, last) = (stands.last().expect("samples"), after.last().expect("samples"));
         if failure == Failure::Unguarded {

@@ -23,7 +23,8 @@ use canopen::{NodeId, cob, nmt};
 use hil::{BusId, Pty, World};
 
 use crate::bench::{on_vcan_within, patient_turn, turn};
-use crate::guardian::{ATTEMPTS, Emulator, Failure, Figures, Hang, RUN_OUT, Sample, figures, moved};
+use crate::guardian::{ATTEMPTS, Emulator, Failure, Figures, RUN_OUT, Sample, figures, moved};
+use crate::hang::Hang;
 use crate::mrroc::{Directory, Running, shorten};
 use crate::vcan;
 
@@ -132,12 +133,13 @@ impl Rig<'_> {
             Failure::Unguarded => unreachable!("a cell without serial lines has no guardian"),
         }
         let stands = self.emulator.at_rest(began);
-        drop(hang);
         let ended = run.output();
+        drop(hang);
         let after = self.emulator.at_rest(began);
         if failure != Failure::Kill {
             assert_eq!(ended.status.code(), Some(1), "{failure:?}: {ended:?}");
-            assert_ne!(ended.json()["faults"], serde_json::json!([]), "{failure:?}: {ended:?}");
+            let first = ended.json()["faults"][0].to_string();
+            assert_eq!(first.contains("thread servo hangs"), failure == Failure::Hang, "{failure:?}: {ended:?}");
         }
         // A drive without power falls by less than the brake's play.
         let (rested, last) = (stands.last().expect("samples"), after.last().expect("samples"));

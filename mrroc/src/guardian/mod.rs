@@ -17,7 +17,8 @@
 //!
 //! The controller also monitors the guardian. After each cycle, the servo thread checks a heartbeat word of the
 //! guardian ([`Pulse::beat`]), without a system call. The loss of the guardian stops all robots (category 1). After a
-//! stop by the guardian, the run ends with [`GuardianFault::Stopped`].
+//! stop by the guardian, the run ends with [`GuardianFault::Stopped`]. Another thread finds this stop as well
+//! ([`Guardian::look`]), because the servo thread may hang.
 //!
 //! The program of the guardian is `/proc/self/exe`. A function in `.init_array` runs before `main` and finds the
 //! variable [`VARIABLE`] in the environment. Programs with a `main` of their own therefore need no code for the
@@ -118,15 +119,15 @@ pub enum GuardianError {
     Lines { lines: usize },
 }
 
+/// What a guardian does, in faults.
+pub(crate) const DRIVES_STOPPED: &str = "the guardian put all drives that it guards into their error state";
+
 /// What ended a run with a guardian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum GuardianFault {
     /// The guardian stopped the drives.
-    #[error(
-        "no servo cycle for {silence:?}: the guardian put all drives that it guards into their error state; check the host \
-         (`mrroc doctor`)"
-    )]
+    #[error("no servo cycle for {silence:?}: {DRIVES_STOPPED}; check the host (`mrroc doctor`)")]
     Stopped { silence: Duration },
     /// The guardian has ended, or does not run.
     #[error("the guardian (process {pid}) has ended or was suspended: all robots stopped; check who ended the process")]
@@ -249,14 +250,29 @@ impl Guardian {
         }
     }
 
-    /// The fault of a guardian that stopped the drives, or that is lost. A guardian whose process has ended stops the
-    /// robots by `stop`. Not for the servo thread.
+    /// The fault of a guardian that stopped the drives, or that is lost. A guardian that stopped the drives, or whose
+    /// process has ended, stops the robots by `stop`. Not for the servo thread.
     pub fn look(&mut self, stop: &StopRequest) -> Option<GuardianFault> {
-        if self.verdict.load(Ordering::Relaxed) == FINE && !matches!(self.child.try_wait(), Ok(None)) {
-            self.verdict.store(LOST_HEARTBEAT, Ordering::Relaxed);
+        if self.verdict.load(Ordering::Relaxed) == FINE {
+            let found = if self.has_stopped_a_run() {
+                STOPPED
+            } else if !matches!(self.child.try_wait(), Ok(None)) {
+                LOST_HEARTBEAT
+            } else {
+                return None;
+            };
+            // The first verdict stays.
+            let _ = self.verdict.compare_exchange(FINE, found, Ordering::Relaxed, Ordering::Relaxed);
             stop.request();
         }
         self.fault()
+    }
+
+    /// Whether the guardian stopped the drives while the servo thread was to complete cycles. After the end of that
+    /// thread, the guardian may stop drives without a fault of the run.
+    fn has_stopped_a_run(&self) -> bool {
+        let stopped = self.words.stops.load(Ordering::Acquire) > 0;
+        stopped && self.words.phase.load(Ordering::Acquire) == Phase::Run as u32
     }
 
     /// The fault that was found so far.

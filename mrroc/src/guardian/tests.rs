@@ -93,6 +93,28 @@ fn silence_of_the_servo_stops_the_drives_until_cycles_go_on() {
 }
 
 #[test]
+fn a_stop_by_the_guardian_is_found_while_the_servo_thread_hangs() {
+    let mut rig = Rig::new();
+    let mut pulse = rig.guardian.pulse(rig.stop.clone());
+    pulse.beat();
+    rig.hears(1);
+    assert!(matches!(rig.guardian.look(&rig.stop), Some(GuardianFault::Stopped { .. })));
+    assert!(rig.stop.is_requested());
+    drop(pulse);
+}
+
+#[test]
+fn a_stop_by_the_guardian_after_the_end_of_the_servo_thread_is_no_fault() {
+    let mut rig = Rig::new();
+    let mut pulse = rig.guardian.pulse(rig.stop.clone());
+    pulse.beat();
+    drop(pulse);
+    rig.hears(1);
+    assert_eq!(rig.guardian.look(&rig.stop), None);
+    assert!(!rig.stop.is_requested());
+}
+
+#[test]
 fn the_end_of_a_guardian_and_its_suspension_stop_all_robots() {
     for (signal, by_process) in [(Signal::SIGKILL, true), (Signal::SIGKILL, false), (Signal::SIGSTOP, false)] {
         let mut rig = Rig::new();

@@ -20,9 +20,9 @@ use std::time::Duration;
 use drive::{Warning, Warnings};
 use serde::Serialize;
 use servo::thread::{AccountReads, LateCycle, Spike, WaitReport};
-use servo::{Histogram, Servo, Timing};
+use servo::{Counters, Histogram, Servo, Timing};
 
-use crate::{budget::BusBudget, cell::CellFile, wire::WireReport};
+use crate::{budget::BusBudget, cell::CellFile, run::ServoHang, wire::WireReport};
 
 pub use fault::{ErrorPlace, FaultReport};
 pub use last_cycles::{CycleState, LastCycles};
@@ -32,8 +32,8 @@ pub use tool::{Deviation, RobotReport, Subject};
 
 /// What a run leaves behind.
 pub(crate) struct RunEnd {
-    /// The servo, its robots switched off.
-    pub servo: Servo,
+    /// The servo, its robots switched off. A servo thread that hangs keeps its servo.
+    pub servo: Result<Servo, ServoHang>,
     pub tracks: Tracks,
     pub timing: Timing,
     /// The cycles around the latest ones.
@@ -62,11 +62,11 @@ pub struct RunReport {
     pub robots: Vec<RobotReport>,
     /// Records of a robot's cycle that the errors of robots lack, which were not read in time.
     pub lost_records: u64,
-    /// Every axis, robot by robot.
+    /// Every axis, robot by robot. Empty if the servo thread hangs, which has the figures of axes and buses.
     pub axes: Vec<AxisReport>,
     /// The servo cycle.
     pub cycle: CycleReport,
-    /// Every bus.
+    /// Every bus. Empty if the servo thread hangs.
     pub buses: Vec<BusReport>,
     /// Every bus on the wire; empty if nothing was heard.
     pub wire: Vec<WireReport>,
@@ -98,11 +98,15 @@ impl RunReport {
         wall: Duration,
         outcome: RunOutcome,
     ) -> Self {
-        let counters = end.servo.counters();
-        let robots = file.cell.robot.iter().enumerate();
-        let axes = robots.flat_map(|(robot, value)| {
-            let axes = value.axis.iter().zip(end.servo.tracking(robot));
-            let axes = axes.zip(end.servo.homing_offsets(robot)).enumerate();
+        let servo = end.servo.as_ref().ok();
+        let counters = match &end.servo {
+            Ok(servo) => servo.counters(),
+            Err(hang) => Counters { cycles: hang.cycles, ..Counters::default() },
+        };
+        let robots = servo.into_iter().flat_map(|servo| file.cell.robot.iter().enumerate().map(move |it| (servo, it)));
+        let axes = robots.flat_map(|(servo, (robot, value))| {
+            let axes = value.axis.iter().zip(servo.tracking(robot));
+            let axes = axes.zip(servo.homing_offsets(robot)).enumerate();
             axes.map(move |(number, ((axis, error), homing_offset_counts))| {
                 let counts = f64::from(axis.counts_per_revolution()) / std::f64::consts::TAU;
                 AxisReport {
@@ -115,7 +119,7 @@ impl RunReport {
                 }
             })
         });
-        let groups = end.servo.group_counters().zip(budgets).enumerate();
+        let groups = servo.into_iter().flat_map(Servo::group_counters).zip(budgets).enumerate();
         let buses = groups.map(|(index, (group, budget))| BusReport {
             name: budget.name.clone(),
             lines: (index >= file.cell.bus.len()).then(|| {
@@ -129,7 +133,7 @@ impl RunReport {
             missed_answers: group.missed_answers,
         });
         let timing = &end.timing;
-        let groups = end.servo.warnings().enumerate();
+        let groups = servo.into_iter().flat_map(Servo::warnings).enumerate();
         let warnings = groups
             .flat_map(|(group, warnings)| warnings.iter().map(move |warning| WarningReport::of(file, group, warning)));
         Self {
@@ -138,7 +142,7 @@ impl RunReport {
             warnings: warnings.collect(),
             robots: end.tracks.reports(),
             lost_records: counters.dropped_records,
-            more_warnings: end.servo.warnings().map(Warnings::omitted).sum(),
+            more_warnings: servo.into_iter().flat_map(Servo::warnings).map(Warnings::omitted).sum(),
             axes: axes.collect(),
             cycle: CycleReport {
                 period_us: file.cell.period().as_micros() as u32,

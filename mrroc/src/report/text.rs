@@ -44,11 +44,13 @@ impl fmt::Display for RunReport {
             writeln!(f, "{} records of cycles were lost", self.lost_records)?;
         }
         let names = self.axes.iter().map(|axis| axis.name.len()).max().unwrap_or(0).max(4);
-        writeln!(
-            f,
-            "\n{:names$}  {:>12} {:>12} {:>10} {:>10} {:>10} {:>7}",
-            "axis", "rms rad", "peak rad", "rms cnt", "peak cnt", "homing cnt", "faults"
-        )?;
+        if !self.axes.is_empty() {
+            writeln!(
+                f,
+                "\n{:names$}  {:>12} {:>12} {:>10} {:>10} {:>10} {:>7}",
+                "axis", "rms rad", "peak rad", "rms cnt", "peak cnt", "homing cnt", "faults"
+            )?;
+        }
         for [name, rms, peak, rms_counts, peak_counts, offset, faults] in self.axis_rows("-") {
             writeln!(
                 f,

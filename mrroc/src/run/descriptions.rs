@@ -10,8 +10,9 @@ use servo::thread::Panicked;
 use servo::{Servo, ServoFault, StopCategory, StopCause};
 
 use super::crew::time_of;
+use super::watch::ServoHang;
 use crate::cell::CellFile;
-use crate::guardian::GuardianFault;
+use crate::guardian::{DRIVES_STOPPED, GuardianFault};
 use crate::report::{ErrorPlace, FaultReport};
 
 /// The error of an instruction, with the names of the cell.
@@ -125,6 +126,30 @@ pub(super) fn of_guardian(file: &CellFile, fault: GuardianFault, time: Option<f6
     FaultReport { stop_category: Some(category), stopped, time_s: time, ..FaultReport::of_run(fault) }
 }
 
+/// A hang of the servo thread, which was left behind. With `guarded`, the guardian stopped the drives before.
+pub(super) fn of_servo_hang(file: &CellFile, hang: &ServoHang, guarded: bool) -> FaultReport {
+    let reaction = if guarded { DRIVES_STOPPED } else { "drives react as to a silent host" };
+    let fault = FaultReport::of_run(format_args!("{hang}: {reaction}"));
+    let number = hang.cycles.checked_sub(1);
+    let stopped = file.cell.robot.iter().map(|robot| robot.name.clone()).filter(|_| guarded).collect();
+    FaultReport {
+        stop_category: guarded.then_some(StopCategory::Zero),
+        stopped,
+        number,
+        time_s: number.map(|number| time_of(file, number)),
+        ..fault.checked_by(hang.remedy())
+    }
+}
+
+/// The fault of a run at whose end some robots may have power.
+pub(super) fn of_power(file: &CellFile) -> FaultReport {
+    // The servo reports the power of all robots together.
+    let names: Vec<_> = file.cell.robot.iter().map(|robot| robot.name.as_str()).collect();
+    let what = "still has power, or did not say otherwise";
+    let fault = FaultReport::of_run(what).checked_by("switch the cabinet off before you go near");
+    FaultReport { robot: Some(names.join(" or ")), ..fault }
+}
+
 /// The fault that the servo latched for each robot, unless the task `received` it, and a fault if some robots still
 /// have power.
 pub(crate) fn servo_faults(file: &CellFile, servo: &Servo, received: &[bool]) -> Vec<FaultReport> {
@@ -136,11 +161,7 @@ pub(crate) fn servo_faults(file: &CellFile, servo: &Servo, received: &[bool]) ->
     let unknown = (0..robots.len()).filter(|robot| received.get(*robot) != Some(&true));
     let mut faults: Vec<_> = unknown.filter_map(latched).collect();
     if !servo.is_off() {
-        // The servo reports the power of all robots together.
-        let names: Vec<_> = robots.iter().map(|robot| robot.name.as_str()).collect();
-        let what = "still has power, or did not say otherwise";
-        let fault = FaultReport::of_run(what).checked_by("switch the cabinet off before you go near");
-        faults.push(FaultReport { robot: Some(names.join(" or ")), ..fault });
+        faults.push(of_power(file));
     }
     faults
 }

@@ -1,13 +1,17 @@
-//! The end of a run: requests to a run under way, and the servo thread, braked and joined however the run ends.
+//! The end of a run: requests to a run under way, and the servo thread, braked and joined however the run ends. A servo
+//! thread that hangs is left behind.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use can::Instant;
+use std::time::Duration;
+
+use can::{Instant, clock};
 use servo::thread::{Finished, POWER_OFF_WAIT, Running};
 use servo::{Servo, SpeedOverride, StopRequest};
 
 use super::crew::Crew;
+use super::watch::{ServoHang, ServoWatch};
 use crate::recording::FlightRequest;
 
 /// Requests to a run, from a signal handler or another thread.
@@ -50,37 +54,72 @@ impl Requests {
     }
 }
 
-/// A servo thread that is stopped in order and waited for when this is dropped, by a panic too.
+/// Time between two looks at a servo thread that is to end.
+const END_LOOK: Duration = Duration::from_millis(1);
+
+/// A servo thread that is stopped in order and waited for when this is dropped, by a panic too. A thread that hangs is
+/// left behind: no set-point leaves it any more, and it ends with the process.
 pub struct Turning {
-    running: Option<Running>,
+    servo: State,
     over: Arc<AtomicBool>,
+    stop: StopRequest,
+    watch: ServoWatch,
+}
+
+enum State {
+    Running(Running),
+    Left(ServoHang),
+    Joined,
 }
 
 impl Turning {
-    /// A servo thread that ends once `over` is set.
-    pub fn of(running: Running, over: Arc<AtomicBool>) -> Self {
-        Self { running: Some(running), over }
+    /// A servo thread that ends once `over` is set, and brakes by `stop`. The thread hangs if no cycle ends for `limit`:
+    /// see [`hang_limit`](super::hang_limit).
+    pub fn of(running: Running, over: Arc<AtomicBool>, stop: StopRequest, limit: Duration) -> Self {
+        Self { servo: State::Running(running), over, stop, watch: ServoWatch::of(limit, clock::now()) }
     }
 
-    /// Whether the servo thread has ended.
-    pub fn is_finished(&self) -> bool {
-        self.running.as_ref().is_none_or(Running::is_finished)
-    }
-
-    /// Stops the servo thread in order and waits for its end.
-    pub fn end(mut self) -> Finished {
-        self.stop().expect("it is stopped once")
-    }
-
-    fn stop(&mut self) -> Option<Finished> {
+    /// Whether the servo thread has ended, or hangs and was left behind. With calls less often than every 100 ms, a hang
+    /// is found later.
+    pub fn is_over(&mut self) -> bool {
+        let State::Running(running) = &self.servo else {
+            return true;
+        };
+        if running.is_finished() {
+            return true;
+        }
+        let Err(hang) = self.watch.look(running.cycles(), clock::now()) else {
+            return false;
+        };
         self.over.store(true, Ordering::Relaxed);
-        self.running.take().map(Running::join)
+        self.stop.request();
+        if let State::Running(running) = std::mem::replace(&mut self.servo, State::Left(hang)) {
+            running.leave();
+        }
+        true
+    }
+
+    /// Stops the servo thread in order and waits for its end, unless it hangs.
+    pub fn end(mut self) -> Result<Finished, ServoHang> {
+        self.join().expect("it is joined once")
+    }
+
+    fn join(&mut self) -> Option<Result<Finished, ServoHang>> {
+        self.over.store(true, Ordering::Relaxed);
+        while !self.is_over() {
+            clock::sleep_until(clock::now() + END_LOOK);
+        }
+        match std::mem::replace(&mut self.servo, State::Joined) {
+            State::Running(running) => Some(Ok(running.join())),
+            State::Left(hang) => Some(Err(hang)),
+            State::Joined => None,
+        }
     }
 }
 
 impl Drop for Turning {
     fn drop(&mut self) {
-        let _ = self.stop();
+        let _ = self.join();
     }
 }
 

@@ -14,7 +14,7 @@ use drive::{BringUpError, Fault, Refusal};
 use serial::LineError;
 use servo::{HomingFailure, LawFault, ServoFault, StopCause};
 
-use super::descriptions::{describe_fault, of_guardian, of_servo_thread};
+use super::descriptions::{describe_fault, of_guardian, of_power, of_servo_hang, of_servo_thread};
 use super::*;
 use crate::guardian::GuardianFault;
 use crate::tasks::tests::two_arms;
@@ -22,7 +22,7 @@ use crate::tasks::tests::two_arms;
 const WAITED: Duration = Duration::from_micros(150_250);
 
 /// Phrases of which each line has one: they say what a person does next.
-const NEXT: [&str; 22] = [
+const NEXT: [&str; 23] = [
     "check ",
     "see ",
     "read ",
@@ -44,6 +44,7 @@ const NEXT: [&str; 22] = [
     "zero the sensor",
     "bring the bus up",
     "switch it off",
+    "switch the cabinet off",
     "search slower",
 ];
 
@@ -342,6 +343,10 @@ fn all(file: &CellFile) -> Vec<(FaultReport, &'static str)> {
     let silence = WAITED;
     all.push((of_guardian(file, GuardianFault::Stopped { silence }, None), "guardian"));
     all.push((of_guardian(file, GuardianFault::Lost { pid: 1_234_567 }, None), "guardian"));
+    let hang = ServoHang { silent: WAITED, cycles: 617_284 };
+    all.push((of_servo_hang(file, &hang, true), "thread servo"));
+    all.push((of_servo_hang(file, &hang, false), "thread servo"));
+    all.push((of_power(file), "left or right: "));
     all.push((of_servo_thread(file, thread::Panicked::Caller, 7), "servo thread"));
     all.push((of_servo_thread(file, thread::Panicked::Cycle, 7), "servo cycle"));
     all.push((of_servo_thread(file, thread::Panicked::TwoCycles, 7), "panicked again"));

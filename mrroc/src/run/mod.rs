@@ -18,8 +18,8 @@
 //! also advance emulated robots. A run by the wall clock does not wait for planning and rehearsal. However a run ends,
 //! the run waits until the servo has braked the arms and switched them off. A run ends with its task, on a signal, when
 //! a trace, record or step file cannot be written, when the task hangs, and by a panic of any of its threads.
-//! The run waits only for a limited time for a file that accepts no data. A drive that may still have power afterwards
-//! is a fault of the run.
+//! The run waits only for a limited time for a file that accepts no data, and for a servo thread that hangs. A drive
+//! that may still have power afterwards is a fault of the run.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -53,7 +53,8 @@ use std::time::Duration;
 use anyhow::{Context, anyhow};
 use can::{Instant, clock};
 use drive::BringUpError;
-use servo::{NotUp, Servo, Timing, lockstep, thread};
+use servo::thread::{self, Finished};
+use servo::{NotUp, Servo, Timing, lockstep};
 
 use crate::bench::camera_wire::Cameras;
 use crate::bench::carving::{self, Carving};
@@ -62,7 +63,7 @@ use crate::bench::emulation::Emulation;
 use crate::bench::truth::TruthLog;
 use crate::bench::{Bench, BenchKind};
 use crate::cell::{CellFile, printable};
-use crate::guardian::{Guardian, Pulse};
+use crate::guardian::{Guardian, GuardianFault, Pulse};
 use crate::outputs::Outputs;
 use crate::recording::{self, Facts, Flights, Recorder};
 use crate::report::{self, FaultReport, RunEnd, RunOutcome, RunReport, Tracks};
@@ -75,7 +76,7 @@ pub(crate) use background::Background;
 use ending::Over;
 use files::{Logs, Writing};
 
-use descriptions::{of_guardian, of_servo_thread, servo_faults};
+use descriptions::{of_guardian, of_power, of_servo_hang, of_servo_thread, servo_faults};
 pub use ending::{Requests, Turning, stopped_once};
 pub use options::RunOptions;
 pub use running_task::Progress;
@@ -83,6 +84,7 @@ pub(crate) use running_task::RunningTask;
 use running_task::{Rehearsals, TaskErrors};
 use tick::tick;
 pub(crate) use watch::returned;
+pub use watch::{ServoHang, hang_limit};
 use watch::{Watch, watched};
 
 /// Records that the evaluation may lag behind the servo, per effector: some seconds.
@@ -242,7 +244,11 @@ pub fn run(
     let interrupted = requests.is_stopped();
     let unwound = requests.crew.faults(file, end.faults.iter_mut().chain(&mut end.recovered));
     end.faults.splice(..0, unwound);
-    for fault in servo_faults(file, &end.servo, &end.received) {
+    let of_servo = match &end.servo {
+        Ok(servo) => servo_faults(file, servo, &end.received),
+        Err(_) => vec![of_power(file)],
+    };
+    for fault in of_servo {
         if !end.faults.iter().any(|known| known.is_same(&fault)) {
             end.faults.push(fault);
         }
@@ -254,7 +260,8 @@ pub fn run(
     if let Some(Err(error)) = spikes.map(|file| spikes::write(file, "servo", take(&mut end.spikes))) {
         end.faults.push(FaultReport::of_run(error));
     }
-    if let Some(Err(error)) = carving.map(Carving::write) {
+    // A servo thread that hangs in the emulation may hold the workpieces.
+    if let Some(Err(error)) = carving.filter(|_| end.servo.is_ok()).map(Carving::write) {
         end.faults.push(FaultReport::of_run(format_args!("--carved: the pictures cannot be written: {error}")));
     }
     let outcome = match (interrupted, end.faults.is_empty()) {
@@ -305,7 +312,7 @@ fn not_up(
     written?;
     if why == NotUp::Stopped {
         return Ok(RunEnd {
-            servo,
+            servo: Ok(servo),
             tracks,
             timing: Timing::default(),
             spikes: Vec::new(),
@@ -402,7 +409,7 @@ fn in_lockstep(
     let truth = emulation.finish().context("the truth of the scene cannot be written");
     faults.extend(written.and(truth).err().map(FaultReport::of_run));
     Ok(RunEnd {
-        servo,
+        servo: Ok(servo),
         tracks,
         timing,
         spikes: Vec::new(),
@@ -454,7 +461,8 @@ fn by_the_clock(
         pulse.iter_mut().for_each(Pulse::beat);
     };
     let running = clockwork::start(servo, emulation, since, realtime, trace, sent, until)?;
-    let turning = Turning::of(running, done.clone());
+    let limit = hang_limit(&file.cell, since.is_some());
+    let mut turning = Turning::of(running, done.clone(), stop_all.clone(), limit);
     let (tell, told) = sync_channel(NEWS);
     let (ask, asked) = sync_channel(file.cell.robot.len());
     let (answer, verdicts) = sync_channel(file.cell.robot.len());
@@ -494,11 +502,11 @@ fn by_the_clock(
             done.store(true, Ordering::Relaxed);
             noticed.get_or_insert(requests.crew.cycles());
         }
+        done.fetch_or(turning.is_over(), Ordering::Relaxed);
         match told.recv_timeout(watch::LOOK) {
             Ok(seen) => progress(seen),
             Err(RecvTimeoutError::Disconnected) => break None,
             Err(RecvTimeoutError::Timeout) => {
-                done.fetch_or(turning.is_finished(), Ordering::Relaxed);
                 if let Err(hung) = watch.look() {
                     break Some(hung);
                 }
@@ -512,35 +520,48 @@ fn by_the_clock(
         Some(hung) => TaskErrors { faults: vec![FaultReport::of_run(hung)], ..TaskErrors::default() },
     };
     let ended = turning.end();
+    let cycles = ended.as_ref().map_or_else(|hang| hang.cycles, |ended| ended.servo.counters().cycles);
     // An emulated cell's time stands still while the host misses deadlines.
-    let cycles = |first: Instant| first + ended.servo.period() * ended.servo.counters().cycles as u32;
     let cell_time = match since {
-        Some(first) => cycles(first).since(Instant::ZERO),
+        Some(first) => (first + file.cell.period() * cycles as u32).since(Instant::ZERO),
         None => clock::now().since(began),
     };
-    let guarded = guardian.as_ref().and_then(Guardian::fault);
-    if let Some(guardian) = &mut guardian
+    let hang = ended.as_ref().err().copied();
+    let guarded = guardian.as_mut().and_then(|guardian| match hang {
+        Some(_) => guardian.look(&stop_all),
+        None => guardian.fault(),
+    });
+    if let (Some(guardian), Ok(ended)) = (&mut guardian, &ended)
         && ended.servo.is_off()
     {
         guardian.all_off();
     }
     drop(guardian);
-    if requests.is_stopped() || guarded.is_some() {
-        // The request or the guardian broke off the instructions of the task.
+    if requests.is_stopped() || guarded.is_some() || hang.is_some() {
+        // The request, the guardian or the hang broke off the instructions of the task.
         faults.retain(|fault| fault.robot.is_none());
     }
+    let panicked = ended.as_ref().ok().and_then(|ended| ended.panicked);
+    let stopped = matches!(guarded, Some(GuardianFault::Stopped { .. }));
     let time = noticed.map(|cycles| crew::time_of(file, cycles));
-    faults.splice(..0, guarded.map(|fault| of_guardian(file, fault, time)));
-    faulted.store(!faults.is_empty() || ended.panicked.is_some() || requests.crew.has_unwound(), Ordering::Relaxed);
+    // The stop by the guardian is part of the fault of a hang.
+    let guarded = guarded.filter(|_| hang.is_none() || !stopped).map(|fault| of_guardian(file, fault, time));
+    let hang = hang.map(|hang| of_servo_hang(file, &hang, stopped));
+    faults.splice(..0, guarded.into_iter().chain(hang));
+    faulted.store(!faults.is_empty() || panicked.is_some() || requests.crew.has_unwound(), Ordering::Relaxed);
     let (written, tracks) = writing.finish(file);
     faults.extend(written.err().map(FaultReport::of_run));
-    faults.splice(..0, ended.panicked.map(|panicked| of_servo_thread(file, panicked, requests.crew.cycles())));
+    faults.splice(..0, panicked.map(|panicked| of_servo_thread(file, panicked, requests.crew.cycles())));
+    let (servo, timing, spikes, denied) = match ended {
+        Ok(Finished { servo, timing, spikes, denied, .. }) => (Ok(servo), timing, spikes, denied),
+        Err(hang) => (Err(hang), Timing::default(), Vec::new(), Vec::new()),
+    };
     Ok(RunEnd {
-        servo: ended.servo,
+        servo,
         tracks,
-        timing: ended.timing,
-        spikes: ended.spikes,
-        denied: ended.denied.iter().map(ToString::to_string).collect(),
+        timing,
+        spikes,
+        denied: denied.iter().map(ToString::to_string).collect(),
         faults,
         recovered,
         received,

@@ -1,5 +1,5 @@
-//! Watch on the thread of a task: detects a task that does not return from its turn, and a generator that does not return
-//! from a step.
+//! Watches on threads of a run. The watch on the thread of a task detects a task that does not return from its turn, and
+//! a generator that does not return from a step. The watch on the servo thread detects that no cycle is completed.
 
 use std::io;
 use std::sync::Arc;
@@ -8,10 +8,12 @@ use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::thread::Builder;
 use std::time::Duration;
 
+use can::Instant;
 use controller::executor::{SystemError, Turns, Work};
 use thiserror::Error;
 
 use super::{NEWS, crew};
+use crate::cell::Cell;
 
 /// Time between two looks at a task.
 pub(super) const LOOK: Duration = Duration::from_millis(100);
@@ -78,6 +80,67 @@ impl Watch {
             }
         }
         Ok(())
+    }
+}
+
+/// Time without a servo cycle after which the thread is taken for hung, beyond the missed deadlines that the servo
+/// tolerates. Each guardian permits at most this silence.
+const SERVO_SILENCE: Duration = Duration::from_secs(1);
+
+/// The same for a cell with emulated drives, whose time stands still while the thread does not run. One step of a world
+/// may be long.
+const EMULATED_SILENCE: Duration = Duration::from_secs(10);
+
+/// Time without a servo cycle after which the servo thread of `cell` is taken for hung.
+pub fn hang_limit(cell: &Cell, emulated: bool) -> Duration {
+    let least = if emulated { EMULATED_SILENCE } else { SERVO_SILENCE };
+    least + cell.period().saturating_mul(cell.max_missed_in_row)
+}
+
+/// Watch on a servo thread, by looks of another thread.
+///
+/// A suspension of the process or of the machine stops both threads, and the servo itself reports the missed deadlines.
+/// The time between two looks therefore counts as at most [`LOOK`].
+#[derive(Debug)]
+pub(super) struct ServoWatch {
+    limit: Duration,
+    /// Time of the last look.
+    looked: Instant,
+    cycles: u64,
+    /// Time for which the number of cycles has stood still while the watching thread ran.
+    silent: Duration,
+}
+
+impl ServoWatch {
+    /// A watch from `now` on.
+    pub(super) fn of(limit: Duration, now: Instant) -> Self {
+        Self { limit, looked: now, cycles: 0, silent: Duration::ZERO }
+    }
+
+    /// Looks at the number of ended cycles at `now`. Fails if the number has stood still for the limit.
+    pub(super) fn look(&mut self, cycles: u64, now: Instant) -> Result<(), ServoHang> {
+        let ran = now.since(self.looked).min(LOOK);
+        self.looked = now;
+        self.silent = if cycles == self.cycles { self.silent + ran } else { Duration::ZERO };
+        self.cycles = cycles;
+        if self.silent < self.limit { Ok(()) } else { Err(ServoHang { silent: self.silent, cycles }) }
+    }
+}
+
+/// A servo thread that hangs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error("thread servo hangs (no servo cycle for {silent:.1?})")]
+pub struct ServoHang {
+    /// Time without a servo cycle.
+    pub silent: Duration,
+    /// Number of ended cycles.
+    pub cycles: u64,
+}
+
+impl ServoHang {
+    /// What to check next.
+    pub fn remedy(&self) -> &'static str {
+        "check adapters and cycle laws"
     }
 }
 
@@ -169,6 +232,57 @@ pub(super) fn watched<T: Send + 'static, N: Send + 'static>(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const LIMIT: Duration = Duration::from_millis(1_018);
+
+    const fn ms(milliseconds: u64) -> Duration {
+        Duration::from_millis(milliseconds)
+    }
+
+    /// Looks after these times, ms, with these numbers of cycles. Returns the result of the last look, and asserts that
+    /// the looks before find no hang.
+    fn looks(looks: impl IntoIterator<Item = (u64, u64)>) -> Result<(), ServoHang> {
+        let mut now = Instant::ZERO;
+        let mut watch = ServoWatch::of(LIMIT, now);
+        let mut found = Ok(());
+        for (wait, cycles) in looks {
+            assert_eq!(found, Ok(()), "{now:?}");
+            now += ms(wait);
+            found = watch.look(cycles, now);
+        }
+        found
+    }
+
+    #[test]
+    fn a_servo_thread_without_a_cycle_is_reported_after_the_limit() {
+        let silent = |wait, count| std::iter::repeat_n((wait, 7), count);
+        let hang = |silent| Err(ServoHang { silent: ms(silent), cycles: 7 });
+        assert_eq!(looks([(100, 7)].into_iter().chain(silent(100, 10))), Ok(()));
+        assert_eq!(looks([(100, 7)].into_iter().chain(silent(100, 11))), hang(1_100));
+        assert_eq!(looks([(100, 7)].into_iter().chain(silent(1, 1_018))), hang(1_018));
+        // Before the first cycle.
+        assert_eq!(looks(std::iter::repeat_n((100, 0), 11)), Err(ServoHang { silent: ms(1_100), cycles: 0 }));
+        let once = silent(100, 10).chain([(100, 8)]).chain(std::iter::repeat_n((100, 8), 10));
+        assert_eq!(looks([(100, 7)].into_iter().chain(once)), Ok(()), "one cycle begins the time anew");
+    }
+
+    #[test]
+    fn a_pause_of_both_threads_is_no_hang_of_the_servo_thread() {
+        let paused = |pauses| std::iter::repeat_n((5_000, 7), pauses);
+        assert_eq!(looks([(100, 7)].into_iter().chain(paused(10))), Ok(()));
+        // Cycles that go on after each pause.
+        assert_eq!(looks((0..100).map(|number| (60_000, number))), Ok(()));
+        assert_eq!(looks([(100, 7)].into_iter().chain(paused(11))), Err(ServoHang { silent: ms(1_100), cycles: 7 }));
+    }
+
+    #[test]
+    fn the_limit_is_beyond_what_the_servo_tolerates_and_what_a_guardian_permits() {
+        let file = crate::tasks::tests::two_arms();
+        let tolerated = file.cell.period() * file.cell.max_missed_in_row;
+        assert_eq!(hang_limit(&file.cell, false), ms(1_000) + tolerated);
+        assert_eq!(hang_limit(&file.cell, true), ms(10_000) + tolerated);
+        assert!(ms(crate::guardian::LONGEST_SILENCE_MS as u64) <= SERVO_SILENCE);
+    }
 
     #[test]
     fn a_controller_that_does_not_come_round_is_reported_after_its_looks() {

@@ -31,6 +31,7 @@ use mrroc::bench::{Bench, BenchKind, Places};
 use mrroc::cell::CellFile;
 use mrroc::guardian::{Guardian, Pulse};
 use mrroc::outputs::{Measured, Outputs, Replacement};
+use mrroc::run::{Turning, hang_limit};
 use mrroc::signals::Motion;
 use mrroc::{setup, signals};
 use session::Session;
@@ -381,19 +382,21 @@ fn by_the_clock(
     let sent = move || pulse.iter_mut().for_each(Pulse::beat);
     let running = clockwork::start(servo, emulation, since, realtime, Arc::default(), sent, until);
     let running = running.map_err(|error| Unmeasured::Refused(error.into()))?;
-    let turning = mrroc::run::Turning::of(running, done);
+    let limit = hang_limit(&file.cell, since.is_some());
+    let mut turning = Turning::of(running, done, stop.clone(), limit);
     let mut guarded = None;
-    while !session.is_over() && !turning.is_finished() && guarded.is_none() {
+    while !session.is_over() && !turning.is_over() && guarded.is_none() {
         session.poll();
         guarded = guardian.as_mut().and_then(|guardian| guardian.look(&stop));
         clock::sleep_until(clock::now() + POLL);
     }
     let ended = turning.end();
-    if let Some(guardian) = &mut guardian
+    if let (Some(guardian), Ok(ended)) = (&mut guardian, &ended)
         && ended.servo.is_off()
     {
         guardian.all_off();
     }
+    let ended = ended.map_err(|hang| Unmeasured::Stopped(format!("{hang}: {}", hang.remedy())))?;
     if let Some(fault) = guardian.and_then(|guardian| guardian.fault()) {
         return Err(Unmeasured::Stopped(fault.to_string()));
     }
