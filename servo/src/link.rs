@@ -252,6 +252,10 @@ pub enum StopCause {
     /// More deadlines in a row were missed than the cell permits.
     #[error("{missed} cycles in a row missed their deadline")]
     Overrun { missed: u32 },
+    /// More than a quarter of the deadlines were missed, among the last 1000 or 16 times the number that the cell permits in
+    /// a row.
+    #[error("{missed} of {deadlines} cycles missed their deadlines")]
+    Overloaded { missed: u32, deadlines: u32 },
 }
 
 impl StopCause {
@@ -285,7 +289,8 @@ impl StopCause {
             | Self::HomingFailed
             | Self::NoReference(_)
             | Self::EmergencyStop { .. }
-            | Self::Overrun { .. } => StopCategory::One,
+            | Self::Overrun { .. }
+            | Self::Overloaded { .. } => StopCategory::One,
         }
     }
 

@@ -146,6 +146,27 @@ fn a_reset_brings_back_a_drive_that_carries_the_contact_of_the_emergency_stop() 
 }
 
 #[test]
+fn an_emergency_stop_that_is_pressed_and_released_during_a_reset_ends_the_reset() {
+    let emergency = EmergencyStop { node: 40, input: 5, known: true };
+    let mut rig = Rig::standing(2);
+    rig.world().axes[1].stubborn = true;
+    rig.world().axes[1].state.fault = Some(FAULT);
+    rig.run_until(Phase::Faulted);
+    rig.order(Order::ResetFault);
+    rig.world().axes[1].state.recovering = true;
+    rig.order(Order::Enable);
+    rig.run(50);
+    rig.world().emergency = Some(emergency);
+    rig.run(1);
+    rig.world().emergency = None;
+    rig.world().axes[1].state.recovering = false;
+    rig.world().axes[1].stubborn = false;
+    rig.run(200);
+    assert_eq!((rig.phase(), rig.last_sent()), (Phase::Faulted, vec![AxisCommand::Off; 2]));
+    assert_eq!(rig.cause(), Some(StopCause::EmergencyStop { group: 0, contact: emergency }));
+}
+
+#[test]
 fn enabling_starts_from_where_the_motor_is() {
     let mut rig = Rig::new(1);
     rig.world().axes[0].state.position = 3.25;
