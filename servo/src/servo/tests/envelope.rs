@@ -1,6 +1,7 @@
 //! Categories of stops, and motors that leave the envelope of a stop.
 
-use drive::EmergencyStop;
+use drive::axis_controller::AxisControllerFault;
+use drive::{EmergencyStop, Fault};
 
 use super::*;
 use crate::{After, ServoState, StopCategory};
@@ -125,12 +126,16 @@ fn each_state_after_a_stop_has_its_category() {
         assert_eq!(u8::from(after.category()), number, "{after:?}");
     }
     assert!(StopCategory::Zero > StopCategory::One && StopCategory::One > StopCategory::Two);
+    let of_controller = |fault| StopCause::Drive(Fault::AxisController { line: 0, fault });
     let causes = [
         (StopCause::Partner { effector: 1 }, StopCategory::Two),
         (StopCause::Touched, StopCategory::Two),
         (StopCause::Runaway { velocity: 1.0, limit: 0.5 }, StopCategory::Zero),
         (StopCause::Overrun { missed: 4 }, StopCategory::One),
         (StopCause::Drive(FAULT), StopCategory::One),
+        (of_controller(AxisControllerFault::Frozen { cycles: 7 }), StopCategory::Zero),
+        (of_controller(AxisControllerFault::Cabinet { line: 1 }), StopCategory::Zero),
+        (of_controller(AxisControllerFault::Overcurrent), StopCategory::One),
     ];
     for (cause, expected) in causes {
         assert_eq!(cause.category(), expected, "{cause}");
