@@ -203,6 +203,12 @@ fn error_percent(value: f64, [low, high]: [f64; 2]) -> f64 {
     (value - near).abs() * if near == 0.0 { 1.0 } else { 100.0 / near }
 }
 
+/// The greatest of the errors; NaN if an error is NaN or if there is no error.
+pub(crate) fn worst(errors: &[f64]) -> f64 {
+    let greater = |worst: f64, error: f64| if error.is_nan() || error > worst { error } else { worst };
+    errors.iter().copied().reduce(greater).unwrap_or(f64::NAN)
+}
+
 /// The stiffness at which the growth becomes positive, by linear interpolation; NaN if it does not.
 fn limit(growths: &[(f64, f64)]) -> f64 {
     let crossing = growths.windows(2).find(|pair| pair[0].1 <= 0.0 && pair[1].1 > 0.0);
@@ -220,7 +226,7 @@ pub(crate) async fn table(cell: &mut Cell) -> Outcome {
     bench.irb6.home().await?;
     bench.irb6.sense(bench.wrist.sensor(), Shell::NonInteractive, 1)?;
     let period = cell.file().cell.period().as_secs_f64();
-    let mut worst = 0.0_f64;
+    let mut errors = [f64::NAN; TABLE.len()];
     for &block in &blocks.rows {
         let stiffness = bench.go_above(block).await?;
         let forces = [2.0, 12.0];
@@ -232,13 +238,14 @@ pub(crate) async fn table(cell: &mut Cell) -> Outcome {
         cell.figure(&format!("overshoot_percent_{stiffness}"), overshoot);
         cell.figure(&format!("settling_s_{stiffness}"), settling);
         cell.figure(&format!("steady_error_percent_{stiffness}"), steady);
-        let Some((_, overshoots, settlings)) = TABLE.iter().find(|row| row.0 == stiffness) else {
+        let Some(row) = TABLE.iter().position(|row| row.0 == stiffness) else {
             return Err(TaskError::Refused(mrroc::Error::msg(format!("the table has no row of {stiffness} N/m"))));
         };
-        worst =
-            worst.max(error_percent(overshoot, *overshoots)).max(error_percent(settling, *settlings)).max(steady.abs());
+        let (_, overshoots, settlings) = TABLE[row];
+        errors[row] = worst(&[error_percent(overshoot, overshoots), error_percent(settling, settlings), steady.abs()]);
     }
-    cell.figure("worst_row_error_percent", worst);
+    // A row without a measurement is an error of NaN.
+    cell.figure("worst_row_error_percent", worst(&errors));
     let forces = [12.0, 16.0];
     let (mut in_cycle, mut in_macrosteps) = (Vec::new(), Vec::new());
     for &block in &blocks.in_cycle {

@@ -8,7 +8,7 @@
 use std::time::Duration;
 
 use can::{Instant, clock};
-use drive::ultrasonic::RehearsedUltrasonic;
+use drive::ultrasonic::{RehearsedUltrasonic, ScanKind};
 use hdrhistogram::Histogram;
 use mrroc_controller::robot::Pose;
 use mrroc_controller::sensor::{BoxLocator, MatrixConfig};
@@ -23,6 +23,7 @@ fn main() {
     let readings = std::env::var("MRROC_STEPS").ok().and_then(|count| count.parse().ok()).unwrap_or(2_000_u32);
     let config = MatrixConfig {
         size: 12,
+        scan: ScanKind::Rows,
         pitch: PITCH,
         half_cone: 8.0_f64.to_radians(),
         speed_of_sound: 343.0,

@@ -96,6 +96,7 @@ use probe::Touch;
 pub use probe::{BodyProbe, SensorConfig, SensorProbe, UnsolvedProbe, WrenchProbe};
 pub(crate) use separate::RobotOfScene;
 pub use surface::{Material, Shape};
+use view::SeenBodies;
 pub use view::{Hit, View};
 pub use workpiece::{HeightField, MOST_CELLS, WorkpieceConfig, WorkpieceProbe};
 
@@ -167,6 +168,7 @@ pub struct Scene {
     walls: Vec<Wall>,
     bodies: Vec<Body>,
     probes: Vec<(usize, BodyProbe)>,
+    seen: Option<SeenBodies>,
     arms: Vec<Arm>,
     corners: Vec<CornersOn>,
     tips: Vec<TipOn>,
@@ -238,6 +240,7 @@ impl Scene {
             walls: Vec::new(),
             bodies: Vec::new(),
             probes: Vec::new(),
+            seen: None,
             arms: Vec::new(),
             corners: Vec::new(),
             tips: Vec::new(),
@@ -298,6 +301,7 @@ impl Scene {
             self.corners.push(CornersOn::new(other, Ground::Body(body)));
         }
         self.meet_tips(Ground::Body(body));
+        self.show_to_views(BodyId(body));
         Ok(BodyId(body))
     }
 

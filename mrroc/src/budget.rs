@@ -10,7 +10,7 @@ use drive::bus::{Traffic, traffic};
 use drive::cia402::AxisConfig;
 use drive::wrench::WrenchNodeConfig;
 use serde::Serialize;
-use serial::{ati, ultrasonic::Request};
+use serial::ati;
 
 use crate::bench::{emulation, traffic::further};
 use crate::cell::{CellFile, ForceSensor, Path, Protocol, Ultrasonic};
@@ -246,19 +246,21 @@ fn of_sensor(period: Duration, sensor: &ForceSensor) -> BusBudget {
     }
 }
 
-/// The line of an ultrasonic matrix carries one query and one reply per row. Both may take longer than a period.
+/// The line of an ultrasonic matrix carries one query and one reply per row, or per pair of elements. Both may take
+/// longer than a period.
 fn of_matrix(period: Duration, matrix: &Ultrasonic) -> BusBudget {
-    let (config, query) = (matrix.config(period), Request::Row(0));
+    let config = matrix.config(period);
+    let query = config.query(0);
     let (request, reply) = (query.encode().1, query.reply_length(matrix.size));
-    let row = config.scan_time() / u32::from(matrix.size);
+    let exchange = config.scan_time() / config.queries() as u32;
     let message = |what, bytes: usize| MessageBudget {
         what,
         cob_id: None,
         bytes: bytes as u8,
-        period_us: row.as_micros(),
+        period_us: exchange.as_micros(),
         response_us: None,
     };
-    let share = 100.0 * config.settings.line_time(reply).as_secs_f64() / row.as_secs_f64();
+    let share = 100.0 * config.settings.line_time(reply).as_secs_f64() / exchange.as_secs_f64();
     BusBudget {
         name: matrix.name.clone(),
         load_percent: share,

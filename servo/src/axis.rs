@@ -61,6 +61,8 @@ pub(crate) struct ServoAxis {
     progress: Progress,
     /// The axis is off while the others brake, because its measured position does not change.
     pub(crate) cut: bool,
+    /// The counter may have lost counts, and the drive was not told yet.
+    pub(crate) doubted: bool,
     host: Option<Loop>,
     /// Position of the motor in the last cycle with power, rad, if the motor was at a standstill. Otherwise the
     /// position at the first standstill without power.
@@ -91,6 +93,7 @@ impl ServoAxis {
             change: Change::default(),
             progress: Progress::default(),
             cut: false,
+            doubted: false,
             host: match config.position_loop {
                 PositionLoop::Drive => None,
                 PositionLoop::Host(host) => Some(Loop::new(host, config.increments_per_radian, delay)),

@@ -161,6 +161,15 @@ mod tests {
     }
 
     #[test]
+    fn a_motor_is_ahead_in_the_direction_of_its_stop_or_in_both_if_it_was_at_rest() {
+        let braking =
+            |velocity| Braking { from: Knot::new(0.0, velocity), max_acceleration: 10.0, room: f64::INFINITY };
+        let stop = StraightStop::new([2.0, -2.0, 0.0].map(braking), DT);
+        let ahead = |beyond| [0, 1, 2].map(|axis| stop.ahead(axis, beyond));
+        assert_eq!((ahead(0.5), ahead(-0.5)), ([0.5, -0.5, 0.5], [-0.5, 0.5, 0.5]));
+    }
+
+    #[test]
     fn a_stop_at_rest_is_over_at_once() {
         let knot = Knot::at_rest(1.0);
         let mut stop = StraightStop::new([Braking { from: knot, max_acceleration: 10.0, room: 0.0 }], DT);

@@ -40,6 +40,8 @@ pub(crate) struct Tick {
     pub(crate) effectors: u32,
     /// Deadlines missed in a row, if they exceed the limit.
     pub(crate) overrun: Option<u32>,
+    /// The cause of a stop by too great a share of missed deadlines.
+    pub(crate) overload: Option<StopCause>,
     /// The cause of a stop by an input of the emergency stop.
     pub(crate) emergency: Option<StopCause>,
     /// Advance of the motion time.
@@ -172,6 +174,15 @@ impl Effector {
         for axis in &mut self.axes {
             axis.observe(state(axis.config.group, axis.config.index_in_group), tick.periods, tick.dt);
         }
+    }
+
+    /// Axes whose counters may have lost counts since the last call, by group and index within the group.
+    pub(crate) fn take_doubted(&mut self) -> impl Iterator<Item = (usize, usize)> {
+        let doubted = self.axes.iter_mut().filter(|axis| axis.doubted);
+        doubted.map(|axis| {
+            axis.doubted = false;
+            (axis.config.group, axis.config.index_in_group)
+        })
     }
 
     pub(crate) fn commands(&self) -> impl Iterator<Item = (usize, usize, AxisCommand)> {

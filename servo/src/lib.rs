@@ -31,6 +31,7 @@ mod limit;
 mod link;
 pub mod lockstep;
 mod motion_time;
+mod overload;
 mod progress;
 mod recorder;
 pub mod regulator;

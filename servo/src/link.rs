@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use drive::EmergencyStop;
+use drive::{EmergencyStop, Fault};
 use thiserror::Error;
 
 use crate::{HomingFailure, Latest, LawFault, LawParameters, Snapshot, StopCategory};
@@ -155,7 +155,7 @@ impl ServoFault {
 pub enum StopCause {
     /// A fault of the drive.
     #[error("{0}")]
-    Drive(drive::Fault),
+    Drive(Fault),
     /// The following error, commanded minus measured position, exceeds the limit of the cell.
     #[error("following error {error:.4} rad exceeds {limit:.4} rad")]
     FollowingError { error: f64, limit: f64 },
@@ -252,13 +252,20 @@ pub enum StopCause {
     /// More deadlines in a row were missed than the cell permits.
     #[error("{missed} cycles in a row missed their deadline")]
     Overrun { missed: u32 },
+    /// More than a quarter of the deadlines were missed, among the last 1000 or 16 times the number that the cell permits in
+    /// a row.
+    #[error("{missed} of {deadlines} cycles missed their deadlines")]
+    Overloaded { missed: u32, deadlines: u32 },
 }
 
 impl StopCause {
     /// Category of the stop. [`FollowingError`](Self::FollowingError) of a loop that the servo closes has category 0
     /// instead, because such a loop cannot brake. A stop that [leaves its envelope](crate::ServoState) becomes stricter.
+    /// A fault of an axis controller that opens the emergency-stop circuit of its cabinet has category 0: the drives open
+    /// their power stages by themselves.
     pub fn category(&self) -> StopCategory {
         match self {
+            Self::Drive(Fault::AxisController { fault, .. }) if fault.opens_cabinet() => StopCategory::Zero,
             Self::Partner { .. } | Self::Touched | Self::BrakeSlips { .. } => StopCategory::Two,
             Self::Runaway { .. } => StopCategory::Zero,
             Self::Drive(_)
@@ -285,7 +292,8 @@ impl StopCause {
             | Self::HomingFailed
             | Self::NoReference(_)
             | Self::EmergencyStop { .. }
-            | Self::Overrun { .. } => StopCategory::One,
+            | Self::Overrun { .. }
+            | Self::Overloaded { .. } => StopCategory::One,
         }
     }
 

@@ -34,7 +34,7 @@ impl StopCause {
             Self::HomingFailed => "check home switch, index and homing parameters",
             Self::NoReference(failure) => return failure.remedy(),
             Self::EmergencyStop { .. } => "release the emergency stop, then reset",
-            Self::Overrun { .. } => "check the host with `mrroc doctor`",
+            Self::Overrun { .. } | Self::Overloaded { .. } => "check the host with `mrroc doctor`",
         })
     }
 }

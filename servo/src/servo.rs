@@ -11,6 +11,7 @@ use crate::axis::ServoAxis;
 use crate::effector::{Effector, Tick};
 use crate::journal::{Journal, JournalEvent, JournalReader};
 use crate::motion_time::{Bounds, MotionTime, SpeedOverride};
+use crate::overload::OverloadWatch;
 use crate::{
     Counters, CycleLaw, EffectorLink, Excitation, ExcitationError, LawBound, LawError, Record, ServoConfig, ServoError,
     ServoFault, ServoState, StopCause, TrackingError,
@@ -58,6 +59,7 @@ pub struct Servo {
     missed: u32,
     missed_in_row: u32,
     missed_ever: u64,
+    overload: OverloadWatch,
 }
 
 struct Group {
@@ -136,6 +138,7 @@ impl Servo {
             missed: 0,
             missed_in_row: 0,
             missed_ever: 0,
+            overload: OverloadWatch::new(config.max_missed_in_row),
         };
         Ok((servo, links))
     }
@@ -210,6 +213,9 @@ impl Servo {
         team::coordinate(&mut self.effectors, &tick);
         for effector in &mut self.effectors {
             effector.end_cycle(&tick);
+            for (group, index) in effector.take_doubted() {
+                self.groups[group].drives.doubt_reference(index);
+            }
             for (group, index, command) in effector.commands() {
                 self.groups[group].commands[index] = command;
             }
@@ -270,7 +276,8 @@ impl Servo {
     ///
     /// Misses before successive cycles count as one row, which a punctual cycle ends. A row longer than
     /// [`ServoConfig::max_missed_in_row`] is a fault of every effector. The drives have then stood at their last
-    /// set-points, where the stop starts.
+    /// set-points, where the stop starts. A quarter of missed deadlines, in rows of any length, is a fault too: see
+    /// [`StopCause::Overloaded`].
     pub fn missed(&mut self, count: u32) {
         self.missed = self.missed.saturating_add(count);
     }
@@ -286,6 +293,7 @@ impl Servo {
         self.missed_ever += u64::from(missed);
         let row = if missed == 0 { 0 } else { self.missed_in_row.saturating_add(missed) };
         self.missed_in_row = row;
+        let overload = self.overload.count(missed);
         let number = self.cycles;
         self.cycles += 1;
         let dt = self.period.as_secs_f64();
@@ -306,14 +314,17 @@ impl Servo {
             stop,
             effectors: !u32::MAX.checked_shl(effectors.len() as u32).unwrap_or(0),
             overrun: (row > self.max_missed_in_row).then_some(row),
+            overload: overload.map(|(missed, deadlines)| StopCause::Overloaded { missed, deadlines }),
             emergency: self.emergency_stop(),
         }
     }
 
-    /// The first open or unknown contact of the emergency stop.
+    /// The first open contact of the emergency stop; otherwise the first that is not known.
     fn emergency_stop(&self) -> Option<StopCause> {
-        let mut groups = (0..).zip(&self.groups);
-        groups.find_map(|(group, it)| Some(StopCause::EmergencyStop { group, contact: it.drives.emergency_stop()? }))
+        let groups = (0..).zip(&self.groups);
+        let contacts = groups.filter_map(|(group, it)| Some((group, it.drives.emergency_stop()?)));
+        let (group, contact) = contacts.min_by_key(|(_, contact)| !contact.known)?;
+        Some(StopCause::EmergencyStop { group, contact })
     }
 
     /// Switches off the power of every axis without braking first (category 0).
@@ -417,6 +428,11 @@ impl Servo {
         })
     }
 
+    /// Whether the motors of an effector hold it because a brake does not.
+    pub(crate) fn holds_for_brake(&self) -> bool {
+        self.effectors.iter().any(Effector::holds_for_brake)
+    }
+
     /// Longest duration of a stop of any effector: first its set-points, then its drives.
     pub fn longest_stop(&self) -> Duration {
         self.effectors.iter().map(Effector::longest_stop).max().unwrap_or_default().saturating_mul(2)
@@ -467,4 +483,4 @@ impl Servo {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

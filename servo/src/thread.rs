@@ -28,7 +28,8 @@
 //! until every effector has braked and has no power, or until the longest time for stopping has passed. A panic of
 //! `between` or `until` ends the run in the same way (category 1), and neither is called again. A panic of a cycle also
 //! ends the run in this way. If another cycle panics during the stop, the thread switches the power off at once
-//! (category 0). [`Finished::panicked`] reports the panic, and the panic hook receives its message. If the process dies,
+//! (category 0). The thread also does so if the effectors have not braked within the longest time, because deadlines
+//! were missed. [`Finished::panicked`] reports the panic, and the panic hook receives its message. If the process dies,
 //! drives stop only by their own reaction to silence. For a drive without such a reaction, another process must stop the
 //! drive.
 //!
@@ -336,7 +337,7 @@ impl Run {
             });
         }
         self.wind_down(between);
-        if self.panicked == Some(Panicked::TwoCycles) {
+        if self.panicked == Some(Panicked::TwoCycles) || !(self.servo.is_off() || self.servo.holds_for_brake()) {
             self.cut_power();
         }
         self.timing.account = self.account.reads;

@@ -20,8 +20,8 @@ use drive::bus::CanBus;
 use drive::{DriveGroup, Scale};
 use hil::plant::Switch;
 use hil::{
-    AxisController, AxisControllerConfig, BusId, Cabinet, Device, DeviceId, Epos4, Epos4Config, Irp6Axis, LineDevice,
-    LineFaults, LineId, Mechanism, World,
+    AxisController, AxisControllerConfig, BusId, Cabinet, Device, DriveId, Epos4, Epos4Config, Irp6Axis, LineDevice,
+    LineFaults, Mechanism, World,
 };
 use servo::{EffectorConfig, EffectorLink, Order, Phase, Record, Servo, ServoConfig, ServoFault};
 
@@ -253,13 +253,6 @@ impl Setup {
 /// A drive group, its drives, their cables, and the cell.
 type Made = (Box<dyn DriveGroup>, Vec<DriveId>, Vec<Arc<AtomicBool>>, Cell);
 
-/// Address of a drive.
-#[derive(Clone, Copy)]
-enum DriveId {
-    Node(DeviceId),
-    Line(LineId),
-}
-
 /// A drive on a cable that can be unplugged.
 struct Socket {
     drive: Epos4,
@@ -284,6 +277,9 @@ impl Device for Socket {
     fn handle_timeout(&mut self, now: Instant) {
         self.drive.handle_timeout(now);
     }
+    fn plant_mut(&mut self) -> Option<&mut hil::PlantAxis> {
+        self.drive.plant_mut()
+    }
 }
 
 /// A robot after bring-up. Axes are numbered among the existing ones.
@@ -304,7 +300,7 @@ pub(crate) struct Rig {
     pub(crate) after_cycle: Box<dyn FnMut(&Record)>,
     pub(crate) world: World,
     records: rtrb::Consumer<Record>,
-    drives: Vec<DriveId>,
+    pub(crate) drives: Vec<DriveId>,
     /// Cables of drives on a CAN bus.
     plugs: Vec<Arc<AtomicBool>>,
     arm: Arm,
@@ -372,6 +368,11 @@ impl Rig {
     /// Phase that the servo reports.
     pub(crate) fn phase(&self) -> Phase {
         self.servo.state(0).expect("there is one effector").phase()
+    }
+
+    /// Whether every axis has its reference.
+    pub(crate) fn is_homed(&self) -> bool {
+        self.link.as_ref().expect("no program runs").latest.read().homed
     }
 
     /// The true angle of a motor, rad.

@@ -11,7 +11,7 @@ use can::{Frame, Instant, StandardId};
 use canopen::cia402::ModeOfOperation;
 use canopen::emcy::Emergency;
 use drive::Fault;
-use hil::{Device, PlantConfig};
+use hil::{Device, PlantConfig, PlantFault, WorldFault};
 use servo::{MAX_AXES, Macrostep, Order, Phase, StopCause};
 
 use crate::cell::{Rig, Setup, traced};
@@ -385,4 +385,25 @@ fn a_stop_request_brakes_within_the_limits_and_switches_off() {
     let count = TAU / 4000.0;
     let measured = rig.last.axis[0].measured;
     assert!((measured - rig.angle(0)).abs() <= 2.0 * count);
+}
+
+#[test]
+fn after_an_encoder_that_stood_still_in_motion_the_arm_must_be_homed_again() {
+    for cell in ["irb6", "irb6-serial"] {
+        let mut rig = Setup::of(cell).bring_up();
+        rig.home();
+        let mut motion = rig.in_motion();
+        let fault = WorldFault::Plant { drive: rig.drives[1], fault: PlantFault::EncoderFrozen };
+        let in_effect = rig.world.begin_fault(&fault, rig.now);
+        let found = rig.fault_within(Motion::LONGEST, &mut motion, 10.0 * BRAKING);
+        assert_eq!(found.axis, Some(1), "{cell}: {found}");
+        rig.world.end_fault(&in_effect, rig.now);
+        rig.order(Order::ResetFault);
+        rig.cycle();
+        rig.until(Motion::LONGEST, "reset", |rig| rig.phase() == Phase::Off && rig.servo.fault(0).is_none());
+        rig.stand_by(Order::Enable);
+        assert!(!rig.is_homed(), "{cell}, after {found}");
+        rig.stand_by(Order::Home);
+        assert!(rig.is_homed(), "{cell}");
+    }
 }

@@ -37,10 +37,21 @@ fn steps_of_the_force_have_the_overshoot_settling_and_stability_of_the_force_tab
     completed(&report);
     let figures = &report.figures;
     println!("{figures:#?}");
+    assert_eq!(figures.keys().filter(|name| name.starts_with("overshoot_percent_")).count(), 4, "{figures:?}");
     assert!(figures["worst_row_error_percent"] <= 5.0, "{figures:?}");
     assert!((31.5..=38.5).contains(&figures["stability_limit_kn_per_m"]), "{figures:?}");
     // The same law once per macrostep is stable only against softer blocks.
     assert!(figures["macrostep_stability_limit_kn_per_m"] < 15.0, "{figures:?}");
+}
+
+#[test]
+fn worst_error_of_the_force_table_is_nan_if_an_error_is_nan_or_missing() {
+    for errors in [vec![], vec![f64::NAN], vec![f64::NAN, 1.0], vec![1.0, f64::NAN], vec![1.0, f64::NAN, 2.0]] {
+        assert!(force_table::worst(&errors).is_nan(), "{errors:?}");
+    }
+    for errors in [[1.0, 3.0, 2.0], [3.0, 2.0, 1.0], [0.0, 0.0, 3.0]] {
+        assert_eq!(force_table::worst(&errors), 3.0, "{errors:?}");
+    }
 }
 
 #[test]

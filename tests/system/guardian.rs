@@ -339,7 +339,7 @@ fn guarded(name: &str, silence: Option<u32>, tries: usize) {
 const LATEST: Duration = Duration::from_millis(50);
 
 /// Longest run-out of a motor whose power stage is open.
-pub(crate) const RUN_OUT: Duration = Duration::from_secs(1);
+pub(crate) const RUN_OUT: Duration = Duration::from_millis(500);
 
 #[test]
 fn drives_of_a_run_that_fails_in_motion_are_stopped() {

@@ -15,6 +15,7 @@ use controller::executor::DisturbedMessage;
 use nalgebra::Vector3;
 
 use crate::mrroc::Directory;
+use crate::steps::lines;
 
 #[path = "../../examples/hold_bar.rs"]
 #[expect(dead_code, reason = "the program of the example has a main of its own")]
@@ -60,16 +61,21 @@ fn cell(change: impl FnOnce(&mut Cell)) -> CellFile {
     CellFile::read(directory.cell("two-irb6-bar", change)).unwrap()
 }
 
+/// A run with its truth, and with its file of steps.
+struct Run {
+    report: RunReport,
+    truth: Vec<Truth>,
+    steps: String,
+}
+
 /// Runs a task in lockstep.
-fn run(
-    file: &CellFile,
-    task: impl AsyncFn(&mut tasks::Cell) -> Outcome + Send + Sync + 'static,
-) -> (RunReport, Vec<Truth>) {
+fn run(file: &CellFile, task: impl AsyncFn(&mut tasks::Cell) -> Outcome + Send + Sync + 'static) -> Run {
     let directory = Directory::new();
-    let path = directory.path("truth.csv");
-    let options = RunOptions { truth: Some(path.clone()), ..RunOptions::on(BenchKind::Lockstep) };
+    let [path, steps] = ["truth.csv", "steps.csv"].map(|name| directory.path(name));
+    let options =
+        RunOptions { truth: Some(path.clone()), steps: Some(steps.clone()), ..RunOptions::on(BenchKind::Lockstep) };
     let report = ::mrroc::run::run(file, &options, &Requests::default(), &Program::of(task), &mut |_| {}).unwrap();
-    (report, truth(&path))
+    Run { report, truth: truth(&path), steps: fs::read_to_string(steps).unwrap() }
 }
 
 fn course() -> ObjectPath {
@@ -87,7 +93,7 @@ fn rms_and_peak(values: impl Iterator<Item = f64>) -> [f64; 2] {
 
 #[test]
 fn a_bar_is_carried_within_the_bounds_of_path_and_internal_force() {
-    let (report, truth) = run(&cell(|_| ()), hold_bar::hold);
+    let Run { report, truth, .. } = run(&cell(|_| ()), hold_bar::hold);
     assert_eq!(report.outcome, RunOutcome::Completed, "{:?}", report.faults);
     let figure = |name: &str| report.figures[name];
     assert_eq!(figure("start_skew_cycles_max"), 0.0);
@@ -120,7 +126,7 @@ fn a_bar_is_carried_within_the_bounds_of_path_and_internal_force() {
 }
 
 /// Carries the bar along its course until a fault, with a message disturbed.
-fn faulted(message: Option<DisturbedMessage>, change: impl FnOnce(&mut Cell)) -> (RunReport, Vec<Truth>) {
+fn faulted(message: Option<DisturbedMessage>, change: impl FnOnce(&mut Cell)) -> Run {
     run(&cell(change), async move |cell: &mut tasks::Cell| {
         let mut arms = Arms::of(cell)?;
         let course = arms.path(&COURSE)?;
@@ -135,10 +141,26 @@ fn faulted(message: Option<DisturbedMessage>, change: impl FnOnce(&mut Cell)) ->
     })
 }
 
-/// Checks a stop from the greatest speed, 0.1 m/s: the bar stands within the bound, and the arms do not tear it. Returns the
-/// time at which the stop began, s.
+/// Longest reaction of the bar to a stop of the servo, s: two servo periods, and the emulated position loops with a
+/// set-point filter of 3 ms and a lag of 4 ms.
+const REACTION: f64 = 0.011;
+
+/// Longest stop of the bar from 0.1 m/s to 2 mm/s, s.
+///
+/// The columns are the fastest motors: 0.1 m/s at 0.7 m and a gear ratio of 158 are 22.6 rad/s. The limit of
+/// 1500 rad/s² brakes them in 15 ms. The bar of 4 kg then swings in two grips with 1e5 N/m and 300 N·s/m each. The
+/// velocity decays with a time constant of 2 · 4 kg / 600 N·s/m = 13.3 ms, and to a fiftieth in 52 ms. With the
+/// reaction, the sum is 78 ms.
+const LONGEST_STOP: f64 = 0.078;
+
+/// Longest displacement of the bar in a stop, m: 1.1 mm in the reaction, 0.75 mm while the motors brake, and an
+/// amplitude of 0.1 m/s / √(2e5 N/m / 4 kg) = 0.45 mm.
+const LONGEST_WAY: f64 = 2.3e-3;
+
+/// Checks a stop from the greatest speed, 0.1 m/s: the bar stands within the bounds, and the arms do not tear it.
+/// Returns the time at which the stop began, s.
 #[track_caller]
-fn check_stop(what: &str, (report, truth): &(RunReport, Vec<Truth>)) -> f64 {
+fn check_stop(what: &str, Run { report, truth, .. }: &Run) -> f64 {
     assert_eq!(report.outcome, RunOutcome::Faulted, "{what}");
     let peak = truth.iter().filter_map(|it| it.internal).map(|it| it.norm()).fold(0.0, f64::max);
     let speeds: Vec<_> = truth.windows(2).map(|two| (two[1].place - two[0].place).norm() / 2e-3).collect();
@@ -147,9 +169,7 @@ fn check_stop(what: &str, (report, truth): &(RunReport, Vec<Truth>)) -> f64 {
     let stop = truth[rest].at - truth[began].at;
     let way = (truth[rest].place - truth[began].place).norm();
     println!("{what}: stop of {:.0} ms and {:.2} mm, internal force up to {peak:.1} N", 1e3 * stop, 1e3 * way);
-    let causes: Vec<_> = report.faults.iter().map(ToString::to_string).collect();
-    println!("  {causes:?}");
-    assert!(stop < 0.1 && way < 5e-3, "{what}: {stop} s, {way} m");
+    assert!(stop < LONGEST_STOP && way < LONGEST_WAY, "{what}: {stop} s, {way} m");
     assert!(peak < 100.0, "{what}: {peak} N");
     assert!(truth.iter().rev().take(100).all(|it| it.internal.is_some()), "{what}: the bar was dropped");
     truth[began].at
@@ -158,17 +178,52 @@ fn check_stop(what: &str, (report, truth): &(RunReport, Vec<Truth>)) -> f64 {
 /// Macrostep in the first leg of the course at its greatest speed.
 const STEP: u64 = 40;
 
+/// Longest time from a disturbed message to the stop of the bar, s: a macrostep, the deadline of the exchange, which is
+/// one servo period, and the reaction.
+const DETECTION: f64 = 0.020 + 0.002 + REACTION;
+
 /// A message that arrives after the deadline of its step, while the arms brake.
 const LATE: Disturbance = Disturbance::Late(std::time::Duration::from_millis(30));
 
+/// Time at which a message of the last motion was sent, s.
+fn sent_at(steps: &str, message: &DisturbedMessage) -> f64 {
+    let (agent, event) = match (message.answer, message.member) {
+        (false, _) => ("coordinator", "exchange"),
+        (true, 0) => ("left", "answer-coordinator"),
+        (true, _) => ("right", "answer-coordinator"),
+    };
+    let of_message = lines(steps).filter(|it| (it.agent, it.event, it.macrostep) == (agent, event, message.step));
+    of_message.last().unwrap().time_s
+}
+
 #[test]
 fn a_lost_late_doubled_or_swapped_message_stops_both_arms_and_does_not_tear_the_bar() {
-    for disturbance in [Disturbance::Lost, LATE, Disturbance::Doubled, Disturbance::Swapped] {
-        let message = DisturbedMessage { member: 1, answer: true, step: STEP, disturbance };
-        check_stop(&format!("answer {disturbance:?}"), &faulted(Some(message), |_| ()));
+    let (answer, order) = ((1, true), (0, false));
+    let cases = [
+        (answer, Disturbance::Lost, "left: step 40: the order of step 41 did not come within 4ms"),
+        (answer, LATE, "left: step 40: the order of step 41 did not come within 4ms"),
+        (
+            answer,
+            Disturbance::Doubled,
+            "step 41, link to member 1: a message of step 40 came in place of that of step 41",
+        ),
+        (
+            answer,
+            Disturbance::Swapped,
+            "step 40, link to member 1: a message of step 41 came in place of that of step 40",
+        ),
+        (order, Disturbance::Lost, "left: step 39: the order of step 40 did not come within 4ms"),
+    ];
+    for ((member, answer), disturbance, cause) in cases {
+        let message = DisturbedMessage { member, answer, step: STEP, disturbance };
+        let what = format!("{} {disturbance:?}", if answer { "answer" } else { "order" });
+        let run = faulted(Some(message), |_| ());
+        let delay = check_stop(&what, &run) - sent_at(&run.steps, &message);
+        println!("  the stop began {:.1} ms after the message", 1e3 * delay);
+        assert!((0.0..DETECTION).contains(&delay), "{what}: {delay} s");
+        let causes: Vec<_> = run.report.faults.iter().map(ToString::to_string).collect();
+        assert!(causes.len() == 1 && causes[0].contains(cause), "{what}: {causes:?}");
     }
-    let order = DisturbedMessage { member: 0, answer: false, step: STEP, disturbance: Disturbance::Lost };
-    check_stop("order Lost", &faulted(Some(order), |_| ()));
 }
 
 /// Time in the first leg of the course at its greatest speed, s since the emulated devices were switched on.
@@ -180,7 +235,8 @@ fn a_wrist_that_falls_silent_stops_both_arms_and_does_not_tear_the_bar() {
     let began = check_stop("right wrist silent", &run);
     // Three missing samples are tolerated, and the macrostep that has begun ends.
     assert!((0.0..0.05).contains(&(began - DURING)), "{began} s");
-    assert!(run.0.faults.iter().any(|fault| fault.what.contains("force sensor")), "{:?}", run.0.faults);
+    let faults = &run.report.faults;
+    assert!(faults.iter().any(|fault| fault.what.contains("force sensor")), "{faults:?}");
 }
 
 #[test]

@@ -172,10 +172,12 @@ fn of_drives(file: &CellFile) -> Duration {
 fn dies(directory: &Directory, cell: &Path, wire: &Wire, emulator: &Emulator, tries: usize) {
     let file = CellFile::read(cell).expect("the cell");
     let rig = Rig { directory, file: &file, cell, wire, emulator };
+    // Cycles of motion before the failure: 0.6 to 2.7 s.
+    let rows = |number| (600 + 300 * (number % 8)) / file.cell.period().as_millis() as usize;
     for &failure in wire.failures {
         let mut worst = Figures::default();
         for number in 0..tries {
-            let figures = rig.figures(failure, 300 + 150 * (number % 8));
+            let figures = rig.figures(failure, rows(number));
             worst = worst.worst(figures);
             assert!(figures.standstill <= wire.silence + RUN_OUT, "{failure:?}: {figures}");
             let silent = !matches!(failure, Failure::Pause(time) if time < 2 * wire.silence);

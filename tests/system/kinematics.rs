@@ -325,9 +325,22 @@ type Drawn = (&'static str, [f64; 3], [f64; 3]);
 fn a_description_from_a_cell_has_its_scene_fixed_to_the_world() {
     let bar: &[Drawn] =
         &[("plane_0", [0.0, 0.0, 0.775], [4.0, 4.0, 0.01]), ("bar_0", [1.1, 0.0, 0.8], [0.9, 0.04, 0.04])];
-    let belt: &[Drawn] =
-        &[("conveyor_0", [0.5, 1.2, 0.45], [1.2, 0.3, 0.1]), ("object_0", [0.0, 1.2, 0.53], [0.08, 0.1, 0.06])];
-    for (name, robot, boxes) in [("two-irb6-bar", "right", bar), ("irb6-conveyor", "irb6", belt)] {
+    // The beams of the light gates are along y of the cell.
+    let belt: &[Drawn] = &[
+        ("conveyor_0", [0.5, 1.2, 0.45], [1.2, 0.3, 0.1]),
+        ("object_0", [0.0, 1.2, 0.53], [0.08, 0.1, 0.06]),
+        ("gate_0", [0.3, 1.2, 0.53], [0.4, 0.004, 0.004]),
+        ("gate_1", [0.7, 1.2, 0.53], [0.4, 0.004, 0.004]),
+    ];
+    let box_on_wall: &[Drawn] =
+        &[("plane_0", [0.0, 0.505, 0.0], [4.0, 4.0, 0.01]), ("block_0", [0.713, 0.475, 0.887], [0.08, 0.05, 0.06])];
+    let board: &[Drawn] = &[("workpiece_0", [0.67, 0.0, 0.7775], [0.08, 0.12, 0.005])];
+    for (name, robot, boxes) in [
+        ("two-irb6-bar", "right", bar),
+        ("irb6-conveyor", "irb6", belt),
+        ("irb6-sonar", "irb6", box_on_wall),
+        ("irb6-milling", "irb6", board),
+    ] {
         let path = crate::mrroc::example(name);
         let output = mrroc(["urdf", "--robot", robot, "--cell", path.to_str().unwrap()]);
         assert_eq!(output.status.code(), Some(0), "{output:?}");
@@ -345,13 +358,18 @@ fn a_description_from_a_cell_has_its_scene_fixed_to_the_world() {
         for (link, centre, size) in boxes {
             let joint = place(link);
             assert_eq!((joint.parent.link.as_str(), &joint.joint_type), ("world", &urdf_rs::JointType::Fixed));
-            let apart = joint.origin.xyz.0.iter().zip(centre).all(|(found, expected)| (found - expected).abs() < 1e-12);
-            assert!(apart, "{link}: {:?}", joint.origin.xyz);
+            let near = |found: [f64; 3], expected: &[f64; 3]| (0..3).all(|it| (found[it] - expected[it]).abs() < 1e-12);
+            assert!(near(joint.origin.xyz.0, centre), "{link}: {:?}", joint.origin.xyz);
+            if link.starts_with("gate") {
+                let [roll, pitch, yaw] = joint.origin.rpy.0;
+                let along = nalgebra::UnitQuaternion::from_euler_angles(roll, pitch, yaw) * nalgebra::Vector3::x();
+                assert!((along - nalgebra::Vector3::y()).norm() < 1e-12, "{link}: {along}");
+            }
             let drawn = &read.links.iter().find(|it| it.name == *link).unwrap().visual[0];
             let urdf_rs::Geometry::Box { size: found } = &drawn.geometry else {
                 panic!("{link}: {:?}", drawn.geometry);
             };
-            assert_eq!(found.0, *size, "{link}");
+            assert!(near(found.0, size), "{link}: {found:?}");
             assert!(drawn.material.as_ref().is_some_and(|material| material.color.is_some()), "{link}");
         }
     }

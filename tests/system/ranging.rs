@@ -2,8 +2,10 @@
 
 use ::mrroc::bench::BenchKind;
 use ::mrroc::cell::{Cell, CellFile};
-use ::mrroc::prelude::RunOutcome;
+use ::mrroc::prelude::{Outcome, RunOutcome};
 use ::mrroc::report::RunReport;
+use ::mrroc::tasks;
+use drive::ultrasonic::ScanKind;
 
 use crate::mrroc::{Directory, example};
 
@@ -62,6 +64,52 @@ fn silence_of_the_matrix_ends_the_task_by_its_fault() {
     let faults = faults(&report);
     assert!(faults.iter().any(|what| what.starts_with("ultrasonic matrix matrix: no reply to")), "{faults:?}");
     assert!(!faults.iter().any(|what| what.contains("still has power")), "{faults:?}");
+}
+
+/// The cell of the example with a matrix of 4 × 4 elements that scans all pairs, without noise and lost echoes.
+fn of_pairs(cell: &mut Cell) {
+    let matrix = &mut cell.ultrasonic[0];
+    (matrix.size, matrix.scan) = (4, ScanKind::Pairs);
+    (matrix.emulator.noise, matrix.emulator.lost_echoes) = (Some(0.0), 0.0);
+}
+
+/// Puts the echo times of pairs with element (0, 0), and their number, into the figures.
+async fn echoes(cell: &mut tasks::Cell) -> Outcome {
+    let scan = cell.ultrasonic("matrix")?.scan().await?;
+    let echoes = (0..16).flat_map(|from| (0..16).filter_map(move |to| Some(((from, to), scan.echo(from, to)?))));
+    let echoes: Vec<_> = echoes.collect();
+    cell.figure("echoes", echoes.len() as f64);
+    for ((from, to), time) in echoes.into_iter().filter(|((from, to), _)| *from == 0 || *to == 0) {
+        cell.figure(&format!("echo_s_{from}_{to}"), time.as_secs_f64());
+    }
+    Ok(())
+}
+
+#[test]
+fn scan_of_pairs_has_the_echo_of_each_pair_over_the_serial_line() {
+    let file = cell("irb6-sonar", |cell| {
+        of_pairs(cell);
+        // The wall alone reflects.
+        cell.scene.as_mut().unwrap().block[0].centre[0] = 5.0;
+    });
+    let report = ::mrroc::run(&file, BenchKind::Lockstep, echoes).unwrap();
+    assert_eq!(report.outcome, RunOutcome::Completed, "{:?}", report.faults);
+    // The wall is at 0.35 m. The point of reflection is in both cones: 0.35 m · tan 8° = 49 mm from each element.
+    assert_eq!(report.figures["echoes"], 256.0);
+    for to in 0..16_u8 {
+        let apart = 0.02 * f64::from(to / 4).hypot(f64::from(to % 4));
+        let expected = 2.0 * (apart / 2.0).hypot(0.35) / 343.0;
+        for name in [format!("echo_s_0_{to}"), format!("echo_s_{to}_0")] {
+            // The resolution is 1 µs. The echo of a neighbour is 0.8 µs later than the own echo.
+            assert!((report.figures[&name] - expected).abs() < 0.51e-6, "{name}: {:?}", report.figures);
+        }
+    }
+    let silent = cell("irb6-sonar", |cell| {
+        of_pairs(cell);
+        cell.ultrasonic[0].emulator.silent_from_s = Some(2.0);
+    });
+    let report = ::mrroc::run(&silent, BenchKind::Lockstep, echoes).unwrap();
+    assert!(faults(&report)[0].starts_with("ultrasonic matrix matrix: no reply to"), "{report:?}");
 }
 
 #[test]

@@ -40,6 +40,7 @@ pub(crate) fn run(program: &str, cell: &Path) -> (String, String, Value) {
 
 /// A line of a file of steps.
 pub(crate) struct Line<'a> {
+    pub(crate) time_s: f64,
     pub(crate) agent: &'a str,
     pub(crate) instruction: u64,
     pub(crate) generator: &'a str,
@@ -54,13 +55,14 @@ pub(crate) fn lines(steps: &str) -> impl Iterator<Item = Line<'_>> {
     steps.lines().skip(1).map(|line| {
         // The name of a generator is in quotes, and may have commas.
         let [before, generator, after] = line.splitn(3, '"').collect::<Vec<_>>()[..] else { panic!("{line}") };
-        let [_, agent, instruction, ""] = before.split(',').collect::<Vec<_>>()[..] else { panic!("{line}") };
+        let [time_s, agent, instruction, ""] = before.split(',').collect::<Vec<_>>()[..] else { panic!("{line}") };
         let ["", class, macrostep, event, _, memory] = after.split(',').collect::<Vec<_>>()[..] else {
             panic!("{line}")
         };
         let number = |text: &str| text.parse().unwrap();
         let (instruction, macrostep) = (number(instruction), number(macrostep));
-        Line { agent, instruction, generator, class: class.parse().unwrap(), macrostep, event, memory }
+        let (time_s, class) = (time_s.parse().unwrap(), class.parse().unwrap());
+        Line { time_s, agent, instruction, generator, class, macrostep, event, memory }
     })
 }
 

@@ -75,7 +75,8 @@ pub enum Disturbance {
     Lost,
     /// The message arrives twice.
     Doubled,
-    /// The message has the number of the next step.
+    /// The message has the number of the next step, as if both were exchanged. Orders and answers alternate: the next
+    /// message is sent only after the other end has taken this one. An exchange of two messages is therefore a loss.
     Swapped,
     /// The message arrives this much later.
     Late(Duration),

@@ -91,7 +91,10 @@ impl EcpError {
     pub fn class(&self) -> Class {
         match self {
             Self::Servo(ServoFault {
-                cause: StopCause::Overrun { .. } | StopCause::Drive(Fault::OtherController { .. }),
+                cause:
+                    StopCause::Overrun { .. }
+                    | StopCause::Overloaded { .. }
+                    | StopCause::Drive(Fault::OtherController { .. }),
                 ..
             }) => Class::System,
             Self::Servo(ServoFault {

@@ -12,7 +12,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use can::Instant;
-use drive::ultrasonic::{Scan, UltrasonicFault, UltrasonicLink};
+use drive::ultrasonic::{Scan, ScanKind, UltrasonicFault, UltrasonicLink};
 use nalgebra::{Point3, Vector3};
 use thiserror::Error;
 
@@ -86,6 +86,8 @@ pub enum EchoError {
 pub struct MatrixConfig {
     /// Elements per row and column, up to 16.
     pub size: u8,
+    /// The echoes of a scan.
+    pub scan: ScanKind,
     /// Distance between neighbouring elements, m.
     pub pitch: f64,
     /// Half the opening angle of the cone of an element, rad.
@@ -137,7 +139,7 @@ impl BoxReading {
     }
 }
 
-/// An ultrasonic matrix that finds a box. Reads scans by rows.
+/// An ultrasonic matrix that finds a box. Reads the echo that each element receives of its own emission.
 ///
 /// The box is at rest during the scans of a reading. The place is computed once per scan, while the agent is
 /// polled. The computation ends after 24 iterations at most, and after 12 while the box stays where it was
@@ -201,7 +203,11 @@ impl BoxLocator {
         let mut echoes = Echoes::default();
         for row in 0..size {
             for column in 0..size {
-                let times = self.past.iter().filter_map(|scan| scan.echo(row, column));
+                let (shot, number) = match self.config.scan {
+                    ScanKind::Rows => (row, column),
+                    ScanKind::Pairs => (row * size + column, row * size + column),
+                };
+                let times = self.past.iter().filter_map(|scan| scan.echo(shot, number));
                 echoes.add(self.position(row, column), times.map(|time| self.distance(time)), SPREAD);
             }
         }

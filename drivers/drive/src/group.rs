@@ -44,7 +44,11 @@ pub trait DriveGroup: Send {
     /// no set-point: a group that can attribute set-points to axes ignores such axes in the return value.
     fn send(&mut self, now: Instant) -> bool;
 
-    /// An input of the emergency stop that is open or not known at the last [`read`](Self::read).
+    /// Discards the reference of axis `axis`: its counter may have lost counts. The axis has no reference until the next
+    /// homing, even if its drive reports one. A group without references does nothing.
+    fn doubt_reference(&mut self, _axis: usize) {}
+
+    /// An input of the emergency stop that is open at the last [`read`](Self::read); otherwise one that is not known.
     fn emergency_stop(&self) -> Option<EmergencyStop> {
         None
     }

@@ -1,8 +1,10 @@
 //! View of sensors at a distance: rays and cones to the surfaces of a scene.
 
+use std::sync::{Arc, Mutex, PoisonError};
+
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 
-use super::{BodyProbe, Scene, Shape};
+use super::{BodyId, BodyProbe, Scene, Shape};
 
 /// Number of rays on the surface of a cone.
 const RAYS: usize = 64;
@@ -16,13 +18,31 @@ const STEEPEST: f64 = 30.0 * std::f64::consts::PI / 180.0;
 
 /// The walls and bodies of a scene, for the emulated sensors outside the scene. Clones see the same scene.
 ///
-/// Bodies are seen in their place at the last step of the scene. Tools and links of robots are not seen.
+/// Bodies are seen in their place at the last step of the scene. A body that is placed while the scene runs is seen
+/// from its first step on. Tools and links of robots are not seen.
 #[derive(Clone, Debug)]
 pub struct View {
     walls: Vec<(Shape, Isometry3<f64>)>,
     /// Whether each wall is a plane or a belt.
     grounds: Vec<bool>,
-    bodies: Vec<([f64; 3], BodyProbe)>,
+    /// The bodies; `None` in a view without a scene.
+    bodies: Option<SeenBodies>,
+}
+
+/// The bodies of a scene in the order of their numbers, for its views. Clones are the same list.
+#[derive(Clone, Debug, Default)]
+pub(super) struct SeenBodies(Arc<Mutex<Vec<(Shape, BodyProbe)>>>);
+
+impl SeenBodies {
+    fn push(&self, shape: Shape, probe: BodyProbe) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).push((shape, probe));
+    }
+
+    /// Calls `visit` with each body and its present place.
+    fn each(&self, mut visit: impl FnMut(&Shape, &Isometry3<f64>)) {
+        let bodies = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        bodies.iter().for_each(|(shape, probe)| visit(shape, &probe.state().pose));
+    }
 }
 
 /// The point at which a ray meets a surface.
@@ -37,15 +57,13 @@ pub struct Hit {
 }
 
 impl Scene {
-    /// A view of the present walls and bodies. Walls and bodies that are added later are not seen.
+    /// A view of the present walls, and of all bodies, including those that are added later. Walls that are added later
+    /// are not seen.
     pub fn view(&mut self) -> View {
-        let bodies = (0..self.bodies.len()).map(|body| {
-            let Shape::Box { half } = self.bodies[body].surface.shape else { return [0.0; 3] };
-            half
-        });
-        let halves: Vec<_> = bodies.collect();
-        let watched = halves.into_iter().enumerate().map(|(body, half)| (half, self.watch(super::BodyId(body))));
-        let bodies = watched.collect();
+        if self.seen.is_none() {
+            self.seen = Some(SeenBodies::default());
+            (0..self.bodies.len()).for_each(|body| self.show_to_views(BodyId(body)));
+        }
         let place = |wall: &super::Wall| {
             let turn = nalgebra::Rotation3::from_matrix_unchecked(wall.moving.axes);
             (wall.surface.shape, Isometry3::from_parts(wall.moving.origin.into(), turn.into()))
@@ -56,18 +74,27 @@ impl Scene {
             driven || surface.shape == Shape::HalfSpace
         };
         let grounds = self.walls.iter().map(ground).collect();
-        View { walls: self.walls.iter().map(place).collect(), grounds, bodies }
+        View { walls: self.walls.iter().map(place).collect(), grounds, bodies: self.seen.clone() }
+    }
+
+    /// Adds a body to the views of this scene, if there are any.
+    pub(super) fn show_to_views(&mut self, body: BodyId) {
+        if let Some(seen) = self.seen.clone() {
+            seen.push(self.bodies[body.0].surface.shape, self.watch(body));
+        }
     }
 }
 
 impl View {
     /// A view without any surface.
-    pub const EMPTY: Self = Self { walls: Vec::new(), grounds: Vec::new(), bodies: Vec::new() };
+    pub const EMPTY: Self = Self { walls: Vec::new(), grounds: Vec::new(), bodies: None };
 
-    /// The surfaces with their present places.
-    fn solids(&self) -> impl Iterator<Item = (Shape, Isometry3<f64>)> {
-        let bodies = self.bodies.iter().map(|(half, probe)| (Shape::Box { half: *half }, probe.state().pose));
-        self.walls.iter().copied().chain(bodies)
+    /// Calls `visit` with each surface and its present place: the walls, then the bodies.
+    fn each(&self, mut visit: impl FnMut(&Shape, &Isometry3<f64>)) {
+        self.walls.iter().for_each(|(shape, pose)| visit(shape, pose));
+        if let Some(bodies) = &self.bodies {
+            bodies.each(visit);
+        }
     }
 
     /// Whether surface `surface` of a [`Hit`] is a plane or a belt, on which objects stand.
@@ -77,16 +104,16 @@ impl View {
 
     /// The first surface on a ray from `origin` along `direction`, in the world.
     pub fn ray(&self, origin: &Point3<f64>, direction: &Unit<Vector3<f64>>) -> Option<Hit> {
-        let mut first: Option<Hit> = None;
-        for (surface, (shape, pose)) in self.solids().enumerate() {
+        let (mut first, mut surface): (Option<Hit>, _) = (None, 0);
+        self.each(|shape, pose| {
             let (from, along) = (pose.inverse_transform_point(origin), pose.inverse_transform_vector(direction));
-            let Some((distance, normal)) = meets(&shape, &from, &along) else {
-                continue;
-            };
-            if first.is_none_or(|first| distance < first.distance) {
+            if let Some((distance, normal)) = meets(shape, &from, &along)
+                && first.is_none_or(|first| distance < first.distance)
+            {
                 first = Some(Hit { distance, normal: pose * normal, surface });
             }
-        }
+            surface += 1;
+        });
         first
     }
 
@@ -95,11 +122,14 @@ impl View {
     ///
     /// A face reflects if its normal is within 30° of the axis. The edges of such a face reflect like the face.
     pub fn nearest_in_cone(&self, apex: &Point3<f64>, axis: &Unit<Vector3<f64>>, half_cone: f64) -> Option<f64> {
-        let distances = self.solids().filter_map(|(shape, pose)| {
+        let mut least: Option<f64> = None;
+        self.each(|shape, pose| {
             let (apex, axis) = (pose.inverse_transform_point(apex), pose.inverse_transform_vector(axis));
-            nearest(&shape, &apex, &axis, half_cone)
+            if let Some(distance) = nearest(shape, &apex, &axis, half_cone) {
+                least = Some(least.map_or(distance, |least| least.min(distance)));
+            }
         });
-        distances.min_by(f64::total_cmp)
+        least
     }
 }
 
@@ -197,23 +227,27 @@ fn nearest_of(
 
 #[cfg(test)]
 mod tests {
-    use super::super::{BodyConfig, Material, WallConfig};
+    use super::super::{BodyConfig, Material, STEP, WallConfig};
     use super::*;
+
+    /// A cube of 0.1 m on the floor at `x`.
+    fn cube(x: f64) -> BodyConfig {
+        BodyConfig {
+            mass: 1.0,
+            half: [0.05; 3],
+            material: Material::NOMINAL,
+            pose: Isometry3::translation(x, 0.0, 0.05),
+            velocity: [0.0; 3],
+            spin: [0.0; 3],
+        }
+    }
 
     /// A floor at z = 0 and a cube of 0.1 m on it, 0.2 m along x.
     fn view() -> (Scene, View) {
         let mut scene = Scene::new();
         let floor = WallConfig { shape: Shape::HalfSpace, pose: Isometry3::identity(), material: Material::NOMINAL };
         scene.add_wall(&floor).unwrap();
-        let body = BodyConfig {
-            mass: 1.0,
-            half: [0.05; 3],
-            material: Material::NOMINAL,
-            pose: Isometry3::translation(0.2, 0.0, 0.05),
-            velocity: [0.0; 3],
-            spin: [0.0; 3],
-        };
-        scene.add_body(&body).unwrap();
+        scene.add_body(&cube(0.2)).unwrap();
         let view = scene.view();
         (scene, view)
     }
@@ -234,6 +268,31 @@ mod tests {
         assert_eq!(from_side.normal, Vector3::new(-1.0, 0.0, 0.0));
         assert_eq!(ray([0.0, 0.0, 1.0], [0.0, 0.0, 1.0]), None);
         assert_eq!(View::EMPTY.ray(&Point3::origin(), &Vector3::z_axis()), None);
+    }
+
+    #[test]
+    fn bodies_placed_after_the_view_was_made_are_seen_from_their_first_step_on() {
+        let (mut scene, view) = view();
+        let clone = view.clone();
+        scene.place_body(scene.now() + 2 * STEP, &cube(0.5)).unwrap();
+        let down = -Vector3::z_axis();
+        let above = |x: f64| Point3::new(x, 0.0, 0.4);
+        for step in 0..5 {
+            for view in [&view, &clone, &scene.view()] {
+                // The cube is placed at the beginning of the third step, and sinks into the floor by its weight.
+                let (surface, distance) = if step < 3 { (0, 0.4) } else { (2, 0.3) };
+                let hit = view.ray(&above(0.5), &down).unwrap();
+                assert_eq!(hit.surface, surface, "after {step} steps");
+                assert!((hit.distance - distance).abs() < 1e-5, "after {step} steps: {hit:?}");
+                let nearest = view.nearest_in_cone(&above(0.5), &down, 0.1).unwrap();
+                assert!((nearest - distance).abs() < 1e-5, "after {step} steps: {nearest} m");
+                assert!(!view.is_ground(2));
+                assert_eq!(view.ray(&above(0.2), &down).unwrap().surface, 1, "the other cube");
+            }
+            scene.step();
+        }
+        let later = scene.add_body(&cube(0.8)).unwrap();
+        assert_eq!((later, view.ray(&above(0.8), &down).unwrap().surface), (BodyId(2), 3));
     }
 
     #[test]

@@ -15,8 +15,8 @@ use super::{Cell, defaults};
 /// A matrix of N × N ultrasonic transducers that look along one axis and measure echo times, on a serial line of its own
 /// with 8 data bits and 1 stop bit.
 ///
-/// The host asks for one row after the other. A scan takes the firing slots of all elements, and the time of the
-/// telegrams.
+/// The host asks for one row or one pair of elements after the other. A scan takes the firing slots of all its
+/// emissions, and the time of the telegrams.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Ultrasonic {
@@ -30,8 +30,11 @@ pub struct Ultrasonic {
     /// Bits per second of the line.
     #[serde(default = "defaults::count::<115_200, u32>")]
     pub baud: u32,
-    /// Elements per row and column, 1 to 16.
+    /// Elements per row and column, 1 to 16; 1 to 4 in a scan of pairs.
     pub size: u8,
+    /// The echoes of a scan.
+    #[serde(default)]
+    pub scan: ScanKind,
     /// Distance between neighbouring elements, m.
     pub pitch: f64,
     /// Half the opening angle of the cone of an element, rad.
@@ -108,7 +111,7 @@ impl Ultrasonic {
             size: self.size,
             pitch: self.pitch,
             slot: Duration::from_micros(self.slot_us.into()),
-            scan: ScanKind::Rows,
+            scan: self.scan,
             tolerated_missing: self.tolerated_missing,
             ..UltrasonicConfig::new(period)
         }
@@ -118,6 +121,7 @@ impl Ultrasonic {
     pub fn matrix(&self) -> MatrixConfig {
         MatrixConfig {
             size: self.size,
+            scan: self.scan,
             pitch: self.pitch,
             half_cone: self.half_cone,
             speed_of_sound: self.speed_of_sound,

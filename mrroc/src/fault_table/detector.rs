@@ -196,6 +196,10 @@ impl DriveGroup for Without {
         self.group.send(now)
     }
 
+    fn doubt_reference(&mut self, axis: usize) {
+        self.group.doubt_reference(axis);
+    }
+
     fn counters(&self) -> GroupCounters {
         self.group.counters()
     }

@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow, bail};
 use can::Instant;
 use hil::{DriveId, FaultInEffect, PlantAxis, PlantFault, WorldFault};
 use serial::Line;
-use servo::{EffectorLink, MAX_AXES, Order, Phase, Servo, ServoFault, ServoState, StopCause, lockstep};
+use servo::{EffectorLink, MAX_AXES, Order, Phase, Servo, ServoFault, ServoState, StopCategory, StopCause, lockstep};
 
 use super::catalogue::FaultCase;
 use super::detector::{Detector, Without};
@@ -297,6 +297,7 @@ impl<'a> Stage<'a> {
                 observed.detected = Some((self.now.since(began), fault));
                 observed.category = Some(match state {
                     _ if matches!(fault.cause, StopCause::Partner { .. } | StopCause::BrakeSlips { .. }) => 2,
+                    _ if fault.category == StopCategory::Zero => 0,
                     ServoState::Braking(_) | ServoState::Halting(_) => 1,
                     _ => u8::from(!was_moving),
                 });

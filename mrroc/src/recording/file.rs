@@ -53,9 +53,11 @@ impl Write for Synced {
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        // A pipe or a device has no disk.
-        let _ = self.0.sync_data();
-        Ok(())
+        match self.0.sync_data() {
+            // A pipe or a device has no disk.
+            Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
+            synchronised => synchronised,
+        }
     }
 }
 

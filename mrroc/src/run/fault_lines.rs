@@ -240,6 +240,7 @@ fn of_robots() -> Vec<StopCause> {
         C::EmergencyStop { group: 0, contact: EmergencyStop { node: 40, input: 5, known: true } },
         C::EmergencyStop { group: 0, contact: EmergencyStop { node: 40, input: 5, known: false } },
         C::Overrun { missed: 12 },
+        C::Overloaded { missed: 1_251, deadlines: 5_001 },
     ];
     let laws = laws.into_iter().chain(of_sensors().into_iter().map(LawFault::Sensor));
     let causes: Vec<_> = own.into_iter().chain(laws.map(C::Law)).collect();
@@ -274,7 +275,8 @@ fn of_robots() -> Vec<StopCause> {
             | C::HomingFailed
             | C::NoReference(_)
             | C::EmergencyStop { .. }
-            | C::Overrun { .. } => {}
+            | C::Overrun { .. }
+            | C::Overloaded { .. } => {}
         }
     }
     causes

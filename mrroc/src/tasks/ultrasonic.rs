@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use controller::executor::Agents;
 use controller::sensor::{BoxLocator, BoxPlace, EchoError, MatrixConfig};
-use drive::ultrasonic::{UltrasonicFault, UltrasonicLink};
+use drive::ultrasonic::{Scan, UltrasonicFault, UltrasonicLink};
 
 use super::TaskError;
 use crate::cell;
@@ -55,6 +55,27 @@ impl Ultrasonic {
             }
             self.agents.sleep(self.period).await;
             waited += self.period;
+        }
+    }
+
+    /// Waits for the end of a scan, and returns its echoes ([`Scan::echo`]). The scan may have begun before the call.
+    /// Fails if the matrix has a fault, or if the scan does not end.
+    pub async fn scan(&self) -> Result<Scan, TaskError> {
+        let last = self.link.read().scan.number;
+        let mut waited = Duration::ZERO;
+        loop {
+            let state = self.link.read();
+            let error = match state.fault {
+                Some(fault) => EchoError::Matrix(fault),
+                None if state.scan.number != last => return Ok(state.scan),
+                None if waited < self.scan_time * PATIENCE => {
+                    self.agents.sleep(self.period).await;
+                    waited += self.period;
+                    continue;
+                }
+                None => EchoError::NoScan { found: 0, needed: 1 },
+            };
+            return Err(TaskError::Ultrasonic { name: self.name.clone(), error });
         }
     }
 

@@ -14,17 +14,23 @@ impl Effector {
     /// A closed limit switch stops an effector that continues towards the switch, or that the switch holds back from
     /// its commanded position. An axis may rest on the switch or move away from the switch.
     ///
-    /// A reset under way decides about drive faults and the emergency stop by itself: a contact at a drive that is
-    /// brought up again is not known until the end.
+    /// A reset under way decides about drive faults by itself, and about a contact of the emergency stop that is not
+    /// known: the level of a contact at a drive that is brought up again is known only at the end.
     pub(super) fn check(&mut self, tick: &Tick) {
-        if let Some(emergency) = tick.emergency.filter(|_| self.state != ServoState::Resetting) {
-            self.fail(tick, None, emergency);
+        match (tick.emergency, self.state) {
+            (None, _) => {}
+            (Some(StopCause::EmergencyStop { contact, .. }), ServoState::Resetting) if !contact.known => {}
+            (Some(emergency), ServoState::Resetting) => self.fail_reset(tick, None, emergency),
+            (Some(emergency), _) => self.fail(tick, None, emergency),
         }
         if let Some(missed) = tick.overrun {
             // In the missed cycles, the drives stood at their last set-points or continued by them.
             let late = tick.periods - 1;
             self.axes.iter_mut().for_each(|axis| axis.rest(late, tick.dt));
             self.fail(tick, None, StopCause::Overrun { missed });
+        }
+        if let Some(overload) = tick.overload {
+            self.fail(tick, None, overload);
         }
         for index in 0..self.axes.len() {
             let axis = &mut self.axes[index];
@@ -48,6 +54,7 @@ impl Effector {
                 continue;
             }
             if let Some((velocity, limit)) = axis.runaway() {
+                self.axes[index].doubted = true;
                 self.lose(tick, index, StopCause::Runaway { velocity, limit });
                 continue;
             }
@@ -84,9 +91,9 @@ impl Effector {
     }
 
     /// Cuts the power of axis `index`, whose measured position stands still although its motor must have moved by
-    /// `travel`, rad. No loop can brake such an axis. The other axes brake.
+    /// `travel`, rad. No loop can brake such an axis. The other axes brake. The counter may have lost counts.
     fn freeze(&mut self, tick: &Tick, index: usize, travel: f64) {
-        self.axes[index].cut = true;
+        (self.axes[index].cut, self.axes[index].doubted) = (true, true);
         self.fail(tick, index, StopCause::Frozen { travel });
     }
 

@@ -21,10 +21,15 @@ impl Effector {
             let of_drive = late.and_then(|index| self.axes[index].state.fault).map(StopCause::Drive);
             let cause = of_drive.or(tick.emergency);
             let cause = cause.unwrap_or(StopCause::NotReady { waited });
-            // The category is that of the stop, which the reset does not change.
-            let category = self.fault.map_or(cause.category(), |fault| fault.category);
-            self.fault = Some(ServoFault { category, ..ServoFault::new(late.map(|axis| axis as u8), cause) });
-            self.apply(tick, ServoEvent::Fault);
+            self.fail_reset(tick, late, cause);
         }
+    }
+
+    /// Ends a reset that failed by `cause`.
+    pub(super) fn fail_reset(&mut self, tick: &Tick, axis: Option<usize>, cause: StopCause) {
+        // The category is that of the stop, which the reset does not change.
+        let category = self.fault.map_or(cause.category(), |fault| fault.category);
+        self.fault = Some(ServoFault { category, ..ServoFault::new(axis.map(|axis| axis as u8), cause) });
+        self.apply(tick, ServoEvent::Fault);
     }
 }

@@ -62,7 +62,7 @@ impl Effector {
     }
 
     /// Whether the motors hold the effector because a brake does not. A request to stop then leaves the power on.
-    pub(super) fn holds_for_brake(&self) -> bool {
+    pub(crate) fn holds_for_brake(&self) -> bool {
         let slips = self.fault.is_some_and(|fault| matches!(fault.cause, StopCause::BrakeSlips { .. }));
         slips && matches!(self.state, ServoState::Enabling | ServoState::Standing)
     }

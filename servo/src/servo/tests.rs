@@ -129,7 +129,7 @@ impl Rig {
 }
 
 /// Macrosteps of 10 periods from zero: `ramp` of them with `acceleration`, then `cruise` of them at constant velocity.
-fn accelerating(acceleration: f64, ramp: u64, cruise: u64) -> Vec<Macrostep> {
+pub(crate) fn accelerating(acceleration: f64, ramp: u64, cruise: u64) -> Vec<Macrostep> {
     let (mut position, mut velocity) = (0.0, 0.0);
     let mut next = |number| {
         let a = if number <= ramp { acceleration } else { 0.0 };

@@ -7,6 +7,7 @@ use drive::Power;
 
 use super::*;
 use crate::scripted::{self, PERIOD, World};
+use crate::servo::tests::accelerating;
 use crate::{EffectorLink, Order, ServoConfig, ServoState, StopCause};
 
 /// Two axes whose enabling waits for a busy host.
@@ -153,6 +154,28 @@ fn a_thread_that_comes_back_after_its_starter_has_left_sends_nothing_and_ends() 
         assert_eq!(told.recv(), Err(mpsc::RecvError), "the thread ends");
         assert_eq!(world.lock().unwrap().sent.len(), sent, "in a cycle: {in_cycle}");
     }
+}
+
+#[test]
+fn a_stop_that_is_not_over_in_time_ends_without_power() {
+    let (servo, mut link, world) = rig();
+    world.lock().unwrap().axes.iter_mut().for_each(|drive| drive.homing_takes = 1);
+    link.orders.push(Order::Home).unwrap();
+    // From 50 rad/s at 1000 rad/s² the stop takes 50 cycles.
+    accelerating(500.0, 20, 30).into_iter().for_each(|step| link.orders.push(Order::Move(step)).unwrap());
+    let slow = Arc::clone(&world);
+    let until = move |servo: &Servo| {
+        let moving = link.latest.read().commanded_velocity[0] > 50.0;
+        if moving {
+            // Each cycle takes 100 periods from now on.
+            slow.lock().unwrap().work = 100 * PERIOD;
+        }
+        moving || servo.fault(0).is_some()
+    };
+    let finished = run(servo, Realtime::PLAIN, CellTime::Wall, |_| {}, until).unwrap();
+    let state = finished.servo.state(0);
+    assert!(matches!(state, Some(ServoState::Braking(_))), "the stop is under way: {state:?}");
+    assert!(!has_power(&world));
 }
 
 #[test]

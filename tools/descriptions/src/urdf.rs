@@ -4,7 +4,7 @@
 //! needs none, and a library of rigid bodies assumes zero.
 //!
 //! A robot of a cell with a scene stands on the link `world`, the frame of the cell in metres with z upward. The planes,
-//! blocks, conveyors, objects and bars of the scene are boxes fixed to this link.
+//! blocks, conveyors, objects, bars, workpieces and light gates of the scene are boxes fixed to this link.
 
 mod scene;
 

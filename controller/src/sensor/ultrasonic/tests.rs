@@ -11,6 +11,7 @@ const DISTANCE: f64 = 0.3;
 fn config() -> MatrixConfig {
     MatrixConfig {
         size: 12,
+        scan: ScanKind::Rows,
         pitch: 0.02,
         half_cone: 8.0_f64.to_radians(),
         speed_of_sound: 343.0,
@@ -178,4 +179,34 @@ fn locator_waits_for_its_scans_and_reports_the_fault_of_the_matrix() {
     let empty = EchoError::TooFewEchoes { found: 0, elements: 144, needed: 72 };
     assert_eq!(read(&mut locator, &mut matrix), Err(empty));
     assert_eq!(locator.poll(Instant::ZERO).unwrap().1.place(), Err(GeneratorError::Echo(empty)));
+}
+
+#[test]
+fn a_box_is_found_from_the_echoes_that_each_element_receives_of_its_own_emission() {
+    let scan_time = Duration::from_millis(100);
+    // One row and one column of 4 × 4 elements, 40 mm apart, receive the echo of the floor.
+    let centre = [0.03, -0.02];
+    let own = |row: usize, column: usize| {
+        let place = [column, row].map(|number| 0.04 * (number as f64 - 1.5));
+        let [x, y] = [0, 1].map(|axis| ((place[axis] - centre[axis]).abs() - SIZE[axis] / 2.0).max(0.0));
+        let beyond = x.hypot(y);
+        let is_seen = beyond <= DISTANCE * config().half_cone.tan();
+        let distance = if is_seen { DISTANCE.hypot(beyond) } else { DISTANCE + SIZE[2] };
+        Duration::from_secs_f64(2.0 * distance / 343.0)
+    };
+    let [by_rows, by_pairs] = [ScanKind::Rows, ScanKind::Pairs].map(|scan| {
+        let (mut matrix, link) = drive::ultrasonic::RehearsedUltrasonic::new(scan_time);
+        let config = MatrixConfig { size: 4, pitch: 0.04, scan, deviation: 2e-4, ..config() };
+        let mut locator = BoxLocator::new(link, config, SIZE, 1);
+        matrix.scan(Instant::ZERO + scan_time, |shot, number| match scan {
+            ScanKind::Rows => (shot < 4 && number < 4).then(|| own(shot, number)),
+            ScanKind::Pairs if shot == number => Some(own(shot / 4, shot % 4)),
+            // An echo between two elements.
+            ScanKind::Pairs => Some(Duration::from_millis(1)),
+        });
+        locator.read().1.result()
+    });
+    let place = by_rows.unwrap();
+    assert!((place.position - Point3::new(centre[0], centre[1], DISTANCE)).norm() < 3e-3, "{place:?}");
+    assert_eq!((place.used, by_pairs), (16, by_rows));
 }

@@ -82,7 +82,8 @@ enum Reference {
     Unknown,
     /// Positions of the counter are absolute.
     Known,
-    /// The counter jumped. The drive is told to forget its reference, which the next host would trust.
+    /// The counter jumped or may have lost counts. The drive is told to forget its reference, which the next host would
+    /// trust.
     Invalid,
 }
 
@@ -184,7 +185,7 @@ impl SerialAxis {
             }
             Verdict::Jumped(from) => {
                 let restarted = self.loses_reference(answer.status);
-                self.reference = Reference::Invalid;
+                self.doubt_reference();
                 self.faults.latch(if restarted {
                     AxisControllerFault::Restarted
                 } else {
@@ -220,8 +221,14 @@ impl SerialAxis {
         }
         let responsive = self.phase.has_torque() && !self.status.confirmed.any(LIMITED);
         if let Some(cycles) = self.freeze_check.judge(answer, self.setpoint, responsive) {
+            self.doubt_reference();
             self.faults.latch(AxisControllerFault::Frozen { cycles });
         }
+    }
+
+    /// Discards the reference until the next search. The axis controller is told to discard it too.
+    pub(super) fn doubt_reference(&mut self) {
+        self.reference = Reference::Invalid;
     }
 
     fn measure(&mut self, answer: Answer) {

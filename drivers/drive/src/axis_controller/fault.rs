@@ -72,6 +72,12 @@ impl AxisControllerFault {
             | Self::Refused(_) => false,
         }
     }
+
+    /// Whether the drives of the cabinet have opened their power stages: an [emergency stop](Self::is_emergency_stop) by this
+    /// axis or by another one.
+    pub fn opens_cabinet(self) -> bool {
+        self.is_emergency_stop() || matches!(self, Self::Cabinet { .. })
+    }
 }
 
 /// Faults of an axis since its last reset.

@@ -288,6 +288,10 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
         all
     }
 
+    fn doubt_reference(&mut self, axis: usize) {
+        self.controllers[axis].axis.doubt_reference();
+    }
+
     /// The counters of the port are sums over the lines, in telegrams. Errors are the refused answers. A tty does not
     /// say when an answer came, so there is no bus time.
     fn counters(&self) -> GroupCounters {

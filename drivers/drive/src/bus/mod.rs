@@ -566,7 +566,12 @@ impl<P: Port> DriveGroup for CanBus<P> {
     }
 
     fn emergency_stop(&self) -> Option<EmergencyStop> {
-        self.drives.emergency_stop().or_else(|| self.io.iter().find_map(IoNode::emergency_stop))
+        let contacts = self.drives.emergency_stops().chain(self.io.iter().filter_map(IoNode::emergency_stop));
+        contacts.min_by_key(|contact| !contact.known)
+    }
+
+    fn doubt_reference(&mut self, axis: usize) {
+        self.drives.doubt_reference(axis);
     }
 
     fn counters(&self) -> GroupCounters {

@@ -171,7 +171,7 @@ impl CanAxis {
         let taken = self.measurement.take(position, sampled, at, search_speed);
         if let Err(jump) = &taken {
             let jump = *jump;
-            self.search.doubted = true;
+            self.doubt_reference();
             self.latch(jump);
         }
         self.measurement.tell(&mut self.state);
@@ -232,6 +232,11 @@ impl CanAxis {
     /// Takes the digital inputs. `None` for a drive without a contact of the emergency stop, and for an undecodable frame.
     pub(super) fn inputs(&mut self, data: &[u8]) -> Option<()> {
         self.contact.as_mut()?.take(data)
+    }
+
+    /// Discards the reference until the next search.
+    pub(super) fn doubt_reference(&mut self) {
+        self.search.doubted = true;
     }
 
     /// The demand of a stop by the contact of the emergency stop.

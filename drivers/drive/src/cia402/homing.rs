@@ -24,7 +24,8 @@ pub(super) struct Search {
     attained: bool,
     /// Bit 15 of the last statusword: EPOS drives keep their reference while they are powered.
     kept: bool,
-    /// The counter jumped. The axis has no reference until the next search, even if the drive reports one.
+    /// The counter jumped or may have lost counts. The axis has no reference until the next search, even if the drive
+    /// reports one.
     pub(super) doubted: bool,
     /// Number of further answers in which the drive may still set its counter, as the end of a search does.
     may_set_counter: u32,

@@ -178,9 +178,14 @@ impl Cia402Group {
         self.drives[drive].axis.inputs(data)
     }
 
-    /// The first contact of the emergency stop that is open or not known.
-    pub(crate) fn emergency_stop(&self) -> Option<EmergencyStop> {
-        self.drives.iter().find_map(|drive| drive.axis.emergency_stop())
+    /// The contacts of the emergency stop that are open or not known.
+    pub(crate) fn emergency_stops(&self) -> impl Iterator<Item = EmergencyStop> {
+        self.drives.iter().filter_map(|drive| drive.axis.emergency_stop())
+    }
+
+    /// Discards the reference of a drive.
+    pub(crate) fn doubt_reference(&mut self, drive: usize) {
+        self.drives[drive].axis.doubt_reference();
     }
 
     /// Takes an EMCY. Returns whether the EMCY is a warning: an error of the bus alone, or of a drive that is not commanded to

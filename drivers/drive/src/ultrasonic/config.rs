@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use serial::Settings;
 use serial::ultrasonic::{FRAME, MAX_REQUEST, Request, SETTINGS};
 use thiserror::Error;
@@ -12,9 +14,11 @@ use super::state::{MOST_ECHOES, MOST_SHOTS};
 const SPARE: Duration = Duration::from_millis(20);
 
 /// The echoes of a scan.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
 pub enum ScanKind {
     /// Each element listens to its own emission. A shot is one row; a matrix has up to 16 rows.
+    #[default]
     Rows,
     /// All elements listen to all emissions. A shot is one emitter; a matrix has up to 4 × 4 elements.
     Pairs,
@@ -103,7 +107,7 @@ impl UltrasonicConfig {
     }
 
     /// Query number `number` of a scan.
-    pub(super) fn query(&self, number: usize) -> Request {
+    pub fn query(&self, number: usize) -> Request {
         match self.scan {
             ScanKind::Rows => Request::Row(number as u8),
             ScanKind::Pairs => {
@@ -118,7 +122,7 @@ impl UltrasonicConfig {
     }
 
     /// Number of queries of a scan.
-    pub(super) fn queries(&self) -> usize {
+    pub fn queries(&self) -> usize {
         let (shots, echoes) = self.shots();
         match self.scan {
             ScanKind::Rows => shots,

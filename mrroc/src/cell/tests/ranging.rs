@@ -26,6 +26,18 @@ fn matrices_and_touch_probes_that_cannot_be_are_refused_with_line_key_and_reason
         (SONAR, "name = \"matrix\"", "name = \"arm\"", "ultrasonic[0].name: the name \"arm\" is used twice"),
         (SONAR, "robot = \"irb6\"\nline", "robot = \"irb7\"\nline", "ultrasonic[0].robot: no robot is called \"irb7\""),
         (SONAR, "size = 12", "size = 17", "ultrasonic[0].size: 17 elements per row, must be 1 to 16"),
+        (
+            SONAR,
+            "size = 12",
+            "size = 12\nscan = \"pairs\"",
+            "ultrasonic[0].size: 12 elements per row, must be 1 to 4 for this kind of scan",
+        ),
+        (
+            SONAR,
+            "size = 12",
+            "size = 4\nscan = \"columns\"",
+            "ultrasonic[0].scan: is \"columns\", must be \"rows\" or \"pairs\"",
+        ),
         (SONAR, "pitch = 0.02", "pitch = 0.0", "ultrasonic[0].pitch: a pitch of 0 m"),
         (SONAR, "half_cone = 0.1396", "half_cone = 8.0", "ultrasonic[0].half_cone: is 8, must be between"),
         (SONAR, "slot_us = 3500", "slot_us = 0", "ultrasonic[0].slot_us: a firing slot of 0ns"),

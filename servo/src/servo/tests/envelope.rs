@@ -1,6 +1,7 @@
 //! Categories of stops, and motors that leave the envelope of a stop.
 
-use drive::EmergencyStop;
+use drive::axis_controller::AxisControllerFault;
+use drive::{EmergencyStop, Fault};
 
 use super::*;
 use crate::{After, ServoState, StopCategory};
@@ -125,12 +126,16 @@ fn each_state_after_a_stop_has_its_category() {
         assert_eq!(u8::from(after.category()), number, "{after:?}");
     }
     assert!(StopCategory::Zero > StopCategory::One && StopCategory::One > StopCategory::Two);
+    let of_controller = |fault| StopCause::Drive(Fault::AxisController { line: 0, fault });
     let causes = [
         (StopCause::Partner { effector: 1 }, StopCategory::Two),
         (StopCause::Touched, StopCategory::Two),
         (StopCause::Runaway { velocity: 1.0, limit: 0.5 }, StopCategory::Zero),
         (StopCause::Overrun { missed: 4 }, StopCategory::One),
         (StopCause::Drive(FAULT), StopCategory::One),
+        (of_controller(AxisControllerFault::Frozen { cycles: 7 }), StopCategory::Zero),
+        (of_controller(AxisControllerFault::Cabinet { line: 1 }), StopCategory::Zero),
+        (of_controller(AxisControllerFault::Overcurrent), StopCategory::One),
     ];
     for (cause, expected) in causes {
         assert_eq!(cause.category(), expected, "{cause}");
@@ -156,9 +161,7 @@ fn an_emergency_stop_brakes_and_holds_the_effector_off_until_it_is_released_and_
     // A reset fails while the contact is open, and no power returns before a reset.
     rig.reports();
     rig.order(Order::ResetFault);
-    rig.run(10);
-    assert_eq!((rig.phase(), rig.servo.state(0)), (Phase::Faulted, Some(ServoState::Resetting)));
-    rig.run(110);
+    rig.run(2);
     assert_eq!(rig.servo.state(0), Some(ServoState::Faulted));
     assert_eq!(rig.reports().iter().map(|report| report.resetting).collect::<Vec<_>>(), [true, false]);
     assert_eq!(rig.servo.fault(0), Some(fault));

@@ -146,6 +146,27 @@ fn a_reset_brings_back_a_drive_that_carries_the_contact_of_the_emergency_stop() 
 }
 
 #[test]
+fn an_emergency_stop_that_is_pressed_and_released_during_a_reset_ends_the_reset() {
+    let emergency = EmergencyStop { node: 40, input: 5, known: true };
+    let mut rig = Rig::standing(2);
+    rig.world().axes[1].stubborn = true;
+    rig.world().axes[1].state.fault = Some(FAULT);
+    rig.run_until(Phase::Faulted);
+    rig.order(Order::ResetFault);
+    rig.world().axes[1].state.recovering = true;
+    rig.order(Order::Enable);
+    rig.run(50);
+    rig.world().emergency = Some(emergency);
+    rig.run(1);
+    rig.world().emergency = None;
+    rig.world().axes[1].state.recovering = false;
+    rig.world().axes[1].stubborn = false;
+    rig.run(200);
+    assert_eq!((rig.phase(), rig.last_sent()), (Phase::Faulted, vec![AxisCommand::Off; 2]));
+    assert_eq!(rig.cause(), Some(StopCause::EmergencyStop { group: 0, contact: emergency }));
+}
+
+#[test]
 fn enabling_starts_from_where_the_motor_is() {
     let mut rig = Rig::new(1);
     rig.world().axes[0].state.position = 3.25;
@@ -247,21 +268,54 @@ fn a_failure_of_an_earlier_homing_does_not_fail_the_next() {
 #[test]
 fn homing_can_be_stopped_and_begun_again() {
     let mut rig = Rig::new(2);
+    rig.world().axes[1].homing_takes = 30;
+    rig.order(Order::Enable);
+    for _ in 0..2 {
+        rig.order(Order::Home);
+        rig.run_until(Phase::Homing);
+        rig.run(5);
+        rig.order(Order::Stop);
+        rig.run(1);
+        rig.run(90);
+        assert_eq!(rig.phase(), Phase::Stopping);
+        assert_eq!(rig.last_sent(), [AxisCommand::Stand; 2]);
+        rig.run_until(Phase::Standing);
+        assert!(!rig.reports().last().unwrap().snapshot.homed);
+    }
+    rig.order(Order::Home);
+    rig.run(1);
+    rig.run_until(Phase::Standing);
+    assert!(rig.reports().last().unwrap().snapshot.homed);
+}
+
+#[test]
+fn a_stricter_stop_of_homing_is_not_longer() {
+    let mut rig = Rig::new(2);
     rig.order(Order::Enable);
     rig.order(Order::Home);
     rig.run_until(Phase::Homing);
     rig.run(5);
     rig.order(Order::Stop);
-    rig.run(1);
-    rig.run(90);
-    assert_eq!(rig.phase(), Phase::Stopping);
-    assert_eq!(rig.last_sent(), [AxisCommand::Stand; 2]);
-    rig.run_until(Phase::Standing);
-    assert!(!rig.reports().last().unwrap().snapshot.homed);
+    rig.run(60);
+    rig.order(Order::Disable);
+    rig.run(60);
+    assert_eq!(rig.phase(), Phase::Off);
+}
+
+#[test]
+fn a_drive_that_does_not_follow_after_a_stop_of_homing_is_not_ready() {
+    let mut rig = Rig::new(2);
+    rig.order(Order::Enable);
     rig.order(Order::Home);
-    rig.run(1);
-    rig.run_until(Phase::Standing);
-    assert!(rig.reports().last().unwrap().snapshot.homed);
+    rig.run_until(Phase::Homing);
+    rig.run(5);
+    rig.world().axes[1].deaf = true;
+    rig.order(Order::Stop);
+    let timeout = rig.servo.longest_stop() + scripted::config(2).effectors[0].enabling_timeout;
+    rig.run(timeout.as_millis() as usize + 10);
+    assert_eq!(rig.phase(), Phase::Faulted);
+    assert_eq!((rig.servo.fault(0).unwrap().axis, rig.last_sent()), (Some(1), vec![AxisCommand::Off; 2]));
+    assert!(matches!(rig.cause(), Some(StopCause::NotReady { .. })), "{:?}", rig.cause());
 }
 
 #[test]

@@ -222,6 +222,28 @@ fn missed_cycles_stop_the_effector_only_beyond_the_allowed_row() {
 }
 
 #[test]
+fn missed_cycles_in_short_rows_stop_the_effector_beyond_a_quarter_of_the_deadlines() {
+    // Missed deadlines before each cycle in turn, and whether they stop the effector after 1000 deadlines.
+    let cases: [(&[u32], bool); 3] = [(&[1, 0, 0], false), (&[1, 0, 1, 0, 0], true), (&[2, 0], true)];
+    for (missed, stops) in cases {
+        let mut rig = Rig::standing(1);
+        let mut deadlines = 0;
+        for &count in missed.iter().cycle() {
+            assert_eq!(rig.cause(), None, "{missed:?} at {deadlines}");
+            rig.servo.missed(count);
+            rig.run(1);
+            deadlines += count + 1;
+            if rig.cause().is_some() || deadlines > 3000 {
+                break;
+            }
+        }
+        let overloaded = matches!(rig.cause(), Some(StopCause::Overloaded { missed, deadlines: 1000..=1002 })
+            if (251..=502).contains(&missed));
+        assert_eq!((overloaded, rig.cause().is_some()), (stops, stops), "{missed:?}: {:?}", rig.cause());
+    }
+}
+
+#[test]
 fn the_slowest_stop_is_known() {
     let rig = Rig::new(1);
     assert_eq!(rig.servo.longest_stop(), Duration::from_millis(400));
@@ -238,6 +260,25 @@ fn no_drive_is_handed_two_steps_at_once_after_a_batch_was_refused() {
         assert_eq!(rig.world().refuses, 0);
         assert_eq!(rig.phase(), Phase::Moving, "{refused} refused: {:?}", rig.cause());
         keeps_limits(&rig.positions(0)).unwrap();
+    }
+}
+
+#[test]
+fn no_drive_is_handed_two_steps_at_once_after_a_batch_of_a_stop_was_refused() {
+    for refused in [1, 3, 4, 8] {
+        let mut rig = Rig::standing(2);
+        rig.accelerate(500.0, 8, 50);
+        rig.run(100);
+        rig.order(Order::Stop);
+        rig.run(5);
+        let before = rig.positions(0).len();
+        rig.world().refuses = refused;
+        rig.run(60);
+        assert_eq!((rig.world().refuses, rig.phase(), rig.cause()), (0, Phase::Standing, None), "{refused} refused");
+        // The motor stands at the last set-point that was sent, so it stops there or goes on from there.
+        let sent = rig.positions(0);
+        let steps: Vec<_> = sent[before - 2..].windows(2).map(|pair| pair[1] - pair[0]).collect();
+        assert!(steps.iter().all(|step| (-1e-12..=steps[0]).contains(step)), "{refused} refused: {steps:?}");
     }
 }
 

@@ -87,33 +87,31 @@ fn dry_friction_that_an_axis_stuck_in_is_forgotten_as_it_begins_to_move() {
 
 #[test]
 fn a_stop_keeps_the_torque_and_the_next_power_begins_with_it() {
-    for config in laws(1) {
-        let mut rig = loaded(&config, 0.0);
+    // Off, with the brake on; then on again at the same position, or after the arm was moved by hand.
+    for (config, (moved, expected)) in laws(1).iter().flat_map(|law| [(law, (0.0, WEIGHT)), (law, (10.0, 0.0))]) {
+        let mut rig = loaded(config, 0.0);
         told(&mut rig, WEIGHT, 1..=1);
         rig.order(Order::Stop);
         rig.run(50);
         let torques = rig.torques(0);
         assert!(torques.iter().all(|torque| (torque - WEIGHT).abs() < 0.01), "{torques:?}");
-        // Off, with the brake on; then on again at the same position, and once more after the arm was moved by hand.
-        for (moved, expected) in [(0.0, WEIGHT), (10.0, 0.0)] {
-            rig.order(Order::Disable);
-            rig.run_until(Phase::Off);
-            rig.world().axes[0].load = 0.0;
-            rig.world().axes[0].spin = 0.0;
-            rig.world().axes[0].state.position = AT + moved;
-            rig.run(5);
-            rig.world().sent.clear();
-            rig.order(Order::Enable);
-            rig.world().axes[0].load = -WEIGHT;
-            let begun = |batch: &Vec<AxisCommand>| match batch[0] {
-                AxisCommand::Follow(Setpoint::Torque(torque)) => Some(torque.get()),
-                _ => None,
-            };
-            rig.run(100);
-            let first = rig.world().sent.iter().find_map(begun).unwrap();
-            assert!((first - expected).abs() < 0.02, "{first} for {expected} N·m");
-            rig.run_until(Phase::Standing);
-        }
+        rig.order(Order::Disable);
+        rig.run_until(Phase::Off);
+        rig.world().axes[0].load = 0.0;
+        rig.world().axes[0].spin = 0.0;
+        rig.world().axes[0].state.position = AT + moved;
+        rig.run(5);
+        rig.world().sent.clear();
+        rig.order(Order::Enable);
+        rig.world().axes[0].load = -WEIGHT;
+        let begun = |batch: &Vec<AxisCommand>| match batch[0] {
+            AxisCommand::Follow(Setpoint::Torque(torque)) => Some(torque.get()),
+            _ => None,
+        };
+        rig.run(100);
+        let first = rig.world().sent.iter().find_map(begun).unwrap();
+        assert!((first - expected).abs() < 0.02, "{first} for {expected} N·m");
+        rig.run_until(Phase::Standing);
     }
 }
 

@@ -3,7 +3,7 @@
 use std::fmt::{self, Write as _};
 
 use mrroc::cell::EmulatedScene;
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3};
 
 use super::origin;
 
@@ -13,10 +13,16 @@ const PLANE: (f64, f64) = (4.0, 0.01);
 /// Thickness of a conveyor, m.
 const CONVEYOR: f64 = 0.1;
 
-/// Colour of surfaces at rest, of conveyors, and of bodies, as red, green, blue and opacity.
+/// Width and height of the box that stands for the beam of a light gate, m.
+const BEAM: f64 = 0.004;
+
+/// Colour of surfaces at rest, of conveyors, of bodies, of workpieces, and of the beams of light gates, as red, green,
+/// blue and opacity.
 const SURFACE: (&str, &str) = ("surface", "0.75 0.8 0.7 0.6");
 const BELT: (&str, &str) = ("belt", "0.25 0.25 0.3 1");
 const BODY: (&str, &str) = ("body", "0.85 0.5 0.2 1");
+const WORKPIECE: (&str, &str) = ("workpiece", "0.8 0.65 0.45 1");
+const LIGHT: (&str, &str) = ("light", "0.9 0.1 0.1 0.5");
 
 /// A box of the scene.
 struct Shape {
@@ -28,8 +34,9 @@ struct Shape {
     colour: (&'static str, &'static str),
 }
 
-/// Writes the link `world`, the frame of the cell with z upward, the fixed joint from this link to `base_link`, and one link
-/// with a fixed joint for each plane, block, conveyor, object and bar. Bodies that move stand where they begin.
+/// Writes the link `world`, the frame of the cell with z upward, the fixed joint from this link to `base_link`, and one
+/// link with a fixed joint for each plane, block, conveyor, object, bar, workpiece and beam of a light gate. Bodies that
+/// move stand where they begin.
 pub(super) fn write(text: &mut String, scene: &EmulatedScene, world_from_base: &Isometry3<f64>) -> fmt::Result {
     writeln!(text, "  <!-- The scene of the cell. Planes without end are drawn {} m long and wide. -->", PLANE.0)?;
     writeln!(text, "  <link name=\"world\"/>")?;
@@ -60,9 +67,7 @@ fn shapes(scene: &EmulatedScene) -> Vec<Shape> {
     let shape = |name: String, world_from_box, size, colour| Shape { name, world_from_box, size, colour };
     let planes = scene.plane.iter().enumerate().map(|(number, plane)| {
         let normal = Vector3::from(plane.normal).normalize();
-        let facing = UnitQuaternion::rotation_between(&Vector3::z(), &normal);
-        let facing =
-            facing.unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+        let facing = turned(&Vector3::z_axis(), &Vector3::x_axis(), &normal);
         // The solid is behind the plane.
         let centre = normal * (plane.height - PLANE.1 / 2.0);
         let pose = Isometry3::from_parts(centre.into(), facing);
@@ -85,5 +90,23 @@ fn shapes(scene: &EmulatedScene) -> Vec<Shape> {
     let bars = scene.bar.iter().enumerate().map(|(number, bar)| {
         shape(format!("bar_{number}"), bar.place.pose(), [bar.length, bar.width, bar.width], BODY)
     });
-    planes.chain(blocks).chain(conveyors).chain(objects).chain(bars).collect()
+    let workpieces = scene.workpiece.iter().enumerate().map(|(number, workpiece)| {
+        // The place is the centre of the upper face.
+        let pose = workpiece.place.pose() * Isometry3::translation(0.0, 0.0, -workpiece.size[2] / 2.0);
+        shape(format!("workpiece_{number}"), pose, workpiece.size, WORKPIECE)
+    });
+    let gates = scene.gate.iter().enumerate().map(|(number, gate)| {
+        let (from, to) = (Vector3::from(gate.from), Vector3::from(gate.to));
+        let along = turned(&Vector3::x_axis(), &Vector3::z_axis(), &(to - from));
+        let pose = Isometry3::from_parts(((from + to) / 2.0).into(), along);
+        shape(format!("gate_{number}"), pose, [(to - from).norm(), BEAM, BEAM], LIGHT)
+    });
+    planes.chain(blocks).chain(conveyors).chain(objects).chain(bars).chain(workpieces).chain(gates).collect()
+}
+
+/// The shortest rotation of `axis` to a direction. For the opposite direction, a half turn about `across`, which is
+/// perpendicular to `axis`.
+fn turned(axis: &Unit<Vector3<f64>>, across: &Unit<Vector3<f64>>, direction: &Vector3<f64>) -> UnitQuaternion<f64> {
+    let turn = UnitQuaternion::rotation_between(axis, direction);
+    turn.unwrap_or_else(|| UnitQuaternion::from_axis_angle(across, std::f64::consts::PI))
 }
