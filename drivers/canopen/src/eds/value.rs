@@ -80,6 +80,7 @@ impl fmt::Display for Value {
             // A number of this size is a COB-ID, a mapping, an identity or a mask.
             Self::Integer { value: value @ 0x1_0000.., plus_node: false } => write!(f, "{value:#010x}"),
             Self::Integer { value, plus_node: false } => write!(f, "{value}"),
+            Self::Integer { value: value @ ..0, plus_node: true } => write!(f, "$NODEID+{value}"),
             Self::Integer { value, plus_node: true } => write!(f, "$NODEID+{value:#x}"),
             Self::Real(value) => write!(f, "{value:?}"),
             Self::Text(text) => f.write_str(text),
@@ -207,9 +208,11 @@ mod tests {
             (Unsigned32, "$nodeid + 384", plus_node(384)),
             (Unsigned32, "0x600+$NODEID", plus_node(0x600)),
             (Unsigned32, "$NODEID", plus_node(0)),
+            (Integer8, "$NODEID+0x90", plus_node(-112)),
         ];
         for (data_type, text, value) in table {
-            assert_eq!(parse(data_type, text), Ok(value), "{text}");
+            assert_eq!(parse(data_type, text).as_ref(), Ok(&value), "{text}");
+            assert_eq!(parse(data_type, &value.to_string()), Ok(value), "{text} as it is written");
         }
     }
 
