@@ -343,6 +343,10 @@ impl DriveGroup for Scripted {
         }
     }
 
+    fn doubt_reference(&mut self, axis: usize) {
+        self.world().axes[axis].state.homing = Homing::NotHomed;
+    }
+
     fn emergency_stop(&self) -> Option<EmergencyStop> {
         self.world().emergency
     }

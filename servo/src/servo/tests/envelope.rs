@@ -107,6 +107,8 @@ fn motors_that_lag_or_stand_still_stay_within_the_envelope() {
     rig.run_until(Phase::Stopping);
     assert!(matches!(rig.cause(), Some(StopCause::Frozen { .. })), "{:?}", rig.cause());
     assert_eq!(rig.last_sent()[1], AxisCommand::Off);
+    let references: Vec<_> = rig.world().axes.iter().map(|drive| drive.state.homing).collect();
+    assert_eq!(references, [Homing::Attained, Homing::NotHomed], "the counter may have lost counts");
     rig.run_until(Phase::Faulted);
     assert_eq!(category(&rig), Some(StopCategory::One));
     keeps_limits(&rig.positions(0)).unwrap();

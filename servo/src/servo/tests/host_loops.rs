@@ -186,8 +186,9 @@ fn a_macrostep_cut_off_by_a_lost_loop_is_not_continued_after_the_reset() {
         rig.world().axes[0].frozen = None;
         rig.order(Order::ResetFault);
         rig.run_until(Phase::Off);
-        // The motor has come to rest without power.
+        // The motor has come to rest without power, and has its reference again.
         rig.world().axes[0].spin = 0.0;
+        rig.world().axes[0].state.homing = Homing::Attained;
         rig.order(Order::Enable);
         rig.run_until(Phase::Standing);
         rig.run(200);
