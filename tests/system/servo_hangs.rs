@@ -1,7 +1,7 @@
 //! A servo thread that hangs for good in motion: the run ends by itself, and reports the hang.
 //!
-//! `mrroc run` is a process of its own, and the emulator on ttys is in this process. The thread hangs until all outputs of
-//! the run are read.
+//! `mrroc run` is a process of its own, and the emulator on ttys is in this process. The thread hangs until all outputs
+//! of the run are read.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -30,8 +30,8 @@ struct Rig<'a> {
 }
 
 impl Rig<'_> {
-    /// Lets the servo thread of a run hang in motion, and sends `signal` to the run. `None` if the host had disturbed the
-    /// run before.
+    /// Lets the servo thread of a run hang in motion, and sends `signal` to the run. `None` if the host had disturbed
+    /// the run before.
     fn hangs(&self, signal: Option<&str>) -> Option<()> {
         let [record, flights] = ["record.csv", "flights"].map(|name| self.directory.path(name));
         let _ = (fs::remove_file(&record), fs::remove_dir_all(&flights));

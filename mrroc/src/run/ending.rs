@@ -73,14 +73,14 @@ enum State {
 }
 
 impl Turning {
-    /// A servo thread that ends once `over` is set, and brakes by `stop`. The thread hangs if no cycle ends for `limit`:
-    /// see [`hang_limit`](super::hang_limit).
+    /// A servo thread that ends once `over` is set, and brakes by `stop`. The thread hangs if no cycle ends for
+    /// `limit`: see [`hang_limit`](super::hang_limit).
     pub fn of(running: Running, over: Arc<AtomicBool>, stop: StopRequest, limit: Duration) -> Self {
         Self { servo: State::Running(running), over, stop, watch: ServoWatch::of(limit, clock::now()) }
     }
 
-    /// Whether the servo thread has ended, or hangs and was left behind. With calls less often than every 100 ms, a hang
-    /// is found later.
+    /// Whether the servo thread has ended, or hangs and was left behind. With calls less often than every 100 ms, a
+    /// hang is found later.
     pub fn is_over(&mut self) -> bool {
         let State::Running(running) = &self.servo else {
             return true;

@@ -1,5 +1,5 @@
-//! Watches on threads of a run. The watch on the thread of a task detects a task that does not return from its turn, and
-//! a generator that does not return from a step. The watch on the servo thread detects that no cycle is completed.
+//! Watches on threads of a run. The watch on the thread of a task detects a task that does not return from its turn,
+//! and a generator that does not return from a step. The watch on the servo thread detects that no cycle is completed.
 
 use std::io;
 use std::sync::Arc;
