@@ -86,8 +86,6 @@ pub(crate) struct Effector {
     ahead: [f64; MAX_AXES],
     /// The motion ended in this cycle while the law still moved the effector, which brakes to a stand.
     pub(crate) settling: bool,
-    /// Bit set of the effectors that brake together with this one.
-    pub(crate) braking_with: u32,
     /// Where the effector rests on its brakes after an orderly power-off, while the brakes are watched.
     rest: Option<slip::Rest>,
     /// The present stop was restarted because a bus refused its set-points.
@@ -126,7 +124,7 @@ impl Effector {
             state: ServoState::Off,
             since: Instant::ZERO,
             fault: None,
-            team: Team::of(1 << index),
+            team: Team::apart(1 << index),
             stopped: false,
             refused: 0,
             held: false,
@@ -137,7 +135,6 @@ impl Effector {
             stop: StraightStop::new([], 1.0),
             ahead: [0.0; MAX_AXES],
             settling: false,
-            braking_with: 0,
             rest: None,
             stop_restarted: false,
             halted: false,
@@ -157,11 +154,6 @@ impl Effector {
 
     pub(crate) fn index(&self) -> u8 {
         self.index
-    }
-
-    /// Whether the effector is in a team with others.
-    pub(crate) fn is_tied(&self) -> bool {
-        self.team.members != self.bit()
     }
 
     /// Duration of the slowest stop, including the wait for standstill.
@@ -227,7 +219,7 @@ impl Effector {
 
     /// Whether a bus refused the set-points of the last cycle, and the effector must repeat them.
     pub(crate) fn must_repeat(&self) -> bool {
-        let braking = matches!(self.state, ServoState::Braking(_));
+        let braking = self.is_braking();
         let follows = braking || matches!(self.state, ServoState::Standing | ServoState::Moving);
         let given_up = braking && self.refused > REFUSED_IN_STOP;
         self.refused > 0 && follows && !given_up
@@ -236,8 +228,7 @@ impl Effector {
     /// Restarts a stop whose set-points a bus refuses too long. The drives receive no set-point and count as standing.
     /// The stop is restarted only once: a restart in every cycle would never end while a motor is measured to move.
     pub(crate) fn restart_refused_stop(&mut self, tick: &Tick) {
-        let braking = matches!(self.state, ServoState::Braking(_));
-        if braking && self.refused > REFUSED_IN_STOP && !self.stop_restarted {
+        if self.is_braking() && self.refused > REFUSED_IN_STOP && !self.stop_restarted {
             self.axes.iter_mut().for_each(|axis| axis.rest(0, tick.dt));
             self.begin_stop(tick);
             self.stop_restarted = true;
@@ -299,7 +290,7 @@ impl Effector {
             (_, ServoState::Braking(_)) => {
                 self.begin_stop(tick);
                 self.set_envelope();
-                (self.stop_restarted, self.braking_with) = (false, 0);
+                self.stop_restarted = false;
             }
             (_, ServoState::Halting(_)) => self.halted = false,
             (_, ServoState::Enabling) => {
@@ -334,14 +325,19 @@ impl Effector {
         self.news = true;
     }
 
-    /// Number of periods of the stop that begins in this cycle, if any.
-    pub(crate) fn stop_periods(&self) -> Option<u32> {
-        matches!(self.state, ServoState::Braking(_)).then(|| self.stop.periods())
+    /// Whether the servo brakes the effector.
+    pub(crate) fn is_braking(&self) -> bool {
+        matches!(self.state, ServoState::Braking(_))
     }
 
-    /// Lets the stop that begins in this cycle last as long as the stops of `members`.
-    pub(crate) fn brake_with(&mut self, members: u32, periods: u32) {
-        (self.stop, self.braking_with) = (self.stop.lasting(periods), members);
+    /// Number of periods of the stop that begins in this cycle, if any.
+    pub(crate) fn stop_periods(&self) -> Option<u32> {
+        self.is_braking().then(|| self.stop.periods())
+    }
+
+    /// Lets the stop that begins in this cycle last at least this number of periods.
+    pub(crate) fn brake_over(&mut self, periods: u32) {
+        self.stop = self.stop.lasting(periods);
     }
 
     /// A straight stop from the last set-points.

@@ -65,7 +65,7 @@ pub use motion_time::{OverrideError, SpeedOverride};
 pub use recorder::{AxisRecord, Record};
 pub use search::HomingFailure;
 pub use servo::{NotUp, Servo, StopRequest};
-pub use state::{After, Answer, ServoEvent, ServoState, StopCategory};
+pub use state::{After, Answer, CellState, ServoEvent, ServoState, StopCategory, TeamState};
 pub use statistics::{Counters, TrackingError};
 pub use timing::Timing;
 pub use trail::Trail;

@@ -12,9 +12,10 @@ use crate::effector::{Effector, Tick};
 use crate::journal::{Journal, JournalEvent, JournalReader};
 use crate::motion_time::{Bounds, MotionTime, SpeedOverride};
 use crate::overload::OverloadWatch;
+use crate::state::CellEvent;
 use crate::{
-    Counters, CycleLaw, EffectorLink, Excitation, ExcitationError, LawBound, LawError, Record, ServoConfig, ServoError,
-    ServoFault, ServoState, StopCause, TrackingError,
+    CellState, Counters, CycleLaw, EffectorLink, Excitation, ExcitationError, LawBound, LawError, Record, ServoConfig,
+    ServoError, ServoFault, ServoState, StopCause, TeamState, TrackingError,
 };
 use crate::{excitation::Playing, recorder::Recorder, team};
 
@@ -34,21 +35,23 @@ use crate::{excitation::Playing, recorder::Recorder, team};
 /// # Stops
 /// Every stop first brakes the effector along a straight line within its acceleration limits
 /// ([`StraightStop`](crate::StraightStop)). Exceptions are a failed position loop and [`cut_power`](Self::cut_power),
-/// which switch the power off at once. A [`StopRequest`] brakes all effectors, and then switches them off.
+/// which switch the power off at once. A [`StopRequest`] brakes all effectors, and then switches them off. The states are
+/// those of [`ServoState`] for an effector, [`TeamState`] for a team, and [`CellState`] for the cell.
 ///
 /// # Cycle laws
 /// An effector may have one [`CycleLaw`], which displaces the interpolated set-points of macrosteps that carry
 /// [`LawParameters`](crate::LawParameters).
 ///
 /// # Teams
-/// Effectors that are [tied](crate::Order::Tie) begin each macrostep together, and a stop of one stops all. The members
-/// brake over the same number of periods, so the motors of the whole team stay in proportion until rest.
+/// Effectors that are [tied](crate::Order::Tie) begin each macrostep together, and a stop of one stops all: see
+/// [`TeamState`].
 pub struct Servo {
     period: Duration,
     max_missed_in_row: u32,
     groups: Vec<Group>,
     effectors: Vec<Effector>,
     stop: StopRequest,
+    state: CellState,
     motion_time: MotionTime,
     recorder: Option<Recorder>,
     journal: Option<Journal>,
@@ -130,6 +133,7 @@ impl Servo {
             groups: groups.into_iter().map(group).collect(),
             effectors,
             stop: StopRequest::default(),
+            state: CellState::default(),
             motion_time: MotionTime::new(),
             recorder: None,
             journal: None,
@@ -150,6 +154,7 @@ impl Servo {
             journal.note(now, JournalEvent::BringUp { stop });
         }
         if stop {
+            self.take(CellEvent::Stop);
             return Poll::Ready(Err(NotUp::Stopped));
         }
         let result = self.bring_up_groups(now);
@@ -171,6 +176,10 @@ impl Servo {
             }
         }
         if up { Poll::Ready(Ok(())) } else { Poll::Pending }
+    }
+
+    fn take(&mut self, event: CellEvent) {
+        self.state = self.state.next(event);
     }
 
     /// One cycle. Call this function only after [`bring_up`](Self::bring_up) is ready.
@@ -228,6 +237,11 @@ impl Servo {
                     ..effector.record(&tick)
                 });
             }
+        }
+        if self.effectors.iter().any(Effector::holds_for_brake) {
+            self.take(CellEvent::BrakeSlips);
+        } else if self.is_off() {
+            self.take(CellEvent::PowerOff);
         }
     }
 
@@ -304,6 +318,10 @@ impl Servo {
         if let Some(journal) = &mut self.journal {
             journal.note(now, JournalEvent::Cycle { number, missed, stop, rate: target });
         }
+        let emergency = self.emergency_stop();
+        let contact = if emergency.is_some() { CellEvent::ContactOpens } else { CellEvent::ContactsClose };
+        let events = [Some(CellEvent::Up), Some(contact), stop.then_some(CellEvent::Stop)];
+        self.state = events.into_iter().flatten().fold(self.state, CellState::next);
         let bounds = |rate| effectors.iter().map(|it| it.rate_bounds(rate)).fold(Bounds::NONE, Bounds::within);
         Tick {
             number,
@@ -311,11 +329,11 @@ impl Servo {
             dt,
             motion: if held { self.motion_time.hold() } else { self.motion_time.advance(target, dt, bounds) },
             periods: missed.saturating_add(1),
-            stop,
+            stop: self.state.is_ending(),
             effectors: !u32::MAX.checked_shl(effectors.len() as u32).unwrap_or(0),
             overrun: (row > self.max_missed_in_row).then_some(row),
             overload: overload.map(|(missed, deadlines)| StopCause::Overloaded { missed, deadlines }),
-            emergency: self.emergency_stop(),
+            emergency,
         }
     }
 
@@ -336,6 +354,7 @@ impl Servo {
         if let Some(journal) = &mut self.journal {
             journal.note(now, JournalEvent::Cut);
         }
+        self.take(CellEvent::Cut);
         for group in &mut self.groups {
             group.commands.fill(AxisCommand::Off);
             group.drives.write(now, &group.commands);
@@ -410,6 +429,16 @@ impl Servo {
         self.period
     }
 
+    /// State of the cell.
+    pub fn cell_state(&self) -> CellState {
+        self.state
+    }
+
+    /// State of the team of effector `index`; `None` if there is no such effector.
+    pub fn team_state(&self, index: usize) -> Option<TeamState> {
+        self.effectors.get(index).map(|effector| effector.team.state)
+    }
+
     /// State of effector `index`; `None` if there is no such effector.
     pub fn state(&self, index: usize) -> Option<ServoState> {
         self.effectors.get(index).map(|effector| effector.state)
@@ -426,11 +455,6 @@ impl Servo {
             matches!(effector.state, ServoState::Off | ServoState::Faulted)
                 && effector.axes.iter().all(|axis| axis.state.power == Power::Off)
         })
-    }
-
-    /// Whether the motors of an effector hold it because a brake does not.
-    pub(crate) fn holds_for_brake(&self) -> bool {
-        self.effectors.iter().any(Effector::holds_for_brake)
     }
 
     /// Longest duration of a stop of any effector: first its set-points, then its drives.

@@ -2,19 +2,21 @@
 //!
 //! Each effector first checks its axes and takes its stops. [`coordinate`] then decides for all effectors. Last, each
 //! effector takes its set-points. An effector without partners is a team with one member. The result does not depend on
-//! the order of the effectors.
+//! the order of the effectors. [`TeamState`] describes the states of a team.
 
 use crate::effector::{Effector, Tick};
-use crate::{Macrostep, ServoState, StopCause};
+use crate::state::TeamEvent;
+use crate::{Macrostep, ServoState, StopCause, TeamState};
 
 /// Barriers that one effector may pass in one cycle. Barriers beyond wait for the next cycle.
 const BARRIERS: usize = 4;
 
-/// The team of an effector.
+/// The team of an effector. Each member has a copy, in the same state.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Team {
-    /// Bit set of the members, the effector included. The effector alone is no team.
-    pub(crate) members: u32,
+    pub(crate) state: TeamState,
+    /// Bit set of the members, the effector included.
+    members: u32,
     /// Number of macrosteps begun since the tie.
     pub(crate) macrosteps: u64,
     /// Number of the first of these macrosteps in its effector.
@@ -22,25 +24,72 @@ pub(crate) struct Team {
 }
 
 impl Team {
-    pub(crate) fn of(members: u32) -> Self {
-        Self { members, macrosteps: 0, first: None }
+    /// An effector apart.
+    pub(crate) fn apart(bit: u32) -> Self {
+        Self { state: TeamState::Apart, members: bit, macrosteps: 0, first: None }
     }
 
-    /// The required number of the next macrostep of the effector; `None` before the first.
+    /// Takes an event, for the member of this bit.
+    fn take(&mut self, event: TeamEvent, bit: u32) {
+        self.state = self.state.next(event);
+        if self.state == TeamState::Apart {
+            self.members = bit;
+        }
+    }
+
+    /// The required number of the next macrostep of the effector; `None` before the first, and apart.
     pub(crate) fn next_number(&self) -> Option<u64> {
-        self.first.map(|first| first.wrapping_add(self.macrosteps))
+        self.first.filter(|_| self.state.is_tied()).map(|first| first.wrapping_add(self.macrosteps))
     }
 
     /// Counts a macrostep that the whole team begins.
-    pub(crate) fn count(&mut self, number: u64) {
+    fn count(&mut self, number: u64) {
         self.first.get_or_insert(number);
         self.macrosteps += 1;
+    }
+}
+
+impl Effector {
+    /// Whether the effector is in a team with others.
+    pub(crate) fn is_tied(&self) -> bool {
+        self.team.state.is_tied()
+    }
+
+    /// Bit set of the effectors that begin and stop their macrosteps with this one, itself included.
+    fn tied(&self) -> u32 {
+        if self.is_tied() { self.team.members } else { self.bit() }
+    }
+
+    /// Ties the effector to the other `members`.
+    pub(crate) fn tie(&mut self, members: u32) {
+        self.team = Team { members, ..Team::apart(self.bit()) };
+        let event = if members == self.bit() { TeamEvent::Untie } else { TeamEvent::Tie };
+        self.change_team(event);
+    }
+
+    /// Leaves the team.
+    pub(crate) fn untie(&mut self) {
+        self.change_team(TeamEvent::Untie);
+    }
+
+    /// Begins a macrostep of this number with the team.
+    pub(crate) fn begin_with_team(&mut self, number: u64) {
+        self.change_team(TeamEvent::Begin);
+        if self.is_tied() {
+            self.team.count(number);
+        }
+    }
+
+    fn change_team(&mut self, event: TeamEvent) {
+        let bit = self.bit();
+        self.team.take(event, bit);
     }
 }
 
 /// Decides what each effector does in this cycle. Stops were found in the checks and the queues of all effectors
 /// before.
 pub(crate) fn coordinate(effectors: &mut [Effector], tick: &Tick) {
+    rest_teams(effectors);
     stop_teams(effectors, tick);
     for _ in 0..BARRIERS {
         if !pass_barriers(effectors, tick) {
@@ -51,7 +100,7 @@ pub(crate) fn coordinate(effectors: &mut [Effector], tick: &Tick) {
     effectors.iter_mut().for_each(|effector| effector.restart_refused_stop(tick));
     hold_partners(effectors);
     for index in 0..effectors.len() {
-        let members = effectors[index].team.members;
+        let members = effectors[index].tied();
         // The first member decides for its team.
         if members.trailing_zeros() as usize == index {
             follow_macrosteps(effectors, members, tick);
@@ -68,6 +117,23 @@ fn of_mut(effectors: &mut [Effector], members: u32) -> impl Iterator<Item = &mut
     effectors.iter_mut().filter(move |it| it.bit() & members != 0)
 }
 
+/// Finds the teams that have come to rest.
+fn rest_teams(effectors: &mut [Effector]) {
+    for index in 0..effectors.len() {
+        let effector = &effectors[index];
+        let rests = match effector.team.state {
+            TeamState::Apart | TeamState::Tied => false,
+            TeamState::Moving | TeamState::Settling => {
+                of(effectors, effector.team.members).all(|it| it.state == ServoState::Standing)
+            }
+            TeamState::Parting => !effector.is_braking(),
+        };
+        if rests {
+            effectors[index].change_team(TeamEvent::Rest);
+        }
+    }
+}
+
 /// Removes from each team the members that have left it, and stops the teams of which a member was stopped. All motors
 /// of a team take the same number of periods to rest, that of the slowest motor.
 fn stop_teams(effectors: &mut [Effector], tick: &Tick) {
@@ -76,6 +142,9 @@ fn stop_teams(effectors: &mut [Effector], tick: &Tick) {
         let mutual = of(effectors, members).filter(|it| it.team.members & own != 0);
         let mutual = mutual.fold(0, |all, it| all | it.bit());
         effectors[index].team.members = mutual;
+        if mutual == own {
+            effectors[index].untie();
+        }
     }
     for index in 0..effectors.len() {
         let members = effectors[index].team.members;
@@ -83,13 +152,13 @@ fn stop_teams(effectors: &mut [Effector], tick: &Tick) {
             continue;
         }
         for member in of_mut(effectors, members) {
-            member.team.members = member.bit();
+            member.change_team(TeamEvent::Stop);
             if !member.stopped {
                 member.stop_with(index as u8, tick);
             }
         }
         let periods = of(effectors, members).filter_map(Effector::stop_periods).max().unwrap_or(0);
-        of_mut(effectors, members).for_each(|member| member.brake_with(members, periods));
+        of_mut(effectors, members).for_each(|member| member.brake_over(periods));
     }
     effectors.iter_mut().for_each(|effector| effector.stopped = false);
 }
@@ -122,8 +191,9 @@ fn hold_partners(effectors: &mut [Effector]) {
     let braking = repeating(|state| matches!(state, ServoState::Braking(_)));
     for effector in effectors {
         let partners = match effector.state {
-            ServoState::Moving => effector.team.members & moving,
-            ServoState::Braking(_) => effector.braking_with & braking,
+            ServoState::Moving => effector.tied() & moving,
+            ServoState::Braking(_) if effector.team.state.brakes_together() => effector.team.members & braking,
+            ServoState::Braking(_) => 0,
             ServoState::Off
             | ServoState::Enabling
             | ServoState::Standing
@@ -150,8 +220,10 @@ fn follow_macrosteps(effectors: &mut [Effector], members: u32, tick: &Tick) {
     } else if !begin || admit(effectors, members, tick) {
         of_mut(effectors, members).for_each(|member| member.follow_macrosteps(begin, tick));
         let settling = |it: &Effector| it.settling.then(|| it.stop_periods()).flatten();
-        let periods = of(effectors, members).filter_map(settling).max().unwrap_or(0);
-        of_mut(effectors, members).filter(|it| it.settling).for_each(|it| it.brake_with(members, periods));
+        if let Some(periods) = of(effectors, members).filter_map(settling).max() {
+            of_mut(effectors, members).filter(|it| it.settling).for_each(|it| it.brake_over(periods));
+            of_mut(effectors, members).for_each(|it| it.change_team(TeamEvent::Settle));
+        }
     }
 }
 

@@ -70,7 +70,7 @@ use thiserror::Error;
 use self::explain::{Before, LATE};
 use self::quantile::LearntQuantile;
 use self::suspend::SuspendWatch;
-use crate::{NotUp, Servo, Timing};
+use crate::{CellState, NotUp, Servo, Timing};
 
 pub use self::account::{Account, AccountReads};
 pub use self::cause::{Cause, Spent, Usage};
@@ -337,7 +337,8 @@ impl Run {
             });
         }
         self.wind_down(between);
-        if self.panicked == Some(Panicked::TwoCycles) || !(self.servo.is_off() || self.servo.holds_for_brake()) {
+        let ended = matches!(self.servo.cell_state(), CellState::Off | CellState::Held);
+        if self.panicked == Some(Panicked::TwoCycles) || !ended {
             self.cut_power();
         }
         self.timing.account = self.account.reads;
@@ -492,7 +493,7 @@ impl Run {
         let mut alive = self.panicked != Some(Panicked::Caller);
         let end = self.deadline + self.servo.longest_stop() + POWER_OFF_WAIT;
         let mut cycles = 0;
-        while (cycles < OFF_CYCLES || !self.servo.is_off()) && self.deadline < end {
+        while (cycles < OFF_CYCLES || self.servo.cell_state() != CellState::Off) && self.deadline < end {
             if !self.cycle() && (self.is_left() || self.panicked == Some(Panicked::TwoCycles)) {
                 return;
             }

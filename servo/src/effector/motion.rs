@@ -26,7 +26,7 @@ impl Effector {
 
     /// Takes the set-points found in this cycle. A stop of this cycle replaces them by its own.
     pub(super) fn take_set_points(&mut self) {
-        if matches!(self.state, ServoState::Braking(_)) && self.stop.advance() {
+        if self.is_braking() && self.stop.advance() {
             self.place_stop();
         }
         if let Some(segment) = self.segment.as_ref().filter(|_| self.state == ServoState::Moving) {
@@ -145,9 +145,7 @@ impl Effector {
         self.apply(tick, ServoEvent::Move);
         self.macrostep = macrostep.number;
         self.counters.macrosteps += 1;
-        if self.is_tied() {
-            self.team.count(macrostep.number);
-        }
+        self.begin_with_team(macrostep.number);
         self.segment = Some(Segment::new(macrostep, start, tick.dt));
     }
 
@@ -174,7 +172,7 @@ impl Effector {
         if !(1..=macrostep.steps).contains(&macrostep.report_at) {
             return Err((None, StopCause::Malformed { number }));
         }
-        let in_team = self.team.next_number().filter(|_| self.is_tied());
+        let in_team = self.team.next_number();
         if let Some(expected) = in_team.filter(|expected| *expected != number) {
             return Err((None, StopCause::OutOfSequence { number, expected }));
         }

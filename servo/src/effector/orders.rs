@@ -1,7 +1,6 @@
 //! Orders of an effector: stop and disable orders overtake the queue, and all other orders wait for their turn.
 
 use super::{Effector, Tick};
-use crate::team::Team;
 use crate::{Answer, Macrostep, Order, ServoEvent, ServoState, StopCause};
 
 /// A barrier at the front of a queue. The value is the bit set of its members.
@@ -92,7 +91,7 @@ impl Effector {
                         if !self.is_at_boundary(tick) {
                             return;
                         }
-                        self.team.members = self.bit();
+                        self.untie();
                     }
                     Order::Enable | Order::Home | Order::Stop | Order::Disable | Order::ResetFault => {
                         self.enter(tick, next);
@@ -130,7 +129,7 @@ impl Effector {
         self.pop();
         self.news = true;
         if let Barrier::Tie(members) = barrier {
-            self.team = Team::of(members);
+            self.tie(members);
         }
         self.take_orders(tick);
     }

@@ -89,6 +89,7 @@ fn a_panic_of_the_caller_brakes_and_switches_off() {
     let finished = run(servo, Realtime::PLAIN, CellTime::Wall, |_| {}, until).unwrap();
     assert_eq!(finished.panicked, Some(Panicked::Caller));
     assert!(finished.servo.is_off() && !has_power(&world));
+    assert_eq!(finished.servo.cell_state(), CellState::Off);
 }
 
 /// Runs until the effector stands; then `panics` cycles panic.
@@ -176,6 +177,7 @@ fn a_stop_that_is_not_over_in_time_ends_without_power() {
     let state = finished.servo.state(0);
     assert!(matches!(state, Some(ServoState::Braking(_))), "the stop is under way: {state:?}");
     assert!(!has_power(&world));
+    assert_eq!(finished.servo.cell_state(), CellState::Cut);
 }
 
 #[test]

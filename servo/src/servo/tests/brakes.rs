@@ -3,7 +3,7 @@
 use drive::EmergencyStop;
 
 use super::*;
-use crate::StopCategory;
+use crate::{CellState, StopCategory};
 
 /// An effector that `order` switches off, and whose second motor falls by `fall`, rad, after `cycles` more.
 fn fallen(order: Order, cycles: usize, fall: f64) -> Rig {
@@ -47,6 +47,7 @@ fn a_request_to_stop_leaves_the_power_on_while_a_brake_slips() {
     rig.run_until(Phase::Standing);
     rig.run(50);
     assert_eq!((rig.phase(), rig.servo.is_off()), (Phase::Standing, false));
+    assert_eq!(rig.servo.cell_state(), CellState::Held);
 }
 
 #[test]

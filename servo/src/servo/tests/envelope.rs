@@ -4,7 +4,7 @@ use drive::axis_controller::AxisControllerFault;
 use drive::{EmergencyStop, Fault};
 
 use super::*;
-use crate::{After, ServoState, StopCategory};
+use crate::{After, CellState, ServoState, StopCategory};
 
 /// An effector that moves at 10 rad/s, whose second motor then runs at `speed`, and `order` stops it.
 fn stopping(order: Order, speed: Option<f64>) -> Rig {
@@ -157,6 +157,7 @@ fn an_emergency_stop_brakes_and_holds_the_effector_off_until_it_is_released_and_
     rig.run_until(Phase::Faulted);
     keeps_limits(&rig.positions(0)).unwrap();
     let fault = rig.servo.fault(0).unwrap();
+    assert_eq!(rig.servo.cell_state(), CellState::Locked);
     assert_eq!((fault.axis, fault.cause), (None, StopCause::EmergencyStop { group: 0, contact: emergency }));
     assert_eq!(fault.category, StopCategory::One);
     assert_eq!(fault.to_string(), "emergency stop by input 5 of node 40: the contact is open");

@@ -3,6 +3,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use super::*;
+use crate::CellState;
 
 #[test]
 fn stop_and_disable_overtake_the_queue_and_brake() {
@@ -176,7 +177,10 @@ fn a_stop_request_brakes_switches_off_and_holds() {
     let mut rig = Rig::standing(2);
     rig.accelerate(500.0, 4, 20);
     rig.run(60);
+    assert_eq!(rig.servo.cell_state(), CellState::Running);
     rig.servo.stop_request().request();
+    rig.run(1);
+    assert_eq!(rig.servo.cell_state(), CellState::Stopping);
     rig.run_until(Phase::Off);
     assert_eq!(rig.cause(), None);
     keeps_limits(&rig.positions(0)).unwrap();
@@ -190,6 +194,7 @@ fn a_stop_request_brakes_switches_off_and_holds() {
     assert!(rig.world().sent.iter().flatten().all(off));
     assert_eq!((rig.phase(), rig.last_sent()), (Phase::Off, vec![AxisCommand::Off; 2]));
     assert!(rig.servo.is_off());
+    assert_eq!(rig.servo.cell_state(), CellState::Off);
     assert!(rig.world().axes.iter().all(|drive| drive.state.power == Power::Off));
 }
 

@@ -4,7 +4,7 @@ mod laws;
 mod stops;
 
 use super::*;
-use crate::{ServoFault, Snapshot};
+use crate::{ServoFault, Snapshot, TeamState};
 
 /// Effectors of one axis, each on its own group.
 struct Cell {
@@ -133,6 +133,8 @@ fn members_begin_100_000_macrosteps_in_the_same_cycles_however_late_their_queues
         assert_eq!(one.team_macrostep, other.team_macrostep, "cycle {}", one.cycle);
         assert_eq!(one.commanded[0], other.commanded[0], "cycle {}", one.cycle);
         assert_eq!(one.phase, other.phase, "cycle {}", one.cycle);
+        let team = [0, 1].map(|effector| cell.servo.team_state(effector).unwrap());
+        assert!(team[0] == team[1] && team[0].is_tied(), "cycle {}: {team:?}", one.cycle);
         waited += u64::from(one.waiting != other.waiting);
         assert!(one.cycle < 20 * COUNT, "{:?}", cell.team_macrosteps());
     }
@@ -203,12 +205,15 @@ fn a_member_that_unties_in_motion_goes_on_alone_and_the_last_member_is_free() {
     }
     cell.run(60);
     assert_eq!((cell.team_macrosteps(), cell.phases()), (vec![5, 6, 6], vec![Phase::Moving; 3]));
+    let states = |cell: &Cell| [0, 1, 2].map(|effector| cell.servo.team_state(effector).unwrap());
+    assert_eq!(states(&cell), [TeamState::Apart, TeamState::Moving, TeamState::Moving]);
     cell.order(0, Order::Stop);
     cell.run(1);
     assert_eq!(cell.phases(), [Phase::Stopping, Phase::Moving, Phase::Moving]);
     cell.run(40);
     // With the second member gone, the third one is no team.
     assert_eq!((cell.team_macrosteps(), cell.phases()[2]), (vec![5, 8, 8], Phase::Moving));
+    assert_eq!(states(&cell), [TeamState::Apart; 3]);
     cell.order(1, Order::Stop);
     cell.run(1);
     assert_eq!(cell.phases()[1..], [Phase::Stopping, Phase::Moving]);

@@ -57,7 +57,9 @@ fn a_law_that_still_moves_at_the_end_does_not_dissolve_the_team() {
     let mut cell = tied(fast, &rest);
     cell.run(41);
     assert_eq!(cell.phases(), [Phase::Stopping, Phase::Standing]);
+    assert_eq!([0, 1].map(|member| cell.servo.team_state(member)), [Some(TeamState::Settling); 2]);
     cell.run(30);
+    assert_eq!([0, 1].map(|member| cell.servo.team_state(member)), [Some(TeamState::Tied); 2]);
     assert_eq!(cell.phases(), [Phase::Standing; 2]);
     assert_eq!((cell.servo.fault(0), cell.servo.fault(1)), (None, None));
     let at = cell.position(0);

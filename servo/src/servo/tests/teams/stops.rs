@@ -94,7 +94,7 @@ fn stop(case: &Case, first: usize, acts: u32) -> Vec<[f64; 2]> {
     (case.sequence)(&mut sequence);
     sequence.into_iter().for_each(|step| cell.order(first, Order::Move(step)));
     motion(-0.6, 40).into_iter().for_each(|step| cell.order(other, Order::Move(step)));
-    let mut positions = Vec::new();
+    let (mut positions, mut teams) = (Vec::new(), vec![TeamState::Apart]);
     for cycle in 0..800 {
         if cycle == acts {
             (case.act)(&mut cell, first);
@@ -106,7 +106,14 @@ fn stop(case: &Case, first: usize, acts: u32) -> Vec<[f64; 2]> {
             positions.clear();
         }
         positions.push([cell.position(first), cell.position(other)]);
+        let [one, partner] = [first, other].map(|member| cell.servo.team_state(member).unwrap());
+        assert!(one == partner || partner == TeamState::Parting, "{}: {one:?}, {partner:?}", case.name);
+        if *teams.last().unwrap() != partner {
+            teams.push(partner);
+        }
     }
+    let course = [TeamState::Apart, TeamState::Moving, TeamState::Parting, TeamState::Apart];
+    assert_eq!(teams, course[..], "{}", case.name);
     assert_eq!([cell.phases()[first], cell.phases()[other]], case.ends, "{}", case.name);
     for (member, expected) in [(first, case.causes[0]), (other, case.causes[1])] {
         let found = cell.servo.fault(member).map(|fault| format!("{:?}", fault.cause));
