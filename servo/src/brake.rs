@@ -97,6 +97,11 @@ impl StraightStop {
         if velocity == 0.0 { beyond.abs() } else { beyond * velocity.signum() }
     }
 
+    /// Position at which motor `axis` comes to rest, rad.
+    pub(crate) fn rest(&self, axis: usize) -> f64 {
+        Self { done: self.periods, ..*self }.at(axis).position
+    }
+
     /// Present set-point of motor `axis`.
     pub fn at(&self, axis: usize) -> Knot {
         let (from, periods) = (self.from[axis], self.periods.min(self.most[axis]));

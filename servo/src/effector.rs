@@ -82,8 +82,8 @@ pub(crate) struct Effector {
     next: [Knot; MAX_AXES],
     law: Option<law::Installed>,
     stop: StraightStop,
-    /// Distance of each motor ahead of its set-point, rad, when the envelope of the stop was set.
-    ahead: [f64; MAX_AXES],
+    /// The envelope of the stop.
+    envelope: check::Envelope,
     /// The motion ended in this cycle while the law still moved the effector, which brakes to a stand.
     pub(crate) settling: bool,
     /// Where the effector rests on its brakes after an orderly power-off, while the brakes are watched.
@@ -133,7 +133,7 @@ impl Effector {
             next: [Knot::default(); MAX_AXES],
             law: None,
             stop: StraightStop::new([], 1.0),
-            ahead: [0.0; MAX_AXES],
+            envelope: check::Envelope::default(),
             settling: false,
             rest: None,
             stop_restarted: false,
@@ -231,6 +231,7 @@ impl Effector {
         if self.is_braking() && self.refused > REFUSED_IN_STOP && !self.stop_restarted {
             self.axes.iter_mut().for_each(|axis| axis.rest(0, tick.dt));
             self.begin_stop(tick);
+            self.set_envelope();
             self.stop_restarted = true;
         }
     }

@@ -167,6 +167,10 @@ pub enum StopCause {
     /// The motor is faster than its position loop, closed by the servo, could make it: beyond `runaway_velocity`.
     #[error("motor runs away at {velocity:.1} rad/s, beyond {limit:.1} rad/s")]
     Runaway { velocity: f64, limit: f64 },
+    /// The motor is too fast in a stop: from this velocity, the greatest acceleration of the motor cannot brake it within
+    /// the [envelope](crate::ServoState) of the stop.
+    #[error("motor does not brake: {velocity:.1} rad/s, the stop permits {limit:.1} rad/s")]
+    NotBraking { velocity: f64, limit: f64 },
     /// The command leads towards a closed limit switch, or the switch holds the axis back. The upper switch is at the
     /// upper end of the counter's travel.
     #[error("ran onto the {} limit switch", if *.upper { "upper" } else { "lower" })]
@@ -259,8 +263,8 @@ pub enum StopCause {
 }
 
 impl StopCause {
-    /// Category of the stop. [`FollowingError`](Self::FollowingError) of a loop that the servo closes has category 0
-    /// instead, because such a loop cannot brake. A stop that [leaves its envelope](crate::ServoState) becomes stricter.
+    /// Category of the stop. [`FollowingError`](Self::FollowingError) and [`NotBraking`](Self::NotBraking) of a loop that the
+    /// servo closes have category 0 instead, because such a loop cannot brake. A stop that [leaves its envelope](crate::ServoState) becomes stricter.
     /// A fault of an axis controller that opens the emergency-stop circuit of its cabinet has category 0: the drives open
     /// their power stages by themselves.
     pub fn category(&self) -> StopCategory {
@@ -270,6 +274,7 @@ impl StopCause {
             Self::Runaway { .. } => StopCategory::Zero,
             Self::Drive(_)
             | Self::FollowingError { .. }
+            | Self::NotBraking { .. }
             | Self::Frozen { .. }
             | Self::LimitSwitch { .. }
             | Self::PositionLimit { .. }

@@ -24,7 +24,8 @@ pub enum Detector {
     Plausibility,
     /// Answers or measured positions that stay the same while the set-points change.
     Frozen,
-    /// Distance between commanded and measured position.
+    /// Distance between commanded and measured position, and the distance at the end of a stop that follows from the
+    /// velocity.
     FollowingError,
     /// Greatest velocity under a loop of the host.
     Runaway,
@@ -67,7 +68,7 @@ impl Detector {
     pub fn of(cause: &StopCause) -> Option<Self> {
         Some(match cause {
             StopCause::Drive(fault) => Self::of_drive(fault)?,
-            StopCause::FollowingError { .. } => Self::FollowingError,
+            StopCause::FollowingError { .. } | StopCause::NotBraking { .. } => Self::FollowingError,
             StopCause::Frozen { .. } => Self::Frozen,
             StopCause::BrakeSlips { .. } => Self::Brake,
             StopCause::Runaway { .. } => Self::Runaway,

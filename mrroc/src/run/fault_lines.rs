@@ -198,6 +198,7 @@ fn of_axes() -> Vec<StopCause> {
         C::Frozen { travel: 123.4567 },
         C::BrakeSlips { travel: -123.4567 },
         C::Runaway { velocity: -1234.5, limit: 300.0 },
+        C::NotBraking { velocity: -1234.5, limit: 300.0 },
         C::LimitSwitch { upper: true },
         C::PositionLimit { position: -1234.5678, limit: -1200.0 },
         C::NoRoomToStop { rest: 1234.5678, limit: 1200.0 },
@@ -252,6 +253,7 @@ fn of_robots() -> Vec<StopCause> {
             | C::Frozen { .. }
             | C::BrakeSlips { .. }
             | C::Runaway { .. }
+            | C::NotBraking { .. }
             | C::LimitSwitch { .. }
             | C::PositionLimit { .. }
             | C::NoRoomToStop { .. }

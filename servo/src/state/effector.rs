@@ -13,11 +13,21 @@ use crate::Phase;
 /// closes takes the power at once in every state (category 0).
 ///
 /// # Envelope of a stop
-/// A stop by set-points bounds the position of each motor in each cycle: a motor whose drive closes the position loop may
-/// be ahead of its set-point, in the direction of the stop, by at most its following error, plus the distance by which it
-/// was ahead when the stop began. A motor that leaves this envelope does not brake. Its stop becomes stricter by one
-/// category, and the envelope is set anew at this distance: a stop of category 2 becomes one of category 1, and a stop of
-/// category 1 takes the power at once (category 0).
+/// A stop by set-points bounds the position and the velocity of each motor in each cycle:
+///
+/// - A motor whose drive closes the position loop may be ahead of its set-point, in the direction of the stop, by at most
+///   its following error, plus the distance by which it was ahead when the stop began.
+/// - A motor with its measured position and velocity must be able to come to rest, by its greatest acceleration, at most
+///   one following error beyond the end of the stop, plus this distance when the stop began. The permitted velocity
+///   therefore falls along the stop, and a motor that does not begin to brake is found before its position is far from its
+///   set-point. Three samples in a row decide.
+///
+/// A motor that leaves this envelope does not brake. Its stop becomes stricter by one category, and the envelope is set
+/// anew at its present distances: a stop of category 2 becomes one of category 1, and a stop of category 1 takes the power
+/// at once (category 0). Under a loop that the servo closes, every stop takes the power at once.
+///
+/// After the last set-point of a stop of category 1, the power is removed when the motors are still, and at the latest
+/// after 100 ms. After a stop of category 2, the motors must stay within their following errors.
 ///
 /// ```text
 /// Off ──Enable──▶ Enabling ──Done──▶ Standing ──Move──▶ Moving ──Done──▶ Standing

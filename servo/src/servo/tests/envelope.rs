@@ -53,6 +53,40 @@ fn a_motor_that_does_not_brake_loses_its_power_in_a_stop_of_category_1() {
     assert_eq!(rig.last_sent(), [AxisCommand::Off; 2]);
 }
 
+/// A motor in a stop of 60 periods from 60 rad/s, which has gone on at 60 rad/s since its first period: category and time,
+/// periods, at which the stop becomes stricter.
+fn escalation(order: Order) -> (StopCause, StopCategory, u32) {
+    let mut rig = Rig::standing(2);
+    rig.accelerate(500.0, 12, 20);
+    rig.run(125);
+    rig.order(order);
+    rig.run(3);
+    assert_eq!(rig.phase(), Phase::Stopping);
+    rig.world().axes[1].runs_at = Some(60.0);
+    let before = rig.servo.state(0);
+    let mut periods = 3;
+    while rig.servo.state(0) == before {
+        rig.run(1);
+        periods += 1;
+    }
+    (rig.cause().unwrap(), category(&rig).unwrap(), periods)
+}
+
+/// At 60 rad/s and 1000 rad/s², the following error of 0.5 rad is reached after √(2 · 0.5 / 1000) s = 32 periods. The motor
+/// could no longer come to rest within the envelope after 0.5 / 60 s = 8 periods.
+#[test]
+fn a_motor_that_does_not_brake_is_found_by_its_velocity_before_its_following_error() {
+    for (order, expected) in [(Order::Stop, StopCategory::One), (Order::Disable, StopCategory::Zero)] {
+        let (cause, category, periods) = escalation(order);
+        assert_eq!(category, expected);
+        if order == Order::Stop {
+            assert!(matches!(cause, StopCause::NotBraking { velocity, limit } if velocity > limit), "{cause:?}");
+        }
+        // Three samples, and the delay from set-point to sample.
+        assert!((8..=8 + 3 + 3).contains(&periods), "{cause:?} after {periods} periods");
+    }
+}
+
 #[test]
 fn a_motor_at_its_following_error_is_within_it() {
     for sign in [1.0, -1.0] {

@@ -38,7 +38,10 @@ fn a_drive_that_stops_following_stops_the_effector() {
 
 #[test]
 fn power_stays_on_until_the_motors_are_still_or_have_had_their_time() {
-    for (velocity, cycles) in [(0.5, 1..=3), (50.0, 100..=104)] {
+    // From 30 rad/s, a motor at 1000 rad/s² rests within the following error of 0.5 rad, and from 50 rad/s it does not.
+    for (velocity, cycles, end) in
+        [(0.5, 1..=3, Phase::Off), (30.0, 100..=104, Phase::Off), (50.0, 3..=6, Phase::Faulted)]
+    {
         let mut rig = Rig::standing(1);
         rig.accelerate(500.0, 2, 20);
         rig.run(40);
@@ -47,9 +50,11 @@ fn power_stays_on_until_the_motors_are_still_or_have_had_their_time() {
         rig.run(10);
         rig.world().axes[0].drifts_at = Some(velocity);
         let before = rig.now;
-        rig.run_until(Phase::Off);
+        rig.run_until(end);
         let waited = rig.now.since(before).as_millis();
         assert!(cycles.contains(&waited), "{waited} periods at {velocity} rad/s");
+        let cut = rig.servo.fault(0).map(|fault| fault.category);
+        assert_eq!(cut, (end == Phase::Faulted).then_some(crate::StopCategory::Zero));
     }
 }
 
