@@ -24,9 +24,11 @@ pub trait Port: Send {
     /// Bounds the frames in flight: from now on [`send`](Self::send) accepts no frame while more than `most` frames
     /// that it accepted earlier wait for the bus, as on a bus without acknowledgement. `usize::MAX` removes the bound.
     ///
-    /// A port that does not learn when a frame was transmitted, such as an slcan adapter, ignores the bound.
-    fn bound_unsent(&mut self, most: usize) {
+    /// A port that does not learn when a frame was transmitted, such as an slcan adapter, ignores the bound. After an error,
+    /// the port has no bound.
+    fn bound_unsent(&mut self, most: usize) -> Result<(), PortError> {
         let _ = most;
+        Ok(())
     }
 
     /// Counters since the port was opened.
@@ -43,8 +45,8 @@ impl<P: Port + ?Sized> Port for Box<P> {
     fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
         (**self).receive(now, into)
     }
-    fn bound_unsent(&mut self, most: usize) {
-        (**self).bound_unsent(most);
+    fn bound_unsent(&mut self, most: usize) -> Result<(), PortError> {
+        (**self).bound_unsent(most)
     }
     fn counters(&self) -> Counters {
         (**self).counters()

@@ -295,12 +295,13 @@ impl Port for SocketCanPort {
     /// The kernel returns the port's own frames after their transmission, and so the port counts those in flight. A
     /// driver without echo returns a frame as soon as it takes the frame. A port with identifiers to accept ignores the
     /// bound, because the kernel filters the returned frames too.
-    fn bound_unsent(&mut self, most: usize) {
+    fn bound_unsent(&mut self, most: usize) -> Result<(), PortError> {
         let bounded = most < usize::MAX && !self.filtered;
-        // An error leaves the port without a bound.
-        let bounded = self.socket.set_recv_own_msgs(bounded).is_ok() && bounded;
+        (self.most_unsent, self.unsent) = (usize::MAX, 0);
+        let set = self.socket.set_recv_own_msgs(bounded);
+        set.map_err(|error| PortError::Os(error.raw_os_error().unwrap_or(libc::EIO)))?;
         self.most_unsent = if bounded { most } else { usize::MAX };
-        self.unsent = 0;
+        Ok(())
     }
 
     fn counters(&self) -> Counters {
@@ -427,6 +428,9 @@ mod tests {
         assert_eq!(port.state(), ControllerState::BusOff);
         assert_eq!(port.failed(libc::ENETDOWN), PortError::Down);
         assert_eq!((port.state(), port.unsent), (ControllerState::Active, 0));
+        // Frames in flight cannot be counted on this socket.
+        assert!(matches!(port.bound_unsent(3), Err(PortError::Os(_))));
+        assert_eq!(port.most_unsent, usize::MAX);
     }
 
     #[test]

@@ -135,8 +135,8 @@ impl<P: Port> Port for Tracer<P> {
         received
     }
 
-    fn bound_unsent(&mut self, most: usize) {
-        self.port.bound_unsent(most);
+    fn bound_unsent(&mut self, most: usize) -> Result<(), PortError> {
+        self.port.bound_unsent(most)
     }
 
     fn counters(&self) -> Counters {

@@ -122,8 +122,9 @@ impl Port for VirtualPort {
         Ok(count)
     }
 
-    fn bound_unsent(&mut self, most: usize) {
+    fn bound_unsent(&mut self, most: usize) -> Result<(), PortError> {
         self.most_unsent = most;
+        Ok(())
     }
 
     fn counters(&self) -> Counters {
@@ -287,14 +288,14 @@ mod tests {
     #[test]
     fn a_bounded_port_takes_nothing_while_earlier_frames_wait_for_the_bus() {
         let (mut port, mut peer) = virtual_port(8);
-        port.bound_unsent(1);
+        port.bound_unsent(1).unwrap();
         assert_eq!(port.send(at(1), &[frame(1), frame(2)]), Ok(2));
         assert_eq!(port.send(at(2), &[frame(3), frame(4)]), Ok(0));
         assert_eq!(port.counters().refused, 2);
         peer.take_sent();
         assert_eq!(port.send(at(3), &[frame(5), frame(6)]), Ok(2), "one frame may wait");
         assert_eq!(port.send(at(4), &[frame(7)]), Ok(0));
-        port.bound_unsent(usize::MAX);
+        port.bound_unsent(usize::MAX).unwrap();
         assert_eq!(port.send(at(5), &[frame(8)]), Ok(1));
     }
 

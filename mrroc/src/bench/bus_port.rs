@@ -120,8 +120,8 @@ impl Port for BusPort {
     fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
         self.port_mut().receive(now, into)
     }
-    fn bound_unsent(&mut self, most: usize) {
-        self.port_mut().bound_unsent(most);
+    fn bound_unsent(&mut self, most: usize) -> Result<(), PortError> {
+        self.port_mut().bound_unsent(most)
     }
     fn counters(&self) -> Counters {
         self.port().counters()

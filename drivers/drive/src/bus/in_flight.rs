@@ -1,6 +1,6 @@
 //! Frames in flight: the bound of one cycle, the stops after a bus that took nothing, and the missing acknowledgement.
 
-use can::{ControllerState, Port};
+use can::{ControllerState, Port, PortError};
 use canopen::sync::Sync;
 
 use super::{BESIDE_SETPOINTS, CanBus};
@@ -9,9 +9,9 @@ use crate::Fault;
 impl<P: Port> CanBus<P> {
     /// Bounds the motion frames in flight to one cycle: the port refuses a batch while SYNC or a set-point of an earlier
     /// cycle waits for the bus. Outputs, the heartbeat and the service frame leave behind the set-points and may wait.
-    pub(super) fn bound_frames_in_flight(&mut self) {
-        self.port.bound_unsent(self.io.len() + BESIDE_SETPOINTS - 1);
+    pub(super) fn bound_frames_in_flight(&mut self) -> Result<(), PortError> {
         self.refused = 0;
+        self.port.bound_unsent(self.io.len() + BESIDE_SETPOINTS - 1)
     }
 
     /// Begins the batch of a cycle: with SYNC, if the nodes need SYNC.

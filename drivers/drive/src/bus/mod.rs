@@ -371,7 +371,7 @@ impl<P: Port> CanBus<P> {
         if matches!(self.stage, Stage::Down | Stage::Up) {
             let until = now + self.config.listening();
             self.stage = Stage::Listening { until };
-            self.port.bound_unsent(usize::MAX);
+            self.port.bound_unsent(usize::MAX)?;
             self.io.iter_mut().for_each(IoNode::reset);
             self.sensors.iter_mut().for_each(WrenchNode::reset);
         }
@@ -416,7 +416,11 @@ impl<P: Port> CanBus<P> {
         for io in &self.io {
             ready &= io.has_inputs(now.since(since))?;
         }
-        Ok(ready && self.sensors_are_ready(now)?)
+        let ready = ready && self.sensors_are_ready(now)?;
+        if ready {
+            self.bound_frames_in_flight()?;
+        }
+        Ok(ready)
     }
 }
 
@@ -439,7 +443,6 @@ impl<P: Port> DriveGroup for CanBus<P> {
             Ok(true) => {
                 self.stage = Stage::Up;
                 self.batch.clear();
-                self.bound_frames_in_flight();
                 // Operation starts from the same state, whatever the timing of bring-up.
                 self.turn = 0;
                 self.syncs = Syncs::default();

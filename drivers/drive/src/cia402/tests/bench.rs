@@ -93,8 +93,9 @@ impl Port for BusEnd {
         Ok(count)
     }
 
-    fn bound_unsent(&mut self, most: usize) {
+    fn bound_unsent(&mut self, most: usize) -> Result<(), PortError> {
         self.0.lock().unwrap().most_unsent = Some(most);
+        Ok(())
     }
 
     fn counters(&self) -> Counters {
