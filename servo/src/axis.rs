@@ -379,7 +379,12 @@ impl ServoAxis {
     }
 
     pub(crate) fn is_still(&self) -> bool {
-        self.state.velocity.abs() <= STILL * self.config.max_velocity
+        self.state.velocity.abs() <= self.still_below()
+    }
+
+    /// Greatest speed of a motor that counts as still, rad/s.
+    pub(crate) fn still_below(&self) -> f64 {
+        STILL * self.config.max_velocity
     }
 
     /// Commanded positions, rad, the newest first, and the delay of the drive group.

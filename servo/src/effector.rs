@@ -1,6 +1,7 @@
 //! The cycle of one effector: checks its axes, takes orders, finds the next set-points and checks them.
 
 mod check;
+mod envelope;
 mod homing;
 mod law;
 mod motion;
@@ -83,7 +84,7 @@ pub(crate) struct Effector {
     law: Option<law::Installed>,
     stop: StraightStop,
     /// The envelope of the stop.
-    envelope: check::Envelope,
+    envelope: envelope::Envelope,
     /// The motion ended in this cycle while the law still moved the effector, which brakes to a stand.
     pub(crate) settling: bool,
     /// Where the effector rests on its brakes after an orderly power-off, while the brakes are watched.
@@ -133,7 +134,7 @@ impl Effector {
             next: [Knot::default(); MAX_AXES],
             law: None,
             stop: StraightStop::new([], 1.0),
-            envelope: check::Envelope::default(),
+            envelope: envelope::Envelope::default(),
             settling: false,
             rest: None,
             stop_restarted: false,
@@ -293,7 +294,10 @@ impl Effector {
                 self.set_envelope();
                 self.stop_restarted = false;
             }
-            (_, ServoState::Halting(_)) => self.halted = false,
+            (_, ServoState::Halting(_)) => {
+                self.set_envelope();
+                self.halted = false;
+            }
             (_, ServoState::Enabling) => {
                 if !self.stands_as_commanded() {
                     // The arm was moved while it was off, so the old feed-forward torques are wrong.
@@ -375,6 +379,10 @@ impl Effector {
                 }
             }
             ServoState::Halting(after) => {
+                if let Some((axis, cause)) = self.not_halting(waited) {
+                    self.lose(tick, axis, cause);
+                    return;
+                }
                 let axes = self.axes.iter_mut();
                 axes.for_each(|axis| axis.brake_search(tick.dt));
                 // A search may reverse, so a short standstill does not prove its end.

@@ -1,25 +1,12 @@
-//! Checks of the axes in each cycle, and the envelope of a stop.
+//! Checks of the axes in each cycle.
 
 use super::{Effector, Tick};
 use crate::config::FrozenWatch;
-use crate::{After, MAX_AXES, ServoState, StopCause};
+use crate::{ServoState, StopCause};
 
 /// Commanded speed, rad/s, below which an axis at a limit switch counts as at rest. The speed covers rounding errors
 /// of generators.
 const CREEP: f64 = 1e-3;
-
-/// Number of samples in a row in which a motor must be too fast for its stop. A single sample that was taken early or late
-/// shows a wrong velocity.
-const TOO_FAST: u32 = 3;
-
-/// The envelope of a stop, when it was set. Lengths are in the direction of the stop, rad, and not below zero.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Envelope {
-    /// Distance of each motor ahead of its set-point.
-    ahead: [f64; MAX_AXES],
-    /// Distance beyond the end of the stop at which each motor can rest.
-    beyond: [f64; MAX_AXES],
-}
 
 impl Effector {
     /// Checks drive faults, following errors, limit switches and overruns, and updates the tracking statistics.
@@ -114,58 +101,5 @@ impl Effector {
     fn freeze(&mut self, tick: &Tick, index: usize, travel: f64) {
         (self.axes[index].cut, self.axes[index].doubted) = (true, true);
         self.fail(tick, index, StopCause::Frozen { travel });
-    }
-
-    /// Whether the motor of axis `index`, beyond its following error, is within the envelope of a stop of category 1. A
-    /// stop of category 2 has its envelope in the following error itself.
-    fn is_within_envelope(&self, index: usize) -> bool {
-        let axis = &self.axes[index];
-        let ahead = self.stop.ahead(index, -axis.error());
-        !self.brakes_to_power_off() || ahead <= self.envelope.ahead[index] + axis.config.following_error
-    }
-
-    /// Whether the servo brakes the effector in a stop of category 1.
-    fn brakes_to_power_off(&self) -> bool {
-        matches!(self.state, ServoState::Braking(After::Off | After::Fault))
-    }
-
-    /// The cause by which the motor of axis `index` leaves the envelope of its stop, if it is too fast to come to rest
-    /// within the envelope.
-    fn not_braking(&mut self, index: usize) -> Option<StopCause> {
-        let braking = self.is_braking();
-        let beyond = self.beyond(index);
-        let permitted = self.envelope.beyond[index] + self.axes[index].config.following_error;
-        let axis = &mut self.axes[index];
-        if axis.state.age > 0 && braking {
-            return None;
-        }
-        axis.too_fast = if braking && beyond > permitted { axis.too_fast + 1 } else { 0 };
-        if axis.too_fast < TOO_FAST {
-            return None;
-        }
-        axis.too_fast = 0;
-        let (velocity, acceleration) = (axis.state.velocity, axis.config.max_acceleration);
-        // The way that is left, and the velocity from which this way suffices.
-        let room = (permitted - beyond + velocity * velocity / (2.0 * acceleration)).max(0.0);
-        Some(StopCause::NotBraking { velocity: velocity.abs(), limit: (2.0 * acceleration * room).sqrt() })
-    }
-
-    /// Distance beyond the end of the stop, rad, in the direction of the stop, at which the motor of axis `index` rests if
-    /// it brakes with its greatest acceleration from its measured position and velocity.
-    fn beyond(&self, index: usize) -> f64 {
-        let axis = &self.axes[index];
-        let velocity = axis.state.velocity;
-        let rest = axis.state.position + velocity * velocity.abs() / (2.0 * axis.config.max_acceleration);
-        self.stop.ahead(index, rest - self.stop.rest(index))
-    }
-
-    /// Sets the envelope of a stop at the present distances.
-    pub(super) fn set_envelope(&mut self) {
-        let mut envelope = Envelope::default();
-        for (index, axis) in self.axes.iter().enumerate() {
-            envelope.ahead[index] = self.stop.ahead(index, -axis.error()).max(0.0);
-            envelope.beyond[index] = self.beyond(index).max(0.0);
-        }
-        self.envelope = envelope;
     }
 }

@@ -26,6 +26,10 @@ use crate::Phase;
 /// anew at its present distances: a stop of category 2 becomes one of category 1, and a stop of category 1 takes the power
 /// at once (category 0). Under a loop that the servo closes, every stop takes the power at once.
 ///
+/// In a stop of homing, the drive finds the set-points. The permitted speed of each motor then falls evenly from its speed at
+/// the beginning to a standstill within the time of the longest stop, 20 ms late. A motor that is faster loses its power at
+/// once, because a drive has no second way to brake.
+///
 /// After the last set-point of a stop of category 1, the power is removed when the motors are still, and at the latest
 /// after 100 ms. After a stop of category 2, the motors must stay within their following errors.
 ///

@@ -4,8 +4,7 @@ use drive::{EmergencyStop, Fault};
 
 use super::scripted::AtIndex;
 use super::*;
-use crate::FrozenWatch;
-use crate::NotUp;
+use crate::{FrozenWatch, NotUp, StopCategory};
 
 #[test]
 fn bring_up_is_ready_when_every_group_is_and_an_error_names_its_group() {
@@ -300,6 +299,36 @@ fn a_stricter_stop_of_homing_is_not_longer() {
     rig.order(Order::Disable);
     rig.run(60);
     assert_eq!(rig.phase(), Phase::Off);
+}
+
+#[test]
+fn a_motor_that_does_not_brake_in_a_stop_of_homing_loses_its_power() {
+    for (order, brakes) in [(Order::Stop, true), (Order::Stop, false), (Order::Disable, false)] {
+        let mut rig = Rig::new(2);
+        rig.world().axes[1].homing_takes = 500;
+        rig.order(Order::Enable);
+        rig.order(Order::Home);
+        rig.run_until(Phase::Homing);
+        rig.world().axes[1].drifts_at = Some(20.0);
+        rig.run(5);
+        rig.order(order);
+        let stop = rig.servo.longest_stop().as_millis() as usize / 2;
+        for cycle in 0..stop {
+            let share = if brakes { 1.0 - cycle as f64 / stop as f64 } else { 1.0 };
+            rig.world().axes[1].drifts_at = Some(20.0 * share);
+            rig.run(1);
+            // 20 ms, three samples and the delay from one sample to its effect.
+            let lost = rig.phase() == Phase::Faulted;
+            assert!(if brakes { !lost } else { lost == (cycle >= 24) || cycle == 23 }, "cycle {cycle}, {order:?}");
+        }
+        let fault = rig.servo.fault(0);
+        assert_eq!(fault.map(|fault| (fault.axis, fault.category)), (!brakes).then_some((Some(1), StopCategory::Zero)));
+        assert!(brakes || matches!(rig.cause(), Some(StopCause::NotBraking { velocity: 20.0, .. })), "{fault:?}");
+        if brakes {
+            rig.world().axes[1].drifts_at = None;
+            rig.run_until(Phase::Standing);
+        }
+    }
 }
 
 #[test]
