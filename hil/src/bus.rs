@@ -21,7 +21,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use can::timing::{Bitrate, INTERMISSION, bits_on_wire};
-use can::{Frame, Id, Instant, Received, VirtualPeer};
+use can::{Frame, Id, Instant, Received, VirtualPeer, virtual_port};
 
 use crate::{Device, DeviceFault};
 use faults::{BusFaults, ERROR_FRAME, HeldFrame, report};
@@ -158,6 +158,13 @@ impl VirtualBus {
             HostFault::Down => host.set_down(on),
             HostFault::QueueFull => host.set_full(on),
             HostFault::ErrorPassive => {}
+            HostFault::Removed if on => {
+                // An end without a port takes the place of the old end.
+                let (_, gone) = virtual_port(1);
+                self.replace_host(gone);
+                return;
+            }
+            HostFault::Removed => return,
             HostFault::BusOff | HostFault::Unacknowledged => self.faults.cut_off = on,
         }
         if fault == HostFault::BusOff {
@@ -173,7 +180,7 @@ impl VirtualBus {
             (HostFault::ErrorPassive, true) => report::passive(),
             (HostFault::Unacknowledged, true) => report::unacknowledged(),
             (HostFault::ErrorPassive | HostFault::Unacknowledged, false) => report::active(),
-            (HostFault::Down | HostFault::QueueFull, _) => return,
+            (HostFault::Down | HostFault::QueueFull | HostFault::Removed, _) => return,
         };
         host.deliver(Received { frame: said, at: now }, 0);
     }

@@ -31,7 +31,10 @@ fn each_fault_ends_within_its_bound_or_is_tolerated() {
     for row in stopped {
         let result = row.result.as_ref().unwrap();
         assert!(result.distance <= result.bound && result.still_after.is_some(), "{row:?}");
-        assert!(result.detection < Some(Duration::from_millis(500)), "{row:?}");
+        // The share of missed deadlines is judged over 1000 deadlines.
+        let slow = row.fault == "each third deadline missed";
+        let most = Duration::from_millis(if slow { 4000 } else { 500 });
+        assert!(result.detection < Some(most), "{row:?}");
     }
     let page = table.page(false);
     assert!(page.contains("| answers lost | irb6 | cruising | answers | 8 ms | 0 |"), "{page}");
@@ -44,9 +47,57 @@ fn each_fault_ends_within_its_bound_or_is_tolerated() {
 }
 
 #[test]
+fn faults_of_host_generator_and_contact_are_found_in_each_phase_by_their_causes() {
+    use Detector as D;
+    const BOTH: &[&str] = &["irb6", "gripper"];
+    for (fault, robots, phases, detector, cause) in [
+        ("interface removed", &["gripper"][..], 7, D::Port, "interface was removed"),
+        ("too many deadlines missed", BOTH, 7, D::Deadlines, "4 cycles in a row missed their deadline"),
+        ("each third deadline missed", BOTH, 2, D::Deadlines, "cycles missed their deadlines"),
+        ("emergency stop", BOTH, 7, D::EmergencyStop, "emergency stop by input 0 of node"),
+        ("set-point not a number", BOTH, 5, D::SetPoints, "set-point is not a finite number"),
+        ("set-point beyond a position limit", BOTH, 5, D::SetPoints, "is beyond its limit"),
+        ("set-point beyond the greatest velocity", BOTH, 5, D::SetPoints, "needs a motor velocity of"),
+        ("set-point beyond the greatest acceleration", BOTH, 5, D::SetPoints, "needs a motor acceleration of"),
+        ("no macrostep in time", BOTH, 5, D::SetPoints, "no macrostep in time after number"),
+    ] {
+        let options =
+            FaultOptions { robot: names(robots), fault: names(&[fault]), once: true, ..FaultOptions::default() };
+        let table = table(&options);
+        let played: Vec<_> = table.rows.iter().filter_map(|row| Some((row, row.result.as_ref()?))).collect();
+        assert_eq!((played.len(), table.red().count()), (phases * robots.len(), 0), "{}", table.page(false));
+        for (row, result) in played {
+            assert_eq!(result.detector, Some(detector), "{row:?}");
+            assert!(result.cause.as_ref().is_some_and(|it| it.contains(cause)), "{row:?}");
+            // A removed interface does not come back.
+            assert_eq!(result.recovery == "restart", detector == D::Port, "{row:?}");
+        }
+    }
+    let fault = names(&["tolerated number of deadlines missed"]);
+    let tolerated = table(&FaultOptions { robot: names(BOTH), fault, once: true, ..FaultOptions::default() });
+    assert_eq!((tolerated.played(), tolerated.red().count()), (14, 0), "{}", tolerated.page(false));
+}
+
+#[test]
 fn a_detector_that_is_off_turns_its_rows_red() {
     use Detector as D;
     use FaultPhase::{Braking, Contact, Cruising, Homing, Idle};
+    let check = |always: &[Detector], off: Detector, fault, robot, phase| {
+        let on = FaultOptions {
+            robot: names(&[robot]),
+            fault: names(&[fault]),
+            phase: vec![phase],
+            without: always.to_vec(),
+            once: true,
+            ..FaultOptions::default()
+        };
+        let red = |table: &FaultTable| table.red().count();
+        let with = table(&on);
+        assert_eq!((with.played(), red(&with)), (1, 0), "{fault} on {robot}: {:?}", with.rows);
+        let without = [always, &[off]].concat();
+        let without = table(&FaultOptions { without, ..on });
+        assert_eq!(red(&without), 1, "{fault} on {robot} without {}: {:?}", off.name(), without.rows);
+    };
     for (off, fault, robot, phase) in [
         (D::Answers, "drive unplugged", "irp6-track", Cruising),
         (D::Answers, "answers lost", "irb6", Cruising),
@@ -68,20 +119,17 @@ fn a_detector_that_is_off_turns_its_rows_red() {
         (D::Sending, "transmit queue full", "irp6-track", Cruising),
         (D::OtherController, "second master on the bus", "irp6-track", Cruising),
         (D::TimeOuts, "index missing", "irb6", Homing),
+        (D::Port, "interface removed", "irp6-track", Cruising),
+        (D::Deadlines, "too many deadlines missed", "irp6-track", Cruising),
+        (D::Deadlines, "too many deadlines missed", "irb6", Homing),
+        (D::Deadlines, "each third deadline missed", "gripper", Idle),
+        (D::EmergencyStop, "emergency stop", "irp6-track", Cruising),
+        (D::EmergencyStop, "emergency stop", "irb6", Cruising),
     ] {
-        let on = FaultOptions {
-            robot: names(&[robot]),
-            fault: names(&[fault]),
-            phase: vec![phase],
-            once: true,
-            ..FaultOptions::default()
-        };
-        let red = |table: &FaultTable| table.red().count();
-        let with = table(&on);
-        assert_eq!((with.played(), red(&with)), (1, 0), "{fault} on {robot}: {:?}", with.rows);
-        let without = table(&FaultOptions { without: vec![off], ..on });
-        assert_eq!(red(&without), 1, "{fault} on {robot} without {}: {:?}", off.name(), without.rows);
+        check(&[], off, fault, robot, phase);
     }
+    // The following error acts earlier than the greatest velocity.
+    check(&[D::FollowingError], D::Runaway, "encoder inverted", "irb6", Cruising);
 }
 
 #[test]

@@ -164,6 +164,7 @@ impl Bench {
                     HostFault::Down,
                     HostFault::QueueFull,
                     HostFault::Unacknowledged,
+                    HostFault::Removed,
                 ])?;
                 WorldFault::Host { bus, fault }
             }

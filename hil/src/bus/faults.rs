@@ -54,6 +54,8 @@ pub enum HostFault {
     /// The plug of the host is out: no node acknowledges the frames of the host, whose controller repeats the first
     /// frame for ever. The host receives nothing. The other nodes hear each other.
     Unacknowledged,
+    /// The interface is removed for ever, for example a USB adapter. The fault has no end.
+    Removed,
 }
 
 /// One fault of frames in effect.

@@ -238,6 +238,15 @@ impl Emulation {
         self.world.end_fault(fault, self.passed);
     }
 
+    /// Sets the terminal of input `input` of I/O node `node`, by their numbers in the cell, at the present time of the
+    /// world. Returns whether there is such an input.
+    pub fn set_input(&mut self, node: usize, input: u8, level: bool) -> bool {
+        let now = self.passed;
+        let module = self.ids.modules.get(&node);
+        let set = |module: &mut DigitalIo| module.set_input(now, input, level).is_ok();
+        module.and_then(|&module| self.world.change(module, now, set)).unwrap_or(false)
+    }
+
     /// The motor of a drive with its true state, which no controller reads.
     pub fn plant(&self, drive: DriveId) -> Option<&PlantAxis> {
         self.world.plant(drive)
@@ -299,11 +308,14 @@ impl EmulatedCell<'_> {
         let id = world.add_bus(bitrate(self.file, bus));
         let mut ids = self.ids.borrow_mut();
         ids.buses.push(id);
-        let mut axes = axes_present(self.file, bus);
+        let (mut axes, mut modules) = (axes_present(self.file, bus), self.file.cell.io_on(bus));
         for device in self.devices(bus, Instant::ZERO) {
             let device = world.add_device(id, device);
             // The drives come before the modules.
-            ids.drives.extend(axes.next().map(|axis| (axis, DriveId::Node(device))));
+            match axes.next() {
+                Some(axis) => _ = ids.drives.insert(axis, DriveId::Node(device)),
+                None => ids.modules.extend(modules.next().map(|module| (module, device))),
+            }
         }
         let share = self.file.cell.bus[bus].emulated_load;
         if share > 0.0 {

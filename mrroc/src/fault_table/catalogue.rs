@@ -2,11 +2,10 @@
 
 use std::time::Duration;
 
-use servo::MAX_AXES;
-
+use super::bounds::Within;
 use super::detector::Detector;
+use super::origin::{Flaw, Missed, Origin};
 use super::phase::FaultPhase;
-use crate::cell::CellFile;
 use crate::scenario::{FaultKind, FaultNumbers};
 
 /// Wire of a robot.
@@ -27,33 +26,12 @@ pub(super) enum Expected {
     Either(&'static [Detector]),
 }
 
-/// Declared time from a fault to its detection.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Within {
-    /// The missing answers that the cell tolerates, and four periods.
-    Answers,
-    /// The same. The wire is cut, so a drive on CAN stops by itself after three heartbeats of the host.
-    Cut,
-    /// Four periods of the heartbeat.
-    Heartbeat,
-    /// The following error grows to its limit.
-    Error,
-    /// The same. Until then, the loop of the drive accelerates the motor.
-    Lost,
-    /// The same, and the motor loses at least a fifth of its speed. In homing, it moves on along its search until then.
-    Slowed,
-    /// The arm falls within the watch of the brakes, and its motor catches it.
-    Fall,
-    /// This time.
-    Time(Duration),
-}
-
 /// A fault of the table.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FaultCase {
     /// Name in the table.
     pub(super) name: &'static str,
-    pub(super) kind: FaultKind,
+    pub(super) origin: Origin,
     /// The fault strikes all axes of the robot, which is switched off by an order at the same time.
     pub(super) disables: bool,
     /// Wires on which the fault is played.
@@ -90,7 +68,7 @@ const NOT_FOLLOWING: &[Detector] = &[D::FollowingError, D::DriveStatus, D::Runaw
 
 const USUAL: FaultCase = FaultCase {
     name: "",
-    kind: K::Lost,
+    origin: Origin::Emulated(K::Lost),
     disables: false,
     wires: BOTH,
     count: None,
@@ -103,7 +81,7 @@ const USUAL: FaultCase = FaultCase {
 
 /// A fault that must be found by one of these detectors in each phase.
 const fn found(name: &'static str, kind: FaultKind, wires: &'static [Wire], within: Within) -> FaultCase {
-    FaultCase { name, kind, wires, within, ..USUAL }
+    FaultCase { name, origin: Origin::Emulated(kind), wires, within, ..USUAL }
 }
 
 /// An axis that does not follow: nothing shows at rest, and little in the last part of a motion.
@@ -123,36 +101,59 @@ fn in_homing(_: Wire, phase: FaultPhase) -> Result<Expected, &'static str> {
     }
 }
 
+/// A wrong macrostep of the generator.
+const fn generated(name: &'static str, flaw: Flaw) -> FaultCase {
+    FaultCase { name, origin: Origin::Generator(flaw), expected: in_motion, within: Within::Macrostep, ..USUAL }
+}
+
+/// A macrostep that only a motion needs.
+fn in_motion(_: Wire, phase: FaultPhase) -> Result<Expected, &'static str> {
+    match phase {
+        P::Idle | P::Homing => Err("the generator gives no macrostep"),
+        P::Accelerating | P::Cruising | P::Braking | P::Contact | P::Team => Ok(By(&[D::SetPoints])),
+    }
+}
+
 /// The faults, in the order of the table.
 pub(super) const CASES: &[FaultCase] = &[
     FaultCase { name: "one answer lost", count: Some(1), lasts: Some(ms(2)), ..USUAL },
     FaultCase { expected: |_, _| Ok(By(&[D::Answers])), ..found("answers lost", K::Lost, BOTH, Within::Answers) },
     // Not older than the last answer before a gap that the cell tolerates.
-    FaultCase { name: "answers 5 ms late", kind: K::Late, ..USUAL },
+    FaultCase { name: "answers 5 ms late", origin: Origin::Emulated(K::Late), ..USUAL },
     FaultCase {
         adapt: |numbers| numbers.late = ms(40),
         expected: |_, _| Ok(By(&[D::Answers])),
         ..found("answers 40 ms late", K::Late, BOTH, Within::Answers)
     },
-    FaultCase { name: "answers twice", kind: K::Duplicated, wires: CAN, ..USUAL },
+    FaultCase { name: "answers twice", origin: Origin::Emulated(K::Duplicated), wires: CAN, ..USUAL },
     FaultCase {
         expected: |_, _| Ok(Either(&[D::Answers])),
         ..found("bytes twice", K::Duplicated, SERIAL, Within::Time(ms(1000)))
     },
-    FaultCase { name: "one frame corrupted", kind: K::Corrupted, wires: CAN, count: Some(1), ..USUAL },
+    FaultCase {
+        name: "one frame corrupted",
+        origin: Origin::Emulated(K::Corrupted),
+        wires: CAN,
+        count: Some(1),
+        ..USUAL
+    },
     FaultCase { expected: |_, _| Ok(By(&[D::Answers])), ..found("frames corrupted", K::Corrupted, CAN, Within::Cut) },
     FaultCase {
         expected: |_, _| Ok(By(&[D::Answers])),
         ..found("bits inverted", K::Corrupted, SERIAL, Within::Time(ms(200)))
     },
-    FaultCase { name: "answers reordered", kind: K::Reordered, wires: CAN, ..USUAL },
+    FaultCase { name: "answers reordered", origin: Origin::Emulated(K::Reordered), wires: CAN, ..USUAL },
     FaultCase { expected: |_, _| Ok(By(&[D::Port])), ..found("bus-off", K::BusOff, CAN, Within::Cut) },
-    FaultCase { name: "error-passive", kind: K::ErrorPassive, wires: CAN, ..USUAL },
+    FaultCase { name: "error-passive", origin: Origin::Emulated(K::ErrorPassive), wires: CAN, ..USUAL },
     FaultCase { expected: |_, _| Ok(By(&[D::Port])), ..found("interface down", K::InterfaceDown, CAN, Within::Cut) },
     FaultCase {
         lasts: Some(ms(50)),
         expected: |_, _| Ok(By(&[D::Port])),
         ..found("interface down for 50 ms", K::InterfaceDown, CAN, Within::Cut)
+    },
+    FaultCase {
+        expected: |_, _| Ok(By(&[D::Port])),
+        ..found("interface removed", K::InterfaceRemoved, CAN, Within::Cut)
     },
     FaultCase {
         expected: |_, _| Ok(By(&[D::Sending])),
@@ -171,7 +172,7 @@ pub(super) const CASES: &[FaultCase] = &[
         expected: |_, _| Ok(By(&[D::Answers])),
         ..found("telegrams torn", K::Torn, SERIAL, Within::Time(ms(200)))
     },
-    FaultCase { name: "garbage on the line", kind: K::Garbage, wires: SERIAL, ..USUAL },
+    FaultCase { name: "garbage on the line", origin: Origin::Emulated(K::Garbage), wires: SERIAL, ..USUAL },
     FaultCase {
         expected: |_, _| Ok(By(&[D::Answers])),
         ..found("wrong baud rate", K::WrongBaud, SERIAL, Within::Answers)
@@ -241,7 +242,7 @@ pub(super) const CASES: &[FaultCase] = &[
         expected: in_homing,
         ..found("index missing", K::IndexMissing, BOTH, Within::Time(Duration::from_secs(40)))
     },
-    FaultCase { name: "limit switches dead", kind: K::LimitSwitchesDead, ..USUAL },
+    FaultCase { name: "limit switches dead", origin: Origin::Emulated(K::LimitSwitchesDead), ..USUAL },
     FaultCase {
         expected: |wire, phase| {
             Ok(match (wire, phase) {
@@ -281,34 +282,38 @@ pub(super) const CASES: &[FaultCase] = &[
         ..found("motor phases swapped", K::SwappedPhases, BOTH, Within::Lost)
     },
     FaultCase { expected: not_following, ..found("collision", K::Collision, BOTH, Within::Error) },
+    FaultCase { name: "tolerated number of deadlines missed", origin: Origin::Deadlines(Missed::Tolerated), ..USUAL },
+    FaultCase {
+        name: "too many deadlines missed",
+        origin: Origin::Deadlines(Missed::TooMany),
+        expected: |_, _| Ok(By(&[D::Deadlines])),
+        within: Within::Deadlines,
+        ..USUAL
+    },
+    FaultCase {
+        name: "each third deadline missed",
+        origin: Origin::Deadlines(Missed::Third),
+        observed_for: Duration::from_secs(6),
+        expected: |_, phase| match phase {
+            P::Idle | P::Homing => Ok(By(&[D::Deadlines])),
+            _ => Err("the motion ends before the share is judged"),
+        },
+        within: Within::Share,
+        ..USUAL
+    },
+    FaultCase {
+        name: "emergency stop",
+        origin: Origin::EmergencyStop,
+        expected: |_, _| Ok(By(&[D::EmergencyStop])),
+        within: Within::Contact,
+        ..USUAL
+    },
+    generated("set-point not a number", Flaw::NotANumber),
+    generated("set-point beyond a position limit", Flaw::Position),
+    generated("set-point beyond the greatest velocity", Flaw::Velocity),
+    generated("set-point beyond the greatest acceleration", Flaw::Acceleration),
+    generated("no macrostep in time", Flaw::Absent),
 ];
-
-/// Margin of the bound of the distance for the loops of the drives.
-const MARGIN: f64 = 1.1;
-
-/// Acceleration of a motor whose loop is lost, as a multiple of its greatest permitted acceleration. The motor accelerates
-/// over its permitted following error, and runs out over this multiple of the error.
-const LOST: f64 = 8.0;
-
-/// Bounds of a row: time to the detection, and distance of each motor, rad.
-pub(super) struct Bounds {
-    pub(super) detection: Duration,
-    pub(super) distance: [f64; MAX_AXES],
-}
-
-/// Time from the detection of a brake that does not hold to the torque of the motor: a drive on CAN passes three states,
-/// each with the answer to its controlword.
-const CATCHING: f64 = 0.040;
-
-/// Distance of a motor that falls, rad, until it is caught: the `limit` of the watch, the way until the motor has torque,
-/// and the way in which it brakes. Its weight accelerates the motor by at most half of its greatest `acceleration`, rad/s²,
-/// because the motor must accelerate upwards as well.
-fn fall(limit: f64, acceleration: f64) -> f64 {
-    let weight = 0.5 * acceleration;
-    let seen = (2.0 * weight * limit).sqrt();
-    let caught = seen + weight * CATCHING;
-    limit + (seen + caught) / 2.0 * CATCHING + caught * caught / (2.0 * weight)
-}
 
 impl FaultCase {
     /// The numbers of the fault.
@@ -316,52 +321,5 @@ impl FaultCase {
         let mut numbers = FaultNumbers { count: self.count, ..FaultNumbers::default() };
         (self.adapt)(&mut numbers);
         numbers
-    }
-
-    /// Declared bounds on robot 0 of a cell whose motors move at `velocity`, rad/s.
-    ///
-    /// The distance of a motor is the sum of three parts, with a margin. The motor moves on until the detection, and for the
-    /// four periods from sample to effect. The stop brakes with the deceleration of the limit. Twice the following error
-    /// is added, for the distances between motor and set-point at the strike and at the end.
-    ///
-    /// The following error itself limits the distance until it finds a fault. The time of such a detection is four times the
-    /// time at constant speed to the limit of the error, and to the obstacle of a collision. A motor that a sagging supply
-    /// slows has five times this time, because it may keep four fifths of its speed. In homing, it moves on for this time,
-    /// less the following error by which it is then late.
-    pub(super) fn bounds(&self, file: &CellFile, axis: usize, velocity: &[f64; MAX_AXES], phase: FaultPhase) -> Bounds {
-        let cell = &file.cell;
-        let robot = &cell.robot[0];
-        let name = &robot.axis[axis].bus;
-        let bus = cell.bus.iter().find(|bus| bus.name == *name);
-        let bundle = cell.serial.iter().find(|serial| serial.name == *name);
-        let tolerated = bus.map(|bus| bus.tolerated_missing).or(bundle.map(|it| it.tolerated_missing)).unwrap_or(0);
-        let answers = cell.period() * (tolerated + 4);
-        let silence = ms(4 * bus.map_or(100, |bus| u64::from(bus.heartbeat_ms)));
-        let obstacle = if self.kind == K::Collision { self.numbers().distance } else { 0.0 };
-        let error = robot.axis[axis].following_error;
-        let at_speed = |way: f64| Duration::from_secs_f64(way / velocity[axis].abs());
-        let (detection, blind) = match self.within {
-            Within::Answers => (answers, answers),
-            Within::Cut => (answers, bus.map_or(answers, |bus| ms(3 * u64::from(bus.heartbeat_ms)))),
-            Within::Heartbeat => (silence, silence),
-            Within::Error | Within::Lost => (at_speed(4.0 * (obstacle + error)) + ms(50), Duration::ZERO),
-            Within::Slowed => {
-                let detection = at_speed(5.0 * error) + ms(50);
-                (detection, if phase == P::Homing { detection - at_speed(error) } else { Duration::ZERO })
-            }
-            Within::Time(time) => (time, time),
-            Within::Fall => (ms(1500), Duration::ZERO),
-        };
-        let blind = (blind + 4 * cell.period()).as_secs_f64();
-        let distance = |number: usize| {
-            let speed = velocity[number].abs();
-            let given = robot.axis.get(number)?;
-            let braking = speed * speed / (2.0 * given.max_acceleration);
-            let lost = if number == axis && self.within == Within::Lost { LOST * given.following_error } else { 0.0 };
-            let fall =
-                if self.within == Within::Fall { fall(given.following_error, given.max_acceleration) } else { 0.0 };
-            Some(MARGIN * (speed * blind + braking + lost + fall + 2.0 * given.following_error))
-        };
-        Bounds { detection, distance: std::array::from_fn(|number| distance(number).unwrap_or(f64::INFINITY)) }
     }
 }

@@ -6,7 +6,9 @@ use std::time::Duration;
 use can::Instant;
 use clap::ValueEnum;
 use drive::axis_controller::AxisControllerFault;
-use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Switches, Warnings};
+use drive::{
+    AxisCommand, AxisState, BringUpError, DriveGroup, EmergencyStop, Fault, GroupCounters, Switches, Warnings,
+};
 use servo::{FrozenWatch, PositionLoop, ServoConfig, StopCause};
 
 /// Detectors of the controller. Each stop has one cause, and each cause belongs to one detector.
@@ -41,6 +43,13 @@ pub enum Detector {
     OtherController,
     /// Time-outs of enabling and homing, and the longest distances of a search.
     TimeOuts,
+    /// Deadlines of the host that were missed, in a row or too often.
+    Deadlines,
+    /// The contact of the emergency stop.
+    EmergencyStop,
+    /// Checks of macrosteps and set-points. Nothing else protects the motors, so the servo cannot do without these checks.
+    #[value(skip)]
+    SetPoints,
 }
 
 impl Detector {
@@ -61,10 +70,13 @@ impl Detector {
             Self::Sending => "sending",
             Self::OtherController => "other controller",
             Self::TimeOuts => "time-outs",
+            Self::Deadlines => "deadlines",
+            Self::EmergencyStop => "emergency stop",
+            Self::SetPoints => "set-points",
         }
     }
 
-    /// The detector that found the cause of a stop. `None` for causes that are no faults of the emulated side.
+    /// The detector that found the cause of a stop. `None` for causes without a fault of this robot, and for force laws.
     pub fn of(cause: &StopCause) -> Option<Self> {
         Some(match cause {
             StopCause::Drive(fault) => Self::of_drive(fault)?,
@@ -74,7 +86,27 @@ impl Detector {
             StopCause::Runaway { .. } => Self::Runaway,
             StopCause::LimitSwitch { .. } => Self::LimitSwitches,
             StopCause::NotReady { .. } | StopCause::HomingFailed | StopCause::NoReference(_) => Self::TimeOuts,
-            _ => return None,
+            StopCause::Overrun { .. } | StopCause::Overloaded { .. } => Self::Deadlines,
+            StopCause::EmergencyStop { .. } => Self::EmergencyStop,
+            StopCause::PositionLimit { .. }
+            | StopCause::NoRoomToStop { .. }
+            | StopCause::VelocityLimit { .. }
+            | StopCause::AccelerationLimit { .. }
+            | StopCause::NotFinite
+            | StopCause::Malformed { .. }
+            | StopCause::UnequalSteps { .. }
+            | StopCause::OutOfSequence { .. }
+            | StopCause::NotAMember { .. }
+            | StopCause::LawDisplacement { .. }
+            | StopCause::LawSpeed { .. }
+            | StopCause::LawLeft { .. }
+            | StopCause::NoLaw { .. }
+            | StopCause::NotHomed
+            | StopCause::Starved { .. } => Self::SetPoints,
+            // The origin of the stop is another robot, or the end of the motion as intended.
+            StopCause::Partner { .. } | StopCause::Touched => return None,
+            // No robot of the table has a force law.
+            StopCause::Law(_) => return None,
         })
     }
 
@@ -127,6 +159,8 @@ impl Detector {
                     (leg.timeout, leg.distance) = (NEVER, 1e6);
                 }
             }),
+            // The window of deadlines whose share is judged is a multiple of this number.
+            Self::Deadlines => config.max_missed_in_row = u32::MAX,
             Self::Brake => axes.for_each(|axis| axis.brake_watch = false),
             Self::Frozen => axes.for_each(|axis| axis.frozen = FrozenWatch::Off),
             Self::FollowingError => axes.for_each(|axis| axis.following_error = 1e9),
@@ -199,6 +233,11 @@ impl DriveGroup for Without {
 
     fn doubt_reference(&mut self, axis: usize) {
         self.group.doubt_reference(axis);
+    }
+
+    fn emergency_stop(&self) -> Option<EmergencyStop> {
+        let hidden = self.without.contains(&Detector::EmergencyStop);
+        self.group.emergency_stop().filter(|_| !hidden)
     }
 
     fn counters(&self) -> GroupCounters {

@@ -1,7 +1,8 @@
 //! The fault table of a cell: the effect of each fault on each robot in each phase, in lockstep.
 //!
 //! A row is one run of one robot: bring-up, enabling, reference, a fixed motion, and a fault that strikes one axis. A
-//! brake that does not hold is a fault of all axes. The row ends with the detection, the stop and the recovery.
+//! brake that does not hold is a fault of all axes. Missed deadlines and an emergency stop are faults of the whole cell. The
+//! row ends with the detection, the stop and the recovery.
 //! Distances are those of the emulated plants, which no controller reads. To save time, robots start at home with their
 //! references, except in rows of homing.
 //!
@@ -9,8 +10,10 @@
 //! bound. A row is also red if a fault that should be tolerated stops the robot. A second run with the same seed must
 //! end in the same way, otherwise the row is red.
 
+mod bounds;
 mod catalogue;
 mod detector;
+mod origin;
 mod page;
 mod phase;
 mod row;
@@ -28,6 +31,7 @@ pub use row::Row;
 
 use crate::cell::{CellFile, Plant};
 use catalogue::{CASES, FaultCase, Wire};
+use origin::Origin;
 
 /// Options of `mrroc faults`.
 #[derive(Args, Clone, Debug, Default)]
@@ -120,7 +124,10 @@ fn row(file: &CellFile, robot: usize, case: &FaultCase, wire: Wire, phase: Fault
     if phase == FaultPhase::Homing && given.axis[axis].homing.method.is_some_and(in_place) {
         return Row::without_meaning(case.name, name, phase, "homing moves nothing");
     }
-    let staged = staged(file, &robots, phase);
+    let mut staged = staged(file, &robots, phase);
+    if case.origin == Origin::EmergencyStop {
+        origin::add_contact(&mut staged);
+    }
     let play = || stage::play(&staged, case, phase, axis, &options.without);
     let played = play();
     let again = (!options.once).then(play);

@@ -8,7 +8,7 @@ use super::{FaultTable, Row};
 
 /// How to read the table.
 const HEAD: &str = "A fault strikes the first axis of a robot; in rows of homing, the axis that homes first. A brake \
-that does not hold is a fault of all axes. \
+that does not hold is a fault of all axes; missed deadlines and an emergency stop are faults of the whole cell. \
 Times count from the fault. The distance is that of the joint from the fault to standstill, measured at the emulated \
 plant, of the axis that comes nearest to its bound. The bound is behind the distance. A row with a mark ✗ is red.";
 

@@ -5,6 +5,7 @@ use std::time::Duration;
 use controller::robot::Arm;
 use servo::{MAX_AXES, Macrostep};
 
+use super::origin::Flaw;
 use crate::cell::CellFile;
 
 /// Phases of a robot.
@@ -72,7 +73,7 @@ const EFFORT: f64 = 0.4;
 /// Share of the room of a motor that the fixed motion uses at most.
 const ROOM: f64 = 0.4;
 /// Servo periods of a macrostep.
-const STEPS: u16 = 10;
+pub(super) const STEPS: u16 = 10;
 
 /// The fixed motion of a robot: all motors accelerate, move at constant speed and brake at the same times, away from
 /// the nearer end of their range.
@@ -84,6 +85,16 @@ pub(super) struct FixedMotion {
     period: f64,
     sent: u64,
     first: u64,
+    end: Option<End>,
+}
+
+/// End of the motion by its generator. The last macrostep is the first that begins after a time, and lasts one period.
+#[derive(Clone, Copy, Debug)]
+struct End {
+    /// Time, s.
+    after: f64,
+    /// Axis whose position is wrong by this much, rad or NaN, in the last macrostep; `None` without this macrostep.
+    wrong: Option<(usize, f64)>,
 }
 
 impl FixedMotion {
@@ -94,9 +105,7 @@ impl FixedMotion {
         let arm: &Arm = &file.arms[robot];
         let mut velocity = [0.0; MAX_AXES];
         for (number, axis) in file.cell.robot[robot].axis.iter().enumerate() {
-            let range = arm.robot().motor_limits()[number];
-            let low = axis.min_position.map_or(range.low, |low| low.max(range.low));
-            let high = axis.max_position.map_or(range.high, |high| high.min(range.high));
+            let (low, high) = range(file, robot, number);
             let (up, down) = (high - from[number], from[number] - low);
             let sign = if up >= down { 1.0 } else { -1.0 };
             let most = [SPEED * axis.max_velocity, EFFORT * axis.max_acceleration * ramp, ROOM * up.max(down) / way];
@@ -110,7 +119,30 @@ impl FixedMotion {
             }
             velocity.iter_mut().for_each(|velocity| *velocity *= 0.5);
         }
-        Self { from, velocity, period: file.cell.period().as_secs_f64(), sent: 0, first }
+        Self { from, velocity, period: file.cell.period().as_secs_f64(), sent: 0, first, end: None }
+    }
+
+    /// Ends the motion of robot `robot` with a wrong macrostep of `axis`, the first that begins later than `after`. All
+    /// motors of a team need macrosteps of one length: see [`cut`](Self::cut) for the partners.
+    pub(super) fn spoil(&mut self, file: &CellFile, robot: usize, axis: usize, after: Duration, flaw: Flaw) {
+        let given = &file.cell.robot[robot].axis[axis];
+        let forwards = 1f64.copysign(self.velocity[axis]);
+        let wrong = match flaw {
+            Flaw::NotANumber => Some(f64::NAN),
+            Flaw::Position => {
+                let (low, high) = range(file, robot, axis);
+                Some(forwards * (high - low))
+            }
+            Flaw::Velocity => Some(forwards * 2.0 * given.max_velocity * self.period),
+            Flaw::Acceleration => Some(forwards * 2.0 * given.max_acceleration * self.period.powi(2)),
+            Flaw::Absent => None,
+        };
+        self.end = Some(End { after: after.as_secs_f64(), wrong: wrong.map(|by| (axis, by)) });
+    }
+
+    /// Ends the motion with a macrostep of one period, the first that begins later than `after`.
+    pub(super) fn cut(&mut self, after: Duration) {
+        self.end = Some(End { after: after.as_secs_f64(), wrong: Some((0, 0.0)) });
     }
 
     /// The next macrostep; `None` at the end of the motion.
@@ -120,8 +152,22 @@ impl FixedMotion {
         if self.sent as f64 * step >= 2.0 * ramp + cruise - 1e-9 {
             return None;
         }
+        let begin = self.sent as f64 * step;
+        let end = self.end.filter(|end| begin > end.after + 1e-9);
+        if let Some(End { wrong, .. }) = end {
+            self.end = Some(End { after: f64::NEG_INFINITY, wrong: None });
+            let (axis, by) = wrong?;
+            let mut last = self.step(begin + self.period, 1);
+            last.position[axis] += by;
+            return Some(last);
+        }
+        Some(self.step(begin + step, STEPS))
+    }
+
+    /// The next macrostep, which ends at `t`, s, after `steps` periods.
+    fn step(&mut self, t: f64, steps: u16) -> Macrostep {
+        let (ramp, cruise) = (RAMP.as_secs_f64(), CRUISE.as_secs_f64());
         self.sent += 1;
-        let t = self.sent as f64 * step;
         // Way and velocity, in units of the velocity at constant speed.
         let (way, share) = if t < ramp {
             (0.5 * t * t / ramp, t / ramp)
@@ -131,15 +177,24 @@ impl FixedMotion {
             let left = (2.0 * ramp + cruise - t).max(0.0);
             (ramp + cruise - 0.5 * left * left / ramp, left / ramp)
         };
-        Some(Macrostep {
+        Macrostep {
             number: self.first + self.sent,
-            steps: STEPS,
-            report_at: STEPS,
+            steps,
+            report_at: steps,
             position: std::array::from_fn(|axis| self.from[axis] + self.velocity[axis] * way),
             velocity: self.velocity.map(|velocity| velocity * share),
             acceleration: None,
             torque: [0.0; MAX_AXES],
             law: None,
-        })
+        }
     }
+}
+
+/// Position limits of a motor, rad.
+fn range(file: &CellFile, robot: usize, axis: usize) -> (f64, f64) {
+    let range = file.arms[robot].robot().motor_limits()[axis];
+    let given = &file.cell.robot[robot].axis[axis];
+    let low = given.min_position.map_or(range.low, |low| low.max(range.low));
+    let high = given.max_position.map_or(range.high, |high| high.min(range.high));
+    (low, high)
 }

@@ -10,6 +10,7 @@ use servo::{EffectorLink, MAX_AXES, Order, Phase, Servo, ServoFault, ServoState,
 
 use super::catalogue::FaultCase;
 use super::detector::{Detector, Without};
+use super::origin::{CONTACT, Flaw, Missed, Origin};
 use super::phase::{CRUISE, FaultPhase, FixedMotion, RAMP};
 use crate::bench::emulation::Emulation;
 use crate::cell::CellFile;
@@ -79,6 +80,8 @@ struct Stage<'a> {
     motions: Vec<FixedMotion>,
     /// The spring of a row of contact.
     spring: Option<FaultInEffect>,
+    /// The deadlines that the host misses, and the number of cycles since the strike.
+    missed: Option<(Missed, u64)>,
     now: Instant,
 }
 
@@ -102,6 +105,9 @@ pub(super) fn play(
         stage.order(0, Order::Home);
         stage.cycle();
     } else if phase.moves() {
+        if let Origin::Generator(flaw) = case.origin {
+            stage.spoil(phase, axis, flaw);
+        }
         stage.begin_motion(phase)?;
     }
     let strike = stage.now + phase.strikes_after();
@@ -143,18 +149,43 @@ impl<'a> Stage<'a> {
             (0..given.axis.len()).map(axis).collect::<anyhow::Result<_>>()
         });
         let drives = drives.collect::<anyhow::Result<_>>()?;
-        Ok(Self { file, servo, links, emulation, drives, motions: Vec::new(), spring: None, now })
+        Ok(Self { file, servo, links, emulation, drives, motions: Vec::new(), spring: None, missed: None, now })
     }
 
     fn cycle(&mut self) {
         for robot in 0..self.motions.len() {
             self.feed(robot);
         }
+        self.miss_deadlines();
         self.servo.step(self.now);
         self.now += self.servo.period();
         self.emulation.advance(self.now);
         for link in &mut self.links {
             while link.reports.pop().is_ok() {}
+        }
+    }
+
+    /// Lets the deadlines pass that the host misses before a cycle.
+    fn miss_deadlines(&mut self) {
+        let Some((missed, cycle)) = &mut self.missed else {
+            return;
+        };
+        let count = missed.before(*cycle, self.file.cell.max_missed_in_row);
+        *cycle += 1;
+        if count > 0 {
+            self.now += self.servo.period() * count;
+            self.emulation.advance(self.now);
+            self.servo.missed(count);
+        }
+    }
+
+    /// Lets the generator of the robot err in the first macrostep that begins after the strike. A partner in a team gets a
+    /// macrostep of the same length.
+    fn spoil(&mut self, phase: FaultPhase, axis: usize, flaw: Flaw) {
+        let after = phase.strikes_after();
+        self.motions[0].spoil(self.file, 0, axis, after, flaw);
+        if flaw != Flaw::Absent {
+            self.motions[1..].iter_mut().for_each(|motion| motion.cut(after));
         }
     }
 
@@ -251,17 +282,47 @@ impl<'a> Stage<'a> {
         std::array::from_fn(|axis| plant(axis).unwrap_or_default())
     }
 
-    /// Lets the fault strike, and observes the robot until it has been at rest, and then while it is brought back.
-    fn observe(&mut self, case: &FaultCase, axis: usize) -> anyhow::Result<Observation> {
-        let began = self.now;
-        let at_strike = self.truth(0);
+    /// Lets the fault strike on `axis`. A wrong macrostep was given to the servo before.
+    fn begin(&mut self, case: &FaultCase, axis: usize) -> anyhow::Result<Vec<FaultInEffect>> {
+        let kind = match case.origin {
+            Origin::Emulated(kind) => kind,
+            Origin::Deadlines(missed) => {
+                self.missed = Some((missed, 0));
+                return Ok(Vec::new());
+            }
+            Origin::EmergencyStop => {
+                self.set_contact(false)?;
+                return Ok(Vec::new());
+            }
+            Origin::Generator(_) => return Ok(Vec::new()),
+        };
         let struck = if case.disables { 0..self.drives[0].len() } else { axis..axis + 1 };
         let mut faults = Vec::new();
         for axis in struck {
             let place = axis_place(self.file, self.emulation.ids(), (0, axis)).context("an axis without a drive")?;
-            faults.extend(case.kind.faults(&place, &case.numbers()).map_err(|problem| anyhow!("the fault {problem}"))?);
+            faults.extend(kind.faults(&place, &case.numbers()).map_err(|problem| anyhow!("the fault {problem}"))?);
         }
-        let in_effect: Vec<FaultInEffect> = faults.iter().map(|fault| self.emulation.begin_fault(fault)).collect();
+        Ok(faults.iter().map(|fault| self.emulation.begin_fault(fault)).collect())
+    }
+
+    /// Ends the fault.
+    fn end(&mut self, case: &FaultCase, in_effect: &[FaultInEffect]) -> anyhow::Result<()> {
+        in_effect.iter().for_each(|fault| self.emulation.end_fault(fault));
+        self.missed = None;
+        if case.origin == Origin::EmergencyStop { self.set_contact(true) } else { Ok(()) }
+    }
+
+    /// Closes or opens the contact of the emergency stop.
+    fn set_contact(&mut self, closed: bool) -> anyhow::Result<()> {
+        let (node, input) = CONTACT;
+        if self.emulation.set_input(node, input, closed) { Ok(()) } else { bail!("the cell has no contact") }
+    }
+
+    /// Lets the fault strike, and observes the robot until it has been at rest, and then while it is brought back.
+    fn observe(&mut self, case: &FaultCase, axis: usize) -> anyhow::Result<Observation> {
+        let began = self.now;
+        let at_strike = self.truth(0);
+        let in_effect = self.begin(case, axis)?;
         if case.disables {
             self.motions.clear();
             self.order(0, Order::Disable);
@@ -286,7 +347,7 @@ impl<'a> Stage<'a> {
                 break;
             }
             if !ended && case.lasts.is_some_and(|lasts| self.now.since(began) >= lasts) {
-                in_effect.iter().for_each(|fault| self.emulation.end_fault(fault));
+                self.end(case, &in_effect)?;
                 ended = true;
             }
             self.cycle();
@@ -325,7 +386,7 @@ impl<'a> Stage<'a> {
             observed.strays = Some(std::array::from_fn(stray));
         }
         if !ended {
-            in_effect.iter().for_each(|fault| self.emulation.end_fault(fault));
+            self.end(case, &in_effect)?;
         }
         if observed.detected.is_some() {
             observed.recovery = self.recover();

@@ -30,6 +30,8 @@ pub enum FaultKind {
     ErrorPassive,
     /// The interface of the host is down.
     InterfaceDown,
+    /// The interface of the host is removed for ever.
+    InterfaceRemoved,
     /// The transmit queue of the host takes nothing.
     QueueFull,
     /// No node acknowledges the frames of the host, which receives nothing.
@@ -90,7 +92,7 @@ pub enum FaultKind {
 
 impl FaultKind {
     /// The kinds, each once.
-    pub const ALL: [Self; 36] = [
+    pub const ALL: [Self; 37] = [
         Self::Lost,
         Self::Late,
         Self::Duplicated,
@@ -99,6 +101,7 @@ impl FaultKind {
         Self::BusOff,
         Self::ErrorPassive,
         Self::InterfaceDown,
+        Self::InterfaceRemoved,
         Self::QueueFull,
         Self::NoAcknowledge,
         Self::Torn,
@@ -268,6 +271,7 @@ impl FaultKind {
             Self::BusOff => of_host(HostFault::BusOff),
             Self::ErrorPassive => of_host(HostFault::ErrorPassive),
             Self::InterfaceDown => of_host(HostFault::Down),
+            Self::InterfaceRemoved => of_host(HostFault::Removed),
             Self::QueueFull => of_host(HostFault::QueueFull),
             Self::NoAcknowledge => of_host(HostFault::Unacknowledged),
             Self::HeartbeatSilent => {

@@ -135,6 +135,20 @@ fn a_host_that_is_cut_off_neither_sends_nor_receives() {
 }
 
 #[test]
+fn a_removed_interface_is_gone_for_ever() {
+    let (mut bus, mut host, mut listener) = bus();
+    host.send(at(0), &[frame(0x181)]).unwrap();
+    bus.set_host_fault(HostFault::Removed, true, at(10));
+    bus.set_host_fault(HostFault::Removed, false, at(20));
+    assert_eq!(host.send(at(30), &[frame(0x181)]), Err(PortError::Gone));
+    listener.send(at(30), &[frame(0x182)]).unwrap();
+    bus.advance(at(1_000));
+    let mut into = [Received { frame: frame(0), at: Instant::ZERO }; 1];
+    assert_eq!(host.receive(at(1_000), &mut into), Err(PortError::Gone));
+    assert_eq!(heard(&mut listener), []);
+}
+
+#[test]
 fn an_unplugged_device_hears_nothing_and_a_foreign_node_is_heard_by_all() {
     let (mut bus, mut host, mut listener) = bus();
     assert!(bus.set_device_fault(0, DeviceFault::Unplugged, true, at(0)));

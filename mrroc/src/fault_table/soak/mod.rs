@@ -201,7 +201,7 @@ impl Soak<'_> {
             self.report.kind(strike.planned.case().name).injected += 1;
             let ids = self.stage.emulation.ids();
             let place = axis_place(&self.stage.file, ids, strike.planned.axis).expect("the stage has all drives");
-            let (kind, numbers) = (strike.planned.case().kind, strike.planned.numbers());
+            let (kind, numbers) = (strike.planned.kind(), strike.planned.numbers());
             let faults = kind.faults(&place, &numbers).map_err(|why| anyhow!("the fault {why}"))?;
             strike.in_effect.extend(faults.iter().map(|fault| self.stage.emulation.begin_fault(fault)));
         }

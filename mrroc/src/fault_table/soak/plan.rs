@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use super::super::catalogue::{CASES, FaultCase, Wire};
+use super::super::origin::Origin;
 use crate::cell::CellFile;
 use crate::scenario::{FaultKind, FaultNumbers};
 
@@ -56,18 +57,24 @@ impl PlannedFault {
         let robot = random.below(robots.len());
         let axis = random.below(robots[robot].axis.len());
         let wire = if robots[robot].axis[axis].drive.is_some() { Wire::Can } else { Wire::Serial };
-        let cases: Vec<_> = (0..CASES.len()).filter(|case| CASES[*case].wires.contains(&wire)).collect();
+        let is_played = |case: &FaultCase| case.wires.contains(&wire) && emulated(case).is_some();
+        let cases: Vec<_> = (0..CASES.len()).filter(|case| is_played(&CASES[*case])).collect();
         let case = cases[random.below(cases.len())];
         let delay = Duration::from_secs_f64(DELAY * random.share());
         let (least, most) = DURATIONS;
         let lasts = Duration::from_secs_f64(least + (most - least) * random.share());
         let seed = random.next();
         let lasts = match CASES[case] {
-            FaultCase { kind: FaultKind::HangUp, .. } => None,
+            FaultCase { origin: Origin::Emulated(FaultKind::HangUp), .. } => None,
             FaultCase { lasts: Some(own), .. } => Some(own),
             _ => Some(lasts),
         };
         Self { case, axis: (robot, axis), delay, lasts, seed }
+    }
+
+    /// Kind of the fault.
+    pub(super) fn kind(&self) -> FaultKind {
+        emulated(self.case()).expect("only these cases are planned")
     }
 
     pub(super) fn case(&self) -> &'static FaultCase {
@@ -76,5 +83,15 @@ impl PlannedFault {
 
     pub(super) fn numbers(&self) -> FaultNumbers {
         FaultNumbers { seed: self.seed, ..self.case().numbers() }
+    }
+}
+
+/// Kind of a fault of the emulators. `None` for the other faults of the table, and for a removed interface: without it, the
+/// plans of the published runs stay as they are.
+fn emulated(case: &FaultCase) -> Option<FaultKind> {
+    match case.origin {
+        Origin::Emulated(FaultKind::InterfaceRemoved) => None,
+        Origin::Emulated(kind) => Some(kind),
+        Origin::Deadlines(_) | Origin::EmergencyStop | Origin::Generator(_) => None,
     }
 }

@@ -1,0 +1,129 @@
+//! Bounds of a row: time to the detection, and distance of each motor.
+
+use std::time::Duration;
+
+use servo::MAX_AXES;
+
+use super::catalogue::FaultCase;
+use super::origin::{Origin, contact_delay};
+use super::phase::{FaultPhase, STEPS};
+use crate::cell::CellFile;
+use crate::scenario::FaultKind;
+
+/// Declared time from a fault to its detection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Within {
+    /// The missing answers that the cell tolerates, and four periods.
+    Answers,
+    /// The same. The wire is cut, so a drive on CAN stops by itself after three heartbeats of the host.
+    Cut,
+    /// Four periods of the heartbeat.
+    Heartbeat,
+    /// The following error grows to its limit.
+    Error,
+    /// The same. Until then, the loop of the drive accelerates the motor.
+    Lost,
+    /// The same, and the motor loses at least a fifth of its speed. In homing, it moves on along its search until then.
+    Slowed,
+    /// The arm falls within the watch of the brakes, and its motor catches it.
+    Fall,
+    /// This time.
+    Time(Duration),
+    /// The deadlines missed in a row, one more than the cell tolerates, and the next cycle.
+    Deadlines,
+    /// The share of missed deadlines is judged at the end of each window of deadlines. Too few deadlines may be left in the
+    /// window of the fault, so the bound is two windows.
+    Share,
+    /// The opening of the contact of the emergency stop reaches the host.
+    Contact,
+    /// The wrong macrostep begins after the present one. Four periods are added.
+    Macrostep,
+}
+
+/// Margin of the bound of the distance for the loops of the drives.
+const MARGIN: f64 = 1.1;
+
+/// Acceleration of a motor whose loop is lost, as a multiple of its greatest permitted acceleration. The motor accelerates
+/// over its permitted following error, and runs out over this multiple of the error.
+const LOST: f64 = 8.0;
+
+/// Bounds of a row: time to the detection, and distance of each motor, rad.
+pub(super) struct Bounds {
+    pub(super) detection: Duration,
+    pub(super) distance: [f64; MAX_AXES],
+}
+
+/// Time from the detection of a brake that does not hold to the torque of the motor: a drive on CAN passes three states,
+/// each with the answer to its controlword.
+const CATCHING: f64 = 0.040;
+
+/// Distance of a motor that falls, rad, until it is caught: the `limit` of the watch, the way until the motor has torque,
+/// and the way in which it brakes. Its weight accelerates the motor by at most half of its greatest `acceleration`, rad/s²,
+/// because the motor must accelerate upwards as well.
+fn fall(limit: f64, acceleration: f64) -> f64 {
+    let weight = 0.5 * acceleration;
+    let seen = (2.0 * weight * limit).sqrt();
+    let caught = seen + weight * CATCHING;
+    limit + (seen + caught) / 2.0 * CATCHING + caught * caught / (2.0 * weight)
+}
+
+impl FaultCase {
+    /// Declared bounds on robot 0 of a cell whose motors move at `velocity`, rad/s.
+    ///
+    /// The distance of a motor is the sum of three parts, with a margin. The motor moves on until the detection, and for the
+    /// four periods from sample to effect. The stop brakes with the deceleration of the limit. Twice the following error
+    /// is added, for the distances between motor and set-point at the strike and at the end.
+    ///
+    /// The following error itself limits the distance until it finds a fault. The time of such a detection is four times the
+    /// time at constant speed to the limit of the error, and to the obstacle of a collision. A motor that a sagging supply
+    /// slows has five times this time, because it may keep four fifths of its speed. In homing, it moves on for this time,
+    /// less the following error by which it is then late.
+    pub(super) fn bounds(&self, file: &CellFile, axis: usize, velocity: &[f64; MAX_AXES], phase: FaultPhase) -> Bounds {
+        let cell = &file.cell;
+        let robot = &cell.robot[0];
+        let name = &robot.axis[axis].bus;
+        let bus = cell.bus.iter().find(|bus| bus.name == *name);
+        let bundle = cell.serial.iter().find(|serial| serial.name == *name);
+        let tolerated = bus.map(|bus| bus.tolerated_missing).or(bundle.map(|it| it.tolerated_missing)).unwrap_or(0);
+        let answers = cell.period() * (tolerated + 4);
+        let silence = Duration::from_millis(4 * bus.map_or(100, |bus| u64::from(bus.heartbeat_ms)));
+        let obstacle =
+            if self.origin == Origin::Emulated(FaultKind::Collision) { self.numbers().distance } else { 0.0 };
+        let error = robot.axis[axis].following_error;
+        let at_speed = |way: f64| Duration::from_secs_f64(way / velocity[axis].abs());
+        let both = |time| (time, time);
+        let (detection, blind) = match self.within {
+            Within::Answers => both(answers),
+            Within::Cut => (answers, bus.map_or(answers, |bus| Duration::from_millis(3 * u64::from(bus.heartbeat_ms)))),
+            Within::Heartbeat => both(silence),
+            Within::Error | Within::Lost => {
+                (at_speed(4.0 * (obstacle + error)) + Duration::from_millis(50), Duration::ZERO)
+            }
+            Within::Slowed => {
+                let detection = at_speed(5.0 * error) + Duration::from_millis(50);
+                (detection, if phase == FaultPhase::Homing { detection - at_speed(error) } else { Duration::ZERO })
+            }
+            Within::Time(time) => both(time),
+            Within::Fall => (Duration::from_millis(1500), Duration::ZERO),
+            Within::Deadlines => both(cell.period() * cell.max_missed_in_row.saturating_add(2)),
+            Within::Share => {
+                let detection = cell.period() * (2 * 1000.max(cell.max_missed_in_row.saturating_mul(16)));
+                // A robot at rest moves no farther.
+                (detection, if phase == FaultPhase::Homing { detection } else { Duration::ZERO })
+            }
+            Within::Contact => both(contact_delay(cell.period())),
+            Within::Macrostep => both(cell.period() * (u32::from(STEPS) + 4)),
+        };
+        let blind = (blind + 4 * cell.period()).as_secs_f64();
+        let distance = |number: usize| {
+            let speed = velocity[number].abs();
+            let given = robot.axis.get(number)?;
+            let braking = speed * speed / (2.0 * given.max_acceleration);
+            let lost = if number == axis && self.within == Within::Lost { LOST * given.following_error } else { 0.0 };
+            let fall =
+                if self.within == Within::Fall { fall(given.following_error, given.max_acceleration) } else { 0.0 };
+            Some(MARGIN * (speed * blind + braking + lost + fall + 2.0 * given.following_error))
+        };
+        Bounds { detection, distance: std::array::from_fn(|number| distance(number).unwrap_or(f64::INFINITY)) }
+    }
+}
