@@ -55,7 +55,7 @@ impl Effector {
         self.team.state.is_tied()
     }
 
-    /// Bit set of the effectors that begin and stop their macrosteps with this one, itself included.
+    /// Bit set of the effectors that begin and stop together: the tied members, or this effector alone.
     fn tied(&self) -> u32 {
         if self.is_tied() { self.team.members } else { self.bit() }
     }

@@ -58,8 +58,8 @@ impl Effector {
         Some(StopCause::NotBraking { velocity: velocity.abs(), limit: (2.0 * acceleration * room).sqrt() })
     }
 
-    /// Distance beyond the end of the stop, rad, in the direction of the stop, at which the motor of axis `index` rests if
-    /// it brakes with its greatest acceleration from its measured position and velocity.
+    /// Way of the motor of axis `index` beyond the end of its stop, rad, in the direction of the stop, if it brakes with its
+    /// greatest acceleration from now on.
     fn beyond(&self, index: usize) -> f64 {
         let axis = &self.axes[index];
         let velocity = axis.state.velocity;

@@ -15,16 +15,15 @@ use crate::Phase;
 /// # Envelope of a stop
 /// A stop by set-points bounds the position and the velocity of each motor in each cycle:
 ///
-/// - A motor whose drive closes the position loop may be ahead of its set-point, in the direction of the stop, by at most
-///   its following error, plus the distance by which it was ahead when the stop began.
-/// - A motor with its measured position and velocity must be able to come to rest, by its greatest acceleration, at most
-///   one following error beyond the end of the stop, plus this distance when the stop began. The permitted velocity
-///   therefore falls along the stop, and a motor that does not begin to brake is found before its position is far from its
-///   set-point. Three samples in a row decide.
+/// - *Position*, for a motor whose drive closes the position loop. The motor may be ahead of its set-point, in the direction
+///   of the stop, by its following error. In a stop of category 1, the lead at the beginning of the stop is added.
+/// - *Velocity*. The greatest acceleration of the motor must suffice to bring it to rest at most one following error beyond
+///   the end of the stop. The way beyond the end at the beginning of the stop is added. The permitted velocity therefore
+///   falls along the stop. Three samples in a row decide.
 ///
-/// A motor that leaves this envelope does not brake. Its stop becomes stricter by one category, and the envelope is set
-/// anew at its present distances: a stop of category 2 becomes one of category 1, and a stop of category 1 takes the power
-/// at once (category 0). Under a loop that the servo closes, every stop takes the power at once.
+/// A motor that leaves this envelope does not brake. Its stop becomes stricter by one category: 2 becomes 1, and 1 becomes 0,
+/// which takes the power at once. The envelope is then set anew at the present distances. Under a loop that the servo closes,
+/// the power is taken at once in each case.
 ///
 /// In a stop of homing, the drive finds the set-points. The permitted speed of each motor then falls evenly from its speed at
 /// the beginning to a standstill within the time of the longest stop, 20 ms late. A motor that is faster loses its power at

@@ -3,9 +3,9 @@
 /// State of a team. Every member of a team has the state of its team.
 ///
 /// An effector without partners is *apart*. A barrier ties effectors to a team. The members of a team begin each
-/// macrostep in the same cycle. A stop of one member, by an order or a fault, stops all: the members brake over the same
-/// number of periods, so that all motors of the team stay in proportion until rest. The stop also ends the team. Each
-/// member is apart as soon as it brakes no longer.
+/// macrostep in the same cycle. A stop of one member, by an order or a fault, stops all. The members brake over the same
+/// number of periods, so all motors of the team stay in proportion until rest. The stop also ends the team. Each member is
+/// apart as soon as it brakes no longer.
 ///
 /// A motion may end while a [`CycleLaw`](crate::CycleLaw) still displaces a member. This end is no stop: the members
 /// *settle* together over the same number of periods, and stay tied.
