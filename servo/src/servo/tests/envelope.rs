@@ -53,9 +53,9 @@ fn a_motor_that_does_not_brake_loses_its_power_in_a_stop_of_category_1() {
     assert_eq!(rig.last_sent(), [AxisCommand::Off; 2]);
 }
 
-/// A motor in a stop of 60 periods from 60 rad/s, which has gone on at 60 rad/s since its first period: category and time,
-/// periods, at which the stop becomes stricter.
-fn escalation(order: Order) -> (StopCause, StopCategory, u32) {
+/// The first period of a stop of 60 periods from 60 rad/s in which the stop becomes stricter. The second motor goes on at 60
+/// rad/s from the third period on, and gives no answer in the periods `silent`.
+fn escalation(order: Order, silent: std::ops::Range<u32>) -> (Rig, u32) {
     let mut rig = Rig::standing(2);
     rig.accelerate(500.0, 12, 20);
     rig.run(125);
@@ -64,27 +64,37 @@ fn escalation(order: Order) -> (StopCause, StopCategory, u32) {
     assert_eq!(rig.phase(), Phase::Stopping);
     rig.world().axes[1].runs_at = Some(60.0);
     let before = rig.servo.state(0);
-    let mut periods = 3;
+    let mut period = 3;
     while rig.servo.state(0) == before {
+        period += 1;
+        rig.world().axes[1].silent = silent.contains(&period);
         rig.run(1);
-        periods += 1;
     }
-    (rig.cause().unwrap(), category(&rig).unwrap(), periods)
+    (rig, period)
 }
 
 /// At 60 rad/s and 1000 rad/s², the following error of 0.5 rad is reached after √(2 · 0.5 / 1000) s = 32 periods. The motor
-/// could no longer come to rest within the envelope after 0.5 / 60 s = 8 periods.
+/// can no longer come to rest within the envelope after 0.5 / 60 s = 8 periods.
 #[test]
 fn a_motor_that_does_not_brake_is_found_by_its_velocity_before_its_following_error() {
-    for (order, expected) in [(Order::Stop, StopCategory::One), (Order::Disable, StopCategory::Zero)] {
-        let (cause, category, periods) = escalation(order);
-        assert_eq!(category, expected);
-        if order == Order::Stop {
-            assert!(matches!(cause, StopCause::NotBraking { velocity, limit } if velocity > limit), "{cause:?}");
-        }
-        // Three samples, and the delay from set-point to sample.
-        assert!((8..=8 + 3 + 3).contains(&periods), "{cause:?} after {periods} periods");
-    }
+    let (rig, period) = escalation(Order::Disable, 0..0);
+    assert_eq!((rig.phase(), category(&rig)), (Phase::Faulted, Some(StopCategory::Zero)));
+    let (mut rig, same) = escalation(Order::Stop, 0..0);
+    assert_eq!((rig.phase(), category(&rig)), (Phase::Stopping, Some(StopCategory::One)));
+    // 8 periods, two further samples, and the delay from set-point to sample.
+    assert_eq!((period, same), (12, 12));
+    let Some(StopCause::NotBraking { velocity, limit }) = rig.cause() else {
+        panic!("{:?}", rig.cause());
+    };
+    let measured = rig.link.latest.read().measured[1];
+    rig.world().axes[1].runs_at = None;
+    rig.run(70);
+    let end = rig.link.latest.read().commanded[1];
+    let error = scripted::config(2).effectors[0].axes[1].following_error;
+    let expected = (2.0 * 1000.0 * (end + error - measured)).sqrt();
+    assert!((velocity - 60.0).abs() < 1e-6 && (limit - expected).abs() < 1e-6, "{velocity} {limit} {expected}");
+    // Missing answers are no samples.
+    assert_eq!(escalation(Order::Stop, period - 1..period + 4).1, period + 5);
 }
 
 #[test]
