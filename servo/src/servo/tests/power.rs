@@ -303,7 +303,16 @@ fn a_stricter_stop_of_homing_is_not_longer() {
 
 #[test]
 fn a_motor_that_does_not_brake_in_a_stop_of_homing_loses_its_power() {
-    for (order, brakes) in [(Order::Stop, true), (Order::Stop, false), (Order::Disable, false)] {
+    // Share of the speed before the stop in a period of the stop, which takes at most 200 ms. The permitted share is 1 until
+    // 20 ms, and 0.75 at 70 ms. Three samples decide, after the delay of a period.
+    type Share = fn(u32) -> f64;
+    let cases: [(Order, Share, Option<u32>); 4] = [
+        (Order::Stop, |period| 1.0 - 0.01 * f64::from(period), None),
+        (Order::Stop, |_| 1.0, Some(23)),
+        (Order::Disable, |_| 1.0, Some(23)),
+        (Order::Stop, |_| 0.75, Some(73)),
+    ];
+    for (order, share, lost_in) in cases {
         let mut rig = Rig::new(2);
         rig.world().axes[1].homing_takes = 500;
         rig.order(Order::Enable);
@@ -311,20 +320,19 @@ fn a_motor_that_does_not_brake_in_a_stop_of_homing_loses_its_power() {
         rig.run_until(Phase::Homing);
         rig.world().axes[1].drifts_at = Some(20.0);
         rig.run(5);
+        assert_eq!(rig.servo.longest_stop(), 2 * Duration::from_millis(200));
         rig.order(order);
-        let stop = rig.servo.longest_stop().as_millis() as usize / 2;
-        for cycle in 0..stop {
-            let share = if brakes { 1.0 - cycle as f64 / stop as f64 } else { 1.0 };
-            rig.world().axes[1].drifts_at = Some(20.0 * share);
+        let mut lost = None;
+        for period in 0..100 {
+            rig.world().axes[1].drifts_at = Some(20.0 * share(period));
             rig.run(1);
-            // 20 ms, three samples and the delay from one sample to its effect.
-            let lost = rig.phase() == Phase::Faulted;
-            assert!(if brakes { !lost } else { lost == (cycle >= 24) || cycle == 23 }, "cycle {cycle}, {order:?}");
+            lost = lost.or((rig.phase() == Phase::Faulted).then_some(period));
         }
+        assert_eq!(lost, lost_in, "{order:?}");
         let fault = rig.servo.fault(0);
-        assert_eq!(fault.map(|fault| (fault.axis, fault.category)), (!brakes).then_some((Some(1), StopCategory::Zero)));
-        assert!(brakes || matches!(rig.cause(), Some(StopCause::NotBraking { velocity: 20.0, .. })), "{fault:?}");
-        if brakes {
+        assert_eq!(fault.map(|it| (it.axis, it.category)), lost.map(|_| (Some(1), StopCategory::Zero)));
+        assert_eq!(matches!(rig.cause(), Some(StopCause::NotBraking { .. })), lost.is_some(), "{fault:?}");
+        if lost.is_none() {
             rig.world().axes[1].drifts_at = None;
             rig.run_until(Phase::Standing);
         }
