@@ -161,7 +161,7 @@ impl FixedMotion {
             last.position[axis] += by;
             return Some(last);
         }
-        Some(self.step(begin + step, STEPS))
+        Some(self.step((self.sent + 1) as f64 * step, STEPS))
     }
 
     /// The next macrostep, which ends at `t`, s, after `steps` periods.
