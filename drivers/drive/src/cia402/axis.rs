@@ -404,10 +404,8 @@ impl CanAxis {
             }
             // The drive would not miss us before it has heard us.
             PowerState::SwitchedOn if self.goal == Goal::On && !watched => Controlword::SWITCH_ON,
-            PowerState::OperationEnabled if self.goal == Goal::On => {
-                self.search.controlword(self.power.step(self.statusword, goal))
-            }
-            _ => self.power.step(self.statusword, goal),
+            // A search adds its bits only while the drive is enabled: the search ends with the power.
+            _ => self.search.controlword(self.power.step(self.statusword, goal)),
         };
         process_data::encode(self.config.node, self.config.mode, word, self.target)
     }
@@ -522,7 +520,8 @@ impl CanAxis {
         );
         let settled = match self.goal {
             Goal::Off | Goal::ResetFault => !torque,
-            Goal::Stopped => !torque || self.statusword.power_state() == PowerState::QuickStopActive,
+            // The fault of the stop is latched already, and stays the first.
+            Goal::Stopped => true,
             Goal::On => self.state.power == Power::On && !self.search.halting() && self.modes.is(self.wanted_mode()),
         };
         if settled {

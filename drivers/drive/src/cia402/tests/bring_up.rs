@@ -147,9 +147,11 @@ fn after_it_nothing_is_enabled_and_the_position_is_known() {
     let mut bench = Bench::new(group_config(), &[axis_config(2)]);
     bench.stores[0].put(0x6041, 0, &[0x40, 0x86]);
     assert_eq!(bench.bring_up(), Ok(()));
+    let up = bench.now;
     assert_eq!(bench.cycle(NONE, &[AxisCommand::Off])[1], "202#0000E8030000");
     let state = bench.states[0];
     assert_eq!((state.power, state.fault, state.increments.0), (Power::Off, None, 1_000));
+    assert_eq!(state.at, up, "the end of bring-up counts as the last answer");
     // Bit 15: the drive kept its reference.
     assert_eq!(state.homing, Homing::Attained);
 }

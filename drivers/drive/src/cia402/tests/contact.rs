@@ -1,16 +1,22 @@
 //! A contact of the emergency stop at a digital input of a drive.
 
+use std::time::Duration;
+
 use super::bench::*;
 use crate::EmergencyStop;
-use crate::cia402::AxisConfig;
+use crate::cia402::{AxisConfig, GroupConfig};
 
 const STAND: [AxisCommand; 2] = [AxisCommand::Stand; 2];
 const CLOSED: &str = "382#0000010000";
 
 /// Two drives, of which node 2 has the contact at bit 16, with these inputs at bring-up.
 fn bench(inputs: [u8; 4]) -> Bench {
+    bench_with(group_config(), inputs)
+}
+
+fn bench_with(config: GroupConfig, inputs: [u8; 4]) -> Bench {
     let contact = AxisConfig { emergency_input: Some(16), ..axis_config(2) };
-    let mut bench = Bench::new(group_config(), &[axis_config(1), contact]);
+    let mut bench = Bench::new(config, &[axis_config(1), contact]);
     bench.stores[1].put(0x60FD, 0, &inputs);
     (0..=3).for_each(|subindex| bench.stores[1].put(0x1A02, subindex, if subindex == 0 { &[1] } else { &[0; 4] }));
     bench
@@ -61,9 +67,27 @@ fn a_level_that_is_not_known_demands_a_stop() {
     let stops: Vec<_> = (0..4).map(|_| cycle(&mut bench, NONE)).collect();
     assert_eq!(stops, [None, None, stop(false), stop(false)]);
     assert_eq!(cycle(&mut bench, &["382#00000100"]), None);
+    // A drive that left the state operational, and is back.
+    assert_eq!(cycle(&mut bench, &["382#00000100", "702#7F"]), stop(false));
+    assert_eq!(cycle(&mut bench, &["382#00000100", "702#05"]), None);
     // A drive that booted may send its inputs before it is configured.
     assert_eq!(cycle(&mut bench, &["382#00000100", "702#00"]), stop(false));
     assert_eq!(cycle(&mut bench, &["382#00000100"]), stop(false));
+}
+
+#[test]
+fn the_level_is_not_known_during_the_recovery_of_the_drive() {
+    let config = GroupConfig { heartbeat_period: Duration::from_millis(10), ..group_config() };
+    let mut bench = bench_with(config, [0, 0, 1, 0]);
+    assert_eq!(bench.bring_up(), Ok(()));
+    let inputs_alone = |bench: &mut Bench, command| {
+        bench.cycle(&["181#4007E80300000000", "382#00000100"], &[AxisCommand::Off, command]);
+        (bench.states[1].recovering, bench.group.emergency_stop())
+    };
+    // No answer and no heartbeat for longer than 30 ms.
+    (0..20).for_each(|_| _ = inputs_alone(&mut bench, AxisCommand::Off));
+    assert_eq!(inputs_alone(&mut bench, AxisCommand::ResetFault), (false, None));
+    assert_eq!(inputs_alone(&mut bench, AxisCommand::ResetFault), (true, stop(false)));
 }
 
 #[test]

@@ -128,16 +128,19 @@ fn one_refused_set_point_keeps_every_axis_where_it_was_told_before() {
     let finite = |value| Finite::new(value).unwrap();
     let velocity = AxisCommand::Follow(Setpoint::Velocity(finite(0.0)));
     let far = AxisCommand::Follow(Setpoint::Position(finite(1e9)));
+    // Drives on CAN search for the reference by themselves.
+    let seek = AxisCommand::Seek(Setpoint::Position(finite(0.0)));
     let node = 2;
-    for (command, refusal) in [(velocity, Refusal::WrongKind), (far, Refusal::OutOfRange)] {
+    let table = [(velocity, Refusal::WrongKind), (seek, Refusal::WrongKind), (far, Refusal::OutOfRange)];
+    for (command, refusal) in table {
         let mut bench = Bench::up(&[1, node]);
         bench.enable();
         let answers = bench.answers(0x0737, 1_000);
         bench.cycle(&answers, &[follow(1_001.0), follow(1_002.0)]);
         let frames = bench.cycle(&answers, &[follow(1_500.0), command]);
         assert_eq!(frames[1..], ["201#0F00E9030000", "202#0200E8030000"]);
-        // The other axis follows its command; the refused axis is braked.
-        let frames = bench.cycle(&answers, &[follow(1_003.0), follow(1_004.0)]);
+        // The other axis follows its command; the refused axis is braked, and its set-point is ignored.
+        let frames = bench.cycle(&answers, &[follow(1_003.0), command]);
         assert_eq!(frames[1..], ["201#0F00EB030000", "202#0200E8030000"]);
         assert_eq!(bench.states[0].fault, None);
         assert_eq!(bench.states[1].fault, Some(Fault::Refused { node, refusal }));

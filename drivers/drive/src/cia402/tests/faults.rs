@@ -137,6 +137,20 @@ fn a_lost_heartbeat_stops_the_axis() {
 }
 
 #[test]
+fn a_heartbeat_is_lost_after_three_periods_and_not_at_their_end() {
+    let config = GroupConfig { heartbeat_period: Duration::from_millis(10), ..group_config() };
+    let mut bench = Bench::up_with(config, &[axis_config(2)]);
+    // The first cycle of operation counts as a heartbeat.
+    for _ in 0..=15 {
+        bench.cycle(&bench.answers(0x0740, 1_000), OFF);
+        assert_eq!(bench.states[0].fault, None);
+    }
+    bench.cycle(&bench.answers(0x0740, 1_000), OFF);
+    let waited = Duration::from_millis(32);
+    assert_eq!(bench.states[0].fault, Some(Fault::HeartbeatLost { node: 2, waited }));
+}
+
+#[test]
 fn leaving_operational_is_a_fault_until_the_node_is_back() {
     let fault = Some(Fault::LeftOperational { node: 2 });
     for state in ["702#7F", "702#04"] {
@@ -235,6 +249,36 @@ fn power_lost_unasked_is_a_fault_and_power_given_up_is_not() {
     assert_eq!(bench.states[0].power, Power::Changing);
     bench.cycle(&bench.answers(0x0740, 1_000), OFF);
     assert_eq!((bench.states[0].power, bench.states[0].fault), (Power::Off, None));
+}
+
+#[test]
+fn a_loss_of_power_is_a_fault_from_the_fifth_answer_after_the_command_on() {
+    let (node, statusword) = (2, 0x0740);
+    for (with_torque, fault) in [(3, None), (4, Some(Fault::PowerLost { node, statusword }))] {
+        let mut bench = enabled();
+        bench.cycle(&bench.answers(0x0737, 1_000), OFF);
+        // The first answer after the command is read in the next cycle.
+        stand(&mut bench, 0x0737);
+        (0..with_torque).for_each(|_| _ = stand(&mut bench, 0x0737));
+        stand(&mut bench, statusword);
+        assert_eq!(bench.states[0].fault, fault, "after {with_torque} answers with torque");
+    }
+}
+
+#[test]
+fn the_power_of_an_enabled_drive_is_on_from_the_fifth_answer_after_the_command_on() {
+    let mut bench = enabled();
+    let mut powers = |command| -> Vec<Power> {
+        let cycle = |_| {
+            bench.cycle(&bench.answers(0x0737, 1_000), command);
+            bench.states[0].power
+        };
+        (0..8).map(cycle).collect()
+    };
+    let (on, changing) = (Power::On, Power::Changing);
+    // Each cycle reads an answer before it takes the command.
+    assert_eq!(powers(OFF), [on, changing, changing, changing, changing, changing, changing, changing]);
+    assert_eq!(powers(STAND), [changing, changing, changing, changing, changing, on, on, on]);
 }
 
 #[test]

@@ -94,6 +94,23 @@ fn a_drive_that_lost_power_while_homing_is_taken_back_to_its_cyclic_mode() {
     assert_eq!(bench.states[0].homing, Homing::NotHomed);
 }
 
+/// Only a new bring-up configures a node that left the state operational or booted.
+#[test]
+fn a_drive_that_is_not_operational_is_not_taken_back_to_its_cyclic_mode() {
+    for heartbeats in [&["702#7F"][..], &["702#00", "702#05"]] {
+        let mut bench = Bench::up(&[2]);
+        bench.enable();
+        for statusword in [0x0737, 0x0737, 0x0737, 0x0237] {
+            cycle(&mut bench, statusword, 1_000, HOME);
+        }
+        bench.cycle(heartbeats, STAND);
+        for _ in 0..5 {
+            let frames = cycle(&mut bench, 0x0240, 1_000, STAND);
+            assert_eq!(frames, ["202#0000E8030000", ""].map(String::from), "{heartbeats:?}");
+        }
+    }
+}
+
 #[test]
 fn service_frames_take_turns_one_a_cycle() {
     let nodes = [1, 2, 3];

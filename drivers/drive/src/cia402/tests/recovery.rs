@@ -5,6 +5,7 @@ use std::time::Duration;
 use can::PortError;
 
 use super::bench::*;
+use crate::cia402::GroupConfig;
 use crate::{Homing, Power};
 
 const RESET: [AxisCommand; 2] = [AxisCommand::Stand, AxisCommand::ResetFault];
@@ -82,6 +83,28 @@ fn a_node_in_another_state_is_brought_up_again_too() {
         bench.cycle(&[answer(1, 0x0737, 1_000), answer(2, 0x0737, 1_000), state.to_owned()], &[AxisCommand::Stand; 2]);
         recover(&mut bench, &[&answer(2, 0x0240, 1_000)]);
         assert_eq!(bench.states[1].fault, None, "{state}");
+    }
+}
+
+#[test]
+fn a_drive_is_brought_up_again_once_both_its_answers_and_its_heartbeats_are_missing() {
+    let config = GroupConfig { heartbeat_period: Duration::from_millis(10), ..group_config() };
+    // Cycles with an answer, then cycles without. Two missing answers and 30 ms without a heartbeat are tolerated.
+    for (answered, missing, is_recovered) in [(14, 2, false), (12, 3, false), (13, 3, true), (0, 30, true)] {
+        let mut bench = Bench::up_with(config, &[axis_config(2)]);
+        // The first cycle of operation counts as a heartbeat.
+        bench.cycle(NONE, &[AxisCommand::Off]);
+        for _ in 0..answered {
+            bench.cycle(&[answer(2, 0x0740, 1_000)], &[AxisCommand::Off]);
+        }
+        for _ in 1..missing {
+            bench.cycle(NONE, &[AxisCommand::Off]);
+        }
+        bench.cycle(NONE, &[AxisCommand::ResetFault]);
+        let sent = bench.cycle(NONE, &[AxisCommand::ResetFault]);
+        let case = format!("{answered} {missing} {sent:?}");
+        assert_eq!(sent.contains(&"000#8202".to_owned()), is_recovered, "{case}");
+        assert_eq!(bench.states[0].recovering, is_recovered, "{case}");
     }
 }
 

@@ -128,7 +128,8 @@ fn warnings_are_those_of_the_operation_since_bring_up() {
 #[test]
 fn an_old_warning_does_not_name_a_later_fault() {
     let warning = "082#2081100000000000";
-    for (age, is_named) in [(0, true), (1, true), (10, false)] {
+    // A code names a fault that the next four answers show.
+    for (age, is_named) in [(0, true), (1, true), (3, true), (4, false), (10, false)] {
         // A fault whose EMCY was lost, and a loss of power.
         let mut bench = enabled();
         reports(&mut bench, &[warning]);
