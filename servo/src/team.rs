@@ -192,8 +192,7 @@ fn hold_partners(effectors: &mut [Effector]) {
     for effector in effectors {
         let partners = match effector.state {
             ServoState::Moving => effector.tied() & moving,
-            ServoState::Braking(_) if effector.team.state.brakes_together() => effector.team.members & braking,
-            ServoState::Braking(_) => 0,
+            ServoState::Braking(_) => effector.team.members & braking,
             ServoState::Off
             | ServoState::Enabling
             | ServoState::Standing

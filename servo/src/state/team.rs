@@ -78,11 +78,6 @@ impl TeamState {
     pub(crate) fn is_tied(self) -> bool {
         matches!(self, Self::Tied | Self::Moving | Self::Settling)
     }
-
-    /// Whether the members brake over the same number of periods.
-    pub(crate) fn brakes_together(self) -> bool {
-        matches!(self, Self::Settling | Self::Parting)
-    }
 }
 
 #[cfg(test)]

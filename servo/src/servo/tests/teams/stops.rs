@@ -155,6 +155,30 @@ fn every_cause_at_a_boundary_or_within_a_macrostep_brakes_all_members_in_the_sam
 }
 
 #[test]
+fn members_that_brake_stay_in_proportion_under_refused_batches() {
+    for refused in [0, 1] {
+        let mut cell = Cell::standing(&[1000.0, 400.0]);
+        cell.order_all(Order::Tie { members: 0b11 });
+        for (effector, scale) in [1.0, -0.6].into_iter().enumerate() {
+            motion(scale, 40).into_iter().for_each(|step| cell.order(effector, Order::Move(step)));
+        }
+        cell.run(95);
+        let start = [0, 1].map(|member| cell.position(member));
+        cell.order(0, Order::Stop);
+        cell.run(3);
+        assert_eq!(cell.phases(), [Phase::Stopping; 2]);
+        cell.worlds[refused].lock().unwrap().refuses = 2;
+        while cell.phases() == [Phase::Stopping; 2] {
+            cell.run(1);
+            let [one, other] = [0, 1].map(|member| cell.position(member) - start[member]);
+            assert!((other + 0.6 * one).abs() < 1e-9, "bus {refused} refuses: {one} {other}");
+        }
+        cell.run(200);
+        assert_eq!(cell.phases(), [Phase::Standing; 2]);
+    }
+}
+
+#[test]
 fn a_loop_that_is_lost_takes_the_power_of_its_effector_and_brakes_the_partner_in_the_same_cycle() {
     for first in [0, 1] {
         let mut cell = Cell::with(&scripted::host_config(1), &[1000.0; 2]);
