@@ -76,11 +76,12 @@ impl StraightStop {
         self.periods
     }
 
-    /// The same stop before its first period, over at least this number of periods. Stops of an equal number of periods
-    /// stay in proportion: each is at the same share of its way and of its initial velocity.
+    /// The same stop over at least this number of periods, if its first period is still to come. Stops of an equal number of
+    /// periods stay in proportion: each is at the same share of its way and of its initial velocity.
     #[must_use]
     pub fn lasting(self, periods: u32) -> Self {
-        Self { periods: self.periods.max(periods), ..self }
+        let periods = if self.done == 0 { self.periods.max(periods) } else { self.periods };
+        Self { periods, ..self }
     }
 
     /// Advances by one period; false if the stop has ended.

@@ -70,7 +70,7 @@ pub(crate) struct Effector {
     since: Instant,
     pub(crate) fault: Option<ServoFault>,
     pub(crate) team: Team,
-    /// An order or a fault stopped the effector in this cycle.
+    /// An order or a fault stopped the effector, and its team was not told yet.
     pub(crate) stopped: bool,
     /// Number of cycles in a row, up to the last, in which a bus of this effector refused the batch.
     refused: u32,
@@ -185,7 +185,7 @@ impl Effector {
     /// First part of a cycle: checks the axes, and takes orders up to a barrier or a macrostep. `refused` is the number
     /// of cycles in a row, up to the last, in which a bus of this effector refused the batch.
     pub(crate) fn begin_cycle(&mut self, refused: u32, tick: &Tick) {
-        (self.news, self.due, self.stopped, self.decided) = (false, false, false, false);
+        (self.news, self.due, self.decided) = (false, false, false);
         (self.refused, self.settling) = (refused, false);
         self.check(tick);
         self.take_stops(tick);
@@ -330,6 +330,12 @@ impl Effector {
         self.news = true;
     }
 
+    /// Whether the effector is off or faulted, and all its drives report that they have no power.
+    pub(crate) fn is_off(&self) -> bool {
+        let off = matches!(self.state, ServoState::Off | ServoState::Faulted);
+        off && self.axes.iter().all(|axis| axis.state.power == Power::Off)
+    }
+
     /// Whether the servo brakes the effector.
     pub(crate) fn is_braking(&self) -> bool {
         matches!(self.state, ServoState::Braking(_))
@@ -342,7 +348,10 @@ impl Effector {
 
     /// Lets the stop that begins in this cycle last at least this number of periods.
     pub(crate) fn brake_over(&mut self, periods: u32) {
-        self.stop = self.stop.lasting(periods);
+        if self.stop.periods() < periods {
+            self.stop = self.stop.lasting(periods);
+            self.set_envelope();
+        }
     }
 
     /// A straight stop from the last set-points.

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::{task::Poll, time::Duration};
 
 use can::Instant;
-use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Power, Warnings};
+use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Warnings};
 
 use crate::axis::ServoAxis;
 use crate::effector::{Effector, Tick};
@@ -238,11 +238,14 @@ impl Servo {
                 });
             }
         }
-        if self.effectors.iter().any(Effector::holds_for_brake) {
-            self.take(CellEvent::BrakeSlips);
-        } else if self.is_off() {
-            self.take(CellEvent::PowerOff);
-        }
+        let holds = |effector: &Effector| effector.holds_for_brake();
+        self.take(if self.is_off() {
+            CellEvent::PowerOff
+        } else if self.effectors.iter().all(|effector| effector.is_off() || holds(effector)) {
+            CellEvent::Holds
+        } else {
+            CellEvent::PowerOn
+        });
     }
 
     /// Passes the set-points to the groups, which keep them until [`send`](Self::send): the third part.
@@ -451,10 +454,7 @@ impl Servo {
 
     /// Whether every effector is off or faulted, and every drive reports that it has no power.
     pub fn is_off(&self) -> bool {
-        self.effectors.iter().all(|effector| {
-            matches!(effector.state, ServoState::Off | ServoState::Faulted)
-                && effector.axes.iter().all(|axis| axis.state.power == Power::Off)
-        })
+        self.effectors.iter().all(Effector::is_off)
     }
 
     /// Longest duration of a stop of any effector: first its set-points, then its drives.

@@ -80,8 +80,8 @@ impl<P: Port> Port for Watched<P> {
         self.port.receive(now, into)
     }
 
-    fn bound_unsent(&mut self, most: usize) {
-        self.port.bound_unsent(most);
+    fn bound_unsent(&mut self, most: usize) -> Result<(), PortError> {
+        self.port.bound_unsent(most)
     }
 
     fn counters(&self) -> Counters {

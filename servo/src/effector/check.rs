@@ -74,19 +74,21 @@ impl Effector {
             let sense = if beyond { error } else { axis.knot.velocity };
             let judged = commanding && (beyond || sense.abs() > CREEP);
             let switch = axis.limit_switch(sense).filter(|_| judged);
+            let cause = StopCause::FollowingError { error, limit };
+            let beyond = beyond || error.is_nan();
             if let Some(upper) = switch {
                 // The drive itself stops this axis at the switch, and the loop of the axis works. The servo brakes the
                 // other axes.
                 self.fail(tick, index, StopCause::LimitSwitch { upper });
-            } else if beyond || error.is_nan() {
-                let host_closed = axis.is_host_closed();
-                let cause = StopCause::FollowingError { error, limit };
-                if host_closed || !self.is_within_envelope(index) {
-                    self.lose(tick, index, cause);
-                } else {
-                    self.fail(tick, index, cause);
-                }
-            } else if let Some(cause) = self.not_braking(index) {
+            } else if beyond && self.axes[index].is_host_closed() {
+                self.lose(tick, index, cause);
+            } else if beyond {
+                self.fail(tick, index, cause);
+            }
+            if beyond && !self.is_within_envelope(index) {
+                self.lose(tick, index, cause);
+            }
+            if let Some(cause) = self.not_braking(index) {
                 if self.brakes_to_power_off() || self.axes[index].is_host_closed() {
                     self.lose(tick, index, cause);
                 } else {

@@ -6,17 +6,20 @@
 /// stop stops every effector and *locks* the cell: no reset succeeds until all contacts are closed. The effectors keep
 /// their faults when the cell is unlocked, so no power returns by itself.
 ///
-/// A request to stop brakes all effectors and switches them off (category 1). The cell takes no order that moves an
-/// effector or gives it power after the request. The cell ends *off*. It ends *held*, with power, if a brake slips during
-/// the stop or within a second after it.
+/// A request to stop brakes all effectors and switches them off (category 1). After the request, no order moves an effector
+/// or gives it power. The cell ends *off*. It is *held*, with power, while the motors of an effector hold it because its brake
+/// slips, and all other effectors are off.
 ///
-/// A stop that fails ends *cut*: the power of all axes is removed at once (category 0). Nothing leads out of this state.
+/// If a stop fails, the cell is *cut*: the power of all axes is removed at once (category 0). Nothing leads out of this
+/// state.
 ///
 /// ```text
 /// BringUp ──Up──▶ Running ──ContactOpens──▶ Locked ──ContactsClose──▶ Running
 ///
-/// Running, Locked ──Stop──▶ Stopping ──PowerOff──▶ Off
-///                           Stopping, Off ──BrakeSlips──▶ Held ──PowerOff──▶ Off
+/// Running, Locked ──Stop──▶ Stopping
+/// Stopping, Held ──PowerOff──▶ Off
+/// Stopping, Off ──Holds──▶ Held
+/// Off, Held ──PowerOn──▶ Stopping
 ///
 /// BringUp ──Stop──▶ Off
 /// any state ──Cut──▶ Cut
@@ -32,9 +35,9 @@ pub enum CellState {
     Locked,
     /// A stop was requested: the effectors brake and are switched off.
     Stopping,
-    /// After a request to stop, all drives report that they have no power.
+    /// A stop was requested, and all drives report that they have no power. In the bring-up, no drive was given power.
     Off,
-    /// After a request to stop, the motors hold an effector because a brake does not.
+    /// A stop was requested. The motors hold an effector because a brake does not, and all other effectors are off.
     Held,
     /// The power of all axes was removed at once.
     Cut,
@@ -53,8 +56,10 @@ pub(crate) enum CellEvent {
     Stop,
     /// All drives report that they have no power.
     PowerOff,
-    /// The motors hold an effector whose brake slips.
-    BrakeSlips,
+    /// A drive has power, and not for the reason that a brake slips.
+    PowerOn,
+    /// The motors hold an effector whose brake slips, and all other effectors are off.
+    Holds,
     /// The power is removed at once.
     Cut,
 }
@@ -74,7 +79,8 @@ impl CellState {
             (Running | Locked, CellEvent::Stop) => Stopping,
 
             (Stopping | Held, CellEvent::PowerOff) => Off,
-            (Stopping | Off, CellEvent::BrakeSlips) => Held,
+            (Stopping | Off, CellEvent::Holds) => Held,
+            (Off | Held, CellEvent::PowerOn) => Stopping,
 
             (BringUp | Running | Locked | Stopping | Off | Held | Cut, _) => self,
         }
@@ -109,18 +115,19 @@ mod tests {
             CellEvent::ContactsClose,
             CellEvent::Stop,
             CellEvent::PowerOff,
-            CellEvent::BrakeSlips,
+            CellEvent::PowerOn,
+            CellEvent::Holds,
             CellEvent::Cut,
         ];
         let table = [
-            //         Up ContactOpens ContactsClose Stop PowerOff BrakeSlips Cut; `.` for the same state
-            (BringUp, "R..O..C"),
-            (Running, ".L.S..C"),
-            (Locked, "..RS..C"),
-            (Stopping, "....OHC"),
-            (Off, ".....HC"),
-            (Held, "....O.C"),
-            (Cut, "......."),
+            //         Up ContactOpens ContactsClose Stop PowerOff PowerOn Holds Cut; `.` for the same state
+            (BringUp, "R..O...C"),
+            (Running, ".L.S...C"),
+            (Locked, "..RS...C"),
+            (Stopping, "....O.HC"),
+            (Off, ".....SHC"),
+            (Held, "....OS.C"),
+            (Cut, "........"),
         ];
         for (state, expected) in table {
             let next = events.map(|event| state.next(event));
