@@ -284,8 +284,10 @@ impl Effector {
         self.news |= next.phase() != last.phase() || last == ServoState::Resetting;
         match (last, next) {
             // The stop continues; only the state after it changes.
-            (ServoState::Braking(_), ServoState::Braking(_)) => {
-                self.set_envelope();
+            (ServoState::Braking(before), ServoState::Braking(after)) => {
+                if before.category() != after.category() {
+                    self.set_envelope();
+                }
                 return;
             }
             (ServoState::Halting(_), ServoState::Halting(_)) => return,

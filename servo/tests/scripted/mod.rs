@@ -99,6 +99,8 @@ pub struct World {
     /// Duration of each call of `write` on the wall clock.
     pub work: Duration,
     pub emergency: Option<EmergencyStop>,
+    /// The second drive reports power, whatever its commands.
+    pub shows_power: bool,
 }
 
 /// How a drive reports that the index pulse set its counter.
@@ -340,6 +342,9 @@ impl DriveGroup for Scripted {
                 drive.seen.fault = Some(FAULT);
             }
             *state = drive.seen;
+        }
+        if world.shows_power {
+            states[1].power = Power::On;
         }
     }
 

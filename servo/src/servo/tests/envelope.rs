@@ -97,6 +97,77 @@ fn a_motor_that_does_not_brake_is_found_by_its_velocity_before_its_following_err
     assert_eq!(escalation(Order::Stop, period - 1..period + 4).1, period + 5);
 }
 
+/// Cycles until the robot is off, and the way of the second motor until then, in a stop of category 1 from now on.
+fn until_off(rig: &mut Rig) -> (u32, f64) {
+    rig.order(Order::Disable);
+    let start = rig.world().axes[1].state.position;
+    let mut cycles = 0;
+    while !matches!(rig.phase(), Phase::Faulted | Phase::Off) {
+        rig.run(1);
+        cycles += 1;
+    }
+    (cycles, rig.world().axes[1].state.position - start)
+}
+
+#[test]
+fn a_motor_that_runs_backwards_in_a_stop_loses_its_power() {
+    // The stop of the second motor from 10 rad/s, from rest, and from creeping by a rounding error.
+    for velocity in [10.0, 0.0, 1e-12, -1e-12] {
+        let mut rig = Rig::standing(2);
+        for mut step in accelerating(500.0, 2, 20) {
+            let share = velocity / 10.0;
+            (step.position[1], step.velocity[1]) = (share * step.position[1], share * step.velocity[1]);
+            rig.order(Order::Move(step));
+        }
+        rig.run(40);
+        rig.world().axes[1].runs_at = Some(-100.0);
+        let (_, way) = until_off(&mut rig);
+        assert_eq!(category(&rig), Some(StopCategory::Zero), "{velocity} rad/s");
+        // The following error, three samples, and the delay of two periods and the switching off.
+        assert!(way > -(0.5 + 100.0 * 9.0 * DT), "{way} rad from {velocity} rad/s");
+    }
+}
+
+#[test]
+fn a_closed_limit_switch_does_not_hide_a_motor_that_does_not_brake() {
+    let cycles = [None, Some(0.3)].map(|switch| {
+        let mut rig = Rig::standing(2);
+        rig.accelerate(500.0, 12, 20);
+        rig.run(125);
+        rig.world().axes[1].runs_at = Some(60.0);
+        let start = rig.world().axes[1].state.position;
+        rig.world().axes[1].limit_above = switch.map(|ahead| start + ahead);
+        let (cycles, _) = until_off(&mut rig);
+        assert_eq!(category(&rig), Some(StopCategory::Zero));
+        cycles
+    });
+    assert_eq!(cycles[0], cycles[1]);
+}
+
+#[test]
+fn a_cell_is_off_or_held_only_as_long_as_its_drives_report_so() {
+    for slips in [false, true] {
+        let mut rig = Rig::standing(2);
+        rig.servo.stop_request().request();
+        rig.run_until(Phase::Off);
+        rig.run(5);
+        assert_eq!(rig.servo.cell_state(), CellState::Off);
+        if slips {
+            rig.world().axes[1].state.position += 0.6;
+            rig.run_until(Phase::Standing);
+            assert_eq!(rig.servo.cell_state(), CellState::Held);
+            rig.world().emergency = Some(EmergencyStop { node: 40, input: 5, known: true });
+        }
+        rig.world().shows_power = true;
+        rig.run(50);
+        let end = if slips { Phase::Faulted } else { Phase::Off };
+        assert_eq!((rig.phase(), rig.servo.cell_state()), (end, CellState::Stopping));
+        rig.world().shows_power = false;
+        rig.run(5);
+        assert_eq!(rig.servo.cell_state(), CellState::Off);
+    }
+}
+
 #[test]
 fn a_motor_at_its_following_error_is_within_it() {
     for sign in [1.0, -1.0] {

@@ -339,6 +339,28 @@ fn a_motor_that_does_not_brake_in_a_stop_of_homing_loses_its_power() {
     }
 }
 
+/// A drive accelerates in its search, and hears of the stop some periods late.
+#[test]
+fn a_stop_while_a_drive_accelerates_in_its_search_is_no_fault() {
+    for late in [2, 6] {
+        let mut rig = Rig::new(2);
+        rig.world().axes[1].homing_takes = 500;
+        rig.order(Order::Enable);
+        rig.order(Order::Home);
+        rig.run_until(Phase::Homing);
+        rig.world().axes[1].drifts_at = Some(2.0);
+        rig.run(5);
+        rig.order(Order::Stop);
+        let mut velocity: f64 = 2.0;
+        for period in 0..300 {
+            velocity = (velocity + if period < late { 0.5 } else { -0.5 }).max(0.0);
+            rig.world().axes[1].drifts_at = Some(velocity);
+            rig.run(1);
+        }
+        assert_eq!((rig.phase(), rig.cause()), (Phase::Standing, None));
+    }
+}
+
 #[test]
 fn a_drive_that_does_not_follow_after_a_stop_of_homing_is_not_ready() {
     let mut rig = Rig::new(2);

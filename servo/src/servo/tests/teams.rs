@@ -4,7 +4,7 @@ mod laws;
 mod stops;
 
 use super::*;
-use crate::{ServoFault, Snapshot, TeamState};
+use crate::{CellState, ServoFault, Snapshot, TeamState};
 
 /// Effectors of one axis, each on its own group.
 struct Cell {
@@ -341,4 +341,38 @@ fn a_barrier_without_its_effector_or_with_one_that_does_not_exist_is_a_fault() {
             assert_eq!(cell.phases(), [Phase::Faulted, Phase::Standing]);
         }
     }
+}
+
+#[test]
+fn a_cell_is_not_held_while_another_effector_brakes() {
+    let mut cell = Cell::standing(&[1000.0, 100.0]);
+    accelerating(50.0, 30, 20).into_iter().for_each(|step| cell.order(1, Order::Move(step)));
+    cell.run(310);
+    assert_eq!(cell.phases(), [Phase::Standing, Phase::Moving]);
+    cell.servo.stop_request().request();
+    cell.run(20);
+    cell.worlds[0].lock().unwrap().axes[0].state.position += 0.6;
+    cell.run(20);
+    assert_eq!(cell.phases(), [Phase::Standing, Phase::Stopping]);
+    assert_eq!(cell.servo.cell_state(), CellState::Stopping);
+    cell.run(300);
+    assert_eq!(cell.phases(), [Phase::Standing, Phase::Off]);
+    assert_eq!(cell.servo.cell_state(), CellState::Held);
+}
+
+#[test]
+fn a_member_whose_homing_fails_ends_its_team() {
+    let mut cell = Cell::standing(&[1000.0; 2]);
+    cell.order_all(Order::Tie { members: 0b11 });
+    cell.run(3);
+    {
+        let drive = &mut cell.worlds[0].lock().unwrap().axes[0];
+        (drive.state.homing, drive.homing_fails) = (Homing::NotHomed, true);
+    }
+    cell.run(3);
+    cell.order(0, Order::Home);
+    cell.run(400);
+    assert_eq!(cell.phases(), [Phase::Faulted, Phase::Standing]);
+    assert_eq!([0, 1].map(|member| cell.servo.team_state(member).unwrap()), [TeamState::Apart; 2]);
+    assert_eq!(cell.servo.fault(1), partner(0));
 }
