@@ -168,7 +168,8 @@ pub enum StopCause {
     #[error("motor runs away at {velocity:.1} rad/s, beyond {limit:.1} rad/s")]
     Runaway { velocity: f64, limit: f64 },
     /// The motor is too fast in a stop: from this velocity, the greatest acceleration of the motor cannot brake it within
-    /// the [envelope](crate::ServoState) of the stop.
+    /// the [envelope](crate::ServoState) of the stop. In a stop of homing, the motor still has more than half of its speed
+    /// after the longest stop.
     #[error("motor does not brake: {velocity:.1} rad/s, the stop permits {limit:.1} rad/s")]
     NotBraking { velocity: f64, limit: f64 },
     /// The command leads towards a closed limit switch, or the switch holds the axis back. The upper switch is at the
@@ -264,7 +265,9 @@ pub enum StopCause {
 
 impl StopCause {
     /// Category of the stop. [`FollowingError`](Self::FollowingError) and [`NotBraking`](Self::NotBraking) of a loop that the
-    /// servo closes have category 0 instead, because such a loop cannot brake. A stop that [leaves its envelope](crate::ServoState) becomes stricter.
+    /// servo closes have category 0 instead, because such a loop cannot brake. `NotBraking` in a stop of homing has category
+    /// 0 too. A stop that [leaves its envelope](crate::ServoState) becomes stricter.
+    ///
     /// A fault of an axis controller that opens the emergency-stop circuit of its cabinet has category 0: the drives open
     /// their power stages by themselves.
     pub fn category(&self) -> StopCategory {

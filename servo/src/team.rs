@@ -11,7 +11,8 @@ use crate::{Macrostep, ServoState, StopCause, TeamState};
 /// Barriers that one effector may pass in one cycle. Barriers beyond wait for the next cycle.
 const BARRIERS: usize = 4;
 
-/// The team of an effector. Each member has a copy, in the same state.
+/// The team of an effector. Each member has a copy. The copies agree, except that each member leaves
+/// [`TeamState::Parting`] by itself.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Team {
     pub(crate) state: TeamState,

@@ -24,8 +24,8 @@ pub trait Port: Send {
     /// Bounds the frames in flight: from now on [`send`](Self::send) accepts no frame while more than `most` frames
     /// that it accepted earlier wait for the bus, as on a bus without acknowledgement. `usize::MAX` removes the bound.
     ///
-    /// A port that does not learn when a frame was transmitted, such as an slcan adapter, ignores the bound. After an error,
-    /// the port has no bound.
+    /// A port that does not learn when a frame was transmitted, such as an slcan adapter, ignores the bound. If the call fails,
+    /// frames in flight are not bounded, and the caller must not start motion.
     fn bound_unsent(&mut self, most: usize) -> Result<(), PortError> {
         let _ = most;
         Ok(())

@@ -26,8 +26,7 @@ pub enum Detector {
     Plausibility,
     /// Answers or measured positions that stay the same while the set-points change.
     Frozen,
-    /// Distance between commanded and measured position, and the distance at the end of a stop that follows from the
-    /// velocity.
+    /// Distance between commanded and measured position, and the bound of the velocity in a stop.
     FollowingError,
     /// Greatest velocity under a loop of the host.
     Runaway,

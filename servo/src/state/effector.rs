@@ -13,24 +13,27 @@ use crate::Phase;
 /// closes takes the power at once in every state (category 0).
 ///
 /// # Envelope of a stop
-/// A stop by set-points bounds the position and the velocity of each motor in each cycle:
+/// In a stop by set-points, the servo checks each motor in each cycle with a new sample. Motors of faulty drives and motors
+/// that were cut are not checked.
 ///
 /// - *Position*, for a motor whose drive closes the position loop. The motor may be ahead of its set-point, in the direction
 ///   of the stop, by its following error. In a stop of category 1, the lead at the beginning of the stop is added.
 /// - *Velocity*. The greatest acceleration of the motor must suffice to bring it to rest at most one following error beyond
-///   the end of the stop. The way beyond the end at the beginning of the stop is added. The permitted velocity therefore
-///   falls along the stop. Three samples in a row decide.
+///   the end of the stop. If the motor already exceeds this distance when the stop begins, the excess is added. The permitted
+///   velocity therefore falls along the stop. Three samples in a row decide.
+/// - *Direction*. In the same way, the motor must be able to come to rest within one following error behind its position at
+///   the beginning of the stop.
 ///
 /// A motor that leaves this envelope does not brake. Its stop becomes stricter by one category: 2 becomes 1, and 1 becomes 0,
 /// which takes the power at once. The envelope is then set anew at the present distances. Under a loop that the servo closes,
 /// the power is taken at once in each case.
 ///
-/// In a stop of homing, the drive finds the set-points. The permitted speed of each motor then falls evenly from its speed at
-/// the beginning to a standstill within the time of the longest stop, 20 ms late. A motor that is faster loses its power at
-/// once, because a drive has no second way to brake.
+/// In a stop of homing, the drive or the search of the servo brakes the motor. A motor that still has more than half of its
+/// speed after the longest stop of the effector loses its power at once, because no other way to brake exists in homing.
 ///
-/// After the last set-point of a stop of category 1, the power is removed when the motors are still, and at the latest
-/// after 100 ms. After a stop of category 2, the motors must stay within their following errors.
+/// After the last set-point of a stop of category 1, the power is removed when the motors are still, and at the latest after
+/// 100 ms, or after the longest stop if a drive has a fault. After a stop of category 2, the motors must stay within their
+/// following errors.
 ///
 /// ```text
 /// Off ──Enable──▶ Enabling ──Done──▶ Standing ──Move──▶ Moving ──Done──▶ Standing

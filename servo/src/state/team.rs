@@ -1,11 +1,11 @@
 //! State machine of a team.
 
-/// State of a team. Every member of a team has the state of its team.
+/// State of a team.
 ///
 /// An effector without partners is *apart*. A barrier ties effectors to a team. The members of a team begin each
 /// macrostep in the same cycle. A stop of one member, by an order or a fault, stops all. The members brake over the same
-/// number of periods, so all motors of the team stay in proportion until rest. The stop also ends the team. Each member is
-/// apart as soon as it brakes no longer.
+/// number of periods, so all motors of the team stay in proportion until rest. The stop also ends the team. Each member
+/// becomes apart when its own stop ends.
 ///
 /// A motion may end while a [`CycleLaw`](crate::CycleLaw) still displaces a member. This end is no stop: the members
 /// *settle* together over the same number of periods, and stay tied.
@@ -19,13 +19,15 @@
 ///
 /// Tied, Moving, Settling ──Stop──▶ Parting ──Rest──▶ Apart
 /// Tied, Moving, Settling ──Untie──▶ Apart
+/// any state ──Tie──▶ Tied
+/// Settling ──Begin──▶ Moving
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TeamState {
     /// No partners.
     #[default]
     Apart,
-    /// Tied, and all members stand.
+    /// Tied, and no macrostep is under way.
     Tied,
     /// The members follow macrosteps together.
     Moving,
