@@ -79,6 +79,8 @@ impl Effector {
                 // other axes.
                 self.fail(tick, index, StopCause::LimitSwitch { upper });
             } else if beyond || error.is_nan() {
+                // The counter of an encoder that fails may be the cause, and a blocked motor cannot be told from it.
+                axis.doubted = true;
                 let host_closed = axis.is_host_closed();
                 let cause = StopCause::FollowingError { error, limit };
                 if host_closed || !self.is_within_envelope(index) {
