@@ -24,13 +24,14 @@ pub(crate) struct Hang {
 }
 
 impl Hang {
+    /// Number of the servo thread that process `process` has now.
+    pub(crate) fn possible(process: u32) -> Option<libc::pid_t> {
+        servo_thread(process)
+    }
+
     /// Holds the servo thread of process `process`, a descendant of this process.
     pub(crate) fn of(process: u32) -> Self {
-        let threads = fs::read_dir(format!("/proc/{process}/task")).expect("the run").flatten();
-        let is_servo = |thread: &Path| fs::read_to_string(thread.join("comm")).is_ok_and(|name| name.trim() == "servo");
-        let thread = threads.map(|entry| entry.path()).find(|thread| is_servo(thread)).expect("a servo thread");
-        let thread = thread.file_name().and_then(|name| name.to_str()).and_then(|name| name.parse().ok());
-        let thread = thread.expect("its number");
+        let thread = servo_thread(process).expect("a servo thread");
         let over = Arc::new(AtomicBool::new(false));
         let (tell, told) = sync_channel(1);
         let ends = over.clone();
@@ -55,6 +56,14 @@ impl Drop for Hang {
             let _ = tracer.join();
         }
     }
+}
+
+/// Number of the servo thread of a process.
+fn servo_thread(process: u32) -> Option<libc::pid_t> {
+    let threads = fs::read_dir(format!("/proc/{process}/task")).expect("the process").flatten();
+    let is_servo = |thread: &Path| fs::read_to_string(thread.join("comm")).is_ok_and(|name| name.trim() == "servo");
+    let thread = threads.map(|entry| entry.path()).find(|thread| is_servo(thread))?;
+    thread.file_name()?.to_str()?.parse().ok()
 }
 
 /// Stops a thread. Returns whether the kernel permits it.

@@ -1,7 +1,8 @@
-//! A servo thread that hangs for good in motion: the run ends by itself, and reports the hang.
+//! A servo thread that hangs for good: a run in motion, and a measurement of a cell, end by themselves and report the
+//! hang.
 //!
-//! `mrroc run` is a process of its own, and the emulator on ttys is in this process. The thread hangs until all outputs
-//! of the run are read.
+//! `mrroc` is a process of its own, and the emulator on ttys is in this process. The thread hangs until all outputs of
+//! the process are read.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -16,11 +17,14 @@ use serde_json::json;
 use crate::bench::patient_turn;
 use crate::guardian::{ATTEMPTS, Emulator, child_of, moved};
 use crate::hang::Hang;
-use crate::mrroc::{Directory, Running};
+use crate::mrroc::{Directory, Running, example};
 use crate::serial_cli::{patient, run_arguments};
 
 /// Longest time from the hang to the end of the process. The run notices the hang after a second.
 const END: Duration = Duration::from_secs(15);
+
+/// The same for emulated drives in the process: the hang is noticed after 10 s.
+const EMULATED_END: Duration = Duration::from_secs(25);
 
 struct Rig<'a> {
     directory: &'a Directory,
@@ -104,4 +108,30 @@ fn a_run_whose_servo_thread_hangs_for_good_is_reported_and_ends() {
         let ended = (0..ATTEMPTS).find_map(|_| rig.hangs(signal));
         ended.expect("a host that can run the cell for a moment");
     }
+}
+
+#[test]
+fn a_measurement_whose_servo_thread_hangs_for_good_is_reported_and_ends() {
+    let _turn = patient_turn();
+    let cell = example("irb6");
+    let words = ["jitter", "--duration=1h", "--json", "--cell"].map(AsRef::as_ref);
+    let run = Running::start(words.into_iter().chain([cell.as_os_str()]));
+    let limit = clock::now() + END;
+    // A servo thread that is seen twice has begun its cycles.
+    let mut seen = None;
+    while seen.is_none() || Hang::possible(run.id()) != seen {
+        assert!(clock::now() < limit, "no servo thread");
+        seen = Hang::possible(run.id());
+        clock::sleep_until(clock::now() + Duration::from_millis(200));
+    }
+    let hang = Hang::of(run.id());
+    let event = clock::now();
+    let ended = run.output();
+    let duration = clock::now().since(event);
+    drop(hang);
+    println!("ended after {duration:?}: {ended:?}");
+    assert!(duration < EMULATED_END, "{duration:?}");
+    assert_eq!(ended.status.code(), Some(1), "{ended:?}");
+    assert!(ended.stderr.contains("thread servo hangs (no servo cycle for 10."), "{ended:?}");
+    assert!(ended.stderr.contains("check adapters and cycle laws"), "{ended:?}");
 }

@@ -21,7 +21,8 @@ use crate::streams;
 /// Time of the run after a fault that the file contains.
 const AFTER: Duration = Duration::from_secs(1);
 
-/// Most files of one run after faults. Requests are always obeyed.
+/// Most files of one run after faults. The first faults show the cause, so their files are kept and later faults have
+/// none. Requests are always obeyed, and do not count.
 const MOST: u32 = 20;
 
 /// Greatest number in the name of a file.
@@ -49,7 +50,12 @@ pub struct Flights {
     request: FlightRequest,
     /// Time at which the file of the last fault is written.
     due: Option<Instant>,
+    /// Files so far.
     written: u32,
+    /// Files after faults.
+    after_faults: u32,
+    /// A fault without a file was reported.
+    reported: bool,
 }
 
 impl Flights {
@@ -73,6 +79,8 @@ impl Flights {
             request,
             due: None,
             written: 0,
+            after_faults: 0,
+            reported: false,
         }
     }
 
@@ -88,11 +96,24 @@ impl Flights {
         self.bytes
     }
 
-    /// Notes a fault at `time`. Faults within a second share a file.
+    /// Notes a fault at `time`, and reports the first fault beyond the greatest number of files.
     pub(super) fn fault_at(&mut self, time: Instant) {
-        if self.written < MOST {
-            self.due.get_or_insert(time + AFTER);
+        if self.note_fault(time) {
+            streams::warn(format_args!(
+                "mrroc: the flight recorder has written {MOST} files after faults, and writes no file after this fault \
+                 and later ones; SIGUSR1 still writes a file"
+            ));
         }
+    }
+
+    /// Notes a fault at `time`. Faults within a second share a file. Returns whether this fault is the first one without
+    /// a file.
+    fn note_fault(&mut self, time: Instant) -> bool {
+        if self.due.is_some() || self.after_faults < MOST {
+            self.due.get_or_insert(time + AFTER);
+            return false;
+        }
+        !std::mem::replace(&mut self.reported, true)
     }
 
     /// Whether a file is due at `time` of the run.
@@ -107,12 +128,17 @@ impl Flights {
 
     /// Writes the window to a new file, and says where or why not.
     pub(super) fn write(&mut self, window: &Window, facts: &Facts, layout: &Layout, names: &[InterfaceName]) {
-        self.due = None;
-        self.written += 1;
+        self.begin_file();
         match self.write_file(window, facts, layout, names) {
             Ok(path) => streams::warn(format_args!("mrroc: the last {:?} are in {}", self.span, path.display())),
             Err(error) => streams::warn(format_args!("mrroc: the last {:?} cannot be written: {error:#}", self.span)),
         }
+    }
+
+    /// Counts a file. A file on request serves a fault as well that waits for its file.
+    fn begin_file(&mut self) {
+        self.written += 1;
+        self.after_faults += u32::from(self.due.take().is_some());
     }
 
     fn write_file(
@@ -161,4 +187,34 @@ impl Flights {
 
 fn create(path: &Path) -> std::io::Result<File> {
     File::options().write(true).create_new(true).custom_flags(libc::O_NOFOLLOW).open(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn first_fault_beyond_the_greatest_number_of_files_is_reported_once() {
+        let file = crate::tasks::tests::two_arms();
+        let request = FlightRequest::default();
+        let mut flights = Flights::new(&file, Path::new("."), request.clone());
+        let mut now = Instant::ZERO;
+        for fault in 0..MOST {
+            now += 10 * AFTER;
+            assert!(!flights.note_fault(now) && !flights.note_fault(now + AFTER / 2), "fault {fault}");
+            assert!(!flights.is_due(now + AFTER / 2) && flights.is_due(now + AFTER), "fault {fault}");
+            flights.begin_file();
+            assert!(!flights.is_due(now + 5 * AFTER), "fault {fault}");
+            // A file on request is no file after a fault.
+            request.request();
+            assert!(flights.is_due(now + 6 * AFTER), "fault {fault}");
+            flights.begin_file();
+        }
+        now += 10 * AFTER;
+        assert!(flights.note_fault(now), "reported");
+        assert!(!flights.note_fault(now + 10 * AFTER), "not reported again");
+        assert!(!flights.is_due(now + 20 * AFTER) && !flights.is_wanted(true));
+        request.request();
+        assert!(flights.is_due(now + 20 * AFTER), "a request is obeyed");
+    }
 }

@@ -80,15 +80,20 @@ impl Effector {
                 // The drive itself stops this axis at the switch, and the loop of the axis works. The servo brakes the
                 // other axes.
                 self.fail(tick, index, StopCause::LimitSwitch { upper });
-            } else if beyond && self.axes[index].is_host_closed() {
-                self.lose(tick, index, cause);
             } else if beyond {
-                self.fail(tick, index, cause);
+                // The counter of an encoder that fails may be the cause, and a blocked motor cannot be told from it.
+                self.axes[index].doubted = true;
+                if self.axes[index].is_host_closed() {
+                    self.lose(tick, index, cause);
+                } else {
+                    self.fail(tick, index, cause);
+                }
             }
             if beyond && !self.is_within_envelope(index) {
                 self.lose(tick, index, cause);
             }
             if let Some(cause) = self.not_braking(index) {
+                self.axes[index].doubted = true;
                 if self.brakes_to_power_off() || self.axes[index].is_host_closed() {
                     self.lose(tick, index, cause);
                 } else {

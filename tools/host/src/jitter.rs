@@ -32,7 +32,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use can::clock;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, ValueEnum};
@@ -43,7 +43,7 @@ use serde::de::value::{self, StringDeserializer};
 use servo::thread::{CpuLatency, Denial, Scheduler, Wait, Waiter};
 
 use bench::CellBench;
-use cell::MeasuredCell;
+use cell::{MeasuredCell, Unmeasured};
 use files::{Files, IntervalLog};
 use interval::{Ledger, recording};
 use load::Load;
@@ -254,6 +254,7 @@ pub fn jitter(options: &Options, show: &dyn Fn(Progress)) -> anyhow::Result<Meas
     let mut peer = Wakeups::new(recorder);
     let mut waiter = Waiter::new(&plan.realtime, plan.period);
     let mut course = Course { plan: &plan, over: &over, show, turn: 0, failed: None };
+    let mut failure = None;
     for round in 0..=plan.rounds {
         // The first turn of each side warms up caches, clocks and the margin, and is not counted.
         let (recorder, mut unheard) = recording(began, None);
@@ -272,9 +273,16 @@ pub fn jitter(options: &Options, show: &dyn Fn(Progress)) -> anyhow::Result<Meas
                 if round == 1 {
                     cell.forget();
                 }
-                cell.turn(plan.realtime, turn, into, |ledger| {
-                    course.look(ledger, "ours");
-                })?
+                match cell.turn(plan.realtime, turn, into, |ledger| course.look(ledger, "ours")) {
+                    Ok(denied) => denied,
+                    Err(Unmeasured::Refused(why)) => return Err(why),
+                    Err(Unmeasured::Hung(hang)) => {
+                        // What was measured before is reported.
+                        failure = Some(anyhow!("{hang}: {}", hang.remedy()));
+                        over.store(true, Ordering::Relaxed);
+                        break;
+                    }
+                }
             }
         };
         if turn.is_over() {
@@ -341,10 +349,12 @@ pub fn jitter(options: &Options, show: &dyn Fn(Progress)) -> anyhow::Result<Meas
         None => ("jitter", ours.spikes.finish()),
         Some(cell) => ("servo", cell.spikes),
     };
+    let nothing = failure.is_some() && ours_total.is_empty();
     let write = move || {
         let written = match (files.zip(chart), failed) {
             (_, Some(error)) => Err(error).context("ours.hlog cannot be written"),
             (None, None) => Ok(()),
+            (Some(_), None) if nothing => Ok(()),
             (Some((files, chart)), None) => {
                 let chart = chart.context("jitter.svg cannot be drawn");
                 chart.and_then(|chart| files.write(&ours_total, &peers_total, &chart))
@@ -352,7 +362,8 @@ pub fn jitter(options: &Options, show: &dyn Fn(Progress)) -> anyhow::Result<Meas
         };
         written.and(spikes.map_or(Ok(()), |file| spikes::write(file, thread, late)))
     };
-    Ok(Measured { report: Some(report), complete: !ended_early, failure: None, write: Box::new(write) })
+    let report = Some(report).filter(|_| !nothing);
+    Ok(Measured { report, complete: !ended_early, failure, write: Box::new(write) })
 }
 
 /// Time that a hypervisor took from all processors since the boot, ms.

@@ -7,7 +7,7 @@ mod homing;
 mod mode;
 mod word;
 
-pub use fault_codes::FaultTable;
+pub use fault_codes::{FaultTable, questions_position};
 pub use homing::{HomingMethod, HomingStatus, References};
 pub use mode::{ModeOfOperation, SupportedModes};
 pub use word::{Controlword, PowerCommand, PowerState, Statusword};

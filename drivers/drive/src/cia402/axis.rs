@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use can::{Frame, Instant};
-use canopen::cia402::{Controlword, ModeOfOperation, PowerState, Statusword};
+use canopen::cia402::{Controlword, ModeOfOperation, PowerState, Statusword, questions_position};
 use canopen::emcy::Emergency;
 use canopen::nmt;
 use master::power::{self, PowerStateMachine};
@@ -98,7 +98,7 @@ impl CanAxis {
         // Bring-up neither resets nor checks the counter.
         let doubted = self.search.doubted;
         *self = Self::started(self.group, self.config.clone(), now, learnt);
-        self.search.doubted = doubted;
+        self.search.doubted |= doubted;
         if let Some(mode) = learnt.mode_shown {
             self.shows(mode);
         }
@@ -132,6 +132,8 @@ impl CanAxis {
             config,
         };
         axis.measurement.tell(&mut axis.state);
+        let faulted = matches!(learnt.statusword.power_state(), PowerState::Fault | PowerState::FaultReactionActive);
+        axis.search.doubted = faulted && questions_position(learnt.error_code);
         let word = axis.homing_word(learnt.statusword);
         axis.search.answered(word);
         axis.judge_power(PowerState::NotReadyToSwitchOn);
@@ -258,8 +260,9 @@ impl CanAxis {
     }
 
     /// Stores the error code of a drive fault. The code may arrive before or after the statusword that shows the
-    /// fault.
+    /// fault. An error of the position discards the reference.
     fn name_fault(&mut self, found: u16) {
+        self.search.doubted |= questions_position(found);
         (self.error_code, self.error_age) = (found, 0);
         if let Some(Fault::Drive { code: code @ 0, .. }) = &mut self.state.fault {
             *code = found;

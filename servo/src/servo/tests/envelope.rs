@@ -176,9 +176,11 @@ fn a_motor_at_its_following_error_is_within_it() {
         rig.world().axes[0].ahead = sign * limit;
         rig.run(20);
         assert_eq!(rig.phase(), Phase::Standing, "{:?}", rig.cause());
+        assert_eq!(rig.world().axes[0].state.homing, Homing::Attained);
         rig.world().axes[0].ahead = 1.001 * sign * limit;
         rig.run(20);
         assert!(matches!(rig.cause(), Some(StopCause::FollowingError { .. })));
+        assert_eq!(rig.world().axes[0].state.homing, Homing::NotHomed, "the counter may be wrong");
     }
 }
 

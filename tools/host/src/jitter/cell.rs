@@ -5,8 +5,9 @@
 //! There is no servo between the turns, and the peer has the host for itself.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::{anyhow, bail};
+use anyhow::anyhow;
 use can::clock::{now, sleep_until};
 use serde::Serialize;
 use servo::thread::{Denial, LateCycles, Realtime, Spike, Tracer, WaitReport};
@@ -20,8 +21,23 @@ use mrroc::bench::clockwork;
 use mrroc::bench::{Bench, BenchKind, Places};
 use mrroc::cell::CellFile;
 use mrroc::report::Percentiles;
+use mrroc::run::{ServoHang, Turning, hang_limit};
 use mrroc::setup;
 use mrroc::wire::{Wire, WireReport};
+
+/// Reason why a turn gave no interval.
+pub(super) enum Unmeasured {
+    /// The cell cannot be measured.
+    Refused(anyhow::Error),
+    /// The servo thread hangs, and was left behind.
+    Hung(ServoHang),
+}
+
+impl<T: Into<anyhow::Error>> From<T> for Unmeasured {
+    fn from(why: T) -> Self {
+        Self::Refused(why.into())
+    }
+}
 
 /// A cell under measurement.
 pub(super) struct MeasuredCell<'a> {
@@ -71,14 +87,14 @@ impl<'a> MeasuredCell<'a> {
     }
 
     /// Runs one turn and records it in `ledger`. Returns what the host denied. `look` is called repeatedly during the
-    /// turn.
+    /// turn. A servo thread that hangs is left behind.
     pub(super) fn turn(
         &mut self,
         realtime: Realtime,
         turn: Turn,
         ledger: &mut Ledger,
         mut look: impl FnMut(&mut Ledger),
-    ) -> anyhow::Result<Vec<Denial>> {
+    ) -> Result<Vec<Denial>, Unmeasured> {
         let file = self.file;
         let kind = match self.bench {
             CellBench::Emulated => BenchKind::Emulated,
@@ -101,10 +117,16 @@ impl<'a> MeasuredCell<'a> {
         }
         let (begun, over) = (now(), turn.over.clone());
         let end = begun + turn.time;
-        let until = move |_: &Servo| now() >= end || over.load(std::sync::atomic::Ordering::Relaxed);
+        let done = Arc::new(AtomicBool::new(false));
+        let finished = done.clone();
+        let is_over = move || over.load(Ordering::Relaxed) || finished.load(Ordering::Relaxed);
+        let until = move |_: &Servo| now() >= end || is_over();
+        let stop = servo.stop_request();
         let running = clockwork::start(servo, emulation, since, realtime, Arc::default(), || {}, until)?;
+        let limit = hang_limit(&file.cell, since.is_some());
+        let mut turning = Turning::of(running, done, stop, limit);
         let mut stood = vec![false; links.len()];
-        while !running.is_finished() {
+        while !turning.is_over() {
             for (link, stood) in links.iter_mut().zip(&mut stood) {
                 while let Ok(report) = link.reports.pop() {
                     *stood |= report.snapshot.phase == Phase::Standing;
@@ -114,16 +136,16 @@ impl<'a> MeasuredCell<'a> {
             look(ledger);
             sleep_until(now() + LOOK);
         }
-        let finished = running.join();
+        let finished = turning.end().map_err(Unmeasured::Hung)?;
         wire.look();
         self.wire = Some(wire);
         for robot in 0..links.len() {
             if let Some(fault) = finished.servo.fault(robot) {
-                bail!("robot {}: {fault}", file.cell.robot[robot].name);
+                return Err(anyhow!("robot {}: {fault}", file.cell.robot[robot].name).into());
             }
         }
         if let Some(panicked) = finished.panicked {
-            bail!("the servo thread panicked: {panicked:?}");
+            return Err(anyhow!("the servo thread panicked: {panicked:?}").into());
         }
         let timing = &finished.timing;
         for (all, of_turn) in

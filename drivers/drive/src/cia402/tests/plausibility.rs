@@ -192,3 +192,56 @@ fn an_axis_without_a_plausible_velocity_is_refused() {
         assert_eq!(group.err(), Some(ConfigError::OutOfRange { node, quantity }));
     }
 }
+
+/// Whether the axis still has a reference after EMCY and fault with `code`, at rest and after the reset.
+fn keeps_reference(code: u16) -> bool {
+    let mut bench = enabled();
+    bench.cycle(&[answer(2, 0x8737, 1_000)], STAND);
+    assert_eq!(bench.states[0].homing, Homing::Attained);
+    let [low, high] = code.to_le_bytes();
+    bench.cycle(&[answer(2, 0x8208, 1_000), format!("082#{low:02X}{high:02X}000000000000")], STAND);
+    assert_eq!(bench.states[0].fault, Some(Fault::Drive { node: 2, code }));
+    let homing = bench.states[0].homing;
+    for statusword in [0x8208, 0x8240, 0x8240, 0x8240] {
+        bench.cycle(&[answer(2, statusword, 1_000)], &[AxisCommand::ResetFault]);
+    }
+    assert_eq!((bench.states[0].fault, bench.states[0].homing), (None, homing), "{code:#x}");
+    homing == Homing::Attained
+}
+
+/// An encoder that counted backwards for a while ends in a following error of the drive, and its counter goes on from
+/// where it is.
+#[test]
+fn a_fault_by_which_the_counter_may_be_wrong_discards_the_reference() {
+    let cases = [
+        (0x2310, true),
+        (0x3210, true),
+        (0x4380, true),
+        (0x7121, true),
+        (0x7300, false),
+        (0x7320, false),
+        (0x7392, false),
+        (0x8130, true),
+        (0x8400, false),
+        (0x8500, false),
+        (0x8611, false),
+        (0x8700, true),
+        (0x8A80, true),
+    ];
+    for (code, kept) in cases {
+        assert_eq!(keeps_reference(code), kept, "{code:#x}");
+    }
+}
+
+/// The controller of the run before may have ended with the doubt.
+#[test]
+fn a_drive_that_is_found_with_a_following_error_has_no_reference() {
+    for (code, homing) in [(0x8611_u16, Homing::NotHomed), (0x2310, Homing::Attained)] {
+        let mut bench = Bench::new(group_config(), &[axis_config(2)]);
+        bench.stores[0].put(0x6041, 0, &[0x08, 0x82]);
+        bench.stores[0].put(0x603F, 0, &code.to_le_bytes());
+        assert_eq!(bench.bring_up(), Ok(()));
+        bench.cycle(NONE, &[AxisCommand::Off]);
+        assert_eq!(bench.states[0].homing, homing, "{code:#x}");
+    }
+}
