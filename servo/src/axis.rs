@@ -356,7 +356,7 @@ impl ServoAxis {
         let searching = self.state.homing == Homing::InProgress && self.state.power == Power::On;
         let by_drive = self.config.homing.is_none();
         let watched = searching && by_drive && self.state.age == 0 && self.config.frozen == FrozenWatch::Always;
-        self.stands_at_once().filter(|_| watched)
+        self.stands_at_once().or(self.state.stalled).filter(|_| watched)
     }
 
     fn stands_at_once(&self) -> Option<f64> {

@@ -14,8 +14,8 @@
 //! period: 11 rad/s at 250 rad/s, 1500 rad/s² and 2 ms. The first term is dry friction, which may hold a slow motor at
 //! once. The second term is the speed that a motor may lose within four samples. The motor must also move on by at
 //! least two increments while it brakes: with an encoder of 128 counts per turn, this motor must be faster than
-//! 23 rad/s. At lower speeds, only the following error detects such a position, and in homing by the drive the drive
-//! itself or the time-out of homing.
+//! 23 rad/s. At lower speeds, only the following error detects such a position, and in homing by the drive the group of the
+//! drive ([`AxisState::stalled`]).
 
 use drive::{AxisState, Increments};
 

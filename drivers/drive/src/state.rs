@@ -26,6 +26,9 @@ pub struct AxisState {
     pub power: Power,
     /// Whether the position counter has its reference.
     pub homing: Homing,
+    /// Distance, rad, by which the motor must have moved since the counter last changed, if the drive searches for its
+    /// reference and the counter stands still for too long.
+    pub stalled: Option<f64>,
     /// Whether the drive follows the set-points it is sent.
     pub following: bool,
     /// The switches of the axis; open where the drive does not report them.

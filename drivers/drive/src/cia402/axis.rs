@@ -14,6 +14,7 @@ use super::homing::Search;
 use super::measurement::Measurement;
 use super::process_data::{self, Answer};
 use super::program::MAXON;
+use super::search_watch::SearchWatch;
 use super::service::{ModeSwitch, Service};
 use super::target::Target;
 use crate::bus::Learnt;
@@ -62,6 +63,7 @@ pub(super) struct CanAxis {
     unsettled_since: Option<Instant>,
     power: PowerStateMachine,
     search: Search,
+    search_watch: SearchWatch,
     modes: ModeSwitch,
     /// A request to change the mode of operation is under way.
     telling: bool,
@@ -124,6 +126,7 @@ impl CanAxis {
             unsettled_since: None,
             power: PowerStateMachine::default(),
             search: Search::default(),
+            search_watch: SearchWatch::new(&config),
             modes: ModeSwitch::settled(config.mode.of_operation()),
             telling: false,
             unserved: false,
@@ -177,6 +180,7 @@ impl CanAxis {
             self.latch(jump);
         }
         self.measurement.tell(&mut self.state);
+        self.state.stalled = self.search_watch.look(self.search.has_begun(), position, sampled);
         self.state.at = at;
         if taken.is_ok() {
             self.state.sampled = sampled;
@@ -238,7 +242,7 @@ impl CanAxis {
 
     /// Discards the reference until the next search.
     pub(super) fn doubt_reference(&mut self) {
-        self.search.doubted = true;
+        self.search.doubt();
     }
 
     /// The demand of a stop by the contact of the emergency stop.
@@ -262,7 +266,9 @@ impl CanAxis {
     /// Stores the error code of a drive fault. The code may arrive before or after the statusword that shows the
     /// fault. An error of the position discards the reference.
     fn name_fault(&mut self, found: u16) {
-        self.search.doubted |= questions_position(found);
+        if questions_position(found) {
+            self.doubt_reference();
+        }
         (self.error_code, self.error_age) = (found, 0);
         if let Some(Fault::Drive { code: code @ 0, .. }) = &mut self.state.fault {
             *code = found;

@@ -115,6 +115,19 @@ impl Search {
         self.may_set_counter > 0
     }
 
+    /// Whether the drive has reported that it searches, and not yet that its search has ended.
+    pub(super) fn has_begun(&self) -> bool {
+        matches!(self.step, Step::Searching { begun: true, .. })
+    }
+
+    /// Discards the reference because the counter may be wrong, also the reference that a search finds now.
+    pub(super) fn doubt(&mut self) {
+        self.doubted = true;
+        if matches!(self.step, Step::Searching { .. } | Step::Ended { .. }) {
+            self.step = Step::Ended { attained: false };
+        }
+    }
+
     /// Discards the reference: a node that booted has lost its counter. A counter that jumped still needs a search,
     /// because a boot does not correct it.
     pub(super) fn forget(&mut self) {
@@ -176,6 +189,22 @@ mod tests {
             search.answered(Statusword(SEARCHING));
         }
         search
+    }
+
+    #[test]
+    fn a_reference_in_doubt_is_no_reference_and_ends_its_search() {
+        let mut search = searching();
+        for word in [SEARCHING, SEARCHING] {
+            search.answered(Statusword(word));
+        }
+        assert!(search.has_begun());
+        search.doubt();
+        assert_eq!((search.has_begun(), search.state()), (false, Homing::Failed));
+        // The drive finds a place, and keeps it.
+        search.answered(Statusword(DONE_AND_KEPT));
+        assert_eq!(search.state(), Homing::Failed);
+        search.command(false, false, true);
+        assert_eq!(search.state(), Homing::NotHomed);
     }
 
     #[test]

@@ -397,6 +397,25 @@ fn a_position_that_stands_at_once_while_the_drive_homes_stops_the_effector() {
     }
 }
 
+/// An encoder that failed at standstill: the search of the drive begins without a motion of the counter.
+#[test]
+fn a_counter_that_stands_still_in_the_search_of_a_drive_stops_the_effector() {
+    for (watch, found) in [(FrozenWatch::Always, true), (FrozenWatch::Following, false), (FrozenWatch::Off, false)] {
+        let mut config = scripted::config(1);
+        config.effectors[0].axes[0].frozen = watch;
+        let mut rig = Rig::with(&config);
+        rig.world().axes[0].homing_takes = 500;
+        rig.order(Order::Enable);
+        rig.order(Order::Home);
+        rig.run(100);
+        assert_eq!(rig.phase(), Phase::Homing, "{:?}", rig.cause());
+        rig.world().axes[0].state.stalled = Some(0.3);
+        rig.run(10);
+        assert_eq!(rig.cause() == Some(StopCause::Frozen { travel: 0.3 }), found, "{watch:?}: {:?}", rig.cause());
+        assert_eq!(rig.last_sent()[0] == AxisCommand::Off, found);
+    }
+}
+
 #[test]
 fn a_count_that_comes_after_the_end_of_its_search_makes_no_motor_that_sticks_a_frozen_one() {
     let mut rig = Rig::new(1);
