@@ -81,7 +81,7 @@ pub enum Demand {
 /// Readings of the drive's sensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Feedback {
-    /// Encoder counter, zero at power-on. The counter wraps at 32 bits.
+    /// Encoder counter, zero at power-on. The counter wraps at 32 bits. A fault of the encoder leaves an offset.
     pub counts: i32,
     /// Observed velocity, counts/s.
     pub velocity: f64,
@@ -254,10 +254,11 @@ impl PlantAxis {
         }
         self.phase = (self.phase + 1) % OUTER;
         self.integrate(on);
-        if !self.faults.frozen {
-            let angle = self.plant.angle();
-            let seen = self.faults.mirrored_at.map_or(angle, |mirror| 2.0 * mirror - angle);
-            self.encoder.read(seen, &mut self.noise);
+        let angle = self.plant.angle();
+        match (self.faults.frozen, self.faults.inverted) {
+            (true, _) => self.encoder.read_frozen(angle, &mut self.noise),
+            (false, true) => self.encoder.read_inverted(angle, &mut self.noise),
+            (false, false) => self.encoder.read(angle, &mut self.noise),
         }
         if self.faults.index_missing {
             self.encoder.latched = None;
@@ -388,7 +389,8 @@ impl PlantAxis {
         self.plant.velocity()
     }
 
-    /// Begins or ends a fault. A jump of the encoder happens at the beginning and has no end.
+    /// Begins or ends a fault. A jump of the encoder happens at the beginning and has no end. A counter that froze, ran
+    /// backwards or jumped keeps its offset against the shaft at the end of the fault.
     pub fn set_fault(&mut self, fault: PlantFault, on: bool) {
         let [home, negative, positive] = [0, 1, 2];
         let faults = &mut self.faults;
@@ -397,7 +399,7 @@ impl PlantAxis {
             PlantFault::EncoderFrozen => faults.frozen = on,
             PlantFault::EncoderJump(increments) if on => self.encoder.jump(increments),
             PlantFault::EncoderJump(_) => {}
-            PlantFault::EncoderInverted => faults.mirrored_at = on.then(|| self.plant.angle()),
+            PlantFault::EncoderInverted => faults.inverted = on,
             PlantFault::HomeSwitchDead => faults.stuck[home] = on.then_some(false),
             PlantFault::LimitSwitchesDead => {
                 (faults.stuck[negative], faults.stuck[positive]) = (on.then_some(false), on.then_some(false));

@@ -13,13 +13,18 @@ use super::noise::Noise;
 /// count only beyond the band of the edge. The counter of a turning shaft changes somewhere within the band. The
 /// counter of a shaft at standstill does not change.
 ///
+/// A fault of the counter changes the difference between counter and disc. The difference remains at the end of the
+/// fault, because an incremental encoder does not know the counts that it lost. The index pulse keeps its place on the
+/// disc.
+///
 /// Counts are whole numbers in `f64`, exact up to 2⁵¹. The counter is read in each sub-step, and integers would need four
 /// conversions.
 #[derive(Clone, Debug)]
 pub(crate) struct Encoder {
     counts_per_radian: f64,
     counts_per_revolution: f64,
-    at_power_on: f64,
+    /// Counts from the zero of the disc at which the counter is zero: its position at power-on, until a fault.
+    zero: f64,
     jitter: f64,
     /// Counts from the zero of the disc.
     counts: f64,
@@ -38,7 +43,7 @@ impl Encoder {
         Self {
             counts_per_radian,
             counts_per_revolution,
-            at_power_on: counts,
+            zero: counts,
             jitter,
             counts,
             index_below: counts - (counts - index).rem_euclid(counts_per_revolution),
@@ -75,12 +80,32 @@ impl Encoder {
     }
 
     fn latch(&mut self, index: f64) {
-        self.latched = Some(wrapped(index - self.at_power_on));
+        self.latched = Some(wrapped(index - self.zero));
+    }
+
+    /// Reads the shaft at `angle` while the encoder gives no signal: neither counter nor index latch change.
+    #[cold]
+    pub(super) fn read_frozen(&mut self, angle: f64, noise: &mut Noise) {
+        let (before, latched) = (self.counts, self.latched);
+        self.read(angle, noise);
+        self.zero += self.counts - before;
+        self.latched = latched;
+    }
+
+    /// Reads the shaft at `angle` while the encoder counts backwards.
+    #[cold]
+    pub(super) fn read_inverted(&mut self, angle: f64, noise: &mut Noise) {
+        let (before, counter, latched) = (self.counts, self.since_power_on(), self.latched.take());
+        self.read(angle, noise);
+        self.zero += 2.0 * (self.counts - before);
+        // The counter at the index pulse lies on the other side of the counter before.
+        let index = self.latched.map(|index| wrapped(2.0 * counter).wrapping_sub(index));
+        self.latched = index.or(latched);
     }
 
     /// Changes the counter by `increments`, without a motion.
     pub(super) fn jump(&mut self, increments: i32) {
-        self.at_power_on -= f64::from(increments);
+        self.zero -= f64::from(increments);
     }
 
     /// The counter, which wraps at 32 bits.
@@ -90,7 +115,7 @@ impl Encoder {
 
     /// The counter before it wraps.
     pub(crate) fn since_power_on(&self) -> f64 {
-        self.counts - self.at_power_on
+        self.counts - self.zero
     }
 }
 

@@ -7,11 +7,13 @@ use super::{EndStops, Trip};
 pub enum PlantFault {
     /// The shaft is blocked.
     Blocked,
-    /// The counter of the encoder does not change. At the end of the fault, the counter takes its true value.
+    /// The encoder gives no signal: its counter does not change, and there is no index pulse. The counter continues from
+    /// its value at the end of the fault, so the counts of the motion during the fault are lost.
     EncoderFrozen,
-    /// The counter jumps once by this number of increments.
+    /// The counter jumps once by this number of increments, and keeps the offset.
     EncoderJump(i32),
-    /// The encoder counts backwards.
+    /// The encoder counts backwards. The counter continues from its value at the end of the fault, so it keeps an offset of
+    /// twice the motion during the fault.
     EncoderInverted,
     /// The home switch never closes.
     HomeSwitchDead,
@@ -46,8 +48,7 @@ pub enum PlantFault {
 pub(super) struct PlantFaults {
     pub(super) blocked: bool,
     pub(super) frozen: bool,
-    /// The angle about which an inverted encoder reads the shaft, rad.
-    pub(super) mirrored_at: Option<f64>,
+    pub(super) inverted: bool,
     pub(super) index_missing: bool,
     /// States of home, negative and positive switch that do not depend on the shaft.
     pub(super) stuck: [Option<bool>; 3],
@@ -63,7 +64,7 @@ impl PlantFaults {
     pub(super) const NONE: Self = Self {
         blocked: false,
         frozen: false,
-        mirrored_at: None,
+        inverted: false,
         index_missing: false,
         stuck: [None; 3],
         trip: None,

@@ -426,3 +426,76 @@ fn a_fault_of_the_plant_shows_in_the_feedback_and_not_beyond() {
     let (sound, reversed) = under_fault(PlantFault::SwappedPhases);
     assert!(reversed.angle() < sound.angle() - 1.0, "a motor with swapped phases runs away");
 }
+
+/// The counter that belongs to a true angle, for an encoder that never lost a count.
+fn true_counts(config: &AxisConfig, axis: &PlantAxis) -> f64 {
+    let scale = f64::from(config.counts_per_revolution) / TAU;
+    (axis.angle() * scale).floor() - (config.start_angle * scale).floor()
+}
+
+#[test]
+fn an_encoder_keeps_the_offset_of_its_fault_after_its_end() {
+    let config = AxisConfig { edge_jitter: 0.0, ..AxisConfig::irp6(Irp6Axis::ALL[0]) };
+    // Change of the offset per true increment during the fault, and the offset of the fault itself.
+    let table = [
+        (PlantFault::EncoderFrozen, -1.0, 0.0),
+        (PlantFault::EncoderInverted, -2.0, 0.0),
+        (PlantFault::EncoderJump(4000), 0.0, 4000.0),
+    ];
+    for (fault, per_increment, once) in table {
+        let mut axis = PlantAxis::new(&config, 1);
+        let offset = |axis: &PlantAxis| f64::from(axis.feedback().counts) - true_counts(&config, axis);
+        axis.advance(1000, Demand::Velocity(2000.0));
+        assert_eq!(offset(&axis), 0.0, "{fault:?}");
+        let begun = true_counts(&config, &axis);
+        axis.set_fault(fault, true);
+        axis.advance(500, Demand::Torque(0.4));
+        let moved = true_counts(&config, &axis) - begun;
+        assert!(moved > 100.0, "{fault:?}: {moved} increments");
+        let lost = once + per_increment * moved;
+        assert_eq!(offset(&axis), lost, "during {fault:?}");
+        let counter = axis.feedback().counts;
+        axis.set_fault(fault, false);
+        assert_eq!(axis.feedback().counts, counter, "the counter continues from its value after {fault:?}");
+        for demand in [Demand::Off, Demand::Velocity(4000.0), Demand::Velocity(-4000.0)] {
+            axis.advance(2000, demand);
+            assert_eq!(offset(&axis), lost, "after {fault:?}");
+        }
+    }
+}
+
+#[test]
+fn the_index_pulse_stays_at_its_angle_of_the_shaft() {
+    let config = AxisConfig { edge_jitter: 0.0, ..AxisConfig::irp6(Irp6Axis::ALL[0]) };
+    let scale = f64::from(config.counts_per_revolution) / TAU;
+    let turn = f64::from(config.counts_per_revolution);
+    let index = (config.index_angle * scale).floor() - (config.start_angle * scale).floor();
+    for fault in [PlantFault::EncoderFrozen, PlantFault::EncoderInverted, PlantFault::EncoderJump(777)] {
+        let mut axis = PlantAxis::new(&config, 1);
+        axis.set_fault(fault, true);
+        axis.advance(500, Demand::Torque(0.4));
+        axis.set_fault(fault, false);
+        let offset = f64::from(axis.feedback().counts) - true_counts(&config, &axis);
+        assert!(offset.abs() > 100.0, "{fault:?}: {offset}");
+        axis.take_index();
+        axis.advance(20_000, Demand::Velocity(4000.0));
+        let latched = f64::from(axis.take_index().expect("a turn in each second"));
+        assert_eq!((latched - offset - index).rem_euclid(turn), 0.0, "after {fault:?}");
+    }
+    // A dead encoder has no index pulse, not even for a pulse that it passed during the fault.
+    let mut axis = PlantAxis::new(&config, 1);
+    axis.set_fault(PlantFault::EncoderFrozen, true);
+    axis.advance(2000, Demand::Torque(0.4));
+    assert!(true_counts(&config, &axis) > 2.0 * turn, "{} counts", true_counts(&config, &axis));
+    axis.set_fault(PlantFault::EncoderFrozen, false);
+    axis.advance(1, Demand::Off);
+    assert_eq!(axis.take_index(), None);
+    // An inverted encoder latches its own counter where the shaft passes the index.
+    let mut axis = PlantAxis::new(&config, 1);
+    axis.set_fault(PlantFault::EncoderInverted, true);
+    while axis.feedback().index.is_none() {
+        axis.advance(1, Demand::Torque(0.4));
+    }
+    let latched = f64::from(axis.take_index().expect("the loop waited for it"));
+    assert_eq!((-latched - index).rem_euclid(turn), 0.0, "{latched}");
+}
