@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use ::mrroc::cell::CellFile;
-use ::mrroc::fault_table::soak::{SoakOptions, soak};
+use ::mrroc::fault_table::soak::{MOST_GROWTH_KIB, SoakOptions, soak};
 
 use crate::mrroc::example;
 
@@ -11,7 +11,7 @@ use crate::mrroc::example;
 fn a_minute_with_a_fault_loses_nothing_and_is_the_same_again() {
     let file = CellFile::read(example("irb6")).unwrap();
     let options = SoakOptions { duration: Duration::from_secs(60), seed: 1 };
-    let run = || soak(&file, &options, &mut |_| {}).unwrap();
+    let run = || soak(&file, &options, &mut |_| None).unwrap();
     let report = run();
     assert!(report.is_good(), "{report}");
     let sums = [report.sum(|kind| kind.injected), report.sum(|kind| kind.detected + kind.tolerated)];
@@ -19,4 +19,22 @@ fn a_minute_with_a_fault_loses_nothing_and_is_the_same_again() {
     assert!(report.references >= 1 && report.rounds >= 4, "{report}");
     assert!(report.comparisons.iter().sum::<u64>() >= report.rounds, "{report}");
     assert_eq!(run().to_string(), report.to_string());
+}
+
+#[test]
+fn a_soak_whose_memory_grows_is_not_good() {
+    let file = CellFile::read(example("irb6")).unwrap();
+    let options = SoakOptions { duration: Duration::from_secs(120), seed: 1 };
+    let grown = |per_minute: u64| {
+        let mut memory = 10_000;
+        let mut progress = |_| {
+            memory += per_minute;
+            Some(memory)
+        };
+        soak(&file, &options, &mut progress).unwrap()
+    };
+    let bounded = grown(MOST_GROWTH_KIB);
+    assert!(bounded.is_good(), "{bounded}");
+    let leaking = grown(MOST_GROWTH_KIB + 1);
+    assert!(!leaking.is_good(), "{leaking}");
 }

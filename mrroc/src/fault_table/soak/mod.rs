@@ -7,7 +7,7 @@
 //! At each pose, the true position of each motor is compared with the measured position. After the reference was taken,
 //! the difference may change by at most 1.1 increments of the encoder. The measured position is up to two periods old, and
 //! a motor at a pose still moves by less than an increment. The comparison therefore waits until no motor of the robot
-//! has moved for two periods.
+//! has moved for two periods. An axis that homes to an index pulse must have the same difference after each homing.
 //!
 //! The same seed gives the same soak.
 
@@ -25,10 +25,10 @@ use can::Instant;
 use hil::FaultInEffect;
 use servo::MAX_AXES;
 
-pub use report::{SoakKind, SoakNote, SoakReport};
+pub use report::{MOST_GROWTH_KIB, SoakKind, SoakNote, SoakReport};
 
 use super::catalogue::CASES;
-use crate::cell::CellFile;
+use crate::cell::{Axis, CellFile};
 use crate::scenario::axis_place;
 use plan::{PlannedFault, Random};
 use stage::{Controller, Stage};
@@ -64,11 +64,13 @@ struct Soak<'a> {
     report: SoakReport,
     /// Difference of true and measured position after the reference was taken, for each robot.
     references: Vec<Option<[f64; MAX_AXES]>>,
+    /// The same after the first reference of each robot.
+    first: Vec<Option<[f64; MAX_AXES]>>,
     /// Rests whose positions were compared.
     compared: Vec<u64>,
     /// True positions of the motors of each robot, rad, in the present cycle and in the two cycles before.
     truths: Vec<[[f64; MAX_AXES]; 3]>,
-    progress: &'a mut dyn FnMut(Duration),
+    progress: &'a mut dyn FnMut(Duration) -> Option<u64>,
 }
 
 /// A fault that was planned, strikes, or is being recovered from.
@@ -85,10 +87,15 @@ struct Strike {
     rounds: Vec<u64>,
 }
 
-/// Runs a soak. `progress` receives the virtual time after each minute.
+/// Runs a soak. `progress` receives the virtual time after each minute, and returns the memory of the process, KiB, if the
+/// caller measures it.
 ///
 /// An error means that the cell does not work without faults, or no longer.
-pub fn soak(file: &CellFile, options: &SoakOptions, progress: &mut dyn FnMut(Duration)) -> anyhow::Result<SoakReport> {
+pub fn soak(
+    file: &CellFile,
+    options: &SoakOptions,
+    progress: &mut dyn FnMut(Duration) -> Option<u64>,
+) -> anyhow::Result<SoakReport> {
     let stage = Stage::new(file)?;
     let robots = file.cell.robot.len();
     let soak = Soak {
@@ -96,6 +103,7 @@ pub fn soak(file: &CellFile, options: &SoakOptions, progress: &mut dyn FnMut(Dur
         random: Random(options.seed),
         report: SoakReport::new(file, options),
         references: vec![None; robots],
+        first: vec![None; robots],
         compared: vec![0; robots],
         truths: vec![[[0.0; MAX_AXES]; 3]; robots],
         progress,
@@ -137,7 +145,10 @@ impl Soak<'_> {
                     controller = self.restart(controller, None)?;
                 }
             }
-            (self.progress)(self.stage.now.since(Instant::ZERO));
+            let time = self.stage.now.since(Instant::ZERO);
+            if let Some(memory) = (self.progress)(time).filter(|_| time >= options.duration / 4) {
+                self.report.note_memory(memory);
+            }
         }
         controller.add_lost(&mut self.stage.lost);
         let (error, off) = self.stage.end(controller);
@@ -265,6 +276,13 @@ impl Soak<'_> {
             let increment = TAU / f64::from(given.counts_per_revolution());
             self.report.note_reference(difference[axis] / increment);
             let Some(reference) = self.references[robot] else {
+                let first = self.first[robot].unwrap_or(difference);
+                let off = (difference[axis] - first[axis]).abs() / increment;
+                if off > DRIFT && homes_to_index(given) {
+                    let name = file.axis_name(robot, axis);
+                    self.report
+                        .drift(self.stage.now, format!("{name}: homed at another place, by {off:.1} increments"));
+                }
                 continue;
             };
             let drift = (difference[axis] - reference[axis]).abs() / increment;
@@ -277,6 +295,7 @@ impl Soak<'_> {
         }
         if self.references[robot].is_none() {
             self.report.references += 1;
+            self.first[robot].get_or_insert(difference);
             self.references[robot] = Some(difference);
         }
     }
@@ -339,6 +358,12 @@ impl Strike {
     fn is_over(&self, rounds: &[u64]) -> bool {
         self.ended && rounds.iter().zip(&self.rounds).all(|(now, then)| *now >= then + ROUNDS)
     }
+}
+
+/// Whether homing leads to the same index pulse each time: by a switch or stop and an index pulse (CiA 402-2 §11.3), or on a
+/// serial line.
+fn homes_to_index(axis: &Axis) -> bool {
+    axis.homing.method.is_none_or(|method| matches!(method, -2 | -1 | 1 | 2 | 7 | 11))
 }
 
 /// Names of all faults of the table.
