@@ -11,6 +11,7 @@ use hil::qemu::{Clock, Kernel, MachineError, Options, QemuError, run};
 
 use crate::bench::kernel;
 use crate::uml::{Scratch, process_ids_of, processes_of};
+use crate::vcan::wait_until;
 
 /// Characters with a special meaning in shells and in QEMU's options.
 const OUT: &str = "o\"u,t's $x";
@@ -27,7 +28,7 @@ fn shell(kernel: &Kernel, scratch: &Scratch, timeout: Duration, script: &str) ->
     };
     let mut output = Vec::new();
     let outcome = run(kernel, Clock::Host, &options, &mut output);
-    assert_eq!(processes_of(scratch.path()), 0);
+    wait_until("no process of the machine is left", || processes_of(scratch.path()) == 0);
     (outcome, String::from_utf8_lossy(&output).into_owned())
 }
 
