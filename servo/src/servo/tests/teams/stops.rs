@@ -155,6 +155,33 @@ fn every_cause_at_a_boundary_or_within_a_macrostep_brakes_all_members_in_the_sam
 }
 
 #[test]
+fn no_member_begins_its_macrostep_if_that_of_a_member_cannot_be_begun() {
+    let bad_position = |steps: &mut Vec<Macrostep>| steps[12].position[0] = f64::NAN;
+    let longer = |steps: &mut Vec<Macrostep>| (steps[12].steps, steps[12].report_at) = (20, 20);
+    let unequal = |steps, other| StopCause::UnequalSteps { number: 13, steps, other };
+    type Change = fn(&mut Vec<Macrostep>);
+    let cases: [(Change, [StopCause; 2]); 2] = [
+        (bad_position, [StopCause::NotFinite, StopCause::Partner { effector: 0 }]),
+        (longer, [unequal(20, 10), unequal(10, 20)]),
+    ];
+    for (change, causes) in cases {
+        let mut cell = Cell::standing(&[1000.0; 2]);
+        cell.order_all(Order::Tie { members: 0b11 });
+        for effector in 0..2 {
+            let mut sequence = motion(1.0, 40);
+            if effector == 0 {
+                change(&mut sequence);
+            }
+            sequence.into_iter().for_each(|step| cell.order(effector, Order::Move(step)));
+        }
+        cell.run(200);
+        let begun = [0, 1].map(|member| (cell.snapshot(member).macrostep, cell.snapshot(member).team_macrostep));
+        assert_eq!(begun, [(12, 12); 2], "{causes:?}");
+        assert_eq!([0, 1].map(|member| cell.servo.fault(member).unwrap().cause), causes);
+    }
+}
+
+#[test]
 fn members_that_brake_stay_in_proportion_under_refused_batches() {
     for refused in [0, 1] {
         let mut cell = Cell::standing(&[1000.0, 400.0]);
