@@ -74,7 +74,7 @@ fn chart<'a>(file: &'a str, agent: &str) -> Vec<Step<'a>> {
 /// An example cell for a clock on a loaded host. Touch probe and light gate report after `edge`, s, and stay.
 fn patient(cell: &mut Cell, edge: f64) {
     vcan::shorten(cell);
-    (cell.period_us, cell.macrostep, cell.max_missed_in_row) = (20_000, 2, 25);
+    (cell.period_us, cell.macrostep) = (20_000, 2);
     for sensor in &mut cell.force_sensor {
         sensor.tolerated_missing = 100;
     }
