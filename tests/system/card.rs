@@ -25,7 +25,7 @@ fn directory_with_cell() -> Directory {
         cell.robot[0].program.truncate(1);
         cell.period_us = 20_000;
         cell.macrostep = 4;
-        cell.max_missed_in_row = 25;
+        cell.max_missed_in_row = 150;
         cell.bus[0].tolerated_missing = 50;
         cell.bus[0].heartbeat_ms = 1000;
         cell.bus[0].boot_timeout_ms = 20_000;

@@ -105,7 +105,6 @@ const WEIGHTS: [(&str, f64); 2] = [("upper-arm", -0.395), ("wrist-pitch", 0.037)
 /// take. The weight is therefore fed forward.
 pub(crate) fn slower_laboratory(cell: &mut Cell) {
     cell.period_us = 20_000;
-    cell.max_missed_in_row = 25;
     cell.macrostep = 2;
     cell.serial[0].tolerated_missing = 10;
     cell.serial[0].answer_timeout_ms = 1000;

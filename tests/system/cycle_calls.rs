@@ -195,7 +195,7 @@ fn a_cycle_on_serial_lines_makes_one_call_each_way_per_line_and_the_wait() {
         // Under strace, the answers of another process are late.
         cell.serial[0].tolerated_missing = 10;
         cell.serial[0].answer_timeout_ms = 500;
-        cell.max_missed_in_row = 250;
+        cell.max_missed_in_row = 500;
     });
     let ttys = directory.path("ttys");
     let _emulator = emulate(&cell, &ttys);

@@ -136,7 +136,7 @@ fn a_cell_is_measured_on_a_virtual_interface_and_never_on_a_card() {
         let directory = Directory::new();
         let cell = directory.cell("irb6", |cell| {
             cell.period_us = 10_000;
-            cell.max_missed_in_row = 50;
+            cell.max_missed_in_row = 300;
             cell.bus[0].tolerated_missing = 50;
             cell.bus[0].heartbeat_ms = 1000;
             cell.bus[0].boot_timeout_ms = 10_000;

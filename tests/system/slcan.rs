@@ -218,7 +218,7 @@ fn an_arm_runs_over_one_adapter_with_its_drives_emulated_behind_another() {
         cell.robot[0].program.truncate(1);
         cell.period_us = 10_000;
         cell.macrostep = 4;
-        cell.max_missed_in_row = 50;
+        cell.max_missed_in_row = 300;
         cell.bus[0].tolerated_missing = 50;
         cell.bus[0].heartbeat_ms = 1000;
         cell.bus[0].boot_timeout_ms = 10_000;

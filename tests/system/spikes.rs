@@ -98,7 +98,7 @@ fn cycles_that_are_asked_for_before_the_drives_are_up_are_the_first() {
         shorten(cell);
         cell.serial[0].tolerated_missing = 10;
         cell.serial[0].answer_timeout_ms = 500;
-        cell.max_missed_in_row = 250;
+        cell.max_missed_in_row = 500;
     });
     for attempt in 0..5 {
         let [ttys, file] = ["ttys", "spikes.json"].map(|name| directory.path(&format!("{attempt}-{name}")));

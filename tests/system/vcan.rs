@@ -62,7 +62,7 @@ pub(crate) fn shorten(cell: &mut Cell) {
     mrroc::shorten(cell);
     cell.period_us = 10_000;
     cell.macrostep = 4;
-    cell.max_missed_in_row = 50;
+    cell.max_missed_in_row = 300;
     cell.flight_recorder_s = 120;
     // The emulators use the same, only processor.
     cell.realtime.wait = Wait::Plain;

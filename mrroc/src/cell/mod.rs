@@ -83,13 +83,12 @@ pub struct Cell {
     pub macrostep: u16,
     /// Tolerated number of missed deadlines in a row; one more stops the cell with category 1. The drives hold their
     /// last set-point while deadlines are missed. The number therefore limits the time that a moving arm stands still
-    /// before it would jump, and its periods are at most 500 ms together. The number has no effect on the emulated benches,
-    /// where time waits for the host.
+    /// before it would jump. The number has no effect on the emulated benches, where time waits for the host.
     #[serde(default = "defaults::count::<3, u32>")]
     pub max_missed_in_row: u32,
     /// Silence of the servo after which the guardian, a process beside the controller, puts every axis controller on a
     /// serial line into its error state, and stops the nodes of guarded buses, ms: at least two periods, at most 1000. Where absent, the silence of
-    /// `max_missed_in_row` missed deadlines and one and a half periods, at least 5 ms.
+    /// `max_missed_in_row` missed deadlines and one and a half periods, within 5 to 1000 ms.
     pub guardian_ms: Option<u32>,
     /// Hardware watchdog, for example `/dev/watchdog`, on the benches vcan and card. The guardian writes a byte to the file
     /// every 100 ms while servo cycles are completed, and the letter V at an orderly end. The time-out of the watchdog must

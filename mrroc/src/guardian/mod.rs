@@ -371,9 +371,10 @@ impl Cell {
     pub fn guardian_config(&self) -> GuardianConfig {
         let period = self.period();
         let given = self.guardian_ms.map(|silence| Duration::from_millis(silence.into()));
+        let longest = Duration::from_secs_f64(LONGEST_SILENCE_MS * 1e-3);
         let missed = period.saturating_mul(self.max_missed_in_row) + period * 3 / 2;
         GuardianConfig {
-            silence: given.unwrap_or_else(|| missed.max(SHORTEST_SILENCE)),
+            silence: given.unwrap_or_else(|| missed.clamp(SHORTEST_SILENCE, longest)),
             period,
             priority: self.realtime.priority,
         }

@@ -178,8 +178,8 @@ fn a_bus_without_axes_and_a_period_beyond_the_drives_are_refused() {
 fn a_message_gives_both_ends_of_a_range_and_counts_none_in_words() {
     let cases = [
         (
-            "max_missed_in_row = 251\nperiod_us = 2000",
-            "max_missed_in_row: is 251, must be between 1 and 250 (periods of 2000 µs, together 500 ms)",
+            "max_missed_in_row = 1000001\nperiod_us = 2000",
+            "max_missed_in_row: is 1000001, must be between 1 and 1000000 (periods)",
         ),
         ("robot = []\nperiod_us = 2000", "robot: has no robots, must have at least one"),
         (
@@ -262,9 +262,7 @@ fn the_permitted_silence_follows_from_the_missed_deadlines_and_has_bounds() {
         ("period_us = 2000", Ok(9)),
         ("period_us = 2000\nmax_missed_in_row = 20", Ok(43)),
         ("period_us = 2000\nmax_missed_in_row = 1", Ok(5)),
-        ("period_us = 2000\nmax_missed_in_row = 250", Ok(503)),
-        ("period_us = 2000\nmax_missed_in_row = 251", Err("max_missed_in_row".to_owned())),
-        ("period_us = 2000\nmax_missed_in_row = 0", Err("max_missed_in_row".to_owned())),
+        ("period_us = 2000\nmax_missed_in_row = 100000", Ok(1000)),
         ("period_us = 2000\nguardian_ms = 4", Ok(4)),
         ("period_us = 2000\nguardian_ms = 3", Err("guardian_ms".to_owned())),
         ("period_us = 2000\nguardian_ms = 1001", Err("guardian_ms".to_owned())),

@@ -26,12 +26,6 @@ use super::error::{Path, Step};
 use super::{Cell, Range, out_of_range, text};
 use crate::guardian::LONGEST_SILENCE_MS;
 
-/// Longest row of missed deadlines that a cell may tolerate, ms. A moving arm stands at its last set-points for this time,
-/// and nothing but the drives and the guardian would notice a servo that ended. By default, the guardian acts after 4.5
-/// periods without a cycle, and drives on CAN brake after 0.3 s without a heartbeat. Half a second is longer than both,
-/// and leaves room for a machine that shares its processors.
-const LONGEST_ROW_MS: u32 = 500;
-
 /// Greatest number of robots of a cell, and of buses and bundles together.
 const MOST: usize = 32;
 
@@ -49,7 +43,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
         return refused(top, "period_us", why);
     }
     within(top, "macrostep", cell.macrostep, Range::new(1.0, 1000.0, "periods"))?;
-    missed_in_row(top, cell)?;
+    within(top, "max_missed_in_row", cell.max_missed_in_row, Range::new(1.0, 1e6, "periods"))?;
     if let Some(silence) = cell.guardian_ms {
         let guards = !cell.serial.is_empty() || cell.bus.iter().any(|bus| bus.guarded) || cell.watchdog.is_some();
         let because = "without axis controllers on serial lines, a guarded bus or a watchdog";
@@ -83,18 +77,6 @@ fn by_servo(path: &Path, refusal: KeyError) -> (Path, String) {
 }
 
 /// Refuses the value of `key` in the table or list at `path`.
-/// Checks the tolerated number of missed deadlines, whose row must end within [`LONGEST_ROW_MS`].
-fn missed_in_row(top: &Path, cell: &Cell) -> Checked {
-    let (given, period) = (cell.max_missed_in_row, cell.period_us);
-    let most = LONGEST_ROW_MS * 1000 / period;
-    if (1..=most).contains(&given) {
-        return Ok(());
-    }
-    let why =
-        format!("is {given}, must be between 1 and {most} (periods of {period} µs, together {LONGEST_ROW_MS} ms)");
-    refused(top, "max_missed_in_row", why)
-}
-
 fn refused(path: &Path, key: impl Into<Step>, why: impl Into<String>) -> Checked {
     Err((path.then(key), why.into()))
 }
