@@ -59,8 +59,6 @@ pub(crate) struct ServoAxis {
     /// The last change of the measured position.
     change: Change,
     progress: Progress,
-    /// Number of samples in a row in which the motor was too fast for its stop.
-    pub(crate) too_fast: u32,
     /// The axis is off while the others brake, because its measured position does not change.
     pub(crate) cut: bool,
     /// The counter may have lost counts, and the drive was not told yet.
@@ -94,7 +92,6 @@ impl ServoAxis {
             reference: ReferenceWatch::default(),
             change: Change::default(),
             progress: Progress::default(),
-            too_fast: 0,
             cut: false,
             doubted: false,
             host: match config.position_loop {

@@ -24,11 +24,6 @@ pub(crate) struct Hang {
 }
 
 impl Hang {
-    /// Number of the servo thread that process `process` has now.
-    pub(crate) fn possible(process: u32) -> Option<libc::pid_t> {
-        servo_thread(process)
-    }
-
     /// Holds the servo thread of process `process`, a descendant of this process.
     pub(crate) fn of(process: u32) -> Self {
         let thread = servo_thread(process).expect("a servo thread");
@@ -58,8 +53,8 @@ impl Drop for Hang {
     }
 }
 
-/// Number of the servo thread of a process.
-fn servo_thread(process: u32) -> Option<libc::pid_t> {
+/// Number of the servo thread that a process has now.
+pub(crate) fn servo_thread(process: u32) -> Option<libc::pid_t> {
     let threads = fs::read_dir(format!("/proc/{process}/task")).expect("the process").flatten();
     let is_servo = |thread: &Path| fs::read_to_string(thread.join("comm")).is_ok_and(|name| name.trim() == "servo");
     let thread = threads.map(|entry| entry.path()).find(|thread| is_servo(thread))?;

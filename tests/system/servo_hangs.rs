@@ -16,7 +16,7 @@ use serde_json::json;
 
 use crate::bench::patient_turn;
 use crate::guardian::{ATTEMPTS, Emulator, child_of, moved};
-use crate::hang::Hang;
+use crate::hang::{Hang, servo_thread};
 use crate::mrroc::{Directory, Running, example};
 use crate::serial_cli::{patient, run_arguments};
 
@@ -119,9 +119,9 @@ fn a_measurement_whose_servo_thread_hangs_for_good_is_reported_and_ends() {
     let limit = clock::now() + END;
     // A servo thread that is seen twice has begun its cycles.
     let mut seen = None;
-    while seen.is_none() || Hang::possible(run.id()) != seen {
+    while seen.is_none() || servo_thread(run.id()) != seen {
         assert!(clock::now() < limit, "no servo thread");
-        seen = Hang::possible(run.id());
+        seen = servo_thread(run.id());
         clock::sleep_until(clock::now() + Duration::from_millis(200));
     }
     let hang = Hang::of(run.id());

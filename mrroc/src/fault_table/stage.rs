@@ -388,6 +388,9 @@ impl<'a> Stage<'a> {
         if !ended {
             self.end(case, &in_effect)?;
         }
+        if matches!(case.origin, Origin::Deadlines(_)) && self.servo.counters().missed_cycles == 0 {
+            bail!("no deadline was missed");
+        }
         if observed.detected.is_some() {
             observed.recovery = self.recover();
         }

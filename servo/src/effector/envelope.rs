@@ -23,6 +23,8 @@ pub(super) struct Envelope {
     start: [f64; MAX_AXES],
     /// Speed of each motor, rad/s.
     speed: [f64; MAX_AXES],
+    /// Number of samples in a row, up to the last, in which each motor was too fast for its stop.
+    too_fast: [u32; MAX_AXES],
 }
 
 impl Effector {
@@ -46,7 +48,7 @@ impl Effector {
             return None;
         }
         let (end, start) = (self.stop.rest(index), self.envelope.start[index]);
-        let axis = &mut self.axes[index];
+        let axis = &self.axes[index];
         let (acceleration, error) = (axis.config.max_acceleration, axis.config.following_error);
         // The room that is left beyond the end, and behind the beginning, for a motor that rests at a position.
         let room = |rest: f64| {
@@ -54,8 +56,9 @@ impl Effector {
             [beyond, error + self.stop.ahead(index, rest - start)]
         };
         let [beyond, behind] = room(rest_of(axis));
-        axis.too_fast = if beyond >= 0.0 && behind >= 0.0 { 0 } else { axis.too_fast + 1 };
-        if axis.too_fast < TOO_FAST {
+        let too_fast = if beyond >= 0.0 && behind >= 0.0 { 0 } else { self.envelope.too_fast[index] + 1 };
+        self.envelope.too_fast[index] = too_fast;
+        if too_fast < TOO_FAST {
             return None;
         }
         let left = room(axis.state.position)[usize::from(beyond >= 0.0)];
@@ -73,12 +76,11 @@ impl Effector {
             envelope.speed[index] = axis.state.velocity.abs();
         }
         self.envelope = envelope;
-        self.axes.iter_mut().for_each(|axis| axis.too_fast = 0);
     }
 
-    /// The first axis whose motor does not brake in a stop of homing, `waited` after its beginning: it still has more than half
-    /// of its speed after the longest stop. The ramp of a drive may be longer than this time. An axis with a fault is not
-    /// braked by its drive.
+    /// The first axis whose motor does not brake in a stop of homing, `waited` after its beginning. Such a motor still has
+    /// more than half of its speed after the longest stop. The ramp of a drive may be longer than this time. A drive with a
+    /// fault does not brake its motor.
     pub(super) fn not_halting(&self, waited: Duration) -> Option<(usize, StopCause)> {
         if waited < self.longest_stop() {
             return None;

@@ -27,9 +27,9 @@ impl FaultTable {
     }
 }
 
-/// Whether an error code of a drive (EMCY and object 0x603F) leaves it open that the counter of its encoder is wrong: an
-/// error of a sensor, or a motor that did not follow its velocity or position. A drive cannot tell a motor that does not
-/// follow from an encoder that fails.
+/// Whether the counter of the encoder may be wrong after an error code of a drive (EMCY and object 0x603F). These are errors
+/// of a sensor, and errors of a motor that did not follow its velocity or position. A drive cannot tell a motor that does
+/// not follow from an encoder that fails.
 pub fn questions_position(code: u16) -> bool {
     matches!(code, 0x7300..=0x73FF | 0x8400..=0x86FF)
 }

@@ -301,6 +301,18 @@ fn a_stricter_stop_of_homing_is_not_longer() {
     assert_eq!(rig.phase(), Phase::Off);
 }
 
+/// An effector whose second drive searches for its reference at `speed`, rad/s.
+fn searching(speed: f64) -> Rig {
+    let mut rig = Rig::new(2);
+    rig.world().axes[1].homing_takes = 500;
+    rig.order(Order::Enable);
+    rig.order(Order::Home);
+    rig.run_until(Phase::Homing);
+    rig.world().axes[1].drifts_at = Some(speed);
+    rig.run(5);
+    rig
+}
+
 #[test]
 fn a_motor_that_does_not_brake_in_a_stop_of_homing_loses_its_power() {
     // Share of the speed before the stop in a period of the stop, which takes at most 200 ms.
@@ -313,13 +325,7 @@ fn a_motor_that_does_not_brake_in_a_stop_of_homing_loses_its_power() {
         (Order::Disable, |_| 1.0, Some(200)),
     ];
     for (order, share, lost_in) in cases {
-        let mut rig = Rig::new(2);
-        rig.world().axes[1].homing_takes = 500;
-        rig.order(Order::Enable);
-        rig.order(Order::Home);
-        rig.run_until(Phase::Homing);
-        rig.world().axes[1].drifts_at = Some(20.0);
-        rig.run(5);
+        let mut rig = searching(20.0);
         assert_eq!(rig.servo.longest_stop(), 2 * Duration::from_millis(200));
         rig.order(order);
         let mut lost = None;
@@ -343,13 +349,7 @@ fn a_motor_that_does_not_brake_in_a_stop_of_homing_loses_its_power() {
 #[test]
 fn a_stop_while_a_drive_accelerates_in_its_search_is_no_fault() {
     for late in [2, 6] {
-        let mut rig = Rig::new(2);
-        rig.world().axes[1].homing_takes = 500;
-        rig.order(Order::Enable);
-        rig.order(Order::Home);
-        rig.run_until(Phase::Homing);
-        rig.world().axes[1].drifts_at = Some(2.0);
-        rig.run(5);
+        let mut rig = searching(2.0);
         rig.order(Order::Stop);
         let mut velocity: f64 = 2.0;
         for period in 0..300 {
