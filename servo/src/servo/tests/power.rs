@@ -345,6 +345,21 @@ fn a_motor_that_does_not_brake_in_a_stop_of_homing_loses_its_power() {
     }
 }
 
+#[test]
+fn a_motor_that_its_drive_does_not_brake_or_show_is_not_judged_in_a_stop_of_homing() {
+    // A drive with a fault, and one that gives no answers.
+    for (fault, silent) in [(Some(FAULT), false), (None, true)] {
+        let mut rig = searching(20.0);
+        rig.order(Order::Stop);
+        rig.run(10);
+        rig.world().axes[1].state.fault = fault;
+        rig.world().axes[1].silent = silent;
+        rig.run(300);
+        let found = rig.servo.fault(0).map(|fault| (fault.cause, fault.category));
+        assert_eq!(found, fault.map(|fault| (StopCause::Drive(fault), StopCategory::One)));
+    }
+}
+
 /// A drive accelerates in its search, and hears of the stop some periods late.
 #[test]
 fn a_stop_while_a_drive_accelerates_in_its_search_is_no_fault() {
