@@ -345,7 +345,8 @@ impl ServoAxis {
         let travel = (error - self.change.error).abs();
         let limit = (0.5 * self.config.following_error).max(FROZEN / self.config.increments_per_radian.abs());
         let expected = travel * self.config.increments_per_radian.abs() >= 2.0 && self.follows();
-        (travel > limit).then_some(travel).or_else(|| self.stands_at_once().filter(|_| expected))
+        let at_once = || self.stands_at_once().filter(|_| expected).or_else(|| self.starts_at_once());
+        (travel > limit).then_some(travel).or_else(at_once)
     }
 
     /// The same while the drive homes the axis, where the set-points are not known.
@@ -354,6 +355,11 @@ impl ServoAxis {
         let by_drive = self.config.homing.is_none();
         let watched = searching && by_drive && self.state.age == 0 && self.config.frozen == FrozenWatch::Always;
         self.stands_at_once().or(self.state.stalled).filter(|_| watched)
+    }
+
+    fn starts_at_once(&self) -> Option<f64> {
+        let ServoAxisConfig { increments_per_radian, max_velocity, .. } = self.config;
+        self.progress.started(increments_per_radian, max_velocity).filter(|_| self.follows())
     }
 
     fn stands_at_once(&self) -> Option<f64> {

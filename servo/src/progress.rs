@@ -9,6 +9,10 @@
 //! A motor that ends a motion, reverses in a search, or sticks at low speed is therefore not frozen. The speed is
 //! kept for twice the time that the motor needs to brake, and not over a standstill.
 //!
+//! A counter may also stand while its motor moves, and count again before another check finds it: the encoder failed
+//! shortly before the end of a motion. Such a counter *starts at once*: after at least four equal samples, one step is
+//! faster than a quarter of the greatest velocity. No motor and no impact accelerates so. The counter has lost counts.
+//!
 //! # Floor
 //! A position that stands still at once is not detected below a speed of 0.02 `max_velocity` + 2 `max_acceleration` ·
 //! period: 11 rad/s at 250 rad/s, 1500 rad/s² and 2 ms. The first term is dry friction, which may hold a slow motor at
@@ -32,6 +36,9 @@ const SLOW: f64 = 0.02;
 const MEMORY: f64 = 2.0;
 const LEAST_MEMORY: usize = 4 * SAMPLES;
 
+/// Share of the greatest velocity above which no motor starts within a sample.
+const AT_ONCE: f64 = 0.25;
+
 /// The last samples of a measured position.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Progress {
@@ -44,6 +51,8 @@ pub(crate) struct Progress {
     change: (f64, f64),
     /// Samples since the last change, and the time since then, s.
     standing: (usize, f64),
+    /// Increments and seconds of the last step, if it ended a standstill.
+    start: Option<(f64, f64)>,
 }
 
 impl Progress {
@@ -60,6 +69,7 @@ impl Progress {
         let moved = f64::from(state.increments.0.wrapping_sub(last.0));
         self.steps.rotate_right(1);
         self.steps[0] = (moved, waited);
+        self.start = (moved != 0.0 && self.standing.0 >= SAMPLES).then_some((moved, waited));
         if moved == 0.0 {
             self.standing = (self.standing.0.saturating_add(1), self.standing.1 + waited);
             return;
@@ -71,6 +81,13 @@ impl Progress {
     /// Forgets the speed, because the counter was set.
     pub(crate) fn forget(&mut self) {
         *self = Self::default();
+    }
+
+    /// Distance, rad, of the last step, if the position starts at once.
+    pub(crate) fn started(&self, increments_per_radian: f64, max_velocity: f64) -> Option<f64> {
+        let (moved, time) = self.start?;
+        let distance = moved.abs() / increments_per_radian.abs();
+        (moved.abs() > LEAST && distance > AT_ONCE * max_velocity * time).then_some(distance)
     }
 
     /// Distance, rad, by which the motor must have moved since the measured position last changed, if the position is
@@ -145,6 +162,33 @@ mod tests {
                     assert_eq!(found(counts, |t| speed * t.min(0.1)), None);
                 }
             }
+        }
+    }
+
+    #[test]
+    fn a_position_that_starts_at_once_after_a_standstill_is_found() {
+        let fine = 4000.0 / std::f64::consts::TAU;
+        // Samples of a counter that stands still for some samples, and the increments of its next step.
+        for (samples, step, found) in
+            [(4, 400, true), (4, -400, true), (3, 400, false), (50, 400, true), (50, 70, false)]
+        {
+            let mut progress = Progress::default();
+            let mut take = |counter| {
+                progress.observe(&AxisState { increments: Increments(counter), ..AxisState::default() }, DT);
+                progress.started(fine, 250.0).is_some()
+            };
+            // The first sample of a counter has no step.
+            assert!((0..=samples).all(|_| !take(7)));
+            assert_eq!(take(7 + step), found, "{samples} samples, then {step}");
+            assert!(!take(7 + 2 * step), "the next step of {step}");
+        }
+        // A motor that accelerates from rest with four times its greatest acceleration.
+        let mut progress = Progress::default();
+        for number in 0..100 {
+            let time = (f64::from(number) * DT - 0.05).max(0.0);
+            let increments = Increments((3000.0 * time * time * fine) as i32);
+            progress.observe(&AxisState { increments, ..AxisState::default() }, DT);
+            assert_eq!(progress.started(fine, 250.0), None, "{time} s");
         }
     }
 

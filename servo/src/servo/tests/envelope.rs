@@ -4,7 +4,7 @@ use drive::axis_controller::AxisControllerFault;
 use drive::{EmergencyStop, Fault};
 
 use super::*;
-use crate::{After, CellState, ServoState, StopCategory};
+use crate::{After, CellState, FrozenWatch, ServoState, StopCategory};
 
 /// An effector that moves at 10 rad/s, whose second motor then runs at `speed`, and `order` stops it.
 fn stopping(order: Order, speed: Option<f64>) -> Rig {
@@ -115,7 +115,10 @@ fn a_motor_that_runs_backwards_in_a_stop_loses_its_power() {
     for (velocity, speed, expected) in
         [(10.0, 100.0, 4), (10.0, 20.0, 19), (0.0, 100.0, 4), (1e-12, 100.0, 4), (-1e-12, 100.0, 4)]
     {
-        let mut rig = Rig::standing(2);
+        let mut config = scripted::config(2);
+        // The scripted motor is at its speed at once.
+        config.effectors[0].axes[1].frozen = FrozenWatch::Off;
+        let mut rig = Rig::with(&config).stand();
         for mut step in accelerating(500.0, 2, 20) {
             let share = velocity / 10.0;
             (step.position[1], step.velocity[1]) = (share * step.position[1], share * step.velocity[1]);
@@ -193,7 +196,10 @@ fn a_cell_is_off_or_held_only_as_long_as_its_drives_report_so() {
 #[test]
 fn a_motor_at_its_following_error_is_within_it() {
     for sign in [1.0, -1.0] {
-        let mut rig = Rig::standing(1);
+        let mut config = scripted::config(1);
+        // The scripted motor jumps.
+        config.effectors[0].axes[0].frozen = FrozenWatch::Off;
+        let mut rig = Rig::with(&config).stand();
         let limit = scripted::config(1).effectors[0].axes[0].following_error;
         rig.world().axes[0].ahead = sign * limit;
         rig.run(20);
@@ -204,6 +210,22 @@ fn a_motor_at_its_following_error_is_within_it() {
         assert!(matches!(rig.cause(), Some(StopCause::FollowingError { .. })));
         assert_eq!(rig.world().axes[0].state.homing, Homing::NotHomed, "the counter may be wrong");
     }
+}
+
+/// The encoder failed while the loop of the drive was at work, and counts again in a motor that ran away.
+#[test]
+fn a_counter_that_starts_at_once_has_no_reference() {
+    let mut rig = Rig::standing(1);
+    rig.run(20);
+    let limit = scripted::config(1).effectors[0].axes[0].following_error;
+    rig.world().axes[0].ahead = 0.01 * limit;
+    rig.run(20);
+    assert_eq!(rig.phase(), Phase::Standing, "{:?}", rig.cause());
+    rig.world().axes[0].ahead = 0.9 * limit;
+    rig.run(20);
+    assert!(matches!(rig.cause(), Some(StopCause::Frozen { .. })), "{:?}", rig.cause());
+    assert_eq!(rig.world().axes[0].state.homing, Homing::NotHomed);
+    assert_eq!(rig.last_sent(), [AxisCommand::Off]);
 }
 
 /// The envelope of a motor that is already ahead begins there.
