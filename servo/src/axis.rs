@@ -358,8 +358,8 @@ impl ServoAxis {
     }
 
     fn starts_at_once(&self) -> Option<f64> {
-        let ServoAxisConfig { increments_per_radian, max_velocity, .. } = self.config;
-        self.progress.started(increments_per_radian, max_velocity).filter(|_| self.follows())
+        let ServoAxisConfig { increments_per_radian, max_velocity, max_acceleration, .. } = self.config;
+        self.progress.started(increments_per_radian, max_velocity, max_acceleration).filter(|_| self.follows())
     }
 
     fn stands_at_once(&self) -> Option<f64> {

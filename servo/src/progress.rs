@@ -11,7 +11,8 @@
 //!
 //! A counter may also stand while its motor moves, and count again before another check finds it: the encoder failed
 //! shortly before the end of a motion. Such a counter *starts at once*: after at least four equal samples, one step is
-//! faster than a quarter of the greatest velocity. No motor and no impact accelerates so. The counter has lost counts.
+//! faster than a quarter of the greatest velocity, and faster than a motor that starts with four times its greatest
+//! acceleration. No motor and no impact accelerates so. The counter has lost counts.
 //!
 //! # Floor
 //! A position that stands still at once is not detected below a speed of 0.02 `max_velocity` + 2 `max_acceleration` ·
@@ -36,8 +37,8 @@ const SLOW: f64 = 0.02;
 const MEMORY: f64 = 2.0;
 const LEAST_MEMORY: usize = 4 * SAMPLES;
 
-/// Share of the greatest velocity above which no motor starts within a sample.
-const AT_ONCE: f64 = 0.25;
+/// Share of the greatest velocity, and multiple of the greatest acceleration, above which no motor starts within a sample.
+const AT_ONCE: (f64, f64) = (0.25, 4.0);
 
 /// The last samples of a measured position.
 #[derive(Clone, Copy, Debug, Default)]
@@ -83,11 +84,13 @@ impl Progress {
         *self = Self::default();
     }
 
-    /// Distance, rad, of the last step, if the position starts at once.
-    pub(crate) fn started(&self, increments_per_radian: f64, max_velocity: f64) -> Option<f64> {
+    /// Distance, rad, of the last step, if the position starts at once. The motor accelerates with at most
+    /// `max_acceleration`, rad/s².
+    pub(crate) fn started(&self, increments_per_radian: f64, max_velocity: f64, max_acceleration: f64) -> Option<f64> {
         let (moved, time) = self.start?;
         let distance = moved.abs() / increments_per_radian.abs();
-        (moved.abs() > LEAST && distance > AT_ONCE * max_velocity * time).then_some(distance)
+        let speed = (AT_ONCE.0 * max_velocity).max(AT_ONCE.1 * 0.5 * max_acceleration * time);
+        (moved.abs() > LEAST && distance > speed * time).then_some(distance)
     }
 
     /// Distance, rad, by which the motor must have moved since the measured position last changed, if the position is
@@ -175,20 +178,23 @@ mod tests {
             let mut progress = Progress::default();
             let mut take = |counter| {
                 progress.observe(&AxisState { increments: Increments(counter), ..AxisState::default() }, DT);
-                progress.started(fine, 250.0).is_some()
+                progress.started(fine, 250.0, 1500.0).is_some()
             };
             // The first sample of a counter has no step.
             assert!((0..=samples).all(|_| !take(7)));
             assert_eq!(take(7 + step), found, "{samples} samples, then {step}");
             assert!(!take(7 + 2 * step), "the next step of {step}");
         }
-        // A motor that accelerates from rest with four times its greatest acceleration.
-        let mut progress = Progress::default();
-        for number in 0..100 {
-            let time = (f64::from(number) * DT - 0.05).max(0.0);
-            let increments = Increments((3000.0 * time * time * fine) as i32);
-            progress.observe(&AxisState { increments, ..AxisState::default() }, DT);
-            assert_eq!(progress.started(fine, 250.0), None, "{time} s");
+        // A motor that accelerates from rest with almost four times its greatest acceleration.
+        for max_acceleration in [1500.0, 150_000.0] {
+            let mut progress = Progress::default();
+            for number in 0..100 {
+                let time = (f64::from(number) * DT - 0.05).max(0.0);
+                let increments = Increments((1.9 * max_acceleration * time * time * fine) as i32);
+                progress.observe(&AxisState { increments, ..AxisState::default() }, DT);
+                let found = progress.started(fine, 250.0, max_acceleration);
+                assert_eq!(found, None, "{max_acceleration} rad/s², {time} s");
+            }
         }
     }
 
