@@ -153,10 +153,6 @@ impl Effector {
         1 << self.index
     }
 
-    pub(crate) fn index(&self) -> u8 {
-        self.index
-    }
-
     /// Duration of the slowest stop, including the wait for standstill.
     pub(crate) fn longest_stop(&self) -> Duration {
         self.stopping_time.saturating_add(STANDSTILL_WAIT)

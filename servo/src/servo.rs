@@ -220,16 +220,16 @@ impl Servo {
             effector.begin_cycle(refused.unwrap_or(0), &tick);
         }
         team::coordinate(&mut self.effectors, &tick);
-        for effector in &mut self.effectors {
+        for (index, effector) in self.effectors.iter_mut().enumerate() {
             effector.end_cycle(&tick);
-            for (group, index) in effector.take_doubted() {
-                self.groups[group].drives.doubt_reference(index);
+            for (group, axis) in effector.take_doubted() {
+                self.groups[group].drives.doubt_reference(axis);
             }
-            for (group, index, command) in effector.commands() {
-                self.groups[group].commands[index] = command;
+            for (group, axis, command) in effector.commands() {
+                self.groups[group].commands[axis] = command;
             }
             if let Some(journal) = &mut self.journal {
-                journal.note_fault(now, usize::from(effector.index()), effector.fault);
+                journal.note_fault(now, index, effector.fault);
             }
             if let Some(recorder) = &mut self.recorder {
                 recorder.record(Record {

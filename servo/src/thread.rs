@@ -57,8 +57,9 @@ mod tracer;
 mod wait;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, mpsc};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::task::Poll;
 use std::thread::{Builder, JoinHandle};
 use std::time::Duration;
@@ -94,6 +95,9 @@ const OFF_CYCLES: u32 = 4;
 /// to deliver the answers of the last cycle.
 const LONGEST_PREPARATION: u32 = 20;
 
+/// Longest time for the thread to lock its memory and to demand its scheduling.
+const BEGIN: Duration = Duration::from_secs(30);
+
 /// Longest time for the drives to report that they have no power, after the command.
 pub const POWER_OFF_WAIT: Duration = Duration::from_millis(500);
 
@@ -117,6 +121,9 @@ pub enum StartError {
     Denied(Denial),
     #[error("the servo thread cannot be made (errno {errno})")]
     Spawn { errno: i32 },
+    /// If the thread begins later, it ends without a cycle.
+    #[error("the servo thread has not begun after {} s: check the load and the memory of the host", waited.as_secs())]
+    Silent { waited: Duration },
 }
 
 /// A running servo thread. Dropping this value leaves the thread running.
@@ -226,7 +233,7 @@ pub fn start(
     between: impl FnMut(Instant) + Send + 'static,
     until: impl FnMut(&Servo) -> bool + Send + 'static,
 ) -> Result<Running, StartError> {
-    let (tell, told) = mpsc::sync_channel(1);
+    let (tell, told) = sync_channel(1);
     let words = Arc::new(Words::default());
     let shared = Arc::clone(&words);
     let body = move || {
@@ -245,13 +252,25 @@ pub fn start(
     let spawned = Builder::new().name("servo".into()).stack_size(STACK).spawn(body);
     let thread = spawned.map_err(|e| StartError::Spawn { errno: e.raw_os_error().unwrap_or(0) })?;
     let running = Running { thread, words };
-    match told.recv().unwrap_or_default() {
-        Some(denial) if realtime.policy == Policy::Require => {
+    match first_denial(&told, BEGIN) {
+        Err(silent) => {
+            running.leave();
+            Err(silent)
+        }
+        Ok(Some(denial)) if realtime.policy == Policy::Require => {
             // It has nothing to do; with it the servo goes, and every port is closed.
             drop(running.join());
             Err(StartError::Denied(denial))
         }
-        _ => Ok(running),
+        Ok(_) => Ok(running),
+    }
+}
+
+/// The first denied request of a thread that begins within `longest`.
+fn first_denial(told: &Receiver<Option<Denial>>, longest: Duration) -> Result<Option<Denial>, StartError> {
+    match told.recv_timeout(longest) {
+        Err(RecvTimeoutError::Timeout) => Err(StartError::Silent { waited: longest }),
+        told => Ok(told.unwrap_or_default()),
     }
 }
 

@@ -1,7 +1,7 @@
 //! Tests of the servo thread in real time.
 
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, mpsc};
 
 use drive::Power;
 
@@ -253,6 +253,15 @@ fn nominal_time_stands_still_while_deadlines_are_missed() {
     assert_eq!(finished.panicked, None);
     assert_eq!(finished.servo.fault(0), None);
     assert!(finished.servo.counters().missed_cycles >= 3);
+}
+
+#[test]
+fn a_thread_that_does_not_begin_is_an_error() {
+    let (tell, told) = sync_channel(1);
+    let waited = Duration::from_millis(1);
+    assert_eq!(first_denial(&told, waited), Err(StartError::Silent { waited }));
+    tell.send(None).unwrap();
+    assert_eq!(first_denial(&told, waited), Ok(None));
 }
 
 #[test]
